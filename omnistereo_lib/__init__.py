@@ -1,0 +1,44 @@
+"""Omnidirectional stereo: four fisheye images in, one 360° depth panorama out.
+
+The names below are the library's face. They are loaded on first use (PEP 562), so that importing the
+package is quick and Blender's interpreter, which has no torch, can use the geometry.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+_HOME = {
+    "OmnistereoError": "errors",
+    "OcamCamera": "camera",
+    "fit_inverse_polynomial": "camera",
+    "Pose": "pose",
+    "Rig": "rig",
+    "SphereGrid": "sphere",
+    "SphereSweep": "sweep",
+    "ZNCC": "costs.zncc",
+    "cost_volume": "volume",
+    "sgm": "sgm",
+    "winner_takes_all": "depth",
+    "confidence": "depth",
+    "Depth": "depth",
+    "index_error": "metrics",
+    "sparsification": "metrics",
+    "load_dataset": "dataset",
+    "load_images": "dataset",
+    "estimate_depth": "pipeline",
+    "doctor": "doctor",
+}
+
+__all__ = sorted(_HOME)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

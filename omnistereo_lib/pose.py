@@ -1,0 +1,123 @@
+"""Rigid poses: the paper's Θ = (r, t), its matrix M(Θ), ⋆ and inverse (Section III-A)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omnistereo_lib.errors import OmnistereoError
+
+_ROTATION_TOLERANCE = 1e-5  # files print rotations with 6 digits or more
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """A rigid transform T_ab: coordinates in frame b become coordinates in frame a.
+
+    Parameters
+    ----------
+    R : array, shape (3, 3)
+        Rotation matrix. One that is a rotation only to print precision is replaced by the nearest one.
+    t : array, shape (3,)
+        Translation in metres: where frame b's origin stands in frame a.
+
+    Raises
+    ------
+    OmnistereoError
+        If R or t has the wrong shape, is not finite, or R is not a rotation.
+    """
+
+    R: NDArray[np.float64]
+    t: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        R, t = np.asarray(self.R, np.float64), np.asarray(self.t, np.float64)
+        if R.shape != (3, 3) or t.shape != (3,):
+            raise OmnistereoError(f"a pose needs R of shape (3, 3) and t of shape (3,), got {R.shape} and {t.shape}")
+        if not (np.isfinite(R).all() and np.isfinite(t).all()):
+            raise OmnistereoError(f"a pose must be finite, got R = {R.tolist()}, t = {t.tolist()}")
+        U, _, Vt = np.linalg.svd(R)
+        nearest = U @ Vt
+        error = np.abs(nearest - R).max()
+        if error > _ROTATION_TOLERANCE or np.linalg.det(R) < 0:
+            raise OmnistereoError(
+                f"R is not a rotation: it is {error:.2g} away from the nearest orthogonal matrix and has "
+                f"determinant {np.linalg.det(R):.4f}, expected 0 and +1. Is it scaled, mirrored or a 3x4 matrix's part?"
+            )
+        # Keep exact rotations as they are: the projection would move them by a rounding error.
+        object.__setattr__(self, "R", nearest if error > 1e-12 else R)
+        object.__setattr__(self, "t", t)
+
+    @classmethod
+    def identity(cls) -> Pose:
+        """Return the transform that changes nothing."""
+        return cls(np.eye(3), np.zeros(3))
+
+    @classmethod
+    def from_vector(cls, theta: ArrayLike) -> Pose:
+        """Return M(Θ) for Θ = (r, t): axis-angle in radians, then metres, 6 numbers (paper, Section III-A)."""
+        theta = np.asarray(theta, np.float64)
+        if theta.shape != (6,):
+            raise OmnistereoError(f"a pose vector has 6 numbers (rx ry rz tx ty tz), got shape {theta.shape}")
+        return cls(rotation_from_axis_angle(theta[:3]), theta[3:])
+
+    def as_vector(self) -> NDArray[np.float64]:
+        """Return Θ = (r, t), shape (6,): axis-angle in radians with |r| ≤ π, then metres."""
+        return np.concatenate([axis_angle_from_rotation(self.R), self.t])
+
+    def inverse(self) -> Pose:
+        """Return T_ba, the transform back."""
+        return Pose(self.R.T, -self.R.T @ self.t)
+
+    def __matmul__(self, other: Pose | ArrayLike) -> Pose | NDArray[np.float64]:
+        """Compose (T_ab @ T_bc = T_ac, the paper's ⋆) or transform points of shape (..., 3), frame b to a."""
+        if isinstance(other, Pose):
+            return Pose(self.R @ other.R, self.R @ other.t + self.t)
+        points = np.asarray(other, np.float64)
+        if points.shape[-1:] != (3,):
+            raise OmnistereoError(f"a pose transforms points of shape (..., 3), got {points.shape}")
+        return points @ self.R.T + self.t
+
+    def magnitude(self) -> tuple[float, float]:
+        """Return how far the transform moves things: the rotation angle in degrees, the translation in metres."""
+        angle = np.linalg.norm(axis_angle_from_rotation(self.R))
+        return float(np.degrees(angle)), float(np.linalg.norm(self.t))
+
+    def __repr__(self) -> str:
+        r, t = self.as_vector()[:3], self.t
+        return f"Pose(axis-angle {np.degrees(r).round(3).tolist()} deg, t {t.round(4).tolist()} m)"
+
+
+def rotation_from_axis_angle(r: ArrayLike) -> NDArray[np.float64]:
+    """Return the rotation matrix R(r), shape (3, 3), by Rodrigues' formula; r in radians, shape (3,)."""
+    r = np.asarray(r, np.float64)
+    angle = np.linalg.norm(r)
+    K = np.array([[0.0, -r[2], r[1]], [r[2], 0.0, -r[0]], [-r[1], r[0], 0.0]])
+    # sin(a)/a and (1 - cos a)/a²; np.sinc keeps both exact down to a = 0.
+    return np.eye(3) + np.sinc(angle / np.pi) * K + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * K @ K
+
+
+def axis_angle_from_rotation(R: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return r, shape (3,), with R(r) = R and |r| ≤ π, through the unit quaternion (stable at 0 and at π)."""
+    # Shepperd's method: each row of this symmetric matrix is the quaternion (x, y, z, w) times 4 × one
+    # of its own components; the row with the largest diagonal entry divides by no small number.
+    xx, yy, zz = np.diag(R)
+    sums, differences = R + R.T, R - R.T
+    x, y, z = differences[2, 1], differences[0, 2], differences[1, 0]
+    Q = np.array(
+        [
+            [1 + xx - yy - zz, sums[0, 1], sums[0, 2], x],
+            [sums[0, 1], 1 - xx + yy - zz, sums[1, 2], y],
+            [sums[0, 2], sums[1, 2], 1 - xx - yy + zz, z],
+            [x, y, z, 1 + xx + yy + zz],
+        ]
+    )
+    q = Q[np.argmax(np.diag(Q))]
+    q = q / np.linalg.norm(q)
+    q = -q if q[3] < 0 else q
+    sine = np.linalg.norm(q[:3])
+    if sine < 1e-12:
+        return 2.0 * q[:3]
+    return q[:3] / sine * 2.0 * np.arctan2(sine, q[3])
