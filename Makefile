@@ -1,0 +1,66 @@
+# The course, from a clone: `make lab` to read it, `make depth` for the result alone, `make test` to check it.
+# Needs Python 3.11 or newer with venv. Another interpreter: make lab PYTHON=python3.12
+
+PYTHON ?= python3
+BIN := .venv/bin
+READY := .venv/.installed
+RENDER := .venv-render/bin
+RENDER_READY := .venv-render/.installed
+
+NBVAL := --nbval --nbval-current-env --nbval-sanitize-with=tests/nbval_sanitize.cfg --nbval-cell-timeout=120
+WORKERS := -n logical --maxprocesses 4 --dist loadscope
+
+define CHECK_PYTHON
+import sys
+if sys.version_info < (3, 11):
+    sys.exit("The course needs Python 3.11 or newer; $(PYTHON) is %d.%d. With another one: make PYTHON=python3.12" % sys.version_info[:2])
+endef
+export CHECK_PYTHON
+
+.PHONY: lab test depth render bench notebooks constraints clean
+
+lab: $(READY)  ## opens JupyterLab, or prints its address where there is no browser; LAB_ARGS: more options
+	$(BIN)/jupyter lab $(LAB_ARGS) notebooks/00_quickstart.ipynb
+
+test: $(READY)  ## linters, library tests, and every notebook cell against its stored output
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/python -m pytest $(WORKERS) $(NBVAL)
+
+depth: $(READY)  ## the sample frame, or your own: RIG=rig.yaml IMAGES="1.png 2.png 3.png 4.png" make depth
+	$(BIN)/python -m omnistereo_lib depth $(if $(RIG),--rig '$(RIG)') $(if $(IMAGES),--images $(IMAGES)) $(DEPTH_ARGS)
+
+render: $(RENDER_READY)  ## renders the sample frames; Blender has an environment of its own
+	$(RENDER)/python -m omnistereo_lib render $(RENDER_ARGS)
+
+bench: $(READY)  ## speed, as ratios against named alternatives
+	$(BIN)/python -m omnistereo_lib bench $(BENCH_ARGS)
+
+notebooks: $(READY)  ## runs all notebooks from fresh kernels, cleans and stores them, renews the README's table
+	$(BIN)/python tests/nbtools.py run notebooks/*.ipynb
+	$(BIN)/python tests/nbtools.py readme
+
+constraints: $(READY)  ## pins what came along with environment.txt
+	@{ echo "# What the packages of environment.txt bring along, pinned. Written by: make constraints"; \
+	  echo "# Nothing of CUDA stands here: whether torch needs it depends on the build that pip finds."; \
+	  grep -v '^-' environment.txt > .venv/direct.txt; \
+	  $(BIN)/pip freeze --exclude-editable -r .venv/direct.txt | sed '1,/^## /d' \
+	  | grep -ivE '^(nvidia|cuda|triton)|[ +]|@'; } > constraints.txt.tmp
+	@mv constraints.txt.tmp constraints.txt
+
+clean:  ## removes what the other targets made, the environments included
+	rm -rf .venv .venv-render out .pytest_cache .ruff_cache .hypothesis omnistereo_lib.egg-info
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(READY): environment.txt constraints.txt pyproject.toml
+	@$(PYTHON) -c "$$CHECK_PYTHON"
+	@test -x $(BIN)/pip || $(PYTHON) -m venv --clear .venv
+	@echo "Installing the course's packages into .venv; once, a minute or two."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -r environment.txt
+	@touch $@
+
+$(RENDER_READY): environment-render.txt
+	@$(PYTHON) -c "$$CHECK_PYTHON"
+	@test -x $(RENDER)/pip || $(PYTHON) -m venv --clear .venv-render
+	@$(RENDER)/python -m pip install --quiet --disable-pip-version-check -r environment-render.txt
+	@touch $@

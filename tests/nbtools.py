@@ -1,0 +1,262 @@
+"""Run, clean and check the notebooks, so that they are stored the same whoever ran them.
+
+    python tests/nbtools.py run notebooks/00_quickstart.ipynb ...   from a fresh kernel, then clean
+    python tests/nbtools.py clean notebooks/00_quickstart.ipynb ... drop what does not belong there
+    python tests/nbtools.py check notebooks/00_quickstart.ipynb ... say what is wrong with it
+    python tests/nbtools.py readme                                  the table of notebooks in README.md
+
+`run` stores nothing when a cell fails, when the notebook takes longer than its own budget, or when `check`
+finds something. A notebook's own facts stand in its metadata, under "omnistereo":
+
+    {"title": "Quick start", "learn": "...", "needs": "CPU", "minutes_to_read": 10, "budget_s": 60}
+"""
+
+import argparse
+import copy
+import re
+import statistics
+import sys
+import time
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import nbformat
+from nbclient import NotebookClient
+from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
+
+ROOT = Path(__file__).resolve().parents[1]
+NOTEBOOKS = ROOT / "notebooks"
+README = ROOT / "README.md"
+
+SETUP = "import omnistereo_lib as osl\n\nosl.doctor(short=True)"
+FACTS = {"title": str, "learn": str, "needs": str, "minutes_to_read": int, "budget_s": int}
+MAX_BUDGET_S = 60
+MAX_BYTES = 500_000
+MAX_CELL_LINES, MAX_MEDIAN_LINES, MAX_LINES = 30, 8, 250
+
+PICTURES = ("image/png", "image/jpeg")
+WIDGET = "application/vnd.jupyter.widget-view+json"
+TABLE = re.compile(r"(?<=<!-- notebooks -->\n).*(?=<!-- /notebooks -->)", re.DOTALL)
+
+
+def notebooks() -> list[Path]:
+    """All notebooks of the course, in their order."""
+    return sorted(NOTEBOOKS.glob("*.ipynb"))
+
+
+def code_cells(nb: nbformat.NotebookNode) -> list[nbformat.NotebookNode]:
+    """All code cells that hold code."""
+    return [cell for cell in nb.cells if cell.cell_type == "code" and cell.source.strip()]
+
+
+# --- Clean ------------------------------------------------------------------------------------------------
+
+
+def clean(nb: nbformat.NotebookNode) -> nbformat.NotebookNode:
+    """Return the notebook without anything that depends on who ran it, where and in which program.
+
+    Code, text, tags, outputs and execution counts stay as they are.
+    """
+    nb = copy.deepcopy(nb)
+    facts = nb.metadata.get("omnistereo", {})
+    nb.metadata = nbformat.from_dict(
+        {
+            "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
+            "language_info": {"name": "python", "file_extension": ".py", "mimetype": "text/x-python"},
+            "omnistereo": facts,
+        }
+    )
+    nb.nbformat, nb.nbformat_minor = 4, 5
+    for number, cell in enumerate(nb.cells):
+        cell.id = f"cell-{number}"
+        tags = cell.metadata.get("tags")
+        cell.metadata = nbformat.from_dict({"tags": tags} if tags else {})
+        if cell.cell_type == "code":
+            # A widget without its kernel shows nothing; the figure beside it is what a reader sees.
+            cell.outputs = [output for output in cell.outputs if WIDGET not in output.get("data", {})]
+            for output in cell.outputs:
+                if output.output_type == "error":  # the frames name files of this machine
+                    output.traceback = [f"{output.ename}: {output.evalue}"]
+    return nb
+
+
+def text_of(nb: nbformat.NotebookNode) -> str:
+    """Return the notebook as the text of its file."""
+    return nbformat.writes(nb).rstrip("\n") + "\n"
+
+
+def store(path: Path, text: str) -> None:
+    """Write a file whole or not at all."""
+    temporary = path.with_name(f".{path.name}.tmp")
+    temporary.write_text(text, encoding="utf-8")
+    temporary.replace(path)
+
+
+# --- Check ------------------------------------------------------------------------------------------------
+
+
+def problems(path: Path) -> list[str]:
+    """Say what is wrong with a stored notebook; nothing wrong, nothing said."""
+    text = path.read_text(encoding="utf-8")
+    nb = nbformat.reads(text, as_version=4)
+    found = [*_facts(nb), *_runs(nb), *_lengths(nb), *_outputs(nb), *_pictures(nb)]
+    if len(text.encode()) > MAX_BYTES:
+        found.append(f"{len(text.encode()) // 1000} KB; at most {MAX_BYTES // 1000}: smaller pictures")
+    if text != text_of(clean(nb)):
+        found.append("not clean (widget state, ids, timings, ...): `python tests/nbtools.py clean` mends it")
+    return found
+
+
+def _facts(nb: nbformat.NotebookNode) -> Iterator[str]:
+    facts = nb.metadata.get("omnistereo", {})
+    if set(facts) != set(FACTS) or not all(isinstance(facts[key], kind) for key, kind in FACTS.items()):
+        needed = ", ".join(f"{key} ({kind.__name__})" for key, kind in FACTS.items())
+        yield f"metadata.omnistereo holds {dict(facts)}; it needs {needed}"
+    elif not 0 < facts["budget_s"] <= MAX_BUDGET_S:
+        yield f"budget_s is {facts['budget_s']}; at most {MAX_BUDGET_S} on two cores"
+
+
+def _runs(nb: nbformat.NotebookNode) -> Iterator[str]:
+    cells = code_cells(nb)
+    if not cells or cells[0].source != SETUP:
+        yield f"the first code cell is not the common one:\n{SETUP}"
+    counts = [cell.execution_count for cell in cells]
+    if counts != list(range(1, len(cells) + 1)):
+        yield f"not run in order from a fresh kernel: counts {counts}"
+    if not any(cell.outputs for cell in cells):
+        yield "no cell has an output: nothing could be compared"
+
+
+def _lengths(nb: nbformat.NotebookNode) -> Iterator[str]:
+    lines = [len(cell.source.splitlines()) for cell in code_cells(nb)]
+    if max(lines, default=0) > MAX_CELL_LINES:
+        yield f"a code cell of {max(lines)} lines; at most {MAX_CELL_LINES}"
+    if lines and statistics.median(lines) > MAX_MEDIAN_LINES:
+        yield f"code cells of {statistics.median(lines)} lines in the median; at most {MAX_MEDIAN_LINES}"
+    if sum(lines) > MAX_LINES:
+        yield f"{sum(lines)} lines of code in all; at most {MAX_LINES}"
+
+
+def _outputs(nb: nbformat.NotebookNode) -> Iterator[str]:
+    for number, cell in enumerate(code_cells(nb), start=1):
+        tags = cell.metadata.get("tags", [])
+        if any(line.rstrip().endswith(";") for line in cell.source.splitlines()):
+            yield f"cell {number}: a line ends in ';', which the tests' kernel does not heed"
+        for output in cell.outputs:
+            data = output.get("data", {})
+            said = output.get("text", "") + "".join(str(data[mime]) for mime in data if mime not in PICTURES)
+            if output.output_type == "error" and "raises-exception" not in tags:
+                yield f"cell {number}: {output.ename}, without the tag raises-exception"
+            if output.get("name") == "stderr":
+                yield f"cell {number}: a warning; mend its cause: {output.text.strip()[:200]}"
+            if "image/svg+xml" in data:
+                yield f"cell {number}: an SVG picture, which differs at every run; PNG it is"
+            if re.search(r"\b0x[0-9a-f]{6,}|(?<![\w.~-])/(home|Users|root|tmp)/", said):
+                yield f"cell {number}: a memory address or a path of this machine in its output"
+            if "\r" in said:
+                yield f"cell {number}: a progress bar in its output; print a line or nothing"
+
+
+def _pictures(nb: nbformat.NotebookNode) -> Iterator[str]:
+    """Every picture has a text that stands for it and a caption: `omnistereo_lib.plot.show` gives both."""
+    for number, cell in enumerate(code_cells(nb), start=1):
+        for output, after in pairwise([*cell.outputs, {}]):
+            data, caption = output.get("data", {}), after.get("data", {}).get("text/markdown", "")
+            for mime in set(PICTURES) & set(data):
+                alt = output.metadata.get(mime, {}).get("alt", "")
+                if len(alt) < 20 or data.get("text/plain") != alt:
+                    yield f"cell {number}: a picture without alternative text; use show(fig, caption, alt)"
+                if not caption.startswith("*Figure:* "):
+                    yield f"cell {number}: a picture without a caption; use show(fig, caption, alt)"
+    undescribed = re.compile(r"""!\[\s*\]\(|<img(?![^>]*\balt=["'][^"'])""")
+    for cell in nb.cells:
+        if cell.cell_type == "markdown" and undescribed.search(cell.source):
+            yield "a picture in the text without alternative text: ![what it shows](file)"
+
+
+# --- Run --------------------------------------------------------------------------------------------------
+
+
+def execute(nb: nbformat.NotebookNode, folder: Path) -> float:
+    """Run all cells in a fresh kernel that stands in `folder`; return the seconds it took."""
+    start = time.perf_counter()
+    NotebookClient(
+        nb,
+        timeout=600,
+        kernel_name="python3",
+        resources={"metadata": {"path": str(folder)}},
+        coalesce_streams=True,
+        record_timing=False,
+    ).execute()
+    return time.perf_counter() - start
+
+
+def run(path: Path) -> list[str]:
+    """Run, clean and store one notebook; return what keeps it from being stored."""
+    nb = nbformat.read(path, as_version=4)
+    try:
+        seconds = execute(nb, path.parent)
+    except (CellExecutionError, CellTimeoutError, DeadKernelError) as error:
+        return [f"stopped: {error}"]
+    budget = nb.metadata.get("omnistereo", {}).get("budget_s", MAX_BUDGET_S)
+    print(f"{path.name}: {seconds:.1f} s of {budget} s")
+    if seconds > budget:
+        return [f"took {seconds:.1f} s, its budget is {budget} s (metadata.omnistereo.budget_s)"]
+    candidate = path.with_name(f".{path.name}.new")
+    try:
+        store(candidate, text_of(clean(nb)))
+        found = problems(candidate)
+        if not found:
+            candidate.replace(path)
+    finally:
+        candidate.unlink(missing_ok=True)
+    return found
+
+
+# --- README -----------------------------------------------------------------------------------------------
+
+
+def readme_table(paths: list[Path]) -> str:
+    """Return the table of notebooks, from their own metadata."""
+    rows = ["| notebook | what you learn | time | needs |", "|---|---|---|---|"]
+    for path in paths:
+        facts = nbformat.read(path, as_version=4).metadata["omnistereo"]
+        rows.append(
+            f"| [{path.stem[:2]} {facts['title']}](notebooks/{path.name}) | {facts['learn']} "
+            f"| {facts['minutes_to_read']} min to read, runs in {facts['budget_s']} s | {facts['needs']} |"
+        )
+    return "\n".join(rows) + "\n"
+
+
+def with_table(readme: str, paths: list[Path]) -> str:
+    """Return the README's text with the table between its two markers renewed."""
+    if not TABLE.search(readme):
+        raise SystemExit("README.md has no lines <!-- notebooks --> and <!-- /notebooks --> for the table")
+    return TABLE.sub(lambda _: readme_table(paths), readme, count=1)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Do one verb on all notebooks that are named; 0 when nothing was wrong."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("verb", choices=["run", "clean", "check", "readme"])
+    parser.add_argument("notebooks", nargs="*", type=Path)
+    asked = parser.parse_args(arguments)
+    if asked.verb == "readme":
+        store(README, with_table(README.read_text(encoding="utf-8"), notebooks()))
+        return 0
+    found = {}
+    for path in asked.notebooks:
+        if asked.verb == "clean":
+            store(path, text_of(clean(nbformat.read(path, as_version=4))))
+        else:
+            found[path] = run(path) if asked.verb == "run" else problems(path)
+    for path, what in found.items():
+        print(*(f"{path.name}: {line}" for line in what), sep="\n", end="\n" if what else "", file=sys.stderr)
+    return int(any(found.values()))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
