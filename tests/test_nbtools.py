@@ -146,7 +146,7 @@ def with_output(kind, source="f()", **content):
     return cell
 
 
-ERROR = {"ename": "ValueError", "evalue": "no", "traceback": ["File /home/someone/x.py", "ValueError: no"]}
+ERROR = {"ename": "ValueError", "evalue": "no", "traceback": ["File /Users/someone/x.py", "ValueError: no"]}
 BAD = {  # what is planted, what the guard must say
     "not run": (good(code("f()", count=None)), "not run in order"),
     "run twice": (good(code("f()", count=3)), "not run in order"),
@@ -161,7 +161,7 @@ BAD = {  # what is planted, what the guard must say
         good(with_output("execute_result", data={"text/plain": "<B at 0x7f3a5c>"})),
         "memory address",
     ),
-    "path": (good(code("f()", printed="in /home/someone/x.py\n", count=2)), "path of this machine"),
+    "path": (good(code("f()", printed="in /Users/someone/x.py\n", count=2)), "path of this machine"),
     "progress": (good(code("f()", printed="1 %\r2 %\n", count=2)), "progress bar"),
     "semicolon": (good(code("f();", count=2)), "ends in ';'"),
     "long cell": (good(code("f()", count=2), code("f()\n" * 31, count=3)), "a code cell of 31 lines"),
