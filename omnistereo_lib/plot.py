@@ -4,11 +4,19 @@ from __future__ import annotations
 
 import base64
 import io
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omnistereo_lib.sphere import SphereGrid
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.image import AxesImage
 
+DEPTH_COLORS = "inferno"  # even in lightness, so that it reads in gray and to colour-blind eyes
 DPI = 90  # sharp enough to read, small enough that a notebook stays below 500 KB
 
 
@@ -32,8 +40,9 @@ def show(fig: Figure, caption: str, alt: str, kind: Literal["png", "jpeg"] = "pn
     caption
         What the reader should see in it, one or two sentences of Markdown. Appears as "*Figure:* ...".
     alt
-        What the picture shows, for somebody who cannot see it. Stored where renderers look for it: in the
-        image's metadata (nbconvert, nbviewer) and as the plain-text form of the output (MyST, terminals).
+        What the picture shows, for somebody who cannot see it. Stored in both places that renderers look
+        at: the image's metadata (nbconvert's classic template) and the output's plain-text form (MyST,
+        terminals). JupyterLab 4 reads neither; there the caption speaks.
     kind
         "png" for drawings, "jpeg" for photographs and panoramas.
     """
@@ -45,3 +54,64 @@ def show(fig: Figure, caption: str, alt: str, kind: Literal["png", "jpeg"] = "pn
     plt.close(fig)
     display({mime: picture, "text/plain": alt}, metadata={mime: {"alt": alt}}, raw=True)
     display({"text/markdown": f"*Figure:* {caption}", "text/plain": caption}, raw=True)
+
+
+def depth_picture(inverse_depth: NDArray, grid: SphereGrid) -> NDArray[np.uint8]:
+    """Colour a panorama of inverse depth: near is bright and warm, far is dark, unknown is striped gray.
+
+    Parameters
+    ----------
+    inverse_depth : array, shape (H, W), 1/m, NaN unknown
+    grid : SphereGrid
+        Its nearest sphere is the brightest colour.
+
+    Returns
+    -------
+    uint8 array, shape (H, W, 3), RGB
+    """
+    from matplotlib import colormaps
+
+    colors = 255 * colormaps[DEPTH_COLORS](np.nan_to_num(inverse_depth) * grid.min_depth)[..., :3]
+    rows, columns = np.indices(inverse_depth.shape)
+    stripes = np.where((rows + columns) // 4 % 2, 170, 200)[..., None]
+    return np.where(np.isfinite(inverse_depth)[..., None], colors, stripes).round().astype(np.uint8)
+
+
+def draw_panorama(ax: Axes, picture: NDArray, grid: SphereGrid, title: str = "", **imshow: Any) -> AxesImage:
+    """Draw a panorama with its angles: θ to the right, φ down, in degrees.
+
+    Parameters
+    ----------
+    ax : Matplotlib axes
+    picture : array, shape (H, W) or (H, W, 3)
+        Gray values and colours of 0 … 255 or anything `imshow` takes; NaN stays gray.
+    grid : SphereGrid
+    title : str
+    imshow
+        Further arguments of Matplotlib's imshow.
+    """
+    picture = np.asarray(picture)
+    if picture.ndim == 3:
+        picture = np.where(np.isfinite(picture), picture, 185).clip(0, 255).astype(np.uint8)
+    low, high = grid.phi_deg
+    ax.set_facecolor("0.73")
+    image = ax.imshow(picture, extent=(-180, 180, high, low), aspect="equal", **{"cmap": "gray", **imshow})
+    ax.set_xticks(range(-180, 181, 90))
+    ax.set_yticks([low, 0, high] if low < 0 < high else [low, high])
+    ax.set_xlabel("θ [°]")
+    ax.set_ylabel("φ [°]")
+    ax.set_title(title, loc="left", fontsize=10)
+    return image
+
+
+def draw_depth(ax: Axes, inverse_depth: NDArray, grid: SphereGrid, title: str = "") -> AxesImage:
+    """Draw a panorama of inverse depth (H, W) in 1/m with a colour bar in metres; unknown rays are striped."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    image = draw_panorama(ax, depth_picture(inverse_depth, grid), grid, title)
+    colors = ScalarMappable(Normalize(0, 1 / grid.min_depth), DEPTH_COLORS)
+    bar = ax.figure.colorbar(colors, ax=ax, fraction=0.02, pad=0.01)
+    ticks = np.array([0, 0.25, 0.5, 1]) / grid.min_depth
+    bar.set_ticks(ticks, labels=["∞" if tick == 0 else f"{1 / tick:.3g} m" for tick in ticks])
+    return image

@@ -1,0 +1,171 @@
+"""The command line. Each verb parses its arguments, calls the library and prints what came out."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.render import add_arguments as add_render_arguments
+from omnistereo_lib.render import main as render
+
+_SAMPLE = Path(__file__).resolve().parents[1] / "data_samples" / "sunny"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one verb; return the process's exit status. Bad input is one plain line, never a traceback."""
+    options = _parser().parse_args(arguments)
+    try:
+        return options.verb(options) or 0
+    except OmnistereoError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m omnistereo_lib", description=__doc__.splitlines()[0])
+    verbs = parser.add_subparsers(required=True, metavar="VERB")
+
+    verb = verbs.add_parser("depth", help="images and a rig in, a depth panorama and a point cloud out")
+    verb.set_defaults(verb=depth)
+    _add_input(verb)
+    _add_grid(verb, width=640, height=160, spheres=192)
+    verb.add_argument("--cost", default="zncc", help="matching cost (default: zncc)")
+    verb.add_argument("--pairs", default="ring", choices=["ring", "all"], help="which cameras are compared")
+    verb.add_argument("--device", default="cpu", help="cpu or cuda")
+    verb.add_argument("--out", type=Path, default=Path("out"), help="folder for the results (default: out)")
+
+    verb = verbs.add_parser("doctor", help="is everything in place? With --rig: does the rig fit the images?")
+    verb.set_defaults(verb=doctor)
+    _add_input(verb)
+    _add_grid(verb, width=320, height=80, spheres=32)
+
+    verb = verbs.add_parser("bench", help="time the library against named alternatives, as ratios")
+    verb.set_defaults(verb=bench)
+    verb.add_argument("--quick", action="store_true", help="leave out the paper's scale")
+
+    verb = verbs.add_parser("render", help="render the data sets with Blender")
+    verb.set_defaults(verb=render)
+    add_render_arguments(verb)
+    return parser
+
+
+def _add_input(verb: argparse.ArgumentParser) -> None:
+    verb.add_argument(
+        "--rig", type=Path, help="file or folder that describes the rig; default: the shipped sample"
+    )
+    verb.add_argument(
+        "--unit", choices=["mm", "cm", "m"], help="unit of the poses, where the file does not state it"
+    )
+    verb.add_argument("--images", type=Path, nargs="+", help="one image for each camera, in the rig's order")
+    verb.add_argument(
+        "--frame", type=int, default=0, help="which frame of a data set folder, from 0 (default: 0)"
+    )
+
+
+def _add_grid(verb: argparse.ArgumentParser, width: int, height: int, spheres: int) -> None:
+    verb.add_argument("--width", type=int, default=width, help=f"panorama width (default: {width})")
+    verb.add_argument("--height", type=int, default=height, help=f"panorama height (default: {height})")
+    verb.add_argument(
+        "--phi", type=float, nargs=2, default=(-45.0, 45.0), help="elevation range in degrees, down > 0"
+    )
+    verb.add_argument(
+        "--spheres", type=int, default=spheres, help=f"number of spheres N (default: {spheres})"
+    )
+    verb.add_argument(
+        "--min-depth", type=float, help="nearest depth in metres; default: what the rig's file proposes"
+    )
+
+
+def depth(options: argparse.Namespace) -> None:
+    """Estimate depth for one frame and write picture, panorama, point cloud and errors."""
+    from tqdm import tqdm
+
+    from omnistereo_lib import files, view3d
+    from omnistereo_lib.dataset import write_inverse_depth
+    from omnistereo_lib.metrics import index_error
+    from omnistereo_lib.pipeline import estimate_depth
+    from omnistereo_lib.plot import depth_picture
+
+    rig, images, truth = _read_input(options)
+    grid = _grid(options, rig)
+    out = files.make_folder(options.out)
+    result = estimate_depth(
+        rig, images, grid, options.cost, pairs=options.pairs, device=options.device,
+        progress=lambda blocks: tqdm(blocks, desc="sweep", unit="block"),
+    )  # fmt: skip
+    files.write_image(out / "inverse_depth.png", depth_picture(result.inverse_depth, grid))
+    files.write_image(out / "panorama.jpg", result.panorama(images))
+    write_inverse_depth(out / "inverse_depth.tiff", result.inverse_depth)
+    points, colors = result.point_cloud(images, max_depth=30 * grid.min_depth)
+    view3d.write_ply(out / "points.ply", points, colors)
+    print(f"{result.valid.mean():.1%} of the rays have a depth; {len(points)} points")
+    if truth is not None:
+        errors = index_error(result.index, truth.gt_index(grid), grid.num_spheres)
+        with files.replacing(out / "errors.json") as temporary:
+            temporary.write_text(json.dumps(errors, indent=1) + "\n")
+        print(
+            "errors in % of the range swept: "
+            + ", ".join(f"{name} {value:.2f}" for name, value in errors.items())
+        )
+    print(f"written to {out}/: " + ", ".join(sorted(path.name for path in out.iterdir())))
+
+
+def doctor(options: argparse.Namespace) -> int:
+    """Check the installation, or with --rig whether a rig fits its images."""
+    if options.rig is None:
+        from omnistereo_lib.doctor import doctor as check_installation
+
+        return 0 if check_installation() else 1
+    from omnistereo_lib.health import check_rig, verdict
+
+    rig, images, _ = _read_input(options)
+    readings = check_rig(rig, images, _grid(options, rig))
+    for reading in readings[:4]:
+        print(f"{reading.cost:.3f}  {reading.name}")
+    print(verdict(readings))
+    return 0 if verdict(readings).startswith("OK") else 1
+
+
+def bench(options: argparse.Namespace) -> None:
+    """Time the library against named alternatives."""
+    from omnistereo_lib.bench import run
+
+    run(quick=options.quick)
+
+
+def _read_input(options: argparse.Namespace) -> tuple:
+    """Return the rig, the images and, where there is ground truth, its frame."""
+    from omnistereo_lib.dataset import load_dataset, load_images
+    from omnistereo_lib.rig import Rig
+
+    if options.images:
+        if options.rig is None:
+            raise OmnistereoError("--images needs --rig: the file or folder that describes the cameras")
+        return Rig.load(options.rig, options.unit), load_images(options.images), None
+    folder = options.rig or _SAMPLE
+    if not folder.is_dir():
+        raise OmnistereoError(
+            f"{folder} is not a data set folder: give --images, one for each camera of the rig"
+        )
+    data = load_dataset(folder, unit=options.unit)
+    if not -len(data) <= options.frame < len(data):
+        raise OmnistereoError(f"{folder} has frames 0 … {len(data) - 1}, not {options.frame}")
+    frame = data[options.frame]
+    return data.rig, frame.images, frame if frame.truth_path else None
+
+
+def _grid(options: argparse.Namespace, rig: object) -> object:
+    """Return the grid asked for; without a depth from the file or the user, twice the nearest baseline."""
+    from omnistereo_lib.sphere import SphereGrid
+
+    min_depth = options.min_depth or rig.min_depth
+    if min_depth is None:
+        min_depth = 2 * float(rig.baselines.min())
+        print(
+            f"the rig's file proposes no nearest depth: taking twice the shortest baseline, {min_depth:.2f} m"
+        )
+    return SphereGrid(options.width, options.height, tuple(options.phi), options.spheres, min_depth)

@@ -1,0 +1,126 @@
+"""The cost volume C(p, n): matching costs of all rays and all spheres (paper, Eq. 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from itertools import combinations
+from typing import Literal, Protocol
+
+import psutil
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor
+
+from omnistereo_lib.costs.zncc import ZNCC
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.sweep import SphereSweep
+
+Pairs = Literal["ring", "all"] | Sequence[tuple[int, int]]
+
+
+class Cost(Protocol):
+    """A matching cost: images on a block of spheres → mean cost over the pairs, as `ZNCC.__call__` states."""
+
+    def __call__(
+        self,
+        spherical: Tensor,
+        pairs: Sequence[tuple[int, int]],
+        columns: Sequence[tuple[int, int]] | None = None,
+    ) -> Tensor: ...
+
+
+def camera_pairs(pairs: Pairs, num_cameras: int) -> list[tuple[int, int]]:
+    """Return the camera pairs that are compared.
+
+    Parameters
+    ----------
+    pairs : "ring" | "all" | sequence of (int, int)
+        "ring": each camera with the next one, as the authors' released code does: (0, 1), (1, 2), …,
+        (last, 0). "all": every unordered pair, as the paper's text says.
+    num_cameras : int
+
+    Raises
+    ------
+    OmnistereoError
+        If a pair names a camera that does not exist, or one camera twice.
+    """
+    if pairs == "ring":
+        return [(i, (i + 1) % num_cameras) for i in range(num_cameras if num_cameras > 2 else 1)]
+    if pairs == "all":
+        return list(combinations(range(num_cameras), 2))
+    if isinstance(pairs, str):
+        raise OmnistereoError(f'pairs must be "ring", "all" or a list of camera pairs, got {pairs!r}')
+    chosen = [(int(i), int(j)) for i, j in pairs]
+    for i, j in chosen:
+        if i == j or not (0 <= i < num_cameras and 0 <= j < num_cameras):
+            raise OmnistereoError(
+                f"pair {(i, j)} does not name two different cameras of 0 … {num_cameras - 1}"
+            )
+    if not chosen:
+        raise OmnistereoError("the list of camera pairs is empty, expected at least one pair")
+    return chosen
+
+
+def cost_volume(
+    sweep: SphereSweep,
+    images: Sequence[ArrayLike],
+    cost: Cost | None = None,
+    pairs: Pairs = "ring",
+    progress: Callable[[Iterable], Iterable] = iter,
+) -> Tensor:
+    """Compare the images on every sphere: C(p, n), the mean cost over camera pairs (Eq. 2).
+
+    Parameters
+    ----------
+    sweep : SphereSweep
+    images : one array per camera, (height, width) or (height, width, 3)
+    cost : Cost
+        ZNCC(window=9) unless given.
+    pairs : "ring" | "all" | sequence of (int, int)
+        See `camera_pairs`.
+    progress : callable
+        Wraps the sequence of sphere blocks, such as tqdm.
+
+    Returns
+    -------
+    float32 tensor, shape (H, W, N), on the sweep's device
+        Cost in [0, 1], 0 = match; NaN where no pair sees the ray at that depth.
+
+    Raises
+    ------
+    OmnistereoError
+        If the images do not fit the rig, no pair of cameras shares a view, or memory cannot hold the volume.
+    """
+    cost = ZNCC() if cost is None else cost
+    pairs = camera_pairs(pairs, len(sweep.rig))
+    prepared = sweep.prepare(images)
+    H, W = sweep.grid.shape
+    _check_memory(sweep)
+    volume = torch.empty(H, W, sweep.grid.num_spheres, device=sweep.device)
+    for spheres in progress(sweep.blocks()):
+        columns = [sweep.visible_columns(camera, spheres) for camera in range(len(sweep.rig))]
+        block = sweep.warp_block(prepared, spheres)
+        volume[:, :, spheres.start : spheres.stop] = cost(block, pairs, columns)
+    if volume.isnan().all():
+        raise OmnistereoError(
+            f"no ray is seen by both cameras of any pair {pairs}: nothing can be matched. Check the poses "
+            f"(camera → rig, metres), the field of view, the masks and phi_deg = {sweep.grid.phi_deg}"
+        )
+    return volume
+
+
+def _check_memory(sweep: SphereSweep) -> None:
+    """Refuse a volume that cannot fit, before hours are spent on it."""
+    if sweep.device.type != "cpu":
+        return
+    H, W = sweep.grid.shape
+    N, cameras = sweep.grid.num_spheres, len(sweep.rig)
+    volume_bytes = 4 * H * W * N
+    # The volume and its aggregated copy, one block of spherical images, and the tables still to come.
+    need = 2 * volume_bytes + 8 * H * W * cameras * 16
+    free = psutil.virtual_memory().available
+    if need > free:
+        raise OmnistereoError(
+            f"a panorama of {W} × {H} with {N} spheres needs {need / 2**30:.1f} GiB, "
+            f"{free / 2**30:.1f} GiB are free: choose fewer spheres or a smaller panorama"
+        )

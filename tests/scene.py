@@ -1,0 +1,76 @@
+"""A world whose depth is known in closed form: a textured box around a rig of ideal fisheye cameras.
+
+It is the oracle of the tests: nothing here is shared with the library but the cameras and the poses.
+"""
+
+import numpy as np
+
+import omnistereo_lib as osl
+
+HALF_SIZE = np.array([2.6, 1.4, 3.1])  # metres from the box's centre to its walls
+CENTER = np.array([0.3, -0.2, 0.4])
+
+
+def camera(width=400, height=384, max_fov_deg=220.0, shift=(0.0, 0.0)):
+    """An equidistant lens, r = f·θ, whose circle fits the image; its polynomials agree to rounding of a fit."""
+    f = (min(width, height) / 2 - 2) / np.radians(max_fov_deg / 2)
+    theta = np.linspace(1e-4, np.radians(max_fov_deg / 2 + 1), 4000)
+    radius = f * theta
+    powers = np.array([0, *range(2, 13)])
+    scale = radius[-1]
+    coefficients = np.linalg.lstsq((radius[:, None] / scale) ** powers, -radius / np.tan(theta), rcond=None)[
+        0
+    ]
+    poly = np.zeros(13)
+    poly[powers] = coefficients / scale**powers
+    center = ((width - 1) / 2 + shift[0], (height - 1) / 2 + shift[1])
+    return osl.OcamCamera(poly, [f * np.pi / 2, f], center, (1.0, 0.0, 0.0), (width, height), max_fov_deg)
+
+
+def rig(half_baseline=0.3, cameras=4, **lens):
+    """Cameras on a circle, looking outwards, each a little turned and off its place."""
+    rng = np.random.default_rng(5)
+    poses = []
+    for k in range(cameras):
+        angle = 2 * np.pi * k / cameras
+        place = half_baseline * np.array([np.sin(angle), 0.0, np.cos(angle)])
+        outwards = osl.Pose.from_vector([0, angle, 0, *place])
+        poses.append(outwards @ osl.Pose.from_vector(rng.normal(0, 0.01, 6)))
+    return osl.Rig([camera(shift=(k, -k), **lens) for k in range(cameras)], poses)
+
+
+def distance(origin, rays):
+    """Distance from points inside the box to its wall along unit rays; shapes (3,) and (..., 3)."""
+    with np.errstate(divide="ignore"):
+        to_wall = (np.sign(rays) * HALF_SIZE - (origin - CENTER)) / rays
+    return np.where(rays == 0, np.inf, to_wall).min(-1)
+
+
+def texture(points, finest=0.06):
+    """A gray value between 0 and 255 with detail from a metre down to `finest` metres; (..., 3) → (...)."""
+    rng = np.random.default_rng(1)
+    value = np.zeros(points.shape[:-1])
+    for wavelength in (w for w in (1.0, 0.5, 0.25, 0.12, 0.06) if w >= finest):
+        for _ in range(4):
+            direction = rng.normal(size=3)
+            direction *= 2 * np.pi / wavelength / np.linalg.norm(direction)
+            value += np.sin(points @ direction + rng.uniform(0, 2 * np.pi)) * wavelength**0.3
+    return 127.5 + 127.5 * np.tanh(value / 5)
+
+
+def images(rig, finest=0.06):
+    """What the cameras of a rig see, float32; outside the lens circle its rim is continued, so there is no edge."""
+    pictures = []
+    for lens, pose in zip(rig.cameras, rig.T_rig_cam, strict=True):
+        width, height = lens.image_size
+        rays, _ = lens.unproject(np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1))
+        rays = rays @ pose.R.T
+        points = pose.t + rays * distance(pose.t, rays)[..., None]
+        pictures.append(texture(points, finest).astype(np.float32))
+    return pictures
+
+
+def true_index(rig, grid):
+    """The sphere index of the wall on every ray, from the mean of the camera centres."""
+    center = np.mean([pose.t for pose in rig.T_rig_cam], 0)
+    return grid.depth_to_index(distance(center, grid.rays()))

@@ -1,0 +1,101 @@
+import numpy as np
+import pytest
+import scene
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+import omnistereo_lib as osl
+
+
+def test_winner_is_the_cheapest_sphere():
+    volume = np.random.default_rng(0).random((5, 6, 7)).astype(np.float32)
+    assert (osl.winner_takes_all(volume).numpy() == volume.argmin(-1)).all()
+
+
+def test_nan_cells_do_not_compete():
+    volume = torch.tensor([[[0.1, 0.5, 0.3], [torch.nan, 0.5, 0.3], [torch.nan] * 3]])
+    index = osl.winner_takes_all(volume)
+    assert index[0, :2].tolist() == [0, 2] and index[0, 2].isnan()
+    assert osl.winner_takes_all(volume, subindex=True)[0, :2].tolist() == [0, 2]
+
+
+@given(vertex=st.floats(0.6, 8.4), bend=st.floats(0.01, 10))
+def test_subindex_finds_the_vertex_of_a_parabola(vertex, bend):
+    costs = 0.1 + bend * (np.arange(10) - vertex) ** 2
+    index = osl.winner_takes_all(costs[None, None], subindex=True)
+    assert abs(float(index) - vertex) < 1e-3
+
+
+def test_subindex_stays_at_the_ends():
+    rising = torch.arange(5.0)[None, None]
+    assert osl.winner_takes_all(rising, subindex=True) == 0
+    assert osl.winner_takes_all(rising.flip(-1), subindex=True) == 4
+
+
+def test_confidence_compares_with_the_best_rival_that_is_no_neighbour():
+    costs = torch.tensor(
+        [[[0.3, 0.1, 0.15, 0.4], [0.2, 0.2, 0.2, 0.2], [0.0, 0.5, 0.5, 0.5], [0.1, 0.2, torch.nan, 0.0]]]
+    )
+    expected = [1 - 0.1 / 0.4, 0.0, 1.0, 1.0]
+    assert osl.confidence(costs)[0].tolist() == pytest.approx(expected)
+    assert osl.confidence(torch.full((1, 1, 4), torch.nan)).isnan().all()
+
+
+def test_confidence_orders_errors_better_than_chance():
+    rig = scene.rig()
+    images = scene.images(rig)
+    grid = osl.SphereGrid(160, 40, (-40, 40), 24, 0.6)
+    volume = osl.cost_volume(osl.SphereSweep(rig, grid), images)
+    error = np.abs(osl.winner_takes_all(volume).numpy() - scene.true_index(rig, grid))
+    _, area, best = osl.sparsification(error, osl.confidence(volume))
+    assert best < area < 0.6
+
+
+@pytest.fixture(scope="module")
+def estimate():
+    rig = scene.rig()
+    grid = osl.SphereGrid(160, 40, (-40, 40), 24, 0.6)
+    images = scene.images(rig)
+    return rig, grid, images, osl.estimate_depth(rig, images, grid)
+
+
+def test_pipeline_finds_the_box(estimate):
+    rig, grid, _, depth = estimate
+    errors = osl.index_error(depth.index, scene.true_index(rig, grid), grid.num_spheres)
+    assert errors["MAE"] < 1.0 and errors[">5"] < 2
+    assert depth.valid.mean() > 0.97
+    np.testing.assert_allclose(depth.depth * depth.inverse_depth, 1, where=depth.inverse_depth > 0)
+
+
+def test_panorama_shows_the_texture_of_the_walls(estimate):
+    rig, grid, images, depth = estimate
+    center = depth.sweep.rig  # at the sweep centre
+    origin = np.mean([pose.t for pose in rig.T_rig_cam], 0)
+    assert np.allclose(center.centers.mean(0), 0)
+    rays = grid.rays()
+    expected = scene.texture(origin + rays * scene.distance(origin, rays)[..., None])
+    assert np.nanmedian(np.abs(depth.panorama(images) - expected)) < 8
+
+
+def test_point_cloud_lies_on_the_walls(estimate):
+    rig, _, images, depth = estimate
+    points, colors = depth.point_cloud([image.astype(np.uint8) for image in images])
+    origin = np.mean([pose.t for pose in rig.T_rig_cam], 0)
+    to_wall = np.abs(np.abs(points + origin - scene.CENTER) - scene.HALF_SIZE).min(-1)
+    assert np.median(to_wall) < 0.05
+    assert colors.shape == points.shape and colors.dtype == np.uint8
+    near, none = depth.point_cloud(max_depth=2.0)
+    assert none is None and np.linalg.norm(near, axis=-1).max() <= 2.0
+
+
+def test_cost_volumes_have_three_axes():
+    with pytest.raises(osl.OmnistereoError, match=r"shape \(H, W, N\) with N ≥ 2, got \(4, 5\)"):
+        osl.winner_takes_all(np.zeros((4, 5)))
+
+
+@pytest.mark.parametrize("keyword, message", [({"cost": "sad"}, "'sad'"), ({"aggregate": "bp"}, "'bp'")])
+def test_unknown_methods_are_named(estimate, keyword, message):
+    rig, grid, images, _ = estimate
+    with pytest.raises(osl.OmnistereoError, match=message):
+        osl.estimate_depth(rig, images, grid, **keyword)
