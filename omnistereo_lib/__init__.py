@@ -31,7 +31,7 @@ _HOME = {
     "doctor": "doctor",
 }
 
-__all__ = sorted(_HOME)
+__all__ = list(_HOME)
 
 
 def __getattr__(name: str) -> Any:

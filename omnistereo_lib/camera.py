@@ -268,7 +268,7 @@ def _monotone_branch(
     """Sample radius against angle t from the axis outwards as far as the angle grows and max_t needs it."""
     radii = np.linspace(0.0, max_radius, 4096)
     angles = np.arctan2(_horner(poly, radii), radii)
-    growing = int(np.argmax(np.append(np.diff(angles) <= 0, True)))
+    growing = int(np.argmin(np.append(np.diff(angles) > 0, False)))  # overflow to NaN does not grow either
     reach = int(np.searchsorted(angles[: growing + 1], max_t))
     if reach > growing:
         raise OmnistereoError(

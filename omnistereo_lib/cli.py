@@ -54,30 +54,18 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_input(verb: argparse.ArgumentParser) -> None:
-    verb.add_argument(
-        "--rig", type=Path, help="file or folder that describes the rig; default: the shipped sample"
-    )
-    verb.add_argument(
-        "--unit", choices=["mm", "cm", "m"], help="unit of the poses, where the file does not state it"
-    )
+    verb.add_argument("--rig", type=Path, help="file or folder that describes the rig; default: the shipped sample")
+    verb.add_argument("--unit", choices=["mm", "cm", "m"], help="unit of the poses, where the file does not state it")
     verb.add_argument("--images", type=Path, nargs="+", help="one image for each camera, in the rig's order")
-    verb.add_argument(
-        "--frame", type=int, default=0, help="which frame of a data set folder, from 0 (default: 0)"
-    )
+    verb.add_argument("--frame", type=int, default=0, help="which frame of a data set folder, from 0 (default: 0)")
 
 
 def _add_grid(verb: argparse.ArgumentParser, width: int, height: int, spheres: int) -> None:
     verb.add_argument("--width", type=int, default=width, help=f"panorama width (default: {width})")
     verb.add_argument("--height", type=int, default=height, help=f"panorama height (default: {height})")
-    verb.add_argument(
-        "--phi", type=float, nargs=2, default=(-45.0, 45.0), help="elevation range in degrees, down > 0"
-    )
-    verb.add_argument(
-        "--spheres", type=int, default=spheres, help=f"number of spheres N (default: {spheres})"
-    )
-    verb.add_argument(
-        "--min-depth", type=float, help="nearest depth in metres; default: what the rig's file proposes"
-    )
+    verb.add_argument("--phi", type=float, nargs=2, default=(-45.0, 45.0), help="elevation range in degrees, down > 0")
+    verb.add_argument("--spheres", type=int, default=spheres, help=f"number of spheres N (default: {spheres})")
+    verb.add_argument("--min-depth", type=float, help="nearest depth in metres; default: what the rig's file proposes")
 
 
 def depth(options: argparse.Namespace) -> None:
@@ -107,10 +95,7 @@ def depth(options: argparse.Namespace) -> None:
         errors = index_error(result.index, truth.gt_index(grid), grid.num_spheres)
         with files.replacing(out / "errors.json") as temporary:
             temporary.write_text(json.dumps(errors, indent=1) + "\n")
-        print(
-            "errors in % of the range swept: "
-            + ", ".join(f"{name} {value:.2f}" for name, value in errors.items())
-        )
+        print("errors in % of the range swept: " + ", ".join(f"{name} {value:.2f}" for name, value in errors.items()))
     print(f"written to {out}/: " + ", ".join(sorted(path.name for path in out.iterdir())))
 
 
@@ -148,9 +133,7 @@ def _read_input(options: argparse.Namespace) -> tuple:
         return Rig.load(options.rig, options.unit), load_images(options.images), None
     folder = options.rig or _SAMPLE
     if not folder.is_dir():
-        raise OmnistereoError(
-            f"{folder} is not a data set folder: give --images, one for each camera of the rig"
-        )
+        raise OmnistereoError(f"{folder} is not a data set folder: give --images, one for each camera of the rig")
     data = load_dataset(folder, unit=options.unit)
     if not -len(data) <= options.frame < len(data):
         raise OmnistereoError(f"{folder} has frames 0 … {len(data) - 1}, not {options.frame}")
@@ -165,7 +148,5 @@ def _grid(options: argparse.Namespace, rig: object) -> object:
     min_depth = options.min_depth or rig.min_depth
     if min_depth is None:
         min_depth = 2 * float(rig.baselines.min())
-        print(
-            f"the rig's file proposes no nearest depth: taking twice the shortest baseline, {min_depth:.2f} m"
-        )
+        print(f"the rig's file proposes no nearest depth: taking twice the shortest baseline, {min_depth:.2f} m")
     return SphereGrid(options.width, options.height, tuple(options.phi), options.spheres, min_depth)

@@ -70,9 +70,7 @@ class Frame:
             If the frame has none.
         """
         if self.truth_path is None:
-            raise OmnistereoError(
-                f"frame {self.number} has no ground truth beside {self.image_paths[0].parent}"
-            )
+            raise OmnistereoError(f"frame {self.number} has no ground truth beside {self.image_paths[0].parent}")
         return read_inverse_depth(self.truth_path, self.min_depth)
 
     def gt_index(self, grid: SphereGrid) -> NDArray[np.float64]:
@@ -234,9 +232,7 @@ def _read_png16(path: Path, min_depth: float | None) -> NDArray[np.float64]:
         found = "no picture" if steps is None else f"{steps.dtype} of shape {steps.shape}"
         raise OmnistereoError(f"{path} holds {found}, expected 16-bit gray steps of inverse depth")
     if min_depth is None:
-        raise OmnistereoError(
-            f"{path} counts inverse depth in units of 1/min_depth: the rig's file must state it"
-        )
+        raise OmnistereoError(f"{path} counts inverse depth in units of 1/min_depth: the rig's file must state it")
     return steps / (65500.0 * min_depth)
 
 
@@ -247,9 +243,7 @@ def _truths(folder: Path, width: int | None) -> dict[int, Path]:
         *folder.glob("depth_*"),
         *folder.parent.glob("depth_t*_[0-9]*"),
     ]
-    by_width = {
-        int(path.name.rsplit("_", 1)[1]): path for path in parents if path.name.rsplit("_", 1)[1].isdigit()
-    }
+    by_width = {int(path.name.rsplit("_", 1)[1]): path for path in parents if path.name.rsplit("_", 1)[1].isdigit()}
     if width is not None and width not in by_width:
         raise OmnistereoError(f"{folder} has ground truth of widths {sorted(by_width)}, not of {width}")
     if not by_width:

@@ -159,9 +159,7 @@ class Depth:
         colors = self.panorama(images)
         colors = np.repeat(colors[..., None], 3, -1) if colors.ndim == 2 else colors
         keep &= np.isfinite(colors[..., 0])
-        return self.grid.rays()[keep] * depth[keep, None], np.clip(colors[keep].round(), 0, 255).astype(
-            np.uint8
-        )
+        return self.grid.rays()[keep] * depth[keep, None], np.clip(colors[keep].round(), 0, 255).astype(np.uint8)
 
 
 def _as_volume(volume: ArrayLike | Tensor) -> Tensor:

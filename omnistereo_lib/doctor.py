@@ -13,6 +13,7 @@ from importlib import metadata
 from pathlib import Path
 
 _ROOT = Path(__file__).resolve().parents[1]
+_MIN_PYTHON = (3, 11)
 _MIN_MEMORY_GIB = 4
 
 _RENDER_PROBE = """
@@ -51,7 +52,7 @@ def doctor(short: bool = False) -> bool:
 
 def _python() -> Iterator[tuple[bool, str]]:
     version = ".".join(map(str, sys.version_info[:3]))
-    if sys.version_info >= (3, 11):
+    if sys.version_info[:2] >= _MIN_PYTHON:
         yield True, f"Python {version}"
     else:
         yield False, f"Python {version}: install 3.11 or newer, remove .venv and run make lab again"
@@ -98,9 +99,7 @@ def _sha256(path: Path) -> str:
 
 def opengl_works() -> bool:
     """Return whether PyVista can draw here, tried in a process of its own: without OpenGL, VTK crashes."""
-    probe = subprocess.run(
-        [sys.executable, "-c", _RENDER_PROBE], capture_output=True, env=headless(), check=False
-    )
+    probe = subprocess.run([sys.executable, "-c", _RENDER_PROBE], capture_output=True, env=headless(), check=False)
     return probe.returncode == 0
 
 
@@ -128,9 +127,7 @@ def _machine() -> Iterator[tuple[bool, str]]:
     memory = psutil.virtual_memory()
     total, free = memory.total / 2**30, memory.available / 2**30
     yield True, f"{os.cpu_count()} cores"
-    cure = (
-        "" if free >= _MIN_MEMORY_GIB else f": the notebooks want {_MIN_MEMORY_GIB} GiB, close other programs"
-    )
+    cure = "" if free >= _MIN_MEMORY_GIB else f": the notebooks want {_MIN_MEMORY_GIB} GiB, close other programs"
     yield free >= _MIN_MEMORY_GIB, f"{free:.1f} of {total:.1f} GiB memory free{cure}"
     gpu = torch.cuda.get_device_name() if torch.cuda.is_available() else None
     yield True, f"GPU: {gpu}" if gpu else "no CUDA GPU: everything runs on the CPU"

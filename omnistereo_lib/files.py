@@ -69,14 +69,10 @@ def read_gray(path: Path, image_size: tuple[int, int]) -> NDArray[np.uint8]:
     content = np.frombuffer(read_bytes(path), np.uint8)
     image = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE) if content.size else None
     if image is None:
-        raise OmnistereoError(
-            f"{path}: {content.size} bytes that are no image that OpenCV can read; save it as PNG"
-        )
+        raise OmnistereoError(f"{path}: {content.size} bytes that are no image that OpenCV can read; save it as PNG")
     if image.shape != image_size[::-1]:
         height, width = image.shape
-        raise OmnistereoError(
-            f"{path}: {width} × {height} px, the camera has {image_size[0]} × {image_size[1]} px"
-        )
+        raise OmnistereoError(f"{path}: {width} × {height} px, the camera has {image_size[0]} × {image_size[1]} px")
     return image
 
 
@@ -155,9 +151,7 @@ def metres_per_unit(unit: str | None, positions: NDArray[np.float64]) -> float:
         return UNITS[unit]
     distances = np.linalg.norm(positions[:, None] - positions, axis=-1)[np.triu_indices(len(positions), 1)]
     low, high = distances.min(initial=np.inf), distances.max(initial=0.0)
-    meanings = ", ".join(
-        f'unit="{name}": {low * scale:.4g} … {high * scale:.4g} m' for name, scale in UNITS.items()
-    )
+    meanings = ", ".join(f'unit="{name}": {low * scale:.4g} … {high * scale:.4g} m' for name, scale in UNITS.items())
     raise OmnistereoError(
         f"the file does not state its unit; say it. The distances between cameras would be {meanings}"
     )

@@ -63,10 +63,7 @@ def check_rig(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid) -> list[R
     """
     images = check_images(images, rig)
     given = Reading("as given", matching_cost(rig, images, grid))
-    others = [
-        Reading(name, matching_cost(other, pictures, grid))
-        for name, other, pictures in _mistakes(rig, images)
-    ]
+    others = [Reading(name, matching_cost(other, pictures, grid)) for name, other, pictures in _mistakes(rig, images)]
     return [given, *sorted(others, key=lambda reading: reading.cost)]
 
 
@@ -78,7 +75,9 @@ def verdict(readings: list[Reading]) -> str:
             f"FAIL  {best.name}: the median matching cost would fall from {given.cost:.3f} to {best.cost:.3f}. "
             "Mend the file and check again"
         )
-    return f"OK    the rig fits the images: median matching cost {given.cost:.3f}, the next best reading {best.cost:.3f}"
+    return (
+        f"OK    the rig fits the images: median matching cost {given.cost:.3f}, the next best reading {best.cost:.3f}"
+    )
 
 
 def _mistakes(rig: Rig, images: list) -> Iterator[tuple[str, Rig, list]]:

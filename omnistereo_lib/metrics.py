@@ -7,6 +7,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.errors import OmnistereoError
 
+_FRACTIONS = tuple(np.linspace(0, 0.95, 20))
+
 
 def error_map(index: ArrayLike, gt_index: ArrayLike, num_spheres: int) -> NDArray[np.float64]:
     """Return e(p) = 100/N · |n*(p) - n̂(p)| (Eq. 5): percent of the range swept, same shape as the maps.
@@ -63,7 +65,7 @@ def index_error(
 
 
 def sparsification(
-    error: ArrayLike, confidence: ArrayLike, fractions: ArrayLike = tuple(np.linspace(0, 0.95, 20))
+    error: ArrayLike, confidence: ArrayLike, fractions: ArrayLike = _FRACTIONS
 ) -> tuple[NDArray[np.float64], float, float]:
     """Judge a confidence: the mean error that is left when the least confident rays are removed.
 

@@ -50,9 +50,7 @@ def estimate_depth(
     OmnistereoError
         If the input does not fit together, or no method has that name.
     """
-    return sweep_depth(
-        SphereSweep(rig, grid, device=device), images, cost, aggregate, pairs, progress=progress
-    )
+    return sweep_depth(SphereSweep(rig, grid, device=device), images, cost, aggregate, pairs, progress=progress)
 
 
 def sweep_depth(

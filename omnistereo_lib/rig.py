@@ -48,7 +48,7 @@ class Rig:
             )
 
     @classmethod
-    def load(cls, path: str | Path, unit: Unit | None = None) -> Rig:
+    def load(cls, path: str | Path, unit: Unit | None = None, max_fov_deg: float | None = None) -> Rig:
         """Read a rig from a folder or a file of any dialect that `omnistereo_lib.dialects` names.
 
         Parameters
@@ -58,6 +58,9 @@ class Rig:
             calibration (JSON or YAML), OpenCV fisheye YAML.
         unit : "mm" | "cm" | "m", optional
             Unit of the translations, for dialects that do not state it.
+        max_fov_deg : float, optional
+            Full field of view of the lenses. None: the file's own, or 220° where an OCam file states none, or
+            as wide as a lens of another model sees (`lenses.fit_ocam`).
 
         Raises
         ------
@@ -66,7 +69,7 @@ class Rig:
         """
         from omnistereo_lib.dialects import load_rig
 
-        return load_rig(Path(path), unit)
+        return load_rig(Path(path), unit, max_fov_deg)
 
     def save(self, path: str | Path) -> None:
         """Write the rig as config.yaml (OmniMVS dialect, metres), with the masks as PNG files beside it."""

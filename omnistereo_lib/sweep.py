@@ -286,9 +286,7 @@ def _split_at_seam(start: int, width: int, total: int) -> list[tuple[int, int]]:
     return [(first, last) for first, last in ranges if last > first]
 
 
-def _remap(
-    image: NDArray[np.float32], maps: NDArray[np.float32], out: NDArray[np.float32] | None = None
-) -> NDArray:
+def _remap(image: NDArray[np.float32], maps: NDArray[np.float32], out: NDArray[np.float32] | None = None) -> NDArray:
     """Sample an image bilinearly at maps (H, W, 2), NaN outside it. OpenCV 5 does this without rounding."""
     nan = (np.nan,) * 4
     return cv2.remap(image, maps, None, cv2.INTER_LINEAR, out, cv2.BORDER_CONSTANT, nan)

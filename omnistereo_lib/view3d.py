@@ -32,11 +32,7 @@ def draw_points(
     -------
     uint8 array, shape (height, width, 3), RGB
     """
-    return (
-        _draw_pyvista(points, colors, eye, size)
-        if _has_opengl()
-        else _draw_matplotlib(points, colors, eye, size)
-    )
+    return _draw_pyvista(points, colors, eye, size) if _has_opengl() else _draw_matplotlib(points, colors, eye, size)
 
 
 def write_ply(path: str | Path, points: NDArray, colors: NDArray | None = None) -> None:
@@ -65,9 +61,7 @@ def _draw_pyvista(points: NDArray, colors: NDArray, eye: tuple, size: tuple[int,
     return picture
 
 
-def _draw_matplotlib(
-    points: NDArray, colors: NDArray, eye: tuple, size: tuple[int, int]
-) -> NDArray[np.uint8]:
+def _draw_matplotlib(points: NDArray, colors: NDArray, eye: tuple, size: tuple[int, int]) -> NDArray[np.uint8]:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -78,9 +72,7 @@ def _draw_matplotlib(
     x, y, z = points[some].T
     axes.scatter(x, z, -y, c=colors[some] / 255.0, s=1)  # Matplotlib's up is its third axis
     distance = float(np.linalg.norm(eye))
-    axes.view_init(
-        elev=np.degrees(np.arcsin(-eye[1] / distance)), azim=np.degrees(np.arctan2(eye[2], eye[0]))
-    )
+    axes.view_init(elev=np.degrees(np.arcsin(-eye[1] / distance)), azim=np.degrees(np.arctan2(eye[2], eye[0])))
     axes.set_axis_off()
     axes.set_aspect("equal")
     canvas.draw()

@@ -19,14 +19,16 @@ Pairs = Literal["ring", "all"] | Sequence[tuple[int, int]]
 
 
 class Cost(Protocol):
-    """A matching cost: images on a block of spheres → mean cost over the pairs, as `ZNCC.__call__` states."""
+    """A matching cost: images on a block of spheres → mean cost over the pairs."""
 
     def __call__(
         self,
         spherical: Tensor,
         pairs: Sequence[tuple[int, int]],
         columns: Sequence[tuple[int, int]] | None = None,
-    ) -> Tensor: ...
+    ) -> Tensor:
+        """Do what `ZNCC.__call__` states."""
+        ...
 
 
 def camera_pairs(pairs: Pairs, num_cameras: int) -> list[tuple[int, int]]:
@@ -53,9 +55,7 @@ def camera_pairs(pairs: Pairs, num_cameras: int) -> list[tuple[int, int]]:
     chosen = [(int(i), int(j)) for i, j in pairs]
     for i, j in chosen:
         if i == j or not (0 <= i < num_cameras and 0 <= j < num_cameras):
-            raise OmnistereoError(
-                f"pair {(i, j)} does not name two different cameras of 0 … {num_cameras - 1}"
-            )
+            raise OmnistereoError(f"pair {(i, j)} does not name two different cameras of 0 … {num_cameras - 1}")
     if not chosen:
         raise OmnistereoError("the list of camera pairs is empty, expected at least one pair")
     return chosen

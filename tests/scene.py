@@ -18,9 +18,7 @@ def camera(width=400, height=384, max_fov_deg=220.0, shift=(0.0, 0.0)):
     radius = f * theta
     powers = np.array([0, *range(2, 13)])
     scale = radius[-1]
-    coefficients = np.linalg.lstsq((radius[:, None] / scale) ** powers, -radius / np.tan(theta), rcond=None)[
-        0
-    ]
+    coefficients = np.linalg.lstsq((radius[:, None] / scale) ** powers, -radius / np.tan(theta), rcond=None)[0]
     poly = np.zeros(13)
     poly[powers] = coefficients / scale**powers
     center = ((width - 1) / 2 + shift[0], (height - 1) / 2 + shift[1])

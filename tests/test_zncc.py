@@ -72,17 +72,13 @@ def test_same_image_costs_0_and_its_negative_1():
     assert osl.ZNCC()(both, [(0, 2)]).min() > 1 - 1e-6
 
 
-@given(
-    gain=st.floats(0.01, 100), offset=st.floats(-10, 10), shift=st.integers(0, 16), seed=st.integers(0, 99)
-)
+@given(gain=st.floats(0.01, 100), offset=st.floats(-10, 10), shift=st.integers(0, 16), seed=st.integers(0, 99))
 @settings(max_examples=25, deadline=None)
 def test_gain_offset_and_turning_change_nothing(gain, offset, shift, seed):
     images = torch.from_numpy(block("textured", cameras=2, seed=seed))
     cost = osl.ZNCC(5)(images, [(0, 1)])
     changed = torch.stack([images[0], gain * images[1] + offset]).roll(shift, -1)
-    torch.testing.assert_close(
-        osl.ZNCC(5)(changed, [(0, 1)]), cost.roll(shift, 1), atol=2e-3 / min(gain, 1), rtol=0
-    )
+    torch.testing.assert_close(osl.ZNCC(5)(changed, [(0, 1)]), cost.roll(shift, 1), atol=2e-3 / min(gain, 1), rtol=0)
 
 
 def test_columns_that_no_camera_sees_may_be_skipped():
@@ -94,11 +90,7 @@ def test_columns_that_no_camera_sees_may_be_skipped():
     assert torch.equal(everywhere.nan_to_num(9), skipped.nan_to_num(9))
 
 
-@given(
-    st.integers(2, 12).flatmap(
-        lambda W: st.tuples(st.just(W), *[st.integers(0, W - 1), st.integers(0, W)] * 2)
-    )
-)
+@given(st.integers(2, 12).flatmap(lambda W: st.tuples(st.just(W), *[st.integers(0, W - 1), st.integers(0, W)] * 2)))
 @settings(deadline=None)
 def test_common_columns_are_the_intersection(spans):
     W, start_a, width_a, start_b, width_b = spans

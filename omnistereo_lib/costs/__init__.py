@@ -1,0 +1,1 @@
+"""Matching costs, one module each; every one is called like `ZNCC`."""
