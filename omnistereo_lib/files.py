@@ -1,4 +1,4 @@
-"""Reading and writing files such that bad content is named and half-written files never stay."""
+"""Reading and writing files such that bad ones are named and half-written ones never stay."""
 
 from __future__ import annotations
 
@@ -6,157 +6,112 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
 
-
-@contextmanager
-def naming(source: str | Path) -> Iterator[None]:
-    """Put the name of a file, or of a camera in it, in front of every error raised inside."""
-    try:
-        yield
-    except OmnistereoError as error:
-        raise OmnistereoError(f"{source}: {error}") from None
+_ENDS = {b"\xff\xd8": b"\xff\xd9", b"\x89P": b"IEND"}  # how JPEG and PNG files begin and end
 
 
-def read_bytes(path: Path) -> bytes:
+def read_bytes(path: str | Path) -> bytes:
     """Return a file's content; an `OmnistereoError` says why if it cannot be read."""
     try:
-        return path.read_bytes()
+        return Path(path).read_bytes()
     except OSError as error:
-        raise OmnistereoError(f"{path}: cannot be read ({error.strerror}); check the path") from None
+        raise OmnistereoError(f"{path} cannot be read: {error.strerror}. Check the path") from None
 
 
-def read_text(path: Path) -> str:
+def read_text(path: str | Path) -> str:
     """Return a text file's content; bytes that are not UTF-8 become replacement characters."""
     return read_bytes(path).decode("utf-8", errors="replace")
 
 
-def write_file(path: Path, content: bytes) -> None:
-    """Write a file under a temporary name beside it, then rename: a reader sees all of it or nothing.
+def read_image(path: str | Path) -> NDArray[np.uint8]:
+    """Read a picture that OpenCV knows, uint8: (height, width) if it is gray, else (height, width, 3) in RGB.
 
     Raises
     ------
     OmnistereoError
-        If the folder is missing or not writable.
+        If the file is missing, cut short or no picture. OpenCV itself fills the missing part of a JPEG or a
+        PNG with gray or black, hence the look at how the file ends.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    import cv2
+
+    content = read_bytes(path)
+    end = _ENDS.get(content[:2])
+    if end is not None and end not in content[-64:]:
+        raise OmnistereoError(f"{path} is cut short: {len(content)} bytes without an end. Copy it again")
+    flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
+    picture = cv2.imdecode(np.frombuffer(content, np.uint8), flags) if content else None
+    if picture is None:
+        raise OmnistereoError(f"{path} holds no picture, {len(content)} bytes; expected PNG, JPEG or the like")
+    return picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+
+
+def read_gray(path: str | Path, image_size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Read a picture of a known size (width, height), such as a mask, as gray, shape (height, width).
+
+    Raises
+    ------
+    OmnistereoError
+        As `read_image`, or if the size is another one.
+    """
+    picture = read_image(path)
+    picture = picture if picture.ndim == 2 else picture.max(-1)
+    if picture.shape != image_size[::-1]:
+        height, width = picture.shape
+        raise OmnistereoError(f"{path} is {width} × {height} px, the camera {image_size[0]} × {image_size[1]} px")
+    return picture
+
+
+def write_image(path: str | Path, picture: NDArray[np.uint8]) -> None:
+    """Write a gray (height, width) or RGB (height, width, 3) picture in the format that the name's ending says."""
+    import cv2
+
+    picture = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR) if picture.ndim == 3 else picture
+    content = cv2.imencode(Path(path).suffix, picture)[1]
+    with replacing(path) as temporary:
+        temporary.write_bytes(content.tobytes())
+
+
+@contextmanager
+def replacing(path: str | Path) -> Iterator[Path]:
+    """Give a temporary name beside a file to write to, then rename: readers see all of it or nothing.
+
+    Raises
+    ------
+    OmnistereoError
+        If the folder is missing or not writable. What was written stays nowhere then.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{os.getpid()}.{path.name}")  # the same ending: writers look at it
     try:
-        temporary.write_bytes(content)
+        yield temporary
         temporary.replace(path)
     except OSError as error:
         raise OmnistereoError(
-            f"{path}: cannot be written ({error.strerror}); give a file in an existing, writable folder"
+            f"{path} cannot be written: {error.strerror}. Give a file in an existing, writable folder"
         ) from None
     finally:
         temporary.unlink(missing_ok=True)
 
 
-def read_gray(path: Path, image_size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Read an image file of a known size (width, height) as gray, shape (height, width).
+def make_folder(path: str | Path) -> Path:
+    """Make a folder, and those above it, unless it is there; return its path.
 
     Raises
     ------
     OmnistereoError
-        If the file is no image or of another size.
+        If it cannot be made or is not writable.
     """
-    import cv2
-
-    content = np.frombuffer(read_bytes(path), np.uint8)
-    image = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE) if content.size else None
-    if image is None:
-        raise OmnistereoError(f"{path}: {content.size} bytes that are no image that OpenCV can read; save it as PNG")
-    if image.shape != image_size[::-1]:
-        height, width = image.shape
-        raise OmnistereoError(f"{path}: {width} × {height} px, the camera has {image_size[0]} × {image_size[1]} px")
-    return image
-
-
-def write_png(path: Path, image: NDArray[np.uint8]) -> None:
-    """Write an image as PNG, through `write_file`."""
-    import cv2
-
-    write_file(path, cv2.imencode(".png", image)[1].tobytes())
-
-
-def entry(mapping: Any, key: str) -> Any:
-    """Return a value of a parsed file's mapping; raises `OmnistereoError` naming what is there instead."""
-    if not isinstance(mapping, dict):
-        raise OmnistereoError(f"found {_short(mapping)} where entries such as {key!r} were expected")
-    if key not in mapping:
-        raise OmnistereoError(f"entry {key!r} is missing, found {sorted(map(str, mapping))}")
-    return mapping[key]
-
-
-def entries(mapping: Any, key: str) -> list[Any]:
-    """Return a list that is a value of a parsed file's mapping."""
-    value = entry(mapping, key)
-    if not isinstance(value, list):
-        raise OmnistereoError(f"{key!r} must be a list, found {_short(value)}")
-    return value
-
-
-def numbers(values: Any, what: str, count: int | None = None) -> NDArray[np.float64]:
-    """Return values of a parsed file as a flat float64 array of finite numbers.
-
-    Numbers may come as text: YAML takes "1e-3" for a word.
-
-    Raises
-    ------
-    OmnistereoError
-        If something is not a finite number, or there are not `count` of them.
-    """
+    path = Path(path)
     try:
-        array = np.asarray(values, np.float64).ravel()
-    except (TypeError, ValueError, OverflowError):
-        raise OmnistereoError(f"{what} must be numbers, found {_short(values)}") from None
-    if not np.isfinite(array).all():
-        raise OmnistereoError(f"{what} must be finite numbers, found {_short(values)}")
-    if count is not None and len(array) != count:
-        raise OmnistereoError(f"{what} must be {count} numbers, found {len(array)}: {_short(values)}")
-    return array
-
-
-def whole_numbers(values: Any, what: str, count: int) -> tuple[int, ...]:
-    """Return values of a parsed file as integers; 768.0 is one, 768.5 is none."""
-    array = numbers(values, what, count)
-    if (array != np.round(array)).any():
-        raise OmnistereoError(f"{what} must be whole numbers, found {_short(values)}")
-    return tuple(int(value) for value in array)
-
-
-UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
-
-
-def metres_per_unit(unit: str | None, positions: NDArray[np.float64]) -> float:
-    """Return the scale of a file that does not state its unit.
-
-    Parameters
-    ----------
-    unit : "mm" | "cm" | "m" or None
-        What the caller says.
-    positions : array, shape (cameras, 3)
-        Camera centres as the file has them, to show what each unit would mean.
-
-    Raises
-    ------
-    OmnistereoError
-        If the unit is None: nothing is guessed.
-    """
-    if unit is not None:
-        return UNITS[unit]
-    distances = np.linalg.norm(positions[:, None] - positions, axis=-1)[np.triu_indices(len(positions), 1)]
-    low, high = distances.min(initial=np.inf), distances.max(initial=0.0)
-    meanings = ", ".join(f'unit="{name}": {low * scale:.4g} … {high * scale:.4g} m' for name, scale in UNITS.items())
-    raise OmnistereoError(
-        f"the file does not state its unit; say it. The distances between cameras would be {meanings}"
-    )
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 80 else f"{text[:77]}..."
+        path.mkdir(parents=True, exist_ok=True)
+        with replacing(path / "writable") as temporary:
+            temporary.touch()
+        (path / "writable").unlink()
+    except OSError as error:
+        raise OmnistereoError(f"folder {path} cannot be made: {error.strerror}. Choose another") from None
+    return path
