@@ -66,12 +66,16 @@ def read_gray(path: str | Path, image_size: tuple[int, int]) -> NDArray[np.uint8
     return picture
 
 
-def write_image(path: str | Path, picture: NDArray[np.uint8]) -> None:
-    """Write a gray (height, width) or RGB (height, width, 3) picture in the format that the name's ending says."""
+def write_image(path: str | Path, picture: NDArray) -> None:
+    """Write a picture, gray (height, width) or RGB (height, width, 3), in the format that the name's ending says.
+
+    Values are 0 … 255; NaN becomes black. JPEG files have quality 95.
+    """
     import cv2
 
-    picture = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR) if picture.ndim == 3 else picture
-    content = cv2.imencode(Path(path).suffix, picture)[1]
+    pixels = np.nan_to_num(picture).clip(0, 255).round().astype(np.uint8)
+    pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR) if pixels.ndim == 3 else pixels
+    content = cv2.imencode(Path(path).suffix, pixels, [cv2.IMWRITE_JPEG_QUALITY, 95])[1]
     with replacing(path) as temporary:
         temporary.write_bytes(content.tobytes())
 
