@@ -75,7 +75,9 @@ def write_image(path: str | Path, picture: NDArray) -> None:
 
     pixels = np.nan_to_num(picture).clip(0, 255).round().astype(np.uint8)
     pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR) if pixels.ndim == 3 else pixels
-    content = cv2.imencode(Path(path).suffix, pixels, [cv2.IMWRITE_JPEG_QUALITY, 95])[1]
+    suffix = Path(path).suffix
+    quality = [cv2.IMWRITE_JPEG_QUALITY, 95] if suffix.lower() in (".jpg", ".jpeg") else []
+    content = cv2.imencode(suffix, pixels, quality)[1]
     with replacing(path) as temporary:
         temporary.write_bytes(content.tobytes())
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from itertools import combinations
 from typing import Literal, Protocol
 
+import numpy as np
 import psutil
 import torch
 from numpy.typing import ArrayLike
@@ -13,6 +14,7 @@ from torch import Tensor
 
 from omnistereo_lib.costs.zncc import ZNCC
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.rig import Rig
 from omnistereo_lib.sweep import SphereSweep
 
 Pairs = Literal["ring", "all"] | Sequence[tuple[int, int]]
@@ -31,15 +33,16 @@ class Cost(Protocol):
         ...
 
 
-def camera_pairs(pairs: Pairs, num_cameras: int) -> list[tuple[int, int]]:
+def camera_pairs(pairs: Pairs, rig: Rig) -> list[tuple[int, int]]:
     """Return the camera pairs that are compared.
 
     Parameters
     ----------
     pairs : "ring" | "all" | sequence of (int, int)
-        "ring": each camera with the next one, as the authors' released code does: (0, 1), (1, 2), …,
-        (last, 0). "all": every unordered pair, as the paper's text says.
-    num_cameras : int
+        "ring": each camera with its neighbour to the right, by where the cameras look. For the paper's
+        rig these are the authors' released (0, 1), (1, 2), (2, 3), (3, 0). "all": every unordered pair, as
+        the paper's text says.
+    rig : Rig
 
     Raises
     ------
@@ -47,18 +50,28 @@ def camera_pairs(pairs: Pairs, num_cameras: int) -> list[tuple[int, int]]:
         If a pair names a camera that does not exist, or one camera twice.
     """
     if pairs == "ring":
-        return [(i, (i + 1) % num_cameras) for i in range(num_cameras if num_cameras > 2 else 1)]
+        return _neighbours(rig)
     if pairs == "all":
-        return list(combinations(range(num_cameras), 2))
+        return list(combinations(range(len(rig)), 2))
     if isinstance(pairs, str):
         raise OmnistereoError(f'pairs must be "ring", "all" or a list of camera pairs, got {pairs!r}')
     chosen = [(int(i), int(j)) for i, j in pairs]
     for i, j in chosen:
-        if i == j or not (0 <= i < num_cameras and 0 <= j < num_cameras):
-            raise OmnistereoError(f"pair {(i, j)} does not name two different cameras of 0 … {num_cameras - 1}")
+        if i == j or not (0 <= i < len(rig) and 0 <= j < len(rig)):
+            raise OmnistereoError(f"pair {(i, j)} does not name two different cameras of 0 … {len(rig) - 1}")
     if not chosen:
         raise OmnistereoError("the list of camera pairs is empty, expected at least one pair")
     return chosen
+
+
+def _neighbours(rig: Rig) -> list[tuple[int, int]]:
+    """Return the ring of cameras in the order of the azimuth θ of their optical axes, from camera 0 on."""
+    axes = np.stack([pose.R[:, 2] for pose in rig.T_rig_cam])
+    azimuth = np.arctan2(axes[:, 0], axes[:, 2])
+    around = np.argsort((azimuth - azimuth[0] + 1e-6) % (2 * np.pi), kind="stable").tolist()
+    if len(around) == 2:
+        return [(0, 1)]
+    return list(zip(around, around[1:] + around[:1], strict=True))
 
 
 def cost_volume(
@@ -92,7 +105,7 @@ def cost_volume(
         If the images do not fit the rig, no pair of cameras shares a view, or memory cannot hold the volume.
     """
     cost = ZNCC() if cost is None else cost
-    pairs = camera_pairs(pairs, len(sweep.rig))
+    pairs = camera_pairs(pairs, sweep.rig)
     prepared = sweep.prepare(images)
     H, W = sweep.grid.shape
     _check_memory(sweep)

@@ -18,10 +18,17 @@ def world():
 
 
 def test_pairs():
-    assert camera_pairs("ring", 4) == [(0, 1), (1, 2), (2, 3), (3, 0)]
-    assert camera_pairs("ring", 2) == [(0, 1)]
-    assert camera_pairs("all", 3) == [(0, 1), (0, 2), (1, 2)]
-    assert camera_pairs([(2, 0)], 3) == [(2, 0)]
+    assert camera_pairs("ring", scene.rig(cameras=4)) == [(0, 1), (1, 2), (2, 3), (3, 0)]
+    assert camera_pairs("ring", scene.rig(cameras=2)) == [(0, 1)]
+    assert camera_pairs("all", scene.rig(cameras=3)) == [(0, 1), (0, 2), (1, 2)]
+    assert camera_pairs([(2, 0)], scene.rig(cameras=3)) == [(2, 0)]
+
+
+def test_the_ring_goes_by_where_the_cameras_look_not_by_their_numbers():
+    rig = scene.rig(cameras=4)
+    order = [0, 2, 3, 1]  # front, back, left, right
+    shuffled = osl.Rig([rig.cameras[i] for i in order], [rig.T_rig_cam[i] for i in order])
+    assert camera_pairs("ring", shuffled) == [(0, 3), (3, 1), (1, 2), (2, 0)]
 
 
 @pytest.mark.parametrize(
@@ -30,14 +37,14 @@ def test_pairs():
 )
 def test_bad_pairs(pairs, message):
     with pytest.raises(osl.OmnistereoError, match=message):
-        camera_pairs(pairs, 4)
+        camera_pairs(pairs, scene.rig())
 
 
 def test_volume_is_the_mean_over_the_pairs_that_see_the_ray(world):
     """Eq. 2, assembled from the volumes of single pairs."""
     rig, images = world
     sweep = osl.SphereSweep(rig, GRID)
-    singles = [osl.cost_volume(sweep, images, pairs=[pair]) for pair in camera_pairs("all", 4)]
+    singles = [osl.cost_volume(sweep, images, pairs=[pair]) for pair in camera_pairs("all", rig)]
     expected = torch.stack(singles).nanmean(0)
     volume = osl.cost_volume(sweep, images, pairs="all")
     torch.testing.assert_close(volume, expected, atol=1e-6, rtol=0, equal_nan=True)
