@@ -77,7 +77,7 @@ class OcamCamera:
             if coefficients.ndim != 1 or len(coefficients) < 2 or not np.isfinite(coefficients).all():
                 raise OmnistereoError(f"{name} needs two or more finite coefficients, got {coefficients.tolist()}")
         width, height = self.image_size
-        if not (int(width) == width >= 2 and int(height) == height >= 2):
+        if not (width >= 2 and height >= 2 and width % 1 == 0 and height % 1 == 0):
             raise OmnistereoError(f"image size must be two whole numbers of at least 2 px, got {self.image_size}")
         if not 0 < self.max_fov_deg <= 360:
             raise OmnistereoError(f"max_fov_deg must be in (0, 360], got {self.max_fov_deg}")

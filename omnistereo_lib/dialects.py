@@ -69,18 +69,13 @@ def load_rig(path: str | Path, unit: str | None = None, max_fov_deg: float | Non
         path = _rig_file_in(path)
     with naming(path):
         data = _parse(path)
-        dialect, states_metres = _dialect(data)
-        if states_metres and unit not in (None, "m"):
-            raise OmnistereoError(f"this dialect ({dialect}) is in metres by its definition; leave out unit={unit!r}")
-        readers = {
-            "OmniMVS config.yaml": _read_omnimvs,
-            "basalt JSON": read_basalt,
-            "Kalibr camchain": read_kalibr,
-        }
-        if states_metres:
-            rig = readers[dialect](data, path, max_fov_deg)
-        else:
+        dialect = _dialect(data)
+        if dialect == "OpenCV fisheye":
             rig = read_opencv(data, path, max_fov_deg, unit)
+        elif unit in (None, "m"):
+            rig = _METRIC_READERS[dialect](data, path, max_fov_deg)
+        else:
+            raise OmnistereoError(f"{dialect} files are in metres by definition; leave out unit={unit!r}")
     return _announced(rig, path, dialect)
 
 
@@ -90,18 +85,18 @@ def _announced(rig: Rig, path: Path, dialect: str) -> Rig:
     return rig
 
 
-def _dialect(data: Any) -> tuple[str, bool]:
-    """Return the name of a parsed file's dialect and whether it is in metres by definition."""
+def _dialect(data: Any) -> str:
+    """Return the name of a parsed file's dialect."""
     data = data if isinstance(data, dict) else {}
     cameras = data.get("cameras")
     if isinstance(cameras, list) and any(isinstance(cam, dict) and "poly" in cam for cam in cameras):
-        return "OmniMVS config.yaml", True
+        return "OmniMVS config.yaml"
     if "value0" in data:
-        return "basalt JSON", True
+        return "basalt JSON"
     if isinstance(data.get("cam0"), dict) and "camera_model" in data["cam0"]:
-        return "Kalibr camchain", True
+        return "Kalibr camchain"
     if looks_like_opencv(data):
-        return "OpenCV fisheye", False
+        return "OpenCV fisheye"
     raise OmnistereoError(f"no known dialect, found the entries {sorted(map(str, data))[:8]}; {KNOWN}")
 
 
@@ -296,6 +291,9 @@ def _read_omnimvs(data: dict[str, Any], path: Path, max_fov_deg: float | None) -
     if min_depth is not None:
         min_depth = float(numbers(min_depth, "omnimvs_sweep_min_depth", 1)[0])
     return Rig(cameras, poses, min_depth)
+
+
+_METRIC_READERS = {"OmniMVS config.yaml": _read_omnimvs, "basalt JSON": read_basalt, "Kalibr camchain": read_kalibr}
 
 
 def save_rig(rig: Rig, path: str | Path) -> None:

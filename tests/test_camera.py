@@ -1,0 +1,196 @@
+"""The polynomial camera against lenses that have a closed form."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from omnistereo_lib import OcamCamera, OmnistereoError, fit_inverse_polynomial
+
+SIZE = (800, 760)  # width, height
+CENTER = (402.3, 377.6)
+AFFINE = (1.002, -0.003, 0.004)  # c, d, e
+F = 140.0  # px: the circle of 220° is a little larger than the image
+
+
+def stereographic(f=F, **changes):
+    """r = 2 f tan(θ/2): the direct polynomial is exactly -f + r²/(4f); the inverse one is a fit to it."""
+    poly = [-f, 0.0, 1 / (4 * f)]
+    parameters = {
+        "poly": poly,
+        "inv_poly": fit_inverse_polynomial(poly, 220.0, 3 * max(SIZE), tolerance=2e-8),
+        "center": CENTER,
+        "affine": AFFINE,
+        "image_size": SIZE,
+    }
+    return OcamCamera(**parameters | changes)
+
+
+def equidistant(f=180.0, **changes):
+    """r = f θ: the inverse polynomial is exactly f (t + π/2)."""
+    parameters = {"poly": [-f, 0.0, 1e-3], "inv_poly": [f * np.pi / 2, f], "center": CENTER, "affine": AFFINE}
+    return OcamCamera(**parameters | {"image_size": SIZE} | changes)
+
+
+def ray(theta, azimuth):
+    """Unit ray at angle θ from the axis; azimuth 0 is +x (right), π/2 is +y (down)."""
+    parts = np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta) + 0 * azimuth
+    return np.stack(np.broadcast_arrays(*parts), -1)
+
+
+def pixel(radius, azimuth):
+    """The affine map by hand, in rows and columns as the files' documentation writes it."""
+    c, d, e = AFFINE
+    row, column = radius * np.sin(azimuth), radius * np.cos(azimuth)
+    return np.stack([e * row + column + CENTER[0], c * row + d * column + CENTER[1]], -1)
+
+
+THETA = np.radians(np.arange(0, 110.5, 0.5))[:, None]
+AZIMUTH = np.radians(np.arange(0, 360, 7.0))
+
+
+def test_every_angle_lands_where_the_closed_form_says():
+    uv, _ = equidistant().project(ray(THETA, AZIMUTH))
+    np.testing.assert_allclose(uv, pixel(180.0 * THETA, AZIMUTH), atol=1e-9)
+    for exact, tolerance in ((True, 1e-9), (False, 1e-7)):
+        uv, _ = stereographic().project(ray(THETA, AZIMUTH), exact=exact)
+        np.testing.assert_allclose(uv, pixel(2 * F * np.tan(THETA / 2), AZIMUTH), atol=tolerance)
+
+
+@pytest.mark.parametrize("degrees", range(91, 111))
+def test_beyond_the_plane_of_the_lens(degrees):
+    """A camera that divides by z would fold these onto the other side."""
+    uv, valid = equidistant().project(ray(np.radians(degrees), np.array([0.0])))
+    assert valid.all()
+    np.testing.assert_allclose(uv[0], pixel(180.0 * np.radians(degrees), 0.0), atol=1e-9)
+    assert not equidistant().project(ray(np.radians(110.01), np.array([0.0])))[1].any()
+
+
+def test_right_is_right_and_down_is_down():
+    axis, right, down = equidistant(affine=(1, 0, 0)).project([[0, 0, 1], [0.1, 0, 1], [0, 0.1, 1]])[0]
+    np.testing.assert_allclose(axis, CENTER)
+    assert right[0] > axis[0] and right[1] == pytest.approx(axis[1])
+    assert down[1] > axis[1] and down[0] == pytest.approx(axis[0])
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_round_trip_from_rays_and_from_pixels(exact):
+    camera = stereographic()
+    rays = ray(THETA, AZIMUTH)
+    uv, valid = camera.project(rays, exact=exact)
+    back, seen = camera.unproject(uv, exact=exact)
+    assert (seen == valid).all() and 0.7 < valid.mean() < 1  # the circle is cut by the image's edges
+    np.testing.assert_allclose(back[valid], rays[valid], atol=1e-9)
+    grid = np.stack(np.meshgrid(np.arange(0, SIZE[0], 7.0), np.arange(0, SIZE[1], 7.0)), -1)
+    rays, valid = camera.unproject(grid, exact=exact)
+    again, seen = camera.project(rays, exact=exact)
+    assert valid.any() and seen[valid].all()
+    assert np.abs(again - grid)[valid].max() < 1e-6
+    np.testing.assert_allclose(np.linalg.norm(rays, axis=-1), 1.0, atol=1e-12)
+
+
+WIDE = stereographic(image_size=(2400, 2400), center=(1200.0, 1200.0))
+
+
+@settings(deadline=None)
+@given(st.floats(0, np.radians(109.9)), st.floats(-np.pi, np.pi), st.floats(1e-3, 1e6), st.booleans())
+def test_round_trip_of_any_point(theta, azimuth, distance, exact):
+    uv, valid = WIDE.project(distance * ray(theta, np.float64(azimuth)), exact=exact)
+    assert valid
+    np.testing.assert_allclose(WIDE.unproject(uv, exact=exact)[0], ray(theta, np.float64(azimuth)), atol=1e-9)
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_torch_agrees_with_numpy(exact):
+    rng = np.random.default_rng(0)
+    camera = stereographic(mask=rng.random(SIZE[::-1]) > 0.3)
+    points = rng.normal(size=(40, 50, 3))
+    points[0, :5] = [[0, 0, 0], [0, 0, 2], [np.nan, 0, 1], [np.inf, 1, 1], [0, 0, -1]]
+    uv, valid = camera.project(points, exact)
+    uv_torch, valid_torch = camera.project(torch.tensor(points), exact)
+    assert (valid_torch.numpy() == valid).all() and 0.2 < valid.mean() < 0.9
+    np.testing.assert_allclose(uv_torch.numpy(), uv, atol=1e-10)
+    rays, valid = camera.unproject(uv, exact)
+    rays_torch, valid_torch = camera.unproject(torch.tensor(uv), exact)
+    assert (valid_torch.numpy() == valid).all()
+    np.testing.assert_allclose(rays_torch.numpy(), rays, atol=1e-10)
+    single, _ = camera.project(torch.tensor(points, dtype=torch.float32), exact)
+    assert single.dtype == torch.float32
+    np.testing.assert_allclose(single.numpy(), uv, atol=2e-3)
+
+
+def test_validity_comes_from_geometry_and_mask():
+    mask = np.ones(SIZE[::-1], bool)
+    mask[:, 500:] = False
+    camera = equidistant(mask=mask)
+    points = ray(np.radians([0, 20, 60, 109, 111, 180]), np.array(0.0))
+    _, valid = camera.project(points)
+    assert valid.tolist() == [True, True, False, False, False, False]
+    assert equidistant().project(points)[1].tolist() == [True, True, True, True, False, False]
+    uv = [[-0.6, 300], [0, 377], [402, 377], [499, 377], [501, 377], [400, 760], [np.nan, 1]]
+    assert camera.unproject(uv)[1].tolist() == [False, False, True, True, False, False, False]
+    assert equidistant(image_size=(4000, 4000)).unproject([[3999, 377], [402, 377]])[1].tolist() == [False, True]
+
+
+def test_useless_points_are_invalid_and_finite():
+    uv, valid = equidistant().project([[0, 0, 0], [np.nan, 0, 1], [0, np.inf, 0], [0, 0, -np.inf]])
+    assert not valid.any() and np.isfinite(uv).all()
+
+
+@pytest.mark.parametrize("fov", [60.0, 120.0, 180.0, 220.0, 250.0])
+def test_inverse_polynomial_is_as_good_as_promised(fov):
+    f, theta = F, np.radians(np.linspace(0, fov / 2, 500))
+    inverse = np.polynomial.Polynomial(fit_inverse_polynomial([-f, 0, 1 / (4 * f)], fov, 4000))
+    assert np.abs(inverse(theta - np.pi / 2) - 2 * f * np.tan(theta / 2)).max() < 0.011
+
+
+def test_polynomial_disagreement_is_the_closed_form_distance():
+    camera = stereographic()
+    assert camera.polynomial_disagreement() < 1e-6
+    scaled = stereographic(inv_poly=camera.inv_poly * 1.01)
+    assert scaled.polynomial_disagreement() == pytest.approx(0.01 * 2 * F * np.tan(np.radians(55)), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"poly": [-180.0, 0.0, np.nan]}, "poly needs two or more finite coefficients"),
+        ({"inv_poly": [1.0]}, "inv_poly needs two or more finite coefficients"),
+        ({"poly": [180.0, 0.0]}, "must start below 0"),
+        ({"image_size": (800.5, 760)}, "whole numbers"),
+        ({"image_size": (np.nan, 760)}, "whole numbers"),
+        ({"image_size": (1, 760)}, "at least 2 px"),
+        ({"max_fov_deg": 0.0}, r"max_fov_deg must be in \(0, 360\]"),
+        ({"max_fov_deg": np.nan}, "max_fov_deg"),
+        ({"center": (np.inf, 1.0)}, "centre and affine must be finite"),
+        ({"affine": (0.0, 1.0, 0.0)}, "singular"),
+        ({"mask": np.ones(SIZE, bool)}, r"mask has shape \(800, 760\).*\(760, 800\)"),
+    ],
+)
+def test_bad_parameters_are_named(changes, message):
+    with pytest.raises(OmnistereoError, match=message):
+        equidistant(**changes)
+
+
+def test_bad_points_and_polynomials_are_named():
+    with pytest.raises(OmnistereoError, match=r"shape \(..., 3\), got \(4, 2\)"):
+        equidistant().project(np.zeros((4, 2)))
+    with pytest.raises(OmnistereoError, match=r"shape \(..., 2\)"):
+        equidistant().unproject(torch.zeros(3))
+    with pytest.raises(OmnistereoError, match=r"reaches only .*Lower max_fov_deg"):
+        fit_inverse_polynomial([-180.0, 0.0, -1e-3], 220, 2000)
+    with pytest.raises(OmnistereoError, match="no inverse polynomial up to degree 25"):
+        fit_inverse_polynomial([-F, 0, 1 / (4 * F)], 350, 20000, tolerance=1e-6)
+
+
+def test_geometry_needs_numpy_alone():
+    """Blender's interpreter has neither torch nor OpenCV nor YAML."""
+    code = (
+        "import sys; import omnistereo_lib as o; o.OcamCamera, o.Pose, o.Rig, o.SphereGrid, o.OmnistereoError;"
+        "print([m for m in ('torch', 'cv2', 'yaml', 'scipy', 'numba', 'matplotlib', 'pyvista') if m in sys.modules])"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
