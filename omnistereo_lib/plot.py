@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from omnistereo_lib.rig import Rig
 from omnistereo_lib.sphere import SphereGrid
 
 if TYPE_CHECKING:
@@ -115,3 +116,34 @@ def draw_depth(ax: Axes, inverse_depth: NDArray, grid: SphereGrid, title: str = 
     ticks = np.array([0, 0.25, 0.5, 1]) / grid.min_depth
     bar.set_ticks(ticks, labels=["∞" if tick == 0 else f"{1 / tick:.3g} m" for tick in ticks])
     return image
+
+
+def draw_rig(ax: Axes, rig: Rig, fov_deg: float | None = None) -> None:
+    """Draw a rig from above: z up, x to the right, an arrow and a wedge of view for each camera.
+
+    Parameters
+    ----------
+    ax : Matplotlib axes
+    rig : Rig
+    fov_deg : float, optional
+        Opening of the wedges; the cameras' field of view unless given.
+    """
+    from matplotlib.patches import Wedge
+
+    reach = 1.2 * float(rig.baselines.max())
+    for i, (pose, camera) in enumerate(zip(rig.T_rig_cam, rig.cameras, strict=True)):
+        (x, _, z), (forward_x, _, forward_z) = pose.t, pose.R[:, 2]
+        color = f"C{i}"
+        half = (fov_deg or camera.max_fov_deg) / 2
+        direction = np.degrees(np.arctan2(forward_z, forward_x))
+        ax.add_patch(Wedge((x, z), reach, direction - half, direction + half, color=color, alpha=0.08))
+        ax.arrow(x, z, 0.3 * reach * forward_x, 0.3 * reach * forward_z, color=color, head_width=0.05 * reach)
+        ax.plot(x, z, "o", color=color)
+        ax.annotate(f"camera {i + 1}", (x, z), textcoords="offset points", xytext=(8, 6), color=color)
+    center = rig.centers.mean(0)
+    ax.plot(center[0], center[2], "k+", markersize=12)
+    ax.annotate("sweep centre", (center[0], center[2]), textcoords="offset points", xytext=(6, -12))
+    ax.set_aspect("equal")
+    ax.autoscale_view()
+    ax.set_xlabel("x (right) [m]")
+    ax.set_ylabel("z (forward) [m]")
