@@ -63,6 +63,8 @@ def load_rig(path: str | Path, unit: str | None = None, max_fov_deg: float | Non
     path = Path(path)
     if unit is not None and unit not in UNITS:
         raise OmnistereoError(f"unit must be one of {list(UNITS)}, got {unit!r}")
+    if max_fov_deg is not None and not 0 < max_fov_deg <= 360:
+        raise OmnistereoError(f"max_fov_deg must be in (0, 360], got {max_fov_deg}")
     if path.is_dir():
         if list(path.glob("ocam*.txt")) and not (unit is None and (path / "config.yaml").exists()):
             return _load_ocam_folder(path, unit, max_fov_deg)
@@ -119,14 +121,14 @@ def _parse(path: Path) -> Any:
     class Loader(yaml.SafeLoader):
         pass
 
-    Loader.add_constructor(
-        "tag:yaml.org,2002:opencv-matrix",
-        lambda loader, node: loader.construct_mapping(node, deep=True).get("data"),
-    )
+    for tag in ("opencv-matrix", "opencv-nd-matrix"):
+        Loader.add_constructor(
+            f"tag:yaml.org,2002:{tag}", lambda loader, node: loader.construct_mapping(node, deep=True).get("data")
+        )
     try:
         if path.suffix == ".json":
             return json.loads(text)
-        # OpenCV writes "%YAML:1.0" where YAML wants "%YAML 1.0".
+        # OpenCV before 5 writes "%YAML:1.0" where YAML wants "%YAML 1.0".
         return yaml.load(re.sub(r"\A\s*%YAML:.*", "", text), Loader)
     except (yaml.YAMLError, ValueError, TypeError, AttributeError, RecursionError) as error:
         what = str(error).replace("\n", " ") or type(error).__name__
@@ -259,7 +261,7 @@ def _load_ocam_folder(folder: Path, unit: str | None, max_fov_deg: float | None)
                 f"({', '.join(file.name for file in files)}), expected one line rx ry rz tx ty tz per camera"
             )
         scale = metres_per_unit(unit, np.stack([pose.t for pose in poses]))
-    cameras = [read_ocam_txt(file, max_fov_deg or DEFAULT_FOV_DEG) for file in files]
+    cameras = [read_ocam_txt(file, DEFAULT_FOV_DEG if max_fov_deg is None else max_fov_deg) for file in files]
     with naming(folder):
         rig = Rig(cameras, [Pose(pose.R, pose.t * scale) for pose in poses])
     return _announced(rig, folder, f"OCamCalib text files in {unit}")
@@ -283,7 +285,9 @@ def _read_omnimvs(data: dict[str, Any], path: Path, max_fov_deg: float | None) -
             fov = float(numbers(cam.get("max_fov", DEFAULT_FOV_DEG), "max_fov", 1)[0])
             mask_file = path.parent / str(cam["invalid_mask"]) if cam.get("invalid_mask") else None
             mask_file = mask_file if mask_file and mask_file.exists() else None
-            cameras.append(_ocam_camera(records, max_fov_deg or fov, f"{path}, camera {i}", mask_file))
+            cameras.append(
+                _ocam_camera(records, fov if max_fov_deg is None else max_fov_deg, f"{path}, camera {i}", mask_file)
+            )
             pose = entry(cam, "pose")
         poses.append(_pose(pose, i))
     settings = data.get("config")

@@ -53,18 +53,17 @@ def fitted_camera(
     UserWarning
         If the worst residual is above 0.1 px, as tangential distortion makes it.
     """
-    camera, residual = fit_ocam(make_lens(model, parameters), image_size, max_fov_deg, mask)
-    _log.info(
-        "%s: %s fitted by OCam, %.1f° seen, worst residual %.2g px",
-        source,
-        model,
-        camera.max_fov_deg,
-        residual,
-    )
+    try:
+        with np.errstate(all="ignore"):  # absurd parameters overflow on the way to being refused
+            camera, residual = fit_ocam(make_lens(model, parameters), image_size, max_fov_deg, mask)
+    except np.linalg.LinAlgError:
+        raise OmnistereoError(f"no camera can be made of the {model} parameters {parameters}; check them") from None
+    _log.info("%s: %s fitted by OCam, %.1f° seen, worst residual %.2g px", source, model, camera.max_fov_deg, residual)
     if residual > _RESIDUAL_TO_WARN:
         warnings.warn(
             f"{source}: the OCam polynomials are up to {residual:.2f} px away from the file's {model} lens. "
-            "Tangential distortion does this; calibrate the camera with an OCam model to be rid of it.",
+            "Tangential distortion does this, and so does a model that turns back within the field of view: lower "
+            "max_fov_deg, or calibrate the camera with an OCam model.",
             UserWarning,
             stacklevel=2,
         )
