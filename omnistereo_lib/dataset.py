@@ -133,7 +133,7 @@ def load_dataset(
     folder = Path(folder)
     if split is not None and (folder / split).is_dir():
         folder, split = folder / split, None
-    rig = Rig.load(find_rig(folder), unit)
+    rig = Rig.load(folder, unit)
     cameras = sorted(folder.glob("cam[0-9]*"), key=lambda path: int(re.sub(r"\D", "", path.name) or -1))
     cameras = [path for path in cameras if path.is_dir()]
     if len(cameras) != len(rig):
@@ -159,24 +159,6 @@ def load_dataset(
             f"{folder} holds no frames{f' of split {split}' if split else ''}: expected cam1/0001.png …"
         )
     return Dataset(folder, rig, frames)
-
-
-def find_rig(folder: Path) -> Path:
-    """Return what describes the rig of a folder: the folder itself where ocam*.txt lie in it, else the file.
-
-    Raises
-    ------
-    OmnistereoError
-        If nothing does.
-    """
-    for name in ("config.yaml", "calibration.json", "calibration.yaml", "rig.yaml"):
-        if (folder / name).is_file():
-            return folder / name
-    if list(folder.glob("ocam*.txt")):
-        return folder
-    raise OmnistereoError(
-        f"{folder} holds no rig: expected config.yaml, calibration.json, calibration.yaml, rig.yaml or ocam*.txt"
-    )
 
 
 def load_images(paths: Sequence[str | Path]) -> list[NDArray[np.uint8]]:
