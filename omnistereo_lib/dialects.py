@@ -129,7 +129,7 @@ def _parse(path: Path) -> Any:
         if path.suffix == ".json":
             return json.loads(text)
         # OpenCV before 5 writes "%YAML:1.0" where YAML wants "%YAML 1.0".
-        return yaml.load(re.sub(r"\A\s*%YAML:.*", "", text), Loader)
+        return Loader(re.sub(r"\A\s*%YAML:.*", "", text)).get_single_data()
     except (yaml.YAMLError, ValueError, TypeError, AttributeError, RecursionError) as error:
         what = str(error).replace("\n", " ") or type(error).__name__
         raise OmnistereoError(f"neither sound JSON nor sound YAML ({what}); is it cut short? {KNOWN}") from None
