@@ -11,21 +11,28 @@ P1 is the price of one step in n (a slanted surface), P2 that of any jump (an ed
 side as C(p, n) + M(n), where M is the *message* from p−r: 0 at the best sphere, never above P2. A path starts
 with M = 0, "nothing known".
 
-One pass from the top takes the paths → ↓ ↘ ↙ together, one from the bottom ← ↑ ↖ ↗, so C is read twice and
-no L_r is ever stored whole. A message belongs to a scanline, not to a pixel: each vertical or diagonal line
-has its slot, (x − y) mod W for ↘, which the next row updates in place. The slots of one row's pixels are all
-different, which is why threads may share out its columns. Besides C and S that takes 3 W N floats, and W N
-for each thread (2.8 and 0.9 MB at 1200×300×192).
+Rows are run first, each with its two paths. Then one pass from the top takes ↓ ↘ ↙ and one from the bottom
+↑ ↗ ↖; no L_r is ever stored whole. A message belongs to a scanline, not to a pixel: each vertical or diagonal
+line has its slot, (x − y) mod W for ↘, which the next row updates in place (6 W N floats for both passes, 5.5 MB
+at 1200×300×192).
+
+Threads share that work without ever touching the same number at the same time. The two passes start from
+opposite ends and run at once, a band of rows each. A band is cut into strips of columns, and because a path
+moves by at most one column per row, the part of a strip that narrows by one column on either side from row to
+row needs nothing from its neighbours: first all these trapezoids, then the triangles left between them. They
+also keep what a thread works on in its cache.
 """
 
 import math
-import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from typing import Any
 
 import numba
 import numpy as np
 import torch
-from numba import njit, prange
+from numba import njit
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 from torch import Tensor
@@ -35,7 +42,7 @@ from omnistereo_lib.errors import OmnistereoError
 
 MAX_LAPS = 64
 INFINITY = np.float32(np.inf)
-_LOCK = threading.Lock()  # Numba's built-in thread pool ends the process when two Python threads enter it
+STRIP = 128  # columns
 
 
 def sgm(volume: Tensor | np.ndarray, p1: float = 0.1, p2: float = 12.0, paths: int = 8, wrap: bool = True) -> Tensor:
@@ -50,11 +57,12 @@ def sgm(volume: Tensor | np.ndarray, p1: float = 0.1, p2: float = 12.0, paths: i
     paths : int
         4 (along rows and columns) or 8 (diagonals too).
     wrap : bool
-        True: column 0 follows column W−1. Diagonals go on across the seam; a row, which then has no first
-        pixel, is run in laps from column 0 (leftward: W−1), each from the message that the lap before it
-        ended with, until a lap changes nothing. Images take 2 or 3 laps, the later ones mostly short; rows
-        with hardly any texture may need about P2 / (gap between best and second best cost), and stop after
-        ``MAX_LAPS``. False: the textbook's flat image.
+        True: column 0 follows column W−1. Diagonals go on across the seam. A row then has no first pixel: it
+        is run in laps, from column 0 (leftward: W−1) with M = 0, each lap from the message that the one before
+        it ended with, until a lap changes nothing. Images take two or three laps, and the later ones end early.
+        The laps stop after ``MAX_LAPS``: a row with hardly any texture may take P2 / (gap between the best and
+        the next cost) of them, and one of a few pixels may alternate for ever, when the best way to close the
+        circle is to run round it twice. False: the textbook's flat image.
 
     Returns
     -------
@@ -82,11 +90,7 @@ def sgm(volume: Tensor | np.ndarray, p1: float = 0.1, p2: float = 12.0, paths: i
         infinite = bool(volume.isinf().any())
         total = volume if infinite else _sgm_torch(volume, p1, p2, paths, wrap)
     else:
-        threads = min(torch.get_num_threads(), numba.config.NUMBA_NUM_THREADS)
-        result = np.empty(volume.shape, np.float32)  # NumPy asks for huge pages, torch does not
-        with _LOCK:
-            infinite = _sgm_numba(volume.numpy(), result, np.float32(p1), np.float32(p2), paths == 8, wrap, threads)
-        total = torch.from_numpy(result)
+        total, infinite = _sgm_numba(volume.numpy(), np.float32(p1), np.float32(p2), paths == 8, wrap)
     if infinite:
         raise OmnistereoError("sgm: the volume has infinite costs; mark cells that nothing sees with NaN")
     return total
@@ -104,6 +108,38 @@ def _check(volume: Tensor, p1: float, p2: float, paths: int) -> None:
 
 
 # ---- CPU. One pixel at a time; the loops over n are the ones that the compiler turns into vector code.
+
+
+def _sgm_numba(cost: NDArray, p1: float, p2: float, diagonals: bool, wrap: bool) -> tuple[Tensor, bool]:
+    """Return S, and whether a cost is infinite."""
+    H, W, N = cost.shape
+    total = np.empty_like(cost)  # NumPy asks for huge pages, torch does not
+    messages = np.zeros((2, 3, W, N), np.float32)
+    with ThreadPoolExecutor(torch.get_num_threads()) as pool:
+
+        def rows(y: int) -> bool:
+            return _scan_rows(cost[y : y + 4], total[y : y + 4], wrap, p1, p2)
+
+        infinite = any(list(pool.map(rows, range(0, H, 4))))
+
+        def tile(area: tuple) -> None:
+            _advance(cost, total, messages, *area, diagonals, wrap, p1, p2)
+
+        for areas in _tiles(H, W):
+            list(pool.map(tile, areas))
+    return torch.from_numpy(total), infinite
+
+
+def _tiles(H: int, W: int) -> Iterator[list[tuple]]:
+    """Yield lists of tiles that may be worked on at the same time, as (up, top, bottom, first, last, slope)."""
+    strips = max(1, W // STRIP)
+    columns = [W * i // strips for i in range(strips + 1)]
+    depth = max(1, W // strips // 2)  # a trapezoid that narrows from both sides ends there
+    bands = 2 * math.ceil(H / depth / 2)  # even, so that the passes meet between two bands
+    rows = list(pairwise(H * i // bands for i in range(bands + 1)))
+    for down, up in zip(rows, reversed(rows), strict=True):
+        yield [(*band, first, last, 1) for band in ((False, *down), (True, *up)) for first, last in pairwise(columns)]
+        yield [(*band, last, last, -1) for band in ((False, *down), (True, *up)) for last in columns[1:]]
 
 
 @intrinsic
@@ -145,98 +181,83 @@ def _send(path: NDArray, lowest: float, p1: float, p2: float, message: NDArray) 
 def _replace(path: NDArray, kept: NDArray) -> bool:
     """Copy path to kept; return whether that changed anything."""
     changed = False
-    for n in range(path.size):
-        changed |= path[n] != kept[n]
-        kept[n] = path[n]
+    for n in range(kept.size):
+        changed |= path[n + 1] != kept[n]
+        kept[n] = path[n + 1]
     return changed
 
 
 @njit
-def _scan_row(cost: NDArray, kept: NDArray, backward: bool, wrap: bool, p1: float, p2: float) -> None:
-    """Horizontal path along one row, into kept (W, N + 2), in laps until nothing changes."""
+def _scan_row(cost: NDArray, kept: NDArray, leftward: bool, wrap: bool, p1: float, p2: float) -> None:
+    """Write the L of one path along one row to kept (W, N), in laps until nothing changes."""
     W, N = cost.shape
     message = np.zeros(N, np.float32)
     path = np.full(N + 2, INFINITY)
     for lap in range(MAX_LAPS if wrap else 1):
         for i in range(W):
-            x = W - 1 - i if backward else i
+            x = W - 1 - i if leftward else i
             lowest = _extend(cost[x], message, path)
             if not _replace(path, kept[x]) and lap > 0:
                 return  # so is all that follows
             _send(path, lowest, p1, p2, message)
 
 
-@njit
-def _add_up(cost: NDArray, row: NDArray, paths: NDArray, total: NDArray, first: bool) -> None:
-    """Add one pixel's four paths to S."""
-    for n in range(total.size):
-        before = cost[n] - cost[n] if first else total[n]  # 0, but NaN where C is, and that stays
-        total[n] = before + (row[n + 1] + paths[0, n + 1]) + (paths[1, n + 1] + paths[2, n + 1])
+@njit(nogil=True, cache=True)
+def _scan_rows(cost: NDArray, total: NDArray, wrap: bool, p1: float, p2: float) -> bool:
+    """Write the sum of the two paths along rows to total; return whether a cost is infinite."""
+    infinite = False
+    leftward = np.empty(cost.shape[1:], np.float32)
+    for y in range(len(cost)):
+        _scan_row(cost[y], total[y], False, wrap, p1, p2)
+        _scan_row(cost[y], leftward, True, wrap, p1, p2)
+        for x in range(len(leftward)):
+            for n in range(leftward.shape[1]):
+                c = cost[y, x, n]
+                infinite |= abs(c) == INFINITY
+                total[y, x, n] += leftward[x, n] + (c - c)  # NaN where C is, and that stays
+    return infinite
 
 
-@njit
+@njit(nogil=True, cache=True)
 def _advance(
     cost: NDArray,
-    row: NDArray,
-    messages: NDArray,
     total: NDArray,
-    columns: tuple[int, int],
-    step: int,
-    first: bool,
+    messages: NDArray,
+    up: bool,
+    top: int,
+    bottom: int,
+    first: int,
+    last: int,
+    slope: int,
     diagonals: bool,
     wrap: bool,
     p1: float,
     p2: float,
 ) -> None:
-    """Take the vertical and diagonal paths into a row, the step-th of its pass, for some of its columns."""
-    W, N = cost.shape
+    """Add the three paths of a pass to total, in the columns first + slope j ... last − slope j of a band's row j."""
+    H, W, N = cost.shape
     paths = np.zeros((3, N + 2), np.float32)
     for k in range(3):
         paths[k, 0] = paths[k, N + 1] = INFINITY
-    for x in range(columns[0], columns[1]):
-        for k in range(3 if diagonals else 1):  # k = 0: straight on, 1: rightward, 2: leftward
-            line = (x + (0, -step, step)[k]) % W
-            message = messages[k, line]
-            if not wrap and ((k == 1 and x == 0) or (k == 2 and x == W - 1)):
-                message.fill(0)
-            lowest = _extend(cost[x], message, paths[k])
-            _send(paths[k], lowest, p1, p2, message)
-        _add_up(cost[x], row[x], paths, total[x], first)
+    for j in range(bottom - top):
+        y = bottom - 1 - j if up else top + j
+        step = H - 1 - y if up else y
+        for column in range(first + slope * j, last - slope * j):
+            x = column % W
+            for k in range(3 if diagonals else 1):  # 0: straight on, 1: to the right, 2: to the left
+                line = (x + (0, -step, step)[k]) % W
+                message = messages[int(up), k, line]
+                if not wrap and ((k == 1 and x == 0) or (k == 2 and x == W - 1)):
+                    message.fill(0)
+                lowest = _extend(cost[y, x], message, paths[k])
+                _send(paths[k], lowest, p1, p2, message)
+            _add(paths, total[y, x])
 
 
 @njit
-def _has_infinity(cost: NDArray) -> bool:
-    found = False
-    for x in range(cost.shape[0]):
-        for n in range(cost.shape[1]):
-            found |= abs(cost[x, n]) == INFINITY
-    return found
-
-
-@njit(parallel=True, cache=True)
-def _sgm_numba(
-    volume: NDArray, total: NDArray, p1: float, p2: float, diagonals: bool, wrap: bool, threads: int
-) -> bool:
-    """Write S to total; return whether a cost is infinite. Each thread scans a row, then a part of all these rows."""
-    H, W, N = volume.shape
-    infinite = np.zeros(H, np.bool_)
-    rows = np.full((threads, W, N + 2), INFINITY)
-    for up in range(2):
-        messages = np.zeros((3, W, N), np.float32)
-        for start in range(0, H, threads):
-            count = min(threads, H - start)
-            for k in prange(count):
-                y = H - 1 - start - k if up else start + k
-                if not up:
-                    infinite[y] = _has_infinity(volume[y])
-                _scan_row(volume[y], rows[k], up, wrap, p1, p2)
-            for k in range(count):
-                step = start + k
-                y = H - 1 - step if up else step
-                for t in prange(threads):
-                    columns = (W * t // threads, W * (t + 1) // threads)
-                    _advance(volume[y], rows[k], messages, total[y], columns, step, not up, diagonals, wrap, p1, p2)
-    return infinite.any()
+def _add(paths: NDArray, total: NDArray) -> None:
+    for n in range(total.size):
+        total[n] += paths[0, n + 1] + paths[1, n + 1] + paths[2, n + 1]
 
 
 # ---- Any device: whole rows and columns at once, the panorama and its half turn side by side.

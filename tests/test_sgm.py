@@ -1,18 +1,16 @@
 """SGM against a float64 version that follows the printed recurrence, against libsgm, and its own laws."""
 
-import os
-import subprocess
-import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 import torch
 from c_libsgm import sgm_api
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.sgm import MAX_LAPS, _sgm_torch, sgm
+from omnistereo_lib.sgm import MAX_LAPS, _sgm_torch, _tiles, sgm
 
 STRAIGHT = [(0, 1), (1, 0), (0, -1), (-1, 0)]  # (row, column)
 ALL = [(0, 1), (1, 0), (1, 1), (1, -1), (0, -1), (-1, 0), (-1, -1), (-1, 1)]  # in the order that libsgm needs
@@ -36,7 +34,7 @@ def follow(cost, before, p1, p2):
     return cost + np.minimum(np.minimum(before, steps), before.min() + p2) - before.min()
 
 
-def brute_force(volume, p1, p2, paths=8, wrap=True):
+def brute_force(volume, p1, p2, paths=8, wrap=True, laps=MAX_LAPS):
     """Every L_r stored whole, pixel by pixel. Unknown cells hold a large cost meanwhile (Pandora's rule)."""
     unknown = np.isnan(volume)
     largest = 0.0 if unknown.all() else float(np.nanmax(volume))
@@ -45,7 +43,7 @@ def brute_force(volume, p1, p2, paths=8, wrap=True):
     total = np.zeros_like(cost)
     for dy, dx in STRAIGHT if paths == 4 else ALL:
         L = np.full_like(cost, np.nan)
-        for _ in range(MAX_LAPS if wrap and dy == 0 else 1):
+        for _ in range(laps if wrap and dy == 0 else 1):
             last_lap = L.copy()
             for y in range(H)[:: dy or 1]:
                 for x in range(W)[:: dx or 1]:
@@ -85,7 +83,7 @@ def test_flat_image_agrees_with_libsgm(paths, p1, p2):
 
 
 def test_fast_and_torch_versions_agree_at_teaching_width():
-    volume = torch.from_numpy(noise((6, 320, 64), unknown=0.1))
+    volume = torch.from_numpy(noise((80, 320, 16), unknown=0.1))
     for wrap in (True, False):
         np.testing.assert_allclose(sgm(volume, wrap=wrap), _sgm_torch(volume, 0.1, 12.0, 8, wrap), atol=1e-5)
 
@@ -111,12 +109,26 @@ def test_cost_and_penalties_scale_together(shape, seed, scale):
     np.testing.assert_allclose(scaled / scale, sgm(volume, 0.1, 2.0), atol=5e-5)
 
 
+def settles(volume, p1, p2):
+    laps = [brute_force(volume, p1, p2, 4, True, laps) for laps in (MAX_LAPS - 1, MAX_LAPS)]
+    return np.allclose(*laps, rtol=0, atol=1e-9, equal_nan=True)
+
+
 @given(shape=shapes, seed=seeds, turn=st.integers(1, 13))
 @settings(deadline=None, max_examples=40)
 def test_a_turned_panorama_gives_the_turned_result(shape, seed, turn):
     volume = noise(shape, seed, 0.1)
+    assume(settles(volume, 0.1, 1.0))
     turned = sgm(np.roll(volume, turn, axis=1), 0.1, 1.0)
     np.testing.assert_allclose(turned, np.roll(sgm(volume, 0.1, 1.0), turn, axis=1), atol=5e-5)
+
+
+def test_a_row_that_alternates_for_ever_stops_after_the_last_lap():
+    volume = noise((5, 13, 11), seed=431, unknown=0.1)
+    assert not settles(volume, 0.1, 1.0)
+    expected = brute_force(volume, 0.1, 1.0)
+    np.testing.assert_allclose(sgm(volume, 0.1, 1.0), expected, atol=1e-5)
+    np.testing.assert_allclose(_sgm_torch(torch.from_numpy(volume), 0.1, 1.0, 8, True), expected, atol=1e-5)
 
 
 @given(shape=shapes, seed=seeds, wrap=st.booleans())
@@ -174,7 +186,7 @@ def test_one_opinion_comes_round_lap_by_lap(sgm, gap, message):
 
 
 def test_results_do_not_depend_on_threads_or_repetition():
-    volume = noise((23, 41, 19), unknown=0.1)
+    volume = noise((43, 300, 19), unknown=0.1)
     threads = torch.get_num_threads()
     results = []
     try:
@@ -187,18 +199,30 @@ def test_results_do_not_depend_on_threads_or_repetition():
         np.testing.assert_array_equal(result, results[0])
 
 
-def test_several_python_threads_may_call_at_once():
-    """In a process of its own with Numba's built-in pool, which ends the process on a second entry."""
-    script = """
-import threading, numpy, torch
-from omnistereo_lib.sgm import sgm
-volume = torch.rand(8, 64, 32)
-expected, results = sgm(volume), []
-workers = [threading.Thread(target=lambda: results.extend(sgm(volume) for _ in range(20))) for _ in range(4)]
-[w.start() for w in workers], [w.join() for w in workers]
-assert len(results) == 80 and all(torch.equal(r, expected) for r in results)
-"""
-    subprocess.run([sys.executable, "-c", script], check=True, env={**os.environ, "NUMBA_THREADING_LAYER": "workqueue"})
+def test_several_threads_may_call_at_once():
+    volume = noise((8, 64, 32))
+    expected = sgm(volume)
+    with ThreadPoolExecutor(4) as pool:
+        assert all(torch.equal(result, expected) for result in pool.map(sgm, [volume] * 40))
+
+
+def test_tiles_visit_every_cell_once_and_never_meet():
+    """Also the scanlines' slots: no two tiles of one round share one."""
+    for H, W in [(1, 1), (7, 2), (9, 3), (300, 1200), (31, 257), (64, 513)]:
+        visits = {False: np.zeros((H, W), int), True: np.zeros((H, W), int)}
+        for tiles in _tiles(H, W):
+            owner = {}
+            for number, (up, top, bottom, first, last, slope) in enumerate(tiles):
+                for j in range(bottom - top):
+                    y = bottom - 1 - j if up else top + j
+                    step = H - 1 - y if up else y
+                    columns = np.arange(first + slope * j, last - slope * j) % W
+                    np.add.at(visits[up][y], columns, 1)
+                    for x in columns:
+                        slots = [("S", y, x), (up, 0, x), (up, 1, (x - step) % W), (up, 2, (x + step) % W)]
+                        assert all(owner.setdefault(slot, number) == number for slot in slots)
+        assert (visits[False] == 1).all()
+        assert (visits[True] == 1).all()
 
 
 def test_input_is_left_alone_and_may_be_any_float_array():
