@@ -6,7 +6,9 @@ package is quick and Blender's interpreter, which has no torch, can use the geom
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
+from types import ModuleType
 from typing import Any
 
 _HOME = {
@@ -44,3 +46,18 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return __all__
+
+
+class _Face(ModuleType):
+    """The package as a module whose functions `sgm` and `doctor` are not replaced by the modules of those names.
+
+    Python binds every imported submodule to its package, so that `osl.sgm` would be the function or the module
+    depending on what was imported before.
+    """
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not (name in _HOME and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Face
