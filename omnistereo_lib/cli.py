@@ -5,24 +5,37 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.render import add_arguments as add_render_arguments
 from omnistereo_lib.render import main as render
 
+if TYPE_CHECKING:
+    from omnistereo_lib.rig import Rig
+    from omnistereo_lib.sphere import SphereGrid
+
 _SAMPLE = Path(__file__).resolve().parents[1] / "data_samples" / "sunny"
+_NEAR = 0.5  # metres: something in most pictures is nearer than a few times this
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb; return the process's exit status. Bad input is one plain line, never a traceback."""
     options = _parser().parse_args(arguments)
     try:
-        return options.verb(options) or 0
+        with warnings.catch_warnings():
+            warnings.showwarning = _print_warning
+            return options.verb(options) or 0
     except OmnistereoError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+
+
+def _print_warning(message: Warning | str, *_: object) -> None:
+    print(f"warning: {message}", file=sys.stderr)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -41,7 +54,7 @@ def _parser() -> argparse.ArgumentParser:
     verb = verbs.add_parser("doctor", help="is everything in place? With --rig: does the rig fit the images?")
     verb.set_defaults(verb=doctor)
     _add_input(verb)
-    _add_grid(verb, width=320, height=80, spheres=32)
+    _add_grid(verb, width=320, height=80, spheres=64)
 
     verb = verbs.add_parser("bench", help="time the library against named alternatives, as ratios")
     verb.set_defaults(verb=bench)
@@ -70,6 +83,7 @@ def _add_grid(verb: argparse.ArgumentParser, width: int, height: int, spheres: i
 
 def depth(options: argparse.Namespace) -> None:
     """Estimate depth for one frame and write picture, panorama, point cloud and errors."""
+    import numpy as np
     from tqdm import tqdm
 
     from omnistereo_lib import files, view3d
@@ -78,25 +92,28 @@ def depth(options: argparse.Namespace) -> None:
     from omnistereo_lib.pipeline import estimate_depth
     from omnistereo_lib.plot import depth_picture
 
-    rig, images, truth = _read_input(options)
+    rig, images, frame = _read_input(options)
     grid = _grid(options, rig)
-    out = files.make_folder(options.out)
+    out = files.make_folder(options.out)  # now: nobody wants to hear after minutes that it cannot be
     result = estimate_depth(
         rig, images, grid, options.cost, pairs=options.pairs, device=options.device,
         progress=lambda blocks: tqdm(blocks, desc="sweep", unit="block"),
     )  # fmt: skip
     files.write_image(out / "inverse_depth.png", depth_picture(result.inverse_depth, grid))
-    files.write_image(out / "panorama.jpg", result.panorama(images))
+    files.write_image(out / "panorama.jpg", np.nan_to_num(result.panorama(images)).round().astype(np.uint8))
     write_inverse_depth(out / "inverse_depth.tiff", result.inverse_depth)
     points, colors = result.point_cloud(images, max_depth=30 * grid.min_depth)
     view3d.write_ply(out / "points.ply", points, colors)
     print(f"{result.valid.mean():.1%} of the rays have a depth; {len(points)} points")
-    if truth is not None:
-        errors = index_error(result.index, truth.gt_index(grid), grid.num_spheres)
+    written = ["inverse_depth.png", "panorama.jpg", "inverse_depth.tiff", "points.ply"]
+    (out / "errors.json").unlink(missing_ok=True)  # of another frame
+    if frame is not None:
+        errors = index_error(result.index, frame.gt_index(grid), grid.num_spheres)
         with files.replacing(out / "errors.json") as temporary:
             temporary.write_text(json.dumps(errors, indent=1) + "\n")
         print("errors in % of the range swept: " + ", ".join(f"{name} {value:.2f}" for name, value in errors.items()))
-    print(f"written to {out}/: " + ", ".join(sorted(path.name for path in out.iterdir())))
+        written.append("errors.json")
+    print(f"written to {out}/: {', '.join(written)}")
 
 
 def doctor(options: argparse.Namespace) -> int:
@@ -108,11 +125,15 @@ def doctor(options: argparse.Namespace) -> int:
     from omnistereo_lib.health import check_rig, verdict
 
     rig, images, _ = _read_input(options)
-    readings = check_rig(rig, images, _grid(options, rig))
+    low, high = rig.baselines.min(), rig.baselines.max()
+    print(f"{len(rig)} cameras, {low:.3g} … {high:.3g} m apart: is that so?")
+    # Not a depth that comes from the baselines: it would be wrong by the same factor as they are.
+    readings = check_rig(rig, images, _grid(options, rig, _NEAR))
     for reading in readings[:4]:
         print(f"{reading.cost:.3f}  {reading.name}")
-    print(verdict(readings))
-    return 0 if verdict(readings).startswith("OK") else 1
+    fits, sentence = verdict(readings)
+    print(f"{'OK  ' if fits else 'FAIL'}  {sentence}")
+    return 0 if fits else 1
 
 
 def bench(options: argparse.Namespace) -> None:
@@ -127,7 +148,7 @@ def _read_input(options: argparse.Namespace) -> tuple:
     from omnistereo_lib.dataset import load_dataset, load_images
     from omnistereo_lib.rig import Rig
 
-    if options.images:
+    if options.images is not None:
         if options.rig is None:
             raise OmnistereoError("--images needs --rig: the file or folder that describes the cameras")
         return Rig.load(options.rig, options.unit), load_images(options.images), None
@@ -141,11 +162,12 @@ def _read_input(options: argparse.Namespace) -> tuple:
     return data.rig, frame.images, frame if frame.truth_path else None
 
 
-def _grid(options: argparse.Namespace, rig: object) -> object:
-    """Return the grid asked for; without a depth from the file or the user, twice the nearest baseline."""
+def _grid(options: argparse.Namespace, rig: Rig, default: float | None = None) -> SphereGrid:
+    """Return the grid asked for. Its nearest depth: the user's, the rig file's, the default, twice a baseline."""
     from omnistereo_lib.sphere import SphereGrid
 
-    min_depth = options.min_depth or rig.min_depth
+    proposals = (options.min_depth, rig.min_depth, default)
+    min_depth = next((depth for depth in proposals if depth is not None), None)
     if min_depth is None:
         min_depth = 2 * float(rig.baselines.min())
         print(f"the rig's file proposes no nearest depth: taking twice the shortest baseline, {min_depth:.2f} m")

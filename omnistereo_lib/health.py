@@ -1,26 +1,31 @@
 """Does this rig fit these images? Tries the usual mistakes and says which one would explain them better.
 
-The judge is the cost that the best sphere reaches: around 0.1 where the geometry is right, around 0.3 where the
+The judge is the cost that the best sphere reaches: below 0.1 where the geometry is right, 0.3 and more where the
 images are compared at places that have nothing to do with each other.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 
+import cv2
 import torch
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from omnistereo_lib.camera import OcamCamera
 from omnistereo_lib.pose import Pose
 from omnistereo_lib.rig import Rig
 from omnistereo_lib.sphere import SphereGrid
 from omnistereo_lib.sweep import SphereSweep, check_images
-from omnistereo_lib.volume import cost_volume
+from omnistereo_lib.volume import camera_pairs, cost_volume
 
-_BETTER = 0.75  # a mistake is reported when undoing it brings the cost below this share
-_SCALES = {1000.0: "mm", 100.0: "cm", 10.0: "dm"}  # how many times too long metres are that were these
+_BETTER = 0.75  # a mistake is reported when undoing it brings the cost below this share,
+_NOISE = 0.01  # and by more than this
+_HOPELESS = 0.25  # a median cost above this means that nothing tried fits
+_NO_VIEW = 0.5  # what a patch without texture costs: nothing speaks for a match, nothing against it
+_UNITS = {1000: ("mm", "m"), 100: ("cm", "m"), 10: ("mm", "cm")}  # by what factor one is shorter than the other
 
 
 @dataclass(frozen=True)
@@ -39,56 +44,67 @@ class Reading:
     cost: float
 
 
-def matching_cost(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid) -> float:
-    """Return the median over all rays of the winner's raw ZNCC cost, in [0, 1]; 0.5 where nothing is seen."""
-    volume = cost_volume(SphereSweep(rig, grid), images)
-    lowest = torch.where(volume.isnan(), torch.inf, volume).amin(-1)
-    return float(lowest[lowest.isfinite()].median())
-
-
 def check_rig(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid) -> list[Reading]:
     """Match the images with the rig as it is and with each usual mistake undone.
+
+    The images are first made as small as the panorama, without which their fine detail is noise.
+
+    Images alone do not tell how long a metre is: a rig that is too large sees the same things further away. What
+    tells it is `min_depth`, the nearest thing in metres, and the number of spheres, whose steps are too wide for
+    such a rig; more spheres tell it less clearly, fewer suspect a right rig in a wide place.
 
     Parameters
     ----------
     rig : Rig
     images : one array per camera
     grid : SphereGrid
-        A small one will do, such as 320 × 80 with 32 spheres; its min_depth must suit the scene.
+        A small one, such as 320 × 80 with 64 spheres.
 
     Returns
     -------
     list of Reading
         The rig as given first, then the others from the best on. `verdict` puts it into words.
+
+    Raises
+    ------
+    OmnistereoError
+        If the images do not fit the cameras.
     """
-    images = check_images(images, rig)
-    given = Reading("as given", matching_cost(rig, images, grid))
-    others = [Reading(name, matching_cost(other, pictures, grid)) for name, other, pictures in _mistakes(rig, images)]
+    rig, images = _shrunk(rig, check_images(images, rig), grid)
+    sweep = SphereSweep(rig, grid)
+    others = [Reading(name, matching_cost(SphereSweep(other, grid), images)) for name, other in _other_poses(rig, grid)]
+    for order in _other_orders(images):
+        name = f"the images look swapped (give them in the order {' '.join(str(i + 1) for i in order)})"
+        others.append(Reading(name, matching_cost(sweep, [images[i] for i in order])))
+    given = Reading("as given", matching_cost(sweep, images))
     return [given, *sorted(others, key=lambda reading: reading.cost)]
 
 
-def verdict(readings: list[Reading]) -> str:
-    """Return one sentence on what `check_rig` found."""
+def matching_cost(sweep: SphereSweep, images: Sequence[ArrayLike]) -> float:
+    """Return the median over all rays of the winner's raw ZNCC cost, in [0, 1]; 0.5 where no cameras share a view."""
+    seen = [sweep.pixels(camera, 0)[1] for camera in range(len(sweep.rig))]
+    if not any((seen[i] & seen[j]).any() for i, j in camera_pairs("ring", sweep.rig)):
+        return _NO_VIEW
+    volume = cost_volume(sweep, images)
+    lowest = torch.where(volume.isnan(), torch.inf, volume).amin(-1)
+    return float(lowest[lowest.isfinite()].median())
+
+
+def verdict(readings: list[Reading]) -> tuple[bool, str]:
+    """Return whether the rig is right, and a sentence on what `check_rig` found."""
     given, best = readings[0], readings[1]
-    if best.cost < _BETTER * given.cost:
-        return (
-            f"FAIL  {best.name}: the median matching cost would fall from {given.cost:.3f} to {best.cost:.3f}. "
-            "Mend the file and check again"
+    if best.cost < min(_BETTER * given.cost, given.cost - _NOISE):
+        change = f"the median matching cost would fall from {given.cost:.3f} to {best.cost:.3f}"
+        return False, f"{best.name}: {change}. Mend the file and check again"
+    if given.cost > _HOPELESS:
+        return False, (
+            f"neither the rig as given nor any usual mistake explains the images: the median matching cost is "
+            f"{given.cost:.3f}, below 0.1 is usual. Are they of one moment, and the calibration of these cameras?"
         )
-    return (
-        f"OK    the rig fits the images: median matching cost {given.cost:.3f}, the next best reading {best.cost:.3f}"
+    return True, (
+        f"the rig fits the images: the median matching cost is {given.cost:.3f}, "
+        f"that of the next best reading {best.cost:.3f}"
     )
-
-
-def _mistakes(rig: Rig, images: list) -> Iterator[tuple[str, Rig, list]]:
-    """Yield (what is wrong, the rig mended, the images in the mended order) for every mistake tried."""
-    yield "the poses look inverted (rig → camera instead of camera → rig)", inverted(rig), images
-    for scale, unit in _SCALES.items():
-        yield f"the translations look like {unit}, not metres", scaled(rig, 1 / scale), images
-        yield f"the translations look {scale:.0f} times too short", scaled(rig, scale), images
-    for order in _orders(rig, images):
-        names = " ".join(str(i + 1) for i in order)
-        yield f"the images look swapped: cameras 1 2 3 … took images {names}", rig, [images[i] for i in order]
 
 
 def inverted(rig: Rig) -> Rig:
@@ -101,13 +117,23 @@ def scaled(rig: Rig, factor: float) -> Rig:
     return rig.with_poses([Pose(pose.R, factor * pose.t) for pose in rig.T_rig_cam])
 
 
-def _orders(rig: Rig, images: list) -> Iterator[tuple[int, ...]]:
+def _other_poses(rig: Rig, grid: SphereGrid) -> Iterator[tuple[str, Rig]]:
+    """Yield (what is wrong with the poses, the rig with that undone)."""
+    yield "the poses look inverted (rig → camera instead of camera → rig)", inverted(rig)
+    for factor, (small, large) in _UNITS.items():
+        far = f"or nothing is nearer than {factor * grid.min_depth:g} m (then raise min_depth)"
+        yield (
+            f"the translations look {factor} times too long ({small} read as {large}?), {far}",
+            scaled(rig, 1 / factor),
+        )
+        yield f"the translations look {factor} times too short ({large} read as {small}?)", scaled(rig, factor)
+
+
+def _other_orders(images: list[NDArray]) -> Iterator[tuple[int, ...]]:
     """Yield the orders of the images other than the given one: all up to four cameras, else swaps of two."""
-    n = len(rig)
-    same = tuple(range(n))
+    n = len(images)
     for order in permutations(range(n)) if n <= 4 else _swaps(n):
-        fits = all(images[i].shape == image.shape for i, image in zip(order, images, strict=True))
-        if order != same and fits:
+        if order != tuple(range(n)) and all(images[i].shape == images[k].shape for k, i in enumerate(order)):
             yield order
 
 
@@ -117,3 +143,33 @@ def _swaps(n: int) -> Iterator[tuple[int, ...]]:
             order = list(range(n))
             order[i], order[j] = j, i
             yield tuple(order)
+
+
+def _shrunk(rig: Rig, images: list[NDArray], grid: SphereGrid) -> tuple[Rig, list[NDArray]]:
+    """Return cameras and images with about one pixel for each of the panorama's."""
+    cameras, pictures = [], []
+    for camera, image in zip(rig.cameras, images, strict=True):
+        factor = max(1, round(camera.image_size[0] / camera.max_fov_deg / (grid.width / 360)))
+        camera = _shrunk_camera(camera, factor)
+        width, height = camera.image_size
+        image = image[: height * factor, : width * factor]
+        cameras.append(camera)
+        pictures.append(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA))
+    return Rig(cameras, rig.T_rig_cam), pictures
+
+
+def _shrunk_camera(camera: OcamCamera, factor: int) -> OcamCamera:
+    """Return the camera of images whose squares of factor × factor pixels were averaged to one."""
+    width, height = (size // factor for size in camera.image_size)
+    mask = camera.mask
+    if mask is not None:
+        squares = mask[: height * factor, : width * factor].reshape(height, factor, width, factor)
+        mask = squares.all((1, 3))
+    return replace(
+        camera,
+        poly=[a * float(factor) ** (k - 1) for k, a in enumerate(camera.poly)],  # f(r) = factor f'(r / factor)
+        inv_poly=camera.inv_poly / factor,
+        center=tuple((c + 0.5) / factor - 0.5 for c in camera.center),
+        image_size=(width, height),
+        mask=mask,
+    )
