@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import read_bytes, read_image
+from omnistereo_lib.files import read_bytes, read_image, read_pixels, replacing
 from omnistereo_lib.rig import Rig, Unit
 from omnistereo_lib.sphere import SphereGrid
 
@@ -76,16 +76,18 @@ class Frame:
     def gt_index(self, grid: SphereGrid) -> NDArray[np.float64]:
         """Return the ground-truth sphere index n̂ on a grid, not rounded; NaN where it is unknown.
 
-        The ground truth covers the grid's range of φ and has its pixel rule; another size is looked up at the
-        nearest ray, since a mean over a depth edge is no depth.
+        As in all published sets, the ground truth's pixels are square and its middle is the horizon: 640 × 160
+        reaches from -45° to 45°. Its half-pixel rule is the grid's. It is looked up at the nearest ray, since a
+        mean over a depth edge is no depth.
         """
         truth = self.inverse_depth
-        if truth.shape != grid.shape:
-            height, width = truth.shape
-            truth_grid = SphereGrid(width, height, grid.phi_deg, sampling=grid.sampling)
-            nearest = np.rint(truth_grid.pixel(grid.rays())[0]).astype(int)
-            truth = truth[np.clip(nearest[..., 1], 0, height - 1), nearest[..., 0] % width]
-        return grid.inverse_depth_to_index(truth)
+        height, width = truth.shape
+        highest = 180.0 * height / width
+        truth_grid = SphereGrid(width, height, (-highest, highest), sampling=grid.sampling)
+        nearest, inside = truth_grid.pixel(grid.rays())
+        column, row = np.rint(nearest).astype(int).reshape(-1, 2).T
+        found = truth[row.clip(0, height - 1), column % width].reshape(grid.shape)
+        return grid.inverse_depth_to_index(np.where(inside, found, np.nan))
 
 
 class Dataset(Sequence[Frame]):
@@ -97,8 +99,10 @@ class Dataset(Sequence[Frame]):
     def __len__(self) -> int:
         return len(self._frames)
 
-    def __getitem__(self, i: int) -> Frame:
-        return self._frames[i]
+    def __getitem__(self, i: int | slice) -> Frame | Dataset:
+        if isinstance(i, slice):
+            return Dataset(self.folder, self.rig, self._frames[i])
+        return replace(self._frames[i])  # a new one, so that what it has read goes when it goes
 
     def __repr__(self) -> str:
         with_truth = sum(frame.truth_path is not None for frame in self._frames)
@@ -186,8 +190,6 @@ def write_inverse_depth(path: str | Path, inverse_depth: NDArray) -> None:
     """Write a panorama of inverse depth in 1/m as a deflated float32 TIFF."""
     import tifffile
 
-    from omnistereo_lib.files import replacing
-
     with replacing(path) as temporary:
         tifffile.imwrite(temporary, np.asarray(inverse_depth, np.float32), compression="deflate")
 
@@ -209,28 +211,31 @@ def _read_float_tiff(path: Path) -> NDArray[np.float32]:
 def _read_png16(path: Path, min_depth: float | None) -> NDArray[np.float64]:
     import cv2
 
-    steps = cv2.imdecode(np.frombuffer(read_bytes(path), np.uint8), cv2.IMREAD_UNCHANGED)
-    if steps is None or steps.ndim != 2 or steps.dtype != np.uint16:
-        found = "no picture" if steps is None else f"{steps.dtype} of shape {steps.shape}"
-        raise OmnistereoError(f"{path} holds {found}, expected 16-bit gray steps of inverse depth")
+    steps = read_pixels(path, cv2.IMREAD_UNCHANGED)
+    if steps.ndim != 2 or steps.dtype != np.uint16:
+        raise OmnistereoError(
+            f"{path} holds {steps.dtype} of shape {steps.shape}, expected 16-bit gray steps of inverse depth"
+        )
     if min_depth is None:
         raise OmnistereoError(f"{path} counts inverse depth in units of 1/min_depth: the rig's file must state it")
     return steps / (65500.0 * min_depth)
 
 
 def _truths(folder: Path, width: int | None) -> dict[int, Path]:
-    """Return the ground-truth files of a folder by frame number, of the widest size or of the one asked for."""
-    parents = [
-        *folder.glob("omnidepth_gt_*"),
-        *folder.glob("depth_*"),
-        *folder.parent.glob("depth_t*_[0-9]*"),
-    ]
-    by_width = {int(path.name.rsplit("_", 1)[1]): path for path in parents if path.name.rsplit("_", 1)[1].isdigit()}
+    """Return the ground-truth files of a folder by frame number, of the widest size or of the one asked for.
+
+    The first release kept one ground truth for all weathers, beside their folders, split in train and test.
+    """
+    parents = [*folder.glob("omnidepth_gt_*"), *folder.glob("depth_*")] or folder.parent.glob("depth_t*_*")
+    by_width: dict[int, list[Path]] = {}
+    for path in parents:
+        size = path.name.rsplit("_", 1)[1]
+        if size.isdigit():
+            by_width.setdefault(int(size), []).append(path)
     if width is not None and width not in by_width:
         raise OmnistereoError(f"{folder} has ground truth of widths {sorted(by_width)}, not of {width}")
-    if not by_width:
-        return {}
-    return dict(_numbered(by_width[width or max(by_width)], {".tiff", ".tif", ".png"}))
+    chosen = by_width[width or max(by_width)] if by_width else []
+    return dict(file for path in chosen for file in _numbered(path, {".tiff", ".tif", ".png"}))
 
 
 def _numbered(folder: Path, suffixes: set[str]) -> Iterator[tuple[int, Path]]:

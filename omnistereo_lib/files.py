@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -28,8 +28,8 @@ def read_text(path: str | Path) -> str:
     return read_bytes(path).decode("utf-8", errors="replace")
 
 
-def read_image(path: str | Path) -> NDArray[np.uint8]:
-    """Read a picture that OpenCV knows, uint8: (height, width) if it is gray, else (height, width, 3) in RGB.
+def read_pixels(path: str | Path, flags: int) -> NDArray:
+    """Decode a picture file with OpenCV's `flags` for depth and colour.
 
     Raises
     ------
@@ -43,10 +43,28 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
     end = _ENDS.get(content[:2])
     if end is not None and end not in content[-64:]:
         raise OmnistereoError(f"{path} is cut short: {len(content)} bytes without an end. Copy it again")
-    flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
-    picture = cv2.imdecode(np.frombuffer(content, np.uint8), flags) if content else None
-    if picture is None:
+    try:
+        pixels = cv2.imdecode(np.frombuffer(content, np.uint8), flags) if content else None
+    except cv2.error:  # a header that promises more pixels than anybody has
+        pixels = None
+    if pixels is None:
         raise OmnistereoError(f"{path} holds no picture, {len(content)} bytes; expected PNG, JPEG or the like")
+    return pixels
+
+
+def read_image(path: str | Path) -> NDArray[np.uint8]:
+    """Read a picture as it was taken, uint8: (height, width) if it is gray, else (height, width, 3) in RGB.
+
+    A remark in the file that asks viewers to turn it is not followed: calibrations know nothing of it.
+
+    Raises
+    ------
+    OmnistereoError
+        As `read_pixels`.
+    """
+    import cv2
+
+    picture = read_pixels(path, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     return picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
 
 
@@ -101,7 +119,8 @@ def replacing(path: str | Path) -> Iterator[Path]:
             f"{path} cannot be written: {error.strerror}. Give a file in an existing, writable folder"
         ) from None
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # where no folder is, no file is left
+            temporary.unlink()
 
 
 def make_folder(path: str | Path) -> Path:
