@@ -15,6 +15,7 @@ from pathlib import Path
 _ROOT = Path(__file__).resolve().parents[1]
 _MIN_PYTHON = (3, 11)
 _MIN_MEMORY_GIB = 4
+_PROBE_SECONDS = 60
 
 _RENDER_PROBE = """
 import pyvista
@@ -81,7 +82,11 @@ def _data() -> Iterator[tuple[bool, str]]:
     if not manifest.is_file():
         yield False, f"{manifest.name} is missing from data_samples: git checkout data_samples"
         return
-    files = json.loads(manifest.read_text())["files"]
+    try:
+        files = json.loads(manifest.read_text())["files"]
+    except (ValueError, KeyError):
+        yield False, f"{manifest.name} is broken: git checkout data_samples"
+        return
     broken = [name for name, checksum in files.items() if _sha256(manifest.parent / name) != checksum]
     if broken:
         some = ", ".join(broken[:3]) + (" …" if len(broken) > 3 else "")
@@ -99,7 +104,11 @@ def _sha256(path: Path) -> str:
 
 def opengl_works() -> bool:
     """Return whether PyVista can draw here, tried in a process of its own: without OpenGL, VTK crashes."""
-    probe = subprocess.run([sys.executable, "-c", _RENDER_PROBE], capture_output=True, env=headless(), check=False)
+    command = [sys.executable, "-c", _RENDER_PROBE]
+    try:
+        probe = subprocess.run(command, capture_output=True, env=headless(), check=False, timeout=_PROBE_SECONDS)
+    except subprocess.TimeoutExpired:
+        return False
     return probe.returncode == 0
 
 

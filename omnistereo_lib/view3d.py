@@ -32,6 +32,8 @@ def draw_points(
     -------
     uint8 array, shape (height, width, 3), RGB
     """
+    if len(points) == 0:
+        return np.full((size[1], size[0], 3), 255, np.uint8)  # PyVista refuses to draw nothing
     return _draw_pyvista(points, colors, eye, size) if _has_opengl() else _draw_matplotlib(points, colors, eye, size)
 
 
@@ -39,6 +41,7 @@ def write_ply(path: str | Path, points: NDArray, colors: NDArray | None = None) 
     """Write a point cloud (M, 3) in metres, with uint8 RGB colours (M, 3) if given, as binary PLY."""
     import pyvista
 
+    colors = colors if len(points) else None  # PyVista refuses colours of nothing
     with replacing(path) as temporary:
         pyvista.PolyData(points.astype(np.float32)).save(temporary, texture=colors)
 

@@ -1,0 +1,67 @@
+"""Point clouds: PLY files read by another program, pictures with and without OpenGL."""
+
+import numpy as np
+import pytest
+
+import omnistereo_lib as osl
+from omnistereo_lib import view3d
+
+RNG = np.random.default_rng(0)
+POINTS = RNG.uniform(-2, 2, (500, 3))
+COLORS = RNG.integers(0, 256, (500, 3), np.uint8)
+
+
+def test_ply_comes_back(tmp_path):
+    pyvista = pytest.importorskip("pyvista")
+    view3d.write_ply(tmp_path / "a.ply", POINTS, COLORS)
+    cloud = pyvista.read(tmp_path / "a.ply")
+    np.testing.assert_array_equal(cloud.points, POINTS.astype(np.float32))
+    np.testing.assert_array_equal(cloud["RGB"], COLORS)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
+
+
+def test_ply_without_colours_and_without_points(tmp_path):
+    pyvista = pytest.importorskip("pyvista")
+    view3d.write_ply(tmp_path / "a.ply", POINTS)
+    assert pyvista.read(tmp_path / "a.ply").n_points == 500
+    view3d.write_ply(tmp_path / "b.ply", POINTS[:0], COLORS[:0])
+    assert b"element vertex 0" in (tmp_path / "b.ply").read_bytes()
+
+
+def test_ply_where_nothing_can_be_written(tmp_path):
+    (tmp_path / "file").write_text("")
+    for folder in ("file", "missing"):
+        with pytest.raises(osl.OmnistereoError, match=r"a.ply cannot be written"):
+            view3d.write_ply(tmp_path / folder / "a.ply", POINTS, COLORS)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.fixture(params=[True, False], ids=["PyVista", "Matplotlib"])
+def drawer(request, monkeypatch):
+    """Both ways to draw; the first only where there is OpenGL."""
+    if request.param and not view3d._has_opengl():
+        pytest.skip("no OpenGL here")
+    monkeypatch.setattr(view3d, "_has_opengl", lambda: request.param)
+
+
+def cloud(center, color):
+    return RNG.normal(center, 0.1, (300, 3)), np.tile(np.uint8(color), (300, 1))
+
+
+def test_a_picture_has_its_size_and_colours_and_down_is_down(drawer):
+    """Red 1 m down (+y), green 1 m to the right (+x), seen from behind: y points down in the rig frame."""
+    red, green = cloud((0, 1, 0), (255, 0, 0)), cloud((1, 0, 0), (0, 255, 0))
+    points, colors = (np.concatenate(both) for both in zip(red, green, strict=True))
+    picture = view3d.draw_points(points, colors, eye=(0, 0, -4), size=(300, 200)).astype(int)
+    assert picture.shape == (200, 300, 3)
+    saturated = [(picture[..., c] - picture.sum(-1) + picture[..., c] > 100).nonzero() for c in (0, 1)]
+    (red_rows, red_columns), (green_rows, green_columns) = saturated
+    assert len(red_rows) > 20 and len(green_rows) > 20
+    assert red_rows.mean() > green_rows.mean() + 20
+    assert green_columns.mean() > red_columns.mean() + 20
+    assert (picture[:10] == 255).all()  # white around it
+
+
+def test_an_empty_cloud_is_an_empty_picture(drawer):
+    picture = view3d.draw_points(POINTS[:0], COLORS[:0], eye=(0, -2, -4), size=(60, 40))
+    assert picture.shape == (40, 60, 3) and (picture == 255).all()
