@@ -65,9 +65,8 @@ def confidence(volume: ArrayLike | Tensor) -> Tensor:
     volume = _as_volume(volume)
     filled = torch.where(volume.isnan(), torch.inf, volume)
     first, winner = filled.min(-1)
-    spheres = torch.arange(volume.shape[-1], device=volume.device)
-    beside = (spheres - winner[..., None]).abs() <= 1
-    second = filled.masked_fill_(beside, torch.inf).amin(-1)
+    beside = torch.stack([winner - 1, winner, winner + 1], -1).clamp(0, volume.shape[-1] - 1)
+    second = filled.scatter_(-1, beside, torch.inf).amin(-1)
     ratio = torch.where(second > 0, 1 - first / second, 0.0)
     return torch.where(first.isinf(), torch.nan, ratio)
 

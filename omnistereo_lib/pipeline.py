@@ -15,7 +15,7 @@ from omnistereo_lib.rig import Rig
 from omnistereo_lib.sgm import sgm
 from omnistereo_lib.sphere import SphereGrid
 from omnistereo_lib.sweep import SphereSweep
-from omnistereo_lib.volume import Cost, Pairs, cost_volume
+from omnistereo_lib.volume import Cost, Pairs, check_memory, cost_volume
 
 _COSTS = {"zncc": ZNCC}
 
@@ -48,8 +48,12 @@ def estimate_depth(
     Raises
     ------
     OmnistereoError
-        If the input does not fit together, or no method has that name.
+        If the input does not fit together, no method has that name, the memory does not suffice or there is
+        no such device.
     """
+    check_memory(rig, grid)
+    if torch.device(device).type == "cuda" and not torch.cuda.is_available():
+        raise OmnistereoError('there is no CUDA GPU that PyTorch can use: take device="cpu"')
     return sweep_depth(SphereSweep(rig, grid, device=device), images, cost, aggregate, pairs, progress=progress)
 
 

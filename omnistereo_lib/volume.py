@@ -15,6 +15,7 @@ from torch import Tensor
 from omnistereo_lib.costs.zncc import ZNCC
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.rig import Rig
+from omnistereo_lib.sphere import SphereGrid
 from omnistereo_lib.sweep import SphereSweep
 
 Pairs = Literal["ring", "all"] | Sequence[tuple[int, int]]
@@ -108,7 +109,8 @@ def cost_volume(
     pairs = camera_pairs(pairs, sweep.rig)
     prepared = sweep.prepare(images)
     H, W = sweep.grid.shape
-    _check_memory(sweep)
+    if sweep.device.type == "cpu":
+        check_memory(sweep.rig, sweep.grid)
     volume = torch.empty(H, W, sweep.grid.num_spheres, device=sweep.device)
     for spheres in progress(sweep.blocks()):
         columns = [sweep.visible_columns(camera, spheres) for camera in range(len(sweep.rig))]
@@ -122,18 +124,21 @@ def cost_volume(
     return volume
 
 
-def _check_memory(sweep: SphereSweep) -> None:
-    """Refuse a volume that cannot fit, before hours are spent on it."""
-    if sweep.device.type != "cpu":
-        return
-    H, W = sweep.grid.shape
-    N, cameras = sweep.grid.num_spheres, len(sweep.rig)
-    volume_bytes = 4 * H * W * N
-    # The volume and its aggregated copy, one block of spherical images, and the tables still to come.
-    need = 2 * volume_bytes + 8 * H * W * cameras * 16
-    free = psutil.virtual_memory().available
+def check_memory(rig: Rig, grid: SphereGrid) -> None:
+    """Refuse a panorama that the memory cannot hold, before hours are spent on it.
+
+    Raises
+    ------
+    OmnistereoError
+        With the figures.
+    """
+    H, W = grid.shape
+    # Measured bytes a ray: a block of spheres on its way through sweep and cost, and the volume with its aggregated
+    # copy. A quarter of what is free is left to the sweep's tables.
+    need = H * W * (400 + 225 * len(rig) + 9 * grid.num_spheres)
+    free = 0.75 * psutil.virtual_memory().available
     if need > free:
         raise OmnistereoError(
-            f"a panorama of {W} × {H} with {N} spheres needs {need / 2**30:.1f} GiB, "
-            f"{free / 2**30:.1f} GiB are free: choose fewer spheres or a smaller panorama"
+            f"a panorama of {W} × {H} with {grid.num_spheres} spheres needs {need / 2**30:.1f} GiB, "
+            f"{free / 2**30:.1f} GiB are free for it: choose fewer spheres or a smaller panorama"
         )
