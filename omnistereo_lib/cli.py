@@ -48,7 +48,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_grid(verb, width=640, height=160, spheres=192)
     verb.add_argument("--cost", default="zncc", help="matching cost (default: zncc)")
     verb.add_argument("--pairs", default="ring", choices=["ring", "all"], help="which cameras are compared")
-    verb.add_argument("--device", default="cpu", help="cpu or cuda")
+    verb.add_argument("--device", default="cpu", choices=["cpu", "cuda"], help="where to compute (default: cpu)")
     verb.add_argument("--out", type=Path, default=Path("out"), help="folder for the results (default: out)")
 
     verb = verbs.add_parser("doctor", help="is everything in place? With --rig: does the rig fit the images?")
@@ -94,7 +94,9 @@ def depth(options: argparse.Namespace) -> None:
 
     rig, images, frame = _read_input(options)
     grid = _grid(options, rig)
-    out = files.make_folder(options.out)  # now: nobody wants to hear after minutes that it cannot be
+    # What can fail comes first: nobody wants to hear of it after minutes of work.
+    true_index = None if frame is None else frame.gt_index(grid)
+    out = files.make_folder(options.out)
     result = estimate_depth(
         rig, images, grid, options.cost, pairs=options.pairs, device=options.device,
         progress=lambda blocks: tqdm(blocks, desc="sweep", unit="block"),
@@ -107,8 +109,8 @@ def depth(options: argparse.Namespace) -> None:
     print(f"{result.valid.mean():.1%} of the rays have a depth; {len(points)} points")
     written = ["inverse_depth.png", "panorama.jpg", "inverse_depth.tiff", "points.ply"]
     (out / "errors.json").unlink(missing_ok=True)  # of another frame
-    if frame is not None:
-        errors = index_error(result.index, frame.gt_index(grid), grid.num_spheres)
+    if true_index is not None:
+        errors = index_error(result.index, true_index, grid.num_spheres)
         with files.replacing(out / "errors.json") as temporary:
             temporary.write_text(json.dumps(errors, indent=1) + "\n")
         print("errors in % of the range swept: " + ", ".join(f"{name} {value:.2f}" for name, value in errors.items()))

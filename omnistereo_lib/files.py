@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,9 +135,8 @@ def make_folder(path: str | Path) -> Path:
     path = Path(path)
     try:
         path.mkdir(parents=True, exist_ok=True)
-        with replacing(path / "writable") as temporary:
-            temporary.touch()
-        (path / "writable").unlink()
+        with TemporaryFile(dir=path):
+            return path
     except OSError as error:
-        raise OmnistereoError(f"folder {path} cannot be made: {error.strerror}. Choose another") from None
-    return path
+        message = f"folder {path} cannot be made or written to: {error.strerror}. Choose another"
+        raise OmnistereoError(message) from None

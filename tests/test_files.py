@@ -63,15 +63,17 @@ def test_the_old_file_stays_when_writing_fails(tmp_path):
 def test_folders(tmp_path):
     assert make_folder(tmp_path / "a" / "b").is_dir()
     assert list(make_folder(tmp_path / "a" / "b").iterdir()) == []
+    (tmp_path / "a" / "mine").write_text("")
+    assert [path.name for path in make_folder(tmp_path / "a").iterdir()] in (["b", "mine"], ["mine", "b"])
     (tmp_path / "file").write_text("")
-    with pytest.raises(OmnistereoError, match=r"folder .*file.* cannot be made"):
+    with pytest.raises(OmnistereoError, match=r"folder .*file.* cannot be made or written to"):
         make_folder(tmp_path / "file" / "c")
 
 
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="the superuser may write anywhere")
 def test_a_folder_that_is_not_writable(tmp_path):
     tmp_path.chmod(0o500)
-    with pytest.raises(OmnistereoError, match="cannot be written: Permission denied"):
+    with pytest.raises(OmnistereoError, match="written to: Permission denied"):
         make_folder(tmp_path)
 
 
