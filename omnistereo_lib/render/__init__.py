@@ -1,0 +1,82 @@
+"""The data: a procedural city, rendered with Blender as a Python module.
+
+Blender runs in an environment of its own (environment-render.txt), because it needs an older NumPy; `main`
+finds it. Blender is under the GNU General Public License, and its makers take scripts that import `bpy` to be
+covered by it: whoever passes on the modules of this folder that do should treat them so. Nothing outside this
+folder imports bpy.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.render.frames import SEED, SETS, forget_partial, is_complete, render_set, share, write_manifest
+
+_ROOT = Path(__file__).resolve().parents[2]
+_BLENDER_PYTHON = _ROOT / ".venv-render" / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `python -m omnistereo_lib render` to a parser."""
+    parser.add_argument("sets", nargs="*", metavar="SET", help=f"image sets: {', '.join(SETS)} (default: sunny/test)")
+    parser.add_argument("--frames", type=int, nargs="+", help="frame numbers (default: those that ship)")
+    parser.add_argument("--shard", default="1/1", help="part i/n of the frames, for several machines (default: 1/1)")
+    parser.add_argument("--seed", type=int, default=SEED, help=f"of the city and the rig (default: {SEED})")
+    parser.add_argument("--out", type=Path, default=_ROOT / "data_samples", help="default: data_samples")
+
+
+def main(options: argparse.Namespace) -> int:
+    """Render the frames that are missing, here or in Blender's environment; return the exit status.
+
+    Raises
+    ------
+    OmnistereoError
+        If a set, a frame or a shard does not exist, or Blender's environment is missing.
+    """
+    names = options.sets or ["sunny/test"]
+    wanted = {name: share(_numbers(name, options.frames), options.shard) for name in names}
+    if importlib.util.find_spec("bpy") is None:
+        return _run_in_blender_environment(sys.argv[1:])
+    for name, numbers in wanted.items():
+        _render(options.out / name, name, numbers, options.seed)
+    sets = " ".join(names)
+    write_manifest(options.out, options.seed, f"python -m omnistereo_lib render {sets} --seed {options.seed}")
+    return 0
+
+
+def _numbers(name: str, frames: list[int] | None) -> tuple[int, ...]:
+    if name not in SETS:
+        raise OmnistereoError(f"there is no image set {name!r}: choose from {', '.join(SETS)}")
+    images = SETS[name]
+    for number in frames or ():
+        if not images.first <= number < images.first + images.count:
+            last = images.first + images.count - 1
+            raise OmnistereoError(f"{name} has the frames {images.first} to {last}, not {number}")
+    return tuple(frames) if frames else images.shipped
+
+
+def _render(folder: Path, name: str, numbers: tuple[int, ...], seed: int) -> None:
+    from tqdm import tqdm
+
+    images = SETS[name]
+    forget_partial(folder, images)
+    done = sum(is_complete(folder, images, number) for number in numbers)
+    with tqdm(total=len(numbers), initial=done, desc=name, unit="frame") as bar:
+        for _ in render_set(folder, images, numbers, seed):
+            bar.update()
+
+
+def _run_in_blender_environment(arguments: list[str]) -> int:
+    if not _BLENDER_PYTHON.is_file():
+        raise OmnistereoError(
+            f"Blender's environment is missing ({_BLENDER_PYTHON.parent.parent.name}): run make render, or "
+            "python3.11 -m venv .venv-render and .venv-render/bin/pip install -r environment-render.txt"
+        )
+    command = [str(_BLENDER_PYTHON), "-m", "omnistereo_lib", *arguments]
+    return subprocess.run(command, cwd=_ROOT, check=False).returncode

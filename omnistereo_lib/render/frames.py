@@ -1,0 +1,208 @@
+"""The image sets: which frames of which drive in which light, rendered one by one, each whole or not at all."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.pose import Pose
+from omnistereo_lib.render.rig import RenderRig, make_rig, write_config
+
+SEED = 2019
+_QUALITY = 93  # of the JPEG files: blocks are below the sensor's noise
+
+
+@dataclass(frozen=True)
+class ImageSet:
+    """Frames of one drive in one light.
+
+    Attributes
+    ----------
+    light : "sunny" | "cloudy" | "sunset"
+    route : "train" | "test"
+        Streets of the same city; no street is in both.
+    first, count : int
+        Numbers of the drive's frames, as the published sets count them: 1 to 700 and 701 to 1000.
+    shipped : tuple of int
+        The frames that are rendered unless others are asked for.
+    size : (int, int)
+        Width and height of the images.
+    gray : bool
+    samples : int
+        Paths for each pixel.
+    truths : tuple of (int, int)
+        Width and height of the ground-truth panoramas, φ from -45° to 45°.
+    """
+
+    light: str
+    route: str
+    first: int
+    count: int
+    shipped: tuple[int, ...]
+    size: tuple[int, int]
+    gray: bool
+    samples: int
+    truths: tuple[tuple[int, int], ...]
+
+
+_TEST = {
+    "route": "test",
+    "first": 701,
+    "count": 300,
+    "shipped": (706, 731, 781, 831, 881, 906, 931, 981),
+    "size": (800, 768),
+    "gray": False,
+    "samples": 32,
+    "truths": ((640, 160), (1200, 300)),
+}
+
+SETS = {
+    "sunny/test": ImageSet(light="sunny", **_TEST),
+    "cloudy/test": ImageSet(light="cloudy", **_TEST),
+    "sunset/test": ImageSet(light="sunset", **_TEST),
+    "sunny/train": ImageSet("sunny", "train", 1, 700, tuple(range(3, 701, 5)), (400, 384), True, 24, ((640, 160),)),
+}
+
+
+def truth_path(folder: Path, number: int, width: int) -> Path:
+    """Return where the ground truth of a frame lies, in the public layout."""
+    return folder / f"omnidepth_gt_{width}" / f"{number:05d}.tiff"
+
+
+def image_path(folder: Path, number: int, camera: int) -> Path:
+    """Return where the picture of a camera, counted from 1, lies."""
+    return folder / f"cam{camera}" / f"{number:04d}.jpg"
+
+
+def is_complete(folder: Path, images: ImageSet, number: int) -> bool:
+    """Return whether a frame is there: its last file is, the truth of the last width."""
+    return truth_path(folder, number, images.truths[-1][0]).is_file()
+
+
+def share(numbers: tuple[int, ...], shard: str) -> tuple[int, ...]:
+    """Return the part i/n of the frames, such as "2/8": every eighth, from the second on.
+
+    Raises
+    ------
+    OmnistereoError
+        If the shard is not of that form.
+    """
+    try:
+        part, parts = (int(word) for word in shard.split("/"))
+    except ValueError:
+        part, parts = 0, 0
+    if not 1 <= part <= parts:
+        raise OmnistereoError(f"a shard is written i/n with 1 ≤ i ≤ n, such as 2/8; got {shard!r}")
+    return numbers[part - 1 :: parts]
+
+
+def render_set(folder: Path, images: ImageSet, numbers: tuple[int, ...], seed: int) -> Iterator[int]:
+    """Render the frames that are missing, one at a time; yields the number of each finished frame.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the set is, or begins to be.
+    images : ImageSet
+    numbers : tuple of int
+        Frames wanted, of those that the drive has.
+    seed : int
+        Of the city, the rig, the traffic and the noise.
+    """
+    from omnistereo_lib.render.blender import empty_scene
+    from omnistereo_lib.render.city import build_city
+    from omnistereo_lib.render.drive import plan_drive
+    from omnistereo_lib.render.lights import add_light
+
+    missing = [number for number in numbers if not is_complete(folder, images, number)]
+    rig = make_rig(seed)
+    for part in (f"cam{i + 1}" for i in range(len(rig.cameras))):
+        (folder / part).mkdir(parents=True, exist_ok=True)
+    layout = {"img_fmt": "cam%d/%04d.jpg", "start": images.first, "step": 1, "end": images.first + images.count - 1}
+    write_config(folder / "config.yaml", rig, images.size, layout)
+    if not missing:
+        return
+    empty_scene()
+    district, traffic = build_city(seed)
+    exposure = add_light(images.light).exposure
+    drive = plan_drive(district, images.route, images.count)
+    for number in missing:
+        T_world_rig = drive.pose(number - images.first)
+        traffic.show(number, T_world_rig.t[:2])
+        _write(folder, number, *_render_frame(images, rig, T_world_rig, exposure, [seed, number]))
+        yield number
+
+
+def _render_frame(
+    images: ImageSet, rig: RenderRig, T_world_rig: Pose, exposure: float, seed: list[int]
+) -> tuple[list[NDArray], list[NDArray]]:
+    """Return what the four cameras see, and the inverse depth around the rig for each size of truth."""
+    from omnistereo_lib.render.blender import depth_panorama, fisheye_picture
+    from omnistereo_lib.render.sensor import develop
+
+    pictures = []
+    for i, camera in enumerate(rig.cameras):
+        sampler_seed = 4 * seed[1] + i
+        radiance = fisheye_picture(
+            camera.lens, T_world_rig @ camera.T_rig_cam, images.size, images.samples, sampler_seed
+        )
+        noise = np.random.default_rng([*seed, i])
+        pictures.append(develop(radiance, camera.lens, camera.sensor, exposure, images.gray, noise))
+    return pictures, [1.0 / depth_panorama(T_world_rig, size, 45.0) for size in images.truths]
+
+
+def _write(folder: Path, number: int, pictures: list[NDArray], truths: list[NDArray]) -> None:
+    """Write a frame's files under temporary names, then rename them, the one that says 'complete' last."""
+    import tifffile
+    from PIL import Image
+
+    files = []
+    for camera, picture in enumerate(pictures, start=1):
+        path = image_path(folder, number, camera)
+        files.append((path.with_name(f".{path.name}"), path))
+        Image.fromarray(picture).save(files[-1][0], "JPEG", quality=_QUALITY, subsampling=0, optimize=True)
+    for truth in truths:
+        path = truth_path(folder, number, truth.shape[1])
+        path.parent.mkdir(exist_ok=True)
+        files.append((path.with_name(f".{path.name}"), path))
+        tifffile.imwrite(files[-1][0], _rounded(truth), compression="zlib", compressionargs={"level": 9})
+    for temporary, path in files:
+        temporary.replace(path)
+
+
+def _rounded(values: NDArray) -> NDArray[np.float32]:
+    """Round to 15 significant bits, 1.5e-5 relative: finer than the scene is known, and half the file."""
+    mantissa, exponent = np.frexp(values)
+    return np.ldexp(np.round(mantissa * 2**15) / 2**15, exponent).astype(np.float32)
+
+
+def forget_partial(folder: Path, images: ImageSet) -> list[Path]:
+    """Delete what a killed run left: temporary files, and pictures of frames that are not complete."""
+    left = [path for path in folder.glob("*/.*") if path.suffix in (".jpg", ".tiff")]
+    for path in [*folder.glob("cam*/*.jpg"), *folder.glob("omnidepth_gt_*/*.tiff")]:
+        if path.stem.isdigit() and not is_complete(folder, images, int(path.stem)):
+            left.append(path)
+    for path in left:
+        path.unlink()
+    return left
+
+
+def write_manifest(root: Path, seed: int, command: str) -> None:
+    """Write manifest.json: the checksum of every file below a folder, the seed and the command that made them."""
+    files = sorted(path for path in root.rglob("*") if path.is_file() and not path.name.startswith("."))
+    checksums = {
+        path.relative_to(root).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in files
+        if path.name != "manifest.json"
+    }
+    text = json.dumps({"command": command, "seed": seed, "files": checksums}, indent=1) + "\n"
+    temporary = root / ".manifest.json"
+    temporary.write_text(text, encoding="utf-8")
+    temporary.replace(root / "manifest.json")
