@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from omnistereo_lib.rig import Rig
     from omnistereo_lib.sphere import SphereGrid
 
-_SAMPLE = Path(__file__).resolve().parents[1] / "data_samples" / "sunny"
+_SAMPLE = Path(__file__).resolve().parents[1] / "data_samples" / "sunny" / "test"
 _NEAR = 0.5  # metres: something in most pictures is nearer than a few times this
 
 

@@ -32,7 +32,7 @@ KNOWN = """known are
   - basalt JSON: value0 with T_imu_cam, intrinsics, resolution
   - Kalibr camchain YAML: cam0, cam1, … with camera_model and T_cn_cnm1
   - OpenCV fisheye YAML: K, D, R, T and image_size of each camera (say the unit)"""
-_RIG_FILES = ("config.yaml", "rig.yaml", "calibration.json", "calibration.yaml")  # looked for in a folder, in this order
+_RIG_FILES = ("config.yaml", "rig.yaml", "calibration.json", "calibration.yaml")  # in a folder, the first counts
 _DISAGREEMENT_TO_WARN = 0.1  # px
 
 

@@ -57,6 +57,19 @@ def show(fig: Figure, caption: str, alt: str, kind: Literal["png", "jpeg"] = "pn
     display({"text/markdown": f"*Figure:* {caption}", "text/plain": caption}, raw=True)
 
 
+def show_live(fig: Figure) -> None:
+    """Show a figure from within a slider's callback, and close it: a small JPEG, quick to draw and to send.
+
+    It has no caption: notebooks are stored without it, and the captioned figure before it says what it shows.
+    """
+    import matplotlib.pyplot as plt
+    from IPython.display import display
+
+    picture = base64.b64encode(encode(fig, "jpeg")).decode()
+    plt.close(fig)
+    display({"image/jpeg": picture, "text/plain": "moves with the slider"}, raw=True)
+
+
 def depth_picture(inverse_depth: NDArray, grid: SphereGrid) -> NDArray[np.uint8]:
     """Colour a panorama of inverse depth: near is bright and warm, far is dark, unknown is striped gray.
 
