@@ -104,7 +104,8 @@ def depth(options: argparse.Namespace) -> None:
     files.write_image(out / "inverse_depth.png", depth_picture(result.inverse_depth, grid))
     files.write_image(out / "panorama.jpg", np.nan_to_num(result.panorama(images)).round().astype(np.uint8))
     write_inverse_depth(out / "inverse_depth.tiff", result.inverse_depth)
-    points, colors = result.point_cloud(images, max_depth=30 * grid.min_depth)
+    # Beyond sphere 4 one sphere more or less is a quarter of the depth: a spray of points, not a surface.
+    points, colors = result.point_cloud(images, max_depth=float(grid.index_to_depth(4)))
     view3d.write_ply(out / "points.ply", points, colors)
     print(f"{result.valid.mean():.1%} of the rays have a depth; {len(points)} points")
     written = ["inverse_depth.png", "panorama.jpg", "inverse_depth.tiff", "points.ply"]
@@ -121,7 +122,7 @@ def depth(options: argparse.Namespace) -> None:
 def doctor(options: argparse.Namespace) -> int:
     """Check the installation, or with --rig whether a rig fits its images."""
     if options.rig is None:
-        from omnistereo_lib.doctor import doctor as check_installation
+        from omnistereo_lib.doctor import check_installation
 
         return 0 if check_installation() else 1
     from omnistereo_lib.health import check_rig, verdict

@@ -25,14 +25,19 @@ assert plotter.screenshot(return_img=True).std() > 0
 """
 
 
-def doctor(short: bool = False) -> bool:
+def doctor(short: bool = False) -> None:
+    """Print what `check_installation` finds: the first cell of every notebook."""
+    check_installation(short)
+
+
+def check_installation(short: bool = False) -> bool:
     """Print what is in place and what is missing, with the cure.
 
     Parameters
     ----------
     short : bool
-        Only Python, the packages and the data, in one line when all is well: the first cell of every
-        notebook. Otherwise OpenGL, cores and memory too, a line each.
+        Only Python, the packages and the data, in one line when all is well. Otherwise OpenGL, cores and
+        memory too, a line each.
 
     Returns
     -------

@@ -3,7 +3,7 @@
     python tests/nbtools.py run notebooks/00_quickstart.ipynb ...   from a fresh kernel, then clean
     python tests/nbtools.py clean notebooks/00_quickstart.ipynb ... drop what does not belong there
     python tests/nbtools.py check notebooks/00_quickstart.ipynb ... say what is wrong with it
-    python tests/nbtools.py readme                                  the table of notebooks in README.md
+    python tests/nbtools.py readme                                  the README's table of notebooks and its picture
 
 `run` stores nothing when a cell fails, when the notebook takes longer than its own budget, or when `check`
 finds something. A notebook's own facts stand in its metadata, under "omnistereo":
@@ -12,6 +12,7 @@ finds something. A notebook's own facts stand in its metadata, under "omnistereo
 """
 
 import argparse
+import base64
 import copy
 import re
 import statistics
@@ -28,6 +29,7 @@ from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernel
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = ROOT / "notebooks"
 README = ROOT / "README.md"
+PICTURE = NOTEBOOKS / "00_quickstart.jpg"
 
 SETUP = "import omnistereo_lib as osl\n\nosl.doctor(short=True)"
 FACTS = {"title": str, "learn": str, "needs": str, "minutes_to_read": int, "budget_s": int}
@@ -224,7 +226,7 @@ def readme_table(paths: list[Path]) -> str:
         facts = nbformat.read(path, as_version=4).metadata["omnistereo"]
         rows.append(
             f"| [{path.stem[:2]} {facts['title']}](notebooks/{path.name}) | {facts['learn']} "
-            f"| {facts['minutes_to_read']} min to read, runs in {facts['budget_s']} s | {facts['needs']} |"
+            f"| {facts['minutes_to_read']} min to read, runs within {facts['budget_s']} s | {facts['needs']} |"
         )
     return "\n".join(rows) + "\n"
 
@@ -236,16 +238,24 @@ def with_table(readme: str, paths: list[Path]) -> str:
     return TABLE.sub(lambda _: readme_table(paths), readme, count=1)
 
 
+def first_picture(path: Path) -> bytes:
+    """Return the first JPEG that a notebook shows: the README shows the quick start's."""
+    for cell in code_cells(nbformat.read(path, as_version=4)):
+        for output in cell.outputs:
+            if "image/jpeg" in output.get("data", {}):
+                return base64.b64decode(output.data["image/jpeg"])
+    raise SystemExit(f"{path.name} shows no JPEG for the README")
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Do one verb on all notebooks that are named; 0 when nothing was wrong."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("verb", choices=["run", "clean", "check", "readme"])
     parser.add_argument("notebooks", nargs="*", type=Path)
     asked = parser.parse_args(arguments)
     if asked.verb == "readme":
         store(README, with_table(README.read_text(encoding="utf-8"), notebooks()))
+        PICTURE.write_bytes(first_picture(notebooks()[0]))
         return 0
     found = {}
     for path in asked.notebooks:

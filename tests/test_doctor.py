@@ -9,7 +9,7 @@ from importlib import metadata
 
 import pytest
 
-from omnistereo_lib import doctor as check_installation
+from omnistereo_lib.doctor import check_installation
 
 doctor = importlib.import_module("omnistereo_lib.doctor")  # the module; the package's name is the function
 

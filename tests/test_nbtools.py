@@ -268,7 +268,7 @@ def test_readme_table_comes_from_the_notebooks(tmp_path):
     readme = "before\n<!-- notebooks -->\nold\n<!-- /notebooks -->\nafter\n"
     new = nbtools.with_table(readme, [path])
     assert new.startswith("before\n<!-- notebooks -->\n| notebook |")
-    row = "| [03 Tiny](notebooks/03_tiny.ipynb) | nothing | 1 min to read, runs in 60 s | CPU |"
+    row = "| [03 Tiny](notebooks/03_tiny.ipynb) | nothing | 1 min to read, runs within 60 s | CPU |"
     assert f"{row}\n<!-- /notebooks -->" in new
     assert new.endswith("after\n")
     assert nbtools.with_table(new, [path]) == new

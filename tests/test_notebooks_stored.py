@@ -23,3 +23,10 @@ def test_all_notebooks_stay_small():
 def test_the_readme_lists_them():
     readme = nbtools.README.read_text(encoding="utf-8")
     assert nbtools.with_table(readme, nbtools.notebooks()) == readme, "python tests/nbtools.py readme"
+
+
+def test_the_readme_shows_the_first_picture_of_the_course():
+    assert nbtools.PICTURE.read_bytes() == nbtools.first_picture(nbtools.notebooks()[0]), (
+        "python tests/nbtools.py readme"
+    )
+    assert f"(notebooks/{nbtools.PICTURE.name})" in nbtools.README.read_text(encoding="utf-8")

@@ -41,8 +41,6 @@ def test_show_publishes_picture_description_and_caption_and_closes(figure, monke
     plot.show(figure, "All *noise*.", "a rectangle of coloured noise", kind="jpeg")
     (picture, options), (caption, _) = shown
     assert base64.b64decode(picture["image/jpeg"]) == expected
-    assert (
-        picture["text/plain"] == options["metadata"]["image/jpeg"]["alt"] == "a rectangle of coloured noise"
-    )
+    assert picture["text/plain"] == options["metadata"]["image/jpeg"]["alt"] == "a rectangle of coloured noise"
     assert caption["text/markdown"] == "*Figure:* All *noise*."
     assert not plt.fignum_exists(figure.number)
