@@ -104,6 +104,20 @@ class Dataset(Sequence[Frame]):
             return Dataset(self.folder, self.rig, self._frames[i])
         return replace(self._frames[i])  # a new one, so that what it has read goes when it goes
 
+    def frame(self, number: int) -> Frame:
+        """Return the frame of a number, as in the file names.
+
+        Raises
+        ------
+        OmnistereoError
+            If the data set has no such frame.
+        """
+        for i, frame in enumerate(self._frames):
+            if frame.number == number:
+                return self[i]
+        numbers = ", ".join(str(frame.number) for frame in self._frames[:12])
+        raise OmnistereoError(f"{self.folder} has no frame {number}, it has {numbers}{' …' * (len(self) > 12)}")
+
     def __repr__(self) -> str:
         with_truth = sum(frame.truth_path is not None for frame in self._frames)
         width, height = self.rig.cameras[0].image_size

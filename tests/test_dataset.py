@@ -257,3 +257,10 @@ def test_gt_index_keeps_the_unknown_unknown(tmp_path):
     truth[3, 5] = np.nan
     index = frame_with(tmp_path, truth).gt_index(grid)
     assert np.isnan(index[3, 5]) and np.isnan(index).sum() == 1
+
+
+def test_a_frame_by_its_number(tmp_path):
+    data = osl.load_dataset(save(tmp_path, [3, 17]))
+    assert data.frame(17).number == 17
+    with pytest.raises(osl.OmnistereoError, match="has no frame 5, it has 3, 17"):
+        data.frame(5)
