@@ -5,7 +5,10 @@ import base64
 import matplotlib
 import numpy as np
 import pytest
+import scene
+from matplotlib import pyplot as plt
 
+import omnistereo_lib as osl
 from omnistereo_lib import plot
 
 matplotlib.use("agg")
@@ -13,8 +16,6 @@ matplotlib.use("agg")
 
 @pytest.fixture
 def figure():
-    from matplotlib import pyplot as plt
-
     fig, ax = plt.subplots(figsize=(4, 2))
     ax.imshow(np.random.default_rng(0).integers(0, 256, (80, 160, 3), dtype=np.uint8))
     return fig
@@ -33,8 +34,6 @@ def test_a_photograph_is_smaller_as_jpeg(figure):
 
 
 def test_show_publishes_picture_description_and_caption_and_closes(figure, monkeypatch):
-    from matplotlib import pyplot as plt
-
     shown = []
     monkeypatch.setattr("IPython.display.display", lambda data, **options: shown.append((data, options)))
     expected = plot.encode(figure, "jpeg")
@@ -44,3 +43,53 @@ def test_show_publishes_picture_description_and_caption_and_closes(figure, monke
     assert picture["text/plain"] == options["metadata"]["image/jpeg"]["alt"] == "a rectangle of coloured noise"
     assert caption["text/markdown"] == "*Figure:* All *noise*."
     assert not plt.fignum_exists(figure.number)
+
+
+GRID = osl.SphereGrid(64, 16, (-30, 45), 32, 0.5)
+
+
+def test_depth_colours_get_brighter_towards_the_viewer_and_unknown_is_striped_gray():
+    inverse_depth = np.tile(np.linspace(0, 1 / GRID.min_depth, 64), (16, 1))
+    inverse_depth[:, 40:] = np.nan
+    picture = plot.depth_picture(inverse_depth, GRID).astype(int)
+    lightness = picture[0, :40] @ [0.299, 0.587, 0.114]
+    assert (np.diff(lightness) > 0).all()
+    assert set(map(tuple, picture[:, 40:].reshape(-1, 3))) == {(170, 170, 170), (200, 200, 200)}
+
+
+def test_panoramas_are_drawn_with_their_angles():
+    fig, ax = plt.subplots()
+    picture = np.full((16, 64, 3), 300.0)
+    picture[0] = np.nan
+    image = plot.draw_panorama(ax, picture, GRID)
+    assert image.get_extent() == [-180, 180, 45, -30]
+    assert image.get_array()[0].max() == 185 and image.get_array()[1:].min() == 255
+    assert [float(tick) for tick in ax.get_yticks()] == [-30, 0, 45]
+    plt.close(fig)
+
+
+def test_the_colour_bar_of_depth_is_in_metres():
+    fig, ax = plt.subplots()
+    plot.draw_depth(ax, np.zeros(GRID.shape), GRID)
+    labels = [label.get_text() for label in fig.axes[1].get_yticklabels()]
+    assert labels == ["∞", "2 m", "1 m", "0.5 m"]
+    plt.close(fig)
+
+
+def test_a_rig_is_drawn_from_above():
+    fig, ax = plt.subplots()
+    rig = scene.rig()
+    plot.draw_rig(ax, rig)
+    drawn = np.array([line.get_xydata()[0] for line in ax.lines[: len(rig)]])
+    np.testing.assert_allclose(drawn, rig.centers[:, [0, 2]])
+    plt.close(fig)
+
+
+def test_live_figures_are_small_jpegs(monkeypatch):
+    shown = []
+    monkeypatch.setattr("IPython.display.display", lambda data, **_: shown.append(data))
+    fig, ax = plt.subplots(figsize=(8, 4.5))
+    ax.imshow(np.random.default_rng(0).random((360, 640)))
+    plot.show_live(fig)
+    assert len(shown[0]["image/jpeg"]) < 300_000  # a few times that and the notebook's client stops listening
+    assert not plt.fignum_exists(fig.number)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numba
@@ -72,10 +73,16 @@ class ZNCC:
         W = spherical.shape[-1]
         columns = columns if columns is not None else [(0, W)] * len(spherical)
         strips = [(i, j, *strip) for i, j in pairs for strip in _common_columns(columns[i], columns[j], W)]
-        out = np.empty((*spherical.shape[2:], spherical.shape[1]), np.float32)
         strips = np.array(strips, np.int64).reshape(-1, 4)
-        _zncc_block(spherical.numpy(), strips, self.window // 2, out)
-        return torch.from_numpy(out)
+        images = spherical.numpy()
+        costs = np.zeros((images.shape[1], *images.shape[2:]), np.float32)
+
+        def fill(k: int) -> None:
+            _zncc_sphere(images[:, k], strips, self.window // 2, costs[k])
+
+        with ThreadPoolExecutor(torch.get_num_threads()) as pool:  # the kernel releases the interpreter lock
+            list(pool.map(fill, range(len(costs))))
+        return torch.from_numpy(costs).permute(1, 2, 0)
 
 
 def _common_columns(a: tuple[int, int], b: tuple[int, int], W: int) -> list[tuple[int, int]]:
@@ -92,28 +99,22 @@ def _common_columns(a: tuple[int, int], b: tuple[int, int], W: int) -> list[tupl
     return [(int(s), int((ends[(ends - s) % W == ((ends - s) % W).min()][0] - s) % W + 1)) for s in starts]
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
-def _zncc_block(spherical: NDArray, strips: NDArray, radius: int, out: NDArray) -> None:
-    """Fill out (H, W, B) with mean costs; strips are rows of (camera, camera, start column, width)."""
-    _, B, H, W = spherical.shape
-    total = np.zeros((B, H, W), np.float32)
-    for k in numba.prange(B):
-        count = np.zeros((H, W), np.float32)
-        for s in range(len(strips)):
-            i, j, start, width = strips[s]
-            columns = (start - radius + np.arange(width + 2 * radius)) % W
-            a, b, seen = _common_pixels(spherical[i, k], spherical[j, k], columns)
-            _add_costs(a, b, seen, columns, radius, total[k], count)
-        for y in range(H):
-            for x in range(W):
-                total[k, y, x] /= count[y, x]  # 0/0 = NaN where no pair sees the ray
-    for y in numba.prange(H):
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _zncc_sphere(images: NDArray, strips: NDArray, radius: int, cost: NDArray) -> None:
+    """Fill cost (H, W), zero before, with mean costs; strips are rows of (camera, camera, start column, width)."""
+    H, W = cost.shape
+    count = np.zeros((H, W), np.float32)
+    for s in range(len(strips)):
+        i, j, start, width = strips[s]
+        columns = (start - radius + np.arange(width + 2 * radius)) % W
+        a, b, seen = _common_pixels(images[i], images[j], columns)
+        _add_costs(a, b, seen, columns, radius, cost, count)
+    for y in range(H):
         for x in range(W):
-            for k in range(B):
-                out[y, x, k] = total[k, y, x]
+            cost[y, x] /= count[y, x]  # 0/0 = NaN where no pair sees the ray
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _common_pixels(a: NDArray, b: NDArray, columns: NDArray) -> tuple[NDArray, NDArray, NDArray]:
     """Copy the given columns of two images, with 0 where not both are seen, and 1 or 0 for whether they are."""
     H, width = len(a), len(columns)
@@ -127,7 +128,7 @@ def _common_pixels(a: NDArray, b: NDArray, columns: NDArray) -> tuple[NDArray, N
     return left, right, seen
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(error_model="numpy")
 def _add_costs(
     a: NDArray, b: NDArray, seen: NDArray, columns: NDArray, radius: int, total: NDArray, count: NDArray
 ) -> None:
@@ -160,7 +161,7 @@ def _add_costs(
             count[y, x] += weight
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _slide(sums: NDArray, a: NDArray, b: NDArray, seen: NDArray, sign: float) -> None:
     """Let one row of pixels enter (sign 1) or leave (sign -1) the running sums."""
     for t in range(len(a)):
@@ -173,7 +174,7 @@ def _slide(sums: NDArray, a: NDArray, b: NDArray, seen: NDArray, sign: float) ->
         sums[5, t] += sign * p * q
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(error_model="numpy")
 def _correlate(box: NDArray, cost: NDArray) -> None:
     """Turn box sums into the cost (1 - ZNCC)/2, 0.5 where a patch is flat."""
     for t in range(len(cost)):
