@@ -65,7 +65,7 @@ def person(rng: np.random.Generator, walking: bool) -> Mesh:
         hip, knee = np.array([0, side * 0.05 * h, 0.5 * h]), np.array([step * 0.6, side * 0.055 * h, 0.27 * h])
         ankle = np.array([step, side * 0.06 * h, 0.04 * h])
         mesh.tube([hip, knee, ankle], [0.05 * h, 0.036 * h, 0.026 * h], "fabric", 10, trousers)
-        mesh.ball((*ankle, 0.03 * h, 0, -0.01 * h), (0.075 * h, 0.028 * h, 0.028 * h), "fabric", 6, shoes)
+        mesh.ball(ankle + np.array([0.03 * h, 0, -0.01 * h]), (0.075 * h, 0.028 * h, 0.028 * h), "fabric", 6, shoes)
         shoulder, elbow = np.array([0, side * 0.12 * h, 0.8 * h]), np.array([-step * 0.4, side * 0.145 * h, 0.64 * h])
         hand = np.array([-step * 0.6 + 0.05, side * 0.14 * h, 0.48 * h])
         mesh.tube([shoulder, elbow, hand], [0.034 * h, 0.027 * h, 0.02 * h], "fabric", 8, coat)

@@ -204,7 +204,7 @@ def planter(rng: np.random.Generator) -> Mesh:
     mesh.box((-0.4, -0.4, 0), (0.4, 0.4, 0.5), "kerbstone")
     mesh.box((-0.33, -0.33, 0.5), (0.33, 0.33, 0.51), "soil")
     n = 500
-    at = (*rng.normal(0, 0.17, (n, 3)), 0, 0, 0.78)
+    at = rng.normal(0, 0.17, (n, 3)) + np.array([0, 0, 0.78])
     mesh.add(at[:, None] + rng.normal(0, 0.045, (n, 4, 3)), "leaf", rng.random(n))
     return mesh
 
