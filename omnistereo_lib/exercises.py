@@ -6,120 +6,138 @@ finding and never raises, whatever it is handed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import copy
+import traceback
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.camera import OcamCamera
 from omnistereo_lib.metrics import error_map
 from omnistereo_lib.pose import Pose
-from omnistereo_lib.sphere import SphereGrid
 
 Answer = Callable[..., Any]
-Value = NDArray[np.float64] | float
+Array = NDArray[np.float64]
+Mistakes = Sequence[tuple[ArrayLike, str]]
+
+_FACTORS = (
+    (-1.0, "that is the right value with the other sign"),
+    (2.0, "that is twice the right value: look for a 2"),
+    (0.5, "that is half the right value: look for a 2"),
+    (100.0, "that is 100 times the right value: is something in centimetres, or in percent?"),
+    (0.01, "that is a hundredth of the right value: is something in centimetres, or in percent?"),
+    (180 / np.pi, "that is 180/π times the right value: are there degrees in place of radians?"),
+    (np.pi / 180, "that is π/180 times the right value: are there radians in place of degrees?"),
+)
 
 
-def diagnose(answer: Answer, inputs: tuple, right: Value, mistakes: Mapping[str, Value]) -> str:
+def diagnose(answer: Answer, inputs: tuple, right: ArrayLike, mistakes: Mistakes) -> str:
     """Call an answer and put into words how its value compares.
 
     Parameters
     ----------
     answer : callable
-        What the student wrote.
+        What the student wrote. It gets copies of the inputs, so it may change them.
     inputs : tuple
         Its arguments.
     right : array or float
-    mistakes : mapping
-        Hint → the value that the mistake behind it gives.
+        What it should return, finite.
+    mistakes : sequence of (array or float, str)
+        What a mistake gives instead, of any shape, and the hint that names it.
 
     Returns
     -------
     str
         "right", or what is wrong and the next thing to try.
     """
+    if not callable(answer):
+        return "hand over the function itself: its name, without brackets behind it"
     try:
-        found = answer(*inputs)
-    except Exception as error:  # whatever a student's code raises is a finding
-        return f"your function stopped with {type(error).__name__}: {error}. Call it yourself with the example above"
+        found = answer(*copy.deepcopy(inputs))
+    except (Exception, SystemExit) as error:  # whatever a student's code raises is a finding; Ctrl-C is not
+        return _stopped(error, len(inputs))
     if found is None or found is Ellipsis:
         return "nothing returned yet: replace the ... and return your result"
-    try:
-        found = np.asarray(found, np.float64)
-    except (TypeError, ValueError):
-        return f"expected numbers, got {type(found).__name__}: return an array or a float"
-    right = np.asarray(right, np.float64)
-    if found.shape != right.shape:
-        return f"the shape is {found.shape}, expected {right.shape}: look at the axes that you sum or stack over"
-    if np.allclose(found, right, rtol=1e-4, atol=1e-6, equal_nan=True):
-        return "right"
-    for hint, value in mistakes.items():
-        if np.allclose(found, value, rtol=1e-4, atol=1e-6, equal_nan=True):
-            return f"not yet: {hint}"
-    if np.isnan(found).any() and not np.isnan(right).any():
-        return "not yet: there are NaN values; look for 0/0, or for a mean over cells that no pair sees"
-    worst = float(np.nanmax(np.abs(found - right)))
-    return f"not yet: off by up to {worst:.3g}, and no usual mistake explains it. Print both for one value"
+    right, values = np.asarray(right, np.float64), _numbers(found)
+    return _not_numbers(found, right) if values is None else _compare(values, right, mistakes)
 
 
 def check_index_to_depth(answer: Answer) -> None:
     """00.1: depth in metres of sphere index n, given N and D_min."""
-    n, N, nearest = np.array([1.0, 10.0, 63.0]), 64, 1.65
-    inverse = n / (nearest * (N - 1))
-    mistakes = {
-        "that is the inverse depth in 1/m; depth is one divided by it": inverse,
-        "the spheres run from 0 to N - 1, so the last one has index N - 1: divide by N - 1, not by N": nearest * N / n,
-        "the spheres are even in inverse depth, not in depth": nearest * n / (N - 1),
-    }
-    _report(answer, (n, N, nearest), 1 / inverse, mistakes)
+    n, N, nearest = 10, 64, 1.65
+    depth = nearest * (N - 1) / n
+    mistakes = [
+        (1 / depth, "that is the inverse depth in 1/m; the depth is one divided by it"),
+        (nearest * N / n, "the spheres run from 0 to N - 1: it is N - 1 steps from infinity to D_min, not N"),
+        (nearest * N / (n + 1), "the spheres count from 0, which is at infinity: n, not n + 1"),
+        (nearest * (N - 1) / (N - 1 - n), "sphere 0 is the one at infinity, sphere N - 1 the nearest: turn n around"),
+        (nearest * n / (N - 1), "the spheres are even in inverse depth, not in depth"),
+        ((N - 1) / n, "that is in units of the nearest depth; metres are asked"),
+    ]
+    print(diagnose(answer, (n, N, nearest), depth, mistakes))
 
 
 def check_point_of_ray(answer: Answer) -> None:
     """03.1: the point at a distance along the ray of angles θ, φ in radians, rig frame."""
     theta, phi, depth = 0.7, 0.3, 4.0
-    ray = _ray(theta, phi)
-    mistakes = {
-        "the angles come in radians, NumPy wants radians: no conversion is needed": depth
-        * _ray(*np.radians([0.7, 0.3])),
-        "that is the paper's printed ρ, whose panorama is turned by 90° and mirrored": depth
-        * np.array([np.cos(phi) * np.cos(theta), np.sin(phi), np.cos(phi) * np.sin(theta)]),
-        "y points down and φ is positive downwards: the second component is +sin φ": depth * ray * [1, -1, 1],
-        "that is the unit ray; the point lies `depth` metres along it": ray,
-        "that is divided by the depth: multiply": ray / depth,
-    }
-    _report(answer, (theta, phi, depth), depth * ray, mistakes)
+    x, y, z = ray = _ray(theta, phi)
+    mistakes = [
+        (depth * _ray(*np.radians([theta, phi])), "the angles are in radians already, and NumPy wants radians"),
+        (depth * _ray(*np.degrees([theta, phi])), "NumPy wants radians, and the angles are in radians already"),
+        (depth * _ray(phi, theta), "θ goes around and φ goes down: they are swapped"),
+        (depth * np.array([z, y, x]), "that is the paper's printed ρ, whose panorama is turned by 90° and mirrored"),
+        (depth * ray * [1, -1, 1], "y points down and φ is positive downwards: the second component is +sin φ"),
+        (depth * ray * [-1, 1, 1], "x points right and θ grows to the right: the first component is +cos φ sin θ"),
+        (depth * np.array([np.sin(theta), y, np.cos(theta)]), "cos φ belongs to x and z: a ray has length 1"),
+        (depth * ray / z, "the depth is measured along the ray, not along z"),
+        (ray, "that is the unit ray; the point lies `depth` metres along it"),
+        (ray / depth, "that is divided by the depth, as if it were an inverse depth: multiply"),
+    ]
+    print(diagnose(answer, (theta, phi, depth), depth * ray, mistakes))
 
 
 def check_pixel_of_point(answer: Answer) -> None:
-    """03.2: the pixel at which a camera sees a point that is given in the rig frame."""
+    """03.2: the pixel (u, v) at which a camera sees a point that is given in the rig frame."""
     camera = OcamCamera([-200.0, 0.0, 1e-3], [314.159, 200.0], (400.0, 380.0), (1.0, 0.0, 0.0), (800, 768))
     T_rig_cam = Pose.from_vector([0.1, 0.9, -0.2, 0.3, -0.1, 0.5])
-    point = np.array([2.0, 0.4, 1.5])
-    back = T_rig_cam.inverse()
-    mistakes = {
-        "T_rig_cam takes camera coordinates to the rig; the point goes the other way: use its inverse": camera.project(
-            T_rig_cam @ point
-        )[0],
-        "the rotation is inverted, the translation is not: the inverse's translation is -Rᵀt": camera.project(
-            T_rig_cam.R.T @ point - T_rig_cam.t
-        )[0],
-        "pixels are (u, v): right first, then down; yours are swapped": camera.project(back @ point)[0][::-1],
-        "the point is used as if it were in the camera frame: transform it first": camera.project(point)[0],
-    }
-    _report(answer, (camera, T_rig_cam, point), camera.project(back @ point)[0], mistakes)
+    R, t = T_rig_cam.R, T_rig_cam.t
+    point = np.array([1.0, 1.0, 2.5])
+
+    def project(point: Array) -> Array:
+        return camera.project(point)[0]
+
+    pixel = project(T_rig_cam.inverse() @ point)
+    mistakes = [
+        (project(T_rig_cam @ point), "T_rig_cam takes camera coordinates to the rig, the point goes back: invert it"),
+        (project(R @ (point - t)), "the translation is undone, but the rotation is not transposed: Rᵀ(p - t)"),
+        (project(R.T @ point - t), "the inverse's translation is -Rᵀt, not -t: Rᵀ(p - t)"),
+        (project(R.T @ point + t), "the inverse's translation is -Rᵀt, not t: Rᵀ(p - t)"),
+        (project(R.T @ point), "the rotation is undone, the translation is left out: Rᵀ(p - t)"),
+        (project(point - t), "the translation is undone, the rotation is left out: Rᵀ(p - t)"),
+        (project(point), "the point is used as if it were in the camera's frame: transform it first"),
+        (pixel[::-1], "pixels are (u, v), right first, then down: yours are swapped"),
+        (pixel + 0.5, "whole numbers are pixel centres here: add no half pixel"),
+        (pixel - 0.5, "whole numbers are pixel centres here: subtract no half pixel"),
+        (np.rint(pixel), "do not round: a point falls between pixels"),
+        (np.floor(pixel), "do not cut off the decimals: a point falls between pixels"),
+    ]
+    print(diagnose(answer, (camera, T_rig_cam, point), pixel, mistakes))
 
 
 def check_rotation_error(answer: Answer) -> None:
     """03.3: how many pixels of a panorama W wide a yaw error in degrees moves a far point."""
-    yaw, width = 0.5, 320
-    right = yaw / 360 * width
-    mistakes = {
-        "the error comes in degrees, and 360 of them make the full width": yaw / (2 * np.pi) * width,
-        "the panorama spans 360°, not 180°": yaw / 180 * width,
-        "that is the number of degrees in a pixel; it is asked the other way round": 360 / width,
-    }
-    _report(answer, (yaw, width), right, mistakes)
+    yaw, width = 0.7, 320
+    mistakes = [
+        (yaw / (2 * np.pi) * width, "the error is in degrees, and 360 of them, not 2π, make the full width"),
+        (yaw / 180 * width, "the panorama spans 360°, not 180°"),
+        (yaw / 360 * (width - 1), "W columns make the full circle, not W - 1"),
+        (width / 360, "that is the number of pixels in one degree: multiply by the error"),
+        (360 / width, "that is the number of degrees in a pixel; pixels are asked"),
+        (yaw * 360 / width, "360 and the width are swapped: W pixels make 360°"),
+    ]
+    print(diagnose(answer, (yaw, width), yaw / 360 * width, mistakes))
 
 
 def check_zncc_cost(answer: Answer) -> None:
@@ -127,107 +145,175 @@ def check_zncc_cost(answer: Answer) -> None:
     rng = np.random.default_rng(4)
     a = rng.normal(3, 2, (9, 9))
     b = 0.4 * a + rng.normal(1, 0.5, (9, 9))
-    centred_a, centred_b = a - a.mean(), b - b.mean()
-    zncc = (centred_a * centred_b).mean() / (a.std() * b.std())
-    ncc = (a * b).sum() / np.sqrt((a * a).sum() * (b * b).sum())
-    mistakes = {
-        "that is ZNCC itself, 1 for a match; the cost is (1 - ZNCC)/2": zncc,
-        "the sign: a match must cost 0": (1 + zncc) / 2,
-        "1 - ZNCC runs from 0 to 2: divide by 2": 1 - zncc,
-        "subtract each patch's mean first (the Z of ZNCC)": (1 - ncc) / 2,
-        "the covariance is divided by both standard deviations (the N of ZNCC)": (1 - (centred_a * centred_b).mean())
-        / 2,
-        "use the same divisor for the covariance and the deviations: n or n - 1, not both": (1 - zncc * 80 / 81) / 2,
-        "sum and mean are mixed: take the mean of the products": (1 - 81 * zncc) / 2,
-    }
-    _report(answer, (a, b), (1 - zncc) / 2, mistakes)
+    covariance, deviations = np.mean((a - a.mean()) * (b - b.mean())), a.std() * b.std()
+    zncc, n = covariance / deviations, a.size
+    ncc = np.sum(a * b) / np.sqrt(np.sum(a**2) * np.sum(b**2))
+    mistakes = [
+        (zncc, "that is ZNCC itself, 1 for a match; the cost is (1 - ZNCC)/2"),
+        ((1 + zncc) / 2, "the sign: a match must cost 0"),
+        (1 - zncc, "1 - ZNCC runs from 0 to 2: divide by 2"),
+        (1 - zncc / 2, "brackets: the whole 1 - ZNCC is divided by 2"),
+        ((1 - ncc) / 2, "subtract each patch's mean first (the Z of ZNCC)"),
+        ((1 - np.mean(a * b) / deviations) / 2, "subtract the means in the product, too (the Z of ZNCC)"),
+        ((1 - covariance) / 2, "divide the covariance by both standard deviations (the N of ZNCC)"),
+        ((1 - covariance / deviations**2) / 2, "divide by the standard deviations, not by the variances"),
+        ((1 - zncc * n / (n - 1)) / 2, "the covariance is divided by n - 1 and the deviations by n: use n for both"),
+        ((1 - zncc * (n - 1) / n) / 2, "the covariance is divided by n and the deviations by n - 1: use n for both"),
+        ((1 - zncc * n) / 2, "sum and mean are mixed: take the mean of the products"),
+    ]
+    print(diagnose(answer, (a, b), (1 - zncc) / 2, mistakes))
 
 
 def check_mean_over_pairs(answer: Answer) -> None:
     """04.2: the mean cost over the pairs that see a ray (Eq. 2); NaN marks a pair that does not."""
-    costs = np.array([[0.2, np.nan, 0.4, 0.6], [np.nan, np.nan, 0.1, np.nan]]).T
-    right = np.array([0.4, 0.1])
-    mistakes = {
-        "one pair that does not see the ray must not spoil the others: leave the NaN out": costs.mean(0),
-        "a pair that does not see the ray says nothing; a 0 says 'perfect match'": np.nan_to_num(costs).mean(0),
-        "divide by the number of pairs that see the ray, not by all pairs": np.nansum(costs, 0) / len(costs),
-        "that is the mean over the rays: average over the pairs, the first axis": np.array([0.2, 0.25]),
-        "that is the sum; the paper takes the mean": np.nansum(costs, 0),
-    }
-    _report(answer, (costs,), right, mistakes)
+    nan = np.nan
+    costs = np.array([[0.2, nan, 0.5], [nan, nan, 0.9], [0.3, 0.1, 0.4], [0.7, nan, 0.4]])
+    mistakes = [
+        (costs.mean(0), "a pair that does not see the ray must not spoil the others: leave the NaN out"),
+        (np.nansum(costs, 0) / 4, "a pair that does not see the ray is no 0, and not one of the pairs to divide by"),
+        (np.nansum(costs, 0), "that is the sum; the paper takes the mean"),
+        (costs[2], "leave a pair out only at the rays that it does not see, not everywhere"),
+        (np.nanmean(costs, 1), "that is the mean over the rays; average over the pairs, the first axis"),
+        (np.nanmean(costs), "that is the mean over pairs and rays; each ray keeps its own"),
+        (np.nanmin(costs, 0), "that is the best pair; the paper takes the mean"),
+        (np.nanmedian(costs, 0), "that is the median; the paper takes the mean"),
+    ]
+    print(diagnose(answer, (costs,), np.array([0.4, 0.1, 0.55]), mistakes))
 
 
 def check_pixels_per_index(answer: Answer) -> None:
     """04.3: how far a match moves between two neighbouring spheres, in panorama pixels (small angles)."""
     baseline, nearest, N, width = 0.6, 1.65, 64, 320
-    step = 1 / (nearest * (N - 1))
-    right = baseline * step * width / (2 * np.pi)
-    mistakes = {
-        "that is the angle in radians: turn it into pixels, W of them in 2π": baseline * step,
-        "the panorama has W pixels in 2π, not in 360": baseline * step * width / 360,
-        "the step between inverse depths is 1/(D_min (N - 1))": baseline / (nearest * N) * width / (2 * np.pi),
-        "that is the whole range, from infinity to D_min": baseline / nearest * width / (2 * np.pi),
-    }
-    _report(answer, (baseline, nearest, N, width), right, mistakes)
+    angle, per_radian = baseline / (nearest * (N - 1)), width / (2 * np.pi)
+    mistakes = [
+        (angle, "that is the angle in radians: turn it into pixels, W of them in 2π"),
+        (np.degrees(angle), "that is the angle in degrees: turn it into pixels, W of them in 360°"),
+        (angle * width / 360, "the angle is in radians, and W pixels make 2π of them, not 360"),
+        (angle * width / np.pi, "W pixels make the full circle, 2π, not π"),
+        (baseline / (nearest * N) * per_radian, "N spheres have N - 1 steps: the step is 1/(D_min (N - 1))"),
+        (baseline / nearest * per_radian, "that is the whole range, from infinity to D_min; one step of it is asked"),
+        (baseline * nearest / (N - 1) * per_radian, "the step is in inverse depth: D_min belongs below the line"),
+        (1 / (angle * per_radian), "that is the number of spheres in a pixel; it is asked the other way round"),
+    ]
+    print(diagnose(answer, (baseline, nearest, N, width), angle * per_radian, mistakes))
 
 
 def check_sgm_step(answer: Answer) -> None:
     """07.1: one step of SGM's recurrence along a path."""
-    rng = np.random.default_rng(7)
-    cost, before = rng.random(12), 3 * rng.random(12)
-    p1, p2 = 0.1, 0.6
+    cost = np.array([0.5, 0.3, 0.6, 0.1, 0.2, 0.7, 0.4, 0.8])
+    before = np.array([2.0, 2.1, 1.7, 1.2, 1.3, 1.9, 1.5, 1.4])
+    p1, p2, best = 0.1, 0.6, before.min()
+    ends = np.pad(before, 1, constant_values=np.inf)
 
-    def step(p1: float, p2: float, subtract: bool = True, best: float | None = None) -> NDArray[np.float64]:
-        lowest = before.min() if best is None else best
-        left = np.append(np.inf, before[:-1]) + p1
-        right = np.append(before[1:], np.inf) + p1
-        return cost + np.minimum.reduce([before, left, right, np.full(12, lowest + p2)]) - subtract * before.min()
+    def step(p1: float, p2: float, best: float = best, around: Array = ends) -> Array:
+        neighbours = np.minimum(around[:-2], around[2:]) + p1
+        return cost + np.minimum(np.minimum(before, neighbours), best + p2) - best
 
-    around = np.minimum.reduce(
-        [before, np.roll(before, 1) + p1, np.roll(before, -1) + p1, np.full(12, before.min() + p2)]
-    )
-    mistakes = {
-        "subtract min_k L(p - r, k) at the end, or the sums grow along the path": step(p1, p2, subtract=False),
-        "P1 is for a step of one sphere, P2 for a jump: they are swapped": step(p2, p1),
-        "the neighbours n ± 1 do not wrap around: sphere 0 has no left neighbour": cost + around - before.min(),
-        "the jump is from the best sphere of the pixel before, min_k L(p - r, k), plus P2": step(p1, p2, best=0.0),
-        "that is the cost alone; add the cheapest way to arrive": cost,
-    }
-    _report(answer, (cost, before, p1, p2), step(p1, p2), mistakes)
+    right = step(p1, p2)
+    mistakes = [
+        (right + best, "subtract min_k L(p - r, k) at the end, or the sums grow along the path"),
+        (step(p2, p1), "P1 is for a step of one sphere, P2 for a jump: they are swapped"),
+        (step(p1, p2, around=np.pad(before, 1, mode="wrap")), "n ± 1 does not wrap: sphere 0 has no left neighbour"),
+        (step(p1, p2, best=0.0) - best, "a jump starts at the best sphere before: min_k L(p - r, k) + P2, not P2"),
+        (step(p1, np.inf), "the jump is missing: min_k L(p - r, k) + P2"),
+        (step(np.inf, p2), "the neighbours are missing: L(p - r, n ± 1) + P1"),
+        (step(p1, p2, best=cost.min()), "min_k is over the path costs before, not over this ray's costs"),
+        (right - cost, "add this ray's own cost, C(p, n)"),
+        (cost, "that is the cost alone: add the cheapest way to arrive"),
+    ]
+    print(diagnose(answer, (cost, before, p1, p2), right, mistakes))
 
 
 def check_parabola(answer: Answer) -> None:
     """07.2: the offset of a parabola's vertex from its middle sample."""
     left, middle, right = 0.5, 0.2, 0.3
-    offset = (left - right) / (2 * (left - 2 * middle + right))
-    mistakes = {
-        "the sign: the vertex lies towards the cheaper neighbour": -offset,
-        "the curvature is divided by twice": offset * 2,
-        "that is off by a factor of 2: the vertex is at (l - r)/(2 (l - 2c + r))": offset / 2,
-    }
-    _report(answer, (left, middle, right), offset, mistakes)
+    slope, curvature = left - right, left - 2 * middle + right
+    offset = slope / (2 * curvature)
+    mistakes = [
+        (-offset, "the sign: the vertex lies towards the cheaper neighbour"),
+        (slope / curvature, "the 2 below the line is missing"),
+        (
+            slope / 2 * curvature,
+            "brackets: Python divides by 2 and then multiplies; put all below the line in brackets",
+        ),
+        (slope / (4 * curvature), "the parabola's leading coefficient is half of l - 2c + r"),
+        (slope / (2 * (left - middle + right)), "the middle sample counts twice: l - 2c + r"),
+        (1 + offset, "that is measured from the left sample; the offset is from the middle one"),
+    ]
+    print(diagnose(answer, (left, middle, right), offset, mistakes))
 
 
 def check_index_error(answer: Answer) -> None:
-    """07.3: mean absolute error in percent of the range swept (Eq. 5)."""
-    index, truth, N = np.array([3.0, 50.0, 20.0, np.nan]), np.array([3.4, 48.0, 21.7, 5.0]), 64
-    grid = SphereGrid(8, 4, num_spheres=N)
-    error = error_map(index, truth, N)[:3]
-    depth_error = np.abs(grid.index_to_depth(index) - grid.index_to_depth(truth))[:3]
-    mistakes = {
-        "the error is in percent of the N spheres: multiply by 100/N": np.abs(index - truth)[:3].mean(),
-        "the ground truth is not rounded in the evaluation": error_map(index, np.rint(truth), N)[:3].mean(),
-        "compare indices, not depths: an error of a metre means little far away": depth_error.mean(),
-        "rays without an estimate (NaN) are left out of this mean": np.nan,
-        "that is the root mean square; the MAE is the mean of the absolute values": np.sqrt((error**2).mean()),
-        "take the absolute value before the mean": (100 / N * (index - truth))[:3].mean(),
-    }
-    _report(answer, (index, truth, N), error.mean(), mistakes)
+    """07.3: mean absolute error in percent of the range swept (Eq. 5), over the rays with an estimate."""
+    index, truth, N = np.array([3.0, 50.0, 20.0, np.nan]), np.array([3.4, 48.0, 18.3, 5.0]), 64
+    known = slice(3)
+    error = error_map(index, truth, N)[known]
+    mistakes = [
+        (error.mean() * N / 100, "that is in indices; the error is in percent of the N spheres: multiply by 100/N"),
+        (error.mean() / 100, "that is a fraction of the N spheres: percent is 100 times that"),
+        (error.mean() * N / (N - 1), "Eq. 5 divides by N, not by N - 1"),
+        (error_map(index, np.rint(truth), N)[known].mean(), "do not round the truth: that is for training only"),
+        (np.nan, "a ray without an estimate (NaN) spoils the mean: leave it out"),
+        (error.sum() / 4, "a ray without an estimate (NaN) is left out, also of the number that you divide by"),
+        ((error.sum() + 100) / 4, "here a ray without an estimate (NaN) is left out; `index_error` counts it as 100"),
+        (error.sum(), "that is the sum: divide by the number of rays with an estimate"),
+        (np.sqrt((error**2).mean()), "that is the root mean square; the MAE is the mean of the absolute values"),
+        (100 / N * (index - truth)[known].mean(), "take the absolute value of each ray, before the mean"),
+        (error, "that is the error of each ray: take the mean"),
+        (error_map(index, truth, N), "that is the error of each ray: leave the NaN out and take the mean"),
+    ]
+    print(diagnose(answer, (index, truth, N), error.mean(), mistakes))
 
 
-def _ray(theta: float, phi: float) -> NDArray[np.float64]:
+def _ray(theta: float, phi: float) -> Array:
     return np.array([np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta)])
 
 
-def _report(answer: Answer, inputs: tuple, right: Value, mistakes: Mapping[str, Value]) -> None:
-    print(diagnose(answer, inputs, right, mistakes))
+def _stopped(error: BaseException, arguments: int) -> str:
+    if isinstance(error, TypeError) and error.__traceback__.tb_next is None:  # the call itself, nothing inside
+        return f"your function is called with {arguments} arguments: keep its first line as it was ({error})"
+    message = "".join(traceback.format_exception_only(error)).strip()
+    return f"your function stopped with {message}. Call it with numbers of your own: Python then shows the line"
+
+
+def _numbers(found: Any) -> Array | None:
+    try:
+        values = np.asarray(found)
+    except Exception:  # parts of unequal shape, a tensor with a gradient, an object's own error
+        return None
+    return values.astype(np.float64) if values.dtype.kind in "iuf" else None  # no text, truth values, complex numbers
+
+
+def _not_numbers(found: Any, right: Array) -> str:
+    first = _numbers(found[0]) if isinstance(found, tuple) and found else None
+    if first is not None and _same(first, right):
+        return "not yet: the first thing that you return is right, return it alone"
+    kind = f"an array of {found.dtype}" if isinstance(found, np.ndarray) else type(found).__name__
+    return f"not yet: expected {_form(right)}, got {kind}. Return real numbers, and nothing beside them"
+
+
+def _compare(found: Array, right: Array, mistakes: Mistakes) -> str:
+    if _same(found, right):
+        return "right"
+    for value, hint in mistakes:
+        if _same(found, value):
+            return f"not yet: {hint}"
+    if found.shape != right.shape:
+        return f"not yet: expected {_form(right)}, got {_form(found)}. Look at the axes that you sum or stack over"
+    if not np.isfinite(found).all():
+        return "not yet: there are NaN or infinite values. Look for a division by zero, or NaN that is not left out"
+    for factor, hint in _FACTORS:
+        if _same(found, factor * right):
+            return f"not yet: {hint}"
+    worst = np.abs(found - right).max()
+    return (
+        f"not yet: off by up to {worst:.3g}, and no usual mistake explains it. Work out one value by hand and compare"
+    )
+
+
+def _same(found: Array, value: ArrayLike) -> bool:
+    return found.shape == np.shape(value) and np.allclose(found, value, rtol=1e-4, atol=1e-6, equal_nan=True)
+
+
+def _form(values: Array) -> str:
+    return f"numbers of shape {values.shape}" if values.ndim else "one number"

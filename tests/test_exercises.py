@@ -1,0 +1,515 @@
+"""The exercises' checkers against students: right ones, each usual mistake, and garbage."""
+
+import math
+from fractions import Fraction
+from itertools import combinations
+from statistics import fmean
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from omnistereo_lib import exercises, index_error
+from omnistereo_lib.exercises import diagnose
+
+CHECKERS = [value for name, value in vars(exercises).items() if name.startswith("check_")]
+
+
+# Students who need more than a line.
+
+
+def list_of_ray(theta, phi, depth):
+    return [depth * math.cos(phi) * math.sin(theta), depth * math.sin(phi), depth * math.cos(phi) * math.cos(theta)]
+
+
+def ray_by_rotations(theta, phi, depth):
+    """Forward, turned down by φ, then to the right by θ."""
+    return Rotation.from_euler("xy", [-phi, theta]).apply([0, 0, depth])
+
+
+def pixel_by_matrix(camera, T_rig_cam, point):
+    M = np.eye(4)
+    M[:3, :3], M[:3, 3] = T_rig_cam.R, T_rig_cam.t
+    uv, _ = camera.project((np.linalg.inv(M) @ [*point, 1])[:3])
+    return tuple(uv)
+
+
+def pixel_in_place(camera, T_rig_cam, point):
+    point -= T_rig_cam.t
+    return camera.project(T_rig_cam.R.T @ point)[0].astype(np.float32)
+
+
+def zncc_loops(a, b):
+    a, b = a.ravel().tolist(), b.ravel().tolist()
+    products = squares_a = squares_b = 0.0
+    for x, y in zip(a, b, strict=True):
+        products += (x - fmean(a)) * (y - fmean(b))
+        squares_a += (x - fmean(a)) ** 2
+        squares_b += (y - fmean(b)) ** 2
+    return (1 - products / math.sqrt(squares_a * squares_b)) / 2
+
+
+def zncc_normalised(a, b):
+    a, b = ((x - x.mean()) / x.std() for x in (a.astype(np.float32), b.astype(np.float32)))
+    return 0.5 - 0.5 * (a * b).mean()
+
+
+def zncc_half_centred(a, b):
+    return (1 - np.mean(a * b) / (a.std() * b.std())) / 2
+
+
+def mean_loops(costs):
+    means = []
+    for ray in costs.T:
+        seen = [cost for cost in ray if not math.isnan(cost)]
+        means.append(sum(seen) / len(seen))
+    return means
+
+
+def mean_by_counting(costs):
+    seen = np.isfinite(costs)
+    costs[~seen] = 0
+    return costs.sum(0) / seen.sum(0)
+
+
+def mean_of_complete_pairs(costs):
+    return costs[~np.isnan(costs).any(axis=1)].mean(axis=0)
+
+
+def sgm_loops(cost, before, p1, p2, first=1, subtract=True, low=None):
+    """One step; `first` is the first sphere with a left neighbour, and Python's before[-1] is the last."""
+    low = min(before) if low is None else low
+    result = []
+    for n in range(len(cost)):
+        ways = [before[n], low + p2]
+        if n >= first:
+            ways.append(before[n - 1] + p1)
+        if n + 1 < len(before):
+            ways.append(before[n + 1] + p1)
+        result.append(cost[n] + min(ways) - subtract * low)
+    return result
+
+
+def sgm_transitions(cost, before, p1, p2):
+    n = np.arange(len(cost))
+    penalty = np.choose(np.minimum(abs(n[:, None] - n), 2), [0, p1, p2])
+    return (cost + (before + penalty).min(1) - before.min()).astype(np.float32)
+
+
+def sgm_in_place(cost, before, p1, p2):
+    before -= before.min()
+    padded = np.pad(before, 1, mode="edge")  # the end's own cost plus P1 is never the cheapest
+    cost += np.min([before, padded[:-2] + p1, padded[2:] + p1, np.full_like(before, p2)], axis=0)
+    return cost
+
+
+def sgm_rolled(cost, before, p1, p2):
+    around = np.minimum(np.roll(before, 1), np.roll(before, -1)) + p1
+    return cost + np.minimum(np.minimum(before, around), before.min() + p2) - before.min()
+
+
+def sgm_jump_from_nowhere(cost, before, p1, p2):
+    padded = np.pad(before, 1, constant_values=1e9)
+    return cost + np.min([before, padded[:-2] + p1, padded[2:] + p1, 0 * before + p2], axis=0) - before.min()
+
+
+def sgm_no_jump(cost, before, p1, p2):
+    padded = np.pad(before, 1, constant_values=1e9)
+    return cost + np.min([before, padded[:-2] + p1, padded[2:] + p1], axis=0) - before.min()
+
+
+def vertex_of_fit(left, middle, right):
+    a, b, _ = np.polyfit([-1, 0, 1], [left, middle, right], 2)
+    return np.float32(-b / (2 * a))
+
+
+def vertex_of_fit_from_left(left, middle, right):
+    a, b, _ = np.polyfit([0, 1, 2], [left, middle, right], 2)
+    return -b / (2 * a)
+
+
+def vertex_half_a(left, middle, right):
+    a, b = left - 2 * middle + right, (right - left) / 2
+    return -b / (2 * a)
+
+
+def mae_loops(index, truth, N):
+    errors = [100 / N * abs(i - t) for i, t in zip(index, truth, strict=True) if i == i]
+    return sum(errors) / len(errors)
+
+
+def library_mae(index, truth, N):
+    return index_error(index, truth, N)["MAE"]
+
+
+# What each checker says ("right", or words of its hint) to which student.
+
+INDEX_TO_DEPTH = [
+    ("right", lambda n, N, nearest: 1 / (n / (nearest * (N - 1)))),
+    ("right", lambda n, N, nearest: math.inf if n == 0 else nearest * (N - 1) / n),
+    ("right", lambda n, N, nearest: 1 / np.linspace(0, 1 / nearest, N, dtype=np.float32)[n]),
+    ("inverse depth in 1/m", lambda n, N, nearest: n / nearest / (N - 1)),
+    ("N - 1 steps", lambda n, N, nearest: nearest / (n / N)),
+    ("n, not n + 1", lambda n, N, nearest: nearest * N / (n + 1)),
+    ("turn n around", lambda n, N, nearest: 1 / np.linspace(1 / nearest, 0, N)[n]),
+    ("even in inverse depth", lambda n, N, nearest: np.linspace(0, nearest, N)[n]),
+    ("metres are asked", lambda n, N, nearest: (N - 1) / n),
+]
+POINT_OF_RAY = [
+    ("right", list_of_ray),
+    ("right", ray_by_rotations),
+    ("right", lambda t, p, d: d * np.float32([np.cos(p) * np.sin(t), np.sin(p), np.cos(p) * np.cos(t)])),
+    ("in radians already, and", lambda t, p, d: list_of_ray(np.deg2rad(t), np.deg2rad(p), d)),
+    ("NumPy wants radians, and", lambda t, p, d: list_of_ray(math.degrees(t), math.degrees(p), d)),
+    ("swapped", lambda t, p, d: list_of_ray(p, t, d)),
+    ("printed ρ", lambda t, p, d: d * np.array([np.cos(p) * np.cos(t), np.sin(p), np.cos(p) * np.sin(t)])),
+    ("y points down", lambda t, p, d: list_of_ray(t, -p, d)),
+    ("x points right", lambda t, p, d: list_of_ray(-t, p, d)),
+    ("a ray has length 1", lambda t, p, d: np.array([np.sin(t), np.sin(p), np.cos(t)]) * d),
+    ("not along z", lambda t, p, d: [d * np.tan(t), d * np.tan(p) / np.cos(t), d]),
+    ("`depth` metres along it", lambda t, p, d: list_of_ray(t, p, 1)),
+    ("divided by the depth", lambda t, p, d: list_of_ray(t, p, 1 / d)),
+    ("centimetres", lambda t, p, d: list_of_ray(t, p, 100 * d)),
+]
+PIXEL_OF_POINT = [
+    ("right", lambda camera, T, p: camera.project(T.inverse() @ p)[0]),
+    ("right", pixel_by_matrix),
+    ("right", pixel_in_place),
+    ("invert it", lambda camera, T, p: camera.project(T @ p)[0]),
+    ("not transposed", lambda camera, T, p: camera.project(T.R.dot(p - T.t))[0]),
+    ("not -t", lambda camera, T, p: camera.project(T.R.T.dot(p) - T.t)[0]),
+    ("not t:", lambda camera, T, p: camera.project(p @ T.R + T.t)[0]),
+    ("translation is left out", lambda camera, T, p: camera.project(p @ T.R)[0]),
+    ("rotation is left out", lambda camera, T, p: camera.project(p - T.t)[0]),
+    ("transform it first", lambda camera, T, p: camera.project(p)[0]),
+    ("yours are swapped", lambda camera, T, p: pixel_by_matrix(camera, T, p)[::-1]),
+    ("add no half pixel", lambda camera, T, p: [x + 0.5 for x in pixel_by_matrix(camera, T, p)]),
+    ("subtract no half pixel", lambda camera, T, p: [x - 0.5 for x in pixel_by_matrix(camera, T, p)]),
+    ("do not round", lambda camera, T, p: [round(x) for x in pixel_by_matrix(camera, T, p)]),
+    ("do not cut off", lambda camera, T, p: [int(x) for x in pixel_by_matrix(camera, T, p)]),
+    ("return it alone", lambda camera, T, p: camera.project(T.inverse() @ p)),
+]
+ROTATION_ERROR = [
+    ("right", lambda degrees, width: degrees / (360 / width)),
+    ("right", lambda degrees, width: np.radians(np.float32(degrees)) * width / (2 * np.pi)),
+    ("not 2π", lambda degrees, width: width * degrees / (2 * np.pi)),
+    ("not 180°", lambda degrees, width: np.radians(degrees) / np.pi * width),
+    ("not W - 1", lambda degrees, width: (width - 1) * degrees / 360),
+    ("multiply by the error", lambda degrees, width: width / 360),
+    ("pixels are asked", lambda degrees, width: 360 / width),
+    ("swapped", lambda degrees, width: 360 / width * degrees),
+    ("other sign", lambda degrees, width: -degrees * width / 360),
+]
+ZNCC_COST = [
+    ("right", zncc_loops),
+    ("right", zncc_normalised),
+    ("right", lambda a, b: (1 - np.corrcoef(a.ravel(), b.ravel())[0, 1]) / 2),
+    ("ZNCC itself", lambda a, b: np.corrcoef(a.flat, b.flat)[0, 1]),
+    ("a match must cost 0", lambda a, b: (1 + np.corrcoef(a.flat, b.flat)[0, 1]) / 2),
+    ("runs from 0 to 2", lambda a, b: 1 - np.corrcoef(a.flat, b.flat)[0, 1]),
+    ("brackets", lambda a, b: 1 - np.corrcoef(a.flat, b.flat)[0, 1] / 2),
+    ("each patch's mean first", lambda a, b: (1 - np.vdot(a, b) / np.linalg.norm(a) / np.linalg.norm(b)) / 2),
+    ("in the product, too", zncc_half_centred),
+    ("by both standard deviations", lambda a, b: (1 - np.cov(a.flat, b.flat, ddof=0)[0, 1]) / 2),
+    ("not by the variances", lambda a, b: (1 - np.cov(a.flat, b.flat, ddof=0)[0, 1] / (a.var() * b.var())) / 2),
+    ("the deviations by n:", lambda a, b: (1 - np.cov(a.flat, b.flat)[0, 1] / (a.std() * b.std())) / 2),
+    (
+        "the deviations by n - 1",
+        lambda a, b: (1 - np.mean((a - a.mean()) * (b - b.mean())) / (a.std(ddof=1) * b.std(ddof=1))) / 2,
+    ),
+    ("sum and mean", lambda a, b: (1 - np.sum((a - a.mean()) * (b - b.mean())) / (a.std() * b.std())) / 2),
+    ("shape (18, 18)", lambda a, b: (1 - np.corrcoef(a, b)) / 2),
+]
+MEAN_OVER_PAIRS = [
+    ("right", mean_loops),
+    ("right", mean_by_counting),
+    ("right", lambda costs: np.nanmean(costs.astype(np.float32), axis=0)),
+    ("leave the NaN out", lambda costs: np.mean(costs, axis=0)),
+    ("no 0", lambda costs: np.where(np.isnan(costs), 0, costs).mean(axis=0)),
+    ("no 0", lambda costs: np.nansum(costs, axis=0) / costs.shape[0]),
+    ("that is the sum", lambda costs: np.nan_to_num(costs).sum(axis=0)),
+    ("not everywhere", mean_of_complete_pairs),
+    ("mean over the rays", lambda costs: np.nanmean(costs, axis=1)),
+    ("pairs and rays", lambda costs: costs[~np.isnan(costs)].mean()),
+    ("best pair", lambda costs: np.nan_to_num(costs, nan=1).min(axis=0)),
+    ("median", lambda costs: [np.median(ray[~np.isnan(ray)]) for ray in costs.T]),
+]
+PIXELS_PER_INDEX = [
+    ("right", lambda b, nearest, N, width: b / nearest / (N - 1) / (2 * np.pi / width)),
+    ("right", lambda b, nearest, N, width: math.degrees(math.atan(b / (nearest * (N - 1)))) * width / 360),
+    (
+        "right",
+        lambda b, nearest, N, width: np.float32(b) * np.diff(np.linspace(0, 1 / nearest, N))[0] * width / math.tau,
+    ),
+    ("angle in radians:", lambda b, nearest, N, width: b / nearest / (N - 1)),
+    ("angle in degrees", lambda b, nearest, N, width: math.degrees(b / nearest / (N - 1))),
+    ("not 360", lambda b, nearest, N, width: b / nearest / (N - 1) / (360 / width)),
+    ("not π", lambda b, nearest, N, width: b / nearest / (N - 1) / (np.pi / width)),
+    ("N - 1 steps", lambda b, nearest, N, width: b / nearest / N / (2 * np.pi / width)),
+    ("whole range", lambda b, nearest, N, width: b / nearest / (2 * np.pi / width)),
+    ("inverse depth", lambda b, nearest, N, width: b * np.diff(np.linspace(0, nearest, N))[0] * width / math.tau),
+    ("spheres in a pixel", lambda b, nearest, N, width: math.tau / width / b * nearest * (N - 1)),
+]
+SGM_STEP = [
+    ("right", sgm_loops),
+    ("right", sgm_transitions),
+    ("right", sgm_in_place),
+    ("subtract min_k", lambda cost, before, p1, p2: sgm_loops(cost, before, p1, p2, subtract=False)),
+    ("P1 is for", lambda cost, before, p1, p2: sgm_in_place(cost, before, p2, p1)),
+    ("does not wrap", sgm_rolled),
+    ("does not wrap", lambda cost, before, p1, p2: sgm_loops(cost, before, p1, p2, first=0)),
+    ("a jump starts at", sgm_jump_from_nowhere),
+    ("the jump is missing", sgm_no_jump),
+    (
+        "neighbours are missing",
+        lambda cost, before, p1, p2: cost + np.minimum(before, before.min() + p2) - before.min(),
+    ),
+    ("not over this ray's", lambda cost, before, p1, p2: sgm_loops(cost, before, p1, p2, low=cost.min())),
+    ("own cost", lambda cost, before, p1, p2: sgm_transitions(0 * cost, before, p1, p2)),
+    ("cost alone", lambda cost, before, p1, p2: cost),
+]
+PARABOLA = [
+    ("right", lambda left, middle, right: (left - right) / (2 * (left - 2 * middle + right))),
+    ("right", vertex_of_fit),
+    ("the sign", lambda left, middle, right: (right - left) / (2 * (left - 2 * middle + right))),
+    ("below the line is missing", lambda left, middle, right: (left - right) / (left - 2 * middle + right)),
+    ("brackets", lambda left, middle, right: (left - right) / 2 * (left - 2 * middle + right)),
+    ("leading coefficient", vertex_half_a),
+    ("counts twice", lambda left, middle, right: 0.5 * (left - right) / (left - middle + right)),
+    ("from the left sample", vertex_of_fit_from_left),
+]
+INDEX_ERROR = [
+    ("right", mae_loops),
+    ("right", lambda index, truth, N: 100 / N * np.nanmean(np.abs(index - truth))),
+    ("right", lambda index, truth, N: np.nanmean(np.abs(np.float32(truth) - np.float32(index)) * 100 / N)),
+    ("that is in indices", lambda index, truth, N: np.nanmean(abs(index - truth))),
+    ("that is a fraction", lambda index, truth, N: np.nanmean(abs(index - truth)) / N),
+    ("not by N - 1", lambda index, truth, N: np.nanmean(abs(index - truth)) / (N - 1) * 100),
+    ("do not round", lambda index, truth, N: mae_loops(index, np.round(truth), N)),
+    ("spoils the mean", lambda index, truth, N: 100 / N * np.mean(np.abs(index - truth))),
+    ("also of the number", lambda index, truth, N: 100 / N * np.nansum(np.abs(index - truth)) / len(index)),
+    ("counts it as 100", library_mae),
+    ("that is the sum", lambda index, truth, N: np.nansum(np.abs(index - truth)) * 100 / N),
+    ("root mean square", lambda index, truth, N: 100 / N * np.nanmean((index - truth) ** 2) ** 0.5),
+    ("absolute value of each", lambda index, truth, N: 100 / N * np.nanmean(index - truth)),
+    ("absolute value of each", lambda index, truth, N: 100 / N * abs(np.nanmean(index - truth))),
+    ("of each ray: take", lambda index, truth, N: 100 / N * np.abs(index - truth)[~np.isnan(index)]),
+    ("of each ray: leave", lambda index, truth, N: 100 / N * np.abs(index - truth)),
+]
+STUDENTS = {
+    exercises.check_index_to_depth: INDEX_TO_DEPTH,
+    exercises.check_point_of_ray: POINT_OF_RAY,
+    exercises.check_pixel_of_point: PIXEL_OF_POINT,
+    exercises.check_rotation_error: ROTATION_ERROR,
+    exercises.check_zncc_cost: ZNCC_COST,
+    exercises.check_mean_over_pairs: MEAN_OVER_PAIRS,
+    exercises.check_pixels_per_index: PIXELS_PER_INDEX,
+    exercises.check_sgm_step: SGM_STEP,
+    exercises.check_parabola: PARABOLA,
+    exercises.check_index_error: INDEX_ERROR,
+}
+ALL_STUDENTS = [(check, words, answer) for check, students in STUDENTS.items() for words, answer in students]
+
+
+def task(check, monkeypatch):
+    """The inputs, the right value and the mistakes of a checker."""
+    seen = []
+    with monkeypatch.context() as patch:
+        patch.setattr(exercises, "diagnose", lambda answer, *rest: seen.append(rest))
+        check(None)
+    return seen[0]
+
+
+@pytest.mark.parametrize(("check", "words", "answer"), ALL_STUDENTS)
+def test_student_is_told_what_is_wrong(check, words, answer, capsys):
+    check(answer)
+    said = capsys.readouterr().out
+    assert said == "right\n" if words == "right" else words in said and said.startswith("not yet: ")
+
+
+def test_every_checker_has_students():
+    assert set(STUDENTS) == set(CHECKERS)
+    assert all([words for words, _ in students].count("right") >= 2 for students in STUDENTS.values())
+
+
+@pytest.mark.parametrize("check", CHECKERS)
+def test_every_hint_is_heard_by_a_student(check, monkeypatch):
+    inputs, right, mistakes = task(check, monkeypatch)
+    heard = {diagnose(answer, inputs, right, mistakes) for _, answer in STUDENTS[check]}
+    assert {f"not yet: {hint}" for _, hint in mistakes} <= heard
+
+
+@pytest.mark.parametrize("check", CHECKERS)
+def test_right_value_and_mistakes_differ_by_more_than_single_precision(check, monkeypatch):
+    _, right, mistakes = task(check, monkeypatch)
+    assert np.isfinite(right).all()
+    for one, other in combinations([right, *(value for value, _ in mistakes)], 2):
+        assert np.shape(one) != np.shape(other) or not np.allclose(one, other, rtol=5e-4, atol=5e-6, equal_nan=True)
+
+
+@pytest.mark.parametrize("check", CHECKERS)
+def test_inputs_of_another_call_are_untouched(check, monkeypatch):
+    """A student who overwrites the arguments changes neither the inputs nor what is compared."""
+    inputs, right, mistakes = task(check, monkeypatch)
+    before = [np.array(value) for value in inputs if isinstance(value, np.ndarray)]
+
+    def overwrite(*arguments):
+        for array in arguments:
+            if isinstance(array, np.ndarray):
+                array[...] = -7
+        return right
+
+    assert diagnose(overwrite, inputs, right, mistakes) == "right"
+    for array, copy in zip([value for value in inputs if isinstance(value, np.ndarray)], before, strict=True):
+        np.testing.assert_array_equal(array, copy)
+
+
+# Garbage: what it is, and what the checker must tell to do next.
+
+
+class Hostile:
+    """Every way to look at it fails."""
+
+    def __array__(self, *args, **kwargs):
+        raise RuntimeError("no array")
+
+    def __repr__(self):
+        raise RuntimeError("no repr")
+
+    __str__ = __len__ = __iter__ = __float__ = __eq__ = __repr__
+    __hash__ = object.__hash__
+
+
+class MuteError(Exception):
+    """An exception that cannot be printed."""
+
+    def __str__(self):
+        raise ValueError("no text")
+
+
+def raiser(error):
+    def answer(*_):
+        raise error
+
+    return answer
+
+
+def endless(*arguments):
+    return endless(*arguments)
+
+
+def generator(*_):
+    yield 1.0
+
+
+ragged_loop = []
+ragged_loop.append(ragged_loop)
+
+RETURNED = {
+    "none": (None, "replace the ..."),
+    "ellipsis": (..., "replace the ..."),
+    "string": ("abc", "got str. Return real numbers"),
+    "string of a number": ("1.5", "got str. Return real numbers"),
+    "strings": (["1", "2"], "got list. Return real numbers"),
+    "bytes": (b"1", "got bytes. Return real numbers"),
+    "truth value": (True, "got bool. Return real numbers"),
+    "truth values": (np.ones(2, bool), "got an array of bool. Return real numbers"),
+    "complex": (1 + 2j, "got complex. Return real numbers"),
+    "complex array": (np.ones(3) * 1j, "got an array of complex128. Return real numbers"),
+    "object": (object(), "got object. Return real numbers"),
+    "hostile object": (Hostile(), "got Hostile. Return real numbers"),
+    "objects": (np.array([None, 1]), "got an array of object. Return real numbers"),
+    "fraction": (Fraction(1, 3), "got Fraction. Return real numbers"),
+    "date": (np.datetime64("2019-05-20"), "got datetime64. Return real numbers"),
+    "dict": ({"a": 1}, "got dict. Return real numbers"),
+    "set": ({1.0}, "got set. Return real numbers"),
+    "function": (abs, "got builtin_function_or_method. Return real numbers"),
+    "generator": ((x for x in (1.0, 2.0)), "got generator. Return real numbers"),
+    "None inside": ([None, 1.0], "got list. Return real numbers"),
+    "ellipsis inside": ([..., ...], "got list. Return real numbers"),
+    "ragged": ([[1.0, 2.0], [3.0]], "got list. Return real numbers"),
+    "list in itself": (ragged_loop, "got list. Return real numbers"),
+    "tuple of different things": ((np.zeros(2), "seen"), "got tuple. Return real numbers"),
+    "tensor with a gradient": (torch.ones(3, requires_grad=True), "got Tensor. Return real numbers"),
+    "wrong shape": (np.zeros((3, 5, 7)), "of shape (3, 5, 7). Look at the axes"),
+    "empty": ([], "of shape (0,). Look at the axes"),
+    "empty tuple": ((), "of shape (0,). Look at the axes"),
+}
+CALLED = {
+    "exception": (raiser(KeyError("D_min")), "stopped with KeyError: 'D_min'. Call it"),
+    "unprintable exception": (raiser(MuteError()), "Call it with numbers of your own"),
+    "assertion": (raiser(AssertionError()), "stopped with AssertionError. Call it"),
+    "TypeError inside": (lambda *_: ... + 1, "stopped with TypeError: unsupported"),
+    "exit": (raiser(SystemExit(1)), "stopped with SystemExit: 1. Call it"),
+    "endless recursion": (endless, "stopped with RecursionError"),
+    "no arguments": (lambda: 1.0, "arguments: keep its first line as it was"),
+    "too many arguments": (lambda a, b, c, d, e, f, g: 1.0, "arguments: keep its first line as it was"),
+    "generator function": (generator, "got generator. Return real numbers"),
+    "class": (Hostile, "keep its first line as it was"),
+    "called already": (2.5, "hand over the function itself"),
+    "nothing": (None, "hand over the function itself"),
+    "text": ("depth", "hand over the function itself"),
+}
+GARBAGE = [
+    *(pytest.param(lambda *_, it=value: it, words, id=name) for name, (value, words) in RETURNED.items()),
+    *(pytest.param(answer, words, id=name) for name, (answer, words) in CALLED.items()),
+]
+
+
+@pytest.mark.parametrize("check", CHECKERS)
+@pytest.mark.parametrize(("answer", "words"), GARBAGE)
+def test_garbage_gets_the_next_thing_to_try(check, answer, words, capsys):
+    check(answer)
+    said = capsys.readouterr().out
+    assert words in said and said.count("\n") == 1
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("check", CHECKERS)
+def test_not_finite(check, bad, monkeypatch):
+    inputs, right, _ = task(check, monkeypatch)
+    found = np.array(right, np.float64)
+    found[(0,) * found.ndim] = bad
+    assert "Look for a division by zero" in diagnose(lambda *_: found, inputs, right, [])
+
+
+@pytest.mark.parametrize("check", CHECKERS)
+def test_unknown_mistake(check, monkeypatch):
+    inputs, right, mistakes = task(check, monkeypatch)
+    said = diagnose(lambda *_: np.asarray(right) * 1.37, inputs, right, mistakes)
+    worst = float(said.split("off by up to ")[1].split(",")[0])
+    assert worst == pytest.approx(0.37 * np.abs(right).max(), rel=0.01)
+    assert said.endswith("Work out one value by hand and compare")
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [
+        (-1, "other sign"),
+        (2, "twice"),
+        (0.5, "half"),
+        (100, "100 times"),
+        (0.01, "hundredth"),
+        (math.degrees(1), "are there degrees"),
+        (math.radians(1), "are there radians"),
+    ],
+)
+def test_common_factor(factor, words):
+    right = np.array([1.5, 0.0, -3.0])
+    assert words in diagnose(lambda x: x * np.float32(factor), (right,), right, [])
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, GeneratorExit])
+def test_interrupt_is_not_swallowed(error):
+    with pytest.raises(error):
+        exercises.check_parabola(raiser(error()))
+
+
+def test_what_a_student_prints_stays_and_the_finding_comes_last(capsys):
+    def talkative(left, middle, right):
+        print("left is", left)
+        return vertex_of_fit(left, middle, right)
+
+    exercises.check_parabola(talkative)
+    assert capsys.readouterr().out == "left is 0.5\nright\n"
