@@ -52,9 +52,12 @@ class Lens:
         return 0.0, -k1 * px_per_mm, 0.0, -k3 * px_per_mm**3, -k4 * px_per_mm**4
 
     def blender_shift(self) -> tuple[float, float]:
-        """Return the camera's shift_x, shift_y that put the axis at `centre`."""
+        """Return the camera's shift_x, shift_y that put the axis at `centre`, in widths and heights of the picture.
+
+        Blender's manual has both in units of the longer side; of a panoramic camera that is not so.
+        """
         u, v = self.centre
-        return ((REFERENCE_WIDTH - 1) / 2 - u) / REFERENCE_WIDTH, (v - (REFERENCE_HEIGHT - 1) / 2) / REFERENCE_WIDTH
+        return ((REFERENCE_WIDTH - 1) / 2 - u) / REFERENCE_WIDTH, (v - (REFERENCE_HEIGHT - 1) / 2) / REFERENCE_HEIGHT
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,7 @@ def random_lens(rng: np.random.Generator) -> Lens:
     linear = edge / focal
     cubic = 0.3325 + 3.8 * (1.9170 - linear)
     quartic = np.radians(MAX_FOV_DEG / 2) - linear - cubic
-    centre = ((REFERENCE_WIDTH - 1) / 2 + rng.normal(0, 1.5), (REFERENCE_HEIGHT - 1) / 2 + rng.normal(0, 1.2))
+    centre = ((REFERENCE_WIDTH - 1) / 2 + rng.normal(0, 1.5), (REFERENCE_HEIGHT - 1) / 2 + rng.normal(0, 1.152))
     return Lens((float(linear / edge), float(cubic / edge**3), float(quartic / edge**4)), centre)
 
 
