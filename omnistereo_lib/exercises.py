@@ -170,7 +170,7 @@ def check_mean_over_pairs(answer: Answer) -> None:
     costs = np.array([[0.2, nan, 0.5], [nan, nan, 0.9], [0.3, 0.1, 0.4], [0.7, nan, 0.4]])
     mistakes = [
         (costs.mean(0), "a pair that does not see the ray must not spoil the others: leave the NaN out"),
-        (np.nansum(costs, 0) / 4, "a pair that does not see the ray is no 0, and not one of the pairs to divide by"),
+        (np.nan_to_num(costs).mean(0), "a pair that does not see the ray is no 0, and none of those to divide by"),
         (np.nansum(costs, 0), "that is the sum; the paper takes the mean"),
         (costs[2], "leave a pair out only at the rays that it does not see, not everywhere"),
         (np.nanmean(costs, 1), "that is the mean over the rays; average over the pairs, the first axis"),
@@ -232,10 +232,7 @@ def check_parabola(answer: Answer) -> None:
     mistakes = [
         (-offset, "the sign: the vertex lies towards the cheaper neighbour"),
         (slope / curvature, "the 2 below the line is missing"),
-        (
-            slope / 2 * curvature,
-            "brackets: Python divides by 2 and then multiplies; put all below the line in brackets",
-        ),
+        (slope / 2 * curvature, "brackets: `/ 2 * x` divides by 2, then multiplies by x; `/ (2 * x)` divides by both"),
         (slope / (4 * curvature), "the parabola's leading coefficient is half of l - 2c + r"),
         (slope / (2 * (left - middle + right)), "the middle sample counts twice: l - 2c + r"),
         (1 + offset, "that is measured from the left sample; the offset is from the middle one"),
@@ -254,8 +251,8 @@ def check_index_error(answer: Answer) -> None:
         (error.mean() * N / (N - 1), "Eq. 5 divides by N, not by N - 1"),
         (error_map(index, np.rint(truth), N)[known].mean(), "do not round the truth: that is for training only"),
         (np.nan, "a ray without an estimate (NaN) spoils the mean: leave it out"),
-        (error.sum() / 4, "a ray without an estimate (NaN) is left out, also of the number that you divide by"),
-        ((error.sum() + 100) / 4, "here a ray without an estimate (NaN) is left out; `index_error` counts it as 100"),
+        (error.sum() / len(index), "a ray without an estimate (NaN) is not among those to divide by, either"),
+        ((error.sum() + 100) / len(index), "leave rays without an estimate out; `index_error` counts them as 100"),
         (error.sum(), "that is the sum: divide by the number of rays with an estimate"),
         (np.sqrt((error**2).mean()), "that is the root mean square; the MAE is the mean of the absolute values"),
         (100 / N * (index - truth)[known].mean(), "take the absolute value of each ray, before the mean"),
@@ -288,7 +285,11 @@ def _not_numbers(found: Any, right: Array) -> str:
     first = _numbers(found[0]) if isinstance(found, tuple) and found else None
     if first is not None and _same(first, right):
         return "not yet: the first thing that you return is right, return it alone"
-    kind = f"an array of {found.dtype}" if isinstance(found, np.ndarray) else type(found).__name__
+    kind = type(found).__name__
+    if isinstance(found, np.ndarray):
+        kind = f"an array of {found.dtype}"
+    elif isinstance(found, list | tuple):  # they are welcome, with numbers in them
+        kind = f"a {kind} that is no array of numbers"
     return f"not yet: expected {_form(right)}, got {kind}. Return real numbers, and nothing beside them"
 
 
