@@ -68,6 +68,7 @@ def fisheye_picture(
         setattr(camera, f"fisheye_polynomial_k{k}", value)
     camera.shift_x, camera.shift_y = lens.blender_shift()
     scene.cycles.samples, scene.cycles.seed, scene.cycles.use_denoising = samples, seed, True
+    scene.cycles.filter_width = 1.5
     scene.view_layers[0].use_pass_z = False
     scene.use_nodes = False
     return _render(T_world_cam, size)
@@ -84,6 +85,7 @@ def depth_panorama(T_world_rig: Pose, size: tuple[int, int], phi_deg: float) -> 
     camera.latitude_min, camera.latitude_max = -np.radians(phi_deg), np.radians(phi_deg)
     camera.shift_x = camera.shift_y = 0.0
     scene.cycles.samples, scene.cycles.seed, scene.cycles.use_denoising = 1, 0, False
+    scene.cycles.filter_width = 0.01  # its table of offsets moves even the first sample a little off the middle
     scene.view_layers[0].use_pass_z = True
     _show_depth(scene)
     distance = _render(T_world_rig, size)[..., 0].astype(np.float64)
