@@ -41,11 +41,13 @@ def main(options: argparse.Namespace) -> int:
     """
     names = options.sets or ["sunny/test"]
     wanted = {name: share(_numbers(name, options.frames), options.shard) for name in names}
+    if options.seed < 0:
+        raise OmnistereoError(f"a seed is a whole number from 0 up, got {options.seed}")
     if importlib.util.find_spec("bpy") is None:
-        return _run_in_blender_environment(sys.argv[1:])
+        return _run_in_blender_environment(options)
     for name, numbers in wanted.items():
         _render(options.out / name, name, numbers, options.seed)
-    sets = " ".join(names)
+    sets = " ".join(name for name in SETS if (options.out / name).is_dir())
     write_manifest(options.out, options.seed, f"python -m omnistereo_lib render {sets} --seed {options.seed}")
     return 0
 
@@ -58,25 +60,28 @@ def _numbers(name: str, frames: list[int] | None) -> tuple[int, ...]:
         if not images.first <= number < images.first + images.count:
             last = images.first + images.count - 1
             raise OmnistereoError(f"{name} has the frames {images.first} to {last}, not {number}")
-    return tuple(frames) if frames else images.shipped
+    return tuple(dict.fromkeys(frames)) if frames else images.shipped
 
 
 def _render(folder: Path, name: str, numbers: tuple[int, ...], seed: int) -> None:
     from tqdm import tqdm
 
     images = SETS[name]
-    forget_partial(folder, images)
+    forget_partial(folder, images, numbers)
     done = sum(is_complete(folder, images, number) for number in numbers)
     with tqdm(total=len(numbers), initial=done, desc=name, unit="frame") as bar:
         for _ in render_set(folder, images, numbers, seed):
             bar.update()
 
 
-def _run_in_blender_environment(arguments: list[str]) -> int:
-    if not _BLENDER_PYTHON.is_file():
+def _run_in_blender_environment(options: argparse.Namespace) -> int:
+    environment = _BLENDER_PYTHON.parents[1]
+    if not _BLENDER_PYTHON.is_file() or Path(sys.prefix).resolve() == environment.resolve():
         raise OmnistereoError(
-            f"Blender's environment is missing ({_BLENDER_PYTHON.parent.parent.name}): run make render, or "
+            f"Blender's environment is missing or unfinished ({environment.name}): run make render, or "
             "python3.11 -m venv .venv-render and .venv-render/bin/pip install -r environment-render.txt"
         )
-    command = [str(_BLENDER_PYTHON), "-m", "omnistereo_lib", *arguments]
+    frames = ["--frames", *map(str, options.frames)] if options.frames else []
+    command = [_BLENDER_PYTHON, "-m", "omnistereo_lib", "render", *options.sets, *frames]
+    command += ["--shard", options.shard, "--seed", str(options.seed), "--out", options.out.absolute()]
     return subprocess.run(command, cwd=_ROOT, check=False).returncode

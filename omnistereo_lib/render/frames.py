@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.files import make_folder, replacing
 from omnistereo_lib.pose import Pose
 from omnistereo_lib.render.rig import RenderRig, make_rig, write_config
 
@@ -123,8 +124,8 @@ def render_set(folder: Path, images: ImageSet, numbers: tuple[int, ...], seed: i
 
     missing = [number for number in numbers if not is_complete(folder, images, number)]
     rig = make_rig(seed)
-    for part in (f"cam{i + 1}" for i in range(len(rig.cameras))):
-        (folder / part).mkdir(parents=True, exist_ok=True)
+    for camera in range(1, len(rig.cameras) + 1):
+        make_folder(folder / f"cam{camera}")
     layout = {"img_fmt": "cam%d/%04d.jpg", "start": images.first, "step": 1, "end": images.first + images.count - 1}
     write_config(folder / "config.yaml", rig, images.size, layout)
     if not missing:
@@ -178,17 +179,19 @@ def _write(folder: Path, number: int, pictures: list[NDArray], truths: list[NDAr
 
 
 def _rounded(values: NDArray) -> NDArray[np.float32]:
-    """Round to 15 significant bits, 1.5e-5 relative: finer than the scene is known, and half the file."""
+    """Round to 15 significant bits, 3.1e-5 relative at worst: finer than the scene is known, and half the file."""
     mantissa, exponent = np.frexp(values)
     return np.ldexp(np.round(mantissa * 2**15) / 2**15, exponent).astype(np.float32)
 
 
-def forget_partial(folder: Path, images: ImageSet) -> list[Path]:
-    """Delete what a killed run left: temporary files, and pictures of frames that are not complete."""
-    left = [path for path in folder.glob("*/.*") if path.suffix in (".jpg", ".tiff")]
-    for path in [*folder.glob("cam*/*.jpg"), *folder.glob("omnidepth_gt_*/*.tiff")]:
-        if path.stem.isdigit() and not is_complete(folder, images, int(path.stem)):
-            left.append(path)
+def forget_partial(folder: Path, images: ImageSet, numbers: tuple[int, ...]) -> list[Path]:
+    """Delete what a killed run left of some frames: temporary files, and the files of frames that are not complete.
+
+    Other frames are left alone: another machine may be writing them.
+    """
+    written = [*folder.glob("cam*/*.jpg"), *folder.glob("omnidepth_gt_*/*.tiff")]
+    left = [path for path in written if path.stem.lstrip(".").isdigit() and int(path.stem.lstrip(".")) in numbers]
+    left = [path for path in left if path.name[0] == "." or not is_complete(folder, images, int(path.stem))]
     for path in left:
         path.unlink()
     return left
@@ -203,6 +206,5 @@ def write_manifest(root: Path, seed: int, command: str) -> None:
         if path.name != "manifest.json"
     }
     text = json.dumps({"command": command, "seed": seed, "files": checksums}, indent=1) + "\n"
-    temporary = root / ".manifest.json"
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(root / "manifest.json")
+    with replacing(root / "manifest.json") as temporary:
+        temporary.write_text(text, encoding="utf-8")

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from omnistereo_lib.files import replacing
 from omnistereo_lib.pose import Pose
 from omnistereo_lib.render.lens import MAX_FOV_DEG, Lens, fit_ocam, random_lens
 
@@ -91,9 +92,8 @@ def write_config(path: Path, rig: RenderRig, size: tuple[int, int], dataset: dic
     lines.append("cameras:")
     for number, camera in enumerate(rig.cameras, start=1):
         lines += _camera_lines(number, camera, size)
-    temporary = path.with_name(path.name + ".part")
-    temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    temporary.replace(path)
+    with replacing(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _camera_lines(number: int, camera: RigCamera, size: tuple[int, int]) -> list[str]:
