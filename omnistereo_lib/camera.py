@@ -285,7 +285,8 @@ def _horner(coefficients: NDArray[np.float64], x: Array) -> Array:
     """Evaluate a polynomial, coefficients from low to high."""
     value = x * 0.0 + float(coefficients[-1])
     for coefficient in coefficients[-2::-1]:
-        value = value * x + float(coefficient)
+        value = value * x
+        value += float(coefficient)
     return value
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -13,20 +14,21 @@ from omnistereo_lib.rig import Rig
 from omnistereo_lib.sphere import SphereGrid
 
 if TYPE_CHECKING:
+    from ipywidgets import Widget
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
 
 DEPTH_COLORS = "inferno"  # even in lightness, so that it reads in gray and to colour-blind eyes
-DPI = 90  # sharp enough to read, small enough that a notebook stays below 500 KB
+DPI = 80  # sharp enough to read, small enough that a notebook stays below 500 KB
 
 
 def encode(fig: Figure, kind: Literal["png", "jpeg"] = "png") -> bytes:
-    """Encode a figure as a PNG (lines, text, flat colours) or a JPEG (photographs) at 90 dots per inch."""
+    """Encode a figure as a PNG (lines, text, flat colours) or a JPEG (photographs) at 80 dots per inch."""
     buffer = io.BytesIO()
     # Matplotlib writes its version into a PNG: without it the file depends on the picture alone.
     extra = {"metadata": {"Software": None}} if kind == "png" else {}
-    pil = {"optimize": True} if kind == "png" else {"quality": 85, "optimize": True}
+    pil = {"optimize": True} if kind == "png" else {"quality": 78, "optimize": True}
     fig.savefig(buffer, format=kind, dpi=DPI, bbox_inches="tight", pil_kwargs=pil, **extra)
     return buffer.getvalue()
 
@@ -57,17 +59,34 @@ def show(fig: Figure, caption: str, alt: str, kind: Literal["png", "jpeg"] = "pn
     display({"text/markdown": f"*Figure:* {caption}", "text/plain": caption}, raw=True)
 
 
-def show_live(fig: Figure) -> None:
-    """Show a figure from within a slider's callback, and close it: a small JPEG, quick to draw and to send.
+def live(draw: Callable[..., Figure], **sliders: Widget) -> None:
+    """Show a figure that follows sliders, drawn anew as a small JPEG whenever one of them moves.
 
-    It has no caption: notebooks are stored without it, and the captioned figure before it says what it shows.
+    Notebooks are stored without it: the captioned figure before it says what it shows.
+
+    Parameters
+    ----------
+    draw : callable
+        Takes the sliders' values by name, returns a figure.
+    sliders : ipywidgets
+        Widgets with a value, named as the arguments of `draw`.
     """
     import matplotlib.pyplot as plt
     from IPython.display import display
+    from ipywidgets import Image, VBox
 
-    picture = base64.b64encode(encode(fig, "jpeg")).decode()
-    plt.close(fig)
-    display({"image/jpeg": picture, "text/plain": "moves with the slider"}, raw=True)
+    picture = Image(format="jpeg")
+
+    def update(_: object = None) -> None:
+        fig = draw(**{name: slider.value for name, slider in sliders.items()})
+        picture.value = encode(fig, "jpeg")
+        plt.close(fig)
+
+    for name, slider in sliders.items():
+        slider.description = slider.description or name
+        slider.observe(update, "value")
+    update()
+    display(VBox([*sliders.values(), picture]))
 
 
 def depth_picture(inverse_depth: NDArray, grid: SphereGrid) -> NDArray[np.uint8]:

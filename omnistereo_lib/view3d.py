@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from omnistereo_lib.doctor import headless, opengl_works
 from omnistereo_lib.files import replacing
 
+_BACKGROUND = "#202020"  # colours stand out, and gaps between points do not dazzle
 _UP = (0.0, -1.0, 0.0)  # y points down in the rig frame
 
 
@@ -56,8 +57,8 @@ def _draw_pyvista(points: NDArray, colors: NDArray, eye: tuple, size: tuple[int,
     import pyvista
 
     plotter = pyvista.Plotter(off_screen=True, window_size=size)
-    plotter.background_color = "white"
-    plotter.add_points(points.astype(np.float32), scalars=colors, rgb=True, point_size=2)
+    plotter.background_color = _BACKGROUND
+    plotter.add_points(points.astype(np.float32), scalars=colors, rgb=True, point_size=5)
     plotter.camera_position = [eye, (0.0, 0.0, 0.0), _UP]
     picture = plotter.screenshot(return_img=True)
     plotter.close()
@@ -69,7 +70,7 @@ def _draw_matplotlib(points: NDArray, colors: NDArray, eye: tuple, size: tuple[i
     from matplotlib.figure import Figure
 
     some = np.random.default_rng(0).permutation(len(points))[:30_000]  # more only takes longer
-    figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100)
+    figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100, facecolor=_BACKGROUND)
     canvas = FigureCanvasAgg(figure)
     axes = figure.add_axes((0, 0, 1, 1), projection="3d")
     x, y, z = points[some].T
@@ -77,6 +78,7 @@ def _draw_matplotlib(points: NDArray, colors: NDArray, eye: tuple, size: tuple[i
     distance = float(np.linalg.norm(eye))
     axes.view_init(elev=np.degrees(np.arcsin(-eye[1] / distance)), azim=np.degrees(np.arctan2(eye[2], eye[0])))
     axes.set_axis_off()
+    axes.patch.set_facecolor(_BACKGROUND)
     axes.set_aspect("equal")
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()

@@ -122,8 +122,9 @@ def _numbers(values: NDArray | list) -> str:
 
 
 def _yaml_float(value: float) -> str:
+    # Eight digits, 2e-6 px: least squares differs from machine to machine from the eleventh on; the file should not.
     # YAML reads "1e-05" as text: a float needs its point.
-    text = repr(value)
+    text = repr(float(f"{value:.8g}"))
     return text.replace("e", ".0e") if "e" in text and "." not in text else text
 
 
