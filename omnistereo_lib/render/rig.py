@@ -101,12 +101,13 @@ def _camera_lines(number: int, camera: RigCamera, size: tuple[int, int]) -> list
     entries = {
         "img_dir": f"cam{number}",
         "model": "ocam",
-        "poly": _numbers([len(fit.poly), *fit.poly]),
-        "inv_poly": _numbers([len(fit.inv_poly), *fit.inv_poly]),
+        # Eight digits, 2e-6 px: least squares differs between machines from the eleventh on, the file should not.
+        "poly": _numbers([len(fit.poly), *_with_digits(fit.poly, 8)]),
+        "inv_poly": _numbers([len(fit.inv_poly), *_with_digits(fit.inv_poly, 8)]),
         "center": _numbers([fit.centre[1], fit.centre[0]]),
         "affine": "[1.0, 0.0, 0.0]",
         "image_size": f"[{height}, {width}]",
-        "pose": _numbers(camera.T_rig_cam.as_vector()),
+        "pose": _numbers([*_with_digits(camera.T_rig_cam.as_vector()[:3], 12), *camera.T_rig_cam.t]),
         "max_fov": MAX_FOV_DEG,
         "fit_residual_px": float(f"{max(fit.residual_px, fit.inverse_residual_px):.2g}"),
         "exposure_gain": round(camera.sensor.gain, 6),
@@ -117,14 +118,17 @@ def _camera_lines(number: int, camera: RigCamera, size: tuple[int, int]) -> list
     return [f"- cam_id: {number}", *(f"  {key}: {value}" for key, value in entries.items())]
 
 
+def _with_digits(values: NDArray, digits: int) -> list[float]:
+    return [float(f"{value:.{digits}g}") for value in values]
+
+
 def _numbers(values: NDArray | list) -> str:
     return "[" + ", ".join(str(v) if isinstance(v, int) else _yaml_float(float(v)) for v in values) + "]"
 
 
 def _yaml_float(value: float) -> str:
-    # Eight digits, 2e-6 px: least squares differs from machine to machine from the eleventh on; the file should not.
     # YAML reads "1e-05" as text: a float needs its point.
-    text = repr(float(f"{value:.8g}"))
+    text = repr(value)
     return text.replace("e", ".0e") if "e" in text and "." not in text else text
 
 
