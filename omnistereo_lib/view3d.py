@@ -34,7 +34,7 @@ def draw_points(
     uint8 array, shape (height, width, 3), RGB
     """
     if len(points) == 0:
-        return np.full((size[1], size[0], 3), 255, np.uint8)  # PyVista refuses to draw nothing
+        return np.full((size[1], size[0], 3), 0x20, np.uint8)  # PyVista refuses to draw nothing
     return _draw_pyvista(points, colors, eye, size) if _has_opengl() else _draw_matplotlib(points, colors, eye, size)
 
 

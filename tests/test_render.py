@@ -520,10 +520,11 @@ def test_truths_of_both_sizes_agree_where_depth_is_smooth(shipped, i):
     smooth = (low > 0) & (high < 1.05 * low)
     smooth[[0, -1]] = False
     assert smooth.mean() > 0.5
-    difference = np.abs(sample(fine, pixels, cv2.INTER_LINEAR) / np.where(smooth, coarse, 1) - 1)[smooth]
+    coarse = coarse[smooth]
+    difference = np.abs(sample(fine, pixels, cv2.INTER_LINEAR)[smooth] / coarse - 1)
     assert np.median(difference) < 5e-5 and np.quantile(difference, 0.9) < 2e-3
     # A pixel of the finer one beside it, and it is seen:
-    beside = np.abs(sample(fine, pixels + np.array([0, 1]), cv2.INTER_LINEAR) / np.where(smooth, coarse, 1) - 1)[smooth]
+    beside = np.abs(sample(fine, pixels + np.array([0, 1]), cv2.INTER_LINEAR)[smooth] / coarse - 1)
     assert np.median(beside) > 1e-3
 
 
@@ -589,7 +590,7 @@ def test_images_warped_with_the_truth_agree(shipped, i):
         textured = smooth & all_around(seen[a] & seen[b]) & np.isfinite(zncc) & (contrast > 20)
         assert textured.sum() > 300
         assert np.median(zncc[textured]) > 0.95 and (zncc[textured] > 0.9).mean() > 0.9
-        assert (off[textured] > 0.9).mean() < 0.4  # with a wrong depth they do not
+        assert (off[textured] > 0.9).mean() < 0.7 * (zncc[textured] > 0.9).mean()  # but less with a wrong depth
 
 
 # With Blender
