@@ -164,8 +164,15 @@ class SphereSweep:
         block = max(1, min(_BLOCK, _MAX_ROWS // self.grid.height))
         return [range(n, min(n + block, N)) for n in range(0, N, block)]
 
-    def warp_block(self, prepared: Sequence[Tensor], spheres: range) -> Tensor:
+    def warp_block(self, prepared: Sequence[Tensor], spheres: range, out: Tensor | None = None) -> Tensor:
         """Warp prepared images onto one of the `blocks`.
+
+        Parameters
+        ----------
+        prepared : one tensor per camera, as `prepare` returns them
+        spheres : range
+        out : float32 tensor, shape (cameras, at least len(spheres), H, W), optional
+            Written over and returned in part, so that a sweep over many blocks asks for memory once.
 
         Returns
         -------
@@ -173,7 +180,9 @@ class SphereSweep:
             NaN where a camera does not see the ray.
         """
         H, W = self.grid.shape
-        out = torch.full((len(prepared), len(spheres), H, W), torch.nan, device=self.device)
+        if out is None:
+            out = torch.empty(len(prepared), len(spheres), H, W, device=self.device)
+        out = out[:, : len(spheres)].fill_(torch.nan)
         for camera, image in enumerate(prepared):
             self.warp_camera(image, camera, spheres, out[camera])
         return out

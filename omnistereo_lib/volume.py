@@ -112,9 +112,10 @@ def cost_volume(
     if sweep.device.type == "cpu":
         check_memory(sweep.rig, sweep.grid)
     volume = torch.empty(H, W, sweep.grid.num_spheres, device=sweep.device)
+    buffer = torch.empty(len(sweep.rig), len(sweep.blocks()[0]), H, W, device=sweep.device)
     for spheres in progress(sweep.blocks()):
         columns = [sweep.visible_columns(camera, spheres) for camera in range(len(sweep.rig))]
-        block = sweep.warp_block(prepared, spheres)
+        block = sweep.warp_block(prepared, spheres, buffer)
         volume[:, :, spheres.start : spheres.stop] = cost(block, pairs, columns)
     if volume.isnan().all():
         raise OmnistereoError(
