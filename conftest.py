@@ -10,6 +10,7 @@ import os
 import re
 from typing import Any
 
+import hypothesis
 import pytest
 from nbval.plugin import IPyNbCell, IPyNbFile
 
@@ -29,6 +30,12 @@ _NUMBER = re.compile(r" *(?<![\w.])([-+]?(?:\d*\.\d+(?:[eE][-+]?\d+)?|\d+[eE][-+
 _cores = max(1, (os.cpu_count() or 1) // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")))
 os.environ.setdefault("OMP_NUM_THREADS", str(_cores))
 os.environ.setdefault("NUMBA_NUM_THREADS", str(max(2, _cores)))
+
+
+# In CI the same examples every time: a search for new ones belongs where somebody can follow it up.
+hypothesis.settings.register_profile("ci", derandomize=True)
+if os.environ.get("CI"):
+    hypothesis.settings.load_profile("ci")
 
 
 def tolerance(tags: list[str]) -> tuple[float, float]:

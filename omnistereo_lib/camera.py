@@ -141,10 +141,11 @@ class OcamCamera:
         seen = finite & (t <= self._max_t + 1e-12)
         t = xp.where(seen, t, xp.full_like(t, self._max_t))  # the polynomial means nothing further out
         r = self._radius_by_root(t) if exact else _horner(self.inv_poly, t)
-        scale = r / xp.where(finite & (n > 0), n, xp.ones_like(n))
-        scale = xp.where(finite & (n > 0), scale, xp.zeros_like(n))  # the axis itself lands on the centre
+        off_axis = finite & (n > 0)  # the axis itself lands on the centre
+        n = xp.where(off_axis, n, xp.ones_like(n))
+        # Divide first: close to the axis r / n alone can overflow.
+        x, y = (xp.where(off_axis, side, xp.zeros_like(side)) / n * r for side in (x, y))
         c, d, e = self.affine
-        x, y = xp.where(finite, x, xp.zeros_like(x)) * scale, xp.where(finite, y, xp.zeros_like(y)) * scale
         uv = xp.stack([x + e * y + self.center[0], d * x + c * y + self.center[1]], -1)
         return uv, seen & self.contains(uv)
 
@@ -171,8 +172,9 @@ class OcamCamera:
         x, y = i00 * u + i01 * v, i10 * u + i11 * v
         r = xp.hypot(x, y)
         t = xp.arctan2(_horner(self.poly, r), r) if exact else self._angle_by_root(r)
-        along = xp.cos(t) / xp.where(r > 0, r, xp.ones_like(r))
-        rays = xp.stack([x * along, y * along, -xp.sin(t)], -1)
+        sine = xp.cos(t)  # of the angle from the axis, which is t + π/2
+        safe_r = xp.where(r > 0, r, xp.ones_like(r))
+        rays = xp.stack([x / safe_r * sine, y / safe_r * sine, -xp.sin(t)], -1)
         axis = xp.zeros_like(rays) + _like(xp, rays, [0.0, 0.0, 1.0])
         rays = xp.where((r > 0)[..., None], rays, axis)
         return rays, finite & self.contains(uv) & (t <= self._max_t + 1e-9) & (r <= self.max_radius + 1e-6)
