@@ -14,6 +14,7 @@ finds something. A notebook's own facts stand in its metadata, under "omnistereo
 import argparse
 import base64
 import copy
+import math
 import re
 import statistics
 import sys
@@ -21,8 +22,11 @@ import time
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
+from queue import Empty
 
 import nbformat
+from jupyter_client import AsyncKernelClient, AsyncKernelManager
+from jupyter_client.channels import AsyncZMQSocketChannel
 from nbclient import NotebookClient
 from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
 
@@ -180,6 +184,31 @@ def _pictures(nb: nbformat.NotebookNode) -> Iterator[str]:
 # --- Run --------------------------------------------------------------------------------------------------
 
 
+class _Channel(AsyncZMQSocketChannel):
+    """A channel that looks again every second.
+
+    Now and then the asynchronous poll is not woken by a message that has arrived, and would sit beside it until
+    its time limit: ten minutes for a cell's answer, for ever for its pictures.
+    """
+
+    async def get_msg(self, timeout: float | None = None) -> dict:
+        end = math.inf if timeout is None else time.monotonic() + timeout
+        while True:
+            try:
+                return await super().get_msg(max(0.0, min(1.0, end - time.monotonic())))
+            except Empty:
+                if time.monotonic() >= end:
+                    raise
+
+
+class _Client(AsyncKernelClient):
+    shell_channel_class = iopub_channel_class = _Channel
+
+
+class _Manager(AsyncKernelManager):
+    client_factory = _Client
+
+
 def execute(nb: nbformat.NotebookNode, folder: Path) -> float:
     """Run all cells in a fresh kernel that stands in `folder`; return the seconds it took."""
     start = time.perf_counter()
@@ -187,6 +216,7 @@ def execute(nb: nbformat.NotebookNode, folder: Path) -> float:
         nb,
         timeout=600,
         kernel_name="python3",
+        kernel_manager_class=_Manager,
         resources={"metadata": {"path": str(folder)}},
         coalesce_streams=True,
         record_timing=False,
