@@ -20,6 +20,7 @@ _HOME = {
     "SphereGrid": "sphere",
     "SphereSweep": "sweep",
     "ZNCC": "costs.zncc",
+    "SweepNet": "costs.sweepnet",
     "cost_volume": "volume",
     "sgm": "sgm",
     "winner_takes_all": "depth",

@@ -22,7 +22,7 @@ camera pose sphere metrics
 rig lenses foreign dialects
 calibrate
 sweep
-costs costs.zncc costs.mccnn costs.sweepnet
+costs costs.zncc costs.weights costs.learned costs.mccnn costs.sweepnet
 volume
 sgm
 depth
