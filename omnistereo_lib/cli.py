@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 import warnings
 from collections.abc import Sequence
@@ -59,6 +60,16 @@ def _parser() -> argparse.ArgumentParser:
     verb = verbs.add_parser("bench", help="time the library against named alternatives, as ratios")
     verb.set_defaults(verb=bench)
     verb.add_argument("--quick", action="store_true", help="leave out the paper's scale")
+
+    verb = verbs.add_parser("train", help="train a learned matching cost; goes on where it was stopped")
+    verb.set_defaults(verb=train)
+    verb.add_argument("network", choices=["sweepnet", "mccnn"])
+    verb.add_argument("--preset", default="teaching", choices=["teaching", "shipped", "paper"])
+    verb.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="change numbers of the preset")
+    verb.add_argument("--data", type=Path, default=_SAMPLE.with_name("train"), help="data set with ground truth")
+    verb.add_argument("--device", default="cpu", choices=["cpu", "cuda"], help="where to compute (default: cpu)")
+    verb.add_argument("--precision", default="auto", choices=["auto", "float32", "bfloat16"])
+    verb.add_argument("--out", type=Path, help="folder of the run (default: out/NETWORK_PRESET)")
 
     verb = verbs.add_parser("render", help="render the data sets with Blender")
     verb.set_defaults(verb=render)
@@ -144,6 +155,30 @@ def bench(options: argparse.Namespace) -> None:
     from omnistereo_lib.bench import run
 
     run(quick=options.quick)
+
+
+def train(options: argparse.Namespace) -> None:
+    """Train a network; several processes under torchrun share the work."""
+    from tqdm import tqdm
+
+    from omnistereo_lib.train import RECIPES
+    from omnistereo_lib.train import train as run
+
+    recipe = RECIPES[options.network][options.preset].changed(options.set)
+    out = options.out or Path("out") / f"{options.network}_{options.preset}"
+    first_process = os.environ.get("RANK", "0") == "0"
+    bar = None
+    for row in run(recipe, out, options.data, options.device, options.precision):
+        if bar is None:  # its time left counts from the step that comes first here
+            bar = tqdm(total=recipe.steps, initial=row["step"], desc="train", unit="step", disable=not first_process)
+        bar.set_postfix(loss=f"{row['loss']:.3f}", error=f"{row['error']:.1%}", refresh=False)
+        bar.update()
+        if first_process and row["validation_loss"] == row["validation_loss"]:
+            bar.write(f"step {row['step'] + 1}: validation {row['validation_loss']:.4f} {row['validation_error']:.2%}")
+    if bar is not None:
+        bar.close()
+    if first_process:
+        print(f"{recipe.steps} steps are done; in {out}/: log.csv, state.safetensors, weights.safetensors")
 
 
 def _read_input(options: argparse.Namespace) -> tuple:

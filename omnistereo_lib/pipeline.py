@@ -8,6 +8,8 @@ from typing import Literal
 import torch
 from numpy.typing import ArrayLike
 
+from omnistereo_lib.costs.mccnn import MCCNN
+from omnistereo_lib.costs.sweepnet import SweepNet
 from omnistereo_lib.costs.zncc import ZNCC
 from omnistereo_lib.depth import Depth
 from omnistereo_lib.errors import OmnistereoError
@@ -17,7 +19,7 @@ from omnistereo_lib.sphere import SphereGrid
 from omnistereo_lib.sweep import SphereSweep
 from omnistereo_lib.volume import Cost, Pairs, check_memory, cost_volume
 
-_COSTS = {"zncc": ZNCC}
+_COSTS = {"zncc": ZNCC, "mccnn": MCCNN.load, "sweepnet": SweepNet.load}
 
 
 def estimate_depth(
@@ -75,7 +77,8 @@ def sweep_depth(
     ----------
     sweep : SphereSweep
     images : one array per camera
-    cost : "zncc" or an object such as ZNCC(window=5)
+    cost : "zncc" | "mccnn" | "sweepnet" | an object such as ZNCC(window=5)
+        The networks by name are the shipped ones.
     aggregate : "sgm" | "none"
         Semi-global matching before the winner is taken, or the raw cost volume.
     pairs : "ring" | "all" | sequence of (int, int)

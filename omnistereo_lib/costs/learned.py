@@ -118,8 +118,7 @@ class LearnedCost(nn.Module):
             In the order of `chosen`; `cost_of` makes costs of them.
         """
 
-    @staticmethod
-    def cost_of(score: Tensor) -> Tensor:
+    def cost_of(self, score: Tensor) -> Tensor:
         """Return the cost in [0, 1] of a score."""
         return torch.sigmoid(score)
 

@@ -111,7 +111,7 @@ class SweepNet(LearnedCost):
         for name in ("conv19", "deconv1", "conv20"):
             x = self._run(name, x)
         pixels = x[..., offset : offset + chosen.shape[-1]].permute(0, 2, 3, 1)[chosen]
-        at_once = len(pixels) if torch.is_grad_enabled() else _ROWS
+        at_once = len(pixels) if self.training else _ROWS  # norms take the mean over all of them
         return torch.cat([self._head(part) for part in pixels.split(max(1, at_once))])
 
     def _head(self, x: Tensor) -> Tensor:

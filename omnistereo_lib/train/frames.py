@@ -1,0 +1,100 @@
+"""The frames that training draws from, and what both kinds of samples need of them."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from omnistereo_lib.dataset import Frame, load_dataset
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.sphere import SphereGrid
+from omnistereo_lib.sweep import SphereSweep, to_gray
+from omnistereo_lib.train.recipes import Recipe
+from omnistereo_lib.volume import camera_pairs
+
+DATA = Path(__file__).resolve().parents[2] / "data_samples" / "sunny" / "train"
+
+
+class TrainingFrames:
+    """The frames with ground truth of one data set: nine of ten to train on, every tenth to validate on.
+
+    Parameters
+    ----------
+    recipe : Recipe
+    data : path
+        A folder that `load_dataset` reads.
+    device : torch device
+
+    Raises
+    ------
+    OmnistereoError
+        If fewer than two frames have ground truth, or the rig's file does not state the nearest depth.
+    """
+
+    def __init__(self, recipe: Recipe, data: str | Path, device: torch.device | str = "cpu") -> None:
+        self.recipe = recipe
+        dataset = load_dataset(data)
+        if dataset.rig.min_depth is None:
+            raise OmnistereoError(f"the rig of {data} does not state its nearest depth: add it to config.yaml")
+        frames = [frame for frame in dataset if frame.truth_path is not None]
+        if len(frames) < 2:
+            raise OmnistereoError(f"{data} has {len(frames)} frames with ground truth, training needs 2 at least")
+        grid = SphereGrid(recipe.width, recipe.height, num_spheres=recipe.num_spheres, min_depth=dataset.rig.min_depth)
+        self.sweep = SphereSweep(dataset.rig, grid, device=device)
+        self.pairs = camera_pairs("ring", self.sweep.rig)
+        self.validation = frames[::10]
+        self.training = [frame for k, frame in enumerate(frames) if k % 10]
+        self._index: dict[int, NDArray[np.float32]] = {}
+
+    @property
+    def grid(self) -> SphereGrid:
+        """The rays and spheres."""
+        return self.sweep.grid
+
+    @cached_property
+    def rays(self) -> NDArray[np.float64]:
+        """The grid's rays, (H, W, 3)."""
+        return self.grid.rays()
+
+    def training_frame(self, group: int) -> Frame:
+        """Return the frame of a group, counted over all steps: every frame once in each epoch, in random order."""
+        epoch, place = divmod(group, len(self.training))
+        order = np.random.default_rng([self.recipe.seed, epoch]).permutation(len(self.training))
+        return self.training[order[place]]
+
+    def gt_index(self, frame: Frame) -> NDArray[np.float32]:
+        """Return the frame's ground-truth sphere index, not rounded, (H, W); looked up once."""
+        if frame.number not in self._index:
+            self._index[frame.number] = frame.gt_index(self.grid).astype(np.float32)
+        return self._index[frame.number]
+
+    def images(self, frame: Frame, rng: np.random.Generator | None) -> list[Tensor]:
+        """Return a frame's images as the costs want them; each camera with a gain and a gamma of its own.
+
+        No rng: as they are.
+        """
+        if rng is None:
+            return self.sweep.prepare(frame.images)
+        prepared = []
+        gammas = np.exp(rng.uniform(-0.25, 0.25, len(frame.images)))
+        curved = [255 * (to_gray(image) / 255) ** np.float32(g) for image, g in zip(frame.images, gammas, strict=True)]
+        for image in self.sweep.prepare(curved):
+            gain, offset = np.exp(rng.uniform(-0.2, 0.2)), rng.uniform(-0.2, 0.2)
+            prepared.append(image * float(gain) + float(offset))
+        return prepared
+
+
+def shuffled_true(mask: NDArray[np.bool_], count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Return flat indices of at most `count` cells of a mask, drawn at random."""
+    cells = np.flatnonzero(mask)
+    return cells if len(cells) <= count else rng.choice(cells, count, replace=False)
+
+
+def to_device(values: NDArray, device: torch.device) -> Tensor:
+    """Copy an array to a device."""
+    return torch.from_numpy(np.ascontiguousarray(values)).to(device)

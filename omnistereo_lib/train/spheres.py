@@ -1,0 +1,163 @@
+"""Samples and loss of SweepNet: labelled rays on whole spheres (paper, Section III-C and IV)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn.functional import binary_cross_entropy_with_logits, pad
+
+from omnistereo_lib.costs.learned import Features
+from omnistereo_lib.costs.sweepnet import SweepNet
+from omnistereo_lib.dataset import Frame
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.train.frames import TrainingFrames, shuffled_true, to_device
+from omnistereo_lib.train.recipes import SweepNetRecipe
+
+
+@dataclass(frozen=True)
+class Strip:
+    """The feature columns first … last - 1 that cameras i and j share, and its labelled pixels."""
+
+    i: int
+    j: int
+    first: int
+    last: int
+    labelled: Tensor  # bool (S, H, pixels)
+    label: Tensor  # float (number labelled,): 0 = positive, 1 = negative
+
+
+@dataclass(frozen=True)
+class SphereGroup:
+    """Some spheres of one frame: warped images (cameras, S, H, W), NaN where unseen, and the strips with labels."""
+
+    spherical: Tensor
+    strips: list[Strip]
+
+
+class SphereSamples(TrainingFrames):
+    """Draws groups of spheres; see `TrainingFrames`."""
+
+    recipe: SweepNetRecipe
+
+    def __init__(self, recipe: SweepNetRecipe, data: str | Path, device: torch.device | str = "cpu") -> None:
+        super().__init__(recipe, data, device)
+        self.network = SweepNet(recipe.batch_norm, recipe.wrap)
+        self.network.check_size(recipe.height, recipe.width)
+
+    def group(self, frame: Frame, rng: np.random.Generator, augment: bool) -> SphereGroup:
+        """Draw spheres of a frame, camera pairs' labels on them, and how the panorama is turned and mirrored."""
+        index = self.gt_index(frame)
+        block, spheres = self._draw_spheres(index, frame, rng)
+        warped = self.sweep.warp_block(self.images(frame, rng if augment else None), block)
+        spherical = warped[:, [n - block.start for n in spheres]]
+        columns = [self.sweep.visible_columns(camera, block) for camera in range(len(self.sweep.rig))]
+        true_sphere = np.rint(index)  # NaN where unknown
+        pairs = self.pairs
+        if augment:
+            W = self.grid.width
+            shift, mirror = int(rng.integers(W)), bool(rng.integers(2))
+            spherical, true_sphere = spherical.roll(shift, -1), np.roll(true_sphere, shift, -1)
+            columns = [((start + shift) % W, width) for start, width in columns]
+            if mirror:
+                spherical, true_sphere = spherical.flip(-1), true_sphere[:, ::-1]
+                columns = [(-(start + width) % W, width) for start, width in columns]
+            pairs = [(j, i) if rng.integers(2) else (i, j) for i, j in pairs]
+        return SphereGroup(spherical, self._strips(spherical, spheres, true_sphere, columns, pairs, rng))
+
+    def _draw_spheres(self, index: NDArray, frame: Frame, rng: np.random.Generator) -> tuple[range, NDArray[np.int64]]:
+        """Draw spheres with enough positives from one block, all such spheres about equally often."""
+        N = self.grid.num_spheres
+        inside = index[(index > -0.5) & (index < N - 0.5)]
+        enough = np.bincount(np.rint(inside).astype(int), minlength=N) >= self.recipe.min_positives
+        blocks = self.sweep.blocks()
+        counts = np.array([enough[spheres.start : spheres.stop].sum() for spheres in blocks])
+        if counts.sum() == 0:
+            raise OmnistereoError(
+                f"no sphere of frame {frame.number} has {self.recipe.min_positives} positives: is D_min right?"
+            )
+        block = blocks[rng.choice(len(blocks), p=counts / counts.sum())]
+        candidates = block.start + np.flatnonzero(enough[block.start : block.stop])
+        chosen = rng.choice(candidates, min(self.recipe.spheres_per_frame, len(candidates)), replace=False)
+        return block, np.sort(chosen)
+
+    def _strips(
+        self,
+        spherical: Tensor,
+        spheres: NDArray[np.int64],
+        true_sphere: NDArray,
+        columns: list[tuple[int, int]],
+        pairs: list[tuple[int, int]],
+        rng: np.random.Generator,
+    ) -> list[Strip]:
+        seen = ~spherical.isnan().cpu().numpy()
+        positive = true_sphere == spheres[:, None, None]
+        known = np.isfinite(true_sphere)
+        W = self.grid.width
+        strips = []
+        for i, j in pairs:
+            for first, last in self.network.strips(columns[i], columns[j], W):
+                pixels = np.arange(2 * first, 2 * last) % W
+                common = (seen[i] & seen[j] & known)[..., pixels]
+                labelled, label = self._draw_labels(common, positive[..., pixels], rng)
+                if labelled.any():
+                    tensors = (to_device(x, self.sweep.device) for x in (labelled, label))
+                    strips.append(Strip(i, j, first, last, *tensors))
+        return strips
+
+    def _draw_labels(
+        self, common: NDArray[np.bool_], positive: NDArray[np.bool_], rng: np.random.Generator
+    ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+        """Draw, on every sphere, positives and for each of them some negatives; return which, and their labels."""
+        labelled = np.zeros(common.shape, bool)
+        for k in range(len(common)):
+            chosen = shuffled_true(common[k] & positive[k], self.recipe.max_positives, rng)
+            others = shuffled_true(common[k] & ~positive[k], self.recipe.negatives * len(chosen), rng)
+            labelled[k].reshape(-1)[np.concatenate([chosen, others])] = True
+        return labelled, np.where(positive[labelled], 0.0, 1.0).astype(np.float32)
+
+
+class SphereObjective(nn.Module):
+    """The paper's binary cross-entropy (Eq. 4), positives and negatives weighing the same.
+
+    Parameters
+    ----------
+    network : SweepNet
+    """
+
+    def __init__(self, network: SweepNet) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, group: SphereGroup) -> tuple[Tensor, Tensor]:
+        """Return the loss of a group and its balanced error: the mean share of wrong positives and negatives."""
+        score, label = self._scores(group)
+        share = torch.stack([(label == 0).float().mean(), (label == 1).float().mean()])
+        weight = 0.5 / share.clamp_min(1e-9)[label.long()]
+        loss = binary_cross_entropy_with_logits(score, label, weight)
+        return loss, (weight * ((score > 0) != (label > 0.5))).mean()
+
+    def _scores(self, group: SphereGroup) -> tuple[Tensor, Tensor]:
+        C, S, H, W = group.spherical.shape
+        maps = self.network.describe(group.spherical.reshape(C * S, H, W), (0, W)).maps
+        cameras = [Features(part, 0, W // 2) for part in maps.split(S)]
+        label = torch.cat([strip.label for strip in group.strips])
+        if self.network.wrap:
+            return self._compare_together(cameras, group.strips), label
+        parts = (self.network.score(cameras[s.i], cameras[s.j], s.first, s.last, s.labelled) for s in group.strips)
+        return torch.cat(list(parts)), label
+
+    def _compare_together(self, cameras: list[Features], strips: list[Strip]) -> Tensor:
+        """Compare all strips at once, widened to the widest, so that norms see all of the group."""
+        widest, margin = max(strip.last - strip.first for strip in strips), self.network.margin
+        sides, labelled = ([], []), []
+        for strip in strips:
+            for side, camera in zip(sides, (strip.i, strip.j), strict=True):
+                side.append(cameras[camera].columns(strip.first - margin, strip.first + widest + margin))
+            labelled.append(pad(strip.labelled, (0, 2 * widest - strip.labelled.shape[-1])))
+        left, right = (torch.cat(side) for side in sides)
+        return self.network.compare(left, right, torch.cat(labelled), 2 * margin)
