@@ -51,12 +51,17 @@ class PatchSamples(TrainingFrames):
         quota = -(-self.recipe.rays_per_frame // len(self.pairs))
         for i, j in self.pairs:
             pixel, match, other = self.draw_rays(index, i, j, quota, rng)
+            if len(pixel) == 0:
+                continue
             i, j = (j, i) if augment and rng.integers(2) else (i, j)
             for side, camera in zip(sides, (i, j), strict=True):
                 side.append([self.patches(images[camera], camera, pixel, n) for n in (match, other)])
+        if not sides[0]:
+            raise OmnistereoError(
+                f"no ray of frame {frame.number} fits: seen by two cameras, and a sphere on which what they see is "
+                f"{self.recipe.negative_low_px} pixels off. Are the rig and the ground truth right?"
+            )
         left, right = (np.concatenate([np.concatenate(kind) for kind in zip(*side, strict=True)]) for side in sides)
-        if len(left) == 0:
-            raise OmnistereoError(f"no ray of frame {frame.number} is seen by two cameras: is the rig right?")
         if augment and rng.integers(2):  # a mirrored world
             left, right = left[..., ::-1], right[..., ::-1]
         return PatchGroup(to_device(left, self.device), to_device(right, self.device))

@@ -1,0 +1,378 @@
+"""Training: labels that tell the truth, seeds that decide everything, runs that survive being killed and shared."""
+
+import csv
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scene
+import torch
+
+import omnistereo_lib as osl
+from omnistereo_lib import cli
+from omnistereo_lib.costs.weights import load_tensors
+from omnistereo_lib.dataset import write_inverse_depth
+from omnistereo_lib.files import write_image
+from omnistereo_lib.train import RECIPES, MCCNNRecipe, SweepNetRecipe, train
+from omnistereo_lib.train.loop import LOG, STATE, WEIGHTS
+from omnistereo_lib.train.patches import PatchSamples
+from omnistereo_lib.train.spheres import SphereObjective, SphereSamples
+
+TINY = {"width": 48, "height": 12, "num_spheres": 12, "steps": 4, "validate_every": 2, "validation_groups": 2}
+SWEEPNET = SweepNetRecipe(**TINY, warmup=2, min_positives=4, max_positives=60)
+MCCNN = MCCNNRecipe(**TINY | {"width": 96, "height": 24}, warmup=2, rays_per_frame=16)
+BOTH = pytest.mark.parametrize("recipe", [SWEEPNET, MCCNN], ids=["sweepnet", "mccnn"])
+
+
+@pytest.fixture(scope="session")
+def data(tmp_path_factory):
+    """Four frames of a rig that moves through the box, with ground truth."""
+    folder = tmp_path_factory.mktemp("data")
+    still = scene.rig(width=200, height=192)
+    osl.Rig(still.cameras, still.T_rig_cam, min_depth=0.6).save(folder / "config.yaml")
+    truth_grid = osl.SphereGrid(96, 24, (-45, 45), 12, 0.6)
+    (folder / "omnidepth_gt_96").mkdir()
+    for number in range(1, 5):
+        step = osl.Pose.from_vector([0, 0, 0, 0.2 * number - 0.5, 0, 0.15 * number])
+        moved = osl.Rig(still.cameras, [step @ pose for pose in still.T_rig_cam])
+        for k, picture in enumerate(scene.images(moved, finest=0.25), 1):
+            (folder / f"cam{k}").mkdir(exist_ok=True)
+            write_image(folder / f"cam{k}" / f"{number:04}.png", picture)
+        truth = truth_grid.index_to_inverse_depth(scene.true_index(moved, truth_grid))
+        write_inverse_depth(folder / "omnidepth_gt_96" / f"{number:05}.tiff", truth)
+    return folder
+
+
+def losses(recipe, out, data, **options):
+    return [row["loss"] for row in train(recipe, out, data, precision="float32", **options)]
+
+
+def weights(out):
+    return load_tensors(out / WEIGHTS)[0]
+
+
+def assert_same_weights(a, b):
+    assert a.keys() == b.keys()
+    for name in a:
+        torch.testing.assert_close(a[name], b[name], atol=0, rtol=0)
+
+
+# ---- samples
+
+
+@pytest.mark.parametrize("augment", [False, True])
+def test_positives_are_where_the_truth_is_and_show_the_same(data, augment):
+    """Labels against the box in closed form where nothing is turned; against the pictures where it is."""
+    samples = SphereSamples(replace(SWEEPNET, width=96, height=24), data)
+    frame = samples.training[0]
+    alike = {0.0: [], 1.0: []}
+    for seed in range(12):
+        group = samples.group(frame, np.random.default_rng(seed), augment)
+        assert group.spherical.shape == (4, 2, 24, 96)
+        for strip in group.strips:
+            counts = [(strip.label == label).sum().item() for label in (0, 1)]
+            assert 0 < counts[0] <= 2 * 60 and counts[1] <= 4 * counts[0]
+            pixels = torch.arange(2 * strip.first, 2 * strip.last) % 96
+            seen = group.spherical[[strip.i, strip.j]][..., pixels]
+            a, b = seen[0][strip.labelled], seen[1][strip.labelled]
+            assert not (a.isnan() | b.isnan()).any()
+            for label in alike:
+                alike[label] += zip(a[strip.label == label].tolist(), b[strip.label == label].tolist(), strict=True)
+    matches, others = (np.corrcoef(np.array(alike[label]).T)[0, 1] for label in (0.0, 1.0))
+    assert matches > 0.8 > 0.6 > others
+
+
+def test_labels_are_the_rounded_truth(data):
+    samples = SphereSamples(replace(SWEEPNET, width=96, height=24, max_positives=9999, negatives=9999), data)
+    frame = samples.training[0]
+    true = np.rint(frame.gt_index(samples.grid))
+    counts = np.bincount(true.astype(int).ravel(), minlength=12)
+    drawn = set()
+    for seed in range(30):
+        block, spheres = samples._draw_spheres(samples.gt_index(frame), frame, np.random.default_rng(seed))
+        drawn |= set(spheres.tolist())
+        group = samples.group(frame, np.random.default_rng(seed), augment=False)
+        images = samples.sweep.prepare(frame.images)
+        torch.testing.assert_close(
+            group.spherical, samples.sweep.warp_block(images, block)[:, spheres - block.start], equal_nan=True
+        )
+        for strip in group.strips:
+            pixels = np.arange(2 * strip.first, 2 * strip.last) % 96
+            expected = (true[:, pixels] != spheres[:, None, None])[strip.labelled.numpy()]
+            np.testing.assert_array_equal(strip.label.numpy(), expected)
+    assert drawn == set(np.flatnonzero(counts >= 4).tolist())  # those with fewer positives are discarded
+
+
+def test_the_loss_is_the_balanced_cross_entropy(data):
+    samples = SphereSamples(SWEEPNET, data)
+    network = samples.network.eval()
+    group = samples.group(samples.training[0], np.random.default_rng(0), augment=True)
+    loss, error = SphereObjective(network)(group)
+    W = samples.grid.width
+    features = [network.describe(image, (0, W)) for image in group.spherical]
+    score, label = [], []
+    for strip in group.strips:  # one by one, not widened to the widest
+        score.append(network.score(features[strip.i], features[strip.j], strip.first, strip.last, strip.labelled))
+        label.append(strip.label)
+    cost, label = torch.cat(score).sigmoid().double(), torch.cat(label)
+    expected = -0.5 * (1 - cost[label == 0]).log().mean() - 0.5 * cost[label == 1].log().mean()
+    assert loss.item() == pytest.approx(expected.item(), abs=1e-5)
+    wrong = 0.5 * (cost[label == 0] > 0.5).double().mean() + 0.5 * (cost[label == 1] <= 0.5).double().mean()
+    assert error.item() == pytest.approx(wrong.item(), abs=1e-5)
+
+
+def test_patches_are_cut_out_of_the_panorama(data):
+    samples = PatchSamples(MCCNN, data)
+    image = samples.images(samples.training[0], None)[1]
+    warped = [samples.sweep.warp([image] * 4, n)[1] for n in (3, 7)]
+    pixel = np.array([[6, 50], [0, 51], [23, 95], [5, 0]])
+    for n, panorama in zip((3, 7), warped, strict=True):
+        padded = np.pad(np.nan_to_num(panorama), ((4, 4), (0, 0)))
+        columns = (pixel[:, 1, None] + np.arange(-4, 5)) % 96
+        expected = [padded[row : row + 9][:, c] for (row, _), c in zip(pixel, columns, strict=True)]
+        found = samples.patches(image.numpy(), 1, pixel, np.full(4, float(n)))
+        np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
+def test_a_point_is_shown_where_its_camera_looks(data):
+    """Both the point and the place on the swept sphere must project to the same pixel of the camera."""
+    samples = PatchSamples(MCCNN, data)
+    rows, columns = (np.random.default_rng(0).integers(size, size=200) for size in samples.grid.shape)
+    true, swept = (np.random.default_rng(seed).uniform(0, 11, 200) for seed in (1, 2))
+    for camera in range(4):
+        point, valid = samples._project(camera, samples.rays[rows, columns], samples._inverse(true))
+        shown = samples._shown_at(camera, rows, columns, true, swept)
+        np.testing.assert_allclose(np.linalg.norm(shown, axis=-1), 1, atol=1e-12)
+        uv, _ = samples._project(camera, shown, samples._inverse(swept))
+        assert valid.sum() > 50
+        np.testing.assert_allclose(uv[valid], point[valid], atol=1e-6)
+
+
+def test_non_matches_lie_so_many_pixels_off(data):
+    samples = PatchSamples(replace(MCCNN, width=192, height=48, num_spheres=48, negative_high_px=4.0), data)
+    index = samples.gt_index(samples.training[0])
+    drawn = []
+    for i, j in samples.pairs:
+        pixel, match, other = samples.draw_rays(index, i, j, 100, np.random.default_rng(i))
+        rows, columns = pixel.T
+        true = index[rows, columns]
+        for camera in (i, j):
+            assert samples.sees(camera, rows, columns, true).all() and samples.sees(camera, rows, columns, other).all()
+        assert (samples.parting(i, j, rows, columns, true, match - true) < 0.6).all()
+        drawn.append(samples.parting(i, j, rows, columns, true, other - true))
+    drawn = np.concatenate(drawn)
+    assert len(drawn) > 200 and 1.2 < drawn.min() < 1.7 and 3.5 < drawn.max() < 5.0
+
+
+def test_what_stands_in_between_hides_a_point(data):
+    samples = PatchSamples(MCCNN, data)
+    index = np.full(samples.grid.shape, 1.0, np.float32)
+    post = 48 + np.arange(-3, 4)  # straight ahead, on the nearest sphere
+    index[:, post] = 11.0
+    rows, columns, far = np.full(96, 12), np.arange(96), np.full(96, 1.0)
+    hidden = samples._hidden(0, index, rows, columns, far)
+    assert hidden[48] and not hidden[:36].any() and not hidden[61:].any()
+    assert not samples._hidden(0, np.full_like(index, 1.0), rows, columns, far).any()
+
+
+# ---- the loop
+
+
+@BOTH
+def test_the_seed_decides_the_losses(recipe, data, tmp_path):
+    first, second = (losses(recipe, tmp_path / name, data) for name in "ab")
+    assert first == second
+    assert losses(replace(recipe, seed=1), tmp_path / "c", data) != first
+    assert_same_weights(weights(tmp_path / "a"), weights(tmp_path / "b"))
+
+
+@BOTH
+@pytest.mark.parametrize("optimizer", ["adamw", "sgd"])
+def test_a_stopped_run_reaches_the_same_weights(recipe, optimizer, data, tmp_path):
+    recipe = replace(recipe, optimizer=optimizer)
+    whole = losses(recipe, tmp_path / "whole", data)
+    run = train(recipe, tmp_path / "parts", data, precision="float32", checkpoint_s=0)
+    part = [next(run)["loss"], next(run)["loss"], next(run)["loss"]]
+    run.close()
+    assert part + losses(recipe, tmp_path / "parts", data) == whole
+    assert_same_weights(weights(tmp_path / "whole"), weights(tmp_path / "parts"))
+    with (tmp_path / "parts" / LOG).open() as file:
+        assert [int(row["step"]) for row in csv.DictReader(file)] == [0, 1, 2, 3]
+    assert losses(recipe, tmp_path / "parts", data) == []  # nothing is left to do
+
+
+def command(data, out, *settings, network="sweepnet"):
+    recipe = {"sweepnet": SWEEPNET, "mccnn": MCCNN}[network]
+    usual = RECIPES[network]["teaching"].as_dict()
+    tiny = [f"{name}={value}" for name, value in recipe.as_dict().items() if value != usual[name]]
+    verb = ["-m", "omnistereo_lib", "train", network, "--data", data, "--out", out, "--precision", "float32"]
+    return [str(word) for word in [*verb, "--set", *tiny, *settings]]
+
+
+def test_a_killed_process_goes_on_to_the_same_weights(data, tmp_path):
+    """SIGKILL, whatever it is doing; it is killed in the middle of a state's writing if it so happens."""
+    recipe = replace(SWEEPNET, steps=12)
+    script = (
+        "import sys; from dataclasses import replace; sys.path.insert(0, sys.argv[1]); import test_train as t\n"
+        "for row in t.train(replace(t.SWEEPNET, steps=12), sys.argv[2], sys.argv[3], 'cpu', 'float32', 0.0): pass"
+    )
+    arguments = [sys.executable, "-c", script, os.path.dirname(__file__), tmp_path / "killed", data]
+    process = subprocess.Popen([str(word) for word in arguments])
+    while process.poll() is None and not (tmp_path / "killed" / STATE).exists():
+        time.sleep(0.05)
+    time.sleep(0.3)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    left = recipe.steps - load_tensors(tmp_path / "killed" / STATE)[1]["step"]
+    assert 0 < left < recipe.steps
+    assert len(losses(recipe, tmp_path / "killed", data)) == left
+    losses(recipe, tmp_path / "whole", data)
+    assert_same_weights(weights(tmp_path / "whole"), weights(tmp_path / "killed"))
+
+
+def test_two_processes_compute_what_one_does(data, tmp_path):
+    """By SGD: Adam divides by the gradient's size, rounding included where a gradient is nearly zero."""
+    recipe = replace(SWEEPNET, optimizer="sgd", learning_rate=0.01)
+    one = losses(recipe, tmp_path / "one", data)
+    launcher = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    arguments = command(data, tmp_path / "two", "optimizer=sgd", "learning_rate=0.01")
+    subprocess.run([*launcher, *arguments], check=True, env=os.environ | {"OMP_NUM_THREADS": "1"})
+    with (tmp_path / "two" / LOG).open() as file:
+        two = [float(row["loss"]) for row in csv.DictReader(file)]
+    np.testing.assert_allclose(two, one, rtol=2e-5)
+    there, here = weights(tmp_path / "two"), weights(tmp_path / "one")
+    for name in here:
+        torch.testing.assert_close(there[name], here[name], atol=1e-4, rtol=1e-4)
+
+
+@BOTH
+def test_it_learns(recipe, data, tmp_path):
+    recipe = replace(recipe, steps=40, validate_every=40, augment=False, learning_rate=3e-3)
+    curve = losses(recipe, tmp_path, data)
+    assert np.mean(curve[-8:]) < 0.85 * np.mean(curve[:4])
+
+
+def test_what_is_exported_is_what_was_validated(data, tmp_path):
+    """The file holds Table I without norms; on the validation frame it has the loss that the log states."""
+    rows = list(train(SWEEPNET, tmp_path, data, precision="float32"))
+    network = osl.SweepNet.load(tmp_path / WEIGHTS, precision="float32")
+    assert sum(p.numel() for p in network.parameters()) == 757_729
+    samples = SphereSamples(SWEEPNET, data)
+    with torch.no_grad():
+        groups = [
+            samples.group(samples.validation[0], np.random.default_rng([0, 1, k]), augment=False) for k in range(2)
+        ]
+        found = np.mean([SphereObjective(network)(group)[0].item() for group in groups])
+    assert found == pytest.approx(rows[-1]["validation_loss"], rel=1e-4)
+    assert load_tensors(tmp_path / WEIGHTS)[1]["recipe"] == SWEEPNET.as_dict()
+
+
+def test_rates():
+    cosine = replace(SWEEPNET, steps=1000, warmup=100, learning_rate=1.0)
+    assert cosine.rate(0) == pytest.approx(0.01) and cosine.rate(500) == pytest.approx(0.5)
+    assert cosine.rate(999) < 1e-5
+    drop = replace(SWEEPNET, steps=1400, warmup=0, schedule="drop", learning_rate=0.003)
+    assert [drop.rate(step) for step in (0, 1099, 1100, 1399)] == pytest.approx([0.003, 0.003, 0.0003, 0.0003])
+
+
+@pytest.mark.parametrize("network", RECIPES)
+def test_presets(network):
+    assert set(RECIPES[network]) == {"teaching", "shipped", "paper"}
+    paper = RECIPES[network]["paper"]
+    assert (paper.width, paper.height, paper.num_spheres) == (600, 150, 192)
+    assert (paper.optimizer, paper.learning_rate, paper.momentum) == ("sgd", 0.003, 0.9)
+    assert all(recipe.network == network for recipe in RECIPES[network].values())
+
+
+# ---- bad input
+
+
+def test_a_folder_with_another_run_is_left_alone(data, tmp_path):
+    losses(SWEEPNET, tmp_path, data)
+    with pytest.raises(osl.OmnistereoError, match=r"of another recipe \(seed = 0 there, 5 here\)"):
+        losses(replace(SWEEPNET, seed=5), tmp_path, data)
+    with pytest.raises(osl.OmnistereoError, match=r"network = sweepnet there, mccnn here"):
+        losses(MCCNN, tmp_path, data)
+
+
+def test_a_loss_that_is_no_number_stops_the_run(data, tmp_path):
+    recipe = replace(SWEEPNET, optimizer="sgd", learning_rate=1e30, warmup=0, batch_norm=False, steps=20)
+    with pytest.raises(osl.OmnistereoError, match=r"the loss is (nan|inf) at step \d+: take a lower learning_rate"):
+        losses(recipe, tmp_path, data)
+
+
+def test_a_full_disk(data, tmp_path):
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    run = train(SWEEPNET, tmp_path, data, precision="float32", checkpoint_s=0)
+    next(run)
+    content = (tmp_path / STATE).read_bytes()
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20, hard))
+    try:
+        with pytest.raises(osl.OmnistereoError, match="cannot be written: File too large"):
+            list(run)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert (tmp_path / STATE).read_bytes() == content  # to go on from, when there is room again
+
+
+def test_bad_data(data, tmp_path):
+    with pytest.raises(osl.OmnistereoError, match="nothing"):
+        losses(SWEEPNET, tmp_path / "out", tmp_path / "nothing")
+    for kind, name in (("truth", "omnidepth_gt_96"), ("min_depth", None)):
+        copy = tmp_path / kind
+        copy.mkdir()
+        for path in data.iterdir():
+            if path.name not in (name, "config.yaml"):
+                (copy / path.name).symlink_to(path)
+        rig = osl.Rig.load(data)
+        osl.Rig(rig.cameras, rig.T_rig_cam, min_depth=0.6 if name else None).save(copy / "config.yaml")
+    with pytest.raises(osl.OmnistereoError, match="has 0 frames with ground truth"):
+        losses(SWEEPNET, tmp_path / "out", tmp_path / "truth")
+    with pytest.raises(osl.OmnistereoError, match="does not state its nearest depth"):
+        losses(SWEEPNET, tmp_path / "out", tmp_path / "min_depth")
+
+
+def test_bad_recipes(data, tmp_path, monkeypatch):
+    with pytest.raises(osl.OmnistereoError, match="must be even, got 47 × 12"):
+        losses(replace(SWEEPNET, width=47), tmp_path, data)
+    with pytest.raises(osl.OmnistereoError, match="at least 2 spheres"):
+        losses(replace(SWEEPNET, num_spheres=1), tmp_path, data)
+    with pytest.raises(osl.OmnistereoError, match="has 99999 positives: is D_min right"):
+        losses(replace(SWEEPNET, min_positives=99999), tmp_path, data)
+    with pytest.raises(osl.OmnistereoError, match="steps must be positive, got 0"):
+        replace(SWEEPNET, steps=0)
+    with pytest.raises(osl.OmnistereoError, match="optimizer must be one of adamw, sgd, got 'adam'"):
+        replace(SWEEPNET, optimizer="adam")
+    with pytest.raises(osl.OmnistereoError, match="negative_low_px"):
+        replace(MCCNN, negative_low_px=0.1)
+    with pytest.raises(osl.OmnistereoError, match='variant must be "fast" or "accurate"'):
+        losses(replace(MCCNN, variant="slow"), tmp_path, data)
+    monkeypatch.setenv("WORLD_SIZE", "3")
+    with pytest.raises(osl.OmnistereoError, match="3 processes cannot share 2 frames a step"):
+        losses(SWEEPNET, tmp_path, data)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_no_gpu(data, tmp_path, capsys):
+    with pytest.raises(osl.OmnistereoError, match="there is no CUDA GPU"):
+        losses(SWEEPNET, tmp_path, data, device="cuda")
+    assert cli.main(["train", "sweepnet", "--device", "cuda", "--data", str(data), "--out", str(tmp_path / "o")]) == 2
+    assert capsys.readouterr().err.startswith("error: there is no CUDA GPU")
+
+
+def test_the_command_line(data, tmp_path, capsys):
+    assert cli.main(command(data, tmp_path / "out", "wrap=true", network="mccnn")[2:]) == 2
+    assert "a mccnn recipe has no 'wrap'" in capsys.readouterr().err
+    assert cli.main(command(data, tmp_path / "out", network="mccnn")[2:]) == 0
+    captured = capsys.readouterr()
+    assert "step 2: validation" in captured.out + captured.err and "4 steps are done" in captured.out
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted([LOG, STATE, WEIGHTS])
+    assert cli.main(["train", "mccnn", "--set", "steps=many"]) == 2
+    assert "steps must be of type int, got 'many'" in capsys.readouterr().err
+    assert osl.MCCNN.load(tmp_path / "out" / WEIGHTS).variant == "fast"
