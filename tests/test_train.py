@@ -258,6 +258,13 @@ def test_it_learns(recipe, data, tmp_path):
     assert np.mean(curve[-8:]) < 0.85 * np.mean(curve[:4])
 
 
+def test_the_papers_recipe_on_a_small_panorama(data, tmp_path):
+    """Table I as printed: no norms, zeros beyond the seam, one negative for each positive, every positive."""
+    recipe = replace(RECIPES["sweepnet"]["paper"], **TINY, frames_per_step=2, min_positives=4)
+    assert np.isfinite(losses(recipe, tmp_path, data)).all()
+    assert osl.SweepNet.load(tmp_path / WEIGHTS).config == {"batch_norm": False, "wrap": False}
+
+
 def test_what_is_exported_is_what_was_validated(data, tmp_path):
     """The file holds Table I without norms; on the validation frame it has the loss that the log states."""
     rows = list(train(SWEEPNET, tmp_path, data, precision="float32"))
@@ -345,6 +352,9 @@ def test_bad_recipes(data, tmp_path, monkeypatch):
         losses(replace(SWEEPNET, num_spheres=1), tmp_path, data)
     with pytest.raises(osl.OmnistereoError, match="has 99999 positives: is D_min right"):
         losses(replace(SWEEPNET, min_positives=99999), tmp_path, data)
+    unlike = replace(MCCNN, negative_low_px=200.0, negative_high_px=300.0)
+    with pytest.raises(osl.OmnistereoError, match=r"what they see is 200\.0 pixels off"):
+        losses(unlike, tmp_path, data)
     with pytest.raises(osl.OmnistereoError, match="steps must be positive, got 0"):
         replace(SWEEPNET, steps=0)
     with pytest.raises(osl.OmnistereoError, match="optimizer must be one of adamw, sgd, got 'adam'"):

@@ -18,6 +18,8 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.train.frames import TrainingFrames, shuffled_true, to_device
 from omnistereo_lib.train.recipes import SweepNetRecipe
 
+_TRIES = 10  # draws of spheres, of which some may have their positives where no pair of cameras sees them
+
 
 @dataclass(frozen=True)
 class Strip:
@@ -51,23 +53,32 @@ class SphereSamples(TrainingFrames):
 
     def group(self, frame: Frame, rng: np.random.Generator, augment: bool) -> SphereGroup:
         """Draw spheres of a frame, camera pairs' labels on them, and how the panorama is turned and mirrored."""
-        index = self.gt_index(frame)
-        block, spheres = self._draw_spheres(index, frame, rng)
-        warped = self.sweep.warp_block(self.images(frame, rng if augment else None), block)
-        spherical = warped[:, [n - block.start for n in spheres]]
-        columns = [self.sweep.visible_columns(camera, block) for camera in range(len(self.sweep.rig))]
-        true_sphere = np.rint(index)  # NaN where unknown
-        pairs = self.pairs
-        if augment:
-            W = self.grid.width
-            shift, mirror = int(rng.integers(W)), bool(rng.integers(2))
-            spherical, true_sphere = spherical.roll(shift, -1), np.roll(true_sphere, shift, -1)
-            columns = [((start + shift) % W, width) for start, width in columns]
-            if mirror:
-                spherical, true_sphere = spherical.flip(-1), true_sphere[:, ::-1]
-                columns = [(-(start + width) % W, width) for start, width in columns]
-            pairs = [(j, i) if rng.integers(2) else (i, j) for i, j in pairs]
-        return SphereGroup(spherical, self._strips(spherical, spheres, true_sphere, columns, pairs, rng))
+        images, index = self.images(frame, rng if augment else None), self.gt_index(frame)
+        for _ in range(_TRIES):
+            block, spheres = self._draw_spheres(index, frame, rng)
+            spherical = self.sweep.warp_block(images, block)[:, [n - block.start for n in spheres]]
+            columns = [self.sweep.visible_columns(camera, block) for camera in range(len(self.sweep.rig))]
+            true_sphere, pairs = np.rint(index), self.pairs  # NaN where unknown
+            if augment:
+                spherical, true_sphere, columns = self._turned(spherical, true_sphere, columns, rng)
+                pairs = [(j, i) if rng.integers(2) else (i, j) for i, j in pairs]
+            strips = self._strips(spherical, spheres, true_sphere, columns, pairs, rng)
+            if strips:
+                return SphereGroup(spherical, strips)
+        raise OmnistereoError(f"no true depth of frame {frame.number} is seen by two cameras: is the rig right?")
+
+    def _turned(
+        self, spherical: Tensor, true_sphere: NDArray, columns: list[tuple[int, int]], rng: np.random.Generator
+    ) -> tuple[Tensor, NDArray, list[tuple[int, int]]]:
+        """Turn the panorama by any number of columns, and mirror the world or not."""
+        W = self.grid.width
+        shift, mirror = int(rng.integers(W)), bool(rng.integers(2))
+        spherical, true_sphere = spherical.roll(shift, -1), np.roll(true_sphere, shift, -1)
+        columns = [((start + shift) % W, width) for start, width in columns]
+        if mirror:
+            spherical, true_sphere = spherical.flip(-1), true_sphere[:, ::-1]
+            columns = [(-(start + width) % W, width) for start, width in columns]
+        return spherical, true_sphere, columns
 
     def _draw_spheres(self, index: NDArray, frame: Frame, rng: np.random.Generator) -> tuple[range, NDArray[np.int64]]:
         """Draw spheres with enough positives from one block, all such spheres about equally often."""
