@@ -1,0 +1,372 @@
+"""Checkerboard corners in strongly distorted pictures, to a few hundredths of a pixel.
+
+OpenCV finds the board, its classic detector first: on bent boards it finds more than the newer one. Then each
+corner is refined in a window as large as its own neighbourhood allows: near the rim squares are several times
+smaller than in the middle, and a window of fixed size would see the next corner.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+from numpy.typing import ArrayLike, NDArray
+
+from omnistereo_lib.calibrate.board import Checkerboard
+from omnistereo_lib.camera import OcamCamera
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.files import read_bytes, replacing
+
+Floats = NDArray[np.float64]
+Gray = NDArray[np.uint8]
+
+_CLASSIC = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+_SMALL = 640  # px: the longer side of the copy on which thresholds are tried one by one
+_WINDOW = (2, 11)  # px, half size: the least that cornerSubPix can use, the most that lens distortion allows
+_STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
+_SIZE_SEARCH = 3  # a wrong board size is looked for this many corners around the one given
+_SAME = 2.0  # mean gray levels between two pictures of one scene that are one picture
+
+
+def find_corners(image: ArrayLike, board: Checkerboard) -> Floats | None:
+    """Find all inner corners of the board.
+
+    Parameters
+    ----------
+    image : array, shape (H, W) or (H, W, 3)
+        uint8, or float in 0 … 255; colour in any order.
+    board : Checkerboard
+
+    Returns
+    -------
+    array, shape (K, 2), or None
+        Pixels in the order of `board.points`, right-handed: the board is seen from its front. Of the readings that
+        the black and white squares leave open the one whose first corner is nearest to the top left. A picture
+        that is mirrored looks like another picture of the board: nobody can tell from one image. None where not
+        every corner is in sight.
+    """
+    gray = _gray(image)
+    for attempt in _attempts(gray, board):
+        if attempt is not None:
+            corners = refine_corners(gray, attempt, board)
+            if corners is not None:
+                return _in_order(corners, gray, board)
+    return None
+
+
+def _attempts(gray: Gray, board: Checkerboard) -> Iterator[Floats | None]:
+    """Yield what each way to look finds, from the one that mostly succeeds to those that are slow."""
+    yield _classic(gray, board)
+    smaller = _SMALL / max(gray.shape)
+    if smaller < 0.75:
+        yield _classic(gray, board, smaller)
+    else:
+        yield _classic(gray, board, 2.0)
+    yield _classic(cv2.createCLAHE(3.0, (8, 8)).apply(gray), board)
+    yield _sector_based(gray, board)
+    small = cv2.resize(gray, None, fx=min(smaller, 1.0), fy=min(smaller, 1.0), interpolation=cv2.INTER_AREA)
+    for block in (21, 41, 81, 161):
+        for offset in (0, 8):
+            black = cv2.adaptiveThreshold(small, 255, cv2.ADAPTIVE_THRESH_GAUSSIAN_C, cv2.THRESH_BINARY, block, offset)
+            found = _classic(black, board)
+            yield None if found is None else (found + 0.5) / min(smaller, 1.0) - 0.5
+
+
+def _classic(gray: Gray, board: Checkerboard, scale: float = 1.0) -> Floats | None:
+    if scale != 1.0:
+        how = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
+        gray = cv2.resize(gray, None, fx=scale, fy=scale, interpolation=how)
+    found, corners = cv2.findChessboardCorners(gray, board.corners, flags=_CLASSIC)
+    return (corners.reshape(-1, 2).astype(np.float64) + 0.5) / scale - 0.5 if found else None
+
+
+def _sector_based(gray: Gray, board: Checkerboard) -> Floats | None:
+    found, corners = cv2.findChessboardCornersSB(gray, board.corners, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+    return corners.reshape(-1, 2).astype(np.float64) if found else None
+
+
+def refine_corners(image: ArrayLike, corners: Floats, board: Checkerboard) -> Floats | None:
+    """Refine corners to a fraction of a pixel.
+
+    Parameters
+    ----------
+    image : array
+        As for `find_corners`.
+    corners : array, shape (K, 2), px
+        Good to a third of the distance between neighbours.
+    board : Checkerboard
+
+    Returns
+    -------
+    array, shape (K, 2), px, or None
+        None where a corner ran away or squares are folded: what was found is no board.
+    """
+    gray = _gray(image)
+    spacing = _spacing(corners, board)
+    half = np.clip(spacing / 2 - 1, *_WINDOW).astype(int)
+    refined = corners.copy()
+    for size in np.unique(half):
+        group = half == size
+        start = np.ascontiguousarray(corners[group], np.float32).reshape(-1, 1, 2)
+        refined[group] = cv2.cornerSubPix(gray, start, (int(size), int(size)), (-1, -1), _STOP).reshape(-1, 2)
+    stayed = (np.linalg.norm(refined - corners, axis=1) < spacing / 2).all()
+    return refined if stayed and _is_lattice(refined, board) else None
+
+
+def _spacing(corners: Floats, board: Checkerboard) -> Floats:
+    """Return each corner's distance to its nearest neighbour on the board, shape (K,), px."""
+    grid = corners.reshape(board.corners[1], board.corners[0], 2)
+    spacing = np.full(grid.shape[:2], np.inf)
+    across, down = (np.linalg.norm(np.diff(grid, axis=axis), axis=-1) for axis in (1, 0))
+    spacing[:, :-1], spacing[:, 1:] = np.minimum(spacing[:, :-1], across), np.minimum(spacing[:, 1:], across)
+    spacing[:-1], spacing[1:] = np.minimum(spacing[:-1], down), np.minimum(spacing[1:], down)
+    return spacing.ravel()
+
+
+def _is_lattice(corners: Floats, board: Checkerboard) -> bool:
+    """All squares turn the same way, and none is folded: both triangles of each have the same sign."""
+    grid = corners.reshape(board.corners[1], board.corners[0], 2)
+    right, down = np.diff(grid, axis=1), np.diff(grid, axis=0)
+    upper, lower = _turn(right[:-1], down[:, :-1]), _turn(right[1:], down[:, 1:])
+    signs = np.sign(np.stack([upper, lower]))
+    return bool((signs == signs.flat[0]).all() and signs.flat[0] != 0)
+
+
+def _turn(a: Floats, b: Floats) -> Floats:
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+def _in_order(corners: Floats, gray: Gray, board: Checkerboard) -> Floats:
+    """Return the corners right-handed, read so that the first four enclose a black square, from the top left."""
+    columns, rows = board.corners
+    grid = corners.reshape(rows, columns, 2)
+    if _turn(grid[0, 1] - grid[0, 0], grid[1, 0] - grid[0, 0]) < 0:
+        grid = grid[:, ::-1]
+    quarters = range(4) if columns == rows else (0, 2)
+    turned = [np.rot90(grid, quarter) for quarter in quarters]
+    black = [reading for reading in turned if _first_is_black(reading, gray)]
+    return min(black or turned, key=lambda reading: reading[0, 0].sum()).reshape(-1, 2).copy()
+
+
+def _first_is_black(grid: Floats, gray: Gray) -> bool:
+    """Compare the square within the first four corners with the two beside it."""
+    first, right, below = (grid[i : i + 2, j : j + 2].reshape(4, 2).mean(axis=0) for i, j in ((0, 0), (0, 1), (1, 0)))
+    values = cv2.remap(gray, np.float32([[first, right, below]]), None, cv2.INTER_LINEAR).ravel().astype(float)
+    return bool(values[0] < (values[1] + values[2]) / 2)
+
+
+def _gray(image: ArrayLike) -> Gray:
+    image = np.asarray(image)
+    if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] not in (3, 4)) or min(image.shape[:2]) < 16:
+        raise OmnistereoError(f"an image has shape (H, W) or (H, W, 3), at least 16 px a side; got {image.shape}")
+    if image.dtype != np.uint8:
+        if not np.isfinite(image).all():
+            raise OmnistereoError("the image has values that are not finite")
+        image = np.clip(np.round(image), 0, 255).astype(np.uint8)
+    return image if image.ndim == 2 else image[..., :3].mean(axis=2).round().astype(np.uint8)
+
+
+# --- With a first model -----------------------------------------------------------------------------------
+
+_TILT_STEP = np.radians(30.0)  # between the directions of the virtual cameras
+_HALF_VIEW = np.radians(40.0)  # of a virtual camera: a board near the rim straightens within it
+
+
+def find_with_model(image: ArrayLike, board: Checkerboard, camera: OcamCamera) -> Floats | None:
+    """Find a board that was missed, in views of a virtual pinhole camera that looks all around.
+
+    Near the rim squares are bent and squeezed; seen through a first model of the lens by a pinhole camera that
+    looks there, they are squares again. The corners found go back through the model and are refined in the picture
+    itself, so that the model's errors do not enter.
+
+    Parameters
+    ----------
+    image, board
+        As for `find_corners`, as is the value returned.
+    camera : OcamCamera
+        A first calibration from other views.
+    """
+    gray = _gray(image)
+    for R in _directions(np.radians(camera.max_fov_deg / 2)):
+        size = max(gray.shape) // 2
+        focal = (size - 1) / 2 / np.tan(_HALF_VIEW)
+        u, v = np.meshgrid(np.arange(size), np.arange(size))
+        rays = np.stack([u - (size - 1) / 2, v - (size - 1) / 2, np.full(u.shape, focal)], axis=-1) @ R.T
+        uv, seen = camera.project(rays)
+        uv[~seen] = -1e4
+        straight = cv2.remap(gray, uv.astype(np.float32), None, cv2.INTER_LINEAR, borderValue=128)
+        found = _classic(straight, board)
+        if found is not None:
+            rays = np.column_stack([found - (size - 1) / 2, np.full(len(found), focal)]) @ R.T
+            corners, seen = camera.project(rays)
+            corners = refine_corners(gray, corners, board) if seen.all() else None
+            if corners is not None:
+                return _in_order(corners, gray, board)
+    return None
+
+
+def _directions(reach: float) -> Iterator[Floats]:
+    """Yield rotations whose z axes cover a cone around the optical axis, from the rim inwards."""
+    for angle in np.arange(reach - _TILT_STEP / 2, 0, -_TILT_STEP):
+        around = max(4, round(2 * np.pi * np.sin(angle) / _TILT_STEP))
+        for azimuth in np.arange(around) * 2 * np.pi / around:
+            axis = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+            yield cv2.Rodrigues(angle * axis)[0]
+    yield np.eye(3)
+
+
+# --- Many views -------------------------------------------------------------------------------------------
+
+
+def detect_views(
+    images: Sequence[ArrayLike],
+    board: Checkerboard,
+    progress: Callable[[Iterable], Iterable] = iter,
+) -> list[Floats | None]:
+    """Find the board in each of some images of one camera, on all cores.
+
+    Warns of pictures that are given twice.
+
+    Raises
+    ------
+    OmnistereoError
+        If the images differ in size, or none shows the board; then it says which size of board would fit, if one
+        does.
+    """
+    grays = [_gray(image) for image in images]
+    sizes = {gray.shape: k for k, gray in reversed(list(enumerate(grays)))}
+    if len(sizes) > 1:
+        first, second = list(sizes.items())[:2]
+        raise OmnistereoError(
+            f"images {first[1]} and {second[1]} differ in size, {first[0][::-1]} and {second[0][::-1]} px: "
+            "all views of a camera need one size, neither cropped nor resized differently"
+        )
+    with ThreadPoolExecutor() as pool:
+        found = list(progress(pool.map(lambda gray: find_corners(gray, board), grays)))
+    if not any(corners is not None for corners in found):
+        raise OmnistereoError(_nothing_found(grays, board))
+    for a, b in _duplicates(grays, found):
+        warnings.warn(f"views {a} and {b} are the same picture: it counts twice", stacklevel=2)
+    return found
+
+
+def _nothing_found(grays: list[Gray], board: Checkerboard) -> str:
+    said = f"no board {board} found in {len(grays)} images. "
+    fits = suggest_board(grays, board)
+    if fits is not None:
+        (columns, rows), count = fits
+        return said + f"One of {columns} x {rows} inner corners would fit {count} of them"
+    return said + "Count its inner corners (columns x rows); all of them have to be in sight, sharp and evenly lit"
+
+
+def suggest_board(
+    images: Sequence[ArrayLike], board: Checkerboard, most: int = 8
+) -> tuple[tuple[int, int], int] | None:
+    """Look for boards of a size near the one given: ((columns, rows), in how many images), the largest that fits.
+
+    Parameters
+    ----------
+    images : sequence of arrays
+    board : Checkerboard
+        Whose size was not found.
+    most : int
+        At most so many images are looked at.
+    """
+    grays = [_gray(image) for image in images[:most]]
+    columns, rows = sorted(board.corners, reverse=True)
+    near = range(-_SIZE_SEARCH, _SIZE_SEARCH + 1)
+    sizes = {
+        (max(c, r), min(c, r)) for c in (columns + d for d in near) for r in (rows + d for d in near) if min(c, r) >= 3
+    }
+    # Larger boards first: a part of a board looks like a smaller board.
+    for size in sorted(sizes, key=lambda size: -size[0] * size[1]):
+        fits = sum(_classic(gray, Checkerboard(size, 1.0)) is not None for gray in grays)
+        if fits:
+            return size, fits
+    return None
+
+
+def _duplicates(grays: list[Gray], found: list[Floats | None]) -> Iterator[tuple[int, int]]:
+    seen = [k for k, corners in enumerate(found) if corners is not None]
+    for i, a in enumerate(seen):
+        for b in seen[i + 1 :]:
+            close = np.abs(found[a] - found[b]).max() < 0.5
+            if close and np.abs(grays[a].astype(float) - grays[b]).mean() < _SAME:
+                yield a, b
+
+
+# --- Files ------------------------------------------------------------------------------------------------
+
+
+def save_corners(
+    path: str | Path, views: dict[str, Floats | None], board: Checkerboard, image_size: tuple[int, int]
+) -> None:
+    """Write detections as YAML that a person can edit: a line for each corner, null for views without a board.
+
+    Parameters
+    ----------
+    path : path
+    views : dict
+        Name of each picture → corners (K, 2) px, NaN where one is missing, or None.
+    board : Checkerboard
+    image_size : (int, int)
+        Width and height of the pictures.
+    """
+    lines = [
+        f"board: {{corners: [{board.corners[0]}, {board.corners[1]}], square: {board.square!r}}}  # inner, metres",
+        f"image_size: [{image_size[0]}, {image_size[1]}]  # width, height",
+        "views:  # pixels (u, v), row by row; [.nan, .nan] leaves a corner out, null a view",
+    ]
+    for name, corners in views.items():
+        lines.append(f"  {_quoted(name)}:{' null' if corners is None else ''}")
+        lines += [f"  - [{_number(u)}, {_number(v)}]" for u, v in ([] if corners is None else corners)]
+    with replacing(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def load_corners(path: str | Path) -> tuple[dict[str, Floats | None], Checkerboard, tuple[int, int]]:
+    """Read what `save_corners` wrote: views, board, image size.
+
+    Raises
+    ------
+    OmnistereoError
+        If the file is missing, not YAML, or lacks something; it names the view.
+    """
+    path = Path(path)
+    try:
+        content = yaml.safe_load(read_bytes(path).decode("utf-8"))
+        board = Checkerboard(tuple(content["board"]["corners"]), float(content["board"]["square"]))
+        width, height = (int(side) for side in content["image_size"])
+        views = {str(name): _corners_of(value, name, board) for name, value in content["views"].items()}
+    except OmnistereoError as error:
+        raise OmnistereoError(f"{path}: {error}") from error
+    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise OmnistereoError(
+            f"{path}: not a file of corners ({type(error).__name__}: {error}); expected board, image_size and views"
+        ) from error
+    return views, board, (width, height)
+
+
+def _corners_of(value: Any, name: str, board: Checkerboard) -> Floats | None:
+    if value is None:
+        return None
+    corners = np.array(value, np.float64)
+    if corners.shape != board.points[:, :2].shape:
+        raise OmnistereoError(
+            f"view {name}: corners of shape {corners.shape}, expected {len(board.points)} pairs of u and v"
+        )
+    return corners
+
+
+def _number(value: float) -> str:
+    return f"{value:.4f}" if np.isfinite(value) else ".nan"
+
+
+def _quoted(name: str) -> str:
+    return '"' + name.replace("\\", "\\\\").replace('"', '\\"') + '"'
