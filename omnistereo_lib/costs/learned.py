@@ -6,14 +6,14 @@ both cameras see, with a margin for what its convolutions read beyond them. Both
 not have changed a cost that is kept.
 
 Splitting the first layer after the concatenation by camera, A f_i + B f_j, is exact as well, but once pairs are
-cropped it pays nowhere: a ring pair shares 31 % of the columns, and each half would run on the 56 % that one camera
+cropped it pays nowhere: a ring pair shares 31 % of the rays, and each half would run on the 56 % that one camera
 sees, twice for every camera.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
@@ -28,9 +28,11 @@ from omnistereo_lib.sweep import _split_at_seam
 
 Precision = Literal["auto", "float32", "bfloat16"]
 
-# Pixels that go through a network together. A few rows of channels-last features stay in a core's cache on a CPU;
-# a GPU wants to be filled.
-_AT_ONCE = {"cpu": 1 << 14, "cuda": 1 << 20}
+# How many panorama pixels go through the convolutions together, and how many through the layers that look at one
+# pixel: on a CPU few, whose features stay in a core's cache; a GPU wants to be filled.
+_PIXELS = {"cpu": 1 << 14}
+_ROWS = {"cpu": 1 << 11}
+_GPU_PIXELS, _GPU_ROWS = 1 << 22, 1 << 19
 
 
 def uses_bfloat16(precision: Precision, device: torch.device | str) -> bool:
@@ -52,6 +54,11 @@ def uses_bfloat16(precision: Precision, device: torch.device | str) -> bool:
         return torch.cuda.is_bf16_supported(including_emulation=False)
     flags = torch.cpu.get_capabilities()
     return bool(flags.get("amx_bf16") or flags.get("avx512_bf16"))
+
+
+def in_strips(layers: Callable[[Tensor], Tensor], pixels: Tensor) -> Tensor:
+    """Run layers that look at one pixel each on a list of pixels (M, C), some at a time: (M,)."""
+    return torch.cat([layers(part) for part in pixels.split(_ROWS.get(pixels.device.type, _GPU_ROWS))])
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +149,7 @@ class LearnedCost(nn.Module):
         total = torch.zeros(B, H, W, device=spherical.device)
         count = torch.zeros_like(total)
         with torch.no_grad(), self.autocast(spherical.device):
-            for part in torch.arange(B).split(max(1, _AT_ONCE[spherical.device.type] // (H * W))):
+            for part in torch.arange(B).split(max(1, _PIXELS.get(spherical.device.type, _GPU_PIXELS) // (H * W))):
                 block = slice(int(part[0]), int(part[-1]) + 1)
                 self._add_costs(spherical[:, block], pairs, columns, total[block], count[block])
         return (total / count).permute(1, 2, 0)  # 0/0 = NaN where no pair sees the ray

@@ -10,13 +10,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import normalize, pad, relu, relu_
 
-from omnistereo_lib.costs.learned import Features, LearnedCost, Precision
+from omnistereo_lib.costs.learned import Features, LearnedCost, Precision, in_strips
 from omnistereo_lib.costs.weights import SHIPPED
 from omnistereo_lib.errors import OmnistereoError
 
 PATCH = 9  # pixels: four 3 × 3 layers without padding leave one
 _MAPS = {"fast": 64, "accurate": 112}
-_ROWS = 2048  # pixels that go through the accurate head together, as many as a core's cache holds
 
 
 class MCCNN(LearnedCost):
@@ -98,7 +97,7 @@ class MCCNN(LearnedCost):
         if self.variant == "fast":
             return (left * right).sum(1)[chosen]
         pixels = torch.cat([side.permute(0, 2, 3, 1)[chosen] for side in (left, right)], -1)
-        return torch.cat([self._score(part) for part in pixels.split(_ROWS)])
+        return in_strips(self._score, pixels)
 
     def _score(self, x: Tensor) -> Tensor:
         for layer in self.head[:-1]:

@@ -9,11 +9,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import relu_
 
-from omnistereo_lib.costs.learned import Features, LearnedCost, Precision
+from omnistereo_lib.costs.learned import Features, LearnedCost, Precision, in_strips
 from omnistereo_lib.costs.weights import SHIPPED
 from omnistereo_lib.errors import OmnistereoError
-
-_ROWS = 2048  # pixels that go through fc1 … fc5 together: 256 numbers each, as much as a core's cache holds
 
 
 def _table_one() -> dict[str, nn.Module]:
@@ -111,8 +109,7 @@ class SweepNet(LearnedCost):
         for name in ("conv19", "deconv1", "conv20"):
             x = self._run(name, x)
         pixels = x[..., offset : offset + chosen.shape[-1]].permute(0, 2, 3, 1)[chosen]
-        at_once = len(pixels) if self.training else _ROWS  # norms take the mean over all of them
-        return torch.cat([self._head(part) for part in pixels.split(max(1, at_once))])
+        return self._head(pixels) if self.training else in_strips(self._head, pixels)  # norms: the mean over all
 
     def _head(self, x: Tensor) -> Tensor:
         for name in ("fc1", "fc2", "fc3", "fc4"):
