@@ -24,7 +24,7 @@ def network(seed=0, precision="float32", **config):
     for layer in net.layers.values():
         if layer.bias is not None:  # a zero bias would hide where it is added
             torch.nn.init.normal_(layer.bias, std=0.1)
-    torch.nn.init.normal_(net.layers["fc5"].weight, std=0.03)  # costs that differ
+    torch.nn.init.normal_(net.layers["fc5"].weight, std=0.02)  # costs from 0.28 to 0.97
     return net
 
 

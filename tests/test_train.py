@@ -216,17 +216,16 @@ def command(data, out, *settings, network="sweepnet"):
 
 
 def test_a_killed_process_goes_on_to_the_same_weights(data, tmp_path):
-    """SIGKILL, whatever it is doing; it is killed in the middle of a state's writing if it so happens."""
-    recipe = replace(SWEEPNET, steps=12)
+    """SIGKILL, whatever it is doing: it writes its state after every step, and may be in the middle of that."""
+    recipe = replace(SWEEPNET, steps=20)
     script = (
         "import sys; from dataclasses import replace; sys.path.insert(0, sys.argv[1]); import test_train as t\n"
-        "for row in t.train(replace(t.SWEEPNET, steps=12), sys.argv[2], sys.argv[3], 'cpu', 'float32', 0.0): pass"
+        "for row in t.train(replace(t.SWEEPNET, steps=20), sys.argv[2], sys.argv[3], 'cpu', 'float32', 0.0): pass"
     )
     arguments = [sys.executable, "-c", script, os.path.dirname(__file__), tmp_path / "killed", data]
     process = subprocess.Popen([str(word) for word in arguments])
     while process.poll() is None and not (tmp_path / "killed" / STATE).exists():
-        time.sleep(0.05)
-    time.sleep(0.3)
+        time.sleep(0.02)
     process.send_signal(signal.SIGKILL)
     process.wait()
     left = recipe.steps - load_tensors(tmp_path / "killed" / STATE)[1]["step"]
