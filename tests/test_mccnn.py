@@ -83,6 +83,16 @@ def test_the_same_image_costs_nothing():
     assert network("fast")(torch.cat([spherical, spherical]), [(0, 1)]).nan_to_num().max() < 1e-6
 
 
+@pytest.mark.parametrize("variant", ["fast", "accurate"])
+def test_gradient_reaches_every_parameter(variant):
+    net = network(variant)
+    torch.manual_seed(1)
+    left, right = (net.describe_patches(torch.randn(20, 9, 9)) for _ in range(2))
+    assert left.shape == (20, {"fast": 64, "accurate": 112}[variant], 1, 1)
+    net.compare(left, right, torch.ones(20, 1, 1, dtype=torch.bool), 0).square().sum().backward()
+    assert [name for name, p in net.named_parameters() if p.grad is None or p.grad.abs().max() == 0] == []
+
+
 def test_weights_come_back(tmp_path):
     net, (spherical, _) = network("accurate"), images()
     net.save(tmp_path / "a.safetensors")

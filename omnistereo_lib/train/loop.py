@@ -103,6 +103,8 @@ def train(
             _save_state(out / STATE, done, recipe, network, optimizer)
             last_saved = time.perf_counter()
         yield row
+    if world > 1:
+        distributed.destroy_process_group()
 
 
 def _step(
