@@ -160,7 +160,7 @@ def load_dataset(
             f"{folder} has camera folders {found}, its rig has {len(rig)} cameras: expected cam1, cam2 …"
         )
     images = [dict(_numbered(camera, _IMAGE_SUFFIXES)) for camera in cameras]
-    truths = _truths(folder, truth_width)
+    truths = _truths(_truth_folder(folder), truth_width)
     frames = []
     for number in sorted(set().union(*images)):
         for camera, files in zip(cameras, images, strict=True):
@@ -233,6 +233,24 @@ def _read_png16(path: Path, min_depth: float | None) -> NDArray[np.float64]:
     if min_depth is None:
         raise OmnistereoError(f"{path} counts inverse depth in units of 1/min_depth: the rig's file must state it")
     return steps / (65500.0 * min_depth)
+
+
+def _truth_folder(folder: Path) -> Path:
+    """Return where the ground truth lies: beside the pictures, or where config.yaml's `dataset: truth` points.
+
+    Our sets of one drive in several lights share the ground truth of one of them.
+    """
+    import yaml
+
+    config = folder / "config.yaml"
+    content = yaml.safe_load(read_bytes(config)) if config.is_file() else None
+    dataset = content.get("dataset") if isinstance(content, dict) else None
+    elsewhere = dataset.get("truth") if isinstance(dataset, dict) else None
+    if elsewhere is None:
+        return folder
+    if not (folder / str(elsewhere)).is_dir():
+        raise OmnistereoError(f"{config} says that the ground truth is in {elsewhere}: there is no such folder")
+    return folder / str(elsewhere)
 
 
 def _truths(folder: Path, width: int | None) -> dict[int, Path]:

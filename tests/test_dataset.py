@@ -143,6 +143,19 @@ def test_the_first_release_keeps_one_ground_truth_for_all_weathers(tmp_path):
     assert [path.parent.name for path in paths] == ["depth_train_32", "depth_test_32"]
 
 
+def test_a_set_in_another_light_points_to_the_ground_truth_of_its_drive(tmp_path):
+    save(tmp_path / "sunny", [1], truth="omnidepth_gt_32")
+    cloudy = save(tmp_path / "cloudy", [1], truth=None)
+    with (cloudy / "config.yaml").open("a") as config:
+        config.write("dataset: {truth: ../sunny}\n")
+    assert np.array_equal(
+        osl.load_dataset(cloudy)[0].inverse_depth, osl.load_dataset(tmp_path / "sunny")[0].inverse_depth
+    )
+    (tmp_path / "sunny").rename(tmp_path / "away")
+    with pytest.raises(osl.OmnistereoError, match=r"ground truth is in \.\./sunny: there is no such folder"):
+        osl.load_dataset(cloudy)
+
+
 def test_float_tiff_comes_back(tmp_path):
     truth = TRUTH.copy()
     truth[0, :4] = [np.nan, np.inf, -1, 0]

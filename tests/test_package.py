@@ -20,7 +20,10 @@ errors
 files parsed
 camera pose sphere metrics
 rig lenses foreign dialects
-calibrate calibrate.board calibrate.detect calibrate.bundle calibrate.start calibrate.report calibrate.camera calibrate.rig
+calibrate calibrate.board
+calibrate.detect calibrate.bundle
+calibrate.start calibrate.report
+calibrate.camera calibrate.rig
 sweep
 costs costs.zncc costs.weights costs.learned costs.mccnn costs.sweepnet
 volume

@@ -358,6 +358,19 @@ def test_killed_and_started_again_the_set_is_the_same(renames, no_blender, tmp_p
     assert contents(killed) == contents(whole)
 
 
+def test_steps_of_the_first_release_and_another_sets_truth(no_blender, tmp_path):
+    train = replace(TINY, truth_suffix=".png")
+    list(render_set(tmp_path / "train", train, (706,), SEED))
+    list(render_set(tmp_path / "whole", TINY, (706,), SEED))
+    steps, exact = (osl.load_dataset(tmp_path / name)[0].inverse_depth for name in ("train", "whole"))
+    min_depth = osl.load_dataset(tmp_path / "train").rig.min_depth
+    limited = np.minimum(exact, 65535 / 65500 / min_depth)  # what is nearer than D_min does not occur
+    assert (np.abs(steps - limited) <= 0.5 / 65500 / min_depth + 2**-15 * exact).all()
+    cloudy = replace(TINY, truths=(), truth_of="whole")
+    list(render_set(tmp_path / "cloudy" / "test", cloudy, (706,), SEED))
+    assert np.array_equal(osl.load_dataset(tmp_path / "cloudy" / "test")[0].inverse_depth, exact)
+
+
 def test_forgetting_leaves_other_machines_and_files_alone(no_blender, tmp_path):
     list(render_set(tmp_path, TINY, (706,), SEED))
     (tmp_path / "cam1" / "0731.jpg").write_bytes(b"of a killed run")

@@ -31,6 +31,7 @@ _SMALL = 640  # px: the longer side of the copy on which thresholds are tried on
 _WINDOW = (2, 11)  # px, half size: the least that cornerSubPix can use, the most that lens distortion allows
 _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
 _SIZE_SEARCH = 3  # a wrong board size is looked for this many corners around the one given
+_MOST_LOST = 0.1  # of the corners; where more run away, nothing is right
 _SAME = 2.0  # mean gray levels between two pictures of one scene that are one picture
 
 
@@ -105,18 +106,44 @@ def refine_corners(image: ArrayLike, corners: Floats, board: Checkerboard) -> Fl
     Returns
     -------
     array, shape (K, 2), px, or None
-        None where a corner ran away or squares are folded: what was found is no board.
+        NaN where a corner ran away, as it does next to a stain or the board's edge. None where many did or squares
+        are folded: what was found is no board.
     """
     gray = _gray(image)
     spacing = _spacing(corners, board)
-    half = np.clip(spacing / 2 - 1, *_WINDOW).astype(int)
+    # The detector itself puts a corner into a neighbour's place now and then.
+    expected = _smooth(corners, board)
+    astray = np.linalg.norm(corners - expected, axis=1) > spacing / 4
+    corners = np.where(astray[:, None], expected, corners)
+    refined = _sub_pixel(gray, corners, np.clip(spacing / 2 - 1, *_WINDOW))
+    lost = np.linalg.norm(refined - corners, axis=1) > spacing / 3
+    refined[lost] = _sub_pixel(gray, corners[lost], np.full(lost.sum(), _WINDOW[0]))
+    lost = np.linalg.norm(refined - corners, axis=1) > spacing / 3
+    refined[lost] = np.nan
+    return refined if lost.mean() < _MOST_LOST and _is_lattice(refined, board) else None
+
+
+def _smooth(corners: Floats, board: Checkerboard) -> Floats:
+    """Return the corners on a smooth surface: polynomials of degree 4 in column and row, wrong ones left out."""
+    columns, rows = board.corners
+    x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(-1, 1, columns), np.linspace(-1, 1, rows)))
+    basis = np.column_stack([x**i * y**j for i in range(5) for j in range(5 - i)])
+    kept = np.ones(len(corners), bool)
+    for _ in range(3):
+        fit = basis @ np.linalg.lstsq(basis[kept], corners[kept], rcond=None)[0]
+        distance = np.linalg.norm(corners - fit, axis=1)
+        kept = distance <= max(4 * np.median(distance), 0.1)
+    return fit
+
+
+def _sub_pixel(gray: Gray, corners: Floats, half: Floats) -> Floats:
+    """Return corners moved to where the gradients around them point, in windows of half their own size."""
     refined = corners.copy()
-    for size in np.unique(half):
-        group = half == size
+    for size in np.unique(half.astype(int)):
+        group = half.astype(int) == size
         start = np.ascontiguousarray(corners[group], np.float32).reshape(-1, 1, 2)
         refined[group] = cv2.cornerSubPix(gray, start, (int(size), int(size)), (-1, -1), _STOP).reshape(-1, 2)
-    stayed = (np.linalg.norm(refined - corners, axis=1) < spacing / 2).all()
-    return refined if stayed and _is_lattice(refined, board) else None
+    return refined
 
 
 def _spacing(corners: Floats, board: Checkerboard) -> Floats:
@@ -134,8 +161,9 @@ def _is_lattice(corners: Floats, board: Checkerboard) -> bool:
     grid = corners.reshape(board.corners[1], board.corners[0], 2)
     right, down = np.diff(grid, axis=1), np.diff(grid, axis=0)
     upper, lower = _turn(right[:-1], down[:, :-1]), _turn(right[1:], down[:, 1:])
-    signs = np.sign(np.stack([upper, lower]))
-    return bool((signs == signs.flat[0]).all() and signs.flat[0] != 0)
+    turns = np.stack([upper, lower])
+    turns = turns[np.isfinite(turns)]
+    return bool((turns > 0).all() or (turns < 0).all())
 
 
 def _turn(a: Floats, b: Floats) -> Floats:
@@ -146,7 +174,7 @@ def _in_order(corners: Floats, gray: Gray, board: Checkerboard) -> Floats:
     """Return the corners right-handed, read so that the first four enclose a black square, from the top left."""
     columns, rows = board.corners
     grid = corners.reshape(rows, columns, 2)
-    if _turn(grid[0, 1] - grid[0, 0], grid[1, 0] - grid[0, 0]) < 0:
+    if np.nanmedian(_turn(np.diff(grid, axis=1)[:-1], np.diff(grid, axis=0)[:, :-1])) < 0:
         grid = grid[:, ::-1]
     quarters = range(4) if columns == rows else (0, 2)
     turned = [np.rot90(grid, quarter) for quarter in quarters]

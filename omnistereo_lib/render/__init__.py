@@ -16,16 +16,18 @@ import sys
 from pathlib import Path
 
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.render.captures import CAPTURES, is_captured, render_captures
 from omnistereo_lib.render.frames import SEED, SETS, forget_partial, is_complete, render_set, share, write_manifest
 
+_ALL = SETS | CAPTURES
 _ROOT = Path(__file__).resolve().parents[2]
 _BLENDER_PYTHON = _ROOT / ".venv-render" / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `python -m omnistereo_lib render` to a parser."""
-    parser.add_argument("sets", nargs="*", metavar="SET", help=f"image sets: {', '.join(SETS)} (default: sunny/test)")
-    parser.add_argument("--frames", type=int, nargs="+", help="frame numbers (default: those that ship)")
+    parser.add_argument("sets", nargs="*", metavar="SET", help=f"image sets: {', '.join(_ALL)} (default: sunny/test)")
+    parser.add_argument("--frames", type=int, nargs="+", help="frame or capture numbers (default: those that ship)")
     parser.add_argument("--shard", default="1/1", help="part i/n of the frames, for several machines (default: 1/1)")
     parser.add_argument("--seed", type=int, default=SEED, help=f"of the city and the rig (default: {SEED})")
     parser.add_argument("--out", type=Path, default=_ROOT / "data_samples", help="default: data_samples")
@@ -47,15 +49,15 @@ def main(options: argparse.Namespace) -> int:
         return _run_in_blender_environment(options)
     for name, numbers in wanted.items():
         _render(options.out / name, name, numbers, options.seed)
-    sets = " ".join(name for name in SETS if (options.out / name).is_dir())
+    sets = " ".join(name for name in _ALL if (options.out / name).is_dir())
     write_manifest(options.out, options.seed, f"python -m omnistereo_lib render {sets} --seed {options.seed}")
     return 0
 
 
 def _numbers(name: str, frames: list[int] | None) -> tuple[int, ...]:
-    if name not in SETS:
-        raise OmnistereoError(f"there is no image set {name!r}: choose from {', '.join(SETS)}")
-    images = SETS[name]
+    if name not in _ALL:
+        raise OmnistereoError(f"there is no image set {name!r}: choose from {', '.join(_ALL)}")
+    images = _ALL[name]
     for number in frames or ():
         if not images.first <= number < images.first + images.count:
             last = images.first + images.count - 1
@@ -66,11 +68,17 @@ def _numbers(name: str, frames: list[int] | None) -> tuple[int, ...]:
 def _render(folder: Path, name: str, numbers: tuple[int, ...], seed: int) -> None:
     from tqdm import tqdm
 
-    images = SETS[name]
-    forget_partial(folder, images, numbers)
-    done = sum(is_complete(folder, images, number) for number in numbers)
+    if name in CAPTURES:
+        captures = CAPTURES[name]
+        done = sum(is_captured(folder, captures, number, seed) for number in numbers)
+        finished = render_captures(folder, captures, numbers, seed)
+    else:
+        images = SETS[name]
+        forget_partial(folder, images, numbers)
+        done = sum(is_complete(folder, images, number) for number in numbers)
+        finished = render_set(folder, images, numbers, seed)
     with tqdm(total=len(numbers), initial=done, desc=name, unit="frame") as bar:
-        for _ in render_set(folder, images, numbers, seed):
+        for _ in finished:
             bar.update()
 
 

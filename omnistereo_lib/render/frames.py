@@ -17,7 +17,7 @@ from omnistereo_lib.pose import Pose
 from omnistereo_lib.render.rig import RenderRig, make_rig, write_config
 
 SEED = 2019
-_QUALITY = 93  # of the JPEG files: blocks are below the sensor's noise
+_STEPS = 65500  # of the first public release's 16-bit ground truth: inverse depth in units of 1 / (65500 D_min)
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,12 @@ class ImageSet:
         Paths for each pixel.
     truths : tuple of (int, int)
         Width and height of the ground-truth panoramas, φ from -45° to 45°.
+    truth_suffix : ".tiff" | ".png"
+        Of the two public encodings: float, or half as large in 16-bit steps of 0.003 spheres.
+    truth_of : str
+        The set of the same drive whose ground truth is also this one's: light moves nothing.
+    quality : int
+        Of the JPEG files: what is lost is less than the sensors' noise.
     """
 
     light: str
@@ -50,7 +56,10 @@ class ImageSet:
     size: tuple[int, int]
     gray: bool
     samples: int
-    truths: tuple[tuple[int, int], ...]
+    truths: tuple[tuple[int, int], ...] = ()
+    truth_suffix: str = ".tiff"
+    truth_of: str = ""
+    quality: int = 85
 
 
 _TEST = {
@@ -61,20 +70,26 @@ _TEST = {
     "size": (800, 768),
     "gray": False,
     "samples": 32,
-    "truths": ((640, 160), (1200, 300)),
 }
 
 SETS = {
-    "sunny/test": ImageSet(light="sunny", **_TEST),
-    "cloudy/test": ImageSet(light="cloudy", **_TEST),
-    "sunset/test": ImageSet(light="sunset", **_TEST),
-    "sunny/train": ImageSet("sunny", "train", 1, 700, tuple(range(3, 701, 5)), (400, 384), True, 24, ((640, 160),)),
+    "sunny/test": ImageSet(light="sunny", **_TEST, truths=((640, 160), (1200, 300))),
+    "cloudy/test": ImageSet(light="cloudy", **_TEST, truth_of="sunny/test"),
+    "sunset/test": ImageSet(light="sunset", **_TEST, truth_of="sunny/test"),
+    "sunny/train": ImageSet(
+        light="sunny",
+        route="train",
+        first=1,
+        count=700,
+        shipped=tuple(range(3, 701, 5))[:120],
+        size=(400, 384),
+        gray=True,
+        samples=24,
+        truths=((640, 160),),
+        truth_suffix=".png",
+        quality=80,
+    ),
 }
-
-
-def truth_path(folder: Path, number: int, width: int) -> Path:
-    """Return where the ground truth of a frame lies, in the public layout."""
-    return folder / f"omnidepth_gt_{width}" / f"{number:05d}.tiff"
 
 
 def image_path(folder: Path, number: int, camera: int) -> Path:
@@ -82,9 +97,15 @@ def image_path(folder: Path, number: int, camera: int) -> Path:
     return folder / f"cam{camera}" / f"{number:04d}.jpg"
 
 
+def frame_paths(folder: Path, images: ImageSet, number: int) -> list[Path]:
+    """Return all files of a frame in the public layout: pictures, then ground truth."""
+    truths = [folder / f"omnidepth_gt_{width}" / f"{number:05d}{images.truth_suffix}" for width, _ in images.truths]
+    return [*(image_path(folder, number, camera) for camera in (1, 2, 3, 4)), *truths]
+
+
 def is_complete(folder: Path, images: ImageSet, number: int) -> bool:
-    """Return whether a frame is there: its last file is, the truth of the last width."""
-    return truth_path(folder, number, images.truths[-1][0]).is_file()
+    """Return whether all files of a frame are there."""
+    return all(path.is_file() for path in frame_paths(folder, images, number))
 
 
 def share(numbers: tuple[int, ...], shard: str) -> tuple[int, ...]:
@@ -127,6 +148,8 @@ def render_set(folder: Path, images: ImageSet, numbers: tuple[int, ...], seed: i
     for camera in range(1, len(rig.cameras) + 1):
         make_folder(folder / f"cam{camera}")
     layout = {"img_fmt": "cam%d/%04d.jpg", "start": images.first, "step": 1, "end": images.first + images.count - 1}
+    if images.truth_of:
+        layout["truth"] = f"../../{images.truth_of}"
     write_config(folder / "config.yaml", rig, images.size, layout)
     if not missing:
         return
@@ -137,7 +160,8 @@ def render_set(folder: Path, images: ImageSet, numbers: tuple[int, ...], seed: i
     for number in missing:
         T_world_rig = drive.pose(number - images.first)
         traffic.show(number, T_world_rig.t[:2])
-        _write(folder, number, *_render_frame(images, rig, T_world_rig, exposure, [seed, number]))
+        pictures, truths = _render_frame(images, rig, T_world_rig, exposure, [seed, number])
+        _write(frame_paths(folder, images, number), pictures, truths, images.quality, rig.min_depth)
         yield number
 
 
@@ -159,22 +183,21 @@ def _render_frame(
     return pictures, [1.0 / depth_panorama(T_world_rig, size, 45.0) for size in images.truths]
 
 
-def _write(folder: Path, number: int, pictures: list[NDArray], truths: list[NDArray]) -> None:
-    """Write a frame's files under temporary names, then rename them, the one that says 'complete' last."""
+def _write(paths: list[Path], pictures: list[NDArray], truths: list[NDArray], quality: int, min_depth: float) -> None:
+    """Write a frame's files under temporary names, then rename them."""
     import tifffile
     from PIL import Image
 
-    files = []
-    for camera, picture in enumerate(pictures, start=1):
-        path = image_path(folder, number, camera)
-        files.append((path.with_name(f".{path.name}"), path))
-        Image.fromarray(picture).save(files[-1][0], "JPEG", quality=_QUALITY, subsampling=0, optimize=True)
-    for truth in truths:
-        path = truth_path(folder, number, truth.shape[1])
+    temporaries = [path.with_name(f".{path.name}") for path in paths]
+    for path, picture in zip(temporaries, pictures, strict=False):
+        Image.fromarray(picture).save(path, "JPEG", quality=quality, optimize=True)
+    for path, truth in zip(temporaries[len(pictures) :], truths, strict=True):
         path.parent.mkdir(exist_ok=True)
-        files.append((path.with_name(f".{path.name}"), path))
-        tifffile.imwrite(files[-1][0], _rounded(truth), compression="zlib", compressionargs={"level": 9})
-    for temporary, path in files:
+        if path.suffix == ".png":
+            Image.fromarray(np.rint(truth * _STEPS * min_depth).clip(0, 65535).astype(np.uint16)).save(path)
+        else:
+            tifffile.imwrite(path, _rounded(truth), compression="zlib", compressionargs={"level": 9})
+    for temporary, path in zip(temporaries, paths, strict=True):
         temporary.replace(path)
 
 
@@ -189,7 +212,7 @@ def forget_partial(folder: Path, images: ImageSet, numbers: tuple[int, ...]) -> 
 
     Other frames are left alone: another machine may be writing them.
     """
-    written = [*folder.glob("cam*/*.jpg"), *folder.glob("omnidepth_gt_*/*.tiff")]
+    written = [*folder.glob("cam*/*.jpg"), *folder.glob("omnidepth_gt_*/*.*")]
     left = [path for path in written if path.stem.lstrip(".").isdigit() and int(path.stem.lstrip(".")) in numbers]
     left = [path for path in left if path.name[0] == "." or not is_complete(folder, images, int(path.stem))]
     for path in left:
