@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.calibrate.board import Checkerboard
 from omnistereo_lib.calibrate.bundle import Bundle, Estimate, Observations, adjust, covariance, observations
-from omnistereo_lib.calibrate.detect import detect_views, find_with_model
+from omnistereo_lib.calibrate.detect import Progress, detect_views, find_with_model, suggest_board
 from omnistereo_lib.calibrate.report import CameraReport
 from omnistereo_lib.calibrate.start import first_estimate
 from omnistereo_lib.camera import OcamCamera
@@ -40,6 +40,7 @@ def calibrate_camera(
     image_size: tuple[int, int] | None = None,
     degree: int | None = None,
     max_fov_deg: float | None = None,
+    progress: Progress = iter,
 ) -> tuple[OcamCamera, CameraReport]:
     """Calibrate one camera: Φ and A of the paper's Section III-A, with every view's pose.
 
@@ -55,6 +56,8 @@ def calibrate_camera(
         Of the polynomial f, 4 or more. None: the lowest that views left out of the fit ask for.
     max_fov_deg : float, optional
         Full field of view of the camera returned. None: as far as corners were seen.
+    progress : callable
+        Wraps the images while boards are looked for, as `tqdm` does.
 
     Returns
     -------
@@ -68,13 +71,27 @@ def calibrate_camera(
         If fewer than three views show the board, all views are parallel, corners do not fit the board, or the
         corners do not determine the camera.
     """
-    corners, image_size, images = read_views(views, board, image_size)
+    return calibrate_corners(*read_views(views, board, image_size, progress), board, degree, max_fov_deg)
+
+
+def calibrate_corners(
+    corners: list[Floats | None],
+    image_size: tuple[int, int],
+    images: Sequence[ArrayLike | None] | None,
+    board: Checkerboard,
+    degree: int | None = None,
+    max_fov_deg: float | None = None,
+) -> tuple[OcamCamera, CameraReport]:
+    """Do what `calibrate_camera` does with corners that have been detected.
+
+    Where the images are given, too, boards that were missed in them are looked for once more and filled in.
+    """
     shown = [k for k, view in enumerate(corners) if view is not None]
-    given = [k for k, view in enumerate(views) if view is not None]
+    given = [k for k, view in enumerate(images or corners) if view is not None]
     if len(shown) < _LEAST_VIEWS:
         raise OmnistereoError(
             f"{len(shown)} of {len(given)} views show the board; a camera needs {_LEAST_VIEWS} at the very least, "
-            "and 15 or more, tilted every way and out to the rim, for a good result"
+            f"and 15 or more, tilted every way and out to the rim, for a good result{_another_size(images, board)}"
         )
     estimate = first_estimate([corners[k] for k in shown], board.points, image_size)
     _check_tilts(estimate)
@@ -109,7 +126,10 @@ def calibrate_camera(
 
 
 def read_views(
-    views: Sequence[ArrayLike | None], board: Checkerboard, image_size: tuple[int, int] | None
+    views: Sequence[ArrayLike | None],
+    board: Checkerboard,
+    image_size: tuple[int, int] | None,
+    progress: Progress = iter,
 ) -> tuple[list[Floats | None], tuple[int, int], list | None]:
     """Return corners for each view, the images' width and height, and the images if that is what came.
 
@@ -124,10 +144,15 @@ def read_views(
         raise OmnistereoError("there are no views: give images of the board, or the corners detected in them")
     if all(array.ndim == 2 and array.shape[1] == 2 for array in given):
         return [_checked(array, board) for array in arrays], _checked_size(image_size), None
-    found = detect_views([array for array in arrays if array is not None], board)
+    found = detect_views(given, board, progress)
     detected = iter(found)
     corners = [None if array is None else next(detected) for array in arrays]
     return corners, (given[0].shape[1], given[0].shape[0]), arrays
+
+
+def _another_size(images: Sequence[ArrayLike | None] | None, board: Checkerboard) -> str:
+    fits = suggest_board([image for image in images if image is not None], board) if images is not None else None
+    return "" if fits is None else f". A board of {fits[0][0]} x {fits[0][1]} inner corners would fit {fits[1]} views"
 
 
 def _checked(corners: NDArray | None, board: Checkerboard) -> Floats | None:
@@ -344,6 +369,8 @@ def camera_report(
     capture, corner = seen.capture[mine], seen.corner[mine]
     table = np.full((len(captures), corners, 3), np.nan)
     table[capture, corner] = np.column_stack([residuals, angle])
+    pixels = np.full((len(captures), corners, 2), np.nan)
+    pixels[capture, corner] = seen.pixels[mine]
     views = np.unique(capture)
     wrong = np.flatnonzero(~kept[mine])
     distance = np.linalg.norm(residuals, axis=1)
@@ -353,6 +380,7 @@ def camera_report(
         outliers=tuple(
             (captures[capture[m]], int(corner[m]), float(distance[m])) for m in wrong[np.argsort(-distance[wrong])]
         ),
+        corners={captures[k]: pixels[k] for k in views},
         residuals={captures[k]: table[k, :, :2] for k in views},
         angles={captures[k]: table[k, :, 2] for k in views},
         T_cam_board={captures[k]: estimate.T_cam_rig[i] @ estimate.T_rig_board[k] for k in views},

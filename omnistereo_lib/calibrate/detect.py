@@ -15,7 +15,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import yaml
 from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.calibrate.board import Checkerboard
@@ -25,6 +24,7 @@ from omnistereo_lib.files import read_bytes, replacing
 
 Floats = NDArray[np.float64]
 Gray = NDArray[np.uint8]
+Progress = Callable[[Iterable], Iterable]
 
 _CLASSIC = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 _SMALL = 640  # px: the longer side of the copy on which thresholds are tried one by one
@@ -255,7 +255,7 @@ def _directions(reach: float) -> Iterator[Floats]:
 def detect_views(
     images: Sequence[ArrayLike],
     board: Checkerboard,
-    progress: Callable[[Iterable], Iterable] = iter,
+    progress: Progress = iter,
 ) -> list[Floats | None]:
     """Find the board in each of some images of one camera, on all cores.
 
@@ -366,6 +366,8 @@ def load_corners(path: str | Path) -> tuple[dict[str, Floats | None], Checkerboa
     OmnistereoError
         If the file is missing, not YAML, or lacks something; it names the view.
     """
+    import yaml
+
     path = Path(path)
     try:
         content = yaml.safe_load(read_bytes(path).decode("utf-8"))

@@ -57,6 +57,8 @@ class CameraReport:
         Index of each other view → why, in words.
     outliers : tuple of (view, corner, distance in px)
         Single corners of used views that were left out, worst first.
+    corners : dict
+        View → (K, 2) px, as observed, NaN where a corner is missing.
     residuals : dict
         View → (K, 2) px, predicted minus observed, NaN where a corner is missing; outliers included.
     angles : dict
@@ -78,6 +80,7 @@ class CameraReport:
     views_used: tuple[int, ...]
     left_out: Mapping[int, str]
     outliers: tuple[tuple[int, int, float], ...]
+    corners: Mapping[int, Floats]
     residuals: Mapping[int, Floats]
     angles: Mapping[int, Floats]
     T_cam_board: Mapping[int, Pose]

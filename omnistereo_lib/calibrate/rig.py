@@ -12,7 +12,8 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, mini
 
 from omnistereo_lib.calibrate.board import Checkerboard
 from omnistereo_lib.calibrate.bundle import Bundle, Estimate, Observations, adjust, observations
-from omnistereo_lib.calibrate.camera import calibrate_camera, camera_report, finish, read_views, refine, uncertainty
+from omnistereo_lib.calibrate.camera import calibrate_corners, camera_report, finish, read_views, refine, uncertainty
+from omnistereo_lib.calibrate.detect import Progress
 from omnistereo_lib.calibrate.report import CameraReport, RigReport
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.pose import Pose
@@ -32,6 +33,7 @@ def calibrate_rig(
     image_sizes: Sequence[tuple[int, int]] | None = None,
     degree: int | None = None,
     max_fov_deg: float | None = None,
+    progress: Progress = iter,
 ) -> tuple[Rig, RigReport]:
     """Calibrate all cameras of a rig and where they stand: the paper's joint minimisation (Section III-A).
 
@@ -47,6 +49,8 @@ def calibrate_rig(
         Of the polynomials. None: as high as the most demanding camera's held-back views ask for.
     max_fov_deg : float, optional
         Full field of view of the cameras. None: as far as each saw corners.
+    progress : callable
+        Wraps each camera's images while boards are looked for, as `tqdm` does.
 
     Returns
     -------
@@ -66,8 +70,15 @@ def calibrate_rig(
             f"views[camera][capture] needs two or more cameras with equally many captures, None where a camera has "
             f"none; got {[len(row) for row in views]} captures"
         )
-    corners, sizes = _read_all(views, board, image_sizes)
-    alone = _each_alone(corners, sizes, board, degree, max_fov_deg)
+    sizes = image_sizes or [None] * len(views)
+    corners, alone = [], []
+    for i, (row, size) in enumerate(zip(views, sizes, strict=True), start=1):
+        try:
+            found, size, images = read_views(row, board, size, progress)
+            alone.append(calibrate_corners(found, size, images, board, degree, max_fov_deg)[1])
+        except OmnistereoError as error:
+            raise OmnistereoError(f"camera {i}: {error}") from error
+        corners.append(found)
     # What one camera could not explain is no use to the others.
     corners = [
         [row[k] if k in report.views_used else None for k in range(len(row))]
@@ -89,42 +100,6 @@ def calibrate_rig(
     estimate, kept = refine(estimate, seen)
     report = _report(estimate, seen, kept, captures, alone, left_out, shared, board)
     return _finish(report, max_fov_deg)
-
-
-# --- Each camera by itself --------------------------------------------------------------------------------
-
-
-def _read_all(
-    views: Sequence[Sequence[ArrayLike | None]],
-    board: Checkerboard,
-    image_sizes: Sequence[tuple[int, int]] | None,
-) -> tuple[list[list[Floats | None]], list[tuple[int, int]]]:
-    corners, sizes = [], []
-    for i, row in enumerate(views):
-        try:
-            found, size, _ = read_views(row, board, image_sizes[i] if image_sizes is not None else None)
-        except OmnistereoError as error:
-            raise OmnistereoError(f"camera {i + 1}: {error}") from error
-        corners.append(found)
-        sizes.append(size)
-    return corners, sizes
-
-
-def _each_alone(
-    corners: list[list[Floats | None]],
-    sizes: list[tuple[int, int]],
-    board: Checkerboard,
-    degree: int | None,
-    max_fov_deg: float | None,
-) -> list[CameraReport]:
-    """Calibrate each camera; all with the highest degree that one of them asks for."""
-    reports = []
-    for i, (row, size) in enumerate(zip(corners, sizes, strict=True)):
-        try:
-            reports.append(calibrate_camera(row, board, size, degree, max_fov_deg)[1])
-        except OmnistereoError as error:
-            raise OmnistereoError(f"camera {i + 1}: {error}") from error
-    return reports
 
 
 # --- The spanning tree ------------------------------------------------------------------------------------
