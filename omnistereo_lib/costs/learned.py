@@ -36,7 +36,7 @@ _GPU_PIXELS, _GPU_ROWS = 1 << 22, 1 << 19
 
 
 def uses_bfloat16(precision: Precision, device: torch.device | str) -> bool:
-    """Say whether a device should compute in bfloat16 (weights, sums and the last layer stay float32).
+    """Say whether a device should compute in bfloat16 (weights, sums, the first and the last layer stay float32).
 
     "auto": where the hardware multiplies bfloat16 itself, AMX or AVX-512 BF16 on a CPU. Elsewhere it is emulated,
     up to hundreds of times slower than float32.
@@ -54,6 +54,11 @@ def uses_bfloat16(precision: Precision, device: torch.device | str) -> bool:
         return torch.cuda.is_bf16_supported(including_emulation=False)
     flags = torch.cpu.get_capabilities()
     return bool(flags.get("amx_bf16") or flags.get("avx512_bf16"))
+
+
+def full_precision(x: Tensor) -> torch.autocast:
+    """Return the context in which nothing runs in bfloat16: for a network's first layer and its last."""
+    return torch.autocast(x.device.type, enabled=False)
 
 
 def in_strips(layers: Callable[[Tensor], Tensor], pixels: Tensor) -> Tensor:

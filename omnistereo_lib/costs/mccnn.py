@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import normalize, pad, relu, relu_
 
-from omnistereo_lib.costs.learned import Features, LearnedCost, Precision, in_strips
+from omnistereo_lib.costs.learned import Features, LearnedCost, Precision, full_precision, in_strips
 from omnistereo_lib.costs.weights import SHIPPED
 from omnistereo_lib.errors import OmnistereoError
 
@@ -80,7 +80,9 @@ class MCCNN(LearnedCost):
     def describe_patches(self, patches: Tensor) -> Tensor:
         """Describe images (M, H, W) at every pixel that has a whole patch around it: (M, maps, H - 8, W - 8)."""
         x = patches[:, None].contiguous(memory_format=torch.channels_last)
-        for layer in self.tower[:-1]:
+        with full_precision(x):  # a patch's texture may be little beside its brightness
+            x = relu_(self.tower[0](x))
+        for layer in self.tower[1:-1]:
             x = relu_(layer(x))
         x = self.tower[-1](x)
         return normalize(x.float()) if self.variant == "fast" else relu(x)
@@ -102,7 +104,7 @@ class MCCNN(LearnedCost):
     def _score(self, x: Tensor) -> Tensor:
         for layer in self.head[:-1]:
             x = relu_(layer(x))
-        with torch.autocast(x.device.type, enabled=False):  # the last sum and the sigmoid in full precision
+        with full_precision(x):
             return self.head[-1](x.to(self.head[-1].weight.dtype))[:, 0]
 
     def cost_of(self, score: Tensor) -> Tensor:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import relu_
 
-from omnistereo_lib.costs.learned import Features, LearnedCost, Precision, in_strips
+from omnistereo_lib.costs.learned import Features, LearnedCost, Precision, full_precision, in_strips
 from omnistereo_lib.costs.weights import SHIPPED
 from omnistereo_lib.errors import OmnistereoError
 
@@ -97,7 +97,8 @@ class SweepNet(LearnedCost):
         low, high = self.widened(first, last, self.reach, W // 2)
         columns = torch.arange(2 * low - 2, 2 * high + 2, device=images.device) % W  # circular column padding
         x = images[:, None].index_select(-1, columns).contiguous(memory_format=torch.channels_last)
-        x = self._run("conv1", x)
+        with full_precision(x):  # an image's texture may be little beside its brightness
+            x = self._run("conv1", x)
         for k in range(2, 18, 2):
             x = self._run(f"conv{k + 1}", self._run(f"conv{k}", x), skip=x)
         x = self._run("conv18", x)
@@ -114,7 +115,7 @@ class SweepNet(LearnedCost):
     def _head(self, x: Tensor) -> Tensor:
         for name in ("fc1", "fc2", "fc3", "fc4"):
             x = self._run(name, x)
-        with torch.autocast(x.device.type, enabled=False):  # the last sum and the sigmoid in full precision
+        with full_precision(x):
             return self.layers["fc5"](x.to(self.layers["fc5"].weight.dtype))[:, 0]
 
     @torch.no_grad()
