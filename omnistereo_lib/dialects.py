@@ -249,6 +249,16 @@ def write_ocam_txt(camera: OcamCamera, path: str | Path) -> None:
         temporary.write_text(text)
 
 
+def write_ocam_folder(rig: Rig, folder: str | Path) -> None:
+    """Write a rig as SweepNet's release has it: ocam1.txt … and poses.txt (camera → rig: axis-angle, metres)."""
+    lines = []
+    for number, (camera, pose) in enumerate(zip(rig.cameras, rig.T_rig_cam, strict=True), start=1):
+        write_ocam_txt(camera, Path(folder) / f"ocam{number}.txt")
+        lines.append(" ".join(map(repr, pose.as_vector().tolist())))
+    with replacing(Path(folder) / "poses.txt") as temporary:
+        temporary.write_text("\n".join(lines) + "\n")
+
+
 def _load_ocam_folder(folder: Path, unit: str | None, max_fov_deg: float | None) -> Rig:
     files = sorted(folder.glob("ocam*.txt"), key=lambda file: (len(file.name), file.name))  # ocam2 before ocam10
     poses_file = folder / "poses.txt"

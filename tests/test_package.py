@@ -19,8 +19,9 @@ STAGES = """
 errors
 files parsed
 camera pose sphere metrics
-rig lenses foreign dialects
+rig lenses foreign dialects export
 calibrate calibrate.board
+calibrate.captures
 calibrate.detect calibrate.bundle
 calibrate.start calibrate.report
 calibrate.camera calibrate.rig
