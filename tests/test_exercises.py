@@ -145,6 +145,94 @@ def library_mae(index, truth, N):
 
 # What each checker says ("right", or words of its hint) to which student.
 
+
+def polynomial(poly, r):
+    return sum(a * r**k for k, a in enumerate(poly))
+
+
+def ray_loops(u, v, poly, center):
+    x, y = u - center[0], v - center[1]
+    z = -polynomial(poly, math.hypot(x, y))
+    length = math.sqrt(x * x + y * y + z * z)
+    return [x / length, y / length, z / length]
+
+
+def ray_like(change):
+    """The right ray of changed arguments."""
+    return lambda u, v, poly, center: ray_loops(*change(u, v, poly, center))
+
+
+RAY_OF_PIXEL = [
+    ("right", ray_loops),
+    ("right", lambda u, v, poly, c: np.float32(ray_loops(u, v, poly, c))),
+    ("f is negative before the lens", lambda *a: np.array(ray_loops(*a)) * [1, 1, -1]),
+    ("a ray is a unit vector", lambda u, v, p, c: [u - c[0], v - c[1], -polynomial(p, math.hypot(u - c[0], v - c[1]))]),
+    ("count from the centre", ray_like(lambda u, v, poly, c: (u, v, poly, [0, 0]))),
+    ("not the centre minus the pixel", lambda *a: np.array(ray_loops(*a)) * [-1, -1, 1]),
+    ("its parts are swapped", ray_like(lambda u, v, poly, c: (u, v, poly, c[::-1]))),
+    ("x belongs to u", lambda *a: np.array(ray_loops(*a))[[1, 0, 2]]),
+    ("the highest first", ray_like(lambda u, v, poly, c: (u, v, poly[::-1], c))),
+    ("not its first coefficient alone", ray_like(lambda u, v, poly, c: (u, v, poly[:1], c))),
+]
+
+ANGLE_FROM_AXIS = [
+    ("right", lambda ray: math.degrees(math.acos(ray[2] / np.linalg.norm(ray)))),
+    ("right", lambda ray: np.rad2deg(np.arctan2(np.linalg.norm(ray[:2]), ray[2]))),
+    ("degrees are asked", lambda ray: math.atan2(math.hypot(*ray[:2]), ray[2])),
+    ("loses the quadrant", lambda ray: math.degrees(math.atan(math.hypot(*ray[:2]) / ray[2]))),
+    ("above the xy-plane", lambda ray: math.degrees(math.atan2(ray[2], math.hypot(*ray[:2])))),
+    ("below the xy-plane", lambda ray: math.degrees(math.atan2(-ray[2], math.hypot(*ray[:2])))),
+    ("wants a unit vector", lambda ray: math.degrees(math.acos(ray[2]))),
+    ("leaves y out", lambda ray: math.degrees(math.atan2(ray[0], ray[2]))),
+    ("60° from 120°", lambda ray: math.degrees(math.asin(math.hypot(*ray[:2]) / np.linalg.norm(ray)))),
+]
+
+RMS_PER_COMPONENT = [
+    ("right", lambda e: math.sqrt(fmean(x * x for x in e.ravel().tolist()))),
+    ("right", lambda e: np.linalg.norm(e) / math.sqrt(e.size)),
+    ("rms distance", lambda e: math.sqrt(fmean(u * u + v * v for u, v in e.tolist()))),
+    ("mean distance", lambda e: fmean(math.hypot(u, v) for u, v in e.tolist())),
+    ("take the root", lambda e: fmean(x * x for x in e.ravel().tolist())),
+    ("mean magnitude", lambda e: fmean(abs(x) for x in e.ravel().tolist())),
+    ("a bias is an error", lambda e: np.sqrt(np.var(e))),
+    ("not their sum", lambda e: np.linalg.norm(e)),
+]
+
+RELATIVE_POSE = [
+    ("right", lambda a, b: b @ a.inverse()),
+    ("right", lambda a, b: (a @ b.inverse()).inverse().as_vector()),
+    ("the way back", lambda a, b: a @ b.inverse()),
+    ("stands on the left", lambda a, b: a.inverse() @ b),
+    ("belongs to camera 1's pose", lambda a, b: b.inverse() @ a),
+    ("do not meet", lambda a, b: b @ a),
+    ("do not meet", lambda a, b: a @ b),
+]
+
+COUNT_UNKNOWNS = [
+    ("right", lambda C, K, M: C * (4 + M) + 6 * (C - 1) + 6 * K),
+    ("right", lambda C, K, M: np.int64(C * M + 10 * C + 6 * K - 6)),
+    ("no unknown", lambda C, K, M: C * (4 + M) + 6 * C + 6 * K),
+    ("each capture's board", lambda C, K, M: C * (4 + M) + 6 * (C - 1)),
+    ("ties the cameras together", lambda C, K, M: C * (4 + M) + 6 * (C - 1) + 6 * K * C),
+    ("a1 is zero", lambda C, K, M: C * (5 + M) + 6 * (C - 1) + 6 * K),
+    ("there is no a1", lambda C, K, M: C * (6 + M) + 6 * (C - 1) + 6 * K),
+    ("adjusted with the poses", lambda C, K, M: 6 * (C - 1) + 6 * K),
+    ("a lens of its own", lambda C, K, M: 4 + M + 6 * (C - 1) + 6 * K),
+    ("six numbers", lambda C, K, M: C * (4 + M) + 3 * (C - 1) + 3 * K),
+]
+
+DEPTH_ERROR = [
+    ("right", lambda depth, N, nearest: depth * depth / nearest / (N - 1)),
+    ("right", lambda depth, N, nearest: np.float32(depth**2 / (nearest * (N - 1)))),
+    ("enters squared", lambda depth, N, nearest: depth / (nearest * (N - 1))),
+    ("one step in inverse depth", lambda depth, N, nearest: 1 / nearest / (N - 1)),
+    ("not N", lambda depth, N, nearest: depth**2 / (nearest * N)),
+    ("not in depth", lambda depth, N, nearest: nearest / (N - 1)),
+    ("sphere 1", lambda depth, N, nearest: nearest * (N - 1)),
+    ("further out", lambda depth, N, nearest: 1 / (1 / depth - 1 / (nearest * (N - 1))) - depth),
+    ("sphere nearer", lambda depth, N, nearest: depth - 1 / (1 / depth + 1 / (nearest * (N - 1)))),
+]
+
 INDEX_TO_DEPTH = [
     ("right", lambda n, N, nearest: 1 / (n / (nearest * (N - 1)))),
     ("right", lambda n, N, nearest: math.inf if n == 0 else nearest * (N - 1) / n),
@@ -299,6 +387,12 @@ INDEX_ERROR = [
 ]
 STUDENTS = {
     exercises.check_index_to_depth: INDEX_TO_DEPTH,
+    exercises.check_ray_of_pixel: RAY_OF_PIXEL,
+    exercises.check_angle_from_axis: ANGLE_FROM_AXIS,
+    exercises.check_rms_per_component: RMS_PER_COMPONENT,
+    exercises.check_relative_pose: RELATIVE_POSE,
+    exercises.check_count_unknowns: COUNT_UNKNOWNS,
+    exercises.check_depth_error: DEPTH_ERROR,
     exercises.check_point_of_ray: POINT_OF_RAY,
     exercises.check_pixel_of_point: PIXEL_OF_POINT,
     exercises.check_rotation_error: ROTATION_ERROR,
