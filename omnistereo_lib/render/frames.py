@@ -1,10 +1,10 @@
-"""The image sets: which frames of which drive in which light, rendered one by one, each whole or not at all."""
+"""The image sets: which frames of which world in which light, rendered one by one, each whole or not at all."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,15 +22,15 @@ _STEPS = 65500  # of the first public release's 16-bit ground truth: inverse dep
 
 @dataclass(frozen=True)
 class ImageSet:
-    """Frames of one drive in one light.
+    """Frames of one world in one light.
 
     Attributes
     ----------
     light : "sunny" | "cloudy" | "sunset"
-    route : "train" | "test"
-        Streets of the same city; no street is in both.
+    route : "train" | "test" | ""
+        Streets of the same city; no street is in both. A room has none.
     first, count : int
-        Numbers of the drive's frames, as the published sets count them: 1 to 700 and 701 to 1000.
+        Numbers of the frames. Of a drive as the published sets count them: 1 to 700 and 701 to 1000.
     shipped : tuple of int
         The frames that are rendered unless others are asked for.
     size : (int, int)
@@ -39,13 +39,20 @@ class ImageSet:
     samples : int
         Paths for each pixel.
     truths : tuple of (int, int)
-        Width and height of the ground-truth panoramas, φ from -45° to 45°.
+        Width and height of the ground-truth panoramas; pixels are square: 640 × 160 is φ from -45° to 45°,
+        640 × 320 the full sphere.
     truth_suffix : ".tiff" | ".png"
         Of the two public encodings: float, or half as large in 16-bit steps of 0.003 spheres.
     truth_of : str
         The set of the same drive whose ground truth is also this one's: light moves nothing.
     quality : int
         Of the JPEG files: what is lost is less than the sensors' noise.
+    world : "city" | "room"
+    rig : "van" | "handheld"
+        See `make_rig`.
+    T_drive_rig : tuple of float
+        Rotation vector (radians) and position (metres, x right, y down, z forward) of the rig on the drive:
+        zero on the roof of the van.
     """
 
     light: str
@@ -60,6 +67,9 @@ class ImageSet:
     truth_suffix: str = ".tiff"
     truth_of: str = ""
     quality: int = 85
+    world: str = "city"
+    rig: str = "van"
+    T_drive_rig: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 _TEST = {
@@ -88,6 +98,26 @@ SETS = {
         truths=((640, 160),),
         truth_suffix=".png",
         quality=80,
+    ),
+    # A drone that follows the van, nose down and banking: 15° in all.
+    "aerial/test": ImageSet(
+        light="sunny",
+        **_TEST | {"shipped": (756, 871)},
+        truths=((640, 320), (1200, 600)),
+        T_drive_rig=(-0.2, 0.0, 0.17, 0.0, -15.0, 0.0),
+    ),
+    "indoor/test": ImageSet(
+        light="cloudy",
+        route="",
+        first=1,
+        count=2,
+        shipped=(1, 2),
+        size=(800, 768),
+        gray=False,
+        samples=64,
+        truths=((640, 160), (1200, 300)),
+        world="room",
+        rig="handheld",
     ),
 }
 
@@ -136,15 +166,12 @@ def render_set(folder: Path, images: ImageSet, numbers: tuple[int, ...], seed: i
     numbers : tuple of int
         Frames wanted, of those that the drive has.
     seed : int
-        Of the city, the rig, the traffic and the noise.
+        Of the world, the rig, the traffic and the noise.
     """
     from omnistereo_lib.render.blender import empty_scene
-    from omnistereo_lib.render.city import build_city
-    from omnistereo_lib.render.drive import plan_drive
-    from omnistereo_lib.render.lights import add_light
 
     missing = [number for number in numbers if not is_complete(folder, images, number)]
-    rig = make_rig(seed)
+    rig = make_rig(seed, images.rig)
     for camera in range(1, len(rig.cameras) + 1):
         make_folder(folder / f"cam{camera}")
     layout = {"img_fmt": "cam%d/%04d.jpg", "start": images.first, "step": 1, "end": images.first + images.count - 1}
@@ -154,15 +181,40 @@ def render_set(folder: Path, images: ImageSet, numbers: tuple[int, ...], seed: i
     if not missing:
         return
     empty_scene()
-    district, traffic = build_city(seed)
-    exposure = add_light(images.light).exposure
-    drive = plan_drive(district, images.route, images.count)
+    place_rig, exposure = _WORLDS[images.world](images, seed)
     for number in missing:
-        T_world_rig = drive.pose(number - images.first)
-        traffic.show(number, T_world_rig.t[:2])
+        T_world_rig = place_rig(number)
         pictures, truths = _render_frame(images, rig, T_world_rig, exposure, [seed, number])
         _write(frame_paths(folder, images, number), pictures, truths, images.quality, rig.min_depth)
         yield number
+
+
+def _city(images: ImageSet, seed: int) -> tuple[Callable[[int], Pose], float]:
+    """Build the city; return a function that brings a frame's traffic and gives T_world_rig, and the exposure."""
+    from omnistereo_lib.render.city import build_city
+    from omnistereo_lib.render.drive import plan_drive
+    from omnistereo_lib.render.lights import add_light
+
+    district, traffic = build_city(seed)
+    exposure = add_light(images.light).exposure
+    drive, T_drive_rig = plan_drive(district, images.route, images.count), Pose.from_vector(images.T_drive_rig)
+
+    def place_rig(number: int) -> Pose:
+        T_world_rig = drive.pose(number - images.first) @ T_drive_rig
+        traffic.show(number, T_world_rig.t[:2])
+        return T_world_rig
+
+    return place_rig, exposure
+
+
+def _room(images: ImageSet, seed: int) -> tuple[Callable[[int], Pose], float]:
+    """Build the room; return a function that gives T_world_rig of a frame, and the exposure."""
+    from omnistereo_lib.render.indoor import build_room, room_pose
+
+    return lambda number: room_pose(number - images.first), build_room(images.light, seed)
+
+
+_WORLDS = {"city": _city, "room": _room}
 
 
 def _render_frame(
@@ -180,7 +232,7 @@ def _render_frame(
         )
         noise = np.random.default_rng([*seed, i])
         pictures.append(develop(radiance, camera.lens, camera.sensor, exposure, images.gray, noise))
-    return pictures, [1.0 / depth_panorama(T_world_rig, size, 45.0) for size in images.truths]
+    return pictures, [1.0 / depth_panorama(T_world_rig, size, 180.0 * size[1] / size[0]) for size in images.truths]
 
 
 def _write(paths: list[Path], pictures: list[NDArray], truths: list[NDArray], quality: int, min_depth: float) -> None:
