@@ -371,6 +371,20 @@ def test_steps_of_the_first_release_and_another_sets_truth(no_blender, tmp_path)
     assert np.array_equal(osl.load_dataset(tmp_path / "cloudy" / "test")[0].inverse_depth, exact)
 
 
+def test_room_and_its_rig_come_from_the_set(no_blender, tmp_path, monkeypatch):
+    poses = [osl.Pose.from_vector([0, 0, 0, x, 0, 0]) for x in (1.0, 2.0)]
+    room = SimpleNamespace(build_room=lambda light, seed: 1.0, room_pose=lambda index: poses[index])
+    monkeypatch.setitem(sys.modules, "omnistereo_lib.render.indoor", room)
+    images = replace(SETS["indoor/test"], size=(25, 24), truths=((16, 4),))
+    assert list(render_set(tmp_path, images, images.shipped, SEED)) == [1, 2]
+    data = osl.load_dataset(tmp_path)
+    assert data.rig.min_depth == make_rig(SEED, "handheld").min_depth
+    for frame, pose in zip(data, poses, strict=True):  # the stand-in draws pictures from the pose
+        rng = np.random.default_rng((pose.t * 1e6).astype(int))
+        pictures = [rng.integers(0, 255, (24, 25, 3), np.uint8) for _ in range(4)]
+        assert np.corrcoef(pictures[3].mean(-1).ravel(), frame.images[3].mean(-1).ravel())[0, 1] > 0.9
+
+
 def test_forgetting_leaves_other_machines_and_files_alone(no_blender, tmp_path):
     list(render_set(tmp_path, TINY, (706,), SEED))
     (tmp_path / "cam1" / "0731.jpg").write_bytes(b"of a killed run")
@@ -414,7 +428,8 @@ def test_sets_ship_frames_that_they_have():
     for name, images in SETS.items():
         last = images.first + images.count
         assert all(images.first <= number < last for number in images.shipped), name
-        assert images.route in ROUTES and images.size[0] * 96 == images.size[1] * 100, name
+        assert images.route in ROUTES or images.world == "room", name
+        assert images.size[0] * 96 == images.size[1] * 100, name
     assert len(SETS["sunny/train"].shipped) >= 120
     assert all(len(SETS[f"{light}/test"].shipped) >= 8 for light in ("sunny", "cloudy", "sunset"))
 
@@ -604,6 +619,59 @@ def test_images_warped_with_the_truth_agree(shipped, i):
         assert textured.sum() > 300
         assert np.median(zncc[textured]) > 0.95 and (zncc[textured] > 0.9).mean() > 0.9
         assert (off[textured] > 0.9).mean() < 0.7 * (zncc[textured] > 0.9).mean()  # but less with a wrong depth
+
+
+# The sets beside the street's: from the air, and in a room
+
+OTHERS = {
+    "aerial": osl.SphereGrid(640, 320, (-90, 90), num_spheres=192, min_depth=1.65),
+    "indoor": osl.SphereGrid(640, 160, num_spheres=192, min_depth=0.55),
+}
+
+
+def test_aerial_truth_is_the_full_sphere_of_a_tilted_rig_above_a_street():
+    data, images = osl.load_dataset(SAMPLES.parent / "aerial", split="test"), SETS["aerial/test"]
+    drive = plan_drive(DISTRICT, images.route, images.count)
+    for frame in data:
+        T_world_rig = drive.pose(frame.number - images.first) @ osl.Pose.from_vector(images.T_drive_rig)
+        tilt = np.degrees(np.arccos(-T_world_rig.R[2, 1]))  # between the rig's down and the world's
+        assert 12 < tilt < 18 and 15 < T_world_rig.t[2] < 20
+        grid = osl.SphereGrid(1200, 600, (-90, 90))
+        truth = frame.inverse_depth
+        assert truth.shape == grid.shape and np.isfinite(frame.gt_index(OTHERS["aerial"])).all()
+        rays = grid.rays() @ T_world_rig.R.T
+        assert (truth[rays[..., 2] < -0.05] > 0).all() and (truth[rays[..., 2] > 0.99] == 0).all()
+        height = (T_world_rig.t + rays[truth > 0] / truth[truth > 0, None])[:, 2]
+        below = -rays[truth > 0, 2] > 0.9
+        assert np.abs(height[below]).min() < 1e-3 and height.min() > -0.02
+        assert (np.abs(height[below]) < 0.2).mean() > 0.4  # carriageway and pavement; the rest stands on them
+
+
+def test_indoor_truth_is_a_room_that_leaves_place_for_the_rig():
+    data = osl.load_dataset(SAMPLES.parent / "indoor", split="test")
+    assert data.rig.min_depth == 0.55
+    for frame in data:
+        truth = frame.inverse_depth
+        assert truth.shape == (300, 1200) and truth.max() < 1 / 0.55
+        assert (truth > 1 / 6.5).mean() > 0.95 and (truth[-1] > 1 / 3).all()  # all but the window; the floor
+    first, second = (frame.inverse_depth for frame in data)
+    assert np.median(np.abs(first - second) / first) > 0.1  # two places
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_other_sets_images_warped_with_the_truth_agree(name, monkeypatch):
+    monkeypatch.setattr(sys.modules[__name__], "GRID", OTHERS[name])
+    data = osl.load_dataset(SAMPLES.parent / name, split="test", truth_width=640)
+    truth = data[0].inverse_depth
+    low, high = around(truth, WINDOW)
+    smooth = (low > 0) & (high < 1.15 * low)
+    seen = [surely_seen(centre, truth) for centre in data.rig.centers]
+    wrong = warped_zncc(data, data[0], truth * 1.2)
+    for ((a, b), zncc, contrast), (_, off, _) in zip(warped_zncc(data, data[0], truth), wrong, strict=True):
+        textured = smooth & all_around(seen[a] & seen[b]) & np.isfinite(zncc) & (contrast > 20)
+        assert textured.sum() > 300
+        assert np.median(zncc[textured]) > 0.95 and (zncc[textured] > 0.9).mean() > 0.85
+        assert (off[textured] > 0.9).mean() < (zncc[textured] > 0.9).mean()
 
 
 # With Blender
