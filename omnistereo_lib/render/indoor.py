@@ -196,10 +196,10 @@ def _lamps(stage: Stage) -> None:
     item = stage.put(globe.to_blender("globe", stage.materials, smooth=True), (0, 0, 0))
     item.visible_shadow = False
     warm = (1.0, 0.86, 0.7)
-    _bulb("globe", _LAMP, 16.0, 0.16, warm)
+    _bulb("globe", _LAMP, 9.0, 0.16, warm)
     _bulb("pendant", (*_TABLE[:2], _HIGH - 1.12), 3.0, 0.04, warm)
     _bulb("floor lamp", (0.4, 0.42, 1.45), 3.0, 0.05, warm)
-    for portal, watts in ((True, 1.0), (False, 48.0)):
+    for portal, watts in ((True, 1.0), (False, 66.0)):
         _window_light(portal, watts)
 
 
