@@ -643,7 +643,7 @@ def test_aerial_truth_is_the_full_sphere_of_a_tilted_rig_above_a_street():
         assert (truth[rays[..., 2] < -0.05] > 0).all() and (truth[rays[..., 2] > 0.99] == 0).all()
         height = (T_world_rig.t + rays[truth > 0] / truth[truth > 0, None])[:, 2]
         below = -rays[truth > 0, 2] > 0.9
-        assert np.abs(height[below]).min() < 1e-3 and height.min() > -0.02
+        assert np.abs(height[below]).min() < 1e-3 and height.min() > -0.05
         assert (np.abs(height[below]) < 0.2).mean() > 0.4  # carriageway and pavement; the rest stands on them
 
 

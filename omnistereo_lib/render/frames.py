@@ -104,6 +104,7 @@ SETS = {
         light="sunny",
         **_TEST | {"shipped": (756, 871), "samples": 16},
         truths=((640, 320), (1200, 600)),
+        truth_suffix=".png",
         T_drive_rig=(-0.2, 0.0, 0.17, 0.0, -15.0, 0.0),
     ),
     "indoor/test": ImageSet(
