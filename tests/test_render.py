@@ -655,23 +655,24 @@ def test_indoor_truth_is_a_room_that_leaves_place_for_the_rig():
         assert truth.shape == (300, 1200) and truth.max() < 1 / 0.55
         assert (truth > 1 / 6.5).mean() > 0.9 and (truth[-1] > 1 / 3).all()  # all but the window; the floor
     first, second = (frame.inverse_depth for frame in data)
-    assert np.median(np.abs(first - second) / first) > 0.1  # two places
+    assert np.median(np.abs(first - second) / np.maximum(first, second)) > 0.1  # two places
 
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_other_sets_images_warped_with_the_truth_agree(name, monkeypatch):
+    """Only on single surfaces: with shelves this close, two depths in a window do not fit one warp."""
     monkeypatch.setattr(sys.modules[__name__], "GRID", OTHERS[name])
     data = osl.load_dataset(SAMPLES.parent / name, split="test", truth_width=640)
     truth = data[0].inverse_depth
     low, high = around(truth, WINDOW)
-    smooth = (low > 0) & (high < 1.15 * low)
+    smooth = (low > 0) & (high < 1.02 * low)
     seen = [surely_seen(centre, truth) for centre in data.rig.centers]
     wrong = warped_zncc(data, data[0], truth * 1.2)
     for ((a, b), zncc, contrast), (_, off, _) in zip(warped_zncc(data, data[0], truth), wrong, strict=True):
         textured = smooth & all_around(seen[a] & seen[b]) & np.isfinite(zncc) & (contrast > 20)
         assert textured.sum() > 300
-        assert np.median(zncc[textured]) > 0.95 and (zncc[textured] > 0.9).mean() > 0.85
-        assert (off[textured] > 0.9).mean() < (zncc[textured] > 0.9).mean()
+        assert np.median(zncc[textured]) > 0.95 and (zncc[textured] > 0.9).mean() > 0.95
+        assert (off[textured] > 0.9).mean() < 0.5 * (zncc[textured] > 0.9).mean()
 
 
 # With Blender
