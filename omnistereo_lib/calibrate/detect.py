@@ -29,6 +29,7 @@ Progress = Callable[[Iterable], Iterable]
 _CLASSIC = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 _SMALL = 640  # px: the longer side of the copy on which thresholds are tried one by one
 _WINDOW = (2, 11)  # px, half size: the least that cornerSubPix can use, the most that lens distortion allows
+_FINER, _HALF = 1.4, 0.4  # pixels of the straight picture for each of the image, its window in squares
 _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
 _SIZE_SEARCH = 3  # a wrong board size is looked for this many corners around the one given
 _MOST_LOST = 0.1  # of the corners; where more run away, nothing is right
@@ -112,28 +113,57 @@ def refine_corners(image: ArrayLike, corners: Floats, board: Checkerboard) -> Fl
     gray = _gray(image)
     spacing = _spacing(corners, board)
     # The detector itself puts a corner into a neighbour's place now and then.
-    expected = _smooth(corners, board)
+    expected = _Surface(corners, board).at(board.points[:, :2] / board.square)
     astray = np.linalg.norm(corners - expected, axis=1) > spacing / 4
     corners = np.where(astray[:, None], expected, corners)
     refined = _sub_pixel(gray, corners, np.clip(spacing / 2 - 1, *_WINDOW))
     lost = np.linalg.norm(refined - corners, axis=1) > spacing / 3
-    refined[lost] = _sub_pixel(gray, corners[lost], np.full(lost.sum(), _WINDOW[0]))
-    lost = np.linalg.norm(refined - corners, axis=1) > spacing / 3
-    refined[lost] = np.nan
-    return refined if lost.mean() < _MOST_LOST and _is_lattice(refined, board) else None
+    refined = _straightened(gray, np.where(lost[:, None], corners, refined), board)
+    refined[np.linalg.norm(refined - corners, axis=1) > spacing / 3] = np.nan
+    found = np.isfinite(refined[:, 0]).mean() > 1 - _MOST_LOST
+    return refined if found and _is_lattice(refined, board) else None
 
 
-def _smooth(corners: Floats, board: Checkerboard) -> Floats:
-    """Return the corners on a smooth surface: polynomials of degree 4 in column and row, wrong ones left out."""
-    columns, rows = board.corners
-    x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(-1, 1, columns), np.linspace(-1, 1, rows)))
-    basis = np.column_stack([x**i * y**j for i in range(5) for j in range(5 - i)])
-    kept = np.ones(len(corners), bool)
-    for _ in range(3):
-        fit = basis @ np.linalg.lstsq(basis[kept], corners[kept], rcond=None)[0]
-        distance = np.linalg.norm(corners - fit, axis=1)
-        kept = distance <= max(4 * np.median(distance), 0.1)
-    return fit
+def _straightened(gray: Gray, corners: Floats, board: Checkerboard) -> Floats:
+    """Refine corners in a picture of the board from straight ahead.
+
+    Where squares are bent and shrink to one side, as a fisheye's do, the gradients around a corner pull it outwards,
+    by a few hundredths of a pixel. The picture is computed with a smooth surface through the corners, which need
+    not be right, only smooth: what is found goes back through the same surface.
+    """
+    surface = _Surface(corners, board)
+    grid = corners.reshape(board.corners[1], board.corners[0], 2)
+    steps = [np.median(np.linalg.norm(np.diff(grid, axis=axis), axis=-1)) for axis in (1, 0)]
+    scale = np.clip(_FINER * np.array(steps), 8, 40)  # pixels for each square, across and down
+    u, v = np.meshgrid(*(np.arange(int((n + 1) * s)) for n, s in zip(board.corners, scale, strict=True)))
+    seen = surface.at(np.stack([u.ravel(), v.ravel()], axis=-1) / scale - 1).reshape(*u.shape, 2)
+    straight = cv2.remap(gray, seen.astype(np.float32), None, cv2.INTER_CUBIC)
+    start = ((board.points[:, :2] / board.square + 1) * scale).astype(np.float32).reshape(-1, 1, 2)
+    window = [int(_HALF * s) for s in scale]
+    found = cv2.cornerSubPix(straight, start, window, (-1, -1), _STOP).reshape(-1, 2)
+    return surface.at(found / scale - 1)
+
+
+class _Surface:
+    """Pixels as polynomials of column and row on the board, fitted to corners, wrong ones left out."""
+
+    def __init__(self, corners: Floats, board: Checkerboard) -> None:
+        self.last = np.array(board.corners) - 1.0
+        self.degree = max(d for d in (1, 2, 3, 4) if (d + 1) * (d + 2) / 2 <= len(corners) / 3)
+        basis = self._basis(board.points[:, :2] / board.square)
+        kept = np.ones(len(corners), bool)
+        for _ in range(3):
+            self.coefficients = np.linalg.lstsq(basis[kept], corners[kept], rcond=None)[0]
+            distance = np.linalg.norm(corners - basis @ self.coefficients, axis=1)
+            kept = distance <= max(4 * np.median(distance), 0.1)
+
+    def _basis(self, places: Floats) -> Floats:
+        x, y = (2 * places / self.last - 1).T
+        return np.column_stack([x**i * y**j for i in range(self.degree + 1) for j in range(self.degree + 1 - i)])
+
+    def at(self, places: Floats) -> Floats:
+        """Return the pixels (M, 2) of places (M, 2) on the board, counted in columns and rows from its first corner."""
+        return self._basis(places) @ self.coefficients
 
 
 def _sub_pixel(gray: Gray, corners: Floats, half: Floats) -> Floats:
