@@ -23,7 +23,7 @@ _SURE = 2.0  # standard errors by which a higher degree has to explain held-back
 _FOLDS = 3
 _LEAST_VIEWS = 3
 _OUTLIER_SIGMAS = 6.0
-_BAD_VIEW = 4.0  # times the median view's error
+_BAD_VIEW = 3.0  # times the median view's error
 _PARALLEL = np.radians(5.0)
 
 # What is worth a warning.

@@ -69,7 +69,7 @@ def _attempts(gray: Gray, board: Checkerboard) -> Iterator[Floats | None]:
     if smaller < 0.75:
         yield _classic(gray, board, smaller)
     else:
-        yield _classic(gray, board, 2.0)
+        yield _classic(gray, board, 1.5)
     yield _classic(cv2.createCLAHE(3.0, (8, 8)).apply(gray), board)
     yield _sector_based(gray, board)
     small = cv2.resize(gray, None, fx=min(smaller, 1.0), fy=min(smaller, 1.0), interpolation=cv2.INTER_AREA)
@@ -159,7 +159,8 @@ class _Surface:
 
     def _basis(self, places: Floats) -> Floats:
         x, y = (2 * places / self.last - 1).T
-        return np.column_stack([x**i * y**j for i in range(self.degree + 1) for j in range(self.degree + 1 - i)])
+        i, j = np.indices((self.degree + 1, self.degree + 1)).reshape(2, -1)
+        return np.polynomial.polynomial.polyvander2d(x, y, (self.degree, self.degree))[:, i + j <= self.degree]
 
     def at(self, places: Floats) -> Floats:
         """Return the pixels (M, 2) of places (M, 2) on the board, counted in columns and rows from its first corner."""
