@@ -234,7 +234,7 @@ def _gray(image: ArrayLike) -> Gray:
 # --- With a first model -----------------------------------------------------------------------------------
 
 _TILT_STEP = np.radians(30.0)  # between the directions of the virtual cameras
-_HALF_VIEW = np.radians(40.0)  # of a virtual camera: a board near the rim straightens within it
+_HALF_VIEW = np.radians(55.0)  # of a virtual camera: a board near the rim straightens within it
 
 
 def find_with_model(image: ArrayLike, board: Checkerboard, camera: OcamCamera) -> Floats | None:
@@ -301,7 +301,7 @@ def detect_views(
     grays = [_gray(image) for image in images]
     sizes = {gray.shape: k for k, gray in reversed(list(enumerate(grays)))}
     if len(sizes) > 1:
-        first, second = list(sizes.items())[:2]
+        first, second = sorted(sizes.items(), key=lambda item: item[1])[:2]
         raise OmnistereoError(
             f"images {first[1]} and {second[1]} differ in size, {first[0][::-1]} and {second[0][::-1]} px: "
             "all views of a camera need one size, neither cropped nor resized differently"
