@@ -19,6 +19,7 @@ from omnistereo_lib.calibrate.camera import calibrate_camera
 from omnistereo_lib.calibrate.captures import find_captures
 from omnistereo_lib.calibrate.detect import find_corners
 from omnistereo_lib.calibrate.rig import calibrate_rig
+from omnistereo_lib.camera import OcamCamera
 from omnistereo_lib.dataset import load_dataset
 from omnistereo_lib.pipeline import sweep_depth
 from omnistereo_lib.rig import Rig
@@ -177,6 +178,45 @@ def _plain_frame(images: list[NDArray], grids: list[torch.Tensor]) -> NDArray:
     return smooth.argmin(-1)
 
 
+@dataclass(frozen=True, eq=False)
+class FisheyeFit:
+    """What `cv2.fisheye.calibrate` made of some views: its rms distance, infinite where it gave up, and its camera."""
+
+    rms_px: float
+    matrix: NDArray[np.float64]
+    distortion: NDArray[np.float64]
+
+    def rays(self, pixels: NDArray) -> NDArray[np.float64]:
+        """Return the unit rays (K, 3) of pixels (K, 2)."""
+        flat = cv2.fisheye.undistortPoints(np.asarray(pixels, np.float64)[None], self.matrix, self.distortion)[0]
+        rays = np.column_stack([flat, np.ones(len(flat))])
+        return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+
+
+def opencv_fisheye(
+    views: Sequence[NDArray], board: Checkerboard, image_size: tuple[int, int], start: OcamCamera | None = None
+) -> FisheyeFit:
+    """Calibrate with OpenCV on the corners of whole boards, all within 90° of the axis: its model ends there.
+
+    Parameters
+    ----------
+    views : sequence of arrays, (K, 2) px
+    board : Checkerboard
+    image_size : (int, int)
+    start : OcamCamera, optional
+        Whose focal length and centre it may start from; without them it mostly loses its way.
+    """
+    matrix, distortion, flags = np.eye(3), np.zeros(4), cv2.CALIB_RECOMPUTE_EXTRINSIC if start else 0
+    if start is not None:
+        f, (u, v) = -start.poly[0], start.center
+        matrix, flags = np.array([[f, 0, u], [0, f, v], [0, 0, 1]]), flags | cv2.CALIB_USE_INTRINSIC_GUESS
+    points, corners = [board.points[None]] * len(views), [view[None] for view in views]
+    try:
+        return FisheyeFit(*cv2.fisheye.calibrate(points, corners, image_size, matrix, distortion, flags=flags)[:3])
+    except cv2.error:
+        return FisheyeFit(np.inf, matrix, distortion)
+
+
 def bench_calibrate(repeats: int = 3) -> list[Row]:
     """Calibrate a camera against `cv2.fisheye.calibrate` on the same corners; detection apart.
 
@@ -190,24 +230,21 @@ def bench_calibrate(repeats: int = 3) -> list[Row]:
         for i in range(len(captures.cameras))
     ]
     sizes = [camera.image_size for camera in Rig.load(_CAPTURES).cameras]
-    _, whole = calibrate_camera(rows[0], board, sizes[0])
+    start, whole = calibrate_camera(rows[0], board, sizes[0])
     near = [view for view in whole.views_used if np.nanmax(whole.angles[view]) < np.radians(80)]
     seen = [whole.corners[view] for view in near if np.isfinite(whole.corners[view]).all()]
-
-    def opencv() -> float:
-        points, corners = [board.points[None]] * len(seen), [view[None] for view in seen]
-        try:
-            return cv2.fisheye.calibrate(points, corners, sizes[0], np.eye(3), np.zeros(4))[0]
-        except cv2.error:
-            return np.nan
-
-    ours, theirs = best_of(repeats, lambda: calibrate_camera(seen, board, sizes[0]), opencv)
+    ours, theirs = best_of(
+        repeats,
+        lambda: calibrate_camera(seen, board, sizes[0]),
+        lambda: opencv_fisheye(seen, board, sizes[0], start),
+    )
     camera_s = _seconds(lambda: calibrate_camera(rows[0], board, sizes[0]))
     rig_s = _seconds(lambda: calibrate_rig(rows, board, sizes))
     rms = calibrate_camera(seen, board, sizes[0])[1].errors.rms_distance_px
     note = (
-        f"rms distance {rms:.3f} px, theirs {opencv():.3f}; all {len(whole.views_used)} views {camera_s:.2f} s, "
-        f"4 cameras with {len(captures.names)} captures {rig_s:.2f} s"
+        f"rms distance {rms:.3f} px, theirs {opencv_fisheye(seen, board, sizes[0], start).rms_px:.3f} from our focal "
+        f"length; all {len(whole.views_used)} views {camera_s:.2f} s, 4 cameras with {len(captures.names)} captures "
+        f"{rig_s:.2f} s"
     )
     return [Row(f"calibrate a camera, {len(seen)} views, against cv2.fisheye", ours, theirs, note)]
 

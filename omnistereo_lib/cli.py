@@ -83,6 +83,20 @@ def _parser() -> argparse.ArgumentParser:
     verb.add_argument("--precision", default="auto", choices=["auto", "float32", "bfloat16"])
     verb.add_argument("--out", type=Path, help="folder of the run (default: out/NETWORK_PRESET)")
 
+    verb = verbs.add_parser("evaluate", help="the paper's table on any data sets; goes on where it was stopped")
+    verb.set_defaults(verb=evaluate)
+    verb.add_argument("--sets", nargs="+", default=["sunny", "cloudy", "sunset"], help="names or data set folders")
+    verb.add_argument("--split", choices=["train", "test"], help="of the folders (default: all frames)")
+    verb.add_argument("--frames", type=int, nargs="+", help="frame numbers (default: all with ground truth)")
+    verb.add_argument("--methods", nargs="+", default=[], help="such as zncc sweepnet+sgm,p1=0.2 (default: all)")
+    verb.add_argument("--ablations", nargs="+", default=[], help="window pairs wrap subindex penalties spheres")
+    verb.add_argument("--scale", default="teaching", choices=["teaching", "training", "paper"])
+    verb.add_argument("--shard", default="1/1", help="part i/n of the frames, for several machines (default: 1/1)")
+    verb.add_argument("--weights", type=Path, help="folder of the networks' weights (default: the shipped ones)")
+    verb.add_argument("--device", default="cpu", choices=["cpu", "cuda"], help="where to compute (default: cpu)")
+    verb.add_argument("--precision", default="auto", choices=["auto", "float32", "bfloat16"])
+    verb.add_argument("--out", type=Path, help="folder for the results (default: out/evaluation_SCALE)")
+
     verb = verbs.add_parser("render", help="render the data sets with Blender")
     verb.set_defaults(verb=render)
     add_render_arguments(verb)
@@ -296,6 +310,36 @@ def train(options: argparse.Namespace) -> None:
         bar.close()
     if first_process:
         print(f"{recipe.steps} steps are done; in {out}/: log.csv, state.safetensors, weights.safetensors")
+
+
+def evaluate(options: argparse.Namespace) -> None:
+    """Evaluate methods on data sets; the process that finds all results there merges them and prints the table."""
+    from tqdm import tqdm
+
+    from omnistereo_lib.costs.weights import SHIPPED
+    from omnistereo_lib.evaluate import SCALES, Evaluation, errors_table, find_sets, select_methods, write_results
+
+    evaluation = Evaluation(
+        options.out or Path("out") / f"evaluation_{options.scale}", find_sets(options.sets),
+        select_methods(options.methods, options.ablations), SCALES[options.scale], options.split, options.frames,
+        options.weights or SHIPPED, options.device, options.precision,
+    )  # fmt: skip
+    mine = evaluation.share(options.shard)
+    done = len(mine) - len(evaluation.missing(mine))
+    first_process = os.environ.get("RANK", "0") == "0"
+    with tqdm(total=len(mine), initial=done, desc="evaluate", unit="result", disable=not first_process) as bar:
+        for job in evaluation.run(mine):
+            bar.set_postfix_str(f"{job.data} {job.frame} {job.method.name}", refresh=False)
+            bar.update()
+    missing = evaluation.missing()
+    if missing:
+        there = len(evaluation.jobs) - len(missing)
+        print(f"{there} of {len(evaluation.jobs)} results are in {evaluation.out}/; other shards have the rest")
+        return
+    results = evaluation.results()
+    written = write_results(evaluation.out, results)
+    print(errors_table(results).text(), end="")
+    print(f"written to {evaluation.out}/: {', '.join(written)}")
 
 
 def _read_input(options: argparse.Namespace) -> tuple:

@@ -374,6 +374,164 @@ def check_index_error(answer: Answer) -> None:
     print(diagnose(answer, (index, truth, N), error.mean(), mistakes))
 
 
+def check_cosine_cost(answer: Answer) -> None:
+    """05.1: the cost (1 - cos)/2 of two descriptions of any length."""
+    rng = np.random.default_rng(5)
+    f_i = rng.normal(0.3, 1, 64)
+    f_j = 1.7 * f_i + rng.normal(0.2, 0.9, 64)
+    dot, length_i, length_j = f_i @ f_j, np.linalg.norm(f_i), np.linalg.norm(f_j)
+    cos = dot / (length_i * length_j)
+    mistakes = [
+        (cos, "that is the cosine, 1 for a match; the cost is (1 - cos)/2"),
+        ((1 + cos) / 2, "the sign: a match must cost 0"),
+        (1 - cos, "1 - cos runs from 0 to 2: divide by 2"),
+        ((1 - dot) / 2, "divide the dot product by both lengths"),
+        ((1 - dot / length_i) / 2, "divide by the second length, too"),
+        ((1 - dot / length_j) / 2, "divide by the first length, too"),
+        ((1 - dot / (length_i * length_j) ** 2) / 2, "divide by the lengths, not by their squares"),
+        ((1 - np.corrcoef(f_i, f_j)[0, 1]) / 2, "that subtracts the means, as ZNCC does; the cosine does not"),
+        (np.arccos(cos) / np.pi, "that is the angle by π; the cosine is asked"),
+    ]
+    print(diagnose(answer, (f_i, f_j), (1 - cos) / 2, mistakes))
+
+
+def check_hinge_loss(answer: Answer) -> None:
+    """05.2: the mean of max(0, margin + negative - positive) over the rays."""
+    positive, negative = np.array([0.9, 0.7, 0.55, 0.95, 0.2]), np.array([0.1, 0.6, 0.85, 0.3, 0.15])
+    margin = 0.2
+    each = np.maximum(0, margin + negative - positive)
+    mistakes = [
+        (np.maximum(0, margin + positive - negative).mean(), "the roles: the match must score higher by the margin"),
+        ((margin + negative - positive).mean(), "a ray that is right by more than the margin costs 0, not less"),
+        (max(0.0, (margin + negative - positive).mean()), "the hinge is of each ray: take the maximum, then the mean"),
+        (np.maximum(0, negative - positive).mean(), "the margin is missing"),
+        (
+            np.maximum(0, negative - positive - margin).mean(),
+            "the margin is added: right by a hair is not enough",
+        ),
+        (each.sum(), "that is the sum; take the mean over the rays"),
+        (each, "that is the loss of each ray: take the mean"),
+        ((each**2).mean(), "the hinge is not squared"),
+        (each[each > 0].mean(), "rays that cost nothing count in the mean as well"),
+    ]
+    print(diagnose(answer, (positive, negative, margin), each.mean(), mistakes))
+
+
+def check_patch_size(answer: Answer) -> None:
+    """05.3: side of the patch that `layers` convolutions of kernel × kernel see, one behind the other."""
+    layers, kernel = 5, 7
+    mistakes = [
+        (
+            layers * kernel,
+            "neighbouring windows overlap: each layer adds kernel - 1 to what it starts from",
+        ),
+        (layers * (kernel - 1), "with no layer at all it is one pixel: add it"),
+        (1 + layers * (kernel // 2), "the windows grow to both sides: each layer adds kernel - 1"),
+        (kernel + layers - 1, "each layer adds kernel - 1 pixels, not one"),
+        (kernel**layers, "sizes add up; they multiply with strides only"),
+        (kernel, "that is what one layer sees"),
+    ]
+    print(diagnose(answer, (layers, kernel), 1 + layers * (kernel - 1), mistakes))
+
+
+def check_sphere_labels(answer: Answer) -> None:
+    """06.1: SweepNet's labels of sphere n: 0 where the true index rounds to n, 1 elsewhere."""
+    gt_index, n = np.array([[2.4, 2.6, 3.0, 3.4], [3.6, 0.0, 4.0, 3.1]]), 3
+    label = np.where(np.rint(gt_index) == n, 0.0, 1.0)
+    mistakes = [
+        (1 - label, "turned around: a match is 0, as every cost of a match is"),
+        (np.where(np.floor(gt_index) == n, 0.0, 1.0), "round to the nearest sphere; cutting off is rounding down"),
+        (np.where(np.ceil(gt_index) == n, 0.0, 1.0), "round to the nearest sphere, not up"),
+        (np.where(gt_index == n, 0.0, 1.0), "the true index is no whole number: round it first"),
+        (np.where(np.abs(gt_index - n) <= 1, 0.0, 1.0), "half a sphere to each side, not a whole one"),
+        (np.abs(gt_index - n), "that is a distance; a label says yes or no"),
+        (np.minimum(np.abs(np.rint(gt_index) - n), 1.0)[0], "the labels of all rays, not of the first row"),
+    ]
+    print(diagnose(answer, (gt_index, n), label, mistakes))
+
+
+def check_balanced_loss(answer: Answer) -> None:
+    """06.2: binary cross-entropy (Eq. 4) with as much weight on all positives as on all negatives."""
+    cost = np.array([0.1, 0.4, 0.9, 0.7, 0.8, 0.95, 0.3])
+    label = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+    match = label == 0
+    positive, negative = -np.log(1 - cost[match]), -np.log(cost[~match])
+    right = (positive.mean() + negative.mean()) / 2
+    mistakes = [
+        (np.concatenate([positive, negative]).mean(), "there are more negatives: the mean of each kind, then of both"),
+        (positive.mean() + negative.mean(), "each kind weighs one half: divide the sum of both means by 2"),
+        (-right, "the minus: logarithms of numbers below 1 are negative, a loss is not"),
+        ((-np.log(cost[match]).mean() - np.log(1 - cost[~match]).mean()) / 2, "the cost is the probability of *no*"
+         " match: label 0 takes log(1 - cost)"),
+        (right / np.log(2), "that is with the logarithm to base 2; take the natural one"),
+        (right / np.log(10), "that is with the logarithm to base 10; take the natural one"),
+        (((cost[match] ** 2).mean() + ((1 - cost[~match]) ** 2).mean()) / 2, "that is the squared error; asked is the"
+         " cross-entropy"),
+        (negative.mean() / 2, "the positives are missing: label 0 takes log(1 - cost)"),
+        (positive.mean() / 2, "the negatives are missing: label 1 takes log(cost)"),
+    ]  # fmt: skip
+    print(diagnose(answer, (cost, label), right, mistakes))
+
+
+def check_receptive_field(answer: Answer) -> None:
+    """06.3: side of the input that an output depends on, given (kernel, stride) of each layer in order."""
+    layers = [(5, 2), (3, 1), (3, 1), (3, 2), (3, 1)]
+    kernels, strides = np.array(layers).T
+    before, after = np.concatenate([[1], np.cumprod(strides)[:-1]]), np.cumprod(strides)
+    plain = 1 + np.sum(kernels - 1)
+    right = 1 + np.sum((kernels - 1) * before)
+    mistakes = [
+        (plain, "behind a stride of 2 a pixel is two pixels of the input: each layer adds (kernel - 1) times the"
+         " product of all strides before it"),
+        (1 + np.sum((kernels - 1) * after), "a layer's own stride counts for those behind it, not for itself"),
+        (1 + np.sum((kernels - 1) * strides), "strides multiply up: the product of all that came before"),
+        (plain * after[-1], "a stride counts for the layers behind it only"),
+        (right - 1, "with no layer at all it is one pixel: add it"),
+        (kernels.sum(), "neighbouring windows overlap: each layer adds kernel - 1"),
+    ]  # fmt: skip
+    print(diagnose(answer, (layers,), float(right), mistakes))
+
+
+def check_distance_from_z(answer: Answer) -> None:
+    """10.1: distance along a viewing ray (x, y, z) of any length, given the depth along the optical axis."""
+    z_depth, ray = 6.0, np.array([0.9, -0.4, 1.5])
+    length, z = np.linalg.norm(ray), ray[2]
+    mistakes = [
+        (z_depth * z / length, "turned around: the ray is longer than its part along the axis"),
+        (z_depth * length, "the ray does not end at z = 1: divide by its z"),
+        (z_depth / z, "that many rays long it is; times the ray's length gives metres"),
+        (np.hypot(z_depth, np.hypot(*ray[:2])), "x and y belong to the ray as given; stretch it to the depth first"),
+        (z_depth * np.hypot(*ray[:2]) / z, "that is the distance from the axis; the depth along it counts, too"),
+        (z_depth * np.hypot(ray[0], z) / z, "y is missing: the ray goes up or down as well"),
+        (z_depth, "z is the part along the axis; the ray to a point off the axis is longer"),
+    ]
+    print(diagnose(answer, (z_depth, ray), z_depth * length / z, mistakes))
+
+
+def check_share_of_sphere(answer: Answer) -> None:
+    """10.2: the share of a panorama's solid angle, 0 … 1, that a mask covers; rows even in elevation."""
+    low, high = -45.0, 70.0
+    mask = np.array([[1, 1, 1, 1], [1, 0, 1, 0], [0, 0, 1, 0], [0, 0, 0, 0], [0, 1, 0, 0]], bool)
+    rows = len(mask)
+
+    def share(elevation: Array) -> float:
+        return float(np.average(mask.mean(1), weights=np.cos(elevation)))
+
+    middles = np.radians(low + (np.arange(rows) + 0.5) * (high - low) / rows)
+    weight = np.cos(middles)[:, None]
+    mistakes = [
+        (mask.mean(), "that is the share of the pixels: one near a pole covers less, weigh the rows by cos φ"),
+        (100 * share(middles), "that is in percent; a share runs from 0 to 1"),
+        (share(np.radians(np.linspace(low, high, rows))), "rows are pixels: their middles lie half a pixel inside"),
+        (share(np.degrees(middles)), "cos wants radians"),
+        (share(np.pi / 2 - middles), "the elevation counts from the horizon: cos φ, not sin φ"),
+        (np.mean(weight * mask), "divide by the sum of all weights, not by the number of pixels"),
+        (np.sum(weight * mask), "that is a sum of weights; divide by the sum of all of them"),
+        (np.sum(weight * mask) / weight.sum(), "each row's weight counts once for every pixel of the row"),
+    ]
+    print(diagnose(answer, (mask, low, high), share(middles), mistakes))
+
+
 def _ray(theta: float, phi: float) -> Array:
     return np.array([np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta)])
 

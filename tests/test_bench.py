@@ -1,4 +1,9 @@
-from omnistereo_lib.bench import Row, bench_sgm, best_of, table
+import boards
+import numpy as np
+import pytest
+
+from omnistereo_lib.bench import Row, bench_sgm, best_of, opencv_fisheye, table
+from omnistereo_lib.calibrate.camera import calibrate_camera
 
 
 def test_sgm_is_compared_on_the_same_job():
@@ -21,3 +26,22 @@ def test_table_shows_the_ratio():
         ["a", "10.0", "20.0", "0.50", "note"],
         ["longer", "1000.0", "500.0", "2.00"],
     ]
+
+
+def test_opencv_gets_a_fair_chance():
+    """From our focal length it finds an equidistant lens, and its rays are those of that lens."""
+    corners, _ = boards.views(np.random.default_rng(0), 40)
+    inside = [view for view in corners if np.linalg.norm(view - boards.CENTER, axis=1).max() < 200 * np.radians(80)]
+    start, _ = calibrate_camera(corners, boards.BOARD, boards.SIZE)
+    fit = opencv_fisheye(inside, boards.BOARD, boards.SIZE, start)
+    assert fit.rms_px == pytest.approx(0.05 * np.sqrt(2), rel=0.1)
+    offset = np.array([[100.0, 0], [0, -150], [-180, 60]])
+    pixels = boards.CENTER + offset
+    r = np.linalg.norm(offset, axis=1, keepdims=True)
+    rays = np.hstack([offset / r * np.sin(r / 200), np.cos(r / 200)])
+    np.testing.assert_allclose(fit.rays(pixels), rays, atol=2e-3)
+
+
+def test_opencv_that_gives_up_is_infinite():
+    views = [np.full((120, 2), np.nan) for _ in range(3)]
+    assert opencv_fisheye(views, boards.BOARD, boards.SIZE).rms_px == np.inf

@@ -149,6 +149,27 @@ def test_moved_boards_are_named_and_the_rig_is_the_same():
         assert angle < 4 * sigma_deg and shift < 4 * sigma_m
 
 
+def test_the_report_on_pictures_names_exactly_the_bad_ones():
+    captures, truth = find_captures(SHIPPED / "mistakes"), truth_of("mistakes")
+    rig, report = osl.calibrate_rig(captures.views(), BOARD)
+    named = {mistake: set() for mistake in ("blurred", "cut", "moved")}
+    named["moved"] = {(captures.names[k], None) for k in report.left_out}
+    for i, camera in enumerate(report.cameras):
+        for k, why in camera.left_out.items():
+            named["cut" if why == "no board found" else "blurred"].add((captures.names[k], i))
+            assert why == "no board found" or why.startswith("it is blurred: edges ")
+    expected = {mistake: set() for mistake in named}
+    for name, (mistake, seen) in truth.items():
+        if mistake is not None:
+            expected[mistake] |= {(name, None)} if mistake == "moved" else {(name, i) for i in seen}
+    assert named == expected
+    true = osl.Rig.load(SHIPPED / "mistakes")
+    for i, (sigma_deg, sigma_m) in enumerate(report.pose_uncertainty()[1:], start=1):
+        error = (true.T_rig_cam[0].inverse() @ true.T_rig_cam[i]).inverse() @ rig.T_rig_cam[i]
+        angle, shift = error.magnitude()
+        assert angle < 4 * sigma_deg and shift < 4 * sigma_m
+
+
 # --- Other programs ---------------------------------------------------------------------------------------
 
 

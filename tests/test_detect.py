@@ -12,6 +12,7 @@ from omnistereo_lib.calibrate.board import Checkerboard
 from omnistereo_lib.calibrate.bundle import Intrinsics
 from omnistereo_lib.calibrate.detect import (
     detect_views,
+    edge_width,
     find_corners,
     find_with_model,
     load_corners,
@@ -203,6 +204,24 @@ def test_a_first_model_finds_a_board_that_is_too_bent():
     found = find_with_model(picture, BOARD, camera)
     assert rms(found, truth(pose)) < 0.15
     assert find_with_model(np.full(SIZE[::-1], 128, np.uint8), BOARD, camera) is None
+
+
+@pytest.mark.parametrize("blur", [0.5, 1.5, 2.5])
+def test_edges_are_as_wide_as_the_blur(blur):
+    """A step through a Gaussian is σ √2π wide, by contrast over slope; the pixel itself adds a little."""
+    picture = draw(place(20, distance=0.6), blur=blur, noise=1.0)
+    pixel = 1 / 12 + 2 / 12  # variances of the pixel's square and of the difference over one pixel between pixels
+    expected = np.sqrt(2 * np.pi * (blur**2 + pixel))
+    assert edge_width(picture, find_corners(picture, BOARD), BOARD) == pytest.approx(expected, rel=0.15)
+
+
+@pytest.mark.parametrize("kernel", [(9, 1), (1, 9)])
+def test_a_motion_along_one_direction_is_seen(picture, corners, kernel):
+    sharp = edge_width(picture, corners, BOARD)
+    assert sharp < 2.6
+    missing = np.where(np.arange(len(corners))[:, None] % 11 == 5, np.nan, corners)
+    assert edge_width(picture, missing, BOARD) == pytest.approx(sharp, rel=0.05)
+    assert edge_width(cv2.blur(picture, kernel), corners, BOARD) > 1.5 * sharp
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 import math
 from fractions import Fraction
-from itertools import combinations
+from itertools import combinations, pairwise
 from statistics import fmean
 
 import numpy as np
@@ -385,6 +385,199 @@ INDEX_ERROR = [
     ("of each ray: take", lambda index, truth, N: 100 / N * np.abs(index - truth)[~np.isnan(index)]),
     ("of each ray: leave", lambda index, truth, N: 100 / N * np.abs(index - truth)),
 ]
+
+
+def cosine(a, b):
+    return sum(x * y for x, y in zip(a.tolist(), b.tolist(), strict=True)) / math.sqrt(
+        sum(x * x for x in a.tolist()) * sum(y * y for y in b.tolist())
+    )
+
+
+COSINE_COST = [
+    ("right", lambda a, b: (1 - cosine(a, b)) / 2),
+    ("right", lambda a, b: np.sum((a / np.linalg.norm(a) - b / np.linalg.norm(b)) ** 2) / 4),
+    ("that is the cosine", cosine),
+    ("the sign", lambda a, b: (1 + cosine(a, b)) / 2),
+    ("divide by 2", lambda a, b: 1 - cosine(a, b)),
+    ("by both lengths", lambda a, b: (1 - np.vdot(a, b)) / 2),
+    ("the second length, too", lambda a, b: (1 - a @ b / np.sqrt(a @ a)) / 2),
+    ("the first length, too", lambda a, b: (1 - a @ b / np.sqrt(b @ b)) / 2),
+    ("not by their squares", lambda a, b: (1 - a @ b / (a @ a * (b @ b))) / 2),
+    ("as ZNCC does", zncc_loops),
+    ("the angle by π", lambda a, b: math.acos(cosine(a, b)) / math.pi),
+]
+
+
+def hinge(change):
+    """The mean over rays of what `change` makes of (match, non-match, margin)."""
+    return lambda positive, negative, m: fmean(
+        change(p, n, m) for p, n in zip(positive.tolist(), negative.tolist(), strict=True)
+    )
+
+
+HINGE_LOSS = [
+    ("right", hinge(lambda p, n, m: max(0.0, m + n - p))),
+    ("right", lambda p, n, m: torch.nn.MarginRankingLoss(m)(*map(torch.tensor, (p, n)), torch.ones(len(p))).numpy()),
+    ("the roles", hinge(lambda p, n, m: max(0.0, m + p - n))),
+    ("costs 0, not less", hinge(lambda p, n, m: m + n - p)),
+    ("of each ray: take the maximum", lambda *a: max(0.0, hinge(lambda p, n, m: m + n - p)(*a))),
+    ("margin is missing", hinge(lambda p, n, m: max(0.0, n - p))),
+    ("margin is added", hinge(lambda p, n, m: max(0.0, n - p - m))),
+    ("that is the sum", lambda p, n, m: np.clip(m + n - p, 0, None).sum()),
+    ("loss of each ray", lambda p, n, m: np.clip(m + n - p, 0, None)),
+    ("not squared", hinge(lambda p, n, m: max(0.0, m + n - p) ** 2)),
+    ("cost nothing count", lambda p, n, m: fmean(x for x in (m + n - p).tolist() if x > 0)),
+]
+
+
+def patch_by_probing(layers, kernel):
+    """How much smaller an image gets, and one."""
+    size = 50
+    for _ in range(layers):
+        size = len(np.convolve(np.ones(size), np.ones(kernel), "valid"))
+    return 50 - size + 1
+
+
+PATCH_SIZE = [
+    ("right", patch_by_probing),
+    ("right", lambda layers, kernel: layers * kernel - layers + 1),
+    ("overlap", lambda layers, kernel: layers * kernel),
+    ("add it", lambda layers, kernel: layers * (kernel - 1)),
+    ("to both sides", lambda layers, kernel: 1 + layers * (kernel - 1) // 2),
+    ("not one", lambda layers, kernel: kernel + (layers - 1)),
+    ("sizes add up", lambda layers, kernel: kernel**layers),
+    ("one layer sees", lambda layers, kernel: kernel),
+]
+SPHERE_LABELS = [
+    ("right", lambda gt, n: (np.abs(gt - n) > 0.5).astype(int)),
+    ("right", lambda gt, n: [[0 if round(x) == n else 1 for x in row] for row in gt.tolist()]),
+    ("turned around", lambda gt, n: (np.abs(gt - n) < 0.5) * 1.0),
+    ("rounding down", lambda gt, n: (gt.astype(int) != n) * 1),
+    ("not up", lambda gt, n: [[float(math.ceil(x) != n) for x in row] for row in gt]),
+    ("no whole number", lambda gt, n: (gt != n) * 1),
+    ("half a sphere", lambda gt, n: 1 - np.isclose(gt, n, rtol=0, atol=1)),
+    ("yes or no", lambda gt, n: abs(gt - n)),
+    ("not of the first row", lambda gt, n: [0 if round(x) == n else 1 for x in gt[0].tolist()]),
+]
+
+
+def entropy(cost, label, weights=(0.5, 0.5), log=math.log, turn=False):
+    """The cross-entropy by adding up; weights of all positives and of all negatives."""
+    means = []
+    for kind in (0, 1):
+        chosen = [c for c, x in zip(cost.tolist(), label.tolist(), strict=True) if x == kind]
+        means.append(fmean(-log(c if (kind == 1) != turn else 1 - c) for c in chosen))
+    return weights[0] * means[0] + weights[1] * means[1]
+
+
+def torch_entropy(cost, label, balanced=True):
+    weight = torch.tensor(np.where(label == 0, 0.5 / np.mean(label == 0), 0.5 / np.mean(label == 1)))
+    loss = torch.nn.functional.binary_cross_entropy(
+        torch.tensor(cost), torch.tensor(label), weight if balanced else None
+    )
+    return float(loss)
+
+
+BALANCED_LOSS = [
+    ("right", entropy),
+    ("right", torch_entropy),
+    ("there are more negatives", lambda cost, label: torch_entropy(cost, label, balanced=False)),
+    ("divide the sum of both means by 2", lambda cost, label: entropy(cost, label, (1, 1))),
+    ("the minus", lambda cost, label: -entropy(cost, label)),
+    ("probability of *no*", lambda cost, label: entropy(cost, label, turn=True)),
+    ("base 2", lambda cost, label: entropy(cost, label, log=math.log2)),
+    ("base 10", lambda cost, label: entropy(cost, label, log=math.log10)),
+    (
+        "squared error",
+        lambda cost, label: fmean([np.mean((cost - label)[label == kind] ** 2) for kind in (0, 1)]),
+    ),
+    ("positives are missing", lambda cost, label: entropy(cost, label, (0, 0.5))),
+    ("negatives are missing", lambda cost, label: entropy(cost, label, (0.5, 0))),
+]
+
+
+def field_backwards(layers):
+    """From the output back to the input: one pixel, then what each layer needs of the one before."""
+    size = 1
+    for kernel, stride in reversed(layers):
+        size = (size - 1) * stride + kernel
+    return size
+
+
+def field(layers, own=False, compound=True, one=1):
+    """From the input on, with the usual mistakes."""
+    size, jump = one, 1
+    for kernel, stride in layers:
+        if own:
+            jump = jump * stride if compound else stride
+        size += (kernel - 1) * jump
+        if not own:
+            jump *= stride
+    return size
+
+
+RECEPTIVE_FIELD = [
+    ("right", field_backwards),
+    ("right", field),
+    ("two pixels of the input", lambda layers: field([(kernel, 1) for kernel, _ in layers])),
+    ("not for itself", lambda layers: field(layers, own=True)),
+    ("strides multiply up", lambda layers: field(layers, own=True, compound=False)),
+    (
+        "layers behind it only",
+        lambda layers: math.prod(s for _, s in layers) * field([(kernel, 1) for kernel, _ in layers]),
+    ),
+    ("one pixel: add it", lambda layers: field(layers, one=0)),
+    ("windows overlap", lambda layers: sum(kernel for kernel, _ in layers)),
+]
+DISTANCE_FROM_Z = [
+    ("right", lambda z, ray: z / math.cos(math.atan2(math.hypot(*ray[:2]), ray[2]))),
+    ("right", lambda z, ray: np.linalg.norm(np.float32(z) * np.float32(ray / ray[2]))),
+    ("turned around", lambda z, ray: z * math.cos(math.atan2(math.hypot(*ray[:2]), ray[2]))),
+    ("divide by its z", lambda z, ray: math.dist(z * ray, (0, 0, 0))),
+    ("times the ray's length", lambda z, ray: z / ray[2]),
+    ("stretch it", lambda z, ray: math.hypot(ray[0], ray[1], z)),
+    ("distance from the axis", lambda z, ray: z * math.tan(math.atan2(math.hypot(*ray[:2]), ray[2]))),
+    ("y is missing", lambda z, ray: math.hypot(z * ray[0] / ray[2], z)),
+    ("off the axis is longer", lambda z, ray: z),
+]
+
+
+def share_loops(mask, low, high, first=0.5, step=None, cos=math.cos, part=1.0, every=True):
+    """The share by adding up pixels; `first` and `step`: where rows lie."""
+    covered = total = 0.0
+    for k, row in enumerate(mask.tolist()):
+        weight = cos(math.radians(low + (k + first) * (high - low) / (step or len(mask))))
+        covered += weight * sum(row)
+        total += weight * (len(row) if every else 1)
+    return part * covered / total
+
+
+def exact_bands(mask, low, high):
+    """The area of each band of rows by Archimedes, which cos of the middle approaches to one common factor."""
+    edges = [math.sin(math.radians(low + k * (high - low) / len(mask))) for k in range(len(mask) + 1)]
+    areas = [b - a for a, b in pairwise(edges)]
+    return sum(area * fmean(row) for area, row in zip(areas, mask.tolist(), strict=True)) / sum(areas)
+
+
+def share_sum(mask, low, high):
+    middles = [low + (k + 0.5) * (high - low) / len(mask) for k in range(len(mask))]
+    return sum(math.cos(math.radians(m)) * sum(row) for m, row in zip(middles, mask.tolist(), strict=True))
+
+
+SHARE_OF_SPHERE = [
+    ("right", share_loops),
+    ("right", exact_bands),
+    ("share of the pixels", lambda mask, low, high: fmean(mask.ravel().tolist())),
+    ("in percent", lambda mask, low, high: share_loops(mask, low, high, part=100)),
+    ("half a pixel inside", lambda mask, low, high: share_loops(mask, low, high, first=0, step=len(mask) - 1)),
+    ("wants radians", lambda mask, low, high: share_loops(mask, low, high, cos=lambda x: math.cos(math.degrees(x)))),
+    ("not sin φ", lambda mask, low, high: share_loops(mask, low, high, cos=math.sin)),
+    ("by the sum of all weights, not", lambda mask, low, high: share_sum(mask, low, high) / mask.size),
+    ("divide by the sum of all of them", lambda mask, low, high: share_sum(mask, low, high)),
+    ("once for every pixel", lambda mask, low, high: share_loops(mask, low, high, every=False)),
+]
+
+
 STUDENTS = {
     exercises.check_index_to_depth: INDEX_TO_DEPTH,
     exercises.check_ray_of_pixel: RAY_OF_PIXEL,
@@ -402,6 +595,14 @@ STUDENTS = {
     exercises.check_sgm_step: SGM_STEP,
     exercises.check_parabola: PARABOLA,
     exercises.check_index_error: INDEX_ERROR,
+    exercises.check_cosine_cost: COSINE_COST,
+    exercises.check_hinge_loss: HINGE_LOSS,
+    exercises.check_patch_size: PATCH_SIZE,
+    exercises.check_sphere_labels: SPHERE_LABELS,
+    exercises.check_balanced_loss: BALANCED_LOSS,
+    exercises.check_receptive_field: RECEPTIVE_FIELD,
+    exercises.check_distance_from_z: DISTANCE_FROM_Z,
+    exercises.check_share_of_sphere: SHARE_OF_SPHERE,
 }
 ALL_STUDENTS = [(check, words, answer) for check, students in STUDENTS.items() for words, answer in students]
 

@@ -37,6 +37,9 @@ train.spheres train.patches
 train train.loop
 sensitivity doctor health plot view3d exercises
 render
+evaluate.methods evaluate.records evaluate.strata
+evaluate.run evaluate.table
+evaluate
 bench
 cli
 __main__

@@ -593,7 +593,8 @@ def surely_seen(centre, inverse_depth):
 def warped_zncc(shipped, frame, inverse_depth):
     """ZNCC and contrast in windows of neighbouring cameras' images, warped with a depth for each ray."""
     sweep = osl.SphereSweep(shipped.rig, GRID)
-    gray = [cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32) for image in frame.images]
+    gray = [image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in frame.images]
+    gray = [image.astype(np.float32) for image in gray]
     warped = sweep.warp(gray, GRID.inverse_depth_to_index(inverse_depth))
     for a, b in ((0, 1), (1, 2), (2, 3), (3, 0)):
         both = np.isfinite(warped[a]) & np.isfinite(warped[b])
@@ -673,6 +674,73 @@ def test_other_sets_images_warped_with_the_truth_agree(name, monkeypatch):
         assert textured.sum() > 300
         assert np.median(zncc[textured]) > 0.95 and (zncc[textured] > 0.9).mean() > 0.95
         assert (off[textured] > 0.9).mean() < 0.5 * (zncc[textured] > 0.9).mean()
+
+
+# The street in other lights, and the streets that training sees
+
+
+@pytest.mark.parametrize("light", ["cloudy", "sunset"])
+def test_other_lights_show_the_same_street(light):
+    sunny = osl.load_dataset(SAMPLES, split="test", truth_width=640)
+    data = osl.load_dataset(SAMPLES.parent / light, split="test", truth_width=640)
+    assert [frame.number for frame in data] == [frame.number for frame in sunny]
+    assert [frame.truth_path.resolve() for frame in data] == [frame.truth_path.resolve() for frame in sunny]
+    for old, new in zip(sunny.rig.T_rig_cam, data.rig.T_rig_cam, strict=True):
+        np.testing.assert_array_equal(old.as_vector(), new.as_vector())
+    warmth, shadows = {}, {}
+    for name, frames in (("sunny", sunny), (light, data)):
+        pictures = [frame.images[camera][200:600, 200:600] for frame in frames for camera in range(4)]
+        warmth[name] = np.mean([picture[..., 0].mean() / picture[..., 2].mean() for picture in pictures])
+        shadows[name] = np.mean([np.std(picture[250:].mean(-1)) for picture in pictures])  # the road
+    if light == "sunset":
+        assert warmth[light] > 1.1 * warmth["sunny"]
+    else:
+        assert shadows[light] < 0.9 * shadows["sunny"]  # no sun casts any
+
+
+@pytest.mark.parametrize("name", ["cloudy/test", "sunset/test", "sunny/train"])
+def test_pictures_of_other_lights_and_streets_are_neither_black_nor_burnt_out(name):
+    data = osl.load_dataset(SAMPLES.parent / name)
+    for i, camera in itertools.product(range(0, len(data), max(1, len(data) // 8)), range(4)):
+        picture = data[i].images[camera].reshape(*data[i].images[camera].shape[:2], -1)
+        lens = data.rig.cameras[camera]
+        grid = np.stack(np.meshgrid(*map(np.arange, lens.image_size)), -1)
+        seen = picture[lens.unproject(grid)[1]]
+        assert (seen.min(-1) >= 250).mean() < 0.05 and (seen.max(-1) < 8).mean() < 0.1
+        assert 40 < seen.mean() < 160
+
+
+@pytest.mark.parametrize("name", ["cloudy/test", "sunset/test", "sunny/train"])
+def test_warped_images_agree_in_other_lights_and_streets(name):
+    data = osl.load_dataset(SAMPLES.parent / name, truth_width=640)
+    frame = data[len(data) // 2]
+    truth = frame.inverse_depth
+    low, high = around(truth, WINDOW)
+    smooth = (low > 0) & (high < 1.1 * low)
+    seen = [surely_seen(centre, truth) for centre in data.rig.centers]
+    wrong = warped_zncc(data, frame, truth * 1.2)
+    right, off = [], []
+    for ((a, b), zncc, contrast), (_, other, _) in zip(warped_zncc(data, frame, truth), wrong, strict=True):
+        textured = smooth & all_around(seen[a] & seen[b]) & np.isfinite(zncc) & (contrast > 20)
+        right.append(zncc[textured])
+        off.append(other[textured])
+    right, off = np.concatenate(right), np.concatenate(off)
+    assert len(right) > 1000
+    assert np.median(right) > 0.95 and (right > 0.9).mean() > 0.9
+    assert (off > 0.9).mean() < 0.7 * (right > 0.9).mean()
+
+
+def test_training_frames_are_those_of_the_drive():
+    data, images = osl.load_dataset(SAMPLES, split="train"), SETS["sunny/train"]
+    assert tuple(frame.number for frame in data) == images.shipped and len(data) >= 120
+    near, sky = [], []
+    for frame in data[::10]:
+        assert all(image.shape == (384, 400) for image in frame.images)
+        truth = frame.inverse_depth
+        assert truth.shape == (160, 640) and np.isfinite(truth).all() and truth.max() <= 1 / data.rig.min_depth
+        near.append(np.mean(truth > 1 / (3 * data.rig.min_depth)))
+        sky.append(np.mean(truth == 0))
+    assert np.mean(near) > 0.1 and 0.02 < np.mean(sky) < 0.4
 
 
 # With Blender

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.calibrate.board import Checkerboard
 from omnistereo_lib.calibrate.bundle import Bundle, Estimate, Observations, adjust, covariance, observations
-from omnistereo_lib.calibrate.detect import Progress, detect_views, find_with_model, suggest_board
+from omnistereo_lib.calibrate.detect import Progress, detect_views, edge_width, find_with_model, suggest_board
 from omnistereo_lib.calibrate.report import CameraReport
 from omnistereo_lib.calibrate.start import first_estimate
 from omnistereo_lib.camera import OcamCamera
@@ -24,6 +24,7 @@ _FOLDS = 3
 _LEAST_VIEWS = 3
 _OUTLIER_SIGMAS = 6.0
 _BAD_VIEW = 3.0  # times the median view's error
+_BLURRED = 1.5  # times the median view's edge width; sharp views of one camera differ by a tenth
 _PARALLEL = np.radians(5.0)
 
 # What is worth a warning.
@@ -104,6 +105,8 @@ def calibrate_corners(
         degree, held_back = choose_degree(estimate, kept, board.points)
     estimate = adjust(with_degree(estimate, degree), observations([kept], board.points), loss="soft_l1")
     bad = _bad_views(estimate, kept, board.points)
+    if images is not None:
+        bad |= _blurred_views([images[k] for k in shown], kept, board)
     left_out |= {shown[k]: why for k, why in bad.items()}
     good = [k for k in range(len(shown)) if k not in bad]
     if len(good) < _LEAST_VIEWS:
@@ -306,6 +309,17 @@ def _bad_views(estimate: Estimate, views: Sequence[Floats], points: Floats) -> d
         k: f"its corners are {error:.2f} px off where {usual:.2f} px are usual: blurred, moved or misdetected"
         for k, error in enumerate(typical)
         if error > _BAD_VIEW * usual
+    }
+
+
+def _blurred_views(images: Sequence[ArrayLike], views: Sequence[Floats], board: Checkerboard) -> dict[int, str]:
+    """Return the views whose edges are wider than usual: their corners may fit, and lie where the board was not."""
+    widths = np.array([edge_width(image, corners, board) for image, corners in zip(images, views, strict=True)])
+    usual = np.median(widths)
+    return {
+        k: f"it is blurred: edges {width:.1f} px wide where {usual:.1f} are usual. Did the board move?"
+        for k, width in enumerate(widths)
+        if width > _BLURRED * usual
     }
 
 

@@ -124,6 +124,43 @@ def refine_corners(image: ArrayLike, corners: Floats, board: Checkerboard) -> Fl
     return refined if found and _is_lattice(refined, board) else None
 
 
+def edge_width(image: ArrayLike, corners: Floats, board: Checkerboard) -> float:
+    """Return how many pixels the edges between squares take from black to white, where they are most blurred.
+
+    Parameters
+    ----------
+    image : array
+        As for `find_corners`.
+    corners : array, shape (K, 2), px
+        As found in it.
+    board : Checkerboard
+
+    Returns
+    -------
+    float
+        Contrast of neighbouring squares by the steepest step of one pixel between them: the median over all edges
+        along rows or along columns, whichever is larger, as a motion blurs across itself only. A sharp picture has
+        about 2, at whatever distance.
+    """
+    gray = _gray(image).astype(np.float32)
+    grid = corners.reshape(board.corners[1], board.corners[0], 2)
+    widths = []
+    for start, end in ((grid[:, :-1], grid[:, 1:]), (grid[:-1], grid[1:])):
+        middle, along = ((start + end) / 2).reshape(-1, 1, 2), (end - start).reshape(-1, 1, 2)
+        whole = np.isfinite(along).all(axis=(1, 2))
+        middle, across = middle[whole], along[whole, :, ::-1] * (-1, 1)
+        pixels = np.arange(-2.5, 2.6, 0.5)[:, None] * across / np.linalg.norm(across, axis=-1, keepdims=True)
+        profile, sides = _look(gray, middle + pixels), _look(gray, middle + np.array([[-0.35], [0.35]]) * across)
+        steepest = np.abs(profile[:, 2:] - profile[:, :-2]).max(axis=1)
+        widths.append(np.median(np.abs(np.diff(sides, axis=1))[:, 0] / np.maximum(steepest, 1.0)))
+    return float(max(widths))
+
+
+def _look(gray: NDArray[np.float32], pixels: Floats) -> NDArray[np.float32]:
+    u, v = np.moveaxis(pixels.astype(np.float32), -1, 0)
+    return cv2.remap(gray, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
 def _straightened(gray: Gray, corners: Floats, board: Checkerboard) -> Floats:
     """Refine corners in a picture of the board from straight ahead.
 

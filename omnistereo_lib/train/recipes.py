@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 from omnistereo_lib.errors import OmnistereoError
 
@@ -13,6 +13,8 @@ from omnistereo_lib.errors import OmnistereoError
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
     """What both networks' recipes have in common. A step is some groups of samples, each of one frame."""
+
+    network: ClassVar[str]  # name of the network that the recipe is for
 
     # Scale: a network is free of scale through D_min, but not of the field of view of its receptive field.
     width: int = 320  # W; the teaching scale, where a frame takes seconds on two cores
@@ -37,11 +39,6 @@ class Recipe:
     # What is looked at
     validate_every: int = 100  # steps; frames of every tenth are never trained on
     validation_groups: int = 12  # groups of samples, the same ones every time
-
-    @property
-    def network(self) -> str:
-        """Name of the network that the recipe is for."""
-        raise NotImplementedError
 
     def __post_init__(self) -> None:
         for name in ("steps", "frames_per_step", "validate_every", "validation_groups", "learning_rate", "clip"):
@@ -87,17 +84,14 @@ class Recipe:
 class SweepNetRecipe(Recipe):
     """How SweepNet is trained. A group is some spheres of one frame with all their camera pairs."""
 
+    network: ClassVar[str] = "sweepnet"
+
     batch_norm: bool = True  # as in the authors' released code; Table I has none
     wrap: bool = True  # no seam in any layer; Table I pads the input alone
     spheres_per_frame: int = 2
     min_positives: int = 32  # the paper discards spheres with fewer
     max_positives: int = 1024  # of a pair on a sphere: the sky fills sphere 0, and neighbours say much the same
     negatives: int = 4  # for each positive, weighted to balance; the paper has 1. Negatives are free and many
-
-    @property
-    def network(self) -> str:
-        """Name of the network that the recipe is for."""
-        return "sweepnet"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,6 +101,7 @@ class MCCNNRecipe(Recipe):
     Distances are pixels between what the two cameras see of one point: one sphere index is a fraction of that.
     """
 
+    network: ClassVar[str] = "mccnn"
     variant: Literal["fast", "accurate"] = "fast"
     rays_per_frame: int = 64  # the papers' batches of 128 and 256 pairs are 1 and 2 frames of these
     positive_px: float = 0.5  # matches lie up to so far off, as estimates on whole spheres do (MC-CNN: 0.5 … 1)
@@ -121,11 +116,6 @@ class MCCNNRecipe(Recipe):
                 "expected 0 ≤ positive_px < negative_low_px < negative_high_px, got "
                 f"{self.positive_px}, {self.negative_low_px}, {self.negative_high_px}"
             )
-
-    @property
-    def network(self) -> str:
-        """Name of the network that the recipe is for."""
-        return "mccnn"
 
 
 _PAPERS = {"optimizer": "sgd", "schedule": "drop", "warmup": 0, "weight_decay": 0.0, "augment": False, "clip": 1e9}
