@@ -82,6 +82,7 @@ def _parser() -> argparse.ArgumentParser:
     verb.add_argument("--device", default="cpu", choices=["cpu", "cuda"], help="where to compute (default: cpu)")
     verb.add_argument("--precision", default="auto", choices=["auto", "float32", "bfloat16"])
     verb.add_argument("--out", type=Path, help="folder of the run (default: out/NETWORK_PRESET)")
+    verb.add_argument("--ship", action="store_true", help="then put the weights into data_samples, with a card")
 
     verb = verbs.add_parser("evaluate", help="the paper's table on any data sets; goes on where it was stopped")
     verb.set_defaults(verb=evaluate)
@@ -292,7 +293,7 @@ def train(options: argparse.Namespace) -> None:
     """Train a network; several processes under torchrun share the work."""
     from tqdm import tqdm
 
-    from omnistereo_lib.train import RECIPES
+    from omnistereo_lib.train import RECIPES, ship
     from omnistereo_lib.train import train as run
 
     recipe = RECIPES[options.network][options.preset].changed(options.set)
@@ -310,6 +311,8 @@ def train(options: argparse.Namespace) -> None:
         bar.close()
     if first_process:
         print(f"{recipe.steps} steps are done; in {out}/: log.csv, state.safetensors, weights.safetensors")
+    if first_process and options.ship:
+        print(f"shipped: {', '.join(map(str, ship(out, recipe)))}")
 
 
 def evaluate(options: argparse.Namespace) -> None:

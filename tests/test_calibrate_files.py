@@ -170,6 +170,25 @@ def test_the_report_on_pictures_names_exactly_the_bad_ones():
         assert angle < 4 * sigma_deg and shift < 4 * sigma_m
 
 
+def test_depth_with_a_calibrated_rig_is_as_good():
+    """On a frame of the street, whose cameras are those of the calibration set, at teaching scale."""
+    views, _ = noisy("van", np.random.default_rng(2))
+    rig, _ = osl.calibrate_rig(views, BOARD, [SIZE] * 4, max_fov_deg=220)
+    data = osl.load_dataset(SHIPPED.parent / "sunny", split="test")
+    frame, grid = data[0], osl.SphereGrid(320, 80, num_spheres=64, min_depth=data.rig.min_depth)
+    mae = [
+        osl.index_error(osl.estimate_depth(which, frame.images, grid).index, frame.gt_index(grid), 64)["MAE"]
+        for which in (data.rig, rig.moved(data.rig.T_rig_cam[0]))
+    ]
+    assert mae[1] == pytest.approx(mae[0], rel=0.05)
+    # Half a degree in one camera is seen:
+    turned = osl.Rig(
+        data.rig.cameras, [Pose.from_vector([0, 0.009, 0, 0, 0, 0]) @ data.rig.T_rig_cam[0], *data.rig.T_rig_cam[1:]]
+    )
+    worse = osl.index_error(osl.estimate_depth(turned, frame.images, grid).index, frame.gt_index(grid), 64)["MAE"]
+    assert worse > 1.05 * mae[0]
+
+
 # --- Other programs ---------------------------------------------------------------------------------------
 
 

@@ -34,7 +34,8 @@ dataset pipeline
 train.recipes
 train.frames
 train.spheres train.patches
-train train.loop
+train.loop
+train train.card
 sensitivity doctor health plot view3d exercises
 render
 evaluate.methods evaluate.records evaluate.strata

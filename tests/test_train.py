@@ -1,7 +1,9 @@
 """Training: labels that tell the truth, seeds that decide everything, runs that survive being killed and shared."""
 
 import csv
+import hashlib
 import os
+import re
 import resource
 import signal
 import subprocess
@@ -18,8 +20,10 @@ import omnistereo_lib as osl
 from omnistereo_lib import cli
 from omnistereo_lib.costs.weights import load_tensors
 from omnistereo_lib.dataset import write_inverse_depth
+from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import write_image
-from omnistereo_lib.train import RECIPES, MCCNNRecipe, SweepNetRecipe, train
+from omnistereo_lib.train import RECIPES, MCCNNRecipe, SweepNetRecipe, ship, train
+from omnistereo_lib.train.card import _hours
 from omnistereo_lib.train.loop import LOG, STATE, WEIGHTS
 from omnistereo_lib.train.patches import PatchSamples
 from omnistereo_lib.train.spheres import SphereObjective, SphereSamples
@@ -278,6 +282,40 @@ def test_what_is_exported_is_what_was_validated(data, tmp_path):
         found = np.mean([SphereObjective(network)(group)[0].item() for group in groups])
     assert found == pytest.approx(rows[-1]["validation_loss"], rel=1e-4)
     assert load_tensors(tmp_path / WEIGHTS)[1]["recipe"] == SWEEPNET.as_dict()
+
+
+def test_a_finished_run_ships_with_its_curve_and_card(data, tmp_path):
+    run = train(SWEEPNET, tmp_path / "run", data, precision="float32", checkpoint_s=0)
+    rows = [next(run), next(run)]  # stopped once
+    rows += train(SWEEPNET, tmp_path / "run", data, precision="float32", checkpoint_s=0)
+    files = ship(tmp_path / "run", SWEEPNET, tmp_path / "weights")
+    assert [path.name for path in files] == ["sweepnet.safetensors", "sweepnet.csv", "sweepnet.md"]
+    assert files[0].read_bytes() == (tmp_path / "run" / WEIGHTS).read_bytes()
+    card = files[2].read_text()
+    assert hashlib.sha256(files[0].read_bytes()).hexdigest() in card
+    assert f"{data.parent.name}/{data.name}, 4 frames" in card and "float32" in card
+    command = re.search(r"train sweepnet --preset shipped --set (.*) --ship", card)[1].split()
+    assert RECIPES["sweepnet"]["shipped"].changed(command) == SWEEPNET
+    assert f"{rows[-1]['validation_loss']:.4f}" in card
+    with files[1].open(newline="") as file:
+        curve = list(csv.DictReader(file))
+    assert float(curve[0]["loss"]) == pytest.approx(np.mean([row["loss"] for row in rows[:10]]), rel=1e-3)
+    assert int(curve[-1]["step"]) == SWEEPNET.steps
+
+
+def test_hours_are_those_of_all_calls():
+    rows = [{"seconds": s} for s in (10.0, 30.0, 5.0, 3600.0, 2.0)]
+    assert _hours(rows) == pytest.approx((30 + 3600 + 2) / 3600)
+
+
+def test_only_finished_runs_ship(data, tmp_path):
+    recipe = replace(SWEEPNET, validate_every=2)
+    run = train(recipe, tmp_path / "run", data, precision="float32", checkpoint_s=0)
+    for _ in range(3):
+        next(run)
+    with pytest.raises(OmnistereoError, match="train to the end first"):
+        ship(tmp_path / "run", recipe, tmp_path / "weights")
+    assert not list((tmp_path / "weights").iterdir())
 
 
 def test_rates():

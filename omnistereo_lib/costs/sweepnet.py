@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import relu_
+from torch.nn.functional import pad, relu_
 
 from omnistereo_lib.costs.learned import Features, LearnedCost, Precision, full_precision, in_strips
 from omnistereo_lib.costs.weights import SHIPPED
@@ -109,7 +109,8 @@ class SweepNet(LearnedCost):
         x = torch.cat([left, right], 1).contiguous(memory_format=torch.channels_last)
         for name in ("conv19", "deconv1", "conv20"):
             x = self._run(name, x)
-        pixels = x[..., offset : offset + chosen.shape[-1]].permute(0, 2, 3, 1)[chosen]
+        chosen = pad(chosen, (offset, x.shape[-1] - offset - chosen.shape[-1]))
+        pixels = x.permute(0, 2, 3, 1).reshape(-1, x.shape[1])[chosen.reshape(-1)]  # as it lies in memory: no copy
         return self._head(pixels) if self.training else in_strips(self._head, pixels)  # norms: the mean over all
 
     def _head(self, x: Tensor) -> Tensor:

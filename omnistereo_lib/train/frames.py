@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from functools import cached_property
 from pathlib import Path
 
@@ -50,6 +51,11 @@ class TrainingFrames:
         self.validation = frames[::10]
         self.training = [frame for k, frame in enumerate(frames) if k % 10]
         self._index: dict[int, NDArray[np.float32]] = {}
+        self.about = {
+            "folder": "/".join(Path(data).resolve().parts[-2:]),
+            "frames": len(frames),
+            "sha256": _checksum([path for frame in frames for path in (*frame.image_paths, frame.truth_path)]),
+        }
 
     @property
     def grid(self) -> SphereGrid:
@@ -87,6 +93,14 @@ class TrainingFrames:
             gain, offset = np.exp(rng.uniform(-0.2, 0.2)), rng.uniform(-0.2, 0.2)
             prepared.append(image * float(gain) + float(offset))
         return prepared
+
+
+def _checksum(paths: list[Path]) -> str:
+    """Return the SHA-256 of files, one behind the other."""
+    digest = hashlib.sha256()
+    for path in paths:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 def shuffled_true(mask: NDArray[np.bool_], count: int, rng: np.random.Generator) -> NDArray[np.int64]:

@@ -9,17 +9,19 @@ from __future__ import annotations
 
 import csv
 import os
+import platform
 import time
 from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, distributed, nn
 from torch.nn.parallel import DistributedDataParallel
 
-from omnistereo_lib.costs.learned import Precision
+from omnistereo_lib.costs.learned import LearnedCost, Precision, uses_bfloat16
 from omnistereo_lib.costs.weights import load_tensors, save_tensors
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import make_folder, replacing
@@ -81,7 +83,8 @@ def train(
     optimizer = _optimizer(recipe, network)
     first = _resume(out / STATE, recipe, network, optimizer)
     parallel = DistributedDataParallel(objective, broadcast_buffers=False) if world > 1 else objective
-    rows = _read_log(out / LOG, first)
+    made = {"data": samples.about, "processes": world} | _machine(network, device)
+    rows = read_log(out / LOG, first)
     start = last_saved = time.perf_counter()
     for step in range(first, recipe.steps):
         for group in optimizer.param_groups:
@@ -95,7 +98,7 @@ def train(
         if done % recipe.validate_every == 0 or done == recipe.steps:
             row["validation_loss"], row["validation_error"] = _validate(samples, objective)
             if rank == 0:
-                _export(out / WEIGHTS, recipe, network, row)
+                _export(out / WEIGHTS, recipe, network, row | made)
         row["seconds"] = time.perf_counter() - start
         rows.append(row)
         if rank == 0 and (done == recipe.steps or time.perf_counter() - last_saved >= checkpoint_s):
@@ -248,13 +251,28 @@ def _resume(path: Path, recipe: Recipe, network: nn.Module, optimizer: torch.opt
     return about["step"]
 
 
-def _export(path: Path, recipe: Recipe, network: nn.Module, row: dict[str, float]) -> None:
+def _export(path: Path, recipe: Recipe, network: nn.Module, about: dict[str, Any]) -> None:
     """Write the weights to use, with what they came from; norms become part of them."""
     plain = network.fold() if isinstance(recipe, SweepNetRecipe) else network
-    plain.save(path, recipe=recipe.as_dict(), **row)
+    plain.save(path, recipe=recipe.as_dict(), **about)
 
 
-def _read_log(path: Path, first: int) -> list[dict[str, float]]:
+def _machine(network: LearnedCost, device: torch.device) -> dict[str, Any]:
+    """Say what computes: two machines give two sets of weights, however alike."""
+    cuda = device.type == "cuda"
+    return {
+        "processor": torch.cuda.get_device_name(device) if cuda else _processor(),
+        "threads": torch.get_num_threads(),
+        "precision": "bfloat16" if uses_bfloat16(network.precision, device) else "float32",
+        "torch": torch.__version__,
+    }
+
+
+def _processor() -> str:
+    return f"{platform.machine()} {torch.backends.cpu.get_cpu_capability()}"
+
+
+def read_log(path: Path, first: int) -> list[dict[str, float]]:
     """Return the rows of a log up to the step that comes next."""
     if first == 0 or not path.is_file():
         return []
