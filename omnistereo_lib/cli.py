@@ -293,6 +293,8 @@ def train(options: argparse.Namespace) -> None:
     """Train a network; several processes under torchrun share the work."""
     from tqdm import tqdm
 
+    from omnistereo_lib.costs.weights import SHIPPED
+    from omnistereo_lib.render.frames import renew_manifest
     from omnistereo_lib.train import RECIPES, ship
     from omnistereo_lib.train import train as run
 
@@ -313,6 +315,7 @@ def train(options: argparse.Namespace) -> None:
         print(f"{recipe.steps} steps are done; in {out}/: log.csv, state.safetensors, weights.safetensors")
     if first_process and options.ship:
         print(f"shipped: {', '.join(map(str, ship(out, recipe)))}")
+        renew_manifest(SHIPPED.parent)
 
 
 def evaluate(options: argparse.Namespace) -> None:

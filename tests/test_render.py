@@ -22,7 +22,16 @@ from omnistereo_lib import cli, render
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.render import frames as frames_module
 from omnistereo_lib.render.drive import ROUTES, plan_drive
-from omnistereo_lib.render.frames import SEED, SETS, forget_partial, is_complete, render_set, share, write_manifest
+from omnistereo_lib.render.frames import (
+    SEED,
+    SETS,
+    forget_partial,
+    is_complete,
+    render_set,
+    renew_manifest,
+    share,
+    write_manifest,
+)
 from omnistereo_lib.render.layout import HALF_STREET, LANE, STREETS, plan_district, split_lots
 from omnistereo_lib.render.lens import SENSOR_MM, fit_ocam, random_lens
 from omnistereo_lib.render.rig import Sensor, _yaml_float, make_rig, write_config
@@ -422,6 +431,10 @@ def test_manifest_lists_every_file_but_itself(tmp_path):
     manifest = json.loads((tmp_path / "manifest.json").read_text())
     assert manifest["seed"] == 5 and manifest["command"] == "python -m omnistereo_lib render"
     assert manifest["files"] == {"set/cam1/0001.jpg": hashlib.sha256(b"picture").hexdigest()}
+    (tmp_path / "weights").write_bytes(b"trained")
+    renew_manifest(tmp_path)
+    renewed = json.loads((tmp_path / "manifest.json").read_text())
+    assert renewed == manifest | {"files": {**manifest["files"], "weights": hashlib.sha256(b"trained").hexdigest()}}
 
 
 def test_sets_ship_frames_that_they_have():

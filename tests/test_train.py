@@ -284,6 +284,16 @@ def test_what_is_exported_is_what_was_validated(data, tmp_path):
     assert load_tensors(tmp_path / WEIGHTS)[1]["recipe"] == SWEEPNET.as_dict()
 
 
+def test_halved_panoramas_are_half_of_the_groups(data):
+    recipe = replace(SWEEPNET, width=96, height=24, num_spheres=24, halve=True, spheres_per_frame=1)
+    samples = SphereSamples(recipe, data)
+    groups = [samples.group(samples.training[0], np.random.default_rng(k), augment=True) for k in range(60)]
+    shapes = [tuple(group.spherical.shape[1:]) for group in groups]
+    assert set(shapes) == {(1, 24, 96), (2, 12, 48)}
+    assert 15 < shapes.count((1, 24, 96)) < 45
+    assert all(strip.label.min() == 0 and strip.label.max() == 1 for group in groups for strip in group.strips[:1])
+
+
 def test_a_finished_run_ships_with_its_curve_and_card(data, tmp_path):
     run = train(SWEEPNET, tmp_path / "run", data, precision="float32", checkpoint_s=0)
     rows = [next(run), next(run)]  # stopped once

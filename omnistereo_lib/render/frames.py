@@ -285,3 +285,9 @@ def write_manifest(root: Path, seed: int, command: str) -> None:
     text = json.dumps({"command": command, "seed": seed, "files": checksums}, indent=1) + "\n"
     with replacing(root / "manifest.json") as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def renew_manifest(root: Path) -> None:
+    """Write manifest.json anew, with its seed and command, after files beside the rendered ones have changed."""
+    manifest = json.loads((root / "manifest.json").read_text(encoding="utf-8"))
+    write_manifest(root, manifest["seed"], manifest["command"])

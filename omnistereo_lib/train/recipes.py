@@ -88,7 +88,8 @@ class SweepNetRecipe(Recipe):
 
     batch_norm: bool = True  # as in the authors' released code; Table I has none
     wrap: bool = True  # no seam in any layer; Table I pads the input alone
-    spheres_per_frame: int = 2
+    halve: bool = False  # every other group, at random, on half of W, H and N: what it learns must fit any width
+    spheres_per_frame: int = 2  # twice as many where the panorama is halved
     min_positives: int = 32  # the paper discards spheres with fewer
     max_positives: int = 1024  # of a pair on a sphere: the sky fills sphere 0, and neighbours say much the same
     negatives: int = 4  # for each positive, weighted to balance; the paper has 1. Negatives are free and many
@@ -122,14 +123,14 @@ _PAPERS = {"optimizer": "sgd", "schedule": "drop", "warmup": 0, "weight_decay": 
 
 # teaching: minutes on two cores, enough to see it learn. shipped: what made data_samples/weights.
 # paper: the papers' figures, for a GPU and their data; steps = 14 epochs.
-# 600 × 150 samples pictures of 400 × 384 as finely as the paper's 1200 × 300 samples those of 800 × 768, and with 96
-# spheres a sphere is as many pixels as there. At 320 × 80 what a cost sees is higher than the panorama: a network
-# would learn where its upper and lower edges are.
-_FINE = {"width": 600, "height": 150, "num_spheres": 96}
+# 640 × 160 samples pictures of 400 × 384 as finely as the paper's 1200 × 300 samples those of 800 × 768, and with 96
+# spheres a sphere is as many pixels as there. The notebooks' 320 × 80 is the other half: there, what a cost sees is
+# higher than the panorama, and a network that knew nothing else would learn where its upper and lower edges are.
+_FINE = {"width": 640, "height": 160, "num_spheres": 96}
 RECIPES: dict[str, dict[str, Recipe]] = {
     "sweepnet": {
         "teaching": SweepNetRecipe(steps=150, warmup=30, validate_every=30, validation_groups=8),
-        "shipped": SweepNetRecipe(**_FINE, spheres_per_frame=1, steps=2000, validate_every=200),
+        "shipped": SweepNetRecipe(**_FINE, halve=True, spheres_per_frame=1, steps=2400, validate_every=200),
         # 350 frames × 192 spheres × 14 epochs at 16 spheres a step; the paper does not state its batch.
         "paper": SweepNetRecipe(
             width=600, height=150, num_spheres=192, learning_rate=0.003, steps=58800, validate_every=2000,

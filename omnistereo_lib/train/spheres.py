@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -50,9 +50,12 @@ class SphereSamples(TrainingFrames):
         super().__init__(recipe, data, device)
         self.network = SweepNet(recipe.batch_norm, recipe.wrap)
         self.network.check_size(recipe.height, recipe.width)
+        self._halved = SphereSamples(_halved(recipe), data, device) if recipe.halve else None
 
     def group(self, frame: Frame, rng: np.random.Generator, augment: bool) -> SphereGroup:
         """Draw spheres of a frame, camera pairs' labels on them, and how the panorama is turned and mirrored."""
+        if self._halved is not None and rng.integers(2):
+            return self._halved.group(frame, rng, augment)
         images, index = self.images(frame, rng if augment else None), self.gt_index(frame)
         for _ in range(_TRIES):
             block, spheres = self._draw_spheres(index, frame, rng)
@@ -130,6 +133,12 @@ class SphereSamples(TrainingFrames):
             others = shuffled_true(common[k] & ~positive[k], self.recipe.negatives * len(chosen), rng)
             labelled[k].reshape(-1)[np.concatenate([chosen, others])] = True
         return labelled, np.where(positive[labelled], 0.0, 1.0).astype(np.float32)
+
+
+def _halved(recipe: SweepNetRecipe) -> SweepNetRecipe:
+    width, height, spheres = recipe.width // 2, recipe.height // 2, 2 * recipe.spheres_per_frame
+    num_spheres = recipe.num_spheres // 2
+    return replace(recipe, halve=False, width=width, height=height, num_spheres=num_spheres, spheres_per_frame=spheres)
 
 
 class SphereObjective(nn.Module):

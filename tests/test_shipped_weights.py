@@ -1,0 +1,95 @@
+"""The networks that ship, on a frame of streets that no training saw."""
+
+import csv
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from test_sweepnet import dense
+
+import omnistereo_lib as osl
+from omnistereo_lib.costs.mccnn import MCCNN
+from omnistereo_lib.costs.sweepnet import SweepNet
+from omnistereo_lib.costs.weights import SHIPPED, load_tensors
+from omnistereo_lib.train import RECIPES
+
+SUNNY = Path(osl.__file__).parents[1] / "data_samples" / "sunny"
+NETWORKS = {"sweepnet": SweepNet, "mccnn_fast": MCCNN}
+GRID = osl.SphereGrid(320, 80, num_spheres=64, min_depth=1.65)
+
+
+@pytest.fixture(scope="module")
+def frame():
+    return osl.load_dataset(SUNNY, split="test").frame(831)
+
+
+@pytest.fixture(scope="module")
+def volumes(frame):
+    sweep = osl.SphereSweep(osl.load_dataset(SUNNY, split="test").rig, GRID)
+    costs = {"zncc": None, **{name: kind.load(precision="float32") for name, kind in NETWORKS.items()}}
+    return {name: osl.cost_volume(sweep, frame.images, cost) for name, cost in costs.items()}
+
+
+def errors(volume, frame):
+    return osl.index_error(osl.winner_takes_all(volume).numpy(), frame.gt_index(GRID), GRID.num_spheres)
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_card_and_curve_are_of_these_weights(name):
+    content = (SHIPPED / f"{name}.safetensors").read_bytes()
+    _, about = load_tensors(SHIPPED / f"{name}.safetensors")
+    card = (SHIPPED / f"{name}.md").read_text(encoding="utf-8")
+    assert hashlib.sha256(content).hexdigest() in card
+    recipe = RECIPES[about["recipe"]["network"]]["shipped"]
+    assert about["recipe"] == recipe.as_dict() and about["step"] + 1 == recipe.steps
+    with (SHIPPED / f"{name}.csv").open(newline="") as file:
+        curve = [float(row["loss"]) for row in csv.DictReader(file)]
+    assert np.mean(curve[-10:]) < 0.7 * np.mean(curve[:10])
+
+
+def test_training_data_are_those_that_ship():
+    digest = hashlib.sha256()
+    for frame in osl.load_dataset(SUNNY, split="train"):
+        for path in (*frame.image_paths, frame.truth_path):
+            digest.update(path.read_bytes())
+    for name in NETWORKS:
+        _, about = load_tensors(SHIPPED / f"{name}.safetensors")
+        assert about["data"]["folder"] == "sunny/train" and about["data"]["sha256"] == digest.hexdigest()
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_learned_costs_beat_zncc_on_a_street_they_have_not_seen(name, volumes, frame):
+    raw, learned = errors(volumes["zncc"], frame), errors(volumes[name], frame)
+    assert all(learned[figure] < raw[figure] for figure in raw)
+    smooth, learned = errors(osl.sgm(volumes["zncc"]), frame), errors(osl.sgm(volumes[name]), frame)
+    assert all(learned[figure] < smooth[figure] for figure in (">1", ">3", "MAE"))
+
+
+def test_the_whole_sphere_beats_the_patch(volumes, frame):
+    patch, whole = errors(volumes["mccnn_fast"], frame), errors(volumes["sweepnet"], frame)
+    assert whole[">3"] < 0.7 * patch[">3"] and whole["MAE"] < 0.7 * patch["MAE"]
+
+
+def test_fast_inference_is_the_plain_networks(frame):
+    """Trained weights are larger than those that a network starts with: the crops must stay exact."""
+    sweep = osl.SphereSweep(
+        osl.load_dataset(SUNNY, split="test").rig, osl.SphereGrid(160, 40, num_spheres=16, min_depth=1.65)
+    )
+    net, pairs = SweepNet.load(precision="float32"), [(0, 1), (1, 2), (2, 3), (3, 0)]
+    block = sweep.blocks()[-1]
+    spherical = sweep.warp_block(sweep.prepare(frame.images), block)[:, -2:]
+    columns = [sweep.visible_columns(camera, block) for camera in range(4)]
+    expected = dense(net, spherical, pairs)
+    assert expected[~expected.isnan()].std() > 0.05
+    torch.testing.assert_close(net(spherical, pairs, columns).double(), expected, atol=1e-5, rtol=0, equal_nan=True)
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_bfloat16_changes_no_figure(name, volumes, frame):
+    sweep = osl.SphereSweep(osl.load_dataset(SUNNY, split="test").rig, GRID)
+    half = osl.cost_volume(sweep, frame.images, NETWORKS[name].load(precision="bfloat16"))
+    torch.testing.assert_close(half, volumes[name], atol=2e-2, rtol=0, equal_nan=True)
+    exact, found = errors(osl.sgm(volumes[name]), frame), errors(osl.sgm(half), frame)
+    assert max(abs(found[figure] - exact[figure]) for figure in exact) < 0.1
