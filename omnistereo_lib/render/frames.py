@@ -18,6 +18,7 @@ from omnistereo_lib.render.rig import RenderRig, make_rig, write_config
 
 SEED = 2019
 _STEPS = 65500  # of the first public release's 16-bit ground truth: inverse depth in units of 1 / (65500 D_min)
+_KEPT = 4  # only every fourth step is used: a hundredth of a sphere, and a third less to store
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class ImageSet:
         Width and height of the ground-truth panoramas; pixels are square: 640 × 160 is φ from -45° to 45°,
         640 × 320 the full sphere.
     truth_suffix : ".tiff" | ".png"
-        Of the two public encodings: float, or half as large in 16-bit steps of 0.003 spheres.
+        Of the two public encodings: float, or a third as large in 16-bit steps, to 0.01 of 192 spheres.
     truth_of : str
         The set of the same drive whose ground truth is also this one's: light moves nothing.
     quality : int
@@ -248,7 +249,8 @@ def _write(paths: list[Path], pictures: list[NDArray], truths: list[NDArray], qu
     for path, truth in zip(temporaries[len(pictures) :], truths, strict=True):
         path.parent.mkdir(exist_ok=True)
         if path.suffix == ".png":
-            Image.fromarray(np.rint(truth * _STEPS * min_depth).clip(0, 65535).astype(np.uint16)).save(path)
+            steps = np.rint(truth * _STEPS * min_depth).clip(0, _STEPS).astype(np.uint16)
+            Image.fromarray((steps + _KEPT // 2) // _KEPT * _KEPT).save(path, optimize=True)
         else:
             tifffile.imwrite(path, _rounded(truth), compression="zlib", compressionargs={"level": 9})
     for temporary, path in zip(temporaries, paths, strict=True):
