@@ -373,8 +373,8 @@ def test_steps_of_the_first_release_and_another_sets_truth(no_blender, tmp_path)
     list(render_set(tmp_path / "whole", TINY, (706,), SEED))
     steps, exact = (osl.load_dataset(tmp_path / name)[0].inverse_depth for name in ("train", "whole"))
     min_depth = osl.load_dataset(tmp_path / "train").rig.min_depth
-    limited = np.minimum(exact, 65535 / 65500 / min_depth)  # what is nearer than D_min does not occur
-    assert (np.abs(steps - limited) <= 0.5 / 65500 / min_depth + 2**-15 * exact).all()
+    limited = np.minimum(exact, 1 / min_depth)  # what is nearer does not occur
+    assert (np.abs(steps - limited) <= 2.5 / 65500 / min_depth + 2**-15 * exact).all()
     cloudy = replace(TINY, truths=(), truth_of="whole")
     list(render_set(tmp_path / "cloudy" / "test", cloudy, (706,), SEED))
     assert np.array_equal(osl.load_dataset(tmp_path / "cloudy" / "test")[0].inverse_depth, exact)
@@ -657,7 +657,7 @@ def test_aerial_truth_is_the_full_sphere_of_a_tilted_rig_above_a_street():
         assert (truth[rays[..., 2] < -0.05] > 0).all() and (truth[rays[..., 2] > 0.99] == 0).all()
         height = (T_world_rig.t + rays[truth > 0] / truth[truth > 0, None])[:, 2]
         below = -rays[truth > 0, 2] > 0.9
-        assert np.abs(height[below]).min() < 1e-3 and height.min() > -0.05
+        assert np.abs(height[below]).min() < 1e-3 and height.min() > -0.1  # the file's steps: 4 cm at 100 m
         assert (np.abs(height[below]) < 0.2).mean() > 0.4  # carriageway and pavement; the rest stands on them
 
 
