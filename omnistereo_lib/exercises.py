@@ -492,6 +492,42 @@ def check_receptive_field(answer: Answer) -> None:
     print(diagnose(answer, (layers,), float(right), mistakes))
 
 
+def check_share_above(answer: Answer) -> None:
+    """08.1: percent of rays whose error exceeds a limit; NaN, no estimate, counts as wrong."""
+    error, limit = np.array([[0.2, 3.0, np.nan, 7.5], [3.1, 0.0, 2.9, 2.0], [12.0, 1.0, 3.0, 0.5]]), 3.0
+    above, missing = error > limit, np.isnan(error)
+    right = 100 * np.mean(above | missing)
+    mistakes = [
+        (right / 100, "that is a fraction; percent are asked"),
+        (100 * np.mean(above), "a comparison with NaN is False: a ray without an estimate counts as wrong"),
+        (100 * np.mean(above[~missing]), "a ray without an estimate counts as wrong; it is not left out"),
+        (100 * np.mean((error >= limit) | missing), "exceeds: an error equal to the limit is still right"),
+        (100 - right, "that is the share of the rays that are right"),
+        (float(np.sum(above | missing)), "that is their number; the share is asked"),
+        (100 * np.mean(above | missing, axis=1), "that is the share of each row; one number is asked"),
+    ]
+    print(diagnose(answer, (error, limit), right, mistakes))
+
+
+def check_pooled_rms(answer: Answer) -> None:
+    """08.2: RMS of all frames together, from each frame's number of rays, sum of e and sum of e²."""
+    rays, sums = np.array([1000.0, 4000.0, 500.0]), np.array([900.0, 8200.0, 2600.0])
+    squares = np.array([2100.0, 31000.0, 26000.0])
+    right = np.sqrt(squares.sum() / rays.sum())
+    mistakes = [
+        (right**2, "take the root"),
+        (np.sqrt(squares / rays).mean(), "that is the mean over the frames: a frame with few rays counts too much"),
+        (np.sqrt((squares / rays).mean()), "the frames have different numbers of rays: add up first, then divide"),
+        (np.sqrt(squares.sum()), "divide by the number of rays"),
+        (np.sqrt(squares.sum()) / rays.sum(), "divide under the root"),
+        (np.sqrt(squares / rays), "that is each frame's; add up over the frames"),
+        (sums.sum() / rays.sum(), "that is the mean error; Σ e² is asked for"),
+        (np.sqrt(squares.sum() / rays.sum() - (sums.sum() / rays.sum()) ** 2), "that is the standard deviation: do not"
+         " subtract the mean"),
+    ]  # fmt: skip
+    print(diagnose(answer, (rays, sums, squares), right, mistakes))
+
+
 def check_distance_from_z(answer: Answer) -> None:
     """10.1: distance along a viewing ray (x, y, z) of any length, given the depth along the optical axis."""
     z_depth, ray = 6.0, np.array([0.9, -0.4, 1.5])

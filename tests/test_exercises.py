@@ -529,6 +529,49 @@ RECEPTIVE_FIELD = [
     ("one pixel: add it", lambda layers: field(layers, one=0)),
     ("windows overlap", lambda layers: sum(kernel for kernel, _ in layers)),
 ]
+
+
+def share_of(error, limit, wrong):
+    """Percent of rays, row by row, that `wrong` says are."""
+    judged = [wrong(x, limit) for row in error.tolist() for x in row]
+    return 100 * judged.count(True) / len(judged)
+
+
+SHARE_ABOVE = [
+    ("right", lambda error, limit: share_of(error, limit, lambda x, limit: not x <= limit)),
+    ("right", lambda error, limit: np.float32(100 - 100 * np.mean(error <= limit))),
+    ("a fraction", lambda error, limit: np.mean(~(error <= limit))),
+    ("NaN is False", lambda error, limit: share_of(error, limit, lambda x, limit: x > limit)),
+    ("not left out", lambda error, limit: 100 * np.mean(error[np.isfinite(error)] > limit)),
+    ("still right", lambda error, limit: 100 * np.mean(~(error < limit))),
+    ("that are right", lambda error, limit: 100 * np.mean(error <= limit)),
+    ("their number", lambda error, limit: int(np.sum(~(error <= limit)))),
+    ("of each row", lambda error, limit: 100 * np.mean(~(error <= limit), axis=-1)),
+]
+
+
+def errors_like(rays, sums, squares):
+    """Errors e ≥ 0 of all frames together, with these sums: half of a frame's rays on each side of its mean."""
+    errors = []
+    for n, total, square in zip(rays, sums, squares, strict=True):
+        mean = total / n
+        spread = math.sqrt(square / n - mean**2)
+        errors += [mean - spread] * int(n / 2) + [mean + spread] * int(n / 2)
+    return np.array(errors)
+
+
+POOLED_RMS = [
+    ("right", lambda rays, sums, squares: math.sqrt(fmean(errors_like(rays, sums, squares) ** 2))),
+    ("right", lambda rays, sums, squares: np.sqrt(np.average(squares / rays, weights=rays))),
+    ("take the root", lambda rays, sums, squares: sum(squares) / sum(rays)),
+    ("counts too much", lambda rays, sums, squares: fmean(np.sqrt(squares / rays))),
+    ("add up first", lambda rays, sums, squares: math.sqrt(fmean(squares / rays))),
+    ("divide by the number", lambda rays, sums, squares: math.sqrt(sum(squares))),
+    ("under the root", lambda rays, sums, squares: math.sqrt(sum(squares)) / sum(rays)),
+    ("each frame's", lambda rays, sums, squares: (squares / rays) ** 0.5),
+    ("the mean error", lambda rays, sums, squares: fmean(errors_like(rays, sums, squares))),
+    ("standard deviation", lambda rays, sums, squares: np.std(errors_like(rays, sums, squares))),
+]
 DISTANCE_FROM_Z = [
     ("right", lambda z, ray: z / math.cos(math.atan2(math.hypot(*ray[:2]), ray[2]))),
     ("right", lambda z, ray: np.linalg.norm(np.float32(z) * np.float32(ray / ray[2]))),
@@ -601,6 +644,8 @@ STUDENTS = {
     exercises.check_sphere_labels: SPHERE_LABELS,
     exercises.check_balanced_loss: BALANCED_LOSS,
     exercises.check_receptive_field: RECEPTIVE_FIELD,
+    exercises.check_share_above: SHARE_ABOVE,
+    exercises.check_pooled_rms: POOLED_RMS,
     exercises.check_distance_from_z: DISTANCE_FROM_Z,
     exercises.check_share_of_sphere: SHARE_OF_SPHERE,
 }
