@@ -97,6 +97,7 @@ def _parser() -> argparse.ArgumentParser:
     verb.add_argument("--device", default="cpu", choices=["cpu", "cuda"], help="where to compute (default: cpu)")
     verb.add_argument("--precision", default="auto", choices=["auto", "float32", "bfloat16"])
     verb.add_argument("--out", type=Path, help="folder for the results (default: out/evaluation_SCALE)")
+    verb.add_argument("--ledger", type=Path, metavar="FILE", help="Markdown file whose reproduction ledger to renew")
 
     verb = verbs.add_parser("render", help="render the data sets with Blender")
     verb.set_defaults(verb=render)
@@ -324,7 +325,10 @@ def evaluate(options: argparse.Namespace) -> None:
 
     from omnistereo_lib.costs.weights import SHIPPED
     from omnistereo_lib.evaluate import SCALES, Evaluation, errors_table, find_sets, select_methods, write_results
+    from omnistereo_lib.evaluate.ledger import split_at_markers, write_ledger
 
+    if options.ledger is not None:
+        split_at_markers(options.ledger)  # nobody wants to hear after hours that it has none
     evaluation = Evaluation(
         options.out or Path("out") / f"evaluation_{options.scale}", find_sets(options.sets),
         select_methods(options.methods, options.ablations), SCALES[options.scale], options.split, options.frames,
@@ -346,6 +350,9 @@ def evaluate(options: argparse.Namespace) -> None:
     written = write_results(evaluation.out, results)
     print(errors_table(results).text(), end="")
     print(f"written to {evaluation.out}/: {', '.join(written)}")
+    if options.ledger is not None:
+        write_ledger(options.ledger, results)
+        print(f"the ledger in {options.ledger} is renewed")
 
 
 def _read_input(options: argparse.Namespace) -> tuple:

@@ -789,11 +789,11 @@ assert cli.main(["render", "sunny/test", "--frames", "831", "--out", out]) == 0
 
 # The scene is still there: ask it where the rays end, and where rays a hundred-thousandth of a radian beside them do.
 T_world_rig = plan_drive(plan_district(SEED), "test", 300).pose(831 - 701)
-chosen = np.random.default_rng(0).choice(64 * 16, 200, replace=False)
+chosen = np.random.default_rng(0).choice(64 * 16, 1000, replace=False)
 rays = SphereGrid(64, 16).rays().reshape(-1, 3)[chosen] @ T_world_rig.R.T
 beside = 1e-5 * np.array([(0, 0, 0), *np.eye(3), *-np.eye(3)])
 depsgraph, origin = bpy.context.evaluated_depsgraph_get(), Vector(T_world_rig.t)
-distances = np.full((200, 7), np.inf)
+distances = np.full((1000, 7), np.inf)
 for i, ray in enumerate(rays):
     for j, offset in enumerate(beside):
         hit, where, *_ = bpy.context.scene.ray_cast(depsgraph, origin, Vector(ray + offset))

@@ -27,7 +27,7 @@ LIGHTS = {
     "sunny": Light(52.0, 37.0, 4.2, (1.0, 0.94, 0.84), 0.22, 0.35, False, 0.62),
     "cloudy": Light(60.0, 37.0, 0.0, (1.0, 1.0, 1.0), 1.0, 1.0, True, 1.0),
     # Almost along the streets that run east, so that it reaches the ground and shines into the lens.
-    "sunset": Light(9.0, 172.0, 3.6, (1.0, 0.56, 0.26), 0.42, 0.5, False, 0.8),
+    "sunset": Light(9.0, 172.0, 3.6, (1.0, 0.56, 0.26), 0.42, 0.5, False, 1.15),
 }
 
 
