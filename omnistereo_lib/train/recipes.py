@@ -139,7 +139,7 @@ RECIPES: dict[str, dict[str, Recipe]] = {
     },
     "mccnn": {
         "teaching": MCCNNRecipe(steps=400, warmup=50, validate_every=50),
-        "shipped": MCCNNRecipe(**_FINE, steps=8000, validate_every=500),
+        "shipped": MCCNNRecipe(**_FINE, steps=6000, validate_every=500),
         # 40 million pairs × 14 epochs at 256 a step.
         "paper": MCCNNRecipe(
             variant="accurate", width=600, height=150, num_spheres=192, learning_rate=0.003, steps=2187500,
