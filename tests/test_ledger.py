@@ -175,10 +175,10 @@ def test_the_library_follows_the_formulas(entry):
 
 
 def test_a_formula_that_is_not_followed_is_seen(monkeypatch):
-    monkeypatch.setattr(ledger, "index_error", lambda *a: {"MAE": 1.0} | osl.index_error(*a) | {"RMS": 3.0})
+    monkeypatch.setattr(ledger.formulas, "index_error", lambda *a: {"MAE": 1.0} | osl.index_error(*a) | {"RMS": 3.0})
     found = claim("error and its five figures").finding(None)
     assert found.verdict == "differs" and found.ours.endswith("apart")
-    monkeypatch.setattr(ledger, "winner_takes_all", lambda volume: np.full(volume.shape[:2], np.nan))
+    monkeypatch.setattr(ledger.formulas, "winner_takes_all", lambda volume: np.full(volume.shape[:2], np.nan))
     assert verdict("argmin", None) == "differs"
 
 

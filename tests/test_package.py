@@ -40,6 +40,7 @@ sensitivity doctor health plot view3d exercises
 render
 evaluate.methods evaluate.records evaluate.strata
 evaluate.run evaluate.table
+evaluate.formulas
 evaluate.ledger
 evaluate
 bench
