@@ -146,10 +146,11 @@ def _swaps(n: int) -> Iterator[tuple[int, ...]]:
 
 
 def _shrunk(rig: Rig, images: list[NDArray], grid: SphereGrid) -> tuple[Rig, list[NDArray]]:
-    """Return cameras and images with about one pixel for each of the panorama's."""
+    """Return cameras and images with about one pixel for each of the panorama's; equal sizes stay equal."""
     cameras, pictures = [], []
+    widest = max(camera.max_fov_deg for camera in rig.cameras)
     for camera, image in zip(rig.cameras, images, strict=True):
-        factor = max(1, round(camera.image_size[0] / camera.max_fov_deg / (grid.width / 360)))
+        factor = max(1, round(camera.image_size[0] / widest / (grid.width / 360)))
         camera = _shrunk_camera(camera, factor)
         width, height = camera.image_size
         image = image[: height * factor, : width * factor]

@@ -59,6 +59,15 @@ def test_a_swapped_order_is_named_with_the_order_that_mends_it(world, right):
     assert readings[1].cost == right[0].cost and readings[0].cost > 3 * right[0].cost
 
 
+def test_cameras_that_differ_a_little_in_their_field_of_view_may_be_swapped(world):
+    """Their images must be shrunk alike, or no order but the given one would fit."""
+    rig, images = world
+    fields = (214, 216, 214, 216)  # 200 px over these are 3.50 and 3.47 pixels for each of the panorama's
+    cameras = [dataclasses.replace(camera, max_fov_deg=fov) for camera, fov in zip(rig.cameras, fields, strict=True)]
+    readings = check_rig(osl.Rig(cameras, rig.T_rig_cam), [images[i] for i in (1, 0, 2, 3)], GRID)
+    assert verdict(readings)[1].startswith("the images look swapped (give them in the order 2 1 3 4)")
+
+
 def test_cameras_that_share_no_view_as_given():
     """Two narrow lenses, one turned away on file: the cost of knowing nothing, not an error."""
     poses = [osl.Pose.from_vector([0, 0, 0, 0, 0, 0]), osl.Pose.from_vector([0, 0.3, 0, 0.3, 0, 0])]
