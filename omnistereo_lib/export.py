@@ -8,6 +8,7 @@ our affine map. OpenCV's own functions stop at 90° from the axis, whatever the 
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from omnistereo_lib.pose import Pose
 from omnistereo_lib.rig import Rig
 
 _RINGS, _AZIMUTHS = 180, 24
+_FOLLOWS_PX = 1.0  # more than that is no rounding but another lens
 
 
 def fit_kannala_brandt(camera: OcamCamera) -> tuple[dict[str, float], float]:
@@ -62,11 +64,19 @@ def write_for_others(rig: Rig, folder: str | Path) -> list[float]:
     Returns
     -------
     list of float
-        Each camera's residual in pixels; a few tenths are usual for lenses beyond 180°.
+        Each camera's residual in pixels; a few tenths are usual for lenses beyond 180°. A warning says where it is
+        more than a pixel: that lens is not one that their model can follow.
     """
     folder = make_folder(folder)
     fits = [fit_kannala_brandt(camera) for camera in rig.cameras]
     parameters = [fit[0] for fit in fits]
+    far_off = [f"camera {i} {residual:.1f} px" for i, (_, residual) in enumerate(fits, 1) if residual > _FOLLOWS_PX]
+    if far_off:
+        warnings.warn(
+            f"the lens model of Kalibr, OpenCV and COLMAP does not follow {', '.join(far_off)} at worst: "
+            f"what is written to {folder} is that far off there; keep to config.yaml where you can",
+            stacklevel=2,
+        )
     for name, text in {
         "kalibr.yaml": _kalibr(rig, parameters),
         "opencv.yaml": _opencv(rig, parameters),

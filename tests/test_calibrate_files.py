@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import boards
@@ -213,6 +214,15 @@ def test_rigs_for_others_come_back(tmp_path, name):
         rays = np.random.default_rng(i).normal(size=(100, 3)) + np.array([0, 0, 1])
         (uv, seen), (theirs, there) = rig.cameras[i].project(rays), again.cameras[i].project(rays)
         assert np.abs(uv - theirs)[seen & there].max() < residuals[i] + 0.05
+
+
+def test_a_lens_that_their_model_cannot_follow_is_named(tmp_path):
+    rig = rig_of()
+    sheared = replace(rig.cameras[1], affine=(1.0, 0.01, 0.01))
+    rig = osl.Rig([rig.cameras[0], sheared, *rig.cameras[2:]], rig.T_rig_cam)
+    with pytest.warns(UserWarning, match=r"does not follow camera 2 \d\.\d px at worst") as said:
+        residuals = write_for_others(rig, tmp_path)
+    assert len(said) == 1 and residuals[1] > 1 > max(residuals[0], *residuals[2:])
 
 
 def test_colmap_files(tmp_path):
