@@ -138,16 +138,21 @@ def noisy(name, rng, sigma=0.08):
     return views, captures.names
 
 
+def assert_is_the_true_rig(rig, report, name):
+    """Every pose within four of its predicted standard deviations."""
+    true = osl.Rig.load(SHIPPED / name)
+    for i, (sigma_deg, sigma_m) in enumerate(report.pose_uncertainty()[1:], start=1):
+        error = (true.T_rig_cam[0].inverse() @ true.T_rig_cam[i]).inverse() @ rig.T_rig_cam[i]
+        angle, shift = error.magnitude()
+        assert angle < 4 * sigma_deg and shift < 4 * sigma_m
+
+
 def test_moved_boards_are_named_and_the_rig_is_the_same():
     views, names = noisy("mistakes", np.random.default_rng(1))
     rig, report = osl.calibrate_rig(views, BOARD, [SIZE] * 4)
     moved = {name for name, (mistake, _) in truth_of("mistakes").items() if mistake == "moved"}
     assert {names[k] for k in report.left_out} == moved
-    true = osl.Rig.load(SHIPPED / "mistakes")
-    for i, (sigma_deg, sigma_m) in enumerate(report.pose_uncertainty()[1:], start=1):
-        error = (true.T_rig_cam[0].inverse() @ true.T_rig_cam[i]).inverse() @ rig.T_rig_cam[i]
-        angle, shift = error.magnitude()
-        assert angle < 4 * sigma_deg and shift < 4 * sigma_m
+    assert_is_the_true_rig(rig, report, "mistakes")
 
 
 def test_the_report_on_pictures_names_exactly_the_bad_ones():
@@ -164,11 +169,7 @@ def test_the_report_on_pictures_names_exactly_the_bad_ones():
         if mistake is not None:
             expected[mistake] |= {(name, None)} if mistake == "moved" else {(name, i) for i in seen}
     assert named == expected
-    true = osl.Rig.load(SHIPPED / "mistakes")
-    for i, (sigma_deg, sigma_m) in enumerate(report.pose_uncertainty()[1:], start=1):
-        error = (true.T_rig_cam[0].inverse() @ true.T_rig_cam[i]).inverse() @ rig.T_rig_cam[i]
-        angle, shift = error.magnitude()
-        assert angle < 4 * sigma_deg and shift < 4 * sigma_m
+    assert_is_the_true_rig(rig, report, "mistakes")
 
 
 def test_depth_with_a_calibrated_rig_is_as_good():
