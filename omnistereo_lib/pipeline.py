@@ -16,7 +16,7 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.rig import Rig
 from omnistereo_lib.sgm import sgm
 from omnistereo_lib.sphere import SphereGrid
-from omnistereo_lib.sweep import SphereSweep
+from omnistereo_lib.sweep import SphereSweep, find_device
 from omnistereo_lib.volume import Cost, Pairs, check_memory, cost_volume
 
 _COSTS = {"zncc": ZNCC, "mccnn": MCCNN.load, "sweepnet": SweepNet.load}
@@ -54,9 +54,8 @@ def estimate_depth(
         no such device.
     """
     check_memory(rig, grid)
-    if torch.device(device).type == "cuda" and not torch.cuda.is_available():
-        raise OmnistereoError('there is no CUDA GPU that PyTorch can use: take device="cpu"')
-    return sweep_depth(SphereSweep(rig, grid, device=device), images, cost, aggregate, pairs, progress=progress)
+    sweep = SphereSweep(rig, grid, device=find_device(device))
+    return sweep_depth(sweep, images, cost, aggregate, pairs, progress=progress)
 
 
 def sweep_depth(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -236,6 +237,23 @@ class SphereSweep:
         if key[:2] in self._tables:
             self._device_maps[key] = maps
         return maps
+
+
+def find_device(device: torch.device | str) -> torch.device:
+    """Return the device to compute on; under `torchrun` every process takes a GPU of its own.
+
+    Raises
+    ------
+    OmnistereoError
+        If a GPU is asked for and there is none.
+    """
+    device = torch.device(device)
+    if device.type == "cuda":
+        if not torch.cuda.is_available():
+            raise OmnistereoError('there is no CUDA GPU that PyTorch can use: take device="cpu"')
+        device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", device.index or 0)))
+        torch.cuda.set_device(device)
+    return device
 
 
 def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray]:

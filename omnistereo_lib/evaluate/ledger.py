@@ -36,6 +36,7 @@ from omnistereo_lib.evaluate.methods import METHODS, Method
 from omnistereo_lib.evaluate.records import Record, config_checksum
 from omnistereo_lib.evaluate.run import SCALES
 from omnistereo_lib.evaluate.strata import FIGURES, SUMS, figures
+from omnistereo_lib.evaluate.table import LIGHTS
 from omnistereo_lib.files import read_bytes, replacing
 from omnistereo_lib.render.frames import SETS
 from omnistereo_lib.train.recipes import RECIPES
@@ -44,7 +45,6 @@ Verdict = Literal["reproduced", "trend reproduced", "differs", "not evaluated"]
 TOLERANCE = 0.2  # relative; the paper prints MAE with two digits, of which the last is up to 10 %
 _PERCENT = f"{100 * TOLERANCE:.0f} %"
 EXACT = 1e-5  # relative to the largest value; the library computes costs in float32
-LIGHTS = ("sunny", "cloudy", "sunset")
 MARKERS = ("<!-- ledger -->", "<!-- /ledger -->")
 _NAMED = 4  # places that a verdict's reason names before it only counts
 

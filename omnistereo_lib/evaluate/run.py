@@ -29,7 +29,7 @@ from omnistereo_lib.metrics import index_error
 from omnistereo_lib.render.frames import share
 from omnistereo_lib.sgm import sgm
 from omnistereo_lib.sphere import SphereGrid
-from omnistereo_lib.sweep import SphereSweep
+from omnistereo_lib.sweep import SphereSweep, find_device
 from omnistereo_lib.volume import Cost, cost_volume
 
 DATA = Path(__file__).resolve().parents[2] / "data_samples"
@@ -166,7 +166,7 @@ class Evaluation:
     ) -> None:
         methods = tuple(dict.fromkeys(methods))
         self.scale, self.weights, self.precision = scale, Path(weights), precision
-        self.device = _device(device)
+        self.device = find_device(device)
         _check_weights(methods, self.weights)
         self.load_cost = cache(lambda method: method.load_cost(self.weights, precision))
         self.sets = {name: load_dataset(folder, split) for name, folder in sets.items()}
@@ -279,15 +279,6 @@ class Evaluation:
             "weights": weights,
             "frames": {job.data: {f"{job.frame:05d}": {job.method.name: errors}}},
         }
-
-
-def _device(device: torch.device | str) -> torch.device:
-    device = torch.device(device)
-    if device.type == "cuda" and not torch.cuda.is_available():
-        raise OmnistereoError('there is no CUDA GPU that PyTorch can use: take device="cpu"')
-    return (
-        torch.device("cuda", int(os.environ.get("LOCAL_RANK", device.index or 0))) if device.type == "cuda" else device
-    )
 
 
 def _check_weights(methods: Sequence[Method], folder: Path) -> None:

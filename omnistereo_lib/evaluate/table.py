@@ -16,7 +16,7 @@ from omnistereo_lib.evaluate.records import Record, write_record
 from omnistereo_lib.evaluate.strata import FIGURES, STRATA, SUMS, figures
 from omnistereo_lib.files import make_folder, replacing
 
-_WEATHERS = ("sunny", "cloudy", "sunset")  # the paper's order
+LIGHTS = ("sunny", "cloudy", "sunset")  # the paper's order
 _RESAMPLES, _SEED = 10_000, 0
 
 
@@ -187,7 +187,7 @@ def _strata(frames: Iterable[Record], method: str) -> list[str]:
 
 def _sets(results: Record) -> list[str]:
     """Return the names of the sets, the paper's first and in its order."""
-    return [*(name for name in _WEATHERS if name in results["frames"]), *sorted(set(results["frames"]) - {*_WEATHERS})]
+    return [*(name for name in LIGHTS if name in results["frames"]), *sorted(set(results["frames"]) - {*LIGHTS})]
 
 
 def _methods(results: Record) -> list[Method]:

@@ -38,8 +38,7 @@ class ImageSet:
         Width and height of the images.
     gray : bool
     samples : int
-        Paths for each pixel. With 12 and the denoiser a picture is as far from one with 192 as two exposures of a
-        camera are from each other, by its noise.
+        Paths for each pixel; the denoiser takes away most of the noise that few of them leave.
     truths : tuple of (int, int)
         Width and height of the ground-truth panoramas; pixels are square: 640 × 160 is φ from -45° to 45°,
         640 × 320 the full sphere.

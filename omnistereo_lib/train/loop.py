@@ -25,6 +25,7 @@ from omnistereo_lib.costs.learned import LearnedCost, Precision, uses_bfloat16
 from omnistereo_lib.costs.weights import load_tensors, save_tensors
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import make_folder, replacing
+from omnistereo_lib.sweep import find_device
 from omnistereo_lib.train.frames import DATA
 from omnistereo_lib.train.patches import PatchObjective, PatchSamples
 from omnistereo_lib.train.recipes import Recipe, SweepNetRecipe
@@ -73,7 +74,7 @@ def train(
         If the data cannot be trained on, the folder holds a run of another recipe or cannot be written, there is
         no such device, the processes cannot share the groups, or the loss is no number any more.
     """
-    device = _device(device)
+    device = find_device(device)
     rank, world = _join_processes(recipe, device)
     out = make_folder(out)
     samples = _samples(recipe, data, device)
@@ -171,16 +172,6 @@ def _renew_norms(samples: SphereSamples | PatchSamples, objective: nn.Module) ->
         group = samples.group(samples.training_frame(k), rng, samples.recipe.augment)
         with samples.network.autocast(next(samples.network.parameters()).device):
             objective(group)
-
-
-def _device(device: torch.device | str) -> torch.device:
-    device = torch.device(device)
-    if device.type == "cuda":
-        if not torch.cuda.is_available():
-            raise OmnistereoError('there is no CUDA GPU that PyTorch can use: take device="cpu"')
-        device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", device.index or 0)))
-        torch.cuda.set_device(device)
-    return device
 
 
 def _join_processes(recipe: Recipe, device: torch.device) -> tuple[int, int]:
