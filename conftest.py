@@ -32,10 +32,11 @@ os.environ.setdefault("OMP_NUM_THREADS", str(_cores))
 os.environ.setdefault("NUMBA_NUM_THREADS", str(max(2, _cores)))
 
 
-# In CI the same examples every time: a search for new ones belongs where somebody can follow it up.
-hypothesis.settings.register_profile("ci", derandomize=True)
-if os.environ.get("CI"):
-    hypothesis.settings.load_profile("ci")
+# No deadline: a busy machine is no mistake. In CI the same examples every time: a search for new ones belongs where
+# somebody can follow it up.
+hypothesis.settings.register_profile("course", deadline=None)
+hypothesis.settings.register_profile("ci", deadline=None, derandomize=True)
+hypothesis.settings.load_profile("ci" if os.environ.get("CI") else "course")
 
 
 def tolerance(tags: list[str]) -> tuple[float, float]:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import copy
+import operator
 import resource
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import repeat
 from pathlib import Path
 
 import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch.nn.functional import avg_pool2d, grid_sample
+from torch.nn.functional import avg_pool2d, grid_sample, pad, relu
 
 from omnistereo_lib.calibrate.board import Checkerboard
 from omnistereo_lib.calibrate.camera import calibrate_camera
@@ -20,16 +23,20 @@ from omnistereo_lib.calibrate.captures import find_captures
 from omnistereo_lib.calibrate.detect import find_corners
 from omnistereo_lib.calibrate.rig import calibrate_rig
 from omnistereo_lib.camera import OcamCamera
+from omnistereo_lib.costs.learned import uses_bfloat16
+from omnistereo_lib.costs.sweepnet import SweepNet
 from omnistereo_lib.dataset import load_dataset
 from omnistereo_lib.pipeline import sweep_depth
 from omnistereo_lib.rig import Rig
 from omnistereo_lib.sgm import _sgm_torch, sgm
 from omnistereo_lib.sphere import SphereGrid
 from omnistereo_lib.sweep import SphereSweep
+from omnistereo_lib.volume import camera_pairs
 
 _DATA = Path(__file__).resolve().parents[1] / "data_samples"
 _SAMPLE = _DATA / "sunny" / "test"
 _CAPTURES = _DATA / "calibration" / "handheld"
+_SEAM = 42  # columns to each side that see across it: half of SweepNet's receptive field
 
 
 @dataclass(frozen=True)
@@ -178,6 +185,69 @@ def _plain_frame(images: list[NDArray], grids: list[torch.Tensor]) -> NDArray:
     return smooth.argmin(-1)
 
 
+def bench_sweepnet(width: int, height: int, num: int, spheres: range | None = None) -> list[Row]:
+    """Compare SweepNet as it ships with the same network written plainly, on some spheres of a frame or on all.
+
+    Plainly: in float32, every pair by itself, the whole panorama, as PyTorch runs it. The same weights and images, and
+    the warp apart. One row for each precision that the processor computes in; the note has the largest difference of
+    a cost.
+    """
+    sweep, images = _rig_and_images(width, height, num)
+    chosen = range(num) if spheres is None else spheres
+    blocks = [range(max(b.start, chosen.start), min(b.stop, chosen.stop)) for b in sweep.blocks()]
+    prepared = sweep.prepare(images)
+    warped = [sweep.warp_block(prepared, block) for block in blocks if block]
+    columns = [[sweep.visible_columns(i, block) for i in range(len(sweep.rig))] for block in blocks if block]
+    pairs = camera_pairs("ring", sweep.rig)
+    plain = copy.deepcopy(SweepNet.load(precision="float32")).to(memory_format=torch.contiguous_format)
+    rows = []
+    for precision in ("float32", "bfloat16") if uses_bfloat16("auto", "cpu") else ("float32",):
+        net, out = SweepNet.load(precision=precision), {}
+
+        def ours(net: SweepNet = net, out: dict = out) -> None:
+            out["ours"] = [net(*job) for job in zip(warped, repeat(pairs), columns)]
+
+        def theirs(out: dict = out) -> None:
+            out["theirs"] = [_plain_sweepnet(plain, spherical, pairs) for spherical in warped]
+
+        times = best_of(1, ours, theirs)
+        away = slice(_SEAM, -_SEAM)  # Table I lets the seam show, the network that ships does not
+        volumes = (torch.cat(out[key], -1)[:, away] for key in ("ours", "theirs"))
+        difference = operator.sub(*volumes).abs().nan_to_num().max().item()
+        name = f"SweepNet {width}×{height}, {len(chosen)} of {num} spheres, {precision}, against plain float32"
+        rows.append(Row(name, *times, f"costs away from the seam differ by up to {difference:.1e}"))
+    return rows
+
+
+@torch.no_grad()
+def _plain_sweepnet(net: SweepNet, spherical: torch.Tensor, pairs: Sequence[tuple[int, int]]) -> torch.Tensor:
+    """Do a block of spheres as Table I prints it: no crop, no feature used twice, no strip."""
+    layers = net.layers
+
+    def describe(images: torch.Tensor) -> torch.Tensor:
+        x = relu(layers["conv1"](pad(images.nan_to_num()[:, None], (2, 2, 0, 0), mode="circular")))
+        for k in range(2, 18, 2):
+            x = relu(x + layers[f"conv{k + 1}"](relu(layers[f"conv{k}"](x))))
+        return relu(layers["conv18"](x))
+
+    def compare(left: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
+        x = torch.cat([describe(left), describe(right)], 1)
+        for name in ("conv19", "deconv1", "conv20"):
+            x = relu(layers[name](x))
+        x = x.permute(0, 2, 3, 1)
+        for name in ("fc1", "fc2", "fc3", "fc4"):
+            x = relu(layers[name](x))
+        return torch.sigmoid(layers["fc5"](x))[..., 0]
+
+    sums, counts = torch.zeros(spherical.shape[1:]), torch.zeros(spherical.shape[1:])
+    for i, j in pairs:
+        for n, (left, right) in enumerate(zip(spherical[i], spherical[j], strict=True)):  # or it takes all memory
+            seen = ~(left + right).isnan()
+            sums[n] += torch.where(seen, compare(left[None], right[None])[0], 0.0)
+            counts[n] += seen
+    return (sums / counts).permute(1, 2, 0)
+
+
 @dataclass(frozen=True, eq=False)
 class FisheyeFit:
     """What `cv2.fisheye.calibrate` made of some views: its rms distance, infinite where it gave up, and its camera."""
@@ -255,6 +325,8 @@ def run(quick: bool = False) -> None:
     print(f"{torch.get_num_threads()} threads; the shorter of repeated runs, taken in turns")
     for scale in scales:
         print(table([*bench_warp(*scale), *bench_sgm(*scale), *bench_frame(*scale)]), flush=True)
+    if not quick:
+        print(table([*bench_sweepnet(320, 80, 64), *bench_sweepnet(1200, 300, 192, range(94, 98))]), flush=True)
     print(table(bench_calibrate()), flush=True)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     print(f"peak memory of this process, the alternatives included: {peak:.1f} GiB")

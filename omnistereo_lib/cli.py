@@ -97,6 +97,7 @@ def _parser() -> argparse.ArgumentParser:
     verb.add_argument("--device", default="cpu", choices=["cpu", "cuda"], help="where to compute (default: cpu)")
     verb.add_argument("--precision", default="auto", choices=["auto", "float32", "bfloat16"])
     verb.add_argument("--out", type=Path, help="folder for the results (default: out/evaluation_SCALE)")
+    verb.add_argument("--rig", type=Path, help="file or folder of a rig in place of the sets' own")
     verb.add_argument("--ledger", type=Path, metavar="FILE", help="Markdown file whose reproduction ledger to renew")
 
     verb = verbs.add_parser("render", help="render the data sets with Blender")
@@ -332,7 +333,7 @@ def evaluate(options: argparse.Namespace) -> None:
     evaluation = Evaluation(
         options.out or Path("out") / f"evaluation_{options.scale}", find_sets(options.sets),
         select_methods(options.methods, options.ablations), SCALES[options.scale], options.split, options.frames,
-        options.weights or SHIPPED, options.device, options.precision,
+        options.weights or SHIPPED, options.device, options.precision, options.rig,
     )  # fmt: skip
     mine = evaluation.share(options.shard)
     done = len(mine) - len(evaluation.missing(mine))

@@ -132,6 +132,29 @@ class Depth:
         with np.errstate(invalid="ignore"):
             return np.where(seen, samples, 0).sum(0) / seen.sum(0)
 
+    def gray_difference(self, images: Sequence[ArrayLike]) -> NDArray[np.float32]:
+        """Compare what the two best-placed cameras see of each estimated point: a test that needs no truth.
+
+        Best placed are those that see the point nearest to their axes.
+
+        Parameters
+        ----------
+        images : one array per camera, (height, width) or (height, width, 3)
+
+        Returns
+        -------
+        float32 array, shape (H, W)
+            Absolute difference of their gray values, in standard deviations of an image's gray values; NaN where
+            fewer than two cameras see the point or there is no depth. Near 0 where the depth is right, or where
+            any depth would look the same.
+        """
+        gray = [image.cpu().numpy() for image in self.sweep.prepare(images)]
+        samples = np.stack(self.sweep.warp(gray, self.index))
+        angles = np.stack([self.sweep.off_axis(camera, self.index) for camera in range(len(gray))])
+        best = np.argsort(np.where(np.isnan(samples), np.inf, angles), axis=0)[:2]
+        first, second = np.take_along_axis(samples, best, axis=0)
+        return np.abs(first - second)
+
     def point_cloud(
         self, images: Sequence[ArrayLike] | None = None, max_depth: float = 50.0, min_confidence: float = 0.0
     ) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None]:

@@ -108,10 +108,21 @@ class SphereSweep:
         uv : array, shape (H, W, 2), pixels
         valid : bool array, shape (H, W)
         """
+        return self.rig.cameras[camera].project(self._directions(camera, index))
+
+    def off_axis(self, camera: int, index: ArrayLike) -> NDArray[np.float64]:
+        """Return the angles in [0, π] between a camera's optical axis and the points of one sphere.
+
+        Parameters as in `pixels`; an array of shape (H, W), NaN where the index is unknown.
+        """
+        x, y, z = np.moveaxis(self._directions(camera, index), -1, 0)
+        return np.arctan2(np.hypot(x, y), z)
+
+    def _directions(self, camera: int, index: ArrayLike) -> NDArray[np.float64]:
+        """Return the points ρ/d of one sphere in a camera's frame, times d: nothing overflows at infinity."""
         inverse_depth = np.maximum(self.grid.index_to_inverse_depth(index), _D0)[..., None]
         T_cam_rig = self.rig.T_rig_cam[camera].inverse()
-        # The point ρ/d, times d: only the direction matters to Π, and nothing overflows at infinity.
-        return self.rig.cameras[camera].project(self._rays @ T_cam_rig.R.T + inverse_depth * T_cam_rig.t)
+        return self._rays @ T_cam_rig.R.T + inverse_depth * T_cam_rig.t
 
     def warp(self, images: Sequence[ArrayLike], index: ArrayLike) -> list[NDArray[np.float32]]:
         """Return the spherical images S_{i,n} of one sphere, one per camera (Eq. 1).

@@ -2,7 +2,7 @@ import boards
 import numpy as np
 import pytest
 
-from omnistereo_lib.bench import Row, bench_sgm, best_of, opencv_fisheye, table
+from omnistereo_lib.bench import Row, bench_sgm, bench_sweepnet, best_of, opencv_fisheye, table
 from omnistereo_lib.calibrate.camera import calibrate_camera
 
 
@@ -11,6 +11,14 @@ def test_sgm_is_compared_on_the_same_job():
     assert row.ours_s > 0
     assert row.theirs_s > 0
     assert "100.00% of 800 rays" in row.note
+
+
+def test_sweepnet_is_compared_on_the_same_job():
+    exact, *half = bench_sweepnet(width=160, height=20, num=16, spheres=range(7, 10))
+    assert "3 of 16 spheres, float32" in exact.name
+    assert min(exact.ours_s, exact.theirs_s) > 0
+    assert float(exact.note.split()[-1]) < 1e-5
+    assert all(1e-5 < float(row.note.split()[-1]) < 2e-2 for row in half)
 
 
 def test_best_of_takes_turns_and_leaves_out_the_first_round():

@@ -1,3 +1,4 @@
+import cv2
 import numpy as np
 import pytest
 import scene
@@ -88,6 +89,45 @@ def test_point_cloud_lies_on_the_walls(estimate):
     assert colors.shape == points.shape and colors.dtype == np.uint8
     near, none = depth.point_cloud(max_depth=2.6)
     assert none is None and np.linalg.norm(near, axis=-1).max() <= 2.6
+
+
+def test_gray_values_agree_where_the_depth_is_right(estimate):
+    rig, grid, images, found = estimate
+    truth = scene.true_index(rig, grid).astype(np.float32)
+    shares = []
+    for index in (truth, np.roll(truth, grid.width // 8, axis=1), np.zeros_like(truth)):
+        difference = osl.Depth(index, found.confidence, found.sweep).gray_difference(images)
+        assert difference.shape == grid.shape and np.nanmin(difference) >= 0
+        shares.append(np.mean(difference < 0.25))
+    assert shares[0] > 0.9 and max(shares[1:]) < 0.7
+
+
+def test_gray_difference_of_one_ray_by_hand(estimate):
+    rig, grid, images, found = estimate
+    difference = found.gray_difference(images)
+    sweep, (row, column) = found.sweep, (20, 35)
+    point = grid.rays()[row, column] * grid.index_to_depth(found.index[row, column])
+    seen = []
+    for pose, camera, image in zip(sweep.rig.T_rig_cam, sweep.rig.cameras, sweep.prepare(images), strict=True):
+        x, y, z = pose.R.T @ (point - pose.t)
+        uv, valid = camera.project(np.array([x, y, z]))
+        if valid:
+            seen.append((np.arccos(z / np.sqrt(x * x + y * y + z * z)), uv, image.numpy()))
+    seen.sort(key=lambda one: one[0])
+    assert len(seen) > 2  # or there would be nothing to choose
+    grays = [
+        cv2.remap(image, uv.astype(np.float32)[None, None], None, cv2.INTER_LINEAR)[0, 0] for _, uv, image in seen[:2]
+    ]
+    assert difference[row, column] == pytest.approx(abs(grays[0] - grays[1]), abs=1e-4)
+
+
+def test_gray_difference_needs_two_cameras_and_a_depth(estimate):
+    rig, grid, images, found = estimate
+    unknown = osl.Depth(np.full(grid.shape, np.nan, np.float32), found.confidence, found.sweep)
+    assert np.isnan(unknown.gray_difference(images)).all()
+    narrow = osl.SphereSweep(scene.rig(max_fov_deg=80), grid)
+    alone = osl.Depth(np.ones(grid.shape, np.float32), found.confidence, narrow)
+    assert np.isnan(alone.gray_difference(images)).any()
 
 
 def test_cost_volumes_have_three_axes():

@@ -288,7 +288,7 @@ def saved(tmp_path_factory, corners):
 
 
 @given(st.floats(0, 1), st.binary(max_size=3))
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_a_damaged_file_is_our_error_or_fewer_views(saved, share, junk):
     text = saved.read_bytes()
     damaged = saved.with_name("damaged.yaml")

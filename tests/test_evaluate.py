@@ -373,7 +373,8 @@ def test_the_merged_file_says_what_it_came_from(data, weights, tmp_path):
     text = whole(tmp_path / "out", data, METHODS, weights=weights, frames=[1, 3], scale=TINY)
     results = json.loads(text)
     assert json.dumps(results, indent=1, sort_keys=True) + "\n" == text.decode()
-    assert results["config"] == {"width": 48, "height": 14, "num_spheres": 8, "precision": "float32"}
+    scale = {"width": 48, "height": 14, "num_spheres": 8}
+    assert results["config"] == {**scale, "precision": "float32", "rig": "own"}
     assert results["methods"]["mccnn+sgm"] == {
         "cost": "mccnn", "aggregate": "sgm", "window": 9, "weights": "", "pairs": "ring", "p1": 0.1, "p2": 12.0,
         "wrap": True, "subindex": False, "num_spheres": 0,
@@ -467,6 +468,43 @@ def test_processes_of_torchrun_share_the_frames(data, tmp_path, monkeypatch):
 def test_bad_shards(data, tmp_path, shard):
     with pytest.raises(osl.OmnistereoError, match="a shard is written i/n"):
         evaluation(tmp_path, data).share(shard)
+
+
+# ---- another rig
+
+
+def test_the_same_rig_in_another_frame_changes_nothing(data, tmp_path):
+    whole(tmp_path / "own", data)
+    RIG.moved(osl.Pose.from_vector([0.3, -0.2, 0.5, 1.0, 2.0, -3.0])).save(tmp_path / "moved.yaml")
+    moved = evaluation(tmp_path / "moved", data, rig=tmp_path / "moved.yaml")
+    list(moved.run())
+    own = evaluation(tmp_path / "own", data).results()["frames"]["box"]
+    for number, methods in moved.results()["frames"]["box"].items():
+        for name, errors in methods.items():
+            assert errors["figures"] == pytest.approx(own[number][name]["figures"], abs=0.05)
+
+
+def test_a_bent_rig_is_worse_and_kept_apart(data, tmp_path):
+    whole(tmp_path / "own", data)
+    bend = osl.Pose.from_vector([0, np.radians(5), 0, 0, 0, 0])
+    osl.Rig(RIG.cameras, [*RIG.T_rig_cam[:-1], RIG.T_rig_cam[-1] @ bend]).save(tmp_path / "bent.yaml")
+    bent = evaluation(tmp_path / "out", data, rig=tmp_path / "bent.yaml")
+    list(bent.run())
+    own = evaluation(tmp_path / "own", data).results()["frames"]["box"]
+    for number, methods in bent.results()["frames"]["box"].items():
+        assert methods["zncc+sgm"]["figures"]["MAE"] > 1.2 * own[number]["zncc+sgm"]["figures"]["MAE"]
+    assert "Not the sets' own rig, but " in errors_table(bent.results()).text()
+    with pytest.raises(osl.OmnistereoError, match=r"config rig = own there, \w{12}"):
+        evaluation(tmp_path / "own", data, rig=tmp_path / "bent.yaml")
+
+
+def test_a_rig_of_other_cameras_is_named(data, tmp_path):
+    osl.Rig(RIG.cameras[:3], RIG.T_rig_cam[:3]).save(tmp_path / "three.yaml")
+    with pytest.raises(osl.OmnistereoError, match=r"three.yaml has cameras of .* pixels, .*box of .*: another rig"):
+        evaluation(tmp_path / "out", data, rig=tmp_path / "three.yaml")
+    with pytest.raises(osl.OmnistereoError, match=r"none.yaml"):
+        evaluation(tmp_path / "out", data, rig=tmp_path / "none.yaml")
+    assert not (tmp_path / "out").exists()
 
 
 # ---- results of another evaluation
@@ -635,7 +673,7 @@ def record(figures_of, sets=("box", "sunset", "sunny")):
         }
         for name in sets
     }
-    config = {"width": 320, "height": 80, "num_spheres": 64}
+    config = {"width": 320, "height": 80, "num_spheres": 64, "rig": "own"}
     return {"config": config, "methods": {m.name: vars(m) for m in methods}, "frames": frames}
 
 

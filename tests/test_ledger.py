@@ -56,7 +56,7 @@ def record(figures_of=papers, sets=LIGHTS, methods=None, scale=SCALES["paper"], 
         return {"figures": dict(zip(FIGURES, values, strict=True)), "strata": strata}
 
     return {
-        "config": {**vars(scale), "precision": "float32"},
+        "config": {**vars(scale), "precision": "float32", "rig": "own"},
         "methods": {method.name: vars(method) for method in METHODS if method.name in methods},
         "data": {},
         "weights": {"sweepnet.safetensors": "ab" * 32},

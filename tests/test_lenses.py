@@ -6,7 +6,7 @@ from math import acos, asin, degrees, hypot, sqrt
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from omnistereo_lib import OmnistereoError
@@ -26,7 +26,6 @@ def rays(theta_deg, azimuths=16):
 points = st.tuples(st.floats(-3, 3), st.floats(-3, 3), st.floats(-1, 3)).filter(lambda p: hypot(*p) > 0.1)
 
 
-@settings(deadline=None)
 @given(points)
 def test_double_sphere_by_hand(point):
     """The intersection with the two spheres, step by step, in plain numbers."""
@@ -41,7 +40,6 @@ def test_double_sphere_by_hand(point):
         np.testing.assert_allclose(uv, [focal[0] * x1 / d2 / depth + 610.8, focal[1] * y1 / d2 / depth + 600.2])
 
 
-@settings(deadline=None)
 @given(points)
 def test_unified_models_by_hand(point):
     x, y, z = point

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -20,7 +20,6 @@ angles = st.one_of(
 )
 
 
-@settings(deadline=None)
 @given(axes, angles)
 def test_rodrigues_agrees_with_scipy_and_opencv(axis, angle):
     R = rotation_from_axis_angle(axis * angle)
@@ -28,7 +27,6 @@ def test_rodrigues_agrees_with_scipy_and_opencv(axis, angle):
     np.testing.assert_allclose(R, cv2.Rodrigues(axis * angle)[0], atol=1e-9)
 
 
-@settings(deadline=None)
 @given(axes, angles)
 def test_axis_angle_comes_back(axis, angle):
     back = axis_angle_from_rotation(rotation_from_axis_angle(axis * angle))
@@ -40,7 +38,6 @@ def test_axis_angle_comes_back(axis, angle):
         np.testing.assert_allclose(back, axis * angle, atol=1e-13)
 
 
-@settings(deadline=None)
 @given(axes, angles)
 def test_axis_angle_agrees_with_scipy(axis, angle):
     R = Rotation.from_rotvec(axis * angle)
@@ -57,7 +54,6 @@ def test_half_turns_around_the_axes(axis):
 vectors = st.tuples(*[st.floats(-3, 3)] * 6)
 
 
-@settings(deadline=None)
 @given(vectors, vectors)
 def test_group_laws(a, b):
     A, B = Pose.from_vector(a), Pose.from_vector(b)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -27,6 +27,7 @@ from omnistereo_lib.evaluate.strata import error_sums, find_strata
 from omnistereo_lib.files import make_folder, read_bytes
 from omnistereo_lib.metrics import index_error
 from omnistereo_lib.render.frames import share
+from omnistereo_lib.rig import Rig
 from omnistereo_lib.sgm import sgm
 from omnistereo_lib.sphere import SphereGrid
 from omnistereo_lib.sweep import SphereSweep, find_device
@@ -139,6 +140,9 @@ class Evaluation:
         Under `torchrun` every process takes its own GPU.
     precision : "auto" | "float32" | "bfloat16"
         Of the networks.
+    rig : path, optional
+        Another rig in place of every set's own, such as a calibrated one: anything that `Rig.load` reads. It is put
+        where its first camera stands and looks as the set's first camera does.
 
     Attributes
     ----------
@@ -148,8 +152,8 @@ class Evaluation:
     Raises
     ------
     OmnistereoError
-        If data or weights are missing, there is no such device, or the folder holds results of another scale, other
-        data or other weights.
+        If data, weights or rig are missing, the rig has other cameras than a set, there is no such device, or the
+        folder holds results of another scale, rig, other data or other weights.
     """
 
     def __init__(
@@ -163,6 +167,7 @@ class Evaluation:
         weights: str | Path = SHIPPED,
         device: torch.device | str = "cpu",
         precision: Precision = "auto",
+        rig: str | Path | None = None,
     ) -> None:
         methods = tuple(dict.fromkeys(methods))
         self.scale, self.weights, self.precision = scale, Path(weights), precision
@@ -170,6 +175,8 @@ class Evaluation:
         _check_weights(methods, self.weights)
         self.load_cost = cache(lambda method: method.load_cost(self.weights, precision))
         self.sets = {name: load_dataset(folder, split) for name, folder in sets.items()}
+        self.rigs = {name: data.rig if rig is None else _placed(rig, data) for name, data in self.sets.items()}
+        self._rig = "own" if rig is None else checksum(b"".join(map(read_bytes, _rig_files(Path(rig)))))
         chosen = [(name, frame) for name, data in self.sets.items() for frame in _chosen(data, frames)]
         self.jobs = [Job(name, frame.number, method) for name, frame in chosen for method in methods]
         self._data = {(name, frame.number): _checksums(name, self.sets[name].folder, frame) for name, frame in chosen}
@@ -240,9 +247,9 @@ class Evaluation:
         Returns
         -------
         dict
-            "config": the scale and the networks' precision; "methods": their settings by name; "config_sha256": of
-            both; "data", "weights": SHA-256 of the files; "frames": set → number → method → what `evaluate_frame`
-            yields.
+            "config": the scale, the rig and the networks' precision; "methods": their settings by name;
+            "config_sha256": of both; "data", "weights": SHA-256 of the files; "frames": set → number → method →
+            what `evaluate_frame` yields.
 
         Raises
         ------
@@ -261,13 +268,13 @@ class Evaluation:
         return results | {"config_sha256": config_checksum(results)}
 
     def _sweep(self, name: str, num_spheres: int) -> SphereSweep:
-        rig, N = self.sets[name].rig, num_spheres or self.scale.num_spheres
+        rig, N = self.rigs[name], num_spheres or self.scale.num_spheres
         grid = SphereGrid(self.scale.width, self.scale.height, num_spheres=N, min_depth=rig.min_depth)
         return SphereSweep(rig, grid, device=self.device)
 
     def _record(self, job: Job, errors: Record) -> Record:
         """Return a job's errors with all that they depend on."""
-        config, weights = asdict(self.scale), {}
+        config, weights = asdict(self.scale) | {"rig": self._rig}, {}
         path = job.method.weights_file(self.weights)
         if path is not None:
             config["precision"] = "bfloat16" if uses_bfloat16(self.precision, self.device) else "float32"
@@ -304,9 +311,24 @@ def _chosen(data: Dataset, numbers: Sequence[int] | None) -> list[Frame]:
     return known
 
 
+def _placed(path: str | Path, data: Dataset) -> Rig:
+    """Read a rig and put its first camera where a data set has its first one; the spheres stay the data set's."""
+    own, rig = data.rig, Rig.load(path)
+    sizes = [[camera.image_size for camera in one.cameras] for one in (own, rig)]
+    if sizes[0] != sizes[1]:
+        raise OmnistereoError(f"{path} has cameras of {sizes[1]} pixels, {data.folder} of {sizes[0]}: another rig")
+    return replace(rig.moved(own.T_rig_cam[0] @ rig.T_rig_cam[0].inverse()), min_depth=own.min_depth)
+
+
+def _rig_files(path: Path) -> list[Path]:
+    """Return the files that describe a rig: of a folder, all that may; else the one."""
+    if path.is_file():
+        return [path]
+    return [inside for inside in sorted(path.iterdir()) if inside.suffix in _RIG_FILES and inside.is_file()]
+
+
 def _checksums(name: str, folder: Path, frame: Frame) -> dict[str, str]:
     """Return the SHA-256 of the files behind a frame: the rig's, the pictures, the ground truth."""
-    rig = [path for path in sorted(folder.iterdir()) if path.suffix in _RIG_FILES and path.is_file()]
-    inside = {f"{name}/{path.name}": path for path in rig}
+    inside = {f"{name}/{path.name}": path for path in _rig_files(folder)}
     inside |= {f"{name}/{path.parent.name}/{path.name}": path for path in [*frame.image_paths, frame.truth_path]}
     return {key: checksum(read_bytes(path)) for key, path in inside.items()}

@@ -166,10 +166,11 @@ def write_results(folder: str | Path, results: Record) -> list[str]:
 def _caption(results: Record, what: str) -> str:
     config, default = results["config"], Method(cost="zncc")
     frames = ", ".join(f"{len(results['frames'][name])} of {name}" for name in _sets(results))
+    rig = "" if config["rig"] == "own" else f" Not the sets' own rig, but {config['rig'][:12]}…."
     return (
         f"{what} ({frames}), in % of the N spheres swept, with 95 % intervals by bootstrap over frames. "
         f"{config['width']} × {config['height']}, N = {config['num_spheres']}, pairs = {default.pairs}, "
-        f"p1 = {default.p1}, p2 = {default.p2}, whole indices, unless a row says otherwise."
+        f"p1 = {default.p1}, p2 = {default.p2}, whole indices, unless a row says otherwise.{rig}"
     )
 
 
