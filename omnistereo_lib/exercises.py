@@ -528,6 +528,33 @@ def check_pooled_rms(answer: Answer) -> None:
     print(diagnose(answer, (rays, sums, squares), right, mistakes))
 
 
+def check_standard_error(answer: Answer) -> None:
+    """08.3: standard error of the mean difference a - b of two methods, from their figures in the same frames."""
+    a, b = np.array([12.1, 9.4, 20.3, 15.0, 11.2, 17.9]), np.array([10.8, 9.1, 17.2, 13.9, 10.9, 14.6])
+    n, difference = len(a), a - b
+    deviation = np.std(difference, ddof=1)
+    apart = np.sqrt((np.var(a, ddof=1) + np.var(b, ddof=1)) / n)
+    mistakes = [
+        (deviation, "that is the spread of single frames: the mean of n frames is √n times as certain"),
+        (deviation / n, "divide by √n, not by n"),
+        (deviation**2 / n, "that is its square: take the root"),
+        (
+            np.std(difference) / np.sqrt(n),
+            "the mean came from the same frames: n - 1 in the variance",
+        ),
+        (
+            np.std(difference),
+            "the spread of single frames, with n in place of n - 1: take that, then divide by √n",
+        ),
+        (apart, "both methods saw the same frames: subtract frame by frame, then look at the spread"),
+        (np.sqrt((np.var(a) + np.var(b)) / n), "both methods saw the same frames: subtract frame by frame first"),
+        (np.std(a, ddof=1) / np.sqrt(n), "that is the standard error of a alone; take the differences a - b"),
+        (difference.mean(), "that is the mean difference; how uncertain is it?"),
+        (difference, "those are the differences; one number is asked"),
+    ]
+    print(diagnose(answer, (a, b), deviation / np.sqrt(n), mistakes))
+
+
 def check_metres_per_unit(answer: Answer) -> None:
     """09.1: by what to multiply a file's positions, given these, two cameras and their distance by ruler in metres."""
     positions = np.array([[40.0, -12.0, 215.0], [262.0, 3.0, 31.0], [38.0, 130.0, -213.0], [-174.0, 8.0, 5.0]])

@@ -12,6 +12,7 @@ finds something. A notebook's own facts stand in its metadata, under "omnistereo
 """
 
 import argparse
+import ast
 import base64
 import copy
 import math
@@ -20,6 +21,8 @@ import statistics
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import suppress
+from decimal import Decimal
 from itertools import pairwise
 from pathlib import Path
 from queue import Empty
@@ -40,6 +43,10 @@ FACTS = {"title": str, "learn": str, "needs": str, "minutes_to_read": int, "budg
 MAX_BUDGET_S = 60
 MAX_BYTES = 500_000
 MAX_CELL_LINES, MAX_MEDIAN_LINES, MAX_LINES = 30, 8, 250
+OPENING = re.compile(r"# .+\*\*You will\*\* .+\*\*Before you start:\*\* .+\*\*Next:\*\* ", re.DOTALL)
+CLOSING = ["## Exercises", "## Common errors", "## Takeaways", "## Further reading"]
+EXERCISE = re.compile(r"^\*\*\d\d\.\d+(?: \(([\w-]+)\))?\.\*\*", re.MULTILINE)  # **03.1 (warm-up).**
+LEVELS = ["warm-up", "medium", "hard", "open"]
 
 PICTURES = ("image/png", "image/jpeg")
 WIDGET = "application/vnd.jupyter.widget-view+json"
@@ -106,7 +113,7 @@ def problems(path: Path) -> list[str]:
     """Say what is wrong with a stored notebook; nothing wrong, nothing said."""
     text = path.read_text(encoding="utf-8")
     nb = nbformat.reads(text, as_version=4)
-    found = [*_facts(nb), *_runs(nb), *_lengths(nb), *_outputs(nb), *_pictures(nb)]
+    found = [*_facts(nb), *_runs(nb), *_lengths(nb), *_outputs(nb), *_pictures(nb), *_frame(nb), *_numbers(nb)]
     if len(text.encode()) > MAX_BYTES:
         found.append(f"{len(text.encode()) // 1000} KB; at most {MAX_BYTES // 1000}: smaller pictures")
     if text != text_of(clean(nb)):
@@ -179,6 +186,90 @@ def _pictures(nb: nbformat.NotebookNode) -> Iterator[str]:
     for cell in nb.cells:
         if cell.cell_type == "markdown" and undescribed.search(cell.source):
             yield "a picture in the text without alternative text: ![what it shows](file)"
+
+
+def _frame(nb: nbformat.NotebookNode) -> Iterator[str]:
+    """Every notebook opens and closes in the same way; tests/template.ipynb says what goes where."""
+    prose = [cell.source for cell in nb.cells if cell.cell_type == "markdown"]
+    if not prose or not OPENING.match(prose[0]):
+        yield "its first text is not: # title, **You will** …, **Before you start:** …, **Next:** …"
+    sections = re.findall(r"^## .+", "\n".join(prose), re.MULTILINE)[-len(CLOSING) :]
+    if sections != CLOSING:
+        yield f"its last sections are {sections}; they must be {CLOSING}"
+    levels = EXERCISE.findall("\n".join(prose))
+    rising = set(levels) <= set(LEVELS) and levels == sorted(levels, key=LEVELS.index)
+    if not rising or {"warm-up", "open"} - set(levels):
+        yield f"its exercises are marked {levels}; from (warm-up) to (open), out of {LEVELS}"
+
+
+# A number in the text is carried by the notebook: a cell prints it, to the digits that the text gives, or sets it in
+# its code. Free are whole numbers up to ten without a unit, years, numbers of notebooks and exercises, what stands
+# in code or links, whole numbers in formulas, multiples of 45° and the lenses' 220°. A sentence that says "paper"
+# quotes the paper.
+NUMBER = re.compile(r"(?<![\w.])(?:\d{1,3}(?:,\d{3})+|\d+)(?:\.\d+)?(?:e-?\d+)?(?!\.?\w)")
+UNIT = re.compile(r"\s?(°|%|(?:px|pixels?|mm|cm|m|ms|s|percent|degrees|metres|seconds)\b)")
+NAMES = re.compile(r"```.*?```|`[^`]*`|!?\[[^\]]*\]\([^)]*\)|\*\*\d\d\.\d+", re.DOTALL)
+FORMULA = re.compile(r"\$+[^$]+\$+")
+SENTENCE_END = re.compile(r"(?<=[.!?])\s+|\n{2,}|\n(?=[-*|#>\d])")
+LENS_DEG = (220, 110)  # the field of view, and the half of it on each side of the axis
+
+
+def _numbers(nb: nbformat.NotebookNode) -> Iterator[str]:
+    carried = _carried(nb)
+    for sentence in _sentences(nb):
+        for number in NUMBER.finditer(sentence):
+            word, unit = number[0], UNIT.match(sentence, number.end())
+            unit = unit[1] if unit else ""
+            if not _is_free(word, unit) and not _is_carried(word, unit, carried):
+                yield f"the text says {word}{unit}, no output and no code does: {' '.join(sentence.split())!r}"
+
+
+def _sentences(nb: nbformat.NotebookNode) -> Iterator[str]:
+    """What has to be true: not names, not the paper's own figures; of formulas the decimal numbers alone."""
+    for text in _prose(nb):
+        text = FORMULA.sub(lambda formula: " ".join(re.findall(r"\d+\.\d+", formula[0])), NAMES.sub(" ", text))
+        yield from (sentence for sentence in SENTENCE_END.split(text) if not re.search(r"\bpaper\b", sentence))
+
+
+def _is_free(word: str, unit: str) -> bool:
+    if unit == "°":
+        return float(word) % 45 == 0 or float(word) in LENS_DEG
+    small_or_year = word.isdigit() and (int(word) <= 10 or 1900 <= int(word) < 2100)
+    return not unit and (small_or_year or bool(re.match(r"0\d", word)))
+
+
+def _is_carried(word: str, unit: str, carried: set[Decimal]) -> bool:
+    value = Decimal(word.replace(",", ""))
+    half_a_digit = Decimal(1).scaleb(value.as_tuple().exponent) / 2
+    scales = (1, 100) if unit in ("%", "percent") else (1,)
+    return any(abs(scale * number - value) <= half_a_digit for number in carried for scale in scales)
+
+
+def _prose(nb: nbformat.NotebookNode) -> Iterator[str]:
+    """Text cells, and what stands in captions by hand."""
+    yield from (cell.source for cell in nb.cells if cell.cell_type == "markdown")
+    for node in _nodes(nb):
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "show":
+            caption = [*node.args[1:2], *(word.value for word in node.keywords if word.arg == "caption")]
+            parts = (part for text in caption for part in ast.walk(text) if isinstance(part, ast.Constant))
+            yield " ".join(str(part.value) for part in parts)
+
+
+def _carried(nb: nbformat.NotebookNode) -> set[Decimal]:
+    """All numbers in the code, strings apart, and in what cells print; captions and alternative texts do not count."""
+    code = (node.value for node in _nodes(nb) if isinstance(node, ast.Constant))
+    found = {Decimal(str(value)) for value in code if type(value) in (int, float)}
+    for output in (output for cell in code_cells(nb) for output in cell.outputs):
+        if output.output_type in ("stream", "execute_result"):
+            said = output.get("text", "") + str(output.get("data", {}).get("text/plain", ""))
+            found |= {Decimal(number.replace(",", "")) for number in NUMBER.findall(said)}
+    return found
+
+
+def _nodes(nb: nbformat.NotebookNode) -> Iterator[ast.AST]:
+    for cell in code_cells(nb):
+        with suppress(SyntaxError):  # IPython's own commands
+            yield from ast.walk(ast.parse(cell.source))
 
 
 # --- Run --------------------------------------------------------------------------------------------------

@@ -574,6 +574,28 @@ POOLED_RMS = [
 ]
 
 
+def standard_error_loops(a, b, n_of=lambda n: n - 1, last=math.sqrt):
+    differences = [x - y for x, y in zip(a.tolist(), b.tolist(), strict=True)]
+    squares = sum((d - fmean(differences)) ** 2 for d in differences)
+    return math.sqrt(squares / n_of(len(differences))) / last(len(differences))
+
+
+STANDARD_ERROR = [
+    ("right", standard_error_loops),
+    ("right", lambda a, b: np.sqrt(np.cov(a - b) / len(a))),
+    ("spread of single frames: the mean", lambda a, b: standard_error_loops(a, b, last=lambda n: 1)),
+    ("not by n", lambda a, b: standard_error_loops(a, b, last=lambda n: n)),
+    ("its square", lambda a, b: np.cov(a - b) / len(a)),
+    ("n - 1 in the variance", lambda a, b: standard_error_loops(a, b, n_of=lambda n: n)),
+    ("with n in place", lambda a, b: (a - b).std()),
+    ("then look at the spread", lambda a, b: math.sqrt(sum(np.cov(x) for x in (a, b)) / len(a))),
+    ("frame by frame first", lambda a, b: np.hypot(a.std(), b.std()) / len(a) ** 0.5),
+    ("of a alone", lambda a, b: standard_error_loops(a, 0 * b)),
+    ("the mean difference", lambda a, b: a.mean() - b.mean()),
+    ("one number is asked", lambda a, b: a - b),
+]
+
+
 def metres_per_unit_loops(positions, i, j, measured):
     return measured / math.dist(positions[i].tolist(), positions[j].tolist())
 
@@ -734,6 +756,7 @@ STUDENTS = {
     exercises.check_receptive_field: RECEPTIVE_FIELD,
     exercises.check_share_above: SHARE_ABOVE,
     exercises.check_pooled_rms: POOLED_RMS,
+    exercises.check_standard_error: STANDARD_ERROR,
     exercises.check_metres_per_unit: METRES_PER_UNIT,
     exercises.check_pose_from_file: POSE_FROM_FILE,
     exercises.check_spheres_needed: SPHERES_NEEDED,

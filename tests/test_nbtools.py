@@ -11,6 +11,8 @@ from queue import Empty
 import nbformat
 import nbtools
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
 
 FACTS = {"title": "Tiny", "learn": "nothing", "needs": "CPU", "minutes_to_read": 1, "budget_s": 60}
@@ -28,6 +30,18 @@ def picture(n=3):
     print("n is", n)
     return n
 """
+OPENING = "# Tiny\n\n**You will** see.\n\n**Before you start:** nothing. **Next:** nothing."
+CLOSING = """## Exercises
+
+**00.1 (warm-up).** Look.
+
+**00.2 (open).** Look again.
+
+## Common errors
+
+## Takeaways
+
+## Further reading"""
 
 
 def code(source, *tags, printed=None, count=1):
@@ -122,9 +136,22 @@ def test_comparison(verdicts, case):
 # --- Clean, check -------------------------------------------------------------------------------------------
 
 
+def framed(*cells):
+    """Cells between the texts with which every notebook opens and closes."""
+    return notebook(new_markdown_cell(OPENING), *cells, new_markdown_cell(CLOSING))
+
+
 def good(*more):
-    """A notebook as it should be stored, and then some cells."""
-    return notebook(new_markdown_cell("# Tiny"), code(nbtools.SETUP, printed="OK\n"), *more)
+    """A notebook as it should be stored, with some more cells."""
+    return framed(code(nbtools.SETUP, printed="OK\n"), *more)
+
+
+def closing(old, new):
+    """A good notebook but for a change in its last text."""
+    nb = good()
+    assert old in nb.cells[-1].source
+    nb.cells[-1].source = nb.cells[-1].source.replace(old, new)
+    return nb
 
 
 def stored(tmp_path, nb):
@@ -152,8 +179,8 @@ ERROR = {"ename": "ValueError", "evalue": "no", "traceback": ["File /Users/someo
 BAD = {  # what is planted, what the guard must say
     "not run": (good(code("f()", count=None)), "not run in order"),
     "run twice": (good(code("f()", count=3)), "not run in order"),
-    "stripped": (notebook(code(nbtools.SETUP)), "no cell has an output"),
-    "no setup": (notebook(code("import os", printed="OK\n")), "first code cell"),
+    "stripped": (framed(code(nbtools.SETUP)), "no cell has an output"),
+    "no setup": (framed(code("import os", printed="OK\n")), "first code cell"),
     "no facts": (good() | {"metadata": {}}, "metadata.omnistereo"),
     "budget": (good() | {"metadata": {"omnistereo": FACTS | {"budget_s": 600}}}, "budget_s is 600"),
     "error": (good(with_output("error", **ERROR)), "ValueError, without the tag"),
@@ -175,6 +202,18 @@ BAD = {  # what is planted, what the guard must say
     "no caption": (good(picture(caption=None)), "without a caption"),
     "markdown picture": (good(new_markdown_cell("![](rig.png)")), "picture in the text"),
     "html picture": (good(new_markdown_cell('<img src="rig.png">')), "picture in the text"),
+    "no opening": (good() | {"cells": good().cells[1:]}, "its first text"),
+    "no section": (closing("## Common errors", "**Common errors.**"), "its last sections"),
+    "other order": (
+        closing("## Takeaways\n\n## Further reading", "## Further reading\n\n## Takeaways"),
+        "its last sections",
+    ),
+    "section too many": (closing("## Further reading", "## Further reading\n\n## More"), "its last sections"),
+    "unmarked exercise": (closing("00.2 (open)", "00.2"), "its exercises"),
+    "unknown mark": (closing("(open)", "(Open)"), "its exercises"),
+    "nothing open": (closing("(open)", "(hard)"), "its exercises"),
+    "hard first": (closing("**00.1", "**00.0 (open).** Look.\n\n**00.1"), "its exercises"),
+    "number": (good(new_markdown_cell("The error is 12.3 %.")), "the text says 12.3%"),
 }
 
 
@@ -225,11 +264,87 @@ def test_clean_drops_what_depends_on_the_machine_and_keeps_the_rest():
     nbformat.validate(clean)
 
 
+# --- Numbers in the prose -----------------------------------------------------------------------------------
+
+MEASURED = code("width, half, share = 320, -0.5, 0.25", printed="rms 0.1238 px, 111,424 weights, -42.5 m, 1e-05\n")
+
+
+def stray(*texts):
+    """What the rule says about texts beside the cell MEASURED."""
+    return list(nbtools._numbers(notebook(MEASURED, *map(new_markdown_cell, texts))))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "0.124 px rms, or 0.12 px, about 0.1 px",  # printed, to the digits that the text gives
+        "111,424 weights, 43 m, 1e-5",
+        "at 320 columns, 0.5 off, 25 % of the rays, 25 percent",  # set in the code
+        "two of 4 cameras, in 10 steps, since 2006",  # counts and years
+        "notebook 07, exercise 03.2 and **10.3 (open).**",
+        "a lens of 220°, 110° to each side, turned by 90°, all 360°",
+        "$d_{12} = 2^{-23} / 99$ and `data.frame(831)`, [99 pictures](99.ipynb), ```\nn = 98\n```",
+        "The paper has 40.7 % here.",
+        "float32, T_12, v2.13 are names",
+    ],
+)
+def test_numbers_that_are_carried_or_free(text):
+    assert stray(text) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("0.125 px rms", "0.125px"),  # the digits that are printed do not carry it
+        ("111,425 weights", "111,425"),
+        ("17 pictures", "17"),
+        ("5 px apart", "5px"),  # a measurement, not a count
+        ("7 % of them", "7%"),
+        ("25 metres", "25metres"),  # a quarter in the code is no 25 metres
+        ("turned by 91°", "91°"),
+        ("with $P_2 = 12.5$", "12.5"),
+        ("40.7 is ours. The paper has it.", "40.7"),  # only the sentence that says so quotes the paper
+        ("- The paper's 40.7\n- our 40.8", "40.8"),
+        ("newspaper 40.7", "40.7"),
+    ],
+)
+def test_stray_numbers_are_named(text, said):
+    (found,) = stray(text)
+    assert f"the text says {said}," in found
+
+
+def test_captions_are_prose_and_carry_nothing():
+    drawn = picture(caption="*Figure:* 77 cars and 3.14159 m.")
+    drawn.source = 'show(fig, f"77 cars, {n + 99:.2f} m", "88 cars")'  # the name of n, its format, the alternative text
+    (found,) = nbtools._numbers(notebook(drawn))
+    assert "the text says 77," in found
+    drawn.source = "show(fig, caption=caption, alt='66 cars')"
+    (found,) = nbtools._numbers(notebook(drawn, new_markdown_cell("77 cars")))
+    assert "the text says 77," in found
+
+
+def test_cells_that_are_not_python_set_no_numbers():
+    (found,) = nbtools._numbers(notebook(code("%timeit -n 77 f()"), new_markdown_cell("77 times")))
+    assert "the text says 77," in found
+
+
+@given(st.decimals(11, 10**6, places=5), st.integers(0, 5))
+def test_every_rounding_of_a_printed_number_is_carried(number, places):
+    nb = notebook(code("f()", printed=f"{number}\n"), new_markdown_cell(f"about {number:.{places}f} px"))
+    assert list(nbtools._numbers(nb)) == []
+
+
+@given(st.decimals(11, 10**6, places=3), st.decimals(11, 10**6, places=3))
+def test_no_other_number_is_carried(printed, written):
+    nb = notebook(code("f()", printed=f"{printed}\n"), new_markdown_cell(f"exactly {written} px"))
+    assert bool(list(nbtools._numbers(nb))) == (printed != written)
+
+
 # --- Run ----------------------------------------------------------------------------------------------------
 
 
 def test_run_stores_a_notebook_that_guard_nbval_and_a_second_run_accept(stand_in):
-    nb = notebook(*map(code, [nbtools.SETUP, DRAWING, SLIDER, "2 * 0.25"]))
+    nb = framed(*map(code, [nbtools.SETUP, DRAWING, SLIDER, "2 * 0.25"]))
     path = write(stand_in / "tiny.ipynb", nb)
     assert nbtools.main(["run", str(path)]) == 0
     first = path.read_text(encoding="utf-8")
@@ -237,7 +352,7 @@ def test_run_stores_a_notebook_that_guard_nbval_and_a_second_run_accept(stand_in
     assert nbval(path) == [True] * 4
     assert nbtools.main(["run", str(path)]) == 0
     assert path.read_text(encoding="utf-8") == first
-    cells = nbformat.reads(first, as_version=4).cells
+    cells = nbtools.code_cells(nbformat.reads(first, as_version=4))
     assert [cell.execution_count for cell in cells] == [1, 2, 3, 4]
     assert cells[1].outputs[0].metadata["image/png"]["alt"] == "a line that rises from left to right"
     assert cells[1].outputs[1].data["text/markdown"] == "*Figure:* It rises."
