@@ -17,7 +17,7 @@ if sys.version_info < (3, 11):
 endef
 export CHECK_PYTHON
 
-.PHONY: lab test depth render bench notebooks constraints clean
+.PHONY: lab test depth render bench notebooks solutions constraints clean
 
 lab: $(READY)  ## opens JupyterLab, or prints its address where there is no browser; LAB_ARGS: more options
 	$(BIN)/jupyter lab $(LAB_ARGS) notebooks/00_quickstart.ipynb
@@ -39,6 +39,9 @@ bench: $(READY)  ## speed, as ratios against named alternatives
 notebooks: $(READY)  ## runs all notebooks from fresh kernels, cleans and stores them, renews the README's table
 	$(BIN)/python tests/nbtools.py run notebooks/*.ipynb
 	$(BIN)/python tests/nbtools.py readme
+
+solutions: $(READY)  ## the notebooks with every exercise solved, into out/solutions
+	$(BIN)/python tests/solve.py
 
 constraints: $(READY)  ## pins what came along with environment.txt
 	@{ echo "# What the packages of environment.txt bring along, pinned. Written by: make constraints"; \

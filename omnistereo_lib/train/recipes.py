@@ -130,7 +130,7 @@ _FINE = {"width": 640, "height": 160, "num_spheres": 96}
 RECIPES: dict[str, dict[str, Recipe]] = {
     "sweepnet": {
         "teaching": SweepNetRecipe(steps=150, warmup=30, validate_every=30, validation_groups=8),
-        "shipped": SweepNetRecipe(**_FINE, halve=True, spheres_per_frame=1, steps=800, validate_every=100),
+        "shipped": SweepNetRecipe(**_FINE, halve=True, spheres_per_frame=1, steps=3600, validate_every=200),
         # 350 frames × 192 spheres × 14 epochs at 16 spheres a step; the paper does not state its batch.
         "paper": SweepNetRecipe(
             width=600, height=150, num_spheres=192, learning_rate=0.003, steps=58800, validate_every=2000,
