@@ -90,6 +90,57 @@ def live(draw: Callable[..., Figure], **sliders: Widget) -> None:
     display(VBox([*sliders.values(), picture]))
 
 
+def explore(draw: Callable[[int, int], Figure], panorama: NDArray, row: int, column: int) -> None:
+    """Show a panorama to click on and, below it, the figure of the ray at the cross.
+
+    Two sliders move the cross as well: by the keyboard, and in programs that know no clicks.
+    Notebooks are stored without it: the captioned figure before it says what it shows.
+
+    Parameters
+    ----------
+    draw : callable
+        Takes the row and the column of a ray by these names, returns a figure.
+    panorama : array, shape (H, W) or (H, W, 3)
+        Gray values or colours of 0 … 255; NaN becomes gray.
+    row, column : int
+        Where the cross is at first.
+    """
+    from ipyevents import Event
+    from IPython.display import display
+    from ipywidgets import Image, IntSlider, Layout
+
+    height, width = panorama.shape[:2]
+    rows, columns = IntSlider(row, 0, height - 1), IntSlider(column, 0, width - 1)
+    picture = Image(format="jpeg", layout=Layout(width="100%"))
+
+    def mark(_: object = None) -> None:
+        picture.value = _with_cross(panorama, rows.value, columns.value)
+
+    def move(event: dict[str, Any]) -> None:
+        rows.value = int(height * event["relativeY"] / event["boundingRectHeight"])
+        columns.value = int(width * event["relativeX"] / event["boundingRectWidth"])
+
+    for slider in (rows, columns):
+        slider.observe(mark, "value")
+    Event(source=picture, watched_events=["click"]).on_dom_event(move)
+    mark()
+    display(picture)
+    live(draw, row=rows, column=columns)
+
+
+def _with_cross(panorama: NDArray, row: int, column: int) -> bytes:
+    """Encode a panorama, three pixels for one, with an open cross around a ray, as a JPEG."""
+    import cv2
+
+    gray = np.where(np.isfinite(panorama), panorama, 185).clip(0, 255).astype(np.uint8)
+    picture = np.repeat(np.repeat(gray if gray.ndim == 3 else np.stack([gray] * 3, -1), 3, 0), 3, 1)
+    x, y = 3 * column + 1, 3 * row + 1
+    for color, thickness in (((0, 0, 0), 5), ((255, 255, 0), 2)):  # dark around bright: seen on any ground
+        for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+            cv2.line(picture, (x + 8 * dx, y + 8 * dy), (x + 22 * dx, y + 22 * dy), color, thickness)
+    return cv2.imencode(".jpg", picture[..., ::-1])[1].tobytes()
+
+
 def depth_picture(inverse_depth: NDArray, grid: SphereGrid) -> NDArray[np.uint8]:
     """Colour a panorama of inverse depth: near is bright and warm, far is dark, unknown is striped gray.
 

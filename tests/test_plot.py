@@ -2,6 +2,7 @@
 
 import base64
 
+import cv2
 import matplotlib
 import numpy as np
 import pytest
@@ -104,3 +105,26 @@ def test_a_live_figure_follows_its_sliders(monkeypatch):
     assert drawn == [(3, 1.0), (7, 1.0)]
     assert before.startswith(b"\xff\xd8\xff") and bytes(picture.value) != before
     assert n.description == "n" and plt.get_fignums() == open_before
+
+
+def test_a_click_moves_the_cross_and_asks_that_ray(monkeypatch):
+    shown, drawn, clicked = [], [], []
+    monkeypatch.setattr("IPython.display.display", shown.append)
+    monkeypatch.setattr("ipyevents.Event.on_dom_event", lambda event, callback: clicked.append(callback))
+
+    def draw(row, column):
+        drawn.append((row, column))
+        return plt.figure(figsize=(2, 1))
+
+    panorama = np.full((8, 32), 100.0)
+    panorama[0, 0] = np.nan
+    plot.explore(draw, panorama, 2, 5)
+    picture, below = shown
+    row, column, figure = below.children
+    before = cv2.imdecode(np.frombuffer(picture.value, np.uint8), cv2.IMREAD_COLOR)
+    clicked[0]({"relativeX": 300.0, "relativeY": 149.9, "boundingRectWidth": 640.0, "boundingRectHeight": 160.0})
+    after = cv2.imdecode(np.frombuffer(picture.value, np.uint8), cv2.IMREAD_COLOR)
+    assert (row.value, column.value) == (7, 15) and drawn[0] == (2, 5) and drawn[-1] == (7, 15)
+    assert before.shape == (24, 96, 3) and (before != after).any()
+    column.value = 0
+    assert drawn[-1] == (7, 0) and bytes(figure.value).startswith(b"\xff\xd8\xff")
