@@ -36,7 +36,7 @@ from omnistereo_lib.volume import camera_pairs
 _DATA = Path(__file__).resolve().parents[1] / "data_samples"
 _SAMPLE = _DATA / "sunny" / "test"
 _CAPTURES = _DATA / "calibration" / "handheld"
-_SEAM = 42  # columns to each side that see across it: half of SweepNet's receptive field
+_SEAM = 42  # columns to each side whose costs see across it: half of the 81 that one depends on, and the stride
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""From a cost volume to depth: winner takes all, sub-index, confidence, panorama, point cloud."""
+"""From a cost volume to depth: winner takes all, sub-index, confidence, panorama, agreement, point cloud."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
+from omnistereo_lib.costs.zncc import ZNCC
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.sphere import SphereGrid
 from omnistereo_lib.sweep import SphereSweep
@@ -132,10 +133,11 @@ class Depth:
         with np.errstate(invalid="ignore"):
             return np.where(seen, samples, 0).sum(0) / seen.sum(0)
 
-    def gray_difference(self, images: Sequence[ArrayLike]) -> NDArray[np.float32]:
+    def agreement(self, images: Sequence[ArrayLike]) -> NDArray[np.float32]:
         """Compare what the two best-placed cameras see of each estimated point: a test that needs no truth.
 
-        Best placed are those that see the point nearest to their axes.
+        Best placed are those that see the point nearest to their axes. What they see is looked up at the estimated
+        depth and correlated over windows of 9 × 9 rays, so that gain and vignetting matter little.
 
         Parameters
         ----------
@@ -143,17 +145,17 @@ class Depth:
 
         Returns
         -------
-        float32 array, shape (H, W)
-            Absolute difference of their gray values, in standard deviations of an image's gray values; NaN where
-            fewer than two cameras see the point or there is no depth. Near 0 where the depth is right, or where
-            any depth would look the same.
+        float32 array, shape (H, W), in [-1, 1]
+            1 where they see the same, 0 in windows without texture; NaN where fewer than two cameras see the point
+            or there is no depth.
         """
         gray = [image.cpu().numpy() for image in self.sweep.prepare(images)]
         samples = np.stack(self.sweep.warp(gray, self.index))
         angles = np.stack([self.sweep.off_axis(camera, self.index) for camera in range(len(gray))])
         best = np.argsort(np.where(np.isnan(samples), np.inf, angles), axis=0)[:2]
-        first, second = np.take_along_axis(samples, best, axis=0)
-        return np.abs(first - second)
+        best.sort(axis=0)  # in one order, or a window would mix the two where the better one changes
+        two = torch.from_numpy(np.take_along_axis(samples, best, axis=0))
+        return 1 - 2 * ZNCC()(two[:, None], [(0, 1)])[..., 0].numpy()
 
     def point_cloud(
         self, images: Sequence[ArrayLike] | None = None, max_depth: float = 50.0, min_confidence: float = 0.0

@@ -91,43 +91,51 @@ def test_point_cloud_lies_on_the_walls(estimate):
     assert none is None and np.linalg.norm(near, axis=-1).max() <= 2.6
 
 
-def test_gray_values_agree_where_the_depth_is_right(estimate):
+def test_cameras_agree_where_the_depth_is_right(estimate):
     rig, grid, images, found = estimate
     truth = scene.true_index(rig, grid).astype(np.float32)
     shares = []
-    for index in (truth, np.roll(truth, grid.width // 8, axis=1), np.zeros_like(truth)):
-        difference = osl.Depth(index, found.confidence, found.sweep).gray_difference(images)
-        assert difference.shape == grid.shape and np.nanmin(difference) >= 0
-        shares.append(np.mean(difference < 0.25))
-    assert shares[0] > 0.9 and max(shares[1:]) < 0.7
+    for index in (truth, truth / 2, np.zeros_like(truth)):
+        agreement = osl.Depth(index, found.confidence, found.sweep).agreement(images)
+        assert agreement.shape == grid.shape and np.nanmax(np.abs(agreement)) <= 1
+        shares.append(np.mean(agreement > 0.5))
+    assert shares[0] > 0.8 and max(shares[1:]) < 0.5
 
 
-def test_gray_difference_of_one_ray_by_hand(estimate):
-    rig, grid, images, found = estimate
-    difference = found.gray_difference(images)
+def test_gain_and_offset_do_not_disturb_the_agreement(estimate):
+    _, _, images, found = estimate
+    others = [gain * image + 10 * gain for gain, image in zip((0.5, 0.7, 1.0, 1.3), images, strict=True)]
+    np.testing.assert_allclose(found.agreement(others), found.agreement(images), atol=1e-3)
+
+
+def test_agreement_of_one_ray_by_hand(estimate):
+    _, grid, images, found = estimate
     sweep, (row, column) = found.sweep, (20, 35)
-    point = grid.rays()[row, column] * grid.index_to_depth(found.index[row, column])
+    rows, columns = np.mgrid[row - 4 : row + 5, column - 4 : column + 5]
+    points = grid.rays()[rows, columns] * grid.index_to_depth(found.index[rows, columns])[..., None]
     seen = []
     for pose, camera, image in zip(sweep.rig.T_rig_cam, sweep.rig.cameras, sweep.prepare(images), strict=True):
-        x, y, z = pose.R.T @ (point - pose.t)
-        uv, valid = camera.project(np.array([x, y, z]))
-        if valid:
-            seen.append((np.arccos(z / np.sqrt(x * x + y * y + z * z)), uv, image.numpy()))
-    seen.sort(key=lambda one: one[0])
-    assert len(seen) > 2  # or there would be nothing to choose
-    grays = [
-        cv2.remap(image, uv.astype(np.float32)[None, None], None, cv2.INTER_LINEAR)[0, 0] for _, uv, image in seen[:2]
-    ]
-    assert difference[row, column] == pytest.approx(abs(grays[0] - grays[1]), abs=1e-4)
+        inside = (points - pose.t) @ pose.R
+        uv, valid = camera.project(inside)
+        angle = np.arccos(inside[..., 2] / np.linalg.norm(inside, axis=-1))
+        gray = cv2.remap(image.numpy(), uv.astype(np.float32), None, cv2.INTER_LINEAR)
+        seen.append((np.where(valid, angle, np.inf), gray))
+    angles, grays = (np.stack(part) for part in zip(*seen, strict=True))
+    best = np.sort(np.argsort(angles, axis=0)[:2], axis=0)
+    assert (np.isfinite(angles).sum(0) > 2).any()  # or there would be nothing to choose
+    left, right = np.take_along_axis(grays, best, axis=0)
+    assert found.agreement(images)[row, column] == pytest.approx(
+        np.corrcoef(left.ravel(), right.ravel())[0, 1], abs=1e-3
+    )
 
 
-def test_gray_difference_needs_two_cameras_and_a_depth(estimate):
-    rig, grid, images, found = estimate
+def test_agreement_needs_two_cameras_and_a_depth(estimate):
+    _, grid, images, found = estimate
     unknown = osl.Depth(np.full(grid.shape, np.nan, np.float32), found.confidence, found.sweep)
-    assert np.isnan(unknown.gray_difference(images)).all()
+    assert np.isnan(unknown.agreement(images)).all()
     narrow = osl.SphereSweep(scene.rig(max_fov_deg=80), grid)
     alone = osl.Depth(np.ones(grid.shape, np.float32), found.confidence, narrow)
-    assert np.isnan(alone.gray_difference(images)).any()
+    assert np.isnan(alone.agreement(images)).any()
 
 
 def test_cost_volumes_have_three_axes():

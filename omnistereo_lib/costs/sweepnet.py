@@ -34,7 +34,7 @@ class SweepNet(LearnedCost):
     """The paper's network as a matching cost, called like `ZNCC`: 0 = match, 1 = no match.
 
     Images are gray, of zero mean and unit variance over the lens circle (`SphereSweep.prepare`), 0 where a camera
-    does not see. A cost depends on 83 × 83 pixels around it: 25° at W = 1200, 93° at W = 320.
+    does not see. A cost depends on 81 × 81 pixels around it: 24° at W = 1200, 91° at W = 320.
 
     Parameters
     ----------
