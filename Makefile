@@ -17,7 +17,7 @@ if sys.version_info < (3, 11):
 endef
 export CHECK_PYTHON
 
-.PHONY: lab test depth render bench notebooks solutions constraints clean
+.PHONY: lab test depth render bench notebooks solutions book slides constraints clean
 
 lab: $(READY)  ## opens JupyterLab, or prints its address where there is no browser; LAB_ARGS: more options
 	$(BIN)/jupyter lab $(LAB_ARGS) notebooks/00_quickstart.ipynb
@@ -42,6 +42,12 @@ notebooks: $(READY)  ## runs all notebooks from fresh kernels, cleans and stores
 
 solutions: $(READY)  ## the notebooks with every exercise solved, into out/solutions
 	$(BIN)/python tests/solve.py
+
+book: $(READY)  ## the course as a website, which reads offline: out/book/index.html
+	$(BIN)/python book/website.py out/book
+
+slides: $(READY)  ## slides of every notebook, which show offline: out/slides
+	$(BIN)/python book/slides.py out/slides
 
 constraints: $(READY)  ## pins what came along with environment.txt
 	@{ echo "# What the packages of environment.txt bring along, pinned. Written by: make constraints"; \

@@ -726,3 +726,20 @@ def _same(found: Array, value: ArrayLike) -> bool:
 
 def _form(values: Array) -> str:
     return f"numbers of shape {values.shape}" if values.ndim else "one number"
+
+
+def check_risk_ratio(answer: Answer) -> None:
+    """11.1: how many times as often a ray is wrong where two cameras disagree as where they agree."""
+    agree = np.array([1, 1, 1, 1, 1, 1, 1, 0, 0, 0, 1, 1], bool).reshape(3, 4)
+    wrong = np.array([0, 1, 0, 0, 0, 1, 0, 1, 1, 0, 0, 0], bool).reshape(3, 4)
+    among_agreeing, among_others = wrong[agree].mean(), wrong[~agree].mean()
+    mistakes = [
+        (among_agreeing / among_others, "that is the other way round: disagreeing over agreeing"),
+        (among_others - among_agreeing, "that is the difference of the shares; divide them"),
+        (100 * (among_others - among_agreeing), "that is the difference of the shares in percent; divide them"),
+        (wrong[~agree].sum() / wrong[agree].sum(), "those are numbers of rays: take shares, the groups differ in size"),
+        (among_others / wrong.mean(), "compare with the rays that agree, not with all"),
+        (among_others, "that is the share of wrong rays where they disagree; divide by that where they agree"),
+        (agree[~wrong].mean() / agree[wrong].mean(), "that splits the rays by error; split them by agreement"),
+    ]  # fmt: skip
+    print(diagnose(answer, (agree, wrong), among_others / among_agreeing, mistakes))

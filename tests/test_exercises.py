@@ -731,6 +731,24 @@ SHARE_OF_SPHERE = [
 ]
 
 
+def risk(agree, wrong, group):
+    """Share of wrong rays among those that agree, or do not, counted one by one."""
+    chosen = [w for a, w in zip(agree.ravel(), wrong.ravel(), strict=True) if a == group]
+    return sum(chosen) / len(chosen)
+
+
+RISK_RATIO = [
+    ("right", lambda agree, wrong: risk(agree, wrong, False) / risk(agree, wrong, True)),
+    ("right", lambda agree, wrong: (wrong & ~agree).sum() / (~agree).sum() * agree.sum() / (wrong & agree).sum()),
+    ("other way round", lambda agree, wrong: risk(agree, wrong, True) / risk(agree, wrong, False)),
+    ("shares; divide", lambda agree, wrong: risk(agree, wrong, False) - risk(agree, wrong, True)),
+    ("in percent", lambda agree, wrong: 100 * (risk(agree, wrong, False) - risk(agree, wrong, True))),
+    ("numbers of rays", lambda agree, wrong: np.sum(wrong & ~agree) / np.sum(wrong & agree)),
+    ("not with all", lambda agree, wrong: risk(agree, wrong, False) / np.mean(wrong)),
+    ("divide by that", lambda agree, wrong: risk(agree, wrong, False)),
+    ("split them by agreement", lambda agree, wrong: risk(wrong, agree, False) / risk(wrong, agree, True)),
+]
+
 STUDENTS = {
     exercises.check_index_to_depth: INDEX_TO_DEPTH,
     exercises.check_ray_of_pixel: RAY_OF_PIXEL,
@@ -762,6 +780,7 @@ STUDENTS = {
     exercises.check_spheres_needed: SPHERES_NEEDED,
     exercises.check_distance_from_z: DISTANCE_FROM_Z,
     exercises.check_share_of_sphere: SHARE_OF_SPHERE,
+    exercises.check_risk_ratio: RISK_RATIO,
 }
 ALL_STUDENTS = [(check, words, answer) for check, students in STUDENTS.items() for words, answer in students]
 

@@ -1,0 +1,284 @@
+"""The website and the slides: each built once, then every link, picture, script and name in them is followed."""
+
+import html
+import importlib
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass, field
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import nbformat
+import nbtools
+import pytest
+
+import omnistereo_lib as osl
+
+BOOK = nbtools.ROOT / "book"
+sys.path.append(str(BOOK))
+import paper_map  # noqa: E402
+import slides  # noqa: E402
+import website  # noqa: E402
+
+LOADS = {"script": "src", "img": "src", "iframe": "src", "source": "src", "link": "href"}  # what a page fetches
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+CHROMIUM = next(filter(None, map(shutil.which, BROWSERS)), None)
+
+
+@dataclass
+class Page(HTMLParser):
+    """What a page has, links to, shows and fetches."""
+
+    path: Path
+    ids: set = field(default_factory=set)
+    links: list = field(default_factory=list)
+    fetched: list = field(default_factory=list)
+    pictures: list = field(default_factory=list)
+    formulas: list = field(default_factory=list)
+
+    def __post_init__(self):
+        super().__init__()
+        self.in_formula = False
+        self.feed(self.path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag, attributes):
+        has = dict(attributes)
+        self.ids.add(has.get("id"))
+        if tag == "a" and "href" in has:
+            self.links.append(has["href"])
+        if has.get(LOADS.get(tag, "")):
+            self.fetched.append(has[LOADS[tag]])
+        if tag == "img":
+            self.pictures.append(has)
+        self.in_formula = "math" in has.get("class", "").split()
+
+    def handle_data(self, text):
+        if self.in_formula and text.startswith((r"\(", r"\[")):
+            self.formulas.append(text)
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """The book, built as `make book` does; its folder, and what the build said."""
+    out = tmp_path_factory.mktemp("book")
+    command = [sys.executable, str(BOOK / "website.py"), str(out)]
+    return out, subprocess.run(command, capture_output=True, text=True)
+
+
+@pytest.fixture(scope="module")
+def pages(built):
+    return {path: Page(path) for path in sorted(built[0].rglob("*.html"))}
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory):
+    """The folder of the slides."""
+    out = tmp_path_factory.mktemp("slides")
+    slides.make_slides(out)
+    return out
+
+
+# --- The book -----------------------------------------------------------------------------------------------
+
+
+def test_it_builds_without_a_warning(built):
+    said = built[1]
+    assert (said.returncode, said.stderr.strip()) == (0, "")
+
+
+def test_every_notebook_and_every_page_is_there(built):
+    names = [*(f"notebooks/{path.stem}" for path in nbtools.notebooks()), *(path.stem for path in BOOK.glob("*.md"))]
+    assert [name for name in names if not (built[0] / f"{name}.html").is_file()] == []
+
+
+def test_every_link_leads_somewhere(built, pages):
+    dead = [
+        f"{page.path.name} → {link}" for page in pages.values() for link in page.links if not leads(page, link, pages)
+    ]
+    assert dead == []
+
+
+def leads(page, link, pages):
+    address = urlsplit(link)
+    if address.scheme or address.netloc:  # another host's
+        return True
+    target = (page.path.parent / unquote(address.path)).resolve() if address.path else page.path
+    if not address.fragment or target.suffix != ".html":
+        return target.exists()
+    return target in pages and unquote(address.fragment) in pages[target].ids
+
+
+def test_everything_that_a_page_fetches_is_in_the_folder(pages):
+    assert [lacking for page in pages.values() for lacking in foreign_or_missing(page)] == []
+
+
+def foreign_or_missing(page):
+    """Yield what a page fetches from other hosts or does not find; pictures within the page are in it."""
+    for address in map(urlsplit, page.fetched):
+        if address.scheme != "data" and (address.netloc or not (page.path.parent / unquote(address.path)).exists()):
+            yield f"{page.path.name} → {address.geturl()}"
+
+
+def test_no_style_fetches_from_another_host(built):
+    foreign = re.compile(r"""(?:url\(|@import)\s*["']?(?:https?:)?//[^)"']+""")
+    styles = built[0].rglob("*.css")
+    assert {path.name: found for path in styles if (found := foreign.findall(path.read_text(encoding="utf-8")))} == {}
+
+
+def test_every_picture_says_what_it_shows(pages):
+    pictures = [(page.path.name, picture) for page in pages.values() for picture in page.pictures]
+    assert len(pictures) > 40
+    assert [
+        (name, has["src"]) for name, has in pictures if len(has.get("alt", "")) < 20 or "_images" in has["alt"]
+    ] == []
+
+
+def test_no_picture_of_a_notebook_is_lost(built, pages):
+    for path in nbtools.notebooks():
+        page = pages[built[0] / "notebooks" / f"{path.stem}.html"]
+        assert len(page.pictures) == count_pictures(path), path.stem
+
+
+def count_pictures(path):
+    nb = nbformat.read(path, as_version=4)
+    texts = sum(len(re.findall(r"!\[[^\]]+\]\(", cell.source)) for cell in nb.cells if cell.cell_type == "markdown")
+    outputs = [output for cell in nbtools.code_cells(nb) for output in cell.outputs]
+    return texts + sum(bool(set(nbtools.PICTURES) & set(output.get("data", {}))) for output in outputs)
+
+
+def test_the_search_knows_the_notebooks(built):
+    index = (built[0] / "searchindex.js").read_text(encoding="utf-8")
+    assert all(f"notebooks/{path.stem}" in index for path in nbtools.notebooks())
+    assert '"parallax"' in index or "parallax:" in index
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason=f"no browser on the PATH: {', '.join(BROWSERS)}")
+def test_every_formula_can_be_drawn(pages, tmp_path):
+    formulas = sorted({formula for page in pages.values() for formula in page.formulas})
+    assert len(formulas) > 80
+    lines = "".join(f"<p>{html.escape(formula)}</p>" for formula in formulas)
+    page = tmp_path / "formulas.html"
+    page.write_text(f"<meta charset='utf-8'><script src='{slides.MATHJAX}'></script>{lines}", encoding="utf-8")
+    flags = ["--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-sync"]
+    profile = f"--user-data-dir={tmp_path / 'profile'}"
+    command = [CHROMIUM, "--headless=new", *flags, profile, "--virtual-time-budget=60000", "--dump-dom", page.as_uri()]
+    drawn = subprocess.run(command, capture_output=True, text=True).stdout
+    assert drawn.count("<mjx-container") == len(formulas)
+    assert re.findall(r'data-mjx-error="([^"]*)"', drawn) == []
+
+
+# --- What is generated, and what it is generated from ---------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "places"),
+    [
+        ("paper, Section III-B and IV", {"Section III-B", "Section IV"}),
+        ("Section III-B, Eq. 2, and the baseline of Table II", {"Section III-B", "Eq. 2", "Table II"}),
+        ("Sections I and III; Fig. 2a, 9", {"Section I", "Section III", "Fig. 2", "Fig. 9"}),
+        ("Section IV-A, where it has only a heading", {"Section IV"}),
+        ("this figure 3, a table of 2 rows and equation 7", set()),
+    ],
+)
+def test_places_in_the_paper_are_found(text, places):
+    assert paper_map.mentions(text) == places
+
+
+@pytest.mark.parametrize("text", ["Eq. 6", "Table III", "Section V", "Fig. 10"])
+def test_a_place_that_the_paper_does_not_have(text):
+    with pytest.raises(ValueError, match=f"{text} is not in the paper"):
+        paper_map.mentions(text)
+
+
+@pytest.mark.parametrize(
+    ("place", "name", "notebook"),
+    [
+        ("Eq. 1", "SphereSweep.warp", "03_sphere_sweep"),
+        ("Eq. 2", "cost_volume", "04_zncc"),
+        ("Eq. 4", "SphereObjective", None),
+        ("Eq. 5", "error_map", None),
+        ("Table I", "costs.sweepnet", None),
+        ("Section III-A", "Pose.from_vector", "02_rig_calibration"),
+    ],
+)
+def test_the_map_of_the_paper(built, place, name, notebook):
+    page = (built[0] / "paper.html").read_text(encoding="utf-8")
+    section = re.search(rf"<h2>{re.escape(place)}: .*?</section>", page, re.DOTALL)[0]
+    assert re.search(rf'href="reference/\w+\.html#[^"]*"[^>]*><code[^>]*><span class="pre">{re.escape(name)}<', section)
+    assert notebook is None or f'href="notebooks/{notebook}.html' in section
+
+
+def test_notation_names_what_the_library_has():
+    text = (BOOK / "notation.md").read_text(encoding="utf-8")
+    names = [
+        name
+        for row in re.findall(r"^\| .*\| ([^|]*) \|$", text, re.MULTILINE)
+        for name in re.findall(r"`([^`]+)`", row)
+    ]
+    assert len(names) > 30
+    assert [name for name in names if name != "@" and not exists(name)] == []
+
+
+def exists(name):
+    """Tell whether a name, as the book writes it, is one of the library's: `Rig.load`, `metrics.error_map`."""
+    first, *rest = name.split(".")
+    thing = getattr(osl, first) if first in osl.__all__ else importlib.import_module(f"omnistereo_lib.{first}")
+    for part in rest:
+        if part in getattr(thing, "__dataclass_fields__", {}):
+            return True  # a field, whose type is not known here
+        if not hasattr(thing, part) and not hasattr(thing, "__path__"):
+            return False
+        thing = getattr(thing, part) if hasattr(thing, part) else importlib.import_module(f"{thing.__name__}.{part}")
+    return True
+
+
+def test_every_term_says_where_it_is_taught():
+    text = (BOOK / "glossary.md").read_text(encoding="utf-8")
+    terms = re.findall(r"^(\w.*)\n  (.*)$", text.partition(":sorted:")[2], re.MULTILINE)
+    assert len(terms) > 50
+    assert [
+        term for term, meaning in terms if not re.search(r"\*(Notebooks?|Page) .*\]\((notebooks/)?\w+\.\w+\)", meaning)
+    ] == []
+
+
+def test_a_link_to_a_notebook_that_is_not_there_becomes_words():
+    text = "[here](04_zncc.ipynb), [there](notebooks/99_nowhere.ipynb#a), [too](notebooks/04_zncc.ipynb)"
+    assert website.without_dead_links(text) == "[here](04_zncc.ipynb), there, [too](notebooks/04_zncc.ipynb)"
+
+
+# --- Slides -------------------------------------------------------------------------------------------------
+
+notebooks = pytest.mark.parametrize("path", nbtools.notebooks(), ids=lambda path: path.stem)
+
+
+@notebooks
+def test_slides_are_many_and_none_is_a_wall(path):
+    columns, heights = 0, []
+    for cell in slides.deal(nbformat.read(path, as_version=4)).cells:
+        place = cell.metadata.slideshow.slide_type
+        columns += place == "slide"
+        heights += [0.0] if place != "-" else []
+        heights[-1] += slides.height(cell)
+    assert columns >= 5 and len(heights) >= 10
+    assert max(heights) <= slides.FULL
+
+
+@notebooks
+def test_slides_lose_no_picture_link_or_script(shown, path):
+    page = Page(shown / f"{path.stem}.slides.html")
+    assert len(page.pictures) == count_pictures(path)
+    assert all(len(picture["alt"]) >= 20 for picture in page.pictures)
+    assert list(foreign_or_missing(page)) == []
+    assert [link for link in page.links if not leads(page, link, {})] == []
+    assert {"reveal.js/dist/reveal.js", "tex-svg.js"} <= set(page.fetched)
+
+
+@notebooks
+def test_slides_lose_no_text(path):
+    nb = nbformat.read(path, as_version=4)
+    prose = [cell.source for cell in nb.cells if cell.cell_type == "markdown"]
+    kept = [cell.source for cell in slides.deal(nb).cells if cell.cell_type == "markdown"]
+    assert "".join("".join(kept).split()) == "".join("".join(prose).split())
