@@ -90,8 +90,6 @@ def test_fast_inference_is_the_plain_networks(frame):
 def test_bfloat16_changes_no_figure(name, volumes, frame):
     sweep = osl.SphereSweep(osl.load_dataset(SUNNY, split="test").rig, GRID)
     half = osl.cost_volume(sweep, frame.images, NETWORKS[name].load(precision="bfloat16"))
-    assert (
-        (half - volumes[name]).abs() > 2e-2
-    ).double().mean() < 1e-4  # a few lie where the sigmoid is steep
+    assert ((half - volumes[name]).abs() > 2e-2).double().mean() < 1e-4  # a few lie where the sigmoid is steep
     exact, found = errors(osl.sgm(volumes[name]), frame), errors(osl.sgm(half), frame)
     assert max(abs(found[figure] - exact[figure]) for figure in exact) < 0.1
