@@ -24,13 +24,16 @@ DEPTH_COLORS = "inferno"  # even in lightness, so that it reads in gray and to c
 DPI = 80  # sharp enough to read, small enough that a notebook stays below 500 KB
 
 
-def encode(fig: Figure, kind: Literal["png", "jpeg"] = "png") -> bytes:
-    """Encode a figure as a PNG (lines, text, flat colours) or a JPEG (photographs) at 80 dots per inch."""
+def encode(fig: Figure, kind: Literal["png", "jpeg"] = "png", tight: bool = True) -> bytes:
+    """Encode a figure as a PNG (lines, text, flat colours) or a JPEG (photographs) at 80 dots per inch.
+
+    A tight one is cut to what is drawn, for which it is drawn twice.
+    """
     buffer = io.BytesIO()
     # Matplotlib writes its version into a PNG: without it the file depends on the picture alone.
     extra = {"metadata": {"Software": None}} if kind == "png" else {}
     pil = {"optimize": True} if kind == "png" else {"quality": 78, "optimize": True}
-    fig.savefig(buffer, format=kind, dpi=DPI, bbox_inches="tight", pil_kwargs=pil, **extra)
+    fig.savefig(buffer, format=kind, dpi=DPI, bbox_inches="tight" if tight else None, pil_kwargs=pil, **extra)
     return buffer.getvalue()
 
 
@@ -80,7 +83,7 @@ def live(draw: Callable[..., Figure], **sliders: Widget) -> None:
 
     def update(_: object = None) -> None:
         fig = draw(**{name: slider.value for name, slider in sliders.items()})
-        picture.value = encode(fig, "jpeg")
+        picture.value = encode(fig, "jpeg", tight=False)  # a slider is to answer at once
         plt.close(fig)
 
     for name, slider in sliders.items():
