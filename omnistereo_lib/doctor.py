@@ -130,7 +130,7 @@ def _opengl() -> Iterator[tuple[bool, str]]:
     else:
         yield (
             False,
-            "no OpenGL: point clouds are drawn by Matplotlib; on Debian: apt install libegl1 libgl1-mesa-dri",
+            "no OpenGL: point clouds are drawn by NumPy; on Debian: apt install libegl1 libgl1-mesa-dri",
         )
 
 

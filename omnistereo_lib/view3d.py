@@ -1,4 +1,4 @@
-"""Point clouds: pictures of them by PyVista, or by Matplotlib where there is no OpenGL, and PLY files."""
+"""Point clouds: pictures of them by PyVista, or by NumPy where there is no OpenGL, and PLY files."""
 
 from __future__ import annotations
 
@@ -12,8 +12,11 @@ from numpy.typing import NDArray
 from omnistereo_lib.doctor import headless, opengl_works
 from omnistereo_lib.files import replacing
 
-_BACKGROUND = "#202020"  # colours stand out, and gaps between points do not dazzle
+_BACKGROUND = 0x20  # colours stand out, and gaps between points do not dazzle
+_POINT_SIZE = 5  # pixels
 _UP = (0.0, -1.0, 0.0)  # y points down in the rig frame
+_VIEW_DEG = 30.0  # PyVista's angle of view, from top to bottom
+_NEAREST = 0.1  # metres in front of the eye
 
 
 def draw_points(
@@ -34,8 +37,8 @@ def draw_points(
     uint8 array, shape (height, width, 3), RGB
     """
     if len(points) == 0:
-        return np.full((size[1], size[0], 3), 0x20, np.uint8)  # PyVista refuses to draw nothing
-    return _draw_pyvista(points, colors, eye, size) if _has_opengl() else _draw_matplotlib(points, colors, eye, size)
+        return np.full((size[1], size[0], 3), _BACKGROUND, np.uint8)  # PyVista refuses to draw nothing
+    return _draw_pyvista(points, colors, eye, size) if _has_opengl() else _draw_numpy(points, colors, eye, size)
 
 
 def write_ply(path: str | Path, points: NDArray, colors: NDArray | None = None) -> None:
@@ -57,28 +60,29 @@ def _draw_pyvista(points: NDArray, colors: NDArray, eye: tuple, size: tuple[int,
     import pyvista
 
     plotter = pyvista.Plotter(off_screen=True, window_size=size)
-    plotter.background_color = _BACKGROUND
-    plotter.add_points(points.astype(np.float32), scalars=colors, rgb=True, point_size=5)
+    plotter.background_color = [_BACKGROUND] * 3
+    plotter.add_points(points.astype(np.float32), scalars=colors, rgb=True, point_size=_POINT_SIZE)
     plotter.camera_position = [eye, (0.0, 0.0, 0.0), _UP]
     picture = plotter.screenshot(return_img=True)
     plotter.close()
     return picture
 
 
-def _draw_matplotlib(points: NDArray, colors: NDArray, eye: tuple, size: tuple[int, int]) -> NDArray[np.uint8]:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    some = np.random.default_rng(0).permutation(len(points))[:30_000]  # more only takes longer
-    figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100, facecolor=_BACKGROUND)
-    canvas = FigureCanvasAgg(figure)
-    axes = figure.add_axes((0, 0, 1, 1), projection="3d")
-    x, y, z = points[some].T
-    axes.scatter(x, z, -y, c=colors[some] / 255.0, s=1)  # Matplotlib's up is its third axis
-    distance = float(np.linalg.norm(eye))
-    axes.view_init(elev=np.degrees(np.arcsin(-eye[1] / distance)), azim=np.degrees(np.arctan2(eye[2], eye[0])))
-    axes.set_axis_off()
-    axes.patch.set_facecolor(_BACKGROUND)
-    axes.set_aspect("equal")
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+def _draw_numpy(points: NDArray, colors: NDArray, eye: tuple, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Project the points by a pinhole from where PyVista would look, and paint them as squares, the far ones first."""
+    width, height = size
+    forward = -np.asarray(eye) / np.linalg.norm(eye)
+    right = np.cross(forward, _UP if abs(forward[1]) < 0.999 else (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    x, y, z = np.stack([right, np.cross(forward, right), forward]) @ (points - eye).T
+    order = np.argsort(-z)
+    order = order[z[order] > _NEAREST]
+    focal = height / 2 / np.tan(np.radians(_VIEW_DEG / 2))
+    square = np.arange(_POINT_SIZE) - _POINT_SIZE // 2
+    u = np.floor(width / 2 + focal * x[order] / z[order]).astype(int)[:, None, None] + square
+    v = np.floor(height / 2 + focal * y[order] / z[order]).astype(int)[:, None, None] + square[:, None]
+    u, v = np.broadcast_arrays(u, v)
+    seen = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    picture = np.full((height, width, 3), _BACKGROUND, np.uint8)
+    picture[v[seen], u[seen]] = np.broadcast_to(colors[order][:, None, None], (*u.shape, 3))[seen]  # the last one stays
+    return picture

@@ -1,14 +1,21 @@
-"""The website and the slides: each built once, then every link, picture, script and name in them is followed."""
+"""The website and the slides: each built once, then every link, picture, script and name in them is followed.
+
+A real browser also opens every page, on a desk and on a telephone; its screenshots are left in out/browser, to look at.
+"""
 
 import html
 import importlib
+import json
 import re
-import shutil
 import subprocess
 import sys
 from dataclasses import dataclass, field
+from functools import partial
 from html.parser import HTMLParser
+from http import HTTPStatus
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from threading import Thread
 from urllib.parse import unquote, urlsplit
 
 import nbformat
@@ -24,8 +31,7 @@ import slides  # noqa: E402
 import website  # noqa: E402
 
 LOADS = {"script": "src", "img": "src", "iframe": "src", "source": "src", "link": "href"}  # what a page fetches
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-CHROMIUM = next(filter(None, map(shutil.which, BROWSERS)), None)
+SEEN = nbtools.ROOT / "out" / "browser"
 
 
 @dataclass
@@ -155,19 +161,97 @@ def test_the_search_knows_the_notebooks(built):
     assert '"parallax"' in index or "parallax:" in index
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason=f"no browser on the PATH: {', '.join(BROWSERS)}")
-def test_every_formula_can_be_drawn(pages, tmp_path):
+def test_every_formula_can_be_drawn(pages, tmp_path, open_page):
     formulas = sorted({formula for page in pages.values() for formula in page.formulas})
     assert len(formulas) > 80
     lines = "".join(f"<p>{html.escape(formula)}</p>" for formula in formulas)
-    page = tmp_path / "formulas.html"
-    page.write_text(f"<meta charset='utf-8'><script src='{slides.MATHJAX}'></script>{lines}", encoding="utf-8")
-    flags = ["--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-sync"]
-    profile = f"--user-data-dir={tmp_path / 'profile'}"
-    command = [CHROMIUM, "--headless=new", *flags, profile, "--virtual-time-budget=60000", "--dump-dom", page.as_uri()]
-    drawn = subprocess.run(command, capture_output=True, text=True).stdout
-    assert drawn.count("<mjx-container") == len(formulas)
-    assert re.findall(r'data-mjx-error="([^"]*)"', drawn) == []
+    path = tmp_path / "formulas.html"
+    path.write_text(f"<meta charset='utf-8'><script src='{slides.MATHJAX}'></script>{lines}", encoding="utf-8")
+    page = open_page(1280, 844)
+    page.goto(path.as_uri())
+    page.evaluate("async () => window.MathJax.startup.promise")
+    assert page.locator("mjx-container").count() == len(formulas)
+    errors = page.locator("[data-mjx-error]").evaluate_all("found => found.map(e => e.dataset.mjxError)")
+    assert (errors, page.complaints) == ([], [])
+
+
+# --- The book in a browser ----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def served(built):
+    """The address of the book on this machine."""
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=built[0]))
+    Thread(target=server.serve_forever, daemon=True).start()
+    yield f"http://127.0.0.1:{server.server_port}"
+    server.shutdown()
+    server.server_close()
+
+
+class Quiet(SimpleHTTPRequestHandler):
+    """A server that does not tell what it serves."""
+
+    def do_GET(self):
+        if self.path == "/favicon.ico":  # browsers ask for it, pages do not
+            self.send_response(HTTPStatus.NO_CONTENT)
+            self.end_headers()
+        else:
+            super().do_GET()
+
+    def log_message(self, *_):
+        pass
+
+
+# What sticks out to the right, less what scrolls inside a box of its own.
+WIDE = """() => {
+    const limit = window.innerWidth
+    if (document.scrollingElement.scrollWidth <= limit) return []
+    const end = e => Math.round(e.getBoundingClientRect().right)
+    const boxed = e => e !== document.body && (getComputedStyle(e).overflowX !== "visible" || boxed(e.parentElement))
+    return [...document.body.querySelectorAll("*")]
+        .filter(e => end(e) > limit && !boxed(e.parentElement))
+        .map(e => `${e.localName}.${e.className} ends at ${end(e)} of ${limit}`)
+        .slice(0, 5).concat("scrolls sideways")
+}"""
+BROKEN = """async () => {
+    const broken = []
+    for (const picture of document.images) {
+        picture.loading = "eager"
+        try { await picture.decode() } catch { broken.push(picture.src.slice(0, 100)) }
+    }
+    return broken
+}"""
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_book_fits_and_every_picture_shows(built, served, open_page, width):
+    page = open_page(width, 844)
+    wrong = {}
+    for path in sorted(built[0].rglob("*.html")):
+        name = path.relative_to(built[0]).as_posix()
+        page.goto(f"{served}/{name}", wait_until="load")
+        page.evaluate("async () => window.MathJax?.startup?.promise")  # formulas take their room late
+        found = [*page.evaluate(BROKEN), *page.evaluate(WIDE), *page.complaints]
+        if found:
+            wrong[name] = found
+        page.complaints.clear()
+        page.screenshot(path=SEEN / f"book_{width}" / Path(name).with_suffix(".png"))
+    assert not wrong, json.dumps(wrong, indent=1)
+
+
+def test_book_search_finds_a_word(served, open_page):
+    page = open_page(1280, 844)
+    page.goto(f"{served}/index.html")
+    page.locator("input[name=q]:visible").first.fill("panorama")
+    page.keyboard.press("Enter")
+    found = page.locator("#search-results li a")
+    found.first.wait_for()
+    page.wait_for_load_state("networkidle")  # it reads the pages that it has found
+    page.screenshot(path=SEEN / "book_search.png")
+    with page.expect_navigation():
+        found.first.click()
+    assert "panorama" in page.locator("article").inner_text().lower()
+    assert page.complaints == []
 
 
 # --- What is generated, and what it is generated from ---------------------------------------------------------

@@ -86,7 +86,7 @@ def test_no_opengl_is_a_note_with_the_cure(healthy, monkeypatch, capsys):
     monkeypatch.setattr(doctor, "opengl_works", lambda: False)
     assert check_installation() is True
     out = capsys.readouterr().out
-    assert "NOTE  no OpenGL: point clouds are drawn by Matplotlib; on Debian: apt install" in out
+    assert "NOTE  no OpenGL: point clouds are drawn by NumPy; on Debian: apt install" in out
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,54 @@
+"""A real browser, for the tests that read the course as its readers do; skipped where there is none."""
+
+import os
+import shutil
+from urllib.parse import urlsplit
+
+import pytest
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+FLAGS = ["--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
+         "--disable-component-update", "--disable-sync"]  # fmt: skip
+PATIENCE_S = 600  # for what takes seconds on an idle machine
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: environment.txt has it")
+    path = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if path is None:
+        pytest.skip(f"no browser on the PATH: {', '.join(BROWSERS)}")
+    sync_api.expect.set_options(timeout=1000 * PATIENCE_S)
+    with sync_api.sync_playwright() as playwright:
+        sandbox = os.geteuid() != 0  # root has none
+        browser = playwright.chromium.launch(executable_path=path, args=FLAGS, chromium_sandbox=sandbox)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def open_page(chromium):
+    """Open an empty page of some size, with what went wrong on it in `page.complaints`."""
+    contexts = []
+
+    def open_one(width, height):
+        contexts.append(chromium.new_context(viewport={"width": width, "height": height}))
+        page = contexts[-1].new_page()
+        page.set_default_timeout(1000 * PATIENCE_S)
+        page.complaints = []
+        note = page.complaints.append
+        page.on("console", lambda message: message.type == "error" and note(f"console: {message.text}"))
+        page.on("pageerror", lambda error: note(f"script: {error}"))
+        page.on("requestfailed", lambda request: note(f"failed: {request.url}"))
+        page.on("response", lambda response: response.status >= 400 and note(f"{response.status}: {response.url}"))
+        page.on("request", lambda request: foreign(request.url) and note(f"not from this machine: {request.url}"))
+        return page
+
+    yield open_one
+    for context in contexts:
+        context.close()
+
+
+def foreign(url):
+    address = urlsplit(url)
+    return address.scheme in ("http", "https", "ws", "wss") and address.hostname not in ("localhost", "127.0.0.1")
