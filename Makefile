@@ -7,7 +7,7 @@ READY := .venv/.installed
 RENDER := .venv-render/bin
 RENDER_READY := .venv-render/.installed
 
-NBVAL := --nbval --nbval-current-env --nbval-sanitize-with=tests/nbval_sanitize.cfg --nbval-cell-timeout=120
+NBVAL := --nbval --nbval-current-env --nbval-sanitize-with=tests/nbval_sanitize.cfg --nbval-cell-timeout=600
 WORKERS := -n logical --maxprocesses 4 --dist loadscope
 
 define CHECK_PYTHON
