@@ -1,6 +1,6 @@
 """The polynomial fisheye camera Π of the paper (Section III-A; Scaramuzza 2006, Urban 2015).
 
-A direct polynomial f gives the ray of a pixel, an inverse polynomial ρ gives the pixel of a ray:
+A direct polynomial f gives the ray of a pixel, an inverse polynomial ρ gives the pixel of a ray::
 
     ray(x, y) ∝ (x, y, -f(r)),  r = hypot(x, y)           pixels from the centre, before the affine map A
     r(t) = b0 + b1 t + b2 t² + ...                        t = atan2(-Z, hypot(X, Y)), the angle below the xy-plane

@@ -2,7 +2,7 @@
 
 A cost volume says how badly each sphere n fits each ray p, ray by ray. Neighbouring rays mostly look at
 the same surface, so SGM walks over the panorama along straight paths r and lets every pixel pass on what
-it and those before it have found:
+it and those before it have found::
 
     L_r(p, n) = C(p, n) + min(L_r(p−r, n), L_r(p−r, n±1) + P1, min_k L_r(p−r, k) + P2) − min_k L_r(p−r, k)
     S(p, n)   = Σ_r L_r(p, n)
