@@ -17,6 +17,8 @@ import numpy as np
 import pytest
 import scene
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 import omnistereo_lib as osl
 from omnistereo_lib import cli
@@ -37,6 +39,7 @@ from omnistereo_lib.evaluate import (
     strata_table,
     write_results,
 )
+from omnistereo_lib.evaluate.records import read_record, write_record
 from omnistereo_lib.evaluate.strata import FIGURES, SUMS, error_sums, figures, find_strata, near_edges, thin_objects
 from omnistereo_lib.evaluate.table import bootstrap
 from omnistereo_lib.files import write_image
@@ -366,13 +369,29 @@ def test_methods_that_do_not_exist(name, message):
 # ---- runs that are stopped and shared
 
 
+nested = st.recursive(
+    st.text(" {}\n\\,:a") | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.none(),
+    lambda inner: st.dictionaries(st.text(" {}\n\\,:a"), inner, max_size=3),
+)
+
+
+@given(nested)
+def test_a_record_comes_back(tmp_path_factory, content):
+    path = tmp_path_factory.mktemp("record") / "a.json"
+    record = {name: {} for name in ("config", "methods", "data", "weights")} | {"frames": content}
+    write_record(path, record)
+    assert read_record(path) == record
+
+
 def test_the_merged_file_says_what_it_came_from(data, weights, tmp_path):
     def sha(path):
         return hashlib.sha256(path.read_bytes()).hexdigest()
 
     text = whole(tmp_path / "out", data, METHODS, weights=weights, frames=[1, 3], scale=TINY)
     results = json.loads(text)
-    assert json.dumps(results, indent=1, sort_keys=True) + "\n" == text.decode()
+    assert json.dumps(results) == json.dumps(results, sort_keys=True)  # as they stand in the file
+    line = next(line for line in text.decode().splitlines() if '"figures"' in line)
+    assert all(f'"{name}"' in line for name in FIGURES)
     scale = {"width": 48, "height": 14, "num_spheres": 8}
     assert results["config"] == {**scale, "precision": "float32", "rig": "own"}
     assert results["methods"]["mccnn+sgm"] == {

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -31,10 +32,12 @@ def config_checksum(results: Record) -> str:
 
 
 def write_record(path: Path, record: Record) -> None:
-    """Write a record as JSON with sorted keys, whole or not at all."""
+    """Write a record as JSON with sorted keys, whole or not at all; an object of plain values takes one line."""
     make_folder(path.parent)
+    text = json.dumps(record, indent=1, sort_keys=True, allow_nan=False)
+    text = re.sub(r"\{[^{}]*\}", lambda found: re.sub(r"\n *", " ", found[0]), text)  # no text holds a newline itself
     with replacing(path) as temporary:
-        temporary.write_text(json.dumps(record, indent=1, sort_keys=True, allow_nan=False) + "\n", encoding="utf-8")
+        temporary.write_text(text + "\n", encoding="utf-8")
 
 
 def read_record(path: Path) -> Record:
