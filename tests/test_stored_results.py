@@ -1,0 +1,40 @@
+"""The results that ship: of the data and weights that ship, and the same when they are computed again."""
+
+import pytest
+
+import omnistereo_lib as osl
+from omnistereo_lib.costs.weights import SHIPPED
+from omnistereo_lib.evaluate import SCALES, Method, evaluate_frame
+from omnistereo_lib.evaluate.records import checksum, config_checksum, read_record
+from omnistereo_lib.evaluate.run import DATA
+
+STORED = {path.stem: path for path in sorted((DATA / "results").glob("*.json"))}
+
+
+@pytest.mark.parametrize("name", STORED)
+def test_they_come_from_what_ships(name):
+    stored = read_record(STORED[name])
+    assert stored["config_sha256"] == config_checksum(stored)
+    assert {key: stored["config"][key] for key in ("width", "height", "num_spheres")} == vars(SCALES[name])
+    assert {name: checksum((SHIPPED / name).read_bytes()) for name in stored["weights"]} == stored["weights"]
+    for key, digest in stored["data"].items():
+        data, _, file = key.partition("/")
+        own, shared = DATA / data / "test" / file, DATA / "sunny" / "test" / file  # lights share the depth of one drive
+        assert checksum((own if own.is_file() else shared).read_bytes()) == digest, key
+    frames = [frame for numbered in stored["frames"].values() for frame in numbered.values()]
+    assert all(set(frame) == set(stored["methods"]) for frame in frames)
+
+
+def test_a_frame_again():
+    """All methods at the teaching scale; bfloat16 there and float32 here may differ by a tenth of a point."""
+    stored = read_record(STORED["teaching"])
+    data = osl.load_dataset(DATA / "sunny", split="test")
+    scale = SCALES["teaching"]
+    grid = osl.SphereGrid(scale.width, scale.height, num_spheres=scale.num_spheres, min_depth=data.rig.min_depth)
+    methods = [Method.parse(name) for name in stored["methods"]]
+    sweep = osl.SphereSweep(data.rig, grid)
+    again = dict(evaluate_frame(sweep, data.frame(831), methods, lambda method: method.load_cost(SHIPPED)))
+    assert len(again) == len(stored["methods"]) >= 6
+    for method, errors in again.items():
+        figures = stored["frames"]["sunny"]["00831"][method.name]["figures"]
+        assert errors["figures"] == pytest.approx(figures, abs=0.1), method.name
