@@ -8,6 +8,7 @@ RENDER := .venv-render/bin
 RENDER_READY := .venv-render/.installed
 
 NBVAL := --nbval --nbval-current-env --nbval-sanitize-with=tests/nbval_sanitize.cfg --nbval-cell-timeout=600
+SETS := sunny cloudy sunset indoor
 WORKERS := -n logical --maxprocesses 4 --dist loadscope
 
 define CHECK_PYTHON
@@ -17,7 +18,7 @@ if sys.version_info < (3, 11):
 endef
 export CHECK_PYTHON
 
-.PHONY: lab test depth render bench notebooks solutions book slides constraints clean
+.PHONY: lab test depth render bench results notebooks solutions book slides constraints clean
 
 lab: $(READY)  ## opens JupyterLab, or prints its address where there is no browser; LAB_ARGS: more options
 	$(BIN)/jupyter lab $(LAB_ARGS) notebooks/00_quickstart.ipynb
@@ -35,6 +36,14 @@ render: $(RENDER_READY)  ## renders the sample frames; Blender has an environmen
 
 bench: $(READY)  ## speed, as ratios against named alternatives
 	$(BIN)/python -m omnistereo_lib bench $(BENCH_ARGS)
+
+results: $(READY)  ## the stored results and the README's ledger anew: hours, but it goes on where it was stopped
+	$(BIN)/python -m omnistereo_lib evaluate --sets $(SETS) --scale teaching
+	$(BIN)/python -m omnistereo_lib evaluate --sets $(SETS) aerial --scale paper --ledger README.md $(RESULTS_ARGS)
+	cp out/evaluation_teaching/results.json data_samples/results/teaching.json
+	cp out/evaluation_paper/results.json data_samples/results/paper.json
+	$(BIN)/python -c "from pathlib import Path; from omnistereo_lib.render.frames import renew_manifest as renew; \
+	  renew(Path('data_samples'))"
 
 notebooks: $(READY)  ## runs all notebooks from fresh kernels, cleans and stores them, renews the README's table
 	$(BIN)/python tests/nbtools.py run notebooks/*.ipynb

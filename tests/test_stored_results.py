@@ -5,9 +5,11 @@ import pytest
 import omnistereo_lib as osl
 from omnistereo_lib.costs.weights import SHIPPED
 from omnistereo_lib.evaluate import SCALES, Method, evaluate_frame
+from omnistereo_lib.evaluate.ledger import ledger, split_at_markers
 from omnistereo_lib.evaluate.records import checksum, config_checksum, read_record
 from omnistereo_lib.evaluate.run import DATA
 
+README = DATA.parent / "README.md"
 STORED = {path.stem: path for path in sorted((DATA / "results").glob("*.json"))}
 
 
@@ -38,3 +40,9 @@ def test_a_frame_again():
     for method, errors in again.items():
         figures = stored["frames"]["sunny"]["00831"][method.name]["figures"]
         assert errors["figures"] == pytest.approx(figures, abs=0.1), method.name
+
+
+def test_the_readme_has_their_ledger():
+    before, after = split_at_markers(README)
+    made = f"{before}\n{ledger(read_record(STORED['paper']))}{after}"
+    assert README.read_text(encoding="utf-8") == made, "the README has another one: make results"
