@@ -5,7 +5,8 @@ They follow from a notebook's structure; nothing is marked in it:
 - A section (##) is a column of slides. A slide takes what fits of it, the next one below takes on; ### begins one, too.
 - A cell that draws shows its picture and the caption. Other code is shown where it fits on one slide together with
   what it printed; longer code is left out, and only what it printed is shown.
-- Left out are imports, the check of the installation, and sliders, which need a kernel.
+- Left out are imports, the check of the installation, sliders, which need a kernel, and what prints more than a
+  slide can hold.
 
 reveal.js comes with the package sphinx-revealjs, MathJax with sphinx-mathjax-offline: the slides need no network.
 """
@@ -94,7 +95,7 @@ def pieces(nb: NotebookNode) -> Iterator[NotebookNode]:
         elif cell.source != nbtools.SETUP and (cell.outputs or not (_imports(cell) or "live(" in cell.source)):
             if has_picture(cell) or height(cell) > FULL - 2:
                 cell.metadata["tags"] = [*cell.metadata.get("tags", []), HIDDEN]
-            if cell.outputs or HIDDEN not in cell.metadata.get("tags", []):
+            if (cell.outputs or HIDDEN not in cell.metadata.get("tags", [])) and height(cell) <= FULL:
                 yield cell
 
 
