@@ -87,11 +87,6 @@ class Mesh:
         self.add(np.stack([low, np.roll(low, -1, 0), np.roll(high, -1, 0), high], axis=1), side)
         self.add(high, cover)
 
-    def merge(self, other: Mesh) -> None:
-        """Add all faces of another mesh, placed in the current frame."""
-        for corners, material, values in other._faces:
-            self.add(corners, material, values)
-
     def bounds(self) -> NDArray[np.float64]:
         """Return the lowest and the highest coordinates, shape (2, 3)."""
         points = np.concatenate([corners.reshape(-1, 3) for corners, _, _ in self._faces])
