@@ -19,6 +19,7 @@ from omnistereo_lib.render.rig import RenderRig, make_rig, write_config
 SEED = 2019
 _STEPS = 65500  # of the first public release's 16-bit ground truth: inverse depth in units of 1 / (65500 D_min)
 _KEPT = 4  # only every fourth step is used: a hundredth of a sphere, and a third less to store
+_DELTAS = {"compression": "tiff_adobe_deflate", "tiffinfo": {317: 2}}  # of neighbours (tag Predictor): half the file
 
 
 @dataclass(frozen=True)
@@ -239,7 +240,6 @@ def _render_frame(
 
 def _write(paths: list[Path], pictures: list[NDArray], truths: list[NDArray], quality: int, min_depth: float) -> None:
     """Write a frame's files under temporary names, then rename them."""
-    import tifffile
     from PIL import Image
 
     temporaries = [path.with_name(f".{path.name}") for path in paths]
@@ -251,7 +251,7 @@ def _write(paths: list[Path], pictures: list[NDArray], truths: list[NDArray], qu
             steps = np.rint(truth * _STEPS * min_depth).clip(0, _STEPS).astype(np.uint16)
             Image.fromarray((steps + _KEPT // 2) // _KEPT * _KEPT).save(path, optimize=True)
         else:
-            tifffile.imwrite(path, _rounded(truth), compression="zlib", compressionargs={"level": 9})
+            Image.fromarray(_rounded(truth)).save(path, "TIFF", **_DELTAS)
     for temporary, path in zip(temporaries, paths, strict=True):
         temporary.replace(path)
 
