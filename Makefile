@@ -8,7 +8,11 @@ RENDER := .venv-render/bin
 RENDER_READY := .venv-render/.installed
 
 NBVAL := --nbval --nbval-current-env --nbval-sanitize-with=tests/nbval_sanitize.cfg --nbval-cell-timeout=600
+EVALUATE := $(BIN)/python -m omnistereo_lib evaluate
 SETS := sunny cloudy sunset indoor
+# Training frames that the networks have not learned from, to choose SGM's penalties on; and the best on them.
+KEPT_APART := 3 153 303 453
+TUNED := $(foreach cost,zncc mccnn sweepnet,$(cost)+sgm,p1=0.02,p2=1.5)
 WORKERS := -n logical --maxprocesses 4 --dist loadscope
 
 define CHECK_PYTHON
@@ -38,10 +42,11 @@ bench: $(READY)  ## speed, as ratios against named alternatives
 	$(BIN)/python -m omnistereo_lib bench $(BENCH_ARGS)
 
 results: $(READY)  ## the stored results and the README's ledger anew: hours, but it goes on where it was stopped
-	$(BIN)/python -m omnistereo_lib evaluate --sets $(SETS) --scale teaching
-	$(BIN)/python -m omnistereo_lib evaluate --sets $(SETS) aerial --scale paper --ledger README.md $(RESULTS_ARGS)
-	cp out/evaluation_teaching/results.json data_samples/results/teaching.json
-	cp out/evaluation_paper/results.json data_samples/results/paper.json
+	$(EVALUATE) --sets $(SETS) --scale teaching --out out/teaching
+	$(EVALUATE) --sets sunny --ablations window pairs wrap subindex spheres --methods $(TUNED) --out out/ablations
+	$(EVALUATE) --sets data_samples/sunny --split train --frames $(KEPT_APART) --ablations penalties --out out/penalties
+	$(EVALUATE) --sets $(SETS) aerial --scale paper --ledger README.md --out out/paper $(RESULTS_ARGS)
+	for name in teaching ablations penalties paper; do cp out/$$name/results.json data_samples/results/$$name.json; done
 	$(BIN)/python -c "from pathlib import Path; from omnistereo_lib.render.frames import renew_manifest as renew; \
 	  renew(Path('data_samples'))"
 

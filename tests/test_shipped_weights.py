@@ -62,14 +62,15 @@ def test_training_data_are_those_that_ship():
 @pytest.mark.parametrize("name", NETWORKS)
 def test_learned_costs_beat_zncc_on_a_street_they_have_not_seen(name, volumes, frame):
     zncc, learned = (errors(volumes[which], frame) for which in ("zncc", name))
-    assert all(learned[figure] < zncc[figure] for figure in (">1", ">3", ">5", "MAE"))
+    wanted = zncc.keys() - ({"RMS"} if name == "mccnn_fast" else {})  # a patch is sometimes wrong by far
+    assert all(learned[figure] < zncc[figure] for figure in wanted)
     zncc, learned = (errors(osl.sgm(volumes[which]), frame) for which in ("zncc", name))
     assert all(learned[figure] < zncc[figure] for figure in zncc)
 
 
 def test_the_whole_sphere_is_seldom_far_off(volumes, frame):
     patch, whole = (errors(osl.sgm(volumes[name]), frame) for name in ("mccnn_fast", "sweepnet"))
-    assert whole["RMS"] < 0.9 * patch["RMS"]
+    assert whole["RMS"] < 0.9 * patch["RMS"] and whole["MAE"] < patch["MAE"]
 
 
 def test_fast_inference_is_the_plain_networks(frame):
@@ -90,6 +91,6 @@ def test_fast_inference_is_the_plain_networks(frame):
 def test_bfloat16_changes_no_figure(name, volumes, frame):
     sweep = osl.SphereSweep(osl.load_dataset(SUNNY, split="test").rig, GRID)
     half = osl.cost_volume(sweep, frame.images, NETWORKS[name].load(precision="bfloat16"))
-    assert ((half - volumes[name]).abs() > 2e-2).double().mean() < 1e-4  # a few lie where the sigmoid is steep
+    assert ((half - volumes[name]).abs() > 2e-2).double().mean() < 1e-6  # not one here; the sigmoid is steep
     exact, found = errors(osl.sgm(volumes[name]), frame), errors(osl.sgm(half), frame)
     assert max(abs(found[figure] - exact[figure]) for figure in exact) < 0.1

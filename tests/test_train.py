@@ -29,7 +29,7 @@ from omnistereo_lib.train.patches import PatchSamples
 from omnistereo_lib.train.spheres import SphereObjective, SphereSamples
 
 TINY = {"width": 48, "height": 12, "num_spheres": 12, "steps": 4, "validate_every": 2, "validation_groups": 2}
-SWEEPNET = SweepNetRecipe(**TINY, warmup=2, min_positives=4, max_positives=60)
+SWEEPNET = SweepNetRecipe(**TINY, warmup=2, min_positives=4, max_positives=60, any_sphere=0.0, min_negatives=0)
 MCCNN = MCCNNRecipe(**TINY | {"width": 96, "height": 24}, warmup=2, rays_per_frame=16)
 BOTH = pytest.mark.parametrize("recipe", [SWEEPNET, MCCNN], ids=["sweepnet", "mccnn"])
 
@@ -111,6 +111,26 @@ def test_labels_are_the_rounded_truth(data):
             expected = (true[:, pixels] != spheres[:, None, None])[strip.labelled.numpy()]
             np.testing.assert_array_equal(strip.label.numpy(), expected)
     assert drawn == set(np.flatnonzero(counts >= 4).tolist())  # those with fewer positives are discarded
+
+
+def test_where_nothing_is_there_are_negatives(data):
+    recipe = replace(SWEEPNET, width=96, height=24, num_spheres=24, any_sphere=1.0, min_negatives=50)
+    samples = SphereSamples(recipe, data)
+    frame = samples.training[0]
+    counts = np.bincount(np.rint(samples.gt_index(frame)).astype(int).ravel(), minlength=24)
+    drawn, matched = set(), set()
+    for seed in range(80):
+        _, spheres = samples._draw_spheres(samples.gt_index(frame), frame, np.random.default_rng(seed))
+        group = samples.group(frame, np.random.default_rng(seed), augment=False)
+        drawn |= set(spheres.tolist())
+        for strip in group.strips:
+            on = spheres[strip.labelled.nonzero()[:, 0]]
+            matched |= set(on[strip.label.numpy() == 0].tolist())
+            assert all((strip.label.numpy()[on == n] == 1).sum() >= 50 for n in set(on.tolist()) - matched)
+        loss, error = SphereObjective(samples.network)(group)
+        assert loss.isfinite() and 0 <= error <= 1
+    assert drawn == set(range(24))  # those with few positives as well
+    assert matched <= set(np.flatnonzero(counts >= 4).tolist()) and matched
 
 
 def test_the_loss_is_the_balanced_cross_entropy(data):

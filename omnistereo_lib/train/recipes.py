@@ -91,8 +91,10 @@ class SweepNetRecipe(Recipe):
     halve: bool = False  # every other group, at random, on half of W, H and N: what it learns must fit any width
     spheres_per_frame: int = 2  # twice as many where the panorama is halved
     min_positives: int = 32  # the paper discards spheres with fewer
+    any_sphere: float = 0.2  # share of groups that show spheres with fewer, or none, as well: negatives alone
     max_positives: int = 1024  # of a pair on a sphere: the sky fills sphere 0, and neighbours say much the same
     negatives: int = 4  # for each positive, weighted to balance; the paper has 1. Negatives are free and many
+    min_negatives: int = 512  # of a pair on a sphere, however few positives: where nothing is, nothing matches
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,11 +132,12 @@ _FINE = {"width": 640, "height": 160, "num_spheres": 96}
 RECIPES: dict[str, dict[str, Recipe]] = {
     "sweepnet": {
         "teaching": SweepNetRecipe(steps=150, warmup=30, validate_every=30, validation_groups=8),
-        "shipped": SweepNetRecipe(**_FINE, halve=True, spheres_per_frame=1, steps=3600, validate_every=200),
+        "shipped": SweepNetRecipe(**_FINE, halve=True, spheres_per_frame=1, steps=4000, validate_every=250),
         # 350 frames × 192 spheres × 14 epochs at 16 spheres a step; the paper does not state its batch.
         "paper": SweepNetRecipe(
             width=600, height=150, num_spheres=192, learning_rate=0.003, steps=58800, validate_every=2000,
-            frames_per_step=8, batch_norm=False, wrap=False, negatives=1, max_positives=90000, **_PAPERS,
+            frames_per_step=8, batch_norm=False, wrap=False, negatives=1, max_positives=90000,
+            any_sphere=0.0, min_negatives=0, **_PAPERS,
         ),
     },
     "mccnn": {

@@ -84,10 +84,12 @@ class SphereSamples(TrainingFrames):
         return spherical, true_sphere, columns
 
     def _draw_spheres(self, index: NDArray, frame: Frame, rng: np.random.Generator) -> tuple[range, NDArray[np.int64]]:
-        """Draw spheres with enough positives from one block, all such spheres about equally often."""
+        """Draw spheres from one block, about equally often all that have enough positives, and now and then any."""
         N = self.grid.num_spheres
         inside = index[(index > -0.5) & (index < N - 0.5)]
         enough = np.bincount(np.rint(inside).astype(int), minlength=N) >= self.recipe.min_positives
+        if rng.random() < self.recipe.any_sphere:
+            enough[:] = True
         blocks = self.sweep.blocks()
         counts = np.array([enough[spheres.start : spheres.stop].sum() for spheres in blocks])
         if counts.sum() == 0:
@@ -110,7 +112,9 @@ class SphereSamples(TrainingFrames):
     ) -> list[Strip]:
         seen = ~spherical.isnan().cpu().numpy()
         positive = true_sphere == spheres[:, None, None]
-        known = np.isfinite(true_sphere)
+        enough = positive.sum(axis=(1, 2), keepdims=True) >= self.recipe.min_positives
+        known = np.isfinite(true_sphere) & (enough | ~positive)  # each of a few would weigh too much
+        positive &= enough
         W = self.grid.width
         strips = []
         for i, j in pairs:
@@ -130,7 +134,8 @@ class SphereSamples(TrainingFrames):
         labelled = np.zeros(common.shape, bool)
         for k in range(len(common)):
             chosen = shuffled_true(common[k] & positive[k], self.recipe.max_positives, rng)
-            others = shuffled_true(common[k] & ~positive[k], self.recipe.negatives * len(chosen), rng)
+            number = max(self.recipe.negatives * len(chosen), self.recipe.min_negatives)
+            others = shuffled_true(common[k] & ~positive[k], number, rng)
             labelled[k].reshape(-1)[np.concatenate([chosen, others])] = True
         return labelled, np.where(positive[labelled], 0.0, 1.0).astype(np.float32)
 
