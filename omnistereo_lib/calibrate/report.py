@@ -128,10 +128,6 @@ class CameraReport:
         """The largest angle from the optical axis at which corners were seen, degrees."""
         return float(np.degrees(max(np.nanmax(self.angles[view]) for view in self.views_used)))
 
-    def by_view(self) -> dict[int, Errors]:
-        """Return the errors of each view that was used."""
-        return {view: Errors.of(residuals) for view, residuals in self.counted().items()}
-
     def by_angle(self) -> list[tuple[int, int, Errors]]:
         """Return the errors in rings of 10° from the axis: (lower end in degrees, corners, errors)."""
         residuals = np.concatenate(list(self.counted().values()))

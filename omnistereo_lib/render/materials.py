@@ -190,13 +190,6 @@ def paint_white(s: Shader) -> Any:
 
 
 @recipe
-def paint_yellow(s: Shader) -> Any:
-    """Yellow road paint, worn."""
-    worn = s.ramp(s.noise(6.0, 6, 0.7), 0.36, 0.46)
-    return s.finish(s.mix(worn, (0.15, 0.14, 0.12), (0.62, 0.4, 0.04)), (0.5, 0.35, 0.06))
-
-
-@recipe
 def slabs(s: Shader) -> Any:
     """Pavement slabs of differing gray, chewing gum, stains in large patches."""
     flat = s.position
