@@ -5,9 +5,11 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 import sys
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from omnistereo_lib.camera import OcamCamera
     from omnistereo_lib.rig import Rig
     from omnistereo_lib.sphere import SphereGrid
+    from omnistereo_lib.train import Recipe
 
 _SAMPLE = Path(__file__).resolve().parents[1] / "data_samples" / "sunny" / "test"
 _NEAR = 0.5  # metres: something in most pictures is nearer than a few times this
@@ -82,7 +85,9 @@ def _parser() -> argparse.ArgumentParser:
     verb.add_argument("--device", default="cpu", choices=["cpu", "cuda"], help="where to compute (default: cpu)")
     verb.add_argument("--precision", default="auto", choices=["auto", "float32", "bfloat16"])
     verb.add_argument("--out", type=Path, help="folder of the run (default: out/NETWORK_PRESET)")
-    verb.add_argument("--ship", action="store_true", help="then put the weights into data_samples, with a card")
+    either = verb.add_mutually_exclusive_group()
+    either.add_argument("--ship", action="store_true", help="then put the weights into data_samples, with a card")
+    either.add_argument("--variants", action="store_true", help="train SweepNet by several recipes and compare them")
 
     verb = verbs.add_parser("evaluate", help="the paper's table on any data sets; goes on where it was stopped")
     verb.set_defaults(verb=evaluate)
@@ -292,32 +297,49 @@ def bench(options: argparse.Namespace) -> None:
 
 
 def train(options: argparse.Namespace) -> None:
-    """Train a network; several processes under torchrun share the work."""
-    from tqdm import tqdm
-
+    """Train a network, or one by each variant of its recipe; several processes under torchrun share the work."""
     from omnistereo_lib.costs.weights import SHIPPED
     from omnistereo_lib.render.frames import renew_manifest
-    from omnistereo_lib.train import RECIPES, ship
-    from omnistereo_lib.train import train as run
+    from omnistereo_lib.train import RECIPES, VARIANTS, ship, write_comparison
 
     recipe = RECIPES[options.network][options.preset].changed(options.set)
     out = options.out or Path("out") / f"{options.network}_{options.preset}"
     first_process = os.environ.get("RANK", "0") == "0"
+    if options.variants:
+        if options.network != "sweepnet":
+            raise OmnistereoError("there are variants of SweepNet's recipe alone: train sweepnet --variants")
+        runs = {name: out / re.sub(r"\W+", "_", name) for name in VARIANTS}
+        for name, changes in VARIANTS.items():
+            _train(replace(recipe, **changes), runs[name], options, name)
+        if first_process:
+            write_comparison(out / "variants.csv", runs, recipe.steps)
+            print(f"written to {out}/: variants.csv, the validation errors side by side")
+        return
+    _train(recipe, out, options, "train")
+    if first_process:
+        print(f"{recipe.steps} steps are done; in {out}/: log.csv, state.safetensors, weights.safetensors")
+    if first_process and options.ship:
+        print(f"shipped: {', '.join(map(str, ship(out, recipe)))}")
+        renew_manifest(SHIPPED.parent)
+
+
+def _train(recipe: Recipe, out: Path, options: argparse.Namespace, label: str) -> None:
+    """Train by one recipe to the end, with a progress bar."""
+    from tqdm import tqdm
+
+    from omnistereo_lib.train import train as run
+
+    first_process = os.environ.get("RANK", "0") == "0"
     bar = None
     for row in run(recipe, out, options.data, options.device, options.precision):
         if bar is None:  # its time left counts from the step that comes first here
-            bar = tqdm(total=recipe.steps, initial=row["step"], desc="train", unit="step", disable=not first_process)
+            bar = tqdm(total=recipe.steps, initial=row["step"], desc=label, unit="step", disable=not first_process)
         bar.set_postfix(loss=f"{row['loss']:.3f}", error=f"{row['error']:.1%}", refresh=False)
         bar.update()
         if first_process and row["validation_loss"] == row["validation_loss"]:
             bar.write(f"step {row['step'] + 1}: validation {row['validation_loss']:.4f} {row['validation_error']:.2%}")
     if bar is not None:
         bar.close()
-    if first_process:
-        print(f"{recipe.steps} steps are done; in {out}/: log.csv, state.safetensors, weights.safetensors")
-    if first_process and options.ship:
-        print(f"shipped: {', '.join(map(str, ship(out, recipe)))}")
-        renew_manifest(SHIPPED.parent)
 
 
 def evaluate(options: argparse.Namespace) -> None:

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ from omnistereo_lib.costs.weights import load_tensors
 from omnistereo_lib.dataset import write_inverse_depth
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import write_image
-from omnistereo_lib.train import RECIPES, MCCNNRecipe, SweepNetRecipe, ship, train
+from omnistereo_lib.train import RECIPES, VARIANTS, MCCNNRecipe, SweepNetRecipe, ship, train
 from omnistereo_lib.train.card import _hours
 from omnistereo_lib.train.loop import LOG, STATE, WEIGHTS
 from omnistereo_lib.train.patches import PatchSamples
@@ -243,7 +243,7 @@ def test_a_killed_process_goes_on_to_the_same_weights(data, tmp_path):
     """SIGKILL, whatever it is doing: it writes its state after every step, and may be in the middle of that."""
     recipe = replace(SWEEPNET, steps=20)
     script = (
-        "import sys; from dataclasses import replace; sys.path.insert(0, sys.argv[1]); import test_train as t\n"
+        "import sys; from dataclasses import asdict, replace; sys.path.insert(0, sys.argv[1]); import test_train as t\n"
         "for row in t.train(replace(t.SWEEPNET, steps=20), sys.argv[2], sys.argv[3], 'cpu', 'float32', 0.0): pass"
     )
     arguments = [sys.executable, "-c", script, os.path.dirname(__file__), tmp_path / "killed", data]
@@ -331,6 +331,20 @@ def test_a_finished_run_ships_with_its_curve_and_card(data, tmp_path):
         curve = list(csv.DictReader(file))
     assert float(curve[0]["loss"]) == pytest.approx(np.mean([row["loss"] for row in rows[:10]]), rel=1e-3)
     assert int(curve[-1]["step"]) == SWEEPNET.steps
+
+
+def test_variants_stand_side_by_side(data, tmp_path, capsys):
+    settings = [f"{name}={value}" for name, value in asdict(SWEEPNET).items() if value != getattr(SweepNetRecipe, name)]
+    command = ["train", "sweepnet", "--variants", "--data", str(data), "--out", str(tmp_path), "--precision", "float32"]
+    assert cli.main([*command, "--set", *settings]) == 0
+    with (tmp_path / "variants.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["step"]) for row in rows] == [2, 4] and list(rows[0])[1:] == list(VARIANTS)
+    ours = [row["validation_error"] for row in train(SWEEPNET, tmp_path / "again", data, precision="float32")]
+    assert [float(row["ours"]) for row in rows] == pytest.approx([ours[1], ours[3]], rel=1e-3)
+    assert len({tuple(row[name] for row in rows) for name in VARIANTS}) > 1
+    assert cli.main(["train", "mccnn", "--variants", "--data", str(data)]) == 2
+    assert "train sweepnet --variants" in capsys.readouterr().err
 
 
 def test_hours_are_those_of_all_calls():

@@ -11,7 +11,7 @@ import csv
 import os
 import platform
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -270,6 +270,27 @@ def read_log(path: Path, first: int) -> list[dict[str, float]]:
     with path.open(newline="") as file:
         rows = [{name: float(value or "nan") for name, value in row.items()} for row in csv.DictReader(file)]
     return [row | {"step": int(row["step"])} for row in rows if row["step"] < first]
+
+
+def write_comparison(path: str | Path, runs: Mapping[str, Path], steps: int) -> None:
+    """Write the validation errors of several runs side by side, as CSV: the step, and a column for each run.
+
+    Parameters
+    ----------
+    path : path
+        Of the file.
+    runs : mapping of name to folder
+        Finished runs with the same validations.
+    steps : int
+        Of each run.
+    """
+    curves = {name: read_log(run / LOG, steps) for name, run in runs.items()}
+    checked = [row["step"] for row in next(iter(curves.values())) if row["validation_loss"] == row["validation_loss"]]
+    with replacing(path) as temporary, temporary.open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["step", *curves])
+        for step in checked:
+            writer.writerow([step + 1, *(f"{rows[step]['validation_error']:.4g}" for rows in curves.values())])
 
 
 def _write_log(path: Path, rows: list[dict[str, float]]) -> None:

@@ -150,3 +150,13 @@ RECIPES: dict[str, dict[str, Recipe]] = {
         ),
     },
 }  # fmt: skip
+
+# One choice of the teaching recipe at a time turned into the paper's; `train sweepnet --variants` compares them.
+_SGD = _PAPERS | {"learning_rate": 0.003, "augment": True}
+VARIANTS: dict[str, dict[str, Any]] = {
+    "ours": {},
+    "no augmentation": {"augment": False},
+    "no batch norm": {"batch_norm": False},
+    "SGD": _SGD,
+    "SGD, no batch norm": {**_SGD, "batch_norm": False},
+}
