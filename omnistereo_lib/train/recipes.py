@@ -158,5 +158,5 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "no augmentation": {"augment": False},
     "no batch norm": {"batch_norm": False},
     "SGD": _SGD,
-    "SGD, no batch norm": {**_SGD, "batch_norm": False},
+    "SGD and no batch norm": {**_SGD, "batch_norm": False},
 }
