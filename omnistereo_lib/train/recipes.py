@@ -155,7 +155,6 @@ RECIPES: dict[str, dict[str, Recipe]] = {
 _SGD = _PAPERS | {"learning_rate": 0.003, "augment": True}
 VARIANTS: dict[str, dict[str, Any]] = {
     "ours": {},
-    "no augmentation": {"augment": False},
     "no batch norm": {"batch_norm": False},
     "SGD": _SGD,
     "SGD and no batch norm": {**_SGD, "batch_norm": False},
