@@ -46,6 +46,9 @@ results: $(READY)  ## the stored results and the README's ledger anew: hours, bu
 	$(EVALUATE) --sets sunny --ablations window pairs wrap subindex spheres --methods $(TUNED) --out out/ablations
 	$(EVALUATE) --sets data_samples/sunny --split train --frames $(KEPT_APART) --ablations penalties --out out/penalties
 	$(EVALUATE) --sets $(SETS) aerial --scale paper --ledger README.md --out out/paper $(RESULTS_ARGS)
+	$(BIN)/python -m omnistereo_lib train sweepnet --variants --out out/variants \
+	  --set steps=300 validate_every=30 validation_groups=24
+	cp out/variants/variants.csv data_samples/results/
 	for name in teaching ablations penalties paper; do cp out/$$name/results.json data_samples/results/$$name.json; done
 	$(BIN)/python -c "from pathlib import Path; from omnistereo_lib.render.frames import renew_manifest as renew; \
 	  renew(Path('data_samples'))"
