@@ -8,6 +8,8 @@ from omnistereo_lib.evaluate import SCALES, Method, evaluate_frame
 from omnistereo_lib.evaluate.ledger import ledger, split_at_markers
 from omnistereo_lib.evaluate.records import checksum, config_checksum, read_record
 from omnistereo_lib.evaluate.run import DATA
+from omnistereo_lib.train import RECIPES
+from omnistereo_lib.train.spheres import SphereSamples
 
 README = DATA.parent / "README.md"
 STORED = {path.stem: path for path in sorted((DATA / "results").glob("*.json"))}
@@ -51,10 +53,18 @@ def test_a_frame_again(name, number, costs):
     methods = [method for method in every if method.cost in costs and not method.num_spheres]
     sweep = osl.SphereSweep(data.rig, grid)
     again = dict(evaluate_frame(sweep, data.frame(number), methods, lambda method: method.load_cost(SHIPPED)))
-    assert again.keys() == set(methods) and {method.cost for method in methods} == costs
+    assert again.keys() == set(methods) and {method.cost for method in methods} == costs and len(methods) >= 6
     for method, errors in again.items():
         figures = stored["frames"]["sunny"][f"{number:05}"][method.name]["figures"]
         assert errors["figures"] == pytest.approx(figures, abs=0.1), method.name
+
+
+def test_penalties_are_chosen_on_frames_that_no_network_learned_from():
+    kept_apart = {
+        f"{frame.number:05}"
+        for frame in SphereSamples(RECIPES["sweepnet"]["shipped"], DATA / "sunny" / "train").validation
+    }
+    assert set(read_record(STORED["penalties"])["frames"]["sunny"]) <= kept_apart
 
 
 def test_the_readme_has_their_ledger():

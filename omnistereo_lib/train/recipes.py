@@ -151,7 +151,7 @@ RECIPES: dict[str, dict[str, Recipe]] = {
     },
 }  # fmt: skip
 
-# One choice of the teaching recipe at a time turned into the paper's; `train sweepnet --variants` compares them.
+# SweepNet's recipe with optimiser, normalisation or both turned into the paper's: `train sweepnet --variants`.
 _SGD = _PAPERS | {"learning_rate": 0.003, "augment": True}
 VARIANTS: dict[str, dict[str, Any]] = {
     "ours": {},
