@@ -86,7 +86,10 @@ def _parser() -> argparse.ArgumentParser:
     verb.add_argument("--precision", default="auto", choices=["auto", "float32", "bfloat16"])
     verb.add_argument("--out", type=Path, help="folder of the run (default: out/NETWORK_PRESET)")
     either = verb.add_mutually_exclusive_group()
-    either.add_argument("--ship", action="store_true", help="then put the weights into data_samples, with a card")
+    either.add_argument(
+        "--ship", nargs="?", const="float32", choices=["float32", "float16"],
+        help="then put the weights into data_samples, with a card; float16: half the file",
+    )  # fmt: skip
     either.add_argument("--variants", action="store_true", help="train SweepNet by several recipes and compare them")
 
     verb = verbs.add_parser("evaluate", help="the paper's table on any data sets; goes on where it was stopped")
@@ -319,7 +322,8 @@ def train(options: argparse.Namespace) -> None:
     if first_process:
         print(f"{recipe.steps} steps are done; in {out}/: log.csv, state.safetensors, weights.safetensors")
     if first_process and options.ship:
-        print(f"shipped: {', '.join(map(str, ship(out, recipe)))}")
+        files = ship(out, recipe, half=options.ship == "float16")
+        print(f"shipped: {', '.join(map(str, files))}")
         renew_manifest(SHIPPED.parent)
 
 

@@ -332,6 +332,12 @@ def test_a_finished_run_ships_with_its_curve_and_card(data, tmp_path):
         curve = list(csv.DictReader(file))
     assert float(curve[0]["loss"]) == pytest.approx(np.mean([row["loss"] for row in rows[:10]]), rel=1e-3)
     assert int(curve[-1]["step"]) == SWEEPNET.steps
+    half = ship(tmp_path / "run", SWEEPNET, tmp_path / "half", half=True)
+    assert half[0].stat().st_size < 0.55 * files[0].stat().st_size and "--ship float16`" in half[2].read_text()
+    exact, halved = (osl.SweepNet.load(path).state_dict() for path in (files[0], half[0]))
+    for name, value in exact.items():
+        torch.testing.assert_close(halved[name], value, rtol=2**-11, atol=2**-25)
+        assert halved[name].dtype == torch.float32
 
 
 def test_variants_stand_side_by_side(data, tmp_path, capsys):

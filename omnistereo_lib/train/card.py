@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import shutil
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from omnistereo_lib.costs.weights import SHIPPED, load_tensors
+from omnistereo_lib.costs.weights import SHIPPED, load_tensors, save_tensors
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import make_folder, replacing
 from omnistereo_lib.train.loop import LOG, WEIGHTS, read_log
@@ -18,7 +19,7 @@ from omnistereo_lib.train.recipes import RECIPES, MCCNNRecipe, Recipe
 _EVERY = 10  # steps between two rows of the curve that ships
 
 
-def ship(run: str | Path, recipe: Recipe, folder: str | Path = SHIPPED) -> list[Path]:
+def ship(run: str | Path, recipe: Recipe, folder: str | Path = SHIPPED, half: bool = False) -> list[Path]:
     """Put a finished run's weights where `SweepNet.load` and `MCCNN.load` look for them.
 
     Parameters
@@ -29,6 +30,8 @@ def ship(run: str | Path, recipe: Recipe, folder: str | Path = SHIPPED) -> list[
         What was trained.
     folder : path
         Gets NAME.safetensors, NAME.csv (the loss of every tenth step) and NAME.md (the card).
+    half : bool
+        Store float16, for half the file; a network computes with the float32 or bfloat16 of it.
 
     Returns
     -------
@@ -41,22 +44,25 @@ def ship(run: str | Path, recipe: Recipe, folder: str | Path = SHIPPED) -> list[
         If the run is of another recipe or not finished, or the folder cannot be written.
     """
     run, folder = Path(run), make_folder(folder)
-    weights = run / WEIGHTS
-    _, about = load_tensors(weights)
+    tensors, about = load_tensors(run / WEIGHTS)
     if about["recipe"] != recipe.as_dict() or about["step"] + 1 != recipe.steps:
-        raise OmnistereoError(f"{weights} is not what {recipe.steps} steps of this recipe gave: train to the end first")
+        raise OmnistereoError(
+            f"{run / WEIGHTS} is not what {recipe.steps} steps of this recipe gave: train to the end first"
+        )
     name = f"mccnn_{recipe.variant}" if isinstance(recipe, MCCNNRecipe) else recipe.network
     rows = read_log(run / LOG, recipe.steps)
     files = [folder / f"{name}.{ending}" for ending in ("safetensors", "csv", "md")]
-    content = weights.read_bytes()
-    with replacing(files[0]) as temporary:
-        temporary.write_bytes(content)
+    if half:
+        save_tensors(files[0], {key: value.half() for key, value in tensors.items()}, about)
+    else:
+        with replacing(files[0]) as temporary:
+            shutil.copyfile(run / WEIGHTS, temporary)
     with replacing(files[1]) as temporary, temporary.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["step", "loss", "error", "validation_loss", "validation_error"])
         writer.writerows(_thinned(rows))
     with replacing(files[2]) as temporary:
-        temporary.write_text(_card(files[0].name, recipe, about, rows, content), encoding="utf-8")
+        temporary.write_text(_card(files[0], recipe, about, rows, half), encoding="utf-8")
     return files
 
 
@@ -78,7 +84,7 @@ def _hours(rows: Sequence[dict[str, float]]) -> float:
     return sum(b - a if b > a else b for a, b in pairwise([0.0, *seconds])) / 3600
 
 
-def _card(file: str, recipe: Recipe, about: dict[str, Any], rows: Sequence[dict[str, float]], content: bytes) -> str:
+def _card(weights: Path, recipe: Recipe, about: dict[str, Any], rows: Sequence[dict[str, float]], half: bool) -> str:
     data, preset = about["data"], RECIPES[recipe.network]["shipped"].as_dict()
     changed = [f"{name}={value}" for name, value in recipe.as_dict().items() if preset.get(name) != value]
     command = f"python -m omnistereo_lib train {recipe.network} --preset shipped"
@@ -89,12 +95,12 @@ def _card(file: str, recipe: Recipe, about: dict[str, Any], rows: Sequence[dict[
         for row in rows
         if row["validation_loss"] == row["validation_loss"]
     )
-    return f"""# {file}
+    return f"""# {weights.name}
 
 `{about["architecture"]}({", ".join(f"{key}={value!r}" for key, value in about["config"].items())})`, \
-SHA-256 `{hashlib.sha256(content).hexdigest()}`
+SHA-256 `{hashlib.sha256(weights.read_bytes()).hexdigest()}`
 
-Written by `{command} --ship`.
+Written by `{command} --ship{" float16" if half else ""}`.
 
 - **Data:** {data["folder"]}, {data["frames"]} frames, every tenth for validation alone; \
 SHA-256 of all of them `{data["sha256"]}`. No test street among them.
