@@ -43,13 +43,15 @@ bench: $(READY)  ## speed, as ratios against named alternatives
 
 results: $(READY)  ## the stored results and the README's ledger anew: hours, but it goes on where it was stopped
 	$(EVALUATE) --sets $(SETS) --scale teaching --out out/teaching
-	$(EVALUATE) --sets sunny --ablations window pairs wrap subindex spheres --methods $(TUNED) --out out/ablations
+	$(EVALUATE) --sets sunny --ablations window weights pairs wrap subindex spheres --methods $(TUNED) --out out/ablations
+	$(BIN)/python -m omnistereo_lib calibrate data_samples/calibration/van --board 12x10 --square 0.06 --max-fov 220 --out out/van
+	$(EVALUATE) --sets sunny --rig out/van/config.yaml --out out/calibrated
 	$(EVALUATE) --sets data_samples/sunny --split train --frames $(KEPT_APART) --ablations penalties --out out/penalties
 	$(EVALUATE) --sets $(SETS) aerial --scale paper --ledger README.md --out out/paper $(RESULTS_ARGS)
 	$(BIN)/python -m omnistereo_lib train sweepnet --variants --out out/variants \
 	  --set steps=300 validate_every=30 validation_groups=24
 	cp out/variants/variants.csv data_samples/results/
-	for name in teaching ablations penalties paper; do cp out/$$name/results.json data_samples/results/$$name.json; done
+	for name in teaching ablations calibrated penalties paper; do cp out/$$name/results.json data_samples/results/$$name.json; done
 	$(BIN)/python -c "from pathlib import Path; from omnistereo_lib.render.frames import renew_manifest as renew; \
 	  renew(Path('data_samples'))"
 

@@ -98,7 +98,7 @@ def _parser() -> argparse.ArgumentParser:
     verb.add_argument("--split", choices=["train", "test"], help="of the folders (default: all frames)")
     verb.add_argument("--frames", type=int, nargs="+", help="frame numbers (default: all with ground truth)")
     verb.add_argument("--methods", nargs="+", default=[], help="such as zncc sweepnet+sgm,p1=0.2 (default: all)")
-    verb.add_argument("--ablations", nargs="+", default=[], help="window pairs wrap subindex penalties spheres")
+    verb.add_argument("--ablations", nargs="+", default=[], help="window weights pairs wrap subindex penalties spheres")
     verb.add_argument("--scale", default="teaching", choices=["teaching", "training", "paper"])
     verb.add_argument("--shard", default="1/1", help="part i/n of the frames, for several machines (default: 1/1)")
     verb.add_argument("--weights", type=Path, help="folder of the networks' weights (default: the shipped ones)")

@@ -334,7 +334,7 @@ def test_names_and_labels():
     assert select_methods() == METHODS and len(select_methods(["zncc"], ["window"])) == 6
     ordered = [m.name for m in sorted(select_methods(ablations=["window"]), key=lambda m: m.order)]
     assert ordered[:3] == ["zncc", "zncc,window=5", "zncc,window=13"] and ordered[3] == "zncc+sgm"
-    assert {"window", "pairs", "wrap", "subindex", "penalties", "spheres"} <= set(ABLATIONS)
+    assert {"window", "weights", "pairs", "wrap", "subindex", "penalties", "spheres"} == set(ABLATIONS)
 
 
 def test_the_defaults_are_the_papers():
@@ -801,7 +801,7 @@ def test_the_command_line_in_shards(data, tmp_path, capsys, small, monkeypatch):
     ("words", "message"),
     [
         (["--methods", "magic"], "error: cost must be one of zncc"),
-        (["--ablations", "everything"], "error: there is no ablation 'everything': choose from window, pairs"),
+        (["--ablations", "everything"], "error: there is no ablation 'everything': choose from window, weights"),
         (["--sets", "rainy"], "error: there is no data set 'rainy'"),
         (["--shard", "3/2"], "error: a shard is written i/n"),
         (["--weights", "nowhere"], "error: weights are missing: nowhere/mccnn_fast.safetensors, nowhere/sweepnet"),

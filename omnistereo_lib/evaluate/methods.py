@@ -168,11 +168,12 @@ def _varied(methods: Sequence[Method], **changes: Sequence[Any]) -> tuple[Method
 
 
 METHODS = tuple(Method(cost=cost, aggregate=aggregate) for aggregate in ("none", "sgm") for cost in COSTS)
-_ZNCC, _SWEEPNET, _SGM = METHODS[::3], METHODS[2::3], METHODS[3:]
+_ZNCC, _MCCNN, _SWEEPNET, _SGM = METHODS[::3], METHODS[1::3], METHODS[2::3], METHODS[3:]
 
 # Each holds the method that it departs from, so that an ablation is a table by itself.
 ABLATIONS = {
     "window": _varied(_ZNCC, window=(5, 9, 13)),
+    "weights": _varied(_MCCNN, weights=("", "mccnn_accurate")),
     "pairs": _varied(METHODS, pairs=("ring", "all")),
     "wrap": _varied((*_SGM, _SWEEPNET[0]), wrap=(True, False)),
     "subindex": _varied(METHODS, subindex=(False, True)),
