@@ -2,6 +2,8 @@
 
 import csv
 import hashlib
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +19,11 @@ from omnistereo_lib.train import RECIPES
 
 SUNNY = Path(osl.__file__).parents[1] / "data_samples" / "sunny"
 NETWORKS = {"sweepnet": SweepNet, "mccnn_fast": MCCNN}
+RECIPE = {
+    "sweepnet": RECIPES["sweepnet"]["shipped"],
+    "mccnn_fast": RECIPES["mccnn"]["shipped"],
+    "mccnn_accurate": replace(RECIPES["mccnn"]["shipped"], variant="accurate", negative_high_px=18.0),
+}
 GRID = osl.SphereGrid(320, 80, num_spheres=64, min_depth=1.65)
 
 
@@ -36,14 +43,15 @@ def errors(volume, frame):
     return osl.index_error(osl.winner_takes_all(volume).numpy(), frame.gt_index(GRID), GRID.num_spheres)
 
 
-@pytest.mark.parametrize("name", NETWORKS)
+@pytest.mark.parametrize("name", RECIPE)
 def test_card_and_curve_are_of_these_weights(name):
     content = (SHIPPED / f"{name}.safetensors").read_bytes()
     _, about = load_tensors(SHIPPED / f"{name}.safetensors")
     card = (SHIPPED / f"{name}.md").read_text(encoding="utf-8")
     assert hashlib.sha256(content).hexdigest() in card
-    recipe = RECIPES[about["recipe"]["network"]]["shipped"]
-    assert about["recipe"] == recipe.as_dict() and about["step"] + 1 == recipe.steps
+    assert about["recipe"] == RECIPE[name].as_dict() and about["step"] + 1 == RECIPE[name].steps
+    asked = re.search(r"--preset shipped(?: --set (.*?))? --ship", card)[1]
+    assert RECIPES[RECIPE[name].network]["shipped"].changed(asked.split() if asked else []) == RECIPE[name]
     with (SHIPPED / f"{name}.csv").open(newline="") as file:
         curve = [float(row["loss"]) for row in csv.DictReader(file)]
     assert np.mean(curve[-10:]) < 0.7 * np.mean(curve[:10])
@@ -54,7 +62,7 @@ def test_training_data_are_those_that_ship():
     for frame in osl.load_dataset(SUNNY, split="train"):
         for path in (*frame.image_paths, frame.truth_path):
             digest.update(path.read_bytes())
-    for name in NETWORKS:
+    for name in RECIPE:
         _, about = load_tensors(SHIPPED / f"{name}.safetensors")
         assert about["data"]["folder"] == "sunny/train" and about["data"]["sha256"] == digest.hexdigest()
 
@@ -65,6 +73,15 @@ def test_learned_costs_beat_zncc_on_a_street_they_have_not_seen(name, volumes, f
     wanted = zncc.keys() - ({"RMS"} if name == "mccnn_fast" else set())  # a patch is sometimes wrong by far
     assert all(learned[figure] < zncc[figure] for figure in wanted)
     zncc, learned = (errors(osl.sgm(volumes[which]), frame) for which in ("zncc", name))
+    assert all(learned[figure] < zncc[figure] for figure in zncc)
+
+
+def test_the_accurate_patch_needs_smoothing(volumes, frame):
+    sweep = osl.SphereSweep(osl.load_dataset(SUNNY, split="test").rig, GRID)
+    accurate = osl.cost_volume(sweep, frame.images, MCCNN.load(variant="accurate"))
+    zncc, learned = (errors(volume, frame) for volume in (volumes["zncc"], accurate))
+    assert all(learned[figure] > zncc[figure] for figure in zncc)
+    zncc, learned = (errors(osl.sgm(volume), frame) for volume in (volumes["zncc"], accurate))
     assert all(learned[figure] < zncc[figure] for figure in zncc)
 
 

@@ -3,6 +3,7 @@
 import pytest
 
 import omnistereo_lib as osl
+from omnistereo_lib import cli
 from omnistereo_lib.costs.weights import SHIPPED
 from omnistereo_lib.evaluate import SCALES, Method, evaluate_frame
 from omnistereo_lib.evaluate.ledger import ledger, split_at_markers
@@ -57,6 +58,18 @@ def test_a_frame_again(name, number, costs):
     for method, errors in again.items():
         figures = stored["frames"]["sunny"][f"{number:05}"][method.name]["figures"]
         assert errors["figures"] == pytest.approx(figures, abs=0.1), method.name
+
+
+def test_a_frame_again_with_the_rig_calibrated_again(tmp_path):
+    board = ["--board", "12x10", "--square", "0.06", "--max-fov", "220", "--out", str(tmp_path / "van")]
+    assert cli.main(["calibrate", str(DATA / "calibration" / "van"), *board]) == 0
+    asked = ["--sets", "sunny", "--frames", "831", "--methods", "zncc", "zncc+sgm", "--out", str(tmp_path / "again")]
+    assert cli.main(["evaluate", *asked, "--rig", str(tmp_path / "van" / "config.yaml")]) == 0
+    again = read_record(tmp_path / "again" / "results.json")["frames"]["sunny"]["00831"]
+    stored, exact = (read_record(STORED[name])["frames"]["sunny"]["00831"] for name in ("calibrated", "teaching"))
+    for method, errors in again.items():
+        assert errors["figures"] == pytest.approx(stored[method]["figures"], abs=0.1), method
+        assert errors["figures"] != exact[method]["figures"]
 
 
 def test_penalties_are_chosen_on_frames_that_no_network_learned_from():
