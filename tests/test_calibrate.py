@@ -225,7 +225,7 @@ def test_errors_lie_within_the_predicted_covariance():
     state = Estimate((truth,), (Pose.identity(),), tuple(poses))
     size, runs, noise = state.rig_size, 25, 0.1
     seen = observations([exact], BOARD.points)
-    inverse = np.linalg.inv(covariance(state, seen, noise)[:size, :size])
+    inverse = np.linalg.inv(covariance(state, seen, noise))
     squares = []
     for _ in range(runs):
         noisy = observations([[uv + rng.normal(0, noise, uv.shape) for uv in exact]], BOARD.points)
@@ -312,6 +312,28 @@ def test_the_uncertainty_of_rays_is_what_repeated_noise_shows():
     seen = np.degrees(np.linalg.norm(np.std(rays, axis=0), axis=-1))
     predicted = report.ray_uncertainty_deg(at)
     assert (seen < 1.5 * predicted).all() and (predicted < 2.5 * seen).all()  # predicted: the worst azimuth
+
+
+def test_the_covariance_keeps_what_is_known_best(rigged, seen_by_four):
+    """Rays are known far better than the coefficients that make them: no covariance may lose them in rounding."""
+    report = rigged[1]
+    state = with_degree(report.estimate, 8)
+    seen = observations([[row[k] for k in report.captures_used] for row in seen_by_four], BOARD.points)
+    first = state.intrinsics[0]
+    width = len(first.vector)
+    pixels = boards.CENTER + 200 * np.radians([[10.0], [50.0], [85.0], [100.0]]) * [0.8, 0.6]
+
+    J = Bundle(state, seen).jacobian(state.vector()).toarray()
+    scale = np.linalg.norm(J, axis=0)
+    _, s, Vt = np.linalg.svd(J / scale, full_matrices=False)
+    steps = (Vt / s[:, None] / scale)[:, :width]  # what moves by one standard deviation, each for itself
+    moved = [Intrinsics(first.vector + step, SIZE).rays(pixels) for step in steps]
+    back = [Intrinsics(first.vector - step, SIZE).rays(pixels) for step in steps]
+    expected = np.sqrt(sum(np.square((a - b) / 2) for a, b in zip(moved, back, strict=True)))
+
+    spread = covariance(state, seen, 1.0)[:width, :width]
+    found = standard_deviation(lambda v: Intrinsics(v, SIZE).rays(pixels), first.vector, spread)
+    np.testing.assert_allclose(found, expected, rtol=1e-3)
 
 
 def test_standard_deviation_of_a_linear_function():

@@ -336,9 +336,12 @@ def _column_norms(J: csr_matrix) -> Floats:
 
 
 def covariance(estimate: Estimate, seen: Observations, sigma: float) -> Floats:
-    """Return the covariance of all unknowns for corner noise `sigma` in pixels, shape (unknowns, unknowns).
+    """Return the covariance of lenses and rig for corner noise `sigma` in pixels, shape (rig_size, rig_size).
 
-    The inverse of JᵀJ σ², scaled to unit columns before, so that metres and pixels meet in equal numbers.
+    The inverse of JᵀJ / σ², without the rows and columns of the boards' poses. JᵀJ itself is never formed: it squares
+    what separates the best known combination of unknowns from the worst, and the best, which the rays are made of,
+    drown in rounding. Capture by capture, an orthogonal projection takes out what the board's pose can explain, and
+    what is left is folded into a triangle R, which is a QR factorisation updated block by block.
 
     Raises
     ------
@@ -346,9 +349,16 @@ def covariance(estimate: Estimate, seen: Observations, sigma: float) -> Floats:
         If the corners do not determine all unknowns.
     """
     J = Bundle(estimate, seen).jacobian(estimate.vector())
-    scale = _column_norms(J)
-    normal = (J.T @ J).toarray() / np.outer(scale, scale)
-    return sigma**2 * np.linalg.inv(normal) / np.outer(scale, scale)
+    rig = estimate.rig_size
+    scale = _column_norms(J)[:rig]  # unit columns, so that metres and pixels meet in equal numbers
+    R = np.zeros((0, rig))
+    for k in range(len(estimate.T_rig_board)):
+        rows = J[np.repeat(seen.capture == k, 2)]
+        lenses, pose = rows[:, :rig].toarray() / scale, rows[:, rig + 6 * k : rig + 6 * (k + 1)].toarray()
+        Q = np.linalg.qr(pose)[0]
+        R = np.linalg.qr(np.concatenate([R, lenses - Q @ (Q.T @ lenses)]), mode="r")
+    root = np.linalg.inv(R) / scale[:, None]
+    return sigma**2 * root @ root.T
 
 
 class _State:

@@ -327,7 +327,7 @@ def _blurred_views(images: Sequence[ArrayLike], views: Sequence[Floats], board: 
 
 
 def uncertainty(estimate: Estimate, kept: Observations) -> tuple[float, Floats]:
-    """Return the noise of the corners (px, in u and v) and the covariance of all unknowns that follows from it.
+    """Return the noise of the corners (px, in u and v) and the covariance of lenses and rig that follows from it.
 
     Raises
     ------
@@ -371,7 +371,7 @@ def camera_report(
     corners : int
         How many the board has.
     spread : array
-        Covariance of all unknowns.
+        Covariance of lenses and rig.
     sigma_px : float
     facts
         The report's remaining fields.

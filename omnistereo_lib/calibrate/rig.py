@@ -279,9 +279,8 @@ def _report(
         )
         for i, report in enumerate(alone)
     )  # fmt: skip
-    size = estimate.rig_size
     used = {pair: len(set(numbers) - set(left_out)) for pair, numbers in shared.items()}
-    return RigReport(cameras, tuple(alone), tuple(captures), left_out, used, estimate, spread[:size, :size], sigma)
+    return RigReport(cameras, tuple(alone), tuple(captures), left_out, used, estimate, spread, sigma)
 
 
 def _finish(report: RigReport, max_fov_deg: float | None) -> tuple[Rig, RigReport]:
