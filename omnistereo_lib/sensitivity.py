@@ -7,6 +7,8 @@ direction and Δu the error of the projection in pixels. Two cameras' pictures f
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -41,17 +43,7 @@ def index_shift(rig: Rig, wrong: Rig, grid: SphereGrid, index: float, pairs: Pai
     array, shape (H, W), spheres; NaN where no pair sees the ray
         Positive: things seem nearer than they are. First order: true for shifts small against the texture.
     """
-    rays = grid.rays()
-    moves = [_apparent_moves(rig, wrong, i, rays, grid, index) for i in range(len(rig))]
-    numerator, denominator = np.zeros((2, *grid.shape))
-    for i, j in camera_pairs(pairs, rig):
-        (per_sphere_i, error_i, seen_i), (per_sphere_j, error_j, seen_j) = moves[i], moves[j]
-        both = seen_i & seen_j
-        parallax, error = per_sphere_i - per_sphere_j, error_i - error_j
-        numerator -= np.where(both, np.sum(parallax * error, axis=-1), 0.0)
-        denominator += np.where(both, np.sum(parallax * parallax, axis=-1), 0.0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(denominator > 0, numerator / denominator, np.nan)
+    return _shift(_views(rig, grid, index), wrong, grid, index, camera_pairs(pairs, rig))
 
 
 def index_uncertainty(report: RigReport, grid: SphereGrid, index: float, pairs: Pairs = "ring") -> Floats:
@@ -72,10 +64,11 @@ def index_uncertainty(report: RigReport, grid: SphereGrid, index: float, pairs: 
     nominal = Estimate(estimate.intrinsics, estimate.T_cam_rig, ())
     rig = _rig(nominal, report)
     center = rig.centers.mean(axis=0)
+    views, pairs = _views(rig.centered(center), grid, index), camera_pairs(pairs, rig)
 
     def shift(vector: Floats) -> Floats:
         moved = _rig(nominal.with_vector(vector), report)
-        return index_shift(rig.centered(center), moved.centered(center), grid, index, pairs)
+        return _shift(views, moved.centered(center), grid, index, pairs)
 
     return standard_deviation(shift, nominal.vector(), report.covariance)
 
@@ -88,26 +81,55 @@ def _rig(estimate: Estimate, report: RigReport) -> Rig:
     return Rig(cameras, [pose.inverse() for pose in estimate.T_cam_rig])
 
 
-def _apparent_moves(
-    rig: Rig, wrong: Rig, i: int, rays: Floats, grid: SphereGrid, index: float
-) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Return, for camera i, M⁻¹ ∂u/∂n and M⁻¹ Δu, each (H, W, 2) radians on the panorama, and where it sees."""
+@dataclass(frozen=True)
+class _View:
+    """What one camera of the right rig sees of every ray's point on a sphere."""
+
+    pixels: Floats  # u, (H, W, 2)
+    seen: NDArray[np.bool_]  # (H, W)
+    to_radians: Floats  # M⁻¹, (H, W, 2, 2): from pixels to radians on the panorama
+    per_sphere: Floats  # M⁻¹ ∂u/∂n, (H, W, 2)
+
+
+def _views(rig: Rig, grid: SphereGrid, index: float) -> list[_View]:
+    rays = grid.rays()
     across = np.stack([rays[..., 2], np.zeros(grid.shape), -rays[..., 0]], axis=-1)  # along θ …
     across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-12)
     down = np.cross(rays, across)  # … and along φ
+    views = []
+    for i in range(len(rig)):
+        u, seen = _pixels(rig, i, rays, grid, index)
+        turned = [
+            [_pixels(rig, i, rays + turn * axis, grid, index)[0] for turn in (_TURN, -_TURN)] for axis in (across, down)
+        ]
+        M = np.stack([(ahead - back) / (2 * _TURN) for ahead, back in turned], axis=-1)
+        M[~seen] = np.eye(2)
+        ahead, back = (_pixels(rig, i, rays, grid, index + step)[0] for step in (_STEP, -_STEP))
+        inverse = np.linalg.inv(M)
+        views.append(_View(u, seen, inverse, _times(inverse, (ahead - back) / (2 * _STEP))))
+    return views
 
-    def pixels(which: Rig, directions: Floats, n: float) -> tuple[Floats, NDArray[np.bool_]]:
-        points = directions / grid.index_to_inverse_depth(n)
-        return which.cameras[i].project(which.T_rig_cam[i].inverse() @ points, exact=True)
 
-    u, seen = pixels(rig, rays, index)
-    turns = [
-        (pixels(rig, rays + _TURN * axis, index)[0] - pixels(rig, rays - _TURN * axis, index)[0]) / (2 * _TURN)
-        for axis in (across, down)
+def _shift(views: list[_View], wrong: Rig, grid: SphereGrid, index: float, pairs: list[tuple[int, int]]) -> Floats:
+    rays = grid.rays()
+    errors = [
+        _times(view.to_radians, _pixels(wrong, i, rays, grid, index)[0] - view.pixels) for i, view in enumerate(views)
     ]
-    M = np.stack(turns, axis=-1)
-    by_index = (pixels(rig, rays, index + _STEP)[0] - pixels(rig, rays, index - _STEP)[0]) / (2 * _STEP)
-    error = pixels(wrong, rays, index)[0] - u
-    M[~seen] = np.eye(2)
-    moves = np.linalg.solve(M, np.stack([by_index, error], axis=-1))
-    return moves[..., 0], moves[..., 1], seen
+    numerator, denominator = np.zeros((2, *grid.shape))
+    for i, j in pairs:
+        both = views[i].seen & views[j].seen
+        parallax, error = views[i].per_sphere - views[j].per_sphere, errors[i] - errors[j]
+        numerator -= np.where(both, np.sum(parallax * error, axis=-1), 0.0)
+        denominator += np.where(both, np.sum(parallax * parallax, axis=-1), 0.0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(denominator > 0, numerator / denominator, np.nan)
+
+
+def _pixels(rig: Rig, i: int, directions: Floats, grid: SphereGrid, index: float) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return where camera i sees the points in some directions on a sphere, and whether it does."""
+    points = directions / grid.index_to_inverse_depth(index)
+    return rig.cameras[i].project(rig.T_rig_cam[i].inverse() @ points, exact=True)
+
+
+def _times(matrices: Floats, vectors: Floats) -> Floats:
+    return (matrices @ vectors[..., None])[..., 0]
