@@ -12,6 +12,7 @@ import torch
 from test_sweepnet import dense
 
 import omnistereo_lib as osl
+from omnistereo_lib.costs.learned import uses_bfloat16
 from omnistereo_lib.costs.mccnn import MCCNN
 from omnistereo_lib.costs.sweepnet import SweepNet
 from omnistereo_lib.costs.weights import SHIPPED, load_tensors
@@ -104,6 +105,7 @@ def test_fast_inference_is_the_plain_networks(frame):
     torch.testing.assert_close(net(spherical, pairs, columns).double(), expected, atol=1e-5, rtol=0, equal_nan=True)
 
 
+@pytest.mark.skipif(not uses_bfloat16("auto", "cpu"), reason="this processor would take minutes to imitate bfloat16")
 @pytest.mark.parametrize("name", NETWORKS)
 def test_bfloat16_changes_no_figure(name, volumes, frame):
     sweep = osl.SphereSweep(osl.load_dataset(SUNNY, split="test").rig, GRID)
