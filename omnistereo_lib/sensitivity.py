@@ -92,6 +92,7 @@ class _View:
 
 
 def _views(rig: Rig, grid: SphereGrid, index: float) -> list[_View]:
+    """Look up, once for any number of wrong rigs, what each camera of the right one sees."""
     rays = grid.rays()
     across = np.stack([rays[..., 2], np.zeros(grid.shape), -rays[..., 0]], axis=-1)  # along θ …
     across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-12)
@@ -111,6 +112,7 @@ def _views(rig: Rig, grid: SphereGrid, index: float) -> list[_View]:
 
 
 def _shift(views: list[_View], wrong: Rig, grid: SphereGrid, index: float, pairs: list[tuple[int, int]]) -> Floats:
+    """Return the shift that all pairs together like best: least squares along each ray."""
     rays = grid.rays()
     errors = [
         _times(view.to_radians, _pixels(wrong, i, rays, grid, index)[0] - view.pixels) for i, view in enumerate(views)
