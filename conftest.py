@@ -26,10 +26,13 @@ NOT_COMPARED = ("stderr", "text/html", "application/javascript")
 _NUMBER = re.compile(r" *(?<![\w.])([-+]?(?:\d*\.\d+(?:[eE][-+]?\d+)?|\d+[eE][-+]?\d+))(?!\d|\.\d) *")
 
 # Every test process gets its share of the cores. Numba keeps two threads at least, so that a race in a
-# parallel loop has a chance to show.
-_cores = max(1, (os.cpu_count() or 1) // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")))
-os.environ.setdefault("OMP_NUM_THREADS", str(_cores))
-os.environ.setdefault("NUMBA_NUM_THREADS", str(max(2, _cores)))
+# parallel loop has a chance to show. Set in xdist's workers alone: they inherit what the process that starts them
+# has, and could not tell it from what somebody asked for.
+_workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "0"))
+if _workers:
+    _cores = max(1, (os.cpu_count() or 1) // _workers)
+    os.environ.setdefault("OMP_NUM_THREADS", str(_cores))
+    os.environ.setdefault("NUMBA_NUM_THREADS", str(max(2, _cores)))
 
 
 # No deadline: a busy machine is no mistake. In CI the same examples every time: a search for new ones belongs where
