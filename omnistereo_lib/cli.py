@@ -81,6 +81,7 @@ def _parser() -> argparse.ArgumentParser:
     verb.add_argument("network", choices=["sweepnet", "mccnn"])
     verb.add_argument("--preset", default="teaching", choices=["teaching", "shipped", "paper"])
     verb.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="change numbers of the preset")
+    verb.add_argument("--start", type=Path, metavar="FILE", help="begin with trained weights, in place of random ones")
     verb.add_argument("--data", type=Path, default=_SAMPLE.with_name("train"), help="data set with ground truth")
     verb.add_argument("--device", default="cpu", choices=["cpu", "cuda"], help="where to compute (default: cpu)")
     verb.add_argument("--precision", default="auto", choices=["auto", "float32", "bfloat16"])
@@ -335,7 +336,7 @@ def _train(recipe: Recipe, out: Path, options: argparse.Namespace, label: str) -
 
     first_process = os.environ.get("RANK", "0") == "0"
     bar = None
-    for row in run(recipe, out, options.data, options.device, options.precision):
+    for row in run(recipe, out, options.data, options.device, options.precision, start=options.start):
         if bar is None:  # its time left counts from the step that comes first here
             bar = tqdm(total=recipe.steps, initial=row["step"], desc=label, unit="step", disable=not first_process)
         bar.set_postfix(loss=f"{row['loss']:.3f}", error=f"{row['error']:.1%}", refresh=False)

@@ -50,7 +50,8 @@ def test_card_and_curve_are_of_these_weights(name):
     _, about = load_tensors(SHIPPED / f"{name}.safetensors")
     card = (SHIPPED / f"{name}.md").read_text(encoding="utf-8")
     assert hashlib.sha256(content).hexdigest() in card
-    assert about["recipe"] == RECIPE[name].as_dict() and about["step"] + 1 == RECIPE[name].steps
+    known = {number: value for number, value in about["recipe"].items() if number != "network"}
+    assert type(RECIPE[name])(**known) == RECIPE[name] and about["step"] + 1 == RECIPE[name].steps  # later ones: off
     asked = re.search(r"--preset shipped(?: --set (.*?))? --ship", card)[1]
     assert RECIPES[RECIPE[name].network]["shipped"].changed(asked.split() if asked else []) == RECIPE[name]
     with (SHIPPED / f"{name}.csv").open(newline="") as file:

@@ -134,6 +134,23 @@ def test_where_nothing_is_there_are_negatives(data):
     assert matched <= set(np.flatnonzero(counts >= 4).tolist()) and matched
 
 
+def test_the_far_end_is_shown_as_often_as_asked(data):
+    recipe = replace(SWEEPNET, width=96, height=24, num_spheres=24, spheres_per_frame=1)
+    frame, samples = None, {}
+    for share in (0.0, 0.5, 1.0):
+        samples[share] = SphereSamples(replace(recipe, far_end=share), data)
+        frame = samples[share].training[0]
+
+    def drawn(share):
+        index, rngs = samples[share].gt_index(frame), map(np.random.default_rng, range(400))
+        return np.array([samples[share]._draw_spheres(index, frame, rng)[1][0] for rng in rngs])
+
+    far = np.bincount(drawn(1.0), minlength=24) / 400
+    assert far[0] == pytest.approx(0.5, abs=0.1) and far[1:4] == pytest.approx(1 / 6, abs=0.08) and not far[4:].any()
+    mixed = np.bincount(drawn(0.5), minlength=24) / 400
+    assert mixed == pytest.approx(0.5 * far + 0.5 * np.bincount(drawn(0.0), minlength=24) / 400, abs=0.1)
+
+
 def test_the_loss_is_the_balanced_cross_entropy(data):
     samples = SphereSamples(SWEEPNET, data)
     network = samples.network.eval()
@@ -338,6 +355,30 @@ def test_a_finished_run_ships_with_its_curve_and_card(data, tmp_path):
     for name, value in exact.items():
         torch.testing.assert_close(halved[name], value, rtol=2**-11, atol=2**-25)
         assert halved[name].dtype == torch.float32
+
+
+def test_a_run_may_begin_with_trained_weights(data, tmp_path):
+    recipe = replace(SWEEPNET, batch_norm=False)
+    losses(SWEEPNET, tmp_path / "first", data)  # with norms, which its weights have folded in
+    start = tmp_path / "first" / WEIGHTS
+    samples, rng = SphereSamples(recipe, data), [np.random.default_rng([recipe.seed, 0, k]) for k in range(2)]
+    objective = SphereObjective(osl.SweepNet.load(start, precision="float32"))
+    expected = [objective(samples.group(samples.training_frame(k), rng[k], augment=True))[0].item() for k in range(2)]
+    found = losses(recipe, tmp_path / "whole", data, start=start)
+    assert found[0] == pytest.approx(np.mean(expected), rel=1e-5)
+    run = train(recipe, tmp_path / "stopped", data, precision="float32", checkpoint_s=0, start=start)
+    assert [next(run)["loss"], next(run)["loss"]] == found[:2]
+    del run
+    assert losses(recipe, tmp_path / "stopped", data, start=start) == found[2:]
+    assert_same_weights(weights(tmp_path / "whole"), weights(tmp_path / "stopped"))
+    card = ship(tmp_path / "whole", recipe, tmp_path / "weights")[2].read_text()
+    assert f"--start FILE`, FILE with SHA-256 `{hashlib.sha256(start.read_bytes()).hexdigest()}`" in card
+    with pytest.raises(osl.OmnistereoError, match=r"of another recipe \(start = \w{64} there, None here\)"):
+        losses(recipe, tmp_path / "whole", data)
+    with pytest.raises(osl.OmnistereoError, match=r"weights for .*False.* the recipe trains .*True.*: start with"):
+        losses(SWEEPNET, tmp_path / "norms", data, start=start)
+    with pytest.raises(osl.OmnistereoError, match="holds weights of SweepNet, expected MCCNN"):
+        losses(MCCNN, tmp_path / "patches", data, start=start)
 
 
 def test_variants_stand_side_by_side(data, tmp_path, capsys):

@@ -89,6 +89,7 @@ def _card(weights: Path, recipe: Recipe, about: dict[str, Any], rows: Sequence[d
     changed = [f"{name}={value}" for name, value in recipe.as_dict().items() if preset.get(name) != value]
     command = f"python -m omnistereo_lib train {recipe.network} --preset shipped"
     command += f" --set {' '.join(changed)}" if changed else ""
+    origin = f" --start FILE`, FILE with SHA-256 `{about['start']}" if about.get("start") else ""
     numbers = "\n".join(f"| {name} | {value} |" for name, value in recipe.as_dict().items())
     checks = "\n".join(
         f"| {row['step'] + 1} | {row['validation_loss']:.4f} | {100 * row['validation_error']:.2f} % |"
@@ -100,7 +101,7 @@ def _card(weights: Path, recipe: Recipe, about: dict[str, Any], rows: Sequence[d
 `{about["architecture"]}({", ".join(f"{key}={value!r}" for key, value in about["config"].items())})`, \
 SHA-256 `{hashlib.sha256(weights.read_bytes()).hexdigest()}`
 
-Written by `{command} --ship{" float16" if half else ""}`.
+Written by `{command} --ship{" float16" if half else ""}{origin}`.
 
 - **Data:** {data["folder"]}, {data["frames"]} frames, every tenth for validation alone; \
 SHA-256 of all of them `{data["sha256"]}`. No test street among them.

@@ -8,6 +8,7 @@ the groups of a step and average their gradients: they compute what one process 
 from __future__ import annotations
 
 import csv
+import hashlib
 import os
 import platform
 import time
@@ -24,7 +25,7 @@ from torch.nn.parallel import DistributedDataParallel
 from omnistereo_lib.costs.learned import LearnedCost, Precision, uses_bfloat16
 from omnistereo_lib.costs.weights import load_tensors, save_tensors
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import make_folder, replacing
+from omnistereo_lib.files import make_folder, read_bytes, replacing
 from omnistereo_lib.sweep import find_device
 from omnistereo_lib.train.frames import DATA
 from omnistereo_lib.train.patches import PatchObjective, PatchSamples
@@ -43,6 +44,7 @@ def train(
     device: torch.device | str = "cpu",
     precision: Precision = "auto",
     checkpoint_s: float = 60.0,
+    start: str | Path | None = None,
 ) -> Iterator[dict[str, float]]:
     """Train a network, or go on where a run in the same folder was stopped.
 
@@ -61,6 +63,9 @@ def train(
         Of the matrix products; weights, losses and sums stay float32.
     checkpoint_s : float
         Seconds between two states.
+    start : path, optional
+        Trained weights to begin with, in place of random ones. Their architecture must be the recipe's: weights that
+        training wrote are without norms, so `batch_norm` is False then.
 
     Yields
     ------
@@ -71,8 +76,9 @@ def train(
     Raises
     ------
     OmnistereoError
-        If the data cannot be trained on, the folder holds a run of another recipe or cannot be written, there is
-        no such device, the processes cannot share the groups, or the loss is no number any more.
+        If the data cannot be trained on, the folder holds a run of another recipe or start or cannot be written,
+        the start's architecture is not the recipe's, there is no such device, the processes cannot share the groups,
+        or the loss is no number any more.
     """
     device = find_device(device)
     rank, world = _join_processes(recipe, device)
@@ -82,11 +88,12 @@ def train(
     network.precision = precision
     objective = _objective(recipe, network)
     optimizer = _optimizer(recipe, network)
-    first = _resume(out / STATE, recipe, network, optimizer)
+    origin = None if start is None else _begin_with(Path(start), network)
+    first = _resume(out / STATE, recipe, origin, network, optimizer)
     parallel = DistributedDataParallel(objective, broadcast_buffers=False) if world > 1 else objective
-    made = {"data": samples.about, "processes": world} | _machine(network, device)
+    made = {"data": samples.about, "start": origin, "processes": world} | _machine(network, device)
     rows = read_log(out / LOG, first)
-    start = last_saved = time.perf_counter()
+    began = last_saved = time.perf_counter()
     for step in range(first, recipe.steps):
         for group in optimizer.param_groups:
             group["lr"] = recipe.rate(step)
@@ -100,11 +107,11 @@ def train(
             row["validation_loss"], row["validation_error"] = _validate(samples, objective)
             if rank == 0:
                 _export(out / WEIGHTS, recipe, network, row | made)
-        row["seconds"] = time.perf_counter() - start
+        row["seconds"] = time.perf_counter() - began
         rows.append(row)
         if rank == 0 and (done == recipe.steps or time.perf_counter() - last_saved >= checkpoint_s):
             _write_log(out / LOG, rows)
-            _save_state(out / STATE, done, recipe, network, optimizer)
+            _save_state(out / STATE, done, recipe, origin, network, optimizer)
             last_saved = time.perf_counter()
         yield row
     if world > 1:
@@ -207,21 +214,37 @@ def _optimizer(recipe: Recipe, network: nn.Module) -> torch.optim.Optimizer:
     )
 
 
-def _save_state(path: Path, step: int, recipe: Recipe, network: nn.Module, optimizer: torch.optim.Optimizer) -> None:
+def _begin_with(path: Path, network: LearnedCost) -> str:
+    """Give the network the weights of a file; return the file's SHA-256."""
+    given = type(network).read(path)
+    if given.config != network.config:
+        raise OmnistereoError(
+            f"{path} holds weights for {given.config}, the recipe trains {network.config}: start with others, or "
+            "change the recipe"
+        )
+    network.load_state_dict(given.state_dict())
+    return hashlib.sha256(read_bytes(path)).hexdigest()
+
+
+def _save_state(
+    path: Path, step: int, recipe: Recipe, origin: str | None, network: nn.Module, optimizer: torch.optim.Optimizer
+) -> None:
     """Write all that the next step depends on into one file."""
     tensors = {f"network.{name}": tensor for name, tensor in network.state_dict().items()}
     for number, memory in optimizer.state_dict()["state"].items():
         known = {name: value for name, value in memory.items() if value is not None}
         tensors |= {f"optimizer.{number}.{name}": torch.as_tensor(value) for name, value in known.items()}
-    save_tensors(path, tensors, {"step": step, "recipe": recipe.as_dict()})
+    save_tensors(path, tensors, {"step": step, "recipe": recipe.as_dict() | {"start": origin}})
 
 
-def _resume(path: Path, recipe: Recipe, network: nn.Module, optimizer: torch.optim.Optimizer) -> int:
-    """Read the state that a run of this recipe left, if any; return the step that comes next."""
+def _resume(
+    path: Path, recipe: Recipe, origin: str | None, network: nn.Module, optimizer: torch.optim.Optimizer
+) -> int:
+    """Read the state that a run of this recipe and start left, if any; return the step that comes next."""
     if not path.is_file():
         return 0
     tensors, about = load_tensors(path)
-    found, asked = about.get("recipe", {}), recipe.as_dict()
+    found, asked = about.get("recipe", {}), recipe.as_dict() | {"start": origin}
     if found != asked:
         changed = [
             f"{name} = {found.get(name)} there, {value} here"

@@ -84,12 +84,15 @@ class SphereSamples(TrainingFrames):
         return spherical, true_sphere, columns
 
     def _draw_spheres(self, index: NDArray, frame: Frame, rng: np.random.Generator) -> tuple[range, NDArray[np.int64]]:
-        """Draw spheres from one block, about equally often all that have enough positives, and now and then any."""
+        """Draw spheres from one block, about equally often all that have enough positives, and now and then others."""
         N = self.grid.num_spheres
         inside = index[(index > -0.5) & (index < N - 0.5)]
         enough = np.bincount(np.rint(inside).astype(int), minlength=N) >= self.recipe.min_positives
         if rng.random() < self.recipe.any_sphere:
             enough[:] = True
+        if self.recipe.far_end and rng.random() < self.recipe.far_end:  # 0 draws nothing: the samples stay as they were
+            enough[:] = False
+            enough[slice(0, 1) if rng.integers(2) else slice(1, max(2, N // 6))] = True
         blocks = self.sweep.blocks()
         counts = np.array([enough[spheres.start : spheres.stop].sum() for spheres in blocks])
         if counts.sum() == 0:
