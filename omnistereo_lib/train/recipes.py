@@ -92,7 +92,7 @@ class SweepNetRecipe(Recipe):
     spheres_per_frame: int = 2  # twice as many where the panorama is halved
     min_positives: int = 32  # the paper discards spheres with fewer
     any_sphere: float = 0.2  # share of groups that show spheres with fewer, or none, as well: negatives alone
-    far_end: float = 0.0  # share of groups that show the sky: half of them sphere 0, half a nearer one up to N / 6
+    far_end: float = 0.0  # share of groups that show the sky: half of them sphere 0, half one below N / 6
     max_positives: int = 1024  # of a pair on a sphere: the sky fills sphere 0, and neighbours say much the same
     negatives: int = 4  # for each positive, weighted to balance; the paper has 1. Negatives are free and many
     min_negatives: int = 512  # of a pair on a sphere, however few positives: where nothing is, nothing matches
