@@ -28,7 +28,7 @@ from omnistereo_lib.costs.sweepnet import SweepNet
 from omnistereo_lib.dataset import load_dataset
 from omnistereo_lib.pipeline import sweep_depth
 from omnistereo_lib.rig import Rig
-from omnistereo_lib.sgm import _sgm_torch, sgm
+from omnistereo_lib.sgm import sgm, sgm_torch
 from omnistereo_lib.sphere import SphereGrid
 from omnistereo_lib.sweep import SphereSweep
 from omnistereo_lib.volume import camera_pairs
@@ -97,7 +97,7 @@ def bench_sgm(width: int = 1200, height: int = 300, num: int = 192, repeats: int
     finally:
         cv2.setNumThreads(threads_before)
     part = volume[: height // 5 + 1]  # the float64 run takes seconds even so
-    winner = _sgm_torch(part.double(), 0.1, 12.0, 8, True).argmin(-1)
+    winner = sgm_torch(part.double(), 0.1, 12.0, 8, True).argmin(-1)
     same = (sgm(part).argmin(-1) == winner).double().mean().item()
     note = f"{volume.numel() / ours / 1e6:.0f} M cells/s; winner as in float64 on {same:.2%} of {winner.numel()} rays"
     return [Row(f"SGM {width}×{height}×{num}, 8 paths, against StereoSGBM HH", ours, theirs, note)]

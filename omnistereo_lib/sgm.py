@@ -88,7 +88,7 @@ def sgm(volume: Tensor | np.ndarray, p1: float = 0.1, p2: float = 12.0, paths: i
     _check(volume, p1, p2, paths)
     if volume.device.type != "cpu":
         infinite = bool(volume.isinf().any())
-        total = volume if infinite else _sgm_torch(volume, p1, p2, paths, wrap)
+        total = volume if infinite else sgm_torch(volume, p1, p2, paths, wrap)
     else:
         total, infinite = _sgm_numba(volume.numpy(), np.float32(p1), np.float32(p2), paths == 8, wrap)
     if infinite:
@@ -263,7 +263,7 @@ def _add(paths: NDArray, total: NDArray) -> None:
 # ---- Any device: whole rows and columns at once, the panorama and its half turn side by side.
 
 
-def _sgm_torch(volume: Tensor, p1: float, p2: float, paths: int, wrap: bool) -> Tensor:
+def sgm_torch(volume: Tensor, p1: float, p2: float, paths: int, wrap: bool) -> Tensor:
     """Return S of a volume without infinite costs, in the volume's own precision."""
     unknown = volume.isnan()
     cost = torch.where(unknown, math.inf, volume)

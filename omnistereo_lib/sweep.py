@@ -24,7 +24,7 @@ from omnistereo_lib.sphere import SphereGrid
 _D0 = 2.0**-23  # 1/m, the paper's inverse depth of the sphere at infinity
 _BLOCK = 16  # spheres warped at a time: their cells are one cache line of the (H, W, N) volume
 _MAX_ROWS = 32766  # remap's largest output
-_OUTSIDE = -1e5  # px, where a ray lands that a camera does not see; NaN coordinates are undefined in remap
+OUTSIDE = -1e5  # px, where a ray lands that a camera does not see; NaN coordinates are undefined in remap
 _TABLE_BUDGET = 2 << 30  # bytes
 
 
@@ -142,8 +142,8 @@ class SphereSweep:
         warped = []
         for camera, image in enumerate(images):
             uv, valid = self.pixels(camera, index)
-            maps = np.where(valid[..., None], uv, _OUTSIDE).astype(np.float32)
-            warped.append(_remap(np.asarray(image, np.float32), maps))
+            maps = np.where(valid[..., None], uv, OUTSIDE).astype(np.float32)
+            warped.append(remap(np.asarray(image, np.float32), maps))
         return warped
 
     def prepare(self, images: Sequence[ArrayLike]) -> list[Tensor]:
@@ -205,7 +205,7 @@ class SphereSweep:
         for k, (column, maps) in enumerate(self._table(camera, spheres).parts):
             target = rows[:, column : column + maps.shape[1]]
             if self.device.type == "cpu":
-                _remap(image.numpy(), maps, target.numpy())
+                remap(image.numpy(), maps, target.numpy())
             else:
                 target.copy_(_grid_sample(image, self._maps_on_device(camera, spheres, k)))
 
@@ -230,13 +230,13 @@ class SphereSweep:
 
         def fill(k: int) -> None:
             uv, valid = self.pixels(camera, spheres[k])
-            maps[k] = np.where(valid[..., None], uv, _OUTSIDE)
+            maps[k] = np.where(valid[..., None], uv, OUTSIDE)
 
         with ThreadPoolExecutor() as pool:  # NumPy releases the interpreter lock in large operations
             list(pool.map(fill, range(len(spheres))))
-        start, width = _circular_span((maps[..., 0] > _OUTSIDE).any((0, 1)))
+        start, width = _circular_span((maps[..., 0] > OUTSIDE).any((0, 1)))
         maps = maps.reshape(-1, W, 2)
-        parts = [(a, np.ascontiguousarray(maps[:, a:b])) for a, b in _split_at_seam(start, width, W)]
+        parts = [(a, np.ascontiguousarray(maps[:, a:b])) for a, b in split_at_seam(start, width, W)]
         return _Table(start, width, parts)
 
     def _maps_on_device(self, camera: int, spheres: range, part: int) -> Tensor:
@@ -318,21 +318,21 @@ def _circular_span(seen: NDArray[np.bool_]) -> tuple[int, int]:
     return start, len(seen) - int(gaps[widest]) + 1
 
 
-def _split_at_seam(start: int, width: int, total: int) -> list[tuple[int, int]]:
+def split_at_seam(start: int, width: int, total: int) -> list[tuple[int, int]]:
     """Split the columns start … start + width, taken around the circle, into ranges (first, last + 1)."""
     ranges = [(start, min(start + width, total)), (0, start + width - total)]
     return [(first, last) for first, last in ranges if last > first]
 
 
-def _remap(image: NDArray[np.float32], maps: NDArray[np.float32], out: NDArray[np.float32] | None = None) -> NDArray:
+def remap(image: NDArray[np.float32], maps: NDArray[np.float32], out: NDArray[np.float32] | None = None) -> NDArray:
     """Sample an image bilinearly at maps (H, W, 2), NaN outside it. OpenCV 5 does this without rounding."""
     nan = (np.nan,) * 4
     return cv2.remap(image, maps, None, cv2.INTER_LINEAR, out, cv2.BORDER_CONSTANT, nan)
 
 
 def _grid_sample(image: Tensor, maps: Tensor) -> Tensor:
-    """Do what `_remap` does, in torch on any device."""
+    """Do what `remap` does, in torch on any device."""
     height, width = image.shape
     scale = torch.tensor([2.0 / (width - 1), 2.0 / (height - 1)], device=maps.device)
     sampled = grid_sample(image[None, None], (maps * scale - 1.0)[None], align_corners=True)[0, 0]
-    return sampled.masked_fill(maps[..., 0] == _OUTSIDE, torch.nan)
+    return sampled.masked_fill(maps[..., 0] == OUTSIDE, torch.nan)

@@ -10,7 +10,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.sgm import MAX_LAPS, _sgm_torch, _tiles, sgm
+from omnistereo_lib.sgm import MAX_LAPS, _tiles, sgm, sgm_torch
 
 STRAIGHT = [(0, 1), (1, 0), (0, -1), (-1, 0)]  # (row, column)
 ALL = [(0, 1), (1, 0), (1, 1), (1, -1), (0, -1), (-1, 0), (-1, -1), (-1, 1)]  # in the order that libsgm needs
@@ -66,7 +66,7 @@ def test_agrees_with_brute_force(shape, paths, wrap):
         volume[-1, -1] = np.nan if unknown else volume[-1, -1]  # a whole ray too
         expected = brute_force(volume, p1, p2, paths, wrap)
         np.testing.assert_allclose(sgm(volume, p1, p2, paths, wrap), expected, rtol=2e-6, atol=1e-5)
-        in_torch = _sgm_torch(torch.from_numpy(volume), p1, p2, paths, wrap)
+        in_torch = sgm_torch(torch.from_numpy(volume), p1, p2, paths, wrap)
         np.testing.assert_allclose(in_torch, expected, rtol=2e-6, atol=1e-5)
 
 
@@ -85,7 +85,7 @@ def test_flat_image_agrees_with_libsgm(paths, p1, p2):
 def test_fast_and_torch_versions_agree_at_teaching_width():
     volume = torch.from_numpy(noise((80, 320, 16), unknown=0.1))
     for wrap in (True, False):
-        np.testing.assert_allclose(sgm(volume, wrap=wrap), _sgm_torch(volume, 0.1, 12.0, 8, wrap), atol=1e-5)
+        np.testing.assert_allclose(sgm(volume, wrap=wrap), sgm_torch(volume, 0.1, 12.0, 8, wrap), atol=1e-5)
 
 
 seeds = st.integers(0, 2**32 - 1)
@@ -128,7 +128,7 @@ def test_a_row_that_alternates_for_ever_stops_after_the_last_lap():
     assert not settles(volume, 0.1, 1.0)
     expected = brute_force(volume, 0.1, 1.0)
     np.testing.assert_allclose(sgm(volume, 0.1, 1.0), expected, atol=1e-5)
-    np.testing.assert_allclose(_sgm_torch(torch.from_numpy(volume), 0.1, 1.0, 8, True), expected, atol=1e-5)
+    np.testing.assert_allclose(sgm_torch(torch.from_numpy(volume), 0.1, 1.0, 8, True), expected, atol=1e-5)
 
 
 @given(shape=shapes, seed=seeds, wrap=st.booleans())
@@ -173,7 +173,7 @@ def test_unknown_cells_stay_unknown():
 
 
 @pytest.mark.parametrize(("gap", "message"), [(0.1, 1.0), (0.001, MAX_LAPS * 0.001)])
-@pytest.mark.parametrize("sgm", [sgm, lambda volume, *rest: _sgm_torch(torch.from_numpy(volume), *rest, True)])
+@pytest.mark.parametrize("sgm", [sgm, lambda volume, *rest: sgm_torch(torch.from_numpy(volume), *rest, True)])
 def test_one_opinion_comes_round_lap_by_lap(sgm, gap, message):
     """In a row without texture one pixel's message adds up to P2 over P2 / gap laps, or until the laps run out."""
     volume = np.full((1, 5, 6), 0.5, np.float32)

@@ -4,7 +4,7 @@ import scene
 import torch
 
 import omnistereo_lib as osl
-from omnistereo_lib.sweep import _circular_span, _grid_sample, _remap, _split_at_seam
+from omnistereo_lib.sweep import _circular_span, _grid_sample, remap, split_at_seam
 
 GRID = osl.SphereGrid(64, 20, (-40, 35), 20, 0.6)
 
@@ -115,7 +115,7 @@ def test_torch_sampling_equals_opencv():
     image = rng.normal(size=(50, 60)).astype(np.float32)
     maps = rng.uniform(0, 49, (8, 9, 2)).astype(np.float32)
     maps[2, 3] = -1e5
-    expected = _remap(image, maps)
+    expected = remap(image, maps)
     sampled = _grid_sample(torch.from_numpy(image), torch.from_numpy(maps)).numpy()
     assert np.isnan(sampled[2, 3])
     np.testing.assert_allclose(sampled, expected, atol=1e-4)
@@ -135,7 +135,7 @@ def test_columns_seen_form_the_shortest_span_around_the_seam(seen, span):
     start, width = _circular_span(np.array([c == "1" for c in seen]))
     assert width == span[1]
     assert start == span[0] or width == 8
-    covered = [x for first, last in _split_at_seam(start, width, 8) for x in range(first, last)]
+    covered = [x for first, last in split_at_seam(start, width, 8) for x in range(first, last)]
     assert {x for x, c in enumerate(seen) if c == "1"} <= set(covered)
 
 

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import omnistereo_lib as osl
-from omnistereo_lib.costs.zncc import _common_columns, _zncc_torch
+from omnistereo_lib.costs.zncc import _zncc_torch, common_columns
 
 
 def direct(spherical, pairs, window):
@@ -95,7 +95,7 @@ def test_columns_that_no_camera_sees_may_be_skipped():
 def test_common_columns_are_the_intersection(spans):
     W, start_a, width_a, start_b, width_b = spans
     a, b = ({(s + t) % W for t in range(w)} for s, w in ((start_a, width_a), (start_b, width_b)))
-    strips = _common_columns((start_a, width_a), (start_b, width_b), W)
+    strips = common_columns((start_a, width_a), (start_b, width_b), W)
     columns = [(s + t) % W for s, width in strips for t in range(width)]
     assert sorted(columns) == sorted(a & b)
 

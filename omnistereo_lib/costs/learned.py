@@ -22,9 +22,9 @@ import torch
 from torch import Tensor, nn
 
 from omnistereo_lib.costs.weights import load_tensors, save_tensors
-from omnistereo_lib.costs.zncc import _common_columns
+from omnistereo_lib.costs.zncc import common_columns
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.sweep import _split_at_seam
+from omnistereo_lib.sweep import split_at_seam
 
 Precision = Literal["auto", "float32", "bfloat16"]
 
@@ -177,9 +177,9 @@ class LearnedCost(nn.Module):
 
     def strips(self, a: tuple[int, int], b: tuple[int, int], W: int) -> Iterator[tuple[int, int]]:
         """Yield (first, last + 1) of the columns of features that two cameras share, given their columns a and b."""
-        for start, width in _common_columns(a, b, W):
+        for start, width in common_columns(a, b, W):
             first, last = start // self.stride, -(-(start + width) // self.stride)
-            yield from [(first, last)] if self.wrap else _split_at_seam(first, last - first, W // self.stride)
+            yield from [(first, last)] if self.wrap else split_at_seam(first, last - first, W // self.stride)
 
     def score(self, a: Features, b: Features, first: int, last: int, chosen: Tensor) -> Tensor:
         """Run `compare` on one strip of feature columns, first … last - 1; chosen (B, H, its pixels)."""

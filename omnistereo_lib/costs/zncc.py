@@ -72,7 +72,7 @@ class ZNCC:
             return _zncc_torch(spherical, pairs, self.window)
         W = spherical.shape[-1]
         columns = columns if columns is not None else [(0, W)] * len(spherical)
-        strips = [(i, j, *strip) for i, j in pairs for strip in _common_columns(columns[i], columns[j], W)]
+        strips = [(i, j, *strip) for i, j in pairs for strip in common_columns(columns[i], columns[j], W)]
         strips = np.array(strips, np.int64).reshape(-1, 4)
         images = spherical.numpy()
         costs = np.zeros((images.shape[1], *images.shape[2:]), np.float32)
@@ -85,7 +85,7 @@ class ZNCC:
         return torch.from_numpy(costs).permute(1, 2, 0)
 
 
-def _common_columns(a: tuple[int, int], b: tuple[int, int], W: int) -> list[tuple[int, int]]:
+def common_columns(a: tuple[int, int], b: tuple[int, int], W: int) -> list[tuple[int, int]]:
     """Return the (start, width) strips, around the seam, that two circular spans of columns share."""
     common = np.zeros(W, bool)
     common[(a[0] + np.arange(a[1])) % W] = True

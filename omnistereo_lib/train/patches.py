@@ -14,7 +14,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits
 from omnistereo_lib.costs.mccnn import MCCNN, PATCH
 from omnistereo_lib.dataset import Frame
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.sweep import _OUTSIDE, _remap
+from omnistereo_lib.sweep import OUTSIDE, remap
 from omnistereo_lib.train.frames import TrainingFrames, to_device
 from omnistereo_lib.train.recipes import MCCNNRecipe
 
@@ -158,8 +158,8 @@ class PatchSamples(TrainingFrames):
         rays = self.rays[rows.clip(0, self.grid.height - 1), columns]
         uv, valid = self._project(camera, rays, self._inverse(index)[..., None, None])
         valid &= (rows >= 0) & (rows < self.grid.height)
-        maps = np.where(valid[..., None], uv, _OUTSIDE).astype(np.float32)
-        return np.nan_to_num(_remap(image, maps.reshape(-1, PATCH, 2))).reshape(-1, PATCH, PATCH)
+        maps = np.where(valid[..., None], uv, OUTSIDE).astype(np.float32)
+        return np.nan_to_num(remap(image, maps.reshape(-1, PATCH, 2))).reshape(-1, PATCH, PATCH)
 
     def _project(self, camera: int, rays: NDArray, inverse: NDArray) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         T_cam_rig = self.sweep.rig.T_rig_cam[camera].inverse()
