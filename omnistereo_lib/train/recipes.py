@@ -25,6 +25,7 @@ class Recipe:
     steps: int = 1000
     frames_per_step: int = 2  # groups; processes share them, so their number bounds the processes
     augment: bool = True  # turn, mirror, swap a pair: the geometry allows it; gain and gamma: cameras differ
+    clouds: float = 0.0  # share of the frames that get clouds at infinity: a clear sky looks alike on every sphere
     seed: int = 0
 
     # Optimiser
