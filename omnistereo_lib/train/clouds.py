@@ -16,9 +16,9 @@ from omnistereo_lib.rig import Rig
 from omnistereo_lib.sphere import SphereGrid
 
 _WAVES = 48
-_FREQUENCY = (3.0, 100.0)  # rad per rad of view: from half the sky to four pixels of a training image
+_FREQUENCY = (3.0, 100.0)  # radians of phase per radian of view: waves of 120° down to 3.6°, seven training pixels
 _STRENGTH = (0.01, 0.35)  # from a haze to a storm, as a share of the sky's own gray value
-_NEAR_ROOFS = 9  # panorama pixels; a roof stands elsewhere for each camera, so clouds keep away from it
+_NEAR_ROOFS = 9  # side of a window that must be all sky: a roof stands elsewhere for each camera than for the centre
 
 
 class Clouds:
@@ -55,7 +55,16 @@ class Clouds:
     def paint(
         self, images: list[NDArray[np.float32]], index: NDArray[np.float32], rng: np.random.Generator
     ) -> list[NDArray[np.float32]]:
-        """Return gray images, (height, width) in 0 … 255, with clouds where the true index (H, W) is 0."""
+        """Return gray images with clouds where the truth says sky.
+
+        Parameters
+        ----------
+        images : one array per camera, (height, width), 0 … 255
+        index : array, shape (H, W)
+            True sphere index; 0 is the sky.
+        rng : numpy generator
+            Draws the clouds: how many, how sharp, how strong, which.
+        """
         sky = _far_from_roofs(index == 0)
         cover = rng.uniform(-0.7, 0.7)
         contrast, strength = rng.uniform(0.7, 2.5), np.exp(rng.uniform(*np.log(_STRENGTH)))
