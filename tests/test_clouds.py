@@ -59,3 +59,10 @@ def test_the_seed_decides(clouds, gray, index):
     first, again, other = (clouds.paint(gray, index, np.random.default_rng(seed)) for seed in (2, 2, 3))
     np.testing.assert_array_equal(first, again)
     assert not np.array_equal(first, other)
+
+
+def test_a_sky_all_around_has_no_seam(clouds, gray, monkeypatch):
+    monkeypatch.setattr("omnistereo_lib.train.clouds._ripples", lambda directions, *waves: np.zeros(len(directions)))
+    for image in clouds.paint(gray, np.zeros(GRID.shape, np.float32), np.random.default_rng(4)):
+        assert image[0, 0] != 100
+        np.testing.assert_allclose(image, image[0, 0], rtol=1e-5)

@@ -47,10 +47,10 @@ class Clouds:
 
     @cached_property
     def _pixels(self) -> list[NDArray[np.float32]]:
-        """Where those directions fall in the panorama; above it, in its first row."""
-        pixels = [self.grid.pixel(directions)[0] for directions in self.directions]
-        last = np.array([np.inf, self.grid.height - 1])
-        return [np.clip(uv, [-np.inf, 0], last).astype(np.float32) for uv in pixels]
+        """Where those directions fall in the panorama, columns from 0 up to W; above it, in its first row."""
+        H, W = self.grid.shape
+        pixels = (self.grid.pixel(directions)[0] for directions in self.directions)
+        return [np.stack([uv[..., 0] % W, uv[..., 1].clip(0, H - 1)], -1).astype(np.float32) for uv in pixels]
 
     def paint(
         self, images: list[NDArray[np.float32]], index: NDArray[np.float32], rng: np.random.Generator
