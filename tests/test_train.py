@@ -501,6 +501,10 @@ def test_bad_recipes(data, tmp_path, monkeypatch):
         losses(unlike, tmp_path, data)
     with pytest.raises(osl.OmnistereoError, match="steps must be positive, got 0"):
         replace(SWEEPNET, steps=0)
+    with pytest.raises(osl.OmnistereoError, match="clouds is a share, expected 0 … 1, got 70"):
+        replace(MCCNN, clouds=70)
+    with pytest.raises(osl.OmnistereoError, match="far_end is a share, expected 0 … 1, got nan"):
+        replace(SWEEPNET, far_end=float("nan"))
     with pytest.raises(osl.OmnistereoError, match="optimizer must be one of adamw, sgd, got 'adam'"):
         replace(SWEEPNET, optimizer="adam")
     with pytest.raises(osl.OmnistereoError, match="negative_low_px"):

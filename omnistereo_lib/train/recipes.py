@@ -25,7 +25,7 @@ class Recipe:
     steps: int = 1000
     frames_per_step: int = 2  # groups; processes share them, so their number bounds the processes
     augment: bool = True  # turn, mirror, swap a pair: the geometry allows it; gain and gamma: cameras differ
-    clouds: float = 0.0  # share of the frames that get clouds at infinity: a clear sky looks alike on every sphere
+    clouds: float = 0.0  # share of augmented frames with clouds at infinity: a clear sky is alike on every sphere
     seed: int = 0
 
     # Optimiser
@@ -45,6 +45,9 @@ class Recipe:
         for name in ("steps", "frames_per_step", "validate_every", "validation_groups", "learning_rate", "clip"):
             if not getattr(self, name) > 0:
                 raise OmnistereoError(f"{name} must be positive, got {getattr(self, name)}")
+        for name in ("clouds", "any_sphere", "far_end"):
+            if not 0 <= getattr(self, name, 0.0) <= 1:
+                raise OmnistereoError(f"{name} is a share, expected 0 … 1, got {getattr(self, name)}")
         for name, choices in (("optimizer", ("adamw", "sgd")), ("schedule", ("cosine", "drop"))):
             if getattr(self, name) not in choices:
                 raise OmnistereoError(f"{name} must be one of {', '.join(choices)}, got {getattr(self, name)!r}")
