@@ -7,7 +7,8 @@ import operator
 import resource
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import repeat
 from pathlib import Path
 
@@ -31,6 +32,8 @@ from omnistereo_lib.rig import Rig
 from omnistereo_lib.sgm import sgm, sgm_torch
 from omnistereo_lib.sphere import SphereGrid
 from omnistereo_lib.sweep import SphereSweep
+from omnistereo_lib.train import RECIPES
+from omnistereo_lib.train.spheres import SphereObjective, SphereSamples
 from omnistereo_lib.volume import camera_pairs
 
 _DATA = Path(__file__).resolve().parents[1] / "data_samples"
@@ -248,6 +251,30 @@ def _plain_sweepnet(net: SweepNet, spherical: torch.Tensor, pairs: Sequence[tupl
     return (sums / counts).permute(1, 2, 0)
 
 
+class _ChannelsLast(SweepNet):
+    memory_format = torch.channels_last
+
+
+def bench_training(width: int, height: int, num: int, repeats: int = 3) -> list[Row]:
+    """Compare a step of SweepNet's training in float32 with the same step on what lies channels last in memory."""
+    scale = {"width": width, "height": height, "num_spheres": num, "halve": False}
+    samples = SphereSamples(replace(RECIPES["sweepnet"]["shipped"], **scale), _DATA / "sunny" / "train")
+    group = samples.group(samples.training[0], np.random.default_rng(0), augment=False)
+    networks = [kind(precision="float32").train() for kind in (SweepNet, _ChannelsLast)]
+    for network in networks:
+        network.load_state_dict(SweepNet.load().state_dict())
+
+    def step(network: SweepNet) -> None:
+        network.zero_grad()
+        SphereObjective(network)(group)[0].backward()
+
+    times = best_of(repeats, *(partial(step, network) for network in networks))
+    ours, theirs = (torch.cat([p.grad.flatten() for p in network.parameters()]) for network in networks)
+    difference = ((ours - theirs).norm() / theirs.norm()).item()
+    name = f"SweepNet {width}×{height}, a step of training in float32, against channels last"
+    return [Row(name, *times, f"the gradients differ by {difference:.1e} of their length")]
+
+
 @dataclass(frozen=True, eq=False)
 class FisheyeFit:
     """What `cv2.fisheye.calibrate` made of some views: its rms distance, infinite where it gave up, and its camera."""
@@ -327,6 +354,7 @@ def run(quick: bool = False) -> None:
         print(table([*bench_warp(*scale), *bench_sgm(*scale), *bench_frame(*scale)]), flush=True)
     if not quick:
         print(table([*bench_sweepnet(320, 80, 64), *bench_sweepnet(1200, 300, 192, range(94, 98))]), flush=True)
+        print(table(bench_training(640, 160, 96)), flush=True)
     print(table(bench_calibrate()), flush=True)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     print(f"peak memory of this process, the alternatives included: {peak:.1f} GiB")

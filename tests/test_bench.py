@@ -2,7 +2,7 @@ import boards
 import numpy as np
 import pytest
 
-from omnistereo_lib.bench import Row, bench_sgm, bench_sweepnet, best_of, opencv_fisheye, table
+from omnistereo_lib.bench import Row, bench_sgm, bench_sweepnet, bench_training, best_of, opencv_fisheye, table
 from omnistereo_lib.calibrate.camera import calibrate_camera
 
 
@@ -19,6 +19,12 @@ def test_sweepnet_is_compared_on_the_same_job():
     assert min(exact.ours_s, exact.theirs_s) > 0
     assert float(exact.note.split()[-1]) < 1e-5
     assert all(1e-5 < float(row.note.split()[-1]) < 2e-2 for row in half)
+
+
+def test_training_is_compared_on_the_same_step():
+    (row,) = bench_training(width=160, height=40, num=32, repeats=1)
+    assert min(row.ours_s, row.theirs_s) > 0
+    assert float(row.note.split()[-4]) < 1e-3
 
 
 def test_best_of_takes_turns_and_leaves_out_the_first_round():

@@ -180,6 +180,22 @@ def test_gradient_reaches_every_parameter(batch_norm):
     assert [name for name, p in net.named_parameters() if p.grad is None or p.grad.abs().max() == 0] == []
 
 
+def test_order_in_memory_is_that_of_the_moment():
+    """Plane by plane for gradients in float32 on a CPU, channels last for all else; `bench` compares the gradients."""
+    net = network()
+    weight = net.layers["conv20"].weight
+    for mode, precision, order, innermost in (
+        (True, "float32", torch.contiguous_format, 3),
+        (False, "float32", torch.channels_last, 1),
+        (True, "bfloat16", torch.channels_last, 1),
+    ):
+        net.precision = precision
+        net.train(mode)
+        assert net.memory_format == order
+        assert weight.is_contiguous(memory_format=order)
+        assert net.unary(torch.zeros(1, 12, 96), 0, 48).maps.stride(innermost) == 1
+
+
 def test_it_is_a_cost_of_the_pipeline():
     rig = scene.rig(width=200, height=192)
     grid = osl.SphereGrid(48, 12, (-40, 40), 5, 0.6)

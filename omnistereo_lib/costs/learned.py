@@ -80,7 +80,7 @@ class Features:
     def columns(self, first: int, last: int) -> Tensor:
         """Return the maps of columns first … last - 1, which may count on beyond the seam."""
         index = (torch.arange(first, last, device=self.maps.device) - self.first) % self.total
-        # In the maps' own order in memory, channels last, or the gradient would come back in another.
+        # Channels last, as the maps lie in memory where no gradient is asked for.
         return self.maps.permute(0, 2, 3, 1).index_select(2, index).permute(0, 3, 1, 2)
 
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import pad, relu_
 
-from omnistereo_lib.costs.learned import Features, LearnedCost, Precision, full_precision, in_strips
+from omnistereo_lib.costs.learned import Features, LearnedCost, Precision, full_precision, in_strips, uses_bfloat16
 from omnistereo_lib.costs.weights import SHIPPED
 from omnistereo_lib.errors import OmnistereoError
 
@@ -61,7 +61,6 @@ class SweepNet(LearnedCost):
                 nn.init.kaiming_normal_(layer.weight.data, nonlinearity="relu")
         if batch_norm:
             self._add_norms()
-        self.to(memory_format=torch.channels_last)
 
     def _add_norms(self) -> None:
         for name, layer in self.layers.items():
@@ -80,6 +79,20 @@ class SweepNet(LearnedCost):
         """The arguments that build this architecture."""
         return {"batch_norm": len(self.norms) > 0, "wrap": self.wrap}
 
+    @property
+    def memory_format(self) -> torch.memory_format:
+        """The order in memory in which it runs fastest: channels last, but for training in float32 on a CPU.
+
+        There the gradient of the weights would take several times as long; `bench` has a step in either order.
+        """
+        device = next(self.parameters()).device
+        learning = self.training and device.type == "cpu" and not uses_bfloat16(self.precision, device)
+        return torch.contiguous_format if learning else torch.channels_last
+
+    def train(self, mode: bool = True) -> Self:
+        """Enter or leave training, with the weights in the `memory_format` that goes with it."""
+        return super().train(mode).to(memory_format=self.memory_format)
+
     def check_size(self, H: int, W: int) -> None:
         """Refuse panoramas that the network cannot take: half of each side must be whole."""
         if H % 2 or W % 2:
@@ -96,7 +109,7 @@ class SweepNet(LearnedCost):
         W = images.shape[-1]
         low, high = self.widened(first, last, self.reach, W // 2)
         columns = torch.arange(2 * low - 2, 2 * high + 2, device=images.device) % W  # circular column padding
-        x = images[:, None].index_select(-1, columns).contiguous(memory_format=torch.channels_last)
+        x = images[:, None].index_select(-1, columns).contiguous(memory_format=self.memory_format)
         with full_precision(x):  # an image's texture may be little beside its brightness
             x = self._run("conv1", x)
         for k in range(2, 18, 2):
@@ -106,11 +119,11 @@ class SweepNet(LearnedCost):
 
     def compare(self, left: Tensor, right: Tensor, chosen: Tensor, offset: int) -> Tensor:
         """Run conv19 … fc5 on two descriptions; the score is what the sigmoid gets. See `LearnedCost.compare`."""
-        x = torch.cat([left, right], 1).contiguous(memory_format=torch.channels_last)
+        x = torch.cat([left, right], 1).contiguous(memory_format=self.memory_format)
         for name in ("conv19", "deconv1", "conv20"):
             x = self._run(name, x)
         chosen = pad(chosen, (offset, x.shape[-1] - offset - chosen.shape[-1]))
-        pixels = x.permute(0, 2, 3, 1).reshape(-1, x.shape[1])[chosen.reshape(-1)]  # as it lies in memory: no copy
+        pixels = x.permute(0, 2, 3, 1).reshape(-1, x.shape[1])[chosen.reshape(-1)]
         return self._head(pixels) if self.training else in_strips(self._head, pixels)  # norms: the mean over all
 
     def _head(self, x: Tensor) -> Tensor:

@@ -84,8 +84,8 @@ def train(
     rank, world = _join_processes(recipe, device)
     out = make_folder(out)
     samples = _samples(recipe, data, device)
+    samples.network.precision = precision
     network = samples.network.to(device).train()
-    network.precision = precision
     objective = _objective(recipe, network)
     optimizer = _optimizer(recipe, network)
     origin = None if start is None else _begin_with(Path(start), network)
