@@ -31,7 +31,7 @@ volume
 sgm
 depth
 dataset pipeline
-train.recipes train.clouds
+train.recipes
 train.frames
 train.spheres train.patches
 train.loop
@@ -111,7 +111,7 @@ def test_large_libraries_stay_with_their_modules(library):
 def test_the_largest_are_imported_when_used(library):
     eager = {name for name, path in SOURCES.items() if library in {i.split(".")[0] for i in imports(path, False)}}
     allowed = {
-        "cv2": {"sweep", "health", "bench", "calibrate.detect", "train.clouds"},
+        "cv2": {"sweep", "health", "bench", "calibrate.detect"},
         "scipy": {"lenses", "calibrate.bundle", "calibrate.rig"},
     }
     assert {name for name in eager if not name.startswith("render")} <= allowed.get(library, set())

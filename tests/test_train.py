@@ -24,7 +24,6 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import write_image
 from omnistereo_lib.train import RECIPES, VARIANTS, MCCNNRecipe, SweepNetRecipe, ship, train
 from omnistereo_lib.train.card import _hours
-from omnistereo_lib.train.clouds import Clouds
 from omnistereo_lib.train.loop import LOG, STATE, WEIGHTS
 from omnistereo_lib.train.patches import PatchSamples
 from omnistereo_lib.train.spheres import SphereObjective, SphereSamples
@@ -150,19 +149,6 @@ def test_the_far_end_is_shown_as_often_as_asked(data):
     assert far[0] == pytest.approx(0.5, abs=0.1) and far[1:4] == pytest.approx(1 / 6, abs=0.08) and not far[4:].any()
     mixed = np.bincount(drawn(0.5), minlength=24) / 400
     assert mixed == pytest.approx(0.5 * far + 0.5 * np.bincount(drawn(0.0), minlength=24) / 400, abs=0.1)
-
-
-def test_clouds_come_as_often_as_asked(data, monkeypatch):
-    painted = []
-    monkeypatch.setattr(Clouds, "paint", lambda self, images, index, rng: painted.append(index) or images)
-    for share, least, most in ((0.0, 0, 0), (0.5, 30, 70), (1.0, 100, 100)):
-        samples = SphereSamples(replace(SWEEPNET, clouds=share), data)
-        painted.clear()
-        for seed in range(100):
-            samples.images(samples.training[0], np.random.default_rng(seed))
-        assert least <= len(painted) <= most
-    samples.images(samples.training[0], None)
-    assert len(painted) == 100  # validation sees the pictures as they are
 
 
 def test_the_loss_is_the_balanced_cross_entropy(data):
@@ -501,8 +487,8 @@ def test_bad_recipes(data, tmp_path, monkeypatch):
         losses(unlike, tmp_path, data)
     with pytest.raises(osl.OmnistereoError, match="steps must be positive, got 0"):
         replace(SWEEPNET, steps=0)
-    with pytest.raises(osl.OmnistereoError, match="clouds is a share, expected 0 … 1, got 70"):
-        replace(MCCNN, clouds=70)
+    with pytest.raises(osl.OmnistereoError, match="any_sphere is a share, expected 0 … 1, got 20"):
+        replace(SWEEPNET, any_sphere=20)
     with pytest.raises(osl.OmnistereoError, match="far_end is a share, expected 0 … 1, got nan"):
         replace(SWEEPNET, far_end=float("nan"))
     with pytest.raises(osl.OmnistereoError, match="optimizer must be one of adamw, sgd, got 'adam'"):

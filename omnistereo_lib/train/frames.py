@@ -15,7 +15,6 @@ from omnistereo_lib.dataset import Frame, load_dataset
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.sphere import SphereGrid
 from omnistereo_lib.sweep import SphereSweep, to_gray
-from omnistereo_lib.train.clouds import Clouds
 from omnistereo_lib.train.recipes import Recipe
 from omnistereo_lib.volume import camera_pairs
 
@@ -68,10 +67,6 @@ class TrainingFrames:
         """The grid's rays, (H, W, 3)."""
         return self.grid.rays()
 
-    @cached_property
-    def _clouds(self) -> Clouds:
-        return Clouds(self.sweep.rig, self.grid)
-
     def training_frame(self, group: int) -> Frame:
         """Return the frame of a group, counted over all steps: every frame once in each epoch, in random order."""
         epoch, place = divmod(group, len(self.training))
@@ -87,16 +82,13 @@ class TrainingFrames:
     def images(self, frame: Frame, rng: np.random.Generator | None) -> list[Tensor]:
         """Return a frame's images as the costs want them; each camera with a gain and a gamma of its own.
 
-        Now and then with clouds, if the recipe says so. No rng: as they are.
+        No rng: as they are.
         """
         if rng is None:
             return self.sweep.prepare(frame.images)
-        images = [to_gray(image) for image in frame.images]
-        if self.recipe.clouds and rng.random() < self.recipe.clouds:  # 0 draws nothing: as before there were any
-            images = self._clouds.paint(images, self.gt_index(frame), rng)
         prepared = []
-        gammas = np.exp(rng.uniform(-0.25, 0.25, len(images)))
-        curved = [255 * (image / 255) ** np.float32(gamma) for image, gamma in zip(images, gammas, strict=True)]
+        gammas = np.exp(rng.uniform(-0.25, 0.25, len(frame.images)))
+        curved = [255 * (to_gray(image) / 255) ** np.float32(g) for image, g in zip(frame.images, gammas, strict=True)]
         for image in self.sweep.prepare(curved):
             gain, offset = np.exp(rng.uniform(-0.2, 0.2)), rng.uniform(-0.2, 0.2)
             prepared.append(image * float(gain) + float(offset))

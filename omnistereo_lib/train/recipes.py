@@ -25,7 +25,6 @@ class Recipe:
     steps: int = 1000
     frames_per_step: int = 2  # groups; processes share them, so their number bounds the processes
     augment: bool = True  # turn, mirror, swap a pair: the geometry allows it; gain and gamma: cameras differ
-    clouds: float = 0.0  # share of augmented frames with clouds at infinity: a clear sky is alike on every sphere
     seed: int = 0
 
     # Optimiser
@@ -45,9 +44,6 @@ class Recipe:
         for name in ("steps", "frames_per_step", "validate_every", "validation_groups", "learning_rate", "clip"):
             if not getattr(self, name) > 0:
                 raise OmnistereoError(f"{name} must be positive, got {getattr(self, name)}")
-        for name in ("clouds", "any_sphere", "far_end"):
-            if not 0 <= getattr(self, name, 0.0) <= 1:
-                raise OmnistereoError(f"{name} is a share, expected 0 … 1, got {getattr(self, name)}")
         for name, choices in (("optimizer", ("adamw", "sgd")), ("schedule", ("cosine", "drop"))):
             if getattr(self, name) not in choices:
                 raise OmnistereoError(f"{name} must be one of {', '.join(choices)}, got {getattr(self, name)!r}")
@@ -100,6 +96,12 @@ class SweepNetRecipe(Recipe):
     max_positives: int = 1024  # of a pair on a sphere: the sky fills sphere 0, and neighbours say much the same
     negatives: int = 4  # for each positive, weighted to balance; the paper has 1. Negatives are free and many
     min_negatives: int = 512  # of a pair on a sphere, however few positives: where nothing is, nothing matches
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("any_sphere", "far_end"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise OmnistereoError(f"{name} is a share, expected 0 … 1, got {getattr(self, name)}")
 
 
 @dataclass(frozen=True, kw_only=True)
