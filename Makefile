@@ -36,37 +36,38 @@ depth: $(READY)  ## the sample frame, or your own: RIG=rig.yaml IMAGES="1.png 2.
 	$(BIN)/python -m omnistereo_lib depth $(if $(RIG),--rig '$(RIG)') $(if $(IMAGES),--images $(IMAGES)) $(DEPTH_ARGS)
 
 render: $(RENDER_READY)  ## renders the sample frames; Blender has an environment of its own
-	$(RENDER)/python -m omnistereo_lib render $(RENDER_ARGS)
+	$(RENDER)/python -m render $(RENDER_ARGS)
 
 bench: $(READY)  ## speed, as ratios against named alternatives
 	$(BIN)/python -m omnistereo_lib bench $(BENCH_ARGS)
 
-results: $(READY)  ## the stored results and the README's ledger anew: hours, but it goes on where it was stopped
+results: $(READY)  ## the stored results and the README's ledger anew: hours, but it resumes
 	$(EVALUATE) --sets $(SETS) --scale teaching --out out/teaching
 	$(EVALUATE) --sets sunny --ablations window weights pairs wrap subindex spheres --methods $(TUNED) --out out/ablations
 	$(BIN)/python -m omnistereo_lib calibrate data_samples/calibration/van --board 12x10 --square 0.06 --max-fov 220 --out out/van
 	$(EVALUATE) --sets sunny --rig out/van/config.yaml --out out/calibrated
 	$(EVALUATE) --sets data_samples/sunny --split train --frames $(KEPT_APART) --ablations penalties --out out/penalties
-	$(EVALUATE) --sets $(SETS) aerial --scale paper --ledger README.md --out out/paper $(RESULTS_ARGS)
+	$(EVALUATE) --sets $(SETS) aerial --scale paper --out out/paper $(RESULTS_ARGS)
+	$(BIN)/python -m course ledger README.md --results out/paper/results.json
 	$(BIN)/python -m omnistereo_lib train sweepnet --variants --out out/variants \
 	  --set steps=300 validate_every=30 validation_groups=24
 	cp out/variants/variants.csv data_samples/results/
 	for name in teaching ablations calibrated penalties paper; do cp out/$$name/results.json data_samples/results/$$name.json; done
-	$(BIN)/python -c "from pathlib import Path; from omnistereo_lib.render.frames import renew_manifest as renew; \
+	$(BIN)/python -c "from pathlib import Path; from render.frames import renew_manifest as renew; \
 	  renew(Path('data_samples'))"
 
 notebooks: $(READY)  ## runs all notebooks from fresh kernels, cleans and stores them, renews the README's table
-	$(BIN)/python tests/nbtools.py run notebooks/*.ipynb
-	$(BIN)/python tests/nbtools.py readme
+	$(BIN)/python -m course run notebooks/*.ipynb
+	$(BIN)/python -m course readme
 
 solutions: $(READY)  ## the notebooks with every exercise solved, into out/solutions
-	$(BIN)/python tests/solve.py
+	$(BIN)/python -m course solve
 
 book: $(READY)  ## the course as a website, which reads offline: out/book/index.html
-	$(BIN)/python book/website.py out/book
+	$(BIN)/python -m course book
 
 slides: $(READY)  ## slides of every notebook, which show offline: out/slides
-	$(BIN)/python book/slides.py out/slides
+	$(BIN)/python -m course slides
 
 constraints: $(READY)  ## pins what came along with environment.txt
 	@{ echo "# What the packages of environment.txt bring along, pinned. Written by: make constraints"; \

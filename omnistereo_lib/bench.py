@@ -23,18 +23,18 @@ from omnistereo_lib.calibrate.camera import calibrate_camera
 from omnistereo_lib.calibrate.captures import find_captures
 from omnistereo_lib.calibrate.detect import find_corners
 from omnistereo_lib.calibrate.rig import calibrate_rig
-from omnistereo_lib.camera import OcamCamera
-from omnistereo_lib.costs.learned import uses_bfloat16
-from omnistereo_lib.costs.sweepnet import SweepNet
 from omnistereo_lib.dataset import load_dataset
-from omnistereo_lib.pipeline import sweep_depth
-from omnistereo_lib.rig import Rig
-from omnistereo_lib.sgm import sgm, sgm_torch
-from omnistereo_lib.sphere import SphereGrid
-from omnistereo_lib.sweep import SphereSweep
+from omnistereo_lib.geometry.camera import OcamCamera
+from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.rig_files import load_rig
+from omnistereo_lib.stereo.learned import uses_bfloat16
+from omnistereo_lib.stereo.pipeline import sweep_depth
+from omnistereo_lib.stereo.sgm import sgm, sgm_torch
+from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_lib.stereo.sweepnet import SweepNet
+from omnistereo_lib.stereo.volume import camera_pairs
 from omnistereo_lib.train import RECIPES
 from omnistereo_lib.train.spheres import SphereObjective, SphereSamples
-from omnistereo_lib.volume import camera_pairs
 
 _DATA = Path(__file__).resolve().parents[1] / "data_samples"
 _SAMPLE = _DATA / "sunny" / "test"
@@ -326,7 +326,7 @@ def bench_calibrate(repeats: int = 3) -> list[Row]:
         [None if image is None else find_corners(image, board) for image in captures.images(i)]
         for i in range(len(captures.cameras))
     ]
-    sizes = [camera.image_size for camera in Rig.load(_CAPTURES).cameras]
+    sizes = [camera.image_size for camera in load_rig(_CAPTURES).cameras]
     start, whole = calibrate_camera(rows[0], board, sizes[0])
     near = [view for view in whole.views_used if np.nanmax(whole.angles[view]) < np.radians(80)]
     seen = [whole.corners[view] for view in near if np.isfinite(whole.corners[view]).all()]

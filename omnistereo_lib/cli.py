@@ -14,14 +14,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.render import add_arguments as add_render_arguments
-from omnistereo_lib.render import main as render
 
 if TYPE_CHECKING:
     from omnistereo_lib.calibrate.board import Checkerboard
-    from omnistereo_lib.camera import OcamCamera
-    from omnistereo_lib.rig import Rig
-    from omnistereo_lib.sphere import SphereGrid
+    from omnistereo_lib.geometry.camera import OcamCamera
+    from omnistereo_lib.geometry.rig import Rig
+    from omnistereo_lib.geometry.sphere import SphereGrid
     from omnistereo_lib.train import Recipe
 
 _SAMPLE = Path(__file__).resolve().parents[1] / "data_samples" / "sunny" / "test"
@@ -107,11 +105,7 @@ def _parser() -> argparse.ArgumentParser:
     verb.add_argument("--precision", default="auto", choices=["auto", "float32", "bfloat16"])
     verb.add_argument("--out", type=Path, help="folder for the results (default: out/evaluation_SCALE)")
     verb.add_argument("--rig", type=Path, help="file or folder of a rig in place of the sets' own")
-    verb.add_argument("--ledger", type=Path, metavar="FILE", help="Markdown file whose reproduction ledger to renew")
 
-    verb = verbs.add_parser("render", help="render the data sets with Blender")
-    verb.set_defaults(verb=render)
-    add_render_arguments(verb)
     return parser
 
 
@@ -135,11 +129,11 @@ def depth(options: argparse.Namespace) -> None:
     import numpy as np
     from tqdm import tqdm
 
-    from omnistereo_lib import files, view3d
+    from omnistereo_lib import files
     from omnistereo_lib.dataset import write_inverse_depth
-    from omnistereo_lib.metrics import index_error
-    from omnistereo_lib.pipeline import estimate_depth
-    from omnistereo_lib.plot import depth_picture
+    from omnistereo_lib.stereo.depth import colorize_depth
+    from omnistereo_lib.stereo.metrics import index_error
+    from omnistereo_lib.stereo.pipeline import estimate_depth
 
     rig, images, frame = _read_input(options)
     grid = _grid(options, rig)
@@ -150,12 +144,12 @@ def depth(options: argparse.Namespace) -> None:
         rig, images, grid, options.cost, pairs=options.pairs, device=options.device,
         progress=lambda blocks: tqdm(blocks, desc="sweep", unit="block"),
     )  # fmt: skip
-    files.write_image(out / "inverse_depth.png", depth_picture(result.inverse_depth, grid))
+    files.write_image(out / "inverse_depth.png", colorize_depth(result.inverse_depth, grid))
     files.write_image(out / "panorama.jpg", np.nan_to_num(result.panorama(images)).round().astype(np.uint8))
     write_inverse_depth(out / "inverse_depth.tiff", result.inverse_depth)
     # Beyond sphere 4 one sphere more or less is a quarter of the depth: a spray of points, not a surface.
     points, colors = result.point_cloud(images, max_depth=float(grid.index_to_depth(4)))
-    view3d.write_ply(out / "points.ply", points, colors)
+    files.write_ply(out / "points.ply", points, colors)
     print(f"{result.valid.mean():.1%} of the rays have a depth; {len(points)} points")
     written = ["inverse_depth.png", "panorama.jpg", "inverse_depth.tiff", "points.ply"]
     (out / "errors.json").unlink(missing_ok=True)  # of another frame
@@ -241,17 +235,17 @@ def _read_corners(folder: Path, board: Checkerboard) -> tuple:
 
 
 def _write_camera(out: Path, camera: OcamCamera) -> list[str]:
-    from omnistereo_lib.dialects import write_ocam_txt
+    from omnistereo_lib.rig_files.dialects import write_ocam_txt
 
     write_ocam_txt(camera, out / "ocam1.txt")
     return ["ocam1.txt"]
 
 
 def _write_rig(out: Path, rig: Rig) -> list[str]:
-    from omnistereo_lib.dialects import write_ocam_folder
-    from omnistereo_lib.export import write_for_others
+    from omnistereo_lib.rig_files.dialects import save_rig, write_ocam_folder
+    from omnistereo_lib.rig_files.export import write_for_others
 
-    rig.save(out / "config.yaml")
+    save_rig(rig, out / "config.yaml")
     write_ocam_folder(rig, out)
     residual = max(write_for_others(rig, out))
     print(f"kalibr.yaml, opencv.yaml and colmap_*: their lens model follows ours to {residual:.2f} px at worst")
@@ -263,12 +257,10 @@ def _write_reports(
 ) -> None:
     """Write each camera's pictures and its corners, those without a board as null."""
     from omnistereo_lib.calibrate.detect import save_corners
-    from omnistereo_lib.files import replacing
-    from omnistereo_lib.plot import calibration_figure, encode
+    from omnistereo_lib.calibrate.figures import save_figure
 
     for camera, report in zip(cameras, reports, strict=True):
-        with replacing(out / f"report_{camera}.png") as temporary:
-            temporary.write_bytes(encode(calibration_figure(report)))
+        save_figure(out / f"report_{camera}.png", report)
         views = {name: report.corners.get(k) for k, name in enumerate(names)}
         save_corners(out / f"corners_{camera}.yaml", views, board, report.intrinsics.image_size)
 
@@ -279,7 +271,7 @@ def doctor(options: argparse.Namespace) -> int:
         from omnistereo_lib.doctor import check_installation
 
         return 0 if check_installation() else 1
-    from omnistereo_lib.health import check_rig, verdict
+    from omnistereo_lib.rig_check import check_rig, verdict
 
     rig, images, _ = _read_input(options)
     low, high = rig.baselines.min(), rig.baselines.max()
@@ -302,8 +294,6 @@ def bench(options: argparse.Namespace) -> None:
 
 def train(options: argparse.Namespace) -> None:
     """Train a network, or one by each variant of its recipe; several processes under torchrun share the work."""
-    from omnistereo_lib.costs.weights import SHIPPED
-    from omnistereo_lib.render.frames import renew_manifest
     from omnistereo_lib.train import RECIPES, VARIANTS, ship, write_comparison
 
     recipe = RECIPES[options.network][options.preset].changed(options.set)
@@ -325,7 +315,6 @@ def train(options: argparse.Namespace) -> None:
     if first_process and options.ship:
         files = ship(out, recipe, half=options.ship == "float16")
         print(f"shipped: {', '.join(map(str, files))}")
-        renew_manifest(SHIPPED.parent)
 
 
 def _train(recipe: Recipe, out: Path, options: argparse.Namespace, label: str) -> None:
@@ -351,12 +340,9 @@ def evaluate(options: argparse.Namespace) -> None:
     """Evaluate methods on data sets; the process that finds all results there merges them and prints the table."""
     from tqdm import tqdm
 
-    from omnistereo_lib.costs.weights import SHIPPED
     from omnistereo_lib.evaluate import SCALES, Evaluation, errors_table, find_sets, select_methods, write_results
-    from omnistereo_lib.evaluate.ledger import split_at_markers, write_ledger
+    from omnistereo_lib.stereo.weights import SHIPPED
 
-    if options.ledger is not None:
-        split_at_markers(options.ledger)  # nobody wants to hear after hours that it has none
     evaluation = Evaluation(
         options.out or Path("out") / f"evaluation_{options.scale}", find_sets(options.sets),
         select_methods(options.methods, options.ablations), SCALES[options.scale], options.split, options.frames,
@@ -378,20 +364,17 @@ def evaluate(options: argparse.Namespace) -> None:
     written = write_results(evaluation.out, results)
     print(errors_table(results).text(), end="")
     print(f"written to {evaluation.out}/: {', '.join(written)}")
-    if options.ledger is not None:
-        write_ledger(options.ledger, results)
-        print(f"the ledger in {options.ledger} is renewed")
 
 
 def _read_input(options: argparse.Namespace) -> tuple:
     """Return the rig, the images and, where there is ground truth, its frame."""
     from omnistereo_lib.dataset import load_dataset, load_images
-    from omnistereo_lib.rig import Rig
+    from omnistereo_lib.rig_files import load_rig
 
     if options.images is not None:
         if options.rig is None:
             raise OmnistereoError("--images needs --rig: the file or folder that describes the cameras")
-        return Rig.load(options.rig, options.unit), load_images(options.images), None
+        return load_rig(options.rig, options.unit), load_images(options.images), None
     folder = options.rig or _SAMPLE
     if not folder.is_dir():
         raise OmnistereoError(f"{folder} is not a data set folder: give --images, one for each camera of the rig")
@@ -404,7 +387,7 @@ def _read_input(options: argparse.Namespace) -> tuple:
 
 def _grid(options: argparse.Namespace, rig: Rig, default: float | None = None) -> SphereGrid:
     """Return the grid asked for. Its nearest depth: the user's, the rig file's, the default, twice a baseline."""
-    from omnistereo_lib.sphere import SphereGrid
+    from omnistereo_lib.geometry.sphere import SphereGrid
 
     proposals = (options.min_depth, rig.min_depth, default)
     min_depth = next((depth for depth in proposals if depth is not None), None)

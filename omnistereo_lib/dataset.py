@@ -1,7 +1,7 @@
 """Data sets in the public layout of the Urban, OmniThings and OmniHouse releases, and ours.
 
 folder/
-  config.yaml | ocam*.txt + poses.txt | calibration.json     the rig, any dialect of `Rig.load`
+  config.yaml | ocam*.txt + poses.txt | calibration.json     the rig, any dialect of `load_rig`
   cam1/0001.jpg …  cam2/ …                                   one folder per camera, files by frame number
   omnidepth_gt_640/00001.tiff                                inverse depth from the rig centre, 1/m
   train/ test/                                               or one such folder for each split
@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import read_bytes, read_image, read_pixels, replacing
-from omnistereo_lib.rig import Rig, Unit
-from omnistereo_lib.sphere import SphereGrid
+from omnistereo_lib.geometry.rig import Rig, Unit
+from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.rig_files import load_rig
 
 _IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
 
@@ -151,7 +152,7 @@ def load_dataset(
     folder = Path(folder)
     if split is not None and (folder / split).is_dir():
         folder, split = folder / split, None
-    rig = Rig.load(folder, unit)
+    rig = load_rig(folder, unit)
     cameras = sorted(folder.glob("cam[0-9]*"), key=lambda path: int(re.sub(r"\D", "", path.name) or -1))
     cameras = [path for path in cameras if path.is_dir()]
     if len(cameras) != len(rig):

@@ -101,6 +101,19 @@ def write_image(path: str | Path, picture: NDArray) -> None:
         temporary.write_bytes(content.tobytes())
 
 
+def write_ply(path: str | Path, points: NDArray, colors: NDArray | None = None) -> None:
+    """Write a point cloud (M, 3) in metres, with uint8 RGB colours (M, 3) if given, as binary PLY."""
+    names = ["x", "y", "z"] + (["red", "green", "blue"] if colors is not None else [])
+    kinds = {"x": "<f4", "y": "<f4", "z": "<f4", "red": "u1", "green": "u1", "blue": "u1"}
+    vertices = np.empty(len(points), [(name, kinds[name]) for name in names])
+    for name, values in zip(names, np.column_stack([points] + ([] if colors is None else [colors])).T, strict=True):
+        vertices[name] = values
+    properties = [f"property {'float' if kinds[name] == '<f4' else 'uchar'} {name}" for name in names]
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}", *properties, "end_header"]
+    with replacing(path) as temporary:
+        temporary.write_bytes("\n".join([*header, ""]).encode() + vertices.tobytes())
+
+
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
     """Give a temporary name beside a file to write to, then rename: readers see all of it or nothing.

@@ -3,7 +3,7 @@
 import numpy as np
 
 from omnistereo_lib.calibrate.board import Checkerboard
-from omnistereo_lib.pose import Pose
+from omnistereo_lib.geometry.pose import Pose
 
 BOARD = Checkerboard((12, 10), 0.06)
 SIZE = (800, 768)

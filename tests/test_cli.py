@@ -17,7 +17,7 @@ import omnistereo_lib as osl
 from omnistereo_lib import cli
 from omnistereo_lib.dataset import read_inverse_depth, write_inverse_depth
 from omnistereo_lib.files import read_image, write_image
-from omnistereo_lib.health import inverted
+from omnistereo_lib.rig_check import inverted
 
 SMALL = ["--width", "96", "--height", "24", "--spheres", "16"]
 GRID = osl.SphereGrid(96, 24, (-45, 45), 16, 0.6)
@@ -111,7 +111,7 @@ def test_doctor_of_the_installation(monkeypatch, well):
     assert run("doctor") == (0 if well else 1)
 
 
-@pytest.mark.parametrize("verb", [[], ["depth"], ["doctor"], ["bench"], ["render"]])
+@pytest.mark.parametrize("verb", [[], ["depth"], ["doctor"], ["bench"]])
 def test_help_is_given(verb, capsys):
     with pytest.raises(SystemExit) as stop:
         run(*verb, "--help")

@@ -7,7 +7,7 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
-from omnistereo_lib.health import Reading, _shrunk, check_rig, inverted, scaled, verdict
+from omnistereo_lib.rig_check import Reading, _shrunk, check_rig, inverted, scaled, verdict
 
 GRID = osl.SphereGrid(96, 24, (-45, 45), 16, 0.5)
 

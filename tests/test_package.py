@@ -1,4 +1,4 @@
-"""The package: imported quickly, its names in their places, its imports one way through the stages."""
+"""The package: quick to import, every name in its place, imports one way."""
 
 import ast
 import subprocess
@@ -10,57 +10,44 @@ import pytest
 
 import omnistereo_lib as osl
 
-PACKAGE = Path(osl.__file__).parent
-SOURCES = {".".join(path.relative_to(PACKAGE).with_suffix("").parts): path for path in PACKAGE.rglob("*.py")}
-SOURCES = {name.removesuffix(".__init__"): path for name, path in SOURCES.items() if name != "__init__"}
+ROOT = Path(osl.__file__).resolve().parents[1]
+LIBRARY = ROOT / "omnistereo_lib"
 
-# In the order in which the data travels. A module imports those of earlier lines and of its own.
-STAGES = """
+# A file imports from its own folder and from those of the lines above. Function-level imports count.
+LAYERS = """
 errors
-files parsed
-camera pose sphere metrics
-rig lenses foreign dialects export
-calibrate calibrate.board
-calibrate.captures
-calibrate.detect calibrate.bundle
-calibrate.start calibrate.report
-calibrate.camera calibrate.rig
-sweep
-costs costs.zncc costs.weights costs.learned costs.mccnn costs.sweepnet
-volume
-sgm
-depth
-dataset pipeline
-train.recipes
-train.frames
-train.spheres train.patches
-train.loop
-train train.card
-sensitivity doctor health plot view3d exercises
-render
-evaluate.methods evaluate.records evaluate.strata
-evaluate.run evaluate.table
-evaluate.formulas
-evaluate.ledger
+files
+geometry
+rig_files
+dataset
+stereo
+calibrate train
 evaluate
-bench
+rig_check
+doctor bench
 cli
 __main__
 """
-STAGE = {name: number for number, line in enumerate(STAGES.split("\n")) for name in line.split()}
-UPWARDS = {("camera", "dialects"), ("rig", "dialects")}  # OcamCamera.load and Rig.load, when they are called
+LAYER = {name: number for number, line in enumerate(LAYERS.split("\n")) for name in line.split()}
 
-# Slow or large libraries, and what needs Blender, stay with the modules that exist for them.
-AT_HOME = {
-    "matplotlib": {"plot", "view3d"},
-    "pyvista": {"view3d"},
-    "IPython": {"plot"},
-    "bpy": {"render"},
+# Slow or large libraries stay with the modules that exist for them.
+AT_HOME = {"matplotlib": {"calibrate.figures"}, "pyvista": set(), "IPython": set(), "bpy": set(), "ipywidgets": set()}
+EAGER = {
+    "cv2": {"stereo.sweep", "stereo.depth", "rig_check", "bench", "calibrate.detect"},
+    "scipy": {"rig_files.camera_models", "calibrate.bundle", "calibrate.rig"},
 }
 
 
-def imports(path, inside_functions):
-    """Yield the modules that a file imports, `omnistereo_lib.` left out; those for type checkers aside."""
+def module_name(path):
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+
+
+def sources(folder):
+    return {module_name(path): path for path in sorted((ROOT / folder).rglob("*.py"))}
+
+
+def imports(path, inside_functions=True):
+    """Yield the full names of the modules that a file imports; those for type checkers aside."""
     nodes = [ast.parse(path.read_text())]
     while nodes:
         node = nodes.pop()
@@ -71,54 +58,73 @@ def imports(path, inside_functions):
         nodes += ast.iter_child_nodes(node)
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module == "omnistereo_lib":
-            yield from (f"omnistereo_lib.{alias.name}" for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            yield node.module
+            for alias in node.names:  # a package's module, or a name of a module
+                full = f"{node.module}.{alias.name}"
+                yield full if full in EVERYTHING else node.module
+
+
+EVERYTHING = sources("omnistereo_lib") | sources("course") | sources("render")
 
 
 def ours(path, inside_functions=True):
-    names = {name for name in imports(path, inside_functions) if name.startswith("omnistereo_lib.")}
-    return {name.removeprefix("omnistereo_lib.") for name in names}
+    return {name for name in imports(path, inside_functions) if name.split(".")[0] == "omnistereo_lib"}
 
 
-def stage(name):
-    """The number of a module's stage; everything of the renderer is one stage."""
-    return STAGE["render" if name.startswith("render.") else name]
+def layer(name):
+    return LAYER[name.split(".")[1]]
 
 
-def test_every_module_has_a_stage():
-    assert [name for name in SOURCES if name.split(".")[0] != "render" and name not in STAGE] == []
+@pytest.mark.parametrize("name", [name for name in sources("omnistereo_lib") if name != "omnistereo_lib"])
+def test_imports_go_one_way(name):
+    for other in imports(EVERYTHING[name]):
+        top = other.split(".")[0]
+        assert top not in ("course", "render"), f"{name} imports {other}"
+        if top == "omnistereo_lib":
+            same_folder = other.split(".")[1] == name.split(".")[1]
+            assert same_folder or layer(other) < layer(name), f"{name} imports {other}"
 
 
-@pytest.mark.parametrize("name", SOURCES)
-def test_imports_run_one_way(name):
-    for other in ours(SOURCES[name]):
-        assert stage(other) <= stage(name) or (name, other) in UPWARDS, f"{name} imports {other}"
+def test_geometry_and_stereo_import_nothing_above_them():
+    above = {"train", "evaluate", "calibrate"}
+    for folder, forbidden in (
+        ("geometry", above | {"rig_files", "stereo", "dataset"}),
+        ("stereo", above | {"rig_files"}),
+    ):
+        used = {other.split(".")[1] for path in (LIBRARY / folder).glob("*.py") for other in ours(path)}
+        assert not used & forbidden
 
 
-def test_no_module_imports_itself_in_a_circle():
-    TopologicalSorter({name: ours(path, inside_functions=False) for name, path in SOURCES.items()}).prepare()
+def test_the_renderer_uses_geometry_only():
+    used = {other for path in sources("render").values() for other in ours(path)}
+    assert {name.split(".")[1] for name in used} <= {"geometry", "errors"}
+
+
+def test_there_is_no_circle():
+    graph = {name: {n for n in imports(path) if n in EVERYTHING} - {name} for name, path in EVERYTHING.items()}
+    TopologicalSorter(graph).prepare()
 
 
 @pytest.mark.parametrize("library", AT_HOME)
 def test_large_libraries_stay_with_their_modules(library):
-    users = {name for name, path in SOURCES.items() if any(i.split(".")[0] == library for i in imports(path, True))}
-    assert {name.split(".")[0] for name in users} <= AT_HOME[library]
+    users = {
+        name for name, path in sources("omnistereo_lib").items() if library in {i.split(".")[0] for i in imports(path)}
+    }
+    assert users <= {f"omnistereo_lib.{name}" for name in AT_HOME[library]}
 
 
 @pytest.mark.parametrize("library", [*AT_HOME, "cv2", "yaml", "tifffile", "scipy"])
 def test_the_largest_are_imported_when_used(library):
-    eager = {name for name, path in SOURCES.items() if library in {i.split(".")[0] for i in imports(path, False)}}
-    allowed = {
-        "cv2": {"sweep", "health", "bench", "calibrate.detect"},
-        "scipy": {"lenses", "calibrate.bundle", "calibrate.rig"},
+    eager = {
+        name.removeprefix("omnistereo_lib.")
+        for name, path in sources("omnistereo_lib").items()
+        if library in {i.split(".")[0] for i in imports(path, inside_functions=False)}
     }
-    assert {name for name in eager if not name.startswith("render")} <= allowed.get(library, set())
+    assert eager <= EAGER.get(library, set())
 
 
 @pytest.mark.parametrize("name", osl.__all__)
-def test_every_name_of_the_face_resolves(name):
+def test_every_public_name_resolves(name):
     value = getattr(osl, name)
     assert callable(value) and value.__name__ == name and name in dir(osl)
 
@@ -127,8 +133,8 @@ def run(code):
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
 
 
-@pytest.mark.parametrize("name", ["camera", "pose", "sphere", "metrics", "errors"])
-def test_the_geometry_needs_numpy_alone(name):
+@pytest.mark.parametrize("name", ["geometry.camera", "geometry.pose", "geometry.rig", "geometry.sphere", "errors"])
+def test_geometry_needs_only_numpy(name):
     """Blender's interpreter has nothing else."""
     heavy = "{'torch', 'cv2', 'numba', 'matplotlib', 'pyvista', 'yaml', 'scipy', 'tifffile', 'psutil'}"
     assert run(f"import sys, omnistereo_lib.{name}; print({heavy} & set(sys.modules))") == "set()"
@@ -138,9 +144,11 @@ def test_the_package_itself_imports_nothing():
     assert run("import sys, omnistereo_lib; print({'numpy', 'torch'} & set(sys.modules))") == "set()"
 
 
-@pytest.mark.parametrize("first", ["osl.estimate_depth", "import omnistereo_lib.view3d", "import omnistereo_lib.sgm"])
+@pytest.mark.parametrize(
+    "first", ["osl.estimate_depth", "import omnistereo_lib.doctor", "import omnistereo_lib.stereo.sgm"]
+)
 def test_a_function_is_not_replaced_by_the_module_of_its_name(first):
-    """Python binds imported modules to their package: `osl.sgm` must stay the function whatever came before."""
+    """Python binds imported modules to their package: `osl.doctor` must stay the function whatever came before."""
     code = f"import omnistereo_lib as osl\n{first}\nprint(type(osl.sgm).__name__, type(osl.doctor).__name__)"
     assert run(code) == "function function"
 

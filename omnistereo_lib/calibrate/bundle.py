@@ -26,8 +26,8 @@ from scipy.optimize import least_squares
 from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import LinearOperator
 
-from omnistereo_lib.camera import OcamCamera, fit_inverse_polynomial
-from omnistereo_lib.pose import Pose
+from omnistereo_lib.geometry.camera import OcamCamera, fit_inverse_polynomial
+from omnistereo_lib.geometry.pose import Pose
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

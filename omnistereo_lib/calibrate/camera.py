@@ -13,8 +13,8 @@ from omnistereo_lib.calibrate.bundle import Bundle, Estimate, Observations, adju
 from omnistereo_lib.calibrate.detect import Progress, detect_views, edge_width, find_with_model, suggest_board
 from omnistereo_lib.calibrate.report import CameraReport
 from omnistereo_lib.calibrate.start import first_estimate
-from omnistereo_lib.camera import OcamCamera
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.geometry.camera import OcamCamera
 
 Floats = NDArray[np.float64]
 

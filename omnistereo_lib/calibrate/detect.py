@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.calibrate.board import Checkerboard
-from omnistereo_lib.camera import OcamCamera
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import read_bytes, replacing
+from omnistereo_lib.geometry.camera import OcamCamera
 
 Floats = NDArray[np.float64]
 Gray = NDArray[np.uint8]

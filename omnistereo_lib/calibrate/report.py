@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.calibrate.bundle import Estimate, Intrinsics
-from omnistereo_lib.pose import Pose
+from omnistereo_lib.geometry.pose import Pose
 
 Floats = NDArray[np.float64]
 

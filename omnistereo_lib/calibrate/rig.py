@@ -16,8 +16,8 @@ from omnistereo_lib.calibrate.camera import calibrate_corners, camera_report, fi
 from omnistereo_lib.calibrate.detect import Progress
 from omnistereo_lib.calibrate.report import CameraReport, RigReport
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.pose import Pose
-from omnistereo_lib.rig import Rig
+from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.geometry.rig import Rig
 
 Floats = NDArray[np.float64]
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from omnistereo_lib.costs.learned import LearnedCost, Precision
-from omnistereo_lib.costs.mccnn import MCCNN
-from omnistereo_lib.costs.sweepnet import SweepNet
-from omnistereo_lib.costs.zncc import ZNCC
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.volume import Cost
+from omnistereo_lib.stereo.learned import LearnedCost, Precision
+from omnistereo_lib.stereo.mccnn import MCCNN
+from omnistereo_lib.stereo.sweepnet import SweepNet
+from omnistereo_lib.stereo.volume import Cost
+from omnistereo_lib.stereo.zncc import ZNCC
 
 COSTS = {"zncc": "ZNCC", "mccnn": "MC-CNN", "sweepnet": "SweepNet"}  # in the order of the paper's table
 _NETWORKS: dict[str, type[LearnedCost]] = {"mccnn": MCCNN, "sweepnet": SweepNet}

@@ -16,22 +16,22 @@ from typing import NamedTuple
 
 import torch
 
-from omnistereo_lib.costs.learned import Precision, uses_bfloat16
-from omnistereo_lib.costs.weights import SHIPPED
 from omnistereo_lib.dataset import Dataset, Frame, load_dataset
-from omnistereo_lib.depth import winner_takes_all
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.evaluate.methods import METHODS, Method
 from omnistereo_lib.evaluate.records import Record, add_record, check_record, checksum, config_checksum, write_record
 from omnistereo_lib.evaluate.strata import error_sums, find_strata
 from omnistereo_lib.files import make_folder, read_bytes
-from omnistereo_lib.metrics import index_error
-from omnistereo_lib.render.frames import share
-from omnistereo_lib.rig import Rig
-from omnistereo_lib.sgm import sgm
-from omnistereo_lib.sphere import SphereGrid
-from omnistereo_lib.sweep import SphereSweep, find_device
-from omnistereo_lib.volume import Cost, cost_volume
+from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.rig_files import load_rig
+from omnistereo_lib.stereo.depth import winner_takes_all
+from omnistereo_lib.stereo.learned import Precision, uses_bfloat16
+from omnistereo_lib.stereo.metrics import index_error
+from omnistereo_lib.stereo.sgm import sgm
+from omnistereo_lib.stereo.sweep import SphereSweep, find_device
+from omnistereo_lib.stereo.volume import Cost, cost_volume
+from omnistereo_lib.stereo.weights import SHIPPED
 
 DATA = Path(__file__).resolve().parents[2] / "data_samples"
 _RIG_FILES = {".yaml", ".yml", ".json", ".txt", ".png"}  # masks among them
@@ -55,6 +55,23 @@ class Job(NamedTuple):
     data: str
     frame: int
     method: Method
+
+
+def share(numbers: tuple[int, ...], shard: str) -> tuple[int, ...]:
+    """Return the part i/n of the frames, such as "2/8": every eighth, from the second on.
+
+    Raises
+    ------
+    OmnistereoError
+        If the shard is not of that form.
+    """
+    try:
+        part, parts = (int(word) for word in shard.split("/"))
+    except ValueError:
+        part, parts = 0, 0
+    if not 1 <= part <= parts:
+        raise OmnistereoError(f"a shard is written i/n with 1 ≤ i ≤ n, such as 2/8; got {shard!r}")
+    return numbers[part - 1 :: parts]
 
 
 def find_sets(names: Sequence[str]) -> dict[str, Path]:
@@ -141,7 +158,7 @@ class Evaluation:
     precision : "auto" | "float32" | "bfloat16"
         Of the networks.
     rig : path, optional
-        Another rig in place of every set's own, such as a calibrated one: anything that `Rig.load` reads. It is put
+        Another rig in place of every set's own, such as a calibrated one: anything that `load_rig` reads. It is put
         where its first camera stands and looks as the set's first camera does.
 
     Attributes
@@ -313,7 +330,7 @@ def _chosen(data: Dataset, numbers: Sequence[int] | None) -> list[Frame]:
 
 def _placed(path: str | Path, data: Dataset) -> Rig:
     """Read a rig and put its first camera where a data set has its first one; the spheres stay the data set's."""
-    own, rig = data.rig, Rig.load(path)
+    own, rig = data.rig, load_rig(path)
     sizes = [[camera.image_size for camera in one.cameras] for one in (own, rig)]
     if sizes[0] != sizes[1]:
         raise OmnistereoError(f"{path} has cameras of {sizes[1]} pixels, {data.folder} of {sizes[0]}: another rig")

@@ -10,8 +10,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omnistereo_lib.metrics import error_map
-from omnistereo_lib.sweep import SphereSweep
+from omnistereo_lib.stereo.metrics import error_map
+from omnistereo_lib.stereo.sweep import SphereSweep
 
 FIGURES = (">1", ">3", ">5", "MAE", "RMS")
 STRATA = ("all", "sky", "far", "middle", "near", "at edges", "off edges", "thin")  # and "seen by 0", 1 …

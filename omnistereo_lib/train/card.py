@@ -10,9 +10,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from omnistereo_lib.costs.weights import SHIPPED, load_tensors, save_tensors
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import make_folder, replacing
+from omnistereo_lib.stereo.weights import SHIPPED, load_tensors, save_tensors
 from omnistereo_lib.train.loop import LOG, WEIGHTS, read_log
 from omnistereo_lib.train.recipes import RECIPES, MCCNNRecipe, Recipe
 

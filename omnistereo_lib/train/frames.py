@@ -13,10 +13,10 @@ from torch import Tensor
 
 from omnistereo_lib.dataset import Frame, load_dataset
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.sphere import SphereGrid
-from omnistereo_lib.sweep import SphereSweep, to_gray
+from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.sweep import SphereSweep, to_gray
+from omnistereo_lib.stereo.volume import camera_pairs
 from omnistereo_lib.train.recipes import Recipe
-from omnistereo_lib.volume import camera_pairs
 
 DATA = Path(__file__).resolve().parents[2] / "data_samples" / "sunny" / "train"
 

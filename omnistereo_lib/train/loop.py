@@ -22,11 +22,11 @@ import torch
 from torch import Tensor, distributed, nn
 from torch.nn.parallel import DistributedDataParallel
 
-from omnistereo_lib.costs.learned import LearnedCost, Precision, uses_bfloat16
-from omnistereo_lib.costs.weights import load_tensors, save_tensors
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import make_folder, read_bytes, replacing
-from omnistereo_lib.sweep import find_device
+from omnistereo_lib.stereo.learned import LearnedCost, Precision, uses_bfloat16
+from omnistereo_lib.stereo.sweep import find_device
+from omnistereo_lib.stereo.weights import load_tensors, save_tensors
 from omnistereo_lib.train.frames import DATA
 from omnistereo_lib.train.patches import PatchObjective, PatchSamples
 from omnistereo_lib.train.recipes import Recipe, SweepNetRecipe

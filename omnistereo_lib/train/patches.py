@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits
 
-from omnistereo_lib.costs.mccnn import MCCNN, PATCH
 from omnistereo_lib.dataset import Frame
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.sweep import OUTSIDE, remap
+from omnistereo_lib.stereo.mccnn import MCCNN, PATCH
+from omnistereo_lib.stereo.sweep import OUTSIDE, remap
 from omnistereo_lib.train.frames import TrainingFrames, to_device
 from omnistereo_lib.train.recipes import MCCNNRecipe
 

@@ -130,7 +130,7 @@ class MCCNNRecipe(Recipe):
 
 _PAPERS = {"optimizer": "sgd", "schedule": "drop", "warmup": 0, "weight_decay": 0.0, "augment": False, "clip": 1e9}
 
-# teaching: minutes on two cores, enough to see it learn. shipped: what made data_samples/weights.
+# teaching: minutes on two cores, enough to see it learn. shipped: what made omnistereo_lib/weights.
 # paper: the papers' figures, for a GPU and their data; steps = 14 epochs.
 # 640 × 160 samples pictures of 400 × 384 as finely as the paper's 1200 × 300 samples those of 800 × 768, and with 96
 # spheres a sphere is as many pixels as there. The notebooks' 320 × 80 is the other half: there, what a cost sees is

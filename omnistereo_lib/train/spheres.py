@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits, pad
 
-from omnistereo_lib.costs.learned import Features
-from omnistereo_lib.costs.sweepnet import SweepNet
 from omnistereo_lib.dataset import Frame
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.stereo.learned import Features
+from omnistereo_lib.stereo.sweepnet import SweepNet
 from omnistereo_lib.train.frames import TrainingFrames, shuffled_true, to_device
 from omnistereo_lib.train.recipes import SweepNetRecipe
 

@@ -1,0 +1,64 @@
+"""`python -m course COMMAND`: the tools that make the notebooks, the book and the reproduction report."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from course import nbtools
+from omnistereo_lib.errors import OmnistereoError
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one command; return the exit status. Bad input is one plain line."""
+    parser = argparse.ArgumentParser(prog="python -m course", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for name, text in (
+        ("run", "run notebooks from fresh kernels, clean and store them"),
+        ("clean", "remove what should not be stored: ids, timings, widget state"),
+        ("lint", "check notebooks against the course's rules"),
+    ):
+        commands.add_parser(name, help=text).add_argument("notebooks", nargs="+", type=Path)
+    commands.add_parser("readme", help="update the README's table of notebooks and its picture")
+    commands.add_parser("solve", help="write the notebooks with every exercise solved to out/solutions")
+    for name, text in (("book", "build the website"), ("slides", "build the slides")):
+        folder = nbtools.ROOT / "out" / name
+        commands.add_parser(name, help=text).add_argument("folder", nargs="?", type=Path, default=folder)
+    ledger = commands.add_parser("ledger", help="update the reproduction report in a Markdown file")
+    ledger.add_argument("file", type=Path)
+    ledger.add_argument("--results", type=Path, help="results.json of `omnistereo_lib evaluate`")
+    try:
+        return run(parser.parse_args(arguments))
+    except OmnistereoError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+
+
+def run(options: argparse.Namespace) -> int:
+    """Do what the command line asks for; each tool is imported only when it is used."""
+    match options.command:
+        case "solve":
+            from course.solve import main
+
+            main()
+            return 0
+        case "book":
+            from course.website import build
+
+            return build(options.folder)
+        case "slides":
+            from course.slides import make_slides
+
+            make_slides(options.folder)
+            return 0
+        case "ledger":
+            from course.ledger import write_ledger
+            from omnistereo_lib.evaluate.records import read_record
+
+            write_ledger(options.file, options.results and read_record(options.results))
+            return 0
+        case _:
+            return nbtools.main(options.command, getattr(options, "notebooks", []))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,229 @@
+"""Pictures for the notebooks. The only module that draws; Matplotlib is imported when it does."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omnistereo_lib.calibrate.figures import calibration_figure, draw_coverage
+from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.depth import colorize_depth
+
+if TYPE_CHECKING:
+    from ipywidgets import Widget
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.image import AxesImage
+
+__all__ = [
+    "calibration_figure",
+    "colorize_depth",
+    "draw_coverage",
+    "draw_depth",
+    "draw_panorama",
+    "draw_rig",
+    "encode",
+    "explore",
+    "live",
+    "show",
+]
+
+DEPTH_COLORS = "inferno"  # as `colorize_depth`
+DPI = 80  # sharp enough to read, small enough that a notebook stays below 500 KB
+
+
+def encode(fig: Figure, kind: Literal["png", "jpeg"] = "png", tight: bool = True) -> bytes:
+    """Encode a figure as a PNG (lines, text, flat colours) or a JPEG (photographs) at 80 dots per inch.
+
+    A tight one is cut to what is drawn, for which it is drawn twice.
+    """
+    buffer = io.BytesIO()
+    # Matplotlib writes its version into a PNG: without it the file depends on the picture alone.
+    extra = {"metadata": {"Software": None}} if kind == "png" else {}
+    pil = {"optimize": True} if kind == "png" else {"quality": 78, "optimize": True}
+    fig.savefig(buffer, format=kind, dpi=DPI, bbox_inches="tight" if tight else None, pil_kwargs=pil, **extra)
+    return buffer.getvalue()
+
+
+def show(fig: Figure, caption: str, alt: str, kind: Literal["png", "jpeg"] = "png") -> None:
+    """Show a figure in a notebook, with a caption below it, and close it.
+
+    Parameters
+    ----------
+    fig
+        The figure; it is closed afterwards, so that Jupyter does not show it a second time.
+    caption
+        What the reader should see in it, one or two sentences of Markdown. Appears as "*Figure:* ...".
+    alt
+        What the picture shows, for somebody who cannot see it. Stored in both places that renderers look
+        at: the image's metadata (nbconvert's classic template) and the output's plain-text form (MyST,
+        terminals). JupyterLab 4 reads neither; there the caption speaks.
+    kind
+        "png" for drawings, "jpeg" for photographs and panoramas.
+    """
+    import matplotlib.pyplot as plt
+    from IPython.display import display
+
+    mime = f"image/{kind}"
+    picture = base64.b64encode(encode(fig, kind)).decode()
+    plt.close(fig)
+    display({mime: picture, "text/plain": alt}, metadata={mime: {"alt": alt}}, raw=True)
+    display({"text/markdown": f"*Figure:* {caption}", "text/plain": caption}, raw=True)
+
+
+def live(draw: Callable[..., Figure], **sliders: Widget) -> None:
+    """Show a figure that follows sliders, drawn anew as a small JPEG whenever one of them moves.
+
+    Notebooks are stored without it: the captioned figure before it says what it shows.
+
+    Parameters
+    ----------
+    draw : callable
+        Takes the sliders' values by name, returns a figure.
+    sliders : ipywidgets
+        Widgets with a value, named as the arguments of `draw`.
+    """
+    import matplotlib.pyplot as plt
+    from IPython.display import display
+    from ipywidgets import Image, VBox
+
+    picture = Image(format="jpeg")
+
+    def update(_: object = None) -> None:
+        fig = draw(**{name: slider.value for name, slider in sliders.items()})
+        picture.value = encode(fig, "jpeg", tight=False)  # a slider is to answer at once
+        plt.close(fig)
+
+    for name, slider in sliders.items():
+        slider.description = slider.description or name
+        slider.observe(update, "value")
+    update()
+    display(VBox([*sliders.values(), picture]))
+
+
+def explore(draw: Callable[[int, int], Figure], panorama: NDArray, row: int, column: int) -> None:
+    """Show a panorama to click on and, below it, the figure of the ray at the cross.
+
+    Two sliders move the cross as well: by the keyboard, and in programs that know no clicks.
+    Notebooks are stored without it: the captioned figure before it says what it shows.
+
+    Parameters
+    ----------
+    draw : callable
+        Takes the row and the column of a ray by these names, returns a figure.
+    panorama : array, shape (H, W) or (H, W, 3)
+        Gray values or colours of 0 … 255; NaN becomes gray.
+    row, column : int
+        Where the cross is at first.
+    """
+    from ipyevents import Event
+    from IPython.display import display
+    from ipywidgets import Image, IntSlider, Layout
+
+    height, width = panorama.shape[:2]
+    rows, columns = IntSlider(row, 0, height - 1), IntSlider(column, 0, width - 1)
+    picture = Image(format="jpeg", layout=Layout(width="100%"))
+
+    def mark(_: object = None) -> None:
+        picture.value = _with_cross(panorama, rows.value, columns.value)
+
+    def move(event: dict[str, Any]) -> None:
+        rows.value = int(height * event["relativeY"] / event["boundingRectHeight"])
+        columns.value = int(width * event["relativeX"] / event["boundingRectWidth"])
+
+    for slider in (rows, columns):
+        slider.observe(mark, "value")
+    Event(source=picture, watched_events=["click"]).on_dom_event(move)
+    mark()
+    display(picture)
+    live(draw, row=rows, column=columns)
+
+
+def _with_cross(panorama: NDArray, row: int, column: int) -> bytes:
+    """Encode a panorama, three pixels for one, with an open cross around a ray, as a JPEG."""
+    import cv2
+
+    gray = np.where(np.isfinite(panorama), panorama, 185).clip(0, 255).astype(np.uint8)
+    picture = np.repeat(np.repeat(gray if gray.ndim == 3 else np.stack([gray] * 3, -1), 3, 0), 3, 1)
+    x, y = 3 * column + 1, 3 * row + 1
+    for color, thickness in (((0, 0, 0), 5), ((255, 255, 0), 2)):  # dark around bright: seen on any ground
+        for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+            cv2.line(picture, (x + 8 * dx, y + 8 * dy), (x + 22 * dx, y + 22 * dy), color, thickness)
+    return cv2.imencode(".jpg", picture[..., ::-1])[1].tobytes()
+
+
+def draw_panorama(ax: Axes, picture: NDArray, grid: SphereGrid, title: str = "", **imshow: Any) -> AxesImage:
+    """Draw a panorama with its angles: θ to the right, φ down, in degrees.
+
+    Parameters
+    ----------
+    ax : Matplotlib axes
+    picture : array, shape (H, W) or (H, W, 3)
+        Gray values and colours of 0 … 255 or anything `imshow` takes; NaN stays gray.
+    grid : SphereGrid
+    title : str
+    imshow
+        Further arguments of Matplotlib's imshow.
+    """
+    picture = np.asarray(picture)
+    if picture.ndim == 3:
+        picture = np.where(np.isfinite(picture), picture, 185).clip(0, 255).astype(np.uint8)
+    low, high = grid.phi_deg
+    ax.set_facecolor("0.73")
+    image = ax.imshow(picture, extent=(-180, 180, high, low), aspect="equal", **{"cmap": "gray", **imshow})
+    ax.set_xticks(range(-180, 181, 90))
+    ax.set_yticks([low, 0, high] if low < 0 < high else [low, high])
+    ax.set_xlabel("θ [°]")
+    ax.set_ylabel("φ [°]")
+    ax.set_title(title, loc="left", fontsize=10)
+    return image
+
+
+def draw_depth(ax: Axes, inverse_depth: NDArray, grid: SphereGrid, title: str = "") -> AxesImage:
+    """Draw a panorama of inverse depth (H, W) in 1/m with a colour bar in metres; unknown rays are striped."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    image = draw_panorama(ax, colorize_depth(inverse_depth, grid), grid, title)
+    colors = ScalarMappable(Normalize(0, 1 / grid.min_depth), DEPTH_COLORS)
+    bar = ax.figure.colorbar(colors, ax=ax, fraction=0.02, pad=0.01)
+    ticks = np.array([0, 0.25, 0.5, 1]) / grid.min_depth
+    bar.set_ticks(ticks, labels=["∞" if tick == 0 else f"{1 / tick:.3g} m" for tick in ticks])
+    return image
+
+
+def draw_rig(ax: Axes, rig: Rig, fov_deg: float | None = None) -> None:
+    """Draw a rig from above: z up, x to the right, an arrow and a wedge of view for each camera.
+
+    Parameters
+    ----------
+    ax : Matplotlib axes
+    rig : Rig
+    fov_deg : float, optional
+        Opening of the wedges; the cameras' field of view unless given.
+    """
+    from matplotlib.patches import Wedge
+
+    reach = 1.2 * float(rig.baselines.max())
+    for i, (pose, camera) in enumerate(zip(rig.T_rig_cam, rig.cameras, strict=True)):
+        (x, _, z), (forward_x, _, forward_z) = pose.t, pose.R[:, 2]
+        color = f"C{i}"
+        half = (fov_deg or camera.max_fov_deg) / 2
+        direction = np.degrees(np.arctan2(forward_z, forward_x))
+        ax.add_patch(Wedge((x, z), reach, direction - half, direction + half, color=color, alpha=0.08))
+        ax.arrow(x, z, 0.3 * reach * forward_x, 0.3 * reach * forward_z, color=color, head_width=0.05 * reach)
+        ax.plot(x, z, "o", color=color)
+        ax.annotate(f"camera {i + 1}", (x, z), textcoords="offset points", xytext=(8, 6), color=color)
+    center = rig.centers.mean(0)
+    ax.plot(center[0], center[2], "k+", markersize=12)
+    ax.annotate("sweep centre", (center[0], center[2]), textcoords="offset points", xytext=(6, -12))
+    ax.set_aspect("equal")
+    ax.autoscale_view()
+    ax.set_xlabel("x (right) [m]")
+    ax.set_ylabel("z (forward) [m]")

@@ -1,0 +1,80 @@
+"""Write the notebooks with their exercises solved: `python -m course solve` fills out/solutions.
+
+A solution notebook is the stored notebook with every stub, a function that ends in `return ...`, replaced by
+the function of the same name in course/solutions.py. There is no second copy of anything.
+"""
+
+import ast
+import copy
+import inspect
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import nbformat
+from nbformat import NotebookNode
+
+from course import nbtools, solutions
+from omnistereo_lib.errors import OmnistereoError
+
+OUT = nbtools.ROOT / "out" / "solutions"
+ANSWERS = {name: value for name, value in vars(solutions).items() if inspect.isfunction(value)}
+
+
+def stubs(source: str) -> Iterator[ast.FunctionDef]:
+    """Yield the functions of a cell that are still to be written: they end in `return ...`."""
+    for node in ast.parse(source).body:
+        if isinstance(node, ast.FunctionDef) and ast.unparse(node.body[-1]) == "return ...":
+            yield node
+
+
+def solved(source: str, answers: dict[str, Callable]) -> str:
+    """Return a cell's source with the answers in the place of its stubs."""
+    lines = source.splitlines()
+    for stub in reversed(list(stubs(source))):  # from below, so that the line numbers above stay right
+        if stub.name not in answers:
+            known = ", ".join(answers)
+            raise OmnistereoError(
+                f"the stub {stub.name} has no solution; there are {known}. Write one into course/solutions.py"
+            )
+        lines[stub.lineno - 1 : stub.end_lineno] = inspect.getsource(answers[stub.name]).rstrip().splitlines()
+    return "\n".join(lines)
+
+
+def solve(nb: NotebookNode, answers: dict[str, Callable]) -> NotebookNode:
+    """Return a notebook with its stubs solved, and those cells not run."""
+    nb = copy.deepcopy(nb)
+    for cell in nbtools.code_cells(nb):
+        source = solved(cell.source, answers)
+        if source != cell.source:
+            cell.source, cell.outputs, cell.execution_count = source, [], None
+    return nb
+
+
+def solve_all(paths: list[Path], answers: dict[str, Callable]) -> dict[Path, NotebookNode]:
+    """Return all notebooks solved, by path; an answer that no stub asks for is an error."""
+    stored = {path: nbformat.read(path, as_version=4) for path in paths}
+    notebooks = {path: solve(nb, answers) for path, nb in stored.items()}
+    cells = [cell for nb in stored.values() for cell in nbtools.code_cells(nb)]
+    asked = {stub.name for cell in cells for stub in stubs(cell.source)}
+    if unasked := [name for name in answers if name not in asked]:
+        raise OmnistereoError(
+            f"course/solutions.py solves {', '.join(unasked)}, of which no notebook has a stub; there are "
+            f"{', '.join(sorted(asked))}. Rename the solution as its stub, or take it out"
+        )
+    return notebooks
+
+
+def main() -> None:
+    """Write all solution notebooks, and beside their folder the data that they look for in `../data_samples`."""
+    try:
+        notebooks = solve_all(nbtools.notebooks(), ANSWERS)
+    except OmnistereoError as error:
+        sys.exit(str(error))
+    OUT.mkdir(parents=True, exist_ok=True)
+    for path, nb in notebooks.items():
+        nbtools.store(OUT / path.name, nbtools.text_of(nb))
+    data = OUT.parent / "data_samples"
+    if not data.exists():
+        data.symlink_to(Path("..") / "data_samples")
+    print(f"The notebooks with solutions: {OUT.relative_to(nbtools.ROOT)}")

@@ -1,1 +1,0 @@
-"""Matching costs, one module each; every one is called like `ZNCC`."""

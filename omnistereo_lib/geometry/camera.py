@@ -1,0 +1,314 @@
+"""The polynomial fisheye camera Π of the paper (Section III-A; Scaramuzza 2006, Urban 2015).
+
+A direct polynomial f gives the ray of a pixel, an inverse polynomial ρ gives the pixel of a ray::
+
+    ray(x, y) ∝ (x, y, -f(r)),  r = hypot(x, y)           pixels from the centre, before the affine map A
+    r(t) = b0 + b1 t + b2 t² + ...                        t = atan2(-Z, hypot(X, Y)), the angle below the xy-plane
+
+so the angle from the optical axis is t + π/2, and 220° lenses need nothing special: no division by Z.
+
+Camera frame: x right, y down, z along the optical axis. Pixels: (u right, v down), integers are pixel
+centres, (0, 0) is the centre of the top-left pixel. Files keep (row, column); their reader swaps.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from types import ModuleType
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omnistereo_lib.errors import OmnistereoError
+
+Array = Any  # a NumPy array or a torch tensor: both have every operation that is used here
+
+_INVERSE_TOLERANCE = 0.01  # px, as the original toolbox demands of the inverse polynomial
+_EDGE = 1e-6  # px: the corner pixel stays inside the image after a round trip's rounding
+
+
+@dataclass(frozen=True, eq=False)
+class OcamCamera:
+    """A fisheye camera with polynomial distortion.
+
+    Parameters
+    ----------
+    poly : sequence of float
+        Direct polynomial f, coefficients from low to high, pixels; f(0) < 0.
+    inv_poly : sequence of float
+        Inverse polynomial r(t), coefficients from low to high, pixels. `fit_inverse_polynomial` makes it.
+    center : (float, float)
+        Image of the optical axis (u, v), pixels.
+    affine : (float, float, float)
+        c, d, e of the paper's A as the files name them: u = x + e y + u0, v = d x + c y + v0.
+    image_size : (int, int)
+        Width and height, pixels.
+    max_fov_deg : float
+        Full field of view; directions more than half of it away from the axis are not seen.
+    mask : bool array, shape (height, width), optional
+        True where the picture is usable. None: everywhere.
+
+    Raises
+    ------
+    OmnistereoError
+        If a parameter is not finite, has the wrong shape or is out of range.
+    """
+
+    poly: NDArray[np.float64]
+    inv_poly: NDArray[np.float64]
+    center: tuple[float, float]
+    affine: tuple[float, float, float]
+    image_size: tuple[int, int]
+    max_fov_deg: float = 220.0
+    mask: NDArray[np.bool_] | None = None
+    max_radius: float = field(init=False, repr=False)  # where the field of view ends, px before A
+
+    load: ClassVar[Callable[..., OcamCamera]]  # `rig_files` attaches it: geometry knows nothing of files
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "poly", np.asarray(self.poly, np.float64))
+        object.__setattr__(self, "inv_poly", np.asarray(self.inv_poly, np.float64))
+        self._check()
+        object.__setattr__(self, "max_radius", float(_horner(self.inv_poly, self._max_t)))
+
+    def _check(self) -> None:
+        for name in ("poly", "inv_poly"):
+            coefficients = getattr(self, name)
+            if coefficients.ndim != 1 or len(coefficients) < 2 or not np.isfinite(coefficients).all():
+                raise OmnistereoError(f"{name} needs two or more finite coefficients, got {coefficients.tolist()}")
+        width, height = self.image_size
+        if not (width >= 2 and height >= 2 and width % 1 == 0 and height % 1 == 0):
+            raise OmnistereoError(f"image size must be two whole numbers of at least 2 px, got {self.image_size}")
+        if not 0 < self.max_fov_deg <= 360:
+            raise OmnistereoError(f"max_fov_deg must be in (0, 360], got {self.max_fov_deg}")
+        if not np.isfinite([*self.center, *self.affine]).all():
+            raise OmnistereoError(f"centre and affine must be finite, got {self.center} and {self.affine}")
+        if abs(np.linalg.det(self._A)) < 1e-6:
+            raise OmnistereoError(f"the affine map c, d, e = {self.affine} is singular, expected about (1, 0, 0)")
+        if self.poly[0] >= 0:
+            raise OmnistereoError(f"the direct polynomial must start below 0 (a0 = -focal length), got {self.poly[0]}")
+        if self.mask is not None and self.mask.shape != (height, width):
+            raise OmnistereoError(
+                f"the mask has shape {self.mask.shape}, the camera's image is (height, width) = {(height, width)}"
+            )
+
+    @property
+    def _A(self) -> NDArray[np.float64]:
+        c, d, e = self.affine
+        return np.array([[1.0, e], [d, c]])
+
+    @property
+    def _max_t(self) -> float:
+        return float(np.radians(self.max_fov_deg / 2) - np.pi / 2)
+
+    def project(self, points: ArrayLike, exact: bool = False) -> tuple[Array, Array]:
+        """Project points to pixels: A(Π(X; Φ)) of the paper.
+
+        Parameters
+        ----------
+        points : array or torch tensor, shape (..., 3)
+            Points in the camera frame; only their direction matters.
+        exact : bool
+            False: the inverse polynomial, as every released code does. True: the root of the direct
+            polynomial, for files whose two polynomials disagree.
+
+        Returns
+        -------
+        uv : shape (..., 2), pixels
+            Meaningful where valid; finite elsewhere, so that it can be interpolated.
+        valid : bool, shape (...)
+            Within the field of view, inside the image, on the mask. Points at the camera centre
+            or not finite are invalid.
+        """
+        points, xp = _as_array(points, 3)
+        x, y, z = points[..., 0], points[..., 1], points[..., 2]
+        n = xp.hypot(x, y)
+        t = xp.arctan2(-z, n)
+        finite = xp.isfinite(n) & xp.isfinite(z) & (xp.hypot(n, z) > 0)
+        seen = finite & (t <= self._max_t + 1e-12)
+        t = xp.where(seen, t, xp.full_like(t, self._max_t))  # the polynomial means nothing further out
+        r = self._radius_by_root(t) if exact else _horner(self.inv_poly, t)
+        off_axis = finite & (n > 0)  # the axis itself lands on the centre
+        n = xp.where(off_axis, n, xp.ones_like(n))
+        # Divide first: close to the axis r / n alone can overflow.
+        x, y = (xp.where(off_axis, side, xp.zeros_like(side)) / n * r for side in (x, y))
+        c, d, e = self.affine
+        uv = xp.stack([x + e * y + self.center[0], d * x + c * y + self.center[1]], -1)
+        return uv, seen & self.contains(uv)
+
+    def unproject(self, uv: ArrayLike, exact: bool = False) -> tuple[Array, Array]:
+        """Return the unit rays of pixels: the inverse of `project` with the same `exact`.
+
+        Parameters
+        ----------
+        uv : array or torch tensor, shape (..., 2), pixels
+        exact : bool
+            False: the inverse polynomial, inverted numerically. True: the direct polynomial.
+
+        Returns
+        -------
+        rays : shape (..., 3), unit length, camera frame
+        valid : bool, shape (...)
+            Inside the image, on the mask, within the field of view.
+        """
+        uv, xp = _as_array(uv, 2)
+        finite = xp.isfinite(uv[..., 0]) & xp.isfinite(uv[..., 1])
+        u = xp.where(finite, uv[..., 0], xp.zeros_like(uv[..., 0])) - self.center[0]
+        v = xp.where(finite, uv[..., 1], xp.zeros_like(uv[..., 1])) - self.center[1]
+        (i00, i01), (i10, i11) = np.linalg.inv(self._A)
+        x, y = i00 * u + i01 * v, i10 * u + i11 * v
+        r = xp.hypot(x, y)
+        t = xp.arctan2(_horner(self.poly, r), r) if exact else self._angle_by_root(r)
+        sine = xp.cos(t)  # of the angle from the axis, which is t + π/2
+        safe_r = xp.where(r > 0, r, xp.ones_like(r))
+        rays = xp.stack([x / safe_r * sine, y / safe_r * sine, -xp.sin(t)], -1)
+        axis = xp.zeros_like(rays) + _like(xp, rays, [0.0, 0.0, 1.0])
+        rays = xp.where((r > 0)[..., None], rays, axis)
+        return rays, finite & self.contains(uv) & (t <= self._max_t + 1e-9) & (r <= self.max_radius + 1e-6)
+
+    def contains(self, uv: Array) -> Array:
+        """Return where pixels (..., 2) lie inside the image and on the mask; bool, shape (...)."""
+        width, height = self.image_size
+        u, v = uv[..., 0], uv[..., 1]
+        low, right, bottom = -_EDGE, width - 1 + _EDGE, height - 1 + _EDGE
+        inside = (u >= low) & (u <= right) & (v >= low) & (v <= bottom)
+        if self.mask is None:
+            return inside
+        _, xp = _as_array(uv, 2)
+        column = xp.where(inside, u, xp.zeros_like(u)).round()
+        row = xp.where(inside, v, xp.zeros_like(v)).round()
+        if xp is np:
+            return inside & self.mask[row.astype(int), column.astype(int)]
+        return inside & xp.as_tensor(self.mask, device=uv.device)[row.long(), column.long()]
+
+    def polynomial_disagreement(self) -> float:
+        """Return the largest distance in pixels between the two polynomials' images over the field of view."""
+        t = np.linspace(-np.pi / 2 + 1e-6, self._max_t, 2000)
+        return float(np.abs(self._radius_by_root(t) - _horner(self.inv_poly, t)).max())
+
+    def _radius_by_root(self, t: Array) -> Array:
+        """Solve f(r) cos t = r sin t, the direct polynomial's smallest positive root, by Newton's method."""
+        radii, angles = _monotone_branch(self.poly, self._max_t, 3 * max(self.image_size))
+        slope = _derivative(self.poly)
+        xp = _namespace(t)
+        r = _interpolate(xp, t, angles, radii)
+        cosine, sine = xp.cos(t), xp.sin(t)
+        for _ in range(_NEWTON_STEPS):
+            r = r - (_horner(self.poly, r) * cosine - r * sine) / (_horner(slope, r) * cosine - sine)
+        return r
+
+    def _angle_by_root(self, r: Array) -> Array:
+        """Solve r(t) = r for t by Newton's method, from a table; radii past the field of view stop at its end."""
+        angles = np.linspace(-np.pi / 2, self._max_t, 1024)
+        radii = _horner(self.inv_poly, angles)
+        slope = _derivative(self.inv_poly)
+        xp = _namespace(r)
+        t = _interpolate(xp, r, np.maximum.accumulate(radii), angles)
+        for _ in range(_NEWTON_STEPS):
+            step = (_horner(self.inv_poly, t) - r) / _horner(slope, t)
+            t = xp.clip(t - step, -np.pi / 2, self._max_t)
+        return t
+
+
+_NEWTON_STEPS = 4  # from a table of 1024 entries the error falls 1e-3 → 1e-6 → 1e-12 → rounding
+
+
+def fit_inverse_polynomial(
+    poly: ArrayLike, max_fov_deg: float, max_radius: float, tolerance: float = _INVERSE_TOLERANCE
+) -> NDArray[np.float64]:
+    """Fit the inverse polynomial r(t) to a direct one, raising the degree until it is good enough.
+
+    Parameters
+    ----------
+    poly : sequence of float
+        Direct polynomial, low to high, pixels.
+    max_fov_deg : float
+        Full field of view that has to be covered.
+    max_radius : float
+        Search bound for the radius in pixels, such as three times the image's larger side.
+    tolerance : float
+        Largest error in pixels.
+
+    Returns
+    -------
+    array, shape (degree + 1,), low to high
+
+    Raises
+    ------
+    OmnistereoError
+        If the direct polynomial turns back before the field of view ends, or no degree up to 25 fits.
+    """
+    max_t = np.radians(max_fov_deg / 2) - np.pi / 2
+    radii, angles = _monotone_branch(np.asarray(poly, np.float64), max_t, max_radius)
+    for degree in range(3, 26):
+        fit = np.polynomial.Polynomial.fit(angles, radii, degree)
+        error = np.abs(fit(angles) - radii).max()
+        if error < tolerance:
+            return fit.convert().coef
+    raise OmnistereoError(
+        f"no inverse polynomial up to degree 25 comes within {tolerance} px of the direct one {np.asarray(poly)}: "
+        f"the last is {error:.3g} px off. Is max_fov_deg = {max_fov_deg} more than the lens has?"
+    )
+
+
+def _monotone_branch(
+    poly: NDArray[np.float64], max_t: float, max_radius: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Sample radius against angle t from the axis outwards as far as the angle grows and max_t needs it."""
+    radii = np.linspace(0.0, max_radius, 4096)
+    angles = np.arctan2(_horner(poly, radii), radii)
+    growing = int(np.argmin(np.append(np.diff(angles) > 0, False)))  # overflow to NaN does not grow either
+    reach = int(np.searchsorted(angles[: growing + 1], max_t))
+    if reach > growing:
+        raise OmnistereoError(
+            f"the direct polynomial {poly.tolist()} reaches only {2 * np.degrees(angles[growing] + np.pi / 2):.1f}° "
+            f"of field of view before it turns back or leaves {max_radius:.0f} px, "
+            f"expected {2 * np.degrees(max_t + np.pi / 2):.1f}°. Lower max_fov_deg or check the coefficients."
+        )
+    # Between 0 and the end of the field, densely: the angle is steep in r near the axis of long lenses.
+    radii = np.linspace(0.0, radii[reach], 1024)
+    return radii, np.arctan2(_horner(poly, radii), radii)
+
+
+def _horner(coefficients: NDArray[np.float64], x: Array) -> Array:
+    """Evaluate a polynomial, coefficients from low to high."""
+    value = x * 0.0 + float(coefficients[-1])
+    for coefficient in coefficients[-2::-1]:
+        value = value * x
+        value += float(coefficient)
+    return value
+
+
+def _derivative(coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
+    return coefficients[1:] * np.arange(1, len(coefficients))
+
+
+def _namespace(a: Array) -> ModuleType:
+    """Return torch for a tensor, NumPy for everything else, without ever importing torch."""
+    torch = sys.modules.get("torch")
+    return torch if torch is not None and isinstance(a, torch.Tensor) else np
+
+
+def _as_array(a: ArrayLike, width: int) -> tuple[Array, ModuleType]:
+    xp = _namespace(a)
+    a = np.asarray(a, np.float64) if xp is np else a
+    if a.ndim < 1 or a.shape[-1] != width:
+        raise OmnistereoError(f"expected an array of shape (..., {width}), got {tuple(a.shape)}")
+    return a, xp
+
+
+def _like(xp: ModuleType, a: Array, values: ArrayLike) -> Array:
+    return np.asarray(values) if xp is np else xp.as_tensor(values, dtype=a.dtype, device=a.device)
+
+
+def _interpolate(xp: ModuleType, x: Array, xs: NDArray[np.float64], ys: NDArray[np.float64]) -> Array:
+    """Interpolate linearly in a table with growing xs."""
+    if xp is np:
+        return np.interp(x, xs, ys)
+    xs, ys = _like(xp, x, xs), _like(xp, x, ys)
+    i = xp.clip(xp.searchsorted(xs, x.contiguous()), 1, len(xs) - 1)
+    slope = (ys[i] - ys[i - 1]) / (xs[i] - xs[i - 1])
+    return ys[i - 1] + slope * (xp.clip(x, xs[0], xs[-1]) - xs[i - 1])

@@ -1,0 +1,102 @@
+"""The data: a procedural city, rendered with Blender as a Python module.
+
+Blender runs in an environment of its own (environment-render.txt), because it needs an older NumPy; `main`
+finds it. Blender is under the GNU General Public License, and its makers take scripts that import `bpy` to be
+covered by it: whoever passes on the modules of this folder that do should treat them so. Nothing outside this
+folder imports bpy.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from omnistereo_lib.errors import OmnistereoError
+from render.captures import CAPTURES, is_captured, render_captures
+from render.frames import SEED, SETS, forget_partial, is_complete, render_set, share, write_manifest
+
+_ALL = SETS | CAPTURES
+_ROOT = Path(__file__).resolve().parents[1]
+_BLENDER_PYTHON = _ROOT / ".venv-render" / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run `python -m render`; return the exit status. Bad input is one plain line."""
+    parser = argparse.ArgumentParser(prog="python -m render", description="Render the data sets with Blender.")
+    parser.add_argument("sets", nargs="*", metavar="SET", help=f"image sets: {', '.join(_ALL)} (default: sunny/test)")
+    parser.add_argument("--frames", type=int, nargs="+", help="frame or capture numbers (default: those that ship)")
+    parser.add_argument("--shard", default="1/1", help="part i/n of the frames, for several machines (default: 1/1)")
+    parser.add_argument("--seed", type=int, default=SEED, help=f"of the city and the rig (default: {SEED})")
+    parser.add_argument("--out", type=Path, default=_ROOT / "data_samples", help="default: data_samples")
+    try:
+        return render(parser.parse_args(arguments))
+    except OmnistereoError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+
+
+def render(options: argparse.Namespace) -> int:
+    """Render the frames that are missing, here or in Blender's environment; return the exit status.
+
+    Raises
+    ------
+    OmnistereoError
+        If a set, a frame or a shard does not exist, or Blender's environment is missing.
+    """
+    names = options.sets or ["sunny/test"]
+    wanted = {name: share(_numbers(name, options.frames), options.shard) for name in names}
+    if options.seed < 0:
+        raise OmnistereoError(f"a seed is a whole number from 0 up, got {options.seed}")
+    if importlib.util.find_spec("bpy") is None:
+        return _run_in_blender_environment(options)
+    for name, numbers in wanted.items():
+        _render(options.out / name, name, numbers, options.seed)
+    sets = " ".join(name for name in _ALL if (options.out / name).is_dir())
+    write_manifest(options.out, options.seed, f"python -m render {sets} --seed {options.seed}")
+    return 0
+
+
+def _numbers(name: str, frames: list[int] | None) -> tuple[int, ...]:
+    if name not in _ALL:
+        raise OmnistereoError(f"there is no image set {name!r}: choose from {', '.join(_ALL)}")
+    images = _ALL[name]
+    for number in frames or ():
+        if not images.first <= number < images.first + images.count:
+            last = images.first + images.count - 1
+            raise OmnistereoError(f"{name} has the frames {images.first} to {last}, not {number}")
+    return tuple(dict.fromkeys(frames)) if frames else images.shipped
+
+
+def _render(folder: Path, name: str, numbers: tuple[int, ...], seed: int) -> None:
+    from tqdm import tqdm
+
+    if name in CAPTURES:
+        captures = CAPTURES[name]
+        done = sum(is_captured(folder, captures, number, seed) for number in numbers)
+        finished = render_captures(folder, captures, numbers, seed)
+    else:
+        images = SETS[name]
+        forget_partial(folder, images, numbers)
+        done = sum(is_complete(folder, images, number) for number in numbers)
+        finished = render_set(folder, images, numbers, seed)
+    with tqdm(total=len(numbers), initial=done, desc=name, unit="frame") as bar:
+        for _ in finished:
+            bar.update()
+
+
+def _run_in_blender_environment(options: argparse.Namespace) -> int:
+    environment = _BLENDER_PYTHON.parents[1]
+    if not _BLENDER_PYTHON.is_file() or Path(sys.prefix).resolve() == environment.resolve():
+        raise OmnistereoError(
+            f"Blender's environment is missing or unfinished ({environment.name}): run make render, or "
+            "python3.11 -m venv .venv-render and .venv-render/bin/pip install -r environment-render.txt"
+        )
+    frames = ["--frames", *map(str, options.frames)] if options.frames else []
+    command = [_BLENDER_PYTHON, "-m", "render", *options.sets, *frames]
+    command += ["--shard", options.shard, "--seed", str(options.seed), "--out", options.out.absolute()]
+    return subprocess.run(command, cwd=_ROOT, check=False).returncode

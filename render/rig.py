@@ -1,0 +1,136 @@
+"""The four cameras: lenses, poses, sensors, each a little different, all recorded exactly. NumPy alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omnistereo_lib.files import replacing
+from omnistereo_lib.geometry.pose import Pose
+from render.lens import MAX_FOV_DEG, Lens, fit_ocam, random_lens
+
+_HEADINGS = (0.0, np.pi / 2, np.pi, -np.pi / 2)  # about y, which points down: front, right, back, left
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """How radiance becomes pixel values."""
+
+    gain: float  # exposure relative to the other cameras
+    read_noise: float  # standard deviation in the dark; white is 1
+    shot_noise: float  # variance for each unit of signal
+    falloff: float  # share of light lost at the rim of the picture
+
+
+@dataclass(frozen=True)
+class RigCamera:
+    """One camera of a rig."""
+
+    lens: Lens
+    T_rig_cam: Pose
+    sensor: Sensor
+
+
+@dataclass(frozen=True)
+class RenderRig:
+    """Four cameras and the smallest distance that they are made for."""
+
+    name: str
+    cameras: tuple[RigCamera, ...]
+    min_depth: float
+
+
+_RIGS = {"van": (0.60, 1.65), "handheld": (0.15 * np.sqrt(2), 0.55)}  # metres from the rig's centre; minimum depth
+
+
+def make_rig(seed: int, name: str = "van") -> RenderRig:
+    """Return a rig: "van" (0.60 m from the centre, as in the public sets) or "handheld" (300 mm square).
+
+    Cameras look forward, right, back and left, each turned by about half a degree and moved by millimetres
+    at random. The displacements add up to zero, so the mean of the camera centres stays the rig's centre.
+    """
+    radius, min_depth = _RIGS[name]
+    rng = np.random.default_rng([seed, 20, len(name)])
+    moved = rng.normal(0, 0.01 * radius, (4, 3))
+    moved -= moved.mean(axis=0)
+    cameras = []
+    for heading, offset in zip(_HEADINGS, moved, strict=True):
+        ideal = Pose.from_vector([0, heading, 0, radius * np.sin(heading), 0, radius * np.cos(heading)])
+        turned = Pose.from_vector([*rng.normal(0, np.radians(0.5), 3), 0, 0, 0])
+        pose = ideal @ turned
+        sensor = Sensor(
+            float(rng.uniform(0.92, 1.08)),
+            float(rng.uniform(0.003, 0.006)),
+            float(rng.uniform(3e-5, 8e-5)),
+            float(rng.uniform(0.08, 0.16)),
+        )
+        cameras.append(RigCamera(random_lens(rng), Pose(pose.R, ideal.t + offset), sensor))
+    return RenderRig(name, tuple(cameras), min_depth)
+
+
+def write_config(path: Path, rig: RenderRig, size: tuple[int, int], dataset: dict[str, object]) -> None:
+    """Write a rig as `config.yaml` in the OmniMVS dialect, with what only a rendered rig knows added.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    rig : RenderRig
+        The cameras; poses are camera → rig, metres.
+    size : (int, int)
+        Width and height of the images.
+    dataset : dict
+        What goes under `dataset:`, plain numbers and strings.
+    """
+    lines = ["config:", f"  omnimvs_sweep_min_depth: {rig.min_depth}", "dataset:"]
+    lines += [
+        f"  {key}: {value if isinstance(value, int | float) else _quoted(value)}" for key, value in dataset.items()
+    ]
+    lines.append("cameras:")
+    for number, camera in enumerate(rig.cameras, start=1):
+        lines += _camera_lines(number, camera, size)
+    with replacing(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _camera_lines(number: int, camera: RigCamera, size: tuple[int, int]) -> list[str]:
+    fit, (width, height) = fit_ocam(camera.lens, size[0]), size
+    entries = {
+        "img_dir": f"cam{number}",
+        "model": "ocam",
+        # Eight digits, 2e-6 px: least squares differs between machines from the eleventh on, the file should not.
+        "poly": _numbers([len(fit.poly), *_with_digits(fit.poly, 8)]),
+        "inv_poly": _numbers([len(fit.inv_poly), *_with_digits(fit.inv_poly, 8)]),
+        "center": _numbers([fit.centre[1], fit.centre[0]]),
+        "affine": "[1.0, 0.0, 0.0]",
+        "image_size": f"[{height}, {width}]",
+        "pose": _numbers([*_with_digits(camera.T_rig_cam.as_vector()[:3], 12), *camera.T_rig_cam.t]),
+        "max_fov": MAX_FOV_DEG,
+        "fit_residual_px": float(f"{max(fit.residual_px, fit.inverse_residual_px):.2g}"),
+        "exposure_gain": round(camera.sensor.gain, 6),
+        "read_noise": round(camera.sensor.read_noise, 6),
+        "shot_noise": round(camera.sensor.shot_noise, 9),
+        "falloff": round(camera.sensor.falloff, 6),
+    }
+    return [f"- cam_id: {number}", *(f"  {key}: {value}" for key, value in entries.items())]
+
+
+def _with_digits(values: NDArray, digits: int) -> list[float]:
+    return [float(f"{value:.{digits}g}") for value in values]
+
+
+def _numbers(values: NDArray | list) -> str:
+    return "[" + ", ".join(str(v) if isinstance(v, int) else _yaml_float(float(v)) for v in values) + "]"
+
+
+def _yaml_float(value: float) -> str:
+    # YAML reads "1e-05" as text: a float needs its point.
+    text = repr(value)
+    return text.replace("e", ".0e") if "e" in text and "." not in text else text
+
+
+def _quoted(value: object) -> str:
+    return f'"{value}"' if isinstance(value, str) else str(value)

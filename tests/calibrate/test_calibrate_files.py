@@ -1,0 +1,344 @@
+"""Calibration from files to files: captures in folders, the shipped sets, the command line, other programs' forms."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import boards
+import cv2
+import numpy as np
+import pytest
+import yaml
+from boards import BOARD, SIZE
+
+import omnistereo_lib as osl
+from omnistereo_lib import cli
+from omnistereo_lib.calibrate.captures import find_captures
+from omnistereo_lib.calibrate.detect import find_corners, save_corners
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.rig_files.camera_models import kannala_brandt
+from omnistereo_lib.rig_files.export import fit_kannala_brandt, write_for_others
+
+SHIPPED = Path(osl.__file__).resolve().parents[1] / "data_samples" / "calibration"
+SETS = ["handheld", "mistakes", "van"]
+
+
+def rig_of(seed=0):
+    """A rig of equidistant lenses, r = 200 px · θ, with the poses of `boards`."""
+    rng = np.random.default_rng(seed)
+    theta = np.linspace(0.01, np.radians(105), 300)
+    t = theta - np.pi / 2
+    cameras = []
+    for _ in range(4):
+        f = 200 + rng.normal(0, 1)
+        powers = np.array([0, 2, 3, 4, 5, 6, 7, 8])
+        basis = (theta[:, None] / 2) ** powers * np.sin(theta)[:, None]
+        scaled = np.linalg.lstsq(basis, -f * theta * np.cos(theta), rcond=None)[0]
+        poly = np.zeros(9)
+        poly[powers] = scaled / (2 * f) ** powers
+        inverse = np.polynomial.Polynomial.fit(t, f * theta, 3).convert().coef
+        cameras.append(osl.OcamCamera(poly, inverse, (400 + rng.normal(), 384 + rng.normal()), (1, 0, 0), SIZE, 208))
+    return osl.Rig(cameras, boards.rig_poses())
+
+
+# --- Captures ---------------------------------------------------------------------------------------------
+
+
+def picture(path):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(path), np.full((20, 30), 100, np.uint8))
+
+
+def test_captures_are_matched_by_name_in_the_order_of_numbers(tmp_path):
+    for name in ("cam10/2.png", "cam2/10.jpg", "cam2/2.png", "cam1/1.png", "cam1/notes.txt"):
+        picture(tmp_path / name) if not name.endswith("txt") else (tmp_path / name).write_text("no picture")
+    captures = find_captures(tmp_path)
+    assert captures.cameras == ("cam1", "cam2", "cam10") and captures.names == ("1", "2", "10")
+    assert [[path is not None for path in row] for row in captures.paths] == [[1, 0, 0], [0, 1, 1], [0, 1, 0]]
+    assert captures.views()[2][1].shape == (20, 30) and captures.views()[2][0] is None
+
+
+def test_one_camera_needs_no_folder_of_its_own(tmp_path):
+    picture(tmp_path / "b.png")
+    picture(tmp_path / "a.png")
+    captures = find_captures(tmp_path)
+    assert captures.names == ("a", "b") and len(captures.cameras) == 1
+
+
+def test_folders_without_pictures_or_common_names(tmp_path):
+    with pytest.raises(OmnistereoError, match="holds no pictures"):
+        find_captures(tmp_path)
+    with pytest.raises(OmnistereoError, match="is no folder"):
+        find_captures(tmp_path / "none")
+    picture(tmp_path / "cam1" / "left_1.png")
+    picture(tmp_path / "cam2" / "right_1.png")
+    with pytest.warns(UserWarning, match=r"no two cameras have a picture of the same name \(cam1/left_1, cam2/right_1"):
+        find_captures(tmp_path)
+
+
+# --- The shipped sets -------------------------------------------------------------------------------------
+
+
+def truth_of(name):
+    """Capture → (mistake, {camera from 0: true corners (K, 2)})."""
+    captures = json.loads((SHIPPED / name / "truth.json").read_text())["captures"]
+    return {
+        capture["name"]: (
+            capture["mistake"],
+            {
+                view["camera"] - 1: np.array([[np.nan] * 2 if uv is None else uv for uv in view["corners"]])
+                for view in capture["views"]
+            },
+        )
+        for capture in captures
+    }
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_shipped_captures_show_what_their_truth_says(name):
+    """Every eighth picture: the corners found are the recorded ones, without a bias."""
+    captures, truth = find_captures(SHIPPED / name), truth_of(name)
+    errors = []
+    for i, row in enumerate(captures.paths):
+        for k, path in list(enumerate(row))[i::8]:
+            if path is not None and truth[captures.names[k]][0] is None:
+                found, true = find_corners(osl.load_images([path])[0], BOARD), truth[captures.names[k]][1][i]
+                if found is not None:
+                    errors.append(min((found - true[r] for r in BOARD.readings), key=lambda e: np.nanmean(e**2)))
+    errors = np.concatenate(errors)
+    assert len(errors) >= 5 * 120
+    assert np.sqrt(np.nanmean(errors**2)) < 0.12
+    assert np.abs(np.nanmean(errors, axis=0)).max() < 0.02
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_recorded_corners_are_those_of_the_recorded_rig(name):
+    """The config's polynomials against the lens itself, and poses against corners."""
+    rig, truth = osl.Rig.load(SHIPPED / name), truth_of(name)
+    poses = {
+        (capture["name"], view["camera"] - 1): Pose.from_vector(view["T_rig_board"])
+        for capture in json.loads((SHIPPED / name / "truth.json").read_text())["captures"]
+        for view in capture["views"]
+    }
+    for (capture, i), T_rig_board in list(poses.items())[::5]:
+        uv = rig.cameras[i].project((rig.T_rig_cam[i].inverse() @ T_rig_board) @ BOARD.points)[0]
+        assert np.nanmax(np.abs(uv - truth[capture][1][i])) < 0.02
+
+
+def noisy(name, rng, sigma=0.08):
+    """views[camera][capture] of a shipped set: true corners with noise, each read from either end."""
+    captures, truth = find_captures(SHIPPED / name), truth_of(name)
+    views = [[None] * len(captures.names) for _ in range(4)]
+    for k, capture in enumerate(captures.names):
+        for i, corners in truth[capture][1].items():
+            if np.isfinite(corners).all():
+                views[i][k] = (corners + rng.normal(0, sigma, corners.shape))[BOARD.readings[rng.integers(2)]]
+    return views, captures.names
+
+
+def assert_is_the_true_rig(rig, report, name):
+    """Every pose within four of its predicted standard deviations."""
+    true = osl.Rig.load(SHIPPED / name)
+    for i, (sigma_deg, sigma_m) in enumerate(report.pose_uncertainty()[1:], start=1):
+        error = (true.T_rig_cam[0].inverse() @ true.T_rig_cam[i]).inverse() @ rig.T_rig_cam[i]
+        angle, shift = error.magnitude()
+        assert angle < 4 * sigma_deg and shift < 4 * sigma_m
+
+
+def test_moved_boards_are_named_and_the_rig_is_the_same():
+    views, names = noisy("mistakes", np.random.default_rng(1))
+    rig, report = osl.calibrate_rig(views, BOARD, [SIZE] * 4)
+    moved = {name for name, (mistake, _) in truth_of("mistakes").items() if mistake == "moved"}
+    assert {names[k] for k in report.left_out} == moved
+    assert_is_the_true_rig(rig, report, "mistakes")
+
+
+def test_the_report_on_pictures_names_exactly_the_bad_ones():
+    captures, truth = find_captures(SHIPPED / "mistakes"), truth_of("mistakes")
+    rig, report = osl.calibrate_rig(captures.views(), BOARD)
+    named = {mistake: set() for mistake in ("blurred", "cut", "moved")}
+    named["moved"] = {(captures.names[k], None) for k in report.left_out}
+    for i, camera in enumerate(report.cameras):
+        for k, why in camera.left_out.items():
+            named["cut" if why == "no board found" else "blurred"].add((captures.names[k], i))
+            assert why == "no board found" or why.startswith("it is blurred: edges ")
+    expected = {mistake: set() for mistake in named}
+    for name, (mistake, seen) in truth.items():
+        if mistake is not None:
+            expected[mistake] |= {(name, None)} if mistake == "moved" else {(name, i) for i in seen}
+    assert named == expected
+    assert_is_the_true_rig(rig, report, "mistakes")
+
+
+def test_depth_with_a_calibrated_rig_is_as_good():
+    """On a frame of the street, whose cameras are those of the calibration set, at teaching scale."""
+    views, _ = noisy("van", np.random.default_rng(2))
+    rig, _ = osl.calibrate_rig(views, BOARD, [SIZE] * 4, max_fov_deg=220)
+    data = osl.load_dataset(SHIPPED.parent / "sunny", split="test")
+    frame, grid = data[0], osl.SphereGrid(320, 80, num_spheres=64, min_depth=data.rig.min_depth)
+    mae = [
+        osl.index_error(osl.estimate_depth(which, frame.images, grid).index, frame.gt_index(grid), 64)["MAE"]
+        for which in (data.rig, rig.moved(data.rig.T_rig_cam[0]))
+    ]
+    assert mae[1] == pytest.approx(mae[0], rel=0.05)
+    # Half a degree in one camera is seen:
+    turned = osl.Rig(
+        data.rig.cameras, [Pose.from_vector([0, 0.009, 0, 0, 0, 0]) @ data.rig.T_rig_cam[0], *data.rig.T_rig_cam[1:]]
+    )
+    worse = osl.index_error(osl.estimate_depth(turned, frame.images, grid).index, frame.gt_index(grid), 64)["MAE"]
+    assert worse > 1.05 * mae[0]
+
+
+# --- Other programs ---------------------------------------------------------------------------------------
+
+
+def test_kannala_brandt_follows_an_equidistant_lens():
+    camera = rig_of().cameras[0]
+    parameters, residual = fit_kannala_brandt(camera)
+    assert residual < 0.1 and parameters["fx"] == pytest.approx(200, abs=4)
+    rays = np.random.default_rng(0).normal(size=(100, 3)) + np.array([0, 0, 0.5])
+    uv, seen = camera.project(rays)
+    assert np.abs(kannala_brandt(rays, **parameters)[0] - uv)[seen].max() < 0.1
+
+
+@pytest.mark.parametrize("name", ["kalibr.yaml", "opencv.yaml"])
+def test_rigs_for_others_come_back(tmp_path, name):
+    rig = rig_of().moved(Pose.from_vector([0.1, 0.2, 0.3, 1, 2, 3]))
+    residuals = write_for_others(rig, tmp_path)
+    again = osl.Rig.load(tmp_path / name, unit="m")
+    for i in range(4):
+        expected = rig.T_rig_cam[0].inverse() @ rig.T_rig_cam[i]
+        angle, shift = (expected.inverse() @ again.T_rig_cam[i]).magnitude()
+        assert angle < 1e-6 and shift < 1e-9
+        rays = np.random.default_rng(i).normal(size=(100, 3)) + np.array([0, 0, 1])
+        (uv, seen), (theirs, there) = rig.cameras[i].project(rays), again.cameras[i].project(rays)
+        assert np.abs(uv - theirs)[seen & there].max() < residuals[i] + 0.05
+
+
+def test_a_lens_that_their_model_cannot_follow_is_named(tmp_path):
+    rig = rig_of()
+    sheared = replace(rig.cameras[1], affine=(1.0, 0.01, 0.01))
+    rig = osl.Rig([rig.cameras[0], sheared, *rig.cameras[2:]], rig.T_rig_cam)
+    with pytest.warns(UserWarning, match=r"does not follow camera 2 \d\.\d px at worst") as said:
+        residuals = write_for_others(rig, tmp_path)
+    assert len(said) == 1 and residuals[1] > 1 > max(residuals[0], *residuals[2:])
+
+
+def test_colmap_files(tmp_path):
+    rig = rig_of()
+    write_for_others(rig, tmp_path)
+    lines = (tmp_path / "colmap_cameras.txt").read_text().splitlines()[1:]
+    numbers = [float(word) for word in lines[0].split()[4:]]
+    assert [line.split()[1] for line in lines] == ["OPENCV_FISHEYE"] * 4 and len(numbers) == 8
+    assert numbers[2] == pytest.approx(rig.cameras[0].center[0] + 0.5)  # pixel centres at one half
+    cameras = json.loads((tmp_path / "colmap_rig_config.json").read_text())[0]["cameras"]
+    w, x, y, z = cameras[1]["cam_from_rig_rotation"]
+    T = rig.T_rig_cam[1].inverse() @ rig.T_rig_cam[0]
+    R = np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - z * w)], [2 * (x * y + z * w), 1 - 2 * (x * x + z * z)]])
+    assert np.abs(R - T.R[:2, :2]).max() < 1e-9 and cameras[1]["cam_from_rig_translation"] == T.t.tolist()
+    assert cameras[0] == {"image_prefix": "cam1/", "ref_sensor": True}
+
+
+# --- The command line -------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def detected(tmp_path_factory):
+    """A folder of corners as an earlier run leaves it."""
+    folder = tmp_path_factory.mktemp("detected")
+    rows = boards.captures(np.random.default_rng(2), alone=8, shared=5, noise=0.05)
+    for i, row in enumerate(rows, start=1):
+        views = {f"{k:04d}": corners for k, corners in enumerate(row)}
+        save_corners(folder / f"corners_cam{i}.yaml", views, BOARD, SIZE)
+    return folder
+
+
+def test_a_rig_from_corners_on_file(detected, tmp_path, capsys):
+    arguments = ["calibrate", str(detected), "--corners", str(detected), "--board", "12x10", "--square", "0.06"]
+    assert cli.main([*arguments, "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "rig: 4 cameras" in said and (tmp_path / "report.txt").read_text().strip() in said
+    for written in ("config.yaml", "."):  # the folder: ocam1.txt … and poses.txt
+        rig = osl.Rig.load(tmp_path / written, unit="m", max_fov_deg=200)
+        assert len(rig) == 4
+    expected = [f"{kind}_cam{i}.{end}" for kind, end in (("corners", "yaml"), ("report", "png")) for i in (1, 2, 3, 4)]
+    assert all((tmp_path / name).is_file() for name in expected)
+    assert yaml.safe_load((tmp_path / "corners_cam1.yaml").read_text())["board"] == {
+        "corners": [12, 10],
+        "square": 0.06,
+    }
+    again = tmp_path / "again"
+    assert cli.main([*arguments[:3], str(tmp_path), *arguments[4:], "--out", str(again)]) == 0
+    assert (again / "report.txt").read_text().splitlines()[0] == (tmp_path / "report.txt").read_text().splitlines()[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--board", "12x10"], "holds no pictures"),
+        (["--board", "9x6", "--corners", "DETECTED"], "is of a board of 12 x 10"),
+        (["--board", "2x9"], "whole numbers from 3 up"),
+        (["--board", "12x10", "--corners", "EMPTY"], "holds no corners_"),
+    ],
+)
+def test_what_cannot_be_calibrated(detected, tmp_path, capsys, arguments, said):
+    (tmp_path / "empty").mkdir()
+    places = {"DETECTED": str(detected), "EMPTY": str(tmp_path / "empty")}
+    arguments = [places.get(word, word) for word in arguments]
+    out = tmp_path / "out"
+    assert cli.main(["calibrate", str(tmp_path / "empty"), *arguments, "--square", "0.06", "--out", str(out)]) == 2
+    assert said in capsys.readouterr().err and not list(out.glob("*"))
+
+
+def test_board_sizes_are_spelled_out(capsys):
+    with pytest.raises(SystemExit):
+        cli.main(["calibrate", ".", "--board", "twelve", "--square", "0.06"])
+    assert "expected columns x rows such as 12x10" in capsys.readouterr().err
+
+
+# --- What an error does to depth --------------------------------------------------------------------------
+
+
+def test_index_shift_of_a_turned_camera_by_geometry():
+    """Two cameras side by side; one turned by α: the parallax is off by α everywhere, and so is the inverse depth."""
+    camera = rig_of().cameras[0]
+    rig = osl.Rig([camera, camera], [Pose(np.eye(3), [-0.1, 0, 0]), Pose(np.eye(3), [0.1, 0, 0])])
+    alpha = np.radians(0.1)
+    wrong = rig.with_poses([rig.T_rig_cam[0], rig.T_rig_cam[1] @ Pose.from_vector([0, alpha, 0, 0, 0, 0])])
+    grid = osl.SphereGrid(72, 3, (-3, 3), 192, 0.5)
+    shift = osl.index_shift(rig, wrong, grid, index=20, pairs=[(0, 1)])
+    middle = shift[1, 36]  # straight ahead: the ray meets the baseline at a right angle
+    depth = grid.index_to_depth(20)
+    # Turned to the right, camera 2 takes things to be further right: the rays meet further away.
+    parallax = 2 * np.arctan(0.1 / depth)
+    seen = 0.2 / (2 * np.tan((parallax - alpha) / 2))
+    assert middle == pytest.approx(grid.depth_to_index(seen) - 20, rel=0.03)
+    assert np.nanmax(np.abs(osl.index_shift(rig, rig, grid, 20))) < 1e-9
+
+
+def test_index_shift_is_what_the_sweep_finds():
+    """On the closed-form box world: median over the rays that both predict to move."""
+    import scene
+
+    rig, grid = scene.rig(), osl.SphereGrid(160, 40, (-30, 30), 64, 1.0)
+    images = scene.images(rig)
+    wrong = rig.with_poses([rig.T_rig_cam[0] @ Pose.from_vector([0, np.radians(0.8), 0, 0, 0, 0]), *rig.T_rig_cam[1:]])
+    before, after = (osl.estimate_depth(which, images, grid).index for which in (rig, wrong))
+    predicted = osl.index_shift(rig.centered(), wrong.centered(rig.centers.mean(0)), grid, np.nanmedian(before))
+    strong = np.abs(predicted) > 0.7 * np.nanmax(np.abs(predicted))
+    assert np.nanmedian((after - before)[strong] * np.sign(predicted[strong])) > 0.4 * np.median(
+        np.abs(predicted[strong])
+    )
+
+
+def test_index_uncertainty_shrinks_with_the_noise(detected):
+    from omnistereo_lib.calibrate.detect import load_corners
+
+    rows = [list(load_corners(detected / f"corners_cam{i}.yaml")[0].values()) for i in (1, 2, 3, 4)]
+    report = osl.calibrate_rig(rows, BOARD, [SIZE] * 4)[1]
+    grid = osl.SphereGrid(16, 4, (-30, 30), 192, 0.55)
+    spread = osl.index_uncertainty(report, grid, 50)
+    assert np.nanmax(spread) < 0.3 and np.nanmin(spread) > 1e-3
+    assert re.search(r"pose known to 0\.0\d+°", report.text())

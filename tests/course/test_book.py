@@ -1,0 +1,364 @@
+"""The website and the slides: each built once, then every link, picture, script and name in them is followed.
+
+A real browser also opens every page, on a desk and on a telephone; its screenshots are left in out/browser, to look at.
+"""
+
+import html
+import importlib
+import json
+import re
+import subprocess
+import sys
+from dataclasses import dataclass, field
+from functools import partial
+from html.parser import HTMLParser
+from http import HTTPStatus
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Thread
+from urllib.parse import unquote, urlsplit
+
+import nbformat
+import pytest
+
+import omnistereo_lib as osl
+from course import nbtools, paper_map, slides, website
+
+BOOK = nbtools.ROOT / "book"
+
+LOADS = {"script": "src", "img": "src", "iframe": "src", "source": "src", "link": "href"}  # what a page fetches
+SEEN = nbtools.ROOT / "out" / "browser"
+
+
+@dataclass
+class Page(HTMLParser):
+    """What a page has, links to, shows and fetches."""
+
+    path: Path
+    ids: set = field(default_factory=set)
+    links: list = field(default_factory=list)
+    fetched: list = field(default_factory=list)
+    pictures: list = field(default_factory=list)
+    formulas: list = field(default_factory=list)
+
+    def __post_init__(self):
+        super().__init__()
+        self.in_formula = False
+        self.feed(self.path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag, attributes):
+        has = dict(attributes)
+        self.ids.add(has.get("id"))
+        if tag == "a" and "href" in has:
+            self.links.append(has["href"])
+        if has.get(LOADS.get(tag, "")):
+            self.fetched.append(has[LOADS[tag]])
+        if tag == "img":
+            self.pictures.append(has)
+        self.in_formula = "math" in has.get("class", "").split()
+
+    def handle_data(self, text):
+        if self.in_formula and text.startswith((r"\(", r"\[")):
+            self.formulas.append(text)
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """The book, built as `make book` does; its folder, and what the build said."""
+    out = tmp_path_factory.mktemp("book")
+    command = [sys.executable, "-m", "course", "book", str(out)]
+    return out, subprocess.run(command, capture_output=True, text=True)
+
+
+@pytest.fixture(scope="module")
+def pages(built):
+    return {path: Page(path) for path in sorted(built[0].rglob("*.html"))}
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory):
+    """The folder of the slides."""
+    out = tmp_path_factory.mktemp("slides")
+    slides.make_slides(out)
+    return out
+
+
+# --- The book -----------------------------------------------------------------------------------------------
+
+
+def test_it_builds_without_a_warning(built):
+    said = built[1]
+    assert (said.returncode, said.stderr.strip()) == (0, "")
+
+
+def test_every_notebook_and_every_page_is_there(built):
+    names = [*(f"notebooks/{path.stem}" for path in nbtools.notebooks()), *(path.stem for path in BOOK.glob("*.md"))]
+    assert [name for name in names if not (built[0] / f"{name}.html").is_file()] == []
+
+
+def test_every_link_leads_somewhere(built, pages):
+    dead = [
+        f"{page.path.name} → {link}" for page in pages.values() for link in page.links if not leads(page, link, pages)
+    ]
+    assert dead == []
+
+
+def leads(page, link, pages):
+    address = urlsplit(link)
+    if address.scheme or address.netloc:  # another host's
+        return True
+    target = (page.path.parent / unquote(address.path)).resolve() if address.path else page.path
+    if not address.fragment or target.suffix != ".html":
+        return target.exists()
+    return target in pages and unquote(address.fragment) in pages[target].ids
+
+
+def test_everything_that_a_page_fetches_is_in_the_folder(pages):
+    assert [lacking for page in pages.values() for lacking in foreign_or_missing(page)] == []
+
+
+def foreign_or_missing(page):
+    """Yield what a page fetches from other hosts or does not find; pictures within the page are in it."""
+    for address in map(urlsplit, page.fetched):
+        if address.scheme != "data" and (address.netloc or not (page.path.parent / unquote(address.path)).exists()):
+            yield f"{page.path.name} → {address.geturl()}"
+
+
+def test_no_style_fetches_from_another_host(built):
+    foreign = re.compile(r"""(?:url\(|@import)\s*["']?(?:https?:)?//[^)"']+""")
+    styles = built[0].rglob("*.css")
+    assert {path.name: found for path in styles if (found := foreign.findall(path.read_text(encoding="utf-8")))} == {}
+
+
+def test_every_picture_says_what_it_shows(pages):
+    pictures = [(page.path.name, picture) for page in pages.values() for picture in page.pictures]
+    assert len(pictures) > 40
+    assert [
+        (name, has["src"]) for name, has in pictures if len(has.get("alt", "")) < 20 or "_images" in has["alt"]
+    ] == []
+
+
+def test_no_picture_of_a_notebook_is_lost(built, pages):
+    for path in nbtools.notebooks():
+        page = pages[built[0] / "notebooks" / f"{path.stem}.html"]
+        assert len(page.pictures) == count_pictures(path), path.stem
+
+
+def count_pictures(path):
+    nb = nbformat.read(path, as_version=4)
+    texts = sum(len(re.findall(r"!\[[^\]]+\]\(", cell.source)) for cell in nb.cells if cell.cell_type == "markdown")
+    outputs = [output for cell in nbtools.code_cells(nb) for output in cell.outputs]
+    return texts + sum(bool(set(nbtools.PICTURES) & set(output.get("data", {}))) for output in outputs)
+
+
+def test_the_search_knows_the_notebooks(built):
+    index = (built[0] / "searchindex.js").read_text(encoding="utf-8")
+    assert all(f"notebooks/{path.stem}" in index for path in nbtools.notebooks())
+    assert '"parallax"' in index or "parallax:" in index
+
+
+def test_every_formula_can_be_drawn(pages, tmp_path, open_page):
+    formulas = sorted({formula for page in pages.values() for formula in page.formulas})
+    assert len(formulas) > 80
+    lines = "".join(f"<p>{html.escape(formula)}</p>" for formula in formulas)
+    path = tmp_path / "formulas.html"
+    path.write_text(f"<meta charset='utf-8'><script src='{slides.MATHJAX}'></script>{lines}", encoding="utf-8")
+    page = open_page(1280, 844)
+    page.goto(path.as_uri())
+    page.evaluate("async () => window.MathJax.startup.promise")
+    assert page.locator("mjx-container").count() == len(formulas)
+    errors = page.locator("[data-mjx-error]").evaluate_all("found => found.map(e => e.dataset.mjxError)")
+    assert (errors, page.complaints) == ([], [])
+
+
+# --- The book in a browser ----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def served(built):
+    """The address of the book on this machine."""
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=built[0]))
+    Thread(target=server.serve_forever, daemon=True).start()
+    yield f"http://127.0.0.1:{server.server_port}"
+    server.shutdown()
+    server.server_close()
+
+
+class Quiet(SimpleHTTPRequestHandler):
+    """A server that does not tell what it serves."""
+
+    def do_GET(self):
+        if self.path == "/favicon.ico":  # browsers ask for it, pages do not
+            self.send_response(HTTPStatus.NO_CONTENT)
+            self.end_headers()
+        else:
+            super().do_GET()
+
+    def log_message(self, *_):
+        pass
+
+
+# What sticks out to the right, less what scrolls inside a box of its own.
+WIDE = """() => {
+    const limit = window.innerWidth
+    if (document.scrollingElement.scrollWidth <= limit) return []
+    const end = e => Math.round(e.getBoundingClientRect().right)
+    const boxed = e => e !== document.body && (getComputedStyle(e).overflowX !== "visible" || boxed(e.parentElement))
+    return [...document.body.querySelectorAll("*")]
+        .filter(e => end(e) > limit && !boxed(e.parentElement))
+        .map(e => `${e.localName}.${e.className} ends at ${end(e)} of ${limit}`)
+        .slice(0, 5).concat("scrolls sideways")
+}"""
+BROKEN = """async () => {
+    const broken = []
+    for (const picture of document.images) {
+        picture.loading = "eager"
+        try { await picture.decode() } catch { broken.push(picture.src.slice(0, 100)) }
+    }
+    return broken
+}"""
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_book_fits_and_every_picture_shows(built, served, open_page, width):
+    page = open_page(width, 844)
+    wrong = {}
+    for path in sorted(built[0].rglob("*.html")):
+        name = path.relative_to(built[0]).as_posix()
+        page.goto(f"{served}/{name}", wait_until="load")
+        page.evaluate("async () => window.MathJax?.startup?.promise")  # formulas take their room late
+        found = [*page.evaluate(BROKEN), *page.evaluate(WIDE), *page.complaints]
+        if found:
+            wrong[name] = found
+        page.complaints.clear()
+        page.screenshot(path=SEEN / f"book_{width}" / Path(name).with_suffix(".png"))
+    assert not wrong, json.dumps(wrong, indent=1)
+
+
+def test_book_search_finds_a_word(served, open_page):
+    page = open_page(1280, 844)
+    page.goto(f"{served}/index.html")
+    page.locator("input[name=q]:visible").first.fill("panorama")
+    page.keyboard.press("Enter")
+    found = page.locator("#search-results li a")
+    found.first.wait_for()
+    page.wait_for_load_state("networkidle")  # it reads the pages that it has found
+    page.screenshot(path=SEEN / "book_search.png")
+    with page.expect_navigation():
+        found.first.click()
+    assert "panorama" in page.locator("article").inner_text().lower()
+    assert page.complaints == []
+
+
+# --- What is generated, and what it is generated from ---------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "places"),
+    [
+        ("paper, Section III-B and IV", {"Section III-B", "Section IV"}),
+        ("Section III-B, Eq. 2, and the baseline of Table II", {"Section III-B", "Eq. 2", "Table II"}),
+        ("Sections I and III; Fig. 2a, 9", {"Section I", "Section III", "Fig. 2", "Fig. 9"}),
+        ("Section IV-A, where it has only a heading", {"Section IV"}),
+        ("this figure 3, a table of 2 rows and equation 7", set()),
+    ],
+)
+def test_places_in_the_paper_are_found(text, places):
+    assert paper_map.mentions(text) == places
+
+
+@pytest.mark.parametrize("text", ["Eq. 6", "Table III", "Section V", "Fig. 10"])
+def test_a_place_that_the_paper_does_not_have(text):
+    with pytest.raises(ValueError, match=f"{text} is not in the paper"):
+        paper_map.mentions(text)
+
+
+@pytest.mark.parametrize(
+    ("place", "name", "notebook"),
+    [
+        ("Eq. 1", "SphereSweep.warp", "03_sphere_sweep"),
+        ("Eq. 2", "cost_volume", "04_zncc"),
+        ("Eq. 4", "SphereObjective", None),
+        ("Eq. 5", "error_map", None),
+        ("Table I", "costs.sweepnet", None),
+        ("Section III-A", "Pose.from_vector", "02_rig_calibration"),
+    ],
+)
+def test_the_map_of_the_paper(built, place, name, notebook):
+    page = (built[0] / "paper.html").read_text(encoding="utf-8")
+    section = re.search(rf"<h2>{re.escape(place)}: .*?</section>", page, re.DOTALL)[0]
+    assert re.search(rf'href="reference/\w+\.html#[^"]*"[^>]*><code[^>]*><span class="pre">{re.escape(name)}<', section)
+    assert notebook is None or f'href="notebooks/{notebook}.html' in section
+
+
+def test_notation_names_what_the_library_has():
+    text = (BOOK / "notation.md").read_text(encoding="utf-8")
+    names = [
+        name
+        for row in re.findall(r"^\| .*\| ([^|]*) \|$", text, re.MULTILINE)
+        for name in re.findall(r"`([^`]+)`", row)
+    ]
+    assert len(names) > 30
+    assert [name for name in names if name != "@" and not exists(name)] == []
+
+
+def exists(name):
+    """Tell whether a name, as the book writes it, is one of the library's: `Rig.load`, `metrics.error_map`."""
+    first, *rest = name.split(".")
+    thing = getattr(osl, first) if first in osl.__all__ else importlib.import_module(f"omnistereo_lib.{first}")
+    for part in rest:
+        if part in getattr(thing, "__dataclass_fields__", {}):
+            return True  # a field, whose type is not known here
+        if not hasattr(thing, part) and not hasattr(thing, "__path__"):
+            return False
+        thing = getattr(thing, part) if hasattr(thing, part) else importlib.import_module(f"{thing.__name__}.{part}")
+    return True
+
+
+def test_every_term_says_where_it_is_taught():
+    text = (BOOK / "glossary.md").read_text(encoding="utf-8")
+    terms = re.findall(r"^(\w.*)\n  (.*)$", text.partition(":sorted:")[2], re.MULTILINE)
+    assert len(terms) > 50
+    assert [
+        term for term, meaning in terms if not re.search(r"\*(Notebooks?|Page) .*\]\((notebooks/)?\w+\.\w+\)", meaning)
+    ] == []
+
+
+def test_a_link_to_a_notebook_that_is_not_there_becomes_words():
+    text = "[here](04_zncc.ipynb), [there](notebooks/99_nowhere.ipynb#a), [too](notebooks/04_zncc.ipynb)"
+    assert website.without_dead_links(text) == "[here](04_zncc.ipynb), there, [too](notebooks/04_zncc.ipynb)"
+
+
+# --- Slides -------------------------------------------------------------------------------------------------
+
+notebooks = pytest.mark.parametrize("path", nbtools.notebooks(), ids=lambda path: path.stem)
+
+
+@notebooks
+def test_slides_are_many_and_none_is_a_wall(path):
+    columns, heights = 0, []
+    for cell in slides.deal(nbformat.read(path, as_version=4)).cells:
+        place = cell.metadata.slideshow.slide_type
+        columns += place == "slide"
+        heights += [0.0] if place != "-" else []
+        heights[-1] += slides.height(cell)
+    assert columns >= 5 and len(heights) >= 10
+    assert max(heights) <= slides.FULL
+
+
+@notebooks
+def test_slides_lose_no_picture_link_or_script(shown, path):
+    page = Page(shown / f"{path.stem}.slides.html")
+    assert len(page.pictures) == count_pictures(path)
+    assert all(len(picture["alt"]) >= 20 for picture in page.pictures)
+    assert list(foreign_or_missing(page)) == []
+    assert [link for link in page.links if not leads(page, link, {})] == []
+    assert {"reveal.js/dist/reveal.js", "tex-svg.js"} <= set(page.fetched)
+
+
+@notebooks
+def test_slides_lose_no_text(path):
+    nb = nbformat.read(path, as_version=4)
+    prose = [cell.source for cell in nb.cells if cell.cell_type == "markdown"]
+    kept = [cell.source for cell in slides.deal(nb).cells if cell.cell_type == "markdown"]
+    assert "".join("".join(kept).split()) == "".join("".join(prose).split())

@@ -1,0 +1,155 @@
+"""JupyterLab as `make lab` opens it, in a real browser: notebook 00 to its end, and its slider.
+
+Screenshots of what was seen are left in out/browser, to look at.
+"""
+
+import base64
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import nbformat
+import pytest
+
+from course import nbtools
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: environment.txt has it")
+
+ROOT = nbtools.ROOT
+QUICKSTART = Path("notebooks") / "00_quickstart.ipynb"
+SEEN = ROOT / "out" / "browser"
+PATIENCE_S = 600  # for what takes seconds on an idle machine
+expect = sync_api.expect
+
+AS_ROOT = os.geteuid() == 0  # JupyterLab then needs a word more
+# The environment is there already, or this test would not run: make need not look after it.
+MAKE = ["make", "-o", ".venv/.installed"]
+
+pytestmark = pytest.mark.skipif(shutil.which("make") is None, reason="no make on the PATH")
+
+# Nobody's own settings; nothing is saved, and nothing asked for, unless a reader does it.
+SETTINGS = {
+    "docmanager-extension/plugin": {"autosave": False},
+    "apputils-extension/notification": {"fetchNews": "false"},
+}
+FOLDERS = {
+    "JUPYTER_CONFIG_DIR": "config",
+    "JUPYTER_DATA_DIR": "data",
+    "JUPYTER_RUNTIME_DIR": "runtime",
+    "JUPYTERLAB_SETTINGS_DIR": "settings",
+    "JUPYTERLAB_WORKSPACES_DIR": "workspaces",
+    "IPYTHONDIR": "ipython",
+}
+
+
+@pytest.fixture(scope="module")
+def clone(tmp_path_factory):
+    """A folder like a clone, in which notebooks may be run."""
+    folder = tmp_path_factory.mktemp("clone")
+    for entry in ROOT.iterdir():
+        if entry.name == "notebooks":
+            shutil.copytree(entry, folder / entry.name, ignore=shutil.ignore_patterns(".*"))
+        elif not entry.name.startswith(".") and entry.name != "out":
+            (folder / entry.name).symlink_to(entry)
+    (folder / ".venv").symlink_to(sys.prefix)
+    return folder
+
+
+@pytest.fixture
+def lab(clone):
+    """JupyterLab as `make lab` starts it; the page that it would open."""
+    own = clone / "jupyter"
+    for name, setting in SETTINGS.items():
+        path = own / "settings" / "@jupyterlab" / f"{name}.jupyterlab-settings"
+        path.parent.mkdir(parents=True)
+        path.write_text(json.dumps(setting), encoding="utf-8")
+    arguments = ["--no-browser", "--LabApp.extension_manager=readonly", *(["--allow-root"] if AS_ROOT else [])]
+    log = clone / "lab.log"
+    with log.open("wb") as sink:
+        server = subprocess.Popen(
+            [*MAKE, "lab", f"LAB_ARGS={' '.join(arguments)}"],
+            cwd=clone,
+            env=os.environ | {name: str(own / folder) for name, folder in FOLDERS.items()},
+            stdout=sink,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+    try:
+        yield page_to_open(server, own / "runtime", log)
+    finally:
+        end(server)
+
+
+def page_to_open(server, folder, log):
+    """Wait for the file that the server hands to a browser: it leads to the notebook, with the token."""
+    deadline = time.monotonic() + PATIENCE_S
+    while server.poll() is None and time.monotonic() < deadline:
+        for page in folder.glob("jpserver-file-to-run-*-open.html"):
+            if "token=" in page.read_text(encoding="utf-8"):
+                return page.as_uri()
+        time.sleep(0.1)
+    pytest.fail(f"JupyterLab did not start:\n{log.read_text(encoding='utf-8', errors='replace')[-3000:]}")
+
+
+def end(server):
+    """End the server and what it started; a kernel ends with its server."""
+    for sent in (signal.SIGTERM, signal.SIGKILL):
+        try:
+            os.killpg(server.pid, sent)
+            server.wait(30)
+        except (ProcessLookupError, subprocess.TimeoutExpired):
+            continue
+
+
+def choose(page, menu, entry):
+    page.get_by_role("menuitem", name=menu, exact=True).click()
+    page.get_by_role("menuitem", name=entry, exact=True).click()
+
+
+def bytes_of(picture):
+    """The file that a picture on the page shows."""
+    return base64.b64decode(
+        picture.evaluate("""async picture => {
+            const bytes = new Uint8Array(await (await fetch(picture.src)).arrayBuffer())
+            return btoa(bytes.reduce((text, byte) => text + String.fromCharCode(byte), ""))
+        }""")
+    )
+
+
+def test_quickstart_runs_in_jupyterlab_and_its_slider_turns_the_picture(lab, clone, open_page):
+    stored = (clone / QUICKSTART).read_bytes()
+    cells = nbtools.code_cells(nbformat.reads(stored.decode(), as_version=4))
+    page = open_page(1280, 900)
+    page.goto(lab)
+    prompts = page.locator(".jp-Notebook .jp-CodeCell .jp-InputPrompt")
+    expect(prompts).to_have_count(len(cells))
+    expect(page.locator("#jp-bottom-panel")).to_contain_text("| Idle")  # the kernel's state
+
+    choose(page, "Edit", "Clear Outputs of All Cells")
+    expect(prompts).to_have_text(["[ ]:"] * len(cells))
+    choose(page, "Run", "Run All Cells")
+    numbered = prompts.filter(has_text=re.compile(r"^\[\d+\]:$"))
+    wrong = page.locator('.jp-OutputArea-output[data-mime-type="application/vnd.jupyter.stderr"]')  # errors, warnings
+    expect(numbered.nth(len(cells) - 1).or_(wrong).first).to_be_attached()
+    page.screenshot(path=SEEN / "lab_run.png")
+    assert wrong.all_text_contents() == []
+    expect(prompts).to_have_text([f"[{n}]:" for n in range(1, len(cells) + 1)])
+
+    handle, picture = page.locator(".widget-slider .noUi-handle"), page.locator("img.widget-image")
+    handle.scroll_into_view_if_needed()
+    page.screenshot(path=SEEN / "lab_slider_before.png")
+    before, address = bytes_of(picture), picture.get_attribute("src")
+    handle.drag_to(page.locator(".widget-slider .noUi-base"))  # its middle
+    expect(picture).not_to_have_attribute("src", address)
+    assert bytes_of(picture) != before
+    page.screenshot(path=SEEN / "lab_slider_after.png")
+
+    assert page.complaints == []
+    page.close()
+    assert (clone / QUICKSTART).read_bytes() == stored

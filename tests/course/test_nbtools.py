@@ -1,0 +1,420 @@
+"""The notebooks' own tests are tested: what deviates must be found, and only that."""
+
+import asyncio
+import os
+import re
+import shutil
+import subprocess
+import sys
+from queue import Empty
+
+import nbformat
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
+
+from course import nbtools
+
+FACTS = {"title": "Tiny", "learn": "nothing", "needs": "CPU", "minutes_to_read": 1, "budget_s": 60}
+DRAWING = """import matplotlib.pyplot as plt
+from course.plot import show
+
+fig, ax = plt.subplots(figsize=(2, 1))
+ax.plot([0, 1])
+show(fig, "It rises.", "a line that rises from left to right")
+"""
+SLIDER = """from ipywidgets import interact
+
+@interact(n=(0, 9))
+def picture(n=3):
+    print("n is", n)
+    return n
+"""
+OPENING = "# Tiny\n\n**You will** see.\n\n**Before you start:** nothing. **Next:** nothing."
+CLOSING = """## Exercises
+
+**00.1 (warm-up).** Look.
+
+**00.2 (open).** Look again.
+
+## Common errors
+
+## Takeaways
+
+## Further reading"""
+
+
+def code(source, *tags, printed=None, count=1):
+    """A code cell, stored with what it is said to have printed."""
+    outputs = [] if printed is None else [nbformat.v4.new_output("stream", name="stdout", text=printed)]
+    return new_code_cell(source, metadata={"tags": list(tags)}, outputs=outputs, execution_count=count)
+
+
+def notebook(*cells, **metadata):
+    return new_notebook(cells=list(cells), metadata={"omnistereo": FACTS} | metadata)
+
+
+def write(path, nb):
+    nbformat.write(nb, path)
+    return path
+
+
+@pytest.fixture
+def stand_in(tmp_path, monkeypatch):
+    """An `omnistereo_lib` whose doctor is always content: the setup cell is not what is tested here."""
+    (tmp_path / "sitecustomize.py").write_text(
+        "import omnistereo_lib\nomnistereo_lib.doctor = lambda short: print('OK')\n", encoding="utf-8"
+    )
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), str(nbtools.ROOT)]))
+    return tmp_path
+
+
+# --- The comparison, one nbval run over all cases -----------------------------------------------------------
+
+CASES = {  # code, tags, what is stored, whether the two agree
+    "same": ("print('rms 0.1234 px')", (), "rms 0.1234 px\n", True),
+    "drift within 0.1 %": ("print('rms 0.12341 px')", (), "rms 0.12342 px\n", True),
+    "drift beyond 0.1 %": ("print('rms 0.1234 px')", (), "rms 0.1244 px\n", False),
+    "number without blank": ("print('12.34%')", (), "12.35%\n", True),
+    "sign": ("print(-0.5)", (), "0.5\n", False),
+    "changed word": ("print('mean 0.1234 px')", (), "rms 0.1234 px\n", False),
+    "changed unit": ("print('rms 0.1234 px')", (), "rms 0.1234 m\n", False),
+    "changed integer": ("print(100000)", (), "100001\n", False),
+    "changed shape": ("(1, 2)", (), None, False),
+    "one number more": ("print(0.5, 0.5)", (), "0.5\n", False),
+    "version is a name": ("print('v 2.1000.0')", (), "v 2.1001.0\n", False),
+    "digits of a name": ("print('float32')", (), "float64\n", False),
+    "width follows value": ("print(f'{10.0001:8.4f}|')", (), "  9.9999|\n", True),
+    "exponent": ("print('1.0000e-05')", (), "1.0001e-05\n", True),
+    "exponent differs": ("print('1.0000e-05')", (), "1.0000e-06\n", False),
+    "nan is no number": ("print('nan')", (), "0.5\n", False),
+    "rtol tag, within": ("print(0.500)", ("rtol-1e-2",), "0.504\n", True),
+    "rtol tag, beyond": ("print(0.500)", ("rtol-1e-2",), "0.510\n", False),
+    "atol tag, within": ("print(1.1)", ("atol-0.5",), "1.5\n", True),
+    "atol tag, beyond": ("print(1.1)", ("atol-0.5",), "1.7\n", False),
+    "atol tag leaves integers": ("print(1)", ("atol-2",), "2\n", False),
+    "address and duration": ("print('at 0x7f0011223344 in 1.5 s')", (), "at 0x7f0055667788 in 2.5 s\n", True),
+    "output lost": ("pass", (), "0.5\n", False),
+    "output not stored": ("print(0.5)", (), None, False),
+    "a warning now": ("import warnings\nwarnings.warn('old')", (), None, True),
+    "an exception": ("1 / 0", (), None, False),
+    "slider": (SLIDER, (), None, True),
+    "slider that fails": (SLIDER.replace("return n", "1 / 0"), (), None, False),
+}
+
+
+def nbval(path):
+    """Run nbval as `make test` does, in a folder with our conftest: for each cell, did it pass?"""
+    shutil.copy(nbtools.ROOT / "conftest.py", path.parent)
+    sanitize = nbtools.ROOT / "tests" / "nbval_sanitize.cfg"
+    options = ["--nbval", "--nbval-current-env", f"--nbval-sanitize-with={sanitize}", "-rA", "--color=no"]
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", *options, "-p", "no:cacheprovider", path.name],
+        cwd=path.parent,
+        capture_output=True,
+        text=True,
+        env={key: value for key, value in os.environ.items() if not key.startswith("PYTEST_")},
+    )
+    said = re.findall(rf"^(PASSED|FAILED) {path.name}::Cell (\d+)", done.stdout, re.MULTILINE)
+    verdicts = {int(number): verdict == "PASSED" for verdict, number in said}
+    assert verdicts, done.stdout + done.stderr
+    return [verdicts[number] for number in range(len(verdicts))]
+
+
+@pytest.fixture(scope="module")
+def verdicts(tmp_path_factory):
+    cells = [code(source, *tags, printed=printed) for source, tags, printed, _ in CASES.values()]
+    found = nbval(write(tmp_path_factory.mktemp("cases") / "cases.ipynb", notebook(*cells)))
+    return dict(zip(CASES, found, strict=True))
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_comparison(verdicts, case):
+    assert verdicts[case] is CASES[case][-1]
+
+
+# --- Clean, check -------------------------------------------------------------------------------------------
+
+
+def framed(*cells):
+    """Cells between the texts with which every notebook opens and closes."""
+    return notebook(new_markdown_cell(OPENING), *cells, new_markdown_cell(CLOSING))
+
+
+def good(*more):
+    """A notebook as it should be stored, with some more cells."""
+    return framed(code(nbtools.SETUP, printed="OK\n"), *more)
+
+
+def closing(old, new):
+    """A good notebook but for a change in its last text."""
+    nb = good()
+    assert old in nb.cells[-1].source
+    nb.cells[-1].source = nb.cells[-1].source.replace(old, new)
+    return nb
+
+
+def stored(tmp_path, nb):
+    path = tmp_path / "tiny.ipynb"
+    path.write_text(nbtools.text_of(nbtools.clean(nb)), encoding="utf-8")
+    return path
+
+
+def picture(alt="a line that rises from left to right", plain=None, caption="*Figure:* It rises."):
+    cell = code("draw()", count=2)
+    data = {"image/png": "iVBORw0KGgo=", "text/plain": alt if plain is None else plain}
+    cell.outputs = [nbformat.v4.new_output("display_data", data=data, metadata={"image/png": {"alt": alt}})]
+    if caption:
+        cell.outputs.append(nbformat.v4.new_output("display_data", data={"text/markdown": caption}))
+    return cell
+
+
+def with_output(kind, source="f()", **content):
+    cell = code(source, count=2)
+    cell.outputs = [nbformat.v4.new_output(kind, **content)]
+    return cell
+
+
+ERROR = {"ename": "ValueError", "evalue": "no", "traceback": ["File /Users/someone/x.py", "ValueError: no"]}
+BAD = {  # what is planted, what the guard must say
+    "not run": (good(code("f()", count=None)), "not run in order"),
+    "run twice": (good(code("f()", count=3)), "not run in order"),
+    "stripped": (framed(code(nbtools.SETUP)), "no cell has an output"),
+    "no setup": (framed(code("import os", printed="OK\n")), "first code cell"),
+    "no facts": (good() | {"metadata": {}}, "metadata.omnistereo"),
+    "budget": (good() | {"metadata": {"omnistereo": FACTS | {"budget_s": 600}}}, "budget_s is 600"),
+    "error": (good(with_output("error", **ERROR)), "ValueError, without the tag"),
+    "stderr": (good(with_output("stream", name="stderr", text="old")), "a warning"),
+    "svg": (good(with_output("display_data", data={"image/svg+xml": "<svg/>"})), "an SVG"),
+    "address": (
+        good(with_output("execute_result", data={"text/plain": "<B at 0x7f3a5c>"})),
+        "memory address",
+    ),
+    "path": (good(code("f()", printed="in /Users/someone/x.py\n", count=2)), "path of this machine"),
+    "progress": (good(code("f()", printed="1 %\r2 %\n", count=2)), "progress bar"),
+    "semicolon": (good(code("f();", count=2)), "ends in ';'"),
+    "long cell": (good(code("f()", count=2), code("f()\n" * 31, count=3)), "a code cell of 31 lines"),
+    "long cells": (good(*(code("f()\n" * 9, count=n) for n in (2, 3))), "9 lines in the median"),
+    "long": (good(*(code("f()\n" * 8, count=n) for n in range(2, 34))), "lines of code in all"),
+    "size": (good(code("f()", printed="x" * 500_000, count=2)), "at most 500"),
+    "no alt": (good(picture(alt="")), "without alternative text"),
+    "alt elsewhere": (good(picture(plain="<Figure size 640x480>")), "without alternative text"),
+    "no caption": (good(picture(caption=None)), "without a caption"),
+    "markdown picture": (good(new_markdown_cell("![](rig.png)")), "picture in the text"),
+    "html picture": (good(new_markdown_cell('<img src="rig.png">')), "picture in the text"),
+    "no opening": (good() | {"cells": good().cells[1:]}, "its first text"),
+    "no section": (closing("## Common errors", "**Common errors.**"), "its last sections"),
+    "other order": (
+        closing("## Takeaways\n\n## Further reading", "## Further reading\n\n## Takeaways"),
+        "its last sections",
+    ),
+    "section too many": (closing("## Further reading", "## Further reading\n\n## More"), "its last sections"),
+    "unmarked exercise": (closing("00.2 (open)", "00.2"), "its exercises"),
+    "unknown mark": (closing("(open)", "(Open)"), "its exercises"),
+    "nothing open": (closing("(open)", "(hard)"), "its exercises"),
+    "hard first": (closing("**00.1", "**00.0 (open).** Look.\n\n**00.1"), "its exercises"),
+    "number": (good(new_markdown_cell("The error is 12.3 %.")), "the text says 12.3%"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_guard_finds(tmp_path, case):
+    nb, said = BAD[case]
+    found = nbtools.problems(stored(tmp_path, nbformat.from_dict(nb)))
+    assert len(found) == 1 and said in found[0]
+
+
+def test_guard_is_content_with_a_good_notebook(tmp_path):
+    failing = with_output("error", **ERROR)
+    failing.metadata["tags"] = ["raises-exception"]
+    failing.execution_count = 3
+    described = new_markdown_cell('![the rig](rig.png) <img src="rig.png" alt="the rig">')
+    assert nbtools.problems(stored(tmp_path, good(picture(), failing, described))) == []
+
+
+def test_guard_finds_what_clean_would_drop(tmp_path):
+    nb = nbtools.clean(good())
+    nb.metadata["widgets"] = {"application/vnd.jupyter.widget-state+json": {}}
+    path = write(tmp_path / "tiny.ipynb", nb)
+    (found,) = nbtools.problems(path)
+    assert "not clean" in found
+    assert nbtools.main("clean", [path]) == 0
+    assert nbtools.problems(path) == []
+
+
+def test_clean_drops_what_depends_on_the_machine_and_keeps_the_rest():
+    view = {nbtools.WIDGET: {"model_id": "abc"}, "text/plain": "interactive()"}
+    slider = with_output("display_data", data=view)
+    cell = code("1 / 0", "raises-exception", "rtol-1e-2", count=7)
+    cell.metadata |= {"execution": {"iopub.execute_input": "2026"}, "colab": {}, "collapsed": False}
+    cell.outputs = [nbformat.v4.new_output("error", **ERROR)]
+    kernel = {"name": "my-env", "display_name": "mine"}
+    language = {"name": "python", "version": "3.12.1"}
+    nb = notebook(cell, slider, kernelspec=kernel, language_info=language, widgets={}, colab={})
+    clean = nbtools.clean(nb)
+    assert clean.metadata.omnistereo == FACTS
+    assert set(clean.metadata) == {"kernelspec", "language_info", "omnistereo"}
+    assert clean.metadata.kernelspec.name == "python3" and "version" not in clean.metadata.language_info
+    assert [cell.id for cell in clean.cells] == ["cell-0", "cell-1"]
+    assert clean.cells[0].metadata == {"tags": ["raises-exception", "rtol-1e-2"]}
+    assert clean.cells[0].execution_count == 7  # a count is what happened: only a new run changes it
+    assert clean.cells[0].outputs[0].traceback == ["ValueError: no"]
+    assert clean.cells[1].outputs == []
+    assert nbtools.clean(clean) == clean
+    nbformat.validate(clean)
+
+
+# --- Numbers in the prose -----------------------------------------------------------------------------------
+
+MEASURED = code("width, half, share = 320, -0.5, 0.25", printed="rms 0.1238 px, 111,424 weights, -42.5 m, 1e-05\n")
+
+
+def stray(*texts):
+    """What the rule says about texts beside the cell MEASURED."""
+    return list(nbtools._numbers(notebook(MEASURED, *map(new_markdown_cell, texts))))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "0.124 px rms, or 0.12 px, about 0.1 px",  # printed, to the digits that the text gives
+        "111,424 weights, 43 m, 1e-5",
+        "at 320 columns, 0.5 off, 25 % of the rays, 25 percent",  # set in the code
+        "two of 4 cameras, in 10 steps, since 2006",  # counts and years
+        "notebook 07, exercise 03.2 and **10.3 (open).**",
+        "a lens of 220°, 110° to each side, turned by 90°, all 360°",
+        "$d_{12} = 2^{-23} / 99$ and `data.frame(831)`, [99 pictures](99.ipynb), ```\nn = 98\n```",
+        "The paper has 40.7 % here.",
+        "float32, T_12, v2.13 are names",
+    ],
+)
+def test_numbers_that_are_carried_or_free(text):
+    assert stray(text) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("0.125 px rms", "0.125px"),  # the digits that are printed do not carry it
+        ("111,425 weights", "111,425"),
+        ("17 pictures", "17"),
+        ("5 px apart", "5px"),  # a measurement, not a count
+        ("7 % of them", "7%"),
+        ("25 metres", "25metres"),  # a quarter in the code is no 25 metres
+        ("turned by 91°", "91°"),
+        ("with $P_2 = 12.5$", "12.5"),
+        ("40.7 is ours. The paper has it.", "40.7"),  # only the sentence that says so quotes the paper
+        ("- The paper's 40.7\n- our 40.8", "40.8"),
+        ("newspaper 40.7", "40.7"),
+    ],
+)
+def test_stray_numbers_are_named(text, said):
+    (found,) = stray(text)
+    assert f"the text says {said}," in found
+
+
+def test_captions_are_prose_and_carry_nothing():
+    drawn = picture(caption="*Figure:* 77 cars and 3.14159 m.")
+    drawn.source = 'show(fig, f"77 cars, {n + 99:.2f} m", "88 cars")'  # the name of n, its format, the alternative text
+    (found,) = nbtools._numbers(notebook(drawn))
+    assert "the text says 77," in found
+    drawn.source = "show(fig, caption=caption, alt='66 cars')"
+    (found,) = nbtools._numbers(notebook(drawn, new_markdown_cell("77 cars")))
+    assert "the text says 77," in found
+
+
+def test_cells_that_are_not_python_set_no_numbers():
+    (found,) = nbtools._numbers(notebook(code("%timeit -n 77 f()"), new_markdown_cell("77 times")))
+    assert "the text says 77," in found
+
+
+@given(st.decimals(11, 10**6, places=5), st.integers(0, 5))
+def test_every_rounding_of_a_printed_number_is_carried(number, places):
+    nb = notebook(code("f()", printed=f"{number}\n"), new_markdown_cell(f"about {number:.{places}f} px"))
+    assert list(nbtools._numbers(nb)) == []
+
+
+@given(st.decimals(11, 10**6, places=3), st.decimals(11, 10**6, places=3))
+def test_no_other_number_is_carried(printed, written):
+    nb = notebook(code("f()", printed=f"{printed}\n"), new_markdown_cell(f"exactly {written} px"))
+    assert bool(list(nbtools._numbers(nb))) == (printed != written)
+
+
+# --- Run ----------------------------------------------------------------------------------------------------
+
+
+def test_run_stores_a_notebook_that_guard_nbval_and_a_second_run_accept(stand_in):
+    nb = framed(*map(code, [nbtools.SETUP, DRAWING, SLIDER, "2 * 0.25"]))
+    path = write(stand_in / "tiny.ipynb", nb)
+    assert nbtools.main("run", [path]) == 0
+    first = path.read_text(encoding="utf-8")
+    assert nbtools.main("lint", [path]) == 0
+    assert nbval(path) == [True] * 4
+    assert nbtools.main("run", [path]) == 0
+    assert path.read_text(encoding="utf-8") == first
+    cells = nbtools.code_cells(nbformat.reads(first, as_version=4))
+    assert [cell.execution_count for cell in cells] == [1, 2, 3, 4]
+    assert cells[1].outputs[0].metadata["image/png"]["alt"] == "a line that rises from left to right"
+    assert cells[1].outputs[1].data["text/markdown"] == "*Figure:* It rises."
+    assert sorted(file.name for file in stand_in.glob("*.ipynb*")) == ["tiny.ipynb"]
+
+
+def test_a_message_that_wakes_nobody_is_found_a_second_later(monkeypatch):
+    looks = []
+
+    async def look(_, timeout):
+        looks.append(timeout)
+        await asyncio.sleep(timeout / 100)
+        if len(looks) < 3:
+            raise Empty
+        return "message"
+
+    monkeypatch.setattr(nbtools.AsyncZMQSocketChannel, "get_msg", look)
+    channel = nbtools._Channel.__new__(nbtools._Channel)
+    assert asyncio.run(channel.get_msg(timeout=None)) == "message"
+    assert looks == [1, 1, 1]
+    looks.clear()
+    with pytest.raises(Empty):
+        asyncio.run(channel.get_msg(timeout=0))
+    assert looks == [0]
+
+
+def test_kernels_are_asked_through_the_channel_that_looks_again():
+    client = nbtools._Manager(kernel_name="python3").client_factory()
+    assert type(client) is nbtools._Client
+    assert client.shell_channel_class is client.iopub_channel_class is nbtools._Channel
+
+
+@pytest.mark.parametrize(
+    ("source", "budget", "said"),
+    [
+        ("1 / 0", 60, "ZeroDivisionError"),
+        ("import warnings\nwarnings.warn('old')", 60, "a warning"),
+        ("import time\ntime.sleep(1)", 1, "its budget is 1 s"),
+    ],
+)
+def test_run_keeps_the_file_as_it_was_when_something_is_wrong(stand_in, capsys, source, budget, said):
+    nb = notebook(code(nbtools.SETUP), code(source), omnistereo=FACTS | {"budget_s": budget})
+    path = write(stand_in / "tiny.ipynb", nb)
+    before = path.read_bytes()
+    assert nbtools.main("run", [path]) == 1
+    assert said in capsys.readouterr().err
+    assert path.read_bytes() == before
+    assert sorted(file.name for file in stand_in.glob("*.ipynb*") if not file.is_dir()) == ["tiny.ipynb"]
+
+
+# --- README -------------------------------------------------------------------------------------------------
+
+
+def test_readme_table_comes_from_the_notebooks(tmp_path):
+    path = write(tmp_path / "03_tiny.ipynb", good())
+    readme = "before\n<!-- notebooks -->\nold\n<!-- /notebooks -->\nafter\n"
+    new = nbtools.with_table(readme, [path])
+    assert new.startswith("before\n<!-- notebooks -->\n| notebook |")
+    row = "| [03 Tiny](notebooks/03_tiny.ipynb) | nothing | 1 min to read, runs within 60 s | CPU |"
+    assert f"{row}\n<!-- /notebooks -->" in new
+    assert new.endswith("after\n")
+    assert nbtools.with_table(new, [path]) == new
+    with pytest.raises(SystemExit, match="<!-- notebooks -->"):
+        nbtools.with_table("no table here", [path])

@@ -1,0 +1,56 @@
+"""Guard: a notebook is stored run, in order, clean, short, and with every picture described.
+
+A notebook without outputs would pass nbval with nothing compared, so this comes first.
+"""
+
+import re
+
+import nbformat
+import pytest
+
+from course import nbtools
+
+TEMPLATE = nbtools.ROOT / "course" / "template.ipynb"
+each = pytest.mark.parametrize("path", nbtools.notebooks(), ids=lambda path: path.stem)
+
+
+@pytest.mark.parametrize("path", [*nbtools.notebooks(), TEMPLATE], ids=lambda path: path.stem)
+def test_stored_as_it_should_be(path):
+    assert nbtools.problems(path) == []
+
+
+@each
+def test_the_path_leads_on(path):
+    number = int(path.stem[:2]) + 1
+    following = rf"\*\*Next:\*\* \[{number:02d} · [^]]+\]\({number:02d}_\w+\.ipynb\)"
+    opening = nbformat.read(path, as_version=4).cells[0].source
+    assert re.search(following, opening) or path == nbtools.notebooks()[-1]
+
+
+@each
+def test_exercises_are_numbered_and_the_open_one_comes_last(path):
+    cells = nbformat.read(path, as_version=4).cells
+    prose = "\n".join(cell.source for cell in cells if cell.cell_type == "markdown")
+    numbers = re.findall(r"^\*\*(\d\d\.\d+)\b", prose, re.MULTILINE)
+    assert numbers == [f"{path.stem[:2]}.{k}" for k in range(1, len(numbers) + 1)]
+    checkers = [k for k, cell in enumerate(cells) if re.search(r"^exercises\.check_\w+\(", cell.source, re.MULTILINE)]
+    assert len(checkers) >= (3 if 1 <= int(path.stem[:2]) <= 9 else 1)
+    assert max(checkers) < min(k for k, cell in enumerate(cells) if "(open).**" in cell.source)
+
+
+def test_the_course_begins():
+    assert (nbtools.NOTEBOOKS / "00_quickstart.ipynb").is_file()
+
+
+def test_all_notebooks_stay_small():
+    assert sum(path.stat().st_size for path in nbtools.notebooks()) < 6_000_000
+
+
+def test_the_readme_lists_them():
+    readme = nbtools.README.read_text(encoding="utf-8")
+    assert nbtools.with_table(readme, nbtools.notebooks()) == readme, "python -m course readme"
+
+
+def test_the_readme_shows_the_first_picture_of_the_course():
+    assert nbtools.PICTURE.read_bytes() == nbtools.first_picture(nbtools.notebooks()[0]), "python -m course readme"
+    assert f"(notebooks/{nbtools.PICTURE.name})" in nbtools.README.read_text(encoding="utf-8")

@@ -1,0 +1,86 @@
+"""The results that ship: of the data and weights that ship, and the same when they are computed again."""
+
+import pytest
+
+import omnistereo_lib as osl
+from course.ledger import ledger, split_at_markers
+from omnistereo_lib import cli
+from omnistereo_lib.evaluate import SCALES, Method, evaluate_frame
+from omnistereo_lib.evaluate.records import checksum, config_checksum, read_record
+from omnistereo_lib.evaluate.run import DATA
+from omnistereo_lib.stereo.weights import SHIPPED
+from omnistereo_lib.train import RECIPES
+from omnistereo_lib.train.spheres import SphereSamples
+
+README = DATA.parent / "README.md"
+STORED = {path.stem: path for path in sorted((DATA / "results").glob("*.json"))}
+
+
+def split_of(name):
+    return "train" if name == "penalties" else "test"
+
+
+@pytest.mark.parametrize("name", STORED)
+def test_they_come_from_what_ships(name):
+    stored = read_record(STORED[name])
+    assert stored["config_sha256"] == config_checksum(stored)
+    scale = SCALES["paper" if name == "paper" else "teaching"]
+    assert {key: stored["config"][key] for key in ("width", "height", "num_spheres")} == vars(scale)
+    assert {name: checksum((SHIPPED / name).read_bytes()) for name in stored["weights"]} == stored["weights"]
+    for key, digest in stored["data"].items():
+        data, _, file = key.partition("/")
+        split = split_of(name)
+        own, shared = DATA / data / split / file, DATA / "sunny" / split / file  # lights share the depth of one drive
+        assert checksum((own if own.is_file() else shared).read_bytes()) == digest, key
+    frames = [frame for numbered in stored["frames"].values() for frame in numbered.values()]
+    assert all(set(frame) == set(stored["methods"]) for frame in frames)
+
+
+@pytest.mark.parametrize(
+    ("name", "number", "costs"),
+    [
+        ("teaching", 831, {"zncc", "mccnn", "sweepnet"}),
+        ("ablations", 831, {"zncc"}),  # the networks take minutes
+        ("penalties", 153, {"zncc"}),
+    ],
+)
+def test_a_frame_again(name, number, costs):
+    """Methods at the teaching scale; bfloat16 there and float32 here may differ by a tenth of a point."""
+    stored = read_record(STORED[name])
+    data = osl.load_dataset(DATA / "sunny", split=split_of(name))
+    scale = SCALES["teaching"]
+    grid = osl.SphereGrid(scale.width, scale.height, num_spheres=scale.num_spheres, min_depth=data.rig.min_depth)
+    every = [Method.parse(text) for text in stored["methods"]]
+    methods = [method for method in every if method.cost in costs and not method.num_spheres]
+    sweep = osl.SphereSweep(data.rig, grid)
+    again = dict(evaluate_frame(sweep, data.frame(number), methods, lambda method: method.load_cost(SHIPPED)))
+    assert again.keys() == set(methods) and {method.cost for method in methods} == costs and len(methods) >= 6
+    for method, errors in again.items():
+        figures = stored["frames"]["sunny"][f"{number:05}"][method.name]["figures"]
+        assert errors["figures"] == pytest.approx(figures, abs=0.1), method.name
+
+
+def test_a_frame_again_with_the_rig_calibrated_again(tmp_path):
+    board = ["--board", "12x10", "--square", "0.06", "--max-fov", "220", "--out", str(tmp_path / "van")]
+    assert cli.main(["calibrate", str(DATA / "calibration" / "van"), *board]) == 0
+    asked = ["--sets", "sunny", "--frames", "831", "--methods", "zncc", "zncc+sgm", "--out", str(tmp_path / "again")]
+    assert cli.main(["evaluate", *asked, "--rig", str(tmp_path / "van" / "config.yaml")]) == 0
+    again = read_record(tmp_path / "again" / "results.json")["frames"]["sunny"]["00831"]
+    stored, exact = (read_record(STORED[name])["frames"]["sunny"]["00831"] for name in ("calibrated", "teaching"))
+    for method, errors in again.items():
+        assert errors["figures"] == pytest.approx(stored[method]["figures"], abs=0.1), method
+        assert errors["figures"] != exact[method]["figures"]
+
+
+def test_penalties_are_chosen_on_frames_that_no_network_learned_from():
+    kept_apart = {
+        f"{frame.number:05}"
+        for frame in SphereSamples(RECIPES["sweepnet"]["shipped"], DATA / "sunny" / "train").validation
+    }
+    assert set(read_record(STORED["penalties"])["frames"]["sunny"]) <= kept_apart
+
+
+def test_the_readme_has_their_ledger():
+    before, after = split_at_markers(README)
+    made = f"{before}\n{ledger(read_record(STORED['paper']))}{after}"
+    assert README.read_text(encoding="utf-8") == made, "the README has another one: make results"

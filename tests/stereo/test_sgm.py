@@ -1,0 +1,262 @@
+"""SGM against a float64 version that follows the printed recurrence, against libsgm, and its own laws."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+import torch
+from c_libsgm import sgm_api
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.stereo.sgm import MAX_LAPS, _tiles, sgm, sgm_torch
+
+STRAIGHT = [(0, 1), (1, 0), (0, -1), (-1, 0)]  # (row, column)
+ALL = [(0, 1), (1, 0), (1, 1), (1, -1), (0, -1), (-1, 0), (-1, -1), (-1, 1)]  # in the order that libsgm needs
+SHAPES = [(1, 1, 2), (4, 1, 5), (2, 2, 2), (5, 3, 64), (6, 9, 17), (3, 12, 33), (7, 4, 16), (2, 20, 31)]
+
+
+def noise(shape, seed=0, unknown=0.0):
+    rng = np.random.default_rng(seed)
+    volume = rng.random(shape, dtype=np.float32)
+    volume[rng.random(shape) < unknown] = np.nan
+    return volume
+
+
+def follow(cost, before, p1, p2):
+    """The recurrence for one pixel, in float64."""
+    if before is None:
+        return cost.copy()
+    nearby = np.full(len(before) + 2, np.inf)
+    nearby[1:-1] = before
+    steps = np.minimum(nearby[:-2], nearby[2:]) + p1
+    return cost + np.minimum(np.minimum(before, steps), before.min() + p2) - before.min()
+
+
+def brute_force(volume, p1, p2, paths=8, wrap=True, laps=MAX_LAPS):
+    """Every L_r stored whole, pixel by pixel. Unknown cells hold a large cost meanwhile (Pandora's rule)."""
+    unknown = np.isnan(volume)
+    largest = 0.0 if unknown.all() else float(np.nanmax(volume))
+    cost = np.where(unknown, largest + 2 * p2 + 1, volume).astype(np.float64)
+    H, W, _ = cost.shape
+    total = np.zeros_like(cost)
+    for dy, dx in STRAIGHT if paths == 4 else ALL:
+        L = np.full_like(cost, np.nan)
+        for _ in range(laps if wrap and dy == 0 else 1):
+            last_lap = L.copy()
+            for y in range(H)[:: dy or 1]:
+                for x in range(W)[:: dx or 1]:
+                    yp, xp = y - dy, (x - dx) % W if wrap else x - dx
+                    outside = not (0 <= yp < H and 0 <= xp < W) or np.isnan(L[yp, xp, 0])
+                    L[y, x] = follow(cost[y, x], None if outside else L[yp, xp], p1, p2)
+            if np.array_equal(L, last_lap):
+                break
+        total += L
+    total[unknown] = np.nan
+    return total
+
+
+@pytest.mark.parametrize("wrap", [True, False])
+@pytest.mark.parametrize("paths", [4, 8])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_agrees_with_brute_force(shape, paths, wrap):
+    for p1, p2, unknown in [(0.1, 0.8, 0.0), (0.1, 12.0, 0.0), (0.0, 0.0, 0.0), (0.3, 0.3, 0.2), (0.1, 1.0, 0.6)]:
+        volume = noise(shape, seed=sum(shape), unknown=unknown)
+        volume[-1, -1] = np.nan if unknown else volume[-1, -1]  # a whole ray too
+        expected = brute_force(volume, p1, p2, paths, wrap)
+        np.testing.assert_allclose(sgm(volume, p1, p2, paths, wrap), expected, rtol=2e-6, atol=1e-5)
+        in_torch = sgm_torch(torch.from_numpy(volume), p1, p2, paths, wrap)
+        np.testing.assert_allclose(in_torch, expected, rtol=2e-6, atol=1e-5)
+
+
+@pytest.mark.parametrize("paths", [4, 8])
+@pytest.mark.parametrize(("p1", "p2"), [(0.1, 12.0), (0.1, 1.0), (0.05, 0.05)])
+def test_flat_image_agrees_with_libsgm(paths, p1, p2):
+    volume = noise((40, 53, 37))
+    used = np.float32([paths == 8 or direction in STRAIGHT for direction in ALL])
+    penalty = np.broadcast_to(used, (40, 53, 8))  # libsgm always takes eight paths; without penalties one adds C
+    one_segment = np.ones((40, 53), np.float32)
+    theirs = sgm_api(volume, p1 * penalty, p2 * penalty, np.int32(ALL), 1e9, one_segment)["cv"]
+    ours = sgm(volume, p1, p2, paths, wrap=False).numpy() + (8 - paths) * volume
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-5)
+
+
+def test_fast_and_torch_versions_agree_at_teaching_width():
+    volume = torch.from_numpy(noise((80, 320, 16), unknown=0.1))
+    for wrap in (True, False):
+        np.testing.assert_allclose(sgm(volume, wrap=wrap), sgm_torch(volume, 0.1, 12.0, 8, wrap), atol=1e-5)
+
+
+seeds = st.integers(0, 2**32 - 1)
+shapes = st.tuples(st.integers(1, 5), st.integers(6, 14), st.integers(2, 20))
+
+
+@given(shape=shapes, seed=seeds, unknown=st.sampled_from([0.0, 0.2]))
+@settings(deadline=None, max_examples=40)
+def test_what_every_ray_agrees_on_changes_nothing(shape, seed, unknown):
+    volume = noise(shape, seed, unknown)
+    offset = np.float32(noise(shape[:2], seed + 1)[..., None] * 4 - 2)
+    shifted = sgm(volume + offset, 0.1, 2.0)
+    np.testing.assert_allclose(shifted.numpy() - 8 * offset, sgm(volume, 0.1, 2.0), atol=5e-5)
+
+
+@given(shape=shapes, seed=seeds, scale=st.floats(1e-3, 1e3))
+@settings(deadline=None, max_examples=40)
+def test_cost_and_penalties_scale_together(shape, seed, scale):
+    volume = noise(shape, seed, 0.1)
+    scaled = sgm(volume * np.float32(scale), 0.1 * scale, 2.0 * scale)
+    np.testing.assert_allclose(scaled / scale, sgm(volume, 0.1, 2.0), atol=5e-5)
+
+
+def settles(volume, p1, p2):
+    laps = [brute_force(volume, p1, p2, 4, True, laps) for laps in (MAX_LAPS - 1, MAX_LAPS)]
+    return np.allclose(*laps, rtol=0, atol=1e-9, equal_nan=True)
+
+
+@given(shape=shapes, seed=seeds, turn=st.integers(1, 13))
+@settings(deadline=None, max_examples=40)
+def test_a_turned_panorama_gives_the_turned_result(shape, seed, turn):
+    volume = noise(shape, seed, 0.1)
+    assume(settles(volume, 0.1, 1.0))
+    turned = sgm(np.roll(volume, turn, axis=1), 0.1, 1.0)
+    np.testing.assert_allclose(turned, np.roll(sgm(volume, 0.1, 1.0), turn, axis=1), atol=5e-5)
+
+
+def test_a_row_that_alternates_for_ever_stops_after_the_last_lap():
+    volume = noise((5, 13, 11), seed=431, unknown=0.1)
+    assert not settles(volume, 0.1, 1.0)
+    expected = brute_force(volume, 0.1, 1.0)
+    np.testing.assert_allclose(sgm(volume, 0.1, 1.0), expected, atol=1e-5)
+    np.testing.assert_allclose(sgm_torch(torch.from_numpy(volume), 0.1, 1.0, 8, True), expected, atol=1e-5)
+
+
+@given(shape=shapes, seed=seeds, wrap=st.booleans())
+@settings(deadline=None, max_examples=40)
+def test_mirroring_either_axis_mirrors_the_result(shape, seed, wrap):
+    volume = noise(shape, seed, 0.1)
+    smooth = sgm(volume, 0.1, 1.0, wrap=wrap)
+    for axes in [(0,), (1,), (0, 1), (2,)]:
+        flipped = sgm(np.flip(volume, axes).copy(), 0.1, 1.0, wrap=wrap)
+        np.testing.assert_allclose(flipped, np.flip(smooth.numpy(), axes), atol=5e-5)
+
+
+@given(shape=shapes, seed=seeds, wrap=st.booleans(), paths=st.sampled_from([4, 8]), p2=st.floats(0, 20))
+@settings(deadline=None, max_examples=40)
+def test_each_path_lies_between_cost_and_cost_plus_p2(shape, seed, wrap, paths, p2):
+    volume = noise(shape, seed)
+    mean = sgm(volume, 0.0, p2, paths, wrap).numpy() / paths
+    assert (mean >= volume - 1e-5).all()
+    assert (mean <= volume + p2 + 1e-5).all()
+
+
+def test_without_penalties_nothing_is_smoothed():
+    volume = noise((4, 7, 9))
+    np.testing.assert_allclose(sgm(volume, 0, 0), 8 * volume, rtol=1e-6)
+
+
+def test_a_ray_that_nothing_sees_is_like_one_that_fits_every_sphere_equally():
+    volume = noise((6, 9, 12))
+    hole = np.s_[2:4, 3:6]
+    volume[hole] = 0.7
+    constant = sgm(volume).numpy()
+    volume[hole] = constant[hole] = np.nan
+    np.testing.assert_allclose(sgm(volume), constant, atol=1e-5)
+
+
+def test_unknown_cells_stay_unknown():
+    volume = noise((6, 8, 10), unknown=0.5)
+    volume[2, 3] = np.nan
+    smooth = sgm(volume).numpy()
+    np.testing.assert_array_equal(np.isnan(smooth), np.isnan(volume))
+    assert sgm(np.full((3, 4, 5), np.nan, np.float32)).isnan().all()
+
+
+@pytest.mark.parametrize(("gap", "message"), [(0.1, 1.0), (0.001, MAX_LAPS * 0.001)])
+@pytest.mark.parametrize("sgm", [sgm, lambda volume, *rest: sgm_torch(torch.from_numpy(volume), *rest, True)])
+def test_one_opinion_comes_round_lap_by_lap(sgm, gap, message):
+    """In a row without texture one pixel's message adds up to P2 over P2 / gap laps, or until the laps run out."""
+    volume = np.full((1, 5, 6), 0.5, np.float32)
+    volume[0, 0] += gap * (np.arange(6) != 2)
+    smooth = sgm(volume, 1.0, 1.0, 4)
+    vertical = 2 * volume
+    to_the_right, to_the_left = message, min(1.0, message - gap if message < 1 else message)  # 0 ends a leftward lap
+    expected = vertical + 1.0 + (to_the_right + to_the_left) * (np.arange(6) != 2)
+    np.testing.assert_allclose(smooth[0, 1:], expected[0, 1:], atol=1e-5)
+
+
+def test_results_do_not_depend_on_threads_or_repetition():
+    volume = noise((43, 300, 19), unknown=0.1)
+    threads = torch.get_num_threads()
+    results = []
+    try:
+        for count in (1, 2, 5, threads, threads):
+            torch.set_num_threads(count)
+            results.append(sgm(volume).numpy())
+    finally:
+        torch.set_num_threads(threads)
+    for result in results[1:]:
+        np.testing.assert_array_equal(result, results[0])
+
+
+def test_several_threads_may_call_at_once():
+    volume = noise((8, 64, 32))
+    expected = sgm(volume)
+    with ThreadPoolExecutor(4) as pool:
+        assert all(torch.equal(result, expected) for result in pool.map(sgm, [volume] * 40))
+
+
+def test_tiles_visit_every_cell_once_and_never_meet():
+    """Also the scanlines' slots: no two tiles of one round share one."""
+    for H, W in [(1, 1), (7, 2), (9, 3), (300, 1200), (31, 257), (64, 513)]:
+        visits = {False: np.zeros((H, W), int), True: np.zeros((H, W), int)}
+        for tiles in _tiles(H, W):
+            owner = {}
+            for number, (up, top, bottom, first, last, slope) in enumerate(tiles):
+                for j in range(bottom - top):
+                    y = bottom - 1 - j if up else top + j
+                    step = H - 1 - y if up else y
+                    columns = np.arange(first + slope * j, last - slope * j) % W
+                    np.add.at(visits[up][y], columns, 1)
+                    for x in columns:
+                        slots = [("S", y, x), (up, 0, x), (up, 1, (x - step) % W), (up, 2, (x + step) % W)]
+                        assert all(owner.setdefault(slot, number) == number for slot in slots)
+        assert (visits[False] == 1).all()
+        assert (visits[True] == 1).all()
+
+
+def test_input_is_left_alone_and_may_be_any_float_array():
+    volume = noise((3, 8, 5))
+    copy = volume.copy()
+    expected = sgm(volume)
+    np.testing.assert_array_equal(volume, copy)
+    for other in (
+        torch.from_numpy(volume),
+        volume.astype(np.float64),
+        torch.from_numpy(volume).requires_grad_(),
+        np.asfortranarray(volume),
+        torch.from_numpy(volume).permute(2, 0, 1).contiguous().permute(1, 2, 0),
+    ):
+        result = sgm(other)
+        assert result.dtype == torch.float32
+        assert torch.equal(result, expected)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"volume": np.zeros((3, 4), np.float32)}, r"shape \(3, 4\)"),
+        ({"volume": np.zeros((3, 4, 1), np.float32)}, "two or more"),
+        ({"volume": np.zeros((0, 4, 3), np.float32)}, r"shape \(0, 4, 3\)"),
+        ({"paths": 5}, "paths is 5; expected 4 or 8"),
+        ({"p1": -0.1}, "p1 = -0.1"),
+        ({"p1": 1.0, "p2": 0.5}, "p2 = 0.5"),
+        ({"p2": np.inf}, "p2 = inf"),
+        ({"p1": np.nan}, "p1 = nan"),
+        ({"volume": np.where(np.arange(24).reshape(2, 3, 4) == 7, np.inf, 0)}, "infinite costs"),
+        ({"volume": np.where(np.arange(24).reshape(2, 3, 4) == 7, -np.inf, 0)}, "infinite costs"),
+    ],
+)
+def test_bad_input_is_refused(arguments, message):
+    with pytest.raises(OmnistereoError, match=message):
+        sgm(**{"volume": np.zeros((2, 3, 4), np.float32), **arguments})

@@ -1,0 +1,280 @@
+"""SweepNet against Table I written out in plain float64 torch, and the laws of its fast evaluation."""
+
+import json
+import resource
+import struct
+
+import numpy as np
+import pytest
+import scene
+import torch
+from torch.nn.functional import conv2d, conv_transpose2d, linear, pad
+
+import omnistereo_lib as osl
+from omnistereo_lib.stereo.learned import uses_bfloat16
+from omnistereo_lib.stereo.sweepnet import SweepNet
+from omnistereo_lib.stereo.weights import load_tensors, save_tensors
+
+RING = [(0, 1), (1, 2), (2, 3), (3, 0)]
+
+
+def network(seed=0, precision="float32", **config):
+    torch.manual_seed(seed)
+    net = SweepNet(precision=precision, **config).eval()
+    for layer in net.layers.values():
+        if layer.bias is not None:  # a zero bias would hide where it is added
+            torch.nn.init.normal_(layer.bias, std=0.1)
+    torch.nn.init.normal_(net.layers["fc5"].weight, std=0.02)  # costs from 0.28 to 0.97
+    return net
+
+
+def images(cameras=4, B=2, H=12, W=96, seed=0):
+    """Warped images such that every camera sees 5/8 of the columns, and not all of their pixels."""
+    rng = np.random.default_rng(seed)
+    picture = rng.normal(size=(cameras, B, H, W)).astype(np.float32)
+    columns = [((W * (2 * k - 2) // 8 - 5) % W, 5 * W // 8) for k in range(cameras)]
+    for k, (start, width) in enumerate(columns):
+        picture[k, :, :, (start + np.arange(width, W)) % W] = np.nan
+    picture[rng.random(picture.shape) < 0.05] = np.nan
+    return torch.from_numpy(picture), columns
+
+
+def dense(net, spherical, pairs, double=True):
+    """Table I, every layer on the whole panorama of every pair; wrap: circular columns in every layer."""
+    weights = {name.removeprefix("layers."): w.double() if double else w for name, w in net.state_dict().items()}
+
+    def around(x, columns, wrap=net.wrap):
+        return pad(x, (*columns, 0, 0), mode="circular") if wrap else pad(x, columns)
+
+    def conv(name, x):
+        return conv2d(around(x, (1, 1)), weights[f"{name}.weight"], weights[f"{name}.bias"], padding=(1, 0))
+
+    def tower(image):
+        x = around(image[:, None].nan_to_num(), (2, 2), wrap=True)
+        x = conv2d(x, weights["conv1.weight"], weights["conv1.bias"], stride=2, padding=(2, 0)).relu()
+        for k in range(2, 18, 2):
+            x = (x + conv(f"conv{k + 1}", conv(f"conv{k}", x).relu())).relu()
+        return conv("conv18", x).relu()
+
+    def match(a, b):
+        x = conv("conv19", torch.cat([a, b], 1)).relu()
+        x = conv_transpose2d(around(x, (0, 1)), weights["deconv1.weight"], weights["deconv1.bias"], 2, 1, 1)
+        x = conv("conv20", x[..., : 2 * a.shape[-1]].relu()).relu().permute(0, 2, 3, 1)
+        for k in range(1, 5):
+            x = linear(x, weights[f"fc{k}.weight"], weights[f"fc{k}.bias"]).relu()
+        return linear(x, weights["fc5.weight"], weights["fc5.bias"])[..., 0].sigmoid()
+
+    costs = []
+    for i, j in pairs:
+        a, b = (spherical[k].double() if double else spherical[k] for k in (i, j))
+        costs.append(match(tower(a), tower(b)).masked_fill((a + b).isnan(), torch.nan))
+    return torch.stack(costs).nanmean(0).permute(1, 2, 0)
+
+
+def test_layers_and_parameters_are_those_of_table_one():
+    net = SweepNet()
+    assert sum(p.numel() for p in net.parameters()) == 757_729
+    shapes = {name: tuple(layer.weight.shape) for name, layer in net.layers.items()}
+    expected = {"conv1": (32, 1, 5, 5), **{f"conv{k}": (32, 32, 3, 3) for k in range(2, 19)}}
+    expected |= {"conv19": (128, 64, 3, 3), "deconv1": (128, 128, 3, 3), "conv20": (128, 128, 3, 3)}
+    expected |= {"fc1": (256, 128), "fc2": (256, 256), "fc3": (256, 256), "fc4": (256, 256), "fc5": (1, 256)}
+    assert shapes == expected
+    # W/2 × H/2 × 32 out of the unary half, W × H out of all of it
+    features = net.describe(torch.zeros(3, 8, 20), (0, 20))
+    assert features.maps.shape == (3, 32, 4, 10)
+    assert net(torch.zeros(2, 3, 8, 20), [(0, 1)]).shape == (8, 20, 3)
+
+
+def test_a_case_done_by_hand():
+    """One weight 1 in every layer: a path of additions through the network that a pencil can follow.
+
+    conv1 takes the pixel at the middle of its window. Each of the 8 blocks adds what its two layers pass on, so it
+    doubles: 2⁸. conv18 passes on. conv19 adds left and right, the transposed convolution copies each half-size
+    pixel (y, x) to (2y, 2x) alone, conv20 takes the pixel to its left, fc1 … fc4 pass on, fc5 multiplies by 2⁻⁹
+    and subtracts 1.
+    """
+    net = network()
+    for layer in net.layers.values():
+        torch.nn.init.zeros_(layer.weight)
+        torch.nn.init.zeros_(layer.bias)
+    with torch.no_grad():
+        for name, layer in net.layers.items():
+            if name.startswith("fc"):
+                layer.weight[0, 0] = 1
+            else:
+                layer.weight[0, 0, layer.weight.shape[2] // 2, layer.weight.shape[3] // 2] = 1
+        net.layers["conv19"].weight[0, 32, 1, 1] = 1
+        net.layers["conv20"].weight[0, 0, 1, 1] = 0
+        net.layers["conv20"].weight[0, 0, 1, 0] = 1
+        net.layers["fc5"].weight[0, 0] = 2.0**-9
+        net.layers["fc5"].bias[0] = -1
+    left, right = torch.arange(24.0).reshape(4, 6), torch.full((4, 6), 3.0)
+    expected = torch.full((4, 6), -1.0)
+    expected[::2, 1::2] = (left[::2, ::2] + right[::2, ::2]) / 2 - 1
+    cost = net(torch.stack([left, right])[:, None], [(0, 1)])[..., 0]
+    torch.testing.assert_close(cost, expected.sigmoid())
+
+
+@pytest.mark.parametrize("wrap", [True, False])
+@pytest.mark.parametrize("pairs", [RING, [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]], ids=["ring", "all"])
+def test_fast_evaluation_equals_the_dense_network(wrap, pairs):
+    """Every pair on the whole panorama in float64, and the crops of the fast evaluation in float32."""
+    net, (spherical, columns) = network(wrap=wrap), images()
+    expected = dense(net, spherical, pairs)
+    assert expected[~expected.isnan()].std() > 0.02
+    for cost in (net(spherical, pairs, columns), net(spherical, pairs)):
+        torch.testing.assert_close(cost.double(), expected, atol=1e-5, rtol=0, equal_nan=True)
+    in_bfloat16 = network(wrap=wrap, precision="bfloat16")(spherical, pairs, columns)
+    torch.testing.assert_close(in_bfloat16.double(), expected, atol=2e-2, rtol=0, equal_nan=True)
+
+
+def test_the_crop_is_exact_to_rounding():
+    """In float64 nothing but a wrong margin could be left."""
+    net, (spherical, columns) = network().double(), images()
+    features = [net.describe(image.double(), span) for image, span in zip(spherical, columns, strict=True)]
+    whole = [net.describe(image.double(), (0, 96)) for image in spherical]
+    for i, j in RING:
+        everywhere = net.score(whole[i], whole[j], 0, 48, torch.ones(2, 12, 96, dtype=torch.bool)).reshape(2, 12, 96)
+        for first, last in net.strips(columns[i], columns[j], 96):
+            chosen = torch.ones(2, 12, 2 * (last - first), dtype=torch.bool)
+            cropped = net.score(features[i], features[j], first, last, chosen).reshape(2, 12, -1)
+            strip = torch.arange(2 * first, 2 * last) % 96
+            seen = ~(spherical[i] + spherical[j])[..., strip].isnan().all(1, keepdim=True).expand_as(cropped)
+            error = (cropped - everywhere[..., strip])[seen].abs().max()
+            assert error < 1e-12
+
+
+@pytest.mark.parametrize("shift", [2, 31 * 2])
+def test_turning_the_panorama_turns_the_costs(shift):
+    net, (spherical, columns) = network(), images()
+    turned = net(spherical.roll(shift, -1), RING, [((start + shift) % 96, width) for start, width in columns])
+    torch.testing.assert_close(turned, net(spherical, RING, columns).roll(shift, 1), atol=1e-5, rtol=0, equal_nan=True)
+
+
+def test_a_panorama_may_be_narrower_than_what_a_pixel_depends_on():
+    net, (spherical, columns) = network(), images(W=24)
+    expected = dense(net, spherical, RING)
+    torch.testing.assert_close(net(spherical, RING, columns).double(), expected, atol=1e-5, rtol=0, equal_nan=True)
+
+
+def test_folded_norms_compute_the_same():
+    net, (spherical, _) = network(batch_norm=True), images()
+    for norm in net.norms.values():
+        for tensor, low, high in ((norm.running_mean, -0.5, 0.5), (norm.running_var, 0.5, 2.0)):
+            torch.nn.init.uniform_(tensor, low, high)
+        torch.nn.init.uniform_(norm.weight, 0.5, 1.5)
+        torch.nn.init.normal_(norm.bias, std=0.2)
+    plain = net.fold()
+    assert plain.config == {"batch_norm": False, "wrap": True}
+    assert sum(p.numel() for p in plain.parameters()) == 757_729
+    torch.testing.assert_close(plain(spherical, RING), net(spherical, RING), atol=1e-5, rtol=1e-4, equal_nan=True)
+
+
+@pytest.mark.parametrize("batch_norm", [True, False])
+def test_gradient_reaches_every_parameter(batch_norm):
+    net, (spherical, columns) = network(batch_norm=batch_norm).train(), images()
+    features = [net.describe(image, span) for image, span in zip(spherical, columns, strict=True)]
+    (first, last) = next(net.strips(columns[0], columns[1], 96))
+    chosen = torch.rand(2, 12, 2 * (last - first)) < 0.5
+    net.score(features[0], features[1], first, last, chosen).square().sum().backward()
+    assert [name for name, p in net.named_parameters() if p.grad is None or p.grad.abs().max() == 0] == []
+
+
+def test_order_in_memory_is_that_of_the_moment():
+    """Plane by plane for gradients in float32 on a CPU, channels last for all else; `bench` compares the gradients."""
+    net = network()
+    weight = net.layers["conv20"].weight
+    for mode, precision, order, innermost in (
+        (True, "float32", torch.contiguous_format, 3),
+        (False, "float32", torch.channels_last, 1),
+        (True, "bfloat16", torch.channels_last, 1),
+    ):
+        net.precision = precision
+        net.train(mode)
+        assert net.memory_format == order
+        assert weight.is_contiguous(memory_format=order)
+        assert net.unary(torch.zeros(1, 12, 96), 0, 48).maps.stride(innermost) == 1
+
+
+def test_it_is_a_cost_of_the_pipeline():
+    rig = scene.rig(width=200, height=192)
+    grid = osl.SphereGrid(48, 12, (-40, 40), 5, 0.6)
+    sweep = osl.SphereSweep(rig, grid)
+    volume = osl.cost_volume(sweep, scene.images(rig, finest=0.25), network())
+    assert volume.shape == (12, 48, 5) and not volume.isnan().all()
+    assert volume[~volume.isnan()].min() >= 0 and volume[~volume.isnan()].max() <= 1
+    known = osl.cost_volume(sweep, scene.images(rig, finest=0.25), osl.ZNCC(3)).isnan()
+    assert torch.equal(volume.isnan(), known)  # visibility is geometry, not the cost's
+
+
+@pytest.mark.parametrize("size", [(13, 96), (12, 95)])
+def test_odd_panoramas_are_refused(size):
+    with pytest.raises(osl.OmnistereoError, match=f"must be even, got {size[1]} × {size[0]}"):
+        network()(torch.zeros(2, 1, *size), [(0, 1)])
+
+
+def test_an_image_with_nan_is_refused():
+    rig = scene.rig(width=200, height=192)
+    pictures = scene.images(rig, finest=0.25)
+    pictures[2][5, 5] = np.nan
+    sweep = osl.SphereSweep(rig, osl.SphereGrid(48, 12, (-40, 40), 5, 0.6))
+    with pytest.raises(osl.OmnistereoError, match="image 3 holds NaN"):
+        osl.cost_volume(sweep, pictures, network())
+
+
+def test_precision_is_chosen_by_the_processor(monkeypatch):
+    for flags, expected in [({}, False), ({"avx512_bf16": True}, True), ({"amx_bf16": True}, True)]:
+        monkeypatch.setattr(torch.cpu, "get_capabilities", lambda flags=flags: flags)
+        assert uses_bfloat16("auto", "cpu") is expected
+    assert uses_bfloat16("bfloat16", "cpu") and not uses_bfloat16("float32", "cpu")
+    with pytest.raises(osl.OmnistereoError, match="got 'float16'"):
+        uses_bfloat16("float16", "cpu")
+
+
+def test_weights_come_back(tmp_path):
+    net, (spherical, _) = network(wrap=False), images()
+    net.save(tmp_path / "a.safetensors", step=7)
+    again = osl.SweepNet.load(tmp_path / "a.safetensors", precision="float32")
+    assert again.config == net.config and not again.training
+    assert torch.equal(again(spherical, RING).nan_to_num(), net(spherical, RING).nan_to_num())
+    assert load_tensors(tmp_path / "a.safetensors")[1]["step"] == 7
+
+
+def test_bad_files_of_weights(tmp_path):
+    path = tmp_path / "a.safetensors"
+    with pytest.raises(osl.OmnistereoError, match=r"a.safetensors does not exist"):
+        SweepNet.read(path)
+    network().save(path)
+    content = path.read_bytes()
+    for keep in (0, 4, 1000, len(content) // 2, len(content) - 1):
+        path.write_bytes(content[:keep])
+        with pytest.raises(osl.OmnistereoError, match=r"a.safetensors is not a whole safetensors file"):
+            SweepNet.read(path)
+    path.write_bytes(content[:-5] + bytes([content[-5] ^ 1]) + content[-4:])
+    with pytest.raises(osl.OmnistereoError, match="has changed since it was written"):
+        SweepNet.read(path)
+    header = json.dumps({}).encode()
+    path.write_bytes(struct.pack("<Q", len(header)) + header)
+    with pytest.raises(osl.OmnistereoError, match="was not written by this library"):
+        SweepNet.read(path)
+    save_tensors(path, {}, {"architecture": "MCCNN", "config": {}})
+    with pytest.raises(osl.OmnistereoError, match="holds weights of MCCNN, expected SweepNet"):
+        SweepNet.read(path)
+    save_tensors(path, {"fc1.weight": torch.zeros(2)}, {"architecture": "SweepNet", "config": {}})
+    with pytest.raises(osl.OmnistereoError, match="does not fit SweepNet"):
+        SweepNet.read(path)
+
+
+def test_a_full_disk_leaves_the_old_weights(tmp_path):
+    """A limit on the size of files stands for the disk: the operating system refuses the same way, halfway."""
+    path = tmp_path / "a.safetensors"
+    save_tensors(path, {"x": torch.zeros(2)}, {})
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20, hard))
+    try:
+        with pytest.raises(osl.OmnistereoError, match=r"a.safetensors cannot be written: File too large"):
+            network().save(path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert [file.name for file in tmp_path.iterdir()] == ["a.safetensors"]
+    assert load_tensors(path)[0]["x"].tolist() == [0, 0]

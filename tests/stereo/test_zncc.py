@@ -1,0 +1,111 @@
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import omnistereo_lib as osl
+from omnistereo_lib.stereo.zncc import _zncc_torch, common_columns
+
+
+def direct(spherical, pairs, window):
+    """The mean cost over pairs, patch by patch in float64, mean and deviation taken as they are defined."""
+    _, B, H, W = spherical.shape
+    r = window // 2
+    out = np.full((H, W, B), np.nan)
+    for k in range(B):
+        for y in range(H):
+            for x in range(W):
+                rows = slice(max(y - r, 0), y + r + 1)
+                columns = np.arange(x - r, x + r + 1) % W
+                costs = []
+                for i, j in pairs:
+                    a = spherical[i, k, rows][:, columns].astype(np.float64).ravel()
+                    b = spherical[j, k, rows][:, columns].astype(np.float64).ravel()
+                    if np.isnan(spherical[i, k, y, x]) or np.isnan(spherical[j, k, y, x]):
+                        continue
+                    common = ~(np.isnan(a) | np.isnan(b))
+                    a, b = a[common] - a[common].mean(), b[common] - b[common].mean()
+                    textured = min(np.mean(a * a), np.mean(b * b)) > 1e-6
+                    zncc = np.mean(a * b) / np.sqrt(np.mean(a * a) * np.mean(b * b)) if textured else 0.0
+                    costs.append((1 - zncc) / 2)
+                if costs:
+                    out[y, x, k] = np.mean(costs)
+    return out
+
+
+def block(kind, cameras=3, B=2, H=13, W=17, seed=0):
+    rng = np.random.default_rng(seed)
+    images = rng.normal(size=(cameras, B, H, W))
+    if kind == "flat":
+        images = np.full_like(images, 2.0)
+    if kind == "nearly flat":  # where float32 box sums leave [-1, 1]
+        images = 2.0 + 1e-2 * images
+    if kind == "partly seen":
+        images[rng.random(images.shape) < 0.3] = np.nan
+    if kind == "strips":
+        images[0, :, :, 5:9] = images[1, :, :, 12:] = images[2] = np.nan
+    return images.astype(np.float32)
+
+
+@pytest.mark.parametrize("kind", ["textured", "flat", "nearly flat", "partly seen", "strips"])
+@pytest.mark.parametrize("window", [3, 5, 9])
+def test_cost_agrees_with_direct_float64(kind, window):
+    images, pairs = block(kind), [(0, 1), (1, 2), (2, 0)]
+    expected = direct(images, pairs, window)
+    for cost in (
+        osl.ZNCC(window)(torch.from_numpy(images), pairs),
+        _zncc_torch(torch.from_numpy(images), pairs, window),
+    ):
+        np.testing.assert_allclose(cost.numpy(), expected, atol=1e-5)
+
+
+def test_flat_patches_say_neither_match_nor_mismatch():
+    cost = osl.ZNCC()(torch.from_numpy(block("flat")), [(0, 1)])
+    assert (cost == 0.5).all()
+
+
+def test_same_image_costs_0_and_its_negative_1():
+    image = torch.from_numpy(block("textured", cameras=1))
+    both = torch.cat([image, image, -image])
+    assert osl.ZNCC()(both, [(0, 1)]).max() < 1e-6
+    assert osl.ZNCC()(both, [(0, 2)]).min() > 1 - 1e-6
+
+
+@given(gain=st.floats(0.01, 100), offset=st.floats(-10, 10), shift=st.integers(0, 16), seed=st.integers(0, 99))
+@settings(max_examples=25, deadline=None)
+def test_gain_offset_and_turning_change_nothing(gain, offset, shift, seed):
+    images = torch.from_numpy(block("textured", cameras=2, seed=seed))
+    cost = osl.ZNCC(5)(images, [(0, 1)])
+    changed = torch.stack([images[0], gain * images[1] + offset]).roll(shift, -1)
+    torch.testing.assert_close(osl.ZNCC(5)(changed, [(0, 1)]), cost.roll(shift, 1), atol=2e-3 / min(gain, 1), rtol=0)
+
+
+def test_columns_that_no_camera_sees_may_be_skipped():
+    images = block("textured", cameras=2)
+    images[0, ..., 3:6] = images[1, ..., 10:] = np.nan
+    images = torch.from_numpy(images)
+    everywhere = osl.ZNCC()(images, [(0, 1)])
+    skipped = osl.ZNCC()(images, [(0, 1)], [(6, 14), (0, 10)])
+    assert torch.equal(everywhere.nan_to_num(9), skipped.nan_to_num(9))
+
+
+@given(st.integers(2, 12).flatmap(lambda W: st.tuples(st.just(W), *[st.integers(0, W - 1), st.integers(0, W)] * 2)))
+@settings(deadline=None)
+def test_common_columns_are_the_intersection(spans):
+    W, start_a, width_a, start_b, width_b = spans
+    a, b = ({(s + t) % W for t in range(w)} for s, w in ((start_a, width_a), (start_b, width_b)))
+    strips = common_columns((start_a, width_a), (start_b, width_b), W)
+    columns = [(s + t) % W for s, width in strips for t in range(width)]
+    assert sorted(columns) == sorted(a & b)
+
+
+@pytest.mark.parametrize("window", [1, 4, -3])
+def test_windows_must_be_odd(window):
+    with pytest.raises(osl.OmnistereoError, match=f"odd number of at least 3, got {window}"):
+        osl.ZNCC(window)
+
+
+def test_windows_must_fit_the_panorama():
+    with pytest.raises(osl.OmnistereoError, match="window of 15 does not fit a panorama of 17 × 13"):
+        osl.ZNCC(15)(torch.from_numpy(block("textured")), [(0, 1)])

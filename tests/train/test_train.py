@@ -1,0 +1,533 @@
+"""Training: labels that tell the truth, seeds that decide everything, runs that survive being killed and shared."""
+
+import csv
+import hashlib
+import os
+import re
+import resource
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scene
+import torch
+
+import omnistereo_lib as osl
+from omnistereo_lib import cli
+from omnistereo_lib.dataset import write_inverse_depth
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.files import write_image
+from omnistereo_lib.stereo.weights import load_tensors
+from omnistereo_lib.train import RECIPES, VARIANTS, MCCNNRecipe, SweepNetRecipe, ship, train
+from omnistereo_lib.train.card import _hours
+from omnistereo_lib.train.loop import LOG, STATE, WEIGHTS
+from omnistereo_lib.train.patches import PatchSamples
+from omnistereo_lib.train.spheres import SphereObjective, SphereSamples
+
+TINY = {"width": 48, "height": 12, "num_spheres": 12, "steps": 4, "validate_every": 2, "validation_groups": 2}
+SWEEPNET = SweepNetRecipe(**TINY, warmup=2, min_positives=4, max_positives=60, any_sphere=0.0, min_negatives=0)
+MCCNN = MCCNNRecipe(**TINY | {"width": 96, "height": 24}, warmup=2, rays_per_frame=16)
+BOTH = pytest.mark.parametrize("recipe", [SWEEPNET, MCCNN], ids=["sweepnet", "mccnn"])
+
+PATHS = f"{Path(__file__).parent} {Path(__file__).parents[1]}"  # this module and the helpers beside its folder
+
+
+@pytest.fixture(scope="session")
+def data(tmp_path_factory):
+    """Four frames of a rig that moves through the box, with ground truth."""
+    folder = tmp_path_factory.mktemp("data")
+    still = scene.rig(width=200, height=192)
+    osl.Rig(still.cameras, still.T_rig_cam, min_depth=0.6).save(folder / "config.yaml")
+    truth_grid = osl.SphereGrid(96, 24, (-45, 45), 12, 0.6)
+    (folder / "omnidepth_gt_96").mkdir()
+    for number in range(1, 5):
+        step = osl.Pose.from_vector([0, 0, 0, 0.2 * number - 0.5, 0, 0.15 * number])
+        moved = osl.Rig(still.cameras, [step @ pose for pose in still.T_rig_cam])
+        for k, picture in enumerate(scene.images(moved, finest=0.25), 1):
+            (folder / f"cam{k}").mkdir(exist_ok=True)
+            write_image(folder / f"cam{k}" / f"{number:04}.png", picture)
+        truth = truth_grid.index_to_inverse_depth(scene.true_index(moved, truth_grid))
+        write_inverse_depth(folder / "omnidepth_gt_96" / f"{number:05}.tiff", truth)
+    return folder
+
+
+def losses(recipe, out, data, **options):
+    return [row["loss"] for row in train(recipe, out, data, precision="float32", **options)]
+
+
+def weights(out):
+    return load_tensors(out / WEIGHTS)[0]
+
+
+def assert_same_weights(a, b):
+    assert a.keys() == b.keys()
+    for name in a:
+        torch.testing.assert_close(a[name], b[name], atol=0, rtol=0)
+
+
+# ---- samples
+
+
+@pytest.mark.parametrize("augment", [False, True])
+def test_positives_are_where_the_truth_is_and_show_the_same(data, augment):
+    """Labels against the box in closed form where nothing is turned; against the pictures where it is."""
+    samples = SphereSamples(replace(SWEEPNET, width=96, height=24), data)
+    frame = samples.training[0]
+    alike = {0.0: [], 1.0: []}
+    for seed in range(12):
+        group = samples.group(frame, np.random.default_rng(seed), augment)
+        assert group.spherical.shape == (4, 2, 24, 96)
+        for strip in group.strips:
+            counts = [(strip.label == label).sum().item() for label in (0, 1)]
+            assert 0 < counts[0] <= 2 * 60 and counts[1] <= 4 * counts[0]
+            pixels = torch.arange(2 * strip.first, 2 * strip.last) % 96
+            seen = group.spherical[[strip.i, strip.j]][..., pixels]
+            a, b = seen[0][strip.labelled], seen[1][strip.labelled]
+            assert not (a.isnan() | b.isnan()).any()
+            for label in alike:
+                alike[label] += zip(a[strip.label == label].tolist(), b[strip.label == label].tolist(), strict=True)
+    matches, others = (np.corrcoef(np.array(alike[label]).T)[0, 1] for label in (0.0, 1.0))
+    assert matches > 0.8 > 0.6 > others
+
+
+def test_labels_are_the_rounded_truth(data):
+    samples = SphereSamples(replace(SWEEPNET, width=96, height=24, max_positives=9999, negatives=9999), data)
+    frame = samples.training[0]
+    true = np.rint(frame.gt_index(samples.grid))
+    counts = np.bincount(true.astype(int).ravel(), minlength=12)
+    drawn = set()
+    for seed in range(30):
+        block, spheres = samples._draw_spheres(samples.gt_index(frame), frame, np.random.default_rng(seed))
+        drawn |= set(spheres.tolist())
+        group = samples.group(frame, np.random.default_rng(seed), augment=False)
+        images = samples.sweep.prepare(frame.images)
+        torch.testing.assert_close(
+            group.spherical, samples.sweep.warp_block(images, block)[:, spheres - block.start], equal_nan=True
+        )
+        for strip in group.strips:
+            pixels = np.arange(2 * strip.first, 2 * strip.last) % 96
+            expected = (true[:, pixels] != spheres[:, None, None])[strip.labelled.numpy()]
+            np.testing.assert_array_equal(strip.label.numpy(), expected)
+    assert drawn == set(np.flatnonzero(counts >= 4).tolist())  # those with fewer positives are discarded
+
+
+def test_where_nothing_is_there_are_negatives(data):
+    recipe = replace(SWEEPNET, width=96, height=24, num_spheres=24, any_sphere=1.0, min_negatives=50)
+    samples = SphereSamples(recipe, data)
+    frame = samples.training[0]
+    counts = np.bincount(np.rint(samples.gt_index(frame)).astype(int).ravel(), minlength=24)
+    drawn, matched = set(), set()
+    for seed in range(80):
+        drawn |= set(samples._draw_spheres(samples.gt_index(frame), frame, np.random.default_rng(seed))[1].tolist())
+    for seed in range(20):
+        _, spheres = samples._draw_spheres(samples.gt_index(frame), frame, np.random.default_rng(seed))
+        group = samples.group(frame, np.random.default_rng(seed), augment=False)
+        for strip in group.strips:
+            on = spheres[strip.labelled.nonzero()[:, 0]]
+            matched |= set(on[strip.label.numpy() == 0].tolist())
+            assert all((strip.label.numpy()[on == n] == 1).sum() >= 50 for n in set(on.tolist()) - matched)
+        loss, error = SphereObjective(samples.network)(group)
+        assert loss.isfinite() and 0 <= error <= 1
+    assert drawn == set(range(24))  # those with few positives as well
+    assert matched <= set(np.flatnonzero(counts >= 4).tolist()) and matched
+
+
+def test_the_far_end_is_shown_as_often_as_asked(data):
+    recipe = replace(SWEEPNET, width=96, height=24, num_spheres=24, spheres_per_frame=1)
+    frame, samples = None, {}
+    for share in (0.0, 0.5, 1.0):
+        samples[share] = SphereSamples(replace(recipe, far_end=share), data)
+        frame = samples[share].training[0]
+
+    def drawn(share):
+        index, rngs = samples[share].gt_index(frame), map(np.random.default_rng, range(400))
+        return np.array([samples[share]._draw_spheres(index, frame, rng)[1][0] for rng in rngs])
+
+    far = np.bincount(drawn(1.0), minlength=24) / 400
+    assert far[0] == pytest.approx(0.5, abs=0.1) and far[1:4] == pytest.approx(1 / 6, abs=0.08) and not far[4:].any()
+    mixed = np.bincount(drawn(0.5), minlength=24) / 400
+    assert mixed == pytest.approx(0.5 * far + 0.5 * np.bincount(drawn(0.0), minlength=24) / 400, abs=0.1)
+
+
+def test_the_loss_is_the_balanced_cross_entropy(data):
+    samples = SphereSamples(SWEEPNET, data)
+    network = samples.network.eval()
+    group = samples.group(samples.training[0], np.random.default_rng(0), augment=True)
+    loss, error = SphereObjective(network)(group)
+    W = samples.grid.width
+    features = [network.describe(image, (0, W)) for image in group.spherical]
+    score, label = [], []
+    for strip in group.strips:  # one by one, not widened to the widest
+        score.append(network.score(features[strip.i], features[strip.j], strip.first, strip.last, strip.labelled))
+        label.append(strip.label)
+    cost, label = torch.cat(score).double().sigmoid(), torch.cat(label)
+    expected = -0.5 * (1 - cost[label == 0]).log().mean() - 0.5 * cost[label == 1].log().mean()
+    assert loss.item() == pytest.approx(expected.item(), abs=1e-5)
+    wrong = 0.5 * (cost[label == 0] > 0.5).double().mean() + 0.5 * (cost[label == 1] <= 0.5).double().mean()
+    assert error.item() == pytest.approx(wrong.item(), abs=1e-5)
+
+
+def test_patches_are_cut_out_of_the_panorama(data):
+    samples = PatchSamples(MCCNN, data)
+    image = samples.images(samples.training[0], None)[1]
+    warped = [samples.sweep.warp([image] * 4, n)[1] for n in (3, 7)]
+    pixel = np.array([[6, 50], [0, 51], [23, 95], [5, 0]])
+    for n, panorama in zip((3, 7), warped, strict=True):
+        padded = np.pad(np.nan_to_num(panorama), ((4, 4), (0, 0)))
+        columns = (pixel[:, 1, None] + np.arange(-4, 5)) % 96
+        expected = [padded[row : row + 9][:, c] for (row, _), c in zip(pixel, columns, strict=True)]
+        found = samples.patches(image.numpy(), 1, pixel, np.full(4, float(n)))
+        np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
+def test_a_point_is_shown_where_its_camera_looks(data):
+    """Both the point and the place on the swept sphere must project to the same pixel of the camera."""
+    samples = PatchSamples(MCCNN, data)
+    rows, columns = (np.random.default_rng(0).integers(size, size=200) for size in samples.grid.shape)
+    true, swept = (np.random.default_rng(seed).uniform(0, 11, 200) for seed in (1, 2))
+    for camera in range(4):
+        point, valid = samples._project(camera, samples.rays[rows, columns], samples._inverse(true))
+        shown = samples._shown_at(camera, rows, columns, true, swept)
+        np.testing.assert_allclose(np.linalg.norm(shown, axis=-1), 1, atol=1e-12)
+        uv, _ = samples._project(camera, shown, samples._inverse(swept))
+        assert valid.sum() > 50
+        np.testing.assert_allclose(uv[valid], point[valid], atol=1e-6)
+
+
+def test_non_matches_lie_so_many_pixels_off(data):
+    samples = PatchSamples(replace(MCCNN, width=192, height=48, num_spheres=48, negative_high_px=4.0), data)
+    index = samples.gt_index(samples.training[0])
+    drawn = []
+    for i, j in samples.pairs:
+        pixel, match, other = samples.draw_rays(index, i, j, 100, np.random.default_rng(i))
+        rows, columns = pixel.T
+        true = index[rows, columns]
+        for camera in (i, j):
+            assert samples.sees(camera, rows, columns, true).all() and samples.sees(camera, rows, columns, other).all()
+        assert (samples.parting(i, j, rows, columns, true, match - true) < 0.6).all()
+        drawn.append(samples.parting(i, j, rows, columns, true, other - true))
+    drawn = np.concatenate(drawn)
+    assert len(drawn) > 200 and 1.2 < drawn.min() < 1.7 and 3.5 < drawn.max() < 5.0
+
+
+def test_what_stands_in_between_hides_a_point(data):
+    samples = PatchSamples(MCCNN, data)
+    index = np.full(samples.grid.shape, 1.0, np.float32)
+    post = 48 + np.arange(-3, 4)  # straight ahead, on the nearest sphere
+    index[:, post] = 11.0
+    rows, columns, far = np.full(96, 12), np.arange(96), np.full(96, 1.0)
+    hidden = samples._hidden(0, index, rows, columns, far)
+    assert hidden[48] and not hidden[:36].any() and not hidden[61:].any()
+    assert not samples._hidden(0, np.full_like(index, 1.0), rows, columns, far).any()
+
+
+# ---- the loop
+
+
+@BOTH
+def test_the_seed_decides_the_losses(recipe, data, tmp_path):
+    first, second = (losses(recipe, tmp_path / name, data) for name in "ab")
+    assert first == second
+    assert losses(replace(recipe, seed=1), tmp_path / "c", data) != first
+    assert_same_weights(weights(tmp_path / "a"), weights(tmp_path / "b"))
+
+
+@BOTH
+@pytest.mark.parametrize("optimizer", ["adamw", "sgd"])
+def test_a_stopped_run_reaches_the_same_weights(recipe, optimizer, data, tmp_path):
+    recipe = replace(recipe, optimizer=optimizer)
+    whole = losses(recipe, tmp_path / "whole", data)
+    run = train(recipe, tmp_path / "parts", data, precision="float32", checkpoint_s=0)
+    part = [next(run)["loss"], next(run)["loss"], next(run)["loss"]]
+    run.close()
+    assert part + losses(recipe, tmp_path / "parts", data) == whole
+    assert_same_weights(weights(tmp_path / "whole"), weights(tmp_path / "parts"))
+    with (tmp_path / "parts" / LOG).open() as file:
+        assert [int(row["step"]) for row in csv.DictReader(file)] == [0, 1, 2, 3]
+    assert losses(recipe, tmp_path / "parts", data) == []  # nothing is left to do
+
+
+def command(data, out, *settings, network="sweepnet"):
+    recipe = {"sweepnet": SWEEPNET, "mccnn": MCCNN}[network]
+    usual = RECIPES[network]["teaching"].as_dict()
+    tiny = [f"{name}={value}" for name, value in recipe.as_dict().items() if value != usual[name]]
+    verb = ["-m", "omnistereo_lib", "train", network, "--data", data, "--out", out, "--precision", "float32"]
+    return [str(word) for word in [*verb, "--set", *tiny, *settings]]
+
+
+def test_a_killed_process_goes_on_to_the_same_weights(data, tmp_path):
+    """SIGKILL, whatever it is doing: it writes its state after every step, and may be in the middle of that."""
+    recipe = replace(SWEEPNET, steps=20)
+    script = (
+        "import sys; from dataclasses import asdict, replace; sys.path[:0] = sys.argv[1].split()\n"
+        "import test_train as t\n"
+        "for row in t.train(replace(t.SWEEPNET, steps=20), sys.argv[2], sys.argv[3], 'cpu', 'float32', 0.0): pass"
+    )
+    arguments = [
+        sys.executable,
+        "-c",
+        script,
+        PATHS,
+        tmp_path / "killed",
+        data,
+    ]
+    process = subprocess.Popen([str(word) for word in arguments])
+    while process.poll() is None and not (tmp_path / "killed" / STATE).exists():
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    left = recipe.steps - load_tensors(tmp_path / "killed" / STATE)[1]["step"]
+    assert 0 < left < recipe.steps
+    assert len(losses(recipe, tmp_path / "killed", data)) == left
+    losses(recipe, tmp_path / "whole", data)
+    assert_same_weights(weights(tmp_path / "whole"), weights(tmp_path / "killed"))
+
+
+def test_two_processes_compute_what_one_does(data, tmp_path):
+    """By SGD: Adam divides by the gradient's size, rounding included where a gradient is nearly zero."""
+    recipe = replace(SWEEPNET, optimizer="sgd", learning_rate=0.01)
+    one = losses(recipe, tmp_path / "one", data)
+    launcher = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    arguments = command(data, tmp_path / "two", "optimizer=sgd", "learning_rate=0.01")
+    subprocess.run([*launcher, *arguments], check=True, env=os.environ | {"OMP_NUM_THREADS": "1"})
+    with (tmp_path / "two" / LOG).open() as file:
+        two = [float(row["loss"]) for row in csv.DictReader(file)]
+    np.testing.assert_allclose(two, one, rtol=2e-5)
+    there, here = weights(tmp_path / "two"), weights(tmp_path / "one")
+    for name in here:
+        # The sums over two halves are rounded otherwise, and folding the norms divides by small deviations.
+        torch.testing.assert_close(there[name], here[name], atol=1e-3, rtol=1e-3)
+
+
+@BOTH
+def test_it_learns(recipe, data, tmp_path):
+    recipe = replace(recipe, steps=40, validate_every=40, augment=False, learning_rate=3e-3)
+    curve = losses(recipe, tmp_path, data)
+    assert np.mean(curve[-8:]) < 0.85 * np.mean(curve[:4])
+
+
+def test_the_papers_recipe_on_a_small_panorama(data, tmp_path):
+    """Table I as printed: no norms, zeros beyond the seam, one negative for each positive, every positive."""
+    recipe = replace(RECIPES["sweepnet"]["paper"], **TINY, frames_per_step=2, min_positives=4)
+    assert np.isfinite(losses(recipe, tmp_path, data)).all()
+    assert osl.SweepNet.load(tmp_path / WEIGHTS).config == {"batch_norm": False, "wrap": False}
+
+
+def test_what_is_exported_is_what_was_validated(data, tmp_path):
+    """The file holds Table I without norms; on the validation frame it has the loss that the log states."""
+    rows = list(train(SWEEPNET, tmp_path, data, precision="float32"))
+    network = osl.SweepNet.load(tmp_path / WEIGHTS, precision="float32")
+    assert sum(p.numel() for p in network.parameters()) == 757_729
+    samples = SphereSamples(SWEEPNET, data)
+    with torch.no_grad():
+        groups = [
+            samples.group(samples.validation[0], np.random.default_rng([0, 1, k]), augment=False) for k in range(2)
+        ]
+        found = np.mean([SphereObjective(network)(group)[0].item() for group in groups])
+    assert found == pytest.approx(rows[-1]["validation_loss"], rel=1e-4)
+    assert load_tensors(tmp_path / WEIGHTS)[1]["recipe"] == SWEEPNET.as_dict()
+
+
+def test_halved_panoramas_are_half_of_the_groups(data):
+    recipe = replace(SWEEPNET, width=96, height=24, num_spheres=24, halve=True, spheres_per_frame=1)
+    samples = SphereSamples(recipe, data)
+    groups = [samples.group(samples.training[0], np.random.default_rng(k), augment=True) for k in range(60)]
+    shapes = [tuple(group.spherical.shape[1:]) for group in groups]
+    assert set(shapes) == {(1, 24, 96), (2, 12, 48)}
+    assert 15 < shapes.count((1, 24, 96)) < 45
+    assert all(strip.label.min() == 0 and strip.label.max() == 1 for group in groups for strip in group.strips[:1])
+
+
+def test_a_finished_run_ships_with_its_curve_and_card(data, tmp_path):
+    run = train(SWEEPNET, tmp_path / "run", data, precision="float32", checkpoint_s=0)
+    rows = [next(run), next(run)]  # stopped once
+    rows += train(SWEEPNET, tmp_path / "run", data, precision="float32", checkpoint_s=0)
+    files = ship(tmp_path / "run", SWEEPNET, tmp_path / "weights")
+    assert [path.name for path in files] == ["sweepnet.safetensors", "sweepnet.csv", "sweepnet.md"]
+    assert files[0].read_bytes() == (tmp_path / "run" / WEIGHTS).read_bytes()
+    card = files[2].read_text()
+    assert hashlib.sha256(files[0].read_bytes()).hexdigest() in card
+    assert f"{data.parent.name}/{data.name}, 4 frames" in card and "float32" in card
+    command = re.search(r"train sweepnet --preset shipped --set (.*) --ship", card)[1].split()
+    assert RECIPES["sweepnet"]["shipped"].changed(command) == SWEEPNET
+    assert f"{rows[-1]['validation_loss']:.4f}" in card
+    with files[1].open(newline="") as file:
+        curve = list(csv.DictReader(file))
+    assert float(curve[0]["loss"]) == pytest.approx(np.mean([row["loss"] for row in rows[:10]]), rel=1e-3)
+    assert int(curve[-1]["step"]) == SWEEPNET.steps
+    half = ship(tmp_path / "run", SWEEPNET, tmp_path / "half", half=True)
+    assert half[0].stat().st_size < 0.55 * files[0].stat().st_size and "--ship float16`" in half[2].read_text()
+    exact, halved = (osl.SweepNet.load(path).state_dict() for path in (files[0], half[0]))
+    for name, value in exact.items():
+        torch.testing.assert_close(halved[name], value, rtol=2**-11, atol=2**-25)
+        assert halved[name].dtype == torch.float32
+
+
+def test_a_run_may_begin_with_trained_weights(data, tmp_path):
+    recipe = replace(SWEEPNET, batch_norm=False)
+    losses(SWEEPNET, tmp_path / "first", data)  # with norms, which its weights have folded in
+    start = tmp_path / "first" / WEIGHTS
+    samples, rng = SphereSamples(recipe, data), [np.random.default_rng([recipe.seed, 0, k]) for k in range(2)]
+    objective = SphereObjective(osl.SweepNet.load(start, precision="float32"))
+    expected = [objective(samples.group(samples.training_frame(k), rng[k], augment=True))[0].item() for k in range(2)]
+    found = losses(recipe, tmp_path / "whole", data, start=start)
+    assert found[0] == pytest.approx(np.mean(expected), rel=1e-5)
+    run = train(recipe, tmp_path / "stopped", data, precision="float32", checkpoint_s=0, start=start)
+    assert [next(run)["loss"], next(run)["loss"]] == found[:2]
+    del run
+    assert losses(recipe, tmp_path / "stopped", data, start=start) == found[2:]
+    assert_same_weights(weights(tmp_path / "whole"), weights(tmp_path / "stopped"))
+    card = ship(tmp_path / "whole", recipe, tmp_path / "weights")[2].read_text()
+    assert f"--start FILE`, FILE with SHA-256 `{hashlib.sha256(start.read_bytes()).hexdigest()}`" in card
+    with pytest.raises(osl.OmnistereoError, match=r"of another recipe \(start = \w{64} there, None here\)"):
+        losses(recipe, tmp_path / "whole", data)
+    with pytest.raises(osl.OmnistereoError, match=r"weights for .*False.* the recipe trains .*True.*: start with"):
+        losses(SWEEPNET, tmp_path / "norms", data, start=start)
+    with pytest.raises(osl.OmnistereoError, match="holds weights of SweepNet, expected MCCNN"):
+        losses(MCCNN, tmp_path / "patches", data, start=start)
+
+
+def test_variants_stand_side_by_side(data, tmp_path, capsys):
+    settings = [f"{name}={value}" for name, value in asdict(SWEEPNET).items() if value != getattr(SweepNetRecipe, name)]
+    command = ["train", "sweepnet", "--variants", "--data", str(data), "--out", str(tmp_path), "--precision", "float32"]
+    assert cli.main([*command, "--set", *settings]) == 0
+    with (tmp_path / "variants.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["step"]) for row in rows] == [2, 4] and list(rows[0])[1:] == list(VARIANTS)
+    ours = [row["validation_error"] for row in train(SWEEPNET, tmp_path / "again", data, precision="float32")]
+    assert [float(row["ours"]) for row in rows] == pytest.approx([ours[1], ours[3]], rel=1e-3)
+    assert len({tuple(row[name] for row in rows) for name in VARIANTS}) > 1
+    assert cli.main(["train", "mccnn", "--variants", "--data", str(data)]) == 2
+    assert "train sweepnet --variants" in capsys.readouterr().err
+
+
+def test_hours_are_those_of_all_calls():
+    rows = [{"seconds": s} for s in (10.0, 30.0, 5.0, 3600.0, 2.0)]
+    assert _hours(rows) == pytest.approx((30 + 3600 + 2) / 3600)
+
+
+def test_only_finished_runs_ship(data, tmp_path):
+    recipe = replace(SWEEPNET, validate_every=2)
+    run = train(recipe, tmp_path / "run", data, precision="float32", checkpoint_s=0)
+    for _ in range(3):
+        next(run)
+    with pytest.raises(OmnistereoError, match="train to the end first"):
+        ship(tmp_path / "run", recipe, tmp_path / "weights")
+    assert not list((tmp_path / "weights").iterdir())
+
+
+def test_rates():
+    cosine = replace(SWEEPNET, steps=1000, warmup=100, learning_rate=1.0)
+    assert cosine.rate(0) == pytest.approx(0.01) and cosine.rate(500) == pytest.approx(0.5)
+    assert cosine.rate(999) < 1e-5
+    drop = replace(SWEEPNET, steps=1400, warmup=0, schedule="drop", learning_rate=0.003)
+    assert [drop.rate(step) for step in (0, 1099, 1100, 1399)] == pytest.approx([0.003, 0.003, 0.0003, 0.0003])
+
+
+@pytest.mark.parametrize("network", RECIPES)
+def test_presets(network):
+    assert set(RECIPES[network]) == {"teaching", "shipped", "paper"}
+    paper = RECIPES[network]["paper"]
+    assert (paper.width, paper.height, paper.num_spheres) == (600, 150, 192)
+    assert (paper.optimizer, paper.learning_rate, paper.momentum) == ("sgd", 0.003, 0.9)
+    assert all(recipe.network == network for recipe in RECIPES[network].values())
+
+
+# ---- bad input
+
+
+def test_a_folder_with_another_run_is_left_alone(data, tmp_path):
+    losses(SWEEPNET, tmp_path, data)
+    with pytest.raises(osl.OmnistereoError, match=r"of another recipe \(seed = 0 there, 5 here\)"):
+        losses(replace(SWEEPNET, seed=5), tmp_path, data)
+    with pytest.raises(osl.OmnistereoError, match=r"network = sweepnet there, mccnn here"):
+        losses(MCCNN, tmp_path, data)
+
+
+def test_a_loss_that_is_no_number_stops_the_run(data, tmp_path):
+    recipe = replace(SWEEPNET, optimizer="sgd", learning_rate=1e30, warmup=0, batch_norm=False, steps=20)
+    with pytest.raises(osl.OmnistereoError, match=r"the loss is (nan|inf) at step \d+: take a lower learning_rate"):
+        losses(recipe, tmp_path, data)
+
+
+def test_a_full_disk(data, tmp_path):
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    run = train(SWEEPNET, tmp_path, data, precision="float32", checkpoint_s=0)
+    next(run)
+    content = (tmp_path / STATE).read_bytes()
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20, hard))
+    try:
+        with pytest.raises(osl.OmnistereoError, match="cannot be written: File too large"):
+            list(run)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert (tmp_path / STATE).read_bytes() == content  # to go on from, when there is room again
+
+
+def test_bad_data(data, tmp_path):
+    with pytest.raises(osl.OmnistereoError, match="nothing"):
+        losses(SWEEPNET, tmp_path / "out", tmp_path / "nothing")
+    for kind, name in (("truth", "omnidepth_gt_96"), ("min_depth", None)):
+        copy = tmp_path / kind
+        copy.mkdir()
+        for path in data.iterdir():
+            if path.name not in (name, "config.yaml"):
+                (copy / path.name).symlink_to(path)
+        rig = osl.Rig.load(data)
+        osl.Rig(rig.cameras, rig.T_rig_cam, min_depth=0.6 if name else None).save(copy / "config.yaml")
+    with pytest.raises(osl.OmnistereoError, match="has 0 frames with ground truth"):
+        losses(SWEEPNET, tmp_path / "out", tmp_path / "truth")
+    with pytest.raises(osl.OmnistereoError, match="does not state its nearest depth"):
+        losses(SWEEPNET, tmp_path / "out", tmp_path / "min_depth")
+
+
+def test_bad_recipes(data, tmp_path, monkeypatch):
+    with pytest.raises(osl.OmnistereoError, match="must be even, got 47 × 12"):
+        losses(replace(SWEEPNET, width=47), tmp_path, data)
+    with pytest.raises(osl.OmnistereoError, match="at least 2 spheres"):
+        losses(replace(SWEEPNET, num_spheres=1), tmp_path, data)
+    with pytest.raises(osl.OmnistereoError, match="has 99999 positives: is D_min right"):
+        losses(replace(SWEEPNET, min_positives=99999), tmp_path, data)
+    unlike = replace(MCCNN, negative_low_px=200.0, negative_high_px=300.0)
+    with pytest.raises(osl.OmnistereoError, match=r"what they see is 200\.0 pixels off"):
+        losses(unlike, tmp_path, data)
+    with pytest.raises(osl.OmnistereoError, match="steps must be positive, got 0"):
+        replace(SWEEPNET, steps=0)
+    with pytest.raises(osl.OmnistereoError, match="any_sphere is a share, expected 0 … 1, got 20"):
+        replace(SWEEPNET, any_sphere=20)
+    with pytest.raises(osl.OmnistereoError, match="far_end is a share, expected 0 … 1, got nan"):
+        replace(SWEEPNET, far_end=float("nan"))
+    with pytest.raises(osl.OmnistereoError, match="optimizer must be one of adamw, sgd, got 'adam'"):
+        replace(SWEEPNET, optimizer="adam")
+    with pytest.raises(osl.OmnistereoError, match="negative_low_px"):
+        replace(MCCNN, negative_low_px=0.1)
+    with pytest.raises(osl.OmnistereoError, match='variant must be "fast" or "accurate"'):
+        losses(replace(MCCNN, variant="slow"), tmp_path, data)
+    monkeypatch.setenv("WORLD_SIZE", "3")
+    with pytest.raises(osl.OmnistereoError, match="3 processes cannot share 2 frames a step"):
+        losses(SWEEPNET, tmp_path, data)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_no_gpu(data, tmp_path, capsys):
+    with pytest.raises(osl.OmnistereoError, match="there is no CUDA GPU"):
+        losses(SWEEPNET, tmp_path, data, device="cuda")
+    assert cli.main(["train", "sweepnet", "--device", "cuda", "--data", str(data), "--out", str(tmp_path / "o")]) == 2
+    assert capsys.readouterr().err.startswith("error: there is no CUDA GPU")
+
+
+def test_the_command_line(data, tmp_path, capsys):
+    assert cli.main(command(data, tmp_path / "out", "wrap=true", network="mccnn")[2:]) == 2
+    assert "a mccnn recipe has no 'wrap'" in capsys.readouterr().err
+    assert cli.main(command(data, tmp_path / "out", network="mccnn")[2:]) == 0
+    captured = capsys.readouterr()
+    assert "step 2: validation" in captured.out + captured.err and "4 steps are done" in captured.out
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted([LOG, STATE, WEIGHTS])
+    assert cli.main(["train", "mccnn", "--set", "steps=many"]) == 2
+    assert "steps must be of type int, got 'many'" in capsys.readouterr().err
+    assert osl.MCCNN.load(tmp_path / "out" / WEIGHTS).variant == "fast"
