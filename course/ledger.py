@@ -31,12 +31,13 @@ from numpy.typing import ArrayLike, NDArray
 
 import course.formulas as formulas
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.evaluate.methods import METHODS, Method
+from omnistereo_lib.evaluate.methods import METHODS
 from omnistereo_lib.evaluate.records import Record, config_checksum
 from omnistereo_lib.evaluate.run import SCALES
 from omnistereo_lib.evaluate.strata import FIGURES, SUMS, figures
 from omnistereo_lib.evaluate.table import LIGHTS
 from omnistereo_lib.files import read_bytes, replacing
+from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.sweepnet import SweepNet
 from omnistereo_lib.train.recipes import RECIPES
 from render.frames import SETS
@@ -448,7 +449,7 @@ CLAIMS: tuple[Claim, ...] = (
           "08_evaluation", _PAPER_SCALE, _scale),
     Claim(_SETUP, "Section IV", "test frames in Sunny, Cloudy, Sunset", ("dataset:load_dataset",),
           "08_evaluation", "300 + 300 + 300", _frame_counts),
-    Claim(_SETUP, "Section IV", "ZNCC's window, SGM's penalties", ("evaluate:Method",), "08_evaluation",
+    Claim(_SETUP, "Section IV", "ZNCC's window, SGM's penalties", ("stereo.methods:Method",), "08_evaluation",
           "9 × 9, P1 = 0.1, P2 = 12", _settings),
     Claim(_SETUP, "Section IV, Fig. 5", "a drive through a rendered city, training + test", ("render.frames:SETS",),
           "10_render_a_city", "700 + 300 frames, 800 × 768", _drives),

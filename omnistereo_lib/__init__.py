@@ -37,6 +37,7 @@ _HOME = {
     "index_uncertainty": "calibrate.uncertainty",
     "load_dataset": "dataset",
     "load_images": "dataset",
+    "Method": "stereo.methods",
     "estimate_depth": "stereo.pipeline",
     "doctor": "doctor",
 }

@@ -50,8 +50,9 @@ def _parser() -> argparse.ArgumentParser:
     verb.set_defaults(verb=depth)
     _add_input(verb)
     _add_grid(verb, width=640, height=160, spheres=192)
-    verb.add_argument("--cost", default="zncc", help="matching cost (default: zncc)")
-    verb.add_argument("--pairs", default="ring", choices=["ring", "all"], help="which cameras are compared")
+    verb.add_argument(
+        "--method", default="zncc+sgm", help="such as mccnn or sweepnet+sgm,pairs=all (default: zncc+sgm)"
+    )
     verb.add_argument("--device", default="cpu", choices=["cpu", "cuda"], help="where to compute (default: cpu)")
     verb.add_argument("--out", type=Path, default=Path("out"), help="folder for the results (default: out)")
 
@@ -141,7 +142,7 @@ def depth(options: argparse.Namespace) -> None:
     true_index = None if frame is None else frame.gt_index(grid)
     out = files.make_folder(options.out)
     result = estimate_depth(
-        rig, images, grid, options.cost, pairs=options.pairs, device=options.device,
+        rig, images, grid, options.method, device=options.device,
         progress=lambda blocks: tqdm(blocks, desc="sweep", unit="block"),
     )  # fmt: skip
     files.write_image(out / "inverse_depth.png", colorize_depth(result.inverse_depth, grid))

@@ -78,7 +78,9 @@ def test_depth_of_images(data, tmp_path, capsys):
     out.mkdir()
     (out / "errors.json").write_text("of another frame")
     (out / "mine.txt").write_text("kept")
-    assert run("depth", *with_images(data), *SMALL, "--phi", -30, 60, "--pairs", "all", "--out", out) == 0
+    assert (
+        run("depth", *with_images(data), *SMALL, "--phi", -30, 60, "--method", "zncc+sgm,pairs=all", "--out", out) == 0
+    )
     assert sorted(path.name for path in out.iterdir()) == [*RESULTS[:2], "mine.txt", *RESULTS[2:]]
     assert "errors" not in capsys.readouterr().out
 
@@ -245,7 +247,7 @@ BAD = {
     "no width": (option("--width", 0), r"at least 2 × 2 pixels, got 0 × 24"),
     "smaller than the window": (option("--height", 4), r"a window of 9 does not fit a panorama of 96 × 4"),
     "out of memory": (option("--width", 200_000, "--height", 50_000), r"200000 × 50000 with 16 spheres needs 13.*GiB"),
-    "unknown cost": (option("--cost", "magic"), r"no cost is called 'magic': choose one of zncc"),
+    "unknown method": (option("--method", "magic"), r"cost must be one of zncc, mccnn, sweepnet, got 'magic'"),
     "unknown frame": (lambda data: ["--rig", data, "--frame", 7], r"has frames 0 … 0, not 7"),
     "not a data set": (lambda data: ["--rig", data / "config.yaml"], r"config.yaml is not a data set folder"),
     "unit stated twice": (option("--unit", "cm"), r"in metres by definition; leave out unit='cm'"),
@@ -271,7 +273,7 @@ def test_bad_input_is_one_plain_line_and_nothing_is_written(data, tmp_path, caps
 
 @pytest.mark.parametrize(
     "arguments",
-    [["--pairs", "some"], ["--unit", "inch"], ["--device", "tpu"], ["--width", "wide"], ["--no-such-option"]],
+    [["--unit", "inch"], ["--device", "tpu"], ["--width", "wide"], ["--no-such-option"]],
     ids=" ".join,
 )
 def test_options_that_do_not_exist(data, capsys, arguments):

@@ -1,6 +1,6 @@
 """The paper's table on any data: `methods` what is compared, `strata` on which rays, `run` how, `table` the outcome."""
 
-from omnistereo_lib.evaluate.methods import ABLATIONS, METHODS, Method, select_methods
+from omnistereo_lib.evaluate.methods import ABLATIONS, METHODS, select_methods
 from omnistereo_lib.evaluate.run import SCALES, Evaluation, Scale, evaluate_frame, find_sets
 from omnistereo_lib.evaluate.table import Table, errors_table, strata_table, write_results
 
@@ -9,7 +9,6 @@ __all__ = [
     "METHODS",
     "SCALES",
     "Evaluation",
-    "Method",
     "Scale",
     "Table",
     "errors_table",

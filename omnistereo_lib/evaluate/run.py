@@ -18,7 +18,7 @@ import torch
 
 from omnistereo_lib.dataset import Dataset, Frame, load_dataset
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.evaluate.methods import METHODS, Method
+from omnistereo_lib.evaluate.methods import METHODS
 from omnistereo_lib.evaluate.records import Record, add_record, check_record, checksum, config_checksum, write_record
 from omnistereo_lib.evaluate.strata import error_sums, find_strata
 from omnistereo_lib.files import make_folder, read_bytes
@@ -27,8 +27,8 @@ from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.rig_files import load_rig
 from omnistereo_lib.stereo.depth import winner_takes_all
 from omnistereo_lib.stereo.learned import Precision, uses_bfloat16
+from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.metrics import index_error
-from omnistereo_lib.stereo.sgm import sgm
 from omnistereo_lib.stereo.sweep import SphereSweep, find_device
 from omnistereo_lib.stereo.volume import Cost, cost_volume
 from omnistereo_lib.stereo.weights import SHIPPED
@@ -124,12 +124,11 @@ def evaluate_frame(
     """
     gt_index = frame.gt_index(sweep.grid)
     strata = find_strata(gt_index, sweep)
-    for kind in dict.fromkeys(method.volume for method in methods):
+    for kind in dict.fromkeys(method.volume_key for method in methods):
         volume = cost_volume(sweep, frame.images, load_cost(kind), kind.pairs)
         for method in methods:
-            if method.volume == kind:
-                smooth = sgm(volume, method.p1, method.p2, wrap=method.wrap) if method.aggregate == "sgm" else volume
-                index = winner_takes_all(smooth, method.subindex).cpu().numpy()
+            if method.volume_key == kind:
+                index = winner_takes_all(method.smooth(volume), method.subindex).cpu().numpy()
                 figures = index_error(index, gt_index, sweep.grid.num_spheres)
                 known = {name: value if value == value else None for name, value in figures.items()}
                 sums = error_sums(index, gt_index, sweep.grid.num_spheres, strata)

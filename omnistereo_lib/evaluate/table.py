@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omnistereo_lib.evaluate.methods import Method
 from omnistereo_lib.evaluate.records import Record, write_record
 from omnistereo_lib.evaluate.strata import FIGURES, STRATA, SUMS, figures
 from omnistereo_lib.files import make_folder, replacing
+from omnistereo_lib.stereo.methods import Method
 
 LIGHTS = ("sunny", "cloudy", "sunset")  # the paper's order
 _RESAMPLES, _SEED = 10_000, 0
@@ -193,4 +193,4 @@ def _sets(results: Record) -> list[str]:
 
 def _methods(results: Record) -> list[Method]:
     """Return the methods in the order of the paper's table."""
-    return sorted((Method(**settings) for settings in results["methods"].values()), key=lambda method: method.order)
+    return sorted((Method(**settings) for settings in results["methods"].values()), key=lambda method: method.sort_key)

@@ -154,7 +154,8 @@ def test_differences_say_what_is_followed():
     defaults = {d.topic: d for d in DIFFERENCES}
     assert defaults["camera pairs"].follows == "code"
     for call, name, value in (
-        ("stereo.volume:cost_volume", "pairs", "ring"), ("stereo.sgm:sgm", "wrap", True), ("stereo.sgm:sgm", "paths", 8),
+        ("stereo.volume:cost_volume", "pairs", "ring"), ("stereo.sgm:sgm", "wrap", True),
+        ("stereo.sgm:sgm", "paths", 8),
         ("stereo.sweepnet:SweepNet", "wrap", True), ("train.recipes:SweepNetRecipe", "batch_norm", True),
         ("geometry.camera:OcamCamera", "max_fov_deg", 220.0), ("stereo.mccnn:MCCNN", "variant", "fast"),
         ("geometry.sphere:SphereGrid", "sampling", "center"), ("evaluate:Method", "subindex", False),

@@ -28,7 +28,6 @@ from omnistereo_lib.evaluate import (
     METHODS,
     SCALES,
     Evaluation,
-    Method,
     Scale,
     Table,
     errors_table,
@@ -43,6 +42,7 @@ from omnistereo_lib.evaluate.records import read_record, write_record
 from omnistereo_lib.evaluate.strata import FIGURES, SUMS, error_sums, figures, find_strata, near_edges, thin_objects
 from omnistereo_lib.evaluate.table import bootstrap
 from omnistereo_lib.files import write_image
+from omnistereo_lib.stereo.methods import Method
 
 SMALL = Scale(96, 24, 12)
 TINY = Scale(48, 14, 8)  # for the networks
@@ -317,55 +317,6 @@ def test_the_number_of_spheres_is_the_methods(data, tmp_path):
 
 
 # ---- methods
-
-
-@pytest.mark.parametrize("method", {m.name: m for ms in (METHODS, *ABLATIONS.values()) for m in ms}.values(), ids=str)
-def test_names_are_read_back(method):
-    assert Method.parse(method.name) == method
-    assert method.volume.aggregate == "none" and method.volume.volume == method.volume
-
-
-def test_names_and_labels():
-    assert [method.name for method in METHODS] == [
-        "zncc", "mccnn", "sweepnet", "zncc+sgm", "mccnn+sgm", "sweepnet+sgm",
-    ]  # fmt: skip
-    method = Method.parse("sweepnet+sgm,weights=Plain_2,p1=0.20,wrap=false,p2=12")
-    assert method == Method(cost="sweepnet", aggregate="sgm", weights="Plain_2", p1=0.2, wrap=False)
-    assert method.name == "sweepnet+sgm,weights=Plain_2,p1=0.2,wrap=false"
-    assert method.label == "SweepNet + SGM, weights = Plain_2, p1 = 0.2, wrap = false"
-    assert select_methods() == METHODS and len(select_methods(["zncc"], ["window"])) == 6
-    ordered = [m.name for m in sorted(select_methods(ablations=["window"]), key=lambda m: m.order)]
-    assert ordered[:3] == ["zncc", "zncc,window=5", "zncc,window=13"] and ordered[3] == "zncc+sgm"
-    assert {"window", "weights", "pairs", "wrap", "subindex", "penalties", "spheres"} == set(ABLATIONS)
-
-
-def test_the_defaults_are_the_papers():
-    for method in METHODS:
-        assert (method.window, method.p1, method.p2, method.subindex) == (9, 0.1, 12.0, False)
-    assert SCALES["paper"] == Scale(1200, 300, 192) and SCALES["training"] == Scale(600, 150, 192)
-
-
-@pytest.mark.parametrize(
-    ("name", "message"),
-    {
-        "census": "cost must be one of zncc, mccnn, sweepnet, got 'census'",
-        "zncc+median": "aggregate must be one of none, sgm, got 'median'",
-        "zncc,size=5": "a method has no 'size', it has window, weights",
-        "zncc,window=wide": "window must be of type int, got 'wide'",
-        "zncc,subindex=maybe": "subindex must be of type bool, got 'maybe'",
-        "zncc,window=4": "window must be an odd number",
-        "zncc,p1=0.2": "zncc,p1=0.2: zncc does not use p1, leave it out",
-        "mccnn,wrap=false": "mccnn does not use wrap",
-        "sweepnet,window=5": "sweepnet does not use window",
-        "zncc+sgm,p1=3,p2=2": r"expected 0 ≤ p1 ≤ p2, got 3.0 and 2.0",
-        "zncc,num_spheres=1": "at least 2 spheres",
-        "zncc,pairs=some": "pairs must be one of ring, all",
-        "sweepnet,weights=../mine": "without folder and ending",
-    }.items(),
-)
-def test_methods_that_do_not_exist(name, message):
-    with pytest.raises(osl.OmnistereoError, match=message):
-        Method.parse(name)
 
 
 # ---- runs that are stopped and shared

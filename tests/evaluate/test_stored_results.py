@@ -5,9 +5,10 @@ import pytest
 import omnistereo_lib as osl
 from course.ledger import ledger, split_at_markers
 from omnistereo_lib import cli
-from omnistereo_lib.evaluate import SCALES, Method, evaluate_frame
+from omnistereo_lib.evaluate import SCALES, evaluate_frame
 from omnistereo_lib.evaluate.records import checksum, config_checksum, read_record
 from omnistereo_lib.evaluate.run import DATA
+from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.weights import SHIPPED
 from omnistereo_lib.train import RECIPES
 from omnistereo_lib.train.spheres import SphereSamples

@@ -141,10 +141,3 @@ def test_agreement_needs_two_cameras_and_a_depth(estimate):
 def test_cost_volumes_have_three_axes():
     with pytest.raises(osl.OmnistereoError, match=r"shape \(H, W, N\) with N ≥ 2, got \(4, 5\)"):
         osl.winner_takes_all(np.zeros((4, 5)))
-
-
-@pytest.mark.parametrize("keyword, message", [({"cost": "sad"}, "'sad'"), ({"aggregate": "bp"}, "'bp'")])
-def test_unknown_methods_are_named(estimate, keyword, message):
-    rig, grid, images, _ = estimate
-    with pytest.raises(osl.OmnistereoError, match=message):
-        osl.estimate_depth(rig, images, grid, **keyword)

@@ -1,0 +1,233 @@
+"""Methods by name, such as "zncc+sgm" or "sweepnet+sgm,p1=0.2": one vocabulary for code, command line and tables.
+
+A name is a matching cost, "+sgm" where the cost volume is smoothed, and the settings that differ from their defaults.
+A new cost joins `COSTS`, and every command knows it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal
+
+from torch import Tensor
+
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.stereo.learned import LearnedCost, Precision
+from omnistereo_lib.stereo.mccnn import MCCNN
+from omnistereo_lib.stereo.sgm import sgm
+from omnistereo_lib.stereo.sweepnet import SweepNet
+from omnistereo_lib.stereo.volume import Cost
+from omnistereo_lib.stereo.weights import SHIPPED
+from omnistereo_lib.stereo.zncc import ZNCC
+
+
+@dataclass(frozen=True)
+class CostEntry:
+    """A matching cost in the vocabulary of methods.
+
+    Parameters
+    ----------
+    label : str
+        Row of a table.
+    load : callable
+        (method, weights file or None, precision) → the cost object.
+    settings : set of str
+        Settings of `Method` that change this cost.
+    weights : str
+        Bundled weights file without .safetensors; "" for a cost without weights.
+    p1, p2 : float
+        SGM penalties that suit the scale of this cost.
+    """
+
+    label: str
+    load: Callable[[Method, Path | None, Precision], Cost]
+    settings: frozenset[str]
+    weights: str = ""
+    p1: float = 0.1
+    p2: float = 12.0
+
+
+@cache
+def _network(architecture: type[LearnedCost], path: Path, wrap: bool, precision: Precision) -> LearnedCost:
+    """Return a network from its weights file, which is read once per process."""
+    network = architecture.read(path, precision)
+    network.wrap = network.wrap and wrap
+    return network
+
+
+COSTS = {  # in the order of Table II
+    "zncc": CostEntry("ZNCC", lambda method, path, precision: ZNCC(method.window), frozenset({"window"})),
+    "mccnn": CostEntry(
+        "MC-CNN",
+        lambda method, path, precision: _network(MCCNN, path, True, precision),
+        frozenset({"weights"}),
+        "mccnn_fast",
+    ),
+    "sweepnet": CostEntry(
+        "SweepNet",
+        lambda method, path, precision: _network(SweepNet, path, method.wrap, precision),
+        frozenset({"weights", "wrap"}),
+        "sweepnet",
+    ),
+}
+
+
+_TYPES = {  # of the settings in a name
+    "window": int,
+    "weights": str,
+    "pairs": str,
+    "p1": float,
+    "p2": float,
+    "wrap": bool,
+    "subindex": bool,
+    "num_spheres": int,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Method:
+    """A way from images to sphere indices; the defaults are the paper's except for the pairs.
+
+    Parameters
+    ----------
+    cost : str
+        A key of `COSTS`.
+    aggregate : "none" | "sgm"
+        Read depth from the raw cost volume, or after semi-global matching.
+    window : int
+        Side of the ZNCC window, pixels.
+    weights : str
+        Name of the weights file of a network, without .safetensors; "": the bundled one.
+    pairs : "ring" | "all"
+        See `camera_pairs`.
+    p1, p2 : float, optional
+        SGM penalties; None: those of the cost.
+    wrap : bool
+        False: SGM stops at the ±180° seam, and so does every layer of SweepNet.
+    subindex : bool
+        Refine the index between spheres, see `winner_takes_all`; the paper reports integer indices.
+    num_spheres : int
+        N instead of the N of the grid; 0: that of the grid.
+
+    Raises
+    ------
+    OmnistereoError
+        If a value is out of range, or is set although the method does not use it: a method has one name.
+    """
+
+    cost: str
+    aggregate: Literal["none", "sgm"] = "none"
+    window: int = 9
+    weights: str = ""
+    pairs: Literal["ring", "all"] = "ring"
+    p1: float | None = None
+    p2: float | None = None
+    wrap: bool = True
+    subindex: bool = False
+    num_spheres: int = 0
+
+    def __post_init__(self) -> None:
+        for name, choices in (("cost", tuple(COSTS)), ("aggregate", ("none", "sgm")), ("pairs", ("ring", "all"))):
+            if getattr(self, name) not in choices:
+                raise OmnistereoError(f"{name} must be one of {', '.join(choices)}, got {getattr(self, name)!r}")
+        for name in ("p1", "p2"):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, getattr(COSTS[self.cost], name))
+        if unused := self._changed.keys() - self._used:
+            raise OmnistereoError(f"{self.name}: {self._base} does not use {', '.join(sorted(unused))}. Leave it out")
+        if not 0 <= self.p1 <= self.p2 < float("inf"):
+            raise OmnistereoError(f"{self.name}: expected 0 ≤ p1 ≤ p2, got {self.p1} and {self.p2}")
+        if self.num_spheres == 1 or self.num_spheres < 0:
+            raise OmnistereoError(f"{self.name}: a sweep needs at least 2 spheres, got {self.num_spheres}")
+        if set(self.weights) & set(",/\\"):
+            raise OmnistereoError(f"weights is a file name without folder and ending, got {self.weights!r}")
+        ZNCC(self.window)  # raises if this is not a window
+
+    @classmethod
+    def parse(cls, name: str | Method) -> Method:
+        """Return the method of a name; a method is returned as it is.
+
+        Raises
+        ------
+        OmnistereoError
+            If there is no such method.
+        """
+        if isinstance(name, Method):
+            return name
+        base, *settings = name.split(",")
+        cost, _, aggregate = base.partition("+")
+        values: dict[str, Any] = {}
+        for setting in settings:
+            key, _, value = setting.partition("=")
+            if key not in _TYPES:
+                raise OmnistereoError(f"{name}: unknown setting {key!r}; expected one of {', '.join(_TYPES)}")
+            try:
+                values[key] = {"true": True, "false": False}[value] if _TYPES[key] is bool else _TYPES[key](value)
+            except (ValueError, KeyError):
+                raise OmnistereoError(f"{name}: {key} must be of type {_TYPES[key].__name__}, got {value!r}") from None
+        return cls(cost=cost, aggregate=aggregate or "none", **values)
+
+    @property
+    def name(self) -> str:
+        """The name that `parse` reads, such as "zncc+sgm,p1=0.2"."""
+        return ",".join([self._base, *(f"{name}={_text(value)}" for name, value in self._changed.items())])
+
+    @property
+    def label(self) -> str:
+        """Row of a table, such as "ZNCC + SGM, p1 = 0.2"."""
+        base = COSTS[self.cost].label + (" + SGM" if self.aggregate == "sgm" else "")
+        return ", ".join([base, *(f"{name} = {_text(value)}" for name, value in self._changed.items())])
+
+    @property
+    def sort_key(self) -> tuple:
+        """Order of Table II: methods without SGM first, then by cost."""
+        return self.aggregate, list(COSTS).index(self.cost), tuple(self._changed.items())
+
+    @property
+    def volume_key(self) -> Method:
+        """The method reduced to what its cost volume depends on; methods with equal keys share their volumes."""
+        wrap = self.wrap or "wrap" not in COSTS[self.cost].settings
+        return replace(self, aggregate="none", p1=None, p2=None, subindex=False, wrap=wrap)
+
+    @property
+    def _base(self) -> str:
+        return self.cost + ("+sgm" if self.aggregate == "sgm" else "")
+
+    @property
+    def _changed(self) -> dict[str, Any]:
+        """Settings that differ from their defaults."""
+        defaults = {field.name: field.default for field in fields(self)[2:]}
+        defaults |= {"p1": COSTS[self.cost].p1, "p2": COSTS[self.cost].p2}
+        return {name: getattr(self, name) for name, default in defaults.items() if getattr(self, name) != default}
+
+    @property
+    def _used(self) -> set[str]:
+        """Settings that make a difference."""
+        of_sgm = {"p1", "p2", "wrap"} if self.aggregate == "sgm" else set()
+        return {"pairs", "subindex", "num_spheres"} | COSTS[self.cost].settings | of_sgm
+
+    def weights_file(self, folder: Path = SHIPPED) -> Path | None:
+        """Return the weights file in a folder, or None for a cost without weights."""
+        bundled = COSTS[self.cost].weights
+        return folder / f"{self.weights or bundled}.safetensors" if bundled else None
+
+    def load_cost(self, folder: Path = SHIPPED, precision: Precision = "auto") -> Cost:
+        """Return the matching cost, a network with its weights from a folder.
+
+        Raises
+        ------
+        OmnistereoError
+            If the weights file is missing, damaged, or holds another architecture.
+        """
+        return COSTS[self.cost].load(self, self.weights_file(folder), precision)
+
+    def smooth(self, volume: Tensor) -> Tensor:
+        """Return the volume (H, W, N) from which depth is read: after SGM where the method has it."""
+        return sgm(volume, self.p1, self.p2, wrap=self.wrap) if self.aggregate == "sgm" else volume
+
+
+def _text(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)

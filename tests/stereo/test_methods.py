@@ -1,0 +1,112 @@
+"""One vocabulary of methods: every name comes back, wrong ones are explained, an object of one's own takes part."""
+
+import numpy as np
+import pytest
+import scene
+import torch
+
+import omnistereo_lib as osl
+from omnistereo_lib.evaluate import ABLATIONS, METHODS, SCALES, Scale, select_methods
+from omnistereo_lib.stereo.methods import COSTS, CostEntry, Method
+from omnistereo_lib.stereo.pipeline import sweep_depth
+
+
+@pytest.mark.parametrize("method", {m.name: m for ms in (METHODS, *ABLATIONS.values()) for m in ms}.values(), ids=str)
+def test_names_are_read_back(method):
+    assert Method.parse(method.name) == method
+    assert method.volume_key.aggregate == "none" and method.volume_key.volume_key == method.volume_key
+
+
+def test_names_and_labels():
+    assert [method.name for method in METHODS] == [
+        "zncc", "mccnn", "sweepnet", "zncc+sgm", "mccnn+sgm", "sweepnet+sgm",
+    ]  # fmt: skip
+    method = Method.parse("sweepnet+sgm,weights=Plain_2,p1=0.20,wrap=false,p2=12")
+    assert method == Method(cost="sweepnet", aggregate="sgm", weights="Plain_2", p1=0.2, wrap=False)
+    assert method.name == "sweepnet+sgm,weights=Plain_2,p1=0.2,wrap=false"
+    assert method.label == "SweepNet + SGM, weights = Plain_2, p1 = 0.2, wrap = false"
+    assert select_methods() == METHODS and len(select_methods(["zncc"], ["window"])) == 6
+    ordered = [m.name for m in sorted(select_methods(ablations=["window"]), key=lambda m: m.sort_key)]
+    assert ordered[:3] == ["zncc", "zncc,window=5", "zncc,window=13"] and ordered[3] == "zncc+sgm"
+    assert {"window", "weights", "pairs", "wrap", "subindex", "penalties", "spheres"} == set(ABLATIONS)
+
+
+def test_the_defaults_are_the_papers():
+    for method in METHODS:
+        assert (method.window, method.p1, method.p2, method.subindex) == (9, 0.1, 12.0, False)
+    assert SCALES["paper"] == Scale(1200, 300, 192) and SCALES["training"] == Scale(600, 150, 192)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    {
+        "census": "cost must be one of zncc, mccnn, sweepnet, got 'census'",
+        "zncc+median": "aggregate must be one of none, sgm, got 'median'",
+        "zncc,size=5": "unknown setting 'size'; expected one of window, weights",
+        "zncc,window=wide": "window must be of type int, got 'wide'",
+        "zncc,subindex=maybe": "subindex must be of type bool, got 'maybe'",
+        "zncc,window=4": "window must be an odd number",
+        "zncc,p1=0.2": "zncc,p1=0.2: zncc does not use p1. Leave it out",
+        "mccnn,wrap=false": "mccnn does not use wrap",
+        "sweepnet,window=5": "sweepnet does not use window",
+        "zncc+sgm,p1=3,p2=2": r"expected 0 ≤ p1 ≤ p2, got 3.0 and 2.0",
+        "zncc,num_spheres=1": "at least 2 spheres",
+        "zncc,pairs=some": "pairs must be one of ring, all",
+        "sweepnet,weights=../mine": "without folder and ending",
+    }.items(),
+)
+def test_methods_that_do_not_exist(name, message):
+    with pytest.raises(osl.OmnistereoError, match=message):
+        Method.parse(name)
+
+
+# ---- from images to depth
+
+GRID = osl.SphereGrid(160, 40, (-40, 40), 24, 0.6)
+
+
+@pytest.fixture(scope="module")
+def box():
+    rig = scene.rig()
+    return rig, scene.images(rig)
+
+
+def test_a_name_is_what_its_parts_are(box):
+    rig, images = box
+    sweep = osl.SphereSweep(rig, GRID)
+    volume = osl.sgm(osl.cost_volume(sweep, images, osl.ZNCC(5), "all"), 0.2, 3.0)
+    expected = osl.winner_takes_all(volume)
+    for depth in (
+        sweep_depth(sweep, images, "zncc+sgm,window=5,pairs=all,p1=0.2,p2=3", subindex=False),
+        osl.estimate_depth(rig, images, GRID, "zncc+sgm,window=5,pairs=all,p1=0.2,p2=3", subindex=False),
+        osl.estimate_depth(rig, images, GRID, "zncc+sgm,pairs=all,p1=0.2,p2=3", osl.ZNCC(5), subindex=False),
+    ):
+        np.testing.assert_array_equal(depth.index, expected)
+
+
+def test_the_number_of_spheres_is_a_setting(box):
+    assert osl.estimate_depth(*box, GRID, "zncc,num_spheres=8").grid.num_spheres == 8
+
+
+def test_an_object_of_your_own_is_a_cost(box):
+    def second_sphere(spherical_images, pairs, columns=None):
+        _, B, H, W = spherical_images.shape
+        cost = torch.ones(H, W, B)
+        cost[..., 2] = 0
+        return cost
+
+    assert (osl.estimate_depth(*box, GRID, "zncc", second_sphere, subindex=False).index % 16 == 2).all()
+
+
+def test_a_new_cost_joins_in_one_place(box, monkeypatch):
+    entry = CostEntry("Mine", lambda method, path, precision: osl.ZNCC(3), frozenset(), p1=0.5, p2=1.5)
+    monkeypatch.setitem(COSTS, "mine", entry)
+    method = Method.parse("mine+sgm")
+    assert (method.p1, method.p2, method.name, method.label) == (0.5, 1.5, "mine+sgm", "Mine + SGM")
+    expected = osl.estimate_depth(*box, GRID, "zncc+sgm,window=3,p1=0.5,p2=1.5").index
+    np.testing.assert_array_equal(osl.estimate_depth(*box, GRID, "mine+sgm").index, expected)
+
+
+def test_a_network_is_read_once_per_process():
+    assert Method.parse("mccnn").load_cost() is Method.parse("mccnn+sgm,pairs=all").load_cost()
+    assert Method.parse("sweepnet+sgm").load_cost().wrap != Method.parse("sweepnet+sgm,wrap=false").load_cost().wrap
