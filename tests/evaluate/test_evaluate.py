@@ -762,7 +762,7 @@ def test_the_command_line_in_shards(data, tmp_path, capsys, small, monkeypatch):
     ("words", "message"),
     [
         (["--methods", "magic"], "error: cost must be one of zncc"),
-        (["--ablations", "everything"], "error: there is no ablation 'everything': choose from window, weights"),
+        (["--ablations", "everything"], "error: unknown ablation 'everything'; expected one of window, weights"),
         (["--sets", "rainy"], "error: there is no data set 'rainy'"),
         (["--shard", "3/2"], "error: a shard is written i/n"),
         (["--weights", "nowhere"], "error: weights are missing: nowhere/mccnn_fast.safetensors, nowhere/sweepnet"),
