@@ -1,4 +1,4 @@
-"""`python -m omnistereo_lib VERB`: the library's verbs for long or unattended work."""
+"""`python -m omnistereo_lib COMMAND`, the same as `omnistereo COMMAND`."""
 
 from omnistereo_lib.cli import main
 

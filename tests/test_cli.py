@@ -48,7 +48,7 @@ def data(tmp_path, scene_images):
 
 
 def run(*arguments):
-    """Run a verb as its process would; return the exit status."""
+    """Run a command as its process would; return the exit status."""
     return cli.main([str(argument) for argument in arguments])
 
 
@@ -113,11 +113,11 @@ def test_doctor_of_the_installation(monkeypatch, well):
     assert run("doctor") == (0 if well else 1)
 
 
-@pytest.mark.parametrize("verb", [[], ["depth"], ["doctor"], ["bench"]])
-def test_help_is_given(verb, capsys):
+@pytest.mark.parametrize("command", [[], ["depth"], ["doctor"], ["bench"]])
+def test_help_is_given(command, capsys):
     with pytest.raises(SystemExit) as stop:
-        run(*verb, "--help")
-    assert stop.value.code == 0 and "usage: python -m omnistereo_lib" in capsys.readouterr().out
+        run(*command, "--help")
+    assert stop.value.code == 0 and "usage: omnistereo" in capsys.readouterr().out
 
 
 def test_the_module_runs_and_answers_in_one_line(tmp_path):

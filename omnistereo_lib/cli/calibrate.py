@@ -1,0 +1,133 @@
+"""Calibrate a camera or a rig: images of a checkerboard in, intrinsics and poses out.
+
+FOLDER holds one folder of images per camera; images of one capture have the same name.
+example: omnistereo calibrate FOLDER --board 12x10 --square 0.06 --max-fov 220
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from omnistereo_lib.errors import OmnistereoError
+
+if TYPE_CHECKING:
+    from omnistereo_lib.calibrate.board import Checkerboard
+    from omnistereo_lib.geometry.camera import OcamCamera
+    from omnistereo_lib.geometry.rig import Rig
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder with one folder of images per camera")
+    parser.add_argument("--board", required=True, type=_board_size, help="inner corners, columns x rows, such as 12x10")
+    parser.add_argument("--square", required=True, type=float, help="edge of a square in metres, such as 0.06")
+    parser.add_argument("--degree", type=int, help="polynomial degree (default: chosen by cross-validation)")
+    parser.add_argument("--max-fov", type=float, help="field of view in degrees (default: as far as corners reach)")
+    parser.add_argument("--corners", type=Path, help="folder with corners_*.yaml of an earlier run, edited or not")
+    parser.add_argument("--out", type=Path, default=Path("out/rig"), help="folder for the results (default: out/rig)")
+
+
+def _board_size(text: str) -> tuple[int, int]:
+    columns, _, rows = text.lower().partition("x")
+    try:
+        return int(columns), int(rows)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected columns x rows such as 12x10, got {text!r}") from None
+
+
+def run(options: argparse.Namespace) -> None:
+    """Calibrate one camera or a rig and write it, its report and its detections."""
+    from omnistereo_lib.calibrate.board import Checkerboard
+    from omnistereo_lib.calibrate.camera import calibrate_camera
+    from omnistereo_lib.calibrate.rig import calibrate_rig
+    from omnistereo_lib.files import make_folder, replacing
+
+    board = Checkerboard(options.board, options.square)
+    if options.corners is None:
+        cameras, names, views, sizes, progress = _read_captures(options.folder)
+    else:
+        cameras, names, views, sizes, progress = _read_corners(options.corners, board)
+    out = make_folder(options.out)
+    settings = {"degree": options.degree, "max_fov_deg": options.max_fov, "progress": progress}
+    if len(views) == 1:
+        camera, report = calibrate_camera(views[0], board, sizes and sizes[0], **settings)
+        reports = [report]
+        written = _write_camera(out, camera)
+    else:
+        rig, report = calibrate_rig(views, board, sizes, **settings)
+        reports = report.cameras
+        written = _write_rig(out, rig)
+    text = report.text(names)
+    with replacing(out / "report.txt") as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")
+    _write_reports(out, cameras, names, reports, board)
+    print(text)
+    print(f"written to {out}/: {', '.join([*written, 'report.txt', 'report_*.png', 'corners_*.yaml'])}")
+
+
+def _read_captures(folder: Path) -> tuple:
+    """Return camera names, capture names, images, no sizes, and a progress bar over the images."""
+    from functools import partial
+
+    from tqdm import tqdm
+
+    from omnistereo_lib.calibrate.captures import find_captures
+
+    captures = find_captures(folder)
+    counts = ", ".join(
+        f"{sum(path is not None for path in row)} of {camera}"
+        for camera, row in zip(captures.cameras, captures.paths, strict=True)
+    )
+    print(f"images: {counts}")
+    return captures.cameras, captures.names, captures.views(), None, partial(tqdm, desc="boards", unit="image")
+
+
+def _read_corners(folder: Path, board: Checkerboard) -> tuple:
+    """Return what `_read_captures` does, with corners instead of images."""
+    from omnistereo_lib.calibrate.detect import load_corners
+
+    files = sorted(folder.glob("corners_*.yaml"), key=lambda path: (len(path.name), path.name))
+    if not files:
+        raise OmnistereoError(f"{folder} holds no corners_*.yaml: run once without --corners, which writes them")
+    loaded = [load_corners(path) for path in files]
+    for path, (_, detected, _) in zip(files, loaded, strict=True):
+        if detected.corners != board.corners:
+            raise OmnistereoError(f"{path} is of a board {detected}, not {board}")
+    names = tuple(sorted(set().union(*(views for views, _, _ in loaded))))
+    views = [[by_name.get(name) for name in names] for by_name, _, _ in loaded]
+    cameras = tuple(path.stem.removeprefix("corners_") for path in files)
+    return cameras, names, views, [size for _, _, size in loaded], iter
+
+
+def _write_camera(out: Path, camera: OcamCamera) -> list[str]:
+    from omnistereo_lib.rig_files.dialects import write_ocam_txt
+
+    write_ocam_txt(camera, out / "ocam1.txt")
+    return ["ocam1.txt"]
+
+
+def _write_rig(out: Path, rig: Rig) -> list[str]:
+    from omnistereo_lib.rig_files.dialects import save_rig, write_ocam_folder
+    from omnistereo_lib.rig_files.export import write_for_others
+
+    save_rig(rig, out / "config.yaml")
+    write_ocam_folder(rig, out)
+    residual = max(write_for_others(rig, out))
+    print(f"kalibr.yaml, opencv.yaml and colmap_*: their lens model follows ours to {residual:.2f} px at worst")
+    return ["config.yaml", "ocam*.txt", "poses.txt", "kalibr.yaml", "opencv.yaml", "colmap_*"]
+
+
+def _write_reports(
+    out: Path, cameras: Sequence[str], names: Sequence[str], reports: Sequence, board: Checkerboard
+) -> None:
+    """Write each camera's pictures and its corners, those without a board as null."""
+    from omnistereo_lib.calibrate.detect import save_corners
+    from omnistereo_lib.calibrate.figures import save_figure
+
+    for camera, report in zip(cameras, reports, strict=True):
+        save_figure(out / f"report_{camera}.png", report)
+        views = {name: report.corners.get(k) for k, name in enumerate(names)}
+        save_corners(out / f"corners_{camera}.yaml", views, board, report.intrinsics.image_size)

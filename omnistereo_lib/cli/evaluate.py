@@ -1,0 +1,56 @@
+"""Evaluate methods on data sets, as Table II of the paper does, or resume an interrupted evaluation.
+
+example: omnistereo evaluate --sets sunny indoor --methods zncc+sgm sweepnet+sgm --scale teaching
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from omnistereo_lib.cli.inputs import add_device, is_first_process
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.add_argument("--sets", nargs="+", default=["sunny", "cloudy", "sunset"], help="names or data set folders")
+    parser.add_argument("--split", choices=["train", "test"], help="of the folders (default: all frames)")
+    parser.add_argument("--frames", type=int, nargs="+", help="frame numbers (default: all with ground truth)")
+    parser.add_argument("--methods", nargs="+", default=[], help="such as zncc sweepnet+sgm,p1=0.2 (default: all)")
+    ablations = "window weights pairs wrap subindex penalties spheres"
+    parser.add_argument("--ablations", nargs="+", default=[], metavar="NAME", help=ablations)
+    parser.add_argument("--scale", default="teaching", choices=["teaching", "training", "paper"])
+    parser.add_argument("--shard", default="1/1", help="part i/n of the frames, for several machines (default: 1/1)")
+    parser.add_argument("--weights", type=Path, help="folder of weights files (default: the bundled ones)")
+    add_device(parser)
+    parser.add_argument("--out", type=Path, help="folder for the results (default: out/evaluation_SCALE)")
+    parser.add_argument("--rig", type=Path, help="rig file or folder to use instead of the rigs of the data sets")
+
+
+def run(options: argparse.Namespace) -> None:
+    """Evaluate methods on data sets; the process that finds all results there merges them and prints the table."""
+    from tqdm import tqdm
+
+    from omnistereo_lib.evaluate import SCALES, Evaluation, errors_table, find_sets, select_methods, write_results
+    from omnistereo_lib.stereo.weights import SHIPPED
+
+    evaluation = Evaluation(
+        options.out or Path("out") / f"evaluation_{options.scale}", find_sets(options.sets),
+        select_methods(options.methods, options.ablations), SCALES[options.scale], options.split, options.frames,
+        options.weights or SHIPPED, options.device, options.precision, options.rig,
+    )  # fmt: skip
+    mine = evaluation.share(options.shard)
+    done = len(mine) - len(evaluation.missing(mine))
+    with tqdm(total=len(mine), initial=done, desc="evaluate", unit="result", disable=not is_first_process()) as bar:
+        for job in evaluation.run(mine):
+            bar.set_postfix_str(f"{job.data} {job.frame} {job.method.name}", refresh=False)
+            bar.update()
+    missing = evaluation.missing()
+    if missing:
+        there = len(evaluation.jobs) - len(missing)
+        print(f"{there} of {len(evaluation.jobs)} results are in {evaluation.out}/; other shards have the rest")
+        return
+    results = evaluation.results()
+    written = write_results(evaluation.out, results)
+    print(errors_table(results).text(), end="")
+    print(f"written to {evaluation.out}/: {', '.join(written)}")

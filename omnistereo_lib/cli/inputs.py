@@ -1,0 +1,87 @@
+"""What several commands share: the rig, its images, the grid, the device."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from omnistereo_lib.errors import OmnistereoError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from omnistereo_lib.dataset import Frame
+    from omnistereo_lib.geometry.rig import Rig
+    from omnistereo_lib.geometry.sphere import SphereGrid
+
+SAMPLE = Path(__file__).resolve().parents[2] / "data_samples" / "sunny" / "test"
+
+
+def add_input(parser: argparse.ArgumentParser) -> None:
+    """Add the options that name a rig and its images."""
+    parser.add_argument("--rig", type=Path, help="rig file, folder of one, or data set (default: the bundled sample)")
+    parser.add_argument("--unit", choices=["mm", "cm", "m"], help="unit of the poses, if the file does not state it")
+    parser.add_argument("--images", type=Path, nargs="+", help="one image per camera, in the order of the rig")
+    parser.add_argument("--frame", type=int, default=0, help="frame of a data set, counted from 0 (default: 0)")
+
+
+def add_grid(parser: argparse.ArgumentParser, width: int, height: int, spheres: int) -> None:
+    """Add the options of the panorama and its spheres."""
+    parser.add_argument("--width", type=int, default=width, help=f"panorama width (default: {width})")
+    parser.add_argument("--height", type=int, default=height, help=f"panorama height (default: {height})")
+    parser.add_argument(
+        "--phi", type=float, nargs=2, default=(-45.0, 45.0), help="elevation range in degrees, down is positive"
+    )
+    parser.add_argument("--spheres", type=int, default=spheres, help=f"number of spheres N (default: {spheres})")
+    parser.add_argument("--min-depth", type=float, help="nearest depth in metres (default: as the rig file proposes)")
+
+
+def add_device(parser: argparse.ArgumentParser, precision: bool = True) -> None:
+    """Add the option that says where to compute, and in which precision."""
+    parser.add_argument("--device", default="cpu", choices=["cpu", "cuda"], help="where to compute (default: cpu)")
+    if precision:
+        parser.add_argument("--precision", default="auto", choices=["auto", "float32", "bfloat16"])
+
+
+def read_input(options: argparse.Namespace) -> tuple[Rig, list[NDArray], Frame | None]:
+    """Return the rig, the images and, if there is ground truth, the frame.
+
+    Raises
+    ------
+    OmnistereoError
+        If files are missing or broken, or --images comes without --rig.
+    """
+    from omnistereo_lib.dataset import load_dataset, load_images
+    from omnistereo_lib.rig_files import load_rig
+
+    if options.images is not None:
+        if options.rig is None:
+            raise OmnistereoError("--images needs --rig: the file or folder that describes the cameras")
+        return load_rig(options.rig, options.unit), load_images(options.images), None
+    folder = options.rig or SAMPLE
+    if not folder.is_dir():
+        raise OmnistereoError(f"{folder} is not a data set folder. Give --images, one per camera of the rig")
+    data = load_dataset(folder, unit=options.unit)
+    if not -len(data) <= options.frame < len(data):
+        raise OmnistereoError(f"{folder} has frames 0 … {len(data) - 1}, not {options.frame}")
+    frame = data[options.frame]
+    return data.rig, frame.images, frame if frame.truth_path else None
+
+
+def make_grid(options: argparse.Namespace, rig: Rig, default: float | None = None) -> SphereGrid:
+    """Return the grid; its nearest depth is the user's, else the rig file's, the default, or twice a baseline."""
+    from omnistereo_lib.geometry.sphere import SphereGrid
+
+    proposals = (options.min_depth, rig.min_depth, default)
+    min_depth = next((depth for depth in proposals if depth is not None), None)
+    if min_depth is None:
+        min_depth = 2 * float(rig.baselines.min())
+        print(f"the rig file proposes no nearest depth: taking twice the shortest baseline, {min_depth:.2f} m")
+    return SphereGrid(options.width, options.height, tuple(options.phi), options.spheres, min_depth)
+
+
+def is_first_process() -> bool:
+    """Return whether this is the process that prints and writes: rank 0 under torchrun, or the only one."""
+    return os.environ.get("RANK", "0") == "0"

@@ -1,0 +1,79 @@
+"""Train a learned matching cost, or resume an interrupted run.
+
+example: omnistereo train sweepnet --preset teaching --set steps=100
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from omnistereo_lib.cli.inputs import SAMPLE, add_device, is_first_process
+from omnistereo_lib.errors import OmnistereoError
+
+if TYPE_CHECKING:
+    from omnistereo_lib.train import Recipe
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.add_argument("network", choices=["sweepnet", "mccnn"])
+    parser.add_argument("--preset", default="teaching", choices=["teaching", "shipped", "paper"])
+    parser.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="change numbers of the preset")
+    parser.add_argument("--start", type=Path, metavar="FILE", help="start from trained weights, not from random ones")
+    parser.add_argument("--data", type=Path, default=SAMPLE.with_name("train"), help="data set with ground truth")
+    add_device(parser)
+    parser.add_argument("--out", type=Path, help="folder of the run (default: out/NETWORK_PRESET)")
+    either = parser.add_mutually_exclusive_group()
+    either.add_argument(
+        "--ship", nargs="?", const="float32", choices=["float32", "float16"],
+        help="when done, copy the weights and a model card to omnistereo_lib/weights; float16 halves the file",
+    )  # fmt: skip
+    either.add_argument("--variants", action="store_true", help="train SweepNet by several recipes and compare them")
+
+
+def run(options: argparse.Namespace) -> None:
+    """Train a network, or one by each variant of its recipe; several processes under torchrun share the work."""
+    from omnistereo_lib.train import RECIPES, VARIANTS, ship, write_comparison
+
+    recipe = RECIPES[options.network][options.preset].changed(options.set)
+    out = options.out or Path("out") / f"{options.network}_{options.preset}"
+    first_process = is_first_process()
+    if options.variants:
+        if options.network != "sweepnet":
+            raise OmnistereoError("only the SweepNet recipe has variants: train sweepnet --variants")
+        runs = {name: out / re.sub(r"\W+", "_", name) for name in VARIANTS}
+        for name, changes in VARIANTS.items():
+            _train(replace(recipe, **changes), runs[name], options, name)
+        if first_process:
+            write_comparison(out / "variants.csv", runs, recipe.steps)
+            print(f"written to {out}/: variants.csv, the validation errors side by side")
+        return
+    _train(recipe, out, options, "train")
+    if first_process:
+        print(f"{recipe.steps} steps are done; in {out}/: log.csv, state.safetensors, weights.safetensors")
+    if first_process and options.ship:
+        files = ship(out, recipe, half=options.ship == "float16")
+        print(f"shipped: {', '.join(map(str, files))}")
+
+
+def _train(recipe: Recipe, out: Path, options: argparse.Namespace, label: str) -> None:
+    """Train by one recipe to the end, with a progress bar."""
+    from tqdm import tqdm
+
+    from omnistereo_lib.train import train
+
+    first_process = is_first_process()
+    bar = None
+    for row in train(recipe, out, options.data, options.device, options.precision, start=options.start):
+        if bar is None:  # its time left counts from the step that comes first here
+            bar = tqdm(total=recipe.steps, initial=row["step"], desc=label, unit="step", disable=not first_process)
+        bar.set_postfix(loss=f"{row['loss']:.3f}", error=f"{row['error']:.1%}", refresh=False)
+        bar.update()
+        if first_process and row["validation_loss"] == row["validation_loss"]:
+            bar.write(f"step {row['step'] + 1}: validation {row['validation_loss']:.4f} {row['validation_error']:.2%}")
+    if bar is not None:
+        bar.close()
