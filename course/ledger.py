@@ -36,7 +36,7 @@ from omnistereo_lib.evaluate.records import Record, config_checksum
 from omnistereo_lib.evaluate.run import SCALES
 from omnistereo_lib.evaluate.strata import FIGURES, SUMS, figures
 from omnistereo_lib.evaluate.table import LIGHTS
-from omnistereo_lib.files import read_bytes, replacing
+from omnistereo_lib.files import atomic_write, read_bytes
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.sweepnet import SweepNet
 from omnistereo_lib.train.recipes import RECIPES
@@ -594,7 +594,7 @@ def write_ledger(path: str | Path, results: Record | None = None) -> None:
     """
     before, after = split_at_markers(path)
     text = f"{before}\n{ledger(results)}{after}"
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_bytes(text.encode())
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import read_bytes, read_image, read_pixels, replacing
+from omnistereo_lib.files import atomic_write, read_bytes, read_image, read_pixels
 from omnistereo_lib.geometry.rig import Rig, Unit
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.rig_files import load_rig
@@ -205,7 +205,7 @@ def write_inverse_depth(path: str | Path, inverse_depth: NDArray) -> None:
     """Write a panorama of inverse depth in 1/m as a deflated float32 TIFF."""
     import tifffile
 
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         tifffile.imwrite(temporary, np.asarray(inverse_depth, np.float32), compression="deflate")
 
 

@@ -97,7 +97,7 @@ def write_image(path: str | Path, picture: NDArray) -> None:
     suffix = Path(path).suffix
     quality = [cv2.IMWRITE_JPEG_QUALITY, 95] if suffix.lower() in (".jpg", ".jpeg") else []
     content = cv2.imencode(suffix, pixels, quality)[1]
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_bytes(content.tobytes())
 
 
@@ -110,12 +110,12 @@ def write_ply(path: str | Path, points: NDArray, colors: NDArray | None = None) 
         vertices[name] = values
     properties = [f"property {'float' if kinds[name] == '<f4' else 'uchar'} {name}" for name in names]
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}", *properties, "end_header"]
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_bytes("\n".join([*header, ""]).encode() + vertices.tobytes())
 
 
 @contextmanager
-def replacing(path: str | Path) -> Iterator[Path]:
+def atomic_write(path: str | Path) -> Iterator[Path]:
     """Give a temporary name beside a file to write to, then rename: readers see all of it or nothing.
 
     Raises

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import make_folder, replacing
+from omnistereo_lib.files import atomic_write, make_folder
 from omnistereo_lib.geometry.pose import Pose
 from render.lens import MAX_FOV_DEG, REFERENCE_HEIGHT, REFERENCE_WIDTH, Lens
 from render.rig import RenderRig, RigCamera, make_rig, write_config
@@ -386,7 +386,7 @@ def write_truth(path: Path, captures: CaptureSet, seed: int) -> None:
         entries.append(f'  {{"name": "{number:04d}", "mistake": {mistake}, "views": [\n   {views}]}}')
     board = json.dumps({"corners": [COLUMNS, ROWS], "square": SQUARE})
     text = f'{{"board": {board},\n "captures": [\n' + ",\n".join(entries) + "\n ]}\n"
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 

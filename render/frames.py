@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import make_folder, replacing
+from omnistereo_lib.files import atomic_write, make_folder
 from omnistereo_lib.geometry.pose import Pose
 from render.rig import RenderRig, make_rig, write_config
 
@@ -284,7 +284,7 @@ def write_manifest(root: Path, seed: int, command: str) -> None:
         if path.name != "manifest.json"
     }
     text = json.dumps({"command": command, "seed": seed, "files": checksums}, indent=1) + "\n"
-    with replacing(root / "manifest.json") as temporary:
+    with atomic_write(root / "manifest.json") as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.files import replacing
+from omnistereo_lib.files import atomic_write
 from omnistereo_lib.geometry.pose import Pose
 from render.lens import MAX_FOV_DEG, Lens, fit_ocam, random_lens
 
@@ -92,7 +92,7 @@ def write_config(path: Path, rig: RenderRig, size: tuple[int, int], dataset: dic
     lines.append("cameras:")
     for number, camera in enumerate(rig.cameras, start=1):
         lines += _camera_lines(number, camera, size)
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

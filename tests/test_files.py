@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from omnistereo_lib import OmnistereoError
-from omnistereo_lib.files import make_folder, read_gray, read_image, replacing, write_image
+from omnistereo_lib.files import atomic_write, make_folder, read_gray, read_image, write_image
 
 RGB = np.random.default_rng(0).integers(0, 256, (20, 30, 3), np.uint8)
 
@@ -51,11 +51,11 @@ def test_what_is_no_picture_is_refused(tmp_path):
 def test_the_old_file_stays_when_writing_fails(tmp_path):
     path = tmp_path / "result.txt"
     path.write_text("old")
-    with pytest.raises(RuntimeError), replacing(path) as temporary:
+    with pytest.raises(RuntimeError), atomic_write(path) as temporary:
         temporary.write_text("half")
         raise RuntimeError
     assert path.read_text() == "old" and [path.name for path in tmp_path.iterdir()] == ["result.txt"]
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_text("new")
     assert path.read_text() == "new"
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.calibrate.board import Checkerboard
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import read_bytes, replacing
+from omnistereo_lib.files import atomic_write, read_bytes
 from omnistereo_lib.geometry.camera import OcamCamera
 
 Floats = NDArray[np.float64]
@@ -422,7 +422,7 @@ def save_corners(
     for name, corners in views.items():
         lines.append(f"  {_quoted(name)}:{' null' if corners is None else ''}")
         lines += [f"  - [{_number(u)}, {_number(v)}]" for u, v in ([] if corners is None else corners)]
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

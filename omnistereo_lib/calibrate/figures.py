@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from omnistereo_lib.calibrate.report import CameraReport
-from omnistereo_lib.files import replacing
+from omnistereo_lib.files import atomic_write
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -98,6 +98,6 @@ def save_figure(path: str | Path, report: CameraReport) -> None:
     import matplotlib.pyplot as plt
 
     fig = calibration_figure(report)
-    with replacing(path) as temporary:  # Matplotlib would write its version into the file
+    with atomic_write(path) as temporary:  # Matplotlib would write its version into the file
         fig.savefig(temporary, format="png", dpi=80, metadata={"Software": None})
     plt.close(fig)

@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> None:
     from omnistereo_lib.calibrate.board import Checkerboard
     from omnistereo_lib.calibrate.camera import calibrate_camera
     from omnistereo_lib.calibrate.rig import calibrate_rig
-    from omnistereo_lib.files import make_folder, replacing
+    from omnistereo_lib.files import make_folder, atomic_write
 
     board = Checkerboard(options.board, options.square)
     if options.corners is None:
@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> None:
         reports = report.cameras
         written = _write_rig(out, rig)
     text = report.text(names)
-    with replacing(out / "report.txt") as temporary:
+    with atomic_write(out / "report.txt") as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
     _write_reports(out, cameras, names, reports, board)
     print(text)

@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> None:
     (out / "errors.json").unlink(missing_ok=True)  # of another frame
     if gt_index is not None:
         errors = index_error(result.index, gt_index, grid.num_spheres)
-        with files.replacing(out / "errors.json") as temporary:
+        with files.atomic_write(out / "errors.json") as temporary:
             temporary.write_text(json.dumps(errors, indent=1) + "\n")
         print("errors in % of the range swept: " + ", ".join(f"{name} {value:.2f}" for name, value in errors.items()))
         written.append("errors.json")

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import make_folder, read_bytes, replacing
+from omnistereo_lib.files import atomic_write, make_folder, read_bytes
 
 Record = dict[str, Any]  # nested, with strings as keys; what JSON holds
 _DEPENDS_ON = ("config", "methods", "data", "weights")
@@ -36,7 +36,7 @@ def write_record(path: Path, record: Record) -> None:
     make_folder(path.parent)
     text = json.dumps(record, indent=1, sort_keys=True, allow_nan=False)
     text = re.sub(r"\{[^{}]*\}", lambda found: re.sub(r"\n *", " ", found[0]), text)  # no text holds a newline itself
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
 
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.evaluate.records import Record, write_record
 from omnistereo_lib.evaluate.strata import FIGURES, STRATA, SUMS, figures
-from omnistereo_lib.files import make_folder, replacing
+from omnistereo_lib.files import atomic_write, make_folder
 from omnistereo_lib.stereo.methods import Method
 
 LIGHTS = ("sunny", "cloudy", "sunset")  # the paper's order
@@ -158,7 +158,7 @@ def write_results(folder: str | Path, results: Record) -> list[str]:
     for name, table in (("errors", errors_table(results)), ("strata", strata_table(results))):
         texts |= {f"{name}.txt": table.text(), f"{name}.md": table.markdown(), f"{name}.csv": table.csv()}
     for name, text in texts.items():
-        with replacing(folder / name) as temporary:
+        with atomic_write(folder / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
     return ["results.json", *texts]
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import read_gray, read_text, replacing, write_image
+from omnistereo_lib.files import atomic_write, read_gray, read_text, write_image
 from omnistereo_lib.geometry.camera import OcamCamera, fit_inverse_polynomial
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
@@ -245,7 +245,7 @@ def write_ocam_txt(camera: OcamCamera, path: str | Path) -> None:
         "image size: height, width": [height, width],
     }
     text = "\n".join(f"# {title}\n\n{' '.join(map(repr, values))}\n" for title, values in records.items())
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_text(text)
 
 
@@ -255,7 +255,7 @@ def write_ocam_folder(rig: Rig, folder: str | Path) -> None:
     for number, (camera, pose) in enumerate(zip(rig.cameras, rig.T_rig_cam, strict=True), start=1):
         write_ocam_txt(camera, Path(folder) / f"ocam{number}.txt")
         lines.append(" ".join(map(repr, pose.as_vector().tolist())))
-    with replacing(Path(folder) / "poses.txt") as temporary:
+    with atomic_write(Path(folder) / "poses.txt") as temporary:
         temporary.write_text("\n".join(lines) + "\n")
 
 
@@ -341,7 +341,7 @@ def save_rig(rig: Rig, path: str | Path) -> None:
         },  # the public codes ask for these
         "cameras": cameras,
     }
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_text(yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100))
 
 

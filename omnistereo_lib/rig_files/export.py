@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import make_folder, replacing
+from omnistereo_lib.files import atomic_write, make_folder
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
@@ -83,7 +83,7 @@ def write_for_others(rig: Rig, folder: str | Path) -> list[float]:
         "colmap_cameras.txt": _colmap_cameras(rig, parameters),
         "colmap_rig_config.json": _colmap_rig(rig),
     }.items():
-        with replacing(folder / name) as temporary:
+        with atomic_write(folder / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
     return [fit[1] for fit in fits]
 

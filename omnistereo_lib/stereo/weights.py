@@ -14,7 +14,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import replacing
+from omnistereo_lib.files import atomic_write
 
 SHIPPED = Path(__file__).resolve().parents[1] / "weights"
 
@@ -38,7 +38,7 @@ def save_tensors(path: str | Path, tensors: Mapping[str, Tensor], about: Mapping
     """
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     header = {"about": json.dumps(about), "sha256": _checksum(tensors)}
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_bytes(save(tensors, header))
 
 

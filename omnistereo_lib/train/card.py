@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import make_folder, replacing
+from omnistereo_lib.files import atomic_write, make_folder
 from omnistereo_lib.stereo.weights import SHIPPED, load_tensors, save_tensors
 from omnistereo_lib.train.loop import LOG, WEIGHTS, read_log
 from omnistereo_lib.train.recipes import RECIPES, MCCNNRecipe, Recipe
@@ -55,13 +55,13 @@ def ship(run: str | Path, recipe: Recipe, folder: str | Path = SHIPPED, half: bo
     if half:
         save_tensors(files[0], {key: value.half() for key, value in tensors.items()}, about)
     else:
-        with replacing(files[0]) as temporary:
+        with atomic_write(files[0]) as temporary:
             shutil.copyfile(run / WEIGHTS, temporary)
-    with replacing(files[1]) as temporary, temporary.open("w", newline="") as file:
+    with atomic_write(files[1]) as temporary, temporary.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["step", "loss", "error", "validation_loss", "validation_error"])
         writer.writerows(_thinned(rows))
-    with replacing(files[2]) as temporary:
+    with atomic_write(files[2]) as temporary:
         temporary.write_text(_card(files[0], recipe, about, rows, half), encoding="utf-8")
     return files
 

@@ -23,7 +23,7 @@ from torch import Tensor, distributed, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import make_folder, read_bytes, replacing
+from omnistereo_lib.files import atomic_write, make_folder, read_bytes
 from omnistereo_lib.stereo.learned import LearnedCost, Precision, uses_bfloat16
 from omnistereo_lib.stereo.sweep import find_device
 from omnistereo_lib.stereo.weights import load_tensors, save_tensors
@@ -309,7 +309,7 @@ def write_comparison(path: str | Path, runs: Mapping[str, Path], steps: int) -> 
     """
     curves = {name: read_log(run / LOG, steps) for name, run in runs.items()}
     checked = [row["step"] for row in next(iter(curves.values())) if row["validation_loss"] == row["validation_loss"]]
-    with replacing(path) as temporary, temporary.open("w", newline="") as file:
+    with atomic_write(path) as temporary, temporary.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["step", *curves])
         for step in checked:
@@ -317,7 +317,7 @@ def write_comparison(path: str | Path, runs: Mapping[str, Path], steps: int) -> 
 
 
 def _write_log(path: Path, rows: list[dict[str, float]]) -> None:
-    with replacing(path) as temporary, temporary.open("w", newline="") as file:
+    with atomic_write(path) as temporary, temporary.open("w", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS)
         writer.writeheader()
         for row in rows:
