@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> None:
     from omnistereo_lib.calibrate.board import Checkerboard
     from omnistereo_lib.calibrate.camera import calibrate_camera
     from omnistereo_lib.calibrate.rig import calibrate_rig
-    from omnistereo_lib.files import make_folder, atomic_write
+    from omnistereo_lib.files import atomic_write, make_folder
 
     board = Checkerboard(options.board, options.square)
     if options.corners is None:
