@@ -17,7 +17,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from omnistereo_lib.errors import OmnistereoError
-from render.captures import CAPTURES, is_captured, render_captures
+from render.boards import CAPTURES
+from render.captures import is_captured, render_captures
 from render.frames import SEED, SETS, forget_partial, is_complete, render_set, share, write_manifest
 
 _ALL = SETS | CAPTURES

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from omnistereo_lib.geometry.pose import Pose
 from render.blender import empty_scene, fisheye_picture
-from render.captures import (
+from render.boards import (
     ARM,
     COLUMNS,
     MARGIN,

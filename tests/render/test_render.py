@@ -498,13 +498,13 @@ def test_blender_environment_gets_the_same_job(monkeypatch, tmp_path):
     job = ["sunny/test", "--frames", "706", "831", "--shard", "2/2", "--seed", "3"]
     assert main([*job, "--out", "here"]) == 7  # the exit status is the renderer's
     assert [str(word) for word in calls[0]] == [
-        str(python), "-m", "omnistereo_lib", *job, "--out", str(tmp_path / "here")
+        str(python), "-m", "render", *job, "--out", str(tmp_path / "here")
     ]  # fmt: skip
 
 
 def test_folder_that_cannot_be_written(no_blender, tmp_path):
     (tmp_path / "file").write_text("not a folder")
-    with pytest.raises(OmnistereoError, match="cannot be made"):
+    with pytest.raises(OmnistereoError, match="cannot be written to"):
         list(render_set(tmp_path / "file" / "test", TINY, (706,), SEED))
 
 
