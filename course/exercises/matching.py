@@ -1,0 +1,225 @@
+"""Checkers of notebooks 04 to 07: costs, networks, SGM."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from course.exercises.compare import Answer, Array, diagnose
+
+
+def check_zncc_cost(answer: Answer) -> None:
+    """04.1: the matching cost (1 - ZNCC)/2 of two patches."""
+    rng = np.random.default_rng(4)
+    a = rng.normal(3, 2, (9, 9))
+    b = 0.4 * a + rng.normal(1, 0.5, (9, 9))
+    covariance, deviations = np.mean((a - a.mean()) * (b - b.mean())), a.std() * b.std()
+    zncc, n = covariance / deviations, a.size
+    ncc = np.sum(a * b) / np.sqrt(np.sum(a**2) * np.sum(b**2))
+    mistakes = [
+        (zncc, "that is ZNCC itself, 1 for a match; the cost is (1 - ZNCC)/2"),
+        ((1 + zncc) / 2, "the sign: a match must cost 0"),
+        (1 - zncc, "1 - ZNCC runs from 0 to 2: divide by 2"),
+        (1 - zncc / 2, "brackets: the whole 1 - ZNCC is divided by 2"),
+        ((1 - ncc) / 2, "subtract each patch's mean first (the Z of ZNCC)"),
+        ((1 - np.mean(a * b) / deviations) / 2, "subtract the means in the product, too (the Z of ZNCC)"),
+        ((1 - covariance) / 2, "divide the covariance by both standard deviations (the N of ZNCC)"),
+        ((1 - covariance / deviations**2) / 2, "divide by the standard deviations, not by the variances"),
+        ((1 - zncc * n / (n - 1)) / 2, "the covariance is divided by n - 1 and the deviations by n: use n for both"),
+        ((1 - zncc * (n - 1) / n) / 2, "the covariance is divided by n and the deviations by n - 1: use n for both"),
+        ((1 - zncc * n) / 2, "sum and mean are mixed: take the mean of the products"),
+    ]
+    print(diagnose(answer, (a, b), (1 - zncc) / 2, mistakes))
+
+
+def check_mean_over_pairs(answer: Answer) -> None:
+    """04.2: the mean cost over the pairs that see a ray (Eq. 2); NaN marks a pair that does not."""
+    nan = np.nan
+    costs = np.array([[0.2, nan, 0.5], [nan, nan, 0.9], [0.3, 0.1, 0.4], [0.7, nan, 0.4]])
+    mistakes = [
+        (costs.mean(0), "a pair that does not see the ray must not spoil the others: leave the NaN out"),
+        (np.nan_to_num(costs).mean(0), "a pair that does not see the ray is no 0, and none of those to divide by"),
+        (np.nansum(costs, 0), "that is the sum; the paper takes the mean"),
+        (costs[2], "leave a pair out only at the rays that it does not see, not everywhere"),
+        (np.nanmean(costs, 1), "that is the mean over the rays; average over the pairs, the first axis"),
+        (np.nanmean(costs), "that is the mean over pairs and rays; each ray keeps its own"),
+        (np.nanmin(costs, 0), "that is the best pair; the paper takes the mean"),
+        (np.nanmedian(costs, 0), "that is the median; the paper takes the mean"),
+    ]
+    print(diagnose(answer, (costs,), np.array([0.4, 0.1, 0.55]), mistakes))
+
+
+def check_pixels_per_index(answer: Answer) -> None:
+    """04.3: how far a match moves between two neighbouring spheres, in panorama pixels (small angles)."""
+    baseline, nearest, N, width = 0.6, 1.65, 64, 320
+    angle, per_radian = baseline / (nearest * (N - 1)), width / (2 * np.pi)
+    mistakes = [
+        (angle, "that is the angle in radians: turn it into pixels, W of them in 2π"),
+        (np.degrees(angle), "that is the angle in degrees: turn it into pixels, W of them in 360°"),
+        (angle * width / 360, "the angle is in radians, and W pixels make 2π of them, not 360"),
+        (angle * width / np.pi, "W pixels make the full circle, 2π, not π"),
+        (baseline / (nearest * N) * per_radian, "N spheres have N - 1 steps: the step is 1/(D_min (N - 1))"),
+        (baseline / nearest * per_radian, "that is the whole range, from infinity to D_min; one step of it is asked"),
+        (baseline * nearest / (N - 1) * per_radian, "the step is in inverse depth: D_min belongs below the line"),
+        (1 / (angle * per_radian), "that is the number of spheres in a pixel; it is asked the other way round"),
+    ]
+    print(diagnose(answer, (baseline, nearest, N, width), angle * per_radian, mistakes))
+
+
+def check_sgm_step(answer: Answer) -> None:
+    """07.1: one step of SGM's recurrence along a path."""
+    cost = np.array([0.5, 0.3, 0.6, 0.1, 0.2, 0.7, 0.4, 0.8])
+    before = np.array([2.0, 2.1, 1.7, 1.2, 1.3, 1.9, 1.5, 1.4])
+    p1, p2, best = 0.1, 0.6, before.min()
+    ends = np.pad(before, 1, constant_values=np.inf)
+
+    def step(p1: float, p2: float, best: float = best, around: Array = ends) -> Array:
+        neighbours = np.minimum(around[:-2], around[2:]) + p1
+        return cost + np.minimum(np.minimum(before, neighbours), best + p2) - best
+
+    right = step(p1, p2)
+    mistakes = [
+        (right + best, "subtract min_k L(p - r, k) at the end, or the sums grow along the path"),
+        (step(p2, p1), "P1 is for a step of one sphere, P2 for a jump: they are swapped"),
+        (step(p1, p2, around=np.pad(before, 1, mode="wrap")), "n ± 1 does not wrap: sphere 0 has no left neighbour"),
+        (step(p1, p2, best=0.0) - best, "a jump starts at the best sphere before: min_k L(p - r, k) + P2, not P2"),
+        (step(p1, np.inf), "the jump is missing: min_k L(p - r, k) + P2"),
+        (step(np.inf, p2), "the neighbours are missing: L(p - r, n ± 1) + P1"),
+        (step(p1, p2, best=cost.min()), "min_k is over the path costs before, not over this ray's costs"),
+        (right - cost, "add this ray's own cost, C(p, n)"),
+        (cost, "that is the cost alone: add the cheapest way to arrive"),
+    ]
+    print(diagnose(answer, (cost, before, p1, p2), right, mistakes))
+
+
+def check_parabola(answer: Answer) -> None:
+    """07.2: the offset of a parabola's vertex from its middle sample."""
+    left, middle, right = 0.5, 0.2, 0.3
+    slope, curvature = left - right, left - 2 * middle + right
+    offset = slope / (2 * curvature)
+    mistakes = [
+        (-offset, "the sign: the vertex lies towards the cheaper neighbour"),
+        (slope / curvature, "the 2 below the line is missing"),
+        (slope / 2 * curvature, "brackets: `/ 2 * x` divides by 2, then multiplies by x; `/ (2 * x)` divides by both"),
+        (slope / (4 * curvature), "the parabola's leading coefficient is half of l - 2c + r"),
+        (slope / (2 * (left - middle + right)), "the middle sample counts twice: l - 2c + r"),
+        (1 + offset, "that is measured from the left sample; the offset is from the middle one"),
+    ]
+    print(diagnose(answer, (left, middle, right), offset, mistakes))
+
+
+def check_cosine_cost(answer: Answer) -> None:
+    """05.1: the cost (1 - cos)/2 of two descriptions of any length."""
+    rng = np.random.default_rng(5)
+    f_i = rng.normal(0.3, 1, 64)
+    f_j = 1.7 * f_i + rng.normal(0.2, 0.9, 64)
+    dot, length_i, length_j = f_i @ f_j, np.linalg.norm(f_i), np.linalg.norm(f_j)
+    cos = dot / (length_i * length_j)
+    mistakes = [
+        (cos, "that is the cosine, 1 for a match; the cost is (1 - cos)/2"),
+        ((1 + cos) / 2, "the sign: a match must cost 0"),
+        (1 - cos, "1 - cos runs from 0 to 2: divide by 2"),
+        ((1 - dot) / 2, "divide the dot product by both lengths"),
+        ((1 - dot / length_i) / 2, "divide by the second length, too"),
+        ((1 - dot / length_j) / 2, "divide by the first length, too"),
+        ((1 - dot / (length_i * length_j) ** 2) / 2, "divide by the lengths, not by their squares"),
+        ((1 - np.corrcoef(f_i, f_j)[0, 1]) / 2, "that subtracts the means, as ZNCC does; the cosine does not"),
+        (np.arccos(cos) / np.pi, "that is the angle by π; the cosine is asked"),
+    ]
+    print(diagnose(answer, (f_i, f_j), (1 - cos) / 2, mistakes))
+
+
+def check_hinge_loss(answer: Answer) -> None:
+    """05.2: the mean of max(0, margin + negative - positive) over the rays."""
+    positive, negative = np.array([0.9, 0.7, 0.55, 0.95, 0.2]), np.array([0.1, 0.6, 0.85, 0.3, 0.15])
+    margin = 0.2
+    each = np.maximum(0, margin + negative - positive)
+    mistakes = [
+        (np.maximum(0, margin + positive - negative).mean(), "the roles: the match must score higher by the margin"),
+        ((margin + negative - positive).mean(), "a ray that is right by more than the margin costs 0, not less"),
+        (max(0.0, (margin + negative - positive).mean()), "the hinge is of each ray: take the maximum, then the mean"),
+        (np.maximum(0, negative - positive).mean(), "the margin is missing"),
+        (
+            np.maximum(0, negative - positive - margin).mean(),
+            "the margin is added: right by a hair is not enough",
+        ),
+        (each.sum(), "that is the sum; take the mean over the rays"),
+        (each, "that is the loss of each ray: take the mean"),
+        ((each**2).mean(), "the hinge is not squared"),
+        (each[each > 0].mean(), "rays that cost nothing count in the mean as well"),
+    ]
+    print(diagnose(answer, (positive, negative, margin), each.mean(), mistakes))
+
+
+def check_patch_size(answer: Answer) -> None:
+    """05.3: side of the patch that `layers` convolutions of kernel × kernel see, one behind the other."""
+    layers, kernel = 5, 7
+    mistakes = [
+        (
+            layers * kernel,
+            "neighbouring windows overlap: each layer adds kernel - 1 to what it starts from",
+        ),
+        (layers * (kernel - 1), "with no layer at all it is one pixel: add it"),
+        (1 + layers * (kernel // 2), "the windows grow to both sides: each layer adds kernel - 1"),
+        (kernel + layers - 1, "each layer adds kernel - 1 pixels, not one"),
+        (kernel**layers, "sizes add up; they multiply with strides only"),
+        (kernel, "that is what one layer sees"),
+    ]
+    print(diagnose(answer, (layers, kernel), 1 + layers * (kernel - 1), mistakes))
+
+
+def check_sphere_labels(answer: Answer) -> None:
+    """06.1: SweepNet's labels of sphere n: 0 where the true index rounds to n, 1 elsewhere."""
+    gt_index, n = np.array([[2.4, 2.6, 3.0, 3.4], [3.6, 0.0, 4.0, 3.1]]), 3
+    label = np.where(np.rint(gt_index) == n, 0.0, 1.0)
+    mistakes = [
+        (1 - label, "turned around: a match is 0, as every cost of a match is"),
+        (np.where(np.floor(gt_index) == n, 0.0, 1.0), "round to the nearest sphere; cutting off is rounding down"),
+        (np.where(np.ceil(gt_index) == n, 0.0, 1.0), "round to the nearest sphere, not up"),
+        (np.where(gt_index == n, 0.0, 1.0), "the true index is no whole number: round it first"),
+        (np.where(np.abs(gt_index - n) <= 1, 0.0, 1.0), "half a sphere to each side, not a whole one"),
+        (np.abs(gt_index - n), "that is a distance; a label says yes or no"),
+        (np.minimum(np.abs(np.rint(gt_index) - n), 1.0)[0], "the labels of all rays, not of the first row"),
+    ]
+    print(diagnose(answer, (gt_index, n), label, mistakes))
+
+
+def check_balanced_loss(answer: Answer) -> None:
+    """06.2: binary cross-entropy (Eq. 4) with as much weight on all positives as on all negatives."""
+    cost = np.array([0.1, 0.4, 0.9, 0.7, 0.8, 0.95, 0.3])
+    label = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+    match = label == 0
+    positive, negative = -np.log(1 - cost[match]), -np.log(cost[~match])
+    right = (positive.mean() + negative.mean()) / 2
+    mistakes = [
+        (np.concatenate([positive, negative]).mean(), "there are more negatives: the mean of each kind, then of both"),
+        (positive.mean() + negative.mean(), "each kind weighs one half: divide the sum of both means by 2"),
+        (-right, "the minus: logarithms of numbers below 1 are negative, a loss is not"),
+        ((-np.log(cost[match]).mean() - np.log(1 - cost[~match]).mean()) / 2, "the cost is the probability of *no*"
+         " match: label 0 takes log(1 - cost)"),
+        (right / np.log(2), "that is with the logarithm to base 2; take the natural one"),
+        (right / np.log(10), "that is with the logarithm to base 10; take the natural one"),
+        (((cost[match] ** 2).mean() + ((1 - cost[~match]) ** 2).mean()) / 2, "that is the squared error; asked is the"
+         " cross-entropy"),
+        (negative.mean() / 2, "the positives are missing: label 0 takes log(1 - cost)"),
+        (positive.mean() / 2, "the negatives are missing: label 1 takes log(cost)"),
+    ]  # fmt: skip
+    print(diagnose(answer, (cost, label), right, mistakes))
+
+
+def check_receptive_field(answer: Answer) -> None:
+    """06.3: side of the input that an output depends on, given (kernel, stride) of each layer in order."""
+    layers = [(5, 2), (3, 1), (3, 1), (3, 2), (3, 1)]
+    kernels, strides = np.array(layers).T
+    before, after = np.concatenate([[1], np.cumprod(strides)[:-1]]), np.cumprod(strides)
+    plain = 1 + np.sum(kernels - 1)
+    right = 1 + np.sum((kernels - 1) * before)
+    mistakes = [
+        (plain, "behind a stride of 2 a pixel is two pixels of the input: each layer adds (kernel - 1) times the"
+         " product of all strides before it"),
+        (1 + np.sum((kernels - 1) * after), "a layer's own stride counts for those behind it, not for itself"),
+        (1 + np.sum((kernels - 1) * strides), "strides multiply up: the product of all that came before"),
+        (plain * after[-1], "a stride counts for the layers behind it only"),
+        (right - 1, "with no layer at all it is one pixel: add it"),
+        (kernels.sum(), "neighbouring windows overlap: each layer adds kernel - 1"),
+    ]  # fmt: skip
+    print(diagnose(answer, (layers,), float(right), mistakes))
