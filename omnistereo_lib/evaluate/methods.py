@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.stereo.learned import LearnedCost, Precision
+from omnistereo_lib.stereo.learned import LearnedCost, PairNetwork, Precision
 from omnistereo_lib.stereo.mccnn import MCCNN
 from omnistereo_lib.stereo.sweepnet import SweepNet
 from omnistereo_lib.stereo.volume import Cost
 from omnistereo_lib.stereo.zncc import ZNCC
 
 COSTS = {"zncc": "ZNCC", "mccnn": "MC-CNN", "sweepnet": "SweepNet"}  # in the order of the paper's table
-_NETWORKS: dict[str, type[LearnedCost]] = {"mccnn": MCCNN, "sweepnet": SweepNet}
+_NETWORKS: dict[str, type[PairNetwork]] = {"mccnn": MCCNN, "sweepnet": SweepNet}
 _SHIPPED = {"mccnn": "mccnn_fast", "sweepnet": "sweepnet"}
 
 
@@ -152,9 +152,9 @@ class Method:
         path = self.weights_file(folder)
         if path is None:
             return ZNCC(self.window)
-        network = _NETWORKS[self.cost].read(path, precision)
+        network = _NETWORKS[self.cost].from_file(path)
         network.wrap = network.wrap and self.wrap
-        return network
+        return LearnedCost(network, precision)
 
 
 def _text(value: Any) -> str:

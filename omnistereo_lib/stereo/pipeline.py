@@ -12,6 +12,7 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.depth import Depth
+from omnistereo_lib.stereo.learned import LearnedCost
 from omnistereo_lib.stereo.mccnn import MCCNN
 from omnistereo_lib.stereo.sgm import sgm
 from omnistereo_lib.stereo.sweep import SphereSweep, find_device
@@ -19,7 +20,7 @@ from omnistereo_lib.stereo.sweepnet import SweepNet
 from omnistereo_lib.stereo.volume import Cost, Pairs, check_memory, cost_volume
 from omnistereo_lib.stereo.zncc import ZNCC
 
-_COSTS = {"zncc": ZNCC, "mccnn": MCCNN.load, "sweepnet": SweepNet.load}
+_NETWORKS = {"mccnn": MCCNN, "sweepnet": SweepNet}
 
 
 def estimate_depth(
@@ -89,9 +90,9 @@ def sweep_depth(
         Wraps the sequence of sphere blocks, such as tqdm.
     """
     if isinstance(cost, str):
-        if cost not in _COSTS:
-            raise OmnistereoError(f"no cost is called {cost!r}: choose one of {', '.join(_COSTS)}")
-        cost = _COSTS[cost]()
+        if cost not in ("zncc", *_NETWORKS):
+            raise OmnistereoError(f"no cost is called {cost!r}: choose one of zncc, {', '.join(_NETWORKS)}")
+        cost = ZNCC() if cost == "zncc" else LearnedCost(_NETWORKS[cost].pretrained())
     if aggregate not in ("sgm", "none"):
         raise OmnistereoError(f'aggregate must be "sgm" or "none", got {aggregate!r}')
     volume = cost_volume(sweep, images, cost, pairs, progress)
