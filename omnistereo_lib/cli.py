@@ -74,12 +74,12 @@ def _parser() -> argparse.ArgumentParser:
     verb.set_defaults(verb=bench)
     verb.add_argument("--quick", action="store_true", help="leave out the paper's scale")
 
-    verb = verbs.add_parser("train", help="train a learned matching cost; goes on where it was stopped")
+    verb = verbs.add_parser("train", help="train a learned matching cost, or resume an interrupted run")
     verb.set_defaults(verb=train)
     verb.add_argument("network", choices=["sweepnet", "mccnn"])
     verb.add_argument("--preset", default="teaching", choices=["teaching", "shipped", "paper"])
     verb.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="change numbers of the preset")
-    verb.add_argument("--start", type=Path, metavar="FILE", help="begin with trained weights, in place of random ones")
+    verb.add_argument("--init-weights", type=Path, metavar="FILE", help="begin with trained weights instead of random")
     verb.add_argument("--data", type=Path, default=_SAMPLE.with_name("train"), help="data set with ground truth")
     verb.add_argument("--device", default="cpu", choices=["cpu", "cuda"], help="where to compute (default: cpu)")
     verb.add_argument("--precision", default="auto", choices=["auto", "float32", "bfloat16"])
@@ -87,7 +87,7 @@ def _parser() -> argparse.ArgumentParser:
     either = verb.add_mutually_exclusive_group()
     either.add_argument(
         "--ship", nargs="?", const="float32", choices=["float32", "float16"],
-        help="then put the weights into data_samples, with a card; float16: half the file",
+        help="when done, copy the weights and a model card to omnistereo_lib/weights; float16 halves the file",
     )  # fmt: skip
     either.add_argument("--variants", action="store_true", help="train SweepNet by several recipes and compare them")
 
@@ -294,9 +294,9 @@ def bench(options: argparse.Namespace) -> None:
 
 def train(options: argparse.Namespace) -> None:
     """Train a network, or one by each variant of its recipe; several processes under torchrun share the work."""
-    from omnistereo_lib.train import RECIPES, VARIANTS, ship, write_comparison
+    from omnistereo_lib.train import RECIPES, VARIANTS, export_weights, write_comparison
 
-    recipe = RECIPES[options.network][options.preset].changed(options.set)
+    recipe = RECIPES[options.network][options.preset].with_overrides(options.set)
     out = options.out or Path("out") / f"{options.network}_{options.preset}"
     first_process = os.environ.get("RANK", "0") == "0"
     if options.variants:
@@ -313,8 +313,8 @@ def train(options: argparse.Namespace) -> None:
     if first_process:
         print(f"{recipe.steps} steps are done; in {out}/: log.csv, state.safetensors, weights.safetensors")
     if first_process and options.ship:
-        files = ship(out, recipe, half=options.ship == "float16")
-        print(f"shipped: {', '.join(map(str, files))}")
+        files = export_weights(out, recipe, half=options.ship == "float16")
+        print(f"exported: {', '.join(map(str, files))}")
 
 
 def _train(recipe: Recipe, out: Path, options: argparse.Namespace, label: str) -> None:
@@ -324,16 +324,22 @@ def _train(recipe: Recipe, out: Path, options: argparse.Namespace, label: str) -
     from omnistereo_lib.train import train as run
 
     first_process = os.environ.get("RANK", "0") == "0"
-    bar = None
-    for row in run(recipe, out, options.data, options.device, options.precision, start=options.start):
-        if bar is None:  # its time left counts from the step that comes first here
-            bar = tqdm(total=recipe.steps, initial=row["step"], desc=label, unit="step", disable=not first_process)
-        bar.set_postfix(loss=f"{row['loss']:.3f}", error=f"{row['error']:.1%}", refresh=False)
-        bar.update()
-        if first_process and row["validation_loss"] == row["validation_loss"]:
-            bar.write(f"step {row['step'] + 1}: validation {row['validation_loss']:.4f} {row['validation_error']:.2%}")
-    if bar is not None:
-        bar.close()
+    with tqdm(total=recipe.steps, desc=label, unit="step", disable=not first_process) as bar:
+
+        def progress(row: dict[str, float]) -> None:
+            if bar.n == 0 and row["step"] > 0:  # resumed: the time left counts from here
+                bar.initial = bar.n = row["step"]
+            bar.set_postfix(loss=f"{row['loss']:.3f}", error=f"{row['error']:.1%}", refresh=False)
+            bar.update()
+            if first_process and row["validation_loss"] == row["validation_loss"]:
+                validation = f"{row['validation_loss']:.4f} {row['validation_error']:.2%}"
+                bar.write(f"step {row['step'] + 1}: validation {validation}")
+
+        run(
+            recipe, out, options.data, options.device, options.precision, init_weights=options.init_weights,
+            progress=progress,
+        )  # fmt: skip
+        bar.update(recipe.steps - bar.n)  # nothing was left to do
 
 
 def evaluate(options: argparse.Namespace) -> None:

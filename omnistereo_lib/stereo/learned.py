@@ -106,6 +106,10 @@ class PairNetwork(StoredNetwork):
         """Return the cost in [0, 1] of a score, here the logit of a mismatch."""
         return torch.sigmoid(score)
 
+    def fuse_batch_norm(self) -> PairNetwork:
+        """Return a network without batch norms that computes the same; here there are none."""
+        return self
+
     def pad_columns(self, images: Tensor, start: int, stop: int) -> Tensor:
         """Cut feature columns start … stop - 1, which may lie beyond the seam, out of panoramas, with `padding`."""
         rows, columns = self.padding
@@ -151,8 +155,9 @@ class Features:
     def wrapped_columns(self, start: int, stop: int) -> Tensor:
         """Return the features of columns start … stop - 1, which may lie beyond the seam."""
         index = (torch.arange(start, stop, device=self.maps.device) - self.start) % self.total
-        # Channels last, as the maps lie in memory where no gradient is asked for.
-        return self.maps.permute(0, 2, 3, 1).index_select(2, index).permute(0, 3, 1, 2)
+        if self.maps.stride(1) > 1:
+            return self.maps.index_select(-1, index)
+        return self.maps.permute(0, 2, 3, 1).index_select(2, index).permute(0, 3, 1, 2)  # stays channels last
 
 
 class LearnedCost:

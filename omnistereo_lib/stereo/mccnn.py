@@ -95,7 +95,7 @@ class MCCNN(PairNetwork):
         return torch.cat([side.permute(0, 2, 3, 1) for side in (left, right)], -1)
 
     def score_pixels(self, pixels: Tensor) -> Tensor:
-        """Return the score of pixels (…, K), shape (…): a cosine, match = 1 (fast), or a logit of mismatch (accurate)."""
+        """Return the scores (…) of pixels (…, K): a cosine, match = 1 (fast), or a logit of mismatch (accurate)."""
         if self.variant == "fast":
             return pixels[..., 0]
         for layer in self.head[:-1]:
