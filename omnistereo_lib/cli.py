@@ -324,22 +324,23 @@ def _train(recipe: Recipe, out: Path, options: argparse.Namespace, label: str) -
     from omnistereo_lib.train import train as run
 
     first_process = os.environ.get("RANK", "0") == "0"
-    with tqdm(total=recipe.steps, desc=label, unit="step", disable=not first_process) as bar:
+    bar = None
 
-        def progress(row: dict[str, float]) -> None:
-            if bar.n == 0 and row["step"] > 0:  # resumed: the time left counts from here
-                bar.initial = bar.n = row["step"]
-            bar.set_postfix(loss=f"{row['loss']:.3f}", error=f"{row['error']:.1%}", refresh=False)
-            bar.update()
-            if first_process and row["validation_loss"] == row["validation_loss"]:
-                validation = f"{row['validation_loss']:.4f} {row['validation_error']:.2%}"
-                bar.write(f"step {row['step'] + 1}: validation {validation}")
+    def progress(row: dict[str, float]) -> None:
+        nonlocal bar
+        if bar is None:  # the time left counts from the first step of this call
+            bar = tqdm(total=recipe.steps, initial=row["step"], desc=label, unit="step", disable=not first_process)
+        bar.set_postfix(loss=f"{row['loss']:.3f}", error=f"{row['error']:.1%}", refresh=False)
+        bar.update()
+        if first_process and row["validation_loss"] == row["validation_loss"]:
+            bar.write(f"step {row['step'] + 1}: validation {row['validation_loss']:.4f} {row['validation_error']:.2%}")
 
-        run(
-            recipe, out, options.data, options.device, options.precision, init_weights=options.init_weights,
-            progress=progress,
-        )  # fmt: skip
-        bar.update(recipe.steps - bar.n)  # nothing was left to do
+    run(
+        recipe, out, options.data, options.device, options.precision, init_weights=options.init_weights,
+        progress=progress,
+    )  # fmt: skip
+    if bar is not None:
+        bar.close()
 
 
 def evaluate(options: argparse.Namespace) -> None:
