@@ -21,7 +21,7 @@ from omnistereo_lib.stereo.metrics import index_error
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.sweepnet import SweepNet
 from omnistereo_lib.stereo.volume import camera_pairs, cost_volume
-from omnistereo_lib.train.spheres import SphereGroup, SphereObjective, Strip
+from omnistereo_lib.train.spheres import SphereBatch, SphereObjective, Strip
 
 
 def _difference(ours: ArrayLike, printed: ArrayLike) -> float:
@@ -146,12 +146,12 @@ def loss() -> float:
     """L = mean of −(ŷ log y + (1 − ŷ) log(1 − y)) over as many positives as negatives."""
     with torch.random.fork_rng(), torch.no_grad():
         torch.manual_seed(0)
-        network = SweepNet(precision="float32").eval()
+        network = SweepNet().eval()
         images = torch.randn(2, 1, 8, 16)
         label = torch.arange(128.0) % 2
         strip = Strip(0, 1, 0, 8, torch.ones(1, 8, 16, dtype=torch.bool), label)
-        ours, _ = SphereObjective(network)(SphereGroup(images, [strip]))
-        y = network(images, [(0, 1)]).reshape(-1)
+        ours, _ = SphereObjective(network)(SphereBatch(images, [strip]))
+        y = network(*images).reshape(-1)
     return _difference(ours, torch.where(label == 1, -y.log(), -(1 - y).log()).mean())
 
 

@@ -26,6 +26,8 @@ _HOME = {
     "ZNCC": "stereo.zncc",
     "MCCNN": "stereo.mccnn",
     "SweepNet": "stereo.sweepnet",
+    "LearnedCost": "stereo.learned",
+    "LearnedCost": "stereo.learned",
     "cost_volume": "stereo.volume",
     "sgm": "stereo.sgm",
     "winner_takes_all": "stereo.depth",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import operator
 import resource
 import time
@@ -27,7 +26,7 @@ from omnistereo_lib.dataset import load_dataset
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.rig_files import load_rig
-from omnistereo_lib.stereo.learned import uses_bfloat16
+from omnistereo_lib.stereo.learned import LearnedCost, uses_bfloat16
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sgm import sgm, sgm_torch
 from omnistereo_lib.stereo.sweep import SphereSweep
@@ -202,13 +201,13 @@ def bench_sweepnet(width: int, height: int, num: int, spheres: range | None = No
     warped = [sweep.warp_block(prepared, block) for block in blocks if block]
     columns = [[sweep.visible_columns(i, block) for i in range(len(sweep.rig))] for block in blocks if block]
     pairs = camera_pairs("ring", sweep.rig)
-    plain = copy.deepcopy(SweepNet.load(precision="float32")).to(memory_format=torch.contiguous_format)
+    plain = SweepNet.pretrained()
     rows = []
     for precision in ("float32", "bfloat16") if uses_bfloat16("auto", "cpu") else ("float32",):
-        net, out = SweepNet.load(precision=precision), {}
+        cost, out = LearnedCost(SweepNet.pretrained(), precision), {}
 
-        def ours(net: SweepNet = net, out: dict = out) -> None:
-            out["ours"] = [net(*job) for job in zip(warped, repeat(pairs), columns)]
+        def ours(cost: LearnedCost = cost, out: dict = out) -> None:
+            out["ours"] = [cost(*job) for job in zip(warped, repeat(pairs), columns)]
 
         def theirs(out: dict = out) -> None:
             out["theirs"] = [_plain_sweepnet(plain, spherical, pairs) for spherical in warped]
@@ -251,22 +250,17 @@ def _plain_sweepnet(net: SweepNet, spherical: torch.Tensor, pairs: Sequence[tupl
     return (sums / counts).permute(1, 2, 0)
 
 
-class _ChannelsLast(SweepNet):
-    memory_format = torch.channels_last
-
-
 def bench_training(width: int, height: int, num: int, repeats: int = 3) -> list[Row]:
     """Compare a step of SweepNet's training in float32 with the same step on what lies channels last in memory."""
     scale = {"width": width, "height": height, "num_spheres": num, "halve": False}
     samples = SphereSamples(replace(RECIPES["sweepnet"]["shipped"], **scale), _DATA / "sunny" / "train")
-    group = samples.group(samples.training[0], np.random.default_rng(0), augment=False)
-    networks = [kind(precision="float32").train() for kind in (SweepNet, _ChannelsLast)]
-    for network in networks:
-        network.load_state_dict(SweepNet.load().state_dict())
+    batch = samples.micro_batch(samples.training[0], np.random.default_rng(0), augment=False)
+    layouts = torch.contiguous_format, torch.channels_last
+    networks = [SweepNet.pretrained().train().to(memory_format=layout) for layout in layouts]
 
     def step(network: SweepNet) -> None:
         network.zero_grad()
-        SphereObjective(network)(group)[0].backward()
+        SphereObjective(network)(batch)[0].backward()
 
     times = best_of(repeats, *(partial(step, network) for network in networks))
     ours, theirs = (torch.cat([p.grad.flatten() for p in network.parameters()]) for network in networks)

@@ -32,12 +32,12 @@ def run(options: argparse.Namespace) -> None:
     from tqdm import tqdm
 
     from omnistereo_lib.evaluate import SCALES, Evaluation, errors_table, find_sets, select_methods, write_results
-    from omnistereo_lib.stereo.weights import SHIPPED
+    from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
 
     evaluation = Evaluation(
         options.out or Path("out") / f"evaluation_{options.scale}", find_sets(options.sets),
         select_methods(options.methods, options.ablations), SCALES[options.scale], options.split, options.frames,
-        options.weights or SHIPPED, options.device, options.precision, options.rig,
+        options.weights or BUNDLED_WEIGHTS, options.device, options.precision, options.rig,
     )  # fmt: skip
     mine = evaluation.share(options.shard)
     done = len(mine) - len(evaluation.missing(mine))

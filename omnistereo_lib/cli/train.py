@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("network", choices=["sweepnet", "mccnn"])
     parser.add_argument("--preset", default="teaching", choices=["teaching", "shipped", "paper"])
     parser.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="change numbers of the preset")
-    parser.add_argument("--start", type=Path, metavar="FILE", help="start from trained weights, not from random ones")
+    parser.add_argument("--init-weights", type=Path, metavar="FILE", help="start from trained weights, not random ones")
     parser.add_argument("--data", type=Path, default=SAMPLE.with_name("train"), help="data set with ground truth")
     add_device(parser)
     parser.add_argument("--out", type=Path, help="folder of the run (default: out/NETWORK_PRESET)")
@@ -37,9 +37,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Train a network, or one by each variant of its recipe; several processes under torchrun share the work."""
-    from omnistereo_lib.train import RECIPES, VARIANTS, ship, write_comparison
+    from omnistereo_lib.train import RECIPES, VARIANTS, export_weights, write_comparison
 
-    recipe = RECIPES[options.network][options.preset].changed(options.set)
+    recipe = RECIPES[options.network][options.preset].with_overrides(options.set)
     out = options.out or Path("out") / f"{options.network}_{options.preset}"
     first_process = is_first_process()
     if options.variants:
@@ -56,8 +56,8 @@ def run(options: argparse.Namespace) -> None:
     if first_process:
         print(f"{recipe.steps} steps are done; in {out}/: log.csv, state.safetensors, weights.safetensors")
     if first_process and options.ship:
-        files = ship(out, recipe, half=options.ship == "float16")
-        print(f"shipped: {', '.join(map(str, files))}")
+        files = export_weights(out, recipe, half=options.ship == "float16")
+        print(f"exported: {', '.join(map(str, files))}")
 
 
 def _train(recipe: Recipe, out: Path, options: argparse.Namespace, label: str) -> None:
@@ -68,12 +68,19 @@ def _train(recipe: Recipe, out: Path, options: argparse.Namespace, label: str) -
 
     first_process = is_first_process()
     bar = None
-    for row in train(recipe, out, options.data, options.device, options.precision, start=options.start):
-        if bar is None:  # its time left counts from the step that comes first here
+
+    def progress(row: dict[str, float]) -> None:
+        nonlocal bar
+        if bar is None:  # the time left counts from the first step of this call
             bar = tqdm(total=recipe.steps, initial=row["step"], desc=label, unit="step", disable=not first_process)
         bar.set_postfix(loss=f"{row['loss']:.3f}", error=f"{row['error']:.1%}", refresh=False)
         bar.update()
         if first_process and row["validation_loss"] == row["validation_loss"]:
             bar.write(f"step {row['step'] + 1}: validation {row['validation_loss']:.4f} {row['validation_error']:.2%}")
+
+    train(
+        recipe, out, options.data, options.device, options.precision, init_weights=options.init_weights,
+        progress=progress,
+    )  # fmt: skip
     if bar is not None:
         bar.close()

@@ -31,7 +31,7 @@ from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.metrics import index_error
 from omnistereo_lib.stereo.sweep import SphereSweep, find_device
 from omnistereo_lib.stereo.volume import Cost, cost_volume
-from omnistereo_lib.stereo.weights import SHIPPED
+from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
 
 DATA = Path(__file__).resolve().parents[2] / "data_samples"
 _RIG_FILES = {".yaml", ".yml", ".json", ".txt", ".png"}  # masks among them
@@ -180,7 +180,7 @@ class Evaluation:
         scale: Scale = SCALES["teaching"],
         split: str | None = None,
         frames: Sequence[int] | None = None,
-        weights: str | Path = SHIPPED,
+        weights: str | Path = BUNDLED_WEIGHTS,
         device: torch.device | str = "cpu",
         precision: Precision = "auto",
         rig: str | Path | None = None,

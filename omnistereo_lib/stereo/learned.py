@@ -1,45 +1,38 @@
-"""What the learned costs share: a network called like `ZNCC`, evaluated where two cameras see and nowhere else.
+"""Learned matching costs: `PairNetwork` is a network written plainly, `LearnedCost` runs one quickly over all pairs.
 
-A learned cost has two halves. `unary` describes each warped image by itself, so it runs once for a camera and a
-sphere, however many pairs that camera is in. `compare` matches two descriptions, so it runs on the columns that
-both cameras see, with a margin for what its convolutions read beyond them. Both are exact: what is left out could
-not have changed a cost that is kept.
+`LearnedCost` extracts the features of each camera once, however many pairs it is in, and matches two cameras only in
+the columns that both see, with a halo for what the convolutions read beyond them. Both are exact: what is left out
+cannot change a cost that is kept.
 
-Splitting the first layer after the concatenation by camera, A f_i + B f_j, is exact as well, but once pairs are
-cropped it pays nowhere: a ring pair shares 31 % of the rays, and each half would run on the 56 % that one camera
-sees, twice for every camera.
+Splitting the first layer after the concatenation by camera, A f_i + B f_j, is exact as well, but does not pay once
+pairs are cropped: a ring pair shares 31 % of the rays, and each half would run on the 56 % that one camera sees,
+twice per camera.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, ClassVar, Literal, Self
+from typing import ClassVar, Literal
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
+from torch.nn.functional import pad
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.stereo.sweep import split_at_seam
-from omnistereo_lib.stereo.weights import load_tensors, save_tensors
+from omnistereo_lib.stereo.weights import StoredNetwork
 from omnistereo_lib.stereo.zncc import common_columns
 
 Precision = Literal["auto", "float32", "bfloat16"]
 
-# How many panorama pixels go through the convolutions together, and how many through the layers that look at one
-# pixel: on a CPU few, whose features stay in a core's cache; a GPU wants to be filled.
-_PIXELS = {"cpu": 1 << 14}
-_ROWS = {"cpu": 1 << 11}
-_GPU_PIXELS, _GPU_ROWS = 1 << 22, 1 << 19
-
 
 def uses_bfloat16(precision: Precision, device: torch.device | str) -> bool:
-    """Say whether a device should compute in bfloat16 (weights, sums, the first and the last layer stay float32).
+    """Return whether a device computes in bfloat16 (weights, sums, the first and the last layer stay float32).
 
-    "auto": where the hardware multiplies bfloat16 itself, AMX or AVX-512 BF16 on a CPU. Elsewhere it is emulated,
-    up to hundreds of times slower than float32.
+    "auto": where the hardware multiplies bfloat16, AMX or AVX-512 BF16 on a CPU. Elsewhere it is emulated, up to
+    hundreds of times slower than float32.
 
     Raises
     ------
@@ -47,7 +40,7 @@ def uses_bfloat16(precision: Precision, device: torch.device | str) -> bool:
         If the precision is none of the three.
     """
     if precision not in ("auto", "float32", "bfloat16"):
-        raise OmnistereoError(f'precision must be "auto", "float32" or "bfloat16", got {precision!r}')
+        raise OmnistereoError(f'precision = {precision!r}; expected "auto", "float32" or "bfloat16"')
     if precision != "auto":
         return precision == "bfloat16"
     if torch.device(device).type == "cuda":
@@ -56,182 +49,186 @@ def uses_bfloat16(precision: Precision, device: torch.device | str) -> bool:
     return bool(flags.get("amx_bf16") or flags.get("avx512_bf16"))
 
 
+def autocast(precision: Precision, device: torch.device) -> torch.autocast:
+    """Return the context in which matrix products run in a precision; see `uses_bfloat16`."""
+    return torch.autocast(device.type, torch.bfloat16, enabled=uses_bfloat16(precision, device))
+
+
 def full_precision(x: Tensor) -> torch.autocast:
-    """Return the context in which nothing runs in bfloat16: for a network's first layer and its last."""
+    """Return the context in which nothing runs in bfloat16: for the first and the last layer of a network."""
     return torch.autocast(x.device.type, enabled=False)
 
 
-def in_strips(layers: Callable[[Tensor], Tensor], pixels: Tensor) -> Tensor:
-    """Run layers that look at one pixel each on a list of pixels (M, C), some at a time: (M,)."""
-    return torch.cat([layers(part) for part in pixels.split(_ROWS.get(pixels.device.type, _GPU_ROWS))])
+class PairNetwork(StoredNetwork):
+    """A network that maps two spherical images to a cost map; see `SweepNet` and `MCCNN`.
 
+    `forward` is composed of four parts, which know nothing of the panorama around what they are given:
+    `extract_features` of each image, `match_features` of two, `score_pixels`, `to_cost`. Strips of columns can
+    therefore run by themselves, if they carry a halo that is cut off afterwards:
 
-@dataclass(frozen=True, eq=False)
-class Features:
-    """What `unary` says of the images of one camera: maps (B, C, h, columns), the columns from `first` on.
-
-    A whole panorama has `total` columns of features.
-    """
-
-    maps: Tensor
-    first: int
-    total: int
-
-    def columns(self, first: int, last: int) -> Tensor:
-        """Return the maps of columns first … last - 1, which may count on beyond the seam."""
-        index = (torch.arange(first, last, device=self.maps.device) - self.first) % self.total
-        # Channels last, as the maps lie in memory where no gradient is asked for.
-        return self.maps.permute(0, 2, 3, 1).index_select(2, index).permute(0, 3, 1, 2)
-
-
-class LearnedCost(nn.Module):
-    """A network as a matching cost in [0, 1]; see `SweepNet` and `MCCNN`.
+        | halo |  columns start … stop - 1  | halo |
 
     Attributes
     ----------
-    precision : "auto" | "float32" | "bfloat16"
-        See `uses_bfloat16`.
+    stride : int
+        Columns of the panorama per column of features.
+    padding : (int, int)
+        Rows (of zeros) and columns that `extract_features` takes off each side of an image, pixels.
+    feature_halo, match_halo : int
+        Columns of features at each side that `extract_features` and `match_features` get wrong.
     wrap : bool
-        Whether every layer continues around the panorama's seam.
+        Whether every layer continues around the ±180° seam.
     """
 
-    stride: ClassVar[int] = 1  # columns of the panorama for one column of features
-    reach: ClassVar[int] = 0  # columns of features to each side that a column's features depend on
-    margin: ClassVar[int] = 0  # columns of features to each side that a comparison reads
+    stride: ClassVar[int] = 1
+    padding: ClassVar[tuple[int, int]] = (0, 0)
+    feature_halo: ClassVar[int] = 0
+    match_halo: ClassVar[int] = 0
     wrap: bool = True
-    precision: Precision = "auto"
-
-    @property
-    @abstractmethod
-    def config(self) -> dict[str, Any]:
-        """The arguments that build this architecture."""
 
     @abstractmethod
     def check_size(self, H: int, W: int) -> None:
         """Refuse panoramas that the network cannot take."""
 
     @abstractmethod
-    def unary(self, images: Tensor, first: int, last: int) -> Features:
-        """Describe images (M, H, W), 0 where unseen, in the columns of features first … last - 1."""
+    def extract_features(self, images: Tensor) -> Tensor:
+        """Return the features (B, C, h, w) of padded images, 0 where unseen."""
 
     @abstractmethod
-    def compare(self, left: Tensor, right: Tensor, chosen: Tensor, offset: int) -> Tensor:
-        """Score pixels of two descriptions.
+    def match_features(self, left: Tensor, right: Tensor) -> Tensor:
+        """Return K numbers per pixel (B, H, columns, K) from the features of two images."""
 
-        Parameters
-        ----------
-        left, right : tensors, shape (B, C, h, w)
-            Features with their margin.
-        chosen : bool tensor, shape (B, H, columns)
-            Which pixels; its first column is number `offset` of the features', in pixels.
+    @abstractmethod
+    def score_pixels(self, pixels: Tensor) -> Tensor:
+        """Return the scores (…) of pixels (…, K)."""
 
-        Returns
-        -------
-        float32 tensor, shape (number chosen,)
-            In the order of `chosen`; `cost_of` makes costs of them.
-        """
-
-    def cost_of(self, score: Tensor) -> Tensor:
-        """Return the cost in [0, 1] of a score."""
+    def to_cost(self, score: Tensor) -> Tensor:
+        """Return the cost in [0, 1] of a score, here the logit of a mismatch."""
         return torch.sigmoid(score)
 
-    def forward(
+    def fuse_batch_norm(self) -> PairNetwork:
+        """Return a network without batch norms that computes the same; here there are none."""
+        return self
+
+    def pad_columns(self, images: Tensor, start: int, stop: int) -> Tensor:
+        """Cut feature columns start … stop - 1, which may lie beyond the seam, out of panoramas, with `padding`."""
+        rows, columns = self.padding
+        index = torch.arange(self.stride * start - columns, self.stride * stop + columns, device=images.device)
+        return pad(images.index_select(-1, index % images.shape[-1]), (0, 0, rows, rows))
+
+    def add_halo(self, start: int, stop: int, halo: int, total: int) -> tuple[int, int]:
+        """Widen a strip of feature columns: around the seam, or without `wrap` up to the seam."""
+        return (start - halo, stop + halo) if self.wrap else (max(start - halo, 0), min(stop + halo, total))
+
+    def extract_columns(self, images: Tensor, columns: tuple[int, int]) -> Features:
+        """Extract what matching in the columns (start, width) needs from panoramas (M, H, W), NaN where unseen."""
+        total = images.shape[-1] // self.stride
+        start, stop = columns[0] // self.stride, -(-sum(columns) // self.stride)
+        start, stop = self.add_halo(start, stop, self.match_halo, total)
+        if stop - start >= total or not self.wrap:
+            start, stop = 0, total
+        low, high = self.add_halo(start, stop, self.feature_halo, total)
+        maps = self.extract_features(self.pad_columns(images.masked_fill(images.isnan(), 0.0), low, high))
+        return Features(maps[..., start - low : stop - low], start, total)
+
+    def match_columns(self, left: Features, right: Features, start: int, stop: int) -> Tensor:
+        """Run `match_features` on the feature columns start … stop - 1: (B, H, pixels, K)."""
+        low, high = self.add_halo(start, stop, self.match_halo, left.total)
+        pixels = self.match_features(left.wrapped_columns(low, high), right.wrapped_columns(low, high))
+        return pixels[:, :, self.stride * (start - low) : self.stride * (stop - low)]
+
+    def shared_strips(self, a: tuple[int, int], b: tuple[int, int], W: int) -> Iterator[tuple[int, int]]:
+        """Yield (start, stop) of the feature columns in which two cameras see, given their columns (start, width)."""
+        for first, width in common_columns(a, b, W):
+            start, stop = first // self.stride, -(-(first + width) // self.stride)
+            yield from [(start, stop)] if self.wrap else split_at_seam(start, stop - start, W // self.stride)
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """Features (B, C, h, columns) of one camera, from column `start` of `total` around the panorama."""
+
+    maps: Tensor
+    start: int
+    total: int
+
+    def wrapped_columns(self, start: int, stop: int) -> Tensor:
+        """Return the features of columns start … stop - 1, which may lie beyond the seam."""
+        index = (torch.arange(start, stop, device=self.maps.device) - self.start) % self.total
+        if self.maps.stride(1) > 1:
+            return self.maps.index_select(-1, index)
+        return self.maps.permute(0, 2, 3, 1).index_select(2, index).permute(0, 3, 1, 2)  # stays channels last
+
+
+class LearnedCost:
+    """A network as a matching cost, called like `ZNCC`: the same costs as from the network, many times faster.
+
+    Parameters
+    ----------
+    network : PairNetwork
+        Put into evaluation mode and channels-last memory, and moved to the device of the images.
+    precision : "auto" | "float32" | "bfloat16"
+        Of the matrix products; see `uses_bfloat16`.
+
+    Raises
+    ------
+    OmnistereoError
+        If the precision is none of the three.
+    """
+
+    def __init__(self, network: PairNetwork, precision: Precision = "auto") -> None:
+        uses_bfloat16(precision, "cpu")
+        self.network = network.eval().to(memory_format=torch.channels_last)
+        self.precision = precision
+
+    @torch.no_grad()
+    def __call__(
         self,
-        spherical: Tensor,
+        spherical_images: Tensor,
         pairs: Sequence[tuple[int, int]],
         columns: Sequence[tuple[int, int]] | None = None,
     ) -> Tensor:
-        """Return the mean cost over camera pairs (Eq. 2) for a block of spheres; everything as in `ZNCC`.
+        """Return the mean cost over camera pairs (Eq. 2) for a block of spheres; arguments as in `ZNCC`.
 
         Raises
         ------
         OmnistereoError
             If the network cannot take a panorama of this size.
         """
-        _, B, H, W = spherical.shape
-        self.check_size(H, W)
-        self.to(spherical.device)
-        columns = columns if columns is not None else [(0, W)] * len(spherical)
-        total = torch.zeros(B, H, W, device=spherical.device)
+        cameras, B, H, W = spherical_images.shape
+        device = spherical_images.device
+        self.network.check_size(H, W)
+        self.network.to(device)
+        columns = columns if columns is not None else [(0, W)] * cameras
+        total = torch.zeros(B, H, W, device=device)
         count = torch.zeros_like(total)
-        with torch.no_grad(), self.autocast(spherical.device):
-            for part in torch.arange(B).split(max(1, _PIXELS.get(spherical.device.type, _GPU_PIXELS) // (H * W))):
-                block = slice(int(part[0]), int(part[-1]) + 1)
-                self._add_costs(spherical[:, block], pairs, columns, total[block], count[block])
+        # On a CPU so few that their features stay in the cache of a core; a GPU has to be filled.
+        spheres = max(1, (1 << 14 if device.type == "cpu" else 1 << 22) // (H * W))
+        with autocast(self.precision, device):
+            for first in range(0, B, spheres):
+                block = slice(first, first + spheres)
+                self._add_costs(spherical_images[:, block], pairs, columns, total[block], count[block])
         return (total / count).permute(1, 2, 0)  # 0/0 = NaN where no pair sees the ray
-
-    def autocast(self, device: torch.device) -> torch.autocast:
-        """Return the context in which matrix products run in the precision chosen."""
-        return torch.autocast(device.type, torch.bfloat16, enabled=uses_bfloat16(self.precision, device))
-
-    def describe(self, images: Tensor, columns: tuple[int, int]) -> Features:
-        """Run `unary` on the columns (start, width) that a camera sees of panoramas (M, H, W), NaN where unseen."""
-        total = images.shape[-1] // self.stride
-        first, last = 0, total
-        if self.wrap:
-            first, last = columns[0] // self.stride, -(-(columns[0] + columns[1]) // self.stride)
-            first, last = self.widened(first, last, self.margin, total)
-        if last - first >= total:
-            first, last = 0, total
-        return self.unary(images.masked_fill(images.isnan(), 0.0), first, last)
-
-    def strips(self, a: tuple[int, int], b: tuple[int, int], W: int) -> Iterator[tuple[int, int]]:
-        """Yield (first, last + 1) of the columns of features that two cameras share, given their columns a and b."""
-        for start, width in common_columns(a, b, W):
-            first, last = start // self.stride, -(-(start + width) // self.stride)
-            yield from [(first, last)] if self.wrap else split_at_seam(first, last - first, W // self.stride)
-
-    def score(self, a: Features, b: Features, first: int, last: int, chosen: Tensor) -> Tensor:
-        """Run `compare` on one strip of feature columns, first … last - 1; chosen (B, H, its pixels)."""
-        low, high = self.widened(first, last, self.margin, a.total)
-        return self.compare(a.columns(low, high), b.columns(low, high), chosen, (first - low) * self.stride)
-
-    def widened(self, first: int, last: int, by: int, total: int) -> tuple[int, int]:
-        """Widen a strip of feature columns: around the seam, or up to it and no further."""
-        return (first - by, last + by) if self.wrap else (max(first - by, 0), min(last + by, total))
 
     def _add_costs(
         self,
-        spherical: Tensor,
+        images: Tensor,
         pairs: Sequence[tuple[int, int]],
         columns: Sequence[tuple[int, int]],
         total: Tensor,
         count: Tensor,
     ) -> None:
-        """Add the costs of all pairs to total and count (B, H, W)."""
-        features = {i: self.describe(spherical[i], columns[i]) for i in {i for pair in pairs for i in pair}}
-        W = spherical.shape[-1]
+        """Add the costs and the visibility of all pairs to total and count (B, H, W)."""
+        network, W, device = self.network, images.shape[-1], images.device
+        features = {i: network.extract_columns(images[i], columns[i]) for i in {i for pair in pairs for i in pair}}
+        chunk = 1 << 11 if device.type == "cpu" else 1 << 19  # pixels; as for the spheres
         for i, j in pairs:
-            for first, last in self.strips(columns[i], columns[j], W):
-                strip = torch.arange(first * self.stride, last * self.stride, device=spherical.device) % W
-                seen = ~(spherical[i].index_select(-1, strip) + spherical[j].index_select(-1, strip)).isnan()
-                cost = torch.zeros(seen.shape, device=spherical.device)
-                cost[seen] = self.cost_of(self.score(features[i], features[j], first, last, seen))
+            for start, stop in network.shared_strips(columns[i], columns[j], W):
+                strip = torch.arange(network.stride * start, network.stride * stop, device=device) % W
+                visible = ~(images[i].index_select(-1, strip) + images[j].index_select(-1, strip)).isnan()
+                pixels = network.match_columns(features[i], features[j], start, stop)[visible]
+                scores = torch.cat([network.score_pixels(part) for part in pixels.split(chunk)])
+                cost = torch.zeros(visible.shape, device=device)
+                cost[visible] = network.to_cost(scores)
                 total[..., strip] += cost
-                count[..., strip] += seen
-
-    def save(self, path: str | Path, **about: Any) -> None:
-        """Write the weights, with what else there is to know about them; see `save_tensors`."""
-        save_tensors(path, self.state_dict(), {"architecture": type(self).__name__, "config": self.config, **about})
-
-    @classmethod
-    def read(cls, path: str | Path, precision: Precision = "auto") -> Self:
-        """Build the network that a file describes, with its weights.
-
-        Raises
-        ------
-        OmnistereoError
-            If the file is missing, damaged, or holds another architecture.
-        """
-        tensors, about = load_tensors(path)
-        if about.get("architecture") != cls.__name__:
-            found = about.get("architecture", "a training state")
-            raise OmnistereoError(f"{path} holds weights of {found}, expected {cls.__name__}")
-        uses_bfloat16(precision, "cpu")
-        network = cls(**about["config"])
-        network.precision = precision
-        try:
-            network.load_state_dict(tensors)
-        except RuntimeError as error:
-            raise OmnistereoError(f"{path} does not fit {cls.__name__}{about['config']}: {error}") from None
-        return network.eval()
+                count[..., strip] += visible

@@ -3,35 +3,33 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, Literal, Self
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import normalize, pad, relu, relu_
+from torch.nn.functional import normalize, relu, relu_
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.stereo.learned import Features, LearnedCost, Precision, full_precision, in_strips
-from omnistereo_lib.stereo.weights import SHIPPED
+from omnistereo_lib.stereo.learned import PairNetwork, full_precision
+from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
 
 PATCH = 9  # pixels: four 3 × 3 layers without padding leave one
 _MAPS = {"fast": 64, "accurate": 112}
+Variant = Literal["fast", "accurate"]
 
 
-class MCCNN(LearnedCost):
-    """MC-CNN as a matching cost, called like `ZNCC`: 0 = match, 1 = no match.
+class MCCNN(PairNetwork):
+    """MC-CNN: two spherical images → cost map, 0 = match, 1 = no match.
 
-    Both variants describe a patch by four 3 × 3 convolutions. "fast" compares descriptions by their cosine,
-    cost (1 - cos)/2; "accurate" by four fully connected layers of 384 and a sigmoid. Whole panoramas are described
-    at once, which equals patch by patch. A patch wraps around the panorama's seam; where a camera does not see, and
-    above and below the panorama, it is 0, the mean gray value.
+    Four 3 × 3 convolutions extract the features of a patch. "fast" compares them by their cosine, cost
+    (1 - cos)/2; "accurate" by four fully connected layers of 384 and a sigmoid. Whole panoramas run at once,
+    which equals patch by patch. A patch wraps around the ±180° seam; it is 0, the mean gray value, where a camera
+    does not see and above and below the panorama.
 
     Parameters
     ----------
     variant : "fast" | "accurate"
         111,424 and 870,449 parameters.
-    precision : "auto" | "float32" | "bfloat16"
-        Of the matrix products; "auto" takes bfloat16 where the processor multiplies it in hardware.
 
     Raises
     ------
@@ -39,14 +37,13 @@ class MCCNN(LearnedCost):
         If there is no such variant.
     """
 
-    stride, reach, margin = 1, PATCH // 2, 0
+    padding = (PATCH // 2, PATCH // 2)
 
-    def __init__(self, variant: Literal["fast", "accurate"] = "fast", precision: Precision = "auto") -> None:
+    def __init__(self, variant: Variant = "fast") -> None:
         super().__init__()
         if variant not in _MAPS:
-            raise OmnistereoError(f'variant must be "fast" or "accurate", got {variant!r}')
-        self.variant, self.precision = variant, precision
-        maps = _MAPS[variant]
+            raise OmnistereoError(f'variant = {variant!r}; expected "fast" or "accurate"')
+        self.variant, maps = variant, _MAPS[variant]
         self.tower = nn.ModuleList(nn.Conv2d(1 if k == 0 else maps, maps, 3) for k in range(4))
         sizes = [2 * maps, 384, 384, 384, 384, 1] if variant == "accurate" else [0]
         self.head = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(sizes))
@@ -55,17 +52,11 @@ class MCCNN(LearnedCost):
             nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
         if self.head:
             nn.init.normal_(self.head[-1].weight, std=0.01)  # starts undecided
-        self.to(memory_format=torch.channels_last)
 
     @classmethod
-    def load(
-        cls,
-        path: str | Path | None = None,
-        precision: Precision = "auto",
-        variant: Literal["fast", "accurate"] = "fast",
-    ) -> Self:
-        """Return a shipped network, or the one of a file that training wrote; see `read` for errors."""
-        return cls.read(SHIPPED / f"mccnn_{variant}.safetensors" if path is None else path, precision)
+    def pretrained(cls, variant: Variant = "fast") -> Self:
+        """Return a bundled network, in evaluation mode."""
+        return cls.from_file(BUNDLED_WEIGHTS / f"mccnn_{variant}.safetensors", variant=variant)
 
     @property
     def config(self) -> dict[str, Any]:
@@ -75,38 +66,43 @@ class MCCNN(LearnedCost):
     def check_size(self, H: int, W: int) -> None:
         """Refuse panoramas smaller than a patch."""
         if min(H, W) < PATCH:
-            raise OmnistereoError(f"patches of {PATCH} × {PATCH} do not fit a panorama of {W} × {H} pixels")
+            raise OmnistereoError(f"panorama of {W} × {H} pixels; expected at least a patch of {PATCH} × {PATCH}")
 
-    def describe_patches(self, patches: Tensor) -> Tensor:
-        """Describe images (M, H, W) at every pixel that has a whole patch around it: (M, maps, H - 8, W - 8)."""
-        x = patches[:, None].contiguous(memory_format=torch.channels_last)
-        with full_precision(x):  # a patch's texture may be little beside its brightness
+    def forward(self, left: Tensor, right: Tensor) -> Tensor:
+        """Return the cost map in [0, 1] of two spherical images, shape (B, H, W) each, 0 where unseen."""
+        H, W = left.shape[1:]
+        self.check_size(H, W)
+        left, right = (self.extract_features(self.pad_columns(image, 0, W)) for image in (left, right))
+        return self.to_cost(self.score_pixels(self.match_features(left, right)))
+
+    def extract_features(self, images: Tensor) -> Tensor:
+        """Return the features of every pixel with a whole patch around it: (B, h, w) → (B, maps, h - 8, w - 8).
+
+        Of unit length in the fast variant.
+        """
+        x = images[:, None]
+        with full_precision(x):  # the texture of a patch may be faint beside its brightness
             x = relu_(self.tower[0](x))
         for layer in self.tower[1:-1]:
             x = relu_(layer(x))
         x = self.tower[-1](x)
         return normalize(x.float()) if self.variant == "fast" else relu(x)
 
-    def unary(self, images: Tensor, first: int, last: int) -> Features:
-        """Describe the columns first … last - 1 of images (M, H, W): features (M, maps, H, last - first)."""
-        W = images.shape[-1]
-        columns = torch.arange(first - self.reach, last + self.reach, device=images.device) % W
-        x = pad(images.index_select(-1, columns), (0, 0, self.reach, self.reach))
-        return Features(self.describe_patches(x), first, W)
-
-    def compare(self, left: Tensor, right: Tensor, chosen: Tensor, offset: int) -> Tensor:
-        """Return cosines, or what the sigmoid gets, of the chosen pixels; see `LearnedCost.compare`."""
+    def match_features(self, left: Tensor, right: Tensor) -> Tensor:
+        """Return the cosine (fast) or both features (accurate) of every pixel: (B, H, w, 1 or 2 maps)."""
         if self.variant == "fast":
-            return (left * right).sum(1)[chosen]
-        pixels = torch.cat([side.permute(0, 2, 3, 1)[chosen] for side in (left, right)], -1)
-        return in_strips(self._score, pixels)
+            return (left * right).sum(1)[..., None]
+        return torch.cat([side.permute(0, 2, 3, 1) for side in (left, right)], -1)
 
-    def _score(self, x: Tensor) -> Tensor:
+    def score_pixels(self, pixels: Tensor) -> Tensor:
+        """Return the scores (…) of pixels (…, K): a cosine, match = 1 (fast), or a logit of mismatch (accurate)."""
+        if self.variant == "fast":
+            return pixels[..., 0]
         for layer in self.head[:-1]:
-            x = relu_(layer(x))
-        with full_precision(x):
-            return self.head[-1](x.to(self.head[-1].weight.dtype))[:, 0]
+            pixels = relu_(layer(pixels))
+        with full_precision(pixels):
+            return self.head[-1](pixels.to(self.head[-1].weight.dtype))[..., 0]
 
-    def cost_of(self, score: Tensor) -> Tensor:
+    def to_cost(self, score: Tensor) -> Tensor:
         """Return the cost in [0, 1] of a score."""
         return torch.sigmoid(score) if self.variant == "accurate" else (0.5 - 0.5 * score).clamp(0, 1)

@@ -15,12 +15,12 @@ from typing import Any, Literal
 from torch import Tensor
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.stereo.learned import LearnedCost, Precision
+from omnistereo_lib.stereo.learned import LearnedCost, PairNetwork, Precision
 from omnistereo_lib.stereo.mccnn import MCCNN
 from omnistereo_lib.stereo.sgm import sgm
 from omnistereo_lib.stereo.sweepnet import SweepNet
 from omnistereo_lib.stereo.volume import Cost
-from omnistereo_lib.stereo.weights import SHIPPED
+from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
 from omnistereo_lib.stereo.zncc import ZNCC
 
 
@@ -51,24 +51,24 @@ class CostEntry:
 
 
 @cache
-def _network(architecture: type[LearnedCost], path: Path, wrap: bool, precision: Precision) -> LearnedCost:
-    """Return a network from its weights file, which is read once per process."""
-    network = architecture.read(path, precision)
+def _learned(architecture: type[PairNetwork], path: Path, wrap: bool, precision: Precision) -> LearnedCost:
+    """Return a network as a cost; its weights file is read once per process."""
+    network = architecture.from_file(path)
     network.wrap = network.wrap and wrap
-    return network
+    return LearnedCost(network, precision)
 
 
 COSTS = {  # in the order of Table II
     "zncc": CostEntry("ZNCC", lambda method, path, precision: ZNCC(method.window), frozenset({"window"})),
     "mccnn": CostEntry(
         "MC-CNN",
-        lambda method, path, precision: _network(MCCNN, path, True, precision),
+        lambda method, path, precision: _learned(MCCNN, path, True, precision),
         frozenset({"weights"}),
         "mccnn_fast",
     ),
     "sweepnet": CostEntry(
         "SweepNet",
-        lambda method, path, precision: _network(SweepNet, path, method.wrap, precision),
+        lambda method, path, precision: _learned(SweepNet, path, method.wrap, precision),
         frozenset({"weights", "wrap"}),
         "sweepnet",
     ),
@@ -209,12 +209,12 @@ class Method:
         of_sgm = {"p1", "p2", "wrap"} if self.aggregate == "sgm" else set()
         return {"pairs", "subindex", "num_spheres"} | COSTS[self.cost].settings | of_sgm
 
-    def weights_file(self, folder: Path = SHIPPED) -> Path | None:
+    def weights_file(self, folder: Path = BUNDLED_WEIGHTS) -> Path | None:
         """Return the weights file in a folder, or None for a cost without weights."""
         bundled = COSTS[self.cost].weights
         return folder / f"{self.weights or bundled}.safetensors" if bundled else None
 
-    def load_cost(self, folder: Path = SHIPPED, precision: Precision = "auto") -> Cost:
+    def load_cost(self, folder: Path = BUNDLED_WEIGHTS, precision: Precision = "auto") -> Cost:
         """Return the matching cost, a network with its weights from a folder.
 
         Raises

@@ -1,69 +1,131 @@
-"""Files of tensors: a network's weights, or the state of a training run. Safetensors, never pickle."""
+"""Files of tensors: the weights of a network, or the state of a training run. Safetensors, never pickle."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import struct
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
-from torch import Tensor
+from torch import Tensor, nn
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write
 
-SHIPPED = Path(__file__).resolve().parents[1] / "weights"
+BUNDLED_WEIGHTS = Path(__file__).resolve().parents[1] / "weights"
 
 
-def save_tensors(path: str | Path, tensors: Mapping[str, Tensor], about: Mapping[str, Any]) -> None:
-    """Write tensors and what there is to know about them into one file, whole or not at all.
+class StoredNetwork(nn.Module):
+    """A network that a file of weights describes completely.
+
+    Attributes
+    ----------
+    config : dict
+        The arguments that build the architecture, as JSON can hold them.
+    """
+
+    config: dict[str, Any]
+
+    def save(self, path: str | Path, **metadata: Any) -> None:
+        """Write the weights with the architecture and other metadata; raises as `save_tensors`."""
+        about = {"architecture": type(self).__name__, "config": self.config, **metadata}
+        save_tensors(path, self.state_dict(), about)
+
+    @classmethod
+    def from_file(cls, path: str | Path, **expected: Any) -> Self:
+        """Build a network with the weights of a file, in evaluation mode.
+
+        Parameters
+        ----------
+        path : path
+            A .safetensors file that `save` or training wrote.
+        **expected
+            Entries that the `config` in the file must have, such as variant="accurate".
+
+        Raises
+        ------
+        OmnistereoError
+            If the file is missing or damaged, holds another architecture or config, or values that are not finite.
+        """
+        tensors, metadata = load_tensors(path)
+        name, config = metadata.get("architecture", "a training state"), metadata.get("config", {})
+        if name != cls.__name__ or config != config | expected:
+            wanted = _signature(cls.__name__, expected)
+            raise OmnistereoError(f"{path}: holds {_signature(name, config)}; expected {wanted}. Pass another file.")
+        network = cls(**config)
+        try:
+            network.load_state_dict(tensors)
+        except RuntimeError as error:
+            raise OmnistereoError(f"{path} does not fit {_signature(name, config)}: {error}") from None
+        return network.eval()
+
+
+def _signature(name: str, config: Mapping[str, Any]) -> str:
+    return f"{name}({', '.join(f'{key}={value!r}' for key, value in config.items())})" if config else name
+
+
+def save_tensors(path: str | Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, Any]) -> None:
+    """Write tensors and metadata into one file, atomically; equal content gives equal bytes.
 
     Parameters
     ----------
     path : path
         Ends in .safetensors.
     tensors : mapping of name to tensor
-    about : mapping
-        Anything that JSON can hold; for weights "architecture" and "config". It stands in the file's header,
-        beside a checksum of the tensors.
+    metadata : mapping
+        Anything that JSON can hold; for weights "architecture" and "config". Stored in the file header under
+        "about", beside a checksum of the tensors.
 
     Raises
     ------
     OmnistereoError
-        If it cannot be written; the file that was there before stays.
+        If a tensor is not finite or the file cannot be written; an earlier file stays.
     """
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    header = {"about": json.dumps(about), "sha256": _checksum(tensors)}
+    _check_finite(path, tensors)
+    content = save(tensors, {"about": json.dumps(metadata), "sha256": _checksum(tensors)})
+    # The header (its length, then JSON) comes in random order from `save`: sort it.
+    (length,) = struct.unpack("<Q", content[:8])
+    header = json.dumps(json.loads(content[8 : 8 + length]), sort_keys=True).encode()
+    header += b" " * (-len(header) % 8)  # the tensors must stay aligned
     with atomic_write(path) as temporary:
-        temporary.write_bytes(save(tensors, header))
+        temporary.write_bytes(struct.pack("<Q", len(header)) + header + content[8 + length :])
 
 
 def load_tensors(path: str | Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Return the tensors of a file, on the CPU, and what `save_tensors` was told about them.
+    """Return the tensors of a file, on the CPU, and the metadata that `save_tensors` wrote with them.
 
     Raises
     ------
     OmnistereoError
-        If the file is missing, cut short, changed since it was written, or not one of ours.
+        If the file is missing, truncated, changed since it was written, not finite, or not from this library.
     """
     path = Path(path)
     if not path.is_file():
-        raise OmnistereoError(f"{path} does not exist: expected a .safetensors file that training wrote")
+        raise OmnistereoError(f"{path} does not exist; expected a .safetensors file that training wrote")
     try:
         with safe_open(path, "pt") as file:
             header = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118, not a dict
     except (SafetensorError, OSError) as error:
-        raise OmnistereoError(f"{path} is not a whole safetensors file: {error}. Copy it again") from None
+        raise OmnistereoError(f"{path} is not a complete safetensors file: {error}. Copy it again.") from None
     if not {"about", "sha256"} <= header.keys():
-        raise OmnistereoError(f"{path} was not written by this library: its header says {sorted(header)}")
+        raise OmnistereoError(f"{path} was not written by this library: its header has {sorted(header)}")
     if _checksum(tensors) != header["sha256"]:
-        raise OmnistereoError(f"{path} has changed since it was written (checksum). Copy it again")
+        raise OmnistereoError(f"{path} has changed since it was written (checksum). Copy it again.")
+    _check_finite(path, tensors)
     return tensors, json.loads(header["about"])
+
+
+def _check_finite(path: str | Path, tensors: Mapping[str, Tensor]) -> None:
+    for name, tensor in tensors.items():
+        if not tensor.isfinite().all():
+            raise OmnistereoError(f"{path}: {name} is NaN or infinite; expected finite weights. Lower learning_rate.")
 
 
 def _checksum(tensors: Mapping[str, Tensor]) -> str:

@@ -1,7 +1,16 @@
-"""Training of the learned costs: `recipes` what is done, `spheres` and `patches` on which samples, `loop` how."""
+"""Training of the learned costs: `recipes` (settings), `spheres` and `patches` (samples and losses), `loop`."""
 
-from omnistereo_lib.train.card import ship
+from omnistereo_lib.train.card import export_weights
 from omnistereo_lib.train.loop import train, write_comparison
 from omnistereo_lib.train.recipes import RECIPES, VARIANTS, MCCNNRecipe, Recipe, SweepNetRecipe
 
-__all__ = ["RECIPES", "VARIANTS", "MCCNNRecipe", "Recipe", "SweepNetRecipe", "ship", "train", "write_comparison"]
+__all__ = [
+    "RECIPES",
+    "VARIANTS",
+    "MCCNNRecipe",
+    "Recipe",
+    "SweepNetRecipe",
+    "export_weights",
+    "train",
+    "write_comparison",
+]

@@ -1,9 +1,10 @@
-"""From a finished run to weights that ship: the file, its learning curve, and a card that says where it comes from."""
+"""From a finished run to bundled weights: the file, its learning curve, and a model card."""
 
 from __future__ import annotations
 
 import csv
 import hashlib
+import math
 import shutil
 from collections.abc import Sequence
 from itertools import pairwise
@@ -11,27 +12,48 @@ from pathlib import Path
 from typing import Any
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import atomic_write, make_folder
-from omnistereo_lib.stereo.weights import SHIPPED, load_tensors, save_tensors
+from omnistereo_lib.files import atomic_write, make_folder, read_bytes
+from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS, load_tensors, save_tensors
 from omnistereo_lib.train.loop import LOG, WEIGHTS, read_log
-from omnistereo_lib.train.recipes import RECIPES, MCCNNRecipe, Recipe
+from omnistereo_lib.train.recipes import RECIPES, Recipe
 
-_EVERY = 10  # steps between two rows of the curve that ships
+_EVERY = 10  # steps between two rows of the curve
+_CARD = """# {file}
+
+`{architecture}({config})`, SHA-256 `{sha256}`
+
+Written by `{command}`.
+
+- **Data:** {folder}, {frames} frames, every tenth only for validation; SHA-256 of all of them `{data_sha256}`. No \
+test street is among them.
+- **Machine:** {processor}, {threads} threads, {processes} process(es), {precision}, torch {torch}; {hours:.1f} hours.
+- **Errors** on the test streets: `python -m omnistereo_lib evaluate`.
+
+| step | validation loss | validation error |
+|---|---|---|
+{validations}
+
+| recipe | |
+|---|---|
+{settings}
+"""
 
 
-def ship(run: str | Path, recipe: Recipe, folder: str | Path = SHIPPED, half: bool = False) -> list[Path]:
-    """Put a finished run's weights where `SweepNet.load` and `MCCNN.load` look for them.
+def export_weights(
+    run: str | Path, recipe: Recipe, folder: str | Path = BUNDLED_WEIGHTS, half: bool = False
+) -> list[Path]:
+    """Put the weights of a finished run where `SweepNet.pretrained` and `MCCNN.pretrained` look for them.
 
     Parameters
     ----------
     run : path
         Folder of the run.
     recipe : Recipe
-        What was trained.
+        The recipe of the run.
     folder : path
-        Gets NAME.safetensors, NAME.csv (the loss of every tenth step) and NAME.md (the card).
+        Gets NAME.safetensors, NAME.csv (the loss of every tenth step) and NAME.md (the model card).
     half : bool
-        Store float16, for half the file; a network computes with the float32 or bfloat16 of it.
+        Store float16, for half the file size; a network computes in float32 or bfloat16 nonetheless.
 
     Returns
     -------
@@ -44,76 +66,66 @@ def ship(run: str | Path, recipe: Recipe, folder: str | Path = SHIPPED, half: bo
         If the run is of another recipe or not finished, or the folder cannot be written.
     """
     run, folder = Path(run), make_folder(folder)
-    tensors, about = load_tensors(run / WEIGHTS)
-    if about["recipe"] != recipe.as_dict() or about["step"] + 1 != recipe.steps:
+    tensors, metadata = load_tensors(run / WEIGHTS)
+    if metadata["recipe"] != recipe.as_dict() or metadata["step"] + 1 != recipe.steps:
         raise OmnistereoError(
-            f"{run / WEIGHTS} is not what {recipe.steps} steps of this recipe gave: train to the end first"
+            f"{run / WEIGHTS}: not the result of {recipe.steps} steps of this recipe. Train to the end first."
         )
-    name = f"mccnn_{recipe.variant}" if isinstance(recipe, MCCNNRecipe) else recipe.network
+    name = "_".join([recipe.network, *([recipe.variant] if hasattr(recipe, "variant") else [])])
+    weights, curve, card = (folder / f"{name}.{ending}" for ending in ("safetensors", "csv", "md"))
     rows = read_log(run / LOG, recipe.steps)
-    files = [folder / f"{name}.{ending}" for ending in ("safetensors", "csv", "md")]
     if half:
-        save_tensors(files[0], {key: value.half() for key, value in tensors.items()}, about)
+        save_tensors(weights, {key: value.half() for key, value in tensors.items()}, metadata)
     else:
-        with atomic_write(files[0]) as temporary:
+        with atomic_write(weights) as temporary:
             shutil.copyfile(run / WEIGHTS, temporary)
-    with atomic_write(files[1]) as temporary, temporary.open("w", newline="") as file:
+    with atomic_write(curve) as temporary, temporary.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["step", "loss", "error", "validation_loss", "validation_error"])
-        writer.writerows(_thinned(rows))
-    with atomic_write(files[2]) as temporary:
-        temporary.write_text(_card(files[0], recipe, about, rows, half), encoding="utf-8")
-    return files
+        writer.writerows(_thin(rows))
+    with atomic_write(card) as temporary:
+        temporary.write_text(_model_card(weights, recipe, metadata, rows, half), encoding="utf-8")
+    return [weights, curve, card]
 
 
-def _thinned(rows: Sequence[dict[str, float]]) -> list[list[Any]]:
-    """Return the mean loss and error of every ten steps, and each validation."""
+def _thin(rows: Sequence[dict[str, float]]) -> list[list[Any]]:
+    """Return the mean loss and error of every ten steps, and the last validation among them."""
     thin = []
-    for k in range(0, len(rows), _EVERY):
-        part = rows[k : k + _EVERY]
+    for part in (rows[k : k + _EVERY] for k in range(0, len(rows), _EVERY)):
         means = [f"{sum(row[name] for row in part) / len(part):.4g}" for name in ("loss", "error")]
-        checked = [row for row in part if row["validation_loss"] == row["validation_loss"]]
-        last = [f"{checked[-1][name]:.4g}" for name in ("validation_loss", "validation_error")] if checked else ["", ""]
-        thin.append([part[-1]["step"] + 1, *means, *last])
+        last = [[f"{row[name]:.4g}" for name in ("validation_loss", "validation_error")] for row in _validated(part)]
+        thin.append([part[-1]["step"] + 1, *means, *(last[-1] if last else ["", ""])])
     return thin
 
 
+def _validated(rows: Sequence[dict[str, float]]) -> list[dict[str, float]]:
+    return [row for row in rows if not math.isnan(row["validation_loss"])]
+
+
 def _hours(rows: Sequence[dict[str, float]]) -> float:
-    """Return the time that all calls took together: "seconds" starts anew with each."""
+    """Return the time of all calls together: "seconds" starts from 0 in each."""
     seconds = [row["seconds"] for row in rows]
     return sum(b - a if b > a else b for a, b in pairwise([0.0, *seconds])) / 3600
 
 
-def _card(weights: Path, recipe: Recipe, about: dict[str, Any], rows: Sequence[dict[str, float]], half: bool) -> str:
-    data, preset = about["data"], RECIPES[recipe.network]["shipped"].as_dict()
-    changed = [f"{name}={value}" for name, value in recipe.as_dict().items() if preset.get(name) != value]
+def _model_card(
+    weights: Path, recipe: Recipe, metadata: dict[str, Any], rows: Sequence[dict[str, float]], half: bool
+) -> str:
+    preset, settings = RECIPES[recipe.network]["shipped"].as_dict(), recipe.as_dict()
+    overrides = [f"{name}={value}" for name, value in settings.items() if preset.get(name) != value]
     command = f"python -m omnistereo_lib train {recipe.network} --preset shipped"
-    command += f" --set {' '.join(changed)}" if changed else ""
-    origin = f" --start FILE`, FILE with SHA-256 `{about['start']}" if about.get("start") else ""
-    numbers = "\n".join(f"| {name} | {value} |" for name, value in recipe.as_dict().items())
-    checks = "\n".join(
-        f"| {row['step'] + 1} | {row['validation_loss']:.4f} | {100 * row['validation_error']:.2f} % |"
-        for row in rows
-        if row["validation_loss"] == row["validation_loss"]
-    )
-    return f"""# {weights.name}
-
-`{about["architecture"]}({", ".join(f"{key}={value!r}" for key, value in about["config"].items())})`, \
-SHA-256 `{hashlib.sha256(weights.read_bytes()).hexdigest()}`
-
-Written by `{command} --ship{" float16" if half else ""}{origin}`.
-
-- **Data:** {data["folder"]}, {data["frames"]} frames, every tenth for validation alone; \
-SHA-256 of all of them `{data["sha256"]}`. No test street among them.
-- **Machine:** {about["processor"]}, {about["threads"]} threads, {about["processes"]} process(es), \
-{about["precision"]}, torch {about["torch"]}; {_hours(rows):.1f} hours.
-- **Errors** on the test streets: `python -m omnistereo_lib evaluate`.
-
-| step | validation loss | validation error |
-|---|---|---|
-{checks}
-
-| recipe | |
-|---|---|
-{numbers}
-"""
+    command += (f" --set {' '.join(overrides)}" if overrides else "") + " --ship" + (" float16" if half else "")
+    if metadata.get("init_weights"):
+        command += f" --init-weights FILE`, FILE with SHA-256 `{metadata['init_weights']}"
+    return _CARD.format_map(
+        metadata | metadata["data"] | {
+            "file": weights.name, "sha256": hashlib.sha256(read_bytes(weights)).hexdigest(), "command": command,
+            "config": ", ".join(f"{key}={value!r}" for key, value in metadata["config"].items()),
+            "data_sha256": metadata["data"]["sha256"], "hours": _hours(rows),
+            "settings": "\n".join(f"| {name} | {value} |" for name, value in settings.items()),
+            "validations": "\n".join(
+                f"| {row['step'] + 1} | {row['validation_loss']:.4f} | {100 * row['validation_error']:.2f} % |"
+                for row in _validated(rows)
+            ),
+        }
+    )  # fmt: skip

@@ -1,4 +1,4 @@
-"""The frames that training draws from, and what both kinds of samples need of them."""
+"""The frames to train on, shared by the samples of all networks."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from torch import Tensor
 
 from omnistereo_lib.dataset import Frame, load_dataset
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.files import read_bytes
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.sweep import SphereSweep, to_gray
 from omnistereo_lib.stereo.volume import camera_pairs
@@ -22,7 +23,7 @@ DATA = Path(__file__).resolve().parents[2] / "data_samples" / "sunny" / "train"
 
 
 class TrainingFrames:
-    """The frames with ground truth of one data set: nine of ten to train on, every tenth to validate on.
+    """The frames of one data set that have ground truth: nine of ten to train on, every tenth for validation.
 
     Parameters
     ----------
@@ -34,77 +35,63 @@ class TrainingFrames:
     Raises
     ------
     OmnistereoError
-        If fewer than two frames have ground truth, or the rig's file does not state the nearest depth.
+        If fewer than two frames have ground truth, or the rig file does not state the nearest depth.
     """
 
     def __init__(self, recipe: Recipe, data: str | Path, device: torch.device | str = "cpu") -> None:
         self.recipe = recipe
         dataset = load_dataset(data)
         if dataset.rig.min_depth is None:
-            raise OmnistereoError(f"the rig of {data} does not state its nearest depth: add it to config.yaml")
+            raise OmnistereoError(f"the rig of {data} does not state its nearest depth. Add it to config.yaml.")
         frames = [frame for frame in dataset if frame.truth_path is not None]
         if len(frames) < 2:
-            raise OmnistereoError(f"{data} has {len(frames)} frames with ground truth, training needs 2 at least")
-        grid = SphereGrid(recipe.width, recipe.height, num_spheres=recipe.num_spheres, min_depth=dataset.rig.min_depth)
-        self.sweep = SphereSweep(dataset.rig, grid, device=device)
+            raise OmnistereoError(f"{data} has {len(frames)} frames with ground truth; expected at least 2")
+        self.grid = SphereGrid(
+            recipe.width, recipe.height, num_spheres=recipe.num_spheres, min_depth=dataset.rig.min_depth
+        )
+        self.sweep = SphereSweep(dataset.rig, self.grid, device=device)
         self.pairs = camera_pairs("ring", self.sweep.rig)
         self.validation = frames[::10]
         self.training = [frame for k, frame in enumerate(frames) if k % 10]
-        self._index: dict[int, NDArray[np.float32]] = {}
-        self.about = {
-            "folder": "/".join(Path(data).resolve().parts[-2:]),
-            "frames": len(frames),
-            "sha256": _checksum([path for frame in frames for path in (*frame.image_paths, frame.truth_path)]),
-        }
-
-    @property
-    def grid(self) -> SphereGrid:
-        """The rays and spheres."""
-        return self.sweep.grid
+        self._gt_index: dict[int, NDArray[np.float32]] = {}
+        digest = hashlib.sha256()
+        for path in (path for frame in frames for path in (*frame.image_paths, frame.truth_path)):
+            digest.update(read_bytes(path))
+        folder = "/".join(Path(data).resolve().parts[-2:])
+        self.metadata = {"folder": folder, "frames": len(frames), "sha256": digest.hexdigest()}
 
     @cached_property
     def rays(self) -> NDArray[np.float64]:
-        """The grid's rays, (H, W, 3)."""
+        """The rays of the grid, (H, W, 3)."""
         return self.grid.rays()
 
-    def training_frame(self, group: int) -> Frame:
-        """Return the frame of a group, counted over all steps: every frame once in each epoch, in random order."""
-        epoch, place = divmod(group, len(self.training))
+    def training_frame(self, number: int) -> Frame:
+        """Return the frame of a micro-batch, counted over all steps: once per epoch, in random order."""
+        epoch, place = divmod(number, len(self.training))
         order = np.random.default_rng([self.recipe.seed, epoch]).permutation(len(self.training))
         return self.training[order[place]]
 
     def gt_index(self, frame: Frame) -> NDArray[np.float32]:
-        """Return the frame's ground-truth sphere index, not rounded, (H, W); looked up once."""
-        if frame.number not in self._index:
-            self._index[frame.number] = frame.gt_index(self.grid).astype(np.float32)
-        return self._index[frame.number]
+        """Return the ground-truth sphere index of a frame, not rounded, (H, W); cached."""
+        if frame.number not in self._gt_index:
+            self._gt_index[frame.number] = frame.gt_index(self.grid).astype(np.float32)
+        return self._gt_index[frame.number]
 
     def images(self, frame: Frame, rng: np.random.Generator | None) -> list[Tensor]:
-        """Return a frame's images as the costs want them; each camera with a gain and a gamma of its own.
-
-        No rng: as they are.
-        """
+        """Return the normalised images of a frame; with an rng, each camera with a random gain and gamma."""
         if rng is None:
             return self.sweep.prepare(frame.images)
-        prepared = []
         gammas = np.exp(rng.uniform(-0.25, 0.25, len(frame.images)))
         curved = [255 * (to_gray(image) / 255) ** np.float32(g) for image, g in zip(frame.images, gammas, strict=True)]
+        images = []
         for image in self.sweep.prepare(curved):
             gain, offset = np.exp(rng.uniform(-0.2, 0.2)), rng.uniform(-0.2, 0.2)
-            prepared.append(image * float(gain) + float(offset))
-        return prepared
+            images.append(image * float(gain) + float(offset))
+        return images
 
 
-def _checksum(paths: list[Path]) -> str:
-    """Return the SHA-256 of files, one behind the other."""
-    digest = hashlib.sha256()
-    for path in paths:
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
-
-
-def shuffled_true(mask: NDArray[np.bool_], count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Return flat indices of at most `count` cells of a mask, drawn at random."""
+def sample_true_indices(mask: NDArray[np.bool_], count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Return flat indices of at most `count` true cells of a mask, drawn at random."""
     cells = np.flatnonzero(mask)
     return cells if len(cells) <= count else rng.choice(cells, count, replace=False)
 

@@ -1,18 +1,19 @@
-"""The training loop: one step after another, each a pure function of the recipe, the data and what came before.
+"""The training loop: every step is a pure function of the recipe, the data and the step before.
 
-Which samples a step sees depends on (seed, step) alone, and the state is written whole or not at all, so a run that
-is killed at any moment goes on to the very weights that it would have reached. Several processes (`torchrun`) share
-the groups of a step and average their gradients: they compute what one process computes.
+The samples of a step depend only on (seed, step), and the state is written atomically, so a run that is killed at any
+moment resumes to exactly the weights that it would have reached. Several processes (`torchrun`) share the
+micro-batches of a step and average their gradients: they compute what one process computes.
 """
 
 from __future__ import annotations
 
 import csv
 import hashlib
+import math
 import os
 import platform
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -24,17 +25,18 @@ from torch.nn.parallel import DistributedDataParallel
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, make_folder, read_bytes
-from omnistereo_lib.stereo.learned import LearnedCost, Precision, uses_bfloat16
+from omnistereo_lib.stereo.learned import Precision, autocast, uses_bfloat16
 from omnistereo_lib.stereo.sweep import find_device
 from omnistereo_lib.stereo.weights import load_tensors, save_tensors
 from omnistereo_lib.train.frames import DATA
-from omnistereo_lib.train.patches import PatchObjective, PatchSamples
-from omnistereo_lib.train.recipes import Recipe, SweepNetRecipe
-from omnistereo_lib.train.spheres import SphereObjective, SphereSamples
+from omnistereo_lib.train.patches import PatchSamples
+from omnistereo_lib.train.recipes import Recipe
+from omnistereo_lib.train.spheres import SphereSamples
 
 STATE, WEIGHTS, LOG = "state.safetensors", "weights.safetensors", "log.csv"
 COLUMNS = ("step", "loss", "error", "learning_rate", "seconds", "validation_loss", "validation_error")
-_TRAIN, _VALIDATE, _NORMS = range(3)  # what random numbers are for, so that no two uses share any
+_SAMPLES = {"sweepnet": SphereSamples, "mccnn": PatchSamples}
+_TRAIN, _VALIDATE, _NORMS = range(3)  # purposes of random numbers, so that no two share any
 
 
 def train(
@@ -44,12 +46,13 @@ def train(
     device: torch.device | str = "cpu",
     precision: Precision = "auto",
     checkpoint_s: float = 60.0,
-    start: str | Path | None = None,
-) -> Iterator[dict[str, float]]:
-    """Train a network, or go on where a run in the same folder was stopped.
+    init_weights: str | Path | None = None,
+    progress: Callable[[dict[str, float]], object] = lambda row: None,
+) -> Path:
+    """Train a network to the end, or resume an interrupted run in the same folder; return the file of weights.
 
-    The folder gets `log.csv`, `state.safetensors` (to go on) and, at every validation and at the end,
-    `weights.safetensors` (to use: `SweepNet.load`, `MCCNN.load`).
+    The folder gets `log.csv`, `state.safetensors` (to resume) and, at every validation and at the end,
+    `weights.safetensors` (for `SweepNet.from_file`, `MCCNN.from_file`).
 
     Parameters
     ----------
@@ -63,236 +66,234 @@ def train(
         Of the matrix products; weights, losses and sums stay float32.
     checkpoint_s : float
         Seconds between two states.
-    start : path, optional
-        Trained weights to begin with, in place of random ones. Their architecture must be the recipe's: weights that
-        training wrote are without norms, so `batch_norm` is False then.
-
-    Yields
-    ------
-    dict
-        One row of the log for every step: "step" from 0, "loss", "error", "learning_rate", "seconds" since this
-        call; "validation_loss" and "validation_error" where they were taken, else NaN.
+    init_weights : path, optional
+        Trained weights to begin with instead of random ones. Their architecture must be that of the recipe: training
+        writes weights without batch norms, so `batch_norm` must be False.
+    progress : callable
+        Called with the log row of every step: "step" from 0, "loss", "error", "learning_rate", "seconds" since this
+        call, "validation_loss" and "validation_error", NaN between validations. An exception in it stops the run.
 
     Raises
     ------
     OmnistereoError
-        If the data cannot be trained on, the folder holds a run of another recipe or start or cannot be written,
-        the start's architecture is not the recipe's, there is no such device, the processes cannot share the groups,
-        or the loss is no number any more.
+        If the data cannot be trained on, the folder belongs to a different run or cannot be written, the
+        architecture of `init_weights` is not that of the recipe, there is no such device, the micro-batches cannot be
+        divided among the processes, or the loss, its gradient or a weight is not finite.
     """
-    device = find_device(device)
-    rank, world = _join_processes(recipe, device)
+    run = _Run(recipe, data, find_device(device), precision, init_weights)
     out = make_folder(out)
-    samples = _samples(recipe, data, device)
-    samples.network.precision = precision
-    network = samples.network.to(device).train()
-    objective = _objective(recipe, network)
-    optimizer = _optimizer(recipe, network)
-    origin = None if start is None else _begin_with(Path(start), network)
-    first = _resume(out / STATE, recipe, origin, network, optimizer)
-    parallel = DistributedDataParallel(objective, broadcast_buffers=False) if world > 1 else objective
-    made = {"data": samples.about, "start": origin, "processes": world} | _machine(network, device)
+    first = run.resume(out / STATE)
     rows = read_log(out / LOG, first)
     began = last_saved = time.perf_counter()
     for step in range(first, recipe.steps):
-        for group in optimizer.param_groups:
-            group["lr"] = recipe.rate(step)
-        loss, error = _step(samples, parallel, optimizer, step, rank, world)
-        if not np.isfinite(loss):
-            raise OmnistereoError(f"the loss is {loss} at step {step}: take a lower learning_rate or more warmup")
-        row = dict.fromkeys(COLUMNS, float("nan"))
-        row |= {"step": step, "loss": loss, "error": error, "learning_rate": recipe.rate(step)}
+        row = dict.fromkeys(COLUMNS, math.nan) | run.step(step)
         done = step + 1
         if done % recipe.validate_every == 0 or done == recipe.steps:
-            row["validation_loss"], row["validation_error"] = _validate(samples, objective)
-            if rank == 0:
-                _export(out / WEIGHTS, recipe, network, row | made)
+            row |= run.validate()
+            if run.rank == 0:
+                run.write_weights(out / WEIGHTS, row)
         row["seconds"] = time.perf_counter() - began
         rows.append(row)
-        if rank == 0 and (done == recipe.steps or time.perf_counter() - last_saved >= checkpoint_s):
+        if run.rank == 0 and (done == recipe.steps or time.perf_counter() - last_saved >= checkpoint_s):
             _write_log(out / LOG, rows)
-            _save_state(out / STATE, done, recipe, origin, network, optimizer)
+            run.save_state(out / STATE, done)
             last_saved = time.perf_counter()
-        yield row
-    if world > 1:
+        progress(row)
+    if run.world > 1:
         distributed.destroy_process_group()
+    return out / WEIGHTS
 
 
-def _step(
-    samples: SphereSamples | PatchSamples,
-    parallel: nn.Module,
-    optimizer: torch.optim.Optimizer,
-    step: int,
-    rank: int,
-    world: int,
-) -> tuple[float, float]:
-    """Do one step on this process's groups; return loss and error of all groups."""
-    recipe, network = samples.recipe, samples.network
-    mine = range(rank, recipe.frames_per_step, world)
-    figures = torch.zeros(2)
-    optimizer.zero_grad()
-    for k in mine:
-        number = step * recipe.frames_per_step + k
-        rng = np.random.default_rng([recipe.seed, _TRAIN, number])
-        group = samples.group(samples.training_frame(number), rng, recipe.augment)
-        exchange = nullcontext() if world == 1 or k == mine[-1] else parallel.no_sync()
-        with exchange:
-            with network.autocast(next(network.parameters()).device):
-                loss, error = parallel(group)
-            (loss / len(mine)).backward()
-        figures += torch.stack([loss.detach(), error]).cpu() / len(mine)
-    torch.nn.utils.clip_grad_norm_(network.parameters(), recipe.clip)
-    optimizer.step()
-    if world > 1:
-        distributed.all_reduce(figures)
-    return tuple((figures / world).tolist())
+class _Run:
+    """Network, samples, loss and optimiser of one process among `world`, with number `rank`."""
+
+    def __init__(
+        self,
+        recipe: Recipe,
+        data: str | Path,
+        device: torch.device,
+        precision: Precision,
+        init_weights: str | Path | None,
+    ) -> None:
+        self.recipe, self.device, self.precision = recipe, device, precision
+        self.rank, self.world = _init_distributed(recipe, device)
+        with torch.random.fork_rng():
+            torch.manual_seed(recipe.seed)
+            self.samples = _SAMPLES[recipe.network](recipe, data, device)
+        # Channels last is faster, except for the gradient of the weights in float32 on a CPU; see `bench`.
+        slow = device.type == "cpu" and not uses_bfloat16(precision, device)
+        layout = torch.contiguous_format if slow else torch.channels_last
+        self.network = self.samples.network.to(device, memory_format=layout).train()
+        self.init_sha256 = None
+        if init_weights is not None:
+            given = type(self.network).from_file(init_weights, **self.network.config)
+            self.network.load_state_dict(given.state_dict())
+            self.init_sha256 = hashlib.sha256(read_bytes(init_weights)).hexdigest()
+        self.objective = self.samples.objective
+        self.parallel = DistributedDataParallel(self.objective, broadcast_buffers=False) if self.world > 1 else None
+        self.optimizer = _make_optimizer(recipe, self.network)
+
+    def micro_batch(self, purpose: int, k: int) -> Any:
+        """Draw micro-batch number k: of a validation frame, or of a training frame, augmented."""
+        rng = np.random.default_rng([self.recipe.seed, purpose, k])
+        if purpose == _VALIDATE:
+            frame = self.samples.validation[k % len(self.samples.validation)]
+            return self.samples.micro_batch(frame, rng, augment=False)
+        return self.samples.micro_batch(self.samples.training_frame(k), rng, self.recipe.augment)
+
+    def loss(self, micro_batch: Any, objective: nn.Module | None = None) -> tuple[Tensor, Tensor]:
+        """Return loss and error of a micro-batch, computed in the precision of the run."""
+        with autocast(self.precision, self.device):
+            return (objective or self.objective)(micro_batch)
+
+    def step(self, step: int) -> dict[str, float]:
+        """Do one step; return its row of the log, with the loss and error over all processes."""
+        rate = self.recipe.learning_rate_at(step)
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
+        mine = range(self.rank, self.recipe.frames_per_step, self.world)
+        metrics = torch.zeros(2)
+        self.optimizer.zero_grad()
+        for k in mine:
+            batch = self.micro_batch(_TRAIN, step * self.recipe.frames_per_step + k)
+            exchange = self.world == 1 or k == mine[-1]
+            with nullcontext() if exchange else self.parallel.no_sync():
+                loss, error = self.loss(batch, self.parallel)
+                (loss / len(mine)).backward()
+            metrics += torch.stack([loss.detach(), error]).cpu() / len(mine)
+        if self.world > 1:
+            distributed.all_reduce(metrics)
+        loss, error = (metrics / self.world).tolist()
+        norm = nn.utils.clip_grad_norm_(self.network.parameters(), self.recipe.clip).item()
+        if not math.isfinite(loss + norm):
+            raise OmnistereoError(
+                f"the loss is {loss} and the norm of its gradient {norm} at step {step}. Lower learning_rate or "
+                "increase warmup."
+            )
+        self.optimizer.step()
+        return {"step": step, "loss": loss, "error": error, "learning_rate": rate}
+
+    @torch.no_grad()
+    def validate(self) -> dict[str, float]:
+        """Return mean loss and error of the same micro-batches every time, of frames that are never trained on."""
+        self._update_bn()
+        self.network.eval()
+        metrics = torch.zeros(2)
+        for k in range(self.recipe.validation_groups):
+            metrics += torch.stack(self.loss(self.micro_batch(_VALIDATE, k))).cpu() / self.recipe.validation_groups
+        self.network.train()
+        return dict(zip(("validation_loss", "validation_error"), metrics.tolist(), strict=True))
+
+    def _update_bn(self) -> None:
+        """Recompute the means and variances of batch normalisation over some training micro-batches.
+
+        Running averages would lag behind the weights and differ between processes.
+        """
+        norms = [layer for layer in self.network.modules() if isinstance(layer, nn.modules.batchnorm._BatchNorm)]
+        for norm in norms:
+            norm.reset_running_stats()
+        for k in range(self.recipe.validation_groups if norms else 0):
+            self.loss(self.micro_batch(_NORMS, k))
+
+    def write_weights(self, path: Path, row: Mapping[str, float]) -> None:
+        """Write the weights to use, batch norms fused, with what they come from: two machines give two sets."""
+        self.network.fuse_batch_norm().save(
+            path,
+            recipe=self.recipe.as_dict(),
+            **row,
+            data=self.samples.metadata,
+            init_weights=self.init_sha256,
+            processes=self.world,
+            processor=_processor(self.device),
+            threads=torch.get_num_threads(),
+            precision="bfloat16" if uses_bfloat16(self.precision, self.device) else "float32",
+            torch=torch.__version__,
+        )
+
+    def save_state(self, path: Path, step: int) -> None:
+        """Write all that the next step depends on into one file."""
+        tensors = {f"network.{name}": tensor for name, tensor in self.network.state_dict().items()}
+        for number, memory in self.optimizer.state_dict()["state"].items():
+            known = {name: value for name, value in memory.items() if value is not None}
+            tensors |= {f"optimizer.{number}.{name}": torch.as_tensor(value) for name, value in known.items()}
+        save_tensors(path, tensors, {"step": step, "recipe": self._identity})
+
+    def resume(self, path: Path) -> int:
+        """Read the state that an earlier call with this recipe left, if any; return the step that comes next."""
+        if not path.is_file():
+            return 0
+        tensors, metadata = load_tensors(path)
+        found = metadata.get("recipe", {})
+        differing = {name: value for name, value in self._identity.items() if found.get(name) != value}
+        if differing:
+            there = ", ".join(f"{name} = {found.get(name)}" for name in differing)
+            here = ", ".join(f"{name} = {value}" for name, value in differing.items())
+            raise OmnistereoError(
+                f"{path} belongs to a different run with {there}; expected {here}. Use another folder, or delete this "
+                "one to start over."
+            )
+        network, memory = {}, {}
+        for name, tensor in tensors.items():
+            kind, _, key = name.partition(".")
+            if kind == "network":
+                network[key] = tensor
+            else:
+                number, _, entry = key.partition(".")
+                memory.setdefault(int(number), {})[entry] = tensor
+        self.network.load_state_dict(network)
+        groups = self.optimizer.state_dict()["param_groups"]
+        self.optimizer.load_state_dict({"state": memory, "param_groups": groups})
+        return metadata["step"]
+
+    @property
+    def _identity(self) -> dict[str, Any]:
+        """The settings in which two calls must agree to be one run."""
+        return self.recipe.as_dict() | {"init_weights": self.init_sha256}
 
 
-@torch.no_grad()
-def _validate(samples: SphereSamples | PatchSamples, objective: nn.Module) -> tuple[float, float]:
-    """Return mean loss and error of the same groups every time, of frames never trained on."""
-    _renew_norms(samples, objective)
-    network = samples.network.eval()
-    figures = torch.zeros(2)
-    for k in range(samples.recipe.validation_groups):
-        frame = samples.validation[k % len(samples.validation)]
-        group = samples.group(frame, np.random.default_rng([samples.recipe.seed, _VALIDATE, k]), augment=False)
-        with network.autocast(next(network.parameters()).device):
-            figures += torch.stack(objective(group)).cpu() / samples.recipe.validation_groups
-    network.train()
-    return tuple(figures.tolist())
-
-
-@torch.no_grad()
-def _renew_norms(samples: SphereSamples | PatchSamples, objective: nn.Module) -> None:
-    """Take the means and variances of batch normalisation anew over some training groups.
-
-    Running averages would lag behind the weights and differ between processes; these do neither.
-    """
-    norms = [layer for layer in samples.network.modules() if isinstance(layer, nn.modules.batchnorm._BatchNorm)]
-    if not norms:
-        return
-    for norm in norms:
-        norm.reset_running_stats()
-    for k in range(samples.recipe.validation_groups):
-        rng = np.random.default_rng([samples.recipe.seed, _NORMS, k])
-        group = samples.group(samples.training_frame(k), rng, samples.recipe.augment)
-        with samples.network.autocast(next(samples.network.parameters()).device):
-            objective(group)
-
-
-def _join_processes(recipe: Recipe, device: torch.device) -> tuple[int, int]:
-    """Return this process's number and how many there are; more than one where `torchrun` started them."""
+def _init_distributed(recipe: Recipe, device: torch.device) -> tuple[int, int]:
+    """Return the rank of this process and the world size, above 1 where `torchrun` started the processes."""
     world = int(os.environ.get("WORLD_SIZE", "1"))
     if world == 1:
         return 0, 1
     if recipe.frames_per_step % world:
         raise OmnistereoError(
-            f"{world} processes cannot share {recipe.frames_per_step} frames a step evenly: change frames_per_step"
+            f"frames_per_step = {recipe.frames_per_step} is not divisible by {world} processes. "
+            f"Set it to a multiple of {world}."
         )
     if not distributed.is_initialized():
         distributed.init_process_group("nccl" if device.type == "cuda" else "gloo")
     return distributed.get_rank(), world
 
 
-def _samples(recipe: Recipe, data: str | Path, device: torch.device) -> SphereSamples | PatchSamples:
-    with torch.random.fork_rng():
-        torch.manual_seed(recipe.seed)
-        kind = SphereSamples if isinstance(recipe, SweepNetRecipe) else PatchSamples
-        return kind(recipe, data, device)
-
-
-def _objective(recipe: Recipe, network: nn.Module) -> nn.Module:
-    return SphereObjective(network) if isinstance(recipe, SweepNetRecipe) else PatchObjective(network, recipe.margin)
-
-
-def _optimizer(recipe: Recipe, network: nn.Module) -> torch.optim.Optimizer:
+def _make_optimizer(recipe: Recipe, network: nn.Module) -> torch.optim.Optimizer:
+    parameters, rate, decay = network.parameters(), recipe.learning_rate, recipe.weight_decay
     if recipe.optimizer == "adamw":
-        return torch.optim.AdamW(network.parameters(), recipe.learning_rate, weight_decay=recipe.weight_decay)
-    return torch.optim.SGD(
-        network.parameters(), recipe.learning_rate, recipe.momentum, weight_decay=recipe.weight_decay
-    )
+        return torch.optim.AdamW(parameters, rate, weight_decay=decay)
+    return torch.optim.SGD(parameters, rate, recipe.momentum, weight_decay=decay)
 
 
-def _begin_with(path: Path, network: LearnedCost) -> str:
-    """Give the network the weights of a file; return the file's SHA-256."""
-    given = type(network).read(path)
-    if given.config != network.config:
-        raise OmnistereoError(
-            f"{path} holds weights for {given.config}, the recipe trains {network.config}: start with others, or "
-            "change the recipe"
-        )
-    network.load_state_dict(given.state_dict())
-    return hashlib.sha256(read_bytes(path)).hexdigest()
-
-
-def _save_state(
-    path: Path, step: int, recipe: Recipe, origin: str | None, network: nn.Module, optimizer: torch.optim.Optimizer
-) -> None:
-    """Write all that the next step depends on into one file."""
-    tensors = {f"network.{name}": tensor for name, tensor in network.state_dict().items()}
-    for number, memory in optimizer.state_dict()["state"].items():
-        known = {name: value for name, value in memory.items() if value is not None}
-        tensors |= {f"optimizer.{number}.{name}": torch.as_tensor(value) for name, value in known.items()}
-    save_tensors(path, tensors, {"step": step, "recipe": recipe.as_dict() | {"start": origin}})
-
-
-def _resume(
-    path: Path, recipe: Recipe, origin: str | None, network: nn.Module, optimizer: torch.optim.Optimizer
-) -> int:
-    """Read the state that a run of this recipe and start left, if any; return the step that comes next."""
-    if not path.is_file():
-        return 0
-    tensors, about = load_tensors(path)
-    found, asked = about.get("recipe", {}), recipe.as_dict() | {"start": origin}
-    if found != asked:
-        changed = [
-            f"{name} = {found.get(name)} there, {value} here"
-            for name, value in asked.items()
-            if found.get(name) != value
-        ]
-        raise OmnistereoError(
-            f"{path} is of another recipe ({'; '.join(changed)}): choose another folder, or delete it to start anew"
-        )
-    split = [(*name.split(".", 1), tensor) for name, tensor in tensors.items()]
-    network.load_state_dict({name: tensor for kind, name, tensor in split if kind == "network"})
-    memory: dict[int, dict[str, Tensor]] = {}
-    for kind, name, tensor in split:
-        if kind == "optimizer":
-            number, entry = name.split(".", 1)
-            memory.setdefault(int(number), {})[entry] = tensor
-    optimizer.load_state_dict({"state": memory, "param_groups": optimizer.state_dict()["param_groups"]})
-    return about["step"]
-
-
-def _export(path: Path, recipe: Recipe, network: nn.Module, about: dict[str, Any]) -> None:
-    """Write the weights to use, with what they came from; norms become part of them."""
-    plain = network.fold() if isinstance(recipe, SweepNetRecipe) else network
-    plain.save(path, recipe=recipe.as_dict(), **about)
-
-
-def _machine(network: LearnedCost, device: torch.device) -> dict[str, Any]:
-    """Say what computes: two machines give two sets of weights, however alike."""
-    cuda = device.type == "cuda"
-    return {
-        "processor": torch.cuda.get_device_name(device) if cuda else _processor(),
-        "threads": torch.get_num_threads(),
-        "precision": "bfloat16" if uses_bfloat16(network.precision, device) else "float32",
-        "torch": torch.__version__,
-    }
-
-
-def _processor() -> str:
+def _processor(device: torch.device) -> str:
+    if device.type == "cuda":
+        return torch.cuda.get_device_name(device)
     return f"{platform.machine()} {torch.backends.cpu.get_cpu_capability()}"
 
 
-def read_log(path: Path, first: int) -> list[dict[str, float]]:
-    """Return the rows of a log up to the step that comes next."""
-    if first == 0 or not path.is_file():
+def read_log(path: Path, stop: int) -> list[dict[str, float]]:
+    """Return the rows of a log before step `stop`."""
+    if stop == 0 or not path.is_file():
         return []
     with path.open(newline="") as file:
         rows = [{name: float(value or "nan") for name, value in row.items()} for row in csv.DictReader(file)]
-    return [row | {"step": int(row["step"])} for row in rows if row["step"] < first]
+    return [row | {"step": int(row["step"])} for row in rows if row["step"] < stop]
+
+
+def _write_log(path: Path, rows: list[dict[str, float]]) -> None:
+    with atomic_write(path) as temporary, temporary.open("w", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS)
+        writer.writeheader()
+        for row in rows:
+            writer.writerow({name: "" if math.isnan(value) else f"{value:.6g}" for name, value in row.items()})
 
 
 def write_comparison(path: str | Path, runs: Mapping[str, Path], steps: int) -> None:
@@ -301,24 +302,16 @@ def write_comparison(path: str | Path, runs: Mapping[str, Path], steps: int) -> 
     Parameters
     ----------
     path : path
-        Of the file.
+        CSV file.
     runs : mapping of name to folder
         Finished runs with the same validations.
     steps : int
         Of each run.
     """
     curves = {name: read_log(run / LOG, steps) for name, run in runs.items()}
-    checked = [row["step"] for row in next(iter(curves.values())) if row["validation_loss"] == row["validation_loss"]]
     with atomic_write(path) as temporary, temporary.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["step", *curves])
-        for step in checked:
-            writer.writerow([step + 1, *(f"{rows[step]['validation_error']:.4g}" for rows in curves.values())])
-
-
-def _write_log(path: Path, rows: list[dict[str, float]]) -> None:
-    with atomic_write(path) as temporary, temporary.open("w", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS)
-        writer.writeheader()
-        for row in rows:
-            writer.writerow({name: "" if value != value else f"{value:.6g}" for name, value in row.items()})
+        for rows in zip(*curves.values(), strict=True):
+            if not math.isnan(rows[0]["validation_error"]):
+                writer.writerow([rows[0]["step"] + 1, *(f"{row['validation_error']:.4g}" for row in rows)])

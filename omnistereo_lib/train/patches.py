@@ -19,13 +19,13 @@ from omnistereo_lib.train.frames import TrainingFrames, to_device
 from omnistereo_lib.train.recipes import MCCNNRecipe
 
 _RADIUS = PATCH // 2
-_DRAWS = 4  # rays drawn for each one needed: some are unseen, hidden, or too near the rig's axis of motion
-_LEAST_RATE = 0.02  # pixels a sphere: below, no sphere is a whole non-match away
-_HIDDEN_STEPS = 12  # points looked at between a camera and what it should see
+_DRAWS = 4  # rays drawn per ray needed: some are not visible, or too near the direction in which the cameras are apart
+_MIN_PX_PER_SPHERE = 0.02  # below, no sphere is a whole non-match away
+_OCCLUSION_STEPS = 12  # points tested between a camera and a scene point
 
 
 @dataclass(frozen=True)
-class PatchGroup:
+class PatchBatch:
     """Patches (2 K, 9, 9) of two cameras: K pairs that match, then K of the same rays that do not."""
 
     left: Tensor
@@ -33,7 +33,7 @@ class PatchGroup:
 
 
 class PatchSamples(TrainingFrames):
-    """Draws groups of patch pairs; see `TrainingFrames`."""
+    """Draws micro-batches of patch pairs; see `TrainingFrames`."""
 
     recipe: MCCNNRecipe
 
@@ -42,9 +42,10 @@ class PatchSamples(TrainingFrames):
         self.device = torch.device(device)
         self.network = MCCNN(recipe.variant)
         self.network.check_size(recipe.height, recipe.width)
+        self.objective = PatchObjective(self.network, recipe.margin)
 
-    def group(self, frame: Frame, rng: np.random.Generator, augment: bool) -> PatchGroup:
-        """Draw rays of a frame, camera pairs for them, and spheres where they match and where they do not."""
+    def micro_batch(self, frame: Frame, rng: np.random.Generator, augment: bool) -> PatchBatch:
+        """Sample rays of one frame with a camera pair each, and spheres on which they match and do not."""
         images = [image.numpy() for image in self.images(frame, rng if augment else None)]
         index = self.gt_index(frame)
         sides: tuple[list, list] = ([], [])
@@ -58,69 +59,69 @@ class PatchSamples(TrainingFrames):
                 side.append([self.patches(images[camera], camera, pixel, n) for n in (match, other)])
         if not sides[0]:
             raise OmnistereoError(
-                f"no ray of frame {frame.number} fits: seen by two cameras, and a sphere on which what they see is "
-                f"{self.recipe.negative_low_px} pixels off. Are the rig and the ground truth right?"
+                f"frame {frame.number}: no ray is visible to two cameras with a sphere on which their views are "
+                f"{self.recipe.negative_low_px} pixels apart. Check the rig and the ground truth."
             )
         left, right = (np.concatenate([np.concatenate(kind) for kind in zip(*side, strict=True)]) for side in sides)
         if augment and rng.integers(2):  # a mirrored world
             left, right = left[..., ::-1], right[..., ::-1]
-        return PatchGroup(to_device(left, self.device), to_device(right, self.device))
+        return PatchBatch(to_device(left, self.device), to_device(right, self.device))
 
     def draw_rays(
         self, index: NDArray, i: int, j: int, count: int, rng: np.random.Generator
     ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-        """Draw rays that cameras i and j both see, and spheres at which they show the same point and another.
+        """Draw rays that cameras i and j both see, and spheres on which they show the same point and another.
 
         Returns
         -------
         pixel : shape (K, 2), K ≤ count
             Row and column of each ray.
         match, other : shape (K,)
-            Sphere indices: off the truth by at most `positive_px`, and by `negative_low_px` … `negative_high_px`,
-            in pixels by which the two cameras' pictures of the point part.
+            Sphere indices: off the ground truth by at most `positive_px`, and by `negative_low_px` to
+            `negative_high_px`, in pixels between the two cameras' views of the point.
         """
         recipe, last = self.recipe, self.grid.num_spheres - 1
         rows, columns = (rng.integers(size, size=_DRAWS * count) for size in self.grid.shape)
-        true = index[rows, columns].astype(np.float64)
-        inside = (true >= 0) & (true <= last)
-        true = np.where(inside, true, 0.0)
-        rate = self.parting(i, j, rows, columns, true, 1.0)
-        off = rng.uniform(-recipe.positive_px, recipe.positive_px, len(true)) / np.maximum(rate, _LEAST_RATE)
-        away = rng.uniform(recipe.negative_low_px, recipe.negative_high_px, len(true)) / np.maximum(rate, _LEAST_RATE)
-        away *= rng.choice([-1, 1], len(true))
-        away = np.where((true + away < 0) | (true + away > last), -away, away)
-        fits = inside & (rate > _LEAST_RATE) & (true + away >= 0) & (true + away <= last)
+        gt_index = index[rows, columns].astype(np.float64)
+        inside = (gt_index >= 0) & (gt_index <= last)
+        gt_index = np.where(inside, gt_index, 0.0)
+        px_per_sphere = self.pair_shift_px(i, j, rows, columns, gt_index, 1.0)
+        divisor = np.maximum(px_per_sphere, _MIN_PX_PER_SPHERE)
+        off = rng.uniform(-recipe.positive_px, recipe.positive_px, len(rows)) / divisor
+        away = rng.uniform(recipe.negative_low_px, recipe.negative_high_px, len(rows)) / divisor
+        away *= rng.choice([-1, 1], len(rows))
+        other = gt_index + away
+        other = np.where((other < 0) | (other > last), gt_index - away, other)
+        fits = inside & (px_per_sphere > _MIN_PX_PER_SPHERE) & (other >= 0) & (other <= last)
         for camera in (i, j):
-            fits &= self.sees(camera, rows, columns, true) & ~self._hidden(camera, index, rows, columns, true)
-            fits &= self.sees(camera, rows, columns, true + away)
-        kept = np.flatnonzero(fits)[:count]
-        pixel = np.stack([rows, columns], -1)[kept]
-        return pixel, (true + off).clip(0, last)[kept], (true + away)[kept]
+            fits &= self.sees(camera, rows, columns, gt_index) & self.sees(camera, rows, columns, other)
+            fits &= ~self._occluded(camera, index, rows, columns, gt_index)
+        chosen = np.flatnonzero(fits)[:count]
+        return np.stack([rows, columns], -1)[chosen], (gt_index + off).clip(0, last)[chosen], other[chosen]
 
-    def parting(
-        self, i: int, j: int, rows: NDArray, columns: NDArray, true: NDArray, away: ArrayLike
+    def pair_shift_px(
+        self, i: int, j: int, rows: NDArray, columns: NDArray, gt_index: NDArray, away: ArrayLike
     ) -> NDArray[np.float64]:
         """Return how far apart, in pixels, two cameras show a point on a sphere `away` spheres off its own.
 
-        On its own sphere they show it at the same place. `away` = 1 gives the rate in pixels a sphere.
+        On its own sphere they show it at the same place. `away` = 1 gives pixels per sphere.
         """
-        shown = [self.grid.pixel(self._shown_at(camera, rows, columns, true, true + away))[0] for camera in (i, j)]
-        apart = shown[0] - shown[1]
-        W = self.grid.width
-        apart[..., 0] = (apart[..., 0] + W / 2) % W - W / 2
-        return np.hypot(apart[..., 0], apart[..., 1])
+        rays, sweep_index = self.rays[rows, columns], gt_index + away
+        left, right = (self.grid.pixel(self._apparent_direction(k, rays, gt_index, sweep_index))[0] for k in (i, j))
+        shift, W = left - right, self.grid.width
+        return np.hypot((shift[..., 0] + W / 2) % W - W / 2, shift[..., 1])
 
-    def _shown_at(
-        self, camera: int, rows: NDArray, columns: NDArray, true: NDArray, swept: NDArray
+    def _apparent_direction(
+        self, camera: int, rays: NDArray, gt_index: NDArray, sweep_index: NDArray
     ) -> NDArray[np.float64]:
-        """Return the direction at which the panorama of sphere `swept` shows the true point of a ray: (K, 3).
+        """Return the direction (K, 3) at which the panorama of a camera on sphere `sweep_index` shows a scene point.
 
-        It is where the line of sight from the camera's centre c, direction u, meets the sphere: |d c + s u| = 1.
+        It is where the line of sight from the camera centre c, direction u, meets the sphere: |d c + s u| = 1.
         """
         center = self.sweep.rig.T_rig_cam[camera].t
-        sight = self.rays[rows, columns] - self._inverse(true) * center
+        sight = rays - self._inverse(gt_index) * center
         sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
-        start = self._inverse(swept) * center
+        start = self._inverse(sweep_index) * center
         along = (start * sight).sum(-1, keepdims=True)
         return start + sight * (np.sqrt(along**2 + 1 - (start**2).sum(-1, keepdims=True)) - along)
 
@@ -128,29 +129,31 @@ class PatchSamples(TrainingFrames):
         return self.grid.index_to_inverse_depth(index)[:, None]
 
     def sees(self, camera: int, rows: NDArray, columns: NDArray, index: NDArray) -> NDArray[np.bool_]:
-        """Say whether rays at given spheres lie in a camera's field of view."""
+        """Return whether rays at given spheres lie in the field of view of a camera."""
         return self._project(camera, self.rays[rows, columns], self._inverse(index))[1]
 
-    def _hidden(self, camera: int, index: NDArray, rows: NDArray, columns: NDArray, true: NDArray) -> NDArray[np.bool_]:
-        """Say whether something stands between a camera and a point, by the ground truth seen from the centre."""
+    def _occluded(
+        self, camera: int, index: NDArray, rows: NDArray, columns: NDArray, gt_index: NDArray
+    ) -> NDArray[np.bool_]:
+        """Return whether something is between a camera and the points of rays, by the ground truth from the centre."""
         center = self.sweep.rig.T_rig_cam[camera].t
-        inverse = np.maximum(self._inverse(true), 1e-6)
-        hidden = np.zeros(len(true), bool)
-        for t in np.linspace(0.1, 0.95, _HIDDEN_STEPS):
-            point = center + t * (self.rays[rows, columns] / inverse - center)
-            pixel, inside = self.grid.pixel(point)
+        points = self.rays[rows, columns] / np.maximum(self._inverse(gt_index), 1e-6)
+        occluded = np.zeros(len(points), bool)
+        for t in np.linspace(0.1, 0.95, _OCCLUSION_STEPS):
+            between = center + t * (points - center)
+            pixel, inside = self.grid.pixel(between)
             column, row = np.rint(pixel).astype(int).T
-            here = self.grid.depth_to_index(np.linalg.norm(point, axis=-1))
+            here = self.grid.depth_to_index(np.linalg.norm(between, axis=-1))
             nearest = index[row.clip(0, self.grid.height - 1), column % self.grid.width]
-            hidden |= inside & (nearest > here + 1)  # one sphere of slack for slanted surfaces
-        return hidden
+            occluded |= inside & (nearest > here + 1)  # one sphere of slack for slanted surfaces
+        return occluded
 
     def patches(
         self, image: NDArray[np.float32], camera: int, pixel: NDArray[np.int64], index: NDArray[np.float64]
     ) -> NDArray[np.float32]:
-        """Cut patches (K, 9, 9) around pixels (K, 2) out of a camera's panoramas of spheres `index` (K,).
+        """Cut patches (K, 9, 9) around pixels (K, 2) out of the panoramas of one camera on spheres `index` (K,).
 
-        They are what `MCCNN` sees: 0 where the camera does not see, above and below the panorama.
+        As in `MCCNN`, they are 0 where the camera does not see and above and below the panorama.
         """
         around = np.arange(-_RADIUS, _RADIUS + 1)
         rows = pixel[:, 0, None, None] + around[:, None]
@@ -163,27 +166,25 @@ class PatchSamples(TrainingFrames):
 
     def _project(self, camera: int, rays: NDArray, inverse: NDArray) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         T_cam_rig = self.sweep.rig.T_rig_cam[camera].inverse()
-        return self.sweep.rig.cameras[camera].project(
-            rays @ T_cam_rig.R.T + np.maximum(inverse, 2.0**-23) * T_cam_rig.t
-        )
+        points = rays @ T_cam_rig.R.T + np.maximum(inverse, 2.0**-23) * T_cam_rig.t
+        return self.sweep.rig.cameras[camera].project(points)
 
 
 class PatchObjective(nn.Module):
-    """MC-CNN's losses: a hinge on cosines (fast), binary cross-entropy (accurate)."""
+    """The losses of MC-CNN: a hinge on cosines (fast), binary cross-entropy (accurate)."""
 
     def __init__(self, network: MCCNN, margin: float) -> None:
         super().__init__()
         self.network, self.margin = network, margin
 
-    def forward(self, group: PatchGroup) -> tuple[Tensor, Tensor]:
-        """Return the loss of a group and its error: the share of wrong answers.
+    def forward(self, batch: PatchBatch) -> tuple[Tensor, Tensor]:
+        """Return the loss of a micro-batch and its error: the fraction of wrong answers.
 
-        Wrong is, for the fast variant, a non-match that looks more alike than the match of the same ray.
+        Wrong is, in the fast variant, a non-match that looks more alike than the match of the same ray.
         """
-        left, right = (self.network.describe_patches(side) for side in (group.left, group.right))
-        score = self.network.compare(left, right, torch.ones(len(left), 1, 1, dtype=torch.bool, device=left.device), 0)
-        match, other = score.chunk(2)
+        left, right = (self.network.extract_features(side) for side in (batch.left, batch.right))
+        match, other = self.network.score_pixels(self.network.match_features(left, right)).flatten().chunk(2)
         if self.network.variant == "fast":
             return (self.margin + other - match).clamp_min(0).mean(), (other >= match).float().mean()
-        label = torch.cat([torch.zeros_like(match), torch.ones_like(other)])
+        score, label = torch.cat([match, other]), torch.cat([torch.zeros_like(match), torch.ones_like(other)])
         return binary_cross_entropy_with_logits(score, label), ((score > 0) != (label > 0.5)).float().mean()

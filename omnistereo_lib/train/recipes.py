@@ -1,4 +1,4 @@
-"""What determines a trained network, besides the data: every number of a training run, each with its reason."""
+"""Recipes: every number that determines a trained network, besides the data, each with its reason."""
 
 from __future__ import annotations
 
@@ -9,66 +9,86 @@ from typing import Any, ClassVar, Literal, Self
 
 from omnistereo_lib.errors import OmnistereoError
 
+_CHOICES = {"optimizer": ("adamw", "sgd"), "schedule": ("cosine", "drop"), "variant": ("fast", "accurate")}
+_FRACTIONS = {"momentum", "any_sphere", "far_end"}
+_MAY_BE_ZERO = {
+    "seed", "warmup", "weight_decay", "min_positives", "negatives", "min_negatives", "positive_px", "margin",
+}  # fmt: skip
+
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
-    """What both networks' recipes have in common. A step is some groups of samples, each of one frame."""
+    """Settings that the recipes of all networks share. A step is some micro-batches of samples, each of one frame.
+
+    Raises
+    ------
+    OmnistereoError
+        If a setting is out of its range.
+    """
 
     network: ClassVar[str]  # name of the network that the recipe is for
 
     # Scale: a network is free of scale through D_min, but not of the field of view of its receptive field.
     width: int = 320  # W; the teaching scale, where a frame takes seconds on two cores
-    height: int = 80  # H, -45° … 45°
+    height: int = 80  # H, -45° to 45°
     num_spheres: int = 64  # N
 
     # Steps
     steps: int = 1000
-    frames_per_step: int = 2  # groups; processes share them, so their number bounds the processes
-    augment: bool = True  # turn, mirror, swap a pair: the geometry allows it; gain and gamma: cameras differ
+    frames_per_step: int = 2  # micro-batches; a multiple of the number of processes
+    augment: bool = True  # rotate, flip, swap a pair: the geometry allows it; gain and gamma: cameras differ
     seed: int = 0
 
     # Optimiser
-    optimizer: Literal["adamw", "sgd"] = "adamw"  # sgd is the papers'; it needs far more steps
+    optimizer: Literal["adamw", "sgd"] = "adamw"  # sgd is the optimiser of the papers; it needs far more steps
     learning_rate: float = 2e-3
     schedule: Literal["cosine", "drop"] = "cosine"  # drop: a tenth after 11 of 14 epochs, as in both papers
-    warmup: int = 100  # steps of rising rate: Adam's estimates are poor at first
+    warmup: int = 100  # steps of rising learning rate: Adam's estimates are poor at first
     momentum: float = 0.9  # of sgd
     weight_decay: float = 1e-4
     clip: float = 1.0  # largest norm of the gradient; a bad batch moves the weights no further
 
-    # What is looked at
-    validate_every: int = 100  # steps; frames of every tenth are never trained on
-    validation_groups: int = 12  # groups of samples, the same ones every time
+    # Validation
+    validate_every: int = 100  # steps; every tenth frame is never trained on
+    validation_groups: int = 12  # micro-batches, the same ones every time
 
     def __post_init__(self) -> None:
-        for name in ("steps", "frames_per_step", "validate_every", "validation_groups", "learning_rate", "clip"):
-            if not getattr(self, name) > 0:
-                raise OmnistereoError(f"{name} must be positive, got {getattr(self, name)}")
-        for name, choices in (("optimizer", ("adamw", "sgd")), ("schedule", ("cosine", "drop"))):
-            if getattr(self, name) not in choices:
-                raise OmnistereoError(f"{name} must be one of {', '.join(choices)}, got {getattr(self, name)!r}")
+        for name, value in asdict(self).items():
+            if name in _CHOICES:
+                valid, wanted = value in _CHOICES[name], f"one of {', '.join(_CHOICES[name])}"
+            elif isinstance(value, bool):
+                continue
+            elif name in _FRACTIONS:
+                valid, wanted = 0 <= value <= 1, "a fraction in [0, 1]"
+            else:
+                valid = math.isfinite(value) and (value >= 0 if name in _MAY_BE_ZERO else value > 0)
+                wanted = f"a finite number {'≥' if name in _MAY_BE_ZERO else '>'} 0"
+            if not valid:
+                raise OmnistereoError(f"{self.network} recipe: {name} = {value!r}; expected {wanted}")
 
-    def changed(self, settings: Sequence[str]) -> Self:
-        """Return the recipe with some numbers changed, given as "name=value".
+    def with_overrides(self, settings: Sequence[str]) -> Self:
+        """Return the recipe with some settings changed, given as "name=value".
 
         Raises
         ------
         OmnistereoError
-            If the recipe has no such number or it does not take such a value.
+            If the recipe has no such setting or it does not take such a value.
         """
         changes: dict[str, Any] = {}
         for setting in settings:
             name, _, value = setting.partition("=")
             if name not in asdict(self):
-                raise OmnistereoError(f"a {self.network} recipe has no {name!r}, it has {', '.join(asdict(self))}")
+                raise OmnistereoError(
+                    f"{setting}: unknown setting {name!r}; a {self.network} recipe has {', '.join(asdict(self))}"
+                )
             kind = type(getattr(self, name))
             try:
                 changes[name] = {"true": True, "false": False}[value.lower()] if kind is bool else kind(value)
             except (ValueError, KeyError):
-                raise OmnistereoError(f"{name} must be of type {kind.__name__}, got {value!r}") from None
+                raise OmnistereoError(f"{setting}: {value!r}; expected {kind.__name__}") from None
         return replace(self, **changes)
 
-    def rate(self, step: int) -> float:
+    def learning_rate_at(self, step: int) -> float:
         """Return the learning rate of a step, counted from 0."""
         rising = min(1.0, (step + 1) / self.warmup) if self.warmup else 1.0
         if self.schedule == "drop":
@@ -82,59 +102,51 @@ class Recipe:
 
 @dataclass(frozen=True, kw_only=True)
 class SweepNetRecipe(Recipe):
-    """How SweepNet is trained. A group is some spheres of one frame with all their camera pairs."""
+    """Recipe of SweepNet. A micro-batch is some spheres of one frame with all their camera pairs."""
 
     network: ClassVar[str] = "sweepnet"
 
     batch_norm: bool = True  # as in the authors' released code; Table I has none
-    wrap: bool = True  # no seam in any layer; Table I pads the input alone
-    halve: bool = False  # every other group, at random, on half of W, H and N: what it learns must fit any width
+    wrap: bool = True  # no seam in any layer; Table I pads only the input
+    halve: bool = False  # every other micro-batch, at random, at half of W, H and N: the network must fit any width
     spheres_per_frame: int = 2  # twice as many where the panorama is halved
     min_positives: int = 32  # the paper discards spheres with fewer
-    any_sphere: float = 0.2  # share of groups that show spheres with fewer, or none, as well: negatives alone
-    far_end: float = 0.0  # share of groups that show the sky: half of them sphere 0, half one below N / 6
-    max_positives: int = 1024  # of a pair on a sphere: the sky fills sphere 0, and neighbours say much the same
-    negatives: int = 4  # for each positive, weighted to balance; the paper has 1. Negatives are free and many
-    min_negatives: int = 512  # of a pair on a sphere, however few positives: where nothing is, nothing matches
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("any_sphere", "far_end"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise OmnistereoError(f"{name} is a share, expected 0 … 1, got {getattr(self, name)}")
+    any_sphere: float = 0.2  # fraction of micro-batches that may draw spheres with fewer as well: only negatives
+    far_end: float = 0.0  # fraction of micro-batches on the sky: half of them sphere 0, half one below N / 6
+    max_positives: int = 1024  # per pair and sphere: the sky fills sphere 0, and neighbours are nearly the same
+    negatives: int = 4  # per positive, weighted to balance; the paper has 1. Negatives are many and cost nothing
+    min_negatives: int = 512  # per pair and sphere, however few positives: an empty sphere must not match
 
 
 @dataclass(frozen=True, kw_only=True)
 class MCCNNRecipe(Recipe):
-    """How MC-CNN is trained. A group is some rays of one frame, each with a matching and a non-matching patch pair.
+    """Recipe of MC-CNN. A micro-batch is some rays of one frame, each with a matching and a non-matching patch pair.
 
-    Distances are pixels between what the two cameras see of one point: one sphere index is a fraction of that.
+    Distances are pixels between the views of one point in two cameras: one sphere index is a fraction of that.
     """
 
     network: ClassVar[str] = "mccnn"
     variant: Literal["fast", "accurate"] = "fast"
     rays_per_frame: int = 64  # the papers' batches of 128 and 256 pairs are 1 and 2 frames of these
-    positive_px: float = 0.5  # matches lie up to so far off, as estimates on whole spheres do (MC-CNN: 0.5 … 1)
-    negative_low_px: float = 1.5  # non-matches from here (MC-CNN: 1.5 … 4)
-    negative_high_px: float = 6.0  # to here (MC-CNN: 6; the accurate variant 18)
+    positive_px: float = 0.5  # matches are off by up to this, as estimates on integer spheres are (MC-CNN: 0.5 to 1)
+    negative_low_px: float = 1.5  # non-matches are off by at least this (MC-CNN: 1.5 to 4)
+    negative_high_px: float = 6.0  # and at most this (MC-CNN: 6; the accurate variant 18)
     margin: float = 0.2  # of the hinge loss, fast variant
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0 <= self.positive_px < self.negative_low_px < self.negative_high_px:
-            raise OmnistereoError(
-                "expected 0 ≤ positive_px < negative_low_px < negative_high_px, got "
-                f"{self.positive_px}, {self.negative_low_px}, {self.negative_high_px}"
-            )
+        if not self.positive_px < self.negative_low_px < self.negative_high_px:
+            found = f"{self.positive_px}, {self.negative_low_px}, {self.negative_high_px}"
+            raise OmnistereoError(f"mccnn recipe: {found}; expected positive_px < negative_low_px < negative_high_px")
 
 
 _PAPERS = {"optimizer": "sgd", "schedule": "drop", "warmup": 0, "weight_decay": 0.0, "augment": False, "clip": 1e9}
 
 # teaching: minutes on two cores, enough to see it learn. shipped: what made omnistereo_lib/weights.
-# paper: the papers' figures, for a GPU and their data; steps = 14 epochs.
-# 640 × 160 samples pictures of 400 × 384 as finely as the paper's 1200 × 300 samples those of 800 × 768, and with 96
-# spheres a sphere is as many pixels as there. The notebooks' 320 × 80 is the other half: there, what a cost sees is
-# higher than the panorama, and a network that knew nothing else would learn where its upper and lower edges are.
+# paper: the numbers of the papers, for a GPU and their data; steps = 14 epochs.
+# 640 × 160 samples images of 400 × 384 as finely as the paper's 1200 × 300 samples those of 800 × 768, and with 96
+# spheres one sphere is as many pixels as there. The 320 × 80 of the notebooks is the other half: there the receptive
+# field is higher than the panorama, and a network trained only on that would learn where its upper and lower edges are.
 _FINE = {"width": 640, "height": 160, "num_spheres": 96}
 RECIPES: dict[str, dict[str, Recipe]] = {
     "sweepnet": {
@@ -158,7 +170,7 @@ RECIPES: dict[str, dict[str, Recipe]] = {
     },
 }  # fmt: skip
 
-# SweepNet's recipe with optimiser, normalisation or both turned into the paper's: `train sweepnet --variants`.
+# The recipe of SweepNet with the optimiser of the paper, without batch norms, or both: `train sweepnet --variants`.
 _SGD = _PAPERS | {"learning_rate": 0.003, "augment": True}
 VARIANTS: dict[str, dict[str, Any]] = {
     "ours": {},

@@ -9,7 +9,7 @@ from omnistereo_lib.evaluate import SCALES, evaluate_frame
 from omnistereo_lib.evaluate.records import checksum, config_checksum, read_record
 from omnistereo_lib.evaluate.run import DATA
 from omnistereo_lib.stereo.methods import Method
-from omnistereo_lib.stereo.weights import SHIPPED
+from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
 from omnistereo_lib.train import RECIPES
 from omnistereo_lib.train.spheres import SphereSamples
 
@@ -27,7 +27,7 @@ def test_they_come_from_what_ships(name):
     assert stored["config_sha256"] == config_checksum(stored)
     scale = SCALES["paper" if name == "paper" else "teaching"]
     assert {key: stored["config"][key] for key in ("width", "height", "num_spheres")} == vars(scale)
-    assert {name: checksum((SHIPPED / name).read_bytes()) for name in stored["weights"]} == stored["weights"]
+    assert {name: checksum((BUNDLED_WEIGHTS / name).read_bytes()) for name in stored["weights"]} == stored["weights"]
     for key, digest in stored["data"].items():
         data, _, file = key.partition("/")
         split = split_of(name)
@@ -54,7 +54,7 @@ def test_a_frame_again(name, number, costs):
     every = [Method.parse(text) for text in stored["methods"]]
     methods = [method for method in every if method.cost in costs and not method.num_spheres]
     sweep = osl.SphereSweep(data.rig, grid)
-    again = dict(evaluate_frame(sweep, data.frame(number), methods, lambda method: method.load_cost(SHIPPED)))
+    again = dict(evaluate_frame(sweep, data.frame(number), methods, lambda method: method.load_cost(BUNDLED_WEIGHTS)))
     assert again.keys() == set(methods) and {method.cost for method in methods} == costs and len(methods) >= 6
     for method, errors in again.items():
         figures = stored["frames"]["sunny"][f"{number:05}"][method.name]["figures"]

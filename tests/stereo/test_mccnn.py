@@ -10,9 +10,9 @@ import omnistereo_lib as osl
 RING = [(0, 1), (1, 2), (2, 0)]
 
 
-def network(variant, precision="float32"):
+def network(variant):
     torch.manual_seed(0)
-    net = osl.MCCNN(variant, precision).eval()
+    net = osl.MCCNN(variant).eval()
     for layer in [*net.tower, *net.head]:
         torch.nn.init.normal_(layer.bias, std=0.1)
     if variant == "accurate":
@@ -69,42 +69,43 @@ def test_parameters_are_the_published_ones(variant, expected):
 
 @pytest.mark.parametrize("variant", ["fast", "accurate"])
 def test_whole_panoramas_equal_patch_by_patch(variant):
-    spherical, columns = images()
-    expected = patch_by_patch(network(variant), spherical, RING)
+    net, (spherical, columns) = network(variant), images()
+    expected = patch_by_patch(net, spherical, RING)
     assert expected[~expected.isnan()].std() > 0.02
-    for cost in (network(variant)(spherical, RING, columns), network(variant)(spherical, RING)):
-        torch.testing.assert_close(cost.double(), expected, atol=1e-5, rtol=0, equal_nan=True)
-    in_bfloat16 = network(variant, "bfloat16")(spherical, RING, columns)
+    cost = osl.LearnedCost(net, "float32")
+    for found in (cost(spherical, RING, columns), cost(spherical, RING)):
+        torch.testing.assert_close(found.double(), expected, atol=1e-5, rtol=0, equal_nan=True)
+    in_bfloat16 = osl.LearnedCost(net, "bfloat16")(spherical, RING, columns)
     torch.testing.assert_close(in_bfloat16.double(), expected, atol=2e-2, rtol=0, equal_nan=True)
-
-
-def test_the_same_image_costs_nothing():
-    spherical, _ = images(cameras=1)
-    assert network("fast")(torch.cat([spherical, spherical]), [(0, 1)]).nan_to_num().max() < 1e-6
+    pair = patch_by_patch(net, spherical, [(0, 1)]).permute(2, 0, 1)
+    plain = net(*spherical[:2].nan_to_num()).double().masked_fill(pair.isnan(), torch.nan)
+    torch.testing.assert_close(plain, pair, atol=1e-5, rtol=0, equal_nan=True)
 
 
 @pytest.mark.parametrize("variant", ["fast", "accurate"])
 def test_gradient_reaches_every_parameter(variant):
     net = network(variant)
     torch.manual_seed(1)
-    left, right = (net.describe_patches(torch.randn(20, 9, 9)) for _ in range(2))
+    left, right = (net.extract_features(torch.randn(20, 9, 9)) for _ in range(2))
     assert left.shape == (20, {"fast": 64, "accurate": 112}[variant], 1, 1)
-    net.compare(left, right, torch.ones(20, 1, 1, dtype=torch.bool), 0).square().sum().backward()
+    net.score_pixels(net.match_features(left, right)).square().sum().backward()
     assert [name for name, p in net.named_parameters() if p.grad is None or p.grad.abs().max() == 0] == []
 
 
-def test_weights_come_back(tmp_path):
-    net, (spherical, _) = network("accurate"), images()
-    net.save(tmp_path / "a.safetensors")
-    again = osl.MCCNN.load(tmp_path / "a.safetensors", precision="float32")
-    assert again.variant == "accurate"
-    assert torch.equal(again(spherical, RING).nan_to_num(), net(spherical, RING).nan_to_num())
-    with pytest.raises(osl.OmnistereoError, match="holds weights of MCCNN, expected SweepNet"):
-        osl.SweepNet.load(tmp_path / "a.safetensors")
+def test_a_file_is_not_taken_for_the_other_variant(tmp_path):
+    path = tmp_path / "a.safetensors"
+    network("fast").save(path)
+    assert osl.MCCNN.from_file(path).variant == "fast"
+    with pytest.raises(
+        osl.OmnistereoError, match=r"a.safetensors: holds MCCNN\(variant='fast'\); expected MCCNN\(var.*acc"
+    ):
+        osl.MCCNN.from_file(path, variant="accurate")
+    with pytest.raises(osl.OmnistereoError, match=r"a.safetensors: holds MCCNN\(variant='fast'\); expected SweepNet\."):
+        osl.SweepNet.from_file(path)
 
 
 def test_bad_input():
-    with pytest.raises(osl.OmnistereoError, match="got 'slow'"):
+    with pytest.raises(osl.OmnistereoError, match="variant = 'slow'; expected"):
         osl.MCCNN("slow")
-    with pytest.raises(osl.OmnistereoError, match="do not fit a panorama of 20 × 8"):
-        network("fast")(torch.zeros(2, 1, 8, 20), [(0, 1)])
+    with pytest.raises(osl.OmnistereoError, match="panorama of 20 × 8 pixels; expected at least"):
+        network("fast")(*torch.zeros(2, 1, 8, 20))

@@ -12,10 +12,10 @@ import torch
 from test_sweepnet import dense
 
 import omnistereo_lib as osl
-from omnistereo_lib.stereo.learned import uses_bfloat16
+from omnistereo_lib.stereo.learned import LearnedCost, uses_bfloat16
 from omnistereo_lib.stereo.mccnn import MCCNN
 from omnistereo_lib.stereo.sweepnet import SweepNet
-from omnistereo_lib.stereo.weights import SHIPPED, load_tensors
+from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS, load_tensors
 from omnistereo_lib.train import RECIPES
 
 SUNNY = Path(osl.__file__).parents[1] / "data_samples" / "sunny"
@@ -36,7 +36,7 @@ def frame():
 @pytest.fixture(scope="module")
 def volumes(frame):
     sweep = osl.SphereSweep(osl.load_dataset(SUNNY, split="test").rig, GRID)
-    costs = {"zncc": None, **{name: kind.load(precision="float32") for name, kind in NETWORKS.items()}}
+    costs = {"zncc": None, **{name: LearnedCost(kind.pretrained(), "float32") for name, kind in NETWORKS.items()}}
     return {name: osl.cost_volume(sweep, frame.images, cost) for name, cost in costs.items()}
 
 
@@ -46,15 +46,15 @@ def errors(volume, frame):
 
 @pytest.mark.parametrize("name", RECIPE)
 def test_card_and_curve_are_of_these_weights(name):
-    content = (SHIPPED / f"{name}.safetensors").read_bytes()
-    _, about = load_tensors(SHIPPED / f"{name}.safetensors")
-    card = (SHIPPED / f"{name}.md").read_text(encoding="utf-8")
+    content = (BUNDLED_WEIGHTS / f"{name}.safetensors").read_bytes()
+    _, about = load_tensors(BUNDLED_WEIGHTS / f"{name}.safetensors")
+    card = (BUNDLED_WEIGHTS / f"{name}.md").read_text(encoding="utf-8")
     assert hashlib.sha256(content).hexdigest() in card
     known = {number: value for number, value in about["recipe"].items() if number != "network"}
     assert type(RECIPE[name])(**known) == RECIPE[name] and about["step"] + 1 == RECIPE[name].steps  # later ones: off
     asked = re.search(r"--preset shipped(?: --set (.*?))? --ship", card)[1]
-    assert RECIPES[RECIPE[name].network]["shipped"].changed(asked.split() if asked else []) == RECIPE[name]
-    with (SHIPPED / f"{name}.csv").open(newline="") as file:
+    assert RECIPES[RECIPE[name].network]["shipped"].with_overrides(asked.split() if asked else []) == RECIPE[name]
+    with (BUNDLED_WEIGHTS / f"{name}.csv").open(newline="") as file:
         curve = [float(row["loss"]) for row in csv.DictReader(file)]
     assert np.mean(curve[-10:]) < 0.7 * np.mean(curve[:10])
 
@@ -65,7 +65,7 @@ def test_training_data_are_those_that_ship():
         for path in (*frame.image_paths, frame.truth_path):
             digest.update(path.read_bytes())
     for name in RECIPE:
-        _, about = load_tensors(SHIPPED / f"{name}.safetensors")
+        _, about = load_tensors(BUNDLED_WEIGHTS / f"{name}.safetensors")
         assert about["data"]["folder"] == "sunny/train" and about["data"]["sha256"] == digest.hexdigest()
 
 
@@ -80,7 +80,7 @@ def test_learned_costs_beat_zncc_on_a_street_they_have_not_seen(name, volumes, f
 
 def test_the_accurate_patch_needs_smoothing(volumes, frame):
     sweep = osl.SphereSweep(osl.load_dataset(SUNNY, split="test").rig, GRID)
-    accurate = osl.cost_volume(sweep, frame.images, MCCNN.load(variant="accurate"))
+    accurate = osl.cost_volume(sweep, frame.images, LearnedCost(MCCNN.pretrained("accurate")))
     zncc, learned = (errors(volume, frame) for volume in (volumes["zncc"], accurate))
     assert all(learned[figure] > zncc[figure] for figure in zncc)
     zncc, learned = (errors(osl.sgm(volume), frame) for volume in (volumes["zncc"], accurate))
@@ -97,20 +97,21 @@ def test_fast_inference_is_the_plain_networks(frame):
     sweep = osl.SphereSweep(
         osl.load_dataset(SUNNY, split="test").rig, osl.SphereGrid(160, 40, num_spheres=16, min_depth=1.65)
     )
-    net, pairs = SweepNet.load(precision="float32"), [(0, 1), (1, 2), (2, 3), (3, 0)]
+    net, pairs = SweepNet.pretrained(), [(0, 1), (1, 2), (2, 3), (3, 0)]
     block = sweep.blocks()[-1]
     spherical = sweep.warp_block(sweep.prepare(frame.images), block)[:, -2:]
     columns = [sweep.visible_columns(camera, block) for camera in range(4)]
     expected = dense(net, spherical, pairs)
     assert expected[~expected.isnan()].std() > 0.05
-    torch.testing.assert_close(net(spherical, pairs, columns).double(), expected, atol=1e-5, rtol=0, equal_nan=True)
+    cost = LearnedCost(net, "float32")(spherical, pairs, columns)
+    torch.testing.assert_close(cost.double(), expected, atol=1e-5, rtol=0, equal_nan=True)
 
 
 @pytest.mark.skipif(not uses_bfloat16("auto", "cpu"), reason="this processor would take minutes to imitate bfloat16")
 @pytest.mark.parametrize("name", NETWORKS)
 def test_bfloat16_changes_no_figure(name, volumes, frame):
     sweep = osl.SphereSweep(osl.load_dataset(SUNNY, split="test").rig, GRID)
-    half = osl.cost_volume(sweep, frame.images, NETWORKS[name].load(precision="bfloat16"))
+    half = osl.cost_volume(sweep, frame.images, LearnedCost(NETWORKS[name].pretrained(), "bfloat16"))
     assert ((half - volumes[name]).abs() > 2e-2).double().mean() < 1e-6  # not one here; the sigmoid is steep
     exact, found = errors(osl.sgm(volumes[name]), frame), errors(osl.sgm(half), frame)
     assert max(abs(found[figure] - exact[figure]) for figure in exact) < 0.1
