@@ -171,8 +171,8 @@ def fit_camera(
     _log.info("%s: %s fitted by OCam, %.1f° seen, worst residual %.2g px", source, model, camera.max_fov_deg, residual)
     if residual > _MAX_RESIDUAL:
         warnings.warn(
-            f"{source}: the OCam polynomials are up to {residual:.2f} px away from the {model} model in the file. Lower "
-            "max_fov_deg if the model is not monotonic; tangential distortion needs a calibration with an OCam model.",
+            f"{source}: the OCam polynomials are up to {residual:.2f} px away from the {model} model in the file, by "
+            "tangential distortion or a model that is not monotonic. Lower max_fov_deg, or calibrate an OCam model.",
             UserWarning,
             stacklevel=2,
         )
