@@ -17,7 +17,7 @@ from omnistereo_lib.rig_check import (
     invert_poses,
     rotate_camera,
     scale_translations,
-)  # fmt: skip
+)
 from omnistereo_lib.stereo.sweep import SphereSweep
 
 SAMPLE = Path(osl.__file__).with_name("sample")
