@@ -17,7 +17,7 @@ import omnistereo_lib as osl
 from omnistereo_lib import cli
 from omnistereo_lib.dataset import read_inverse_depth, write_inverse_depth
 from omnistereo_lib.files import read_image, write_image
-from omnistereo_lib.rig_check import inverted
+from omnistereo_lib.rig_check import invert_poses
 
 SMALL = ["--width", "96", "--height", "24", "--spheres", "16"]
 GRID = osl.SphereGrid(96, 24, (-45, 45), 16, 0.6)
@@ -101,7 +101,7 @@ def test_doctor_of_a_rig(data, capsys, scene_images):
     out = capsys.readouterr().out
     low, high = scene_images[0].baselines.min(), scene_images[0].baselines.max()
     assert f"4 cameras, {low:.3g} … {high:.3g} m apart" in out and "OK    the rig fits the images" in out
-    inverted(scene_images[0]).save(data / "config.yaml")
+    invert_poses(scene_images[0]).save(data / "config.yaml")
     assert run("doctor", *with_images(data), *SMALL) == 1
     assert "FAIL  the poses look inverted (rig → camera instead of camera → rig)" in capsys.readouterr().out
 

@@ -1,4 +1,4 @@
-"""The doctor: a line for each thing, the cure with what fails, nothing that crashes."""
+"""The doctor: a line for each requirement, the fix with each failure, never a crash."""
 
 import hashlib
 import importlib
@@ -9,14 +9,15 @@ from importlib import metadata
 
 import pytest
 
+from omnistereo_lib import cli
 from omnistereo_lib.doctor import check_installation
 
-doctor = importlib.import_module("omnistereo_lib.doctor")  # the module; the package's name is the function
+doctor = importlib.import_module("omnistereo_lib.doctor")  # the module; the package has the function under this name
 
 
 @pytest.fixture
 def healthy(tmp_path, monkeypatch):
-    """A project with one pinned package and one data file, both as they should be."""
+    """A clone with one pinned package and one data file, both correct."""
     (tmp_path / "environment.txt").write_text(f"# pins\nnumpy=={metadata.version('numpy')}  # arrays\n")
     (tmp_path / "data_samples").mkdir()
     (tmp_path / "data_samples" / "a.txt").write_text("data")
@@ -37,7 +38,7 @@ def test_all_is_well(healthy, capsys):
 
 
 def test_the_short_form_is_the_same_everywhere(healthy, capsys):
-    """It stands at the head of every notebook, whose output is compared."""
+    """It is the first output of every notebook, and compared."""
     assert check_installation(short=True) is True
     assert capsys.readouterr().out == "OK    Python, packages and data are in place\n"
 
@@ -51,14 +52,14 @@ def test_a_package_that_is_missing_or_another_version(healthy, capsys):
     ]
 
 
-def test_a_build_of_a_package_is_that_package(healthy, monkeypatch, capsys):
+def test_a_local_build_counts_as_its_version(healthy, monkeypatch):
     (healthy / "environment.txt").write_text("torch==2.0.0\n")
     monkeypatch.setattr(doctor.metadata, "version", lambda name: "2.0.0+cpu")
     assert check_installation(short=True) is True
 
 
 @pytest.mark.parametrize("change", ["other", None], ids=["changed", "missing"])
-def test_data_that_is_not_what_was_shipped(healthy, capsys, change):
+def test_data_that_is_not_what_was_released(healthy, capsys, change):
     file = healthy / "data_samples" / "a.txt"
     file.write_text(change) if change else file.unlink()
     assert check_installation(short=True) is False
@@ -76,17 +77,40 @@ def test_a_manifest_that_is_missing_or_broken(healthy, capsys):
     assert "manifest.json is missing from data_samples: git checkout data_samples" in capsys.readouterr().out
 
 
+def test_without_the_clone_the_requirements_of_the_distribution_count(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(doctor, "_ROOT", tmp_path)
+    requires = ["numpy>=1.2", 'no-such-package-here>=3; extra == "course"', "PyYAML"]
+    monkeypatch.setattr(doctor.metadata, "requires", lambda name: requires)
+    assert check_installation(short=True) is True
+    assert capsys.readouterr().out == "OK    Python and packages are in place\n"
+    requires += ["numpy>=99.1", "no-such-package-here>=3.1"]
+    assert check_installation() is False
+    lines = capsys.readouterr().out.splitlines()
+    assert [line for line in lines if line.startswith("FAIL")] == [
+        f"FAIL  numpy is {metadata.version('numpy')}: pip install 'numpy>=99.1'",
+        "FAIL  no-such-package-here is missing: pip install 'no-such-package-here>=3.1'",
+    ]
+    assert "NOTE  installed without the course: data_samples is not checked" in lines
+
+
+def test_images_without_a_rig_are_not_ignored(tmp_path, capsys):
+    assert cli.main(["doctor", "--images", str(tmp_path / "a.png")]) == 2
+    assert "--images needs --rig" in capsys.readouterr().err
+
+
 def test_an_old_python(healthy, monkeypatch, capsys):
     monkeypatch.setattr(doctor.sys, "version_info", (3, 10, 4))
     assert check_installation(short=True) is False
     assert "FAIL  Python 3.10.4: install 3.11 or newer" in capsys.readouterr().out
 
 
-def test_no_opengl_is_a_note_with_the_cure(healthy, monkeypatch, capsys):
+def test_what_is_only_a_note(healthy, monkeypatch, capsys):
     monkeypatch.setattr(doctor, "opengl_works", lambda: False)
+    monkeypatch.setattr(doctor, "_MIN_MEMORY_GIB", 1e6)
     assert check_installation() is True
     out = capsys.readouterr().out
     assert "NOTE  no OpenGL: point clouds are drawn by NumPy; on Debian: apt install" in out
+    assert "at least 1000000.0 GiB are needed, close other programs" in out
 
 
 @pytest.mark.parametrize(
@@ -98,12 +122,6 @@ def test_a_probe_that_fails_does_not_take_us_along(monkeypatch, probe):
     monkeypatch.setattr(doctor, "_RENDER_PROBE", probe)
     monkeypatch.setattr(doctor, "_PROBE_SECONDS", 1)
     assert doctor.opengl_works() is False
-
-
-def test_too_little_memory_is_a_note(healthy, monkeypatch, capsys):
-    monkeypatch.setattr(doctor, "_MIN_MEMORY_GIB", 1e6)
-    assert check_installation() is True
-    assert "the notebooks want 1000000.0 GiB, close other programs" in capsys.readouterr().out
 
 
 def test_the_short_form_is_quick_to_start():

@@ -34,7 +34,7 @@ LAYER = {name: number for number, line in enumerate(LAYERS.split("\n")) for name
 AT_HOME = {"matplotlib": {"calibrate.figures"}, "pyvista": set(), "IPython": set(), "bpy": set(), "ipywidgets": set()}
 EAGER = {
     "cv2": {"stereo.sweep", "stereo.depth", "rig_check", "bench", "calibrate.detect"},
-    "scipy": {"rig_files.camera_models", "calibrate.bundle", "calibrate.rig"},
+    "scipy": {"calibrate.bundle", "calibrate.rig"},
 }
 
 

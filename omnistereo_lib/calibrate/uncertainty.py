@@ -1,8 +1,8 @@
-"""What a wrong rig does to depth: how far, in spheres, the winner moves along each ray.
+"""Effect of calibration errors on depth: the shift of the best sphere along each ray, to first order.
 
-To first order. Content that should appear at direction s of the panorama appears, in camera i's picture warped
-with the wrong rig onto sphere n + δ, at s - M⁻¹(∂u/∂n δ + Δu), with M = ∂u/∂s how the camera's pixel u follows the
-direction and Δu the error of the projection in pixels. Two cameras' pictures fall on each other where these agree.
+A point that belongs at direction s of the panorama appears, in the image of camera i warped with the wrong rig onto
+sphere n + δ, at s - M⁻¹(∂u/∂n δ + Δu), where M = ∂u/∂s is the derivative of the pixel u with respect to direction and
+Δu the error of the projection in pixels. The images of two cameras coincide where these agree.
 """
 
 from __future__ import annotations
@@ -20,39 +20,38 @@ from omnistereo_lib.stereo.volume import Pairs, camera_pairs
 
 Floats = NDArray[np.float64]
 
-_TURN = 1e-4  # radians, for derivatives by direction
-_STEP = 0.05  # spheres, for derivatives by index
+_ANGLE_STEP = 1e-4  # radians, for derivatives with respect to direction
+_INDEX_STEP = 0.05  # spheres, for derivatives with respect to the index
 
 
 def index_shift(rig: Rig, wrong: Rig, grid: SphereGrid, index: float, pairs: Pairs = "ring") -> Floats:
-    """Predict by how many spheres the winner moves if `wrong` is used in place of `rig`.
+    """Predict the shift of the best sphere if `wrong` is used in place of `rig`.
 
     Parameters
     ----------
     rig, wrong : Rig
         In the same frame, its origin the sweep centre.
     grid : SphereGrid
-        Rays, and what a sphere is.
     index : float
-        Where the scene truly is, in (0, N - 1].
+        True sphere index of the scene, in (0, N - 1].
     pairs : "ring" | "all" | sequence of (int, int)
-        The pairs that vote; the result is the shift that all of them together like best.
+        Camera pairs; the result minimizes the sum of their squared errors.
 
     Returns
     -------
     array, shape (H, W), spheres; NaN where no pair sees the ray
-        Positive: things seem nearer than they are. First order: true for shifts small against the texture.
+        Positive: the scene appears nearer than it is. First order: valid for shifts small against the texture.
     """
-    return _shift(_views(rig, grid, index), wrong, grid, index, camera_pairs(pairs, rig))
+    return _shift(_linearize(rig, grid, index), wrong, grid, index, camera_pairs(pairs, rig))
 
 
 def index_uncertainty(report: RigReport, grid: SphereGrid, index: float, pairs: Pairs = "ring") -> Floats:
-    """Return one standard deviation, in spheres, of the winner due to what the calibration does not know.
+    """Return the standard deviation of the sphere index due to calibration uncertainty.
 
     Parameters
     ----------
     report : RigReport
-        Of `calibrate_rig`: its covariance goes through `index_shift`.
+        Of `calibrate_rig`: its covariance is propagated through `index_shift`.
     grid, index, pairs
         As for `index_shift`.
 
@@ -64,11 +63,11 @@ def index_uncertainty(report: RigReport, grid: SphereGrid, index: float, pairs: 
     nominal = Estimate(estimate.intrinsics, estimate.T_cam_rig, ())
     rig = _rig(nominal, report)
     center = rig.centers.mean(axis=0)
-    views, pairs = _views(rig.centered(center), grid, index), camera_pairs(pairs, rig)
+    cameras, pairs = _linearize(rig.centered(center), grid, index), camera_pairs(pairs, rig)
 
     def shift(vector: Floats) -> Floats:
-        moved = _rig(nominal.with_vector(vector), report)
-        return _shift(views, moved.centered(center), grid, index, pairs)
+        perturbed = _rig(nominal.with_vector(vector), report)
+        return _shift(cameras, perturbed.centered(center), grid, index, pairs)
 
     return standard_deviation(shift, nominal.vector(), report.covariance)
 
@@ -82,53 +81,57 @@ def _rig(estimate: Estimate, report: RigReport) -> Rig:
 
 
 @dataclass(frozen=True)
-class _View:
-    """What one camera of the right rig sees of every ray's point on a sphere."""
+class _Linearized:
+    """Projection of one camera of the right rig, linearized at the point of every ray on a sphere."""
 
     pixels: Floats  # u, (H, W, 2)
-    seen: NDArray[np.bool_]  # (H, W)
-    to_radians: Floats  # M⁻¹, (H, W, 2, 2): from pixels to radians on the panorama
-    per_sphere: Floats  # M⁻¹ ∂u/∂n, (H, W, 2)
+    valid: NDArray[np.bool_]  # (H, W)
+    pixel_to_angle: Floats  # M⁻¹, (H, W, 2, 2): from pixels to radians on the panorama
+    parallax_per_sphere: Floats  # M⁻¹ ∂u/∂n, (H, W, 2)
 
 
-def _views(rig: Rig, grid: SphereGrid, index: float) -> list[_View]:
-    """Look up, once for any number of wrong rigs, what each camera of the right one sees."""
+def _linearize(rig: Rig, grid: SphereGrid, index: float) -> list[_Linearized]:
+    """Linearize every camera of the right rig, once for any number of wrong rigs."""
     rays = grid.rays()
-    across = np.stack([rays[..., 2], np.zeros(grid.shape), -rays[..., 0]], axis=-1)  # along θ …
-    across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-12)
-    down = np.cross(rays, across)  # … and along φ
-    views = []
+    right = np.stack([rays[..., 2], np.zeros(grid.shape), -rays[..., 0]], axis=-1)  # along θ …
+    right /= np.maximum(np.linalg.norm(right, axis=-1, keepdims=True), 1e-12)
+    down = np.cross(rays, right)  # … and along φ
+    cameras = []
     for i in range(len(rig)):
-        u, seen = _pixels(rig, i, rays, grid, index)
-        turned = [
-            [_pixels(rig, i, rays + turn * axis, grid, index)[0] for turn in (_TURN, -_TURN)] for axis in (across, down)
-        ]
-        M = np.stack([(ahead - back) / (2 * _TURN) for ahead, back in turned], axis=-1)
-        M[~seen] = np.eye(2)
-        ahead, back = (_pixels(rig, i, rays, grid, index + step)[0] for step in (_STEP, -_STEP))
+        u, valid = _project(rig, i, rays, grid, index)
+        columns = []
+        for axis in (right, down):
+            ahead, back = (_project(rig, i, rays + s * _ANGLE_STEP * axis, grid, index)[0] for s in (1, -1))
+            columns.append((ahead - back) / (2 * _ANGLE_STEP))
+        M = np.stack(columns, axis=-1)
+        M[~valid] = np.eye(2)
+        ahead, back = (_project(rig, i, rays, grid, index + s * _INDEX_STEP)[0] for s in (1, -1))
         inverse = np.linalg.inv(M)
-        views.append(_View(u, seen, inverse, _times(inverse, (ahead - back) / (2 * _STEP))))
-    return views
+        cameras.append(_Linearized(u, valid, inverse, _times(inverse, (ahead - back) / (2 * _INDEX_STEP))))
+    return cameras
 
 
-def _shift(views: list[_View], wrong: Rig, grid: SphereGrid, index: float, pairs: list[tuple[int, int]]) -> Floats:
-    """Return the shift that all pairs together like best: least squares along each ray."""
+def _shift(
+    cameras: list[_Linearized], wrong: Rig, grid: SphereGrid, index: float, pairs: list[tuple[int, int]]
+) -> Floats:
+    """Return the shift that fits all pairs best: least squares along each ray."""
     rays = grid.rays()
     errors = [
-        _times(view.to_radians, _pixels(wrong, i, rays, grid, index)[0] - view.pixels) for i, view in enumerate(views)
+        _times(camera.pixel_to_angle, _project(wrong, i, rays, grid, index)[0] - camera.pixels)
+        for i, camera in enumerate(cameras)
     ]
     numerator, denominator = np.zeros((2, *grid.shape))
     for i, j in pairs:
-        both = views[i].seen & views[j].seen
-        parallax, error = views[i].per_sphere - views[j].per_sphere, errors[i] - errors[j]
-        numerator -= np.where(both, np.sum(parallax * error, axis=-1), 0.0)
+        both = cameras[i].valid & cameras[j].valid
+        parallax = cameras[i].parallax_per_sphere - cameras[j].parallax_per_sphere
+        numerator -= np.where(both, np.sum(parallax * (errors[i] - errors[j]), axis=-1), 0.0)
         denominator += np.where(both, np.sum(parallax * parallax, axis=-1), 0.0)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(denominator > 0, numerator / denominator, np.nan)
 
 
-def _pixels(rig: Rig, i: int, directions: Floats, grid: SphereGrid, index: float) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return where camera i sees the points in some directions on a sphere, and whether it does."""
+def _project(rig: Rig, i: int, directions: Floats, grid: SphereGrid, index: float) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the pixels of points on a sphere in camera i, and whether they are visible."""
     points = directions / grid.index_to_inverse_depth(index)
     return rig.cameras[i].project(rig.T_rig_cam[i].inverse() @ points, exact=True)
 

@@ -72,6 +72,9 @@ class OcamCamera:
         object.__setattr__(self, "poly", np.asarray(self.poly, np.float64))
         object.__setattr__(self, "inv_poly", np.asarray(self.inv_poly, np.float64))
         self._check()
+        for name, number in (("center", float), ("affine", float), ("image_size", int)):  # plain, not NumPy scalars
+            object.__setattr__(self, name, tuple(map(number, getattr(self, name))))
+        object.__setattr__(self, "max_fov_deg", float(self.max_fov_deg))
         object.__setattr__(self, "max_radius", float(_horner(self.inv_poly, self._max_t)))
 
     def _check(self) -> None:

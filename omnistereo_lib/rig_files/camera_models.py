@@ -1,14 +1,16 @@
-"""Other people's fisheye models, and how each becomes an OCam camera.
+"""Fisheye camera models of other libraries, and their conversion to and from OCam cameras by fitting.
 
-The models are functions from rays to pixels, float64, that say where they hold; `fit_ocam` samples one of
-them and fits the polynomial camera, so that everything after it knows a single camera class.
+A model is a function from rays to pixels, float64, that also returns where it is valid. `fit_ocam` samples a model
+and fits the polynomial camera, so that the rest of the library uses a single camera class.
 
 References: Usenko et al. 2018, "The double sphere camera model" (double sphere and the unified models);
-Kannala and Brandt 2006 (here with OpenCV's four coefficients); Mei and Rives 2007 (omni).
+Kannala and Brandt 2006 (here with the four coefficients of OpenCV); Mei and Rives 2007 (omni).
 """
 
 from __future__ import annotations
 
+import logging
+import warnings
 from collections.abc import Callable
 from functools import partial
 
@@ -20,35 +22,25 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.camera import OcamCamera
 
 Floats = NDArray[np.float64]
-Projection = Callable[[Floats], tuple[Floats, NDArray[np.bool_]]]  # rays (..., 3) -> uv (..., 2) px, valid (...)
+Projected = tuple[Floats, NDArray[np.bool_]]  # uv (..., 2) px, valid (...)
+Projection = Callable[[Floats], Projected]  # of rays (..., 3)
 
-DEFAULT_FOV_DEG = 220.0  # the widest common lens; black corners of an unmasked picture lie beyond it
+_log = logging.getLogger("omnistereo_lib")
+
+DEFAULT_FOV_DEG = 220.0  # the widest common lens; in images without a mask, black corners lie beyond it
 _ANGLE_STEP = np.radians(0.25)
 _AZIMUTHS = np.arange(64) * (2 * np.pi / 64)
 _FIT_TOLERANCE = 0.01  # px, as for any inverse polynomial
 _MAX_DEGREE = 20
+_MAX_RESIDUAL = 0.1  # px; beyond it a warning
 
 
-def double_sphere(
-    rays: Floats, fx: float, fy: float, cx: float, cy: float, xi: float, alpha: float
-) -> tuple[Floats, NDArray[np.bool_]]:
-    """Project with the double sphere model: two unit spheres xi apart, then a shifted pinhole.
+def double_sphere(rays: Floats, fx: float, fy: float, cx: float, cy: float, xi: float, alpha: float) -> Projected:
+    """Project with the double sphere model: two unit spheres xi > -1 apart, then a shifted pinhole.
 
-    Parameters
-    ----------
-    rays : array, shape (..., 3)
-        Directions in the camera frame, any length.
-    fx, fy, cx, cy : float
-        Focal lengths and principal point, pixels.
-    xi, alpha : float
-        Distance of the spheres, more than -1; position of the pinhole in [0, 1): it stands alpha / (1 - alpha)
-        behind the second sphere's centre.
-
-    Returns
-    -------
-    uv : shape (..., 2), pixels; not finite or meaningless where not valid
-    valid : bool, shape (...)
-        Where the projection exists and is one to one.
+    Takes rays (..., 3) of any length in the camera frame, focal lengths and principal point in pixels, and alpha in
+    [0, 1): the pinhole is alpha / (1 - alpha) behind the centre of the second sphere. Returns uv (..., 2) in pixels
+    and valid (...): where the projection exists and is one to one; elsewhere uv is meaningless or not finite.
     """
     x, y, z, length = _components(rays)
     shifted = xi * length + z
@@ -58,17 +50,11 @@ def double_sphere(
     return _pinhole(x, y, alpha * second + (1 - alpha) * shifted, fx, fy, cx, cy), z > -w2 * length
 
 
-def unified(
-    rays: Floats, fx: float, fy: float, cx: float, cy: float, alpha: float, beta: float = 1.0
-) -> tuple[Floats, NDArray[np.bool_]]:
+def unified(rays: Floats, fx: float, fy: float, cx: float, cy: float, alpha: float, beta: float = 1.0) -> Projected:
     """Project with the (extended) unified model: an ellipsoid, then a shifted pinhole.
 
-    Parameters
-    ----------
-    rays, fx, fy, cx, cy
-        As for `double_sphere`, as are the values returned.
-    alpha, beta : float
-        Position of the pinhole in [0, 1) and shape of the ellipsoid; beta = 1 is the sphere (UCM).
+    As `double_sphere`, with alpha in [0, 1) the position of the pinhole and beta > 0 the shape of the ellipsoid;
+    beta = 1 is the sphere (UCM).
     """
     x, y, z, _ = _components(rays)
     length = np.sqrt(beta * (x * x + y * y) + z * z)
@@ -76,27 +62,13 @@ def unified(
 
 
 def omni(
-    rays: Floats,
-    fx: float,
-    fy: float,
-    cx: float,
-    cy: float,
-    xi: float,
-    k1: float = 0.0,
-    k2: float = 0.0,
-    p1: float = 0.0,
-    p2: float = 0.0,
-) -> tuple[Floats, NDArray[np.bool_]]:
-    """Project with Mei's model: a unit sphere seen from xi behind its centre, then radtan distortion.
+    rays: Floats, fx: float, fy: float, cx: float, cy: float, xi: float,
+    k1: float = 0.0, k2: float = 0.0, p1: float = 0.0, p2: float = 0.0,
+) -> Projected:  # fmt: skip
+    """Project with the model of Mei and Rives: a unit sphere seen from xi behind its centre, then radtan distortion.
 
-    Parameters
-    ----------
-    rays, fx, fy, cx, cy
-        As for `double_sphere`, as are the values returned.
-    xi : float
-        Distance of the viewpoint from the sphere's centre, at least 0.
-    k1, k2, p1, p2 : float
-        OpenCV's radial and tangential coefficients on the normalised plane.
+    As `double_sphere`, with xi ≥ 0 and the radial (k1, k2) and tangential (p1, p2) coefficients of OpenCV on the
+    normalised plane.
     """
     x, y, z, length = _components(rays)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -110,70 +82,56 @@ def omni(
 
 def kannala_brandt(
     rays: Floats, fx: float, fy: float, cx: float, cy: float, k1: float, k2: float, k3: float, k4: float
-) -> tuple[Floats, NDArray[np.bool_]]:
+) -> Projected:
     """Project with r(θ) = θ + k1 θ³ + k2 θ⁵ + k3 θ⁷ + k4 θ⁹, θ from the axis.
 
-    Others call it OpenCV fisheye, kb4 or pinhole-equidistant. OpenCV's own code divides by z and so stops at
-    90°; here θ = atan2(hypot(x, y), z) goes on.
-
-    Parameters
-    ----------
-    rays, fx, fy, cx, cy
-        As for `double_sphere`, as are the values returned. Valid up to where r(θ) first turns back.
-    k1, k2, k3, k4 : float
-        Coefficients as above.
+    As `double_sphere`, valid as far as r(θ) increases. Also called OpenCV fisheye, kb4 or pinhole-equidistant.
+    OpenCV divides by z and stops at 90°; θ = atan2(hypot(x, y), z) does not.
     """
     x, y, z, length = _components(rays)
     r = Polynomial([0, 1, 0, k1, 0, k2, 0, k3, 0, k4])
-    turns = r.deriv().roots()
-    turns = turns[(np.abs(turns.imag) < 1e-9) & (turns.real > 0)].real
+    maxima = r.deriv().roots()
+    maxima = maxima[(np.abs(maxima.imag) < 1e-9) & (maxima.real > 0)].real
     theta = np.arctan2(np.hypot(x, y), z)
     scale = r(theta) / np.maximum(np.hypot(x, y), 1e-300)
-    valid = (length > 0) & (theta < turns.min(initial=np.inf))
+    valid = (length > 0) & (theta < maxima.min(initial=np.inf))
     return np.stack([fx * x * scale + cx, fy * y * scale + cy], -1), valid
 
 
-_LENSES: dict[str, tuple[Callable[..., tuple[Floats, NDArray[np.bool_]]], tuple[str, ...]]] = {
-    "ds": (double_sphere, ("fx", "fy", "cx", "cy", "xi", "alpha")),
-    "kb4": (kannala_brandt, ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")),
-    "omni": (omni, ("fx", "fy", "cx", "cy", "xi", "k1", "k2", "p1", "p2")),
-    "eucm": (unified, ("fx", "fy", "cx", "cy", "alpha", "beta")),
-    "ucm": (unified, ("fx", "fy", "cx", "cy", "alpha")),
+_PINHOLE = ("fx", "fy", "cx", "cy")
+_MODELS: dict[str, tuple[Callable[..., Projected], tuple[str, ...]]] = {
+    "ds": (double_sphere, (*_PINHOLE, "xi", "alpha")),
+    "kb4": (kannala_brandt, (*_PINHOLE, "k1", "k2", "k3", "k4")),
+    "omni": (omni, (*_PINHOLE, "xi", "k1", "k2", "p1", "p2")),
+    "eucm": (unified, (*_PINHOLE, "alpha", "beta")),
+    "ucm": (unified, (*_PINHOLE, "alpha")),
 }
-_RANGES = {
-    "fx": (0, np.inf),
-    "fy": (0, np.inf),
-    "alpha": (-1e-12, 1),
-    "beta": (0, np.inf),
-    "xi": (-1, np.inf),
-}
+_OPTIONAL = {"k1", "k2", "p1", "p2"}  # of omni
+_RANGES = {"fx": (0, np.inf), "fy": (0, np.inf), "alpha": (-1e-12, 1), "beta": (0, np.inf), "xi": (-1, np.inf)}
 
 
-def make_lens(model: str, parameters: dict[str, float]) -> Projection:
-    """Return the projection of a named model with its parameters.
+def make_camera_model(model: str, parameters: dict[str, float]) -> Projection:
+    """Return the projection of a named model: "ds", "kb4", "omni", "eucm" or "ucm".
 
-    Parameters
-    ----------
-    model : "ds" | "kb4" | "omni" | "eucm" | "ucm"
-    parameters : dict
-        The keyword arguments of the model's function, all of them.
+    `parameters` are all keyword arguments of the model function; the distortion of "omni" may be omitted.
 
     Raises
     ------
     OmnistereoError
         If the model is unknown, or a parameter is missing, unknown or out of range.
     """
-    if model not in _LENSES:
+    if model not in _MODELS:
         raise OmnistereoError(
-            f"no lens model {model!r} here, known are {sorted(_LENSES)}; recalibrate with one of them"
+            f"camera model {model!r} is unknown; expected one of {sorted(_MODELS)}. Recalibrate with it"
         )
-    function, names = _LENSES[model]
-    if set(parameters) != set(names):
-        raise OmnistereoError(f"lens model {model!r} needs the parameters {list(names)}, found {list(parameters)}")
+    function, names = _MODELS[model]
+    optional = _OPTIONAL if model == "omni" else set()
+    if not set(names) - optional <= set(parameters) <= set(names):
+        raise OmnistereoError(f"camera model {model!r} needs the parameters {list(names)}, found {list(parameters)}")
     for name, value in parameters.items():
         low, high = _RANGES.get(name, (-np.inf, np.inf))
         if not low < value < high:
-            raise OmnistereoError(f"{name} = {value} of lens model {model!r} must lie between {low:g} and {high:g}")
+            raise OmnistereoError(f"{name} = {value} of camera model {model!r} must lie between {low:g} and {high:g}")
     return partial(function, **parameters)
 
 
@@ -192,44 +150,69 @@ def _unified_limit(alpha: float) -> float:
     return alpha / (1 - alpha) if alpha <= 0.5 else (1 - alpha) / alpha
 
 
+def fit_camera(
+    source: str,
+    model: str,
+    parameters: dict[str, float],
+    image_size: tuple[int, int],
+    max_fov_deg: float | None,
+    mask: NDArray[np.bool_] | None = None,
+) -> OcamCamera:
+    """Return the OCam camera of a named model in a file; parameters as `make_camera_model` and `fit_ocam`.
+
+    `source`, the file and the camera, is for messages. A UserWarning reports a residual above 0.1 px, which
+    tangential distortion causes.
+    """
+    try:
+        with np.errstate(all="ignore"):  # absurd parameters overflow before they are refused
+            camera, residual = fit_ocam(make_camera_model(model, parameters), image_size, max_fov_deg, mask)
+    except np.linalg.LinAlgError:
+        raise OmnistereoError(f"no camera fits the {model} parameters {parameters}. Check them") from None
+    _log.info("%s: %s fitted by OCam, %.1f° seen, worst residual %.2g px", source, model, camera.max_fov_deg, residual)
+    if residual > _MAX_RESIDUAL:
+        warnings.warn(
+            f"{source}: the OCam polynomials are up to {residual:.2f} px away from the {model} model in the file, by "
+            "tangential distortion or a model that is not monotonic. Lower max_fov_deg, or calibrate an OCam model.",
+            UserWarning,
+            stacklevel=2,
+        )
+    return camera
+
+
 def fit_ocam(
     project: Projection,
     image_size: tuple[int, int],
     max_fov_deg: float | None = None,
     mask: NDArray[np.bool_] | None = None,
 ) -> tuple[OcamCamera, float]:
-    """Fit an OCam camera to another model's projection.
+    """Fit an OCam camera to the projection of another model.
 
     Rays are sampled on rings around the axis. On each ring the first Fourier coefficients over the azimuth
-    give the ring's centre and its 2 × 2 map; over all rings the maps are one affine map times a radius (their
-    best rank-1 approximation), which is the least-squares answer. The two polynomials then follow the radii.
+    give the centre and the 2 × 2 map of the ring; over all rings the maps are one affine map times a radius (their
+    best rank-1 approximation, the least-squares solution). The two polynomials are then fitted to the radii.
 
     Parameters
     ----------
     project : function
         Rays (..., 3) → pixels (..., 2), valid (...), such as `functools.partial(double_sphere, fx=..., ...)`.
     image_size : (int, int)
-        Width and height, pixels.
+        Width and height, pixels. OmnistereoError if the model projects nothing into the image.
     max_fov_deg : float, optional
-        Widest full field of view wanted, degrees. None: what the mask leaves, or 220° without a mask.
-        The camera's is the smallest of this, the model's limit and the widest that a usable pixel sees.
+        Limit of the full field of view, degrees. None: none with a mask, 220° without a mask.
+        The result is the smallest of this, the limit of the model and the widest angle of a valid pixel.
     mask : bool array, shape (height, width), optional
-        True where the picture is usable.
+        True where the image is valid.
 
     Returns
     -------
     camera : OcamCamera
     residual : float
-        Largest distance in pixels between the model and either polynomial's projection over the field.
-
-    Raises
-    ------
-    OmnistereoError
-        If the model projects nothing into the image.
+        Largest distance in pixels between the model and the projection by either polynomial.
     """
     half = _half_field(project, image_size, max_fov_deg, mask)
     theta = np.linspace(0.0, half, 257)[1:]
-    rays, uv = _rings(project, theta)
+    rays = _ring_rays(theta)
+    uv = project(rays)[0]
     center = uv.mean((0, 1))
     harmonics = np.stack([np.cos(_AZIMUTHS), np.sin(_AZIMUTHS)], -1)
     maps = np.einsum("rai,aj->rij", uv, harmonics) * (2 / len(_AZIMUTHS))
@@ -249,26 +232,20 @@ def fit_ocam(
     return camera, float(max(errors))
 
 
-def _rings(project: Projection, theta: Floats) -> tuple[Floats, Floats]:
-    """Return rays (rings, azimuths, 3) at angles θ from the axis and their pixels; NaN where not valid."""
+def _ring_rays(theta: Floats) -> Floats:
+    """Return unit rays (rings, azimuths, 3) at angles θ from the axis."""
     sine, cosine = np.sin(theta)[:, None], np.cos(theta)[:, None]
-    rays = np.stack(
-        np.broadcast_arrays(sine * np.cos(_AZIMUTHS), sine * np.sin(_AZIMUTHS), cosine * np.ones_like(_AZIMUTHS)),
-        -1,
-    )
-    uv, valid = project(rays)
-    return rays, np.where(valid[..., None], uv, np.nan)
+    x, y = sine * np.cos(_AZIMUTHS), sine * np.sin(_AZIMUTHS)
+    return np.stack(np.broadcast_arrays(x, y, cosine), -1)
 
 
 def _half_field(
-    project: Projection,
-    image_size: tuple[int, int],
-    max_fov_deg: float | None,
-    mask: NDArray[np.bool_] | None,
+    project: Projection, image_size: tuple[int, int], max_fov_deg: float | None, mask: NDArray[np.bool_] | None
 ) -> float:
     """Return the half field of view in radians, as `fit_ocam` chooses it."""
     theta = np.arange(0.0, np.pi, _ANGLE_STEP)
-    _, uv = _rings(project, theta)
+    uv, valid = project(_ring_rays(theta))
+    uv = np.where(valid[..., None], uv, np.nan)
     radius = np.linalg.norm(uv - uv[0].mean(0), axis=-1)
     one_to_one = np.append(True, (np.diff(radius, axis=0) > 0).all(1)).cumprod().astype(bool)  # NaN is not > 0
     theta, uv = theta[one_to_one], uv[one_to_one]
@@ -280,35 +257,58 @@ def _half_field(
         inside &= mask[row, column]
     if not inside[theta > 0].any():
         raise OmnistereoError(
-            f"the lens projects nothing into the image of {width} × {height} px; check its parameters"
+            f"the camera model projects nothing into the image of {width} × {height} px. Check its parameters"
         )
-    seen = theta[inside.any(1)].max() + _ANGLE_STEP
-    wanted = np.pi if mask is not None else np.radians(DEFAULT_FOV_DEG) / 2
-    wanted = wanted if max_fov_deg is None else np.radians(max_fov_deg) / 2
-    return float(min(seen, theta.max(), wanted))
+    visible = theta[inside.any(1)].max() + _ANGLE_STEP
+    default = 360.0 if mask is not None else DEFAULT_FOV_DEG
+    limit = np.radians(default if max_fov_deg is None else max_fov_deg) / 2
+    return float(min(visible, theta.max(), limit))
 
 
 def _fit_inverse(radius: Floats, t: Floats) -> Floats:
-    """Fit r(t), zero on the axis, raising the degree until it is good; low to high."""
+    """Fit r(t), zero on the axis; coefficients low to high."""
     limits = [-np.pi / 2, t[-1]]
     scaled = (t - limits[0]) / (limits[1] - limits[0])
-    for degree in range(3, _MAX_DEGREE + 1):
-        powers = scaled[:, None] ** np.arange(1, degree + 1)
-        b = np.linalg.lstsq(powers, radius, rcond=None)[0]
-        if np.abs(powers @ b - radius).max() < _FIT_TOLERANCE:
-            break
+    b = _fit_lowest_degree(scaled[:, None] ** np.arange(1, _MAX_DEGREE + 1), radius, 3)
     return Polynomial([0, *b], domain=limits, window=[0, 1]).convert().coef
 
 
 def _fit_direct(radius: Floats, t: Floats) -> Floats:
-    """Fit f(r) with f(r) cos t = r sin t and a1 = 0, raising the degree until it is good; low to high."""
-    scaled = radius / radius[-1]
-    for degree in range(4, _MAX_DEGREE + 1):
-        exponents = np.array([0, *range(2, degree + 1)])
-        powers = scaled[:, None] ** exponents * np.cos(t)[:, None]
-        a = np.linalg.lstsq(powers, radius * np.sin(t), rcond=None)[0]
-        if np.abs(powers @ a - radius * np.sin(t)).max() < _FIT_TOLERANCE:
+    """Fit f(r) with f(r) cos t = r sin t and a1 = 0; coefficients low to high."""
+    exponents = np.array([0, *range(2, _MAX_DEGREE + 1)])
+    powers = (radius / radius[-1])[:, None] ** exponents * np.cos(t)[:, None]
+    a = _fit_lowest_degree(powers, radius * np.sin(t), 4)
+    a /= radius[-1] ** exponents[: len(a)]
+    return np.array([a[0], 0.0, *a[1:]])
+
+
+def _fit_lowest_degree(powers: Floats, values: Floats, terms: int) -> Floats:
+    """Return the least-squares coefficients of the fewest columns, at least `terms`, that meet the tolerance."""
+    for count in range(terms, powers.shape[1] + 1):
+        fit = np.linalg.lstsq(powers[:, :count], values, rcond=None)[0]
+        if np.abs(powers[:, :count] @ fit - values).max() < _FIT_TOLERANCE:
             break
-    poly = np.zeros(degree + 1)
-    poly[exponents] = a / radius[-1] ** exponents
-    return poly
+    return fit
+
+
+def fit_kannala_brandt(camera: OcamCamera) -> tuple[dict[str, float], float]:
+    """Fit the Kannala-Brandt model, which has no d and e of the affine map, to an OCam camera: linear least squares.
+
+    Returns the keyword arguments of `kannala_brandt`, and the largest distance in pixels between the two models over
+    the field of view. OmnistereoError if that is too wide for four coefficients.
+    """
+    theta = np.radians(np.linspace(0.25, camera.max_fov_deg / 2, 180))
+    rays = _ring_rays(theta)
+    uv = camera.project(rays, exact=True)[0]
+    c = camera.affine[0]
+    offset = (uv - np.array(camera.center)) / [1.0, c]
+    radius = (offset[..., 0] * np.cos(_AZIMUTHS) + offset[..., 1] * np.sin(_AZIMUTHS)).mean(1)
+    powers = theta[:, None] ** np.arange(1, 10, 2)
+    scale = powers.max(axis=0)
+    f, *rest = (np.linalg.lstsq(powers / scale, radius, rcond=None)[0] / scale).tolist()
+    if not f > 0:
+        raise OmnistereoError(f"no Kannala-Brandt camera follows this lens over {camera.max_fov_deg:.0f}°")
+    k = {f"k{i}": value / f for i, value in enumerate(rest, start=1)}
+    parameters = {"fx": f, "fy": f * c, "cx": camera.center[0], "cy": camera.center[1], **k}
+    fitted, _ = kannala_brandt(rays, **parameters)
+    return parameters, float(np.linalg.norm(fitted - uv, axis=-1).max())

@@ -1,7 +1,9 @@
-"""Picking values out of parsed files such that whatever is wrong with them is named."""
+"""Values of rig files: JSON and YAML as Python values, and errors that name the file, the camera and the key."""
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,90 +13,103 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.files import read_text
 
-UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+METRES_PER_UNIT = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 
 
 @contextmanager
-def naming(source: str | Path) -> Iterator[None]:
-    """Put the name of a file, or of a camera in it, in front of every error raised inside."""
+def error_context(source: str | Path) -> Iterator[None]:
+    """Prefix every `OmnistereoError` raised inside with a file name, or with a camera in the file."""
     try:
         yield
     except OmnistereoError as error:
         raise OmnistereoError(f"{source}: {error}") from None
 
 
-def entry(mapping: Any, key: str) -> Any:
-    """Return a value of a parsed file's mapping; raises `OmnistereoError` naming what is there instead."""
+def parse_file(path: Path) -> Any:
+    """Return the content of a JSON or YAML file as Python values; an OpenCV matrix becomes a flat list."""
+    import yaml
+
+    class Loader(yaml.SafeLoader):
+        pass
+
+    for tag in ("opencv-matrix", "opencv-nd-matrix"):
+        Loader.add_constructor(
+            f"tag:yaml.org,2002:{tag}", lambda loader, node: loader.construct_mapping(node, deep=True).get("data")
+        )
+    text = read_text(path)
+    try:
+        if path.suffix == ".json":
+            return json.loads(text)
+        # OpenCV before 5 writes "%YAML:1.0", which is not valid YAML.
+        return Loader(re.sub(r"\A\s*%YAML:.*", "", text)).get_single_data()
+    except (yaml.YAMLError, ValueError, TypeError, AttributeError, RecursionError) as error:
+        reason = str(error).replace("\n", " ") or type(error).__name__
+        raise OmnistereoError(f"not valid JSON or YAML ({reason}). Check that the file is complete") from None
+
+
+def to_yaml(data: dict[str, Any]) -> str:
+    """Return YAML text with every number in full and lists of numbers on one line."""
+    import yaml
+
+    return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
+
+
+def require_key(mapping: Any, key: str) -> Any:
+    """Return the value of a key; `OmnistereoError` lists the keys that were found instead."""
     if not isinstance(mapping, dict):
-        raise OmnistereoError(f"found {_short(mapping)} where entries such as {key!r} were expected")
+        raise OmnistereoError(f"found {_shortened(mapping)}; expected keys such as {key!r}")
     if key not in mapping:
-        raise OmnistereoError(f"entry {key!r} is missing, found {sorted(map(str, mapping))}")
+        raise OmnistereoError(f"key {key!r} is missing; found {sorted(map(str, mapping))}")
     return mapping[key]
 
 
-def entries(mapping: Any, key: str) -> list[Any]:
-    """Return a list that is a value of a parsed file's mapping."""
-    value = entry(mapping, key)
+def require_list(mapping: Any, key: str) -> list[Any]:
+    """Return the value of a key that must be a list."""
+    value = require_key(mapping, key)
     if not isinstance(value, list):
-        raise OmnistereoError(f"{key!r} must be a list, found {_short(value)}")
+        raise OmnistereoError(f"{key!r} is {_shortened(value)}; expected a list")
     return value
 
 
-def numbers(values: Any, what: str, count: int | None = None) -> NDArray[np.float64]:
-    """Return values of a parsed file as a flat float64 array of finite numbers.
-
-    Numbers may come as text: YAML takes "1e-3" for a word.
-
-    Raises
-    ------
-    OmnistereoError
-        If something is not a finite number, or there are not `count` of them.
-    """
+def parse_floats(values: Any, name: str, count: int | None = None) -> NDArray[np.float64]:
+    """Return a value as a flat float64 array of `count` finite numbers; "1e-3", which is text in YAML, is accepted."""
     try:
         array = np.asarray(values, np.float64).ravel()
     except (TypeError, ValueError, OverflowError):
-        raise OmnistereoError(f"{what} must be numbers, found {_short(values)}") from None
+        raise OmnistereoError(f"{name} must be numbers, found {_shortened(values)}") from None
     if not np.isfinite(array).all():
-        raise OmnistereoError(f"{what} must be finite numbers, found {_short(values)}")
+        raise OmnistereoError(f"{name} must be finite numbers, found {_shortened(values)}")
     if count is not None and len(array) != count:
-        raise OmnistereoError(f"{what} must be {count} numbers, found {len(array)}: {_short(values)}")
+        raise OmnistereoError(f"{name} must be {count} numbers, found {len(array)}: {_shortened(values)}")
     return array
 
 
-def whole_numbers(values: Any, what: str, count: int) -> tuple[int, ...]:
-    """Return values of a parsed file as integers; 768.0 is one, 768.5 is none."""
-    array = numbers(values, what, count)
+def parse_ints(values: Any, name: str, count: int) -> tuple[int, ...]:
+    """Return a value as `count` integers; 768.0 is accepted, 768.5 is not."""
+    array = parse_floats(values, name, count)
     if (array != np.round(array)).any():
-        raise OmnistereoError(f"{what} must be whole numbers, found {_short(values)}")
+        raise OmnistereoError(f"{name} must be integers, found {_shortened(values)}")
     return tuple(int(value) for value in array)
 
 
 def metres_per_unit(unit: str | None, positions: NDArray[np.float64]) -> float:
     """Return the scale of a file that does not state its unit.
 
-    Parameters
-    ----------
-    unit : "mm" | "cm" | "m" or None
-        What the caller says.
-    positions : array, shape (cameras, 3)
-        Camera centres as the file has them, to show what each unit would mean.
-
-    Raises
-    ------
-    OmnistereoError
-        If the unit is None: nothing is guessed.
+    The unit is never guessed: if it is None, OmnistereoError shows what each unit would mean for the camera centres
+    `positions`, shape (cameras, 3).
     """
     if unit is not None:
-        return UNITS[unit]
+        return METRES_PER_UNIT[unit]
     distances = np.linalg.norm(positions[:, None] - positions, axis=-1)[np.triu_indices(len(positions), 1)]
     low, high = distances.min(initial=np.inf), distances.max(initial=0.0)
-    meanings = ", ".join(f'unit="{name}": {low * scale:.4g} … {high * scale:.4g} m' for name, scale in UNITS.items())
+    meanings = ", ".join(f'unit="{name}": {low * m:.4g} to {high * m:.4g} m' for name, m in METRES_PER_UNIT.items())
     raise OmnistereoError(
-        f"the file does not state its unit; say it. The distances between cameras would be {meanings}"
+        f"the file does not state its unit. Pass it; the distances between the cameras would be {meanings}"
     )
 
 
-def _short(value: Any) -> str:
+def _shortened(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 80 else f"{text[:77]}..."

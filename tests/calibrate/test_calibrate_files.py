@@ -18,8 +18,8 @@ from omnistereo_lib.calibrate.captures import find_captures
 from omnistereo_lib.calibrate.detect import find_corners, save_corners
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Pose
-from omnistereo_lib.rig_files.camera_models import kannala_brandt
-from omnistereo_lib.rig_files.export import fit_kannala_brandt, write_for_others
+from omnistereo_lib.rig_files import export_rig
+from omnistereo_lib.rig_files.camera_models import fit_kannala_brandt, kannala_brandt
 
 SHIPPED = Path(osl.__file__).resolve().parents[1] / "data_samples" / "calibration"
 SETS = ["handheld", "mistakes", "van"]
@@ -206,7 +206,7 @@ def test_kannala_brandt_follows_an_equidistant_lens():
 @pytest.mark.parametrize("name", ["kalibr.yaml", "opencv.yaml"])
 def test_rigs_for_others_come_back(tmp_path, name):
     rig = rig_of().moved(Pose.from_vector([0.1, 0.2, 0.3, 1, 2, 3]))
-    residuals = write_for_others(rig, tmp_path)
+    residuals = export_rig(rig, tmp_path)
     again = osl.Rig.load(tmp_path / name, unit="m")
     for i in range(4):
         expected = rig.T_rig_cam[0].inverse() @ rig.T_rig_cam[i]
@@ -222,13 +222,13 @@ def test_a_lens_that_their_model_cannot_follow_is_named(tmp_path):
     sheared = replace(rig.cameras[1], affine=(1.0, 0.01, 0.01))
     rig = osl.Rig([rig.cameras[0], sheared, *rig.cameras[2:]], rig.T_rig_cam)
     with pytest.warns(UserWarning, match=r"does not follow camera 2 \d\.\d px at worst") as said:
-        residuals = write_for_others(rig, tmp_path)
+        residuals = export_rig(rig, tmp_path)
     assert len(said) == 1 and residuals[1] > 1 > max(residuals[0], *residuals[2:])
 
 
 def test_colmap_files(tmp_path):
     rig = rig_of()
-    write_for_others(rig, tmp_path)
+    export_rig(rig, tmp_path)
     lines = (tmp_path / "colmap_cameras.txt").read_text().splitlines()[1:]
     numbers = [float(word) for word in lines[0].split()[4:]]
     assert [line.split()[1] for line in lines] == ["OPENCV_FISHEYE"] * 4 and len(numbers) == 8

@@ -1,0 +1,125 @@
+"""OpenCV fisheye YAML: K, D, R, T and image size of each camera; X_cam = R X_rig + T; the unit is not stated.
+
+OpenCV defines no keys for a rig, so two layouts are read:
+
+- one mapping per camera, at the top or under `cameras`, in order, with the keys of `_ALIASES` (R is 3 × 3 or an
+  axis-angle; image_width and image_height may replace image_size; the size may be at the top for all cameras);
+- the same keys at the top with the camera number behind, as K1 D1 K2 D2 R2 T2; a pair may say R, T for the second
+  camera, as `cv2.fisheye.stereoCalibrate` returns them.
+
+The first camera may omit R and T: it is then the rig frame.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.geometry.pose import Pose, rotation_from_axis_angle
+from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.rig_files.camera_models import fit_camera
+from omnistereo_lib.rig_files.parse import (
+    error_context,
+    metres_per_unit,
+    parse_floats,
+    parse_ints,
+    require_key,
+    to_yaml,
+)
+
+_ALIASES = {
+    "K": ("K", "camera_matrix", "cameraMatrix"),
+    "D": ("D", "dist_coeffs", "distCoeffs", "distortion_coefficients"),
+    "R": ("R", "rvec"),
+    "T": ("T", "t", "tvec"),
+    "image_size": ("image_size", "imageSize", "resolution"),
+}
+_STANDARD_KEYS = {alias: key for key, aliases in _ALIASES.items() for alias in aliases}
+
+
+def read_opencv(data: dict[str, Any], path: Path, max_fov_deg: float | None, unit: str | None) -> Rig:
+    """Read a parsed OpenCV fisheye calibration in one of the layouts of the module docstring."""
+    cams = opencv_cameras(data)
+    T_cam_rig = []
+    for n, (name, cam) in enumerate(cams.items()):
+        with error_context(f"camera {name}"):
+            T_cam_rig.append(_parse_pose(cam, first=n == 0))
+    T_rig_cam = [pose.inverse() for pose in T_cam_rig]
+    scale = metres_per_unit(unit, np.stack([pose.t for pose in T_rig_cam]))
+    cameras = []
+    for name, cam in cams.items():
+        with error_context(f"camera {name}"):
+            parameters, image_size = _parse_intrinsics(cam), _parse_size(_with_standard_keys(data) | cam)
+            cameras.append(fit_camera(f"{path}, camera {name}", "kb4", parameters, image_size, max_fov_deg))
+    return Rig(cameras, [Pose(pose.R, pose.t * scale) for pose in T_rig_cam])
+
+
+def opencv_cameras(data: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return each camera with the standard keys, in file order; empty if the file has no camera matrices."""
+    nested = data.get("cameras", data)
+    nested = dict(enumerate(nested, 1)) if isinstance(nested, list) else nested
+    found = {str(name): _with_standard_keys(cam) for name, cam in nested.items()} if isinstance(nested, dict) else {}
+    found = {name: cam for name, cam in found.items() if "K" in cam}
+    if found:
+        return found
+    for key, value in data.items():
+        match = re.fullmatch(r"(\w*?[A-Za-z])_?(\d+)", str(key))
+        if match and match[1] in _STANDARD_KEYS:
+            found.setdefault(match[2], {})[_STANDARD_KEYS[match[1]]] = value
+    found = {name: found[name] for name in sorted(found, key=int) if "K" in found[name]}
+    if len(found) == 2:
+        second = list(found)[1]
+        common = {key: value for key, value in _with_standard_keys(data).items() if key in ("R", "T")}
+        found[second] = common | found[second]
+    return found
+
+
+def _with_standard_keys(cam: Any) -> dict[str, Any]:
+    cam = cam if isinstance(cam, dict) else {}
+    return {_STANDARD_KEYS.get(str(key), str(key)): value for key, value in cam.items()}
+
+
+def _parse_pose(cam: dict[str, Any], first: bool) -> Pose:
+    if first and "R" not in cam and "T" not in cam:
+        return Pose.identity()
+    R = parse_floats(require_key(cam, "R"), "R")
+    if R.size not in (3, 9):
+        raise OmnistereoError(f"R has {R.size} numbers; expected a 3 × 3 matrix or an axis-angle of 3 numbers")
+    R = R.reshape(3, 3) if R.size == 9 else rotation_from_axis_angle(R)
+    return Pose(R, parse_floats(require_key(cam, "T"), "T", 3))
+
+
+def _parse_intrinsics(cam: dict[str, Any]) -> dict[str, float]:
+    K = parse_floats(require_key(cam, "K"), "K", 9)
+    D = parse_floats(require_key(cam, "D"), "D (k1 to k4 of the OpenCV fisheye model, not of a pinhole model)", 4)
+    if not np.allclose(K[[1, 3, 6, 7, 8]], [0, 0, 0, 0, 1], atol=1e-9):
+        raise OmnistereoError(f"K is {K.tolist()}; expected fx 0 cx, 0 fy cy, 0 0 1")
+    names = ("fx", "cx", "fy", "cy", "k1", "k2", "k3", "k4")
+    return dict(zip(names, [*K[[0, 2, 4, 5]].tolist(), *D.tolist()], strict=True))
+
+
+def _parse_size(cam: dict[str, Any]) -> tuple[int, ...]:
+    size = cam.get("image_size")
+    if size is None:
+        size = [require_key(cam, "image_width"), require_key(cam, "image_height")]
+    return parse_ints(size, "image_size", 2)
+
+
+def opencv_text(rig: Rig, parameters: Sequence[dict[str, float]]) -> str:
+    """Return one mapping per camera, the rig in the frame of camera 1, metres."""
+    cameras = {}
+    for i, (camera, p) in enumerate(zip(rig.cameras, parameters, strict=True)):
+        T = rig.T_rig_cam[i].inverse() @ rig.T_rig_cam[0]
+        cameras[f"cam{i + 1}"] = {
+            "K": [[p["fx"], 0.0, p["cx"]], [0.0, p["fy"], p["cy"]], [0.0, 0.0, 1.0]],
+            "D": [p[f"k{n}"] for n in (1, 2, 3, 4)],
+            "image_size": list(camera.image_size),
+            "R": T.R.tolist(),
+            "T": T.t.tolist(),
+        }
+    return to_yaml({"cameras": cameras})

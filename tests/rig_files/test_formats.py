@@ -1,0 +1,282 @@
+"""basalt, Kalibr, OpenCV and COLMAP files, and the detection of the format."""
+
+import json
+import logging
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from rig_file_samples import (
+    D4,
+    DOUBLE_SPHERE,
+    FOCAL,
+    R2,
+    RAYS,
+    SIZE,
+    T2,
+    K,
+    basalt,
+    damaged,
+    damages,
+    dump,
+    fuzz,
+    kalibr,
+    matrix,
+    omnimvs,
+    only_our_error,
+    write,
+)  # fmt: skip
+from scipy.spatial.transform import Rotation
+
+from omnistereo_lib import OmnistereoError, Rig, load_rig
+from omnistereo_lib.rig_files.camera_models import double_sphere, kannala_brandt, omni
+
+
+def test_basalt(tmp_path, caplog):
+    mask = np.zeros(SIZE[::-1], np.uint8)
+    cv2.circle(mask, (400, 380), 300, 255, -1)
+    (tmp_path / "cam1").mkdir()
+    cv2.imwrite(str(tmp_path / "cam1" / "mask.png"), mask)
+    with caplog.at_level(logging.INFO, "omnistereo_lib"):
+        rig = Rig.load(dump(tmp_path / "calibration.json", basalt()))
+    assert "basalt JSON, 2 cameras" in caplog.text and "camera 1: ds fitted by OCam" in caplog.text
+    T = rig.T_rig_cam[1]  # camera -> rig as stored: nothing is inverted
+    np.testing.assert_allclose(T.R, Rotation.from_rotvec([0, np.pi, 0.1]).as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(T.t, [0.1, 0, -0.06])
+    np.testing.assert_array_equal(rig.cameras[1].mask, mask == 255)  # bright is inside
+    assert rig.cameras[0].mask is None
+    uv, valid = rig.cameras[0].project(RAYS)
+    assert valid.any()
+    np.testing.assert_allclose(uv[valid], double_sphere(RAYS, **DOUBLE_SPHERE)[0][valid], atol=0.02)
+    assert Rig.load(tmp_path).baselines[0] == pytest.approx(np.hypot(0.1, 0.06))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"intrinsics": [{"camera_type": "fov", "intrinsics": {}}] * 2},
+            "camera 0: camera model 'fov' is unknown",
+        ),
+        ({"intrinsics": [{"camera_type": "ds", "intrinsics": {"fx": 1.0}}] * 2}, "camera 0: .*needs the parameters"),
+        ({"intrinsics": [{"camera_type": "ds", "intrinsics": DOUBLE_SPHERE | {"xi": "a"}}] * 2}, "xi must be numbers"),
+        ({"intrinsics": [{"camera_type": "ds", "intrinsics": 3}] * 2}, "needs the parameters"),
+        ({"resolution": [list(SIZE)]}, "found 2 poses, 2 intrinsics and 1 resolutions"),
+        ({"resolution": [[0, 0]] * 2}, "camera 0"),
+        ({"T_imu_cam": [{"qx": 0}] * 2}, "camera 0: key 'qy' is missing"),
+        ({"T_imu_cam": [dict.fromkeys(("px", "py", "pz", "qx", "qy", "qz", "qw"), 0)] * 2}, "length 0; expected 1"),
+        ({"T_imu_cam": 7}, "'T_imu_cam' is 7; expected a list"),
+    ],
+)
+def test_broken_basalt_files(tmp_path, changes, message):
+    with pytest.raises(OmnistereoError, match=f"(?s)calibration.json: .*{message}"):
+        Rig.load(dump(tmp_path / "calibration.json", basalt(**changes)))
+
+
+def test_kalibr_chain_is_inverted(tmp_path, caplog):
+    T10, T21 = matrix([0, 1.5, 0.1], [0.1, 0, 0.2]), matrix([0.2, -1, 0], [-0.3, 0.1, 0])
+    with caplog.at_level(logging.INFO, "omnistereo_lib"):
+        rig = Rig.load(dump(tmp_path / "camchain.yaml", kalibr(T10, T21)))
+    assert "Kalibr camchain, 3 cameras" in caplog.text
+    point = np.array([0.3, -0.2, 2.0, 1.0])  # in camera 0, which is the rig's frame
+    for pose, T in zip(rig.T_rig_cam, (np.eye(4), T10, T21 @ T10), strict=True):
+        np.testing.assert_allclose(pose @ (T @ point)[:3], point[:3], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("entries", "project"),
+    [
+        ({}, lambda X: double_sphere(X, *FOCAL, xi=-0.28, alpha=0.57)),
+        (
+            {"camera_model": "pinhole", "intrinsics": FOCAL, "distortion_model": "equidistant"}
+            | {"distortion_coeffs": [-0.01, 0.003, -0.002, 0.0001]},
+            lambda X: kannala_brandt(X, *FOCAL, -0.01, 0.003, -0.002, 0.0001),
+        ),
+        (
+            {"camera_model": "omni", "intrinsics": [1.5, *FOCAL], "distortion_model": "radtan"}
+            | {"distortion_coeffs": [-0.01, 0.002, 1e-5, -1e-5]},
+            lambda X: omni(X, *FOCAL, 1.5, -0.01, 0.002, 1e-5, -1e-5),
+        ),
+        ({"camera_model": "omni", "intrinsics": [1.5, *FOCAL]}, lambda X: omni(X, *FOCAL, xi=1.5)),
+    ],
+    ids=["ds", "pinhole-equidistant", "omni-radtan", "omni-none"],
+)
+def test_kalibr_models(tmp_path, entries, project):
+    rig = Rig.load(dump(tmp_path / "camchain.yaml", kalibr(np.eye(4), **entries)))
+    uv, valid = rig.cameras[0].project(RAYS)
+    assert valid.mean() > 0.2
+    np.testing.assert_allclose(uv[valid], project(RAYS)[0][valid], atol=0.05)
+
+
+def test_what_a_polynomial_cannot_follow_is_told(tmp_path):
+    lens = {"camera_model": "omni", "intrinsics": [1.5, *FOCAL], "distortion_model": "radtan"}
+    lens |= {"distortion_coeffs": [0.0, 0.0, 2e-3, 0.0]}
+    with pytest.warns(UserWarning, match=r"camchain.yaml, cam0: .* px away from the omni model.*tangential"):
+        Rig.load(dump(tmp_path / "camchain.yaml", kalibr(np.eye(4), **lens)))
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (
+            kalibr(np.eye(4), distortion_model="radtan"),
+            r"cam0: camera_model \+ distortion_model is ds \+ radtan; expected",
+        ),
+        (kalibr(np.eye(4), intrinsics=[1, 2]), "cam0: intrinsics must be 6 numbers, found 2"),
+        (kalibr(2 * np.eye(4)), "cam1: the last row of the pose"),
+        (kalibr(np.diag([2.0, 2, 2, 1])), "cam1: R is not a rotation"),
+        (kalibr(np.full((4, 4), np.nan)), "cam1: .*finite"),
+        (kalibr(np.eye(3)), "cam1: the 4 × 4 pose must be 16 numbers, found 9"),
+        ({**kalibr(), "cam1": kalibr()["cam0"]}, "cam1: key 'T_cn_cnm1' is missing"),
+        ({**kalibr(), "cam2": kalibr()["cam0"]}, "key 'cam1' is missing"),
+        (kalibr(), "two or more cameras"),
+    ],
+)
+def test_broken_kalibr_files(tmp_path, data, message):
+    with pytest.raises(OmnistereoError, match=f"camchain.yaml: .*{message}"):
+        Rig.load(dump(tmp_path / "camchain.yaml", data))
+
+
+def opencv_file(path, **values):
+    """Written by OpenCV itself; a dictionary becomes a mapping, a tuple a sequence."""
+    file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for name, value in values.items():
+        if isinstance(value, dict):
+            file.startWriteStruct(name, cv2.FileNode_MAP)
+            for key, inner in value.items():
+                file.write(key, inner)
+            file.endWriteStruct()
+        elif isinstance(value, tuple):
+            file.startWriteStruct(name, cv2.FileNode_SEQ | cv2.FileNode_FLOW)
+            for inner in value:
+                file.write("", inner)
+            file.endWriteStruct()
+        else:
+            file.write(name, value)
+    file.release()
+    return path
+
+
+LAYOUTS = {
+    "stereo pair": {"image_size": SIZE, "K1": K, "D1": D4, "K2": K, "D2": D4, "R": R2, "T": T2.reshape(3, 1)},
+    "numbered": {
+        **{"image_width": SIZE[0], "image_height": SIZE[1], "camera_matrix_0": K, "dist_coeffs_0": D4},
+        **{"camera_matrix_1": K, "dist_coeffs_1": D4, "rvec_1": cv2.Rodrigues(R2)[0], "tvec_1": T2},
+    },
+    "one mapping each": {
+        "left": {"cameraMatrix": K, "distCoeffs": D4, "image_width": SIZE[0], "image_height": SIZE[1]},
+        "right": {"K": K, "D": D4, "R": R2, "t": T2, "image_width": SIZE[0], "image_height": SIZE[1]},
+    },
+}
+
+
+@pytest.mark.parametrize("header", ["%YAML 1.2", "%YAML:1.0"])  # of OpenCV 5, and of those before: no YAML
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_opencv_layouts(tmp_path, layout, header, caplog):
+    path = opencv_file(tmp_path / "fisheye.yaml", **LAYOUTS[layout])
+    path.write_text("\n".join([header, *path.read_text().splitlines()[1:]]))
+    with caplog.at_level(logging.INFO, "omnistereo_lib"):
+        rig = Rig.load(path, "cm")
+    assert "OpenCV fisheye, 2 cameras" in caplog.text
+    point = np.array([0.1, 0.2, 0.7])  # in the first camera, metres
+    np.testing.assert_allclose(rig.T_rig_cam[1] @ (R2 @ point + T2 / 100), point, atol=1e-12)
+    np.testing.assert_allclose(rig.T_rig_cam[0] @ point, point)
+    ahead = RAYS[RAYS[:, 2] > 0.3]
+    theirs, _ = cv2.fisheye.projectPoints(ahead.reshape(-1, 1, 3), np.zeros(3), np.zeros(3), K, D4)
+    uv, valid = rig.cameras[1].project(ahead)
+    assert valid.mean() > 0.8
+    np.testing.assert_allclose(uv[valid], theirs.reshape(-1, 2)[valid], atol=0.02)
+
+
+def test_opencv_files_as_plain_yaml_lists(tmp_path):
+    camera = {"K": K.tolist(), "D": D4.tolist(), "resolution": list(SIZE), "R": R2.tolist(), "T": T2.tolist()}
+    rig = Rig.load(dump(tmp_path / "rig.yaml", {"cameras": [camera, camera, camera]}), "m")
+    np.testing.assert_allclose(rig.centers, [-R2.T @ T2] * 3, atol=1e-12)
+
+
+def test_opencv_files_need_a_unit(tmp_path):
+    path = opencv_file(tmp_path / "fisheye.yaml", **LAYOUTS["stereo pair"])
+    distance = np.linalg.norm(T2)
+    with pytest.raises(OmnistereoError, match=rf"fisheye.yaml: .*not state its unit.*cm.*{distance / 100:.4g}"):
+        Rig.load(path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"D2": np.zeros(5)}, "camera 2: D .* must be 4 numbers, found 5"),
+        ({"K2": np.eye(2)}, "camera 2: K must be 9 numbers, found 4"),
+        ({"K1": K.T}, "camera 1: K is .*expected fx 0 cx"),
+        ({"R": 1.1 * R2}, "camera 2: R is not a rotation"),
+        ({"R": np.eye(2)}, "camera 2: R has 4 numbers; expected a 3 × 3 matrix or an axis-angle"),
+        ({"T": np.full(3, np.nan)}, r"camera 2: T must be numbers, found \['.Nan'"),
+        ({"image_size": (0, 0)}, "camera 1"),
+        ({"K3": K}, "camera 2: key 'R' is missing"),
+    ],
+)
+def test_broken_opencv_files(tmp_path, changes, message):
+    path = opencv_file(tmp_path / "fisheye.yaml", **LAYOUTS["stereo pair"] | changes)
+    with pytest.raises(OmnistereoError, match=f"fisheye.yaml: .*{message}"):
+        Rig.load(path, "cm")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("rig.yaml", "hello: 5", r"unknown format, found the keys \['hello'\]; supported formats"),
+        ("rig.yaml", "", "unknown format"),
+        ("rig.yaml", "- 1\n- 2", "unknown format"),
+        ("rig.yaml", "cam0: 3", "unknown format"),
+        ("rig.yaml", "cameras: {}", "unknown format"),
+    ],
+)
+def test_unknown_files_list_what_is_known(tmp_path, name, text, message):
+    with pytest.raises(OmnistereoError, match=rf"(?s){name}: {message}.*basalt JSON.*Kalibr.*OpenCV"):
+        Rig.load(write(tmp_path / name, text))
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("rig.yaml", "a: [1, 2"),
+        ("rig.yaml", "!!python/object/apply:os.getcwd []"),
+        ("rig.yaml", "[" * 20000),
+        ("rig.yaml", "when: 2020-99-99"),
+        ("rig.json", "{'single': 1}"),
+    ],
+    ids=["truncated", "python object", "deep", "date", "not JSON"],
+)
+def test_files_that_are_not_json_or_yaml(tmp_path, name, text):
+    with pytest.raises(OmnistereoError, match=rf"{name}: not valid JSON or YAML .*complete"):
+        Rig.load(write(tmp_path / name, text))
+
+
+def test_missing_files_and_empty_folders(tmp_path):
+    with pytest.raises(OmnistereoError, match=r"nothing.yaml cannot be read"):
+        Rig.load(tmp_path / "nothing.yaml")
+    write(tmp_path / "notes.md", "")
+    with pytest.raises(OmnistereoError, match=r"(?s)found \['notes.md'\]; expected ocam.*supported formats"):
+        Rig.load(tmp_path)
+
+
+FORMAT_FILES = {
+    "config.yaml": yaml.safe_dump(omnimvs()).encode(),
+    "calibration.json": json.dumps(basalt()).encode(),
+    "camchain.yaml": yaml.safe_dump(kalibr(matrix([0, 1, 0], [1, 0, 0]))).encode(),
+    "opencv.yaml": yaml.safe_dump(
+        {"K1": K.tolist(), "D1": D4.tolist(), "K2": K.tolist(), "D2": D4.tolist(), "R": R2.tolist(), "T": T2.tolist()}
+        | {"image_size": list(SIZE)}
+    ).encode(),
+}
+
+
+@settings(fuzz, max_examples=150)
+@given(st.sampled_from(sorted(FORMAT_FILES)), st.floats(0.3, 1) | st.just(1.0), damages)
+@example("calibration.json", 1.0, [])
+def test_rig_files_with_any_damage(tmp_path_factory, name, keep, damage):
+    unit = "m" if name != "opencv.yaml" else "cm"
+    content = damaged(FORMAT_FILES[name], keep, damage)
+    only_our_error(lambda path: load_rig(path, unit), tmp_path_factory.getbasetemp() / name, content)

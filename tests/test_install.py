@@ -1,0 +1,76 @@
+"""The wheel, installed apart from the clone: complete, without the course, and it runs from an empty folder."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from zipfile import ZipFile
+
+import pytest
+
+import omnistereo_lib as osl
+
+ROOT = Path(osl.__file__).resolve().parents[1]
+SMALL = ["--width", "96", "--height", "24", "--spheres", "16"]
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory):
+    """The wheel and the folder that it is installed into."""
+    pytest.importorskip("hatchling", reason="hatchling is not installed: environment.txt has it")
+    folder = tmp_path_factory.mktemp("install")
+    pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
+    wheel = [*pip, "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), str(ROOT)]
+    subprocess.run(wheel, check=True, cwd=folder)
+    (wheel,) = folder.glob("*.whl")
+    target = [*pip, "install", "--no-deps", "--no-index", "--target", str(folder / "packages"), str(wheel)]
+    subprocess.run(target, check=True, cwd=folder)
+    return wheel, folder / "packages"
+
+
+@pytest.fixture
+def run(installed, tmp_path):
+    """Run Python from an empty folder with the installed package before the clone."""
+
+    def run_python(*arguments):
+        environment = {**os.environ, "PYTHONPATH": str(installed[1])}
+        command = [sys.executable, *arguments]
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+        assert "Traceback" not in done.stderr
+        return done
+
+    return run_python
+
+
+def test_what_is_in_the_wheel(installed):
+    names = ZipFile(installed[0]).namelist()
+    tops = {name.split("/")[0] for name in names}
+    assert tops == {"omnistereo_lib", next(name for name in tops if name.endswith(".dist-info"))}
+    here = {path.relative_to(ROOT).as_posix() for path in (ROOT / "omnistereo_lib").rglob("*") if path.is_file()}
+    here = {name for name in here if "__pycache__" not in name}
+    assert {name for name in names if name.startswith("omnistereo_lib/")} == here
+    assert {"omnistereo_lib/py.typed", "omnistereo_lib/weights/sweepnet.safetensors"} <= here
+    assert sum(path.stat().st_size for path in (ROOT / "omnistereo_lib/sample").rglob("*")) < 700_000
+
+
+def test_depth_of_the_sample_from_an_empty_folder(run, installed, tmp_path):
+    where = run("-c", "import omnistereo_lib; print(omnistereo_lib.__file__)").stdout.strip()
+    assert Path(where).is_relative_to(installed[1])
+    done = run("-m", "omnistereo_lib", "depth", *SMALL)
+    assert done.returncode == 0, done.stderr
+    written = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert written == ["errors.json", "inverse_depth.png", "inverse_depth.tiff", "panorama.jpg", "points.ply"]
+    assert json.loads((tmp_path / "out" / "errors.json").read_text())["MAE"] < 10
+
+
+def test_doctor_without_the_clone(run):
+    done = run("-m", "omnistereo_lib", "doctor")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "NOTE  installed without the course: data_samples is not checked" in done.stdout
+    assert "OK    torch 2" in done.stdout and "matplotlib" not in done.stdout
+
+
+def test_what_needs_the_clone_says_so(run):
+    done = run("-m", "omnistereo_lib", "evaluate", "--sets", "sunny")
+    assert done.returncode == 2 and done.stderr.startswith("error: ") and done.stderr.count("\n") == 1

@@ -1,0 +1,169 @@
+"""Rig check: every usual mistake, made on purpose, is named; right rigs pass."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scene
+
+import omnistereo_lib as osl
+from omnistereo_lib.rig_check import (
+    RigCheck,
+    RigHypothesis,
+    _rotated_cameras,
+    _shrink,
+    check_rig,
+    invert_poses,
+    rotate_camera,
+    scale_translations,
+)
+from omnistereo_lib.stereo.sweep import SphereSweep
+
+SAMPLE = Path(osl.__file__).with_name("sample")
+GRID = osl.SphereGrid(96, 24, (-45, 45), 16, 0.5)
+
+
+@pytest.fixture(scope="module")
+def world():
+    rig = scene.rig(width=200, height=192)
+    return rig, scene.images(rig, finest=0.25)
+
+
+@pytest.fixture(scope="module")
+def right(world):
+    return check_rig(*world, GRID)
+
+
+def test_a_right_rig_fits(right):
+    cost = right.given.cost
+    assert right.fits and right.summary().startswith(f"the rig fits the images: the median matching cost is {cost:.3f}")
+    assert right.given.name == "as given" and cost < 0.1
+    assert [one.cost for one in right.alternatives] == sorted(one.cost for one in right.alternatives)
+    assert len(right.alternatives) == 1 + 6 + 23  # inverted, three units either way, every other order
+    assert len(right.rotated) == 4
+
+
+@pytest.mark.parametrize(
+    ("mistake", "name"),
+    [
+        (invert_poses, "the poses look inverted"),
+        (lambda rig: scale_translations(rig, 1000), "the translations look 1000 times too long (mm read as m?)"),
+        (lambda rig: scale_translations(rig, 100), "the translations look 100 times too long (cm read as m?)"),
+        (lambda rig: scale_translations(rig, 0.01), "the translations look 100 times too short (m read as cm?)"),
+        (lambda rig: scale_translations(rig, 0.001), "the translations look 1000 times too short (m read as mm?)"),
+    ],
+    ids=["inverted", "mm as m", "cm as m", "m as cm", "m as mm"],
+)
+def test_wrong_poses_are_named_and_cost_three_times_as_much(world, right, mistake, name):
+    rig, images = world
+    check = check_rig(mistake(rig), images, GRID)
+    assert not check.fits and check.summary().startswith(name)
+    assert f"would fall from {check.given.cost:.3f} to {right.given.cost:.3f}" in check.summary()
+    assert check.given.cost > 3 * right.given.cost
+
+
+def test_a_swapped_order_is_named_with_the_right_order(world, right):
+    rig, images = world
+    check = check_rig(rig, [images[i] for i in (1, 3, 2, 0)], GRID)
+    assert not check.fits
+    assert check.summary().startswith("the images look swapped (give them in the order 4 1 3 2)")
+    assert check.alternatives[0].cost == right.given.cost and check.given.cost > 3 * right.given.cost
+
+
+def test_cameras_that_differ_a_little_in_their_field_of_view_may_be_swapped(world):
+    """Their images must be reduced by the same factor, or only the given order would fit."""
+    rig, images = world
+    fields = (214, 216, 214, 216)  # 200 px over these are 3.50 and 3.47 pixels for each of the panorama
+    cameras = [dataclasses.replace(camera, max_fov_deg=fov) for camera, fov in zip(rig.cameras, fields, strict=True)]
+    check = check_rig(osl.Rig(cameras, rig.T_rig_cam), [images[i] for i in (1, 0, 2, 3)], GRID)
+    assert check.summary().startswith("the images look swapped (give them in the order 2 1 3 4)")
+
+
+def test_cameras_without_a_common_view_as_given():
+    """Two narrow lenses, one rotated away in the file: the cost of no evidence, not an error."""
+    poses = [osl.Pose.from_vector([0, 0, 0, 0, 0, 0]), osl.Pose.from_vector([0, 0.3, 0, 0.3, 0, 0])]
+    rig = osl.Rig([scene.camera(200, 192, 100)] * 2, poses)
+    apart = rotate_camera(rig, 1, [0, np.pi, 0])
+    images = scene.images(rig, finest=0.25)
+    check = check_rig(apart, images, GRID)
+    assert check.given.cost == 0.5 and not check.fits
+    check = check_rig(rig, images, GRID)
+    assert check.given.cost < 0.1 and check.rotated == []  # of two cameras, either may be the rotated one
+
+
+@pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0.58, -0.58, 0.58)])
+def test_one_camera_rotated_by_6_degrees_is_named(world, axis):
+    """Less than the 2 degrees found on real scenes: a pixel of this small panorama is 3.75 degrees wide."""
+    rig, images = world
+    camera = 1 if axis[0] else 2
+    check = check_rig(rotate_camera(rig, camera, np.radians(6) * np.array(axis)), images, GRID)
+    assert not check.fits and check.mistake is check.rotated[0]
+    assert check.summary().startswith(f"camera {camera + 1} looks rotated by about ")
+
+
+def test_one_camera_of_the_sample_rotated_by_2_degrees_is_named():
+    data = osl.load_dataset(SAMPLE)
+    grid = osl.SphereGrid(240, 60, (-45, 45), 32, data.rig.min_depth)
+    rig, images = _shrink(data.rig, data[0].images, grid)
+    for wrong, low, high in ((rig, 0.97, 1.03), (rotate_camera(rig, 2, [0, np.radians(2), 0]), 0.4, 0.8)):
+        ratios = [one.cost / one.given_cost for one in _rotated_cameras(SphereSweep(wrong, grid), images)]
+        assert low < ratios[2] < high and ratios[2] <= min(ratios) + 0.02
+
+
+def test_images_of_another_scene(world):
+    rig, _ = world
+    noise = np.random.default_rng(0).uniform(0, 255, (4, 192, 200)).astype(np.float32)
+    check = check_rig(rig, list(noise), GRID)
+    assert not check.fits
+    assert check.summary().startswith("neither the rig as given nor any usual mistake explains the images")
+
+
+@pytest.mark.parametrize(
+    ("given", "other", "rotated", "fits"),
+    [
+        (0.02, 0.012, 1.0, True),  # better by less than the noise
+        (0.2, 0.1, 1.0, False),
+        (0.3, 0.28, 1.0, False),  # nothing fits
+        (0.05, 0.1, 0.95, True),
+        (0.05, 0.1, 0.85, False),
+    ],
+)
+def test_thresholds(given, other, rotated, fits):
+    alternative, camera = RigHypothesis("other", other, given), RigHypothesis("camera", rotated * given, given)
+    assert RigCheck(RigHypothesis("as given", given, given), [alternative], [camera]).fits is fits
+
+
+def test_images_of_different_sizes_are_not_swapped(world):
+    rig, images = world
+    mixed = osl.Rig([scene.camera(100, 96), *rig.cameras[1:]], rig.T_rig_cam)
+    check = check_rig(mixed, [scene.images(mixed, 0.25)[0], *images[1:]], GRID)
+    assert check.fits and len(check.alternatives) == 1 + 6 + 5  # the orders of the other three cameras
+
+
+def test_more_than_four_cameras_are_swapped_in_pairs():
+    rig = scene.rig(cameras=5, width=100, height=96)
+    check = check_rig(rig, scene.images(rig, 0.5), osl.SphereGrid(64, 16, (-45, 45), 12, 0.5))
+    assert len(check.alternatives) == 1 + 6 + 10
+
+
+def test_smaller_cameras_see_the_same(world):
+    """The reduced camera projects to the middle of each block; its mask has the blocks that are entirely valid."""
+    rig, images = world
+    mask = np.ones((192, 200), bool)
+    mask[50, 60] = False
+    masked = osl.Rig([dataclasses.replace(rig.cameras[0], mask=mask), *rig.cameras[1:]], rig.T_rig_cam)
+    grid = osl.SphereGrid(80, 20)
+    small, shrunk_images = _shrink(masked, images, grid)
+    assert small.cameras[0].image_size == (50, 48) and shrunk_images[0].shape == (48, 50)
+    points = np.random.default_rng(0).normal(size=(500, 3))
+    for camera, shrunk in zip(rig.cameras, small.cameras, strict=True):
+        for exact in (False, True):
+            uv, valid = camera.project(points, exact)
+            small_uv, small_valid = shrunk.project(points, exact)
+            both = valid & small_valid
+            assert both.sum() > 300
+            np.testing.assert_allclose(small_uv[both], ((uv + 0.5) / 4 - 0.5)[both], atol=1e-9)
+    np.testing.assert_allclose(shrunk_images[1], images[1].reshape(48, 4, 50, 4).mean((1, 3)), rtol=1e-5)
+    assert np.argwhere(~small.cameras[0].mask).tolist() == [[12, 15]]
+    assert small.cameras[1].mask is None
