@@ -27,7 +27,6 @@ _HOME = {
     "MCCNN": "stereo.mccnn",
     "SweepNet": "stereo.sweepnet",
     "LearnedCost": "stereo.learned",
-    "LearnedCost": "stereo.learned",
     "cost_volume": "stereo.volume",
     "sgm": "stereo.sgm",
     "winner_takes_all": "stereo.depth",
