@@ -109,7 +109,7 @@ def test_shipped_captures_show_what_their_truth_says(name):
                     errors.append(min((found - true[r] for r in BOARD.readings), key=lambda e: np.nanmean(e**2)))
     errors = np.concatenate(errors)
     assert len(errors) >= 5 * 120
-    assert np.sqrt(np.nanmean(errors**2)) < 0.12
+    assert np.sqrt(np.nanmean(errors**2)) < 0.09
     assert np.abs(np.nanmean(errors, axis=0)).max() < 0.02
 
 
