@@ -136,7 +136,7 @@ def test_readings_are_turns_that_keep_the_colours(size, count):
     for reading in board.readings:
         turn = board.turn(reading)
         assert np.abs(turn @ board.points - board.points[reading]).max() < 1e-12
-        middles = (turn @ (board.points + [0.05, 0.05, 0]))[:, :2] / 0.1  # of squares, black where the sum is even
+        middles = (turn @ (board.points + np.array([0.05, 0.05, 0])))[:, :2] / 0.1  # squares; an even sum is black
         assert (np.floor(middles).sum(axis=1) % 2 == np.floor(board.points[:, :2] / 0.1 + 0.5).sum(axis=1) % 2).all()
 
 
@@ -267,19 +267,28 @@ def test_what_is_no_image(image, said):
 
 
 def test_views_keep_their_order(picture, corners):
-    blank = np.full_like(picture, 128)
-    found = detect_views([blank, picture, blank], BOARD)
+    found = detect_views([None, picture, np.full_like(picture, 128)], BOARD)
     assert found[0] is None is found[2] and np.array_equal(found[1], corners)
 
 
 def test_the_same_picture_twice(picture):
-    with pytest.warns(UserWarning, match="views 0 and 2 are the same picture"):
-        detect_views([picture, np.full_like(picture, 128), picture], BOARD)
+    views = [None, picture, np.full_like(picture, 128), picture]
+    with pytest.warns(UserWarning, match="views 1 and 3 are the same image"):
+        detect_views(views, BOARD)
+    with pytest.warns(UserWarning, match="views b.png and d.png are the same image"):
+        detect_views(views, BOARD, names=["a.png", "b.png", "c.png", "d.png"])
+
+
+def test_a_view_that_is_no_image_is_named(picture):
+    with pytest.raises(OmnistereoError, match="view 2: the image has values that are not finite"):
+        detect_views([picture, None, np.full((768, 800), np.nan)], BOARD)
 
 
 def test_images_of_different_sizes(picture):
-    with pytest.raises(OmnistereoError, match=r"images 0 and 1 differ in size, \(800, 768\) and \(700, 768\)"):
-        detect_views([picture, picture[:, :700]], BOARD)
+    with pytest.raises(
+        OmnistereoError, match=r"views 0 and 2 have different image sizes, \(800, 768\) and \(700, 768\)"
+    ):
+        detect_views([picture, None, picture[:, :700]], BOARD)
 
 
 def test_the_size_that_would_fit_is_said(picture):
@@ -288,6 +297,8 @@ def test_the_size_that_would_fit_is_said(picture):
     with pytest.raises(OmnistereoError, match="Count its inner corners"):
         detect_views([np.full_like(picture, 128)], BOARD)
     assert suggest_board([np.full_like(picture, 128)], BOARD) is None
+    assert suggest_board([picture], Checkerboard((11, 8), 0.06), only_larger=True) == ((12, 10), 1)
+    assert suggest_board([picture], Checkerboard((13, 10), 0.06), only_larger=True) is None
 
 
 # --- Files ------------------------------------------------------------------------------------------------

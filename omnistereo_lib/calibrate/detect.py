@@ -10,6 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -293,35 +294,43 @@ def _directions(reach: float) -> Iterator[Floats]:
 
 
 def detect_views(
-    images: Sequence[ArrayLike],
+    images: Sequence[ArrayLike | None],
     board: Checkerboard,
     progress: Progress = iter,
+    names: Sequence[str] | None = None,
 ) -> list[Floats | None]:
-    """Find the board in each of some images of one camera, on all cores.
+    """Find the board in each image of one camera, on all cores; None where there is no image or no board.
 
-    Warns of pictures that are given twice.
+    Messages call views by `names`, or else by index. Warns of images that are given twice.
 
     Raises
     ------
     OmnistereoError
-        If the images differ in size, or none shows the board; then it says which size of board would fit, if one
-        does.
+        If an array is not an image, the images differ in size, or none shows the board; then it says which size of
+        board would fit, if one does.
     """
-    grays = [_gray(image) for image in images]
-    sizes = {gray.shape: k for k, gray in reversed(list(enumerate(grays)))}
+    names = range(len(images)) if names is None else names
+    grays = {}
+    for k, image in enumerate(images):
+        try:
+            grays |= {} if image is None else {k: _gray(image)}
+        except OmnistereoError as error:
+            raise OmnistereoError(f"view {names[k]}: {error}") from error
+    sizes = {gray.shape[::-1]: names[k] for k, gray in reversed(grays.items())}
     if len(sizes) > 1:
-        first, second = sorted(sizes.items(), key=lambda item: item[1])[:2]
+        (second, b), (first, a) = list(sizes.items())[-2:]
         raise OmnistereoError(
-            f"images {first[1]} and {second[1]} differ in size, {first[0][::-1]} and {second[0][::-1]} px: "
-            "all views of a camera need one size, neither cropped nor resized differently"
+            f"views {a} and {b} have different image sizes, {first} and {second} px; expected one size per camera. "
+            "Pass the images as captured: not cropped, resized or rotated"
         )
     with ThreadPoolExecutor() as pool:
-        found = list(progress(pool.map(lambda gray: find_corners(gray, board), grays)))
-    if not any(corners is not None for corners in found):
-        raise OmnistereoError(_nothing_found(grays, board))
+        corners = progress(pool.map(lambda gray: find_corners(gray, board), grays.values()))
+        found = dict(zip(grays, corners, strict=True))
+    if all(corners is None for corners in found.values()):
+        raise OmnistereoError(_nothing_found(list(grays.values()), board))
     for a, b in _duplicates(grays, found):
-        warnings.warn(f"views {a} and {b} are the same picture: it counts twice", stacklevel=2)
-    return found
+        warnings.warn(f"views {names[a]} and {names[b]} are the same image: it counts twice", stacklevel=2)
+    return [found.get(k) for k in range(len(images))]
 
 
 def _nothing_found(grays: list[Gray], board: Checkerboard) -> str:
@@ -334,7 +343,7 @@ def _nothing_found(grays: list[Gray], board: Checkerboard) -> str:
 
 
 def suggest_board(
-    images: Sequence[ArrayLike], board: Checkerboard, most: int = 8
+    images: Sequence[ArrayLike], board: Checkerboard, most: int = 8, only_larger: bool = False
 ) -> tuple[tuple[int, int], int] | None:
     """Look for boards of a size near the one given: ((columns, rows), in how many images), the largest that fits.
 
@@ -345,13 +354,16 @@ def suggest_board(
         Whose size was not found.
     most : int
         At most so many images are looked at.
+    only_larger : bool
+        Only boards of which the one given could be a part.
     """
     grays = [_gray(image) for image in images[:most]]
     columns, rows = sorted(board.corners, reverse=True)
-    near = range(-_SIZE_SEARCH, _SIZE_SEARCH + 1)
+    near = range(0 if only_larger else -_SIZE_SEARCH, _SIZE_SEARCH + 1)
     sizes = {
         (max(c, r), min(c, r)) for c in (columns + d for d in near) for r in (rows + d for d in near) if min(c, r) >= 3
     }
+    sizes -= {(columns, rows)} if only_larger else set()
     # Larger boards first: a part of a board looks like a smaller board.
     for size in sorted(sizes, key=lambda size: -size[0] * size[1]):
         fits = sum(_classic(gray, Checkerboard(size, 1.0)) is not None for gray in grays)
@@ -360,13 +372,11 @@ def suggest_board(
     return None
 
 
-def _duplicates(grays: list[Gray], found: list[Floats | None]) -> Iterator[tuple[int, int]]:
-    seen = [k for k, corners in enumerate(found) if corners is not None]
-    for i, a in enumerate(seen):
-        for b in seen[i + 1 :]:
-            close = np.abs(found[a] - found[b]).max() < 0.5
-            if close and np.abs(grays[a].astype(float) - grays[b]).mean() < _SAME:
-                yield a, b
+def _duplicates(grays: dict[int, Gray], found: dict[int, Floats | None]) -> Iterator[tuple[int, int]]:
+    for a, b in combinations([k for k, corners in found.items() if corners is not None], 2):
+        close = np.nanmax(np.abs(found[a] - found[b])) < 0.5
+        if close and np.abs(grays[a].astype(float) - grays[b]).mean() < _SAME:
+            yield a, b
 
 
 # --- Files ------------------------------------------------------------------------------------------------
