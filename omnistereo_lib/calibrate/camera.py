@@ -42,6 +42,7 @@ def calibrate_camera(
     degree: int | None = None,
     max_fov_deg: float | None = None,
     progress: Progress = iter,
+    names: Sequence[str] | None = None,
 ) -> tuple[OcamCamera, CameraReport]:
     """Calibrate one camera: Φ and A of the paper's Section III-A, with every view's pose.
 
@@ -59,6 +60,8 @@ def calibrate_camera(
         Full field of view of the camera returned. None: as far as corners were seen.
     progress : callable
         Wraps the images while boards are looked for, as `tqdm` does.
+    names : sequence of str, optional
+        What messages call the views, such as file names. None: their indices.
 
     Returns
     -------
@@ -72,7 +75,7 @@ def calibrate_camera(
         If fewer than three views show the board, all views are parallel, corners do not fit the board, or the
         corners do not determine the camera.
     """
-    return calibrate_corners(*read_views(views, board, image_size, progress), board, degree, max_fov_deg)
+    return calibrate_corners(*read_views(views, board, image_size, progress, names), board, degree, max_fov_deg)
 
 
 def calibrate_corners(
@@ -87,8 +90,12 @@ def calibrate_corners(
 
     Where the images are given, too, boards that were missed in them are looked for once more and filled in.
     """
+    if degree is not None and not (degree % 1 == 0 and degree >= DEGREES[0]):
+        raise OmnistereoError(f"degree is {degree}; expected an integer of at least {DEGREES[0]}, or None to choose it")
     shown = [k for k, view in enumerate(corners) if view is not None]
     given = [k for k, view in enumerate(images or corners) if view is not None]
+    if images is not None and len(shown) < min(_FEW_VIEWS, len(given) / 2):
+        _check_whole_board(images, board, f"{len(shown)} of {len(given)}")
     if len(shown) < _LEAST_VIEWS:
         raise OmnistereoError(
             f"{len(shown)} of {len(given)} views show the board; a camera needs {_LEAST_VIEWS} at the very least, "
@@ -133,6 +140,7 @@ def read_views(
     board: Checkerboard,
     image_size: tuple[int, int] | None,
     progress: Progress = iter,
+    names: Sequence[str] | None = None,
 ) -> tuple[list[Floats | None], tuple[int, int], list | None]:
     """Return corners for each view, the images' width and height, and the images if that is what came.
 
@@ -146,11 +154,9 @@ def read_views(
     if not given:
         raise OmnistereoError("there are no views: give images of the board, or the corners detected in them")
     if all(array.ndim == 2 and array.shape[1] == 2 for array in given):
-        return [_checked(array, board) for array in arrays], _checked_size(image_size), None
-    found = detect_views(given, board, progress)
-    detected = iter(found)
-    corners = [None if array is None else next(detected) for array in arrays]
-    return corners, (given[0].shape[1], given[0].shape[0]), arrays
+        named = zip(range(len(arrays)) if names is None else names, arrays, strict=True)
+        return [_checked(name, array, board) for name, array in named], _checked_size(image_size), None
+    return detect_views(arrays, board, progress, names), (given[0].shape[1], given[0].shape[0]), arrays
 
 
 def _another_size(images: Sequence[ArrayLike | None] | None, board: Checkerboard) -> str:
@@ -158,14 +164,25 @@ def _another_size(images: Sequence[ArrayLike | None] | None, board: Checkerboard
     return "" if fits is None else f". A board of {fits[0][0]} x {fits[0][1]} inner corners would fit {fits[1]} views"
 
 
-def _checked(corners: NDArray | None, board: Checkerboard) -> Floats | None:
+def _check_whole_board(images: Sequence[ArrayLike | None], board: Checkerboard, count: str) -> None:
+    """Raise if a larger board fits: one given too small is found here and there as a part of it."""
+    fits = suggest_board([image for image in images if image is not None], board, only_larger=True)
+    if fits is not None:
+        (columns, rows), found = fits
+        raise OmnistereoError(
+            f"{count} views show a board {board}, but one of {columns} x {rows} inner corners is found in {found} "
+            "of the first images. Check that the board size counts all inner corners (columns x rows)"
+        )
+
+
+def _checked(name: str | int, corners: NDArray | None, board: Checkerboard) -> Floats | None:
     if corners is None:
         return None
     if len(corners) != len(board.points):
         columns, rows = board.corners
         raise OmnistereoError(
-            f"a view has {len(corners)} corners, the board {columns} x {rows} = {len(board.points)}: "
-            "give NaN for single corners that are missing, and the board's inner corners, columns first"
+            f"view {name}: {len(corners)} corners; expected {columns} x {rows} = {len(board.points)}, the board's "
+            "inner corners, columns first. Put NaN for missing corners"
         )
     corners = corners.astype(np.float64)
     return corners if np.isfinite(corners).all(axis=1).sum() >= 6 else None

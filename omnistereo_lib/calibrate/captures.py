@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import read_image
 
-_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp"}
+_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".webp"}  # not TIFF: data sets keep ground truth in it
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,19 +44,21 @@ class Captures:
 
 
 def find_captures(folder: str | Path) -> Captures:
-    """Find the pictures in a folder: of several cameras in folders of their own, or of one camera.
+    """Find the images in a folder: of several cameras in subfolders, or of one camera.
 
-    Warns where no two cameras have a picture of the same name.
+    A view is a file that ends in .png, .jpg, .jpeg, .bmp, .pgm or .webp. Other files (ground truth as TIFF, corners
+    as YAML, notes), hidden files and hidden folders are ignored. Warns where no two cameras have an image of the
+    same name.
 
     Raises
     ------
     OmnistereoError
-        If there is no picture.
+        If there is no image, or two images of a camera differ only in their ending.
     """
     folder = Path(folder)
     if not folder.is_dir():
         raise OmnistereoError(f"{folder} is no folder: give one with a folder of pictures for each camera")
-    found = {path.name: _pictures(path) for path in folder.iterdir() if path.is_dir()}
+    found = {path.name: _pictures(path) for path in folder.iterdir() if path.is_dir() and path.name[0] != "."}
     found = {name: pictures for name, pictures in found.items() if pictures} or {folder.name: _pictures(folder)}
     cameras = sorted(found, key=_natural)
     if not any(found.values()):
@@ -77,7 +79,15 @@ def find_captures(folder: str | Path) -> Captures:
 
 def _pictures(folder: Path) -> dict[str, Path]:
     files = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in _SUFFIXES and path.name[0] != "."]
-    return {path.stem: path for path in files}
+    found: dict[str, Path] = {}
+    for path in files:
+        if path.stem in found:
+            raise OmnistereoError(
+                f"{folder} has {found[path.stem].name} and {path.name}; expected one image per capture. "
+                "Keep one of them"
+            )
+        found[path.stem] = path
+    return found
 
 
 def _natural(name: str) -> list[tuple[int, str]]:

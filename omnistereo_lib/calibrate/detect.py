@@ -1,8 +1,8 @@
 """Checkerboard corners in strongly distorted pictures, to a few hundredths of a pixel.
 
 OpenCV finds the board, its classic detector first: on bent boards it finds more than the newer one. Then each
-corner is refined in a window as large as its own neighbourhood allows: near the rim squares are several times
-smaller than in the middle, and a window of fixed size would see the next corner.
+corner is refined in a window of half the distance to its neighbours, a quarter where squares are large: near the
+rim they are several times smaller than in the middle, and a window of fixed size would see the next corner.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +29,9 @@ Progress = Callable[[Iterable], Iterable]
 
 _CLASSIC = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 _SMALL = 640  # px: the longer side of the copy on which thresholds are tried one by one
-_WINDOW = (2, 11)  # px, half size: the least that cornerSubPix can use, the most that lens distortion allows
-_FINER, _HALF = 1.4, 0.4  # pixels of the straight picture for each of the image, its window in squares
+# px, half sizes of windows: the least that cornerSubPix can use, and what is enough for small squares. A larger
+# window averages more noise, but where squares are slanted or bent it reaches other edges and is biased by them.
+_LEAST_WINDOW, _SMALL_WINDOW = 2, 5
 _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
 _SIZE_SEARCH = 3  # a wrong board size is looked for this many corners around the one given
 _MOST_LOST = 0.1  # of the corners; where more run away, nothing is right
@@ -113,15 +115,15 @@ def refine_corners(image: ArrayLike, corners: Floats, board: Checkerboard) -> Fl
     gray = _gray(image)
     spacing = _spacing(corners, board)
     # The detector itself puts a corner into a neighbour's place now and then.
-    expected = _Surface(corners, board).at(board.points[:, :2] / board.square)
+    expected = _smoothed(corners, board)
     astray = np.linalg.norm(corners - expected, axis=1) > spacing / 4
-    corners = np.where(astray[:, None], expected, corners)
-    refined = _sub_pixel(gray, corners, np.clip(spacing / 2 - 1, *_WINDOW))
-    lost = np.linalg.norm(refined - corners, axis=1) > spacing / 3
-    refined = _straightened(gray, np.where(lost[:, None], corners, refined), board)
-    refined[np.linalg.norm(refined - corners, axis=1) > spacing / 3] = np.nan
-    found = np.isfinite(refined[:, 0]).mean() > 1 - _MOST_LOST
-    return refined if found and _is_lattice(refined, board) else None
+    start = np.where(astray[:, None], expected, corners).astype(np.float32)
+    refined = _sub_pixel(gray, start, np.clip(spacing / 2, _LEAST_WINDOW, np.maximum(_SMALL_WINDOW, spacing / 4)))
+    # OpenCV returns a corner that leaves its window as it came.
+    lost = (refined == start).all(axis=1)
+    lost |= np.linalg.norm(refined - _smoothed(refined, board), axis=1) > spacing / 4
+    refined[lost] = np.nan
+    return refined if lost.mean() < _MOST_LOST and _is_lattice(refined, board) else None
 
 
 def edge_width(image: ArrayLike, corners: Floats, board: Checkerboard) -> float:
@@ -161,55 +163,26 @@ def _look(gray: NDArray[np.float32], pixels: Floats) -> NDArray[np.float32]:
     return cv2.remap(gray, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
-def _straightened(gray: Gray, corners: Floats, board: Checkerboard) -> Floats:
-    """Refine corners in a picture of the board from straight ahead.
-
-    Where squares are bent and shrink to one side, as a fisheye's do, the gradients around a corner pull it outwards,
-    by a few hundredths of a pixel. The picture is computed with a smooth surface through the corners, which need
-    not be right, only smooth: what is found goes back through the same surface.
-    """
-    surface = _Surface(corners, board)
-    grid = corners.reshape(board.corners[1], board.corners[0], 2)
-    steps = [np.median(np.linalg.norm(np.diff(grid, axis=axis), axis=-1)) for axis in (1, 0)]
-    scale = np.clip(_FINER * np.array(steps), 8, 40)  # pixels for each square, across and down
-    u, v = np.meshgrid(*(np.arange(int((n + 1) * s)) for n, s in zip(board.corners, scale, strict=True)))
-    seen = surface.at(np.stack([u.ravel(), v.ravel()], axis=-1) / scale - 1).reshape(*u.shape, 2)
-    straight = cv2.remap(gray, seen.astype(np.float32), None, cv2.INTER_CUBIC)
-    start = ((board.points[:, :2] / board.square + 1) * scale).astype(np.float32).reshape(-1, 1, 2)
-    window = [int(_HALF * s) for s in scale]
-    found = cv2.cornerSubPix(straight, start, window, (-1, -1), _STOP).reshape(-1, 2)
-    return surface.at(found / scale - 1)
+def _smoothed(corners: Floats, board: Checkerboard) -> Floats:
+    """Return polynomials of column and row fitted to the corners, wrong ones left out, at all corners, (K, 2) px."""
+    degree = max(d for d in (1, 2, 3, 4) if (d + 1) * (d + 2) / 2 <= len(corners) / 3)
+    x, y = (2 * board.points[:, :2] / board.square / (np.array(board.corners) - 1) - 1).T
+    i, j = np.indices((degree + 1, degree + 1)).reshape(2, -1)
+    basis = np.polynomial.polynomial.polyvander2d(x, y, (degree, degree))[:, i + j <= degree]
+    kept = np.ones(len(corners), bool)
+    for _ in range(3):
+        smooth = basis @ np.linalg.lstsq(basis[kept], corners[kept], rcond=None)[0]
+        distance = np.linalg.norm(corners - smooth, axis=1)
+        kept = distance <= max(4 * np.median(distance), 0.1)
+    return smooth
 
 
-class _Surface:
-    """Pixels as polynomials of column and row on the board, fitted to corners, wrong ones left out."""
-
-    def __init__(self, corners: Floats, board: Checkerboard) -> None:
-        self.last = np.array(board.corners) - 1.0
-        self.degree = max(d for d in (1, 2, 3, 4) if (d + 1) * (d + 2) / 2 <= len(corners) / 3)
-        basis = self._basis(board.points[:, :2] / board.square)
-        kept = np.ones(len(corners), bool)
-        for _ in range(3):
-            self.coefficients = np.linalg.lstsq(basis[kept], corners[kept], rcond=None)[0]
-            distance = np.linalg.norm(corners - basis @ self.coefficients, axis=1)
-            kept = distance <= max(4 * np.median(distance), 0.1)
-
-    def _basis(self, places: Floats) -> Floats:
-        x, y = (2 * places / self.last - 1).T
-        i, j = np.indices((self.degree + 1, self.degree + 1)).reshape(2, -1)
-        return np.polynomial.polynomial.polyvander2d(x, y, (self.degree, self.degree))[:, i + j <= self.degree]
-
-    def at(self, places: Floats) -> Floats:
-        """Return the pixels (M, 2) of places (M, 2) on the board, counted in columns and rows from its first corner."""
-        return self._basis(places) @ self.coefficients
-
-
-def _sub_pixel(gray: Gray, corners: Floats, half: Floats) -> Floats:
+def _sub_pixel(gray: Gray, corners: NDArray[np.float32], half: Floats) -> Floats:
     """Return corners moved to where the gradients around them point, in windows of half their own size."""
-    refined = corners.copy()
+    refined = corners.astype(np.float64)
     for size in np.unique(half.astype(int)):
         group = half.astype(int) == size
-        start = np.ascontiguousarray(corners[group], np.float32).reshape(-1, 1, 2)
+        start = corners[group].reshape(-1, 1, 2)
         refined[group] = cv2.cornerSubPix(gray, start, (int(size), int(size)), (-1, -1), _STOP).reshape(-1, 2)
     return refined
 
@@ -321,35 +294,43 @@ def _directions(reach: float) -> Iterator[Floats]:
 
 
 def detect_views(
-    images: Sequence[ArrayLike],
+    images: Sequence[ArrayLike | None],
     board: Checkerboard,
     progress: Progress = iter,
+    names: Sequence[str] | None = None,
 ) -> list[Floats | None]:
-    """Find the board in each of some images of one camera, on all cores.
+    """Find the board in each image of one camera, on all cores; None where there is no image or no board.
 
-    Warns of pictures that are given twice.
+    Messages call views by `names`, or else by index. Warns of images that are given twice.
 
     Raises
     ------
     OmnistereoError
-        If the images differ in size, or none shows the board; then it says which size of board would fit, if one
-        does.
+        If an array is not an image, the images differ in size, or none shows the board; then it says which size of
+        board would fit, if one does.
     """
-    grays = [_gray(image) for image in images]
-    sizes = {gray.shape: k for k, gray in reversed(list(enumerate(grays)))}
+    names = range(len(images)) if names is None else names
+    grays = {}
+    for k, image in enumerate(images):
+        try:
+            grays |= {} if image is None else {k: _gray(image)}
+        except OmnistereoError as error:
+            raise OmnistereoError(f"view {names[k]}: {error}") from error
+    sizes = {gray.shape[::-1]: names[k] for k, gray in reversed(grays.items())}
     if len(sizes) > 1:
-        first, second = sorted(sizes.items(), key=lambda item: item[1])[:2]
+        (second, b), (first, a) = list(sizes.items())[-2:]
         raise OmnistereoError(
-            f"images {first[1]} and {second[1]} differ in size, {first[0][::-1]} and {second[0][::-1]} px: "
-            "all views of a camera need one size, neither cropped nor resized differently"
+            f"views {a} and {b} have different image sizes, {first} and {second} px; expected one size per camera. "
+            "Pass the images as captured: not cropped, resized or rotated"
         )
     with ThreadPoolExecutor() as pool:
-        found = list(progress(pool.map(lambda gray: find_corners(gray, board), grays)))
-    if not any(corners is not None for corners in found):
-        raise OmnistereoError(_nothing_found(grays, board))
+        corners = progress(pool.map(lambda gray: find_corners(gray, board), grays.values()))
+        found = dict(zip(grays, corners, strict=True))
+    if all(corners is None for corners in found.values()):
+        raise OmnistereoError(_nothing_found(list(grays.values()), board))
     for a, b in _duplicates(grays, found):
-        warnings.warn(f"views {a} and {b} are the same picture: it counts twice", stacklevel=2)
-    return found
+        warnings.warn(f"views {names[a]} and {names[b]} are the same image: it counts twice", stacklevel=2)
+    return [found.get(k) for k in range(len(images))]
 
 
 def _nothing_found(grays: list[Gray], board: Checkerboard) -> str:
@@ -362,7 +343,7 @@ def _nothing_found(grays: list[Gray], board: Checkerboard) -> str:
 
 
 def suggest_board(
-    images: Sequence[ArrayLike], board: Checkerboard, most: int = 8
+    images: Sequence[ArrayLike], board: Checkerboard, most: int = 8, only_larger: bool = False
 ) -> tuple[tuple[int, int], int] | None:
     """Look for boards of a size near the one given: ((columns, rows), in how many images), the largest that fits.
 
@@ -373,13 +354,16 @@ def suggest_board(
         Whose size was not found.
     most : int
         At most so many images are looked at.
+    only_larger : bool
+        Only boards of which the one given could be a part.
     """
     grays = [_gray(image) for image in images[:most]]
     columns, rows = sorted(board.corners, reverse=True)
-    near = range(-_SIZE_SEARCH, _SIZE_SEARCH + 1)
+    near = range(0 if only_larger else -_SIZE_SEARCH, _SIZE_SEARCH + 1)
     sizes = {
         (max(c, r), min(c, r)) for c in (columns + d for d in near) for r in (rows + d for d in near) if min(c, r) >= 3
     }
+    sizes -= {(columns, rows)} if only_larger else set()
     # Larger boards first: a part of a board looks like a smaller board.
     for size in sorted(sizes, key=lambda size: -size[0] * size[1]):
         fits = sum(_classic(gray, Checkerboard(size, 1.0)) is not None for gray in grays)
@@ -388,13 +372,11 @@ def suggest_board(
     return None
 
 
-def _duplicates(grays: list[Gray], found: list[Floats | None]) -> Iterator[tuple[int, int]]:
-    seen = [k for k, corners in enumerate(found) if corners is not None]
-    for i, a in enumerate(seen):
-        for b in seen[i + 1 :]:
-            close = np.abs(found[a] - found[b]).max() < 0.5
-            if close and np.abs(grays[a].astype(float) - grays[b]).mean() < _SAME:
-                yield a, b
+def _duplicates(grays: dict[int, Gray], found: dict[int, Floats | None]) -> Iterator[tuple[int, int]]:
+    for a, b in combinations([k for k, corners in found.items() if corners is not None], 2):
+        close = np.nanmax(np.abs(found[a] - found[b])) < 0.5
+        if close and np.abs(grays[a].astype(float) - grays[b]).mean() < _SAME:
+            yield a, b
 
 
 # --- Files ------------------------------------------------------------------------------------------------

@@ -34,6 +34,7 @@ def calibrate_rig(
     degree: int | None = None,
     max_fov_deg: float | None = None,
     progress: Progress = iter,
+    names: Sequence[str] | None = None,
 ) -> tuple[Rig, RigReport]:
     """Calibrate all cameras of a rig and where they stand: the paper's joint minimisation (Section III-A).
 
@@ -51,6 +52,8 @@ def calibrate_rig(
         Full field of view of the cameras. None: as far as each saw corners.
     progress : callable
         Wraps each camera's images while boards are looked for, as `tqdm` does.
+    names : sequence of str, optional
+        What messages call the captures. None: their indices.
 
     Returns
     -------
@@ -74,7 +77,7 @@ def calibrate_rig(
     corners, alone = [], []
     for i, (row, size) in enumerate(zip(views, sizes, strict=True), start=1):
         try:
-            found, size, images = read_views(row, board, size, progress)
+            found, size, images = read_views(row, board, size, progress, names)
             alone.append(calibrate_corners(found, size, images, board, degree, max_fov_deg)[1])
         except OmnistereoError as error:
             raise OmnistereoError(f"camera {i}: {error}") from error
@@ -85,6 +88,7 @@ def calibrate_rig(
         for row, report in zip(corners, alone, strict=True)
     ]
     shared = shared_captures(corners)
+    _check_distinct(corners, shared)
     T_cam_rig = _spanning_tree(shared, alone, board)
     left_out = _read_from_one_end(corners, alone, T_cam_rig, board)
     captures = [k for k in range(len(corners[0])) if k not in left_out and any(row[k] is not None for row in corners)]
@@ -112,6 +116,15 @@ def shared_captures(corners: Sequence[Sequence[Floats | None]]) -> dict[tuple[in
         for i, j in combinations(range(len(corners)), 2)
     }
     return {pair: captures for pair, captures in shared.items() if captures}
+
+
+def _check_distinct(corners: Sequence[Sequence[Floats | None]], shared: dict[tuple[int, int], list[int]]) -> None:
+    for (i, j), captures in shared.items():
+        if all(np.allclose(corners[i][k], corners[j][k], rtol=0, atol=1e-3, equal_nan=True) for k in captures):
+            raise OmnistereoError(
+                f"cameras {i + 1} and {j + 1} have the same corners in all {len(captures)} captures that they share: "
+                "they are one camera. Check that no folder of images is a copy of another"
+            )
 
 
 def _spanning_tree(

@@ -240,7 +240,7 @@ def test_errors_lie_within_the_predicted_covariance():
     [
         (lambda c: c[:1], "1 of 1 views show the board"),
         (lambda c: [None, *c[:2]], "2 of 2 views"),
-        (lambda c: [view[:-12] for view in c], "108 corners, the board 12 x 10 = 120"),
+        (lambda c: [view[:-12] for view in c], "108 corners; expected 12 x 10 = 120"),
         (lambda c: [], "there are no views"),
         (lambda c: [None, None], "there are no views"),
     ],
@@ -248,6 +248,29 @@ def test_errors_lie_within_the_predicted_covariance():
 def test_views_that_cannot_calibrate_a_camera(views, change, said):
     with pytest.raises(OmnistereoError, match=said):
         osl.calibrate_camera(change(views[0]), BOARD, image_size=SIZE)
+
+
+def test_a_view_with_another_number_of_corners_is_named(views):
+    with pytest.raises(OmnistereoError, match="view 2: 108 corners"):
+        osl.calibrate_camera([None, views[0][0], views[0][1][:-12]], BOARD, image_size=SIZE)
+    with pytest.raises(OmnistereoError, match=r"camera 1: view c\.png: 108 corners"):
+        osl.calibrate_rig([[views[0][0], None, views[0][1][:-12]]] * 2, BOARD, [SIZE] * 2, names=["a", "b", "c.png"])
+
+
+@pytest.mark.parametrize("degree", [0, 3, 4.5])
+def test_degrees_that_are_no_camera(views, degree):
+    with pytest.raises(OmnistereoError, match=f"degree is {degree}; expected an integer of at least 4"):
+        osl.calibrate_camera(views[0], BOARD, SIZE, degree=degree)
+
+
+def test_a_part_of_the_board_is_not_the_board(monkeypatch):
+    """A few views show a part as large as the board given: these are accidents."""
+    from omnistereo_lib.calibrate import camera
+
+    monkeypatch.setattr(camera, "suggest_board", lambda images, board, only_larger: ((13, 10), 5))
+    corners = [*boards.views(np.random.default_rng(0), count=3)[0], *[None] * 7]
+    with pytest.raises(OmnistereoError, match=r"3 of 10 views show .* 13 x 10 inner corners is found in 5"):
+        camera.calibrate_corners(corners, SIZE, [np.zeros(SIZE[::-1], np.uint8)] * 10, BOARD)
 
 
 def test_parallel_boards():
@@ -408,6 +431,11 @@ def test_what_a_rig_needs(seen_by_four):
         osl.calibrate_rig([seen_by_four[0], seen_by_four[1][:-1]], BOARD, [SIZE] * 2)
     with pytest.raises(OmnistereoError, match=r"camera 2: (0 of 0 views|there are no views)"):
         osl.calibrate_rig([seen_by_four[0], [None] * 64], BOARD, [SIZE] * 2)
+
+
+def test_one_camera_given_twice(seen_by_four):
+    with pytest.raises(OmnistereoError, match=r"cameras 1 and 3 have the same corners in all .* captures"):
+        osl.calibrate_rig([*seen_by_four[:2], seen_by_four[0]], BOARD, [SIZE] * 3)
 
 
 def test_few_shared_captures_and_cameras_that_move(seen_by_four):
