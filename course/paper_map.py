@@ -11,7 +11,8 @@ from pathlib import Path
 import nbformat
 from myst_parser.slugs import github_slugify
 
-from course.ledger import CLAIMS, full_name
+from course.claims import CLAIMS
+from course.ledger import full_name
 from course.library import PACKAGE, docstrings, module_of, modules, summary
 
 # The paper's parts in the order in which it comes to them, and what they are about.

@@ -14,20 +14,11 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
-from course import ledger
+from course import findings, ledger
 from course.__main__ import main
-from course.ledger import (
-    CLAIMS,
-    DIFFERENCES,
-    EXACT,
-    LIGHTS,
-    MARKERS,
-    PAPER_TABLE,
-    TOLERANCE,
-    Verdict,
-    split_at_markers,
-    write_ledger,
-)
+from course.claims import CLAIMS, DIFFERENCES
+from course.findings import EXACT, LIGHTS, PAPER_TABLE, TOLERANCE, Verdict
+from course.ledger import MARKERS, split_at_markers, write_ledger
 from omnistereo_lib import cli
 from omnistereo_lib.dataset import write_inverse_depth
 from omnistereo_lib.evaluate import METHODS, SCALES, Scale, errors_table
@@ -158,7 +149,7 @@ def test_differences_say_what_is_followed():
         ("stereo.sgm:sgm", "paths", 8),
         ("stereo.sweepnet:SweepNet", "wrap", True), ("train.recipes:SweepNetRecipe", "batch_norm", True),
         ("geometry.camera:OcamCamera", "max_fov_deg", 220.0), ("stereo.mccnn:MCCNN", "variant", "fast"),
-        ("geometry.sphere:SphereGrid", "sampling", "center"), ("evaluate:Method", "subindex", False),
+        ("geometry.sphere:SphereGrid", "sampling", "center"), ("stereo.methods:Method", "subindex", False),
     ):  # fmt: skip
         assert inspect.signature(resolve(call)).parameters[name].default == value
 
@@ -178,17 +169,17 @@ def test_the_library_follows_the_formulas(entry):
 
 
 def test_a_formula_that_is_not_followed_is_seen(monkeypatch):
-    monkeypatch.setattr(ledger.formulas, "index_error", lambda *a: {"MAE": 1.0} | osl.index_error(*a) | {"RMS": 3.0})
+    monkeypatch.setattr(findings.formulas, "index_error", lambda *a: {"MAE": 1.0} | osl.index_error(*a) | {"RMS": 3.0})
     found = claim("error and its five figures").finding(None)
     assert found.verdict == "differs" and found.ours.endswith("apart")
-    monkeypatch.setattr(ledger.formulas, "winner_takes_all", lambda volume: np.full(volume.shape[:2], np.nan))
+    monkeypatch.setattr(findings.formulas, "winner_takes_all", lambda volume: np.full(volume.shape[:2], np.nan))
     assert verdict("argmin", None) == "differs"
 
 
 def test_the_layers_are_those_of_table_one(monkeypatch):
     assert claim("SweepNet's layers").finding(None) == ("26 of 26 layers", "reproduced", "")
-    monkeypatch.setitem(ledger._LAYERS, "conv7", (5, 32, 1))
-    monkeypatch.setitem(ledger._LAYERS, "fc3", (1, 128, 1))
+    monkeypatch.setitem(findings.LAYERS, "conv7", (5, 32, 1))
+    monkeypatch.setitem(findings.LAYERS, "fc3", (1, 128, 1))
     assert claim("SweepNet's layers").finding(None) == ("24 of 26 layers", "trend reproduced", "not conv7, fc3")
 
 
@@ -458,7 +449,7 @@ def evaluate(folder, *words):
 
 def test_the_command_line_updates_the_ledger(sunny, tmp_path, monkeypatch):
     monkeypatch.setitem(SCALES, "paper", Scale(48, 12, 8))
-    monkeypatch.setattr(ledger, "_PAPER_SCALE", "48 × 12, N = 8")
+    monkeypatch.setattr(findings, "PAPER_SCALE", "48 × 12, N = 8")
     readme = tmp_path / "README.md"
     readme.write_text(f"# Title\n{OPEN}\n{CLOSE}\n")
     assert evaluate(sunny) == 0
