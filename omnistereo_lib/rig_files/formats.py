@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import make_folder, replacing
+from omnistereo_lib.files import atomic_write, make_folder
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.rig_files.basalt import read_basalt
 from omnistereo_lib.rig_files.camera_models import fit_kannala_brandt
@@ -125,6 +125,6 @@ def export_rig(rig: Rig, folder: str | Path) -> list[float]:
         "colmap_cameras.txt": colmap_cameras_text(rig, parameters),
         "colmap_rig_config.json": colmap_rig_text(rig),
     }.items():
-        with replacing(folder / name) as temporary:
+        with atomic_write(folder / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
     return residuals

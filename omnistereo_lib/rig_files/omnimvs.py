@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from omnistereo_lib.files import replacing, write_image
+from omnistereo_lib.files import atomic_write, write_image
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.rig_files.camera_models import DEFAULT_FOV_DEG
 from omnistereo_lib.rig_files.ocam import ocam_camera, ocam_records, parse_pose
@@ -56,5 +56,5 @@ def save_rig(rig: Rig, path: str | Path) -> None:
         "dataset": {"img_fmt": "cam%d/%04d.png", "lut_fmt": "lt_(%d,%d,%d).hwd"},  # required by the public codes
         "cameras": cameras,
     }
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_text(to_yaml(data))
