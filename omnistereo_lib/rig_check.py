@@ -26,7 +26,6 @@ _BETTER = 0.75  # a mistake is reported if undoing it brings the cost below this
 _NOISE = 0.01  # and by more than this
 _BETTER_ROTATED = 0.9  # the same for one camera; right rigs 1.2 and more, 2° off 0.3 to 0.8 on the sample sets
 _ROTATION_PX = 1.5  # panorama pixels by which a camera is rotated: less is not resolved
-_MAX_STEP = 1.5  # of these rotations, for one axis
 _HOPELESS = 0.25  # above this median cost no hypothesis fits
 _NO_OVERLAP = 0.5  # cost of a patch without texture, which is no evidence for or against a match
 _UNITS = {1000: ("mm", "m"), 100: ("cm", "m"), 10: ("mm", "cm")}  # large unit / small unit: (small, large)
@@ -166,7 +165,7 @@ def rotate_camera(rig: Rig, camera: int, axis_angle: ArrayLike) -> Rig:
 
 
 def _rotated_cameras(sweep: SphereSweep, images: Sequence[ArrayLike]) -> Iterator[RigHypothesis]:
-    """Yield each camera with the rotation that its own pairs prefer: one Newton step for each axis.
+    """Yield each camera with the rotation that its own pairs prefer: about one axis, or a Newton step about all three.
 
     Costs of different pairs are not comparable: in a room they differ by a factor of four with the right rig, while
     a rotation by 2° raises them by a fifth. So each camera is compared with itself.
@@ -179,11 +178,13 @@ def _rotated_cameras(sweep: SphereSweep, images: Sequence[ArrayLike]) -> Iterato
             return matching_cost(SphereSweep(rotate_camera(rig, camera, axis_angle), sweep.grid), images, pairs)
 
         given_cost = cost(np.zeros(3))
-        back, ahead = (np.array([cost(sign * angle * axis) for axis in np.eye(3)]) for sign in (-1, 1))
-        step = (back - ahead) / 2 / np.maximum(back + ahead - 2 * given_cost, 1e-9)
-        step = angle * step.clip(-_MAX_STEP, _MAX_STEP)
+        steps = angle * np.concatenate([np.eye(3), -np.eye(3)])
+        costs = np.array([cost(step) for step in steps])
+        slopes, curvatures = (costs[:3] - costs[3:]) / 2, costs[:3] + costs[3:] - 2 * given_cost
+        newton = angle * (-slopes / np.maximum(curvatures, 1e-9)).clip(-1, 1)
+        lowest, step = min((cost(newton), newton), (costs.min(), steps[costs.argmin()]), key=lambda pair: pair[0])
         name = f"camera {camera + 1} looks rotated by about {np.degrees(np.linalg.norm(step)):.1f}°"
-        yield RigHypothesis(name, cost(step), given_cost)
+        yield RigHypothesis(name, float(lowest), given_cost)
 
 
 def _other_poses(rig: Rig, grid: SphereGrid) -> Iterator[tuple[str, Rig]]:

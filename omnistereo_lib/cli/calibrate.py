@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -63,9 +64,9 @@ def run(options: argparse.Namespace) -> None:
     text = report.text(names)
     with atomic_write(out / "report.txt") as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
-    _write_reports(out, cameras, names, reports, board)
+    written += ["report.txt", *_write_reports(out, cameras, names, reports, board)]
     print(text)
-    print(f"written to {out}/: {', '.join([*written, 'report.txt', 'report_*.png', 'corners_*.yaml'])}")
+    print(f"written to {out}/: {', '.join(written)}")
 
 
 def _read_captures(folder: Path) -> tuple:
@@ -103,27 +104,27 @@ def _read_corners(folder: Path, board: Checkerboard) -> tuple:
 
 
 def _write_camera(out: Path, camera: OcamCamera) -> list[str]:
-    from omnistereo_lib.rig_files.dialects import write_ocam_txt
+    from omnistereo_lib.rig_files.ocam import write_ocam_txt
 
     write_ocam_txt(camera, out / "ocam1.txt")
     return ["ocam1.txt"]
 
 
 def _write_rig(out: Path, rig: Rig) -> list[str]:
-    from omnistereo_lib.rig_files.dialects import save_rig, write_ocam_folder
-    from omnistereo_lib.rig_files.export import write_for_others
+    from omnistereo_lib.rig_files import export_rig, save_rig
+    from omnistereo_lib.rig_files.ocam import write_ocam_folder
 
     save_rig(rig, out / "config.yaml")
     write_ocam_folder(rig, out)
-    residual = max(write_for_others(rig, out))
-    print(f"kalibr.yaml, opencv.yaml and colmap_*: their lens model follows ours to {residual:.2f} px at worst")
+    residual = max(export_rig(rig, out))
+    print(f"kalibr.yaml, opencv.yaml and colmap_*: their camera model follows ours to {residual:.2f} px at worst")
     return ["config.yaml", "ocam*.txt", "poses.txt", "kalibr.yaml", "opencv.yaml", "colmap_*"]
 
 
 def _write_reports(
     out: Path, cameras: Sequence[str], names: Sequence[str], reports: Sequence, board: Checkerboard
-) -> None:
-    """Write each camera's pictures and its corners, those without a board as null."""
+) -> list[str]:
+    """Write the figures and corners of each camera, captures without a board as null; return what was written."""
     from omnistereo_lib.calibrate.detect import save_corners
     from omnistereo_lib.calibrate.figures import save_figure
 
@@ -131,3 +132,7 @@ def _write_reports(
         save_figure(out / f"report_{camera}.png", report)
         views = {name: report.corners.get(k) for k, name in enumerate(names)}
         save_corners(out / f"corners_{camera}.yaml", views, board, report.intrinsics.image_size)
+    if find_spec("matplotlib") is None:
+        print("report_*.png are not written, Matplotlib is not installed: pip install matplotlib")
+        return ["corners_*.yaml"]
+    return ["report_*.png", "corners_*.yaml"]

@@ -24,15 +24,14 @@ def run(options: argparse.Namespace) -> int:
         from omnistereo_lib.doctor import check_installation
 
         return 0 if check_installation() else 1
-    from omnistereo_lib.rig_check import check_rig, verdict
+    from omnistereo_lib.rig_check import check_rig
 
     rig, images, _ = read_input(options)
     low, high = rig.baselines.min(), rig.baselines.max()
     print(f"{len(rig)} cameras, {low:.3g} … {high:.3g} m apart: is that right?")
     # Not a depth that comes from the baselines: it would be wrong by the same factor as they are.
-    readings = check_rig(rig, images, make_grid(options, rig, _NEAR))
-    for reading in readings[:4]:
-        print(f"{reading.cost:.3f}  {reading.name}")
-    fits, sentence = verdict(readings)
-    print(f"{'OK  ' if fits else 'FAIL'}  {sentence}")
-    return 0 if fits else 1
+    check = check_rig(rig, images, make_grid(options, rig, _NEAR))
+    for hypothesis in (check.given, *check.alternatives[:3]):
+        print(f"{hypothesis.cost:.3f}  {hypothesis.name}")
+    print(f"{'OK  ' if check.fits else 'FAIL'}  {check.summary()}")
+    return 0 if check.fits else 1

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from omnistereo_lib.geometry.rig import Rig
     from omnistereo_lib.geometry.sphere import SphereGrid
 
-SAMPLE = Path(__file__).resolve().parents[2] / "data_samples" / "sunny" / "test"
+SAMPLE = Path(__file__).resolve().parents[1] / "sample"  # travels with the package
 
 
 def add_input(parser: argparse.ArgumentParser) -> None:
