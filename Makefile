@@ -39,7 +39,7 @@ render: $(RENDER_READY)  ## renders the sample frames; Blender has an environmen
 	$(RENDER)/python -m render $(RENDER_ARGS)
 
 bench: $(READY)  ## speed, as ratios against named alternatives
-	$(BIN)/python -m omnistereo_lib bench $(BENCH_ARGS)
+	$(BIN)/python -m course bench $(BENCH_ARGS)
 
 results: $(READY)  ## the stored results and the README's ledger anew: hours, but it resumes
 	$(EVALUATE) --sets $(SETS) --scale teaching --out out/teaching

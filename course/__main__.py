@@ -23,6 +23,8 @@ def main(arguments: list[str] | None = None) -> int:
     for name, text in (("book", "build the website"), ("slides", "build the slides")):
         folder = nbtools.ROOT / "out" / name
         commands.add_parser(name, help=text).add_argument("folder", nargs="?", type=Path, default=folder)
+    bench = commands.add_parser("bench", help="time the library against named alternatives, as ratios")
+    bench.add_argument("--quick", action="store_true", help="leave out the scale of the paper")
     ledger = commands.add_parser("ledger", help="update the reproduction report in a Markdown file")
     ledger.add_argument("file", type=Path)
     ledger.add_argument("--results", type=Path, help="results.json of `omnistereo_lib evaluate`")
@@ -49,6 +51,11 @@ def run(options: argparse.Namespace) -> int:
             from course.slides import make_slides
 
             make_slides(options.folder)
+            return 0
+        case "bench":
+            from course import bench
+
+            bench.run(options.quick)
             return 0
         case "ledger":
             from course.ledger import write_ledger

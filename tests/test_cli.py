@@ -113,7 +113,7 @@ def test_doctor_of_the_installation(monkeypatch, well):
     assert run("doctor") == (0 if well else 1)
 
 
-@pytest.mark.parametrize("command", [[], ["depth"], ["doctor"], ["bench"]])
+@pytest.mark.parametrize("command", [[], ["depth"], ["doctor"], ["train"]])
 def test_help_is_given(command, capsys):
     with pytest.raises(SystemExit) as stop:
         run(*command, "--help")

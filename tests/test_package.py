@@ -24,7 +24,7 @@ stereo
 calibrate train
 evaluate
 rig_check
-doctor bench
+doctor
 cli
 __main__
 """
@@ -33,7 +33,7 @@ LAYER = {name: number for number, line in enumerate(LAYERS.split("\n")) for name
 # Slow or large libraries stay with the modules that exist for them.
 AT_HOME = {"matplotlib": {"calibrate.figures"}, "pyvista": set(), "IPython": set(), "bpy": set(), "ipywidgets": set()}
 EAGER = {
-    "cv2": {"stereo.sweep", "stereo.depth", "rig_check", "bench", "calibrate.detect"},
+    "cv2": {"stereo.sweep", "stereo.depth", "rig_check", "calibrate.detect"},
     "scipy": {"calibrate.bundle", "calibrate.rig"},
 }
 

@@ -7,13 +7,10 @@ import sys
 import warnings
 from collections.abc import Sequence
 
-from omnistereo_lib.cli import bench, calibrate, depth, doctor, evaluate, train
+from omnistereo_lib.cli import calibrate, depth, doctor, evaluate, train
 from omnistereo_lib.errors import OmnistereoError
 
-COMMANDS = {"depth": depth, "calibrate": calibrate, "doctor": doctor, "bench": bench} | {
-    "train": train,
-    "evaluate": evaluate,
-}
+COMMANDS = {"depth": depth, "calibrate": calibrate, "doctor": doctor, "train": train, "evaluate": evaluate}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -25,13 +25,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("network", choices=["sweepnet", "mccnn"])
     parser.add_argument("--preset", default="teaching", choices=["teaching", "shipped", "paper"])
     parser.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="change numbers of the preset")
-<<<<<<< HEAD
     parser.add_argument("--init-weights", type=Path, metavar="FILE", help="start from trained weights, not random ones")
-    parser.add_argument("--data", type=Path, default=SAMPLE.with_name("train"), help="data set with ground truth")
-=======
-    parser.add_argument("--start", type=Path, metavar="FILE", help="start from trained weights, not from random ones")
     parser.add_argument("--data", type=Path, default=_DATA, help="data set with ground truth")
->>>>>>> rigio
     add_device(parser)
     parser.add_argument("--out", type=Path, help="folder of the run (default: out/NETWORK_PRESET)")
     either = parser.add_mutually_exclusive_group()

@@ -8,11 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from omnistereo_lib.errors import OmnistereoError
-<<<<<<< HEAD
-from omnistereo_lib.files import make_folder, atomic_write
-=======
 from omnistereo_lib.files import atomic_write, make_folder
->>>>>>> rigio
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.rig_files.basalt import read_basalt
 from omnistereo_lib.rig_files.camera_models import fit_kannala_brandt

@@ -16,11 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
-<<<<<<< HEAD
-from omnistereo_lib.files import read_gray, read_text, atomic_write
-=======
 from omnistereo_lib.files import atomic_write, read_gray, read_text
->>>>>>> rigio
 from omnistereo_lib.geometry.camera import OcamCamera, fit_inverse_polynomial
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig

@@ -14,7 +14,7 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
-from course import findings, ledger
+from course import findings, formulas, ledger
 from course.__main__ import main
 from course.claims import CLAIMS, DIFFERENCES
 from course.findings import EXACT, LIGHTS, PAPER_TABLE, TOLERANCE, Verdict
@@ -169,10 +169,10 @@ def test_the_library_follows_the_formulas(entry):
 
 
 def test_a_formula_that_is_not_followed_is_seen(monkeypatch):
-    monkeypatch.setattr(findings.formulas, "index_error", lambda *a: {"MAE": 1.0} | osl.index_error(*a) | {"RMS": 3.0})
+    monkeypatch.setattr(formulas, "index_error", lambda *a: {"MAE": 1.0} | osl.index_error(*a) | {"RMS": 3.0})
     found = claim("error and its five figures").finding(None)
     assert found.verdict == "differs" and found.ours.endswith("apart")
-    monkeypatch.setattr(findings.formulas, "winner_takes_all", lambda volume: np.full(volume.shape[:2], np.nan))
+    monkeypatch.setattr(formulas, "winner_takes_all", lambda volume: np.full(volume.shape[:2], np.nan))
     assert verdict("argmin", None) == "differs"
 
 

@@ -2,7 +2,7 @@ import boards
 import numpy as np
 import pytest
 
-from omnistereo_lib.bench import Row, bench_sgm, bench_sweepnet, bench_training, best_of, opencv_fisheye, table
+from course.bench import Row, bench_sgm, bench_sweepnet, bench_training, best_of, opencv_fisheye, table
 from omnistereo_lib.calibrate.camera import calibrate_camera
 
 
