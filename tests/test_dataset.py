@@ -100,7 +100,7 @@ def test_a_folder_without_rig_frames_or_anything(tmp_path):
 
 def test_a_frame_without_ground_truth_says_so(tmp_path):
     data = osl.load_dataset(save(tmp_path, [7], truth=None))
-    assert data[0].truth_path is None
+    assert data[0].gt_path is None
     with pytest.raises(osl.OmnistereoError, match="frame 7 has no ground truth"):
         data[0].inverse_depth
 
@@ -108,10 +108,10 @@ def test_a_frame_without_ground_truth_says_so(tmp_path):
 def test_the_widest_ground_truth_or_the_one_asked_for(tmp_path):
     save(tmp_path, [1], truth="omnidepth_gt_32")
     save(tmp_path, [1], truth="omnidepth_gt_640")
-    assert osl.load_dataset(tmp_path)[0].truth_path.parent.name == "omnidepth_gt_640"
-    assert osl.load_dataset(tmp_path, truth_width=32)[0].truth_path.parent.name == "omnidepth_gt_32"
+    assert osl.load_dataset(tmp_path)[0].gt_path.parent.name == "omnidepth_gt_640"
+    assert osl.load_dataset(tmp_path, gt_width=32)[0].gt_path.parent.name == "omnidepth_gt_32"
     with pytest.raises(osl.OmnistereoError, match=r"ground truth of widths \[32, 640\], not of 320"):
-        osl.load_dataset(tmp_path, truth_width=320)
+        osl.load_dataset(tmp_path, gt_width=320)
 
 
 def test_splits_in_folders(tmp_path):
@@ -139,7 +139,7 @@ def test_the_first_release_keeps_one_ground_truth_for_all_weathers(tmp_path):
     for split, number in (("train", 1), ("test", 701)):
         (tmp_path / f"depth_{split}_32").mkdir()
         write_inverse_depth(tmp_path / f"depth_{split}_32" / f"{number:04}.tiff", TRUTH)
-    paths = [frame.truth_path for frame in osl.load_dataset(sunny)]
+    paths = [frame.gt_path for frame in osl.load_dataset(sunny)]
     assert [path.parent.name for path in paths] == ["depth_train_32", "depth_test_32"]
 
 

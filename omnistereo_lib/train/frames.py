@@ -42,7 +42,7 @@ class TrainingFrames:
         dataset = load_dataset(data)
         if dataset.rig.min_depth is None:
             raise OmnistereoError(f"the rig of {data} does not state its nearest depth: add it to config.yaml")
-        frames = [frame for frame in dataset if frame.truth_path is not None]
+        frames = [frame for frame in dataset if frame.gt_path is not None]
         if len(frames) < 2:
             raise OmnistereoError(f"{data} has {len(frames)} frames with ground truth, training needs 2 at least")
         grid = SphereGrid(recipe.width, recipe.height, num_spheres=recipe.num_spheres, min_depth=dataset.rig.min_depth)
@@ -54,7 +54,7 @@ class TrainingFrames:
         self.about = {
             "folder": "/".join(Path(data).resolve().parts[-2:]),
             "frames": len(frames),
-            "sha256": _checksum([path for frame in frames for path in (*frame.image_paths, frame.truth_path)]),
+            "sha256": _checksum([path for frame in frames for path in (*frame.image_paths, frame.gt_path)]),
         }
 
     @property

@@ -33,13 +33,21 @@ from omnistereo_lib.evaluate import (
     errors_table,
     evaluate_frame,
     find_sets,
+    regions_table,
     run,
     select_methods,
-    strata_table,
     write_results,
 )
 from omnistereo_lib.evaluate.records import read_record, write_record
-from omnistereo_lib.evaluate.strata import FIGURES, SUMS, error_sums, figures, find_strata, near_edges, thin_objects
+from omnistereo_lib.evaluate.regions import (
+    METRICS,
+    SUMS,
+    error_sums,
+    find_regions,
+    near_edges,
+    sums_to_metrics,
+    thin_objects,
+)
 from omnistereo_lib.evaluate.table import bootstrap
 from omnistereo_lib.files import write_image
 from omnistereo_lib.stereo.methods import Method
@@ -139,7 +147,7 @@ def test_sums_and_figures_agree_with_the_definition(seed):
         errors = brute_errors(index, truth, 48, mask)
         assert found[name]["rays"] == len(errors) > 50
         assert found[name]["sum"] == pytest.approx(sum(errors), rel=1e-12)
-        of_sums = figures([found[name][key] for key in SUMS])
+        of_sums = sums_to_metrics([found[name][key] for key in SUMS])
         np.testing.assert_allclose(of_sums, brute_figures(errors), rtol=1e-12)
         np.testing.assert_allclose(of_sums, list(osl.index_error(index, truth, 48, mask).values()), rtol=1e-12)
 
@@ -150,7 +158,7 @@ def test_sums_of_frames_add_up():
     sums = [list(error_sums(*pair, 48, everywhere)["all"].values()) for pair in maps]
     together = [np.concatenate(side) for side in zip(*maps, strict=True)]
     expected = brute_figures(brute_errors(*together, 48, np.ones((36, 31), bool)))
-    np.testing.assert_allclose(figures(np.sum(sums, 0)), expected, rtol=1e-12)
+    np.testing.assert_allclose(sums_to_metrics(np.sum(sums, 0)), expected, rtol=1e-12)
 
 
 DEGENERATE = {
@@ -167,9 +175,9 @@ DEGENERATE = {
 def test_degenerate_maps(name):
     index, truth, expected = DEGENERATE[name]
     sweep = osl.SphereSweep(RIG, osl.SphereGrid(6, 4, num_spheres=20, min_depth=0.6))
-    strata = find_strata(truth, sweep)
+    strata = find_regions(truth, sweep)
     found = error_sums(index, truth, 20, strata)
-    np.testing.assert_allclose(figures([found["all"][key] for key in SUMS]), expected, atol=1e-12)
+    np.testing.assert_allclose(sums_to_metrics([found["all"][key] for key in SUMS]), expected, atol=1e-12)
     assert found["at edges"]["rays"] == found["thin"]["rays"] == 0
     assert found["sky"]["rays"] == (24 if "sky" in name else 0)
     json.dumps(found, allow_nan=False)
@@ -242,7 +250,7 @@ def test_depth_ranges_and_cameras(data):
     depth = np.random.default_rng(0).choice([np.inf, 5.0, 1.9, 1.7, 1.0, 0.8, 0.6], grid.shape)
     truth = grid.depth_to_index(depth)
     truth[3, 4] = np.nan
-    strata = find_strata(truth, sweep)
+    strata = find_regions(truth, sweep)
     known = np.isfinite(truth)
     for name, expected in {
         "all": True, "sky": np.isinf(depth), "far": (depth > 3 * 0.6) & np.isfinite(depth),
@@ -273,7 +281,7 @@ def test_a_frame_agrees_with_the_steps_done_one_by_one(data, weights):
     found = dict(evaluate_frame(sweep, dataset[1], methods, lambda m: m.load_cost(weights, "float32")))
     assert set(found) == set(methods)
     truth = dataset[1].gt_index(grid)
-    strata = find_strata(truth, sweep)
+    strata = find_regions(truth, sweep)
     costs = {
         "zncc": osl.ZNCC(), "mccnn": osl.MCCNN.load(weights / "mccnn_fast.safetensors", "float32"),
         "sweepnet": osl.SweepNet.load(weights / "sweepnet.safetensors", "float32"),
@@ -290,7 +298,7 @@ def test_a_frame_agrees_with_the_steps_done_one_by_one(data, weights):
         np.testing.assert_allclose(list(errors["figures"].values()), expected, rtol=1e-12)
         for name, mask in strata.items():
             expected = brute_figures(brute_errors(index, truth, 8, mask))
-            np.testing.assert_allclose(figures(list(errors["strata"][name].values())), expected, rtol=1e-9)
+            np.testing.assert_allclose(sums_to_metrics(list(errors["strata"][name].values())), expected, rtol=1e-9)
     distinct = {json.dumps(errors) for errors in found.values()}
     assert len(distinct) == len(found)  # every setting had an effect
 
@@ -344,7 +352,7 @@ def test_the_merged_file_says_what_it_came_from(data, weights, tmp_path):
     results = json.loads(text)
     assert json.dumps(results) == json.dumps(results, sort_keys=True)  # as they stand in the file
     line = next(line for line in text.decode().splitlines() if '"figures"' in line)
-    assert all(f'"{name}"' in line for name in FIGURES)
+    assert all(f'"{name}"' in line for name in METRICS)
     scale = {"width": 48, "height": 14, "num_spheres": 8}
     assert results["config"] == {**scale, "precision": "float32", "rig": "own"}
     assert results["methods"]["mccnn+sgm"] == {
@@ -639,7 +647,7 @@ def record(figures_of, sets=("box", "sunset", "sunny")):
         name: {
             f"{k:05}": {
                 method.name: {
-                    "figures": dict(zip(FIGURES, figures_of(name, k, method.name), strict=True)),
+                    "figures": dict(zip(METRICS, figures_of(name, k, method.name), strict=True)),
                     "strata": {
                         "all": dict(zip(SUMS, (100, 50, 20, 10 + k, 150.0, 900.0), strict=True)),
                         "thin": dict(zip(SUMS, (10 * k, 5 * k, 0, 0, 40.0 * k, 160.0 * k), strict=True)),
@@ -697,7 +705,7 @@ def test_frames_that_cannot_be_evaluated_are_left_out_of_the_mean():
 
 
 def test_the_strata_pool_all_rays():
-    table = strata_table(record(lambda *_: [1.0] * 5, sets=("sunny",)))
+    table = regions_table(record(lambda *_: [1.0] * 5, sets=("sunny",)))
     assert [words[:3] for words, _ in table.rows[::4]] == [["sunny", "all", "100.0 %"], ["sunny", "thin", "20.0 %"]]
     assert [words[3] for words, _ in table.rows[:4]] == ["ZNCC", "ZNCC, window = 5", "MC-CNN", "ZNCC + SGM"]
     np.testing.assert_allclose(table.rows[0][1][:, 0], [50, 20, 12, 1.5, 3])

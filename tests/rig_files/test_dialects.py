@@ -357,7 +357,7 @@ def test_masks_that_do_not_fit(tmp_path):
     with pytest.raises(OmnistereoError, match=r"mask1.png is 40 × 30 px, the camera 800 × 760 px"):
         Rig.load(path)
     (tmp_path / "mask1.png").write_bytes(b"no picture")
-    with pytest.raises(OmnistereoError, match=r"mask1.png holds no picture"):
+    with pytest.raises(OmnistereoError, match=r"mask1.png is not an image"):
         Rig.load(path)
 
 
