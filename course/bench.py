@@ -1,15 +1,14 @@
-"""Speed, always as a ratio against a named alternative, in one run and with the same number of threads."""
+"""Speed as a ratio against a named alternative, measured in one run with the same number of threads."""
 
 from __future__ import annotations
 
-import operator
 import resource
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import repeat
-from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -23,6 +22,7 @@ from omnistereo_lib.calibrate.captures import find_captures
 from omnistereo_lib.calibrate.detect import find_corners
 from omnistereo_lib.calibrate.rig import calibrate_rig
 from omnistereo_lib.dataset import load_dataset
+from omnistereo_lib.evaluate.run import DATA
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.rig_files import load_rig
@@ -35,25 +35,17 @@ from omnistereo_lib.stereo.volume import camera_pairs
 from omnistereo_lib.train import RECIPES
 from omnistereo_lib.train.spheres import SphereObjective, SphereSamples
 
-_DATA = Path(__file__).resolve().parents[1] / "data_samples"
-_SAMPLE = _DATA / "sunny" / "test"
-_CAPTURES = _DATA / "calibration" / "handheld"
-_SEAM = 42  # columns to each side whose costs see across it: half of the 81 that one depends on, and the stride
+_SEAM = 42  # columns on each side whose costs see across the seam: half the receptive field of 81, and the stride
 
 
 @dataclass(frozen=True)
 class Row:
-    """One comparison: seconds of ours and of the alternative, and what else to know about it."""
+    """One comparison: seconds of this library and of the alternative, and a note."""
 
     name: str
     ours_s: float
     theirs_s: float
     note: str = ""
-
-    @property
-    def ratio(self) -> float:
-        """Our time in units of theirs."""
-        return self.ours_s / self.theirs_s
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -61,30 +53,34 @@ def table(rows: Sequence[Row]) -> str:
     width = max(len(row.name) for row in rows)
     lines = [f"{'':{width}}   ours/ms  theirs/ms  ratio"]
     for row in rows:
-        lines.append(
-            f"{row.name:{width}} {1e3 * row.ours_s:9.1f} {1e3 * row.theirs_s:10.1f} {row.ratio:6.2f}  {row.note}"
-        )
+        times = f"{1e3 * row.ours_s:9.1f} {1e3 * row.theirs_s:10.1f}"
+        lines.append(f"{row.name:{width}} {times} {row.ours_s / row.theirs_s:6.2f}  {row.note}")
     return "\n".join(lines)
 
 
-def best_of(repeats: int, ours: Callable[[], object], theirs: Callable[[], object]) -> tuple[float, float]:
-    """Return the shortest time of each, in seconds; they take turns, so that a busy moment hits both."""
-    times = [(_seconds(ours), _seconds(theirs)) for _ in range(repeats + 1)]
-    return tuple(min(column) for column in zip(*times[1:], strict=True))  # the first round compiles and warms up
+def best_of(repeats: int, *calls: Callable[[], Any]) -> tuple[list[float], list[Any]]:
+    """Return the shortest time of each call in seconds, and its last result.
 
-
-def _seconds(call: Callable[[], object]) -> float:
-    start = time.perf_counter()
-    call()
-    return time.perf_counter() - start
+    The calls alternate, so that a busy machine slows all of them. An extra first round compiles and is not counted;
+    with 0 repeats it is the only one, and counts.
+    """
+    best, results = [float("inf")] * len(calls), [None] * len(calls)
+    for k in range(repeats + 1):
+        for i, call in enumerate(calls):
+            results[i] = None  # free its memory before the next one is computed
+            start = time.perf_counter()
+            results[i] = call()
+            if k or not repeats:
+                best[i] = min(best[i], time.perf_counter() - start)
+    return best, results
 
 
 def bench_sgm(width: int = 1200, height: int = 300, num: int = 192, repeats: int = 5) -> list[Row]:
-    """Compare `sgm` (float32, 8 paths, around the seam) with OpenCV's StereoSGBM in mode HH (16-bit, 8 paths).
+    """Compare `sgm` (float32, 8 paths, across the seam) with OpenCV StereoSGBM in mode HH (16-bit, 8 paths).
 
-    Both get the same image pair, the paper's penalties and the same number of threads (of which mode HH can use
-    one only). OpenCV's time holds the single-pixel costs and the winner too, ours the aggregation alone; OpenCV
-    skips the first `num` columns. The note says how often the winner is that of a float64 run.
+    Both get the same image pair and the penalties of the paper; mode HH uses only one thread. The OpenCV time includes
+    single-pixel costs and argmin, ours is the aggregation; OpenCV skips the first `num` columns. The note says how
+    often the argmin equals that of a float64 run.
     """
     left, right = _stereo_pair(width, height, num)
     volume = torch.stack([torch.from_numpy(np.abs(left - np.roll(right, n, axis=1))) for n in range(num)], -1)
@@ -92,34 +88,30 @@ def bench_sgm(width: int = 1200, height: int = 300, num: int = 192, repeats: int
     opencv = cv2.StereoSGBM.create(
         numDisparities=num, blockSize=1, P1=round(0.1 * 255), P2=12 * 255, mode=cv2.StereoSGBM_MODE_HH
     )
-    threads_before = cv2.getNumThreads()
-    cv2.setNumThreads(torch.get_num_threads())
-    try:
-        ours, theirs = best_of(repeats, lambda: sgm(volume), lambda: opencv.compute(left, right))
-    finally:
-        cv2.setNumThreads(threads_before)
-    part = volume[: height // 5 + 1]  # the float64 run takes seconds even so
-    winner = sgm_torch(part.double(), 0.1, 12.0, 8, True).argmin(-1)
-    same = (sgm(part).argmin(-1) == winner).double().mean().item()
-    note = f"{volume.numel() / ours / 1e6:.0f} M cells/s; winner as in float64 on {same:.2%} of {winner.numel()} rays"
-    return [Row(f"SGM {width}×{height}×{num}, 8 paths, against StereoSGBM HH", ours, theirs, note)]
+    times, _ = best_of(repeats, lambda: sgm(volume), lambda: opencv.compute(left, right))
+    part = volume[: height // 5 + 1]  # the float64 run takes seconds
+    exact = sgm_torch(part.double(), 0.1, 12.0, 8, True).argmin(-1)
+    same = (sgm(part).argmin(-1) == exact).double().mean().item()
+    speed = f"{volume.numel() / times[0] / 1e6:.0f} M cells/s"
+    note = f"{speed}; winner as in float64 on {same:.2%} of {exact.numel()} rays"
+    return [Row(f"SGM {width}×{height}×{num}, 8 paths, against StereoSGBM HH", *times, note)]
 
 
 def _stereo_pair(width: int, height: int, num: int) -> tuple[NDArray, NDArray]:
-    """Return two float32 images in [0, 1], right(x) = left(x + d): smooth relief, texture, camera noise."""
+    """Return two float32 images in [0, 1], right(x) = left(x + d): smooth disparity, texture, camera noise."""
     rng = np.random.default_rng(0)
     texture = cv2.GaussianBlur(rng.normal(size=(height, width)), (0, 0), 1.5)
     texture = 0.5 + 0.15 * texture / texture.std()
     x, y = np.meshgrid(np.arange(width), np.arange(height))
     disparity = num * (0.5 + 0.2 * np.sin(4 * np.pi * x / width) + 0.1 * np.cos(2 * np.pi * y / height))
-    seen_at = np.float32((x + disparity) % width), np.float32(y)
-    right = cv2.remap(texture, *seen_at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+    column, row = np.float32((x + disparity) % width), np.float32(y)
+    right = cv2.remap(texture, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
     noisy = [image + rng.normal(scale=0.01, size=image.shape) for image in (texture, right)]
     return tuple(np.clip(image, 0, 1).astype(np.float32) for image in noisy)
 
 
 def bench_warp(width: int, height: int, num: int, repeats: int = 3) -> list[Row]:
-    """Compare the warp of one camera onto all spheres with cv2.remap and a ready table for every pixel."""
+    """Compare the warp of one camera onto all spheres with cv2.remap; both have their lookup tables ready."""
     sweep, images = _rig_and_images(width, height, num)
     image = sweep.prepare(images)[0]
     ours_out = [torch.empty(len(spheres), height, width) for spheres in sweep.blocks()]
@@ -135,47 +127,39 @@ def bench_warp(width: int, height: int, num: int, repeats: int = 3) -> list[Row]
         for table in tables:
             cv2.remap(image.numpy(), table, None, cv2.INTER_LINEAR, theirs_out, cv2.BORDER_CONSTANT)
 
-    times = best_of(repeats, warp, remap)
+    times, _ = best_of(repeats, warp, remap)
     return [Row(f"warp {width}×{height}×{num}, one camera, against cv2.remap", *times, "both with ready tables")]
 
 
 def bench_frame(width: int, height: int, num: int, repeats: int = 3) -> list[Row]:
     """Compare a whole ZNCC + SGM frame with plain torch (grid_sample, avg_pool2d) and textbook SGM (libsgm)."""
     sweep, images = _rig_and_images(width, height, num)
-    grids = [_plain_grid(sweep, camera) for camera in range(len(sweep.rig))]
-    times = best_of(repeats, lambda: sweep_depth(sweep, images), lambda: _plain_frame(images, grids))
+    grids = []  # for each camera its pixels of every ray on every sphere, (N, H, W, 2), in [-1, 1] for `grid_sample`
+    for i, camera in enumerate(sweep.rig.cameras):
+        pixels = np.stack([sweep.pixels(i, n)[0].astype(np.float32) for n in range(num)])
+        grids.append(torch.from_numpy(pixels * np.float32(2 / (np.array(camera.image_size) - 1)) - 1))
+    times, _ = best_of(repeats, lambda: sweep_depth(sweep, images), lambda: _plain_frame(images, grids))
     note = f"{1 / times[0]:.1f} frames/s; tables {sweep.table_bytes / 2**20:.0f} MiB"
     return [Row(f"ZNCC + SGM frame {width}×{height}×{num}, against plain torch + libsgm", *times, note)]
 
 
 def _rig_and_images(width: int, height: int, num: int) -> tuple[SphereSweep, list[NDArray]]:
-    data = load_dataset(_SAMPLE)
+    data = load_dataset(DATA / "sunny" / "test")
     grid = SphereGrid(width, height, num_spheres=num, min_depth=data.rig.min_depth)
     return SphereSweep(data.rig, grid), data[0].images
 
 
-def _plain_grid(sweep: SphereSweep, camera: int) -> torch.Tensor:
-    """Return where every ray lands on every sphere, (N, H, W, 2), in grid_sample's units of [-1, 1]."""
-    size = np.array(sweep.rig.cameras[camera].image_size)
-    pixels = np.stack([sweep.pixels(camera, n)[0].astype(np.float32) for n in range(sweep.grid.num_spheres)])
-    return torch.from_numpy(pixels * np.float32(2 / (size - 1)) - 1)
-
-
 def _plain_frame(images: list[NDArray], grids: list[torch.Tensor]) -> NDArray:
-    """Do a frame as one would without this library: no tricks, no wrapping, no visibility."""
+    """Compute the indices of a frame (H, W) without this library: no wrapping, no visibility."""
     from c_libsgm import sgm_api  # a package of the tests, not of the library
 
+    box = partial(avg_pool2d, kernel_size=9, stride=1, padding=4)
     warped = []
     for image, grid in zip(images, grids, strict=True):
         gray = torch.from_numpy(image).float().mean(-1)[None, None].expand(len(grid), -1, -1, -1)
-        warped.append(grid_sample(gray, grid, align_corners=True))
-
-    def box(x: torch.Tensor) -> torch.Tensor:
-        return avg_pool2d(x, 9, stride=1, padding=4)
-
+        warped.append(grid_sample(gray, grid, align_corners=True).double())
     costs = []
-    for i in range(len(warped)):
-        a, b = warped[i].double(), warped[(i + 1) % len(warped)].double()
+    for a, b in zip(warped, [*warped[1:], warped[0]], strict=True):
         covariance = box(a * b) - box(a) * box(b)
         variances = (box(a * a) - box(a) ** 2) * (box(b * b) - box(b) ** 2)
         costs.append(0.5 - 0.5 * covariance / variances.clamp_min(1e-9).sqrt())
@@ -188,90 +172,85 @@ def _plain_frame(images: list[NDArray], grids: list[torch.Tensor]) -> NDArray:
 
 
 def bench_sweepnet(width: int, height: int, num: int, spheres: range | None = None) -> list[Row]:
-    """Compare SweepNet as it ships with the same network written plainly, on some spheres of a frame or on all.
+    """Compare SweepNet with a plain implementation, on some spheres of a frame or on all.
 
-    Plainly: in float32, every pair by itself, the whole panorama, as PyTorch runs it. The same weights and images, and
-    the warp apart. One row for each precision that the processor computes in; the note has the largest difference of
-    a cost.
+    Plain: in float32, every pair by itself, the whole panorama, as PyTorch runs it. Weights and images are equal, the
+    warp is not timed. One row for each precision of the processor; the note has the largest difference of a cost.
     """
     sweep, images = _rig_and_images(width, height, num)
     chosen = range(num) if spheres is None else spheres
     blocks = [range(max(b.start, chosen.start), min(b.stop, chosen.stop)) for b in sweep.blocks()]
+    blocks = [block for block in blocks if block]
     prepared = sweep.prepare(images)
-    warped = [sweep.warp_block(prepared, block) for block in blocks if block]
-    columns = [[sweep.visible_columns(i, block) for i in range(len(sweep.rig))] for block in blocks if block]
+    warped = [sweep.warp_block(prepared, block) for block in blocks]
+    columns = [[sweep.visible_columns(i, block) for i in range(len(sweep.rig))] for block in blocks]
     pairs = camera_pairs("ring", sweep.rig)
     plain = SweepNet.pretrained()
     rows = []
     for precision in ("float32", "bfloat16") if uses_bfloat16("auto", "cpu") else ("float32",):
-        cost, out = LearnedCost(SweepNet.pretrained(), precision), {}
-
-        def ours(cost: LearnedCost = cost, out: dict = out) -> None:
-            out["ours"] = [cost(*job) for job in zip(warped, repeat(pairs), columns)]
-
-        def theirs(out: dict = out) -> None:
-            out["theirs"] = [_plain_sweepnet(plain, spherical, pairs) for spherical in warped]
-
-        times = best_of(1, ours, theirs)
-        away = slice(_SEAM, -_SEAM)  # Table I lets the seam show, the network that ships does not
-        volumes = (torch.cat(out[key], -1)[:, away] for key in ("ours", "theirs"))
-        difference = operator.sub(*volumes).abs().nan_to_num().max().item()
+        cost = LearnedCost(SweepNet.pretrained(), precision)
+        times, costs = best_of(
+            1,
+            lambda cost=cost: [cost(*job) for job in zip(warped, repeat(pairs), columns)],
+            lambda: [_plain_sweepnet(plain, spherical, pairs) for spherical in warped],
+        )
+        ours, theirs = (torch.cat(blocks, -1)[:, _SEAM:-_SEAM] for blocks in costs)  # only the plain one has a seam
+        note = f"costs away from the seam differ by up to {(ours - theirs).abs().nan_to_num().max():.1e}"
         name = f"SweepNet {width}×{height}, {len(chosen)} of {num} spheres, {precision}, against plain float32"
-        rows.append(Row(name, *times, f"costs away from the seam differ by up to {difference:.1e}"))
+        rows.append(Row(name, *times, note))
     return rows
 
 
 @torch.no_grad()
 def _plain_sweepnet(net: SweepNet, spherical: torch.Tensor, pairs: Sequence[tuple[int, int]]) -> torch.Tensor:
-    """Do a block of spheres as Table I prints it: no crop, no feature used twice, no strip."""
+    """Return the costs of a block of spheres by Table I as printed: no crop, no shared features, no strips."""
     layers = net.layers
 
-    def describe(images: torch.Tensor) -> torch.Tensor:
-        x = relu(layers["conv1"](pad(images.nan_to_num()[:, None], (2, 2, 0, 0), mode="circular")))
+    def extract(image: torch.Tensor) -> torch.Tensor:
+        x = relu(layers["conv1"](pad(image.nan_to_num()[None, None], (2, 2, 0, 0), mode="circular")))
         for k in range(2, 18, 2):
             x = relu(x + layers[f"conv{k + 1}"](relu(layers[f"conv{k}"](x))))
         return relu(layers["conv18"](x))
 
-    def compare(left: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
-        x = torch.cat([describe(left), describe(right)], 1)
+    def match(left: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
+        x = torch.cat([extract(left), extract(right)], 1)
         for name in ("conv19", "deconv1", "conv20"):
             x = relu(layers[name](x))
         x = x.permute(0, 2, 3, 1)
         for name in ("fc1", "fc2", "fc3", "fc4"):
             x = relu(layers[name](x))
-        return torch.sigmoid(layers["fc5"](x))[..., 0]
+        return torch.sigmoid(layers["fc5"](x))[0, ..., 0]
 
-    sums, counts = torch.zeros(spherical.shape[1:]), torch.zeros(spherical.shape[1:])
+    sums, counts = torch.zeros(2, *spherical.shape[1:])
     for i, j in pairs:
-        for n, (left, right) in enumerate(zip(spherical[i], spherical[j], strict=True)):  # or it takes all memory
-            seen = ~(left + right).isnan()
-            sums[n] += torch.where(seen, compare(left[None], right[None])[0], 0.0)
-            counts[n] += seen
+        for n, (left, right) in enumerate(zip(spherical[i], spherical[j], strict=True)):  # one by one to save memory
+            visible = ~(left + right).isnan()
+            sums[n] += torch.where(visible, match(left, right), 0.0)
+            counts[n] += visible
     return (sums / counts).permute(1, 2, 0)
 
 
 def bench_training(width: int, height: int, num: int, repeats: int = 3) -> list[Row]:
-    """Compare a step of SweepNet's training in float32 with the same step on what lies channels last in memory."""
+    """Compare a training step of SweepNet in float32 with the same step in the channels-last memory format."""
     scale = {"width": width, "height": height, "num_spheres": num, "halve": False}
-    samples = SphereSamples(replace(RECIPES["sweepnet"]["shipped"], **scale), _DATA / "sunny" / "train")
+    samples = SphereSamples(replace(RECIPES["sweepnet"]["shipped"], **scale), DATA / "sunny" / "train")
     batch = samples.micro_batch(samples.training[0], np.random.default_rng(0), augment=False)
     layouts = torch.contiguous_format, torch.channels_last
     networks = [SweepNet.pretrained().train().to(memory_format=layout) for layout in layouts]
 
-    def step(network: SweepNet) -> None:
+    def step(network: SweepNet) -> torch.Tensor:
         network.zero_grad()
         SphereObjective(network)(batch)[0].backward()
+        return torch.cat([parameter.grad.flatten() for parameter in network.parameters()])
 
-    times = best_of(repeats, *(partial(step, network) for network in networks))
-    ours, theirs = (torch.cat([p.grad.flatten() for p in network.parameters()]) for network in networks)
-    difference = ((ours - theirs).norm() / theirs.norm()).item()
-    name = f"SweepNet {width}×{height}, a step of training in float32, against channels last"
-    return [Row(name, *times, f"the gradients differ by {difference:.1e} of their length")]
+    times, (ours, theirs) = best_of(repeats, *(partial(step, network) for network in networks))
+    note = f"the gradients differ by {(ours - theirs).norm() / theirs.norm():.1e} of their length"
+    return [Row(f"SweepNet {width}×{height}, a step of training in float32, against channels last", *times, note)]
 
 
 @dataclass(frozen=True, eq=False)
 class FisheyeFit:
-    """What `cv2.fisheye.calibrate` made of some views: its rms distance, infinite where it gave up, and its camera."""
+    """Result of `cv2.fisheye.calibrate`: rms distance in px, infinite where it failed, matrix and distortion."""
 
     rms_px: float
     matrix: NDArray[np.float64]
@@ -287,15 +266,9 @@ class FisheyeFit:
 def opencv_fisheye(
     views: Sequence[NDArray], board: Checkerboard, image_size: tuple[int, int], start: OcamCamera | None = None
 ) -> FisheyeFit:
-    """Calibrate with OpenCV on the corners of whole boards, all within 90° of the axis: its model ends there.
+    """Calibrate with OpenCV on the corners (K, 2) px of complete boards within 90° of the axis, the limit of its model.
 
-    Parameters
-    ----------
-    views : sequence of arrays, (K, 2) px
-    board : Checkerboard
-    image_size : (int, int)
-    start : OcamCamera, optional
-        Whose focal length and centre it may start from; without them it mostly loses its way.
+    `start` gives the initial focal length and centre; without it OpenCV mostly fails to converge.
     """
     matrix, distortion, flags = np.eye(3), np.zeros(4), cv2.CALIB_RECOMPUTE_EXTRINSIC if start else 0
     if start is not None:
@@ -309,40 +282,40 @@ def opencv_fisheye(
 
 
 def bench_calibrate(repeats: int = 3) -> list[Row]:
-    """Calibrate a camera against `cv2.fisheye.calibrate` on the same corners; detection apart.
+    """Calibrate a camera against `cv2.fisheye.calibrate` on the same corners; detection is not timed.
 
-    Its model ends at 90° from the axis, so the boards are those within 80°. The note has our times for what it
-    cannot do: all views of the camera, and the whole rig.
+    OpenCV's model ends at 90° from the axis, so both get boards within 80°. The note has our times for all views of the
+    camera and for the whole rig.
     """
-    board = Checkerboard((12, 10), 0.06)
-    captures = find_captures(_CAPTURES)
-    rows = [
+    board, folder = Checkerboard((12, 10), 0.06), DATA / "calibration" / "handheld"
+    captures = find_captures(folder)
+    corners = [
         [None if image is None else find_corners(image, board) for image in captures.images(i)]
         for i in range(len(captures.cameras))
     ]
-    sizes = [camera.image_size for camera in load_rig(_CAPTURES).cameras]
-    start, whole = calibrate_camera(rows[0], board, sizes[0])
+    sizes = [camera.image_size for camera in load_rig(folder).cameras]
+    start, whole = calibrate_camera(corners[0], board, sizes[0])
     near = [view for view in whole.views_used if np.nanmax(whole.angles[view]) < np.radians(80)]
-    seen = [whole.corners[view] for view in near if np.isfinite(whole.corners[view]).all()]
-    ours, theirs = best_of(
+    views = [whole.corners[view] for view in near if np.isfinite(whole.corners[view]).all()]
+    times, ((_, ours), theirs) = best_of(
         repeats,
-        lambda: calibrate_camera(seen, board, sizes[0]),
-        lambda: opencv_fisheye(seen, board, sizes[0], start),
+        lambda: calibrate_camera(views, board, sizes[0]),
+        lambda: opencv_fisheye(views, board, sizes[0], start),
     )
-    camera_s = _seconds(lambda: calibrate_camera(rows[0], board, sizes[0]))
-    rig_s = _seconds(lambda: calibrate_rig(rows, board, sizes))
-    rms = calibrate_camera(seen, board, sizes[0])[1].errors.rms_distance_px
+    (camera_s, rig_s), _ = best_of(
+        0, lambda: calibrate_camera(corners[0], board, sizes[0]), lambda: calibrate_rig(corners, board, sizes)
+    )
     note = (
-        f"rms distance {rms:.3f} px, theirs {opencv_fisheye(seen, board, sizes[0], start).rms_px:.3f} from our focal "
-        f"length; all {len(whole.views_used)} views {camera_s:.2f} s, 4 cameras with {len(captures.names)} captures "
-        f"{rig_s:.2f} s"
+        f"rms distance {ours.errors.rms_distance_px:.3f} px, theirs {theirs.rms_px:.3f} from our focal length; all "
+        f"{len(whole.views_used)} views {camera_s:.2f} s, 4 cameras with {len(captures.names)} captures {rig_s:.2f} s"
     )
-    return [Row(f"calibrate a camera, {len(seen)} views, against cv2.fisheye", ours, theirs, note)]
+    return [Row(f"calibrate a camera, {len(views)} views, against cv2.fisheye", *times, note)]
 
 
 def run(quick: bool = False) -> None:
-    """Print the table; quick: at teaching scale alone, in seconds. The paper's scale needs 10 GiB and minutes."""
+    """Print the table; quick: only at teaching scale, in seconds. The scale of the paper takes 10 GiB and minutes."""
     scales = [(320, 80, 64)] if quick else [(320, 80, 64), (1200, 300, 192)]
+    cv2.setNumThreads(torch.get_num_threads())
     print(f"{torch.get_num_threads()} threads; the shorter of repeated runs, taken in turns")
     for scale in scales:
         print(table([*bench_warp(*scale), *bench_sgm(*scale), *bench_frame(*scale)]), flush=True)

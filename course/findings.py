@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.evaluate.methods import METHODS
 from omnistereo_lib.evaluate.records import Record
+from omnistereo_lib.evaluate.regions import METRICS, SUMS, sums_to_metrics
 from omnistereo_lib.evaluate.run import SCALES
-from omnistereo_lib.evaluate.strata import FIGURES, SUMS, figures
 from omnistereo_lib.evaluate.table import LIGHTS
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.sweepnet import SweepNet
@@ -43,7 +43,7 @@ def _read_table(text: str) -> dict[str, dict[str, dict[str, float]]]:
     for line in text.strip().splitlines():
         method, *numbers = line.split()
         values = map(float, numbers)
-        table[method] = {light: {figure: next(values) for figure in FIGURES} for light in LIGHTS}
+        table[method] = {light: {figure: next(values) for figure in METRICS} for light in LIGHTS}
     return table
 
 
@@ -151,7 +151,7 @@ def _frames(results: Record | None, name: str, method: str) -> list[Record]:
 
 def _ours(results: Record | None, method: str, light: str) -> NDArray[np.float64]:
     """Return the means of the five figures over the frames that can be evaluated, as `errors_table` does."""
-    found = [[frame["figures"][figure] for figure in FIGURES] for frame in _frames(results, light, method)]
+    found = [[frame["figures"][figure] for figure in METRICS] for frame in _frames(results, light, method)]
     known = [row for row in found if None not in row]
     if not known:
         raise _LackingError(f"no frame of {light} can be evaluated")
@@ -221,8 +221,8 @@ def row(method: str, light: str) -> Claim:
         ours, zncc = _ours(results, method, light), _ours(results, "zncc", light)
         with np.errstate(divide="ignore", invalid="ignore"):  # ratios to 0 are on no side of 1
             if method == "zncc":
-                return Finding(text(ours, zncc), *_by_size(ours, paper, FIGURES, ratios=False))
-            return Finding(text(ours, zncc), *_by_size(ours / zncc, paper / paper_zncc, FIGURES))
+                return Finding(text(ours, zncc), *_by_size(ours, paper, METRICS, ratios=False))
+            return Finding(text(ours, zncc), *_by_size(ours / zncc, paper / paper_zncc, METRICS))
 
     paper, paper_zncc = _papers(method, light), _papers("zncc", light)
     what = f"{_label(method)}, {light.capitalize()}"
@@ -236,12 +236,12 @@ def below(
     pairs: Sequence[tuple[str, str]],
     where: tuple[str, ...],
     notebook: str,
-    chosen: Sequence[str] = FIGURES,
+    chosen: Sequence[str] = METRICS,
 ) -> Claim:
     """Return the claim that the first method of each pair has smaller figures than the second, in every light."""
 
     def orders(figures_of: Callable[[str, str], NDArray]) -> NDArray[np.bool_]:
-        wanted = [FIGURES.index(figure) for figure in chosen]
+        wanted = [METRICS.index(figure) for figure in chosen]
         return np.array([figures_of(a, light)[wanted] < figures_of(b, light)[wanted] for (a, b), light in places])
 
     def judge(results: Record | None) -> Finding:
@@ -275,14 +275,14 @@ def shown(source: str, text: str, stratum: str, sets: Sequence[str] = LIGHTS) ->
 
     def judge(results: Record | None) -> Finding:
         methods = ("sweepnet+sgm", "zncc+sgm")
-        above = np.array([[figures(_pooled(results, name, m, stratum))[2] for m in methods] for name in sets])
+        above = np.array([[sums_to_metrics(_pooled(results, name, m, stratum))[2] for m in methods] for name in sets])
         held = above[:, 0] < above[:, 1]
         verdict, reason = _by_order(held, np.ones(len(sets), bool), sets)
         ours = ", ".join(f"{ours:.1f} against {zncc:.1f}" for ours, zncc in above)
         return Finding(ours, "trend reproduced" if verdict == "reproduced" else verdict, reason)
 
     text += f" ('>5' on {stratum} rays, SweepNet + SGM against ZNCC + SGM)"
-    where = ("evaluate.strata:find_strata", "evaluate:strata_table")
+    where = ("evaluate.regions:find_regions", "evaluate:regions_table")
     return Claim(CLAIMS_GROUP, source, text, where, "08_evaluation", "shown", judge)
 
 

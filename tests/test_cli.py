@@ -222,8 +222,8 @@ def option(*values):
 
 BAD = {
     "missing image": (missing_image, r"cam2.0001.png cannot be read: No such file"),
-    "truncated image": (truncated_image, r"cam2.0001.png is cut short: 2000 bytes"),
-    "non-image": (no_image, r"cam2.0001.png holds no picture, 5 bytes"),
+    "truncated image": (truncated_image, r"cam2.0001.png is truncated .2000 bytes"),
+    "non-image": (no_image, r"cam2.0001.png is not an image .5 bytes"),
     "wrong size": (smaller_image, r"image 2 has shape \(96, 100, 3\), camera 2 was calibrated for \(192, 200\)"),
     "fewer images": (lambda data: with_images(data)[:-1], r"the rig has 4 cameras, got 3 images"),
     "more images": (lambda data: [*with_images(data), data / "cam1" / "0001.png"], r"4 cameras, got 5 images"),
@@ -251,7 +251,7 @@ BAD = {
     "unknown frame": (lambda data: ["--rig", data, "--frame", 7], r"has frames 0 … 0, not 7"),
     "not a data set": (lambda data: ["--rig", data / "config.yaml"], r"config.yaml is not a data set folder"),
     "unit stated twice": (option("--unit", "cm"), r"in metres by definition. Omit unit='cm'"),
-    "broken ground truth": (broken_truth, r"00001.tiff is not a whole TIFF file"),
+    "broken ground truth": (broken_truth, r"00001.tiff is not a complete TIFF file"),
     "out is a file": (out_is_a_file, r"folder .*out cannot be made or written to: File exists"),
     "out below a file": (below_a_file, r"folder .*out cannot be made or written to: Not a directory"),
 }  # fmt: skip

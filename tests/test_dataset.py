@@ -13,38 +13,49 @@ from omnistereo_lib.dataset import Frame, read_inverse_depth, write_inverse_dept
 from omnistereo_lib.files import write_image
 
 RIG = scene.rig(width=40, height=32)
-TRUTH = np.random.default_rng(0).uniform(0, 1 / 0.55, (8, 32)).astype(np.float32)  # ±45°
+GT = np.random.default_rng(0).uniform(0, 1 / 0.55, (8, 32)).astype(np.float32)  # ±45°
 
 
-def save(folder, numbers, digits=4, rig=RIG, cameras=4, truth="omnidepth_gt_32"):
-    """Write a data set of the public layout; each image holds its camera's and frame's number."""
+def save(folder, numbers, digits=4, rig=RIG, cameras=4, gt="omnidepth_gt_32"):
+    """Write a data set of the public layout; each image holds the numbers of its camera and frame."""
     folder.mkdir(parents=True, exist_ok=True)
     rig.save(folder / "config.yaml")
     for k in range(1, cameras + 1):
         (folder / f"cam{k}").mkdir(exist_ok=True)
         for number in numbers:
-            write_image(
-                folder / f"cam{k}" / f"{number:0{digits}}.png", np.full((32, 40), (10 * k + number) % 256, np.uint8)
-            )
-    if truth:
-        (folder / truth).mkdir(parents=True, exist_ok=True)
+            image = np.full((32, 40), (10 * k + number) % 256, np.uint8)
+            write_image(folder / f"cam{k}" / f"{number:0{digits}}.png", image)
+    if gt:
+        (folder / gt).mkdir(parents=True, exist_ok=True)
         for number in numbers:
-            write_inverse_depth(folder / truth / f"{number:05}.tiff", TRUTH + number)
+            write_inverse_depth(folder / gt / f"{number:05}.tiff", GT + number)
     return folder
 
 
+def numbers(folder, split=None):
+    return [frame.number for frame in osl.load_dataset(folder, split)]
+
+
+def refuses(message, folder, *arguments, **options):
+    with pytest.raises(osl.OmnistereoError, match=message):
+        osl.load_dataset(folder, *arguments, **options)
+
+
 def test_the_public_layout(tmp_path):
-    data = osl.load_dataset(save(tmp_path, [1, 2, 3]))
+    data = osl.load_dataset(save(tmp_path, [1, 2, 17]))
     assert len(data) == 3 and len(data.rig) == 4
     assert repr(data) == f"Dataset({tmp_path.name}: 3 frames, 3 with ground truth, 4 cameras of 40 × 32)"
     frame = data[1]
     assert frame.number == 2 and [image[0, 0] for image in frame.images] == [12, 22, 32, 42]
-    np.testing.assert_array_equal(frame.inverse_depth, TRUTH + 2)
-    assert [f.number for f in data] == [1, 2, 3] and data[-1].number == 3
-    assert [f.number for f in data[1:]] == [2, 3] and len(data[1:]) == 2
+    np.testing.assert_array_equal(frame.inverse_depth, GT + 2)
+    assert [f.number for f in data] == [1, 2, 17] and data[-1].number == 17
+    assert [f.number for f in data[1:]] == [2, 17] and len(data[1:]) == 2
+    assert data.frame(17).number == 17
+    with pytest.raises(osl.OmnistereoError, match="has no frame 5; expected one of 1, 2, 17"):
+        data.frame(5)
 
 
-def test_images_are_read_when_asked_for_and_not_kept(tmp_path):
+def test_images_are_read_on_first_use_and_not_kept(tmp_path):
     data = osl.load_dataset(save(tmp_path, [1, 2]))
     (tmp_path / "cam3" / "0002.png").write_bytes(b"")
     frame = data[0]
@@ -52,14 +63,20 @@ def test_images_are_read_when_asked_for_and_not_kept(tmp_path):
     image = weakref.ref(frame.images[0])
     del frame
     assert image() is None  # a loop over a thousand frames holds one
-    with pytest.raises(osl.OmnistereoError, match=r"cam3.0002.png holds no picture, 0 bytes"):
+    with pytest.raises(osl.OmnistereoError, match=r"cam3.0002.png is not an image"):
         data[1].images
 
 
 def test_cameras_are_in_the_order_of_their_numbers(tmp_path):
     rig = scene.rig(width=40, height=32, cameras=11)
-    data = osl.load_dataset(save(tmp_path, [1], rig=rig, cameras=11))
-    assert [int(image[0, 0]) for image in data[0].images] == [10 * k + 1 for k in range(1, 12)]
+    save(tmp_path, [1], rig=rig, cameras=11)
+    (tmp_path / "cam5").rename(tmp_path / "cam05")
+    for name in ("cam1_2", "cam3²", "cam4.old", "cameras"):  # not camera folders
+        (tmp_path / name).mkdir()
+    (tmp_path / "cam12").write_text("")
+    assert [int(image[0, 0]) for image in osl.load_dataset(tmp_path)[0].images] == [10 * k + 1 for k in range(1, 12)]
+    (tmp_path / "cam5").mkdir()
+    refuses(r"cam05 and .*cam5 have the same number", tmp_path)
 
 
 def test_misnamed_frames_of_omnithings(tmp_path):
@@ -67,102 +84,103 @@ def test_misnamed_frames_of_omnithings(tmp_path):
     for k in (2, 3, 4):
         for number in (1, 2, 3):
             (tmp_path / f"cam{k}" / f"{number:05}.png").rename(tmp_path / f"cam{k}" / f"{number:04}.png")
-    assert [frame.number for frame in osl.load_dataset(tmp_path)] == [1, 2, 3, 4]
+    assert numbers(tmp_path) == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ("cam2/0001.jpg", "cam2/0001.png"),
+        ("cam2/0001.png", "cam2/1.png"),
+        ("omnidepth_gt_32/00001.png", "omnidepth_gt_32/00001.tiff"),
+        ("depth_train_32/00001.tiff", "omnidepth_gt_32/00001.tiff"),
+    ],
+)
+def test_two_files_of_one_frame_are_named(tmp_path, first, second):
+    save(tmp_path, [1])
+    for name in (first, second):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    refuses(f"{first} and .*{second} have the same number", tmp_path)
 
 
 def test_other_files_beside_the_frames(tmp_path):
     save(tmp_path, [1])
-    (tmp_path / "cam1" / "mask.png").write_text("")
-    (tmp_path / "cam1" / "0002.txt").write_text("")
-    (tmp_path / "cameras").mkdir()
-    assert len(osl.load_dataset(tmp_path)) == 1
+    for name in ("mask.png", "0002.txt", "².png", "0003.png.part", ".1.0004.png"):
+        (tmp_path / "cam1" / name).write_text("")
+    for name in ("depth_2", "omnidepth_gt_²"):
+        (tmp_path / name).write_text("")
+    assert numbers(tmp_path) == [1]
 
 
 def test_a_frame_that_one_camera_lacks(tmp_path):
     save(tmp_path, [1, 2])
     (tmp_path / "cam3" / "0002.png").unlink()
-    with pytest.raises(osl.OmnistereoError, match=r"cam3 has no image of frame 2, other cameras have"):
-        osl.load_dataset(tmp_path)
+    refuses(r"cam3 has no image of frame 2, other cameras have", tmp_path)
 
 
-def test_fewer_folders_than_cameras(tmp_path):
-    save(tmp_path, [1], cameras=3)
-    with pytest.raises(osl.OmnistereoError, match=r"camera folders cam1, cam2, cam3, its rig has 4 cameras"):
-        osl.load_dataset(tmp_path)
-
-
-def test_a_folder_without_rig_frames_or_anything(tmp_path):
-    with pytest.raises(osl.OmnistereoError, match="empty"):
-        osl.load_dataset(tmp_path / "empty")
-    with pytest.raises(osl.OmnistereoError, match=r"holds no frames: expected cam1.0001.png"):
-        osl.load_dataset(save(tmp_path / "no_frames", []))
-
-
-def test_a_frame_without_ground_truth_says_so(tmp_path):
-    data = osl.load_dataset(save(tmp_path, [7], truth=None))
-    assert data[0].truth_path is None
+def test_what_is_missing_is_named(tmp_path):
+    refuses("empty", tmp_path / "empty")
+    refuses(r"has no frames; expected cam1.0001.png", save(tmp_path / "no_frames", []))
+    refuses(r"camera folders cam1, cam2, cam3; expected cam1 to cam4", save(tmp_path / "three", [1], cameras=3))
+    data = osl.load_dataset(save(tmp_path / "no_gt", [7], gt=None))
+    assert data[0].gt_path is None
     with pytest.raises(osl.OmnistereoError, match="frame 7 has no ground truth"):
         data[0].inverse_depth
 
 
 def test_the_widest_ground_truth_or_the_one_asked_for(tmp_path):
-    save(tmp_path, [1], truth="omnidepth_gt_32")
-    save(tmp_path, [1], truth="omnidepth_gt_640")
-    assert osl.load_dataset(tmp_path)[0].truth_path.parent.name == "omnidepth_gt_640"
-    assert osl.load_dataset(tmp_path, truth_width=32)[0].truth_path.parent.name == "omnidepth_gt_32"
-    with pytest.raises(osl.OmnistereoError, match=r"ground truth of widths \[32, 640\], not of 320"):
-        osl.load_dataset(tmp_path, truth_width=320)
+    save(tmp_path, [1], gt="omnidepth_gt_32")
+    save(tmp_path, [1], gt="omnidepth_gt_640")
+    (tmp_path / "omnidepth_gt_1200").mkdir()  # empty
+    assert osl.load_dataset(tmp_path)[0].gt_path.parent.name == "omnidepth_gt_640"
+    assert osl.load_dataset(tmp_path, gt_width=32)[0].gt_path.parent.name == "omnidepth_gt_32"
+    refuses(r"no ground truth of width 1200; expected one of \[32, 640\]", tmp_path, gt_width=1200)
 
 
 def test_splits_in_folders(tmp_path):
     save(tmp_path / "train", [1, 2])
     save(tmp_path / "test", [3])
-    assert [frame.number for frame in osl.load_dataset(tmp_path, "train")] == [1, 2]
-    assert [frame.number for frame in osl.load_dataset(tmp_path, "test")] == [3]
+    assert numbers(tmp_path, "train") == [1, 2] and numbers(tmp_path, "test") == [3]
 
 
 def test_published_splits_by_number(tmp_path):
-    sunny = save(tmp_path / "Sunny", [1, 700, 701, 1000, 1001], truth=None)
-    assert [frame.number for frame in osl.load_dataset(sunny, "train")] == [1, 700]
-    assert [frame.number for frame in osl.load_dataset(sunny, "test")] == [701, 1000]
-    assert len(osl.load_dataset(sunny)) == 5
-    with pytest.raises(osl.OmnistereoError, match=r"has no split 'validation'"):
-        osl.load_dataset(sunny, "validation")
-    with pytest.raises(osl.OmnistereoError, match=r"mine has no split 'test'.* sunny, cloudy"):
-        osl.load_dataset(save(tmp_path / "mine", [1]), "test")
-    with pytest.raises(osl.OmnistereoError, match="holds no frames of split test"):
-        osl.load_dataset(save(tmp_path / "cloudy", [1]), "test")
+    sunny = save(tmp_path / "Sunny", [1, 700, 701, 1000, 1001], gt=None)
+    assert numbers(sunny, "train") == [1, 700] and numbers(sunny, "test") == [701, 1000] and len(numbers(sunny)) == 5
+    refuses(r"has no split 'validation'", sunny, "validation")
+    refuses(r"mine has no split 'test'.* sunny, cloudy", save(tmp_path / "mine", [1]), "test")
+    refuses("has no frames of split test", save(tmp_path / "cloudy", [1]), "test")
 
 
 def test_the_first_release_keeps_one_ground_truth_for_all_weathers(tmp_path):
-    sunny = save(tmp_path / "sunny", [1, 701], truth=None)
+    sunny = save(tmp_path / "sunny", [1, 701], gt=None)
     for split, number in (("train", 1), ("test", 701)):
         (tmp_path / f"depth_{split}_32").mkdir()
-        write_inverse_depth(tmp_path / f"depth_{split}_32" / f"{number:04}.tiff", TRUTH)
-    paths = [frame.truth_path for frame in osl.load_dataset(sunny)]
+        write_inverse_depth(tmp_path / f"depth_{split}_32" / f"{number:04}.tiff", GT)
+    paths = [frame.gt_path for frame in osl.load_dataset(sunny)]
     assert [path.parent.name for path in paths] == ["depth_train_32", "depth_test_32"]
 
 
 def test_a_set_in_another_light_points_to_the_ground_truth_of_its_drive(tmp_path):
-    save(tmp_path / "sunny", [1], truth="omnidepth_gt_32")
-    cloudy = save(tmp_path / "cloudy", [1], truth=None)
+    sunny = save(tmp_path / "sunny", [1])
+    cloudy = save(tmp_path / "cloudy", [1], gt=None)
     with (cloudy / "config.yaml").open("a") as config:
         config.write("dataset: {truth: ../sunny}\n")
-    assert np.array_equal(
-        osl.load_dataset(cloudy)[0].inverse_depth, osl.load_dataset(tmp_path / "sunny")[0].inverse_depth
-    )
-    (tmp_path / "sunny").rename(tmp_path / "away")
-    with pytest.raises(osl.OmnistereoError, match=r"ground truth is in \.\./sunny: there is no such folder"):
-        osl.load_dataset(cloudy)
+    assert osl.load_dataset(cloudy)[0].gt_path.samefile(osl.load_dataset(sunny)[0].gt_path)
+    sunny.rename(tmp_path / "away")
+    refuses(r"names .*sunny as the ground-truth folder; there is no such folder", cloudy)
+
+
+# ---- files of ground truth
 
 
 def test_float_tiff_comes_back(tmp_path):
-    truth = TRUTH.copy()
-    truth[0, :4] = [np.nan, np.inf, -1, 0]
-    write_inverse_depth(tmp_path / "a.tiff", truth)
+    gt = GT.copy()
+    gt[0, :4] = [np.nan, np.inf, -1, 0]
+    write_inverse_depth(tmp_path / "a.tiff", gt)
     read = read_inverse_depth(tmp_path / "a.tiff")
     assert np.isnan(read[0, :3]).all() and read[0, 3] == 0 and read.dtype == np.float32
-    np.testing.assert_array_equal(read[1:], truth[1:])
+    np.testing.assert_array_equal(read[1:], gt[1:])
     assert [path.name for path in tmp_path.iterdir()] == ["a.tiff"]
 
 
@@ -170,38 +188,29 @@ def test_the_float_page_behind_a_thumbnail(tmp_path):
     """The current releases: OpenCV and PIL show the thumbnail and lose the depth."""
     with tifffile.TiffWriter(tmp_path / "a.tiff") as tiff:
         tiff.write(np.zeros((4, 16, 3), np.uint8), photometric="rgb")
-        tiff.write(TRUTH)
-    np.testing.assert_array_equal(read_inverse_depth(tmp_path / "a.tiff"), TRUTH)
+        tiff.write(GT)
+    np.testing.assert_array_equal(read_inverse_depth(tmp_path / "a.tiff"), GT)
 
 
 def test_png_counts_in_steps_of_the_nearest_depth(tmp_path):
-    steps = np.array([[0, 655, 65500]], np.uint16)
-    cv2.imwrite(str(tmp_path / "a.png"), steps)
-    depth = 1 / read_inverse_depth(tmp_path / "a.png", min_depth=0.5)[0, 1:]
-    np.testing.assert_allclose(depth, [50, 0.5], rtol=1e-6)
-    assert read_inverse_depth(tmp_path / "a.png", min_depth=0.5)[0, 0] == 0
+    save(tmp_path, [1], rig=osl.Rig(RIG.cameras, RIG.T_rig_cam, min_depth=0.5), gt=None)
+    path = tmp_path / "depth_test_3" / "00001.png"
+    path.parent.mkdir()
+    cv2.imwrite(str(path), np.array([[0, 655, 65500]], np.uint16))
+    np.testing.assert_allclose(osl.load_dataset(tmp_path)[0].inverse_depth, [[0, 1 / 50, 1 / 0.5]], rtol=1e-6)
     with pytest.raises(osl.OmnistereoError, match="in units of 1/min_depth"):
-        read_inverse_depth(tmp_path / "a.png")
-
-
-def test_a_data_set_passes_the_rigs_nearest_depth_on(tmp_path):
-    save(tmp_path, [1], rig=osl.Rig(RIG.cameras, RIG.T_rig_cam, min_depth=0.5), truth=None)
-    (tmp_path / "depth_test_2").mkdir()
-    cv2.imwrite(str(tmp_path / "depth_test_2" / "00001.png"), np.full((1, 2), 65500, np.uint16))
-    assert osl.load_dataset(tmp_path)[0].inverse_depth.tolist() == [[2, 2]]
+        read_inverse_depth(path)
 
 
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
         ("a.tiff", None, "cannot be read: No such file"),
-        ("a.tiff", b"", "is not a whole TIFF file"),
-        ("a.tiff", b"hello", "is not a whole TIFF file"),
-        ("a.png", b"", "holds no picture, 0 bytes"),
-        ("a.png", b"hello", "holds no picture, 5 bytes"),
+        ("a.tiff", b"hello", "is not a complete TIFF file"),
+        ("a.png", b"hello", "is not an image"),
     ],
 )
-def test_ground_truth_that_is_none(tmp_path, name, content, message):
+def test_files_that_are_not_ground_truth(tmp_path, name, content, message):
     if content is not None:
         (tmp_path / name).write_bytes(content)
     with pytest.raises(osl.OmnistereoError, match=f"{name} {message}"):
@@ -210,70 +219,60 @@ def test_ground_truth_that_is_none(tmp_path, name, content, message):
 
 def test_ground_truth_of_another_kind(tmp_path):
     write_image(tmp_path / "a.png", np.zeros((4, 8), np.uint8))
-    with pytest.raises(osl.OmnistereoError, match=r"uint8 of shape \(4, 8\), expected 16-bit gray"):
+    with pytest.raises(osl.OmnistereoError, match=r"uint8 of shape \(4, 8\); expected 16-bit gray"):
         read_inverse_depth(tmp_path / "a.png", 0.5)
     tifffile.imwrite(tmp_path / "a.tiff", np.zeros((4, 8, 3), np.uint8), photometric="rgb")
-    with pytest.raises(osl.OmnistereoError, match="has 0 float pages, expected one"):
+    with pytest.raises(osl.OmnistereoError, match="has 0 float pages; expected one"):
         read_inverse_depth(tmp_path / "a.tiff")
 
 
-def test_a_tiff_cut_anywhere_is_refused(tmp_path):
-    write_inverse_depth(tmp_path / "whole.tiff", TRUTH)
+def test_a_tiff_truncated_anywhere_is_refused(tmp_path):
+    write_inverse_depth(tmp_path / "whole.tiff", GT)
     content = (tmp_path / "whole.tiff").read_bytes()
     for keep in range(0, len(content), 37):
         (tmp_path / "a.tiff").write_bytes(content[:keep])
         try:
-            np.testing.assert_array_equal(read_inverse_depth(tmp_path / "a.tiff"), TRUTH)
+            np.testing.assert_array_equal(read_inverse_depth(tmp_path / "a.tiff"), GT)
         except osl.OmnistereoError:
             continue
 
 
-def frame_with(tmp_path, truth):
-    write_inverse_depth(tmp_path / "truth.tiff", truth)
-    return Frame(1, [], tmp_path / "truth.tiff")
+# ---- ground-truth index
 
 
-def truth_of(grid):
+BAND = osl.SphereGrid(64, 16, (-45, 45), 48, 0.7)
+
+
+def gt_index(tmp_path, inverse_depth, grid):
+    write_inverse_depth(tmp_path / "gt.tiff", inverse_depth)
+    return Frame(1, [], tmp_path / "gt.tiff").gt_index(grid)
+
+
+def gt_of(grid):
     """The inverse depth of the closed-form world on a grid."""
     return 1 / scene.distance(np.zeros(3), grid.rays())
 
 
 @pytest.mark.parametrize("sampling", ["center", "sweepnet", "omnimvs"])
-def test_gt_index_on_the_ground_truths_own_grid_is_exact(tmp_path, sampling):
+def test_gt_index_on_the_grid_of_the_ground_truth_is_exact(tmp_path, sampling):
     grid = osl.SphereGrid(64, 16, (-45, 45), 48, 0.7, sampling=sampling)
-    truth = truth_of(grid).astype(np.float32)
-    index = frame_with(tmp_path, truth).gt_index(grid)
-    np.testing.assert_allclose(index, truth.astype(np.float64) * 0.7 * 47, rtol=1e-15)
+    inverse_depth = gt_of(grid).astype(np.float32)
+    inverse_depth[3, 5] = np.nan
+    index = gt_index(tmp_path, inverse_depth, grid)
+    np.testing.assert_allclose(index, inverse_depth.astype(np.float64) * 0.7 * 47, rtol=1e-15)  # NaN stays NaN
 
 
 def test_gt_index_takes_the_nearest_ray_of_another_size(tmp_path):
-    fine = osl.SphereGrid(192, 48, (-45, 45), 48, 0.7)
-    coarse = osl.SphereGrid(64, 16, (-45, 45), 48, 0.7)  # its pixel centres are the fine grid's every third
-    index = frame_with(tmp_path, truth_of(fine)).gt_index(coarse)
-    np.testing.assert_allclose(index, coarse.inverse_depth_to_index(truth_of(coarse)), rtol=1e-6)
+    fine = osl.SphereGrid(192, 48, (-45, 45), 48, 0.7)  # every third of its pixel centres is one of the band
+    index = gt_index(tmp_path, gt_of(fine), BAND)
+    np.testing.assert_allclose(index, BAND.inverse_depth_to_index(gt_of(BAND)), rtol=1e-6)
 
 
 def test_gt_index_of_a_full_sphere_on_a_band_and_back(tmp_path):
     """640 × 320 reaches from pole to pole: a band of ±45° takes its middle half, it does not squeeze it."""
-    whole = osl.SphereGrid(64, 32, (-90, 90), 48, 0.7)
-    band = osl.SphereGrid(64, 16, (-45, 45), 48, 0.7)
-    index = frame_with(tmp_path, truth_of(whole)).gt_index(band)
-    np.testing.assert_allclose(index, band.inverse_depth_to_index(truth_of(band)), rtol=1e-6)
-    index = frame_with(tmp_path, truth_of(band)).gt_index(whole)
-    assert np.isnan(index[:8]).all() and np.isnan(index[24:]).all() and np.isfinite(index[8:24]).all()
-    np.testing.assert_allclose(index[8:24], whole.inverse_depth_to_index(truth_of(band)), rtol=1e-6)
-
-
-def test_gt_index_keeps_the_unknown_unknown(tmp_path):
-    grid = osl.SphereGrid(64, 16, (-45, 45), 48, 0.7)
-    truth = truth_of(grid)
-    truth[3, 5] = np.nan
-    index = frame_with(tmp_path, truth).gt_index(grid)
-    assert np.isnan(index[3, 5]) and np.isnan(index).sum() == 1
-
-
-def test_a_frame_by_its_number(tmp_path):
-    data = osl.load_dataset(save(tmp_path, [3, 17]))
-    assert data.frame(17).number == 17
-    with pytest.raises(osl.OmnistereoError, match="has no frame 5, it has 3, 17"):
-        data.frame(5)
+    full = osl.SphereGrid(64, 32, (-90, 90), 48, 0.7)
+    expected = BAND.inverse_depth_to_index(gt_of(BAND))
+    np.testing.assert_allclose(gt_index(tmp_path, gt_of(full), BAND), expected, rtol=1e-6)
+    index = gt_index(tmp_path, gt_of(BAND), full)
+    assert np.isnan(index[:8]).all() and np.isnan(index[24:]).all()
+    np.testing.assert_allclose(index[8:24], expected, rtol=1e-6)

@@ -1,4 +1,4 @@
-"""Files: bad ones are named, half-written ones never stay."""
+"""Files: bad ones are named, writing is atomic."""
 
 import os
 import struct
@@ -14,10 +14,10 @@ from omnistereo_lib.files import atomic_write, make_folder, read_gray, read_imag
 RGB = np.random.default_rng(0).integers(0, 256, (20, 30, 3), np.uint8)
 
 
-@pytest.mark.parametrize("picture", [RGB, RGB[..., 0]], ids=["colour", "gray"])
-def test_pictures_come_back(tmp_path, picture):
-    write_image(tmp_path / "a.png", picture)
-    np.testing.assert_array_equal(read_image(tmp_path / "a.png"), picture)
+@pytest.mark.parametrize("image", [RGB, RGB[..., 0]], ids=["colour", "gray"])
+def test_images_come_back(tmp_path, image):
+    write_image(tmp_path / "a.png", image)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png"), image)
     assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
 
 
@@ -27,25 +27,71 @@ def test_colour_is_rgb(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
-@pytest.mark.parametrize("keep", [0.1, 0.5, 0.95])
-def test_pictures_cut_short_are_refused(tmp_path, suffix, keep):
+@pytest.mark.parametrize("keep", [0.1, 0.95])
+def test_truncated_images_are_refused(tmp_path, suffix, keep):
     path = tmp_path / f"a{suffix}"
     write_image(path, np.tile(RGB, (10, 10, 1)))
     content = path.read_bytes()
     path.write_bytes(content[: int(keep * len(content))])
-    with pytest.raises(OmnistereoError, match=rf"a{suffix} is cut short: {int(keep * len(content))} bytes"):
+    with pytest.raises(OmnistereoError, match=rf"a{suffix} is truncated \({int(keep * len(content))} bytes"):
         read_image(path)
 
 
-def test_what_is_no_picture_is_refused(tmp_path):
-    (tmp_path / "a.png").write_text("hello")
-    with pytest.raises(OmnistereoError, match=r"a.png holds no picture, 5 bytes"):
-        read_image(tmp_path / "a.png")
-    (tmp_path / "a.png").write_bytes(b"")
-    with pytest.raises(OmnistereoError, match=r"holds no picture, 0 bytes"):
-        read_image(tmp_path / "a.png")
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".tif"])
+def test_an_image_truncated_anywhere_is_refused_or_complete(tmp_path, suffix):
+    path = tmp_path / f"a{suffix}"
+    write_image(path, RGB)
+    whole, content = read_image(path), path.read_bytes()
+    for keep in [*range(0, len(content), 41), *range(len(content) - 8, len(content))]:
+        path.write_bytes(content[:keep])
+        try:
+            assert (read_image(path) == whole).all()
+        except OmnistereoError as error:
+            assert f"a{suffix}" in str(error)
+
+
+def test_other_files_are_refused(tmp_path):
+    for content in (b"hello", b""):
+        (tmp_path / "a.png").write_bytes(content)
+        with pytest.raises(OmnistereoError, match=rf"a.png is not an image \({len(content)} bytes\)"):
+            read_image(tmp_path / "a.png")
     with pytest.raises(OmnistereoError, match=r"b.png cannot be read: No such file"):
         read_image(tmp_path / "b.png")
+
+
+def test_a_header_that_states_an_absurd_size(tmp_path):
+    write_image(tmp_path / "a.png", RGB)
+    content = bytearray((tmp_path / "a.png").read_bytes())
+    content[16:24] = b"\x00\x7f\xff\xff" * 2  # width and height
+    content[29:33] = zlib.crc32(content[12:29]).to_bytes(4, "big")
+    (tmp_path / "a.png").write_bytes(content)
+    with pytest.raises(OmnistereoError, match="is not an image"):
+        read_image(tmp_path / "a.png")
+
+
+def test_the_exif_orientation_is_ignored(tmp_path):
+    write_image(tmp_path / "a.jpg", np.zeros((20, 30, 3), np.uint8))
+    jpeg = (tmp_path / "a.jpg").read_bytes()
+    orientation = struct.pack("<2sHIHHHIHHI", b"II", 42, 8, 1, 0x0112, 3, 1, 6, 0, 0)  # 6: rotated by 90°
+    exif = b"Exif\0\0" + orientation
+    (tmp_path / "a.jpg").write_bytes(jpeg[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + jpeg[2:])
+    assert cv2.imread(str(tmp_path / "a.jpg")).shape == (30, 20, 3)  # OpenCV follows it by default
+    assert read_image(tmp_path / "a.jpg").shape == (20, 30, 3)
+
+
+def test_16_bit_and_transparent_images_become_8_bit_rgb(tmp_path):
+    cv2.imwrite(str(tmp_path / "deep.png"), np.full((4, 4), 0x8000, np.uint16))
+    cv2.imwrite(str(tmp_path / "clear.png"), np.full((4, 4, 4), (1, 2, 3, 0), np.uint8))
+    deep, clear = read_image(tmp_path / "deep.png"), read_image(tmp_path / "clear.png")
+    assert deep.dtype == np.uint8 and deep.shape == (4, 4) and deep[0, 0] == 128
+    assert clear.shape == (4, 4, 3) and clear[0, 0].tolist() == [3, 2, 1]
+
+
+def test_a_mask_of_another_size_is_refused(tmp_path):
+    write_image(tmp_path / "mask.png", RGB)
+    np.testing.assert_array_equal(read_gray(tmp_path / "mask.png", (30, 20)), RGB.max(-1))
+    with pytest.raises(OmnistereoError, match=r"mask.png is 30 × 20 px, the camera 20 × 30 px"):
+        read_gray(tmp_path / "mask.png", (20, 30))
 
 
 def test_the_old_file_stays_when_writing_fails(tmp_path):
@@ -60,11 +106,17 @@ def test_the_old_file_stays_when_writing_fails(tmp_path):
     assert path.read_text() == "new"
 
 
+def test_writing_where_nothing_can_be_written(tmp_path):
+    (tmp_path / "file").write_text("old")
+    for path in (tmp_path / "missing" / "a.png", tmp_path / "file" / "a.png"):
+        with pytest.raises(OmnistereoError, match=r"a.png cannot be written: .*Give a file in an existing"):
+            write_image(path, RGB)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"] and (tmp_path / "file").read_text() == "old"
+
+
 def test_folders(tmp_path):
-    assert make_folder(tmp_path / "a" / "b").is_dir()
     assert list(make_folder(tmp_path / "a" / "b").iterdir()) == []
-    (tmp_path / "a" / "mine").write_text("")
-    assert [path.name for path in make_folder(tmp_path / "a").iterdir()] in (["b", "mine"], ["mine", "b"])
+    assert list(make_folder(tmp_path / "a").iterdir()) == [tmp_path / "a" / "b"]
     (tmp_path / "file").write_text("")
     with pytest.raises(OmnistereoError, match=r"folder .*file.* cannot be made or written to"):
         make_folder(tmp_path / "file" / "c")
@@ -75,61 +127,3 @@ def test_a_folder_that_is_not_writable(tmp_path):
     tmp_path.chmod(0o500)
     with pytest.raises(OmnistereoError, match="written to: Permission denied"):
         make_folder(tmp_path)
-
-
-@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".tif"])
-def test_a_picture_cut_anywhere_is_refused_or_whole(tmp_path, suffix):
-    """Whatever OpenCV makes of it, half a picture never comes back as a picture."""
-    path = tmp_path / f"a{suffix}"
-    write_image(path, RGB)
-    whole, content = read_image(path), path.read_bytes()
-    for keep in [*range(0, len(content), 41), *range(len(content) - 8, len(content))]:
-        path.write_bytes(content[:keep])
-        try:
-            assert (read_image(path) == whole).all()
-        except OmnistereoError as error:
-            assert f"a{suffix}" in str(error)
-
-
-def test_a_header_that_promises_more_pixels_than_anybody_has(tmp_path):
-    write_image(tmp_path / "a.png", RGB)
-    content = bytearray((tmp_path / "a.png").read_bytes())
-    content[16:24] = b"\x00\x7f\xff\xff" * 2  # width and height
-    content[29:33] = zlib.crc32(content[12:29]).to_bytes(4, "big")
-    (tmp_path / "a.png").write_bytes(content)
-    with pytest.raises(OmnistereoError, match="holds no picture"):
-        read_image(tmp_path / "a.png")
-
-
-def test_a_picture_is_read_as_it_was_taken(tmp_path):
-    """Phones write how to turn a picture into it; the calibration belongs to the sensor."""
-    write_image(tmp_path / "a.jpg", np.zeros((20, 30, 3), np.uint8))
-    jpeg = (tmp_path / "a.jpg").read_bytes()
-    turn = struct.pack("<2sHIHHHIHHI", b"II", 42, 8, 1, 0x0112, 3, 1, 6, 0, 0)  # EXIF: orientation 6
-    exif = b"Exif\0\0" + turn
-    (tmp_path / "a.jpg").write_bytes(jpeg[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + jpeg[2:])
-    assert cv2.imread(str(tmp_path / "a.jpg")).shape == (30, 20, 3)  # the remark is understood
-    assert read_image(tmp_path / "a.jpg").shape == (20, 30, 3)
-
-
-def test_deep_and_transparent_pictures_become_8_bit_rgb(tmp_path):
-    cv2.imwrite(str(tmp_path / "deep.png"), np.full((4, 4), 0x8000, np.uint16))
-    cv2.imwrite(str(tmp_path / "clear.png"), np.full((4, 4, 4), (1, 2, 3, 0), np.uint8))
-    deep, clear = read_image(tmp_path / "deep.png"), read_image(tmp_path / "clear.png")
-    assert deep.dtype == np.uint8 and deep.shape == (4, 4) and deep[0, 0] == 128
-    assert clear.shape == (4, 4, 3) and clear[0, 0].tolist() == [3, 2, 1]
-
-
-def test_a_mask_of_another_size_is_refused(tmp_path):
-    write_image(tmp_path / "mask.png", RGB)
-    assert read_gray(tmp_path / "mask.png", (30, 20)).shape == (20, 30)
-    with pytest.raises(OmnistereoError, match=r"mask.png is 30 × 20 px, the camera 20 × 30 px"):
-        read_gray(tmp_path / "mask.png", (20, 30))
-
-
-def test_writing_where_nothing_can_be_written(tmp_path):
-    (tmp_path / "file").write_text("old")
-    for path in (tmp_path / "missing" / "a.png", tmp_path / "file" / "a.png"):
-        with pytest.raises(OmnistereoError, match=r"a.png cannot be written: .*Give a file in an existing"):
-            write_image(path, RGB)
-    assert [path.name for path in tmp_path.iterdir()] == ["file"] and (tmp_path / "file").read_text() == "old"

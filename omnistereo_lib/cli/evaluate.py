@@ -39,7 +39,7 @@ def run(options: argparse.Namespace) -> None:
         select_methods(options.methods, options.ablations), SCALES[options.scale], options.split, options.frames,
         options.weights or BUNDLED_WEIGHTS, options.device, options.precision, options.rig,
     )  # fmt: skip
-    mine = evaluation.share(options.shard)
+    mine = evaluation.select_shard(options.shard)
     done = len(mine) - len(evaluation.missing(mine))
     with tqdm(total=len(mine), initial=done, desc="evaluate", unit="result", disable=not is_first_process()) as bar:
         for job in evaluation.run(mine):

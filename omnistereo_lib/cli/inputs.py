@@ -67,7 +67,7 @@ def read_input(options: argparse.Namespace) -> tuple[Rig, list[NDArray], Frame |
     if not -len(data) <= options.frame < len(data):
         raise OmnistereoError(f"{folder} has frames 0 … {len(data) - 1}, not {options.frame}")
     frame = data[options.frame]
-    return data.rig, frame.images, frame if frame.truth_path else None
+    return data.rig, frame.images, frame if frame.gt_path else None
 
 
 def make_grid(options: argparse.Namespace, rig: Rig, default: float | None = None) -> SphereGrid:

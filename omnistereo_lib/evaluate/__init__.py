@@ -1,8 +1,8 @@
-"""The paper's table on any data: `methods` what is compared, `strata` on which rays, `run` how, `table` the outcome."""
+"""The table of the paper on any data: `methods` compared, `regions` of rays, `run` and resume, result `table`."""
 
 from omnistereo_lib.evaluate.methods import ABLATIONS, METHODS, select_methods
 from omnistereo_lib.evaluate.run import SCALES, Evaluation, Scale, evaluate_frame, find_sets
-from omnistereo_lib.evaluate.table import Table, errors_table, strata_table, write_results
+from omnistereo_lib.evaluate.table import Table, errors_table, regions_table, write_results
 
 __all__ = [
     "ABLATIONS",
@@ -14,7 +14,7 @@ __all__ = [
     "errors_table",
     "evaluate_frame",
     "find_sets",
+    "regions_table",
     "select_methods",
-    "strata_table",
     "write_results",
 ]

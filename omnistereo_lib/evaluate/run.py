@@ -1,8 +1,8 @@
-"""Any methods on any data sets at any scale, frame by frame: stopped at any moment, spread over any machines.
+"""Evaluation runs: any methods on any data sets at any scale, frame by frame.
 
-Every result is a file of its own, written whole or not at all, which depends on nothing but the data, the weights and
-the settings that it states. So a run that was killed goes on, machines share the frames by number, folders of several
-are put together by copying, and the merged file is the same whichever way it came about.
+Every result is a file of its own, written atomically, which depends only on the data, weights and settings that it
+states. So an interrupted run resumes, machines split the frames by shard, their folders are merged by copying, and the
+merged file is always the same.
 """
 
 from __future__ import annotations
@@ -10,7 +10,9 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cache
+from functools import partial
+from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,7 +22,7 @@ from omnistereo_lib.dataset import Dataset, Frame, load_dataset
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.evaluate.methods import METHODS
 from omnistereo_lib.evaluate.records import Record, add_record, check_record, checksum, config_checksum, write_record
-from omnistereo_lib.evaluate.strata import error_sums, find_strata
+from omnistereo_lib.evaluate.regions import error_sums, find_regions
 from omnistereo_lib.files import make_folder, read_bytes
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
@@ -34,7 +36,7 @@ from omnistereo_lib.stereo.volume import Cost, cost_volume
 from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
 
 DATA = Path(__file__).resolve().parents[2] / "data_samples"
-_RIG_FILES = {".yaml", ".yml", ".json", ".txt", ".png"}  # masks among them
+_RIG_FILES = {".yaml", ".yml", ".json", ".txt", ".png"}  # including masks
 
 
 @dataclass(frozen=True)
@@ -57,36 +59,19 @@ class Job(NamedTuple):
     method: Method
 
 
-def share(numbers: tuple[int, ...], shard: str) -> tuple[int, ...]:
-    """Return the part i/n of the frames, such as "2/8": every eighth, from the second on.
-
-    Raises
-    ------
-    OmnistereoError
-        If the shard is not of that form.
-    """
-    try:
-        part, parts = (int(word) for word in shard.split("/"))
-    except ValueError:
-        part, parts = 0, 0
-    if not 1 <= part <= parts:
-        raise OmnistereoError(f"a shard is written i/n with 1 ≤ i ≤ n, such as 2/8; got {shard!r}")
-    return numbers[part - 1 :: parts]
+def select_shard(items: list, shard: str) -> list:
+    """Return shard i/n, such as "2/8": every eighth item, starting at the second."""
+    part, _, parts = shard.partition("/")
+    if not (part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts)):
+        raise OmnistereoError(f"shard {shard!r} is not of the form i/n; expected 1 ≤ i ≤ n, such as 2/8")
+    return items[int(part) - 1 :: int(parts)]
 
 
 def find_sets(names: Sequence[str]) -> dict[str, Path]:
-    """Return the folders of data sets by their names.
+    """Return the folders of data sets by name; raise an `OmnistereoError` if one is missing or two have one name.
 
-    Parameters
-    ----------
-    names : sequence of str
-        "sunny" for the test frames of data_samples/sunny, and so on, or a folder. That is then called by its own
-        name, or by that and the one above it where it is a split, such as city-train.
-
-    Raises
-    ------
-    OmnistereoError
-        If there is no such data set, or two of one name.
+    "sunny" means the test frames of data_samples/sunny, and so on. Anything else is a folder, called by its own name
+    or, if it is a split, also by that of its parent, such as city-train.
     """
     sets: dict[str, Path] = {}
     for text in names:
@@ -95,75 +80,52 @@ def find_sets(names: Sequence[str]) -> dict[str, Path]:
             folder = Path(text).resolve()
             name = f"{folder.parent.name}-{folder.name}" if folder.name in ("train", "test") else folder.name
         if not folder.is_dir():
-            raise OmnistereoError(f"there is no data set {text!r}: neither {DATA / text / 'test'} nor {folder}")
+            places = f"{DATA / text / 'test'} or {folder}"
+            raise OmnistereoError(f"data set {text!r} not found in {places}. Pass a bundled name or a data set folder.")
         if sets.setdefault(name, folder) != folder:
-            raise OmnistereoError(f"{sets[name]} and {folder} would both be called {name!r}: evaluate them apart")
+            raise OmnistereoError(f"{sets[name]} and {folder} are both called {name!r}. Evaluate them separately.")
     return sets
 
 
 def evaluate_frame(
     sweep: SphereSweep, frame: Frame, methods: Sequence[Method], load_cost: Callable[[Method], Cost]
 ) -> Iterator[tuple[Method, Record]]:
-    """Judge methods on one frame; a cost volume is computed once for all methods that share it.
+    """Evaluate methods on one frame with ground truth; methods with equal cost volumes share them.
 
-    Parameters
-    ----------
-    sweep : SphereSweep
-        With the number of spheres that the methods want.
-    frame : Frame
-        With ground truth.
-    methods : sequence of Method
-    load_cost : callable
-        Returns the matching cost of a method.
-
-    Yields
-    ------
-    method : Method
-    errors : dict
-        "figures": what `index_error` returns for the frame, None for NaN; "strata": what `error_sums` returns.
+    The sweep has the number of spheres of these methods; `load_cost` returns the matching cost of a method. Yields each
+    method and its errors, "figures": what `index_error` returns, None for NaN; "strata": what `error_sums` returns.
     """
-    gt_index = frame.gt_index(sweep.grid)
-    strata = find_strata(gt_index, sweep)
-    for kind in dict.fromkeys(method.volume_key for method in methods):
-        volume = cost_volume(sweep, frame.images, load_cost(kind), kind.pairs)
-        for method in methods:
-            if method.volume_key == kind:
-                index = winner_takes_all(method.smooth(volume), method.subindex).cpu().numpy()
-                figures = index_error(index, gt_index, sweep.grid.num_spheres)
-                known = {name: value if value == value else None for name, value in figures.items()}
-                sums = error_sums(index, gt_index, sweep.grid.num_spheres, strata)
-                yield method, {"figures": known, "strata": sums}
+    gt_index, N = frame.gt_index(sweep.grid), sweep.grid.num_spheres
+    regions = find_regions(gt_index, sweep)
+    for key in dict.fromkeys(method.volume_key for method in methods):
+        volume = cost_volume(sweep, frame.images, load_cost(key), key.pairs)
+        for method in (method for method in methods if method.volume_key == key):
+            index = winner_takes_all(method.smooth(volume), method.subindex).cpu().numpy()
+            metrics = index_error(index, gt_index, N)
+            figures = {name: value if value == value else None for name, value in metrics.items()}
+            yield method, {"figures": figures, "strata": error_sums(index, gt_index, N, regions)}
 
 
 class Evaluation:
-    """Methods × frames of data sets × one scale, with the results in a folder.
+    """Methods × frames of data sets × one scale (the `jobs`), with the results in a folder.
 
     Parameters
     ----------
     out : path
-        Folder; made where it is missing. frames/SET/NUMBER/METHOD.json are the results as they come.
+        Output folder, made if missing; frames/SET/NUMBER/METHOD.json are the single results.
     sets : mapping of name to folder
         As `find_sets` returns them: folders that `load_dataset` reads, with ground truth.
-    methods : sequence of Method
-    scale : Scale
-    split : str, optional
-        Of the folders, see `load_dataset`.
+    methods, scale, split
+        The methods, the size of panorama and sweep, and the split of the folders, see `load_dataset`.
     frames : sequence of int, optional
-        Their numbers, in every set; default: all with ground truth.
+        Frame numbers, the same in every set; default: all with ground truth.
     weights : path
-        Folder of the networks' weights.
-    device : torch device
-        Under `torchrun` every process takes its own GPU.
-    precision : "auto" | "float32" | "bfloat16"
-        Of the networks.
+        Folder of the network weights.
+    device, precision
+        See `find_device` and `LearnedCost`; under `torchrun` every process takes its own GPU.
     rig : path, optional
-        Another rig in place of every set's own, such as a calibrated one: anything that `load_rig` reads. It is put
-        where its first camera stands and looks as the set's first camera does.
-
-    Attributes
-    ----------
-    jobs : list of Job
-        Every method on every frame.
+        Another rig, such as a calibrated one, in place of the rig of every set: anything that `load_rig` reads. Its
+        first camera gets the pose of the first camera of the set.
 
     Raises
     ------
@@ -186,110 +148,76 @@ class Evaluation:
         rig: str | Path | None = None,
     ) -> None:
         methods = tuple(dict.fromkeys(methods))
-        self.scale, self.weights, self.precision = scale, Path(weights), precision
-        self.device = find_device(device)
-        _check_weights(methods, self.weights)
-        self.load_cost = cache(lambda method: method.load_cost(self.weights, precision))
+        self.scale, self.weights, self.precision, self.device = scale, Path(weights), precision, find_device(device)
+        self._weights = _weights_checksums(methods, self.weights)
         self.sets = {name: load_dataset(folder, split) for name, folder in sets.items()}
-        self.rigs = {name: data.rig if rig is None else _placed(rig, data) for name, data in self.sets.items()}
+        self.rigs = {name: data.rig if rig is None else _read_rig(rig, data) for name, data in self.sets.items()}
         self._rig = "own" if rig is None else checksum(b"".join(map(read_bytes, _rig_files(Path(rig)))))
-        chosen = [(name, frame) for name, data in self.sets.items() for frame in _chosen(data, frames)]
+        chosen = [(name, frame) for name, data in self.sets.items() for frame in _select_frames(data, frames)]
         self.jobs = [Job(name, frame.number, method) for name, frame in chosen for method in methods]
         self._data = {(name, frame.number): _checksums(name, self.sets[name].folder, frame) for name, frame in chosen}
-        paths = {method.weights_file(self.weights) for method in methods} - {None}
-        self._weights = {path.name: checksum(read_bytes(path)) for path in paths}
-        self._depends_on: Record = {}
+        self._inputs: Record = {}
         for job in self.jobs:
-            add_record(self._depends_on, self._record(job, {}))
+            add_record(self._inputs, self._record(job, {}))
         self.out = make_folder(out)
-        for path in sorted(self.out.glob("frames/*/*/[!.]*.json")):  # with a dot: being written, or left by a kill
+        for path in sorted(self.out.glob("frames/*/*/[!.]*.json")):  # with a dot: temporary files
             self.check(path)
 
     def path(self, job: Job) -> Path:
-        """Return where the result of a job is, or will be."""
+        """Return the file of a result."""
         return self.out / "frames" / job.data / f"{job.frame:05d}" / f"{job.method.name}.json"
 
     def check(self, path: str | Path) -> Record:
-        """Read results, of one job or a results.json from anywhere, and compare settings and checksums with ours.
-
-        Raises
-        ------
-        OmnistereoError
-            If the file is missing or damaged, or states another setting, data file or weights file than ours; the
-            message names them.
-        """
-        return check_record(Path(path), self._depends_on)
+        """Read a result or a results.json; an `OmnistereoError` names damage, other settings and other checksums."""
+        return check_record(Path(path), self._inputs)
 
     def missing(self, jobs: Sequence[Job] | None = None) -> list[Job]:
-        """Return the jobs, of all unless some are given, that have no result yet."""
+        """Return the jobs (default: of all) that have no result yet."""
         return [job for job in (self.jobs if jobs is None else jobs) if not self.path(job).is_file()]
 
-    def share(self, shard: str = "1/1") -> list[Job]:
-        """Return the jobs of part i/n of the frames, shared once more among the processes of `torchrun`.
-
-        Raises
-        ------
-        OmnistereoError
-            If the shard is not of that form.
-        """
-        frames = list(dict.fromkeys((job.data, job.frame) for job in self.jobs))
+    def select_shard(self, shard: str = "1/1") -> list[Job]:
+        """Return the jobs of shard i/n of the frames; under `torchrun`, the part of this process."""
         process = f"{int(os.environ.get('RANK', '0')) + 1}/{os.environ.get('WORLD_SIZE', '1')}"
-        mine = {frames[k] for k in share(share(tuple(range(len(frames))), shard), process)}
-        return [job for job in self.jobs if (job.data, job.frame) in mine]
+        frames = list(dict.fromkeys(job[:2] for job in self.jobs))
+        mine = set(select_shard(select_shard(frames, shard), process))
+        return [job for job in self.jobs if job[:2] in mine]
 
     def run(self, jobs: Sequence[Job] | None = None) -> Iterator[Job]:
-        """Do the jobs, all unless some are given, that have no result yet; yield each when it has one.
-
-        Raises
-        ------
-        OmnistereoError
-            If a picture or a ground truth cannot be read, or a result cannot be written.
-        """
-        todo: dict[tuple[str, int], dict[int, list[Method]]] = {}
-        for job in self.missing(jobs):
-            frames = todo.setdefault((job.data, job.method.num_spheres), {})
-            frames.setdefault(job.frame, []).append(job.method)
-        for (name, num_spheres), frames in todo.items():
-            sweep = self._sweep(name, num_spheres)  # its tables serve all of these frames
-            for number, methods in frames.items():
-                for method, errors in evaluate_frame(sweep, self.sets[name].frame(number), methods, self.load_cost):
+        """Do the jobs (default: all) that have no result yet; yield each job once its result is written."""
+        load_cost = partial(Method.load_cost, folder=self.weights, precision=self.precision)
+        order = attrgetter("data", "method.num_spheres", "frame")
+        todo = sorted(self.missing(jobs), key=order)
+        for (name, num_spheres), of_sweep in groupby(todo, lambda job: order(job)[:2]):
+            rig, scale = self.rigs[name], self.scale
+            N = num_spheres or scale.num_spheres
+            grid = SphereGrid(scale.width, scale.height, num_spheres=N, min_depth=rig.min_depth)
+            sweep = SphereSweep(rig, grid, device=self.device)  # its lookup tables serve all of these frames
+            for number, of_frame in groupby(of_sweep, attrgetter("frame")):
+                frame, methods = self.sets[name].frame(number), [job.method for job in of_frame]
+                for method, errors in evaluate_frame(sweep, frame, methods, load_cost):
                     job = Job(name, number, method)
                     write_record(self.path(job), self._record(job, errors))
                     yield job
 
     def results(self) -> Record:
-        """Return the union of all jobs' records, with a checksum of the settings.
+        """Return the union of the records of all jobs; raise an `OmnistereoError` if one is missing or does not fit.
 
-        Returns
-        -------
-        dict
-            "config": the scale, the rig and the networks' precision; "methods": their settings by name;
-            "config_sha256": of both; "data", "weights": SHA-256 of the files; "frames": set → number → method →
-            what `evaluate_frame` yields.
-
-        Raises
-        ------
-        OmnistereoError
-            If results are missing, damaged or of another evaluation.
+        "config": the scale, the rig and the precision of the networks; "methods": their settings by name;
+        "config_sha256": of both; "data", "weights": SHA-256 of the files; "frames": set → number → method → what
+        `evaluate_frame` yields.
         """
-        missing = self.missing()
-        if missing:
+        if missing := self.missing():
             raise OmnistereoError(
-                f"{len(missing)} of {len(self.jobs)} results are missing, such as {self.path(missing[0])}: "
-                "run the other shards, or the same command again"
+                f"{len(missing)} of {len(self.jobs)} results are missing, such as {self.path(missing[0])}. "
+                "Run the other shards, or the same command again."
             )
         results: Record = {}
         for job in self.jobs:
             add_record(results, self.check(self.path(job)))
         return results | {"config_sha256": config_checksum(results)}
 
-    def _sweep(self, name: str, num_spheres: int) -> SphereSweep:
-        rig, N = self.rigs[name], num_spheres or self.scale.num_spheres
-        grid = SphereGrid(self.scale.width, self.scale.height, num_spheres=N, min_depth=rig.min_depth)
-        return SphereSweep(rig, grid, device=self.device)
-
     def _record(self, job: Job, errors: Record) -> Record:
-        """Return a job's errors with all that they depend on."""
+        """Return the errors of a job with all their inputs."""
         config, weights = asdict(self.scale) | {"rig": self._rig}, {}
         path = job.method.weights_file(self.weights)
         if path is not None:
@@ -304,35 +232,36 @@ class Evaluation:
         }
 
 
-def _check_weights(methods: Sequence[Method], folder: Path) -> None:
+def _weights_checksums(methods: Sequence[Method], folder: Path) -> dict[str, str]:
+    """Return the SHA-256 of the weights files by name; all of them must be there."""
     paths = {method: method.weights_file(folder) for method in methods}
     missing = {method: path for method, path in paths.items() if path is not None and not path.is_file()}
     if missing:
-        files = ", ".join(dict.fromkeys(map(str, missing.values())))
-        others = " ".join(method.name for method in methods if method not in missing)
-        raise OmnistereoError(
-            f"weights are missing: {files}, for {', '.join(method.name for method in missing)}. Make them with "
-            f"python -m omnistereo_lib train, or leave these methods out: --methods {others or 'zncc zncc+sgm'}"
-        )
+        files, names = ", ".join({str(path): "" for path in missing.values()}), ", ".join(m.name for m in missing)
+        others = " ".join(method.name for method in methods if method not in missing) or "zncc zncc+sgm"
+        remedy = f"Make them with python -m omnistereo_lib train, or leave these methods out: --methods {others}"
+        raise OmnistereoError(f"weights are missing: {files}, for {names}. {remedy}")
+    return {path.name: checksum(read_bytes(path)) for path in {*paths.values()} - {None}}
 
 
-def _chosen(data: Dataset, numbers: Sequence[int] | None) -> list[Frame]:
+def _select_frames(data: Dataset, numbers: Sequence[int] | None) -> list[Frame]:
     """Return the frames of these numbers, or all that have ground truth."""
     if data.rig.min_depth is None:
-        raise OmnistereoError(f"the rig of {data.folder} does not state its nearest depth: add it to config.yaml")
+        raise OmnistereoError(f"the rig of {data.folder} does not state its nearest depth. Add it to config.yaml.")
     frames = list(data) if numbers is None else [data.frame(number) for number in dict.fromkeys(numbers)]
-    known = [frame for frame in frames if frame.truth_path is not None]
-    if not known or (numbers is not None and len(known) < len(frames)):
-        raise OmnistereoError(f"{data.folder} has no ground truth for {'some of ' * bool(known)}the frames asked for")
-    return known
+    with_gt = [frame for frame in frames if frame.gt_path is not None]
+    if not with_gt or (numbers is not None and len(with_gt) < len(frames)):
+        part = "some of " if with_gt else ""
+        raise OmnistereoError(f"{data.folder} has no ground truth for {part}the frames requested")
+    return with_gt
 
 
-def _placed(path: str | Path, data: Dataset) -> Rig:
-    """Read a rig and put its first camera where a data set has its first one; the spheres stay the data set's."""
+def _read_rig(path: str | Path, data: Dataset) -> Rig:
+    """Read a rig and give its first camera the pose of the first camera of a data set; the spheres stay the same."""
     own, rig = data.rig, load_rig(path)
     sizes = [[camera.image_size for camera in one.cameras] for one in (own, rig)]
     if sizes[0] != sizes[1]:
-        raise OmnistereoError(f"{path} has cameras of {sizes[1]} pixels, {data.folder} of {sizes[0]}: another rig")
+        raise OmnistereoError(f"{path} has cameras of {sizes[1]} pixels; expected {sizes[0]}, as in {data.folder}")
     return replace(rig.moved(own.T_rig_cam[0] @ rig.T_rig_cam[0].inverse()), min_depth=own.min_depth)
 
 
@@ -344,7 +273,7 @@ def _rig_files(path: Path) -> list[Path]:
 
 
 def _checksums(name: str, folder: Path, frame: Frame) -> dict[str, str]:
-    """Return the SHA-256 of the files behind a frame: the rig's, the pictures, the ground truth."""
-    inside = {f"{name}/{path.name}": path for path in _rig_files(folder)}
-    inside |= {f"{name}/{path.parent.name}/{path.name}": path for path in [*frame.image_paths, frame.truth_path]}
-    return {key: checksum(read_bytes(path)) for key, path in inside.items()}
+    """Return the SHA-256 of the input files of a frame: rig, images, ground truth."""
+    files = {f"{name}/{path.name}": path for path in _rig_files(folder)}
+    files |= {f"{name}/{path.parent.name}/{path.name}": path for path in [*frame.image_paths, frame.gt_path]}
+    return {key: checksum(read_bytes(path)) for key, path in files.items()}

@@ -1,10 +1,10 @@
-"""The paper's table, and the one by strata, as text, Markdown and CSV, with intervals by bootstrap over frames."""
+"""Result tables, as in Table II and by region, as text, Markdown and CSV, with bootstrap intervals over frames."""
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,28 +12,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.evaluate.records import Record, write_record
-from omnistereo_lib.evaluate.strata import FIGURES, STRATA, SUMS, figures
+from omnistereo_lib.evaluate.regions import METRICS, REGIONS, SUMS, sums_to_metrics
 from omnistereo_lib.files import atomic_write, make_folder
 from omnistereo_lib.stereo.methods import Method
 
-LIGHTS = ("sunny", "cloudy", "sunset")  # the paper's order
+LIGHTS = ("sunny", "cloudy", "sunset")  # in the order of the paper
 _RESAMPLES, _SEED = 10_000, 0
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of figures with their intervals.
+    """Rows of words, under `heads`, and numbers, under `columns`: arrays (columns, 3) of value, lower and upper end.
 
-    Attributes
-    ----------
-    heads : list of str
-        What the first columns say in words.
-    columns : list of str
-        What the figures are.
-    rows : list of (list of str, array)
-        The words, and the figures (columns, 3): value, lower and upper end; NaN is left open.
-    caption : str
-        What all rows have in common.
+    NaN is left open. The caption has the settings of all rows.
     """
 
     heads: list[str]
@@ -45,26 +36,24 @@ class Table:
         """Return the table as aligned text, the intervals on a line of their own."""
         lines = [[*self.heads, *self.columns]]
         for words, cells in self.rows:
-            lines.append([*words, *(self._value(k, cell[0]) for k, cell in enumerate(cells))])
-            lines.append([*("" for _ in words), *(self._interval(k, cell) for k, cell in enumerate(cells))])
-        widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
+            values, intervals = self._texts(cells)
+            lines += [[*words, *values], [*[""] * len(words), *intervals]]
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         align = [str.ljust] * len(self.heads) + [str.rjust] * len(self.columns)
         rows = ["  ".join(a(*pair) for a, *pair in zip(align, line, widths, strict=True)).rstrip() for line in lines]
         return "".join(f"{row}\n" for row in [*rows, self.caption] if row)
 
     def markdown(self) -> str:
-        """Return the table in Markdown, the intervals below the figures."""
+        """Return the table in Markdown, the intervals below the values."""
         lines = [[*self.heads, *(column.replace(">", "&gt;") for column in self.columns)]]
         lines.append(["---"] * len(self.heads) + ["---:"] * len(self.columns))
         for words, cells in self.rows:
-            both = ((self._value(k, cell[0]), self._interval(k, cell)) for k, cell in enumerate(cells))
-            lines.append(
-                [*words, *(f"{value}<br><sub>{interval}</sub>" if interval else value for value, interval in both)]
-            )
+            pairs = zip(*self._texts(cells), strict=True)
+            lines.append([*words, *(f"{value}<br><sub>{ends}</sub>" if ends else value for value, ends in pairs)])
         return "".join(f"| {' | '.join(line)} |\n" for line in lines) + (f"\n{self.caption}\n" if self.caption else "")
 
     def csv(self) -> str:
-        """Return the table as comma-separated values with six digits, three columns for each figure."""
+        """Return the table as comma-separated values with six digits, three columns for each number."""
         file = io.StringIO()
         writer = csv.writer(file, lineterminator="\n")
         ends = [f"{column}{end}" for column in self.columns for end in ("", " low", " high")]
@@ -73,12 +62,13 @@ class Table:
             writer.writerow([*words, *("" if np.isnan(x) else f"{x:.6g}" for x in cells.ravel())])
         return file.getvalue()
 
-    def _value(self, column: int, value: float) -> str:
-        """Return a figure, percents of rays as the paper prints them, errors with a digit more."""
-        return "–" if np.isnan(value) else f"{value:.{1 if '>' in self.columns[column] else 2}f}"
-
-    def _interval(self, column: int, cell: NDArray[np.float64]) -> str:
-        return "" if np.isnan(cell[1]) else "–".join(self._value(column, end) for end in cell[1:])
+    def _texts(self, cells: NDArray[np.float64]) -> tuple[list[str], list[str]]:
+        """Return values and intervals, percents of rays with the digits of the paper, errors with one more."""
+        texts = [
+            ["" if np.isnan(x) else f"{x:.{1 if '>' in column else 2}f}" for x in cell]
+            for column, cell in zip(self.columns, cells, strict=True)
+        ]
+        return [cell[0] or "–" for cell in texts], ["–".join(filter(None, cell[1:])) for cell in texts]
 
 
 def bootstrap(
@@ -89,14 +79,11 @@ def bootstrap(
     Parameters
     ----------
     samples : array, shape (frames, K)
-        What is known of each frame.
     statistic : callable
-        Takes the mean of samples over frames, (..., K), and returns the statistic, (..., C).
+        Maps the mean of samples over frames, (..., K), to the statistic, (..., C).
     level : float
-        Share of resamples, drawn with replacement, within the interval. Of few frames it is too narrow: the true
-        mean of 8 normal values is in about 89 % of such intervals of 95 %.
-    count : int
-        Number of resamples; their seed is always the same.
+        Fraction of the `count` resamples, drawn with replacement and a fixed seed, within the interval. It is too
+        narrow with few frames: the true mean of 8 normal values is in about 89 % of such intervals of 95 %.
 
     Returns
     -------
@@ -106,7 +93,7 @@ def bootstrap(
     samples = np.asarray(samples, np.float64)
     value, n = statistic(samples.mean(0)), len(samples)
     if n < 2:
-        return np.stack([value, np.full_like(value, np.nan), np.full_like(value, np.nan)], -1)
+        return np.stack([value, *np.full((2, *value.shape), np.nan)], -1)
     times = np.random.default_rng(_SEED).multinomial(n, np.full(n, 1 / n), count)  # how often a frame is drawn
     drawn = statistic(times @ samples / n)
     low, high = np.nanpercentile(drawn, [50 - 50 * level, 50 + 50 * level], axis=0)
@@ -114,48 +101,44 @@ def bootstrap(
 
 
 def errors_table(results: Record) -> Table:
-    """Return the paper's table: for each method and set the five figures, means over the frames.
+    """Return the table of the paper (Table II): for each method and set the five metrics, means over the frames.
 
-    Frames of which no ray can be evaluated are left out.
+    Frames without rays to evaluate are left out.
     """
     sets = _sets(results)
     rows = []
     for method in _methods(results):
-        cells = [_mean_figures(results["frames"][name], method.name) for name in sets]
+        cells = [_mean_metrics(results["frames"][name], method.name) for name in sets]
         rows.append(([method.label], np.concatenate(cells)))
-    columns = [f"{name.capitalize()} {figure}" for name in sets for figure in FIGURES]
+    columns = [f"{name.capitalize()} {metric}" for name in sets for metric in METRICS]
     return Table(["method"], columns, rows, _caption(results, "Means over frames"))
 
 
-def strata_table(results: Record) -> Table:
-    """Return the five figures of all rays of each stratum, of all frames of a set together."""
+def regions_table(results: Record) -> Table:
+    """Return the five metrics of all rays of each region, of all frames of a set together."""
     methods, rows = _methods(results), []
     for name in _sets(results):
         frames = results["frames"][name].values()
-        for stratum in _strata(frames, methods[0].name):
+        found = next(iter(frames))[methods[0].name]["strata"].keys()
+        for region in [*REGIONS, *sorted(found - {*REGIONS})]:
             for method in methods:
                 sums = [frame[method.name]["strata"] for frame in frames]
-                samples = np.array([[frame[stratum][key] for key in SUMS] for frame in sums])
+                samples = np.array([[frame[region][key] for key in SUMS] for frame in sums])
                 rays = samples[:, 0].sum()
                 if rays > 0:
-                    share = 100 * rays / sum(frame["all"]["rays"] for frame in sums)
-                    rows.append(([name, stratum, f"{share:.1f} %", method.label], bootstrap(samples, figures)))
+                    percent = 100 * rays / sum(frame["all"]["rays"] for frame in sums)
+                    words = [name, region, f"{percent:.1f} %", method.label]
+                    rows.append((words, bootstrap(samples, sums_to_metrics)))
     caption = _caption(results, "All rays of all frames together")
-    return Table(["set", "stratum", "rays", "method"], list(FIGURES), rows, caption)
+    return Table(["set", "stratum", "rays", "method"], list(METRICS), rows, caption)
 
 
 def write_results(folder: str | Path, results: Record) -> list[str]:
-    """Write results.json and both tables in three forms; return the names of the files.
-
-    Raises
-    ------
-    OmnistereoError
-        If the folder cannot be written.
-    """
+    """Write results.json and both tables in three formats; return the names of the files."""
     folder = make_folder(folder)
     write_record(folder / "results.json", results)
     texts = {}
-    for name, table in (("errors", errors_table(results)), ("strata", strata_table(results))):
+    for name, table in (("errors", errors_table(results)), ("strata", regions_table(results))):
         texts |= {f"{name}.txt": table.text(), f"{name}.md": table.markdown(), f"{name}.csv": table.csv()}
     for name, text in texts.items():
         with atomic_write(folder / name) as temporary:
@@ -174,23 +157,18 @@ def _caption(results: Record, what: str) -> str:
     )
 
 
-def _mean_figures(frames: Record, method: str) -> NDArray[np.float64]:
-    """Return the five figures with their intervals, (5, 3)."""
-    found = [[frame[method]["figures"][figure] for figure in FIGURES] for frame in frames.values()]
+def _mean_metrics(frames: Record, method: str) -> NDArray[np.float64]:
+    """Return the five metrics with their intervals, (5, 3)."""
+    found = [[frame[method]["figures"][metric] for metric in METRICS] for frame in frames.values()]
     known = [row for row in found if None not in row]
-    return bootstrap(known, lambda mean: mean) if known else np.full((len(FIGURES), 3), np.nan)
-
-
-def _strata(frames: Iterable[Record], method: str) -> list[str]:
-    names = next(iter(frames))[method]["strata"]
-    return [*STRATA, *sorted(names.keys() - {*STRATA})]
+    return bootstrap(known, lambda mean: mean) if known else np.full((len(METRICS), 3), np.nan)
 
 
 def _sets(results: Record) -> list[str]:
-    """Return the names of the sets, the paper's first and in its order."""
+    """Return the names of the sets, those of the paper first and in its order."""
     return [*(name for name in LIGHTS if name in results["frames"]), *sorted(set(results["frames"]) - {*LIGHTS})]
 
 
 def _methods(results: Record) -> list[Method]:
-    """Return the methods in the order of the paper's table."""
+    """Return the methods in the order of Table II."""
     return sorted((Method(**settings) for settings in results["methods"].values()), key=lambda method: method.sort_key)

@@ -43,7 +43,7 @@ class TrainingFrames:
         dataset = load_dataset(data)
         if dataset.rig.min_depth is None:
             raise OmnistereoError(f"the rig of {data} does not state its nearest depth. Add it to config.yaml.")
-        frames = [frame for frame in dataset if frame.truth_path is not None]
+        frames = [frame for frame in dataset if frame.gt_path is not None]
         if len(frames) < 2:
             raise OmnistereoError(f"{data} has {len(frames)} frames with ground truth; expected at least 2")
         self.grid = SphereGrid(
@@ -55,7 +55,7 @@ class TrainingFrames:
         self.training = [frame for k, frame in enumerate(frames) if k % 10]
         self._gt_index: dict[int, NDArray[np.float32]] = {}
         digest = hashlib.sha256()
-        for path in (path for frame in frames for path in (*frame.image_paths, frame.truth_path)):
+        for path in (path for frame in frames for path in (*frame.image_paths, frame.gt_path)):
             digest.update(read_bytes(path))
         folder = "/".join(Path(data).resolve().parts[-2:])
         self.metadata = {"folder": folder, "frames": len(frames), "sha256": digest.hexdigest()}

@@ -1,3 +1,5 @@
+import time
+
 import boards
 import numpy as np
 import pytest
@@ -8,30 +10,29 @@ from omnistereo_lib.calibrate.camera import calibrate_camera
 
 def test_sgm_is_compared_on_the_same_job():
     (row,) = bench_sgm(width=160, height=20, num=32, repeats=1)
-    assert row.ours_s > 0
-    assert row.theirs_s > 0
+    assert min(row.ours_s, row.theirs_s) > 0
     assert "100.00% of 800 rays" in row.note
 
 
 def test_sweepnet_is_compared_on_the_same_job():
-    exact, *half = bench_sweepnet(width=160, height=20, num=16, spheres=range(7, 10))
-    assert "3 of 16 spheres, float32" in exact.name
+    exact, *half = bench_sweepnet(width=112, height=16, num=16, spheres=range(7, 9))
+    assert "2 of 16 spheres, float32" in exact.name
     assert min(exact.ours_s, exact.theirs_s) > 0
     assert float(exact.note.split()[-1]) < 1e-5
     assert all(1e-5 < float(row.note.split()[-1]) < 2e-2 for row in half)
 
 
 def test_training_is_compared_on_the_same_step():
-    (row,) = bench_training(width=160, height=40, num=32, repeats=1)
+    (row,) = bench_training(width=96, height=24, num=16, repeats=1)
     assert min(row.ours_s, row.theirs_s) > 0
     assert float(row.note.split()[-4]) < 1e-3
 
 
-def test_best_of_takes_turns_and_leaves_out_the_first_round():
+def test_best_of_alternates_and_does_not_count_the_first_round():
     calls = []
-    ours, theirs = best_of(2, lambda: calls.append("ours"), lambda: calls.append("theirs"))
-    assert calls == ["ours", "theirs"] * 3
-    assert min(ours, theirs) >= 0
+    times, results = best_of(2, lambda: calls.append("ours"), lambda: calls.append("theirs") or len(calls))
+    assert calls == ["ours", "theirs"] * 3 and results == [None, 6] and 0 <= min(times) <= max(times) < 1
+    assert best_of(0, lambda: time.sleep(0.01))[0][0] >= 0.01
 
 
 def test_table_shows_the_ratio():
@@ -43,8 +44,8 @@ def test_table_shows_the_ratio():
 
 
 def test_opencv_gets_a_fair_chance():
-    """From our focal length it finds an equidistant lens, and its rays are those of that lens."""
-    corners, _ = boards.views(np.random.default_rng(0), 40)
+    """From our focal length it finds an equidistant camera and the rays of that camera."""
+    corners, _ = boards.views(np.random.default_rng(0), 20)
     inside = [view for view in corners if np.linalg.norm(view - boards.CENTER, axis=1).max() < 200 * np.radians(80)]
     start, _ = calibrate_camera(corners, boards.BOARD, boards.SIZE)
     fit = opencv_fisheye(inside, boards.BOARD, boards.SIZE, start)
@@ -56,6 +57,6 @@ def test_opencv_gets_a_fair_chance():
     np.testing.assert_allclose(fit.rays(pixels), rays, atol=2e-3)
 
 
-def test_opencv_that_gives_up_is_infinite():
+def test_opencv_that_fails_has_infinite_error():
     views = [np.full((120, 2), np.nan) for _ in range(3)]
     assert opencv_fisheye(views, boards.BOARD, boards.SIZE).rms_px == np.inf

@@ -22,7 +22,7 @@ from course.ledger import MARKERS, split_at_markers, write_ledger
 from omnistereo_lib import cli
 from omnistereo_lib.dataset import write_inverse_depth
 from omnistereo_lib.evaluate import METHODS, SCALES, Scale, errors_table
-from omnistereo_lib.evaluate.strata import FIGURES, STRATA, SUMS
+from omnistereo_lib.evaluate.regions import METRICS, REGIONS, SUMS
 from omnistereo_lib.files import write_image
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -44,9 +44,9 @@ def record(figures_of=papers, sets=LIGHTS, methods=None, scale=SCALES["paper"], 
 
     def frame(method, name, factor):
         above = dict(zip(SUMS, (100, 30, 20, thin[method != "sweepnet+sgm"], 90.0, 400.0), strict=True))
-        strata = dict.fromkeys(STRATA, above) | {f"seen by {k}": above | {"rays": n} for k, n in enumerate(seen)}
+        strata = dict.fromkeys(REGIONS, above) | {f"seen by {k}": above | {"rays": n} for k, n in enumerate(seen)}
         values = [value * factor for value in figures_of(method, name)]
-        return {"figures": dict(zip(FIGURES, values, strict=True)), "strata": strata}
+        return {"figures": dict(zip(METRICS, values, strict=True)), "strata": strata}
 
     return {
         "config": {**vars(scale), "precision": "float32", "rig": "own"},
@@ -86,7 +86,7 @@ def test_the_papers_table_is_whole():
     for lights in PAPER_TABLE.values():
         assert tuple(lights) == LIGHTS
         for figures in lights.values():
-            assert tuple(figures) == FIGURES
+            assert tuple(figures) == METRICS
             assert figures[">1"] >= figures[">3"] >= figures[">5"] > 0
             assert figures["RMS"] >= figures["MAE"] > 0
             # An error counts at least its limit, at most 100.

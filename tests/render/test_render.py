@@ -338,7 +338,7 @@ def test_rendered_set_is_a_data_set(no_blender, tmp_path):
     data = osl.load_dataset(tmp_path)
     assert [frame.number for frame in data] == [706, 731]
     assert all(image.shape == (24, 25, 3) for frame in data for image in frame.images)
-    assert [osl.load_dataset(tmp_path, truth_width=w)[0].inverse_depth.shape for w in (16, 24)] == [(4, 16), (6, 24)]
+    assert [osl.load_dataset(tmp_path, gt_width=w)[0].inverse_depth.shape for w in (16, 24)] == [(4, 16), (6, 24)]
     assert list(render_set(tmp_path, TINY, (706, 731), SEED)) == []
 
 
@@ -556,7 +556,7 @@ def means(picture, size=WINDOW):
 @pytest.mark.parametrize("i", FRAMES)
 def test_truths_of_both_sizes_agree_where_depth_is_smooth(shipped, i):
     fine = shipped[i].inverse_depth
-    coarse = osl.load_dataset(SAMPLES, split="test", truth_width=640)[i].inverse_depth
+    coarse = osl.load_dataset(SAMPLES, split="test", gt_width=640)[i].inverse_depth
     pixels, _ = osl.SphereGrid(1200, 300).pixel(GRID.rays())
     low, high = (sample(values, pixels, cv2.INTER_NEAREST) for values in around(fine, 3))
     smooth = (low > 0) & (high < 1.05 * low)
@@ -623,7 +623,7 @@ def warped_zncc(shipped, frame, inverse_depth):
 @pytest.mark.parametrize("i", FRAMES)
 def test_images_warped_with_the_truth_agree(shipped, i):
     """The sensors' noise reaches 7 gray values in shadows: texture is what has three times that contrast."""
-    frame = osl.load_dataset(SAMPLES, split="test", truth_width=640)[i]
+    frame = osl.load_dataset(SAMPLES, split="test", gt_width=640)[i]
     truth = frame.inverse_depth
     low, high = around(truth, WINDOW)
     smooth = (low > 0) & (high < 1.15 * low)
@@ -677,7 +677,7 @@ def test_indoor_truth_is_a_room_that_leaves_place_for_the_rig():
 def test_other_sets_images_warped_with_the_truth_agree(name, monkeypatch):
     """Only on single surfaces: with shelves this close, two depths in a window do not fit one warp."""
     monkeypatch.setattr(sys.modules[__name__], "GRID", OTHERS[name])
-    data = osl.load_dataset(SAMPLES.parent / name, split="test", truth_width=640)
+    data = osl.load_dataset(SAMPLES.parent / name, split="test", gt_width=640)
     truth = data[0].inverse_depth
     low, high = around(truth, WINDOW)
     smooth = (low > 0) & (high < 1.02 * low)
@@ -695,10 +695,10 @@ def test_other_sets_images_warped_with_the_truth_agree(name, monkeypatch):
 
 @pytest.mark.parametrize("light", ["cloudy", "sunset"])
 def test_other_lights_show_the_same_street(light):
-    sunny = osl.load_dataset(SAMPLES, split="test", truth_width=640)
-    data = osl.load_dataset(SAMPLES.parent / light, split="test", truth_width=640)
+    sunny = osl.load_dataset(SAMPLES, split="test", gt_width=640)
+    data = osl.load_dataset(SAMPLES.parent / light, split="test", gt_width=640)
     assert [frame.number for frame in data] == [frame.number for frame in sunny]
-    assert [frame.truth_path.resolve() for frame in data] == [frame.truth_path.resolve() for frame in sunny]
+    assert [frame.gt_path.resolve() for frame in data] == [frame.gt_path.resolve() for frame in sunny]
     for old, new in zip(sunny.rig.T_rig_cam, data.rig.T_rig_cam, strict=True):
         np.testing.assert_array_equal(old.as_vector(), new.as_vector())
     warmth = sky_warmth(data) / sky_warmth(sunny)
@@ -736,7 +736,7 @@ def test_pictures_of_other_lights_and_streets_are_neither_black_nor_burnt_out(na
 
 @pytest.mark.parametrize("name", ["cloudy/test", "sunset/test", "sunny/train"])
 def test_warped_images_agree_in_other_lights_and_streets(name):
-    data = osl.load_dataset(SAMPLES.parent / name, truth_width=640)
+    data = osl.load_dataset(SAMPLES.parent / name, gt_width=640)
     frame = data[len(data) // 2]
     truth = frame.inverse_depth
     low, high = around(truth, WINDOW)

@@ -62,7 +62,7 @@ def test_card_and_curve_are_of_these_weights(name):
 def test_training_data_are_those_that_ship():
     digest = hashlib.sha256()
     for frame in osl.load_dataset(SUNNY, split="train"):
-        for path in (*frame.image_paths, frame.truth_path):
+        for path in (*frame.image_paths, frame.gt_path):
             digest.update(path.read_bytes())
     for name in RECIPE:
         _, about = load_tensors(BUNDLED_WEIGHTS / f"{name}.safetensors")

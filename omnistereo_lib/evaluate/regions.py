@@ -1,0 +1,102 @@
+"""Regions of a panorama: by depth, at depth discontinuities, on thin objects, by the number of cameras that see.
+
+Regions depend only on the ground-truth index n̂, so that all methods are judged on the same rays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omnistereo_lib.stereo.metrics import error_map
+from omnistereo_lib.stereo.sweep import SphereSweep
+
+METRICS = (">1", ">3", ">5", "MAE", "RMS")
+REGIONS = ("all", "sky", "far", "middle", "near", "at edges", "off edges", "thin")  # and "seen by 0", 1 …
+SUMS = ("rays", ">1", ">3", ">5", "sum", "squares")
+DISCONTINUITY_PERCENT = 5.0  # of N; the largest error threshold of the paper
+EDGE_PX = 4  # half of a 9 × 9 patch: a patch centred nearer holds both surfaces
+THIN_DEG = 3.0  # as wide as a post of 15 cm at 3 m
+
+
+def find_regions(gt_index: ArrayLike, sweep: SphereSweep) -> dict[str, NDArray[np.bool_]]:
+    """Return the region masks (H, W) of a panorama, of its ground-truth index n̂ (H, W), not rounded, NaN unknown.
+
+    "all". "sky" (infinitely far), "far", "middle" and "near": thirds of the inverse depth swept, beyond 3 D_min, from 3
+    to 1.5 D_min, and nearer. "at edges": `near_edges`; "off edges": all others. "thin": `thin_objects`. "seen by k":
+    the ground-truth point is in the field of view of k cameras; occlusion is not tested.
+    """
+    gt_index = np.asarray(gt_index, np.float64)
+    N = sweep.grid.num_spheres
+    fraction = gt_index / (N - 1)  # of the inverse depth swept
+    edges = near_edges(gt_index, N)
+    count = np.sum([sweep.pixels(camera, gt_index)[1] for camera in range(len(sweep.rig))], axis=0)
+    return {
+        "all": np.ones(gt_index.shape, bool),
+        "sky": fraction == 0,
+        "far": (fraction > 0) & (fraction < 1 / 3),
+        "middle": (fraction >= 1 / 3) & (fraction < 2 / 3),
+        "near": fraction >= 2 / 3,
+        "at edges": edges,
+        "off edges": ~edges,
+        "thin": thin_objects(gt_index, N),
+        **{f"seen by {k}": count == k for k in range(len(sweep.rig) + 1)},
+    }
+
+
+def near_edges(gt_index: NDArray[np.float64], num_spheres: int) -> NDArray[np.bool_]:
+    """Return the mask (H, W) of the rays within `EDGE_PX` pixels of a depth discontinuity, also across the seam.
+
+    There n̂ of two neighbours differs by more than `DISCONTINUITY_PERCENT` of N. NaN is not a discontinuity.
+    """
+    from scipy.ndimage import maximum_filter
+
+    limit = DISCONTINUITY_PERCENT / 100 * num_spheres
+    across = np.abs(gt_index - np.roll(gt_index, -1, 1)) > limit
+    down = np.abs(np.diff(gt_index, axis=0)) > limit
+    beside = across | np.roll(across, 1, 1) | np.pad(down, ((0, 1), (0, 0))) | np.pad(down, ((1, 0), (0, 0)))
+    return maximum_filter(beside.astype(np.uint8), 2 * EDGE_PX - 1, mode=("nearest", "wrap")).astype(bool)
+
+
+def thin_objects(gt_index: NDArray[np.float64], num_spheres: int) -> NDArray[np.bool_]:
+    """Return the mask (H, W) of the rays on objects narrower than `THIN_DEG` in front of a background.
+
+    These are the rays where a gray-value opening of n̂ (near is high) lowers n̂ by more than `DISCONTINUITY_PERCENT`
+    of N. Its square has sides of 2 r + 1 pixels with r = `THIN_DEG` / 2 in pixels, at least 1: 3 at W = 320, 5 at
+    600, 11 at 1200. Unknown rays count as near, so that their neighbours are not thin.
+    """
+    from scipy.ndimage import grey_opening
+
+    side = 2 * max(1, round(gt_index.shape[1] * THIN_DEG / 720)) + 1
+    known = np.where(np.isnan(gt_index), np.inf, gt_index)
+    opened = grey_opening(known, side, mode=("nearest", "wrap"))
+    return gt_index - opened > DISCONTINUITY_PERCENT / 100 * num_spheres
+
+
+def error_sums(
+    index: ArrayLike, gt_index: ArrayLike, num_spheres: int, regions: Mapping[str, NDArray[np.bool_]]
+) -> dict[str, dict[str, float]]:
+    """Return `SUMS` of the errors of a panorama for each region; the sums of frames can be added.
+
+    "rays": their number; ">1", ">3", ">5": how many have a larger error e (Eq. 5); "sum", "squares": Σ e and Σ e².
+    Arguments as in `index_error`, which says which rays are evaluated and how a missing estimate counts.
+    """
+    gt_index = np.asarray(gt_index, np.float64)
+    error = error_map(index, gt_index, num_spheres)
+    error = np.where(np.isnan(error), 100.0, error)
+    evaluated = (gt_index >= 0) & (gt_index < num_spheres)
+    return {name: _sums(error[evaluated & mask]) for name, mask in regions.items()}
+
+
+def _sums(error: NDArray[np.float64]) -> dict[str, float]:
+    above = {f">{limit}": int(np.count_nonzero(error > limit)) for limit in (1, 3, 5)}
+    return {"rays": error.size, **above, "sum": float(error.sum()), "squares": float((error**2).sum())}
+
+
+def sums_to_metrics(sums: ArrayLike) -> NDArray[np.float64]:
+    """Return the five `METRICS`, shape (..., 5), of `SUMS`, shape (..., 6); NaN where there are no rays."""
+    rays, above, total, squares = np.split(np.asarray(sums, np.float64), [1, 4, 5], axis=-1)
+    with np.errstate(invalid="ignore"):
+        return np.concatenate([100 * above / rays, total / rays, np.sqrt(squares / rays)], -1)

@@ -1,0 +1,396 @@
+"""Evaluation runs: frames against the single steps, runs that are interrupted, killed and sharded, what is refused."""
+
+import hashlib
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+import scene
+import torch
+
+import omnistereo_lib as osl
+from omnistereo_lib import cli
+from omnistereo_lib.evaluate import (
+    ABLATIONS,
+    METHODS,
+    SCALES,
+    Evaluation,
+    Scale,
+    errors_table,
+    evaluate_frame,
+    find_sets,
+    run,
+    select_methods,
+    write_results,
+)
+from omnistereo_lib.evaluate.regions import METRICS, error_sums, find_regions
+from omnistereo_lib.stereo.methods import Method
+
+SMALL = Scale(96, 24, 12)
+TINY = Scale(48, 14, 8)  # for the networks
+ZNCC = METHODS[::3]
+RIG = scene.rig(width=200, height=192)  # of the data set
+FRAMES = (1, 2, 3)
+
+
+def evaluation(out, data, methods=ZNCC, **options):
+    return Evaluation(out, {"box": data}, methods, **{"scale": SMALL, "precision": "float32"} | options)
+
+
+def evaluate(out, data, methods=ZNCC, **options):
+    """Evaluate and merge; return the bytes of results.json."""
+    task = evaluation(out, data, methods, **options)
+    list(task.run())
+    write_results(task.out, task.results())
+    return (task.out / "results.json").read_bytes()
+
+
+@pytest.fixture(scope="session")
+def own(tmp_path_factory, data):
+    """A folder with the results of ZNCC; tests only read it."""
+    folder = tmp_path_factory.mktemp("own")
+    evaluate(folder, data)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def expected(own):
+    return (own / "results.json").read_bytes()
+
+
+@pytest.fixture(scope="session")
+def expected_of_all(tmp_path_factory, data, weights):
+    return evaluate(tmp_path_factory.mktemp("all"), data, METHODS, weights=weights, scale=TINY)
+
+
+@pytest.fixture
+def copy(data, tmp_path):
+    """A copy of the data to spoil."""
+    return shutil.copytree(data, tmp_path / "copy" / "box")
+
+
+# ---- frames
+
+
+def test_a_frame_agrees_with_the_single_steps(data, weights):
+    methods = [*METHODS, *map(Method.parse, ("zncc+sgm,p1=0.3,p2=2", "zncc,subindex=true,pairs=all"))]
+    methods.append(Method.parse("sweepnet,wrap=false"))
+    dataset = osl.load_dataset(data)
+    grid = osl.SphereGrid(48, 14, num_spheres=8, min_depth=0.6)
+    sweep = osl.SphereSweep(dataset.rig, grid)
+    found = dict(evaluate_frame(sweep, dataset[1], methods, lambda m: m.load_cost(weights, "float32")))
+    assert set(found) == set(methods)
+    gt_index = dataset[1].gt_index(grid)
+    regions = find_regions(gt_index, sweep)
+    volumes = {}
+    for method, errors in found.items():
+        if method.volume_key not in volumes:
+            costs = {"zncc": osl.ZNCC, "mccnn": osl.MCCNN.load, "sweepnet": osl.SweepNet.load}
+            name = {"mccnn": "mccnn_fast"}.get(method.cost, method.cost)
+            cost = costs[method.cost](*() if name == "zncc" else (weights / f"{name}.safetensors", "float32"))
+            if method.cost == "sweepnet":
+                cost.wrap = method.wrap
+            volumes[method.volume_key] = osl.cost_volume(sweep, dataset[1].images, cost, method.pairs)
+        volume = volumes[method.volume_key]
+        if method.aggregate == "sgm":
+            volume = osl.sgm(volume, method.p1, method.p2, wrap=method.wrap)
+        index = osl.winner_takes_all(volume, method.subindex).numpy()
+        assert errors["figures"] == osl.index_error(index, gt_index, 8)
+        assert errors["strata"] == error_sums(index, gt_index, 8, regions)
+    assert len({json.dumps(errors) for errors in found.values()}) == len(found)  # every setting has an effect
+
+
+def test_a_volume_is_computed_once_for_all_methods_that_share_it(data, weights, tmp_path, monkeypatch):
+    calls = []
+    monkeypatch.setattr(run, "cost_volume", lambda *a: calls.append(a[3]) or osl.cost_volume(*a))
+    methods = [*METHODS, *ABLATIONS["penalties"], *ABLATIONS["subindex"], *select_methods(["zncc,pairs=all"])]
+    task = evaluation(tmp_path / "out", data, methods, weights=weights, frames=[1], scale=TINY)
+    assert len(list(task.run())) == len(task.jobs) == len(set(methods)) == 6 + 33 + 6 + 1
+    assert calls == ["ring", "ring", "ring", "all"]
+
+
+def test_zncc_finds_the_walls(expected):
+    for frame in json.loads(expected)["frames"]["box"].values():
+        assert frame["zncc"]["figures"]["MAE"] < 6 and frame["zncc"]["strata"]["all"]["rays"] == 96 * 24
+
+
+def test_a_method_may_have_its_own_number_of_spheres(data, tmp_path):
+    methods = [Method(cost="zncc", num_spheres=n) for n in (0, 12, 24)]
+    frames = json.loads(evaluate(tmp_path / "out", data, methods, frames=[2]))["frames"]["box"]["00002"]
+    assert frames["zncc"] == frames["zncc,num_spheres=12"] != frames["zncc,num_spheres=24"]
+
+
+# ---- interrupted runs, shards
+
+
+def test_the_merged_file_states_its_inputs(data, weights, expected_of_all):
+    def sha(path):
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+
+    results = json.loads(expected_of_all)
+    assert json.dumps(results) == json.dumps(results, sort_keys=True)  # the order in the file
+    line = next(line for line in expected_of_all.decode().splitlines() if '"figures"' in line)
+    assert all(f'"{name}"' in line for name in METRICS)
+    scale = {"width": 48, "height": 14, "num_spheres": 8}
+    assert results["config"] == {**scale, "precision": "float32", "rig": "own"}
+    assert results["methods"]["mccnn+sgm"] == {
+        "cost": "mccnn", "aggregate": "sgm", "window": 9, "weights": "", "pairs": "ring", "p1": 0.1, "p2": 12.0,
+        "wrap": True, "subindex": False, "num_spheres": 0,
+    }  # fmt: skip
+    files = ["config.yaml", *(f"omnidepth_gt_96/{number:05}.tiff" for number in FRAMES)]
+    files += [f"cam{k}/{number:04}.png" for k in (1, 2, 3, 4) for number in FRAMES]
+    assert results["data"] == {f"box/{name}": sha(data / name) for name in files}
+    assert results["weights"] == {path.name: sha(path) for path in weights.iterdir()}
+    assert {number: set(frame) for number, frame in results["frames"]["box"].items()} == {
+        f"{number:05}": {method.name for method in METHODS} for number in FRAMES
+    }
+    settings = {name: results[name] for name in ("config", "methods")}
+    compact = json.dumps(settings, sort_keys=True, separators=(",", ":")).encode()
+    assert results["config_sha256"] == hashlib.sha256(compact).hexdigest()
+
+
+@pytest.mark.parametrize("stop", [1, 2, 5])
+def test_an_interrupted_run_resumes_to_the_same_file(data, tmp_path, expected, stop):
+    task = evaluation(tmp_path, data)
+    running = task.run()
+    for _ in range(stop):
+        next(running)
+    running.close()
+    assert len(task.missing()) == 6 - stop
+    with pytest.raises(osl.OmnistereoError, match=rf"{6 - stop} of 6 results are missing, such as .*zncc.*json"):
+        task.results()
+    assert evaluate(tmp_path, data, tuple(reversed(ZNCC))) == expected  # the order of methods does not matter
+
+
+def test_a_killed_process_resumes_to_the_same_file(data, tmp_path):
+    """SIGKILL at any moment."""
+    penalties = ABLATIONS["penalties"][:12]
+    script = (
+        "import sys, pathlib, time; from omnistereo_lib.evaluate import *\n"
+        "methods, sets = select_methods(sys.argv[3:]), {'box': pathlib.Path(sys.argv[2])}\n"
+        "for job in Evaluation(sys.argv[1], sets, methods, Scale(96, 24, 12)).run(): time.sleep(0.01)"
+    )
+    words = [tmp_path / "killed", data, *(method.name for method in penalties)]
+    process = subprocess.Popen([sys.executable, "-c", script, *map(str, words)], stdout=subprocess.DEVNULL)
+    while process.poll() is None and not list((tmp_path / "killed").glob("frames/*/*/[!.]*.json")):
+        time.sleep(0.002)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert 0 < len(evaluation(tmp_path / "killed", data, penalties).missing()) < 36
+    assert evaluate(tmp_path / "killed", data, penalties) == evaluate(tmp_path / "whole", data, penalties)
+
+
+def test_a_temporary_file_that_a_kill_leaves_is_not_a_result(data, tmp_path):
+    next(evaluation(tmp_path, data).run())
+    (done,) = tmp_path.glob("frames/*/*/*.json")
+    done.with_name(".123.zncc+sgm.json").write_text("{")
+    assert len(evaluation(tmp_path, data).missing()) == 5
+
+
+@pytest.mark.parametrize("parts", [2, 4])
+def test_shards_of_several_machines_merge_to_the_same_file(data, tmp_path, expected, parts):
+    jobs = []
+    for part in range(1, parts + 1):
+        task = evaluation(tmp_path / f"machine{part}", data)
+        jobs += task.run(task.select_shard(f"{part}/{parts}"))
+        shutil.copytree(task.out, tmp_path / "together", dirs_exist_ok=True)
+    task = evaluation(tmp_path / "together", data)
+    assert set(jobs) == set(task.jobs) and len(jobs) == len(task.jobs) and list(task.run()) == []
+    assert evaluate(tmp_path / "together", data) == expected
+
+
+def test_processes_of_torchrun_share_the_frames(data, tmp_path, monkeypatch):
+    task = evaluation(tmp_path, data)
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    shards = []
+    for rank in ("0", "1"):
+        monkeypatch.setenv("RANK", rank)
+        shards.append({job.frame for job in task.select_shard()})
+    assert shards == [{1, 3}, {2}]
+    assert {job.frame for job in task.select_shard("2/2")} == set()  # one frame, and this is the second process
+
+
+@pytest.mark.parametrize("shard", ["0/2", "3/2", "2", "a/b", "1/0", "", "²/3"])
+def test_bad_shards(shard):
+    with pytest.raises(osl.OmnistereoError, match="is not of the form i/n"):
+        run.select_shard([1, 2, 3], shard)
+
+
+# ---- another rig
+
+
+def test_the_same_rig_in_another_frame_changes_nothing(data, tmp_path, expected):
+    RIG.moved(osl.Pose.from_vector([0.3, -0.2, 0.5, 1.0, 2.0, -3.0])).save(tmp_path / "moved.yaml")
+    moved = json.loads(evaluate(tmp_path / "moved", data, rig=tmp_path / "moved.yaml"))
+    for number, methods in json.loads(expected)["frames"]["box"].items():
+        for name, errors in methods.items():
+            found = moved["frames"]["box"][number][name]
+            assert found["figures"] == pytest.approx(errors["figures"], abs=0.05)
+
+
+def test_a_bent_rig_is_worse_and_kept_apart(data, tmp_path, own, expected):
+    bend = osl.Pose.from_vector([0, torch.pi / 36, 0, 0, 0, 0])
+    osl.Rig(RIG.cameras, [*RIG.T_rig_cam[:-1], RIG.T_rig_cam[-1] @ bend]).save(tmp_path / "bent.yaml")
+    bent = json.loads(evaluate(tmp_path / "out", data, rig=tmp_path / "bent.yaml"))
+    for number, methods in json.loads(expected)["frames"]["box"].items():
+        found = bent["frames"]["box"][number]["zncc+sgm"]
+        assert found["figures"]["MAE"] > 1.2 * methods["zncc+sgm"]["figures"]["MAE"]
+    assert "Not the sets' own rig, but " in errors_table(bent).text()
+    with pytest.raises(osl.OmnistereoError, match=r"config rig = own there, \w{12}"):
+        evaluation(own, data, rig=tmp_path / "bent.yaml")
+
+
+def test_a_rig_of_other_cameras_is_named(data, tmp_path):
+    osl.Rig(RIG.cameras[:3], RIG.T_rig_cam[:3]).save(tmp_path / "three.yaml")
+    with pytest.raises(osl.OmnistereoError, match=r"three.yaml has cameras of .* pixels; expected .*, as in .*box"):
+        evaluation(tmp_path / "out", data, rig=tmp_path / "three.yaml")
+    assert not (tmp_path / "out").exists()
+
+
+# ---- results of another evaluation
+
+
+def test_another_scale_is_refused(own, data):
+    with pytest.raises(osl.OmnistereoError, match=r"config height = 24 there, 12 here; config width = 96 there, 48"):
+        evaluation(own, data, scale=Scale(48, 12, 12))
+    with pytest.raises(osl.OmnistereoError, match=r"num_spheres = 12 there, 24 here\)\. Use another output folder"):
+        evaluation(own, data, [Method(cost="zncc", window=5)], scale=Scale(96, 24, 24))
+
+
+@pytest.mark.parametrize("changed", ["config.yaml", "cam3/0002.png", "omnidepth_gt_96/00002.tiff"])
+def test_other_data_are_refused(own, copy, changed):
+    content = (copy / changed).read_bytes()
+    (copy / changed).write_bytes(content + b"\n")
+    with pytest.raises(osl.OmnistereoError, match=rf"data box/{changed} = \w{{12}}… there, \w{{12}}… here"):
+        evaluation(own, copy)
+    (copy / changed).write_bytes(content)
+    assert evaluation(own, copy).missing() == []
+
+
+def test_other_weights_are_refused(data, weights, tmp_path):
+    other = shutil.copytree(weights, tmp_path / "weights")
+    evaluate(tmp_path / "out", data, METHODS, weights=other, scale=TINY, frames=[1])
+    torch.manual_seed(1)
+    osl.MCCNN().save(other / "mccnn_fast.safetensors")
+    with pytest.raises(osl.OmnistereoError, match=r"weights mccnn_fast.safetensors = \w{12}… there") as error:
+        evaluation(tmp_path / "out", data, METHODS, weights=other, scale=TINY)
+    assert "sweepnet.safetensors" not in str(error.value)
+    evaluation(tmp_path / "out", data, ZNCC, scale=TINY)  # has no weights
+    with pytest.raises(osl.OmnistereoError, match="config precision = float32 there, bfloat16 here"):
+        evaluation(tmp_path / "out", data, METHODS, weights=weights, scale=TINY, precision="bfloat16")
+
+
+def test_stored_results_can_be_checked_from_elsewhere(own, data, copy, tmp_path):
+    task = evaluation(tmp_path / "again", data, frames=[2])
+    stored = task.check(own / "results.json")
+    list(task.run())
+    assert task.results()["frames"]["box"] == {"00002": stored["frames"]["box"]["00002"]}
+    (copy / "cam1" / "0002.png").write_bytes((copy / "cam1" / "0001.png").read_bytes())
+    with pytest.raises(osl.OmnistereoError, match=r"data box/cam1/0002.png = .* there"):
+        evaluation(tmp_path / "new", copy, frames=[2]).check(own / "results.json")
+
+
+@pytest.mark.parametrize("content", ["{", "[1]", '{"frames": {}}', "\xff"])
+def test_damaged_results_are_named(data, tmp_path, content):
+    task = evaluation(tmp_path, data)
+    path = task.path(task.jobs[0])
+    path.parent.mkdir(parents=True)
+    path.write_text(content, encoding="latin-1")
+    with pytest.raises(osl.OmnistereoError, match=r"zncc.json (is damaged|has no results of an evaluation).*Delete it"):
+        evaluation(tmp_path, data)
+
+
+def test_missing_weights_are_named(data, weights, tmp_path):
+    shutil.copy(weights / "sweepnet.safetensors", tmp_path)
+    with pytest.raises(osl.OmnistereoError, match=r"missing: \S+mccnn_fast.*, for mccnn, mccnn\+sgm\.") as error:
+        evaluation(tmp_path / "out", data, METHODS, weights=tmp_path)
+    assert str(error.value).endswith("leave these methods out: --methods zncc sweepnet zncc+sgm sweepnet+sgm")
+    assert not (tmp_path / "out").exists()
+
+
+def test_bad_data_are_named(data, copy, tmp_path):
+    with pytest.raises(osl.OmnistereoError, match="has no frame 9; expected one of 1, 2, 3"):
+        evaluation(tmp_path / "out", data, frames=[1, 9])
+    (copy / "omnidepth_gt_96" / "00002.tiff").unlink()
+    assert {job.frame for job in evaluation(tmp_path / "out", copy).jobs} == {1, 3}
+    with pytest.raises(osl.OmnistereoError, match="has no ground truth for some of the frames requested"):
+        evaluation(tmp_path / "out", copy, frames=[1, 2])
+    shutil.rmtree(copy / "omnidepth_gt_96")
+    with pytest.raises(osl.OmnistereoError, match="has no ground truth for the frames requested"):
+        evaluation(tmp_path / "out", copy)
+    RIG.save(copy / "config.yaml")
+    with pytest.raises(osl.OmnistereoError, match="does not state its nearest depth"):
+        evaluation(tmp_path / "out", copy)
+
+
+def test_sets_are_found_by_name_and_by_folder(data, tmp_path):
+    assert find_sets(["sunny"])["sunny"].parts[-3:] == ("data_samples", "sunny", "test")
+    train = tmp_path / "city" / "train"
+    train.mkdir(parents=True)
+    assert find_sets([str(data), str(train)]) == {"box": data, "city-train": train}
+    (tmp_path / "box").mkdir()
+    with pytest.raises(osl.OmnistereoError, match="are both called 'box'"):
+        find_sets([str(data), str(tmp_path / "box")])
+    with pytest.raises(osl.OmnistereoError, match=r"data set 'rainy' not found in .*rainy/test or .*rainy\. Pass"):
+        find_sets(["rainy"])
+
+
+# ---- the command line
+
+
+@pytest.fixture
+def small(monkeypatch):
+    monkeypatch.setitem(SCALES, "teaching", SMALL)
+
+
+def command(*words):
+    return cli.main(["evaluate", *(str(word) for word in words)])
+
+
+FILES = ["errors.csv", "errors.md", "errors.txt", "frames", "results.json", "strata.csv", "strata.md", "strata.txt"]
+
+
+def test_the_command_line(data, weights, tmp_path, capsys, monkeypatch, expected_of_all):
+    monkeypatch.setitem(SCALES, "teaching", TINY)
+    out = tmp_path / "out"
+    arguments = ["--sets", data, "--weights", weights, "--precision", "float32", "--out", out]
+    assert command(*arguments) == 0
+    assert sorted(path.name for path in out.iterdir()) == FILES
+    assert (out / "results.json").read_bytes() == expected_of_all
+    captured = capsys.readouterr()
+    assert (out / "errors.txt").read_text() in captured.out and "18/18" in captured.err
+    assert captured.out.splitlines()[0].split()[:3] == ["method", "Box", ">1"]
+    assert f"written to {out}/: results.json, errors.txt" in captured.out
+    assert command(*arguments, "--ablations", "window", "--frames", "2") == 0
+    assert "ZNCC, window = 13" in capsys.readouterr().out
+
+
+def test_the_command_line_in_shards(data, tmp_path, capsys, small, monkeypatch, expected):
+    arguments = ["--sets", data, "--methods", "zncc", "zncc+sgm", "--out", tmp_path / "out"]
+    assert command(*arguments, "--shard", "1/2") == 0
+    assert "4 of 6 results are in" in capsys.readouterr().out
+    assert not (tmp_path / "out" / "results.json").exists()
+    assert command(*arguments, "--shard", "2/2") == 0
+    assert (tmp_path / "out" / "results.json").read_bytes() == expected
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--methods", "magic"], "error: cost must be one of zncc"),
+        (["--ablations", "everything"], "error: unknown ablation 'everything'; expected one of window, weights"),
+        (["--sets", "rainy"], "error: data set 'rainy' not found"),
+        (["--shard", "3/2"], "error: shard '3/2' is not of the form i/n"),
+        (["--weights", "nowhere"], "error: weights are missing: nowhere/mccnn_fast.safetensors, nowhere/sweepnet"),
+        (["--frames", "77"], "has no frame 77"),
+    ],
+    ids=str,
+)
+def test_bad_input_is_one_plain_line(data, weights, tmp_path, capsys, small, words, message):
+    assert command("--sets", data, "--weights", weights, "--out", tmp_path / "out", *words) == 2
+    err = capsys.readouterr().err
+    assert message in err and err.count("\n") == 1
