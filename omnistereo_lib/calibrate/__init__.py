@@ -1,5 +1,6 @@
-"""Calibration: from pictures of a checkerboard to a rig that can be trusted (paper, Section III-A).
+"""Calibration: from images of a checkerboard to a rig with known uncertainty (paper, Section III-A).
 
-In the order in which a calibration runs: `board` and `detect` (corners in pictures), `start` (a first camera out of
-nothing), `bundle` (the least-squares problem), `camera` and `rig` (`calibrate_camera`, `calibrate_rig`), `report`.
+In the order of a calibration: `captures` (files), `board`, `detect` (corners), `init` (initial estimate), `params`
+and `bundle` (the least-squares problem), `solution`, `camera` and `rig` (`calibrate_camera`, `calibrate_rig`),
+`report`.
 """

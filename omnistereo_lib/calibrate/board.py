@@ -1,4 +1,4 @@
-"""The checkerboard: where its corners are, and in how many ways it can be read."""
+"""The checkerboard: its corners and its symmetries."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from omnistereo_lib.geometry.pose import Pose
 class Checkerboard:
     """A flat checkerboard.
 
-    Board frame: x along the columns to the right, y along the rows down, z into the board, as seen from its front;
-    the origin is the first corner.
+    Board frame, seen from the front: origin at the first corner, x right, y down, z into the board.
 
     Parameters
     ----------
@@ -29,7 +28,7 @@ class Checkerboard:
     Raises
     ------
     OmnistereoError
-        If a count is not a whole number from 3 up, or the square's edge not a positive length.
+        If a count is not an integer of at least 3, or the square has no positive length.
     """
 
     corners: tuple[int, int]
@@ -38,10 +37,10 @@ class Checkerboard:
     def __post_init__(self) -> None:
         if len(self.corners) != 2 or not all(count % 1 == 0 and count >= 3 for count in self.corners):
             raise OmnistereoError(
-                f"a board's corners are two whole numbers from 3 up, inner columns and rows, got {self.corners}"
+                f"board corners are {self.corners}; expected two integers of at least 3, inner columns and rows"
             )
         if not (np.isfinite(self.square) and self.square > 0):
-            raise OmnistereoError(f"the edge of a square must be a positive length in metres, got {self.square}")
+            raise OmnistereoError(f"the square is {self.square} m; expected a positive length in metres")
         object.__setattr__(self, "corners", (int(self.corners[0]), int(self.corners[1])))
 
     def __str__(self) -> str:
@@ -55,23 +54,21 @@ class Checkerboard:
         return self.square * np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
 
     @cached_property
-    def readings(self) -> tuple[NDArray[np.int64], ...]:
-        """Orders in which the corners can be read that no picture tells apart, each (K,) indices; first as they are.
+    def symmetries(self) -> tuple[NDArray[np.int64], ...]:
+        """Corner permutations that leave the pattern unchanged, each of shape (K,); identity first.
 
-        A turn of the board that carries black squares onto black ones. By half a turn, that is a board whose counts
-        are both even or both odd; a square board can be turned by a quarter, too.
+        Boards with both counts even or both odd look the same after 180°, square ones perhaps after 90°.
         """
         columns, rows = self.corners
         order = np.arange(columns * rows).reshape(rows, columns)
-        quarters = range(4) if columns == rows else (0, 2)
-        turned = [np.rot90(order, quarter) for quarter in quarters]
-        # The square within the first four corners: is it, in this reading, as dark as in the first?
-        parity = [sum(divmod(int(reading[:2, :2].min()), columns)) % 2 for reading in turned]
-        return tuple(reading.ravel() for reading, odd in zip(turned, parity, strict=True) if odd == 0)
+        rotated = [np.rot90(order, quarter) for quarter in (range(4) if columns == rows else (0, 2))]
+        # Keep only rotations that map black squares to black squares.
+        parity = [sum(divmod(int(grid[:2, :2].min()), columns)) % 2 for grid in rotated]
+        return tuple(grid.ravel() for grid, odd in zip(rotated, parity, strict=True) if odd == 0)
 
-    def turn(self, reading: NDArray[np.int64]) -> Pose:
-        """Return the turn of the board that carries each point onto the one that a reading puts in its place."""
-        points = self.points[reading]
+    def symmetry_pose(self, symmetry: NDArray[np.int64]) -> Pose:
+        """Return the pose T with `T @ points[k] == points[symmetry[k]]`."""
+        points = self.points[symmetry]
         x = (points[1] - points[0]) / self.square
         y = (points[self.corners[0]] - points[0]) / self.square
         return Pose(np.column_stack([x, y, np.cross(x, y)]), points[0])

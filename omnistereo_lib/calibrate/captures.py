@@ -1,33 +1,38 @@
-"""Captures on disk: a folder for each camera, pictures of one moment by the same name."""
+"""Files: captures as one folder per camera with equal file names, detected corners as YAML."""
 
 from __future__ import annotations
 
+import json
 import re
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from omnistereo_lib.calibrate.board import Checkerboard
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import read_image
+from omnistereo_lib.files import atomic_write, read_bytes, read_image
+
+Floats = NDArray[np.float64]
 
 _SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".webp"}  # not TIFF: data sets keep ground truth in it
 
 
 @dataclass(frozen=True, eq=False)
 class Captures:
-    """Pictures of a board by one or more cameras.
+    """Images of a board by one or more cameras.
 
     Attributes
     ----------
     cameras : tuple of str
-        Names of the cameras' folders, in the order of their numbers.
+        Names of the camera folders, in the order of their numbers.
     names : tuple of str
         Names of the captures, sorted.
     paths : tuple of tuples
-        paths[camera][capture], None where a camera has no picture of a capture.
+        paths[camera][capture], None if a camera has no image of a capture.
     """
 
     cameras: tuple[str, ...]
@@ -35,11 +40,11 @@ class Captures:
     paths: tuple[tuple[Path | None, ...], ...]
 
     def images(self, camera: int) -> list[NDArray[np.uint8] | None]:
-        """Read one camera's pictures, None where it has none."""
+        """Read the images of one camera, None where it has none."""
         return [None if path is None else read_image(path) for path in self.paths[camera]]
 
     def views(self) -> list[list[NDArray[np.uint8] | None]]:
-        """Read everything: views[camera][capture], as `calibrate_rig` takes it."""
+        """Read all images: views[camera][capture], as `calibrate_rig` takes it."""
         return [self.images(camera) for camera in range(len(self.cameras))]
 
 
@@ -57,27 +62,27 @@ def find_captures(folder: str | Path) -> Captures:
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise OmnistereoError(f"{folder} is no folder: give one with a folder of pictures for each camera")
-    found = {path.name: _pictures(path) for path in folder.iterdir() if path.is_dir() and path.name[0] != "."}
-    found = {name: pictures for name, pictures in found.items() if pictures} or {folder.name: _pictures(folder)}
+        raise OmnistereoError(f"{folder} is not a folder. Pass a folder with one subfolder of images per camera")
+    found = {path.name: _images(path) for path in folder.iterdir() if path.is_dir() and path.name[0] != "."}
+    found = {name: images for name, images in found.items() if images} or {folder.name: _images(folder)}
     cameras = sorted(found, key=_natural)
     if not any(found.values()):
         raise OmnistereoError(
-            f"{folder} holds no pictures ({', '.join(sorted(_SUFFIXES))}): expected cam1/0001.png, cam2/0001.png …"
+            f"{folder} has no images ({', '.join(sorted(_SUFFIXES))}); expected cam1/0001.png, cam2/0001.png, …"
         )
     names = sorted(set().union(*found.values()), key=_natural)
     if len(cameras) > 1 and sum(map(len, found.values())) == len(names):
         examples = ", ".join(f"{camera}/{min(found[camera])}" for camera in cameras)
         warnings.warn(
-            f"no two cameras have a picture of the same name ({examples}): pictures that were taken at the same "
-            "time need one name in all folders",
+            f"no two cameras have an image of the same name ({examples}). Give images of one capture the same "
+            "name in all folders",
             stacklevel=2,
         )
     paths = tuple(tuple(found[camera].get(name) for name in names) for camera in cameras)
     return Captures(tuple(cameras), tuple(names), paths)
 
 
-def _pictures(folder: Path) -> dict[str, Path]:
+def _images(folder: Path) -> dict[str, Path]:
     files = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in _SUFFIXES and path.name[0] != "."]
     found: dict[str, Path] = {}
     for path in files:
@@ -93,3 +98,68 @@ def _pictures(folder: Path) -> dict[str, Path]:
 def _natural(name: str) -> list[tuple[int, str]]:
     """Sort by the numbers in a name, so that cam10 comes after cam2."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
+
+
+# --- Corners ---------------------------------------------------------------------------------------------
+
+
+def save_corners(
+    path: str | Path, views: dict[str, Floats | None], board: Checkerboard, image_size: tuple[int, int]
+) -> None:
+    """Write detections as YAML that a person can edit: a line for each corner, null for views without a board.
+
+    Parameters
+    ----------
+    path : path
+    views : dict
+        Name of each image → corners (K, 2) px, NaN where one is missing, or None.
+    board : Checkerboard
+    image_size : (int, int)
+        Width and height of the images.
+    """
+    lines = [
+        f"board: {{corners: [{board.corners[0]}, {board.corners[1]}], square: {board.square!r}}}  # inner, metres",
+        f"image_size: [{image_size[0]}, {image_size[1]}]  # width, height",
+        "views:  # pixels (u, v), row by row; [.nan, .nan] omits a corner, null a view",
+    ]
+    for name, corners in views.items():
+        lines.append(f"  {json.dumps(name)}:{' null' if corners is None else ''}")
+        lines += [f"  - [{u:.4f}, {v:.4f}]".replace("nan", ".nan") for u, v in ([] if corners is None else corners)]
+    with atomic_write(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def load_corners(path: str | Path) -> tuple[dict[str, Floats | None], Checkerboard, tuple[int, int]]:
+    """Read what `save_corners` wrote: views, board, image size.
+
+    Raises
+    ------
+    OmnistereoError
+        If the file is missing, not YAML or incomplete; the message names the view.
+    """
+    import yaml
+
+    path = Path(path)
+    try:
+        content = yaml.safe_load(read_bytes(path).decode("utf-8"))
+        board = Checkerboard(tuple(content["board"]["corners"]), float(content["board"]["square"]))
+        width, height = (int(side) for side in content["image_size"])
+        views = {str(name): _corners_of(value, name, board) for name, value in content["views"].items()}
+    except OmnistereoError as error:
+        raise OmnistereoError(f"{path}: {error}") from error
+    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise OmnistereoError(
+            f"{path}: not a corner file ({type(error).__name__}: {error}); expected board, image_size and views"
+        ) from error
+    return views, board, (width, height)
+
+
+def _corners_of(value: Any, name: str, board: Checkerboard) -> Floats | None:
+    if value is None:
+        return None
+    corners = np.array(value, np.float64)
+    if corners.shape != board.points[:, :2].shape:
+        raise OmnistereoError(
+            f"view {name}: corners of shape {corners.shape}, expected {len(board.points)} pairs of u and v"
+        )
+    return corners

@@ -1,4 +1,4 @@
-"""Checkerboard corners in strongly distorted pictures, to a few hundredths of a pixel.
+"""Checkerboard corners in strongly distorted images, to a few hundredths of a pixel.
 
 OpenCV finds the board, its classic detector first: on bent boards it finds more than the newer one. Then each
 corner is refined in a window of half the distance to its neighbours, a quarter where squares are large: near the
@@ -11,8 +11,6 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import combinations
-from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -20,7 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.calibrate.board import Checkerboard
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import atomic_write, read_bytes
 from omnistereo_lib.geometry.camera import OcamCamera
 
 Floats = NDArray[np.float64]
@@ -44,55 +41,49 @@ def find_corners(image: ArrayLike, board: Checkerboard) -> Floats | None:
     Parameters
     ----------
     image : array, shape (H, W) or (H, W, 3)
-        uint8, or float in 0 … 255; colour in any order.
+        uint8, or float in 0 to 255; colour in any order.
     board : Checkerboard
 
     Returns
     -------
     array, shape (K, 2), or None
-        Pixels in the order of `board.points`, right-handed: the board is seen from its front. Of the readings that
-        the black and white squares leave open the one whose first corner is nearest to the top left. A picture
-        that is mirrored looks like another picture of the board: nobody can tell from one image. None where not
-        every corner is in sight.
+        Pixels in the order of `board.points`, right-handed: the board is seen from its front; NaN for single corners
+        that could not be refined. Of the symmetries of the board the one whose first corner is nearest to the top
+        left. A mirrored image is not recognised. None if not every corner is visible.
     """
     gray = _gray(image)
-    for attempt in _attempts(gray, board):
-        if attempt is not None:
-            corners = refine_corners(gray, attempt, board)
-            if corners is not None:
-                return _in_order(corners, gray, board)
-    return None
+    candidates = (_refine_in_order(gray, attempt, board) for attempt in _attempts(gray, board))
+    return next((corners for corners in candidates if corners is not None), None)
 
 
 def _attempts(gray: Gray, board: Checkerboard) -> Iterator[Floats | None]:
-    """Yield what each way to look finds, from the one that mostly succeeds to those that are slow."""
+    """Yield the corners that each detector finds, from the one that mostly succeeds to slow ones."""
     yield _classic(gray, board)
     smaller = _SMALL / max(gray.shape)
-    if smaller < 0.75:
-        yield _classic(gray, board, smaller)
-    else:
-        yield _classic(gray, board, 1.5)
+    yield _classic(gray, board, smaller if smaller < 0.75 else 1.5)
     yield _classic(cv2.createCLAHE(3.0, (8, 8)).apply(gray), board)
-    yield _sector_based(gray, board)
-    small = cv2.resize(gray, None, fx=min(smaller, 1.0), fy=min(smaller, 1.0), interpolation=cv2.INTER_AREA)
+    found, corners = cv2.findChessboardCornersSB(gray, board.corners, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+    yield corners.reshape(-1, 2).astype(np.float64) if found else None
+    scale = min(smaller, 1.0)
+    small = cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     for block in (21, 41, 81, 161):
         for offset in (0, 8):
             black = cv2.adaptiveThreshold(small, 255, cv2.ADAPTIVE_THRESH_GAUSSIAN_C, cv2.THRESH_BINARY, block, offset)
             found = _classic(black, board)
-            yield None if found is None else (found + 0.5) / min(smaller, 1.0) - 0.5
+            yield None if found is None else (found + 0.5) / scale - 0.5
 
 
 def _classic(gray: Gray, board: Checkerboard, scale: float = 1.0) -> Floats | None:
     if scale != 1.0:
-        how = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
-        gray = cv2.resize(gray, None, fx=scale, fy=scale, interpolation=how)
+        method = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
+        gray = cv2.resize(gray, None, fx=scale, fy=scale, interpolation=method)
     found, corners = cv2.findChessboardCorners(gray, board.corners, flags=_CLASSIC)
     return (corners.reshape(-1, 2).astype(np.float64) + 0.5) / scale - 0.5 if found else None
 
 
-def _sector_based(gray: Gray, board: Checkerboard) -> Floats | None:
-    found, corners = cv2.findChessboardCornersSB(gray, board.corners, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
-    return corners.reshape(-1, 2).astype(np.float64) if found else None
+def _refine_in_order(gray: Gray, corners: Floats | None, board: Checkerboard) -> Floats | None:
+    # First the order: refinement may lose one of the corners that decide it.
+    return None if corners is None else refine_corners(gray, _in_order(corners, gray, board), board)
 
 
 def refine_corners(image: ArrayLike, corners: Floats, board: Checkerboard) -> Floats | None:
@@ -109,17 +100,17 @@ def refine_corners(image: ArrayLike, corners: Floats, board: Checkerboard) -> Fl
     Returns
     -------
     array, shape (K, 2), px, or None
-        NaN where a corner ran away, as it does next to a stain or the board's edge. None where many did or squares
-        are folded: what was found is no board.
+        NaN where a corner is lost, as beside a stain or the edge of the board. None if many are lost or squares are
+        folded: then it is not a board.
     """
     gray = _gray(image)
     spacing = _spacing(corners, board)
-    # The detector itself puts a corner into a neighbour's place now and then.
+    # The detector itself sometimes returns a neighbour of the corner.
     expected = _smoothed(corners, board)
     astray = np.linalg.norm(corners - expected, axis=1) > spacing / 4
     start = np.where(astray[:, None], expected, corners).astype(np.float32)
     refined = _sub_pixel(gray, start, np.clip(spacing / 2, _LEAST_WINDOW, np.maximum(_SMALL_WINDOW, spacing / 4)))
-    # OpenCV returns a corner that leaves its window as it came.
+    # OpenCV returns the start if a corner leaves its window.
     lost = (refined == start).all(axis=1)
     lost |= np.linalg.norm(refined - _smoothed(refined, board), axis=1) > spacing / 4
     refined[lost] = np.nan
@@ -164,21 +155,21 @@ def _look(gray: NDArray[np.float32], pixels: Floats) -> NDArray[np.float32]:
 
 
 def _smoothed(corners: Floats, board: Checkerboard) -> Floats:
-    """Return polynomials of column and row fitted to the corners, wrong ones left out, at all corners, (K, 2) px."""
+    """Fit polynomials of column and row to the corners, robustly; return their values at all corners, (K, 2) px."""
     degree = max(d for d in (1, 2, 3, 4) if (d + 1) * (d + 2) / 2 <= len(corners) / 3)
     x, y = (2 * board.points[:, :2] / board.square / (np.array(board.corners) - 1) - 1).T
     i, j = np.indices((degree + 1, degree + 1)).reshape(2, -1)
     basis = np.polynomial.polynomial.polyvander2d(x, y, (degree, degree))[:, i + j <= degree]
-    kept = np.ones(len(corners), bool)
+    inliers = np.ones(len(corners), bool)
     for _ in range(3):
-        smooth = basis @ np.linalg.lstsq(basis[kept], corners[kept], rcond=None)[0]
+        smooth = basis @ np.linalg.lstsq(basis[inliers], corners[inliers], rcond=None)[0]
         distance = np.linalg.norm(corners - smooth, axis=1)
-        kept = distance <= max(4 * np.median(distance), 0.1)
+        inliers = distance <= max(4 * np.median(distance), 0.1)
     return smooth
 
 
 def _sub_pixel(gray: Gray, corners: NDArray[np.float32], half: Floats) -> Floats:
-    """Return corners moved to where the gradients around them point, in windows of half their own size."""
+    """Refine each corner in a window of its own half size, px."""
     refined = corners.astype(np.float64)
     for size in np.unique(half.astype(int)):
         group = half.astype(int) == size
@@ -188,39 +179,37 @@ def _sub_pixel(gray: Gray, corners: NDArray[np.float32], half: Floats) -> Floats
 
 
 def _spacing(corners: Floats, board: Checkerboard) -> Floats:
-    """Return each corner's distance to its nearest neighbour on the board, shape (K,), px."""
-    grid = corners.reshape(board.corners[1], board.corners[0], 2)
-    spacing = np.full(grid.shape[:2], np.inf)
-    across, down = (np.linalg.norm(np.diff(grid, axis=axis), axis=-1) for axis in (1, 0))
-    spacing[:, :-1], spacing[:, 1:] = np.minimum(spacing[:, :-1], across), np.minimum(spacing[:, 1:], across)
-    spacing[:-1], spacing[1:] = np.minimum(spacing[:-1], down), np.minimum(spacing[1:], down)
-    return spacing.ravel()
+    """Return the distance of each corner to its nearest neighbour on the board, shape (K,), px."""
+    grid = np.pad(
+        corners.reshape(board.corners[1], board.corners[0], 2), ((1, 1), (1, 1), (0, 0)), constant_values=np.inf
+    )
+    here = grid[1:-1, 1:-1]
+    neighbors = np.stack([grid[1:-1, 2:], grid[1:-1, :-2], grid[2:, 1:-1], grid[:-2, 1:-1]])
+    return np.linalg.norm(neighbors - here, axis=-1).min(axis=0).ravel()
 
 
 def _is_lattice(corners: Floats, board: Checkerboard) -> bool:
-    """All squares turn the same way, and none is folded: both triangles of each have the same sign."""
+    """Check that all squares have one orientation and none is folded: both triangles of each have the same sign."""
     grid = corners.reshape(board.corners[1], board.corners[0], 2)
     right, down = np.diff(grid, axis=1), np.diff(grid, axis=0)
-    upper, lower = _turn(right[:-1], down[:, :-1]), _turn(right[1:], down[:, 1:])
-    turns = np.stack([upper, lower])
-    turns = turns[np.isfinite(turns)]
-    return bool((turns > 0).all() or (turns < 0).all())
+    areas = np.stack([_cross2d(right[:-1], down[:, :-1]), _cross2d(right[1:], down[:, 1:])])
+    areas = areas[np.isfinite(areas)]
+    return bool((areas > 0).all() or (areas < 0).all())
 
 
-def _turn(a: Floats, b: Floats) -> Floats:
+def _cross2d(a: Floats, b: Floats) -> Floats:
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
 def _in_order(corners: Floats, gray: Gray, board: Checkerboard) -> Floats:
-    """Return the corners right-handed, read so that the first four enclose a black square, from the top left."""
+    """Return the corners right-handed, the first four around a black square, starting nearest to the top left."""
     columns, rows = board.corners
     grid = corners.reshape(rows, columns, 2)
-    if np.nanmedian(_turn(np.diff(grid, axis=1)[:-1], np.diff(grid, axis=0)[:, :-1])) < 0:
+    if np.median(_cross2d(np.diff(grid, axis=1)[:-1], np.diff(grid, axis=0)[:, :-1])) < 0:
         grid = grid[:, ::-1]
-    quarters = range(4) if columns == rows else (0, 2)
-    turned = [np.rot90(grid, quarter) for quarter in quarters]
-    black = [reading for reading in turned if _first_is_black(reading, gray)]
-    return min(black or turned, key=lambda reading: reading[0, 0].sum()).reshape(-1, 2).copy()
+    rotated = [np.rot90(grid, quarter) for quarter in (range(4) if columns == rows else (0, 2))]
+    black = [order for order in rotated if _first_is_black(order, gray)]
+    return min(black or rotated, key=lambda order: order[0, 0].sum()).reshape(-1, 2).copy()
 
 
 def _first_is_black(grid: Floats, gray: Gray) -> bool:
@@ -248,11 +237,10 @@ _HALF_VIEW = np.radians(55.0)  # of a virtual camera: a board near the rim strai
 
 
 def find_with_model(image: ArrayLike, board: Checkerboard, camera: OcamCamera) -> Floats | None:
-    """Find a board that was missed, in views of a virtual pinhole camera that looks all around.
+    """Find a board that `find_corners` missed, in virtual pinhole views all around.
 
-    Near the rim squares are bent and squeezed; seen through a first model of the lens by a pinhole camera that
-    looks there, they are squares again. The corners found go back through the model and are refined in the picture
-    itself, so that the model's errors do not enter.
+    Squares near the rim are bent and squeezed; in a pinhole view through a first camera model they are squares again.
+    The corners found are projected back and refined in the image itself, so that errors of the model do not enter.
 
     Parameters
     ----------
@@ -262,21 +250,19 @@ def find_with_model(image: ArrayLike, board: Checkerboard, camera: OcamCamera) -
         A first calibration from other views.
     """
     gray = _gray(image)
+    size = max(gray.shape) // 2
+    focal = (size - 1) / 2 / np.tan(_HALF_VIEW)
+    u, v = np.meshgrid(*[np.arange(size) - (size - 1) / 2] * 2)
     for R in _directions(np.radians(camera.max_fov_deg / 2)):
-        size = max(gray.shape) // 2
-        focal = (size - 1) / 2 / np.tan(_HALF_VIEW)
-        u, v = np.meshgrid(np.arange(size), np.arange(size))
-        rays = np.stack([u - (size - 1) / 2, v - (size - 1) / 2, np.full(u.shape, focal)], axis=-1) @ R.T
-        uv, seen = camera.project(rays)
-        uv[~seen] = -1e4
-        straight = cv2.remap(gray, uv.astype(np.float32), None, cv2.INTER_LINEAR, borderValue=128)
-        found = _classic(straight, board)
+        uv, valid = camera.project(np.stack([u, v, np.full(u.shape, focal)], axis=-1) @ R.T)
+        uv[~valid] = -1e4
+        found = _classic(cv2.remap(gray, uv.astype(np.float32), None, cv2.INTER_LINEAR, borderValue=128), board)
         if found is not None:
             rays = np.column_stack([found - (size - 1) / 2, np.full(len(found), focal)]) @ R.T
-            corners, seen = camera.project(rays)
-            corners = refine_corners(gray, corners, board) if seen.all() else None
+            corners, valid = camera.project(rays)
+            corners = _refine_in_order(gray, corners, board) if valid.all() else None
             if corners is not None:
-                return _in_order(corners, gray, board)
+                return corners
     return None
 
 
@@ -327,19 +313,18 @@ def detect_views(
         corners = progress(pool.map(lambda gray: find_corners(gray, board), grays.values()))
         found = dict(zip(grays, corners, strict=True))
     if all(corners is None for corners in found.values()):
-        raise OmnistereoError(_nothing_found(list(grays.values()), board))
+        raise OmnistereoError(f"no board {board} found in {len(grays)} images. {_advice(list(grays.values()), board)}")
     for a, b in _duplicates(grays, found):
         warnings.warn(f"views {names[a]} and {names[b]} are the same image: it counts twice", stacklevel=2)
     return [found.get(k) for k in range(len(images))]
 
 
-def _nothing_found(grays: list[Gray], board: Checkerboard) -> str:
-    said = f"no board {board} found in {len(grays)} images. "
-    fits = suggest_board(grays, board)
-    if fits is not None:
-        (columns, rows), count = fits
-        return said + f"One of {columns} x {rows} inner corners would fit {count} of them"
-    return said + "Count its inner corners (columns x rows); all of them have to be in sight, sharp and evenly lit"
+def _advice(grays: list[Gray], board: Checkerboard) -> str:
+    suggestion = suggest_board(grays, board)
+    if suggestion is None:
+        return "Check that the board size counts inner corners and that all of them are visible, sharp and evenly lit"
+    (columns, rows), count = suggestion
+    return f"Pass {columns} x {rows} inner corners as board size: such a board is found in {count} of the first images"
 
 
 def suggest_board(
@@ -377,76 +362,3 @@ def _duplicates(grays: dict[int, Gray], found: dict[int, Floats | None]) -> Iter
         close = np.nanmax(np.abs(found[a] - found[b])) < 0.5
         if close and np.abs(grays[a].astype(float) - grays[b]).mean() < _SAME:
             yield a, b
-
-
-# --- Files ------------------------------------------------------------------------------------------------
-
-
-def save_corners(
-    path: str | Path, views: dict[str, Floats | None], board: Checkerboard, image_size: tuple[int, int]
-) -> None:
-    """Write detections as YAML that a person can edit: a line for each corner, null for views without a board.
-
-    Parameters
-    ----------
-    path : path
-    views : dict
-        Name of each picture → corners (K, 2) px, NaN where one is missing, or None.
-    board : Checkerboard
-    image_size : (int, int)
-        Width and height of the pictures.
-    """
-    lines = [
-        f"board: {{corners: [{board.corners[0]}, {board.corners[1]}], square: {board.square!r}}}  # inner, metres",
-        f"image_size: [{image_size[0]}, {image_size[1]}]  # width, height",
-        "views:  # pixels (u, v), row by row; [.nan, .nan] leaves a corner out, null a view",
-    ]
-    for name, corners in views.items():
-        lines.append(f"  {_quoted(name)}:{' null' if corners is None else ''}")
-        lines += [f"  - [{_number(u)}, {_number(v)}]" for u, v in ([] if corners is None else corners)]
-    with atomic_write(path) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def load_corners(path: str | Path) -> tuple[dict[str, Floats | None], Checkerboard, tuple[int, int]]:
-    """Read what `save_corners` wrote: views, board, image size.
-
-    Raises
-    ------
-    OmnistereoError
-        If the file is missing, not YAML, or lacks something; it names the view.
-    """
-    import yaml
-
-    path = Path(path)
-    try:
-        content = yaml.safe_load(read_bytes(path).decode("utf-8"))
-        board = Checkerboard(tuple(content["board"]["corners"]), float(content["board"]["square"]))
-        width, height = (int(side) for side in content["image_size"])
-        views = {str(name): _corners_of(value, name, board) for name, value in content["views"].items()}
-    except OmnistereoError as error:
-        raise OmnistereoError(f"{path}: {error}") from error
-    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, ValueError, AttributeError) as error:
-        raise OmnistereoError(
-            f"{path}: not a file of corners ({type(error).__name__}: {error}); expected board, image_size and views"
-        ) from error
-    return views, board, (width, height)
-
-
-def _corners_of(value: Any, name: str, board: Checkerboard) -> Floats | None:
-    if value is None:
-        return None
-    corners = np.array(value, np.float64)
-    if corners.shape != board.points[:, :2].shape:
-        raise OmnistereoError(
-            f"view {name}: corners of shape {corners.shape}, expected {len(board.points)} pairs of u and v"
-        )
-    return corners
-
-
-def _number(value: float) -> str:
-    return f"{value:.4f}" if np.isfinite(value) else ".nan"
-
-
-def _quoted(name: str) -> str:
-    return '"' + name.replace("\\", "\\\\").replace('"', '\\"') + '"'

@@ -1,33 +1,41 @@
-"""What a calibration says about itself: errors, coverage, uncertainty, and what to do about them."""
+"""Calibration reports: reprojection errors, angular coverage, uncertainty, warnings."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.calibrate.bundle import Estimate, Intrinsics
+from omnistereo_lib.calibrate.params import CalibrationParams, Intrinsics
+from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
 
 Floats = NDArray[np.float64]
 
-_BIN_DEG = 10
+_RING_DEG = 10
+# Limits for warnings.
+_MARGIN_DEG = 10.0  # field of view beyond the last corner
+_FEW_CORNERS = 10  # in a ring
+_FEW_VIEWS = 10
+_OFF_CENTER = 0.1  # of the image side
+_NOT_SQUARE = 0.02
+_LARGE_PX = 1.0
 
 
 @dataclass(frozen=True)
-class Errors:
-    """Reprojection errors of some corners, in the three ways that people quote.
+class ReprojectionErrors:
+    """Reprojection errors of some corners by the three definitions in use.
 
     Attributes
     ----------
     rms_px : float
         Root mean square of all u and v residuals (Urban et al. 2015).
     rms_distance_px : float
-        Root mean square distance, √2 larger (OpenCV's figure).
+        Root mean square distance, √2 larger (OpenCV).
     mean_px : float
-        Mean distance (OCamCalib's figure).
+        Mean distance (OCamCalib).
     """
 
     rms_px: float
@@ -35,8 +43,8 @@ class Errors:
     mean_px: float
 
     @classmethod
-    def of(cls, residuals: Floats) -> Errors:
-        """Return the errors of residuals (..., 2), NaN left out; NaN where there are none."""
+    def from_residuals(cls, residuals: Floats) -> ReprojectionErrors:
+        """Return the errors of residuals (..., 2), NaN ignored; NaN if there are none."""
         squares = np.sum(np.square(residuals), axis=-1).ravel()
         squares = squares[np.isfinite(squares)]
         if squares.size == 0:
@@ -45,68 +53,17 @@ class Errors:
         return cls(np.sqrt(mean / 2), np.sqrt(mean), float(np.sqrt(squares).mean()))
 
 
-@dataclass(frozen=True, eq=False)
-class CameraReport:
-    """How one camera was calibrated and how far it can be trusted.
+class _Report:
+    """Reprojection errors of a report over its inlier residuals."""
 
-    Attributes
-    ----------
-    views_used : tuple of int
-        Indices of the views that the result stands on.
-    left_out : dict
-        Index of each other view → why, in words.
-    outliers : tuple of (view, corner, distance in px)
-        Single corners of used views that were left out, worst first.
-    corners : dict
-        View → (K, 2) px, as observed, NaN where a corner is missing.
-    residuals : dict
-        View → (K, 2) px, predicted minus observed, NaN where a corner is missing; outliers included.
-    angles : dict
-        View → (K,) angle of each corner from the optical axis, radians.
-    T_cam_board : dict
-        View → board → camera.
-    held_back : dict
-        Degree of the polynomial → mean distance in px on views that were not used in the fit, where it was chosen.
-    intrinsics : Intrinsics
-        The parameters that were adjusted.
-    covariance : array, shape (4 + degree, 4 + degree)
-        Of these parameters.
-    sigma_px : float
-        Noise of the corners, each coordinate, that the residuals show.
-    warnings : tuple of str
-        What to know, and what to do.
-    """
-
-    views_used: tuple[int, ...]
-    left_out: Mapping[int, str]
-    outliers: tuple[tuple[int, int, float], ...]
-    corners: Mapping[int, Floats]
-    residuals: Mapping[int, Floats]
-    angles: Mapping[int, Floats]
-    T_cam_board: Mapping[int, Pose]
-    held_back: Mapping[int, float]
-    intrinsics: Intrinsics
-    covariance: Floats
-    sigma_px: float
-    warnings: tuple[str, ...] = ()
-    name: str = "camera"
-
-    def counted(self) -> dict[int, Floats]:
-        """Return the residuals of each view that was used, (K, 2) px, NaN for outliers too."""
-        counted = {view: self.residuals[view].copy() for view in self.views_used}
-        for view, corner, _ in self.outliers:
-            counted[view][corner] = np.nan
-        return counted
-
-    def inliers(self) -> Floats:
-        """Return all residuals that count, shape (M, 2), px."""
-        stacked = np.concatenate(list(self.counted().values()))
-        return stacked[np.isfinite(stacked).all(axis=-1)]
+    def inlier_residuals(self) -> Floats:
+        """Return the residuals of all inliers, shape (M, 2), px."""
+        raise NotImplementedError
 
     @property
-    def errors(self) -> Errors:
-        """All three error figures of the corners that count."""
-        return Errors.of(self.inliers())
+    def errors(self) -> ReprojectionErrors:
+        """Errors of the inliers by all three definitions."""
+        return ReprojectionErrors.from_residuals(self.inlier_residuals())
 
     @property
     def rms_px(self) -> float:
@@ -118,28 +75,93 @@ class CameraReport:
         """Mean distance, px."""
         return self.errors.mean_px
 
+
+@dataclass(frozen=True, eq=False)
+class CameraReport(_Report):
+    """Result of the calibration of one camera.
+
+    Attributes
+    ----------
+    views_used : tuple of int
+        Indices of the views used.
+    rejected : dict
+        Index of each other view → reason.
+    outliers : tuple of (view, corner, distance in px)
+        Corners of used views that were rejected, worst first.
+    corners : dict
+        View → (K, 2) px, as observed, NaN where a corner is missing.
+    residuals : dict
+        View → (K, 2) px, predicted minus observed, NaN where a corner is missing; with outliers.
+    angles : dict
+        View → (K,) angle of each corner from the optical axis, radians.
+    T_cam_board : dict
+        View → board → camera.
+    cv_error_px : dict
+        Degree → mean distance on held-out views, px, if the degree was chosen by cross-validation.
+    intrinsics : Intrinsics
+    covariance : array, shape (4 + degree, 4 + degree)
+        Covariance of `intrinsics.vector`.
+    sigma_px : float
+        Noise of the corners in u and in v, from the residuals.
+    warnings : tuple of str
+        What is wrong and what to do.
+    """
+
+    views_used: tuple[int, ...]
+    rejected: Mapping[int, str]
+    outliers: tuple[tuple[int, int, float], ...]
+    corners: Mapping[int, Floats]
+    residuals: Mapping[int, Floats]
+    angles: Mapping[int, Floats]
+    T_cam_board: Mapping[int, Pose]
+    cv_error_px: Mapping[int, float]
+    intrinsics: Intrinsics
+    covariance: Floats
+    sigma_px: float
+    warnings: tuple[str, ...] = ()
+    name: str = "camera"
+
+    def residuals_used(self) -> dict[int, Floats]:
+        """Return the residuals of each view used, (K, 2) px, NaN for outliers."""
+        used = {view: self.residuals[view].copy() for view in self.views_used}
+        for view, corner, _ in self.outliers:
+            used[view][corner] = np.nan
+        return used
+
+    def inlier_residuals(self) -> Floats:
+        """Return the residuals of all inliers, shape (M, 2), px."""
+        stacked = np.concatenate(list(self.residuals_used().values()))
+        return stacked[np.isfinite(stacked).all(axis=-1)]
+
+    def distances(self, view: int) -> Floats:
+        """Return the reprojection errors of the corners of a view, px, with outliers."""
+        distances = np.linalg.norm(self.residuals[view], axis=1)
+        return distances[np.isfinite(distances)]
+
     @property
     def degree(self) -> int:
         """Degree of the polynomial."""
         return self.intrinsics.degree
 
     @property
-    def coverage_deg(self) -> float:
-        """The largest angle from the optical axis at which corners were seen, degrees."""
+    def max_corner_angle_deg(self) -> float:
+        """Largest angle of a corner from the optical axis, degrees."""
         return float(np.degrees(max(np.nanmax(self.angles[view]) for view in self.views_used)))
 
-    def by_angle(self) -> list[tuple[int, int, Errors]]:
+    def errors_by_angle(self) -> list[tuple[int, int, ReprojectionErrors]]:
         """Return the errors in rings of 10° from the axis: (lower end in degrees, corners, errors)."""
-        residuals = np.concatenate(list(self.counted().values()))
-        ring = np.degrees(np.concatenate([self.angles[view] for view in self.views_used])) // _BIN_DEG
+        residuals = np.concatenate(list(self.residuals_used().values()))
+        ring = np.degrees(np.concatenate([self.angles[view] for view in self.views_used])) // _RING_DEG
         ring[~np.isfinite(residuals).all(axis=1)] = np.nan
-        rings = np.unique(ring[np.isfinite(ring)])
-        return [(int(i) * _BIN_DEG, int((ring == i).sum()), Errors.of(residuals[ring == i])) for i in rings]
+        return [
+            (int(i) * _RING_DEG, int((ring == i).sum()), ReprojectionErrors.from_residuals(residuals[ring == i]))
+            for i in np.unique(ring[np.isfinite(ring)])
+        ]
 
     def ray_uncertainty_deg(self, angles_deg: Floats, azimuths: int = 12) -> Floats:
-        """Return the standard deviation of rays at some angles from the axis, degrees, worst azimuth.
+        """Return the standard deviation of rays at some angles from the axis, degrees, for the worst azimuth.
 
-        The pixels are where the nominal camera sees those angles; the covariance moves what they mean.
+        The pixels are fixed where the camera sees those angles; the covariance varies their rays.
         """
         camera = self.intrinsics.camera(2.0 * min(float(np.max(angles_deg)) + 0.1, 179.0))
         theta, phi = np.meshgrid(np.radians(angles_deg), np.linspace(0, 2 * np.pi, azimuths, endpoint=False))
@@ -149,128 +171,163 @@ class CameraReport:
         def directions(vector: Floats) -> Floats:
             return Intrinsics(vector, self.intrinsics.image_size).rays(pixels)
 
-        spread = standard_deviation(directions, self.intrinsics.vector, self.covariance)
-        return np.degrees(np.linalg.norm(spread, axis=-1).max(axis=0))
+        sigma = standard_deviation(directions, self.intrinsics.vector, self.covariance)
+        return np.degrees(np.linalg.norm(sigma, axis=-1).max(axis=0))
+
+    def build_camera(self, max_fov_deg: float | None) -> tuple[OcamCamera, CameraReport]:
+        """Return the camera, and the report with warnings; None: the field of view ends at the last corner.
+
+        Raises
+        ------
+        OmnistereoError
+            If the polynomial is not monotonic over the field of view.
+        """
+        fov_deg = 2 * self.max_corner_angle_deg if max_fov_deg is None else max_fov_deg
+        camera = self.intrinsics.camera(fov_deg)
+        return camera, replace(self, warnings=(*self.warnings, *_camera_warnings(self, camera)))
 
     def text(self, names: Sequence[str] | None = None) -> str:
-        """Return the report in words; `names` are what the views are called instead of their indices."""
+        """Return the report as text; `names` are what the views are called instead of their indices."""
         e = self.errors
         lines = [
-            f"{self.name}: {len(self.views_used)} views, {len(self.inliers())} corners, polynomial of degree "
-            f"{self.degree}, up to {self.coverage_deg:.0f}° from the axis",
+            f"{self.name}: {len(self.views_used)} views, {len(self.inlier_residuals())} corners, polynomial of degree "
+            f"{self.degree}, up to {self.max_corner_angle_deg:.0f}° from the axis",
             f"  error: {e.rms_px:.3f} px rms in u and v, {e.rms_distance_px:.3f} px rms distance, "
             f"{e.mean_px:.3f} px mean distance",
         ]
-        if self.held_back:
-            table = ", ".join(f"degree {degree}: {error:.3f} px" for degree, error in self.held_back.items())
-            lines.append(f"  on views held back: {table}")
-        rings = ", ".join(f"{low}-{low + _BIN_DEG}°: {e.mean_px:.3f} ({count})" for low, count, e in self.by_angle())
-        lines.append(f"  mean distance in px by angle (corners): {rings}")
-        lines += [f"  {line}" for line in _reasons(self.left_out, "view", names)]
+        if self.cv_error_px:
+            table = ", ".join(f"degree {degree}: {error:.3f} px" for degree, error in self.cv_error_px.items())
+            lines.append(f"  mean distance on held-out views: {table}")
+        rings = (f"{low}-{low + _RING_DEG}°: {e.mean_px:.3f} ({count})" for low, count, e in self.errors_by_angle())
+        lines.append(f"  mean distance in px by angle (corners): {', '.join(rings)}")
+        lines += [f"  {line}" for line in _rejections(self.rejected, "view", names)]
         if self.outliers:
             worst = ", ".join(f"view {_name(v, names)} corner {k}: {px:.1f} px" for v, k, px in self.outliers[:5])
             more = f" and {len(self.outliers) - 5} more" if len(self.outliers) > 5 else ""
-            lines.append(f"  corners left out: {worst}{more}")
+            lines.append(f"  corners rejected: {worst}{more}")
         return "\n".join([*lines, *(f"  warning: {warning}" for warning in self.warnings)])
 
 
+def _camera_warnings(report: CameraReport, camera: OcamCamera) -> Iterator[str]:
+    last, half = report.max_corner_angle_deg, camera.max_fov_deg / 2
+    if half > last + _MARGIN_DEG:
+        yield (
+            f"no corner beyond {last:.0f}° from the axis, but the field of view ends at {half:.0f}°: the camera model "
+            "is extrapolated. Hold the board closer to the rim"
+        )
+    edges = np.arange(0.0, last, _RING_DEG)
+    angles = np.degrees(np.concatenate([report.angles[view] for view in report.views_used]))
+    sparse = np.histogram(angles[np.isfinite(angles)], edges)[0] < _FEW_CORNERS
+    steps = np.diff(np.concatenate([[0], sparse.astype(int), [0]]))
+    for low, high in zip(edges[np.flatnonzero(steps == 1)], edges[np.flatnonzero(steps == -1)], strict=True):
+        yield (
+            f"hardly any corners between {low:.0f}° and {high:.0f}° from the axis: the polynomial is not constrained "
+            "there. Cover every ring"
+        )
+    if len(report.views_used) < _FEW_VIEWS:
+        yield f"only {len(report.views_used)} views. Take 15 or more, tilted every way"
+    size = np.array(camera.image_size)
+    offset = np.array(camera.center) - (size - 1) / 2
+    if (np.abs(offset) > _OFF_CENTER * size).any():
+        yield (
+            f"the optical axis is {np.linalg.norm(offset):.0f} px from the image centre. Check whether the images are "
+            "cropped; a crop is fine if it is the same in every image"
+        )
+    if abs(camera.affine[0] - 1) > _NOT_SQUARE:
+        yield (
+            f"pixels are {camera.affine[0]:.3f} times as high as wide. Check that the images were not resized by "
+            "different factors and that the squares of the board are square"
+        )
+    if report.mean_px > _LARGE_PX:
+        yield (
+            f"the mean error of {report.mean_px:.2f} px is large. Check that the board is flat and all images are "
+            "from one camera with fixed focus and zoom"
+        )
+
+
 @dataclass(frozen=True, eq=False)
-class RigReport:
-    """How a rig was calibrated and how far it can be trusted.
+class RigReport(_Report):
+    """Result of the calibration of a rig.
 
     Attributes
     ----------
-    cameras : tuple of CameraReport
+    joint : tuple of CameraReport
         Each camera in the joint solution; views are captures.
-    alone : tuple of CameraReport
+    single_camera : tuple of CameraReport
         Each camera calibrated by itself, before.
     captures_used : tuple of int
         Captures in the joint solution.
-    left_out : dict
-        Capture → why, in words.
+    rejected : dict
+        Capture → reason.
     shared : dict
-        (camera, camera) → how many captures both saw.
-    estimate : Estimate
+        (camera, camera) → number of captures that both see.
+    params : CalibrationParams
         All unknowns of the joint solution; captures in the order of `captures_used`.
-    covariance : array, shape (rig_size, rig_size)
-        Of the first `estimate.rig_size` unknowns: intrinsics and the poses of cameras 2 ….
+    covariance : array, shape (num_rig_params, num_rig_params)
+        Covariance of the first `params.num_rig_params` unknowns: intrinsics and the poses of cameras 2 ….
     sigma_px : float
-        Noise of the corners, each coordinate.
+        Noise of the corners in u and in v.
     warnings : tuple of str
     """
 
-    cameras: tuple[CameraReport, ...]
-    alone: tuple[CameraReport, ...]
+    joint: tuple[CameraReport, ...]
+    single_camera: tuple[CameraReport, ...]
     captures_used: tuple[int, ...]
-    left_out: Mapping[int, str]
+    rejected: Mapping[int, str]
     shared: Mapping[tuple[int, int], int]
-    estimate: Estimate
+    params: CalibrationParams
     covariance: Floats
     sigma_px: float
-    warnings: tuple[str, ...] = field(default=())
+    warnings: tuple[str, ...] = ()
 
-    @property
-    def errors(self) -> Errors:
-        """All three error figures over all cameras."""
-        return Errors.of(np.concatenate([camera.inliers() for camera in self.cameras]))
-
-    @property
-    def rms_px(self) -> float:
-        """Root mean square of the u and v residuals, px."""
-        return self.errors.rms_px
-
-    @property
-    def mean_px(self) -> float:
-        """Mean distance, px."""
-        return self.errors.mean_px
+    def inlier_residuals(self) -> Floats:
+        """Return the residuals of all inliers of all cameras, shape (M, 2), px."""
+        return np.concatenate([camera.inlier_residuals() for camera in self.joint])
 
     def pose_uncertainty(self) -> list[tuple[float, float]]:
-        """Return one standard deviation of each camera's pose against camera 1: (degrees, metres)."""
-        spread = np.sqrt(np.diag(self.covariance))
-        poses = spread[sum(len(i.vector) for i in self.estimate.intrinsics) :].reshape(-1, 6)
+        """Return the standard deviation of each camera pose against camera 1: (degrees, metres)."""
+        sigma = np.sqrt(np.diag(self.covariance))
+        poses = sigma[sum(len(i.vector) for i in self.params.intrinsics) :].reshape(-1, 6)
         return [(0.0, 0.0)] + [
             (float(np.degrees(np.linalg.norm(row[:3]))), float(np.linalg.norm(row[3:]))) for row in poses
         ]
 
     def text(self, names: Sequence[str] | None = None) -> str:
-        """Return the report in words; `names` are what the captures are called instead of their indices."""
+        """Return the report as text; `names` are what the captures are called instead of their indices."""
         e = self.errors
         lines = [
-            f"rig: {len(self.cameras)} cameras, {len(self.captures_used)} captures, {e.rms_px:.3f} px rms in u and v, "
+            f"rig: {len(self.joint)} cameras, {len(self.captures_used)} captures, {e.rms_px:.3f} px rms in u and v, "
             f"{e.mean_px:.3f} px mean distance"
         ]
-        for number, (camera, alone, (angle, shift)) in enumerate(
-            zip(self.cameras, self.alone, self.pose_uncertainty(), strict=True), start=1
+        for number, (camera, single, (angle, shift)) in enumerate(
+            zip(self.joint, self.single_camera, self.pose_uncertainty(), strict=True), start=1
         ):
             pose = "" if number == 1 else f"; pose known to {angle:.3f}° and {1000 * shift:.2f} mm"
-            lines.append(f"  camera {number}: {camera.rms_px:.3f} px rms ({alone.rms_px:.3f} px alone){pose}")
+            lines.append(f"  camera {number}: {camera.rms_px:.3f} px rms ({single.rms_px:.3f} px by itself){pose}")
         pairs = ", ".join(f"{i + 1}-{j + 1}: {count}" for (i, j), count in sorted(self.shared.items()))
         lines.append(f"  captures shared by cameras {pairs}")
-        lines += [f"  {line}" for line in _reasons(self.left_out, "capture", names)]
+        lines += [f"  {line}" for line in _rejections(self.rejected, "capture", names)]
         lines += [f"  warning: {warning}" for warning in self.warnings]
-        return "\n".join([*lines, *(camera.text(names) for camera in self.cameras)])
+        return "\n".join([*lines, *(camera.text(names) for camera in self.joint)])
 
 
 def _name(view: int, names: Sequence[str] | None) -> str:
     return str(view) if names is None else names[view]
 
 
-def _reasons(left_out: Mapping[int, str], noun: str, names: Sequence[str] | None) -> list[str]:
-    """Return one line for each reason, with all that were left out for it."""
+def _rejections(rejected: Mapping[int, str], noun: str, names: Sequence[str] | None) -> list[str]:
+    """Return one line for each reason, with all views that were rejected for it."""
     reasons: dict[str, list[str]] = {}
-    for view, why in sorted(left_out.items()):
+    for view, why in sorted(rejected.items()):
         reasons.setdefault(why, []).append(_name(view, names))
-    return [
-        f"{noun}{'s' if len(which) > 1 else ''} {', '.join(which)} left out: {why}" for why, which in reasons.items()
-    ]
+    return [f"{noun}{'s' if len(of) > 1 else ''} {', '.join(of)} rejected: {why}" for why, of in reasons.items()]
 
 
 def standard_deviation(function: Callable[[Floats], Floats], x: Floats, covariance: Floats) -> Floats:
     """Return the standard deviation of everything a function returns, to first order: √diag(J Σ Jᵀ).
 
-    The derivatives are taken numerically along the principal axes of Σ, with steps of one standard deviation.
-    Along single parameters they would mean nothing: coefficients of a polynomial are known together far better
-    than each by itself.
+    Derivatives are numerical, along the principal axes of Σ with steps of one standard deviation: coefficients of a
+    polynomial are known together far better than each by itself.
 
     Parameters
     ----------
@@ -278,10 +335,9 @@ def standard_deviation(function: Callable[[Floats], Floats], x: Floats, covarian
         From parameters (n,) to an array of any shape.
     x : array, shape (n,)
     covariance : array, shape (n, n)
-        Of the parameters.
+        Covariance of the parameters.
     """
     scale = np.sqrt(np.diag(covariance))
     variances, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
     steps = (scale[:, None] * axes * np.sqrt(variances.clip(0.0))).T
-    variance = sum(np.square((function(x + step) - function(x - step)) / 2.0) for step in steps)
-    return np.sqrt(variance)
+    return np.sqrt(sum(np.square((function(x + step) - function(x - step)) / 2.0) for step in steps))

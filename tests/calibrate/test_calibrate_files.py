@@ -14,8 +14,8 @@ from boards import BOARD, SIZE
 
 import omnistereo_lib as osl
 from omnistereo_lib import cli
-from omnistereo_lib.calibrate.captures import find_captures
-from omnistereo_lib.calibrate.detect import find_corners, save_corners
+from omnistereo_lib.calibrate.captures import find_captures, load_corners, save_corners
+from omnistereo_lib.calibrate.detect import find_corners
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.rig_files import export_rig
@@ -86,13 +86,13 @@ def test_one_camera_needs_no_folder_of_its_own(tmp_path):
 
 
 def test_folders_without_pictures_or_common_names(tmp_path):
-    with pytest.raises(OmnistereoError, match="holds no pictures"):
+    with pytest.raises(OmnistereoError, match="has no images"):
         find_captures(tmp_path)
-    with pytest.raises(OmnistereoError, match="is no folder"):
+    with pytest.raises(OmnistereoError, match="is not a folder"):
         find_captures(tmp_path / "none")
     picture(tmp_path / "cam1" / "left_1.png")
     picture(tmp_path / "cam2" / "right_1.png")
-    with pytest.warns(UserWarning, match=r"no two cameras have a picture of the same name \(cam1/left_1, cam2/right_1"):
+    with pytest.warns(UserWarning, match=r"no two cameras have an image of the same name \(cam1/left_1, cam2/right_1"):
         find_captures(tmp_path)
 
 
@@ -124,7 +124,7 @@ def test_shipped_captures_show_what_their_truth_says(name):
             if path is not None and truth[captures.names[k]][0] is None:
                 found, true = find_corners(osl.load_images([path])[0], BOARD), truth[captures.names[k]][1][i]
                 if found is not None:
-                    errors.append(min((found - true[r] for r in BOARD.readings), key=lambda e: np.nanmean(e**2)))
+                    errors.append(min((found - true[r] for r in BOARD.symmetries), key=lambda e: np.nanmean(e**2)))
     errors = np.concatenate(errors)
     assert len(errors) >= 5 * 120
     assert np.sqrt(np.nanmean(errors**2)) < 0.09
@@ -152,7 +152,7 @@ def noisy(name, rng, sigma=0.08):
     for k, capture in enumerate(captures.names):
         for i, corners in truth[capture][1].items():
             if np.isfinite(corners).all():
-                views[i][k] = (corners + rng.normal(0, sigma, corners.shape))[BOARD.readings[rng.integers(2)]]
+                views[i][k] = (corners + rng.normal(0, sigma, corners.shape))[BOARD.symmetries[rng.integers(2)]]
     return views, captures.names
 
 
@@ -169,7 +169,7 @@ def test_moved_boards_are_named_and_the_rig_is_the_same():
     views, names = noisy("mistakes", np.random.default_rng(1))
     rig, report = osl.calibrate_rig(views, BOARD, [SIZE] * 4)
     moved = {name for name, (mistake, _) in truth_of("mistakes").items() if mistake == "moved"}
-    assert {names[k] for k in report.left_out} == moved
+    assert {names[k] for k in report.rejected} == moved
     assert_is_the_true_rig(rig, report, "mistakes")
 
 
@@ -177,11 +177,11 @@ def test_the_report_on_pictures_names_exactly_the_bad_ones():
     captures, truth = find_captures(SHIPPED / "mistakes"), truth_of("mistakes")
     rig, report = osl.calibrate_rig(captures.views(), BOARD)
     named = {mistake: set() for mistake in ("blurred", "cut", "moved")}
-    named["moved"] = {(captures.names[k], None) for k in report.left_out}
-    for i, camera in enumerate(report.cameras):
-        for k, why in camera.left_out.items():
+    named["moved"] = {(captures.names[k], None) for k in report.rejected}
+    for i, camera in enumerate(report.joint):
+        for k, why in camera.rejected.items():
             named["cut" if why == "no board found" else "blurred"].add((captures.names[k], i))
-            assert why == "no board found" or why.startswith("it is blurred: edges ")
+            assert why == "no board found" or why.startswith("blurred: edges ")
     expected = {mistake: set() for mistake in named}
     for name, (mistake, seen) in truth.items():
         if mistake is not None:
@@ -295,9 +295,9 @@ def test_a_rig_from_corners_on_file(detected, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--board", "12x10"], "holds no pictures"),
+        (["--board", "12x10"], "has no images"),
         (["--board", "9x6", "--corners", "DETECTED"], "is of a board of 12 x 10"),
-        (["--board", "2x9"], "whole numbers from 3 up"),
+        (["--board", "2x9"], "two integers of at least 3"),
         (["--board", "12x10", "--corners", "EMPTY"], "holds no corners_"),
     ],
 )
@@ -352,8 +352,6 @@ def test_index_shift_is_what_the_sweep_finds():
 
 
 def test_index_uncertainty_shrinks_with_the_noise(detected):
-    from omnistereo_lib.calibrate.detect import load_corners
-
     rows = [list(load_corners(detected / f"corners_cam{i}.yaml")[0].values()) for i in (1, 2, 3, 4)]
     report = osl.calibrate_rig(rows, BOARD, [SIZE] * 4)[1]
     grid = osl.SphereGrid(16, 4, (-30, 30), 192, 0.55)
