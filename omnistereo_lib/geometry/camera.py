@@ -1,14 +1,14 @@
-"""The polynomial fisheye camera Π of the paper (Section III-A; Scaramuzza 2006, Urban 2015).
+"""Polynomial fisheye camera Π (paper, Section III-A; Scaramuzza 2006, Urban 2015).
 
-A direct polynomial f gives the ray of a pixel, an inverse polynomial ρ gives the pixel of a ray::
+The direct polynomial f maps a pixel to a ray, the inverse polynomial r maps a ray to a pixel::
 
     ray(x, y) ∝ (x, y, -f(r)),  r = hypot(x, y)           pixels from the centre, before the affine map A
     r(t) = b0 + b1 t + b2 t² + ...                        t = atan2(-Z, hypot(X, Y)), the angle below the xy-plane
 
-so the angle from the optical axis is t + π/2, and 220° lenses need nothing special: no division by Z.
+The angle from the optical axis is t + π/2. Nothing is divided by Z, so a field of view above 180° is not special.
 
 Camera frame: x right, y down, z along the optical axis. Pixels: (u right, v down), integers are pixel
-centres, (0, 0) is the centre of the top-left pixel. Files keep (row, column); their reader swaps.
+centres, (0, 0) is the centre of the top-left pixel. Files store (row, column); their reader swaps.
 """
 
 from __future__ import annotations
@@ -24,10 +24,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.errors import OmnistereoError
 
-Array = Any  # a NumPy array or a torch tensor: both have every operation that is used here
+Array = Any  # a NumPy array or a torch tensor: both have every operation used here
 
-_INVERSE_TOLERANCE = 0.01  # px, as the original toolbox demands of the inverse polynomial
-_EDGE = 1e-6  # px: the corner pixel stays inside the image after a round trip's rounding
+_INVERSE_TOLERANCE = 0.01  # px, the tolerance of OCamCalib
+_EDGE = 1e-6  # px; keeps the corner pixels inside the image after the rounding of a round trip
+_NEWTON_STEPS = 4  # starting from 1024 samples, the error falls 1e-3 → 1e-6 → 1e-12 → rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,17 +40,17 @@ class OcamCamera:
     poly : sequence of float
         Direct polynomial f, coefficients from low to high, pixels; f(0) < 0.
     inv_poly : sequence of float
-        Inverse polynomial r(t), coefficients from low to high, pixels. `fit_inverse_polynomial` makes it.
+        Inverse polynomial r(t), coefficients from low to high, pixels; see `fit_inverse_polynomial`.
     center : (float, float)
         Image of the optical axis (u, v), pixels.
     affine : (float, float, float)
-        c, d, e of the paper's A as the files name them: u = x + e y + u0, v = d x + c y + v0.
+        c, d, e of the affine map A, named as in the files: u = x + e y + u0, v = d x + c y + v0.
     image_size : (int, int)
         Width and height, pixels.
     max_fov_deg : float
-        Full field of view; directions more than half of it away from the axis are not seen.
-    mask : bool array, shape (height, width), optional
-        True where the picture is usable. None: everywhere.
+        Full field of view in (0, 360]; rays further than half of it from the axis are invalid.
+    mask : array of any numeric type, shape (height, width), optional
+        Non-zero where the image is valid; stored as bool. None: everywhere.
 
     Raises
     ------
@@ -64,13 +65,14 @@ class OcamCamera:
     image_size: tuple[int, int]
     max_fov_deg: float = 220.0
     mask: NDArray[np.bool_] | None = None
-    max_radius: float = field(init=False, repr=False)  # where the field of view ends, px before A
+    max_radius: float = field(init=False, repr=False)  # of the field of view, px before A
 
-    load: ClassVar[Callable[..., OcamCamera]]  # `rig_files` attaches it: geometry knows nothing of files
+    load: ClassVar[Callable[..., OcamCamera]]  # attached by `rig_files`: geometry does not read files
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "poly", np.asarray(self.poly, np.float64))
         object.__setattr__(self, "inv_poly", np.asarray(self.inv_poly, np.float64))
+        object.__setattr__(self, "mask", None if self.mask is None else np.asarray(self.mask) != 0)
         self._check()
         for name, number in (("center", float), ("affine", float), ("image_size", int)):  # plain, not NumPy scalars
             object.__setattr__(self, name, tuple(map(number, getattr(self, name))))
@@ -81,22 +83,20 @@ class OcamCamera:
         for name in ("poly", "inv_poly"):
             coefficients = getattr(self, name)
             if coefficients.ndim != 1 or len(coefficients) < 2 or not np.isfinite(coefficients).all():
-                raise OmnistereoError(f"{name} needs two or more finite coefficients, got {coefficients.tolist()}")
+                raise OmnistereoError(f"{name} is {coefficients.tolist()}; expected at least 2 finite coefficients")
         width, height = self.image_size
         if not (width >= 2 and height >= 2 and width % 1 == 0 and height % 1 == 0):
-            raise OmnistereoError(f"image size must be two whole numbers of at least 2 px, got {self.image_size}")
+            raise OmnistereoError(f"image_size is {self.image_size}; expected two integers of at least 2 px")
         if not 0 < self.max_fov_deg <= 360:
-            raise OmnistereoError(f"max_fov_deg must be in (0, 360], got {self.max_fov_deg}")
+            raise OmnistereoError(f"max_fov_deg is {self.max_fov_deg}; expected a value in (0, 360]")
         if not np.isfinite([*self.center, *self.affine]).all():
-            raise OmnistereoError(f"centre and affine must be finite, got {self.center} and {self.affine}")
+            raise OmnistereoError(f"center is {self.center} and affine {self.affine}; expected finite numbers")
         if abs(np.linalg.det(self._A)) < 1e-6:
-            raise OmnistereoError(f"the affine map c, d, e = {self.affine} is singular, expected about (1, 0, 0)")
+            raise OmnistereoError(f"the affine map c, d, e = {self.affine} is singular; expected about (1, 0, 0)")
         if self.poly[0] >= 0:
-            raise OmnistereoError(f"the direct polynomial must start below 0 (a0 = -focal length), got {self.poly[0]}")
+            raise OmnistereoError(f"poly starts with {self.poly[0]}; expected a0 < 0 (minus the focal length in px)")
         if self.mask is not None and self.mask.shape != (height, width):
-            raise OmnistereoError(
-                f"the mask has shape {self.mask.shape}, the camera's image is (height, width) = {(height, width)}"
-            )
+            raise OmnistereoError(f"mask has shape {self.mask.shape}; expected (height, width) = {(height, width)}")
 
     @property
     def _A(self) -> NDArray[np.float64]:
@@ -107,55 +107,65 @@ class OcamCamera:
     def _max_t(self) -> float:
         return float(np.radians(self.max_fov_deg / 2) - np.pi / 2)
 
-    def project(self, points: ArrayLike, exact: bool = False) -> tuple[Array, Array]:
-        """Project points to pixels: A(Π(X; Φ)) of the paper.
+    @property
+    def _search_px(self) -> float:
+        return 3 * max(self.image_size)  # upper bound of the radius for the direct polynomial
+
+    def project(self, points: ArrayLike, use_direct_poly: bool = False) -> tuple[Array, Array]:
+        """Project points to pixels: A(Π(X; Φ)) (paper, Section III-A).
 
         Parameters
         ----------
         points : array or torch tensor, shape (..., 3)
             Points in the camera frame; only their direction matters.
-        exact : bool
-            False: the inverse polynomial, as every released code does. True: the root of the direct
-            polynomial, for files whose two polynomials disagree.
+        use_direct_poly : bool
+            False: evaluate the inverse polynomial, as every released code does. True: find the root of the
+            direct polynomial, for files whose two polynomials disagree.
 
         Returns
         -------
         uv : shape (..., 2), pixels
             Meaningful where valid; finite elsewhere, so that it can be interpolated.
         valid : bool, shape (...)
-            Within the field of view, inside the image, on the mask. Points at the camera centre
-            or not finite are invalid.
+            Within the field of view, inside the image, on the mask. False for points that are not finite or lie
+            at the camera centre.
+
+        Raises
+        ------
+        OmnistereoError
+            If points has another shape, or the direct polynomial does not reach the field of view.
         """
         points, xp = _as_array(points, 3)
         x, y, z = points[..., 0], points[..., 1], points[..., 2]
         n = xp.hypot(x, y)
         t = xp.arctan2(-z, n)
         finite = xp.isfinite(n) & xp.isfinite(z) & (xp.hypot(n, z) > 0)
-        seen = finite & (t <= self._max_t + 1e-12)
-        t = xp.where(seen, t, xp.full_like(t, self._max_t))  # the polynomial means nothing further out
-        r = self._radius_by_root(t) if exact else _horner(self.inv_poly, t)
-        off_axis = finite & (n > 0)  # the axis itself lands on the centre
+        in_view = finite & (t <= self._max_t + 1e-12)
+        t = xp.where(in_view, t, xp.full_like(t, self._max_t))  # the polynomial is undefined further out
+        r = self._radius_by_root(t) if use_direct_poly else _horner(self.inv_poly, t)
+        off_axis = finite & (n > 0)  # points on the axis project to the centre
         n = xp.where(off_axis, n, xp.ones_like(n))
-        # Divide first: close to the axis r / n alone can overflow.
+        # Divide first: r / n can overflow close to the axis.
         x, y = (xp.where(off_axis, side, xp.zeros_like(side)) / n * r for side in (x, y))
         c, d, e = self.affine
         uv = xp.stack([x + e * y + self.center[0], d * x + c * y + self.center[1]], -1)
-        return uv, seen & self.contains(uv)
+        return uv, in_view & self.contains(uv)
 
-    def unproject(self, uv: ArrayLike, exact: bool = False) -> tuple[Array, Array]:
-        """Return the unit rays of pixels: the inverse of `project` with the same `exact`.
+    def unproject(self, uv: ArrayLike, use_direct_poly: bool = False) -> tuple[Array, Array]:
+        """Return the unit rays of pixels: the inverse of `project` with the same `use_direct_poly`.
 
         Parameters
         ----------
         uv : array or torch tensor, shape (..., 2), pixels
-        exact : bool
-            False: the inverse polynomial, inverted numerically. True: the direct polynomial.
+        use_direct_poly : bool
+            False: invert the inverse polynomial numerically. True: evaluate the direct polynomial.
 
         Returns
         -------
         rays : shape (..., 3), unit length, camera frame
         valid : bool, shape (...)
-            Inside the image, on the mask, within the field of view.
+            Inside the image, on the mask, within the field of view, and with `use_direct_poly` no further out than
+            the direct polynomial is monotonic.
         """
         uv, xp = _as_array(uv, 2)
         finite = xp.isfinite(uv[..., 0]) & xp.isfinite(uv[..., 1])
@@ -164,16 +174,22 @@ class OcamCamera:
         (i00, i01), (i10, i11) = np.linalg.inv(self._A)
         x, y = i00 * u + i01 * v, i10 * u + i11 * v
         r = xp.hypot(x, y)
-        t = xp.arctan2(_horner(self.poly, r), r) if exact else self._angle_by_root(r)
+        if use_direct_poly:
+            t, max_radius = (
+                xp.arctan2(_horner(self.poly, r), r),
+                _branch_end(self.poly, self._max_t, self._search_px)[0],
+            )
+        else:
+            t, max_radius = self._angle_by_root(r), self.max_radius
         sine = xp.cos(t)  # of the angle from the axis, which is t + π/2
         safe_r = xp.where(r > 0, r, xp.ones_like(r))
         rays = xp.stack([x / safe_r * sine, y / safe_r * sine, -xp.sin(t)], -1)
         axis = xp.zeros_like(rays) + _like(xp, rays, [0.0, 0.0, 1.0])
         rays = xp.where((r > 0)[..., None], rays, axis)
-        return rays, finite & self.contains(uv) & (t <= self._max_t + 1e-9) & (r <= self.max_radius + 1e-6)
+        return rays, finite & self.contains(uv) & (t <= self._max_t + 1e-9) & (r <= max_radius + 1e-6)
 
     def contains(self, uv: Array) -> Array:
-        """Return where pixels (..., 2) lie inside the image and on the mask; bool, shape (...)."""
+        """Return whether pixels (..., 2) lie inside the image and on the mask; bool, shape (...)."""
         width, height = self.image_size
         u, v = uv[..., 0], uv[..., 1]
         low, right, bottom = -_EDGE, width - 1 + _EDGE, height - 1 + _EDGE
@@ -187,14 +203,14 @@ class OcamCamera:
             return inside & self.mask[row.astype(int), column.astype(int)]
         return inside & xp.as_tensor(self.mask, device=uv.device)[row.long(), column.long()]
 
-    def polynomial_disagreement(self) -> float:
-        """Return the largest distance in pixels between the two polynomials' images over the field of view."""
+    def inverse_poly_error_px(self) -> float:
+        """Return the largest distance in pixels between `poly` and `inv_poly` over the field of view."""
         t = np.linspace(-np.pi / 2 + 1e-6, self._max_t, 2000)
         return float(np.abs(self._radius_by_root(t) - _horner(self.inv_poly, t)).max())
 
     def _radius_by_root(self, t: Array) -> Array:
-        """Solve f(r) cos t = r sin t, the direct polynomial's smallest positive root, by Newton's method."""
-        radii, angles = _monotone_branch(self.poly, self._max_t, 3 * max(self.image_size))
+        """Find the smallest positive root r of f(r) cos t = r sin t by Newton's method."""
+        radii, angles = _monotone_branch(self.poly, self._max_t, self._search_px)
         slope = _derivative(self.poly)
         xp = _namespace(t)
         r = _interpolate(xp, t, angles, radii)
@@ -204,7 +220,7 @@ class OcamCamera:
         return r
 
     def _angle_by_root(self, r: Array) -> Array:
-        """Solve r(t) = r for t by Newton's method, from a table; radii past the field of view stop at its end."""
+        """Solve r(t) = r for t by Newton's method, clipped to the field of view."""
         angles = np.linspace(-np.pi / 2, self._max_t, 1024)
         radii = _horner(self.inv_poly, angles)
         slope = _derivative(self.inv_poly)
@@ -216,22 +232,19 @@ class OcamCamera:
         return t
 
 
-_NEWTON_STEPS = 4  # from a table of 1024 entries the error falls 1e-3 → 1e-6 → 1e-12 → rounding
-
-
 def fit_inverse_polynomial(
     poly: ArrayLike, max_fov_deg: float, max_radius: float, tolerance: float = _INVERSE_TOLERANCE
 ) -> NDArray[np.float64]:
-    """Fit the inverse polynomial r(t) to a direct one, raising the degree until it is good enough.
+    """Fit the inverse polynomial r(t) with the lowest degree that reaches the tolerance.
 
     Parameters
     ----------
     poly : sequence of float
         Direct polynomial, low to high, pixels.
     max_fov_deg : float
-        Full field of view that has to be covered.
+        Full field of view to cover.
     max_radius : float
-        Search bound for the radius in pixels, such as three times the image's larger side.
+        Upper bound of the radius in pixels, such as three times the larger side of the image.
     tolerance : float
         Largest error in pixels.
 
@@ -242,7 +255,7 @@ def fit_inverse_polynomial(
     Raises
     ------
     OmnistereoError
-        If the direct polynomial turns back before the field of view ends, or no degree up to 25 fits.
+        If the direct polynomial is not monotonic up to the end of the field of view, or no degree up to 25 fits.
     """
     max_t = np.radians(max_fov_deg / 2) - np.pi / 2
     radii, angles = _monotone_branch(np.asarray(poly, np.float64), max_t, max_radius)
@@ -252,27 +265,33 @@ def fit_inverse_polynomial(
         if error < tolerance:
             return fit.convert().coef
     raise OmnistereoError(
-        f"no inverse polynomial up to degree 25 comes within {tolerance} px of the direct one {np.asarray(poly)}: "
-        f"the last is {error:.3g} px off. Is max_fov_deg = {max_fov_deg} more than the lens has?"
+        f"poly {np.asarray(poly)}: the inverse polynomial of degree 25 has an error of {error:.3g} px; "
+        f"expected at most {tolerance} px. Lower max_fov_deg = {max_fov_deg} to the field of view of the lens."
     )
+
+
+def _branch_end(poly: NDArray[np.float64], max_t: float, max_radius: float) -> tuple[float, float]:
+    """Return the radius and the angle t up to which the angle grows with the radius, or max_t is reached."""
+    radii = np.linspace(0.0, max_radius, 4096)
+    angles = np.arctan2(_horner(poly, radii), radii)
+    growing = int(np.argmin(np.append(np.diff(angles) > 0, False)))  # stops at NaN from overflow as well
+    end = min(int(np.searchsorted(angles[: growing + 1], max_t)), growing)
+    return float(radii[end]), float(angles[end])
 
 
 def _monotone_branch(
     poly: NDArray[np.float64], max_t: float, max_radius: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Sample radius against angle t from the axis outwards as far as the angle grows and max_t needs it."""
-    radii = np.linspace(0.0, max_radius, 4096)
-    angles = np.arctan2(_horner(poly, radii), radii)
-    growing = int(np.argmin(np.append(np.diff(angles) > 0, False)))  # overflow to NaN does not grow either
-    reach = int(np.searchsorted(angles[: growing + 1], max_t))
-    if reach > growing:
+    """Sample radii and angles t of the direct polynomial from the axis to max_t; refuse one that ends earlier."""
+    radius, angle = _branch_end(poly, max_t, max_radius)
+    if angle < max_t:
         raise OmnistereoError(
-            f"the direct polynomial {poly.tolist()} reaches only {2 * np.degrees(angles[growing] + np.pi / 2):.1f}° "
-            f"of field of view before it turns back or leaves {max_radius:.0f} px, "
-            f"expected {2 * np.degrees(max_t + np.pi / 2):.1f}°. Lower max_fov_deg or check the coefficients."
+            f"the direct polynomial {poly.tolist()} is monotonic only up to {np.degrees(2 * angle) + 180:.1f}° of field "
+            f"of view (within {max_radius:.0f} px); expected {np.degrees(2 * max_t) + 180:.1f}°. Lower max_fov_deg or "
+            f"check the coefficients."
         )
-    # Between 0 and the end of the field, densely: the angle is steep in r near the axis of long lenses.
-    radii = np.linspace(0.0, radii[reach], 1024)
+    # Sampled again, densely: the angle is steep in r near the axis of long lenses.
+    radii = np.linspace(0.0, radius, 1024)
     return radii, np.arctan2(_horner(poly, radii), radii)
 
 
@@ -290,7 +309,7 @@ def _derivative(coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _namespace(a: Array) -> ModuleType:
-    """Return torch for a tensor, NumPy for everything else, without ever importing torch."""
+    """Return torch for a tensor, NumPy for anything else; torch is not imported."""
     torch = sys.modules.get("torch")
     return torch if torch is not None and isinstance(a, torch.Tensor) else np
 
@@ -299,7 +318,7 @@ def _as_array(a: ArrayLike, width: int) -> tuple[Array, ModuleType]:
     xp = _namespace(a)
     a = np.asarray(a, np.float64) if xp is np else a
     if a.ndim < 1 or a.shape[-1] != width:
-        raise OmnistereoError(f"expected an array of shape (..., {width}), got {tuple(a.shape)}")
+        raise OmnistereoError(f"the array has shape {tuple(a.shape)}; expected (..., {width})")
     return a, xp
 
 
@@ -308,7 +327,7 @@ def _like(xp: ModuleType, a: Array, values: ArrayLike) -> Array:
 
 
 def _interpolate(xp: ModuleType, x: Array, xs: NDArray[np.float64], ys: NDArray[np.float64]) -> Array:
-    """Interpolate linearly in a table with growing xs."""
+    """Interpolate linearly between samples (xs, ys) with increasing xs."""
     if xp is np:
         return np.interp(x, xs, ys)
     xs, ys = _like(xp, x, xs), _like(xp, x, ys)

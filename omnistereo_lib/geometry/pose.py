@@ -1,4 +1,4 @@
-"""Rigid poses: the paper's Θ = (r, t), its matrix M(Θ), ⋆ and inverse (Section III-A)."""
+"""Rigid poses Θ = (r, t), their matrix M(Θ), composition ⋆ and inverse (paper, Section III-A)."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class Pose:
     Parameters
     ----------
     R : array, shape (3, 3)
-        Rotation matrix. One that is a rotation only to print precision is replaced by the nearest one.
+        Rotation matrix; rounding as in printed files, up to 1e-5, is corrected.
     t : array, shape (3,)
-        Translation in metres: where frame b's origin stands in frame a.
+        Translation in metres: the origin of frame b in frame a.
 
     Raises
     ------
@@ -35,18 +35,18 @@ class Pose:
     def __post_init__(self) -> None:
         R, t = np.asarray(self.R, np.float64), np.asarray(self.t, np.float64)
         if R.shape != (3, 3) or t.shape != (3,):
-            raise OmnistereoError(f"a pose needs R of shape (3, 3) and t of shape (3,), got {R.shape} and {t.shape}")
+            raise OmnistereoError(f"R has shape {R.shape} and t {t.shape}; expected (3, 3) and (3,)")
         if not (np.isfinite(R).all() and np.isfinite(t).all()):
-            raise OmnistereoError(f"a pose must be finite, got R = {R.tolist()}, t = {t.tolist()}")
+            raise OmnistereoError(f"the pose is R = {R.tolist()}, t = {t.tolist()}; expected finite numbers")
         U, _, Vt = np.linalg.svd(R)
         nearest = U @ Vt
         error = np.abs(nearest - R).max()
         if error > _ROTATION_TOLERANCE or np.linalg.det(R) < 0:
             raise OmnistereoError(
-                f"R is not a rotation: it is {error:.2g} away from the nearest orthogonal matrix and has "
-                f"determinant {np.linalg.det(R):.4f}, expected 0 and +1. Is it scaled, mirrored or a 3x4 matrix's part?"
+                f"R is not a rotation: it differs by {error:.2g} from the nearest orthogonal matrix and has "
+                f"determinant {np.linalg.det(R):.4f}; expected 0 and +1. Check that R is not scaled or mirrored."
             )
-        # Keep exact rotations as they are: the projection would move them by a rounding error.
+        # Keep exact rotations unchanged: the projection would add a rounding error.
         object.__setattr__(self, "R", nearest if error > 1e-12 else R)
         object.__setattr__(self, "t", t)
 
@@ -60,7 +60,7 @@ class Pose:
         """Return M(Θ) for Θ = (r, t): axis-angle in radians, then metres, 6 numbers (paper, Section III-A)."""
         theta = np.asarray(theta, np.float64)
         if theta.shape != (6,):
-            raise OmnistereoError(f"a pose vector has 6 numbers (rx ry rz tx ty tz), got shape {theta.shape}")
+            raise OmnistereoError(f"the pose vector has shape {theta.shape}; expected 6 numbers (rx ry rz tx ty tz)")
         return cls(rotation_from_axis_angle(theta[:3]), theta[3:])
 
     def as_vector(self) -> NDArray[np.float64]:
@@ -68,20 +68,20 @@ class Pose:
         return np.concatenate([axis_angle_from_rotation(self.R), self.t])
 
     def inverse(self) -> Pose:
-        """Return T_ba, the transform back."""
+        """Return the inverse transform T_ba (paper, Section III-A)."""
         return Pose(self.R.T, -self.R.T @ self.t)
 
     def __matmul__(self, other: Pose | ArrayLike) -> Pose | NDArray[np.float64]:
-        """Compose (T_ab @ T_bc = T_ac, the paper's ⋆) or transform points of shape (..., 3), frame b to a."""
+        """Compose poses (T_ab @ T_bc = T_ac, ⋆ of Section III-A) or transform points (..., 3) from frame b to a."""
         if isinstance(other, Pose):
             return Pose(self.R @ other.R, self.R @ other.t + self.t)
         points = np.asarray(other, np.float64)
         if points.shape[-1:] != (3,):
-            raise OmnistereoError(f"a pose transforms points of shape (..., 3), got {points.shape}")
+            raise OmnistereoError(f"the points have shape {points.shape}; expected (..., 3)")
         return points @ self.R.T + self.t
 
     def magnitude(self) -> tuple[float, float]:
-        """Return how far the transform moves things: the rotation angle in degrees, the translation in metres."""
+        """Return the rotation angle in degrees and the length of the translation in metres."""
         angle = np.linalg.norm(axis_angle_from_rotation(self.R))
         return float(np.degrees(angle)), float(np.linalg.norm(self.t))
 
@@ -100,9 +100,9 @@ def rotation_from_axis_angle(r: ArrayLike) -> NDArray[np.float64]:
 
 
 def axis_angle_from_rotation(R: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return r, shape (3,), with R(r) = R and |r| ≤ π, through the unit quaternion (stable at 0 and at π)."""
-    # Shepperd's method: each row of this symmetric matrix is the quaternion (x, y, z, w) times 4 × one
-    # of its own components; the row with the largest diagonal entry divides by no small number.
+    """Return r in radians, shape (3,), with R(r) = R and |r| ≤ π, stable at 0 and at π."""
+    # Shepperd's method: each row of this symmetric matrix is the unit quaternion (x, y, z, w) times 4 × one
+    # of its components; the row with the largest diagonal entry avoids dividing by a small number.
     xx, yy, zz = np.diag(R)
     sums, differences = R + R.T, R - R.T
     x, y, z = differences[2, 1], differences[0, 2], differences[1, 0]

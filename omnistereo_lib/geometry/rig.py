@@ -1,9 +1,10 @@
-"""A rig: cameras that are fixed to each other (paper, Section III-A, Θ_i)."""
+"""Rigs of fixed cameras and the camera pairs that are matched (paper, Section III-A and III-B)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -14,19 +15,20 @@ from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
 
 Unit = Literal["mm", "cm", "m"]
+Pairs = Literal["ring", "all"] | Sequence[tuple[int, int]]
 
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """Two or more cameras and where they stand.
+    """Two or more cameras and their poses.
 
     Parameters
     ----------
     cameras : sequence of OcamCamera
     T_rig_cam : sequence of Pose
-        Camera → rig, metres: the public files' direction, the inverse of the paper's Θ*.
+        Camera → rig, metres: the direction of the public files, the inverse of Θ* in the paper.
     min_depth : float, optional
-        Nearest depth in metres that the rig's file proposes for a sweep.
+        Nearest depth in metres that the rig file proposes for a sweep.
 
     Raises
     ------
@@ -38,7 +40,7 @@ class Rig:
     T_rig_cam: tuple[Pose, ...]
     min_depth: float | None = None
 
-    load: ClassVar[Callable[..., Rig]]  # `rig_files` attaches both: geometry knows nothing of files
+    load: ClassVar[Callable[..., Rig]]  # both attached by `rig_files`: geometry does not read files
     save: ClassVar[Callable[..., None]]
 
     def __post_init__(self) -> None:
@@ -46,8 +48,8 @@ class Rig:
         object.__setattr__(self, "T_rig_cam", tuple(self.T_rig_cam))
         if len(self.cameras) < 2 or len(self.cameras) != len(self.T_rig_cam):
             raise OmnistereoError(
-                f"a rig needs two or more cameras and one pose each, got {len(self.cameras)} cameras "
-                f"and {len(self.T_rig_cam)} poses"
+                f"the rig has {len(self.cameras)} cameras and {len(self.T_rig_cam)} poses; "
+                f"expected at least 2 cameras and one pose per camera"
             )
 
     def __len__(self) -> int:
@@ -64,21 +66,62 @@ class Rig:
         i, j = np.triu_indices(len(self), 1)
         return np.linalg.norm(self.centers[i] - self.centers[j], axis=-1)
 
-    def moved(self, T_new_rig: Pose) -> Rig:
-        """Return the same rig in another frame: T_new_rig takes rig coordinates to the new frame."""
-        return Rig(self.cameras, [T_new_rig @ pose for pose in self.T_rig_cam], self.min_depth)
+    def transformed(self, T_new_rig: Pose) -> Rig:
+        """Return the rig in another frame: T_new_rig maps rig coordinates to the new frame."""
+        return self.with_poses([T_new_rig @ pose for pose in self.T_rig_cam])
 
-    def centered(self, center: ArrayLike | None = None) -> Rig:
-        """Return the rig with its origin at the sweep centre, without turning it.
+    def recentered(self, center: ArrayLike | None = None) -> Rig:
+        """Return the rig with its origin moved to the sweep centre, axes unchanged.
 
         Parameters
         ----------
         center : array, shape (3,), optional
-            Sweep centre in the rig frame, metres; the mean of the camera centres unless given.
+            Sweep centre in the rig frame, metres. Default: the mean of the camera centres.
         """
         center = self.centers.mean(0) if center is None else np.asarray(center, np.float64)
-        return self.moved(Pose(np.eye(3), -center))
+        return self.transformed(Pose(np.eye(3), -center))
 
-    def with_poses(self, T_rig_cam: list[Pose]) -> Rig:
-        """Return the same cameras at other poses."""
+    def with_poses(self, T_rig_cam: Sequence[Pose]) -> Rig:
+        """Return the same cameras with other poses."""
         return Rig(self.cameras, T_rig_cam, self.min_depth)
+
+
+def camera_pairs(pairs: Pairs, rig: Rig) -> list[tuple[int, int]]:
+    """Return the camera pairs to match, as indices (paper, Section III-B).
+
+    Parameters
+    ----------
+    pairs : "ring" | "all" | sequence of (int, int)
+        "ring": each camera with its neighbour to the right, by the azimuth of the optical axes. For the rig of
+        the paper: (0, 1), (1, 2), (2, 3), (3, 0), as in the released code. "all": every unordered pair, as in
+        the text of the paper.
+    rig : Rig
+
+    Raises
+    ------
+    OmnistereoError
+        If a pair names a missing camera, or one camera twice.
+    """
+    if pairs == "ring":
+        return _neighbours(rig)
+    if pairs == "all":
+        return list(combinations(range(len(rig)), 2))
+    if isinstance(pairs, str):
+        raise OmnistereoError(f'pairs is {pairs!r}; expected "ring", "all" or a list of camera pairs')
+    chosen = [(int(i), int(j)) for i, j in pairs]
+    for i, j in chosen:
+        if i == j or not (0 <= i < len(rig) and 0 <= j < len(rig)):
+            raise OmnistereoError(f"pairs has {(i, j)}; expected two different cameras of 0 to {len(rig) - 1}")
+    if not chosen:
+        raise OmnistereoError("pairs is empty; expected at least one camera pair")
+    return chosen
+
+
+def _neighbours(rig: Rig) -> list[tuple[int, int]]:
+    """Return the ring of cameras, sorted by the azimuth θ of their optical axes, starting at camera 0."""
+    axes = np.stack([pose.R[:, 2] for pose in rig.T_rig_cam])
+    azimuth = np.arctan2(axes[:, 0], axes[:, 2])
+    around = np.argsort((azimuth - azimuth[0] + 1e-6) % (2 * np.pi), kind="stable").tolist()
+    if len(around) == 2:
+        return [(0, 1)]
+    return list(zip(around, around[1:] + around[:1], strict=True))
