@@ -30,8 +30,8 @@ _SMALL = 640  # px: the longer side of the copy on which thresholds are tried on
 _LEAST_WINDOW, _SMALL_WINDOW = 2, 5
 _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
 _SIZE_SEARCH = 3  # a wrong board size is looked for this many corners around the one given
-_MOST_LOST = 0.1  # of the corners; where more run away, nothing is right
-_SAME = 2.0  # mean gray levels between two pictures of one scene that are one picture
+_MOST_LOST = 0.1  # of the corners; if more are lost, the detection is wrong
+_SAME = 2.0  # mean difference in gray levels below which two views are the same image
 
 
 def find_corners(image: ArrayLike, board: Checkerboard) -> Floats | None:
@@ -93,7 +93,7 @@ def refine_corners(image: ArrayLike, corners: Floats, board: Checkerboard) -> Fl
     image : array
         As for `find_corners`.
     corners : array, shape (K, 2), px
-        Good to a third of the distance between neighbours.
+        Good to a quarter of the distance between neighbours.
     board : Checkerboard
 
     Returns
