@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.calibrate.board import Checkerboard
 from omnistereo_lib.calibrate.bundle import bundle_adjust
-from omnistereo_lib.calibrate.detect import Progress, detect_views, edge_width, find_with_model, suggest_board
+from omnistereo_lib.calibrate.detect import Progress, detect_views, edge_width, suggest_board
 from omnistereo_lib.calibrate.init import initial_estimate
 from omnistereo_lib.calibrate.params import CalibrationParams, Observations, collect_observations
 from omnistereo_lib.calibrate.report import CameraReport
-from omnistereo_lib.calibrate.solution import Solution, distances_of, refine
+from omnistereo_lib.calibrate.solution import Solution, distances_of
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.camera import OcamCamera
 
@@ -80,17 +80,12 @@ def calibrate_corners(
     degree: int | None = None,
     max_fov_deg: float | None = None,
 ) -> tuple[OcamCamera, CameraReport]:
-    """Calibrate one camera as `calibrate_camera` does, from detected corners.
-
-    If images are given, boards that were missed in them are searched again and filled in.
-    """
+    """Calibrate one camera as `calibrate_camera` does, from detected corners; with images, reject blurred views."""
     _check_input(corners, images, board, degree)
     given = [k for k, view in enumerate(images or corners) if view is not None]
     found = [k for k, view in enumerate(corners) if view is not None]
     params = initial_estimate([corners[k] for k in found], board.points, image_size)
     _check_tilts(params)
-    if images is not None and len(found) < len(given):
-        params, found = _redetect_missing_boards(params, found, corners, images, board)
     rejected = dict.fromkeys(sorted(set(given) - set(found)), "no board found")
     cv_error_px: dict[int, float] = {}
     views = [corners[k] for k in found]
@@ -185,22 +180,6 @@ def _check_tilts(params: CalibrationParams) -> None:
             f"all views are parallel to within {np.degrees(largest):.1f}°: the focal length and the distance of the "
             "board cannot be told apart. Tilt the board by 20° to 45°, differently in each view"
         )
-
-
-def _redetect_missing_boards(
-    params: CalibrationParams, found: list[int], corners: list, images: Sequence, board: Checkerboard
-) -> tuple[CalibrationParams, list[int]]:
-    """Search missed boards with the help of a first model, fill in `corners`; return what is found now."""
-    observations = collect_observations([[corners[k] for k in found]], board.points)
-    params, inlier_mask = refine(params, observations)
-    camera = _try_camera(params, observations.select(inlier_mask))
-    if camera is None:
-        return params, found
-    for k, image in enumerate(images):
-        if image is not None and corners[k] is None:
-            corners[k] = find_with_model(image, board, camera)
-    found = [k for k, view in enumerate(corners) if view is not None]
-    return initial_estimate([corners[k] for k in found], board.points, params.intrinsics[0].image_size), found
 
 
 def _try_camera(params: CalibrationParams, observations: Observations) -> OcamCamera | None:

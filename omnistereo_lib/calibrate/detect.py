@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.calibrate.board import Checkerboard
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.geometry.camera import OcamCamera
 
 Floats = NDArray[np.float64]
 Gray = NDArray[np.uint8]
@@ -31,8 +30,8 @@ _SMALL = 640  # px: the longer side of the copy on which thresholds are tried on
 _LEAST_WINDOW, _SMALL_WINDOW = 2, 5
 _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
 _SIZE_SEARCH = 3  # a wrong board size is looked for this many corners around the one given
-_MOST_LOST = 0.1  # of the corners; where more run away, nothing is right
-_SAME = 2.0  # mean gray levels between two pictures of one scene that are one picture
+_MOST_LOST = 0.1  # of the corners; if more are lost, the detection is wrong
+_SAME = 2.0  # mean difference in gray levels below which two views are the same image
 
 
 def find_corners(image: ArrayLike, board: Checkerboard) -> Floats | None:
@@ -52,8 +51,13 @@ def find_corners(image: ArrayLike, board: Checkerboard) -> Floats | None:
         left. A mirrored image is not recognised. None if not every corner is visible.
     """
     gray = _gray(image)
-    candidates = (_refine_in_order(gray, attempt, board) for attempt in _attempts(gray, board))
-    return next((corners for corners in candidates if corners is not None), None)
+    for attempt in _attempts(gray, board):
+        if attempt is not None:
+            # First the order: refinement may lose one of the corners that decide it.
+            corners = refine_corners(gray, _in_order(attempt, gray, board), board)
+            if corners is not None:
+                return corners
+    return None
 
 
 def _attempts(gray: Gray, board: Checkerboard) -> Iterator[Floats | None]:
@@ -81,11 +85,6 @@ def _classic(gray: Gray, board: Checkerboard, scale: float = 1.0) -> Floats | No
     return (corners.reshape(-1, 2).astype(np.float64) + 0.5) / scale - 0.5 if found else None
 
 
-def _refine_in_order(gray: Gray, corners: Floats | None, board: Checkerboard) -> Floats | None:
-    # First the order: refinement may lose one of the corners that decide it.
-    return None if corners is None else refine_corners(gray, _in_order(corners, gray, board), board)
-
-
 def refine_corners(image: ArrayLike, corners: Floats, board: Checkerboard) -> Floats | None:
     """Refine corners to a fraction of a pixel.
 
@@ -94,7 +93,7 @@ def refine_corners(image: ArrayLike, corners: Floats, board: Checkerboard) -> Fl
     image : array
         As for `find_corners`.
     corners : array, shape (K, 2), px
-        Good to a third of the distance between neighbours.
+        Good to a quarter of the distance between neighbours.
     board : Checkerboard
 
     Returns
@@ -230,52 +229,6 @@ def _gray(image: ArrayLike) -> Gray:
     return image if image.ndim == 2 else image[..., :3].mean(axis=2).round().astype(np.uint8)
 
 
-# --- With a first model -----------------------------------------------------------------------------------
-
-_TILT_STEP = np.radians(30.0)  # between the directions of the virtual cameras
-_HALF_VIEW = np.radians(55.0)  # of a virtual camera: a board near the rim straightens within it
-
-
-def find_with_model(image: ArrayLike, board: Checkerboard, camera: OcamCamera) -> Floats | None:
-    """Find a board that `find_corners` missed, in virtual pinhole views all around.
-
-    Squares near the rim are bent and squeezed; in a pinhole view through a first camera model they are squares again.
-    The corners found are projected back and refined in the image itself, so that errors of the model do not enter.
-
-    Parameters
-    ----------
-    image, board
-        As for `find_corners`, as is the value returned.
-    camera : OcamCamera
-        A first calibration from other views.
-    """
-    gray = _gray(image)
-    size = max(gray.shape) // 2
-    focal = (size - 1) / 2 / np.tan(_HALF_VIEW)
-    u, v = np.meshgrid(*[np.arange(size) - (size - 1) / 2] * 2)
-    for R in _directions(np.radians(camera.max_fov_deg / 2)):
-        uv, valid = camera.project(np.stack([u, v, np.full(u.shape, focal)], axis=-1) @ R.T)
-        uv[~valid] = -1e4
-        found = _classic(cv2.remap(gray, uv.astype(np.float32), None, cv2.INTER_LINEAR, borderValue=128), board)
-        if found is not None:
-            rays = np.column_stack([found - (size - 1) / 2, np.full(len(found), focal)]) @ R.T
-            corners, valid = camera.project(rays)
-            corners = _refine_in_order(gray, corners, board) if valid.all() else None
-            if corners is not None:
-                return corners
-    return None
-
-
-def _directions(reach: float) -> Iterator[Floats]:
-    """Yield rotations whose z axes cover a cone around the optical axis, from the rim inwards."""
-    for angle in np.arange(reach - _TILT_STEP / 2, 0, -_TILT_STEP):
-        around = max(4, round(2 * np.pi * np.sin(angle) / _TILT_STEP))
-        for azimuth in np.arange(around) * 2 * np.pi / around:
-            axis = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
-            yield cv2.Rodrigues(angle * axis)[0]
-    yield np.eye(3)
-
-
 # --- Many views -------------------------------------------------------------------------------------------
 
 
@@ -330,17 +283,10 @@ def _advice(grays: list[Gray], board: Checkerboard) -> str:
 def suggest_board(
     images: Sequence[ArrayLike], board: Checkerboard, most: int = 8, only_larger: bool = False
 ) -> tuple[tuple[int, int], int] | None:
-    """Look for boards of a size near the one given: ((columns, rows), in how many images), the largest that fits.
+    """Find the largest board of a size near the one given: ((columns, rows), number of images), or None.
 
-    Parameters
-    ----------
-    images : sequence of arrays
-    board : Checkerboard
-        Whose size was not found.
-    most : int
-        At most so many images are looked at.
-    only_larger : bool
-        Only boards of which the one given could be a part.
+    Only the first images are searched, at `most` so many; with `only_larger`, only for boards of which the one given
+    could be a part.
     """
     grays = [_gray(image) for image in images[:most]]
     columns, rows = sorted(board.corners, reverse=True)

@@ -100,8 +100,7 @@ def calibrate_rig(
         rejected |= bad
         captures = [k for k in captures if k not in bad]
     solution = Solution.solve(params, observations)
-    counts = {pair: len(set(numbers) - set(rejected)) for pair, numbers in shared.items()}
-    return _build_rig(solution, tuple(captures), tuple(single), rejected, counts, max_fov_deg)
+    return _build_rig(solution, tuple(captures), tuple(single), rejected, shared, max_fov_deg)
 
 
 # --- The spanning tree ------------------------------------------------------------------------------------
@@ -270,7 +269,7 @@ def _build_rig(
     captures: tuple[int, ...],
     single: tuple[CameraReport, ...],
     rejected: dict[int, str],
-    shared: dict[tuple[int, int], int],
+    shared: dict[tuple[int, int], list[int]],
     max_fov_deg: float | None,
 ) -> tuple[Rig, RigReport]:
     cameras, joint = [], []
@@ -281,7 +280,8 @@ def _build_rig(
         cameras.append(camera)
         joint.append(report)
     params = solution.params
-    report = RigReport(tuple(joint), single, captures, rejected, shared, params, solution.covariance, solution.sigma_px)
+    counts = {pair: len(set(numbers) - set(rejected)) for pair, numbers in shared.items()}
+    report = RigReport(tuple(joint), single, captures, rejected, counts, params, solution.covariance, solution.sigma_px)
     rig = Rig(cameras, [pose.inverse() for pose in params.T_cam_rig])
     return rig, replace(report, warnings=tuple(_rig_warnings(report)))
 
