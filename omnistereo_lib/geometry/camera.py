@@ -175,10 +175,8 @@ class OcamCamera:
         x, y = i00 * u + i01 * v, i10 * u + i11 * v
         r = xp.hypot(x, y)
         if use_direct_poly:
-            t, max_radius = (
-                xp.arctan2(_horner(self.poly, r), r),
-                _branch_end(self.poly, self._max_t, self._search_px)[0],
-            )
+            t = xp.arctan2(_horner(self.poly, r), r)
+            max_radius, _ = _branch_end(self.poly, self._max_t, self._search_px)
         else:
             t, max_radius = self._angle_by_root(r), self.max_radius
         sine = xp.cos(t)  # of the angle from the axis, which is t + π/2
@@ -286,9 +284,9 @@ def _monotone_branch(
     radius, angle = _branch_end(poly, max_t, max_radius)
     if angle < max_t:
         raise OmnistereoError(
-            f"the direct polynomial {poly.tolist()} is monotonic only up to {np.degrees(2 * angle) + 180:.1f}° of field "
-            f"of view (within {max_radius:.0f} px); expected {np.degrees(2 * max_t) + 180:.1f}°. Lower max_fov_deg or "
-            f"check the coefficients."
+            f"the direct polynomial {poly.tolist()} is monotonic only up to {np.degrees(2 * angle) + 180:.1f}° of "
+            f"field of view (within {max_radius:.0f} px); expected {np.degrees(2 * max_t) + 180:.1f}°. "
+            f"Lower max_fov_deg or check the coefficients."
         )
     # Sampled again, densely: the angle is steep in r near the axis of long lenses.
     radii = np.linspace(0.0, radius, 1024)

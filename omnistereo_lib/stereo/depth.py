@@ -1,8 +1,8 @@
-"""From a cost volume to depth: winner takes all, sub-index, confidence, panorama, agreement, point cloud."""
+"""From a cost volume to depth, confidence, panorama and point cloud (paper, Section III-B)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -16,61 +16,87 @@ from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.zncc import ZNCC
 
+_CELLS = 1 << 20  # of a cost volume at a time: temporary copies stay small and in the cache of a CPU
+
 
 def winner_takes_all(volume: ArrayLike | Tensor, subindex: bool = False) -> Tensor:
-    """Return n* = argmin_n C(p, n) (paper, Section III-B).
+    """Return the index of the best sphere, n* = argmin_n C(p, n) (paper, Section III-B).
 
     Parameters
     ----------
     volume : float tensor or array, shape (H, W, N)
-        Costs; NaN cells do not compete.
+        Costs; NaN cells are never the best.
     subindex : bool
-        Move each winner to the vertex of the parabola through its cost and its two neighbours', by at
-        most half a sphere. The index is linear in inverse depth, so the parabola is fitted where the
-        spheres are evenly spaced. Winners at the ends, or beside a NaN, stay.
+        Refine n* to the vertex of the parabola through its cost and the costs of its two neighbours, by at most half
+        a sphere. The spheres are evenly spaced in inverse depth, in which the index is linear. An index at either
+        end, or next to a NaN, stays.
 
     Returns
     -------
     float32 tensor, shape (H, W)
         Sphere index; NaN where every cell is NaN.
+
+    Raises
+    ------
+    OmnistereoError
+        If the volume does not have that shape with N ≥ 2.
     """
-    volume = _as_volume(volume)
-    filled = torch.where(volume.isnan(), torch.inf, volume)
-    cost, winner = filled.min(-1)
-    index = winner.float()
-    if subindex:
-        last = volume.shape[-1] - 1
-        left = volume.gather(-1, (winner - 1).clamp(0)[..., None])[..., 0]
-        right = volume.gather(-1, (winner + 1).clamp(max=last)[..., None])[..., 0]
-        bend = left - 2 * cost + right
-        inner = (winner > 0) & (winner < last) & (bend > 0)  # False beside a NaN
-        index = torch.where(inner, index + (left - right) / (2 * bend), index)
-    return torch.where(cost.isinf(), torch.nan, index)
+
+    def best(rows: Tensor) -> Tensor:
+        cost, winner = torch.where(rows.isnan(), torch.inf, rows).min(-1)
+        index = winner.float()
+        if subindex:
+            last = rows.shape[-1] - 1
+            left = rows.gather(-1, (winner - 1).clamp(0)[..., None])[..., 0]
+            right = rows.gather(-1, (winner + 1).clamp(max=last)[..., None])[..., 0]
+            bend = left - 2 * cost + right
+            inner = (winner > 0) & (winner < last) & (bend > 0)  # False next to a NaN
+            index = torch.where(inner, index + (left - right) / (2 * bend), index)
+        return torch.where(cost.isinf(), torch.nan, index)
+
+    return _by_rows(best, volume)
 
 
 def confidence(volume: ArrayLike | Tensor) -> Tensor:
-    """Return how clearly the winner wins: 1 - C(n*)/C(n₂), n₂ the best sphere not next to the winner.
+    """Return 1 - C(n*)/C(n₂), where n₂ is the best sphere that is not n* or next to it.
 
-    This is the naive peak ratio (PKRN; Hu & Mordohai 2012) brought to [0, 1]. Its value depends on the scale
-    of the volume; its order, which sparsification evaluates, hardly does.
+    This is the peak ratio (PKRN; Hu & Mordohai 2012), mapped to [0, 1]. Its value depends on the scale of the volume;
+    its order, which `sparsification` evaluates, hardly does.
 
     Parameters
     ----------
     volume : float tensor or array, shape (H, W, N)
-        Costs of at least 0, raw or aggregated; NaN cells do not compete.
+        Costs of at least 0, raw or aggregated; NaN cells are ignored.
 
     Returns
     -------
     float32 tensor, shape (H, W), in [0, 1]
-        NaN where every cell is NaN; 1 where nothing competes with the winner.
+        NaN where every cell is NaN; 1 where there is no n₂.
+
+    Raises
+    ------
+    OmnistereoError
+        If the volume does not have that shape with N ≥ 2.
     """
-    volume = _as_volume(volume)
-    filled = torch.where(volume.isnan(), torch.inf, volume)
-    first, winner = filled.min(-1)
-    beside = torch.stack([winner - 1, winner, winner + 1], -1).clamp(0, volume.shape[-1] - 1)
-    second = filled.scatter_(-1, beside, torch.inf).amin(-1)
-    ratio = torch.where(second > 0, 1 - first / second, 0.0)
-    return torch.where(first.isinf(), torch.nan, ratio)
+
+    def peak_ratio(rows: Tensor) -> Tensor:
+        filled = torch.where(rows.isnan(), torch.inf, rows)
+        first, winner = filled.min(-1)
+        nearby = torch.stack([winner - 1, winner, winner + 1], -1).clamp(0, rows.shape[-1] - 1)
+        second = filled.scatter_(-1, nearby, torch.inf).amin(-1)
+        ratio = torch.where(second > 0, 1 - first / second, 0.0)
+        return torch.where(first.isinf(), torch.nan, ratio)
+
+    return _by_rows(peak_ratio, volume)
+
+
+def _by_rows(function: Callable[[Tensor], Tensor], volume: ArrayLike | Tensor) -> Tensor:
+    """Apply a function of each ray to a cost volume, some rows at a time: (H, W, N) → (H, W)."""
+    volume = torch.as_tensor(volume)
+    if volume.ndim != 3 or volume.shape[-1] < 2:
+        raise OmnistereoError(f"the cost volume has shape {tuple(volume.shape)}; expected (H, W, N) with N ≥ 2")
+    rows = max(1, _CELLS // max(1, volume[0].numel() if len(volume) else 1))
+    return torch.cat([function(part.float()) for part in volume.split(rows)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,10 +106,10 @@ class Depth:
     Attributes
     ----------
     index : float32 array, shape (H, W)
-        Sphere index n*, fractional with sub-index; NaN where no pair of cameras sees the ray.
+        Sphere index n*, fractional with sub-sphere refinement; NaN where no pair of cameras sees the ray.
     confidence : float32 array, shape (H, W), in [0, 1]
     sweep : SphereSweep
-        The sweep that it came from, with its grid and its rig.
+        The sweep of the cost volume, with its grid and its rig.
     """
 
     index: NDArray[np.float32]
@@ -92,32 +118,32 @@ class Depth:
 
     @classmethod
     def from_volume(cls, volume: ArrayLike | Tensor, sweep: SphereSweep, subindex: bool = True) -> Depth:
-        """Read depth off a cost volume (H, W, N) of this sweep, raw or aggregated."""
+        """Return the depth panorama of a cost volume (H, W, N), raw or aggregated; see `winner_takes_all`."""
         index = winner_takes_all(volume, subindex).cpu().numpy()
         return cls(index, confidence(volume).cpu().numpy(), sweep)
 
     @property
     def grid(self) -> SphereGrid:
-        """The grid of rays and spheres."""
+        """Grid of rays and spheres."""
         return self.sweep.grid
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """Where there is an estimate; bool, shape (H, W)."""
+        """Whether the ray has an estimate; bool, shape (H, W)."""
         return np.isfinite(self.index)
 
     @property
     def inverse_depth(self) -> NDArray[np.float64]:
-        """Inverse depth along the ray in 1/m, shape (H, W); 0 is infinitely far, NaN unknown."""
+        """Inverse depth along the ray in 1/m, shape (H, W); 0 at infinity, NaN unknown."""
         return self.grid.index_to_inverse_depth(self.index)
 
     @property
     def depth(self) -> NDArray[np.float64]:
-        """Depth along the ray in metres, shape (H, W); infinite or NaN as `inverse_depth` says."""
+        """Depth along the ray in metres, shape (H, W); may be infinite, NaN unknown."""
         return self.grid.index_to_depth(self.index)
 
     def panorama(self, images: Sequence[ArrayLike]) -> NDArray[np.float32]:
-        """Look the images up at the estimated depth: the paper's reference panorama (Fig. 1, 9).
+        """Return the reference panorama: the images sampled at the estimated depth (paper, Fig. 1, 9).
 
         Parameters
         ----------
@@ -125,20 +151,20 @@ class Depth:
 
         Returns
         -------
-        float32 array, shape (H, W) or (H, W, 3), in the images' range
-            The mean over the cameras that see the point; NaN where none does or there is no depth. A
-            wrong depth shows as a double contour.
+        float32 array, shape (H, W) or (H, W, 3), in the range of the images
+            Mean over the cameras to which the point is visible; NaN where there is none, or no depth. A wrong depth
+            shows as a double contour.
         """
         samples = np.stack(self.sweep.warp(images, self.index))
-        seen = np.isfinite(samples)
+        visible = np.isfinite(samples)
         with np.errstate(invalid="ignore"):
-            return np.where(seen, samples, 0).sum(0) / seen.sum(0)
+            return np.where(visible, samples, 0).sum(0) / visible.sum(0)
 
     def agreement(self, images: Sequence[ArrayLike]) -> NDArray[np.float32]:
-        """Compare what the two best-placed cameras see of each estimated point: a test that needs no truth.
+        """Return the photo-consistency of two cameras at the estimated depth, a check without ground truth.
 
-        Best placed are those that see the point nearest to their axes. What they see is looked up at the estimated
-        depth and correlated over windows of 9 × 9 rays, so that gain and vignetting matter little.
+        For each ray, the two cameras whose optical axes are nearest to the point are sampled at the estimated depth
+        and correlated (ZNCC) over 9 × 9 rays, so that gain and vignetting matter little.
 
         Parameters
         ----------
@@ -147,14 +173,14 @@ class Depth:
         Returns
         -------
         float32 array, shape (H, W), in [-1, 1]
-            1 where they see the same, 0 in windows without texture; NaN where fewer than two cameras see the point
-            or there is no depth.
+            1 where both show the same, 0 in windows without texture; NaN where the point is visible to fewer than
+            two cameras, or there is no depth.
         """
-        gray = [image.cpu().numpy() for image in self.sweep.prepare(images)]
+        gray = [image.cpu().numpy() for image in self.sweep.normalize_images(images)]
         samples = np.stack(self.sweep.warp(gray, self.index))
-        angles = np.stack([self.sweep.off_axis(camera, self.index) for camera in range(len(gray))])
+        angles = np.stack([self.sweep.off_axis_angles(camera, self.index) for camera in range(len(gray))])
         best = np.argsort(np.where(np.isnan(samples), np.inf, angles), axis=0)[:2]
-        best.sort(axis=0)  # in one order, or a window would mix the two where the better one changes
+        best.sort(axis=0)  # by number, or a window would mix the two where the nearer one changes
         two = torch.from_numpy(np.take_along_axis(samples, best, axis=0))
         return 1 - 2 * ZNCC()(two[:, None], [(0, 1)])[..., 0].numpy()
 
@@ -166,11 +192,11 @@ class Depth:
         Parameters
         ----------
         images : one array per camera, optional
-            Where the colours come from, values 0 … 255 (as `panorama` averages them).
+            Source of the colours, values 0 to 255; see `panorama`.
         max_depth : float
-            Points further away, in metres, are left out: one index there is many metres.
+            Largest depth in metres; beyond it, one sphere index is many metres.
         min_confidence : float
-            Points below it are left out.
+            Smallest confidence.
 
         Returns
         -------
@@ -188,13 +214,13 @@ class Depth:
 
 
 def colorize_depth(inverse_depth: ArrayLike, grid: SphereGrid) -> NDArray[np.uint8]:
-    """Colour a panorama of inverse depth: near is bright and warm, far is dark, unknown is striped grey.
+    """Return a colour image of inverse depth: near is bright and warm, far is dark, unknown is striped grey.
 
     Parameters
     ----------
     inverse_depth : array, shape (H, W), 1/m, NaN unknown
     grid : SphereGrid
-        Its nearest sphere is the brightest colour.
+        The nearest sphere has the brightest colour.
 
     Returns
     -------
@@ -202,15 +228,8 @@ def colorize_depth(inverse_depth: ArrayLike, grid: SphereGrid) -> NDArray[np.uin
     """
     inverse_depth = np.asarray(inverse_depth)
     level = np.clip(256 * np.nan_to_num(inverse_depth) * grid.min_depth, 0, 255).astype(np.uint8)
-    # Inferno is even in lightness, so it reads in grey print and to colour-blind eyes.
+    # The lightness of Inferno is monotonic, so it works in grey print and for colour-blind readers.
     colors = cv2.cvtColor(cv2.applyColorMap(level, cv2.COLORMAP_INFERNO), cv2.COLOR_BGR2RGB)
     rows, columns = np.indices(inverse_depth.shape)
     stripes = np.where((rows + columns) // 4 % 2, 170, 200)[..., None]
     return np.where(np.isfinite(inverse_depth)[..., None], colors, stripes).astype(np.uint8)
-
-
-def _as_volume(volume: ArrayLike | Tensor) -> Tensor:
-    volume = torch.as_tensor(volume)
-    if volume.ndim != 3 or volume.shape[-1] < 2:
-        raise OmnistereoError(f"a cost volume has shape (H, W, N) with N ≥ 2, got {tuple(volume.shape)}")
-    return volume.float()

@@ -1,4 +1,4 @@
-"""Errors of a depth panorama, as the paper's table prints them (Section IV, Eq. 5)."""
+"""Errors of a depth panorama (paper, Section IV, Eq. 5 and Table II)."""
 
 from __future__ import annotations
 
@@ -11,42 +11,42 @@ _FRACTIONS = tuple(np.linspace(0, 0.95, 20))
 
 
 def error_map(index: ArrayLike, gt_index: ArrayLike, num_spheres: int) -> NDArray[np.float64]:
-    """Return e(p) = 100/N · |n*(p) - n̂(p)| (Eq. 5): percent of the range swept, same shape as the maps.
+    """Return the error e(p) = 100/N · |n*(p) - n̂(p)| in percent of the swept range, shape of the inputs (Eq. 5).
 
-    The ground-truth index is not rounded; rounding is for training labels only.
+    The ground-truth index is not rounded; only training labels are.
     """
     index, gt_index = np.asarray(index, np.float64), np.asarray(gt_index, np.float64)
     if index.shape != gt_index.shape:
-        raise OmnistereoError(f"the estimate has shape {index.shape}, the ground truth {gt_index.shape}")
+        raise OmnistereoError(f"the estimate has shape {index.shape}, the ground truth {gt_index.shape}; expected one")
     return 100.0 / num_spheres * np.abs(index - gt_index)
 
 
 def index_error(
     index: ArrayLike, gt_index: ArrayLike, num_spheres: int, valid: ArrayLike | None = None
 ) -> dict[str, float]:
-    """Return the paper's five figures for one panorama.
+    """Return the five metrics of the paper for one panorama (Table II, from the errors of Eq. 5).
 
     Parameters
     ----------
     index : array, shape (H, W)
-        Estimated sphere index n*; NaN where there is no estimate, which counts as the largest error, N.
+        Estimated sphere index n*; NaN is an error of 100 %.
     gt_index : array, shape (H, W)
-        Ground-truth index n̂, not rounded. Rays outside 0 ≤ n̂ < N or NaN are not evaluated.
+        Ground-truth index n̂, not rounded. Rays with n̂ outside [0, N) or NaN are not evaluated.
     num_spheres : int
         N.
     valid : bool array, shape (H, W), optional
-        Rays to evaluate among those.
+        Rays to evaluate.
 
     Returns
     -------
     dict
-        ">1", ">3", ">5": percent of rays whose error exceeds that; "MAE", "RMS": mean and root mean square
-        of the error. All NaN where no ray is valid.
+        ">1", ">3", ">5": percent of rays with a larger error; "MAE", "RMS": mean and root mean square of the error.
+        All NaN if there is no ray to evaluate.
 
     Raises
     ------
     OmnistereoError
-        If the maps differ in shape.
+        If index and gt_index differ in shape.
     """
     gt_index = np.asarray(gt_index, np.float64)
     error = error_map(index, gt_index, num_spheres)
@@ -67,38 +67,45 @@ def index_error(
 def sparsification(
     error: ArrayLike, confidence: ArrayLike, fractions: ArrayLike = _FRACTIONS
 ) -> tuple[NDArray[np.float64], float, float]:
-    """Judge a confidence: the mean error that is left when the least confident rays are removed.
+    """Return the sparsification curve: the mean error after removing the least confident rays.
 
     Parameters
     ----------
     error, confidence : arrays of the same shape
-        Rays where either is NaN are left out.
+        Rays where either is not finite are ignored.
     fractions : sequence of float
-        Shares of rays removed, growing, in [0, 1).
+        Fractions of rays removed, increasing, in [0, 1).
 
     Returns
     -------
     curve : array, shape (len(fractions),)
         Mean error of the remaining rays.
-    area, best : float
-        Area under the curve over the fractions, and the area that sorting by the error itself would
-        give, both divided by the area without sorting: 1 is a useless confidence, `best` the limit.
-        (Hu & Mordohai 2012; the area between the two is known as AUSE.)
+    auc, oracle_auc : float
+        Area under the curve, and under the curve of an oracle that removes the largest errors first. Both are divided
+        by the area without sorting, so a random confidence has an auc of 1. Their difference is known as AUSE (Hu &
+        Mordohai 2012). NaN if all errors are 0; all three NaN without a finite ray.
+
+    Raises
+    ------
+    OmnistereoError
+        If error and confidence differ in size.
     """
     error, confidence = np.asarray(error, np.float64).ravel(), np.asarray(confidence, np.float64).ravel()
     if error.shape != confidence.shape:
-        raise OmnistereoError(f"{error.size} errors and {confidence.size} confidences: the shapes must agree")
-    known = np.isfinite(error) & np.isfinite(confidence)
-    error, confidence = error[known], confidence[known]
+        raise OmnistereoError(f"there are {error.size} errors and {confidence.size} confidences; expected as many")
+    finite = np.isfinite(error) & np.isfinite(confidence)
+    error, confidence = error[finite], confidence[finite]
     fractions = np.asarray(fractions, np.float64)
+    if not error.any():
+        return np.full(len(fractions), 0.0 if len(error) else np.nan), np.nan, np.nan
 
     def curve(score: NDArray[np.float64]) -> NDArray[np.float64]:
-        kept = error[np.argsort(-score, kind="stable")]
-        means = np.cumsum(kept) / np.arange(1, len(kept) + 1)
-        return means[np.maximum(np.round((1 - fractions) * len(kept)).astype(int), 1) - 1]
+        ordered = error[np.argsort(-score, kind="stable")]
+        means = np.cumsum(ordered) / np.arange(1, len(ordered) + 1)
+        return means[np.maximum(np.round((1 - fractions) * len(ordered)).astype(int), 1) - 1]
 
     by_confidence = curve(confidence)
-    flat = error.mean() * (fractions[-1] - fractions[0])
-    area = np.trapezoid(by_confidence, fractions) / flat
-    best = np.trapezoid(curve(-error), fractions) / flat
-    return by_confidence, float(area), float(best)
+    unsorted = error.mean() * (fractions[-1] - fractions[0])
+    auc = np.trapezoid(by_confidence, fractions) / unsorted
+    oracle_auc = np.trapezoid(curve(-error), fractions) / unsorted
+    return by_confidence, float(auc), float(oracle_auc)

@@ -12,7 +12,7 @@ from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.methods import Method
-from omnistereo_lib.stereo.sweep import SphereSweep, find_device
+from omnistereo_lib.stereo.sweep import SphereSweep, select_device
 from omnistereo_lib.stereo.volume import Cost, check_memory, cost_volume
 
 
@@ -48,8 +48,9 @@ def estimate_depth(
     """
     method = Method.parse(method)
     grid = replace(grid, num_spheres=method.num_spheres or grid.num_spheres)
-    check_memory(rig, grid)
-    sweep = SphereSweep(rig, grid, device=find_device(device))
+    device = select_device(device)
+    check_memory(rig, grid, device)
+    sweep = SphereSweep(rig, grid, device=device)
     return sweep_depth(sweep, images, method, cost, subindex, progress)
 
 

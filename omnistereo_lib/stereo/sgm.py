@@ -1,26 +1,27 @@
-"""Semi-global matching of a cost volume, around the seam of the panorama (H. Hirschmüller, TPAMI 2008).
+"""Semi-global matching of a cost volume, across the ±180° seam of the panorama (H. Hirschmüller, TPAMI 2008).
 
-A cost volume says how badly each sphere n fits each ray p, ray by ray. Neighbouring rays mostly look at
-the same surface, so SGM walks over the panorama along straight paths r and lets every pixel pass on what
-it and those before it have found::
+A cost volume states how badly each sphere n fits each ray p, independently of the other rays. Neighbouring rays
+mostly see the same surface, so SGM follows straight paths r over the panorama, and every pixel passes on the costs
+that were collected along the path (paper, Section III-B and IV)::
 
     L_r(p, n) = C(p, n) + min(L_r(p−r, n), L_r(p−r, n±1) + P1, min_k L_r(p−r, k) + P2) − min_k L_r(p−r, k)
     S(p, n)   = Σ_r L_r(p, n)
 
-P1 is the price of one step in n (a slanted surface), P2 that of any jump (an edge). We write the right-hand
-side as C(p, n) + M(n), where M is the *message* from p−r: 0 at the best sphere, never above P2. A path starts
-with M = 0, "nothing known".
+P1 is the price of one step in n (a slanted surface), P2 that of any jump (an edge). The code writes the right-hand
+side as C(p, n) + M(n), where M is the *message* from p−r: 0 at the best sphere, at most P2. A path starts with M = 0.
 
-Rows are run first, each with its two paths. Then one pass from the top takes ↓ ↘ ↙ and one from the bottom
-↑ ↗ ↖; no L_r is ever stored whole. A message belongs to a scanline, not to a pixel: each vertical or diagonal
-line has its slot, (x − y) mod W for ↘, which the next row updates in place (6 W N floats for both passes, 5.5 MB
-at 1200×300×192).
+An unknown cell (NaN) has no data term. In the recurrence it takes the mean cost of the known cells of its ray: it is
+then neither better nor worse than the other spheres, and the messages decide. A ray without known cells is like one
+of constant cost. Unknown cells are NaN in S and so never the best sphere.
 
-Threads share that work without ever touching the same number at the same time. The two passes start from
-opposite ends and run at once, a band of rows each. A band is cut into strips of columns, and because a path
-moves by at most one column per row, the part of a strip that narrows by one column on either side from row to
-row needs nothing from its neighbours: first all these trapezoids, then the triangles left between them. They
-also keep what a thread works on in its cache.
+Implementation: rows first, each with its two paths. Then one pass from the top follows ↓ ↘ ↙ and one from the bottom
+↑ ↗ ↖; no L_r is stored whole. A message belongs to a scanline, not to a pixel: each vertical or diagonal line has its
+slot, (x − y) mod W for ↘, which the next row updates in place (6 W N floats for both passes, 5.5 MB at 1200×300×192).
+
+Threads never write to the same memory at the same time. The two passes start at opposite ends and run at once, one
+band of rows each. A band is cut into strips of columns. Because a path moves by at most one column per row, the part
+of a strip that narrows by one column per row on either side needs nothing from the neighbouring strips: first all
+these trapezoids run, then the triangles between them. The tiles also keep the data of a thread in its cache.
 """
 
 import math
@@ -42,47 +43,41 @@ from omnistereo_lib.errors import OmnistereoError
 
 MAX_LAPS = 64
 INFINITY = np.float32(np.inf)
-STRIP = 128  # columns
+_STRIP = 128  # columns
 
 
 def sgm(volume: Tensor | np.ndarray, p1: float = 0.1, p2: float = 12.0, paths: int = 8, wrap: bool = True) -> Tensor:
-    """Smooth a cost volume by semi-global matching: S = Σ_r L_r (see the module's head).
+    """Aggregate a cost volume by semi-global matching: S = Σ_r L_r (paper, Section III-B; see the module).
 
     Parameters
     ----------
     volume : (H, W, N)
-        Matching cost C, lower is better; NaN where nothing is known. Computed in float32.
+        Matching cost C, lower is better; NaN is unknown. Computed in float32.
     p1, p2 : float
         Penalties for a step of one sphere and for any larger jump, in units of the cost, 0 ≤ p1 ≤ p2.
     paths : int
-        4 (along rows and columns) or 8 (diagonals too).
+        4 (along rows and columns) or 8 (diagonals as well).
     wrap : bool
-        True: column 0 follows column W−1. Diagonals go on across the seam. A row then has no first pixel: it
-        is run in laps, from column 0 (leftward: W−1) with M = 0, each lap from the message that the one before
-        it ended with, until a lap changes nothing. Images take two or three laps, and the later ones end early.
-        The laps stop after ``MAX_LAPS``: a row with hardly any texture may take P2 / (gap between the best and
-        the next cost) of them, and one of a few pixels may alternate for ever, when the best way to close the
-        circle is to run round it twice. False: the textbook's flat image.
+        True: column 0 follows column W−1, for diagonals as well. A row then has no first pixel. It runs in laps around
+        the panorama, starting at column 0 (leftward: W−1) with M = 0, each lap with the last message of the lap before,
+        until a lap changes nothing. Images take two or three laps, of which the later ones end early. The laps stop
+        after ``MAX_LAPS``: a row with hardly any texture may take P2 / (gap between the best and the next cost) of
+        them, and a row of a few pixels may alternate for ever. False: the flat image of the textbook.
 
     Returns
     -------
-    (H, W, N) float32 tensor on the volume's device
-        S, with C ≤ L_r ≤ C + P2 for each path. The paper divides by nothing, nor do we.
+    (H, W, N) float32 tensor on the device of the volume
+        S, with C ≤ L_r ≤ C + P2 for each path, not divided by the number of paths; NaN where the volume is NaN.
 
     Notes
     -----
-    A NaN cell counts as infinitely expensive: it is never the best, and its message is the worst that P1 and
-    P2 allow. (Any value of at least max C + 2 P2 would do the same; this is Pandora's rule.) A ray of NaN
-    alone has no opinion and counts as one of constant cost: messages cross it. NaN cells are NaN again in S.
-
-    The CPU runs as many threads as ``torch.get_num_threads()``; results do not depend on their number. Other
-    devices run plain torch operations, one row or column at a time, in the memory of about eight volumes.
+    The CPU version uses ``torch.get_num_threads()`` threads; results do not depend on their number. It needs one more
+    volume of memory. Other devices run torch operations, one row or column at a time, in three more volumes.
 
     Raises
     ------
     OmnistereoError
-        If the volume is not 3-D, has fewer than two spheres or infinite costs, or for other penalties or
-        numbers of paths than the above.
+        If the volume is not 3-D, has fewer than 2 spheres or infinite costs, or p1, p2 or paths is out of range.
     """
     volume = torch.as_tensor(volume).detach().to(torch.float32).contiguous()
     _check(volume, p1, p2, paths)
@@ -92,49 +87,48 @@ def sgm(volume: Tensor | np.ndarray, p1: float = 0.1, p2: float = 12.0, paths: i
     else:
         total, infinite = _sgm_numba(volume.numpy(), np.float32(p1), np.float32(p2), paths == 8, wrap)
     if infinite:
-        raise OmnistereoError("sgm: the volume has infinite costs; mark cells that nothing sees with NaN")
+        raise OmnistereoError("sgm: the volume has infinite costs; expected finite costs. Set unknown cells to NaN.")
     return total
 
 
 def _check(volume: Tensor, p1: float, p2: float, paths: int) -> None:
     if volume.ndim != 3 or 0 in volume.shape or volume.shape[2] < 2:
-        raise OmnistereoError(
-            f"sgm: volume has shape {tuple(volume.shape)}; expected (height, width, spheres) with two or more spheres"
-        )
+        raise OmnistereoError(f"sgm: volume has shape {tuple(volume.shape)}; expected (H, W, N) with N ≥ 2")
     if paths not in (4, 8):
         raise OmnistereoError(f"sgm: paths is {paths!r}; expected 4 or 8")
     if not (math.isfinite(p1) and math.isfinite(p2) and 0 <= p1 <= p2):
-        raise OmnistereoError(f"sgm: penalties are p1 = {p1}, p2 = {p2}; expected finite numbers, 0 <= p1 <= p2")
+        raise OmnistereoError(f"sgm: penalties are p1 = {p1}, p2 = {p2}; expected finite numbers, 0 ≤ p1 ≤ p2")
 
 
-# ---- CPU. One pixel at a time; the loops over n are the ones that the compiler turns into vector code.
+# ---- CPU: one pixel at a time; the compiler vectorises the loops over n.
 
 
 def _sgm_numba(cost: NDArray, p1: float, p2: float, diagonals: bool, wrap: bool) -> tuple[Tensor, bool]:
     """Return S, and whether a cost is infinite."""
     H, W, N = cost.shape
     total = np.empty_like(cost)  # NumPy asks for huge pages, torch does not
+    fill = np.empty((H, W), np.float32)
     messages = np.zeros((2, 3, W, N), np.float32)
     with ThreadPoolExecutor(torch.get_num_threads()) as pool:
 
         def rows(y: int) -> bool:
-            return _scan_rows(cost[y : y + 4], total[y : y + 4], wrap, p1, p2)
+            return _scan_rows(cost[y : y + 4], fill[y : y + 4], total[y : y + 4], wrap, p1, p2)
 
         infinite = any(list(pool.map(rows, range(0, H, 4))))
 
-        def tile(area: tuple) -> None:
-            _advance(cost, total, messages, *area, diagonals, wrap, p1, p2)
+        def advance(tile: tuple) -> None:
+            _advance(cost, fill, total, messages, tile, diagonals, wrap, p1, p2)
 
-        for areas in _tiles(H, W):
-            list(pool.map(tile, areas))
+        for tiles in _tiles(H, W):
+            list(pool.map(advance, tiles))
     return torch.from_numpy(total), infinite
 
 
 def _tiles(H: int, W: int) -> Iterator[list[tuple]]:
-    """Yield lists of tiles that may be worked on at the same time, as (up, top, bottom, first, last, slope)."""
-    strips = max(1, W // STRIP)
+    """Yield lists of tiles that can run at the same time, each (up, top, bottom, first, last, slope)."""
+    strips = max(1, W // _STRIP)
     columns = [W * i // strips for i in range(strips + 1)]
-    depth = max(1, W // strips // 2)  # a trapezoid that narrows from both sides ends there
+    depth = max(1, W // strips // 2)  # rows until a trapezoid that narrows on both sides ends
     bands = 2 * math.ceil(H / depth / 2)  # even, so that the passes meet between two bands
     rows = list(pairwise(H * i // bands for i in range(bands + 1)))
     for down, up in zip(rows, reversed(rows), strict=True):
@@ -144,7 +138,7 @@ def _tiles(H: int, W: int) -> Iterator[list[tuple]]:
 
 @intrinsic
 def _min(context: Any, a: Any, b: Any) -> Any:
-    """min(a, b) of float32 that are not NaN. Python's min, in Numba, keeps a reduction from vectorising."""
+    """Return the smaller of two float32 that are not NaN. Python's min keeps Numba from vectorising a reduction."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         flags = ("nnan", "nsz")
@@ -154,22 +148,34 @@ def _min(context: Any, a: Any, b: Any) -> Any:
 
 
 @njit
-def _extend(cost: NDArray, message: NDArray, path: NDArray) -> float:
-    """Take a path one pixel on, L = C + M; return the lowest L. path is (N + 2,), its ends stay infinite."""
+def _fill_value(cost: NDArray) -> float:
+    """Return the data term of the unknown cells of a ray: the mean of its known costs, not finite if one is not."""
+    regular = True
+    for n in range(cost.size):
+        regular &= abs(cost[n]) < INFINITY  # false for NaN
+    if regular:
+        return np.float32(0)  # not used
+    total, known = 0.0, 0
+    for n in range(cost.size):
+        if cost[n] == cost[n]:
+            total += cost[n]
+            known += 1
+    return np.float32(total / max(known, 1))
+
+
+@njit
+def _add_cost(cost: NDArray, fill: float, message: NDArray, path: NDArray) -> float:
+    """Extend a path by one pixel, L = C + M; return the lowest L. path is (N + 2,), its ends stay infinite."""
     lowest = INFINITY
     for n in range(cost.size):
-        seen = cost[n] if cost[n] < INFINITY else INFINITY  # false for NaN
-        path[n + 1] = seen + message[n]
+        c = cost[n] if cost[n] == cost[n] else fill
+        path[n + 1] = c + message[n]
         lowest = _min(lowest, path[n + 1])
-    if lowest == INFINITY:  # nothing is known of this ray: any constant C, here 0, lets messages through
-        for n in range(cost.size):
-            path[n + 1] = message[n]
-        return np.float32(0)
     return lowest
 
 
 @njit
-def _send(path: NDArray, lowest: float, p1: float, p2: float, message: NDArray) -> None:
+def _update_message(path: NDArray, lowest: float, p1: float, p2: float, message: NDArray) -> None:
     """Write the message M to the next pixel of the path."""
     jump = lowest + p2
     for n in range(message.size):
@@ -178,63 +184,64 @@ def _send(path: NDArray, lowest: float, p1: float, p2: float, message: NDArray) 
 
 
 @njit
-def _replace(path: NDArray, kept: NDArray) -> bool:
-    """Copy path to kept; return whether that changed anything."""
+def _copy_if_changed(path: NDArray, path_costs: NDArray) -> bool:
+    """Copy path to path_costs; return whether a value changed."""
     changed = False
-    for n in range(kept.size):
-        changed |= path[n + 1] != kept[n]
-        kept[n] = path[n + 1]
+    for n in range(path_costs.size):
+        changed |= path[n + 1] != path_costs[n]
+        path_costs[n] = path[n + 1]
     return changed
 
 
 @njit
-def _scan_row(cost: NDArray, kept: NDArray, leftward: bool, wrap: bool, p1: float, p2: float) -> None:
-    """Write the L of one path along one row to kept (W, N), in laps until nothing changes."""
+def _scan_row(
+    cost: NDArray, fill: NDArray, path_costs: NDArray, leftward: bool, wrap: bool, p1: float, p2: float
+) -> None:
+    """Write the L of one path along one row to path_costs (W, N), in laps until nothing changes."""
     W, N = cost.shape
     message = np.zeros(N, np.float32)
     path = np.full(N + 2, INFINITY)
     for lap in range(MAX_LAPS if wrap else 1):
         for i in range(W):
             x = W - 1 - i if leftward else i
-            lowest = _extend(cost[x], message, path)
-            if not _replace(path, kept[x]) and lap > 0:
-                return  # so is all that follows
-            _send(path, lowest, p1, p2, message)
+            lowest = _add_cost(cost[x], fill[x], message, path)
+            if not _copy_if_changed(path, path_costs[x]) and lap > 0:
+                return  # converged: the rest of the row cannot change
+            _update_message(path, lowest, p1, p2, message)
 
 
 @njit(nogil=True, cache=True)
-def _scan_rows(cost: NDArray, total: NDArray, wrap: bool, p1: float, p2: float) -> bool:
-    """Write the sum of the two paths along rows to total; return whether a cost is infinite."""
+def _scan_rows(cost: NDArray, fill: NDArray, total: NDArray, wrap: bool, p1: float, p2: float) -> bool:
+    """Write the sum of the two paths along rows to total, and fill; return whether a cost is infinite."""
     infinite = False
     leftward = np.empty(cost.shape[1:], np.float32)
     for y in range(len(cost)):
-        _scan_row(cost[y], total[y], False, wrap, p1, p2)
-        _scan_row(cost[y], leftward, True, wrap, p1, p2)
+        for x in range(len(leftward)):
+            fill[y, x] = _fill_value(cost[y, x])
+            infinite |= not abs(fill[y, x]) < INFINITY
+        _scan_row(cost[y], fill[y], total[y], False, wrap, p1, p2)
+        _scan_row(cost[y], fill[y], leftward, True, wrap, p1, p2)
         for x in range(len(leftward)):
             for n in range(leftward.shape[1]):
                 c = cost[y, x, n]
-                infinite |= abs(c) == INFINITY
-                total[y, x, n] += leftward[x, n] + (c - c)  # NaN where C is, and that stays
+                total[y, x, n] += leftward[x, n] + (c - c)  # NaN where C is, which stays
     return infinite
 
 
 @njit(nogil=True, cache=True)
 def _advance(
     cost: NDArray,
+    fill: NDArray,
     total: NDArray,
     messages: NDArray,
-    up: bool,
-    top: int,
-    bottom: int,
-    first: int,
-    last: int,
-    slope: int,
+    tile: tuple,
     diagonals: bool,
     wrap: bool,
     p1: float,
     p2: float,
 ) -> None:
-    """Add the three paths of a pass to total, in the columns first + slope j ... last − slope j of a band's row j."""
+    """Add the three paths of a pass to total, in the columns [first + slope j, last − slope j) of row j of a band."""
+    up, top, bottom, first, last, slope = tile
     H, W, N = cost.shape
     paths = np.zeros((3, N + 2), np.float32)
     for k in range(3):
@@ -249,55 +256,57 @@ def _advance(
                 message = messages[int(up), k, line]
                 if not wrap and ((k == 1 and x == 0) or (k == 2 and x == W - 1)):
                     message.fill(0)
-                lowest = _extend(cost[y, x], message, paths[k])
-                _send(paths[k], lowest, p1, p2, message)
-            _add(paths, total[y, x])
+                lowest = _add_cost(cost[y, x], fill[y, x], message, paths[k])
+                _update_message(paths[k], lowest, p1, p2, message)
+            _add_paths(paths, total[y, x])
 
 
 @njit
-def _add(paths: NDArray, total: NDArray) -> None:
+def _add_paths(paths: NDArray, total: NDArray) -> None:
     for n in range(total.size):
         total[n] += paths[0, n + 1] + paths[1, n + 1] + paths[2, n + 1]
 
 
-# ---- Any device: whole rows and columns at once, the panorama and its half turn side by side.
+# ---- Any device: whole rows and columns at once, both directions of a path side by side.
 
 
 def sgm_torch(volume: Tensor, p1: float, p2: float, paths: int, wrap: bool) -> Tensor:
-    """Return S of a volume without infinite costs, in the volume's own precision."""
-    unknown = volume.isnan()
-    cost = torch.where(unknown, math.inf, volume)
-    cost[unknown.all(-1)] = 0  # nothing is known of these rays: any constant lets messages through
-    cost = torch.stack((cost, cost.flip(0, 1)))  # after half a turn, ← ↑ ↖ ↗ are → ↓ ↘ ↙
+    """Return S of a volume without infinite costs, in the precision of the volume."""
+    cost = volume.clone()
+    for rows in cost.split(16):  # some rows at a time: no further copy of the volume
+        rows.copy_(torch.where(rows.isnan(), rows.nanmean(-1, keepdim=True).nan_to_num(0.0), rows))
     total = _scan_columns(cost, p1, p2, MAX_LAPS if wrap else 1)
     H, W, N = volume.shape
     messages = cost.new_zeros(3 if paths == 8 else 1, 2, W, N)
     for y in range(H):
-        path = cost[:, y] + messages
-        total[:, y] += path.sum(0)
-        messages = _messages(path, p1, p2)
+        path = torch.stack((cost[y], cost[H - 1 - y])) + messages  # ↓ ↘ ↙ and ↑ ↗ ↖
+        total[y] += path[:, 0].sum(0)
+        total[H - 1 - y] += path[:, 1].sum(0)
+        messages = _next_messages(path, p1, p2)
         for k, shift in ((1, 1), (2, -1)) if paths == 8 else ():
             messages[k] = messages[k].roll(shift, -2)
             if not wrap:
                 messages[k, :, 0 if shift > 0 else -1] = 0
-    return (total[0] + total[1].flip(0, 1)).masked_fill(unknown, math.nan)
+    return total.masked_fill_(volume.isnan(), math.nan)
 
 
 def _scan_columns(cost: Tensor, p1: float, p2: float, laps: int) -> Tensor:
-    """Return L of the paths from left to right."""
-    path = torch.empty_like(cost)
-    message = torch.zeros_like(cost[:, :, 0])
+    """Return the sum of the L of the paths → and ←."""
+    right, left = torch.empty_like(cost), torch.empty_like(cost)
+    H, W, N = cost.shape
+    message = cost.new_zeros(2, H, N)
     for _ in range(laps):
         before = message
-        for x in range(cost.shape[2]):
-            path[:, :, x] = cost[:, :, x] + message
-            message = _messages(path[:, :, x], p1, p2)
+        for x in range(W):
+            path = torch.stack((cost[:, x], cost[:, W - 1 - x])) + message
+            right[:, x], left[:, W - 1 - x] = path
+            message = _next_messages(path, p1, p2)
         if torch.equal(message, before):
             break
-    return path
+    return right.add_(left)
 
 
-def _messages(path: Tensor, p1: float, p2: float) -> Tensor:
+def _next_messages(path: Tensor, p1: float, p2: float) -> Tensor:
     lowest = path.amin(-1, keepdim=True)
     padded = pad(path, (1, 1), value=math.inf)
     step = torch.minimum(padded[..., :-2], padded[..., 2:]) + p1
