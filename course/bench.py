@@ -24,6 +24,7 @@ from omnistereo_lib.calibrate.rig import calibrate_rig
 from omnistereo_lib.dataset import load_dataset
 from omnistereo_lib.evaluate.run import DATA
 from omnistereo_lib.geometry.camera import OcamCamera
+from omnistereo_lib.geometry.rig import camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.rig_files import load_rig
 from omnistereo_lib.stereo.learned import LearnedCost, uses_bfloat16
@@ -31,7 +32,6 @@ from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sgm import sgm, sgm_torch
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.sweepnet import SweepNet
-from omnistereo_lib.stereo.volume import camera_pairs
 from omnistereo_lib.train import RECIPES
 from omnistereo_lib.train.spheres import SphereObjective, SphereSamples
 
@@ -113,9 +113,9 @@ def _stereo_pair(width: int, height: int, num: int) -> tuple[NDArray, NDArray]:
 def bench_warp(width: int, height: int, num: int, repeats: int = 3) -> list[Row]:
     """Compare the warp of one camera onto all spheres with cv2.remap; both have their lookup tables ready."""
     sweep, images = _rig_and_images(width, height, num)
-    image = sweep.prepare(images)[0]
+    image = sweep.normalize_images(images)[0]
     ours_out = [torch.empty(len(spheres), height, width) for spheres in sweep.blocks()]
-    tables = [sweep.pixels(0, n)[0].astype(np.float32) for n in range(num)]
+    tables = [sweep.project_sphere(0, n)[0].astype(np.float32) for n in range(num)]
     theirs_out = np.empty((height, width), np.float32)
 
     def warp() -> None:
@@ -136,7 +136,7 @@ def bench_frame(width: int, height: int, num: int, repeats: int = 3) -> list[Row
     sweep, images = _rig_and_images(width, height, num)
     grids = []  # for each camera its pixels of every ray on every sphere, (N, H, W, 2), in [-1, 1] for `grid_sample`
     for i, camera in enumerate(sweep.rig.cameras):
-        pixels = np.stack([sweep.pixels(i, n)[0].astype(np.float32) for n in range(num)])
+        pixels = np.stack([sweep.project_sphere(i, n)[0].astype(np.float32) for n in range(num)])
         grids.append(torch.from_numpy(pixels * np.float32(2 / (np.array(camera.image_size) - 1)) - 1))
     times, _ = best_of(repeats, lambda: sweep_depth(sweep, images), lambda: _plain_frame(images, grids))
     note = f"{1 / times[0]:.1f} frames/s; tables {sweep.table_bytes / 2**20:.0f} MiB"
@@ -181,7 +181,7 @@ def bench_sweepnet(width: int, height: int, num: int, spheres: range | None = No
     chosen = range(num) if spheres is None else spheres
     blocks = [range(max(b.start, chosen.start), min(b.stop, chosen.stop)) for b in sweep.blocks()]
     blocks = [block for block in blocks if block]
-    prepared = sweep.prepare(images)
+    prepared = sweep.normalize_images(images)
     warped = [sweep.warp_block(prepared, block) for block in blocks]
     columns = [[sweep.visible_columns(i, block) for i in range(len(sweep.rig))] for block in blocks]
     pairs = camera_pairs("ring", sweep.rig)

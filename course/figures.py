@@ -29,7 +29,7 @@ def draw_figures(folder: Path) -> None:
 def _rig(data: Dataset) -> Figure:
     """Draw the rig from above, with its axes at the sweep centre."""
     fig, ax = _figure(7, 6)
-    draw_rig(ax, data.rig.centered())
+    draw_rig(ax, data.rig.recentered())
     _axis(ax, (0, 0), (0.3, 0), "+x", "C5")
     _axis(ax, (0, 0), (0, 0.3), "+z", "C5")
     _inwards(ax, (0, 0), "+y", (-30, -20), "C5")
@@ -72,7 +72,7 @@ def _spheres(data: Dataset) -> Figure:
     """Draw a few spheres around the rig from above, as far as the page goes."""
     grid = osl.SphereGrid(320, 80, num_spheres=SPHERES, min_depth=data.rig.min_depth)
     fig, ax = _figure(7, 6)
-    ax.plot(*data.rig.centered().centers[:, [0, 2]].T, "ko", ms=4)
+    ax.plot(*data.rig.recentered().centers[:, [0, 2]].T, "ko", ms=4)
     ax.plot(0, 0, "k+", ms=12)
     around = np.linspace(0, 2 * np.pi, 361)
     for n in range(2, SPHERES):

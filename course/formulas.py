@@ -10,17 +10,18 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.calibrate.board import Checkerboard
-from omnistereo_lib.calibrate.bundle import Bundle, Estimate, Intrinsics, Observations
+from omnistereo_lib.calibrate.bundle import BundleProblem
+from omnistereo_lib.calibrate.params import CalibrationParams, Intrinsics, Observations
 from omnistereo_lib.dataset import load_dataset
 from omnistereo_lib.evaluate.run import DATA
 from omnistereo_lib.geometry.pose import Pose
-from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.geometry.rig import Rig, camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.depth import winner_takes_all
 from omnistereo_lib.stereo.metrics import index_error
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.sweepnet import SweepNet
-from omnistereo_lib.stereo.volume import camera_pairs, cost_volume
+from omnistereo_lib.stereo.volume import cost_volume
 from omnistereo_lib.train.spheres import SphereBatch, SphereObjective, Strip
 
 
@@ -34,7 +35,7 @@ def _difference(ours: ArrayLike, printed: ArrayLike) -> float:
 
 @cache
 def _rig() -> Rig:
-    return load_dataset(DATA / "sunny" / "test").rig.centered()
+    return load_dataset(DATA / "sunny" / "test").rig.recentered()
 
 
 def _sweep(width: int, height: int, num_spheres: int) -> SphereSweep:
@@ -47,7 +48,9 @@ def projection() -> float:
     pixels = np.random.default_rng(0).uniform(0, min(camera.image_size) - 1, (200, 2))
     c, d, e = camera.affine
     x, y = np.linalg.inv([[1, e], [d, c]]) @ (pixels - camera.center).T
-    found, seen = camera.project(np.stack([x, y, -np.polyval(camera.poly[::-1], np.hypot(x, y))], -1), exact=True)
+    found, seen = camera.project(
+        np.stack([x, y, -np.polyval(camera.poly[::-1], np.hypot(x, y))], -1), use_direct_poly=True
+    )
     return _difference(found[seen], pixels[seen])
 
 
@@ -71,12 +74,14 @@ def reprojection() -> float:
     board, second = map(Pose.from_vector, vectors)
     poses, points = (Pose.identity(), second), Checkerboard((12, 10), 0.06).points
     board = Pose(board.R, np.array([-0.3, -0.3, 0.6]))
-    predicted = np.concatenate([lens.camera(200.0).project((pose @ board) @ points, exact=True)[0] for pose in poses])
+    predicted = np.concatenate(
+        [lens.camera(200.0).project((pose @ board) @ points, use_direct_poly=True)[0] for pose in poses]
+    )
     seen = predicted + np.random.default_rng(0).normal(size=predicted.shape)
     camera, corner = np.divmod(np.arange(len(predicted)), len(points))
-    corners = Observations(camera, np.zeros_like(camera), corner, np.tile(points, (2, 1)), seen)
-    estimate = Estimate((lens, lens), poses, (board,))
-    residuals = Bundle(estimate, corners).residuals(estimate.vector())
+    corners = Observations(camera, np.zeros_like(camera), corner, seen, points)
+    params = CalibrationParams((lens, lens), poses, (board,))
+    residuals = BundleProblem(params, corners).residuals(params.to_vector())
     return _difference(np.sum(residuals**2), np.sum((seen - predicted) ** 2))
 
 
@@ -117,7 +122,7 @@ def mean_cost() -> float:
     """C(p, n) = mean_ij (1 − ZNCC)/2, where each pair sees all of the 9 × 9 patch or nothing of its middle."""
     sweep, rng = _sweep(28, 11, 2), np.random.default_rng(0)
     images = [rng.random(camera.image_size[::-1]) for camera in sweep.rig.cameras]
-    spherical = sweep.warp_block(sweep.prepare(images), range(2)).double().numpy()
+    spherical = sweep.warp_block(sweep.normalize_images(images), range(2)).double().numpy()
     volume, ours, printed = cost_volume(sweep, images).numpy(), [], []
     for y, x, n in product(range(4, 7), range(28), range(2)):
         patches = spherical[:, n, y - 4 : y + 5][..., np.arange(x - 4, x + 5) % 28].reshape(-1, 81)

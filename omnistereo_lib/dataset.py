@@ -77,7 +77,7 @@ class Frame:
         height, width = self.inverse_depth.shape
         highest = 180.0 * height / width
         gt_grid = SphereGrid(width, height, (-highest, highest), sampling=grid.sampling)
-        pixels, inside = gt_grid.pixel(grid.rays())
+        pixels, inside = gt_grid.project(grid.rays())
         column, row = np.rint(pixels).astype(int).reshape(-1, 2).T
         nearest = self.inverse_depth[row.clip(0, height - 1), column % width].reshape(grid.shape)
         return grid.inverse_depth_to_index(np.where(inside, nearest, np.nan))

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 def draw_residuals(ax: Axes, report: CameraReport) -> None:
     """Draw every corner's residual from one origin, with circles of one, two and three sigma: it should be a cloud."""
-    residuals = report.inliers()
+    residuals = report.inlier_residuals()
     ax.scatter(*residuals.T, s=5, alpha=0.4, linewidths=0)
     angle = np.linspace(0, 2 * np.pi, 100)
     for sigmas in (1, 2, 3):
@@ -35,7 +35,7 @@ def draw_error_by_angle(ax: Axes, report: CameraReport) -> None:
     """
     angles = np.degrees(np.concatenate([report.angles[view] for view in report.views_used]))
     corners = np.concatenate([report.corners[view] for view in report.views_used])
-    residuals = np.concatenate(list(report.counted().values()))
+    residuals = np.concatenate(list(report.residuals_used().values()))
     outwards = corners - report.intrinsics.vector[:2]
     outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
     radial = np.sum(residuals * outwards, axis=1)
@@ -52,7 +52,7 @@ def draw_error_by_angle(ax: Axes, report: CameraReport) -> None:
 def draw_error_directions(ax: Axes, report: CameraReport) -> None:
     """Draw every corner in the image, coloured by its residual's direction: neighbours of one colour are a bias."""
     corners = np.concatenate([report.corners[view] for view in report.views_used])
-    residuals = np.concatenate(list(report.counted().values()))
+    residuals = np.concatenate(list(report.residuals_used().values()))
     direction = np.degrees(np.arctan2(residuals[:, 1], residuals[:, 0]))
     known = np.isfinite(direction)
     ax.scatter(*corners[known].T, c=direction[known], cmap="twilight", vmin=-180, vmax=180, s=9, linewidths=0)
@@ -63,7 +63,7 @@ def draw_coverage(ax: Axes, report: CameraReport) -> None:
     """Draw all corners in the image, a colour for each view, with circles at 30°, 60°, 90° from the axis."""
     for view in report.views_used:
         ax.scatter(*report.corners[view].T, s=5, linewidths=0)
-    reach = report.coverage_deg
+    reach = report.max_corner_angle_deg
     camera = report.intrinsics.camera(2 * reach)
     azimuth = np.linspace(0, 2 * np.pi, 120)
     for theta in np.radians(np.append(np.arange(30, reach, 30), reach)):

@@ -166,7 +166,7 @@ class CameraReport(_Report):
         camera = self.intrinsics.camera(2.0 * min(float(np.max(angles_deg)) + 0.1, 179.0))
         theta, phi = np.meshgrid(np.radians(angles_deg), np.linspace(0, 2 * np.pi, azimuths, endpoint=False))
         rays = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
-        pixels = camera.project(rays, exact=True)[0]
+        pixels = camera.project(rays, use_direct_poly=True)[0]
 
         def directions(vector: Floats) -> Floats:
             return Intrinsics(vector, self.intrinsics.image_size).rays(pixels)

@@ -52,14 +52,14 @@ def run(options: argparse.Namespace) -> None:
     else:
         cameras, names, views, sizes, progress = _read_corners(options.corners, board)
     out = make_folder(options.out)
-    settings = {"degree": options.degree, "max_fov_deg": options.max_fov, "progress": progress}
+    settings = {"degree": options.degree, "max_fov_deg": options.max_fov, "progress": progress, "names": names}
     if len(views) == 1:
         camera, report = calibrate_camera(views[0], board, sizes and sizes[0], **settings)
         reports = [report]
         written = _write_camera(out, camera)
     else:
         rig, report = calibrate_rig(views, board, sizes, **settings)
-        reports = report.cameras
+        reports = report.joint
         written = _write_rig(out, rig)
     text = report.text(names)
     with atomic_write(out / "report.txt") as temporary:

@@ -32,7 +32,7 @@ def find_regions(gt_index: ArrayLike, sweep: SphereSweep) -> dict[str, NDArray[n
     N = sweep.grid.num_spheres
     fraction = gt_index / (N - 1)  # of the inverse depth swept
     edges = near_edges(gt_index, N)
-    count = np.sum([sweep.pixels(camera, gt_index)[1] for camera in range(len(sweep.rig))], axis=0)
+    count = np.sum([sweep.project_sphere(camera, gt_index)[1] for camera in range(len(sweep.rig))], axis=0)
     return {
         "all": np.ones(gt_index.shape, bool),
         "sky": fraction == 0,

@@ -31,7 +31,7 @@ from omnistereo_lib.stereo.depth import winner_takes_all
 from omnistereo_lib.stereo.learned import Precision, uses_bfloat16
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.metrics import index_error
-from omnistereo_lib.stereo.sweep import SphereSweep, find_device
+from omnistereo_lib.stereo.sweep import SphereSweep, select_device
 from omnistereo_lib.stereo.volume import Cost, cost_volume
 from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
 
@@ -122,7 +122,7 @@ class Evaluation:
     weights : path
         Folder of the network weights.
     device, precision
-        See `find_device` and `LearnedCost`; under `torchrun` every process takes its own GPU.
+        See `select_device` and `LearnedCost`; under `torchrun` every process takes its own GPU.
     rig : path, optional
         Another rig, such as a calibrated one, in place of the rig of every set: anything that `load_rig` reads. Its
         first camera gets the pose of the first camera of the set.
@@ -148,7 +148,7 @@ class Evaluation:
         rig: str | Path | None = None,
     ) -> None:
         methods = tuple(dict.fromkeys(methods))
-        self.scale, self.weights, self.precision, self.device = scale, Path(weights), precision, find_device(device)
+        self.scale, self.weights, self.precision, self.device = scale, Path(weights), precision, select_device(device)
         self._weights = _weights_checksums(methods, self.weights)
         self.sets = {name: load_dataset(folder, split) for name, folder in sets.items()}
         self.rigs = {name: data.rig if rig is None else _read_rig(rig, data) for name, data in self.sets.items()}
@@ -262,7 +262,7 @@ def _read_rig(path: str | Path, data: Dataset) -> Rig:
     sizes = [[camera.image_size for camera in one.cameras] for one in (own, rig)]
     if sizes[0] != sizes[1]:
         raise OmnistereoError(f"{path} has cameras of {sizes[1]} pixels; expected {sizes[0]}, as in {data.folder}")
-    return replace(rig.moved(own.T_rig_cam[0] @ rig.T_rig_cam[0].inverse()), min_depth=own.min_depth)
+    return replace(rig.transformed(own.T_rig_cam[0] @ rig.T_rig_cam[0].inverse()), min_depth=own.min_depth)
 
 
 def _rig_files(path: Path) -> list[Path]:

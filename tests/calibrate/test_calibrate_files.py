@@ -198,7 +198,7 @@ def test_depth_with_a_calibrated_rig_is_as_good():
     frame, grid = data[0], osl.SphereGrid(320, 80, num_spheres=64, min_depth=data.rig.min_depth)
     mae = [
         osl.index_error(osl.estimate_depth(which, frame.images, grid).index, frame.gt_index(grid), 64)["MAE"]
-        for which in (data.rig, rig.moved(data.rig.T_rig_cam[0]))
+        for which in (data.rig, rig.transformed(data.rig.T_rig_cam[0]))
     ]
     assert mae[1] == pytest.approx(mae[0], rel=0.05)
     # Half a degree in one camera is seen:
@@ -223,7 +223,7 @@ def test_kannala_brandt_follows_an_equidistant_lens():
 
 @pytest.mark.parametrize("name", ["kalibr.yaml", "opencv.yaml"])
 def test_rigs_for_others_come_back(tmp_path, name):
-    rig = rig_of().moved(Pose.from_vector([0.1, 0.2, 0.3, 1, 2, 3]))
+    rig = rig_of().transformed(Pose.from_vector([0.1, 0.2, 0.3, 1, 2, 3]))
     residuals = export_rig(rig, tmp_path)
     again = osl.Rig.load(tmp_path / name, unit="m")
     for i in range(4):
@@ -344,7 +344,7 @@ def test_index_shift_is_what_the_sweep_finds():
     images = scene.images(rig)
     wrong = rig.with_poses([rig.T_rig_cam[0] @ Pose.from_vector([0, np.radians(0.8), 0, 0, 0, 0]), *rig.T_rig_cam[1:]])
     before, after = (osl.estimate_depth(which, images, grid).index for which in (rig, wrong))
-    predicted = osl.index_shift(rig.centered(), wrong.centered(rig.centers.mean(0)), grid, np.nanmedian(before))
+    predicted = osl.index_shift(rig.recentered(), wrong.recentered(rig.centers.mean(0)), grid, np.nanmedian(before))
     strong = np.abs(predicted) > 0.7 * np.nanmax(np.abs(predicted))
     assert np.nanmedian((after - before)[strong] * np.sign(predicted[strong])) > 0.4 * np.median(
         np.abs(predicted[strong])

@@ -224,7 +224,7 @@ def test_bad_shards(shard):
 
 
 def test_the_same_rig_in_another_frame_changes_nothing(data, tmp_path, expected):
-    RIG.moved(osl.Pose.from_vector([0.3, -0.2, 0.5, 1.0, 2.0, -3.0])).save(tmp_path / "moved.yaml")
+    RIG.transformed(osl.Pose.from_vector([0.3, -0.2, 0.5, 1.0, 2.0, -3.0])).save(tmp_path / "moved.yaml")
     moved = json.loads(evaluate(tmp_path / "moved", data, rig=tmp_path / "moved.yaml"))
     for number, methods in json.loads(expected)["frames"]["box"].items():
         for name, errors in methods.items():

@@ -57,7 +57,7 @@ def test_every_angle_lands_where_the_closed_form_says():
     uv, _ = equidistant().project(ray(THETA, AZIMUTH))
     np.testing.assert_allclose(uv, pixel(180.0 * THETA, AZIMUTH), atol=1e-9)
     for exact, tolerance in ((True, 1e-9), (False, 1e-7)):
-        uv, _ = stereographic().project(ray(THETA, AZIMUTH), exact=exact)
+        uv, _ = stereographic().project(ray(THETA, AZIMUTH), use_direct_poly=exact)
         np.testing.assert_allclose(uv, pixel(2 * F * np.tan(THETA / 2), AZIMUTH), atol=tolerance)
 
 
@@ -81,13 +81,13 @@ def test_right_is_right_and_down_is_down():
 def test_round_trip_from_rays_and_from_pixels(exact):
     camera = stereographic()
     rays = ray(THETA, AZIMUTH)
-    uv, valid = camera.project(rays, exact=exact)
-    back, seen = camera.unproject(uv, exact=exact)
+    uv, valid = camera.project(rays, use_direct_poly=exact)
+    back, seen = camera.unproject(uv, use_direct_poly=exact)
     assert (seen == valid).all() and 0.7 < valid.mean() < 1  # the circle is cut by the image's edges
     np.testing.assert_allclose(back[valid], rays[valid], atol=1e-9)
     grid = np.stack(np.meshgrid(np.arange(0, SIZE[0], 7.0), np.arange(0, SIZE[1], 7.0)), -1)
-    rays, valid = camera.unproject(grid, exact=exact)
-    again, seen = camera.project(rays, exact=exact)
+    rays, valid = camera.unproject(grid, use_direct_poly=exact)
+    again, seen = camera.project(rays, use_direct_poly=exact)
     assert valid.any() and seen[valid].all()
     assert np.abs(again - grid)[valid].max() < 1e-6
     np.testing.assert_allclose(np.linalg.norm(rays, axis=-1), 1.0, atol=1e-12)
@@ -99,9 +99,9 @@ WIDE = stereographic(image_size=(2400, 2400), center=(1200.0, 1200.0))
 @given(st.floats(0, np.radians(109.9)), st.floats(-np.pi, np.pi), st.floats(1e-3, 1e6), st.booleans())
 @example(5e-324, 0.0, 1.0, False)  # beside the axis by the smallest number that there is
 def test_round_trip_of_any_point(theta, azimuth, distance, exact):
-    uv, valid = WIDE.project(distance * ray(theta, np.float64(azimuth)), exact=exact)
+    uv, valid = WIDE.project(distance * ray(theta, np.float64(azimuth)), use_direct_poly=exact)
     assert valid
-    np.testing.assert_allclose(WIDE.unproject(uv, exact=exact)[0], ray(theta, np.float64(azimuth)), atol=1e-9)
+    np.testing.assert_allclose(WIDE.unproject(uv, use_direct_poly=exact)[0], ray(theta, np.float64(azimuth)), atol=1e-9)
 
 
 @pytest.mark.parametrize("exact", [False, True])
@@ -150,9 +150,9 @@ def test_inverse_polynomial_is_as_good_as_promised(fov):
 
 def test_polynomial_disagreement_is_the_closed_form_distance():
     camera = stereographic()
-    assert camera.polynomial_disagreement() < 1e-6
+    assert camera.inverse_poly_error_px() < 1e-6
     scaled = stereographic(inv_poly=camera.inv_poly * 1.01)
-    assert scaled.polynomial_disagreement() == pytest.approx(0.01 * 2 * F * np.tan(np.radians(55)), rel=1e-4)
+    assert scaled.inverse_poly_error_px() == pytest.approx(0.01 * 2 * F * np.tan(np.radians(55)), rel=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -28,17 +28,17 @@ def test_baselines():
 
 
 def test_centering_moves_without_turning():
-    rig = ring().centered()
+    rig = ring().recentered()
     np.testing.assert_allclose(rig.centers.mean(0), 0, atol=1e-15)
     np.testing.assert_allclose(rig.T_rig_cam[1].R, ring().T_rig_cam[1].R)
-    np.testing.assert_allclose(ring().centered([0.7, 0, 0]).centers[1], 0, atol=1e-15)
+    np.testing.assert_allclose(ring().recentered([0.7, 0, 0]).centers[1], 0, atol=1e-15)
     assert rig.min_depth == 0.55
 
 
 def test_moving_the_frame_moves_nothing_in_the_world():
     T = Pose.from_vector([0.1, 0.2, 0.3, 1, 2, 3])
     point = np.array([1.0, 0.4, 2.0])
-    for before, after in zip(ring().T_rig_cam, ring().moved(T).T_rig_cam, strict=True):
+    for before, after in zip(ring().T_rig_cam, ring().transformed(T).T_rig_cam, strict=True):
         np.testing.assert_allclose(after.inverse() @ (T @ point), before.inverse() @ point, atol=1e-14)
 
 

@@ -35,13 +35,9 @@ def test_rays_follow_the_published_half_pixel_rules(sampling):
             np.testing.assert_allclose(rays[row, column], by_hand, atol=1e-14)
 
 
-def test_named_constructor():
-    assert SphereGrid.released("omnimvs", W, H, num_spheres=8) == SphereGrid(W, H, num_spheres=8, sampling="omnimvs")
-
-
 def test_forward_is_the_middle_right_is_right_down_is_down():
     grid = SphereGrid(400, 100)
-    forward, right, back, down = grid.pixel([[0, 0, 1], [1, 0, 0], [0, 0, -1], [0, 1, 2]])[0]
+    forward, right, back, down = grid.project([[0, 0, 1], [1, 0, 0], [0, 0, -1], [0, 1, 2]])[0]
     np.testing.assert_allclose(forward, [199.5, 49.5])
     np.testing.assert_allclose(right, [299.5, 49.5])
     assert back[0] == pytest.approx(-0.5) or back[0] == pytest.approx(399.5)
@@ -52,7 +48,7 @@ def test_forward_is_the_middle_right_is_right_down_is_down():
 @pytest.mark.parametrize("phi_deg", [(-45, 45), (-90, 90), (-10, 60)])
 def test_pixels_of_rays_come_back(sampling, phi_deg):
     grid = SphereGrid(W, H, phi_deg=phi_deg, sampling=sampling)
-    pixels, valid = grid.pixel(3.7 * grid.rays())
+    pixels, valid = grid.project(3.7 * grid.rays())
     column, row = np.meshgrid(np.arange(W), np.arange(H))
     poles = np.hypot(grid.rays()[..., 0], grid.rays()[..., 2]) < 1e-9  # every column is the same ray there
     assert valid.all()
@@ -62,7 +58,7 @@ def test_pixels_of_rays_come_back(sampling, phi_deg):
 
 
 def test_directions_above_and_below_are_not_in_the_panorama():
-    valid = SphereGrid(W, H).pixel([[0, 5, 1], [0, -5, 1], [0, 0.9, 1], [0, 0, -1]])[1]
+    valid = SphereGrid(W, H).project([[0, 5, 1], [0, -5, 1], [0, 0.9, 1], [0, 0, -1]])[1]
     assert valid.tolist() == [False, False, True, True]
 
 

@@ -86,7 +86,7 @@ def test_ocam_polynomials_fit_the_lens(seed):
         fit = fit_ocam(lens, width)
         assert max(fit.residual_px, fit.inverse_residual_px) < 2e-3
         camera = osl.OcamCamera(fit.poly, fit.inv_poly, fit.centre, (1, 0, 0), (width, width * 96 // 100))
-        assert camera.polynomial_disagreement() < 5e-3
+        assert camera.inverse_poly_error_px() < 5e-3
 
 
 @pytest.mark.parametrize("size", [(800, 768), (400, 384)])
@@ -557,7 +557,7 @@ def means(picture, size=WINDOW):
 def test_truths_of_both_sizes_agree_where_depth_is_smooth(shipped, i):
     fine = shipped[i].inverse_depth
     coarse = osl.load_dataset(SAMPLES, split="test", gt_width=640)[i].inverse_depth
-    pixels, _ = osl.SphereGrid(1200, 300).pixel(GRID.rays())
+    pixels, _ = osl.SphereGrid(1200, 300).project(GRID.rays())
     low, high = (sample(values, pixels, cv2.INTER_NEAREST) for values in around(fine, 3))
     smooth = (low > 0) & (high < 1.05 * low)
     smooth[[0, -1]] = False
@@ -598,7 +598,7 @@ def surely_seen(centre, inverse_depth):
     seen = np.ones(GRID.shape, bool)
     for share_of_way in np.linspace(0.05, 0.995, 12):
         between = centre + share_of_way * (points - centre)
-        pixels, inside = GRID.pixel(between)
+        pixels, inside = GRID.project(between)
         covered = np.linalg.norm(between, axis=-1) * sample(inverse_depth, pixels, cv2.INTER_NEAREST) > 1.02
         seen &= inside & ~covered
     return seen

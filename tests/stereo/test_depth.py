@@ -114,7 +114,7 @@ def test_agreement_of_one_ray_by_hand(estimate):
     rows, columns = np.mgrid[row - 4 : row + 5, column - 4 : column + 5]
     points = grid.rays()[rows, columns] * grid.index_to_depth(found.index[rows, columns])[..., None]
     seen = []
-    for pose, camera, image in zip(sweep.rig.T_rig_cam, sweep.rig.cameras, sweep.prepare(images), strict=True):
+    for pose, camera, image in zip(sweep.rig.T_rig_cam, sweep.rig.cameras, sweep.normalize_images(images), strict=True):
         inside = (points - pose.t) @ pose.R
         uv, valid = camera.project(inside)
         angle = np.arccos(inside[..., 2] / np.linalg.norm(inside, axis=-1))

@@ -72,7 +72,7 @@ def test_a_wall_is_sharp_on_its_own_sphere(world):
 
 def test_tables_are_kept_within_their_budget_and_recomputed_beyond(world):
     rig, images = world
-    kept, streamed = osl.SphereSweep(rig, GRID), osl.SphereSweep(rig, GRID, max_table_bytes=0)
+    kept, streamed = osl.SphereSweep(rig, GRID), osl.SphereSweep(rig, GRID, max_lut_bytes=0)
     a, b = osl.cost_volume(kept, images), osl.cost_volume(streamed, images)
     assert torch.equal(a.nan_to_num(9), b.nan_to_num(9))
     assert streamed.table_bytes == 0
@@ -83,7 +83,7 @@ def test_tables_are_kept_within_their_budget_and_recomputed_beyond(world):
 def test_seam_is_no_border(world):
     """Turning the panorama by whole columns turns every warped image, wherever the seam falls."""
     rig, images = world
-    turned = rig.moved(osl.Pose.from_vector([0, 2 * np.pi * 10 / 64, 0, 0, 0, 0]))
+    turned = rig.transformed(osl.Pose.from_vector([0, 2 * np.pi * 10 / 64, 0, 0, 0, 0]))
     a = osl.SphereSweep(rig, GRID).warp_block([torch.from_numpy(i) for i in images], range(16))
     b = osl.SphereSweep(turned, GRID).warp_block([torch.from_numpy(i) for i in images], range(16))
     difference = (a.roll(10, -1) - b).abs()
@@ -103,7 +103,7 @@ def test_colour_is_warped_channel_by_channel(world):
 def test_prepared_images_have_zero_mean_and_unit_variance_over_the_lens_circle(world):
     rig, images = world
     bright = [image * 0.5 + 100 for image in images]
-    for prepared, camera in zip(osl.SphereSweep(rig, GRID).prepare(bright), rig.cameras, strict=True):
+    for prepared, camera in zip(osl.SphereSweep(rig, GRID).normalize_images(bright), rig.cameras, strict=True):
         width, height = camera.image_size
         _, seen = camera.unproject(np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1))
         assert abs(prepared.numpy()[seen].mean()) < 1e-4
@@ -152,4 +152,4 @@ def test_columns_seen_form_the_shortest_span_around_the_seam(seen, span):
 def test_images_that_do_not_fit_the_rig_are_refused(world, spoil, message):
     rig, images = world
     with pytest.raises(osl.OmnistereoError, match=message):
-        osl.SphereSweep(rig, GRID).prepare(spoil(images))
+        osl.SphereSweep(rig, GRID).normalize_images(spoil(images))

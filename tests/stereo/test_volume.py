@@ -6,7 +6,7 @@ import scene
 import torch
 
 import omnistereo_lib as osl
-from omnistereo_lib.stereo.volume import camera_pairs
+from omnistereo_lib.geometry.rig import camera_pairs
 
 GRID = osl.SphereGrid(160, 40, (-40, 40), 24, 0.6)
 
