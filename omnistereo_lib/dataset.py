@@ -130,10 +130,8 @@ def load_dataset(
     gt_width : int, optional
         Panorama width in pixels of the ground truth to read, where there are several; default: the widest.
 
-    Raises
-    ------
-    OmnistereoError
-        If the folder, the rig or the frames are missing, a camera lacks a frame, or two files have one number.
+    Raises an `OmnistereoError` if the folder, the rig or the frames are missing, a camera lacks a frame, or two files
+    have one number.
     """
     folder = Path(folder)
     if split is not None and (folder / split).is_dir():

@@ -19,7 +19,7 @@ from pathlib import Path
 from omnistereo_lib.errors import OmnistereoError
 from render.boards import CAPTURES
 from render.captures import is_captured, render_captures
-from render.frames import SEED, SETS, forget_partial, is_complete, render_set, share, write_manifest
+from render.frames import SEED, SETS, forget_partial, is_complete, render_set, select_shard, write_manifest
 
 _ALL = SETS | CAPTURES
 _ROOT = Path(__file__).resolve().parents[1]
@@ -50,7 +50,7 @@ def render(options: argparse.Namespace) -> int:
         If a set, a frame or a shard does not exist, or Blender's environment is missing.
     """
     names = options.sets or ["sunny/test"]
-    wanted = {name: share(_numbers(name, options.frames), options.shard) for name in names}
+    wanted = {name: select_shard(_numbers(name, options.frames), options.shard) for name in names}
     if options.seed < 0:
         raise OmnistereoError(f"a seed is a whole number from 0 up, got {options.seed}")
     if importlib.util.find_spec("bpy") is None:

@@ -141,21 +141,12 @@ def is_complete(folder: Path, images: ImageSet, number: int) -> bool:
     return all(path.is_file() for path in frame_paths(folder, images, number))
 
 
-def share(numbers: tuple[int, ...], shard: str) -> tuple[int, ...]:
-    """Return the part i/n of the frames, such as "2/8": every eighth, from the second on.
-
-    Raises
-    ------
-    OmnistereoError
-        If the shard is not of that form.
-    """
-    try:
-        part, parts = (int(word) for word in shard.split("/"))
-    except ValueError:
-        part, parts = 0, 0
-    if not 1 <= part <= parts:
-        raise OmnistereoError(f"a shard is written i/n with 1 ≤ i ≤ n, such as 2/8; got {shard!r}")
-    return numbers[part - 1 :: parts]
+def select_shard(numbers: tuple[int, ...], shard: str) -> tuple[int, ...]:
+    """Return shard i/n, such as "2/8": every eighth frame, starting at the second."""
+    part, _, parts = shard.partition("/")
+    if not (part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts)):
+        raise OmnistereoError(f"shard {shard!r} is not of the form i/n; expected 1 ≤ i ≤ n, such as 2/8")
+    return numbers[int(part) - 1 :: int(parts)]
 
 
 def render_set(folder: Path, images: ImageSet, numbers: tuple[int, ...], seed: int) -> Iterator[int]:

@@ -102,7 +102,7 @@ def test_the_renderer_uses_geometry_only():
 
 def test_there_is_no_circle():
     graph = {name: {n for n in imports(path) if n in EVERYTHING} - {name} for name, path in EVERYTHING.items()}
-    TopologicalSorter(graph).normalize_images()
+    TopologicalSorter(graph).prepare()
 
 
 @pytest.mark.parametrize("library", AT_HOME)

@@ -48,10 +48,7 @@ def read_record(path: Path) -> Record:
 
 
 def check_record(path: Path, expected: Record) -> Record:
-    """Read a record and compare its inputs with the expected ones.
-
-    Raises an `OmnistereoError` that names each setting or checksum that both state and that differs.
-    """
+    """Read a record; an `OmnistereoError` names each setting or checksum that differs from the expected record."""
     record = read_record(path)
     found = [f for part in _INPUTS for f in _differences(record[part], expected.get(part, {}), part)]
     if found:

@@ -87,12 +87,12 @@ def error_sums(
     error = error_map(index, gt_index, num_spheres)
     error = np.where(np.isnan(error), 100.0, error)
     evaluated = (gt_index >= 0) & (gt_index < num_spheres)
-    return {name: _sums(error[evaluated & mask]) for name, mask in regions.items()}
-
-
-def _sums(error: NDArray[np.float64]) -> dict[str, float]:
-    above = {f">{limit}": int(np.count_nonzero(error > limit)) for limit in (1, 3, 5)}
-    return {"rays": error.size, **above, "sum": float(error.sum()), "squares": float((error**2).sum())}
+    sums = {}
+    for name, mask in regions.items():
+        e = error[evaluated & mask]
+        above = {f">{limit}": int(np.count_nonzero(e > limit)) for limit in (1, 3, 5)}
+        sums[name] = {"rays": e.size, **above, "sum": float(e.sum()), "squares": float((e**2).sum())}
+    return sums
 
 
 def sums_to_metrics(sums: ArrayLike) -> NDArray[np.float64]:

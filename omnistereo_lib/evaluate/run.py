@@ -113,25 +113,18 @@ class Evaluation:
     ----------
     out : path
         Output folder, made if missing; frames/SET/NUMBER/METHOD.json are the single results.
-    sets : mapping of name to folder
-        As `find_sets` returns them: folders that `load_dataset` reads, with ground truth.
-    methods, scale, split
-        The methods, the size of panorama and sweep, and the split of the folders, see `load_dataset`.
+    sets, split
+        Folders with ground truth by name, as `find_sets` returns them; their split, see `load_dataset`.
     frames : sequence of int, optional
         Frame numbers, the same in every set; default: all with ground truth.
-    weights : path
-        Folder of the network weights.
-    device, precision
-        See `select_device` and `LearnedCost`; under `torchrun` every process takes its own GPU.
+    weights, device, precision
+        Folder of the weights; see `select_device` and `LearnedCost`. Under `torchrun` every process takes its own GPU.
     rig : path, optional
         Another rig, such as a calibrated one, in place of the rig of every set: anything that `load_rig` reads. Its
         first camera gets the pose of the first camera of the set.
 
-    Raises
-    ------
-    OmnistereoError
-        If data, weights or rig are missing, the rig has other cameras than a set, there is no such device, or the
-        folder holds results of another scale, rig, other data or other weights.
+    Raises an `OmnistereoError` if data, weights, rig or device are missing, the rig has other cameras than a set, or
+    the folder holds results of another scale, rig, other data or other weights.
     """
 
     def __init__(
@@ -207,10 +200,8 @@ class Evaluation:
         `evaluate_frame` yields.
         """
         if missing := self.missing():
-            raise OmnistereoError(
-                f"{len(missing)} of {len(self.jobs)} results are missing, such as {self.path(missing[0])}. "
-                "Run the other shards, or the same command again."
-            )
+            found = f"{len(missing)} of {len(self.jobs)} results are missing, such as {self.path(missing[0])}"
+            raise OmnistereoError(f"{found}. Run the other shards, or the same command again.")
         results: Record = {}
         for job in self.jobs:
             add_record(results, self.check(self.path(job)))

@@ -74,21 +74,12 @@ class Table:
 def bootstrap(
     samples: ArrayLike, statistic: Callable[[NDArray], NDArray], level: float = 0.95, count: int = _RESAMPLES
 ) -> NDArray[np.float64]:
-    """Return a statistic of frames and its interval by percentile bootstrap (Efron 1979).
+    """Return a statistic of frames with the lower and upper end of its percentile bootstrap interval, shape (C, 3).
 
-    Parameters
-    ----------
-    samples : array, shape (frames, K)
-    statistic : callable
-        Maps the mean of samples over frames, (..., K), to the statistic, (..., C).
-    level : float
-        Fraction of the `count` resamples, drawn with replacement and a fixed seed, within the interval. It is too
-        narrow with few frames: the true mean of 8 normal values is in about 89 % of such intervals of 95 %.
-
-    Returns
-    -------
-    array, shape (C, 3)
-        Statistic, lower and upper end. The ends are NaN with fewer than two frames.
+    `samples` has shape (frames, K); `statistic` maps its mean over frames, (..., K), to (..., C). `level` is the
+    fraction of the `count` resamples, drawn with replacement and a fixed seed, within the interval (Efron 1979). With
+    few frames it is too narrow: the true mean of 8 normal values is in about 89 % of such intervals of 95 %. The ends
+    are NaN with fewer than two frames.
     """
     samples = np.asarray(samples, np.float64)
     value, n = statistic(samples.mean(0)), len(samples)

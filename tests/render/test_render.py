@@ -30,7 +30,7 @@ from render.frames import (
     is_complete,
     render_set,
     renew_manifest,
-    share,
+    select_shard,
     write_manifest,
 )
 from render.layout import HALF_STREET, LANE, STREETS, plan_district, split_lots
@@ -409,7 +409,7 @@ def test_forgetting_leaves_other_machines_and_files_alone(no_blender, tmp_path):
 @given(st.lists(st.integers(1, 1000), unique=True, max_size=40), st.integers(1, 12))
 @settings(deadline=None)
 def test_shards_share_all_frames_out(numbers, parts):
-    shards = [share(tuple(numbers), f"{part}/{parts}") for part in range(1, parts + 1)]
+    shards = [select_shard(tuple(numbers), f"{part}/{parts}") for part in range(1, parts + 1)]
     assert sorted(itertools.chain(*shards)) == sorted(numbers)
     assert max(map(len, shards)) - min(map(len, shards)) <= 1
 
