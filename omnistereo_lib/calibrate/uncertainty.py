@@ -12,11 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.calibrate.bundle import Estimate
+from omnistereo_lib.calibrate.params import CalibrationParams
 from omnistereo_lib.calibrate.report import RigReport, standard_deviation
-from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.geometry.rig import Pairs, Rig, camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.stereo.volume import Pairs, camera_pairs
 
 Floats = NDArray[np.float64]
 
@@ -59,25 +58,25 @@ def index_uncertainty(report: RigReport, grid: SphereGrid, index: float, pairs: 
     -------
     array, shape (H, W), spheres
     """
-    estimate = report.estimate
-    nominal = Estimate(estimate.intrinsics, estimate.T_cam_rig, ())
+    params = report.params
+    nominal = CalibrationParams(params.intrinsics, params.T_cam_rig, ())
     rig = _rig(nominal, report)
     center = rig.centers.mean(axis=0)
-    cameras, pairs = _linearize(rig.centered(center), grid, index), camera_pairs(pairs, rig)
+    cameras, pairs = _linearize(rig.recentered(center), grid, index), camera_pairs(pairs, rig)
 
     def shift(vector: Floats) -> Floats:
-        perturbed = _rig(nominal.with_vector(vector), report)
-        return _shift(cameras, perturbed.centered(center), grid, index, pairs)
+        perturbed = _rig(nominal.from_vector(vector), report)
+        return _shift(cameras, perturbed.recentered(center), grid, index, pairs)
 
-    return standard_deviation(shift, nominal.vector(), report.covariance)
+    return standard_deviation(shift, nominal.to_vector(), report.covariance)
 
 
-def _rig(estimate: Estimate, report: RigReport) -> Rig:
+def _rig(params: CalibrationParams, report: RigReport) -> Rig:
     cameras = [
-        intrinsics.camera(2 * camera.coverage_deg)
-        for intrinsics, camera in zip(estimate.intrinsics, report.cameras, strict=True)
+        intrinsics.camera(2 * camera.max_corner_angle_deg)
+        for intrinsics, camera in zip(params.intrinsics, report.joint, strict=True)
     ]
-    return Rig(cameras, [pose.inverse() for pose in estimate.T_cam_rig])
+    return Rig(cameras, [pose.inverse() for pose in params.T_cam_rig])
 
 
 @dataclass(frozen=True)
@@ -133,7 +132,7 @@ def _shift(
 def _project(rig: Rig, i: int, directions: Floats, grid: SphereGrid, index: float) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the pixels of points on a sphere in camera i, and whether they are visible."""
     points = directions / grid.index_to_inverse_depth(index)
-    return rig.cameras[i].project(rig.T_rig_cam[i].inverse() @ points, exact=True)
+    return rig.cameras[i].project(rig.T_rig_cam[i].inverse() @ points, use_direct_poly=True)
 
 
 def _times(matrices: Floats, vectors: Floats) -> Floats:

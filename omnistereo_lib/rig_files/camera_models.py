@@ -228,7 +228,9 @@ def fit_ocam(
         max_fov_deg=float(np.degrees(2 * half)),
         mask=mask,
     )
-    errors = [np.linalg.norm(camera.project(rays, exact=exact)[0] - uv, axis=-1).max() for exact in (False, True)]
+    errors = [
+        np.linalg.norm(camera.project(rays, use_direct_poly=exact)[0] - uv, axis=-1).max() for exact in (False, True)
+    ]
     return camera, float(max(errors))
 
 
@@ -299,7 +301,7 @@ def fit_kannala_brandt(camera: OcamCamera) -> tuple[dict[str, float], float]:
     """
     theta = np.radians(np.linspace(0.25, camera.max_fov_deg / 2, 180))
     rays = _ring_rays(theta)
-    uv = camera.project(rays, exact=True)[0]
+    uv = camera.project(rays, use_direct_poly=True)[0]
     c = camera.affine[0]
     offset = (uv - np.array(camera.center)) / [1.0, c]
     radius = (offset[..., 0] * np.cos(_AZIMUTHS) + offset[..., 1] * np.sin(_AZIMUTHS)).mean(1)

@@ -165,13 +165,13 @@ def _check_polynomials(camera: OcamCamera, source: str) -> None:
             f"the inverse polynomial increases only up to {2 * np.degrees(angles[np.argmin(increasing)]):.1f}°; "
             f"expected max_fov_deg = {camera.max_fov_deg:g}. Lower max_fov_deg or recalibrate"
         )
-    error = camera.polynomial_disagreement()
+    error = camera.inverse_poly_error_px()
     if not np.isfinite(error):
         raise OmnistereoError("the direct polynomial has no root for every ray in the field of view. Recalibrate")
     if error > _MAX_POLYNOMIAL_ERROR:
         warnings.warn(
             f"{source}: direct and inverse polynomial (poly, inv_poly) disagree by up to {error:.2f} px. "
-            "Projection uses inv_poly, as every released code does; exact=True uses poly.",
+            "Projection uses inv_poly, as every released code does; use_direct_poly=True uses poly.",
             UserWarning,
             stacklevel=2,
         )

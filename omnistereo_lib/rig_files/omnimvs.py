@@ -38,7 +38,7 @@ def save_rig(rig: Rig, path: str | Path) -> None:
     """Write a rig as config.yaml (OmniMVS format, metres), every number in full.
 
     Masks are written beside it as <name>_mask1.png and so on, bright = outside. The public codes sweep around the
-    origin of the file and need a nearest depth: for them, save `rig.centered()` with a `min_depth`.
+    origin of the file and need a nearest depth: for them, save `rig.recentered()` with a `min_depth`.
     """
     path = Path(path)
     cameras = []

@@ -71,8 +71,8 @@ def ocam_folder(folder, cameras=4, poses=POSES_TXT):
 
 def same_camera(a, b):
     for exact in (False, True):
-        ours, valid = a.project(RAYS, exact=exact)
-        theirs, valid_too = b.project(RAYS, exact=exact)
+        ours, valid = a.project(RAYS, use_direct_poly=exact)
+        theirs, valid_too = b.project(RAYS, use_direct_poly=exact)
         np.testing.assert_allclose(ours[valid], theirs[valid], atol=1e-9)
         assert (valid == valid_too).all()
 
