@@ -140,7 +140,7 @@ def check_rig(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid) -> RigChe
 
 def matching_cost(sweep: SphereSweep, images: Sequence[ArrayLike], pairs: Pairs = "ring") -> float:
     """Return the median over all rays of the best raw ZNCC cost, in [0, 1]; 0.5 where no pair shares a view."""
-    valid = [sweep.pixels(camera, 0)[1] for camera in range(len(sweep.rig))]
+    valid = [sweep.project_sphere(camera, 0)[1] for camera in range(len(sweep.rig))]
     if not any((valid[i] & valid[j]).any() for i, j in camera_pairs(pairs, sweep.rig)):
         return _NO_OVERLAP
     volume = cost_volume(sweep, images, pairs=pairs)
