@@ -17,10 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
-from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.geometry.rig import Pairs, Rig, camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.sweep import SphereSweep, check_images
-from omnistereo_lib.stereo.volume import Pairs, camera_pairs, cost_volume
+from omnistereo_lib.stereo.volume import cost_volume
 
 _BETTER = 0.75  # a mistake is reported if undoing it brings the cost below this fraction,
 _NOISE = 0.01  # and by more than this

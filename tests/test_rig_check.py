@@ -158,9 +158,9 @@ def test_smaller_cameras_see_the_same(world):
     assert small.cameras[0].image_size == (50, 48) and shrunk_images[0].shape == (48, 50)
     points = np.random.default_rng(0).normal(size=(500, 3))
     for camera, shrunk in zip(rig.cameras, small.cameras, strict=True):
-        for exact in (False, True):
-            uv, valid = camera.project(points, exact)
-            small_uv, small_valid = shrunk.project(points, exact)
+        for direct in (False, True):
+            uv, valid = camera.project(points, direct)
+            small_uv, small_valid = shrunk.project(points, direct)
             both = valid & small_valid
             assert both.sum() > 300
             np.testing.assert_allclose(small_uv[both], ((uv + 0.5) / 4 - 0.5)[both], atol=1e-9)
