@@ -77,7 +77,7 @@ CLAIMS: tuple[Claim, ...] = (
     formula("Section III-A", "M(Θ), ⋆ and inverse", ("geometry.pose:Pose.from_vector", "geometry.pose:Pose.inverse"),
              "02_rig_calibration", formulas.poses),
     formula("Section III-A, Fig. 2b", "the sum of squares that calibration minimises",
-             ("calibrate.rig:calibrate_rig", "calibrate.bundle:Bundle.residuals"), "02_rig_calibration",
+             ("calibrate.rig:calibrate_rig", "calibrate.bundle:BundleProblem.residuals"), "02_rig_calibration",
              formulas.reprojection),
     formula("Section III-B", "ρ(p), mirrored and turned by 90°",
              ("geometry.sphere:SphereGrid.rays",), "03_sphere_sweep",

@@ -51,11 +51,16 @@ class CostEntry:
 
 
 @cache
-def _learned(architecture: type[PairNetwork], path: Path, wrap: bool, precision: Precision) -> LearnedCost:
-    """Return a network as a cost; its weights file is read once per process."""
+def _read_once(architecture: type[PairNetwork], path: Path, wrap: bool, precision: Precision, _: int) -> LearnedCost:
     network = architecture.from_file(path)
     network.wrap = network.wrap and wrap
     return LearnedCost(network, precision)
+
+
+def _learned(architecture: type[PairNetwork], path: Path, wrap: bool, precision: Precision) -> LearnedCost:
+    """Return a network as a cost; a weights file is read once per process, and again after it was rewritten."""
+    written = path.stat().st_mtime_ns if path.is_file() else 0
+    return _read_once(architecture, path, wrap, precision, written)
 
 
 COSTS = {  # in the order of Table II

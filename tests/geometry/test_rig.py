@@ -50,7 +50,7 @@ def test_other_poses_for_the_same_cameras():
 
 
 def test_too_few_cameras_or_poses():
-    with pytest.raises(OmnistereoError, match="two or more cameras"):
+    with pytest.raises(OmnistereoError, match="at least 2 cameras"):
         Rig([equidistant()], [Pose.identity()])
     with pytest.raises(OmnistereoError, match="2 cameras and 1 poses"):
         Rig([equidistant()] * 2, [Pose.identity()])

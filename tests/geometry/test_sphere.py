@@ -90,15 +90,15 @@ def test_index_and_depth_are_inverse(num_spheres, min_depth, ratio, part):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"width": 1}, "at least 2 × 2 pixels, got 1 × 20"),
-        ({"num_spheres": 1}, "at least 2 spheres"),
-        ({"phi_deg": (45, -45)}, "phi_deg must rise"),
-        ({"phi_deg": (-91, 45)}, "within -90 … 90"),
+        ({"width": 1}, "width is 1; expected an integer of at least 2"),
+        ({"num_spheres": 1}, "num_spheres is 1"),
+        ({"phi_deg": (45, -45)}, "phi_deg is .* first < last"),
+        ({"phi_deg": (-91, 45)}, "-90 ≤ first"),
         ({"phi_deg": (np.nan, 45)}, "phi_deg"),
         ({"min_depth": 0.0}, "0 < min_depth < max_depth"),
-        ({"min_depth": 5.0, "max_depth": 1.0}, "got 5.0 m and 1.0 m"),
+        ({"min_depth": 5.0, "max_depth": 1.0}, "min_depth is 5.0 and max_depth 1.0"),
         ({"min_depth": np.nan}, "min_depth"),
-        ({"sampling": "centre"}, "sampling must be one of"),
+        ({"sampling": "centre"}, "sampling is .*; expected one of"),
     ],
 )
 def test_impossible_grids_are_refused(arguments, message):

@@ -139,5 +139,5 @@ def test_agreement_needs_two_cameras_and_a_depth(estimate):
 
 
 def test_cost_volumes_have_three_axes():
-    with pytest.raises(osl.OmnistereoError, match=r"shape \(H, W, N\) with N ≥ 2, got \(4, 5\)"):
+    with pytest.raises(osl.OmnistereoError, match=r"shape \(4, 5\); expected \(H, W, N\) with N ≥ 2"):
         osl.winner_takes_all(np.zeros((4, 5)))

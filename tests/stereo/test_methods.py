@@ -45,7 +45,7 @@ def test_the_defaults_are_the_papers():
         "zncc,size=5": "unknown setting 'size'; expected one of window, weights",
         "zncc,window=wide": "window must be of type int, got 'wide'",
         "zncc,subindex=maybe": "subindex must be of type bool, got 'maybe'",
-        "zncc,window=4": "window must be an odd number",
+        "zncc,window=4": "window is 4; expected an odd number",
         "zncc,p1=0.2": "zncc,p1=0.2: zncc does not use p1. Leave it out",
         "mccnn,wrap=false": "mccnn does not use wrap",
         "sweepnet,window=5": "sweepnet does not use window",
@@ -109,4 +109,4 @@ def test_a_new_cost_joins_in_one_place(box, monkeypatch):
 
 def test_a_network_is_read_once_per_process():
     assert Method.parse("mccnn").load_cost() is Method.parse("mccnn+sgm,pairs=all").load_cost()
-    assert Method.parse("sweepnet+sgm").load_cost().wrap != Method.parse("sweepnet+sgm,wrap=false").load_cost().wrap
+    assert Method.parse("sweepnet+sgm").load_cost().network.wrap != Method.parse("sweepnet+sgm,wrap=false").load_cost().network.wrap

@@ -35,10 +35,10 @@ def follow(cost, before, p1, p2):
 
 
 def brute_force(volume, p1, p2, paths=8, wrap=True, laps=MAX_LAPS):
-    """Every L_r stored whole, pixel by pixel. Unknown cells hold a large cost meanwhile (Pandora's rule)."""
+    """Every L_r stored whole, pixel by pixel. An unknown cell has the mean cost of its ray: no opinion of its own."""
     unknown = np.isnan(volume)
-    largest = 0.0 if unknown.all() else float(np.nanmax(volume))
-    cost = np.where(unknown, largest + 2 * p2 + 1, volume).astype(np.float64)
+    known = np.maximum((~unknown).sum(-1, keepdims=True), 1)
+    cost = np.where(unknown, np.nansum(volume, -1, keepdims=True, dtype=np.float64) / known, volume)
     H, W, _ = cost.shape
     total = np.zeros_like(cost)
     for dy, dx in STRAIGHT if paths == 4 else ALL:

@@ -75,9 +75,9 @@ def test_tables_are_kept_within_their_budget_and_recomputed_beyond(world):
     kept, streamed = osl.SphereSweep(rig, GRID), osl.SphereSweep(rig, GRID, max_lut_bytes=0)
     a, b = osl.cost_volume(kept, images), osl.cost_volume(streamed, images)
     assert torch.equal(a.nan_to_num(9), b.nan_to_num(9))
-    assert streamed.table_bytes == 0
+    assert streamed.lut_bytes == 0
     full = 8 * 64 * 20 * 20 * 4
-    assert 0.4 * full < kept.table_bytes < 0.75 * full  # 220° of 360°, less nearby
+    assert 0.4 * full < kept.lut_bytes < 0.75 * full  # 220° of 360°, less nearby
 
 
 def test_seam_is_no_border(world):
@@ -142,11 +142,11 @@ def test_columns_seen_form_the_shortest_span_around_the_seam(seen, span):
 @pytest.mark.parametrize(
     "spoil, message",
     [
-        (lambda images: images[:3], "4 cameras, got 3 images"),
-        (lambda images: [*images, images[0]], "4 cameras, got 5 images"),
+        (lambda images: images[:3], "3 images for 4 cameras"),
+        (lambda images: [*images, images[0]], "5 images for 4 cameras"),
         (lambda images: [images[0][:-1], *images[1:]], r"image 1 has shape \(383, 400\)"),
         (lambda images: [images[0].astype(int), *images[1:]], "image 1 has type int64"),
-        (lambda images: [*images[:3], np.full_like(images[3], np.nan)], "image 4 holds NaN"),
+        (lambda images: [*images[:3], np.full_like(images[3], np.nan)], "image 4 has NaN"),
     ],
 )
 def test_images_that_do_not_fit_the_rig_are_refused(world, spoil, message):

@@ -33,7 +33,7 @@ def test_the_ring_goes_by_where_the_cameras_look_not_by_their_numbers():
 
 @pytest.mark.parametrize(
     "pairs, message",
-    [("star", "got 'star'"), ([(0, 4)], r"pair \(0, 4\)"), ([(1, 1)], r"pair \(1, 1\)"), ([], "empty")],
+    [("star", "pairs is 'star'"), ([(0, 4)], r"pairs has \(0, 4\)"), ([(1, 1)], r"pairs has \(1, 1\)"), ([], "empty")],
 )
 def test_bad_pairs(pairs, message):
     with pytest.raises(osl.OmnistereoError, match=message):
@@ -67,7 +67,7 @@ def test_the_winner_finds_the_walls_with_any_number_of_cameras(cameras):
 def test_a_rig_that_shares_no_view_is_refused():
     away = scene.rig(cameras=2, max_fov_deg=80)
     images = scene.images(away)
-    with pytest.raises(osl.OmnistereoError, match="no ray is seen by both cameras"):
+    with pytest.raises(osl.OmnistereoError, match="no ray is visible to both cameras"):
         osl.cost_volume(osl.SphereSweep(away, GRID), images)
 
 

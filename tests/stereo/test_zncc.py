@@ -102,10 +102,10 @@ def test_common_columns_are_the_intersection(spans):
 
 @pytest.mark.parametrize("window", [1, 4, -3])
 def test_windows_must_be_odd(window):
-    with pytest.raises(osl.OmnistereoError, match=f"odd number of at least 3, got {window}"):
+    with pytest.raises(osl.OmnistereoError, match=f"window is {window}; expected an odd number of at least 3"):
         osl.ZNCC(window)
 
 
 def test_windows_must_fit_the_panorama():
-    with pytest.raises(osl.OmnistereoError, match="window of 15 does not fit a panorama of 17 × 13"):
+    with pytest.raises(osl.OmnistereoError, match="window is 15; expected at most the panorama size 17 × 13"):
         osl.ZNCC(15)(torch.from_numpy(block("textured")), [(0, 1)])
