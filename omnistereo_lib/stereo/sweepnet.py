@@ -74,7 +74,7 @@ class SweepNet(PairNetwork):
         Parameters
         ----------
         left, right : tensors, shape (B, H, W)
-            Gray spherical images of zero mean and unit variance (`SphereSweep.prepare`), 0 where unseen.
+            Gray spherical images of zero mean and unit variance (`SphereSweep.normalize_images`), 0 where unseen.
 
         Returns
         -------

@@ -13,9 +13,9 @@ from torch import Tensor
 from omnistereo_lib.dataset import Frame, load_dataset
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import read_bytes
+from omnistereo_lib.geometry.rig import camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.sweep import SphereSweep, to_gray
-from omnistereo_lib.stereo.volume import camera_pairs
 from omnistereo_lib.train.recipes import Recipe
 
 DATA = Path(__file__).resolve().parents[2] / "data_samples" / "sunny" / "train"
@@ -66,11 +66,11 @@ class TrainingFrames:
     def images(self, frame: Frame, rng: np.random.Generator | None) -> list[Tensor]:
         """Return the normalised images of a frame; with an rng, each camera with a random gain and gamma."""
         if rng is None:
-            return self.sweep.prepare(frame.images)
+            return self.sweep.normalize_images(frame.images)
         gammas = np.exp(rng.uniform(-0.25, 0.25, len(frame.images)))
         curved = [255 * (to_gray(image) / 255) ** np.float32(g) for image, g in zip(frame.images, gammas, strict=True)]
         images = []
-        for image in self.sweep.prepare(curved):
+        for image in self.sweep.normalize_images(curved):
             gain, offset = np.exp(rng.uniform(-0.2, 0.2)), rng.uniform(-0.2, 0.2)
             images.append(image * float(gain) + float(offset))
         return images

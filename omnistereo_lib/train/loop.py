@@ -26,7 +26,7 @@ from torch.nn.parallel import DistributedDataParallel
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, make_folder, read_bytes
 from omnistereo_lib.stereo.learned import Precision, autocast, uses_bfloat16
-from omnistereo_lib.stereo.sweep import find_device
+from omnistereo_lib.stereo.sweep import select_device
 from omnistereo_lib.stereo.weights import load_tensors, save_tensors
 from omnistereo_lib.train.frames import DATA
 from omnistereo_lib.train.patches import PatchSamples
@@ -80,7 +80,7 @@ def train(
         architecture of `init_weights` is not that of the recipe, there is no such device, the micro-batches cannot be
         divided among the processes, or the loss, its gradient or a weight is not finite.
     """
-    run = _Run(recipe, data, find_device(device), precision, init_weights)
+    run = _Run(recipe, data, select_device(device), precision, init_weights)
     out = make_folder(out)
     first = run.resume(out / STATE)
     rows = read_log(out / LOG, first)

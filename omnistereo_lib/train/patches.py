@@ -107,7 +107,7 @@ class PatchSamples(TrainingFrames):
         On its own sphere they show it at the same place. `away` = 1 gives pixels per sphere.
         """
         rays, sweep_index = self.rays[rows, columns], gt_index + away
-        left, right = (self.grid.pixel(self._apparent_direction(k, rays, gt_index, sweep_index))[0] for k in (i, j))
+        left, right = (self.grid.project(self._apparent_direction(k, rays, gt_index, sweep_index))[0] for k in (i, j))
         shift, W = left - right, self.grid.width
         return np.hypot((shift[..., 0] + W / 2) % W - W / 2, shift[..., 1])
 
@@ -137,7 +137,7 @@ class PatchSamples(TrainingFrames):
         occluded = np.zeros(len(points), bool)
         for t in np.linspace(0.1, 0.95, _OCCLUSION_STEPS):
             between = center + t * (points - center)
-            pixel, inside = self.grid.pixel(between)
+            pixel, inside = self.grid.project(between)
             column, row = np.rint(pixel).astype(int).T
             here = self.grid.depth_to_index(np.linalg.norm(between, axis=-1))
             nearest = index[row.clip(0, self.grid.height - 1), column % self.grid.width]

@@ -85,7 +85,7 @@ def test_fast_inference_is_the_plain_networks(frame):
     )
     net, pairs = SweepNet.pretrained(), [(0, 1), (1, 2), (2, 3), (3, 0)]
     block = sweep.blocks()[-1]
-    spherical = sweep.warp_block(sweep.prepare(frame.images), block)[:, -2:]
+    spherical = sweep.warp_block(sweep.normalize_images(frame.images), block)[:, -2:]
     columns = [sweep.visible_columns(camera, block) for camera in range(4)]
     expected = dense(net, spherical, pairs)
     assert expected[~expected.isnan()].std() > 0.05

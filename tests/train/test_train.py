@@ -127,7 +127,7 @@ def test_labels_are_the_rounded_truth(data):
         block, spheres = samples._draw_spheres(samples.gt_index(frame), frame, np.random.default_rng(seed))
         drawn |= set(spheres.tolist())
         batch = samples.micro_batch(frame, np.random.default_rng(seed), augment=False)
-        images = samples.sweep.prepare(frame.images)
+        images = samples.sweep.normalize_images(frame.images)
         torch.testing.assert_close(
             batch.spherical_images, samples.sweep.warp_block(images, block)[:, spheres - block.start], equal_nan=True
         )
