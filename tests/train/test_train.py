@@ -481,7 +481,7 @@ def test_bad_data(data, tmp_path):
 def test_bad_recipes(data, tmp_path, monkeypatch):
     with refused(r"panorama of 47 × 12 pixels; .* must be even"):
         losses(replace(SWEEPNET, width=47), tmp_path, data)
-    with refused("at least 2 spheres"):
+    with refused("num_spheres is 1; expected"):
         losses(replace(SWEEPNET, num_spheres=1), tmp_path, data)
     with refused("no sphere has 99999 positives"):
         losses(replace(SWEEPNET, min_positives=99999), tmp_path, data)
