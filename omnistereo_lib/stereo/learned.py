@@ -3,15 +3,10 @@
 `LearnedCost` extracts the features of each camera once, however many pairs it is in, and matches two cameras only in
 the columns that both see, with a halo for what the convolutions read beyond them. Both are exact: what is left out
 cannot change a cost that is kept.
-
-Splitting the first layer after the concatenation by camera, A f_i + B f_j, is exact as well, but does not pay once
-pairs are cropped: a ring pair shares 31 % of the rays, and each half would run on the 56 % that one camera sees,
-twice per camera.
 """
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
@@ -62,45 +57,24 @@ def full_precision(x: Tensor) -> torch.autocast:
 class PairNetwork(StoredNetwork):
     """A network that maps two spherical images to a cost map; see `SweepNet` and `MCCNN`.
 
-    `forward` is composed of four parts, which know nothing of the panorama around what they are given:
-    `extract_features` of each image, `match_features` of two, `score_pixels`, `to_cost`. Strips of columns can
-    therefore run by themselves, if they carry a halo that is cut off afterwards:
+    Its `forward` is composed of
+
+    - `extract_features`: padded images, 0 where unseen → features (B, C, h, w),
+    - `match_features`: the features of two images → K numbers per pixel, (B, H, columns, K),
+    - `score_pixels`: (…, K) → scores (…), and `to_cost`: scores → costs in [0, 1],
+
+    which know nothing of the panorama around what they are given. Strips of columns can therefore run by themselves,
+    if they carry a halo that is cut off afterwards:
 
         | halo |  columns start … stop - 1  | halo |
 
-    Attributes
-    ----------
-    stride : int
-        Columns of the panorama per column of features.
-    padding : (int, int)
-        Rows (of zeros) and columns that `extract_features` takes off each side of an image, pixels.
-    feature_halo, match_halo : int
-        Columns of features at each side that `extract_features` and `match_features` get wrong.
-    wrap : bool
-        Whether every layer continues around the ±180° seam.
     """
 
-    stride: ClassVar[int] = 1
-    padding: ClassVar[tuple[int, int]] = (0, 0)
-    feature_halo: ClassVar[int] = 0
-    match_halo: ClassVar[int] = 0
-    wrap: bool = True
-
-    @abstractmethod
-    def check_size(self, H: int, W: int) -> None:
-        """Refuse panoramas that the network cannot take."""
-
-    @abstractmethod
-    def extract_features(self, images: Tensor) -> Tensor:
-        """Return the features (B, C, h, w) of padded images, 0 where unseen."""
-
-    @abstractmethod
-    def match_features(self, left: Tensor, right: Tensor) -> Tensor:
-        """Return K numbers per pixel (B, H, columns, K) from the features of two images."""
-
-    @abstractmethod
-    def score_pixels(self, pixels: Tensor) -> Tensor:
-        """Return the scores (…) of pixels (…, K)."""
+    stride: ClassVar[int] = 1  # columns of the panorama per column of features
+    padding: ClassVar[tuple[int, int]]  # px, rows (of 0) and columns that `extract_features` takes off each side
+    feature_halo: ClassVar[int] = 0  # columns of features at each side that `extract_features` gets wrong
+    match_halo: ClassVar[int] = 0  # and `match_features`
+    wrap: bool = True  # whether every layer continues around the ±180° seam
 
     def to_cost(self, score: Tensor) -> Tensor:
         """Return the cost in [0, 1] of a score, here the logit of a mismatch."""
@@ -168,12 +142,7 @@ class LearnedCost:
     network : PairNetwork
         Put into evaluation mode and channels-last memory, and moved to the device of the images.
     precision : "auto" | "float32" | "bfloat16"
-        Of the matrix products; see `uses_bfloat16`.
-
-    Raises
-    ------
-    OmnistereoError
-        If the precision is none of the three.
+        Of the matrix products; see `uses_bfloat16`, which also says what raises.
     """
 
     def __init__(self, network: PairNetwork, precision: Precision = "auto") -> None:
@@ -210,14 +179,7 @@ class LearnedCost:
                 self._add_costs(spherical_images[:, block], pairs, columns, total[block], count[block])
         return (total / count).permute(1, 2, 0)  # 0/0 = NaN where no pair sees the ray
 
-    def _add_costs(
-        self,
-        images: Tensor,
-        pairs: Sequence[tuple[int, int]],
-        columns: Sequence[tuple[int, int]],
-        total: Tensor,
-        count: Tensor,
-    ) -> None:
+    def _add_costs(self, images: Tensor, pairs: Sequence, columns: Sequence, total: Tensor, count: Tensor) -> None:
         """Add the costs and the visibility of all pairs to total and count (B, H, W)."""
         network, W, device = self.network, images.shape[-1], images.device
         features = {i: network.extract_columns(images[i], columns[i]) for i in {i for pair in pairs for i in pair}}

@@ -29,12 +29,7 @@ class MCCNN(PairNetwork):
     Parameters
     ----------
     variant : "fast" | "accurate"
-        111,424 and 870,449 parameters.
-
-    Raises
-    ------
-    OmnistereoError
-        If there is no such variant.
+        111,424 and 870,449 parameters; another one raises `OmnistereoError`.
     """
 
     padding = (PATCH // 2, PATCH // 2)
@@ -76,10 +71,7 @@ class MCCNN(PairNetwork):
         return self.to_cost(self.score_pixels(self.match_features(left, right)))
 
     def extract_features(self, images: Tensor) -> Tensor:
-        """Return the features of every pixel with a whole patch around it: (B, h, w) → (B, maps, h - 8, w - 8).
-
-        Of unit length in the fast variant.
-        """
+        """Return features, in the fast variant of unit length, of every whole patch: (B, maps, h - 8, w - 8)."""
         x = images[:, None]
         with full_precision(x):  # the texture of a patch may be faint beside its brightness
             x = relu_(self.tower[0](x))

@@ -21,13 +21,7 @@ BUNDLED_WEIGHTS = Path(__file__).resolve().parents[1] / "weights"
 
 
 class StoredNetwork(nn.Module):
-    """A network that a file of weights describes completely.
-
-    Attributes
-    ----------
-    config : dict
-        The arguments that build the architecture, as JSON can hold them.
-    """
+    """A network that a file of weights describes completely; `config` holds the arguments that build it."""
 
     config: dict[str, Any]
 
@@ -38,14 +32,9 @@ class StoredNetwork(nn.Module):
 
     @classmethod
     def from_file(cls, path: str | Path, **expected: Any) -> Self:
-        """Build a network with the weights of a file, in evaluation mode.
+        """Build a network with the weights of a file that training wrote, in evaluation mode.
 
-        Parameters
-        ----------
-        path : path
-            A .safetensors file that `save` or training wrote.
-        **expected
-            Entries that the `config` in the file must have, such as variant="accurate".
+        Entries that the `config` in the file must have can be given, such as variant="accurate".
 
         Raises
         ------
@@ -55,31 +44,25 @@ class StoredNetwork(nn.Module):
         tensors, metadata = load_tensors(path)
         name, config = metadata.get("architecture", "a training state"), metadata.get("config", {})
         if name != cls.__name__ or config != config | expected:
-            wanted = _signature(cls.__name__, expected)
-            raise OmnistereoError(f"{path}: holds {_signature(name, config)}; expected {wanted}. Pass another file.")
+            wanted = signature(cls.__name__, expected)
+            raise OmnistereoError(f"{path}: holds {signature(name, config)}; expected {wanted}. Pass another file.")
         network = cls(**config)
         try:
             network.load_state_dict(tensors)
         except RuntimeError as error:
-            raise OmnistereoError(f"{path} does not fit {_signature(name, config)}: {error}") from None
+            raise OmnistereoError(f"{path} does not fit {signature(name, config)}: {error}") from None
         return network.eval()
 
 
-def _signature(name: str, config: Mapping[str, Any]) -> str:
+def signature(name: str, config: Mapping[str, Any]) -> str:
+    """Return the call that builds an architecture."""
     return f"{name}({', '.join(f'{key}={value!r}' for key, value in config.items())})" if config else name
 
 
 def save_tensors(path: str | Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, Any]) -> None:
-    """Write tensors and metadata into one file, atomically; equal content gives equal bytes.
+    """Write tensors by name and metadata (as JSON) into one file, atomically; equal content gives equal bytes.
 
-    Parameters
-    ----------
-    path : path
-        Ends in .safetensors.
-    tensors : mapping of name to tensor
-    metadata : mapping
-        Anything that JSON can hold; for weights "architecture" and "config". Stored in the file header under
-        "about", beside a checksum of the tensors.
+    The file header holds the metadata under "about", beside a checksum of the tensors.
 
     Raises
     ------
@@ -89,10 +72,9 @@ def save_tensors(path: str | Path, tensors: Mapping[str, Tensor], metadata: Mapp
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     _check_finite(path, tensors)
     content = save(tensors, {"about": json.dumps(metadata), "sha256": _checksum(tensors)})
-    # The header (its length, then JSON) comes in random order from `save`: sort it.
     (length,) = struct.unpack("<Q", content[:8])
-    header = json.dumps(json.loads(content[8 : 8 + length]), sort_keys=True).encode()
-    header += b" " * (-len(header) % 8)  # the tensors must stay aligned
+    header = json.dumps(json.loads(content[8 : 8 + length]), sort_keys=True).encode()  # `save` orders it at random
+    header += b" " * (-len(header) % 8)  # the tensors stay aligned
     with atomic_write(path) as temporary:
         temporary.write_bytes(struct.pack("<Q", len(header)) + header + content[8 + length :])
 
@@ -105,8 +87,7 @@ def load_tensors(path: str | Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     OmnistereoError
         If the file is missing, truncated, changed since it was written, not finite, or not from this library.
     """
-    path = Path(path)
-    if not path.is_file():
+    if not Path(path).is_file():
         raise OmnistereoError(f"{path} does not exist; expected a .safetensors file that training wrote")
     try:
         with safe_open(path, "pt") as file:

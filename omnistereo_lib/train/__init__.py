@@ -5,12 +5,5 @@ from omnistereo_lib.train.loop import train, write_comparison
 from omnistereo_lib.train.recipes import RECIPES, VARIANTS, MCCNNRecipe, Recipe, SweepNetRecipe
 
 __all__ = [
-    "RECIPES",
-    "VARIANTS",
-    "MCCNNRecipe",
-    "Recipe",
-    "SweepNetRecipe",
-    "export_weights",
-    "train",
-    "write_comparison",
-]
+    "RECIPES", "VARIANTS", "MCCNNRecipe", "Recipe", "SweepNetRecipe", "export_weights", "train", "write_comparison",
+]  # fmt: skip

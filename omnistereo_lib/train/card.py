@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import math
-import shutil
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -13,14 +11,15 @@ from typing import Any
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, make_folder, read_bytes
-from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS, load_tensors, save_tensors
-from omnistereo_lib.train.loop import LOG, WEIGHTS, read_log
+from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS, load_tensors, save_tensors, signature
+from omnistereo_lib.train.loop import LOG, WEIGHTS, read_log, write_csv
 from omnistereo_lib.train.recipes import RECIPES, Recipe
 
+Rows = Sequence[dict[str, float]]  # of a log
 _EVERY = 10  # steps between two rows of the curve
 _CARD = """# {file}
 
-`{architecture}({config})`, SHA-256 `{sha256}`
+`{network}`, SHA-256 `{sha256}`
 
 Written by `{command}`.
 
@@ -49,16 +48,10 @@ def export_weights(
     run : path
         Folder of the run.
     recipe : Recipe
-        The recipe of the run.
     folder : path
-        Gets NAME.safetensors, NAME.csv (the loss of every tenth step) and NAME.md (the model card).
+        Gets NAME.safetensors, NAME.csv (the loss of every tenth step) and NAME.md (the model card), which are returned.
     half : bool
         Store float16, for half the file size; a network computes in float32 or bfloat16 nonetheless.
-
-    Returns
-    -------
-    list of path
-        The files written.
 
     Raises
     ------
@@ -68,27 +61,19 @@ def export_weights(
     run, folder = Path(run), make_folder(folder)
     tensors, metadata = load_tensors(run / WEIGHTS)
     if metadata["recipe"] != recipe.as_dict() or metadata["step"] + 1 != recipe.steps:
-        raise OmnistereoError(
-            f"{run / WEIGHTS}: not the result of {recipe.steps} steps of this recipe. Train to the end first."
-        )
+        found = f"{run / WEIGHTS}: not the result of {recipe.steps} steps of this recipe"
+        raise OmnistereoError(f"{found}. Train to the end first.")
     name = "_".join([recipe.network, *([recipe.variant] if hasattr(recipe, "variant") else [])])
     weights, curve, card = (folder / f"{name}.{ending}" for ending in ("safetensors", "csv", "md"))
     rows = read_log(run / LOG, recipe.steps)
-    if half:
-        save_tensors(weights, {key: value.half() for key, value in tensors.items()}, metadata)
-    else:
-        with atomic_write(weights) as temporary:
-            shutil.copyfile(run / WEIGHTS, temporary)
-    with atomic_write(curve) as temporary, temporary.open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["step", "loss", "error", "validation_loss", "validation_error"])
-        writer.writerows(_thin(rows))
+    save_tensors(weights, {key: value.half() if half else value for key, value in tensors.items()}, metadata)
+    write_csv(curve, ["step", "loss", "error", "validation_loss", "validation_error"], _thin(rows))
     with atomic_write(card) as temporary:
         temporary.write_text(_model_card(weights, recipe, metadata, rows, half), encoding="utf-8")
     return [weights, curve, card]
 
 
-def _thin(rows: Sequence[dict[str, float]]) -> list[list[Any]]:
+def _thin(rows: Rows) -> list[list[Any]]:
     """Return the mean loss and error of every ten steps, and the last validation among them."""
     thin = []
     for part in (rows[k : k + _EVERY] for k in range(0, len(rows), _EVERY)):
@@ -98,19 +83,17 @@ def _thin(rows: Sequence[dict[str, float]]) -> list[list[Any]]:
     return thin
 
 
-def _validated(rows: Sequence[dict[str, float]]) -> list[dict[str, float]]:
+def _validated(rows: Rows) -> Rows:
     return [row for row in rows if not math.isnan(row["validation_loss"])]
 
 
-def _hours(rows: Sequence[dict[str, float]]) -> float:
+def _hours(rows: Rows) -> float:
     """Return the time of all calls together: "seconds" starts from 0 in each."""
     seconds = [row["seconds"] for row in rows]
     return sum(b - a if b > a else b for a, b in pairwise([0.0, *seconds])) / 3600
 
 
-def _model_card(
-    weights: Path, recipe: Recipe, metadata: dict[str, Any], rows: Sequence[dict[str, float]], half: bool
-) -> str:
+def _model_card(weights: Path, recipe: Recipe, metadata: dict[str, Any], rows: Rows, half: bool) -> str:
     preset, settings = RECIPES[recipe.network]["shipped"].as_dict(), recipe.as_dict()
     overrides = [f"{name}={value}" for name, value in settings.items() if preset.get(name) != value]
     command = f"python -m omnistereo_lib train {recipe.network} --preset shipped"
@@ -120,7 +103,7 @@ def _model_card(
     return _CARD.format_map(
         metadata | metadata["data"] | {
             "file": weights.name, "sha256": hashlib.sha256(read_bytes(weights)).hexdigest(), "command": command,
-            "config": ", ".join(f"{key}={value!r}" for key, value in metadata["config"].items()),
+            "network": signature(metadata["architecture"], metadata["config"]),
             "data_sha256": metadata["data"]["sha256"], "hours": _hours(rows),
             "settings": "\n".join(f"| {name} | {value} |" for name, value in settings.items()),
             "validations": "\n".join(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -25,17 +24,8 @@ DATA = Path(__file__).resolve().parents[2] / "data_samples" / "sunny" / "train"
 class TrainingFrames:
     """The frames of one data set that have ground truth: nine of ten to train on, every tenth for validation.
 
-    Parameters
-    ----------
-    recipe : Recipe
-    data : path
-        A folder that `load_dataset` reads.
-    device : torch device
-
-    Raises
-    ------
-    OmnistereoError
-        If fewer than two frames have ground truth, or the rig file does not state the nearest depth.
+    `data` is a folder that `load_dataset` reads. Raises `OmnistereoError` if fewer than two frames have ground truth,
+    or the rig file does not state the nearest depth.
     """
 
     def __init__(self, recipe: Recipe, data: str | Path, device: torch.device | str = "cpu") -> None:
@@ -49,21 +39,17 @@ class TrainingFrames:
         self.grid = SphereGrid(
             recipe.width, recipe.height, num_spheres=recipe.num_spheres, min_depth=dataset.rig.min_depth
         )
+        self.rays = self.grid.rays()
         self.sweep = SphereSweep(dataset.rig, self.grid, device=device)
         self.pairs = camera_pairs("ring", self.sweep.rig)
         self.validation = frames[::10]
         self.training = [frame for k, frame in enumerate(frames) if k % 10]
-        self._gt_index: dict[int, NDArray[np.float32]] = {}
+        self._gt_index: dict[int, NDArray] = {}
         digest = hashlib.sha256()
         for path in (path for frame in frames for path in (*frame.image_paths, frame.gt_path)):
             digest.update(read_bytes(path))
         folder = "/".join(Path(data).resolve().parts[-2:])
         self.metadata = {"folder": folder, "frames": len(frames), "sha256": digest.hexdigest()}
-
-    @cached_property
-    def rays(self) -> NDArray[np.float64]:
-        """The rays of the grid, (H, W, 3)."""
-        return self.grid.rays()
 
     def training_frame(self, number: int) -> Frame:
         """Return the frame of a micro-batch, counted over all steps: once per epoch, in random order."""
@@ -71,7 +57,7 @@ class TrainingFrames:
         order = np.random.default_rng([self.recipe.seed, epoch]).permutation(len(self.training))
         return self.training[order[place]]
 
-    def gt_index(self, frame: Frame) -> NDArray[np.float32]:
+    def gt_index(self, frame: Frame) -> NDArray:
         """Return the ground-truth sphere index of a frame, not rounded, (H, W); cached."""
         if frame.number not in self._gt_index:
             self._gt_index[frame.number] = frame.gt_index(self.grid).astype(np.float32)
@@ -90,7 +76,7 @@ class TrainingFrames:
         return images
 
 
-def sample_true_indices(mask: NDArray[np.bool_], count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+def sample_true_indices(mask: NDArray, count: int, rng: np.random.Generator) -> NDArray:
     """Return flat indices of at most `count` true cells of a mask, drawn at random."""
     cells = np.flatnonzero(mask)
     return cells if len(cells) <= count else rng.choice(cells, count, replace=False)

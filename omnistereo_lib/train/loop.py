@@ -13,7 +13,7 @@ import math
 import os
 import platform
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -95,7 +95,8 @@ def train(
         row["seconds"] = time.perf_counter() - began
         rows.append(row)
         if run.rank == 0 and (done == recipe.steps or time.perf_counter() - last_saved >= checkpoint_s):
-            _write_log(out / LOG, rows)
+            cells = (["" if math.isnan(row[name]) else f"{row[name]:.6g}" for name in COLUMNS] for row in rows)
+            write_csv(out / LOG, COLUMNS, cells)
             run.save_state(out / STATE, done)
             last_saved = time.perf_counter()
         progress(row)
@@ -107,14 +108,7 @@ def train(
 class _Run:
     """Network, samples, loss and optimiser of one process among `world`, with number `rank`."""
 
-    def __init__(
-        self,
-        recipe: Recipe,
-        data: str | Path,
-        device: torch.device,
-        precision: Precision,
-        init_weights: str | Path | None,
-    ) -> None:
+    def __init__(self, recipe: Recipe, data: Any, device: torch.device, precision: Precision, init: Any = None) -> None:
         self.recipe, self.device, self.precision = recipe, device, precision
         self.rank, self.world = _init_distributed(recipe, device)
         with torch.random.fork_rng():
@@ -125,10 +119,10 @@ class _Run:
         layout = torch.contiguous_format if slow else torch.channels_last
         self.network = self.samples.network.to(device, memory_format=layout).train()
         self.init_sha256 = None
-        if init_weights is not None:
-            given = type(self.network).from_file(init_weights, **self.network.config)
+        if init is not None:
+            given = type(self.network).from_file(init, **self.network.config)
             self.network.load_state_dict(given.state_dict())
-            self.init_sha256 = hashlib.sha256(read_bytes(init_weights)).hexdigest()
+            self.init_sha256 = hashlib.sha256(read_bytes(init)).hexdigest()
         self.objective = self.samples.objective
         self.parallel = DistributedDataParallel(self.objective, broadcast_buffers=False) if self.world > 1 else None
         self.optimizer = _make_optimizer(recipe, self.network)
@@ -166,10 +160,8 @@ class _Run:
         loss, error = (metrics / self.world).tolist()
         norm = nn.utils.clip_grad_norm_(self.network.parameters(), self.recipe.clip).item()
         if not math.isfinite(loss + norm):
-            raise OmnistereoError(
-                f"the loss is {loss} and the norm of its gradient {norm} at step {step}. Lower learning_rate or "
-                "increase warmup."
-            )
+            found = f"the loss is {loss} and the norm of its gradient {norm} at step {step}"
+            raise OmnistereoError(f"{found}. Lower learning_rate or increase warmup.")
         self.optimizer.step()
         return {"step": step, "loss": loss, "error": error, "learning_rate": rate}
 
@@ -185,30 +177,24 @@ class _Run:
         return dict(zip(("validation_loss", "validation_error"), metrics.tolist(), strict=True))
 
     def _update_bn(self) -> None:
-        """Recompute the means and variances of batch normalisation over some training micro-batches.
-
-        Running averages would lag behind the weights and differ between processes.
-        """
+        """Recompute batch norm statistics: running averages would lag behind and differ between processes."""
         norms = [layer for layer in self.network.modules() if isinstance(layer, nn.modules.batchnorm._BatchNorm)]
         for norm in norms:
             norm.reset_running_stats()
-        for k in range(self.recipe.validation_groups if norms else 0):
-            self.loss(self.micro_batch(_NORMS, k))
+        if norms:
+            for k in range(self.recipe.validation_groups):
+                self.loss(self.micro_batch(_NORMS, k))
 
     def write_weights(self, path: Path, row: Mapping[str, float]) -> None:
         """Write the weights to use, batch norms fused, with what they come from: two machines give two sets."""
+        precision = "bfloat16" if uses_bfloat16(self.precision, self.device) else "float32"
+        cpu = f"{platform.machine()} {torch.backends.cpu.get_cpu_capability()}"
+        processor = torch.cuda.get_device_name(self.device) if self.device.type == "cuda" else cpu
         self.network.fuse_batch_norm().save(
-            path,
-            recipe=self.recipe.as_dict(),
-            **row,
-            data=self.samples.metadata,
-            init_weights=self.init_sha256,
-            processes=self.world,
-            processor=_processor(self.device),
-            threads=torch.get_num_threads(),
-            precision="bfloat16" if uses_bfloat16(self.precision, self.device) else "float32",
+            path, recipe=self.recipe.as_dict(), **row, data=self.samples.metadata, init_weights=self.init_sha256,
+            processes=self.world, processor=processor, threads=torch.get_num_threads(), precision=precision,
             torch=torch.__version__,
-        )
+        )  # fmt: skip
 
     def save_state(self, path: Path, step: int) -> None:
         """Write all that the next step depends on into one file."""
@@ -228,17 +214,15 @@ class _Run:
         if differing:
             there = ", ".join(f"{name} = {found.get(name)}" for name in differing)
             here = ", ".join(f"{name} = {value}" for name, value in differing.items())
-            raise OmnistereoError(
-                f"{path} belongs to a different run with {there}; expected {here}. Use another folder, or delete this "
-                "one to start over."
-            )
+            found = f"{path} belongs to a different run with {there}; expected {here}"
+            raise OmnistereoError(f"{found}. Use another folder, or delete this one to start over.")
         network, memory = {}, {}
         for name, tensor in tensors.items():
-            kind, _, key = name.partition(".")
+            kind, key = name.split(".", 1)
             if kind == "network":
                 network[key] = tensor
             else:
-                number, _, entry = key.partition(".")
+                number, entry = key.split(".")
                 memory.setdefault(int(number), {})[entry] = tensor
         self.network.load_state_dict(network)
         groups = self.optimizer.state_dict()["param_groups"]
@@ -257,10 +241,8 @@ def _init_distributed(recipe: Recipe, device: torch.device) -> tuple[int, int]:
     if world == 1:
         return 0, 1
     if recipe.frames_per_step % world:
-        raise OmnistereoError(
-            f"frames_per_step = {recipe.frames_per_step} is not divisible by {world} processes. "
-            f"Set it to a multiple of {world}."
-        )
+        found = f"frames_per_step = {recipe.frames_per_step} is not divisible by {world} processes"
+        raise OmnistereoError(f"{found}. Set it to a multiple of {world}.")
     if not distributed.is_initialized():
         distributed.init_process_group("nccl" if device.type == "cuda" else "gloo")
     return distributed.get_rank(), world
@@ -273,12 +255,6 @@ def _make_optimizer(recipe: Recipe, network: nn.Module) -> torch.optim.Optimizer
     return torch.optim.SGD(parameters, rate, recipe.momentum, weight_decay=decay)
 
 
-def _processor(device: torch.device) -> str:
-    if device.type == "cuda":
-        return torch.cuda.get_device_name(device)
-    return f"{platform.machine()} {torch.backends.cpu.get_cpu_capability()}"
-
-
 def read_log(path: Path, stop: int) -> list[dict[str, float]]:
     """Return the rows of a log before step `stop`."""
     if stop == 0 or not path.is_file():
@@ -288,30 +264,16 @@ def read_log(path: Path, stop: int) -> list[dict[str, float]]:
     return [row | {"step": int(row["step"])} for row in rows if row["step"] < stop]
 
 
-def _write_log(path: Path, rows: list[dict[str, float]]) -> None:
+def write_csv(path: str | Path, header: Sequence[str], rows: Iterable[Sequence]) -> None:
+    """Write a table, atomically."""
     with atomic_write(path) as temporary, temporary.open("w", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS)
-        writer.writeheader()
-        for row in rows:
-            writer.writerow({name: "" if math.isnan(value) else f"{value:.6g}" for name, value in row.items()})
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerows([header, *rows])
 
 
 def write_comparison(path: str | Path, runs: Mapping[str, Path], steps: int) -> None:
-    """Write the validation errors of several runs side by side, as CSV: the step, and a column for each run.
-
-    Parameters
-    ----------
-    path : path
-        CSV file.
-    runs : mapping of name to folder
-        Finished runs with the same validations.
-    steps : int
-        Of each run.
-    """
+    """Write the validation errors of finished runs (name → folder) as CSV: the step, and a column for each run."""
     curves = {name: read_log(run / LOG, steps) for name, run in runs.items()}
-    with atomic_write(path) as temporary, temporary.open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["step", *curves])
-        for rows in zip(*curves.values(), strict=True):
-            if not math.isnan(rows[0]["validation_error"]):
-                writer.writerow([rows[0]["step"] + 1, *(f"{row['validation_error']:.4g}" for row in rows)])
+    validated = (rows for rows in zip(*curves.values(), strict=True) if not math.isnan(rows[0]["validation_error"]))
+    table = ([rows[0]["step"] + 1, *(f"{row['validation_error']:.4g}" for row in rows)] for rows in validated)
+    write_csv(path, ["step", *curves], table)

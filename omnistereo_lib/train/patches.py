@@ -69,7 +69,7 @@ class PatchSamples(TrainingFrames):
 
     def draw_rays(
         self, index: NDArray, i: int, j: int, count: int, rng: np.random.Generator
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    ) -> tuple[NDArray, NDArray, NDArray]:
         """Draw rays that cameras i and j both see, and spheres on which they show the same point and another.
 
         Returns
@@ -101,7 +101,7 @@ class PatchSamples(TrainingFrames):
 
     def pair_shift_px(
         self, i: int, j: int, rows: NDArray, columns: NDArray, gt_index: NDArray, away: ArrayLike
-    ) -> NDArray[np.float64]:
+    ) -> NDArray:
         """Return how far apart, in pixels, two cameras show a point on a sphere `away` spheres off its own.
 
         On its own sphere they show it at the same place. `away` = 1 gives pixels per sphere.
@@ -111,9 +111,7 @@ class PatchSamples(TrainingFrames):
         shift, W = left - right, self.grid.width
         return np.hypot((shift[..., 0] + W / 2) % W - W / 2, shift[..., 1])
 
-    def _apparent_direction(
-        self, camera: int, rays: NDArray, gt_index: NDArray, sweep_index: NDArray
-    ) -> NDArray[np.float64]:
+    def _apparent_direction(self, camera: int, rays: NDArray, gt_index: NDArray, sweep_index: NDArray) -> NDArray:
         """Return the direction (K, 3) at which the panorama of a camera on sphere `sweep_index` shows a scene point.
 
         It is where the line of sight from the camera centre c, direction u, meets the sphere: |d c + s u| = 1.
@@ -125,16 +123,14 @@ class PatchSamples(TrainingFrames):
         along = (start * sight).sum(-1, keepdims=True)
         return start + sight * (np.sqrt(along**2 + 1 - (start**2).sum(-1, keepdims=True)) - along)
 
-    def _inverse(self, index: NDArray) -> NDArray[np.float64]:
+    def _inverse(self, index: NDArray) -> NDArray:
         return self.grid.index_to_inverse_depth(index)[:, None]
 
-    def sees(self, camera: int, rows: NDArray, columns: NDArray, index: NDArray) -> NDArray[np.bool_]:
+    def sees(self, camera: int, rows: NDArray, columns: NDArray, index: NDArray) -> NDArray:
         """Return whether rays at given spheres lie in the field of view of a camera."""
         return self._project(camera, self.rays[rows, columns], self._inverse(index))[1]
 
-    def _occluded(
-        self, camera: int, index: NDArray, rows: NDArray, columns: NDArray, gt_index: NDArray
-    ) -> NDArray[np.bool_]:
+    def _occluded(self, camera: int, index: NDArray, rows: NDArray, columns: NDArray, gt_index: NDArray) -> NDArray:
         """Return whether something is between a camera and the points of rays, by the ground truth from the centre."""
         center = self.sweep.rig.T_rig_cam[camera].t
         points = self.rays[rows, columns] / np.maximum(self._inverse(gt_index), 1e-6)
@@ -148,9 +144,7 @@ class PatchSamples(TrainingFrames):
             occluded |= inside & (nearest > here + 1)  # one sphere of slack for slanted surfaces
         return occluded
 
-    def patches(
-        self, image: NDArray[np.float32], camera: int, pixel: NDArray[np.int64], index: NDArray[np.float64]
-    ) -> NDArray[np.float32]:
+    def patches(self, image: NDArray, camera: int, pixel: NDArray, index: NDArray) -> NDArray:
         """Cut patches (K, 9, 9) around pixels (K, 2) out of the panoramas of one camera on spheres `index` (K,).
 
         As in `MCCNN`, they are 0 where the camera does not see and above and below the panorama.
@@ -164,7 +158,7 @@ class PatchSamples(TrainingFrames):
         maps = np.where(valid[..., None], uv, OUTSIDE).astype(np.float32)
         return np.nan_to_num(remap(image, maps.reshape(-1, PATCH, 2))).reshape(-1, PATCH, PATCH)
 
-    def _project(self, camera: int, rays: NDArray, inverse: NDArray) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    def _project(self, camera: int, rays: NDArray, inverse: NDArray) -> tuple[NDArray, NDArray]:
         T_cam_rig = self.sweep.rig.T_rig_cam[camera].inverse()
         points = rays @ T_cam_rig.R.T + np.maximum(inverse, 2.0**-23) * T_cam_rig.t
         return self.sweep.rig.cameras[camera].project(points)

@@ -18,12 +18,9 @@ _MAY_BE_ZERO = {
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
-    """Settings that the recipes of all networks share. A step is some micro-batches of samples, each of one frame.
+    """Settings that the recipes of all networks share; one out of its range raises `OmnistereoError`.
 
-    Raises
-    ------
-    OmnistereoError
-        If a setting is out of its range.
+    A step is some micro-batches of samples, each of one frame.
     """
 
     network: ClassVar[str]  # name of the network that the recipe is for
@@ -67,13 +64,7 @@ class Recipe:
                 raise OmnistereoError(f"{self.network} recipe: {name} = {value!r}; expected {wanted}")
 
     def with_overrides(self, settings: Sequence[str]) -> Self:
-        """Return the recipe with some settings changed, given as "name=value".
-
-        Raises
-        ------
-        OmnistereoError
-            If the recipe has no such setting or it does not take such a value.
-        """
+        """Return the recipe with settings changed, given as "name=value"; raises `OmnistereoError` for bad ones."""
         changes: dict[str, Any] = {}
         for setting in settings:
             name, _, value = setting.partition("=")

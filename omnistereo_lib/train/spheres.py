@@ -18,6 +18,7 @@ from omnistereo_lib.stereo.sweepnet import SweepNet
 from omnistereo_lib.train.frames import TrainingFrames, sample_true_indices, to_device
 from omnistereo_lib.train.recipes import SweepNetRecipe
 
+Columns = list[tuple[int, int]]  # (start, width) around the seam, for each camera
 _TRIES = 10  # draws of spheres, some of which may have positives only where no pair of cameras sees them
 
 
@@ -51,7 +52,11 @@ class SphereSamples(TrainingFrames):
         self.network = SweepNet(recipe.batch_norm, recipe.wrap)
         self.network.check_size(recipe.height, recipe.width)
         self.objective = SphereObjective(self.network)
-        self._half_size = SphereSamples(_halved(recipe), data, device) if recipe.halve else None
+        self._half_size = None
+        if recipe.halve:
+            half = {name: getattr(recipe, name) // 2 for name in ("width", "height", "num_spheres")}
+            half = replace(recipe, **half, halve=False, spheres_per_frame=2 * recipe.spheres_per_frame)
+            self._half_size = SphereSamples(half, data, device)
 
     def micro_batch(self, frame: Frame, rng: np.random.Generator, augment: bool) -> SphereBatch:
         """Sample spheres and labelled rays from one frame; with `augment`, rotate and flip at random."""
@@ -66,7 +71,8 @@ class SphereSamples(TrainingFrames):
             if augment:
                 spherical_images, gt_sphere, columns = self._augment_rotation(spherical_images, gt_sphere, columns, rng)
                 pairs = [(j, i) if rng.integers(2) else (i, j) for i, j in pairs]
-            strips = self._strips(spherical_images, spheres, gt_sphere, columns, pairs, rng)
+            visible, positive = ~spherical_images.isnan().cpu().numpy(), gt_sphere == spheres[:, None, None]
+            strips = self._strips(visible, positive, np.isfinite(gt_sphere), columns, pairs, rng)
             if strips:
                 return SphereBatch(spherical_images, strips)
         raise OmnistereoError(
@@ -74,8 +80,8 @@ class SphereSamples(TrainingFrames):
         )
 
     def _augment_rotation(
-        self, images: Tensor, gt_sphere: NDArray, columns: list[tuple[int, int]], rng: np.random.Generator
-    ) -> tuple[Tensor, NDArray, list[tuple[int, int]]]:
+        self, images: Tensor, gt_sphere: NDArray, columns: Columns, rng: np.random.Generator
+    ) -> tuple[Tensor, NDArray, Columns]:
         """Rotate the panorama by any number of columns, and flip it or not."""
         W = self.grid.width
         shift, flip = int(rng.integers(W)), bool(rng.integers(2))
@@ -86,7 +92,7 @@ class SphereSamples(TrainingFrames):
             columns = [(-(start + width) % W, width) for start, width in columns]
         return images, gt_sphere, columns
 
-    def _draw_spheres(self, index: NDArray, frame: Frame, rng: np.random.Generator) -> tuple[range, NDArray[np.int64]]:
+    def _draw_spheres(self, index: NDArray, frame: Frame, rng: np.random.Generator) -> tuple[range, NDArray]:
         """Draw spheres of one block: all with enough positives about equally often, and sometimes others."""
         N = self.grid.num_spheres
         inside = index[(index > -0.5) & (index < N - 0.5)]
@@ -109,17 +115,16 @@ class SphereSamples(TrainingFrames):
 
     def _strips(
         self,
-        spherical_images: Tensor,
-        spheres: NDArray[np.int64],
-        gt_sphere: NDArray,
-        columns: list[tuple[int, int]],
-        pairs: list[tuple[int, int]],
+        visible: NDArray,
+        positive: NDArray,
+        known: NDArray,
+        columns: Columns,
+        pairs: list,
         rng: np.random.Generator,
     ) -> list[Strip]:
-        visible = ~spherical_images.isnan().cpu().numpy()
-        positive = gt_sphere == spheres[:, None, None]
+        """Label the columns that each pair shares, given bool (cameras, S, H, W), (S, H, W) and (H, W)."""
         enough = positive.sum(axis=(1, 2), keepdims=True) >= self.recipe.min_positives
-        known = np.isfinite(gt_sphere) & (enough | ~positive)  # each of a few would weigh too much
+        known = known & (enough | ~positive)  # each of a few would weigh too much
         positive &= enough
         W = self.grid.width
         strips = []
@@ -133,9 +138,7 @@ class SphereSamples(TrainingFrames):
                     strips.append(Strip(i, j, start, stop, *tensors))
         return strips
 
-    def _draw_labels(
-        self, common: NDArray[np.bool_], positive: NDArray[np.bool_], rng: np.random.Generator
-    ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+    def _draw_labels(self, common: NDArray, positive: NDArray, rng: np.random.Generator) -> tuple[NDArray, NDArray]:
         """Draw, on every sphere, positives and some negatives for each; return a mask, and the labels in it."""
         labelled = np.zeros(common.shape, bool)
         for k in range(len(common)):
@@ -144,13 +147,6 @@ class SphereSamples(TrainingFrames):
             negatives = sample_true_indices(common[k] & ~positive[k], number, rng)
             labelled[k].reshape(-1)[np.concatenate([positives, negatives])] = True
         return labelled, np.where(positive[labelled], 0.0, 1.0).astype(np.float32)
-
-
-def _halved(recipe: SweepNetRecipe) -> SweepNetRecipe:
-    return replace(
-        recipe, halve=False, width=recipe.width // 2, height=recipe.height // 2, num_spheres=recipe.num_spheres // 2,
-        spheres_per_frame=2 * recipe.spheres_per_frame,
-    )  # fmt: skip
 
 
 class SphereObjective(nn.Module):

@@ -109,4 +109,5 @@ def test_a_new_cost_joins_in_one_place(box, monkeypatch):
 
 def test_a_network_is_read_once_per_process():
     assert Method.parse("mccnn").load_cost() is Method.parse("mccnn+sgm,pairs=all").load_cost()
-    assert Method.parse("sweepnet+sgm").load_cost().network.wrap != Method.parse("sweepnet+sgm,wrap=false").load_cost().network.wrap
+    wrapped, cut = (Method.parse(name).load_cost() for name in ("sweepnet+sgm", "sweepnet+sgm,wrap=false"))
+    assert wrapped.network.wrap and not cut.network.wrap
