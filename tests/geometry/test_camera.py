@@ -181,7 +181,7 @@ def test_bad_points_and_polynomials_are_named():
         equidistant().project(np.zeros((4, 2)))
     with pytest.raises(OmnistereoError, match=r"shape \(3,\); expected \(..., 2\)"):
         equidistant().unproject(torch.zeros(3))
-    with pytest.raises(OmnistereoError, match=r"reaches only .*Lower max_fov_deg"):
+    with pytest.raises(OmnistereoError, match=r"monotonic only .*Lower max_fov_deg"):
         fit_inverse_polynomial([-180.0, 0.0, -1e-3], 220, 2000)
     with pytest.raises(OmnistereoError, match="no inverse polynomial up to degree 25"):
         fit_inverse_polynomial([-F, 0, 1 / (4 * F)], 350, 20000, tolerance=1e-6)
@@ -194,3 +194,18 @@ def test_geometry_needs_numpy_alone():
         "print([m for m in ('torch', 'cv2', 'yaml', 'scipy', 'numba', 'matplotlib', 'pyvista') if m in sys.modules])"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.uint8, np.int32, bool])
+def test_a_mask_of_any_type_is_visible_where_it_is_not_zero(dtype):
+    mask = np.zeros(SIZE[::-1], dtype)
+    mask[:, 400:] = dtype(0.25) if dtype is np.float64 else dtype(1)
+    np.testing.assert_array_equal(equidistant(mask=mask).contains(np.array([[390.0, 380.0], [410.0, 380.0]])), [0, 1])
+
+
+def test_the_direct_polynomial_ends_where_it_stops_growing():
+    """f(r)/r = -100/r - 6.25e-6 r² grows up to r = 200 px; beyond 286 px the same angles come again."""
+    poly = [-100.0, 0.0, 0.0, -6.25e-6]
+    camera = OcamCamera(poly, fit_inverse_polynomial(poly, 100, 250), (349.5, 349.5), (1, 0, 0), (700, 700), 100)
+    valid = camera.unproject([[349.5 + r, 349.5] for r in (100, 130, 220, 300, 340)], use_direct_poly=True)[1]
+    np.testing.assert_array_equal(valid, [True, True, False, False, False])

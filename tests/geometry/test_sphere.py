@@ -104,3 +104,19 @@ def test_index_and_depth_are_inverse(num_spheres, min_depth, ratio, part):
 def test_impossible_grids_are_refused(arguments, message):
     with pytest.raises(OmnistereoError, match=message):
         SphereGrid(**{"width": W, "height": H} | arguments)
+
+
+def grid_with(**changed):
+    return SphereGrid(**{"width": 96, "height": 24, "num_spheres": 8, "min_depth": 0.5} | changed)
+
+
+def test_a_grid_can_be_a_key():
+    assert {grid_with(phi_deg=[-45, 45]): 1}[grid_with(phi_deg=(-45, 45))] == 1
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"min_depth": None}, {"width": 96.5}, {"height": float("nan")}, {"phi_deg": (-45, 0, 45)}], ids=str
+)
+def test_values_that_cannot_be_meant(wrong):
+    with pytest.raises(OmnistereoError, match=next(iter(wrong))):
+        grid_with(**wrong)

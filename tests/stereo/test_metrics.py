@@ -50,3 +50,9 @@ def test_sparsification_of_a_perfect_and_of_a_useless_confidence():
 def test_sparsification_curve_by_hand():
     curve, _, _ = osl.sparsification([4, 1, 2, 3, np.nan], [0.1, 0.9, 0.8, 0.2, 1], [0, 0.25, 0.5])
     assert curve.tolist() == pytest.approx([2.5, 2.0, 1.5])
+
+
+@pytest.mark.parametrize("error", [[], [np.nan, np.nan]])
+def test_sparsification_of_nothing(error):
+    curve, *areas = osl.sparsification(error, np.ones(len(error)))
+    assert np.isnan(curve).all() and np.isnan(areas).all()

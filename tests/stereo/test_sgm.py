@@ -116,15 +116,15 @@ def settles(volume, p1, p2):
 
 @given(shape=shapes, seed=seeds, turn=st.integers(1, 13))
 @settings(deadline=None, max_examples=40)
-def test_a_turned_panorama_gives_the_turned_result(shape, seed, turn):
+def test_a_rolled_panorama_gives_the_rolled_result(shape, seed, turn):
     volume = noise(shape, seed, 0.1)
-    assume(settles(volume, 0.1, 1.0))
-    turned = sgm(np.roll(volume, turn, axis=1), 0.1, 1.0)
-    np.testing.assert_allclose(turned, np.roll(sgm(volume, 0.1, 1.0), turn, axis=1), atol=5e-5)
+    rolled = np.roll(volume, turn, axis=1)
+    assume(settles(volume, 0.1, 1.0) and settles(rolled, 0.1, 1.0))
+    np.testing.assert_allclose(sgm(rolled, 0.1, 1.0), np.roll(sgm(volume, 0.1, 1.0), turn, axis=1), atol=5e-5)
 
 
 def test_a_row_that_alternates_for_ever_stops_after_the_last_lap():
-    volume = noise((5, 13, 11), seed=431, unknown=0.1)
+    volume = noise((1, 6, 6), seed=141, unknown=0.1)
     assert not settles(volume, 0.1, 1.0)
     expected = brute_force(volume, 0.1, 1.0)
     np.testing.assert_allclose(sgm(volume, 0.1, 1.0), expected, atol=1e-5)
@@ -246,7 +246,7 @@ def test_input_is_left_alone_and_may_be_any_float_array():
     ("arguments", "message"),
     [
         ({"volume": np.zeros((3, 4), np.float32)}, r"shape \(3, 4\)"),
-        ({"volume": np.zeros((3, 4, 1), np.float32)}, "two or more"),
+        ({"volume": np.zeros((3, 4, 1), np.float32)}, "expected \\(H, W, N\\) with N ≥ 2"),
         ({"volume": np.zeros((0, 4, 3), np.float32)}, r"shape \(0, 4, 3\)"),
         ({"paths": 5}, "paths is 5; expected 4 or 8"),
         ({"p1": -0.1}, "p1 = -0.1"),

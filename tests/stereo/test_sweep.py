@@ -153,3 +153,12 @@ def test_images_that_do_not_fit_the_rig_are_refused(world, spoil, message):
     rig, images = world
     with pytest.raises(osl.OmnistereoError, match=message):
         osl.SphereSweep(rig, GRID).normalize_images(spoil(images))
+
+
+def test_every_lookup_table_beyond_the_budget_is_computed_once_per_frame(world, monkeypatch):
+    rig, images = world
+    sweep, computed = osl.SphereSweep(rig, GRID, max_lut_bytes=0), []
+    compute = sweep._compute_lut
+    monkeypatch.setattr(sweep, "_compute_lut", lambda *key: computed.append(key) or compute(*key))
+    osl.cost_volume(sweep, images)
+    assert len(computed) == len(set(computed)) == len(rig) * len(sweep.blocks())
