@@ -18,6 +18,7 @@ _HOME = {
     "Pose": "geometry.pose",
     "Rig": "rig_files",
     "load_rig": "rig_files",
+    "camera_pairs": "geometry.rig",
     "SphereGrid": "geometry.sphere",
     "Checkerboard": "calibrate.board",
     "calibrate_camera": "calibrate.camera",

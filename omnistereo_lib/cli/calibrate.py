@@ -88,7 +88,7 @@ def _read_captures(folder: Path) -> tuple:
 
 def _read_corners(folder: Path, board: Checkerboard) -> tuple:
     """Return what `_read_captures` does, with corners instead of images."""
-    from omnistereo_lib.calibrate.detect import load_corners
+    from omnistereo_lib.calibrate.captures import load_corners
 
     files = sorted(folder.glob("corners_*.yaml"), key=lambda path: (len(path.name), path.name))
     if not files:
@@ -125,7 +125,7 @@ def _write_reports(
     out: Path, cameras: Sequence[str], names: Sequence[str], reports: Sequence, board: Checkerboard
 ) -> list[str]:
     """Write the figures and corners of each camera, captures without a board as null; return what was written."""
-    from omnistereo_lib.calibrate.detect import save_corners
+    from omnistereo_lib.calibrate.captures import save_corners
     from omnistereo_lib.calibrate.figures import save_figure
 
     for camera, report in zip(cameras, reports, strict=True):
