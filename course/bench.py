@@ -139,7 +139,7 @@ def bench_frame(width: int, height: int, num: int, repeats: int = 3) -> list[Row
         pixels = np.stack([sweep.project_sphere(i, n)[0].astype(np.float32) for n in range(num)])
         grids.append(torch.from_numpy(pixels * np.float32(2 / (np.array(camera.image_size) - 1)) - 1))
     times, _ = best_of(repeats, lambda: sweep_depth(sweep, images), lambda: _plain_frame(images, grids))
-    note = f"{1 / times[0]:.1f} frames/s; tables {sweep.table_bytes / 2**20:.0f} MiB"
+    note = f"{1 / times[0]:.1f} frames/s; tables {sweep.lut_bytes / 2**20:.0f} MiB"
     return [Row(f"ZNCC + SGM frame {width}×{height}×{num}, against plain torch + libsgm", *times, note)]
 
 

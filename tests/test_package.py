@@ -100,6 +100,20 @@ def test_the_renderer_uses_geometry_only():
     assert {name.split(".")[1] for name in used} <= {"geometry", "errors"}
 
 
+@pytest.mark.parametrize("folder", ["geometry", "stereo"])
+def test_files_and_functions_are_short(folder):
+    """At most 400 lines a file, and 40 a function without its docstring."""
+    for path in sorted((LIBRARY / folder).glob("*.py")):
+        text = path.read_text()
+        assert len(text.splitlines()) <= 400, path.name
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef):
+                docstring = node.body[0] if ast.get_docstring(node) else None
+                lines = node.end_lineno - node.lineno + 1
+                lines -= docstring.end_lineno - docstring.lineno + 1 if docstring else 0
+                assert lines <= 40, f"{path.name}: {node.name}"
+
+
 def test_there_is_no_circle():
     graph = {name: {n for n in imports(path) if n in EVERYTHING} - {name} for name, path in EVERYTHING.items()}
     TopologicalSorter(graph).prepare()

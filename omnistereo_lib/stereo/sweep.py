@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import cached_property
 
 import cv2
@@ -17,7 +16,6 @@ from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 
@@ -28,18 +26,9 @@ OUTSIDE = -1e5  # px, pixel coordinate of invalid rays; NaN coordinates are unde
 _LUT_BUDGET = 2 << 30  # bytes
 
 
-@dataclass(frozen=True)
-class _LookupTable:
-    """Pixel coordinates of the rays of one block of spheres in one camera.
-
-    Only the visible columns are stored: in one part, or in two if they cross the ±180° seam.
-    """
-
-    parts: list[tuple[int, NDArray[np.float32]]]  # first column, maps (block · H, columns, 2) in pixels
-
-    @property
-    def nbytes(self) -> int:
-        return sum(maps.nbytes for _, maps in self.parts)
+# Pixel coordinates of the rays of one block of spheres in one camera, as (first column, maps of shape (block · H,
+# columns, 2)). Only the visible columns are stored: in one part, or in two if they cross the ±180° seam.
+_LookupTable = list[tuple[int, NDArray[np.float32]]]
 
 
 class SphereSweep:
@@ -91,7 +80,13 @@ class SphereSweep:
 
     @cached_property
     def _image_masks(self) -> list[NDArray[np.uint8]]:
-        return [_image_mask(camera) for camera in self.rig.cameras]
+        """For each camera 1 where its pixels are valid, else 0, shape (height, width)."""
+        masks = []
+        for camera in self.rig.cameras:
+            width, height = camera.image_size
+            pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1)
+            masks.append(camera.unproject(pixels)[1].astype(np.uint8))
+        return masks
 
     def project_sphere(self, camera: int, index: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Project the points of one sphere into one camera: Π_i(M(Θ*_i) ρ(p)/d_n) of Eq. 1.
@@ -201,7 +196,7 @@ class SphereSweep:
     def warp_camera(self, image: Tensor, camera: int, spheres: range, out: Tensor) -> None:
         """Warp one normalized image onto one of the `blocks`: write the visible rays to out (len(spheres), H, W)."""
         rows = out.view(-1, self.grid.width)
-        for k, (column, maps) in enumerate(self._lookup_table(camera, spheres).parts):
+        for k, (column, maps) in enumerate(self._lookup_table(camera, spheres)):
             target = rows[:, column : column + maps.shape[1]]
             if self.device.type == "cpu":
                 remap(image.numpy(), maps, target.numpy())
@@ -219,9 +214,10 @@ class SphereSweep:
         if key in self._luts:
             return self._luts[key]
         lut = self._compute_lut(camera, spheres)
-        if self.lut_bytes + lut.nbytes <= self.max_lut_bytes:
+        size = sum(maps.nbytes for _, maps in lut)
+        if self.lut_bytes + size <= self.max_lut_bytes:
             self._luts[key] = lut
-            self.lut_bytes += lut.nbytes
+            self.lut_bytes += size
         return lut
 
     def _compute_lut(self, camera: int, spheres: range) -> _LookupTable:
@@ -237,7 +233,7 @@ class SphereSweep:
         start, width = _circular_span((maps[..., 0] > OUTSIDE).any((0, 1)))
         self._spans[camera, spheres.start] = start, width
         maps = maps.reshape(-1, W, 2)
-        return _LookupTable([(a, np.ascontiguousarray(maps[:, a:b])) for a, b in split_at_seam(start, width, W)])
+        return [(a, np.ascontiguousarray(maps[:, a:b])) for a, b in split_at_seam(start, width, W)]
 
     def _maps_on_device(self, camera: int, spheres: range, part: int, maps: NDArray[np.float32]) -> Tensor:
         """Return one part of a lookup table on the device, copied once if the table is kept."""
@@ -298,13 +294,6 @@ def to_gray(image: NDArray) -> NDArray[np.float32]:
     """Return an image (height, width) or RGB (height, width, 3) in gray, float32 (BT.601 luma)."""
     image = np.ascontiguousarray(image, np.float32)
     return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-
-
-def _image_mask(camera: OcamCamera) -> NDArray[np.uint8]:
-    """Return 1 for the valid pixels of a camera, else 0, shape (height, width)."""
-    width, height = camera.image_size
-    pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1)
-    return camera.unproject(pixels)[1].astype(np.uint8)
 
 
 def _circular_span(visible: NDArray[np.bool_]) -> tuple[int, int]:

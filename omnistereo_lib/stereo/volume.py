@@ -89,8 +89,11 @@ def check_memory(rig: Rig, grid: SphereGrid, device: torch.device | str = "cpu")
     """
     device = torch.device(device)
     H, W = grid.shape
-    # Bytes per ray, measured: a block of spheres in sweep and cost, then the volume and its aggregated copy.
-    need = H * W * (400 + 225 * len(rig) + 9 * grid.num_spheres)
+    # Bytes per ray, measured: a block of spheres in sweep and cost, then the volume and the copies that SGM makes.
+    if device.type == "cpu":
+        need = H * W * (400 + 225 * len(rig) + 9 * grid.num_spheres)
+    else:
+        need = H * W * (1800 + 64 * len(rig) + 18 * grid.num_spheres)
     free = 0.75 * _available_memory(device)  # a quarter is left to the lookup tables
     if need > free:
         raise OmnistereoError(

@@ -1,7 +1,4 @@
-"""The polynomial camera against lenses that have a closed form."""
-
-import subprocess
-import sys
+"""The polynomial camera against camera models in closed form."""
 
 import numpy as np
 import pytest
@@ -56,18 +53,16 @@ AZIMUTH = np.radians(np.arange(0, 360, 7.0))
 def test_every_angle_lands_where_the_closed_form_says():
     uv, _ = equidistant().project(ray(THETA, AZIMUTH))
     np.testing.assert_allclose(uv, pixel(180.0 * THETA, AZIMUTH), atol=1e-9)
-    for exact, tolerance in ((True, 1e-9), (False, 1e-7)):
-        uv, _ = stereographic().project(ray(THETA, AZIMUTH), use_direct_poly=exact)
+    for direct, tolerance in ((True, 1e-9), (False, 1e-7)):
+        uv, _ = stereographic().project(ray(THETA, AZIMUTH), direct)
         np.testing.assert_allclose(uv, pixel(2 * F * np.tan(THETA / 2), AZIMUTH), atol=tolerance)
 
 
-@pytest.mark.parametrize("degrees", range(91, 111))
-def test_beyond_the_plane_of_the_lens(degrees):
+def test_the_field_of_view_ends_beyond_180_degrees():
     """A camera that divides by z would fold these onto the other side."""
-    uv, valid = equidistant().project(ray(np.radians(degrees), np.array([0.0])))
-    assert valid.all()
-    np.testing.assert_allclose(uv[0], pixel(180.0 * np.radians(degrees), 0.0), atol=1e-9)
-    assert not equidistant().project(ray(np.radians(110.01), np.array([0.0])))[1].any()
+    uv, valid = equidistant().project(ray(np.radians([91.0, 110.0, 110.01]), np.array(0.0)))
+    assert valid.tolist() == [True, True, False]
+    np.testing.assert_allclose(uv[:2], pixel(180.0 * np.radians([91.0, 110.0]), 0.0), atol=1e-9)
 
 
 def test_right_is_right_and_down_is_down():
@@ -77,18 +72,18 @@ def test_right_is_right_and_down_is_down():
     assert down[1] > axis[1] and down[0] == pytest.approx(axis[0])
 
 
-@pytest.mark.parametrize("exact", [False, True])
-def test_round_trip_from_rays_and_from_pixels(exact):
+@pytest.mark.parametrize("direct", [False, True])
+def test_round_trip_from_rays_and_from_pixels(direct):
     camera = stereographic()
     rays = ray(THETA, AZIMUTH)
-    uv, valid = camera.project(rays, use_direct_poly=exact)
-    back, seen = camera.unproject(uv, use_direct_poly=exact)
-    assert (seen == valid).all() and 0.7 < valid.mean() < 1  # the circle is cut by the image's edges
+    uv, valid = camera.project(rays, direct)
+    back, valid_back = camera.unproject(uv, direct)
+    assert (valid_back == valid).all() and 0.7 < valid.mean() < 1  # the image cuts off the circle
     np.testing.assert_allclose(back[valid], rays[valid], atol=1e-9)
     grid = np.stack(np.meshgrid(np.arange(0, SIZE[0], 7.0), np.arange(0, SIZE[1], 7.0)), -1)
-    rays, valid = camera.unproject(grid, use_direct_poly=exact)
-    again, seen = camera.project(rays, use_direct_poly=exact)
-    assert valid.any() and seen[valid].all()
+    rays, valid = camera.unproject(grid, direct)
+    again, valid_again = camera.project(rays, direct)
+    assert valid.any() and valid_again[valid].all()
     assert np.abs(again - grid)[valid].max() < 1e-6
     np.testing.assert_allclose(np.linalg.norm(rays, axis=-1), 1.0, atol=1e-12)
 
@@ -97,39 +92,40 @@ WIDE = stereographic(image_size=(2400, 2400), center=(1200.0, 1200.0))
 
 
 @given(st.floats(0, np.radians(109.9)), st.floats(-np.pi, np.pi), st.floats(1e-3, 1e6), st.booleans())
-@example(5e-324, 0.0, 1.0, False)  # beside the axis by the smallest number that there is
-def test_round_trip_of_any_point(theta, azimuth, distance, exact):
-    uv, valid = WIDE.project(distance * ray(theta, np.float64(azimuth)), use_direct_poly=exact)
+@example(5e-324, 0.0, 1.0, False)  # off the axis by the smallest float
+def test_round_trip_of_any_point(theta, azimuth, distance, direct):
+    uv, valid = WIDE.project(distance * ray(theta, np.float64(azimuth)), direct)
     assert valid
-    np.testing.assert_allclose(WIDE.unproject(uv, use_direct_poly=exact)[0], ray(theta, np.float64(azimuth)), atol=1e-9)
+    np.testing.assert_allclose(WIDE.unproject(uv, direct)[0], ray(theta, np.float64(azimuth)), atol=1e-9)
 
 
-@pytest.mark.parametrize("exact", [False, True])
-def test_torch_agrees_with_numpy(exact):
+@pytest.mark.parametrize("direct", [False, True])
+def test_torch_agrees_with_numpy(direct):
     rng = np.random.default_rng(0)
     camera = stereographic(mask=rng.random(SIZE[::-1]) > 0.3)
     points = rng.normal(size=(40, 50, 3))
     points[0, :5] = [[0, 0, 0], [0, 0, 2], [np.nan, 0, 1], [np.inf, 1, 1], [0, 0, -1]]
-    uv, valid = camera.project(points, exact)
-    uv_torch, valid_torch = camera.project(torch.tensor(points), exact)
+    uv, valid = camera.project(points, direct)
+    uv_torch, valid_torch = camera.project(torch.tensor(points), direct)
     assert (valid_torch.numpy() == valid).all() and 0.2 < valid.mean() < 0.9
     np.testing.assert_allclose(uv_torch.numpy(), uv, atol=1e-10)
-    rays, valid = camera.unproject(uv, exact)
-    rays_torch, valid_torch = camera.unproject(torch.tensor(uv), exact)
+    rays, valid = camera.unproject(uv, direct)
+    rays_torch, valid_torch = camera.unproject(torch.tensor(uv), direct)
     assert (valid_torch.numpy() == valid).all()
     np.testing.assert_allclose(rays_torch.numpy(), rays, atol=1e-10)
-    single, _ = camera.project(torch.tensor(points, dtype=torch.float32), exact)
+    single, _ = camera.project(torch.tensor(points, dtype=torch.float32), direct)
     assert single.dtype == torch.float32
     np.testing.assert_allclose(single.numpy(), uv, atol=2e-3)
 
 
-def test_validity_comes_from_geometry_and_mask():
-    mask = np.ones(SIZE[::-1], bool)
-    mask[:, 500:] = False
+@pytest.mark.parametrize("dtype", [bool, np.uint8, np.float64])
+def test_validity_comes_from_geometry_and_mask(dtype):
+    """A mask may have any type: non-zero is valid."""
+    mask = np.full(SIZE[::-1], 0.25 if dtype is np.float64 else 1, dtype)
+    mask[:, 500:] = 0
     camera = equidistant(mask=mask)
     points = ray(np.radians([0, 20, 60, 109, 111, 180]), np.array(0.0))
-    _, valid = camera.project(points)
-    assert valid.tolist() == [True, True, False, False, False, False]
+    assert camera.project(points)[1].tolist() == [True, True, False, False, False, False]
     assert equidistant().project(points)[1].tolist() == [True, True, True, True, False, False]
     uv = [[-0.6, 300], [0, 377], [402, 377], [499, 377], [501, 377], [400, 760], [np.nan, 1]]
     assert camera.unproject(uv)[1].tolist() == [False, False, True, True, False, False, False]
@@ -141,14 +137,14 @@ def test_useless_points_are_invalid_and_finite():
     assert not valid.any() and np.isfinite(uv).all()
 
 
-@pytest.mark.parametrize("fov", [60.0, 120.0, 180.0, 220.0, 250.0])
+@pytest.mark.parametrize("fov", [60.0, 220.0, 250.0])
 def test_inverse_polynomial_is_as_good_as_promised(fov):
     f, theta = F, np.radians(np.linspace(0, fov / 2, 500))
     inverse = np.polynomial.Polynomial(fit_inverse_polynomial([-f, 0, 1 / (4 * f)], fov, 4000))
     assert np.abs(inverse(theta - np.pi / 2) - 2 * f * np.tan(theta / 2)).max() < 0.011
 
 
-def test_polynomial_disagreement_is_the_closed_form_distance():
+def test_inverse_poly_error_is_the_closed_form_distance():
     camera = stereographic()
     assert camera.inverse_poly_error_px() < 1e-6
     scaled = stereographic(inv_poly=camera.inv_poly * 1.01)
@@ -183,24 +179,8 @@ def test_bad_points_and_polynomials_are_named():
         equidistant().unproject(torch.zeros(3))
     with pytest.raises(OmnistereoError, match=r"monotonic only .*Lower max_fov_deg"):
         fit_inverse_polynomial([-180.0, 0.0, -1e-3], 220, 2000)
-    with pytest.raises(OmnistereoError, match="no inverse polynomial up to degree 25"):
+    with pytest.raises(OmnistereoError, match=r"degree 25 has an error of .*expected at most 1e-06 px"):
         fit_inverse_polynomial([-F, 0, 1 / (4 * F)], 350, 20000, tolerance=1e-6)
-
-
-def test_geometry_needs_numpy_alone():
-    """Blender's interpreter has neither torch nor OpenCV nor YAML."""
-    code = (
-        "import sys; import omnistereo_lib as o; o.OcamCamera, o.Pose, o.Rig, o.SphereGrid, o.OmnistereoError;"
-        "print([m for m in ('torch', 'cv2', 'yaml', 'scipy', 'numba', 'matplotlib', 'pyvista') if m in sys.modules])"
-    )
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
-
-
-@pytest.mark.parametrize("dtype", [np.float64, np.uint8, np.int32, bool])
-def test_a_mask_of_any_type_is_visible_where_it_is_not_zero(dtype):
-    mask = np.zeros(SIZE[::-1], dtype)
-    mask[:, 400:] = dtype(0.25) if dtype is np.float64 else dtype(1)
-    np.testing.assert_array_equal(equidistant(mask=mask).contains(np.array([[390.0, 380.0], [410.0, 380.0]])), [0, 1])
 
 
 def test_the_direct_polynomial_ends_where_it_stops_growing():
@@ -209,3 +189,6 @@ def test_the_direct_polynomial_ends_where_it_stops_growing():
     camera = OcamCamera(poly, fit_inverse_polynomial(poly, 100, 250), (349.5, 349.5), (1, 0, 0), (700, 700), 100)
     valid = camera.unproject([[349.5 + r, 349.5] for r in (100, 130, 220, 300, 340)], use_direct_poly=True)[1]
     np.testing.assert_array_equal(valid, [True, True, False, False, False])
+    other = stereographic(inv_poly=0.9 * stereographic().inv_poly)  # does not limit the direct polynomial
+    uv, valid = other.project(ray(THETA, AZIMUTH), True)
+    assert (other.unproject(uv, True)[1] == valid).all()

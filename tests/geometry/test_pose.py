@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -28,6 +28,8 @@ def test_rodrigues_agrees_with_scipy_and_opencv(axis, angle):
 
 
 @given(axes, angles)
+@example(np.array([0.0, 0.0, -1.0]), np.pi)
+@example(np.array([0.0, 1.0, 0.0]), np.pi)
 def test_axis_angle_comes_back(axis, angle):
     back = axis_angle_from_rotation(rotation_from_axis_angle(axis * angle))
     assert np.linalg.norm(back) <= np.pi + 1e-12
@@ -43,12 +45,6 @@ def test_axis_angle_agrees_with_scipy(axis, angle):
     R = Rotation.from_rotvec(axis * angle)
     ours = Rotation.from_rotvec(axis_angle_from_rotation(R.as_matrix()))
     assert (ours.inv() * R).magnitude() < 1e-14
-
-
-@pytest.mark.parametrize("axis", np.eye(3).tolist() + (-np.eye(3)).tolist())
-def test_half_turns_around_the_axes(axis):
-    r = axis_angle_from_rotation(rotation_from_axis_angle(np.pi * np.array(axis)))
-    np.testing.assert_allclose(np.abs(r), np.pi * np.abs(axis), atol=1e-12)
 
 
 vectors = st.tuples(*[st.floats(-3, 3)] * 6)

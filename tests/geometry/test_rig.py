@@ -1,10 +1,12 @@
-"""What a rig tells about itself and how it moves."""
+"""Rigs: frames, baselines, changes of frame, and the camera pairs to match."""
 
 import numpy as np
 import pytest
+import scene
 from test_camera import equidistant
 
 from omnistereo_lib import OmnistereoError, Pose, Rig
+from omnistereo_lib.geometry.rig import camera_pairs
 
 
 def ring(radius=0.2):
@@ -14,39 +16,27 @@ def ring(radius=0.2):
     return Rig([equidistant() for _ in poses], poses, min_depth=0.55)
 
 
-def test_poses_take_camera_coordinates_to_the_rig():
-    """Camera 2 looks along +x: what is a metre in front of it is at +x in the rig."""
+def test_poses_map_camera_coordinates_to_the_rig():
+    """Camera 2 looks along +x: a point one metre in front of it is at +x in the rig."""
     rig = ring()
     np.testing.assert_allclose(rig.T_rig_cam[1] @ [0, 0, 1.0], [0.5 + 0.2 + 1.0, 0, 0], atol=1e-15)
-    np.testing.assert_allclose(rig.centers[2], [0.5, 0, -0.2], atol=1e-15)
-
-
-def test_baselines():
     d = 0.2 * np.sqrt(2)
-    np.testing.assert_allclose(ring().baselines, [d, 0.4, d, d, 0.4, d], atol=1e-12)
-    assert len(ring()) == 4
+    np.testing.assert_allclose(rig.baselines, [d, 0.4, d, d, 0.4, d], atol=1e-12)
 
 
-def test_centering_moves_without_turning():
+def test_recentering_keeps_the_axes():
     rig = ring().recentered()
     np.testing.assert_allclose(rig.centers.mean(0), 0, atol=1e-15)
     np.testing.assert_allclose(rig.T_rig_cam[1].R, ring().T_rig_cam[1].R)
     np.testing.assert_allclose(ring().recentered([0.7, 0, 0]).centers[1], 0, atol=1e-15)
-    assert rig.min_depth == 0.55
+    assert rig.min_depth == 0.55 and rig.cameras[0].max_fov_deg == ring().cameras[0].max_fov_deg
 
 
-def test_moving_the_frame_moves_nothing_in_the_world():
+def test_another_frame_leaves_points_in_the_cameras_unchanged():
     T = Pose.from_vector([0.1, 0.2, 0.3, 1, 2, 3])
     point = np.array([1.0, 0.4, 2.0])
     for before, after in zip(ring().T_rig_cam, ring().transformed(T).T_rig_cam, strict=True):
         np.testing.assert_allclose(after.inverse() @ (T @ point), before.inverse() @ point, atol=1e-14)
-
-
-def test_other_poses_for_the_same_cameras():
-    rig = ring()
-    inverted = rig.with_poses([pose.inverse() for pose in rig.T_rig_cam])
-    assert inverted.cameras == rig.cameras and inverted.min_depth == rig.min_depth
-    np.testing.assert_allclose(inverted.T_rig_cam[0].t, [-0.5, 0, -0.2])
 
 
 def test_too_few_cameras_or_poses():
@@ -54,3 +44,25 @@ def test_too_few_cameras_or_poses():
         Rig([equidistant()], [Pose.identity()])
     with pytest.raises(OmnistereoError, match="2 cameras and 1 poses"):
         Rig([equidistant()] * 2, [Pose.identity()])
+
+
+def test_pairs():
+    assert camera_pairs("ring", scene.rig(cameras=4)) == [(0, 1), (1, 2), (2, 3), (3, 0)]
+    assert camera_pairs("ring", scene.rig(cameras=2)) == [(0, 1)]
+    assert camera_pairs("all", scene.rig(cameras=3)) == [(0, 1), (0, 2), (1, 2)]
+    assert camera_pairs([(2, 0)], scene.rig(cameras=3)) == [(2, 0)]
+
+
+def test_the_ring_is_sorted_by_azimuth_not_by_number():
+    rig = scene.rig(cameras=4)
+    order = [0, 2, 3, 1]  # front, back, left, right
+    shuffled = Rig([rig.cameras[i] for i in order], [rig.T_rig_cam[i] for i in order])
+    assert camera_pairs("ring", shuffled) == [(0, 3), (3, 1), (1, 2), (2, 0)]
+
+
+@pytest.mark.parametrize(
+    "pairs, message", [("star", "is 'star'"), ([(0, 4)], r"\(0, 4\)"), ([(1, 1)], r"\(1, 1\)"), ([], "empty")]
+)
+def test_bad_pairs(pairs, message):
+    with pytest.raises(OmnistereoError, match=message):
+        camera_pairs(pairs, scene.rig())

@@ -12,15 +12,15 @@ maps = arrays(np.float32, (3, 4), elements=st.one_of(st.floats(-5, 200, width=32
 
 
 @given(maps, maps, arrays(bool, (3, 4)))
-def test_errors_agree_with_the_definition_ray_by_ray(index, truth, valid):
+def test_errors_agree_with_the_definition_ray_by_ray(index, gt, valid):
     N = 192
     errors = []
     for y in range(3):
         for x in range(4):
-            if valid[y, x] and 0 <= truth[y, x] < N:
+            if valid[y, x] and 0 <= gt[y, x] < N:
                 estimate = float(index[y, x])
-                errors.append(100.0 if math.isnan(estimate) else 100 / N * abs(estimate - float(truth[y, x])))
-    found = osl.index_error(index, truth, N, valid)
+                errors.append(100.0 if math.isnan(estimate) else 100 / N * abs(estimate - float(gt[y, x])))
+    found = osl.index_error(index, gt, N, valid)
     if not errors:
         assert all(math.isnan(value) for value in found.values())
         return
@@ -30,7 +30,7 @@ def test_errors_agree_with_the_definition_ray_by_ray(index, truth, valid):
     assert found["RMS"] == pytest.approx(math.sqrt(sum(e * e for e in errors) / len(errors)))
 
 
-def test_ground_truth_is_not_rounded():
+def test_ground_gt_is_not_rounded():
     assert osl.index_error([[5.0]], [[5.4]], 100)["MAE"] == pytest.approx(0.4)
 
 
@@ -41,10 +41,10 @@ def test_maps_must_agree_in_shape():
 
 def test_sparsification_of_a_perfect_and_of_a_useless_confidence():
     error = np.random.default_rng(0).exponential(size=10_000)
-    _, area, best = osl.sparsification(error, -error)
-    assert area == pytest.approx(best)
-    _, area, _ = osl.sparsification(error, np.random.default_rng(1).random(10_000))
-    assert area == pytest.approx(1, abs=0.03)
+    _, auc, oracle_auc = osl.sparsification(error, -error)
+    assert auc == pytest.approx(oracle_auc)
+    _, auc, _ = osl.sparsification(error, np.random.default_rng(1).random(10_000))
+    assert auc == pytest.approx(1, abs=0.03)
 
 
 def test_sparsification_curve_by_hand():
@@ -54,5 +54,5 @@ def test_sparsification_curve_by_hand():
 
 @pytest.mark.parametrize("error", [[], [np.nan, np.nan]])
 def test_sparsification_of_nothing(error):
-    curve, *areas = osl.sparsification(error, np.ones(len(error)))
-    assert np.isnan(curve).all() and np.isnan(areas).all()
+    curve, *aucs = osl.sparsification(error, np.ones(len(error)))
+    assert np.isnan(curve).all() and np.isnan(aucs).all()

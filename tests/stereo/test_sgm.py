@@ -101,14 +101,6 @@ def test_what_every_ray_agrees_on_changes_nothing(shape, seed, unknown):
     np.testing.assert_allclose(shifted.numpy() - 8 * offset, sgm(volume, 0.1, 2.0), atol=5e-5)
 
 
-@given(shape=shapes, seed=seeds, scale=st.floats(1e-3, 1e3))
-@settings(deadline=None, max_examples=40)
-def test_cost_and_penalties_scale_together(shape, seed, scale):
-    volume = noise(shape, seed, 0.1)
-    scaled = sgm(volume * np.float32(scale), 0.1 * scale, 2.0 * scale)
-    np.testing.assert_allclose(scaled / scale, sgm(volume, 0.1, 2.0), atol=5e-5)
-
-
 def settles(volume, p1, p2):
     laps = [brute_force(volume, p1, p2, 4, True, laps) for laps in (MAX_LAPS - 1, MAX_LAPS)]
     return np.allclose(*laps, rtol=0, atol=1e-9, equal_nan=True)
@@ -131,16 +123,6 @@ def test_a_row_that_alternates_for_ever_stops_after_the_last_lap():
     np.testing.assert_allclose(sgm_torch(torch.from_numpy(volume), 0.1, 1.0, 8, True), expected, atol=1e-5)
 
 
-@given(shape=shapes, seed=seeds, wrap=st.booleans())
-@settings(deadline=None, max_examples=40)
-def test_mirroring_either_axis_mirrors_the_result(shape, seed, wrap):
-    volume = noise(shape, seed, 0.1)
-    smooth = sgm(volume, 0.1, 1.0, wrap=wrap)
-    for axes in [(0,), (1,), (0, 1), (2,)]:
-        flipped = sgm(np.flip(volume, axes).copy(), 0.1, 1.0, wrap=wrap)
-        np.testing.assert_allclose(flipped, np.flip(smooth.numpy(), axes), atol=5e-5)
-
-
 @given(shape=shapes, seed=seeds, wrap=st.booleans(), paths=st.sampled_from([4, 8]), p2=st.floats(0, 20))
 @settings(deadline=None, max_examples=40)
 def test_each_path_lies_between_cost_and_cost_plus_p2(shape, seed, wrap, paths, p2):
@@ -150,26 +132,19 @@ def test_each_path_lies_between_cost_and_cost_plus_p2(shape, seed, wrap, paths, 
     assert (mean <= volume + p2 + 1e-5).all()
 
 
-def test_without_penalties_nothing_is_smoothed():
-    volume = noise((4, 7, 9))
-    np.testing.assert_allclose(sgm(volume, 0, 0), 8 * volume, rtol=1e-6)
-
-
-def test_a_ray_that_nothing_sees_is_like_one_that_fits_every_sphere_equally():
+def test_a_ray_with_nothing_to_compare_passes_messages_on():
+    """A ray of constant cost, one without known cells and one with a single known cell are the same to all others."""
     volume = noise((6, 9, 12))
     hole = np.s_[2:4, 3:6]
     volume[hole] = 0.7
     constant = sgm(volume).numpy()
-    volume[hole] = constant[hole] = np.nan
-    np.testing.assert_allclose(sgm(volume), constant, atol=1e-5)
-
-
-def test_unknown_cells_stay_unknown():
-    volume = noise((6, 8, 10), unknown=0.5)
-    volume[2, 3] = np.nan
-    smooth = sgm(volume).numpy()
-    np.testing.assert_array_equal(np.isnan(smooth), np.isnan(volume))
-    assert sgm(np.full((3, 4, 5), np.nan, np.float32)).isnan().all()
+    for known in (0, 1):
+        volume[hole] = np.nan
+        volume[hole][..., 5 : 5 + known] = 0.2
+        smooth = sgm(volume).numpy()
+        np.testing.assert_array_equal(np.isnan(smooth), np.isnan(volume))
+        volume[hole] = constant[hole] = smooth[hole] = 0.0
+        np.testing.assert_allclose(smooth, constant, atol=1e-5)
 
 
 @pytest.mark.parametrize(("gap", "message"), [(0.1, 1.0), (0.001, MAX_LAPS * 0.001)])

@@ -38,22 +38,22 @@ def slow_warp(rig, image, camera, grid, n):
     return out
 
 
-@pytest.mark.parametrize("n", [0, 7, 19])
+@pytest.mark.parametrize("n", [0, 19])
 def test_sweep_agrees_with_a_slow_float64_loop(world, n):
-    """To a thousandth of a gray level on a picture of soft edges, such as a sharp lens makes at this size.
+    """To a thousandth of a gray level on an image with soft edges.
 
-    The tables are float32: at 400 px they are off by up to 1.5e-5 px, and an edge of 60 gray levels a pixel
-    would turn that into a thousandth.
+    The lookup tables are float32: at 400 px they are rounded by up to 1.5e-5 px, and an edge of 60 gray levels per
+    pixel would turn that into a thousandth.
     """
     rig, _ = world
     images = scene.images(rig, finest=0.5)
     sweep = osl.SphereSweep(rig, GRID)
     block = next(spheres for spheres in sweep.blocks() if n in spheres)
-    tabulated = sweep.warp_block([torch.from_numpy(image) for image in images], block)[:, n - block.start]
+    by_table = sweep.warp_block([torch.from_numpy(image) for image in images], block)[:, n - block.start]
     direct = sweep.warp(images, n)
     for camera in range(len(rig)):
         expected = slow_warp(rig, images[camera], camera, GRID, n)
-        for warped in (tabulated[camera].numpy(), direct[camera]):
+        for warped in (by_table[camera].numpy(), direct[camera]):
             assert (np.isnan(warped) == np.isnan(expected)).all()
             assert np.nanmax(np.abs(warped - expected)) < 1e-3  # gray levels of 0 … 255
 
@@ -70,22 +70,25 @@ def test_a_wall_is_sharp_on_its_own_sphere(world):
     assert np.nanstd(elsewhere[:, common], 0).mean() > 20
 
 
-def test_tables_are_kept_within_their_budget_and_recomputed_beyond(world):
+def test_lookup_tables_are_kept_within_their_budget_and_computed_once_per_frame_beyond(world, monkeypatch):
     rig, images = world
-    kept, streamed = osl.SphereSweep(rig, GRID), osl.SphereSweep(rig, GRID, max_lut_bytes=0)
-    a, b = osl.cost_volume(kept, images), osl.cost_volume(streamed, images)
-    assert torch.equal(a.nan_to_num(9), b.nan_to_num(9))
-    assert streamed.lut_bytes == 0
+    kept, streamed, computed = osl.SphereSweep(rig, GRID), osl.SphereSweep(rig, GRID, max_lut_bytes=0), []
+    compute = streamed._compute_lut
+    monkeypatch.setattr(streamed, "_compute_lut", lambda *key: computed.append(key) or compute(*key))
+    torch.testing.assert_close(
+        osl.cost_volume(kept, images), osl.cost_volume(streamed, images), rtol=0, atol=0, equal_nan=True
+    )
+    assert len(computed) == len(set(computed)) == len(rig) * len(streamed.blocks()) and streamed.lut_bytes == 0
     full = 8 * 64 * 20 * 20 * 4
     assert 0.4 * full < kept.lut_bytes < 0.75 * full  # 220° of 360°, less nearby
 
 
 def test_seam_is_no_border(world):
-    """Turning the panorama by whole columns turns every warped image, wherever the seam falls."""
+    """Rotating the rig by whole columns rolls every warped image, wherever the seam falls."""
     rig, images = world
-    turned = rig.transformed(osl.Pose.from_vector([0, 2 * np.pi * 10 / 64, 0, 0, 0, 0]))
+    rotated = rig.transformed(osl.Pose.from_vector([0, 2 * np.pi * 10 / 64, 0, 0, 0, 0]))
     a = osl.SphereSweep(rig, GRID).warp_block([torch.from_numpy(i) for i in images], range(16))
-    b = osl.SphereSweep(turned, GRID).warp_block([torch.from_numpy(i) for i in images], range(16))
+    b = osl.SphereSweep(rotated, GRID).warp_block([torch.from_numpy(i) for i in images], range(16))
     difference = (a.roll(10, -1) - b).abs()
     assert (a.roll(10, -1).isnan() == b.isnan()).float().mean() > 0.999  # rounding at the rim of the lens
     assert difference[~difference.isnan()].max() < 0.02
@@ -100,14 +103,14 @@ def test_colour_is_warped_channel_by_channel(world):
     np.testing.assert_allclose(warped[..., 1], 255 - gray, atol=1e-3)
 
 
-def test_prepared_images_have_zero_mean_and_unit_variance_over_the_lens_circle(world):
+def test_normalized_images_have_zero_mean_and_unit_variance_over_the_image_circle(world):
     rig, images = world
     bright = [image * 0.5 + 100 for image in images]
-    for prepared, camera in zip(osl.SphereSweep(rig, GRID).normalize_images(bright), rig.cameras, strict=True):
+    for normalized, camera in zip(osl.SphereSweep(rig, GRID).normalize_images(bright), rig.cameras, strict=True):
         width, height = camera.image_size
-        _, seen = camera.unproject(np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1))
-        assert abs(prepared.numpy()[seen].mean()) < 1e-4
-        assert abs(prepared.numpy()[seen].std() - 1) < 1e-4
+        _, valid = camera.unproject(np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1))
+        assert abs(normalized.numpy()[valid].mean()) < 1e-4
+        assert abs(normalized.numpy()[valid].std() - 1) < 1e-4
 
 
 def test_torch_sampling_equals_opencv():
@@ -122,7 +125,7 @@ def test_torch_sampling_equals_opencv():
 
 
 @pytest.mark.parametrize(
-    "seen, span",
+    "visible, span",
     [
         ("00111000", (2, 3)),
         ("11000011", (6, 4)),
@@ -131,19 +134,18 @@ def test_torch_sampling_equals_opencv():
         ("10000001", (7, 2)),
     ],
 )
-def test_columns_seen_form_the_shortest_span_around_the_seam(seen, span):
-    start, width = _circular_span(np.array([c == "1" for c in seen]))
+def test_visible_columns_form_the_shortest_span_around_the_seam(visible, span):
+    start, width = _circular_span(np.array([c == "1" for c in visible]))
     assert width == span[1]
     assert start == span[0] or width == 8
     covered = [x for first, last in split_at_seam(start, width, 8) for x in range(first, last)]
-    assert {x for x, c in enumerate(seen) if c == "1"} <= set(covered)
+    assert {x for x, c in enumerate(visible) if c == "1"} <= set(covered)
 
 
 @pytest.mark.parametrize(
     "spoil, message",
     [
         (lambda images: images[:3], "3 images for 4 cameras"),
-        (lambda images: [*images, images[0]], "5 images for 4 cameras"),
         (lambda images: [images[0][:-1], *images[1:]], r"image 1 has shape \(383, 400\)"),
         (lambda images: [images[0].astype(int), *images[1:]], "image 1 has type int64"),
         (lambda images: [*images[:3], np.full_like(images[3], np.nan)], "image 4 has NaN"),
@@ -153,12 +155,3 @@ def test_images_that_do_not_fit_the_rig_are_refused(world, spoil, message):
     rig, images = world
     with pytest.raises(osl.OmnistereoError, match=message):
         osl.SphereSweep(rig, GRID).normalize_images(spoil(images))
-
-
-def test_every_lookup_table_beyond_the_budget_is_computed_once_per_frame(world, monkeypatch):
-    rig, images = world
-    sweep, computed = osl.SphereSweep(rig, GRID, max_lut_bytes=0), []
-    compute = sweep._compute_lut
-    monkeypatch.setattr(sweep, "_compute_lut", lambda *key: computed.append(key) or compute(*key))
-    osl.cost_volume(sweep, images)
-    assert len(computed) == len(set(computed)) == len(rig) * len(sweep.blocks())
