@@ -89,11 +89,14 @@ def test_a_frame_agrees_with_the_single_steps(data, weights):
     volumes = {}
     for method, errors in found.items():
         if method.volume_key not in volumes:
-            costs = {"zncc": osl.ZNCC, "mccnn": osl.MCCNN.load, "sweepnet": osl.SweepNet.load}
-            name = {"mccnn": "mccnn_fast"}.get(method.cost, method.cost)
-            cost = costs[method.cost](*() if name == "zncc" else (weights / f"{name}.safetensors", "float32"))
-            if method.cost == "sweepnet":
-                cost.wrap = method.wrap
+            cost = osl.ZNCC()
+            if method.cost != "zncc":
+                name = {"mccnn": "mccnn_fast"}.get(method.cost, method.cost)
+                network = {"mccnn": osl.MCCNN, "sweepnet": osl.SweepNet}[method.cost].from_file(
+                    weights / f"{name}.safetensors"
+                )
+                network.wrap = method.wrap or method.cost != "sweepnet"
+                cost = osl.LearnedCost(network, "float32")
             volumes[method.volume_key] = osl.cost_volume(sweep, dataset[1].images, cost, method.pairs)
         volume = volumes[method.volume_key]
         if method.aggregate == "sgm":
