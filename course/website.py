@@ -95,7 +95,6 @@ def face() -> str:
     """Return the table of the names that `import omnistereo_lib` offers, as Markdown."""
     documented = docstrings()
     rows = [
-        f"| `osl.{name}` | {summary(documented[f'omnistereo_lib.{home}.{name}'])} |\n"
-        for name, home in osl._HOME.items()
+        f"| `osl.{name}` | {summary(documented[f'{getattr(osl, name).__module__}.{name}'])} |\n" for name in osl.__all__
     ]
     return "| name | what it is |\n|---|---|\n" + "".join(rows)

@@ -280,7 +280,7 @@ def test_a_place_that_the_paper_does_not_have(text):
         ("Eq. 2", "cost_volume", "04_zncc"),
         ("Eq. 4", "SphereObjective", None),
         ("Eq. 5", "error_map", None),
-        ("Table I", "costs.sweepnet", None),
+        ("Table I", "stereo.sweepnet", None),
         ("Section III-A", "Pose.from_vector", "02_rig_calibration"),
     ],
 )
