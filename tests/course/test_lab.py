@@ -108,8 +108,8 @@ def end(server):
 
 
 def choose(page, menu, entry):
-    page.get_by_role("menuitem", name=menu, use_direct_poly=True).click()
-    page.get_by_role("menuitem", name=entry, use_direct_poly=True).click()
+    page.get_by_role("menuitem", name=menu, exact=True).click()
+    page.get_by_role("menuitem", name=entry, exact=True).click()
 
 
 def bytes_of(picture):
