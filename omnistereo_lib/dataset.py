@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, read_bytes, read_image, read_pixels
 from omnistereo_lib.geometry.rig import Rig, Unit
-from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.geometry.sphere import Sampling, SphereGrid
 from omnistereo_lib.rig_files import load_rig
 
 _CAMERA = r"cam([0-9]+)"
@@ -51,6 +51,7 @@ class Frame:
     image_paths: list[Path]
     gt_path: Path | None = None
     min_depth: float | None = None
+    rig: Rig | None = None
 
     @cached_property
     def images(self) -> list[NDArray[np.uint8]]:
@@ -74,13 +75,15 @@ class Frame:
         -45° to 45°. The pixel sampling is that of the grid. Each ray takes the nearest ground-truth pixel, since
         interpolation across a depth discontinuity gives a depth that is not in the scene.
         """
+        return grid.inverse_depth_to_index(self.inverse_depth_along(grid.rays(), grid.sampling))
+
+    def inverse_depth_along(self, rays: NDArray, sampling: Sampling = "center") -> NDArray[np.float32]:
+        """Return the inverse depth in 1/m of the ground-truth pixels nearest to rays (..., 3); NaN = unknown."""
         height, width = self.inverse_depth.shape
         highest = 180.0 * height / width
-        gt_grid = SphereGrid(width, height, (-highest, highest), sampling=grid.sampling)
-        pixels, inside = gt_grid.project(grid.rays())
-        column, row = np.rint(pixels).astype(int).reshape(-1, 2).T
-        nearest = self.inverse_depth[row.clip(0, height - 1), column % width].reshape(grid.shape)
-        return grid.inverse_depth_to_index(np.where(inside, nearest, np.nan))
+        pixels, inside = SphereGrid(width, height, (-highest, highest), sampling=sampling).project(rays)
+        column, row = np.moveaxis(np.rint(pixels).astype(int), -1, 0)
+        return np.where(inside, self.inverse_depth[row.clip(0, height - 1), column % width], np.float32(np.nan))
 
 
 class Dataset(Sequence[Frame]):
@@ -147,7 +150,7 @@ def load_dataset(
         if missing := [number for number in numbers if number not in files]:
             raise OmnistereoError(f"{camera} has no image of frame {missing[0]}, other cameras have. Complete it.")
     gt = _find_gt(_gt_root(folder), gt_width)
-    frames = [Frame(n, [files[n] for files in images], gt.get(n), rig.min_depth) for n in numbers]
+    frames = [Frame(n, [files[n] for files in images], gt.get(n), rig.min_depth, rig) for n in numbers]
     if split is not None:
         frames = _published_split(folder, split, frames)
     if not frames:

@@ -10,16 +10,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Pairs, Rig, camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.stereo.sweep import SphereSweep, check_images
+from omnistereo_lib.stereo.sweep import SphereSweep, reduce_images
 from omnistereo_lib.stereo.volume import cost_volume
 
 _BETTER = 0.75  # a mistake is reported if undoing it brings the cost below this fraction,
@@ -120,7 +118,7 @@ def check_rig(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid) -> RigChe
     OmnistereoError
         If the images do not fit the cameras.
     """
-    rig, images = _shrink(rig, check_images(images, rig), grid)
+    rig, images = reduce_images(rig, images, grid.width / 360)
     sweep = SphereSweep(rig, grid)
     cost = matching_cost(sweep, images)
     given = RigHypothesis("as given", cost, cost)
@@ -212,35 +210,3 @@ def _swaps(n: int) -> Iterator[tuple[int, ...]]:
             order = list(range(n))
             order[i], order[j] = j, i
             yield tuple(order)
-
-
-def _shrink(rig: Rig, images: list[NDArray], grid: SphereGrid) -> tuple[Rig, list[NDArray]]:
-    """Return cameras and images with about one pixel per pixel of the panorama; equal sizes stay equal."""
-    cameras, small = [], []
-    widest = max(camera.max_fov_deg for camera in rig.cameras)
-    for camera, image in zip(rig.cameras, images, strict=True):
-        factor = max(1, round(camera.image_size[0] / widest / (grid.width / 360)))
-        camera = _shrink_camera(camera, factor)
-        width, height = camera.image_size
-        cameras.append(camera)
-        small.append(
-            cv2.resize(image[: height * factor, : width * factor], (width, height), interpolation=cv2.INTER_AREA)
-        )
-    return Rig(cameras, rig.T_rig_cam), small
-
-
-def _shrink_camera(camera: OcamCamera, factor: int) -> OcamCamera:
-    """Return the camera of images in which blocks of factor × factor pixels are averaged to one."""
-    width, height = (size // factor for size in camera.image_size)
-    mask = camera.mask
-    if mask is not None:
-        blocks = mask[: height * factor, : width * factor].reshape(height, factor, width, factor)
-        mask = blocks.all((1, 3))
-    return replace(
-        camera,
-        poly=[a * float(factor) ** (k - 1) for k, a in enumerate(camera.poly)],  # f(r) = factor f'(r / factor)
-        inv_poly=camera.inv_poly / factor,
-        center=tuple((c + 0.5) / factor - 0.5 for c in camera.center),
-        image_size=(width, height),
-        mask=mask,
-    )

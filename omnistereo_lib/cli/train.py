@@ -17,16 +17,14 @@ from omnistereo_lib.errors import OmnistereoError
 if TYPE_CHECKING:
     from omnistereo_lib.train import Recipe
 
-_DATA = Path(__file__).resolve().parents[2] / "data_samples" / "sunny" / "train"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    parser.add_argument("network", choices=["sweepnet", "mccnn"])
-    parser.add_argument("--preset", default="teaching", choices=["teaching", "shipped", "paper"])
+    parser.add_argument("network", choices=["sweepnet", "mccnn", "volumenet"])
+    parser.add_argument("--preset", default="teaching", choices=["teaching", "shipped", "paper", "gpu"])
     parser.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="change numbers of the preset")
     parser.add_argument("--init-weights", type=Path, metavar="FILE", help="start from trained weights, not random ones")
-    parser.add_argument("--data", type=Path, default=_DATA, help="data set with ground truth")
+    parser.add_argument("--data", type=Path, nargs="+", help="data sets with ground truth (default: those that ship)")
     add_device(parser)
     parser.add_argument("--out", type=Path, help="folder of the run (default: out/NETWORK_PRESET)")
     either = parser.add_mutually_exclusive_group()
@@ -41,7 +39,10 @@ def run(options: argparse.Namespace) -> None:
     """Train a network, or one by each variant of its recipe; several processes under torchrun share the work."""
     from omnistereo_lib.train import RECIPES, VARIANTS, export_weights, write_comparison
 
-    recipe = RECIPES[options.network][options.preset].with_overrides(options.set)
+    presets = RECIPES[options.network]
+    if options.preset not in presets:
+        raise OmnistereoError(f"{options.network} has the presets {', '.join(presets)}, not {options.preset!r}")
+    recipe = presets[options.preset].with_overrides(options.set)
     out = options.out or Path("out") / f"{options.network}_{options.preset}"
     first_process = is_first_process()
     if options.variants:

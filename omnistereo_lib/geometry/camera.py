@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import ModuleType
 from typing import Any, ClassVar
 
@@ -200,6 +200,21 @@ class OcamCamera:
         if xp is np:
             return inside & self.mask[row.astype(int), column.astype(int)]
         return inside & xp.as_tensor(self.mask, device=uv.device)[row.long(), column.long()]
+
+    def reduced(self, factor: int) -> OcamCamera:
+        """Return the camera of images in which blocks of factor × factor pixels are averaged to one."""
+        width, height = (size // factor for size in self.image_size)
+        mask = self.mask
+        if mask is not None:
+            mask = mask[: height * factor, : width * factor].reshape(height, factor, width, factor).all((1, 3))
+        return replace(
+            self,
+            poly=[a * float(factor) ** (k - 1) for k, a in enumerate(self.poly)],  # f(r) = factor f'(r / factor)
+            inv_poly=self.inv_poly / factor,
+            center=tuple((c + 0.5) / factor - 0.5 for c in self.center),
+            image_size=(width, height),
+            mask=mask,
+        )
 
     def inverse_poly_error_px(self) -> float:
         """Return the largest distance in pixels between `poly` and `inv_poly` over the field of view."""

@@ -12,6 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from omnistereo_lib.errors import OmnistereoError
 
 
+Sampling = Literal["center", "sweepnet", "omnimvs"]
+
+
 class _Sampling(NamedTuple):
     column_offset: float
     row_offset: float
@@ -58,7 +61,7 @@ class SphereGrid:
     num_spheres: int = 192
     min_depth: float = 0.55
     max_depth: float = np.inf
-    sampling: Literal["center", "sweepnet", "omnimvs"] = "center"
+    sampling: Sampling = "center"
 
     def __post_init__(self) -> None:
         for name in ("width", "height", "num_spheres"):

@@ -16,6 +16,7 @@ from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 
@@ -81,12 +82,7 @@ class SphereSweep:
     @cached_property
     def _image_masks(self) -> list[NDArray[np.uint8]]:
         """For each camera 1 where its pixels are valid, else 0, shape (height, width)."""
-        masks = []
-        for camera in self.rig.cameras:
-            width, height = camera.image_size
-            pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1)
-            masks.append(camera.unproject(pixels)[1].astype(np.uint8))
-        return masks
+        return [visible_pixels(camera).astype(np.uint8) for camera in self.rig.cameras]
 
     def project_sphere(self, camera: int, index: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Project the points of one sphere into one camera: Π_i(M(Θ*_i) ρ(p)/d_n) of Eq. 1.
@@ -290,10 +286,44 @@ def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray]:
     return images
 
 
+def visible_pixels(camera: OcamCamera) -> NDArray[np.bool_]:
+    """Return which pixels lie on the image circle and the mask, shape (height, width)."""
+    width, height = camera.image_size
+    return camera.unproject(np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1))[1]
+
+
 def to_gray(image: NDArray) -> NDArray[np.float32]:
     """Return an image (height, width) or RGB (height, width, 3) in gray, float32 (BT.601 luma)."""
     image = np.ascontiguousarray(image, np.float32)
     return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+
+
+def reduce_images(
+    rig: Rig, images: Sequence[ArrayLike], pixels_per_degree: float
+) -> tuple[Rig, list[NDArray]]:
+    """Return cameras and images of about a resolution, if theirs is higher: pixels are averaged in whole blocks.
+
+    Parameters
+    ----------
+    rig : Rig
+    images : one array per camera, (height, width) or (height, width, 3)
+    pixels_per_degree : float
+        Image width over field of view; equal sizes stay equal.
+
+    Raises
+    ------
+    OmnistereoError
+        If the images do not fit the rig.
+    """
+    cameras, reduced = [], []
+    widest = max(camera.max_fov_deg for camera in rig.cameras)
+    for camera, image in zip(rig.cameras, check_images(images, rig), strict=True):
+        factor = max(1, round(camera.image_size[0] / widest / pixels_per_degree))
+        width, height = (size // factor for size in camera.image_size)
+        cut = image[: height * factor, : width * factor]
+        reduced.append(cv2.resize(cut, (width, height), interpolation=cv2.INTER_AREA))
+        cameras.append(camera.reduced(factor))
+    return Rig(cameras, rig.T_rig_cam, rig.min_depth), reduced
 
 
 def _circular_span(visible: NDArray[np.bool_]) -> tuple[int, int]:

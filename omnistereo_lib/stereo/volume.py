@@ -18,7 +18,10 @@ from omnistereo_lib.stereo.zncc import ZNCC
 
 
 class Cost(Protocol):
-    """A matching cost: spherical images of a block of spheres → mean cost over the pairs."""
+    """A matching cost: spherical images of a block of spheres → mean cost over the pairs.
+
+    A cost may instead have a method `whole_volume(sweep, images, progress)`, as `VolumeNet` has.
+    """
 
     def __call__(
         self,
@@ -61,6 +64,8 @@ def cost_volume(
         If the images do not fit the rig, the cameras of no pair share a view, or memory cannot hold the volume.
     """
     cost = ZNCC() if cost is None else cost
+    if hasattr(cost, "whole_volume"):
+        return cost.whole_volume(sweep, images, progress)
     pairs = camera_pairs(pairs, sweep.rig)
     normalized = sweep.normalize_images(images)
     H, W = sweep.grid.shape
@@ -94,11 +99,16 @@ def check_memory(rig: Rig, grid: SphereGrid, device: torch.device | str = "cpu")
         need = H * W * (400 + 225 * len(rig) + 9 * grid.num_spheres)
     else:
         need = H * W * (1800 + 64 * len(rig) + 18 * grid.num_spheres)
-    free = 0.75 * _available_memory(device)  # a quarter is left to the lookup tables
+    require_memory(need, grid, device)
+
+
+def require_memory(need: float, grid: SphereGrid, device: torch.device) -> None:
+    """Refuse a panorama that needs more than three quarters of the available memory; the rest is for lookup tables."""
+    free = 0.75 * _available_memory(device)
     if need > free:
         raise OmnistereoError(
-            f"a panorama of {W} × {H} with {grid.num_spheres} spheres needs {need / 2**30:.1f} GiB of {device} memory; "
-            f"{free / 2**30:.1f} GiB are available. Use fewer spheres or a smaller panorama."
+            f"a panorama of {grid.width} × {grid.height} with {grid.num_spheres} spheres needs {need / 2**30:.1f} GiB "
+            f"of {device} memory; {free / 2**30:.1f} GiB are available. Use fewer spheres or a smaller panorama."
         )
 
 

@@ -2,8 +2,9 @@
 
 from omnistereo_lib.train.card import export_weights
 from omnistereo_lib.train.loop import train, write_comparison
-from omnistereo_lib.train.recipes import RECIPES, VARIANTS, MCCNNRecipe, Recipe, SweepNetRecipe
+from omnistereo_lib.train.recipes import RECIPES, VARIANTS, MCCNNRecipe, Recipe, SweepNetRecipe, VolumeNetRecipe
 
 __all__ = [
-    "RECIPES", "VARIANTS", "MCCNNRecipe", "Recipe", "SweepNetRecipe", "export_weights", "train", "write_comparison",
+    "RECIPES", "VARIANTS", "MCCNNRecipe", "Recipe", "SweepNetRecipe", "VolumeNetRecipe", "export_weights",
+    "train", "write_comparison",
 ]  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,44 +19,55 @@ from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.sweep import SphereSweep, to_gray
 from omnistereo_lib.train.recipes import Recipe
 
-DATA = Path(__file__).resolve().parents[2] / "data_samples" / "sunny" / "train"
+DATA = Path(__file__).resolve().parents[2] / "data_samples"
 
 
 class TrainingFrames:
-    """The frames of one data set that have ground truth: nine of ten to train on, every tenth for validation.
+    """The frames of data sets that have ground truth: nine of ten to train on, every tenth for validation.
 
-    `data` is a folder that `load_dataset` reads. Raises `OmnistereoError` if fewer than two frames have ground truth,
-    or the rig file does not state the nearest depth.
+    `data` is a folder that `load_dataset` reads, or several. Raises `OmnistereoError` if fewer than two frames of one
+    have ground truth, or a rig file does not state the nearest depth.
     """
 
-    def __init__(self, recipe: Recipe, data: str | Path, device: torch.device | str = "cpu") -> None:
+    def __init__(self, recipe: Recipe, data: str | Path | Sequence[str | Path]) -> None:
         self.recipe = recipe
-        dataset = load_dataset(data)
-        if dataset.rig.min_depth is None:
-            raise OmnistereoError(f"the rig of {data} does not state its nearest depth. Add it to config.yaml.")
-        frames = [frame for frame in dataset if frame.gt_path is not None]
-        if len(frames) < 2:
-            raise OmnistereoError(f"{data} has {len(frames)} frames with ground truth; expected at least 2")
-        self.grid = SphereGrid(
-            recipe.width, recipe.height, num_spheres=recipe.num_spheres, min_depth=dataset.rig.min_depth
-        )
-        self.rays = self.grid.rays()
-        self.sweep = SphereSweep(dataset.rig, self.grid, device=device)
-        self.pairs = camera_pairs("ring", self.sweep.rig)
-        self.validation = frames[::10]
-        self.training = [frame for k, frame in enumerate(frames) if k % 10]
-        self._gt_index: dict[int, NDArray] = {}
+        self.validation: list[Frame] = []
+        self.training: list[Frame] = []
+        folders = [Path(folder) for folder in ([data] if isinstance(data, str | Path) else data)]
         digest = hashlib.sha256()
-        for path in (path for frame in frames for path in (*frame.image_paths, frame.gt_path)):
-            digest.update(read_bytes(path))
-        folder = "/".join(Path(data).resolve().parts[-2:])
-        self.metadata = {"folder": folder, "frames": len(frames), "sha256": digest.hexdigest()}
+        for folder in folders:
+            frames = [frame for frame in load_dataset(folder) if frame.gt_path is not None]
+            if len(frames) < 2:
+                raise OmnistereoError(f"{folder} has {len(frames)} frames with ground truth; expected at least 2")
+            if any(frame.rig.min_depth is None for frame in frames):
+                raise OmnistereoError(f"the rig of {folder} does not state its nearest depth. Add it to config.yaml.")
+            self.validation += frames[::10]
+            self.training += [frame for k, frame in enumerate(frames) if k % 10]
+            for path in (path for frame in frames for path in (*frame.image_paths, frame.gt_path)):
+                digest.update(read_bytes(path))
+        names = ", ".join("/".join(folder.resolve().parts[-2:]) for folder in folders)
+        count = len(self.training) + len(self.validation)
+        self.metadata = {"folder": names, "frames": count, "sha256": digest.hexdigest()}
 
     def training_frame(self, number: int) -> Frame:
         """Return the frame of a micro-batch, counted over all steps: once per epoch, in random order."""
         epoch, place = divmod(number, len(self.training))
         order = np.random.default_rng([self.recipe.seed, epoch]).permutation(len(self.training))
         return self.training[order[place]]
+
+
+
+class SweptFrames(TrainingFrames):
+    """Training frames of one rig with their sweep, for networks that match pairs of spherical images."""
+
+    def __init__(self, recipe: Recipe, data: str | Path, device: torch.device | str = "cpu") -> None:
+        super().__init__(recipe, data)
+        rig = self.training[0].rig
+        self.grid = SphereGrid(recipe.width, recipe.height, num_spheres=recipe.num_spheres, min_depth=rig.min_depth)
+        self.rays = self.grid.rays()
+        self.sweep = SphereSweep(rig, self.grid, device=device)
+        self.pairs = camera_pairs("ring", self.sweep.rig)
+        self._gt_index: dict[int, NDArray] = {}
 
     def gt_index(self, frame: Frame) -> NDArray:
         """Return the ground-truth sphere index of a frame, not rounded, (H, W); cached."""

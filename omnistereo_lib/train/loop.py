@@ -32,17 +32,18 @@ from omnistereo_lib.train.frames import DATA
 from omnistereo_lib.train.patches import PatchSamples
 from omnistereo_lib.train.recipes import Recipe
 from omnistereo_lib.train.spheres import SphereSamples
+from omnistereo_lib.train.volumes import VolumeSamples
 
 STATE, WEIGHTS, LOG = "state.safetensors", "weights.safetensors", "log.csv"
 COLUMNS = ("step", "loss", "error", "learning_rate", "seconds", "validation_loss", "validation_error")
-_SAMPLES = {"sweepnet": SphereSamples, "mccnn": PatchSamples}
+_SAMPLES = {"sweepnet": SphereSamples, "mccnn": PatchSamples, "volumenet": VolumeSamples}
 _TRAIN, _VALIDATE, _NORMS = range(3)  # purposes of random numbers, so that no two share any
 
 
 def train(
     recipe: Recipe,
     out: str | Path,
-    data: str | Path = DATA,
+    data: str | Path | Sequence[str | Path] | None = None,
     device: torch.device | str = "cpu",
     precision: Precision = "auto",
     checkpoint_s: float = 60.0,
@@ -59,8 +60,9 @@ def train(
     recipe : Recipe
     out : path
         Folder; made where it is missing.
-    data : path
-        A folder that `load_dataset` reads, with ground truth.
+    data : path or, for VolumeNet, paths, optional
+        Folders that `load_dataset` reads, with ground truth. Default: the training sets of data_samples that the
+        recipe names.
     device : torch device
     precision : "auto" | "float32" | "bfloat16"
         Of the matrix products; weights, losses and sums stay float32.
@@ -80,6 +82,7 @@ def train(
         architecture of `init_weights` is not that of the recipe, there is no such device, the micro-batches cannot be
         divided among the processes, or the loss, its gradient or a weight is not finite.
     """
+    data = [DATA / name / "train" for name in recipe.worlds] if data is None else data
     run = _Run(recipe, data, select_device(device), precision, init_weights)
     out = make_folder(out)
     first = run.resume(out / STATE)
@@ -117,7 +120,7 @@ class _Run:
         # Channels last is faster, except for the gradient of the weights in float32 on a CPU; see `bench`.
         slow = device.type == "cpu" and not uses_bfloat16(precision, device)
         layout = torch.contiguous_format if slow else torch.channels_last
-        self.network = self.samples.network.to(device, memory_format=layout).train()
+        self.network = nn.utils.convert_conv2d_weight_memory_format(self.samples.network.to(device), layout).train()
         self.init_sha256 = None
         if init is not None:
             given = type(self.network).from_file(init, **self.network.config)

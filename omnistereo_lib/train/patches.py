@@ -15,7 +15,7 @@ from omnistereo_lib.dataset import Frame
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.stereo.mccnn import MCCNN, PATCH
 from omnistereo_lib.stereo.sweep import OUTSIDE, remap
-from omnistereo_lib.train.frames import TrainingFrames, to_device
+from omnistereo_lib.train.frames import SweptFrames, to_device
 from omnistereo_lib.train.recipes import MCCNNRecipe
 
 _RADIUS = PATCH // 2
@@ -32,8 +32,8 @@ class PatchBatch:
     right: Tensor
 
 
-class PatchSamples(TrainingFrames):
-    """Draws micro-batches of patch pairs; see `TrainingFrames`."""
+class PatchSamples(SweptFrames):
+    """Draws micro-batches of patch pairs; see `SweptFrames`."""
 
     recipe: MCCNNRecipe
 

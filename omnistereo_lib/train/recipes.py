@@ -24,6 +24,7 @@ class Recipe:
     """
 
     network: ClassVar[str]  # name of the network that the recipe is for
+    worlds: ClassVar[tuple[str, ...]] = ("sunny",)  # training sets in data_samples
 
     # Scale: a network is free of scale through D_min, but not of the field of view of its receptive field.
     width: int = 320  # W; the teaching scale, where a frame takes seconds on two cores
@@ -110,6 +111,16 @@ class SweepNetRecipe(Recipe):
 
 
 @dataclass(frozen=True, kw_only=True)
+class VolumeNetRecipe(Recipe):
+    """Recipe of VolumeNet. A micro-batch is some whole frames, of any rigs, on grids turned and scaled at random."""
+
+    network: ClassVar[str] = "volumenet"
+    worlds: ClassVar[tuple[str, ...]] = ("sunny", "streets", "things", "rooms")
+    frames_per_step: int = 1
+    batch_frames: int = 2  # in one pass of the U-net, whose batch norms see them all
+
+
+@dataclass(frozen=True, kw_only=True)
 class MCCNNRecipe(Recipe):
     """Recipe of MC-CNN. A micro-batch is some rays of one frame, each with a matching and a non-matching patch pair.
 
@@ -149,6 +160,11 @@ RECIPES: dict[str, dict[str, Recipe]] = {
             frames_per_step=8, batch_norm=False, wrap=False, negatives=1, max_positives=90000,
             any_sphere=0.0, min_negatives=0, **_PAPERS,
         ),
+    },
+    "volumenet": {
+        "teaching": VolumeNetRecipe(steps=300, warmup=30, validate_every=100),
+        "shipped": VolumeNetRecipe(steps=4000, warmup=200, validate_every=250),
+        "gpu": VolumeNetRecipe(**_FINE, steps=20000, warmup=500, frames_per_step=2, validate_every=1000),
     },
     "mccnn": {
         "teaching": MCCNNRecipe(steps=400, warmup=50, validate_every=50),

@@ -15,7 +15,7 @@ from omnistereo_lib.dataset import Frame
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.stereo.learned import Features
 from omnistereo_lib.stereo.sweepnet import SweepNet
-from omnistereo_lib.train.frames import TrainingFrames, sample_true_indices, to_device
+from omnistereo_lib.train.frames import SweptFrames, sample_true_indices, to_device
 from omnistereo_lib.train.recipes import SweepNetRecipe
 
 Columns = list[tuple[int, int]]  # (start, width) around the seam, for each camera
@@ -42,8 +42,8 @@ class SphereBatch:
     strips: list[Strip]
 
 
-class SphereSamples(TrainingFrames):
-    """Draws micro-batches of spheres; see `TrainingFrames`."""
+class SphereSamples(SweptFrames):
+    """Draws micro-batches of spheres; see `SweptFrames`."""
 
     recipe: SweepNetRecipe
 

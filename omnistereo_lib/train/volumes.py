@@ -1,0 +1,123 @@
+"""Samples and loss of VolumeNet: whole frames, each on a grid of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn.functional import log_softmax
+
+from omnistereo_lib.dataset import Frame
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.sweep import reduce_images, to_gray, visible_pixels
+from omnistereo_lib.stereo.volumenet import (
+    VolumeNet,
+    feature_coordinates,
+    local_mean,
+    normalize,
+    pixels_per_degree,
+    resize_logits,
+)
+from omnistereo_lib.train.frames import TrainingFrames, to_device
+from omnistereo_lib.train.recipes import VolumeNetRecipe
+
+
+@dataclass(frozen=True)
+class VolumeSample:
+    """One frame: what `VolumeNet.correlation` takes, and the true sphere index (W, H), NaN where unknown."""
+
+    images: list[Tensor]
+    masks: list[Tensor]
+    coordinates: list[Tensor]
+    index: Tensor
+
+
+class VolumeSamples(TrainingFrames):
+    """Draws micro-batches of frames; see `TrainingFrames`."""
+
+    recipe: VolumeNetRecipe
+
+    def __init__(
+        self, recipe: VolumeNetRecipe, data: str | Path | Sequence[str | Path], device: torch.device | str = "cpu"
+    ) -> None:
+        super().__init__(recipe, data)
+        self.device = torch.device(device)
+        self.network = VolumeNet()
+        self.objective = VolumeObjective(self.network, self.grid(1.0))
+        self._masks: dict[Rig, list[Tensor]] = {}
+
+    def grid(self, min_depth: float) -> SphereGrid:
+        """Return the grid of a frame."""
+        size = self.recipe.width, self.recipe.height
+        return SphereGrid(*size, num_spheres=self.recipe.num_spheres, min_depth=min_depth)
+
+    def micro_batch(self, frame: Frame, rng: np.random.Generator, augment: bool) -> list[VolumeSample]:
+        """Return a frame and others drawn at random, `batch_frames` in all; with `augment`, each seen differently."""
+        pool = self.training if augment else self.validation
+        others = [pool[k] for k in rng.integers(len(pool), size=self.recipe.batch_frames - 1)]
+        return [self._sample(one, rng if augment else None) for one in (frame, *others)]
+
+    def _sample(self, frame: Frame, rng: np.random.Generator | None) -> VolumeSample:
+        """Return a frame on its own grid; with an rng, rotated, tilted, nearer or farther, with other cameras' looks."""
+        rotation, nearest = np.eye(3), frame.rig.min_depth
+        if rng is not None:
+            tilt, axis, roll = np.radians(rng.uniform(-10, 10)), rng.uniform(0, 2 * np.pi), rng.uniform(0, 2 * np.pi)
+            tilted = Pose.from_vector([tilt * np.cos(axis), 0, tilt * np.sin(axis), 0, 0, 0])
+            rotation = tilted.R @ Pose.from_vector([0, roll, 0, 0, 0, 0]).R
+            nearest *= np.exp(rng.uniform(np.log(0.4), np.log(2.5)))
+        grid = self.grid(nearest)
+        rig, images = reduce_images(frame.rig.recentered(), frame.images, pixels_per_degree(grid))
+        if frame.rig not in self._masks:
+            self._masks[frame.rig] = [to_device(visible_pixels(camera), self.device) for camera in rig.cameras]
+        masks = self._masks[frame.rig]
+        gray = [to_gray(image) if rng is None else _other_look(to_gray(image), rng) for image in images]
+        index = grid.inverse_depth_to_index(frame.inverse_depth_along(grid.rays() @ rotation))
+        index = np.where(index <= grid.num_spheres - 1, index, np.nan).astype(np.float32).T
+        return VolumeSample(
+            [normalize(to_device(image, self.device), mask) for image, mask in zip(gray, masks, strict=True)],
+            masks,
+            [uv.to(self.device) for uv in feature_coordinates(rig.transformed(Pose(rotation, np.zeros(3))), grid)],
+            to_device(index, self.device),
+        )
+
+
+def _other_look(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
+    """Change gain, gamma, sharpness and noise of one camera; its image is in [0, 255]."""
+    image = (image / 255 * np.exp(rng.uniform(-0.25, 0.25))).clip(0, 1) ** np.exp(rng.uniform(-0.3, 0.3))
+    if rng.random() < 0.3:
+        image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.3, 1.0))
+    return (image + rng.normal(0, rng.uniform(0, 0.02), image.shape)).astype(np.float32)
+
+
+class VolumeObjective(nn.Module):
+    """The cross-entropy of the sphere index, its true value divided between the two spheres next to it."""
+
+    def __init__(self, network: VolumeNet, grid: SphereGrid) -> None:
+        super().__init__()
+        self.network, self.grid = network, grid
+
+    def forward(self, batch: list[VolumeSample]) -> tuple[Tensor, Tensor]:
+        """Return the loss and the fraction of rays whose index is off by more than 1 % of N."""
+        volumes = [self.network.correlation(one.images, one.masks, one.coordinates) for one in batch]
+        index = torch.stack([one.index for one in batch])
+        columns = torch.arange(self.grid.width, device=index.device)
+        logits, known = resize_logits(self.network(torch.stack(volumes)), columns, self.grid), ~index.isnan()
+        if not known.any():
+            raise OmnistereoError("no ray of a batch has ground truth within the swept range. Check the nearest depth.")
+        logits, index = logits[known], index[known]
+        N = self.grid.num_spheres
+        lower = index.floor().clamp(max=N - 2).long()[:, None]
+        weight = index - lower[:, 0]
+        log_p = log_softmax(logits, -1)
+        loss = -(log_p.gather(1, lower)[:, 0] * (1 - weight) + log_p.gather(1, lower + 1)[:, 0] * weight).mean()
+        estimate, _ = local_mean(1 - log_p.detach().exp())
+        return loss, ((estimate - index).abs() > 0.01 * N).float().mean()
