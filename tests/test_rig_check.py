@@ -12,13 +12,12 @@ from omnistereo_lib.rig_check import (
     RigCheck,
     RigHypothesis,
     _rotated_cameras,
-    _shrink,
     check_rig,
     invert_poses,
     rotate_camera,
     scale_translations,
 )
-from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_lib.stereo.sweep import SphereSweep, reduce_images
 
 SAMPLE = Path(osl.__file__).with_name("sample")
 GRID = osl.SphereGrid(96, 24, (-45, 45), 16, 0.5)
@@ -105,7 +104,7 @@ def test_one_camera_rotated_by_6_degrees_is_named(world, axis):
 def test_one_camera_of_the_sample_rotated_by_2_degrees_is_named():
     data = osl.load_dataset(SAMPLE)
     grid = osl.SphereGrid(240, 60, (-45, 45), 32, data.rig.min_depth)
-    rig, images = _shrink(data.rig, data[0].images, grid)
+    rig, images = reduce_images(data.rig, data[0].images, grid.width / 360)
     for wrong, low, high in ((rig, 0.97, 1.03), (rotate_camera(rig, 2, [0, np.radians(2), 0]), 0.4, 0.8)):
         ratios = [one.cost / one.given_cost for one in _rotated_cameras(SphereSweep(wrong, grid), images)]
         assert low < ratios[2] < high and ratios[2] <= min(ratios) + 0.02
@@ -153,8 +152,7 @@ def test_smaller_cameras_see_the_same(world):
     mask = np.ones((192, 200), bool)
     mask[50, 60] = False
     masked = osl.Rig([dataclasses.replace(rig.cameras[0], mask=mask), *rig.cameras[1:]], rig.T_rig_cam)
-    grid = osl.SphereGrid(80, 20)
-    small, shrunk_images = _shrink(masked, images, grid)
+    small, shrunk_images = reduce_images(masked, images, 80 / 360)
     assert small.cameras[0].image_size == (50, 48) and shrunk_images[0].shape == (48, 50)
     points = np.random.default_rng(0).normal(size=(500, 3))
     for camera, shrunk in zip(rig.cameras, small.cameras, strict=True):

@@ -27,7 +27,6 @@ from omnistereo_lib.files import make_folder, read_bytes
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.rig_files import load_rig
-from omnistereo_lib.stereo.depth import winner_takes_all
 from omnistereo_lib.stereo.learned import Precision, uses_bfloat16
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.metrics import index_error
@@ -100,7 +99,7 @@ def evaluate_frame(
     for key in dict.fromkeys(method.volume_key for method in methods):
         volume = cost_volume(sweep, frame.images, load_cost(key), key.pairs)
         for method in (method for method in methods if method.volume_key == key):
-            index = winner_takes_all(method.smooth(volume), method.subindex).cpu().numpy()
+            index = method.read_out(method.smooth(volume))[0].cpu().numpy()
             metrics = index_error(index, gt_index, N)
             figures = {name: value if value == value else None for name, value in metrics.items()}
             yield method, {"figures": figures, "strata": error_sums(index, gt_index, N, regions)}

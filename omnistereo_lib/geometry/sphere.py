@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.errors import OmnistereoError
 
-
 Sampling = Literal["center", "sweepnet", "omnimvs"]
 
 

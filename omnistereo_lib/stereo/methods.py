@@ -15,11 +15,13 @@ from typing import Any, Literal
 from torch import Tensor
 
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.stereo.depth import confidence, winner_takes_all
 from omnistereo_lib.stereo.learned import LearnedCost, PairNetwork, Precision
 from omnistereo_lib.stereo.mccnn import MCCNN
 from omnistereo_lib.stereo.sgm import sgm
 from omnistereo_lib.stereo.sweepnet import SweepNet
 from omnistereo_lib.stereo.volume import Cost
+from omnistereo_lib.stereo.volumenet import VolumeNet, local_mean
 from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
 from omnistereo_lib.stereo.zncc import ZNCC
 
@@ -40,6 +42,8 @@ class CostEntry:
         Bundled weights file without .safetensors; "" for a cost without weights.
     p1, p2 : float
         SGM penalties that suit the scale of this cost.
+    read_out : callable, optional
+        Raw volume (H, W, N) → index and confidence (H, W), in place of `winner_takes_all` and `confidence`.
     """
 
     label: str
@@ -48,6 +52,7 @@ class CostEntry:
     weights: str = ""
     p1: float = 0.1
     p2: float = 12.0
+    read_out: Callable[[Tensor], tuple[Tensor, Tensor]] | None = None
 
 
 @cache
@@ -59,23 +64,40 @@ def _read_once(architecture: type[PairNetwork], path: Path, wrap: bool, precisio
 
 def _learned(architecture: type[PairNetwork], path: Path, wrap: bool, precision: Precision) -> LearnedCost:
     """Return a network as a cost; a weights file is read once per process, and again after it was rewritten."""
-    written = path.stat().st_mtime_ns if path.is_file() else 0
-    return _read_once(architecture, path, wrap, precision, written)
+    return _read_once(architecture, path, wrap, precision, _written(path))
+
+
+@cache
+def _read_volumenet(path: Path, precision: Precision, _: int) -> VolumeNet:
+    network = VolumeNet.from_file(path)
+    network.precision = precision
+    return network
+
+
+def _written(path: Path) -> int:
+    return path.stat().st_mtime_ns if path.is_file() else 0
 
 
 COSTS = {  # in the order of Table II
-    "zncc": CostEntry("ZNCC", lambda method, path, precision: ZNCC(method.window), frozenset({"window"})),
+    "zncc": CostEntry("ZNCC", lambda method, path, precision: ZNCC(method.window), frozenset({"window", "pairs"})),
     "mccnn": CostEntry(
         "MC-CNN",
         lambda method, path, precision: _learned(MCCNN, path, True, precision),
-        frozenset({"weights"}),
+        frozenset({"weights", "pairs"}),
         "mccnn_fast",
     ),
     "sweepnet": CostEntry(
         "SweepNet",
         lambda method, path, precision: _learned(SweepNet, path, method.wrap, precision),
-        frozenset({"weights", "wrap"}),
+        frozenset({"weights", "pairs", "wrap"}),
         "sweepnet",
+    ),
+    "volumenet": CostEntry(
+        "VolumeNet",
+        lambda method, path, precision: _read_volumenet(path, precision, _written(path)),
+        frozenset({"weights"}),
+        "volumenet",
+        read_out=local_mean,
     ),
 }
 
@@ -212,7 +234,12 @@ class Method:
     def _used(self) -> set[str]:
         """Settings that make a difference."""
         of_sgm = {"p1", "p2", "wrap"} if self.aggregate == "sgm" else set()
-        return {"pairs", "subindex", "num_spheres"} | COSTS[self.cost].settings | of_sgm
+        of_winner = set() if self._reads_out else {"subindex"}
+        return {"num_spheres"} | COSTS[self.cost].settings | of_sgm | of_winner
+
+    @property
+    def _reads_out(self) -> bool:
+        return self.aggregate == "none" and COSTS[self.cost].read_out is not None
 
     def weights_file(self, folder: Path = BUNDLED_WEIGHTS) -> Path | None:
         """Return the weights file in a folder, or None for a cost without weights."""
@@ -232,6 +259,12 @@ class Method:
     def smooth(self, volume: Tensor) -> Tensor:
         """Return the volume (H, W, N) from which depth is read: after SGM where the method has it."""
         return sgm(volume, self.p1, self.p2, wrap=self.wrap) if self.aggregate == "sgm" else volume
+
+    def read_out(self, volume: Tensor, subindex: bool = False) -> tuple[Tensor, Tensor]:
+        """Return index and confidence (H, W) of a smoothed volume; with `subindex` or the setting between spheres."""
+        if self._reads_out:
+            return COSTS[self.cost].read_out(volume)
+        return winner_takes_all(volume, subindex or self.subindex), confidence(volume)
 
 
 def _text(value: Any) -> str:

@@ -69,9 +69,9 @@ def sweep_depth(
     sweep : SphereSweep
     images : one array per camera
     method : str or Method
-        Such as "zncc", "mccnn+sgm" or "sweepnet+sgm,p1=0.2"; see `Method`.
+        Such as "zncc", "volumenet" or "sweepnet+sgm,p1=0.2"; see `Method`.
     cost : Cost, optional
-        An object of your own, called like `ZNCC`, in place of the cost that the method names.
+        An object of your own, called like `ZNCC`, in place of the cost that the method names; see `Cost`.
     subindex : bool
         Refine the index between spheres. False: as the method says, which is integer indices in the paper.
     progress : callable
@@ -79,4 +79,5 @@ def sweep_depth(
     """
     method = Method.parse(method)
     volume = cost_volume(sweep, images, method.load_cost() if cost is None else cost, method.pairs, progress)
-    return Depth.from_volume(method.smooth(volume), sweep, subindex or method.subindex)
+    index, confidence = method.read_out(method.smooth(volume), subindex)
+    return Depth(index.cpu().numpy(), confidence.cpu().numpy(), sweep)

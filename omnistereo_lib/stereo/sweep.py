@@ -298,9 +298,7 @@ def to_gray(image: NDArray) -> NDArray[np.float32]:
     return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
 
 
-def reduce_images(
-    rig: Rig, images: Sequence[ArrayLike], pixels_per_degree: float
-) -> tuple[Rig, list[NDArray]]:
+def reduce_images(rig: Rig, images: Sequence[ArrayLike], pixels_per_degree: float) -> tuple[Rig, list[NDArray]]:
     """Return cameras and images of about a resolution, if theirs is higher: pixels are averaged in whole blocks.
 
     Parameters

@@ -64,9 +64,21 @@ def cost_volume(
         If the images do not fit the rig, the cameras of no pair share a view, or memory cannot hold the volume.
     """
     cost = ZNCC() if cost is None else cost
-    if hasattr(cost, "whole_volume"):
-        return cost.whole_volume(sweep, images, progress)
+    whole = getattr(cost, "whole_volume", None)
     pairs = camera_pairs(pairs, sweep.rig)
+    volume = whole(sweep, images, progress) if whole else _by_blocks(sweep, images, cost, pairs, progress)
+    if volume.isnan().all():
+        raise OmnistereoError(
+            f"no ray is visible to both cameras of any pair {pairs}. Check the poses (camera → rig, metres), the field "
+            f"of view, the masks and phi_deg = {sweep.grid.phi_deg}."
+        )
+    return volume
+
+
+def _by_blocks(
+    sweep: SphereSweep, images: Sequence[ArrayLike], cost: Cost, pairs: Sequence, progress: Callable
+) -> Tensor:
+    """Compute the volume one block of spheres at a time."""
     normalized = sweep.normalize_images(images)
     H, W = sweep.grid.shape
     check_memory(sweep.rig, sweep.grid, sweep.device)
@@ -76,11 +88,6 @@ def cost_volume(
         block = sweep.warp_block(normalized, spheres, buffer)  # first: it computes what visible_columns looks up
         columns = [sweep.visible_columns(camera, spheres) for camera in range(len(sweep.rig))]
         volume[:, :, spheres.start : spheres.stop] = cost(block, pairs, columns)
-    if volume.isnan().all():
-        raise OmnistereoError(
-            f"no ray is visible to both cameras of any pair {pairs}. Check the poses (camera → rig, metres), the field "
-            f"of view, the masks and phi_deg = {sweep.grid.phi_deg}."
-        )
     return volume
 
 

@@ -16,27 +16,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from itertools import pairwise
 from typing import Any, Self
 from weakref import WeakKeyDictionary
 
-import numpy as np
 import torch
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
-from torch.nn.functional import embedding_bag, interpolate, relu
+from torch.nn.functional import interpolate, relu
 
-from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.stereo.learned import Precision, autocast, full_precision
+from omnistereo_lib.stereo.correlation import (
+    CHANNELS,
+    GROUPS,
+    correlate,
+    feature_coordinates,
+    half_size,
+    pixels_per_degree,
+)
+from omnistereo_lib.stereo.learned import Precision, autocast
 from omnistereo_lib.stereo.sweep import SphereSweep, reduce_images, to_gray, visible_pixels
 from omnistereo_lib.stereo.volume import require_memory
 from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS, StoredNetwork
 
-CHANNELS, GROUPS = 32, 8
 WIDTHS = (16, 32, 48, 64)  # channels of the U-net's levels, each half as wide, high and deep as the one before
 _RADIUS = 2  # spheres on either side of the most probable one that the read-out takes in
-_CELLS = 1 << 14  # of the volume whose features are correlated at a time
 _BYTES = 400  # of memory for each cell of the half-size volume, measured
 
 
@@ -82,103 +86,6 @@ class FeatureNet(nn.Module):
         return maps * (power + 1e-5).rsqrt().repeat_interleave(CHANNELS // GROUPS)[:, None, None]
 
 
-class _PairProducts(torch.autograd.Function):
-    """Σ over pairs of cameras i ≠ j of the group means of f_i f_j, without keeping a warped map for the gradient."""
-
-    @staticmethod
-    def forward(ctx: Any, cells: Sequence[tuple[Tensor, Tensor]], *tables: Tensor) -> Tensor:
-        """Return the sums (cells, 8) of features (h · w, 32), sampled at `bilinear` cells of each camera."""
-        total = _sample(tables[0], *cells[0])
-        squares = total.square()
-        for table, at in zip(tables[1:], cells[1:], strict=True):
-            warped = _sample(table, *at)
-            squares.addcmul_(warped, warped)
-            total += warped
-        ctx.save_for_backward(total, *tables)
-        ctx.cells = cells
-        with full_precision(total):
-            return (total.square() - squares) @ _group_means(total)
-
-    @staticmethod
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
-        """Return the gradients of the features: ∂/∂f_i = 2 (Σ_j f_j - f_i), scattered back by the warp."""
-        total, *tables = ctx.saved_tensors
-        grad = 2 * grad @ _group_means(total).T
-        grads = []
-        for table, (index, weight) in zip(tables, ctx.cells, strict=True):
-            of_cells = (total - _sample(table, index, weight)).mul_(grad)
-            of_table = torch.zeros_like(table)
-            for corner in range(4):
-                of_table.index_add_(0, index[:, corner], of_cells * weight[:, corner, None])
-            grads.append(of_table)
-        return None, *grads
-
-
-def _sample(table: Tensor, index: Tensor, weight: Tensor) -> Tensor:
-    """Return weighted sums of rows of a table (rows, C): (cells, C) for indices and weights (cells, 4)."""
-    return embedding_bag(index, table, mode="sum", per_sample_weights=weight)
-
-
-def _group_means(like: Tensor) -> Tensor:
-    """Return the matrix (32, 8) that averages the channels of each group."""
-    size = CHANNELS // GROUPS
-    return torch.eye(GROUPS, device=like.device).repeat_interleave(size, 0) / size
-
-
-def bilinear(uv: Tensor, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
-    """Return the four pixels around feature coordinates and their bilinear weights.
-
-    Parameters
-    ----------
-    uv : tensor, shape (..., 2)
-        Feature pixels, NaN where the camera does not see the cell.
-    size : (int, int)
-        Width and height of the feature maps.
-
-    Returns
-    -------
-    index : int32 tensor, shape (cells, 4), row · width + column
-    weight : float32 tensor, shape (cells, 4), 0 where the camera does not see the cell
-    """
-    w, h = size
-    x, y = uv.reshape(-1, 2).nan_to_num().unbind(-1)
-    column, row = x.floor().clamp(0, w - 2), y.floor().clamp(0, h - 2)
-    x, y = (x - column).clamp(0, 1), (y - row).clamp(0, 1)
-    index = (row * w + column).int()
-    weight = torch.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y], -1)
-    weight = weight.masked_fill(uv.reshape(-1, 2)[:, :1].isnan(), 0.0)
-    return torch.stack([index, index + 1, index + w, index + w + 1], -1), weight
-
-
-def correlate(features: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tensor:
-    """Correlate the features of all cameras to which a cell is visible, in groups of channels.
-
-    The mean of f_i f_j over all pairs i ≠ j needs no pairs: it is ((Σ f)² - Σ f²) / (k (k - 1)), where k is the number
-    of cameras to which the cell is visible. So any number of cameras will do, in any order.
-
-    Parameters
-    ----------
-    features : one tensor per camera, shape (32, h, w)
-    coordinates : one tensor per camera, shape (W, H, N, 2)
-        See `feature_coordinates`.
-
-    Returns
-    -------
-    tensor, shape (9, W, H, N)
-        Eight correlations, 0 where k < 2, and k / 4.
-    """
-    shape = coordinates[0].shape[:3]
-    tables = [maps.permute(1, 2, 0).reshape(-1, CHANNELS) for maps in features]
-    columns = max(1, _CELLS // shape[1:].numel())
-    parts = []
-    for uvs in zip(*(uv.split(columns) for uv in coordinates), strict=True):
-        cells = [bilinear(uv, maps.shape[:0:-1]) for uv, maps in zip(uvs, features, strict=True)]
-        k = sum((~uv[..., 0].isnan()).flatten().float() for uv in uvs)[:, None]
-        products = _PairProducts.apply(cells, *tables)
-        parts.append(torch.cat([products / (k * (k - 1)).clamp(min=1), k / 4], 1))
-    return torch.cat(parts).view(*shape, -1).permute(3, 0, 1, 2)
-
-
 class Conv3d(nn.Module):
     """A 3 × 3 × 3 convolution, circular in θ, with batch normalisation and ReLU."""
 
@@ -219,7 +126,7 @@ class VolumeNet(StoredNetwork):
         super().__init__()
         self.features = FeatureNet()
         self.stem = nn.Sequential(Conv3d(GROUPS + 1, WIDTHS[0]), Conv3d(WIDTHS[0], WIDTHS[0]))
-        steps = list(zip(WIDTHS, WIDTHS[1:], strict=False))
+        steps = list(pairwise(WIDTHS))
         self.down = nn.ModuleList(nn.Sequential(Conv3d(a, b, stride=2), Conv3d(b, b)) for a, b in steps)
         self.up = nn.ModuleList(nn.ModuleList([nn.Conv3d(b, a, 1), Conv3d(a, a)]) for a, b in steps)
         self.head = nn.Conv3d(WIDTHS[0], 1, 3, padding=(0, 1, 1))
@@ -272,56 +179,21 @@ class VolumeNet(StoredNetwork):
         masks, coordinates = self._prepared[sweep]
         normalized = [normalize(torch.from_numpy(to_gray(i)).to(device), m) for i, m in zip(images, masks, strict=True)]
         with autocast(self.precision, device):
-            logits = self(self.correlation(normalized, masks, coordinates)[None])
+            correlation = self.correlation(normalized, masks, coordinates)
+            logits = self(correlation[None])
+        shared = (correlation[-1] > 0.3).any(-1).float()[None, None]  # k / 4 of two cameras is 0.5
+        hidden = interpolate(shared, grid.shape[::-1], mode="nearest")[0, 0].T == 0
         volume = torch.empty(*grid.shape, grid.num_spheres, device=device)
         for columns in progress(torch.arange(grid.width, device=device).split(64)):
             p = resize_logits(logits, columns, grid)[0].softmax(-1)
             volume[:, columns] = (1 - p).transpose(0, 1)
-        return volume
-
-
-def half_size(grid: SphereGrid) -> tuple[int, int, int]:
-    """Return half of a grid's width, height and number of spheres, rounded up to multiples of 8 for the U-net."""
-    return tuple(8 * math.ceil(size / 16) for size in (grid.width, grid.height, grid.num_spheres))
-
-
-def pixels_per_degree(grid: SphereGrid) -> float:
-    """Return the resolution of the images that suits a panorama: twice its own, so that of features is the same."""
-    return 2 * grid.width / 360
+        return volume.masked_fill_(hidden[..., None], torch.nan)
 
 
 def normalize(image: Tensor, visible: Tensor) -> Tensor:
     """Give an image (h, w) zero mean and unit variance over the visible pixels, and 0 elsewhere."""
     values = image[visible]
     return torch.where(visible, (image - values.mean()) / values.std().clamp(min=1e-6), 0.0)
-
-
-def feature_coordinates(rig: Rig, grid: SphereGrid) -> list[Tensor]:
-    """Return where the cells of the half-size volume land on the feature maps of every camera (Eq. 1).
-
-    Parameters
-    ----------
-    rig : Rig
-        With its origin at the sweep centre.
-    grid : SphereGrid
-        The panorama; its half size is rounded up to multiples of 8.
-
-    Returns
-    -------
-    list of float32 tensors, shape (W / 2, H / 2, N / 2, 2)
-        Feature pixels, NaN where the cell is not visible to the camera.
-    """
-    width, height, spheres = half_size(grid)
-    rays = torch.from_numpy(replace(grid, width=width, height=height).rays()).float().transpose(0, 1)
-    index = (np.arange(spheres) + 0.5) * grid.num_spheres / spheres - 0.5
-    inverse_depth = torch.from_numpy(grid.index_to_inverse_depth(index)).float()[:, None]
-    coordinates = []
-    for camera, pose in zip(rig.cameras, rig.T_rig_cam, strict=True):
-        T_cam_rig = pose.inverse()
-        R, t = (torch.from_numpy(a).float() for a in (T_cam_rig.R, T_cam_rig.t))
-        uv, visible = camera.project((rays @ R.T)[:, :, None] + inverse_depth * t)
-        coordinates.append(torch.where(visible[..., None], uv / 2, torch.nan))  # maps have every second pixel
-    return coordinates
 
 
 def resize_logits(logits: Tensor, columns: Tensor, grid: SphereGrid) -> Tensor:

@@ -63,8 +63,7 @@ def export_weights(
     if metadata["recipe"] != recipe.as_dict() or metadata["step"] + 1 != recipe.steps:
         found = f"{run / WEIGHTS}: not the result of {recipe.steps} steps of this recipe"
         raise OmnistereoError(f"{found}. Train to the end first.")
-    name = "_".join([recipe.network, *([recipe.variant] if hasattr(recipe, "variant") else [])])
-    weights, curve, card = (folder / f"{name}.{ending}" for ending in ("safetensors", "csv", "md"))
+    weights, curve, card = (folder / f"{recipe.file_name}.{ending}" for ending in ("safetensors", "csv", "md"))
     rows = read_log(run / LOG, recipe.steps)
     save_tensors(weights, {key: value.half() if half else value for key, value in tensors.items()}, metadata)
     write_csv(curve, ["step", "loss", "error", "validation_loss", "validation_error"], _thin(rows))

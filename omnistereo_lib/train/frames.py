@@ -56,7 +56,6 @@ class TrainingFrames:
         return self.training[order[place]]
 
 
-
 class SweptFrames(TrainingFrames):
     """Training frames of one rig with their sweep, for networks that match pairs of spherical images."""
 

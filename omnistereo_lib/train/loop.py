@@ -82,7 +82,7 @@ def train(
         architecture of `init_weights` is not that of the recipe, there is no such device, the micro-batches cannot be
         divided among the processes, or the loss, its gradient or a weight is not finite.
     """
-    data = [DATA / name / "train" for name in recipe.worlds] if data is None else data
+    data = [DATA / name / "train" for name in recipe.worlds.split()] if data is None else data
     run = _Run(recipe, data, select_device(device), precision, init_weights)
     out = make_folder(out)
     first = run.resume(out / STATE)

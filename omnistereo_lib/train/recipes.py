@@ -24,7 +24,7 @@ class Recipe:
     """
 
     network: ClassVar[str]  # name of the network that the recipe is for
-    worlds: ClassVar[tuple[str, ...]] = ("sunny",)  # training sets in data_samples
+    worlds: str = "sunny"  # training sets of data_samples, unless others are given
 
     # Scale: a network is free of scale through D_min, but not of the field of view of its receptive field.
     width: int = 320  # W; the teaching scale, where a frame takes seconds on two cores
@@ -56,6 +56,8 @@ class Recipe:
                 valid, wanted = value in _CHOICES[name], f"one of {', '.join(_CHOICES[name])}"
             elif isinstance(value, bool):
                 continue
+            elif name == "worlds":
+                valid, wanted = value.split() != [], "names of folders in data_samples"
             elif name in _FRACTIONS:
                 valid, wanted = 0 <= value <= 1, "a fraction in [0, 1]"
             else:
@@ -87,6 +89,11 @@ class Recipe:
             return self.learning_rate * rising * (0.1 if step >= self.steps * 11 // 14 else 1.0)
         return self.learning_rate * rising * 0.5 * (1 + math.cos(math.pi * step / self.steps))
 
+    @property
+    def file_name(self) -> str:
+        """Name of the bundled weights, without their ending."""
+        return self.network
+
     def as_dict(self) -> dict[str, Any]:
         """Return the recipe as JSON can hold it."""
         return {"network": self.network, **asdict(self)}
@@ -115,9 +122,15 @@ class VolumeNetRecipe(Recipe):
     """Recipe of VolumeNet. A micro-batch is some whole frames, of any rigs, on grids turned and scaled at random."""
 
     network: ClassVar[str] = "volumenet"
-    worlds: ClassVar[tuple[str, ...]] = ("sunny", "streets", "things", "rooms")
+    worlds: str = "sunny streets things rooms"
     frames_per_step: int = 1
     batch_frames: int = 2  # in one pass of the U-net, whose batch norms see them all
+
+    @property
+    def file_name(self) -> str:
+        """Name of the bundled weights, without their ending; what was trained on fewer worlds says so."""
+        everything = self.worlds == VolumeNetRecipe.worlds
+        return "_".join([self.network, *([] if everything else self.worlds.split())])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,6 +147,11 @@ class MCCNNRecipe(Recipe):
     negative_low_px: float = 1.5  # non-matches are off by at least this (MC-CNN: 1.5 to 4)
     negative_high_px: float = 6.0  # and at most this (MC-CNN: 6; the accurate variant 18)
     margin: float = 0.2  # of the hinge loss, fast variant
+
+    @property
+    def file_name(self) -> str:
+        """Name of the bundled weights, without their ending."""
+        return f"{self.network}_{self.variant}"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -163,7 +181,8 @@ RECIPES: dict[str, dict[str, Recipe]] = {
     },
     "volumenet": {
         "teaching": VolumeNetRecipe(steps=300, warmup=30, validate_every=100),
-        "shipped": VolumeNetRecipe(steps=4000, warmup=200, validate_every=250),
+        "shipped": VolumeNetRecipe(steps=2000, warmup=100, validate_every=250),
+        "sunny": VolumeNetRecipe(worlds="sunny", steps=1000, warmup=60, validate_every=200),
         "gpu": VolumeNetRecipe(**_FINE, steps=20000, warmup=500, frames_per_step=2, validate_every=1000),
     },
     "mccnn": {

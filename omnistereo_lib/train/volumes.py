@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -18,15 +17,9 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.correlation import feature_coordinates, pixels_per_degree
 from omnistereo_lib.stereo.sweep import reduce_images, to_gray, visible_pixels
-from omnistereo_lib.stereo.volumenet import (
-    VolumeNet,
-    feature_coordinates,
-    local_mean,
-    normalize,
-    pixels_per_degree,
-    resize_logits,
-)
+from omnistereo_lib.stereo.volumenet import VolumeNet, local_mean, normalize, resize_logits
 from omnistereo_lib.train.frames import TrainingFrames, to_device
 from omnistereo_lib.train.recipes import VolumeNetRecipe
 
@@ -67,7 +60,7 @@ class VolumeSamples(TrainingFrames):
         return [self._sample(one, rng if augment else None) for one in (frame, *others)]
 
     def _sample(self, frame: Frame, rng: np.random.Generator | None) -> VolumeSample:
-        """Return a frame on its own grid; with an rng, rotated, tilted, nearer or farther, with other cameras' looks."""
+        """Return a frame on a grid; with an rng, turned, tilted and scaled at random, as other cameras see it."""
         rotation, nearest = np.eye(3), frame.rig.min_depth
         if rng is not None:
             tilt, axis, roll = np.radians(rng.uniform(-10, 10)), rng.uniform(0, 2 * np.pi), rng.uniform(0, 2 * np.pi)
@@ -92,6 +85,8 @@ class VolumeSamples(TrainingFrames):
 
 def _other_look(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
     """Change gain, gamma, sharpness and noise of one camera; its image is in [0, 255]."""
+    import cv2
+
     image = (image / 255 * np.exp(rng.uniform(-0.25, 0.25))).clip(0, 1) ** np.exp(rng.uniform(-0.3, 0.3))
     if rng.random() < 0.3:
         image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.3, 1.0))

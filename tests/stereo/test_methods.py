@@ -40,7 +40,7 @@ def test_the_defaults_are_the_papers():
 @pytest.mark.parametrize(
     ("name", "message"),
     {
-        "census": "cost must be one of zncc, mccnn, sweepnet, got 'census'",
+        "census": "cost must be one of zncc, mccnn, sweepnet, volumenet, got 'census'",
         "zncc+median": "aggregate must be one of none, sgm, got 'median'",
         "zncc,size=5": "unknown setting 'size'; expected one of window, weights",
         "zncc,window=wide": "window must be of type int, got 'wide'",

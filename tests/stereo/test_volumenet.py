@@ -1,0 +1,200 @@
+"""VolumeNet: every part against its definition, and what must hold for any weights."""
+
+from dataclasses import replace
+from itertools import permutations
+
+import numpy as np
+import pytest
+import scene
+import torch
+from torch.nn.functional import grid_sample
+from torch.profiler import ProfilerActivity, profile
+
+import omnistereo_lib as osl
+from omnistereo_lib.stereo.correlation import _PairProducts, bilinear, correlate, feature_coordinates, half_size
+from omnistereo_lib.stereo.pipeline import estimate_depth
+from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_lib.stereo.volume import cost_volume
+from omnistereo_lib.stereo.volumenet import VolumeNet, local_mean, normalize, resize_logits
+
+GRID = osl.SphereGrid(96, 32, (-45, 45), 32, 0.6)
+
+
+@pytest.fixture(scope="module")
+def network():
+    torch.manual_seed(0)
+    return VolumeNet().eval()
+
+
+@pytest.fixture(scope="module")
+def small():
+    """Feature maps of four cameras and where twelve cells lie on them, some not visible."""
+    rng = np.random.default_rng(0)
+    maps = [torch.from_numpy(rng.normal(size=(32, 7, 9))) for _ in range(4)]
+    uv = [torch.from_numpy(rng.uniform([0, 0], [8, 6], (3, 2, 2, 2))) for _ in maps]
+    for k, one in enumerate(uv):
+        one[k % 3, :, k % 2] = torch.nan
+    return maps, uv
+
+
+def test_the_features_of_a_cell_are_interpolated(small):
+    (maps, *_), (uv, *_) = small
+    index, weight = bilinear(uv, (9, 7))
+    ours = (maps.flatten(1).T[index.long()] * weight[..., None]).sum(1)
+    position = uv.nan_to_num(-9).view(1, -1, 1, 2) / torch.tensor([4.0, 3.0]) - 1
+    theirs = grid_sample(maps[None].float(), position.float(), align_corners=True)[0, ..., 0].T
+    assert torch.allclose(ours.float(), theirs, atol=1e-5)
+
+
+def test_the_correlation_is_the_mean_over_all_pairs_of_cameras_that_see_the_cell(small):
+    maps, uv = small
+    ours = correlate([one.float() for one in maps], [one.float() for one in uv])
+    sampled = []
+    for features, at in zip(maps, uv, strict=True):
+        index, weight = bilinear(at, (9, 7))
+        sampled.append((features.flatten(1).T[index.long()] * weight[..., None]).sum(1).view(3, 2, 2, 32))
+    for cell in np.ndindex(3, 2, 2):
+        seen = [f[cell] for f, at in zip(sampled, uv, strict=True) if at[cell].isfinite().all()]
+        products = [(a * b).view(8, 4).mean(1) for a, b in permutations(seen, 2)]
+        expected = torch.stack(products).mean(0)
+        assert torch.allclose(ours[(slice(8), *cell)].double(), expected, atol=1e-5)
+        assert ours[(8, *cell)] == len(seen) / 4
+    assert torch.allclose(correlate([m.float() for m in maps[::-1]], [at.float() for at in uv[::-1]]), ours, atol=1e-6)
+
+
+def test_the_gradient_of_the_correlation():
+    rng = np.random.default_rng(1)
+    tables = [torch.from_numpy(rng.normal(size=(6, 32))).requires_grad_() for _ in range(3)]
+    cells = [
+        (torch.from_numpy(rng.integers(0, 6, (2, 4)).astype(np.int32)), torch.from_numpy(rng.uniform(size=(2, 4))))
+        for _ in tables
+    ]
+    assert torch.autograd.gradcheck(lambda *t: _PairProducts.apply(cells, *t), tables)
+
+
+def test_cells_land_on_the_features_of_their_points():
+    rig = scene.rig(cameras=3).recentered()
+    coordinates = feature_coordinates(rig, GRID)
+    width, height, spheres = half_size(GRID)
+    assert coordinates[0].shape == (width, height, spheres, 2) == (48, 16, 16, 2)
+    rays = replace(GRID, width=48, height=16).rays()
+    for column, row, sphere in ((0, 0, 0), (17, 5, 9), (40, 15, 15)):
+        # Sphere m of the half-size volume lies between the spheres 2 m and 2 m + 1 of the grid.
+        depth = 2 / (GRID.inverse_depths()[2 * sphere] + GRID.inverse_depths()[2 * sphere + 1])
+        for camera, pose, uv in zip(rig.cameras, rig.T_rig_cam, coordinates, strict=True):
+            pixel, visible = camera.project(pose.inverse() @ (rays[row, column] * depth))
+            found = uv[column, row, sphere].numpy()
+            assert np.isfinite(found).all() == visible
+            assert not visible or np.abs(2 * found - pixel).max() < 2e-3
+
+
+def test_the_volume_has_no_seam(network):
+    volume = torch.from_numpy(np.random.default_rng(2).normal(size=(1, 9, 48, 16, 16))).float()
+    with torch.no_grad():
+        logits, rolled = network(volume), network(volume.roll(16, 2))  # the deepest level has every eighth column
+    assert torch.allclose(logits.roll(16, 1), rolled, atol=1e-4)
+
+
+def test_resized_logits_are_interpolated_around_the_seam():
+    theta = 2 * np.pi * (torch.arange(48) + 0.5) / 48
+    logits = (torch.cos(theta)[:, None, None] + torch.linspace(0, 1, 16)[:, None] + torch.linspace(0, 2, 16))[None]
+    full = resize_logits(logits, torch.arange(96), GRID)
+    assert full.shape == (1, 96, 32, 32)
+    expected = torch.cos(2 * np.pi * (torch.arange(96) + 0.5) / 96)
+    assert (full[0, :, 8, 8] - full[0, :, 8, 8].mean() - expected).abs().max() < 0.005
+    assert torch.allclose(full[0, 3].diff(dim=0)[1:-1], torch.full((29, 32), 1 / 30), atol=1e-6)
+    assert torch.allclose(resize_logits(logits, torch.tensor([95, 0]), GRID), full[:, [95, 0]], atol=1e-6)
+
+
+def test_the_read_out_is_the_mean_around_the_best_sphere():
+    p = torch.zeros(1, 4, 10)
+    p[0, 0, 3], p[0, 0, 4], p[0, 0, 9] = 0.5, 0.25, 0.25  # a second surface does not pull it away
+    p[0, 1, 0], p[0, 1, 1] = 0.75, 0.25  # at the far end
+    p[0, 2] = 0.1
+    index, confidence = local_mean(torch.where(torch.arange(4)[:, None] == 3, torch.nan, 1 - p))
+    assert torch.allclose(index[0, :2], torch.tensor([3 + 1 / 3, 0.25]))
+    assert torch.allclose(confidence[0, :3], torch.tensor([0.75, 1.0, 0.3]))
+    assert index[0, 3].isnan() and confidence[0, 3].isnan()
+
+
+def test_images_are_normalized_over_their_circle():
+    image, visible = torch.arange(12.0).view(3, 4), torch.tensor([[True] * 3 + [False]] * 3)
+    ours = normalize(image, visible)
+    assert abs(ours[visible].mean()) < 1e-6 and abs(ours[visible].std() - 1) < 1e-6 and (ours[~visible] == 0).all()
+    assert (normalize(torch.ones(3, 4), visible) == 0).all()
+
+
+@pytest.mark.parametrize("cameras", [2, 3, 5])
+def test_any_rig_and_any_grid(network, cameras):
+    """Sizes that are no multiples of 16, and rays that no two cameras share."""
+    rig = scene.rig(cameras=cameras, max_fov_deg=200.0, width=120, height=112)
+    grid = osl.SphereGrid(50, 22, (-80, 80), 18, 0.6)
+    sweep = SphereSweep(rig, grid)
+    volume = cost_volume(sweep, scene.images(rig, finest=0.5), network)
+    assert volume.shape == (22, 50, 18)
+    known = volume.isfinite()
+    assert torch.equal(known.any(-1), known.all(-1))
+    assert torch.allclose((1 - volume)[known.all(-1)].sum(-1), torch.tensor(1.0), atol=1e-4)
+    shared = np.sum([sweep.project_sphere(c, n)[1] for c in range(cameras) for n in (0,)], 0) >= 2
+    assert (known.all(-1).numpy() == shared).mean() > 0.9 and (cameras == 5 or not known.all())
+
+
+def test_two_frames_of_one_sweep(network):
+    """What is kept from frame to frame does not depend on the frame."""
+    rig = scene.rig(width=120, height=112)
+    sweep, images = SphereSweep(rig, GRID), scene.images(rig, finest=0.5)
+    first = cost_volume(sweep, images, network)
+    cost_volume(sweep, images[::-1], network)
+    assert torch.equal(cost_volume(sweep, images, network), first)
+    in_color = cost_volume(sweep, [np.stack([i] * 3, -1) for i in images], network)
+    assert torch.allclose(in_color, first, atol=1e-3)
+
+
+def test_bfloat16_is_close(network):
+    rig = scene.rig(width=120, height=112)
+    images, sweep = scene.images(rig, finest=0.5), SphereSweep(rig, GRID)
+    volumes = []
+    for network.precision in ("bfloat16", "float32", "auto"):
+        volumes.append(cost_volume(sweep, images, network))
+    assert (volumes[0] - volumes[1]).abs().max() < 0.01
+
+
+def test_one_frame_in_float32_takes_the_fast_kernels(network):
+    """With the spheres first, PyTorch would take kernels 4 to 14 times as slow without a word."""
+    volume = torch.zeros(1, 9, 160, 40, 32)
+    with torch.no_grad(), profile(activities=[ProfilerActivity.CPU], record_shapes=True) as trace:
+        network(volume)
+    shapes = {"slow_conv3d": [], "mkldnn_convolution": []}
+    for event in trace.events():
+        if (name := event.name.removeprefix("aten::")) in shapes:
+            shapes[name].append(event.input_shapes[0])
+    assert len(shapes["mkldnn_convolution"]) >= 8
+    assert all(shape[2] <= 42 for shape in shapes["slow_conv3d"]), "the two small levels alone may be slow"
+
+
+def test_weights_travel_in_a_file(network, tmp_path):
+    network.save(tmp_path / "volumenet.safetensors")
+    rig = scene.rig(width=120, height=112)
+    images = scene.images(rig, finest=0.5)
+    method = osl.Method.parse("volumenet")
+    assert method.name == "volumenet" and method.label == "VolumeNet"
+    cost = method.load_cost(tmp_path)
+    assert cost is method.load_cost(tmp_path)
+    depth = estimate_depth(rig, images, GRID, method, cost=cost)
+    index, confidence = local_mean(cost_volume(SphereSweep(rig, GRID), images, network))
+    assert np.array_equal(depth.index, index.numpy()) and np.array_equal(depth.confidence, confidence.numpy())
+    with pytest.raises(osl.OmnistereoError, match=r"holds SweepNet.*expected VolumeNet.*Pass another file"):
+        osl.SweepNet().save(tmp_path / "other.safetensors")
+        VolumeNet.from_file(tmp_path / "other.safetensors")
+
+
+@pytest.mark.parametrize("name", ["volumenet,pairs=all", "volumenet,subindex=true", "volumenet,window=5"])
+def test_settings_that_make_no_difference_are_refused(name):
+    with pytest.raises(osl.OmnistereoError, match="does not use"):
+        osl.Method.parse(name)
+
+
+def test_a_panorama_that_memory_cannot_hold_is_refused(network, monkeypatch):
+    monkeypatch.setattr("omnistereo_lib.stereo.volume._available_memory", lambda device: 1 << 20)
+    with pytest.raises(osl.OmnistereoError, match=r"96 × 32 with 32 spheres needs 0\.0 GiB of cpu memory; 0\.0 GiB"):
+        cost_volume(SphereSweep(scene.rig(), GRID), scene.images(scene.rig(), finest=0.5), network)

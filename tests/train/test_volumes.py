@@ -1,0 +1,136 @@
+"""Training of VolumeNet: ground truth turns with the grid, the loss has a closed form, runs learn and resume."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scene
+import torch
+from torch.nn.functional import interpolate
+
+import omnistereo_lib as osl
+from omnistereo_lib.dataset import load_dataset, write_inverse_depth
+from omnistereo_lib.files import write_image
+from omnistereo_lib.stereo.weights import load_tensors
+from omnistereo_lib.train import RECIPES, VolumeNetRecipe, export_weights, train
+from omnistereo_lib.train.volumes import VolumeObjective, VolumeSample, VolumeSamples
+
+TINY = VolumeNetRecipe(width=64, height=16, num_spheres=16, steps=4, validate_every=2, validation_groups=1, warmup=2)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """Three frames of a rig in the box, with ground truth of 90° × 360°."""
+    folder = tmp_path_factory.mktemp("box")
+    still = scene.rig(width=100, height=96)
+    osl.Rig(still.cameras, still.T_rig_cam, min_depth=0.6).save(folder / "config.yaml")
+    grid = osl.SphereGrid(256, 64, (-45, 45), 16, 0.6)
+    (folder / "omnidepth_gt_256").mkdir()
+    for number in (1, 2, 3):
+        step = osl.Pose.from_vector([0, 0, 0, 0.2 * number - 0.4, 0, 0.1 * number])
+        moved = osl.Rig(still.cameras, [step @ pose for pose in still.T_rig_cam])
+        for k, picture in enumerate(scene.images(moved, finest=0.25), 1):
+            (folder / f"cam{k}").mkdir(exist_ok=True)
+            write_image(folder / f"cam{k}" / f"{number:04}.png", picture)
+        truth = grid.index_to_inverse_depth(scene.true_index(moved, grid))
+        write_inverse_depth(folder / "omnidepth_gt_256" / f"{number:05}.tiff", truth)
+    return folder
+
+
+def test_the_ground_truth_turns_with_the_grid(data):
+    """At the estimated depth, a turned grid shows in every camera what the box shows there."""
+    samples = VolumeSamples(TINY, data)
+    frame = load_dataset(data)[1]
+    plain = samples.micro_batch(frame, np.random.default_rng(0), augment=False)[0]
+    grid = samples.grid(0.6)
+    step = osl.Pose.from_vector([0, 0, 0, 0, 0, 0.2])
+    rig = osl.Rig(frame.rig.cameras, [step @ pose for pose in frame.rig.T_rig_cam])
+    exact = scene.true_index(rig, grid).T
+    known = plain.index.isfinite().numpy()
+    assert known.mean() > 0.9 and np.median(np.abs(plain.index.numpy() - exact)[known]) < 0.05
+    pictures = scene.images(rig, finest=1.0)  # smooth: values are read at the nearest pixel
+    fine = VolumeSamples(replace(TINY, width=256, height=64, num_spheres=192), data)
+    straight = _spread(pictures, fine._sample(frame, None))
+    for seed in range(4):
+        turned = fine._sample(frame, np.random.default_rng(seed))
+        elsewhere = replace(turned, index=turned.index.roll(32, 0))
+        assert abs(_spread(pictures, turned) - straight) < 0.15 < 0.5 < _spread(pictures, elsewhere) - straight
+
+
+def _spread(pictures, sample):
+    """The median over the rays of the deviation of the cameras' gray values at the depth of a sample."""
+    half = interpolate(sample.index[None, None], scale_factor=0.5, mode="nearest")[0, 0]
+    cell = ((half + 0.5) / 2 - 0.5).round()  # of the half-size volume
+    cell = cell.nan_to_num(0).clamp(0, 95).long()[..., None, None].expand(-1, -1, 1, 2)
+    values = []
+    for picture, coordinates in zip(pictures, sample.coordinates, strict=True):
+        uv = (2 * coordinates.gather(2, cell)[:, :, 0]).round()
+        column, row = uv.nan_to_num(0).long().unbind(-1)
+        values.append(np.where(uv.isfinite().all(-1) & half.isfinite(), picture[row.numpy(), column.numpy()], np.nan))
+    shared = np.isfinite(values).sum(0) > 1
+    assert shared.mean() > 0.4
+    return np.median(np.nanstd(np.array(values)[:, shared], 0))
+
+
+def test_the_loss_is_the_cross_entropy_of_the_two_nearest_spheres():
+    class Fixed(torch.nn.Module):
+        def correlation(self, *_):
+            return torch.zeros(9, 8, 8, 8)
+
+        def forward(self, volumes):
+            return torch.arange(8.0).expand(len(volumes), 8, 8, 8)
+
+    index = torch.full((8, 8), torch.nan)
+    index[0, 0], index[3, 4] = 6.75, 7.0
+    grid = osl.SphereGrid(8, 8, num_spheres=8)
+    sample = VolumeSample([], [], [], index)
+    loss, error = VolumeObjective(Fixed(), grid)([sample])
+    log_p = np.arange(8.0) - np.log(np.exp(np.arange(8.0)).sum())
+    assert abs(loss.item() + (0.25 * log_p[6] + 0.75 * log_p[7] + log_p[7]) / 2) < 1e-6
+    mass = np.exp(log_p[5:])
+    read = (mass * [5, 6, 7]).sum() / mass.sum()
+    assert error.item() == np.mean([abs(read - 6.75) > 0.08, abs(read - 7) > 0.08])
+
+
+def test_a_run_learns_and_resumes_to_the_same_weights(data, tmp_path):
+    recipe = replace(TINY, steps=30, warmup=5, validate_every=15)
+    rows = []
+    whole = train(recipe, tmp_path / "whole", data, precision="float32", progress=rows.append)
+    losses = [row["loss"] for row in rows]
+    assert np.mean(losses[-5:]) < 0.8 * np.mean(losses[:5])
+
+    def interrupt(row):
+        if row["step"] == 11:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(recipe, tmp_path / "parts", data, precision="float32", checkpoint_s=0, progress=interrupt)
+    parts = train(recipe, tmp_path / "parts", data, precision="float32")
+    assert whole.read_bytes() == parts.read_bytes()
+    _, metadata = load_tensors(whole)
+    assert metadata["architecture"] == "VolumeNet" and metadata["data"]["frames"] == 3
+    weights, curve, card = export_weights(tmp_path / "whole", recipe, tmp_path / "weights", half=True)
+    assert weights.name == "volumenet.safetensors" and "30" in curve.read_text() and "things" in card.read_text()
+
+
+def test_every_preset_makes_a_step(data, tmp_path):
+    """The numbers of the presets, at a size that a test can wait for."""
+    for name, recipe in RECIPES["volumenet"].items():
+        small = {"width": 64, "height": 16, "num_spheres": 16, "steps": 1, "validation_groups": 1}
+        train(replace(recipe, **small), tmp_path / name, data, precision="float32")
+
+
+@pytest.mark.parametrize(
+    ("worlds", "name"), [("sunny streets things rooms", "volumenet"), ("sunny", "volumenet_sunny")]
+)
+def test_the_file_of_weights_says_what_they_learned_from(worlds, name):
+    assert replace(TINY, worlds=worlds).file_name == name
+
+
+def test_frames_without_depth_in_the_swept_range_are_refused(data):
+    samples = VolumeSamples(TINY, data)
+    sample = samples.micro_batch(samples.training[0], np.random.default_rng(0), augment=False)[0]
+    with pytest.raises(osl.OmnistereoError, match="no ray of a batch has ground truth within the swept range"):
+        samples.objective([replace(sample, index=torch.full_like(sample.index, torch.nan))])
+    with pytest.raises(osl.OmnistereoError, match="worlds = ''; expected names of folders"):
+        replace(TINY, worlds="")
