@@ -4,7 +4,7 @@ ZNCC compares patches and SweepNet whole spheres, but each sphere by itself: not
 *one* depth. VolumeNet takes the step that the field took after SweepNet (OmniMVS, ICCV 2019; GwcNet, CVPR 2019):
 
     features     each fisheye image → 32 feature maps at half its size
-    warp         the maps onto half as many spheres, at half the size of the panorama (Eq. 1)
+    warp         the maps onto half as many spheres, at half the size of the panorama or less (Eq. 1)
     correlation  in groups of four channels, over all pairs of cameras to which a cell is visible
     3-D U-net    over θ, φ and the sphere index, circular in θ
     read-out     a probability for each sphere of a ray; the index is the mean around the most probable one
@@ -31,8 +31,8 @@ from omnistereo_lib.stereo.correlation import (
     GROUPS,
     correlate,
     feature_coordinates,
-    half_size,
     pixels_per_degree,
+    volume_size,
 )
 from omnistereo_lib.stereo.learned import Precision, autocast
 from omnistereo_lib.stereo.sweep import SphereSweep, reduce_images, to_gray, visible_pixels
@@ -41,7 +41,7 @@ from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS, StoredNetwork
 
 WIDTHS = (16, 32, 48, 64)  # channels of the U-net's levels, each half as wide, high and deep as the one before
 _RADIUS = 2  # spheres on either side of the most probable one that the read-out takes in
-_BYTES = 400  # of memory for each cell of the half-size volume, measured
+_BYTES = 400  # of memory for each cell of the volume, measured
 
 
 class FeatureNet(nn.Module):
@@ -147,7 +147,7 @@ class VolumeNet(StoredNetwork):
         return {}
 
     def correlation(self, images: Sequence[Tensor], visible: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tensor:
-        """Return the correlation volume (9, W / 2, H / 2, N / 2) of one frame; see `FeatureNet` and `correlate`."""
+        """Return the correlation volume (9, W, H, N) of one frame; see `FeatureNet` and `correlate`."""
         features = [self.features(image, mask) for image, mask in zip(images, visible, strict=True)]
         return correlate(features, coordinates)
 
@@ -170,7 +170,9 @@ class VolumeNet(StoredNetwork):
         Images and `progress` as in `cost_volume`; raises an `OmnistereoError` if there is not enough memory.
         """
         grid, device = sweep.grid, sweep.device
-        require_memory(_BYTES * math.prod(half_size(grid)) + 4 * math.prod(grid.shape) * grid.num_spheres, grid, device)
+        require_memory(
+            _BYTES * math.prod(volume_size(grid)) + 4 * math.prod(grid.shape) * grid.num_spheres, grid, device
+        )
         self.to(device)
         rig, images = reduce_images(sweep.rig, images, pixels_per_degree(grid))
         if sweep not in self._prepared:

@@ -11,7 +11,7 @@ from torch.nn.functional import grid_sample
 from torch.profiler import ProfilerActivity, profile
 
 import omnistereo_lib as osl
-from omnistereo_lib.stereo.correlation import _PairProducts, bilinear, correlate, feature_coordinates, half_size
+from omnistereo_lib.stereo.correlation import _PairProducts, bilinear, correlate, feature_coordinates, volume_size
 from omnistereo_lib.stereo.pipeline import estimate_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.volume import cost_volume
@@ -75,11 +75,11 @@ def test_the_gradient_of_the_correlation():
 def test_cells_land_on_the_features_of_their_points():
     rig = scene.rig(cameras=3).recentered()
     coordinates = feature_coordinates(rig, GRID)
-    width, height, spheres = half_size(GRID)
+    width, height, spheres = volume_size(GRID)
     assert coordinates[0].shape == (width, height, spheres, 2) == (48, 16, 16, 2)
     rays = replace(GRID, width=48, height=16).rays()
     for column, row, sphere in ((0, 0, 0), (17, 5, 9), (40, 15, 15)):
-        # Sphere m of the half-size volume lies between the spheres 2 m and 2 m + 1 of the grid.
+        # Sphere m of the volume lies between the spheres 2 m and 2 m + 1 of the grid.
         depth = 2 / (GRID.inverse_depths()[2 * sphere] + GRID.inverse_depths()[2 * sphere + 1])
         for camera, pose, uv in zip(rig.cameras, rig.T_rig_cam, coordinates, strict=True):
             pixel, visible = camera.project(pose.inverse() @ (rays[row, column] * depth))
