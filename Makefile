@@ -49,7 +49,7 @@ results: $(READY)  ## the stored results and the README's ledger anew: hours, bu
 	$(EVALUATE) --sets data_samples/sunny --split train --frames $(KEPT_APART) --ablations penalties --out out/penalties
 	$(EVALUATE) --sets $(SETS) aerial --scale paper --out out/paper $(RESULTS_ARGS)
 	$(BIN)/python -m course ledger README.md --results out/paper/results.json
-	$(BIN)/python -m omnistereo_lib train sweepnet --variants --out out/variants \
+	$(BIN)/python -m course variants --out out/variants \
 	  --set steps=300 validate_every=30 validation_groups=24
 	cp out/variants/variants.csv data_samples/results/
 	for name in teaching ablations calibrated penalties paper; do cp out/$$name/results.json data_samples/results/$$name.json; done

@@ -28,6 +28,9 @@ def main(arguments: list[str] | None = None) -> int:
     ledger = commands.add_parser("ledger", help="update the reproduction report in a Markdown file")
     ledger.add_argument("file", type=Path)
     ledger.add_argument("--results", type=Path, help="results.json of `omnistereo_lib evaluate`")
+    variants = commands.add_parser("variants", help="train SweepNet by several recipes and compare them")
+    variants.add_argument("--out", type=Path, default=nbtools.ROOT / "out" / "variants")
+    variants.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="change numbers of the recipe")
     try:
         return run(parser.parse_args(arguments))
     except OmnistereoError as error:
@@ -56,6 +59,11 @@ def run(options: argparse.Namespace) -> int:
             from course import bench
 
             bench.run(options.quick)
+            return 0
+        case "variants":
+            from course.variants import compare
+
+            print(f"written: {compare(options.out, options.set)}")
             return 0
         case "ledger":
             from course.ledger import write_ledger

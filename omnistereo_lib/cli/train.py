@@ -6,8 +6,6 @@ example: omnistereo train sweepnet --preset teaching --set steps=100
 from __future__ import annotations
 
 import argparse
-import re
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,17 +25,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", type=Path, nargs="+", help="data sets with ground truth (default: those that ship)")
     add_device(parser)
     parser.add_argument("--out", type=Path, help="folder of the run (default: out/NETWORK_PRESET)")
-    either = parser.add_mutually_exclusive_group()
-    either.add_argument(
+    parser.add_argument(
         "--ship", nargs="?", const="float32", choices=["float32", "float16"],
         help="when done, copy the weights and a model card to omnistereo_lib/weights; float16 halves the file",
     )  # fmt: skip
-    either.add_argument("--variants", action="store_true", help="train SweepNet by several recipes and compare them")
 
 
 def run(options: argparse.Namespace) -> None:
     """Train a network, or one by each variant of its recipe; several processes under torchrun share the work."""
-    from omnistereo_lib.train import RECIPES, VARIANTS, export_weights, write_comparison
+    from omnistereo_lib.train import RECIPES, export_weights
 
     presets = RECIPES[options.network]
     if options.preset not in presets:
@@ -45,16 +41,6 @@ def run(options: argparse.Namespace) -> None:
     recipe = presets[options.preset].with_overrides(options.set)
     out = options.out or Path("out") / f"{options.network}_{options.preset}"
     first_process = is_first_process()
-    if options.variants:
-        if options.network != "sweepnet":
-            raise OmnistereoError("only the SweepNet recipe has variants: train sweepnet --variants")
-        runs = {name: out / re.sub(r"\W+", "_", name) for name in VARIANTS}
-        for name, changes in VARIANTS.items():
-            _train(replace(recipe, **changes), runs[name], options, name)
-        if first_process:
-            write_comparison(out / "variants.csv", runs, recipe.steps)
-            print(f"written to {out}/: variants.csv, the validation errors side by side")
-        return
     _train(recipe, out, options, "train")
     if first_process:
         print(f"{recipe.steps} steps are done; in {out}/: log.csv, state.safetensors, weights.safetensors")

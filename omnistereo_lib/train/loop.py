@@ -272,11 +272,3 @@ def write_csv(path: str | Path, header: Sequence[str], rows: Iterable[Sequence])
     with atomic_write(path) as temporary, temporary.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerows([header, *rows])
-
-
-def write_comparison(path: str | Path, runs: Mapping[str, Path], steps: int) -> None:
-    """Write the validation errors of finished runs (name → folder) as CSV: the step, and a column for each run."""
-    curves = {name: read_log(run / LOG, steps) for name, run in runs.items()}
-    validated = (rows for rows in zip(*curves.values(), strict=True) if not math.isnan(rows[0]["validation_error"]))
-    table = ([rows[0]["step"] + 1, *(f"{row['validation_error']:.4g}" for row in rows)] for rows in validated)
-    write_csv(path, ["step", *curves], table)

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal, Self
 from omnistereo_lib.errors import OmnistereoError
 
 _CHOICES = {"optimizer": ("adamw", "sgd"), "schedule": ("cosine", "drop"), "variant": ("fast", "accurate")}
-_FRACTIONS = {"momentum", "any_sphere", "far_end"}
+_FRACTIONS = {"momentum", "any_sphere"}
 _MAY_BE_ZERO = {
     "seed", "warmup", "weight_decay", "min_positives", "negatives", "min_negatives", "positive_px", "margin",
 }  # fmt: skip
@@ -111,7 +111,6 @@ class SweepNetRecipe(Recipe):
     spheres_per_frame: int = 2  # twice as many where the panorama is halved
     min_positives: int = 32  # the paper discards spheres with fewer
     any_sphere: float = 0.2  # fraction of micro-batches that may draw spheres with fewer as well: only negatives
-    far_end: float = 0.0  # fraction of micro-batches on the sky: half of them sphere 0, half one below N / 6
     max_positives: int = 1024  # per pair and sphere: the sky fills sphere 0, and neighbours are nearly the same
     negatives: int = 4  # per positive, weighted to balance; the paper has 1. Negatives are many and cost nothing
     min_negatives: int = 512  # per pair and sphere, however few positives: an empty sphere must not match
@@ -160,7 +159,8 @@ class MCCNNRecipe(Recipe):
             raise OmnistereoError(f"mccnn recipe: {found}; expected positive_px < negative_low_px < negative_high_px")
 
 
-_PAPERS = {"optimizer": "sgd", "schedule": "drop", "warmup": 0, "weight_decay": 0.0, "augment": False, "clip": 1e9}
+# The optimiser of both papers.
+PAPERS = {"optimizer": "sgd", "schedule": "drop", "warmup": 0, "weight_decay": 0.0, "augment": False, "clip": 1e9}
 
 # teaching: minutes on two cores, enough to see it learn. shipped: what made omnistereo_lib/weights.
 # paper: the numbers of the papers, for a GPU and their data; steps = 14 epochs.
@@ -176,7 +176,7 @@ RECIPES: dict[str, dict[str, Recipe]] = {
         "paper": SweepNetRecipe(
             width=600, height=150, num_spheres=192, learning_rate=0.003, steps=58800, validate_every=2000,
             frames_per_step=8, batch_norm=False, wrap=False, negatives=1, max_positives=90000,
-            any_sphere=0.0, min_negatives=0, **_PAPERS,
+            any_sphere=0.0, min_negatives=0, **PAPERS,
         ),
     },
     "volumenet": {
@@ -191,16 +191,7 @@ RECIPES: dict[str, dict[str, Recipe]] = {
         # 40 million pairs × 14 epochs at 256 a step.
         "paper": MCCNNRecipe(
             variant="accurate", negative_high_px=18.0, width=600, height=150, num_spheres=192, learning_rate=0.003,
-            steps=2187500, validate_every=20000, **_PAPERS,
+            steps=2187500, validate_every=20000, **PAPERS,
         ),
     },
 }  # fmt: skip
-
-# The recipe of SweepNet with the optimiser of the paper, without batch norms, or both: `train sweepnet --variants`.
-_SGD = _PAPERS | {"learning_rate": 0.003, "augment": True}
-VARIANTS: dict[str, dict[str, Any]] = {
-    "ours": {},
-    "no batch norm": {"batch_norm": False},
-    "SGD": _SGD,
-    "SGD and no batch norm": {**_SGD, "batch_norm": False},
-}

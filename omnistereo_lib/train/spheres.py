@@ -99,9 +99,6 @@ class SphereSamples(SweptFrames):
         enough = np.bincount(np.rint(inside).astype(int), minlength=N) >= self.recipe.min_positives
         if rng.random() < self.recipe.any_sphere:
             enough[:] = True
-        if self.recipe.far_end and rng.random() < self.recipe.far_end:  # 0 draws nothing: earlier samples stay the same
-            enough[:] = False
-            enough[slice(0, 1) if rng.integers(2) else slice(1, max(2, N // 6))] = True
         blocks = self.sweep.blocks()
         counts = np.array([enough[spheres.start : spheres.stop].sum() for spheres in blocks])
         if counts.sum() == 0:

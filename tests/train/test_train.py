@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +21,7 @@ from omnistereo_lib import cli
 from omnistereo_lib.dataset import write_inverse_depth
 from omnistereo_lib.files import write_image
 from omnistereo_lib.stereo.weights import load_tensors
-from omnistereo_lib.train import RECIPES, VARIANTS, MCCNNRecipe, SweepNetRecipe, export_weights, train
+from omnistereo_lib.train import RECIPES, MCCNNRecipe, SweepNetRecipe, export_weights, train
 from omnistereo_lib.train.card import _hours
 from omnistereo_lib.train.loop import LOG, STATE, WEIGHTS, _Run
 from omnistereo_lib.train.patches import PatchSamples
@@ -157,23 +157,6 @@ def test_where_nothing_is_there_are_negatives(data):
         assert loss.isfinite() and 0 <= error <= 1
     assert drawn == set(range(24))  # those with few positives as well
     assert matched <= set(np.flatnonzero(counts >= 4).tolist()) and matched
-
-
-def test_the_far_end_is_shown_as_often_as_asked(data):
-    recipe = replace(SWEEPNET, width=96, height=24, num_spheres=24, spheres_per_frame=1)
-    frame, samples = None, {}
-    for share in (0.0, 0.5, 1.0):
-        samples[share] = SphereSamples(replace(recipe, far_end=share), data)
-        frame = samples[share].training[0]
-
-    def drawn(share):
-        index, rngs = samples[share].gt_index(frame), map(np.random.default_rng, range(400))
-        return np.array([samples[share]._draw_spheres(index, frame, rng)[1][0] for rng in rngs])
-
-    far = np.bincount(drawn(1.0), minlength=24) / 400
-    assert far[0] == pytest.approx(0.5, abs=0.1) and far[1:4] == pytest.approx(1 / 6, abs=0.08) and not far[4:].any()
-    mixed = np.bincount(drawn(0.5), minlength=24) / 400
-    assert mixed == pytest.approx(0.5 * far + 0.5 * np.bincount(drawn(0.0), minlength=24) / 400, abs=0.1)
 
 
 def test_the_loss_is_the_balanced_cross_entropy(data):
@@ -397,20 +380,6 @@ def test_a_run_may_begin_with_trained_weights(data, tmp_path):
         losses(SWEEPNET, tmp_path / "norms", data, init_weights=start)
     with refused(r"holds SweepNet\(.*; expected MCCNN\(variant='fast'"):
         losses(MCCNN, tmp_path / "patches", data, init_weights=start)
-
-
-def test_variants_stand_side_by_side(data, tmp_path, capsys):
-    settings = [f"{name}={value}" for name, value in asdict(SWEEPNET).items() if value != getattr(SweepNetRecipe, name)]
-    command = ["train", "sweepnet", "--variants", "--data", str(data), "--out", str(tmp_path), "--precision", "float32"]
-    assert cli.main([*command, "--set", *settings]) == 0
-    with (tmp_path / "variants.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [int(row["step"]) for row in rows] == [2, 4] and list(rows[0])[1:] == list(VARIANTS)
-    ours = [row["validation_error"] for row in rows_of(SWEEPNET, tmp_path / "again", data)]
-    assert [float(row["ours"]) for row in rows] == pytest.approx([ours[1], ours[3]], rel=1e-3)
-    assert len({tuple(row[name] for row in rows) for name in VARIANTS}) > 1
-    assert cli.main(["train", "mccnn", "--variants", "--data", str(data)]) == 2
-    assert "train sweepnet --variants" in capsys.readouterr().err
 
 
 def test_hours_are_those_of_all_calls():
