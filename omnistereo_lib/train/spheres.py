@@ -59,7 +59,7 @@ class SphereSamples(SweptFrames):
             self._half_size = SphereSamples(half, data, device)
 
     def micro_batch(self, frame: Frame, rng: np.random.Generator, augment: bool) -> SphereBatch:
-        """Sample spheres and labelled rays from one frame; with `augment`, rotate and flip at random."""
+        """Sample spheres of one frame and label rays on them (Eq. 3); with `augment`, rotate and flip at random."""
         if self._half_size is not None and rng.integers(2):
             return self._half_size.micro_batch(frame, rng, augment)
         images, index = self.images(frame, rng if augment else None), self.gt_index(frame)
