@@ -13,7 +13,7 @@ COMPUTED_BY = {
     "Eq. 4": {"train.spheres.SphereObjective"},
     "Eq. 5": {"stereo.metrics.error_map"},
     "Table II": {"evaluate.table.errors_table", "stereo.metrics.index_error"},
-    "Section III-A": {"geometry.camera.OcamCamera.project", "calibrate.rig.calibrate_rig", "geometry.pose.Pose.inverse"},
+    "Section III-A": {"geometry.camera.OcamCamera.project", "calibrate.rig.calibrate_rig"},
     "Section III-B": {"geometry.sphere.SphereGrid", "stereo.sgm.sgm", "stereo.depth.winner_takes_all"},
     "Section III-C": {"stereo.sweepnet"},
 }
