@@ -28,6 +28,9 @@ def main(arguments: list[str] | None = None) -> int:
     ledger = commands.add_parser("ledger", help="update the reproduction report in a Markdown file")
     ledger.add_argument("file", type=Path)
     ledger.add_argument("--results", type=Path, help="results.json of `omnistereo_lib evaluate`")
+    ship = commands.add_parser("ship", help="bundle the weights of a finished training run, with curve and card")
+    ship.add_argument("run", type=Path, help="folder of the run")
+    ship.add_argument("--half", action="store_true", help="store float16: half the file")
     variants = commands.add_parser("variants", help="train SweepNet by several recipes and compare them")
     variants.add_argument("--out", type=Path, default=nbtools.ROOT / "out" / "variants")
     variants.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="change numbers of the recipe")
@@ -59,6 +62,11 @@ def run(options: argparse.Namespace) -> int:
             from course import bench
 
             bench.run(options.quick)
+            return 0
+        case "ship":
+            from course.ship import export_weights
+
+            print(f"written: {', '.join(map(str, export_weights(options.run, half=options.half)))}")
             return 0
         case "variants":
             from course.variants import compare

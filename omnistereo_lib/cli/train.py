@@ -25,15 +25,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", type=Path, nargs="+", help="data sets with ground truth (default: those that ship)")
     add_device(parser)
     parser.add_argument("--out", type=Path, help="folder of the run (default: out/NETWORK_PRESET)")
-    parser.add_argument(
-        "--ship", nargs="?", const="float32", choices=["float32", "float16"],
-        help="when done, copy the weights and a model card to omnistereo_lib/weights; float16 halves the file",
-    )  # fmt: skip
 
 
 def run(options: argparse.Namespace) -> None:
     """Train a network, or one by each variant of its recipe; several processes under torchrun share the work."""
-    from omnistereo_lib.train import RECIPES, export_weights
+    from omnistereo_lib.train import RECIPES
 
     presets = RECIPES[options.network]
     if options.preset not in presets:
@@ -44,9 +40,6 @@ def run(options: argparse.Namespace) -> None:
     _train(recipe, out, options, "train")
     if first_process:
         print(f"{recipe.steps} steps are done; in {out}/: log.csv, state.safetensors, weights.safetensors")
-    if first_process and options.ship:
-        files = export_weights(out, recipe, half=options.ship == "float16")
-        print(f"exported: {', '.join(map(str, files))}")
 
 
 def _train(recipe: Recipe, out: Path, options: argparse.Namespace, label: str) -> None:

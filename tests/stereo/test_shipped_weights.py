@@ -52,7 +52,7 @@ def test_card_and_curve_are_of_these_weights(name):
     assert hashlib.sha256(content).hexdigest() in card
     known = {number: value for number, value in about["recipe"].items() if number != "network"}
     assert type(RECIPE[name])(**known) == RECIPE[name] and about["step"] + 1 == RECIPE[name].steps  # later ones: off
-    asked = re.search(r"--preset shipped(?: --set (.*?))? --ship", card)[1]
+    asked = re.search(r"--preset shipped(?: --set (.*?))?`, then", card)[1]
     assert RECIPES[RECIPE[name].network]["shipped"].with_overrides(asked.split() if asked else []) == RECIPE[name]
     with (BUNDLED_WEIGHTS / f"{name}.csv").open(newline="") as file:
         curve = [float(row["loss"]) for row in csv.DictReader(file)]

@@ -17,12 +17,12 @@ import scene
 import torch
 
 import omnistereo_lib as osl
+from course.ship import _hours, export_weights
 from omnistereo_lib import cli
 from omnistereo_lib.dataset import write_inverse_depth
 from omnistereo_lib.files import write_image
 from omnistereo_lib.stereo.weights import load_tensors
-from omnistereo_lib.train import RECIPES, MCCNNRecipe, SweepNetRecipe, export_weights, train
-from omnistereo_lib.train.card import _hours
+from omnistereo_lib.train import RECIPES, MCCNNRecipe, SweepNetRecipe, train
 from omnistereo_lib.train.loop import LOG, STATE, WEIGHTS, _Run
 from omnistereo_lib.train.patches import PatchSamples
 from omnistereo_lib.train.spheres import SphereObjective, SphereSamples
@@ -241,7 +241,7 @@ def test_the_seed_decides_the_weights_stopped_or_not(recipe, optimizer, data, tm
     assert losses(replace(recipe, seed=1), tmp_path / "seed", data) != whole
     part = [row["loss"] for row in stopped(recipe, tmp_path / "parts", data, 3)]
     with refused("Train to the end first"):
-        export_weights(tmp_path / "parts", recipe, tmp_path / "weights")
+        export_weights(tmp_path / "parts", tmp_path / "weights")
     assert part + losses(recipe, tmp_path / "parts", data) == whole
     assert_same_weights(weights(tmp_path / "whole"), weights(tmp_path / "parts"))
     with (tmp_path / "parts" / LOG).open() as file:
@@ -336,21 +336,24 @@ def test_half_of_the_micro_batches_are_of_half_size(data):
 
 def test_a_finished_run_ships_with_its_curve_and_card(data, tmp_path):
     rows = stopped(SWEEPNET, tmp_path / "run", data, 2) + rows_of(SWEEPNET, tmp_path / "run", data)
-    files = export_weights(tmp_path / "run", SWEEPNET, tmp_path / "weights")
+    files = export_weights(tmp_path / "run", tmp_path / "weights")
     assert [path.name for path in files] == ["sweepnet.safetensors", "sweepnet.csv", "sweepnet.md"]
     assert files[0].read_bytes() == (tmp_path / "run" / WEIGHTS).read_bytes()
     card = files[2].read_text()
     assert hashlib.sha256(files[0].read_bytes()).hexdigest() in card
     assert f"{data.parent.name}/{data.name}, 4 frames" in card and "float32" in card
-    command = re.search(r"train sweepnet --preset shipped --set (.*) --ship", card)[1].split()
+    command = re.search(r"train sweepnet --preset shipped --set (.*?)`, then", card)[1].split()
     assert RECIPES["sweepnet"]["shipped"].with_overrides(command) == SWEEPNET
     assert f"{rows[-1]['validation_loss']:.4f}" in card
     with files[1].open(newline="") as file:
         curve = list(csv.DictReader(file))
     assert float(curve[0]["loss"]) == pytest.approx(np.mean([row["loss"] for row in rows[:10]]), rel=1e-3)
     assert int(curve[-1]["step"]) == SWEEPNET.steps
-    half = export_weights(tmp_path / "run", SWEEPNET, tmp_path / "half", half=True)
-    assert half[0].stat().st_size < 0.55 * files[0].stat().st_size and "--ship float16`" in half[2].read_text()
+    half = export_weights(tmp_path / "run", tmp_path / "half", half=True)
+    assert (
+        half[0].stat().st_size < 0.55 * files[0].stat().st_size
+        and "python -m course ship --half`" in half[2].read_text()
+    )
     exact, halved = (osl.SweepNet.from_file(path).state_dict() for path in (files[0], half[0]))
     for name, value in exact.items():
         torch.testing.assert_close(halved[name], value, rtol=2**-11, atol=2**-25)
@@ -372,7 +375,7 @@ def test_a_run_may_begin_with_trained_weights(data, tmp_path):
     assert [row["loss"] for row in rows] == found[:2]
     assert losses(recipe, tmp_path / "stopped", data, init_weights=start) == found[2:]
     assert_same_weights(weights(tmp_path / "whole"), weights(tmp_path / "stopped"))
-    card = export_weights(tmp_path / "whole", recipe, tmp_path / "weights")[2].read_text()
+    card = export_weights(tmp_path / "whole", tmp_path / "weights")[2].read_text()
     assert f"--init-weights FILE`, FILE with SHA-256 `{hashlib.sha256(start.read_bytes()).hexdigest()}`" in card
     with refused(r"a different run with init_weights = \w{64}; expected init_weights = None"):
         losses(recipe, tmp_path / "whole", data)
@@ -485,7 +488,7 @@ def test_recipes_check_their_ranges(recipe, name, value, expected):
 
 def test_the_command_line(data, tmp_path, capsys):
     assert cli.main(command(data, tmp_path / "out", "wrap=true", network="mccnn")[2:]) == 2
-    assert "unknown setting 'wrap'; a mccnn recipe has width" in capsys.readouterr().err
+    assert "unknown setting 'wrap'; a mccnn recipe has worlds" in capsys.readouterr().err
     assert cli.main(command(data, tmp_path / "out", network="mccnn")[2:]) == 0
     captured = capsys.readouterr()
     assert "step 2: validation" in captured.out + captured.err and "4 steps are done" in captured.out

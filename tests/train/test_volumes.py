@@ -9,10 +9,11 @@ import torch
 from torch.nn.functional import interpolate
 
 import omnistereo_lib as osl
+from course.ship import export_weights
 from omnistereo_lib.dataset import load_dataset, write_inverse_depth
 from omnistereo_lib.files import write_image
 from omnistereo_lib.stereo.weights import load_tensors
-from omnistereo_lib.train import RECIPES, VolumeNetRecipe, export_weights, train
+from omnistereo_lib.train import RECIPES, VolumeNetRecipe, train
 from omnistereo_lib.train.volumes import VolumeObjective, VolumeSample, VolumeSamples
 
 TINY = VolumeNetRecipe(width=64, height=16, num_spheres=16, steps=4, validate_every=2, validation_groups=1, warmup=2)
@@ -49,19 +50,19 @@ def test_the_ground_truth_turns_with_the_grid(data):
     known = plain.index.isfinite().numpy()
     assert known.mean() > 0.9 and np.median(np.abs(plain.index.numpy() - exact)[known]) < 0.05
     pictures = scene.images(rig, finest=1.0)  # smooth: values are read at the nearest pixel
-    fine = VolumeSamples(replace(TINY, width=256, height=64, num_spheres=192), data)
+    fine = VolumeSamples(replace(TINY, width=256, height=64, num_spheres=96), data)
     straight = _spread(pictures, fine._sample(frame, None))
     for seed in range(4):
         turned = fine._sample(frame, np.random.default_rng(seed))
         elsewhere = replace(turned, index=turned.index.roll(32, 0))
-        assert abs(_spread(pictures, turned) - straight) < 0.15 < 0.5 < _spread(pictures, elsewhere) - straight
+        assert abs(_spread(pictures, turned) - straight) < 0.3 < 0.5 < _spread(pictures, elsewhere) - straight
 
 
 def _spread(pictures, sample):
     """The median over the rays of the deviation of the cameras' gray values at the depth of a sample."""
     half = interpolate(sample.index[None, None], scale_factor=0.5, mode="nearest")[0, 0]
-    cell = ((half + 0.5) / 2 - 0.5).round()  # of the half-size volume
-    cell = cell.nan_to_num(0).clamp(0, 95).long()[..., None, None].expand(-1, -1, 1, 2)
+    cell = ((half + 0.5) / 2 - 0.5).round()  # of the volume
+    cell = cell.nan_to_num(0).clamp(0, 47).long()[..., None, None].expand(-1, -1, 1, 2)
     values = []
     for picture, coordinates in zip(pictures, sample.coordinates, strict=True):
         uv = (2 * coordinates.gather(2, cell)[:, :, 0]).round()
@@ -109,7 +110,7 @@ def test_a_run_learns_and_resumes_to_the_same_weights(data, tmp_path):
     assert whole.read_bytes() == parts.read_bytes()
     _, metadata = load_tensors(whole)
     assert metadata["architecture"] == "VolumeNet" and metadata["data"]["frames"] == 3
-    weights, curve, card = export_weights(tmp_path / "whole", recipe, tmp_path / "weights", half=True)
+    weights, curve, card = export_weights(tmp_path / "whole", tmp_path / "weights", half=True)
     assert weights.name == "volumenet.safetensors" and "30" in curve.read_text() and "things" in card.read_text()
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -38,16 +39,13 @@ test street is among them.
 """
 
 
-def export_weights(
-    run: str | Path, recipe: Recipe, folder: str | Path = BUNDLED_WEIGHTS, half: bool = False
-) -> list[Path]:
+def export_weights(run: str | Path, folder: str | Path = BUNDLED_WEIGHTS, half: bool = False) -> list[Path]:
     """Put the weights of a finished run where `SweepNet.pretrained` and `MCCNN.pretrained` look for them.
 
     Parameters
     ----------
     run : path
         Folder of the run.
-    recipe : Recipe
     folder : path
         Gets NAME.safetensors, NAME.csv (the loss of every tenth step) and NAME.md (the model card), which are returned.
     half : bool
@@ -56,12 +54,14 @@ def export_weights(
     Raises
     ------
     OmnistereoError
-        If the run is of another recipe or not finished, or the folder cannot be written.
+        If the run is missing, damaged or not finished, or the folder cannot be written.
     """
     run, folder = Path(run), make_folder(folder)
     tensors, metadata = load_tensors(run / WEIGHTS)
-    if metadata["recipe"] != recipe.as_dict() or metadata["step"] + 1 != recipe.steps:
-        found = f"{run / WEIGHTS}: not the result of {recipe.steps} steps of this recipe"
+    settings = dict(metadata["recipe"])
+    recipe = replace(RECIPES[settings.pop("network")]["shipped"], **settings)
+    if metadata["step"] + 1 != recipe.steps:
+        found = f"{run / WEIGHTS} holds step {metadata['step'] + 1} of {recipe.steps}"
         raise OmnistereoError(f"{found}. Train to the end first.")
     weights, curve, card = (folder / f"{recipe.file_name}.{ending}" for ending in ("safetensors", "csv", "md"))
     rows = read_log(run / LOG, recipe.steps)
@@ -96,9 +96,10 @@ def _model_card(weights: Path, recipe: Recipe, metadata: dict[str, Any], rows: R
     preset, settings = RECIPES[recipe.network]["shipped"].as_dict(), recipe.as_dict()
     overrides = [f"{name}={value}" for name, value in settings.items() if preset.get(name) != value]
     command = f"python -m omnistereo_lib train {recipe.network} --preset shipped"
-    command += (f" --set {' '.join(overrides)}" if overrides else "") + " --ship" + (" float16" if half else "")
+    command += f" --set {' '.join(overrides)}" if overrides else ""
     if metadata.get("init_weights"):
         command += f" --init-weights FILE`, FILE with SHA-256 `{metadata['init_weights']}"
+    command += "`, then `python -m course ship" + (" --half" if half else "")
     return _CARD.format_map(
         metadata | metadata["data"] | {
             "file": weights.name, "sha256": hashlib.sha256(read_bytes(weights)).hexdigest(), "command": command,
