@@ -112,7 +112,9 @@ def _random_sensor(rng: np.random.Generator) -> Sensor:
     )
 
 
-def write_config(path: Path, rig: RenderRig, size: tuple[int, int], dataset: dict[str, object]) -> None:
+def write_config(
+    path: Path, rig: RenderRig, size: tuple[int, int], dataset: dict[str, object], digits: int = 8
+) -> None:
     """Write a rig as `config.yaml` in the OmniMVS dialect, with what only a rendered rig knows added.
 
     Parameters
@@ -125,6 +127,9 @@ def write_config(path: Path, rig: RenderRig, size: tuple[int, int], dataset: dic
         Width and height of the images.
     dataset : dict
         What goes under `dataset:`, plain numbers and strings.
+    digits : int
+        Of the polynomials. Least squares differs between machines from the eleventh on, the file should not; 8 are
+        2e-6 px for the lenses of `random_lens`, up to a pixel for the high degrees of `random_fisheye`, 12 are 1e-3 px.
     """
     lines = ["config:", f"  omnimvs_sweep_min_depth: {rig.min_depth}", "dataset:"]
     lines += [
@@ -132,19 +137,18 @@ def write_config(path: Path, rig: RenderRig, size: tuple[int, int], dataset: dic
     ]
     lines.append("cameras:")
     for number, camera in enumerate(rig.cameras, start=1):
-        lines += _camera_lines(number, camera, size)
+        lines += _camera_lines(number, camera, size, digits)
     with atomic_write(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _camera_lines(number: int, camera: RigCamera, size: tuple[int, int]) -> list[str]:
+def _camera_lines(number: int, camera: RigCamera, size: tuple[int, int], digits: int) -> list[str]:
     fit, (width, height) = fit_ocam(camera.lens, size[0]), size
     entries = {
         "img_dir": f"cam{number}",
         "model": "ocam",
-        # Eight digits, 2e-6 px: least squares differs between machines from the eleventh on, the file should not.
-        "poly": _numbers([len(fit.poly), *_with_digits(fit.poly, 8)]),
-        "inv_poly": _numbers([len(fit.inv_poly), *_with_digits(fit.inv_poly, 8)]),
+        "poly": _numbers([len(fit.poly), *_with_digits(fit.poly, digits)]),
+        "inv_poly": _numbers([len(fit.inv_poly), *_with_digits(fit.inv_poly, digits)]),
         "center": _numbers([fit.centre[1], fit.centre[0]]),
         "affine": "[1.0, 0.0, 0.0]",
         "image_size": f"[{height}, {width}]",

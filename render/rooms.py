@@ -140,7 +140,7 @@ def _at_wall(plan: RoomPlan, rng: np.random.Generator) -> None:
     """Stand a piece of furniture with its back to a wall."""
     name = str(rng.choice(list(_BACKED)))
     mesh, side = _BACKED[name](rng), int(rng.integers(4))
-    (x0, y0, _), (x1, y1, top) = mesh.bounds()
+    (x0, y0, _), (_, y1, top) = mesh.bounds()
     start, along, outward, length = wall_frame(plan.size, side)
     blocked = any(w.side == side and w.sill < top - 0.1 for w in plan.windows)
     if y1 - y0 > length - 0.1 or (blocked and name != "curtain"):

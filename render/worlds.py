@@ -125,7 +125,7 @@ def _write(
         for path in paths:
             path.parent.mkdir(parents=True)
         layout = {"img_fmt": "cam%d/%04d.jpg", "start": number, "step": 1, "end": number}
-        write_config(temporary / "config.yaml", rig, worlds.size, layout)
+        write_config(temporary / "config.yaml", rig, worlds.size, layout, digits=12)
         write_frame(paths, pictures, [truth], worlds.quality, rig.min_depth, _KEPT)
         temporary.replace(final)
     except OSError as error:

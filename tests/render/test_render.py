@@ -427,6 +427,8 @@ def test_manifest_lists_every_file_but_itself(tmp_path):
     (tmp_path / "set" / "cam1").mkdir(parents=True)
     (tmp_path / "set" / "cam1" / "0001.jpg").write_bytes(b"picture")
     (tmp_path / "set" / "cam1" / ".0002.jpg").write_bytes(b"half a picture")
+    (tmp_path / "set" / ".0003").mkdir()
+    (tmp_path / "set" / ".0003" / "0003.jpg").write_bytes(b"of half a frame")
     for _ in range(2):  # the second time there is one already
         write_manifest(tmp_path, 5, "python -m render")
     manifest = json.loads((tmp_path / "manifest.json").read_text())
