@@ -1,4 +1,4 @@
-"""The data: a procedural city, rendered with Blender as a Python module.
+"""The data: a procedural city, a room, training worlds and boards, rendered with Blender as a Python module.
 
 Blender runs in an environment of its own (environment-render.txt), because it needs an older NumPy; `main`
 finds it. Blender is under the GNU General Public License, and its makers take scripts that import `bpy` to be
