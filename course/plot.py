@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.calibrate.figures import calibration_figure, draw_coverage
+from omnistereo_lib.dataset import Frame
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.depth import colorize_depth
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 __all__ = [
     "calibration_figure",
     "colorize_depth",
+    "contact_sheet",
     "draw_coverage",
     "draw_depth",
     "draw_panorama",
@@ -196,6 +198,31 @@ def draw_depth(ax: Axes, inverse_depth: NDArray, grid: SphereGrid, title: str = 
     ticks = np.array([0, 0.25, 0.5, 1]) / grid.min_depth
     bar.set_ticks(ticks, labels=["∞" if tick == 0 else f"{1 / tick:.3g} m" for tick in ticks])
     return image
+
+
+def contact_sheet(frames: Iterable[Frame], height: int = 120) -> NDArray[np.uint8]:
+    """Return one row for each frame: its inverse depth, then its images; shape (rows · height, width, 3), RGB.
+
+    Parameters
+    ----------
+    frames : iterable of Frame
+        They may have different rigs. Inverse depth is coloured up to the `min_depth` of each rig.
+    height : int
+        Of each row, pixels.
+    """
+    import cv2
+
+    rows = []
+    for frame in frames:
+        rows_px, columns_px = frame.inverse_depth.shape
+        grid = SphereGrid(columns_px, rows_px, min_depth=frame.rig.min_depth)
+        tiles = [colorize_depth(frame.inverse_depth, grid)]
+        tiles += [np.broadcast_to(image.reshape(*image.shape[:2], -1), (*image.shape[:2], 3)) for image in frame.images]
+        sizes = [(round(tile.shape[1] * height / tile.shape[0]), height) for tile in tiles]
+        scaled = [cv2.resize(tile, size, interpolation=cv2.INTER_AREA) for tile, size in zip(tiles, sizes, strict=True)]
+        rows.append(np.concatenate(scaled, axis=1))
+    width = max(row.shape[1] for row in rows)
+    return np.concatenate([np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0))) for row in rows])
 
 
 def draw_rig(ax: Axes, rig: Rig, fov_deg: float | None = None) -> None:

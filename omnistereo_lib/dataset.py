@@ -6,10 +6,14 @@ folder/
   omnidepth_gt_640/00001.tiff                                ground truth: inverse depth from the rig centre, 1/m
   omnidepth_gt_1200/00001.tiff                               the same frames at another panorama width
   train/ test/                                               or one such folder for each split
+  0001/ 0002/ …                                              or one such folder for each rig
 
 The number in the name of a ground-truth folder is its panorama width in pixels: the releases have 640 × 160, our sets
 also 1200 × 300, the panorama size of the paper. Several folders hold the same frames, of which one width is read: the
 widest that has files, unless `load_dataset` is given `gt_width`.
+
+In our training worlds every frame has its own rig: `things/train/0001/` is a folder in this layout with one frame. They
+form one data set whose frames carry their rigs, `Frame.rig`; `Dataset.rig` is for sets in which all frames share one.
 """
 
 from __future__ import annotations
@@ -31,6 +35,7 @@ from omnistereo_lib.geometry.sphere import Sampling, SphereGrid
 from omnistereo_lib.rig_files import load_rig
 
 _CAMERA = r"cam([0-9]+)"
+_RIG_FOLDER = r"([0-9]+)"
 _IMAGE = r"([0-9]+)\.(?i:png|jpe?g|bmp|tiff?)"
 _GT = r"([0-9]+)\.(?i:png|tiff?)"
 _GT_FOLDER = r"(?:omnidepth_gt|depth)_(?:.*_)?([0-9]+)"
@@ -44,13 +49,12 @@ _PUBLISHED_SPLITS |= {"omnihouse": (2048, 2560), "omnithings": (4096, 5120)}
 class Frame:
     """The images of all cameras at one time instant, in the order of the rig, and the ground truth if there is one.
 
-    `number` is that of the file names; `min_depth` in metres scales 16-bit PNG ground truth, see `read_inverse_depth`.
+    `number` is that of the file names; `rig` took the images, and its `min_depth` scales 16-bit PNG ground truth.
     """
 
     number: int
     image_paths: list[Path]
     gt_path: Path | None = None
-    min_depth: float | None = None
     rig: Rig | None = None
 
     @cached_property
@@ -66,7 +70,7 @@ class Frame:
         """
         if self.gt_path is None:
             raise OmnistereoError(f"frame {self.number} has no ground truth beside {self.image_paths[0].parent}")
-        return read_inverse_depth(self.gt_path, self.min_depth)
+        return read_inverse_depth(self.gt_path, self.rig and self.rig.min_depth)
 
     def gt_index(self, grid: SphereGrid) -> NDArray[np.float64]:
         """Return the ground-truth sphere index n̂ on a grid, shape (H, W), not rounded; NaN = unknown.
@@ -87,17 +91,24 @@ class Frame:
 
 
 class Dataset(Sequence[Frame]):
-    """Frames of one rig; see `load_dataset`."""
+    """Frames of one rig, or of a rig each (`rig` is None); see `load_dataset`."""
 
-    def __init__(self, folder: Path, rig: Rig, frames: list[Frame]) -> None:
-        self.folder, self.rig, self._frames = folder, rig, frames
+    def __init__(self, folder: Path, rig: Rig | None, frames: list[Frame]) -> None:
+        self.folder, self._rig, self._frames = folder, rig, frames
+
+    @property
+    def rig(self) -> Rig:
+        """The rig of all frames; an `OmnistereoError` if every frame has its own."""
+        if self._rig is None:
+            raise OmnistereoError(f"{self.folder} has a rig for each frame; expected one rig. Use frame.rig.")
+        return self._rig
 
     def __len__(self) -> int:
         return len(self._frames)
 
     def __getitem__(self, i: int | slice) -> Frame | Dataset:
         if isinstance(i, slice):
-            return Dataset(self.folder, self.rig, self._frames[i])
+            return Dataset(self.folder, self._rig, self._frames[i])
         return replace(self._frames[i])  # a copy, so that cached images are freed with it
 
     def frame(self, number: int) -> Frame:
@@ -110,11 +121,11 @@ class Dataset(Sequence[Frame]):
 
     def __repr__(self) -> str:
         with_gt = sum(frame.gt_path is not None for frame in self._frames)
-        width, height = self.rig.cameras[0].image_size
-        return (
-            f"Dataset({self.folder.name}: {len(self)} frames, {with_gt} with ground truth, "
-            f"{len(self.rig)} cameras of {width} × {height})"
-        )
+        cameras = "a rig for each frame"
+        if self._rig is not None:
+            width, height = self.rig.cameras[0].image_size
+            cameras = f"{len(self.rig)} cameras of {width} × {height}"
+        return f"Dataset({self.folder.name}: {len(self)} frames, {with_gt} with ground truth, {cameras})"
 
 
 def load_dataset(
@@ -139,8 +150,25 @@ def load_dataset(
     folder = Path(folder)
     if split is not None and (folder / split).is_dir():
         folder, split = folder / split, None
-    rig = load_rig(folder, unit)
-    cameras = _by_number((path for path in folder.iterdir() if path.is_dir()), _CAMERA)
+    folders = [path for path in folder.glob("*") if path.is_dir()]
+    cameras = _by_number(folders, _CAMERA)
+    rigs = {} if cameras else _by_number(folders, _RIG_FOLDER)
+    if rigs:
+        rig, frames = None, [frame for path in rigs.values() for frame in load_dataset(path, None, unit, gt_width)]
+        if len({frame.number for frame in frames}) < len(frames):
+            raise OmnistereoError(f"{folder} has two frames of one number; expected different numbers. Rename one.")
+    else:
+        rig = load_rig(folder, unit)
+        frames = _read_frames(folder, rig, cameras, gt_width)
+    if split is not None:
+        frames = _published_split(folder, split, frames)
+    if not frames:
+        of_split = f" of split {split}" if split else ""
+        raise OmnistereoError(f"{folder} has no frames{of_split}; expected cam1/0001.png …")
+    return Dataset(folder, rig, frames)
+
+
+def _read_frames(folder: Path, rig: Rig, cameras: dict[int, Path], gt_width: int | None) -> list[Frame]:
     if len(cameras) != len(rig):
         found = ", ".join(path.name for path in cameras.values()) or "none"
         raise OmnistereoError(f"{folder} has camera folders {found}; expected cam1 to cam{len(rig)}, as its rig has")
@@ -150,13 +178,7 @@ def load_dataset(
         if missing := [number for number in numbers if number not in files]:
             raise OmnistereoError(f"{camera} has no image of frame {missing[0]}, other cameras have. Complete it.")
     gt = _find_gt(_gt_root(folder), gt_width)
-    frames = [Frame(n, [files[n] for files in images], gt.get(n), rig.min_depth, rig) for n in numbers]
-    if split is not None:
-        frames = _published_split(folder, split, frames)
-    if not frames:
-        of_split = f" of split {split}" if split else ""
-        raise OmnistereoError(f"{folder} has no frames{of_split}; expected cam1/0001.png …")
-    return Dataset(folder, rig, frames)
+    return [Frame(n, [files[n] for files in images], gt.get(n), rig) for n in numbers]
 
 
 def load_images(paths: Sequence[str | Path]) -> list[NDArray[np.uint8]]:

@@ -1,4 +1,4 @@
-"""The data: a procedural city, rendered with Blender as a Python module.
+"""The data: a procedural city, a room, training worlds and boards, rendered with Blender as a Python module.
 
 Blender runs in an environment of its own (environment-render.txt), because it needs an older NumPy; `main`
 finds it. Blender is under the GNU General Public License, and its makers take scripts that import `bpy` to be
@@ -20,8 +20,9 @@ from omnistereo_lib.errors import OmnistereoError
 from render.boards import CAPTURES
 from render.captures import is_captured, render_captures
 from render.frames import SEED, SETS, forget_partial, is_complete, render_set, select_shard, write_manifest
+from render.worlds import WORLDS, is_rendered, render_worlds
 
-_ALL = SETS | CAPTURES
+_ALL = SETS | WORLDS | CAPTURES
 _ROOT = Path(__file__).resolve().parents[1]
 _BLENDER_PYTHON = _ROOT / ".venv-render" / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 
@@ -80,6 +81,9 @@ def _render(folder: Path, name: str, numbers: tuple[int, ...], seed: int) -> Non
         captures = CAPTURES[name]
         done = sum(is_captured(folder, captures, number, seed) for number in numbers)
         finished = render_captures(folder, captures, numbers, seed)
+    elif name in WORLDS:
+        done = sum(is_rendered(folder, number) for number in numbers)
+        finished = render_worlds(folder, WORLDS[name], numbers, seed)
     else:
         images = SETS[name]
         forget_partial(folder, images, numbers)

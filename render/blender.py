@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.geometry.pose import Pose
-from render.lens import RENDERED_FOV_DEG, SENSOR_MM, Lens
+from render.lens import SENSOR_MM, Lens
 
 _SKY_DISTANCE = 1e9  # Cycles writes 1e10 where a ray meets nothing
 _TO_BLENDER = np.diag([1.0, -1.0, -1.0])  # our camera (x right, y down, z forward) in Blender's (y up, −z forward)
@@ -63,7 +63,7 @@ def fisheye_picture(
         Of the sampler: the same seed gives the same pixels on the same version and processor.
     """
     scene, camera = bpy.context.scene, bpy.context.scene.camera.data
-    camera.panorama_type, camera.fisheye_fov = "FISHEYE_LENS_POLYNOMIAL", np.radians(RENDERED_FOV_DEG)
+    camera.panorama_type, camera.fisheye_fov = "FISHEYE_LENS_POLYNOMIAL", np.radians(lens.rendered_fov_deg)
     for k, value in enumerate(lens.blender_coefficients()):
         setattr(camera, f"fisheye_polynomial_k{k}", value)
     camera.shift_x, camera.shift_y = lens.blender_shift()

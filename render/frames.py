@@ -179,7 +179,7 @@ def render_set(folder: Path, images: ImageSet, numbers: tuple[int, ...], seed: i
     for number in missing:
         T_world_rig = place_rig(number)
         pictures, truths = _render_frame(images, rig, T_world_rig, exposure, [seed, number])
-        _write(frame_paths(folder, images, number), pictures, truths, images.quality, rig.min_depth)
+        write_frame(frame_paths(folder, images, number), pictures, truths, images.quality, rig.min_depth)
         yield number
 
 
@@ -229,8 +229,15 @@ def _render_frame(
     return pictures, [1.0 / depth_panorama(T_world_rig, size, 180.0 * size[1] / size[0]) for size in images.truths]
 
 
-def _write(paths: list[Path], pictures: list[NDArray], truths: list[NDArray], quality: int, min_depth: float) -> None:
-    """Write a frame's files under temporary names, then rename them."""
+def write_frame(
+    paths: list[Path],
+    pictures: list[NDArray],
+    truths: list[NDArray],
+    quality: int,
+    min_depth: float,
+    kept: int = _KEPT,
+) -> None:
+    """Write a frame's files under temporary names, then rename them; of PNG truths every step `kept` is used."""
     from PIL import Image
 
     temporaries = [path.with_name(f".{path.name}") for path in paths]
@@ -240,7 +247,7 @@ def _write(paths: list[Path], pictures: list[NDArray], truths: list[NDArray], qu
         path.parent.mkdir(exist_ok=True)
         if path.suffix == ".png":
             steps = np.rint(truth * _STEPS * min_depth).clip(0, _STEPS).astype(np.uint16)
-            Image.fromarray((steps + _KEPT // 2) // _KEPT * _KEPT).save(path, optimize=True)
+            Image.fromarray((steps + kept // 2) // kept * kept).save(path, optimize=True)
         else:
             Image.fromarray(_rounded(truth)).save(path, "TIFF", **_DELTAS)
     for temporary, path in zip(temporaries, paths, strict=True):
@@ -268,11 +275,10 @@ def forget_partial(folder: Path, images: ImageSet, numbers: tuple[int, ...]) -> 
 
 def write_manifest(root: Path, seed: int, command: str) -> None:
     """Write manifest.json: the checksum of every file below a folder, the seed and the command that made them."""
-    files = sorted(path for path in root.rglob("*") if path.is_file() and not path.name.startswith("."))
+    files = sorted(path for path in root.rglob("*") if path.is_file() and path.name != "manifest.json")
+    names = {path.relative_to(root).as_posix(): path for path in files}
     checksums = {
-        path.relative_to(root).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in files
-        if path.name != "manifest.json"
+        name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in names.items() if "/." not in f"/{name}"
     }
     text = json.dumps({"command": command, "seed": seed, "files": checksums}, indent=1) + "\n"
     with atomic_write(root / "manifest.json") as temporary:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 REFERENCE_WIDTH, REFERENCE_HEIGHT = 800, 768  # the sensor in pixels for which lens numbers are given
 SENSOR_MM = 36.0  # Blender's sensor width; any value would do
 MAX_FOV_DEG = 220.0
-RENDERED_FOV_DEG = 226.0  # a margin, so that the last valid pixels still have neighbours
+_RENDERED_MARGIN_DEG = 6.0  # beyond the field of view, so that the last valid pixels still have neighbours
 _FIT_TOLERANCE_PX = 2e-3
 _MAX_DEGREE = 12
 
@@ -27,10 +27,18 @@ class Lens:
         k₁, k₃, k₄.
     centre : tuple of 2 floats
         Where the axis meets the sensor, (u, v) in pixels, integers being pixel centres.
+    max_fov_deg : float
+        Field of view, the full angle.
     """
 
     k: tuple[float, float, float]
     centre: tuple[float, float]
+    max_fov_deg: float = MAX_FOV_DEG
+
+    @property
+    def rendered_fov_deg(self) -> float:
+        """Full angle that is rendered: the field of view and a margin."""
+        return self.max_fov_deg + _RENDERED_MARGIN_DEG
 
     def theta(self, r: ArrayLike) -> NDArray[np.float64]:
         """Return the angle from the axis in radians at r pixels from the centre."""
@@ -85,13 +93,27 @@ def random_lens(rng: np.random.Generator) -> Lens:
     return Lens((float(linear / edge), float(cubic / edge**3), float(quartic / edge**4)), centre)
 
 
+def random_fisheye(rng: np.random.Generator, fov_deg: float) -> Lens:
+    """Draw a lens of a field of view, the full angle in degrees; its mapping is unlike that of any other draw.
+
+    The mappings lie around the equidistant one, between a flatter and a steeper rim, as those of real lenses do.
+    """
+    half = np.radians(fov_deg / 2)
+    edge = 373.0 + rng.uniform(-6.0, 6.0)
+    linear = half * rng.uniform(0.9, 1.08)
+    quartic = -rng.uniform(0.0, 0.35)
+    cubic = half - linear - quartic
+    centre = ((REFERENCE_WIDTH - 1) / 2 + rng.normal(0, 2.0), (REFERENCE_HEIGHT - 1) / 2 + rng.normal(0, 1.5))
+    return Lens((float(linear / edge), float(cubic / edge**3), float(quartic / edge**4)), centre, float(fov_deg))
+
+
 def fit_ocam(lens: Lens, width: int = REFERENCE_WIDTH) -> OcamFit:
     """Fit direct and inverse OCam polynomials to a lens, for images `width` pixels wide.
 
     The degrees grow until the residual is below 0.002 px over the whole rendered field.
     """
     scale = width / REFERENCE_WIDTH
-    theta = np.radians(np.linspace(0.02, RENDERED_FOV_DEG / 2, 2000))
+    theta = np.radians(np.linspace(0.02, lens.rendered_fov_deg / 2, 2000))
     r = lens.radius(theta) * scale
     centre = tuple((c + 0.5) * scale - 0.5 for c in lens.centre)
     for degree in range(4, _MAX_DEGREE + 1):

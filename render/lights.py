@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import bpy
@@ -31,10 +32,10 @@ LIGHTS = {
 }
 
 
-def add_light(name: str) -> Light:
-    """Give the current scene the sky and the sun of `LIGHTS[name]`."""
-    light = LIGHTS[name]
-    world = bpy.data.worlds.new(name)
+def add_light(name: str | Light) -> Light:
+    """Give the current scene the sky and the sun of `LIGHTS[name]`, or of a light of one's own; return the light."""
+    light = LIGHTS[name] if isinstance(name, str) else name
+    world = bpy.data.worlds.new("sky")
     bpy.context.scene.world = world
     world.use_nodes = True
     _Sky(world.node_tree, light).build()
@@ -46,6 +47,47 @@ def add_light(name: str) -> Light:
         item.rotation_euler = (0.0, np.radians(90 - light.elevation), np.radians(light.azimuth))
         bpy.context.scene.collection.objects.link(item)
     return light
+
+
+def random_sky(rng: np.random.Generator) -> Light:
+    """Draw one of the lights with another sun, other clouds and another strength of the sun."""
+    light = LIGHTS[str(rng.choice(list(LIGHTS)))]
+    elevation = rng.uniform(6, 20) if light.elevation < 20 else rng.uniform(25, 75)
+    return replace(
+        light,
+        elevation=float(elevation),
+        azimuth=float(rng.uniform(0, 360)),
+        sun=light.sun * float(rng.uniform(0.5, 1.3)),
+        clouds=1.0 if light.overcast else float(rng.uniform(0.1, 0.8)),
+    )
+
+
+def add_dome(colours: Sequence[tuple[float, float, float]], strength: float) -> None:
+    """Give the current scene a dome that shines in the first colour below and the second above."""
+    world = bpy.data.worlds.new("dome")
+    bpy.context.scene.world = world
+    world.use_nodes = True
+    tree = world.node_tree
+    tree.nodes.clear()
+    split, mix = tree.nodes.new("ShaderNodeSeparateXYZ"), tree.nodes.new("ShaderNodeMixRGB")
+    tree.links.new(tree.nodes.new("ShaderNodeTexCoord").outputs["Generated"], split.inputs[0])
+    height = tree.nodes.new("ShaderNodeMapRange")
+    tree.links.new(split.outputs["Z"], height.inputs[0])
+    height.inputs[1].default_value = -1.0
+    tree.links.new(height.outputs[0], mix.inputs[0])
+    for k, colour in enumerate(colours, start=1):
+        mix.inputs[k].default_value = (*colour, 1.0)
+    background, output = tree.nodes.new("ShaderNodeBackground"), tree.nodes.new("ShaderNodeOutputWorld")
+    tree.links.new(mix.outputs[0], background.inputs["Color"])
+    background.inputs["Strength"].default_value = strength
+    tree.links.new(background.outputs[0], output.inputs["Surface"])
+
+
+def remove_lights() -> None:
+    """Take every lamp and the sky out of the current scene."""
+    for item in [item for item in bpy.data.objects if item.type == "LIGHT"]:
+        bpy.data.objects.remove(item)
+    bpy.context.scene.world = None
 
 
 class _Sky:

@@ -1,4 +1,4 @@
-"""The four cameras: lenses, poses, sensors, each a little different, all recorded exactly. NumPy alone."""
+"""Rigs: lenses, poses and sensors of their cameras, each a little different, all recorded exactly. Only NumPy."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from omnistereo_lib.geometry.pose import Pose
 from render.files import atomic_write
-from render.lens import MAX_FOV_DEG, Lens, fit_ocam, random_lens
+from render.lens import Lens, fit_ocam, random_fisheye, random_lens
 
 _HEADINGS = (0.0, np.pi / 2, np.pi, -np.pi / 2)  # about y, which points down: front, right, back, left
 
@@ -36,7 +36,7 @@ class RigCamera:
 
 @dataclass(frozen=True)
 class RenderRig:
-    """Four cameras and the smallest distance that they are made for."""
+    """Cameras and the smallest distance in metres that they are made for."""
 
     name: str
     cameras: tuple[RigCamera, ...]
@@ -71,7 +71,50 @@ def make_rig(seed: int, name: str = "van") -> RenderRig:
     return RenderRig(name, tuple(cameras), min_depth)
 
 
-def write_config(path: Path, rig: RenderRig, size: tuple[int, int], dataset: dict[str, object]) -> None:
+def random_rig(rng: np.random.Generator, min_depth: float) -> RenderRig:
+    """Draw a rig of 3 to 6 cameras on a circle that looks all around; none is like another.
+
+    The radius is 1/8 to 1/2 of `min_depth`, and adjacent cameras are 0.05 to 1.5 m apart. Fields of view are 180° to
+    220°, from 200° for 3 cameras. Headings differ from equal steps by some degrees; every third rig has cameras above
+    and below its plane. The mean of the camera centres is the centre of the rig.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    min_depth : float
+        Distance in metres from the rig centre that nothing comes nearer than.
+    """
+    count = int(rng.integers(3, 7))
+    baseline = min_depth * np.exp(rng.uniform(np.log(1 / 8), np.log(1 / 2))) * 2 * np.sin(np.pi / count)
+    radius = np.clip(baseline, 0.055, 1.2) / (2 * np.sin(np.pi / count))
+    fov_deg = rng.uniform(200 if count == 3 else 182, 218)
+    lift = radius * rng.uniform(0.1, 0.5) * (rng.random() < 1 / 3)
+    headings = 2 * np.pi * np.arange(count) / count + rng.normal(0, np.radians(4), count)
+    centres = radius * np.column_stack([np.sin(headings), np.zeros(count), np.cos(headings)])
+    centres += rng.normal(0, 0.03 * radius, (count, 3))
+    centres[:, 1] += lift * rng.uniform(-1, 1, count)
+    centres -= centres.mean(axis=0)
+    cameras = []
+    for heading, centre in zip(headings, centres, strict=True):
+        tilted = Pose.from_vector([*rng.normal(0, np.radians((3, 2, 4))), 0, 0, 0])
+        R = (Pose.from_vector([0, heading, 0, 0, 0, 0]) @ tilted).R
+        lens = random_fisheye(rng, round(fov_deg + rng.uniform(-2, 2), 2))
+        cameras.append(RigCamera(lens, Pose(R, centre), _random_sensor(rng)))
+    return RenderRig("random", tuple(cameras), min_depth)
+
+
+def _random_sensor(rng: np.random.Generator) -> Sensor:
+    return Sensor(
+        float(np.exp(rng.normal(0, 0.12))),
+        float(rng.uniform(0.002, 0.006)),
+        float(rng.uniform(2e-5, 1e-4)),
+        float(rng.uniform(0.05, 0.3)),
+    )
+
+
+def write_config(
+    path: Path, rig: RenderRig, size: tuple[int, int], dataset: dict[str, object], digits: int = 8
+) -> None:
     """Write a rig as `config.yaml` in the OmniMVS dialect, with what only a rendered rig knows added.
 
     Parameters
@@ -84,6 +127,9 @@ def write_config(path: Path, rig: RenderRig, size: tuple[int, int], dataset: dic
         Width and height of the images.
     dataset : dict
         What goes under `dataset:`, plain numbers and strings.
+    digits : int
+        Of the polynomials. Least squares differs between machines from the eleventh on, the file should not; 8 are
+        2e-6 px for the lenses of `random_lens`, up to a pixel for the high degrees of `random_fisheye`, 12 are 1e-3 px.
     """
     lines = ["config:", f"  omnimvs_sweep_min_depth: {rig.min_depth}", "dataset:"]
     lines += [
@@ -91,24 +137,23 @@ def write_config(path: Path, rig: RenderRig, size: tuple[int, int], dataset: dic
     ]
     lines.append("cameras:")
     for number, camera in enumerate(rig.cameras, start=1):
-        lines += _camera_lines(number, camera, size)
+        lines += _camera_lines(number, camera, size, digits)
     with atomic_write(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _camera_lines(number: int, camera: RigCamera, size: tuple[int, int]) -> list[str]:
+def _camera_lines(number: int, camera: RigCamera, size: tuple[int, int], digits: int) -> list[str]:
     fit, (width, height) = fit_ocam(camera.lens, size[0]), size
     entries = {
         "img_dir": f"cam{number}",
         "model": "ocam",
-        # Eight digits, 2e-6 px: least squares differs between machines from the eleventh on, the file should not.
-        "poly": _numbers([len(fit.poly), *_with_digits(fit.poly, 8)]),
-        "inv_poly": _numbers([len(fit.inv_poly), *_with_digits(fit.inv_poly, 8)]),
+        "poly": _numbers([len(fit.poly), *_with_digits(fit.poly, digits)]),
+        "inv_poly": _numbers([len(fit.inv_poly), *_with_digits(fit.inv_poly, digits)]),
         "center": _numbers([fit.centre[1], fit.centre[0]]),
         "affine": "[1.0, 0.0, 0.0]",
         "image_size": f"[{height}, {width}]",
         "pose": _numbers([*_with_digits(camera.T_rig_cam.as_vector()[:3], 12), *camera.T_rig_cam.t]),
-        "max_fov": MAX_FOV_DEG,
+        "max_fov": camera.lens.max_fov_deg,
         "fit_residual_px": float(f"{max(fit.residual_px, fit.inverse_residual_px):.2g}"),
         "exposure_gain": round(camera.sensor.gain, 6),
         "read_noise": round(camera.sensor.read_noise, 6),

@@ -44,12 +44,12 @@ def develop(
 
 
 def _relative_radius(shape: tuple[int, int], lens: Lens) -> NDArray[np.float64]:
-    """Return the distance of every pixel from the axis; 1 is 110° away."""
+    """Return the distance of every pixel from the axis; 1 is the rim of the field of view."""
     height, width = shape
     scale = width / 800
     u, v = ((c + 0.5) * scale - 0.5 for c in lens.centre)
     rows, columns = np.mgrid[:height, :width]
-    return np.hypot(columns - u, rows - v) / (lens.radius(np.radians(110.0)) * scale)
+    return np.hypot(columns - u, rows - v) / (lens.radius(np.radians(lens.max_fov_deg / 2)) * scale)
 
 
 def _tone(signal: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -171,6 +171,51 @@ def test_a_set_in_another_light_points_to_the_ground_truth_of_its_drive(tmp_path
     refuses(r"names .*sunny as the ground-truth folder; there is no such folder", cloudy)
 
 
+# ---- a rig for each frame
+
+
+def save_worlds(folder, cameras=(3, 5, 4)):
+    """Frames 1, 2, … in folders of their own, with rigs of so many cameras whose min_depth is the frame's number."""
+    for number, count in enumerate(cameras, start=1):
+        rig = scene.rig(width=40, height=32, cameras=count)
+        rig = osl.Rig(rig.cameras, rig.T_rig_cam, min_depth=float(number))
+        save(folder / f"{number:04}", [number], rig=rig, cameras=count, gt=None)
+        path = folder / f"{number:04}" / "omnidepth_gt_2" / f"{number:05}.png"
+        path.parent.mkdir()
+        cv2.imwrite(str(path), np.array([[0, 65500]], np.uint16))
+    return folder
+
+
+def test_frames_that_have_their_own_rigs(tmp_path):
+    save_worlds(tmp_path / "things" / "train")
+    (tmp_path / "things" / "train" / ".0004").mkdir()  # of a renderer that is at work
+    data = osl.load_dataset(tmp_path / "things", "train")
+    assert repr(data) == "Dataset(train: 3 frames, 3 with ground truth, a rig for each frame)"
+    assert [(f.number, len(f.rig), len(f.images)) for f in data] == [(1, 3, 3), (2, 5, 5), (3, 4, 4)]
+    for frame in data[1:]:
+        np.testing.assert_allclose(frame.inverse_depth, [[0, 1 / frame.number]])  # in steps of its own nearest depth
+    assert [int(image[0, 0]) for image in data.frame(2).images] == [12, 22, 32, 42, 52]
+    for part in (data, data[:1]):
+        with pytest.raises(osl.OmnistereoError, match=r"train has a rig for each frame; expected one rig. Use frame"):
+            part.rig
+
+
+def test_frames_of_an_ordinary_set_carry_its_rig(tmp_path):
+    (save(tmp_path, [1, 2]) / "0001").mkdir()  # beside camera folders it is no frame
+    data = osl.load_dataset(tmp_path)
+    assert len(data) == 2 and all(frame.rig is data.rig for frame in data)
+
+
+def test_errors_in_frames_that_have_their_own_rigs(tmp_path):
+    refuses("worlds has no split 'validation'", save_worlds(tmp_path / "worlds"), "validation")
+    (tmp_path / "worlds" / "0002" / "config.yaml").unlink()
+    refuses("0002", tmp_path / "worlds")
+    save_worlds(tmp_path / "twice")
+    (tmp_path / "twice" / "0003").rename(tmp_path / "twice" / "0004")
+    save(tmp_path / "twice" / "0003", [2])
+    refuses("twice has two frames of one number; expected different numbers", tmp_path / "twice")
+
+
 # ---- files of ground truth
 
 

@@ -427,6 +427,8 @@ def test_manifest_lists_every_file_but_itself(tmp_path):
     (tmp_path / "set" / "cam1").mkdir(parents=True)
     (tmp_path / "set" / "cam1" / "0001.jpg").write_bytes(b"picture")
     (tmp_path / "set" / "cam1" / ".0002.jpg").write_bytes(b"half a picture")
+    (tmp_path / "set" / ".0003").mkdir()
+    (tmp_path / "set" / ".0003" / "0003.jpg").write_bytes(b"of half a frame")
     for _ in range(2):  # the second time there is one already
         write_manifest(tmp_path, 5, "python -m render")
     manifest = json.loads((tmp_path / "manifest.json").read_text())
@@ -457,6 +459,7 @@ def test_sets_ship_frames_that_they_have():
         (["moon/test"], ["moon/test", "sunny/train"]),
         (["sunny/test", "--frames", "700"], ["701 to 1000", "700"]),
         (["sunny/train", "--frames", "3", "701"], ["1 to 700", "701"]),
+        (["rooms/train", "--frames", "81"], ["1 to 80", "81"]),
         (["--shard", "0/4"], ["i/n", "0/4"]),
         (["--shard", "5/4"], ["i/n"]),
         (["--shard", "half"], ["i/n", "half"]),
