@@ -65,22 +65,14 @@ Judge = Callable[[Record | None], Finding]
 class Claim:
     """Something that the paper says and that can be checked.
 
-    Attributes
-    ----------
-    group : str
-        Heading in the ledger.
-    source : str
-        Where the paper says it.
-    text : str
-        What it says.
-    where : tuple of str
-        What does it here, as "module:name" within `omnistereo_lib`.
-    notebook : str
-        Where it is taught: a file's name without ending.
-    paper : str
-        The paper's figures.
-    judge : callable
-        Takes results of an evaluation, or None, and returns a `Finding`.
+    Attributes:
+        group: Heading in the ledger.
+        source: Where the paper says it.
+        text: What it says.
+        where: What does it here, as "module:name" within `omnistereo_lib`.
+        notebook: Where it is taught: a file's name without ending.
+        paper: The paper's figures.
+        judge: Takes results of an evaluation, or None, and returns a `Finding`.
     """
 
     group: str
@@ -103,18 +95,12 @@ class Claim:
 class Difference:
     """What the paper's text and the authors' released code do not do alike, or do not say.
 
-    Attributes
-    ----------
-    topic, paper, code : str
-        What it is about, what the paper's text says, what the released code does.
-    follows : "paper" | "code" | "both" | "own"
-        Which of them is the default here.
-    here : str
-        Details of the default, where there are any.
-    option : str
-        What chooses otherwise, as Python; "" where nothing does.
-    where : tuple of str
-        As in `Claim`; the option is the first one's.
+    Attributes:
+        topic, paper, code: What it is about, what the paper's text says, what the released code does.
+        follows: Which of them is the default here.
+        here: Details of the default, where there are any.
+        option: What chooses otherwise, as Python; "" where nothing does.
+        where: As in `Claim`; the option is the first one's.
     """
 
     topic: str

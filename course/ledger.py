@@ -35,15 +35,12 @@ MARKERS = ("<!-- ledger -->", "<!-- /ledger -->")
 def ledger(results: Record | None = None) -> str:
     """Return the reproduction ledger in Markdown.
 
-    Parameters
-    ----------
-    results : dict, optional
-        What `Evaluation.results` returns, or the content of results.json; without, what needs them is not evaluated.
+    Args:
+        results: What `Evaluation.results` returns, or the content of results.json; without, what needs them is not
+            evaluated.
 
-    Returns
-    -------
-    str
-        Links to notebooks are relative to the repository's root.
+    Returns:
+        str: Links to notebooks are relative to the repository's root.
     """
     found = [(claim, claim.finding(results)) for claim in CLAIMS]
     parts = [f"{_provenance(results)}\n\n{_rules()}\n\n**In all: {_counts(finding for _, finding in found)}.**\n"]
@@ -61,10 +58,8 @@ def ledger(results: Record | None = None) -> str:
 def split_at_markers(path: str | Path) -> tuple[str, str]:
     """Return a Markdown file's text up to where its ledger begins, and from where it ends; both with their marker.
 
-    Raises
-    ------
-    OmnistereoError
-        If the file cannot be read or does not hold each of the two `MARKERS` once, in their order.
+    Raises:
+        OmnistereoError: If the file cannot be read or does not hold each of the two `MARKERS` once, in their order.
     """
     try:
         text = read_bytes(path).decode()
@@ -82,10 +77,8 @@ def split_at_markers(path: str | Path) -> tuple[str, str]:
 def write_ledger(path: str | Path, results: Record | None = None) -> None:
     """Replace what stands between the two `MARKERS` of a Markdown file by the ledger, whole or not at all.
 
-    Raises
-    ------
-    OmnistereoError
-        As `split_at_markers`, or if the file cannot be written.
+    Raises:
+        OmnistereoError: As `split_at_markers`, or if the file cannot be written.
     """
     before, after = split_at_markers(path)
     text = f"{before}\n{ledger(results)}{after}"

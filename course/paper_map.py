@@ -51,10 +51,8 @@ def mentions(text: str) -> set[str]:
 
     "Fig. 2a" is in Fig. 2, and "Section IV-A" in Section IV, whose own parts have headings but no letters.
 
-    Raises
-    ------
-    ValueError
-        If it names a part that the paper does not have.
+    Raises:
+        ValueError: If it names a part that the paper does not have.
     """
     found = set()
     for kind, numbers in _MENTION.findall(text):

@@ -56,18 +56,13 @@ def encode(fig: Figure, kind: Literal["png", "jpeg"] = "png", tight: bool = True
 def show(fig: Figure, caption: str, alt: str, kind: Literal["png", "jpeg"] = "png") -> None:
     """Show a figure in a notebook, with a caption below it, and close it.
 
-    Parameters
-    ----------
-    fig
-        The figure; it is closed afterwards, so that Jupyter does not show it a second time.
-    caption
-        What the reader should see in it, one or two sentences of Markdown. Appears as "*Figure:* ...".
-    alt
-        What the picture shows, for somebody who cannot see it. Stored in both places that renderers look
-        at: the image's metadata (nbconvert's classic template) and the output's plain-text form (MyST,
-        terminals). JupyterLab 4 reads neither; there the caption speaks.
-    kind
-        "png" for drawings, "jpeg" for photographs and panoramas.
+    Args:
+        fig: The figure; it is closed afterwards, so that Jupyter does not show it a second time.
+        caption: What the reader should see in it, one or two sentences of Markdown. Appears as "*Figure:* ...".
+        alt: What the picture shows, for somebody who cannot see it. Stored in both places that renderers look at: the
+            image's metadata (nbconvert's classic template) and the output's plain-text form (MyST, terminals).
+            JupyterLab 4 reads neither; there the caption speaks.
+        kind: "png" for drawings, "jpeg" for photographs and panoramas.
     """
     import matplotlib.pyplot as plt
     from IPython.display import display
@@ -84,12 +79,9 @@ def live(draw: Callable[..., Figure], **sliders: Widget) -> None:
 
     Notebooks are stored without it: the captioned figure before it says what it shows.
 
-    Parameters
-    ----------
-    draw : callable
-        Takes the sliders' values by name, returns a figure.
-    sliders : ipywidgets
-        Widgets with a value, named as the arguments of `draw`.
+    Args:
+        draw: Takes the sliders' values by name, returns a figure.
+        sliders: Widgets with a value, named as the arguments of `draw`.
     """
     import matplotlib.pyplot as plt
     from IPython.display import display
@@ -115,14 +107,10 @@ def explore(draw: Callable[[int, int], Figure], panorama: NDArray, row: int, col
     Two sliders move the cross as well: by the keyboard, and in programs that know no clicks.
     Notebooks are stored without it: the captioned figure before it says what it shows.
 
-    Parameters
-    ----------
-    draw : callable
-        Takes the row and the column of a ray by these names, returns a figure.
-    panorama : array, shape (H, W) or (H, W, 3)
-        Gray values or colours of 0 … 255; NaN becomes gray.
-    row, column : int
-        Where the cross is at first.
+    Args:
+        draw: Takes the row and the column of a ray by these names, returns a figure.
+        panorama (array, shape (H, W) or (H, W, 3)): Gray values or colours of 0 … 255; NaN becomes gray.
+        row, column: Where the cross is at first.
     """
     from ipyevents import Event
     from IPython.display import display
@@ -163,15 +151,10 @@ def _with_cross(panorama: NDArray, row: int, column: int) -> bytes:
 def draw_panorama(ax: Axes, picture: NDArray, grid: SphereGrid, title: str = "", **imshow: Any) -> AxesImage:
     """Draw a panorama with its angles: θ to the right, φ down, in degrees.
 
-    Parameters
-    ----------
-    ax : Matplotlib axes
-    picture : array, shape (H, W) or (H, W, 3)
-        Gray values and colours of 0 … 255 or anything `imshow` takes; NaN stays gray.
-    grid : SphereGrid
-    title : str
-    imshow
-        Further arguments of Matplotlib's imshow.
+    Args:
+        picture (array, shape (H, W) or (H, W, 3)): Gray values and colours of 0 … 255 or anything `imshow` takes; NaN
+            stays gray.
+        imshow: Further arguments of Matplotlib's imshow.
     """
     picture = np.asarray(picture)
     if picture.ndim == 3:
@@ -203,12 +186,9 @@ def draw_depth(ax: Axes, inverse_depth: NDArray, grid: SphereGrid, title: str = 
 def contact_sheet(frames: Iterable[Frame], height: int = 120) -> NDArray[np.uint8]:
     """Return one row for each frame: its inverse depth, then its images; shape (rows · height, width, 3), RGB.
 
-    Parameters
-    ----------
-    frames : iterable of Frame
-        They may have different rigs. Inverse depth is coloured up to the `min_depth` of each rig.
-    height : int
-        Of each row, pixels.
+    Args:
+        frames: They may have different rigs. Inverse depth is coloured up to the `min_depth` of each rig.
+        height: Of each row, pixels.
     """
     import cv2
 
@@ -228,12 +208,8 @@ def contact_sheet(frames: Iterable[Frame], height: int = 120) -> NDArray[np.uint
 def draw_rig(ax: Axes, rig: Rig, fov_deg: float | None = None) -> None:
     """Draw a rig from above: z up, x to the right, an arrow and a wedge of view for each camera.
 
-    Parameters
-    ----------
-    ax : Matplotlib axes
-    rig : Rig
-    fov_deg : float, optional
-        Opening of the wedges; the cameras' field of view unless given.
+    Args:
+        fov_deg: Opening of the wedges; the cameras' field of view unless given.
     """
     from matplotlib.patches import Wedge
 

@@ -42,19 +42,14 @@ test street is among them.
 def export_weights(run: str | Path, folder: str | Path = BUNDLED_WEIGHTS, half: bool = False) -> list[Path]:
     """Put the weights of a finished run where `SweepNet.pretrained` and `MCCNN.pretrained` look for them.
 
-    Parameters
-    ----------
-    run : path
-        Folder of the run.
-    folder : path
-        Gets NAME.safetensors, NAME.csv (the loss of every tenth step) and NAME.md (the model card), which are returned.
-    half : bool
-        Store float16, for half the file size; a network computes in float32 or bfloat16 nonetheless.
+    Args:
+        run: Folder of the run.
+        folder: Gets NAME.safetensors, NAME.csv (the loss of every tenth step) and NAME.md (the model card), which are
+            returned.
+        half: Store float16, for half the file size; a network computes in float32 or bfloat16 nonetheless.
 
-    Raises
-    ------
-    OmnistereoError
-        If the run is missing, damaged or not finished, or the folder cannot be written.
+    Raises:
+        OmnistereoError: If the run is missing, damaged or not finished, or the folder cannot be written.
     """
     run, folder = Path(run), make_folder(folder)
     tensors, metadata = load_tensors(run / WEIGHTS)

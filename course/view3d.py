@@ -22,17 +22,14 @@ def draw_points(
 ) -> NDArray[np.uint8]:
     """Draw a point cloud as a picture.
 
-    Parameters
-    ----------
-    points : array, shape (M, 3), metres, rig frame
-    colors : uint8 array, shape (M, 3), RGB
-    eye : (x, y, z)
-        Where it is looked at from, metres, rig frame; towards the sweep centre.
-    size : (width, height), pixels
+    Args:
+        points: array, shape (M, 3), metres, rig frame
+        colors: uint8 array, shape (M, 3), RGB
+        eye: Where it is looked at from, metres, rig frame; towards the sweep centre.
+        size: (width, height), pixels
 
-    Returns
-    -------
-    uint8 array, shape (height, width, 3), RGB
+    Returns:
+        uint8 array, shape (height, width, 3), RGB
     """
     if len(points) == 0:
         return np.full((size[1], size[0], 3), _BACKGROUND, np.uint8)  # PyVista refuses to draw nothing

@@ -133,19 +133,15 @@ def load_dataset(
 ) -> Dataset:
     """Open a data set in the public layout (see the module docstring); images are read on first use.
 
-    Parameters
-    ----------
-    folder : path
-    split : "train" | "test" | None
-        A folder of that name inside `folder`; for the published sets the frame numbers of their releases.
-        None: every frame.
-    unit : "mm" | "cm" | "m", optional
-        Unit of the poses, for rig files that do not state it.
-    gt_width : int, optional
-        Panorama width in pixels of the ground truth to read, where there are several; default: the widest.
+    Args:
+        split: A folder of that name inside `folder`; for the published sets the frame numbers of their releases. None:
+            every frame.
+        unit: Unit of the poses, for rig files that do not state it.
+        gt_width: Panorama width in pixels of the ground truth to read, where there are several; default: the widest.
 
-    Raises an `OmnistereoError` if the folder, the rig or the frames are missing, a camera lacks a frame, or two files
-    have one number.
+    Raises:
+        OmnistereoError: If the folder, the rig or the frames are missing, a camera lacks a frame, or two files have one
+            number.
     """
     folder = Path(folder)
     if split is not None and (folder / split).is_dir():

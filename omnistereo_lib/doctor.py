@@ -38,11 +38,9 @@ def check_installation(short: bool = False) -> bool:
     In a clone the packages are compared with the pins of environment.txt, and the data with its manifest. Elsewhere
     the packages are compared with the requirements of the installed distribution.
 
-    Parameters
-    ----------
-    short : bool
-        Only Python, the packages and the data, in one line if nothing failed. Otherwise one line for each, and notes
-        on OpenGL, cores and memory, which do not count as failures.
+    Args:
+        short: Only Python, the packages and the data, in one line if nothing failed. Otherwise one line for each, and
+            notes on OpenGL, cores and memory, which do not count as failures.
     """
     in_clone = (_ROOT / "environment.txt").is_file()
     checks = [*_python(), *(_pinned_packages() if in_clone else _required_packages())]

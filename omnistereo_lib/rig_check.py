@@ -33,14 +33,10 @@ _UNITS = {1000: ("mm", "m"), 100: ("cm", "m"), 10: ("mm", "cm")}  # large unit /
 class RigHypothesis:
     """A rig with one mistake undone, and how well the images then match.
 
-    Attributes
-    ----------
-    name : str
-        "as given", or the mistake that is undone.
-    cost : float
-        Median over the rays of the matching cost of the best sphere, in [0, 1].
-    given_cost : float
-        The same for the rig as given.
+    Attributes:
+        name: "as given", or the mistake that is undone.
+        cost: Median over the rays of the matching cost of the best sphere, in [0, 1].
+        given_cost: The same for the rig as given.
     """
 
     name: str
@@ -52,15 +48,11 @@ class RigHypothesis:
 class RigCheck:
     """Result of `check_rig`.
 
-    Attributes
-    ----------
-    given : RigHypothesis
-        The rig as given.
-    alternatives : list of RigHypothesis
-        Mistakes of the whole rig undone, best first.
-    rotated : list of RigHypothesis
-        One camera rotated, costs over its own pairs, largest improvement first. Empty for fewer than 3 cameras, or
-        if the rig is wrong already.
+    Attributes:
+        given: The rig as given.
+        alternatives: Mistakes of the whole rig undone, best first.
+        rotated: One camera rotated, costs over its own pairs, largest improvement first. Empty for fewer than 3
+            cameras, or if the rig is wrong already.
     """
 
     given: RigHypothesis
@@ -106,17 +98,13 @@ def check_rig(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid) -> RigChe
     the nearest depth in metres, tells it, and the number of spheres, whose steps are too wide for such a rig; more
     spheres tell it less clearly, fewer suspect a right rig in a wide place.
 
-    Parameters
-    ----------
-    rig : Rig
-    images : one array per camera
-    grid : SphereGrid
-        A small one, such as 320 × 80 with 64 spheres. A rotated camera is found from about one pixel on, 1.1° here.
+    Args:
+        images: one array per camera
+        grid: A small one, such as 320 × 80 with 64 spheres. A rotated camera is found from about one pixel on, 1.1°
+            here.
 
-    Raises
-    ------
-    OmnistereoError
-        If the images do not fit the cameras.
+    Raises:
+        OmnistereoError: If the images do not fit the cameras.
     """
     rig, images = reduce_images(rig, images, grid.width / 360)
     sweep = SphereSweep(rig, grid)

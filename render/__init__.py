@@ -45,10 +45,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def render(options: argparse.Namespace) -> int:
     """Render the frames that are missing, here or in Blender's environment; return the exit status.
 
-    Raises
-    ------
-    OmnistereoError
-        If a set, a frame or a shard does not exist, or Blender's environment is missing.
+    Raises:
+        OmnistereoError: If a set, a frame or a shard does not exist, or Blender's environment is missing.
     """
     names = options.sets or ["sunny/test"]
     wanted = {name: select_shard(_numbers(name, options.frames), options.shard) for name in names}

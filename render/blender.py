@@ -49,18 +49,12 @@ def fisheye_picture(
 ) -> NDArray[np.float32]:
     """Render linear radiance, shape (height, width, 3), 0 outside the lens circle.
 
-    Parameters
-    ----------
-    lens : Lens
-        Where each pixel looks.
-    T_world_cam : Pose
-        The camera (x right, y down, z forward) in the world (z up).
-    size : (int, int)
-        Width and height.
-    samples : int
-        Paths for each pixel; what noise is left is taken away by Open Image Denoise.
-    seed : int
-        Of the sampler: the same seed gives the same pixels on the same version and processor.
+    Args:
+        lens: Where each pixel looks.
+        T_world_cam: The camera (x right, y down, z forward) in the world (z up).
+        size: Width and height.
+        samples: Paths for each pixel; what noise is left is taken away by Open Image Denoise.
+        seed: Of the sampler: the same seed gives the same pixels on the same version and processor.
     """
     scene, camera = bpy.context.scene, bpy.context.scene.camera.data
     camera.panorama_type, camera.fisheye_fov = "FISHEYE_LENS_POLYNOMIAL", np.radians(lens.rendered_fov_deg)

@@ -33,20 +33,13 @@ _MISTAKES = ("blurred", "cut", "moved")
 class CaptureSet:
     """How many captures of which rig.
 
-    Attributes
-    ----------
-    rig : "van" | "handheld"
-    rim, field : int
-        Boards for each camera: at the rim of its field all around, and elsewhere.
-    shared : int
-        Boards between each two neighbours.
-    mistakes : int
-        Captures with each mistake: the board sways during the exposure ("blurred"), leaves the field ("cut"), or has
-        moved when the second camera takes its picture ("moved").
-    size : (int, int)
-        Width and height of the pictures.
-    samples : int
-        Paths for each pixel.
+    Attributes:
+        rim, field: Boards for each camera: at the rim of its field all around, and elsewhere.
+        shared: Boards between each two neighbours.
+        mistakes: Captures with each mistake: the board sways during the exposure ("blurred"), leaves the field ("cut"),
+            or has moved when the second camera takes its picture ("moved").
+        size: Width and height of the pictures.
+        samples: Paths for each pixel.
     """
 
     rig: str
@@ -80,15 +73,12 @@ CAPTURES = {
 class Capture:
     """One moment.
 
-    Attributes
-    ----------
-    T_rig_board : dict
-        Camera number, from 1 → where the board stood when that camera took its picture: the same for all, unless
-        the board was moved. Board frame: x right and y down as seen from the front, z into the board; the first inner
-        corner is the origin.
-    sway : array, shape (6,)
-        Axis-angle and metres that the board moves about its middle while the shutters are open.
-    mistake : None | "blurred" | "cut" | "moved"
+    Attributes:
+        T_rig_board: Camera number, from 1 → where the board stood when that camera took its picture: the same for all,
+            unless the board was moved. Board frame: x right and y down as seen from the front, z into the board; the
+            first inner corner is the origin.
+        sway (array, shape (6,)): Axis-angle and metres that the board moves about its middle while the shutters are
+            open.
     """
 
     T_rig_board: dict[int, Pose]
@@ -121,20 +111,13 @@ _CORNERS, _OUTLINE = board_corners(), _outline()
 def project(lens: Lens, points: ArrayLike, width: int = REFERENCE_WIDTH) -> tuple[NDArray, NDArray]:
     """Project with the lens itself, not with a polynomial that was fitted to it.
 
-    Parameters
-    ----------
-    lens : Lens
-    points : array, shape (..., 3)
-        Camera frame, metres.
-    width : int
-        Of the picture, pixels.
+    Args:
+        points (array, shape (..., 3)): Camera frame, metres.
+        width: Of the picture, pixels.
 
-    Returns
-    -------
-    uv : array, shape (..., 2)
-        Pixels.
-    theta : array, shape (...)
-        Angle from the axis, radians.
+    Returns:
+        uv (array, shape (..., 2)): Pixels.
+        theta (array, shape (...)): Angle from the axis, radians.
     """
     x, y, z = np.moveaxis(np.asarray(points, float), -1, 0)
     across = np.hypot(x, y)

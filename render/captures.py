@@ -68,15 +68,10 @@ def _view(camera: RigCamera, number: int, T_rig_board: Pose, width: int) -> dict
 def render_captures(folder: Path, captures: CaptureSet, numbers: tuple[int, ...], seed: int) -> Iterator[int]:
     """Render the pictures that are missing; yields the number of each finished capture.
 
-    Parameters
-    ----------
-    folder : Path
-        Where the set is, or begins to be.
-    captures : CaptureSet
-    numbers : tuple of int
-        Captures wanted.
-    seed : int
-        Of the rig, the boards and the noise.
+    Args:
+        folder: Where the set is, or begins to be.
+        numbers: Captures wanted.
+        seed: Of the rig, the boards and the noise.
     """
     rig = make_rig(seed, captures.rig)
     for camera in range(1, len(rig.cameras) + 1):

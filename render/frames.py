@@ -26,35 +26,20 @@ _DELTAS = {"compression": "tiff_adobe_deflate", "tiffinfo": {317: 2}}  # of neig
 class ImageSet:
     """Frames of one world in one light.
 
-    Attributes
-    ----------
-    light : "sunny" | "cloudy" | "sunset"
-    route : "train" | "test" | ""
-        Streets of the same city; no street is in both. A room has none.
-    first, count : int
-        Numbers of the frames. Of a drive as the published sets count them: 1 to 700 and 701 to 1000.
-    shipped : tuple of int
-        The frames that are rendered unless others are asked for.
-    size : (int, int)
-        Width and height of the images.
-    gray : bool
-    samples : int
-        Paths for each pixel; the denoiser takes away most of the noise that few of them leave.
-    truths : tuple of (int, int)
-        Width and height of the ground-truth panoramas; pixels are square: 640 × 160 is φ from -45° to 45°,
-        640 × 320 the full sphere.
-    truth_suffix : ".tiff" | ".png"
-        Of the two public encodings: float, or a third as large in 16-bit steps, to 0.01 of 192 spheres.
-    truth_of : str
-        The set of the same drive whose ground truth is also this one's: light moves nothing.
-    quality : int
-        Of the JPEG files: what is lost is less than the sensors' noise.
-    world : "city" | "room"
-    rig : "van" | "handheld"
-        See `make_rig`.
-    T_drive_rig : tuple of float
-        Rotation vector (radians) and position (metres, x right, y down, z forward) of the rig on the drive:
-        zero on the roof of the van.
+    Attributes:
+        route: Streets of the same city; no street is in both. A room has none.
+        first, count: Numbers of the frames. Of a drive as the published sets count them: 1 to 700 and 701 to 1000.
+        shipped: The frames that are rendered unless others are asked for.
+        size: Width and height of the images.
+        samples: Paths for each pixel; the denoiser takes away most of the noise that few of them leave.
+        truths: Width and height of the ground-truth panoramas; pixels are square: 640 × 160 is φ from -45° to 45°, 640
+            × 320 the full sphere.
+        truth_suffix: Of the two public encodings: float, or a third as large in 16-bit steps, to 0.01 of 192 spheres.
+        truth_of: The set of the same drive whose ground truth is also this one's: light moves nothing.
+        quality: Of the JPEG files: what is lost is less than the sensors' noise.
+        rig: See `make_rig`.
+        T_drive_rig: Rotation vector (radians) and position (metres, x right, y down, z forward) of the rig on the
+            drive: zero on the roof of the van.
     """
 
     light: str
@@ -152,15 +137,10 @@ def select_shard(numbers: tuple[int, ...], shard: str) -> tuple[int, ...]:
 def render_set(folder: Path, images: ImageSet, numbers: tuple[int, ...], seed: int) -> Iterator[int]:
     """Render the frames that are missing, one at a time; yields the number of each finished frame.
 
-    Parameters
-    ----------
-    folder : Path
-        Where the set is, or begins to be.
-    images : ImageSet
-    numbers : tuple of int
-        Frames wanted, of those that the drive has.
-    seed : int
-        Of the world, the rig, the traffic and the noise.
+    Args:
+        folder: Where the set is, or begins to be.
+        numbers: Frames wanted, of those that the drive has.
+        seed: Of the world, the rig, the traffic and the noise.
     """
     from render.blender import empty_scene
 

@@ -21,14 +21,10 @@ class Lens:
 
     There is no r² term: it would give the OCam polynomial a linear term, which its definition excludes.
 
-    Parameters
-    ----------
-    k : tuple of 3 floats
-        k₁, k₃, k₄.
-    centre : tuple of 2 floats
-        Where the axis meets the sensor, (u, v) in pixels, integers being pixel centres.
-    max_fov_deg : float
-        Field of view, the full angle.
+    Args:
+        k: k₁, k₃, k₄.
+        centre: Where the axis meets the sensor, (u, v) in pixels, integers being pixel centres.
+        max_fov_deg: Field of view, the full angle.
     """
 
     k: tuple[float, float, float]

@@ -29,19 +29,12 @@ def random_material(
 ) -> Any:
     """Return a Blender material with a pattern.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    kinds : sequence of str
-        Of `PATTERNS`; one of them is drawn.
-    scale : float
-        Factor on the number of lumps in a metre (or in the unit of the object).
-    colours : sequence of (float, float, float), optional
-        Two linear RGB colours; default: drawn.
-    world : bool
-        Whether the pattern is fixed to the world and not to the object.
-    gloss : float
-        Probability that the surface is glossy.
+    Args:
+        kinds: Of `PATTERNS`; one of them is drawn.
+        scale: Factor on the number of lumps in a metre (or in the unit of the object).
+        colours: Two linear RGB colours; default: drawn.
+        world: Whether the pattern is fixed to the world and not to the object.
+        gloss: Probability that the surface is glossy.
     """
     kind = str(rng.choice(list(kinds)))
     shader = Shader(kind)

@@ -78,11 +78,8 @@ def random_rig(rng: np.random.Generator, min_depth: float) -> RenderRig:
     220°, from 200° for 3 cameras. Headings differ from equal steps by some degrees; every third rig has cameras above
     and below its plane. The mean of the camera centres is the centre of the rig.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    min_depth : float
-        Distance in metres from the rig centre that nothing comes nearer than.
+    Args:
+        min_depth: Distance in metres from the rig centre that nothing comes nearer than.
     """
     count = int(rng.integers(3, 7))
     baseline = min_depth * np.exp(rng.uniform(np.log(1 / 8), np.log(1 / 2))) * 2 * np.sin(np.pi / count)
@@ -117,19 +114,14 @@ def write_config(
 ) -> None:
     """Write a rig as `config.yaml` in the OmniMVS dialect, with what only a rendered rig knows added.
 
-    Parameters
-    ----------
-    path : Path
-        File to write.
-    rig : RenderRig
-        The cameras; poses are camera → rig, metres.
-    size : (int, int)
-        Width and height of the images.
-    dataset : dict
-        What goes under `dataset:`, plain numbers and strings.
-    digits : int
-        Of the polynomials. Least squares differs between machines from the eleventh on, the file should not; 8 are
-        2e-6 px for the lenses of `random_lens`, up to a pixel for the high degrees of `random_fisheye`, 12 are 1e-3 px.
+    Args:
+        path: File to write.
+        rig: The cameras; poses are camera → rig, metres.
+        size: Width and height of the images.
+        dataset: What goes under `dataset:`, plain numbers and strings.
+        digits: Of the polynomials. Least squares differs between machines from the eleventh on, the file should not; 8
+            are 2e-6 px for the lenses of `random_lens`, up to a pixel for the high degrees of `random_fisheye`, 12 are
+            1e-3 px.
     """
     lines = ["config:", f"  omnimvs_sweep_min_depth: {rig.min_depth}", "dataset:"]
     lines += [

@@ -16,22 +16,15 @@ def develop(
 ) -> NDArray[np.uint8]:
     """Return the picture that a camera makes of linear radiance.
 
-    Parameters
-    ----------
-    radiance : array, shape (H, W, 3)
-        Linear light; 0 outside the lens circle.
-    lens, sensor
-        The camera: falloff follows the distance from the lens's axis.
-    exposure : float
-        The scene's exposure, a factor.
-    gray : bool
-        Whether the sensor is monochrome.
-    rng : numpy.random.Generator
-        Source of the noise.
+    Args:
+        radiance (array, shape (H, W, 3)): Linear light; 0 outside the lens circle.
+        lens, sensor: The camera: falloff follows the distance from the lens's axis.
+        exposure: The scene's exposure, a factor.
+        gray: Whether the sensor is monochrome.
+        rng: Source of the noise.
 
-    Returns
-    -------
-    array of uint8, shape (H, W) or (H, W, 3)
+    Returns:
+        array of uint8, shape (H, W) or (H, W, 3)
     """
     light = np.asarray(radiance, np.float64)
     if gray:

@@ -26,17 +26,12 @@ _KEPT = 32  # every 32nd step of the ground truth is used: within 0.05 of 192 sp
 class WorldSet:
     """Frames of one kind of world.
 
-    Attributes
-    ----------
-    world : "things" | "room" | "street"
-    count : int
-        Number of frames; they are numbered from 1, and all of them are rendered unless others are asked for.
-    samples : int
-        Paths for each pixel.
-    size, truth : (int, int)
-        Width and height of the images, which are gray, and of the ground-truth panorama: 320 × 128 is ±72°.
-    quality : int
-        Of the JPEG files.
+    Attributes:
+        count: Number of frames; they are numbered from 1, and all of them are rendered unless others are asked for.
+        samples: Paths for each pixel.
+        size, truth: Width and height of the images, which are gray, and of the ground-truth panorama: 320 × 128 is
+            ±72°.
+        quality: Of the JPEG files.
     """
 
     world: str
@@ -68,15 +63,10 @@ def is_rendered(folder: Path, number: int) -> bool:
 def render_worlds(folder: Path, worlds: WorldSet, numbers: tuple[int, ...], seed: int) -> Iterator[int]:
     """Render the frames that are missing, one at a time; yields the number of each finished frame.
 
-    Parameters
-    ----------
-    folder : Path
-        Where the set is, or begins to be.
-    worlds : WorldSet
-    numbers : tuple of int
-        Frames wanted.
-    seed : int
-        Of scenes, rigs and noise.
+    Args:
+        folder: Where the set is, or begins to be.
+        numbers: Frames wanted.
+        seed: Of scenes, rigs and noise.
     """
     from render.blender import depth_panorama
 

@@ -30,21 +30,14 @@ _FACTORS = (
 def diagnose(answer: Answer, inputs: tuple, right: ArrayLike, mistakes: Mistakes) -> str:
     """Call an answer and put into words how its value compares.
 
-    Parameters
-    ----------
-    answer : callable
-        What the student wrote. It gets copies of the inputs, so it may change them.
-    inputs : tuple
-        Its arguments.
-    right : array or float
-        What it should return, finite.
-    mistakes : sequence of (array or float, str)
-        What a mistake gives instead, of any shape, and the hint that names it.
+    Args:
+        answer: What the student wrote. It gets copies of the inputs, so it may change them.
+        inputs: Its arguments.
+        right: What it should return, finite.
+        mistakes: What a mistake gives instead, of any shape, and the hint that names it.
 
-    Returns
-    -------
-    str
-        "right", or what is wrong and the next thing to try.
+    Returns:
+        str: "right", or what is wrong and the next thing to try.
     """
     if not callable(answer):
         return "hand over the function itself: its name, without brackets behind it"

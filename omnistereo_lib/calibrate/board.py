@@ -18,17 +18,12 @@ class Checkerboard:
 
     Board frame, seen from the front: origin at the first corner, x right, y down, z into the board.
 
-    Parameters
-    ----------
-    corners : (int, int)
-        Inner corners, columns and rows: where four squares meet. A board of 13 x 11 squares has 12 x 10.
-    square : float
-        Edge of a square, metres.
+    Args:
+        corners: Inner corners, columns and rows: where four squares meet. A board of 13 x 11 squares has 12 x 10.
+        square: Edge of a square, metres.
 
-    Raises
-    ------
-    OmnistereoError
-        If a count is not an integer of at least 3, or the square has no positive length.
+    Raises:
+        OmnistereoError: If a count is not an integer of at least 3, or the square has no positive length.
     """
 
     corners: tuple[int, int]

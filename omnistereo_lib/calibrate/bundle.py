@@ -29,11 +29,8 @@ _NEWTON_STEPS = 8  # quadratic from the observed radius, which is a few pixels o
 class BundleProblem:
     """The least-squares problem: residuals and their analytic sparse Jacobian.
 
-    Parameters
-    ----------
-    initial : CalibrationParams
-        Initial values; its sizes are those of the problem.
-    observations : Observations
+    Args:
+        initial: Initial values; its sizes are those of the problem.
     """
 
     def __init__(self, initial: CalibrationParams, observations: Observations) -> None:
@@ -141,18 +138,11 @@ def bundle_adjust(
 ) -> CalibrationParams:
     """Minimise the reprojection error from initial values that are near enough.
 
-    Parameters
-    ----------
-    initial : CalibrationParams
-    observations : Observations
-    loss : "linear" | "soft_l1"
-        Squares, or robust beyond one pixel.
-    fixed : "nothing" | "rig"
-        "rig": only the poses of the captures are adjusted.
-    steps : int
-        Maximum number of evaluations.
-    tolerance : float
-        Relative decrease of the cost at which to stop.
+    Args:
+        loss: Squares, or robust beyond one pixel.
+        fixed: "rig": only the poses of the captures are adjusted.
+        steps: Maximum number of evaluations.
+        tolerance: Relative decrease of the cost at which to stop.
     """
     bundle = BundleProblem(initial, observations)
     x0 = initial.to_vector()
@@ -209,10 +199,8 @@ def estimate_covariance(params: CalibrationParams, observations: Observations, s
     rounding. Capture by capture, an orthogonal projection removes what the board pose can explain, and the rest
     updates the triangle R of a QR factorisation.
 
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the corners do not determine all unknowns.
+    Raises:
+        numpy.linalg.LinAlgError: If the corners do not determine all unknowns.
     """
     J = BundleProblem(params, observations).jacobian(params.to_vector())
     rig = params.num_rig_params

@@ -40,34 +40,21 @@ def calibrate_camera(
 ) -> tuple[OcamCamera, CameraReport]:
     """Calibrate one camera: Φ and A of the paper's Section III-A, and the pose of each view.
 
-    Parameters
-    ----------
-    views : sequence
-        Images of the board, (H, W) or (H, W, 3), or corners detected in them, (K, 2) px in the order of
-        `board.points`, NaN where a corner is missing. None for a view without a board.
-    board : Checkerboard
-    image_size : (int, int), optional
-        Width and height, pixels; required if the views are corners.
-    degree : int, optional
-        Degree of the polynomial f, at least 4. None: chosen by cross-validation.
-    max_fov_deg : float, optional
-        Full field of view of the camera returned. None: as far as there are corners.
-    progress : callable
-        Wraps the images during detection, such as `tqdm`.
-    names : sequence of str, optional
-        What messages call the views, such as file names. None: their indices.
+    Args:
+        views: Images of the board, (H, W) or (H, W, 3), or corners detected in them, (K, 2) px in the order of
+            `board.points`, NaN where a corner is missing. None for a view without a board.
+        image_size: Width and height, pixels; required if the views are corners.
+        degree: Degree of the polynomial f, at least 4. None: chosen by cross-validation.
+        max_fov_deg: Full field of view of the camera returned. None: as far as there are corners.
+        progress: Wraps the images during detection, such as `tqdm`.
+        names: What messages call the views, such as file names. None: their indices.
 
-    Returns
-    -------
-    camera : OcamCamera
-        Its inverse polynomial agrees with the direct one to 0.01 px.
-    report : CameraReport
+    Returns:
+        camera: Its inverse polynomial agrees with the direct one to 0.01 px.
 
-    Raises
-    ------
-    OmnistereoError
-        If fewer than three views show the board, all views are parallel, corners do not fit the board, or the
-        corners do not determine the camera.
+    Raises:
+        OmnistereoError: If fewer than three views show the board, all views are parallel, corners do not fit the board,
+            or the corners do not determine the camera.
     """
     return calibrate_corners(*read_views(views, board, image_size, progress, names), board, degree, max_fov_deg)
 
@@ -120,10 +107,8 @@ def read_views(
 ) -> tuple[list[Floats | None], tuple[int, int], list | None]:
     """Return the corners of each view, width and height of the images, and the images if views are images.
 
-    Raises
-    ------
-    OmnistereoError
-        If there are no views, or corners do not fit the board or come without the image size.
+    Raises:
+        OmnistereoError: If there are no views, or corners do not fit the board or come without the image size.
     """
     arrays = [None if view is None else np.asarray(view) for view in views]
     given = [array for array in arrays if array is not None]
@@ -200,12 +185,9 @@ def _try_camera(params: CalibrationParams, observations: Observations) -> OcamCa
 def choose_degree(params: CalibrationParams, views: Sequence[Floats], points: Floats) -> tuple[int, dict[int, float]]:
     """Choose the polynomial degree by 3-fold cross-validation over the views; 4 if there are fewer than 6 views.
 
-    Returns
-    -------
-    degree : int
-        The lowest that the next does not improve by twice the standard error over the views.
-    cv_error_px : dict
-        Degree → mean distance on held-out views, px; infinite if the polynomial is not monotonic.
+    Returns:
+        degree: The lowest that the next does not improve by twice the standard error over the views.
+        cv_error_px: Degree → mean distance on held-out views, px; infinite if the polynomial is not monotonic.
     """
     if len(views) < 2 * _FOLDS:
         return DEGREES[0], {}

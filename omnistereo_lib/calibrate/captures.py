@@ -25,14 +25,10 @@ _SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".webp"}  # not TIFF: data
 class Captures:
     """Images of a board by one or more cameras.
 
-    Attributes
-    ----------
-    cameras : tuple of str
-        Names of the camera folders, in the order of their numbers.
-    names : tuple of str
-        Names of the captures, sorted.
-    paths : tuple of tuples
-        paths[camera][capture], None if a camera has no image of a capture.
+    Attributes:
+        cameras: Names of the camera folders, in the order of their numbers.
+        names: Names of the captures, sorted.
+        paths: paths[camera][capture], None if a camera has no image of a capture.
     """
 
     cameras: tuple[str, ...]
@@ -55,10 +51,8 @@ def find_captures(folder: str | Path) -> Captures:
     as YAML, notes), hidden files and hidden folders are ignored. Warns where no two cameras have an image of the
     same name.
 
-    Raises
-    ------
-    OmnistereoError
-        If there is no image, or two images of a camera differ only in their ending.
+    Raises:
+        OmnistereoError: If there is no image, or two images of a camera differ only in their ending.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -108,14 +102,9 @@ def save_corners(
 ) -> None:
     """Write detections as YAML that a person can edit: a line for each corner, null for views without a board.
 
-    Parameters
-    ----------
-    path : path
-    views : dict
-        Name of each image → corners (K, 2) px, NaN where one is missing, or None.
-    board : Checkerboard
-    image_size : (int, int)
-        Width and height of the images.
+    Args:
+        views: Name of each image → corners (K, 2) px, NaN where one is missing, or None.
+        image_size: Width and height of the images.
     """
     lines = [
         f"board: {{corners: [{board.corners[0]}, {board.corners[1]}], square: {board.square!r}}}  # inner, metres",
@@ -132,10 +121,8 @@ def save_corners(
 def load_corners(path: str | Path) -> tuple[dict[str, Floats | None], Checkerboard, tuple[int, int]]:
     """Read what `save_corners` wrote: views, board, image size.
 
-    Raises
-    ------
-    OmnistereoError
-        If the file is missing, not YAML or incomplete; the message names the view.
+    Raises:
+        OmnistereoError: If the file is missing, not YAML or incomplete; the message names the view.
     """
     import yaml
 

@@ -37,18 +37,13 @@ _SAME = 2.0  # mean difference in gray levels below which two views are the same
 def find_corners(image: ArrayLike, board: Checkerboard) -> Floats | None:
     """Find all inner corners of the board.
 
-    Parameters
-    ----------
-    image : array, shape (H, W) or (H, W, 3)
-        uint8, or float in 0 to 255; colour in any order.
-    board : Checkerboard
+    Args:
+        image (array, shape (H, W) or (H, W, 3)): uint8, or float in 0 to 255; colour in any order.
 
-    Returns
-    -------
-    array, shape (K, 2), or None
-        Pixels in the order of `board.points`, right-handed: the board is seen from its front; NaN for single corners
-        that could not be refined. Of the symmetries of the board the one whose first corner is nearest to the top
-        left. A mirrored image is not recognised. None if not every corner is visible.
+    Returns:
+        array, shape (K, 2), or None: Pixels in the order of `board.points`, right-handed: the board is seen from its
+            front; NaN for single corners that could not be refined. Of the symmetries of the board the one whose first
+            corner is nearest to the top left. A mirrored image is not recognised. None if not every corner is visible.
     """
     gray = _gray(image)
     for attempt in _attempts(gray, board):
@@ -88,19 +83,13 @@ def _classic(gray: Gray, board: Checkerboard, scale: float = 1.0) -> Floats | No
 def refine_corners(image: ArrayLike, corners: Floats, board: Checkerboard) -> Floats | None:
     """Refine corners to a fraction of a pixel.
 
-    Parameters
-    ----------
-    image : array
-        As for `find_corners`.
-    corners : array, shape (K, 2), px
-        Good to a quarter of the distance between neighbours.
-    board : Checkerboard
+    Args:
+        image: As for `find_corners`.
+        corners (array, shape (K, 2), px): Good to a quarter of the distance between neighbours.
 
-    Returns
-    -------
-    array, shape (K, 2), px, or None
-        NaN where a corner is lost, as beside a stain or the edge of the board. None if many are lost or squares are
-        folded: then it is not a board.
+    Returns:
+        array, shape (K, 2), px, or None: NaN where a corner is lost, as beside a stain or the edge of the board. None
+            if many are lost or squares are folded: then it is not a board.
     """
     gray = _gray(image)
     spacing = _spacing(corners, board)
@@ -119,20 +108,14 @@ def refine_corners(image: ArrayLike, corners: Floats, board: Checkerboard) -> Fl
 def edge_width(image: ArrayLike, corners: Floats, board: Checkerboard) -> float:
     """Return how many pixels the edges between squares take from black to white, where they are most blurred.
 
-    Parameters
-    ----------
-    image : array
-        As for `find_corners`.
-    corners : array, shape (K, 2), px
-        As found in it.
-    board : Checkerboard
+    Args:
+        image: As for `find_corners`.
+        corners (array, shape (K, 2), px): As found in it.
 
-    Returns
-    -------
-    float
-        Contrast of neighbouring squares by the steepest step of one pixel between them: the median over all edges
-        along rows or along columns, whichever is larger, as a motion blurs across itself only. A sharp picture has
-        about 2, at whatever distance.
+    Returns:
+        float: Contrast of neighbouring squares by the steepest step of one pixel between them: the median over all
+            edges along rows or along columns, whichever is larger, as a motion blurs across itself only. A sharp
+            picture has about 2, at whatever distance.
     """
     gray = _gray(image).astype(np.float32)
     grid = corners.reshape(board.corners[1], board.corners[0], 2)
@@ -242,11 +225,9 @@ def detect_views(
 
     Messages call views by `names`, or else by index. Warns of images that are given twice.
 
-    Raises
-    ------
-    OmnistereoError
-        If an array is not an image, the images differ in size, or none shows the board; then it says which size of
-        board would fit, if one does.
+    Raises:
+        OmnistereoError: If an array is not an image, the images differ in size, or none shows the board; then it says
+            which size of board would fit, if one does.
     """
     names = range(len(images)) if names is None else names
     grays = {}

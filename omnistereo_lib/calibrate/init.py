@@ -29,14 +29,10 @@ _GOOD_PX = 1.0  # good enough not to try the next
 def initial_estimate(views: Sequence[Floats], points: Floats, image_size: tuple[int, int]) -> CalibrationParams:
     """Return a camera of degree 4 and the pose of each view, near enough for the bundle adjustment.
 
-    Parameters
-    ----------
-    views : sequence of arrays, shape (K, 2)
-        Corners in pixels, NaN where missing.
-    points : array, shape (K, 3)
-        The same corners in the board frame, metres, z = 0.
-    image_size : (int, int)
-        Width and height, pixels.
+    Args:
+        views (sequence of arrays, shape (K, 2)): Corners in pixels, NaN where missing.
+        points (array, shape (K, 3)): The same corners in the board frame, metres, z = 0.
+        image_size: Width and height, pixels.
     """
     center = (np.array(image_size) - 1) / 2
     farthest = max(np.nanmax(np.linalg.norm(view - center, axis=-1)) for view in views)
@@ -83,18 +79,12 @@ def solve_planar_pose(rays: Floats, points: Floats) -> tuple[Pose, float]:
     The direct linear transform: λ b = [r1 r2 t] (X, Y, 1), so b × [r1 r2 t] (X, Y, 1) = 0, nine unknowns up to
     scale. The scale follows from the unit length of r1 and r2, the sign from points that lie along their rays.
 
-    Parameters
-    ----------
-    rays : array, shape (K, 3)
-        Unit length; NaN where a corner is missing.
-    points : array, shape (K, 3)
-        z = 0, metres.
+    Args:
+        rays (array, shape (K, 3)): Unit length; NaN where a corner is missing.
+        points (array, shape (K, 3)): z = 0, metres.
 
-    Returns
-    -------
-    T_cam_board : Pose
-    residual : float
-        Root mean square angle between the rays and the points of the plane, radians.
+    Returns:
+        residual: Root mean square angle between the rays and the points of the plane, radians.
     """
     finite = np.isfinite(rays).all(axis=-1)
     b, size = rays[finite], np.abs(points).max()

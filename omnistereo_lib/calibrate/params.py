@@ -30,12 +30,10 @@ NUM_AFFINE = 4  # u0, v0, c, d: the parameters of a camera besides its polynomia
 class Intrinsics:
     """One camera's Φ and A as the optimiser sees them.
 
-    Parameters
-    ----------
-    vector : array, shape (4 + M,)
-        u0, v0 (pixels), c, d = e, then α0, α2, …, αM (M numbers for a polynomial of degree M).
-    image_size : (int, int)
-        Width and height, pixels.
+    Args:
+        vector (array, shape (4 + M,)): u0, v0 (pixels), c, d = e, then α0, α2, …, αM (M numbers for a polynomial of
+            degree M).
+        image_size: Width and height, pixels.
     """
 
     vector: Floats
@@ -75,10 +73,8 @@ class Intrinsics:
     def camera(self, max_fov_deg: float) -> OcamCamera:
         """Return the camera, its inverse polynomial fitted to better than 0.01 px.
 
-        Raises
-        ------
-        OmnistereoError
-            If the polynomial is not monotonic over the field of view.
+        Raises:
+            OmnistereoError: If the polynomial is not monotonic over the field of view.
         """
         u0, v0, c, d = (float(value) for value in self.vector[:NUM_AFFINE])
         inv_poly = fit_inverse_polynomial(self.poly, max_fov_deg, 3.0 * max(self.image_size))
@@ -89,14 +85,10 @@ class Intrinsics:
 class CalibrationParams:
     """All unknowns at once.
 
-    Parameters
-    ----------
-    intrinsics : tuple of Intrinsics
-        One for each camera, of equal degree.
-    T_cam_rig : tuple of Pose
-        The paper's Θ_i: rig → camera. The first is the identity.
-    T_rig_board : tuple of Pose
-        The paper's Θ_k: board → rig, one for each capture.
+    Args:
+        intrinsics: One for each camera, of equal degree.
+        T_cam_rig: The paper's Θ_i: rig → camera. The first is the identity.
+        T_rig_board: The paper's Θ_k: board → rig, one for each capture.
     """
 
     intrinsics: tuple[Intrinsics, ...]
@@ -143,13 +135,10 @@ class CalibrationParams:
 class Observations:
     """M observed corners.
 
-    Parameters
-    ----------
-    camera, capture, corner : int arrays, shape (M,)
-        Indices from 0.
-    pixels : array, shape (M, 2)
-    board_points : array, shape (K, 3)
-        All corners in the board frame, metres.
+    Args:
+        camera, capture, corner (int arrays, shape (M,)): Indices from 0.
+        pixels: array, shape (M, 2)
+        board_points (array, shape (K, 3)): All corners in the board frame, metres.
     """
 
     camera: Ints
@@ -172,11 +161,8 @@ class Observations:
 def collect_observations(views: Sequence[Sequence[Floats | None]], points: Floats) -> Observations:
     """Flatten views[camera][capture], corners (K, 2) or None, NaN where a corner is missing.
 
-    Parameters
-    ----------
-    views : nested sequence
-    points : array, shape (K, 3)
-        The corners in the board frame in the same order, metres.
+    Args:
+        points (array, shape (K, 3)): The corners in the board frame in the same order, metres.
     """
     index = [(i, k) for i, row in enumerate(views) for k, corners in enumerate(row) if corners is not None]
     camera, capture = np.repeat(index, len(points), axis=0).T

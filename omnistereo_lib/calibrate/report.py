@@ -28,14 +28,10 @@ _LARGE_PX = 1.0
 class ReprojectionErrors:
     """Reprojection errors of some corners by the three definitions in use.
 
-    Attributes
-    ----------
-    rms_px : float
-        Root mean square of all u and v residuals (Urban et al. 2015).
-    rms_distance_px : float
-        Root mean square distance, √2 larger (OpenCV).
-    mean_px : float
-        Mean distance (OCamCalib).
+    Attributes:
+        rms_px: Root mean square of all u and v residuals (Urban et al. 2015).
+        rms_distance_px: Root mean square distance, √2 larger (OpenCV).
+        mean_px: Mean distance (OCamCalib).
     """
 
     rms_px: float
@@ -80,31 +76,18 @@ class _Report:
 class CameraReport(_Report):
     """Result of the calibration of one camera.
 
-    Attributes
-    ----------
-    views_used : tuple of int
-        Indices of the views used.
-    rejected : dict
-        Index of each other view → reason.
-    outliers : tuple of (view, corner, distance in px)
-        Corners of used views that were rejected, worst first.
-    corners : dict
-        View → (K, 2) px, as observed, NaN where a corner is missing.
-    residuals : dict
-        View → (K, 2) px, predicted minus observed, NaN where a corner is missing; with outliers.
-    angles : dict
-        View → (K,) angle of each corner from the optical axis, radians.
-    T_cam_board : dict
-        View → board → camera.
-    cv_error_px : dict
-        Degree → mean distance on held-out views, px, if the degree was chosen by cross-validation.
-    intrinsics : Intrinsics
-    covariance : array, shape (4 + degree, 4 + degree)
-        Covariance of `intrinsics.vector`.
-    sigma_px : float
-        Noise of the corners in u and in v, from the residuals.
-    warnings : tuple of str
-        What is wrong and what to do.
+    Attributes:
+        views_used: Indices of the views used.
+        rejected: Index of each other view → reason.
+        outliers: Corners of used views that were rejected, worst first.
+        corners: View → (K, 2) px, as observed, NaN where a corner is missing.
+        residuals: View → (K, 2) px, predicted minus observed, NaN where a corner is missing; with outliers.
+        angles: View → (K,) angle of each corner from the optical axis, radians.
+        T_cam_board: View → board → camera.
+        cv_error_px: Degree → mean distance on held-out views, px, if the degree was chosen by cross-validation.
+        covariance (array, shape (4 + degree, 4 + degree)): Covariance of `intrinsics.vector`.
+        sigma_px: Noise of the corners in u and in v, from the residuals.
+        warnings: What is wrong and what to do.
     """
 
     views_used: tuple[int, ...]
@@ -177,10 +160,8 @@ class CameraReport(_Report):
     def build_camera(self, max_fov_deg: float | None) -> tuple[OcamCamera, CameraReport]:
         """Return the camera, and the report with warnings; None: the field of view ends at the last corner.
 
-        Raises
-        ------
-        OmnistereoError
-            If the polynomial is not monotonic over the field of view.
+        Raises:
+            OmnistereoError: If the polynomial is not monotonic over the field of view.
         """
         fov_deg = 2 * self.max_corner_angle_deg if max_fov_deg is None else max_fov_deg
         camera = self.intrinsics.camera(fov_deg)
@@ -249,25 +230,16 @@ def _camera_warnings(report: CameraReport, camera: OcamCamera) -> Iterator[str]:
 class RigReport(_Report):
     """Result of the calibration of a rig.
 
-    Attributes
-    ----------
-    joint : tuple of CameraReport
-        Each camera in the joint solution; views are captures.
-    single_camera : tuple of CameraReport
-        Each camera calibrated by itself, before.
-    captures_used : tuple of int
-        Captures in the joint solution.
-    rejected : dict
-        Capture → reason.
-    shared : dict
-        (camera, camera) → number of captures that both see.
-    params : CalibrationParams
-        All unknowns of the joint solution; captures in the order of `captures_used`.
-    covariance : array, shape (num_rig_params, num_rig_params)
-        Covariance of the first `params.num_rig_params` unknowns: intrinsics and the poses of cameras 2 ….
-    sigma_px : float
-        Noise of the corners in u and in v.
-    warnings : tuple of str
+    Attributes:
+        joint: Each camera in the joint solution; views are captures.
+        single_camera: Each camera calibrated by itself, before.
+        captures_used: Captures in the joint solution.
+        rejected: Capture → reason.
+        shared: (camera, camera) → number of captures that both see.
+        params: All unknowns of the joint solution; captures in the order of `captures_used`.
+        covariance (array, shape (num_rig_params, num_rig_params)): Covariance of the first `params.num_rig_params`
+            unknowns: intrinsics and the poses of cameras 2 ….
+        sigma_px: Noise of the corners in u and in v.
     """
 
     joint: tuple[CameraReport, ...]
@@ -329,13 +301,10 @@ def standard_deviation(function: Callable[[Floats], Floats], x: Floats, covarian
     Derivatives are numerical, along the principal axes of Σ with steps of one standard deviation: coefficients of a
     polynomial are known together far better than each by itself.
 
-    Parameters
-    ----------
-    function : callable
-        From parameters (n,) to an array of any shape.
-    x : array, shape (n,)
-    covariance : array, shape (n, n)
-        Covariance of the parameters.
+    Args:
+        function: From parameters (n,) to an array of any shape.
+        x: array, shape (n,)
+        covariance (array, shape (n, n)): Covariance of the parameters.
     """
     scale = np.sqrt(np.diag(covariance))
     variances, axes = np.linalg.eigh(covariance / np.outer(scale, scale))

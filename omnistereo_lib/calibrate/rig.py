@@ -42,33 +42,20 @@ def calibrate_rig(
 
     A capture is all cameras at one instant, a view one image of it; the board may move between captures only.
 
-    Parameters
-    ----------
-    views : nested sequence
-        views[camera][capture]: an image, or the corners detected in one, (K, 2) px; None if a camera has none.
-    board : Checkerboard
-    image_sizes : sequence of (int, int), optional
-        Width and height for each camera, pixels; required if the views are corners.
-    degree : int, optional
-        Degree of the polynomials, at least 4. None: the highest that cross-validation chooses for a camera.
-    max_fov_deg : float, optional
-        Full field of view of the cameras. None: as far as each has corners.
-    progress : callable
-        Wraps the images of each camera during detection, such as `tqdm`.
-    names : sequence of str, optional
-        What messages call the captures. None: their indices.
+    Args:
+        views: views[camera][capture]: an image, or the corners detected in one, (K, 2) px; None if a camera has none.
+        image_sizes: Width and height for each camera, pixels; required if the views are corners.
+        degree: Degree of the polynomials, at least 4. None: the highest that cross-validation chooses for a camera.
+        max_fov_deg: Full field of view of the cameras. None: as far as each has corners.
+        progress: Wraps the images of each camera during detection, such as `tqdm`.
+        names: What messages call the captures. None: their indices.
 
-    Returns
-    -------
-    rig : Rig
-        The rig frame is the frame of camera 1.
-    report : RigReport
+    Returns:
+        rig: The rig frame is the frame of camera 1.
 
-    Raises
-    ------
-    OmnistereoError
-        If the captures of the cameras do not match in number, a camera cannot be calibrated by itself, two cameras
-        are the same, or cameras are not connected through shared captures.
+    Raises:
+        OmnistereoError: If the captures of the cameras do not match in number, a camera cannot be calibrated by itself,
+            two cameras are the same, or cameras are not connected through shared captures.
     """
     if len(views) < 2 or len({len(row) for row in views}) != 1:
         raise OmnistereoError(
@@ -200,12 +187,9 @@ def _resolve_board_ambiguity(
 ) -> tuple[list[list[Floats | None]], dict[int, str]]:
     """Reorder corners to match the first camera of each capture.
 
-    Returns
-    -------
-    corners : nested list
-        None in captures that are rejected.
-    rejected : dict
-        Capture → reason: two cameras have the board in different places.
+    Returns:
+        corners: None in captures that are rejected.
+        rejected: Capture → reason: two cameras have the board in different places.
     """
     corners, rejected = [list(row) for row in corners], {}
     for k in range(len(corners[0])):

@@ -31,10 +31,8 @@ def distances_of(params: CalibrationParams, observations: Observations) -> Float
 def refine(params: CalibrationParams, observations: Observations) -> tuple[CalibrationParams, NDArray[np.bool_]]:
     """Minimise squares over the inliers of a robust fit: corners within six times the noise of their view.
 
-    Returns
-    -------
-    params : CalibrationParams
-    inlier_mask : bool array, shape (M,)
+    Returns:
+        inlier_mask: bool array, shape (M,)
     """
     params = bundle_adjust(params, observations, loss="soft_l1")
     for _ in range(2):  # second round: recover inliers that outliers had biased in the first fit
@@ -55,17 +53,11 @@ def _within_noise(params: CalibrationParams, observations: Observations) -> NDAr
 class Solution:
     """Parameters with their uncertainty.
 
-    Attributes
-    ----------
-    params : CalibrationParams
-    observations : Observations
-        All corners of the captures used.
-    inlier_mask : bool array, shape (M,)
-        Corners that the fit used; the others are outliers.
-    sigma_px : float
-        Noise of the corners in u and in v.
-    covariance : array, shape (num_rig_params, num_rig_params)
-        Covariance of intrinsics and camera poses.
+    Attributes:
+        observations: All corners of the captures used.
+        inlier_mask (bool array, shape (M,)): Corners that the fit used; the others are outliers.
+        sigma_px: Noise of the corners in u and in v.
+        covariance (array, shape (num_rig_params, num_rig_params)): Covariance of intrinsics and camera poses.
     """
 
     params: CalibrationParams
@@ -78,10 +70,8 @@ class Solution:
     def solve(cls, params: CalibrationParams, observations: Observations) -> Solution:
         """Refine initial values and estimate their covariance.
 
-        Raises
-        ------
-        OmnistereoError
-            If the corners do not determine all unknowns.
+        Raises:
+            OmnistereoError: If the corners do not determine all unknowns.
         """
         params, inlier_mask = refine(params, observations)
         inliers = observations.select(inlier_mask)

@@ -26,20 +26,14 @@ _INDEX_STEP = 0.05  # spheres, for derivatives with respect to the index
 def index_shift(rig: Rig, wrong: Rig, grid: SphereGrid, index: float, pairs: Pairs = "ring") -> Floats:
     """Predict the shift of the best sphere if `wrong` is used in place of `rig`.
 
-    Parameters
-    ----------
-    rig, wrong : Rig
-        In the same frame, its origin the sweep centre.
-    grid : SphereGrid
-    index : float
-        True sphere index of the scene, in (0, N - 1].
-    pairs : "ring" | "all" | sequence of (int, int)
-        Camera pairs; the result minimizes the sum of their squared errors.
+    Args:
+        rig, wrong: In the same frame, its origin the sweep centre.
+        index: True sphere index of the scene, in (0, N - 1].
+        pairs: Camera pairs; the result minimizes the sum of their squared errors.
 
-    Returns
-    -------
-    array, shape (H, W), spheres; NaN where no pair sees the ray
-        Positive: the scene appears nearer than it is. First order: valid for shifts small against the texture.
+    Returns:
+        array, shape (H, W), spheres; NaN where no pair sees the ray: Positive: the scene appears nearer than it is.
+            First order: valid for shifts small against the texture.
     """
     return _shift(_linearize(rig, grid, index), wrong, grid, index, camera_pairs(pairs, rig))
 
@@ -47,16 +41,12 @@ def index_shift(rig: Rig, wrong: Rig, grid: SphereGrid, index: float, pairs: Pai
 def index_uncertainty(report: RigReport, grid: SphereGrid, index: float, pairs: Pairs = "ring") -> Floats:
     """Return the standard deviation of the sphere index due to calibration uncertainty.
 
-    Parameters
-    ----------
-    report : RigReport
-        Of `calibrate_rig`: its covariance is propagated through `index_shift`.
-    grid, index, pairs
-        As for `index_shift`.
+    Args:
+        report: Of `calibrate_rig`: its covariance is propagated through `index_shift`.
+        grid, index, pairs: As for `index_shift`.
 
-    Returns
-    -------
-    array, shape (H, W), spheres
+    Returns:
+        array, shape (H, W), spheres
     """
     nominal = CalibrationParams(report.params.intrinsics, report.params.T_cam_rig, ())
     rig = _rig(nominal, report)

@@ -108,22 +108,18 @@ def evaluate_frame(
 class Evaluation:
     """Methods × frames of data sets × one scale (the `jobs`), with the results in a folder.
 
-    Parameters
-    ----------
-    out : path
-        Output folder, made if missing; frames/SET/NUMBER/METHOD.json are the single results.
-    sets, split
-        Folders with ground truth by name, as `find_sets` returns them; their split, see `load_dataset`.
-    frames : sequence of int, optional
-        Frame numbers, the same in every set; default: all with ground truth.
-    weights, device, precision
-        Folder of the weights; see `select_device` and `LearnedCost`. Under `torchrun` every process takes its own GPU.
-    rig : path, optional
-        Another rig, such as a calibrated one, in place of the rig of every set: anything that `load_rig` reads. Its
-        first camera gets the pose of the first camera of the set.
+    Args:
+        out: Output folder, made if missing; frames/SET/NUMBER/METHOD.json are the single results.
+        sets, split: Folders with ground truth by name, as `find_sets` returns them; their split, see `load_dataset`.
+        frames: Frame numbers, the same in every set; default: all with ground truth.
+        weights, device, precision: Folder of the weights; see `select_device` and `LearnedCost`. Under `torchrun` every
+            process takes its own GPU.
+        rig: Another rig, such as a calibrated one, in place of the rig of every set: anything that `load_rig` reads.
+            Its first camera gets the pose of the first camera of the set.
 
-    Raises an `OmnistereoError` if data, weights, rig or device are missing, the rig has other cameras than a set, or
-    the folder holds results of another scale, rig, other data or other weights.
+    Raises:
+        OmnistereoError: If data, weights, rig or device are missing, the rig has other cameras than a set, or the
+            folder holds results of another scale, rig, other data or other weights.
     """
 
     def __init__(

@@ -35,27 +35,18 @@ _NEWTON_STEPS = 4  # starting from 1024 samples, the error falls 1e-3 → 1e-6 �
 class OcamCamera:
     """A fisheye camera with polynomial distortion.
 
-    Parameters
-    ----------
-    poly : sequence of float
-        Direct polynomial f, coefficients from low to high, pixels; f(0) < 0.
-    inv_poly : sequence of float
-        Inverse polynomial r(t), coefficients from low to high, pixels; see `fit_inverse_polynomial`.
-    center : (float, float)
-        Image of the optical axis (u, v), pixels.
-    affine : (float, float, float)
-        c, d, e of the affine map A, named as in the files: u = x + e y + u0, v = d x + c y + v0.
-    image_size : (int, int)
-        Width and height, pixels.
-    max_fov_deg : float
-        Full field of view in (0, 360]; rays further than half of it from the axis are invalid.
-    mask : array of any numeric type, shape (height, width), optional
-        Non-zero where the image is valid; stored as bool. None: everywhere.
+    Args:
+        poly: Direct polynomial f, coefficients from low to high, pixels; f(0) < 0.
+        inv_poly: Inverse polynomial r(t), coefficients from low to high, pixels; see `fit_inverse_polynomial`.
+        center: Image of the optical axis (u, v), pixels.
+        affine: c, d, e of the affine map A, named as in the files: u = x + e y + u0, v = d x + c y + v0.
+        image_size: Width and height, pixels.
+        max_fov_deg: Full field of view in (0, 360]; rays further than half of it from the axis are invalid.
+        mask (array of any numeric type, shape (height, width)): Non-zero where the image is valid; stored as bool.
+            None: everywhere.
 
-    Raises
-    ------
-    OmnistereoError
-        If a parameter is not finite, has the wrong shape or is out of range.
+    Raises:
+        OmnistereoError: If a parameter is not finite, has the wrong shape or is out of range.
     """
 
     poly: NDArray[np.float64]
@@ -114,26 +105,18 @@ class OcamCamera:
     def project(self, points: ArrayLike, use_direct_poly: bool = False) -> tuple[Array, Array]:
         """Project points to pixels: A(Π(X; Φ)) (paper, Section III-A).
 
-        Parameters
-        ----------
-        points : array or torch tensor, shape (..., 3)
-            Points in the camera frame; only their direction matters.
-        use_direct_poly : bool
-            False: evaluate the inverse polynomial, as every released code does. True: find the root of the
-            direct polynomial, for files whose two polynomials disagree.
+        Args:
+            points (array or torch tensor, shape (..., 3)): Points in the camera frame; only their direction matters.
+            use_direct_poly: False: evaluate the inverse polynomial, as every released code does. True: find the root of
+                the direct polynomial, for files whose two polynomials disagree.
 
-        Returns
-        -------
-        uv : shape (..., 2), pixels
-            Meaningful where valid; finite elsewhere, so that it can be interpolated.
-        valid : bool, shape (...)
-            Within the field of view, inside the image, on the mask. False for points that are not finite or lie
-            at the camera centre.
+        Returns:
+            uv (shape (..., 2), pixels): Meaningful where valid; finite elsewhere, so that it can be interpolated.
+            valid (bool, shape (...)): Within the field of view, inside the image, on the mask. False for points that
+                are not finite or lie at the camera centre.
 
-        Raises
-        ------
-        OmnistereoError
-            If points has another shape, or the direct polynomial does not reach the field of view.
+        Raises:
+            OmnistereoError: If points has another shape, or the direct polynomial does not reach the field of view.
         """
         points, xp = _as_array(points, 3)
         x, y, z = points[..., 0], points[..., 1], points[..., 2]
@@ -154,18 +137,14 @@ class OcamCamera:
     def unproject(self, uv: ArrayLike, use_direct_poly: bool = False) -> tuple[Array, Array]:
         """Return the unit rays of pixels: the inverse of `project` with the same `use_direct_poly`.
 
-        Parameters
-        ----------
-        uv : array or torch tensor, shape (..., 2), pixels
-        use_direct_poly : bool
-            False: invert the inverse polynomial numerically. True: evaluate the direct polynomial.
+        Args:
+            uv: array or torch tensor, shape (..., 2), pixels
+            use_direct_poly: False: invert the inverse polynomial numerically. True: evaluate the direct polynomial.
 
-        Returns
-        -------
-        rays : shape (..., 3), unit length, camera frame
-        valid : bool, shape (...)
-            Inside the image, on the mask, within the field of view, and with `use_direct_poly` no further out than
-            the direct polynomial is monotonic.
+        Returns:
+            rays: shape (..., 3), unit length, camera frame
+            valid (bool, shape (...)): Inside the image, on the mask, within the field of view, and with
+                `use_direct_poly` no further out than the direct polynomial is monotonic.
         """
         uv, xp = _as_array(uv, 2)
         finite = xp.isfinite(uv[..., 0]) & xp.isfinite(uv[..., 1])
@@ -250,25 +229,18 @@ def fit_inverse_polynomial(
 ) -> NDArray[np.float64]:
     """Fit the inverse polynomial r(t) with the lowest degree that reaches the tolerance.
 
-    Parameters
-    ----------
-    poly : sequence of float
-        Direct polynomial, low to high, pixels.
-    max_fov_deg : float
-        Full field of view to cover.
-    max_radius : float
-        Upper bound of the radius in pixels, such as three times the larger side of the image.
-    tolerance : float
-        Largest error in pixels.
+    Args:
+        poly: Direct polynomial, low to high, pixels.
+        max_fov_deg: Full field of view to cover.
+        max_radius: Upper bound of the radius in pixels, such as three times the larger side of the image.
+        tolerance: Largest error in pixels.
 
-    Returns
-    -------
-    array, shape (degree + 1,), low to high
+    Returns:
+        array, shape (degree + 1,), low to high
 
-    Raises
-    ------
-    OmnistereoError
-        If the direct polynomial is not monotonic up to the end of the field of view, or no degree up to 25 fits.
+    Raises:
+        OmnistereoError: If the direct polynomial is not monotonic up to the end of the field of view, or no degree up
+            to 25 fits.
     """
     max_t = np.radians(max_fov_deg / 2) - np.pi / 2
     radii, angles = _monotone_branch(np.asarray(poly, np.float64), max_t, max_radius)

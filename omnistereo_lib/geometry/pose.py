@@ -16,17 +16,12 @@ _ROTATION_TOLERANCE = 1e-5  # files print rotations with 6 digits or more
 class Pose:
     """A rigid transform T_ab: coordinates in frame b become coordinates in frame a.
 
-    Parameters
-    ----------
-    R : array, shape (3, 3)
-        Rotation matrix; rounding as in printed files, up to 1e-5, is corrected.
-    t : array, shape (3,)
-        Translation in metres: the origin of frame b in frame a.
+    Args:
+        R (array, shape (3, 3)): Rotation matrix; rounding as in printed files, up to 1e-5, is corrected.
+        t (array, shape (3,)): Translation in metres: the origin of frame b in frame a.
 
-    Raises
-    ------
-    OmnistereoError
-        If R or t has the wrong shape, is not finite, or R is not a rotation.
+    Raises:
+        OmnistereoError: If R or t has the wrong shape, is not finite, or R is not a rotation.
     """
 
     R: NDArray[np.float64]

@@ -22,18 +22,12 @@ Pairs = Literal["ring", "all"] | Sequence[tuple[int, int]]
 class Rig:
     """Two or more cameras and their poses.
 
-    Parameters
-    ----------
-    cameras : sequence of OcamCamera
-    T_rig_cam : sequence of Pose
-        Camera → rig, metres: the direction of the public files, the inverse of Θ* in the paper.
-    min_depth : float, optional
-        Nearest depth in metres that the rig file proposes for a sweep.
+    Args:
+        T_rig_cam: Camera → rig, metres: the direction of the public files, the inverse of Θ* in the paper.
+        min_depth: Nearest depth in metres that the rig file proposes for a sweep.
 
-    Raises
-    ------
-    OmnistereoError
-        If there are fewer than two cameras or not one pose per camera.
+    Raises:
+        OmnistereoError: If there are fewer than two cameras or not one pose per camera.
     """
 
     cameras: tuple[OcamCamera, ...]
@@ -73,10 +67,8 @@ class Rig:
     def recentered(self, center: ArrayLike | None = None) -> Rig:
         """Return the rig with its origin moved to the sweep centre, axes unchanged.
 
-        Parameters
-        ----------
-        center : array, shape (3,), optional
-            Sweep centre in the rig frame, metres. Default: the mean of the camera centres.
+        Args:
+            center (array, shape (3,)): Sweep centre in the rig frame, metres. Default: the mean of the camera centres.
         """
         center = self.centers.mean(0) if center is None else np.asarray(center, np.float64)
         return self.transformed(Pose(np.eye(3), -center))
@@ -89,18 +81,13 @@ class Rig:
 def camera_pairs(pairs: Pairs, rig: Rig) -> list[tuple[int, int]]:
     """Return the camera pairs to match, as indices (paper, Section III-B).
 
-    Parameters
-    ----------
-    pairs : "ring" | "all" | sequence of (int, int)
-        "ring": each camera with its neighbour to the right, by the azimuth of the optical axes. For the rig of
-        the paper: (0, 1), (1, 2), (2, 3), (3, 0), as in the released code. "all": every unordered pair, as in
-        the text of the paper.
-    rig : Rig
+    Args:
+        pairs: "ring": each camera with its neighbour to the right, by the azimuth of the optical axes. For the rig of
+            the paper: (0, 1), (1, 2), (2, 3), (3, 0), as in the released code. "all": every unordered pair, as in the
+            text of the paper.
 
-    Raises
-    ------
-    OmnistereoError
-        If a pair names a missing camera, or one camera twice.
+    Raises:
+        OmnistereoError: If a pair names a missing camera, or one camera twice.
     """
     if pairs == "ring":
         return _neighbours(rig)

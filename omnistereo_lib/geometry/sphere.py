@@ -31,27 +31,18 @@ class SphereGrid:
     A ray is ρ(θ, φ) = (cosφ sinθ, sinφ, cosφ cosθ): the centre of the panorama looks along +z, right is +x, down
     is +y. The paper prints (cosφ cosθ, sinφ, cosφ sinθ), which is this rotated by 90° and mirrored.
 
-    Parameters
-    ----------
-    width, height : int
-        Panorama size W × H in pixels; θ spans the full circle over the columns.
-    phi_deg : (float, float)
-        First and last elevation φ in degrees, down is positive, within ±90.
-    num_spheres : int
-        N, at least 2.
-    min_depth : float
-        D_min in metres: the radius of sphere N - 1.
-    max_depth : float
-        Radius of sphere 0 in metres; the paper's is infinite.
-    sampling : "center" | "sweepnet" | "omnimvs"
-        Ray of a pixel. "center": the ray through the pixel centre. "sweepnet", as the released MATLAB code and its
-        ground truth: θ = (column + 1 - W/2) 2π/W, φ likewise. "omnimvs", as that code: θ = (column - W/2) 2π/W,
-        φ from the first to the last elevation, both included.
+    Args:
+        width, height: Panorama size W × H in pixels; θ spans the full circle over the columns.
+        phi_deg: First and last elevation φ in degrees, down is positive, within ±90.
+        num_spheres: N, at least 2.
+        min_depth: D_min in metres: the radius of sphere N - 1.
+        max_depth: Radius of sphere 0 in metres; the paper's is infinite.
+        sampling: Ray of a pixel. "center": the ray through the pixel centre. "sweepnet", as the released MATLAB code
+            and its ground truth: θ = (column + 1 - W/2) 2π/W, φ likewise. "omnimvs", as that code: θ = (column - W/2)
+            2π/W, φ from the first to the last elevation, both included.
 
-    Raises
-    ------
-    OmnistereoError
-        If a size is not an integer, or a size, an angle or a depth is missing or out of range.
+    Raises:
+        OmnistereoError: If a size is not an integer, or a size, an angle or a depth is missing or out of range.
     """
 
     width: int
@@ -105,17 +96,13 @@ class SphereGrid:
     def project(self, points: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Project points to panorama pixels: the inverse of `rays`.
 
-        Parameters
-        ----------
-        points : array, shape (..., 3)
-            Points in the rig frame with its origin at the sweep centre; only their direction matters.
+        Args:
+            points (array, shape (..., 3)): Points in the rig frame with its origin at the sweep centre; only their
+                direction matters.
 
-        Returns
-        -------
-        pixels : shape (..., 2)
-            (column, row); the column is in [-0.5, W - 0.5).
-        valid : bool, shape (...)
-            The row is in [-0.5, H - 0.5].
+        Returns:
+            pixels (shape (..., 2)): (column, row); the column is in [-0.5, W - 0.5).
+            valid (bool, shape (...)): The row is in [-0.5, H - 0.5].
         """
         points = np.asarray(points, np.float64)
         theta = np.arctan2(points[..., 0], points[..., 2])

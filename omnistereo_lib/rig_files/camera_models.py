@@ -115,10 +115,8 @@ def make_camera_model(model: str, parameters: dict[str, float]) -> Projection:
 
     `parameters` are all keyword arguments of the model function; the distortion of "omni" may be omitted.
 
-    Raises
-    ------
-    OmnistereoError
-        If the model is unknown, or a parameter is missing, unknown or out of range.
+    Raises:
+        OmnistereoError: If the model is unknown, or a parameter is missing, unknown or out of range.
     """
     if model not in _MODELS:
         raise OmnistereoError(
@@ -191,23 +189,15 @@ def fit_ocam(
     give the centre and the 2 × 2 map of the ring; over all rings the maps are one affine map times a radius (their
     best rank-1 approximation, the least-squares solution). The two polynomials are then fitted to the radii.
 
-    Parameters
-    ----------
-    project : function
-        Rays (..., 3) → pixels (..., 2), valid (...), such as `functools.partial(double_sphere, fx=..., ...)`.
-    image_size : (int, int)
-        Width and height, pixels. OmnistereoError if the model projects nothing into the image.
-    max_fov_deg : float, optional
-        Limit of the full field of view, degrees. None: none with a mask, 220° without a mask.
-        The result is the smallest of this, the limit of the model and the widest angle of a valid pixel.
-    mask : bool array, shape (height, width), optional
-        True where the image is valid.
+    Args:
+        project: Rays (..., 3) → pixels (..., 2), valid (...), such as `functools.partial(double_sphere, fx=..., ...)`.
+        image_size: Width and height, pixels. OmnistereoError if the model projects nothing into the image.
+        max_fov_deg: Limit of the full field of view, degrees. None: none with a mask, 220° without a mask. The result
+            is the smallest of this, the limit of the model and the widest angle of a valid pixel.
+        mask (bool array, shape (height, width)): True where the image is valid.
 
-    Returns
-    -------
-    camera : OcamCamera
-    residual : float
-        Largest distance in pixels between the model and the projection by either polynomial.
+    Returns:
+        residual: Largest distance in pixels between the model and the projection by either polynomial.
     """
     half = _half_field(project, image_size, max_fov_deg, mask)
     theta = np.linspace(0.0, half, 257)[1:]

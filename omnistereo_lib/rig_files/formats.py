@@ -35,20 +35,18 @@ _MAX_EXPORT_ERROR = 1.0  # px; beyond it a warning
 def load_rig(path: str | Path, unit: str | None = None, max_fov_deg: float | None = None) -> Rig:
     """Read a rig of any supported format; the log (`logging`, name "omnistereo_lib") states which.
 
-    Parameters
-    ----------
-    path : path
-        File or folder. In a folder with both, config.yaml is read instead of the OCamCalib text files,
-        because it states its unit, unless a unit is given: only the text files need one.
-    unit : "mm" | "cm" | "m", optional
-        Unit of the translations: required where the file does not state it, refused where it states another.
-    max_fov_deg : float, optional
-        Full field of view of the lenses, degrees. None: the value in the file (config.yaml), 220° for OCam text
-        files, and for other camera models the choice of `camera_models.fit_ocam`.
+    Warns if the two polynomials of a camera, or the model in the file and the fitted one, differ by more than 0.1 px.
 
-    Raises OmnistereoError if the file is missing, broken or of an unsupported format, or its unit is neither stated
-    nor given. Warns if the two polynomials of a camera, or the model in the file and the fitted one, differ by more
-    than 0.1 px.
+    Args:
+        path: File or folder. In a folder with both, config.yaml is read instead of the OCamCalib text files, because it
+            states its unit, unless a unit is given: only the text files need one.
+        unit: Unit of the translations: required where the file does not state it, refused where it states another.
+        max_fov_deg: Full field of view of the lenses, degrees. None: the value in the file (config.yaml), 220° for OCam
+            text files, and for other camera models the choice of `camera_models.fit_ocam`.
+
+    Raises:
+        OmnistereoError: If the file is missing, broken or of an unsupported format, or its unit is neither stated nor
+            given.
     """
     path = Path(path)
     if unit is not None and unit not in METRES_PER_UNIT:

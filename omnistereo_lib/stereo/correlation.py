@@ -39,17 +39,13 @@ def pixels_per_degree(grid: SphereGrid) -> float:
 def feature_coordinates(rig: Rig, grid: SphereGrid) -> list[Tensor]:
     """Return where the cells of the volume land on the feature maps of every camera (Eq. 1).
 
-    Parameters
-    ----------
-    rig : Rig
-        With its origin at the sweep centre.
-    grid : SphereGrid
-        See `volume_size`.
+    Args:
+        rig: With its origin at the sweep centre.
+        grid: See `volume_size`.
 
-    Returns
-    -------
-    list of float32 tensors, shape (W', H', N', 2), the sizes of the volume
-        Feature pixels, NaN where the cell is not visible to the camera.
+    Returns:
+        list of float32 tensors, shape (W', H', N', 2), the sizes of the volume: Feature pixels, NaN where the cell is
+            not visible to the camera.
     """
     width, height, spheres = volume_size(grid)
     rays = torch.from_numpy(replace(grid, width=width, height=height).rays()).float().transpose(0, 1)
@@ -110,17 +106,13 @@ def _group_means(like: Tensor) -> Tensor:
 def bilinear(uv: Tensor, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
     """Return the four pixels around feature coordinates and their bilinear weights.
 
-    Parameters
-    ----------
-    uv : tensor, shape (..., 2)
-        Feature pixels, NaN where the cell is not visible to the camera.
-    size : (int, int)
-        Width and height of the feature maps.
+    Args:
+        uv (tensor, shape (..., 2)): Feature pixels, NaN where the cell is not visible to the camera.
+        size: Width and height of the feature maps.
 
-    Returns
-    -------
-    index : int32 tensor, shape (cells, 4), row · width + column
-    weight : float32 tensor, shape (cells, 4), 0 where the cell is not visible to the camera
+    Returns:
+        index: int32 tensor, shape (cells, 4), row · width + column
+        weight: float32 tensor, shape (cells, 4), 0 where the cell is not visible to the camera
     """
     w, h = size
     x, y = uv.reshape(-1, 2).nan_to_num().unbind(-1)
@@ -138,16 +130,12 @@ def correlate(features: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tens
     The mean of f_i f_j over all pairs i ≠ j needs no pairs: it is ((Σ f)² - Σ f²) / (k (k - 1)), where k is the number
     of cameras to which the cell is visible. So any number of cameras will do, in any order.
 
-    Parameters
-    ----------
-    features : one tensor per camera, shape (32, h, w)
-    coordinates : one tensor per camera, shape (W, H, N, 2)
-        See `feature_coordinates`.
+    Args:
+        features: one tensor per camera, shape (32, h, w)
+        coordinates (one tensor per camera, shape (W, H, N, 2)): See `feature_coordinates`.
 
-    Returns
-    -------
-    tensor, shape (9, W, H, N)
-        Eight correlations, 0 where k < 2, and k / 4.
+    Returns:
+        tensor, shape (9, W, H, N): Eight correlations, 0 where k < 2, and k / 4.
     """
     shape = coordinates[0].shape[:3]
     tables = [maps.permute(1, 2, 0).reshape(-1, CHANNELS) for maps in features]

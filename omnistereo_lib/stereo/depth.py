@@ -22,24 +22,17 @@ _CELLS = 1 << 22  # of a cost volume at a time, 16 MB in float32: temporary copi
 def winner_takes_all(volume: ArrayLike | Tensor, subindex: bool = False) -> Tensor:
     """Return the index of the best sphere, n* = argmin_n C(p, n) (paper, Section III-B).
 
-    Parameters
-    ----------
-    volume : float tensor or array, shape (H, W, N)
-        Costs; NaN cells are never the best.
-    subindex : bool
-        Refine n* to the vertex of the parabola through its cost and the costs of its two neighbours, by at most half
-        a sphere. The spheres are evenly spaced in inverse depth, in which the index is linear. An index at either
-        end, or next to a NaN, stays.
+    Args:
+        volume (float tensor or array, shape (H, W, N)): Costs; NaN cells are never the best.
+        subindex: Refine n* to the vertex of the parabola through its cost and the costs of its two neighbours, by at
+            most half a sphere. The spheres are evenly spaced in inverse depth, in which the index is linear. An index
+            at either end, or next to a NaN, stays.
 
-    Returns
-    -------
-    float32 tensor, shape (H, W)
-        Sphere index; NaN where every cell is NaN.
+    Returns:
+        float32 tensor, shape (H, W): Sphere index; NaN where every cell is NaN.
 
-    Raises
-    ------
-    OmnistereoError
-        If the volume does not have that shape with N ≥ 2.
+    Raises:
+        OmnistereoError: If the volume does not have that shape with N ≥ 2.
     """
 
     def best(rows: Tensor) -> Tensor:
@@ -63,20 +56,14 @@ def confidence(volume: ArrayLike | Tensor) -> Tensor:
     This is the peak ratio (PKRN; Hu & Mordohai 2012), mapped to [0, 1]. Its value depends on the scale of the volume;
     its order, which `sparsification` evaluates, hardly does.
 
-    Parameters
-    ----------
-    volume : float tensor or array, shape (H, W, N)
-        Costs of at least 0, raw or aggregated; NaN cells are ignored.
+    Args:
+        volume (float tensor or array, shape (H, W, N)): Costs of at least 0, raw or aggregated; NaN cells are ignored.
 
-    Returns
-    -------
-    float32 tensor, shape (H, W), in [0, 1]
-        NaN where every cell is NaN; 1 where there is no n₂.
+    Returns:
+        float32 tensor, shape (H, W), in [0, 1]: NaN where every cell is NaN; 1 where there is no n₂.
 
-    Raises
-    ------
-    OmnistereoError
-        If the volume does not have that shape with N ≥ 2.
+    Raises:
+        OmnistereoError: If the volume does not have that shape with N ≥ 2.
     """
 
     def peak_ratio(rows: Tensor) -> Tensor:
@@ -103,13 +90,11 @@ def _by_rows(function: Callable[[Tensor], Tensor], volume: ArrayLike | Tensor) -
 class Depth:
     """A depth panorama around the sweep centre.
 
-    Attributes
-    ----------
-    index : float32 array, shape (H, W)
-        Sphere index n*, fractional with sub-sphere refinement; NaN where no pair of cameras sees the ray.
-    confidence : float32 array, shape (H, W), in [0, 1]
-    sweep : SphereSweep
-        The sweep of the cost volume, with its grid and its rig.
+    Attributes:
+        index (float32 array, shape (H, W)): Sphere index n*, fractional with sub-sphere refinement; NaN where no pair
+            of cameras sees the ray.
+        confidence: float32 array, shape (H, W), in [0, 1]
+        sweep: The sweep of the cost volume, with its grid and its rig.
     """
 
     index: NDArray[np.float32]
@@ -145,15 +130,12 @@ class Depth:
     def panorama(self, images: Sequence[ArrayLike]) -> NDArray[np.float32]:
         """Return the reference panorama: the images sampled at the estimated depth (paper, Fig. 1, 9).
 
-        Parameters
-        ----------
-        images : one array per camera, (height, width) or (height, width, 3)
+        Args:
+            images: one array per camera, (height, width) or (height, width, 3)
 
-        Returns
-        -------
-        float32 array, shape (H, W) or (H, W, 3), in the range of the images
-            Mean over the cameras to which the point is visible; NaN where there is none, or no depth. A wrong depth
-            shows as a double contour.
+        Returns:
+            float32 array, shape (H, W) or (H, W, 3), in the range of the images: Mean over the cameras to which the
+                point is visible; NaN where there is none, or no depth. A wrong depth shows as a double contour.
         """
         samples = np.stack(self.sweep.warp(images, self.index))
         visible = np.isfinite(samples)
@@ -166,15 +148,12 @@ class Depth:
         For each ray, the two cameras whose optical axes are nearest to the point are sampled at the estimated depth
         and correlated (ZNCC) over 9 × 9 rays, so that gain and vignetting matter little.
 
-        Parameters
-        ----------
-        images : one array per camera, (height, width) or (height, width, 3)
+        Args:
+            images: one array per camera, (height, width) or (height, width, 3)
 
-        Returns
-        -------
-        float32 array, shape (H, W), in [-1, 1]
-            1 where both show the same, 0 in windows without texture; NaN where the point is visible to fewer than
-            two cameras, or there is no depth.
+        Returns:
+            float32 array, shape (H, W), in [-1, 1]: 1 where both show the same, 0 in windows without texture; NaN where
+                the point is visible to fewer than two cameras, or there is no depth.
         """
         gray = [image.cpu().numpy() for image in self.sweep.normalize_images(images)]
         samples = np.stack(self.sweep.warp(gray, self.index))
@@ -189,19 +168,14 @@ class Depth:
     ) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None]:
         """Return the estimated points and their colours.
 
-        Parameters
-        ----------
-        images : one array per camera, optional
-            Source of the colours, values 0 to 255; see `panorama`.
-        max_depth : float
-            Largest depth in metres; beyond it, one sphere index is many metres.
-        min_confidence : float
-            Smallest confidence.
+        Args:
+            images (one array per camera): Source of the colours, values 0 to 255; see `panorama`.
+            max_depth: Largest depth in metres; beyond it, one sphere index is many metres.
+            min_confidence: Smallest confidence.
 
-        Returns
-        -------
-        points : shape (M, 3), metres, rig frame at the sweep centre
-        colors : uint8, shape (M, 3), RGB, or None without images
+        Returns:
+            points: shape (M, 3), metres, rig frame at the sweep centre
+            colors: uint8, shape (M, 3), RGB, or None without images
         """
         depth = self.depth
         keep = self.valid & (depth <= max_depth) & (self.confidence >= min_confidence)
@@ -216,15 +190,12 @@ class Depth:
 def colorize_depth(inverse_depth: ArrayLike, grid: SphereGrid) -> NDArray[np.uint8]:
     """Return a colour image of inverse depth: near is bright and warm, far is dark, unknown is striped grey.
 
-    Parameters
-    ----------
-    inverse_depth : array, shape (H, W), 1/m, NaN unknown
-    grid : SphereGrid
-        The nearest sphere has the brightest colour.
+    Args:
+        inverse_depth: array, shape (H, W), 1/m, NaN unknown
+        grid: The nearest sphere has the brightest colour.
 
-    Returns
-    -------
-    uint8 array, shape (H, W, 3), RGB
+    Returns:
+        uint8 array, shape (H, W, 3), RGB
     """
     inverse_depth = np.asarray(inverse_depth)
     level = np.clip(256 * np.nan_to_num(inverse_depth) * grid.min_depth, 0, 255).astype(np.uint8)

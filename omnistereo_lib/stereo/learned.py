@@ -29,10 +29,8 @@ def uses_bfloat16(precision: Precision, device: torch.device | str) -> bool:
     "auto": where the hardware multiplies bfloat16, AMX or AVX-512 BF16 on a CPU. Elsewhere it is emulated, up to
     hundreds of times slower than float32.
 
-    Raises
-    ------
-    OmnistereoError
-        If the precision is none of the three.
+    Raises:
+        OmnistereoError: If the precision is none of the three.
     """
     if precision not in ("auto", "float32", "bfloat16"):
         raise OmnistereoError(f'precision = {precision!r}; expected "auto", "float32" or "bfloat16"')
@@ -137,12 +135,9 @@ class Features:
 class LearnedCost:
     """A network as a matching cost, called like `ZNCC`: the same costs as from the network, many times faster.
 
-    Parameters
-    ----------
-    network : PairNetwork
-        Put into evaluation mode and channels-last memory, and moved to the device of the images.
-    precision : "auto" | "float32" | "bfloat16"
-        Of the matrix products; see `uses_bfloat16`, which also says what raises.
+    Args:
+        network: Put into evaluation mode and channels-last memory, and moved to the device of the images.
+        precision: Of the matrix products; see `uses_bfloat16`, which also says what raises.
     """
 
     def __init__(self, network: PairNetwork, precision: Precision = "auto") -> None:
@@ -159,10 +154,8 @@ class LearnedCost:
     ) -> Tensor:
         """Return the mean cost over camera pairs (Eq. 2) for a block of spheres; arguments as in `ZNCC`.
 
-        Raises
-        ------
-        OmnistereoError
-            If the network cannot take a panorama of this size.
+        Raises:
+            OmnistereoError: If the network cannot take a panorama of this size.
         """
         cameras, B, H, W = spherical_images.shape
         device = spherical_images.device

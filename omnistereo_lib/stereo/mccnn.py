@@ -26,10 +26,8 @@ class MCCNN(PairNetwork):
     which equals patch by patch. A patch wraps around the ±180° seam; it is 0, the mean gray value, where a camera
     does not see and above and below the panorama.
 
-    Parameters
-    ----------
-    variant : "fast" | "accurate"
-        111,424 and 870,449 parameters; another one raises `OmnistereoError`.
+    Args:
+        variant: 111,424 and 870,449 parameters; another one raises `OmnistereoError`.
     """
 
     padding = (PATCH // 2, PATCH // 2)

@@ -30,20 +30,13 @@ from omnistereo_lib.stereo.zncc import ZNCC
 class CostEntry:
     """A matching cost in the vocabulary of methods.
 
-    Parameters
-    ----------
-    label : str
-        Row of a table.
-    load : callable
-        (method, weights file or None, precision) → the cost object.
-    settings : set of str
-        Settings of `Method` that change this cost.
-    weights : str
-        Bundled weights file without .safetensors; "" for a cost without weights.
-    p1, p2 : float
-        SGM penalties that suit the scale of this cost.
-    read_out : callable, optional
-        Raw volume (H, W, N) → index and confidence (H, W), in place of `winner_takes_all` and `confidence`.
+    Args:
+        label: Row of a table.
+        load: (method, weights file or None, precision) → the cost object.
+        settings: Settings of `Method` that change this cost.
+        weights: Bundled weights file without .safetensors; "" for a cost without weights.
+        p1, p2: SGM penalties that suit the scale of this cost.
+        read_out: Raw volume (H, W, N) → index and confidence (H, W), in place of `winner_takes_all` and `confidence`.
     """
 
     label: str
@@ -118,31 +111,20 @@ _TYPES = {  # of the settings in a name
 class Method:
     """A way from images to sphere indices; the defaults are the paper's except for the pairs.
 
-    Parameters
-    ----------
-    cost : str
-        A key of `COSTS`.
-    aggregate : "none" | "sgm"
-        Read depth from the raw cost volume, or after semi-global matching.
-    window : int
-        Side of the ZNCC window, pixels.
-    weights : str
-        Name of the weights file of a network, without .safetensors; "": the bundled one.
-    pairs : "ring" | "all"
-        See `camera_pairs`.
-    p1, p2 : float, optional
-        SGM penalties; None: those of the cost.
-    wrap : bool
-        False: SGM stops at the ±180° seam, and so does every layer of SweepNet.
-    subindex : bool
-        Refine the index between spheres, see `winner_takes_all`; the paper reports integer indices.
-    num_spheres : int
-        N instead of the N of the grid; 0: that of the grid.
+    Args:
+        cost: A key of `COSTS`.
+        aggregate: Read depth from the raw cost volume, or after semi-global matching.
+        window: Side of the ZNCC window, pixels.
+        weights: Name of the weights file of a network, without .safetensors; "": the bundled one.
+        pairs: See `camera_pairs`.
+        p1, p2: SGM penalties; None: those of the cost.
+        wrap: False: SGM stops at the ±180° seam, and so does every layer of SweepNet.
+        subindex: Refine the index between spheres, see `winner_takes_all`; the paper reports integer indices.
+        num_spheres: N instead of the N of the grid; 0: that of the grid.
 
-    Raises
-    ------
-    OmnistereoError
-        If a value is out of range, or is set although the method does not use it: a method has one name.
+    Raises:
+        OmnistereoError: If a value is out of range, or is set although the method does not use it: a method has one
+            name.
     """
 
     cost: str
@@ -177,10 +159,8 @@ class Method:
     def parse(cls, name: str | Method) -> Method:
         """Return the method of a name; a method is returned as it is.
 
-        Raises
-        ------
-        OmnistereoError
-            If there is no such method.
+        Raises:
+            OmnistereoError: If there is no such method.
         """
         if isinstance(name, Method):
             return name
@@ -249,10 +229,8 @@ class Method:
     def load_cost(self, folder: Path = BUNDLED_WEIGHTS, precision: Precision = "auto") -> Cost:
         """Return the matching cost, a network with its weights from a folder.
 
-        Raises
-        ------
-        OmnistereoError
-            If the weights file is missing, damaged, or holds another architecture.
+        Raises:
+            OmnistereoError: If the weights file is missing, damaged, or holds another architecture.
         """
         return COSTS[self.cost].load(self, self.weights_file(folder), precision)
 

@@ -26,27 +26,19 @@ def index_error(
 ) -> dict[str, float]:
     """Return the five metrics of the paper for one panorama (Table II, from the errors of Eq. 5).
 
-    Parameters
-    ----------
-    index : array, shape (H, W)
-        Estimated sphere index n*; NaN is an error of 100 %.
-    gt_index : array, shape (H, W)
-        Ground-truth index n̂, not rounded. Rays with n̂ outside [0, N) or NaN are not evaluated.
-    num_spheres : int
-        N.
-    valid : bool array, shape (H, W), optional
-        Rays to evaluate.
+    Args:
+        index (array, shape (H, W)): Estimated sphere index n*; NaN is an error of 100 %.
+        gt_index (array, shape (H, W)): Ground-truth index n̂, not rounded. Rays with n̂ outside [0, N) or NaN are not
+            evaluated.
+        num_spheres: N.
+        valid (bool array, shape (H, W)): Rays to evaluate.
 
-    Returns
-    -------
-    dict
-        ">1", ">3", ">5": percent of rays with a larger error; "MAE", "RMS": mean and root mean square of the error.
-        All NaN if there is no ray to evaluate.
+    Returns:
+        dict: ">1", ">3", ">5": percent of rays with a larger error; "MAE", "RMS": mean and root mean square of the
+            error. All NaN if there is no ray to evaluate.
 
-    Raises
-    ------
-    OmnistereoError
-        If index and gt_index differ in shape.
+    Raises:
+        OmnistereoError: If index and gt_index differ in shape.
     """
     gt_index = np.asarray(gt_index, np.float64)
     error = error_map(index, gt_index, num_spheres)
@@ -69,26 +61,18 @@ def sparsification(
 ) -> tuple[NDArray[np.float64], float, float]:
     """Return the sparsification curve: the mean error after removing the least confident rays.
 
-    Parameters
-    ----------
-    error, confidence : arrays of the same shape
-        Rays where either is not finite are ignored.
-    fractions : sequence of float
-        Fractions of rays removed, increasing, in [0, 1).
+    Args:
+        error, confidence (arrays of the same shape): Rays where either is not finite are ignored.
+        fractions: Fractions of rays removed, increasing, in [0, 1).
 
-    Returns
-    -------
-    curve : array, shape (len(fractions),)
-        Mean error of the remaining rays.
-    auc, oracle_auc : float
-        Area under the curve, and under the curve of an oracle that removes the largest errors first. Both are divided
-        by the area without sorting, so a random confidence has an auc of 1. Their difference is known as AUSE (Hu &
-        Mordohai 2012). NaN if all errors are 0; all three NaN without a finite ray.
+    Returns:
+        curve (array, shape (len(fractions),)): Mean error of the remaining rays.
+        auc, oracle_auc: Area under the curve, and under the curve of an oracle that removes the largest errors first.
+            Both are divided by the area without sorting, so a random confidence has an auc of 1. Their difference is
+            known as AUSE (Hu & Mordohai 2012). NaN if all errors are 0; all three NaN without a finite ray.
 
-    Raises
-    ------
-    OmnistereoError
-        If error and confidence differ in size.
+    Raises:
+        OmnistereoError: If error and confidence differ in size.
     """
     error, confidence = np.asarray(error, np.float64).ravel(), np.asarray(confidence, np.float64).ravel()
     if error.shape != confidence.shape:

@@ -28,23 +28,16 @@ def estimate_depth(
 ) -> Depth:
     """Estimate the depth panorama of one frame. For many frames of one rig, make a sweep and use `sweep_depth`.
 
-    Parameters
-    ----------
-    rig : Rig
-    images : one array per camera, (height, width) or (height, width, 3), uint8 or float
-    grid : SphereGrid
-    method, cost, subindex, progress
-        See `sweep_depth`.
-    device : torch device
+    Args:
+        images: one array per camera, (height, width) or (height, width, 3), uint8 or float
+        method, cost, subindex, progress: See `sweep_depth`.
 
-    Returns
-    -------
-    Depth
+    Returns:
+        Depth
 
-    Raises
-    ------
-    OmnistereoError
-        If the inputs do not fit together, no method has that name, there is not enough memory or no such device.
+    Raises:
+        OmnistereoError: If the inputs do not fit together, no method has that name, there is not enough memory or no
+            such device.
     """
     method = Method.parse(method)
     grid = replace(grid, num_spheres=method.num_spheres or grid.num_spheres)
@@ -64,18 +57,12 @@ def sweep_depth(
 ) -> Depth:
     """Estimate the depth panorama of one frame with a sweep that keeps its lookup tables from frame to frame.
 
-    Parameters
-    ----------
-    sweep : SphereSweep
-    images : one array per camera
-    method : str or Method
-        Such as "zncc", "volumenet" or "sweepnet+sgm,p1=0.2"; see `Method`.
-    cost : Cost, optional
-        An object of your own, called like `ZNCC`, in place of the cost that the method names; see `Cost`.
-    subindex : bool
-        Refine the index between spheres. False: as the method says, which is integer indices in the paper.
-    progress : callable
-        Wraps the sequence of sphere blocks, such as tqdm.
+    Args:
+        images: one array per camera
+        method: Such as "zncc", "volumenet" or "sweepnet+sgm,p1=0.2"; see `Method`.
+        cost: An object of your own, called like `ZNCC`, in place of the cost that the method names; see `Cost`.
+        subindex: Refine the index between spheres. False: as the method says, which is integer indices in the paper.
+        progress: Wraps the sequence of sphere blocks, such as tqdm.
     """
     method = Method.parse(method)
     volume = cost_volume(sweep, images, method.load_cost() if cost is None else cost, method.pairs, progress)

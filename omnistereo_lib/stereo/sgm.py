@@ -49,35 +49,28 @@ _STRIP = 128  # columns
 def sgm(volume: Tensor | np.ndarray, p1: float = 0.1, p2: float = 12.0, paths: int = 8, wrap: bool = True) -> Tensor:
     """Aggregate a cost volume by semi-global matching: S = Σ_r L_r (paper, Section III-B; see the module).
 
-    Parameters
-    ----------
-    volume : (H, W, N)
-        Matching cost C, lower is better; NaN is unknown. Computed in float32.
-    p1, p2 : float
-        Penalties for a step of one sphere and for any larger jump, in units of the cost, 0 ≤ p1 ≤ p2.
-    paths : int
-        4 (along rows and columns) or 8 (diagonals as well).
-    wrap : bool
-        True: column 0 follows column W−1, for diagonals as well. A row then has no first pixel. It runs in laps around
-        the panorama, starting at column 0 (leftward: W−1) with M = 0, each lap with the last message of the lap before,
-        until a lap changes nothing. Images take two or three laps, of which the later ones end early. The laps stop
-        after ``MAX_LAPS``: a row with hardly any texture may take P2 / (gap between the best and the next cost) of
-        them, and a row of a few pixels may alternate for ever. False: the flat image of the textbook.
+    Args:
+        volume ((H, W, N)): Matching cost C, lower is better; NaN is unknown. Computed in float32.
+        p1, p2: Penalties for a step of one sphere and for any larger jump, in units of the cost, 0 ≤ p1 ≤ p2.
+        paths: 4 (along rows and columns) or 8 (diagonals as well).
+        wrap: True: column 0 follows column W−1, for diagonals as well. A row then has no first pixel. It runs in laps
+            around the panorama, starting at column 0 (leftward: W−1) with M = 0, each lap with the last message of the
+            lap before, until a lap changes nothing. Images take two or three laps, of which the later ones end early.
+            The laps stop after ``MAX_LAPS``: a row with hardly any texture may take P2 / (gap between the best and the
+            next cost) of them, and a row of a few pixels may alternate for ever. False: the flat image of the textbook.
 
-    Returns
-    -------
-    (H, W, N) float32 tensor on the device of the volume
-        S, with C ≤ L_r ≤ C + P2 for each path, not divided by the number of paths; NaN where the volume is NaN.
+    Returns:
+        (H, W, N) float32 tensor on the device of the volume: S, with C ≤ L_r ≤ C + P2 for each path, not divided by the
+            number of paths; NaN where the volume is NaN.
 
-    Notes
-    -----
-    The CPU version uses ``torch.get_num_threads()`` threads; results do not depend on their number. It needs one more
-    volume of memory. Other devices run torch operations, one row or column at a time, in three more volumes.
+    Note:
+        The CPU version uses ``torch.get_num_threads()`` threads; results do not depend on their number. It needs one
+            more
+        volume of memory. Other devices run torch operations, one row or column at a time, in three more volumes.
 
-    Raises
-    ------
-    OmnistereoError
-        If the volume is not 3-D, has fewer than 2 spheres or infinite costs, or p1, p2 or paths is out of range.
+    Raises:
+        OmnistereoError: If the volume is not 3-D, has fewer than 2 spheres or infinite costs, or p1, p2 or paths is out
+            of range.
     """
     volume = torch.as_tensor(volume).detach().to(torch.float32).contiguous()
     _check(volume, p1, p2, paths)

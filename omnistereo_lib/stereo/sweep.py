@@ -39,24 +39,14 @@ class SphereSweep:
     from frame to frame: 8 bytes per ray, sphere and camera for the visible columns. At 1200 × 300 × 192 and four
     cameras of 220° that is 1.3 GB. Tables beyond `max_lut_bytes` are recomputed for every frame.
 
-    Parameters
-    ----------
-    rig : Rig
-    grid : SphereGrid
-    center : array, shape (3,), optional
-        Sweep centre in the rig frame, metres. Default: the mean of the camera centres.
-    device : torch device
-        Device of the warped images: cv2.remap on "cpu", grid_sample elsewhere.
-    max_lut_bytes : int, optional
-        Default: 2 GiB, or a quarter of the available memory if that is less.
+    Args:
+        center (array, shape (3,)): Sweep centre in the rig frame, metres. Default: the mean of the camera centres.
+        device: Device of the warped images: cv2.remap on "cpu", grid_sample elsewhere.
+        max_lut_bytes: Default: 2 GiB, or a quarter of the available memory if that is less.
 
-    Attributes
-    ----------
-    rig : Rig
-        The rig with its origin at the sweep centre: its poses are the inverse of Θ* in the paper.
-    grid : SphereGrid
-    lut_bytes : int
-        Size of the lookup tables that are kept.
+    Attributes:
+        rig: The rig with its origin at the sweep centre: its poses are the inverse of Θ* in the paper.
+        lut_bytes: Size of the lookup tables that are kept.
     """
 
     def __init__(
@@ -87,16 +77,13 @@ class SphereSweep:
     def project_sphere(self, camera: int, index: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Project the points of one sphere into one camera: Π_i(M(Θ*_i) ρ(p)/d_n) of Eq. 1.
 
-        Parameters
-        ----------
-        camera : int
-        index : float or array of shape (H, W)
-            Sphere index n, integer or fractional; as an array, one index per ray, NaN unknown.
+        Args:
+            index (float or array of shape (H, W)): Sphere index n, integer or fractional; as an array, one index per
+                ray, NaN unknown.
 
-        Returns
-        -------
-        uv : array, shape (H, W, 2), pixels
-        valid : bool array, shape (H, W)
+        Returns:
+            uv: array, shape (H, W, 2), pixels
+            valid: bool array, shape (H, W)
         """
         return self.rig.cameras[camera].project(self._directions(camera, index))
 
@@ -117,16 +104,12 @@ class SphereSweep:
     def warp(self, images: Sequence[ArrayLike], index: ArrayLike) -> list[NDArray[np.float32]]:
         """Return the spherical images S_{i,n} of one sphere, one per camera (Eq. 1).
 
-        Parameters
-        ----------
-        images : one array per camera, (height, width) or (height, width, 3)
-        index : float or array of shape (H, W)
-            As in `project_sphere`.
+        Args:
+            images: one array per camera, (height, width) or (height, width, 3)
+            index (float or array of shape (H, W)): As in `project_sphere`.
 
-        Returns
-        -------
-        list of arrays, shape (H, W) or (H, W, 3), float32
-            NaN where the ray is not visible to the camera.
+        Returns:
+            list of arrays, shape (H, W) or (H, W, 3), float32: NaN where the ray is not visible to the camera.
         """
         images = check_images(images, self.rig)
         warped = []
@@ -139,18 +122,14 @@ class SphereSweep:
     def normalize_images(self, images: Sequence[ArrayLike]) -> list[Tensor]:
         """Return the images in gray with zero mean and unit variance over the image circle.
 
-        Parameters
-        ----------
-        images : one array per camera, (height, width) or (height, width, 3) in RGB, uint8 or float
+        Args:
+            images: one array per camera, (height, width) or (height, width, 3) in RGB, uint8 or float
 
-        Returns
-        -------
-        list of float32 tensors, shape (height, width)
+        Returns:
+            list of float32 tensors, shape (height, width)
 
-        Raises
-        ------
-        OmnistereoError
-            If there is not one image per camera, or one has the wrong size or is not finite.
+        Raises:
+            OmnistereoError: If there is not one image per camera, or one has the wrong size or is not finite.
         """
         normalized = []
         for image, mask in zip(check_images(images, self.rig), self._image_masks, strict=True):
@@ -169,17 +148,14 @@ class SphereSweep:
     def warp_block(self, normalized: Sequence[Tensor], spheres: range, out: Tensor | None = None) -> Tensor:
         """Warp normalized images onto one of the `blocks` (Eq. 1).
 
-        Parameters
-        ----------
-        normalized : one tensor per camera, from `normalize_images`
-        spheres : range
-        out : float32 tensor, shape (cameras, at least len(spheres), H, W), optional
-            Buffer to overwrite, so that a sweep over many blocks allocates once.
+        Args:
+            normalized: one tensor per camera, from `normalize_images`
+            out (float32 tensor, shape (cameras, at least len(spheres), H, W)): Buffer to overwrite, so that a sweep
+                over many blocks allocates once.
 
-        Returns
-        -------
-        float32 tensor, shape (cameras, len(spheres), H, W)
-            NaN where the ray is not visible to the camera; a view of `out` if given.
+        Returns:
+            float32 tensor, shape (cameras, len(spheres), H, W): NaN where the ray is not visible to the camera; a view
+                of `out` if given.
         """
         H, W = self.grid.shape
         if out is None:
@@ -245,10 +221,8 @@ class SphereSweep:
 def select_device(device: torch.device | str) -> torch.device:
     """Return the device to compute on; under `torchrun`, each process uses its own GPU.
 
-    Raises
-    ------
-    OmnistereoError
-        If PyTorch cannot use a GPU that was asked for.
+    Raises:
+        OmnistereoError: If PyTorch cannot use a GPU that was asked for.
     """
     device = torch.device(device)
     if device.type == "cuda":
@@ -262,10 +236,9 @@ def select_device(device: torch.device | str) -> torch.device:
 def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray]:
     """Return the images as arrays, checked against the cameras of the rig.
 
-    Raises
-    ------
-    OmnistereoError
-        If there is not one image per camera, or one has the wrong size, shape or type or is not finite.
+    Raises:
+        OmnistereoError: If there is not one image per camera, or one has the wrong size, shape or type or is not
+            finite.
     """
     images = [np.asarray(image) for image in images]
     if len(images) != len(rig):
@@ -301,17 +274,12 @@ def to_gray(image: NDArray) -> NDArray[np.float32]:
 def reduce_images(rig: Rig, images: Sequence[ArrayLike], pixels_per_degree: float) -> tuple[Rig, list[NDArray]]:
     """Return cameras and images of about a resolution, if theirs is higher: pixels are averaged in whole blocks.
 
-    Parameters
-    ----------
-    rig : Rig
-    images : one array per camera, (height, width) or (height, width, 3)
-    pixels_per_degree : float
-        Image width over field of view; equal sizes stay equal.
+    Args:
+        images: one array per camera, (height, width) or (height, width, 3)
+        pixels_per_degree: Image width over field of view; equal sizes stay equal.
 
-    Raises
-    ------
-    OmnistereoError
-        If the images do not fit the rig.
+    Raises:
+        OmnistereoError: If the images do not fit the rig.
     """
     cameras, reduced = [], []
     widest = max(camera.max_fov_deg for camera in rig.cameras)

@@ -18,14 +18,11 @@ class SweepNet(PairNetwork):
 
     757,729 parameters. A cost depends on the 81 × 81 pixels around it: 24° at W = 1200, 91° at W = 320.
 
-    Parameters
-    ----------
-    batch_norm : bool
-        Batch normalisation after every layer except the last, for training. Table I has none, the authors'
-        released code has it. `fuse_batch_norm` removes it from a trained network.
-    wrap : bool
-        True: every layer continues around the ±180° seam. False: as Table I prints, circular columns only for the
-        input and zeros in the layers behind it, which makes the seam visible.
+    Args:
+        batch_norm: Batch normalisation after every layer except the last, for training. Table I has none, the authors'
+            released code has it. `fuse_batch_norm` removes it from a trained network.
+        wrap: True: every layer continues around the ±180° seam. False: as Table I prints, circular columns only for the
+            input and zeros in the layers behind it, which makes the seam visible.
     """
 
     stride, padding, feature_halo, match_halo = 2, (0, 2), 17, 2
@@ -71,15 +68,12 @@ class SweepNet(PairNetwork):
     def forward(self, left: Tensor, right: Tensor) -> Tensor:
         """Return the cost map of two spherical images: conv1 … conv18 of each, then conv19 … fc5 and a sigmoid.
 
-        Parameters
-        ----------
-        left, right : tensors, shape (B, H, W)
-            Gray spherical images of zero mean and unit variance (`SphereSweep.normalize_images`), 0 where unseen.
+        Args:
+            left, right (tensors, shape (B, H, W)): Gray spherical images of zero mean and unit variance
+                (`SphereSweep.normalize_images`), 0 where unseen.
 
-        Returns
-        -------
-        tensor, shape (B, H, W)
-            Cost in [0, 1], 0 = match; with `wrap` the panorama is circular in θ.
+        Returns:
+            tensor, shape (B, H, W): Cost in [0, 1], 0 = match; with `wrap` the panorama is circular in θ.
         """
         H, W = left.shape[1:]
         self.check_size(H, W)

@@ -42,26 +42,19 @@ def cost_volume(
 ) -> Tensor:
     """Compute the cost volume C(p, n), the mean cost over camera pairs (Eq. 2).
 
-    Parameters
-    ----------
-    sweep : SphereSweep
-    images : one array per camera, (height, width) or (height, width, 3)
-    cost : Cost, optional
-        Default: ZNCC(window=9).
-    pairs : "ring" | "all" | sequence of (int, int)
-        See `camera_pairs`.
-    progress : callable
-        Wraps the sequence of sphere blocks, such as tqdm.
+    Args:
+        images: one array per camera, (height, width) or (height, width, 3)
+        cost: Default: ZNCC(window=9).
+        pairs: See `camera_pairs`.
+        progress: Wraps the sequence of sphere blocks, such as tqdm.
 
-    Returns
-    -------
-    float32 tensor, shape (H, W, N), on the device of the sweep
-        Cost in [0, 1], 0 = match; NaN where the point is not visible to both cameras of any pair.
+    Returns:
+        float32 tensor, shape (H, W, N), on the device of the sweep: Cost in [0, 1], 0 = match; NaN where the point is
+            not visible to both cameras of any pair.
 
-    Raises
-    ------
-    OmnistereoError
-        If the images do not fit the rig, the cameras of no pair share a view, or memory cannot hold the volume.
+    Raises:
+        OmnistereoError: If the images do not fit the rig, the cameras of no pair share a view, or memory cannot hold
+            the volume.
     """
     cost = ZNCC() if cost is None else cost
     whole = getattr(cost, "whole_volume", None)
@@ -94,10 +87,8 @@ def _by_blocks(
 def check_memory(rig: Rig, grid: SphereGrid, device: torch.device | str = "cpu") -> None:
     """Refuse a panorama that does not fit the available memory of the device.
 
-    Raises
-    ------
-    OmnistereoError
-        With the size needed and the size available.
+    Raises:
+        OmnistereoError: With the size needed and the size available.
     """
     device = torch.device(device)
     H, W = grid.shape

@@ -63,15 +63,12 @@ class FeatureNet(nn.Module):
     def forward(self, image: Tensor, visible: Tensor) -> Tensor:
         """Return the feature maps of one image.
 
-        Parameters
-        ----------
-        image : tensor, shape (h, w), zero mean and unit variance over the visible pixels, 0 elsewhere
-        visible : bool tensor of the same shape
+        Args:
+            image: tensor, shape (h, w), zero mean and unit variance over the visible pixels, 0 elsewhere
+            visible: bool tensor of the same shape
 
-        Returns
-        -------
-        tensor, shape (32, ⌈h / 2⌉, ⌈w / 2⌉)
-            Feature pixel (x, y) is centred on the image pixel (2x, 2y).
+        Returns:
+            tensor, shape (32, ⌈h / 2⌉, ⌈w / 2⌉): Feature pixel (x, y) is centred on the image pixel (2x, 2y).
         """
         x = relu(self.first(image[None, None]))
         for first, second in self.blocks:
@@ -114,10 +111,8 @@ class VolumeNet(StoredNetwork):
 
     As a matching cost it gives the whole volume at once: `cost_volume` calls `whole_volume`.
 
-    Attributes
-    ----------
-    precision : "auto" | "float32" | "bfloat16"
-        Of the matrix products in `whole_volume`; see `uses_bfloat16`.
+    Attributes:
+        precision: Of the matrix products in `whole_volume`; see `uses_bfloat16`.
     """
 
     precision: Precision = "auto"

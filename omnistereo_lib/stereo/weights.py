@@ -36,10 +36,9 @@ class StoredNetwork(nn.Module):
 
         Entries that the `config` in the file must have can be given, such as variant="accurate".
 
-        Raises
-        ------
-        OmnistereoError
-            If the file is missing or damaged, holds another architecture or config, or values that are not finite.
+        Raises:
+            OmnistereoError: If the file is missing or damaged, holds another architecture or config, or values that are
+                not finite.
         """
         tensors, metadata = load_tensors(path)
         name, config = metadata.get("architecture", "a training state"), metadata.get("config", {})
@@ -64,10 +63,8 @@ def save_tensors(path: str | Path, tensors: Mapping[str, Tensor], metadata: Mapp
 
     The file header holds the metadata under "about", beside a checksum of the tensors.
 
-    Raises
-    ------
-    OmnistereoError
-        If a tensor is not finite or the file cannot be written; an earlier file stays.
+    Raises:
+        OmnistereoError: If a tensor is not finite or the file cannot be written; an earlier file stays.
     """
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     _check_finite(path, tensors)
@@ -82,10 +79,9 @@ def save_tensors(path: str | Path, tensors: Mapping[str, Tensor], metadata: Mapp
 def load_tensors(path: str | Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """Return the tensors of a file, on the CPU, and the metadata that `save_tensors` wrote with them.
 
-    Raises
-    ------
-    OmnistereoError
-        If the file is missing, truncated, changed since it was written, not finite, or not from this library.
+    Raises:
+        OmnistereoError: If the file is missing, truncated, changed since it was written, not finite, or not from this
+            library.
     """
     if not Path(path).is_file():
         raise OmnistereoError(f"{path} does not exist; expected a .safetensors file that training wrote")

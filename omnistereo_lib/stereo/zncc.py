@@ -25,15 +25,11 @@ class ZNCC:
     A patch holds the pixels of the window that are visible to both cameras; it continues across the ±180° seam.
     A patch without texture costs 0.5: neither match nor mismatch.
 
-    Parameters
-    ----------
-    window : int
-        Side of the window in pixels, odd; 9 in the paper.
+    Args:
+        window: Side of the window in pixels, odd; 9 in the paper.
 
-    Raises
-    ------
-    OmnistereoError
-        If the window is not an odd number of at least 3.
+    Raises:
+        OmnistereoError: If the window is not an odd number of at least 3.
     """
 
     window: int = 9
@@ -50,23 +46,17 @@ class ZNCC:
     ) -> Tensor:
         """Return the mean cost over camera pairs (Eq. 2) for a block of spheres.
 
-        Parameters
-        ----------
-        spherical_images : float32 tensor, shape (cameras, B, H, W)
-            Images warped onto B spheres, NaN where the ray is not visible to the camera.
-        pairs : sequence of (int, int)
-        columns : sequence of (start, width), optional
-            Visible columns of each camera, around the seam; all others are skipped. Default: all columns.
+        Args:
+            spherical_images (float32 tensor, shape (cameras, B, H, W)): Images warped onto B spheres, NaN where the ray
+                is not visible to the camera.
+            columns: Visible columns of each camera, around the seam; all others are skipped. Default: all columns.
 
-        Returns
-        -------
-        float32 tensor, shape (H, W, B)
-            Cost in [0, 1], NaN where the ray is not visible to both cameras of any pair.
+        Returns:
+            float32 tensor, shape (H, W, B): Cost in [0, 1], NaN where the ray is not visible to both cameras of any
+                pair.
 
-        Raises
-        ------
-        OmnistereoError
-            If the window is larger than the panorama.
+        Raises:
+            OmnistereoError: If the window is larger than the panorama.
         """
         H, W = spherical_images.shape[-2:]
         if self.window > min(H, W):

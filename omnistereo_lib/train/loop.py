@@ -55,32 +55,22 @@ def train(
     The folder gets `log.csv`, `state.safetensors` (to resume) and, at every validation and at the end,
     `weights.safetensors` (for `SweepNet.from_file`, `MCCNN.from_file`).
 
-    Parameters
-    ----------
-    recipe : Recipe
-    out : path
-        Folder; made where it is missing.
-    data : path or, for VolumeNet, paths, optional
-        Folders that `load_dataset` reads, with ground truth. Default: the training sets of data_samples that the
-        recipe names.
-    device : torch device
-    precision : "auto" | "float32" | "bfloat16"
-        Of the matrix products; weights, losses and sums stay float32.
-    checkpoint_s : float
-        Seconds between two states.
-    init_weights : path, optional
-        Trained weights to begin with instead of random ones. Their architecture must be that of the recipe: training
-        writes weights without batch norms, so `batch_norm` must be False.
-    progress : callable
-        Called with the log row of every step: "step" from 0, "loss", "error", "learning_rate", "seconds" since this
-        call, "validation_loss" and "validation_error", NaN between validations. An exception in it stops the run.
+    Args:
+        out: Folder; made where it is missing.
+        data: Folders that `load_dataset` reads, with ground truth. Default: the training sets of data_samples that the
+            recipe names.
+        precision: Of the matrix products; weights, losses and sums stay float32.
+        checkpoint_s: Seconds between two states.
+        init_weights: Trained weights to begin with instead of random ones. Their architecture must be that of the
+            recipe: training writes weights without batch norms, so `batch_norm` must be False.
+        progress: Called with the log row of every step: "step" from 0, "loss", "error", "learning_rate", "seconds"
+            since this call, "validation_loss" and "validation_error", NaN between validations. An exception in it stops
+            the run.
 
-    Raises
-    ------
-    OmnistereoError
-        If the data cannot be trained on, the folder belongs to a different run or cannot be written, the
-        architecture of `init_weights` is not that of the recipe, there is no such device, the micro-batches cannot be
-        divided among the processes, or the loss, its gradient or a weight is not finite.
+    Raises:
+        OmnistereoError: If the data cannot be trained on, the folder belongs to a different run or cannot be written,
+            the architecture of `init_weights` is not that of the recipe, there is no such device, the micro-batches
+            cannot be divided among the processes, or the loss, its gradient or a weight is not finite.
     """
     data = [DATA / name / "train" for name in recipe.worlds.split()] if data is None else data
     run = _Run(recipe, data, select_device(device), precision, init_weights)
