@@ -80,5 +80,5 @@ def link_names(app: Sphinx, doctree: nodes.document, docname: str) -> None:
 def full_name(code: str) -> str:
     """Return the full name that code such as `osl.sgm(volume)`, `Rig.load` or `metrics.error_map` would have."""
     name = code.partition("(")[0].removeprefix("osl.").removeprefix("omnistereo_lib.")
-    home = osl._HOME.get(name.partition(".")[0])
+    home = osl._EXPORTS.get(name.partition(".")[0])
     return f"omnistereo_lib.{home}.{name}" if home else f"omnistereo_lib.{name}"

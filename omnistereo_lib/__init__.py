@@ -11,7 +11,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import Any
 
-_HOME = {
+_EXPORTS = {
     "OmnistereoError": "errors",
     "OcamCamera": "rig_files",
     "fit_inverse_polynomial": "geometry.camera",
@@ -35,8 +35,6 @@ _HOME = {
     "Depth": "stereo.depth",
     "index_error": "stereo.metrics",
     "sparsification": "stereo.metrics",
-    "index_shift": "calibrate.uncertainty",
-    "index_uncertainty": "calibrate.uncertainty",
     "load_dataset": "dataset",
     "load_images": "dataset",
     "Method": "stereo.methods",
@@ -44,13 +42,13 @@ _HOME = {
     "doctor": "doctor",
 }
 
-__all__ = list(_HOME)
+__all__ = list(_EXPORTS)
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME:
+    if name not in _EXPORTS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    value = getattr(import_module(f"{__name__}.{_EXPORTS[name]}"), name)
     globals()[name] = value  # found directly from now on
     return value
 
@@ -59,7 +57,7 @@ def __dir__() -> list[str]:
     return __all__
 
 
-class _Face(ModuleType):
+class _LazyPackage(ModuleType):
     """The package as a module whose functions `sgm` and `doctor` are not replaced by the modules of those names.
 
     Python binds every imported submodule to its package, so that `osl.sgm` would be the function or the module
@@ -67,8 +65,8 @@ class _Face(ModuleType):
     """
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if not (name in _HOME and isinstance(value, ModuleType)):
+        if not (name in _EXPORTS and isinstance(value, ModuleType)):
             super().__setattr__(name, value)
 
 
-sys.modules[__name__].__class__ = _Face
+sys.modules[__name__].__class__ = _LazyPackage

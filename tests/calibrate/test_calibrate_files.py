@@ -1,7 +1,6 @@
 """Calibration from files to files: captures in folders, the shipped sets, the command line, other programs' forms."""
 
 import json
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from boards import BOARD, SIZE
 
 import omnistereo_lib as osl
 from omnistereo_lib import cli
-from omnistereo_lib.calibrate.captures import find_captures, load_corners, save_corners
+from omnistereo_lib.calibrate.captures import find_captures, save_corners
 from omnistereo_lib.calibrate.detect import find_corners
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Pose
@@ -314,47 +313,3 @@ def test_board_sizes_are_spelled_out(capsys):
     with pytest.raises(SystemExit):
         cli.main(["calibrate", ".", "--board", "twelve", "--square", "0.06"])
     assert "expected columns x rows such as 12x10" in capsys.readouterr().err
-
-
-# --- What an error does to depth --------------------------------------------------------------------------
-
-
-def test_index_shift_of_a_turned_camera_by_geometry():
-    """Two cameras side by side; one turned by α: the parallax is off by α everywhere, and so is the inverse depth."""
-    camera = rig_of().cameras[0]
-    rig = osl.Rig([camera, camera], [Pose(np.eye(3), [-0.1, 0, 0]), Pose(np.eye(3), [0.1, 0, 0])])
-    alpha = np.radians(0.1)
-    wrong = rig.with_poses([rig.T_rig_cam[0], rig.T_rig_cam[1] @ Pose.from_vector([0, alpha, 0, 0, 0, 0])])
-    grid = osl.SphereGrid(72, 3, (-3, 3), 192, 0.5)
-    shift = osl.index_shift(rig, wrong, grid, index=20, pairs=[(0, 1)])
-    middle = shift[1, 36]  # straight ahead: the ray meets the baseline at a right angle
-    depth = grid.index_to_depth(20)
-    # Turned to the right, camera 2 takes things to be further right: the rays meet further away.
-    parallax = 2 * np.arctan(0.1 / depth)
-    seen = 0.2 / (2 * np.tan((parallax - alpha) / 2))
-    assert middle == pytest.approx(grid.depth_to_index(seen) - 20, rel=0.03)
-    assert np.nanmax(np.abs(osl.index_shift(rig, rig, grid, 20))) < 1e-9
-
-
-def test_index_shift_is_what_the_sweep_finds():
-    """On the closed-form box world: median over the rays that both predict to move."""
-    import scene
-
-    rig, grid = scene.rig(), osl.SphereGrid(160, 40, (-30, 30), 64, 1.0)
-    images = scene.images(rig)
-    wrong = rig.with_poses([rig.T_rig_cam[0] @ Pose.from_vector([0, np.radians(0.8), 0, 0, 0, 0]), *rig.T_rig_cam[1:]])
-    before, after = (osl.estimate_depth(which, images, grid).index for which in (rig, wrong))
-    predicted = osl.index_shift(rig.recentered(), wrong.recentered(rig.centers.mean(0)), grid, np.nanmedian(before))
-    strong = np.abs(predicted) > 0.7 * np.nanmax(np.abs(predicted))
-    assert np.nanmedian((after - before)[strong] * np.sign(predicted[strong])) > 0.4 * np.median(
-        np.abs(predicted[strong])
-    )
-
-
-def test_index_uncertainty_shrinks_with_the_noise(detected):
-    rows = [list(load_corners(detected / f"corners_cam{i}.yaml")[0].values()) for i in (1, 2, 3, 4)]
-    report = osl.calibrate_rig(rows, BOARD, [SIZE] * 4)[1]
-    grid = osl.SphereGrid(16, 4, (-30, 30), 192, 0.55)
-    spread = osl.index_uncertainty(report, grid, 50)
-    assert np.nanmax(spread) < 0.3 and np.nanmin(spread) > 1e-3
-    assert re.search(r"pose known to 0\.0\d+°", report.text())

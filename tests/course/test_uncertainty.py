@@ -1,0 +1,47 @@
+"""What an error of the calibration does to depth: by geometry, by the sweep, and from a report."""
+
+import numpy as np
+import pytest
+import scene
+
+import omnistereo_lib as osl
+from course.uncertainty import index_shift, index_uncertainty
+from omnistereo_lib.calibrate.captures import find_captures
+from omnistereo_lib.evaluate.run import DATA
+from omnistereo_lib.geometry.pose import Pose
+
+
+def test_index_shift_of_a_rotated_camera_by_geometry():
+    """Two cameras side by side; one rotated by α: the parallax is off by α everywhere, and so is the inverse depth."""
+    camera = scene.camera()
+    rig = osl.Rig([camera, camera], [Pose(np.eye(3), [-0.1, 0, 0]), Pose(np.eye(3), [0.1, 0, 0])])
+    alpha = np.radians(0.1)
+    wrong = rig.with_poses([rig.T_rig_cam[0], rig.T_rig_cam[1] @ Pose.from_vector([0, alpha, 0, 0, 0, 0])])
+    grid = osl.SphereGrid(72, 3, (-3, 3), 192, 0.5)
+    shift = index_shift(rig, wrong, grid, index=20, pairs=[(0, 1)])
+    middle = shift[1, 36]  # straight ahead: the ray meets the baseline at a right angle
+    depth = grid.index_to_depth(20)
+    # Rotated to the right, camera 2 takes things to be further right: the rays meet further away.
+    parallax = 2 * np.arctan(0.1 / depth)
+    apparent = 0.2 / (2 * np.tan((parallax - alpha) / 2))
+    assert middle == pytest.approx(grid.depth_to_index(apparent) - 20, rel=0.03)
+    assert np.nanmax(np.abs(index_shift(rig, rig, grid, 20))) < 1e-9
+
+
+def test_index_shift_is_what_the_sweep_finds():
+    """In the box of known depth: median over the rays that are predicted to move."""
+    rig, grid = scene.rig(), osl.SphereGrid(160, 40, (-30, 30), 64, 1.0)
+    images = scene.images(rig)
+    wrong = rig.with_poses([rig.T_rig_cam[0] @ Pose.from_vector([0, np.radians(0.8), 0, 0, 0, 0]), *rig.T_rig_cam[1:]])
+    before, after = (osl.estimate_depth(which, images, grid).index for which in (rig, wrong))
+    predicted = index_shift(rig.recentered(), wrong.recentered(rig.centers.mean(0)), grid, np.nanmedian(before))
+    strong = np.abs(predicted) > 0.7 * np.nanmax(np.abs(predicted))
+    moved = np.nanmedian((after - before)[strong] * np.sign(predicted[strong]))
+    assert moved > 0.4 * np.median(np.abs(predicted[strong]))
+
+
+def test_index_uncertainty_of_a_calibrated_rig():
+    board = osl.Checkerboard((12, 10), 0.06)
+    _, report = osl.calibrate_rig(find_captures(DATA / "calibration" / "handheld").views(), board, degree=4)
+    spread = index_uncertainty(report, osl.SphereGrid(16, 4, (-30, 30), 192, 0.55), 50)
+    assert 1e-3 < np.nanmin(spread) and np.nanmax(spread) < 0.3
