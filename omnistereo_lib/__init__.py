@@ -27,6 +27,7 @@ _EXPORTS = {
     "ZNCC": "stereo.zncc",
     "MCCNN": "stereo.mccnn",
     "SweepNet": "stereo.sweepnet",
+    "VolumeNet": "stereo.volumenet",
     "LearnedCost": "stereo.learned",
     "cost_volume": "stereo.volume",
     "sgm": "stereo.sgm",
