@@ -143,6 +143,14 @@ def bench_frame(width: int, height: int, num: int, repeats: int = 3) -> list[Row
     return [Row(f"ZNCC + SGM frame {width}×{height}×{num}, against plain torch + libsgm", *times, note)]
 
 
+def bench_volumenet(width: int, height: int, num: int, repeats: int = 3) -> list[Row]:
+    """Compare a whole VolumeNet frame with a ZNCC + SGM frame of this library; both have their tables ready."""
+    sweep, images = _rig_and_images(width, height, num)
+    methods = [partial(sweep_depth, sweep, images, name) for name in ("volumenet", "zncc+sgm")]
+    times, _ = best_of(repeats, *methods)
+    return [Row(f"VolumeNet frame {width}×{height}×{num}, against ZNCC + SGM", *times)]
+
+
 def _rig_and_images(width: int, height: int, num: int) -> tuple[SphereSweep, list[NDArray]]:
     data = load_dataset(DATA / "sunny" / "test")
     grid = SphereGrid(width, height, num_spheres=num, min_depth=data.rig.min_depth)
@@ -318,7 +326,9 @@ def run(quick: bool = False) -> None:
     cv2.setNumThreads(torch.get_num_threads())
     print(f"{torch.get_num_threads()} threads; the shorter of repeated runs, taken in turns")
     for scale in scales:
-        print(table([*bench_warp(*scale), *bench_sgm(*scale), *bench_frame(*scale)]), flush=True)
+        print(
+            table([*bench_warp(*scale), *bench_sgm(*scale), *bench_frame(*scale), *bench_volumenet(*scale)]), flush=True
+        )
     if not quick:
         print(table([*bench_sweepnet(320, 80, 64), *bench_sweepnet(1200, 300, 192, range(94, 98))]), flush=True)
         print(table(bench_training(640, 160, 96)), flush=True)
