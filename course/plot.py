@@ -31,8 +31,8 @@ __all__ = [
     "draw_panorama",
     "draw_rig",
     "encode",
-    "explore",
-    "live",
+    "pick_ray",
+    "interactive",
     "show",
 ]
 
@@ -74,7 +74,7 @@ def show(fig: Figure, caption: str, alt: str, kind: Literal["png", "jpeg"] = "pn
     display({"text/markdown": f"*Figure:* {caption}", "text/plain": caption}, raw=True)
 
 
-def live(draw: Callable[..., Figure], **sliders: Widget) -> None:
+def interactive(draw: Callable[..., Figure], **sliders: Widget) -> None:
     """Show a figure that follows sliders, drawn anew as a small JPEG whenever one of them moves.
 
     Notebooks are stored without it: the captioned figure before it says what it shows.
@@ -101,7 +101,7 @@ def live(draw: Callable[..., Figure], **sliders: Widget) -> None:
     display(VBox([*sliders.values(), picture]))
 
 
-def explore(draw: Callable[[int, int], Figure], panorama: NDArray, row: int, column: int) -> None:
+def pick_ray(draw: Callable[[int, int], Figure], panorama: NDArray, row: int, column: int) -> None:
     """Show a panorama to click on and, below it, the figure of the ray at the cross.
 
     Two sliders move the cross as well: by the keyboard, and in programs that know no clicks.
@@ -132,7 +132,7 @@ def explore(draw: Callable[[int, int], Figure], panorama: NDArray, row: int, col
     Event(source=picture, watched_events=["click"]).on_dom_event(move)
     mark()
     display(picture)
-    live(draw, row=rows, column=columns)
+    interactive(draw, row=rows, column=columns)
 
 
 def _with_cross(panorama: NDArray, row: int, column: int) -> bytes:

@@ -86,7 +86,7 @@ def pieces(nb: NotebookNode) -> Iterator[NotebookNode]:
             tokens = MarkdownIt().enable("table").parse(cell.source)
             blocks = [token.map for token in tokens if token.level == 0 and token.map]
             yield from (new_markdown_cell("\n".join(lines[first:last])) for first, last in blocks)
-        elif cell.source != nbtools.SETUP and (cell.outputs or not (_imports(cell) or "live(" in cell.source)):
+        elif cell.source != nbtools.SETUP and (cell.outputs or not (_imports(cell) or "interactive(" in cell.source)):
             if has_picture(cell) or height(cell) > FULL - 2:
                 cell.metadata["tags"] = [*cell.metadata.get("tags", []), HIDDEN]
             if (cell.outputs or HIDDEN not in cell.metadata.get("tags", [])) and height(cell) <= FULL:

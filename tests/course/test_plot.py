@@ -100,7 +100,7 @@ def test_a_live_figure_follows_its_sliders(monkeypatch):
         ax.imshow(np.full((4, 4), gain), vmin=0, vmax=n)
         return fig
 
-    plot.live(draw, n=IntSlider(3), gain=FloatSlider(1.0))
+    plot.interactive(draw, n=IntSlider(3), gain=FloatSlider(1.0))
     n, _, picture = shown[0].children
     before = bytes(picture.value)
     n.value = 7
@@ -120,7 +120,7 @@ def test_a_click_moves_the_cross_and_asks_that_ray(monkeypatch):
 
     panorama = np.full((8, 32), 100.0)
     panorama[0, 0] = np.nan
-    plot.explore(draw, panorama, 2, 5)
+    plot.pick_ray(draw, panorama, 2, 5)
     picture, below = shown
     row, column, figure = below.children
     before = cv2.imdecode(np.frombuffer(picture.value, np.uint8), cv2.IMREAD_COLOR)
