@@ -31,8 +31,8 @@ __all__ = [
     "draw_panorama",
     "draw_rig",
     "encode",
-    "pick_ray",
     "interactive",
+    "pick_ray",
     "show",
 ]
 
