@@ -51,7 +51,7 @@ class WorldSet:
 WORLDS = {
     "things/train": WorldSet("things", 150, samples=7),
     "rooms/train": WorldSet("room", 80, samples=9),
-    "streets/train": WorldSet("street", 40, samples=7),
+    "streets/train": WorldSet("street", 20, samples=7),
 }
 
 

@@ -181,7 +181,7 @@ RECIPES: dict[str, dict[str, Recipe]] = {
     },
     "volumenet": {
         "teaching": VolumeNetRecipe(steps=300, warmup=30, validate_every=100),
-        "shipped": VolumeNetRecipe(steps=2000, warmup=100, validate_every=250),
+        "shipped": VolumeNetRecipe(steps=1200, warmup=60, validate_every=200),
         "sunny": VolumeNetRecipe(worlds="sunny", steps=1000, warmup=60, validate_every=200),
         "gpu": VolumeNetRecipe(**_FINE, steps=20000, warmup=500, frames_per_step=2, validate_every=1000),
     },
