@@ -1,0 +1,275 @@
+"""Students of the exercises on lenses, rigs and spheres: what each checker says, and to which answer.
+
+Each list has (words, answer): "right", or words of the hint.
+"""
+
+import math
+from statistics import fmean
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+
+def list_of_ray(theta, phi, depth):
+    return [depth * math.cos(phi) * math.sin(theta), depth * math.sin(phi), depth * math.cos(phi) * math.cos(theta)]
+
+
+def ray_by_rotations(theta, phi, depth):
+    """Forward, turned down by φ, then to the right by θ."""
+    return Rotation.from_euler("xy", [-phi, theta]).apply([0, 0, depth])
+
+
+def pixel_by_matrix(camera, T_rig_cam, point):
+    M = np.eye(4)
+    M[:3, :3], M[:3, 3] = T_rig_cam.R, T_rig_cam.t
+    uv, _ = camera.project((np.linalg.inv(M) @ [*point, 1])[:3])
+    return tuple(uv)
+
+
+def pixel_in_place(camera, T_rig_cam, point):
+    point -= T_rig_cam.t
+    return camera.project(T_rig_cam.R.T @ point)[0].astype(np.float32)
+
+
+def polynomial(poly, r):
+    return sum(a * r**k for k, a in enumerate(poly))
+
+
+def ray_loops(u, v, poly, center):
+    x, y = u - center[0], v - center[1]
+    z = -polynomial(poly, math.hypot(x, y))
+    length = math.sqrt(x * x + y * y + z * z)
+    return [x / length, y / length, z / length]
+
+
+def ray_like(change):
+    """The right ray of changed arguments."""
+    return lambda u, v, poly, center: ray_loops(*change(u, v, poly, center))
+
+
+RAY_OF_PIXEL = [
+    ("right", ray_loops),
+    ("right", lambda u, v, poly, c: np.float32(ray_loops(u, v, poly, c))),
+    ("f is negative before the lens", lambda *a: np.array(ray_loops(*a)) * [1, 1, -1]),
+    ("a ray is a unit vector", lambda u, v, p, c: [u - c[0], v - c[1], -polynomial(p, math.hypot(u - c[0], v - c[1]))]),
+    ("count from the centre", ray_like(lambda u, v, poly, c: (u, v, poly, [0, 0]))),
+    ("not the centre minus the pixel", lambda *a: np.array(ray_loops(*a)) * [-1, -1, 1]),
+    ("its parts are swapped", ray_like(lambda u, v, poly, c: (u, v, poly, c[::-1]))),
+    ("x belongs to u", lambda *a: np.array(ray_loops(*a))[[1, 0, 2]]),
+    ("the highest first", ray_like(lambda u, v, poly, c: (u, v, poly[::-1], c))),
+    ("not its first coefficient alone", ray_like(lambda u, v, poly, c: (u, v, poly[:1], c))),
+]
+
+ANGLE_FROM_AXIS = [
+    ("right", lambda ray: math.degrees(math.acos(ray[2] / np.linalg.norm(ray)))),
+    ("right", lambda ray: np.rad2deg(np.arctan2(np.linalg.norm(ray[:2]), ray[2]))),
+    ("degrees are asked", lambda ray: math.atan2(math.hypot(*ray[:2]), ray[2])),
+    ("loses the quadrant", lambda ray: math.degrees(math.atan(math.hypot(*ray[:2]) / ray[2]))),
+    ("above the xy-plane", lambda ray: math.degrees(math.atan2(ray[2], math.hypot(*ray[:2])))),
+    ("below the xy-plane", lambda ray: math.degrees(math.atan2(-ray[2], math.hypot(*ray[:2])))),
+    ("wants a unit vector", lambda ray: math.degrees(math.acos(ray[2]))),
+    ("leaves y out", lambda ray: math.degrees(math.atan2(ray[0], ray[2]))),
+    ("60° from 120°", lambda ray: math.degrees(math.asin(math.hypot(*ray[:2]) / np.linalg.norm(ray)))),
+]
+
+RMS_PER_COMPONENT = [
+    ("right", lambda e: math.sqrt(fmean(x * x for x in e.ravel().tolist()))),
+    ("right", lambda e: np.linalg.norm(e) / math.sqrt(e.size)),
+    ("rms distance", lambda e: math.sqrt(fmean(u * u + v * v for u, v in e.tolist()))),
+    ("mean distance", lambda e: fmean(math.hypot(u, v) for u, v in e.tolist())),
+    ("take the root", lambda e: fmean(x * x for x in e.ravel().tolist())),
+    ("mean magnitude", lambda e: fmean(abs(x) for x in e.ravel().tolist())),
+    ("a bias is an error", lambda e: np.sqrt(np.var(e))),
+    ("not their sum", lambda e: np.linalg.norm(e)),
+]
+
+RELATIVE_POSE = [
+    ("right", lambda a, b: b @ a.inverse()),
+    ("right", lambda a, b: (a @ b.inverse()).inverse().as_vector()),
+    ("the way back", lambda a, b: a @ b.inverse()),
+    ("stands on the left", lambda a, b: a.inverse() @ b),
+    ("belongs to camera 1's pose", lambda a, b: b.inverse() @ a),
+    ("do not meet", lambda a, b: b @ a),
+    ("do not meet", lambda a, b: a @ b),
+]
+
+COUNT_UNKNOWNS = [
+    ("right", lambda C, K, M: C * (4 + M) + 6 * (C - 1) + 6 * K),
+    ("right", lambda C, K, M: np.int64(C * M + 10 * C + 6 * K - 6)),
+    ("no unknown", lambda C, K, M: C * (4 + M) + 6 * C + 6 * K),
+    ("each capture's board", lambda C, K, M: C * (4 + M) + 6 * (C - 1)),
+    ("ties the cameras together", lambda C, K, M: C * (4 + M) + 6 * (C - 1) + 6 * K * C),
+    ("a1 is zero", lambda C, K, M: C * (5 + M) + 6 * (C - 1) + 6 * K),
+    ("there is no a1", lambda C, K, M: C * (6 + M) + 6 * (C - 1) + 6 * K),
+    ("adjusted with the poses", lambda C, K, M: 6 * (C - 1) + 6 * K),
+    ("a lens of its own", lambda C, K, M: 4 + M + 6 * (C - 1) + 6 * K),
+    ("six numbers", lambda C, K, M: C * (4 + M) + 3 * (C - 1) + 3 * K),
+]
+
+DEPTH_ERROR = [
+    ("right", lambda depth, N, nearest: depth * depth / nearest / (N - 1)),
+    ("right", lambda depth, N, nearest: np.float32(depth**2 / (nearest * (N - 1)))),
+    ("enters squared", lambda depth, N, nearest: depth / (nearest * (N - 1))),
+    ("one step in inverse depth", lambda depth, N, nearest: 1 / nearest / (N - 1)),
+    ("not N", lambda depth, N, nearest: depth**2 / (nearest * N)),
+    ("not in depth", lambda depth, N, nearest: nearest / (N - 1)),
+    ("sphere 1", lambda depth, N, nearest: nearest * (N - 1)),
+    ("further out", lambda depth, N, nearest: 1 / (1 / depth - 1 / (nearest * (N - 1))) - depth),
+    ("sphere nearer", lambda depth, N, nearest: depth - 1 / (1 / depth + 1 / (nearest * (N - 1)))),
+]
+
+INDEX_TO_DEPTH = [
+    ("right", lambda n, N, nearest: 1 / (n / (nearest * (N - 1)))),
+    ("right", lambda n, N, nearest: math.inf if n == 0 else nearest * (N - 1) / n),
+    ("right", lambda n, N, nearest: 1 / np.linspace(0, 1 / nearest, N, dtype=np.float32)[n]),
+    ("inverse depth in 1/m", lambda n, N, nearest: n / nearest / (N - 1)),
+    ("N - 1 steps", lambda n, N, nearest: nearest / (n / N)),
+    ("n, not n + 1", lambda n, N, nearest: nearest * N / (n + 1)),
+    ("turn n around", lambda n, N, nearest: 1 / np.linspace(1 / nearest, 0, N)[n]),
+    ("even in inverse depth", lambda n, N, nearest: np.linspace(0, nearest, N)[n]),
+    ("metres are asked", lambda n, N, nearest: (N - 1) / n),
+]
+POINT_OF_RAY = [
+    ("right", list_of_ray),
+    ("right", ray_by_rotations),
+    ("right", lambda t, p, d: d * np.float32([np.cos(p) * np.sin(t), np.sin(p), np.cos(p) * np.cos(t)])),
+    ("in radians already, and", lambda t, p, d: list_of_ray(np.deg2rad(t), np.deg2rad(p), d)),
+    ("NumPy wants radians, and", lambda t, p, d: list_of_ray(math.degrees(t), math.degrees(p), d)),
+    ("swapped", lambda t, p, d: list_of_ray(p, t, d)),
+    ("printed ρ", lambda t, p, d: d * np.array([np.cos(p) * np.cos(t), np.sin(p), np.cos(p) * np.sin(t)])),
+    ("y points down", lambda t, p, d: list_of_ray(t, -p, d)),
+    ("x points right", lambda t, p, d: list_of_ray(-t, p, d)),
+    ("a ray has length 1", lambda t, p, d: np.array([np.sin(t), np.sin(p), np.cos(t)]) * d),
+    ("not along z", lambda t, p, d: [d * np.tan(t), d * np.tan(p) / np.cos(t), d]),
+    ("`depth` metres along it", lambda t, p, d: list_of_ray(t, p, 1)),
+    ("divided by the depth", lambda t, p, d: list_of_ray(t, p, 1 / d)),
+    ("centimetres", lambda t, p, d: list_of_ray(t, p, 100 * d)),
+]
+PIXEL_OF_POINT = [
+    ("right", lambda camera, T, p: camera.project(T.inverse() @ p)[0]),
+    ("right", pixel_by_matrix),
+    ("right", pixel_in_place),
+    ("invert it", lambda camera, T, p: camera.project(T @ p)[0]),
+    ("not transposed", lambda camera, T, p: camera.project(T.R.dot(p - T.t))[0]),
+    ("not -t", lambda camera, T, p: camera.project(T.R.T.dot(p) - T.t)[0]),
+    ("not t:", lambda camera, T, p: camera.project(p @ T.R + T.t)[0]),
+    ("translation is left out", lambda camera, T, p: camera.project(p @ T.R)[0]),
+    ("rotation is left out", lambda camera, T, p: camera.project(p - T.t)[0]),
+    ("transform it first", lambda camera, T, p: camera.project(p)[0]),
+    ("yours are swapped", lambda camera, T, p: pixel_by_matrix(camera, T, p)[::-1]),
+    ("add no half pixel", lambda camera, T, p: [x + 0.5 for x in pixel_by_matrix(camera, T, p)]),
+    ("subtract no half pixel", lambda camera, T, p: [x - 0.5 for x in pixel_by_matrix(camera, T, p)]),
+    ("do not round", lambda camera, T, p: [round(x) for x in pixel_by_matrix(camera, T, p)]),
+    ("do not cut off", lambda camera, T, p: [int(x) for x in pixel_by_matrix(camera, T, p)]),
+    ("return it alone", lambda camera, T, p: camera.project(T.inverse() @ p)),
+]
+ROTATION_ERROR = [
+    ("right", lambda degrees, width: degrees / (360 / width)),
+    ("right", lambda degrees, width: np.radians(np.float32(degrees)) * width / (2 * np.pi)),
+    ("not 2π", lambda degrees, width: width * degrees / (2 * np.pi)),
+    ("not 180°", lambda degrees, width: np.radians(degrees) / np.pi * width),
+    ("not W - 1", lambda degrees, width: (width - 1) * degrees / 360),
+    ("multiply by the error", lambda degrees, width: width / 360),
+    ("pixels are asked", lambda degrees, width: 360 / width),
+    ("swapped", lambda degrees, width: 360 / width * degrees),
+    ("other sign", lambda degrees, width: -degrees * width / 360),
+]
+
+
+def metres_per_unit_loops(positions, i, j, measured):
+    return measured / math.dist(positions[i].tolist(), positions[j].tolist())
+
+
+METRES_PER_UNIT = [
+    ("right", metres_per_unit_loops),
+    ("right", lambda p, i, j, m: np.float32(m / np.sqrt(np.square(p[i] - p[j]).sum()))),
+    ("metres in one unit are asked", lambda *a: 1 / metres_per_unit_loops(*a)),
+    ("the measured one divided by it", lambda p, i, j, m: math.dist(p[i], p[j])),
+    ("from camera to camera", lambda p, i, j, m: m / math.hypot(*p[j])),
+    ("from camera i to camera j", lambda p, i, j, m: m / math.hypot(*p[i])),
+    ("adds up the components", lambda p, i, j, m: m / sum(abs(p[i] - p[j]))),
+    ("divides by the squared distance", lambda p, i, j, m: m / math.dist(p[i], p[j]) ** 2),
+    ("not the largest alone", lambda p, i, j, m: m / max(abs(p[i] - p[j]))),
+    ("y is missing", lambda p, i, j, m: m / math.dist(p[i][::2], p[j][::2])),
+    ("indices from 0", lambda p, i, j, m: metres_per_unit_loops(p, i - 1, j - 1, m)),
+    ("millimetres; return the ratio itself", lambda *a: 10.0 ** round(math.log10(metres_per_unit_loops(*a)))),
+]
+
+
+def pose_from_file(M, t_of=lambda R, t: -R.T @ t, R_of=lambda R: R.T, scale=1e-3, rows=4):
+    """The inverse by parts, with one of them wrong."""
+    R, t = M[:3, :3].copy(), M[:3, 3].copy()
+    M[:3, :3], M[:3, 3] = R_of(R), t_of(R, t) * scale
+    return M[:rows]
+
+
+def pose_by_inverse(M):
+    M[:3, 3] /= 1000
+    return np.linalg.inv(M)
+
+
+def pose_wrong(**part):
+    return lambda M: pose_from_file(M, **part)
+
+
+POSE_FROM_FILE = [
+    ("right", pose_by_inverse),
+    ("right", pose_from_file),
+    ("that is the file's matrix", lambda M: M),
+    ("still in millimetres", np.linalg.inv),
+    ("do not multiply", pose_wrong(scale=1e3)),
+    ("the unit is right", pose_wrong(R_of=lambda R: R, t_of=lambda R, t: t)),
+    ("only the translation has a unit", lambda M: np.linalg.inv(M) / 1000),
+    ("only the translation has a unit", lambda M: np.linalg.inv(M / 1000)),
+    ("where the rig's origin was", pose_wrong(t_of=lambda R, t: -t)),
+    ("the translation untouched", pose_wrong(t_of=lambda R, t: t)),
+    ("the sign", pose_wrong(t_of=lambda R, t: R.T @ t)),
+    ("turn it by Rᵀ", pose_wrong(t_of=lambda R, t: -R @ t)),
+    ("the rotation must be transposed, too", pose_wrong(R_of=lambda R: R)),
+    ("both parts", pose_wrong(R_of=lambda R: R, t_of=lambda R, t: -t)),
+    ("no inverse", np.transpose),
+    ("the last row", pose_wrong(rows=3)),
+]
+
+
+def spheres_by_counting(baseline, nearest, width, pixels):
+    """Add spheres until a step is small enough."""
+    N = 2
+    while baseline / (nearest * (N - 1)) * width / math.tau > pixels:
+        N += 1
+    return N
+
+
+def spheres(turn=math.tau, up=math.ceil, more=1, ratio=lambda b, D: b / D, scale=lambda W: W, per=lambda m, x: m / x):
+    """Steps between spheres, with one part wrong."""
+    return lambda b, D, W, x: up(per(ratio(b, D) * scale(W) / turn, x)) + more
+
+
+SPHERES_NEEDED = [
+    ("right", spheres_by_counting),
+    ("right", spheres(up=np.ceil)),
+    ("no part of a sphere", spheres(up=float)),
+    ("one too few", spheres(up=math.floor)),
+    ("two too few", spheres(up=math.floor, more=0)),
+    ("that is the steps", spheres(up=float, more=0)),
+    ("for one pixel a sphere", spheres(per=lambda moves, x: moves)),
+    ("fewer pixels a sphere need more", spheres(per=lambda moves, x: moves * x)),
+    ("full circle, 2π, not π", spheres(turn=math.pi)),
+    ("in radians, 2π for W pixels", spheres(turn=360)),
+    ("near things move more", spheres(ratio=lambda b, D: b * D)),
+    ("not the other way round", spheres(ratio=lambda b, D: D / b)),
+    ("counts degrees for pixels", spheres(scale=lambda W: 360)),
+    ("counts radians for pixels", spheres(scale=lambda W: math.tau)),
+]
+
+DISTANCE_FROM_Z = [
+    ("right", lambda z, ray: z / math.cos(math.atan2(math.hypot(*ray[:2]), ray[2]))),
+    ("right", lambda z, ray: np.linalg.norm(np.float32(z) * np.float32(ray / ray[2]))),
+    ("turned around", lambda z, ray: z * math.cos(math.atan2(math.hypot(*ray[:2]), ray[2]))),
+    ("divide by its z", lambda z, ray: math.dist(z * ray, (0, 0, 0))),
+    ("times the ray's length", lambda z, ray: z / ray[2]),
+    ("stretch it", lambda z, ray: math.hypot(ray[0], ray[1], z)),
+    ("distance from the axis", lambda z, ray: z * math.tan(math.atan2(math.hypot(*ray[:2]), ray[2]))),
+    ("y is missing", lambda z, ray: math.hypot(z * ray[0] / ray[2], z)),
+    ("off the axis is longer", lambda z, ray: z),
+]

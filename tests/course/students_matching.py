@@ -1,0 +1,328 @@
+"""Students of the exercises on costs, networks and SGM: what each checker says, and to which answer.
+
+Each list has (words, answer): "right", or words of the hint.
+"""
+
+import math
+from statistics import fmean
+
+import numpy as np
+import torch
+
+
+def zncc_loops(a, b):
+    a, b = a.ravel().tolist(), b.ravel().tolist()
+    products = squares_a = squares_b = 0.0
+    for x, y in zip(a, b, strict=True):
+        products += (x - fmean(a)) * (y - fmean(b))
+        squares_a += (x - fmean(a)) ** 2
+        squares_b += (y - fmean(b)) ** 2
+    return (1 - products / math.sqrt(squares_a * squares_b)) / 2
+
+
+def zncc_normalised(a, b):
+    a, b = ((x - x.mean()) / x.std() for x in (a.astype(np.float32), b.astype(np.float32)))
+    return 0.5 - 0.5 * (a * b).mean()
+
+
+def zncc_half_centred(a, b):
+    return (1 - np.mean(a * b) / (a.std() * b.std())) / 2
+
+
+def mean_loops(costs):
+    means = []
+    for ray in costs.T:
+        seen = [cost for cost in ray if not math.isnan(cost)]
+        means.append(sum(seen) / len(seen))
+    return means
+
+
+def mean_by_counting(costs):
+    seen = np.isfinite(costs)
+    costs[~seen] = 0
+    return costs.sum(0) / seen.sum(0)
+
+
+def mean_of_complete_pairs(costs):
+    return costs[~np.isnan(costs).any(axis=1)].mean(axis=0)
+
+
+def sgm_loops(cost, before, p1, p2, first=1, subtract=True, low=None):
+    """One step; `first` is the first sphere with a left neighbour, and Python's before[-1] is the last."""
+    low = min(before) if low is None else low
+    result = []
+    for n in range(len(cost)):
+        ways = [before[n], low + p2]
+        if n >= first:
+            ways.append(before[n - 1] + p1)
+        if n + 1 < len(before):
+            ways.append(before[n + 1] + p1)
+        result.append(cost[n] + min(ways) - subtract * low)
+    return result
+
+
+def sgm_transitions(cost, before, p1, p2):
+    n = np.arange(len(cost))
+    penalty = np.choose(np.minimum(abs(n[:, None] - n), 2), [0, p1, p2])
+    return (cost + (before + penalty).min(1) - before.min()).astype(np.float32)
+
+
+def sgm_in_place(cost, before, p1, p2):
+    before -= before.min()
+    padded = np.pad(before, 1, mode="edge")  # the end's own cost plus P1 is never the cheapest
+    cost += np.min([before, padded[:-2] + p1, padded[2:] + p1, np.full_like(before, p2)], axis=0)
+    return cost
+
+
+def sgm_rolled(cost, before, p1, p2):
+    around = np.minimum(np.roll(before, 1), np.roll(before, -1)) + p1
+    return cost + np.minimum(np.minimum(before, around), before.min() + p2) - before.min()
+
+
+def sgm_jump_from_nowhere(cost, before, p1, p2):
+    padded = np.pad(before, 1, constant_values=1e9)
+    return cost + np.min([before, padded[:-2] + p1, padded[2:] + p1, 0 * before + p2], axis=0) - before.min()
+
+
+def sgm_no_jump(cost, before, p1, p2):
+    padded = np.pad(before, 1, constant_values=1e9)
+    return cost + np.min([before, padded[:-2] + p1, padded[2:] + p1], axis=0) - before.min()
+
+
+def vertex_of_fit(left, middle, right):
+    a, b, _ = np.polyfit([-1, 0, 1], [left, middle, right], 2)
+    return np.float32(-b / (2 * a))
+
+
+def vertex_of_fit_from_left(left, middle, right):
+    a, b, _ = np.polyfit([0, 1, 2], [left, middle, right], 2)
+    return -b / (2 * a)
+
+
+def vertex_half_a(left, middle, right):
+    a, b = left - 2 * middle + right, (right - left) / 2
+    return -b / (2 * a)
+
+
+ZNCC_COST = [
+    ("right", zncc_loops),
+    ("right", zncc_normalised),
+    ("right", lambda a, b: (1 - np.corrcoef(a.ravel(), b.ravel())[0, 1]) / 2),
+    ("ZNCC itself", lambda a, b: np.corrcoef(a.flat, b.flat)[0, 1]),
+    ("a match must cost 0", lambda a, b: (1 + np.corrcoef(a.flat, b.flat)[0, 1]) / 2),
+    ("runs from 0 to 2", lambda a, b: 1 - np.corrcoef(a.flat, b.flat)[0, 1]),
+    ("brackets", lambda a, b: 1 - np.corrcoef(a.flat, b.flat)[0, 1] / 2),
+    ("each patch's mean first", lambda a, b: (1 - np.vdot(a, b) / np.linalg.norm(a) / np.linalg.norm(b)) / 2),
+    ("in the product, too", zncc_half_centred),
+    ("by both standard deviations", lambda a, b: (1 - np.cov(a.flat, b.flat, ddof=0)[0, 1]) / 2),
+    ("not by the variances", lambda a, b: (1 - np.cov(a.flat, b.flat, ddof=0)[0, 1] / (a.var() * b.var())) / 2),
+    ("the deviations by n:", lambda a, b: (1 - np.cov(a.flat, b.flat)[0, 1] / (a.std() * b.std())) / 2),
+    (
+        "the deviations by n - 1",
+        lambda a, b: (1 - np.mean((a - a.mean()) * (b - b.mean())) / (a.std(ddof=1) * b.std(ddof=1))) / 2,
+    ),
+    ("sum and mean", lambda a, b: (1 - np.sum((a - a.mean()) * (b - b.mean())) / (a.std() * b.std())) / 2),
+    ("shape (18, 18)", lambda a, b: (1 - np.corrcoef(a, b)) / 2),
+]
+MEAN_OVER_PAIRS = [
+    ("right", mean_loops),
+    ("right", mean_by_counting),
+    ("right", lambda costs: np.nanmean(costs.astype(np.float32), axis=0)),
+    ("leave the NaN out", lambda costs: np.mean(costs, axis=0)),
+    ("no 0", lambda costs: np.where(np.isnan(costs), 0, costs).mean(axis=0)),
+    ("no 0", lambda costs: np.nansum(costs, axis=0) / costs.shape[0]),
+    ("that is the sum", lambda costs: np.nan_to_num(costs).sum(axis=0)),
+    ("not everywhere", mean_of_complete_pairs),
+    ("mean over the rays", lambda costs: np.nanmean(costs, axis=1)),
+    ("pairs and rays", lambda costs: costs[~np.isnan(costs)].mean()),
+    ("best pair", lambda costs: np.nan_to_num(costs, nan=1).min(axis=0)),
+    ("median", lambda costs: [np.median(ray[~np.isnan(ray)]) for ray in costs.T]),
+]
+PIXELS_PER_INDEX = [
+    ("right", lambda b, nearest, N, width: b / nearest / (N - 1) / (2 * np.pi / width)),
+    ("right", lambda b, nearest, N, width: math.degrees(math.atan(b / (nearest * (N - 1)))) * width / 360),
+    (
+        "right",
+        lambda b, nearest, N, width: np.float32(b) * np.diff(np.linspace(0, 1 / nearest, N))[0] * width / math.tau,
+    ),
+    ("angle in radians:", lambda b, nearest, N, width: b / nearest / (N - 1)),
+    ("angle in degrees", lambda b, nearest, N, width: math.degrees(b / nearest / (N - 1))),
+    ("not 360", lambda b, nearest, N, width: b / nearest / (N - 1) / (360 / width)),
+    ("not π", lambda b, nearest, N, width: b / nearest / (N - 1) / (np.pi / width)),
+    ("N - 1 steps", lambda b, nearest, N, width: b / nearest / N / (2 * np.pi / width)),
+    ("whole range", lambda b, nearest, N, width: b / nearest / (2 * np.pi / width)),
+    ("inverse depth", lambda b, nearest, N, width: b * np.diff(np.linspace(0, nearest, N))[0] * width / math.tau),
+    ("spheres in a pixel", lambda b, nearest, N, width: math.tau / width / b * nearest * (N - 1)),
+]
+SGM_STEP = [
+    ("right", sgm_loops),
+    ("right", sgm_transitions),
+    ("right", sgm_in_place),
+    ("subtract min_k", lambda cost, before, p1, p2: sgm_loops(cost, before, p1, p2, subtract=False)),
+    ("P1 is for", lambda cost, before, p1, p2: sgm_in_place(cost, before, p2, p1)),
+    ("does not wrap", sgm_rolled),
+    ("does not wrap", lambda cost, before, p1, p2: sgm_loops(cost, before, p1, p2, first=0)),
+    ("a jump starts at", sgm_jump_from_nowhere),
+    ("the jump is missing", sgm_no_jump),
+    (
+        "neighbours are missing",
+        lambda cost, before, p1, p2: cost + np.minimum(before, before.min() + p2) - before.min(),
+    ),
+    ("not over this ray's", lambda cost, before, p1, p2: sgm_loops(cost, before, p1, p2, low=cost.min())),
+    ("own cost", lambda cost, before, p1, p2: sgm_transitions(0 * cost, before, p1, p2)),
+    ("cost alone", lambda cost, before, p1, p2: cost),
+]
+PARABOLA = [
+    ("right", lambda left, middle, right: (left - right) / (2 * (left - 2 * middle + right))),
+    ("right", vertex_of_fit),
+    ("the sign", lambda left, middle, right: (right - left) / (2 * (left - 2 * middle + right))),
+    ("below the line is missing", lambda left, middle, right: (left - right) / (left - 2 * middle + right)),
+    ("brackets", lambda left, middle, right: (left - right) / 2 * (left - 2 * middle + right)),
+    ("leading coefficient", vertex_half_a),
+    ("counts twice", lambda left, middle, right: 0.5 * (left - right) / (left - middle + right)),
+    ("from the left sample", vertex_of_fit_from_left),
+]
+
+
+def cosine(a, b):
+    return sum(x * y for x, y in zip(a.tolist(), b.tolist(), strict=True)) / math.sqrt(
+        sum(x * x for x in a.tolist()) * sum(y * y for y in b.tolist())
+    )
+
+
+COSINE_COST = [
+    ("right", lambda a, b: (1 - cosine(a, b)) / 2),
+    ("right", lambda a, b: np.sum((a / np.linalg.norm(a) - b / np.linalg.norm(b)) ** 2) / 4),
+    ("that is the cosine", cosine),
+    ("the sign", lambda a, b: (1 + cosine(a, b)) / 2),
+    ("divide by 2", lambda a, b: 1 - cosine(a, b)),
+    ("by both lengths", lambda a, b: (1 - np.vdot(a, b)) / 2),
+    ("the second length, too", lambda a, b: (1 - a @ b / np.sqrt(a @ a)) / 2),
+    ("the first length, too", lambda a, b: (1 - a @ b / np.sqrt(b @ b)) / 2),
+    ("not by their squares", lambda a, b: (1 - a @ b / (a @ a * (b @ b))) / 2),
+    ("as ZNCC does", zncc_loops),
+    ("the angle by π", lambda a, b: math.acos(cosine(a, b)) / math.pi),
+]
+
+
+def hinge(change):
+    """The mean over rays of what `change` makes of (match, non-match, margin)."""
+    return lambda positive, negative, m: fmean(
+        change(p, n, m) for p, n in zip(positive.tolist(), negative.tolist(), strict=True)
+    )
+
+
+HINGE_LOSS = [
+    ("right", hinge(lambda p, n, m: max(0.0, m + n - p))),
+    ("right", lambda p, n, m: torch.nn.MarginRankingLoss(m)(*map(torch.tensor, (p, n)), torch.ones(len(p))).numpy()),
+    ("the roles", hinge(lambda p, n, m: max(0.0, m + p - n))),
+    ("costs 0, not less", hinge(lambda p, n, m: m + n - p)),
+    ("of each ray: take the maximum", lambda *a: max(0.0, hinge(lambda p, n, m: m + n - p)(*a))),
+    ("margin is missing", hinge(lambda p, n, m: max(0.0, n - p))),
+    ("margin is added", hinge(lambda p, n, m: max(0.0, n - p - m))),
+    ("that is the sum", lambda p, n, m: np.clip(m + n - p, 0, None).sum()),
+    ("loss of each ray", lambda p, n, m: np.clip(m + n - p, 0, None)),
+    ("not squared", hinge(lambda p, n, m: max(0.0, m + n - p) ** 2)),
+    ("cost nothing count", lambda p, n, m: fmean(x for x in (m + n - p).tolist() if x > 0)),
+]
+
+
+def patch_by_probing(layers, kernel):
+    """How much smaller an image gets, and one."""
+    size = 50
+    for _ in range(layers):
+        size = len(np.convolve(np.ones(size), np.ones(kernel), "valid"))
+    return 50 - size + 1
+
+
+PATCH_SIZE = [
+    ("right", patch_by_probing),
+    ("right", lambda layers, kernel: layers * kernel - layers + 1),
+    ("overlap", lambda layers, kernel: layers * kernel),
+    ("add it", lambda layers, kernel: layers * (kernel - 1)),
+    ("to both sides", lambda layers, kernel: 1 + layers * (kernel - 1) // 2),
+    ("not one", lambda layers, kernel: kernel + (layers - 1)),
+    ("sizes add up", lambda layers, kernel: kernel**layers),
+    ("one layer sees", lambda layers, kernel: kernel),
+]
+SPHERE_LABELS = [
+    ("right", lambda gt, n: (np.abs(gt - n) > 0.5).astype(int)),
+    ("right", lambda gt, n: [[0 if round(x) == n else 1 for x in row] for row in gt.tolist()]),
+    ("turned around", lambda gt, n: (np.abs(gt - n) < 0.5) * 1.0),
+    ("rounding down", lambda gt, n: (gt.astype(int) != n) * 1),
+    ("not up", lambda gt, n: [[float(math.ceil(x) != n) for x in row] for row in gt]),
+    ("no whole number", lambda gt, n: (gt != n) * 1),
+    ("half a sphere", lambda gt, n: 1 - np.isclose(gt, n, rtol=0, atol=1)),
+    ("yes or no", lambda gt, n: abs(gt - n)),
+    ("not of the first row", lambda gt, n: [0 if round(x) == n else 1 for x in gt[0].tolist()]),
+]
+
+
+def entropy(cost, label, weights=(0.5, 0.5), log=math.log, turn=False):
+    """The cross-entropy by adding up; weights of all positives and of all negatives."""
+    means = []
+    for kind in (0, 1):
+        chosen = [c for c, x in zip(cost.tolist(), label.tolist(), strict=True) if x == kind]
+        means.append(fmean(-log(c if (kind == 1) != turn else 1 - c) for c in chosen))
+    return weights[0] * means[0] + weights[1] * means[1]
+
+
+def torch_entropy(cost, label, balanced=True):
+    weight = torch.tensor(np.where(label == 0, 0.5 / np.mean(label == 0), 0.5 / np.mean(label == 1)))
+    loss = torch.nn.functional.binary_cross_entropy(
+        torch.tensor(cost), torch.tensor(label), weight if balanced else None
+    )
+    return float(loss)
+
+
+BALANCED_LOSS = [
+    ("right", entropy),
+    ("right", torch_entropy),
+    ("there are more negatives", lambda cost, label: torch_entropy(cost, label, balanced=False)),
+    ("divide the sum of both means by 2", lambda cost, label: entropy(cost, label, (1, 1))),
+    ("the minus", lambda cost, label: -entropy(cost, label)),
+    ("probability of *no*", lambda cost, label: entropy(cost, label, turn=True)),
+    ("base 2", lambda cost, label: entropy(cost, label, log=math.log2)),
+    ("base 10", lambda cost, label: entropy(cost, label, log=math.log10)),
+    (
+        "squared error",
+        lambda cost, label: fmean([np.mean((cost - label)[label == kind] ** 2) for kind in (0, 1)]),
+    ),
+    ("positives are missing", lambda cost, label: entropy(cost, label, (0, 0.5))),
+    ("negatives are missing", lambda cost, label: entropy(cost, label, (0.5, 0))),
+]
+
+
+def field_backwards(layers):
+    """From the output back to the input: one pixel, then what each layer needs of the one before."""
+    size = 1
+    for kernel, stride in reversed(layers):
+        size = (size - 1) * stride + kernel
+    return size
+
+
+def field(layers, own=False, compound=True, one=1):
+    """From the input on, with the usual mistakes."""
+    size, jump = one, 1
+    for kernel, stride in layers:
+        if own:
+            jump = jump * stride if compound else stride
+        size += (kernel - 1) * jump
+        if not own:
+            jump *= stride
+    return size
+
+
+RECEPTIVE_FIELD = [
+    ("right", field_backwards),
+    ("right", field),
+    ("two pixels of the input", lambda layers: field([(kernel, 1) for kernel, _ in layers])),
+    ("not for itself", lambda layers: field(layers, own=True)),
+    ("strides multiply up", lambda layers: field(layers, own=True, compound=False)),
+    (
+        "layers behind it only",
+        lambda layers: math.prod(s for _, s in layers) * field([(kernel, 1) for kernel, _ in layers]),
+    ),
+    ("one pixel: add it", lambda layers: field(layers, one=0)),
+    ("windows overlap", lambda layers: sum(kernel for kernel, _ in layers)),
+]

@@ -1,0 +1,279 @@
+"""The frames that ship: streets in three lights, from the air, a room."""
+
+import itertools
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from lens_oracle import directions
+
+import omnistereo_lib as osl
+from render.drive import plan_drive
+from render.frames import (
+    SEED,
+    SETS,
+)
+from render.layout import plan_district
+from render.rig import make_rig, write_config
+
+SAMPLES = Path(osl.__file__).parents[1] / "data_samples" / "sunny"
+DISTRICT = plan_district(SEED)
+
+
+FRAMES = (0, -1)  # the first and the last of the set, hundreds of metres apart
+GRID = osl.SphereGrid(640, 160, num_spheres=192, min_depth=1.65)
+WINDOW = 5  # 2.8°, as 9 at the width of the paper
+
+
+@pytest.fixture(scope="module")
+def shipped():
+    return osl.load_dataset(SAMPLES, split="test")
+
+
+def test_shipped_rig_is_the_one_of_the_seed(shipped, tmp_path):
+    write_config(tmp_path / "config.yaml", make_rig(SEED), SETS["sunny/test"].size, {"start": 701})
+    made = osl.Rig.load(tmp_path)
+    rays = directions(110)
+    for old, new in zip(shipped.rig.cameras, made.cameras, strict=True):
+        np.testing.assert_allclose(old.project(rays)[0], new.project(rays)[0], atol=1e-6)
+    for old, new in zip(shipped.rig.T_rig_cam, made.T_rig_cam, strict=True):
+        np.testing.assert_allclose(old.as_vector(), new.as_vector(), atol=1e-12)
+
+
+def sample(panorama, pixels, how):
+    """Look a panorama up at (column, row), around the seam."""
+    maps = (pixels + np.array([8, 0])).astype(np.float32)
+    return cv2.remap(np.pad(panorama, ((0, 0), (8, 8)), mode="wrap"), maps[..., 0], maps[..., 1], how)
+
+
+def around(panorama, size):
+    """The lowest and the highest value in the window around each pixel, around the seam."""
+    wide = np.pad(panorama, ((0, 0), (size, size)), mode="wrap")
+    window = np.ones((size, size), np.uint8)
+    return tuple(find(wide, window)[:, size:-size] for find in (cv2.erode, cv2.dilate))
+
+
+def all_around(mask, size=WINDOW):
+    """Where a mask is true in the whole window around a pixel."""
+    return around(mask.astype(np.uint8), size)[0] > 0
+
+
+def means(picture, size=WINDOW):
+    """The mean over the window around each pixel, around the seam."""
+    return cv2.blur(np.pad(picture, ((0, 0), (size, size)), mode="wrap"), (size, size))[:, size:-size]
+
+
+@pytest.mark.parametrize("i", FRAMES)
+def test_truths_of_both_sizes_agree_where_depth_is_smooth(shipped, i):
+    fine = shipped[i].inverse_depth
+    coarse = osl.load_dataset(SAMPLES, split="test", gt_width=640)[i].inverse_depth
+    pixels, _ = osl.SphereGrid(1200, 300).project(GRID.rays())
+    low, high = (sample(values, pixels, cv2.INTER_NEAREST) for values in around(fine, 3))
+    smooth = (low > 0) & (high < 1.05 * low)
+    smooth[[0, -1]] = False
+    assert smooth.mean() > 0.5
+    coarse = coarse[smooth]
+    difference = np.abs(sample(fine, pixels, cv2.INTER_LINEAR)[smooth] / coarse - 1)
+    assert np.median(difference) < 5e-5 and np.quantile(difference, 0.9) < 2e-3
+    # A pixel of the finer one beside it, and it is seen:
+    beside = np.abs(sample(fine, pixels + np.array([0, 1]), cv2.INTER_LINEAR)[smooth] / coarse - 1)
+    assert np.median(beside) > 1e-3
+
+
+def test_shipped_truth_is_a_street(shipped):
+    for frame in shipped:
+        truth = frame.inverse_depth
+        assert truth.shape == (300, 1200) and np.isfinite(truth).all()
+        assert truth.max() <= 1 / shipped.rig.min_depth
+        sky, near = (truth == 0), (truth > 1 / (3 * shipped.rig.min_depth))
+        assert 0.02 < sky.mean() < 0.4 and near.mean() > 0.1
+        assert not sky[150:].any()  # below the horizon there is ground
+
+
+def test_shipped_pictures_are_neither_black_nor_burnt_out(shipped):
+    for i, camera in itertools.product(FRAMES, range(4)):
+        picture = shipped[i].images[camera]
+        lens = shipped.rig.cameras[camera]
+        grid = np.stack(np.meshgrid(*map(np.arange, lens.image_size)), -1)
+        seen = picture[lens.unproject(grid)[1]]
+        assert (seen.min(-1) >= 250).mean() < 0.02 and (seen.max(-1) < 8).mean() < 0.1
+        assert 50 < seen.mean() < 160
+        assert 0 < picture[:8, :8].mean() < 12  # outside the lens circle: the sensor's noise in the dark
+
+
+def surely_seen(centre, inverse_depth):
+    """Where a camera sees the point of a ray: the whole line of sight lies before what the rig's centre sees."""
+    with np.errstate(divide="ignore"):
+        points = GRID.rays() * np.minimum(1 / inverse_depth, 1e4)[..., None]
+    seen = np.ones(GRID.shape, bool)
+    for share_of_way in np.linspace(0.05, 0.995, 12):
+        between = centre + share_of_way * (points - centre)
+        pixels, inside = GRID.project(between)
+        covered = np.linalg.norm(between, axis=-1) * sample(inverse_depth, pixels, cv2.INTER_NEAREST) > 1.02
+        seen &= inside & ~covered
+    return seen
+
+
+def warped_zncc(shipped, frame, inverse_depth):
+    """ZNCC and contrast in windows of neighbouring cameras' images, warped with a depth for each ray."""
+    sweep = osl.SphereSweep(shipped.rig, GRID)
+    gray = [image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in frame.images]
+    gray = [image.astype(np.float32) for image in gray]
+    warped = sweep.warp(gray, GRID.inverse_depth_to_index(inverse_depth))
+    for a, b in ((0, 1), (1, 2), (2, 3), (3, 0)):
+        both = np.isfinite(warped[a]) & np.isfinite(warped[b])
+        A, B = (np.where(both, image, 0) for image in (warped[a], warped[b]))
+        spread = [means(image * image) - means(image) ** 2 for image in (A, B)]
+        covariance = means(A * B) - means(A) * means(B)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            zncc = covariance / np.sqrt(spread[0] * spread[1])
+        yield (a, b), np.where(all_around(both), zncc, np.nan), np.sqrt(np.minimum(*spread).clip(0))
+
+
+@pytest.mark.parametrize("i", FRAMES)
+def test_images_warped_with_the_truth_agree(shipped, i):
+    """The sensors' noise reaches 7 gray values in shadows: texture is what has three times that contrast."""
+    frame = osl.load_dataset(SAMPLES, split="test", gt_width=640)[i]
+    truth = frame.inverse_depth
+    low, high = around(truth, WINDOW)
+    smooth = (low > 0) & (high < 1.15 * low)
+    seen = [surely_seen(centre, truth) for centre in shipped.rig.centers]
+    wrong = warped_zncc(shipped, frame, truth * 1.2)
+    for ((a, b), zncc, contrast), (_, off, _) in zip(warped_zncc(shipped, frame, truth), wrong, strict=True):
+        textured = smooth & all_around(seen[a] & seen[b]) & np.isfinite(zncc) & (contrast > 20)
+        assert textured.sum() > 300
+        assert np.median(zncc[textured]) > 0.95 and (zncc[textured] > 0.9).mean() > 0.9
+        assert (off[textured] > 0.9).mean() < 0.7 * (zncc[textured] > 0.9).mean()  # but less with a wrong depth
+
+
+# The sets beside the street's: from the air, and in a room
+
+OTHERS = {
+    "aerial": osl.SphereGrid(640, 320, (-90, 90), num_spheres=192, min_depth=1.65),
+    "indoor": osl.SphereGrid(640, 160, num_spheres=192, min_depth=0.55),
+}
+
+
+def test_aerial_truth_is_the_full_sphere_of_a_tilted_rig_above_a_street():
+    data, images = osl.load_dataset(SAMPLES.parent / "aerial", split="test"), SETS["aerial/test"]
+    drive = plan_drive(DISTRICT, images.route, images.count)
+    for frame in data:
+        T_world_rig = drive.pose(frame.number - images.first) @ osl.Pose.from_vector(images.T_drive_rig)
+        tilt = np.degrees(np.arccos(-T_world_rig.R[2, 1]))  # between the rig's down and the world's
+        assert 12 < tilt < 18 and 15 < T_world_rig.t[2] < 20
+        grid = osl.SphereGrid(1200, 600, (-90, 90))
+        truth = frame.inverse_depth
+        assert truth.shape == grid.shape and np.isfinite(frame.gt_index(OTHERS["aerial"])).all()
+        rays = grid.rays() @ T_world_rig.R.T
+        assert (truth[rays[..., 2] < -0.05] > 0).all() and (truth[rays[..., 2] > 0.99] == 0).all()
+        height = (T_world_rig.t + rays[truth > 0] / truth[truth > 0, None])[:, 2]
+        below = -rays[truth > 0, 2] > 0.9
+        assert np.abs(height[below]).min() < 1e-3 and height.min() > -0.1  # the file's steps: 4 cm at 100 m
+        assert (np.abs(height[below]) < 0.2).mean() > 0.4  # carriageway and pavement; the rest stands on them
+
+
+def test_indoor_truth_is_a_room_that_leaves_place_for_the_rig():
+    data = osl.load_dataset(SAMPLES.parent / "indoor", split="test")
+    assert data.rig.min_depth == 0.55
+    for frame in data:
+        truth = frame.inverse_depth
+        assert truth.shape == (300, 1200) and truth.max() < 1 / 0.55
+        assert (truth > 1 / 6.5).mean() > 0.9 and (truth[-1] > 1 / 3).all()  # all but the window; the floor
+    first, second = (frame.inverse_depth for frame in data)
+    assert np.median(np.abs(first - second) / np.maximum(first, second)) > 0.1  # two places
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_other_sets_images_warped_with_the_truth_agree(name, monkeypatch):
+    """Only on single surfaces: with shelves this close, two depths in a window do not fit one warp."""
+    monkeypatch.setattr(sys.modules[__name__], "GRID", OTHERS[name])
+    data = osl.load_dataset(SAMPLES.parent / name, split="test", gt_width=640)
+    truth = data[0].inverse_depth
+    low, high = around(truth, WINDOW)
+    smooth = (low > 0) & (high < 1.02 * low)
+    seen = [surely_seen(centre, truth) for centre in data.rig.centers]
+    wrong = warped_zncc(data, data[0], truth * 1.2)
+    for ((a, b), zncc, contrast), (_, off, _) in zip(warped_zncc(data, data[0], truth), wrong, strict=True):
+        textured = smooth & all_around(seen[a] & seen[b]) & np.isfinite(zncc) & (contrast > 20)
+        assert textured.sum() > 300
+        assert np.median(zncc[textured]) > 0.95 and (zncc[textured] > 0.9).mean() > 0.95
+        assert (off[textured] > 0.9).mean() < 0.5 * (zncc[textured] > 0.9).mean()
+
+
+# The street in other lights, and the streets that training sees
+
+
+@pytest.mark.parametrize("light", ["cloudy", "sunset"])
+def test_other_lights_show_the_same_street(light):
+    sunny = osl.load_dataset(SAMPLES, split="test", gt_width=640)
+    data = osl.load_dataset(SAMPLES.parent / light, split="test", gt_width=640)
+    assert [frame.number for frame in data] == [frame.number for frame in sunny]
+    assert [frame.gt_path.resolve() for frame in data] == [frame.gt_path.resolve() for frame in sunny]
+    for old, new in zip(sunny.rig.T_rig_cam, data.rig.T_rig_cam, strict=True):
+        np.testing.assert_array_equal(old.as_vector(), new.as_vector())
+    warmth = sky_warmth(data) / sky_warmth(sunny)
+    # Blue under the sun, gray under clouds, in between with the evening's red in it.
+    assert 1.3 < warmth < 1.5 if light == "cloudy" else 1.15 < warmth < 1.3
+
+
+def sky_warmth(data):
+    """Red by blue of the sky, the mean over a set."""
+    sweep = osl.SphereSweep(data.rig, osl.SphereGrid(640, 160, num_spheres=2, min_depth=1.65))
+    ratios = []
+    for frame in data:
+        red, blue = (
+            np.nanmean(sweep.warp([image[..., k].astype(np.float32) for image in frame.images], 0), axis=0)
+            for k in (0, 2)
+        )
+        ratios.append((red / (blue + 1))[frame.inverse_depth == 0])
+    return np.concatenate(ratios).mean()
+
+
+@pytest.mark.parametrize("name", ["cloudy/test", "sunset/test", "sunny/train"])
+def test_pictures_of_other_lights_and_streets_are_neither_black_nor_burnt_out(name):
+    data = osl.load_dataset(SAMPLES.parent / name)
+    black = []
+    for i, camera in itertools.product(range(0, len(data), max(1, len(data) // 8)), range(4)):
+        picture = data[i].images[camera].reshape(*data[i].images[camera].shape[:2], -1)
+        lens = data.rig.cameras[camera]
+        grid = np.stack(np.meshgrid(*map(np.arange, lens.image_size)), -1)
+        seen = picture[lens.unproject(grid)[1]]
+        black.append((seen.max(-1) < 8).mean())
+        assert (seen.min(-1) >= 250).mean() < 0.05 and black[-1] < 0.25  # a street's side in the shade
+        assert 35 < seen.mean() < 160
+    assert np.mean(black) < 0.08
+
+
+@pytest.mark.parametrize("name", ["cloudy/test", "sunset/test", "sunny/train"])
+def test_warped_images_agree_in_other_lights_and_streets(name):
+    data = osl.load_dataset(SAMPLES.parent / name, gt_width=640)
+    frame = data[len(data) // 2]
+    truth = frame.inverse_depth
+    low, high = around(truth, WINDOW)
+    smooth = (low > 0) & (high < 1.1 * low)
+    seen = [surely_seen(centre, truth) for centre in data.rig.centers]
+    wrong = warped_zncc(data, frame, truth * 1.2)
+    right, off = [], []
+    for ((a, b), zncc, contrast), (_, other, _) in zip(warped_zncc(data, frame, truth), wrong, strict=True):
+        textured = smooth & all_around(seen[a] & seen[b]) & np.isfinite(zncc) & (contrast > 20)
+        right.append(zncc[textured])
+        off.append(other[textured])
+    right, off = np.concatenate(right), np.concatenate(off)
+    assert len(right) > 1000
+    assert np.median(right) > 0.95 and (right > 0.9).mean() > 0.9
+    assert (off > 0.9).mean() < 0.7 * (right > 0.9).mean()
+
+
+def test_training_frames_are_those_of_the_drive():
+    data, images = osl.load_dataset(SAMPLES, split="train"), SETS["sunny/train"]
+    assert tuple(frame.number for frame in data) == images.shipped and len(data) >= 120
+    near, sky = [], []
+    for frame in data[::10]:
+        assert all(image.shape == (384, 400) for image in frame.images)
+        truth = frame.inverse_depth
+        assert truth.shape == (160, 640) and np.isfinite(truth).all() and truth.max() <= 1 / data.rig.min_depth
+        near.append(np.mean(truth > 1 / (3 * data.rig.min_depth)))
+        sky.append(np.mean(truth == 0))
+    assert np.mean(near) > 0.1 and 0.02 < np.mean(sky) < 0.4
