@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_input(parser)
     add_grid(parser, width=640, height=160, spheres=192)
     parser.add_argument(
-        "--method", default="zncc+sgm", help="such as mccnn or sweepnet+sgm,pairs=all (default: zncc+sgm)"
+        "--method", default="volumenet", help="such as zncc+sgm or sweepnet+sgm,pairs=all (default: volumenet)"
     )
     add_device(parser, precision=False)
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder for the results (default: out)")

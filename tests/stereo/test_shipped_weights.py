@@ -14,6 +14,7 @@ from test_sweepnet import dense
 import omnistereo_lib as osl
 from omnistereo_lib.stereo.learned import LearnedCost, uses_bfloat16
 from omnistereo_lib.stereo.mccnn import MCCNN
+from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweepnet import SweepNet
 from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS, load_tensors
 from omnistereo_lib.train import RECIPES
@@ -24,6 +25,7 @@ RECIPE = {
     "sweepnet": RECIPES["sweepnet"]["shipped"],
     "mccnn_fast": RECIPES["mccnn"]["shipped"],
     "mccnn_accurate": replace(RECIPES["mccnn"]["shipped"], variant="accurate", negative_high_px=18.0),
+    "volumenet": RECIPES["volumenet"]["shipped"],
 }
 GRID = osl.SphereGrid(320, 80, num_spheres=64, min_depth=1.65)
 
@@ -60,13 +62,15 @@ def test_card_and_curve_are_of_these_weights(name):
 
 
 def test_training_data_are_those_that_ship():
-    digest = hashlib.sha256()
-    for frame in osl.load_dataset(SUNNY, split="train"):
-        for path in (*frame.image_paths, frame.gt_path):
-            digest.update(path.read_bytes())
-    for name in RECIPE:
+    for name, recipe in RECIPE.items():
+        digest, worlds = hashlib.sha256(), recipe.worlds.split()
+        for world in worlds:
+            for frame in osl.load_dataset(SUNNY.parent / world, split="train"):
+                for path in (*frame.image_paths, frame.gt_path):
+                    digest.update(path.read_bytes())
         _, about = load_tensors(BUNDLED_WEIGHTS / f"{name}.safetensors")
-        assert about["data"]["folder"] == "sunny/train" and about["data"]["sha256"] == digest.hexdigest()
+        assert about["data"]["folder"] == ", ".join(f"{world}/train" for world in worlds)
+        assert about["data"]["sha256"] == digest.hexdigest()
 
 
 @pytest.mark.parametrize("name", NETWORKS)
@@ -76,6 +80,17 @@ def test_learned_costs_beat_zncc_on_a_street_they_have_not_seen(name, volumes, f
     assert all(learned[figure] < zncc[figure] for figure in wanted)
     zncc, learned = (errors(osl.sgm(volumes[which]), frame) for which in ("zncc", name))
     assert all(learned[figure] < zncc[figure] for figure in zncc)
+
+
+@pytest.mark.parametrize(("name", "number", "ratio"), [("sunny", 831, 0.6), ("indoor", 2, 1.0)])
+def test_volumenet_beats_zncc_with_sgm(name, number, ratio):
+    """On a street and in a room that no training saw."""
+    data = osl.load_dataset(SUNNY.parent / name, split="test")
+    grid = osl.SphereGrid(320, 80, num_spheres=64, min_depth=data.rig.min_depth)
+    frame, sweep = data.frame(number), osl.SphereSweep(data.rig, grid)
+    results = [sweep_depth(sweep, frame.images, method) for method in ("volumenet", "zncc+sgm")]
+    ours, theirs = (osl.index_error(one.index, frame.gt_index(grid), 64) for one in results)
+    assert all(ours[metric] < ratio * theirs[metric] for metric in ours)
 
 
 def test_fast_inference_is_the_plain_networks(frame):
