@@ -41,14 +41,14 @@ render: $(RENDER_READY)  ## renders the sample frames; Blender has an environmen
 bench: $(READY)  ## speed, as ratios against named alternatives
 	$(BIN)/python -m course bench $(BENCH_ARGS)
 
-results: $(READY)  ## the stored results and the README's ledger anew: hours, but it resumes
+results: $(READY)  ## the stored results and the book's reproduction report again: hours, but it resumes
 	$(EVALUATE) --sets $(SETS) --scale teaching --out out/teaching
 	$(EVALUATE) --sets sunny --ablations window weights pairs wrap subindex spheres --methods $(TUNED) --out out/ablations
 	$(BIN)/python -m omnistereo_lib calibrate data_samples/calibration/van --board 12x10 --square 0.06 --max-fov 220 --out out/van
 	$(EVALUATE) --sets sunny --rig out/van/config.yaml --out out/calibrated
 	$(EVALUATE) --sets data_samples/sunny --split train --frames $(KEPT_APART) --ablations penalties --out out/penalties
 	$(EVALUATE) --sets $(SETS) aerial --scale paper --out out/paper $(RESULTS_ARGS)
-	$(BIN)/python -m course ledger README.md --results out/paper/results.json
+	$(BIN)/python -m course ledger book/reproduction.md --results out/paper/results.json
 	$(BIN)/python -m course variants --out out/variants \
 	  --set steps=300 validate_every=30 validation_groups=24
 	cp out/variants/variants.csv data_samples/results/

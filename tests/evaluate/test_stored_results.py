@@ -13,7 +13,7 @@ from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
 from omnistereo_lib.train import RECIPES
 from omnistereo_lib.train.spheres import SphereSamples
 
-README = DATA.parent / "README.md"
+REPORT = DATA.parent / "book" / "reproduction.md"
 STORED = {path.stem: path for path in sorted((DATA / "results").glob("*.json"))}
 
 
@@ -81,7 +81,15 @@ def test_penalties_are_chosen_on_frames_that_no_network_learned_from():
     assert set(read_record(STORED["penalties"])["frames"]["sunny"]) <= kept_apart
 
 
-def test_the_readme_has_their_ledger():
-    before, after = split_at_markers(README)
+def test_the_report_is_of_these_results():
+    before, after = split_at_markers(REPORT)
     made = f"{before}\n{ledger(read_record(STORED['paper']))}{after}"
-    assert README.read_text(encoding="utf-8") == made, "the README has another one: make results"
+    assert REPORT.read_text(encoding="utf-8") == made, "the book has another one: make results"
+
+
+def test_the_readme_quotes_the_report():
+    readme, report = (
+        (DATA.parent / name).read_text(encoding="utf-8") for name in ("README.md", "book/reproduction.md")
+    )
+    rows = [line for line in readme.splitlines() if line.endswith(("reproduced |", "</sub> |"))]
+    assert len(rows) == 5 and set(rows) <= set(report.splitlines())
