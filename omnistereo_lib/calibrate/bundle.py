@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import LinearOperator
+from threadpoolctl import threadpool_limits
 
 from omnistereo_lib.calibrate.params import NUM_AFFINE, CalibrationParams, Observations, powers_of
 
@@ -128,6 +129,8 @@ class BundleProblem:
         return self.scale * (alpha * basis).sum(axis=1), slope, self.scale[:, None] * basis
 
 
+# Its factorisations are small: on a busy machine two BLAS threads take four times as long as one.
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def bundle_adjust(
     initial: CalibrationParams,
     observations: Observations,
@@ -191,6 +194,7 @@ def _column_norms(J: csr_matrix) -> Floats:
     return np.where(norms > 0, norms, 1.0)
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def estimate_covariance(params: CalibrationParams, observations: Observations, sigma: float) -> Floats:
     """Return the covariance of intrinsics and rig for corner noise `sigma` (px), (num_rig_params, num_rig_params).
 
