@@ -248,7 +248,7 @@ BAD = {
     "no width": (option("--width", 0), r"width is 0; expected an integer of at least 2"),
     "smaller than the window": (option("--height", 4), r"window is 9; expected at most the panorama size 96 × 4"),
     "out of memory": (option("--width", 200_000, "--height", 50_000), r"200000 × 50000 with 16 spheres needs 13.*GiB"),
-    "unknown method": (option("--method", "magic"), r"cost must be one of zncc, mccnn, sweepnet, volumenet, got 'magic'"),
+    "unknown method": (option("--method", "magic"), r"one of zncc, mccnn, sweepnet, volumenet, got 'magic'"),
     "unknown frame": (lambda data: ["--rig", data, "--frame", 7], r"has frames 0 … 0, not 7"),
     "not a data set": (lambda data: ["--rig", data / "config.yaml"], r"config.yaml is not a data set folder"),
     "unit stated twice": (option("--unit", "cm"), r"in metres by definition. Omit unit='cm'"),
