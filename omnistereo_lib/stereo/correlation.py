@@ -17,6 +17,7 @@ from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.learned import full_precision
 
 CHANNELS, GROUPS = 32, 8
+LEAST = 160, 32  # columns and spheres of the volumes on which the shipped network was trained
 _CELLS = 1 << 14  # whose features are correlated at a time: so few that they stay in the cache of a core
 
 
@@ -24,11 +25,12 @@ def volume_size(grid: SphereGrid) -> tuple[int, int, int]:
     """Return width, height and spheres of the volume of a grid, in multiples of 8 for the U-net.
 
     Half of the grid's, or less for fine grids: the U-net sees a fixed number of cells around each, and the wider they
-    are, the more of the scene. Of 1200 × 300 × 192, a volume of a quarter gave half the MAE of one of a half.
+    are, the more of the scene. Of 1200 × 300 × 192, a volume of a quarter gave half the MAE of one of a half. Never
+    coarser than those of the training, also for a grid that is.
     """
     coarser, deeper = 2 * max(1, round(grid.width / 640)), 2 * max(1, round(grid.num_spheres / 96))
-    sizes = grid.width / coarser, grid.height / coarser, grid.num_spheres / deeper
-    return tuple(8 * math.ceil(size / 8) for size in sizes)
+    width, spheres = max(grid.width / coarser, LEAST[0]), max(grid.num_spheres / deeper, LEAST[1])
+    return tuple(8 * math.ceil(size / 8) for size in (width, grid.height * width / grid.width, spheres))
 
 
 def pixels_per_degree(grid: SphereGrid) -> float:

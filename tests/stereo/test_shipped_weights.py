@@ -82,14 +82,17 @@ def test_learned_costs_beat_zncc_on_a_street_they_have_not_seen(name, volumes, f
     assert all(learned[figure] < zncc[figure] for figure in zncc)
 
 
-@pytest.mark.parametrize(("name", "number", "ratio"), [("sunny", 831, 0.8), ("indoor", 2, 1.0)])
-def test_volumenet_beats_zncc_with_sgm(name, number, ratio):
-    """On a street and in a room that no training saw."""
+@pytest.mark.parametrize(
+    ("name", "number", "size", "ratio"),
+    [("sunny", 831, (320, 80, 64), 0.8), ("indoor", 2, (320, 80, 64), 1.0), ("sunny", 831, (96, 24, 16), 1.0)],
+)
+def test_volumenet_beats_zncc_with_sgm(name, number, size, ratio):
+    """On a street and in a room that no training saw, and on a small panorama."""
     data = osl.load_dataset(SUNNY.parent / name, split="test")
-    grid = osl.SphereGrid(320, 80, num_spheres=64, min_depth=data.rig.min_depth)
+    grid = osl.SphereGrid(*size[:2], num_spheres=size[2], min_depth=data.rig.min_depth)
     frame, sweep = data.frame(number), osl.SphereSweep(data.rig, grid)
     results = [sweep_depth(sweep, frame.images, method) for method in ("volumenet", "zncc+sgm")]
-    ours, theirs = (osl.index_error(one.index, frame.gt_index(grid), 64) for one in results)
+    ours, theirs = (osl.index_error(one.index, frame.gt_index(grid), size[2]) for one in results)
     assert all(ours[metric] < ratio * theirs[metric] for metric in ours)
 
 

@@ -37,6 +37,19 @@ def small():
     return maps, uv
 
 
+@pytest.mark.parametrize(
+    ("grid", "size"),
+    [
+        ((320, 80, 64), (160, 40, 32)),
+        ((640, 160, 192), (320, 80, 48)),
+        ((1200, 300, 192), (304, 80, 48)),
+        ((96, 24, 16), (160, 40, 32)),  # finer than the grid, as the network was trained
+    ],
+)
+def test_the_size_of_the_volume(grid, size):
+    assert volume_size(osl.SphereGrid(*grid[:2], num_spheres=grid[2])) == size
+
+
 def test_the_features_of_a_cell_are_interpolated(small):
     (maps, *_), (uv, *_) = small
     index, weight = bilinear(uv, (9, 7))
@@ -74,13 +87,13 @@ def test_the_gradient_of_the_correlation():
 
 def test_cells_land_on_the_features_of_their_points():
     rig = scene.rig(cameras=3).recentered()
-    coordinates = feature_coordinates(rig, GRID)
-    width, height, spheres = volume_size(GRID)
-    assert coordinates[0].shape == (width, height, spheres, 2) == (48, 16, 16, 2)
-    rays = replace(GRID, width=48, height=16).rays()
-    for column, row, sphere in ((0, 0, 0), (17, 5, 9), (40, 15, 15)):
+    grid = osl.SphereGrid(320, 96, (-45, 45), 64, 0.6)
+    coordinates = feature_coordinates(rig, grid)
+    assert coordinates[0].shape == (*volume_size(grid), 2) == (160, 48, 32, 2)
+    rays = replace(grid, width=160, height=48).rays()
+    for column, row, sphere in ((0, 0, 0), (57, 15, 19), (140, 45, 31)):
         # Sphere m of the volume lies between the spheres 2 m and 2 m + 1 of the grid.
-        depth = 2 / (GRID.inverse_depths()[2 * sphere] + GRID.inverse_depths()[2 * sphere + 1])
+        depth = 2 / (grid.inverse_depths()[2 * sphere] + grid.inverse_depths()[2 * sphere + 1])
         for camera, pose, uv in zip(rig.cameras, rig.T_rig_cam, coordinates, strict=True):
             pixel, visible = camera.project(pose.inverse() @ (rays[row, column] * depth))
             found = uv[column, row, sphere].numpy()
@@ -198,5 +211,5 @@ def test_settings_that_make_no_difference_are_refused(name):
 
 def test_a_panorama_that_memory_cannot_hold_is_refused(network, monkeypatch):
     monkeypatch.setattr("omnistereo_lib.stereo.volume._available_memory", lambda device: 1 << 20)
-    with pytest.raises(osl.OmnistereoError, match=r"96 × 32 with 32 spheres needs 0\.0 GiB of cpu memory; 0\.0 GiB"):
+    with pytest.raises(osl.OmnistereoError, match=r"96 × 32 with 32 spheres needs 0\.1 GiB of cpu memory; 0\.0 GiB"):
         cost_volume(SphereSweep(scene.rig(), GRID), scene.images(scene.rig(), finest=0.5), network)
