@@ -112,8 +112,7 @@ class OcamCamera:
 
         Returns:
             uv (shape (..., 2), pixels): Meaningful where valid; finite elsewhere, so that it can be interpolated.
-            valid (bool, shape (...)): Within the field of view, inside the image, on the mask. False for points that
-                are not finite or lie at the camera centre.
+            valid (bool, shape (...)): In the field of view, in the image, on the mask; False for undefined directions.
 
         Raises:
             OmnistereoError: If points has another shape, or the direct polynomial does not reach the field of view.
@@ -143,8 +142,7 @@ class OcamCamera:
 
         Returns:
             rays: shape (..., 3), unit length, camera frame
-            valid (bool, shape (...)): Inside the image, on the mask, within the field of view, and with
-                `use_direct_poly` no further out than the direct polynomial is monotonic.
+            valid (bool, shape (...)): In the image, on the mask, in the field of view; there the polynomial is monotonic.
         """
         uv, xp = _as_array(uv, 2)
         finite = xp.isfinite(uv[..., 0]) & xp.isfinite(uv[..., 1])

@@ -61,15 +61,17 @@ def sparsification(
 ) -> tuple[NDArray[np.float64], float, float]:
     """Return the sparsification curve: the mean error after removing the least confident rays.
 
+    The difference of the two areas is known as AUSE (Hu & Mordohai 2012). The areas are NaN if all errors are 0;
+    everything is NaN without a finite ray.
+
     Args:
         error, confidence (arrays of the same shape): Rays where either is not finite are ignored.
         fractions: Fractions of rays removed, increasing, in [0, 1).
 
     Returns:
         curve (array, shape (len(fractions),)): Mean error of the remaining rays.
-        auc, oracle_auc: Area under the curve, and under the curve of an oracle that removes the largest errors first.
-            Both are divided by the area without sorting, so a random confidence has an auc of 1. Their difference is
-            known as AUSE (Hu & Mordohai 2012). NaN if all errors are 0; all three NaN without a finite ray.
+        auc: Area under the curve, divided by the area without sorting: 1 for a random confidence.
+        oracle_auc: The same of an oracle that removes the largest errors first.
 
     Raises:
         OmnistereoError: If error and confidence differ in size.

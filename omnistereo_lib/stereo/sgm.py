@@ -50,7 +50,7 @@ def sgm(volume: Tensor | np.ndarray, p1: float = 0.1, p2: float = 12.0, paths: i
     """Aggregate a cost volume by semi-global matching: S = Σ_r L_r (paper, Section III-B; see the module).
 
     Args:
-        volume ((H, W, N)): Matching cost C, lower is better; NaN is unknown. Computed in float32.
+        volume (shape (H, W, N)): Matching cost C, lower is better; NaN is unknown. Computed in float32.
         p1, p2: Penalties for a step of one sphere and for any larger jump, in units of the cost, 0 ≤ p1 ≤ p2.
         paths: 4 (along rows and columns) or 8 (diagonals as well).
         wrap: True: column 0 follows column W−1, for diagonals as well. A row then has no first pixel. It runs in laps
@@ -65,8 +65,7 @@ def sgm(volume: Tensor | np.ndarray, p1: float = 0.1, p2: float = 12.0, paths: i
 
     Note:
         The CPU version uses ``torch.get_num_threads()`` threads; results do not depend on their number. It needs one
-            more
-        volume of memory. Other devices run torch operations, one row or column at a time, in three more volumes.
+        more volume of memory. Other devices run torch operations, one row or column at a time, in three more volumes.
 
     Raises:
         OmnistereoError: If the volume is not 3-D, has fewer than 2 spheres or infinite costs, or p1, p2 or paths is out

@@ -72,10 +72,12 @@ class PatchSamples(SweptFrames):
     ) -> tuple[NDArray, NDArray, NDArray]:
         """Draw rays that cameras i and j both see, and spheres on which they show the same point and another.
 
+        Distances are in pixels between the two cameras' views of the point.
+
         Returns:
             pixel (shape (K, 2), K ≤ count): Row and column of each ray.
-            match, other (shape (K,)): Sphere indices: off the ground truth by at most `positive_px`, and by
-                `negative_low_px` to `negative_high_px`, in pixels between the two cameras' views of the point.
+            match (shape (K,)): Sphere indices off the ground truth by at most `positive_px`.
+            other (shape (K,)): Sphere indices off it by `negative_low_px` to `negative_high_px`.
         """
         recipe, last = self.recipe, self.grid.num_spheres - 1
         rows, columns = (rng.integers(size, size=_DRAWS * count) for size in self.grid.shape)
