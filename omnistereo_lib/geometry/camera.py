@@ -142,7 +142,7 @@ class OcamCamera:
 
         Returns:
             rays: shape (..., 3), unit length, camera frame
-            valid (bool, shape (...)): In the image, on the mask, in the field of view; there the polynomial is monotonic.
+            valid (bool, shape (...)): In the image, on the mask, in the field of view; the polynomial is monotonic.
         """
         uv, xp = _as_array(uv, 2)
         finite = xp.isfinite(uv[..., 0]) & xp.isfinite(uv[..., 1])
