@@ -40,7 +40,7 @@ PICTURE = NOTEBOOKS / "00_quickstart.jpg"
 SETUP = "import omnistereo_lib as osl\n\nosl.doctor(short=True)"
 FACTS = {"title": str, "learn": str, "needs": str, "minutes_to_read": int, "budget_s": int}
 MAX_BUDGET_S = 60
-MAX_BYTES = 500_000
+MAX_BYTES = 800_000
 MAX_CELL_LINES, MAX_MEDIAN_LINES, MAX_LINES = 30, 8, 250
 OPENING = re.compile(r"# .+\*\*You will\*\* .+\*\*Before you start:\*\* .+\*\*Next:\*\* ", re.DOTALL)
 CLOSING = ["## Exercises", "## Common errors", "## Takeaways", "## Further reading"]
@@ -171,16 +171,16 @@ def _outputs(nb: nbformat.NotebookNode) -> Iterator[str]:
 
 
 def _pictures(nb: nbformat.NotebookNode) -> Iterator[str]:
-    """Every picture has a text that stands for it and a caption: `course.plot.show` gives both."""
+    """Every picture has a text that stands for it and a caption: `course.plot.show` gives both, from captions.yaml."""
     for number, cell in enumerate(code_cells(nb), start=1):
         for output, after in pairwise([*cell.outputs, {}]):
             data, caption = output.get("data", {}), after.get("data", {}).get("text/markdown", "")
             for mime in set(PICTURES) & set(data):
                 alt = output.metadata.get(mime, {}).get("alt", "")
                 if len(alt) < 20 or data.get("text/plain") != alt:
-                    yield f"cell {number}: a picture without alternative text; use show(fig, caption, alt)"
+                    yield f"cell {number}: a picture without alternative text; use show(fig, name)"
                 if not caption.startswith("*Figure:* "):
-                    yield f"cell {number}: a picture without a caption; use show(fig, caption, alt)"
+                    yield f"cell {number}: a picture without a caption; use show(fig, name)"
     undescribed = re.compile(r"""!\[\s*\]\(|<img(?![^>]*\balt=["'][^"'])""")
     for cell in nb.cells:
         if cell.cell_type == "markdown" and undescribed.search(cell.source):
@@ -245,13 +245,10 @@ def _is_carried(word: str, unit: str, carried: set[Decimal]) -> bool:
 
 
 def _prose(nb: nbformat.NotebookNode) -> Iterator[str]:
-    """Text cells, and what stands in captions by hand."""
+    """Text cells and captions."""
     yield from (cell.source for cell in nb.cells if cell.cell_type == "markdown")
-    for node in _nodes(nb):
-        if isinstance(node, ast.Call) and ast.unparse(node.func) == "show":
-            caption = [*node.args[1:2], *(word.value for word in node.keywords if word.arg == "caption")]
-            parts = (part for text in caption for part in ast.walk(text) if isinstance(part, ast.Constant))
-            yield " ".join(str(part.value) for part in parts)
+    for cell in code_cells(nb):
+        yield from (text for output in cell.outputs if (text := output.get("data", {}).get("text/markdown")))
 
 
 def _carried(nb: nbformat.NotebookNode) -> set[Decimal]:

@@ -5,9 +5,12 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Callable, Iterable
+from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from omnistereo_lib.calibrate.figures import calibration_figure, draw_coverage
@@ -24,6 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "calibration_figure",
+    "captions",
     "colorize_depth",
     "contact_sheet",
     "draw_coverage",
@@ -37,11 +41,12 @@ __all__ = [
 ]
 
 DEPTH_COLORS = "inferno"  # as `colorize_depth`
-DPI = 80  # sharp enough to read, small enough that a notebook stays below 500 KB
+DPI = 150  # sharp on a screen with small pixels, small enough that a notebook stays below 800 KB
+CAPTIONS = Path(__file__).resolve().parents[1] / "notebooks" / "captions.yaml"
 
 
 def encode(fig: Figure, kind: Literal["png", "jpeg"] = "png", tight: bool = True) -> bytes:
-    """Encode a figure as a PNG (lines, text, flat colours) or a JPEG (photographs) at 80 dots per inch.
+    """Encode a figure as a PNG (lines, text, flat colours) or a JPEG (photographs) at 150 dots per inch.
 
     A tight one is cut to what is drawn, for which it is drawn twice.
     """
@@ -53,25 +58,35 @@ def encode(fig: Figure, kind: Literal["png", "jpeg"] = "png", tight: bool = True
     return buffer.getvalue()
 
 
-def show(fig: Figure, caption: str, alt: str, kind: Literal["png", "jpeg"] = "png") -> None:
-    """Show a figure in a notebook, with a caption below it, and close it.
+def show(fig: Figure, name: str) -> None:
+    """Show a figure in a notebook, with its caption below it, and close it.
 
     Args:
         fig: The figure; it is closed afterwards, so that Jupyter does not show it a second time.
-        caption: What the reader should see in it, one or two sentences of Markdown. Appears as "*Figure:* ...".
-        alt: What the picture shows, for somebody who cannot see it. Stored in both places that renderers look at: the
-            image's metadata (nbconvert's classic template) and the output's plain-text form (MyST, terminals).
-            JupyterLab 4 reads neither; there the caption speaks.
-        kind: "png" for drawings, "jpeg" for photographs and panoramas.
+        name: Its entry in notebooks/captions.yaml, with
+            caption: What the reader should see in it, one or two sentences of Markdown. Appears as "*Figure:* ...".
+            alt: What the picture shows, for somebody who cannot see it. Stored in both places that renderers look at:
+            the image's metadata (nbconvert's classic template) and the output's plain-text form (MyST, terminals).
+            kind: "png" for drawings, "jpeg" for photographs and panoramas.
+
+    Raises:
+        KeyError: If captions.yaml has no such entry.
     """
     import matplotlib.pyplot as plt
     from IPython.display import display
 
+    caption, alt, kind = (captions()[name][key] for key in ("caption", "alt", "kind"))
     mime = f"image/{kind}"
     picture = base64.b64encode(encode(fig, kind)).decode()
     plt.close(fig)
     display({mime: picture, "text/plain": alt}, metadata={mime: {"alt": alt}}, raw=True)
     display({"text/markdown": f"*Figure:* {caption}", "text/plain": caption}, raw=True)
+
+
+@cache
+def captions() -> dict[str, dict[str, str]]:
+    """Return caption, alternative text and kind of every figure, by name."""
+    return yaml.safe_load(CAPTIONS.read_text(encoding="utf-8"))
 
 
 def interactive(draw: Callable[..., Figure], **sliders: Widget) -> None:

@@ -9,6 +9,7 @@ import nbformat
 import pytest
 
 from course import nbtools
+from course.plot import captions
 
 TEMPLATE = nbtools.ROOT / "course" / "template.ipynb"
 each = pytest.mark.parametrize("path", nbtools.notebooks(), ids=lambda path: path.stem)
@@ -54,3 +55,8 @@ def test_the_readme_lists_them():
 def test_the_readme_shows_the_first_picture_of_the_course():
     assert nbtools.PICTURE.read_bytes() == nbtools.first_picture(nbtools.notebooks()[0]), "python -m course readme"
     assert f"(notebooks/{nbtools.PICTURE.name})" in nbtools.README.read_text(encoding="utf-8")
+
+
+def test_every_caption_belongs_to_one_figure():
+    text = "".join(path.read_text(encoding="utf-8") for path in [*nbtools.notebooks(), TEMPLATE])
+    assert sorted(re.findall(r'show\(.*, \\"([^"]*)\\"\)', text)) == sorted(captions())

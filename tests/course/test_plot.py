@@ -40,7 +40,9 @@ def test_show_publishes_picture_description_and_caption_and_closes(figure, monke
     shown = []
     monkeypatch.setattr("IPython.display.display", lambda data, **options: shown.append((data, options)))
     expected = plot.encode(figure, "jpeg")
-    plot.show(figure, "All *noise*.", "a rectangle of coloured noise", kind="jpeg")
+    entry = {"caption": "All *noise*.", "alt": "a rectangle of coloured noise", "kind": "jpeg"}
+    monkeypatch.setattr(plot, "captions", lambda: {"noise": entry})
+    plot.show(figure, "noise")
     (picture, options), (caption, _) = shown
     assert base64.b64decode(picture["image/jpeg"]) == expected
     assert picture["text/plain"] == options["metadata"]["image/jpeg"]["alt"] == "a rectangle of coloured noise"
