@@ -248,7 +248,8 @@ def _prose(nb: nbformat.NotebookNode) -> Iterator[str]:
     """Text cells and captions."""
     yield from (cell.source for cell in nb.cells if cell.cell_type == "markdown")
     for cell in code_cells(nb):
-        yield from (text for output in cell.outputs if (text := output.get("data", {}).get("text/markdown")))
+        texts = (output.get("data", {}).get("text/markdown", "") for output in cell.outputs)
+        yield from (text for text in texts if text.startswith("*Figure:*"))
 
 
 def _carried(nb: nbformat.NotebookNode) -> set[Decimal]:
