@@ -41,7 +41,7 @@ SETUP = "import omnistereo_lib as osl\n\nosl.doctor(short=True)"
 FACTS = {"title": str, "learn": str, "needs": str, "minutes_to_read": int, "budget_s": int}
 MAX_BUDGET_S = 60
 MAX_BYTES = 800_000
-MAX_CELL_LINES, MAX_MEDIAN_LINES, MAX_LINES = 30, 8, 250
+MAX_CELL_LINES, MAX_MEDIAN_LINES, MAX_LINES = 30, 8, 330
 OPENING = re.compile(r"# .+\*\*You will\*\* .+\*\*Before you start:\*\* .+\*\*Next:\*\* ", re.DOTALL)
 CLOSING = ["## Exercises", "## Common errors", "## Takeaways", "## Further reading"]
 EXERCISE = re.compile(r"^\*\*\d\d\.\d+(?: \(([\w-]+)\))?\.\*\*", re.MULTILINE)  # **03.1 (warm-up).**
@@ -207,7 +207,7 @@ def _frame(nb: nbformat.NotebookNode) -> Iterator[str]:
 # quotes the paper.
 NUMBER = re.compile(r"(?<![\w.])(?:\d{1,3}(?:,\d{3})+|\d+)(?:\.\d+)?(?:e-?\d+)?(?!\.?\w)")
 UNIT = re.compile(r"\s?(°|%|(?:px|pixels?|mm|cm|m|ms|s|percent|degrees|metres|seconds)\b)")
-NAMES = re.compile(r"```.*?```|`[^`]*`|!?\[[^\]]*\]\([^)]*\)|\*\*\d\d\.\d+", re.DOTALL)
+NAMES = re.compile(r"```.*?```|`[^`]*`|!?\[[^\]]*\]\([^)]*\)|\*\*\d\d\.\d+|\A# \d\d ·", re.DOTALL)
 FORMULA = re.compile(r"\$+[^$]+\$+")
 SENTENCE_END = re.compile(r"(?<=[.!?])\s+|\n{2,}|\n(?=[-*|#>\d])")
 LENS_DEG = (220, 110)  # the field of view, and the half of it on each side of the axis

@@ -46,16 +46,20 @@ CAPTIONS = Path(__file__).resolve().parents[1] / "notebooks" / "captions.yaml"
 
 
 def encode(fig: Figure, kind: Literal["png", "jpeg"] = "png", tight: bool = True) -> bytes:
-    """Encode a figure as a PNG (lines, text, flat colours) or a JPEG (photographs) at 150 dots per inch.
+    """Encode a figure as a PNG of 256 colours (lines, text) or a JPEG (photographs) at 150 dots per inch.
 
     A tight one is cut to what is drawn, for which it is drawn twice.
     """
-    buffer = io.BytesIO()
-    # Matplotlib writes its version into a PNG: without it the file depends on the picture alone.
-    extra = {"metadata": {"Software": None}} if kind == "png" else {}
-    pil = {"optimize": True} if kind == "png" else {"quality": 78, "optimize": True}
-    fig.savefig(buffer, format=kind, dpi=DPI, bbox_inches="tight" if tight else None, pil_kwargs=pil, **extra)
-    return buffer.getvalue()
+    from PIL import Image
+
+    drawn, encoded = io.BytesIO(), io.BytesIO()
+    fig.savefig(drawn, format="png", dpi=DPI, bbox_inches="tight" if tight else None)
+    image = Image.open(drawn).convert("RGB")
+    if kind == "png":
+        image.quantize(256, dither=Image.Dither.NONE).save(encoded, "png", optimize=True)
+    else:
+        image.save(encoded, "jpeg", quality=60, optimize=True)
+    return encoded.getvalue()
 
 
 def show(fig: Figure, name: str) -> None:

@@ -234,3 +234,44 @@ def my_share(mask, low_deg, high_deg):
 def my_risk_ratio(agree, wrong):
     # The groups differ in size, so shares are compared, not numbers.
     return wrong[~agree].mean() / wrong[agree].mean()
+
+
+# --- 12 After SweepNet ------------------------------------------------------------------------------------
+
+
+def my_correlation(f):
+    seen = f[~np.isnan(f).any(axis=1)]
+    k = len(seen)
+    # (Σ f)² holds every product f_i f_j, i = j included; those are Σ f².
+    return (seen.sum(0) ** 2 - (seen**2).sum(0)) / (k * (k - 1))
+
+
+def my_local_mean(p):
+    best = p.argmax()
+    n = np.arange(max(best - 2, 0), min(best + 3, len(p)))  # fewer than five at the ends
+    return p[n] @ n / p[n].sum()
+
+
+def my_target(index, N):
+    # A sphere at the index gets 1, one at a distance of 1 or more gets nothing: a triangle.
+    return np.maximum(0, 1 - np.abs(np.arange(N) - index))
+
+
+# --- 13 The whole method on one page ----------------------------------------------------------------------
+
+
+def my_points(depth, theta, phi):
+    x = np.cos(phi)[:, None] * np.sin(theta)
+    y = np.sin(phi)[:, None] * np.ones_like(theta)
+    z = np.cos(phi)[:, None] * np.cos(theta)
+    return depth[..., None] * np.stack([x, y, z], axis=-1)  # a ray has the length 1, so depth stretches it
+
+
+def my_two_walks(costs, p1, p2):
+    def walk(costs):
+        lines = [costs[0]]
+        for cost in costs[1:]:
+            lines.append(my_step(cost, lines[-1], p1, p2))  # of 07.1
+        return np.array(lines)
+
+    return walk(costs) + walk(costs[::-1])[::-1]

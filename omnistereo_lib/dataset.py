@@ -29,10 +29,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import atomic_write, read_bytes, read_image, read_pixels
+from omnistereo_lib.files import atomic_write, read_bytes, read_image, read_pixels, read_text
 from omnistereo_lib.geometry.rig import Rig, Unit
 from omnistereo_lib.geometry.sphere import Sampling, SphereGrid
 from omnistereo_lib.rig_files import load_rig
+from omnistereo_lib.rig_files.parse import error_context, parse_file
 
 _CAMERA = r"cam([0-9]+)"
 _RIG_FOLDER = r"([0-9]+)"
@@ -232,12 +233,13 @@ def _gt_root(folder: Path) -> Path:
 
     Our sets of one drive in several lights share the ground truth of one of them.
     """
-    import yaml
-
     config = folder / "config.yaml"
+    if not config.is_file() or "truth:" not in read_text(config):  # a set with a rig for each frame has many such files
+        return folder
     try:
-        root = folder / yaml.safe_load(read_bytes(config))["dataset"]["truth"]
-    except (OmnistereoError, KeyError, TypeError):  # no such file or entry
+        with error_context(config):
+            root = folder / parse_file(config)["dataset"]["truth"]
+    except (KeyError, TypeError):  # the word stands elsewhere
         return folder
     if not root.is_dir():
         raise OmnistereoError(f"{config} names {root} as the ground-truth folder; there is no such folder")

@@ -171,6 +171,15 @@ def test_a_set_in_another_light_points_to_the_ground_truth_of_its_drive(tmp_path
     refuses(r"names .*sunny as the ground-truth folder; there is no such folder", cloudy)
 
 
+def test_where_the_ground_truth_is_survives_other_encodings_and_names_a_broken_file(tmp_path):
+    config = save(tmp_path, [1]) / "config.yaml"
+    whole = config.read_bytes()
+    config.write_bytes(b"%YAML:1.0\n# gemessen in M\xfcnchen, truth: exact\n" + whole)
+    assert osl.load_dataset(tmp_path)[0].gt_path is not None
+    config.write_bytes(whole + b"dataset: {truth: [\n")
+    refuses(r"config\.yaml: not valid JSON or YAML", tmp_path)
+
+
 # ---- a rig for each frame
 
 

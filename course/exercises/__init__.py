@@ -7,4 +7,6 @@ finding and never raises, whatever it is handed.
 from course.exercises.compare import diagnose  # noqa: F401
 from course.exercises.geometry import *  # noqa: F403
 from course.exercises.matching import *  # noqa: F403
+from course.exercises.pipeline import *  # noqa: F403
 from course.exercises.results import *  # noqa: F403
+from course.exercises.volumes import *  # noqa: F403

@@ -9,14 +9,17 @@ import numpy as np
 import pytest
 import students_geometry
 import students_matching
+import students_pipeline
 import students_results
+import students_volumes
 import torch
 
 from course import exercises
 from course.exercises import diagnose
 
 CHECKERS = [value for name, value in vars(exercises).items() if name.startswith("check_")]
-ANSWERS = vars(students_geometry) | vars(students_matching) | vars(students_results)
+MODULES = students_geometry, students_matching, students_pipeline, students_results, students_volumes
+ANSWERS = {name: value for module in MODULES for name, value in vars(module).items()}
 STUDENTS = {check: ANSWERS[check.__name__.removeprefix("check_").upper()] for check in CHECKERS}
 ALL_STUDENTS = [(check, words, answer) for check, students in STUDENTS.items() for words, answer in students]
 
