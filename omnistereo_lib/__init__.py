@@ -4,8 +4,6 @@ The names below are the library's face. They are loaded on first use (PEP 562), 
 package is quick and Blender's interpreter, which has no torch, can use the geometry.
 """
 
-from __future__ import annotations
-
 import sys
 from importlib import import_module
 from types import ModuleType

@@ -1,7 +1,5 @@
 """Check of the installation: one line per requirement, OK or FAIL with the fix."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -4,8 +4,6 @@ Each usual mistake is undone, and the rig is wrong if the images then match much
 cost of the best sphere: below 0.1 where the geometry is right, above 0.3 where unrelated places are compared.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations

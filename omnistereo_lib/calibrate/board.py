@@ -1,7 +1,5 @@
 """The checkerboard: its corners and its symmetries."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

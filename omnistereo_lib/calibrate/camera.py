@@ -1,7 +1,5 @@
 """One camera from views of a board: initial estimate, robust fit, polynomial degree, rejected views, report."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

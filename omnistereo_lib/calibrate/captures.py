@@ -1,7 +1,5 @@
 """Files: captures as one folder per camera with equal file names, detected corners as YAML."""
 
-from __future__ import annotations
-
 import json
 import re
 import warnings

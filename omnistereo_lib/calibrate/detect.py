@@ -5,8 +5,6 @@ corner is refined in a window of half the distance to its neighbours, a quarter 
 rim they are several times smaller than in the middle, and a window of fixed size would see the next corner.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor

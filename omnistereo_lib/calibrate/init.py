@@ -5,8 +5,6 @@ of a plane follows from its rays by linear algebra at any angle to the axis: ray
 exist beyond 90°. The F whose planes fit best starts the bundle adjustment.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The rig from captures that its cameras share: a spanning tree of relative poses, then one joint adjustment."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations

@@ -1,7 +1,5 @@
 """The command line: `omnistereo COMMAND`, one module per command."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 import warnings

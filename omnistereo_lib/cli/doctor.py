@@ -3,8 +3,6 @@
 example: omnistereo doctor --rig rig.yaml --images 1.png 2.png 3.png 4.png
 """
 
-from __future__ import annotations
-
 import argparse
 
 from omnistereo_lib.cli.inputs import add_grid, add_input, make_grid, read_input

@@ -1,7 +1,5 @@
 """The methods that are compared: the six of Table II, and the ablations."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

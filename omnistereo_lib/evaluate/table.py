@@ -1,7 +1,5 @@
 """Result tables, as in Table II and by region, as text, Markdown and CSV, with bootstrap intervals over frames."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Callable

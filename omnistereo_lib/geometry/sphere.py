@@ -1,7 +1,5 @@
 """Rays of the panorama and the concentric spheres of the sweep (paper, Section III-B)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from numbers import Real
 from typing import Literal, NamedTuple

@@ -7,8 +7,6 @@ References: Usenko et al. 2018, "The double sphere camera model" (double sphere 
 Kannala and Brandt 2006 (here with the four coefficients of OpenCV); Mei and Rives 2007 (omni).
 """
 
-from __future__ import annotations
-
 import logging
 import warnings
 from collections.abc import Callable

@@ -10,8 +10,6 @@ OpenCV defines no keys for a rig, so two layouts are read:
 The first camera may omit R and T: it is then the rig frame.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from pathlib import Path

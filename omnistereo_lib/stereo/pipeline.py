@@ -1,7 +1,5 @@
 """From images to depth in one call (paper, Fig. 4)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 

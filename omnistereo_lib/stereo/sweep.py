@@ -1,7 +1,5 @@
 """Sphere sweep: warp the fisheye images onto concentric spheres (paper, Section III-B and Eq. 1)."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Files of tensors: the weights of a network, or the state of a training run. Safetensors, never pickle."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import struct

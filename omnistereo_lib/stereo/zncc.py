@@ -1,7 +1,5 @@
 """ZNCC, the matching cost without training (paper, Section III-B and IV)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass

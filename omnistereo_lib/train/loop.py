@@ -5,8 +5,6 @@ moment resumes to exactly the weights that it would have reached. Several proces
 micro-batches of a step and average their gradients: they compute what one process computes.
 """
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import math

@@ -1,7 +1,5 @@
 """Recipes: every number that determines a trained network, besides the data, each with its reason."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
