@@ -62,9 +62,9 @@ def write(path, nb):
 
 @pytest.fixture
 def stand_in(tmp_path, monkeypatch):
-    """An `omnistereo_lib` whose doctor is always content: the setup cell is not what is tested here."""
+    """A doctor that is always content: the setup cell is not what is tested here."""
     (tmp_path / "sitecustomize.py").write_text(
-        "import omnistereo_lib\nomnistereo_lib.doctor = lambda short: print('OK')\n", encoding="utf-8"
+        "from course import doctor\n\ndoctor.doctor = lambda short: print('OK')\n", encoding="utf-8"
     )
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), str(nbtools.ROOT)]))
     return tmp_path
