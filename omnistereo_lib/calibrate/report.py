@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -141,22 +141,6 @@ class CameraReport(_Report):
             for i in np.unique(ring[np.isfinite(ring)])
         ]
 
-    def ray_uncertainty_deg(self, angles_deg: Floats, azimuths: int = 12) -> Floats:
-        """Return the standard deviation of rays at some angles from the axis, degrees, for the worst azimuth.
-
-        The pixels are fixed where the camera sees those angles; the covariance varies their rays.
-        """
-        camera = self.intrinsics.camera(2.0 * min(float(np.max(angles_deg)) + 0.1, 179.0))
-        theta, phi = np.meshgrid(np.radians(angles_deg), np.linspace(0, 2 * np.pi, azimuths, endpoint=False))
-        rays = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
-        pixels = camera.project(rays, use_direct_poly=True)[0]
-
-        def directions(vector: Floats) -> Floats:
-            return Intrinsics(vector, self.intrinsics.image_size).rays(pixels)
-
-        sigma = standard_deviation(directions, self.intrinsics.vector, self.covariance)
-        return np.degrees(np.linalg.norm(sigma, axis=-1).max(axis=0))
-
     def build_camera(self, max_fov_deg: float | None) -> tuple[OcamCamera, CameraReport]:
         """Return the camera, and the report with warnings; None: the field of view ends at the last corner.
 
@@ -293,20 +277,3 @@ def _rejections(rejected: Mapping[int, str], noun: str, names: Sequence[str] | N
     for view, why in sorted(rejected.items()):
         reasons.setdefault(why, []).append(_name(view, names))
     return [f"{noun}{'s' if len(of) > 1 else ''} {', '.join(of)} rejected: {why}" for why, of in reasons.items()]
-
-
-def standard_deviation(function: Callable[[Floats], Floats], x: Floats, covariance: Floats) -> Floats:
-    """Return the standard deviation of everything a function returns, to first order: √diag(J Σ Jᵀ).
-
-    Derivatives are numerical, along the principal axes of Σ with steps of one standard deviation: coefficients of a
-    polynomial are known together far better than each by itself.
-
-    Args:
-        function: From parameters (n,) to an array of any shape.
-        x: array, shape (n,)
-        covariance (array, shape (n, n)): Covariance of the parameters.
-    """
-    scale = np.sqrt(np.diag(covariance))
-    variances, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
-    steps = (scale[:, None] * axes * np.sqrt(variances.clip(0.0))).T
-    return np.sqrt(sum(np.square((function(x + step) - function(x - step)) / 2.0) for step in steps))
