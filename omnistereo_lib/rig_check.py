@@ -6,7 +6,7 @@ cost of the best sphere: below 0.1 where the geometry is right, above 0.3 where 
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations
+from itertools import combinations, permutations
 
 import numpy as np
 import torch
@@ -191,8 +191,5 @@ def _other_orders(images: list[NDArray]) -> Iterator[tuple[int, ...]]:
 
 
 def _swaps(n: int) -> Iterator[tuple[int, ...]]:
-    for i in range(n):
-        for j in range(i + 1, n):
-            order = list(range(n))
-            order[i], order[j] = j, i
-            yield tuple(order)
+    for i, j in combinations(range(n), 2):
+        yield tuple({i: j, j: i}.get(k, k) for k in range(n))

@@ -9,7 +9,7 @@ from omnistereo_lib.calibrate.board import Checkerboard
 from omnistereo_lib.calibrate.bundle import bundle_adjust
 from omnistereo_lib.calibrate.detect import Progress, detect_views, edge_width, suggest_board
 from omnistereo_lib.calibrate.init import initial_estimate
-from omnistereo_lib.calibrate.params import CalibrationParams, Observations, collect_observations
+from omnistereo_lib.calibrate.params import CalibrationParams, collect_observations
 from omnistereo_lib.calibrate.report import CameraReport
 from omnistereo_lib.calibrate.solution import Solution, distances_of
 from omnistereo_lib.errors import OmnistereoError
@@ -93,9 +93,6 @@ def calibrate_corners(
     return report.build_camera(max_fov_deg)
 
 
-# --- Input ------------------------------------------------------------------------------------------------
-
-
 def read_views(
     views: Sequence[ArrayLike | None],
     board: Checkerboard,
@@ -165,21 +162,6 @@ def _check_tilts(params: CalibrationParams) -> None:
         )
 
 
-def _try_camera(params: CalibrationParams, observations: Observations) -> OcamCamera | None:
-    """Return the camera as far as there are corners; None if its polynomial is not monotonic there.
-
-    A polynomial of high degree may oscillate where no corners constrain it, such as around the axis of a mirror.
-    """
-    rays = params.intrinsics[0].rays(observations.pixels)
-    try:
-        return params.intrinsics[0].camera(2 * float(np.degrees(np.arccos(rays[:, 2].min()))))
-    except OmnistereoError:
-        return None
-
-
-# --- Choices ----------------------------------------------------------------------------------------------
-
-
 def choose_degree(params: CalibrationParams, views: Sequence[Floats], points: Floats) -> tuple[int, dict[int, float]]:
     """Choose the polynomial degree by 3-fold cross-validation over the views; 4 if there are fewer than 6 views.
 
@@ -209,7 +191,10 @@ def _cv_errors(params: CalibrationParams, views: Sequence[Floats], points: Float
         train, test = np.flatnonzero(~held_out), np.flatnonzero(held_out)
         seen, unseen = (collect_observations([[views[k] for k in part]], points) for part in (train, test))
         fitted = bundle_adjust(params.with_captures(train), seen, loss="soft_l1", tolerance=1e-6)
-        if _try_camera(fitted, seen) is None:
+        reach = np.arccos(fitted.intrinsics[0].rays(seen.pixels)[:, 2].min())
+        try:
+            fitted.intrinsics[0].camera(2 * float(np.degrees(reach)))
+        except OmnistereoError:  # not monotonic where no corners constrain it, such as around the axis of a mirror
             return np.full(len(views), np.inf)
         posed = CalibrationParams(fitted.intrinsics, params.T_cam_rig, params.with_captures(test).T_rig_board)
         posed = bundle_adjust(posed, unseen, loss="soft_l1", fixed="rig", tolerance=1e-6)

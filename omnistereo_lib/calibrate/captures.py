@@ -92,9 +92,6 @@ def _natural(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
 
 
-# --- Corners ---------------------------------------------------------------------------------------------
-
-
 def save_corners(
     path: str | Path, views: dict[str, Floats | None], board: Checkerboard, image_size: tuple[int, int]
 ) -> None:

@@ -210,9 +210,6 @@ def _gray(image: ArrayLike) -> Gray:
     return image if image.ndim == 2 else image[..., :3].mean(axis=2).round().astype(np.uint8)
 
 
-# --- Many views -------------------------------------------------------------------------------------------
-
-
 def detect_views(
     images: Sequence[ArrayLike | None],
     board: Checkerboard,

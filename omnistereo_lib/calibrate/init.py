@@ -10,8 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.calibrate.bundle import BundleProblem, bundle_adjust
+from omnistereo_lib.calibrate.bundle import bundle_adjust
 from omnistereo_lib.calibrate.params import CalibrationParams, Intrinsics, collect_observations
+from omnistereo_lib.calibrate.solution import distances_of
 from omnistereo_lib.geometry.pose import Pose
 
 Floats = NDArray[np.float64]
@@ -44,8 +45,7 @@ def initial_estimate(views: Sequence[Floats], points: Floats, image_size: tuple[
         intrinsics = _init_equidistant(image_size, focals[i], farthest)
         params = CalibrationParams((intrinsics,), (Pose.identity(),), tuple(pose for pose, _ in planes[i]))
         params = bundle_adjust(params, observations, loss="soft_l1", steps=_STEPS, tolerance=1e-4)
-        residuals = BundleProblem(params, observations).residuals(params.to_vector()).reshape(-1, 2)
-        error = np.linalg.norm(residuals, axis=-1).clip(max=10.0).mean()  # px; wrong corners do not decide
+        error = distances_of(params, observations).clip(max=10.0).mean()  # px; wrong corners do not decide
         if error < least:
             best, least = params, error
         if least < _GOOD_PX:

@@ -88,9 +88,6 @@ def calibrate_rig(
     return _build_rig(solution, tuple(captures), tuple(single), rejected, shared, max_fov_deg)
 
 
-# --- The spanning tree ------------------------------------------------------------------------------------
-
-
 def shared_captures(corners: Sequence[Sequence[Floats | None]]) -> dict[tuple[int, int], list[int]]:
     """Return the captures that each pair of cameras (i < j) shares, without pairs that share none."""
     shared = {
@@ -134,8 +131,12 @@ def _spanning_tree(
 
 def _relative_pose(i: int, j: int, captures: list[int], single: list[CameraReport], board: Checkerboard) -> Pose:
     """Return T_j_i, on which most shared captures agree: each proposes one for each symmetry of the board."""
-    symmetries = range(len(board.symmetries))
-    proposals = {(k, s): _proposal(i, j, k, s, single, board) for k in captures for s in symmetries}
+    # What T_j_i is if the corners of camera j in capture k are those of camera i in a symmetry of the board.
+    proposals = {
+        (k, s): single[j].T_cam_board[k] @ (single[i].T_cam_board[k] @ board.symmetry_pose(symmetry)).inverse()
+        for k in captures
+        for s, symmetry in enumerate(board.symmetries)
+    }
     errors = {
         key: np.array([min(_direction_errors(T, i, j, k, single, board)) for k in captures])
         for key, T in proposals.items()
@@ -149,12 +150,6 @@ def _relative_pose(i: int, j: int, captures: list[int], single: list[CameraRepor
         )
     chosen = [(k, int(np.argmin(_direction_errors(proposals[best], i, j, k, single, board)))) for k in agree]
     return _mean_pose([proposals[key] for key in chosen])
-
-
-def _proposal(i: int, j: int, k: int, symmetry: int, single: list[CameraReport], board: Checkerboard) -> Pose:
-    """Return T_j_i if the corners of camera j in capture k are those of camera i in this symmetry of the board."""
-    T_i_board = single[i].T_cam_board[k] @ board.symmetry_pose(board.symmetries[symmetry])
-    return single[j].T_cam_board[k] @ T_i_board.inverse()
 
 
 def _direction_errors(
@@ -175,9 +170,6 @@ def _mean_pose(poses: list[Pose]) -> Pose:
     U, _, Vt = np.linalg.svd(np.mean([pose.R for pose in poses], axis=0))
     nearest = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
     return Pose(nearest, np.median([pose.t for pose in poses], axis=0))
-
-
-# --- Captures ---------------------------------------------------------------------------------------------
 
 
 def _resolve_board_ambiguity(
@@ -241,9 +233,6 @@ def _initial_params(
         boards.append(T_cam_rig[i].inverse() @ single[i].T_cam_board[k])
     intrinsics = tuple(report.intrinsics.with_degree(degree) for report in single)
     return CalibrationParams(intrinsics, tuple(T_cam_rig), tuple(boards))
-
-
-# --- Result -----------------------------------------------------------------------------------------------
 
 
 def _build_rig(

@@ -78,10 +78,6 @@ class PairNetwork(StoredNetwork):
         """Return the cost in [0, 1] of a score, here the logit of a mismatch."""
         return torch.sigmoid(score)
 
-    def fuse_batch_norm(self) -> PairNetwork:
-        """Return a network without batch norms that computes the same; here there are none."""
-        return self
-
     def pad_columns(self, images: Tensor, start: int, stop: int) -> Tensor:
         """Cut feature columns start … stop - 1, which may lie beyond the seam, out of panoramas, with `padding`."""
         rows, columns = self.padding

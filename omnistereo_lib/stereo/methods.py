@@ -96,15 +96,9 @@ COSTS = {  # in the order of Table II
 
 
 _TYPES = {  # of the settings in a name
-    "window": int,
-    "weights": str,
-    "pairs": str,
-    "p1": float,
-    "p2": float,
-    "wrap": bool,
-    "subindex": bool,
+    "window": int, "weights": str, "pairs": str, "p1": float, "p2": float, "wrap": bool, "subindex": bool,
     "num_spheres": int,
-}
+}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -116,7 +116,11 @@ class _Run:
             self.init_sha256 = hashlib.sha256(read_bytes(init)).hexdigest()
         self.objective = self.samples.objective
         self.parallel = DistributedDataParallel(self.objective, broadcast_buffers=False) if self.world > 1 else None
-        self.optimizer = _make_optimizer(recipe, self.network)
+        settings = {"lr": recipe.learning_rate, "weight_decay": recipe.weight_decay}
+        if recipe.optimizer == "adamw":
+            self.optimizer = torch.optim.AdamW(self.network.parameters(), **settings)
+        else:
+            self.optimizer = torch.optim.SGD(self.network.parameters(), momentum=recipe.momentum, **settings)
 
     def micro_batch(self, purpose: int, k: int) -> Any:
         """Draw micro-batch number k: of a validation frame, or of a training frame, augmented."""
@@ -237,13 +241,6 @@ def _init_distributed(recipe: Recipe, device: torch.device) -> tuple[int, int]:
     if not distributed.is_initialized():
         distributed.init_process_group("nccl" if device.type == "cuda" else "gloo")
     return distributed.get_rank(), world
-
-
-def _make_optimizer(recipe: Recipe, network: nn.Module) -> torch.optim.Optimizer:
-    parameters, rate, decay = network.parameters(), recipe.learning_rate, recipe.weight_decay
-    if recipe.optimizer == "adamw":
-        return torch.optim.AdamW(parameters, rate, weight_decay=decay)
-    return torch.optim.SGD(parameters, rate, recipe.momentum, weight_decay=decay)
 
 
 def read_log(path: Path, stop: int) -> list[dict[str, float]]:

@@ -9,7 +9,7 @@ import torch
 from torch.nn.functional import interpolate
 
 import omnistereo_lib as osl
-from course.ship import export_weights
+from course.ship import export_weights, file_name
 from omnistereo_lib.dataset import load_dataset, write_inverse_depth
 from omnistereo_lib.files import write_image
 from omnistereo_lib.stereo import correlation
@@ -131,7 +131,7 @@ def test_every_preset_makes_a_step(data, tmp_path):
     ("worlds", "name"), [("sunny streets things rooms", "volumenet"), ("sunny", "volumenet_sunny")]
 )
 def test_the_file_of_weights_says_what_they_learned_from(worlds, name):
-    assert replace(TINY, worlds=worlds).file_name == name
+    assert file_name(replace(TINY, worlds=worlds)) == name
 
 
 def test_frames_without_depth_in_the_swept_range_are_refused(data):
