@@ -12,12 +12,7 @@ _MIN_MEMORY_GIB = 4
 Check = tuple[bool, str]  # whether it passed, and the line to print
 
 
-def doctor(short: bool = False) -> None:
-    """Print the result of `check_installation`."""
-    check_installation(short)
-
-
-def check_installation(short: bool = False) -> bool:
+def doctor(short: bool = False) -> bool:
     """Print what the library needs and what of it is missing, with the fix; return whether nothing failed.
 
     Args:

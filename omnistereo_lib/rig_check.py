@@ -185,11 +185,7 @@ def _other_poses(rig: Rig, grid: SphereGrid) -> Iterator[tuple[str, Rig]]:
 def _other_orders(images: list[NDArray]) -> Iterator[tuple[int, ...]]:
     """Yield the other orders of the images: all of them up to four cameras, else swaps of two."""
     n = len(images)
-    for order in permutations(range(n)) if n <= 4 else _swaps(n):
+    swaps = (tuple({i: j, j: i}.get(k, k) for k in range(n)) for i, j in combinations(range(n), 2))
+    for order in permutations(range(n)) if n <= 4 else swaps:
         if order != tuple(range(n)) and all(images[i].shape == images[k].shape for k, i in enumerate(order)):
             yield order
-
-
-def _swaps(n: int) -> Iterator[tuple[int, ...]]:
-    for i, j in combinations(range(n), 2):
-        yield tuple({i: j, j: i}.get(k, k) for k in range(n))

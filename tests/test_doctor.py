@@ -6,7 +6,6 @@ from importlib import metadata
 import pytest
 
 from omnistereo_lib import cli
-from omnistereo_lib.doctor import check_installation
 
 doctor = importlib.import_module("omnistereo_lib.doctor")  # the module; the package has the function under this name
 
@@ -20,15 +19,15 @@ def requires(monkeypatch):
 
 
 def test_the_requirements_of_the_distribution(requires, capsys):
-    assert check_installation(short=True) is True
+    assert doctor.doctor(short=True) is True
     assert capsys.readouterr().out == "OK    Python and packages are in place\n"
-    assert check_installation() is True
+    assert doctor.doctor() is True
     text = capsys.readouterr().out
     assert all(line[:6] in ("OK    ", "NOTE  ") for line in text.splitlines())
     for word in ("Python 3.", "numpy", "cores", "GiB memory free", "GPU", "python -m course doctor"):
         assert word in text
     requires += ["numpy>=99.1", "no-such-package-here>=3.1"]
-    assert check_installation() is False
+    assert doctor.doctor() is False
     lines = capsys.readouterr().out.splitlines()
     assert [line for line in lines if line.startswith("FAIL")] == [
         f"FAIL  numpy is {metadata.version('numpy')}: pip install 'numpy>=99.1'",
@@ -43,11 +42,11 @@ def test_images_without_a_rig_are_not_ignored(tmp_path, capsys):
 
 def test_an_old_python(requires, monkeypatch, capsys):
     monkeypatch.setattr(doctor.sys, "version_info", (3, 10, 4))
-    assert check_installation(short=True) is False
+    assert doctor.doctor(short=True) is False
     assert "FAIL  Python 3.10.4: install 3.11 or newer" in capsys.readouterr().out
 
 
 def test_little_memory_is_only_a_note(requires, monkeypatch, capsys):
     monkeypatch.setattr(doctor, "_MIN_MEMORY_GIB", 1e6)
-    assert check_installation() is True
+    assert doctor.doctor() is True
     assert "at least 1000000.0 GiB are needed, close other programs" in capsys.readouterr().out

@@ -13,16 +13,13 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import LinearOperator
 from threadpoolctl import threadpool_limits
 
-from omnistereo_lib.calibrate.params import NUM_AFFINE, CalibrationParams, Observations, powers_of
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from omnistereo_lib.calibrate.params import NUM_AFFINE, CalibrationParams, Ints, Observations, powers_of
+from omnistereo_lib.geometry.pose import Floats
 
 _NEWTON_STEPS = 8  # quadratic from the observed radius, which is a few pixels off at first and less later
 

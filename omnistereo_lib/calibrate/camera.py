@@ -14,8 +14,7 @@ from omnistereo_lib.calibrate.report import CameraReport
 from omnistereo_lib.calibrate.solution import Solution, distances_of
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.camera import OcamCamera
-
-Floats = NDArray[np.float64]
+from omnistereo_lib.geometry.pose import Floats
 
 DEGREES = (4, 6, 8)  # odd ones add little; beyond 8 nothing was ever gained (notebook 01 shows it)
 _SIGNIFICANT = 2.0  # standard errors by which a higher degree has to lower the cross-validation error

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from omnistereo_lib.calibrate.board import Checkerboard
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, read_bytes, read_image
-
-Floats = NDArray[np.float64]
+from omnistereo_lib.geometry.pose import Floats
 
 _SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".webp"}  # not TIFF: data sets keep ground truth in it
 

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.calibrate.board import Checkerboard
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.geometry.pose import Floats
 
-Floats = NDArray[np.float64]
 Gray = NDArray[np.uint8]
 Progress = Callable[[Iterable], Iterable]
 

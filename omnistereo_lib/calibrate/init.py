@@ -8,14 +8,11 @@ exist beyond 90°. The F whose planes fit best starts the bundle adjustment.
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omnistereo_lib.calibrate.bundle import bundle_adjust
 from omnistereo_lib.calibrate.params import CalibrationParams, Intrinsics, collect_observations
 from omnistereo_lib.calibrate.solution import distances_of
-from omnistereo_lib.geometry.pose import Pose
-
-Floats = NDArray[np.float64]
+from omnistereo_lib.geometry.pose import Floats, Pose
 
 # F = smaller image side / (2 × angle at its edge): from 130° at the edge (mirrors) down to 10° (telephoto).
 _CANDIDATE_EDGE_ANGLES = np.radians([130, 110, 90, 75, 60, 45, 35, 25, 17, 10])

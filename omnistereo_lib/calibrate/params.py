@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.geometry.camera import OcamCamera, fit_inverse_polynomial
-from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.geometry.pose import Floats, Pose
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 NUM_AFFINE = 4  # u0, v0, c, d: the parameters of a camera besides its polynomial

@@ -6,13 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omnistereo_lib.calibrate.params import CalibrationParams, Intrinsics
 from omnistereo_lib.geometry.camera import OcamCamera
-from omnistereo_lib.geometry.pose import Pose
-
-Floats = NDArray[np.float64]
+from omnistereo_lib.geometry.pose import Floats, Pose
 
 _RING_DEG = 10
 # Limits for warnings.

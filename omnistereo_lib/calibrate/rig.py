@@ -5,7 +5,7 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
 from omnistereo_lib.calibrate.board import Checkerboard
@@ -16,10 +16,8 @@ from omnistereo_lib.calibrate.params import CalibrationParams, Observations, col
 from omnistereo_lib.calibrate.report import CameraReport, RigReport
 from omnistereo_lib.calibrate.solution import Solution, distances_of
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.geometry.pose import Floats, Pose
 from omnistereo_lib.geometry.rig import Rig
-
-Floats = NDArray[np.float64]
 
 _AGREE = 0.05  # radians between the directions of a corner in two cameras: rough poses are nearer, gross errors not
 _BAD_CAPTURE = 2.0  # times the error of its views in each camera by itself

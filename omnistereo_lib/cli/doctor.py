@@ -19,9 +19,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Print what is in place and what is not; return 1 if something is wrong."""
     if options.rig is None and options.images is None:
-        from omnistereo_lib.doctor import check_installation
+        from omnistereo_lib.doctor import doctor
 
-        return 0 if check_installation() else 1
+        return 0 if doctor() else 1
     from omnistereo_lib.rig_check import check_rig
 
     rig, images, _ = read_input(options)

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.camera import OcamCamera
+from omnistereo_lib.geometry.pose import Floats
 
-Floats = NDArray[np.float64]
 Projected = tuple[Floats, NDArray[np.bool_]]  # uv (..., 2) px, valid (...)
 Projection = Callable[[Floats], Projected]  # of rays (..., 3)
 

@@ -22,7 +22,7 @@ from omnistereo_lib.stereo.sgm import sgm
 from omnistereo_lib.stereo.sweepnet import SweepNet
 from omnistereo_lib.stereo.volume import Cost
 from omnistereo_lib.stereo.volumenet import VolumeNet, local_mean
-from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
+from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS, StoredNetwork
 from omnistereo_lib.stereo.zncc import ZNCC
 
 
@@ -49,26 +49,18 @@ class CostEntry:
 
 
 @cache
-def _read_once(architecture: type[PairNetwork], path: Path, wrap: bool, precision: Precision, _: int) -> LearnedCost:
+def _read_once(architecture: type[StoredNetwork], path: Path, wrap: bool, precision: Precision, _: int) -> Cost:
     network = architecture.from_file(path)
-    network.wrap = network.wrap and wrap
-    return LearnedCost(network, precision)
-
-
-def _learned(architecture: type[PairNetwork], path: Path, wrap: bool, precision: Precision) -> LearnedCost:
-    """Return a network as a cost; a weights file is read once per process, and again after it was rewritten."""
-    return _read_once(architecture, path, wrap, precision, _written(path))
-
-
-@cache
-def _read_volumenet(path: Path, precision: Precision, _: int) -> VolumeNet:
-    network = VolumeNet.from_file(path)
+    if isinstance(network, PairNetwork):
+        network.wrap = network.wrap and wrap
+        return LearnedCost(network, precision)
     network.precision = precision
     return network
 
 
-def _written(path: Path) -> int:
-    return path.stat().st_mtime_ns if path.is_file() else 0
+def _learned(architecture: type[StoredNetwork], path: Path, wrap: bool, precision: Precision) -> Cost:
+    """Return a network as a cost; a weights file is read once per process, and again after it was rewritten."""
+    return _read_once(architecture, path, wrap, precision, path.stat().st_mtime_ns if path.is_file() else 0)
 
 
 COSTS = {  # in the order of Table II
@@ -87,7 +79,7 @@ COSTS = {  # in the order of Table II
     ),
     "volumenet": CostEntry(
         "VolumeNet",
-        lambda method, path, precision: _read_volumenet(path, precision, _written(path)),
+        lambda method, path, precision: _learned(VolumeNet, path, True, precision),
         frozenset({"weights"}),
         "volumenet",
         read_out=local_mean,

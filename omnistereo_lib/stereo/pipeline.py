@@ -30,9 +30,6 @@ def estimate_depth(
         images: one array per camera, (height, width) or (height, width, 3), uint8 or float
         method, cost, subindex, progress: See `sweep_depth`.
 
-    Returns:
-        Depth
-
     Raises:
         OmnistereoError: If the inputs do not fit together, no method has that name, there is not enough memory or no
             such device.

@@ -72,10 +72,8 @@ class FeatureNet(nn.Module):
         x = relu(self.first(image[None, None]))
         for first, second in self.blocks:
             x = relu(x + second(relu(first(x))))
-        return self._normalize(self.last(x)[0].float(), visible[::2, ::2])
-
-    def _normalize(self, maps: Tensor, visible: Tensor) -> Tensor:
-        """Give maps (32, h, w) zero mean per channel and unit variance per group over the visible pixels."""
+        maps, visible = self.last(x)[0].float(), visible[::2, ::2]
+        # Zero mean per channel and unit variance per group over the visible pixels.
         count = visible.sum().clamp(min=1)
         maps = (maps - (maps * visible).sum((1, 2), keepdim=True) / count) * visible
         power = (maps.square().sum((1, 2)) / count).view(GROUPS, -1).mean(1)
