@@ -29,32 +29,21 @@ _UNITS = {1000: ("mm", "m"), 100: ("cm", "m"), 10: ("mm", "cm")}  # large unit /
 
 @dataclass(frozen=True)
 class RigHypothesis:
-    """A rig with one mistake undone, and how well the images then match.
+    """A rig with one mistake undone, and how well the images then match."""
 
-    Attributes:
-        name: "as given", or the mistake that is undone.
-        cost: Median over the rays of the matching cost of the best sphere, in [0, 1].
-        given_cost: The same for the rig as given.
-    """
-
-    name: str
-    cost: float
-    given_cost: float
+    name: str  # "as given", or the mistake that is undone
+    cost: float  # median over the rays of the matching cost of the best sphere, in [0, 1]
+    given_cost: float  # the same for the rig as given
 
 
 @dataclass(frozen=True)
 class RigCheck:
-    """Result of `check_rig`.
-
-    Attributes:
-        given: The rig as given.
-        alternatives: Mistakes of the whole rig undone, best first.
-        rotated: One camera rotated, costs over its own pairs, largest improvement first. Empty for fewer than 3
-            cameras, or if the rig is wrong already.
-    """
+    """Result of `check_rig`."""
 
     given: RigHypothesis
-    alternatives: list[RigHypothesis]
+    alternatives: list[RigHypothesis]  # mistakes of the whole rig undone, best first
+    # One camera rotated, costs over its own pairs, largest improvement first. Empty for fewer than 3 cameras, or if
+    # the rig is wrong already.
     rotated: list[RigHypothesis]
 
     @property

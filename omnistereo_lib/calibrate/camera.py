@@ -209,20 +209,17 @@ def _bad_views(params: CalibrationParams, views: Sequence[Floats], points: Float
     observations = collect_observations([views], points)
     distance = distances_of(params, observations)
     typical = np.array([np.median(distance[observations.capture == k]) for k in range(len(views))])
-    usual = np.median(typical)
-    return {
-        k: f"reprojection error {error:.2f} px, usual {usual:.2f} px: blurred, moved or misdetected"
-        for k, error in enumerate(typical)
-        if error > _BAD_VIEW * usual
-    }
+    reason = "reprojection error {:.2f} px, usual {:.2f} px: blurred, moved or misdetected"
+    return _far_above_usual(typical, _BAD_VIEW, reason)
 
 
 def _blurred_views(images: Sequence[ArrayLike], views: Sequence[Floats], board: Checkerboard) -> dict[int, str]:
     """Return the views with wider edges than usual: their corners may fit, but not where the board was."""
     widths = np.array([edge_width(image, corners, board) for image, corners in zip(images, views, strict=True)])
-    usual = np.median(widths)
-    return {
-        k: f"blurred: edges {width:.1f} px wide, usual {usual:.1f} px. Check that the board was still"
-        for k, width in enumerate(widths)
-        if width > _BLURRED * usual
-    }
+    reason = "blurred: edges {:.1f} px wide, usual {:.1f} px. Check that the board was still"
+    return _far_above_usual(widths, _BLURRED, reason)
+
+
+def _far_above_usual(values: Floats, factor: float, reason: str) -> dict[int, str]:
+    usual = np.median(values)
+    return {k: reason.format(value, usual) for k, value in enumerate(values) if value > factor * usual}

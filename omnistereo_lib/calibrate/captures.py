@@ -20,17 +20,11 @@ _SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".webp"}  # not TIFF: data
 
 @dataclass(frozen=True, eq=False)
 class Captures:
-    """Images of a board by one or more cameras.
+    """Images of a board by one or more cameras."""
 
-    Attributes:
-        cameras: Names of the camera folders, in the order of their numbers.
-        names: Names of the captures, sorted.
-        paths: paths[camera][capture], None if a camera has no image of a capture.
-    """
-
-    cameras: tuple[str, ...]
-    names: tuple[str, ...]
-    paths: tuple[tuple[Path | None, ...], ...]
+    cameras: tuple[str, ...]  # names of their folders, in the order of their numbers
+    names: tuple[str, ...]  # of the captures, sorted
+    paths: tuple[tuple[Path | None, ...], ...]  # paths[camera][capture], None if a camera has no image of a capture
 
     def images(self, camera: int) -> list[NDArray[np.uint8] | None]:
         """Read the images of one camera, None where it has none."""

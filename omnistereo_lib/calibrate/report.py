@@ -23,17 +23,11 @@ _LARGE_PX = 1.0
 
 @dataclass(frozen=True)
 class ReprojectionErrors:
-    """Reprojection errors of some corners by the three definitions in use.
+    """Reprojection errors of some corners by the three definitions in use."""
 
-    Attributes:
-        rms_px: Root mean square of all u and v residuals (Urban et al. 2015).
-        rms_distance_px: Root mean square distance, √2 larger (OpenCV).
-        mean_px: Mean distance (OCamCalib).
-    """
-
-    rms_px: float
-    rms_distance_px: float
-    mean_px: float
+    rms_px: float  # root mean square of all u and v residuals (Urban et al. 2015)
+    rms_distance_px: float  # root mean square distance, √2 larger (OpenCV)
+    mean_px: float  # mean distance (OCamCalib)
 
     @classmethod
     def from_residuals(cls, residuals: Floats) -> ReprojectionErrors:
@@ -71,34 +65,20 @@ class _Report:
 
 @dataclass(frozen=True, eq=False)
 class CameraReport(_Report):
-    """Result of the calibration of one camera.
+    """Result of the calibration of one camera."""
 
-    Attributes:
-        views_used: Indices of the views used.
-        rejected: Index of each other view → reason.
-        outliers: Corners of used views that were rejected, worst first.
-        corners: View → (K, 2) px, as observed, NaN where a corner is missing.
-        residuals: View → (K, 2) px, predicted minus observed, NaN where a corner is missing; with outliers.
-        angles: View → (K,) angle of each corner from the optical axis, radians.
-        T_cam_board: View → board → camera.
-        cv_error_px: Degree → mean distance on held-out views, px, if the degree was chosen by cross-validation.
-        covariance (array, shape (4 + degree, 4 + degree)): Covariance of `intrinsics.vector`.
-        sigma_px: Noise of the corners in u and in v, from the residuals.
-        warnings: What is wrong and what to do.
-    """
-
-    views_used: tuple[int, ...]
-    rejected: Mapping[int, str]
-    outliers: tuple[tuple[int, int, float], ...]
-    corners: Mapping[int, Floats]
-    residuals: Mapping[int, Floats]
-    angles: Mapping[int, Floats]
-    T_cam_board: Mapping[int, Pose]
-    cv_error_px: Mapping[int, float]
+    views_used: tuple[int, ...]  #: indices of the views used
+    rejected: Mapping[int, str]  #: index of each other view → reason
+    outliers: tuple[tuple[int, int, float], ...]  #: (view, corner, px) of used views that were rejected, worst first
+    corners: Mapping[int, Floats]  #: view → (K, 2) px, as observed, NaN where a corner is missing
+    residuals: Mapping[int, Floats]  #: view → (K, 2) px, predicted minus observed, NaN as above; with outliers
+    angles: Mapping[int, Floats]  #: view → (K,) angle of each corner from the optical axis, radians
+    T_cam_board: Mapping[int, Pose]  #: view → board → camera
+    cv_error_px: Mapping[int, float]  #: degree → mean distance on held-out views, px, if it was chosen by them
     intrinsics: Intrinsics
-    covariance: Floats
-    sigma_px: float
-    warnings: tuple[str, ...] = ()
+    covariance: Floats  #: (4 + degree, 4 + degree), of `intrinsics.vector`
+    sigma_px: float  #: noise of the corners in u and in v, from the residuals
+    warnings: tuple[str, ...] = ()  #: what is wrong and what to do
     name: str = "camera"
 
     def residuals_used(self) -> dict[int, Floats]:
@@ -209,28 +189,16 @@ def _camera_warnings(report: CameraReport, camera: OcamCamera) -> Iterator[str]:
 
 @dataclass(frozen=True, eq=False)
 class RigReport(_Report):
-    """Result of the calibration of a rig.
+    """Result of the calibration of a rig."""
 
-    Attributes:
-        joint: Each camera in the joint solution; views are captures.
-        single_camera: Each camera calibrated by itself, before.
-        captures_used: Captures in the joint solution.
-        rejected: Capture → reason.
-        shared: (camera, camera) → number of captures that both see.
-        params: All unknowns of the joint solution; captures in the order of `captures_used`.
-        covariance (array, shape (num_rig_params, num_rig_params)): Covariance of the first `params.num_rig_params`
-            unknowns: intrinsics and the poses of cameras 2 ….
-        sigma_px: Noise of the corners in u and in v.
-    """
-
-    joint: tuple[CameraReport, ...]
-    single_camera: tuple[CameraReport, ...]
-    captures_used: tuple[int, ...]
-    rejected: Mapping[int, str]
-    shared: Mapping[tuple[int, int], int]
-    params: CalibrationParams
-    covariance: Floats
-    sigma_px: float
+    joint: tuple[CameraReport, ...]  #: each camera in the joint solution; views are captures
+    single_camera: tuple[CameraReport, ...]  #: each camera calibrated by itself, before
+    captures_used: tuple[int, ...]  #: captures in the joint solution
+    rejected: Mapping[int, str]  #: capture → reason
+    shared: Mapping[tuple[int, int], int]  #: (camera, camera) → number of captures that both see
+    params: CalibrationParams  #: all unknowns of the joint solution; captures in the order of `captures_used`
+    covariance: Floats  #: of its first `num_rig_params` unknowns: intrinsics and the poses of cameras 2 …
+    sigma_px: float  #: noise of the corners in u and in v
     warnings: tuple[str, ...] = ()
 
     def inlier_residuals(self) -> Floats:

@@ -46,20 +46,13 @@ def refine(params: CalibrationParams, observations: Observations) -> tuple[Calib
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Parameters with their uncertainty.
-
-    Attributes:
-        observations: All corners of the captures used.
-        inlier_mask (bool array, shape (M,)): Corners that the fit used; the others are outliers.
-        sigma_px: Noise of the corners in u and in v.
-        covariance (array, shape (num_rig_params, num_rig_params)): Covariance of intrinsics and camera poses.
-    """
+    """Parameters with their uncertainty."""
 
     params: CalibrationParams
-    observations: Observations
-    inlier_mask: NDArray[np.bool_]
-    sigma_px: float
-    covariance: Floats
+    observations: Observations  # all corners of the captures used
+    inlier_mask: NDArray[np.bool_]  # (M,), corners that the fit used; the others are outliers
+    sigma_px: float  # noise of the corners in u and in v
+    covariance: Floats  # of intrinsics and camera poses, (num_rig_params, num_rig_params)
 
     @classmethod
     def solve(cls, params: CalibrationParams, observations: Observations) -> Solution:

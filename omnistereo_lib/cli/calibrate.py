@@ -122,11 +122,13 @@ def _write_reports(
     from omnistereo_lib.calibrate.captures import save_corners
     from omnistereo_lib.calibrate.figures import save_figure
 
+    has_matplotlib = find_spec("matplotlib") is not None
     for camera, report in zip(cameras, reports, strict=True):
-        save_figure(out / f"report_{camera}.png", report)
+        if has_matplotlib:
+            save_figure(out / f"report_{camera}.png", report)
         views = {name: report.corners.get(k) for k, name in enumerate(names)}
         save_corners(out / f"corners_{camera}.yaml", views, board, report.intrinsics.image_size)
-    if find_spec("matplotlib") is None:
+    if not has_matplotlib:
         print("report_*.png are not written, Matplotlib is not installed: pip install matplotlib")
         return ["corners_*.yaml"]
     return ["report_*.png", "corners_*.yaml"]

@@ -28,23 +28,15 @@ from omnistereo_lib.stereo.zncc import ZNCC
 
 @dataclass(frozen=True)
 class CostEntry:
-    """A matching cost in the vocabulary of methods.
+    """A matching cost in the vocabulary of methods."""
 
-    Args:
-        label: Row of a table.
-        load: (method, weights file or None, precision) → the cost object.
-        settings: Settings of `Method` that change this cost.
-        weights: Bundled weights file without .safetensors; "" for a cost without weights.
-        p1, p2: SGM penalties that suit the scale of this cost.
-        read_out: Raw volume (H, W, N) → index and confidence (H, W), in place of `winner_takes_all` and `confidence`.
-    """
-
-    label: str
-    load: Callable[[Method, Path | None, Precision], Cost]
-    settings: frozenset[str]
-    weights: str = ""
-    p1: float = 0.1
+    label: str  # row of a table
+    load: Callable[[Method, Path | None, Precision], Cost]  # with the weights file, if there is one
+    settings: frozenset[str]  # of `Method` that change this cost
+    weights: str = ""  # bundled weights file without .safetensors; "" for a cost without weights
+    p1: float = 0.1  # SGM penalties that suit the scale of this cost
     p2: float = 12.0
+    # Raw volume (H, W, N) → index and confidence (H, W), in place of `winner_takes_all` and `confidence`.
     read_out: Callable[[Tensor], tuple[Tensor, Tensor]] | None = None
 
 
@@ -97,32 +89,21 @@ _TYPES = {  # of the settings in a name
 class Method:
     """A way from images to sphere indices; the defaults are the paper's except for the pairs.
 
-    Args:
-        cost: A key of `COSTS`.
-        aggregate: Read depth from the raw cost volume, or after semi-global matching.
-        window: Side of the ZNCC window, pixels.
-        weights: Name of the weights file of a network, without .safetensors; "": the bundled one.
-        pairs: See `camera_pairs`.
-        p1, p2: SGM penalties; None: those of the cost.
-        wrap: False: SGM stops at the ±180° seam, and so does every layer of SweepNet.
-        subindex: Refine the index between spheres, see `winner_takes_all`; the paper reports integer indices.
-        num_spheres: N instead of the N of the grid; 0: that of the grid.
-
     Raises:
         OmnistereoError: If a value is out of range, or is set although the method does not use it: a method has one
             name.
     """
 
-    cost: str
-    aggregate: Literal["none", "sgm"] = "none"
-    window: int = 9
-    weights: str = ""
-    pairs: Literal["ring", "all"] = "ring"
-    p1: float | None = None
+    cost: str  #: a key of `COSTS`
+    aggregate: Literal["none", "sgm"] = "none"  #: read depth from the raw cost volume, or after semi-global matching
+    window: int = 9  #: side of the ZNCC window, pixels
+    weights: str = ""  #: name of the weights file of a network, without .safetensors; "": the bundled one
+    pairs: Literal["ring", "all"] = "ring"  #: see `camera_pairs`
+    p1: float | None = None  #: SGM penalties; None: those of the cost
     p2: float | None = None
-    wrap: bool = True
-    subindex: bool = False
-    num_spheres: int = 0
+    wrap: bool = True  #: False: SGM stops at the ±180° seam, and so does every layer of SweepNet
+    subindex: bool = False  #: refine the index, see `winner_takes_all`; the paper reports integer indices
+    num_spheres: int = 0  #: N instead of the N of the grid; 0: that of the grid
 
     def __post_init__(self) -> None:
         for name, choices in (("cost", tuple(COSTS)), ("aggregate", ("none", "sgm")), ("pairs", ("ring", "all"))):
