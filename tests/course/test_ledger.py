@@ -20,10 +20,8 @@ from course.claims import CLAIMS, DIFFERENCES
 from course.findings import EXACT, LIGHTS, PAPER_TABLE, TOLERANCE, Verdict
 from course.ledger import MARKERS, split_at_markers, write_ledger
 from omnistereo_lib import cli
-from omnistereo_lib.dataset import write_inverse_depth
 from omnistereo_lib.evaluate import METHODS, SCALES, Scale, errors_table
 from omnistereo_lib.evaluate.regions import METRICS, REGIONS, SUMS
-from omnistereo_lib.files import write_image
 
 ROOT = Path(__file__).resolve().parents[2]
 PLANNED = {"05_mccnn", "06_sweepnet", "08_evaluation", "09_your_own_rig", "10_render_a_city"}
@@ -419,32 +417,8 @@ def test_a_ledger_that_fails_leaves_the_file_as_it_was(tmp_path, monkeypatch):
 @pytest.fixture
 def sunny(tmp_path):
     """One frame of the box in a folder that is called as the paper's set is."""
-    folder, grid = tmp_path / "sunny", osl.SphereGrid(48, 12, (-45, 45), 8, 0.6)
-    rig = scene.rig(width=200, height=192)
-    (folder / "omnidepth_gt_48").mkdir(parents=True)
-    osl.Rig(rig.cameras, rig.T_rig_cam, min_depth=0.6).save(folder / "config.yaml")
-    for k, picture in enumerate(scene.images(rig, finest=0.25), 1):
-        (folder / f"cam{k}").mkdir()
-        write_image(folder / f"cam{k}" / "0001.png", picture)
-    truth = grid.index_to_inverse_depth(scene.true_index(rig, grid))
-    write_inverse_depth(folder / "omnidepth_gt_48" / "00001.tiff", truth)
-    return folder
-
-
-def evaluate(folder, *words):
-    words = [
-        "--sets",
-        folder,
-        "--methods",
-        "zncc",
-        "zncc+sgm",
-        "--scale",
-        "paper",
-        "--out",
-        folder.parent / "out",
-        *words,
-    ]
-    return cli.main(["evaluate", *map(str, words)])
+    grid = osl.SphereGrid(48, 12, (-45, 45), 8, 0.6)
+    return scene.write_set(tmp_path / "sunny", scene.rig(width=200, height=192), grid, [(0, 0, 0)])
 
 
 def test_the_command_line_updates_the_ledger(sunny, tmp_path, monkeypatch):
@@ -452,8 +426,9 @@ def test_the_command_line_updates_the_ledger(sunny, tmp_path, monkeypatch):
     monkeypatch.setattr(findings, "PAPER_SCALE", "48 × 12, N = 8")
     readme = tmp_path / "README.md"
     readme.write_text(f"# Title\n{OPEN}\n{CLOSE}\n")
-    assert evaluate(sunny) == 0
-    assert main(["ledger", str(readme), "--results", str(sunny.parent / "out" / "results.json")]) == 0
+    words = ["--sets", sunny, "--methods", "zncc", "zncc+sgm", "--scale", "paper", "--out", tmp_path / "out"]
+    assert cli.main(["evaluate", *map(str, words)]) == 0
+    assert main(["ledger", str(readme), "--results", str(tmp_path / "out" / "results.json")]) == 0
     text = readme.read_text(encoding="utf-8")
     assert "frames 1 of sunny; 48 × 12, N = 8" in text and "| ZNCC + SGM, Sunny |" in text
     row = next(line for line in text.splitlines() if line.startswith("| ZNCC + SGM, Sunny |"))
