@@ -18,16 +18,12 @@ _ROTATION_TOLERANCE = 1e-5  # files print rotations with 6 digits or more
 class Pose:
     """A rigid transform T_ab: coordinates in frame b become coordinates in frame a.
 
-    Args:
-        R (array, shape (3, 3)): Rotation matrix; rounding as in printed files, up to 1e-5, is corrected.
-        t (array, shape (3,)): Translation in metres: the origin of frame b in frame a.
-
     Raises:
         OmnistereoError: If R or t has the wrong shape, is not finite, or R is not a rotation.
     """
 
-    R: Floats
-    t: Floats
+    R: Floats  #: rotation matrix (3, 3); rounding as in printed files, up to 1e-5, is corrected
+    t: Floats  #: translation (3,) in metres: the origin of frame b in frame a
 
     def __post_init__(self) -> None:
         R, t = np.asarray(self.R, np.float64), np.asarray(self.t, np.float64)

@@ -88,18 +88,12 @@ def _by_rows(function: Callable[[Tensor], Tensor], volume: ArrayLike | Tensor) -
 
 @dataclass(frozen=True, eq=False)
 class Depth:
-    """A depth panorama around the sweep centre.
+    """A depth panorama around the sweep centre."""
 
-    Attributes:
-        index (float32 array, shape (H, W)): Sphere index n*, fractional with sub-sphere refinement; NaN where no pair
-            of cameras sees the ray.
-        confidence: float32 array, shape (H, W), in [0, 1]
-        sweep: The sweep of the cost volume, with its grid and its rig.
-    """
-
+    #: Sphere index n*, (H, W), fractional with sub-sphere refinement; NaN where no pair of cameras sees the ray.
     index: NDArray[np.float32]
-    confidence: NDArray[np.float32]
-    sweep: SphereSweep
+    confidence: NDArray[np.float32]  #: (H, W), in [0, 1]
+    sweep: SphereSweep  #: of the cost volume, with its grid and its rig
 
     @classmethod
     def from_volume(cls, volume: ArrayLike | Tensor, sweep: SphereSweep, subindex: bool = True) -> Depth:
