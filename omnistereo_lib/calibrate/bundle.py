@@ -3,9 +3,7 @@
     minimise over Φ_i, A_i, Θ_i, Θ_k   Σ |x - A_i(Π(M(Θ_i ⋆ Θ_k) X; Φ_i))|²
 
 for the corners x that camera i observes of the board points X in capture k. A single camera is the same problem
-with one Θ_i, the identity.
-
-`params` describes the unknowns.
+with one Θ_i, the identity. The unknowns: see `params`.
 """
 
 from __future__ import annotations

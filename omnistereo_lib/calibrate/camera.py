@@ -101,8 +101,7 @@ def read_views(
 ) -> tuple[list[Floats | None], tuple[int, int], list | None]:
     """Return the corners of each view, width and height of the images, and the images if views are images.
 
-    Raises:
-        OmnistereoError: If there are no views, or corners do not fit the board or come without the image size.
+    Raises an `OmnistereoError` if there are no views, or corners do not fit the board or come without the image size.
     """
     arrays = [None if view is None else np.asarray(view) for view in views]
     given = [array for array in arrays if array is not None]

@@ -109,8 +109,7 @@ def save_corners(
 def load_corners(path: str | Path) -> tuple[dict[str, Floats | None], Checkerboard, tuple[int, int]]:
     """Read what `save_corners` wrote: views, board, image size.
 
-    Raises:
-        OmnistereoError: If the file is missing, not YAML or incomplete; the message names the view.
+    Raises an `OmnistereoError` if the file is missing, not YAML or incomplete; the message names the view.
     """
     import yaml
 

@@ -66,8 +66,7 @@ class Intrinsics:
     def camera(self, max_fov_deg: float) -> OcamCamera:
         """Return the camera, its inverse polynomial fitted to better than 0.01 px.
 
-        Raises:
-            OmnistereoError: If the polynomial is not monotonic over the field of view.
+        Raises an `OmnistereoError` if the polynomial is not monotonic over the field of view.
         """
         u0, v0, c, d = (float(value) for value in self.vector[:NUM_AFFINE])
         inv_poly = fit_inverse_polynomial(self.poly, max_fov_deg, 3.0 * max(self.image_size))

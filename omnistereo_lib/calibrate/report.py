@@ -41,11 +41,7 @@ class ReprojectionErrors:
 
 
 class _Report:
-    """Reprojection errors of a report over its inlier residuals."""
-
-    def inlier_residuals(self) -> Floats:
-        """Return the residuals of all inliers, shape (M, 2), px."""
-        raise NotImplementedError
+    """Reprojection errors of a report over its `inlier_residuals()`."""
 
     @property
     def errors(self) -> ReprojectionErrors:
@@ -121,8 +117,7 @@ class CameraReport(_Report):
     def build_camera(self, max_fov_deg: float | None) -> tuple[OcamCamera, CameraReport]:
         """Return the camera, and the report with warnings; None: the field of view ends at the last corner.
 
-        Raises:
-            OmnistereoError: If the polynomial is not monotonic over the field of view.
+        Raises an `OmnistereoError` if the polynomial is not monotonic over the field of view.
         """
         fov_deg = 2 * self.max_corner_angle_deg if max_fov_deg is None else max_fov_deg
         camera = self.intrinsics.camera(fov_deg)

@@ -68,8 +68,15 @@ def calibrate_rig(
         single.append(report)
         # Drop views that the single-camera calibration rejected.
         corners.append([view if k in report.views_used else None for k, view in enumerate(found)])
-    shared = shared_captures(corners)
-    _check_distinct(corners, shared)
+    shared = {}  # pair of cameras (i < j) → the captures that both see
+    for i, j in combinations(range(len(corners)), 2):
+        both = [k for k, (a, b) in enumerate(zip(corners[i], corners[j], strict=True)) if a is not None is not b]
+        if both and all(np.allclose(corners[i][k], corners[j][k], rtol=0, atol=1e-3, equal_nan=True) for k in both):
+            raise OmnistereoError(
+                f"cameras {i + 1} and {j + 1} have the same corners in all {len(both)} captures that they share: "
+                "they are one camera. Check that no folder of images is a copy of another"
+            )
+        shared |= {(i, j): both} if both else {}
     T_cam_rig = _spanning_tree(shared, single, board)
     corners, rejected = _resolve_board_ambiguity(corners, single, T_cam_rig, board)
     captures = [k for k, view in enumerate(zip(*corners, strict=True)) if any(c is not None for c in view)]
@@ -84,24 +91,6 @@ def calibrate_rig(
         captures = [k for k in captures if k not in bad]
     solution = Solution.solve(params, observations)
     return _build_rig(solution, tuple(captures), tuple(single), rejected, shared, max_fov_deg)
-
-
-def shared_captures(corners: Sequence[Sequence[Floats | None]]) -> dict[tuple[int, int], list[int]]:
-    """Return the captures that each pair of cameras (i < j) shares, without pairs that share none."""
-    shared = {
-        (i, j): [k for k, (a, b) in enumerate(zip(corners[i], corners[j], strict=True)) if a is not None is not b]
-        for i, j in combinations(range(len(corners)), 2)
-    }
-    return {pair: captures for pair, captures in shared.items() if captures}
-
-
-def _check_distinct(corners: Sequence[Sequence[Floats | None]], shared: dict[tuple[int, int], list[int]]) -> None:
-    for (i, j), captures in shared.items():
-        if all(np.allclose(corners[i][k], corners[j][k], rtol=0, atol=1e-3, equal_nan=True) for k in captures):
-            raise OmnistereoError(
-                f"cameras {i + 1} and {j + 1} have the same corners in all {len(captures)} captures that they share: "
-                "they are one camera. Check that no folder of images is a copy of another"
-            )
 
 
 def _spanning_tree(

@@ -58,8 +58,7 @@ class Solution:
     def solve(cls, params: CalibrationParams, observations: Observations) -> Solution:
         """Refine initial values and estimate their covariance.
 
-        Raises:
-            OmnistereoError: If the corners do not determine all unknowns.
+        Raises an `OmnistereoError` if the corners do not determine all unknowns.
         """
         params, inlier_mask = refine(params, observations)
         inliers = observations.select(inlier_mask)

@@ -54,8 +54,7 @@ class Table:
         """Return the table as comma-separated values with six digits, three columns for each number."""
         file = io.StringIO()
         writer = csv.writer(file, lineterminator="\n")
-        ends = [f"{column}{end}" for column in self.columns for end in ("", " low", " high")]
-        writer.writerow([*self.heads, *ends])
+        writer.writerow([*self.heads, *(f"{column}{end}" for column in self.columns for end in ("", " low", " high"))])
         for words, cells in self.rows:
             writer.writerow([*words, *("" if np.isnan(x) else f"{x:.6g}" for x in cells.ravel())])
         return file.getvalue()

@@ -36,8 +36,7 @@ _NEWTON_STEPS = 4  # starting from 1024 samples, the error falls 1e-3 â†’ 1e-6 â
 class OcamCamera:
     """A fisheye camera with polynomial distortion.
 
-    Raises:
-        OmnistereoError: If a parameter is not finite, has the wrong shape or is out of range.
+    Raises an `OmnistereoError` if a parameter is not finite, has the wrong shape or is out of range.
     """
 
     poly: NDArray[np.float64]  #: direct polynomial f, coefficients from low to high, pixels; f(0) < 0
@@ -45,9 +44,7 @@ class OcamCamera:
     center: tuple[float, float]  #: image of the optical axis (u, v), pixels
     affine: tuple[float, float, float]  #: c, d, e of A as in the files: u = x + e y + u0, v = d x + c y + v0
     image_size: tuple[int, int]  #: width and height, pixels
-    max_fov_deg: float = (
-        220.0  #: full field of view in (0, 360]; rays beyond half of it from the axis are invalid
-    )
+    max_fov_deg: float = 220.0  #: full field of view in (0, 360]; rays beyond half of it from the axis are invalid
     #: (height, width), of any numeric type, stored as bool: non-zero where the image is valid; None: everywhere
     mask: NDArray[np.bool_] | None = None
     max_radius: float = field(init=False, repr=False)  # of the field of view, px before A

@@ -18,8 +18,7 @@ _ROTATION_TOLERANCE = 1e-5  # files print rotations with 6 digits or more
 class Pose:
     """A rigid transform T_ab: coordinates in frame b become coordinates in frame a.
 
-    Raises:
-        OmnistereoError: If R or t has the wrong shape, is not finite, or R is not a rotation.
+    Raises an `OmnistereoError` if R or t has the wrong shape, is not finite, or R is not a rotation.
     """
 
     R: Floats  #: rotation matrix (3, 3); rounding as in printed files, up to 1e-5, is corrected

@@ -22,8 +22,7 @@ Pairs = Literal["ring", "all"] | Sequence[tuple[int, int]]
 class Rig:
     """Two or more cameras and their poses.
 
-    Raises:
-        OmnistereoError: If there are fewer than two cameras or not one pose per camera.
+    Raises an `OmnistereoError` if there are fewer than two cameras or not one pose per camera.
     """
 
     cameras: tuple[OcamCamera, ...]

@@ -150,8 +150,7 @@ class LearnedCost:
     ) -> Tensor:
         """Return the mean cost over camera pairs (Eq. 2) for a block of spheres; arguments as in `ZNCC`.
 
-        Raises:
-            OmnistereoError: If the network cannot take a panorama of this size.
+        Raises an `OmnistereoError` if the network cannot take a panorama of this size.
         """
         cameras, B, H, W = spherical_images.shape
         device = spherical_images.device

@@ -126,8 +126,7 @@ class Method:
     def parse(cls, name: str | Method) -> Method:
         """Return the method of a name; a method is returned as it is.
 
-        Raises:
-            OmnistereoError: If there is no such method.
+        Raises an `OmnistereoError` if there is no such method.
         """
         if isinstance(name, Method):
             return name
@@ -196,8 +195,7 @@ class Method:
     def load_cost(self, folder: Path = BUNDLED_WEIGHTS, precision: Precision = "auto") -> Cost:
         """Return the matching cost, a network with its weights from a folder.
 
-        Raises:
-            OmnistereoError: If the weights file is missing, damaged, or holds another architecture.
+        Raises an `OmnistereoError` if the weights file is missing, damaged, or holds another architecture.
         """
         return COSTS[self.cost].load(self, self.weights_file(folder), precision)
 

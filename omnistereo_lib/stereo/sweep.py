@@ -24,7 +24,6 @@ _MAX_ROWS = 32766  # largest output of cv2.remap
 OUTSIDE = -1e5  # px, pixel coordinate of invalid rays; NaN coordinates are undefined in cv2.remap
 _LUT_BUDGET = 2 << 30  # bytes
 
-
 # Pixel coordinates of the rays of one block of spheres in one camera, as (first column, maps of shape (block · H,
 # columns, 2)). Only the visible columns are stored: in one part, or in two if they cross the ±180° seam.
 _LookupTable = list[tuple[int, NDArray[np.float32]]]
@@ -219,8 +218,7 @@ class SphereSweep:
 def select_device(device: torch.device | str) -> torch.device:
     """Return the device to compute on; under `torchrun`, each process uses its own GPU.
 
-    Raises:
-        OmnistereoError: If PyTorch cannot use a GPU that was asked for.
+    Raises an `OmnistereoError` if PyTorch cannot use a GPU that was asked for.
     """
     device = torch.device(device)
     if device.type == "cuda":

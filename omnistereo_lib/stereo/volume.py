@@ -28,7 +28,6 @@ class Cost(Protocol):
         columns: Sequence[tuple[int, int]] | None = None,
     ) -> Tensor:
         """Return the costs as `ZNCC.__call__` does."""
-        ...
 
 
 def cost_volume(

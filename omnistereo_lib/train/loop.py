@@ -255,5 +255,4 @@ def read_log(path: Path, stop: int) -> list[dict[str, float]]:
 def write_csv(path: str | Path, header: Sequence[str], rows: Iterable[Sequence]) -> None:
     """Write a table, atomically."""
     with atomic_write(path) as temporary, temporary.open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerows([header, *rows])
+        csv.writer(file, lineterminator="\n").writerows([header, *rows])
