@@ -236,7 +236,6 @@ def test_errors_lie_within_the_predicted_covariance():
     [
         (lambda c: c[:1], "1 of 1 views show"),
         (lambda c: [None, *c[:2]], "2 of 2 views"),
-        (lambda c: [view[:-12] for view in c], "108 corners; expected 12 x 10 = 120"),
         (lambda c: [], "there are no views"),
         (lambda c: [None, None], "there are no views"),
     ],
@@ -247,7 +246,7 @@ def test_views_that_cannot_calibrate_a_camera(views, change, said):
 
 
 def test_a_view_with_another_number_of_corners_is_named(views):
-    with pytest.raises(OmnistereoError, match="view 2: 108 corners"):
+    with pytest.raises(OmnistereoError, match="view 2: 108 corners; expected 12 x 10 = 120"):
         osl.calibrate_camera([None, views[0][0], views[0][1][:-12]], BOARD, image_size=SIZE)
     with pytest.raises(OmnistereoError, match=r"camera 1: view c\.png: 108 corners"):
         osl.calibrate_rig([[views[0][0], None, views[0][1][:-12]]] * 2, BOARD, [SIZE] * 2, names=["a", "b", "c.png"])
