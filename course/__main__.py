@@ -1,4 +1,4 @@
-"""`python -m course COMMAND`: the tools that make the notebooks, the book and the reproduction report."""
+"""`python -m course COMMAND`: a check of the clone, and what makes the notebooks, the book and the report."""
 
 import argparse
 import sys
@@ -18,6 +18,7 @@ def main(arguments: list[str] | None = None) -> int:
         ("lint", "check notebooks against the course's rules"),
     ):
         commands.add_parser(name, help=text).add_argument("notebooks", nargs="+", type=Path)
+    commands.add_parser("doctor", help="check Python, the packages of environment.txt, the data and OpenGL")
     commands.add_parser("readme", help="update the README's table of notebooks and its picture")
     commands.add_parser("solve", help="write the notebooks with every exercise solved to out/solutions")
     for name, text in (("book", "build the website"), ("slides", "build the slides")):
@@ -58,6 +59,10 @@ def run(options: argparse.Namespace) -> int:
 
             make_slides(options.folder)
             return 0
+        case "doctor":
+            from course.doctor import check_clone
+
+            return 0 if check_clone() else 1
         case "bench":
             from course import bench
 

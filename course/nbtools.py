@@ -37,7 +37,7 @@ NOTEBOOKS = ROOT / "notebooks"
 README = ROOT / "README.md"
 PICTURE = NOTEBOOKS / "00_quickstart.jpg"
 
-SETUP = "import omnistereo_lib as osl\n\nosl.doctor(short=True)"
+SETUP = "import omnistereo_lib as osl\nfrom course.doctor import doctor\n\ndoctor(short=True)"
 FACTS = {"title": str, "learn": str, "needs": str, "minutes_to_read": int, "budget_s": int}
 MAX_BUDGET_S = 60
 MAX_BYTES = 800_000

@@ -14,7 +14,7 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, make_folder, read_bytes
 from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS, load_tensors, save_tensors, signature
 from omnistereo_lib.train.loop import LOG, WEIGHTS, read_log, write_csv
-from omnistereo_lib.train.recipes import RECIPES, Recipe
+from omnistereo_lib.train.recipes import RECIPES, MCCNNRecipe, Recipe, VolumeNetRecipe
 
 Rows = Sequence[dict[str, float]]  # of a log
 _EVERY = 10  # steps between two rows of the curve
@@ -58,13 +58,22 @@ def export_weights(run: str | Path, folder: str | Path = BUNDLED_WEIGHTS, half: 
     if metadata["step"] + 1 != recipe.steps:
         found = f"{run / WEIGHTS} holds step {metadata['step'] + 1} of {recipe.steps}"
         raise OmnistereoError(f"{found}. Train to the end first.")
-    weights, curve, card = (folder / f"{recipe.file_name}.{ending}" for ending in ("safetensors", "csv", "md"))
+    weights, curve, card = (folder / f"{file_name(recipe)}.{ending}" for ending in ("safetensors", "csv", "md"))
     rows = read_log(run / LOG, recipe.steps)
     save_tensors(weights, {key: value.half() if half else value for key, value in tensors.items()}, metadata)
     write_csv(curve, ["step", "loss", "error", "validation_loss", "validation_error"], _thin(rows))
     with atomic_write(card) as temporary:
         temporary.write_text(_model_card(weights, recipe, metadata, rows, half), encoding="utf-8")
     return [weights, curve, card]
+
+
+def file_name(recipe: Recipe) -> str:
+    """Return the name of the bundled weights, without their ending; what learned from fewer worlds says so."""
+    if isinstance(recipe, MCCNNRecipe):
+        return f"{recipe.network}_{recipe.variant}"
+    if isinstance(recipe, VolumeNetRecipe) and recipe.worlds != VolumeNetRecipe.worlds:
+        return "_".join([recipe.network, *recipe.worlds.split()])
+    return recipe.network
 
 
 def _thin(rows: Rows) -> list[list[Any]]:

@@ -1,4 +1,4 @@
-"""Effect of calibration errors on depth: the shift of the best sphere along each ray, to first order.
+"""Uncertainty of a calibration, and its effect on depth: the shift of the best sphere along each ray, to first order.
 
 A point that belongs at direction s of the panorama appears, in the image of camera i warped with the wrong rig onto
 sphere n + δ, at s - M⁻¹(∂u/∂n δ + Δu), where M = ∂u/∂s is the derivative of the pixel u with respect to direction and
@@ -7,13 +7,14 @@ sphere n + δ, at s - M⁻¹(∂u/∂n δ + Δu), where M = ∂u/∂s is the der
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.calibrate.params import CalibrationParams
-from omnistereo_lib.calibrate.report import RigReport, standard_deviation
+from omnistereo_lib.calibrate.params import CalibrationParams, Intrinsics
+from omnistereo_lib.calibrate.report import CameraReport, RigReport
 from omnistereo_lib.geometry.rig import Pairs, Rig, camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
 
@@ -21,6 +22,24 @@ Floats = NDArray[np.float64]
 
 _ANGLE_STEP = 1e-4  # radians, for derivatives with respect to direction
 _INDEX_STEP = 0.05  # spheres, for derivatives with respect to the index
+_AZIMUTHS = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+
+
+def ray_uncertainty_deg(report: CameraReport, angles_deg: Floats) -> Floats:
+    """Return the standard deviation of rays at some angles from the axis, degrees, for the worst of 12 azimuths.
+
+    The pixels are fixed where the camera sees those angles; the covariance of the report varies their rays.
+    """
+    camera = report.intrinsics.camera(2.0 * min(float(np.max(angles_deg)) + 0.1, 179.0))
+    theta, phi = np.meshgrid(np.radians(angles_deg), _AZIMUTHS)
+    rays = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+    pixels = camera.project(rays, use_direct_poly=True)[0]
+
+    def directions(vector: Floats) -> Floats:
+        return Intrinsics(vector, report.intrinsics.image_size).rays(pixels)
+
+    sigma = standard_deviation(directions, report.intrinsics.vector, report.covariance)
+    return np.degrees(np.linalg.norm(sigma, axis=-1).max(axis=0))
 
 
 def index_shift(rig: Rig, wrong: Rig, grid: SphereGrid, index: float, pairs: Pairs = "ring") -> Floats:
@@ -126,3 +145,20 @@ def _project(rig: Rig, i: int, directions: Floats, grid: SphereGrid, index: floa
 
 def _times(matrices: Floats, vectors: Floats) -> Floats:
     return (matrices @ vectors[..., None])[..., 0]
+
+
+def standard_deviation(function: Callable[[Floats], Floats], x: Floats, covariance: Floats) -> Floats:
+    """Return the standard deviation of everything a function returns, to first order: √diag(J Σ Jᵀ).
+
+    Derivatives are numerical, along the principal axes of Σ with steps of one standard deviation: coefficients of a
+    polynomial are known together far better than each by itself.
+
+    Args:
+        function: From parameters (n,) to an array of any shape.
+        x: array, shape (n,)
+        covariance (array, shape (n, n)): Covariance of the parameters.
+    """
+    scale = np.sqrt(np.diag(covariance))
+    variances, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
+    steps = (scale[:, None] * axes * np.sqrt(variances.clip(0.0))).T
+    return np.sqrt(sum(np.square((function(x + step) - function(x - step)) / 2.0) for step in steps))

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.doctor import headless, opengl_works
+from course.doctor import headless, opengl_works
 
 _BACKGROUND = 0x20  # colours stand out, and gaps between points do not dazzle
 _POINT_SIZE = 5  # pixels

@@ -4,44 +4,37 @@ The names below are the library's face. They are loaded on first use (PEP 562), 
 package is quick and Blender's interpreter, which has no torch, can use the geometry.
 """
 
-from __future__ import annotations
-
 import sys
 from importlib import import_module
 from types import ModuleType
 from typing import Any
 
-_EXPORTS = {
-    "OmnistereoError": "errors",
-    "OcamCamera": "rig_files",
-    "fit_inverse_polynomial": "geometry.camera",
-    "Pose": "geometry.pose",
-    "Rig": "rig_files",
-    "load_rig": "rig_files",
-    "camera_pairs": "geometry.rig",
-    "SphereGrid": "geometry.sphere",
-    "Checkerboard": "calibrate.board",
-    "calibrate_camera": "calibrate.camera",
-    "calibrate_rig": "calibrate.rig",
-    "SphereSweep": "stereo.sweep",
-    "ZNCC": "stereo.zncc",
-    "MCCNN": "stereo.mccnn",
-    "SweepNet": "stereo.sweepnet",
-    "VolumeNet": "stereo.volumenet",
-    "LearnedCost": "stereo.learned",
-    "cost_volume": "stereo.volume",
-    "sgm": "stereo.sgm",
-    "winner_takes_all": "stereo.depth",
-    "confidence": "stereo.depth",
-    "Depth": "stereo.depth",
-    "index_error": "stereo.metrics",
-    "sparsification": "stereo.metrics",
-    "load_dataset": "dataset",
-    "load_images": "dataset",
-    "Method": "stereo.methods",
-    "estimate_depth": "stereo.pipeline",
-    "doctor": "doctor",
+_NAMES = {
+    "errors": ["OmnistereoError"],
+    "rig_files": ["OcamCamera", "Rig", "load_rig"],
+    "geometry.camera": ["fit_inverse_polynomial"],
+    "geometry.pose": ["Pose"],
+    "geometry.rig": ["camera_pairs"],
+    "geometry.sphere": ["SphereGrid"],
+    "calibrate.board": ["Checkerboard"],
+    "calibrate.camera": ["calibrate_camera"],
+    "calibrate.rig": ["calibrate_rig"],
+    "stereo.sweep": ["SphereSweep"],
+    "stereo.zncc": ["ZNCC"],
+    "stereo.mccnn": ["MCCNN"],
+    "stereo.sweepnet": ["SweepNet"],
+    "stereo.volumenet": ["VolumeNet"],
+    "stereo.learned": ["LearnedCost"],
+    "stereo.volume": ["cost_volume"],
+    "stereo.sgm": ["sgm"],
+    "stereo.depth": ["winner_takes_all", "confidence", "Depth"],
+    "stereo.metrics": ["index_error", "sparsification"],
+    "dataset": ["load_dataset", "load_images"],
+    "stereo.methods": ["Method"],
+    "stereo.pipeline": ["estimate_depth"],
+    "doctor": ["doctor"],
 }
+_EXPORTS = {name: module for module, names in _NAMES.items() for name in names}
 
 __all__ = list(_EXPORTS)
 

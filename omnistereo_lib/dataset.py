@@ -9,8 +9,7 @@ folder/
   0001/ 0002/ …                                              or one such folder for each rig
 
 The number in the name of a ground-truth folder is its panorama width in pixels: the releases have 640 × 160, our sets
-also 1200 × 300, the panorama size of the paper. Several folders hold the same frames, of which one width is read: the
-widest that has files, unless `load_dataset` is given `gt_width`.
+also 1200 × 300, the panorama size of the paper. Of several widths `load_dataset` reads one.
 
 In our training worlds every frame has its own rig: `things/train/0001/` is a folder in this layout with one frame. They
 form one data set whose frames carry their rigs, `Frame.rig`; `Dataset.rig` is for sets in which all frames share one.

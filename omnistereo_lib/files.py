@@ -1,7 +1,5 @@
 """File access: errors that name the file, and atomic writes."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress

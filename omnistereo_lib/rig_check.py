@@ -4,11 +4,9 @@ Each usual mistake is undone, and the rig is wrong if the images then match much
 cost of the best sphere: below 0.1 where the geometry is right, above 0.3 where unrelated places are compared.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations
+from itertools import combinations, permutations
 
 import numpy as np
 import torch
@@ -31,32 +29,21 @@ _UNITS = {1000: ("mm", "m"), 100: ("cm", "m"), 10: ("mm", "cm")}  # large unit /
 
 @dataclass(frozen=True)
 class RigHypothesis:
-    """A rig with one mistake undone, and how well the images then match.
+    """A rig with one mistake undone, and how well the images then match."""
 
-    Attributes:
-        name: "as given", or the mistake that is undone.
-        cost: Median over the rays of the matching cost of the best sphere, in [0, 1].
-        given_cost: The same for the rig as given.
-    """
-
-    name: str
-    cost: float
-    given_cost: float
+    name: str  # "as given", or the mistake that is undone
+    cost: float  # median over the rays of the matching cost of the best sphere, in [0, 1]
+    given_cost: float  # the same for the rig as given
 
 
 @dataclass(frozen=True)
 class RigCheck:
-    """Result of `check_rig`.
-
-    Attributes:
-        given: The rig as given.
-        alternatives: Mistakes of the whole rig undone, best first.
-        rotated: One camera rotated, costs over its own pairs, largest improvement first. Empty for fewer than 3
-            cameras, or if the rig is wrong already.
-    """
+    """Result of `check_rig`."""
 
     given: RigHypothesis
-    alternatives: list[RigHypothesis]
+    alternatives: list[RigHypothesis]  # mistakes of the whole rig undone, best first
+    # One camera rotated, costs over its own pairs, largest improvement first. Empty for fewer than 3 cameras, or if
+    # the rig is wrong already.
     rotated: list[RigHypothesis]
 
     @property
@@ -187,14 +174,7 @@ def _other_poses(rig: Rig, grid: SphereGrid) -> Iterator[tuple[str, Rig]]:
 def _other_orders(images: list[NDArray]) -> Iterator[tuple[int, ...]]:
     """Yield the other orders of the images: all of them up to four cameras, else swaps of two."""
     n = len(images)
-    for order in permutations(range(n)) if n <= 4 else _swaps(n):
+    swaps = (tuple({i: j, j: i}.get(k, k) for k in range(n)) for i, j in combinations(range(n), 2))
+    for order in permutations(range(n)) if n <= 4 else swaps:
         if order != tuple(range(n)) and all(images[i].shape == images[k].shape for k, i in enumerate(order)):
             yield order
-
-
-def _swaps(n: int) -> Iterator[tuple[int, ...]]:
-    for i in range(n):
-        for j in range(i + 1, n):
-            order = list(range(n))
-            order[i], order[j] = j, i
-            yield tuple(order)

@@ -6,6 +6,8 @@ It is the oracle of the tests: nothing here is shared with the library but the c
 import numpy as np
 
 import omnistereo_lib as osl
+from omnistereo_lib.dataset import write_inverse_depth
+from omnistereo_lib.files import write_image
 
 HALF_SIZE = np.array([2.6, 1.4, 3.1])  # metres from the box's centre to its walls
 CENTER = np.array([0.3, -0.2, 0.4])
@@ -72,3 +74,18 @@ def true_index(rig, grid):
     """The sphere index of the wall on every ray, from the mean of the camera centres."""
     center = np.mean([pose.t for pose in rig.T_rig_cam], 0)
     return grid.depth_to_index(distance(center, grid.rays()))
+
+
+def write_set(folder, still, grid, places):
+    """A data set in the public layout: the rig moved to some places (metres), one frame at each, with ground truth."""
+    (folder / f"omnidepth_gt_{grid.width}").mkdir(parents=True)
+    osl.Rig(still.cameras, still.T_rig_cam, min_depth=grid.min_depth).save(folder / "config.yaml")
+    for number, place in enumerate(places, 1):
+        step = osl.Pose.from_vector([0, 0, 0, *place])
+        moved = osl.Rig(still.cameras, [step @ pose for pose in still.T_rig_cam])
+        for k, picture in enumerate(images(moved, finest=0.25), 1):
+            (folder / f"cam{k}").mkdir(exist_ok=True)
+            write_image(folder / f"cam{k}" / f"{number:04}.png", picture)
+        truth = grid.index_to_inverse_depth(true_index(moved, grid))
+        write_inverse_depth(folder / f"omnidepth_gt_{grid.width}" / f"{number:05}.tiff", truth)
+    return folder

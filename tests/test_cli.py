@@ -109,7 +109,7 @@ def test_doctor_of_a_rig(data, capsys, scene_images):
 @pytest.mark.parametrize("well", [True, False])
 def test_doctor_of_the_installation(monkeypatch, well):
     module = importlib.import_module("omnistereo_lib.doctor")
-    monkeypatch.setattr(module, "check_installation", lambda: well)
+    monkeypatch.setattr(module, "doctor", lambda: well)
     assert run("doctor") == (0 if well else 1)
 
 

@@ -67,7 +67,7 @@ def test_depth_of_the_sample_from_an_empty_folder(run, installed, tmp_path):
 def test_doctor_without_the_clone(run):
     done = run("-m", "omnistereo_lib", "doctor")
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "NOTE  installed without the course: data_samples is not checked" in done.stdout
+    assert "NOTE  packages and data of the course are not checked" in done.stdout
     assert "OK    torch 2" in done.stdout and "matplotlib" not in done.stdout
 
 

@@ -1,7 +1,5 @@
 """The checkerboard: its corners and its symmetries."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,16 +16,13 @@ class Checkerboard:
 
     Board frame, seen from the front: origin at the first corner, x right, y down, z into the board.
 
-    Args:
-        corners: Inner corners, columns and rows: where four squares meet. A board of 13 x 11 squares has 12 x 10.
-        square: Edge of a square, metres.
-
     Raises:
         OmnistereoError: If a count is not an integer of at least 3, or the square has no positive length.
     """
 
+    #: Inner corners, columns and rows: where four squares meet. A board of 13 x 11 squares has 12 x 10.
     corners: tuple[int, int]
-    square: float
+    square: float  #: edge of a square, metres
 
     def __post_init__(self) -> None:
         if len(self.corners) != 2 or not all(count % 1 == 0 and count >= 3 for count in self.corners):

@@ -3,9 +3,7 @@
     minimise over Φ_i, A_i, Θ_i, Θ_k   Σ |x - A_i(Π(M(Θ_i ⋆ Θ_k) X; Φ_i))|²
 
 for the corners x that camera i observes of the board points X in capture k. A single camera is the same problem
-with one Θ_i, the identity.
-
-`params` describes the unknowns.
+with one Θ_i, the identity. The unknowns: see `params`.
 """
 
 from __future__ import annotations
@@ -13,16 +11,13 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import LinearOperator
 from threadpoolctl import threadpool_limits
 
-from omnistereo_lib.calibrate.params import NUM_AFFINE, CalibrationParams, Observations, powers_of
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from omnistereo_lib.calibrate.params import NUM_AFFINE, CalibrationParams, Ints, Observations, powers_of
+from omnistereo_lib.geometry.pose import Floats
 
 _NEWTON_STEPS = 8  # quadratic from the observed radius, which is a few pixels off at first and less later
 

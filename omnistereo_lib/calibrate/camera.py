@@ -1,7 +1,5 @@
 """One camera from views of a board: initial estimate, robust fit, polynomial degree, rejected views, report."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,13 +9,12 @@ from omnistereo_lib.calibrate.board import Checkerboard
 from omnistereo_lib.calibrate.bundle import bundle_adjust
 from omnistereo_lib.calibrate.detect import Progress, detect_views, edge_width, suggest_board
 from omnistereo_lib.calibrate.init import initial_estimate
-from omnistereo_lib.calibrate.params import CalibrationParams, Observations, collect_observations
+from omnistereo_lib.calibrate.params import CalibrationParams, collect_observations
 from omnistereo_lib.calibrate.report import CameraReport
 from omnistereo_lib.calibrate.solution import Solution, distances_of
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.camera import OcamCamera
-
-Floats = NDArray[np.float64]
+from omnistereo_lib.geometry.pose import Floats
 
 DEGREES = (4, 6, 8)  # odd ones add little; beyond 8 nothing was ever gained (notebook 01 shows it)
 _SIGNIFICANT = 2.0  # standard errors by which a higher degree has to lower the cross-validation error
@@ -95,9 +92,6 @@ def calibrate_corners(
     return report.build_camera(max_fov_deg)
 
 
-# --- Input ------------------------------------------------------------------------------------------------
-
-
 def read_views(
     views: Sequence[ArrayLike | None],
     board: Checkerboard,
@@ -107,8 +101,7 @@ def read_views(
 ) -> tuple[list[Floats | None], tuple[int, int], list | None]:
     """Return the corners of each view, width and height of the images, and the images if views are images.
 
-    Raises:
-        OmnistereoError: If there are no views, or corners do not fit the board or come without the image size.
+    Raises an `OmnistereoError` if there are no views, or corners do not fit the board or come without the image size.
     """
     arrays = [None if view is None else np.asarray(view) for view in views]
     given = [array for array in arrays if array is not None]
@@ -167,21 +160,6 @@ def _check_tilts(params: CalibrationParams) -> None:
         )
 
 
-def _try_camera(params: CalibrationParams, observations: Observations) -> OcamCamera | None:
-    """Return the camera as far as there are corners; None if its polynomial is not monotonic there.
-
-    A polynomial of high degree may oscillate where no corners constrain it, such as around the axis of a mirror.
-    """
-    rays = params.intrinsics[0].rays(observations.pixels)
-    try:
-        return params.intrinsics[0].camera(2 * float(np.degrees(np.arccos(rays[:, 2].min()))))
-    except OmnistereoError:
-        return None
-
-
-# --- Choices ----------------------------------------------------------------------------------------------
-
-
 def choose_degree(params: CalibrationParams, views: Sequence[Floats], points: Floats) -> tuple[int, dict[int, float]]:
     """Choose the polynomial degree by 3-fold cross-validation over the views; 4 if there are fewer than 6 views.
 
@@ -211,7 +189,10 @@ def _cv_errors(params: CalibrationParams, views: Sequence[Floats], points: Float
         train, test = np.flatnonzero(~held_out), np.flatnonzero(held_out)
         seen, unseen = (collect_observations([[views[k] for k in part]], points) for part in (train, test))
         fitted = bundle_adjust(params.with_captures(train), seen, loss="soft_l1", tolerance=1e-6)
-        if _try_camera(fitted, seen) is None:
+        reach = np.arccos(fitted.intrinsics[0].rays(seen.pixels)[:, 2].min())
+        try:
+            fitted.intrinsics[0].camera(2 * float(np.degrees(reach)))
+        except OmnistereoError:  # not monotonic where no corners constrain it, such as around the axis of a mirror
             return np.full(len(views), np.inf)
         posed = CalibrationParams(fitted.intrinsics, params.T_cam_rig, params.with_captures(test).T_rig_board)
         posed = bundle_adjust(posed, unseen, loss="soft_l1", fixed="rig", tolerance=1e-6)
@@ -227,20 +208,17 @@ def _bad_views(params: CalibrationParams, views: Sequence[Floats], points: Float
     observations = collect_observations([views], points)
     distance = distances_of(params, observations)
     typical = np.array([np.median(distance[observations.capture == k]) for k in range(len(views))])
-    usual = np.median(typical)
-    return {
-        k: f"reprojection error {error:.2f} px, usual {usual:.2f} px: blurred, moved or misdetected"
-        for k, error in enumerate(typical)
-        if error > _BAD_VIEW * usual
-    }
+    reason = "reprojection error {:.2f} px, usual {:.2f} px: blurred, moved or misdetected"
+    return _far_above_usual(typical, _BAD_VIEW, reason)
 
 
 def _blurred_views(images: Sequence[ArrayLike], views: Sequence[Floats], board: Checkerboard) -> dict[int, str]:
     """Return the views with wider edges than usual: their corners may fit, but not where the board was."""
     widths = np.array([edge_width(image, corners, board) for image, corners in zip(images, views, strict=True)])
-    usual = np.median(widths)
-    return {
-        k: f"blurred: edges {width:.1f} px wide, usual {usual:.1f} px. Check that the board was still"
-        for k, width in enumerate(widths)
-        if width > _BLURRED * usual
-    }
+    reason = "blurred: edges {:.1f} px wide, usual {:.1f} px. Check that the board was still"
+    return _far_above_usual(widths, _BLURRED, reason)
+
+
+def _far_above_usual(values: Floats, factor: float, reason: str) -> dict[int, str]:
+    usual = np.median(values)
+    return {k: reason.format(value, usual) for k, value in enumerate(values) if value > factor * usual}

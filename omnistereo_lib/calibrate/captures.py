@@ -1,7 +1,5 @@
 """Files: captures as one folder per camera with equal file names, detected corners as YAML."""
 
-from __future__ import annotations
-
 import json
 import re
 import warnings
@@ -15,25 +13,18 @@ from numpy.typing import NDArray
 from omnistereo_lib.calibrate.board import Checkerboard
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, read_bytes, read_image
-
-Floats = NDArray[np.float64]
+from omnistereo_lib.geometry.pose import Floats
 
 _SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".webp"}  # not TIFF: data sets keep ground truth in it
 
 
 @dataclass(frozen=True, eq=False)
 class Captures:
-    """Images of a board by one or more cameras.
+    """Images of a board by one or more cameras."""
 
-    Attributes:
-        cameras: Names of the camera folders, in the order of their numbers.
-        names: Names of the captures, sorted.
-        paths: paths[camera][capture], None if a camera has no image of a capture.
-    """
-
-    cameras: tuple[str, ...]
-    names: tuple[str, ...]
-    paths: tuple[tuple[Path | None, ...], ...]
+    cameras: tuple[str, ...]  # names of their folders, in the order of their numbers
+    names: tuple[str, ...]  # of the captures, sorted
+    paths: tuple[tuple[Path | None, ...], ...]  # paths[camera][capture], None if a camera has no image of a capture
 
     def images(self, camera: int) -> list[NDArray[np.uint8] | None]:
         """Read the images of one camera, None where it has none."""
@@ -94,9 +85,6 @@ def _natural(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
 
 
-# --- Corners ---------------------------------------------------------------------------------------------
-
-
 def save_corners(
     path: str | Path, views: dict[str, Floats | None], board: Checkerboard, image_size: tuple[int, int]
 ) -> None:
@@ -121,8 +109,7 @@ def save_corners(
 def load_corners(path: str | Path) -> tuple[dict[str, Floats | None], Checkerboard, tuple[int, int]]:
     """Read what `save_corners` wrote: views, board, image size.
 
-    Raises:
-        OmnistereoError: If the file is missing, not YAML or incomplete; the message names the view.
+    Raises an `OmnistereoError` if the file is missing, not YAML or incomplete; the message names the view.
     """
     import yaml
 

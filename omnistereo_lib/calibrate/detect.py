@@ -5,8 +5,6 @@ corner is refined in a window of half the distance to its neighbours, a quarter 
 rim they are several times smaller than in the middle, and a window of fixed size would see the next corner.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -18,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.calibrate.board import Checkerboard
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.geometry.pose import Floats
 
-Floats = NDArray[np.float64]
 Gray = NDArray[np.uint8]
 Progress = Callable[[Iterable], Iterable]
 
@@ -210,9 +208,6 @@ def _gray(image: ArrayLike) -> Gray:
             raise OmnistereoError("the image has values that are not finite")
         image = np.clip(np.round(image), 0, 255).astype(np.uint8)
     return image if image.ndim == 2 else image[..., :3].mean(axis=2).round().astype(np.uint8)
-
-
-# --- Many views -------------------------------------------------------------------------------------------
 
 
 def detect_views(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -92,9 +91,7 @@ def calibration_figure(report: CameraReport) -> Figure:
 
 
 def save_figure(path: str | Path, report: CameraReport) -> None:
-    """Write `calibration_figure` as a PNG that depends only on the report; nothing where Matplotlib is missing."""
-    if find_spec("matplotlib") is None:
-        return
+    """Write `calibration_figure` as a PNG that depends only on the report."""
     import matplotlib.pyplot as plt
 
     fig = calibration_figure(report)

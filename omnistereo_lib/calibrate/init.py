@@ -5,18 +5,14 @@ of a plane follows from its rays by linear algebra at any angle to the axis: ray
 exist beyond 90°. The F whose planes fit best starts the bundle adjustment.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from omnistereo_lib.calibrate.bundle import BundleProblem, bundle_adjust
+from omnistereo_lib.calibrate.bundle import bundle_adjust
 from omnistereo_lib.calibrate.params import CalibrationParams, Intrinsics, collect_observations
-from omnistereo_lib.geometry.pose import Pose
-
-Floats = NDArray[np.float64]
+from omnistereo_lib.calibrate.solution import distances_of
+from omnistereo_lib.geometry.pose import Floats, Pose
 
 # F = smaller image side / (2 × angle at its edge): from 130° at the edge (mirrors) down to 10° (telephoto).
 _CANDIDATE_EDGE_ANGLES = np.radians([130, 110, 90, 75, 60, 45, 35, 25, 17, 10])
@@ -46,8 +42,7 @@ def initial_estimate(views: Sequence[Floats], points: Floats, image_size: tuple[
         intrinsics = _init_equidistant(image_size, focals[i], farthest)
         params = CalibrationParams((intrinsics,), (Pose.identity(),), tuple(pose for pose, _ in planes[i]))
         params = bundle_adjust(params, observations, loss="soft_l1", steps=_STEPS, tolerance=1e-4)
-        residuals = BundleProblem(params, observations).residuals(params.to_vector()).reshape(-1, 2)
-        error = np.linalg.norm(residuals, axis=-1).clip(max=10.0).mean()  # px; wrong corners do not decide
+        error = distances_of(params, observations).clip(max=10.0).mean()  # px; wrong corners do not decide
         if error < least:
             best, least = params, error
         if least < _GOOD_PX:

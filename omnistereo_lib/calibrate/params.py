@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.geometry.camera import OcamCamera, fit_inverse_polynomial
-from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.geometry.pose import Floats, Pose
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 NUM_AFFINE = 4  # u0, v0, c, d: the parameters of a camera besides its polynomial
@@ -28,16 +27,10 @@ NUM_AFFINE = 4  # u0, v0, c, d: the parameters of a camera besides its polynomia
 
 @dataclass(frozen=True, eq=False)
 class Intrinsics:
-    """One camera's Φ and A as the optimiser sees them.
+    """One camera's Φ and A as the optimiser sees them."""
 
-    Args:
-        vector (array, shape (4 + M,)): u0, v0 (pixels), c, d = e, then α0, α2, …, αM (M numbers for a polynomial of
-            degree M).
-        image_size: Width and height, pixels.
-    """
-
-    vector: Floats
-    image_size: tuple[int, int]
+    vector: Floats  # (4 + M,): u0, v0 (pixels), c, d = e, then the M numbers α0, α2, …, αM of a polynomial of degree M
+    image_size: tuple[int, int]  # width and height, pixels
 
     @property
     def degree(self) -> int:
@@ -73,8 +66,7 @@ class Intrinsics:
     def camera(self, max_fov_deg: float) -> OcamCamera:
         """Return the camera, its inverse polynomial fitted to better than 0.01 px.
 
-        Raises:
-            OmnistereoError: If the polynomial is not monotonic over the field of view.
+        Raises an `OmnistereoError` if the polynomial is not monotonic over the field of view.
         """
         u0, v0, c, d = (float(value) for value in self.vector[:NUM_AFFINE])
         inv_poly = fit_inverse_polynomial(self.poly, max_fov_deg, 3.0 * max(self.image_size))
@@ -83,17 +75,11 @@ class Intrinsics:
 
 @dataclass(frozen=True, eq=False)
 class CalibrationParams:
-    """All unknowns at once.
+    """All unknowns at once."""
 
-    Args:
-        intrinsics: One for each camera, of equal degree.
-        T_cam_rig: The paper's Θ_i: rig → camera. The first is the identity.
-        T_rig_board: The paper's Θ_k: board → rig, one for each capture.
-    """
-
-    intrinsics: tuple[Intrinsics, ...]
-    T_cam_rig: tuple[Pose, ...]
-    T_rig_board: tuple[Pose, ...]
+    intrinsics: tuple[Intrinsics, ...]  # one for each camera, of equal degree
+    T_cam_rig: tuple[Pose, ...]  # the paper's Θ_i: rig → camera; the first is the identity
+    T_rig_board: tuple[Pose, ...]  # the paper's Θ_k: board → rig, one for each capture
 
     def with_degree(self, degree: int) -> CalibrationParams:
         """Return the same unknowns with polynomials of at least this degree."""
@@ -133,19 +119,13 @@ class CalibrationParams:
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """M observed corners.
+    """M observed corners."""
 
-    Args:
-        camera, capture, corner (int arrays, shape (M,)): Indices from 0.
-        pixels: array, shape (M, 2)
-        board_points (array, shape (K, 3)): All corners in the board frame, metres.
-    """
-
-    camera: Ints
+    camera: Ints  # (M,), as the next two: indices from 0
     capture: Ints
     corner: Ints
-    pixels: Floats
-    board_points: Floats
+    pixels: Floats  # (M, 2)
+    board_points: Floats  # (K, 3): all corners in the board frame, metres
 
     @property
     def points(self) -> Floats:

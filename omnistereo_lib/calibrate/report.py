@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omnistereo_lib.calibrate.params import CalibrationParams, Intrinsics
 from omnistereo_lib.geometry.camera import OcamCamera
-from omnistereo_lib.geometry.pose import Pose
-
-Floats = NDArray[np.float64]
+from omnistereo_lib.geometry.pose import Floats, Pose
 
 _RING_DEG = 10
 # Limits for warnings.
@@ -26,17 +23,11 @@ _LARGE_PX = 1.0
 
 @dataclass(frozen=True)
 class ReprojectionErrors:
-    """Reprojection errors of some corners by the three definitions in use.
+    """Reprojection errors of some corners by the three definitions in use."""
 
-    Attributes:
-        rms_px: Root mean square of all u and v residuals (Urban et al. 2015).
-        rms_distance_px: Root mean square distance, √2 larger (OpenCV).
-        mean_px: Mean distance (OCamCalib).
-    """
-
-    rms_px: float
-    rms_distance_px: float
-    mean_px: float
+    rms_px: float  # root mean square of all u and v residuals (Urban et al. 2015)
+    rms_distance_px: float  # root mean square distance, √2 larger (OpenCV)
+    mean_px: float  # mean distance (OCamCalib)
 
     @classmethod
     def from_residuals(cls, residuals: Floats) -> ReprojectionErrors:
@@ -50,11 +41,7 @@ class ReprojectionErrors:
 
 
 class _Report:
-    """Reprojection errors of a report over its inlier residuals."""
-
-    def inlier_residuals(self) -> Floats:
-        """Return the residuals of all inliers, shape (M, 2), px."""
-        raise NotImplementedError
+    """Reprojection errors of a report over its `inlier_residuals()`."""
 
     @property
     def errors(self) -> ReprojectionErrors:
@@ -74,34 +61,20 @@ class _Report:
 
 @dataclass(frozen=True, eq=False)
 class CameraReport(_Report):
-    """Result of the calibration of one camera.
+    """Result of the calibration of one camera."""
 
-    Attributes:
-        views_used: Indices of the views used.
-        rejected: Index of each other view → reason.
-        outliers: Corners of used views that were rejected, worst first.
-        corners: View → (K, 2) px, as observed, NaN where a corner is missing.
-        residuals: View → (K, 2) px, predicted minus observed, NaN where a corner is missing; with outliers.
-        angles: View → (K,) angle of each corner from the optical axis, radians.
-        T_cam_board: View → board → camera.
-        cv_error_px: Degree → mean distance on held-out views, px, if the degree was chosen by cross-validation.
-        covariance (array, shape (4 + degree, 4 + degree)): Covariance of `intrinsics.vector`.
-        sigma_px: Noise of the corners in u and in v, from the residuals.
-        warnings: What is wrong and what to do.
-    """
-
-    views_used: tuple[int, ...]
-    rejected: Mapping[int, str]
-    outliers: tuple[tuple[int, int, float], ...]
-    corners: Mapping[int, Floats]
-    residuals: Mapping[int, Floats]
-    angles: Mapping[int, Floats]
-    T_cam_board: Mapping[int, Pose]
-    cv_error_px: Mapping[int, float]
+    views_used: tuple[int, ...]  #: indices of the views used
+    rejected: Mapping[int, str]  #: index of each other view → reason
+    outliers: tuple[tuple[int, int, float], ...]  #: (view, corner, px) of used views that were rejected, worst first
+    corners: Mapping[int, Floats]  #: view → (K, 2) px, as observed, NaN where a corner is missing
+    residuals: Mapping[int, Floats]  #: view → (K, 2) px, predicted minus observed, NaN as above; with outliers
+    angles: Mapping[int, Floats]  #: view → (K,) angle of each corner from the optical axis, radians
+    T_cam_board: Mapping[int, Pose]  #: view → board → camera
+    cv_error_px: Mapping[int, float]  #: degree → mean distance on held-out views, px, if it was chosen by them
     intrinsics: Intrinsics
-    covariance: Floats
-    sigma_px: float
-    warnings: tuple[str, ...] = ()
+    covariance: Floats  #: (4 + degree, 4 + degree), of `intrinsics.vector`
+    sigma_px: float  #: noise of the corners in u and in v, from the residuals
+    warnings: tuple[str, ...] = ()  #: what is wrong and what to do
     name: str = "camera"
 
     def residuals_used(self) -> dict[int, Floats]:
@@ -141,27 +114,10 @@ class CameraReport(_Report):
             for i in np.unique(ring[np.isfinite(ring)])
         ]
 
-    def ray_uncertainty_deg(self, angles_deg: Floats, azimuths: int = 12) -> Floats:
-        """Return the standard deviation of rays at some angles from the axis, degrees, for the worst azimuth.
-
-        The pixels are fixed where the camera sees those angles; the covariance varies their rays.
-        """
-        camera = self.intrinsics.camera(2.0 * min(float(np.max(angles_deg)) + 0.1, 179.0))
-        theta, phi = np.meshgrid(np.radians(angles_deg), np.linspace(0, 2 * np.pi, azimuths, endpoint=False))
-        rays = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
-        pixels = camera.project(rays, use_direct_poly=True)[0]
-
-        def directions(vector: Floats) -> Floats:
-            return Intrinsics(vector, self.intrinsics.image_size).rays(pixels)
-
-        sigma = standard_deviation(directions, self.intrinsics.vector, self.covariance)
-        return np.degrees(np.linalg.norm(sigma, axis=-1).max(axis=0))
-
     def build_camera(self, max_fov_deg: float | None) -> tuple[OcamCamera, CameraReport]:
         """Return the camera, and the report with warnings; None: the field of view ends at the last corner.
 
-        Raises:
-            OmnistereoError: If the polynomial is not monotonic over the field of view.
+        Raises an `OmnistereoError` if the polynomial is not monotonic over the field of view.
         """
         fov_deg = 2 * self.max_corner_angle_deg if max_fov_deg is None else max_fov_deg
         camera = self.intrinsics.camera(fov_deg)
@@ -228,28 +184,16 @@ def _camera_warnings(report: CameraReport, camera: OcamCamera) -> Iterator[str]:
 
 @dataclass(frozen=True, eq=False)
 class RigReport(_Report):
-    """Result of the calibration of a rig.
+    """Result of the calibration of a rig."""
 
-    Attributes:
-        joint: Each camera in the joint solution; views are captures.
-        single_camera: Each camera calibrated by itself, before.
-        captures_used: Captures in the joint solution.
-        rejected: Capture → reason.
-        shared: (camera, camera) → number of captures that both see.
-        params: All unknowns of the joint solution; captures in the order of `captures_used`.
-        covariance (array, shape (num_rig_params, num_rig_params)): Covariance of the first `params.num_rig_params`
-            unknowns: intrinsics and the poses of cameras 2 ….
-        sigma_px: Noise of the corners in u and in v.
-    """
-
-    joint: tuple[CameraReport, ...]
-    single_camera: tuple[CameraReport, ...]
-    captures_used: tuple[int, ...]
-    rejected: Mapping[int, str]
-    shared: Mapping[tuple[int, int], int]
-    params: CalibrationParams
-    covariance: Floats
-    sigma_px: float
+    joint: tuple[CameraReport, ...]  #: each camera in the joint solution; views are captures
+    single_camera: tuple[CameraReport, ...]  #: each camera calibrated by itself, before
+    captures_used: tuple[int, ...]  #: captures in the joint solution
+    rejected: Mapping[int, str]  #: capture → reason
+    shared: Mapping[tuple[int, int], int]  #: (camera, camera) → number of captures that both see
+    params: CalibrationParams  #: all unknowns of the joint solution; captures in the order of `captures_used`
+    covariance: Floats  #: of its first `num_rig_params` unknowns: intrinsics and the poses of cameras 2 …
+    sigma_px: float  #: noise of the corners in u and in v
     warnings: tuple[str, ...] = ()
 
     def inlier_residuals(self) -> Floats:
@@ -293,20 +237,3 @@ def _rejections(rejected: Mapping[int, str], noun: str, names: Sequence[str] | N
     for view, why in sorted(rejected.items()):
         reasons.setdefault(why, []).append(_name(view, names))
     return [f"{noun}{'s' if len(of) > 1 else ''} {', '.join(of)} rejected: {why}" for why, of in reasons.items()]
-
-
-def standard_deviation(function: Callable[[Floats], Floats], x: Floats, covariance: Floats) -> Floats:
-    """Return the standard deviation of everything a function returns, to first order: √diag(J Σ Jᵀ).
-
-    Derivatives are numerical, along the principal axes of Σ with steps of one standard deviation: coefficients of a
-    polynomial are known together far better than each by itself.
-
-    Args:
-        function: From parameters (n,) to an array of any shape.
-        x: array, shape (n,)
-        covariance (array, shape (n, n)): Covariance of the parameters.
-    """
-    scale = np.sqrt(np.diag(covariance))
-    variances, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
-    steps = (scale[:, None] * axes * np.sqrt(variances.clip(0.0))).T
-    return np.sqrt(sum(np.square((function(x + step) - function(x - step)) / 2.0) for step in steps))

@@ -1,13 +1,11 @@
 """The rig from captures that its cameras share: a spanning tree of relative poses, then one joint adjustment."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
 from omnistereo_lib.calibrate.board import Checkerboard
@@ -18,10 +16,8 @@ from omnistereo_lib.calibrate.params import CalibrationParams, Observations, col
 from omnistereo_lib.calibrate.report import CameraReport, RigReport
 from omnistereo_lib.calibrate.solution import Solution, distances_of
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.geometry.pose import Floats, Pose
 from omnistereo_lib.geometry.rig import Rig
-
-Floats = NDArray[np.float64]
 
 _AGREE = 0.05  # radians between the directions of a corner in two cameras: rough poses are nearer, gross errors not
 _BAD_CAPTURE = 2.0  # times the error of its views in each camera by itself
@@ -72,8 +68,15 @@ def calibrate_rig(
         single.append(report)
         # Drop views that the single-camera calibration rejected.
         corners.append([view if k in report.views_used else None for k, view in enumerate(found)])
-    shared = shared_captures(corners)
-    _check_distinct(corners, shared)
+    shared = {}  # pair of cameras (i < j) → the captures that both see
+    for i, j in combinations(range(len(corners)), 2):
+        both = [k for k, (a, b) in enumerate(zip(corners[i], corners[j], strict=True)) if a is not None is not b]
+        if both and all(np.allclose(corners[i][k], corners[j][k], rtol=0, atol=1e-3, equal_nan=True) for k in both):
+            raise OmnistereoError(
+                f"cameras {i + 1} and {j + 1} have the same corners in all {len(both)} captures that they share: "
+                "they are one camera. Check that no folder of images is a copy of another"
+            )
+        shared |= {(i, j): both} if both else {}
     T_cam_rig = _spanning_tree(shared, single, board)
     corners, rejected = _resolve_board_ambiguity(corners, single, T_cam_rig, board)
     captures = [k for k, view in enumerate(zip(*corners, strict=True)) if any(c is not None for c in view)]
@@ -88,27 +91,6 @@ def calibrate_rig(
         captures = [k for k in captures if k not in bad]
     solution = Solution.solve(params, observations)
     return _build_rig(solution, tuple(captures), tuple(single), rejected, shared, max_fov_deg)
-
-
-# --- The spanning tree ------------------------------------------------------------------------------------
-
-
-def shared_captures(corners: Sequence[Sequence[Floats | None]]) -> dict[tuple[int, int], list[int]]:
-    """Return the captures that each pair of cameras (i < j) shares, without pairs that share none."""
-    shared = {
-        (i, j): [k for k, (a, b) in enumerate(zip(corners[i], corners[j], strict=True)) if a is not None is not b]
-        for i, j in combinations(range(len(corners)), 2)
-    }
-    return {pair: captures for pair, captures in shared.items() if captures}
-
-
-def _check_distinct(corners: Sequence[Sequence[Floats | None]], shared: dict[tuple[int, int], list[int]]) -> None:
-    for (i, j), captures in shared.items():
-        if all(np.allclose(corners[i][k], corners[j][k], rtol=0, atol=1e-3, equal_nan=True) for k in captures):
-            raise OmnistereoError(
-                f"cameras {i + 1} and {j + 1} have the same corners in all {len(captures)} captures that they share: "
-                "they are one camera. Check that no folder of images is a copy of another"
-            )
 
 
 def _spanning_tree(
@@ -136,8 +118,12 @@ def _spanning_tree(
 
 def _relative_pose(i: int, j: int, captures: list[int], single: list[CameraReport], board: Checkerboard) -> Pose:
     """Return T_j_i, on which most shared captures agree: each proposes one for each symmetry of the board."""
-    symmetries = range(len(board.symmetries))
-    proposals = {(k, s): _proposal(i, j, k, s, single, board) for k in captures for s in symmetries}
+    # What T_j_i is if the corners of camera j in capture k are those of camera i in a symmetry of the board.
+    proposals = {
+        (k, s): single[j].T_cam_board[k] @ (single[i].T_cam_board[k] @ board.symmetry_pose(symmetry)).inverse()
+        for k in captures
+        for s, symmetry in enumerate(board.symmetries)
+    }
     errors = {
         key: np.array([min(_direction_errors(T, i, j, k, single, board)) for k in captures])
         for key, T in proposals.items()
@@ -151,12 +137,6 @@ def _relative_pose(i: int, j: int, captures: list[int], single: list[CameraRepor
         )
     chosen = [(k, int(np.argmin(_direction_errors(proposals[best], i, j, k, single, board)))) for k in agree]
     return _mean_pose([proposals[key] for key in chosen])
-
-
-def _proposal(i: int, j: int, k: int, symmetry: int, single: list[CameraReport], board: Checkerboard) -> Pose:
-    """Return T_j_i if the corners of camera j in capture k are those of camera i in this symmetry of the board."""
-    T_i_board = single[i].T_cam_board[k] @ board.symmetry_pose(board.symmetries[symmetry])
-    return single[j].T_cam_board[k] @ T_i_board.inverse()
 
 
 def _direction_errors(
@@ -177,9 +157,6 @@ def _mean_pose(poses: list[Pose]) -> Pose:
     U, _, Vt = np.linalg.svd(np.mean([pose.R for pose in poses], axis=0))
     nearest = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
     return Pose(nearest, np.median([pose.t for pose in poses], axis=0))
-
-
-# --- Captures ---------------------------------------------------------------------------------------------
 
 
 def _resolve_board_ambiguity(
@@ -243,9 +220,6 @@ def _initial_params(
         boards.append(T_cam_rig[i].inverse() @ single[i].T_cam_board[k])
     intrinsics = tuple(report.intrinsics.with_degree(degree) for report in single)
     return CalibrationParams(intrinsics, tuple(T_cam_rig), tuple(boards))
-
-
-# --- Result -----------------------------------------------------------------------------------------------
 
 
 def _build_rig(

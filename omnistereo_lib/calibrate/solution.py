@@ -12,8 +12,7 @@ from omnistereo_lib.calibrate.bundle import BundleProblem, bundle_adjust, estima
 from omnistereo_lib.calibrate.params import CalibrationParams, Observations
 from omnistereo_lib.calibrate.report import CameraReport
 from omnistereo_lib.errors import OmnistereoError
-
-Floats = NDArray[np.float64]
+from omnistereo_lib.geometry.pose import Floats
 
 _OUTLIER_SIGMAS = 6.0
 
@@ -34,44 +33,32 @@ def refine(params: CalibrationParams, observations: Observations) -> tuple[Calib
     Returns:
         inlier_mask: bool array, shape (M,)
     """
+    _, view = np.unique(np.stack([observations.camera, observations.capture]), axis=1, return_inverse=True)
     params = bundle_adjust(params, observations, loss="soft_l1")
     for _ in range(2):  # second round: recover inliers that outliers had biased in the first fit
-        inlier_mask = _within_noise(params, observations)
+        distance = distances_of(params, observations)
+        typical = np.array([np.median(distance[view == k]) for k in range(view.max() + 1)])
+        # The median distance of a two-dimensional normal error is 1.177 σ.
+        inlier_mask = distance <= _OUTLIER_SIGMAS * np.maximum(typical[view], np.median(distance)) / 1.177
         params = bundle_adjust(params, observations.select(inlier_mask))
     return params, inlier_mask
 
 
-def _within_noise(params: CalibrationParams, observations: Observations) -> NDArray[np.bool_]:
-    distance = distances_of(params, observations)
-    _, view = np.unique(np.stack([observations.camera, observations.capture]), axis=1, return_inverse=True)
-    typical = np.array([np.median(distance[view == k]) for k in range(view.max() + 1)])
-    # The median distance of a two-dimensional normal error is 1.177 σ.
-    return distance <= _OUTLIER_SIGMAS * np.maximum(typical[view], np.median(distance)) / 1.177
-
-
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Parameters with their uncertainty.
-
-    Attributes:
-        observations: All corners of the captures used.
-        inlier_mask (bool array, shape (M,)): Corners that the fit used; the others are outliers.
-        sigma_px: Noise of the corners in u and in v.
-        covariance (array, shape (num_rig_params, num_rig_params)): Covariance of intrinsics and camera poses.
-    """
+    """Parameters with their uncertainty."""
 
     params: CalibrationParams
-    observations: Observations
-    inlier_mask: NDArray[np.bool_]
-    sigma_px: float
-    covariance: Floats
+    observations: Observations  # all corners of the captures used
+    inlier_mask: NDArray[np.bool_]  # (M,), corners that the fit used; the others are outliers
+    sigma_px: float  # noise of the corners in u and in v
+    covariance: Floats  # of intrinsics and camera poses, (num_rig_params, num_rig_params)
 
     @classmethod
     def solve(cls, params: CalibrationParams, observations: Observations) -> Solution:
         """Refine initial values and estimate their covariance.
 
-        Raises:
-            OmnistereoError: If the corners do not determine all unknowns.
+        Raises an `OmnistereoError` if the corners do not determine all unknowns.
         """
         params, inlier_mask = refine(params, observations)
         inliers = observations.select(inlier_mask)

@@ -1,7 +1,5 @@
 """The command line: `omnistereo COMMAND`, one module per command."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 import warnings
@@ -29,12 +27,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         with warnings.catch_warnings():
-            warnings.showwarning = _print_warning
+            warnings.showwarning = lambda message, *_: print(f"warning: {message}", file=sys.stderr)
             return options.run(options) or 0
     except OmnistereoError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-
-
-def _print_warning(message: Warning | str, *_: object) -> None:
-    print(f"warning: {message}", file=sys.stderr)

@@ -16,7 +16,6 @@ from omnistereo_lib.errors import OmnistereoError
 
 if TYPE_CHECKING:
     from omnistereo_lib.calibrate.board import Checkerboard
-    from omnistereo_lib.geometry.camera import OcamCamera
     from omnistereo_lib.geometry.rig import Rig
 
 
@@ -45,6 +44,7 @@ def run(options: argparse.Namespace) -> None:
     from omnistereo_lib.calibrate.camera import calibrate_camera
     from omnistereo_lib.calibrate.rig import calibrate_rig
     from omnistereo_lib.files import atomic_write, make_folder
+    from omnistereo_lib.rig_files.ocam import write_ocam_txt
 
     board = Checkerboard(options.board, options.square)
     if options.corners is None:
@@ -56,7 +56,8 @@ def run(options: argparse.Namespace) -> None:
     if len(views) == 1:
         camera, report = calibrate_camera(views[0], board, sizes and sizes[0], **settings)
         reports = [report]
-        written = _write_camera(out, camera)
+        write_ocam_txt(camera, out / "ocam1.txt")
+        written = ["ocam1.txt"]
     else:
         rig, report = calibrate_rig(views, board, sizes, **settings)
         reports = report.joint
@@ -103,13 +104,6 @@ def _read_corners(folder: Path, board: Checkerboard) -> tuple:
     return cameras, names, views, [size for _, _, size in loaded], iter
 
 
-def _write_camera(out: Path, camera: OcamCamera) -> list[str]:
-    from omnistereo_lib.rig_files.ocam import write_ocam_txt
-
-    write_ocam_txt(camera, out / "ocam1.txt")
-    return ["ocam1.txt"]
-
-
 def _write_rig(out: Path, rig: Rig) -> list[str]:
     from omnistereo_lib.rig_files import export_rig, save_rig
     from omnistereo_lib.rig_files.ocam import write_ocam_folder
@@ -128,11 +122,13 @@ def _write_reports(
     from omnistereo_lib.calibrate.captures import save_corners
     from omnistereo_lib.calibrate.figures import save_figure
 
+    has_matplotlib = find_spec("matplotlib") is not None
     for camera, report in zip(cameras, reports, strict=True):
-        save_figure(out / f"report_{camera}.png", report)
+        if has_matplotlib:
+            save_figure(out / f"report_{camera}.png", report)
         views = {name: report.corners.get(k) for k, name in enumerate(names)}
         save_corners(out / f"corners_{camera}.yaml", views, board, report.intrinsics.image_size)
-    if find_spec("matplotlib") is None:
+    if not has_matplotlib:
         print("report_*.png are not written, Matplotlib is not installed: pip install matplotlib")
         return ["corners_*.yaml"]
     return ["report_*.png", "corners_*.yaml"]

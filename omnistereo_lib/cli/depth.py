@@ -3,8 +3,6 @@
 example: omnistereo depth --rig rig.yaml --images 1.png 2.png 3.png 4.png --method sweepnet+sgm
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from pathlib import Path

@@ -3,8 +3,6 @@
 example: omnistereo doctor --rig rig.yaml --images 1.png 2.png 3.png 4.png
 """
 
-from __future__ import annotations
-
 import argparse
 
 from omnistereo_lib.cli.inputs import add_grid, add_input, make_grid, read_input
@@ -21,9 +19,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Print what is in place and what is not; return 1 if something is wrong."""
     if options.rig is None and options.images is None:
-        from omnistereo_lib.doctor import check_installation
+        from omnistereo_lib.doctor import doctor
 
-        return 0 if check_installation() else 1
+        return 0 if doctor() else 1
     from omnistereo_lib.rig_check import check_rig
 
     rig, images, _ = read_input(options)

@@ -3,8 +3,6 @@
 example: omnistereo evaluate --sets sunny indoor --methods zncc+sgm sweepnet+sgm --scale teaching
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

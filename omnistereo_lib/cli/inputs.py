@@ -48,8 +48,7 @@ def add_device(parser: argparse.ArgumentParser, precision: bool = True) -> None:
 def read_input(options: argparse.Namespace) -> tuple[Rig, list[NDArray], Frame | None]:
     """Return the rig, the images and, if there is ground truth, the frame.
 
-    Raises:
-        OmnistereoError: If files are missing or broken, or --images comes without --rig.
+    Raises an `OmnistereoError` if files are missing or broken, or --images comes without --rig.
     """
     from omnistereo_lib.dataset import load_dataset, load_images
     from omnistereo_lib.rig_files import load_rig

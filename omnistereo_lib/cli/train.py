@@ -3,17 +3,11 @@
 example: omnistereo train sweepnet --preset teaching --set steps=100
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from omnistereo_lib.cli.inputs import add_device, is_first_process
 from omnistereo_lib.errors import OmnistereoError
-
-if TYPE_CHECKING:
-    from omnistereo_lib.train import Recipe
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,8 +22,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Train a network, or one by each variant of its recipe; several processes under torchrun share the work."""
-    from omnistereo_lib.train import RECIPES
+    """Train a network to the end, with a progress bar; several processes under torchrun share the work."""
+    from tqdm import tqdm
+
+    from omnistereo_lib.train import RECIPES, train
 
     presets = RECIPES[options.network]
     if options.preset not in presets:
@@ -37,24 +33,12 @@ def run(options: argparse.Namespace) -> None:
     recipe = presets[options.preset].with_overrides(options.set)
     out = options.out or Path("out") / f"{options.network}_{options.preset}"
     first_process = is_first_process()
-    _train(recipe, out, options, "train")
-    if first_process:
-        print(f"{recipe.steps} steps are done; in {out}/: log.csv, state.safetensors, weights.safetensors")
-
-
-def _train(recipe: Recipe, out: Path, options: argparse.Namespace, label: str) -> None:
-    """Train by one recipe to the end, with a progress bar."""
-    from tqdm import tqdm
-
-    from omnistereo_lib.train import train
-
-    first_process = is_first_process()
     bar = None
 
     def progress(row: dict[str, float]) -> None:
         nonlocal bar
         if bar is None:  # the time left counts from the first step of this call
-            bar = tqdm(total=recipe.steps, initial=row["step"], desc=label, unit="step", disable=not first_process)
+            bar = tqdm(total=recipe.steps, initial=row["step"], desc="train", unit="step", disable=not first_process)
         bar.set_postfix(loss=f"{row['loss']:.3f}", error=f"{row['error']:.1%}", refresh=False)
         bar.update()
         if first_process and row["validation_loss"] == row["validation_loss"]:
@@ -66,3 +50,5 @@ def _train(recipe: Recipe, out: Path, options: argparse.Namespace, label: str) -
     )  # fmt: skip
     if bar is not None:
         bar.close()
+    if first_process:
+        print(f"{recipe.steps} steps are done; in {out}/: log.csv, state.safetensors, weights.safetensors")

@@ -1,7 +1,5 @@
 """The methods that are compared: the six of Table II, and the ablations."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -35,8 +33,7 @@ ABLATIONS = {
 def select_methods(names: Sequence[str] = (), ablations: Sequence[str] = ()) -> tuple[Method, ...]:
     """Return the methods of these names and ablations, each once; the six of Table II if none is given.
 
-    Raises:
-        OmnistereoError: If there is no such method or ablation.
+    Raises an `OmnistereoError` if there is no such method or ablation.
     """
     unknown = [name for name in ablations if name not in ABLATIONS]
     if unknown:

@@ -1,7 +1,5 @@
 """Evaluation results: one JSON file per frame and method, with checksums of its inputs so that runs can be merged."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

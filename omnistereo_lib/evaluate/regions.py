@@ -3,8 +3,6 @@
 Regions depend only on the ground-truth index n̂, so that all methods are judged on the same rays.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

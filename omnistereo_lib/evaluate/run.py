@@ -5,8 +5,6 @@ states. So an interrupted run resumes, machines split the frames by shard, their
 merged file is always the same.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace

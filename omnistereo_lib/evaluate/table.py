@@ -1,7 +1,5 @@
 """Result tables, as in Table II and by region, as text, Markdown and CSV, with bootstrap intervals over frames."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Callable
@@ -56,8 +54,7 @@ class Table:
         """Return the table as comma-separated values with six digits, three columns for each number."""
         file = io.StringIO()
         writer = csv.writer(file, lineterminator="\n")
-        ends = [f"{column}{end}" for column in self.columns for end in ("", " low", " high")]
-        writer.writerow([*self.heads, *ends])
+        writer.writerow([*self.heads, *(f"{column}{end}" for column in self.columns for end in ("", " low", " high"))])
         for words, cells in self.rows:
             writer.writerow([*words, *("" if np.isnan(x) else f"{x:.6g}" for x in cells.ravel())])
         return file.getvalue()
@@ -99,7 +96,11 @@ def errors_table(results: Record) -> Table:
     sets = _sets(results)
     rows = []
     for method in _methods(results):
-        cells = [_mean_metrics(results["frames"][name], method.name) for name in sets]
+        cells = []
+        for frames in (results["frames"][name].values() for name in sets):
+            found = [[frame[method.name]["figures"][metric] for metric in METRICS] for frame in frames]
+            known = [row for row in found if None not in row]
+            cells.append(bootstrap(known, lambda mean: mean) if known else np.full((len(METRICS), 3), np.nan))
         rows.append(([method.label], np.concatenate(cells)))
     columns = [f"{name.capitalize()} {metric}" for name in sets for metric in METRICS]
     return Table(["method"], columns, rows, _caption(results, "Means over frames"))
@@ -146,13 +147,6 @@ def _caption(results: Record, what: str) -> str:
         f"{config['width']} × {config['height']}, N = {config['num_spheres']}, pairs = {default.pairs}, "
         f"p1 = {default.p1}, p2 = {default.p2}, whole indices, unless a row says otherwise.{rig}"
     )
-
-
-def _mean_metrics(frames: Record, method: str) -> NDArray[np.float64]:
-    """Return the five metrics with their intervals, (5, 3)."""
-    found = [[frame[method]["figures"][metric] for metric in METRICS] for frame in frames.values()]
-    known = [row for row in found if None not in row]
-    return bootstrap(known, lambda mean: mean) if known else np.full((len(METRICS), 3), np.nan)
 
 
 def _sets(results: Record) -> list[str]:

@@ -20,6 +20,7 @@ from types import ModuleType
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.polynomial.polynomial import polyder
 from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.errors import OmnistereoError
@@ -35,26 +36,16 @@ _NEWTON_STEPS = 4  # starting from 1024 samples, the error falls 1e-3 → 1e-6 �
 class OcamCamera:
     """A fisheye camera with polynomial distortion.
 
-    Args:
-        poly: Direct polynomial f, coefficients from low to high, pixels; f(0) < 0.
-        inv_poly: Inverse polynomial r(t), coefficients from low to high, pixels; see `fit_inverse_polynomial`.
-        center: Image of the optical axis (u, v), pixels.
-        affine: c, d, e of the affine map A, named as in the files: u = x + e y + u0, v = d x + c y + v0.
-        image_size: Width and height, pixels.
-        max_fov_deg: Full field of view in (0, 360]; rays further than half of it from the axis are invalid.
-        mask (array of any numeric type, shape (height, width)): Non-zero where the image is valid; stored as bool.
-            None: everywhere.
-
-    Raises:
-        OmnistereoError: If a parameter is not finite, has the wrong shape or is out of range.
+    Raises an `OmnistereoError` if a parameter is not finite, has the wrong shape or is out of range.
     """
 
-    poly: NDArray[np.float64]
-    inv_poly: NDArray[np.float64]
-    center: tuple[float, float]
-    affine: tuple[float, float, float]
-    image_size: tuple[int, int]
-    max_fov_deg: float = 220.0
+    poly: NDArray[np.float64]  #: direct polynomial f, coefficients from low to high, pixels; f(0) < 0
+    inv_poly: NDArray[np.float64]  #: inverse polynomial r(t), likewise; see `fit_inverse_polynomial`
+    center: tuple[float, float]  #: image of the optical axis (u, v), pixels
+    affine: tuple[float, float, float]  #: c, d, e of A as in the files: u = x + e y + u0, v = d x + c y + v0
+    image_size: tuple[int, int]  #: width and height, pixels
+    max_fov_deg: float = 220.0  #: full field of view in (0, 360]; rays beyond half of it from the axis are invalid
+    #: (height, width), of any numeric type, stored as bool: non-zero where the image is valid; None: everywhere
     mask: NDArray[np.bool_] | None = None
     max_radius: float = field(init=False, repr=False)  # of the field of view, px before A
 
@@ -97,10 +88,6 @@ class OcamCamera:
     @property
     def _max_t(self) -> float:
         return float(np.radians(self.max_fov_deg / 2) - np.pi / 2)
-
-    @property
-    def _search_px(self) -> float:
-        return 3 * max(self.image_size)  # upper bound of the radius for the direct polynomial
 
     def project(self, points: ArrayLike, use_direct_poly: bool = False) -> tuple[Array, Array]:
         """Project points to pixels: A(Π(X; Φ)) (paper, Section III-A).
@@ -153,7 +140,7 @@ class OcamCamera:
         r = xp.hypot(x, y)
         if use_direct_poly:
             t = xp.arctan2(_horner(self.poly, r), r)
-            max_radius, _ = _branch_end(self.poly, self._max_t, self._search_px)
+            max_radius, _ = _branch_end(self.poly, self._max_t, 3 * max(self.image_size))
         else:
             t, max_radius = self._angle_by_root(r), self.max_radius
         sine = xp.cos(t)  # of the angle from the axis, which is t + π/2
@@ -200,8 +187,8 @@ class OcamCamera:
 
     def _radius_by_root(self, t: Array) -> Array:
         """Find the smallest positive root r of f(r) cos t = r sin t by Newton's method."""
-        radii, angles = _monotone_branch(self.poly, self._max_t, self._search_px)
-        slope = _derivative(self.poly)
+        radii, angles = _monotone_branch(self.poly, self._max_t, 3 * max(self.image_size))
+        slope = polyder(self.poly)
         xp = _namespace(t)
         r = _interpolate(xp, t, angles, radii)
         cosine, sine = xp.cos(t), xp.sin(t)
@@ -213,7 +200,7 @@ class OcamCamera:
         """Solve r(t) = r for t by Newton's method, clipped to the field of view."""
         angles = np.linspace(-np.pi / 2, self._max_t, 1024)
         radii = _horner(self.inv_poly, angles)
-        slope = _derivative(self.inv_poly)
+        slope = polyder(self.inv_poly)
         xp = _namespace(r)
         t = _interpolate(xp, r, np.maximum.accumulate(radii), angles)
         for _ in range(_NEWTON_STEPS):
@@ -285,10 +272,6 @@ def _horner(coefficients: NDArray[np.float64], x: Array) -> Array:
         value = value * x
         value += float(coefficient)
     return value
-
-
-def _derivative(coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
-    return coefficients[1:] * np.arange(1, len(coefficients))
 
 
 def _namespace(a: Array) -> ModuleType:

@@ -9,6 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.errors import OmnistereoError
 
+Floats = NDArray[np.float64]
+
 _ROTATION_TOLERANCE = 1e-5  # files print rotations with 6 digits or more
 
 
@@ -16,16 +18,11 @@ _ROTATION_TOLERANCE = 1e-5  # files print rotations with 6 digits or more
 class Pose:
     """A rigid transform T_ab: coordinates in frame b become coordinates in frame a.
 
-    Args:
-        R (array, shape (3, 3)): Rotation matrix; rounding as in printed files, up to 1e-5, is corrected.
-        t (array, shape (3,)): Translation in metres: the origin of frame b in frame a.
-
-    Raises:
-        OmnistereoError: If R or t has the wrong shape, is not finite, or R is not a rotation.
+    Raises an `OmnistereoError` if R or t has the wrong shape, is not finite, or R is not a rotation.
     """
 
-    R: NDArray[np.float64]
-    t: NDArray[np.float64]
+    R: Floats  #: rotation matrix (3, 3); rounding as in printed files, up to 1e-5, is corrected
+    t: Floats  #: translation (3,) in metres: the origin of frame b in frame a
 
     def __post_init__(self) -> None:
         R, t = np.asarray(self.R, np.float64), np.asarray(self.t, np.float64)
@@ -58,7 +55,7 @@ class Pose:
             raise OmnistereoError(f"the pose vector has shape {theta.shape}; expected 6 numbers (rx ry rz tx ty tz)")
         return cls(rotation_from_axis_angle(theta[:3]), theta[3:])
 
-    def as_vector(self) -> NDArray[np.float64]:
+    def as_vector(self) -> Floats:
         """Return Θ = (r, t), shape (6,): axis-angle in radians with |r| ≤ π, then metres."""
         return np.concatenate([axis_angle_from_rotation(self.R), self.t])
 
@@ -66,7 +63,7 @@ class Pose:
         """Return the inverse transform T_ba (paper, Section III-A)."""
         return Pose(self.R.T, -self.R.T @ self.t)
 
-    def __matmul__(self, other: Pose | ArrayLike) -> Pose | NDArray[np.float64]:
+    def __matmul__(self, other: Pose | ArrayLike) -> Pose | Floats:
         """Compose poses (T_ab @ T_bc = T_ac, ⋆ of Section III-A) or transform points (..., 3) from frame b to a."""
         if isinstance(other, Pose):
             return Pose(self.R @ other.R, self.R @ other.t + self.t)
@@ -85,7 +82,7 @@ class Pose:
         return f"Pose(axis-angle {np.degrees(r).round(3).tolist()} deg, t {t.round(4).tolist()} m)"
 
 
-def rotation_from_axis_angle(r: ArrayLike) -> NDArray[np.float64]:
+def rotation_from_axis_angle(r: ArrayLike) -> Floats:
     """Return the rotation matrix R(r), shape (3, 3), by Rodrigues' formula; r in radians, shape (3,)."""
     r = np.asarray(r, np.float64)
     angle = np.linalg.norm(r)
@@ -94,7 +91,7 @@ def rotation_from_axis_angle(r: ArrayLike) -> NDArray[np.float64]:
     return np.eye(3) + np.sinc(angle / np.pi) * K + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * K @ K
 
 
-def axis_angle_from_rotation(R: NDArray[np.float64]) -> NDArray[np.float64]:
+def axis_angle_from_rotation(R: Floats) -> Floats:
     """Return r in radians, shape (3,), with R(r) = R and |r| ≤ π, stable at 0 and at π."""
     # Shepperd's method: each row of this symmetric matrix is the unit quaternion (x, y, z, w) times 4 × one
     # of its components; the row with the largest diagonal entry avoids dividing by a small number.

@@ -22,17 +22,12 @@ Pairs = Literal["ring", "all"] | Sequence[tuple[int, int]]
 class Rig:
     """Two or more cameras and their poses.
 
-    Args:
-        T_rig_cam: Camera → rig, metres: the direction of the public files, the inverse of Θ* in the paper.
-        min_depth: Nearest depth in metres that the rig file proposes for a sweep.
-
-    Raises:
-        OmnistereoError: If there are fewer than two cameras or not one pose per camera.
+    Raises an `OmnistereoError` if there are fewer than two cameras or not one pose per camera.
     """
 
     cameras: tuple[OcamCamera, ...]
-    T_rig_cam: tuple[Pose, ...]
-    min_depth: float | None = None
+    T_rig_cam: tuple[Pose, ...]  #: camera → rig, metres: as in the public files, the inverse of Θ* in the paper
+    min_depth: float | None = None  #: nearest depth in metres that the rig file proposes for a sweep
 
     load: ClassVar[Callable[..., Rig]]  # both attached by `rig_files`: geometry does not read files
     save: ClassVar[Callable[..., None]]

@@ -1,7 +1,5 @@
 """Rays of the panorama and the concentric spheres of the sweep (paper, Section III-B)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from numbers import Real
 from typing import Literal, NamedTuple
@@ -31,26 +29,19 @@ class SphereGrid:
     A ray is ρ(θ, φ) = (cosφ sinθ, sinφ, cosφ cosθ): the centre of the panorama looks along +z, right is +x, down
     is +y. The paper prints (cosφ cosθ, sinφ, cosφ sinθ), which is this rotated by 90° and mirrored.
 
-    Args:
-        width, height: Panorama size W × H in pixels; θ spans the full circle over the columns.
-        phi_deg: First and last elevation φ in degrees, down is positive, within ±90.
-        num_spheres: N, at least 2.
-        min_depth: D_min in metres: the radius of sphere N - 1.
-        max_depth: Radius of sphere 0 in metres; the paper's is infinite.
-        sampling: Ray of a pixel. "center": the ray through the pixel centre. "sweepnet", as the released MATLAB code
-            and its ground truth: θ = (column + 1 - W/2) 2π/W, φ likewise. "omnimvs", as that code: θ = (column - W/2)
-            2π/W, φ from the first to the last elevation, both included.
-
     Raises:
         OmnistereoError: If a size is not an integer, or a size, an angle or a depth is missing or out of range.
     """
 
-    width: int
-    height: int
-    phi_deg: tuple[float, float] = (-45.0, 45.0)
-    num_spheres: int = 192
-    min_depth: float = 0.55
-    max_depth: float = np.inf
+    width: int  #: panorama size W in pixels; θ spans the full circle over the columns
+    height: int  #: panorama size H in pixels
+    phi_deg: tuple[float, float] = (-45.0, 45.0)  #: first and last elevation φ in degrees, down positive, within ±90
+    num_spheres: int = 192  #: N, at least 2
+    min_depth: float = 0.55  #: D_min in metres: the radius of sphere N - 1
+    max_depth: float = np.inf  #: radius of sphere 0 in metres; the paper's is infinite
+    #: Ray of a pixel. "center": the ray through the pixel centre. "sweepnet", as the released MATLAB code and its
+    #: ground truth: θ = (column + 1 - W/2) 2π/W, φ likewise. "omnimvs", as that code: θ = (column - W/2) 2π/W, φ from
+    #: the first to the last elevation, both included.
     sampling: Sampling = "center"
 
     def __post_init__(self) -> None:

@@ -1,7 +1,5 @@
 """basalt calibration JSON: `value0` with `T_imu_cam` (camera → rig), `intrinsics`, `resolution`; metres."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

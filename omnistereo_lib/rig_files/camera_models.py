@@ -7,8 +7,6 @@ References: Usenko et al. 2018, "The double sphere camera model" (double sphere 
 Kannala and Brandt 2006 (here with the four coefficients of OpenCV); Mei and Rives 2007 (omni).
 """
 
-from __future__ import annotations
-
 import logging
 import warnings
 from collections.abc import Callable
@@ -20,8 +18,8 @@ from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.camera import OcamCamera
+from omnistereo_lib.geometry.pose import Floats
 
-Floats = NDArray[np.float64]
 Projected = tuple[Floats, NDArray[np.bool_]]  # uv (..., 2) px, valid (...)
 Projection = Callable[[Floats], Projected]  # of rays (..., 3)
 

@@ -1,7 +1,5 @@
 """COLMAP cameras.txt (OPENCV_FISHEYE) and rig_config.json; written, not read."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from typing import Any

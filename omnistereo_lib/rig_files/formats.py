@@ -1,7 +1,5 @@
 """The formats of rig files: detection, reading any of them, export to other programs."""
 
-from __future__ import annotations
-
 import logging
 import warnings
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Kalibr camchain YAML: `cam0`, `cam1`, … with `T_cn_cnm1` (camera n-1 → camera n); metres; rig frame = cam0."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from pathlib import Path

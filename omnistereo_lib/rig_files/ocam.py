@@ -4,8 +4,6 @@ OCam files keep (row, column) for the centre, the affine map and the image size;
 (width, height) only here, in `ocam_camera` and `ocam_records`.
 """
 
-from __future__ import annotations
-
 import logging
 import warnings
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """config.yaml of OmniMVS: OCam cameras, poses camera → rig, metres."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -10,8 +10,6 @@ OpenCV defines no keys for a rig, so two layouts are read:
 The first camera may omit R and T: it is then the rig frame.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -54,7 +52,10 @@ def read_opencv(data: dict[str, Any], path: Path, max_fov_deg: float | None, uni
     cameras = []
     for name, cam in cams.items():
         with error_context(f"camera {name}"):
-            parameters, image_size = _parse_intrinsics(cam), _parse_size(_with_standard_keys(data) | cam)
+            parameters, sized = _parse_intrinsics(cam), _with_standard_keys(data) | cam
+            size = sized.get("image_size")
+            size = [require_key(sized, f"image_{side}") for side in ("width", "height")] if size is None else size
+            image_size = parse_ints(size, "image_size", 2)
             cameras.append(fit_camera(f"{path}, camera {name}", "kb4", parameters, image_size, max_fov_deg))
     return Rig(cameras, [Pose(pose.R, pose.t * scale) for pose in T_rig_cam])
 
@@ -101,13 +102,6 @@ def _parse_intrinsics(cam: dict[str, Any]) -> dict[str, float]:
         raise OmnistereoError(f"K is {K.tolist()}; expected fx 0 cx, 0 fy cy, 0 0 1")
     names = ("fx", "cx", "fy", "cy", "k1", "k2", "k3", "k4")
     return dict(zip(names, [*K[[0, 2, 4, 5]].tolist(), *D.tolist()], strict=True))
-
-
-def _parse_size(cam: dict[str, Any]) -> tuple[int, ...]:
-    size = cam.get("image_size")
-    if size is None:
-        size = [require_key(cam, "image_width"), require_key(cam, "image_height")]
-    return parse_ints(size, "image_size", 2)
 
 
 def opencv_text(rig: Rig, parameters: Sequence[dict[str, float]]) -> str:

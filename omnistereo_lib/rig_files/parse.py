@@ -1,7 +1,5 @@
 """Values of rig files: JSON and YAML as Python values, and errors that name the file, the camera and the key."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Correlation of the features of all cameras in every cell of a coarse sweep volume; see `volumenet`."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -23,16 +23,14 @@ def winner_takes_all(volume: ArrayLike | Tensor, subindex: bool = False) -> Tens
     """Return the index of the best sphere, n* = argmin_n C(p, n) (paper, Section III-B).
 
     Args:
-        volume (float tensor or array, shape (H, W, N)): Costs; NaN cells are never the best.
+        volume (float tensor or array, shape (H, W, N)): Costs, N ≥ 2; NaN cells are never the best. Another shape
+            raises an `OmnistereoError`.
         subindex: Refine n* to the vertex of the parabola through its cost and the costs of its two neighbours, by at
             most half a sphere. The spheres are evenly spaced in inverse depth, in which the index is linear. An index
             at either end, or next to a NaN, stays.
 
     Returns:
         float32 tensor, shape (H, W): Sphere index; NaN where every cell is NaN.
-
-    Raises:
-        OmnistereoError: If the volume does not have that shape with N ≥ 2.
     """
 
     def best(rows: Tensor) -> Tensor:
@@ -57,13 +55,10 @@ def confidence(volume: ArrayLike | Tensor) -> Tensor:
     its order, which `sparsification` evaluates, hardly does.
 
     Args:
-        volume (float tensor or array, shape (H, W, N)): Costs of at least 0, raw or aggregated; NaN cells are ignored.
+        volume: As for `winner_takes_all`; costs of at least 0, raw or aggregated.
 
     Returns:
         float32 tensor, shape (H, W), in [0, 1]: NaN where every cell is NaN; 1 where there is no n₂.
-
-    Raises:
-        OmnistereoError: If the volume does not have that shape with N ≥ 2.
     """
 
     def peak_ratio(rows: Tensor) -> Tensor:
@@ -88,18 +83,12 @@ def _by_rows(function: Callable[[Tensor], Tensor], volume: ArrayLike | Tensor) -
 
 @dataclass(frozen=True, eq=False)
 class Depth:
-    """A depth panorama around the sweep centre.
+    """A depth panorama around the sweep centre."""
 
-    Attributes:
-        index (float32 array, shape (H, W)): Sphere index n*, fractional with sub-sphere refinement; NaN where no pair
-            of cameras sees the ray.
-        confidence: float32 array, shape (H, W), in [0, 1]
-        sweep: The sweep of the cost volume, with its grid and its rig.
-    """
-
+    #: Sphere index n*, (H, W), fractional with sub-sphere refinement; NaN where no pair of cameras sees the ray.
     index: NDArray[np.float32]
-    confidence: NDArray[np.float32]
-    sweep: SphereSweep
+    confidence: NDArray[np.float32]  #: (H, W), in [0, 1]
+    sweep: SphereSweep  #: of the cost volume, with its grid and its rig
 
     @classmethod
     def from_volume(cls, volume: ArrayLike | Tensor, sweep: SphereSweep, subindex: bool = True) -> Depth:

@@ -78,10 +78,6 @@ class PairNetwork(StoredNetwork):
         """Return the cost in [0, 1] of a score, here the logit of a mismatch."""
         return torch.sigmoid(score)
 
-    def fuse_batch_norm(self) -> PairNetwork:
-        """Return a network without batch norms that computes the same; here there are none."""
-        return self
-
     def pad_columns(self, images: Tensor, start: int, stop: int) -> Tensor:
         """Cut feature columns start … stop - 1, which may lie beyond the seam, out of panoramas, with `padding`."""
         rows, columns = self.padding
@@ -154,8 +150,7 @@ class LearnedCost:
     ) -> Tensor:
         """Return the mean cost over camera pairs (Eq. 2) for a block of spheres; arguments as in `ZNCC`.
 
-        Raises:
-            OmnistereoError: If the network cannot take a panorama of this size.
+        Raises an `OmnistereoError` if the network cannot take a panorama of this size.
         """
         cameras, B, H, W = spherical_images.shape
         device = spherical_images.device

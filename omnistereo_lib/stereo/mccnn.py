@@ -1,7 +1,5 @@
 """MC-CNN, the learned cost of 9 × 9 patches that the paper compares with (Žbontar & LeCun, JMLR 2016)."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any, Literal, Self
 

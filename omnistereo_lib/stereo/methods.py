@@ -22,53 +22,37 @@ from omnistereo_lib.stereo.sgm import sgm
 from omnistereo_lib.stereo.sweepnet import SweepNet
 from omnistereo_lib.stereo.volume import Cost
 from omnistereo_lib.stereo.volumenet import VolumeNet, local_mean
-from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
+from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS, StoredNetwork
 from omnistereo_lib.stereo.zncc import ZNCC
 
 
 @dataclass(frozen=True)
 class CostEntry:
-    """A matching cost in the vocabulary of methods.
+    """A matching cost in the vocabulary of methods."""
 
-    Args:
-        label: Row of a table.
-        load: (method, weights file or None, precision) → the cost object.
-        settings: Settings of `Method` that change this cost.
-        weights: Bundled weights file without .safetensors; "" for a cost without weights.
-        p1, p2: SGM penalties that suit the scale of this cost.
-        read_out: Raw volume (H, W, N) → index and confidence (H, W), in place of `winner_takes_all` and `confidence`.
-    """
-
-    label: str
-    load: Callable[[Method, Path | None, Precision], Cost]
-    settings: frozenset[str]
-    weights: str = ""
-    p1: float = 0.1
+    label: str  # row of a table
+    load: Callable[[Method, Path | None, Precision], Cost]  # with the weights file, if there is one
+    settings: frozenset[str]  # of `Method` that change this cost
+    weights: str = ""  # bundled weights file without .safetensors; "" for a cost without weights
+    p1: float = 0.1  # SGM penalties that suit the scale of this cost
     p2: float = 12.0
+    # Raw volume (H, W, N) → index and confidence (H, W), in place of `winner_takes_all` and `confidence`.
     read_out: Callable[[Tensor], tuple[Tensor, Tensor]] | None = None
 
 
 @cache
-def _read_once(architecture: type[PairNetwork], path: Path, wrap: bool, precision: Precision, _: int) -> LearnedCost:
+def _read_once(architecture: type[StoredNetwork], path: Path, wrap: bool, precision: Precision, _: int) -> Cost:
     network = architecture.from_file(path)
-    network.wrap = network.wrap and wrap
-    return LearnedCost(network, precision)
-
-
-def _learned(architecture: type[PairNetwork], path: Path, wrap: bool, precision: Precision) -> LearnedCost:
-    """Return a network as a cost; a weights file is read once per process, and again after it was rewritten."""
-    return _read_once(architecture, path, wrap, precision, _written(path))
-
-
-@cache
-def _read_volumenet(path: Path, precision: Precision, _: int) -> VolumeNet:
-    network = VolumeNet.from_file(path)
+    if isinstance(network, PairNetwork):
+        network.wrap = network.wrap and wrap
+        return LearnedCost(network, precision)
     network.precision = precision
     return network
 
 
-def _written(path: Path) -> int:
-    return path.stat().st_mtime_ns if path.is_file() else 0
+def _learned(architecture: type[StoredNetwork], path: Path, wrap: bool, precision: Precision) -> Cost:
+    """Return a network as a cost; a weights file is read once per process, and again after it was rewritten."""
+    return _read_once(architecture, path, wrap, precision, path.stat().st_mtime_ns if path.is_file() else 0)
 
 
 COSTS = {  # in the order of Table II
@@ -87,7 +71,7 @@ COSTS = {  # in the order of Table II
     ),
     "volumenet": CostEntry(
         "VolumeNet",
-        lambda method, path, precision: _read_volumenet(path, precision, _written(path)),
+        lambda method, path, precision: _learned(VolumeNet, path, True, precision),
         frozenset({"weights"}),
         "volumenet",
         read_out=local_mean,
@@ -96,47 +80,30 @@ COSTS = {  # in the order of Table II
 
 
 _TYPES = {  # of the settings in a name
-    "window": int,
-    "weights": str,
-    "pairs": str,
-    "p1": float,
-    "p2": float,
-    "wrap": bool,
-    "subindex": bool,
+    "window": int, "weights": str, "pairs": str, "p1": float, "p2": float, "wrap": bool, "subindex": bool,
     "num_spheres": int,
-}
+}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
     """A way from images to sphere indices; the defaults are the paper's except for the pairs.
 
-    Args:
-        cost: A key of `COSTS`.
-        aggregate: Read depth from the raw cost volume, or after semi-global matching.
-        window: Side of the ZNCC window, pixels.
-        weights: Name of the weights file of a network, without .safetensors; "": the bundled one.
-        pairs: See `camera_pairs`.
-        p1, p2: SGM penalties; None: those of the cost.
-        wrap: False: SGM stops at the ±180° seam, and so does every layer of SweepNet.
-        subindex: Refine the index between spheres, see `winner_takes_all`; the paper reports integer indices.
-        num_spheres: N instead of the N of the grid; 0: that of the grid.
-
     Raises:
         OmnistereoError: If a value is out of range, or is set although the method does not use it: a method has one
             name.
     """
 
-    cost: str
-    aggregate: Literal["none", "sgm"] = "none"
-    window: int = 9
-    weights: str = ""
-    pairs: Literal["ring", "all"] = "ring"
-    p1: float | None = None
+    cost: str  #: a key of `COSTS`
+    aggregate: Literal["none", "sgm"] = "none"  #: read depth from the raw cost volume, or after semi-global matching
+    window: int = 9  #: side of the ZNCC window, pixels
+    weights: str = ""  #: name of the weights file of a network, without .safetensors; "": the bundled one
+    pairs: Literal["ring", "all"] = "ring"  #: see `camera_pairs`
+    p1: float | None = None  #: SGM penalties; None: those of the cost
     p2: float | None = None
-    wrap: bool = True
-    subindex: bool = False
-    num_spheres: int = 0
+    wrap: bool = True  #: False: SGM stops at the ±180° seam, and so does every layer of SweepNet
+    subindex: bool = False  #: refine the index, see `winner_takes_all`; the paper reports integer indices
+    num_spheres: int = 0  #: N instead of the N of the grid; 0: that of the grid
 
     def __post_init__(self) -> None:
         for name, choices in (("cost", tuple(COSTS)), ("aggregate", ("none", "sgm")), ("pairs", ("ring", "all"))):
@@ -159,8 +126,7 @@ class Method:
     def parse(cls, name: str | Method) -> Method:
         """Return the method of a name; a method is returned as it is.
 
-        Raises:
-            OmnistereoError: If there is no such method.
+        Raises an `OmnistereoError` if there is no such method.
         """
         if isinstance(name, Method):
             return name
@@ -229,8 +195,7 @@ class Method:
     def load_cost(self, folder: Path = BUNDLED_WEIGHTS, precision: Precision = "auto") -> Cost:
         """Return the matching cost, a network with its weights from a folder.
 
-        Raises:
-            OmnistereoError: If the weights file is missing, damaged, or holds another architecture.
+        Raises an `OmnistereoError` if the weights file is missing, damaged, or holds another architecture.
         """
         return COSTS[self.cost].load(self, self.weights_file(folder), precision)
 

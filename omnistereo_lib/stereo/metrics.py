@@ -1,7 +1,5 @@
 """Errors of a depth panorama (paper, Section IV, Eq. 5 and Table II)."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

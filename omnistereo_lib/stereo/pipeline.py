@@ -1,7 +1,5 @@
 """From images to depth in one call (paper, Fig. 4)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
@@ -31,9 +29,6 @@ def estimate_depth(
     Args:
         images: one array per camera, (height, width) or (height, width, 3), uint8 or float
         method, cost, subindex, progress: See `sweep_depth`.
-
-    Returns:
-        Depth
 
     Raises:
         OmnistereoError: If the inputs do not fit together, no method has that name, there is not enough memory or no

@@ -1,7 +1,5 @@
 """Sphere sweep: warp the fisheye images onto concentric spheres (paper, Section III-B and Eq. 1)."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -25,7 +23,6 @@ _BLOCK = 16  # spheres warped at a time: their cells fill one cache line of the 
 _MAX_ROWS = 32766  # largest output of cv2.remap
 OUTSIDE = -1e5  # px, pixel coordinate of invalid rays; NaN coordinates are undefined in cv2.remap
 _LUT_BUDGET = 2 << 30  # bytes
-
 
 # Pixel coordinates of the rays of one block of spheres in one camera, as (first column, maps of shape (block · H,
 # columns, 2)). Only the visible columns are stored: in one part, or in two if they cross the ±180° seam.
@@ -221,8 +218,7 @@ class SphereSweep:
 def select_device(device: torch.device | str) -> torch.device:
     """Return the device to compute on; under `torchrun`, each process uses its own GPU.
 
-    Raises:
-        OmnistereoError: If PyTorch cannot use a GPU that was asked for.
+    Raises an `OmnistereoError` if PyTorch cannot use a GPU that was asked for.
     """
     device = torch.device(device)
     if device.type == "cuda":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Self
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -10,7 +10,6 @@ from torch.nn.functional import relu_
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.stereo.learned import PairNetwork, full_precision
-from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
 
 
 class SweepNet(PairNetwork):
@@ -25,6 +24,7 @@ class SweepNet(PairNetwork):
             input and zeros in the layers behind it, which makes the seam visible.
     """
 
+    bundled = "sweepnet"
     stride, padding, feature_halo, match_halo = 2, (0, 2), 17, 2
 
     def __init__(self, batch_norm: bool = False, wrap: bool = True) -> None:
@@ -49,11 +49,6 @@ class SweepNet(PairNetwork):
                 kind = nn.BatchNorm1d if isinstance(layer, nn.Linear) else nn.BatchNorm2d
                 self.norms[name] = kind(layer.bias.numel(), momentum=None)  # None: plain means, see `train`
                 layer.bias = None  # the norm subtracts any bias and has its own
-
-    @classmethod
-    def pretrained(cls) -> Self:
-        """Return the bundled network, in evaluation mode."""
-        return cls.from_file(BUNDLED_WEIGHTS / "sweepnet.safetensors")
 
     @property
     def config(self) -> dict[str, Any]:

@@ -1,7 +1,5 @@
 """The cost volume C(p, n): matching costs of all rays on all spheres (paper, Section III-B and Eq. 2)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from typing import Protocol
 
@@ -30,7 +28,6 @@ class Cost(Protocol):
         columns: Sequence[tuple[int, int]] | None = None,
     ) -> Tensor:
         """Return the costs as `ZNCC.__call__` does."""
-        ...
 
 
 def cost_volume(

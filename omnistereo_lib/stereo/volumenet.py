@@ -17,7 +17,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
-from typing import Any, Self
 from weakref import WeakKeyDictionary
 
 import torch
@@ -37,7 +36,7 @@ from omnistereo_lib.stereo.correlation import (
 from omnistereo_lib.stereo.learned import Precision, autocast
 from omnistereo_lib.stereo.sweep import SphereSweep, reduce_images, to_gray, visible_pixels
 from omnistereo_lib.stereo.volume import require_memory
-from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS, StoredNetwork
+from omnistereo_lib.stereo.weights import StoredNetwork
 
 WIDTHS = (16, 32, 48, 64)  # channels of the U-net's levels, each half as wide, high and deep as the one before
 _RADIUS = 2  # spheres on either side of the most probable one that the read-out takes in
@@ -73,10 +72,8 @@ class FeatureNet(nn.Module):
         x = relu(self.first(image[None, None]))
         for first, second in self.blocks:
             x = relu(x + second(relu(first(x))))
-        return self._normalize(self.last(x)[0].float(), visible[::2, ::2])
-
-    def _normalize(self, maps: Tensor, visible: Tensor) -> Tensor:
-        """Give maps (32, h, w) zero mean per channel and unit variance per group over the visible pixels."""
+        maps, visible = self.last(x)[0].float(), visible[::2, ::2]
+        # Zero mean per channel and unit variance per group over the visible pixels.
         count = visible.sum().clamp(min=1)
         maps = (maps - (maps * visible).sum((1, 2), keepdim=True) / count) * visible
         power = (maps.square().sum((1, 2)) / count).view(GROUPS, -1).mean(1)
@@ -115,6 +112,7 @@ class VolumeNet(StoredNetwork):
         precision: Of the matrix products in `whole_volume`; see `uses_bfloat16`.
     """
 
+    bundled = "volumenet"
     precision: Precision = "auto"
 
     def __init__(self) -> None:
@@ -126,20 +124,6 @@ class VolumeNet(StoredNetwork):
         self.up = nn.ModuleList(nn.ModuleList([nn.Conv3d(b, a, 1), Conv3d(a, a)]) for a, b in steps)
         self.head = nn.Conv3d(WIDTHS[0], 1, 3, padding=(0, 1, 1))
         self._prepared: WeakKeyDictionary[SphereSweep, tuple[list[Tensor], list[Tensor]]] = WeakKeyDictionary()
-
-    @classmethod
-    def pretrained(cls) -> Self:
-        """Return the bundled network, in evaluation mode."""
-        return cls.from_file(BUNDLED_WEIGHTS / "volumenet.safetensors")
-
-    def fuse_batch_norm(self) -> VolumeNet:
-        """Return the network itself: its batch norms stay."""
-        return self
-
-    @property
-    def config(self) -> dict[str, Any]:
-        """The arguments that build this architecture: none."""
-        return {}
 
     def correlation(self, images: Sequence[Tensor], visible: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tensor:
         """Return the correlation volume (9, W, H, N) of one frame; see `FeatureNet` and `correlate`."""

@@ -1,13 +1,11 @@
 """Files of tensors: the weights of a network, or the state of a training run. Safetensors, never pickle."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import struct
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -21,9 +19,23 @@ BUNDLED_WEIGHTS = Path(__file__).resolve().parents[1] / "weights"
 
 
 class StoredNetwork(nn.Module):
-    """A network that a file of weights describes completely; `config` holds the arguments that build it."""
+    """A network that a file of weights describes completely."""
 
-    config: dict[str, Any]
+    bundled: ClassVar[str]  # name of the file of the bundled weights, without .safetensors
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The arguments that build this architecture."""
+        return {}
+
+    @classmethod
+    def pretrained(cls) -> Self:
+        """Return the bundled network, in evaluation mode."""
+        return cls.from_file(BUNDLED_WEIGHTS / f"{cls.bundled}.safetensors")
+
+    def fuse_batch_norm(self) -> nn.Module:
+        """Return the network to store: itself. One whose batch norms fold into its layers overrides this."""
+        return self
 
     def save(self, path: str | Path, **metadata: Any) -> None:
         """Write the weights with the architecture and other metadata; raises as `save_tensors`."""

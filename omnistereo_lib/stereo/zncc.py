@@ -1,7 +1,5 @@
 """ZNCC, the matching cost without training (paper, Section III-B and IV)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -25,14 +23,11 @@ class ZNCC:
     A patch holds the pixels of the window that are visible to both cameras; it continues across the ±180° seam.
     A patch without texture costs 0.5: neither match nor mismatch.
 
-    Args:
-        window: Side of the window in pixels, odd; 9 in the paper.
-
     Raises:
         OmnistereoError: If the window is not an odd number of at least 3.
     """
 
-    window: int = 9
+    window: int = 9  #: side of the window in pixels, odd; 9 in the paper
 
     def __post_init__(self) -> None:
         if self.window < 3 or self.window % 2 == 0:

@@ -1,7 +1,5 @@
 """The frames to train on, shared by the samples of all networks."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from pathlib import Path

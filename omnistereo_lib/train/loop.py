@@ -5,8 +5,6 @@ moment resumes to exactly the weights that it would have reached. Several proces
 micro-batches of a step and average their gradients: they compute what one process computes.
 """
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import math
@@ -118,7 +116,11 @@ class _Run:
             self.init_sha256 = hashlib.sha256(read_bytes(init)).hexdigest()
         self.objective = self.samples.objective
         self.parallel = DistributedDataParallel(self.objective, broadcast_buffers=False) if self.world > 1 else None
-        self.optimizer = _make_optimizer(recipe, self.network)
+        settings = {"lr": recipe.learning_rate, "weight_decay": recipe.weight_decay}
+        if recipe.optimizer == "adamw":
+            self.optimizer = torch.optim.AdamW(self.network.parameters(), **settings)
+        else:
+            self.optimizer = torch.optim.SGD(self.network.parameters(), momentum=recipe.momentum, **settings)
 
     def micro_batch(self, purpose: int, k: int) -> Any:
         """Draw micro-batch number k: of a validation frame, or of a training frame, augmented."""
@@ -241,13 +243,6 @@ def _init_distributed(recipe: Recipe, device: torch.device) -> tuple[int, int]:
     return distributed.get_rank(), world
 
 
-def _make_optimizer(recipe: Recipe, network: nn.Module) -> torch.optim.Optimizer:
-    parameters, rate, decay = network.parameters(), recipe.learning_rate, recipe.weight_decay
-    if recipe.optimizer == "adamw":
-        return torch.optim.AdamW(parameters, rate, weight_decay=decay)
-    return torch.optim.SGD(parameters, rate, recipe.momentum, weight_decay=decay)
-
-
 def read_log(path: Path, stop: int) -> list[dict[str, float]]:
     """Return the rows of a log before step `stop`."""
     if stop == 0 or not path.is_file():
@@ -260,5 +255,4 @@ def read_log(path: Path, stop: int) -> list[dict[str, float]]:
 def write_csv(path: str | Path, header: Sequence[str], rows: Iterable[Sequence]) -> None:
     """Write a table, atomically."""
     with atomic_write(path) as temporary, temporary.open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerows([header, *rows])
+        csv.writer(file, lineterminator="\n").writerows([header, *rows])

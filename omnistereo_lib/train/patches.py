@@ -1,7 +1,5 @@
 """Samples and losses of MC-CNN: pairs of 9 × 9 patches that do or do not show the same point."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

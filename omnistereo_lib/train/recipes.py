@@ -1,7 +1,5 @@
 """Recipes: every number that determines a trained network, besides the data, each with its reason."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -89,11 +87,6 @@ class Recipe:
             return self.learning_rate * rising * (0.1 if step >= self.steps * 11 // 14 else 1.0)
         return self.learning_rate * rising * 0.5 * (1 + math.cos(math.pi * step / self.steps))
 
-    @property
-    def file_name(self) -> str:
-        """Name of the bundled weights, without their ending."""
-        return self.network
-
     def as_dict(self) -> dict[str, Any]:
         """Return the recipe as JSON can hold it."""
         return {"network": self.network, **asdict(self)}
@@ -125,12 +118,6 @@ class VolumeNetRecipe(Recipe):
     frames_per_step: int = 1
     batch_frames: int = 2  # in one pass of the U-net, whose batch norms see them all
 
-    @property
-    def file_name(self) -> str:
-        """Name of the bundled weights, without their ending; what was trained on fewer worlds says so."""
-        everything = self.worlds == VolumeNetRecipe.worlds
-        return "_".join([self.network, *([] if everything else self.worlds.split())])
-
 
 @dataclass(frozen=True, kw_only=True)
 class MCCNNRecipe(Recipe):
@@ -146,11 +133,6 @@ class MCCNNRecipe(Recipe):
     negative_low_px: float = 1.5  # non-matches are off by at least this (MC-CNN: 1.5 to 4)
     negative_high_px: float = 6.0  # and at most this (MC-CNN: 6; the accurate variant 18)
     margin: float = 0.2  # of the hinge loss, fast variant
-
-    @property
-    def file_name(self) -> str:
-        """Name of the bundled weights, without their ending."""
-        return f"{self.network}_{self.variant}"
 
     def __post_init__(self) -> None:
         super().__post_init__()

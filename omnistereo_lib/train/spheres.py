@@ -1,7 +1,5 @@
 """Samples and loss of SweepNet: labelled rays on whole spheres (paper, Section III-C and IV)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Samples and loss of VolumeNet: whole frames, each on a grid of its own."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Calibration: cameras and rigs from corners, against lenses and poses that are known."""
+"""Calibration: cameras from corners, against lenses and poses that are known."""
 
 import boards
 import numpy as np
@@ -6,14 +6,15 @@ import pytest
 from boards import BOARD, LENSES, SIZE
 
 import omnistereo_lib as osl
+from course.uncertainty import ray_uncertainty_deg, standard_deviation
 from omnistereo_lib.calibrate.bundle import BundleProblem, bundle_adjust, estimate_covariance
 from omnistereo_lib.calibrate.init import initial_estimate, solve_planar_pose
 from omnistereo_lib.calibrate.params import CalibrationParams, Intrinsics, collect_observations
-from omnistereo_lib.calibrate.report import ReprojectionErrors, standard_deviation
+from omnistereo_lib.calibrate.report import ReprojectionErrors
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Pose
 
-GOOD_DEG, GOOD_M = 0.02, 0.5e-3  # what a rig of this size has to reach
+GOOD_DEG = 0.02  # what a rig of this size has to reach
 
 
 @pytest.fixture(scope="module")
@@ -24,16 +25,6 @@ def views():
 @pytest.fixture(scope="module")
 def fitted(views):
     return osl.calibrate_camera(views[0], BOARD, image_size=SIZE)
-
-
-@pytest.fixture(scope="module")
-def seen_by_four():
-    return boards.captures(np.random.default_rng(3), alone=10, shared=6, noise=0.05)
-
-
-@pytest.fixture(scope="module")
-def rigged(seen_by_four):
-    return osl.calibrate_rig(seen_by_four, BOARD, image_sizes=[SIZE] * 4)
 
 
 def estimate(cameras=2, captures=3, degree=5):
@@ -164,7 +155,7 @@ def test_every_kind_of_lens_is_recovered(lens):
     corners, _ = boards.views(np.random.default_rng(17), lens=lens)
     report = osl.calibrate_camera(corners, BOARD, image_size=SIZE)[1]
     reach = 0.95 * report.max_corner_angle_deg
-    expected = report.ray_uncertainty_deg(np.linspace(1, reach, 10)).max()
+    expected = ray_uncertainty_deg(report, np.linspace(1, reach, 10)).max()
     assert boards.ray_error_deg(report.intrinsics, lens, reach_deg=reach) < 2.5 * expected < 0.1
 
 
@@ -245,7 +236,6 @@ def test_errors_lie_within_the_predicted_covariance():
     [
         (lambda c: c[:1], "1 of 1 views show"),
         (lambda c: [None, *c[:2]], "2 of 2 views"),
-        (lambda c: [view[:-12] for view in c], "108 corners; expected 12 x 10 = 120"),
         (lambda c: [], "there are no views"),
         (lambda c: [None, None], "there are no views"),
     ],
@@ -256,7 +246,7 @@ def test_views_that_cannot_calibrate_a_camera(views, change, said):
 
 
 def test_a_view_with_another_number_of_corners_is_named(views):
-    with pytest.raises(OmnistereoError, match="view 2: 108 corners"):
+    with pytest.raises(OmnistereoError, match="view 2: 108 corners; expected 12 x 10 = 120"):
         osl.calibrate_camera([None, views[0][0], views[0][1][:-12]], BOARD, image_size=SIZE)
     with pytest.raises(OmnistereoError, match=r"camera 1: view c\.png: 108 corners"):
         osl.calibrate_rig([[views[0][0], None, views[0][1][:-12]]] * 2, BOARD, [SIZE] * 2, names=["a", "b", "c.png"])
@@ -338,117 +328,11 @@ def test_the_uncertainty_of_rays_is_what_repeated_noise_shows():
         pixels = boards.CENTER + 200 * np.radians(at)[:, None] * [1.0, 0.0]
         rays.append(report.intrinsics.rays(pixels))
     seen = np.degrees(np.linalg.norm(np.std(rays, axis=0), axis=-1))
-    predicted = report.ray_uncertainty_deg(at)
+    predicted = ray_uncertainty_deg(report, at)
     assert (seen < 1.5 * predicted).all() and (predicted < 2.5 * seen).all()  # predicted: the worst azimuth
-
-
-def test_the_covariance_keeps_what_is_known_best(rigged, seen_by_four):
-    """Rays are known far better than the coefficients that make them: no covariance may lose them in rounding."""
-    report = rigged[1]
-    state = report.params.with_degree(8)
-    seen = collect_observations([[row[k] for k in report.captures_used] for row in seen_by_four], BOARD.points)
-    first = state.intrinsics[0]
-    width = len(first.vector)
-    pixels = boards.CENTER + 200 * np.radians([[10.0], [50.0], [85.0], [100.0]]) * [0.8, 0.6]
-
-    J = BundleProblem(state, seen).jacobian(state.to_vector()).toarray()
-    scale = np.linalg.norm(J, axis=0)
-    _, s, Vt = np.linalg.svd(J / scale, full_matrices=False)
-    steps = (Vt / s[:, None] / scale)[:, :width]  # what moves by one standard deviation, each for itself
-    moved = [Intrinsics(first.vector + step, SIZE).rays(pixels) for step in steps]
-    back = [Intrinsics(first.vector - step, SIZE).rays(pixels) for step in steps]
-    expected = np.sqrt(sum(np.square((a - b) / 2) for a, b in zip(moved, back, strict=True)))
-
-    spread = estimate_covariance(state, seen, 1.0)[:width, :width]
-    found = standard_deviation(lambda v: Intrinsics(v, SIZE).rays(pixels), first.vector, spread)
-    np.testing.assert_allclose(found, expected, rtol=1e-3)
 
 
 def test_standard_deviation_of_a_linear_function():
     A, root = np.random.default_rng(14).normal(size=(5, 3)), np.random.default_rng(15).normal(size=(3, 3))
     spread = standard_deviation(lambda x: A @ x, np.ones(3), root @ root.T)
     assert spread == pytest.approx(np.sqrt(np.diag(A @ root @ root.T @ A.T)))
-
-
-# --- Rig --------------------------------------------------------------------------------------------------
-
-
-def errors_of(rig):
-    """Degrees and metres by which each camera is off, against camera 1."""
-    truth = boards.rig_poses()
-    return [
-        ((truth[0].inverse() @ there).inverse() @ pose).magnitude()
-        for there, pose in zip(truth, rig.T_rig_cam, strict=True)
-    ]
-
-
-def test_a_rig_is_recovered_whatever_end_the_boards_are_read_from(rigged):
-    rig, report = rigged
-    assert rig.T_rig_cam[0].magnitude() == (0, 0)
-    for (angle, shift), (sigma_deg, sigma_m) in zip(errors_of(rig)[1:], report.pose_uncertainty()[1:], strict=True):
-        assert angle < min(GOOD_DEG, 3 * sigma_deg) and shift < min(GOOD_M, 3 * sigma_m)
-    for camera in report.joint:
-        assert boards.ray_error_deg(camera.intrinsics, reach_deg=camera.max_corner_angle_deg) < GOOD_DEG
-    assert report.rejected == {} and report.rms_px == pytest.approx(0.05, abs=0.002)
-    assert set(report.shared) == {(0, 1), (0, 3), (1, 2), (2, 3)} and min(report.shared.values()) >= 5
-    assert "4 cameras" in report.text() and "camera 4:" in report.text()
-
-
-@pytest.mark.parametrize(("degrees", "metres"), [(1.0, 0.005), (20.0, 0.2)])
-def test_a_capture_whose_board_moved_is_named_and_changes_nothing(seen_by_four, rigged, degrees, metres):
-    both = next(k for k in range(40, 64) if seen_by_four[0][k] is not None and seen_by_four[1][k] is not None)
-    report = rigged[1]
-    moved = Pose.from_vector([np.radians(degrees), 0, 0, 0, metres, 0])
-    T_cam_board = report.joint[1].T_cam_board[both] @ moved
-    views = [list(row) for row in seen_by_four]
-    views[1][both] = boards.project(T_cam_board @ BOARD.points)[0]
-    again, other = osl.calibrate_rig(views, BOARD, [SIZE] * 4)
-    assert set(other.rejected) == {both} and "moved" in other.rejected[both]
-    for a, b, (sigma_deg, sigma_m) in zip(
-        again.T_rig_cam[1:], rigged[0].T_rig_cam[1:], report.pose_uncertainty()[1:], strict=True
-    ):
-        angle, shift = (a.inverse() @ b).magnitude()
-        assert angle < sigma_deg and shift < sigma_m
-
-
-def test_cameras_that_share_no_capture(seen_by_four):
-    views = [list(row) for row in seen_by_four]
-    for k in range(len(views[0])):  # cameras 1 and 2 against 3 and 4
-        if (views[0][k] is not None or views[1][k] is not None) and (
-            views[2][k] is not None or views[3][k] is not None
-        ):
-            views[2][k] = views[3][k] = None
-    with pytest.raises(OmnistereoError, match="cameras 1 and 2 / 3 and 4 are not connected"):
-        osl.calibrate_rig(views, BOARD, [SIZE] * 4)
-
-
-def test_captures_that_are_shuffled_contradict_each_other(seen_by_four):
-    views = [list(row) for row in seen_by_four]
-    views[1] = views[1][::-1]
-    with pytest.raises(OmnistereoError, match=r"inconsistent relative poses|not connected"):
-        osl.calibrate_rig(views, BOARD, [SIZE] * 4)
-
-
-def test_what_a_rig_needs(seen_by_four):
-    with pytest.raises(OmnistereoError, match="at least two cameras"):
-        osl.calibrate_rig(seen_by_four[:1], BOARD, [SIZE])
-    with pytest.raises(OmnistereoError, match="equally many captures"):
-        osl.calibrate_rig([seen_by_four[0], seen_by_four[1][:-1]], BOARD, [SIZE] * 2)
-    with pytest.raises(OmnistereoError, match=r"camera 2: (0 of 0 views|there are no views)"):
-        osl.calibrate_rig([seen_by_four[0], [None] * 64], BOARD, [SIZE] * 2)
-
-
-def test_one_camera_given_twice(seen_by_four):
-    with pytest.raises(OmnistereoError, match=r"cameras 1 and 3 have the same corners in all .* captures"):
-        osl.calibrate_rig([*seen_by_four[:2], seen_by_four[0]], BOARD, [SIZE] * 3)
-
-
-def test_few_shared_captures_and_cameras_that_move(seen_by_four):
-    rng = np.random.default_rng(16)
-    views = [list(row) for row in seen_by_four]
-    for k in range(40, 64):  # between the exposures each board moves a little
-        if views[2][k] is not None:
-            azimuth = rng.uniform(0, 2 * np.pi)
-            views[2][k] = views[2][k] + 3.0 * np.array([np.cos(azimuth), np.sin(azimuth)])
-    text = osl.calibrate_rig(views, BOARD, [SIZE] * 4)[1].text()
-    assert "taken at the same time" in text

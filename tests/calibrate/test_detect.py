@@ -276,12 +276,13 @@ def test_images_of_different_sizes(picture):
         detect_views([picture, None, picture[:, :700]], BOARD)
 
 
-def test_the_size_that_would_fit_is_said(picture):
+def test_the_size_that_would_fit_is_said(picture, corners):
+    (left, top), (right, bottom) = corners.min(axis=0).astype(int) - 50, corners.max(axis=0).astype(int) + 50
+    picture = np.ascontiguousarray(picture[top:bottom, left:right])  # no more than the board: many sizes are tried
     with pytest.raises(OmnistereoError, match=r"Pass 12 x 10 inner corners .* found in 1"):
         detect_views([picture], Checkerboard((11, 8), 0.06))
     with pytest.raises(OmnistereoError, match="counts inner corners"):
         detect_views([np.full_like(picture, 128)], BOARD)
-    assert suggest_board([np.full_like(picture, 128)], BOARD) is None
     assert suggest_board([picture], Checkerboard((11, 8), 0.06), only_larger=True) == ((12, 10), 1)
     assert suggest_board([picture], Checkerboard((13, 10), 0.06), only_larger=True) is None
 

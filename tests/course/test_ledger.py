@@ -11,19 +11,13 @@ from typing import get_args
 
 import numpy as np
 import pytest
-import scene
 
 import omnistereo_lib as osl
 from course import findings, formulas, ledger
-from course.__main__ import main
 from course.claims import CLAIMS, DIFFERENCES
 from course.findings import EXACT, LIGHTS, PAPER_TABLE, TOLERANCE, Verdict
-from course.ledger import MARKERS, split_at_markers, write_ledger
-from omnistereo_lib import cli
-from omnistereo_lib.dataset import write_inverse_depth
-from omnistereo_lib.evaluate import METHODS, SCALES, Scale, errors_table
+from omnistereo_lib.evaluate import METHODS, SCALES, errors_table
 from omnistereo_lib.evaluate.regions import METRICS, REGIONS, SUMS
-from omnistereo_lib.files import write_image
 
 ROOT = Path(__file__).resolve().parents[2]
 PLANNED = {"05_mccnn", "06_sweepnet", "08_evaluation", "09_your_own_rig", "10_render_a_city"}
@@ -361,108 +355,3 @@ def test_the_ledger_says_where_its_figures_come_from():
     assert "frames 2 of cloudy, 2 of sunny, 2 of sunset; 1200 × 300, N = 192; checksums: settings `" in text
     assert "sweepnet.safetensors `abababababab`" in text and "within 20 % of the paper's" in text
     assert "no results were given" in ledger.ledger()
-
-
-# ---- the file
-
-OPEN, CLOSE = MARKERS
-
-
-def test_only_what_is_between_the_markers_is_replaced(tmp_path):
-    path = tmp_path / "README.md"
-    head, tail = f"# Tïtle\r\n\r\n{OPEN}", f"{CLOSE}\n\ntail without a newline"
-    path.write_bytes(f"{head}\nold\n{tail}".encode())
-    write_ledger(path, record())
-    expected = f"{head}\n{ledger.ledger(record())}{tail}"
-    assert path.read_bytes().decode() == expected
-    write_ledger(path, record())
-    assert path.read_bytes().decode() == expected
-    assert split_at_markers(path) == (head, tail) and list(tmp_path.iterdir()) == [path]
-    write_ledger(path)
-    assert "no results were given" in path.read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize(
-    ("text", "counts"),
-    [("# Nothing\n", "0 × .* 0 × "), (f"{OPEN}\n", "1 × .* 0 × "), (f"{CLOSE}\n{OPEN}\n", "1 × .* 1 × "),
-     (f"{OPEN}\n{CLOSE}\n{OPEN}\n", "2 × .* 1 × ")],
-    ids=["none", "no end", "wrong order", "two"],
-)  # fmt: skip
-def test_files_without_their_markers_are_named_and_left_alone(tmp_path, text, counts):
-    path = tmp_path / "README.md"
-    path.write_text(text)
-    with pytest.raises(osl.OmnistereoError, match=rf"README.md holds {counts}.*: expected one line of each"):
-        write_ledger(path)
-    assert path.read_text() == text and list(tmp_path.iterdir()) == [path]
-
-
-def test_files_that_are_no_text(tmp_path):
-    with pytest.raises(osl.OmnistereoError, match=r"none.md cannot be read"):
-        write_ledger(tmp_path / "none.md")
-    (tmp_path / "picture.md").write_bytes(b"\xff\xd8\xff")
-    with pytest.raises(osl.OmnistereoError, match=r"picture.md is no text in UTF-8"):
-        write_ledger(tmp_path / "picture.md")
-
-
-def test_a_ledger_that_fails_leaves_the_file_as_it_was(tmp_path, monkeypatch):
-    path = tmp_path / "README.md"
-    path.write_text(f"{OPEN}\nold\n{CLOSE}\n")
-    monkeypatch.setattr(Path, "replace", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")))
-    with pytest.raises(osl.OmnistereoError, match=r"README.md cannot be written: No space left"):
-        write_ledger(path)
-    assert path.read_text() == f"{OPEN}\nold\n{CLOSE}\n" and list(tmp_path.iterdir()) == [path]
-
-
-# ---- the command line
-
-
-@pytest.fixture
-def sunny(tmp_path):
-    """One frame of the box in a folder that is called as the paper's set is."""
-    folder, grid = tmp_path / "sunny", osl.SphereGrid(48, 12, (-45, 45), 8, 0.6)
-    rig = scene.rig(width=200, height=192)
-    (folder / "omnidepth_gt_48").mkdir(parents=True)
-    osl.Rig(rig.cameras, rig.T_rig_cam, min_depth=0.6).save(folder / "config.yaml")
-    for k, picture in enumerate(scene.images(rig, finest=0.25), 1):
-        (folder / f"cam{k}").mkdir()
-        write_image(folder / f"cam{k}" / "0001.png", picture)
-    truth = grid.index_to_inverse_depth(scene.true_index(rig, grid))
-    write_inverse_depth(folder / "omnidepth_gt_48" / "00001.tiff", truth)
-    return folder
-
-
-def evaluate(folder, *words):
-    words = [
-        "--sets",
-        folder,
-        "--methods",
-        "zncc",
-        "zncc+sgm",
-        "--scale",
-        "paper",
-        "--out",
-        folder.parent / "out",
-        *words,
-    ]
-    return cli.main(["evaluate", *map(str, words)])
-
-
-def test_the_command_line_updates_the_ledger(sunny, tmp_path, monkeypatch):
-    monkeypatch.setitem(SCALES, "paper", Scale(48, 12, 8))
-    monkeypatch.setattr(findings, "PAPER_SCALE", "48 × 12, N = 8")
-    readme = tmp_path / "README.md"
-    readme.write_text(f"# Title\n{OPEN}\n{CLOSE}\n")
-    assert evaluate(sunny) == 0
-    assert main(["ledger", str(readme), "--results", str(sunny.parent / "out" / "results.json")]) == 0
-    text = readme.read_text(encoding="utf-8")
-    assert "frames 1 of sunny; 48 × 12, N = 8" in text and "| ZNCC + SGM, Sunny |" in text
-    row = next(line for line in text.splitlines() if line.startswith("| ZNCC + SGM, Sunny |"))
-    assert "not evaluated" not in row and row.count("÷ ZNCC") == 2
-    assert "no ZNCC on cloudy" in text
-
-
-def test_a_file_without_markers_is_refused(tmp_path, capsys):
-    readme = tmp_path / "README.md"
-    readme.write_text("# Title\n")
-    assert main(["ledger", str(readme)]) == 2
-    assert capsys.readouterr().err.startswith(f"error: {readme} holds 0 × {OPEN} and 0 × {CLOSE}")

@@ -1,74 +1,13 @@
 """The notebooks' own tests are tested: what deviates must be found, and only that."""
 
-import asyncio
-import os
-import re
-import shutil
-import subprocess
-import sys
-from queue import Empty
-
 import nbformat
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
+from nbformat.v4 import new_markdown_cell
+from notebook_cells import FACTS, SLIDER, code, framed, nbval, notebook, write
 
 from course import nbtools
-from course.plot import captions
-
-FACTS = {"title": "Tiny", "learn": "nothing", "needs": "CPU", "minutes_to_read": 1, "budget_s": 60}
-DRAWING = """import matplotlib.pyplot as plt
-from course.plot import show
-
-fig, ax = plt.subplots(figsize=(2, 1))
-ax.plot([0, 1])
-show(fig, "04 one ray")
-"""
-SLIDER = """from ipywidgets import interact
-
-@interact(n=(0, 9))
-def picture(n=3):
-    print("n is", n)
-    return n
-"""
-OPENING = "# Tiny\n\n**You will** see.\n\n**Before you start:** nothing. **Next:** nothing."
-CLOSING = """## Exercises
-
-**00.1 (warm-up).** Look.
-
-**00.2 (open).** Look again.
-
-## Common errors
-
-## Takeaways
-
-## Further reading"""
-
-
-def code(source, *tags, printed=None, count=1):
-    """A code cell, stored with what it is said to have printed."""
-    outputs = [] if printed is None else [nbformat.v4.new_output("stream", name="stdout", text=printed)]
-    return new_code_cell(source, metadata={"tags": list(tags)}, outputs=outputs, execution_count=count)
-
-
-def notebook(*cells, **metadata):
-    return new_notebook(cells=list(cells), metadata={"omnistereo": FACTS} | metadata)
-
-
-def write(path, nb):
-    nbformat.write(nb, path)
-    return path
-
-
-@pytest.fixture
-def stand_in(tmp_path, monkeypatch):
-    """An `omnistereo_lib` whose doctor is always content: the setup cell is not what is tested here."""
-    (tmp_path / "sitecustomize.py").write_text(
-        "import omnistereo_lib\nomnistereo_lib.doctor = lambda short: print('OK')\n", encoding="utf-8"
-    )
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), str(nbtools.ROOT)]))
-    return tmp_path
 
 
 # --- The comparison, one nbval run over all cases -----------------------------------------------------------
@@ -105,24 +44,6 @@ CASES = {  # code, tags, what is stored, whether the two agree
 }
 
 
-def nbval(path):
-    """Run nbval as `make test` does, in a folder with our conftest: for each cell, did it pass?"""
-    shutil.copy(nbtools.ROOT / "conftest.py", path.parent)
-    sanitize = nbtools.ROOT / "tests" / "nbval_sanitize.cfg"
-    options = ["--nbval", "--nbval-current-env", f"--nbval-sanitize-with={sanitize}", "-rA", "--color=no"]
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", *options, "-p", "no:cacheprovider", path.name],
-        cwd=path.parent,
-        capture_output=True,
-        text=True,
-        env={key: value for key, value in os.environ.items() if not key.startswith("PYTEST_")},
-    )
-    said = re.findall(rf"^(PASSED|FAILED) {path.name}::Cell (\d+)", done.stdout, re.MULTILINE)
-    verdicts = {int(number): verdict == "PASSED" for verdict, number in said}
-    assert verdicts, done.stdout + done.stderr
-    return [verdicts[number] for number in range(len(verdicts))]
-
-
 @pytest.fixture(scope="module")
 def verdicts(tmp_path_factory):
     cells = [code(source, *tags, printed=printed) for source, tags, printed, _ in CASES.values()]
@@ -136,11 +57,6 @@ def test_comparison(verdicts, case):
 
 
 # --- Clean, check -------------------------------------------------------------------------------------------
-
-
-def framed(*cells):
-    """Cells between the texts with which every notebook opens and closes."""
-    return notebook(new_markdown_cell(OPENING), *cells, new_markdown_cell(CLOSING))
 
 
 def good(*more):
@@ -337,69 +253,6 @@ def test_every_rounding_of_a_printed_number_is_carried(number, places):
 def test_no_other_number_is_carried(printed, written):
     nb = notebook(code("f()", printed=f"{printed}\n"), new_markdown_cell(f"exactly {written} px"))
     assert bool(list(nbtools._numbers(nb))) == (printed != written)
-
-
-# --- Run ----------------------------------------------------------------------------------------------------
-
-
-def test_run_stores_a_notebook_that_guard_nbval_and_a_second_run_accept(stand_in):
-    nb = framed(*map(code, [nbtools.SETUP, DRAWING, SLIDER, "2 * 0.25"]))
-    path = write(stand_in / "tiny.ipynb", nb)
-    assert nbtools.main("run", [path]) == 0
-    first = path.read_text(encoding="utf-8")
-    assert nbtools.main("lint", [path]) == 0
-    assert nbval(path) == [True] * 4
-    assert nbtools.main("run", [path]) == 0
-    assert path.read_text(encoding="utf-8") == first
-    cells = nbtools.code_cells(nbformat.reads(first, as_version=4))
-    assert [cell.execution_count for cell in cells] == [1, 2, 3, 4]
-    assert cells[1].outputs[0].metadata["image/png"]["alt"] == captions()["04 one ray"]["alt"]
-    assert cells[1].outputs[1].data["text/markdown"] == f"*Figure:* {captions()['04 one ray']['caption']}"
-    assert sorted(file.name for file in stand_in.glob("*.ipynb*")) == ["tiny.ipynb"]
-
-
-def test_a_message_that_wakes_nobody_is_found_a_second_later(monkeypatch):
-    looks = []
-
-    async def look(_, timeout):
-        looks.append(timeout)
-        await asyncio.sleep(timeout / 100)
-        if len(looks) < 3:
-            raise Empty
-        return "message"
-
-    monkeypatch.setattr(nbtools.AsyncZMQSocketChannel, "get_msg", look)
-    channel = nbtools._Channel.__new__(nbtools._Channel)
-    assert asyncio.run(channel.get_msg(timeout=None)) == "message"
-    assert looks == [1, 1, 1]
-    looks.clear()
-    with pytest.raises(Empty):
-        asyncio.run(channel.get_msg(timeout=0))
-    assert looks == [0]
-
-
-def test_kernels_are_asked_through_the_channel_that_looks_again():
-    client = nbtools._Manager(kernel_name="python3").client_factory()
-    assert type(client) is nbtools._Client
-    assert client.shell_channel_class is client.iopub_channel_class is nbtools._Channel
-
-
-@pytest.mark.parametrize(
-    ("source", "budget", "said"),
-    [
-        ("1 / 0", 60, "ZeroDivisionError"),
-        ("import warnings\nwarnings.warn('old')", 60, "a warning"),
-        ("import time\ntime.sleep(1)", 1, "its budget is 1 s"),
-    ],
-)
-def test_run_keeps_the_file_as_it_was_when_something_is_wrong(stand_in, capsys, source, budget, said):
-    nb = notebook(code(nbtools.SETUP), code(source), omnistereo=FACTS | {"budget_s": budget})
-    path = write(stand_in / "tiny.ipynb", nb)
-    before = path.read_bytes()
-    assert nbtools.main("run", [path]) == 1
-    assert said in capsys.readouterr().err
-    assert path.read_bytes() == before
-    assert sorted(file.name for file in stand_in.glob("*.ipynb*") if not file.is_dir()) == ["tiny.ipynb"]
 
 
 # --- README -------------------------------------------------------------------------------------------------

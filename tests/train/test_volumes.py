@@ -9,9 +9,8 @@ import torch
 from torch.nn.functional import interpolate
 
 import omnistereo_lib as osl
-from course.ship import export_weights
-from omnistereo_lib.dataset import load_dataset, write_inverse_depth
-from omnistereo_lib.files import write_image
+from course.ship import export_weights, file_name
+from omnistereo_lib.dataset import load_dataset
 from omnistereo_lib.stereo import correlation
 from omnistereo_lib.stereo.weights import load_tensors
 from omnistereo_lib.train import RECIPES, VolumeNetRecipe, train
@@ -28,20 +27,9 @@ def small_volumes(monkeypatch):
 @pytest.fixture(scope="module")
 def data(tmp_path_factory):
     """Three frames of a rig in the box, with ground truth of 90° × 360°."""
-    folder = tmp_path_factory.mktemp("box")
-    still = scene.rig(width=100, height=96)
-    osl.Rig(still.cameras, still.T_rig_cam, min_depth=0.6).save(folder / "config.yaml")
     grid = osl.SphereGrid(256, 64, (-45, 45), 16, 0.6)
-    (folder / "omnidepth_gt_256").mkdir()
-    for number in (1, 2, 3):
-        step = osl.Pose.from_vector([0, 0, 0, 0.2 * number - 0.4, 0, 0.1 * number])
-        moved = osl.Rig(still.cameras, [step @ pose for pose in still.T_rig_cam])
-        for k, picture in enumerate(scene.images(moved, finest=0.25), 1):
-            (folder / f"cam{k}").mkdir(exist_ok=True)
-            write_image(folder / f"cam{k}" / f"{number:04}.png", picture)
-        truth = grid.index_to_inverse_depth(scene.true_index(moved, grid))
-        write_inverse_depth(folder / "omnidepth_gt_256" / f"{number:05}.tiff", truth)
-    return folder
+    places = [(0.2 * number - 0.4, 0, 0.1 * number) for number in (1, 2, 3)]
+    return scene.write_set(tmp_path_factory.mktemp("volumes") / "box", scene.rig(width=100, height=96), grid, places)
 
 
 def test_the_ground_truth_turns_with_the_grid(data):
@@ -131,7 +119,7 @@ def test_every_preset_makes_a_step(data, tmp_path):
     ("worlds", "name"), [("sunny streets things rooms", "volumenet"), ("sunny", "volumenet_sunny")]
 )
 def test_the_file_of_weights_says_what_they_learned_from(worlds, name):
-    assert replace(TINY, worlds=worlds).file_name == name
+    assert file_name(replace(TINY, worlds=worlds)) == name
 
 
 def test_frames_without_depth_in_the_swept_range_are_refused(data):

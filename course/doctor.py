@@ -1,0 +1,97 @@
+"""Check of the clone: the packages that environment.txt pins, the data, and whether PyVista can draw."""
+
+import hashlib
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from omnistereo_lib.doctor import Check, check_machine, check_python, installed_version, print_checks
+
+_ROOT = Path(__file__).resolve().parents[1]
+_PROBE_SECONDS = 60
+
+_RENDER_PROBE = """
+import pyvista
+plotter = pyvista.Plotter(off_screen=True, window_size=(64, 64))
+plotter.add_mesh(pyvista.Sphere())
+assert plotter.screenshot(return_img=True).std() > 0
+"""
+
+
+def doctor(short: bool = False) -> None:
+    """Print the result of `check_clone`: the first cell of every notebook."""
+    check_clone(short)
+
+
+def check_clone(short: bool = False) -> bool:
+    """Print what is installed and what is missing, with the fix; return whether nothing failed.
+
+    Args:
+        short: Only Python, the packages and the data, in one line if nothing failed. Otherwise one line for each, and
+            notes on OpenGL, cores and memory, which do not count as failures.
+    """
+    checks = [*check_python(), *_pinned_packages(), *_data()]
+    return print_checks(checks, () if short else (*_opengl(), *check_machine()), "Python, packages and data", short)
+
+
+def _pinned_packages() -> Iterator[Check]:
+    """Compare the installed packages with environment.txt."""
+    pins = re.findall(r"^([\w-]+)==(\S+)", (_ROOT / "environment.txt").read_text(), re.MULTILINE)
+    for name, pinned in pins:
+        found = installed_version(name)
+        if found.split("+")[0] == pinned:
+            yield True, f"{name} {found}"
+        else:
+            fix = "pip install -r environment.txt"
+            yield False, f"{name} is {found}, the course is tested with {pinned}: {fix}"
+
+
+def _data() -> Iterator[Check]:
+    """Compare data_samples with its manifest."""
+    manifest = _ROOT / "data_samples" / "manifest.json"
+    fix = "git checkout data_samples"
+    if not manifest.is_file():
+        yield False, f"{manifest.name} is missing from data_samples: {fix}"
+        return
+    try:
+        files = json.loads(manifest.read_text())["files"]
+    except (ValueError, KeyError):
+        yield False, f"{manifest.name} is broken: {fix}"
+        return
+    broken = [name for name, checksum in files.items() if _sha256(manifest.parent / name) != checksum]
+    if broken:
+        some = ", ".join(broken[:3]) + (" …" if len(broken) > 3 else "")
+        yield False, f"{len(broken)} of {len(files)} data files are missing or changed ({some}): {fix}"
+    else:
+        yield True, f"data_samples: {len(files)} files with the right checksums"
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "missing"
+
+
+def opengl_works() -> bool:
+    """Return whether PyVista can render here, tried in a separate process: without OpenGL, VTK crashes."""
+    command = [sys.executable, "-c", _RENDER_PROBE]
+    try:
+        probe = subprocess.run(command, capture_output=True, env=headless(), check=False, timeout=_PROBE_SECONDS)
+    except subprocess.TimeoutExpired:
+        return False
+    return probe.returncode == 0
+
+
+def headless() -> dict[str, str]:
+    """Return the environment in which VTK renders without a display and without a warning about it."""
+    if sys.platform == "linux" and "DISPLAY" not in os.environ:
+        return {**os.environ, "VTK_DEFAULT_OPENGL_WINDOW": "vtkEGLRenderWindow"}
+    return dict(os.environ)
+
+
+def _opengl() -> Iterator[Check]:
+    passed = opengl_works()
+    fix = "no OpenGL: point clouds are drawn by NumPy; on Debian: apt install libegl1 libgl1-mesa-dri"
+    yield passed, "OpenGL: PyVista draws point clouds" if passed else fix

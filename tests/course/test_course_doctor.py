@@ -1,0 +1,97 @@
+"""The doctor of the clone: a line for each requirement, the fix with each failure, never a crash."""
+
+import hashlib
+import json
+import subprocess
+import sys
+from importlib import metadata
+
+import pytest
+
+from course import __main__, doctor
+from course.doctor import check_clone
+
+
+@pytest.fixture
+def healthy(tmp_path, monkeypatch):
+    """A clone with one pinned package and one data file, both correct."""
+    (tmp_path / "environment.txt").write_text(f"# pins\nnumpy=={metadata.version('numpy')}  # arrays\n")
+    (tmp_path / "data_samples").mkdir()
+    (tmp_path / "data_samples" / "a.txt").write_text("data")
+    manifest = {"files": {"a.txt": hashlib.sha256(b"data").hexdigest()}}
+    (tmp_path / "data_samples" / "manifest.json").write_text(json.dumps(manifest))
+    monkeypatch.setattr(doctor, "_ROOT", tmp_path)
+    monkeypatch.setattr(doctor, "opengl_works", lambda: True)
+    return tmp_path
+
+
+def test_all_is_well(healthy, capsys):
+    assert __main__.main(["doctor"]) == 0
+    text = capsys.readouterr().out
+    assert all(line[:6] in ("OK    ", "NOTE  ") for line in text.splitlines())
+    for word in ("Python 3.", "numpy", "data_samples: 1 files", "OpenGL", "cores"):
+        assert word in text
+
+
+def test_the_short_form_is_the_same_everywhere(healthy, capsys):
+    """It is the first output of every notebook, and compared."""
+    assert check_clone(short=True) is True
+    assert capsys.readouterr().out == "OK    Python, packages and data are in place\n"
+
+
+def test_a_package_that_is_missing_or_another_version(healthy, capsys):
+    (healthy / "environment.txt").write_text("no-such-package-here==1.0\nnumpy==0.1  # old\n")
+    assert check_clone(short=True) is False
+    assert capsys.readouterr().out.splitlines() == [
+        "FAIL  no-such-package-here is missing, the course is tested with 1.0: pip install -r environment.txt",
+        f"FAIL  numpy is {metadata.version('numpy')}, the course is tested with 0.1: pip install -r environment.txt",
+    ]
+
+
+def test_a_local_build_counts_as_its_version(healthy, monkeypatch):
+    (healthy / "environment.txt").write_text("torch==2.0.0\n")
+    monkeypatch.setattr(metadata, "version", lambda name: "2.0.0+cpu")
+    assert check_clone(short=True) is True
+
+
+@pytest.mark.parametrize("change", ["other", None], ids=["changed", "missing"])
+def test_data_that_is_not_what_was_released(healthy, capsys, change):
+    file = healthy / "data_samples" / "a.txt"
+    file.write_text(change) if change else file.unlink()
+    assert check_clone(short=True) is False
+    expected = "FAIL  1 of 1 data files are missing or changed (a.txt): git checkout data_samples\n"
+    assert capsys.readouterr().out == expected
+
+
+def test_a_manifest_that_is_missing_or_broken(healthy, capsys):
+    manifest = healthy / "data_samples" / "manifest.json"
+    manifest.write_text("{")
+    assert check_clone(short=True) is False
+    assert "manifest.json is broken: git checkout data_samples" in capsys.readouterr().out
+    manifest.unlink()
+    assert check_clone(short=True) is False
+    assert "manifest.json is missing from data_samples: git checkout data_samples" in capsys.readouterr().out
+
+
+def test_without_opengl_there_is_a_note(healthy, monkeypatch, capsys):
+    monkeypatch.setattr(doctor, "opengl_works", lambda: False)
+    assert check_clone() is True
+    assert "NOTE  no OpenGL: point clouds are drawn by NumPy; on Debian: apt install" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "probe",
+    ["import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "raise RuntimeError", "import time; time.sleep(99)"],
+    ids=["crashes", "raises", "hangs"],
+)
+def test_a_probe_that_fails_does_not_take_us_along(monkeypatch, probe):
+    monkeypatch.setattr(doctor, "_RENDER_PROBE", probe)
+    monkeypatch.setattr(doctor, "_PROBE_SECONDS", 1)
+    assert doctor.opengl_works() is False
+
+
+def test_the_short_form_is_quick_to_start():
+    """It loads neither torch nor PyVista."""
+    code = "import sys; from course.doctor import doctor; doctor(True); print({'torch', 'pyvista'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "set()"

@@ -1,0 +1,82 @@
+"""Notebooks are run, and stored only if nothing is wrong."""
+
+import asyncio
+import os
+from queue import Empty
+
+import nbformat
+import pytest
+from notebook_cells import DRAWING, FACTS, SLIDER, code, framed, nbval, notebook, write
+
+from course import nbtools
+from course.plot import captions
+
+
+@pytest.fixture
+def stand_in(tmp_path, monkeypatch):
+    """A doctor that is always content: the setup cell is not what is tested here."""
+    (tmp_path / "sitecustomize.py").write_text(
+        "from course import doctor\n\ndoctor.doctor = lambda short: print('OK')\n", encoding="utf-8"
+    )
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), str(nbtools.ROOT)]))
+    return tmp_path
+
+
+def test_run_stores_a_notebook_that_guard_nbval_and_a_second_run_accept(stand_in):
+    nb = framed(*map(code, [nbtools.SETUP, DRAWING, SLIDER, "2 * 0.25"]))
+    path = write(stand_in / "tiny.ipynb", nb)
+    assert nbtools.main("run", [path]) == 0
+    first = path.read_text(encoding="utf-8")
+    assert nbtools.main("lint", [path]) == 0
+    assert nbval(path) == [True] * 4
+    assert nbtools.main("run", [path]) == 0
+    assert path.read_text(encoding="utf-8") == first
+    cells = nbtools.code_cells(nbformat.reads(first, as_version=4))
+    assert [cell.execution_count for cell in cells] == [1, 2, 3, 4]
+    assert cells[1].outputs[0].metadata["image/png"]["alt"] == captions()["04 one ray"]["alt"]
+    assert cells[1].outputs[1].data["text/markdown"] == f"*Figure:* {captions()['04 one ray']['caption']}"
+    assert sorted(file.name for file in stand_in.glob("*.ipynb*")) == ["tiny.ipynb"]
+
+
+def test_a_message_that_wakes_nobody_is_found_a_second_later(monkeypatch):
+    looks = []
+
+    async def look(_, timeout):
+        looks.append(timeout)
+        await asyncio.sleep(timeout / 100)
+        if len(looks) < 3:
+            raise Empty
+        return "message"
+
+    monkeypatch.setattr(nbtools.AsyncZMQSocketChannel, "get_msg", look)
+    channel = nbtools._Channel.__new__(nbtools._Channel)
+    assert asyncio.run(channel.get_msg(timeout=None)) == "message"
+    assert looks == [1, 1, 1]
+    looks.clear()
+    with pytest.raises(Empty):
+        asyncio.run(channel.get_msg(timeout=0))
+    assert looks == [0]
+
+
+def test_kernels_are_asked_through_the_channel_that_looks_again():
+    client = nbtools._Manager(kernel_name="python3").client_factory()
+    assert type(client) is nbtools._Client
+    assert client.shell_channel_class is client.iopub_channel_class is nbtools._Channel
+
+
+@pytest.mark.parametrize(
+    ("source", "budget", "said"),
+    [
+        ("1 / 0", 60, "ZeroDivisionError"),
+        ("import warnings\nwarnings.warn('old')", 60, "a warning"),
+        ("import time\ntime.sleep(1)", 1, "its budget is 1 s"),
+    ],
+)
+def test_run_keeps_the_file_as_it_was_when_something_is_wrong(stand_in, capsys, source, budget, said):
+    nb = notebook(code(nbtools.SETUP), code(source), omnistereo=FACTS | {"budget_s": budget})
+    path = write(stand_in / "tiny.ipynb", nb)
+    before = path.read_bytes()
+    assert nbtools.main("run", [path]) == 1
+    assert said in capsys.readouterr().err
+    assert path.read_bytes() == before
+    assert sorted(file.name for file in stand_in.glob("*.ipynb*") if not file.is_dir()) == ["tiny.ipynb"]
