@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from course.exercises.compare import Answer, Array, diagnose
+from course.exercises.compare import Answer, Array, diagnose, first_finding
 
 
 def check_zncc_cost(answer: Answer) -> None:
@@ -180,7 +180,13 @@ def check_sphere_labels(answer: Answer) -> None:
         (np.abs(gt_index - n), "that is a distance; a label says yes or no"),
         (np.minimum(np.abs(np.rint(gt_index) - n), 1.0)[0], "the labels of all rays, not of the first row"),
     ]
-    print(diagnose(answer, (gt_index, n), label, mistakes))
+    unknown, no_label = gt_index.copy(), label.copy()
+    unknown[0, 1] = no_label[0, 1] = np.nan
+    no_truth = [
+        (np.where(np.isnan(no_label), one, no_label), "no ground truth, no label: NaN stays NaN") for one in (0, 1)
+    ]
+    cases = ((gt_index, n), label, mistakes), ((unknown, n), no_label, no_truth)
+    print(first_finding(diagnose(answer, *case) for case in cases))
 
 
 def check_balanced_loss(answer: Answer) -> None:

@@ -246,8 +246,10 @@ PATCH_SIZE = [
     ("one layer sees", lambda layers, kernel: kernel),
 ]
 SPHERE_LABELS = [
-    ("right", lambda gt, n: (np.abs(gt - n) > 0.5).astype(int)),
-    ("right", lambda gt, n: [[0 if round(x) == n else 1 for x in row] for row in gt.tolist()]),
+    ("right", lambda gt, n: np.where(np.isnan(gt), np.nan, np.abs(gt - n) > 0.5)),
+    ("right", lambda gt, n: [[x if x != x else int(round(x) != n) for x in row] for row in gt.tolist()]),
+    ("NaN stays NaN", lambda gt, n: (np.abs(gt - n) > 0.5).astype(int)),
+    ("NaN stays NaN", lambda gt, n: np.where(np.rint(gt) == n, 0, 1)),
     ("turned around", lambda gt, n: (np.abs(gt - n) < 0.5) * 1.0),
     ("rounding down", lambda gt, n: (gt.astype(int) != n) * 1),
     ("not up", lambda gt, n: [[float(math.ceil(x) != n) for x in row] for row in gt]),

@@ -9,7 +9,6 @@ from notebook_cells import FACTS, SLIDER, code, framed, nbval, notebook, write
 
 from course import nbtools
 
-
 # --- The comparison, one nbval run over all cases -----------------------------------------------------------
 
 CASES = {  # code, tags, what is stored, whether the two agree
