@@ -32,6 +32,8 @@ from jupyter_client.channels import AsyncZMQSocketChannel
 from nbclient import NotebookClient
 from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
 
+from course.plot import caption_output, captions
+
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = ROOT / "notebooks"
 README = ROOT / "README.md"
@@ -90,7 +92,18 @@ def clean(nb: nbformat.NotebookNode) -> nbformat.NotebookNode:
             for output in cell.outputs:
                 if output.output_type == "error":  # the frames name files of this machine
                     output.traceback = [f"{output.ename}: {output.evalue}"]
+            _renew_captions(cell)
     return nb
+
+
+def _renew_captions(cell: nbformat.NotebookNode) -> None:
+    """Write the captions and alternative texts of captions.yaml into the outputs: a new one needs no run."""
+    names = iter(re.findall(r'\bshow\(.*, "([^"]+)"\)', cell.source))
+    for picture, below in pairwise(cell.outputs):
+        mime = next((mime for mime in PICTURES if mime in picture.get("data", {})), None)
+        if mime and "text/markdown" in below.get("data", {}) and (entry := captions().get(next(names, ""))):
+            picture.data["text/plain"] = picture.metadata[mime]["alt"] = entry["alt"]
+            below.data = nbformat.from_dict(caption_output(entry["caption"]))
 
 
 def text_of(nb: nbformat.NotebookNode) -> str:
@@ -339,12 +352,12 @@ def run(path: Path) -> list[str]:
 
 def readme_table(paths: list[Path]) -> str:
     """Return the table of notebooks, from their own metadata."""
-    rows = ["| notebook | what you learn | time | needs |", "|---|---|---|---|"]
+    rows = ["| notebook | what you learn | to read | needs |", "|---|---|---|---|"]
     for path in paths:
         facts = nbformat.read(path, as_version=4).metadata["omnistereo"]
         rows.append(
             f"| [{path.stem[:2]} {facts['title']}](notebooks/{path.name}) | {facts['learn']} "
-            f"| {facts['minutes_to_read']} min to read, runs within {facts['budget_s']} s | {facts['needs']} |"
+            f"| {facts['minutes_to_read']} min | {facts['needs']} |"
         )
     return "\n".join(rows) + "\n"
 

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "calibration_figure",
+    "caption_output",
     "captions",
     "colorize_depth",
     "contact_sheet",
@@ -84,7 +85,12 @@ def show(fig: Figure, name: str) -> None:
     picture = base64.b64encode(encode(fig, kind)).decode()
     plt.close(fig)
     display({mime: picture, "text/plain": alt}, metadata={mime: {"alt": alt}}, raw=True)
-    display({"text/markdown": f"*Figure:* {caption}", "text/plain": caption}, raw=True)
+    display(caption_output(caption), raw=True)
+
+
+def caption_output(caption: str) -> dict[str, str]:
+    """Return a caption in the forms in which a notebook stores it."""
+    return {"text/markdown": f"*Figure:* {caption}", "text/plain": caption}
 
 
 @cache

@@ -324,6 +324,18 @@ def test_every_term_says_where_it_is_taught():
     ] == []
 
 
+def test_every_term_stands_in_the_notebooks_that_teach_it():
+    text = (BOOK / "glossary.md").read_text(encoding="utf-8")
+    for term, meaning in re.findall(r"^(\w.*)\n  (.*)$", text.partition(":sorted:")[2], re.MULTILINE):
+        for name in re.findall(r"\(notebooks/(\w+\.ipynb)\)", meaning):
+            cells = nbformat.read(nbtools.NOTEBOOKS / name, as_version=4).cells
+            words = re.sub(r"[\s-]+", " ", " ".join(cell.source for cell in cells)).lower()
+            assert any(word.lower().removesuffix("s").replace("-", " ") in words for word in term.split(", ")), (
+                term,
+                name,
+            )
+
+
 def test_a_link_to_a_notebook_that_is_not_there_becomes_words():
     text = "[here](04_zncc.ipynb), [there](notebooks/99_nowhere.ipynb#a), [too](notebooks/04_zncc.ipynb)"
     assert website.without_dead_links(text) == "[here](04_zncc.ipynb), there, [too](notebooks/04_zncc.ipynb)"
