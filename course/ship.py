@@ -97,9 +97,10 @@ def _hours(rows: Rows) -> float:
 
 
 def _model_card(weights: Path, recipe: Recipe, metadata: dict[str, Any], rows: Rows, half: bool) -> str:
-    preset, settings = RECIPES[recipe.network]["shipped"].as_dict(), recipe.as_dict()
-    overrides = [f"{name}={value}" for name, value in settings.items() if preset.get(name) != value]
-    command = f"python -m omnistereo_lib train {recipe.network} --preset shipped"
+    presets, settings = RECIPES[recipe.network], recipe.as_dict()
+    name = next((name for name, preset in presets.items() if preset == recipe), "shipped")
+    overrides = [f"{key}={value}" for key, value in settings.items() if presets[name].as_dict().get(key) != value]
+    command = f"python -m omnistereo_lib train {recipe.network} --preset {name}"
     command += f" --set {' '.join(overrides)}" if overrides else ""
     if metadata.get("init_weights"):
         command += f" --init-weights FILE`, FILE with SHA-256 `{metadata['init_weights']}"

@@ -213,3 +213,18 @@ def test_a_panorama_that_memory_cannot_hold_is_refused(network, monkeypatch):
     monkeypatch.setattr("omnistereo_lib.stereo.volume._available_memory", lambda device: 1 << 20)
     with pytest.raises(osl.OmnistereoError, match=r"96 × 32 with 32 spheres needs 0\.1 GiB of cpu memory; 0\.0 GiB"):
         cost_volume(SphereSweep(scene.rig(), GRID), scene.images(scene.rig(), finest=0.5), network)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda images: images[:3], "4 cameras"),
+        (lambda images: [images[0][:-1], *images[1:]], "image 1|camera 1"),
+        (lambda images: [*images[:3], np.where(images[3] > 40, np.nan, images[3])], "camera 4|image 4"),
+    ],
+)
+def test_images_that_do_not_fit_the_rig_are_refused(network, spoil, message):
+    rig = scene.rig()
+    images = [np.asarray(image, np.float32) for image in scene.images(rig, finest=0.5)]
+    with pytest.raises(osl.OmnistereoError, match=message):
+        cost_volume(SphereSweep(rig, GRID), spoil(images), network)
