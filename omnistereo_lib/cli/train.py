@@ -13,7 +13,7 @@ from omnistereo_lib.errors import OmnistereoError
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.add_argument("network", choices=["sweepnet", "mccnn", "volumenet"])
-    parser.add_argument("--preset", default="teaching", choices=["teaching", "shipped", "sunny", "paper", "gpu"])
+    parser.add_argument("--preset", default="teaching", help="teaching, shipped, paper … (default: teaching)")
     parser.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="change numbers of the preset")
     parser.add_argument("--init-weights", type=Path, metavar="FILE", help="start from trained weights, not random ones")
     parser.add_argument("--data", type=Path, nargs="+", help="data sets with ground truth (default: those that ship)")
