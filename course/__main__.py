@@ -32,9 +32,10 @@ def main(arguments: list[str] | None = None) -> int:
     ship = commands.add_parser("ship", help="bundle the weights of a finished training run, with curve and card")
     ship.add_argument("run", type=Path, help="folder of the run")
     ship.add_argument("--half", action="store_true", help="store float16: half the file")
-    variants = commands.add_parser("variants", help="train SweepNet by several recipes and compare them")
-    variants.add_argument("--out", type=Path, default=nbtools.ROOT / "out" / "variants")
-    variants.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="change numbers of the recipe")
+    for name, network in (("variants", "SweepNet"), ("volume-variants", "VolumeNet")):
+        variants = commands.add_parser(name, help=f"train {network} in several ways and compare them")
+        variants.add_argument("--out", type=Path, default=nbtools.ROOT / "out" / name)
+        variants.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="change numbers of the recipe")
     try:
         return run(parser.parse_args(arguments))
     except OmnistereoError as error:
@@ -77,6 +78,11 @@ def run(options: argparse.Namespace) -> int:
             from course.variants import compare
 
             print(f"written: {compare(options.out, options.set)}")
+            return 0
+        case "volume-variants":
+            from course.volume_variants import compare_volumes
+
+            print(f"written: {compare_volumes(options.out, options.set)}")
             return 0
         case "ledger":
             from course.ledger import write_ledger

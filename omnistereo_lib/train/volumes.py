@@ -57,15 +57,19 @@ class VolumeSamples(TrainingFrames):
         others = [pool[k] for k in rng.integers(len(pool), size=self.recipe.batch_frames - 1)]
         return [self._sample(one, rng if augment else None) for one in (frame, *others)]
 
+    def view(self, rng: np.random.Generator | None) -> tuple[NDArray, float]:
+        """Draw the rotation of a grid, any way about the vertical and tilted by ±10°, and the scale of its depths."""
+        if rng is None:
+            return np.eye(3), 1.0
+        tilt, axis, roll = np.radians(rng.uniform(-10, 10)), rng.uniform(0, 2 * np.pi), rng.uniform(0, 2 * np.pi)
+        tilted = Pose.from_vector([tilt * np.cos(axis), 0, tilt * np.sin(axis), 0, 0, 0])
+        rotation = tilted.R @ Pose.from_vector([0, roll, 0, 0, 0, 0]).R
+        return rotation, float(np.exp(rng.uniform(np.log(0.4), np.log(2.5))))
+
     def _sample(self, frame: Frame, rng: np.random.Generator | None) -> VolumeSample:
-        """Return a frame on a grid; with an rng, turned, tilted and scaled at random, as other cameras see it."""
-        rotation, nearest = np.eye(3), frame.rig.min_depth
-        if rng is not None:
-            tilt, axis, roll = np.radians(rng.uniform(-10, 10)), rng.uniform(0, 2 * np.pi), rng.uniform(0, 2 * np.pi)
-            tilted = Pose.from_vector([tilt * np.cos(axis), 0, tilt * np.sin(axis), 0, 0, 0])
-            rotation = tilted.R @ Pose.from_vector([0, roll, 0, 0, 0, 0]).R
-            nearest *= np.exp(rng.uniform(np.log(0.4), np.log(2.5)))
-        grid = self.grid(nearest)
+        """Return a frame on a grid; with an rng, rotated and scaled at random, its images changed."""
+        rotation, scale = self.view(rng)
+        grid = self.grid(scale * frame.rig.min_depth)
         rig, images = reduce_images(frame.rig.recentered(), frame.images, pixels_per_degree(grid))
         if frame.rig not in self._masks:
             self._masks[frame.rig] = [to_device(visible_pixels(camera), self.device) for camera in rig.cameras]

@@ -1,0 +1,179 @@
+"""VolumeNet trained seven ways, the same short time each: what is each choice worth? Notebook 12 shows the table."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import grid_sample, interpolate, relu
+from tqdm import tqdm
+
+import omnistereo_lib as osl
+from omnistereo_lib.files import atomic_write
+from omnistereo_lib.stereo.correlation import CHANNELS, GROUPS
+from omnistereo_lib.stereo.learned import autocast
+from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_lib.stereo.volumenet import WIDTHS, Conv3d, VolumeNet, local_mean
+from omnistereo_lib.train import RECIPES, VolumeNetRecipe
+from omnistereo_lib.train.frames import DATA
+from omnistereo_lib.train.volumes import VolumeObjective, VolumeSamples
+
+SETS = ("sunny", "indoor", "aerial")  # test frames that each variant is measured on
+
+
+class MeanAndVariance(VolumeNet):
+    """Shows the U-net mean and variance of the cameras' features in every cell instead of their correlation."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stem[0] = Conv3d(2 * CHANNELS + 1, WIDTHS[0])
+
+    def correlation(self, images: Sequence[Tensor], visible: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tensor:
+        """Return means, variances and k / 4, shape (65, W, H, N); see `VolumeNet.correlation`."""
+        count = total = squares = 0
+        for image, mask, uv in zip(images, visible, coordinates, strict=True):
+            maps = self.features(image, mask)
+            size = torch.tensor(maps.shape[:0:-1])
+            at = (2 * uv / (size - 1) - 1).nan_to_num(nan=-9).flatten(1, 2)  # outside: 0
+            warped = grid_sample(maps[None], at[None], align_corners=True)[0].view(-1, *uv.shape[:3])
+            count = count + (~uv[..., :1].isnan()).movedim(-1, 0)
+            total, squares = total + warped, squares + warped.square()
+        mean = total / count.clamp(min=1)
+        return torch.cat([mean, squares / count.clamp(min=1) - mean.square(), count / 4])
+
+
+class SpheresAsChannels(VolumeNet):
+    """A U-net of 2-D convolutions over θ and φ, whose channels are the spheres; for volumes of 32 spheres."""
+
+    widths, spheres = (40, 64, 80, 96), 32
+
+    def __init__(self) -> None:
+        super().__init__()
+        conv = lambda a, b, stride=1: nn.Sequential(  # noqa: E731
+            nn.Conv2d(a, b, 3, stride, padding=1, bias=False), nn.BatchNorm2d(b, momentum=None), nn.ReLU()
+        )
+        first, steps = self.widths[0], list(pairwise(self.widths))
+        self.stem = nn.Sequential(conv((GROUPS + 1) * self.spheres, first), conv(first, first))
+        self.down = nn.ModuleList(nn.Sequential(conv(a, b, 2), conv(b, b)) for a, b in steps)
+        self.up = nn.ModuleList(nn.ModuleList([nn.Conv2d(b, a, 1), conv(a, a)]) for a, b in steps)
+        self.head = nn.Conv2d(first, self.spheres, 3, padding=1)
+
+    def forward(self, volume: Tensor) -> Tensor:
+        """Return logits (B, W, H, N) of volumes (B, 9, W, H, N); see `VolumeNet.forward`."""
+        levels = [self.stem(volume.permute(0, 1, 4, 2, 3).flatten(1, 2))]
+        for down in self.down:
+            levels.append(down(levels[-1]))
+        x = levels.pop()
+        for project, merge in reversed(self.up):
+            x = merge(interpolate(relu(project(x)), scale_factor=2.0, mode="bilinear") + levels.pop())
+        return self.head(x).float().permute(0, 2, 3, 1)
+
+
+class OneView(VolumeSamples):
+    """Samples without rotated grids, without scaled depths, or without both."""
+
+    rotated, scaled = True, True
+
+    def view(self, rng: np.random.Generator | None) -> tuple[np.ndarray, float]:
+        """Return rotation and scale; see `VolumeSamples.view`."""
+        rotation, scale = super().view(rng)
+        return (rotation if self.rotated else np.eye(3)), (scale if self.scaled else 1.0)
+
+
+class NotRotated(OneView):
+    """Every grid stands upright, with the seam at the back."""
+
+    rotated = False
+
+
+class NotScaled(OneView):
+    """The nearest sphere is where the rig file has it."""
+
+    scaled = False
+
+
+# name → worlds, network, samples
+ALL = "sunny streets things rooms"
+VARIANTS: dict[str, tuple[str, type[VolumeNet], type[VolumeSamples]]] = {
+    "as shipped": (ALL, VolumeNet, VolumeSamples),
+    "mean and variance": (ALL, MeanAndVariance, VolumeSamples),
+    "2-D, spheres as channels": (ALL, SpheresAsChannels, VolumeSamples),
+    "grids not rotated": (ALL, VolumeNet, NotRotated),
+    "nearest depth not scaled": (ALL, VolumeNet, NotScaled),
+    "streets only": ("sunny streets", VolumeNet, VolumeSamples),
+    "streets and rooms": ("sunny streets rooms", VolumeNet, VolumeSamples),
+}
+
+
+def compare_volumes(out: Path, settings: Sequence[str] = ()) -> Path:
+    """Train each variant by the teaching recipe and measure it, unless its result is there; return the CSV of all."""
+    out.mkdir(parents=True, exist_ok=True)
+    rows = []
+    for name, (worlds, network, samples) in VARIANTS.items():
+        path = out / (re.sub(r"\W+", "_", name) + ".json")
+        if not path.is_file():
+            recipe = RECIPES["volumenet"]["teaching"].with_overrides([f"worlds={worlds}", *settings])
+            trained = train_variant(recipe, network, samples, name)
+            figures = {"parameters": sum(p.numel() for p in network().parameters()), **measure(trained)}
+            with atomic_write(path) as temporary:
+                temporary.write_text(json.dumps(figures), encoding="utf-8")
+        rows.append({"variant": name, **json.loads(path.read_text(encoding="utf-8"))})
+    with atomic_write(out / "volume_variants.csv") as temporary, temporary.open("w", newline="") as file:
+        writer = csv.DictWriter(file, rows[0], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    return out / "volume_variants.csv"
+
+
+def train_variant(
+    recipe: VolumeNetRecipe, network: type[VolumeNet], samples: type[VolumeSamples], name: str = ""
+) -> VolumeNet:
+    """Return a network trained by a recipe on the worlds that it names."""
+    torch.manual_seed(recipe.seed)
+    data = samples(recipe, [DATA / world / "train" for world in recipe.worlds.split()])
+    model = network().train()
+    objective = VolumeObjective(model, data.grid(1.0))
+    optimizer = torch.optim.AdamW(model.parameters(), weight_decay=recipe.weight_decay)
+
+    def loss(k: int, purpose: int = 0) -> Tensor:
+        rng = np.random.default_rng([recipe.seed, purpose, k])
+        with autocast("auto", torch.device("cpu")):
+            return objective(data.micro_batch(data.training_frame(k), rng, augment=True))[0]
+
+    for step in tqdm(range(recipe.steps), desc=name):
+        optimizer.param_groups[0]["lr"] = recipe.learning_rate_at(step)
+        optimizer.zero_grad()
+        loss(step).backward()
+        nn.utils.clip_grad_norm_(model.parameters(), recipe.clip)
+        optimizer.step()
+    with torch.no_grad():  # statistics of the batch norms, as `train` takes them
+        for layer in model.modules():
+            if isinstance(layer, nn.modules.batchnorm._BatchNorm):
+                layer.reset_running_stats()
+        for k in range(recipe.validation_groups):
+            loss(k, purpose=1)
+    return model.eval()
+
+
+def measure(model: VolumeNet) -> dict[str, Any]:
+    """Return the mean '>1', '>3' and MAE over the test frames of each set at 320 × 80 × 64."""
+    figures = {}
+    for name in SETS:
+        data = osl.load_dataset(DATA / name, split="test")
+        sweep = SphereSweep(data.rig, osl.SphereGrid(320, 80, num_spheres=64, min_depth=data.rig.min_depth))
+        errors = []
+        for frame in data:
+            index = local_mean(model.whole_volume(sweep, frame.images))[0].numpy()
+            error = osl.index_error(index, frame.gt_index(sweep.grid), 64)
+            errors.append([error[">1"], error[">3"], error["MAE"]])
+        means = np.mean(errors, axis=0).round(2).tolist()
+        figures |= dict(zip((f"{name} >1", f"{name} >3", f"{name} MAE"), means, strict=True))
+    return figures
