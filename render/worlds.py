@@ -52,6 +52,9 @@ WORLDS = {
     "things/train": WorldSet("things", 150, samples=7),
     "rooms/train": WorldSet("room", 80, samples=9),
     "streets/train": WorldSet("street", 20, samples=7),
+    # Held-out: other seeds, so other scenes and other rigs.
+    "things/test": WorldSet("things", 8, samples=7, first=1001),
+    "rooms/test": WorldSet("room", 8, samples=9, first=1001),
 }
 
 

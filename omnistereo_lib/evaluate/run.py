@@ -137,11 +137,11 @@ class Evaluation:
         self.scale, self.weights, self.precision, self.device = scale, Path(weights), precision, select_device(device)
         self._weights = _weights_checksums(methods, self.weights)
         self.sets = {name: load_dataset(folder, split) for name, folder in sets.items()}
-        self.rigs = {name: data.rig if rig is None else _read_rig(rig, data) for name, data in self.sets.items()}
+        self._rigs = {} if rig is None else {name: _read_rig(rig, data) for name, data in self.sets.items()}
         self._rig = "own" if rig is None else checksum(b"".join(map(read_bytes, _rig_files(Path(rig)))))
         chosen = [(name, frame) for name, data in self.sets.items() for frame in _select_frames(data, frames)]
         self.jobs = [Job(name, frame.number, method) for name, frame in chosen for method in methods]
-        self._data = {(name, frame.number): _checksums(name, self.sets[name].folder, frame) for name, frame in chosen}
+        self._data = {(name, frame.number): _checksums(name, frame) for name, frame in chosen}
         self._inputs: Record = {}
         for job in self.jobs:
             add_record(self._inputs, self._record(job, {}))
@@ -174,12 +174,14 @@ class Evaluation:
         order = attrgetter("data", "method.num_spheres", "frame")
         todo = sorted(self.missing(jobs), key=order)
         for (name, num_spheres), of_sweep in groupby(todo, lambda job: order(job)[:2]):
-            rig, scale = self.rigs[name], self.scale
-            N = num_spheres or scale.num_spheres
-            grid = SphereGrid(scale.width, scale.height, num_spheres=N, min_depth=rig.min_depth)
-            sweep = SphereSweep(rig, grid, device=self.device)  # its lookup tables serve all of these frames
+            scale, rig = self.scale, None
             for number, of_frame in groupby(of_sweep, attrgetter("frame")):
                 frame, methods = self.sets[name].frame(number), [job.method for job in of_frame]
+                before, rig = rig, self._rigs.get(name, frame.rig)
+                if rig is not before:  # the sweep's lookup tables serve all frames of a rig
+                    N = num_spheres or scale.num_spheres
+                    grid = SphereGrid(scale.width, scale.height, num_spheres=N, min_depth=rig.min_depth)
+                    sweep = SphereSweep(rig, grid, device=self.device)
                 for method, errors in evaluate_frame(sweep, frame, methods, load_cost):
                     job = Job(name, number, method)
                     write_record(self.path(job), self._record(job, errors))
@@ -230,9 +232,9 @@ def _weights_checksums(methods: Sequence[Method], folder: Path) -> dict[str, str
 
 def _select_frames(data: Dataset, numbers: Sequence[int] | None) -> list[Frame]:
     """Return the frames of these numbers, or all that have ground truth."""
-    if data.rig.min_depth is None:
-        raise OmnistereoError(f"the rig of {data.folder} does not state its nearest depth. Add it to config.yaml.")
     frames = list(data) if numbers is None else [data.frame(number) for number in dict.fromkeys(numbers)]
+    if any(frame.rig.min_depth is None for frame in frames):
+        raise OmnistereoError(f"the rig of {data.folder} does not state its nearest depth. Add it to config.yaml.")
     with_gt = [frame for frame in frames if frame.gt_path is not None]
     if not with_gt or (numbers is not None and len(with_gt) < len(frames)):
         part = "some of " if with_gt else ""
@@ -256,8 +258,8 @@ def _rig_files(path: Path) -> list[Path]:
     return [inside for inside in sorted(path.iterdir()) if inside.suffix in _RIG_FILES and inside.is_file()]
 
 
-def _checksums(name: str, folder: Path, frame: Frame) -> dict[str, str]:
+def _checksums(name: str, frame: Frame) -> dict[str, str]:
     """Return the SHA-256 of the input files of a frame: rig, images, ground truth."""
-    files = {f"{name}/{path.name}": path for path in _rig_files(folder)}
+    files = {f"{name}/{path.name}": path for path in _rig_files(frame.image_paths[0].parents[1])}
     files |= {f"{name}/{path.parent.name}/{path.name}": path for path in [*frame.image_paths, frame.gt_path]}
     return {key: checksum(read_bytes(path)) for key, path in files.items()}

@@ -43,10 +43,6 @@ def test_the_course_begins():
     assert (nbtools.NOTEBOOKS / "00_quickstart.ipynb").is_file()
 
 
-def test_all_notebooks_stay_small():
-    assert sum(path.stat().st_size for path in nbtools.notebooks()) < 6_000_000
-
-
 def test_the_readme_lists_them():
     readme = nbtools.README.read_text(encoding="utf-8")
     assert nbtools.with_table(readme, nbtools.notebooks()) == readme, "python -m course readme"

@@ -1,0 +1,244 @@
+"""The course's line drawings: what the words of a notebook point at, drawn to scale where scale matters."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from omnistereo_lib.geometry.camera import OcamCamera
+
+POINT, FIRST, SECOND, SPHERE = "C1", "C0", "C2", "0.75"  # the point looked at, two cameras, the spheres
+
+
+def _canvas(width: float, height: float, panels: int = 1) -> tuple[Figure, list[Axes]]:
+    fig, axes = plt.subplots(1, panels, figsize=(width, height), layout="constrained", squeeze=False)
+    for ax in axes[0]:
+        ax.set_aspect("equal")
+        ax.set_axis_off()
+    return fig, list(axes[0])
+
+
+def _arrow(ax: Axes, start: tuple, end: tuple, color: str = "0.2", text: str = "", **at: object) -> None:
+    style = {"arrowstyle": "-|>", "color": color, "lw": 1.6, "shrinkA": 0, "shrinkB": 0}
+    ax.annotate("", end, start, arrowprops=style)
+    if text:
+        middle = (np.array(start) + end) / 2
+        ax.annotate(text, middle, textcoords="offset points", **({"xytext": (6, 4), "color": color} | at))
+
+
+def _camera(ax: Axes, place: tuple, name: str, color: str, offset: tuple = (0, -14)) -> None:
+    ax.plot(*place, "o", ms=10, color=color)
+    ax.annotate(name, place, offset, textcoords="offset points", ha="center", va="center", color=color)
+
+
+def _line(ax: Axes, start: tuple, end: tuple, **style: object) -> None:
+    ax.plot(*zip(start, end, strict=True), **style)
+
+
+def sphere_sweep() -> Figure:
+    """Two cameras, one ray, three circles: the pictures agree on one of them only."""
+    fig, axes = _canvas(10, 3.9, 2)
+    first, second, car = (-0.6, 0.0), (0.6, 0.0), np.array([1.3, 2.6])
+    radius = np.hypot(*car)
+    for ax, tried, verdict in zip(axes, (1.55, 1.0), ("the wrong sphere", "the right sphere"), strict=True):
+        for r in (0.62 * radius, radius, 1.55 * radius):
+            ax.add_patch(plt.Circle((0, 0), r, fill=False, color=SPHERE, lw=1))
+        ax.add_patch(plt.Rectangle(car - (0.5, 0), 1.0, 0.42, color="0.6", zorder=2))
+        asked = tried * car
+        _line(ax, (0, 0), 1.62 * car, color=POINT, lw=1, ls=":")
+        for place, name, color in ((first, "camera 1", FIRST), (second, "camera 2", SECOND)):
+            _line(ax, place, asked, color=color, lw=1.4, zorder=3)
+            _camera(ax, place, name, color, (-8 if color == FIRST else 10, -14))
+        ax.plot(*asked, "o", color=POINT, ms=7, zorder=4)
+        ax.plot(0, 0, "+", color="0.2")
+        ax.set(xlim=(-2.2, 4.2), ylim=(-0.6, 4.6), title=verdict)
+    axes[0].text(1.95, 2.62, "the cameras look at\ntwo places of the car", fontsize=9, va="center")
+    axes[1].text(1.95, 2.62, "both look at the same\nplace of the car", fontsize=9, va="center")
+    return fig
+
+
+def lens_section(camera: OcamCamera) -> Figure:
+    """The lens from the side, to scale: the surface (r, -f(r)) of the polynomial, and three rays through it."""
+    fig, (ax,) = _canvas(8, 4.2)
+    r = np.linspace(0, 372, 200)
+    f = np.polynomial.polynomial.polyval(r, camera.poly)
+    ax.plot(np.r_[-r[::-1], r], -np.r_[f[::-1], f], color="0.3", lw=2)
+    for radius, color in ((110, FIRST), (230, POINT), (352, SECOND)):
+        height = -np.polynomial.polynomial.polyval(radius, camera.poly)
+        direction = np.array([radius, height]) / np.hypot(radius, height)
+        _arrow(ax, (0, 0), tuple(430 * direction), color)
+        ax.plot(radius, height, "o", color=color)
+        _line(ax, (radius, 0), (radius, height), color=color, lw=0.8, ls=":")
+        angle = np.degrees(np.arctan2(radius, height))
+        ax.text(*(445 * direction), f"θ = {angle:.0f}°", color=color, va="center")
+        ax.text(radius + 5, 10, f"r = {radius}", color=color, fontsize=9)
+        if color == FIRST:
+            ax.text(radius + 5, height / 2, "−f(r)", color=color, fontsize=9)
+    _arrow(ax, (0, 0), (0, 400), "0.2", "the axis, z", xytext=(-70, 80))
+    _line(ax, (-385, 0), (470, 0), color="0.6", lw=0.8)
+    ax.text(-386, 8, "90° from the axis", color="0.4", fontsize=9)
+    ax.set(xlim=(-390, 560), ylim=(-190, 430))
+    return fig
+
+
+def board_triangle() -> Figure:
+    """Two cameras and a board as three frames, with the pose of each arrow: two are known, one follows."""
+    fig, (ax,) = _canvas(8, 3.6)
+    places = {"camera 1": ((0, 0), FIRST), "camera 2": ((4, 0), SECOND), "board": ((2, 2.2), POINT)}
+    for name, ((x, y), color) in places.items():
+        for dx, dy, axis in ((0.55, 0, "x"), (0, 0.55, "z")):
+            _arrow(ax, (x, y), (x + dx, y + dy), color)
+            ax.text(x + 1.2 * dx, y + 1.2 * dy, axis, color=color, ha="center", va="center", fontsize=9)
+        ax.text(x, y - 0.28, name, ha="center", color=color)
+    _arrow(ax, (1.75, 1.95), (0.25, 0.25), "0.35", r"$T_{1b}$, from picture 1", ha="right", xytext=(-8, 4))
+    _arrow(ax, (2.25, 1.95), (3.75, 0.25), "0.35", r"$T_{2b}$, from picture 2", xytext=(8, 4))
+    _arrow(ax, (0.9, -0.05), (3.7, -0.05), "0.2", r"$T_{21} = T_{2b} \star T_{1b}^{-1}$", xytext=(-44, -18))
+    ax.set(xlim=(-1.6, 6), ylim=(-0.75, 3))
+    return fig
+
+
+def slanted_window() -> Figure:
+    """A window on the road seen from the side: it lies on one sphere, the road crosses three."""
+    fig, (ax,) = _canvas(8.5, 3.4)
+    angles = np.radians(np.linspace(2, 62, 100))
+    radii = 1 / np.linspace(1 / 2.0, 1 / 9.0, 8)
+    for radius in radii:
+        ax.plot(radius * np.cos(angles), -radius * np.sin(angles), color=SPHERE, lw=1)
+    _line(ax, (0.6, -1.6), (9.4, -1.6), color="0.3", lw=2)
+    ax.text(7.2, -1.95, "the road", color="0.3")
+    middle, half = np.arcsin(1.6 / radii[4]), np.radians(5)
+    patch = np.linspace(middle - half, middle + half, 20)
+    ax.plot(radii[4] * np.cos(patch), -radii[4] * np.sin(patch), color=POINT, lw=4)
+    ax.text(
+        radii[4] + 0.15,
+        -1.05,
+        "the window, as the sweep sees it:\none sphere for all its rays",
+        color=POINT,
+        fontsize=9,
+    )
+    for angle in (middle - half, middle + half):
+        end = 1.6 / np.sin(angle)
+        _line(ax, (0, 0), (end * np.cos(angle), -1.6), color=FIRST, lw=1, ls=":")
+    left, right = (1.6 / np.tan(angle) for angle in (middle + half, middle - half))
+    _line(ax, (left, -1.6), (right, -1.6), color=FIRST, lw=4)
+    ax.text((left + right) / 2, -2.05, "what it really shows", color=FIRST, ha="center", fontsize=9)
+    _camera(ax, (0, 0), "the rig", "0.2", (0, 12))
+    ax.set(xlim=(-0.5, 9.6), ylim=(-2.4, 0.5))
+    return fig
+
+
+def patch_tower() -> Figure:
+    """The fast network as squares: each 3 × 3 convolution takes the rim away, until one pixel has seen all 9 × 9."""
+    fig, (ax,) = _canvas(9, 2.9)
+    x = 0.0
+    for size, channels in ((9, 1), (7, 64), (5, 64), (3, 64), (1, 64)):
+        for k in range(min(channels, 5), -1, -1):
+            fill = plt.cm.viridis(0.25 + 0.1 * k) if channels > 1 else "0.8"
+            if k < min(channels, 5):
+                place = (x + 0.16 * k, -size / 2 + 0.16 * k)
+                ax.add_patch(plt.Rectangle(place, size, size, facecolor=fill, edgecolor="w", lw=0.8))
+        what = f"{channels} channels" if channels > 1 else "gray values"
+        ax.text(x + size / 2, -5.6, f"{size} × {size}\n{what}", ha="center", va="top", fontsize=9)
+        if size > 1:
+            _arrow(ax, (x + size + 1.0, 0), (x + size + 3.0, 0), "0.3", "3 × 3", xytext=(-12, 5))
+        x += size + 3.6
+    ax.set(xlim=(-1, x), ylim=(-8, 6))
+    return fig
+
+
+def bootstrap(values: np.ndarray, draws: int = 3) -> Figure:
+    """Eight figures, three resamples of them with their means, and the means of ten thousand."""
+    rng = np.random.default_rng(0)
+    fig, (left, right) = plt.subplots(1, 2, figsize=(10, 3.0), layout="constrained")
+    left.plot(values, np.zeros(len(values)), "o", color=FIRST)
+    left.text(values.max(), 0.18, "the frames", color=FIRST, ha="right")
+    for row in range(1, draws + 1):
+        taken, counts = np.unique(rng.choice(values, len(values)), return_counts=True)
+        left.scatter(taken, np.full(len(taken), -row), s=28 * counts, color="0.6")
+        left.plot(np.repeat(taken, counts).mean(), -row, "|", ms=22, mew=2.5, color=POINT)
+    left.set(yticks=[], ylim=(-draws - 0.6, 0.7), title="drawn with replacement: larger dots are drawn more often")
+    means = rng.choice(values, (10_000, len(values))).mean(axis=1)
+    right.hist(means, 60, color="0.7")
+    for edge in np.percentile(means, (2.5, 97.5)):
+        right.axvline(edge, color=POINT, ls="--")
+    right.set(yticks=[], title="the means of 10,000 such draws")
+    for ax in (left, right):
+        ax.spines[["left", "top", "right"]].set_visible(False)
+    return fig
+
+
+def depth_triangle() -> Figure:
+    """Depth along the axis against distance along the ray, for one pixel of a flat face."""
+    fig, (ax,) = _canvas(7.5, 3.3)
+    _line(ax, (3, -1.5), (3, 2.2), color="0.3", lw=2)
+    ax.text(3.08, -1.35, "a wall", color="0.3")
+    _line(ax, (1, -0.6), (1, 0.8), color="0.6", lw=1.5)
+    ax.text(1.05, -0.55, "image plane", color="0.45", fontsize=9)
+    for tan, color in ((0.0, FIRST), (0.55, POINT)):
+        _arrow(ax, (0, 0), (3, 3 * tan), color)
+        ax.plot(1, tan, "s", color=color, ms=6)
+    ax.text(1.9, -0.22, "z", color=FIRST, fontsize=13)
+    ax.text(1.75, 1.25, "distance along the ray = z / cos α", color=POINT, ha="right")
+    ax.add_patch(plt.matplotlib.patches.Arc((0, 0), 1.2, 1.2, theta1=0, theta2=np.degrees(np.arctan(0.55))))
+    ax.text(0.66, 0.14, "α")
+    _camera(ax, (0, 0), "camera", "0.2", (-4, -14))
+    ax.set(xlim=(-0.6, 4), ylim=(-1.6, 2.3))
+    return fig
+
+
+def doubled_contour() -> Figure:
+    """Why a wrong depth doubles a contour: on the surface that is too near, each camera paints the pole elsewhere."""
+    fig, (ax,) = _canvas(8, 3.8)
+    pole, radius = np.array([0.3, 2.7]), 1.6
+    arc = np.radians(np.linspace(30, 150, 60))
+    ax.plot(radius * np.cos(arc), radius * np.sin(arc), color=POINT, lw=2)
+    ax.text(1.45, 0.75, "the estimated depth, too near", color=POINT, fontsize=9)
+    for place, name, color, side in (((-0.7, 0.0), "camera 1", FIRST, -1), ((0.7, 0.0), "camera 2", SECOND, 1)):
+        along = (pole - place) / np.hypot(*(pole - place))
+        b = np.dot(place, along)
+        meets = place + along * (-b + np.sqrt(b**2 - np.dot(place, place) + radius**2))
+        _line(ax, place, pole, color=color, lw=1.4)
+        ax.plot(*meets, "s", color=color, ms=9, zorder=4)
+        words = f"here {name}\npaints the pole"
+        offset = (24 * side, 16 if side < 0 else 10)
+        ax.annotate(words, meets, offset, textcoords="offset points", color=color, fontsize=9,
+                    ha="left" if side > 0 else "right", va="center")  # fmt: skip
+        _camera(ax, place, name, color)
+    ax.plot(*pole, "s", color="0.3", ms=11)
+    ax.annotate("the pole", pole, (14, 6), textcoords="offset points", va="center", color="0.3")
+    ax.set(xlim=(-2.6, 3.6), ylim=(-0.5, 3.1))
+    return fig
+
+
+def near_limit() -> Figure:
+    """Two cameras and a point at one, two and five baselines: the angle between their views of it, to scale."""
+    fig, axes = _canvas(10, 3.0, 3)
+    for ax, distance in zip(axes, (1, 2, 5), strict=True):
+        for x, color in ((-0.5, FIRST), (0.5, SECOND)):
+            _line(ax, (x, 0), (0, distance), color=color, lw=1.6)
+            ax.plot(x, 0, "o", ms=9, color=color)
+        ax.plot(0, distance, "o", color=POINT, ms=7)
+        angle = 2 * np.degrees(np.arctan(0.5 / distance))
+        ax.set(xlim=(-1.4, 1.4), ylim=(-0.4, 5.3), title=f"D = {distance} b: {angle:.0f}° apart")
+    axes[0].text(0, -0.35, "b", ha="center", va="center")
+    return fig
+
+
+def method_flow(width: int, height: int, spheres: int) -> Figure:
+    """The five steps of the method as boxes, with the shape of what goes from one to the next."""
+    fig, (ax,) = _canvas(10, 2.2)
+    boxes = ("images, lenses,\nposes", "sweep", "matching cost", "SGM", "winner")
+    volume = f"{height} × {width} × {spheres}"
+    between = ("4 × 768 × 800", f"4 × {volume}", volume, volume)
+    for k, name in enumerate(boxes):
+        color = plt.cm.viridis(0.35 + 0.13 * k)
+        ax.add_patch(plt.Rectangle((3.2 * k, 0), 2.0, 1.1, facecolor=color, alpha=0.45, edgecolor="none"))
+        ax.text(3.2 * k + 1.0, 0.55, name, ha="center", va="center", fontsize=9)
+        if k:
+            _arrow(ax, (3.2 * k - 1.15, 0.55), (3.2 * k - 0.05, 0.55), "0.3")
+            ax.text(3.2 * k - 0.6, 1.3, between[k - 1], ha="center", fontsize=8, color="0.3")
+    ax.text(14.8, 1.3, f"{height} × {width} depths", ha="center", fontsize=8, color="0.3")
+    for k, notebook in enumerate(("01, 02", "03", "04, 05, 06", "07", "07")):
+        ax.text(3.2 * k + 1.0, -0.35, notebook, ha="center", fontsize=8, color="0.3")
+    ax.set(xlim=(-0.3, 16), ylim=(-0.6, 1.7))
+    return fig
