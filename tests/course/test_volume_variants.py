@@ -56,10 +56,9 @@ def test_a_variant_is_trained_by_its_recipe(tmp_path, monkeypatch):
     monkeypatch.setattr(volume_variants, "DATA", tmp_path)
     small = ["worlds=rooms", "width=64", "height=16", "num_spheres=16", "steps=2", "warmup=1", "validation_groups=1"]
     recipe = RECIPES["volumenet"]["teaching"].with_overrides(small)
-    (_, network, samples), start = (
-        VARIANTS["as shipped"],
-        torch.manual_seed(recipe.seed) and VARIANTS["as shipped"][1](),
-    )
+    _, network, samples = VARIANTS["as shipped"]
+    torch.manual_seed(recipe.seed)
+    start = network()
     trained = train_variant(recipe, network, samples)
     changed = [not torch.equal(a, b) for a, b in zip(trained.parameters(), start.parameters(), strict=True)]
     assert all(changed) and not trained.training
