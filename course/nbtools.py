@@ -306,7 +306,9 @@ class _Client(AsyncKernelClient):
     shell_channel_class = iopub_channel_class = _Channel
 
 
-class _Manager(AsyncKernelManager):
+class KernelManager(AsyncKernelManager):
+    """Starts kernels whose channels look again."""
+
     client_factory = _Client
 
 
@@ -317,7 +319,7 @@ def execute(nb: nbformat.NotebookNode, folder: Path) -> float:
         nb,
         timeout=600,
         kernel_name="python3",
-        kernel_manager_class=_Manager,
+        kernel_manager_class=KernelManager,
         resources={"metadata": {"path": str(folder)}},
         coalesce_streams=True,
         record_timing=False,

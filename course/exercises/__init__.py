@@ -5,7 +5,9 @@ would give. It prints its finding and never raises, whatever it is handed.
 """
 
 from course.exercises.geometry import *  # noqa: F403
+from course.exercises.lens_arrays import *  # noqa: F403
 from course.exercises.matching import *  # noqa: F403
 from course.exercises.pipeline import *  # noqa: F403
 from course.exercises.results import *  # noqa: F403
+from course.exercises.rig_arrays import *  # noqa: F403
 from course.exercises.volumes import *  # noqa: F403

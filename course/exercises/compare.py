@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import functools
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -39,7 +39,7 @@ def checker(case: Callable[[Rng, int], Case]) -> Callable[[Answer], None]:
 
     @functools.wraps(case)
     def check(answer: Answer) -> None:
-        print(diagnose(answer, *map(check.case, range(CASES))))
+        print(diagnose(answer, map(check.case, range(CASES))))
 
     check.case = lambda k, seed=0: case(np.random.default_rng((k, seed)), k)
     return check
@@ -51,7 +51,7 @@ def by(inputs: tuple, right: Answer, wrong: Sequence[tuple[Answer, str]]) -> Cas
         return inputs, right(*inputs), [(mistake(*inputs), hint) for mistake, hint in wrong]
 
 
-def diagnose(answer: Answer, *cases: Case) -> str:
+def diagnose(answer: Answer, cases: Iterable[Case]) -> str:
     """Call an answer on all cases and put into words how its values compare.
 
     A hint is given if the answer makes its mistake in every case.
@@ -65,8 +65,9 @@ def diagnose(answer: Answer, *cases: Case) -> str:
     """
     if not callable(answer):
         return "hand over the function itself: its name, without brackets behind it"
-    found, overwritten = [], None
-    for inputs, right, _ in cases:
+    found, tried, overwritten = [], [], None
+    for case in cases:
+        inputs, right, _ = case
         given = copy.deepcopy(inputs)
         try:
             value = answer(*given)
@@ -78,8 +79,9 @@ def diagnose(answer: Answer, *cases: Case) -> str:
         if values is None:
             return _not_numbers(value, np.asarray(right, np.float64))
         found.append(values)
+        tried.append(case)
         overwritten = overwritten or next(_overwritten(given, inputs), None)
-    said = _compare(found, cases)
+    said = _compare(found, tried)
     if said == "right" and overwritten:
         return (
             f"not yet: the value is right, but your function overwrites its argument number {overwritten}, which its "

@@ -125,7 +125,7 @@ def check_count_unknowns(rng: Rng, k: int) -> Case:
 
 @checker
 def check_depth_error(rng: Rng, k: int) -> Case:
-    """02.3: metres of depth that one sphere more or less makes, to first order, given depth, N and D_min."""
+    """02.4: metres of depth that one sphere more or less makes, to first order, given depth, N and D_min."""
     depth, N, nearest = rng.uniform(4, 12), int(rng.integers(60, 200)), rng.uniform(0.4, 0.9)
     step = 1 / (nearest * (N - 1))
     mistakes = [

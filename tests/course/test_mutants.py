@@ -111,7 +111,7 @@ def test_no_mutant_is_called_right(check, answer):
             warnings.simplefilter("ignore")
             exec(source, namespace)
             mutant = namespace[answer.__name__]
-            if diagnose(mutant, *tried) != "right":
+            if diagnose(mutant, tried) != "right":
                 continue
             for inputs, right, _ in others:
                 found = value_of(mutant, inputs)
