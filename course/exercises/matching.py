@@ -56,7 +56,7 @@ def check_mean_over_pairs(rng: Rng, k: int) -> Case:
 
 @checker
 def check_pixels_per_index(rng: Rng, k: int) -> Case:
-    """04.3: how far a match moves between two neighbouring spheres, in panorama pixels (small angles)."""
+    """04.4: how far a match moves between two neighbouring spheres, in panorama pixels (small angles)."""
     baseline, nearest, N = rng.uniform(0.2, 0.8), rng.uniform(0.5, 3), int(rng.integers(40, 200))
     width = int(rng.integers(300, 1300))
     angle, per_radian = baseline / (nearest * (N - 1)), width / (2 * np.pi)
@@ -232,7 +232,7 @@ def check_balanced_loss(rng: Rng, k: int) -> Case:
 
 @checker
 def check_receptive_field(rng: Rng, k: int) -> Case:
-    """06.3: side of the input that an output depends on, given (kernel, stride) of each layer in order."""
+    """06.4: side of the input that an output depends on, given (kernel, stride) of each layer in order."""
     drawn = rng.choice([3, 5, 7], 2 + k % 4), rng.choice([1, 2, 3], 2 + k % 4)
     layers = [(5, 2), (3, 1), *((int(size), int(stride)) for size, stride in zip(*drawn, strict=True)), (3, 2), (3, 1)]
     kernels, strides = np.array(layers).T

@@ -22,6 +22,21 @@ def pixels_per_index(baseline, nearest, N, width):
     return angle / (2 * np.pi) * width
 
 
+def my_winner(costs):
+    unknown = np.isnan(costs)
+    best = np.argmin(np.where(unknown, np.inf, costs), axis=-1)
+    return np.where(unknown.all(axis=-1), np.nan, best)
+
+
+def my_zncc_matrix(a, b):
+    def normalized(patches):
+        patches = patches - patches.mean(axis=1, keepdims=True)
+        length = np.linalg.norm(patches, axis=1, keepdims=True)
+        return patches / np.where(length > 0, length, 1)  # a flat patch is all zeros, and stays so
+
+    return normalized(a) @ normalized(b).T
+
+
 # --- 05 MC-CNN --------------------------------------------------------------------------------------------
 
 
@@ -40,6 +55,20 @@ def my_hinge(positive, negative, margin):
 def my_patch_size(layers, kernel):
     # One pixel sees itself; each convolution adds half a kernel on both sides.
     return 1 + layers * (kernel - 1)
+
+
+def my_unit_features(features):
+    length = np.linalg.norm(features, axis=0)  # one for each pixel
+    return features / np.where(length > 0, length, 1)
+
+
+def my_patches(panorama, rows, columns, half):
+    W = panorama.shape[1]
+    around = np.arange(-half, half + 1)
+    padded = np.pad(panorama, ((half, half), (0, 0)))  # zeros above and below
+    y = rows[:, None, None] + half + around[:, None]  # half rows further down in the padded panorama
+    x = (columns[:, None, None] + around) % W
+    return padded[y, x]
 
 
 # --- 06 SweepNet ------------------------------------------------------------------------------------------
@@ -65,6 +94,24 @@ def my_receptive_field(layers):
     return size
 
 
+def my_normalized(images):
+    mean = np.nanmean(images, axis=(1, 2), keepdims=True)
+    deviation = np.nanstd(images, axis=(1, 2), keepdims=True)
+    return np.nan_to_num((images - mean) / deviation)  # what is not visible gets the mean, 0
+
+
+def my_convolution(image, kernel):
+    H, W = image.shape
+    half = len(kernel) // 2
+    padded = np.pad(image, ((half, half), (0, 0)))  # zeros above and below
+    result = np.zeros((H, W))
+    for i in range(len(kernel)):
+        for j in range(len(kernel)):
+            # np.roll goes around the seam: column c gets what is j - half columns to its right.
+            result += kernel[i, j] * np.roll(padded[i : i + H], half - j, axis=1)
+    return result
+
+
 # --- 07 SGM -----------------------------------------------------------------------------------------------
 
 
@@ -87,3 +134,21 @@ def vertex(left, middle, right):
 def mean_index_error(index, truth, N):
     error = 100 / N * np.abs(index - truth)
     return np.nanmean(error)  # a ray without an estimate is neither added nor counted
+
+
+def my_refined(costs):
+    H, W, N = costs.shape
+    best = costs.argmin(axis=-1)
+    n = np.clip(best, 1, N - 2)  # so that there are neighbours; the ends are put back below
+    rows, columns = np.indices((H, W))
+    left, middle, right = (costs[rows, columns, n + k] for k in (-1, 0, 1))
+    curvature = left - 2 * middle + right
+    offset = (left - right) / (2 * np.where(best == n, curvature, 1))
+    return np.where(best == n, n + offset, best)
+
+
+def my_sparsification(error, confidence, shares):
+    known = np.isfinite(error) & np.isfinite(confidence)
+    error, confidence = error[known], confidence[known]
+    ranked = error[np.argsort(confidence)]  # the least confident first
+    return np.array([ranked[int(share * len(ranked)) :].mean() for share in shares])
