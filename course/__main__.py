@@ -56,6 +56,11 @@ def run(options: argparse.Namespace) -> int:
 
             main()
             return 0
+        case "readme":
+            from course.readme import main
+
+            main()
+            return 0
         case "check":
             from course.handin import check
 

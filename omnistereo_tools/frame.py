@@ -19,7 +19,7 @@ from omnistereo_tools.points import Limits, PointCloud
 from omnistereo_tools.summary import depth_sentences, error_sentences
 from omnistereo_tools.viewer import viewer_page
 
-_SHARP = 1800  # px, width of the panorama that is looked at
+SHARP = 1800  # px, width of the panorama that is looked at
 
 _README = """\
 Depth panoramas have {height} rows, from {phi[0]:g}° to {phi[1]:g}° (down is positive), and {width} columns around the
@@ -64,7 +64,7 @@ class FrameResult:
         data = make_folder(out / "data")
         cloud = PointCloud.of(self.depth, self.images, self.limits)
         self._write_data(data, cloud)
-        panorama = sharp_panorama(self.depth, self.images, _SHARP)
+        panorama = sharp_panorama(self.depth, self.images, SHARP)
         page = draw_overview(self.depth, panorama, cloud.points, cloud.colors, self.title, self.sentences())
         write_image(out / "overview.png", page)
         with atomic_write(out / "index.html") as temporary:

@@ -82,9 +82,10 @@ def test_depth_of_images(data, tmp_path, capsys):
     (out / "data").mkdir(parents=True)
     (out / "data" / "errors.json").write_text("of another frame")
     (out / "data" / "mine.txt").write_text("kept")
-    assert (
-        run("depth", *with_images(data), *SMALL, "--phi", -30, 60, "--method", "zncc+sgm,pairs=all", "--out", out) == 0
-    )
+    files = ["--mesh", out / "a.ply", "--equirectangular", out / "a.tiff"]
+    method = ["--phi", -30, 60, "--method", "zncc+sgm,pairs=all"]
+    assert run("depth", *with_images(data), *SMALL, *method, "--out", out, *files) == 0
+    assert {path.name for path in out.iterdir()} == {"a.ply", "a.tiff", "data", "index.html", "overview.png"}
     assert sorted(path.name for path in (out / "data").iterdir()) == sorted([*RESULTS, "mine.txt"])
     assert "ground truth" not in capsys.readouterr().out
 

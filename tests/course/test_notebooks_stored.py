@@ -43,16 +43,6 @@ def test_the_course_begins():
     assert (nbtools.NOTEBOOKS / "00_quickstart.ipynb").is_file()
 
 
-def test_the_readme_lists_them():
-    readme = nbtools.README.read_text(encoding="utf-8")
-    assert nbtools.with_table(readme, nbtools.notebooks()) == readme, "python -m course readme"
-
-
-def test_the_readme_shows_the_first_picture_of_the_course():
-    assert nbtools.PICTURE.read_bytes() == nbtools.first_picture(nbtools.notebooks()[0]), "python -m course readme"
-    assert f"(notebooks/{nbtools.PICTURE.name})" in nbtools.README.read_text(encoding="utf-8")
-
-
 def test_every_caption_belongs_to_one_figure():
     text = "".join(path.read_text(encoding="utf-8") for path in [*nbtools.notebooks(), TEMPLATE])
     assert sorted(re.findall(r'show\(.*, \\"([^"]*)\\"\)', text)) == sorted(captions())
