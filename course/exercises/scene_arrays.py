@@ -76,6 +76,7 @@ def check_depth_edges(rng: Rng, k: int) -> Case:
     index[:, 0] = index[:, -1] + rng.choice([0, 8], H)  # at the seam
     index[-1] += 6
     index[H // 2, 7], index[0, 5] = np.nan, index[0, 4] + 4
+    index[1, 7:10], index[2, 8], index[1, 8] = index[0, 8] - 2, index[0, 8] - 2, index[0, 8] - 4
     index = np.round(index * 64) / 64
     jump = 4.0
     if k % 2:
@@ -167,7 +168,7 @@ def check_blend(rng: Rng, k: int) -> Case:
     half_fov = rng.uniform(95, 110)
     images, angles = rng.uniform(0, 255, (2, 3 + k % 4, 5, 6 + k % 4))
     angles = np.clip(angles / 255 * 1.6 * half_fov, 1, 160)
-    angles[:, 0, 0], angles[1, 0, 1] = half_fov + 5, half_fov - 9
+    angles[:, 0], angles[1, 0, 1], angles[1, 0, 2] = half_fov + 5, half_fov - 9, half_fov - 0.1  # one, and hardly
     images[angles >= half_fov] = np.nan
     images[0, 1, :2], angles[0, 1, :2], images[1, 1, :2], angles[1, 1, :2] = np.nan, 20, 90, 60  # under a mask
     right = _blend
