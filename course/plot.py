@@ -13,11 +13,11 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from omnistereo_lib.calibrate.figures import calibration_figure, draw_coverage
 from omnistereo_lib.dataset import Frame
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.depth import colorize_depth
+from omnistereo_tools.calibration_figures import calibration_figure, draw_coverage
 
 if TYPE_CHECKING:
     from ipywidgets import Widget

@@ -112,6 +112,12 @@ def test_doctor_of_a_rig(data, capsys, scene_images):
     assert "FAIL  the poses look inverted (rig → camera instead of camera → rig)" in capsys.readouterr().out
 
 
+def test_doctor_of_a_rig_without_images_says_what_it_can_see(data, tmp_path, capsys):
+    assert run("doctor", "--rig", data / "config.yaml", "--coverage", tmp_path / "coverage.png") == 0
+    assert "At 5 m, a match that is off by one pixel puts a depth off by" in capsys.readouterr().out
+    assert read_image(tmp_path / "coverage.png").shape[1] == 1080
+
+
 @pytest.mark.parametrize("well", [True, False])
 def test_doctor_of_the_installation(monkeypatch, well):
     module = importlib.import_module("omnistereo_lib.doctor")

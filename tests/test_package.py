@@ -31,7 +31,7 @@ __main__
 LAYER = {name: number for number, line in enumerate(LAYERS.split("\n")) for name in line.split()}
 
 # Slow or large libraries stay with the modules that exist for them.
-AT_HOME = {"matplotlib": {"calibrate.figures"}, "pyvista": set(), "IPython": set(), "bpy": set(), "ipywidgets": set()}
+AT_HOME = {"matplotlib": set(), "pyvista": set(), "IPython": set(), "bpy": set(), "ipywidgets": set()}
 EAGER = {
     "cv2": {"stereo.sweep", "stereo.depth", "rig_check", "calibrate.detect"},
     "scipy": {"calibrate.bundle", "calibrate.rig"},
