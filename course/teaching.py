@@ -14,7 +14,7 @@ def stuck() -> dict[str, str]:
     parts = {}
     for path in nbtools.notebooks():
         asked = handin.exercises_of(nbformat.read(path, as_version=4))
-        lines = [f"- **{exercise.number}** " + "; ".join(hints(exercise)) for exercise in asked]
+        lines = ["\n  - ".join([f"- **{exercise.number}**", *hints(exercise)]) for exercise in asked]
         head = "<details><summary>All mistakes that the checkers know by name</summary>"
         parts[f"stuck {path.stem[:2]}"] = "\n".join([head, "", *lines, "", "</details>"])
     return parts

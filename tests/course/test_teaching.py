@@ -61,5 +61,7 @@ def test_the_mistakes_are_those_of_the_checkers():
     parts = teaching.stuck()
     assert list(parts) == [f"stuck {number}" for number in NOTEBOOKS]
     for part, nb in zip(parts.values(), NOTEBOOKS.values(), strict=True):
-        assert re.findall(r"^- \*\*(\S+)\*\* \S", part, re.MULTILINE) == [e.number for e in handin.exercises_of(nb)]
+        assert re.findall(r"^- \*\*(\S+)\*\*\n  - \S", part, re.MULTILINE) == [
+            e.number for e in handin.exercises_of(nb)
+        ]
     assert "a pair that does not see the ray must not spoil the others" in parts["stuck 04"]
