@@ -18,6 +18,7 @@ from course import nbtools, solutions
 from omnistereo_lib.errors import OmnistereoError
 
 OUT = nbtools.ROOT / "out" / "solutions"
+LOOKED_UP = ("data_samples", "omnistereo_lib")  # by the notebooks, in `../`
 ANSWERS = {name: value for name, value in vars(solutions).items() if inspect.isfunction(value)}
 
 
@@ -73,7 +74,7 @@ def not_right(nb: NotebookNode) -> list[str]:
 
 
 def main(names: list[str]) -> None:
-    """Write the solution notebooks, run, and beside their folder the data that they look for in `../data_samples`.
+    """Write the solution notebooks, run, and beside their folder what they look for in `../`.
 
     Args:
         names: Numbers of the notebooks, such as "04"; all of them if empty.
@@ -82,15 +83,17 @@ def main(names: list[str]) -> None:
         OmnistereoError: If a notebook stops, or a checker does not call a solution right.
     """
     OUT.mkdir(parents=True, exist_ok=True)
-    data = OUT.parent / "data_samples"
-    if not data.exists():
-        data.symlink_to(Path("..") / "data_samples")
+    for name in LOOKED_UP:
+        if not (OUT.parent / name).exists():
+            (OUT.parent / name).symlink_to(Path("..") / name)
     for path, nb in solve_all(nbtools.notebooks(), ANSWERS).items():
         if names and path.stem[:2] not in names:
             continue
         try:
             seconds = nbtools.execute(nb, OUT)
-        except (CellExecutionError, CellTimeoutError, DeadKernelError) as error:
+        except CellExecutionError as error:
+            raise OmnistereoError(f"{path.name} with its solutions stopped: {error.ename}: {error.evalue}") from None
+        except (CellTimeoutError, DeadKernelError) as error:
             raise OmnistereoError(f"{path.name} with its solutions stopped: {error}") from None
         if wrong := not_right(nb):
             raise OmnistereoError(f"{path.name}: of a solution the checker says: {wrong[0]}")

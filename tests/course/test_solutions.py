@@ -2,6 +2,7 @@
 
 import ast
 import inspect
+import re
 
 import nbformat
 import pytest
@@ -156,6 +157,11 @@ def test_command_writes_no_wrong_solution(tiny, monkeypatch, source, said):
     with pytest.raises(OmnistereoError, match=said):
         solve.main([])
     assert not (tiny / "out" / "solutions" / "00_tiny.ipynb").exists()
+
+
+def test_all_that_the_notebooks_look_up_lies_beside_the_solutions():
+    text = "".join(path.read_text(encoding="utf-8") for path in STORED)
+    assert set(re.findall(r'\\"\.\./(\w+)', text)) - {"out"} == set(solve.LOOKED_UP)
 
 
 def test_command_runs_what_is_asked_for(tiny, monkeypatch, capsys):
