@@ -81,7 +81,7 @@ def check_pooled_rms(rng: Rng, k: int) -> Case:
 
 @checker
 def check_standard_error(rng: Rng, k: int) -> Case:
-    """08.3: standard error of the mean difference a - b of two methods, from their figures in the same frames."""
+    """08.4: standard error of the mean difference a - b of two methods, from their figures in the same frames."""
     b = rng.uniform(9, 20, int(rng.integers(6, 12)))
     a = b + rng.normal(1.5, 1, len(b))
     n, difference = len(a), a - b
@@ -163,7 +163,7 @@ def check_pose_from_file(rng: Rng, k: int) -> Case:
 
 @checker
 def check_spheres_needed(rng: Rng, k: int) -> Case:
-    """09.3: fewest spheres for which a match moves by at most `pixels` from one to the next (small angles)."""
+    """09.4: fewest spheres for which a match moves by at most `pixels` from one to the next (small angles)."""
     baseline, nearest = rng.uniform(0.3, 0.6), rng.uniform(0.5, 1.2)
     width, pixels = int(rng.integers(400, 900)), rng.uniform(0.4, 0.9)
     moves = baseline / nearest * width / (2 * np.pi)
