@@ -23,7 +23,6 @@ dataset
 stereo
 calibrate train
 evaluate
-rig_check
 doctor
 cli
 __main__
@@ -33,7 +32,7 @@ LAYER = {name: number for number, line in enumerate(LAYERS.split("\n")) for name
 # Slow or large libraries stay with the modules that exist for them.
 AT_HOME = {"matplotlib": set(), "pyvista": set(), "IPython": set(), "bpy": set(), "ipywidgets": set()}
 EAGER = {
-    "cv2": {"stereo.sweep", "stereo.depth", "rig_check", "calibrate.detect"},
+    "cv2": {"stereo.sweep", "stereo.depth", "calibrate.detect"},
     "scipy": {"calibrate.bundle", "calibrate.rig"},
 }
 
