@@ -125,9 +125,8 @@ def load_corners(path: str | Path) -> tuple[dict[str, Floats | None], Checkerboa
     except OmnistereoError as error:
         raise OmnistereoError(f"{path}: {error}") from error
     except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, ValueError, AttributeError) as error:
-        raise OmnistereoError(
-            f"{path}: not a corner file ({type(error).__name__}: {error}); expected board, image_size and views"
-        ) from error
+        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        raise OmnistereoError(f"{path}: not a corner file ({reason}); expected board, image_size and views") from error
     return views, board, size
 
 

@@ -72,8 +72,8 @@ def sgm(volume: Tensor | np.ndarray, p1: float = 0.1, p2: float = 12.0, paths: i
         OmnistereoError: If the volume is not 3-D, has fewer than 2 spheres or infinite costs, or p1, p2 or paths is out
             of range.
     """
-    volume = torch.as_tensor(volume).detach().to(torch.float32).contiguous()
-    _check(volume, p1, p2, paths)
+    volume = as_volume(volume).to(torch.float32).contiguous()
+    _check(p1, p2, paths)
     if volume.device.type != "cpu":
         infinite = bool(volume.isinf().any())
         total = volume if infinite else sgm_torch(volume, p1, p2, paths, wrap)
@@ -84,9 +84,18 @@ def sgm(volume: Tensor | np.ndarray, p1: float = 0.1, p2: float = 12.0, paths: i
     return total
 
 
-def _check(volume: Tensor, p1: float, p2: float, paths: int) -> None:
-    if volume.ndim != 3 or 0 in volume.shape or volume.shape[2] < 2:
-        raise OmnistereoError(f"sgm: volume has shape {tuple(volume.shape)}; expected (H, W, N) with N ≥ 2")
+def as_volume(volume: Tensor | np.ndarray) -> Tensor:
+    """Return a cost volume as a tensor without gradient; an `OmnistereoError` if it is not real, of (H, W, N ≥ 2)."""
+    if not isinstance(volume, Tensor):
+        volume = np.ascontiguousarray(volume)  # torch takes neither negative strides
+        volume = torch.from_numpy(volume.astype(volume.dtype.newbyteorder("="), copy=False))  # nor another byte order
+    if volume.ndim != 3 or 0 in volume.shape or volume.shape[2] < 2 or volume.is_complex():
+        found = f"type {volume.dtype} and shape {tuple(volume.shape)}"
+        raise OmnistereoError(f"the cost volume has {found}; expected (H, W, N) with N ≥ 2, real numbers")
+    return volume.detach()
+
+
+def _check(p1: float, p2: float, paths: int) -> None:
     if paths not in (4, 8):
         raise OmnistereoError(f"sgm: paths is {paths!r}; expected 4 or 8")
     if not (math.isfinite(p1) and math.isfinite(p2) and 0 <= p1 <= p2):

@@ -225,7 +225,10 @@ def select_device(device: torch.device | str) -> torch.device:
 
     Raises an `OmnistereoError` if PyTorch cannot use a GPU that was asked for.
     """
-    device = torch.device(device)
+    try:
+        device = torch.device(device)
+    except (RuntimeError, TypeError):
+        raise OmnistereoError(f'device is {device!r}; expected "cpu" or "cuda"') from None
     if device.type == "cuda":
         if not torch.cuda.is_available():
             raise OmnistereoError(f'device is "{device}", but PyTorch finds no CUDA GPU. Pass device="cpu".')
@@ -241,6 +244,8 @@ def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray]:
         OmnistereoError: If there is not one image per camera, or one has the wrong size, shape or type or is not
             finite.
     """
+    if not isinstance(images, Sequence | np.ndarray):
+        raise OmnistereoError(f"images is {images!r}; expected one array per camera")
     images = [np.asarray(image) for image in images]
     if len(images) != len(rig):
         raise OmnistereoError(

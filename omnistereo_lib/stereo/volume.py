@@ -55,6 +55,8 @@ def cost_volume(
     """
     cost = ZNCC() if cost is None else cost
     whole = getattr(cost, "whole_volume", None)
+    if not (whole or callable(cost)):
+        raise OmnistereoError(f"cost is {cost!r}; expected an object that is called like ZNCC")
     pairs = camera_pairs(pairs, sweep.rig)
     volume = whole(sweep, images, progress) if whole else _by_blocks(sweep, images, cost, pairs, progress)
     if volume.isnan().all():

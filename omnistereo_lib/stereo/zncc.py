@@ -31,7 +31,7 @@ class ZNCC:
     window: int = 9  #: side of the window in pixels, odd; 9 in the paper
 
     def __post_init__(self) -> None:
-        if self.window < 3 or self.window % 2 == 0:
+        if self.window < 3 or self.window % 2 != 1:
             raise OmnistereoError(f"the ZNCC window is {self.window}; expected an odd number of at least 3")
 
     def __call__(
