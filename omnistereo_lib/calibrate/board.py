@@ -1,12 +1,13 @@
 """The checkerboard: its corners and its symmetries."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.errors import OmnistereoError, check_number
 from omnistereo_lib.geometry.pose import Pose
 
 
@@ -25,13 +26,11 @@ class Checkerboard:
     square: float  #: edge of a square, metres
 
     def __post_init__(self) -> None:
-        if len(self.corners) != 2 or not all(count % 1 == 0 and count >= 3 for count in self.corners):
-            raise OmnistereoError(
-                f"board corners are {self.corners}; expected two integers of at least 3, inner columns and rows"
-            )
-        if not (np.isfinite(self.square) and self.square > 0):
-            raise OmnistereoError(f"the square is {self.square} m; expected a positive length in metres")
-        object.__setattr__(self, "corners", (int(self.corners[0]), int(self.corners[1])))
+        if not isinstance(self.corners, Sequence) or len(self.corners) != 2:
+            raise OmnistereoError(f"board corners are {self.corners}; expected two integers, inner columns and rows")
+        counts = (check_number(count, "a count of inner board corners", 3, 200, whole=True) for count in self.corners)
+        object.__setattr__(self, "corners", tuple(counts))
+        object.__setattr__(self, "square", check_number(self.square, "the square of the board in metres", 1e-4, 100))
 
     def __str__(self) -> str:
         columns, rows = self.corners
