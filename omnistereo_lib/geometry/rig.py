@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from numbers import Integral
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -96,14 +97,14 @@ def camera_pairs(pairs: Pairs, rig: Rig) -> list[tuple[int, int]]:
         return list(combinations(range(len(rig)), 2))
     if isinstance(pairs, str):
         raise OmnistereoError(f'pairs is {pairs!r}; expected "ring", "all" or a list of camera pairs')
-    chosen = []
-    for pair in pairs if isinstance(pairs, Sequence | np.ndarray) else [pairs]:
-        if not (isinstance(pair, Sequence | np.ndarray) and len(pair) == 2 and pair[0] != pair[1]):
+    chosen = list(pairs) if isinstance(pairs, Sequence | np.ndarray) else [pairs]
+    for pair in chosen:
+        two = isinstance(pair, Sequence | np.ndarray) and len(pair) == 2 and pair[0] != pair[1]
+        if not (two and all(isinstance(i, Integral) and 0 <= i < len(rig) for i in pair)):
             raise OmnistereoError(f"pairs has {pair!r}; expected two different cameras of 0 to {len(rig) - 1}")
-        chosen.append(tuple(check_number(i, "a camera of pairs", 0, len(rig) - 1, whole=True) for i in pair))
     if not chosen:
         raise OmnistereoError("pairs is empty; expected at least one camera pair")
-    return chosen
+    return [(int(i), int(j)) for i, j in chosen]
 
 
 def _neighbours(rig: Rig) -> list[tuple[int, int]]:

@@ -12,7 +12,7 @@ from omnistereo_lib.errors import OmnistereoError, check_number
 Sampling = Literal["center", "sweepnet", "omnimvs"]
 
 
-_MAX_SIDE = 32766  # px; OpenCV warps no larger panorama
+_MAX_SIDE = 1_000_000
 
 
 class _Sampling(NamedTuple):

@@ -116,7 +116,7 @@ def test_counts_that_are_no_board(size):
 
 @pytest.mark.parametrize("square", [0, -0.1, np.nan, np.inf])
 def test_squares_without_a_size(square):
-    with pytest.raises(OmnistereoError, match="positive length"):
+    with pytest.raises(OmnistereoError, match=r"0\.0001 to 100"):
         Checkerboard((9, 6), square)
 
 
@@ -325,7 +325,7 @@ def test_a_view_with_too_few_corners_is_named(saved):
     lines = saved.read_text().splitlines()
     del lines[10]
     saved.with_name("short.yaml").write_text("\n".join(lines))
-    with pytest.raises(OmnistereoError, match=r"short.yaml: view 0001: corners of shape \(119, 2\), expected 120"):
+    with pytest.raises(OmnistereoError, match=r"short.yaml: view 0001 must be 240 numbers, found 238"):
         load_corners(saved.with_name("short.yaml"))
     with pytest.raises(OmnistereoError, match=r"none\.yaml"):
         load_corners(saved.with_name("none.yaml"))
