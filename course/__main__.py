@@ -16,6 +16,7 @@ def main(arguments: list[str] | None = None) -> int:
         ("run", "run notebooks from fresh kernels, clean and store them"),
         ("clean", "remove what should not be stored: ids, timings, widget state"),
         ("lint", "check notebooks against the course's rules"),
+        ("stills", "run notebooks and store what their live figures show, for the website and the slides"),
     ):
         commands.add_parser(name, help=text).add_argument("notebooks", nargs="+", type=Path)
     commands.add_parser("doctor", help="check Python, the packages of environment.txt, the data and OpenGL")
@@ -50,6 +51,12 @@ def run(options: argparse.Namespace) -> int:
             from course.solve import main
 
             main()
+            return 0
+        case "stills":
+            from course.stills import record
+
+            for path in options.notebooks:
+                record(path)
             return 0
         case "book":
             from course.website import build

@@ -15,6 +15,7 @@ import ast
 import base64
 import copy
 import math
+import os
 import re
 import statistics
 import sys
@@ -310,8 +311,12 @@ class _Manager(AsyncKernelManager):
     client_factory = _Client
 
 
-def execute(nb: nbformat.NotebookNode, folder: Path) -> float:
-    """Run all cells in a fresh kernel that stands in `folder`; return the seconds it took."""
+def execute(nb: nbformat.NotebookNode, folder: Path, variables: dict[str, str] | None = None) -> float:
+    """Run all cells in a fresh kernel that stands in `folder`; return the seconds it took.
+
+    Args:
+        variables: Of the kernel's environment, besides this process's own.
+    """
     start = time.perf_counter()
     NotebookClient(
         nb,
@@ -321,7 +326,7 @@ def execute(nb: nbformat.NotebookNode, folder: Path) -> float:
         resources={"metadata": {"path": str(folder)}},
         coalesce_streams=True,
         record_timing=False,
-    ).execute()
+    ).execute(env=os.environ | (variables or {}))
     return time.perf_counter() - start
 
 

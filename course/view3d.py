@@ -1,13 +1,16 @@
-"""Point clouds drawn by PyVista, or by NumPy where there is no OpenGL."""
+"""Point clouds: to turn in a notebook, and as pictures, drawn by PyVista, or by NumPy where there is no OpenGL."""
 
 from __future__ import annotations
 
+import html
 import os
 from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from course import stills
+from course.cloud import cloud_page, thinned
 from course.doctor import headless, opengl_works
 
 _BACKGROUND = 0x20  # colours stand out, and gaps between points do not dazzle
@@ -34,6 +37,20 @@ def draw_points(
     if len(points) == 0:
         return np.full((size[1], size[0], 3), _BACKGROUND, np.uint8)  # PyVista refuses to draw nothing
     return _draw_pyvista(points, colors, eye, size) if _has_opengl() else _draw_numpy(points, colors, eye, size)
+
+
+def explore(points: NDArray, colors: NDArray, eye: tuple[float, float, float]) -> None:
+    """Show a point cloud in a notebook, to turn, tilt and zoom; arguments as `draw_points`.
+
+    Notebooks are stored without it: the captioned figure before it says what it shows.
+    """
+    from IPython.display import display
+    from ipywidgets import HTML
+
+    if stills.recording():
+        return stills.record_cloud(*thinned(points, colors), eye)
+    page = html.escape(cloud_page(*thinned(points, colors), eye))
+    display(HTML(f'<iframe srcdoc="{page}" title="A point cloud to turn" style="width: 100%; height: 480px"></iframe>'))
 
 
 @cache
