@@ -20,6 +20,11 @@ def main(arguments: list[str] | None = None) -> int:
     ):
         commands.add_parser(name, help=text).add_argument("notebooks", nargs="+", type=Path)
     commands.add_parser("doctor", help="check Python, the packages of environment.txt, the data and OpenGL")
+    check = commands.add_parser("check", help="check handed-in notebooks; this runs their code, see book/teaching.md")
+    check.add_argument("path", type=Path, help="a notebook, or a folder of a class")
+    check.add_argument("--out", type=Path, default=nbtools.ROOT / "out" / "checked", help="folder of the score sheets")
+    check.add_argument("--seconds", type=float, default=600, help="time for each notebook")
+    check.add_argument("--memory", type=float, default=4, metavar="GIB", help="memory for each notebook, in GiB")
     commands.add_parser("readme", help="update the README's table of notebooks and its picture")
     commands.add_parser("solve", help="write the notebooks with every exercise solved to out/solutions")
     for name, text in (("book", "build the website"), ("slides", "build the slides")):
@@ -57,6 +62,11 @@ def run(options: argparse.Namespace) -> int:
 
             for path in options.notebooks:
                 record(path)
+            return 0
+        case "check":
+            from course.handin import check
+
+            check(options.path, options.out, options.seconds, options.memory)
             return 0
         case "book":
             from course.website import build

@@ -307,7 +307,9 @@ class _Client(AsyncKernelClient):
     shell_channel_class = iopub_channel_class = _Channel
 
 
-class _Manager(AsyncKernelManager):
+class KernelManager(AsyncKernelManager):
+    """Starts kernels whose channels look again."""
+
     client_factory = _Client
 
 
@@ -322,7 +324,7 @@ def execute(nb: nbformat.NotebookNode, folder: Path, variables: dict[str, str] |
         nb,
         timeout=600,
         kernel_name="python3",
-        kernel_manager_class=_Manager,
+        kernel_manager_class=KernelManager,
         resources={"metadata": {"path": str(folder)}},
         coalesce_streams=True,
         record_timing=False,

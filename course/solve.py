@@ -1,7 +1,7 @@
 """Write the notebooks with their exercises solved: `python -m course solve` fills out/solutions.
 
 A solution notebook is the stored notebook with every stub, a function that ends in `return ...`, replaced by
-the function of the same name in course/solutions.py. There is no second copy of anything.
+the function of the same name in course/solutions. There is no second copy of anything.
 """
 
 import ast
@@ -35,7 +35,7 @@ def solved(source: str, answers: dict[str, Callable]) -> str:
         if stub.name not in answers:
             known = ", ".join(answers)
             raise OmnistereoError(
-                f"the stub {stub.name} has no solution; there are {known}. Write one into course/solutions.py"
+                f"the stub {stub.name} has no solution; there are {known}. Write one into course/solutions"
             )
         lines[stub.lineno - 1 : stub.end_lineno] = inspect.getsource(answers[stub.name]).rstrip().splitlines()
     return "\n".join(lines)
@@ -59,7 +59,7 @@ def solve_all(paths: list[Path], answers: dict[str, Callable]) -> dict[Path, Not
     asked = {stub.name for cell in cells for stub in stubs(cell.source)}
     if unasked := [name for name in answers if name not in asked]:
         raise OmnistereoError(
-            f"course/solutions.py solves {', '.join(unasked)}, of which no notebook has a stub; there are "
+            f"course/solutions solves {', '.join(unasked)}, of which no notebook has a stub; there are "
             f"{', '.join(sorted(asked))}. Rename the solution as its stub, or take it out"
         )
     return notebooks

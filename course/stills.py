@@ -1,7 +1,7 @@
 """What the website and the slides show in place of live figures: `python -m course stills notebooks/*.ipynb`.
 
 A notebook is run with a folder in the environment variable below. Its live figures then show nothing; they write there
-what their sliders would show, a still for each of a few places of each slider, and their point clouds. The folder's
+what their sliders would show, a still for each of a few places of each slider, and what the viewer shows. The folder's
 index.json says in which order.
 """
 
@@ -14,15 +14,14 @@ import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
-from course.cloud import cloud_page
 from course.pictures import picture
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_tools.viewer import page_of
 
 if TYPE_CHECKING:
     from ipywidgets import Widget
@@ -31,6 +30,7 @@ STILLS = Path(__file__).resolve().parents[1] / "book" / "stills"
 VARIABLE = "COURSE_STILLS"
 LIVE = re.compile(r"^(interactive|pick_ray|view3d\.explore)\(", re.MULTILINE)
 SHOWN = "In Jupyter this computes; here it shows stored pictures, one slider at a time."
+VIEW = "The points of a depth panorama, to turn, tilt and zoom"
 _WIDTH = 900  # pixels
 _PLACES = {1: 13, 2: 9, 3: 7}  # of each slider, by their number
 
@@ -73,12 +73,12 @@ def record_sliders(draw: Callable[..., list[bytes]], sliders: dict[str, Widget])
     _close(folder, [*index, {"sliders": shown}])
 
 
-def record_cloud(points: NDArray, colors: NDArray, eye: tuple[float, float, float]) -> None:
-    """Store a point cloud, to the millimetre."""
+def record_view(data: dict[str, Any]) -> None:
+    """Store what a viewer's page shows."""
     folder, index = _open()
-    name = f"{len(index)}.npz"
-    np.savez_compressed(folder / name, points_mm=np.round(1000 * points).astype(np.int32), colors=colors)
-    _close(folder, [*index, {"cloud": name, "eye": eye}])
+    name = f"{len(index)}.json"
+    (folder / name).write_text(json.dumps(data) + "\n", encoding="utf-8")
+    _close(folder, [*index, {"view": name}])
 
 
 def places(slider: Widget, count: int) -> list[float]:
@@ -125,7 +125,7 @@ def stored(stem: str) -> list[dict]:
 
 
 def shown(stem: str, number: int, out: Path, up: str = "") -> str:
-    """Write one live figure's pictures or point cloud into a folder; return the HTML that shows them.
+    """Write one live figure's pictures or viewer into a folder; return the HTML that shows them.
 
     Args:
         stem: Of the notebook.
@@ -138,15 +138,12 @@ def shown(stem: str, number: int, out: Path, up: str = "") -> str:
             f"{stem}: live figure {number + 1} has no stills. Run: python -m course stills notebooks/{stem}.ipynb"
         )
     about = stored(stem)[number]
-    if "cloud" in about:
-        page = out / "clouds" / f"{stem}-{number}.html"
+    if "view" in about:
+        page = out / "views" / f"{stem}-{number}.html"
         page.parent.mkdir(parents=True, exist_ok=True)
-        with np.load(STILLS / stem / about["cloud"]) as cloud:
-            text = cloud_page(cloud["points_mm"] / 1000, cloud["colors"], about["eye"])
-        page.write_text(text, encoding="utf-8")
-        return (
-            f'<iframe class="cloud" src="{up}clouds/{page.name}" title="A point cloud to turn" loading="lazy"></iframe>'
-        )
+        data = json.loads((STILLS / stem / about["view"]).read_text(encoding="utf-8"))
+        page.write_text(page_of(data), encoding="utf-8")
+        return f'<iframe class="view" src="{up}views/{page.name}" title="{VIEW}" loading="lazy"></iframe>'
     rows, pictures = [], []
     for k, slider in enumerate(about["sliders"]):
         name, start, values = slider["name"], slider["start"], [f"{value:.4g}" for value in slider["values"]]

@@ -35,6 +35,8 @@ def print_checks(checks: Iterable[Check], notes: Iterable[Check], what: str, sho
         print(f"{'OK  ' if passed else 'FAIL'}  {line}")
     for passed, line in notes:
         print(f"{'OK  ' if passed else 'NOTE'}  {line}")
+    count = f"{len(failed)} thing{'s' * (len(failed) > 1)} to fix, marked FAIL" if failed else f"{what} are in place"
+    print(f"\n{count}")
     return not failed
 
 

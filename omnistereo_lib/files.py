@@ -84,19 +84,6 @@ def write_image(path: str | Path, image: NDArray) -> None:
         temporary.write_bytes(content.tobytes())
 
 
-def write_ply(path: str | Path, points: NDArray, colors: NDArray | None = None) -> None:
-    """Write a point cloud (M, 3) in metres, optionally with uint8 RGB colours (M, 3), as binary PLY."""
-    properties = ["float x", "float y", "float z"]
-    columns = [np.ascontiguousarray(points, "<f4").view(np.uint8)]  # (M, 12) bytes
-    if colors is not None:
-        properties += ["uchar red", "uchar green", "uchar blue"]
-        columns.append(np.asarray(colors, np.uint8))
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
-    header += [*(f"property {name}" for name in properties), "end_header", ""]
-    with atomic_write(path) as temporary:
-        temporary.write_bytes("\n".join(header).encode() + np.hstack(columns).tobytes())
-
-
 @contextmanager
 def atomic_write(path: str | Path) -> Iterator[Path]:
     """Write a file atomically: yield a temporary path beside it, rename it on success, remove it on failure.

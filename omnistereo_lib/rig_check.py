@@ -1,4 +1,4 @@
-"""Rig check against the images: inverted poses, a wrong unit, swapped images, a rotated camera.
+"""Rig check against the images: inverted poses, a wrong unit, swapped or mirrored images, a rotated camera.
 
 Each usual mistake is undone, and the rig is wrong if the images then match much better. The measure is the matching
 cost of the best sphere: below 0.1 where the geometry is right, above 0.3 where unrelated places are compared.
@@ -6,7 +6,7 @@ cost of the best sphere: below 0.1 where the geometry is right, above 0.3 where 
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, permutations
+from itertools import combinations, permutations, product
 
 import numpy as np
 import torch
@@ -101,9 +101,8 @@ def check_rig(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid) -> RigChe
         RigHypothesis(name, matching_cost(SphereSweep(other, grid), images), cost)
         for name, other in _other_poses(rig, grid)
     ]
-    for order in _other_orders(images):
-        name = f"the images look swapped (give them in the order {' '.join(str(i + 1) for i in order)})"
-        others.append(RigHypothesis(name, matching_cost(sweep, [images[i] for i in order]), cost))
+    for name, changed in _other_images(images):
+        others.append(RigHypothesis(name, matching_cost(sweep, changed), cost))
     check = RigCheck(given, sorted(others, key=lambda one: one.cost), [])
     if not check.fits or len(rig) < 3:
         return check
@@ -169,6 +168,18 @@ def _other_poses(rig: Rig, grid: SphereGrid) -> Iterator[tuple[str, Rig]]:
         yield long, scale_translations(rig, 1 / factor)
         short = f"the translations look {factor} times too short ({large} read as {small}?)"
         yield short, scale_translations(rig, factor)
+    for camera, degrees in product(range(len(rig)), (90, 180, 270)):
+        name = f"camera {camera + 1} looks rolled by {degrees}° (clockwise as it looks)"
+        yield name, rotate_camera(rig, camera, [0, 0, np.radians(degrees)])
+
+
+def _other_images(images: list[NDArray]) -> Iterator[tuple[str, list[NDArray]]]:
+    """Yield (what is wrong with the images, the images with that undone)."""
+    for order in _other_orders(images):
+        name = f"the images look swapped (give them in the order {' '.join(str(i + 1) for i in order)})"
+        yield name, [images[i] for i in order]
+    for k, image in enumerate(images):
+        yield f"image {k + 1} looks mirrored", [*images[:k], np.fliplr(image), *images[k + 1 :]]
 
 
 def _other_orders(images: list[NDArray]) -> Iterator[tuple[int, ...]]:

@@ -21,7 +21,8 @@ from omnistereo_lib.rig_check import invert_poses
 
 SMALL = ["--width", "96", "--height", "24", "--spheres", "16"]
 GRID = osl.SphereGrid(96, 24, (-45, 45), 16, 0.6)
-RESULTS = ["inverse_depth.png", "inverse_depth.tiff", "panorama.jpg", "points.ply"]
+RESULTS = ["README.txt", "confidence.tiff", "inverse_depth.png", "inverse_depth.tiff", "panorama.jpg", "points.ply",
+           "rig.yaml"]  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -59,30 +60,34 @@ def with_images(data):
 def test_depth_of_a_data_set_frame(data, tmp_path, capsys):
     out = tmp_path / "deep" / "out"
     assert run("depth", "--rig", data, *SMALL, "--out", out) == 0
-    assert sorted(path.name for path in out.iterdir()) == ["errors.json", *RESULTS]
-    errors = json.loads((out / "errors.json").read_text())
+    assert sorted(path.name for path in out.iterdir()) == ["data", "index.html", "overview.png"]
+    assert sorted(path.name for path in (out / "data").iterdir()) == sorted([*RESULTS, "errors.json"])
+    errors = json.loads((out / "data" / "errors.json").read_text())
     assert list(errors) == [">1", ">3", ">5", "MAE", "RMS"]
     assert 0 < errors["MAE"] < 5 and errors["MAE"] < errors["RMS"]  # percent of 16 spheres
     assert 0 <= errors[">5"] <= errors[">3"] <= errors[">1"] <= 100 and errors[">5"] < 20
-    inverse_depth = read_inverse_depth(out / "inverse_depth.tiff")
+    inverse_depth = read_inverse_depth(out / "data" / "inverse_depth.tiff")
     assert inverse_depth.shape == GRID.shape and np.nanmax(inverse_depth) <= 1 / 0.6 + 1e-6
-    assert read_image(out / "inverse_depth.png").shape == (24, 96, 3)
-    assert read_image(out / "panorama.jpg").shape == (24, 96, 3)
+    assert read_image(out / "data" / "inverse_depth.png").shape == (24, 96, 3)
+    assert read_image(out / "data" / "panorama.jpg").shape == (24, 96, 3)
+    text = (out / "data" / "README.txt").read_text()
+    assert all(name in text for name in [*RESULTS[1:], "errors.json"])
     captured = capsys.readouterr()
-    assert "errors in % of the range swept: >1 " in captured.out and f"written to {out}/: " in captured.out
-    assert "of the rays have a depth" in captured.out and "sweep" in captured.err  # the progress bar
+    assert f"the mean error is {errors['MAE']:.1f} %" in captured.out and f"written to {out}/: " in captured.out
+    assert "of the 2304 rays have a depth" in captured.out and "sweep" in captured.err  # the progress bar
 
 
 def test_depth_of_images(data, tmp_path, capsys):
     out = tmp_path / "out"
-    out.mkdir()
-    (out / "errors.json").write_text("of another frame")
-    (out / "mine.txt").write_text("kept")
-    assert (
-        run("depth", *with_images(data), *SMALL, "--phi", -30, 60, "--method", "zncc+sgm,pairs=all", "--out", out) == 0
-    )
-    assert sorted(path.name for path in out.iterdir()) == [*RESULTS[:2], "mine.txt", *RESULTS[2:]]
-    assert "errors" not in capsys.readouterr().out
+    (out / "data").mkdir(parents=True)
+    (out / "data" / "errors.json").write_text("of another frame")
+    (out / "data" / "mine.txt").write_text("kept")
+    files = ["--mesh", out / "a.ply", "--equirectangular", out / "a.tiff"]
+    method = ["--phi", -30, 60, "--method", "zncc+sgm,pairs=all"]
+    assert run("depth", *with_images(data), *SMALL, *method, "--out", out, *files) == 0
+    assert {path.name for path in out.iterdir()} == {"a.ply", "a.tiff", "data", "index.html", "overview.png"}
+    assert sorted(path.name for path in (out / "data").iterdir()) == sorted([*RESULTS, "mine.txt"])
+    assert "ground truth" not in capsys.readouterr().out
 
 
 def test_depth_of_gray_images_without_a_nearest_depth(data, tmp_path, capsys, scene_images):
@@ -91,9 +96,10 @@ def test_depth_of_gray_images_without_a_nearest_depth(data, tmp_path, capsys, sc
     for k, picture in enumerate(pictures, 1):
         write_image(data / f"cam{k}" / "0001.png", picture)
     assert run("depth", *with_images(data), *SMALL, "--out", tmp_path / "out") == 0
-    wanted = f"taking twice the shortest baseline, {2 * rig.baselines.min():.2f} m"
-    assert wanted in capsys.readouterr().out
-    assert read_image(tmp_path / "out" / "panorama.jpg").ndim == 2
+    proposed = re.search(r"proposes --min-depth (\S+)\.\n", capsys.readouterr().out)
+    truth = GRID.index_to_depth(scene.true_index(rig, GRID)).min()
+    assert 0.4 * truth < float(proposed[1]) < truth
+    assert read_image(tmp_path / "out" / "data" / "panorama.jpg").ndim == 2
 
 
 def test_doctor_of_a_rig(data, capsys, scene_images):
@@ -120,6 +126,21 @@ def test_help_is_given(command, capsys):
     assert stop.value.code == 0 and "usage: omnistereo" in capsys.readouterr().out
 
 
+def test_without_a_command_the_help_is_given(capsys):
+    with pytest.raises(SystemExit) as stop:
+        run()
+    assert stop.value.code == 0 and "usage: omnistereo" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("wrong, answer", [("deph", "Did you mean depth?"), ("xyz", "Expected one of depth, ")])
+def test_a_command_that_does_not_exist(wrong, answer, capsys):
+    with pytest.raises(SystemExit) as stop:
+        run(wrong, "--out", "out")
+    assert stop.value.code == 2 and capsys.readouterr().err.startswith(
+        f"error: there is no command {wrong!r}. {answer}"
+    )
+
+
 def test_the_module_runs_and_answers_in_one_line(tmp_path):
     command = [sys.executable, "-m", "omnistereo_lib", "depth", "--rig", str(tmp_path / "none")]
     done = subprocess.run(command, capture_output=True, text=True)
@@ -130,11 +151,12 @@ def test_the_module_runs_and_answers_in_one_line(tmp_path):
 def test_warnings_are_plain_lines(data, tmp_path, capsys):
     """A polynomial that is not the other's inverse is told, without a line of source code."""
     config = yaml.safe_load((data / "config.yaml").read_text())
-    config["cameras"][0]["inv_poly"][1] += 1
+    for camera in config["cameras"][:2]:
+        camera["inv_poly"][1] += 1
     (data / "config.yaml").write_text(yaml.safe_dump(config))
     assert run("depth", *with_images(data), *SMALL, "--out", tmp_path / "out") == 0
     warned = [line for line in capsys.readouterr().err.splitlines() if line.startswith("warning: ")]
-    assert len(warned) == 1 and "disagree by up to 1.00 px" in warned[0]
+    assert len(warned) == 1 and "of cameras 1, 2 disagree by up to 1.00 px" in warned[0]
 
 
 # --- Bad input. Each function spoils something and returns the arguments. ---

@@ -23,7 +23,9 @@ def test_the_requirements_of_the_distribution(requires, capsys):
     assert capsys.readouterr().out == "OK    Python and packages are in place\n"
     assert doctor.doctor() is True
     text = capsys.readouterr().out
-    assert all(line[:6] in ("OK    ", "NOTE  ") for line in text.splitlines())
+    *lines, empty, verdict = text.splitlines()
+    assert all(line[:6] in ("OK    ", "NOTE  ") for line in lines)
+    assert (empty, verdict) == ("", "Python and packages are in place")
     for word in ("Python 3.", "numpy", "cores", "GiB memory free", "GPU", "python -m course doctor"):
         assert word in text
     requires += ["numpy>=99.1", "no-such-package-here>=3.1"]
@@ -33,6 +35,7 @@ def test_the_requirements_of_the_distribution(requires, capsys):
         f"FAIL  numpy is {metadata.version('numpy')}: pip install 'numpy>=99.1'",
         "FAIL  no-such-package-here is missing: pip install 'no-such-package-here>=3.1'",
     ]
+    assert lines[-1] == "2 things to fix, marked FAIL"
 
 
 def test_images_without_a_rig_are_not_ignored(tmp_path, capsys):

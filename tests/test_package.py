@@ -64,7 +64,7 @@ def imports(path, inside_functions=True):
                 yield full if full in EVERYTHING else node.module
 
 
-EVERYTHING = sources("omnistereo_lib") | sources("course") | sources("render")
+EVERYTHING = sources("omnistereo_lib") | sources("omnistereo_tools") | sources("course") | sources("render")
 
 
 def ours(path, inside_functions=True):
@@ -80,9 +80,22 @@ def test_imports_go_one_way(name):
     for other in imports(EVERYTHING[name]):
         top = other.split(".")[0]
         assert top not in ("course", "render"), f"{name} imports {other}"
+        assert top != "omnistereo_tools" or layer(name) == LAYER["cli"], f"{name} imports {other}"
         if top == "omnistereo_lib":
             same_folder = other.split(".")[1] == name.split(".")[1]
             assert same_folder or layer(other) < layer(name), f"{name} imports {other}"
+
+
+@pytest.mark.parametrize("name", sources("omnistereo_tools"))
+def test_the_tools_need_the_library_only(name):
+    used = set(imports(EVERYTHING[name]))
+    assert not {other.split(".")[0] for other in used} & {"course", "render"}
+    assert not [other for other in used if other.startswith("omnistereo_lib.cli")]
+
+
+def test_the_command_line_imports_tools_when_it_needs_them():
+    for path in (LIBRARY / "cli").glob("*.py"):
+        assert not [other for other in imports(path, inside_functions=False) if other.startswith("omnistereo_tools")]
 
 
 def test_geometry_and_stereo_import_nothing_above_them():
@@ -100,10 +113,10 @@ def test_the_renderer_uses_geometry_only():
     assert {name.split(".")[1] for name in used} <= {"geometry", "errors"}
 
 
-@pytest.mark.parametrize("folder", ["geometry", "stereo"])
+@pytest.mark.parametrize("folder", ["omnistereo_lib/geometry", "omnistereo_lib/stereo", "omnistereo_tools"])
 def test_files_and_functions_are_short(folder):
     """At most 400 lines a file, and 40 a function without its docstring."""
-    for path in sorted((LIBRARY / folder).glob("*.py")):
+    for path in sorted((ROOT / folder).glob("*.py")):
         text = path.read_text()
         assert len(text.splitlines()) <= 400, path.name
         for node in ast.walk(ast.parse(text)):

@@ -39,7 +39,8 @@ def test_a_right_rig_fits(right):
     assert right.fits and right.summary().startswith(f"the rig fits the images: the median matching cost is {cost:.3f}")
     assert right.given.name == "as given" and cost < 0.1
     assert [one.cost for one in right.alternatives] == sorted(one.cost for one in right.alternatives)
-    assert len(right.alternatives) == 1 + 6 + 23  # inverted, three units either way, every other order
+    # inverted, three units either way, rolls of each camera, every other order, mirrored images
+    assert len(right.alternatives) == 1 + 6 + 4 * 3 + 23 + 4
     assert len(right.rotated) == 4
 
 
@@ -68,6 +69,21 @@ def test_a_swapped_order_is_named_with_the_right_order(world, right):
     assert not check.fits
     assert check.summary().startswith("the images look swapped (give them in the order 4 1 3 2)")
     assert check.alternatives[0].cost == right.given.cost and check.given.cost > 3 * right.given.cost
+
+
+@pytest.mark.parametrize("degrees", [90, 180, 270])
+def test_one_camera_that_was_mounted_rolled_is_named(world, right, degrees):
+    rig, images = world
+    check = check_rig(rotate_camera(rig, 1, [0, 0, -np.radians(degrees)]), images, GRID)
+    assert not check.fits and check.summary().startswith(f"camera 2 looks rolled by {degrees}° (clockwise")
+    assert check.mistake.cost == pytest.approx(right.given.cost)
+
+
+def test_a_mirrored_image_is_named(world, right):
+    rig, images = world
+    check = check_rig(rig, [*images[:2], np.fliplr(images[2]), images[3]], GRID)
+    assert not check.fits and check.summary().startswith("image 3 looks mirrored")
+    assert check.mistake.cost < 1.2 * right.given.cost  # other pixels are cropped
 
 
 def test_cameras_that_differ_a_little_in_their_field_of_view_may_be_swapped(world):
@@ -137,13 +153,13 @@ def test_images_of_different_sizes_are_not_swapped(world):
     rig, images = world
     mixed = osl.Rig([scene.camera(100, 96), *rig.cameras[1:]], rig.T_rig_cam)
     check = check_rig(mixed, [scene.images(mixed, 0.25)[0], *images[1:]], GRID)
-    assert check.fits and len(check.alternatives) == 1 + 6 + 5  # the orders of the other three cameras
+    assert check.fits and len(check.alternatives) == 1 + 6 + 12 + 5 + 4  # the orders of the other three cameras
 
 
 def test_more_than_four_cameras_are_swapped_in_pairs():
     rig = scene.rig(cameras=5, width=100, height=96)
     check = check_rig(rig, scene.images(rig, 0.5), osl.SphereGrid(64, 16, (-45, 45), 12, 0.5))
-    assert len(check.alternatives) == 1 + 6 + 10
+    assert len(check.alternatives) == 1 + 6 + 15 + 10 + 5
 
 
 def test_smaller_cameras_see_the_same(world):

@@ -1,10 +1,11 @@
-"""What a checker does with an answer: call it, compare, and put the difference into words."""
+"""What a checker does with an answer: call it on several cases, compare, and put the difference into words."""
 
 from __future__ import annotations
 
 import copy
+import functools
 import traceback
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,10 @@ from omnistereo_lib.geometry.pose import Pose
 
 Answer = Callable[..., Any]
 Array = NDArray[np.float64]
-Mistakes = Sequence[tuple[ArrayLike, str]]
+Rng = np.random.Generator
+Case = tuple[tuple, ArrayLike, Sequence[tuple[ArrayLike, str]]]  # inputs, right value, mistakes: value and hint
+
+CASES = 10
 
 _FACTORS = (
     (-1.0, "that is the right value with the other sign"),
@@ -27,33 +31,63 @@ _FACTORS = (
 )
 
 
-def diagnose(answer: Answer, inputs: tuple, right: ArrayLike, mistakes: Mistakes) -> str:
-    """Call an answer and put into words how its value compares.
+def checker(case: Callable[[Rng, int], Case]) -> Callable[[Answer], None]:
+    """Make a checker of a function that draws case number k; its hints have the same order in all cases.
+
+    The checker tries an answer on the first `CASES` cases, the same each time, and prints what it finds.
+    """
+
+    @functools.wraps(case)
+    def check(answer: Answer) -> None:
+        print(diagnose(answer, map(check.case, range(CASES))))
+
+    check.case = lambda k, seed=0: case(np.random.default_rng((k, seed)), k)
+    return check
+
+
+def by(inputs: tuple, right: Answer, wrong: Sequence[tuple[Answer, str]]) -> Case:
+    """Return the case of a right function and of wrong ones, each with the hint that names its mistake."""
+    with np.errstate(all="ignore"):
+        return inputs, right(*inputs), [(mistake(*inputs), hint) for mistake, hint in wrong]
+
+
+def diagnose(answer: Answer, cases: Iterable[Case]) -> str:
+    """Call an answer on all cases and put into words how its values compare.
+
+    A hint is given if the answer makes its mistake in every case.
 
     Args:
-        answer: What the student wrote. It gets copies of the inputs, so it may change them.
-        inputs: Its arguments.
-        right: What it should return, finite.
-        mistakes: What a mistake gives instead, of any shape, and the hint that names it.
+        answer: What the student wrote. It gets copies of the inputs.
+        cases: Inputs, right value, and what the mistakes give instead, of any shape, with their hints.
 
     Returns:
         str: "right", or what is wrong and the next thing to try.
     """
     if not callable(answer):
         return "hand over the function itself: its name, without brackets behind it"
-    try:
-        found = answer(*copy.deepcopy(inputs))
-    except (Exception, SystemExit) as error:  # whatever a student's code raises is a finding; Ctrl-C is not
-        return _stopped(error, len(inputs))
-    if found is None or found is Ellipsis:
-        return "nothing returned yet: replace the ... and return your result"
-    right, values = np.asarray(right, np.float64), _numbers(found)
-    return _not_numbers(found, right) if values is None else _compare(values, right, mistakes)
-
-
-def first_finding(verdicts: Iterable[str]) -> str:
-    """Return the first verdict of several inputs that is not "right", or "right"."""
-    return next((verdict for verdict in verdicts if verdict != "right"), "right")
+    found, tried, overwritten = [], [], None
+    for case in cases:
+        inputs, right, _ = case
+        given = copy.deepcopy(inputs)
+        try:
+            value = answer(*given)
+        except (Exception, SystemExit) as error:  # whatever a student's code raises is a finding; Ctrl-C is not
+            return _stopped(error, len(inputs))
+        if value is None or value is Ellipsis:
+            return "nothing returned yet: replace the ... and return your result"
+        values = _numbers(value)
+        if values is None:
+            return _not_numbers(value, np.asarray(right, np.float64))
+        found.append(values)
+        tried.append(case)
+        overwritten = overwritten or next(_overwritten(given, inputs), None)
+    said = _compare(found, tried)
+    if said == "right" and overwritten:
+        return (
+            f"not yet: the value is right, but your function overwrites its argument number {overwritten}, which its "
+            "caller may still need. Write into a copy"
+        )
+    return said
 
 
 def _ray(theta: float, phi: float) -> Array:
@@ -87,22 +121,40 @@ def _not_numbers(found: Any, right: Array) -> str:
     return f"not yet: expected {_form(right)}, got {kind}. Return real numbers, and nothing beside them"
 
 
-def _compare(found: Array, right: Array, mistakes: Mistakes) -> str:
-    if _same(found, right):
+def _overwritten(given: tuple, inputs: tuple) -> Iterator[int]:
+    for number, (now, before) in enumerate(zip(given, inputs, strict=True), start=1):
+        if isinstance(before, np.ndarray) and not np.array_equal(now, before, equal_nan=before.dtype.kind == "f"):
+            yield number
+
+
+def _compare(found: list[Array], cases: Sequence[Case]) -> str:
+    rights = [np.asarray(right, np.float64) for _, right, _ in cases]
+    differ = [not _same(*pair) for pair in zip(found, rights, strict=True)]
+    if not any(differ):
         return "right"
-    for value, hint in mistakes:
-        if _same(found, value):
-            return f"not yet: {hint}"
-    if found.shape != right.shape:
-        return f"not yet: expected {_form(right)}, got {_form(found)}. Look at the axes that you sum or stack over"
-    if not np.isfinite(found).all():
-        return "not yet: there are NaN or infinite values. Look for a division by zero, or NaN that is not left out"
+    for mistake in zip(*(mistakes for _, _, mistakes in cases), strict=True):  # the same one in all cases
+        if all(_same(values, value) for values, (value, _) in zip(found, mistake, strict=True)):
+            return f"not yet: {mistake[0][1]}"
+    first = differ.index(True)
+    if found[first].shape != rights[first].shape:
+        expected, got = _form(rights[first]), _form(found[first])
+        return f"not yet: expected {expected}, got {got}. Look at the axes that you sum or stack over"
     for factor, hint in _FACTORS:
-        if _same(found, factor * right):
+        if all(_same(values, factor * right) for values, right in zip(found, rights, strict=True)):
             return f"not yet: {hint}"
-    worst = np.abs(found - right).max()
+    return _difference(found[first], rights[first])
+
+
+def _difference(found: Array, right: Array) -> str:
+    """Say where two arrays of the same shape differ first, and by how much."""
+    if (np.isfinite(right) & ~np.isfinite(found)).any():
+        return "not yet: there are NaN or infinite values. Look for a division by zero, or NaN that is not left out"
+    place = tuple(np.argwhere(~np.isclose(found, right, rtol=1e-4, atol=1e-6, equal_nan=True))[0])
+    where = f" at {[int(i) for i in place]}" if place else ""
+    worst = np.nanmax(np.abs(found - right), initial=0)
     return (
-        f"not yet: off by up to {worst:.3g}, and no usual mistake explains it. Work out one value by hand and compare"
+        f"not yet: {found[place]:.6g}{where} where {right[place]:.6g} is right, and off by up to {worst:.3g} in all; "
+        "no usual mistake explains it. Work out one value by hand and compare"
     )
 
 

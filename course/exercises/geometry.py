@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from course.exercises.compare import Answer, Array, _ray, diagnose
+from course.exercises.compare import Array, Case, Rng, _ray, checker
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
 
 
-def check_index_to_depth(answer: Answer) -> None:
+@checker
+def check_index_to_depth(rng: Rng, k: int) -> Case:
     """00.1: depth in metres of sphere index n, given N and D_min."""
-    n, N, nearest = 10, 64, 1.65
+    n, N, nearest = int(rng.integers(3, 20)), int(rng.integers(50, 200)), rng.uniform(0.4, 0.9)
     depth = nearest * (N - 1) / n
     mistakes = [
         (1 / depth, "that is the inverse depth in 1/m; the depth is one divided by it"),
@@ -21,12 +22,14 @@ def check_index_to_depth(answer: Answer) -> None:
         (nearest * n / (N - 1), "the spheres are even in inverse depth, not in depth"),
         ((N - 1) / n, "that is in units of the nearest depth; metres are asked"),
     ]
-    print(diagnose(answer, (n, N, nearest), depth, mistakes))
+    return (n, N, nearest), depth, mistakes
 
 
-def check_ray_of_pixel(answer: Answer) -> None:
+@checker
+def check_ray_of_pixel(rng: Rng, k: int) -> Case:
     """01.1: the unit ray of a pixel, given u, v, the direct polynomial (low to high) and the centre (u0, v0)."""
-    u, v, poly, center = 520.0, 300.0, np.array([-196.0, 0.0, 1.6e-3, -1e-7]), np.array([401.0, 380.0])
+    u, v, center = *rng.uniform(450, 700, 2), rng.uniform(350, 420, 2)
+    poly = np.array([-196.0, 0.0, 1.6e-3, -1e-7]) * rng.uniform(0.8, 1.2, 4)
 
     def ray(x: float, y: float, poly: Array = poly) -> Array:
         r = np.hypot(x, y)
@@ -46,12 +49,13 @@ def check_ray_of_pixel(answer: Answer) -> None:
         (ray(x, y, poly[::-1]), "the coefficients run from low to high; np.polyval wants the highest first"),
         (ray(x, y, poly[:1]), "the whole polynomial at r, not its first coefficient alone"),
     ]
-    print(diagnose(answer, (u, v, poly, center), right, mistakes))
+    return (u, v, poly, center), right, mistakes
 
 
-def check_angle_from_axis(answer: Answer) -> None:
+@checker
+def check_angle_from_axis(rng: Rng, k: int) -> Case:
     """01.2: the angle from the optical axis, in degrees, of a ray given as (x, y, z)."""
-    ray = np.array([0.8, 0.3, -0.4])
+    ray = np.array([0.8, 0.3, -0.4]) * rng.uniform(0.5, 1.2, 3) * (1, rng.choice([-1, 1]), 1 if k < 5 else -1)
     x, y, z = ray
     across = np.hypot(x, y)
     theta = np.arctan2(across, z)
@@ -64,12 +68,13 @@ def check_angle_from_axis(answer: Answer) -> None:
         (np.degrees(np.arctan2(x, z)), "that leaves y out: the distance from the axis is hypot(x, y)"),
         (np.degrees(np.arcsin(across / np.linalg.norm(ray))), "arcsin cannot tell 60° from 120°: use arctan2"),
     ]
-    print(diagnose(answer, (ray,), np.degrees(theta), mistakes))
+    return (ray,), np.degrees(theta), mistakes
 
 
-def check_rms_per_component(answer: Answer) -> None:
+@checker
+def check_rms_per_component(rng: Rng, k: int) -> Case:
     """01.3: the root mean square over all u and v of residuals, shape (K, 2)."""
-    residuals = np.random.default_rng(1).normal(0.05, 0.2, (40, 2))
+    residuals = rng.normal(0.05, 0.2, (rng.integers(30, 50), 2))
     squares = np.sum(residuals**2, axis=1)
     mistakes = [
         (np.sqrt(squares.mean()), "that is the rms distance, √2 more: take the mean over u and v both"),
@@ -79,14 +84,13 @@ def check_rms_per_component(answer: Answer) -> None:
         (residuals.std(), "that subtracts the mean first: a bias is an error, too"),
         (np.sqrt(np.sum(residuals**2)), "the mean of the squares, not their sum"),
     ]
-    print(diagnose(answer, (residuals,), np.sqrt(np.mean(residuals**2)), mistakes))
+    return (residuals,), np.sqrt(np.mean(residuals**2)), mistakes
 
 
-def check_relative_pose(answer: Answer) -> None:
+@checker
+def check_relative_pose(rng: Rng, k: int) -> Case:
     """02.1: T_2_1, camera 1 → camera 2, of two cameras that see one board at T_1_board and T_2_board."""
-    T_1_board = Pose.from_vector([0.2, 0.5, -0.1, 0.1, -0.2, 0.9])
-    T_2_board = Pose.from_vector([0.1, -0.9, 0.3, -0.3, 0.1, 0.8])
-
+    T_1_board, T_2_board = map(Pose.from_vector, rng.uniform(-1, 1, (2, 6)))
     mistakes = [
         (T_1_board @ T_2_board.inverse(), "that is T_1_2, the way back: from camera 1 to the board, then to camera 2"),
         (T_1_board.inverse() @ T_2_board, "read the indices: T_board_1 takes to the board, T_2_board from there, so it"
@@ -97,12 +101,13 @@ def check_relative_pose(answer: Answer) -> None:
         (T_1_board @ T_2_board, "the inner indices do not meet: camera 1 → board is the inverse of T_1_board"),
     ]  # fmt: skip
     right = (T_2_board @ T_1_board.inverse()).as_vector()
-    print(diagnose(answer, (T_1_board, T_2_board), right, [(T.as_vector(), hint) for T, hint in mistakes]))
+    return (T_1_board, T_2_board), right, [(T.as_vector(), hint) for T, hint in mistakes]
 
 
-def check_count_unknowns(answer: Answer) -> None:
+@checker
+def check_count_unknowns(rng: Rng, k: int) -> Case:
     """02.2: unknowns of the joint adjustment, given cameras, captures and the degree M of the polynomials."""
-    cameras, captures, degree = 4, 40, 6
+    cameras, captures, degree = (int(rng.integers(*limits)) for limits in ((3, 9), (20, 60), (3, 9)))
     lenses, poses = cameras * (4 + degree), 6 * (cameras - 1 + captures)
     mistakes = [
         (lenses + 6 * (cameras + captures), "camera 1 is the rig's frame: its pose is no unknown"),
@@ -115,12 +120,13 @@ def check_count_unknowns(answer: Answer) -> None:
         (4 + degree + poses, "each camera has a lens of its own"),
         (lenses + 3 * (cameras - 1 + captures), "a pose has six numbers: three of rotation, three of translation"),
     ]  # fmt: skip
-    print(diagnose(answer, (cameras, captures, degree), lenses + poses, mistakes))
+    return (cameras, captures, degree), lenses + poses, mistakes
 
 
-def check_depth_error(answer: Answer) -> None:
-    """02.3: metres of depth that one sphere more or less makes, to first order, given depth, N and D_min."""
-    depth, N, nearest = 8.0, 192, 0.55
+@checker
+def check_depth_error(rng: Rng, k: int) -> Case:
+    """02.4: metres of depth that one sphere more or less makes, to first order, given depth, N and D_min."""
+    depth, N, nearest = rng.uniform(4, 12), int(rng.integers(60, 200)), rng.uniform(0.4, 0.9)
     step = 1 / (nearest * (N - 1))
     mistakes = [
         (depth * step, "inverse depth is 1/ρ: its derivative is -1/ρ², so the depth enters squared"),
@@ -133,12 +139,13 @@ def check_depth_error(answer: Answer) -> None:
         (depth - 1 / (1 / depth + step), "that is the exact difference one sphere nearer; asked is ρ² times the step,"
          " its limit for small steps"),
     ]  # fmt: skip
-    print(diagnose(answer, (depth, N, nearest), depth**2 * step, mistakes))
+    return (depth, N, nearest), depth**2 * step, mistakes
 
 
-def check_point_of_ray(answer: Answer) -> None:
+@checker
+def check_point_of_ray(rng: Rng, k: int) -> Case:
     """03.1: the point at a distance along the ray of angles θ, φ in radians, rig frame."""
-    theta, phi, depth = 0.7, 0.3, 4.0
+    theta, phi, depth = rng.uniform(0.5, 1.2) + 3 * (k % 2), rng.uniform(0.2, 0.5), rng.uniform(2, 8)
     x, y, z = ray = _ray(theta, phi)
     mistakes = [
         (depth * _ray(*np.radians([theta, phi])), "the angles are in radians already, and NumPy wants radians"),
@@ -152,15 +159,16 @@ def check_point_of_ray(answer: Answer) -> None:
         (ray, "that is the unit ray; the point lies `depth` metres along it"),
         (ray / depth, "that is divided by the depth, as if it were an inverse depth: multiply"),
     ]
-    print(diagnose(answer, (theta, phi, depth), depth * ray, mistakes))
+    return (theta, phi, depth), depth * ray, mistakes
 
 
-def check_pixel_of_point(answer: Answer) -> None:
+@checker
+def check_pixel_of_point(rng: Rng, k: int) -> Case:
     """03.2: the pixel (u, v) at which a camera sees a point that is given in the rig frame."""
     camera = OcamCamera([-200.0, 0.0, 1e-3], [314.159, 200.0], (400.0, 380.0), (1.0, 0.0, 0.0), (800, 768))
-    T_rig_cam = Pose.from_vector([0.1, 0.9, -0.2, 0.3, -0.1, 0.5])
+    T_rig_cam = Pose.from_vector([0.1, 0.9, -0.2, 0.3, -0.1, 0.5] * rng.uniform(0.7, 1.3, 6))
     R, t = T_rig_cam.R, T_rig_cam.t
-    point = np.array([1.0, 1.0, 2.5])
+    point = rng.uniform(0.8, 2.5, 3)
 
     def project(point: Array) -> Array:
         return camera.project(point)[0]
@@ -180,12 +188,13 @@ def check_pixel_of_point(answer: Answer) -> None:
         (np.rint(pixel), "do not round: a point falls between pixels"),
         (np.floor(pixel), "do not cut off the decimals: a point falls between pixels"),
     ]
-    print(diagnose(answer, (camera, T_rig_cam, point), pixel, mistakes))
+    return (camera, T_rig_cam, point), pixel, mistakes
 
 
-def check_rotation_error(answer: Answer) -> None:
+@checker
+def check_rotation_error(rng: Rng, k: int) -> Case:
     """03.3: how many pixels of a panorama W wide a yaw error in degrees moves a far point."""
-    yaw, width = 0.7, 320
+    yaw, width = rng.uniform(0.2, 0.9), int(rng.integers(200, 1300))
     mistakes = [
         (yaw / (2 * np.pi) * width, "the error is in degrees, and 360 of them, not 2π, make the full width"),
         (yaw / 180 * width, "the panorama spans 360°, not 180°"),
@@ -194,4 +203,4 @@ def check_rotation_error(answer: Answer) -> None:
         (360 / width, "that is the number of degrees in a pixel; pixels are asked"),
         (yaw * 360 / width, "360 and the width are swapped: W pixels make 360°"),
     ]
-    print(diagnose(answer, (yaw, width), yaw / 360 * width, mistakes))
+    return (yaw, width), yaw / 360 * width, mistakes

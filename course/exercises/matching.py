@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from course.exercises.compare import Answer, Array, diagnose, first_finding
+from course.exercises.compare import Array, Case, Rng, checker
 
 
-def check_zncc_cost(answer: Answer) -> None:
+@checker
+def check_zncc_cost(rng: Rng, k: int) -> Case:
     """04.1: the matching cost (1 - ZNCC)/2 of two patches."""
-    rng = np.random.default_rng(4)
-    a = rng.normal(3, 2, (9, 9))
-    b = 0.4 * a + rng.normal(1, 0.5, (9, 9))
+    a = rng.normal(3, 2, (5 + 2 * (k % 3), 9))
+    b = 0.4 * a + rng.normal(1, 0.5, a.shape)
     covariance, deviations = np.mean((a - a.mean()) * (b - b.mean())), a.std() * b.std()
     zncc, n = covariance / deviations, a.size
     ncc = np.sum(a * b) / np.sqrt(np.sum(a**2) * np.sum(b**2))
@@ -28,29 +28,37 @@ def check_zncc_cost(answer: Answer) -> None:
         ((1 - zncc * (n - 1) / n) / 2, "the covariance is divided by n and the deviations by n - 1: use n for both"),
         ((1 - zncc * n) / 2, "sum and mean are mixed: take the mean of the products"),
     ]
-    print(diagnose(answer, (a, b), (1 - zncc) / 2, mistakes))
+    return (a, b), (1 - zncc) / 2, mistakes
 
 
-def check_mean_over_pairs(answer: Answer) -> None:
+@checker
+def check_mean_over_pairs(rng: Rng, k: int) -> Case:
     """04.2: the mean cost over the pairs that see a ray (Eq. 2); NaN marks a pair that does not."""
-    nan = np.nan
-    costs = np.array([[0.2, nan, 0.5], [nan, nan, 0.9], [0.3, 0.1, 0.4], [0.7, nan, 0.4]])
+    costs = rng.uniform(0.05, 1, (4 + k % 4, 5 + k % 3))  # one pair for each two cameras: more than four cameras, too
+    costs[:2, 0] = costs[:3, 1] = costs[2, 2] = np.nan
+    if k % 2:
+        costs[4:, 1] = np.nan
     mistakes = [
         (costs.mean(0), "a pair that does not see the ray must not spoil the others: leave the NaN out"),
         (np.nan_to_num(costs).mean(0), "a pair that does not see the ray is no 0, and none of those to divide by"),
         (np.nansum(costs, 0), "that is the sum; the paper takes the mean"),
-        (costs[2], "leave a pair out only at the rays that it does not see, not everywhere"),
+        (
+            costs[~np.isnan(costs).any(1)].mean(0),
+            "leave a pair out only at the rays that it does not see, not everywhere",
+        ),
         (np.nanmean(costs, 1), "that is the mean over the rays; average over the pairs, the first axis"),
         (np.nanmean(costs), "that is the mean over pairs and rays; each ray keeps its own"),
         (np.nanmin(costs, 0), "that is the best pair; the paper takes the mean"),
         (np.nanmedian(costs, 0), "that is the median; the paper takes the mean"),
     ]
-    print(diagnose(answer, (costs,), np.array([0.4, 0.1, 0.55]), mistakes))
+    return (costs,), np.nanmean(costs, 0), mistakes
 
 
-def check_pixels_per_index(answer: Answer) -> None:
-    """04.3: how far a match moves between two neighbouring spheres, in panorama pixels (small angles)."""
-    baseline, nearest, N, width = 0.6, 1.65, 64, 320
+@checker
+def check_pixels_per_index(rng: Rng, k: int) -> Case:
+    """04.4: how far a match moves between two neighbouring spheres, in panorama pixels (small angles)."""
+    baseline, nearest, N = rng.uniform(0.2, 0.8), rng.uniform(0.5, 3), int(rng.integers(40, 200))
+    width = int(rng.integers(300, 1300))
     angle, per_radian = baseline / (nearest * (N - 1)), width / (2 * np.pi)
     mistakes = [
         (angle, "that is the angle in radians: turn it into pixels, W of them in 2π"),
@@ -62,14 +70,16 @@ def check_pixels_per_index(answer: Answer) -> None:
         (baseline * nearest / (N - 1) * per_radian, "the step is in inverse depth: D_min belongs below the line"),
         (1 / (angle * per_radian), "that is the number of spheres in a pixel; it is asked the other way round"),
     ]
-    print(diagnose(answer, (baseline, nearest, N, width), angle * per_radian, mistakes))
+    return (baseline, nearest, N, width), angle * per_radian, mistakes
 
 
-def check_sgm_step(answer: Answer) -> None:
+@checker
+def check_sgm_step(rng: Rng, k: int) -> Case:
     """07.1: one step of SGM's recurrence along a path."""
-    cost = np.array([0.5, 0.3, 0.6, 0.1, 0.2, 0.7, 0.4, 0.8])
-    before = np.array([2.0, 2.1, 1.7, 1.2, 1.3, 1.9, 1.5, 1.4])
-    p1, p2, best = 0.1, 0.6, before.min()
+    N = int(rng.integers(8, 14))
+    cost, before = rng.uniform(0, 1, N), 1.2 + rng.uniform(0, 1, N)
+    before[rng.choice([0, N - 1])] = 1.15  # a neighbour across the end would be cheap
+    p1, p2, best = rng.uniform(0.05, 0.15), rng.uniform(0.4, 0.6), before.min()
     ends = np.pad(before, 1, constant_values=np.inf)
 
     def step(p1: float, p2: float, best: float = best, around: Array = ends) -> Array:
@@ -81,6 +91,7 @@ def check_sgm_step(answer: Answer) -> None:
         (right + best, "subtract min_k L(p - r, k) at the end, or the sums grow along the path"),
         (step(p2, p1), "P1 is for a step of one sphere, P2 for a jump: they are swapped"),
         (step(p1, p2, around=np.pad(before, 1, mode="wrap")), "n ± 1 does not wrap: sphere 0 has no left neighbour"),
+        (step(p1, p2, around=np.array([before[-1], *ends[1:]])), "n ± 1 does not wrap: sphere 0 has no left neighbour"),
         (step(p1, p2, best=0.0) - best, "a jump starts at the best sphere before: min_k L(p - r, k) + P2, not P2"),
         (step(p1, np.inf), "the jump is missing: min_k L(p - r, k) + P2"),
         (step(np.inf, p2), "the neighbours are missing: L(p - r, n ± 1) + P1"),
@@ -88,12 +99,13 @@ def check_sgm_step(answer: Answer) -> None:
         (right - cost, "add this ray's own cost, C(p, n)"),
         (cost, "that is the cost alone: add the cheapest way to arrive"),
     ]
-    print(diagnose(answer, (cost, before, p1, p2), right, mistakes))
+    return (cost, before, p1, p2), right, mistakes
 
 
-def check_parabola(answer: Answer) -> None:
+@checker
+def check_parabola(rng: Rng, k: int) -> Case:
     """07.2: the offset of a parabola's vertex from its middle sample."""
-    left, middle, right = 0.5, 0.2, 0.3
+    left, middle, right = rng.uniform(0.3, 0.6), rng.uniform(0.1, 0.25), rng.uniform(0.3, 0.6)
     slope, curvature = left - right, left - 2 * middle + right
     offset = slope / (2 * curvature)
     mistakes = [
@@ -104,14 +116,14 @@ def check_parabola(answer: Answer) -> None:
         (slope / (2 * (left - middle + right)), "the middle sample counts twice: l - 2c + r"),
         (1 + offset, "that is measured from the left sample; the offset is from the middle one"),
     ]
-    print(diagnose(answer, (left, middle, right), offset, mistakes))
+    return (left, middle, right), offset, mistakes
 
 
-def check_cosine_cost(answer: Answer) -> None:
+@checker
+def check_cosine_cost(rng: Rng, k: int) -> Case:
     """05.1: the cost (1 - cos)/2 of two descriptions of any length."""
-    rng = np.random.default_rng(5)
-    f_i = rng.normal(0.3, 1, 64)
-    f_j = 1.7 * f_i + rng.normal(0.2, 0.9, 64)
+    f_i = rng.normal(0.3, 1, 32 * (1 + k % 3))
+    f_j = 1.7 * f_i + rng.normal(0.2, 0.9, len(f_i))
     dot, length_i, length_j = f_i @ f_j, np.linalg.norm(f_i), np.linalg.norm(f_j)
     cos = dot / (length_i * length_j)
     mistakes = [
@@ -125,13 +137,14 @@ def check_cosine_cost(answer: Answer) -> None:
         ((1 - np.corrcoef(f_i, f_j)[0, 1]) / 2, "that subtracts the means, as ZNCC does; the cosine does not"),
         (np.arccos(cos) / np.pi, "that is the angle by π; the cosine is asked"),
     ]
-    print(diagnose(answer, (f_i, f_j), (1 - cos) / 2, mistakes))
+    return (f_i, f_j), (1 - cos) / 2, mistakes
 
 
-def check_hinge_loss(answer: Answer) -> None:
+@checker
+def check_hinge_loss(rng: Rng, k: int) -> Case:
     """05.2: the mean of max(0, margin + negative - positive) over the rays."""
-    positive, negative = np.array([0.9, 0.7, 0.55, 0.95, 0.2]), np.array([0.1, 0.6, 0.85, 0.3, 0.15])
-    margin = 0.2
+    positive, negative = rng.uniform([[0.3], [0.0]], [[1.0], [0.7]], (2, int(rng.integers(12, 30))))
+    margin = rng.uniform(0.15, 0.3)
     each = np.maximum(0, margin + negative - positive)
     mistakes = [
         (np.maximum(0, margin + positive - negative).mean(), "the roles: the match must score higher by the margin"),
@@ -147,12 +160,13 @@ def check_hinge_loss(answer: Answer) -> None:
         ((each**2).mean(), "the hinge is not squared"),
         (each[each > 0].mean(), "rays that cost nothing count in the mean as well"),
     ]
-    print(diagnose(answer, (positive, negative, margin), each.mean(), mistakes))
+    return (positive, negative, margin), each.mean(), mistakes
 
 
-def check_patch_size(answer: Answer) -> None:
+@checker
+def check_patch_size(rng: Rng, k: int) -> Case:
     """05.3: side of the patch that `layers` convolutions of kernel × kernel see, one behind the other."""
-    layers, kernel = 5, 7
+    layers, kernel = int(rng.integers(4, 10)), 2 * int(rng.integers(1, 6)) + 1
     mistakes = [
         (
             layers * kernel,
@@ -164,14 +178,18 @@ def check_patch_size(answer: Answer) -> None:
         (kernel**layers, "sizes add up; they multiply with strides only"),
         (kernel, "that is what one layer sees"),
     ]
-    print(diagnose(answer, (layers, kernel), 1 + layers * (kernel - 1), mistakes))
+    return (layers, kernel), 1 + layers * (kernel - 1), mistakes
 
 
-def check_sphere_labels(answer: Answer) -> None:
+@checker
+def check_sphere_labels(rng: Rng, k: int) -> Case:
     """06.1: SweepNet's labels of sphere n: 0 where the true index rounds to n, 1 elsewhere."""
-    gt_index, n = np.array([[2.4, 2.6, 3.0, 3.4], [3.6, 0.0, 4.0, 3.1]]), 3
-    label = np.where(np.rint(gt_index) == n, 0.0, 1.0)
-    mistakes = [
+    n = int(rng.integers(1, 9))
+    gt_index = n + rng.uniform(-1.6, 1.6, (3, 6 + k % 3))
+    gt_index[0, :3] = n + np.array([0, 0.4, -0.4])
+    gt_index[1:, :2] = np.nan
+    label, unknown = np.where(np.rint(gt_index) == n, 0.0, 1.0), np.isnan(gt_index)
+    wrong = [
         (1 - label, "turned around: a match is 0, as every cost of a match is"),
         (np.where(np.floor(gt_index) == n, 0.0, 1.0), "round to the nearest sphere; cutting off is rounding down"),
         (np.where(np.ceil(gt_index) == n, 0.0, 1.0), "round to the nearest sphere, not up"),
@@ -180,19 +198,19 @@ def check_sphere_labels(answer: Answer) -> None:
         (np.abs(gt_index - n), "that is a distance; a label says yes or no"),
         (np.minimum(np.abs(np.rint(gt_index) - n), 1.0)[0], "the labels of all rays, not of the first row"),
     ]
-    unknown, no_label = gt_index.copy(), label.copy()
-    unknown[0, 1] = no_label[0, 1] = np.nan
-    no_truth = [
-        (np.where(np.isnan(no_label), one, no_label), "no ground truth, no label: NaN stays NaN") for one in (0, 1)
-    ]
-    cases = ((gt_index, n), label, mistakes), ((unknown, n), no_label, no_truth)
-    print(first_finding(diagnose(answer, *case) for case in cases))
+    mistakes = [(np.where(unknown, one, label), "no ground truth, no label: NaN stays NaN") for one in (0, 1)]
+    for value, hint in wrong:  # with NaN left as it is, and with what a comparison makes of it
+        keeps_nan = value.ndim < 2 or np.isnan(value).any()
+        mistakes += [(value, hint)] if keeps_nan else [(value, hint), (np.where(unknown, np.nan, value), hint)]
+    return (gt_index, n), np.where(unknown, np.nan, label), mistakes
 
 
-def check_balanced_loss(answer: Answer) -> None:
+@checker
+def check_balanced_loss(rng: Rng, k: int) -> Case:
     """06.2: binary cross-entropy (Eq. 4) with as much weight on all positives as on all negatives."""
-    cost = np.array([0.1, 0.4, 0.9, 0.7, 0.8, 0.95, 0.3])
-    label = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+    label = np.repeat([0.0, 1.0], rng.integers([3, 8], [6, 12]))
+    rng.shuffle(label)
+    cost = rng.uniform(0.05, 0.95, len(label))
     match = label == 0
     positive, negative = -np.log(1 - cost[match]), -np.log(cost[~match])
     right = (positive.mean() + negative.mean()) / 2
@@ -209,12 +227,14 @@ def check_balanced_loss(answer: Answer) -> None:
         (negative.mean() / 2, "the positives are missing: label 0 takes log(1 - cost)"),
         (positive.mean() / 2, "the negatives are missing: label 1 takes log(cost)"),
     ]  # fmt: skip
-    print(diagnose(answer, (cost, label), right, mistakes))
+    return (cost, label), right, mistakes
 
 
-def check_receptive_field(answer: Answer) -> None:
-    """06.3: side of the input that an output depends on, given (kernel, stride) of each layer in order."""
-    layers = [(5, 2), (3, 1), (3, 1), (3, 2), (3, 1)]
+@checker
+def check_receptive_field(rng: Rng, k: int) -> Case:
+    """06.4: side of the input that an output depends on, given (kernel, stride) of each layer in order."""
+    drawn = rng.choice([3, 5, 7], 2 + k % 4), rng.choice([1, 2, 3], 2 + k % 4)
+    layers = [(5, 2), (3, 1), *((int(size), int(stride)) for size, stride in zip(*drawn, strict=True)), (3, 2), (3, 1)]
     kernels, strides = np.array(layers).T
     before, after = np.concatenate([[1], np.cumprod(strides)[:-1]]), np.cumprod(strides)
     plain = 1 + np.sum(kernels - 1)
@@ -228,4 +248,4 @@ def check_receptive_field(answer: Answer) -> None:
         (right - 1, "with no layer at all it is one pixel: add it"),
         (kernels.sum(), "neighbouring windows overlap: each layer adds kernel - 1"),
     ]  # fmt: skip
-    print(diagnose(answer, (layers,), float(right), mistakes))
+    return (layers,), float(right), mistakes

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from course.exercises.compare import Answer, Array, diagnose
+from course.exercises.compare import Array, Case, Rng, checker
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.stereo.metrics import error_map
 
 
-def check_index_error(answer: Answer) -> None:
+@checker
+def check_index_error(rng: Rng, k: int) -> Case:
     """07.3: mean absolute error in percent of the range swept (Eq. 5), over the rays with an estimate."""
-    index, truth, N = np.array([3.0, 50.0, 20.0, np.nan]), np.array([3.4, 48.0, 18.3, 5.0]), 64
-    known = slice(3)
+    N, rays = int(rng.integers(40, 200)), int(rng.integers(6, 20))
+    truth = rng.uniform(0, N - 1, rays)
+    index = np.rint(truth + rng.normal(-0.5, 3, rays))
+    index[-1 - k % 3 :] = np.nan
+    known = ~np.isnan(index)
     error = error_map(index, truth, N)[known]
     mistakes = [
         (error.mean() * N / 100, "that is in indices; the error is in percent of the N spheres: multiply by 100/N"),
@@ -21,19 +25,26 @@ def check_index_error(answer: Answer) -> None:
         (error_map(index, np.rint(truth), N)[known].mean(), "do not round the truth: that is for training only"),
         (np.nan, "a ray without an estimate (NaN) spoils the mean: leave it out"),
         (error.sum() / len(index), "a ray without an estimate (NaN) is not among those to divide by, either"),
-        ((error.sum() + 100) / len(index), "leave rays without an estimate out; `index_error` counts them as 100"),
+        (
+            (error.sum() + 100 * np.sum(~known)) / len(index),
+            "leave rays without an estimate out; `index_error` counts them as 100",
+        ),
         (error.sum(), "that is the sum: divide by the number of rays with an estimate"),
         (np.sqrt((error**2).mean()), "that is the root mean square; the MAE is the mean of the absolute values"),
         (100 / N * (index - truth)[known].mean(), "take the absolute value of each ray, before the mean"),
+        (100 / N * abs((index - truth)[known].mean()), "take the absolute value of each ray, before the mean"),
         (error, "that is the error of each ray: take the mean"),
         (error_map(index, truth, N), "that is the error of each ray: leave the NaN out and take the mean"),
     ]
-    print(diagnose(answer, (index, truth, N), error.mean(), mistakes))
+    return (index, truth, N), error.mean(), mistakes
 
 
-def check_share_above(answer: Answer) -> None:
+@checker
+def check_share_above(rng: Rng, k: int) -> Case:
     """08.1: percent of rays whose error exceeds a limit; NaN, no estimate, counts as wrong."""
-    error, limit = np.array([[0.2, 3.0, np.nan, 7.5], [3.1, 0.0, 2.9, 2.0], [12.0, 1.0, 3.0, 0.5]]), 3.0
+    limit = float(rng.integers(1, 6))
+    error = rng.exponential(limit, (3 + k % 3, 8))
+    error[0, :2], error[1, :2], error[2, 2] = limit, 0.5 * limit, np.nan
     above, missing = error > limit, np.isnan(error)
     right = 100 * np.mean(above | missing)
     mistakes = [
@@ -45,13 +56,14 @@ def check_share_above(answer: Answer) -> None:
         (float(np.sum(above | missing)), "that is their number; the share is asked"),
         (100 * np.mean(above | missing, axis=1), "that is the share of each row; one number is asked"),
     ]
-    print(diagnose(answer, (error, limit), right, mistakes))
+    return (error, limit), right, mistakes
 
 
-def check_pooled_rms(answer: Answer) -> None:
+@checker
+def check_pooled_rms(rng: Rng, k: int) -> Case:
     """08.2: RMS of all frames together, from each frame's number of rays, sum of e and sum of e²."""
-    rays, sums = np.array([1000.0, 4000.0, 500.0]), np.array([900.0, 8200.0, 2600.0])
-    squares = np.array([2100.0, 31000.0, 26000.0])
+    rays, means = 2.0 * rng.integers(200, 2500, 3 + k % 4), rng.uniform(1, 5, 3 + k % 4)
+    sums, squares = rays * means, rays * means**2 * rng.uniform(1.5, 3, len(rays))
     right = np.sqrt(squares.sum() / rays.sum())
     mistakes = [
         (right**2, "take the root"),
@@ -64,12 +76,14 @@ def check_pooled_rms(answer: Answer) -> None:
         (np.sqrt(squares.sum() / rays.sum() - (sums.sum() / rays.sum()) ** 2), "that is the standard deviation: do not"
          " subtract the mean"),
     ]  # fmt: skip
-    print(diagnose(answer, (rays, sums, squares), right, mistakes))
+    return (rays, sums, squares), right, mistakes
 
 
-def check_standard_error(answer: Answer) -> None:
+@checker
+def check_standard_error(rng: Rng, k: int) -> Case:
     """08.3: standard error of the mean difference a - b of two methods, from their figures in the same frames."""
-    a, b = np.array([12.1, 9.4, 20.3, 15.0, 11.2, 17.9]), np.array([10.8, 9.1, 17.2, 13.9, 10.9, 14.6])
+    b = rng.uniform(9, 20, int(rng.integers(6, 12)))
+    a = b + rng.normal(1.5, 1, len(b))
     n, difference = len(a), a - b
     deviation = np.std(difference, ddof=1)
     apart = np.sqrt((np.var(a, ddof=1) + np.var(b, ddof=1)) / n)
@@ -91,13 +105,15 @@ def check_standard_error(answer: Answer) -> None:
         (difference.mean(), "that is the mean difference; how uncertain is it?"),
         (difference, "those are the differences; one number is asked"),
     ]
-    print(diagnose(answer, (a, b), deviation / np.sqrt(n), mistakes))
+    return (a, b), deviation / np.sqrt(n), mistakes
 
 
-def check_metres_per_unit(answer: Answer) -> None:
+@checker
+def check_metres_per_unit(rng: Rng, k: int) -> Case:
     """09.1: by what to multiply a file's positions, given these, two cameras and their distance by ruler in metres."""
-    positions = np.array([[40.0, -12.0, 215.0], [262.0, 3.0, 31.0], [38.0, 130.0, -213.0], [-174.0, 8.0, 5.0]])
-    i, j, measured = 1, 2, 0.36
+    positions = rng.uniform(-250, 250, (4 + k % 3, 3))
+    i, j = (int(camera) for camera in rng.choice(len(positions), 2, replace=False))
+    measured = np.linalg.norm(positions[j] - positions[i]) * rng.uniform(0.9e-3, 1.1e-3)
     apart = positions[j] - positions[i]
     distance = np.linalg.norm(apart)
     mistakes = [
@@ -112,13 +128,14 @@ def check_metres_per_unit(answer: Answer) -> None:
         (measured / np.linalg.norm(positions[j - 1] - positions[i - 1]), "i and j are indices from 0: subtract no 1"),
         (0.001, "that is the unit it stands for, millimetres; return the ratio itself, which tells more"),
     ]  # fmt: skip
-    print(diagnose(answer, (positions, i, j, measured), measured / distance, mistakes))
+    return (positions, i, j, measured), measured / distance, mistakes
 
 
-def check_pose_from_file(answer: Answer) -> None:
+@checker
+def check_pose_from_file(rng: Rng, k: int) -> Case:
     """09.2: T_rig_cam in metres, (4, 4), from a file's matrix that takes rig → camera, millimetres."""
     matrix = np.eye(4)
-    T_cam_rig = Pose.from_vector([0.2, 1.4, -0.3, 120.0, -35.0, 260.0])
+    T_cam_rig = Pose.from_vector([0.2, 1.4, -0.3, 120.0, -35.0, 260.0] * rng.uniform(0.6, 1.4, 6))
     matrix[:3, :3], matrix[:3, 3] = R, t = T_cam_rig.R, T_cam_rig.t
 
     def pose(R: Array, t: Array) -> Array:
@@ -141,12 +158,14 @@ def check_pose_from_file(answer: Answer) -> None:
         (matrix.T, "a transposed 4 × 4 matrix is no inverse: transpose R alone, and t becomes -Rᵀt"),
         (right[:3], "right, but for the last row 0 0 0 1: return the 4 × 4 matrix"),
     ]
-    print(diagnose(answer, (matrix,), right, mistakes))
+    return (matrix,), right, mistakes
 
 
-def check_spheres_needed(answer: Answer) -> None:
+@checker
+def check_spheres_needed(rng: Rng, k: int) -> Case:
     """09.3: fewest spheres for which a match moves by at most `pixels` from one to the next (small angles)."""
-    baseline, nearest, width, pixels = 0.43, 0.7, 640, 0.8
+    baseline, nearest = rng.uniform(0.3, 0.6), rng.uniform(0.5, 1.2)
+    width, pixels = int(rng.integers(400, 900)), rng.uniform(0.4, 0.9)
     moves = baseline / nearest * width / (2 * np.pi)
     steps = moves / pixels
     N = int(np.ceil(steps)) + 1
@@ -166,12 +185,13 @@ def check_spheres_needed(answer: Answer) -> None:
         (np.ceil(np.degrees(baseline / nearest) / pixels) + 1, "that counts degrees for pixels: W pixels make 360°"),
         (np.ceil(baseline / nearest / pixels) + 1, "that counts radians for pixels: W pixels make 2π"),
     ]  # fmt: skip
-    print(diagnose(answer, (baseline, nearest, width, pixels), N, mistakes))
+    return (baseline, nearest, width, pixels), N, mistakes
 
 
-def check_distance_from_z(answer: Answer) -> None:
+@checker
+def check_distance_from_z(rng: Rng, k: int) -> Case:
     """10.1: distance along a viewing ray (x, y, z) of any length, given the depth along the optical axis."""
-    z_depth, ray = 6.0, np.array([0.9, -0.4, 1.5])
+    z_depth, ray = rng.uniform(3, 9), rng.uniform([0.5, -1, 1], [1, -0.4, 2])
     length, z = np.linalg.norm(ray), ray[2]
     mistakes = [
         (z_depth * z / length, "turned around: the ray is longer than its part along the axis"),
@@ -182,14 +202,15 @@ def check_distance_from_z(answer: Answer) -> None:
         (z_depth * np.hypot(ray[0], z) / z, "y is missing: the ray goes up or down as well"),
         (z_depth, "z is the part along the axis; the ray to a point off the axis is longer"),
     ]
-    print(diagnose(answer, (z_depth, ray), z_depth * length / z, mistakes))
+    return (z_depth, ray), z_depth * length / z, mistakes
 
 
-def check_share_of_sphere(answer: Answer) -> None:
+@checker
+def check_share_of_sphere(rng: Rng, k: int) -> Case:
     """10.2: the share of a panorama's solid angle, 0 … 1, that a mask covers; rows even in elevation."""
-    low, high = -45.0, 70.0
-    mask = np.array([[1, 1, 1, 1], [1, 0, 1, 0], [0, 0, 1, 0], [0, 0, 0, 0], [0, 1, 0, 0]], bool)
-    rows = len(mask)
+    low, high = rng.uniform(-80, -30), rng.uniform(30, 85)
+    rows = int(rng.integers(4, 9))
+    mask = rng.uniform(0, 1, (rows, 5)) < np.linspace(0.2, 0.9, rows)[:, None]
 
     def share(elevation: Array) -> float:
         return float(np.average(mask.mean(1), weights=np.cos(elevation)))
@@ -206,13 +227,14 @@ def check_share_of_sphere(answer: Answer) -> None:
         (np.sum(weight * mask), "that is a sum of weights; divide by the sum of all of them"),
         (np.sum(weight * mask) / weight.sum(), "each row's weight counts once for every pixel of the row"),
     ]
-    print(diagnose(answer, (mask, low, high), share(middles), mistakes))
+    return (mask, low, high), share(middles), mistakes
 
 
-def check_risk_ratio(answer: Answer) -> None:
+@checker
+def check_risk_ratio(rng: Rng, k: int) -> Case:
     """11.1: how many times as often a ray is wrong where two cameras disagree as where they agree."""
-    agree = np.array([1, 1, 1, 1, 1, 1, 1, 0, 0, 0, 1, 1], bool).reshape(3, 4)
-    wrong = np.array([0, 1, 0, 0, 0, 1, 0, 1, 1, 0, 0, 0], bool).reshape(3, 4)
+    agree, wrong = rng.uniform(0, 1, (2, 5, 6 + k % 3)) < np.array([0.7, 0.4])[:, None, None]
+    agree[0, :4], wrong[0, :4] = (1, 1, 0, 0), (1, 0, 1, 0)  # all four kinds there are
     among_agreeing, among_others = wrong[agree].mean(), wrong[~agree].mean()
     mistakes = [
         (among_agreeing / among_others, "that is the other way round: disagreeing over agreeing"),
@@ -223,4 +245,4 @@ def check_risk_ratio(answer: Answer) -> None:
         (among_others, "that is the share of wrong rays where they disagree; divide by that where they agree"),
         (agree[~wrong].mean() / agree[wrong].mean(), "that splits the rays by error; split them by agreement"),
     ]  # fmt: skip
-    print(diagnose(answer, (agree, wrong), among_others / among_agreeing, mistakes))
+    return (agree, wrong), among_others / among_agreeing, mistakes

@@ -28,7 +28,7 @@ def run(options: argparse.Namespace) -> int:
     low, high = rig.baselines.min(), rig.baselines.max()
     print(f"{len(rig)} cameras, {low:.3g} … {high:.3g} m apart: is that right?")
     # Not a depth that comes from the baselines: it would be wrong by the same factor as they are.
-    check = check_rig(rig, images, make_grid(options, rig, _NEAR))
+    check = check_rig(rig, images, make_grid(options, rig, images, _NEAR))
     for hypothesis in (check.given, *check.alternatives[:3]):
         print(f"{hypothesis.cost:.3f}  {hypothesis.name}")
     print(f"{'OK  ' if check.fits else 'FAIL'}  {check.summary()}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,6 +25,7 @@ def add_input(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rig", type=Path, help="rig file, folder of one, or data set (default: the bundled sample)")
     parser.add_argument("--unit", choices=["mm", "cm", "m"], help="unit of the poses, if the file does not state it")
     parser.add_argument("--images", type=Path, nargs="+", help="one image per camera, in the order of the rig")
+    parser.add_argument("--masks", type=Path, nargs="+", help="one per camera, bright = valid (default: mask.png)")
     parser.add_argument("--frame", type=int, default=0, help="frame of a data set, counted from 0 (default: 0)")
 
 
@@ -35,7 +37,7 @@ def add_grid(parser: argparse.ArgumentParser, width: int, height: int, spheres: 
         "--phi", type=float, nargs=2, default=(-45.0, 45.0), help="elevation range in degrees, down is positive"
     )
     parser.add_argument("--spheres", type=int, default=spheres, help=f"number of spheres N (default: {spheres})")
-    parser.add_argument("--min-depth", type=float, help="nearest depth in metres (default: as the rig file proposes)")
+    parser.add_argument("--min-depth", type=float, help="nearest depth in metres (default: of the rig file, or found)")
 
 
 def add_device(parser: argparse.ArgumentParser, precision: bool = True) -> None:
@@ -46,17 +48,19 @@ def add_device(parser: argparse.ArgumentParser, precision: bool = True) -> None:
 
 
 def read_input(options: argparse.Namespace) -> tuple[Rig, list[NDArray], Frame | None]:
-    """Return the rig, the images and, if there is ground truth, the frame.
+    """Return the rig with its masks, the images and, if there is ground truth, the frame.
 
     Raises an `OmnistereoError` if files are missing or broken, or --images comes without --rig.
     """
     from omnistereo_lib.dataset import load_dataset, load_images
     from omnistereo_lib.rig_files import load_rig
+    from omnistereo_tools.masks import with_masks
 
     if options.images is not None:
         if options.rig is None:
             raise OmnistereoError("--images needs --rig: the file or folder that describes the cameras")
-        return load_rig(options.rig, options.unit), load_images(options.images), None
+        rig = with_masks(load_rig(options.rig, options.unit), options.masks, options.images)
+        return rig, load_images(options.images), None
     folder = options.rig or SAMPLE
     if not folder.is_dir():
         raise OmnistereoError(f"{folder} is not a data set folder. Give --images, one per camera of the rig")
@@ -64,18 +68,23 @@ def read_input(options: argparse.Namespace) -> tuple[Rig, list[NDArray], Frame |
     if not -len(data) <= options.frame < len(data):
         raise OmnistereoError(f"{folder} has frames 0 … {len(data) - 1}, not {options.frame}")
     frame = data[options.frame]
-    return data.rig, frame.images, frame if frame.gt_path else None
+    rig = with_masks(data.rig, options.masks, frame.image_paths)
+    return rig, frame.images, frame if frame.gt_path else None
 
 
-def make_grid(options: argparse.Namespace, rig: Rig, default: float | None = None) -> SphereGrid:
-    """Return the grid; its nearest depth is the user's, else the rig file's, the default, or twice a baseline."""
+def make_grid(
+    options: argparse.Namespace, rig: Rig, images: Sequence[NDArray], default: float | None = None
+) -> SphereGrid:
+    """Return the grid; its nearest depth is the user's, else the rig file's, the default, or what the images show."""
     from omnistereo_lib.geometry.sphere import SphereGrid
 
     proposals = (options.min_depth, rig.min_depth, default)
     min_depth = next((depth for depth in proposals if depth is not None), None)
     if min_depth is None:
-        min_depth = 2 * float(rig.baselines.min())
-        print(f"the rig file proposes no nearest depth: taking twice the shortest baseline, {min_depth:.2f} m")
+        from omnistereo_tools.nearest import propose_min_depth
+
+        min_depth = propose_min_depth(rig, images, tuple(options.phi))
+        print(f"The rig file states no nearest depth: a coarse look at the images proposes --min-depth {min_depth:g}.")
     return SphereGrid(options.width, options.height, tuple(options.phi), options.spheres, min_depth)
 
 

@@ -141,7 +141,7 @@ class Evaluation:
         self._rig = "own" if rig is None else checksum(b"".join(map(read_bytes, _rig_files(Path(rig)))))
         chosen = [(name, frame) for name, data in self.sets.items() for frame in _select_frames(data, frames)]
         self.jobs = [Job(name, frame.number, method) for name, frame in chosen for method in methods]
-        self._data = {(name, frame.number): _checksums(name, frame) for name, frame in chosen}
+        self._data = {(name, frame.number): _checksums(name, self.sets[name].folder, frame) for name, frame in chosen}
         self._inputs: Record = {}
         for job in self.jobs:
             add_record(self._inputs, self._record(job, {}))
@@ -258,8 +258,10 @@ def _rig_files(path: Path) -> list[Path]:
     return [inside for inside in sorted(path.iterdir()) if inside.suffix in _RIG_FILES and inside.is_file()]
 
 
-def _checksums(name: str, frame: Frame) -> dict[str, str]:
+def _checksums(name: str, set_folder: Path, frame: Frame) -> dict[str, str]:
     """Return the SHA-256 of the input files of a frame: rig, images, ground truth."""
-    files = {f"{name}/{path.name}": path for path in _rig_files(frame.image_paths[0].parents[1])}
+    folder = frame.image_paths[0].parents[1]
+    name = f"{name}/{folder.name}" if folder.parent == set_folder else name  # with a rig of its own
+    files = {f"{name}/{path.name}": path for path in _rig_files(folder)}
     files |= {f"{name}/{path.parent.name}/{path.name}": path for path in [*frame.image_paths, frame.gt_path]}
     return {key: checksum(read_bytes(path)) for key, path in files.items()}

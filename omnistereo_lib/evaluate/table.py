@@ -14,6 +14,7 @@ from omnistereo_lib.evaluate.regions import METRICS, REGIONS, SUMS, sums_to_metr
 from omnistereo_lib.files import atomic_write, make_folder
 from omnistereo_lib.stereo.methods import Method
 
+WITHOUT_SKY = "without sky"
 LIGHTS = ("sunny", "cloudy", "sunset")  # in the order of the paper
 _RESAMPLES, _SEED = 10_000, 0
 
@@ -107,15 +108,15 @@ def errors_table(results: Record) -> Table:
 
 
 def regions_table(results: Record) -> Table:
-    """Return the five metrics of all rays of each region, of all frames of a set together."""
+    """Return the five metrics of all rays of each region, and of all but the sky, of all frames of a set together."""
     methods, rows = _methods(results), []
     for name in _sets(results):
         frames = results["frames"][name].values()
         found = next(iter(frames))[methods[0].name]["strata"].keys()
-        for region in [*REGIONS, *sorted(found - {*REGIONS})]:
+        for region in ["all", WITHOUT_SKY, *REGIONS[1:], *sorted(found - {*REGIONS})]:
             for method in methods:
                 sums = [frame[method.name]["strata"] for frame in frames]
-                samples = np.array([[frame[region][key] for key in SUMS] for frame in sums])
+                samples = np.array([_sums(frame, region) for frame in sums])
                 rays = samples[:, 0].sum()
                 if rays > 0:
                     percent = 100 * rays / sum(frame["all"]["rays"] for frame in sums)
@@ -123,6 +124,13 @@ def regions_table(results: Record) -> Table:
                     rows.append((words, bootstrap(samples, sums_to_metrics)))
     caption = _caption(results, "All rays of all frames together")
     return Table(["set", "stratum", "rays", "method"], list(METRICS), rows, caption)
+
+
+def _sums(regions: dict[str, dict[str, float]], name: str) -> NDArray[np.float64]:
+    """Return the `SUMS` of a region of a frame; without the sky, those of all rays less those of the sky."""
+    if name == WITHOUT_SKY:
+        return _sums(regions, "all") - _sums(regions, "sky")
+    return np.array([regions[name][key] for key in SUMS], np.float64)
 
 
 def write_results(folder: str | Path, results: Record) -> list[str]:

@@ -6,7 +6,7 @@ OCam files keep (row, column) for the centre, the affine map and the image size;
 
 import logging
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +44,12 @@ def read_ocam_txt(path: str | Path, max_fov_deg: float = DEFAULT_FOV_DEG) -> Oca
     The file does not state `max_fov_deg`, the full field of view of the lens. OmnistereoError if the polynomials do
     not reach it; UserWarning if they differ by more than 0.1 px anywhere in it.
     """
+    camera = _read_camera(path, max_fov_deg)
+    warn_of_polynomials([camera], path)
+    return camera
+
+
+def _read_camera(path: str | Path, max_fov_deg: float) -> OcamCamera:
     with error_context(path):
         records: list[Any] = _data_lines(path)
         if len(records) > 1 and (len(records[1]) == 2 or records[1] == ["0"]):
@@ -77,7 +83,8 @@ def read_ocam_folder(folder: Path, unit: str | None, max_fov_deg: float | None) 
                 f"({', '.join(file.name for file in files)}); expected one line rx ry rz tx ty tz per camera"
             )
         scale = metres_per_unit(unit, np.stack([pose.t for pose in poses]))
-    cameras = [read_ocam_txt(file, DEFAULT_FOV_DEG if max_fov_deg is None else max_fov_deg) for file in files]
+    cameras = [_read_camera(file, DEFAULT_FOV_DEG if max_fov_deg is None else max_fov_deg) for file in files]
+    warn_of_polynomials(cameras, folder)
     with error_context(folder):
         return Rig(cameras, [Pose(pose.R, pose.t * scale) for pose in poses])
 
@@ -139,7 +146,7 @@ def ocam_camera(
             inv_poly = _counted(records["inv_poly"], "the inverse polynomial")
         mask = None if mask_file is None else read_gray(mask_file, (width, height)) == 0  # not 0 is outside
         camera = OcamCamera(poly, inv_poly, (column, row), affine, (width, height), max_fov_deg, mask)
-        _check_polynomials(camera, source)
+        _check_polynomials(camera)
     return camera
 
 
@@ -154,8 +161,8 @@ def _counted(record: Any, name: str) -> NDArray[np.float64]:
     return values[1:]
 
 
-def _check_polynomials(camera: OcamCamera, source: str) -> None:
-    """Refuse an inverse polynomial that is not monotonic within the field of view; warn if the two disagree."""
+def _check_polynomials(camera: OcamCamera) -> None:
+    """Refuse an inverse polynomial that is not monotonic within the field of view, or a direct one without a root."""
     angles = np.linspace(0.0, np.radians(camera.max_fov_deg / 2), 1000)
     increasing = np.diff(np.polynomial.polynomial.polyval(angles - np.pi / 2, camera.inv_poly)) > 0
     if not increasing.all():
@@ -163,13 +170,20 @@ def _check_polynomials(camera: OcamCamera, source: str) -> None:
             f"the inverse polynomial increases only up to {2 * np.degrees(angles[np.argmin(increasing)]):.1f}°; "
             f"expected max_fov_deg = {camera.max_fov_deg:g}. Lower max_fov_deg or recalibrate"
         )
-    error = camera.inverse_poly_error_px()
-    if not np.isfinite(error):
+    if not np.isfinite(camera.inverse_poly_error_px()):
         raise OmnistereoError("the direct polynomial has no root for every ray in the field of view. Recalibrate")
-    if error > _MAX_POLYNOMIAL_ERROR:
+
+
+def warn_of_polynomials(cameras: Sequence[OcamCamera], source: Path | str) -> None:
+    """Warn once if direct and inverse polynomial of some cameras disagree, and say what that means."""
+    errors = {i: camera.inverse_poly_error_px() for i, camera in enumerate(cameras, 1)}
+    far_off = [i for i, error in errors.items() if error > _MAX_POLYNOMIAL_ERROR]
+    if far_off:
+        of_cameras = f" of camera{'s' * (len(far_off) > 1)} {', '.join(map(str, far_off))}" if len(cameras) > 1 else ""
         warnings.warn(
-            f"{source}: direct and inverse polynomial (poly, inv_poly) disagree by up to {error:.2f} px. "
-            "Projection uses inv_poly, as every released code does; use_direct_poly=True uses poly.",
+            f"{source}: direct and inverse polynomial (poly, inv_poly){of_cameras} disagree by up to "
+            f"{max(errors.values()):.2f} px. Projection uses inv_poly, as every released code does; if poly is the one "
+            "that was calibrated, images are warped that far off. Recalibrate, or pass use_direct_poly=True.",
             UserWarning,
             stacklevel=2,
         )

@@ -8,7 +8,7 @@ import numpy as np
 from omnistereo_lib.files import atomic_write, write_image
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.rig_files.camera_models import DEFAULT_FOV_DEG
-from omnistereo_lib.rig_files.ocam import ocam_camera, ocam_records, parse_pose
+from omnistereo_lib.rig_files.ocam import ocam_camera, ocam_records, parse_pose, warn_of_polynomials
 from omnistereo_lib.rig_files.parse import error_context, parse_floats, require_key, require_list, to_yaml
 
 
@@ -25,6 +25,7 @@ def read_omnimvs(data: dict[str, Any], path: Path, max_fov_deg: float | None) ->
             cameras.append(ocam_camera(records, fov, f"{path}, camera {i}", mask_file))
             pose = require_key(cam, "pose")
         poses.append(parse_pose(pose, i))
+    warn_of_polynomials(cameras, path)
     settings = data.get("config")
     min_depth = settings.get("omnimvs_sweep_min_depth") if isinstance(settings, dict) else None
     if min_depth is not None:

@@ -26,9 +26,8 @@ def pixel_by_matrix(camera, T_rig_cam, point):
     return tuple(uv)
 
 
-def pixel_in_place(camera, T_rig_cam, point):
-    point -= T_rig_cam.t
-    return camera.project(T_rig_cam.R.T @ point)[0].astype(np.float32)
+def pixel_of_floats(camera, T_rig_cam, point):
+    return camera.project(T_rig_cam.R.T @ (point - T_rig_cam.t))[0].astype(np.float32)
 
 
 def polynomial(poly, r):
@@ -148,7 +147,7 @@ POINT_OF_RAY = [
 PIXEL_OF_POINT = [
     ("right", lambda camera, T, p: camera.project(T.inverse() @ p)[0]),
     ("right", pixel_by_matrix),
-    ("right", pixel_in_place),
+    ("right", pixel_of_floats),
     ("invert it", lambda camera, T, p: camera.project(T @ p)[0]),
     ("not transposed", lambda camera, T, p: camera.project(T.R.dot(p - T.t))[0]),
     ("not -t", lambda camera, T, p: camera.project(T.R.T.dot(p) - T.t)[0]),
@@ -198,12 +197,13 @@ METRES_PER_UNIT = [
 
 def pose_from_file(M, t_of=lambda R, t: -R.T @ t, R_of=lambda R: R.T, scale=1e-3, rows=4):
     """The inverse by parts, with one of them wrong."""
-    R, t = M[:3, :3].copy(), M[:3, 3].copy()
+    R, t, M = M[:3, :3], M[:3, 3], M.copy()
     M[:3, :3], M[:3, 3] = R_of(R), t_of(R, t) * scale
     return M[:rows]
 
 
 def pose_by_inverse(M):
+    M = M.copy()
     M[:3, 3] /= 1000
     return np.linalg.inv(M)
 

@@ -68,6 +68,6 @@ TARGET = [
     ("nearest sphere alone", lambda index, N: np.eye(N)[round(index)]),
     ("swapped", lambda index, N: shares(index, N, swap=True)),
     ("half to each", lambda index, N: shares(index, N, halves=True)),
-    ("too low", lambda index, N: shares(index, N, first=-1)),
+    ("too low", lambda index, N: [*shares(index, N)[1:], 0]),
     ("too high", lambda index, N: shares(index, N, first=1)),
 ]

@@ -170,13 +170,13 @@ def count_stills(path):
     return sum(len(slider["values"]) for slider in sliders) - repeated
 
 
-def test_every_live_figure_has_stills_of_its_sliders_or_a_cloud():
+def test_every_live_figure_has_stills_of_its_sliders_or_a_view():
     for path in nbtools.notebooks():
         code = "\n".join(cell.source for cell in nbtools.code_cells(nbformat.read(path, as_version=4)))
         calls, found = stills.LIVE.findall(code), stills.stored(path.stem)
         assert len(found) == len(calls), f"python -m course stills notebooks/{path.name}"
         for call, live in zip(calls, found, strict=True):
-            assert ("cloud" in live) == (call == "view3d.explore")
+            assert ("view" in live) == (call == "view3d.explore")
             assert all(slider["name"] in code for slider in live.get("sliders", []))
 
 

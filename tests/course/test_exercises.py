@@ -1,7 +1,9 @@
 """The exercises' checkers against students: right ones, each usual mistake, and garbage."""
 
+import copy
+import functools
 import math
-import sys
+import re
 from fractions import Fraction
 from itertools import combinations
 
@@ -15,22 +17,26 @@ import students_volumes
 import torch
 
 from course import exercises
-from course.exercises import diagnose
+from course.exercises.compare import CASES, diagnose
 
 CHECKERS = [value for name, value in vars(exercises).items() if name.startswith("check_")]
 MODULES = students_geometry, students_matching, students_pipeline, students_results, students_volumes
 ANSWERS = {name: value for module in MODULES for name, value in vars(module).items()}
-STUDENTS = {check: ANSWERS[check.__name__.removeprefix("check_").upper()] for check in CHECKERS}
+# Checkers of functions on arrays keep their wrong implementations beside them; their right student is the solution.
+NAMES = {check: check.__name__.removeprefix("check_").upper() for check in CHECKERS}
+STUDENTS = {check: ANSWERS[name] for check, name in NAMES.items() if name in ANSWERS}
 ALL_STUDENTS = [(check, words, answer) for check, students in STUDENTS.items() for words, answer in students]
 
 
-def task(check, monkeypatch):
-    """The inputs, the right value and the mistakes of a checker."""
-    seen = []
-    with monkeypatch.context() as patch:
-        patch.setattr(sys.modules[check.__module__], "diagnose", lambda answer, *rest: seen.append(rest))
-        check(None)
-    return seen[0]
+@functools.cache
+def cases(check):
+    return [check.case(k) for k in range(CASES)]
+
+
+def replay(values):
+    """A student whose function returns these values, one after the other."""
+    values = iter(values)
+    return lambda *_: next(values)
 
 
 @pytest.mark.parametrize(("check", "words", "answer"), ALL_STUDENTS)
@@ -45,35 +51,52 @@ def test_every_checker_has_two_right_students():
 
 
 @pytest.mark.parametrize("check", CHECKERS)
-def test_every_hint_is_heard_by_a_student(check, monkeypatch):
-    inputs, right, mistakes = task(check, monkeypatch)
-    heard = {diagnose(answer, inputs, right, mistakes) for _, answer in STUDENTS[check]}
-    assert {f"not yet: {hint}" for _, hint in mistakes} <= heard
+def test_every_mistake_is_told_by_its_hint(check):
+    for tasks in zip(*(mistakes for _, _, mistakes in cases(check)), strict=True):
+        assert len({hint for _, hint in tasks}) == 1
+        assert diagnose(replay(value for value, _ in tasks), cases(check)) == f"not yet: {tasks[0][1]}"
 
 
 @pytest.mark.parametrize("check", CHECKERS)
-def test_right_value_and_mistakes_differ_by_more_than_single_precision(check, monkeypatch):
-    _, right, mistakes = task(check, monkeypatch)
-    assert np.isfinite(right).all()
-    for one, other in combinations([right, *(value for value, _ in mistakes)], 2):
-        assert np.shape(one) != np.shape(other) or not np.allclose(one, other, rtol=5e-4, atol=5e-6, equal_nan=True)
+def test_right_value_and_mistakes_differ_by_more_than_single_precision(check):
+    given = cases(check)
+    rows = [[right, *(value for value, _ in mistakes)] for _, right, mistakes in given]
+    for one, other in combinations(zip(*rows, strict=True), 2):
+        assert any(
+            np.shape(a) != np.shape(b) or not np.allclose(a, b, rtol=5e-4, atol=5e-6, equal_nan=True)
+            for a, b in zip(one, other, strict=True)
+        )
 
 
 @pytest.mark.parametrize("check", CHECKERS)
-def test_inputs_of_another_call_are_untouched(check, monkeypatch):
-    """A student who overwrites the arguments changes neither the inputs nor what is compared."""
-    inputs, right, mistakes = task(check, monkeypatch)
-    before = [np.array(value) for value in inputs if isinstance(value, np.ndarray)]
+def test_cases_are_the_same_each_time_and_differ(check):
+    first, again = ([repr(check.case(k)[0]) for k in range(CASES)] for _ in range(2))
+    assert first == again or any("object at" in inputs for inputs in first)
+    assert len(set(first)) > CASES / 2
 
-    def overwrite(*arguments):
-        for array in arguments:
-            if isinstance(array, np.ndarray):
-                array[...] = -7
-        return right
 
-    assert diagnose(overwrite, inputs, right, mistakes) == "right"
-    for array, copy in zip([value for value in inputs if isinstance(value, np.ndarray)], before, strict=True):
-        np.testing.assert_array_equal(array, copy)
+def overwrite(arrays):
+    for array in arrays:
+        if isinstance(array, np.ndarray):
+            array[...] = 7 if array.dtype == np.uint8 else -7
+
+
+@pytest.mark.parametrize("check", CHECKERS)
+def test_a_student_who_overwrites_the_inputs_is_told(check):
+    given = cases(check)
+    before = copy.deepcopy([inputs for inputs, _, _ in given])
+    rights = iter([right for _, right, _ in given])
+
+    def answer(*arguments):
+        overwrite(arguments)
+        return next(rights)
+
+    arrays = any(isinstance(value, np.ndarray) for value in before[0])
+    assert ("overwrites its argument number" if arrays else "right") in diagnose(answer, given)
+    for (inputs, _, _), copies in zip(given, before, strict=True):
+        for now, copied in zip(inputs, copies, strict=True):
+            if isinstance(now, np.ndarray):
+                np.testing.assert_array_equal(now, copied)
 
 
 # Garbage: what it is, and what the checker must tell to do next.
@@ -181,20 +204,31 @@ def test_garbage_gets_the_next_thing_to_try(check, answer, words, capsys):
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("check", CHECKERS)
-def test_not_finite(check, bad, monkeypatch):
-    inputs, right, _ = task(check, monkeypatch)
+def test_not_finite(check, bad):
+    inputs, right, _ = check.case(0)
     found = np.array(right, np.float64)
-    found[(0,) * found.ndim] = bad
-    assert "Look for a division by zero" in diagnose(lambda *_: found, inputs, right, [])
+    found[tuple(np.argwhere(np.isfinite(found))[0])] = bad
+    assert "Look for a division by zero" in diagnose(lambda *_: found, [(inputs, right, [])])
 
 
 @pytest.mark.parametrize("check", CHECKERS)
-def test_unknown_mistake(check, monkeypatch):
-    inputs, right, mistakes = task(check, monkeypatch)
-    said = diagnose(lambda *_: np.asarray(right) * 1.37, inputs, right, mistakes)
-    worst = float(said.split("off by up to ")[1].split(",")[0])
-    assert worst == pytest.approx(0.37 * np.abs(right).max(), rel=0.01)
+def test_unknown_mistake(check):
+    given = [(inputs, np.asarray(right, np.float64), []) for inputs, right, _ in cases(check)]
+    said = diagnose(replay(right * 1.37 for _, right, _ in given), given)
+    worst = float(said.split("off by up to ")[1].split(" ")[0])
+    assert worst in [pytest.approx(0.37 * np.nanmax(np.abs(right)), rel=0.01) for _, right, _ in given]
     assert said.endswith("Work out one value by hand and compare")
+
+
+def test_the_first_difference_is_told():
+    right = np.arange(6.0).reshape(2, 3)
+    found = np.array([[0, 1, 2], [3, 4.25, 6]])
+    assert "4.25 at [1, 1] where 4 is right, and off by up to 1 in all" in diagnose(lambda: found, [((), right, [])])
+
+
+def test_a_number_where_nan_is_right():
+    said = diagnose(lambda: [1.0, 2.0], [((), [1.0, np.nan], [])])
+    assert "2 at [1] where nan is right" in said
 
 
 @pytest.mark.parametrize(
@@ -211,7 +245,7 @@ def test_unknown_mistake(check, monkeypatch):
 )
 def test_common_factor(factor, words):
     right = np.array([1.5, 0.0, -3.0])
-    assert words in diagnose(lambda x: x * np.float32(factor), (right,), right, [])
+    assert words in diagnose(lambda x: x * np.float32(factor), [((right,), right, [])])
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, GeneratorExit])
@@ -226,4 +260,4 @@ def test_what_a_student_prints_stays_and_the_finding_comes_last(capsys):
         return students_matching.vertex_of_fit(left, middle, right)
 
     exercises.check_parabola(talkative)
-    assert capsys.readouterr().out == "left is 0.5\nright\n"
+    assert re.fullmatch(rf"(left is [\d.]+\n){{{CASES}}}right\n", capsys.readouterr().out)

@@ -59,7 +59,7 @@ def test_a_message_that_wakes_nobody_is_found_a_second_later(monkeypatch):
 
 
 def test_kernels_are_asked_through_the_channel_that_looks_again():
-    client = nbtools._Manager(kernel_name="python3").client_factory()
+    client = nbtools.KernelManager(kernel_name="python3").client_factory()
     assert type(client) is nbtools._Client
     assert client.shell_channel_class is client.iopub_channel_class is nbtools._Channel
 

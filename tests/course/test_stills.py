@@ -1,4 +1,4 @@
-"""What the website shows beside text: pictures for dark pages, stills of live figures, point clouds that turn."""
+"""What the website shows beside text: pictures for dark pages, stills of live figures, the viewer."""
 
 import io
 import json
@@ -7,12 +7,13 @@ import cv2
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+import scene
 from ipywidgets import FloatLogSlider, FloatSlider, IntSlider
 from PIL import Image
 
 import omnistereo_lib as osl
 from course import pictures, plot, stills, view3d
-from course.cloud import MAX_POINTS, cloud_page, thinned
+from omnistereo_lib.stereo.sweep import SphereSweep
 
 RNG = np.random.default_rng(0)
 
@@ -108,61 +109,18 @@ def test_a_live_figure_without_stills(recorded):
         stills.shown("tiny", 0, recorded)
 
 
-# --- Point clouds -------------------------------------------------------------------------------------------
+# --- Viewer -------------------------------------------------------------------------------------------------
 
 
-def test_a_cloud_is_thinned_always_to_the_same_points():
-    points, colors = RNG.normal(size=(MAX_POINTS + 1000, 3)), RNG.integers(0, 255, (MAX_POINTS + 1000, 3), np.uint8)
-    first, again = thinned(points, colors), thinned(points, colors)
-    assert len(first[0]) == MAX_POINTS and (first[0] == again[0]).all()
-    row = np.flatnonzero((points == first[0][7]).all(1))
-    assert (colors[row] == first[1][7]).all()
-
-
-def test_a_cloud_is_stored_and_shown(recorded, tmp_path):
-    view3d.explore(RNG.normal(size=(10, 3)), np.zeros((10, 3), np.uint8), (0, -1, -4))
-    assert 'src="clouds/tiny-0.html"' in stills.shown("tiny", 0, tmp_path)
-    assert "cloud of 10 points" in (tmp_path / "clouds" / "tiny-0.html").read_text(encoding="utf-8")
-
-
-SEEN = """() => {
-    const canvas = document.querySelector("canvas"), {width, height} = canvas
-    const {data} = canvas.getContext("2d").getImageData(0, 0, width, height)
-    const seen = [[0, 0, 0], [0, 0, 0]]  // red, green: count, sum of u, sum of v
-    for (let i = 0; i < width * height; i++) for (const c of [0, 1]) if (data[4 * i + c] > 200) {
-        seen[c][0]++; seen[c][1] += i % width; seen[c][2] += Math.floor(i / width)
-    }
-    return seen.map(([n, u, v]) => [n, u / n, v / n])
-}"""
-
-
-def test_a_cloud_shows_what_pyvista_would_and_turns_tilts_and_zooms(open_page, tmp_path):
-    """Red 1 m down (+y), green 1 m to the right (+x), seen from behind; the oracle is the picture of `draw_points`."""
-    red, green = RNG.normal((0, 1, 0), 0.03, (300, 3)), RNG.normal((1, 0, 0), 0.03, (300, 3))
-    points, colors = np.concatenate([red, green]), np.repeat(np.uint8([[255, 0, 0], [0, 255, 0]]), 300, 0)
-    path = tmp_path / "cloud.html"
-    path.write_text(cloud_page(points, colors, (1, -2, -6)), encoding="utf-8")
-    page = open_page(600, 400)
-    page.goto(path.as_uri())
-    page.wait_for_function("() => document.querySelector('canvas').width === 600")
-    seen = page.evaluate(SEEN)
-    drawn = view3d.draw_points(points, colors, (1, -2, -6), size=(600, 400))
-    for c in (0, 1):
-        rows, columns = (drawn[..., c] > 200).nonzero()
-        assert seen[c][1:] == pytest.approx([columns.mean(), rows.mean()], abs=3)
-
-    def after(act):
-        act()
-        page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
-        return page.evaluate(SEEN)
-
-    page.locator("canvas").focus()
-    turned = after(lambda: [page.keyboard.press("ArrowRight") for _ in range(8)])
-    assert turned[1][1] < seen[1][1] - 20
-    near = after(lambda: [page.keyboard.press("+") for _ in range(5)])
-    assert near[0][2] > turned[0][2] + 20  # what is below the middle moves out
-    assert after(lambda: page.keyboard.press("r")) == seen
-    page.mouse.move(300, 200)
-    page.mouse.down()
-    assert after(lambda: page.mouse.move(300, 350))[0][2] < seen[0][2] - 20  # from above, down is nearer to the middle
+def test_a_view_is_stored_and_begins_with_its_points(recorded, tmp_path, open_page):
+    rig, grid = scene.rig(width=80, height=64), osl.SphereGrid(64, 16, num_spheres=16, min_depth=0.6)
+    depth = osl.Depth(
+        scene.true_index(rig, grid).astype(np.float32), np.ones(grid.shape, np.float32), SphereSweep(rig, grid)
+    )
+    view3d.explore(depth, [np.full((64, 80), 200, np.uint8)] * 4, max_depth=50)
+    assert 'src="../views/tiny-0.html"' in stills.shown("tiny", 0, tmp_path, "../")
+    page = open_page(900, 800)
+    page.goto((tmp_path / "views" / "tiny-0.html").as_uri())
+    page.wait_for_selector("body[data-drawn=points]")
+    assert page.evaluate("points.cells.length") == (depth.depth <= 50).sum() > 500
     assert page.complaints == []

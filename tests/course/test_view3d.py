@@ -1,40 +1,13 @@
-"""Point clouds: PLY files read by another program, pictures with and without OpenGL."""
+"""Pictures of point clouds, with and without OpenGL."""
 
 import numpy as np
 import pytest
 
-import omnistereo_lib as osl
 from course import view3d
-from omnistereo_lib import files
 
 RNG = np.random.default_rng(0)
 POINTS = RNG.uniform(-2, 2, (500, 3))
 COLORS = RNG.integers(0, 256, (500, 3), np.uint8)
-
-
-def test_ply_comes_back(tmp_path):
-    pyvista = pytest.importorskip("pyvista")
-    files.write_ply(tmp_path / "a.ply", POINTS, COLORS)
-    cloud = pyvista.read(tmp_path / "a.ply")
-    np.testing.assert_array_equal(cloud.points, POINTS.astype(np.float32))
-    np.testing.assert_array_equal(cloud["RGB"], COLORS)
-    assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
-
-
-def test_ply_without_colours_and_without_points(tmp_path):
-    pyvista = pytest.importorskip("pyvista")
-    files.write_ply(tmp_path / "a.ply", POINTS)
-    assert pyvista.read(tmp_path / "a.ply").n_points == 500
-    files.write_ply(tmp_path / "b.ply", POINTS[:0], COLORS[:0])
-    assert b"element vertex 0" in (tmp_path / "b.ply").read_bytes()
-
-
-def test_ply_where_nothing_can_be_written(tmp_path):
-    (tmp_path / "file").write_text("")
-    for folder in ("file", "missing"):
-        with pytest.raises(osl.OmnistereoError, match=r"a.ply cannot be written"):
-            files.write_ply(tmp_path / folder / "a.ply", POINTS, COLORS)
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 @pytest.fixture(params=[True, False], ids=["PyVista", "NumPy"])

@@ -226,6 +226,18 @@ def test_bad_shards(shard):
 # ---- another rig
 
 
+def test_a_set_with_a_rig_for_each_frame_equals_its_frames_evaluated_alone(data, tmp_path):
+    alone = {}
+    for number, min_depth in ((1, 0.5), (2, 0.9)):
+        rig = osl.Rig(RIG.cameras[: 2 + number], RIG.T_rig_cam[: 2 + number], min_depth=min_depth)
+        grid = osl.SphereGrid(96, 24, (-45, 45), 12, min_depth)
+        scene.write_set(tmp_path / "rigs" / f"{number:04}", rig, grid, [(0.2 * number, 0, 0)], first=number)
+        errors = json.loads(evaluate(tmp_path / f"out{number}", tmp_path / "rigs" / f"{number:04}"))
+        alone |= errors["frames"]["box"]
+    together = json.loads(evaluate(tmp_path / "both", tmp_path / "rigs"))
+    assert together["frames"]["box"] == alone and alone.keys() == {"00001", "00002"}
+
+
 def test_the_same_rig_in_another_frame_changes_nothing(data, tmp_path, expected):
     RIG.transformed(osl.Pose.from_vector([0.3, -0.2, 0.5, 1.0, 2.0, -3.0])).save(tmp_path / "moved.yaml")
     moved = json.loads(evaluate(tmp_path / "moved", data, rig=tmp_path / "moved.yaml"))

@@ -238,7 +238,8 @@ def record(figures_of, sets=("box", "sunset", "sunny")):
         regions = {
             "all": dict(zip(SUMS, (100, 50, 20, 10 + k, 150.0, 900.0), strict=True)),
             "thin": dict(zip(SUMS, (10 * k, 5 * k, 0, 0, 40.0 * k, 160.0 * k), strict=True)),
-            **dict.fromkeys(("sky", "far", "middle", "near", "at edges", "off edges", "seen by 0"), empty),
+            "sky": dict(zip(SUMS, (20, 10, 8, 8, 70.0, 500.0), strict=True)),
+            **dict.fromkeys(("far", "middle", "near", "at edges", "off edges", "seen by 0"), empty),
         }
         return {"figures": dict(zip(METRICS, figures_of(name, k, method), strict=True)), "strata": regions}
 
@@ -286,11 +287,13 @@ def test_frames_that_cannot_be_evaluated_are_left_out_of_the_mean():
 
 def test_regions_pool_all_rays():
     table = regions_table(record(lambda *_: [1.0] * 5, sets=("sunny",)))
-    assert [words[:3] for words, _ in table.rows[::4]] == [["sunny", "all", "100.0 %"], ["sunny", "thin", "20.0 %"]]
+    shares = {"all": "100.0 %", "without sky": "80.0 %", "sky": "20.0 %", "thin": "20.0 %"}
+    assert [words[:3] for words, _ in table.rows[::4]] == [["sunny", *item] for item in shares.items()]
     assert [words[3] for words, _ in table.rows[:4]] == ["ZNCC", "ZNCC, window = 5", "MC-CNN", "ZNCC + SGM"]
     np.testing.assert_allclose(table.rows[0][1][:, 0], [50, 20, 12, 1.5, 3])
     np.testing.assert_allclose(table.rows[0][1][2], [12, 11, 13], atol=0.34)
-    np.testing.assert_allclose(table.rows[4][1], [[50] * 3, [0] * 3, [0] * 3, [4] * 3, [4] * 3])  # in every frame
+    np.testing.assert_allclose(table.rows[4][1][:, 0], [50, 15, 5, 1, np.sqrt(5)])
+    np.testing.assert_allclose(table.rows[12][1], [[50] * 3, [0] * 3, [0] * 3, [4] * 3, [4] * 3])  # in every frame
 
 
 def test_a_table_of_one_frame_has_no_intervals():

@@ -1,0 +1,11 @@
+"""The solutions of the notebooks' exercises: one function for each stub, with its name and its arguments.
+
+`python -m course solve` puts them in the place of the stubs. They use what every notebook has imported, numpy
+as np, and are written as on a board: one step a line, the reason beside it.
+"""
+
+from course.solutions.geometry import *  # noqa: F403
+from course.solutions.matching import *  # noqa: F403
+from course.solutions.pipeline import *  # noqa: F403
+from course.solutions.results import *  # noqa: F403
+from course.solutions.volumes import *  # noqa: F403

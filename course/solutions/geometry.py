@@ -1,0 +1,154 @@
+"""Solutions of notebooks 00 to 03: lens, rig, spheres."""
+
+import numpy as np
+
+# --- 00 Quickstart ----------------------------------------------------------------------------------------
+
+
+def index_to_depth(n, N, nearest):
+    # N spheres have N - 1 steps between them, from 0 at infinity to 1 / nearest, even in inverse depth.
+    step = 1 / (nearest * (N - 1))
+    return 1 / (n * step)
+
+
+def my_indices(depth, N, nearest):
+    step = 1 / (nearest * (N - 1))
+    index = 1 / depth / step  # 1 / inf is 0, and NaN stays NaN
+    return np.minimum(index, N - 1)
+
+
+def my_share_off(index, gt_index):
+    known = ~np.isnan(gt_index)
+    right = np.abs(index - gt_index)[known] <= 1  # False for NaN, too, which is how a missing estimate counts
+    return 100 * np.mean(~right)
+
+
+# --- 01 Fisheye model -------------------------------------------------------------------------------------
+
+
+def my_ray(u, v, poly, center):
+    x, y = u - center[0], v - center[1]
+    r = np.hypot(x, y)
+    # np.polyval wants the highest coefficient first. f is negative before the lens, z points forward.
+    z = -np.polyval(poly[::-1], r)
+    ray = np.array([x, y, z])
+    return ray / np.linalg.norm(ray)
+
+
+def my_angle(ray):
+    x, y, z = ray
+    # arctan2 knows the quadrant, so it is right beyond 90°, and the ray's length cancels.
+    return np.degrees(np.arctan2(np.hypot(x, y), z))
+
+
+def my_rms(residuals):
+    # Square, mean, root; the mean runs over all 2K numbers, u and v alike.
+    return np.sqrt(np.mean(residuals**2))
+
+
+def my_pixels(rays, inv_poly, center, max_deg):
+    x, y, z = rays.T
+    n = np.hypot(x, y)
+    r = np.polyval(inv_poly[::-1], np.arctan2(-z, n))
+    # x / n and y / n are the direction in the image. On the axis there is none, and any other number than 0 will do.
+    scale = np.where(n > 0, r / np.where(n > 0, n, 1), 0)
+    pixels = np.stack([x * scale, y * scale], axis=1) + center
+    seen = np.degrees(np.arctan2(n, z)) <= max_deg
+    return np.where(seen[:, None], pixels, np.nan)
+
+
+def my_rays(pixels, poly, center, affine):
+    c, d, e = affine
+    A = np.array([[1, e], [d, c]])
+    xy = (pixels - center) @ np.linalg.inv(A).T  # A p for a column p is p Aᵀ for a row
+    r = np.linalg.norm(xy, axis=-1, keepdims=True)
+    rays = np.concatenate([xy, -np.polyval(poly[::-1], r)], axis=-1)
+    return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+
+
+# --- 02 Rig calibration -----------------------------------------------------------------------------------
+
+
+def my_relative_pose(T_1_board, T_2_board):
+    # Read from the right: camera 1 -> board, then board -> camera 2. The inner indices meet.
+    return T_2_board @ T_1_board.inverse()
+
+
+def my_unknowns(cameras, captures, degree):
+    coefficients = degree  # a0, a2, a3 … aM: there is no a1
+    lenses = cameras * (2 + 2 + coefficients)  # centre; c and d = e; polynomial
+    poses = (cameras - 1) + captures  # camera 1 is the rig's frame; one board for each capture
+    return lenses + 6 * poses
+
+
+def my_depth_error(depth, N, nearest):
+    step = 1 / (nearest * (N - 1))  # in inverse depth
+    # depth = 1/d, so its derivative is -1/d², which is -depth².
+    return depth**2 * step
+
+
+def my_chain(steps):
+    poses = [np.eye(4)]
+    for step in steps:
+        poses.append(step @ poses[-1])  # first the way so far, then one camera further
+    return np.array(poses)
+
+
+def my_view_rms(T_cam_board, board, corners, F, center):
+    rms = []
+    for T, found in zip(T_cam_board, corners, strict=True):
+        x, y, z = T[:3, :3] @ board.T + T[:3, 3:]
+        n = np.hypot(x, y)
+        r = F * np.arctan2(n, z)
+        predicted = np.stack([x / n * r, y / n * r], axis=1) + center
+        squares = np.sum((predicted - found) ** 2, axis=1)  # of the distances
+        rms.append(np.sqrt(np.nanmean(squares)))  # corners that were not found have no say
+    return np.array(rms)
+
+
+# --- 03 Sphere sweep --------------------------------------------------------------------------------------
+
+
+def point_of_ray(theta, phi, depth):
+    # θ turns from z towards x, φ from the horizon towards y, which points down.
+    x = np.cos(phi) * np.sin(theta)
+    y = np.sin(phi)
+    z = np.cos(phi) * np.cos(theta)
+    return depth * np.array([x, y, z])
+
+
+def pixel_of_point(camera, T_rig_cam, point):
+    # The pose takes camera -> rig; the point goes the other way.
+    in_camera = T_rig_cam.inverse() @ point
+    pixel, _ = camera.project(in_camera)
+    return pixel
+
+
+def shift_of_yaw_error(degrees, width):
+    # 360 degrees of yaw are once around the panorama, all its columns.
+    return degrees / 360 * width
+
+
+def my_panorama_pixels(points, W, H, phi_deg):
+    x, y, z = points[..., 0], points[..., 1], points[..., 2]
+    theta = np.arctan2(x, z)
+    phi = np.arctan2(y, np.hypot(x, z))  # of any length, so no arcsin
+    low, high = np.radians(phi_deg)
+    # The edges of the image are at -0.5 and W - 0.5, so that whole numbers are the middles of pixels.
+    column = (theta + np.pi) / (2 * np.pi) * W - 0.5
+    row = (phi - low) / (high - low) * H - 0.5
+    inside = (phi >= low) & (phi <= high)
+    return np.where(inside[..., None], np.stack([column, row], axis=-1), np.nan)
+
+
+def my_sample(panorama, pixels):
+    H, W = panorama.shape
+    column, row = pixels[:, 0], pixels[:, 1]
+    inside = (row >= 0) & (row <= H - 1)
+    x = np.floor(column).astype(int)
+    y = np.clip(np.floor(row).astype(int), 0, H - 2)  # in the last row all the weight is on the lower neighbour
+    a, b = column - x, row - y
+    left, right = x % W, (x + 1) % W  # the first column follows the last one
+    above = (1 - a) * panorama[y, left] + a * panorama[y, right]
+    below = (1 - a) * panorama[y + 1, left] + a * panorama[y + 1, right]
+    return np.where(inside, (1 - b) * above + b * below, np.nan)

@@ -1,0 +1,154 @@
+"""Solutions of notebooks 04 to 07: costs, networks, SGM."""
+
+import numpy as np
+
+# --- 04 ZNCC ----------------------------------------------------------------------------------------------
+
+
+def zncc_cost(a, b):
+    a, b = a - a.mean(), b - b.mean()  # Z: brightness does not count
+    zncc = np.sum(a * b) / np.sqrt(np.sum(a**2) * np.sum(b**2))  # N: contrast does not, either
+    return (1 - zncc) / 2  # from 1 … -1 to 0 … 1
+
+
+def mean_over_pairs(costs):
+    # Over the rows, and only over those that hold a number: a pair that does not see the ray has no say.
+    return np.nanmean(costs, axis=0)
+
+
+def pixels_per_index(baseline, nearest, N, width):
+    step = 1 / (nearest * (N - 1))  # from one sphere to the next, in inverse depth
+    angle = baseline * step  # radians
+    return angle / (2 * np.pi) * width
+
+
+def my_winner(costs):
+    unknown = np.isnan(costs)
+    best = np.argmin(np.where(unknown, np.inf, costs), axis=-1)
+    return np.where(unknown.all(axis=-1), np.nan, best)
+
+
+def my_zncc_matrix(a, b):
+    def normalized(patches):
+        patches = patches - patches.mean(axis=1, keepdims=True)
+        length = np.linalg.norm(patches, axis=1, keepdims=True)
+        return patches / np.where(length > 0, length, 1)  # a flat patch is all zeros, and stays so
+
+    return normalized(a) @ normalized(b).T
+
+
+# --- 05 MC-CNN --------------------------------------------------------------------------------------------
+
+
+def my_cosine_cost(f_i, f_j):
+    # The lengths leave the direction alone to be compared.
+    cosine = f_i @ f_j / (np.linalg.norm(f_i) * np.linalg.norm(f_j))
+    return (1 - cosine) / 2
+
+
+def my_hinge(positive, negative, margin):
+    # A ray whose match is ahead by more than the margin costs nothing, however far it is ahead.
+    each = np.maximum(0, margin + negative - positive)
+    return each.mean()
+
+
+def my_patch_size(layers, kernel):
+    # One pixel sees itself; each convolution adds half a kernel on both sides.
+    return 1 + layers * (kernel - 1)
+
+
+def my_unit_features(features):
+    length = np.linalg.norm(features, axis=0)  # one for each pixel
+    return features / np.where(length > 0, length, 1)
+
+
+def my_patches(panorama, rows, columns, half):
+    W = panorama.shape[1]
+    around = np.arange(-half, half + 1)
+    padded = np.pad(panorama, ((half, half), (0, 0)))  # zeros above and below
+    y = rows[:, None, None] + half + around[:, None]  # half rows further down in the padded panorama
+    x = (columns[:, None, None] + around) % W
+    return padded[y, x]
+
+
+# --- 06 SweepNet ------------------------------------------------------------------------------------------
+
+
+def my_labels(gt_index, n):
+    labels = np.where(np.rint(gt_index) == n, 0.0, 1.0)  # a match is 0, as in every cost
+    return np.where(np.isnan(gt_index), np.nan, labels)  # NaN equals nothing: it would become a 1
+
+
+def my_loss(cost, label):
+    # The cost is the probability of *no* match. Two means, so that neither kind wins by its number.
+    positives = -np.log(1 - cost[label == 0]).mean()
+    negatives = -np.log(cost[label == 1]).mean()
+    return (positives + negatives) / 2
+
+
+def my_receptive_field(layers):
+    size, pixel = 1, 1  # in pixels of the input: what one value sees, and how far its neighbour's view lies
+    for kernel, stride in layers:
+        size += (kernel - 1) * pixel
+        pixel *= stride  # counts for the layers behind this one
+    return size
+
+
+def my_normalized(images):
+    mean = np.nanmean(images, axis=(1, 2), keepdims=True)
+    deviation = np.nanstd(images, axis=(1, 2), keepdims=True)
+    return np.nan_to_num((images - mean) / deviation)  # what is not visible gets the mean, 0
+
+
+def my_convolution(image, kernel):
+    H, W = image.shape
+    half = len(kernel) // 2
+    padded = np.pad(image, ((half, half), (0, 0)))  # zeros above and below
+    result = np.zeros((H, W))
+    for i in range(len(kernel)):
+        for j in range(len(kernel)):
+            # np.roll goes around the seam: column c gets what is j - half columns to its right.
+            result += kernel[i, j] * np.roll(padded[i : i + H], half - j, axis=1)
+    return result
+
+
+# --- 07 SGM -----------------------------------------------------------------------------------------------
+
+
+def my_step(cost, before, p1, p2):
+    best = before.min()
+    padded = np.pad(before, 1, constant_values=np.inf)  # no way leads in from beyond the first and the last sphere
+    ways = np.minimum(padded[:-2], padded[2:]) + p1  # from a neighbour
+    ways = np.minimum(ways, before)  # from the same sphere, for nothing
+    ways = np.minimum(ways, best + p2)  # from anywhere
+    return cost + ways - best  # less the best, or the sums would grow along the path
+
+
+def vertex(left, middle, right):
+    # Through -1, 0, 1 goes a x² + b x + c with these a and b; its derivative 2 a x + b is zero at -b / 2a.
+    a = (left - 2 * middle + right) / 2
+    b = (right - left) / 2
+    return -b / (2 * a)
+
+
+def mean_index_error(index, truth, N):
+    error = 100 / N * np.abs(index - truth)
+    return np.nanmean(error)  # a ray without an estimate is neither added nor counted
+
+
+def my_refined(costs):
+    H, W, N = costs.shape
+    best = costs.argmin(axis=-1)
+    n = np.clip(best, 1, N - 2)  # so that there are neighbours; the ends are put back below
+    rows, columns = np.indices((H, W))
+    left, middle, right = (costs[rows, columns, n + k] for k in (-1, 0, 1))
+    curvature = left - 2 * middle + right
+    offset = (left - right) / (2 * np.where(best == n, curvature, 1))
+    return np.where(best == n, n + offset, best)
+
+
+def my_sparsification(error, confidence, shares):
+    known = np.isfinite(error) & np.isfinite(confidence)
+    error, confidence = error[known], confidence[known]
+    ranked = error[np.argsort(confidence)]  # the least confident first
+    return np.array([ranked[int(share * len(ranked)) :].mean() for share in shares])

@@ -1,0 +1,60 @@
+"""Files for other programs, on demand: a mesh, and depth as an equirectangular picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.files import atomic_write
+from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.depth import Depth
+from omnistereo_tools import mesh
+from omnistereo_tools.frame import SHARP, FrameResult
+from omnistereo_tools.pictures import sharp_panorama
+
+
+def check_suffixes(mesh_file: Path | None, equirectangular: Path | None) -> None:
+    """Raise an `OmnistereoError` if a file to be written has a suffix of another format."""
+    for path, suffixes in ((mesh_file, mesh.SUFFIXES), (equirectangular, (".tiff", ".tif"))):
+        if path is not None and path.suffix.lower() not in suffixes:
+            raise OmnistereoError(f"{path} has the wrong suffix; expected {' or '.join(suffixes)}")
+
+
+def export_frame(
+    result: FrameResult, mesh_file: Path | None, faces: int | None, equirectangular: Path | None
+) -> list[str]:
+    """Write the files that are asked for; return their names, each with what it holds.
+
+    Args:
+        mesh_file, faces: See `mesh.write_mesh`.
+        equirectangular: See `equirectangular_depth`.
+    """
+    written = []
+    if mesh_file is not None:
+        panorama = sharp_panorama(result.depth, result.images, SHARP)
+        triangles = mesh.write_mesh(mesh_file, result.depth, panorama, result.limits, faces)
+        written.append(f"{mesh_file} ({triangles} triangles)")
+    if equirectangular is not None:
+        import tifffile
+
+        with atomic_write(equirectangular) as temporary:
+            tifffile.imwrite(temporary, equirectangular_depth(result.depth), compression="deflate")
+        written.append(f"{equirectangular} (metres along the ray)")
+    return written
+
+
+def equirectangular_depth(depth: Depth) -> NDArray[np.float32]:
+    """Return depth along the ray in metres as a panorama of the whole sphere, shape (W / 2, W).
+
+    Infinite where nothing is near, NaN where it is unknown, such as at the poles. Each ray takes the nearest pixel:
+    depth between two surfaces would be in neither.
+    """
+    width = depth.grid.width
+    rays = SphereGrid(width, width // 2, (-90.0, 90.0)).rays()
+    pixels, inside = depth.grid.project(rays)
+    column, row = np.moveaxis(np.rint(pixels).astype(int), -1, 0)
+    found = depth.depth[row.clip(0, depth.grid.height - 1), column % width]
+    return np.where(inside, found, np.nan).astype(np.float32)

@@ -1,0 +1,93 @@
+"""Everything that `omnistereo depth` writes for one frame: a page to look at, a viewer, and the data behind them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from numpy.typing import ArrayLike, NDArray
+
+from omnistereo_lib.dataset import write_inverse_depth
+from omnistereo_lib.files import atomic_write, make_folder, write_image
+from omnistereo_lib.stereo.depth import Depth
+from omnistereo_lib.stereo.metrics import index_error
+from omnistereo_tools.overview import draw_overview
+from omnistereo_tools.pictures import ColorScale, sharp_panorama
+from omnistereo_tools.points import Limits, PointCloud
+from omnistereo_tools.summary import depth_sentences, error_sentences
+from omnistereo_tools.viewer import viewer_page
+
+SHARP = 1800  # px, width of the panorama that is looked at
+
+_README = """\
+Depth panoramas have {height} rows, from {phi[0]:g}° to {phi[1]:g}° (down is positive), and {width} columns around the
+full circle. The centre column looks along +z of the rig, the column to its right along +x. Depth is measured along the
+ray, from the mean of the camera centres.
+
+inverse_depth.tiff   float32, 1/m; 0 = infinitely far, NaN = no two cameras see the ray. Depth in metres is 1 / value.
+confidence.tiff      float32 in [0, 1], of the method {method}; NaN as above
+inverse_depth.png    the same as colours: near is bright, far is dark, striped is unknown; to look at, not to measure
+panorama.jpg         the cameras' colours at the depth of each ray, one pixel per ray; black = unknown
+points.ply           {points} points, binary PLY: metres (x right, y down, z forward), normals towards the rig, colours,
+                     confidence; rays up to {max_depth:.3g} m with a confidence of at least {min_confidence:.3g}
+rig.yaml             the cameras with their origin moved to the centre of the panorama
+"""
+_ERRORS = "errors.json          errors against the ground truth in % of the range swept, as in Table II of the paper\n"
+
+
+@dataclass(frozen=True, eq=False)
+class FrameResult:
+    """The depth of one frame, and what it was computed from."""
+
+    depth: Depth
+    images: Sequence[ArrayLike]
+    limits: Limits
+    method: str
+    gt_index: NDArray | None = None
+
+    @property
+    def title(self) -> str:
+        """One line for the head of pictures and pages."""
+        grid = self.depth.grid
+        rays = f"{grid.width} × {grid.height} rays"
+        return f"{self.method}: {len(self.images)} cameras, {rays}, {grid.num_spheres} spheres"
+
+    def sentences(self) -> list[str]:
+        """Return what came out, in plain sentences."""
+        errors = [] if self.gt_index is None else error_sentences(self.depth, self.gt_index)
+        return depth_sentences(self.depth, self.limits) + errors
+
+    def write(self, out: Path) -> list[str]:
+        """Write everything into a folder; return the names of what was written, the first to look at first."""
+        data = make_folder(out / "data")
+        cloud = PointCloud.of(self.depth, self.images, self.limits)
+        self._write_data(data, cloud)
+        panorama = sharp_panorama(self.depth, self.images, SHARP)
+        page = draw_overview(self.depth, panorama, cloud.points, cloud.colors, self.title, self.sentences())
+        write_image(out / "overview.png", page)
+        with atomic_write(out / "index.html") as temporary:
+            temporary.write_text(viewer_page(self.depth, panorama, self.limits, self.title), encoding="utf-8")
+        return ["overview.png", "index.html (open it in a browser)", "data/ (README.txt says what each file holds)"]
+
+    def _write_data(self, data: Path, cloud: PointCloud) -> None:
+        depth, grid = self.depth, self.depth.grid
+        write_inverse_depth(data / "inverse_depth.tiff", depth.inverse_depth)
+        write_inverse_depth(data / "confidence.tiff", depth.confidence)
+        write_image(data / "inverse_depth.png", ColorScale.of(depth.inverse_depth).colorize(depth))
+        write_image(data / "panorama.jpg", depth.panorama(self.images))
+        cloud.write(data / "points.ply")
+        depth.sweep.rig.save(data / "rig.yaml")
+        text = _README.format(
+            width=grid.width, height=grid.height, phi=grid.phi_deg, method=self.method, points=len(cloud.points),
+            max_depth=self.limits.max_depth, min_confidence=self.limits.min_confidence,
+        )  # fmt: skip
+        (data / "errors.json").unlink(missing_ok=True)  # of another frame
+        if self.gt_index is not None:
+            errors = index_error(depth.index, self.gt_index, grid.num_spheres)
+            with atomic_write(data / "errors.json") as temporary:
+                temporary.write_text(json.dumps(errors, indent=1) + "\n")
+            text += _ERRORS
+        with atomic_write(data / "README.txt") as temporary:
+            temporary.write_text(text, encoding="utf-8")

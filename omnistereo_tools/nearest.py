@@ -1,0 +1,40 @@
+"""The nearest depth of a sweep, proposed from the rig and its images where nobody states it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.pipeline import estimate_depth
+from omnistereo_lib.stereo.sweep import reduce_images
+
+_WIDTH, _HEIGHT, _SPHERES = 320, 80, 64  # coarse: a tenth of a second
+_BASELINES = 1.0  # the first pass begins at the mean baseline: what is nearer, few cameras see
+_QUANTILE = 0.002  # of the confident rays: fewer are mismatches
+_MARGIN = 0.55  # for what comes nearer in the next frame, and for small things that a coarse sweep misses
+_PASSES = 2
+
+
+def propose_min_depth(rig: Rig, images: Sequence[ArrayLike], phi_deg: tuple[float, float] = (-45.0, 45.0)) -> float:
+    """Return a nearest depth in metres, rounded: a little less than the nearest thing that a coarse sweep finds.
+
+    The second pass sweeps from what the first one found: with fewer spheres wasted in front of it, it is sharper.
+
+    Args:
+        images: one array per camera, in the order of the rig
+        phi_deg: Elevation range of the panorama in degrees.
+
+    Raises:
+        OmnistereoError: If the images do not fit the rig, or no two cameras see a ray.
+    """
+    rig, images = reduce_images(rig, images, _WIDTH / 360)
+    nearest = _BASELINES * float(rig.baselines.mean())
+    for _ in range(_PASSES):
+        depth = estimate_depth(rig, images, SphereGrid(_WIDTH, _HEIGHT, phi_deg, _SPHERES, nearest))
+        sure = depth.valid & (depth.confidence >= np.nanmedian(depth.confidence))
+        nearest = max(nearest, _MARGIN * float(np.quantile(depth.depth[sure], _QUANTILE)))
+    return float(f"{nearest:.2g}")

@@ -1,0 +1,65 @@
+"""What one frame came out as, in plain sentences."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omnistereo_lib.stereo.depth import Depth
+from omnistereo_lib.stereo.metrics import index_error
+from omnistereo_tools.points import Limits
+
+_FEW = 0.002  # of the rays: fewer are noise, not a thing
+_MARGIN = 0.8  # of the nearest depth: room for what comes nearer in the next frame
+
+
+def depth_sentences(depth: Depth, limits: Limits) -> list[str]:
+    """Return nearest and median depth, whether the spheres suit them, and how many rays the limits keep."""
+    rays, known = depth.index.size, int(depth.valid.sum())
+    keep = limits.keep(depth)
+    far = int((depth.depth > limits.max_depth).sum())
+    nearest = nearest_depth(depth, keep)
+    sentences = [
+        f"{known / rays:.0%} of the {rays} rays have a depth: the nearest thing is {metres(nearest)} away, "
+        f"the median depth is {metres(float(np.nanmedian(depth.depth)))}.",
+        f"Point cloud and mesh use {int(keep.sum())} rays. Left out: {far} beyond {metres(limits.max_depth)} "
+        f"(--max-depth) and {known - far - int(keep.sum())} with a confidence below {limits.min_confidence:.2g} "
+        f"(--min-confidence).",
+    ]
+    grid = depth.grid
+    if _MARGIN * nearest > 1.2 * grid.min_depth:
+        sentences.append(
+            f"The spheres begin at {metres(grid.min_depth)}: --min-depth {_MARGIN * nearest:.2g} would use them better."
+        )
+    elif (depth.index[keep] >= grid.num_spheres - 1.5).mean() > 10 * _FEW:
+        sentences.append(
+            f"Many rays end on the nearest sphere, {metres(grid.min_depth)}: things may be nearer. "
+            f"Try --min-depth {grid.min_depth / 2:.2g}."
+        )
+    return sentences
+
+
+def nearest_depth(depth: Depth, keep: NDArray[np.bool_]) -> float:
+    """Return the depth in metres than which two in a thousand of the kept rays are nearer; NaN without any."""
+    return float(np.quantile(depth.depth[keep], _FEW)) if keep.any() else float("nan")
+
+
+def error_sentences(depth: Depth, gt_index: NDArray) -> list[str]:
+    """Return the errors against the ground truth: relative depth errors, then those of the paper."""
+    errors = index_error(depth.index, gt_index, depth.grid.num_spheres)
+    truth = depth.grid.index_to_depth(gt_index)
+    both = depth.valid & np.isfinite(truth) & np.isfinite(depth.depth) & (truth >= depth.grid.min_depth)
+    half, most = np.quantile(np.abs(depth.depth / truth - 1)[both], [0.5, 0.9]) if both.any() else (np.nan, np.nan)
+    return [
+        f"Against the ground truth, half of the rays are within {half:.1%} of their true depth and nine tenths within "
+        f"{most:.0%}: at 10 m that is {10 * half:.2g} m and {10 * most:.2g} m.",
+        f"In the terms of the paper, {errors['>1']:.0f} % of the rays are off by more than 1 % of the range swept and "
+        f"{errors['>3']:.0f} % by more than 3 %; the mean error is {errors['MAE']:.1f} %.",
+    ]
+
+
+def metres(depth: float) -> str:
+    """Return a depth with two digits, such as "0.85 m" or "12 m"."""
+    if not np.isfinite(depth):
+        return "infinity" if depth == np.inf else "unknown"
+    return f"{depth:.0f} m" if depth >= 10 else f"{depth:.2g} m"

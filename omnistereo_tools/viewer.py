@@ -1,0 +1,78 @@
+"""`index.html`: one file, read offline in any browser, to look around in the panorama and to rotate the points."""
+
+from __future__ import annotations
+
+import base64
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from omnistereo_lib.stereo.depth import Depth
+from omnistereo_tools.pictures import ColorScale
+from omnistereo_tools.points import Limits
+
+_PAGE = Path(__file__).with_name("viewer.html")
+_RAYS = 800_000  # 3 bytes each; with the picture the page stays below 5 MB
+_WIDEST = 2400  # px of the picture
+_STEPS = 65534  # of inverse depth in 16 bits; 0 is unknown
+
+
+def viewer_page(depth: Depth, panorama: NDArray[np.uint8], limits: Limits, title: str) -> str:
+    """Return the page as HTML, with everything in it; arguments as `viewer_data`."""
+    return page_of(viewer_data(depth, panorama, limits, title))
+
+
+def page_of(data: dict[str, Any]) -> str:
+    """Return the page that shows what `viewer_data` returned."""
+    return _PAGE.read_text(encoding="utf-8").replace("{{DATA}}", json.dumps(data).replace("<", "\\u003c"))
+
+
+def viewer_data(
+    depth: Depth, panorama: NDArray[np.uint8], limits: Limits, title: str, mode: str = "look"
+) -> dict[str, Any]:
+    """Return what the page shows, as JSON.
+
+    Args:
+        panorama: uint8 array, any size, RGB: the whole panorama, sharper than the depth
+        limits: Rays that become points.
+        title: What was computed and how, one line.
+        mode: How it begins: "look" around, "flat" or "points".
+    """
+    step = int(np.ceil(np.sqrt(depth.index.size / _RAYS)))
+    inverse_depth = depth.inverse_depth[::step, ::step]
+    known = np.isfinite(inverse_depth)
+    per_step = max(float(np.nanmax(inverse_depth, initial=1e-6)), 1e-6) / _STEPS
+    scale = ColorScale.of(depth.inverse_depth)
+    return {
+        "title": title,
+        "mode": mode,
+        "width": inverse_depth.shape[1],
+        "height": inverse_depth.shape[0],
+        "phi": np.radians(depth.grid.phi_deg).tolist(),
+        "perStep": per_step,
+        "steps": _base64(np.where(known, 1 + np.nan_to_num(inverse_depth) / per_step, 0).round().astype("<u2")),
+        "confidence": _base64((255 * np.nan_to_num(depth.confidence[::step, ::step])).round().astype(np.uint8)),
+        "low": scale.low,
+        "high": scale.high,
+        "ticks": scale.ticks(),
+        "colors": _base64(scale.bar(256)),
+        "maxDepth": min(limits.max_depth, 1e9),
+        "minConfidence": limits.min_confidence,
+        "picture": "data:image/jpeg;base64," + _jpeg(panorama),
+    }
+
+
+def _base64(values: NDArray) -> str:
+    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode()
+
+
+def _jpeg(picture: NDArray[np.uint8]) -> str:
+    height, width = picture.shape[:2]
+    if width > _WIDEST:
+        picture = cv2.resize(picture, (_WIDEST, round(height * _WIDEST / width)), interpolation=cv2.INTER_AREA)
+    pixels = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
+    return base64.b64encode(cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 85])[1]).decode()

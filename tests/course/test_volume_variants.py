@@ -1,0 +1,83 @@
+"""VolumeNet's variants: what each shows its U-net, what its samples leave out, and the table of all."""
+
+import csv
+
+import numpy as np
+import pytest
+import torch
+
+from course import volume_variants
+from course.volume_variants import VARIANTS, MeanAndVariance, SpheresAsChannels, compare_volumes, train_variant
+from omnistereo_lib.train import RECIPES
+from omnistereo_lib.train.frames import DATA
+
+
+def test_mean_and_variance_of_whole_pixels_by_hand():
+    torch.manual_seed(0)
+    model, rng = MeanAndVariance().eval(), np.random.default_rng(0)
+    images = [torch.rand(24, 32) for _ in range(3)]
+    visible = [torch.ones(24, 32, dtype=torch.bool)] * 3
+    maps = [model.features(image, mask) for image, mask in zip(images, visible, strict=True)]
+    height, width = maps[0].shape[-2:]
+    uv = [np.stack([rng.integers(width, size=(4, 5, 2)), rng.integers(height, size=(4, 5, 2))], -1) for _ in maps]
+    at = [torch.tensor(cells, dtype=torch.float32) for cells in uv]
+    at[2][1, 2, 0] = torch.nan
+    with torch.no_grad():
+        found = model.correlation(images, visible, at).numpy()
+        features = np.stack([m.numpy()[:, cells[..., 1], cells[..., 0]] for m, cells in zip(maps, uv, strict=True)])
+    features[2, :, 1, 2, 0] = np.nan  # not visible there
+    np.testing.assert_allclose(found[:32], np.nanmean(features, 0), atol=1e-4)
+    np.testing.assert_allclose(found[32:64], np.nanvar(features, 0), atol=1e-4)
+    assert found[64, 1, 2, 0] == 2 / 4 and found[64, 0, 0, 0] == 3 / 4
+
+
+def test_spheres_are_channels():
+    model = SpheresAsChannels().eval()
+    with torch.no_grad():
+        assert model(torch.rand(1, 9, 32, 16, 32)).shape == (1, 32, 16, 32)
+    assert not any(isinstance(layer, torch.nn.Conv3d) for layer in model.modules())
+
+
+@pytest.mark.parametrize(
+    ("name", "upright", "fixed"), [("grids not rotated", True, False), ("nearest depth not scaled", False, True)]
+)
+def test_what_the_samples_leave_out(name, upright, fixed):
+    worlds, _, samples = VARIANTS[name]
+    recipe = RECIPES["volumenet"]["teaching"].with_overrides(["worlds=rooms"])
+    views = [samples(recipe, [DATA / "rooms" / "test"]).view(np.random.default_rng(k)) for k in range(3)]
+    assert all(np.array_equal(rotation, np.eye(3)) == upright for rotation, _ in views)
+    assert all((scale == 1) == fixed for _, scale in views)
+    assert worlds == VARIANTS["as shipped"][0]
+
+
+def test_a_variant_is_trained_by_its_recipe(tmp_path, monkeypatch):
+    (tmp_path / "rooms").mkdir()
+    (tmp_path / "rooms" / "train").symlink_to(DATA / "rooms" / "test")  # fewer frames
+    monkeypatch.setattr(volume_variants, "DATA", tmp_path)
+    small = ["worlds=rooms", "width=64", "height=16", "num_spheres=16", "steps=2", "warmup=1", "validation_groups=1"]
+    recipe = RECIPES["volumenet"]["teaching"].with_overrides(small)
+    _, network, samples = VARIANTS["as shipped"]
+    torch.manual_seed(recipe.seed)
+    start = network()
+    trained = train_variant(recipe, network, samples)
+    changed = [not torch.equal(a, b) for a, b in zip(trained.parameters(), start.parameters(), strict=True)]
+    assert all(changed) and not trained.training
+
+
+def test_the_table_has_all_and_resumes(tmp_path, monkeypatch):
+    trained = []
+
+    def train(recipe, network, samples, name):
+        trained.append((name, recipe.worlds, recipe.steps, network, samples))
+        return len(trained)
+
+    monkeypatch.setattr(volume_variants, "train_variant", train)
+    monkeypatch.setattr(volume_variants, "measure", lambda model: {"sunny MAE": float(model)})
+    path = compare_volumes(tmp_path, ["steps=7", "warmup=1"])
+    assert trained == [(name, variant[0], 7, *variant[1:]) for name, variant in VARIANTS.items()]
+    next(tmp_path.glob("streets_only.json")).unlink()
+    assert compare_volumes(tmp_path, ["steps=7", "warmup=1"]) == path and trained[-1][0] == "streets only"
+    with path.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["variant"] for row in rows] == [*VARIANTS]
+    assert [float(row["sunny MAE"]) for row in rows] == [1, 2, 3, 4, 5, 8, 7]

@@ -1,0 +1,139 @@
+"""What `omnistereo depth` leaves behind, against a box whose walls are known."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scene
+
+import omnistereo_lib as osl
+from omnistereo_lib.files import read_image, write_image
+from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_tools.frame import FrameResult
+from omnistereo_tools.masks import with_masks
+from omnistereo_tools.pictures import BACKGROUND, ColorScale, draw_points
+from omnistereo_tools.points import Limits, PointCloud
+from omnistereo_tools.summary import depth_sentences, error_sentences
+
+GRID = osl.SphereGrid(160, 40, num_spheres=64, min_depth=0.6)
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return scene.rig(width=200, height=192)
+
+
+@pytest.fixture(scope="module")
+def depth(rig):
+    """The true depth of the box, with a confidence that grows from left to right."""
+    index = scene.true_index(rig, GRID).astype(np.float32)
+    index[0, 0] = np.nan
+    confidence = np.broadcast_to(np.linspace(0, 1, 160, dtype=np.float32), GRID.shape).copy()
+    return osl.Depth(index, np.where(np.isnan(index), np.nan, confidence), SphereSweep(rig, GRID))
+
+
+@pytest.fixture(scope="module")
+def pictures(rig):
+    return [np.stack([picture.astype(np.uint8)] * 3, -1) for picture in scene.images(rig, finest=0.25)]
+
+
+@pytest.fixture(scope="module")
+def written(depth, pictures, tmp_path_factory):
+    out = tmp_path_factory.mktemp("out")
+    FrameResult(depth, pictures, Limits.of(depth), "zncc+sgm", depth.index).write(out)
+    return out
+
+
+def test_the_overview_is_large_and_shows_something(written):
+    page = read_image(written / "overview.png")
+    assert page.shape[1] >= 1600 and page.std() > 30
+    assert page.shape[0] < page.shape[1]  # fits a screen without much scrolling
+
+
+def test_the_points_are_on_the_walls_and_the_normals_across_them(written, depth):
+    trimesh = pytest.importorskip("trimesh")
+    cloud = trimesh.load(written / "data" / "points.ply").metadata["_ply_raw"]["vertex"]["data"]
+    points, normals = (np.stack([cloud[name] for name in names], -1) for names in (("x", "y", "z"), ("nx", "ny", "nz")))
+    center = np.mean([pose.t for pose in scene.rig(width=200, height=192).T_rig_cam], 0)
+    beyond = np.abs(points + center - scene.CENTER) / scene.HALF_SIZE
+    np.testing.assert_allclose(beyond.max(-1), 1, atol=1e-4)
+    inside = np.sort(beyond, -1)[:, -2] < 0.85  # not at an edge of the box
+    wall = beyond.argmax(-1)[inside]
+    towards = -np.sign(points[inside, wall])
+    facing = normals[inside][np.arange(len(wall)), wall] * towards
+    assert np.median(facing) > 0.999
+    assert (facing > 0.98).mean() > 0.99
+    assert cloud["confidence"].min() >= np.nanquantile(depth.confidence, 0.1) - 1e-6
+    assert len(points) == pytest.approx(0.9 * GRID.width * GRID.height, rel=0.02)
+
+
+def test_limits_drop_what_is_far_or_unsure(depth):
+    cloud = PointCloud.of(depth, [np.zeros((192, 200), np.uint8)] * 4, Limits(2.0, 0.5))
+    assert np.linalg.norm(cloud.points, axis=-1).max() <= 2.0 and cloud.confidence.min() >= 0.5
+    assert len(cloud.points) == (depth.valid & (depth.depth <= 2) & (depth.confidence >= 0.5)).sum() > 0
+
+
+def test_the_sentences_say_what_was_found(depth):
+    truth = depth.depth[depth.valid]
+    first, second, *hints = depth_sentences(depth, Limits(1e9, 0.0))
+    assert re.search(rf"the nearest thing is {np.quantile(truth, 0.002):.2g} m away, the median", first)
+    assert f"use {depth.valid.sum()} rays. Left out: 0 beyond" in second
+    nearest = truth.min()
+    assert (0.8 * nearest > 1.2 * GRID.min_depth) == bool(hints)
+    exact, _ = error_sentences(depth, scene.true_index(scene.rig(width=200, height=192), GRID))
+    assert "half of the rays are within 0.0% of their true depth and nine tenths within 0%" in exact
+    off = osl.Depth(depth.index * 1.1, depth.confidence, depth.sweep)
+    assert "half of the rays are within 9.1% of" in error_sentences(off, depth.index)[0]  # 1 - 1 / 1.1
+
+
+def test_nearer_spheres_are_proposed_where_nothing_is_near(rig):
+    grid = replace(GRID, min_depth=0.3)
+    index = scene.true_index(rig, grid).astype(np.float32)
+    far = osl.Depth(index, np.ones_like(index), SphereSweep(rig, grid))
+    nearest = np.quantile(far.depth, 0.002)
+    assert f"--min-depth {0.8 * nearest:.2g} would use them better" in depth_sentences(far, Limits(1e9, 0.0))[-1]
+
+
+def test_the_colours_span_the_depths_found():
+    scale = ColorScale.of(np.array([[0.5, 1.0, 2.0, np.nan]]))
+    assert 0.5 <= scale.low < 0.52 and 1.97 < scale.high <= 2.0
+    labels = {label: at for at, label in scale.ticks()}
+    assert labels["1 m"] == pytest.approx((1 - scale.low) / (scale.high - scale.low)) and "∞" not in labels
+    brightness = scale.bar(256)[0].sum(-1)
+    assert (np.diff(brightness.astype(int)) >= -3).all() and brightness[-1] > 600
+
+
+def test_near_points_hide_far_ones():
+    near = np.array([[0.0, 0.0, 0.0]])
+    eye = np.array([0.35, -0.9, -1.3])  # on the line of sight behind it, seen from above and behind
+    far = -0.8 * eye[None]
+    ring = np.array([[x, 0.0, z] for x in (-1, 1) for z in (-1.0, 1)])
+    points = np.concatenate([near, far, ring])
+    colors = np.uint8([[255, 0, 0], [0, 255, 0], *[[9, 9, 9]] * 4])
+    for order in (np.arange(6), np.arange(6)[::-1]):
+        picture = draw_points(points[order], colors[order], (400, 300))
+        shown = {tuple(color) for color in picture.reshape(-1, 3)}
+        assert (255, 0, 0) in shown
+    assert (draw_points(points[:0], colors[:0], (4, 3)) == BACKGROUND).all()
+
+
+def test_masks_beside_the_images_or_named(rig, tmp_path):
+    mask = np.zeros((192, 200), np.uint8)
+    mask[:100] = 255
+    images = [tmp_path / f"cam{k}" / "1.png" for k in range(4)]
+    for k, path in enumerate(images):
+        path.parent.mkdir()
+        if k != 2:
+            write_image(path.parent / "mask.png", mask)
+    found = [camera.mask for camera in with_masks(rig, None, images).cameras]
+    assert found[2] is None and (found[0] == (mask > 0)).all()
+    together = [tmp_path / "cam0" / f"{k}.png" for k in range(4)]  # one folder: whose mask would it be?
+    assert with_masks(rig, None, together) is rig
+    named = [tmp_path / "cam0" / "mask.png"] * 4
+    assert all((camera.mask == (mask > 0)).all() for camera in with_masks(rig, named, together).cameras)
+    with pytest.raises(osl.OmnistereoError, match="there are 3 masks for 4 cameras"):
+        with_masks(rig, named[:3], together)
+    write_image(tmp_path / "cam0" / "mask.png", mask[:50])
+    with pytest.raises(osl.OmnistereoError, match=r"mask.png is 200 × 50 px, the camera 200 × 192 px"):
+        with_masks(rig, named, together)

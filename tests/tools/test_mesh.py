@@ -1,0 +1,99 @@
+"""Meshes, loaded by another program: on the walls, textured with what the ray sees, cut at depth edges, y up."""
+
+import numpy as np
+import pytest
+import scene
+
+import omnistereo_lib as osl
+from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_tools.mesh import make_mesh, write_mesh
+from omnistereo_tools.points import Limits
+
+trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed: environment.txt has it")
+
+GRID = osl.SphereGrid(160, 40, num_spheres=64, min_depth=0.6)
+ALL = Limits(100.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def depth():
+    rig = scene.rig(width=200, height=192)
+    index = scene.true_index(rig, GRID).astype(np.float32)
+    return osl.Depth(index, np.ones_like(index), SphereSweep(rig, GRID))
+
+
+@pytest.fixture(scope="module")
+def panorama():
+    """Red tells the column, green the row: a colour is a direction."""
+    row, column = np.indices((80, 320))
+    return np.stack([column * 255 // 319, row * 255 // 79, 0 * row], -1).astype(np.uint8)
+
+
+def load(path):
+    return trimesh.load(path, process=False, force="mesh")
+
+
+def test_glb_is_textured_y_up_and_on_the_walls(depth, panorama, tmp_path):
+    count = write_mesh(tmp_path / "a.glb", depth, panorama, ALL)
+    mesh = load(tmp_path / "a.glb")
+    assert len(mesh.faces) == count == 2 * 39 * 160  # closed around the circle
+    points = mesh.vertices * [1, -1, -1]
+    center = np.mean([pose.t for pose in depth.sweep.rig.T_rig_cam], 0)
+    assert np.allclose(center, 0)
+    true_center = np.mean([pose.t for pose in scene.rig(width=200, height=192).T_rig_cam], 0)
+    beyond = np.abs(points + true_center - scene.CENTER) / scene.HALF_SIZE
+    np.testing.assert_allclose(beyond.max(-1), 1, atol=1e-4)
+    texture = np.asarray(mesh.visual.material.baseColorTexture.convert("RGB"))
+    np.testing.assert_array_equal(texture, panorama)
+    u, v = mesh.visual.uv.T
+    pixels, valid = GRID.project(points)
+    assert valid.all() and u.max() > 1  # the copy of the first column
+    off = (u - (pixels[:, 0] + 0.5) / 160 + 0.5) % 1 - 0.5
+    np.testing.assert_allclose(off, 0, atol=1e-4)
+    np.testing.assert_allclose(1 - v, (pixels[:, 1] + 0.5) / 40, atol=1e-4)
+    assert np.ptp(u[mesh.faces], axis=1).max() < 0.02
+
+
+def test_triangles_face_the_rig(depth):
+    mesh = make_mesh(depth, ALL)
+    assert ((mesh.face_normals * mesh.triangles_center).sum(-1) < 0).all()
+
+
+def test_ply_has_the_colour_of_each_vertex(depth, panorama, tmp_path):
+    write_mesh(tmp_path / "a.ply", depth, panorama, ALL)
+    mesh = load(tmp_path / "a.ply")
+    pixels, _ = GRID.project(mesh.vertices)
+    expected = np.stack([(pixels[:, 0] + 0.5) / 160, (pixels[:, 1] + 0.5) / 40], -1) * 255
+    np.testing.assert_allclose(mesh.visual.vertex_colors[:, :2], expected, atol=4)
+
+
+def test_it_is_cut_where_the_depth_jumps_and_without_the_sky(depth):
+    index = depth.index.copy()
+    index[10:20, 50:70] = 50  # 0.75 m, before walls at more than a metre
+    index[:5] = 0  # infinitely far
+    index[30:, 90:] = np.nan
+    mesh = make_mesh(osl.Depth(index, depth.confidence, depth.sweep), ALL)
+    far = np.linalg.norm(mesh.vertices, axis=-1)[mesh.faces]
+    assert np.ptp(far, axis=1).max() < 0.2 * far.min(1)[np.ptp(far, axis=1).argmax()] + 1e-9
+    near = np.isclose(far, GRID.index_to_depth(50), rtol=1e-3).all(1)
+    assert near.sum() == 2 * 9 * 19  # a piece of its own
+    assert len(mesh.faces) < 2 * 34 * 160 - 2 * 9 * 69
+
+
+def test_it_is_decimated_on_demand(depth, panorama, tmp_path):
+    pytest.importorskip("fast_simplification")
+    count = write_mesh(tmp_path / "a.glb", depth, panorama, ALL, faces=2000)
+    mesh = load(tmp_path / "a.glb")
+    assert len(mesh.faces) == count <= 2000
+    pixels, _ = GRID.project(mesh.vertices * [1, -1, -1])
+    off = np.abs((mesh.visual.uv[:, 0] - (pixels[:, 0] + 0.5) / 160 + 0.5) % 1 - 0.5)
+    assert off.max() < 1e-3  # the texture still fits
+    true_center = np.mean([pose.t for pose in scene.rig(width=200, height=192).T_rig_cam], 0)
+    beyond = np.abs(mesh.vertices * [1, -1, -1] + true_center - scene.CENTER) / scene.HALF_SIZE
+    assert np.abs(beyond.max(-1) - 1).max() < 0.05
+
+
+def test_what_cannot_be_a_mesh_is_told(depth, panorama, tmp_path):
+    with pytest.raises(osl.OmnistereoError, match="no triangle is left"):
+        write_mesh(tmp_path / "a.glb", depth, panorama, Limits(0.1, 0.0))
+    assert not list(tmp_path.iterdir())
