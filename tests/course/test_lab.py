@@ -135,10 +135,10 @@ def test_quickstart_opens_unchanged_runs_in_jupyterlab_and_its_points_turn(lab, 
     assert wrong.all_text_contents() == []
     expect(prompts).to_have_text([f"[{n}]:" for n in range(1, len(cells) + 1)])
 
-    view = page.frame_locator(f"iframe[title='{stills.VIEW}']")
-    view.locator("body[data-drawn=points]").wait_for()
-    canvas = view.locator("#view")
-    canvas.scroll_into_view_if_needed()
+    view = page.locator(f"iframe[title='{stills.VIEW}']")
+    view.scroll_into_view_if_needed()  # what is out of sight is not drawn
+    view.content_frame.locator("body[data-drawn=points]").wait_for()
+    canvas = view.content_frame.locator("#view")
     page.screenshot(path=SEEN / "lab_points_before.png")
     before = canvas.evaluate(PICTURE)
     canvas.drag_to(canvas, source_position={"x": 100, "y": 100}, target_position={"x": 300, "y": 150})
