@@ -53,11 +53,12 @@ results: $(READY)  ## the stored results and the book's reproduction report agai
 	$(EVALUATE) --sets $(SETS) aerial --scale paper --out out/paper $(RESULTS_ARGS)
 	for scale in teaching paper; do $(EVALUATE) --sets $(SETS) aerial --methods volumenet volumenet+sgm \
 	  --scale $$scale --out out/$$scale-volumenet; done
+	$(EVALUATE) --sets things rooms --methods zncc zncc+sgm sweepnet+sgm volumenet volumenet+sgm --out out/teaching-worlds
 	$(BIN)/python -m course ledger book/reproduction.md --results out/paper/results.json
 	$(BIN)/python -m course variants --out out/variants \
 	  --set steps=300 validate_every=30 validation_groups=24
 	cp out/variants/variants.csv data_samples/results/
-	for name in teaching ablations calibrated penalties paper teaching-volumenet paper-volumenet; do cp out/$$name/results.json data_samples/results/$$name.json; done
+	for name in teaching ablations calibrated penalties paper teaching-volumenet teaching-worlds paper-volumenet; do cp out/$$name/results.json data_samples/results/$$name.json; done
 	$(BIN)/python -c "from pathlib import Path; from render.frames import renew_manifest as renew; \
 	  renew(Path('data_samples'))"
 

@@ -63,6 +63,11 @@ def run(options: argparse.Namespace) -> int:
             for path in options.notebooks:
                 record(path)
             return 0
+        case "readme":
+            from course.readme import main
+
+            main()
+            return 0
         case "check":
             from course.handin import check
 

@@ -1,5 +1,7 @@
 """The course's line drawings: what the words of a notebook point at, drawn to scale where scale matters."""
 
+from itertools import pairwise
+
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
@@ -241,4 +243,26 @@ def method_flow(width: int, height: int, spheres: int) -> Figure:
     for k, notebook in enumerate(("01, 02", "03", "04, 05, 06", "07", "07")):
         ax.text(3.2 * k + 1.0, -0.35, notebook, ha="center", fontsize=8, color="0.3")
     ax.set(xlim=(-0.3, 16), ylim=(-0.6, 1.7))
+    return fig
+
+
+def unet(size: tuple[int, int, int] = (160, 40, 32), widths: tuple[int, ...] = (16, 32, 48, 64)) -> Figure:
+    """VolumeNet's U-net as boxes in the shape of its letter, with channels and columns × rows × spheres."""
+    sides = [" × ".join(str(side // 2**level) for side in size) for level in range(len(widths))]
+    last = len(widths) - 1
+    levels = [0, *range(last + 1), *reversed(range(last)), 0]
+    channels = [9, *widths, *reversed(widths[:-1]), 1]
+    fig, (ax,) = _canvas(10, 3.6)
+    ax.set_aspect("auto")
+    ax.set(xlim=(-0.5, len(levels) - 0.5), ylim=(-last - 0.3, 0.35))
+    for x, (level, count) in enumerate(zip(levels, channels, strict=True)):
+        color = plt.cm.viridis(0.4 + 0.18 * level)
+        ax.add_patch(plt.Rectangle((x - 0.4, -level - 0.25), 0.8, 0.5, color=color, alpha=0.5))
+        ax.text(x, -level, f"{count} channels\n{sides[level]}", ha="center", va="center", fontsize=7.5)
+    for x, (level, after) in enumerate(pairwise(levels)):
+        start = (x + 0.4, -level) if after == level else (x, -level + np.sign(level - after) * 0.25)
+        ax.annotate("", (x + 0.6, -after), start, arrowprops={"arrowstyle": "->"})
+    for level in range(last):
+        style = {"arrowstyle": "->", "ls": ":", "color": "C3"}
+        ax.annotate("", (len(levels) - 2.4 - level, -level - 0.1), (level + 1.4, -level - 0.1), arrowprops=style)
     return fig

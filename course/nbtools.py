@@ -3,7 +3,6 @@
     python -m course run notebooks/00_quickstart.ipynb ...   from a fresh kernel, then clean
     python -m course clean notebooks/00_quickstart.ipynb ... drop what does not belong there
     python -m course lint notebooks/00_quickstart.ipynb ...  say what is wrong with it
-    python -m course readme                                  the README's table of notebooks and its picture
 
 `run` stores nothing when a cell fails, when the notebook takes longer than its own budget, or when `lint`
 finds something. A notebook's own facts stand in its metadata, under "omnistereo":
@@ -12,7 +11,6 @@ finds something. A notebook's own facts stand in its metadata, under "omnistereo
 """
 
 import ast
-import base64
 import copy
 import math
 import os
@@ -38,7 +36,6 @@ from course.plot import caption_output, captions
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = ROOT / "notebooks"
 README = ROOT / "README.md"
-PICTURE = NOTEBOOKS / "00_quickstart.jpg"
 
 SETUP = "import omnistereo_lib as osl\nfrom course.doctor import doctor\n\ndoctor(short=True)"
 FACTS = {"title": str, "learn": str, "needs": str, "minutes_to_read": int, "budget_s": int}
@@ -376,21 +373,8 @@ def with_table(readme: str, paths: list[Path]) -> str:
     return TABLE.sub(lambda _: readme_table(paths), readme, count=1)
 
 
-def first_picture(path: Path) -> bytes:
-    """Return the first JPEG that a notebook shows: the README shows the quick start's."""
-    for cell in code_cells(nbformat.read(path, as_version=4)):
-        for output in cell.outputs:
-            if "image/jpeg" in output.get("data", {}):
-                return base64.b64decode(output.data["image/jpeg"])
-    raise SystemExit(f"{path.name} shows no JPEG for the README")
-
-
 def main(command: str, paths: list[Path]) -> int:
     """Do one of the module's commands on all notebooks that are named; 0 when nothing was wrong."""
-    if command == "readme":
-        store(README, with_table(README.read_text(encoding="utf-8"), notebooks()))
-        PICTURE.write_bytes(first_picture(notebooks()[0]))
-        return 0
     found = {}
     for path in paths:
         if command == "clean":

@@ -14,11 +14,11 @@ import yaml
 from numpy.typing import NDArray
 
 from course import stills
-from omnistereo_lib.calibrate.figures import calibration_figure, draw_coverage
 from omnistereo_lib.dataset import Frame
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.depth import colorize_depth
+from omnistereo_tools.calibration_figures import calibration_figure, draw_coverage
 
 if TYPE_CHECKING:
     from ipywidgets import Widget

@@ -14,13 +14,16 @@ from omnistereo_lib.stereo.depth import Depth
 from omnistereo_tools import mesh
 from omnistereo_tools.frame import SHARP, FrameResult
 from omnistereo_tools.pictures import sharp_panorama
+from omnistereo_tools.recordings import CODECS
+
+_SUFFIXES = {"mesh": mesh.SUFFIXES, "equirectangular": (".tiff", ".tif"), "video": tuple(CODECS)}
 
 
-def check_suffixes(mesh_file: Path | None, equirectangular: Path | None) -> None:
-    """Raise an `OmnistereoError` if a file to be written has a suffix of another format."""
-    for path, suffixes in ((mesh_file, mesh.SUFFIXES), (equirectangular, (".tiff", ".tif"))):
-        if path is not None and path.suffix.lower() not in suffixes:
-            raise OmnistereoError(f"{path} has the wrong suffix; expected {' or '.join(suffixes)}")
+def check_suffixes(**files: Path | None) -> None:
+    """Raise an `OmnistereoError` if a file to be written, such as mesh=…, has a suffix of another format."""
+    for kind, path in files.items():
+        if path is not None and path.suffix.lower() not in _SUFFIXES[kind]:
+            raise OmnistereoError(f"{path} has the wrong suffix; expected {' or '.join(_SUFFIXES[kind])}")
 
 
 def export_frame(

@@ -12,4 +12,6 @@ from course.exercises.matching import *  # noqa: F403
 from course.exercises.pipeline import *  # noqa: F403
 from course.exercises.results import *  # noqa: F403
 from course.exercises.rig_arrays import *  # noqa: F403
+from course.exercises.scene_arrays import *  # noqa: F403
+from course.exercises.table_arrays import *  # noqa: F403
 from course.exercises.volumes import *  # noqa: F403

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import functools
 import traceback
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
@@ -41,14 +42,18 @@ def checker(case: Callable[[Rng, int], Case]) -> Callable[[Answer], None]:
     def check(answer: Answer) -> None:
         print(diagnose(answer, map(check.case, range(CASES))))
 
-    check.case = lambda k, seed=0: case(np.random.default_rng((k, seed)), k)
+    def draw(k: int, seed: int = 0) -> Case:
+        with np.errstate(all="ignore"), warnings.catch_warnings():  # mistakes divide by zero
+            warnings.simplefilter("ignore", RuntimeWarning)
+            return case(np.random.default_rng((k, seed)), k)
+
+    check.case = draw
     return check
 
 
 def by(inputs: tuple, right: Answer, wrong: Sequence[tuple[Answer, str]]) -> Case:
     """Return the case of a right function and of wrong ones, each with the hint that names its mistake."""
-    with np.errstate(all="ignore"):
-        return inputs, right(*inputs), [(mistake(*inputs), hint) for mistake, hint in wrong]
+    return inputs, right(*inputs), [(mistake(*inputs), hint) for mistake, hint in wrong]
 
 
 def diagnose(answer: Answer, cases: Iterable[Case]) -> str:

@@ -81,7 +81,7 @@ def check_pooled_rms(rng: Rng, k: int) -> Case:
 
 @checker
 def check_standard_error(rng: Rng, k: int) -> Case:
-    """08.3: standard error of the mean difference a - b of two methods, from their figures in the same frames."""
+    """08.4: standard error of the mean difference a - b of two methods, from their figures in the same frames."""
     b = rng.uniform(9, 20, int(rng.integers(6, 12)))
     a = b + rng.normal(1.5, 1, len(b))
     n, difference = len(a), a - b
@@ -163,7 +163,7 @@ def check_pose_from_file(rng: Rng, k: int) -> Case:
 
 @checker
 def check_spheres_needed(rng: Rng, k: int) -> Case:
-    """09.3: fewest spheres for which a match moves by at most `pixels` from one to the next (small angles)."""
+    """09.4: fewest spheres for which a match moves by at most `pixels` from one to the next (small angles)."""
     baseline, nearest = rng.uniform(0.3, 0.6), rng.uniform(0.5, 1.2)
     width, pixels = int(rng.integers(400, 900)), rng.uniform(0.4, 0.9)
     moves = baseline / nearest * width / (2 * np.pi)
@@ -194,7 +194,7 @@ def check_distance_from_z(rng: Rng, k: int) -> Case:
     z_depth, ray = rng.uniform(3, 9), rng.uniform([0.5, -1, 1], [1, -0.4, 2])
     length, z = np.linalg.norm(ray), ray[2]
     mistakes = [
-        (z_depth * z / length, "turned around: the ray is longer than its part along the axis"),
+        (z_depth * z / length, "the wrong way round: the ray is longer than its part along the axis"),
         (z_depth * length, "the ray does not end at z = 1: divide by its z"),
         (z_depth / z, "that many rays long it is; times the ray's length gives metres"),
         (np.hypot(z_depth, np.hypot(*ray[:2])), "x and y belong to the ray as given; stretch it to the depth first"),

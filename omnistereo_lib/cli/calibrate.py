@@ -120,7 +120,7 @@ def _write_reports(
 ) -> list[str]:
     """Write the figures and corners of each camera, captures without a board as null; return what was written."""
     from omnistereo_lib.calibrate.captures import save_corners
-    from omnistereo_lib.calibrate.figures import save_figure
+    from omnistereo_tools.calibration_figures import save_figure
 
     has_matplotlib = find_spec("matplotlib") is not None
     for camera, report in zip(cameras, reports, strict=True):

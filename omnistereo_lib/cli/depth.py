@@ -7,18 +7,20 @@ Examples:
       your own images, with a method of your choice
   omnistereo depth --mesh out/scene.glb
       with a mesh that Blender and other programs open
+  omnistereo depth --rig rig.yaml --images front/ right/ back/ left/ --out recording --video recording/depth.mp4
+      every frame of folders of pictures, or of videos; run it again to resume
 methods: zncc, mccnn, sweepnet or volumenet; +sgm smooths; ,pairs=all and others change settings
 """
 
 import argparse
 from pathlib import Path
 
-from omnistereo_lib.cli.inputs import add_device, add_grid, add_input, make_grid, read_input
+from omnistereo_lib.cli.inputs import add_device, add_grid, add_input, make_grid, read_input, read_rig
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    add_input(parser)
+    add_input(parser, recordings=True)
     add_grid(parser, width=640, height=160, spheres=192)
     parser.add_argument("--method", default="volumenet", help="see above (default: volumenet)")
     add_device(parser, precision=False)
@@ -30,9 +32,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--equirectangular", type=Path, metavar="FILE", help="write depth as 2:1 TIFF, for 360° viewers"
     )
+    of_recording = parser.add_argument_group("recordings")
+    of_recording.add_argument("--start", type=int, default=0, metavar="N", help="first frame number (default: 0)")
+    of_recording.add_argument("--stop", type=int, metavar="N", help="frame number to stop before (default: the end)")
+    of_recording.add_argument("--step", type=int, default=1, metavar="N", help="every N-th frame (default: 1)")
+    of_recording.add_argument("--depth-format", default="tiff", choices=["tiff", "png"], help="float32, or 16 bits")
+    of_recording.add_argument(
+        "--video", type=Path, metavar="FILE", help="panorama over depth: .mp4, or .webm for browsers"
+    )
 
 
 def run(options: argparse.Namespace) -> None:
+    """Estimate the depth of one frame or of a recording."""
+    from omnistereo_tools.sources import is_recording
+
+    if options.images is not None and is_recording(options.images):
+        _run_recording(options)
+    else:
+        _run_frame(options)
+
+
+def _run_frame(options: argparse.Namespace) -> None:
     """Estimate depth for one frame, write everything, and say what came out."""
     from tqdm import tqdm
 
@@ -42,7 +62,7 @@ def run(options: argparse.Namespace) -> None:
     from omnistereo_tools.frame import FrameResult
     from omnistereo_tools.points import Limits
 
-    check_suffixes(options.mesh, options.equirectangular)
+    check_suffixes(mesh=options.mesh, equirectangular=options.equirectangular)
     rig, images, frame = read_input(options)
     grid = make_grid(options, rig, images)
     gt_index = None if frame is None else frame.gt_index(grid)  # fail fast: read the ground truth, make the folder
@@ -57,3 +77,29 @@ def run(options: argparse.Namespace) -> None:
     written += export_frame(result, options.mesh, options.mesh_faces, options.equirectangular)
     print("\n".join(result.sentences()))
     print(f"written to {out}/: {', '.join(written)}")
+
+
+def _run_recording(options: argparse.Namespace) -> None:
+    """Estimate depth for all frames that are not done yet, and write the video."""
+    from tqdm import tqdm
+
+    from omnistereo_tools.exports import check_suffixes
+    from omnistereo_tools.recordings import depth_of_recording, stored_min_depth, write_video
+    from omnistereo_tools.sources import Recording
+
+    check_suffixes(video=options.video)
+    rig = read_rig(options)
+    recording = Recording.open(options.images, options.start, options.stop, options.step)
+    for path, names in recording.missing.items():
+        some = ", ".join(map(str, names[:8])) + " …" * (len(names) > 8)
+        print(f"{path} lacks {len(names)} frames that other cameras have; they are left out: {some}")
+    options.min_depth = options.min_depth or stored_min_depth(options.out)
+    grid = make_grid(options, rig, next(recording.read([min(recording.frames)])))
+    writer = depth_of_recording(
+        recording, rig, grid, options.method, options.out, f".{options.depth_format}", options.video is not None,
+        options.device, lambda left, done, total: tqdm(left, "depth", total, initial=done, unit="frame"),
+    )  # fmt: skip
+    print(f"{len(recording.frames)} frames are in {options.out}/, which load_dataset reads")
+    if options.video is not None:
+        write_video(options.video, writer)
+        print(f"written to {options.video}")

@@ -1,9 +1,10 @@
-"""Check the installation; with --rig, check a rig against its images.
+"""Check the installation; with --rig, say what a rig can see, and check it against its images.
 
-example: omnistereo doctor --rig rig.yaml --images 1.png 2.png 3.png 4.png
+example: omnistereo doctor --rig rig.yaml --images 1.png 2.png 3.png 4.png --coverage coverage.png
 """
 
 import argparse
+from pathlib import Path
 
 from omnistereo_lib.cli.inputs import add_grid, add_input, make_grid, read_input
 
@@ -14,6 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add_input(parser)
     add_grid(parser, width=320, height=80, spheres=64)
+    parser.add_argument("--coverage", type=Path, help="draw there how many cameras see each direction, how far apart")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -22,11 +24,22 @@ def run(options: argparse.Namespace) -> int:
         from omnistereo_lib.doctor import doctor
 
         return 0 if doctor() else 1
-    from omnistereo_lib.rig_check import check_rig
+    from omnistereo_lib.files import write_image
+    from omnistereo_lib.rig_files import load_rig
+    from omnistereo_tools.coverage import Coverage
+    from omnistereo_tools.rig_check import check_rig
 
-    rig, images, _ = read_input(options)
+    alone = options.images is None and options.rig.is_file()
+    rig, images, _ = (load_rig(options.rig, options.unit), None, None) if alone else read_input(options)
     low, high = rig.baselines.min(), rig.baselines.max()
     print(f"{len(rig)} cameras, {low:.3g} … {high:.3g} m apart: is that right?")
+    coverage = Coverage.of(rig)
+    print(*coverage.sentences(), sep="\n")
+    if options.coverage:
+        write_image(options.coverage, coverage.picture())
+    if alone:
+        print("With --images the poses are checked, too.")
+        return 0
     # Not a depth that comes from the baselines: it would be wrong by the same factor as they are.
     check = check_rig(rig, images, make_grid(options, rig, images, _NEAR))
     for hypothesis in (check.given, *check.alternatives[:3]):

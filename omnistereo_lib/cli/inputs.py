@@ -20,11 +20,12 @@ if TYPE_CHECKING:
 SAMPLE = Path(__file__).resolve().parents[1] / "sample"  # travels with the package
 
 
-def add_input(parser: argparse.ArgumentParser) -> None:
+def add_input(parser: argparse.ArgumentParser, recordings: bool = False) -> None:
     """Add the options that name a rig and its images."""
     parser.add_argument("--rig", type=Path, help="rig file, folder of one, or data set (default: the bundled sample)")
     parser.add_argument("--unit", choices=["mm", "cm", "m"], help="unit of the poses, if the file does not state it")
-    parser.add_argument("--images", type=Path, nargs="+", help="one image per camera, in the order of the rig")
+    each = "image, folder of images or video" if recordings else "image"
+    parser.add_argument("--images", type=Path, nargs="+", help=f"one {each} per camera, in the order of the rig")
     parser.add_argument("--masks", type=Path, nargs="+", help="one per camera, bright = valid (default: mask.png)")
     parser.add_argument("--frame", type=int, default=0, help="frame of a data set, counted from 0 (default: 0)")
 
@@ -53,14 +54,10 @@ def read_input(options: argparse.Namespace) -> tuple[Rig, list[NDArray], Frame |
     Raises an `OmnistereoError` if files are missing or broken, or --images comes without --rig.
     """
     from omnistereo_lib.dataset import load_dataset, load_images
-    from omnistereo_lib.rig_files import load_rig
     from omnistereo_tools.masks import with_masks
 
     if options.images is not None:
-        if options.rig is None:
-            raise OmnistereoError("--images needs --rig: the file or folder that describes the cameras")
-        rig = with_masks(load_rig(options.rig, options.unit), options.masks, options.images)
-        return rig, load_images(options.images), None
+        return read_rig(options), load_images(options.images), None
     folder = options.rig or SAMPLE
     if not folder.is_dir():
         raise OmnistereoError(f"{folder} is not a data set folder. Give --images, one per camera of the rig")
@@ -70,6 +67,16 @@ def read_input(options: argparse.Namespace) -> tuple[Rig, list[NDArray], Frame |
     frame = data[options.frame]
     rig = with_masks(data.rig, options.masks, frame.image_paths)
     return rig, frame.images, frame if frame.gt_path else None
+
+
+def read_rig(options: argparse.Namespace) -> Rig:
+    """Return the rig of --images, with its masks; an `OmnistereoError` if files are missing or --rig is."""
+    from omnistereo_lib.rig_files import load_rig
+    from omnistereo_tools.masks import with_masks
+
+    if options.rig is None:
+        raise OmnistereoError("--images needs --rig: the file or folder that describes the cameras")
+    return with_masks(load_rig(options.rig, options.unit), options.masks, options.images)
 
 
 def make_grid(

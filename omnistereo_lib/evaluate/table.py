@@ -112,7 +112,7 @@ def regions_table(results: Record) -> Table:
     methods, rows = _methods(results), []
     for name in _sets(results):
         frames = results["frames"][name].values()
-        found = next(iter(frames))[methods[0].name]["strata"].keys()
+        found = set().union(*(frame[methods[0].name]["strata"] for frame in frames))
         for region in ["all", WITHOUT_SKY, *REGIONS[1:], *sorted(found - {*REGIONS})]:
             for method in methods:
                 sums = [frame[method.name]["strata"] for frame in frames]
@@ -127,10 +127,13 @@ def regions_table(results: Record) -> Table:
 
 
 def _sums(regions: dict[str, dict[str, float]], name: str) -> NDArray[np.float64]:
-    """Return the `SUMS` of a region of a frame; without the sky, those of all rays less those of the sky."""
+    """Return the `SUMS` of a region of a frame; without the sky, those of all rays less those of the sky.
+
+    A frame of fewer cameras has no rays that are seen by more.
+    """
     if name == WITHOUT_SKY:
         return _sums(regions, "all") - _sums(regions, "sky")
-    return np.array([regions[name][key] for key in SUMS], np.float64)
+    return np.array([regions.get(name, dict.fromkeys(SUMS, 0))[key] for key in SUMS], np.float64)
 
 
 def write_results(folder: str | Path, results: Record) -> list[str]:

@@ -229,7 +229,7 @@ def test_bad_shards(shard):
 def test_a_set_with_a_rig_for_each_frame_equals_its_frames_evaluated_alone(data, tmp_path):
     alone = {}
     for number, min_depth in ((1, 0.5), (2, 0.9)):
-        rig = osl.Rig(RIG.cameras[: 2 + number], RIG.T_rig_cam[: 2 + number], min_depth=min_depth)
+        rig = osl.Rig(RIG.cameras[: 5 - number], RIG.T_rig_cam[: 5 - number], min_depth=min_depth)
         grid = osl.SphereGrid(96, 24, (-45, 45), 12, min_depth)
         scene.write_set(tmp_path / "rigs" / f"{number:04}", rig, grid, [(0.2 * number, 0, 0)], first=number)
         errors = json.loads(evaluate(tmp_path / f"out{number}", tmp_path / "rigs" / f"{number:04}"))

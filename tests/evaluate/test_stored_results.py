@@ -1,5 +1,7 @@
 """The results that ship: of the data and weights that ship, and the same when they are computed again."""
 
+import re
+
 import pytest
 
 import omnistereo_lib as osl
@@ -7,7 +9,9 @@ from course.ledger import ledger, split_at_markers
 from omnistereo_lib import cli
 from omnistereo_lib.evaluate import SCALES, evaluate_frame
 from omnistereo_lib.evaluate.records import checksum, config_checksum, read_record
+from omnistereo_lib.evaluate.regions import METRICS
 from omnistereo_lib.evaluate.run import DATA
+from omnistereo_lib.evaluate.table import errors_table
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
 from omnistereo_lib.train import RECIPES
@@ -85,6 +89,23 @@ def test_the_report_is_of_these_results():
     before, after = split_at_markers(REPORT)
     made = f"{before}\n{ledger(read_record(STORED['paper']))}{after}"
     assert REPORT.read_text(encoding="utf-8") == made, "the book has another one: make results"
+
+
+def test_the_page_on_training_quotes_the_results():
+    text = (DATA.parent / "book" / "training.md").read_text(encoding="utf-8")
+    quoted = re.findall(r"^\| (Sunny|Aerial|Indoor) \| (.+?) \| (.+) \|$", text, re.MULTILINE)
+    means = {}
+    for name in ("paper", "paper-volumenet"):
+        table = errors_table(read_record(STORED[name]))
+        means |= {
+            (label, column): mean
+            for (label,), row in table.rows
+            for column, (mean, *_) in zip(table.columns, row, strict=True)
+        }
+    assert len(quoted) == 6
+    for light, label, numbers in quoted:
+        found = [means[label, f"{light} {metric}"] for metric in METRICS]
+        assert numbers == " | ".join(f"{x:.{1 if '>' in m else 2}f}" for x, m in zip(found, METRICS, strict=True))
 
 
 def test_the_readme_quotes_the_report():

@@ -25,7 +25,7 @@ def test_equirectangular_depth_covers_the_sphere():
     np.testing.assert_allclose(panorama[~unknown], truth[~unknown], rtol=0.03)  # of the nearest of 60 rows
 
 
-@pytest.mark.parametrize("files", [("a.obj", None), (None, "a.png")])
+@pytest.mark.parametrize("files", [{"mesh": "a.obj"}, {"equirectangular": "a.png"}, {"video": "a.avi"}])
 def test_another_format_is_refused_before_the_work(files):
     with pytest.raises(osl.OmnistereoError, match=r"a\.\w+ has the wrong suffix; expected \."):
-        check_suffixes(*(name and Path(name) for name in files))
+        check_suffixes(**{kind: Path(name) for kind, name in files.items()})

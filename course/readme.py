@@ -1,0 +1,81 @@
+"""What the README shows that is made: its picture and its table of notebooks. `python -m course readme`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+import omnistereo_lib as osl
+from course import nbtools
+from course.plot import DEPTH_COLORS
+from course.view3d import draw_points
+from omnistereo_lib.stereo.depth import colorize_depth
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PICTURE = nbtools.NOTEBOOKS / "omnistereo.jpg"
+WIDTH_PX, DPI = 2000, 100
+GROUND = "#202020"  # as behind the points
+FRAME = 831
+EYE = (-8.0, -6.0, -10.5)  # metres, rig frame
+
+
+def main() -> None:
+    """Renew the README's table and its picture."""
+    nbtools.store(nbtools.README, nbtools.with_table(nbtools.README.read_text(encoding="utf-8"), nbtools.notebooks()))
+    data = osl.load_dataset(nbtools.ROOT / "data_samples" / "sunny", split="test")
+    grid = osl.SphereGrid(width=1280, height=320, phi_deg=(-45, 45), num_spheres=192, min_depth=data.rig.min_depth)
+    frame = data.frame(FRAME)
+    depth = osl.estimate_depth(data.rig, frame.images, grid, method="volumenet")
+    points, colors = depth.point_cloud(frame.images, max_depth=30)
+    fig = picture(depth.panorama(frame.images), depth.inverse_depth, grid, points, colors)
+    fig.savefig(PICTURE, dpi=DPI, facecolor=GROUND, pil_kwargs={"quality": 85, "optimize": True})
+
+
+def picture(
+    panorama: NDArray, inverse_depth: NDArray, grid: osl.SphereGrid, points: NDArray, colors: NDArray
+) -> Figure:
+    """Return a panorama, its depth below it with a scale in metres, and its points to the right.
+
+    Args:
+        panorama: (H, W, 3), values of 0 … 255.
+        inverse_depth: (H, W) in 1/m, on the same grid.
+        grid: Of both, four times as wide as high, as ±45° are.
+        points: (M, 3) in metres, rig frame.
+        colors: (M, 3), uint8, RGB.
+    """
+    import matplotlib.pyplot as plt
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    gap, wide, scale = 10, 1320, 46  # pixels, as all places below; the scale's place is below the depth
+    high = wide // 4
+    height = 2 * high + gap + scale
+    right = WIDTH_PX - wide - gap
+    fig = plt.figure(figsize=(WIDTH_PX / DPI, height / DPI))
+
+    def place(left: int, bottom: int, width: int, height_px: int) -> plt.Axes:
+        return fig.add_axes((left / WIDTH_PX, bottom / height, width / WIDTH_PX, height_px / height))
+
+    panels = {
+        (0, scale + high + gap, wide, high): panorama.clip(0, 255).astype(np.uint8),
+        (0, scale, wide, high): colorize_depth(inverse_depth, grid),
+        (wide + gap, 0, right, height): draw_points(points, colors, EYE, size=(right, height)),
+    }
+    for where, image in panels.items():
+        ax = place(*where)
+        ax.imshow(image, aspect="auto", interpolation="lanczos")
+        ax.axis("off")
+    bar = fig.colorbar(
+        ScalarMappable(Normalize(0, 1 / grid.min_depth), DEPTH_COLORS),
+        cax=place(wide // 20, scale - 14, wide * 9 // 10, 8),
+        orientation="horizontal",
+    )
+    metres = [np.inf, 20, 10, 5, 3, 2]
+    bar.set_ticks([1 / m for m in metres], labels=["∞" if np.isinf(m) else f"{m} m" for m in metres])
+    bar.ax.tick_params(colors="white", labelsize=15, length=3, pad=1)
+    bar.outline.set_visible(False)
+    return fig

@@ -1,0 +1,141 @@
+"""What a rig can see, before it has taken an image: cameras and baseline in every direction, depth resolution."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_tools.pictures import BACKGROUND, write_text
+
+_COVERED = 0.95  # of the rays of a row, or of those that see far away, have depth: the rest is rims
+_CLEARANCE = 1.1  # spheres begin this many times farther out than the outermost camera
+_SPHERES = (32, 256)
+_ONE, _MORE = (0x70, 0x70, 0x70), cv2.COLORMAP_VIRIDIS
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """What the cameras of a rig see on a panorama of the whole sphere, of things far away."""
+
+    rig: Rig  # centred on the mean of its cameras, as the sweep is
+    grid: SphereGrid
+    cameras: NDArray[np.int64]  # (H, W), how many see a ray
+    baseline: NDArray[np.float64]  # (H, W), metres: the widest of those cameras across the ray; NaN below two cameras
+    pixels_per_degree: float  # of the coarsest camera, on its axis
+
+    @classmethod
+    def of(cls, rig: Rig, width: int = 360) -> Coverage:
+        """Compute the coverage of a rig."""
+        rig = rig.recentered()
+        grid = SphereGrid(width, width // 2, (-90, 90), 2, 1.0)
+        seen, rays = _visible(rig, grid, np.inf), grid.rays()
+        baseline = np.full(grid.shape, np.nan)
+        for i, j in combinations(range(len(rig)), 2):
+            across = np.linalg.norm(np.cross(rays, rig.centers[j] - rig.centers[i]), axis=-1)
+            baseline = np.where(seen[i] & seen[j], np.fmax(baseline, across), baseline)
+        half = np.radians(0.5)
+        axis = np.array([[np.sin(-half), 0, np.cos(half)], [np.sin(half), 0, np.cos(half)]])
+        resolution = min(float(np.linalg.norm(np.diff(camera.project(axis)[0], axis=0))) for camera in rig.cameras)
+        return cls(rig, grid, seen.sum(0), baseline, resolution)
+
+    def share(self, cameras: int) -> float:
+        """Return the share of all directions, by solid angle, that at least so many cameras see."""
+        weights = np.cos(self.grid.phis())[:, None] * np.ones(self.grid.shape)
+        return float(np.sum(weights * (self.cameras >= cameras)) / np.sum(weights))
+
+    def depth_resolution(self, depth: float) -> NDArray[np.float64]:
+        """Return by how many metres a depth in metres is off, (H, W), if a match is off by one pixel: d² α / b.
+
+        α is the angle of a pixel in radians, b the baseline across the ray.
+        """
+        return depth**2 * np.radians(1 / self.pixels_per_degree) / self.baseline
+
+    def propose(self) -> SphereGrid | None:
+        """Return the grid that uses the images fully, or None if there is no row that has depth all around.
+
+        Elevations: the rows around the horizon that two cameras see all around. One column is a pixel, and one sphere
+        moves a match by a pixel (median over rays). Nearest depth: where the same rays are still seen by two cameras,
+        outside the rig. Farthest: where a pixel more is infinity.
+        """
+        full = np.mean(self.cameras >= 2, axis=1) >= _COVERED
+        low = high = len(full) // 2
+        if not full[low]:
+            return None
+        while low > 0 and full[low - 1]:
+            low -= 1
+        while high < len(full) - 1 and full[high + 1]:
+            high += 1
+        edges = np.linspace(-90, 90, len(full) + 1)
+        phi = float(edges[low]), float(edges[high + 1])
+        farthest = float(np.nanmedian(self.baseline[low : high + 1])) / np.radians(1 / self.pixels_per_degree)
+        nearest = self._nearest(slice(low, high + 1))
+        spheres = int(np.clip(8 * np.ceil((1 + farthest / nearest) / 8), *_SPHERES))
+        width = 8 * round(360 * self.pixels_per_degree / 8)
+        height = max(8, 8 * round(width * (phi[1] - phi[0]) / 360 / 8))
+        return SphereGrid(width, height, phi, spheres, float(f"{nearest:.2g}"), max_depth=float(f"{farthest:.2g}"))
+
+    def _nearest(self, rows: slice) -> float:
+        """Return the least depth in metres, to a tenth, at which the rows are covered nearly as well as far away."""
+        depth = _CLEARANCE * float(np.linalg.norm(self.rig.centers, axis=1).max())
+        far = np.sum(self.cameras[rows] >= 2)
+        while np.sum(_visible(self.rig, self.grid, depth).sum(0)[rows] >= 2) < _COVERED * far:
+            depth *= 1.1
+        return depth
+
+    def sentences(self) -> list[str]:
+        """Return what there is to know, one plain sentence each."""
+        rig, lines = self.rig, []
+        shares = ", ".join(f"{k} or more {100 * self.share(k):.0f} %" for k in range(1, len(rig) + 1))
+        lines.append(f"Cameras that see a direction, as a share of the whole sphere: {shares}.")
+        if not self.share(2):
+            return [*lines, "No two cameras see the same direction: there is no depth."]
+        for depth in (1.0, 5.0, 20.0):
+            off = float(np.nanmedian(self.depth_resolution(depth)))
+            lines.append(f"At {depth:g} m, a match that is off by one pixel puts a depth off by {off:.2g} m.")
+        grid = self.propose()
+        if grid is None:
+            return [*lines, "No row of the panorama has depth all around: choose --phi and look at the picture."]
+        lines.append(
+            f"The images can fill a panorama of {grid.width} × {grid.height} from {grid.phi_deg[0]:g}° to "
+            f"{grid.phi_deg[1]:g}° with {grid.num_spheres} spheres, from {grid.min_depth:g} m; beyond "
+            f"{grid.max_depth:g} m all looks infinitely far. Smaller ones are faster: 320 × 80 and 64 spheres to try."
+        )
+        return lines
+
+    def picture(self) -> NDArray[np.uint8]:
+        """Return the coverage as a picture, RGB: cameras above, baseline below, over the whole sphere."""
+        count, baseline = self.cameras, self.baseline / np.nanmax(self.baseline) if self.share(2) else self.baseline
+        colors = cv2.applyColorMap(np.linspace(60, 255, len(self.rig) - 1).astype(np.uint8)[None], _MORE)[0, :, ::-1]
+        palette = np.array([(BACKGROUND,) * 3, _ONE, *colors], np.uint8)
+        metres = cv2.applyColorMap((255 * np.nan_to_num(baseline)).astype(np.uint8), _MORE)[..., ::-1]
+        metres = np.where(np.isnan(baseline)[..., None], BACKGROUND, metres).astype(np.uint8)
+        size, gap = (3 * count.shape[1], 3 * count.shape[0]), 70
+        page = np.full((2 * (size[1] + gap), size[0], 3), BACKGROUND // 2, np.uint8)
+        widest = f"{np.nanmax(self.baseline):.2f} m" if self.share(2) else "none"
+        titles = (
+            "Cameras that see each direction; the horizon is in the middle",
+            f"Baseline across the ray, dark to bright: 0 to {widest}; without colour there is no depth",
+        )
+        for k, (panel, title) in enumerate(zip((palette[count], metres), titles, strict=True)):
+            top = k * (size[1] + gap) + gap
+            page[top : top + size[1]] = cv2.resize(panel, size, interpolation=cv2.INTER_NEAREST)
+            write_text(page, title, (12, top - 24))
+        for k, color in enumerate(palette):
+            at = size[0] - 70 * (len(palette) - k)
+            page[gap - 44 : gap - 20, at : at + 24] = color
+            write_text(page, str(k), (at + 30, gap - 24))
+        return page
+
+
+def _visible(rig: Rig, grid: SphereGrid, depth: float) -> NDArray[np.bool_]:
+    """Return which cameras see the point of each ray at a depth in metres, shape (cameras, H, W)."""
+    near = SphereGrid(grid.width, grid.height, grid.phi_deg, 2, min(depth, 1e6))
+    sweep = SphereSweep(rig, near, center=np.zeros(3))
+    return np.stack([sweep.project_sphere(camera, 0 if depth == np.inf else 1)[1] for camera in range(len(rig))])

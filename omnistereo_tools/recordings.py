@@ -1,0 +1,210 @@
+"""Depth of a recording: a data set in the public layout that grows frame by frame, and can be interrupted.
+
+OUT/
+  config.yaml                       the rig, with the nearest depth of the sweep
+  cam1/00001.jpg …  cam2/ …         the images: links to your pictures, or frames of your videos
+  depth_estimate_640/00001.tiff     inverse depth, 1/m; written last, so that a frame which has it is complete
+  recording.json                    how the depth was computed
+  video/00001.jpg                   panorama over depth, with --video
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections import deque
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from omnistereo_lib.dataset import write_inverse_depth
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.files import atomic_write, make_folder, read_text, write_image
+from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.depth import Depth
+from omnistereo_lib.stereo.methods import Method
+from omnistereo_lib.stereo.pipeline import sweep_depth
+from omnistereo_lib.stereo.sweep import SphereSweep, select_device
+from omnistereo_lib.stereo.volume import check_memory
+from omnistereo_tools.pictures import ColorScale
+from omnistereo_tools.sources import Pictures, Recording
+
+_PENDING = 2  # frames read ahead, and frames waiting to be written: memory stays constant
+_PNG_STEPS = 65500  # of inverse depth up to 1 / D_min, as in the first release of the public sets
+SETTINGS = "recording.json"
+CODECS = {".mp4": "mp4v", ".webm": "VP90"}  # the second one plays in browsers, and takes thirty times as long
+_FPS = 10.0  # of pictures, which do not say
+
+
+@dataclass(frozen=True, eq=False)
+class DepthWriter:
+    """Writes the frames of one recording into a data set folder."""
+
+    out: Path
+    recording: Recording
+    sweep: SphereSweep
+    suffix: str  #: of the depth files, ".tiff" or ".png"
+    with_video: bool
+
+    def depth_path(self, number: int) -> Path:
+        """Return where the depth of a frame is stored."""
+        return self.out / f"depth_estimate_{self.sweep.grid.width}" / f"{number:05}{self.suffix}"
+
+    def picture_path(self, number: int) -> Path:
+        """Return where the video frame of a frame is stored."""
+        return self.out / "video" / f"{number:05}.jpg"
+
+    def is_done(self, number: int) -> bool:
+        """Return whether all files of a frame are there: they are written whole, depth last."""
+        return self.depth_path(number).exists() and (not self.with_video or self.picture_path(number).exists())
+
+    def prepare(self, rig: Rig) -> None:
+        """Make the folders and the rig file, and remove what an interrupted run has left half written."""
+        folders = [make_folder(self.out / f"cam{k}") for k in range(1, len(rig) + 1)]
+        folders += [make_folder(self.depth_path(0).parent)]
+        folders += [make_folder(self.out / "video")] if self.with_video else []
+        for path in (path for folder in folders for path in folder.glob(".[0-9]*.*")):
+            path.unlink()
+        Rig(rig.cameras, rig.T_rig_cam, self.sweep.grid.min_depth).save(self.out / "config.yaml")
+
+    def write(self, number: int, images: list[NDArray[np.uint8]], depth: Depth) -> None:
+        """Write images, video frame and depth of one frame."""
+        for k, (source, image) in enumerate(zip(self.recording.sources, images, strict=True), 1):
+            folder = self.out / f"cam{k}"
+            if isinstance(source, Pictures):
+                _link(source.files[self.recording.frames[number]], folder, number)
+            else:
+                write_image(folder / f"{number:05}.jpg", image)
+        if self.with_video:
+            panorama = np.nan_to_num(depth.panorama(images))
+            panorama = panorama if panorama.ndim == 3 else np.repeat(panorama[..., None], 3, -1)
+            scale = ColorScale(0.0, 0.8 / self.sweep.grid.min_depth)  # the same colours in all frames
+            write_image(self.picture_path(number), np.vstack([panorama, scale.colorize(depth)]))
+        self._write_depth(number, depth)
+
+    def _write_depth(self, number: int, depth: Depth) -> None:
+        path = self.depth_path(number)
+        if self.suffix == ".tiff":
+            write_inverse_depth(path, depth.inverse_depth)
+            return
+        steps = np.nan_to_num(depth.inverse_depth) * (_PNG_STEPS * self.sweep.grid.min_depth)
+        with atomic_write(path) as temporary:
+            temporary.write_bytes(cv2.imencode(".png", steps.round().clip(0, 65535).astype(np.uint16))[1].tobytes())
+
+
+def _link(picture: Path, folder: Path, number: int) -> None:
+    """Link a picture into the data set; copy it where the file system has no links."""
+    target = folder / f"{number:05}{picture.suffix}"
+    if target.exists():
+        return
+    try:
+        target.unlink(missing_ok=True)  # a link to what is no longer there
+        target.symlink_to(picture.resolve())
+    except OSError:
+        with atomic_write(target) as temporary:
+            shutil.copyfile(picture, temporary)
+
+
+def check_layout(grid: SphereGrid) -> None:
+    """Raise an `OmnistereoError` if a panorama does not fit the public layout: square pixels around the horizon."""
+    highest = 180.0 * grid.height / grid.width
+    if not np.allclose(grid.phi_deg, (-highest, highest)):
+        raise OmnistereoError(
+            f"phi_deg is {grid.phi_deg}; a recording is stored as a data set, whose pixels are square: expected "
+            f"--phi {-highest:g} {highest:g} for --width {grid.width} --height {grid.height}"
+        )
+
+
+def depth_of_recording(
+    recording: Recording,
+    rig: Rig,
+    grid: SphereGrid,
+    method: str,
+    out: Path,
+    suffix: str = ".tiff",
+    with_video: bool = False,
+    device: str = "cpu",
+    progress: Callable[[Iterable, int, int], Iterable] = lambda frames, done, total: frames,
+) -> DepthWriter:
+    """Estimate the depth of all frames that are not in the folder `out` yet, as a data set; see the head of the module.
+
+    Reading, computing and writing overlap; memory does not grow with the number of frames.
+
+    Args:
+        suffix: ".tiff": float32, NaN where unknown. ".png": 16 bits, unknown rays as infinitely far.
+        with_video: Keep a picture of every frame, panorama over depth, for `write_video`.
+        progress: Wraps the frame numbers that are left; gets how many are done already, and how many there are.
+
+    Raises:
+        OmnistereoError: If `out` holds another recording, a frame cannot be read or does not fit the rig, or the
+            panorama does not fit the layout.
+    """
+    check_layout(grid)
+    method = Method.parse(method)
+    grid = replace(grid, num_spheres=method.num_spheres or grid.num_spheres)
+    check_memory(rig, grid, select_device(device))
+    sweep, cost = SphereSweep(rig, grid, device=select_device(device)), method.load_cost()
+    settings = {"method": method.name, "width": grid.width, "height": grid.height, "spheres": grid.num_spheres}
+    _check_settings(make_folder(out) / SETTINGS, settings | {"min_depth": grid.min_depth, "depth": suffix})
+    writer = DepthWriter(out, recording, sweep, suffix, with_video)
+    writer.prepare(rig)
+    left = [number for number in recording.frames if not writer.is_done(number)]
+    images_of = recording.read(left)
+    with ThreadPoolExecutor(1) as reader, ThreadPoolExecutor(1) as pool:
+        read = deque(reader.submit(next, images_of) for _ in left[:_PENDING])
+        written = deque()
+        for k, number in enumerate(progress(left, len(recording.frames) - len(left), len(recording.frames))):
+            images = read.popleft().result()
+            if k + _PENDING < len(left):
+                read.append(reader.submit(next, images_of))
+            depth = sweep_depth(sweep, images, method, cost)
+            written.append(pool.submit(writer.write, number, images, depth))
+            if len(written) > _PENDING:
+                written.popleft().result()
+        for writing in written:
+            writing.result()
+    return writer
+
+
+def _check_settings(path: Path, settings: dict) -> None:
+    """Write the settings of a new recording, or compare them with those of the one that is continued."""
+    text = json.dumps(settings, indent=1) + "\n"
+    if not path.exists():
+        with atomic_write(path) as temporary:
+            temporary.write_text(text)
+    elif read_text(path) != text:
+        raise OmnistereoError(
+            f"{path} is of a recording with other settings: {' '.join(read_text(path).split())}; expected "
+            f"{' '.join(text.split())}. Choose another --out, or the same options as before."
+        )
+
+
+def stored_min_depth(out: Path) -> float | None:
+    """Return the nearest depth in metres of the recording in a folder, None if there is none."""
+    try:
+        return float(json.loads((out / SETTINGS).read_text())["min_depth"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def write_video(path: Path, writer: DepthWriter, fps: float | None = None) -> None:
+    """Write the pictures of a recording, panorama over depth, as a video: .mp4 (MPEG-4) or .webm (VP9).
+
+    Raises an `OmnistereoError` if OpenCV cannot write it.
+    """
+    pictures = [writer.picture_path(number) for number in writer.recording.frames]
+    height, width = cv2.imread(str(pictures[0])).shape[:2]
+    with atomic_write(path) as temporary:
+        codec = cv2.VideoWriter_fourcc(*CODECS[path.suffix.lower()])
+        video = cv2.VideoWriter(str(temporary), codec, fps or writer.recording.fps or _FPS, (width, height))
+        if not video.isOpened():
+            raise OmnistereoError(f"{path} cannot be written: this OpenCV has no encoder for it. Try .webm or .mp4.")
+        for picture in pictures:
+            video.write(cv2.imread(str(picture)))
+        video.release()

@@ -1,0 +1,136 @@
+"""Recordings: for each camera a folder of pictures or a video, matched frame by frame."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.files import read_image
+
+_PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+_VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v", ".mpg", ".mpeg", ".ts")
+_NOT_FRAMES = ("mask",)  # file names without suffix
+
+
+def is_recording(paths: Sequence[Path]) -> bool:
+    """Return whether any of the paths is a folder or a video, not a picture."""
+    return any(path.is_dir() or path.suffix.lower() in _VIDEOS for path in paths)
+
+
+class Pictures:
+    """The pictures of one camera in a folder, by frame: the number at the end of their names, else the name."""
+
+    fps: float | None = None
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder
+        self.files = {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() in _PICTURES}
+        for name in _NOT_FRAMES:
+            self.files.pop(name, None)
+        if not self.files:
+            raise OmnistereoError(f"{folder} holds no pictures; expected one per frame, {', '.join(_PICTURES)}")
+        numbers = [re.search(r"[0-9]+$", name) for name in self.files]
+        self.numbered = all(numbers) and len({int(found[0]) for found in numbers}) == len(numbers)
+
+    def use_numbers(self) -> None:
+        """Call the frames by the numbers at the end of their names."""
+        self.files = {int(re.search(r"[0-9]+$", name)[0]): path for name, path in self.files.items()}
+
+    def read(self, keys: Sequence) -> Iterator[NDArray[np.uint8]]:
+        """Yield the pictures of some frames."""
+        for key in keys:
+            yield read_image(self.files[key])
+
+
+class Video:
+    """A video of one camera; its frames are counted from 0."""
+
+    numbered = True
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        video = self._open()
+        self.fps = video.get(cv2.CAP_PROP_FPS) or None
+        self.files = range(int(video.get(cv2.CAP_PROP_FRAME_COUNT)))
+        if not len(self.files):
+            raise OmnistereoError(f"{path} has no frames that OpenCV can read. Convert it, such as with ffmpeg.")
+
+    def use_numbers(self) -> None:
+        """Call the frames by their numbers, as they are."""
+
+    def _open(self) -> cv2.VideoCapture:
+        video = cv2.VideoCapture(str(self.path))
+        if not video.isOpened():
+            raise OmnistereoError(f"{self.path} is not a video that OpenCV can read. Check the path, or convert it.")
+        return video
+
+    def read(self, keys: Sequence[int]) -> Iterator[NDArray[np.uint8]]:
+        """Yield some frames, in ascending order; those between are skipped, because seeking is not exact."""
+        video, position = self._open(), 0
+        for key in keys:
+            while position < key and video.grab():
+                position += 1
+            read, picture = video.read()
+            if not read or position < key:
+                raise OmnistereoError(f"{self.path} ends before frame {key}. Pass --stop {key}, or copy it again.")
+            position += 1
+            yield cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """The frames that all cameras have, in order."""
+
+    sources: tuple[Pictures | Video, ...]
+    frames: dict[int, int | str]  #: number of a frame → its name in the sources
+    missing: dict[Path, list[int | str]]  #: source → frames that others have and it does not
+
+    @classmethod
+    def open(cls, paths: Sequence[Path], start: int = 0, stop: int | None = None, step: int = 1) -> Recording:
+        """Match the frames of folders and videos: by number where every name ends in one, else by name.
+
+        Args:
+            paths: One folder or video per camera, in the order of the rig.
+            start, stop, step: Frame numbers from `start` up to, without, `stop`; of these every `step`-th. Frames that
+                are matched by name are counted from 0.
+
+        Raises:
+            OmnistereoError: If a path is neither, holds no frames, the cameras have none in common, or no frame is
+                left.
+        """
+        sources = tuple(Pictures(path) if path.is_dir() else Video(path) for path in paths)
+        by_number = all(source.numbered for source in sources)
+        if by_number:
+            for source in sources:
+                source.use_numbers()
+        every = sorted(set().union(*(source.files for source in sources)), key=lambda key: (isinstance(key, str), key))
+        missing = {s.path: gone for s in sources if (gone := [key for key in every if key not in s.files])}
+        common = [key for key in every if all(key in source.files for source in sources)]
+        if not common:
+            raise OmnistereoError(
+                f"{' and '.join(str(source.path) for source in sources)} have no frame in common; expected equal "
+                "numbers at the end of the names, or equal names. Rename the files."
+            )
+        frames = {key if by_number else k: key for k, key in enumerate(common)}
+        chosen = [n for n in frames if n >= start and (stop is None or n < stop)][::step]
+        if not chosen:
+            raise OmnistereoError(f"no frame is left of {min(frames)} … {max(frames)}. Change --start or --stop")
+        return cls(sources, {number: frames[number] for number in chosen}, missing)
+
+    @property
+    def fps(self) -> float | None:
+        """Frames per second of the first video, if there is one."""
+        return next((source.fps for source in self.sources if source.fps), None)
+
+    def read(self, numbers: Sequence[int]) -> Iterator[list[NDArray[np.uint8]]]:
+        """Yield the images of all cameras for some frames, in ascending order."""
+        keys = [self.frames[number] for number in numbers]
+        for images in zip(*(source.read(keys) for source in self.sources), strict=True):
+            yield list(images)

@@ -1,0 +1,48 @@
+"""The README: short, its table and picture as they are made, its links alive."""
+
+import re
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import omnistereo_lib as osl
+from course import nbtools, readme
+
+TEXT = nbtools.README.read_text(encoding="utf-8")
+
+
+def test_it_is_short_and_begins_with_its_picture():
+    lines = TEXT.splitlines()
+    assert len(lines) <= 150
+    assert any(f"](notebooks/{readme.PICTURE.name})" in line for line in lines[:6])
+
+
+def test_it_lists_the_notebooks():
+    assert nbtools.with_table(TEXT, nbtools.notebooks()) == TEXT, "python -m course readme"
+
+
+@pytest.mark.parametrize("page", ["README.md", *sorted(f"book/{path.name}" for path in nbtools.ROOT.glob("book/*.md"))])
+def test_every_file_that_it_links_to_is_there(page):
+    path = nbtools.ROOT / page
+    links = re.findall(r"\]\(([^)#:]+\.(?:md|ipynb|jpg|cff))", path.read_text(encoding="utf-8"))
+    made = {"rig.png", "camera.jpg", "panorama.jpg", "spheres.png"}  # with the book
+    folders = (path.parent, nbtools.ROOT)  # the book's pages and the notebooks meet in one folder
+    assert [
+        link for link in links if link not in made and not any((folder / link).exists() for folder in folders)
+    ] == []
+
+
+def test_its_picture_is_large():
+    assert Image.open(readme.PICTURE).size[0] >= 1600
+
+
+def test_the_panels_are_aligned():
+    grid = osl.SphereGrid(width=64, height=16, min_depth=1.0)
+    white, nowhere = np.full((16, 64, 3), 255.0), np.empty((0, 3))
+    fig = readme.picture(white, np.full((16, 64), 0.5), grid, nowhere, nowhere.astype(np.uint8))
+    above, below, points, scale = (ax.get_position() for ax in fig.axes)
+    assert (above.x0, above.x1, above.height) == pytest.approx((below.x0, below.x1, below.height))
+    assert (points.y0, points.y1) == pytest.approx((0, above.y1)) and points.x0 > above.x1 > scale.x1
+    labels = [label.get_text() for label in fig.axes[3].get_xticklabels()]
+    assert labels[0] == "∞" and labels[-1] == "2 m" and scale.y1 < below.y0

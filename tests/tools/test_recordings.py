@@ -1,0 +1,176 @@
+"""Recordings: matched frames, a data set that `load_dataset` reads back, resumed after any end."""
+
+import signal
+import subprocess
+import sys
+import time
+
+import cv2
+import numpy as np
+import pytest
+import scene
+
+import omnistereo_lib as osl
+from omnistereo_lib import cli
+from omnistereo_lib.files import read_image, write_image
+from omnistereo_tools.sources import Recording
+
+GRID = osl.SphereGrid(96, 24, num_spheres=16, min_depth=0.6)
+SMALL = ["--width", "96", "--height", "24", "--spheres", "16", "--method", "zncc"]
+FRAMES = 6
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A rig that moves through the box: folders of numbered pictures beside its rig file."""
+    folder = tmp_path_factory.mktemp("recorded")
+    still = scene.rig(width=100, height=96)
+    osl.Rig(still.cameras, still.T_rig_cam, min_depth=0.6).save(folder / "rig.yaml")
+    for n in range(1, FRAMES + 1):
+        step = osl.Pose.from_vector([0, 0, 0, 0.05 * n, 0, 0])
+        for k, picture in enumerate(scene.images(still.transformed(step), finest=0.25), 1):
+            (folder / f"view{k}").mkdir(exist_ok=True)
+            write_image(folder / f"view{k}" / f"cam{k}_{n:03}.png", picture)
+    return folder
+
+
+def views(folder):
+    return [folder / f"view{k}" for k in (1, 2, 3, 4)]
+
+
+def run(*arguments):
+    return cli.main([str(argument) for argument in arguments])
+
+
+def depth_command(folder, out):
+    return ["depth", "--rig", folder / "rig.yaml", "--images", *views(folder), *SMALL, "--out", out]
+
+
+@pytest.fixture(scope="module")
+def done(recorded, tmp_path_factory):
+    """The depth of the whole recording, computed in one go, with a video."""
+    out = tmp_path_factory.mktemp("done") / "out"
+    assert run(*depth_command(recorded, out), "--video", out / "depth.mp4") == 0
+    return out
+
+
+def test_the_result_is_a_data_set(recorded, done):
+    data = osl.load_dataset(done)
+    assert len(data) == FRAMES and [frame.number for frame in data] == list(range(1, FRAMES + 1))
+    for frame in data[::3]:
+        np.testing.assert_array_equal(frame.images[1], read_image(recorded / "view2" / f"cam2_{frame.number:03}.png"))
+        alone = osl.estimate_depth(osl.load_rig(recorded / "rig.yaml"), frame.images, GRID, "zncc")
+        np.testing.assert_array_equal(frame.inverse_depth, alone.inverse_depth.astype(np.float32))
+
+
+def test_the_video_has_every_frame_panorama_over_depth(done):
+    video = cv2.VideoCapture(str(done / "depth.mp4"))
+    frames = []
+    while (read := video.read())[0]:
+        frames.append(read[1])
+    assert len(frames) == FRAMES and frames[0].shape == (48, 96, 3)
+    assert frames[0][:24].std() > 20 and np.abs(frames[0].astype(int) - frames[-1]).mean() > 1
+    gray, colored = (np.ptp(part.astype(int), axis=-1).mean() for part in np.split(frames[0], 2))
+    assert gray < 10 < colored  # the scene is gray
+
+
+def test_16_bit_png_comes_back_within_a_step(recorded, done, tmp_path):
+    assert run(*depth_command(recorded, tmp_path / "out"), "--depth-format", "png", "--stop", 3) == 0
+    frames, exact = osl.load_dataset(tmp_path / "out"), osl.load_dataset(done)
+    assert len(frames) == 2
+    np.testing.assert_allclose(frames[1].inverse_depth, np.nan_to_num(exact[1].inverse_depth), atol=0.6 / 65500 / 0.6)
+
+
+def test_killed_and_resumed_it_is_the_same(recorded, done, tmp_path):
+    """kill -9 as soon as some frames are there: only whole files are left, and the second run adds the rest."""
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "omnistereo_lib", *map(str, depth_command(recorded, out))]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, start_new_session=True)
+    folder, give_up = out / "depth_estimate_96", time.monotonic() + 120
+    while process.poll() is None and len(list(folder.glob("0*.tiff"))) < 2 and time.monotonic() < give_up:
+        time.sleep(0.002)
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    halfway = {path.name: path.stat().st_mtime_ns for path in folder.glob("0*.tiff")}
+    assert len(halfway) >= 2
+    (folder / ".1.00004.tiff").write_bytes(b"half of a file")
+    assert run(*depth_command(recorded, out)) == 0
+    files = sorted(path.relative_to(done) for path in done.rglob("*") if path.suffix in (".tiff", ".png", ".yaml"))
+    assert (
+        sorted(path.relative_to(out) for path in out.rglob("*") if path.suffix in (".tiff", ".png", ".yaml")) == files
+    )
+    for path in files:
+        assert (out / path).read_bytes() == (done / path).read_bytes(), path
+    assert {name: (folder / name).stat().st_mtime_ns for name in halfway} == halfway  # not computed again
+
+
+def test_another_recording_is_not_overwritten(recorded, done, capsys):
+    assert run(*depth_command(recorded, done), "--spheres", 32) == 2
+    assert "recording.json is of a recording with other settings" in capsys.readouterr().err
+
+
+def test_pixels_that_are_not_square_are_refused(recorded, tmp_path, capsys):
+    assert run(*depth_command(recorded, tmp_path / "out"), "--phi", -30, 45) == 2
+    assert "expected --phi -45 45 for --width 96 --height 24" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def write_video(path, pictures):
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), 25, pictures[0].shape[1::-1])  # lossless
+    for picture in pictures:
+        video.write(np.stack([picture] * 3, -1))
+    video.release()
+
+
+def test_videos_are_recordings_too(recorded, done, tmp_path, capsys):
+    for k, view in enumerate(views(recorded), 1):
+        pictures = [read_image(path) for path in sorted(view.iterdir())]
+        write_video(tmp_path / f"{k}.mkv", pictures[: 5 if k == 3 else None])
+    videos = [tmp_path / f"{k}.mkv" for k in (1, 2, 3, 4)]
+    command = ["depth", "--rig", recorded / "rig.yaml", "--images", *videos, *SMALL, "--out", tmp_path / "out"]
+    assert run(*command, "--start", 1, "--step", 2) == 0
+    assert "3.mkv lacks 1 frames that other cameras have; they are left out: 5" in capsys.readouterr().out
+    data = osl.load_dataset(tmp_path / "out")
+    assert [frame.number for frame in data] == [1, 3]
+    of_pictures = osl.load_dataset(done)[3]  # frame 4 of the pictures, which count from 1
+    agree = np.isclose(data[1].inverse_depth, of_pictures.inverse_depth, rtol=0.05, equal_nan=True)
+    assert agree.mean() > 0.95
+
+
+def pictures(folder, *names):
+    folder.mkdir()
+    for name in names:
+        write_image(folder / name, np.zeros((4, 4)))
+    return folder
+
+
+def test_frames_are_matched_by_number_or_by_name(tmp_path):
+    a = pictures(tmp_path / "a", "left_7.png", "left_08.png", "left_10.png", "mask.png")
+    b = pictures(tmp_path / "b", "r7.png", "r8.png", "r9.png", "r10.png")
+    found = Recording.open([a, b])
+    assert list(found.frames) == [7, 8, 10] and found.missing == {a: [9]}
+    assert list(Recording.open([a, b], start=8, step=2).frames) == [8]
+    c, d = pictures(tmp_path / "c", "x.png", "y.png"), pictures(tmp_path / "d", "y.png", "x.png", "z.png")
+    named = Recording.open([c, d])
+    assert named.frames == {0: "x", 1: "y"} and named.missing == {c: ["z"]}
+    with pytest.raises(osl.OmnistereoError, match="have no frame in common"):
+        Recording.open([a, c])
+    with pytest.raises(osl.OmnistereoError, match="no frame is left of 7 … 10"):
+        Recording.open([a, b], start=11)
+
+
+def test_what_is_no_recording_is_told(tmp_path):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(osl.OmnistereoError, match="empty holds no pictures"):
+        Recording.open([tmp_path / "empty"])
+    (tmp_path / "a.mp4").write_bytes(b"no video" * 100)
+    with pytest.raises(osl.OmnistereoError, match=r"a.mp4 is not a video that OpenCV can read"):
+        Recording.open([tmp_path / "a.mp4"])
+
+
+def test_a_video_shorter_than_it_says_is_told(tmp_path):
+    write_video(tmp_path / "a.mkv", [np.full((48, 64), 9, np.uint8)] * 5)
+    source = Recording.open([tmp_path / "a.mkv"]).sources[0]
+    assert len(list(source.read([1, 4]))) == 2
+    with pytest.raises(osl.OmnistereoError, match=r"a.mkv ends before frame 7. Pass --stop 7"):
+        list(source.read([1, 7]))
