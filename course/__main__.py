@@ -58,10 +58,8 @@ def run(options: argparse.Namespace) -> int:
             main()
             return 0
         case "stills":
-            from course.stills import record
-
             for path in options.notebooks:
-                record(path)
+                nbtools.record_stills(path)
             return 0
         case "readme":
             from course.readme import main

@@ -15,6 +15,7 @@ import copy
 import math
 import os
 import re
+import shutil
 import statistics
 import sys
 import time
@@ -31,6 +32,7 @@ from jupyter_client.channels import AsyncZMQSocketChannel
 from nbclient import NotebookClient
 from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
 
+from course import stills
 from course.plot import caption_output, captions
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -349,6 +351,18 @@ def run(path: Path) -> list[str]:
     finally:
         candidate.unlink(missing_ok=True)
     return found
+
+
+def record_stills(path: Path) -> None:
+    """Run a notebook and store, for the website and the slides, what its live figures show, if it has any."""
+    nb = nbformat.read(path, as_version=4)
+    live = [
+        number for number, cell in enumerate(nb.cells) if cell.cell_type == "code" and stills.LIVE.search(cell.source)
+    ]
+    shutil.rmtree(stills.STILLS / path.stem, ignore_errors=True)
+    if live:
+        nb.cells = nb.cells[: live[-1] + 1]
+        execute(nb, path.parent, {stills.VARIABLE: str(stills.STILLS / path.stem)})
 
 
 # --- README -----------------------------------------------------------------------------------------------

@@ -11,7 +11,6 @@ import io
 import json
 import os
 import re
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,20 +35,6 @@ _PLACES = {1: 13, 2: 9, 3: 7}  # of each slider, by their number
 
 
 # --- Record -------------------------------------------------------------------------------------------------
-
-
-def record(path: Path) -> None:
-    """Run a notebook and store what its live figures show, if it has any."""
-    import nbformat
-
-    from course import nbtools
-
-    nb = nbformat.read(path, as_version=4)
-    live = [number for number, cell in enumerate(nb.cells) if cell.cell_type == "code" and LIVE.search(cell.source)]
-    shutil.rmtree(STILLS / path.stem, ignore_errors=True)
-    if live:
-        nb.cells = nb.cells[: live[-1] + 1]
-        nbtools.execute(nb, path.parent, {VARIABLE: str(STILLS / path.stem)})
 
 
 def recording() -> bool:
