@@ -21,6 +21,7 @@ from course.figures import draw_figures
 from course.library import docstrings, modules, summary
 from course.paper_map import paper_map
 from course.pictures import picture
+from course.teaching import stuck
 
 BOOK = nbtools.ROOT / "book"
 TO_NOTEBOOK = re.compile(r"\[([^\]]+)\]\((?:notebooks/)?(\d\d_\w+\.ipynb)(?:#[^)]*)?\)")
@@ -53,7 +54,7 @@ def assemble(source: Path, extra: Path) -> None:
         "map": paper_map(paths),
         "names": face(),
         "modules": reference(source),
-    }
+    } | stuck()
     draw_figures(source)
     shutil.copytree(nbtools.NOTEBOOKS, source / "notebooks", ignore=shutil.ignore_patterns(".*"))
     for page in BOOK.glob("*.md"):
