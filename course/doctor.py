@@ -40,7 +40,11 @@ def check_clone(short: bool = False) -> bool:
 
 def _pinned_packages() -> Iterator[Check]:
     """Compare the installed packages with environment.txt."""
-    pins = re.findall(r"^([\w-]+)==(\S+)", (_ROOT / "environment.txt").read_text(), re.MULTILINE)
+    environment = _ROOT / "environment.txt"
+    if not environment.is_file():
+        yield False, f"{environment.name} is missing: git checkout {environment.name}"
+        return
+    pins = re.findall(r"^([\w-]+)==(\S+)", environment.read_text(), re.MULTILINE)
     for name, pinned in pins:
         found = installed_version(name)
         if found.split("+")[0] == pinned:

@@ -3,8 +3,6 @@
 import importlib
 import json
 import re
-import subprocess
-import sys
 
 import numpy as np
 import psutil
@@ -17,7 +15,7 @@ import omnistereo_lib as osl
 from omnistereo_lib import cli
 from omnistereo_lib.dataset import read_inverse_depth, write_inverse_depth
 from omnistereo_lib.files import read_image, write_image
-from omnistereo_lib.rig_check import invert_poses
+from omnistereo_tools.rig_check import invert_poses
 
 SMALL = ["--width", "96", "--height", "24", "--spheres", "16"]
 GRID = osl.SphereGrid(96, 24, (-45, 45), 16, 0.6)
@@ -145,13 +143,6 @@ def test_a_command_that_does_not_exist(wrong, answer, capsys):
     assert stop.value.code == 2 and capsys.readouterr().err.startswith(
         f"error: there is no command {wrong!r}. {answer}"
     )
-
-
-def test_the_module_runs_and_answers_in_one_line(tmp_path):
-    command = [sys.executable, "-m", "omnistereo_lib", "depth", "--rig", str(tmp_path / "none")]
-    done = subprocess.run(command, capture_output=True, text=True)
-    assert done.returncode == 2 and done.stdout == ""
-    assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
 
 
 def test_warnings_are_plain_lines(data, tmp_path, capsys):

@@ -49,7 +49,7 @@ def check_normalized_images(rng: Rng, k: int) -> Case:
         (lambda x: np.where(np.isnan(x), 0, in_two_ways(x)), "a pixel that is not visible is not black: leave it out"
          " of mean and deviation"),
         (lambda x: np.nan_to_num(x / np.nanstd(x, each, keepdims=True)), "subtract the mean first"),
-        (range_of, "that is from 0 to 1; asked is mean 0 and variance 1"),
+        (range_of, "that runs from 0 to 1; the network wants mean 0 and variance 1"),
     ]  # fmt: skip
     return by((images,), right, wrong)
 

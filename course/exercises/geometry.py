@@ -78,9 +78,9 @@ def check_rms_per_component(rng: Rng, k: int) -> Case:
     squares = np.sum(residuals**2, axis=1)
     mistakes = [
         (np.sqrt(squares.mean()), "that is the rms distance, √2 more: take the mean over u and v both"),
-        (np.sqrt(squares).mean(), "that is the mean distance; asked is the root of the mean square"),
+        (np.sqrt(squares).mean(), "that is the mean distance; return the root of the mean square"),
         (np.mean(residuals**2), "take the root of the mean square"),
-        (np.abs(residuals).mean(), "that is the mean magnitude; asked is the root of the mean square"),
+        (np.abs(residuals).mean(), "that is the mean magnitude; return the root of the mean square"),
         (residuals.std(), "that subtracts the mean first: a bias is an error, too"),
         (np.sqrt(np.sum(residuals**2)), "the mean of the squares, not their sum"),
     ]
@@ -134,9 +134,9 @@ def check_depth_error(rng: Rng, k: int) -> Case:
         (depth**2 / (nearest * N), "N - 1 steps lead from infinity to D_min, not N"),
         (nearest / (N - 1), "the spheres are even in inverse depth, not in depth"),
         (1 / step, "that is 1 over the step in inverse depth: the depth of sphere 1"),
-        (1 / (1 / depth - step) - depth, "that is the exact difference one sphere further out; asked is ρ² times the"
+        (1 / (1 / depth - step) - depth, "that is the exact difference one sphere further out; return ρ² times the"
          " step, its limit for small steps"),
-        (depth - 1 / (1 / depth + step), "that is the exact difference one sphere nearer; asked is ρ² times the step,"
+        (depth - 1 / (1 / depth + step), "that is the exact difference one sphere nearer; return ρ² times the step,"
          " its limit for small steps"),
     ]  # fmt: skip
     return (depth, N, nearest), depth**2 * step, mistakes

@@ -29,13 +29,13 @@ def check_index_of_depth(rng: Rng, k: int) -> Case:
         (lambda d, N, D: np.rint(right(d, N, D)), "do not round: most surfaces lie between two spheres"),
         (lambda d, N, D: np.floor(right(d, N, D)), "do not cut off the decimals: most surfaces lie between two"
          " spheres"),
-        (lambda d, N, D: N - 1 - right(d, N, D), "sphere 0 is the one at infinity: turned around"),
+        (lambda d, N, D: N - 1 - right(d, N, D), "sphere 0 is the one at infinity: the wrong way round"),
         (lambda d, N, D: right(d, N, D) + 1, "the spheres count from 0, not from 1"),
         (lambda d, N, D: D * (N - 1) / d, "what is nearer than the last sphere gets its index, N - 1: clip"),
         (lambda d, N, D: np.nan_to_num(right(d, N, D)), "NaN is no depth: it stays NaN, and sphere 0 is far away"),
         (lambda d, N, D: np.where(np.isinf(d), np.nan, right(d, N, D)), "an infinite depth is known: its index is 0"),
         (lambda d, N, D: 1 / d, "those are the inverse depths: divide by the step between two spheres"),
-        (lambda d, N, D: (N - 1) * d / D, "the spheres are even in inverse depth: d / D is turned around"),
+        (lambda d, N, D: (N - 1) * d / D, "the spheres are even in inverse depth: d / D is the wrong way round"),
         (lambda d, N, D: np.nanmean(right(d, N, D)), "that is one number: each ray has its own index"),
     ]  # fmt: skip
     return by((depth, N, nearest), right, wrong)
@@ -73,7 +73,7 @@ def check_share_off(rng: Rng, k: int) -> Case:
         (lambda i, gt: share(~(error(i, np.rint(gt)) <= 1), np.isfinite(gt)), "do not round the ground truth"),
         (lambda i, gt: 100 - right(i, gt), "that is the share of the rays that are right"),
         (lambda i, gt: right(i, gt) / 100 * np.sum(np.isfinite(gt)), "that is the number of rays; the share is asked"),
-        (lambda i, gt: np.nanmean(error(i, gt)), "that is the mean error; asked is how many rays are off"),
+        (lambda i, gt: np.nanmean(error(i, gt)), "that is the mean error; return the share of the rays that are off"),
     ]  # fmt: skip
     return by((index, gt_index), right, wrong)
 

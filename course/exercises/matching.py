@@ -190,7 +190,7 @@ def check_sphere_labels(rng: Rng, k: int) -> Case:
     gt_index[1:, :2] = np.nan
     label, unknown = np.where(np.rint(gt_index) == n, 0.0, 1.0), np.isnan(gt_index)
     wrong = [
-        (1 - label, "turned around: a match is 0, as every cost of a match is"),
+        (1 - label, "the wrong way round: a match is 0, as every cost of a match is"),
         (np.where(np.floor(gt_index) == n, 0.0, 1.0), "round to the nearest sphere; cutting off is rounding down"),
         (np.where(np.ceil(gt_index) == n, 0.0, 1.0), "round to the nearest sphere, not up"),
         (np.where(gt_index == n, 0.0, 1.0), "the true index is no whole number: round it first"),
@@ -222,7 +222,7 @@ def check_balanced_loss(rng: Rng, k: int) -> Case:
          " match: label 0 takes log(1 - cost)"),
         (right / np.log(2), "that is with the logarithm to base 2; take the natural one"),
         (right / np.log(10), "that is with the logarithm to base 10; take the natural one"),
-        (((cost[match] ** 2).mean() + ((1 - cost[~match]) ** 2).mean()) / 2, "that is the squared error; asked is the"
+        (((cost[match] ** 2).mean() + ((1 - cost[~match]) ** 2).mean()) / 2, "that is the squared error; return the"
          " cross-entropy"),
         (negative.mean() / 2, "the positives are missing: label 0 takes log(1 - cost)"),
         (positive.mean() / 2, "the negatives are missing: label 1 takes log(cost)"),

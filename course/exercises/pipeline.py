@@ -56,7 +56,7 @@ def check_two_walks(rng: Rng, k: int) -> Case:
         (2 * there, "walk the other way over the reversed row, not the same way twice"),
         (there + back[::-1], "turn the second walk around again before you add it"),
         (there + back - costs, "each walk keeps its own cost: add them as they are"),
-        ((there + back) / 2, "that is the mean of both walks; asked is the sum"),
+        ((there + back) / 2, "that is the mean of both walks; return the sum"),
         (around, "this row is open: the first ray of a walk has nothing before it"),
         (walk(costs, p2, p1) + walk(costs[::-1], p2, p1)[::-1], "P1 is for one sphere, P2 for any jump: swapped"),
     ]  # fmt: skip

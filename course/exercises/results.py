@@ -194,7 +194,7 @@ def check_distance_from_z(rng: Rng, k: int) -> Case:
     z_depth, ray = rng.uniform(3, 9), rng.uniform([0.5, -1, 1], [1, -0.4, 2])
     length, z = np.linalg.norm(ray), ray[2]
     mistakes = [
-        (z_depth * z / length, "turned around: the ray is longer than its part along the axis"),
+        (z_depth * z / length, "the wrong way round: the ray is longer than its part along the axis"),
         (z_depth * length, "the ray does not end at z = 1: divide by its z"),
         (z_depth / z, "that many rays long it is; times the ray's length gives metres"),
         (np.hypot(z_depth, np.hypot(*ray[:2])), "x and y belong to the ray as given; stretch it to the depth first"),

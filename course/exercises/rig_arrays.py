@@ -155,7 +155,11 @@ def check_panorama_pixels(rng: Rng, k: int) -> Case:
     def unbounded(points: Array, W: int, H: int, phi_deg: Sequence[float]) -> Array:
         return right(points, W, H * 180 / np.ptp(phi_deg), (-90, 90)) - [0, (phi_deg[0] + 90) / np.ptp(phi_deg) * H]
 
+    def modulo(points: Array, W: int, *rest: Sequence[float]) -> Array:
+        return right(points, W, *rest) % [W, np.inf]
+
     wrong = [
+        (modulo, "columns run from -0.5 to W - 0.5: modulo W puts the left half of the first one at the far end"),
         (partial(right, half=0.0), "half a pixel off: the first column has its centre at 0, its left edge at -0.5"),
         (partial(right, half=-0.5), "half a pixel off, to the wrong side: subtract it"),
         (lambda *a: right(*a)[..., ::-1], "column first, then row: they are swapped"),

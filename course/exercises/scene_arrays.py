@@ -35,8 +35,8 @@ def check_seen_by(rng: Rng, k: int) -> Case:
     wrong = [
         (lambda r, a, fov: right(r, a, 2 * fov), "the field of view is the full angle: half of it on each side"),
         (lambda r, a, fov: right(r, a, fov / 2), "half the field of view on each side, not a quarter"),
-        (lambda r, a, fov: len(a) - right(r, a, fov), "turned around: small angles are seen, and their cosine is"
-         " large"),
+        (lambda r, a, fov: len(a) - right(r, a, fov), "the wrong way round: small angles are seen, and their cosine"
+         " is large"),
         (lambda r, a, fov: right(-r, a, fov), "the sign: a camera looks along its axis"),
         (plain, "divide by both lengths: neither rays nor axes are unit vectors"),
         (lambda r, a, fov: plain(unit(r), a, fov), "divide by the length of the axes, too"),
@@ -45,8 +45,8 @@ def check_seen_by(rng: Rng, k: int) -> Case:
         (lambda r, a, fov: np.sum(unit(r) @ unit(a).T >= np.cos(fov / 2), -1), "degrees and radians are mixed"),
         (lambda r, a, fov: np.sum(unit(r) @ unit(a).T > 0, -1), "that counts angles below 90°, whatever the lens"),
         (lambda r, a, fov: right(r, a[:4], fov), "a rig may have more than four cameras"),
-        (lambda r, a, fov: (right(r, a, fov) > 0) * 1, "that is whether one sees it; asked is how many do"),
-        (lambda r, a, fov: right(r, a, fov) / len(a), "that is the share of the cameras; asked is their number"),
+        (lambda r, a, fov: (right(r, a, fov) > 0) * 1, "that is whether one sees it; return how many do"),
+        (lambda r, a, fov: right(r, a, fov) / len(a), "that is the share of the cameras; return their number"),
         (lambda r, a, fov: right(r, a, fov) * (right(r, a, fov) - 1) / 2, "that is the number of pairs; cameras are"
          " asked"),
         (lambda r, a, fov: right(r, a * [1, 0, 1], fov), "the axes point up and down, too: y counts"),
@@ -105,8 +105,8 @@ def check_depth_edges(rng: Rng, k: int) -> Case:
         (central, "that is half the difference of the left and the right neighbour: compare the ray with each"),
         (with_nan, "a ray without an index has no edge, and makes none beside it"),
         (lambda i, x: np.where(np.isnan(i), np.nan, right(i, x)), "a ray without an index gets 0, not NaN"),
-        (lambda i, x: 1 - right(i, x), "turned around: an edge is 1"),
-        (lambda i, x: np.sum(right(i, x)), "that is the number of rays at edges; asked is each of them"),
+        (lambda i, x: 1 - right(i, x), "the wrong way round: an edge is 1"),
+        (lambda i, x: np.sum(right(i, x)), "that is the number of rays at edges; return the whole mask"),
     ]  # fmt: skip
     return by((index, jump), right, wrong)
 
@@ -137,7 +137,7 @@ def check_most_confident(rng: Rng, k: int) -> Case:
         (chosen, "a method without an estimate may still be confident: leave it out at that ray"),
         (lambda i, c: chosen(i, np.where(np.isnan(i), -1, -c + 5)), "that is the least confident method"),
         (lambda i, c: chosen(i, np.where(np.isnan(i), -1, i)), "that is the nearest estimate: choose by confidence"),
-        (numbers, "that is the number of the method; asked is its index"),
+        (numbers, "that is the number of the method; return its index"),
         (one_for_all, "that is one method for all rays: each ray has its own"),
         (lambda i, c: np.nanmean(i, 0), "that is the mean of the methods, which lies between two surfaces"),
         (lambda i, c: np.nansum(i * c, 0) / np.sum(c * np.isfinite(i), 0), "that is a weighted mean, which lies"
@@ -146,7 +146,7 @@ def check_most_confident(rng: Rng, k: int) -> Case:
         (lambda i, c: np.nan_to_num(right(i, c)), "a ray without any estimate stays NaN, and is not at infinity"),
         (lambda i, c: np.where(np.isnan(i).any(0), np.nan, right(i, c)), "one method without an estimate does not"
          " hinder the others"),
-        (lambda i, c: np.where(np.isnan(i), -1, c).max(0), "that is the confidence; asked is the index"),
+        (lambda i, c: np.where(np.isnan(i), -1, c).max(0), "that is the confidence; return the index"),
         (lambda i, c: i[0], "that is the first method: choose by confidence"),
     ]  # fmt: skip
     return by((index, confidence), right, wrong)
@@ -182,7 +182,7 @@ def check_blend(rng: Rng, k: int) -> Case:
 
     wrong = [
         (partial(right, power=0), "that is the plain mean: the camera that looks there more directly counts more"),
-        (partial(right, far=True), "turned around: the weight is largest on the axis, and 0 at the rim"),
+        (partial(right, far=True), "the wrong way round: the weight is largest on the axis, and 0 at the rim"),
         (partial(right, power=2), "the weight falls evenly to the rim: do not square it"),
         (nearest, "that is the camera closest to the ray alone, which leaves seams: blend all that see it"),
         (lambda i, a, h: np.sum(weights(i, a, h) * i, 0) / weights(i, a, h).sum(0), "a camera that does not see the"

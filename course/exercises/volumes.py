@@ -50,7 +50,7 @@ def check_local_mean(rng: Rng, k: int) -> Case:
         (float(p[near] @ n[near]), "the five probabilities do not add up to 1: divide by their sum"),
         (right - best, "that is the offset from the best sphere: add it"),
         (right - max(best - 2, 0), "the index counts from sphere 0, not from the first of the five"),
-        (float(p[near].sum()), "that is the confidence; asked is the index"),
+        (float(p[near].sum()), "that is the confidence; return the index"),
     ]  # fmt: skip
 
 

@@ -1,27 +1,49 @@
 """The command line: `omnistereo COMMAND`, one module per command."""
 
 import argparse
+import os
 import sys
 import warnings
 from collections.abc import Sequence
 from difflib import get_close_matches
+from io import TextIOWrapper
 
 from omnistereo_lib.cli import calibrate, depth, doctor, evaluate, train
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_tools.commands import onnx
 
 COMMANDS = {"depth": depth, "calibrate": calibrate, "doctor": doctor, "train": train, "evaluate": evaluate}
+COMMANDS |= {"onnx": onnx}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; return the exit status. Bad input is one plain line, never a traceback."""
-    options = _parse(list(sys.argv[1:] if arguments is None else arguments))
+    """Run one command; return the exit status. Whatever goes wrong is one plain line, never a traceback."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")  # where the terminal is not UTF-8
     try:
-        with warnings.catch_warnings():
-            warnings.showwarning = lambda message, *_: print(f"warning: {message}", file=sys.stderr)
-            return options.run(options) or 0
+        try:
+            options = _parse(list(sys.argv[1:] if arguments is None else arguments))
+            with warnings.catch_warnings():
+                warnings.showwarning = lambda message, *_: print(f"warning: {message}", file=sys.stderr)
+                return options.run(options) or 0
+        finally:
+            print(end="", flush=True)
     except OmnistereoError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+        return _stop(f"error: {error}", 2)
+    except KeyboardInterrupt:
+        return _stop("interrupted; run the same command to resume", 130)
+    except OSError as error:
+        if error.filename is None:  # it is the output; what it has not taken would fail again at exit
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if isinstance(error, BrokenPipeError):  # a reader such as `head` has seen enough
+            return 141
+        return _stop(f"error: {error.filename or 'the output'} cannot be read or written: {error.strerror}", 2)
+
+
+def _stop(line: str, status: int) -> int:
+    print(line, file=sys.stderr)
+    return status
 
 
 def _parse(arguments: list[str]) -> argparse.Namespace:

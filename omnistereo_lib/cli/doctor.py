@@ -25,9 +25,9 @@ def run(options: argparse.Namespace) -> int:
 
         return 0 if doctor() else 1
     from omnistereo_lib.files import write_image
-    from omnistereo_lib.rig_check import check_rig
     from omnistereo_lib.rig_files import load_rig
     from omnistereo_tools.coverage import Coverage
+    from omnistereo_tools.rig_check import check_rig
 
     alone = options.images is None and options.rig.is_file()
     rig, images, _ = (load_rig(options.rig, options.unit), None, None) if alone else read_input(options)

@@ -40,6 +40,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.stereo.compiled import compiled
 
 MAX_LAPS = 64
 INFINITY = np.float32(np.inf)
@@ -202,7 +203,7 @@ def _scan_row(
             _update_message(path, lowest, p1, p2, message)
 
 
-@njit(nogil=True, cache=True)
+@compiled(nogil=True)
 def _scan_rows(cost: NDArray, fill: NDArray, total: NDArray, wrap: bool, p1: float, p2: float) -> bool:
     """Write the sum of the two paths along rows to total, and fill; return whether a cost is infinite."""
     infinite = False
@@ -220,7 +221,7 @@ def _scan_rows(cost: NDArray, fill: NDArray, total: NDArray, wrap: bool, p1: flo
     return infinite
 
 
-@njit(nogil=True, cache=True)
+@compiled(nogil=True)
 def _advance(
     cost: NDArray,
     fill: NDArray,

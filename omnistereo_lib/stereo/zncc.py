@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d, pad
 
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.stereo.compiled import compiled
 
 _FLAT_VARIANCE = 1e-6  # of unit-variance images; flatter patches hold only the rounding of the interpolation
 
@@ -85,7 +86,7 @@ def common_columns(a: tuple[int, int], b: tuple[int, int], W: int) -> list[tuple
     return [(int(s), int((ends[(ends - s) % W == ((ends - s) % W).min()][0] - s) % W + 1)) for s in starts]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def _zncc_sphere(images: NDArray, strips: NDArray, radius: int, cost: NDArray) -> None:
     """Write the mean costs to cost (H, W), which holds zeros; strips are rows of (camera, camera, start, width)."""
     H, W = cost.shape

@@ -265,7 +265,7 @@ SPHERES_NEEDED = [
 DISTANCE_FROM_Z = [
     ("right", lambda z, ray: z / math.cos(math.atan2(math.hypot(*ray[:2]), ray[2]))),
     ("right", lambda z, ray: np.linalg.norm(np.float32(z) * np.float32(ray / ray[2]))),
-    ("turned around", lambda z, ray: z * math.cos(math.atan2(math.hypot(*ray[:2]), ray[2]))),
+    ("the wrong way round", lambda z, ray: z * math.cos(math.atan2(math.hypot(*ray[:2]), ray[2]))),
     ("divide by its z", lambda z, ray: math.dist(z * ray, (0, 0, 0))),
     ("times the ray's length", lambda z, ray: z / ray[2]),
     ("stretch it", lambda z, ray: math.hypot(ray[0], ray[1], z)),

@@ -248,7 +248,7 @@ SPHERE_LABELS = [
     ("right", lambda gt, n: [[x if x != x else int(round(x) != n) for x in row] for row in gt.tolist()]),
     ("NaN stays NaN", lambda gt, n: (np.abs(gt - n) > 0.5).astype(int)),
     ("NaN stays NaN", lambda gt, n: np.where(np.rint(gt) == n, 0, 1)),
-    ("turned around", lambda gt, n: (np.abs(gt - n) < 0.5) * 1.0),
+    ("the wrong way round", lambda gt, n: (np.abs(gt - n) < 0.5) * 1.0),
     ("rounding down", lambda gt, n: (gt.astype(int) != n) * 1),
     ("not up", lambda gt, n: [[float(np.ceil(x) != n) for x in row] for row in gt]),
     ("no whole number", lambda gt, n: (gt != n) * 1),

@@ -69,7 +69,7 @@ TWO_WALKS = [
     ("not the same way twice", lambda costs, p1, p2: 2 * walk(costs, p1, p2)),
     ("around again", lambda costs, p1, p2: walk(costs, p1, p2) + walk(costs[::-1], p1, p2)),
     ("keeps its own cost", lambda costs, p1, p2: both(costs, p1, p2) - costs),
-    ("asked is the sum", lambda costs, p1, p2: both(costs, p1, p2) / 2),
+    ("return the sum", lambda costs, p1, p2: both(costs, p1, p2) / 2),
     ("this row is open", around_the_seam),
     ("swapped", lambda costs, p1, p2: both(costs, p2, p1)),
 ]

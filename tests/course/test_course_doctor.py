@@ -34,6 +34,12 @@ def test_all_is_well(healthy, capsys):
         assert word in text
 
 
+def test_without_the_pins(healthy, capsys):
+    (healthy / "environment.txt").unlink()
+    assert check_clone() is False
+    assert "FAIL  environment.txt is missing: git checkout environment.txt\n" in capsys.readouterr().out
+
+
 def test_the_short_form_is_the_same_everywhere(healthy, capsys):
     """It is the first output of every notebook, and compared."""
     assert check_clone(short=True) is True

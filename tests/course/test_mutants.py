@@ -1,6 +1,6 @@
 """Solutions with one thing changed: if that changes a result on other cases, no checker may call it right.
 
-A checker tries ten cases. Here forty more are drawn, so a change that those ten cannot tell from the solution is a
+A checker tries ten cases. Here thirty more are drawn, so a change that those ten cannot tell from the solution is a
 hole in the checker. Some changes of each solution are tried, the same each time; `MUTANTS=all` tries them all.
 """
 
@@ -104,7 +104,7 @@ def test_no_mutant_is_called_right(check, answer):
         sources = random.Random(0).sample(sources, min(TRIED, len(sources)))
     assert sources
     tried = [check.case(k) for k in range(CASES)]
-    others = [check.case(k, seed) for seed in range(1, 5) for k in range(CASES)]
+    others = [check.case(k, seed) for seed in range(1, 4) for k in range(CASES)]
     for source in sources:
         namespace = dict(vars(inspect.getmodule(answer)))
         with warnings.catch_warnings(), np.errstate(all="ignore"):

@@ -8,7 +8,8 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
-from omnistereo_lib.rig_check import (
+from omnistereo_lib.stereo.sweep import SphereSweep, reduce_images
+from omnistereo_tools.rig_check import (
     RigCheck,
     RigHypothesis,
     _rotated_cameras,
@@ -17,7 +18,6 @@ from omnistereo_lib.rig_check import (
     rotate_camera,
     scale_translations,
 )
-from omnistereo_lib.stereo.sweep import SphereSweep, reduce_images
 
 SAMPLE = Path(osl.__file__).with_name("sample")
 GRID = osl.SphereGrid(96, 24, (-45, 45), 16, 0.5)

@@ -1,0 +1,35 @@
+"""Export VolumeNet for a rig as ONNX, with a script that runs it without torch.
+
+Example:
+  omnistereo onnx --rig rig.yaml --out onnx
+  python onnx/run_onnx.py 1.png 2.png 3.png 4.png
+"""
+
+import argparse
+from pathlib import Path
+
+from omnistereo_lib.cli.inputs import SAMPLE, add_grid
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.add_argument("--rig", type=Path, default=SAMPLE, help="rig file or folder (default: the bundled sample)")
+    parser.add_argument("--unit", choices=["mm", "cm", "m"], help="unit of the poses, if the file does not state it")
+    add_grid(parser, width=640, height=160, spheres=192)
+    parser.add_argument("--out", type=Path, default=Path("out/onnx"), help="folder for the files (default: out/onnx)")
+
+
+def run(options: argparse.Namespace) -> None:
+    """Write the files and say what they are."""
+    from omnistereo_lib.errors import OmnistereoError
+    from omnistereo_lib.geometry.sphere import SphereGrid
+    from omnistereo_lib.rig_files import load_rig
+    from omnistereo_tools.onnx_export import export_onnx
+
+    rig = load_rig(options.rig, options.unit)
+    min_depth = options.min_depth or rig.min_depth
+    if min_depth is None:
+        raise OmnistereoError(f"{options.rig} states no nearest depth. Pass --min-depth, in metres")
+    grid = SphereGrid(options.width, options.height, tuple(options.phi), options.spheres, min_depth)
+    print(f"written to {options.out}/: {', '.join(export_onnx(options.out, rig, grid))}")
+    print(f"without torch: python {options.out}/run_onnx.py with one image for each of the {len(rig)} cameras")

@@ -1,0 +1,65 @@
+"""The command line on a bad day: Ctrl-C, a reader that leaves, a full disk, an ASCII terminal. Never a traceback."""
+
+import io
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numba
+import pytest
+
+from omnistereo_lib import cli
+from omnistereo_lib.stereo.compiled import compiled
+
+
+@pytest.fixture
+def stdout(monkeypatch):
+    """Replace the output by any stream."""
+    return lambda stream: monkeypatch.setattr(sys, "stdout", stream) or stream
+
+
+def test_ctrl_c(monkeypatch, capsys):
+    def interrupted(options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli.doctor, "run", interrupted)
+    assert cli.main(["doctor"]) == 130
+    assert capsys.readouterr().err == "interrupted; run the same command to resume\n"
+
+
+@pytest.mark.parametrize("arguments", [["doctor"], ["--help"]], ids=" ".join)
+def test_a_reader_that_leaves(stdout, capsys, arguments):
+    reader, writer = os.pipe()
+    os.close(reader)
+    with stdout(open(writer, "w")):
+        assert cli.main(arguments) == 141
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
+def test_a_full_disk(stdout, capsys):
+    with stdout(open("/dev/full", "w")):
+        assert cli.main(["doctor"]) == 2
+    assert capsys.readouterr().err == "error: the output cannot be read or written: No space left on device\n"
+
+
+def test_an_ascii_terminal(stdout):
+    stream = stdout(io.TextIOWrapper(io.BytesIO(), encoding="ascii"))
+    assert cli.main(["doctor", "--rig", str(Path(cli.__file__).parents[1] / "sample" / "config.yaml")]) == 0
+    assert b"4 cameras, 0.841 ? 1.2 m apart" in stream.buffer.getvalue()
+
+
+def test_the_module_answers_in_one_line(tmp_path):
+    command = [sys.executable, "-m", "omnistereo_lib", "depth", "--rig", str(tmp_path / "none")]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 2 and done.stdout == ""
+    assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
+
+
+def test_numba_without_a_folder_for_its_cache(monkeypatch):
+    def increment(x):
+        return x + 1
+
+    monkeypatch.setattr(numba.core.caching.CompileResultCacheImpl, "_locator_classes", [])
+    assert compiled(nogil=True)(increment)(1) == 2

@@ -1,0 +1,86 @@
+"""VolumeNet by ONNX Runtime: the same numbers as torch's, in a process that has no torch."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import scene
+import torch
+
+import omnistereo_lib as osl
+from omnistereo_lib import cli
+from omnistereo_lib.files import write_image
+
+ort = pytest.importorskip("onnxruntime", reason="ONNX Runtime is not installed: environment.txt has it")
+
+SMALL = ["--width", "96", "--height", "24", "--spheres", "16"]
+GRID = osl.SphereGrid(96, 24, num_spheres=16, min_depth=0.6)
+
+
+@pytest.fixture(scope="module")
+def rig():
+    cameras = scene.rig(width=200, height=192)
+    return osl.Rig(cameras.cameras, cameras.T_rig_cam, min_depth=0.6)
+
+
+@pytest.fixture(scope="module")
+def exported(rig, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("onnx")
+    rig.save(folder / "rig.yaml")
+    assert cli.main(["onnx", "--rig", str(folder / "rig.yaml"), *SMALL, "--out", str(folder / "out")]) == 0
+    return folder / "out"
+
+
+@pytest.fixture(scope="module")
+def network():
+    return osl.VolumeNet.pretrained()
+
+
+def relative(found, expected):
+    return np.abs(found - expected).max() / np.abs(expected).max()
+
+
+@pytest.mark.parametrize("size", [(64, 64), (97, 121)])
+@torch.no_grad()
+def test_features(exported, network, size):
+    image = torch.randn(size, generator=torch.Generator().manual_seed(0))
+    visible = torch.rand(size, generator=torch.Generator().manual_seed(1)) > 0.2
+    session = ort.InferenceSession(exported / "features.onnx")
+    (found,) = session.run(None, {"image": image.numpy(), "visible": visible.numpy()})
+    assert relative(found, network.features(image, visible).numpy()) < 1e-3
+
+
+@torch.no_grad()
+def test_volume(exported, network):
+    volume = torch.randn(1, 9, 40, 16, 24, generator=torch.Generator().manual_seed(0))
+    (found,) = ort.InferenceSession(exported / "volume.onnx").run(None, {"volume": volume.numpy()})
+    assert relative(found, network(volume).numpy()) < 1e-3
+
+
+def test_depth_without_torch(exported, network, rig, tmp_path):
+    images = []
+    for k, picture in enumerate(scene.images(rig, finest=0.25)):
+        color = np.stack([picture, 0.5 * picture, 255 - picture], -1).astype(np.uint8)
+        images.append(color)
+        write_image(tmp_path / f"{k}.png", color)
+    without_torch = (
+        "import runpy, sys; sys.modules['torch'] = sys.modules['omnistereo_lib'] = None; sys.argv = sys.argv[1:]; "
+        "runpy.run_path(sys.argv[0], run_name='__main__')"
+    )
+    command = [sys.executable, "-c", without_torch]
+    paths = [str(tmp_path / f"{k}.png") for k in range(4)]
+    done = subprocess.run(
+        [*command, str(exported / "run_onnx.py"), *paths, "--out", str(tmp_path / "a.npy")],
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    network.precision = "float32"
+    expected = osl.estimate_depth(rig, images, GRID, "volumenet", cost=network).inverse_depth
+    np.testing.assert_allclose(np.load(tmp_path / "a.npy"), expected, atol=1e-3 / 0.6)
+
+
+def test_a_rig_without_a_nearest_depth_is_told(rig, tmp_path, capsys):
+    osl.Rig(rig.cameras, rig.T_rig_cam).save(tmp_path / "rig.yaml")
+    assert cli.main(["onnx", "--rig", str(tmp_path / "rig.yaml"), "--out", str(tmp_path / "out")]) == 2
+    assert "states no nearest depth. Pass --min-depth" in capsys.readouterr().err
