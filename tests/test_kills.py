@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import boards
@@ -24,7 +25,7 @@ from omnistereo_lib.calibrate.captures import save_corners
 
 KILLS = int(os.environ.get("KILLS", "1"))
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
-RECIPE = {"width": 96, "height": 24, "num_spheres": 12, "steps": 8, "validate_every": 3, "validation_groups": 2,
+RECIPE = {"width": 96, "height": 24, "num_spheres": 12, "steps": 6, "validate_every": 2, "validation_groups": 2,
           "warmup": 2, "rays_per_frame": 16}  # fmt: skip
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="Windows has neither fork nor these signals")
@@ -34,7 +35,7 @@ class Server:
     """Starts commands, each in a process of its own; see `command_server`."""
 
     def __init__(self, folder):
-        self.folder, self.waiting = folder, []
+        self.folder, self.started, self.ended, self.rng = folder, [], {}, random.Random(KILLS)
         command = [sys.executable, str(Path(__file__).with_name("command_server.py"))]
         self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
@@ -42,24 +43,31 @@ class Server:
         line = json.dumps([[str(word) for word in arguments], str(self.folder / "log.txt")])
         self.process.stdin.write(line + "\n")
         self.process.stdin.flush()
-        return self._answer("started")[0]
+        while not self.started:
+            self._listen()
+        return self.started.pop()
 
-    def wait(self):
-        """Return the exit status of the next process that ends; below 0 the signal that ended it."""
-        return int(self._answer("")[1])
+    def wait(self, number):
+        """Return the exit status of a process when it ends; below 0 the signal that ended it."""
+        while number not in self.ended:
+            self._listen()
+        return self.ended.pop(number)
 
-    def _answer(self, kind):
-        """Return the first answer of a kind; others wait."""
-        for k, answer in enumerate(self.waiting):
-            if (answer[1] == "started") == (kind == "started"):
-                return self.waiting.pop(k)
+    def kill(self, number):
+        """Send a signal, if the process still runs, and return its exit status."""
+        with suppress(ProcessLookupError):
+            os.kill(number, self.rng.choice(SIGNALS))
+        return self.wait(number)
+
+    def _listen(self):
         number, said = self.process.stdout.readline().split()
-        self.waiting.append((int(number), said))
-        return self._answer(kind)
+        if said == "started":
+            self.started.append(int(number))
+        else:
+            self.ended[int(number)] = int(said)
 
     def run(self, *arguments):
-        self.start(*arguments)
-        return self.wait()
+        return self.wait(self.start(*arguments))
 
     def log(self):
         return (self.folder / "log.txt").read_text(errors="replace")
@@ -124,36 +132,40 @@ def differing(found, expected):
     return sorted(name for name in found.keys() | expected.keys() if found.get(name) != expected.get(name))
 
 
+@pytest.fixture(scope="module")
+def undisturbed(server, tmp_path_factory):
+    """Return a function: command line, its name → the files of an undisturbed run and the seconds that it takes."""
+    known = {}
+
+    def once(command, name):
+        if name not in known:
+            began, out = time.perf_counter(), tmp_path_factory.mktemp("whole") / name
+            assert server.run(*command(out)) == 0, server.log()[-3000:]
+            known[name] = contents(out), time.perf_counter() - began
+        return known[name]
+
+    return once
+
+
 @pytest.mark.parametrize("command", ["depth", "calibrate", "train", "evaluate"], indirect=True)
-def test_killed_and_given_again_the_files_are_the_same(server, command, tmp_path, request):
-    began = time.perf_counter()
-    assert server.run(*command(tmp_path / "whole")) == 0, server.log()[-3000:]
-    duration = time.perf_counter() - began
-    expected = contents(tmp_path / "whole")
-    rng = random.Random(f"{request.node.name} {KILLS}")
+def test_killed_and_given_again_the_files_are_the_same(server, command, undisturbed, tmp_path, request):
+    expected, duration = undisturbed(command, request.node.callspec.params["command"])
     for attempt in range(KILLS):
         out = tmp_path / f"killed{attempt}"
-        number = server.start(*command(out))
-        time.sleep(rng.uniform(0.05, 0.95) * duration)
-        if rng.random() < 0.5:  # a second one meets what the first has left
-            os.kill(number, rng.choice(SIGNALS))
-            status = server.wait()
+        for _ in range(server.rng.choice((1, 2))):  # a second one meets what the first has left
             number = server.start(*command(out))
-            time.sleep(rng.uniform(0.05, 0.95) * duration)
-        os.kill(number, rng.choice(SIGNALS))
-        status = server.wait()
-        assert status in (0, 130, *(-sign for sign in SIGNALS)), server.log()[-3000:]
-        for name, content in contents(out).items() if out.exists() else ():
-            assert content or name.endswith(".txt"), f"{name} is empty"
+            time.sleep(server.rng.uniform(0.05, 0.95) * duration)
+            assert server.kill(number) in (0, 130, *(-sign for sign in SIGNALS)), server.log()[-3000:]
+        found = contents(out) if out.exists() else {}
+        assert all(found.values()), "a file is empty"
         assert server.run(*command(out)) == 0, server.log()[-3000:]
         assert differing(contents(out), expected) == []
     assert "Traceback" not in server.log()
 
 
 @pytest.mark.parametrize("command", ["train", "evaluate"], indirect=True)
-def test_two_at_once_in_one_folder_do_not_harm_each_other(server, command, tmp_path):
-    assert server.run(*command(tmp_path / "whole")) == 0
-    for _ in range(2):
-        server.start(*command(tmp_path / "both"))
-    assert (server.wait(), server.wait()) == (0, 0), server.log()[-3000:]
-    assert differing(contents(tmp_path / "both"), contents(tmp_path / "whole")) == []
+def test_two_at_once_in_one_folder_do_not_harm_each_other(server, command, undisturbed, tmp_path, request):
+    expected, _ = undisturbed(command, request.node.callspec.params["command"])
+    numbers = [server.start(*command(tmp_path / "both")) for _ in range(2)]
+    assert [server.wait(number) for number in numbers] == [0, 0], server.log()[-3000:]
+    assert differing(contents(tmp_path / "both"), expected) == []
