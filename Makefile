@@ -63,7 +63,7 @@ notebooks: $(READY)  ## runs all notebooks from fresh kernels, cleans and stores
 	$(BIN)/python -m course run notebooks/*.ipynb
 	$(BIN)/python -m course readme
 
-solutions: $(READY)  ## the notebooks with every exercise solved, into out/solutions
+solutions: $(READY)  ## the notebooks with every exercise solved, run, into out/solutions: ten minutes
 	$(BIN)/python -m course solve
 
 book: $(READY)  ## the course as a website, which reads offline: out/book/index.html

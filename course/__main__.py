@@ -25,7 +25,8 @@ def main(arguments: list[str] | None = None) -> int:
     check.add_argument("--seconds", type=float, default=600, help="time for each notebook")
     check.add_argument("--memory", type=float, default=4, metavar="GIB", help="memory for each notebook, in GiB")
     commands.add_parser("readme", help="update the README's table of notebooks and its picture")
-    commands.add_parser("solve", help="write the notebooks with every exercise solved to out/solutions")
+    solved = commands.add_parser("solve", help="run the notebooks with every exercise solved, into out/solutions")
+    solved.add_argument("numbers", nargs="*", help="of the notebooks, such as 04; all unless given")
     for name, text in (("book", "build the website"), ("slides", "build the slides")):
         folder = nbtools.ROOT / "out" / name
         commands.add_parser(name, help=text).add_argument("folder", nargs="?", type=Path, default=folder)
@@ -54,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
         case "solve":
             from course.solve import main
 
-            main()
+            main(options.numbers)
             return 0
         case "readme":
             from course.readme import main

@@ -1,4 +1,4 @@
-"""Write the notebooks with their exercises solved: `python -m course solve` fills out/solutions.
+"""Write the notebooks with their exercises solved, and run them: `python -m course solve` fills out/solutions.
 
 A solution notebook is the stored notebook with every stub, a function that ends in `return ...`, replaced by
 the function of the same name in course/solutions. There is no second copy of anything.
@@ -7,17 +7,18 @@ the function of the same name in course/solutions. There is no second copy of an
 import ast
 import copy
 import inspect
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import nbformat
+from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
 from nbformat import NotebookNode
 
 from course import nbtools, solutions
 from omnistereo_lib.errors import OmnistereoError
 
 OUT = nbtools.ROOT / "out" / "solutions"
+LOOKED_UP = ("data_samples", "omnistereo_lib")  # by the notebooks, in `../`
 ANSWERS = {name: value for name, value in vars(solutions).items() if inspect.isfunction(value)}
 
 
@@ -65,16 +66,37 @@ def solve_all(paths: list[Path], answers: dict[str, Callable]) -> dict[Path, Not
     return notebooks
 
 
-def main() -> None:
-    """Write all solution notebooks, and beside their folder the data that they look for in `../data_samples`."""
-    try:
-        notebooks = solve_all(nbtools.notebooks(), ANSWERS)
-    except OmnistereoError as error:
-        sys.exit(str(error))
+def not_right(nb: NotebookNode) -> list[str]:
+    """Return what the checkers said of a solved notebook's exercises, where it is not "right"."""
+    cells = [cell for cell in nbtools.code_cells(nb) if "exercises.check_" in cell.source]
+    said = ["".join(output.get("text", "") for output in cell.outputs).strip() for cell in cells]
+    return [words for words in said if words.splitlines()[-1:] != ["right"]]
+
+
+def main(names: list[str]) -> None:
+    """Write the solution notebooks, run, and beside their folder what they look for in `../`.
+
+    Args:
+        names: Numbers of the notebooks, such as "04"; all of them if empty.
+
+    Raises:
+        OmnistereoError: If a notebook stops, or a checker does not call a solution right.
+    """
     OUT.mkdir(parents=True, exist_ok=True)
-    for path, nb in notebooks.items():
-        nbtools.store(OUT / path.name, nbtools.text_of(nb))
-    data = OUT.parent / "data_samples"
-    if not data.exists():
-        data.symlink_to(Path("..") / "data_samples")
+    for name in LOOKED_UP:
+        if not (OUT.parent / name).exists():
+            (OUT.parent / name).symlink_to(Path("..") / name)
+    for path, nb in solve_all(nbtools.notebooks(), ANSWERS).items():
+        if names and path.stem[:2] not in names:
+            continue
+        try:
+            seconds = nbtools.execute(nb, OUT)
+        except CellExecutionError as error:
+            raise OmnistereoError(f"{path.name} with its solutions stopped: {error.ename}: {error.evalue}") from None
+        except (CellTimeoutError, DeadKernelError) as error:
+            raise OmnistereoError(f"{path.name} with its solutions stopped: {error}") from None
+        if wrong := not_right(nb):
+            raise OmnistereoError(f"{path.name}: of a solution the checker says: {wrong[0]}")
+        nbtools.store(OUT / path.name, nbtools.text_of(nbtools.clean(nb)))
+        print(f"{path.name}: all right, {seconds:.0f} s", flush=True)
     print(f"The notebooks with solutions: {OUT.relative_to(nbtools.ROOT)}")

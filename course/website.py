@@ -18,6 +18,7 @@ from course import nbtools
 from course.figures import draw_figures
 from course.library import docstrings, modules, summary
 from course.paper_map import paper_map
+from course.teaching import stuck
 
 BOOK = nbtools.ROOT / "book"
 TO_NOTEBOOK = re.compile(r"\[([^\]]+)\]\((?:notebooks/)?(\d\d_\w+\.ipynb)(?:#[^)]*)?\)")
@@ -42,7 +43,7 @@ def assemble(source: Path) -> None:
         "map": paper_map(paths),
         "names": face(),
         "modules": reference(source),
-    }
+    } | stuck()
     for page in BOOK.glob("*.md"):
         text = page.read_text(encoding="utf-8")
         for name, part in generated.items():

@@ -2,6 +2,7 @@
 
 import ast
 import inspect
+import re
 
 import nbformat
 import pytest
@@ -125,21 +126,45 @@ def test_solution_without_a_stub_is_named(course):
         solve.solve_all([course], {"double": double, "half": half})
 
 
-def test_command_writes_notebooks_that_find_the_data(course, tmp_path, monkeypatch, capsys):
+@pytest.fixture
+def tiny(course, tmp_path, monkeypatch):
+    """A clone with this one notebook, whose checker wants twice the number."""
     monkeypatch.setattr(solve.nbtools, "ROOT", tmp_path)
     monkeypatch.setattr(solve.nbtools, "notebooks", lambda: [course])
     monkeypatch.setattr(solve, "OUT", tmp_path / "out" / "solutions")
-    monkeypatch.setattr(solve, "ANSWERS", {"double": double})
+    nb = nbformat.read(course, as_version=4)
+    check = "class exercises:\n    check_it = lambda double: print('right' if double(2) == 4 else 'not yet: twice')"
+    nb.cells[1].source = f"{check}\n\n\n{STUB.replace('print(double(2))', 'exercises.check_it(double)')}"
+    nbformat.write(nb, course)
     (tmp_path / "data_samples").mkdir()
-    solve.main()
-    solve.main()  # a second time over the first
-    assert capsys.readouterr().out == 2 * "The notebooks with solutions: out/solutions\n"
-    nbformat.validate(nbformat.read(tmp_path / "out" / "solutions" / course.name, as_version=4))
-    assert (tmp_path / "out" / "solutions" / ".." / "data_samples").resolve() == tmp_path / "data_samples"
+    return tmp_path
 
 
-def test_command_says_plainly_what_is_missing(course, monkeypatch):
-    monkeypatch.setattr(solve.nbtools, "notebooks", lambda: [course])
-    monkeypatch.setattr(solve, "ANSWERS", {})
-    with pytest.raises(SystemExit, match="the stub double has no solution"):
-        solve.main()
+def test_command_writes_notebooks_that_ran_and_find_the_data(tiny, monkeypatch, capsys):
+    monkeypatch.setattr(solve, "ANSWERS", {"double": double})
+    solve.main([])
+    assert capsys.readouterr().out.endswith("s\nThe notebooks with solutions: out/solutions\n")
+    nb = nbformat.read(tiny / "out" / "solutions" / "00_tiny.ipynb", as_version=4)
+    nbformat.validate(nb)
+    assert nb.cells[1].outputs[0].text == "right\n"
+    assert (tiny / "out" / "solutions" / ".." / "data_samples").resolve() == tiny / "data_samples"
+
+
+@pytest.mark.parametrize(("source", "said"), [("return x", "not yet: twice"), ("return x / 0", "ZeroDivisionError")])
+def test_command_writes_no_wrong_solution(tiny, monkeypatch, source, said):
+    monkeypatch.setattr(solve, "ANSWERS", {"double": double})
+    monkeypatch.setattr(solve.inspect, "getsource", lambda _: f"def double(x):\n    {source}")
+    with pytest.raises(OmnistereoError, match=said):
+        solve.main([])
+    assert not (tiny / "out" / "solutions" / "00_tiny.ipynb").exists()
+
+
+def test_all_that_the_notebooks_look_up_lies_beside_the_solutions():
+    text = "".join(path.read_text(encoding="utf-8") for path in STORED)
+    assert set(re.findall(r'\\"\.\./(\w+)', text)) - {"out"} == set(solve.LOOKED_UP)
+
+
+def test_command_runs_what_is_asked_for(tiny, monkeypatch, capsys):
+    monkeypatch.setattr(solve, "ANSWERS", {"double": double})
+    solve.main(["07"])
+    assert not list((tiny / "out" / "solutions").glob("*.ipynb"))
