@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ class Checkerboard:
     Board frame, seen from the front: origin at the first corner, x right, y down, z into the board.
 
     Raises:
-        OmnistereoError: If a count is not an integer of at least 3, or the square has no positive length.
+        OmnistereoError: If a count is not an integer of 3 to 200, or the square is not 0.1 mm to 100 m long.
     """
 
     #: Inner corners, columns and rows: where four squares meet. A board of 13 x 11 squares has 12 x 10.
@@ -26,11 +27,13 @@ class Checkerboard:
     square: float  #: edge of a square, metres
 
     def __post_init__(self) -> None:
-        if not isinstance(self.corners, Sequence) or len(self.corners) != 2:
-            raise OmnistereoError(f"board corners are {self.corners}; expected two integers, inner columns and rows")
-        counts = (check_number(count, "a count of inner board corners", 3, 200, whole=True) for count in self.corners)
-        object.__setattr__(self, "corners", tuple(counts))
-        object.__setattr__(self, "square", check_number(self.square, "the square of the board in metres", 1e-4, 100))
+        counts = list(self.corners) if isinstance(self.corners, Sequence) else []
+        if len(counts) != 2 or not all(isinstance(n, Real) and 3 <= n <= 200 and n % 1 == 0 for n in counts):
+            raise OmnistereoError(
+                f"board corners are {self.corners}; expected two integers of 3 to 200, inner columns and rows"
+            )
+        object.__setattr__(self, "corners", (int(counts[0]), int(counts[1])))
+        object.__setattr__(self, "square", check_number(self.square, "the square (its edge in metres)", 1e-4, 100))
 
     def __str__(self) -> str:
         columns, rows = self.corners

@@ -69,10 +69,9 @@ class OcamCamera:
                 raise OmnistereoError(f"{name} is {str(coefficients)[:200]}; expected 2 to 64 finite coefficients")
         width, height = (check_number(side, "image_size", 2, MAX_SIDE, whole=True) for side in _all(self.image_size, 2))
         check_number(self.max_fov_deg, "max_fov_deg", 1, 360)
-        for number in _all(self.center, 2):
-            check_number(number, "center", -10 * MAX_SIDE, 10 * MAX_SIDE)
-        for number in _all(self.affine, 3):
-            check_number(number, "affine", -100, 100)
+        for name, count, most in (("center", 2, 10 * MAX_SIDE), ("affine", 3, 100)):
+            for number in _all(getattr(self, name), count):
+                check_number(number, name, -most, most)
         if abs(np.linalg.det(self._A)) < 1e-6:
             raise OmnistereoError(f"the affine map c, d, e = {self.affine} is singular; expected about (1, 0, 0)")
         if self.poly[0] >= 0:

@@ -16,20 +16,20 @@ from omnistereo_lib.rig_files.parse import error_context, parse_floats, require_
 
 def read_omnimvs(data: dict[str, Any], path: Path, max_fov_deg: float | None) -> Rig:
     """Read a parsed config.yaml, and the masks that exist beside it."""
-    cameras, poses, found, missing = [], [], [], []
+    cameras, poses, missing = [], [], []
     for i, cam in enumerate(require_list(data, "cameras"), 1):
         with error_context(f"camera {i}"):
             records = {key: require_key(cam, key) for key in ("poly", "inv_poly", "center", "affine", "image_size")}
             fov = float(parse_floats(cam.get("max_fov", DEFAULT_FOV_DEG), "max_fov", 1)[0])
             mask_file = path_within(path.parent, cam["invalid_mask"], path) if cam.get("invalid_mask") else None
-            if mask_file:
-                (found if mask_file.exists() else missing).append(mask_file.name)
-            mask_file = mask_file if mask_file and mask_file.exists() else None
+            if mask_file and not mask_file.exists():
+                missing.append(mask_file.name)
+                mask_file = None
             fov = fov if max_fov_deg is None else max_fov_deg
             cameras.append(ocam_camera(records, fov, f"{path}, camera {i}", mask_file))
             pose = require_key(cam, "pose")
         poses.append(parse_pose(pose, i))
-    if missing and found:
+    if missing and any(camera.mask is not None for camera in cameras):
         raise OmnistereoError(f"the masks {', '.join(missing)} are named, but missing. Copy them beside the file")
     if missing and missing[0] != f"{path.stem}_mask1.png":  # `save_rig` names them for the public codes
         warnings.warn(f"{path}: the masks {', '.join(missing)} are missing; every pixel counts as valid", stacklevel=2)
