@@ -4,6 +4,7 @@ In a command DATA is a small data set of one frame with ground truth, RIG its co
 OUT a folder that does not exist yet, BOARDS a folder of corners, LONG a name of 300 characters.
 """
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -142,6 +143,12 @@ def corners(old: str, new: str) -> Callable[[Path], None]:
     return spoil
 
 
+def two_frames(data: Path) -> None:
+    for camera in (1, 2, 3, 4):
+        shutil.copy(first(data, camera), data / f"cam{camera}" / "0002.png")
+    shutil.copy(data / "omnidepth_gt_96" / "00001.tiff", data / "omnidepth_gt_96" / "00002.tiff")
+
+
 # ---- commands
 
 COMMANDS = [
@@ -182,7 +189,7 @@ COMMANDS = [
     Row("more than the memory", DEPTH + "--width 30000 --height 30000 --spheres 9999", "9999 spheres needs .*GiB"),
     Row("wider than OpenCV can", DEPTH + "--width 32767", "32767.* 32766"),
     Row("higher than OpenCV can", DEPTH + "--height 40000 --width 2", "40000.* 32766"),
-    Row("doctor: a billion rows", DOCTOR + "--height 1000000000", "1000000000.* 32766"),
+    Row("doctor: a billion rows", DOCTOR + "--height 1000000000", "height is 1000000000; expected"),
     # methods
     Row("no such method", DEPTH + "--method magic", r"one of zncc, mccnn, sweepnet, volumenet, got 'magic'"),
     Row("no such smoothing", DEPTH + "--method zncc+median", "aggregate must be one of none, sgm, got 'median'"),
@@ -238,13 +245,26 @@ COMMANDS = [
     Row("a centre of a mapping", LOOK, r"camera 2: the centre .* must be numbers", second("center", {"row": 1})),
     Row("a singular affine map", LOOK, "camera 2: .*singular", second("affine", [0, 0, 0])),
     Row("an image of no size", LOOK, "camera 2: .*(image.size|lies outside)", second("image_size", [0, 0])),
-    Row("an image of half a pixel", LOOK, "camera 2: .*must be integers", second("image_size", [192.5, 200])),
+    Row("an image of half a pixel", LOOK, "camera 2: the image size .* is 192.5; expected", second("image_size", [192.5, 200])),
     Row("an image size of 400 digits", LOOK, "camera 2: the image size", second("image_size", [10**400, 3])),
+    Row("an image size of 1e30", LOOK, "camera 2: the image size", second("image_size", [1e30, 1e30])),
+    Row("a translation of 1e300", LOOK, "camera 2", second("pose", [0, 0, 0, 1e300, 0, 0])),
+    Row("a thousand coefficients", LOOK, "camera 2", second("poly", [1000, -100] + [0] * 999)),
     Row("a field of view in words", LOOK, "camera 2: max_fov must be numbers", second("max_fov", "wide")),
     Row("a field of view of 500°", LOOK, r"camera 2: .*max_fov_deg", second("max_fov", 500)),
     Row("no field of view", LOOK, r"camera 2: .*max_fov", second("max_fov", 0)),
     Row("a mask that is text", LOOK, "mask.png is not an image", lambda d: (
         second("invalid_mask", "mask.png")(d), write("mask.png", "no")(d))),
+    Row("a mask outside the folder", LOOK, r"camera 2: .*\.\./", second("invalid_mask", "../mask.png")),
+    Row("a mask by an absolute path", LOOK, "camera 2: .*/etc/passwd", second("invalid_mask", "/etc/passwd")),
+    Row("ground truth outside the folder", SET, "config.yaml", config(lambda c: c["dataset"].update(truth="../../.."))),
+    Row("two pictures of one frame", SET, "have the same number; expected one", lambda d: shutil.copy(
+        first(d), first(d).with_suffix(".jpg"))),
+    Row("a camera without the frame", SET, "cam2 has no|has no image of frame", lambda d: first(d).rename(
+        first(d).with_name("0002.png"))),
+    Row("a camera folder too few", SET, "expected cam1 to cam4", lambda d: shutil.rmtree(d / "cam2")),
+    Row("a key twice", LOOK, "config.yaml: .*config", lambda d: (d / "config.yaml").write_text(
+        (d / "config.yaml").read_text() + "config: {}\n")),
     Row("a nearest depth in words", LOOK, "config.yaml: omnimvs_sweep_min_depth must be numbers",
         config(lambda c: c.update(config={"omnimvs_sweep_min_depth": "near"}))),
     Row("a nearest depth below 0", LOOK, "config.yaml: .*omnimvs_sweep_min_depth.* -1.*expected",
@@ -281,6 +301,13 @@ COMMANDS = [
     Row("train: an infinite rate", TRAIN + "--set learning_rate=inf", "learning_rate = inf; expected a finite"),
     Row("train: momentum not a number", TRAIN + "--set momentum=nan", "momentum = nan; expected a fraction"),
     Row("train: a negative warm-up", TRAIN + "--set warmup=-5", "warmup = -5; expected"),
+    Row("train: one sphere", TRAIN + "--set num_spheres=1", "num_spheres is 1; expected", two_frames),
+    Row("train: an odd panorama", TRAIN + "--set width=47 height=12", r"47 × 12 pixels; .* must be even", two_frames),
+    Row("train: a negative seed", TRAIN + "--set seed=-1", "seed = -1; expected", two_frames),
+    Row("train: a decay not a number", TRAIN + "--set weight_decay=nan", "weight_decay = nan; expected", two_frames),
+    Row("train: no weights to start from", TRAIN + "--init-weights DATA/none.safetensors",
+        "none.safetensors", two_frames),
+    Row("train: text as weights", TRAIN + "--init-weights RIG", "config.yaml is not a complete", two_frames),
     Row("train: one frame", TRAIN, "has 1 frames with ground truth; expected at least 2"),
     Row("train: no data", TRAIN + "--data DATA/none", "none"),
     # calibrate
@@ -289,9 +316,9 @@ COMMANDS = [
     Row("calibrate: a board of a million", CALIBRATE + "--board 1000000x1000000", "two integers of 3 to 200"),
     Row("calibrate: a board below zero", CALIBRATE + "--board -4x3", "two integers of 3 to 200|expected one argument"),
     Row("calibrate: another board", CALIBRATE + "--board 9x6", "is of a board of 4 x 3", corners("a", "a")),
-    Row("calibrate: squares of nothing", CALIBRATE + "--square 1e-300", "expected its edge in metres"),
-    Row("calibrate: squares of zero", CALIBRATE + "--square 0", "expected its edge in metres"),
-    Row("calibrate: squares not a number", CALIBRATE + "--square nan", "expected its edge in metres"),
+    Row("calibrate: squares of nothing", CALIBRATE + "--square 1e-300", "its edge in metres"),
+    Row("calibrate: squares of zero", CALIBRATE + "--square 0", "its edge in metres"),
+    Row("calibrate: squares not a number", CALIBRATE + "--square nan", "its edge in metres"),
     Row("calibrate: no field of view", CALIBRATE + "--max-fov 0", "max_fov_deg is 0.0; expected", corners("a", "a")),
     Row("calibrate: a negative field of view", CALIBRATE + "--max-fov=-5", "max_fov_deg is -5", corners("a", "a")),
     Row("calibrate: a field of view not a number", CALIBRATE + "--max-fov nan", "is nan; expect", corners("a", "a")),
@@ -391,6 +418,11 @@ CALLS = [
     Call("one camera", lambda: osl.Rig([LENS], [osl.Pose.identity()]), "expected at least 2 cameras"),
     Call("poses missing", lambda: osl.Rig(RIG.cameras, RIG.T_rig_cam[:3]), "4 cameras and 3 poses"),
     Call("no such pairs", lambda: camera_pairs("star", RIG), "is 'star'"),
+    Call("pairs is a number", lambda: camera_pairs(3, RIG), "pairs"),
+    Call("pairs of fractions", lambda: camera_pairs([(0.9, 1.2)], RIG), r"pairs has \(0.9, 1.2\); expected"),
+    Call("pairs of three", lambda: camera_pairs([(0, 1, 2)], RIG), r"pairs .*\(0, 1, 2\).*expected"),
+    Call("poses are None", lambda: osl.Rig(RIG.cameras, [None] * 4), "expected an OcamCamera and a Pose"),
+    Call("a camera in orbit", lambda: osl.Rig(RIG.cameras, [osl.Pose(np.eye(3), [0, 0, 4e5])] * 4), "distance of cam"),
     Call("a camera that is not there", lambda: camera_pairs([(0, 4)], RIG), r"\(0, 4\)"),
     Call("a camera with itself", lambda: camera_pairs([(1, 1)], RIG), r"\(1, 1\)"),
     Call("no pairs", lambda: camera_pairs([], RIG), "empty"),
