@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 
 from numpy.typing import ArrayLike, NDArray
@@ -85,7 +86,8 @@ class FrameResult:
         )  # fmt: skip
         (data / "errors.json").unlink(missing_ok=True)  # of another frame
         if self.gt_index is not None:
-            errors = index_error(depth.index, self.gt_index, grid.num_spheres)
+            found = index_error(depth.index, self.gt_index, grid.num_spheres)
+            errors = {name: value if isfinite(value) else None for name, value in found.items()}  # JSON has no NaN
             with atomic_write(data / "errors.json") as temporary:
                 temporary.write_text(json.dumps(errors, indent=1) + "\n")
             text += _ERRORS

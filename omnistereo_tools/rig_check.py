@@ -22,6 +22,7 @@ _BETTER = 0.75  # a mistake is reported if undoing it brings the cost below this
 _NOISE = 0.01  # and by more than this
 _BETTER_ROTATED = 0.9  # the same for one camera; right rigs 1.2 and more, 2° off 0.3 to 0.8 on the sample sets
 _ROTATION_PX = 1.5  # panorama pixels by which a camera is rotated: less is not resolved
+_FITS = 0.1  # below this median cost no other order is tried
 _HOPELESS = 0.25  # above this median cost no hypothesis fits
 _NO_OVERLAP = 0.5  # cost of a patch without texture, which is no evidence for or against a match
 _UNITS = {1000: ("mm", "m"), 100: ("cm", "m"), 10: ("mm", "cm")}  # large unit / small unit: (small, large)
@@ -108,6 +109,20 @@ def check_rig(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid) -> RigChe
         return check
     rotated = sorted(_rotated_cameras(sweep, images), key=lambda one: one.cost / max(one.given_cost, 1e-9))
     return replace(check, rotated=rotated)
+
+
+def other_order(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid) -> str | None:
+    """Return what to do if the images match much better in another order, or one of them mirrored; a quick look.
+
+    Raises an `OmnistereoError` if the images do not fit the cameras.
+    """
+    rig, images = reduce_images(rig, images, grid.width / 360)
+    sweep = SphereSweep(rig, grid)
+    given = matching_cost(sweep, images)
+    if given <= _FITS:
+        return None
+    cost, name = min((matching_cost(sweep, changed), name) for name, changed in _other_images(images))
+    return name if cost < min(_BETTER * given, given - _NOISE) else None
 
 
 def matching_cost(sweep: SphereSweep, images: Sequence[ArrayLike], pairs: Pairs = "ring") -> float:

@@ -17,7 +17,7 @@ class Checkerboard:
     Board frame, seen from the front: origin at the first corner, x right, y down, z into the board.
 
     Raises:
-        OmnistereoError: If a count is not an integer of at least 3, or the square has no positive length.
+        OmnistereoError: If a count is not an integer of 3 to 200, or the square is not 0.1 mm to 100 m long.
     """
 
     #: Inner corners, columns and rows: where four squares meet. A board of 13 x 11 squares has 12 x 10.
@@ -25,12 +25,12 @@ class Checkerboard:
     square: float  #: edge of a square, metres
 
     def __post_init__(self) -> None:
-        if len(self.corners) != 2 or not all(count % 1 == 0 and count >= 3 for count in self.corners):
+        if len(self.corners) != 2 or not all(count % 1 == 0 and 3 <= count <= 200 for count in self.corners):
             raise OmnistereoError(
-                f"board corners are {self.corners}; expected two integers of at least 3, inner columns and rows"
+                f"board corners are {self.corners}; expected two integers of 3 to 200, inner columns and rows"
             )
-        if not (np.isfinite(self.square) and self.square > 0):
-            raise OmnistereoError(f"the square is {self.square} m; expected a positive length in metres")
+        if not 1e-4 <= self.square <= 100:
+            raise OmnistereoError(f"the square is {self.square} m; expected its edge in metres, 0.0001 to 100")
         object.__setattr__(self, "corners", (int(self.corners[0]), int(self.corners[1])))
 
     def __str__(self) -> str:

@@ -18,6 +18,7 @@ from omnistereo_lib.geometry.pose import Floats
 
 DEGREES = (4, 6, 8)  # odd ones add little; beyond 8 nothing was ever gained (notebook 01 shows it)
 _SIGNIFICANT = 2.0  # standard errors by which a higher degree has to lower the cross-validation error
+_MOST = 20  # degrees beyond are a typing error
 _FOLDS = 3
 _MIN_VIEWS = 3
 _FEW_VIEWS = 10
@@ -53,6 +54,7 @@ def calibrate_camera(
         OmnistereoError: If fewer than three views show the board, all views are parallel, corners do not fit the board,
             or the corners do not determine the camera.
     """
+    check_settings(degree, max_fov_deg)
     return calibrate_corners(*read_views(views, board, image_size, progress, names), board, degree, max_fov_deg)
 
 
@@ -65,7 +67,7 @@ def calibrate_corners(
     max_fov_deg: float | None = None,
 ) -> tuple[OcamCamera, CameraReport]:
     """Calibrate one camera as `calibrate_camera` does, from detected corners; with images, reject blurred views."""
-    _check_input(corners, images, board, degree)
+    _check_input(corners, images, board)
     given = [k for k, view in enumerate(images or corners) if view is not None]
     found = [k for k, view in enumerate(corners) if view is not None]
     params = initial_estimate([corners[k] for k in found], board.points, image_size)
@@ -128,9 +130,17 @@ def _checked(name: str | int, corners: NDArray | None, board: Checkerboard) -> F
     return corners if np.isfinite(corners).all(axis=1).sum() >= 6 else None
 
 
-def _check_input(corners: Sequence, images: Sequence | None, board: Checkerboard, degree: int | None) -> None:
-    if degree is not None and not (degree % 1 == 0 and degree >= DEGREES[0]):
-        raise OmnistereoError(f"degree is {degree}; expected an integer of at least {DEGREES[0]}, or None to choose it")
+def check_settings(degree: int | None, max_fov_deg: float | None) -> None:
+    """Raise an `OmnistereoError` for a degree or a field of view that cannot be, before any image is searched."""
+    if degree is not None and not (degree % 1 == 0 and DEGREES[0] <= degree <= _MOST):
+        raise OmnistereoError(
+            f"degree is {degree}; expected an integer of {DEGREES[0]} to {_MOST}, or None to choose it"
+        )
+    if max_fov_deg is not None and not 1 <= max_fov_deg <= 360:
+        raise OmnistereoError(f"max_fov_deg is {max_fov_deg}; expected a field of view of 1 to 360 degrees")
+
+
+def _check_input(corners: Sequence, images: Sequence | None, board: Checkerboard) -> None:
     given = [view for view in (images or corners) if view is not None]
     found = sum(view is not None for view in corners)
     # A board size given too small is found here and there as a part of the board.

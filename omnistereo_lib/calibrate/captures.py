@@ -14,6 +14,7 @@ from omnistereo_lib.calibrate.board import Checkerboard
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, read_bytes, read_image
 from omnistereo_lib.geometry.pose import Floats
+from omnistereo_lib.rig_files.parse import parse_ints
 
 _SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".webp"}  # not TIFF: data sets keep ground truth in it
 
@@ -117,23 +118,31 @@ def load_corners(path: str | Path) -> tuple[dict[str, Floats | None], Checkerboa
     try:
         content = yaml.safe_load(read_bytes(path).decode("utf-8"))
         board = Checkerboard(tuple(content["board"]["corners"]), float(content["board"]["square"]))
-        width, height = (int(side) for side in content["image_size"])
-        views = {str(name): _corners_of(value, name, board) for name, value in content["views"].items()}
+        width, height = size = parse_ints(content["image_size"], "image_size", 2)
+        if not (16 <= width <= 100_000 and 16 <= height <= 100_000):
+            raise OmnistereoError(f"image_size is {[width, height]}; expected width and height, 16 to 100000 px")
+        views = {str(name): _corners_of(value, name, board, size) for name, value in content["views"].items()}
     except OmnistereoError as error:
         raise OmnistereoError(f"{path}: {error}") from error
     except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise OmnistereoError(
             f"{path}: not a corner file ({type(error).__name__}: {error}); expected board, image_size and views"
         ) from error
-    return views, board, (width, height)
+    return views, board, size
 
 
-def _corners_of(value: Any, name: str, board: Checkerboard) -> Floats | None:
+def _corners_of(value: Any, name: str, board: Checkerboard, size: tuple[int, int]) -> Floats | None:
     if value is None:
         return None
     corners = np.array(value, np.float64)
     if corners.shape != board.points[:, :2].shape:
         raise OmnistereoError(
             f"view {name}: corners of shape {corners.shape}, expected {len(board.points)} pairs of u and v"
+        )
+    outside = ((corners < -1) | (corners > size)).any(axis=1)
+    if outside.any():
+        raise OmnistereoError(
+            f"view {name}: corner {outside.argmax() + 1} is {corners[outside.argmax()].tolist()}, outside the image of "
+            f"{size[0]} × {size[1]} px. Correct it, or put [.nan, .nan]"
         )
     return corners

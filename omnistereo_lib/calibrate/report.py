@@ -162,7 +162,9 @@ def _camera_warnings(report: CameraReport, camera: OcamCamera) -> Iterator[str]:
             "there. Cover every ring"
         )
     if len(report.views_used) < _FEW_VIEWS:
-        yield f"only {len(report.views_used)} views. Take 15 or more, tilted every way"
+        by_accident = len(report.rejected) > 2 * len(report.views_used)
+        check = ". Check the board size: another one is found here and there by accident" if by_accident else ""
+        yield f"only {len(report.views_used)} views. Take 15 or more, tilted every way{check}"
     size = np.array(camera.image_size)
     offset = np.array(camera.center) - (size - 1) / 2
     if (np.abs(offset) > _OFF_CENTER * size).any():

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, mini
 
 from omnistereo_lib.calibrate.board import Checkerboard
 from omnistereo_lib.calibrate.bundle import bundle_adjust
-from omnistereo_lib.calibrate.camera import calibrate_corners, read_views
+from omnistereo_lib.calibrate.camera import calibrate_corners, check_settings, read_views
 from omnistereo_lib.calibrate.detect import Progress
 from omnistereo_lib.calibrate.params import CalibrationParams, Observations, collect_observations
 from omnistereo_lib.calibrate.report import CameraReport, RigReport
@@ -58,6 +58,7 @@ def calibrate_rig(
             f"views[camera][capture] has {[len(row) for row in views]} captures; expected at least two cameras with "
             "equally many captures. Put None for captures that a camera lacks"
         )
+    check_settings(degree, max_fov_deg)
     corners, single = [], []
     for i, (row, size) in enumerate(zip(views, image_sizes or [None] * len(views), strict=True), start=1):
         try:

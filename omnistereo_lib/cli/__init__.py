@@ -10,10 +10,10 @@ from io import TextIOWrapper
 
 from omnistereo_lib.cli import calibrate, depth, doctor, evaluate, train
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_tools.commands import onnx
+from omnistereo_tools.commands import live, onnx
 
 COMMANDS = {"depth": depth, "calibrate": calibrate, "doctor": doctor, "train": train, "evaluate": evaluate}
-COMMANDS |= {"onnx": onnx}
+COMMANDS |= {"live": live, "onnx": onnx}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -82,8 +82,14 @@ def read_rig(options: argparse.Namespace) -> Rig:
 def make_grid(
     options: argparse.Namespace, rig: Rig, images: Sequence[NDArray], default: float | None = None
 ) -> SphereGrid:
-    """Return the grid; its nearest depth is the user's, else the rig file's, the default, or what the images show."""
+    """Return the grid; its nearest depth is the user's, else the rig file's, the default, or what the images show.
+
+    Warns of what computes but can mean nothing, see `doubts`.
+    """
+    import warnings
+
     from omnistereo_lib.geometry.sphere import SphereGrid
+    from omnistereo_tools.doubts import image_doubts, rig_doubts
 
     proposals = (options.min_depth, rig.min_depth, default)
     min_depth = next((depth for depth in proposals if depth is not None), None)
@@ -92,7 +98,10 @@ def make_grid(
 
         min_depth = propose_min_depth(rig, images, tuple(options.phi))
         print(f"The rig file states no nearest depth: a coarse look at the images proposes --min-depth {min_depth:g}.")
-    return SphereGrid(options.width, options.height, tuple(options.phi), options.spheres, min_depth)
+    grid = SphereGrid(options.width, options.height, tuple(options.phi), options.spheres, min_depth)
+    for doubt in (*rig_doubts(rig, min_depth), *image_doubts(rig, images, grid)):
+        warnings.warn(doubt, stacklevel=2)
+    return grid
 
 
 def is_first_process() -> bool:

@@ -86,7 +86,7 @@ def _read_file(path: Path, unit: str | None, max_fov_deg: float | None) -> tuple
 def _detect_format(data: Any) -> str:
     data = data if isinstance(data, dict) else {}
     cameras = data.get("cameras")
-    if isinstance(cameras, list) and any(isinstance(cam, dict) and "poly" in cam for cam in cameras):
+    if cameras == [] or (isinstance(cameras, list) and any(isinstance(cam, dict) and "poly" in cam for cam in cameras)):
         return "OmniMVS config.yaml"
     if "value0" in data:
         return "basalt JSON"

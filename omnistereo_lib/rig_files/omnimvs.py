@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, write_image
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.rig_files.camera_models import DEFAULT_FOV_DEG
@@ -30,6 +31,8 @@ def read_omnimvs(data: dict[str, Any], path: Path, max_fov_deg: float | None) ->
     min_depth = settings.get("omnimvs_sweep_min_depth") if isinstance(settings, dict) else None
     if min_depth is not None:
         min_depth = float(parse_floats(min_depth, "omnimvs_sweep_min_depth", 1)[0])
+        if not min_depth > 0:
+            raise OmnistereoError(f"omnimvs_sweep_min_depth is {min_depth}; expected the nearest depth in metres, > 0")
     return Rig(cameras, poses, min_depth)
 
 

@@ -22,6 +22,8 @@ def error_context(source: str | Path) -> Iterator[None]:
     try:
         yield
     except OmnistereoError as error:
+        if str(error).startswith(str(source)):  # it says so itself
+            raise
         raise OmnistereoError(f"{source}: {error}") from None
 
 

@@ -20,7 +20,7 @@ from omnistereo_lib.geometry.sphere import SphereGrid
 
 _D0 = 2.0**-23  # 1/m, inverse depth of the sphere at infinity in the paper
 _BLOCK = 16  # spheres warped at a time: their cells fill one cache line of the (H, W, N) volume
-_MAX_ROWS = 32766  # largest output of cv2.remap
+_MAX_ROWS = 32766  # largest output of cv2.remap, and as many columns
 OUTSIDE = -1e5  # px, pixel coordinate of invalid rays; NaN coordinates are undefined in cv2.remap
 _LUT_BUDGET = 2 << 30  # bytes
 
@@ -41,6 +41,9 @@ class SphereSweep:
         device: Device of the warped images: cv2.remap on "cpu", grid_sample elsewhere.
         max_lut_bytes: Default: 2 GiB, or a quarter of the available memory if that is less.
 
+    Raises:
+        OmnistereoError: If the panorama is larger than OpenCV can sample: 32766 pixels a side.
+
     Attributes:
         rig: The rig with its origin at the sweep centre: its poses are the inverse of Θ* in the paper.
         lut_bytes: Size of the lookup tables that are kept.
@@ -54,6 +57,8 @@ class SphereSweep:
         device: torch.device | str = "cpu",
         max_lut_bytes: int | None = None,
     ) -> None:
+        if max(grid.shape) > _MAX_ROWS:
+            raise OmnistereoError(f"the panorama is {grid.width} × {grid.height}; expected at most {_MAX_ROWS} a side")
         self.rig = rig.recentered(center)
         self.grid = grid
         self.device = torch.device(device)
@@ -252,6 +257,8 @@ def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray]:
             raise OmnistereoError(f"image {i + 1} has type {image.dtype}; expected uint8 or float")
         if image.dtype != np.uint8 and not np.isfinite(image).all():
             raise OmnistereoError(f"image {i + 1} has NaN or infinite values; expected finite gray values")
+    if len({image.ndim for image in images}) > 1:  # gray and colour: all in colour
+        images = [np.repeat(image[..., None], 3, -1) if image.ndim == 2 else image for image in images]
     return images
 
 

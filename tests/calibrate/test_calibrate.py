@@ -254,7 +254,7 @@ def test_a_view_with_another_number_of_corners_is_named(views):
 
 @pytest.mark.parametrize("degree", [0, 3, 4.5])
 def test_degrees_that_are_no_camera(views, degree):
-    with pytest.raises(OmnistereoError, match=f"degree is {degree}; expected an integer of at least 4"):
+    with pytest.raises(OmnistereoError, match=f"degree is {degree}; expected an integer of 4 to 20"):
         osl.calibrate_camera(views[0], BOARD, SIZE, degree=degree)
 
 

@@ -297,7 +297,7 @@ def test_a_rig_from_corners_on_file(detected, tmp_path, capsys):
     [
         (["--board", "12x10"], "has no images"),
         (["--board", "9x6", "--corners", "DETECTED"], "is of a board of 12 x 10"),
-        (["--board", "2x9"], "two integers of at least 3"),
+        (["--board", "2x9"], "two integers of 3 to 200"),
         (["--board", "12x10", "--corners", "EMPTY"], "holds no corners_"),
     ],
 )

@@ -1,0 +1,69 @@
+"""Runs commands in processes of their own without importing the library for each: `python command_server.py`.
+
+It imports the library once and then forks. Each line on its standard input is JSON, [command line, log file]. It
+answers "NUMBER started", the number of the process, and "NUMBER STATUS" when that one has ended. So a test that kills a
+hundred commands does not import torch a hundred times.
+"""
+
+import json
+import os
+import signal
+import sys
+import threading
+import traceback
+from pathlib import Path
+
+import cv2
+import torch
+
+from omnistereo_lib import cli
+from omnistereo_lib.train import MCCNNRecipe, train
+
+
+def run(command):
+    """Run the command line, or a training that writes its state at every step."""
+    if command[0] != "train":
+        return cli.main(command)
+    train(MCCNNRecipe(**json.loads(command[2])), command[3], command[1], checkpoint_s=0)
+    return 0
+
+
+def child(command, log):
+    """Run a command with the output in a log file; return its exit status."""
+    os.dup2(os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600), 1)
+    os.dup2(1, 2)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        status = run(command)
+    except KeyboardInterrupt:
+        status = 130
+    except BaseException:
+        traceback.print_exc()
+        status = 99
+    sys.stdout.flush()
+    sys.stderr.flush()
+    return status
+
+
+def wait(number):
+    """Say when a process has ended."""
+    status = os.waitstatus_to_exitcode(os.waitpid(number, 0)[1])
+    os.write(1, f"{number} {status}\n".encode())
+
+
+def main():
+    sys.modules["matplotlib"] = None  # the figures of a calibration take longer than the calibration
+    cv2.setNumThreads(1)
+    torch.set_num_threads(1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a terminal in which the tests are interrupted
+    for line in sys.stdin:
+        command, log = json.loads(line)
+        number = os.fork()
+        if number == 0:
+            os._exit(child(command, Path(log)))
+        os.write(1, f"{number} started\n".encode())
+        threading.Thread(target=wait, args=(number,), daemon=True).start()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,171 @@
+"""Commands killed at random moments and given again: the same files as of a run that was left alone.
+
+KILLS=50 python -m pytest tests/test_kills.py kills each command that often, at other moments.
+"""
+
+import csv
+import io
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import boards
+import numpy as np
+import pytest
+import scene
+
+import omnistereo_lib as osl
+from omnistereo_lib.calibrate.captures import save_corners
+
+KILLS = int(os.environ.get("KILLS", "1"))
+SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
+RECIPE = {"width": 96, "height": 24, "num_spheres": 12, "steps": 6, "validate_every": 2, "validation_groups": 2,
+          "warmup": 2, "rays_per_frame": 16}  # fmt: skip
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="Windows has neither fork nor these signals")
+
+
+class Server:
+    """Starts commands, each in a process of its own; see `command_server`."""
+
+    def __init__(self, folder):
+        self.folder, self.started, self.ended, self.rng = folder, [], {}, random.Random(KILLS)
+        command = [sys.executable, str(Path(__file__).with_name("command_server.py"))]
+        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+    def start(self, *arguments):
+        line = json.dumps([[str(word) for word in arguments], str(self.folder / "log.txt")])
+        self.process.stdin.write(line + "\n")
+        self.process.stdin.flush()
+        while not self.started:
+            self._listen()
+        return self.started.pop()
+
+    def wait(self, number):
+        """Return the exit status of a process when it ends; below 0 the signal that ended it."""
+        while number not in self.ended:
+            self._listen()
+        return self.ended.pop(number)
+
+    def kill(self, number):
+        """Send a signal, if the process still runs, and return its exit status."""
+        with suppress(ProcessLookupError):
+            os.kill(number, self.rng.choice(SIGNALS))
+        return self.wait(number)
+
+    def _listen(self):
+        number, said = self.process.stdout.readline().split()
+        if said == "started":
+            self.started.append(int(number))
+        else:
+            self.ended[int(number)] = int(said)
+
+    def run(self, *arguments):
+        return self.wait(self.start(*arguments))
+
+    def log(self):
+        return (self.folder / "log.txt").read_text(errors="replace")
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    server = Server(tmp_path_factory.mktemp("server"))
+    yield server
+    server.process.stdin.close()
+    server.process.wait()
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """Three frames of a rig that moves through the box, with ground truth."""
+    grid = osl.SphereGrid(96, 24, (-45, 45), 12, 0.6)
+    places = [(0.2 * number - 0.5, 0, 0.15 * number) for number in (1, 2, 3)]
+    folder = tmp_path_factory.mktemp("data") / "box"
+    return scene.write_set(folder, scene.rig(width=200, height=192), grid, places)
+
+
+@pytest.fixture(scope="module")
+def corners(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("corners")
+    rows = boards.captures(np.random.default_rng(2), alone=5, shared=4, noise=0.05)
+    for i, row in enumerate(rows[:2], start=1):
+        views = {f"{k:04d}": view for k, view in enumerate(row)}
+        save_corners(folder / f"corners_cam{i}.yaml", views, boards.BOARD, boards.SIZE)
+    return folder
+
+
+@pytest.fixture
+def command(request, data, corners):
+    """Return the command line that writes into a folder."""
+    small = ["--width", 96, "--height", 24, "--spheres", 16, "--method", "zncc+sgm"]
+    calibrate = ["calibrate", corners, "--corners", corners, "--board", "12x10", "--square", 0.06, "--degree", 4]
+    lines = {
+        "depth": ["depth", "--rig", data, *small, "--out"],
+        "calibrate": [*calibrate, "--out"],
+        "evaluate": ["evaluate", "--sets", data, "--methods", "zncc", "zncc+sgm", "--out"],
+    }
+    train = ["train", data, json.dumps(RECIPE)]
+    return lambda out: [*(train if request.param == "train" else lines[request.param]), out]
+
+
+def contents(folder):
+    """Return the content of all files; of a log without the seconds, and without what a kill left half-written."""
+    files = [path for path in folder.rglob("[!.]*") if path.is_file()]
+    return {
+        str(path.relative_to(folder)): without_seconds(path) if path.name == "log.csv" else path.read_bytes()
+        for path in files
+    }
+
+
+def without_seconds(path):
+    rows = list(csv.DictReader(io.StringIO(path.read_text())))
+    return [{name: cell for name, cell in row.items() if name != "seconds"} for row in rows]
+
+
+def differing(found, expected):
+    return sorted(name for name in found.keys() | expected.keys() if found.get(name) != expected.get(name))
+
+
+@pytest.fixture(scope="module")
+def undisturbed(server, tmp_path_factory):
+    """Return a function: command line, its name → the files of an undisturbed run and the seconds that it takes."""
+    known = {}
+
+    def once(command, name):
+        if name not in known:
+            began, out = time.perf_counter(), tmp_path_factory.mktemp("whole") / name
+            assert server.run(*command(out)) == 0, server.log()[-3000:]
+            known[name] = contents(out), time.perf_counter() - began
+        return known[name]
+
+    return once
+
+
+@pytest.mark.parametrize("command", ["depth", "calibrate", "train", "evaluate"], indirect=True)
+def test_killed_and_given_again_the_files_are_the_same(server, command, undisturbed, tmp_path, request):
+    expected, duration = undisturbed(command, request.node.callspec.params["command"])
+    for attempt in range(KILLS):
+        out = tmp_path / f"killed{attempt}"
+        for _ in range(server.rng.choice((1, 2))):  # a second one meets what the first has left
+            number = server.start(*command(out))
+            time.sleep(server.rng.uniform(0.05, 0.95) * duration)
+            assert server.kill(number) in (0, 130, *(-sign for sign in SIGNALS)), server.log()[-3000:]
+        found = contents(out) if out.exists() else {}
+        assert all(found.values()), "a file is empty"
+        assert server.run(*command(out)) == 0, server.log()[-3000:]
+        assert differing(contents(out), expected) == []
+    assert "Traceback" not in server.log()
+
+
+@pytest.mark.parametrize("command", ["train", "evaluate"], indirect=True)
+def test_two_at_once_in_one_folder_do_not_harm_each_other(server, command, undisturbed, tmp_path, request):
+    expected, _ = undisturbed(command, request.node.callspec.params["command"])
+    numbers = [server.start(*command(tmp_path / "both")) for _ in range(2)]
+    assert [server.wait(number) for number in numbers] == [0, 0], server.log()[-3000:]
+    assert differing(contents(tmp_path / "both"), expected) == []

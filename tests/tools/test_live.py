@@ -1,0 +1,88 @@
+"""The live view, from video files, in the browser."""
+
+import re
+import urllib.request
+
+import cv2
+import numpy as np
+import pytest
+import scene
+
+import omnistereo_lib as osl
+from omnistereo_lib import cli
+from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_tools.live import Latest, live_pictures, serve, show_in_browser
+
+FRAMES = 5
+GRID = osl.SphereGrid(96, 24, num_spheres=16, min_depth=0.6)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A rig file and one video per camera, lossless."""
+    folder = tmp_path_factory.mktemp("videos")
+    rig = scene.rig(width=100, height=96)
+    rig = osl.Rig(rig.cameras, rig.T_rig_cam, min_depth=0.6)
+    rig.save(folder / "rig.yaml")
+    for k, picture in enumerate(scene.images(rig, finest=0.25)):
+        video = cv2.VideoWriter(str(folder / f"{k}.mkv"), cv2.VideoWriter_fourcc(*"FFV1"), 20, (100, 96))
+        for _ in range(FRAMES):
+            video.write(np.stack([picture] * 3, -1).astype(np.uint8))
+        video.release()
+    return rig, folder, [str(folder / f"{k}.mkv") for k in range(4)]
+
+
+def test_pictures_show_panorama_over_depth(recorded):
+    rig, _, videos = recorded
+    pictures = list(live_pictures(videos, SphereSweep(rig, GRID), "zncc"))
+    assert 1 <= len(pictures) <= FRAMES  # who is slow misses frames
+    height = pictures[-1].shape[0] - 40
+    panorama, depth = pictures[-1][: height // 2], pictures[-1][height // 2 : height]
+    truth = osl.estimate_depth(rig, [cv2.cvtColor(cv2.VideoCapture(v).read()[1], cv2.COLOR_BGR2GRAY) for v in videos],
+                               GRID, "zncc")  # fmt: skip
+    small = cv2.resize(depth, (96, 24), interpolation=cv2.INTER_AREA).astype(int).sum(-1)
+    assert np.corrcoef(small.ravel(), truth.inverse_depth.ravel())[0, 1] > 0.9  # near is bright
+    assert panorama.std() > 20 and np.ptp(panorama.astype(int), axis=-1).mean() < 3  # the scene is gray
+
+
+def test_the_browser_gets_a_stream():
+    latest = Latest()
+    pictures = [np.full((20, 30, 3), gray, np.uint8) for gray in (10, 60, 200)]
+    with serve(latest, 0) as address:
+        assert '<img src="stream"' in urllib.request.urlopen(address, timeout=60).read().decode()
+        stream = urllib.request.urlopen(address + "stream", timeout=60)
+        assert show_in_browser(iter(pictures), latest) == 3
+        parts = stream.read().split(b"--x\r\n")[1:]
+    assert 1 <= len(parts) <= 3
+    jpeg = parts[-1].split(b"\r\n\r\n", 1)[1]
+    assert np.abs(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR) - 200.0).max() < 3
+
+
+def test_the_command_plays_videos_to_their_end(recorded, capsys):
+    _, folder, videos = recorded
+    small = ["--width", 96, "--height", 24, "--spheres", 16, "--method", "zncc", "--browser", "--port", 0]
+    command = ["live", "--rig", folder / "rig.yaml", "--cameras", *videos, *small]
+    assert cli.main([str(argument) for argument in command]) == 0
+    told = capsys.readouterr().out
+    assert re.search(r"open http://127.0.0.1:\d+/ in a browser of this machine; Ctrl-C stops\n[1-5] frames, ", told)
+
+
+def test_the_newest_value_is_what_waits():
+    latest = Latest()
+    latest.put(1)
+    latest.put(2)
+    values = iter(latest)
+    assert next(values) == 2
+    latest.put(3)
+    latest.close()
+    assert list(values) == [3]
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [(["--cameras", "no.mp4", "1.mkv"], "there are 2 cameras or videos for a rig of 4"),
+     (["--cameras", "no.mp4", "no.mp4", "no.mp4", "no.mp4"], "video no.mp4 cannot be opened")],
+)  # fmt: skip
+def test_what_cannot_be_shown_is_told(recorded, capsys, change, message):
+    assert cli.main(["live", "--rig", str(recorded[1] / "rig.yaml"), *change, "--port", "0"]) == 2
+    assert message in capsys.readouterr().err
