@@ -15,6 +15,9 @@ KEPT_APART := 3 153 303 453
 TUNED := $(foreach cost,zncc mccnn sweepnet,$(cost)+sgm,p1=0.02,p2=1.5)
 WORKERS := -n logical --maxprocesses 4 --dist loadscope
 
+# No question about news, and no notebook marked as unsaved because it was opened.
+LAB := --LabApp.app_settings_dir=course/jupyterlab --ServerApp.contents_manager_class=course.lab.Notebooks
+
 define CHECK_PYTHON
 import sys
 if sys.version_info < (3, 11):
@@ -25,7 +28,7 @@ export CHECK_PYTHON
 .PHONY: lab test depth render bench results notebooks solutions book slides constraints clean
 
 lab: $(READY)  ## opens JupyterLab, or prints its address where there is no browser; LAB_ARGS: more options
-	$(BIN)/jupyter lab $(LAB_ARGS) notebooks/00_quickstart.ipynb
+	$(BIN)/jupyter lab $(LAB) $(LAB_ARGS) notebooks/00_quickstart.ipynb
 
 test: $(READY)  ## linters, library tests, and every notebook cell against its stored output
 	$(BIN)/ruff check .
@@ -59,8 +62,9 @@ results: $(READY)  ## the stored results and the book's reproduction report agai
 	$(BIN)/python -c "from pathlib import Path; from render.frames import renew_manifest as renew; \
 	  renew(Path('data_samples'))"
 
-notebooks: $(READY)  ## runs all notebooks from fresh kernels, cleans and stores them, renews the README's table
+notebooks: $(READY)  ## runs all notebooks from fresh kernels, cleans and stores them, renews stills and the README's table
 	$(BIN)/python -m course run notebooks/*.ipynb
+	$(BIN)/python -m course stills notebooks/*.ipynb
 	$(BIN)/python -m course readme
 
 solutions: $(READY)  ## the notebooks with every exercise solved, run, into out/solutions: ten minutes

@@ -40,8 +40,9 @@ viewcode_follow_imported_members = False
 
 html_theme = "furo"
 html_title = "omnistereo"
-html_static_path = [str(_MATHJAX), str(BOOK / "book.css")]
+html_static_path = [str(_MATHJAX), str(BOOK / "book.css"), str(BOOK / "book.js")]
 html_css_files = ["book.css"]
+html_js_files = ["book.js"]
 html_copy_source = False
 html_domain_indices = False
 html_show_copyright = False
@@ -52,6 +53,7 @@ def setup(app: Sphinx) -> None:
     app.connect("autodoc-process-docstring", keep_bars, priority=400)  # before napoleon
     app.connect("doctree-read", link_exact_types)
     app.connect("doctree-resolved", link_names)
+    app.connect("html-page-context", say_levels, priority=900)  # after the theme
 
 
 def keep_bars(app: Sphinx, what: str, name: str, value: object, options: object, lines: list[str]) -> None:
@@ -72,9 +74,20 @@ def link_names(app: Sphinx, doctree: nodes.document, docname: str) -> None:
         name = full_name(literal.astext())
         entry = objects.get(name) or objects.get(name.rpartition(".")[0])  # a class's fields have no entry
         ours = entry is not None and (entry.objtype != "module" or name in literal.astext())
-        if ours and entry.docname != docname and not isinstance(literal.parent, nodes.reference):
+        if ours and entry.docname != docname and not is_linked(literal):
             link = make_refnode(app.builder, docname, entry.docname, entry.node_id, literal.deepcopy())
             literal.replace_self(link)
+
+
+def is_linked(node: nodes.Node) -> bool:
+    """Tell whether a node is part of a link."""
+    return node.parent is not None and (isinstance(node.parent, nodes.reference) or is_linked(node.parent))
+
+
+def say_levels(app: Sphinx, page: str, template: str, context: dict, doctree: nodes.document | None) -> None:
+    """Give the captions of the navigation, which Sphinx calls headings, the level that a heading must have."""
+    tree = context["furo_navigation_tree"]
+    context["furo_navigation_tree"] = tree.replace('role="heading"', 'role="heading" aria-level="2"')
 
 
 def full_name(code: str) -> str:

@@ -16,6 +16,7 @@ def main(arguments: list[str] | None = None) -> int:
         ("run", "run notebooks from fresh kernels, clean and store them"),
         ("clean", "remove what should not be stored: ids, timings, widget state"),
         ("lint", "check notebooks against the course's rules"),
+        ("stills", "run notebooks and store what their live figures show, for the website and the slides"),
     ):
         commands.add_parser(name, help=text).add_argument("notebooks", nargs="+", type=Path)
     commands.add_parser("doctor", help="check Python, the packages of environment.txt, the data and OpenGL")
@@ -56,6 +57,10 @@ def run(options: argparse.Namespace) -> int:
             from course.solve import main
 
             main(options.numbers)
+            return 0
+        case "stills":
+            for path in options.notebooks:
+                nbtools.record_stills(path)
             return 0
         case "readme":
             from course.readme import main

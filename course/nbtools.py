@@ -13,7 +13,9 @@ finds something. A notebook's own facts stand in its metadata, under "omnistereo
 import ast
 import copy
 import math
+import os
 import re
+import shutil
 import statistics
 import sys
 import time
@@ -30,6 +32,7 @@ from jupyter_client.channels import AsyncZMQSocketChannel
 from nbclient import NotebookClient
 from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
 
+from course import stills
 from course.plot import caption_output, captions
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -309,8 +312,12 @@ class KernelManager(AsyncKernelManager):
     client_factory = _Client
 
 
-def execute(nb: nbformat.NotebookNode, folder: Path) -> float:
-    """Run all cells in a fresh kernel that stands in `folder`; return the seconds it took."""
+def execute(nb: nbformat.NotebookNode, folder: Path, variables: dict[str, str] | None = None) -> float:
+    """Run all cells in a fresh kernel that stands in `folder`; return the seconds it took.
+
+    Args:
+        variables: Of the kernel's environment, besides this process's own.
+    """
     start = time.perf_counter()
     NotebookClient(
         nb,
@@ -320,7 +327,7 @@ def execute(nb: nbformat.NotebookNode, folder: Path) -> float:
         resources={"metadata": {"path": str(folder)}},
         coalesce_streams=True,
         record_timing=False,
-    ).execute()
+    ).execute(env=os.environ | (variables or {}))
     return time.perf_counter() - start
 
 
@@ -344,6 +351,18 @@ def run(path: Path) -> list[str]:
     finally:
         candidate.unlink(missing_ok=True)
     return found
+
+
+def record_stills(path: Path) -> None:
+    """Run a notebook and store, for the website and the slides, what its live figures show, if it has any."""
+    nb = nbformat.read(path, as_version=4)
+    live = [
+        number for number, cell in enumerate(nb.cells) if cell.cell_type == "code" and stills.LIVE.search(cell.source)
+    ]
+    shutil.rmtree(stills.STILLS / path.stem, ignore_errors=True)
+    if live:
+        nb.cells = nb.cells[: live[-1] + 1]
+        execute(nb, path.parent, {stills.VARIABLE: str(stills.STILLS / path.stem)})
 
 
 # --- README -----------------------------------------------------------------------------------------------

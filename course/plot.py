@@ -13,6 +13,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from course import stills
 from omnistereo_lib.dataset import Frame
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
@@ -112,12 +113,18 @@ def interactive(draw: Callable[..., Figure], **sliders: Widget) -> None:
     from IPython.display import display
     from ipywidgets import Image, VBox
 
+    def drawn(**values: Any) -> bytes:
+        fig = draw(**values)
+        picture = encode(fig, "jpeg", tight=stills.recording())  # a slider is to answer at once
+        plt.close(fig)
+        return picture
+
+    if stills.recording():
+        return stills.record_sliders(lambda **values: [drawn(**values)], sliders)
     picture = Image(format="jpeg")
 
     def update(_: object = None) -> None:
-        fig = draw(**{name: slider.value for name, slider in sliders.items()})
-        picture.value = encode(fig, "jpeg", tight=False)  # a slider is to answer at once
-        plt.close(fig)
+        picture.value = drawn(**{name: slider.value for name, slider in sliders.items()})
 
     for name, slider in sliders.items():
         slider.description = slider.description or name
@@ -143,6 +150,11 @@ def pick_ray(draw: Callable[[int, int], Figure], panorama: NDArray, row: int, co
 
     height, width = panorama.shape[:2]
     rows, columns = IntSlider(row, 0, height - 1), IntSlider(column, 0, width - 1)
+    if stills.recording():
+        return stills.record_sliders(
+            lambda row, column: [_with_cross(panorama, row, column), encode(draw(row=row, column=column), "jpeg")],
+            {"row": rows, "column": columns},
+        )
     picture = Image(format="jpeg", layout=Layout(width="100%"))
 
     def mark(_: object = None) -> None:

@@ -1,20 +1,28 @@
-"""Point clouds drawn by PyVista, or by NumPy where there is no OpenGL."""
+"""Point clouds: to turn in a notebook, and as pictures, drawn by PyVista, or by NumPy where there is no OpenGL."""
 
 from __future__ import annotations
 
+import html
 import os
+from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from course import stills
 from course.doctor import headless, opengl_works
+from omnistereo_lib.stereo.depth import Depth
+from omnistereo_tools.pictures import sharp_panorama
+from omnistereo_tools.points import Limits
+from omnistereo_tools.viewer import page_of, viewer_data
 
 _BACKGROUND = 0x20  # colours stand out, and gaps between points do not dazzle
 _POINT_SIZE = 5  # pixels
 _UP = (0.0, -1.0, 0.0)  # y points down in the rig frame
 _VIEW_DEG = 30.0  # PyVista's angle of view, from top to bottom
 _NEAREST = 0.1  # metres in front of the eye
+_SHARP = 1280  # px, width of the panorama that is looked around in
 
 
 def draw_points(
@@ -34,6 +42,26 @@ def draw_points(
     if len(points) == 0:
         return np.full((size[1], size[0], 3), _BACKGROUND, np.uint8)  # PyVista refuses to draw nothing
     return _draw_pyvista(points, colors, eye, size) if _has_opengl() else _draw_numpy(points, colors, eye, size)
+
+
+def explore(depth: Depth, images: Sequence[ArrayLike], max_depth: float, min_confidence: float = 0.0) -> None:
+    """Show a depth panorama in a notebook: its points to turn, tilt and zoom, its picture to look around in.
+
+    Notebooks are stored without it: the captioned figure before it says what it shows.
+
+    Args:
+        images: What the cameras saw, as for `Depth.panorama`.
+        max_depth, min_confidence: Rays up to so many metres, and from that confidence on, become points.
+    """
+    from IPython.display import display
+    from ipywidgets import HTML
+
+    panorama = sharp_panorama(depth, images, _SHARP)
+    data = viewer_data(depth, panorama, Limits(max_depth, min_confidence), "Drag to turn and tilt", mode="points")
+    if stills.recording():
+        return stills.record_view(data)
+    page = html.escape(page_of(data))
+    display(HTML(f'<iframe srcdoc="{page}" title="{stills.VIEW}" style="width: 100%; height: 800px"></iframe>'))
 
 
 @cache

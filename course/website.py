@@ -5,37 +5,48 @@ generated from the library: figures, the map of the paper, the reference. They m
 reads. A warning is an error.
 """
 
+import base64
 import re
 import shutil
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import nbformat
+from nbformat.v4 import new_output
 from sphinx.cmd.build import build_main
 
 import omnistereo_lib as osl
-from course import nbtools
+from course import nbtools, stills
 from course.figures import draw_figures
 from course.library import docstrings, modules, summary
 from course.paper_map import paper_map
+from course.pictures import picture
 from course.teaching import stuck
 
 BOOK = nbtools.ROOT / "book"
 TO_NOTEBOOK = re.compile(r"\[([^\]]+)\]\((?:notebooks/)?(\d\d_\w+\.ipynb)(?:#[^)]*)?\)")
+PICTURE = re.compile(r"!\[([^\]]+)\]\(([^)]+)\)")
 NOT_LISTED = ("__main__",)
 
 
 def build(out: Path) -> int:
-    """Build the website in the folder `out`; 0 when there was nothing to warn of."""
+    """Build the website in the folder `out`, in place of an older one; 0 when there was nothing to warn of."""
     with TemporaryDirectory() as folder:
-        source = Path(folder, "source")
-        assemble(source)
-        options = ["-q", "-j", "auto", "-W", "--keep-going", "-c", str(BOOK), "-d", str(Path(folder, "doctrees"))]
-        return build_main(["-b", "html", *options, str(source), str(out)])
+        source, extra, html, trees = (Path(folder, name) for name in ("source", "extra", "html", "trees"))
+        assemble(source, extra)
+        options = ["-q", "-j", "auto", "-W", "--keep-going", "-c", str(BOOK), "-d", str(trees)]
+        options += ["-D", f"html_extra_path={extra}"]
+        if status := build_main(["-b", "html", *options, str(source), str(html)]):
+            return status
+        if (out / "searchindex.js").is_file():
+            shutil.rmtree(out)
+        shutil.copytree(html, out, ignore=shutil.ignore_patterns("_sources", ".buildinfo"), dirs_exist_ok=True)
+    print(f"Written: {out / 'index.html'}. Open it in a browser; it needs no network.")
+    return 0
 
 
-def assemble(source: Path) -> None:
-    """Put all pages into one folder."""
+def assemble(source: Path, extra: Path) -> None:
+    """Put all pages into one folder, and what they show into another one."""
     paths = nbtools.notebooks()
     (source / "reference").mkdir(parents=True)
     generated = {
@@ -44,30 +55,43 @@ def assemble(source: Path) -> None:
         "names": face(),
         "modules": reference(source),
     } | stuck()
+    draw_figures(source)
+    shutil.copytree(nbtools.NOTEBOOKS, source / "notebooks", ignore=shutil.ignore_patterns(".*"))
     for page in BOOK.glob("*.md"):
         text = page.read_text(encoding="utf-8")
         for name, part in generated.items():
             text = text.replace(f"<!-- {name} -->", part)
-        (source / page.name).write_text(without_dead_links(text), encoding="utf-8")
-    shutil.copytree(nbtools.NOTEBOOKS, source / "notebooks", ignore=shutil.ignore_patterns(".*"))
+        text = with_pictures(without_dead_links(text), source, extra)
+        (source / page.name).write_text(text, encoding="utf-8")
     for path in paths:
-        nbformat.write(for_the_book(nbformat.read(path, as_version=4)), source / "notebooks" / path.name)
-    draw_figures(source)
+        nb = for_the_book(nbformat.read(path, as_version=4), path.stem, extra)
+        nbformat.write(nb, source / "notebooks" / path.name)
 
 
-def for_the_book(nb: nbformat.NotebookNode) -> nbformat.NotebookNode:
-    """Prepare a notebook: say the pictures' alternative texts where myst-nb reads them, unlink what is not there."""
+def for_the_book(nb: nbformat.NotebookNode, stem: str, extra: Path) -> nbformat.NotebookNode:
+    """Prepare a notebook: pictures for both modes, stills for what is live, no link to what is not there."""
+    live = 0
     for cell in nb.cells:
         if cell.cell_type == "markdown":
             cell.source = without_dead_links(cell.source)
-        outputs = [output for output in cell.get("outputs", []) if "data" in output]
-        for output in outputs:
-            if caption := output.data.get("text/markdown"):
-                output.data["text/markdown"] = without_dead_links(caption)
-        alts = [about["alt"] for output in outputs for about in output.metadata.values() if "alt" in about]
-        if alts:
-            cell.metadata["mystnb"] = {"image": {"alt": " ".join(alts)}}
+            continue
+        for output in cell.outputs:
+            data = output.get("data", {})
+            if caption := data.get("text/markdown"):
+                data["text/markdown"] = without_dead_links(caption)
+            for mime in set(nbtools.PICTURES) & set(data):
+                shown = picture(base64.b64decode(data[mime]), output.metadata[mime]["alt"], extra, "../")
+                output.data = nbformat.from_dict({"text/html": shown})
+        for _ in stills.LIVE.findall(cell.source):
+            data = {"text/html": stills.shown(stem, live, extra, "../")}
+            cell.outputs.append(new_output("display_data", data))
+            live += 1
     return nb
+
+
+def with_pictures(text: str, source: Path, extra: Path) -> str:
+    """Return a page's Markdown with its pictures for both modes."""
+    return PICTURE.sub(lambda found: picture((source / found[2]).read_bytes(), found[1], extra), text)
 
 
 def without_dead_links(text: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -21,20 +22,34 @@ _STEPS = 65534  # of inverse depth in 16 bits; 0 is unknown
 
 
 def viewer_page(depth: Depth, panorama: NDArray[np.uint8], limits: Limits, title: str) -> str:
-    """Return the page as HTML, with everything in it.
+    """Return the page as HTML, with everything in it; arguments as `viewer_data`."""
+    return page_of(viewer_data(depth, panorama, limits, title))
+
+
+def page_of(data: dict[str, Any]) -> str:
+    """Return the page that shows what `viewer_data` returned."""
+    return _PAGE.read_text(encoding="utf-8").replace("{{DATA}}", json.dumps(data).replace("<", "\\u003c"))
+
+
+def viewer_data(
+    depth: Depth, panorama: NDArray[np.uint8], limits: Limits, title: str, mode: str = "look"
+) -> dict[str, Any]:
+    """Return what the page shows, as JSON.
 
     Args:
         panorama: uint8 array, any size, RGB: the whole panorama, sharper than the depth
         limits: Rays that become points.
         title: What was computed and how, one line.
+        mode: How it begins: "look" around, "flat" or "points".
     """
     step = int(np.ceil(np.sqrt(depth.index.size / _RAYS)))
     inverse_depth = depth.inverse_depth[::step, ::step]
     known = np.isfinite(inverse_depth)
     per_step = max(float(np.nanmax(inverse_depth, initial=1e-6)), 1e-6) / _STEPS
     scale = ColorScale.of(depth.inverse_depth)
-    data = {
+    return {
         "title": title,
+        "mode": mode,
         "width": inverse_depth.shape[1],
         "height": inverse_depth.shape[0],
         "phi": np.radians(depth.grid.phi_deg).tolist(),
@@ -49,7 +64,6 @@ def viewer_page(depth: Depth, panorama: NDArray[np.uint8], limits: Limits, title
         "minConfidence": limits.min_confidence,
         "picture": "data:image/jpeg;base64," + _jpeg(panorama),
     }
-    return _PAGE.read_text(encoding="utf-8").replace("{{DATA}}", json.dumps(data).replace("<", "\\u003c"))
 
 
 def _base64(values: NDArray) -> str:

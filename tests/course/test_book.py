@@ -6,6 +6,7 @@ A real browser also opens every page, on a desk and on a telephone; its screensh
 import html
 import importlib
 import json
+import os
 import re
 import subprocess
 import sys
@@ -22,7 +23,7 @@ import nbformat
 import pytest
 
 import omnistereo_lib as osl
-from course import nbtools, paper_map, slides, website
+from course import nbtools, paper_map, slides, stills, website
 
 BOOK = nbtools.ROOT / "book"
 
@@ -65,7 +66,10 @@ class Page(HTMLParser):
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
     """The book, built as `make book` does; its folder, and what the build said."""
-    out = tmp_path_factory.mktemp("book")
+    out = tmp_path_factory.mktemp("website") / "book"
+    for path in (out / "searchindex.js", out / "notebooks" / "99_old.html"):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
     command = [sys.executable, "-m", "course", "book", str(out)]
     return out, subprocess.run(command, capture_output=True, text=True)
 
@@ -86,9 +90,18 @@ def shown(tmp_path_factory):
 # --- The book -----------------------------------------------------------------------------------------------
 
 
-def test_it_builds_without_a_warning(built):
-    said = built[1]
+def test_it_builds_without_a_warning_and_says_where_it_is(built):
+    out, said = built
     assert (said.returncode, said.stderr.strip()) == (0, "")
+    assert said.stdout == f"Written: {out / 'index.html'}. Open it in a browser; it needs no network.\n"
+
+
+def test_nothing_stray_is_left(built):
+    """Nothing beside the book, no empty folder, and what an older one had is gone."""
+    out = built[0]
+    assert [path.name for path in out.parent.iterdir()] == [out.name]
+    assert [path.name for path in out.rglob("*") if path.is_dir() and not list(path.iterdir())] == []
+    assert not (out / "notebooks" / "99_old.html").exists()
 
 
 def test_every_notebook_and_every_page_is_there(built):
@@ -141,7 +154,7 @@ def test_every_picture_says_what_it_shows(pages):
 def test_no_picture_of_a_notebook_is_lost(built, pages):
     for path in nbtools.notebooks():
         page = pages[built[0] / "notebooks" / f"{path.stem}.html"]
-        assert len(page.pictures) == count_pictures(path), path.stem
+        assert len(page.pictures) == 2 * (count_pictures(path) + count_stills(path)), path.stem  # light and dark
 
 
 def count_pictures(path):
@@ -149,6 +162,22 @@ def count_pictures(path):
     texts = sum(len(re.findall(r"!\[[^\]]+\]\(", cell.source)) for cell in nb.cells if cell.cell_type == "markdown")
     outputs = [output for cell in nbtools.code_cells(nb) for output in cell.outputs]
     return texts + sum(bool(set(nbtools.PICTURES) & set(output.get("data", {}))) for output in outputs)
+
+
+def count_stills(path):
+    sliders = [slider for live in stills.stored(path.stem) for slider in live.get("sliders", [])]
+    repeated = sum(len(live.get("sliders", [0])) - 1 for live in stills.stored(path.stem))  # where all stand at first
+    return sum(len(slider["values"]) for slider in sliders) - repeated
+
+
+def test_every_live_figure_has_stills_of_its_sliders_or_a_view():
+    for path in nbtools.notebooks():
+        code = "\n".join(cell.source for cell in nbtools.code_cells(nbformat.read(path, as_version=4)))
+        calls, found = stills.LIVE.findall(code), stills.stored(path.stem)
+        assert len(found) == len(calls), f"python -m course stills notebooks/{path.name}"
+        for call, live in zip(calls, found, strict=True):
+            assert ("view" in live) == (call == "view3d.explore")
+            assert all(slider["name"] in code for slider in live.get("sliders", []))
 
 
 def test_the_search_knows_the_notebooks(built):
@@ -212,6 +241,7 @@ WIDE = """() => {
 BROKEN = """async () => {
     const broken = []
     for (const picture of document.images) {
+        if (!picture.offsetParent) continue  // for the other mode, or another place of a slider
         picture.loading = "eager"
         try { await picture.decode() } catch { broken.push(picture.src.slice(0, 100)) }
     }
@@ -233,6 +263,48 @@ def test_book_fits_and_every_picture_shows(built, served, open_page, width):
         page.complaints.clear()
         page.screenshot(path=SEEN / f"book_{width}" / Path(name).with_suffix(".png"))
     assert not wrong, json.dumps(wrong, indent=1)
+
+
+SEVEN = ["index", "glossary", "notation", "paper", "library", "notebooks/00_quickstart", "notebooks/03_sphere_sweep"]
+# What axe-core found once, asked without it.
+UNFIT = """() => [
+    ...[...document.querySelectorAll("[role=heading]:not([aria-level])")].map(e => `no level: ${e.outerHTML}`),
+    ...[...document.querySelectorAll("a[href]")]
+        .filter(e => !e.textContent.trim() && !e.ariaLabel && !e.querySelector("img[alt], svg"))
+        .map(e => `a link without a name: ${e.outerHTML}`),
+    ...[...document.querySelectorAll("article *")]
+        .filter(e => e.scrollWidth > e.clientWidth + 1 && e.tabIndex < 0)
+        .filter(e => ["auto", "scroll"].includes(getComputedStyle(e).overflowX))
+        .map(e => `not to be scrolled by keys: ${e.outerHTML.slice(0, 80)}`),
+]"""
+
+
+AXE = """async () => (await axe.run()).violations
+    .filter(rule => ["serious", "critical"].includes(rule.impact))
+    .map(rule => `${rule.id}: ${rule.nodes.map(node => node.html.slice(0, 80))}`)"""
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_book_is_read_by_keyboard_and_by_ear(served, open_page, width):
+    assert not (wrong := seven_pages(served, open_page(width, 844), UNFIT)), json.dumps(wrong, indent=1)
+
+
+@pytest.mark.skipif("AXE" not in os.environ, reason="AXE names no axe.min.js: npm pack axe-core@4.14.1")
+@pytest.mark.parametrize("width", [1280, 390])
+def test_axe_finds_nothing_serious(served, open_page, width):
+    script = Path(os.environ["AXE"]).read_text(encoding="utf-8")
+    assert not (wrong := seven_pages(served, open_page(width, 844), AXE, script)), json.dumps(wrong, indent=1)
+
+
+def seven_pages(served, page, question, script=""):
+    """What a question finds on seven pages, by page, after a script has run."""
+    found = {}
+    for name in SEVEN:
+        page.goto(f"{served}/{name}.html")
+        page.evaluate("async () => window.MathJax?.startup?.promise")
+        page.evaluate(script)
+        found[name] = page.evaluate(question)
+    return {name: what for name, what in found.items() if what}
 
 
 def test_book_search_finds_a_word(served, open_page):

@@ -1,9 +1,8 @@
-"""JupyterLab as `make lab` opens it, in a real browser: notebook 00 to its end, and its slider.
+"""JupyterLab as `make lab` opens it, in a real browser: notebook 00 to its end, and its points.
 
 Screenshots of what was seen are left in out/browser, to look at.
 """
 
-import base64
 import json
 import os
 import re
@@ -17,7 +16,7 @@ from pathlib import Path
 import nbformat
 import pytest
 
-from course import nbtools
+from course import nbtools, stills
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: environment.txt has it")
 
@@ -33,11 +32,8 @@ MAKE = ["make", "-o", ".venv/.installed"]
 
 pytestmark = pytest.mark.skipif(shutil.which("make") is None, reason="no make on the PATH")
 
-# Nobody's own settings; nothing is saved, and nothing asked for, unless a reader does it.
-SETTINGS = {
-    "docmanager-extension/plugin": {"autosave": False},
-    "apputils-extension/notification": {"fetchNews": "false"},
-}
+# Nobody's own settings; nothing is saved unless a reader does it.
+SETTINGS = {"docmanager-extension/plugin": {"autosave": False}}
 FOLDERS = {
     "JUPYTER_CONFIG_DIR": "config",
     "JUPYTER_DATA_DIR": "data",
@@ -112,17 +108,11 @@ def choose(page, menu, entry):
     page.get_by_role("menuitem", name=entry, exact=True).click()
 
 
-def bytes_of(picture):
-    """The file that a picture on the page shows."""
-    return base64.b64decode(
-        picture.evaluate("""async picture => {
-            const bytes = new Uint8Array(await (await fetch(picture.src)).arrayBuffer())
-            return btoa(bytes.reduce((text, byte) => text + String.fromCharCode(byte), ""))
-        }""")
-    )
+PICTURE = """canvas => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))
+    .then(() => canvas.toDataURL())"""
 
 
-def test_quickstart_runs_in_jupyterlab_and_its_slider_turns_the_picture(lab, clone, open_page):
+def test_quickstart_opens_unchanged_runs_in_jupyterlab_and_its_points_turn(lab, clone, open_page):
     stored = (clone / QUICKSTART).read_bytes()
     cells = nbtools.code_cells(nbformat.reads(stored.decode(), as_version=4))
     page = open_page(1280, 900)
@@ -131,6 +121,10 @@ def test_quickstart_runs_in_jupyterlab_and_its_slider_turns_the_picture(lab, clo
     expect(prompts).to_have_count(len(cells))
     expect(page.locator("#jp-bottom-panel")).to_contain_text("| Idle")  # the kernel's state
 
+    page.wait_for_timeout(2000)  # for what JupyterLab writes into a notebook, and what it asks its readers, late
+    expect(page.locator(".lm-DockPanel-tabBar .lm-TabBar-tab.jp-mod-current")).to_have_count(1)
+    expect(page.locator(".lm-DockPanel-tabBar .jp-mod-dirty")).to_have_count(0)
+    expect(page.locator(".jp-Dialog, .Toastify__toast")).to_have_count(0)
     choose(page, "Edit", "Clear Outputs of All Cells")
     expect(prompts).to_have_text(["[ ]:"] * len(cells))
     choose(page, "Run", "Run All Cells")
@@ -141,14 +135,15 @@ def test_quickstart_runs_in_jupyterlab_and_its_slider_turns_the_picture(lab, clo
     assert wrong.all_text_contents() == []
     expect(prompts).to_have_text([f"[{n}]:" for n in range(1, len(cells) + 1)])
 
-    handle, picture = page.locator(".widget-slider .noUi-handle"), page.locator("img.widget-image")
-    handle.scroll_into_view_if_needed()
-    page.screenshot(path=SEEN / "lab_slider_before.png")
-    before, address = bytes_of(picture), picture.get_attribute("src")
-    handle.drag_to(page.locator(".widget-slider .noUi-base"))  # its middle
-    expect(picture).not_to_have_attribute("src", address)
-    assert bytes_of(picture) != before
-    page.screenshot(path=SEEN / "lab_slider_after.png")
+    view = page.locator(f"iframe[title='{stills.VIEW}']")
+    view.scroll_into_view_if_needed()  # what is out of sight is not drawn
+    view.content_frame.locator("body[data-drawn=points]").wait_for()
+    canvas = view.content_frame.locator("#view")
+    page.screenshot(path=SEEN / "lab_points_before.png")
+    before = canvas.evaluate(PICTURE)
+    canvas.drag_to(canvas, source_position={"x": 100, "y": 100}, target_position={"x": 300, "y": 150})
+    assert canvas.evaluate(PICTURE) != before
+    page.screenshot(path=SEEN / "lab_points_after.png")
 
     assert page.complaints == []
     page.close()
