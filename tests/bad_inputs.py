@@ -245,7 +245,7 @@ COMMANDS = [
     Row("a centre of a mapping", LOOK, r"camera 2: the centre .* must be numbers", second("center", {"row": 1})),
     Row("a singular affine map", LOOK, "camera 2: .*singular", second("affine", [0, 0, 0])),
     Row("an image of no size", LOOK, "camera 2: .*(image.size|lies outside)", second("image_size", [0, 0])),
-    Row("an image of half a pixel", LOOK, "camera 2: the image size .* is 192.5; expected", second("image_size", [192.5, 200])),
+    Row("an image of half a pixel", LOOK, "camera 2: the image size .* is 192.5", second("image_size", [192.5, 200])),
     Row("an image size of 400 digits", LOOK, "camera 2: the image size", second("image_size", [10**400, 3])),
     Row("an image size of 1e30", LOOK, "camera 2: the image size", second("image_size", [1e30, 1e30])),
     Row("a translation of 1e300", LOOK, "camera 2", second("pose", [0, 0, 0, 1e300, 0, 0])),

@@ -2,7 +2,6 @@
 
 import re
 import shutil
-import sys
 from pathlib import Path
 
 import bad_inputs
@@ -13,9 +12,6 @@ import torch
 
 import omnistereo_lib as osl
 from omnistereo_lib import cli
-
-sys.set_int_max_str_digits(0)  # a row has a number of 400 digits
-
 
 VOLUME = np.random.default_rng(0).random((4, 5, 6)).astype(np.float32)
 
