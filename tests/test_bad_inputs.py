@@ -8,12 +8,9 @@ import bad_inputs
 import numpy as np
 import pytest
 import scene
-import torch
 
 import omnistereo_lib as osl
 from omnistereo_lib import cli
-
-VOLUME = np.random.default_rng(0).random((4, 5, 6)).astype(np.float32)
 
 
 def by_wrong(rows):
@@ -88,14 +85,6 @@ def test_gray_and_colour_pictures_mixed(data):
     panorama = bad_inputs.depth(mixed).panorama(mixed)
     assert panorama.shape == (24, 96, 3)
     np.testing.assert_allclose(panorama[..., 0], bad_inputs.depth(pictures).panorama(pictures), atol=1e-3)
-
-
-@pytest.mark.parametrize("volume", [VOLUME[::-1], VOLUME.astype(">f4"), torch.from_numpy(VOLUME).requires_grad_()],
-                         ids=["upside down", "big-endian", "with gradient"])  # fmt: skip
-def test_volumes_of_any_layout_count(volume):
-    plain = np.ascontiguousarray(volume.detach().numpy() if isinstance(volume, torch.Tensor) else volume, np.float32)
-    for function in (osl.sgm, osl.winner_takes_all, osl.confidence):
-        np.testing.assert_array_equal(function(volume), function(plain))
 
 
 def test_the_table_is_long_enough():

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.stereo.sgm import as_volume
 from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_lib.stereo.volume import as_volume
 from omnistereo_lib.stereo.zncc import ZNCC
 
 _CELLS = 1 << 22  # of a cost volume at a time, 16 MB in float32: temporary copies stay small
