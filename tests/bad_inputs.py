@@ -444,7 +444,7 @@ CALLS = [
     Call("an infinite cost", lambda: osl.sgm(with_infinity(np.inf)), "infinite costs"),
     Call("a cost of minus infinity", lambda: osl.sgm(with_infinity(-np.inf)), "infinite costs"),
     Call("a complex volume", lambda: osl.sgm(VOLUME.astype(complex)), "the cost volume holds complex"),
-    Call("depth of a flat volume", lambda: osl.winner_takes_all(VOLUME[0]), r"shape \(3, 4\); expected"),
+    Call("depth of a flat volume", lambda: osl.winner_takes_all(VOLUME[0]), r"shape \(3, 4\) .*expected"),
     Call("an even window", lambda: osl.ZNCC(window=4), "window is 4; expected an odd number"),
     Call("half a window", lambda: osl.ZNCC(window=3.5), "window is 3.5; expected an odd number"),
     Call("three images", lambda: depth(IMAGES[:3]), "3 images for 4 cameras"),
@@ -465,5 +465,5 @@ CALLS = [
     Call("corners without a size", lambda: osl.calibrate_camera(
         [np.zeros((12, 2))], osl.Checkerboard((4, 3), 0.06)), "the image size is unknown"),
     Call("weights that are not there", lambda: osl.SweepNet.from_file("none.safetensors"), "none.safetensors"),
-    Call("a confidence of a flat volume", lambda: osl.confidence(torch.zeros(3, 4)), r"shape \(3, 4\); expected"),
+    Call("a confidence of a flat volume", lambda: osl.confidence(torch.zeros(3, 4)), r"shape \(3, 4\) .*expected"),
 ]  # fmt: skip
