@@ -35,11 +35,11 @@ REVEAL = Path(find_spec("sphinx_revealjs").submodule_search_locations[0], "_stat
 MATHJAX = Path(find_spec("sphinx-mathjax-offline").submodule_search_locations[0], "static/mathjax/tex-svg.js")
 SCRIPT = nbtools.ROOT / "book" / "stills.js"
 WIDTH, HEIGHT = 1280, 720  # pixels, as all that follows
-FULL = 680.0  # of them to be filled
-TEXT, CODE, CAPTION = (33.0, 88), (29.0, 82), (29.0, 104)  # height of a line, letters in it
+FULL = 675.0  # of them to be filled
+TEXT, CODE, OUTPUT, CAPTION = (33.0, 88), (29.0, 82), (29.0, 76), (29.0, 104)  # height of a line, letters in it
 HEADINGS = {"#": 90.0, "##": 75.0, "###": 60.0}
 MARGIN = 16.0
-PICTURE = 300.0  # at least
+PICTURE = 260.0  # at least
 HIDDEN, SOLUTION = "hide-input", "solution"
 EXERCISE = re.compile(r"\*\*\d\d\.\d+ \(")
 LINK = re.compile(r'<a href="(\d\d_\w+)\.ipynb[^"]*">(.*?)</a>')  # to another notebook
@@ -153,7 +153,7 @@ def narrow(codes: list[str]) -> list[str]:
     with TemporaryDirectory() as folder:
         paths = [Path(folder, f"cell_{number}.py") for number in range(len(codes))]
         for path, code in zip(paths, codes, strict=True):
-            path.write_text(code, encoding="utf-8")
+            path.write_text(code.replace("  # fmt: skip", ""), encoding="utf-8")
         command = [sys.executable, "-m", "ruff", "format", "--quiet", "--isolated", f"--line-length={CODE[1]}", folder]
         subprocess.run(command, check=True)
         return [path.read_text(encoding="utf-8").rstrip("\n") for path in paths]
@@ -168,7 +168,7 @@ def height(cell: NotebookNode) -> float:
         return scale * _lines(cell.source, TEXT) + MARGIN
     shown = "" if HIDDEN in cell.metadata.get("tags", []) else cell.source
     captions = [output.get("data", {}).get("text/markdown", "") for output in cell.outputs]
-    texts = [(shown, CODE), *((output.get("text", ""), CODE) for output in cell.outputs)]
+    texts = [(shown, CODE), *((output.get("text", ""), OUTPUT) for output in cell.outputs)]
     texts += [(caption, CAPTION) for caption in captions]
     return PICTURE * has_picture(cell) + sum(_lines(text, kind) + 1.5 * MARGIN for text, kind in texts if text)
 
