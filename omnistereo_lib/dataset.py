@@ -28,11 +28,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import atomic_write, read_bytes, read_image, read_pixels, read_text
+from omnistereo_lib.files import (
+    atomic_write,
+    path_within,
+    read_bytes,
+    read_data,
+    read_image,
+    read_pixels,
+    read_text,
+)
 from omnistereo_lib.geometry.rig import Rig, Unit
 from omnistereo_lib.geometry.sphere import Sampling, SphereGrid
 from omnistereo_lib.rig_files import load_rig
-from omnistereo_lib.rig_files.parse import error_context, parse_file
 
 _CAMERA = r"cam([0-9]+)"
 _RIG_FOLDER = r"([0-9]+)"
@@ -235,11 +242,12 @@ def _gt_root(folder: Path) -> Path:
     config = folder / "config.yaml"
     if not config.is_file() or "truth:" not in read_text(config):  # a set with a rig for each frame has many such files
         return folder
-    try:
-        with error_context(config):
-            root = folder / parse_file(config)["dataset"]["truth"]
-    except (KeyError, TypeError):  # the word stands elsewhere
+    data = read_data(config)
+    settings = data.get("dataset") if isinstance(data, dict) else None
+    truth = settings.get("truth") if isinstance(settings, dict) else None
+    if truth is None:  # the word stands elsewhere
         return folder
+    root = path_within(folder, truth, config, folder.resolve().parent.parent)  # such as sunny/test beside cloudy/test
     if not root.is_dir():
         raise OmnistereoError(f"{config} names {root} as the ground-truth folder; there is no such folder")
     return root

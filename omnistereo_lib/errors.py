@@ -1,4 +1,7 @@
-"""The one error that the library raises for bad input."""
+"""The one error that the library raises for bad input, and the check of a number."""
+
+from numbers import Real
+from typing import Any
 
 
 class OmnistereoError(ValueError):
@@ -7,3 +10,12 @@ class OmnistereoError(ValueError):
     The message names what was given (the file, where there is one), what was found in it, what was expected and what
     to do. The command line prints it as one plain line; everything else that escapes is a bug.
     """
+
+
+def check_number(value: Any, what: str, low: float, high: float, whole: bool = False) -> float:
+    """Return a number of low … high as float, a whole one as int; else the `OmnistereoError` says `what` it is."""
+    valid = isinstance(value, Real) and not isinstance(value, bool) and low <= value <= high
+    if not valid or (whole and value != int(value)):
+        kind = "an integer" if whole else "a number"
+        raise OmnistereoError(f"{what} is {value!r}; expected {kind} of {low} to {high}")
+    return int(value) if whole else float(value)

@@ -1,10 +1,16 @@
-"""File access: errors that name the file, and atomic writes."""
+"""File access: one reader for each format, errors that name the file, atomic writes."""
 
+import json
 import os
+import re
+import stat
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryFile
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,29 +18,124 @@ from numpy.typing import NDArray
 from omnistereo_lib.errors import OmnistereoError
 
 _END_MARKERS = {b"\xff\xd8": b"\xff\xd9", b"\x89P": b"IEND"}  # JPEG and PNG: first bytes → end-of-image marker
+_BROKEN = (ValueError, TypeError, AttributeError, LookupError, ArithmeticError, RecursionError)  # of the two parsers
+_MAX_BYTES = 1 << 30
+_MAX_TEXT = 1 << 24  # bytes; a calibration of 500 boards has 2 million
+_MAX_VALUES = 1_000_000  # of a YAML file, with what its aliases repeat
 
 
-def read_bytes(path: str | Path) -> bytes:
-    """Return the content of a file; an `OmnistereoError` says why it cannot be read."""
+def read_bytes(path: str | Path, most: int = _MAX_BYTES) -> bytes:
+    """Return the content of a regular file of at most `most` bytes; an `OmnistereoError` says why it cannot be read."""
     try:
+        status = os.stat(path)  # opening a pipe would wait for its other end
+        if not stat.S_ISREG(status.st_mode) or status.st_size > most:
+            found = f"has {status.st_size} bytes" if stat.S_ISREG(status.st_mode) else "is a folder, a pipe or a device"
+            raise OmnistereoError(f"{path} {found}; expected a file of at most {most >> 20} MiB. Check the path.")
         return Path(path).read_bytes()
-    except OSError as error:
-        raise OmnistereoError(f"{path} cannot be read: {error.strerror}. Check the path.") from None
+    except (OSError, ValueError) as error:  # a path cannot hold a zero byte
+        if isinstance(error, OmnistereoError):
+            raise
+        reason = getattr(error, "strerror", None) or error
+        raise OmnistereoError(f"{path} cannot be read: {reason}. Check the path.") from None
+
+
+def path_within(folder: Path, name: Any, source: str | Path, root: Path | None = None) -> Path:
+    """Return the path of a name in the file `source`; an `OmnistereoError` says that it leaves `root` (the folder)."""
+    path = folder / str(name)
+    if Path(str(name)).is_absolute() or not path.resolve().is_relative_to((root or folder).resolve()):
+        raise OmnistereoError(f"{source} names {str(name)!r}; expected a path below {root or folder}. Copy it there.")
+    return path
 
 
 def read_text(path: str | Path) -> str:
-    """Return the content of a text file; bytes that are not UTF-8 become replacement characters."""
-    return read_bytes(path).decode("utf-8", errors="replace")
+    """Return the content of a text file in UTF-8, else in Latin-1, which the comments of older programs have."""
+    content = read_bytes(path, _MAX_TEXT)
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("latin-1")
+
+
+def read_data(path: str | Path) -> Any:
+    """Return the content of a JSON (by its suffix) or YAML file as Python values; an OpenCV matrix is a flat list.
+
+    An `OmnistereoError` names what is damaged, stated twice, nested too deeply, or repeated too often by aliases.
+    """
+    import yaml
+
+    text = read_text(path)
+    if Path(path).suffix == ".json":
+        return parse_json(text, path)
+    try:  # OpenCV before 5 writes "%YAML:1.0", which is not valid YAML
+        return _yaml_loader()(re.sub(r"\A\s*%YAML:.*", "", text)).get_single_data()
+    except (yaml.YAMLError, *_BROKEN) as error:
+        raise _damaged(path, error) from None
+
+
+def parse_json(text: str | bytes, source: str | Path) -> Any:
+    """Return JSON as Python values; an `OmnistereoError` names the source, and what is damaged or stated twice."""
+    try:
+        return json.loads(text, object_pairs_hook=_unique)
+    except _BROKEN as error:
+        raise _damaged(source, error) from None
+
+
+def _damaged(source: str | Path, error: Exception) -> OmnistereoError:
+    reason = " ".join(str(error).split())[:300] or type(error).__name__
+    return OmnistereoError(f"{source}: not valid JSON or YAML ({reason}). Check that the file is complete")
+
+
+def _unique(pairs: list[tuple[Any, Any]]) -> dict[Any, Any]:
+    """Return a mapping, none of whose keys may be stated twice."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        keys = [key for key, _ in pairs]
+        raise ValueError(f"{next(key for key in keys if keys.count(key) > 1)!r} is stated twice")
+    return found
+
+
+def _yaml_loader() -> type:
+    """Return a loader in Python, whose recursion is limited: that in C crashes where a file is nested deeply."""
+    import yaml
+
+    class Loader(yaml.SafeLoader):
+        def get_single_node(self) -> Any:
+            node = super().get_single_node()
+            if node is not None and _expanded(node, {}) > _MAX_VALUES:
+                raise yaml.YAMLError(f"aliases repeat more than {_MAX_VALUES} values")
+            return node
+
+        def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+            _unique([(key.value, None) for key, _ in node.value if isinstance(key, yaml.ScalarNode)])
+            return super().construct_mapping(node, deep)
+
+    for tag in ("opencv-matrix", "opencv-nd-matrix"):
+        Loader.add_constructor(
+            f"tag:yaml.org,2002:{tag}", lambda loader, node: loader.construct_mapping(node, deep=True).get("data")
+        )
+    return Loader
+
+
+def _expanded(node: Any, known: dict[int, float]) -> float:
+    """Return the number of values of a YAML node with those of its aliases; infinite if it holds itself."""
+    if id(node) not in known:
+        known[id(node)] = np.inf
+        parts = node.value if isinstance(node.value, list) else []
+        children = (child for part in parts for child in (part if isinstance(part, tuple) else [part]))
+        known[id(node)] = 1 + sum(_expanded(child, known) for child in children)
+    return known[id(node)]
 
 
 def read_pixels(path: str | Path, flags: int) -> NDArray:
     """Decode an image file with OpenCV; `flags` select depth and colour, see `cv2.imdecode`.
 
-    Raises an `OmnistereoError` if the file is missing, not an image, or truncated: OpenCV would fill it with gray.
+    Raises an `OmnistereoError` if the file is missing, not an image, larger than any picture, or truncated: OpenCV
+    would fill it with gray.
     """
     import cv2
 
     content = read_bytes(path)
+    _read_header(path, content)
     end = _END_MARKERS.get(content[:2])
     if end is not None and end not in content[-64:]:
         raise OmnistereoError(f"{path} is truncated ({len(content)} bytes, no end-of-image marker). Copy it again.")
@@ -45,6 +146,30 @@ def read_pixels(path: str | Path, flags: int) -> NDArray:
     if pixels is None:
         raise OmnistereoError(f"{path} is not an image ({len(content)} bytes); expected PNG, JPEG or similar")
     return pixels
+
+
+def _read_header(path: str | Path, content: bytes) -> tuple[int, int] | None:
+    """Return width and height as the header states them, if it can be read; warn of what OpenCV leaves out.
+
+    Raises an `OmnistereoError` if the pixels are too many or no integers.
+    """
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            image = Image.open(BytesIO(content))
+            size, mode, pages = image.size, image.mode, getattr(image, "n_frames", 1)
+    except Image.DecompressionBombError as error:
+        raise OmnistereoError(f"{path} is too large for a picture: {error}") from None
+    except Exception:  # it raises many types for a damaged file; OpenCV decides
+        return None
+    if mode == "F":
+        raise OmnistereoError(f"{path} holds floating-point numbers; expected a picture of 8 or 16 bits")
+    if mode in ("RGBA", "LA", "PA") or pages > 1:
+        left = "transparency" if pages == 1 else f"{pages - 1} more pages"
+        warnings.warn(f"{path} has {left}, which is ignored", stacklevel=4)
+    return size
 
 
 def read_image(path: str | Path) -> NDArray[np.uint8]:
@@ -63,10 +188,10 @@ def read_gray(path: str | Path, image_size: tuple[int, int]) -> NDArray[np.uint8
 
     Raises as `read_pixels`, and if the size differs.
     """
-    image = read_image(path)
-    height, width = image.shape[:2]
+    width, height = _read_header(path, read_bytes(path)) or read_image(path).shape[1::-1]
     if (width, height) != image_size:
         raise OmnistereoError(f"{path} is {width} × {height} px, the camera {image_size[0]} × {image_size[1]} px")
+    image = read_image(path)
     return image if image.ndim == 2 else image.max(-1)
 
 

@@ -1,4 +1,4 @@
-"""Files for other programs, on demand: a mesh, and depth as an equirectangular picture."""
+"""Files for other programs, on demand: a mesh, depth as an equirectangular picture, perspective crops."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import atomic_write
+from omnistereo_lib.files import atomic_write, make_folder
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_tools import mesh
+from omnistereo_tools.crops import write_crops
 from omnistereo_tools.frame import SHARP, FrameResult
 from omnistereo_tools.pictures import sharp_panorama
 from omnistereo_tools.recordings import CODECS
@@ -27,13 +28,14 @@ def check_suffixes(**files: Path | None) -> None:
 
 
 def export_frame(
-    result: FrameResult, mesh_file: Path | None, faces: int | None, equirectangular: Path | None
+    result: FrameResult, mesh_file: Path | None, faces: int | None, equirectangular: Path | None, crops: Path | None
 ) -> list[str]:
     """Write the files that are asked for; return their names, each with what it holds.
 
     Args:
         mesh_file, faces: See `mesh.write_mesh`.
         equirectangular: See `equirectangular_depth`.
+        crops: See `write_crops`.
     """
     written = []
     if mesh_file is not None:
@@ -46,6 +48,9 @@ def export_frame(
         with atomic_write(equirectangular) as temporary:
             tifffile.imwrite(temporary, equirectangular_depth(result.depth), compression="deflate")
         written.append(f"{equirectangular} (metres along the ray)")
+    if crops is not None:
+        count = write_crops(make_folder(crops), result.depth, result.images, result.limits)
+        written.append(f"{crops}/ ({count} perspective crops, transforms.json)")
     return written
 
 

@@ -263,7 +263,7 @@ BAD = {
     "infinite depth": (option("--min-depth", "inf"), r"min_depth is inf and max_depth inf"),
     "NaN depth": (option("--min-depth", "nan"), r"min_depth is nan and max_depth inf"),
     "one sphere": (option("--spheres", 1), r"num_spheres is 1; expected an integer"),
-    "no width": (option("--width", 0), r"width is 0; expected an integer of at least 2"),
+    "no width": (option("--width", 0), r"width is 0; expected an integer of 2 to 1000000"),
     "smaller than the window": (option("--method", "zncc", "--height", 4), r"window is 9; expected at most .* 96 × 4"),
     "out of memory": (option("--width", 200_000, "--height", 50_000), r"200000 × 50000 with 16 spheres needs 13.*GiB"),
     "unknown method": (option("--method", "magic"), r"one of zncc, mccnn, sweepnet, volumenet, got 'magic'"),

@@ -164,9 +164,14 @@ def test_the_first_release_keeps_one_ground_truth_for_all_weathers(tmp_path):
 def test_a_set_in_another_light_points_to_the_ground_truth_of_its_drive(tmp_path):
     sunny = save(tmp_path / "sunny", [1])
     cloudy = save(tmp_path / "cloudy", [1], gt=None)
-    with (cloudy / "config.yaml").open("a") as config:
-        config.write("dataset: {truth: ../sunny}\n")
+    config = cloudy / "config.yaml"
+    config.write_text(config.read_text().replace("dataset: {", "dataset: {truth: ../sunny, "))
     assert osl.load_dataset(cloudy)[0].gt_path.samefile(osl.load_dataset(sunny)[0].gt_path)
+    for outside in ("/etc", "../../.."):
+        other = cloudy / "config.yaml"
+        other.write_text(config.read_text().replace("../sunny", outside))
+        refuses(r"config.yaml names '.*'; expected a path below", cloudy)
+        other.write_text(config.read_text().replace(outside, "../sunny"))
     sunny.rename(tmp_path / "away")
     refuses(r"names .*sunny as the ground-truth folder; there is no such folder", cloudy)
 

@@ -1,12 +1,14 @@
 """The checkerboard: its corners and its symmetries."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.errors import OmnistereoError, check_number
 from omnistereo_lib.geometry.pose import Pose
 
 
@@ -25,13 +27,13 @@ class Checkerboard:
     square: float  #: edge of a square, metres
 
     def __post_init__(self) -> None:
-        if len(self.corners) != 2 or not all(count % 1 == 0 and 3 <= count <= 200 for count in self.corners):
+        counts = list(self.corners) if isinstance(self.corners, Sequence) else []
+        if len(counts) != 2 or not all(isinstance(n, Real) and 3 <= n <= 200 and n % 1 == 0 for n in counts):
             raise OmnistereoError(
                 f"board corners are {self.corners}; expected two integers of 3 to 200, inner columns and rows"
             )
-        if not 1e-4 <= self.square <= 100:
-            raise OmnistereoError(f"the square is {self.square} m; expected its edge in metres, 0.0001 to 100")
-        object.__setattr__(self, "corners", (int(self.corners[0]), int(self.corners[1])))
+        object.__setattr__(self, "corners", (int(counts[0]), int(counts[1])))
+        object.__setattr__(self, "square", check_number(self.square, "the square (its edge in metres)", 1e-4, 100))
 
     def __str__(self) -> str:
         columns, rows = self.corners

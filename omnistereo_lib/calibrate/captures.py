@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from omnistereo_lib.calibrate.board import Checkerboard
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import atomic_write, read_bytes, read_image
+from omnistereo_lib.files import atomic_write, read_data, read_image
 from omnistereo_lib.geometry.pose import Floats
-from omnistereo_lib.rig_files.parse import parse_ints
+from omnistereo_lib.rig_files.parse import error_context, parse_floats, parse_size, require_key, require_list
 
 _SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".webp"}  # not TIFF: data sets keep ground truth in it
 
@@ -83,7 +83,7 @@ def _images(folder: Path) -> dict[str, Path]:
 
 def _natural(name: str) -> list[tuple[int, str]]:
     """Sort by the numbers in a name, so that cam10 comes after cam2."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
+    return [(int(part), "") if re.fullmatch("[0-9]+", part) else (-1, part) for part in re.split("([0-9]{1,18})", name)]
 
 
 def save_corners(
@@ -112,37 +112,24 @@ def load_corners(path: str | Path) -> tuple[dict[str, Floats | None], Checkerboa
 
     Raises an `OmnistereoError` if the file is missing, not YAML or incomplete; the message names the view.
     """
-    import yaml
-
-    path = Path(path)
-    try:
-        content = yaml.safe_load(read_bytes(path).decode("utf-8"))
-        board = Checkerboard(tuple(content["board"]["corners"]), float(content["board"]["square"]))
-        width, height = size = parse_ints(content["image_size"], "image_size", 2)
-        if not (16 <= width <= 100_000 and 16 <= height <= 100_000):
-            raise OmnistereoError(f"image_size is {[width, height]}; expected width and height, 16 to 100000 px")
-        views = {str(name): _corners_of(value, name, board, size) for name, value in content["views"].items()}
-    except OmnistereoError as error:
-        raise OmnistereoError(f"{path}: {error}") from error
-    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, ValueError, AttributeError) as error:
-        raise OmnistereoError(
-            f"{path}: not a corner file ({type(error).__name__}: {error}); expected board, image_size and views"
-        ) from error
-    return views, board, size
+    with error_context(path):
+        content = read_data(path)
+        board = require_key(content, "board")
+        board = Checkerboard(tuple(require_list(board, "corners")), require_key(board, "square"))
+        image_size = parse_size(require_key(content, "image_size"), "image_size")
+        views = require_key(content, "views")
+        if not isinstance(views, dict):
+            raise OmnistereoError(f"views is {views!r:.80}; expected the corners by the name of the image")
+        views = {str(name): _corners_of(value, name, board, image_size) for name, value in views.items()}
+    return views, board, image_size
 
 
-def _corners_of(value: Any, name: str, board: Checkerboard, size: tuple[int, int]) -> Floats | None:
+def _corners_of(value: Any, name: str, board: Checkerboard, image_size: tuple[int, int]) -> Floats | None:
     if value is None:
         return None
-    corners = np.array(value, np.float64)
-    if corners.shape != board.points[:, :2].shape:
-        raise OmnistereoError(
-            f"view {name}: corners of shape {corners.shape}, expected {len(board.points)} pairs of u and v"
-        )
-    outside = ((corners < -1) | (corners > size)).any(axis=1)
+    corners = parse_floats(value, f"view {name}", 2 * len(board.points), may_be_nan=True).reshape(-1, 2)
+    outside = (corners < -1) | (corners > image_size)
     if outside.any():
-        raise OmnistereoError(
-            f"view {name}: corner {outside.argmax() + 1} is {corners[outside.argmax()].tolist()}, outside the image of "
-            f"{size[0]} × {size[1]} px. Correct it, or put [.nan, .nan]"
-        )
+        corner = corners[outside.any(1)][0].tolist()
+        raise OmnistereoError(f"view {name}: corner {corner} lies outside the image of {image_size} px. Write .nan")
     return corners

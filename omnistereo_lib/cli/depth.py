@@ -32,6 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--equirectangular", type=Path, metavar="FILE", help="write depth as 2:1 TIFF, for 360° viewers"
     )
+    parser.add_argument("--crops", type=Path, metavar="FOLDER", help="perspective crops with depth and transforms.json")
     of_recording = parser.add_argument_group("recordings")
     of_recording.add_argument("--start", type=int, default=0, metavar="N", help="first frame number (default: 0)")
     of_recording.add_argument("--stop", type=int, metavar="N", help="frame number to stop before (default: the end)")
@@ -74,7 +75,7 @@ def _run_frame(options: argparse.Namespace) -> None:
     limits = Limits.of(depth, options.max_depth, options.min_confidence)
     result = FrameResult(depth, images, limits, options.method, gt_index)
     written = result.write(out)
-    written += export_frame(result, options.mesh, options.mesh_faces, options.equirectangular)
+    written += export_frame(result, options.mesh, options.mesh_faces, options.equirectangular, options.crops)
     print("\n".join(result.sentences()))
     print(f"written to {out}/: {', '.join(written)}")
 

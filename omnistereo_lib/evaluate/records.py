@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import atomic_write, make_folder, read_bytes
+from omnistereo_lib.files import atomic_write, make_folder, read_data
 
 Record = dict[str, Any]  # nested, with strings as keys; what JSON holds
 _INPUTS = ("config", "methods", "data", "weights")
@@ -36,10 +36,7 @@ def write_record(path: Path, record: Record) -> None:
 
 def read_record(path: Path) -> Record:
     """Read a record; an `OmnistereoError` says that the file is missing or not one of `write_record`."""
-    try:
-        record = json.loads(read_bytes(path))
-    except ValueError as error:
-        raise OmnistereoError(f"{path} is damaged ({error}). Delete it and evaluate again.") from None
+    record = read_data(path)
     if not isinstance(record, dict) or not {*_INPUTS, "frames"} <= record.keys():
         raise OmnistereoError(f"{path} has no results of an evaluation. Delete it, or choose another folder.")
     return record

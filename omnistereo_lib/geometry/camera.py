@@ -14,7 +14,7 @@ centres, (0, 0) is the centre of the top-left pixel. Files store (row, column); 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from types import ModuleType
 from typing import Any, ClassVar
@@ -23,10 +23,11 @@ import numpy as np
 from numpy.polynomial.polynomial import polyder
 from numpy.typing import ArrayLike, NDArray
 
-from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.errors import OmnistereoError, check_number
 
 Array = Any  # a NumPy array or a torch tensor: both have every operation used here
 
+MAX_SIDE = 100_000  # px
 _INVERSE_TOLERANCE = 0.01  # px, the tolerance of OCamCalib
 _EDGE = 1e-6  # px; keeps the corner pixels inside the image after the rounding of a round trip
 _NEWTON_STEPS = 4  # starting from 1024 samples, the error falls 1e-3 → 1e-6 → 1e-12 → rounding
@@ -64,21 +65,24 @@ class OcamCamera:
     def _check(self) -> None:
         for name in ("poly", "inv_poly"):
             coefficients = getattr(self, name)
-            if coefficients.ndim != 1 or len(coefficients) < 2 or not np.isfinite(coefficients).all():
-                raise OmnistereoError(f"{name} is {coefficients.tolist()}; expected at least 2 finite coefficients")
-        width, height = self.image_size
-        if not (width >= 2 and height >= 2 and width % 1 == 0 and height % 1 == 0):
-            raise OmnistereoError(f"image_size is {self.image_size}; expected two integers of at least 2 px")
-        if not 0 < self.max_fov_deg <= 360:
-            raise OmnistereoError(f"max_fov_deg is {self.max_fov_deg}; expected a value in (0, 360]")
-        if not np.isfinite([*self.center, *self.affine]).all():
-            raise OmnistereoError(f"center is {self.center} and affine {self.affine}; expected finite numbers")
+            if coefficients.ndim != 1 or not 2 <= len(coefficients) <= 64 or not np.isfinite(coefficients).all():
+                raise OmnistereoError(f"{name} is {str(coefficients)[:200]}; expected 2 to 64 finite coefficients")
+        width, height = (check_number(side, "image_size", 2, MAX_SIDE, whole=True) for side in _all(self.image_size, 2))
+        check_number(self.max_fov_deg, "max_fov_deg", 1, 360)
+        for name, count, most in (("center", 2, 10 * MAX_SIDE), ("affine", 3, 100)):
+            for number in _all(getattr(self, name), count):
+                check_number(number, name, -most, most)
         if abs(np.linalg.det(self._A)) < 1e-6:
             raise OmnistereoError(f"the affine map c, d, e = {self.affine} is singular; expected about (1, 0, 0)")
         if self.poly[0] >= 0:
             raise OmnistereoError(f"poly starts with {self.poly[0]}; expected a0 < 0 (minus the focal length in px)")
         if self.mask is not None and self.mask.shape != (height, width):
             raise OmnistereoError(f"mask has shape {self.mask.shape}; expected (height, width) = {(height, width)}")
+
+        with np.errstate(all="ignore"):
+            radii = _horner(self.inv_poly, np.linspace(-np.pi / 2, self._max_t, 64))
+        if not (np.abs(radii) < 100 * MAX_SIDE).all():
+            raise OmnistereoError(f"inv_poly reaches {np.abs(radii).max():.3g} px; expected radii as in an image")
 
     @property
     def _A(self) -> NDArray[np.float64]:
@@ -272,6 +276,12 @@ def _horner(coefficients: NDArray[np.float64], x: Array) -> Array:
         value = value * x
         value += float(coefficient)
     return value
+
+
+def _all(values: Any, count: int) -> tuple:
+    if not isinstance(values, Sequence | np.ndarray) or len(values) != count:
+        raise OmnistereoError(f"found {values!r}; expected {count} numbers")
+    return tuple(values)
 
 
 def _namespace(a: Array) -> ModuleType:

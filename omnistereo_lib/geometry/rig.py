@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from numbers import Integral
 from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.errors import OmnistereoError, check_number
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
 
@@ -40,6 +41,12 @@ class Rig:
                 f"the rig has {len(self.cameras)} cameras and {len(self.T_rig_cam)} poses; "
                 f"expected at least 2 cameras and one pose per camera"
             )
+        for i, (camera, pose) in enumerate(zip(self.cameras, self.T_rig_cam, strict=True), 1):
+            if not (isinstance(camera, OcamCamera) and isinstance(pose, Pose)):
+                raise OmnistereoError(f"camera {i} is {camera!r:.40}, {pose!r:.40}; expected an OcamCamera and a Pose")
+            check_number(float(np.abs(pose.t).max()), f"the distance of camera {i} from the origin, metres,", 0, 1000)
+        if self.min_depth is not None:
+            check_number(self.min_depth, "the nearest depth in metres (min_depth, omnimvs_sweep_min_depth)", 1e-6, 1e6)
 
     def __len__(self) -> int:
         return len(self.cameras)
@@ -90,13 +97,14 @@ def camera_pairs(pairs: Pairs, rig: Rig) -> list[tuple[int, int]]:
         return list(combinations(range(len(rig)), 2))
     if isinstance(pairs, str):
         raise OmnistereoError(f'pairs is {pairs!r}; expected "ring", "all" or a list of camera pairs')
-    chosen = [(int(i), int(j)) for i, j in pairs]
-    for i, j in chosen:
-        if i == j or not (0 <= i < len(rig) and 0 <= j < len(rig)):
-            raise OmnistereoError(f"pairs has {(i, j)}; expected two different cameras of 0 to {len(rig) - 1}")
+    chosen = list(pairs) if isinstance(pairs, Sequence | np.ndarray) else [pairs]
+    for pair in chosen:
+        two = isinstance(pair, Sequence | np.ndarray) and len(pair) == 2 and pair[0] != pair[1]
+        if not (two and all(isinstance(i, Integral) and 0 <= i < len(rig) for i in pair)):
+            raise OmnistereoError(f"pairs has {pair!r}; expected two different cameras of 0 to {len(rig) - 1}")
     if not chosen:
         raise OmnistereoError("pairs is empty; expected at least one camera pair")
-    return chosen
+    return [(int(i), int(j)) for i, j in chosen]
 
 
 def _neighbours(rig: Rig) -> list[tuple[int, int]]:

@@ -7,9 +7,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.errors import OmnistereoError, check_number
 
 Sampling = Literal["center", "sweepnet", "omnimvs"]
+
+
+_MAX_SIDE = 1_000_000
 
 
 class _Sampling(NamedTuple):
@@ -46,10 +49,7 @@ class SphereGrid:
 
     def __post_init__(self) -> None:
         for name in ("width", "height", "num_spheres"):
-            value = getattr(self, name)
-            if not (isinstance(value, Real) and value >= 2 and value % 1 == 0):
-                raise OmnistereoError(f"{name} is {value!r}; expected an integer of at least 2")
-            object.__setattr__(self, name, int(value))
+            object.__setattr__(self, name, check_number(getattr(self, name), name, 2, _MAX_SIDE, whole=True))
         phi = tuple(np.atleast_1d(self.phi_deg).tolist())  # a list would make the grid unhashable
         if not (len(phi) == 2 and all(isinstance(angle, Real) for angle in phi) and -90 <= phi[0] < phi[1] <= 90):
             raise OmnistereoError(f"phi_deg is {self.phi_deg}; expected two angles, -90 ≤ first < last ≤ 90 (down > 0)")

@@ -10,7 +10,7 @@ from omnistereo_lib.files import read_gray
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.rig_files.camera_models import fit_camera
-from omnistereo_lib.rig_files.parse import error_context, parse_floats, parse_ints, require_key, require_list
+from omnistereo_lib.rig_files.parse import error_context, parse_floats, parse_size, require_key, require_list
 
 
 def read_basalt(data: dict[str, Any], path: Path, max_fov_deg: float | None) -> Rig:
@@ -26,7 +26,7 @@ def read_basalt(data: dict[str, Any], path: Path, max_fov_deg: float | None) -> 
     for i, (pose, model, size) in enumerate(zip(poses, intrinsics, sizes, strict=True)):
         with error_context(f"camera {i}"):
             T_rig_cam.append(_pose_from_quaternion(pose))
-            image_size = parse_ints(size, "resolution", 2)
+            image_size = parse_size(size, "resolution")
             mask_file = path.parent / f"cam{i}" / "mask.png"
             mask = read_gray(mask_file, image_size) >= 128 if mask_file.exists() else None
             values = require_key(model, "intrinsics")

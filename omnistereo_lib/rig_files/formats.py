@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import atomic_write, make_folder
+from omnistereo_lib.files import atomic_write, make_folder, read_data
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.rig_files.basalt import read_basalt
 from omnistereo_lib.rig_files.camera_models import fit_kannala_brandt
@@ -15,7 +15,7 @@ from omnistereo_lib.rig_files.kalibr import kalibr_text, read_kalibr
 from omnistereo_lib.rig_files.ocam import read_ocam_folder
 from omnistereo_lib.rig_files.omnimvs import read_omnimvs
 from omnistereo_lib.rig_files.opencv import opencv_cameras, opencv_text, read_opencv
-from omnistereo_lib.rig_files.parse import METRES_PER_UNIT, error_context, parse_file
+from omnistereo_lib.rig_files.parse import METRES_PER_UNIT, error_context
 
 _log = logging.getLogger("omnistereo_lib")
 
@@ -74,7 +74,7 @@ def _read_file(path: Path, unit: str | None, max_fov_deg: float | None) -> tuple
     """Return the rig in a file and the name of its format."""
     if path.suffix == ".txt":
         raise OmnistereoError(f"a text file holds one camera or the poses. Pass the folder of a rig; {_SUPPORTED}")
-    data = parse_file(path)
+    data = read_data(path)
     format_name = _detect_format(data)
     if format_name == "OpenCV fisheye":
         return read_opencv(data, path, max_fov_deg, unit), format_name

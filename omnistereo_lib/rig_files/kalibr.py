@@ -11,7 +11,7 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.rig_files.camera_models import fit_camera
-from omnistereo_lib.rig_files.parse import error_context, parse_floats, parse_ints, require_key, to_yaml
+from omnistereo_lib.rig_files.parse import error_context, parse_floats, parse_size, require_key, to_yaml
 
 _RADTAN, _EQUIDISTANT = ("k1", "k2", "p1", "p2"), ("k1", "k2", "k3", "k4")
 # (camera_model, distortion_model) → our model, its parameters in file order: intrinsics, distortion_coeffs
@@ -35,7 +35,7 @@ def read_kalibr(data: dict[str, Any], path: Path, max_fov_deg: float | None) -> 
                 T_cam_previous = _pose_from_matrix(require_key(cam, "T_cn_cnm1"))
                 T_rig_cam.append(T_rig_cam[-1] @ T_cam_previous.inverse())
             model, parameters = _parse_model(cam)
-            image_size = parse_ints(require_key(cam, "resolution"), "resolution", 2)
+            image_size = parse_size(require_key(cam, "resolution"), "resolution")
             cameras.append(fit_camera(f"{path}, {name}", model, parameters, image_size, max_fov_deg))
     return Rig(cameras, T_rig_cam)
 

@@ -19,7 +19,7 @@ from omnistereo_lib.geometry.camera import OcamCamera, fit_inverse_polynomial
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.rig_files.camera_models import DEFAULT_FOV_DEG
-from omnistereo_lib.rig_files.parse import error_context, metres_per_unit, parse_floats, parse_ints
+from omnistereo_lib.rig_files.parse import error_context, metres_per_unit, parse_axis_angle, parse_floats, parse_size
 
 _log = logging.getLogger("omnistereo_lib")
 
@@ -108,8 +108,7 @@ def parse_pose(values: Any, camera: int) -> Pose:
     """Return the pose of six numbers rx ry rz tx ty tz, camera → rig; errors name the camera."""
     with error_context(f"camera {camera}"):
         vector = parse_floats(values, "the pose rx ry rz tx ty tz", 6)
-        if not np.abs(vector[:3]).max() <= 2 * np.pi:
-            raise OmnistereoError(f"the rotation {vector[:3].tolist()} exceeds 2π; expected radians")
+        parse_axis_angle(vector[:3], "the rotation")
         return Pose.from_vector(vector)
 
 
@@ -132,7 +131,7 @@ def ocam_camera(
     poly = _counted(records["poly"], "the direct polynomial")
     row, column = parse_floats(records["center"], "the centre (row, column)", 2).tolist()
     affine = tuple(parse_floats(records["affine"], "the affine map c d e", 3).tolist())
-    height, width = parse_ints(records["image_size"], "the image size (height, width)", 2)
+    height, width = parse_size(records["image_size"], "the image size (height, width)")
     if not (0 <= row < height and 0 <= column < width):
         raise OmnistereoError(
             f"the centre, row {row:g} and column {column:g}, lies outside the image of height {height} and "

@@ -24,8 +24,9 @@ from omnistereo_lib.rig_files.camera_models import fit_camera
 from omnistereo_lib.rig_files.parse import (
     error_context,
     metres_per_unit,
+    parse_axis_angle,
     parse_floats,
-    parse_ints,
+    parse_size,
     require_key,
     to_yaml,
 )
@@ -55,7 +56,7 @@ def read_opencv(data: dict[str, Any], path: Path, max_fov_deg: float | None, uni
             parameters, sized = _parse_intrinsics(cam), _with_standard_keys(data) | cam
             size = sized.get("image_size")
             size = [require_key(sized, f"image_{side}") for side in ("width", "height")] if size is None else size
-            image_size = parse_ints(size, "image_size", 2)
+            image_size = parse_size(size, "image_size")
             cameras.append(fit_camera(f"{path}, camera {name}", "kb4", parameters, image_size, max_fov_deg))
     return Rig(cameras, [Pose(pose.R, pose.t * scale) for pose in T_rig_cam])
 
@@ -91,7 +92,7 @@ def _parse_pose(cam: dict[str, Any], first: bool) -> Pose:
     R = parse_floats(require_key(cam, "R"), "R")
     if R.size not in (3, 9):
         raise OmnistereoError(f"R has {R.size} numbers; expected a 3 × 3 matrix or an axis-angle of 3 numbers")
-    R = R.reshape(3, 3) if R.size == 9 else rotation_from_axis_angle(R)
+    R = R.reshape(3, 3) if R.size == 9 else rotation_from_axis_angle(parse_axis_angle(R, "R"))
     return Pose(R, parse_floats(require_key(cam, "T"), "T", 3))
 
 

@@ -1,7 +1,5 @@
-"""Values of rig files: JSON and YAML as Python values, and errors that name the file, the camera and the key."""
+"""Values of rig files, and errors that name the file, the camera and the key."""
 
-import json
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import read_text
+from omnistereo_lib.errors import OmnistereoError, check_number
+from omnistereo_lib.geometry.camera import MAX_SIDE
 
 METRES_PER_UNIT = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 
@@ -22,31 +20,8 @@ def error_context(source: str | Path) -> Iterator[None]:
     try:
         yield
     except OmnistereoError as error:
-        if str(error).startswith(str(source)):  # it says so itself
-            raise
-        raise OmnistereoError(f"{source}: {error}") from None
-
-
-def parse_file(path: Path) -> Any:
-    """Return the content of a JSON or YAML file as Python values; an OpenCV matrix becomes a flat list."""
-    import yaml
-
-    class Loader(yaml.SafeLoader):
-        pass
-
-    for tag in ("opencv-matrix", "opencv-nd-matrix"):
-        Loader.add_constructor(
-            f"tag:yaml.org,2002:{tag}", lambda loader, node: loader.construct_mapping(node, deep=True).get("data")
-        )
-    text = read_text(path)
-    try:
-        if path.suffix == ".json":
-            return json.loads(text)
-        # OpenCV before 5 writes "%YAML:1.0", which is not valid YAML.
-        return Loader(re.sub(r"\A\s*%YAML:.*", "", text)).get_single_data()
-    except (yaml.YAMLError, ValueError, TypeError, AttributeError, RecursionError) as error:
-        reason = str(error).replace("\n", " ") or type(error).__name__
-        raise OmnistereoError(f"not valid JSON or YAML ({reason}). Check that the file is complete") from None
+        named = str(error).startswith(str(source))
+        raise OmnistereoError(str(error) if named else f"{source}: {error}") from None
 
 
 def to_yaml(data: dict[str, Any]) -> str:
@@ -73,25 +48,31 @@ def require_list(mapping: Any, key: str) -> list[Any]:
     return value
 
 
-def parse_floats(values: Any, name: str, count: int | None = None) -> NDArray[np.float64]:
+def parse_floats(values: Any, name: str, count: int | None = None, may_be_nan: bool = False) -> NDArray[np.float64]:
     """Return a value as a flat float64 array of `count` finite numbers; "1e-3", which is text in YAML, is accepted."""
     try:
         array = np.asarray(values, np.float64).ravel()
     except (TypeError, ValueError, OverflowError):
         raise OmnistereoError(f"{name} must be numbers, found {_shortened(values)}") from None
-    if not np.isfinite(array).all():
+    if not (np.isfinite(array) | (np.isnan(array) & may_be_nan)).all():
         raise OmnistereoError(f"{name} must be finite numbers, found {_shortened(values)}")
     if count is not None and len(array) != count:
         raise OmnistereoError(f"{name} must be {count} numbers, found {len(array)}: {_shortened(values)}")
     return array
 
 
-def parse_ints(values: Any, name: str, count: int) -> tuple[int, ...]:
-    """Return a value as `count` integers; 768.0 is accepted, 768.5 is not."""
-    array = parse_floats(values, name, count)
-    if (array != np.round(array)).any():
-        raise OmnistereoError(f"{name} must be integers, found {_shortened(values)}")
-    return tuple(int(value) for value in array)
+def parse_size(values: Any, name: str) -> tuple[int, int]:
+    """Return a value as the size of an image, two integers; 768.0 is accepted, 768.5 is not."""
+    sides = parse_floats(values, name, 2).tolist()
+    return tuple(check_number(side, name, 2, MAX_SIDE, whole=True) for side in sides)
+
+
+def parse_axis_angle(values: Any, name: str) -> NDArray[np.float64]:
+    """Return a rotation as an axis-angle of three numbers in radians; degrees are refused."""
+    r = parse_floats(values, name, 3)
+    if not np.abs(r).max() <= 2 * np.pi:
+        raise OmnistereoError(f"{name} {r.tolist()} exceeds 2π; expected radians")
+    return r
 
 
 def metres_per_unit(unit: str | None, positions: NDArray[np.float64]) -> float:

@@ -13,7 +13,7 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import atomic_write
+from omnistereo_lib.files import atomic_write, parse_json
 
 BUNDLED_WEIGHTS = Path(__file__).resolve().parents[1] / "weights"
 
@@ -82,7 +82,9 @@ def save_tensors(path: str | Path, tensors: Mapping[str, Tensor], metadata: Mapp
     _check_finite(path, tensors)
     content = save(tensors, {"about": json.dumps(metadata), "sha256": _checksum(tensors)})
     (length,) = struct.unpack("<Q", content[:8])
-    header = json.dumps(json.loads(content[8 : 8 + length]), sort_keys=True).encode()  # `save` orders it at random
+    header = json.dumps(
+        parse_json(content[8 : 8 + length], path), sort_keys=True
+    ).encode()  # `save` orders it at random
     header += b" " * (-len(header) % 8)  # the tensors stay aligned
     with atomic_write(path) as temporary:
         temporary.write_bytes(struct.pack("<Q", len(header)) + header + content[8 + length :])
@@ -108,7 +110,10 @@ def load_tensors(path: str | Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     if _checksum(tensors) != header["sha256"]:
         raise OmnistereoError(f"{path} has changed since it was written (checksum). Copy it again.")
     _check_finite(path, tensors)
-    return tensors, json.loads(header["about"])
+    metadata = parse_json(header["about"], path)
+    if not isinstance(metadata, dict):
+        raise OmnistereoError(f"{path} was not written by this library: its metadata is {header['about']:.80}")
+    return tensors, metadata
 
 
 def _check_finite(path: str | Path, tensors: Mapping[str, Tensor]) -> None:

@@ -81,7 +81,7 @@ def test_index_and_depth_are_inverse(num_spheres, min_depth, ratio, part):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"width": 1}, "width is 1; expected an integer of at least 2"),
+        ({"width": 1}, "width is 1; expected an integer of 2 to 1000000"),
         ({"width": 96.5}, "width is 96.5"),
         ({"height": np.nan}, "height is nan"),
         ({"num_spheres": 1}, "num_spheres is 1"),

@@ -109,7 +109,7 @@ def test_polynomials_that_disagree_are_told(tmp_path):
         (OCAM_TXT.replace(f"{C} {D} {E}", f"{C} {D}"), "affine map c d e must be 3 numbers, found 2"),
         (OCAM_TXT.replace(f"{C} {D} {E}", f"{C} {D} five"), "affine map c d e must be numbers, found .*five"),
         (OCAM_TXT.replace(f"{C} {D} {E}", f"{C} {D} nan"), "finite"),
-        (OCAM_TXT.replace(f"{SIZE[1]} {SIZE[0]}", "768.5 800"), "must be integers"),
+        (OCAM_TXT.replace(f"{SIZE[1]} {SIZE[0]}", "768.5 800"), "expected an integer of 2 to 100000"),
         (OCAM_TXT.replace(f"{SIZE[1]} {SIZE[0]}", f"{SIZE[1]} 80"), "lies outside the image.*complete"),
         (OCAM_TXT.replace("\n3 -", "\n3 "), "poly starts with 140.0; expected a0 < 0"),
         (
@@ -199,13 +199,17 @@ def test_omnimvs_config(tmp_path, caplog):
     mask = np.zeros(SIZE[::-1], np.uint8)
     mask[:, :300] = 1  # the released code writes 0 and 1
     cv2.imwrite(str(tmp_path / "mask2.png"), mask)
+    with pytest.raises(OmnistereoError, match=r"the masks mask1.png, mask3.png are named, but missing"):
+        Rig.load(dump(tmp_path / "config.yaml", omnimvs()))
+    for name in ("mask1.png", "mask3.png"):
+        cv2.imwrite(str(tmp_path / name), 0 * mask)
     with caplog.at_level(logging.INFO, "omnistereo_lib"):
         rig = Rig.load(dump(tmp_path / "config.yaml", omnimvs()))
     assert "OmniMVS config.yaml, 3 cameras" in caplog.text
     assert rig.min_depth == 1.65 and rig.cameras[0].max_fov_deg == 200
     np.testing.assert_allclose(rig.centers, [[0, 0, 0.6], [0.6, 0, 0], [0, 0, -0.6]], atol=1e-15)
     same_camera(rig.cameras[0], stereographic(max_fov_deg=200))
-    assert rig.cameras[0].mask is None
+    assert rig.cameras[0].mask.all()
     np.testing.assert_array_equal(rig.cameras[1].mask, mask == 0)  # true is outside
     assert Rig.load(tmp_path).min_depth == 1.65
     assert Rig.load(tmp_path, unit="m", max_fov_deg=150).cameras[0].max_fov_deg == 150
@@ -263,7 +267,12 @@ def test_saved_rigs_come_back(tmp_path):
     poses = [Pose.from_vector(theta) for theta in np.random.default_rng(1).normal(size=(3, 6))]
     rig = Rig([CAMERA, stereographic(mask=mask), stereographic(max_fov_deg=123.4)], poses, min_depth=1 / 3)
     rig.save(tmp_path / "rig.yaml")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["rig.yaml", "rig_mask2.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "rig.yaml",
+        "rig_mask1.png",
+        "rig_mask2.png",
+        "rig_mask3.png",
+    ]
     back = Rig.load(tmp_path / "rig.yaml")
     assert back.min_depth == rig.min_depth
     for ours, theirs, T, T_too in zip(back.cameras, rig.cameras, back.T_rig_cam, poses, strict=True):
@@ -273,7 +282,7 @@ def test_saved_rigs_come_back(tmp_path):
             assert getattr(ours, name) == getattr(theirs, name)
         np.testing.assert_allclose(T.R, T_too.R, atol=1e-15)
         np.testing.assert_array_equal(T.t, T_too.t)
-    assert back.cameras[0].mask is None
+    assert back.cameras[0].mask.all()
     np.testing.assert_array_equal(back.cameras[1].mask, mask)
     rig.with_poses(poses).save(tmp_path / "rig.yaml")  # over itself
     Rig([CAMERA, CAMERA], poses[:2]).save(tmp_path / "rig.yaml")

@@ -1,0 +1,54 @@
+"""Perspective crops: what a pinhole at the place of the camera sees of the box, its depth, its pose."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+import scene
+
+import omnistereo_lib as osl
+from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_tools.crops import write_crops
+from omnistereo_tools.points import Limits
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return scene.rig()
+
+
+@pytest.fixture(scope="module")
+def written(rig, tmp_path_factory):
+    grid = osl.SphereGrid(320, 160, (-90, 90), num_spheres=64, min_depth=0.6)
+    index = scene.true_index(rig, grid).astype(np.float32)
+    depth = osl.Depth(index, np.ones_like(index), SphereSweep(rig, grid))
+    folder = tmp_path_factory.mktemp("crops")
+    assert write_crops(folder, depth, scene.images(rig, finest=0.25), Limits(100.0, 0.0)) == 12
+    return folder
+
+
+def test_each_crop_is_what_a_pinhole_sees(rig, written):
+    transforms = json.loads((written / "transforms.json").read_text())
+    assert transforms["camera_model"] == "PINHOLE" and len(transforms["frames"]) == 12
+    center = np.mean([pose.t for pose in rig.T_rig_cam], 0)
+    for frame in transforms["frames"][::5]:
+        image = cv2.imread(str(written / frame["file_path"]), cv2.IMREAD_GRAYSCALE)
+        z = cv2.imread(str(written / frame["depth_file_path"]), cv2.IMREAD_UNCHANGED) / 1000
+        assert z.shape == image.shape == (frame["h"], frame["w"])
+        # The rays of an OpenGL camera: x right, y up, looking along -z.
+        u, v = np.meshgrid(np.arange(frame["w"]) + 0.5, np.arange(frame["h"]) + 0.5)
+        rays = np.stack([(u - frame["cx"]) / frame["fl_x"], -(v - frame["cy"]) / frame["fl_y"], -np.ones_like(u)], -1)
+        matrix = np.array(frame["transform_matrix"])
+        down = np.array([1, -1, -1])  # the world of the file has y up
+        origin, directions = matrix[:3, 3] * down + center, rays @ matrix[:3, :3].T * down
+        unit = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+        distance = scene.distance(origin, unit)
+        true_z = distance / np.linalg.norm(directions, axis=-1)
+        known = z > 0
+        assert known.mean() > 0.97
+        assert np.quantile(np.abs(z / true_z - 1)[known], 0.95) < 0.02
+        assert np.min(np.linalg.norm([pose.t - origin for pose in rig.T_rig_cam], axis=-1)) < 1e-9
+        expected = scene.texture(origin + unit * distance[..., None], finest=0.25)
+        inner = slice(20, -20)
+        assert np.abs(image[inner, inner] - expected[inner, inner]).mean() < 2  # of 255, interpolated
