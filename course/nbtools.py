@@ -238,7 +238,7 @@ def _numbers(nb: nbformat.NotebookNode) -> Iterator[str]:
 
 def _sentences(nb: nbformat.NotebookNode) -> Iterator[str]:
     """What has to be true: not names, not the paper's own figures; of formulas the decimal numbers alone."""
-    for text in _prose(nb):
+    for text in prose(nb):
         text = FORMULA.sub(lambda formula: " ".join(re.findall(r"\d+\.\d+", formula[0])), NAMES.sub(" ", text))
         yield from (sentence for sentence in SENTENCE_END.split(text) if not re.search(r"\bpaper\b", sentence))
 
@@ -257,7 +257,7 @@ def _is_carried(word: str, unit: str, carried: set[Decimal]) -> bool:
     return any(abs(scale * number - value) <= half_a_digit for number in carried for scale in scales)
 
 
-def _prose(nb: nbformat.NotebookNode) -> Iterator[str]:
+def prose(nb: nbformat.NotebookNode) -> Iterator[str]:
     """Text cells and captions."""
     yield from (cell.source for cell in nb.cells if cell.cell_type == "markdown")
     for cell in code_cells(nb):

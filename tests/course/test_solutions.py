@@ -3,6 +3,7 @@
 import ast
 import inspect
 import re
+import runpy
 
 import nbformat
 import pytest
@@ -152,8 +153,8 @@ def test_command_writes_notebooks_that_ran_and_find_the_data(tiny, monkeypatch, 
 
 @pytest.mark.parametrize(("source", "said"), [("return x", "not yet: twice"), ("return x / 0", "ZeroDivisionError")])
 def test_command_writes_no_wrong_solution(tiny, monkeypatch, source, said):
-    monkeypatch.setattr(solve, "ANSWERS", {"double": double})
-    monkeypatch.setattr(solve.inspect, "getsource", lambda _: f"def double(x):\n    {source}")
+    (tiny / "wrong.py").write_text(f"def double(x):\n    {source}\n", encoding="utf-8")
+    monkeypatch.setattr(solve, "ANSWERS", {"double": runpy.run_path(str(tiny / "wrong.py"))["double"]})
     with pytest.raises(OmnistereoError, match=said):
         solve.main([])
     assert not (tiny / "out" / "solutions" / "00_tiny.ipynb").exists()
