@@ -10,6 +10,7 @@ import csv
 import hashlib
 import io
 import json
+import re
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -47,10 +48,7 @@ def exercises_of(nb: nbformat.NotebookNode) -> list[Exercise]:
     found, number = [], ""
     for cell in nb.cells:
         if cell.cell_type == "markdown":
-            headings = [
-                heading[0].strip("*").split()[0].rstrip(".") for heading in nbtools.EXERCISE.finditer(cell.source)
-            ]
-            number = headings[-1] if headings else number
+            number = [number, *re.findall(r"^\*\*(\d\d\.\d+) \(", cell.source, re.MULTILINE)][-1]
         elif names := [stub.name for stub in solve.stubs(cell.source)]:
             found += [Exercise(number, checker, names[0]) for checker in checkers_called(cell.source)]
     return found

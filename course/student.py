@@ -66,7 +66,8 @@ class Student:
         if not errors:
             return ""
         name, text = errors[0].ename, errors[0].evalue
-        return f"{name}: {text or f'interrupted after {seconds:g} s'}"[:500]
+        text = f"interrupted after {seconds:g} s" if name == "KeyboardInterrupt" else text
+        return f"{name}: {text}"[:500]
 
     def function(self, name: str, seconds: float) -> Callable:
         """Return a function that calls the student's function of this name, in its kernel."""
