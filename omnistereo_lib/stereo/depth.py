@@ -11,9 +11,9 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_lib.stereo.volume import as_volume
 from omnistereo_lib.stereo.zncc import ZNCC
 
 _CELLS = 1 << 22  # of a cost volume at a time, 16 MB in float32: temporary copies stay small
@@ -74,10 +74,8 @@ def confidence(volume: ArrayLike | Tensor) -> Tensor:
 
 def _by_rows(function: Callable[[Tensor], Tensor], volume: ArrayLike | Tensor) -> Tensor:
     """Apply a function of each ray to a cost volume, some rows at a time: (H, W, N) → (H, W)."""
-    volume = torch.as_tensor(volume)
-    if volume.ndim != 3 or volume.shape[-1] < 2:
-        raise OmnistereoError(f"the cost volume has shape {tuple(volume.shape)}; expected (H, W, N) with N ≥ 2")
-    rows = max(1, _CELLS // max(1, volume[0].numel() if len(volume) else 1))
+    volume = as_volume(volume)
+    rows = max(1, _CELLS // volume[0].numel())
     return torch.cat([function(part.float()) for part in volume.split(rows)])
 
 

@@ -28,6 +28,7 @@ import math
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
+from numbers import Real
 from typing import Any
 
 import numba
@@ -41,6 +42,7 @@ from torch.nn.functional import pad
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.stereo.compiled import compiled
+from omnistereo_lib.stereo.volume import as_volume
 
 MAX_LAPS = 64
 INFINITY = np.float32(np.inf)
@@ -72,8 +74,11 @@ def sgm(volume: Tensor | np.ndarray, p1: float = 0.1, p2: float = 12.0, paths: i
         OmnistereoError: If the volume is not 3-D, has fewer than 2 spheres or infinite costs, or p1, p2 or paths is out
             of range.
     """
-    volume = torch.as_tensor(volume).detach().to(torch.float32).contiguous()
-    _check(volume, p1, p2, paths)
+    volume = as_volume(volume).to(torch.float32).contiguous()
+    if paths not in (4, 8):
+        raise OmnistereoError(f"sgm: paths is {paths!r}; expected 4 or 8")
+    if not (isinstance(p1, Real) and isinstance(p2, Real) and 0 <= p1 <= p2 < math.inf):
+        raise OmnistereoError(f"sgm: penalties are p1 = {p1!r}, p2 = {p2!r}; expected finite numbers, 0 ≤ p1 ≤ p2")
     if volume.device.type != "cpu":
         infinite = bool(volume.isinf().any())
         total = volume if infinite else sgm_torch(volume, p1, p2, paths, wrap)
@@ -82,15 +87,6 @@ def sgm(volume: Tensor | np.ndarray, p1: float = 0.1, p2: float = 12.0, paths: i
     if infinite:
         raise OmnistereoError("sgm: the volume has infinite costs; expected finite costs. Set unknown cells to NaN.")
     return total
-
-
-def _check(volume: Tensor, p1: float, p2: float, paths: int) -> None:
-    if volume.ndim != 3 or 0 in volume.shape or volume.shape[2] < 2:
-        raise OmnistereoError(f"sgm: volume has shape {tuple(volume.shape)}; expected (H, W, N) with N ≥ 2")
-    if paths not in (4, 8):
-        raise OmnistereoError(f"sgm: paths is {paths!r}; expected 4 or 8")
-    if not (math.isfinite(p1) and math.isfinite(p2) and 0 <= p1 <= p2):
-        raise OmnistereoError(f"sgm: penalties are p1 = {p1}, p2 = {p2}; expected finite numbers, 0 ≤ p1 ≤ p2")
 
 
 # ---- CPU: one pixel at a time; the compiler vectorises the loops over n.

@@ -61,7 +61,7 @@ class SphereSweep:
             raise OmnistereoError(f"the panorama is {grid.width} × {grid.height}; expected at most {_MAX_ROWS} a side")
         self.rig = rig.recentered(center)
         self.grid = grid
-        self.device = torch.device(device)
+        self.device = select_device(device)
         if max_lut_bytes is None:
             max_lut_bytes = min(_LUT_BUDGET, psutil.virtual_memory().available // 4)
         self.max_lut_bytes = max_lut_bytes
@@ -225,7 +225,10 @@ def select_device(device: torch.device | str) -> torch.device:
 
     Raises an `OmnistereoError` if PyTorch cannot use a GPU that was asked for.
     """
-    device = torch.device(device)
+    try:
+        device = torch.device(device)
+    except (RuntimeError, TypeError):
+        raise OmnistereoError(f'device is {device!r}; expected "cpu" or "cuda"') from None
     if device.type == "cuda":
         if not torch.cuda.is_available():
             raise OmnistereoError(f'device is "{device}", but PyTorch finds no CUDA GPU. Pass device="cpu".')
@@ -241,7 +244,9 @@ def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray]:
         OmnistereoError: If there is not one image per camera, or one has the wrong size, shape or type or is not
             finite.
     """
-    images = [np.asarray(image) for image in images]
+    if not isinstance(images, Sequence | np.ndarray | Tensor):
+        raise OmnistereoError(f"images is {images!r:.80}; expected a list of one array per camera")
+    images = [np.asarray(image.detach().cpu() if isinstance(image, Tensor) else image) for image in images]
     if len(images) != len(rig):
         raise OmnistereoError(
             f"there are {len(images)} images for {len(rig)} cameras. Pass one image per camera, in rig order."

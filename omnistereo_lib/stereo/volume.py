@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Sequence
 from typing import Protocol
 
+import numpy as np
 import psutil
 import torch
 from numpy.typing import ArrayLike
@@ -55,6 +56,8 @@ def cost_volume(
     """
     cost = ZNCC() if cost is None else cost
     whole = getattr(cost, "whole_volume", None)
+    if not callable(whole or cost):
+        raise OmnistereoError(f"cost is {cost!r}; expected a matching cost, which is called like ZNCC")
     pairs = camera_pairs(pairs, sweep.rig)
     volume = whole(sweep, images, progress) if whole else _by_blocks(sweep, images, cost, pairs, progress)
     if volume.isnan().all():
@@ -79,6 +82,19 @@ def _by_blocks(
         columns = [sweep.visible_columns(camera, spheres) for camera in range(len(sweep.rig))]
         volume[:, :, spheres.start : spheres.stop] = cost(block, pairs, columns)
     return volume
+
+
+def as_volume(volume: ArrayLike | Tensor) -> Tensor:
+    """Return a cost volume (H, W, N), N ≥ 2, as a tensor of real numbers, from an array of any memory layout."""
+    if not isinstance(volume, Tensor):
+        volume = np.asarray(volume)
+        if volume.dtype.kind not in "fiub":
+            raise OmnistereoError(f"the cost volume holds {volume.dtype}; expected real numbers")
+        volume = torch.from_numpy(np.ascontiguousarray(volume, volume.dtype.newbyteorder("=")))
+    if volume.is_complex() or volume.ndim != 3 or 0 in volume.shape or volume.shape[2] < 2:
+        found = f"shape {tuple(volume.shape)} and type {volume.dtype}"
+        raise OmnistereoError(f"the cost volume has {found}; expected (H, W, N) with N ≥ 2, real")
+    return volume.detach()
 
 
 def check_memory(rig: Rig, grid: SphereGrid, device: torch.device | str = "cpu") -> None:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from numbers import Integral
 
 import numba
 import numpy as np
@@ -31,8 +32,8 @@ class ZNCC:
     window: int = 9  #: side of the window in pixels, odd; 9 in the paper
 
     def __post_init__(self) -> None:
-        if self.window < 3 or self.window % 2 == 0:
-            raise OmnistereoError(f"the ZNCC window is {self.window}; expected an odd number of at least 3")
+        if not isinstance(self.window, Integral) or self.window < 3 or self.window % 2 == 0:
+            raise OmnistereoError(f"the ZNCC window is {self.window!r}; expected an odd number of at least 3")
 
     def __call__(
         self,

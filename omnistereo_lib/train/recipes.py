@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from numbers import Integral, Real
 from typing import Any, ClassVar, Literal, Self
 
 from omnistereo_lib.errors import OmnistereoError
@@ -59,7 +60,8 @@ class Recipe:
             elif name in _FRACTIONS:
                 valid, wanted = 0 <= value <= 1, "a fraction in [0, 1]"
             else:
-                valid = math.isfinite(value) and (value >= 0 if name in _MAY_BE_ZERO else value > 0)
+                kind = Integral if isinstance(self.__dataclass_fields__[name].default, int) else Real
+                valid = isinstance(value, kind) and 0 <= value < math.inf and (value > 0 or name in _MAY_BE_ZERO)
                 wanted = f"a finite number {'≥' if name in _MAY_BE_ZERO else '>'} 0"
             if not valid:
                 raise OmnistereoError(f"{self.network} recipe: {name} = {value!r}; expected {wanted}")
