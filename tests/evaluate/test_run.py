@@ -315,7 +315,9 @@ def test_damaged_results_are_named(data, tmp_path, content):
     path = task.path(task.jobs[0])
     path.parent.mkdir(parents=True)
     path.write_text(content, encoding="latin-1")
-    with pytest.raises(osl.OmnistereoError, match=r"zncc.json (is damaged|has no results of an evaluation).*Delete it"):
+    with pytest.raises(
+        osl.OmnistereoError, match=r"zncc.json(: not valid JSON| has no results of an evaluation.*Delete it)"
+    ):
         evaluation(tmp_path, data)
 
 
