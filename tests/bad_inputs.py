@@ -401,13 +401,14 @@ def masked(data: Path) -> None:
     endless("mask.png")(data)
 
 
+MILLION = "1, " * 10**6
 BOMBS = [
     Row("YAML aliases", "load_rig RIG", "config.yaml", aliases),
     Row(
         "a million coefficients",
         "load_rig RIG",
         "config.yaml",
-        write("config.yaml", "cameras: [{poly: [" + "1, " * 10**6 + "1]}]"),
+        write("config.yaml", f"cameras: [{{poly: [{MILLION}]}}]"),
     ),
     Row("a number of 100,000 digits", "load_rig RIG", "config.yaml", write("config.yaml", "cameras: " + "9" * 10**5)),
     Row("a rig file without end", "load_rig RIG", "config.yaml", endless("config.yaml")),
