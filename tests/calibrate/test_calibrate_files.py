@@ -17,8 +17,8 @@ from omnistereo_lib.calibrate.captures import find_captures, save_corners
 from omnistereo_lib.calibrate.detect import find_corners
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Pose
-from omnistereo_lib.rig_files import export_rig
-from omnistereo_lib.rig_files.camera_models import fit_kannala_brandt, kannala_brandt
+from omnistereo_lib.rig_files.camera_models import kannala_brandt
+from omnistereo_tools.rig_exports import export_rig, fit_kannala_brandt
 
 SHIPPED = Path(osl.__file__).resolve().parents[1] / "data_samples" / "calibration"
 SETS = ["handheld", "mistakes", "van"]
