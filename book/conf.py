@@ -40,9 +40,9 @@ viewcode_follow_imported_members = False
 
 html_theme = "furo"
 html_title = "omnistereo"
-html_static_path = [str(_MATHJAX), str(BOOK / "book.css"), str(BOOK / "book.js")]
+html_static_path = [str(_MATHJAX), *(str(BOOK / name) for name in ("book.css", "book.js", "stills.js"))]
 html_css_files = ["book.css"]
-html_js_files = ["book.js"]
+html_js_files = ["book.js", "stills.js"]
 html_copy_source = False
 html_domain_indices = False
 html_show_copyright = False

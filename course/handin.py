@@ -195,10 +195,10 @@ def sheet_of(path: Path, name: str, out: Path, seconds: float, memory_gib: float
     if stored.is_file():
         sheet = json.loads(stored.read_text(encoding="utf-8"))
         if made_from.items() <= sheet.items():
-            print(in_words(sheet))
+            print(in_words(sheet), flush=True)
             return sheet
     sheet = {"file": name, **made_from, **check_notebook(path, seconds, memory_gib)}
-    print(in_words(sheet))
+    print(in_words(sheet), flush=True)
     make_folder(stored.parent)
     with atomic_write(stored) as temporary:
         temporary.write_text(json.dumps(sheet, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")

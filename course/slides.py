@@ -3,46 +3,54 @@
 They follow from a notebook's structure; nothing is marked in it:
 
 - A section (##) is a column of slides. A slide takes what fits of it, the next one below takes on; ### begins one, too.
-- A cell that draws shows its picture and the caption. Other code is shown where it fits on one slide together with
-  what it printed; longer code is left out, and only what it printed is shown.
-- Left out are imports, the check of the installation, sliders, which need a kernel, and what prints more than a
-  slide can hold.
+- A cell that draws shows its picture and the caption, in the room that the text before it leaves. Other code is shown
+  where it fits on one slide together with what it printed; longer code is left out, and only what it printed is shown.
+- A live figure shows its stills, or the viewer. An exercise is followed by its solution, at the next step.
+- Left out are imports, the check of the installation, and what prints more than a slide can hold.
 
 reveal.js comes with the package sphinx-revealjs, MathJax with sphinx-mathjax-offline: the slides need no network.
 """
 
 import ast
+import html
 import math
 import re
 import shutil
+import subprocess
+import sys
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import nbformat
 from markdown_it import MarkdownIt
 from nbconvert import SlidesExporter
 from nbformat import NotebookNode
-from nbformat.v4 import new_markdown_cell, new_notebook
+from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
 
-from course import nbtools
+from course import nbtools, solve, stills
 
 REVEAL = Path(find_spec("sphinx_revealjs").submodule_search_locations[0], "_static/revealjs")
 MATHJAX = Path(find_spec("sphinx-mathjax-offline").submodule_search_locations[0], "static/mathjax/tex-svg.js")
-WIDTH, HEIGHT = 1100, 700  # pixels
-FULL = 22.0  # lines of text on a slide
-CHARACTERS = 90  # in such a line
-PICTURE = 15.0  # lines
-HIDDEN = "hide-input"
+SCRIPT = nbtools.ROOT / "book" / "stills.js"
+WIDTH, HEIGHT = 1280, 720  # pixels, as all that follows
+FULL = 675.0  # of them to be filled
+TEXT, CODE, OUTPUT, CAPTION = (33.0, 88), (29.0, 82), (29.0, 76), (29.0, 104)  # height of a line, letters in it
+HEADINGS = {"#": 90.0, "##": 75.0, "###": 60.0}
+MARGIN = 16.0
+PICTURE = 260.0  # at least
+HIDDEN, SOLUTION = "hide-input", "solution"
+EXERCISE = re.compile(r"\*\*\d\d\.\d+ \(")
 LINK = re.compile(r'<a href="(\d\d_\w+)\.ipynb[^"]*">(.*?)</a>')  # to another notebook
 
 
 def make_slides(out: Path) -> None:
-    """Write a page of slides for each notebook, and the scripts that show them, into a folder."""
+    """Write a page of slides for each notebook, the page that leads to them, and the scripts that show them."""
     out.mkdir(parents=True, exist_ok=True)
     shutil.copytree(REVEAL / "dist", out / "reveal.js/dist", ignore=shutil.ignore_patterns("*.map"), dirs_exist_ok=True)
-    shutil.copy(REVEAL / "LICENSE", out / "reveal.js")
-    shutil.copy(MATHJAX, out)
+    for file, folder in ((REVEAL / "LICENSE", out / "reveal.js"), (MATHJAX, out), (SCRIPT, out)):
+        shutil.copy(file, folder)
     exporter = SlidesExporter(
         extra_template_basedirs=[str(nbtools.ROOT / "book")],
         template_name="slides_template",
@@ -54,62 +62,130 @@ def make_slides(out: Path) -> None:
         exclude_anchor_links=True,
         config={"TagRemovePreprocessor": {"enabled": True, "remove_input_tags": [HIDDEN]}},
     )
-    stems = [path.stem for path in nbtools.notebooks()]
+    entries, stems = [], [path.stem for path in nbtools.notebooks()]
     for path in nbtools.notebooks():
-        nb = nbformat.read(path, as_version=4)
+        nb = with_live(nbformat.read(path, as_version=4), path.stem, out)
         page, _ = exporter.from_notebook_node(deal(nb), {"metadata": {"name": path.stem}})
         page = LINK.sub(
             lambda link: f'<a href="{link[1]}.slides.html">{link[2]}</a>' if link[1] in stems else link[2], page
         )
         (out / f"{path.stem}.slides.html").write_text(page, encoding="utf-8")
+        facts = nb.metadata["omnistereo"]
+        title = html.escape(f"{path.stem[:2]} {facts['title']}")
+        entries.append(f'<li><a href="{path.stem}.slides.html">{title}</a>: {html.escape(facts["learn"])}</li>')
+    index = (nbtools.ROOT / "book" / "slides_template" / "list.html").read_text(encoding="utf-8")
+    (out / "index.html").write_text(index.replace("{entries}", "\n".join(entries)), encoding="utf-8")
+    print(f"Written: {out / 'index.html'}. Open it in a browser; it needs no network.")
+
+
+def with_live(nb: NotebookNode, stem: str, out: Path) -> NotebookNode:
+    """Return a notebook with a cell for each live figure, which shows what is stored of it."""
+    cells, number = [], 0
+    for cell in nb.cells:
+        cells.append(cell)
+        live = stills.LIVE.findall(cell.source) if cell.cell_type == "code" else []
+        if live and not cell.outputs:
+            cells.pop()
+        for _ in live:
+            output = new_output("display_data", {"text/html": stills.shown(stem, number, out)})
+            cells.append(new_code_cell("", outputs=[output]))
+            number += 1
+    return new_notebook(cells=cells, metadata=nb.metadata)
 
 
 def deal(nb: NotebookNode) -> NotebookNode:
     """Deal a notebook's pieces out to slides: a new notebook, whose cells say where a slide begins."""
-    cells, filled = [], 0.0
+    slides: list[list[NotebookNode]] = []
     for cell in pieces(nb):
-        lines = height(cell)
-        place = {"#": "slide", "##": "slide", "###": "subslide"}.get(cell.source.partition(" ")[0], "-")
-        if place == "-" and filled + lines > FULL:
-            place = "subslide"
-        filled = lines if place != "-" else filled + lines
-        cell.metadata["slideshow"] = {"slide_type": place}
-        cells.append(cell)
-    return new_notebook(cells=cells, metadata=nb.metadata)
+        here = slides[-1] if slides else []
+        begins = _is_heading(cell) or EXERCISE.match(cell.source)
+        if not here or (begins and not all(map(_is_heading, here))):
+            slides.append([cell])
+        elif sum(map(height, here)) + height(cell) <= FULL:
+            here.append(cell)
+        else:
+            slides.append([*_introduction(here, cell), cell])
+    for first, *others in slides:
+        first.metadata["slideshow"] = {"slide_type": "slide" if first.source.startswith(("# ", "## ")) else "subslide"}
+        for cell in others:
+            solution = SOLUTION in cell.metadata.get("tags", [])
+            cell.metadata["slideshow"] = {"slide_type": "fragment" if solution else "-"}
+    return new_notebook(cells=[cell for slide in slides for cell in slide], metadata=nb.metadata)
+
+
+def _introduction(here: list[NotebookNode], cell: NotebookNode) -> list[NotebookNode]:
+    """Take from a slide the last sentence, to stand with the code or picture that it introduces."""
+    *before, last = here
+    stays = cell.cell_type == "markdown" or last.cell_type == "code" or all(map(_is_heading, before))
+    return [] if stays or height(last) + height(cell) > FULL else [here.pop()]
 
 
 def pieces(nb: NotebookNode) -> Iterator[NotebookNode]:
     """Yield what the slides show of a notebook: blocks of text one by one, and cells of code."""
+    codes = iter(narrow([_shown_code(cell) for cell in nb.cells if cell.cell_type == "code"]))
     for cell in nb.cells:
         if cell.cell_type == "markdown":
             lines = cell.source.splitlines()
             tokens = MarkdownIt().enable("table").parse(cell.source)
             blocks = [token.map for token in tokens if token.level == 0 and token.map]
             yield from (new_markdown_cell("\n".join(lines[first:last])) for first, last in blocks)
-        elif cell.source != nbtools.SETUP and (cell.outputs or not (_imports(cell) or "interactive(" in cell.source)):
-            if has_picture(cell) or height(cell) > FULL - 2:
-                cell.metadata["tags"] = [*cell.metadata.get("tags", []), HIDDEN]
-            if (cell.outputs or HIDDEN not in cell.metadata.get("tags", [])) and height(cell) <= FULL:
-                yield cell
+            continue
+        code = next(codes)
+        if any(solve.stubs(cell.source)):
+            cell = new_code_cell(code, metadata={"tags": [SOLUTION]})
+        elif cell.source == nbtools.SETUP or (not cell.outputs and _imports(cell)):
+            continue
+        cell.source = code
+        if has_picture(cell) or height(cell) > FULL - HEADINGS["##"]:
+            cell.metadata["tags"] = [*cell.metadata.get("tags", []), HIDDEN]
+        if (cell.outputs or HIDDEN not in cell.metadata.get("tags", [])) and height(cell) <= FULL:
+            yield cell
+
+
+def _shown_code(cell: NotebookNode) -> str:
+    """Return a cell's code; of an exercise its solution, without the checker."""
+    stubs = [stub.name for stub in solve.stubs(cell.source)]
+    return "\n\n\n".join(solve.inspect.getsource(solve.ANSWERS[name]) for name in stubs) or cell.source
+
+
+def narrow(codes: list[str]) -> list[str]:
+    """Return code in lines that a slide can hold, formatted by Ruff; strings and comments may stay longer."""
+    with TemporaryDirectory() as folder:
+        paths = [Path(folder, f"cell_{number}.py") for number in range(len(codes))]
+        for path, code in zip(paths, codes, strict=True):
+            path.write_text(code.replace("  # fmt: skip", ""), encoding="utf-8")
+        command = [sys.executable, "-m", "ruff", "format", "--quiet", "--isolated", f"--line-length={CODE[1]}", folder]
+        subprocess.run(command, check=True)
+        return [path.read_text(encoding="utf-8").rstrip("\n") for path in paths]
 
 
 def height(cell: NotebookNode) -> float:
-    """Return how many lines of text a piece takes on a slide, its margins included."""
+    """Return how much of a slide's height a piece takes, its margins included."""
     if cell.cell_type == "markdown":
-        scale = 2.0 if cell.source.startswith(("#", "$$")) else 1.2 if cell.source.startswith("|") else 1.0
-        return scale * _lines(cell.source) + 0.5
+        if _is_heading(cell):
+            return HEADINGS[cell.source.partition(" ")[0]]
+        scale = 2.0 if cell.source.startswith("$$") else 1.3 if cell.source.startswith("|") else 1.0
+        return scale * _lines(cell.source, TEXT) + MARGIN
     shown = "" if HIDDEN in cell.metadata.get("tags", []) else cell.source
-    said = [output.get("text") or output.get("data", {}).get("text/markdown", "") for output in cell.outputs]
-    return PICTURE * has_picture(cell) + sum(0.9 * _lines(text) + 0.5 for text in [shown, *said] if text)
+    captions = [output.get("data", {}).get("text/markdown", "") for output in cell.outputs]
+    texts = [(shown, CODE), *((output.get("text", ""), OUTPUT) for output in cell.outputs)]
+    texts += [(caption, CAPTION) for caption in captions]
+    return PICTURE * has_picture(cell) + sum(_lines(text, kind) + 1.5 * MARGIN for text, kind in texts if text)
 
 
 def has_picture(cell: NotebookNode) -> bool:
-    """Say whether a cell shows a picture."""
-    return any(set(nbtools.PICTURES) & set(output.get("data", {})) for output in cell.get("outputs", []))
+    """Say whether a cell shows a picture, or something as large."""
+    large = {*nbtools.PICTURES, "text/html"}
+    return any(large & set(output.get("data", {})) for output in cell.get("outputs", []))
 
 
-def _lines(text: str) -> int:
-    return sum(max(1, math.ceil(len(line) / CHARACTERS)) for line in text.splitlines())
+def _is_heading(cell: NotebookNode) -> bool:
+    return cell.cell_type == "markdown" and cell.source.partition(" ")[0] in HEADINGS
+
+
+def _lines(text: str, kind: tuple[float, int]) -> float:
+    line, letters = kind
+    return line * sum(max(1, math.ceil(len(words) / letters)) for words in text.splitlines())
 
 
 def _imports(cell: NotebookNode) -> bool:

@@ -24,7 +24,16 @@ from course import nbtools, wire
 from omnistereo_lib.errors import OmnistereoError
 
 GIB = 2**30
-COPIED = ("notebooks", "data_samples", "omnistereo_lib", "course", "render", "environment.txt", "constraints.txt")
+COPIED = (
+    "notebooks",
+    "data_samples",
+    "omnistereo_lib",
+    "omnistereo_tools",
+    "course",
+    "render",
+    "environment.txt",
+    "constraints.txt",
+)
 LEFT_OUT = shutil.ignore_patterns(".*", "solutions*")  # the answers stay out of the copy
 KEPT = ("PATH", "HOME", "LANG", "LC_ALL", "TMPDIR", "VIRTUAL_ENV", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
 MAX_REPLY_BYTES = 64 * 2**20

@@ -1,4 +1,4 @@
-"""The website and the slides: each built once, then every link, picture, script and name in them is followed.
+"""The website: built once, then every link, picture, script and name in it is followed.
 
 A real browser also opens every page, on a desk and on a telephone; its screenshots are left in out/browser, to look at.
 """
@@ -10,57 +10,22 @@ import os
 import re
 import subprocess
 import sys
-from dataclasses import dataclass, field
 from functools import partial
-from html.parser import HTMLParser
 from http import HTTPStatus
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
-from urllib.parse import unquote, urlsplit
 
 import nbformat
 import pytest
+from pages import Page, count_pictures, count_stills, foreign_or_missing, leads
 
 import omnistereo_lib as osl
 from course import nbtools, paper_map, slides, stills, website
 
 BOOK = nbtools.ROOT / "book"
 
-LOADS = {"script": "src", "img": "src", "iframe": "src", "source": "src", "link": "href"}  # what a page fetches
 SEEN = nbtools.ROOT / "out" / "browser"
-
-
-@dataclass
-class Page(HTMLParser):
-    """What a page has, links to, shows and fetches."""
-
-    path: Path
-    ids: set = field(default_factory=set)
-    links: list = field(default_factory=list)
-    fetched: list = field(default_factory=list)
-    pictures: list = field(default_factory=list)
-    formulas: list = field(default_factory=list)
-
-    def __post_init__(self):
-        super().__init__()
-        self.in_formula = False
-        self.feed(self.path.read_text(encoding="utf-8"))
-
-    def handle_starttag(self, tag, attributes):
-        has = dict(attributes)
-        self.ids.add(has.get("id"))
-        if tag == "a" and "href" in has:
-            self.links.append(has["href"])
-        if has.get(LOADS.get(tag, "")):
-            self.fetched.append(has[LOADS[tag]])
-        if tag == "img":
-            self.pictures.append(has)
-        self.in_formula = "math" in has.get("class", "").split()
-
-    def handle_data(self, text):
-        if self.in_formula and text.startswith((r"\(", r"\[")):
-            self.formulas.append(text)
 
 
 @pytest.fixture(scope="module")
@@ -77,14 +42,6 @@ def built(tmp_path_factory):
 @pytest.fixture(scope="module")
 def pages(built):
     return {path: Page(path) for path in sorted(built[0].rglob("*.html"))}
-
-
-@pytest.fixture(scope="module")
-def shown(tmp_path_factory):
-    """The folder of the slides."""
-    out = tmp_path_factory.mktemp("slides")
-    slides.make_slides(out)
-    return out
 
 
 # --- The book -----------------------------------------------------------------------------------------------
@@ -116,25 +73,8 @@ def test_every_link_leads_somewhere(built, pages):
     assert dead == []
 
 
-def leads(page, link, pages):
-    address = urlsplit(link)
-    if address.scheme or address.netloc:  # another host's
-        return True
-    target = (page.path.parent / unquote(address.path)).resolve() if address.path else page.path
-    if not address.fragment or target.suffix != ".html":
-        return target.exists()
-    return target in pages and unquote(address.fragment) in pages[target].ids
-
-
 def test_everything_that_a_page_fetches_is_in_the_folder(pages):
     assert [lacking for page in pages.values() for lacking in foreign_or_missing(page)] == []
-
-
-def foreign_or_missing(page):
-    """Yield what a page fetches from other hosts or does not find; pictures within the page are in it."""
-    for address in map(urlsplit, page.fetched):
-        if address.scheme != "data" and (address.netloc or not (page.path.parent / unquote(address.path)).exists()):
-            yield f"{page.path.name} → {address.geturl()}"
 
 
 def test_no_style_fetches_from_another_host(built):
@@ -155,19 +95,6 @@ def test_no_picture_of_a_notebook_is_lost(built, pages):
     for path in nbtools.notebooks():
         page = pages[built[0] / "notebooks" / f"{path.stem}.html"]
         assert len(page.pictures) == 2 * (count_pictures(path) + count_stills(path)), path.stem  # light and dark
-
-
-def count_pictures(path):
-    nb = nbformat.read(path, as_version=4)
-    texts = sum(len(re.findall(r"!\[[^\]]+\]\(", cell.source)) for cell in nb.cells if cell.cell_type == "markdown")
-    outputs = [output for cell in nbtools.code_cells(nb) for output in cell.outputs]
-    return texts + sum(bool(set(nbtools.PICTURES) & set(output.get("data", {}))) for output in outputs)
-
-
-def count_stills(path):
-    sliders = [slider for live in stills.stored(path.stem) for slider in live.get("sliders", [])]
-    repeated = sum(len(live.get("sliders", [0])) - 1 for live in stills.stored(path.stem))  # where all stand at first
-    return sum(len(slider["values"]) for slider in sliders) - repeated
 
 
 def test_every_live_figure_has_stills_of_its_sliders_or_a_view():
@@ -413,38 +340,3 @@ def test_every_term_stands_in_the_text_of_the_notebooks_that_teach_it():
 def test_a_link_to_a_notebook_that_is_not_there_becomes_words():
     text = "[here](04_zncc.ipynb), [there](notebooks/99_nowhere.ipynb#a), [too](notebooks/04_zncc.ipynb)"
     assert website.without_dead_links(text) == "[here](04_zncc.ipynb), there, [too](notebooks/04_zncc.ipynb)"
-
-
-# --- Slides -------------------------------------------------------------------------------------------------
-
-notebooks = pytest.mark.parametrize("path", nbtools.notebooks(), ids=lambda path: path.stem)
-
-
-@notebooks
-def test_slides_are_many_and_none_is_a_wall(path):
-    columns, heights = 0, []
-    for cell in slides.deal(nbformat.read(path, as_version=4)).cells:
-        place = cell.metadata.slideshow.slide_type
-        columns += place == "slide"
-        heights += [0.0] if place != "-" else []
-        heights[-1] += slides.height(cell)
-    assert columns >= 5 and len(heights) >= 10
-    assert max(heights) <= slides.FULL
-
-
-@notebooks
-def test_slides_lose_no_picture_link_or_script(shown, path):
-    page = Page(shown / f"{path.stem}.slides.html")
-    assert len(page.pictures) == count_pictures(path)
-    assert all(len(picture["alt"]) >= 20 for picture in page.pictures)
-    assert list(foreign_or_missing(page)) == []
-    assert [link for link in page.links if not leads(page, link, {})] == []
-    assert {"reveal.js/dist/reveal.js", "tex-svg.js"} <= set(page.fetched)
-
-
-@notebooks
-def test_slides_lose_no_text(path):
-    nb = nbformat.read(path, as_version=4)
-    prose = [cell.source for cell in nb.cells if cell.cell_type == "markdown"]
-    kept = [cell.source for cell in slides.deal(nb).cells if cell.cell_type == "markdown"]
-    assert "".join("".join(kept).split()) == "".join("".join(prose).split())

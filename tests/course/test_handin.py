@@ -155,6 +155,11 @@ def test_a_notebook_that_never_ends_keeps_what_was_right(tmp_path, monkeypatch):
     assert sheet["notes"][1:] == ["stopped in code cell 3: it ran longer than 12 s"]
 
 
+def test_a_student_has_every_package_of_the_clone():
+    packages = {path.parent.name for path in nbtools.ROOT.glob("[!.]*/*.py")} - {"tests", "book", "out"}
+    assert {"omnistereo_lib", "course"} <= packages <= set(student.COPIED)
+
+
 def test_every_exercise_of_the_course_is_judged():
     found = [exercise for path in nbtools.notebooks() for exercise in handin.exercises_of(handin.read_notebook(path))]
     checkers = {name for name in vars(exercises) if name.startswith("check_")}
