@@ -13,7 +13,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -49,8 +49,28 @@ class DepthWriter:
     out: Path
     recording: Recording
     sweep: SphereSweep
-    suffix: str  #: of the depth files, ".tiff" or ".png"
-    with_video: bool
+    method: Method
+    suffix: str  #: of the depth files: ".tiff", float32, or ".png", 16 bits, unknown rays as infinitely far
+    with_video: bool  #: keep a picture of every frame, panorama over depth, for `write_video`
+
+    @classmethod
+    def open(
+        cls, out: Path, recording: Recording, rig: Rig, grid: SphereGrid, method: str, suffix: str = ".tiff",
+        with_video: bool = False, device: str = "cpu",
+    ) -> DepthWriter:  # fmt: skip
+        """Return the writer of a recording, which makes the folder `out` or continues what is in it.
+
+        Raises:
+            OmnistereoError: If `out` holds a recording with other settings or cannot be written to, the panorama does
+                not fit the layout or the memory, or there is no such method or device.
+        """
+        check_layout(grid)
+        method, device = Method.parse(method), select_device(device)
+        grid = replace(grid, num_spheres=method.num_spheres or grid.num_spheres)
+        check_memory(rig, grid, device)
+        settings = {"method": method.name, "width": grid.width, "height": grid.height, "spheres": grid.num_spheres}
+        _check_settings(make_folder(out) / SETTINGS, settings | {"min_depth": grid.min_depth, "depth": suffix})
+        return cls(out, recording, SphereSweep(rig, grid, device=device), method, suffix, with_video)
 
     def depth_path(self, number: int) -> Path:
         """Return where the depth of a frame is stored."""
@@ -63,6 +83,33 @@ class DepthWriter:
     def is_done(self, number: int) -> bool:
         """Return whether all files of a frame are there: they are written whole, depth last."""
         return self.depth_path(number).exists() and (not self.with_video or self.picture_path(number).exists())
+
+    def left(self) -> list[int]:
+        """Return the numbers of the frames that are not done yet."""
+        return [number for number in self.recording.frames if not self.is_done(number)]
+
+    def run(self, numbers: Sequence[int]) -> Iterator[int]:
+        """Estimate and write the depth of some frames, in ascending order; yield the number of each.
+
+        Reading, computing and writing overlap; memory does not grow with the number of frames.
+
+        Raises:
+            OmnistereoError: If a frame cannot be read, does not fit the rig, or cannot be written.
+        """
+        cost, images_of = self.method.load_cost(), self.recording.read(numbers)
+        with ThreadPoolExecutor(1) as reader, ThreadPoolExecutor(1) as pool:
+            read, written = deque(reader.submit(next, images_of) for _ in numbers[:_PENDING]), deque()
+            for k, number in enumerate(numbers):
+                images = read.popleft().result()
+                if k + _PENDING < len(numbers):
+                    read.append(reader.submit(next, images_of))
+                depth = sweep_depth(self.sweep, images, self.method, cost)
+                written.append(pool.submit(self.write, number, images, depth))
+                if len(written) > _PENDING:
+                    written.popleft().result()
+                yield number
+            for writing in written:
+                writing.result()
 
     def prepare(self, rig: Rig) -> None:
         """Make the folders and the rig file, and remove what an interrupted run has left half written."""
@@ -119,57 +166,6 @@ def check_layout(grid: SphereGrid) -> None:
             f"phi_deg is {grid.phi_deg}; a recording is stored as a data set, whose pixels are square: expected "
             f"--phi {-highest:g} {highest:g} for --width {grid.width} --height {grid.height}"
         )
-
-
-def depth_of_recording(
-    recording: Recording,
-    rig: Rig,
-    grid: SphereGrid,
-    method: str,
-    out: Path,
-    suffix: str = ".tiff",
-    with_video: bool = False,
-    device: str = "cpu",
-    progress: Callable[[Iterable, int, int], Iterable] = lambda frames, done, total: frames,
-) -> DepthWriter:
-    """Estimate the depth of all frames that are not in the folder `out` yet, as a data set; see the head of the module.
-
-    Reading, computing and writing overlap; memory does not grow with the number of frames.
-
-    Args:
-        suffix: ".tiff": float32, NaN where unknown. ".png": 16 bits, unknown rays as infinitely far.
-        with_video: Keep a picture of every frame, panorama over depth, for `write_video`.
-        progress: Wraps the frame numbers that are left; gets how many are done already, and how many there are.
-
-    Raises:
-        OmnistereoError: If `out` holds another recording, a frame cannot be read or does not fit the rig, or the
-            panorama does not fit the layout.
-    """
-    check_layout(grid)
-    method = Method.parse(method)
-    grid = replace(grid, num_spheres=method.num_spheres or grid.num_spheres)
-    check_memory(rig, grid, select_device(device))
-    sweep, cost = SphereSweep(rig, grid, device=select_device(device)), method.load_cost()
-    settings = {"method": method.name, "width": grid.width, "height": grid.height, "spheres": grid.num_spheres}
-    _check_settings(make_folder(out) / SETTINGS, settings | {"min_depth": grid.min_depth, "depth": suffix})
-    writer = DepthWriter(out, recording, sweep, suffix, with_video)
-    writer.prepare(rig)
-    left = [number for number in recording.frames if not writer.is_done(number)]
-    images_of = recording.read(left)
-    with ThreadPoolExecutor(1) as reader, ThreadPoolExecutor(1) as pool:
-        read = deque(reader.submit(next, images_of) for _ in left[:_PENDING])
-        written = deque()
-        for k, number in enumerate(progress(left, len(recording.frames) - len(left), len(recording.frames))):
-            images = read.popleft().result()
-            if k + _PENDING < len(left):
-                read.append(reader.submit(next, images_of))
-            depth = sweep_depth(sweep, images, method, cost)
-            written.append(pool.submit(writer.write, number, images, depth))
-            if len(written) > _PENDING:
-                written.popleft().result()
-        for writing in written:
-            writing.result()
-    return writer
 
 
 def _check_settings(path: Path, settings: dict) -> None:

@@ -136,15 +136,6 @@ def test_without_a_command_the_help_is_given(capsys):
     assert stop.value.code == 0 and "usage: omnistereo" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("wrong, answer", [("deph", "Did you mean depth?"), ("xyz", "Expected one of depth, ")])
-def test_a_command_that_does_not_exist(wrong, answer, capsys):
-    with pytest.raises(SystemExit) as stop:
-        run(wrong, "--out", "out")
-    assert stop.value.code == 2 and capsys.readouterr().err.startswith(
-        f"error: there is no command {wrong!r}. {answer}"
-    )
-
-
 def test_warnings_are_plain_lines(data, tmp_path, capsys):
     """A polynomial that is not the other's inverse is told, without a line of source code."""
     config = yaml.safe_load((data / "config.yaml").read_text())
@@ -156,160 +147,10 @@ def test_warnings_are_plain_lines(data, tmp_path, capsys):
     assert len(warned) == 1 and "of cameras 1, 2 disagree by up to 1.00 px" in warned[0]
 
 
-# --- Bad input. Each function spoils something and returns the arguments. ---
-
-
-def missing_image(data):
-    (data / "cam2" / "0001.png").unlink()
-    return with_images(data)
-
-
-def truncated_image(data):
-    path = data / "cam2" / "0001.png"
-    path.write_bytes(path.read_bytes()[:2000])
-    return with_images(data)
-
-
-def no_image(data):
-    (data / "cam2" / "0001.png").write_text("hello")
-    return with_images(data)
-
-
-def smaller_image(data):
-    write_image(data / "cam2" / "0001.png", np.zeros((96, 100, 3), np.uint8))
-    return with_images(data)
-
-
-def edited(change):
-    """Return a function that changes the rig's file."""
-
-    def spoil(data):
-        config = yaml.safe_load((data / "config.yaml").read_text())
-        change(config["cameras"][1])
-        (data / "config.yaml").write_text(yaml.safe_dump(config))
-        return with_images(data)
-
-    return spoil
-
-
-def kalibr_with(R):
-    """Return a function that writes a Kalibr chain whose second camera has this rotation."""
-
-    def spoil(data):
-        camera = {
-            "camera_model": "ds", "intrinsics": [-0.2, 0.55, 60.0, 60.0, 100.0, 96.0], "resolution": [200, 192],
-            "distortion_model": "none", "distortion_coeffs": [],
-        }  # fmt: skip
-        T = np.eye(4)
-        T[:3, :3] = R
-        chain = {"cam0": camera, "cam1": {**camera, "T_cn_cnm1": T.tolist()}}
-        (data / "chain.yaml").write_text(yaml.safe_dump(chain))
-        return ["--rig", data / "chain.yaml", "--images", *(data / f"cam{k}" / "0001.png" for k in (1, 2))]
-
-    return spoil
-
-
-def unknown_dialect(data):
-    (data / "config.yaml").write_text("cameras: 4\n")
-    return with_images(data)
-
-
-def no_shared_view(data):
-    narrow = scene.camera(200, 192, max_fov_deg=60)
-    poses = [osl.Pose.from_vector([0, turn, 0, 0.2 * turn, 0, 0]) for turn in (0, np.pi)]
-    osl.Rig([narrow, narrow], poses, min_depth=0.6).save(data / "config.yaml")
-    return with_images(data)[:-2]
-
-
-def broken_truth(data):
-    (data / "omnidepth_gt_96" / "00001.tiff").write_bytes(b"II*\0")
-    return ["--rig", data]
-
-
-def out_is_a_file(data):
-    (data / "out").write_text("")
-    return [*with_images(data), "--out", data / "out"]
-
-
-def below_a_file(data):
-    return [*with_images(data), "--out", data / "config.yaml" / "out"]
-
-
-def option(*values):
-    return lambda data: [*with_images(data), *values]
-
-
-BAD = {
-    "missing image": (missing_image, r"cam2.0001.png cannot be read: No such file"),
-    "truncated image": (truncated_image, r"cam2.0001.png is truncated .2000 bytes"),
-    "non-image": (no_image, r"cam2.0001.png is not an image .5 bytes"),
-    "wrong size": (smaller_image, r"image 2 has shape \(96, 100, 3\); camera 2 expects \(192, 200\)"),
-    "fewer images": (lambda data: with_images(data)[:-1], r"there are 3 images for 4 cameras"),
-    "more images": (lambda data: [*with_images(data), data / "cam1" / "0001.png"], r"5 images for 4 cameras"),
-    "images without a rig": (lambda data: with_images(data)[2:], r"--images needs --rig"),
-    "NaN pose": (edited(lambda camera: camera["pose"].__setitem__(0, float("nan"))), r"camera 2.* finite numbers"),
-    "short pose": (edited(lambda camera: camera["pose"].pop()), r"camera 2.* must be 6 numbers"),
-    "no pose": (edited(lambda camera: camera.pop("pose")), r"camera 2.* 'pose' is missing"),
-    "singular rotation": (kalibr_with(np.zeros((3, 3))), r"chain.yaml.* not a rotation"),
-    "mirrored rotation": (kalibr_with(np.diag([1, 1, -1])), r"chain.yaml.* not a rotation"),
-    "scaled rotation": (kalibr_with(2 * np.eye(3)), r"chain.yaml.* not a rotation"),
-    "unknown format": (unknown_dialect, r"config.yaml: unknown format"),
-    "missing rig": (lambda data: ["--rig", data / "none.yaml", *with_images(data)[2:]], r"none.yaml.* No such file"),
-    "no shared view": (no_shared_view, r"no ray is visible to both cameras of any pair"),
-    "phi too high": (option("--phi", -45, 91), r"phi_deg is \(-45.0, 91.0\); expected two angles"),
-    "phi upside down": (option("--phi", 45, -45), r"phi_deg is .* first < last"),
-    "negative depth": (option("--min-depth", -1), r"min_depth is -1.0 and max_depth inf"),
-    "zero depth": (option("--min-depth", 0), r"min_depth is 0.0 and max_depth inf"),
-    "infinite depth": (option("--min-depth", "inf"), r"min_depth is inf and max_depth inf"),
-    "NaN depth": (option("--min-depth", "nan"), r"min_depth is nan and max_depth inf"),
-    "one sphere": (option("--spheres", 1), r"num_spheres is 1; expected an integer"),
-    "no width": (option("--width", 0), r"width is 0; expected an integer of 2 to 1000000"),
-    "smaller than the window": (option("--method", "zncc", "--height", 4), r"window is 9; expected at most .* 96 × 4"),
-    "out of memory": (option("--width", 200_000, "--height", 50_000), r"200000 × 50000 with 16 spheres needs 13.*GiB"),
-    "unknown method": (option("--method", "magic"), r"one of zncc, mccnn, sweepnet, volumenet, got 'magic'"),
-    "unknown frame": (lambda data: ["--rig", data, "--frame", 7], r"has frames 0 … 0, not 7"),
-    "not a data set": (lambda data: ["--rig", data / "config.yaml"], r"config.yaml is not a data set folder"),
-    "unit stated twice": (option("--unit", "cm"), r"in metres by definition. Omit unit='cm'"),
-    "broken ground truth": (broken_truth, r"00001.tiff is not a complete TIFF file"),
-    "out is a file": (out_is_a_file, r"folder .*out cannot be made or written to: File exists"),
-    "out below a file": (below_a_file, r"folder .*out cannot be made or written to: Not a directory"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_bad_input_is_one_plain_line_and_nothing_is_written(data, tmp_path, capsys, name):
-    spoil, message = BAD[name]
-    out = tmp_path / "out"
-    arguments = spoil(data)
-    before = sorted(data.rglob("*"))
-    assert run("depth", *SMALL, *["--out", out], *arguments) == 2
-    lines = [line for line in re.split(r"[\r\n]+", capsys.readouterr().err) if line and "block/s" not in line]
-    assert lines[0].startswith("error: ") and "Traceback" not in "".join(lines)
-    assert re.search(message, "\n".join(lines)), lines
-    assert sorted(data.rglob("*")) == before
-    assert not out.exists() or not list(out.iterdir())
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [["--unit", "inch"], ["--device", "tpu"], ["--width", "wide"], ["--no-such-option"]],
-    ids=" ".join,
-)
-def test_options_that_do_not_exist(data, capsys, arguments):
-    with pytest.raises(SystemExit) as stop:
-        run("depth", *with_images(data), *arguments)
-    assert stop.value.code == 2 and "error: " in capsys.readouterr().err
-
-
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
 def test_cuda_where_there_is_none(data, tmp_path, capsys):
     assert run("depth", *with_images(data), "--device", "cuda", "--out", tmp_path / "out") == 2
     assert "PyTorch finds no CUDA GPU" in capsys.readouterr().err
-
-
-def test_doctor_refuses_bad_input_too(data, capsys):
-    assert run("doctor", *with_images(data)[:-1]) == 2
-    assert "error: there are 3 images for 4 cameras" in capsys.readouterr().err
 
 
 def test_out_of_memory_is_foreseen_with_the_figure(data, tmp_path, capsys, monkeypatch):

@@ -5,8 +5,6 @@ from importlib import metadata
 
 import pytest
 
-from omnistereo_lib import cli
-
 doctor = importlib.import_module("omnistereo_lib.doctor")  # the module; the package has the function under this name
 
 
@@ -36,11 +34,6 @@ def test_the_requirements_of_the_distribution(requires, capsys):
         "FAIL  no-such-package-here is missing: pip install 'no-such-package-here>=3.1'",
     ]
     assert lines[-1] == "2 things to fix, marked FAIL"
-
-
-def test_images_without_a_rig_are_not_ignored(tmp_path, capsys):
-    assert cli.main(["doctor", "--images", str(tmp_path / "a.png")]) == 2
-    assert "--images needs --rig" in capsys.readouterr().err
 
 
 def test_an_old_python(requires, monkeypatch, capsys):

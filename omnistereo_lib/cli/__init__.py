@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 from io import TextIOWrapper
 
-from omnistereo_lib.cli import calibrate, depth, doctor, evaluate, train
+from omnistereo_lib.cli import calibrate, evaluate, train
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_tools.commands import live, onnx
+from omnistereo_tools.commands import depth, doctor, live, onnx
 
 COMMANDS = {"depth": depth, "calibrate": calibrate, "doctor": doctor, "train": train, "evaluate": evaluate}
 COMMANDS |= {"live": live, "onnx": onnx}

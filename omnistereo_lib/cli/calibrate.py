@@ -105,8 +105,9 @@ def _read_corners(folder: Path, board: Checkerboard) -> tuple:
 
 
 def _write_rig(out: Path, rig: Rig) -> list[str]:
-    from omnistereo_lib.rig_files import export_rig, save_rig
+    from omnistereo_lib.rig_files import save_rig
     from omnistereo_lib.rig_files.ocam import write_ocam_folder
+    from omnistereo_tools.rig_exports import export_rig
 
     save_rig(rig, out / "config.yaml")
     write_ocam_folder(rig, out)

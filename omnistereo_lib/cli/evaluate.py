@@ -4,6 +4,7 @@ example: omnistereo evaluate --sets sunny indoor --methods zncc+sgm sweepnet+sgm
 """
 
 import argparse
+from functools import partial
 from pathlib import Path
 
 from omnistereo_lib.cli.inputs import add_device, is_first_process
@@ -20,6 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scale", default="teaching", choices=["teaching", "training", "paper"])
     parser.add_argument("--shard", default="1/1", help="part i/n of the frames, for several machines (default: 1/1)")
     parser.add_argument("--weights", type=Path, help="folder of weights files (default: the bundled ones)")
+    parser.add_argument("--cluster", metavar="ADDRESS", help="of a Dask scheduler, to use many machines")
     add_device(parser)
     parser.add_argument("--out", type=Path, help="folder for the results (default: out/evaluation_SCALE)")
     parser.add_argument("--rig", type=Path, help="rig file or folder to use instead of the rigs of the data sets")
@@ -32,15 +34,22 @@ def run(options: argparse.Namespace) -> None:
     from omnistereo_lib.evaluate import SCALES, Evaluation, errors_table, find_sets, select_methods, write_results
     from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
 
-    evaluation = Evaluation(
-        options.out or Path("out") / f"evaluation_{options.scale}", find_sets(options.sets),
-        select_methods(options.methods, options.ablations), SCALES[options.scale], options.split, options.frames,
-        options.weights or BUNDLED_WEIGHTS, options.device, options.precision, options.rig,
-    )  # fmt: skip
+    arguments = {
+        "out": options.out or Path("out") / f"evaluation_{options.scale}", "sets": find_sets(options.sets),
+        "methods": select_methods(options.methods, options.ablations), "scale": SCALES[options.scale],
+        "split": options.split, "frames": options.frames, "weights": options.weights or BUNDLED_WEIGHTS,
+        "device": options.device, "precision": options.precision, "rig": options.rig,
+    }  # fmt: skip
+    evaluation = Evaluation(**arguments)
+    run_jobs = evaluation.run
+    if options.cluster is not None:
+        from omnistereo_tools.cluster import evaluate_on_cluster
+
+        run_jobs = partial(evaluate_on_cluster, options.cluster, arguments)
     mine = evaluation.select_shard(options.shard)
     done = len(mine) - len(evaluation.missing(mine))
     with tqdm(total=len(mine), initial=done, desc="evaluate", unit="result", disable=not is_first_process()) as bar:
-        for job in evaluation.run(mine):
+        for job in run_jobs(mine):
             bar.set_postfix_str(f"{job.data} {job.frame} {job.method.name}", refresh=False)
             bar.update()
     missing = evaluation.missing()

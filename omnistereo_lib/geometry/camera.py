@@ -66,7 +66,9 @@ class OcamCamera:
         for name in ("poly", "inv_poly"):
             coefficients = getattr(self, name)
             if coefficients.ndim != 1 or not 2 <= len(coefficients) <= 64 or not np.isfinite(coefficients).all():
-                raise OmnistereoError(f"{name} is {str(coefficients)[:200]}; expected 2 to 64 finite coefficients")
+                raise OmnistereoError(
+                    f"{name} is {str(coefficients.tolist())[:200]}; expected 2 to 64 finite coefficients"
+                )
         width, height = (check_number(side, "image_size", 2, MAX_SIDE, whole=True) for side in _all(self.image_size, 2))
         check_number(self.max_fov_deg, "max_fov_deg", 1, 360)
         for name, count, most in (("center", 2, 10 * MAX_SIDE), ("affine", 3, 100)):

@@ -5,10 +5,10 @@
 
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.rig import Rig
-from omnistereo_lib.rig_files.formats import export_rig, load_rig
+from omnistereo_lib.rig_files.formats import load_rig
 from omnistereo_lib.rig_files.ocam import read_ocam_txt
 from omnistereo_lib.rig_files.omnimvs import save_rig
 
-__all__ = ["OcamCamera", "Rig", "export_rig", "load_rig", "read_ocam_txt", "save_rig"]
+__all__ = ["OcamCamera", "Rig", "load_rig", "read_ocam_txt", "save_rig"]
 
 Rig.load, Rig.save, OcamCamera.load = staticmethod(load_rig), save_rig, staticmethod(read_ocam_txt)

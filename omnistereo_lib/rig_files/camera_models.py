@@ -27,7 +27,7 @@ _log = logging.getLogger("omnistereo_lib")
 
 DEFAULT_FOV_DEG = 220.0  # the widest common lens; in images without a mask, black corners lie beyond it
 _ANGLE_STEP = np.radians(0.25)
-_AZIMUTHS = np.arange(64) * (2 * np.pi / 64)
+AZIMUTHS = np.arange(64) * (2 * np.pi / 64)
 _FIT_TOLERANCE = 0.01  # px, as for any inverse polynomial
 _MAX_DEGREE = 20
 _MAX_RESIDUAL = 0.1  # px; beyond it a warning
@@ -199,11 +199,11 @@ def fit_ocam(
     """
     half = _half_field(project, image_size, max_fov_deg, mask)
     theta = np.linspace(0.0, half, 257)[1:]
-    rays = _ring_rays(theta)
+    rays = ring_rays(theta)
     uv = project(rays)[0]
     center = uv.mean((0, 1))
-    harmonics = np.stack([np.cos(_AZIMUTHS), np.sin(_AZIMUTHS)], -1)
-    maps = np.einsum("rai,aj->rij", uv, harmonics) * (2 / len(_AZIMUTHS))
+    harmonics = np.stack([np.cos(AZIMUTHS), np.sin(AZIMUTHS)], -1)
+    maps = np.einsum("rai,aj->rij", uv, harmonics) * (2 / len(AZIMUTHS))
     A = np.linalg.svd(maps.reshape(-1, 4), full_matrices=False)[2][0].reshape(2, 2)
     A /= A[0, 0]
     radius = np.einsum("rij,ij->r", maps, A) / (A * A).sum()
@@ -222,10 +222,10 @@ def fit_ocam(
     return camera, float(max(errors))
 
 
-def _ring_rays(theta: Floats) -> Floats:
+def ring_rays(theta: Floats) -> Floats:
     """Return unit rays (rings, azimuths, 3) at angles θ from the axis."""
     sine, cosine = np.sin(theta)[:, None], np.cos(theta)[:, None]
-    x, y = sine * np.cos(_AZIMUTHS), sine * np.sin(_AZIMUTHS)
+    x, y = sine * np.cos(AZIMUTHS), sine * np.sin(AZIMUTHS)
     return np.stack(np.broadcast_arrays(x, y, cosine), -1)
 
 
@@ -234,7 +234,7 @@ def _half_field(
 ) -> float:
     """Return the half field of view in radians, as `fit_ocam` chooses it."""
     theta = np.arange(0.0, np.pi, _ANGLE_STEP)
-    uv, valid = project(_ring_rays(theta))
+    uv, valid = project(ring_rays(theta))
     uv = np.where(valid[..., None], uv, np.nan)
     radius = np.linalg.norm(uv - uv[0].mean(0), axis=-1)
     one_to_one = np.append(True, (np.diff(radius, axis=0) > 0).all(1)).cumprod().astype(bool)  # NaN is not > 0
@@ -279,26 +279,3 @@ def _fit_lowest_degree(powers: Floats, values: Floats, terms: int) -> Floats:
         if np.abs(powers[:, :count] @ fit - values).max() < _FIT_TOLERANCE:
             break
     return fit
-
-
-def fit_kannala_brandt(camera: OcamCamera) -> tuple[dict[str, float], float]:
-    """Fit the Kannala-Brandt model, which has no d and e of the affine map, to an OCam camera: linear least squares.
-
-    Returns the keyword arguments of `kannala_brandt`, and the largest distance in pixels between the two models over
-    the field of view. OmnistereoError if that is too wide for four coefficients.
-    """
-    theta = np.radians(np.linspace(0.25, camera.max_fov_deg / 2, 180))
-    rays = _ring_rays(theta)
-    uv = camera.project(rays, use_direct_poly=True)[0]
-    c = camera.affine[0]
-    offset = (uv - np.array(camera.center)) / [1.0, c]
-    radius = (offset[..., 0] * np.cos(_AZIMUTHS) + offset[..., 1] * np.sin(_AZIMUTHS)).mean(1)
-    powers = theta[:, None] ** np.arange(1, 10, 2)
-    scale = powers.max(axis=0)
-    f, *rest = (np.linalg.lstsq(powers / scale, radius, rcond=None)[0] / scale).tolist()
-    if not f > 0:
-        raise OmnistereoError(f"no Kannala-Brandt camera follows this lens over {camera.max_fov_deg:.0f}°")
-    k = {f"k{i}": value / f for i, value in enumerate(rest, start=1)}
-    parameters = {"fx": f, "fy": f * c, "cx": camera.center[0], "cy": camera.center[1], **k}
-    fitted, _ = kannala_brandt(rays, **parameters)
-    return parameters, float(np.linalg.norm(fitted - uv, axis=-1).max())

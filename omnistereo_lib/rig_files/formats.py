@@ -1,20 +1,17 @@
-"""The formats of rig files: detection, reading any of them, export to other programs."""
+"""The formats of rig files: detection, reading any of them."""
 
 import logging
-import warnings
 from pathlib import Path
 from typing import Any
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import atomic_write, make_folder, read_data
+from omnistereo_lib.files import read_data
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.rig_files.basalt import read_basalt
-from omnistereo_lib.rig_files.camera_models import fit_kannala_brandt
-from omnistereo_lib.rig_files.colmap import colmap_cameras_text, colmap_rig_text
-from omnistereo_lib.rig_files.kalibr import kalibr_text, read_kalibr
+from omnistereo_lib.rig_files.kalibr import read_kalibr
 from omnistereo_lib.rig_files.ocam import read_ocam_folder
 from omnistereo_lib.rig_files.omnimvs import read_omnimvs
-from omnistereo_lib.rig_files.opencv import opencv_cameras, opencv_text, read_opencv
+from omnistereo_lib.rig_files.opencv import opencv_cameras, read_opencv
 from omnistereo_lib.rig_files.parse import METRES_PER_UNIT, error_context
 
 _log = logging.getLogger("omnistereo_lib")
@@ -27,7 +24,6 @@ _SUPPORTED = """supported formats:
   - OpenCV fisheye YAML: K, D, R, T and image_size of each camera (pass the unit)"""
 _RIG_FILES = ("config.yaml", "rig.yaml", "calibration.json", "calibration.yaml")  # the first found in a folder
 _METRIC_READERS = {"OmniMVS config.yaml": read_omnimvs, "basalt JSON": read_basalt, "Kalibr camchain": read_kalibr}
-_MAX_EXPORT_ERROR = 1.0  # px; beyond it a warning
 
 
 def load_rig(path: str | Path, unit: str | None = None, max_fov_deg: float | None = None) -> Rig:
@@ -95,32 +91,3 @@ def _detect_format(data: Any) -> str:
     if opencv_cameras(data):
         return "OpenCV fisheye"
     raise OmnistereoError(f"unknown format, found the keys {sorted(map(str, data))[:8]}; {_SUPPORTED}")
-
-
-def export_rig(rig: Rig, folder: str | Path) -> list[float]:
-    """Write a rig as kalibr.yaml, opencv.yaml, colmap_cameras.txt and colmap_rig_config.json into a folder.
-
-    All four use the Kannala-Brandt model with four coefficients: pinhole-equidistant in Kalibr, fisheye in OpenCV
-    (whose functions stop at 90° from the axis), OPENCV_FISHEYE in COLMAP.
-
-    Returns the residual of each camera in pixels, a few tenths for most lenses beyond 180°; UserWarning above 1 px.
-    """
-    folder = make_folder(folder)
-    fits = [fit_kannala_brandt(camera) for camera in rig.cameras]
-    parameters, residuals = [fit[0] for fit in fits], [fit[1] for fit in fits]
-    large = [f"camera {i} {px:.1f} px" for i, px in enumerate(residuals, 1) if px > _MAX_EXPORT_ERROR]
-    if large:
-        warnings.warn(
-            f"the camera model of Kalibr, OpenCV and COLMAP does not follow {', '.join(large)} at worst: the files in "
-            f"{folder} have these errors. Use config.yaml where you can",
-            stacklevel=2,
-        )
-    for name, text in {
-        "kalibr.yaml": kalibr_text(rig, parameters),
-        "opencv.yaml": opencv_text(rig, parameters),
-        "colmap_cameras.txt": colmap_cameras_text(rig, parameters),
-        "colmap_rig_config.json": colmap_rig_text(rig),
-    }.items():
-        with atomic_write(folder / name) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-    return residuals

@@ -1,7 +1,6 @@
 """Kalibr camchain YAML: `cam0`, `cam1`, … with `T_cn_cnm1` (camera n-1 → camera n); metres; rig frame = cam0."""
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.rig_files.camera_models import fit_camera
-from omnistereo_lib.rig_files.parse import error_context, parse_floats, parse_size, require_key, to_yaml
+from omnistereo_lib.rig_files.parse import error_context, parse_floats, parse_size, require_key
 
 _RADTAN, _EQUIDISTANT = ("k1", "k2", "p1", "p2"), ("k1", "k2", "k3", "k4")
 # (camera_model, distortion_model) → our model, its parameters in file order: intrinsics, distortion_coeffs
@@ -59,21 +58,3 @@ def _pose_from_matrix(values: Any) -> Pose:
     if not np.allclose(matrix[3], [0, 0, 0, 1], atol=1e-9):
         raise OmnistereoError(f"the last row of the pose is {matrix[3].tolist()}; expected 0 0 0 1")
     return Pose(matrix[:3, :3], matrix[:3, 3])
-
-
-def kalibr_text(rig: Rig, parameters: Sequence[dict[str, float]]) -> str:
-    """Return a camchain with pinhole-equidistant cameras; each pose is relative to the camera before."""
-    chain: dict[str, dict[str, Any]] = {}
-    for i, (camera, p) in enumerate(zip(rig.cameras, parameters, strict=True)):
-        chain[f"cam{i}"] = {
-            "camera_model": "pinhole",
-            "intrinsics": [p[name] for name in ("fx", "fy", "cx", "cy")],
-            "distortion_model": "equidistant",
-            "distortion_coeffs": [p[name] for name in _EQUIDISTANT],
-            "resolution": list(camera.image_size),
-            "rostopic": f"/cam{i}/image_raw",
-        }
-        if i > 0:
-            T = rig.T_rig_cam[i].inverse() @ rig.T_rig_cam[i - 1]
-            chain[f"cam{i}"]["T_cn_cnm1"] = [*np.column_stack([T.R, T.t]).tolist(), [0.0, 0.0, 0.0, 1.0]]
-    return to_yaml(chain)

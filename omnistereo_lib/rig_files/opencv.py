@@ -11,7 +11,6 @@ The first camera may omit R and T: it is then the rig frame.
 """
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +27,6 @@ from omnistereo_lib.rig_files.parse import (
     parse_floats,
     parse_size,
     require_key,
-    to_yaml,
 )
 
 _ALIASES = {
@@ -103,18 +101,3 @@ def _parse_intrinsics(cam: dict[str, Any]) -> dict[str, float]:
         raise OmnistereoError(f"K is {K.tolist()}; expected fx 0 cx, 0 fy cy, 0 0 1")
     names = ("fx", "cx", "fy", "cy", "k1", "k2", "k3", "k4")
     return dict(zip(names, [*K[[0, 2, 4, 5]].tolist(), *D.tolist()], strict=True))
-
-
-def opencv_text(rig: Rig, parameters: Sequence[dict[str, float]]) -> str:
-    """Return one mapping per camera, the rig in the frame of camera 1, metres."""
-    cameras = {}
-    for i, (camera, p) in enumerate(zip(rig.cameras, parameters, strict=True)):
-        T = rig.T_rig_cam[i].inverse() @ rig.T_rig_cam[0]
-        cameras[f"cam{i + 1}"] = {
-            "K": [[p["fx"], 0.0, p["cx"]], [0.0, p["fy"], p["cy"]], [0.0, 0.0, 1.0]],
-            "D": [p[f"k{n}"] for n in (1, 2, 3, 4)],
-            "image_size": list(camera.image_size),
-            "R": T.R.tolist(),
-            "T": T.t.tolist(),
-        }
-    return to_yaml({"cameras": cameras})

@@ -130,6 +130,8 @@ class Method:
         """
         if isinstance(name, Method):
             return name
+        if not isinstance(name, str):
+            raise OmnistereoError(f"method is {name!r}; expected a name such as 'zncc+sgm'")
         base, *settings = name.split(",")
         cost, _, aggregate = base.partition("+")
         values: dict[str, Any] = {}

@@ -108,18 +108,6 @@ def corners(picture):
 # --- The board --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("size", [(2, 5), (5, 2), (4.5, 6), (12,), (3, 4, 5)])
-def test_counts_that_are_no_board(size):
-    with pytest.raises(OmnistereoError, match="two integers of 3 to 200"):
-        Checkerboard(size, 0.06)
-
-
-@pytest.mark.parametrize("square", [0, -0.1, np.nan, np.inf])
-def test_squares_without_a_size(square):
-    with pytest.raises(OmnistereoError, match="its edge in metres"):
-        Checkerboard((9, 6), square)
-
-
 def test_points_run_row_by_row():
     points = Checkerboard((4, 3), 0.5).points
     assert points.shape == (12, 3)

@@ -151,27 +151,6 @@ def test_inverse_poly_error_is_the_closed_form_distance():
     assert scaled.inverse_poly_error_px() == pytest.approx(0.01 * 2 * F * np.tan(np.radians(55)), rel=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"poly": [-180.0, 0.0, np.nan]}, "poly is .*; expected 2 to 64 finite coefficients"),
-        ({"inv_poly": [1.0]}, "inv_poly is .*; expected 2 to 64 finite coefficients"),
-        ({"poly": [180.0, 0.0]}, "expected a0 < 0"),
-        ({"image_size": (800.5, 760)}, "image_size is .*; expected an integer of 2 to 100000"),
-        ({"image_size": (np.nan, 760)}, "image_size is .*; expected an integer of 2 to 100000"),
-        ({"image_size": (1, 760)}, "expected an integer of 2 to 100000"),
-        ({"max_fov_deg": 0.0}, r"max_fov_deg is .*; expected a number of 1 to 360"),
-        ({"max_fov_deg": np.nan}, "max_fov_deg"),
-        ({"center": (np.inf, 1.0)}, "center is inf; expected a number"),
-        ({"affine": (0.0, 1.0, 0.0)}, "singular"),
-        ({"mask": np.ones(SIZE, bool)}, r"mask has shape \(800, 760\).*\(760, 800\)"),
-    ],
-)
-def test_bad_parameters_are_named(changes, message):
-    with pytest.raises(OmnistereoError, match=message):
-        equidistant(**changes)
-
-
 def test_bad_points_and_polynomials_are_named():
     with pytest.raises(OmnistereoError, match=r"shape \(4, 2\); expected \(..., 3\)"):
         equidistant().project(np.zeros((4, 2)))

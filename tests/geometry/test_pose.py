@@ -7,7 +7,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from omnistereo_lib import OmnistereoError, Pose
+from omnistereo_lib import Pose
 from omnistereo_lib.geometry.pose import axis_angle_from_rotation, rotation_from_axis_angle
 
 unit_vectors = st.tuples(*[st.floats(-1, 1)] * 3).map(np.array).filter(lambda v: np.linalg.norm(v) > 0.1)
@@ -83,27 +83,3 @@ def test_a_printed_rotation_becomes_the_nearest_one():
     pose = Pose(np.round(exact, 6), np.zeros(3))
     np.testing.assert_allclose(pose.R @ pose.R.T, np.eye(3), atol=1e-15)
     np.testing.assert_allclose(pose.R, exact, atol=2e-6)
-
-
-@pytest.mark.parametrize(
-    ("R", "t", "message"),
-    [
-        (np.eye(3) * 2, np.zeros(3), "not a rotation"),
-        (np.diag([1.0, 1.0, -1.0]), np.zeros(3), "determinant -1"),
-        (np.zeros((3, 3)), np.zeros(3), "not a rotation"),
-        (np.full((3, 3), np.nan), np.zeros(3), "expected finite numbers"),
-        (np.eye(3), [0, np.inf, 0], "expected finite numbers"),
-        (np.eye(4), np.zeros(3), r"expected \(3, 3\)"),
-        (np.eye(3), np.zeros(4), r"and t \(4,\); expected"),
-    ],
-)
-def test_what_is_no_pose_is_refused(R, t, message):
-    with pytest.raises(OmnistereoError, match=message):
-        Pose(R, t)
-
-
-def test_wrong_shapes_are_named():
-    with pytest.raises(OmnistereoError, match=r"shape \(3,\); expected 6 numbers"):
-        Pose.from_vector([1, 2, 3])
-    with pytest.raises(OmnistereoError, match=r"points have shape \(2,\); expected \(..., 3\)"):
-        Pose.identity() @ [1.0, 2.0]

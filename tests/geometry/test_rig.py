@@ -58,11 +58,3 @@ def test_the_ring_is_sorted_by_azimuth_not_by_number():
     order = [0, 2, 3, 1]  # front, back, left, right
     shuffled = Rig([rig.cameras[i] for i in order], [rig.T_rig_cam[i] for i in order])
     assert camera_pairs("ring", shuffled) == [(0, 3), (3, 1), (1, 2), (2, 0)]
-
-
-@pytest.mark.parametrize(
-    "pairs, message", [("star", "is 'star'"), ([(0, 4)], r"\(0, 4\)"), ([(1, 1)], r"\(1, 1\)"), ([], "empty")]
-)
-def test_bad_pairs(pairs, message):
-    with pytest.raises(OmnistereoError, match=message):
-        camera_pairs(pairs, scene.rig())

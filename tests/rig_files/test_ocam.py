@@ -33,9 +33,9 @@ from rig_file_samples import (
 )  # fmt: skip
 
 from omnistereo_lib import OcamCamera, OmnistereoError, Pose, Rig
-from omnistereo_lib.rig_files import export_rig
 from omnistereo_lib.rig_files.ocam import read_ocam_txt, write_ocam_folder, write_ocam_txt
 from omnistereo_lib.rig_files.omnimvs import save_rig
+from omnistereo_tools.rig_exports import export_rig
 
 C, D, E = AFFINE
 

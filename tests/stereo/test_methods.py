@@ -37,29 +37,6 @@ def test_the_defaults_are_the_papers():
     assert SCALES["paper"] == Scale(1200, 300, 192) and SCALES["training"] == Scale(600, 150, 192)
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    {
-        "census": "cost must be one of zncc, mccnn, sweepnet, volumenet, got 'census'",
-        "zncc+median": "aggregate must be one of none, sgm, got 'median'",
-        "zncc,size=5": "unknown setting 'size'; expected one of window, weights",
-        "zncc,window=wide": "window must be of type int, got 'wide'",
-        "zncc,subindex=maybe": "subindex must be of type bool, got 'maybe'",
-        "zncc,window=4": "window is 4; expected an odd number",
-        "zncc,p1=0.2": "zncc,p1=0.2: zncc does not use p1. Leave it out",
-        "mccnn,wrap=false": "mccnn does not use wrap",
-        "sweepnet,window=5": "sweepnet does not use window",
-        "zncc+sgm,p1=3,p2=2": r"expected 0 ≤ p1 ≤ p2, got 3.0 and 2.0",
-        "zncc,num_spheres=1": "at least 2 spheres",
-        "zncc,pairs=some": "pairs must be one of ring, all",
-        "sweepnet,weights=../mine": "without folder and ending",
-    }.items(),
-)
-def test_methods_that_do_not_exist(name, message):
-    with pytest.raises(osl.OmnistereoError, match=message):
-        Method.parse(name)
-
-
 # ---- from images to depth
 
 GRID = osl.SphereGrid(160, 40, (-40, 40), 24, 0.6)

@@ -9,7 +9,6 @@ from c_libsgm import sgm_api
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.stereo.sgm import MAX_LAPS, _tiles, sgm, sgm_torch
 
 STRAIGHT = [(0, 1), (1, 0), (0, -1), (-1, 0)]  # (row, column)
@@ -215,23 +214,3 @@ def test_input_is_left_alone_and_may_be_any_float_array():
         result = sgm(other)
         assert result.dtype == torch.float32
         assert torch.equal(result, expected)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"volume": np.zeros((3, 4), np.float32)}, r"shape \(3, 4\)"),
-        ({"volume": np.zeros((3, 4, 1), np.float32)}, "expected \\(H, W, N\\) with N ≥ 2"),
-        ({"volume": np.zeros((0, 4, 3), np.float32)}, r"shape \(0, 4, 3\)"),
-        ({"paths": 5}, "paths is 5; expected 4 or 8"),
-        ({"p1": -0.1}, "p1 = -0.1"),
-        ({"p1": 1.0, "p2": 0.5}, "p2 = 0.5"),
-        ({"p2": np.inf}, "p2 = inf"),
-        ({"p1": np.nan}, "p1 = nan"),
-        ({"volume": np.where(np.arange(24).reshape(2, 3, 4) == 7, np.inf, 0)}, "infinite costs"),
-        ({"volume": np.where(np.arange(24).reshape(2, 3, 4) == 7, -np.inf, 0)}, "infinite costs"),
-    ],
-)
-def test_bad_input_is_refused(arguments, message):
-    with pytest.raises(OmnistereoError, match=message):
-        sgm(**{"volume": np.zeros((2, 3, 4), np.float32), **arguments})

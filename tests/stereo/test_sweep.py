@@ -140,18 +140,3 @@ def test_visible_columns_form_the_shortest_span_around_the_seam(visible, span):
     assert start == span[0] or width == 8
     covered = [x for first, last in split_at_seam(start, width, 8) for x in range(first, last)]
     assert {x for x, c in enumerate(visible) if c == "1"} <= set(covered)
-
-
-@pytest.mark.parametrize(
-    "spoil, message",
-    [
-        (lambda images: images[:3], "3 images for 4 cameras"),
-        (lambda images: [images[0][:-1], *images[1:]], r"image 1 has shape \(383, 400\)"),
-        (lambda images: [images[0].astype(int), *images[1:]], "image 1 has type int64"),
-        (lambda images: [*images[:3], np.full_like(images[3], np.nan)], "image 4 has NaN"),
-    ],
-)
-def test_images_that_do_not_fit_the_rig_are_refused(world, spoil, message):
-    rig, images = world
-    with pytest.raises(osl.OmnistereoError, match=message):
-        osl.SphereSweep(rig, GRID).normalize_images(spoil(images))

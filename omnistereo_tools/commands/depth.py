@@ -37,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     of_recording.add_argument("--start", type=int, default=0, metavar="N", help="first frame number (default: 0)")
     of_recording.add_argument("--stop", type=int, metavar="N", help="frame number to stop before (default: the end)")
     of_recording.add_argument("--step", type=int, default=1, metavar="N", help="every N-th frame (default: 1)")
+    of_recording.add_argument("--cluster", metavar="ADDRESS", help="of a Dask scheduler, to use many machines")
     of_recording.add_argument("--depth-format", default="tiff", choices=["tiff", "png"], help="float32, or 16 bits")
     of_recording.add_argument(
         "--video", type=Path, metavar="FILE", help="panorama over depth: .mp4, or .webm for browsers"
@@ -85,7 +86,7 @@ def _run_recording(options: argparse.Namespace) -> None:
     from tqdm import tqdm
 
     from omnistereo_tools.exports import check_suffixes
-    from omnistereo_tools.recordings import depth_of_recording, stored_min_depth, write_video
+    from omnistereo_tools.recordings import DepthWriter, stored_min_depth, write_video
     from omnistereo_tools.sources import Recording
 
     check_suffixes(video=options.video)
@@ -96,10 +97,20 @@ def _run_recording(options: argparse.Namespace) -> None:
         print(f"{path} lacks {len(names)} frames that other cameras have; they are left out: {some}")
     options.min_depth = options.min_depth or stored_min_depth(options.out)
     grid = make_grid(options, rig, next(recording.read([min(recording.frames)])))
-    writer = depth_of_recording(
-        recording, rig, grid, options.method, options.out, f".{options.depth_format}", options.video is not None,
-        options.device, lambda left, done, total: tqdm(left, "depth", total, initial=done, unit="frame"),
+    writer = DepthWriter.open(
+        options.out, recording, rig, grid, options.method, f".{options.depth_format}", options.video is not None,
+        options.device,
     )  # fmt: skip
+    writer.prepare(rig)
+    left, total = writer.left(), len(recording.frames)
+    if options.cluster is None:
+        done = writer.run(left)
+    else:
+        from omnistereo_tools.cluster import depth_on_cluster
+
+        done = depth_on_cluster(options.cluster, writer, options.device)
+    for _ in tqdm(done, "depth", total, initial=total - len(left), unit="frame"):
+        pass
     print(f"{len(recording.frames)} frames are in {options.out}/, which load_dataset reads")
     if options.video is not None:
         write_video(options.video, writer)

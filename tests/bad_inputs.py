@@ -1,0 +1,469 @@
+"""Bad inputs, one row each: what is wrong, the command or call, a phrase of the answer. `test_bad_inputs` reads them.
+
+In a command DATA is a small data set of one frame with ground truth, RIG its config.yaml, IMAGES the four pictures,
+OUT a folder that does not exist yet, BOARDS a folder of corners, LONG a name of 300 characters.
+"""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import scene
+import torch
+import yaml
+
+import omnistereo_lib as osl
+from omnistereo_lib.calibrate.captures import save_corners
+from omnistereo_lib.files import write_image
+from omnistereo_lib.geometry.rig import camera_pairs
+
+DEPTH = "depth --rig RIG --images IMAGES --width 96 --height 24 --spheres 16 --method zncc --out OUT "
+SET = "depth --rig DATA --width 96 --height 24 --spheres 16 --method zncc --out OUT "
+DOCTOR = "doctor --rig RIG --images IMAGES --width 96 --height 24 --spheres 16 "
+LOOK = "doctor --rig RIG "
+EVALUATE = "evaluate --sets DATA --methods zncc --out OUT "
+TRAIN = "train sweepnet --data DATA --out OUT "
+CALIBRATE = "calibrate BOARDS --corners BOARDS --square 0.06 --out OUT --board 4x3 "
+
+
+class Row(NamedTuple):
+    """A command that must end with one line."""
+
+    wrong: str
+    command: str
+    said: str  # regular expression
+    spoil: Callable[[Path], None] = lambda data: None  # makes the input bad
+    code: int = 2
+
+
+class Call(NamedTuple):
+    """A call that must raise the library's error."""
+
+    wrong: str
+    call: Callable[[], Any]
+    said: str
+
+
+# ---- ways to spoil a data set
+
+
+def first(data: Path, camera: int = 2) -> Path:
+    return data / f"cam{camera}" / "0001.png"
+
+
+def write(name: str, content: str | bytes) -> Callable[[Path], None]:
+    return lambda data: (data / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+
+
+def picture(pixels: np.ndarray, camera: int = 2) -> Callable[[Path], None]:
+    return lambda data: write_image(first(data, camera), pixels)
+
+
+def cut(data: Path) -> None:
+    first(data).write_bytes(first(data).read_bytes()[:2000])
+
+
+def folder_named_like_a_picture(data: Path) -> None:
+    first(data).unlink()
+    first(data).mkdir()
+
+
+def config(change: Callable[[dict], Any]) -> Callable[[Path], None]:
+    def spoil(data: Path) -> None:
+        content = yaml.safe_load((data / "config.yaml").read_text())
+        change(content)
+        (data / "config.yaml").write_text(yaml.safe_dump(content))
+
+    return spoil
+
+
+def second(key: str, value: Any) -> Callable[[Path], None]:
+    """Change a value of the second camera; None removes it."""
+    return config(lambda content: content["cameras"][1].update({key: value}))
+
+
+def without(key: str) -> Callable[[Path], None]:
+    return config(lambda content: content["cameras"][1].pop(key))
+
+
+def kalibr(R: np.ndarray) -> Callable[[Path], None]:
+    """A Kalibr chain whose second camera has this rotation."""
+    camera = {
+        "camera_model": "ds", "intrinsics": [-0.2, 0.55, 60.0, 60.0, 100.0, 96.0], "resolution": [200, 192],
+        "distortion_model": "none", "distortion_coeffs": [],
+    }  # fmt: skip
+    T = np.eye(4)
+    T[:3, :3] = R
+    return write("config.yaml", yaml.safe_dump({"cam0": camera, "cam1": {**camera, "T_cn_cnm1": T.tolist()}}))
+
+
+def no_shared_view(data: Path) -> None:
+    narrow = scene.camera(200, 192, max_fov_deg=60)
+    poses = [osl.Pose.from_vector([0, turn, 0, 0.2 * np.cos(turn), 0, 0.2 * np.sin(turn)]) for turn in QUARTERS]
+    osl.Rig([narrow] * 4, poses, min_depth=0.6).save(data / "config.yaml")
+
+
+QUARTERS = np.arange(4) * np.pi / 2
+SMALLER = np.zeros((96, 100, 3), np.uint8)
+
+
+def poses(change: Callable[[list, int], list]) -> Callable[[Path], None]:
+    """Change the pose (axis-angle, metres) of every camera."""
+
+    def edit(content: dict) -> None:
+        for number, camera in enumerate(content["cameras"]):
+            camera["pose"] = change(camera["pose"], number)
+
+    return config(edit)
+
+
+def same_picture(data: Path) -> None:
+    for camera in (2, 3, 4):
+        first(data, camera).write_bytes(first(data, 1).read_bytes())
+
+
+def two_pictures_swapped(data: Path) -> None:
+    one, other = first(data, 1).read_bytes(), first(data, 2).read_bytes()
+    first(data, 1).write_bytes(other)
+    first(data, 2).write_bytes(one)
+
+
+def corners(old: str, new: str) -> Callable[[Path], None]:
+    """Edit the file of corners by hand."""
+
+    def spoil(data: Path) -> None:
+        board = osl.Checkerboard((4, 3), 0.06)
+        save_corners(data / "boards" / "corners_1.yaml", {"a": 100 * board.points[:, :2]}, board, (200, 192))
+        text = (data / "boards" / "corners_1.yaml").read_text()
+        assert old in text
+        (data / "boards" / "corners_1.yaml").write_text(text.replace(old, new, 1))
+
+    return spoil
+
+
+def two_frames(data: Path) -> None:
+    for camera in (1, 2, 3, 4):
+        shutil.copy(first(data, camera), data / f"cam{camera}" / "0002.png")
+    shutil.copy(data / "omnidepth_gt_96" / "00001.tiff", data / "omnidepth_gt_96" / "00002.tiff")
+
+
+# ---- commands
+
+COMMANDS = [
+    # the command itself
+    Row("a misspelt command", "deph --out OUT", "there is no command 'deph'. Did you mean depth"),
+    Row("no such command", "xyz", "Expected one of depth, "),
+    Row("no such option", DEPTH + "--no-such-option", "unrecognized arguments"),
+    # pictures
+    Row("a picture is missing", DEPTH, r"cam2.0001.png cannot be read: No such file", lambda d: first(d).unlink()),
+    Row("a picture is truncated", DEPTH, r"cam2.0001.png is truncated .2000 bytes", cut),
+    Row("a picture is text", DEPTH, r"cam2.0001.png is not an image .5 bytes", write("cam2/0001.png", "hello")),
+    Row("a picture is empty", DEPTH, r"cam2.0001.png is not an image .0 bytes", write("cam2/0001.png", "")),
+    Row("a picture is a folder", DEPTH, r"has no frames that OpenCV can read", folder_named_like_a_picture),
+    Row("a picture is smaller", DEPTH, r"image 2 has shape \(96, 100, 3\); camera 2 expects", picture(SMALLER)),
+    Row("a picture is of one pixel", DEPTH, r"image 2 has shape \(1, 1, 3\)", picture(SMALLER[:1, :1])),
+    Row("a picture has a long name", "depth --rig RIG --images LONG LONG LONG LONG", "File name too long"),
+    Row("a picture too few", DEPTH + "--images DATA/cam1/0001.png", r"there are 1 images for 4 cameras"),
+    Row("a picture too many", DEPTH + "--images IMAGES DATA/cam1/0001.png", r"5 images for 4 cameras"),
+    Row("pictures without a rig", "depth --images IMAGES --out OUT", r"--images needs --rig"),
+    Row("doctor: a picture too few", DOCTOR + "--images DATA/cam1/0001.png", "there are 1 images for 4 cameras"),
+    Row("doctor: no rig", "doctor --images IMAGES", "--images needs --rig"),
+    Row("doctor: a picture is text", DOCTOR, "cam2.0001.png is not an image", write("cam2/0001.png", "hello")),
+    # panoramas
+    Row("phi too high", DEPTH + "--phi -45 91", r"phi_deg is \(-45.0, 91.0\); expected two angles"),
+    Row("phi upside down", DEPTH + "--phi 45 -45", r"phi_deg is .* first < last"),
+    Row("phi not a number", DEPTH + "--phi nan 45", r"phi_deg is \(nan, 45.0\)"),
+    Row("one phi", DEPTH + "--phi 45", "--phi: expected 2 arguments"),
+    Row("negative depth", DEPTH + "--min-depth -1", r"min_depth is -1.0 and max_depth inf"),
+    Row("zero depth", DEPTH + "--min-depth 0", r"min_depth is 0.0 and max_depth inf"),
+    Row("infinite depth", DEPTH + "--min-depth inf", r"min_depth is inf and max_depth inf"),
+    Row("depth not a number", DEPTH + "--min-depth nan", r"min_depth is nan and max_depth inf"),
+    Row("one sphere", DEPTH + "--spheres 1", r"num_spheres is 1; expected"),
+    Row("no width", DEPTH + "--width 0", r"width is 0; expected"),
+    Row("negative width", DEPTH + "--width -96", r"width is -96; expected"),
+    Row("half a pixel", DEPTH + "--width 96.5", "--width: invalid int value"),
+    Row("width in words", DEPTH + "--width wide", "--width: invalid int value"),
+    Row("lower than the window", DEPTH + "--height 4", r"window is 9; expected at most .* 96 × 4"),
+    Row("more than the memory", DEPTH + "--width 30000 --height 30000 --spheres 9999", "9999 spheres needs .*GiB"),
+    Row("wider than OpenCV can", DEPTH + "--width 32767", "32767.* 32766"),
+    Row("higher than OpenCV can", DEPTH + "--height 40000 --width 2", "40000.* 32766"),
+    Row("doctor: a billion rows", DOCTOR + "--height 1000000000", "height is 1000000000; expected"),
+    # methods
+    Row("no such method", DEPTH + "--method magic", r"one of zncc, mccnn, sweepnet, volumenet, got 'magic'"),
+    Row("no such smoothing", DEPTH + "--method zncc+median", "aggregate must be one of none, sgm, got 'median'"),
+    Row("no such setting", DEPTH + "--method zncc,size=5", "unknown setting 'size'; expected one of window"),
+    Row("a setting of another type", DEPTH + "--method zncc,window=wide", "window must be of type int, got 'wide'"),
+    Row("a window of even size", DEPTH + "--method zncc,window=4", "window is 4; expected an odd number"),
+    Row("a setting it does not use", DEPTH + "--method zncc,p1=0.2", "zncc does not use p1. Leave it out"),
+    Row("another it does not use", DEPTH + "--method mccnn,wrap=false", "mccnn does not use wrap"),
+    Row("penalties upside down", DEPTH + "--method zncc+sgm,p1=3,p2=2", r"expected 0 ≤ p1 ≤ p2, got 3.0 and 2.0"),
+    Row("no such pairs", DEPTH + "--method zncc,pairs=some", "pairs must be one of ring, all"),
+    Row("a window it does not use", DEPTH + "--method sweepnet,window=5", "sweepnet does not use window"),
+    Row("one sphere by method", DEPTH + "--method zncc,num_spheres=1", "at least 2 spheres"),
+    Row("weights outside", DEPTH + "--method sweepnet,weights=../mine", "without folder and ending"),
+    Row("perhaps", DEPTH + "--method zncc,subindex=maybe", "subindex must be of type bool, got 'maybe'"),
+    Row("no such device", DEPTH + "--device tpu", "--device: invalid choice: 'tpu'"),
+    Row("no such unit", DEPTH + "--unit inch", "--unit: invalid choice: 'inch'"),
+    Row("the unit stated twice", DEPTH + "--unit cm", r"in metres by definition. Omit unit='cm'"),
+    # data sets and outputs
+    Row("no such frame", SET + "--frame 7", r"has frames 0 … 0, not 7"),
+    Row("a file as data set", SET + "--rig RIG", r"config.yaml is not a data set folder"),
+    Row("no data set", SET + "--rig DATA/none", r"none is not a data set folder"),
+    Row("damaged ground truth", SET, r"00001.tiff is not a complete TIFF", write("omnidepth_gt_96/00001.tiff", "II*")),
+    Row("empty ground truth", SET, r"00001.tiff is not a complete TIFF", write("omnidepth_gt_96/00001.tiff", "")),
+    Row("out is a file", DEPTH + "--out RIG", r"config.yaml cannot be made or written to: File exists"),
+    Row("out below a file", DEPTH + "--out RIG/out", r"cannot be made or written to: Not a directory"),
+    Row("out of a long name", DEPTH + "--out LONG", "File name too long"),
+    Row("a mesh of another kind", DEPTH + "--mesh OUT.stl", r"out.stl has the wrong suffix; expected .glb or .ply"),
+    Row("an image of another kind", DEPTH + "--equirectangular OUT.jpg", r"out.jpg has the wrong suffix; expected"),
+    # rig files
+    Row("no rig file", LOOK + "--rig DATA/none.yaml", r"none.yaml.*"),
+    Row("a rig file of a long name", DEPTH + "--rig LONG", "File name too long"),
+    Row("another format", LOOK, r"config.yaml: unknown format", write("config.yaml", "cameras: 4\n")),
+    Row("an empty file", LOOK, r"config.yaml: unknown format", write("config.yaml", "")),
+    Row("no cameras", LOOK, "config.yaml: the rig has 0 cameras", write("config.yaml", "cameras: []\n")),
+    Row("YAML cut off", LOOK, "config.yaml: not valid JSON or YAML", write("config.yaml", "a: [1, 2")),
+    Row("YAML with code", LOOK, "config.yaml: not valid", write("config.yaml", "!!python/object/apply:os.getcwd []")),
+    Row("YAML nested deep", LOOK, "config.yaml: not valid JSON or YAML", write("config.yaml", "[" * 20000)),
+    Row("bytes", LOOK, "config.yaml: not valid JSON or YAML", write("config.yaml", bytes(range(256)))),
+    Row("one camera", LOOK, "the rig has 1 cameras and 1 poses", config(lambda c: c.update(cameras=c["cameras"][:1]))),
+    Row("a camera is a number", LOOK, "camera 5: found 5; expected keys", config(lambda c: c["cameras"].append(5))),
+    Row("a pose not a number", LOOK, r"camera 2.* finite numbers", second("pose", [float("nan"), 0, 0, 0, 0, 0])),
+    Row("a pose too short", LOOK, r"camera 2.* must be 6 numbers", second("pose", [0, 0, 0, 0, 0])),
+    Row("no pose", LOOK, r"camera 2.* 'pose' is missing", without("pose")),
+    Row("a pose of words", LOOK, r"camera 2.* must be numbers", second("pose", ["a"] * 6)),
+    Row("an empty pose", LOOK, r"camera 2", second("pose", None)),
+    Row("no polynomial", LOOK, r"camera 2: key 'poly' is missing", without("poly")),
+    Row("no centre", LOOK, r"camera 2: key 'center' is missing", without("center")),
+    Row("no image size", LOOK, r"camera 2: key 'image_size' is missing", without("image_size")),
+    Row("a short polynomial", LOOK, "camera 2: the direct polynomial has 3 numbers", second("poly", [7, 1, 2])),
+    Row("an infinite polynomial", LOOK, "camera 2: .*finite", second("poly", [2, -100, float("inf")])),
+    Row("a positive polynomial", LOOK, r"camera 2: .*expected a0 < 0", second("poly", [2, 100, 0])),
+    Row("half a centre", LOOK, r"camera 2: the centre \(row, column\) must be 2", second("center", [1])),
+    Row("a centre of a mapping", LOOK, r"camera 2: the centre .* must be numbers", second("center", {"row": 1})),
+    Row("a singular affine map", LOOK, "camera 2: .*singular", second("affine", [0, 0, 0])),
+    Row("an image of no size", LOOK, "camera 2: .*(image.size|lies outside)", second("image_size", [0, 0])),
+    Row("an image of half a pixel", LOOK, "camera 2: the image size .* is 192.5", second("image_size", [192.5, 200])),
+    Row("an image size of 400 digits", LOOK, "camera 2: the image size", second("image_size", [10**400, 3])),
+    Row("an image size of 1e30", LOOK, "camera 2: the image size", second("image_size", [1e30, 1e30])),
+    Row("a translation of 1e300", LOOK, "camera 2", second("pose", [0, 0, 0, 1e300, 0, 0])),
+    Row("a thousand coefficients", LOOK, "camera 2", second("poly", [1000, -100] + [0] * 999)),
+    Row("a field of view in words", LOOK, "camera 2: max_fov must be numbers", second("max_fov", "wide")),
+    Row("a field of view of 500°", LOOK, r"camera 2: .*max_fov_deg", second("max_fov", 500)),
+    Row("no field of view", LOOK, r"camera 2: .*max_fov", second("max_fov", 0)),
+    Row("a mask that is text", LOOK, "mask.png is not an image", lambda d: (
+        second("invalid_mask", "mask.png")(d), write("mask.png", "no")(d))),
+    Row("a mask outside the folder", LOOK, r"camera 2: .*\.\./", second("invalid_mask", "../mask.png")),
+    Row("a mask by an absolute path", LOOK, "camera 2: .*/etc/passwd", second("invalid_mask", "/etc/passwd")),
+    Row("ground truth outside the folder", SET, "config.yaml", config(lambda c: c["dataset"].update(truth="../../.."))),
+    Row("two pictures of one frame", SET, "have the same number; expected one", lambda d: shutil.copy(
+        first(d), first(d).with_suffix(".jpg"))),
+    Row("a camera without the frame", SET, "cam2 has no|has no image of frame", lambda d: first(d).rename(
+        first(d).with_name("0002.png"))),
+    Row("a camera folder too few", SET, "expected cam1 to cam4", lambda d: shutil.rmtree(d / "cam2")),
+    Row("a key twice", LOOK, "config.yaml: .*config", lambda d: (d / "config.yaml").write_text(
+        (d / "config.yaml").read_text() + "config: {}\n")),
+    Row("a nearest depth in words", LOOK, "config.yaml: omnimvs_sweep_min_depth must be numbers",
+        config(lambda c: c.update(config={"omnimvs_sweep_min_depth": "near"}))),
+    Row("a nearest depth below 0", LOOK, "config.yaml: .*omnimvs_sweep_min_depth.* -1.*expected",
+        config(lambda c: c.update(config={"omnimvs_sweep_min_depth": -1}))),
+    Row("a nearest depth of 0", LOOK, "config.yaml: .*omnimvs_sweep_min_depth.* 0.*expected",
+        config(lambda c: c.update(config={"omnimvs_sweep_min_depth": 0}))),
+    Row("a singular rotation", LOOK, r"config.yaml.* not a rotation", kalibr(np.zeros((3, 3)))),
+    Row("a mirrored rotation", LOOK, r"config.yaml.* not a rotation", kalibr(np.diag([1, 1, -1]))),
+    Row("a scaled rotation", LOOK, r"config.yaml.* not a rotation", kalibr(2 * np.eye(3))),
+    Row("a rotation not a number", LOOK, r"config.yaml.*finite", kalibr(np.full((3, 3), np.nan))),
+    Row("cameras that share no view", DEPTH, r"no ray is visible to both cameras of any pair", no_shared_view),
+    # evaluate
+    Row("evaluate: no such method", EVALUATE + "--methods magic", "cost must be one of zncc"),
+    Row("evaluate: no such ablation", EVALUATE + "--ablations everything", "unknown ablation 'everything'; expected"),
+    Row("evaluate: no such set", EVALUATE + "--sets rainy", "data set 'rainy' not found"),
+    Row("evaluate: shard 3 of 2", EVALUATE + "--shard 3/2", "shard '3/2' is not of the form i/n"),
+    Row("evaluate: shard 0", EVALUATE + "--shard 0/2", "shard '0/2' is not of the form i/n"),
+    Row("evaluate: shard of words", EVALUATE + "--shard a/b", "shard 'a/b' is not of the form i/n"),
+    Row("evaluate: shard of superscripts", EVALUATE + "--shard ²/³", "shard '²/³' is not of the form i/n"),
+    Row("evaluate: no weights", EVALUATE + "--methods sweepnet --weights none", "weights are missing: none.sweepnet"),
+    Row("evaluate: no such frame", EVALUATE + "--frames 77", "has no frame 77"),
+    Row("evaluate: no such scale", EVALUATE + "--scale tiny", "--scale: invalid choice: 'tiny'"),
+    Row("evaluate: no such split", EVALUATE + "--split test", "has no split 'test'"),
+    Row("evaluate: no nearest depth", EVALUATE, "does not state its nearest depth",
+        config(lambda c: c.update(config={}))),
+    Row("evaluate: no such rig", EVALUATE + "--rig DATA/none.yaml", "none.yaml cannot be read"),
+    Row("evaluate: out is a file", EVALUATE + "--out RIG", "config.yaml cannot be made or written to"),
+    # train
+    Row("train: no such network", "train resnet", "invalid choice: 'resnet'"),
+    Row("train: no such preset", TRAIN + "--preset tiny", "sweepnet has the presets .*, not 'tiny'"),
+    Row("train: no such setting", TRAIN + "--set wings=2", "unknown setting 'wings'; a sweepnet recipe has"),
+    Row("train: a setting of words", TRAIN + "--set steps=many", "steps=many: 'many'; expected int"),
+    Row("train: no steps", TRAIN + "--set steps=0", "steps = 0; expected"),
+    Row("train: an infinite rate", TRAIN + "--set learning_rate=inf", "learning_rate = inf; expected a finite"),
+    Row("train: momentum not a number", TRAIN + "--set momentum=nan", "momentum = nan; expected a fraction"),
+    Row("train: a negative warm-up", TRAIN + "--set warmup=-5", "warmup = -5; expected"),
+    Row("train: one sphere", TRAIN + "--set num_spheres=1", "num_spheres is 1; expected", two_frames),
+    Row("train: an odd panorama", TRAIN + "--set width=47 height=12", r"47 × 12 pixels; .* must be even", two_frames),
+    Row("train: a negative seed", TRAIN + "--set seed=-1", "seed = -1; expected", two_frames),
+    Row("train: a decay not a number", TRAIN + "--set weight_decay=nan", "weight_decay = nan; expected", two_frames),
+    Row("train: no weights to start from", TRAIN + "--init-weights DATA/none.safetensors",
+        "none.safetensors", two_frames),
+    Row("train: text as weights", TRAIN + "--init-weights RIG", "config.yaml is not a complete", two_frames),
+    Row("train: one frame", TRAIN, "has 1 frames with ground truth; expected at least 2"),
+    Row("train: no data", TRAIN + "--data DATA/none", "none"),
+    # calibrate
+    Row("calibrate: a board of words", CALIBRATE + "--board twelve", "expected columns x rows such as 12x10"),
+    Row("calibrate: a board of two columns", CALIBRATE + "--board 2x9", "two integers of 3 to 200"),
+    Row("calibrate: a board of a million", CALIBRATE + "--board 1000000x1000000", "two integers of 3 to 200"),
+    Row("calibrate: a board below zero", CALIBRATE + "--board -4x3", "two integers of 3 to 200|expected one argument"),
+    Row("calibrate: another board", CALIBRATE + "--board 9x6", "is of a board of 4 x 3", corners("a", "a")),
+    Row("calibrate: squares of nothing", CALIBRATE + "--square 1e-300", "its edge in metres"),
+    Row("calibrate: squares of zero", CALIBRATE + "--square 0", "its edge in metres"),
+    Row("calibrate: squares not a number", CALIBRATE + "--square nan", "its edge in metres"),
+    Row("calibrate: no field of view", CALIBRATE + "--max-fov 0", "max_fov_deg is 0.0; expected", corners("a", "a")),
+    Row("calibrate: a negative field of view", CALIBRATE + "--max-fov=-5", "max_fov_deg is -5", corners("a", "a")),
+    Row("calibrate: a field of view not a number", CALIBRATE + "--max-fov nan", "is nan; expect", corners("a", "a")),
+    Row("calibrate: degree 0", CALIBRATE + "--degree 0", "degree is 0; expected an integer of 4", corners("a", "a")),
+    Row("calibrate: degree 1000", CALIBRATE + "--degree 1000", "degree is 1000; expected", corners("a", "a")),
+    Row("calibrate: one view", CALIBRATE, "1 of 1 views show the board; expected at least 3", corners("a", "a")),
+    Row("calibrate: no corners", CALIBRATE, "holds no corners_"),
+    Row("calibrate: no pictures", "calibrate BOARDS --board 4x3 --square 0.06 --out OUT", "boards has no images"),
+    Row("calibrate: no folder", "calibrate DATA/none --board 4x3 --square 0.06 --out OUT", "none is not a folder"),
+    Row("calibrate: a wild corner", CALIBRATE, r"corners_1.yaml: view a: corner .*\[-50000.0, 0.0\],? .*outside",
+        corners("[0.0000, 0.0000]", "[-50000, 0]")),
+    Row("calibrate: an infinite corner", CALIBRATE, r"corners_1.yaml: view a",
+        corners("[0.0000, 0.0000]", "[.inf, 0]")),
+    Row("calibrate: a corner of words", CALIBRATE, "corners_1.yaml: ", corners("[0.0000, 0.0000]", "[left, 0]")),
+    Row("calibrate: half a corner", CALIBRATE, "corners_1.yaml: ", corners("[0.0000, 0.0000]", "[0]")),
+    Row("calibrate: an image of no size", CALIBRATE, r"corners_1.yaml: image_size",
+        corners("[200, 192]", "[0, 0]")),
+    Row("calibrate: corners that are no YAML", CALIBRATE, "corners_1.yaml: not ", corners("board:", "[")),
+]  # fmt: skip
+
+# What computes but can mean nothing: exit status 0, and a warning.
+DOUBTFUL = [
+    Row("cameras at one place", DEPTH, "cameras 1 and 2, 1 and 3, .* stand at one place: they see no depth",
+        poses(lambda pose, number: [*pose[:3], 0, 0, 0]), 0),
+    Row("two cameras are one", DEPTH, "cameras 1 and 2 stand at one place",
+        config(lambda c: c["cameras"][1].update(pose=c["cameras"][0]["pose"])), 0),
+    Row("poses in millimetres", DEPTH, "the cameras are up to .* m apart. Check the unit of the translations",
+        poses(lambda pose, number: [*pose[:3], *(1000 * t for t in pose[3:])]), 0),
+    Row("spheres inside the rig", DEPTH + "--min-depth 0.01", "the spheres begin at 0.01 m, inside the rig", code=0),
+    Row("the same picture four times", DEPTH, "images 1 and 2, .* are the same picture. Check their paths",
+        same_picture, 0),
+    Row("two pictures swapped", DEPTH, r"the images look swapped \(give them in the order 2 1 3 4\)",
+        two_pictures_swapped, 0),
+]  # fmt: skip
+
+# ---- calls
+
+RIG = scene.rig(width=200, height=192)
+IMAGES = [np.zeros((192, 200), np.uint8)] * 4
+GRID = osl.SphereGrid(96, 24, (-45, 45), 16, 0.6)
+LENS = RIG.cameras[0]
+VOLUME = np.zeros((2, 3, 4), np.float32)
+
+
+def grid(**values: Any) -> osl.SphereGrid:
+    return osl.SphereGrid(**{"width": 96, "height": 24} | values)
+
+
+def camera(**values: Any) -> osl.OcamCamera:
+    own = {name: getattr(LENS, name) for name in ("poly", "inv_poly", "center", "affine", "image_size", "max_fov_deg")}
+    return osl.OcamCamera(**own | values)
+
+
+def depth(images: Any = IMAGES, rig: osl.Rig = RIG, **options: Any) -> osl.Depth:
+    return osl.estimate_depth(rig, images, GRID, **{"method": "zncc"} | options)
+
+
+def with_infinity(value: float) -> np.ndarray:
+    return np.where(np.arange(24).reshape(2, 3, 4) == 7, value, 0)
+
+
+CALLS = [
+    Call("one column", lambda: grid(width=1), "width is 1; expected"),
+    Call("half a column", lambda: grid(width=96.5), "width is 96.5"),
+    Call("height not a number", lambda: grid(height=np.nan), "height is nan"),
+    Call("width in words", lambda: grid(width="96"), "width is '96'"),
+    Call("one sphere", lambda: grid(num_spheres=1), "num_spheres is 1"),
+    Call("phi upside down", lambda: grid(phi_deg=(45, -45)), "phi_deg is .* first < last"),
+    Call("phi beyond the pole", lambda: grid(phi_deg=(-91, 45)), "-90 ≤ first"),
+    Call("phi not a number", lambda: grid(phi_deg=(np.nan, 45)), "phi_deg"),
+    Call("three phis", lambda: grid(phi_deg=(-45, 0, 45)), "expected two angles"),
+    Call("no nearest depth", lambda: grid(min_depth=None), "min_depth is None .*Pass the nearest depth"),
+    Call("a nearest depth of zero", lambda: grid(min_depth=0.0), "0 < min_depth < max_depth"),
+    Call("nearest beyond farthest", lambda: grid(min_depth=5.0, max_depth=1.0), "min_depth is 5.0 and max_depth 1.0"),
+    Call("nearest not a number", lambda: grid(min_depth=np.nan), "min_depth"),
+    Call("no such sampling", lambda: grid(sampling="centre"), "sampling is .*; expected one of"),
+    Call("poly not a number", lambda: camera(poly=[-180.0, 0, np.nan]), "poly is .*; expected .*finite"),
+    Call("inv_poly too short", lambda: camera(inv_poly=[1.0]), "inv_poly is .*; expected .*finite"),
+    Call("poly positive", lambda: camera(poly=[180.0, 0.0]), "expected a0 < 0"),
+    Call("half a pixel", lambda: camera(image_size=(800.5, 760)), "image_size is .*800.5"),
+    Call("size not a number", lambda: camera(image_size=(np.nan, 760)), "image_size is .*nan"),
+    Call("one pixel", lambda: camera(image_size=(1, 760)), "image_size is .*1"),
+    Call("no field of view", lambda: camera(max_fov_deg=0.0), r"max_fov_deg is .*; expected"),
+    Call("field of view not a number", lambda: camera(max_fov_deg=np.nan), "max_fov_deg"),
+    Call("an infinite centre", lambda: camera(center=(np.inf, 1.0)), "center"),
+    Call("a singular map", lambda: camera(affine=(0.0, 1.0, 0.0)), "singular"),
+    Call("a mask on its side", lambda: camera(mask=np.ones((200, 192), bool)), r"mask has shape \(200, 192\)"),
+    Call("a scaled rotation", lambda: osl.Pose(2 * np.eye(3), np.zeros(3)), "not a rotation"),
+    Call("a mirrored rotation", lambda: osl.Pose(np.diag([1.0, 1, -1]), np.zeros(3)), "determinant -1"),
+    Call("a singular rotation", lambda: osl.Pose(np.zeros((3, 3)), np.zeros(3)), "not a rotation"),
+    Call("a rotation not a number", lambda: osl.Pose(np.full((3, 3), np.nan), np.zeros(3)), "expected finite numbers"),
+    Call("an infinite translation", lambda: osl.Pose(np.eye(3), [0, np.inf, 0]), "expected finite numbers"),
+    Call("a 4 × 4 rotation", lambda: osl.Pose(np.eye(4), np.zeros(3)), r"expected \(3, 3\)"),
+    Call("a translation of four", lambda: osl.Pose(np.eye(3), np.zeros(4)), r"and t \(4,\); expected"),
+    Call("a pose of three numbers", lambda: osl.Pose.from_vector([1, 2, 3]), r"shape \(3,\); expected 6 numbers"),
+    Call("flat points", lambda: osl.Pose.identity() @ [1.0, 2.0], r"points have shape \(2,\); expected \(..., 3\)"),
+    Call("one camera", lambda: osl.Rig([LENS], [osl.Pose.identity()]), "expected at least 2 cameras"),
+    Call("poses missing", lambda: osl.Rig(RIG.cameras, RIG.T_rig_cam[:3]), "4 cameras and 3 poses"),
+    Call("no such pairs", lambda: camera_pairs("star", RIG), "is 'star'"),
+    Call("pairs is a number", lambda: camera_pairs(3, RIG), "pairs"),
+    Call("pairs of fractions", lambda: camera_pairs([(0.9, 1.2)], RIG), r"pairs has \(0.9, 1.2\); expected"),
+    Call("pairs of three", lambda: camera_pairs([(0, 1, 2)], RIG), r"pairs .*\(0, 1, 2\).*expected"),
+    Call("poses are None", lambda: osl.Rig(RIG.cameras, [None] * 4), "expected an OcamCamera and a Pose"),
+    Call("a camera in orbit", lambda: osl.Rig(RIG.cameras, [osl.Pose(np.eye(3), [0, 0, 4e5])] * 4), "distance of cam"),
+    Call("a camera that is not there", lambda: camera_pairs([(0, 4)], RIG), r"\(0, 4\)"),
+    Call("a camera with itself", lambda: camera_pairs([(1, 1)], RIG), r"\(1, 1\)"),
+    Call("no pairs", lambda: camera_pairs([], RIG), "empty"),
+    Call("a board of a fraction", lambda: osl.Checkerboard((4.5, 3), 0.06), "two integers of 3 to 200"),
+    Call("a board of one number", lambda: osl.Checkerboard((4,), 0.06), "two integers of 3 to 200"),
+    Call("a board as a rod", lambda: osl.Checkerboard((2, 9), 0.06), "two integers of 3 to 200"),
+    Call("a board of three numbers", lambda: osl.Checkerboard((3, 4, 5), 0.06), "two integers of 3 to 200"),
+    Call("an infinite square", lambda: osl.Checkerboard((4, 3), np.inf), "its edge in metres"),
+    Call("a square of zero", lambda: osl.Checkerboard((4, 3), 0.0), "its edge in metres"),
+    Call("a square not a number", lambda: osl.Checkerboard((4, 3), np.nan), "its edge in metres"),
+    Call("a flat volume", lambda: osl.sgm(VOLUME[0]), r"shape \(3, 4\)"),
+    Call("a volume of one sphere", lambda: osl.sgm(VOLUME[..., :1]), r"expected \(H, W, N\) with N ≥ 2"),
+    Call("an empty volume", lambda: osl.sgm(VOLUME[:0]), r"shape \(0, 3, 4\)"),
+    Call("five paths", lambda: osl.sgm(VOLUME, paths=5), "paths is 5; expected 4 or 8"),
+    Call("a negative penalty", lambda: osl.sgm(VOLUME, p1=-0.1), "p1 = -0.1"),
+    Call("penalties upside down", lambda: osl.sgm(VOLUME, p1=1.0, p2=0.5), "p2 = 0.5"),
+    Call("an infinite penalty", lambda: osl.sgm(VOLUME, p2=np.inf), "p2 = inf"),
+    Call("a penalty not a number", lambda: osl.sgm(VOLUME, p1=np.nan), "p1 = nan"),
+    Call("an infinite cost", lambda: osl.sgm(with_infinity(np.inf)), "infinite costs"),
+    Call("a cost of minus infinity", lambda: osl.sgm(with_infinity(-np.inf)), "infinite costs"),
+    Call("a complex volume", lambda: osl.sgm(VOLUME.astype(complex)), "the cost volume holds complex"),
+    Call("depth of a flat volume", lambda: osl.winner_takes_all(VOLUME[0]), r"shape \(3, 4\) .*expected"),
+    Call("an even window", lambda: osl.ZNCC(window=4), "window is 4; expected an odd number"),
+    Call("half a window", lambda: osl.ZNCC(window=3.5), "window is 3.5; expected an odd number"),
+    Call("three images", lambda: depth(IMAGES[:3]), "3 images for 4 cameras"),
+    Call("no images", lambda: depth(None), "images is None; expected a list"),
+    Call("an image cut", lambda: depth([IMAGES[0][:-1], *IMAGES[1:]]), r"image 1 has shape \(191, 200\)"),
+    Call("an image of integers", lambda: depth([IMAGES[0].astype(int), *IMAGES[1:]]), "image 1 has type int64"),
+    Call("an image not a number", lambda: depth([*IMAGES[:3], np.full((192, 200), np.nan)]), "image 4 has NaN"),
+    Call("no such device", lambda: depth(device="foo"), "device is 'foo'; expected"),
+    Call("a cost that is a number", lambda: depth(cost=5), "cost is 5; expected a matching cost"),
+    Call("no such method", lambda: depth(method="census"), "got 'census'"),
+    Call("a method that is a number", lambda: depth(method=5), "method is 5; expected"),
+    Call("no such unit", lambda: osl.load_rig("rig.yaml", "inch"), r"unit is 'inch'; expected one of \['mm'"),
+    Call("a field of view of 0", lambda: osl.load_rig("rig.yaml", max_fov_deg=0), r"max_fov_deg must be in \(0, 360\]"),
+    Call("no such rig", lambda: osl.load_rig("none.yaml"), "^none.yaml cannot be read"),
+    Call("images and no files", lambda: osl.load_images(["none.png"]), "none.png cannot be read"),
+    Call("no such data set", lambda: osl.load_dataset("none"), "none"),
+    Call("no views", lambda: osl.calibrate_camera([], osl.Checkerboard((4, 3), 0.06)), "there are no views"),
+    Call("corners without a size", lambda: osl.calibrate_camera(
+        [np.zeros((12, 2))], osl.Checkerboard((4, 3), 0.06)), "the image size is unknown"),
+    Call("weights that are not there", lambda: osl.SweepNet.from_file("none.safetensors"), "none.safetensors"),
+    Call("a confidence of a flat volume", lambda: osl.confidence(torch.zeros(3, 4)), r"shape \(3, 4\) .*expected"),
+]  # fmt: skip

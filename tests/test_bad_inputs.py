@@ -1,0 +1,92 @@
+"""Every bad input is answered: the table in `bad_inputs`, row by row."""
+
+import re
+import shutil
+from pathlib import Path
+
+import bad_inputs
+import numpy as np
+import pytest
+import scene
+
+import omnistereo_lib as osl
+from omnistereo_lib import cli
+
+
+def by_wrong(rows):
+    return pytest.mark.parametrize("row", rows, ids=[row.wrong for row in rows])
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory):
+    grid = osl.SphereGrid(96, 24, (-45, 45), 16, 0.6)
+    return scene.write_set(tmp_path_factory.mktemp("bad") / "data", bad_inputs.RIG, grid, [(0, 0, 0)])
+
+
+@pytest.fixture
+def data(original, tmp_path):
+    shutil.copytree(original, tmp_path / "data")
+    (tmp_path / "data" / "boards").mkdir()
+    return tmp_path / "data"
+
+
+def run(row, data):
+    """Spoil the data and run the command; return the exit status and what stood in the folder before."""
+    row.spoil(data)
+    images = " ".join(str(bad_inputs.first(data, camera)) for camera in (1, 2, 3, 4))
+    places = {"DATA": data, "RIG": data / "config.yaml", "IMAGES": images, "OUT": data.parent / "out",
+              "BOARDS": data / "boards", "LONG": data / (300 * "n")}  # fmt: skip
+    command = re.sub("|".join(places), lambda word: str(places[word[0]]), row.command).split()
+    before = sorted(data.rglob("*"))
+    try:
+        return cli.main(command), before
+    except SystemExit as stop:  # of argparse
+        return stop.code, before
+
+
+@by_wrong(bad_inputs.COMMANDS)
+def test_a_command_is_answered_in_one_line(row, data, capsys):
+    code, before = run(row, data)
+    err = capsys.readouterr().err
+    _, _, answer = err.partition("error: ")
+    lines = answer.rstrip().splitlines()
+    assert code == row.code and "Traceback" not in err
+    assert re.search(row.said, lines[0]), err
+    assert all(line.startswith("  - ") for line in lines[1:])  # a list of the formats there are
+    assert "error: " not in answer and answer.count("cannot be read") < 2  # nothing is said twice
+    assert sorted(data.rglob("*")) == before
+    out = data.parent / "out"
+    assert not out.exists() or not list(out.rglob("*"))
+    assert {path.name for path in data.parent.iterdir()} <= {"data", "out"}
+
+
+@by_wrong(bad_inputs.DOUBTFUL)
+def test_a_command_warns(row, data, capsys):
+    assert run(row, data)[0] == row.code
+    warned = [line for line in capsys.readouterr().err.splitlines() if line.startswith("warning: ")]
+    assert [line for line in warned if re.search(row.said, line)], warned
+
+
+@by_wrong(bad_inputs.CALLS)
+def test_a_call_raises_our_error(row, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(osl.OmnistereoError, match=row.said):
+        row.call()
+
+
+def test_right_input_is_not_doubted(data, capsys):
+    assert run(bad_inputs.Row("nothing", bad_inputs.DEPTH, ""), data)[0] == 0
+    assert "warning: " not in capsys.readouterr().err
+
+
+def test_gray_and_colour_pictures_mixed(data):
+    pictures = osl.load_images([bad_inputs.first(data, camera) for camera in (1, 2, 3, 4)])
+    mixed = [np.stack([pictures[0]] * 3, -1), *pictures[1:]]
+    panorama = bad_inputs.depth(mixed).panorama(mixed)
+    assert panorama.shape == (24, 96, 3)
+    np.testing.assert_allclose(panorama[..., 0], bad_inputs.depth(pictures).panorama(pictures), atol=1e-3)
+
+
+def test_the_table_is_long_enough():
+    assert len(bad_inputs.COMMANDS) + len(bad_inputs.DOUBTFUL) + len(bad_inputs.CALLS) >= 150
+    assert Path(bad_inputs.__file__).parent.name == "tests"

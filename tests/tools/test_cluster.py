@@ -1,0 +1,94 @@
+"""Frames on a cluster of two processes, one of which is killed: the files are those of a local run."""
+
+import os
+import signal
+import threading
+import time
+
+import numpy as np
+import pytest
+import scene
+
+import omnistereo_lib as osl
+from omnistereo_lib import cli
+from omnistereo_lib.files import write_image
+
+distributed = pytest.importorskip("dask.distributed", reason="Dask is not installed: environment.txt has it")
+
+FRAMES = 12
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    options = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
+    with distributed.LocalCluster(host="127.0.0.1", **options) as cluster:
+        yield cluster
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("recorded")
+    still = scene.rig(width=100, height=96)
+    osl.Rig(still.cameras, still.T_rig_cam, min_depth=0.6).save(folder / "rig.yaml")
+    for n in range(FRAMES):
+        step = osl.Pose.from_vector([0, 0, 0, 0.03 * n, 0, 0])
+        for k, picture in enumerate(scene.images(still.transformed(step), finest=0.25), 1):
+            (folder / f"view{k}").mkdir(exist_ok=True)
+            write_image(folder / f"view{k}" / f"{n}.png", picture)
+    return folder
+
+
+def run(*arguments):
+    return cli.main([str(argument) for argument in arguments])
+
+
+def test_a_recording_with_a_worker_that_dies(cluster, recorded, tmp_path):
+    small = ["--width", 96, "--height", 24, "--spheres", 16, "--method", "zncc+sgm"]
+    command = [
+        "depth",
+        "--rig",
+        recorded / "rig.yaml",
+        "--images",
+        *(recorded / f"view{k}" for k in (1, 2, 3, 4)),
+        *small,
+    ]
+    assert run(*command, "--out", tmp_path / "local") == 0
+    with distributed.Client(cluster.scheduler_address) as client:
+        pids = list(client.run(os.getpid).values())
+    folder, killed = tmp_path / "cluster" / "depth_estimate_96", []
+
+    def kill_one():
+        while not killed:
+            if len(list(folder.glob("0*.tiff"))) >= 2:
+                os.kill(pids[0], signal.SIGKILL)
+                killed.append(pids[0])
+            time.sleep(0.002)
+
+    killer = threading.Thread(target=kill_one)
+    killer.start()
+    assert run(*command, "--out", tmp_path / "cluster", "--cluster", cluster.scheduler_address) == 0
+    killer.join(60)
+    assert killed
+    frames = osl.load_dataset(tmp_path / "cluster")
+    assert len(frames) == FRAMES
+    for path in sorted((tmp_path / "local").rglob("*.tiff")):
+        other = tmp_path / "cluster" / path.relative_to(tmp_path / "local")
+        assert path.read_bytes() == other.read_bytes()
+
+
+def test_an_evaluation(cluster, tmp_path):
+    still = scene.rig(width=100, height=96)
+    scene.write_set(tmp_path / "box", still, osl.SphereGrid(320, 80, num_spheres=64, min_depth=0.6), np.eye(3)[:2] / 10)
+    command = ["evaluate", "--sets", tmp_path / "box", "--methods", "zncc"]
+    assert run(*command, "--out", tmp_path / "local") == 0
+    assert run(*command, "--out", tmp_path / "cluster", "--cluster", cluster.scheduler_address) == 0
+    local, of_cluster = ((tmp_path / name / "results.json").read_bytes() for name in ("local", "cluster"))
+    assert local == of_cluster
+
+
+def test_a_scheduler_that_is_not_there(recorded, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("omnistereo_tools.cluster._PATIENCE_S", 0.5)
+    command = ["depth", "--rig", recorded / "rig.yaml", "--images", *(recorded / f"view{k}" for k in (1, 2, 3, 4))]
+    small = ["--width", 96, "--height", 24, "--spheres", 16, "--method", "zncc"]
+    assert run(*command, *small, "--out", tmp_path / "out", "--cluster", "tcp://127.0.0.1:1") == 2
+    assert "no Dask scheduler answers at tcp://127.0.0.1:1" in capsys.readouterr().err
