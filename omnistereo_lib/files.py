@@ -30,7 +30,7 @@ def read_bytes(path: str | Path, most: int = _MAX_BYTES) -> bytes:
         status = os.stat(path)  # opening a pipe would wait for its other end
         if not stat.S_ISREG(status.st_mode) or status.st_size > most:
             found = f"has {status.st_size} bytes" if stat.S_ISREG(status.st_mode) else "is a folder, a pipe or a device"
-            raise OmnistereoError(f"{path} {found}; expected a file of at most {most >> 20} MiB. Check the path.")
+            raise OmnistereoError(f"{path} {found}; expected a file of at most {most >> 10} KiB. Check the path.")
         return Path(path).read_bytes()
     except (OSError, ValueError) as error:  # a path cannot hold a zero byte
         if isinstance(error, OmnistereoError):
@@ -47,23 +47,23 @@ def path_within(folder: Path, name: Any, source: str | Path, root: Path | None =
     return path
 
 
-def read_text(path: str | Path) -> str:
+def read_text(path: str | Path, most: int = _MAX_TEXT) -> str:
     """Return the content of a text file in UTF-8, else in Latin-1, which the comments of older programs have."""
-    content = read_bytes(path, _MAX_TEXT)
+    content = read_bytes(path, most)
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
         return content.decode("latin-1")
 
 
-def read_data(path: str | Path) -> Any:
+def read_data(path: str | Path, most: int = _MAX_TEXT) -> Any:
     """Return the content of a JSON (by its suffix) or YAML file as Python values; an OpenCV matrix is a flat list.
 
     An `OmnistereoError` names what is damaged, stated twice, nested too deeply, or repeated too often by aliases.
     """
     import yaml
 
-    text = read_text(path)
+    text = read_text(path, most)
     if Path(path).suffix == ".json":
         return parse_json(text, path)
     try:  # OpenCV before 5 writes "%YAML:1.0", which is not valid YAML

@@ -4,8 +4,12 @@ In a command DATA is a small data set of one frame with ground truth, RIG its co
 OUT a folder that does not exist yet, BOARDS a folder of corners, LONG a name of 300 characters.
 """
 
+import os
 import shutil
+import struct
+import zlib
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -353,6 +357,68 @@ DOUBTFUL = [
     Row("two pictures swapped", DEPTH, r"the images look swapped \(give them in the order 2 1 3 4\)",
         two_pictures_swapped, 0),
 ]  # fmt: skip
+
+# ---- bombs: small files that would take gigabytes or for ever; the command is what to load
+
+
+def aliases(data: Path) -> None:
+    """A thousand bytes of YAML that stand for a billion numbers."""
+    lines = ["a: &a [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]"]
+    lines += [f"{b}: &{b} [{', '.join([f'*{a}'] * 10)}]" for a, b in pairwise("abcdefghi")]
+    (data / "config.yaml").write_text("\n".join([*lines, "cameras: [{poly: *i}]"]))
+
+
+def huge_by_its_header(data: Path) -> None:
+    """A PNG of 30,000 × 30,000 pixels in a hundred bytes."""
+    chunks = [(b"IHDR", struct.pack(">IIBBBBB", 30000, 30000, 8, 0, 0, 0, 0)), (b"IDAT", zlib.compress(bytes(9999)))]
+    chunks.append((b"IEND", b""))
+    packed = [struct.pack(">I", len(c)) + n + c + struct.pack(">I", zlib.crc32(n + c)) for n, c in chunks]
+    first(data).write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(packed))
+
+
+def endless(name: str) -> Callable[[Path], None]:
+    """A link to a file that never ends."""
+
+    def spoil(data: Path) -> None:
+        (data / name).unlink(missing_ok=True)
+        (data / name).symlink_to("/dev/zero")
+
+    return spoil
+
+
+def pipe(name: str) -> Callable[[Path], None]:
+    """A pipe into which nobody writes."""
+
+    def spoil(data: Path) -> None:
+        (data / name).unlink(missing_ok=True)
+        os.mkfifo(data / name)
+
+    return spoil
+
+
+def masked(data: Path) -> None:
+    second("invalid_mask", "mask.png")(data)
+    endless("mask.png")(data)
+
+
+MILLION = "1, " * 10**6
+BOMBS = [
+    Row("YAML aliases", "load_rig RIG", "config.yaml", aliases),
+    Row(
+        "a million coefficients",
+        "load_rig RIG",
+        "config.yaml",
+        write("config.yaml", f"cameras: [{{poly: [{MILLION}]}}]"),
+    ),
+    Row("a number of 100,000 digits", "load_rig RIG", "config.yaml", write("config.yaml", "cameras: " + "9" * 10**5)),
+    Row("a rig file without end", "load_rig RIG", "config.yaml", endless("config.yaml")),
+    Row("a mask without end", "load_rig RIG", "mask.png", masked),
+    Row("a mask /dev/zero", "load_rig RIG", "/dev/zero", second("invalid_mask", "/dev/zero")),
+    Row("a rig file that is a pipe", "load_rig RIG", "config.yaml", pipe("config.yaml")),
+    Row("a picture that is a pipe", "load_images IMAGES", "cam2.0001.png", pipe("cam2/0001.png")),
+    Row("a picture without end", "load_images IMAGES", "cam2.0001.png", endless("cam2/0001.png")),
+    Row("a picture of 30,000 × 30,000 pixels", "load_images IMAGES", "cam2.0001.png", huge_by_its_header),
+]
 
 # ---- calls
 

@@ -1,7 +1,10 @@
 """Every bad input is answered: the table in `bad_inputs`, row by row."""
 
+import os
 import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import bad_inputs
@@ -11,6 +14,8 @@ import scene
 
 import omnistereo_lib as osl
 from omnistereo_lib import cli
+
+ROOT = Path(osl.__file__).resolve().parents[1]
 
 
 def by_wrong(rows):
@@ -30,14 +35,17 @@ def data(original, tmp_path):
     return tmp_path / "data"
 
 
-def run(row, data):
-    """Spoil the data and run the command; return the exit status and what stood in the folder before."""
-    row.spoil(data)
+def words(row, data):
     images = " ".join(str(bad_inputs.first(data, camera)) for camera in (1, 2, 3, 4))
     places = {"DATA": data, "RIG": data / "config.yaml", "IMAGES": images, "OUT": data.parent / "out",
               "BOARDS": data / "boards", "LONG": data / (300 * "n")}  # fmt: skip
-    command = re.sub("|".join(places), lambda word: str(places[word[0]]), row.command).split()
-    before = sorted(data.rglob("*"))
+    return re.sub("|".join(places), lambda word: str(places[word[0]]), row.command).split()
+
+
+def run(row, data):
+    """Spoil the data and run the command; return the exit status and what stood in the folder before."""
+    row.spoil(data)
+    command, before = words(row, data), sorted(data.rglob("*"))
     try:
         return cli.main(command), before
     except SystemExit as stop:  # of argparse
@@ -67,6 +75,31 @@ def test_a_command_warns(row, data, capsys):
     assert [line for line in warned if re.search(row.said, line)], warned
 
 
+LIMITED = """
+import resource, sys
+import cv2, numpy, yaml, omnistereo_lib as osl
+used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (used + 2**30,) * 2)
+resource.setrlimit(resource.RLIMIT_CPU, (int(resource.getrusage(resource.RUSAGE_SELF).ru_utime) + 5,) * 2)
+function, *paths = sys.argv[1:]
+try:
+    getattr(osl, function)(paths if function == "load_images" else paths[0])
+except osl.OmnistereoError as error:
+    sys.exit(str(error))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of memory are Linux's")
+@by_wrong(bad_inputs.BOMBS)
+def test_a_bomb_is_refused_with_five_seconds_and_a_gigabyte(row, data):
+    row.spoil(data)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
+    command = [sys.executable, "-c", LIMITED, *words(row, data)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 1 and "Traceback" not in done.stderr, done.stderr[-2000:]
+    assert re.search(row.said, done.stderr)
+
+
 @by_wrong(bad_inputs.CALLS)
 def test_a_call_raises_our_error(row, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -88,5 +121,4 @@ def test_gray_and_colour_pictures_mixed(data):
 
 
 def test_the_table_is_long_enough():
-    assert len(bad_inputs.COMMANDS) + len(bad_inputs.DOUBTFUL) + len(bad_inputs.CALLS) >= 150
-    assert Path(bad_inputs.__file__).parent.name == "tests"
+    assert sum(map(len, (bad_inputs.COMMANDS, bad_inputs.DOUBTFUL, bad_inputs.BOMBS, bad_inputs.CALLS))) >= 150

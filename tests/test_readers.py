@@ -51,7 +51,7 @@ BOMB = "a: &a [1,1,1,1,1,1,1,1,1,1]\n" + "".join(
         ("a.yaml", "a: !!bool maybe", "not valid"),
         ("a.yaml", f"a: {'9' * 5000}", "digits"),
         ("a.json", f"[{'9' * 5000}]", "digits"),
-        ("a.yaml", "#" * (1 << 24) + "#", "expected a file of at most 16 MiB"),
+        ("a.yaml", "#" * (1 << 24) + "#", "expected a file of at most 16384 KiB"),
     ],
 )
 def test_data_that_are_refused(tmp_path, name, content, message):

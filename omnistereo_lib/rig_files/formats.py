@@ -23,6 +23,7 @@ _SUPPORTED = """supported formats:
   - Kalibr camchain YAML: cam0, cam1, … with camera_model and T_cn_cnm1
   - OpenCV fisheye YAML: K, D, R, T and image_size of each camera (pass the unit)"""
 _RIG_FILES = ("config.yaml", "rig.yaml", "calibration.json", "calibration.yaml")  # the first found in a folder
+_MAX_BYTES = 1 << 18  # a hundred cameras have 60,000; a megabyte of YAML takes seconds
 _METRIC_READERS = {"OmniMVS config.yaml": read_omnimvs, "basalt JSON": read_basalt, "Kalibr camchain": read_kalibr}
 
 
@@ -70,7 +71,7 @@ def _read_file(path: Path, unit: str | None, max_fov_deg: float | None) -> tuple
     """Return the rig in a file and the name of its format."""
     if path.suffix == ".txt":
         raise OmnistereoError(f"a text file holds one camera or the poses. Pass the folder of a rig; {_SUPPORTED}")
-    data = read_data(path)
+    data = read_data(path, _MAX_BYTES)
     format_name = _detect_format(data)
     if format_name == "OpenCV fisheye":
         return read_opencv(data, path, max_fov_deg, unit), format_name
