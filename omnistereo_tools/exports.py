@@ -39,12 +39,14 @@ def export_frame(
     """
     written = []
     if mesh_file is not None:
+        make_folder(mesh_file.parent)
         panorama = sharp_panorama(result.depth, result.images, SHARP)
         triangles = mesh.write_mesh(mesh_file, result.depth, panorama, result.limits, faces)
         written.append(f"{mesh_file} ({triangles} triangles)")
     if equirectangular is not None:
         import tifffile
 
+        make_folder(equirectangular.parent)
         with atomic_write(equirectangular) as temporary:
             tifffile.imwrite(temporary, equirectangular_depth(result.depth), compression="deflate")
         written.append(f"{equirectangular} (metres along the ray)")

@@ -23,9 +23,9 @@ from omnistereo_tools.viewer import viewer_page
 SHARP = 1800  # px, width of the panorama that is looked at
 
 _README = """\
-Depth panoramas have {height} rows, from {phi[0]:g}° to {phi[1]:g}° (down is positive), and {width} columns around the
-full circle. The centre column looks along +z of the rig, the column to its right along +x. Depth is measured along the
-ray, from the mean of the camera centres.
+Panoramas have {height} rows, from {phi[0]:g}° to {phi[1]:g}° (down is positive), and {width} columns around the circle.
+The centre column looks along +z of the rig, those to its right towards +x. Depth is measured along the ray, from the
+mean of the camera centres.
 
 inverse_depth.tiff   float32, 1/m; 0 = infinitely far, NaN = no two cameras see the ray. Depth in metres is 1 / value.
 confidence.tiff      float32 in [0, 1], of the method {method}; NaN as above

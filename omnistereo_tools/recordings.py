@@ -196,6 +196,7 @@ def write_video(path: Path, writer: DepthWriter, fps: float | None = None) -> No
     """
     pictures = [writer.picture_path(number) for number in writer.recording.frames]
     height, width = cv2.imread(str(pictures[0])).shape[:2]
+    make_folder(path.parent)
     with atomic_write(path) as temporary:
         codec = cv2.VideoWriter_fourcc(*CODECS[path.suffix.lower()])
         video = cv2.VideoWriter(str(temporary), codec, fps or writer.recording.fps or _FPS, (width, height))

@@ -19,8 +19,9 @@ def depth_sentences(depth: Depth, limits: Limits) -> list[str]:
     keep = limits.keep(depth)
     far = int((depth.depth > limits.max_depth).sum())
     nearest = nearest_depth(depth, keep)
+    found = f"the nearest thing is {metres(nearest)} away" if keep.any() else "no ray is within the limits"
     sentences = [
-        f"{known / rays:.0%} of the {rays} rays have a depth: the nearest thing is {metres(nearest)} away, "
+        f"{100 * known / rays:.0f} % of the {rays} rays have a depth: {found}, "
         f"the median depth is {metres(float(np.nanmedian(depth.depth)))}.",
         f"Point cloud and mesh use {int(keep.sum())} rays. Left out: {far} beyond {metres(limits.max_depth)} "
         f"(--max-depth) and {known - far - int(keep.sum())} with a confidence below {limits.min_confidence:.2g} "
@@ -31,7 +32,7 @@ def depth_sentences(depth: Depth, limits: Limits) -> list[str]:
         sentences.append(
             f"The spheres begin at {metres(grid.min_depth)}: --min-depth {_MARGIN * nearest:.2g} would use them better."
         )
-    elif (depth.index[keep] >= grid.num_spheres - 1.5).mean() > 10 * _FEW:
+    elif (depth.index[keep] >= grid.num_spheres - 1.5).sum() > 10 * _FEW * keep.sum():
         sentences.append(
             f"Many rays end on the nearest sphere, {metres(grid.min_depth)}: things may be nearer. "
             f"Try --min-depth {grid.min_depth / 2:.2g}."
@@ -51,8 +52,8 @@ def error_sentences(depth: Depth, gt_index: NDArray) -> list[str]:
     both = depth.valid & np.isfinite(truth) & np.isfinite(depth.depth) & (truth >= depth.grid.min_depth)
     half, most = np.quantile(np.abs(depth.depth / truth - 1)[both], [0.5, 0.9]) if both.any() else (np.nan, np.nan)
     return [
-        f"Against the ground truth, half of the rays are within {half:.1%} of their true depth and nine tenths within "
-        f"{most:.0%}: at 10 m that is {10 * half:.2g} m and {10 * most:.2g} m.",
+        f"Against the ground truth, half of the rays are within {100 * half:.1f} % of their true depth and nine tenths "
+        f"within {100 * most:.0f} %: at 10 m that is {10 * half:.2g} m and {10 * most:.2g} m.",
         f"In the terms of the paper, {errors['>1']:.0f} % of the rays are off by more than 1 % of the range swept and "
         f"{errors['>3']:.0f} % by more than 3 %; the mean error is {errors['MAE']:.1f} %.",
     ]

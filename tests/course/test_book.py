@@ -234,6 +234,28 @@ def seven_pages(served, page, question, script=""):
     return {name: what for name, what in found.items() if what}
 
 
+CUT = r"""found => found
+    .filter(e => e.scrollWidth > e.clientWidth + 1 && e.textContent.split("\n").every(line => line.length <= 120))
+    .map(e => e.textContent)"""
+
+
+def test_code_of_120_letters_is_not_cut_off_at_1400_pixels(served, open_page):
+    page = open_page(1400, 900)
+    for name in ("02_rig_calibration", "07_sgm"):
+        page.goto(f"{served}/notebooks/{name}.html")
+        assert page.locator(".cell_input pre").evaluate_all(CUT) == []
+
+
+def test_figures_are_dark_on_a_dark_page(served, open_page):
+    page = open_page(1280, 844)
+    for mode in ("dark", "light"):
+        page.emulate_media(color_scheme=mode)
+        page.goto(f"{served}/notation.html")
+        shown = page.locator("article .picture img:visible")
+        assert shown.count() == 4
+        assert {"dark" in shown.nth(k).get_attribute("src") for k in range(4)} == {mode == "dark"}
+
+
 def test_book_search_finds_a_word(served, open_page):
     page = open_page(1280, 844)
     page.goto(f"{served}/index.html")

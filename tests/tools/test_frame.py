@@ -82,9 +82,18 @@ def test_the_sentences_say_what_was_found(depth):
     nearest = truth.min()
     assert (0.8 * nearest > 1.2 * GRID.min_depth) == bool(hints)
     exact, _ = error_sentences(depth, scene.true_index(scene.rig(width=200, height=192), GRID))
-    assert "half of the rays are within 0.0% of their true depth and nine tenths within 0%" in exact
+    assert "half of the rays are within 0.0 % of their true depth and nine tenths within 0 %" in exact
     off = osl.Depth(depth.index * 1.1, depth.confidence, depth.sweep)
-    assert "half of the rays are within 9.1% of" in error_sentences(off, depth.index)[0]  # 1 - 1 / 1.1
+    assert "half of the rays are within 9.1 % of" in error_sentences(off, depth.index)[0]  # 1 - 1 / 1.1
+
+
+def test_a_frame_without_a_point_is_written_too(depth, pictures, tmp_path):
+    result = FrameResult(depth, pictures, Limits(0.1, 0.0), "zncc+sgm")
+    result.write(tmp_path)
+    first, second = result.sentences()
+    assert "the nearest thing is unknown away" not in first and "no ray is within" in first
+    assert f"use 0 rays. Left out: {depth.valid.sum()} beyond 0.1 m" in second
+    assert b"element vertex 0" in (tmp_path / "data" / "points.ply").read_bytes()
 
 
 def test_nearer_spheres_are_proposed_where_nothing_is_near(rig):
