@@ -42,8 +42,15 @@ def read_bytes(path: str | Path, most: int = _MAX_BYTES) -> bytes:
 def path_within(folder: Path, name: Any, source: str | Path, root: Path | None = None) -> Path:
     """Return the path of a name in the file `source`; an `OmnistereoError` says that it leaves `root` (the folder)."""
     path = folder / str(name)
-    if Path(str(name)).is_absolute() or not path.resolve().is_relative_to((root or folder).resolve()):
-        raise OmnistereoError(f"{source} names {str(name)!r}; expected a path below {root or folder}. Copy it there.")
+    try:
+        path.exists()  # raises for a name that no file can have
+        inside = not Path(str(name)).is_absolute() and path.resolve().is_relative_to((root or folder).resolve())
+    except (OSError, ValueError, RuntimeError):  # too long, a zero byte, links in a circle
+        inside = False
+    if not inside:
+        raise OmnistereoError(
+            f"{source} names {str(name)[:80]!r}; expected a path below {root or folder}. Copy it there."
+        )
     return path
 
 
