@@ -41,6 +41,7 @@ from omnistereo_lib.geometry.rig import Rig, Unit
 from omnistereo_lib.geometry.sphere import Sampling, SphereGrid
 from omnistereo_lib.rig_files import load_rig
 
+_MAX_PIXELS = 1 << 27  # of a panorama of ground truth
 _CAMERA = r"cam([0-9]+)"
 _RIG_FOLDER = r"([0-9]+)"
 _IMAGE = r"([0-9]+)\.(?i:png|jpe?g|bmp|tiff?)"
@@ -214,7 +215,10 @@ def _read_float_tiff(path: Path) -> NDArray[np.float32]:
     content = read_bytes(path)
     try:
         with tifffile.TiffFile(io.BytesIO(content)) as tiff:
-            pages = [page.asarray() for page in tiff.pages if page.ndim == 2 and page.dtype.kind == "f"]
+            floats = [page for page in tiff.pages if page.ndim == 2 and page.dtype.kind == "f"]
+            if max((page.size for page in floats), default=0) > _MAX_PIXELS:
+                raise OmnistereoError(f"{floats[0].shape} pixels are too many")
+            pages = [page.asarray() for page in floats]
     except Exception as error:  # tifffile raises many types for a damaged file
         raise OmnistereoError(f"{path} is not a complete TIFF file: {error}. Copy it again.") from None
     if len(pages) != 1:

@@ -17,5 +17,14 @@ def check_number(value: Any, what: str, low: float, high: float, whole: bool = F
     valid = isinstance(value, Real) and not isinstance(value, bool) and low <= value <= high
     if not valid or (whole and value != int(value)):
         kind = "an integer" if whole else "a number"
-        raise OmnistereoError(f"{what} is {value!r}; expected {kind} of {low} to {high}")
+        raise OmnistereoError(f"{what} is {shortened(value)}; expected {kind} of {low} to {high}")
     return int(value) if whole else float(value)
+
+
+def shortened(value: Any) -> str:
+    """Return a value as a message shows it, in at most 80 characters."""
+    try:
+        text = str(value) if isinstance(value, Real) else repr(value)
+    except ValueError:  # an integer of thousands of digits
+        text = "a number of thousands of digits"
+    return text if len(text) <= 80 else f"{text[:77]}..."

@@ -19,9 +19,16 @@ def stdout(monkeypatch):
     return lambda stream: monkeypatch.setattr(sys, "stdout", stream) or stream
 
 
-def test_ctrl_c(monkeypatch, capsys):
+def wrapped():
+    error = SystemError("a function in C returned a result with an exception set")
+    error.__cause__ = KeyboardInterrupt()
+    return error
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), wrapped()], ids=type)
+def test_ctrl_c(monkeypatch, capsys, error):
     def interrupted(options):
-        raise KeyboardInterrupt
+        raise error
 
     monkeypatch.setattr(cli.doctor, "run", interrupted)
     assert cli.main(["doctor"]) == 130

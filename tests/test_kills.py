@@ -104,9 +104,11 @@ def corners(tmp_path_factory):
 def command(request, data, corners):
     """Return the command line that writes into a folder."""
     small = ["--width", 96, "--height", 24, "--spheres", 16, "--method", "zncc+sgm"]
+    views = [data / f"cam{k}" for k in (1, 2, 3, 4)]
     calibrate = ["calibrate", corners, "--corners", corners, "--board", "12x10", "--square", 0.06, "--degree", 4]
     lines = {
         "depth": ["depth", "--rig", data, *small, "--out"],
+        "recording": ["depth", "--rig", data / "config.yaml", "--images", *views, *small, "--out"],
         "calibrate": [*calibrate, "--out"],
         "evaluate": ["evaluate", "--sets", data, "--methods", "zncc", "zncc+sgm", "--out"],
     }
@@ -147,7 +149,7 @@ def undisturbed(server, tmp_path_factory):
     return once
 
 
-@pytest.mark.parametrize("command", ["depth", "calibrate", "train", "evaluate"], indirect=True)
+@pytest.mark.parametrize("command", ["depth", "recording", "calibrate", "train", "evaluate"], indirect=True)
 def test_killed_and_given_again_the_files_are_the_same(server, command, undisturbed, tmp_path, request):
     expected, duration = undisturbed(command, request.node.callspec.params["command"])
     for attempt in range(KILLS):

@@ -31,7 +31,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(end="", flush=True)
     except OmnistereoError as error:
         return _stop(f"error: {error}", 2)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemError) as error:  # the latter where Ctrl-C met a library in C
+        if KeyboardInterrupt not in (type(error), type(error.__cause__)):
+            raise
         return _stop("interrupted; run the same command to resume", 130)
     except OSError as error:
         if error.filename is None:  # it is the output; what it has not taken would fail again at exit

@@ -7,8 +7,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.errors import OmnistereoError, check_number, shortened
+from omnistereo_lib.evaluate.regions import METRICS, REGIONS, SUMS
 from omnistereo_lib.files import atomic_write, make_folder, read_data
+from omnistereo_lib.stereo.methods import Method
 
 Record = dict[str, Any]  # nested, with strings as keys; what JSON holds
 _INPUTS = ("config", "methods", "data", "weights")
@@ -39,7 +41,39 @@ def read_record(path: Path) -> Record:
     record = read_data(path)
     if not isinstance(record, dict) or not {*_INPUTS, "frames"} <= record.keys():
         raise OmnistereoError(f"{path} has no results of an evaluation. Delete it, or choose another folder.")
+    try:
+        _check_results(record)
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        found = f"{path} is damaged ({type(error).__name__}: {str(error)[:300]})"
+        raise OmnistereoError(f"{found}. Delete it and evaluate again.") from None
     return record
+
+
+def _check_results(record: Record) -> None:
+    """Raise one of several types if settings or results are not of the form that `write_record` is given."""
+    for name in ("width", "height", "num_spheres"):
+        check_number(record["config"][name], name, 1, 1_000_000, whole=True)
+    if not isinstance(record["config"]["rig"], str) or not all(isinstance(record[part], dict) for part in _INPUTS):
+        raise TypeError(f"rig is {shortened(record['config']['rig'])}")
+    names = {name: Method(**settings).name for name, settings in record["methods"].items()}
+    if names != {name: name for name in names}:
+        raise ValueError(f"the settings of {shortened(names)} are of other methods")
+    regions = set()
+    for of_set in record["frames"].values():
+        if not of_set:
+            raise KeyError("frames")
+        for results in of_set.values():
+            if not results or results.keys() - names.keys():
+                raise KeyError(f"methods {sorted(results)}")
+            for errors in results.values():
+                for metric in METRICS:
+                    value = errors["figures"][metric]
+                    value is None or check_number(value, metric, 0, 1e9)
+                for region, sums in errors["strata"].items():
+                    [check_number(sums[key], f"{region} {key}", 0, 1e15) for key in SUMS]
+                regions.add(frozenset(errors["strata"]))
+    if any(not of >= {*REGIONS} for of in regions):
+        raise KeyError("a region is missing")
 
 
 def check_record(path: Path, expected: Record) -> Record:

@@ -6,6 +6,7 @@ merged file is always the same.
 """
 
 import os
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -59,7 +60,7 @@ class Job(NamedTuple):
 def select_shard(items: list, shard: str) -> list:
     """Return shard i/n, such as "2/8": every eighth item, starting at the second."""
     part, _, parts = shard.partition("/")
-    if not (part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts)):
+    if not (re.fullmatch("[0-9]{1,9}/[0-9]{1,9}", shard) and 1 <= int(part) <= int(parts)):
         raise OmnistereoError(f"shard {shard!r} is not of the form i/n; expected 1 ≤ i ≤ n, such as 2/8")
     return items[int(part) - 1 :: int(parts)]
 

@@ -44,7 +44,7 @@ class Rig:
         for i, (camera, pose) in enumerate(zip(self.cameras, self.T_rig_cam, strict=True), 1):
             if not (isinstance(camera, OcamCamera) and isinstance(pose, Pose)):
                 raise OmnistereoError(f"camera {i} is {camera!r:.40}, {pose!r:.40}; expected an OcamCamera and a Pose")
-            check_number(float(np.abs(pose.t).max()), f"the distance of camera {i} from the origin, metres,", 0, 1000)
+            check_number(float(np.abs(pose.t).max()), f"the distance of camera {i} from the origin, metres,", 0, 1e7)
         if self.min_depth is not None:
             check_number(self.min_depth, "the nearest depth in metres (min_depth, omnimvs_sweep_min_depth)", 1e-6, 1e6)
 

@@ -1,10 +1,11 @@
 """The formats of rig files: detection, reading any of them."""
 
 import logging
+import os
 from pathlib import Path
 from typing import Any
 
-from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.errors import OmnistereoError, check_number
 from omnistereo_lib.files import read_data
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.rig_files.basalt import read_basalt
@@ -46,12 +47,13 @@ def load_rig(path: str | Path, unit: str | None = None, max_fov_deg: float | Non
     path = Path(path)
     if unit is not None and unit not in METRES_PER_UNIT:
         raise OmnistereoError(f"unit is {unit!r}; expected one of {list(METRES_PER_UNIT)}")
-    if max_fov_deg is not None and not 0 < max_fov_deg <= 360:
-        raise OmnistereoError(f"max_fov_deg must be in (0, 360], got {max_fov_deg}")
-    if path.is_dir() and list(path.glob("ocam*.txt")) and not (unit is None and (path / "config.yaml").exists()):
+    if max_fov_deg is not None:
+        check_number(max_fov_deg, "max_fov_deg", 1, 360)
+    is_folder = os.path.isdir(path)  # False also for a name that no file can have
+    if is_folder and list(path.glob("ocam*.txt")) and not (unit is None and (path / "config.yaml").exists()):
         rig, format_name = read_ocam_folder(path, unit, max_fov_deg), f"OCamCalib text files in {unit}"
     else:
-        path = _find_rig_file(path) if path.is_dir() else path
+        path = _find_rig_file(path) if is_folder else path
         with error_context(path):
             rig, format_name = _read_file(path, unit, max_fov_deg)
     low, high = rig.baselines.min(), rig.baselines.max()

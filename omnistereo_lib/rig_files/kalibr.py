@@ -26,7 +26,7 @@ _MODELS = {
 def read_kalibr(data: dict[str, Any], path: Path, max_fov_deg: float | None) -> Rig:
     """Read a parsed camchain: models ds, eucm, omni (radtan or no distortion), pinhole with equidistant distortion."""
     cameras, T_rig_cam = [], [Pose.identity()]
-    for n in range(sum(bool(re.fullmatch(r"cam\d+", str(name))) for name in data)):
+    for n in range(sum(bool(re.fullmatch(r"cam[0-9]+", str(name))) for name in data)):
         name = f"cam{n}"
         cam = require_key(data, name)  # a gap in the chain is an error
         with error_context(name):

@@ -175,7 +175,8 @@ def _check_polynomials(camera: OcamCamera) -> None:
 
 def warn_of_polynomials(cameras: Sequence[OcamCamera], source: Path | str) -> None:
     """Warn once if direct and inverse polynomial of some cameras disagree, and say what that means."""
-    errors = {i: camera.inverse_poly_error_px() for i, camera in enumerate(cameras, 1)}
+    with np.errstate(all="ignore"):
+        errors = {i: camera.inverse_poly_error_px() for i, camera in enumerate(cameras, 1)}
     far_off = [i for i, error in errors.items() if error > _MAX_POLYNOMIAL_ERROR]
     if far_off:
         of_cameras = f" of camera{'s' * (len(far_off) > 1)} {', '.join(map(str, far_off))}" if len(cameras) > 1 else ""

@@ -68,7 +68,7 @@ def opencv_cameras(data: dict[str, Any]) -> dict[str, dict[str, Any]]:
     if found:
         return found
     for key, value in data.items():
-        match = re.fullmatch(r"(\w*?[A-Za-z])_?(\d+)", str(key))
+        match = re.fullmatch(r"(\w*?[A-Za-z])_?([0-9]{1,4})", str(key))
         if match and match[1] in _STANDARD_KEYS:
             found.setdefault(match[2], {})[_STANDARD_KEYS[match[1]]] = value
     found = {name: found[name] for name in sorted(found, key=int) if "K" in found[name]}

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.errors import OmnistereoError, check_number
+from omnistereo_lib.errors import OmnistereoError, check_number, shortened
 from omnistereo_lib.geometry.camera import MAX_SIDE
 
 METRES_PER_UNIT = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
@@ -34,9 +34,9 @@ def to_yaml(data: dict[str, Any]) -> str:
 def require_key(mapping: Any, key: str) -> Any:
     """Return the value of a key; `OmnistereoError` lists the keys that were found instead."""
     if not isinstance(mapping, dict):
-        raise OmnistereoError(f"found {_shortened(mapping)}; expected keys such as {key!r}")
+        raise OmnistereoError(f"found {shortened(mapping)}; expected keys such as {key!r}")
     if key not in mapping:
-        raise OmnistereoError(f"key {key!r} is missing; found {sorted(map(str, mapping))}")
+        raise OmnistereoError(f"key {key!r} is missing; found {shortened(sorted(map(str, mapping)))}")
     return mapping[key]
 
 
@@ -44,7 +44,7 @@ def require_list(mapping: Any, key: str) -> list[Any]:
     """Return the value of a key that must be a list."""
     value = require_key(mapping, key)
     if not isinstance(value, list):
-        raise OmnistereoError(f"{key!r} is {_shortened(value)}; expected a list")
+        raise OmnistereoError(f"{key!r} is {shortened(value)}; expected a list")
     return value
 
 
@@ -53,11 +53,11 @@ def parse_floats(values: Any, name: str, count: int | None = None, may_be_nan: b
     try:
         array = np.asarray(values, np.float64).ravel()
     except (TypeError, ValueError, OverflowError):
-        raise OmnistereoError(f"{name} must be numbers, found {_shortened(values)}") from None
+        raise OmnistereoError(f"{name} must be numbers, found {shortened(values)}") from None
     if not (np.isfinite(array) | (np.isnan(array) & may_be_nan)).all():
-        raise OmnistereoError(f"{name} must be finite numbers, found {_shortened(values)}")
+        raise OmnistereoError(f"{name} must be finite numbers, found {shortened(values)}")
     if count is not None and len(array) != count:
-        raise OmnistereoError(f"{name} must be {count} numbers, found {len(array)}: {_shortened(values)}")
+        raise OmnistereoError(f"{name} must be {count} numbers, found {len(array)}: {shortened(values)}")
     return array
 
 
@@ -89,8 +89,3 @@ def metres_per_unit(unit: str | None, positions: NDArray[np.float64]) -> float:
     raise OmnistereoError(
         f"the file does not state its unit. Pass it; the distances between the cameras would be {meanings}"
     )
-
-
-def _shortened(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 80 else f"{text[:77]}..."

@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
+from safetensors.torch import load, save
 from torch import Tensor, nn
 
-from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import atomic_write, parse_json
+from omnistereo_lib.errors import OmnistereoError, shortened
+from omnistereo_lib.files import atomic_write, parse_json, read_bytes
 
 BUNDLED_WEIGHTS = Path(__file__).resolve().parents[1] / "weights"
 
@@ -54,14 +53,20 @@ class StoredNetwork(nn.Module):
         """
         tensors, metadata = load_tensors(path)
         name, config = metadata.get("architecture", "a training state"), metadata.get("config", {})
+        if not isinstance(config, dict):
+            raise OmnistereoError(f"{path}: config is {shortened(config)}; expected the arguments of a network")
         if name != cls.__name__ or config != config | expected:
             wanted = signature(cls.__name__, expected)
             raise OmnistereoError(f"{path}: holds {signature(name, config)}; expected {wanted}. Pass another file.")
-        network = cls(**config)
         try:
+            network = cls(**config)
+            like = network.state_dict()
+            if wrong := [key for key in like if tensors[key].is_floating_point() != like[key].is_floating_point()]:
+                raise TypeError(f"{wrong[0]} is of type {tensors[wrong[0]].dtype}")
             network.load_state_dict(tensors)
-        except RuntimeError as error:
-            raise OmnistereoError(f"{path} does not fit {signature(name, config)}: {error}") from None
+        except (RuntimeError, TypeError, KeyError) as error:
+            message = f"{path} does not fit {signature(name, config)}: {str(error)[:500]}. Pass another file."
+            raise OmnistereoError(message) from None
         return network.eval()
 
 
@@ -82,9 +87,7 @@ def save_tensors(path: str | Path, tensors: Mapping[str, Tensor], metadata: Mapp
     _check_finite(path, tensors)
     content = save(tensors, {"about": json.dumps(metadata), "sha256": _checksum(tensors)})
     (length,) = struct.unpack("<Q", content[:8])
-    header = json.dumps(
-        parse_json(content[8 : 8 + length], path), sort_keys=True
-    ).encode()  # `save` orders it at random
+    header = json.dumps(parse_json(content[8 : 8 + length], path), sort_keys=True).encode()  # not at random
     header += b" " * (-len(header) % 8)  # the tensors stay aligned
     with atomic_write(path) as temporary:
         temporary.write_bytes(struct.pack("<Q", len(header)) + header + content[8 + length :])
@@ -97,23 +100,22 @@ def load_tensors(path: str | Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         OmnistereoError: If the file is missing, truncated, changed since it was written, not finite, or not from this
             library.
     """
-    if not Path(path).is_file():
-        raise OmnistereoError(f"{path} does not exist; expected a .safetensors file that training wrote")
+    content = read_bytes(path)
     try:
-        with safe_open(path, "pt") as file:
-            header = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118, not a dict
-    except (SafetensorError, OSError) as error:
-        raise OmnistereoError(f"{path} is not a complete safetensors file: {error}. Copy it again.") from None
+        tensors = load(content)
+        header = parse_json(content[8 : 8 + struct.unpack("<Q", content[:8])[0]], path).get("__metadata__") or {}
+    except Exception as error:  # of several types; those of the library say what is wrong as well
+        found = f"{path} is not a complete safetensors file: {str(error)[:300]}"
+        raise OmnistereoError(f"{found}. Copy it again, or make it by training.") from None
     if not {"about", "sha256"} <= header.keys():
         raise OmnistereoError(f"{path} was not written by this library: its header has {sorted(header)}")
     if _checksum(tensors) != header["sha256"]:
         raise OmnistereoError(f"{path} has changed since it was written (checksum). Copy it again.")
     _check_finite(path, tensors)
-    metadata = parse_json(header["about"], path)
-    if not isinstance(metadata, dict):
-        raise OmnistereoError(f"{path} was not written by this library: its metadata is {header['about']:.80}")
-    return tensors, metadata
+    about = parse_json(header["about"], path)
+    if not isinstance(about, dict):
+        raise OmnistereoError(f"{path}: what is stored about the tensors is {shortened(about)}; expected settings")
+    return tensors, about
 
 
 def _check_finite(path: str | Path, tensors: Mapping[str, Tensor]) -> None:

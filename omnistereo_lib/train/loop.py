@@ -21,8 +21,8 @@ import torch
 from torch import Tensor, distributed, nn
 from torch.nn.parallel import DistributedDataParallel
 
-from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import atomic_write, make_folder, read_bytes
+from omnistereo_lib.errors import OmnistereoError, check_number, shortened
+from omnistereo_lib.files import atomic_write, make_folder, read_bytes, read_text
 from omnistereo_lib.stereo.learned import Precision, autocast, uses_bfloat16
 from omnistereo_lib.stereo.sweep import select_device
 from omnistereo_lib.stereo.weights import load_tensors, save_tensors
@@ -205,24 +205,36 @@ class _Run:
             return 0
         tensors, metadata = load_tensors(path)
         found = metadata.get("recipe", {})
+        found = found if isinstance(found, dict) else {"network": shortened(found)}
         differing = {name: value for name, value in self._identity.items() if found.get(name) != value}
         if differing:
             there = ", ".join(f"{name} = {found.get(name)}" for name in differing)
             here = ", ".join(f"{name} = {value}" for name, value in differing.items())
             found = f"{path} belongs to a different run with {there}; expected {here}"
             raise OmnistereoError(f"{found}. Use another folder, or delete this one to start over.")
+        try:
+            self._restore(tensors)
+            return check_number(metadata.get("step"), "step", 0, self.recipe.steps, whole=True)
+        except (ValueError, KeyError, IndexError, RuntimeError) as error:
+            found = f"{path} is not the state of this training: {str(error)[:500]}"
+            raise OmnistereoError(f"{found}. Delete it to start over.") from None
+
+    def _restore(self, tensors: Mapping[str, Tensor]) -> None:
+        """Take network and optimiser from the tensors of a state; raise one of several types if they do not fit."""
         network, memory = {}, {}
+        shapes = [weight.shape for weight in self.network.parameters()]
         for name, tensor in tensors.items():
             kind, key = name.split(".", 1)
             if kind == "network":
                 network[key] = tensor
-            else:
-                number, entry = key.split(".")
-                memory.setdefault(int(number), {})[entry] = tensor
+                continue
+            number, entry = key.split(".")
+            if tensor.shape not in (torch.Size(), shapes[int(number)]):
+                raise ValueError(f"{name} has shape {tuple(tensor.shape)}")
+            memory.setdefault(int(number), {})[entry] = tensor
         self.network.load_state_dict(network)
         groups = self.optimizer.state_dict()["param_groups"]
         self.optimizer.load_state_dict({"state": memory, "param_groups": groups})
-        return metadata["step"]
 
     @property
     def _identity(self) -> dict[str, Any]:
@@ -244,12 +256,17 @@ def _init_distributed(recipe: Recipe, device: torch.device) -> tuple[int, int]:
 
 
 def read_log(path: Path, stop: int) -> list[dict[str, float]]:
-    """Return the rows of a log before step `stop`."""
+    """Return the rows of a log before step `stop`; an `OmnistereoError` if one is missing or damaged."""
     if stop == 0 or not path.is_file():
         return []
-    with path.open(newline="") as file:
-        rows = [{name: float(value or "nan") for name, value in row.items()} for row in csv.DictReader(file)]
-    return [row | {"step": int(row["step"])} for row in rows if row["step"] < stop]
+    header, *lines = [*csv.reader(read_text(path).splitlines()), []][: stop + 1]
+    try:
+        rows = [{name: float(cell or "nan") for name, cell in zip(COLUMNS, line, strict=True)} for line in lines]
+        if tuple(header) != COLUMNS or [row["step"] for row in rows] != list(range(stop)):
+            raise ValueError(f"expected the columns {', '.join(COLUMNS)} and the steps 0 to {stop - 1}")
+    except (ValueError, csv.Error) as error:
+        raise OmnistereoError(f"{path} is damaged: {error}. Put a copy back, or delete it to begin it anew.") from None
+    return [row | {"step": step} for step, row in enumerate(rows)]
 
 
 def write_csv(path: str | Path, header: Sequence[str], rows: Iterable[Sequence]) -> None:

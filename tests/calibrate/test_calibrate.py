@@ -1,5 +1,7 @@
 """Calibration: cameras from corners, against lenses and poses that are known."""
 
+from dataclasses import replace
+
 import boards
 import numpy as np
 import pytest
@@ -292,6 +294,9 @@ def test_a_field_of_view_that_no_corner_reached(views):
     assert any("no corner beyond" in warning and "90°" in warning for warning in report.warnings)
     _, report = osl.calibrate_camera(views[0][:8], BOARD, SIZE)
     assert any("only 8 views" in warning for warning in report.warnings)
+    assert "Check the board size" not in report.text()
+    accident = replace(report, rejected=dict.fromkeys(range(8, 40), "no board found"), warnings=())
+    assert "Check the board size" in accident.build_camera(180)[1].text()
 
 
 def test_cropped_and_stretched_pictures_are_noticed(views):

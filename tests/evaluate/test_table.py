@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import omnistereo_lib as osl
 from omnistereo_lib.evaluate import Table, errors_table, regions_table
-from omnistereo_lib.evaluate.records import read_record, write_record
+from omnistereo_lib.evaluate.records import write_record
 from omnistereo_lib.evaluate.regions import (
     METRICS,
     SUMS,
@@ -24,6 +24,7 @@ from omnistereo_lib.evaluate.regions import (
     thin_objects,
 )
 from omnistereo_lib.evaluate.table import bootstrap
+from omnistereo_lib.files import read_data
 from omnistereo_lib.stereo.methods import Method
 
 RIG = scene.rig(width=200, height=192)
@@ -317,4 +318,4 @@ def test_a_record_comes_back(tmp_path_factory, content):
     path = tmp_path_factory.getbasetemp() / "record.json"
     record = {name: {} for name in ("config", "methods", "data", "weights")} | {"frames": content}
     write_record(path, record)
-    assert read_record(path) == record
+    assert read_data(path) == record

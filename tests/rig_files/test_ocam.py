@@ -158,7 +158,7 @@ def test_the_unit_is_not_guessed(tmp_path):
         Rig.load(ocam_folder(tmp_path))
     with pytest.raises(OmnistereoError, match=r"unit is 'inch'; expected one of \['mm', 'cm', 'm'\]"):
         Rig.load(tmp_path, "inch")
-    with pytest.raises(OmnistereoError, match="max_fov_deg must be in"):
+    with pytest.raises(OmnistereoError, match="max_fov_deg is 0; expected a number of 1 to 360"):
         Rig.load(tmp_path, "cm", max_fov_deg=0)
 
 

@@ -1,0 +1,285 @@
+"""Damaged files, thousands of them: every reader answers with the library's error, or returns what is finite.
+
+FUZZ=20000 python -m pytest tests/test_fuzz.py takes so many for each reader. The seed of a file is its number: the name
+of the reader and the number in a message bring it back.
+"""
+
+import json
+import os
+import random
+import re
+import struct
+import warnings
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+import torch
+import yaml
+from rig_files.rig_file_samples import D4, OCAM_TXT, POSES_TXT, R2, RAYS, SIZE, T2, K, basalt, kalibr, matrix, omnimvs
+from train.tiny import MCCNN as RECIPE
+
+import omnistereo_lib as osl
+from omnistereo_lib.calibrate.board import Checkerboard
+from omnistereo_lib.calibrate.captures import load_corners, save_corners
+from omnistereo_lib.dataset import read_inverse_depth, write_inverse_depth
+from omnistereo_lib.evaluate.records import read_record
+from omnistereo_lib.evaluate.table import errors_table, regions_table
+from omnistereo_lib.files import read_image
+from omnistereo_lib.rig_files.ocam import read_ocam_txt
+from omnistereo_lib.train.loop import COLUMNS, _Run, read_log, write_csv
+
+FILES = int(os.environ.get("FUZZ", "150"))
+WORDS = ["nan", ".nan", "inf", "-.inf", "1e308", "-1e308", "1e30", "0", "-1", "2.5", "", "abc", "[]", "{}", "null",
+         "true", "9" * 400, "*a", "&a", "!!python/name:os", "\t", '"', "³", "\ufeff", "a: b", "2020-99-99"]  # fmt: skip
+VALUES = [None, True, 0, -1, 1e308, -1e308, 1e30, float("nan"), float("inf"), 10**30, 2.5, "", "abc", [], {}, [[]], [1],
+          {"a": 1}, [[[[1]]]], "../x", "/dev/zero"]  # fmt: skip
+
+
+def damage(content, rng):
+    """Change the content of a file at random: values of JSON, words, lines or bytes."""
+    for _ in range(rng.choice((1, 1, 1, 2, 3))):
+        content = rng.choice((_change_value, _change_word, _change_word, _change_line, _change_bytes))(content, rng)
+    return content
+
+
+def _change_value(content, rng):
+    try:
+        values = json.loads(content)
+    except (ValueError, RecursionError):
+        return _change_word(content, rng)
+    at, key = values, None
+    while isinstance(at, dict | list) and at and (key is None or rng.random() < 0.8):
+        parent, key = at, rng.choice(list(at) if isinstance(at, dict) else range(len(at)))
+        at = at[key]
+    if key is None:
+        return content
+    action = rng.randrange(4)
+    if action == 0:
+        del parent[key]
+    else:
+        parent[key] = rng.choice(VALUES) if action < 3 else [at] * rng.choice((1, 2, 50))
+    return json.dumps(values).encode()
+
+
+def _change_word(content, rng):
+    words = list(re.finditer(rb"[^\s,\[\]{}:]+", content))
+    if not words:
+        return content
+    start, end = rng.choice(words).span()
+    return content[:start] + rng.choice(WORDS).encode() + content[end:]
+
+
+def _change_line(content, rng):
+    lines = content.split(b"\n")
+    k = rng.randrange(len(lines))
+    lines[k : k + 1] = rng.choice(([], [lines[k]] * 2, [b"  " + lines[k]], [rng.choice(lines)]))
+    return b"\n".join(lines)
+
+
+def _change_bytes(content, rng):
+    at, length = rng.randrange(len(content) + 1), rng.choice((1, 1, 4, 40))
+    kind = rng.randrange(4)
+    if kind == 0:
+        return content[:at]
+    if kind == 1:
+        return content[:at] + rng.randbytes(length) + content[at + length :]
+    if kind == 2:
+        return content[:at] + content[at + length :]
+    return content[:at] + content[at : at + length] * 2 + content[at + length :]
+
+
+def damage_tensors(content, rng):
+    """As `damage`, but mostly of the header, whose length is then right, or of whole numbers among the tensors."""
+    (length,) = struct.unpack("<Q", content[:8])
+    if rng.random() < 0.2:
+        return _change_bytes(content, rng)
+    header = json.loads(content[8 : 8 + length])
+    if rng.random() < 0.5:
+        about = header["__metadata__"]["about"].encode()
+        header["__metadata__"]["about"] = _change_value(about, rng).decode(errors="replace")
+        header = json.dumps(header).encode()
+    else:
+        header = _change_value(json.dumps(header).encode(), rng)
+    return struct.pack("<Q", len(header)) + header + content[8 + length :]
+
+
+# ---- what is read must be finite
+
+
+def check_rig(rig):
+    for camera in rig.cameras:
+        check_camera(camera)
+    assert np.isfinite(rig.baselines).all()
+
+
+def check_camera(camera):
+    uv, _ = camera.project(RAYS)
+    assert np.isfinite(uv).all() and np.isfinite(camera.unproject(uv)[0]).all()
+
+
+def check_corners(read):
+    views, board, (width, height) = read
+    assert len(board.points) and 2 <= width <= 100_000 and 2 <= height <= 100_000
+    assert all(view is None or not np.isinf(view).any() for view in views.values())
+
+
+def check_truth(values):
+    assert values.ndim == 2 and not np.isinf(values).any() and not (values < 0).any()
+
+
+def check_image(image):
+    assert image.dtype == np.uint8 and image.shape[:2] != (0, 0)
+
+
+def check_network(network):
+    assert all(tensor.isfinite().all() and tensor.dtype == torch.float32 for tensor in network.parameters())
+
+
+def check_results(results):
+    assert errors_table(results).text() and regions_table(results).text()
+
+
+def check_log(rows):
+    assert [row["step"] for row in rows] == list(range(len(rows)))
+
+
+def check_step(step):
+    assert isinstance(step, int) and step >= 0
+
+
+# ---- valid files, and how each is read
+
+
+def samples(folder):
+    """Return reader → (name of the file, its content, how it is read, what the result must be, how it is damaged)."""
+    opencv = {"K1": K, "D1": D4, "K2": K, "D2": D4, "R": R2, "T": T2}
+    opencv = {key: value.tolist() for key, value in opencv.items()} | {"image_size": list(SIZE)}
+    chain = kalibr(matrix([0, 1, 0], [1, 0, 0]))
+    found = {
+        "omnimvs": ("config.yaml", json.dumps(omnimvs()), osl.load_rig, check_rig),
+        "omnimvs, in lines": ("config.yaml", yaml.safe_dump(omnimvs()), osl.load_rig, check_rig),
+        "basalt": ("calibration.json", json.dumps(basalt()), osl.load_rig, check_rig),
+        "kalibr": ("camchain.yaml", json.dumps(chain), osl.load_rig, check_rig),
+        "opencv": ("opencv.yaml", json.dumps(opencv), lambda path: osl.load_rig(path, "cm"), check_rig),
+        "ocam": ("ocam1.txt", OCAM_TXT, read_ocam_txt, check_camera),
+    }
+    found |= ocam_poses(folder) | corners(folder) | data_set(folder) | pictures(folder) | tensors(folder) | records()
+    return {name: sample if len(sample) == 5 else (*sample, damage) for name, sample in found.items()}
+
+
+def ocam_poses(folder):
+    (folder / "rig").mkdir()
+    for i in (1, 2, 3, 4):
+        (folder / "rig" / f"ocam{i}.txt").write_text(OCAM_TXT)
+    return {"poses": ("rig/poses.txt", POSES_TXT, lambda path: osl.load_rig(path.parent, "cm"), check_rig)}
+
+
+def corners(folder):
+    board = Checkerboard((4, 3), 0.06)
+    views = {f"{k:04}": 10.0 + 5 * k + 20 * board.points[:, :2] / 0.06 for k in range(3)} | {"0009": None}
+    save_corners(folder / "corners.yaml", views, board, (200, 192))
+    text = (folder / "corners.yaml").read_text()
+    return {"corners": ("corners.yaml", text, load_corners, check_corners)}
+
+
+def data_set(folder):
+    """A set whose config.yaml names the folder of its ground truth."""
+    for k in (1, 2, 3):
+        (folder / "set" / f"cam{k}").mkdir(parents=True)
+        (folder / "set" / f"cam{k}" / "0001.png").write_bytes(b"")
+    write = json.dumps(omnimvs(dataset={"truth": "."}))
+    return {"data set": ("set/config.yaml", write, lambda path: osl.load_dataset(path.parent).rig, check_rig)}
+
+
+def pictures(folder):
+    rng = np.random.default_rng(0)
+    picture = rng.integers(0, 255, (24, 32, 3), np.uint8)
+    found = {}
+    for suffix in ("png", "jpg", "bmp", "tiff"):
+        content = cv2.imencode(f".{suffix}", cv2.GaussianBlur(picture, (0, 0), 2))[1].tobytes()
+        found[suffix] = (f"picture.{suffix}", content, read_image, check_image)
+    truth = rng.random((6, 24)).astype(np.float32)
+    write_inverse_depth(folder / "truth.tiff", truth)
+    content = (folder / "truth.tiff").read_bytes()
+    found["float TIFF"] = ("truth.tiff", content, read_inverse_depth, check_truth)
+    tifffile.imwrite(folder / "truth.tiff", truth)
+    content = (folder / "truth.tiff").read_bytes()
+    found["float TIFF, not deflated"] = ("truth.tiff", content, read_inverse_depth, check_truth)
+    content = cv2.imencode(".png", (60000 * truth).astype(np.uint16))[1].tobytes()
+    found["16-bit PNG"] = ("truth.png", content, lambda path: read_inverse_depth(path, 0.5), check_truth)
+    return found
+
+
+def tensors(folder):
+    """Weights, and the state and log of a training."""
+    network = osl.MCCNN()
+    network.save(folder / "weights.safetensors", recipe=RECIPE.as_dict())
+    content = (folder / "weights.safetensors").read_bytes()
+    found = {"weights": ("weights.safetensors", content, osl.MCCNN.from_file, check_network, damage_tensors)}
+    run = _Run.__new__(_Run)  # without data
+    run.recipe, run.network, run.init_sha256 = RECIPE, network, None
+    run.optimizer = torch.optim.AdamW(network.parameters())
+    sum(weight.sum() for weight in network.parameters()).backward()
+    run.optimizer.step()
+    run.save_state(folder / "state.safetensors", 2)
+    content = (folder / "state.safetensors").read_bytes()
+    found["state"] = ("state.safetensors", content, run.resume, check_step, damage_tensors)
+    rows = [[step, 0.5, 0.1, 1e-3, 2.0, "", 0.3] for step in range(4)]
+    write_csv(folder / "log.csv", COLUMNS, rows)
+    content = (folder / "log.csv").read_bytes()
+    return found | {"log": ("log.csv", content, lambda path: read_log(path, 4), check_log)}
+
+
+def records():
+    from omnistereo_lib.evaluate.regions import METRICS, REGIONS, SUMS
+
+    errors = {"figures": dict.fromkeys(METRICS, 1.5), "strata": {name: dict.fromkeys(SUMS, 3.0) for name in REGIONS}}
+    config = {"width": 96, "height": 24, "num_spheres": 12, "rig": "own"}
+    method = {"cost": "zncc", "aggregate": "sgm", "window": 9}
+    frames = {"sunny": {"00001": {"zncc+sgm": errors}, "00002": {"zncc+sgm": errors}}}
+    record = {"config": config, "methods": {"zncc+sgm": method}, "data": {}, "weights": {}, "frames": frames}
+    return {"results": ("results.json", json.dumps(record), read_record, check_results)}
+
+
+@pytest.fixture(scope="module")
+def valid(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("fuzz")
+    return folder, samples(folder)
+
+
+NAMES = ["omnimvs", "omnimvs, in lines", "basalt", "kalibr", "opencv", "ocam", "poses", "corners", "data set", "png",
+         "jpg", "bmp", "tiff", "float TIFF", "float TIFF, not deflated", "16-bit PNG", "weights", "state", "log",
+         "results"]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_damaged_files_are_refused_or_read_as_finite_numbers(valid, name):
+    folder, known = valid
+    file, content, read, check, harm = known[name]
+    content = content.encode() if isinstance(content, str) else content
+    path = folder / file
+    path.write_bytes(content)
+    check(read(path))  # the valid file is read
+    for number in range(FILES):
+        rng = random.Random(f"{name} {number}")
+        path.write_bytes(harm(content, rng))
+        try:
+            result = read(path)
+        except osl.OmnistereoError as error:
+            assert 10 < len(str(error)) < 2000, number
+            continue
+        except Exception as error:
+            raise AssertionError(f"{name} {number}: {type(error).__name__}: {error}") from error
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            try:
+                check(result)
+            except Exception as error:
+                raise AssertionError(f"{name} {number}: what was read: {type(error).__name__}: {error}") from error
+
+
+def test_every_reader_has_its_damaged_files(valid):
+    assert list(valid[1]) == NAMES
