@@ -43,7 +43,7 @@ FULL = 675.0  # of them to be filled
 TEXT, CODE, OUTPUT, CAPTION = (33.0, 88), (29.0, 82), (29.0, 76), (29.0, 104)  # height of a line, letters in it
 HEADINGS = {"#": 90.0, "##": 75.0, "###": 60.0}
 MARGIN = 16.0
-PICTURE = (240.0, 360.0)  # at least, a wide one and a tall one
+PICTURE = (240.0, 325.0)  # at least, a wide one and a tall one
 HIDDEN, SOLUTION = "hide-input", "solution"
 EXERCISE = re.compile(r"\*\*\d\d\.\d+ \(")
 LINK = re.compile(r'<a href="(\d\d_\w+)\.ipynb[^"]*">(.*?)</a>')  # to another notebook
