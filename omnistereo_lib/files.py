@@ -130,7 +130,7 @@ def read_pixels(path: str | Path, flags: int) -> NDArray:
     """Decode an image file with OpenCV; `flags` select depth and colour, see `cv2.imdecode`.
 
     Raises an `OmnistereoError` if the file is missing, not an image, larger than any picture, or truncated: OpenCV
-    would fill it with gray.
+    would fill it with gray. Warns if it is damaged elsewhere.
     """
     import cv2
 
@@ -140,12 +140,32 @@ def read_pixels(path: str | Path, flags: int) -> NDArray:
     if end is not None and end not in content[-64:]:
         raise OmnistereoError(f"{path} is truncated ({len(content)} bytes, no end-of-image marker). Copy it again.")
     try:
-        pixels = cv2.imdecode(np.frombuffer(content, np.uint8), flags) if content else None
+        with _complaints() as said:
+            pixels = cv2.imdecode(np.frombuffer(content, np.uint8), flags) if content else None
     except cv2.error:  # the header states an absurd size
         pixels = None
     if pixels is None:
         raise OmnistereoError(f"{path} is not an image ({len(content)} bytes); expected PNG, JPEG or similar")
+    if damage := [line for line in said if "Corrupt JPEG" in line]:
+        message = f"{path} is damaged, so that a part of the picture may be wrong ({damage[0]}). Copy it again"
+        warnings.warn(message, UserWarning, stacklevel=3)
     return pixels
+
+
+@contextmanager
+def _complaints() -> Iterator[list[str]]:
+    """Collect what the decoders, which are written in C, print to the standard error output of the process."""
+    said: list[str] = []
+    kept = os.dup(2)
+    with TemporaryFile() as file:
+        try:
+            os.dup2(file.fileno(), 2)
+            yield said
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+        file.seek(0)
+        said += file.read().decode(errors="replace").splitlines()
 
 
 def _read_header(path: str | Path, content: bytes) -> tuple[int, int] | None:
