@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.errors import OmnistereoError, shortened
 
 _END_MARKERS = {b"\xff\xd8": b"\xff\xd9", b"\x89P": b"IEND"}  # JPEG and PNG: first bytes → end-of-image marker
 _BROKEN = (ValueError, TypeError, AttributeError, LookupError, ArithmeticError, RecursionError)  # of the two parsers
@@ -41,10 +41,10 @@ def read_bytes(path: str | Path, most: int = _MAX_BYTES) -> bytes:
 
 def path_within(folder: Path, name: Any, source: str | Path, root: Path | None = None) -> Path:
     """Return the path of a name in the file `source`; an `OmnistereoError` says that it leaves `root` (the folder)."""
-    path = folder / str(name)
-    if Path(str(name)).is_absolute() or not path.resolve().is_relative_to((root or folder).resolve()):
-        raise OmnistereoError(f"{source} names {str(name)!r}; expected a path below {root or folder}. Copy it there.")
-    return path
+    valid = isinstance(name, str) and len(name) < 256 and "\0" not in name and not Path(name).is_absolute()
+    if not (valid and (folder / name).resolve().is_relative_to((root or folder).resolve())):
+        raise OmnistereoError(f"{source} names {shortened(name)}; expected a path below {root or folder}.")
+    return folder / name
 
 
 def read_text(path: str | Path, most: int = _MAX_TEXT) -> str:
