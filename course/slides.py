@@ -12,12 +12,15 @@ reveal.js comes with the package sphinx-revealjs, MathJax with sphinx-mathjax-of
 """
 
 import ast
+import base64
 import html
+import io
 import math
 import re
 import shutil
 import subprocess
 import sys
+import tokenize
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
@@ -28,6 +31,7 @@ from markdown_it import MarkdownIt
 from nbconvert import SlidesExporter
 from nbformat import NotebookNode
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
+from PIL import Image
 
 from course import nbtools, solve, stills
 
@@ -39,7 +43,7 @@ FULL = 675.0  # of them to be filled
 TEXT, CODE, OUTPUT, CAPTION = (33.0, 88), (29.0, 82), (29.0, 76), (29.0, 104)  # height of a line, letters in it
 HEADINGS = {"#": 90.0, "##": 75.0, "###": 60.0}
 MARGIN = 16.0
-PICTURE = 260.0  # at least
+PICTURE = (240.0, 325.0)  # at least, a wide one and a tall one
 HIDDEN, SOLUTION = "hide-input", "solution"
 EXERCISE = re.compile(r"\*\*\d\d\.\d+ \(")
 LINK = re.compile(r'<a href="(\d\d_\w+)\.ipynb[^"]*">(.*?)</a>')  # to another notebook
@@ -153,10 +157,20 @@ def narrow(codes: list[str]) -> list[str]:
     with TemporaryDirectory() as folder:
         paths = [Path(folder, f"cell_{number}.py") for number in range(len(codes))]
         for path, code in zip(paths, codes, strict=True):
-            path.write_text(code.replace("  # fmt: skip", ""), encoding="utf-8")
+            path.write_text(_comments_above(code.replace("  # fmt: skip", "")), encoding="utf-8")
         command = [sys.executable, "-m", "ruff", "format", "--quiet", "--isolated", f"--line-length={CODE[1]}", folder]
         subprocess.run(command, check=True)
         return [path.read_text(encoding="utf-8").rstrip("\n") for path in paths]
+
+
+def _comments_above(code: str) -> str:
+    """Put the comments of long lines on lines of their own, so that Ruff need not break the code before them."""
+    lines = code.splitlines()
+    for token in reversed(list(tokenize.generate_tokens(io.StringIO(code).readline))):
+        (row, column), line = token.start, lines[token.start[0] - 1] if token.start[0] <= len(lines) else ""
+        if token.type == tokenize.COMMENT and line[:column].strip() and len(line) > CODE[1]:
+            lines[row - 1 : row] = [line[: len(line) - len(line.lstrip())] + token.string, line[:column].rstrip()]
+    return "\n".join(lines)
 
 
 def height(cell: NotebookNode) -> float:
@@ -170,13 +184,20 @@ def height(cell: NotebookNode) -> float:
     captions = [output.get("data", {}).get("text/markdown", "") for output in cell.outputs]
     texts = [(shown, CODE), *((output.get("text", ""), OUTPUT) for output in cell.outputs)]
     texts += [(caption, CAPTION) for caption in captions]
-    return PICTURE * has_picture(cell) + sum(_lines(text, kind) + 1.5 * MARGIN for text, kind in texts if text)
+    pictures = sum(_picture_height(output.get("data", {})) for output in cell.outputs)
+    return pictures + sum(_lines(text, kind) + 1.5 * MARGIN for text, kind in texts if text)
 
 
 def has_picture(cell: NotebookNode) -> bool:
     """Say whether a cell shows a picture, or something as large."""
-    large = {*nbtools.PICTURES, "text/html"}
-    return any(large & set(output.get("data", {})) for output in cell.get("outputs", []))
+    return any(_picture_height(output.get("data", {})) for output in cell.get("outputs", []))
+
+
+def _picture_height(data: dict) -> float:
+    for mime in set(nbtools.PICTURES) & set(data):
+        width, height = Image.open(io.BytesIO(base64.b64decode(data[mime]))).size
+        return min(max(PICTURE[0], 0.7 * WIDTH * height / width), PICTURE[1])
+    return PICTURE[1] if "text/html" in data else 0.0  # stills, or the viewer
 
 
 def _is_heading(cell: NotebookNode) -> bool:

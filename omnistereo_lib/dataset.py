@@ -18,6 +18,7 @@ form one data set whose frames carry their rigs, `Frame.rig`; `Dataset.rig` is f
 from __future__ import annotations
 
 import io
+import os
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -152,6 +153,8 @@ def load_dataset(
             number.
     """
     folder = Path(folder)
+    if not os.path.isdir(folder):  # False also for a name that no file can have
+        raise OmnistereoError(f"{folder} cannot be read: there is no such folder. Check the path.")
     if split is not None and (folder / split).is_dir():
         folder, split = folder / split, None
     folders = [path for path in folder.glob("*") if path.is_dir()]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.errors import OmnistereoError, shortened
+from omnistereo_lib.errors import OmnistereoError
 
 _END_MARKERS = {b"\xff\xd8": b"\xff\xd9", b"\x89P": b"IEND"}  # JPEG and PNG: first bytes → end-of-image marker
 _BROKEN = (ValueError, TypeError, AttributeError, LookupError, ArithmeticError, RecursionError)  # of the two parsers
@@ -41,10 +41,17 @@ def read_bytes(path: str | Path, most: int = _MAX_BYTES) -> bytes:
 
 def path_within(folder: Path, name: Any, source: str | Path, root: Path | None = None) -> Path:
     """Return the path of a name in the file `source`; an `OmnistereoError` says that it leaves `root` (the folder)."""
-    valid = isinstance(name, str) and len(name) < 256 and "\0" not in name and not Path(name).is_absolute()
-    if not (valid and (folder / name).resolve().is_relative_to((root or folder).resolve())):
-        raise OmnistereoError(f"{source} names {shortened(name)}; expected a path below {root or folder}.")
-    return folder / name
+    path = folder / str(name)
+    try:
+        path.exists()  # raises for a name that no file can have
+        inside = not Path(str(name)).is_absolute() and path.resolve().is_relative_to((root or folder).resolve())
+    except (OSError, ValueError, RuntimeError):  # too long, a zero byte, links in a circle
+        inside = False
+    if not inside:
+        raise OmnistereoError(
+            f"{source} names {str(name)[:80]!r}; expected a path below {root or folder}. Copy it there."
+        )
+    return path
 
 
 def read_text(path: str | Path, most: int = _MAX_TEXT) -> str:
@@ -130,7 +137,7 @@ def read_pixels(path: str | Path, flags: int) -> NDArray:
     """Decode an image file with OpenCV; `flags` select depth and colour, see `cv2.imdecode`.
 
     Raises an `OmnistereoError` if the file is missing, not an image, larger than any picture, or truncated: OpenCV
-    would fill it with gray.
+    would fill it with gray. Warns if it is damaged elsewhere.
     """
     import cv2
 
@@ -140,12 +147,32 @@ def read_pixels(path: str | Path, flags: int) -> NDArray:
     if end is not None and end not in content[-64:]:
         raise OmnistereoError(f"{path} is truncated ({len(content)} bytes, no end-of-image marker). Copy it again.")
     try:
-        pixels = cv2.imdecode(np.frombuffer(content, np.uint8), flags) if content else None
+        with _complaints() as said:
+            pixels = cv2.imdecode(np.frombuffer(content, np.uint8), flags) if content else None
     except cv2.error:  # the header states an absurd size
         pixels = None
     if pixels is None:
         raise OmnistereoError(f"{path} is not an image ({len(content)} bytes); expected PNG, JPEG or similar")
+    if damage := [line for line in said if "Corrupt JPEG" in line]:
+        message = f"{path} is damaged, so that a part of the picture may be wrong ({damage[0]}). Copy it again"
+        warnings.warn(message, UserWarning, stacklevel=3)
     return pixels
+
+
+@contextmanager
+def _complaints() -> Iterator[list[str]]:
+    """Collect what the decoders, which are written in C, print to the standard error output of the process."""
+    said: list[str] = []
+    kept = os.dup(2)
+    with TemporaryFile() as file:
+        try:
+            os.dup2(file.fileno(), 2)
+            yield said
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+        file.seek(0)
+        said += file.read().decode(errors="replace").splitlines()
 
 
 def _read_header(path: str | Path, content: bytes) -> tuple[int, int] | None:

@@ -260,6 +260,7 @@ COMMANDS = [
     Row("a mask that is text", LOOK, "mask.png is not an image", lambda d: (
         second("invalid_mask", "mask.png")(d), write("mask.png", "no")(d))),
     Row("a mask outside the folder", LOOK, r"camera 2: .*\.\./", second("invalid_mask", "../mask.png")),
+    Row("a mask of a long name", LOOK, "camera 2: .*nnn.; expected a path below", second("invalid_mask", 300 * "n")),
     Row("a mask by an absolute path", LOOK, "camera 2: .*/etc/passwd", second("invalid_mask", "/etc/passwd")),
     Row("ground truth outside the folder", SET, "config.yaml", config(lambda c: c["dataset"].update(truth="../../.."))),
     Row("two pictures of one frame", SET, "have the same number; expected one", lambda d: shutil.copy(
@@ -477,6 +478,8 @@ CALLS = [
     Call("a singular rotation", lambda: osl.Pose(np.zeros((3, 3)), np.zeros(3)), "not a rotation"),
     Call("a rotation not a number", lambda: osl.Pose(np.full((3, 3), np.nan), np.zeros(3)), "expected finite numbers"),
     Call("an infinite translation", lambda: osl.Pose(np.eye(3), [0, np.inf, 0]), "expected finite numbers"),
+    Call("a translation of 1e308", lambda: osl.Pose(np.eye(3), [1e308, 0, 0]), "expected finite numbers, t below"),
+    Call("a data set of a long name", lambda: osl.load_dataset(300 * "n"), "cannot be read: there is no such folder"),
     Call("a 4 × 4 rotation", lambda: osl.Pose(np.eye(4), np.zeros(3)), r"expected \(3, 3\)"),
     Call("a translation of four", lambda: osl.Pose(np.eye(3), np.zeros(4)), r"and t \(4,\); expected"),
     Call("a pose of three numbers", lambda: osl.Pose.from_vector([1, 2, 3]), r"shape \(3,\); expected 6 numbers"),

@@ -59,6 +59,19 @@ def test_other_files_are_refused(tmp_path):
         read_image(tmp_path / "b.png")
 
 
+def test_a_jpeg_that_is_damaged_in_the_middle_is_told(tmp_path, capfd):
+    """The decoder goes on, and says so where only a terminal would show it."""
+    noise = np.random.default_rng(0).integers(0, 255, (96, 128, 3), np.uint8)
+    write_image(tmp_path / "a.jpg", noise)
+    content = bytearray((tmp_path / "a.jpg").read_bytes())
+    middle = len(content) // 2
+    content[middle : middle + 40] = b"\xff\x00\x12\xff" * 10
+    (tmp_path / "a.jpg").write_bytes(content)
+    with pytest.warns(UserWarning, match=r"a.jpg is damaged, so that a part of the picture may be wrong \(Corrupt"):
+        assert read_image(tmp_path / "a.jpg").shape == (96, 128, 3)
+    assert capfd.readouterr().err == ""
+
+
 def test_a_header_that_states_an_absurd_size(tmp_path):
     write_image(tmp_path / "a.png", RGB)
     content = bytearray((tmp_path / "a.png").read_bytes())

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 from io import TextIOWrapper
 
+from tqdm import tqdm
+
 from omnistereo_lib.cli import calibrate, evaluate, train
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools.commands import depth, doctor, live, onnx
@@ -21,6 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")  # where the terminal is not UTF-8
+    tqdm.monitor_interval = 0  # its thread would outlive the command
     try:
         try:
             options = _parse(list(sys.argv[1:] if arguments is None else arguments))

@@ -11,6 +11,7 @@ from omnistereo_lib.errors import OmnistereoError
 
 Floats = NDArray[np.float64]
 
+_FAR = 1e9  # metres, or millimetres before a file's unit is known
 _ROTATION_TOLERANCE = 1e-5  # files print rotations with 6 digits or more
 
 
@@ -28,8 +29,10 @@ class Pose:
         R, t = np.asarray(self.R, np.float64), np.asarray(self.t, np.float64)
         if R.shape != (3, 3) or t.shape != (3,):
             raise OmnistereoError(f"R has shape {R.shape} and t {t.shape}; expected (3, 3) and (3,)")
-        if not (np.isfinite(R).all() and np.isfinite(t).all()):
-            raise OmnistereoError(f"the pose is R = {R.tolist()}, t = {t.tolist()}; expected finite numbers")
+        if not (np.isfinite(R).all() and np.abs(t).max() < _FAR):  # false for NaN
+            raise OmnistereoError(
+                f"the pose is R = {R.tolist()}, t = {t.tolist()}; expected finite numbers, t below {_FAR:g}"
+            )
         U, _, Vt = np.linalg.svd(R)
         nearest = U @ Vt
         error = np.abs(nearest - R).max()

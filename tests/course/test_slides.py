@@ -1,8 +1,11 @@
 """The slides: nothing is lost, nothing is cut off, and they can be projected as they are."""
 
+import base64
 from itertools import pairwise
 
+import cv2
 import nbformat
+import numpy as np
 import pytest
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
 from pages import Page, count_pictures, count_stills, foreign_or_missing, leads
@@ -66,11 +69,19 @@ def test_a_solution_follows_its_exercise_at_the_next_step(path):
 
 def test_a_sentence_stands_with_the_picture_that_it_introduces():
     """Text, then more text, then a picture: not all fits, so the last sentence moves to the picture."""
-    picture = new_output("display_data", {"image/png": "", "text/plain": "a picture"})
+    png = base64.b64encode(cv2.imencode(".png", np.zeros((60, 100), np.uint8))[1]).decode()
+    picture = new_output("display_data", {"image/png": png, "text/plain": "a picture"})
     cells = [new_markdown_cell("# Title"), *(new_markdown_cell(f"{name} " * 100) for name in ("first", "second"))]
     dealt = slides.deal(new_notebook(cells=[*cells, new_code_cell("draw()", outputs=[picture])])).cells
     assert [cell.metadata.slideshow.slide_type for cell in dealt] == ["slide", "-", "subslide", "-"]
     assert dealt[2].source.startswith("second")
+
+
+def test_code_becomes_narrow_and_its_comments_stay():
+    code = "a = function(first, second)  # " + "why " * 20 + "\nb = [\n    1,  # one\n    2,\n]"
+    narrow = slides.narrow([code, "c = " + "'" + "x" * 100 + "'"])
+    assert narrow[0].splitlines()[0].startswith("# why why") and "b = [\n    1,  # one" in narrow[0]
+    assert narrow[0].splitlines()[1] == "a = function(first, second)" and len(narrow[1]) == 106
 
 
 def test_the_first_page_leads_to_all_slides(shown):
