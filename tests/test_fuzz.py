@@ -30,7 +30,7 @@ from omnistereo_lib.files import read_image
 from omnistereo_lib.rig_files.ocam import read_ocam_txt
 from omnistereo_lib.train.loop import COLUMNS, _Run, read_log, write_csv
 
-FILES = int(os.environ.get("FUZZ", "100"))
+FILES = int(os.environ.get("FUZZ", "150"))
 WORDS = ["nan", ".nan", "inf", "-.inf", "1e308", "-1e308", "1e30", "0", "-1", "2.5", "", "abc", "[]", "{}", "null",
          "true", "9" * 400, "*a", "&a", "!!python/name:os", "\t", '"', "³", "\ufeff", "a: b", "2020-99-99"]  # fmt: skip
 VALUES = [None, True, 0, -1, 1e308, -1e308, 1e30, float("nan"), float("inf"), 10**30, 2.5, "", "abc", [], {}, [[]], [1],
