@@ -14,6 +14,7 @@ centres, (0, 0) is the centre of the top-left pixel. Files store (row, column); 
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from types import ModuleType
@@ -236,7 +237,9 @@ def fit_inverse_polynomial(
     max_t = np.radians(max_fov_deg / 2) - np.pi / 2
     radii, angles = _monotone_branch(np.asarray(poly, np.float64), max_t, max_radius)
     for degree in range(3, 26):
-        fit = np.polynomial.Polynomial.fit(angles, radii, degree)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", np.exceptions.RankWarning)  # the error says it
+            fit = np.polynomial.Polynomial.fit(angles, radii, degree)
         error = np.abs(fit(angles) - radii).max()
         if error < tolerance:
             return fit.convert().coef

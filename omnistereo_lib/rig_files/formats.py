@@ -25,6 +25,7 @@ _SUPPORTED = """supported formats:
   - OpenCV fisheye YAML: K, D, R, T and image_size of each camera (pass the unit)"""
 _RIG_FILES = ("config.yaml", "rig.yaml", "calibration.json", "calibration.yaml")  # the first found in a folder
 _MAX_BYTES = 1 << 18  # a hundred cameras have 60,000; a megabyte of YAML takes seconds
+_FAR = 1000.0  # metres
 _METRIC_READERS = {"OmniMVS config.yaml": read_omnimvs, "basalt JSON": read_basalt, "Kalibr camchain": read_kalibr}
 
 
@@ -56,6 +57,8 @@ def load_rig(path: str | Path, unit: str | None = None, max_fov_deg: float | Non
         path = _find_rig_file(path) if is_folder else path
         with error_context(path):
             rig, format_name = _read_file(path, unit, max_fov_deg)
+    if (far := abs(rig.centers).max()) > _FAR:
+        raise OmnistereoError(f"{path}: a camera stands {far:.4g} m from the origin; expected at most {_FAR:g} m")
     low, high = rig.baselines.min(), rig.baselines.max()
     _log.info("%s: %s, %d cameras, %.3f to %.3f m apart", path, format_name, len(rig), low, high)
     return rig

@@ -217,6 +217,13 @@ def test_omnimvs_config(tmp_path, caplog):
         Rig.load(tmp_path, unit="cm")
 
 
+def test_poses_that_no_rig_has(tmp_path):
+    rig = omnimvs()
+    rig["cameras"][1]["pose"][3] = 1001.0
+    with pytest.raises(OmnistereoError, match=r"config.yaml: a camera stands 1001 m from the origin"):
+        Rig.load(dump(tmp_path / "config.yaml", rig))
+
+
 def test_a_folder_with_both_formats(tmp_path):
     """The published folders have both, and their metric scales differ by three."""
     dump(ocam_folder(tmp_path) / "config.yaml", omnimvs())
