@@ -58,6 +58,8 @@ def _check_results(record: Record) -> None:
     names = {name: Method(**settings).name for name, settings in record["methods"].items()}
     if names != {name: name for name in names}:
         raise ValueError(f"the settings of {shortened(names)} are of other methods")
+    if not record["frames"]:
+        raise KeyError("frames")
     regions = set()
     for of_set in record["frames"].values():
         if not of_set:
