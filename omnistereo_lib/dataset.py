@@ -201,7 +201,9 @@ def read_inverse_depth(path: str | Path, min_depth: float | None = None) -> NDAr
     """
     path = Path(path)
     values = _read_png16(path, min_depth) if path.suffix.lower() == ".png" else _read_float_tiff(path)
-    return np.where(np.isfinite(values) & (values >= 0), values, np.nan).astype(np.float32)
+    with np.errstate(over="ignore"):
+        values = values.astype(np.float32)
+    return np.where(np.isfinite(values) & (values >= 0), values, np.float32(np.nan))
 
 
 def write_inverse_depth(path: str | Path, inverse_depth: NDArray) -> None:

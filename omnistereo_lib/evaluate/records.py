@@ -58,24 +58,21 @@ def _check_results(record: Record) -> None:
     names = {name: Method(**settings).name for name, settings in record["methods"].items()}
     if names != {name: name for name in names}:
         raise ValueError(f"the settings of {shortened(names)} are of other methods")
-    if not record["frames"]:
-        raise KeyError("frames")
-    regions = set()
-    for of_set in record["frames"].values():
-        if not of_set:
-            raise KeyError("frames")
-        for results in of_set.values():
-            if not results or results.keys() - names.keys():
-                raise KeyError(f"methods {sorted(results)}")
-            for errors in results.values():
-                for metric in METRICS:
-                    value = errors["figures"][metric]
-                    value is None or check_number(value, metric, 0, 1e9)
-                for region, sums in errors["strata"].items():
-                    [check_number(sums[key], f"{region} {key}", 0, 1e15) for key in SUMS]
-                regions.add(frozenset(errors["strata"]))
-    if any(not of >= {*REGIONS} for of in regions):
-        raise KeyError("a region is missing")
+    if not (names and record["frames"] and all(record["frames"].values())):
+        raise KeyError("no methods or no frames")
+    for results in (frame for of_set in record["frames"].values() for frame in of_set.values()):
+        if results.keys() != names.keys():
+            raise KeyError(f"the methods of a frame are {sorted(results)}")
+        for errors in results.values():
+            for metric in METRICS:
+                value = errors["figures"][metric]
+                value is None or check_number(value, metric, 0, 1e9)
+            if not errors["strata"].keys() >= {*REGIONS}:
+                raise KeyError("a region is missing")
+            for region, sums in errors["strata"].items():
+                rays = check_number(sums["rays"], f"rays of {region}", 0, errors["strata"]["all"]["rays"])
+                for key in SUMS:  # an error is at most 100 % of N
+                    check_number(sums[key], f"{region} {key}", 0, 1e4 * rays)
 
 
 def check_record(path: Path, expected: Record) -> Record:

@@ -42,6 +42,8 @@ def _pose_from_quaternion(pose: Any) -> Pose:
 
     q = parse_floats([require_key(pose, key) for key in ("qx", "qy", "qz", "qw")], "the quaternion", 4)
     t = parse_floats([require_key(pose, key) for key in ("px", "py", "pz")], "the position", 3)
-    if abs(np.linalg.norm(q) - 1) > 1e-3:
-        raise OmnistereoError(f"the quaternion {q.tolist()} has length {np.linalg.norm(q):.4g}; expected 1")
+    if not np.abs(q).max() < 2 or abs(np.linalg.norm(q) - 1) > 1e-3:  # the largest first: squares can overflow
+        raise OmnistereoError(
+            f"the quaternion {q.tolist()} has length {np.linalg.norm(q.clip(-1e9, 1e9)):.4g}; expected 1"
+        )
     return Pose(Rotation.from_quat(q).as_matrix(), t)

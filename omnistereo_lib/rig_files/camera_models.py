@@ -105,7 +105,7 @@ _MODELS: dict[str, tuple[Callable[..., Projected], tuple[str, ...]]] = {
     "ucm": (unified, (*_PINHOLE, "alpha")),
 }
 _OPTIONAL = {"k1", "k2", "p1", "p2"}  # of omni
-_RANGES = {"fx": (0, np.inf), "fy": (0, np.inf), "alpha": (-1e-12, 1), "beta": (0, np.inf), "xi": (-1, np.inf)}
+_RANGES = {"fx": (0, 1e6), "fy": (0, 1e6), "alpha": (-1e-12, 1), "beta": (0, 1e3), "xi": (-1, 1e3)}
 
 
 def make_camera_model(model: str, parameters: dict[str, float]) -> Projection:
@@ -125,7 +125,7 @@ def make_camera_model(model: str, parameters: dict[str, float]) -> Projection:
     if not set(names) - optional <= set(parameters) <= set(names):
         raise OmnistereoError(f"camera model {model!r} needs the parameters {list(names)}, found {list(parameters)}")
     for name, value in parameters.items():
-        low, high = _RANGES.get(name, (-np.inf, np.inf))
+        low, high = _RANGES.get(name, (-1e6, 1e6))
         if not low < value < high:
             raise OmnistereoError(f"{name} = {value} of camera model {model!r} must lie between {low:g} and {high:g}")
     return partial(function, **parameters)
