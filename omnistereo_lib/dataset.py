@@ -226,7 +226,7 @@ def _read_float_tiff(path: Path) -> NDArray[np.float32]:
             pages = [page.asarray() for page in floats]
     except Exception as error:  # tifffile raises many types for a damaged file
         raise OmnistereoError(f"{path} is not a complete TIFF file: {error}. Copy it again.") from None
-    if len(pages) != 1:
+    if len(pages) != 1 or pages[0].ndim != 2:
         raise OmnistereoError(f"{path} has {len(pages)} float pages; expected one, of inverse depth in 1/m")
     return pages[0]
 

@@ -61,7 +61,8 @@ class StoredNetwork(nn.Module):
         try:
             network = cls(**config)
             like = network.state_dict()
-            if wrong := [key for key in like if tensors[key].is_floating_point() != like[key].is_floating_point()]:
+            floating = [key for key in like if like[key].is_floating_point()]  # counts may be stored as either
+            if wrong := [key for key in floating if not tensors[key].is_floating_point()]:
                 raise TypeError(f"{wrong[0]} is of type {tensors[wrong[0]].dtype}")
             network.load_state_dict(tensors)
         except (RuntimeError, TypeError, KeyError) as error:
