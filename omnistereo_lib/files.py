@@ -6,10 +6,11 @@ import re
 import stat
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryFile
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,9 @@ from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
 
-_END_MARKERS = {b"\xff\xd8": b"\xff\xd9", b"\x89P": b"IEND"}  # JPEG and PNG: first bytes → end-of-image marker
+_JPEG, _PNG = b"\xff\xd8", b"\x89P"  # first bytes
+_END_MARKERS = {_JPEG: b"\xff\xd9", _PNG: b"IEND"}
+_STDERR = Lock()  # of the whole process
 _BROKEN = (ValueError, TypeError, AttributeError, LookupError, ArithmeticError, RecursionError)  # of the two parsers
 _MAX_BYTES = 1 << 30
 _MAX_TEXT = 1 << 24  # bytes; a calibration of 500 boards has 2 million
@@ -147,7 +150,7 @@ def read_pixels(path: str | Path, flags: int) -> NDArray:
     if end is not None and end not in content[-64:]:
         raise OmnistereoError(f"{path} is truncated ({len(content)} bytes, no end-of-image marker). Copy it again.")
     try:
-        with _complaints() as said:
+        with _complaints() if content[:2] == _JPEG else nullcontext([]) as said:
             pixels = cv2.imdecode(np.frombuffer(content, np.uint8), flags) if content else None
     except cv2.error:  # the header states an absurd size
         pixels = None
@@ -161,10 +164,10 @@ def read_pixels(path: str | Path, flags: int) -> NDArray:
 
 @contextmanager
 def _complaints() -> Iterator[list[str]]:
-    """Collect what the decoders, which are written in C, print to the standard error output of the process."""
+    """Collect what the decoder, which is written in C, prints to the standard error output of the process."""
     said: list[str] = []
-    kept = os.dup(2)
-    with TemporaryFile() as file:
+    with _STDERR, TemporaryFile() as file:
+        kept = os.dup(2)
         try:
             os.dup2(file.fileno(), 2)
             yield said

@@ -3,6 +3,7 @@
 import os
 import struct
 import zlib
+from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 import numpy as np
@@ -70,6 +71,14 @@ def test_a_jpeg_that_is_damaged_in_the_middle_is_told(tmp_path, capfd):
     with pytest.warns(UserWarning, match=r"a.jpg is damaged, so that a part of the picture may be wrong \(Corrupt"):
         assert read_image(tmp_path / "a.jpg").shape == (96, 128, 3)
     assert capfd.readouterr().err == ""
+
+
+def test_pictures_read_by_several_threads_leave_the_error_output_in_place(tmp_path):
+    write_image(tmp_path / "a.jpg", np.random.default_rng(0).integers(0, 255, (400, 500, 3), np.uint8))
+    before = os.fstat(2)
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(read_image, [tmp_path / "a.jpg"] * 100))
+    assert os.path.samestat(os.fstat(2), before)
 
 
 def test_a_header_that_states_an_absurd_size(tmp_path):
