@@ -88,12 +88,6 @@ class Depth:
     confidence: NDArray[np.float32]  #: (H, W), in [0, 1]
     sweep: SphereSweep  #: of the cost volume, with its grid and its rig
 
-    @classmethod
-    def from_volume(cls, volume: ArrayLike | Tensor, sweep: SphereSweep, subindex: bool = True) -> Depth:
-        """Return the depth panorama of a cost volume (H, W, N), raw or aggregated; see `winner_takes_all`."""
-        index = winner_takes_all(volume, subindex).cpu().numpy()
-        return cls(index, confidence(volume).cpu().numpy(), sweep)
-
     @property
     def grid(self) -> SphereGrid:
         """Grid of rays and spheres."""

@@ -1,4 +1,4 @@
-"""Wrong arguments: each gets the library's error, at once, and says what it is about."""
+"""Wrong arguments that `bad_inputs.py` does not have: each gets the library's error, at once, and says why."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,6 @@ import scene
 import torch
 
 import omnistereo_lib as osl
-from omnistereo_lib.geometry.rig import camera_pairs
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sgm import sgm
 from omnistereo_lib.train.recipes import SweepNetRecipe
@@ -28,28 +27,14 @@ def rig(pose=0.0, min_depth=None):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: osl.SphereGrid(96.5, 24), "width is 96.5; expected an integer"),
-        (lambda: osl.SphereGrid(np.nan, 24), "width is nan"),
-        (lambda: osl.SphereGrid("96", 24), "width is '96'"),
         (lambda: osl.SphereGrid(96, 1_000_000_000), "height is 1000000000"),
-        (lambda: osl.SphereGrid(96, 24, (-45, 0, 45)), "expected two angles"),
-        (lambda: osl.SphereGrid(96, 24, min_depth=np.nan), "min_depth is nan"),
-        (lambda: camera_pairs(3, RIG), "pairs has 3; expected two different cameras"),
-        (lambda: camera_pairs([(0.9, 1.2)], RIG), r"pairs has \(0.9, 1.2\)"),
-        (lambda: camera_pairs([(0, 1, 2)], RIG), r"pairs has \(0, 1, 2\)"),
-        (lambda: depth(device="foo"), "device is 'foo'; expected"),
         (lambda: osl.SphereSweep(RIG, GRID, device=5.5), "device is 5.5"),
-        (lambda: depth(cost=5), "cost is 5; expected a matching cost"),
-        (lambda: depth(None), "images is None; expected a list"),
         (lambda: depth([None] * 4), "image 1 has shape"),
         (lambda: depth([*IMAGES[:3], np.zeros((56, 60), complex)]), "image 4 has type complex128"),
-        (lambda: osl.ZNCC(window=3.5), "window is 3.5; expected an odd number"),
         (lambda: osl.ZNCC(window="9"), "window is '9'"),
-        (lambda: osl.Rig(RIG.cameras, [None] * 4), "camera 1 .*expected an OcamCamera and a Pose"),
         (lambda: rig(1e8), r"camera 1 .* 100000000.0; expected a number of 0 to 1"),
         (lambda: rig(min_depth=-1.0), "min_depth.* is -1.0"),
         (lambda: rig(min_depth=np.nan), "min_depth.* is nan"),
-        (lambda: sgm(VOLUME + 1j), "holds complex64; expected real numbers"),
         (lambda: sgm(torch.from_numpy(VOLUME + 1j)), "type torch.complex64; expected"),
         (lambda: sgm(None), "holds object"),
         (lambda: sgm(VOLUME, p1="0.1"), "p1 = '0.1'"),
