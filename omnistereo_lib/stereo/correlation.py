@@ -1,7 +1,7 @@
 """Correlation of the features of all cameras in every cell of a coarse sweep volume; see `volumenet`."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -64,31 +64,38 @@ class _PairProducts(torch.autograd.Function):
     """Σ over pairs of cameras i ≠ j of the group means of f_i f_j, without keeping a warped map for the gradient."""
 
     @staticmethod
-    def forward(ctx: Any, cells: Sequence[tuple[Tensor, Tensor]], *tables: Tensor) -> Tensor:
-        """Return the sums (cells, 8) of features (h · w, 32), sampled at `bilinear` cells of each camera."""
-        total = _sample(tables[0], *cells[0])
-        squares = total.square()
-        for table, at in zip(tables[1:], cells[1:], strict=True):
-            warped = _sample(table, *at)
-            squares.addcmul_(warped, warped)
-            total += warped
-        ctx.save_for_backward(total, *tables)
-        ctx.cells = cells
-        with full_precision(total):
-            return (total.square() - squares) @ _group_means(total)
+    def forward(ctx: Any, parts: Iterable[Sequence[tuple[Tensor, Tensor]]], *tables: Tensor) -> Tensor:
+        """Return the sums (cells, 8) of features (h · w, 32), sampled part by part at `bilinear` cells of each camera."""
+        products, kept, totals = [], [], []
+        for cells in parts:
+            total = _sample(tables[0], *cells[0])
+            squares = total.square()
+            for table, at in zip(tables[1:], cells[1:], strict=True):
+                warped = _sample(table, *at)
+                squares.addcmul_(warped, warped)
+                total += warped
+            with full_precision(total):
+                products.append((total.square() - squares) @ _group_means(total))
+            if any(ctx.needs_input_grad):
+                kept.append(cells)
+                totals.append(total)
+        ctx.save_for_backward(*tables, *totals)
+        ctx.parts = kept
+        return torch.cat(products)
 
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
         """Return the gradients of the features: ∂/∂f_i = 2 (Σ_j f_j - f_i), scattered back by the warp."""
-        total, *tables = ctx.saved_tensors
-        grad = 2 * grad @ _group_means(total).T
-        grads = []
-        for table, (index, weight) in zip(tables, ctx.cells, strict=True):
-            of_cells = (total - _sample(table, index, weight)).mul_(grad)
-            of_table = torch.zeros_like(table)
-            for corner in range(4):
-                of_table.index_add_(0, index[:, corner], of_cells * weight[:, corner, None])
-            grads.append(of_table)
+        count = len(ctx.parts[0])
+        tables, totals = ctx.saved_tensors[:count], ctx.saved_tensors[count:]
+        grads = [torch.zeros_like(table) for table in tables]
+        rows = grad.split([len(total) for total in totals])
+        for cells, total, row in zip(ctx.parts, totals, rows, strict=True):
+            of_products = 2 * row @ _group_means(total).T
+            for table, of_table, (index, weight) in zip(tables, grads, cells, strict=True):
+                of_cells = (total - _sample(table, index, weight)).mul_(of_products)
+                for corner in range(4):
+                    of_table.index_add_(0, index[:, corner], of_cells * weight[:, corner, None])
         return None, *grads
 
 
@@ -140,10 +147,8 @@ def correlate(features: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tens
     shape = coordinates[0].shape[:3]
     tables = [maps.permute(1, 2, 0).reshape(-1, CHANNELS) for maps in features]
     columns = max(1, _CELLS // shape[1:].numel())
-    parts = []
-    for uvs in zip(*(uv.split(columns) for uv in coordinates), strict=True):
-        cells = [bilinear(uv, maps.shape[:0:-1]) for uv, maps in zip(uvs, features, strict=True)]
-        k = sum((~uv[..., 0].isnan()).flatten().float() for uv in uvs)[:, None]
-        products = _PairProducts.apply(cells, *tables)
-        parts.append(torch.cat([products / (k * (k - 1)).clamp(min=1), k / 4], 1))
-    return torch.cat(parts).view(*shape, -1).permute(3, 0, 1, 2)
+    split = zip(*(uv.split(columns) for uv in coordinates), strict=True)
+    parts = ([bilinear(uv, maps.shape[:0:-1]) for uv, maps in zip(uvs, features, strict=True)] for uvs in split)
+    k = sum((~uv[..., 0].isnan()).flatten().float() for uv in coordinates)[:, None]
+    products = _PairProducts.apply(parts, *tables)
+    return torch.cat([products / (k * (k - 1)).clamp(min=1), k / 4], 1).view(*shape, -1).permute(3, 0, 1, 2)

@@ -166,8 +166,8 @@ RECIPES: dict[str, dict[str, Recipe]] = {
     "volumenet": {
         "teaching": VolumeNetRecipe(steps=300, warmup=30, validate_every=100),
         "shipped": VolumeNetRecipe(steps=1200, warmup=60, validate_every=200),
-        # A second round, with --init-weights of the first: it made the weights that ship.
-        "refined": VolumeNetRecipe(steps=700, learning_rate=1.2e-3, warmup=60, validate_every=175),
+        # Further rounds, each with --init-weights of the one before: 700 steps, then these. They made what ships.
+        "refined": VolumeNetRecipe(steps=3000, learning_rate=1.5e-3, warmup=60, validate_every=250),
         "sunny": VolumeNetRecipe(worlds="sunny", steps=320, warmup=30, validate_every=200),
         "gpu": VolumeNetRecipe(**_FINE, steps=20000, warmup=500, frames_per_step=2, validate_every=1000),
     },
