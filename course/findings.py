@@ -16,7 +16,7 @@ from omnistereo_lib.evaluate.records import Record
 from omnistereo_lib.evaluate.regions import METRICS, SUMS, sums_to_metrics
 from omnistereo_lib.evaluate.run import SCALES
 from omnistereo_lib.evaluate.table import LIGHTS
-from omnistereo_lib.stereo.methods import Method
+from omnistereo_lib.stereo.methods import Method, penalties
 from omnistereo_lib.stereo.sweepnet import SweepNet
 from omnistereo_lib.train.recipes import RECIPES
 from render.frames import SETS
@@ -308,11 +308,11 @@ def scale(results: Record | None) -> Finding:
 
 
 def settings(_: Record | None) -> Finding:
-    """Judge the window of ZNCC and the penalties of SGM."""
-    found = {(method.window, method.p1, method.p2) for method in METHODS}
-    window, p1, p2 = next(iter(found))
-    text = f"{window} × {window}, P1 = {p1:g}, P2 = {p2:g}"
-    return Finding(text, "reproduced" if found == {(9, 0.1, 12.0)} else "differs")
+    """Judge the window of ZNCC and the penalties of SGM at the scale of the paper."""
+    windows = {method.window for method in METHODS}
+    p1, p2 = penalties(1200, 192)
+    text = f"{min(windows)} × {min(windows)}, P1 = {p1:g}, P2 = {p2:g}"
+    return Finding(text, "reproduced" if (windows, p1, p2) == ({9}, 0.1, 12.0) else "differs")
 
 
 def drives(_: Record | None) -> Finding:

@@ -12,10 +12,21 @@ from omnistereo_lib.stereo.metrics import error_map
 from omnistereo_lib.stereo.sweep import SphereSweep
 
 METRICS = (">1", ">3", ">5", "MAE", "RMS")
-REGIONS = ("all", "sky", "far", "middle", "near", "at edges", "off edges", "thin")  # and "seen by 0", 1 …
+REGIONS = (
+    "all",
+    "sky",
+    "far",
+    "middle",
+    "near",
+    "at edges",
+    "off edges",
+    "thin",
+    "at hand-overs",
+)  # and "seen by 0", 1 …
 SUMS = ("rays", ">1", ">3", ">5", "sum", "squares")
 DISCONTINUITY_PERCENT = 5.0  # of N; the largest error threshold of the paper
 EDGE_PX = 4  # half of a 9 × 9 patch: a patch centred nearer holds both surfaces
+HANDOVER_DEG = 3.0  # on either side of the end of a camera's view
 THIN_DEG = 3.0  # as wide as a post of 15 cm at 3 m
 
 
@@ -23,14 +34,17 @@ def find_regions(gt_index: ArrayLike, sweep: SphereSweep) -> dict[str, NDArray[n
     """Return the region masks (H, W) of a panorama, of its ground-truth index n̂ (H, W), not rounded, NaN unknown.
 
     "all". "sky" (infinitely far), "far", "middle" and "near": thirds of the inverse depth swept, beyond 3 D_min, from 3
-    to 1.5 D_min, and nearer. "at edges": `near_edges`; "off edges": all others. "thin": `thin_objects`. "seen by k":
-    the ground-truth point is in the field of view of k cameras; occlusion is not tested.
+    to 1.5 D_min, and nearer. "at edges": `near_edges`; "off edges": all others. "thin": `thin_objects`. "at
+    hand-overs": within `HANDOVER_DEG` of where the view of a camera ends, so that others take over. "seen by k": the
+    ground-truth point is in the field of view of k cameras; occlusion is not tested.
     """
     gt_index = np.asarray(gt_index, np.float64)
     N = sweep.grid.num_spheres
     fraction = gt_index / (N - 1)  # of the inverse depth swept
     edges = near_edges(gt_index, N)
-    count = np.sum([sweep.project_sphere(camera, gt_index)[1] for camera in range(len(sweep.rig))], axis=0)
+    points = np.nan_to_num(gt_index)  # unknown ones count as far away, so that they end no view
+    visible = np.stack([sweep.project_sphere(camera, points)[1] for camera in range(len(sweep.rig))])
+    count = visible.sum(0)
     return {
         "all": np.ones(gt_index.shape, bool),
         "sky": fraction == 0,
@@ -40,6 +54,7 @@ def find_regions(gt_index: ArrayLike, sweep: SphereSweep) -> dict[str, NDArray[n
         "at edges": edges,
         "off edges": ~edges,
         "thin": thin_objects(gt_index, N),
+        "at hand-overs": near_handovers(visible),
         **{f"seen by {k}": count == k for k in range(len(sweep.rig) + 1)},
     }
 
@@ -49,13 +64,32 @@ def near_edges(gt_index: NDArray[np.float64], num_spheres: int) -> NDArray[np.bo
 
     There n̂ of two neighbours differs by more than `DISCONTINUITY_PERCENT` of N. NaN is not a discontinuity.
     """
-    from scipy.ndimage import maximum_filter
-
     limit = DISCONTINUITY_PERCENT / 100 * num_spheres
     across = np.abs(gt_index - np.roll(gt_index, -1, 1)) > limit
     down = np.abs(np.diff(gt_index, axis=0)) > limit
+    return _within(across, down, EDGE_PX)
+
+
+def near_handovers(visible: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the mask (H, W) of the rays near which the view of a camera ends, across the seam as well.
+
+    `visible` (cameras, H, W) says which points are in the view of which camera. "Near": within `HANDOVER_DEG`.
+    """
+    across = (visible != np.roll(visible, -1, 2)).any(0)
+    down = (visible[:, 1:] != visible[:, :-1]).any(0)
+    return _within(across, down, max(1, round(HANDOVER_DEG * visible.shape[2] / 360)))
+
+
+def _within(across: NDArray[np.bool_], down: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
+    """Return the mask (H, W) of the pixels within a distance of an edge.
+
+    Edges lie between a column and the next, around the seam, `across` (H, W), and between a row and the next, `down`
+    (H - 1, W). The two pixels beside an edge are within 1 pixel of it.
+    """
+    from scipy.ndimage import maximum_filter
+
     beside = across | np.roll(across, 1, 1) | np.pad(down, ((0, 1), (0, 0))) | np.pad(down, ((1, 0), (0, 0)))
-    return maximum_filter(beside.astype(np.uint8), 2 * EDGE_PX - 1, mode=("nearest", "wrap")).astype(bool)
+    return maximum_filter(beside.astype(np.uint8), 2 * pixels - 1, mode=("nearest", "wrap")).astype(bool)
 
 
 def thin_objects(gt_index: NDArray[np.float64], num_spheres: int) -> NDArray[np.bool_]:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from omnistereo_lib.evaluate.records import Record, write_record
 from omnistereo_lib.evaluate.regions import METRICS, REGIONS, SUMS, sums_to_metrics
 from omnistereo_lib.files import atomic_write, make_folder
-from omnistereo_lib.stereo.methods import Method
+from omnistereo_lib.stereo.methods import Method, penalties
 
 WITHOUT_SKY = "without sky"
 LIGHTS = ("sunny", "cloudy", "sunset")  # in the order of the paper
@@ -152,11 +152,12 @@ def write_results(folder: str | Path, results: Record) -> list[str]:
 def _caption(results: Record, what: str) -> str:
     config, default = results["config"], Method(cost="zncc")
     frames = ", ".join(f"{len(results['frames'][name])} of {name}" for name in _sets(results))
+    p1, p2 = penalties(config["width"], config["num_spheres"])
     rig = "" if config["rig"] == "own" else f" Not the sets' own rig, but {config['rig'][:12]}…."
     return (
         f"{what} ({frames}), in % of the N spheres swept, with 95 % intervals by bootstrap over frames. "
         f"{config['width']} × {config['height']}, N = {config['num_spheres']}, pairs = {default.pairs}, "
-        f"p1 = {default.p1}, p2 = {default.p2}, whole indices, unless a row says otherwise.{rig}"
+        f"p1 = {p1:.2g}, p2 = {p2:.2g}, whole indices, unless a row says otherwise.{rig}"
     )
 
 

@@ -96,6 +96,11 @@ class OcamCamera:
     def _max_t(self) -> float:
         return float(np.radians(self.max_fov_deg / 2) - np.pi / 2)
 
+    @property
+    def pixels_per_degree(self) -> float:
+        """Mean resolution of the lens from its axis to the rim of the field of view."""
+        return self.max_radius / (self.max_fov_deg / 2)
+
     def project(self, points: ArrayLike, use_direct_poly: bool = False) -> tuple[Array, Array]:
         """Project points to pixels: A(Π(X; Φ)) (paper, Section III-A).
 

@@ -6,6 +6,7 @@ A new cost joins `COSTS`, and every command knows it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cache
@@ -34,7 +35,7 @@ class CostEntry:
     load: Callable[[Method, Path | None, Precision], Cost]  # with the weights file, if there is one
     settings: frozenset[str]  # of `Method` that change this cost
     weights: str = ""  # bundled weights file without .safetensors; "" for a cost without weights
-    p1: float = 0.1  # SGM penalties that suit the scale of this cost
+    p1: float = 0.1  # SGM penalties that suit this cost at the paper's scale; see `penalties`
     p2: float = 12.0
     # Raw volume (H, W, N) → index and confidence (H, W), in place of `winner_takes_all` and `confidence`.
     read_out: Callable[[Tensor], tuple[Tensor, Tensor]] | None = None
@@ -87,7 +88,7 @@ _TYPES = {  # of the settings in a name
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """A way from images to sphere indices; the defaults are the paper's except for the pairs.
+    """A way from images to sphere indices; the defaults are the paper's at its scale, except for the pairs.
 
     Raises:
         OmnistereoError: If a value is out of range, or is set although the method does not use it: a method has one
@@ -99,7 +100,7 @@ class Method:
     window: int = 9  #: side of the ZNCC window, pixels
     weights: str = ""  #: name of the weights file of a network, without .safetensors; "": the bundled one
     pairs: Literal["ring", "all"] = "ring"  #: see `camera_pairs`
-    p1: float | None = None  #: SGM penalties; None: those of the cost
+    p1: float | None = None  #: SGM penalties; None: those of `penalties` for the size of the volume
     p2: float | None = None
     wrap: bool = True  #: False: SGM stops at the ±180° seam, and so does every layer of SweepNet
     subindex: bool = False  #: refine the index, see `winner_takes_all`; the paper reports integer indices
@@ -109,12 +110,10 @@ class Method:
         for name, choices in (("cost", tuple(COSTS)), ("aggregate", ("none", "sgm")), ("pairs", ("ring", "all"))):
             if getattr(self, name) not in choices:
                 raise OmnistereoError(f"{name} must be one of {', '.join(choices)}, got {getattr(self, name)!r}")
-        for name in ("p1", "p2"):
-            if getattr(self, name) is None:
-                object.__setattr__(self, name, getattr(COSTS[self.cost], name))
         if unused := self._changed.keys() - self._used:
             raise OmnistereoError(f"{self.name}: {self._base} does not use {', '.join(sorted(unused))}. Leave it out")
-        if not 0 <= self.p1 <= self.p2 < float("inf"):
+        p1, p2 = self.p1 or 0.0, math.inf if self.p2 is None else self.p2
+        if not (0 <= p1 <= p2 and p1 < math.inf and self.p2 != math.inf):
             raise OmnistereoError(f"{self.name}: expected 0 ≤ p1 ≤ p2, got {self.p1} and {self.p2}")
         if self.num_spheres == 1 or self.num_spheres < 0:
             raise OmnistereoError(f"{self.name}: a sweep needs at least 2 spheres, got {self.num_spheres}")
@@ -175,7 +174,6 @@ class Method:
     def _changed(self) -> dict[str, Any]:
         """Settings that differ from their defaults."""
         defaults = {field.name: field.default for field in fields(self)[2:]}
-        defaults |= {"p1": COSTS[self.cost].p1, "p2": COSTS[self.cost].p2}
         return {name: getattr(self, name) for name, default in defaults.items() if getattr(self, name) != default}
 
     @property
@@ -203,13 +201,31 @@ class Method:
 
     def smooth(self, volume: Tensor) -> Tensor:
         """Return the volume (H, W, N) from which depth is read: after SGM where the method has it."""
-        return sgm(volume, self.p1, self.p2, wrap=self.wrap) if self.aggregate == "sgm" else volume
+        if self.aggregate == "none":
+            return volume
+        cost = COSTS[self.cost]
+        p1, p2 = penalties(*volume.shape[1:], cost.p1, cost.p2)
+        p2 = max(p2, self.p1 or 0) if self.p2 is None else self.p2
+        p1 = min(p1, p2) if self.p1 is None else self.p1
+        return sgm(volume, p1, p2, wrap=self.wrap)
 
     def read_out(self, volume: Tensor, subindex: bool = False) -> tuple[Tensor, Tensor]:
         """Return index and confidence (H, W) of a smoothed volume; with `subindex` or the setting between spheres."""
         if self._reads_out:
             return COSTS[self.cost].read_out(volume)
         return winner_takes_all(volume, subindex or self.subindex), confidence(volume)
+
+
+def penalties(width: int, num_spheres: int, p1: float = 0.1, p2: float = 12.0) -> tuple[float, float]:
+    """Return SGM's penalties for a panorama of W columns and N spheres from those for the paper's 1200 and 192.
+
+    A surface covers fewer pixels of a coarser panorama, so fewer costs speak for it against the same penalties; and
+    among more spheres its slope is more steps a pixel, each of which is paid. The powers are measured on a stretch of
+    road for which no figure is reported; see notebook 07. Neither penalty exceeds that of the paper's scale.
+    """
+    scale = min(width / 1200, 1.0)
+    p2 *= min(scale**2 * 192 / num_spheres, 1.0)
+    return min(p1 * scale, p2), p2
 
 
 def _text(value: Any) -> str:

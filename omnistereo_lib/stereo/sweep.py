@@ -1,5 +1,6 @@
 """Sphere sweep: warp the fisheye images onto concentric spheres (paper, Section III-B and Eq. 1)."""
 
+import math
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -121,8 +122,18 @@ class SphereSweep:
             warped.append(remap(np.asarray(image, np.float32), maps))
         return warped
 
+    @cached_property
+    def _blurs(self) -> list[tuple[float, NDArray[np.float32]]]:
+        """For each camera σ of `blur_px`, and its mask blurred by it."""
+        spacing = 360 / self.grid.width
+        sigmas = [blur_px(camera.pixels_per_degree * spacing) for camera in self.rig.cameras]
+        return [(s, blur(mask.astype(np.float32), s)) for s, mask in zip(sigmas, self._image_masks, strict=True)]
+
     def normalize_images(self, images: Sequence[ArrayLike]) -> list[Tensor]:
-        """Return the images in gray with zero mean and unit variance over the image circle.
+        """Return the images in gray, without detail finer than the panorama, normalised over the image circle.
+
+        A panorama coarser than the images takes a sample from several pixels of them, so they are blurred first, or
+        it would alias; see `blur_px`. Then each gets zero mean and unit variance.
 
         Args:
             images: one array per camera, (height, width) or (height, width, 3) in RGB, uint8 or float
@@ -134,8 +145,12 @@ class SphereSweep:
             OmnistereoError: If there is not one image per camera, or one has the wrong size or is not finite.
         """
         normalized = []
-        for image, mask in zip(check_images(images, self.rig), self._image_masks, strict=True):
+        for image, mask, (sigma, weight) in zip(
+            check_images(images, self.rig), self._image_masks, self._blurs, strict=True
+        ):
             gray = to_gray(image)
+            if sigma:  # over the image circle alone: the black around it stays out
+                gray = blur(gray * mask, sigma) / np.maximum(weight, 1e-6)
             mean, deviation = (float(moment[0, 0]) for moment in cv2.meanStdDev(gray, mask=mask))
             gray = (gray - np.float32(mean)) * np.float32(1 / deviation if deviation > 0 else 1.0)
             normalized.append(torch.from_numpy(gray).to(self.device))
@@ -277,6 +292,19 @@ def to_gray(image: NDArray) -> NDArray[np.float32]:
     """Return an image (height, width) or RGB (height, width, 3) in gray, float32 (BT.601 luma)."""
     image = np.ascontiguousarray(image, np.float32)
     return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+
+
+def blur_px(spacing: float) -> float:
+    """Return σ of the Gaussian that keeps samples `spacing` pixels apart from aliasing, in pixels; 0: none is needed.
+
+    The usual choice is half the spacing. An image is about as sharp as its pixels allow, σ = 0.5, and variances add.
+    """
+    return 0.5 * math.sqrt(spacing**2 - 1) if spacing > 1.1 else 0.0
+
+
+def blur(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+    """Blur an image by a Gaussian; σ = 0 returns it as it is."""
+    return cv2.GaussianBlur(image, (0, 0), sigma) if sigma else image
 
 
 def reduce_images(rig: Rig, images: Sequence[ArrayLike], pixels_per_degree: float) -> tuple[Rig, list[NDArray]]:

@@ -28,7 +28,7 @@ from omnistereo_lib.evaluate import (
     write_results,
 )
 from omnistereo_lib.evaluate.regions import METRICS, error_sums, find_regions
-from omnistereo_lib.stereo.methods import Method
+from omnistereo_lib.stereo.methods import Method, penalties
 
 SMALL = Scale(96, 24, 12)
 TINY = Scale(48, 14, 8)  # for the networks
@@ -100,7 +100,8 @@ def test_a_frame_agrees_with_the_single_steps(data, weights):
             volumes[method.volume_key] = osl.cost_volume(sweep, dataset[1].images, cost, method.pairs)
         volume = volumes[method.volume_key]
         if method.aggregate == "sgm":
-            volume = osl.sgm(volume, method.p1, method.p2, wrap=method.wrap)
+            p1, p2 = penalties(48, 8) if method.p1 is None else (method.p1, method.p2)
+            volume = osl.sgm(volume, p1, p2, wrap=method.wrap)
         index = osl.winner_takes_all(volume, method.subindex).numpy()
         assert errors["figures"] == osl.index_error(index, gt_index, 8)
         assert errors["strata"] == error_sums(index, gt_index, 8, regions)
@@ -112,7 +113,7 @@ def test_a_volume_is_computed_once_for_all_methods_that_share_it(data, weights, 
     monkeypatch.setattr(run, "cost_volume", lambda *a: calls.append(a[3]) or osl.cost_volume(*a))
     methods = [*METHODS, *ABLATIONS["penalties"], *ABLATIONS["subindex"], *select_methods(["zncc,pairs=all"])]
     task = evaluation(tmp_path / "out", data, methods, weights=weights, frames=[1], scale=TINY)
-    assert len(list(task.run())) == len(task.jobs) == len(set(methods)) == 6 + 33 + 6 + 1
+    assert len(list(task.run())) == len(task.jobs) == len(set(methods)) == 6 + 36 + 6 + 1
     assert calls == ["ring", "ring", "ring", "all"]
 
 
@@ -141,7 +142,7 @@ def test_the_merged_file_states_its_inputs(data, weights, expected_of_all):
     scale = {"width": 48, "height": 14, "num_spheres": 8}
     assert results["config"] == {**scale, "precision": "float32", "rig": "own"}
     assert results["methods"]["mccnn+sgm"] == {
-        "cost": "mccnn", "aggregate": "sgm", "window": 9, "weights": "", "pairs": "ring", "p1": 0.1, "p2": 12.0,
+        "cost": "mccnn", "aggregate": "sgm", "window": 9, "weights": "", "pairs": "ring", "p1": None, "p2": None,
         "wrap": True, "subindex": False, "num_spheres": 0,
     }  # fmt: skip
     files = ["config.yaml", *(f"omnidepth_gt_96/{number:05}.tiff" for number in FRAMES)]

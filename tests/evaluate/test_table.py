@@ -4,6 +4,7 @@ import csv
 import io
 import itertools
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -186,6 +187,21 @@ def test_depth_ranges_and_cameras():
     assert (regions["at edges"] ^ regions["off edges"]).all()
 
 
+def test_hand_overs_are_where_the_view_of_a_camera_ends():
+    """Four cameras of 220° in one place: views end 20° and 70° off each axis, so on the horizon at eight azimuths."""
+    camera = RIG.cameras[0]
+    poses = [osl.Pose.from_vector([0, angle, 0, 0, 0, 0]) for angle in np.radians([0, 90, 180, 270])]
+    rig = osl.Rig([replace(camera, max_fov_deg=220.0)] * 4, poses)
+    grid = osl.SphereGrid(720, 19, (-4.75, 4.75), 12, 0.6)
+    gt_index = np.full(grid.shape, 3.0)
+    gt_index[9, 100:110] = np.nan
+    found = find_regions(gt_index, osl.SphereSweep(rig, grid))["at hand-overs"][9]
+    ends = np.array([20, 70, 110, 160, 200, 250, 290, 340])
+    azimuth = np.degrees(grid.thetas())[:, None]
+    away = np.abs((azimuth - ends + 180) % 360 - 180).min(1)
+    assert found[away < 2.5].all() and not found[away > 3.5].any()
+
+
 # ---- bootstrap
 
 
@@ -260,7 +276,7 @@ def test_the_table_has_the_form_of_the_paper():
     lines = table.text().splitlines()
     assert table.caption == lines.pop() == table.markdown().splitlines()[-1]
     assert table.caption.startswith("Means over frames (3 of sunny, 3 of sunset, 3 of box), in % of the N spheres")
-    assert "320 × 80, N = 64, pairs = ring, p1 = 0.1, p2 = 12.0, whole indices, unless" in table.caption
+    assert "320 × 80, N = 64, pairs = ring, p1 = 0.027, p2 = 2.6, whole indices, unless" in table.caption
     assert len(lines) == 1 + 2 * 4
     assert lines[1].split()[:6] == ["ZNCC", "20.0", "10.0", "2.0", "5.25", "1.00"]
     interval = f"{cells[0, 1]:.1f}–{cells[0, 2]:.1f}"

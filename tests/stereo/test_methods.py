@@ -7,7 +7,7 @@ import torch
 
 import omnistereo_lib as osl
 from omnistereo_lib.evaluate import ABLATIONS, METHODS, SCALES, Scale, select_methods
-from omnistereo_lib.stereo.methods import COSTS, CostEntry, Method
+from omnistereo_lib.stereo.methods import COSTS, CostEntry, Method, penalties
 from omnistereo_lib.stereo.pipeline import sweep_depth
 
 
@@ -21,7 +21,7 @@ def test_names_and_labels():
     assert [method.name for method in METHODS] == [
         "zncc", "mccnn", "sweepnet", "zncc+sgm", "mccnn+sgm", "sweepnet+sgm",
     ]  # fmt: skip
-    method = Method.parse("sweepnet+sgm,weights=Plain_2,p1=0.20,wrap=false,p2=12")
+    method = Method.parse("sweepnet+sgm,weights=Plain_2,p1=0.20,wrap=false")
     assert method == Method(cost="sweepnet", aggregate="sgm", weights="Plain_2", p1=0.2, wrap=False)
     assert method.name == "sweepnet+sgm,weights=Plain_2,p1=0.2,wrap=false"
     assert method.label == "SweepNet + SGM, weights = Plain_2, p1 = 0.2, wrap = false"
@@ -33,8 +33,21 @@ def test_names_and_labels():
 
 def test_the_defaults_are_the_papers():
     for method in METHODS:
-        assert (method.window, method.p1, method.p2, method.subindex) == (9, 0.1, 12.0, False)
+        assert (method.window, method.p1, method.p2, method.subindex) == (9, None, None, False)
+    assert penalties(1200, 192) == (0.1, 12.0)
     assert SCALES["paper"] == Scale(1200, 300, 192) and SCALES["training"] == Scale(600, 150, 192)
+
+
+def test_penalties_follow_the_scale(box):
+    assert penalties(320, 64) == pytest.approx((0.1 * 320 / 1200, 12 * (320 / 1200) ** 2 * 3))
+    for width, num_spheres in ((8, 4000), (160, 40), (640, 8), (4800, 192)):
+        p1, p2 = penalties(width, num_spheres)
+        assert 0 < p1 <= p2 <= 12 and p1 <= 0.1
+    p1, p2 = penalties(GRID.width, GRID.num_spheres)
+    for given, both in (("", (p1, p2)), (",p1=5", (5, 5)), (",p2=0.001", (0.001, 0.001)), (",p1=0", (0, p2))):
+        given, both = f"zncc+sgm{given}", "zncc+sgm,p1={},p2={}".format(*both)
+        indices = [osl.estimate_depth(*box, GRID, name).index for name in (given, both)]
+        np.testing.assert_array_equal(*indices)
 
 
 # ---- from images to depth
@@ -79,8 +92,9 @@ def test_a_new_cost_joins_in_one_place(box, monkeypatch):
     entry = CostEntry("Mine", lambda method, path, precision: osl.ZNCC(3), frozenset(), p1=0.5, p2=1.5)
     monkeypatch.setitem(COSTS, "mine", entry)
     method = Method.parse("mine+sgm")
-    assert (method.p1, method.p2, method.name, method.label) == (0.5, 1.5, "mine+sgm", "Mine + SGM")
-    expected = osl.estimate_depth(*box, GRID, "zncc+sgm,window=3,p1=0.5,p2=1.5").index
+    assert (method.name, method.label) == ("mine+sgm", "Mine + SGM")
+    p1, p2 = penalties(GRID.width, GRID.num_spheres, 0.5, 1.5)
+    expected = osl.estimate_depth(*box, GRID, f"zncc+sgm,window=3,p1={p1},p2={p2}").index
     np.testing.assert_array_equal(osl.estimate_depth(*box, GRID, "mine+sgm").index, expected)
 
 

@@ -4,7 +4,15 @@ import scene
 import torch
 
 import omnistereo_lib as osl
-from omnistereo_lib.stereo.sweep import _circular_span, _grid_sample, remap, split_at_seam
+from omnistereo_lib.stereo.sweep import (
+    _circular_span,
+    _grid_sample,
+    blur,
+    blur_px,
+    remap,
+    split_at_seam,
+    visible_pixels,
+)
 
 GRID = osl.SphereGrid(64, 20, (-40, 35), 20, 0.6)
 
@@ -140,3 +148,45 @@ def test_visible_columns_form_the_shortest_span_around_the_seam(visible, span):
     assert start == span[0] or width == 8
     covered = [x for first, last in split_at_seam(start, width, 8) for x in range(first, last)]
     assert {x for x, c in enumerate(visible) if c == "1"} <= set(covered)
+
+
+# ---- without aliases
+
+
+@pytest.mark.parametrize("spacing", [1.5, 2.0, 4.0])
+def test_the_blur_is_half_the_spacing_of_the_samples(spacing):
+    """Measured on an impulse: its variance and that of a pixel, 0.5², are (spacing / 2)² together."""
+    impulse = np.zeros((41, 41), np.float32)
+    impulse[20, 20] = 1
+    blurred = blur(impulse, blur_px(spacing)).astype(float)
+    variance = (blurred.sum(0) * (np.arange(41) - 20.0) ** 2).sum()
+    assert blurred.sum() == pytest.approx(1, abs=1e-5) and variance + 0.25 == pytest.approx(spacing**2 / 4, rel=0.01)
+
+
+def test_detail_finer_than_the_panorama_does_not_reach_it(world):
+    """Stripes of two pixels, which a panorama of four pixels a column would show as a pattern that is not there."""
+    rig, images = world
+    stripes = [image + 80 * (-1.0) ** np.indices(image.shape).sum(0) for image in images]
+    assert rig.cameras[0].pixels_per_degree * 360 / GRID.width > 4
+    sweep = osl.SphereSweep(rig, GRID)
+    clean, striped = (sweep.normalize_images(some) for some in (images, stripes))
+    for camera in range(len(rig)):
+        inside = visible_pixels(rig.cameras[camera])
+        assert (clean[camera] - striped[camera]).numpy()[inside].std() < 0.02  # of unit variance
+    fine = osl.SphereSweep(rig, osl.SphereGrid(1440, 20, (-40, 35), 20, 0.6))
+    gray = images[0][visible_pixels(rig.cameras[0])]  # a fine panorama takes the pixels as they are
+    normalized = fine.normalize_images(images)[0].numpy()[visible_pixels(rig.cameras[0])]
+    np.testing.assert_allclose(normalized, (gray - gray.mean()) / gray.std(), atol=1e-4)
+
+
+def test_what_lies_outside_of_the_image_circle_stays_out(world):
+    rig, images = world
+    outside = [~visible_pixels(camera) for camera in rig.cameras]
+    black, white = (
+        osl.SphereSweep(rig, GRID).normalize_images(
+            [np.where(o, value, i) for i, o in zip(images, outside, strict=True)]
+        )
+        for value in (np.float32(0), np.float32(255))
+    )
+    for one, other, out in zip(black, white, outside, strict=True):
+        np.testing.assert_array_equal(one.numpy()[~out], other.numpy()[~out])
