@@ -5,6 +5,7 @@ They follow from a notebook's structure; nothing is marked in it:
 - A section (##) is a column of slides. A slide takes what fits of it, the next one below takes on; ### begins one, too.
 - A cell that draws shows its picture and the caption, in the room that the text before it leaves. Other code is shown
   where it fits on one slide together with what it printed; longer code is left out, and only what it printed is shown.
+- A sentence does not get a slide to itself where code or printed text can go with it.
 - A live figure shows its stills, or the viewer. An exercise is followed by its solution, at the next step.
 - Left out are imports, the check of the installation, and what prints more than a slide can hold.
 
@@ -43,6 +44,7 @@ FULL = 675.0  # of them to be filled
 TEXT, CODE, OUTPUT, CAPTION = (33.0, 88), (29.0, 82), (29.0, 76), (29.0, 104)  # height of a line, letters in it
 HEADINGS = {"#": 90.0, "##": 75.0, "###": 60.0}
 MARGIN = 16.0
+LITTLE = 250.0  # a heading and a sentence or two
 PICTURE = (240.0, 325.0)  # at least, a wide one and a tall one
 HIDDEN, SOLUTION = "hide-input", "solution"
 EXERCISE = re.compile(r"\*\*\d\d\.\d+ \(")
@@ -102,13 +104,15 @@ def deal(nb: NotebookNode) -> NotebookNode:
     slides: list[list[NotebookNode]] = []
     for cell in pieces(nb):
         here = slides[-1] if slides else []
-        begins = _is_heading(cell) or EXERCISE.match(cell.source)
+        begins = _begins(cell)
         if not here or (begins and not all(map(_is_heading, here))):
             slides.append([cell])
         elif sum(map(height, here)) + height(cell) <= FULL:
             here.append(cell)
         else:
             slides.append([*_introduction(here, cell), cell])
+    _give_company(slides)
+    slides = _merge(slides)
     for first, *others in slides:
         first.metadata["slideshow"] = {"slide_type": "slide" if first.source.startswith(("# ", "## ")) else "subslide"}
         for cell in others:
@@ -122,6 +126,53 @@ def _introduction(here: list[NotebookNode], cell: NotebookNode) -> list[Notebook
     *before, last = here
     stays = cell.cell_type == "markdown" or last.cell_type == "code" or all(map(_is_heading, before))
     return [] if stays or height(last) + height(cell) > FULL else [here.pop()]
+
+
+def _give_company(slides: list[list[NotebookNode]]) -> None:
+    """Put a sentence that has a slide to itself beside the code that follows, or beside what the code before printed.
+
+    For that the code and what it printed go to two slides.
+    """
+    for before, here, after in zip([[], *slides], slides, [*slides[1:], []], strict=False):
+        if sum(map(height, here)) > LITTLE or any(cell.cell_type == "code" for cell in here):
+            continue
+        if after and _can_split(after[0]):
+            code, output = _split(after[0])
+            if sum(map(height, [*here, code])) <= FULL:
+                here.append(code)
+                after[0] = output
+        elif before and not _is_heading(here[0]) and _can_split(before[-1]):
+            code, output = _split(before[-1])
+            if sum(map(height, [output, *here])) <= FULL:
+                before[-1] = code
+                here.insert(0, output)
+
+
+def _merge(slides: list[list[NotebookNode]]) -> list[list[NotebookNode]]:
+    """Join a slide to the one before where both fit on one and no section or exercise begins."""
+    merged = slides[:1]
+    for slide in slides[1:]:
+        if not _begins(slide[0]) and sum(map(height, [*merged[-1], *slide])) <= FULL:
+            merged[-1] = [*merged[-1], *slide]
+        else:
+            merged.append(slide)
+    return merged
+
+
+def _begins(cell: NotebookNode) -> bool:
+    """Say whether a piece begins a slide: a heading, or an exercise."""
+    return _is_heading(cell) or EXERCISE.match(cell.source) is not None
+
+
+def _can_split(cell: NotebookNode) -> bool:
+    return cell.cell_type == "code" and cell.outputs and not {HIDDEN, SOLUTION} & set(cell.metadata.get("tags", []))
+
+
+def _split(cell: NotebookNode) -> tuple[NotebookNode, NotebookNode]:
+    """Return a cell's code and its output as two cells."""
+    tags = [*cell.metadata.get("tags", []), HIDDEN]
+    output = new_code_cell(cell.source, outputs=cell.outputs, metadata={"tags": tags})
+    return new_code_cell(cell.source, metadata=cell.metadata), output
 
 
 def pieces(nb: NotebookNode) -> Iterator[NotebookNode]:

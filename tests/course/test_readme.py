@@ -2,6 +2,7 @@
 
 import re
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
@@ -46,3 +47,21 @@ def test_the_panels_are_aligned():
     assert (points.y0, points.y1) == pytest.approx((0, above.y1)) and points.x0 > above.x1 > scale.x1
     labels = [label.get_text() for label in fig.axes[3].get_xticklabels()]
     assert labels[0] == "∞" and labels[-1] == "2 m" and scale.y1 < below.y0
+
+
+def test_the_picture_is_written_only_when_it_shows_something_else(tmp_path):
+    rng = np.random.default_rng(0)
+    shown = cv2.GaussianBlur(rng.uniform(0, 255, (60, 80, 3)), (0, 0), 3).astype(np.uint8)
+    path = tmp_path / "picture.jpg"
+    first = _jpeg(shown)
+    path.write_bytes(first)
+    speck = shown.copy()
+    speck[30, 40] += 9
+    readme.renew(path, _jpeg(speck))
+    assert _jpeg(speck) != first and path.read_bytes() == first
+    readme.renew(path, _jpeg(255 - shown))
+    assert path.read_bytes() == _jpeg(255 - shown)
+
+
+def _jpeg(picture):
+    return cv2.imencode(".jpg", picture)[1].tobytes()

@@ -135,3 +135,14 @@ def test_a_slider_on_a_slide_shows_another_picture(shown, open_page):
     page.keyboard.press("ArrowRight")
     assert shown_picture.get_attribute("src") != before and shown_picture.count() == 1
     assert page.locator(".present .stills output").text_content() == "16"
+
+
+def test_a_sentence_shares_its_slide_with_code_or_with_what_the_code_printed():
+    """Heading and sentence, then code and output that need a slide, then a sentence: two slides, not three."""
+    long = "\n".join(f"a{k} = {k}" for k in range(16))
+    printed = new_output("stream", text="\n".join("line" for _ in range(3)))
+    cells = [new_markdown_cell("## Section"), new_markdown_cell("Before."), new_code_cell(long, outputs=[printed])]
+    dealt = slides.deal(new_notebook(cells=[*cells, new_markdown_cell("After.")])).cells
+    assert [cell.metadata.slideshow.slide_type for cell in dealt] == ["slide", "-", "-", "subslide", "-"]
+    assert dealt[2].source == long and not dealt[2].outputs
+    assert dealt[3].outputs and slides.HIDDEN in dealt[3].metadata.tags and dealt[4].source == "After."

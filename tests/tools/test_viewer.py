@@ -1,6 +1,7 @@
 """The viewer in a real browser, without any network: what it says is the depth."""
 
 import re
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ import scene
 import omnistereo_lib as osl
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.points import Limits
-from omnistereo_tools.viewer import viewer_page
+from omnistereo_tools.viewer import page_of, viewer_data, viewer_page
 
 GRID = osl.SphereGrid(160, 40, num_spheres=64, min_depth=0.6)
 
@@ -38,6 +39,19 @@ def test_it_looks_around_and_tells_the_depth(depth, open_page, tmp_path):
     page.wait_for_selector("body[data-drawn=points]")
     shown = page.evaluate("owner.reduce((count, k) => count + (k >= 0), 0)")
     assert shown > 10_000 and page.complaints == []
+
+
+@pytest.mark.parametrize("width", [390, 1200])
+def test_the_labels_of_its_scale_do_not_touch(depth, open_page, tmp_path, width):
+    page = open_page(width, 900)
+    ticks = [[0.0, "∞"], [0.05, "40 m"], [0.11, "20 m"], [0.22, "10 m"], [0.31, "7 m"], [0.73, "3 m"], [1.0, "2 m"]]
+    data = viewer_data(depth, np.zeros((80, 320, 3), np.uint8), Limits(50.0, 0.0), "labels") | {"ticks": ticks}
+    (tmp_path / "index.html").write_text(page_of(data), encoding="utf-8")
+    page.goto(f"file://{tmp_path}/index.html")
+    page.wait_for_selector("body[data-drawn=look]")
+    labels = [label.bounding_box() for label in page.locator("#scale span:visible").all()]
+    assert len(labels) >= 4 and labels[0]["x"] >= 0 and labels[-1]["x"] + labels[-1]["width"] <= width
+    assert all(left["x"] + left["width"] < right["x"] for left, right in pairwise(labels))
 
 
 def test_it_is_small_and_asks_no_network(depth):
