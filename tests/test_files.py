@@ -109,11 +109,17 @@ def test_16_bit_and_transparent_images_become_8_bit_rgb(tmp_path):
     assert clear.shape == (4, 4, 3) and clear[0, 0].tolist() == [3, 2, 1]
 
 
-def test_a_mask_of_another_size_is_refused(tmp_path):
+@pytest.mark.parametrize("read", [read_gray, read_image])
+def test_a_picture_of_another_size_is_refused(tmp_path, read):
+    write_image(tmp_path / "mask.png", RGB)
+    assert read(tmp_path / "mask.png", (30, 20)).shape[:2] == (20, 30)
+    with pytest.raises(OmnistereoError, match=r"mask.png is 30 × 20 px; the camera has 20 × 30 px. Pass images as"):
+        read(tmp_path / "mask.png", (20, 30))
+
+
+def test_a_mask_is_read_as_gray(tmp_path):
     write_image(tmp_path / "mask.png", RGB)
     np.testing.assert_array_equal(read_gray(tmp_path / "mask.png", (30, 20)), RGB.max(-1))
-    with pytest.raises(OmnistereoError, match=r"mask.png is 30 × 20 px, the camera 20 × 30 px"):
-        read_gray(tmp_path / "mask.png", (20, 30))
 
 
 def test_the_old_file_stays_when_writing_fails(tmp_path):
