@@ -1,9 +1,11 @@
 """File access: one reader for each format, errors that name the file, atomic writes."""
 
+import glob
 import json
 import os
 import re
 import stat
+import time
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
@@ -22,6 +24,7 @@ _JPEG, _PNG = b"\xff\xd8", b"\x89P"  # first bytes
 _END_MARKERS = {_JPEG: b"\xff\xd9", _PNG: b"IEND"}
 _STDERR = Lock()  # of the whole process
 _BROKEN = (ValueError, TypeError, AttributeError, LookupError, ArithmeticError, RecursionError)  # of the two parsers
+_RECENT = 10.0  # seconds
 _MAX_BYTES = 1 << 30
 _MAX_TEXT = 1 << 24  # bytes; a calibration of 500 boards has 2 million
 _MAX_VALUES = 1_000_000  # of a YAML file, with what its aliases repeat
@@ -251,11 +254,12 @@ def write_image(path: str | Path, image: NDArray) -> None:
 def atomic_write(path: str | Path) -> Iterator[Path]:
     """Write a file atomically: yield a temporary path beside it, rename it on success, remove it on failure.
 
-    Raises an `OmnistereoError` if the folder is missing or not writable.
+    Removes what killed processes have left of it. Raises an `OmnistereoError` if the folder is missing or not writable.
     """
     path = Path(path)
     temporary = path.with_name(f".{os.getpid()}.{path.name}")  # same suffix: writers choose the format by it
     try:
+        _remove_stale(path)
         yield temporary
         temporary.replace(path)
     except OSError as error:
@@ -265,6 +269,17 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+def _remove_stale(path: Path) -> None:
+    """Remove the temporary files of `path` whose processes have ended; another machine may still write a recent one."""
+    import psutil
+
+    for left in path.parent.glob(f".*.{glob.escape(path.name)}"):
+        number = left.name.split(".")[1]
+        stale = re.fullmatch("[0-9]{1,9}", number) and left.name == f".{number}.{path.name}"
+        if stale and not psutil.pid_exists(int(number)) and time.time() - left.stat().st_mtime > _RECENT:
+            left.unlink(missing_ok=True)
 
 
 def make_folder(path: str | Path) -> Path:
