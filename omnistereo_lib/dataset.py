@@ -28,7 +28,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.errors import OmnistereoError, checked
 from omnistereo_lib.files import (
     atomic_write,
     path_within,
@@ -42,7 +42,7 @@ from omnistereo_lib.geometry.rig import Rig, Unit
 from omnistereo_lib.geometry.sphere import Sampling, SphereGrid
 from omnistereo_lib.rig_files import load_rig
 
-_MAX_PIXELS = 1 << 27  # of a panorama of ground truth
+_MAX_PIXELS = 1 << 26  # of a panorama of ground truth
 _CAMERA = r"cam([0-9]+)"
 _RIG_FOLDER = r"([0-9]+)"
 _IMAGE = r"([0-9]+)\.(?i:png|jpe?g|bmp|tiff?)"
@@ -69,7 +69,7 @@ class Frame:
     @cached_property
     def images(self) -> list[NDArray[np.uint8]]:
         """One array per camera, (height, width) or (height, width, 3) in RGB; read on first use."""
-        return load_images(self.image_paths)
+        return load_images(self.image_paths, self.rig)
 
     @cached_property
     def inverse_depth(self) -> NDArray[np.float32]:
@@ -81,6 +81,7 @@ class Frame:
             raise OmnistereoError(f"frame {self.number} has no ground truth beside {self.image_paths[0].parent}")
         return read_inverse_depth(self.gt_path, self.rig and self.rig.min_depth)
 
+    @checked
     def gt_index(self, grid: SphereGrid) -> NDArray[np.float64]:
         """Return the ground-truth sphere index n̂ on a grid, shape (H, W), not rounded; NaN = unknown.
 
@@ -137,6 +138,7 @@ class Dataset(Sequence[Frame]):
         return f"Dataset({self.folder.name}: {len(self)} frames, {with_gt} with ground truth, {cameras})"
 
 
+@checked
 def load_dataset(
     folder: str | Path, split: str | None = None, unit: Unit | None = None, gt_width: int | None = None
 ) -> Dataset:
@@ -188,9 +190,14 @@ def _read_frames(folder: Path, rig: Rig, cameras: dict[int, Path], gt_width: int
     return [Frame(n, [files[n] for files in images], gt.get(n), rig) for n in numbers]
 
 
-def load_images(paths: Sequence[str | Path]) -> list[NDArray[np.uint8]]:
-    """Read one image for each camera, in the order of the rig; see `read_image` for shapes and errors."""
-    return [read_image(path) for path in paths]
+@checked
+def load_images(paths: Sequence[str | Path], rig: Rig | None = None) -> list[NDArray[np.uint8]]:
+    """Read one image for each camera, in the order of the rig; see `read_image` for shapes and errors.
+
+    With a rig, number and sizes of the images are compared with its cameras before anything is decoded.
+    """
+    sizes = rig.image_sizes(len(paths)) if rig else [None] * len(paths)
+    return [read_image(path, size) for path, size in zip(paths, sizes, strict=True)]
 
 
 def read_inverse_depth(path: str | Path, min_depth: float | None = None) -> NDArray[np.float32]:

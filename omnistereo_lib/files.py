@@ -1,9 +1,11 @@
 """File access: one reader for each format, errors that name the file, atomic writes."""
 
+import glob
 import json
 import os
 import re
 import stat
+import time
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
@@ -22,6 +24,7 @@ _JPEG, _PNG = b"\xff\xd8", b"\x89P"  # first bytes
 _END_MARKERS = {_JPEG: b"\xff\xd9", _PNG: b"IEND"}
 _STDERR = Lock()  # of the whole process
 _BROKEN = (ValueError, TypeError, AttributeError, LookupError, ArithmeticError, RecursionError)  # of the two parsers
+_RECENT = 10.0  # seconds
 _MAX_BYTES = 1 << 30
 _MAX_TEXT = 1 << 24  # bytes; a calibration of 500 boards has 2 million
 _MAX_VALUES = 1_000_000  # of a YAML file, with what its aliases repeat
@@ -136,26 +139,26 @@ def _expanded(node: Any, known: dict[int, float]) -> float:
     return known[id(node)]
 
 
-def read_pixels(path: str | Path, flags: int) -> NDArray:
+def read_pixels(path: str | Path, flags: int, image_size: tuple[int, int] | None = None) -> NDArray:
     """Decode an image file with OpenCV; `flags` select depth and colour, see `cv2.imdecode`.
 
-    Raises an `OmnistereoError` if the file is missing, not an image, larger than any picture, or truncated: OpenCV
-    would fill it with gray. Warns if it is damaged elsewhere.
+    Raises an `OmnistereoError` if the file is missing, not an image, of another size (width, height) than expected,
+    larger than any picture, or truncated: OpenCV would fill it with gray. Warns if it is damaged elsewhere.
     """
     import cv2
 
     content = read_bytes(path)
-    _read_header(path, content)
+    check_size(path, _read_header(path, content), image_size)  # a small file can hold a large picture
     end = _END_MARKERS.get(content[:2])
     if end is not None and end not in content[-64:]:
         raise OmnistereoError(f"{path} is truncated ({len(content)} bytes, no end-of-image marker). Copy it again.")
     try:
         with _complaints() if content[:2] == _JPEG else nullcontext([]) as said:
-            pixels = cv2.imdecode(np.frombuffer(content, np.uint8), flags) if content else None
+            pixels = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
     except cv2.error:  # the header states an absurd size
         pixels = None
     if pixels is None:
-        raise OmnistereoError(f"{path} is not an image ({len(content)} bytes); expected PNG, JPEG or similar")
+        raise _not_an_image(path, content)
     if damage := [line for line in said if "Corrupt JPEG" in line]:
         message = f"{path} is damaged, so that a part of the picture may be wrong ({damage[0]}). Copy it again"
         warnings.warn(message, UserWarning, stacklevel=3)
@@ -178,10 +181,23 @@ def _complaints() -> Iterator[list[str]]:
         said += file.read().decode(errors="replace").splitlines()
 
 
-def _read_header(path: str | Path, content: bytes) -> tuple[int, int] | None:
-    """Return width and height as the header states them, if it can be read; warn of what OpenCV leaves out.
+def check_size(path: str | Path, found: tuple[int, int], expected: tuple[int, int] | None) -> None:
+    """Raise an `OmnistereoError` if an image has another size (width, height) than its camera."""
+    if expected is not None and found != tuple(expected):
+        size, camera = (f"{width} × {height} px" for width, height in (found, expected))
+        raise OmnistereoError(
+            f"{path} is {size}; the camera has {camera}. Pass images as captured: not resized, cropped or rotated."
+        )
 
-    Raises an `OmnistereoError` if the pixels are too many or no integers.
+
+def _not_an_image(path: str | Path, content: bytes) -> OmnistereoError:
+    return OmnistereoError(f"{path} is not an image ({len(content)} bytes); expected PNG, JPEG or similar")
+
+
+def _read_header(path: str | Path, content: bytes) -> tuple[int, int]:
+    """Return width and height as the header states them; warn of what OpenCV leaves out.
+
+    Raises an `OmnistereoError` if it cannot be read, or the pixels are too many or no integers.
     """
     from PIL import Image
 
@@ -192,8 +208,8 @@ def _read_header(path: str | Path, content: bytes) -> tuple[int, int] | None:
             size, mode, pages = image.size, image.mode, getattr(image, "n_frames", 1)
     except Image.DecompressionBombError as error:
         raise OmnistereoError(f"{path} is too large for a picture: {error}") from None
-    except Exception:  # it raises many types for a damaged file; OpenCV decides
-        return None
+    except Exception:  # it raises many types for a damaged file
+        raise _not_an_image(path, content) from None
     if mode == "F":
         raise OmnistereoError(f"{path} holds floating-point numbers; expected a picture of 8 or 16 bits")
     if mode in ("RGBA", "LA", "PA") or pages > 1:
@@ -202,26 +218,21 @@ def _read_header(path: str | Path, content: bytes) -> tuple[int, int] | None:
     return size
 
 
-def read_image(path: str | Path) -> NDArray[np.uint8]:
+def read_image(path: str | Path, image_size: tuple[int, int] | None = None) -> NDArray[np.uint8]:
     """Read an image, uint8: (height, width) if it is gray, else (height, width, 3) in RGB.
 
-    The EXIF orientation is ignored: calibrations refer to the pixels of the sensor. Raises as `read_pixels`.
+    `image_size` is the width and height that it must have, compared before it is decoded. The EXIF orientation is
+    ignored: calibrations refer to the pixels of the sensor. Raises as `read_pixels`.
     """
     import cv2
 
-    image = read_pixels(path, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    image = read_pixels(path, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION, image_size)
     return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
 def read_gray(path: str | Path, image_size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Read an image of a known size (width, height), such as a mask, as gray, shape (height, width).
-
-    Raises as `read_pixels`, and if the size differs.
-    """
-    width, height = _read_header(path, read_bytes(path)) or read_image(path).shape[1::-1]
-    if (width, height) != image_size:
-        raise OmnistereoError(f"{path} is {width} × {height} px, the camera {image_size[0]} × {image_size[1]} px")
-    image = read_image(path)
+    """Read an image of a known size, such as a mask, as gray, shape (height, width); see `read_image`."""
+    image = read_image(path, image_size)
     return image if image.ndim == 2 else image.max(-1)
 
 
@@ -243,11 +254,12 @@ def write_image(path: str | Path, image: NDArray) -> None:
 def atomic_write(path: str | Path) -> Iterator[Path]:
     """Write a file atomically: yield a temporary path beside it, rename it on success, remove it on failure.
 
-    Raises an `OmnistereoError` if the folder is missing or not writable.
+    Removes what killed processes have left of it. Raises an `OmnistereoError` if the folder is missing or not writable.
     """
     path = Path(path)
     temporary = path.with_name(f".{os.getpid()}.{path.name}")  # same suffix: writers choose the format by it
     try:
+        _remove_stale(path)
         yield temporary
         temporary.replace(path)
     except OSError as error:
@@ -257,6 +269,17 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+def _remove_stale(path: Path) -> None:
+    """Remove the temporary files of `path` whose processes have ended; another machine may still write a recent one."""
+    import psutil
+
+    for left in path.parent.glob(f".*.{glob.escape(path.name)}"):
+        number = left.name.split(".")[1]
+        stale = re.fullmatch("[0-9]{1,9}", number) and left.name == f".{number}.{path.name}"
+        if stale and not psutil.pid_exists(int(number)) and time.time() - left.stat().st_mtime > _RECENT:
+            left.unlink(missing_ok=True)
 
 
 def make_folder(path: str | Path) -> Path:

@@ -96,7 +96,7 @@ class DepthWriter:
         Raises:
             OmnistereoError: If a frame cannot be read, does not fit the rig, or cannot be written.
         """
-        cost, images_of = self.method.load_cost(), self.recording.read(numbers)
+        cost, images_of = self.method.load_cost(), self.recording.read(numbers, self.sweep.rig)
         with ThreadPoolExecutor(1) as reader, ThreadPoolExecutor(1) as pool:
             read, written = deque(reader.submit(next, images_of) for _ in numbers[:_PENDING]), deque()
             for k, number in enumerate(numbers):

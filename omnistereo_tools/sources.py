@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import read_image
+from omnistereo_lib.files import check_size, read_image
+from omnistereo_lib.geometry.rig import Rig
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 _VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v", ".mpg", ".mpeg", ".ts")
@@ -43,10 +44,10 @@ class Pictures:
         """Call the frames by the numbers at the end of their names."""
         self.files = {int(re.search(r"[0-9]+$", name)[0]): path for name, path in self.files.items()}
 
-    def read(self, keys: Sequence) -> Iterator[NDArray[np.uint8]]:
-        """Yield the pictures of some frames."""
+    def read(self, keys: Sequence, image_size: tuple[int, int]) -> Iterator[NDArray[np.uint8]]:
+        """Yield the pictures of some frames; width and height must be those of the camera."""
         for key in keys:
-            yield read_image(self.files[key])
+            yield read_image(self.files[key], image_size)
 
 
 class Video:
@@ -71,9 +72,11 @@ class Video:
             raise OmnistereoError(f"{self.path} is not a video that OpenCV can read. Check the path, or convert it.")
         return video
 
-    def read(self, keys: Sequence[int]) -> Iterator[NDArray[np.uint8]]:
+    def read(self, keys: Sequence[int], image_size: tuple[int, int]) -> Iterator[NDArray[np.uint8]]:
         """Yield some frames, in ascending order; those between are skipped, because seeking is not exact."""
         video, position = self._open(), 0
+        width, height = int(video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(video.get(cv2.CAP_PROP_FRAME_HEIGHT))
+        check_size(self.path, (width, height), image_size)
         for key in keys:
             while position < key and video.grab():
                 position += 1
@@ -129,8 +132,9 @@ class Recording:
         """Frames per second of the first video, if there is one."""
         return next((source.fps for source in self.sources if source.fps), None)
 
-    def read(self, numbers: Sequence[int]) -> Iterator[list[NDArray[np.uint8]]]:
-        """Yield the images of all cameras for some frames, in ascending order."""
-        keys = [self.frames[number] for number in numbers]
-        for images in zip(*(source.read(keys) for source in self.sources), strict=True):
+    def read(self, numbers: Sequence[int], rig: Rig) -> Iterator[list[NDArray[np.uint8]]]:
+        """Yield the images of all cameras of a rig for some frames, in ascending order."""
+        keys, sizes = [self.frames[number] for number in numbers], rig.image_sizes(len(self.sources))
+        read = (source.read(keys, size) for source, size in zip(self.sources, sizes, strict=True))
+        for images in zip(*read, strict=True):
             yield list(images)

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scene
+import tifffile
 import torch
 import yaml
 
@@ -166,8 +167,8 @@ COMMANDS = [
     Row("a picture is text", DEPTH, r"cam2.0001.png is not an image .5 bytes", write("cam2/0001.png", "hello")),
     Row("a picture is empty", DEPTH, r"cam2.0001.png is not an image .0 bytes", write("cam2/0001.png", "")),
     Row("a picture is a folder", DEPTH, r"has no frames that OpenCV can read", folder_named_like_a_picture),
-    Row("a picture is smaller", DEPTH, r"image 2 has shape \(96, 100, 3\); camera 2 expects", picture(SMALLER)),
-    Row("a picture is of one pixel", DEPTH, r"image 2 has shape \(1, 1, 3\)", picture(SMALLER[:1, :1])),
+    Row("a picture is smaller", DEPTH, r"cam2.0001.png is 100 × 96 px; the camera has 200 × 192 px", picture(SMALLER)),
+    Row("a picture is of one pixel", DEPTH, r"cam2.0001.png is 1 × 1 px; the camera", picture(SMALLER[:1, :1])),
     Row("a picture has a long name", "depth --rig RIG --images LONG LONG LONG LONG", "File name too long"),
     Row("a picture too few", DEPTH + "--images DATA/cam1/0001.png", r"there are 1 images for 4 cameras"),
     Row("a picture too many", DEPTH + "--images IMAGES DATA/cam1/0001.png", r"5 images for 4 cameras"),
@@ -369,12 +370,24 @@ def aliases(data: Path) -> None:
     (data / "config.yaml").write_text("\n".join([*lines, "cameras: [{poly: *i}]"]))
 
 
-def huge_by_its_header(data: Path) -> None:
-    """A PNG of 30,000 × 30,000 pixels in a hundred bytes."""
-    chunks = [(b"IHDR", struct.pack(">IIBBBBB", 30000, 30000, 8, 0, 0, 0, 0)), (b"IDAT", zlib.compress(bytes(9999)))]
-    chunks.append((b"IEND", b""))
-    packed = [struct.pack(">I", len(c)) + n + c + struct.pack(">I", zlib.crc32(n + c)) for n, c in chunks]
-    first(data).write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(packed))
+def large(side: int) -> Callable[[Path], None]:
+    """A black PNG of many pixels in few bytes; of the largest only the first rows."""
+
+    def spoil(data: Path) -> None:
+        packer = zlib.compressobj(1)
+        rows = [packer.compress(bytes(1 + side)) for _ in range(min(side, 13_000))]
+        size = struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)
+        chunks = [(b"IHDR", size), (b"IDAT", b"".join(rows) + packer.flush()), (b"IEND", b"")]
+        packed = [struct.pack(">I", len(c)) + n + c + struct.pack(">I", zlib.crc32(n + c)) for n, c in chunks]
+        first(data).write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(packed))
+
+    return spoil
+
+
+def large_ground_truth(data: Path) -> None:
+    """A TIFF of zeros."""
+    path, values = data / "omnidepth_gt_96" / "00001.tiff", np.zeros((1 << 13, 1 << 14), np.float32)
+    tifffile.imwrite(path, values, compression="deflate", rowsperstrip=64)
 
 
 def endless(name: str) -> Callable[[Path], None]:
@@ -418,7 +431,9 @@ BOMBS = [
     Row("a rig file that is a pipe", "load_rig RIG", "config.yaml", pipe("config.yaml")),
     Row("a picture that is a pipe", "load_images IMAGES", "cam2.0001.png", pipe("cam2/0001.png")),
     Row("a picture without end", "load_images IMAGES", "cam2.0001.png", endless("cam2/0001.png")),
-    Row("a picture of 30,000 × 30,000 pixels", "load_images IMAGES", "cam2.0001.png", huge_by_its_header),
+    Row("a picture of 30,000 × 30,000 pixels", "load_images IMAGES", "cam2.0001.png", large(30_000)),
+    Row("a picture larger than the camera", "images DATA", "png is 13000 × 13000 px; the camera has", large(13_000)),
+    Row("ground truth of 134 million pixels", "ground_truth DATA", "pixels are too many", large_ground_truth),
 ]
 
 # ---- calls
@@ -517,7 +532,7 @@ CALLS = [
     Call("an even window", lambda: osl.ZNCC(window=4), "window is 4; expected an odd number"),
     Call("half a window", lambda: osl.ZNCC(window=3.5), "window is 3.5; expected an odd number"),
     Call("three images", lambda: depth(IMAGES[:3]), "3 images for 4 cameras"),
-    Call("no images", lambda: depth(None), "images is None; expected a list"),
+    Call("no images", lambda: depth(None), "images is None; expected Sequence"),
     Call("an image cut", lambda: depth([IMAGES[0][:-1], *IMAGES[1:]]), r"image 1 has shape \(191, 200\)"),
     Call("an image of integers", lambda: depth([IMAGES[0].astype(int), *IMAGES[1:]]), "image 1 has type int64"),
     Call("an image not a number", lambda: depth([*IMAGES[:3], np.full((192, 200), np.nan)]), "image 4 has NaN"),

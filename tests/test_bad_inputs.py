@@ -82,8 +82,14 @@ used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (used + 2**30,) * 2)
 resource.setrlimit(resource.RLIMIT_CPU, (int(resource.getrusage(resource.RUSAGE_SELF).ru_utime) + 5,) * 2)
 function, *paths = sys.argv[1:]
+calls = {
+    "load_rig": lambda: osl.load_rig(paths[0]),
+    "load_images": lambda: osl.load_images(paths),
+    "images": lambda: osl.load_dataset(paths[0])[0].images,
+    "ground_truth": lambda: osl.load_dataset(paths[0])[0].inverse_depth,
+}
 try:
-    getattr(osl, function)(paths if function == "load_images" else paths[0])
+    calls[function]()
 except osl.OmnistereoError as error:
     sys.exit(str(error))
 """

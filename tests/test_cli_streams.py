@@ -2,8 +2,10 @@
 
 import io
 import os
+import signal
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numba
@@ -19,20 +21,43 @@ def stdout(monkeypatch):
     return lambda stream: monkeypatch.setattr(sys, "stdout", stream) or stream
 
 
-def wrapped():
-    error = SystemError("a function in C returned a result with an exception set")
-    error.__cause__ = KeyboardInterrupt()
-    return error
+def stopped_by(number, in_c=False):
+    """Return what a command does that gets a signal, perhaps within a library in C."""
+
+    def run(options):
+        try:
+            signal.raise_signal(number)
+        except KeyboardInterrupt as stop:
+            if in_c:
+                raise SystemError("a function in C returned a result with an exception set") from stop
+            raise
+
+    return run
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), wrapped()], ids=type)
-def test_ctrl_c(monkeypatch, capsys, error):
-    def interrupted(options):
-        raise error
-
-    monkeypatch.setattr(cli.doctor, "run", interrupted)
-    assert cli.main(["doctor"]) == 130
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=["Ctrl-C", "kill"])
+@pytest.mark.parametrize("in_c", [False, True])
+def test_a_command_is_stopped(monkeypatch, capsys, number, status, in_c):
+    before = signal.getsignal(signal.SIGTERM)
+    monkeypatch.setattr(cli.doctor, "run", stopped_by(number, in_c))
+    assert cli.main(["doctor"]) == status
     assert capsys.readouterr().err == "interrupted; run the same command to resume\n"
+    assert signal.getsignal(signal.SIGTERM) == before
+
+
+def test_other_errors_in_c_are_bugs(monkeypatch):
+    def run(options):
+        raise SystemError("a function in C returned NULL without setting an exception")
+
+    monkeypatch.setattr(cli.doctor, "run", run)
+    with pytest.raises(SystemError):
+        cli.main(["doctor"])
+
+
+def test_a_command_in_a_thread():
+    """Signals belong to the main thread."""
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(cli.main, ["xyz"]).exception().code == 2
 
 
 @pytest.mark.parametrize("arguments", [["doctor"], ["--help"]], ids=" ".join)

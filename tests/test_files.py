@@ -2,6 +2,9 @@
 
 import os
 import struct
+import subprocess
+import sys
+import time
 import zlib
 from concurrent.futures import ThreadPoolExecutor
 
@@ -109,11 +112,17 @@ def test_16_bit_and_transparent_images_become_8_bit_rgb(tmp_path):
     assert clear.shape == (4, 4, 3) and clear[0, 0].tolist() == [3, 2, 1]
 
 
-def test_a_mask_of_another_size_is_refused(tmp_path):
+@pytest.mark.parametrize("read", [read_gray, read_image])
+def test_a_picture_of_another_size_is_refused(tmp_path, read):
+    write_image(tmp_path / "mask.png", RGB)
+    assert read(tmp_path / "mask.png", (30, 20)).shape[:2] == (20, 30)
+    with pytest.raises(OmnistereoError, match=r"mask.png is 30 × 20 px; the camera has 20 × 30 px. Pass images as"):
+        read(tmp_path / "mask.png", (20, 30))
+
+
+def test_a_mask_is_read_as_gray(tmp_path):
     write_image(tmp_path / "mask.png", RGB)
     np.testing.assert_array_equal(read_gray(tmp_path / "mask.png", (30, 20)), RGB.max(-1))
-    with pytest.raises(OmnistereoError, match=r"mask.png is 30 × 20 px, the camera 20 × 30 px"):
-        read_gray(tmp_path / "mask.png", (20, 30))
 
 
 def test_the_old_file_stays_when_writing_fails(tmp_path):
@@ -126,6 +135,30 @@ def test_the_old_file_stays_when_writing_fails(tmp_path):
     with atomic_write(path) as temporary:
         temporary.write_text("new")
     assert path.read_text() == "new"
+
+
+def test_what_killed_processes_have_left_is_removed(tmp_path):
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    others = [f".{ended.pid}.b.txt", f".{ended.pid}.a.txt.bak", f".{ended.pid}.x.a.txt", f"{ended.pid}.a.txt"]
+    others += [".x.a.txt", ".².a.txt", ".a.txt", f".{'9' * 30}.a.txt", f".{os.getppid()}.a.txt"]  # the last one lives
+    for name in [*others, f".{ended.pid}.a.txt"]:
+        (tmp_path / name).write_text("left")
+        os.utime(tmp_path / name, (time.time() - 99,) * 2)
+    with atomic_write(tmp_path / "a.txt") as temporary:
+        temporary.write_text("new")
+    assert {path.name for path in tmp_path.iterdir()} == {"a.txt", *others}
+
+
+def test_what_another_machine_may_still_write_is_left(tmp_path):
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    (tmp_path / f".{ended.pid}.[a].txt").write_text("half")
+    for age, left in ((0, 1), (99, 0)):
+        os.utime(tmp_path / f".{ended.pid}.[a].txt", (time.time() - age,) * 2)
+        with atomic_write(tmp_path / "[a].txt") as temporary:
+            temporary.write_text("new")
+        assert len(list(tmp_path.iterdir())) == 1 + left
 
 
 def test_writing_where_nothing_can_be_written(tmp_path):

@@ -125,6 +125,11 @@ def contents(folder):
     }
 
 
+def hidden(folder):
+    """Return what a kill has left half-written."""
+    return sorted(folder.rglob(".*"))
+
+
 def without_seconds(path):
     rows = list(csv.DictReader(io.StringIO(path.read_text())))
     return [{name: cell for name, cell in row.items() if name != "seconds"} for row in rows]
@@ -157,11 +162,15 @@ def test_killed_and_given_again_the_files_are_the_same(server, command, undistur
         for _ in range(server.rng.choice((1, 2))):  # a second one meets what the first has left
             number = server.start(*command(out))
             time.sleep(server.rng.uniform(0.05, 0.95) * duration)
-            assert server.kill(number) in (0, 130, *(-sign for sign in SIGNALS)), server.log()[-3000:]
+            status = server.kill(number)
+            assert status in (0, 130, 143, *(-sign for sign in SIGNALS)), server.log()[-3000:]
+            assert status < 0 or hidden(out) == []  # the command has put away what it had begun
+            for path in hidden(out):
+                os.utime(path, (0, 0))  # as if the kill were long ago
         found = contents(out) if out.exists() else {}
         assert all(found.values()), "a file is empty"
         assert server.run(*command(out)) == 0, server.log()[-3000:]
-        assert differing(contents(out), expected) == []
+        assert differing(contents(out), expected) == [] and hidden(out) == []
     assert "Traceback" not in server.log()
 
 

@@ -12,9 +12,10 @@ from omnistereo_lib.calibrate.init import initial_estimate
 from omnistereo_lib.calibrate.params import CalibrationParams, collect_observations
 from omnistereo_lib.calibrate.report import CameraReport
 from omnistereo_lib.calibrate.solution import Solution, distances_of
-from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.errors import OmnistereoError, checked
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Floats
+from omnistereo_lib.rig_files.parse import parse_size
 
 DEGREES = (4, 6, 8)  # odd ones add little; beyond 8 nothing was ever gained (notebook 01 shows it)
 _SIGNIFICANT = 2.0  # standard errors by which a higher degree has to lower the cross-validation error
@@ -27,6 +28,7 @@ _BLURRED = 1.5  # times the edge width of the median view; sharp views of one ca
 _PARALLEL = np.radians(5.0)
 
 
+@checked
 def calibrate_camera(
     views: Sequence[ArrayLike | None],
     board: Checkerboard,
@@ -114,7 +116,7 @@ def read_views(
     if image_size is None:
         raise OmnistereoError("views are corners, so the image size is unknown. Pass image_size=(width, height)")
     named = zip(range(len(arrays)) if names is None else names, arrays, strict=True)
-    return [_checked(name, array, board) for name, array in named], (int(image_size[0]), int(image_size[1])), None
+    return [_checked(name, array, board) for name, array in named], parse_size(image_size, "image_size"), None
 
 
 def _checked(name: str | int, corners: NDArray | None, board: Checkerboard) -> Floats | None:

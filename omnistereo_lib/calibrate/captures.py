@@ -28,8 +28,12 @@ class Captures:
     paths: tuple[tuple[Path | None, ...], ...]  # paths[camera][capture], None if a camera has no image of a capture
 
     def images(self, camera: int) -> list[NDArray[np.uint8] | None]:
-        """Read the images of one camera, None where it has none."""
-        return [None if path is None else read_image(path) for path in self.paths[camera]]
+        """Read the images of one camera, which have one size; None where it has none."""
+        images, size = [], None
+        for path in self.paths[camera]:
+            images.append(path and read_image(path, size))
+            size = size or (path and images[-1].shape[1::-1])
+        return images
 
     def views(self) -> list[list[NDArray[np.uint8] | None]]:
         """Read all images: views[camera][capture], as `calibrate_rig` takes it."""

@@ -15,7 +15,7 @@ from omnistereo_lib.calibrate.detect import Progress
 from omnistereo_lib.calibrate.params import CalibrationParams, Observations, collect_observations
 from omnistereo_lib.calibrate.report import CameraReport, RigReport
 from omnistereo_lib.calibrate.solution import Solution, distances_of
-from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.errors import OmnistereoError, checked
 from omnistereo_lib.geometry.pose import Floats, Pose
 from omnistereo_lib.geometry.rig import Rig
 
@@ -25,6 +25,7 @@ _FEW_SHARED = 5
 _MOVED = 1.5  # the same over all shared captures: then the cameras do not move as one
 
 
+@checked
 def calibrate_rig(
     views: Sequence[Sequence[ArrayLike | None]],
     board: Checkerboard,

@@ -2,9 +2,12 @@
 
 import argparse
 import os
+import signal
 import sys
+import threading
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from difflib import get_close_matches
 from io import TextIOWrapper
 
@@ -27,7 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         try:
             options = _parse(list(sys.argv[1:] if arguments is None else arguments))
-            with warnings.catch_warnings():
+            with _stopped_by_sigterm(), warnings.catch_warnings():
                 warnings.showwarning = lambda message, *_: print(f"warning: {message}", file=sys.stderr)
                 return options.run(options) or 0
         finally:
@@ -35,15 +38,37 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OmnistereoError as error:
         return _stop(f"error: {error}", 2)
     except (KeyboardInterrupt, SystemError) as error:  # the latter where Ctrl-C met a library in C
-        if KeyboardInterrupt not in (type(error), type(error.__cause__)):
+        stop = error if isinstance(error, KeyboardInterrupt) else error.__cause__
+        if not isinstance(stop, KeyboardInterrupt):
             raise
-        return _stop("interrupted; run the same command to resume", 130)
+        return _stop("interrupted; run the same command to resume", 143 if isinstance(stop, _Terminated) else 130)
     except OSError as error:
         if error.filename is None:  # it is the output; what it has not taken would fail again at exit
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if isinstance(error, BrokenPipeError):  # a reader such as `head` has seen enough
             return 141
         return _stop(f"error: {error.filename or 'the output'} cannot be read or written: {error.strerror}", 2)
+
+
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM, as `kill` and batch systems send it."""
+
+
+@contextmanager
+def _stopped_by_sigterm() -> Iterator[None]:
+    """Let SIGTERM end a command like Ctrl-C; only the main thread can."""
+
+    def stop(*_: object) -> None:
+        raise _Terminated
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _stop(line: str, status: int) -> int:

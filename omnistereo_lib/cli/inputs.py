@@ -57,7 +57,8 @@ def read_input(options: argparse.Namespace) -> tuple[Rig, list[NDArray], Frame |
     from omnistereo_tools.masks import with_masks
 
     if options.images is not None:
-        return read_rig(options), load_images(options.images), None
+        rig = read_rig(options)
+        return rig, load_images(options.images, rig), None
     folder = options.rig or SAMPLE
     if not folder.is_dir():
         raise OmnistereoError(f"{folder} is not a data set folder. Give --images, one per camera of the rig")

@@ -11,7 +11,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omnistereo_lib.errors import OmnistereoError, check_number
+from omnistereo_lib.errors import OmnistereoError, check_number, checked
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
 
@@ -56,12 +56,21 @@ class Rig:
         """Camera centres in the rig frame, shape (cameras, 3), metres."""
         return np.stack([pose.t for pose in self.T_rig_cam])
 
+    def image_sizes(self, count: int) -> list[tuple[int, int]]:
+        """Return width and height of every camera; an `OmnistereoError` if `count` images are not one per camera."""
+        if count != len(self):
+            raise OmnistereoError(
+                f"there are {count} images for {len(self)} cameras. Pass one image per camera, in rig order."
+            )
+        return [camera.image_size for camera in self.cameras]
+
     @property
     def baselines(self) -> NDArray[np.float64]:
         """Distances between all pairs of camera centres, shape (pairs,), metres."""
         i, j = np.triu_indices(len(self), 1)
         return np.linalg.norm(self.centers[i] - self.centers[j], axis=-1)
 
+    @checked
     def transformed(self, T_new_rig: Pose) -> Rig:
         """Return the rig in another frame: T_new_rig maps rig coordinates to the new frame."""
         return self.with_poses([T_new_rig @ pose for pose in self.T_rig_cam])
@@ -75,11 +84,13 @@ class Rig:
         center = self.centers.mean(0) if center is None else np.asarray(center, np.float64)
         return self.transformed(Pose(np.eye(3), -center))
 
+    @checked
     def with_poses(self, T_rig_cam: Sequence[Pose]) -> Rig:
         """Return the same cameras with other poses."""
         return Rig(self.cameras, T_rig_cam, self.min_depth)
 
 
+@checked
 def camera_pairs(pairs: Pairs, rig: Rig) -> list[tuple[int, int]]:
     """Return the camera pairs to match, as indices (paper, Section III-B).
 

@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from omnistereo_lib.errors import OmnistereoError, check_number
+from omnistereo_lib.errors import OmnistereoError, check_number, checked
 from omnistereo_lib.files import read_data
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.rig_files.basalt import read_basalt
@@ -29,6 +29,7 @@ _FAR = 1000.0  # metres
 _METRIC_READERS = {"OmniMVS config.yaml": read_omnimvs, "basalt JSON": read_basalt, "Kalibr camchain": read_kalibr}
 
 
+@checked
 def load_rig(path: str | Path, unit: str | None = None, max_fov_deg: float | None = None) -> Rig:
     """Read a rig of any supported format; the log (`logging`, name "omnistereo_lib") states which.
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.errors import OmnistereoError, checked
 from omnistereo_lib.files import atomic_write, path_within, write_image
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.rig_files.camera_models import DEFAULT_FOV_DEG
@@ -41,6 +41,7 @@ def read_omnimvs(data: dict[str, Any], path: Path, max_fov_deg: float | None) ->
     return Rig(cameras, poses, min_depth)
 
 
+@checked
 def save_rig(rig: Rig, path: str | Path) -> None:
     """Write a rig as config.yaml (OmniMVS format, metres), every number in full.
 

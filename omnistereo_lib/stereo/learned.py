@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.errors import OmnistereoError, checked
 from omnistereo_lib.stereo.sweep import split_at_seam
 from omnistereo_lib.stereo.weights import StoredNetwork
 from omnistereo_lib.stereo.zncc import common_columns
@@ -136,6 +136,7 @@ class LearnedCost:
         precision: Of the matrix products; see `uses_bfloat16`, which also says what raises.
     """
 
+    @checked
     def __init__(self, network: PairNetwork, precision: Precision = "auto") -> None:
         uses_bfloat16(precision, "cpu")
         self.network = network.eval().to(memory_format=torch.channels_last)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import torch
 from numpy.typing import ArrayLike
 
+from omnistereo_lib.errors import checked
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.depth import Depth
@@ -14,6 +15,7 @@ from omnistereo_lib.stereo.sweep import SphereSweep, select_device
 from omnistereo_lib.stereo.volume import Cost, check_memory, cost_volume
 
 
+@checked
 def estimate_depth(
     rig: Rig,
     images: Sequence[ArrayLike],
@@ -42,6 +44,7 @@ def estimate_depth(
     return sweep_depth(sweep, images, method, cost, subindex, progress)
 
 
+@checked
 def sweep_depth(
     sweep: SphereSweep,
     images: Sequence[ArrayLike],

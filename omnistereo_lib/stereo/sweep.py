@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.errors import OmnistereoError, checked
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
@@ -50,6 +50,7 @@ class SphereSweep:
         lut_bytes: Size of the lookup tables that are kept.
     """
 
+    @checked
     def __init__(
         self,
         rig: Rig,
@@ -262,12 +263,7 @@ def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray]:
     if not isinstance(images, Sequence | np.ndarray | Tensor):
         raise OmnistereoError(f"images is {images!r:.80}; expected a list of one array per camera")
     images = [np.asarray(image.detach().cpu() if isinstance(image, Tensor) else image) for image in images]
-    if len(images) != len(rig):
-        raise OmnistereoError(
-            f"there are {len(images)} images for {len(rig)} cameras. Pass one image per camera, in rig order."
-        )
-    for i, (image, camera) in enumerate(zip(images, rig.cameras, strict=True)):
-        width, height = camera.image_size
+    for i, (image, (width, height)) in enumerate(zip(images, rig.image_sizes(len(images)), strict=True)):
         if image.shape not in [(height, width), (height, width, 3)]:
             raise OmnistereoError(
                 f"image {i + 1} has shape {image.shape}; camera {i + 1} expects ({height}, {width}) or "

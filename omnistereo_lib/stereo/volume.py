@@ -9,7 +9,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.errors import OmnistereoError, checked
 from omnistereo_lib.geometry.rig import Pairs, Rig, camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.sweep import SphereSweep
@@ -31,6 +31,7 @@ class Cost(Protocol):
         """Return the costs as `ZNCC.__call__` does."""
 
 
+@checked
 def cost_volume(
     sweep: SphereSweep,
     images: Sequence[ArrayLike],

@@ -11,7 +11,7 @@ import torch
 from safetensors.torch import load, save
 from torch import Tensor, nn
 
-from omnistereo_lib.errors import OmnistereoError, shortened
+from omnistereo_lib.errors import OmnistereoError, checked, shortened
 from omnistereo_lib.files import atomic_write, parse_json, read_bytes
 
 BUNDLED_WEIGHTS = Path(__file__).resolve().parents[1] / "weights"
@@ -42,6 +42,7 @@ class StoredNetwork(nn.Module):
         save_tensors(path, self.state_dict(), about)
 
     @classmethod
+    @checked
     def from_file(cls, path: str | Path, **expected: Any) -> Self:
         """Build a network with the weights of a file that training wrote, in evaluation mode.
 

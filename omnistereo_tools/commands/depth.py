@@ -96,7 +96,7 @@ def _run_recording(options: argparse.Namespace) -> None:
         some = ", ".join(map(str, names[:8])) + " …" * (len(names) > 8)
         print(f"{path} lacks {len(names)} frames that other cameras have; they are left out: {some}")
     options.min_depth = options.min_depth or stored_min_depth(options.out)
-    grid = make_grid(options, rig, next(recording.read([min(recording.frames)])))
+    grid = make_grid(options, rig, next(recording.read([min(recording.frames)], rig)))
     writer = DepthWriter.open(
         options.out, recording, rig, grid, options.method, f".{options.depth_format}", options.video is not None,
         options.device,

@@ -1,5 +1,7 @@
 """Wrong arguments that `bad_inputs.py` does not have: each gets the library's error, at once, and says why."""
 
+import inspect
+
 import numpy as np
 import pytest
 import scene
@@ -53,6 +55,57 @@ def test_wrong_arguments(call, message):
     with pytest.raises(osl.OmnistereoError, match=message) as error:
         call()
     assert len(str(error.value)) < 400
+
+
+SWEEP = osl.SphereSweep(RIG, GRID)
+BOARD = osl.Checkerboard((4, 3), 0.06)
+
+
+@pytest.mark.parametrize(
+    ("name", "call"),
+    [
+        ("rig", lambda wrong: osl.estimate_depth(wrong, IMAGES, GRID)),
+        ("images", lambda wrong: osl.estimate_depth(RIG, wrong, GRID)),
+        ("grid", lambda wrong: osl.estimate_depth(RIG, IMAGES, wrong)),
+        ("method", lambda wrong: osl.estimate_depth(RIG, IMAGES, GRID, wrong)),
+        ("progress", lambda wrong: osl.estimate_depth(RIG, IMAGES, GRID, progress=wrong)),
+        ("sweep", lambda wrong: sweep_depth(wrong, IMAGES)),
+        ("sweep", lambda wrong: osl.cost_volume(wrong, IMAGES)),
+        ("rig", lambda wrong: osl.SphereSweep(wrong, GRID)),
+        ("grid", lambda wrong: osl.SphereSweep(RIG, wrong)),
+        ("rig", lambda wrong: osl.camera_pairs("ring", wrong)),
+        ("T_rig_cam", lambda wrong: RIG.with_poses(wrong)),
+        ("T_new_rig", lambda wrong: RIG.transformed(wrong)),
+        ("path", lambda wrong: RIG.save(wrong)),
+        ("path", lambda wrong: osl.load_rig(wrong)),
+        ("path", lambda wrong: osl.SweepNet.from_file(wrong)),
+        ("paths", lambda wrong: osl.load_images(wrong)),
+        ("folder", lambda wrong: osl.load_dataset(wrong)),
+        ("network", lambda wrong: osl.LearnedCost(wrong)),
+        ("views", lambda wrong: osl.calibrate_camera(wrong, BOARD)),
+        ("board", lambda wrong: osl.calibrate_camera([VOLUME[0]], wrong)),
+        ("views", lambda wrong: osl.calibrate_rig(wrong, BOARD)),
+        ("board", lambda wrong: osl.calibrate_rig([[VOLUME[0]]] * 2, wrong)),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("wrong", [None, 5, 0.5, object()], ids=lambda wrong: type(wrong).__name__)
+def test_wrong_types(name, call, wrong):
+    with pytest.raises(osl.OmnistereoError, match=rf"^{name} is .*; expected ") as error:
+        call(wrong)
+    assert len(str(error.value)) < 200
+
+
+def test_right_types_of_every_kind(tmp_path):
+    """A path may be text or a path, a sequence an array; numbers of NumPy are left to the function."""
+    RIG.save(str(tmp_path / "rig.yaml"))
+    assert (
+        len(osl.load_rig(tmp_path / "rig.yaml")) == len(osl.load_rig(path=str(tmp_path / "rig.yaml"), unit=None)) == 4
+    )
+    for images in (np.stack(IMAGES), torch.from_numpy(np.stack(IMAGES)), tuple(IMAGES)):
+        np.testing.assert_array_equal(depth(images).index, depth().index)
+    assert len(osl.calibrate_camera.__doc__) > 100 and "views" in inspect.signature(osl.calibrate_camera).parameters
+    with pytest.raises(TypeError, match="missing a required argument: 'images'"):
+        osl.estimate_depth(RIG, grid=GRID)
 
 
 @pytest.mark.parametrize(

@@ -144,5 +144,5 @@ def test_masks_beside_the_images_or_named(rig, tmp_path):
     with pytest.raises(osl.OmnistereoError, match="there are 3 masks for 4 cameras"):
         with_masks(rig, named[:3], together)
     write_image(tmp_path / "cam0" / "mask.png", mask[:50])
-    with pytest.raises(osl.OmnistereoError, match=r"mask.png is 200 × 50 px, the camera 200 × 192 px"):
+    with pytest.raises(osl.OmnistereoError, match=r"mask.png is 200 × 50 px; the camera has 200 × 192 px"):
         with_masks(rig, named, together)

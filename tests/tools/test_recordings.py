@@ -171,6 +171,8 @@ def test_what_is_no_recording_is_told(tmp_path):
 def test_a_video_shorter_than_it_says_is_told(tmp_path):
     write_video(tmp_path / "a.mkv", [np.full((48, 64), 9, np.uint8)] * 5)
     source = Recording.open([tmp_path / "a.mkv"]).sources[0]
-    assert len(list(source.read([1, 4]))) == 2
+    assert len(list(source.read([1, 4], (64, 48)))) == 2
     with pytest.raises(osl.OmnistereoError, match=r"a.mkv ends before frame 7. Pass --stop 7"):
-        list(source.read([1, 7]))
+        list(source.read([1, 7], (64, 48)))
+    with pytest.raises(osl.OmnistereoError, match=r"a.mkv is 64 × 48 px; the camera has 48 × 64 px"):
+        next(source.read([1], (48, 64)))
