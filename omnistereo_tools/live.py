@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from threading import Condition, Thread
@@ -98,9 +98,16 @@ class Cameras:
 def live_pictures(
     sources: Sequence[int | str], sweep: SphereSweep, method: str | Method
 ) -> Iterator[NDArray[np.uint8]]:
-    """Yield pictures, panorama over depth, BGR, until a source ends; see `Cameras`, which also says what raises."""
+    """Return pictures, panorama over depth, BGR, until a source ends; see `Cameras`, which also says what raises."""
     cameras, method = Cameras(sources, sweep.rig), Method.parse(method)
-    cost, scale = method.load_cost(), ColorScale(0.0, 0.8 / sweep.grid.min_depth)
+    cost = method.load_cost()
+    blank = [np.zeros(camera.image_size[::-1], np.uint8) for camera in sweep.rig.cameras]
+    sweep_depth(sweep, blank, method, cost).panorama(blank)  # what takes long once, before a video begins to play
+    return _play(cameras, sweep, method, cost)
+
+
+def _play(cameras: Cameras, sweep: SphereSweep, method: Method, cost: Callable) -> Iterator[NDArray[np.uint8]]:
+    scale = ColorScale(0.0, 0.8 / sweep.grid.min_depth)
     reader = Thread(target=cameras.read, daemon=True)
     reader.start()
     before = time.monotonic()

@@ -13,8 +13,9 @@ import importlib.util
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from threading import Thread
 
 from omnistereo_lib.errors import OmnistereoError
 from render.boards import CAPTURES
@@ -33,6 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("sets", nargs="*", metavar="SET", help=f"image sets: {', '.join(_ALL)} (default: sunny/test)")
     parser.add_argument("--frames", type=int, nargs="+", help="frame or capture numbers (default: those that ship)")
     parser.add_argument("--shard", default="1/1", help="part i/n of the frames, for several machines (default: 1/1)")
+    parser.add_argument("--cluster", metavar="ADDRESS", help="of a Dask scheduler, to use many machines")
     parser.add_argument("--seed", type=int, default=SEED, help=f"of the city and the rig (default: {SEED})")
     parser.add_argument("--out", type=Path, default=_ROOT / "data_samples", help="default: data_samples")
     try:
@@ -52,10 +54,10 @@ def render(options: argparse.Namespace) -> int:
     wanted = {name: select_shard(_numbers(name, options.frames), options.shard) for name in names}
     if options.seed < 0:
         raise OmnistereoError(f"a seed is a whole number from 0 up, got {options.seed}")
-    if importlib.util.find_spec("bpy") is None:
+    if options.cluster is None and importlib.util.find_spec("bpy") is None:
         return _run_in_blender_environment(options)
     for name, numbers in wanted.items():
-        _render(options.out / name, name, numbers, options.seed)
+        _render(options.out.absolute() / name, name, numbers, options.seed, options.cluster)
     sets = " ".join(name for name in _ALL if (options.out / name).is_dir())
     write_manifest(options.out, options.seed, f"python -m render {sets} --seed {options.seed}")
     return 0
@@ -72,34 +74,69 @@ def _numbers(name: str, frames: list[int] | None) -> tuple[int, ...]:
     return tuple(dict.fromkeys(frames)) if frames else images.shipped
 
 
-def _render(folder: Path, name: str, numbers: tuple[int, ...], seed: int) -> None:
+def _render(folder: Path, name: str, numbers: tuple[int, ...], seed: int, cluster: str | None) -> None:
     from tqdm import tqdm
 
-    if name in CAPTURES:
-        captures = CAPTURES[name]
-        done = sum(is_captured(folder, captures, number, seed) for number in numbers)
-        finished = render_captures(folder, captures, numbers, seed)
-    elif name in WORLDS:
-        done = sum(is_rendered(folder, number) for number in numbers)
-        finished = render_worlds(folder, WORLDS[name], numbers, seed)
+    missing = [number for number in numbers if not _is_done(folder, name, number, seed)]
+    if cluster is None:
+        finished = _render_here(folder, name, numbers, seed)
     else:
-        images = SETS[name]
-        forget_partial(folder, images, numbers)
-        done = sum(is_complete(folder, images, number) for number in numbers)
-        finished = render_set(folder, images, numbers, seed)
-    with tqdm(total=len(numbers), initial=done, desc=name, unit="frame") as bar:
+        from omnistereo_tools.cluster import on_cluster
+
+        finished = on_cluster(cluster, _render_in_process, [(folder, name, number, seed) for number in missing])
+    with tqdm(total=len(numbers), initial=len(numbers) - len(missing), desc=name, unit="frame") as bar:
         for _ in finished:
             bar.update()
 
 
-def _run_in_blender_environment(options: argparse.Namespace) -> int:
+def _is_done(folder: Path, name: str, number: int, seed: int) -> bool:
+    if name in CAPTURES:
+        return is_captured(folder, CAPTURES[name], number, seed)
+    return is_rendered(folder, number) if name in WORLDS else is_complete(folder, SETS[name], number)
+
+
+def _render_here(folder: Path, name: str, numbers: tuple[int, ...], seed: int) -> Iterator[int]:
+    if name in CAPTURES:
+        return render_captures(folder, CAPTURES[name], numbers, seed)
+    if name in WORLDS:
+        return render_worlds(folder, WORLDS[name], numbers, seed)
+    forget_partial(folder, SETS[name], numbers)
+    return render_set(folder, SETS[name], numbers, seed)
+
+
+def _render_in_process(frame: tuple[Path, str, int, int]) -> None:
+    """Render one frame (folder, name, number, seed) in a process of Blender's environment, as a worker of a cluster.
+
+    Blender runs only in the main thread of a process, and a worker needs that one itself.
+    """
+    command = [_find_blender_python(), "-c", "import render; render.run_for_worker()", *map(str, frame)]
+    pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL
+    with subprocess.Popen(command, cwd=_ROOT, stdin=pipe, stdout=nowhere, stderr=pipe, text=True) as process:
+        errors = process.stderr.read()
+    if process.returncode:
+        raise OmnistereoError(f"{frame[1]} {frame[2]} failed in Blender's environment: {errors.strip()[-1000:]}")
+
+
+def run_for_worker() -> None:
+    """Render the frame that the command line names; end when the worker that waits for it does."""
+    folder, name, number, seed = sys.argv[1:]
+    Thread(target=lambda: os.read(0, 1) or os._exit(1), daemon=True).start()  # its end closes the pipe
+    for _ in _render_here(Path(folder), name, (int(number),), int(seed)):
+        pass
+
+
+def _find_blender_python() -> Path:
     environment = _BLENDER_PYTHON.parents[1]
     if not _BLENDER_PYTHON.is_file() or Path(sys.prefix).resolve() == environment.resolve():
         raise OmnistereoError(
             f"Blender's environment is missing or unfinished ({environment.name}): run make render, or "
             "python3.11 -m venv .venv-render and .venv-render/bin/pip install -r environment-render.txt"
         )
+    return _BLENDER_PYTHON
+
+
+def _run_in_blender_environment(options: argparse.Namespace) -> int:
     frames = ["--frames", *map(str, options.frames)] if options.frames else []
-    command = [_BLENDER_PYTHON, "-m", "render", *options.sets, *frames]
+    command = [_find_blender_python(), "-m", "render", *options.sets, *frames]
     command += ["--shard", options.shard, "--seed", str(options.seed), "--out", options.out.absolute()]
     return subprocess.run(command, cwd=_ROOT, check=False).returncode

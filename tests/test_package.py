@@ -112,6 +112,10 @@ def test_geometry_and_stereo_import_nothing_above_them():
 def test_the_renderer_uses_geometry_only():
     used = {other for path in sources("render").values() for other in ours(path)}
     assert {name.split(".")[1] for name in used} <= {"geometry", "errors"}
+    tools = {other for path in sources("render").values() for other in imports(path) if "omnistereo_tools" in other}
+    assert tools == {"omnistereo_tools.cluster"}
+    eager = {other for path in sources("render").values() for other in imports(path, inside_functions=False)}
+    assert not eager & tools  # Blender's environment cannot import them
 
 
 @pytest.mark.parametrize("folder", ["omnistereo_lib/geometry", "omnistereo_lib/stereo", "omnistereo_tools"])

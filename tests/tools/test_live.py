@@ -1,6 +1,7 @@
 """The live view, from video files, in the browser."""
 
 import re
+import time
 import urllib.request
 
 import cv2
@@ -11,6 +12,7 @@ import scene
 import omnistereo_lib as osl
 from omnistereo_lib import cli
 from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_tools import live
 from omnistereo_tools.live import Latest, live_pictures, serve, show_in_browser
 
 FRAMES = 5
@@ -43,6 +45,21 @@ def test_pictures_show_panorama_over_depth(recorded):
     small = cv2.resize(depth, (96, 24), interpolation=cv2.INTER_AREA).astype(int).sum(-1)
     assert np.corrcoef(small.ravel(), truth.inverse_depth.ravel())[0, 1] > 0.9  # near is bright
     assert panorama.std() > 20 and np.ptp(panorama.astype(int), axis=-1).mean() < 3  # the scene is gray
+
+
+def test_a_video_begins_to_play_when_the_first_depth_was_computed(recorded, monkeypatch):
+    """Compiling and tables take longer than a short video."""
+    rig, _, videos = recorded
+    compute, calls = live.sweep_depth, []
+
+    def slow_at_first(*arguments):
+        calls.append(arguments)
+        time.sleep(1.0 if len(calls) == 1 else 0.0)  # the video takes 0.25 s
+        return compute(*arguments)
+
+    monkeypatch.setattr(live, "sweep_depth", slow_at_first)
+    first = next(iter(live_pictures(videos, SphereSweep(rig, GRID), "zncc")))
+    assert len(calls) == 2 and first[: first.shape[0] // 3].std() > 20
 
 
 def test_the_browser_gets_a_stream():
