@@ -37,6 +37,19 @@ def _line(ax: Axes, start: tuple, end: tuple, **style: object) -> None:
     ax.plot(*zip(start, end, strict=True), **style)
 
 
+def aliasing() -> Figure:
+    """A fine wave, sampled as it is and after a blur."""
+    fig, axes = plt.subplots(1, 2, figsize=(10, 2.6), layout="constrained", sharey=True)
+    x, samples = np.linspace(0, 40, 2000), np.arange(0, 41, 3.6)
+    for ax, amplitude, name in zip(axes, (1.0, 0.04), ("sampled as they are", "blurred first"), strict=True):
+        stripes, at = (amplitude * np.cos(2 * np.pi * places / 3.1) for places in (x, samples))
+        ax.plot(x, stripes, color=SPHERE, lw=1)
+        ax.plot(samples, at, "o-", color=POINT, lw=2, ms=6)
+        ax.set(title=name, xlabel="image [px]", ylim=(-1.3, 1.3))
+    axes[0].set_ylabel("brightness")
+    return fig
+
+
 def sphere_sweep() -> Figure:
     """Two cameras, one ray, three circles: the pictures agree on one of them only."""
     fig, axes = _canvas(10, 3.9, 2)
