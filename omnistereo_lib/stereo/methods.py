@@ -221,11 +221,11 @@ def penalties(width: int, num_spheres: int, p1: float = 0.1, p2: float = 12.0) -
 
     A surface covers fewer pixels of a coarser panorama, so fewer costs speak for it against the same penalties; and
     among more spheres its slope is more steps a pixel, each of which is paid. The powers are measured on a stretch of
-    road for which no figure is reported; see notebook 07. Neither penalty exceeds that of the paper's scale.
+    road and rooms for which no figure is reported; see notebook 07. Neither penalty exceeds that of the paper's scale.
     """
     scale = min(width / 1200, 1.0)
     p2 *= min(scale**2 * 192 / num_spheres, 1.0)
-    return min(p1 * scale, p2), p2
+    return min(p1 * scale**0.5, p2), p2
 
 
 def _text(value: Any) -> str:

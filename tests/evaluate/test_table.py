@@ -276,7 +276,7 @@ def test_the_table_has_the_form_of_the_paper():
     lines = table.text().splitlines()
     assert table.caption == lines.pop() == table.markdown().splitlines()[-1]
     assert table.caption.startswith("Means over frames (3 of sunny, 3 of sunset, 3 of box), in % of the N spheres")
-    assert "320 × 80, N = 64, pairs = ring, p1 = 0.027, p2 = 2.6, whole indices, unless" in table.caption
+    assert "320 × 80, N = 64, pairs = ring, p1 = 0.052, p2 = 2.6, whole indices, unless" in table.caption
     assert len(lines) == 1 + 2 * 4
     assert lines[1].split()[:6] == ["ZNCC", "20.0", "10.0", "2.0", "5.25", "1.00"]
     interval = f"{cells[0, 1]:.1f}–{cells[0, 2]:.1f}"

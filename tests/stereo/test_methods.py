@@ -39,7 +39,7 @@ def test_the_defaults_are_the_papers():
 
 
 def test_penalties_follow_the_scale(box):
-    assert penalties(320, 64) == pytest.approx((0.1 * 320 / 1200, 12 * (320 / 1200) ** 2 * 3))
+    assert penalties(320, 64) == pytest.approx((0.1 * (320 / 1200) ** 0.5, 12 * (320 / 1200) ** 2 * 3))
     for width, num_spheres in ((8, 4000), (160, 40), (640, 8), (4800, 192)):
         p1, p2 = penalties(width, num_spheres)
         assert 0 < p1 <= p2 <= 12 and p1 <= 0.1
