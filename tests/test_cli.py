@@ -4,6 +4,7 @@ import importlib
 import json
 import re
 
+import cv2
 import numpy as np
 import psutil
 import pytest
@@ -86,6 +87,10 @@ def test_depth_of_images(data, tmp_path, capsys):
     assert {path.name for path in out.iterdir()} == {"a.ply", "a.tiff", "data", "index.html", "overview.png"}
     assert sorted(path.name for path in (out / "data").iterdir()) == sorted([*RESULTS, "mine.txt"])
     assert "ground truth" not in capsys.readouterr().out
+    sphere = cv2.imread(str(out / "a.tiff"), cv2.IMREAD_UNCHANGED)  # 2:1, from -90° to 90°
+    assert sphere.shape == (48, 96) and np.isnan(sphere[:16]).all() and np.isnan(sphere[40:]).all()
+    inverse_depth = read_inverse_depth(out / "data" / "inverse_depth.tiff")
+    np.testing.assert_allclose(sphere[16:40] * inverse_depth, 1, rtol=1e-6)
 
 
 def test_depth_of_gray_images_without_a_nearest_depth(data, tmp_path, capsys, scene_images):
@@ -104,7 +109,7 @@ def test_doctor_of_a_rig(data, capsys, scene_images):
     assert run("doctor", "--rig", data, *SMALL) == 0
     out = capsys.readouterr().out
     low, high = scene_images[0].baselines.min(), scene_images[0].baselines.max()
-    assert f"4 cameras, {low:.3g} … {high:.3g} m apart" in out and "OK    the rig fits the images" in out
+    assert f"4 cameras, {low:.3g} to {high:.3g} m apart" in out and "OK    the rig fits the images" in out
     invert_poses(scene_images[0]).save(data / "config.yaml")
     assert run("doctor", *with_images(data), *SMALL) == 1
     assert "FAIL  the poses look inverted (rig → camera instead of camera → rig)" in capsys.readouterr().out

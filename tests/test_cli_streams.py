@@ -79,7 +79,7 @@ def test_a_full_disk(stdout, capsys):
 def test_an_ascii_terminal(stdout):
     stream = stdout(io.TextIOWrapper(io.BytesIO(), encoding="ascii"))
     assert cli.main(["doctor", "--rig", str(Path(cli.__file__).parents[1] / "sample" / "config.yaml")]) == 0
-    assert b"4 cameras, 0.841 ? 1.2 m apart" in stream.buffer.getvalue()
+    assert b"4 cameras, 0.841 to 1.2 m apart" in stream.buffer.getvalue() and b"320 ? 80" in stream.buffer.getvalue()
 
 
 def test_the_module_answers_in_one_line(tmp_path):

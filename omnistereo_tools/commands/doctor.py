@@ -32,7 +32,7 @@ def run(options: argparse.Namespace) -> int:
     alone = options.images is None and options.rig.is_file()
     rig, images, _ = (load_rig(options.rig, options.unit), None, None) if alone else read_input(options)
     low, high = rig.baselines.min(), rig.baselines.max()
-    print(f"{len(rig)} cameras, {low:.3g} … {high:.3g} m apart: is that right?")
+    print(f"{len(rig)} cameras, {low:.3g} to {high:.3g} m apart: check that this is right.")
     coverage = Coverage.of(rig)
     print(*coverage.sentences(), sep="\n")
     if options.coverage:
