@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from omnistereo_lib.doctor import Check, check_machine, check_python, installed_version, print_checks
+from omnistereo_tools.installation import Check, check_machine, check_python, installed_version, print_checks
 
 _ROOT = Path(__file__).resolve().parents[1]
 _PROBE_SECONDS = 60

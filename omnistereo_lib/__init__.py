@@ -32,7 +32,6 @@ _NAMES = {
     "dataset": ["load_dataset", "load_images"],
     "stereo.methods": ["Method"],
     "stereo.pipeline": ["estimate_depth"],
-    "doctor": ["doctor"],
 }
 _EXPORTS = {name: module for module, names in _NAMES.items() for name in names}
 
@@ -52,7 +51,7 @@ def __dir__() -> list[str]:
 
 
 class _LazyPackage(ModuleType):
-    """The package as a module whose functions `sgm` and `doctor` are not replaced by the modules of those names.
+    """The package as a module whose function `sgm` is not replaced by the module of that name.
 
     Python binds every imported submodule to its package, so that `osl.sgm` would be the function or the module
     depending on what was imported before.

@@ -123,7 +123,7 @@ def test_doctor_of_a_rig_without_images_says_what_it_can_see(data, tmp_path, cap
 
 @pytest.mark.parametrize("well", [True, False])
 def test_doctor_of_the_installation(monkeypatch, well):
-    module = importlib.import_module("omnistereo_lib.doctor")
+    module = importlib.import_module("omnistereo_tools.installation")
     monkeypatch.setattr(module, "doctor", lambda: well)
     assert run("doctor") == (0 if well else 1)
 

@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Print what is in place and what is not; return 1 if something is wrong."""
     if options.rig is None and options.images is None:
-        from omnistereo_lib.doctor import doctor
+        from omnistereo_tools.installation import doctor
 
         return 0 if doctor() else 1
     from omnistereo_lib.files import write_image

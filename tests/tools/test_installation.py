@@ -1,11 +1,10 @@
-"""The doctor of the library: a line for each requirement, and the fix with each failure."""
+"""The check of the installation: a line for each requirement, and the fix with each failure."""
 
-import importlib
 from importlib import metadata
 
 import pytest
 
-doctor = importlib.import_module("omnistereo_lib.doctor")  # the module; the package has the function under this name
+from omnistereo_tools import installation as doctor
 
 
 @pytest.fixture
