@@ -25,7 +25,7 @@ ABLATIONS = {
     "pairs": _varied(METHODS, pairs=("ring", "all")),
     "wrap": _varied((*_SGM, _SWEEPNET[0]), wrap=(True, False)),
     "subindex": _varied(METHODS, subindex=(False, True)),
-    "penalties": _varied(_varied(_SGM, p1=(0.02, 0.1, 0.5)), p2=(1.5, 4.0, 12.0, 36.0)),
+    "penalties": (*_SGM, *_varied(_varied(_SGM, p1=(0.02, 0.1, 0.5)), p2=(1.5, 4.0, 12.0, 36.0))),
     "spheres": _varied(METHODS, num_spheres=(0, 96, 48)),
 }
 
