@@ -109,9 +109,9 @@ def test_geometry_and_stereo_import_nothing_above_them():
         assert not used & forbidden
 
 
-def test_the_renderer_uses_geometry_only():
+def test_the_renderer_uses_geometry_and_files_only():
     used = {other for path in sources("render").values() for other in ours(path)}
-    assert {name.split(".")[1] for name in used} <= {"geometry", "errors"}
+    assert {name.split(".")[1] for name in used} <= {"geometry", "errors", "files"}
 
 
 @pytest.mark.parametrize("folder", ["omnistereo_lib/geometry", "omnistereo_lib/stereo", "omnistereo_tools"])
