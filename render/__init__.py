@@ -42,6 +42,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OmnistereoError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print("interrupted; run the same command to resume", file=sys.stderr)
+        return 130
 
 
 def render(options: argparse.Namespace) -> int:

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from omnistereo_lib.files import atomic_write, make_folder
 from omnistereo_lib.geometry.pose import Pose
 from render.boards import COLUMNS, ROWS, SQUARE, Capture, CaptureSet, plan_captures, true_corners
-from render.files import atomic_write, make_folder
 from render.rig import RigCamera, make_rig, write_config
 
 _BLUR_PX = 0.5  # of the lens, the standard deviation

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.files import atomic_write, make_folder
 from omnistereo_lib.geometry.pose import Pose
-from render.files import atomic_write, make_folder
 from render.rig import RenderRig, make_rig, write_config
 
 SEED = 2019

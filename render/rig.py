@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from omnistereo_lib.files import atomic_write
 from omnistereo_lib.geometry.pose import Pose
-from render.files import atomic_write
 from render.lens import Lens, fit_ocam, random_fisheye, random_lens
 
 _HEADINGS = (0.0, np.pi / 2, np.pi, -np.pi / 2)  # about y, which points down: front, right, back, left

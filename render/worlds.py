@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.files import make_folder
 from omnistereo_lib.geometry.pose import Pose
-from render.files import make_folder
 from render.frames import image_path, write_frame
 from render.rig import RenderRig, random_rig, write_config
 

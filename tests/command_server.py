@@ -6,6 +6,7 @@ hundred commands does not import torch a hundred times.
 """
 
 import json
+import operator
 import os
 import signal
 import sys
@@ -15,13 +16,18 @@ from pathlib import Path
 
 import cv2
 import torch
+from render_stand_in import replace_blender
 
+import render
 from omnistereo_lib import cli
 from omnistereo_lib.train import MCCNNRecipe, train
 
 
 def run(command):
-    """Run the command line, or a training that writes its state at every step."""
+    """Run the command line, the renderer without Blender, or a training that writes its state at every step."""
+    if command[0] == "render":
+        replace_blender(operator.setitem, setattr)
+        return render.main(command[1:])
     if command[0] != "train":
         return cli.main(command)
     train(MCCNNRecipe(**json.loads(command[2])), command[3], command[1], checkpoint_s=0)

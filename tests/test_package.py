@@ -108,9 +108,9 @@ def test_geometry_and_stereo_import_nothing_above_them():
         assert not used & forbidden
 
 
-def test_the_renderer_uses_geometry_only():
+def test_the_renderer_uses_geometry_and_files_only():
     used = {other for path in sources("render").values() for other in ours(path)}
-    assert {name.split(".")[1] for name in used} <= {"geometry", "errors"}
+    assert {name.split(".")[1] for name in used} <= {"geometry", "errors", "files"}
     tools = {other for path in sources("render").values() for other in imports(path) if "omnistereo_tools" in other}
     assert tools == {"omnistereo_tools.cluster"}
     eager = {other for path in sources("render").values() for other in imports(path, inside_functions=False)}

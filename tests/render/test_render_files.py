@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from render_stand_in import TINY, replace_blender
 
 import omnistereo_lib as osl
 import render
@@ -29,28 +30,12 @@ from render.frames import (
     select_shard,
     write_manifest,
 )
-from render.layout import plan_district
 from render.rig import make_rig
-
-TINY = replace(SETS["sunny/test"], size=(25, 24), samples=1, truths=((16, 4), (24, 6)))
 
 
 @pytest.fixture
 def no_blender(monkeypatch):
-    """The renderer with the part that needs Blender replaced by numbers that depend on the pose."""
-    here = "render"
-    blender = SimpleNamespace(empty_scene=lambda: None)
-    city = SimpleNamespace(build_city=lambda seed: (plan_district(seed), SimpleNamespace(show=lambda *_: None)))
-    lights = SimpleNamespace(add_light=lambda name: SimpleNamespace(exposure=1.0))
-    for name, module in (("blender", blender), ("city", city), ("lights", lights)):
-        monkeypatch.setitem(sys.modules, f"{here}.{name}", module)
-
-    def render_frame(images, rig, T_world_rig, exposure, seed):
-        rng = np.random.default_rng(np.abs(T_world_rig.t * 1e6).astype(int))
-        pictures = [rng.integers(0, 255, (*images.size[::-1], 3), np.uint8) for _ in rig.cameras]
-        return pictures, [rng.random(size[::-1]) for size in images.truths]
-
-    monkeypatch.setattr(frames_module, "_render_frame", render_frame)
+    replace_blender(monkeypatch.setitem, monkeypatch.setattr)
 
 
 def contents(folder):
@@ -231,5 +216,5 @@ def test_blender_environment_gets_the_same_job(monkeypatch, tmp_path):
 
 def test_folder_that_cannot_be_written(no_blender, tmp_path):
     (tmp_path / "file").write_text("not a folder")
-    with pytest.raises(OmnistereoError, match="cannot be written to"):
+    with pytest.raises(OmnistereoError, match="cannot be made or written to"):
         list(render_set(tmp_path / "file" / "test", TINY, (706,), SEED))

@@ -211,5 +211,5 @@ def test_worlds_and_sets_have_different_names_and_sizes_that_lenses_fit():
 
 def test_a_folder_that_cannot_be_written(no_blender, tmp_path):
     (tmp_path / "file").write_text("not a folder")
-    with pytest.raises(OmnistereoError, match="cannot be written to"):
+    with pytest.raises(OmnistereoError, match="cannot be made or written to"):
         list(render_worlds(tmp_path / "file" / "train", TINY, (1,), SEED))
