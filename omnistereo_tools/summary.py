@@ -28,7 +28,7 @@ def depth_sentences(depth: Depth, limits: Limits) -> list[str]:
         f"(--min-confidence).",
     ]
     grid = depth.grid
-    if _MARGIN * nearest > 1.2 * grid.min_depth:
+    if _MARGIN * nearest > 1.5 * grid.min_depth:  # what `propose_min_depth` found is not contradicted at once
         sentences.append(
             f"The spheres begin at {metres(grid.min_depth)}: --min-depth {_MARGIN * nearest:.2g} would use them better."
         )
