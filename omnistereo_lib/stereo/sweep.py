@@ -253,6 +253,7 @@ def select_device(device: torch.device | str) -> torch.device:
     return device
 
 
+@checked
 def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray]:
     """Return the images as arrays, checked against the cameras of the rig.
 
@@ -260,8 +261,6 @@ def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray]:
         OmnistereoError: If there is not one image per camera, or one has the wrong size, shape or type or is not
             finite.
     """
-    if not isinstance(images, Sequence | np.ndarray | Tensor):
-        raise OmnistereoError(f"images is {images!r:.80}; expected a list of one array per camera")
     images = [np.asarray(image.detach().cpu() if isinstance(image, Tensor) else image) for image in images]
     for i, (image, (width, height)) in enumerate(zip(images, rig.image_sizes(len(images)), strict=True)):
         if image.shape not in [(height, width), (height, width, 3)]:
