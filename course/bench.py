@@ -114,14 +114,13 @@ def bench_warp(width: int, height: int, num: int, repeats: int = 3) -> list[Row]
     """Compare the warp of one camera onto all spheres with cv2.remap; both have their lookup tables ready."""
     sweep, images = _rig_and_images(width, height, num)
     image = sweep.normalize_images(images)[0]
-    ours_out = [torch.empty(len(spheres), height, width) for spheres in sweep.blocks()]
+    ours_out = torch.empty(height, width, len(sweep.blocks()[0]))  # one block's, as in `cost_volume`
     tables = [sweep.project_sphere(0, n)[0].astype(np.float32) for n in range(num)]
     theirs_out = np.empty((height, width), np.float32)
 
     def warp() -> None:
-        for spheres, out in zip(sweep.blocks(), ours_out, strict=True):
-            out.fill_(torch.nan)
-            sweep.warp_camera(image, 0, spheres, out)
+        for spheres in sweep.blocks():
+            sweep.warp_camera(image, 0, spheres, ours_out)
 
     def remap() -> None:
         for table in tables:

@@ -21,12 +21,13 @@ from omnistereo_lib.geometry.sphere import SphereGrid
 
 _D0 = 2.0**-23  # 1/m, inverse depth of the sphere at infinity in the paper
 _BLOCK = 16  # spheres warped at a time: their cells fill one cache line of the (H, W, N) volume
-_MAX_ROWS = 32766  # largest output of cv2.remap, and as many columns
+_MAX_SIDE = 32766  # largest width and height of the output of cv2.remap
 OUTSIDE = -1e5  # px, pixel coordinate of invalid rays; NaN coordinates are undefined in cv2.remap
 _LUT_BUDGET = 2 << 30  # bytes
 
-# Pixel coordinates of the rays of one block of spheres in one camera, as (first column, maps of shape (block · H,
-# columns, 2)). Only the visible columns are stored: in one part, or in two if they cross the ±180° seam.
+# Pixel coordinates of the rays of one block of spheres in one camera, as (first column, maps of shape (H,
+# columns · block, 2)): the pixels of one ray on neighbouring spheres are close together in the image, so they follow
+# each other. Only the visible columns are stored: in one part, or in two if they cross the ±180° seam.
 _LookupTable = list[tuple[int, NDArray[np.float32]]]
 
 
@@ -59,8 +60,8 @@ class SphereSweep:
         device: torch.device | str = "cpu",
         max_lut_bytes: int | None = None,
     ) -> None:
-        if max(grid.shape) > _MAX_ROWS:
-            raise OmnistereoError(f"the panorama is {grid.width} × {grid.height}; expected at most {_MAX_ROWS} a side")
+        if max(grid.shape) > _MAX_SIDE:
+            raise OmnistereoError(f"the panorama is {grid.width} × {grid.height}; expected at most {_MAX_SIDE} a side")
         self.rig = rig.recentered(center)
         self.grid = grid
         self.device = select_device(device)
@@ -160,7 +161,7 @@ class SphereSweep:
     def blocks(self) -> list[range]:
         """Return the sphere indices 0 to N - 1 in blocks that are warped together."""
         N = self.grid.num_spheres
-        block = max(1, min(_BLOCK, _MAX_ROWS // self.grid.height))
+        block = max(1, min(_BLOCK, _MAX_SIDE // self.grid.width))
         return [range(n, min(n + block, N)) for n in range(0, N, block)]
 
     def warp_block(self, normalized: Sequence[Tensor], spheres: range, out: Tensor | None = None) -> Tensor:
@@ -168,30 +169,32 @@ class SphereSweep:
 
         Args:
             normalized: one tensor per camera, from `normalize_images`
-            out (float32 tensor, shape (cameras, at least len(spheres), H, W)): Buffer to overwrite, so that a sweep
-                over many blocks allocates once.
+            out (float32 tensor, shape (cameras, H, W, len(spheres))): Buffer to overwrite, so that a sweep over many
+                blocks allocates once.
 
         Returns:
             float32 tensor, shape (cameras, len(spheres), H, W): NaN where the ray is not visible to the camera; a view
-                of `out` if given.
+                of a tensor with the shape of `out`.
         """
-        H, W = self.grid.shape
         if out is None:
-            out = torch.empty(len(normalized), len(spheres), H, W, device=self.device)
-        out = out[:, : len(spheres)].fill_(torch.nan)
+            out = torch.empty(len(normalized), *self.grid.shape, len(spheres), device=self.device)
         for camera, image in enumerate(normalized):
             self.warp_camera(image, camera, spheres, out[camera])
-        return out
+        return out.permute(0, 3, 1, 2)
 
     def warp_camera(self, image: Tensor, camera: int, spheres: range, out: Tensor) -> None:
-        """Warp one normalized image onto one of the `blocks`: write the visible rays to out (len(spheres), H, W)."""
-        rows = out.view(-1, self.grid.width)
+        """Warp one normalized image onto one of the `blocks`: overwrite out (H, W, len(spheres))."""
+        H, W, B = out.shape
+        rows = out.view(H, W * B)
         for k, (column, maps) in enumerate(self._lookup_table(camera, spheres)):
-            target = rows[:, column : column + maps.shape[1]]
+            target = rows[:, column * B : column * B + maps.shape[1]]
             if self.device.type == "cpu":
                 remap(image.numpy(), maps, target.numpy())
             else:
                 target.copy_(_grid_sample(image, self._maps_on_device(camera, spheres, k, maps)))
+        start, width = self._spans[camera, spheres.start]
+        for first, stop in split_at_seam((start + width) % W, W - width, W):
+            out[:, first:stop] = torch.nan
 
     def visible_columns(self, camera: int, spheres: range) -> tuple[int, int]:
         """Return (start, width) of the columns, around the seam, that are visible to a camera on a block."""
@@ -212,18 +215,17 @@ class SphereSweep:
 
     def _compute_lut(self, camera: int, spheres: range) -> _LookupTable:
         H, W = self.grid.shape
-        maps = np.empty((len(spheres), H, W, 2), np.float32)
+        maps = np.empty((H, W, len(spheres), 2), np.float32)
 
         def fill(k: int) -> None:
             uv, valid = self.project_sphere(camera, spheres[k])
-            maps[k] = np.where(valid[..., None], uv, OUTSIDE)
+            maps[:, :, k] = np.where(valid[..., None], uv, OUTSIDE)
 
         with ThreadPoolExecutor() as pool:  # NumPy releases the interpreter lock in large operations
             list(pool.map(fill, range(len(spheres))))
-        start, width = _circular_span((maps[..., 0] > OUTSIDE).any((0, 1)))
+        start, width = _circular_span((maps[..., 0] > OUTSIDE).any((0, 2)))
         self._spans[camera, spheres.start] = start, width
-        maps = maps.reshape(-1, W, 2)
-        return [(a, np.ascontiguousarray(maps[:, a:b])) for a, b in split_at_seam(start, width, W)]
+        return [(a, np.ascontiguousarray(maps[:, a:b]).reshape(H, -1, 2)) for a, b in split_at_seam(start, width, W)]
 
     def _maps_on_device(self, camera: int, spheres: range, part: int, maps: NDArray[np.float32]) -> Tensor:
         """Return one part of a lookup table on the device, copied once if the table is kept."""

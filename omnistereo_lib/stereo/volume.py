@@ -77,8 +77,10 @@ def _by_blocks(
     H, W = sweep.grid.shape
     check_memory(sweep.rig, sweep.grid, sweep.device)
     volume = torch.empty(H, W, sweep.grid.num_spheres, device=sweep.device)
-    buffer = torch.empty(len(sweep.rig), len(sweep.blocks()[0]), H, W, device=sweep.device)
+    buffer = torch.empty(len(sweep.rig), H, W, len(sweep.blocks()[0]), device=sweep.device)
     for spheres in progress(sweep.blocks()):
+        if len(spheres) < buffer.shape[-1]:
+            buffer = None  # the last block
         block = sweep.warp_block(normalized, spheres, buffer)  # first: it computes what visible_columns looks up
         columns = [sweep.visible_columns(camera, spheres) for camera in range(len(sweep.rig))]
         volume[:, :, spheres.start : spheres.stop] = cost(block, pairs, columns)

@@ -15,6 +15,9 @@ from torch.nn.functional import avg_pool2d, pad
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.stereo.compiled import compiled
 
+_LANES = 16  # spheres side by side, as many as in a block of the sweep
+_PIECE = 64  # columns at a time: the sums over their windows stay in the cache
+_ROWS = 40  # rows at a time, one task for a thread; results do not depend on the number of threads
 _FLAT_VARIANCE = 1e-6  # of unit-variance images; flatter patches hold only the rounding of the interpolation
 
 
@@ -64,16 +67,21 @@ class ZNCC:
             return _zncc_torch(spherical_images, pairs, self.window)
         columns = columns if columns is not None else [(0, W)] * len(spherical_images)
         strips = [(i, j, *strip) for i, j in pairs for strip in common_columns(columns[i], columns[j], W)]
-        strips = np.array(strips, np.int64).reshape(-1, 4)
-        images = spherical_images.numpy()
-        costs = np.zeros(images.shape[1:], np.float32)
-
-        def fill(k: int) -> None:
-            _zncc_sphere(images[:, k], strips, self.window // 2, costs[k])
-
+        pieces = [(i, j, s + k, min(_PIECE, width - k)) for i, j, s, width in strips for k in range(0, width, _PIECE)]
+        pieces = np.array(pieces, np.int64).reshape(-1, 4)
+        costs = []
         with ThreadPoolExecutor(torch.get_num_threads()) as pool:  # the kernel releases the interpreter lock
-            list(pool.map(fill, range(len(costs))))
-        return torch.from_numpy(costs).permute(1, 2, 0)
+            for images in spherical_images.permute(0, 2, 3, 1).split(_LANES, -1):
+                B = images.shape[-1]
+                images = pad(images, (0, _LANES - B), value=torch.nan).contiguous().flatten(2).numpy()
+                cost = np.empty(images.shape[1:], np.float32)
+
+                def fill(top: int, images: NDArray = images, cost: NDArray = cost) -> None:
+                    _zncc_rows(images, pieces, self.window // 2, top, cost[top : top + _ROWS])
+
+                list(pool.map(fill, range(0, H, _ROWS)))
+                costs.append(torch.from_numpy(cost).view(H, W, _LANES)[..., :B])
+        return costs[0] if len(costs) == 1 else torch.cat(costs, -1)
 
 
 def common_columns(a: tuple[int, int], b: tuple[int, int], W: int) -> list[tuple[int, int]]:
@@ -87,93 +95,125 @@ def common_columns(a: tuple[int, int], b: tuple[int, int], W: int) -> list[tuple
     return [(int(s), int((ends[(ends - s) % W == ((ends - s) % W).min()][0] - s) % W + 1)) for s in starts]
 
 
+# ---- CPU: one row at a time; the compiler vectorises the flat loops, in which the spheres of a pixel are neighbours.
+
+
 @compiled(nogil=True, error_model="numpy")
-def _zncc_sphere(images: NDArray, strips: NDArray, radius: int, cost: NDArray) -> None:
-    """Write the mean costs to cost (H, W), which holds zeros; strips are rows of (camera, camera, start, width)."""
-    H, W = cost.shape
-    count = np.zeros((H, W), np.float32)
-    for s in range(len(strips)):
-        i, j, start, width = strips[s]
-        columns = (start - radius + np.arange(width + 2 * radius)) % W
-        a, b, visible = _common_pixels(images[i], images[j], columns)
-        _add_costs(a, b, visible, columns, radius, cost, count)
-    for y in range(H):
-        for x in range(W):
-            cost[y, x] /= count[y, x]  # 0/0 = NaN where no pair is visible
+def _zncc_rows(images: NDArray, pieces: NDArray, radius: int, top: int, cost: NDArray) -> None:
+    """Write the mean costs of some rows, from `top` on, to cost (rows, W · lanes).
 
-
-@numba.njit
-def _common_pixels(a: NDArray, b: NDArray, columns: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    """Copy the given columns of two images, 0 unless visible in both, with weights 1 for visible and 0."""
-    H, width = len(a), len(columns)
-    left, right = np.zeros((H, width), np.float32), np.zeros((H, width), np.float32)
-    visible = np.zeros((H, width), np.float32)
-    for y in range(H):
-        for t in range(width):
-            p, q = a[y, columns[t]], b[y, columns[t]]
-            if p == p and q == q:  # neither is NaN
-                left[y, t], right[y, t], visible[y, t] = p, q, 1.0
-    return left, right, visible
-
-
-@numba.njit(error_model="numpy")
-def _add_costs(
-    a: NDArray, b: NDArray, visible: NDArray, columns: NDArray, radius: int, total: NDArray, count: NDArray
-) -> None:
-    """Add the costs of one pair to total and count (H, W); a, b and visible have `radius` more columns at both ends.
-
-    Sums over the rows of the window slide down the image and are then added over the columns of the window. They are
-    float64: in float32 the variance of a bright, flat patch would be rounding error.
+    Args:
+        images: shape (cameras, H, W · lanes)
+        pieces: rows of (camera, camera, start, width), at most `_PIECE` columns each so that they fit the cache
     """
-    H, padded = a.shape
-    width = padded - 2 * radius
-    sums = np.zeros((6, padded))  # over the rows of the window: 1, a, b, a², b², ab
-    box = np.empty((6, width))
-    cost = np.empty(width, np.float32)
-    for y in range(-radius, H):
-        if y + radius < H:
-            _slide(sums, a[y + radius], b[y + radius], visible[y + radius], 1.0)
-        if y - radius > 0:
-            _slide(sums, a[y - radius - 1], b[y - radius - 1], visible[y - radius - 1], -1.0)
-        if y < 0:
-            continue
-        for q in range(6):
-            box[q] = sums[q, :width]
-            for shift in range(1, 2 * radius + 1):
-                for t in range(width):
-                    box[q, t] += sums[q, t + shift]
-        _correlate(box, cost)
-        for t in range(width):
-            x, weight = columns[t + radius], visible[y, t + radius]
-            total[y, x] += weight * cost[t]
-            count[y, x] += weight
+    count = np.zeros(cost.shape, np.float32)
+    cost[:] = 0
+    for i, j, start, width in pieces:
+        _add_costs(images[i], images[j], start, width, radius, top, cost, count)
+    for y in range(len(cost)):
+        for t in range(cost.shape[1]):
+            cost[y, t] /= count[y, t]  # 0/0 = NaN where no pair is visible
 
 
 @numba.njit
-def _slide(sums: NDArray, a: NDArray, b: NDArray, visible: NDArray, sign: float) -> None:
-    """Add (sign 1) or remove (sign -1) one row of pixels to or from the running sums."""
-    for t in range(len(a)):
-        p, q = np.float64(a[t]), np.float64(b[t])
-        sums[0, t] += sign * visible[t]
-        sums[1, t] += sign * p
-        sums[2, t] += sign * q
-        sums[3, t] += sign * p * p
-        sums[4, t] += sign * q * q
-        sums[5, t] += sign * p * q
+def _add_costs(
+    a: NDArray, b: NDArray, start: int, width: int, radius: int, top: int, total: NDArray, count: NDArray
+) -> None:
+    """Add the costs of the columns [start, start + width) of one pair to total and count (rows, W · lanes).
+
+    The sums over the rows of the window slide down the image, the sums over its columns then slide along the row. They
+    are float64: in float32 the variance of a bright, flat patch would be rounding error.
+    """
+    W, window, padded = a.shape[1] // _LANES, 2 * radius + 1, (width + 2 * radius) * _LANES
+    ring = np.zeros((window + 1, 3, padded), np.float32)  # the rows of the window and the one before
+    sums = np.zeros((6, padded))  # over the rows of the window: 1, a, b, a², b², ab
+    box = np.empty((6, width * _LANES))
+    pair = np.empty((2, width * _LANES), np.float32)  # weight and weighted cost
+    first = (start - radius) % W * _LANES
+    for y in range(top - 2 * radius, top + len(total)):
+        row = y + radius
+        new, old = ring[row % (window + 1)], ring[(row + 1) % (window + 1)]
+        new[:] = 0
+        if 0 <= row < len(a):
+            _common_pixels(a[row], b[row], first, new)
+        _slide(sums, new, old)
+        if y >= top:
+            for q in range(6):
+                _add_columns(sums[q], window, box[q])
+            _correlate(box, ring[y % (window + 1)][0][radius * _LANES :], pair)
+            _add_wrapped(pair[0], start % W * _LANES, count[y - top])
+            _add_wrapped(pair[1], start % W * _LANES, total[y - top])
+
+
+@numba.njit
+def _common_pixels(a: NDArray, b: NDArray, first: int, pixels: NDArray) -> None:
+    """Copy two rows of pixels, from `first` on around the seam, to pixels (3, padded): weight, a, b.
+
+    The weight is 1 where both are visible; elsewhere all three are 0.
+    """
+    t = 0
+    while t < pixels.shape[1]:
+        n = min(len(a) - first, pixels.shape[1] - t)
+        left, right, visible = a[first : first + n], b[first : first + n], pixels[0][t : t + n]
+        for k in range(n):
+            both = left[k] + right[k]
+            visible[k] = 1.0 if both == both else 0.0  # not NaN
+        for source, row in ((left, pixels[1]), (right, pixels[2])):
+            target = row[t : t + n]
+            for k in range(n):
+                target[k] = source[k] if visible[k] != 0 else np.float32(0)
+        t, first = t + n, 0
+
+
+@numba.njit
+def _slide(sums: NDArray, new: NDArray, old: NDArray) -> None:
+    """Add a row of pixels to the sums and remove another; a row holds weights, a and b, which are 0 or 1, 0, 0."""
+    for q, i, j in ((0, 0, 0), (1, 0, 1), (2, 0, 2), (3, 1, 1), (4, 2, 2), (5, 1, 2)):
+        total, p, r, p_old, r_old = sums[q], new[i], new[j], old[i], old[j]
+        for t in range(len(total)):
+            total[t] += np.float64(p[t]) * np.float64(r[t]) - np.float64(p_old[t]) * np.float64(r_old[t])
+
+
+@numba.njit
+def _add_columns(sums: NDArray, window: int, box: NDArray) -> None:
+    """Write the sums over the columns of the window to box."""
+    box[:_LANES] = 0
+    for x in range(window):
+        for k in range(_LANES):
+            box[k] += sums[x * _LANES + k]
+    last, ahead = box[:-_LANES], sums[window * _LANES :]
+    out = box[_LANES:]
+    for t in range(len(out)):
+        out[t] = last[t] + (ahead[t] - sums[t])
 
 
 @numba.njit(error_model="numpy")
-def _correlate(box: NDArray, cost: NDArray) -> None:
-    """Compute the cost (1 - ZNCC)/2 from box sums; 0.5 where a patch is flat (paper, Section IV)."""
-    for t in range(len(cost)):
-        scale = 1.0 / max(box[0, t], 1.0)
-        mean_a, mean_b = box[1, t] * scale, box[2, t] * scale
-        variance_a = box[3, t] * scale - mean_a * mean_a
-        variance_b = box[4, t] * scale - mean_b * mean_b
-        covariance = box[5, t] * scale - mean_a * mean_b
-        textured = variance_a > _FLAT_VARIANCE and variance_b > _FLAT_VARIANCE
-        zncc = covariance / np.sqrt(variance_a * variance_b) if textured else 0.0
-        cost[t] = 0.5 - 0.5 * min(max(zncc, -1.0), 1.0)
+def _correlate(box: NDArray, weight: NDArray, pair: NDArray) -> None:
+    """Compute weight and weighted cost (1 - ZNCC)/2 from box sums; 0.5 where a patch is flat (paper, Section IV)."""
+    half, one = np.float32(0.5), np.float32(1)
+    for t in range(box.shape[1]):
+        n = box[0, t]
+        variance_a = n * box[3, t] - box[1, t] * box[1, t]  # times n²
+        variance_b = n * box[4, t] - box[2, t] * box[2, t]
+        covariance = n * box[5, t] - box[1, t] * box[2, t]
+        zncc = np.float32(covariance) / np.sqrt(np.float32(variance_a) * np.float32(variance_b))
+        textured = min(variance_a, variance_b) > _FLAT_VARIANCE * n * n
+        pair[0, t] = weight[t]
+        pair[1, t] = weight[t] * (half - half * min(max(zncc if textured else np.float32(0), -one), one))
+
+
+@numba.njit
+def _add_wrapped(values: NDArray, first: int, row: NDArray) -> None:
+    """Add values to a row, from `first` on around the seam."""
+    n = min(len(row) - first, len(values))
+    target, start = row[first : first + n], values[n:]
+    for t in range(n):
+        target[t] += values[t]
+    for t in range(len(start)):
+        row[t] += start[t]
+
+
+# ---- Any device.
 
 
 def _zncc_torch(spherical_images: Tensor, pairs: Sequence[tuple[int, int]], window: int) -> Tensor:
