@@ -65,7 +65,7 @@ class _PairProducts(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, parts: Iterable[Sequence[tuple[Tensor, Tensor]]], *tables: Tensor) -> Tensor:
-        """Return the sums (cells, 8) of features (h · w, 32), sampled part by part at `bilinear` cells of each camera."""
+        """Return the sums (cells, 8) of features (h · w, 32), sampled in parts at `bilinear` cells of each camera."""
         products, kept, totals = [], [], []
         for cells in parts:
             total = _sample(tables[0], *cells[0])
