@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
@@ -12,11 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.compiled import compiled, minimum
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.volume import as_volume
 from omnistereo_lib.stereo.zncc import ZNCC
 
-_CELLS = 1 << 22  # of a cost volume at a time, 16 MB in float32: temporary copies stay small
+_CELLS = 1 << 19  # of a cost volume at a time, 2 MB in float32, by one thread
 
 
 def winner_takes_all(volume: ArrayLike | Tensor, subindex: bool = False) -> Tensor:
@@ -34,7 +36,7 @@ def winner_takes_all(volume: ArrayLike | Tensor, subindex: bool = False) -> Tens
     """
 
     def best(rows: Tensor) -> Tensor:
-        cost, winner = torch.where(rows.isnan(), torch.inf, rows).min(-1)
+        cost, _, winner = _two_lowest(rows)
         index = winner.float()
         if subindex:
             last = rows.shape[-1] - 1
@@ -62,21 +64,53 @@ def confidence(volume: ArrayLike | Tensor) -> Tensor:
     """
 
     def peak_ratio(rows: Tensor) -> Tensor:
-        filled = torch.where(rows.isnan(), torch.inf, rows)
-        first, winner = filled.min(-1)
-        nearby = torch.stack([winner - 1, winner, winner + 1], -1).clamp(0, rows.shape[-1] - 1)
-        second = filled.scatter_(-1, nearby, torch.inf).amin(-1)
+        first, second, _ = _two_lowest(rows)
         ratio = torch.where(second > 0, 1 - first / second, 0.0)
         return torch.where(first.isinf(), torch.nan, ratio)
 
     return _by_rows(peak_ratio, volume)
 
 
+def _two_lowest(volume: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the costs (H, W) of n* and of the best sphere that is not n* or next to it, infinite if none, and n*."""
+    if volume.device.type == "cpu":
+        costs, winner = np.empty((2, *volume.shape[:2]), np.float32), np.empty(volume.shape[:2], np.int64)
+        _find_two_lowest(volume.contiguous().numpy(), costs, winner)
+        return *torch.from_numpy(costs), torch.from_numpy(winner)
+    filled = torch.where(volume.isnan(), torch.inf, volume)
+    first, winner = filled.min(-1)
+    nearby = torch.stack([winner - 1, winner, winner + 1], -1).clamp(0, volume.shape[-1] - 1)
+    return first, filled.scatter_(-1, nearby, torch.inf).amin(-1), winner
+
+
+@compiled(nogil=True)
+def _find_two_lowest(volume: NDArray, costs: NDArray, winner: NDArray) -> None:
+    """Write what `_two_lowest` returns to costs (2, H, W) and winner (H, W), one ray at a time."""
+    H, W, N = volume.shape
+    infinity = np.float32(np.inf)
+    ray = np.empty(N, np.float32)
+    for y in range(H):
+        for x in range(W):
+            cost, first, second = volume[y, x], infinity, infinity
+            for n in range(N):
+                ray[n] = cost[n] if cost[n] == cost[n] else infinity
+                first = minimum(first, ray[n])
+            best = 0
+            while ray[best] != first:
+                best += 1
+            for n in range(max(best - 1, 0), min(best + 2, N)):
+                ray[n] = infinity
+            for n in range(N):
+                second = minimum(second, ray[n])
+            costs[0, y, x], costs[1, y, x], winner[y, x] = first, second, best
+
+
 def _by_rows(function: Callable[[Tensor], Tensor], volume: ArrayLike | Tensor) -> Tensor:
     """Apply a function of each ray to a cost volume, some rows at a time: (H, W, N) → (H, W)."""
     volume = as_volume(volume)
     rows = max(1, _CELLS // volume[0].numel())
-    return torch.cat([function(part.float()) for part in volume.split(rows)])
+    with ThreadPoolExecutor(torch.get_num_threads()) as pool:
+        return torch.cat(list(pool.map(lambda part: function(part.float()), volume.split(rows))))
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,19 +29,16 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from numbers import Real
-from typing import Any
 
-import numba
 import numpy as np
 import torch
 from numba import njit
-from numba.extending import intrinsic
 from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import pad
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.stereo.compiled import compiled
+from omnistereo_lib.stereo.compiled import compiled, minimum
 from omnistereo_lib.stereo.volume import as_volume
 
 MAX_LAPS = 64
@@ -125,17 +122,6 @@ def _tiles(H: int, W: int) -> Iterator[list[tuple]]:
         yield [(*band, last, last, -1) for band in ((False, *down), (True, *up)) for last in columns[1:]]
 
 
-@intrinsic
-def _min(context: Any, a: Any, b: Any) -> Any:
-    """Return the smaller of two float32 that are not NaN. Python's min keeps Numba from vectorising a reduction."""
-
-    def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        flags = ("nnan", "nsz")
-        return builder.select(builder.fcmp_ordered("<", *args, flags=flags), *args, flags=flags)
-
-    return numba.float32(numba.float32, numba.float32), build
-
-
 @njit
 def _fill_value(cost: NDArray) -> float:
     """Return the data term of the unknown cells of a ray: the mean of its known costs, not finite if one is not."""
@@ -159,7 +145,7 @@ def _add_cost(cost: NDArray, fill: float, message: NDArray, path: NDArray) -> fl
     for n in range(cost.size):
         c = cost[n] if cost[n] == cost[n] else fill
         path[n + 1] = c + message[n]
-        lowest = _min(lowest, path[n + 1])
+        lowest = minimum(lowest, path[n + 1])
     return lowest
 
 
@@ -168,8 +154,8 @@ def _update_message(path: NDArray, lowest: float, p1: float, p2: float, message:
     """Write the message M to the next pixel of the path."""
     jump = lowest + p2
     for n in range(message.size):
-        step = _min(path[n], path[n + 2]) + p1
-        message[n] = _min(_min(path[n + 1], step), jump) - lowest
+        step = minimum(path[n], path[n + 2]) + p1
+        message[n] = minimum(minimum(path[n + 1], step), jump) - lowest
 
 
 @njit

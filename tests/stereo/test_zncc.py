@@ -104,3 +104,15 @@ def test_windows_must_be_odd(window):
 def test_windows_must_fit_the_panorama():
     with pytest.raises(osl.OmnistereoError, match="window is 15; expected at most the panorama size 17 × 13"):
         osl.ZNCC(15)(torch.from_numpy(block("textured")), [(0, 1)])
+
+
+def test_more_spheres_rows_and_columns_than_are_computed_at_a_time():
+    images = torch.from_numpy(block("partly visible", cameras=2, B=18, H=43, W=150))
+    expected = _zncc_torch(images, [(0, 1)], 9)  # in float64
+    threads = torch.get_num_threads()
+    try:
+        for count in (1, 3):
+            torch.set_num_threads(count)
+            np.testing.assert_allclose(osl.ZNCC()(images, [(0, 1)]), expected, atol=1e-5)
+    finally:
+        torch.set_num_threads(threads)
