@@ -15,7 +15,8 @@ methods: zncc, mccnn, sweepnet or volumenet; +sgm smooths; ,pairs=all and others
 import argparse
 from pathlib import Path
 
-from omnistereo_lib.cli.inputs import add_device, add_grid, add_input, make_grid, read_input, read_rig
+from omnistereo_lib.cli.inputs import add_device
+from omnistereo_tools.inputs import add_grid, add_input, make_grid, read_input, read_rig
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

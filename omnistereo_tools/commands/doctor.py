@@ -6,7 +6,7 @@ example: omnistereo doctor --rig rig.yaml --images 1.png 2.png 3.png 4.png --cov
 import argparse
 from pathlib import Path
 
-from omnistereo_lib.cli.inputs import add_grid, add_input, make_grid, read_input
+from omnistereo_tools.inputs import add_grid, add_input, make_grid, read_input
 
 _NEAR = 0.5  # metres: most images show something nearer than a few times this
 

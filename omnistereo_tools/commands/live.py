@@ -8,7 +8,8 @@ Examples:
 import argparse
 from pathlib import Path
 
-from omnistereo_lib.cli.inputs import add_device, add_grid
+from omnistereo_lib.cli.inputs import add_device
+from omnistereo_tools.inputs import add_grid
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
