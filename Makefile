@@ -58,6 +58,7 @@ results: $(READY)  ## the stored results and the book's reproduction report agai
 	$(BIN)/python -m course variants --out out/variants \
 	  --set steps=300 validate_every=30 validation_groups=24
 	cp out/variants/variants.csv data_samples/results/
+	$(BIN)/python -m course snapshots
 	for name in teaching ablations calibrated penalties paper teaching-volumenet teaching-worlds paper-volumenet; do cp out/$$name/results.json data_samples/results/$$name.json; done
 	$(BIN)/python -c "from pathlib import Path; from render.frames import renew_manifest as renew; \
 	  renew(Path('data_samples'))"

@@ -43,6 +43,9 @@ def main(arguments: list[str] | None = None) -> int:
         variants = commands.add_parser(name, help=f"train {network} in several ways and compare them")
         variants.add_argument("--out", type=Path, default=nbtools.ROOT / "out" / name)
         variants.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="change numbers of the recipe")
+    commands.add_parser(
+        "snapshots", help="train SweepNet's decision and store what it makes of one frame while it learns"
+    )
     try:
         return run(parser.parse_args(arguments))
     except OmnistereoError as error:
@@ -104,6 +107,11 @@ def run(options: argparse.Namespace) -> int:
             from course.volume_variants import compare_volumes
 
             print(f"written: {compare_volumes(options.out, options.set)}")
+            return 0
+        case "snapshots":
+            from course.snapshots import take_snapshots
+
+            print(f"written: {take_snapshots()}")
             return 0
         case "ledger":
             from course.ledger import write_ledger
