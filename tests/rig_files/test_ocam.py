@@ -262,7 +262,7 @@ def test_broken_omnimvs_configs(tmp_path, data, message):
 def test_masks_that_do_not_fit(tmp_path):
     path = dump(tmp_path / "config.yaml", omnimvs())
     cv2.imwrite(str(tmp_path / "mask1.png"), np.zeros((30, 40), np.uint8))
-    with pytest.raises(OmnistereoError, match=r"mask1.png is 40 × 30 px, the camera 800 × 760 px"):
+    with pytest.raises(OmnistereoError, match=r"mask1.png is 40 × 30 px; the camera has 800 × 760 px"):
         Rig.load(path)
     (tmp_path / "mask1.png").write_bytes(b"no picture")
     with pytest.raises(OmnistereoError, match=r"mask1.png is not an image"):
