@@ -174,6 +174,7 @@ BROKEN = """async () => {
     }
     return broken
 }"""
+DRAWN = "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
 
 
 def test_book_fits_and_every_picture_shows(built, served, open_page):
@@ -185,6 +186,7 @@ def test_book_fits_and_every_picture_shows(built, served, open_page):
         page.evaluate("async () => window.MathJax?.startup?.promise")  # formulas take their room late
         for width in (1280, 390):
             page.set_viewport_size({"width": width, "height": 844})
+            page.evaluate(DRAWN)
             found = [*page.evaluate(BROKEN), *page.evaluate(WIDE), *page.complaints]
             if found:
                 wrong[f"{name} at {width}"] = found
