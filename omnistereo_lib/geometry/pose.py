@@ -36,10 +36,12 @@ class Pose:
         U, _, Vt = np.linalg.svd(R)
         nearest = U @ Vt
         error = np.abs(nearest - R).max()
-        if error > _ROTATION_TOLERANCE or np.linalg.det(R) < 0:
+        with np.errstate(over="ignore"):  # R may be anything
+            determinant = np.linalg.det(R)
+        if error > _ROTATION_TOLERANCE or determinant < 0:
             raise OmnistereoError(
                 f"R is not a rotation: it differs by {error:.2g} from the nearest orthogonal matrix and has "
-                f"determinant {np.linalg.det(R):.4f}; expected 0 and +1. Check that R is not scaled or mirrored."
+                f"determinant {determinant:.4g}; expected 0 and +1. Check that R is not scaled or mirrored."
             )
         # Keep exact rotations unchanged: the projection would add a rounding error.
         object.__setattr__(self, "R", nearest if error > 1e-12 else R)

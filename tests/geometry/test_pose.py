@@ -1,5 +1,7 @@
 """Poses against SciPy's rotations and OpenCV's Rodrigues."""
 
+import warnings
+
 import cv2
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from omnistereo_lib import Pose
+from omnistereo_lib import OmnistereoError, Pose
 from omnistereo_lib.geometry.pose import axis_angle_from_rotation, rotation_from_axis_angle
 
 unit_vectors = st.tuples(*[st.floats(-1, 1)] * 3).map(np.array).filter(lambda v: np.linalg.norm(v) > 0.1)
@@ -83,3 +85,10 @@ def test_a_printed_rotation_becomes_the_nearest_one():
     pose = Pose(np.round(exact, 6), np.zeros(3))
     np.testing.assert_allclose(pose.R @ pose.R.T, np.eye(3), atol=1e-15)
     np.testing.assert_allclose(pose.R, exact, atol=2e-6)
+
+
+def test_a_huge_matrix_is_refused_without_a_warning():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(OmnistereoError, match="not a rotation"):
+            Pose(np.full((3, 3), 1e200) * np.eye(3), np.zeros(3))
