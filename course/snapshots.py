@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 import omnistereo_lib as osl
+from omnistereo_lib.files import atomic_write
 from omnistereo_lib.stereo.sweepnet import SweepNet
 from omnistereo_lib.train import RECIPES
 from omnistereo_lib.train.frames import DATA
@@ -51,7 +52,8 @@ def take_snapshots(out: Path = SNAPSHOTS) -> Path:
             (objective(batch)[0] / recipe.frames_per_step).backward()
         optimizer.step()
         optimizer.zero_grad()
-    np.savez_compressed(out, steps=STEPS, wrong=wrong, index=np.stack(index))
+    with atomic_write(out) as temporary:
+        np.savez_compressed(temporary, steps=STEPS, wrong=wrong, index=np.stack(index))
     return out
 
 

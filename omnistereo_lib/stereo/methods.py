@@ -220,8 +220,8 @@ def penalties(width: int, num_spheres: int, p1: float = 0.1, p2: float = 12.0) -
     """Return SGM's penalties for a panorama of W columns and N spheres from those for the paper's 1200 and 192.
 
     A surface covers fewer pixels of a coarser panorama, so fewer costs speak for it against the same penalties; and
-    among more spheres its slope is more steps a pixel, each of which is paid. The powers are measured on a stretch of
-    road and rooms for which no figure is reported; see notebook 07. Neither penalty exceeds that of the paper's scale.
+    among more spheres its slope is more steps a pixel, each of which is paid. The powers were chosen on held-out frames
+    of the training sets; see notebook 07. Neither penalty exceeds that of the paper's scale.
     """
     scale = min(width / 1200, 1.0)
     p2 *= min(scale**2 * 192 / num_spheres, 1.0)
