@@ -57,7 +57,8 @@ results: $(READY)  ## the stored results and the book's reproduction report agai
 	$(BIN)/python -m course ledger book/reproduction.md --results out/paper/results.json
 	$(BIN)/python -m course variants --out out/variants \
 	  --set steps=300 validate_every=30 validation_groups=24
-	cp out/variants/variants.csv data_samples/results/
+	$(BIN)/python -m course volume-variants --out out/volume-variants --set steps=110 warmup=15
+	cp out/variants/variants.csv out/volume-variants/volume_variants.csv data_samples/results/
 	$(BIN)/python -m course snapshots
 	for name in teaching ablations calibrated penalties paper teaching-volumenet teaching-worlds paper-volumenet; do cp out/$$name/results.json data_samples/results/$$name.json; done
 	$(BIN)/python -c "from pathlib import Path; from render.frames import renew_manifest as renew; \

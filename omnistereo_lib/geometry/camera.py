@@ -118,9 +118,9 @@ class OcamCamera:
         """
         points, xp = _as_array(points, 3)
         x, y, z = points[..., 0], points[..., 1], points[..., 2]
-        n = xp.hypot(x, y)
+        n = xp.sqrt(x * x + y * y)  # NumPy's hypot takes as long as all the rest
         t = xp.arctan2(-z, n)
-        finite = xp.isfinite(n) & xp.isfinite(z) & (xp.hypot(n, z) > 0)
+        finite = xp.isfinite(n) & xp.isfinite(z) & ((n > 0) | (z != 0))
         in_view = finite & (t <= self._max_t + 1e-12)
         t = xp.where(in_view, t, xp.full_like(t, self._max_t))  # the polynomial is undefined further out
         r = self._radius_by_root(t) if use_direct_poly else _horner(self.inv_poly, t)
@@ -149,7 +149,7 @@ class OcamCamera:
         v = xp.where(finite, uv[..., 1], xp.zeros_like(uv[..., 1])) - self.center[1]
         (i00, i01), (i10, i11) = np.linalg.inv(self._A)
         x, y = i00 * u + i01 * v, i10 * u + i11 * v
-        r = xp.hypot(x, y)
+        r = xp.sqrt(x * x + y * y)
         if use_direct_poly:
             t = xp.arctan2(_horner(self.poly, r), r)
             max_radius, _ = _branch_end(self.poly, self._max_t, 3 * max(self.image_size))

@@ -4,7 +4,9 @@ import math
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from functools import cached_property
+from threading import Lock
 
 import cv2
 import numpy as np
@@ -24,6 +26,7 @@ _BLOCK = 16  # spheres warped at a time: their cells fill one cache line of the 
 _MAX_SIDE = 32766  # largest width and height of the output of cv2.remap
 OUTSIDE = -1e5  # px, pixel coordinate of invalid rays; NaN coordinates are undefined in cv2.remap
 _LUT_BUDGET = 2 << 30  # bytes
+_ONE_TABLE = Lock()  # at a time: it takes all cores, and much memory
 
 # Pixel coordinates of the rays of one block of spheres in one camera, as (first column, maps of shape (H,
 # columns · block, 2)): the pixels of one ray on neighbouring spheres are close together in the image, so they follow
@@ -73,6 +76,21 @@ class SphereSweep:
         self._luts: dict[tuple[int, int], _LookupTable] = {}
         self._spans: dict[tuple[int, int], tuple[int, int]] = {}  # (start, width) of the visible columns
         self._device_maps: dict[tuple[int, int, int], Tensor] = {}
+
+    def with_poses(self, rig: Rig) -> "SphereSweep":
+        """Return a sweep of the same cameras with the poses of a rig, around their mean centre.
+
+        Cameras that stay where they are share their tables: to rotate one of them costs one camera's tables.
+        """
+        other = copy(self)
+        other.rig = rig.recentered()
+        poses = zip(self.rig.T_rig_cam, other.rig.T_rig_cam, strict=True)
+        kept = {i for i, (a, b) in enumerate(poses) if np.array_equal(a.R, b.R) and np.array_equal(a.t, b.t)}
+        other._luts = {key: lut for key, lut in self._luts.items() if key[0] in kept}
+        other._spans = {key: span for key, span in self._spans.items() if key[0] in kept}
+        other._device_maps = {}
+        other.lut_bytes = sum(maps.nbytes for lut in other._luts.values() for _, maps in lut)
+        return other
 
     @cached_property
     def _image_masks(self) -> list[NDArray[np.uint8]]:
@@ -125,11 +143,12 @@ class SphereSweep:
         return warped
 
     @cached_property
-    def _blurs(self) -> list[tuple[float, NDArray[np.float32]]]:
-        """For each camera σ of `blur_px`, and its mask blurred by it."""
+    def _blurs(self) -> list[tuple[float, NDArray[np.float32], NDArray[np.float32]]]:
+        """For each camera σ of `blur_px`, its mask, and that blurred by it."""
         spacing = 360 / self.grid.width
         sigmas = [blur_px(camera.pixels_per_degree * spacing) for camera in self.rig.cameras]
-        return [(s, blur(mask.astype(np.float32), s)) for s, mask in zip(sigmas, self._image_masks, strict=True)]
+        masks = [mask.astype(np.float32) for mask in self._image_masks]
+        return [(s, mask, np.maximum(blur(mask, s), 1e-6)) for s, mask in zip(sigmas, masks, strict=True)]
 
     def normalize_images(self, images: Sequence[ArrayLike]) -> list[Tensor]:
         """Return the images in gray, without detail finer than the panorama, normalised over the image circle.
@@ -146,17 +165,20 @@ class SphereSweep:
         Raises:
             OmnistereoError: If there is not one image per camera, or one has the wrong size or is not finite.
         """
-        normalized = []
-        for image, mask, (sigma, weight) in zip(
-            check_images(images, self.rig), self._image_masks, self._blurs, strict=True
-        ):
+
+        def normalize(image: NDArray, mask: NDArray, blurring: tuple) -> Tensor:
+            sigma, inside, weight = blurring
             gray = to_gray(image)
             if sigma:  # over the image circle alone: the black around it stays out
-                gray = blur(gray * mask, sigma) / np.maximum(weight, 1e-6)
+                gray = blur(gray * inside, sigma)
+                gray /= weight
             mean, deviation = (float(moment[0, 0]) for moment in cv2.meanStdDev(gray, mask=mask))
-            gray = (gray - np.float32(mean)) * np.float32(1 / deviation if deviation > 0 else 1.0)
-            normalized.append(torch.from_numpy(gray).to(self.device))
-        return normalized
+            gray = gray - np.float32(mean)
+            gray *= np.float32(1 / deviation if deviation > 0 else 1.0)
+            return torch.from_numpy(gray).to(self.device)
+
+        with ThreadPoolExecutor(torch.get_num_threads()) as pool:
+            return list(pool.map(normalize, check_images(images, self.rig), self._image_masks, self._blurs))
 
     def blocks(self) -> list[range]:
         """Return the sphere indices 0 to N - 1 in blocks that are warped together."""
@@ -186,15 +208,16 @@ class SphereSweep:
         """Warp one normalized image onto one of the `blocks`: overwrite out (H, W, len(spheres))."""
         H, W, B = out.shape
         rows = out.view(H, W * B)
+        on_cpu = self.device.type == "cpu"
         for k, (column, maps) in enumerate(self._lookup_table(camera, spheres)):
             target = rows[:, column * B : column * B + maps.shape[1]]
-            if self.device.type == "cpu":
+            if on_cpu:
                 remap(image.numpy(), maps, target.numpy())
             else:
                 target.copy_(_grid_sample(image, self._maps_on_device(camera, spheres, k, maps)))
         start, width = self._spans[camera, spheres.start]
         for first, stop in split_at_seam((start + width) % W, W - width, W):
-            out[:, first:stop] = torch.nan
+            (out.numpy() if on_cpu else out)[:, first:stop] = np.nan
 
     def visible_columns(self, camera: int, spheres: range) -> tuple[int, int]:
         """Return (start, width) of the columns, around the seam, that are visible to a camera on a block."""
@@ -206,11 +229,12 @@ class SphereSweep:
         key = (camera, spheres.start)
         if key in self._luts:
             return self._luts[key]
-        lut = self._compute_lut(camera, spheres)
-        size = sum(maps.nbytes for _, maps in lut)
-        if self.lut_bytes + size <= self.max_lut_bytes:
-            self._luts[key] = lut
-            self.lut_bytes += size
+        with _ONE_TABLE:
+            lut = self._compute_lut(camera, spheres)
+            size = sum(maps.nbytes for _, maps in lut)
+            if self.lut_bytes + size <= self.max_lut_bytes:
+                self._luts[key] = lut
+                self.lut_bytes += size
         return lut
 
     def _compute_lut(self, camera: int, spheres: range) -> _LookupTable:
@@ -219,7 +243,8 @@ class SphereSweep:
 
         def fill(k: int) -> None:
             uv, valid = self.project_sphere(camera, spheres[k])
-            maps[:, :, k] = np.where(valid[..., None], uv, OUTSIDE)
+            maps[:, :, k] = uv
+            maps[~valid, k] = OUTSIDE
 
         with ThreadPoolExecutor() as pool:  # NumPy releases the interpreter lock in large operations
             list(pool.map(fill, range(len(spheres))))

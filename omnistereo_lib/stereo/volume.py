@@ -1,6 +1,8 @@
 """The cost volume C(p, n): matching costs of all rays on all spheres (paper, Section III-B and Eq. 2)."""
 
+import math
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Protocol
 
 import numpy as np
@@ -61,7 +63,7 @@ def cost_volume(
         raise OmnistereoError(f"cost is {cost!r}; expected a matching cost, which is called like ZNCC")
     pairs = camera_pairs(pairs, sweep.rig)
     volume = whole(sweep, images, progress) if whole else _by_blocks(sweep, images, cost, pairs, progress)
-    if volume.isnan().all():
+    if all(row.isnan().all() for row in volume):
         raise OmnistereoError(
             f"no ray is visible to both cameras of any pair {pairs}. Check the poses (camera → rig, metres), the field "
             f"of view, the masks and phi_deg = {sweep.grid.phi_deg}."
@@ -77,13 +79,27 @@ def _by_blocks(
     H, W = sweep.grid.shape
     check_memory(sweep.rig, sweep.grid, sweep.device)
     volume = torch.empty(H, W, sweep.grid.num_spheres, device=sweep.device)
-    buffer = torch.empty(len(sweep.rig), H, W, len(sweep.blocks()[0]), device=sweep.device)
-    for spheres in progress(sweep.blocks()):
-        if len(spheres) < buffer.shape[-1]:
-            buffer = None  # the last block
-        block = sweep.warp_block(normalized, spheres, buffer)  # first: it computes what visible_columns looks up
+    blocks, on_cpu = sweep.blocks(), sweep.device.type == "cpu"
+    # ZNCC runs in one thread, so it gets one for each block; a network has threads of its own.
+    threads = min(torch.get_num_threads(), len(blocks)) if on_cpu and isinstance(cost, ZNCC) else 1
+    buffers = [torch.empty(len(sweep.rig), H, W, len(blocks[0]), device=sweep.device) for _ in range(threads)]
+
+    def fill(spheres: range) -> None:
+        buffer = buffers.pop()
+        out = buffer if len(spheres) == buffer.shape[-1] else None  # the last block may be smaller
+        block = sweep.warp_block(normalized, spheres, out)  # first: it computes what visible_columns looks up
         columns = [sweep.visible_columns(camera, spheres) for camera in range(len(sweep.rig))]
-        volume[:, :, spheres.start : spheres.stop] = cost(block, pairs, columns)
+        costs, target = cost(block, pairs, columns), volume[:, :, spheres.start : spheres.stop]
+        if on_cpu:  # by NumPy: torch has threads of its own, which spin after each operation and slow these down
+            target.numpy()[:] = costs.detach().float().numpy()
+        else:
+            target.copy_(costs)
+        buffers.append(buffer)
+
+    with ThreadPoolExecutor(threads) as pool:
+        done = (pool.map if threads > 1 else map)(fill, blocks)
+        for _ in zip(progress(blocks), done, strict=True):
+            pass
     return volume
 
 
@@ -110,7 +126,8 @@ def check_memory(rig: Rig, grid: SphereGrid, device: torch.device | str = "cpu")
     H, W = grid.shape
     # Bytes per ray, measured: a block of spheres in sweep and cost, then the volume and the copies that SGM makes.
     if device.type == "cpu":
-        need = H * W * (400 + 225 * len(rig) + 9 * grid.num_spheres)
+        more_blocks = min(torch.get_num_threads(), math.ceil(grid.num_spheres / 16)) - 1  # at once; see `_by_blocks`
+        need = H * W * (400 + 225 * len(rig) + 9 * grid.num_spheres + more_blocks * (250 + 64 * len(rig)))
     else:
         need = H * W * (1800 + 64 * len(rig) + 18 * grid.num_spheres)
     require_memory(need, grid, device)

@@ -1,7 +1,6 @@
 """ZNCC, the matching cost without training (paper, Section III-B and IV)."""
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from numbers import Integral
 
@@ -17,7 +16,6 @@ from omnistereo_lib.stereo.compiled import compiled
 
 _LANES = 16  # spheres side by side, as many as in a block of the sweep
 _PIECE = 64  # columns at a time: the sums over their windows stay in the cache
-_ROWS = 40  # rows at a time, one task for a thread; results do not depend on the number of threads
 _FLAT_VARIANCE = 1e-6  # of unit-variance images; flatter patches hold only the rounding of the interpolation
 
 
@@ -70,17 +68,13 @@ class ZNCC:
         pieces = [(i, j, s + k, min(_PIECE, width - k)) for i, j, s, width in strips for k in range(0, width, _PIECE)]
         pieces = np.array(pieces, np.int64).reshape(-1, 4)
         costs = []
-        with ThreadPoolExecutor(torch.get_num_threads()) as pool:  # the kernel releases the interpreter lock
-            for images in spherical_images.permute(0, 2, 3, 1).split(_LANES, -1):
-                B = images.shape[-1]
-                images = pad(images, (0, _LANES - B), value=torch.nan).contiguous().flatten(2).numpy()
-                cost = np.empty(images.shape[1:], np.float32)
-
-                def fill(top: int, images: NDArray = images, cost: NDArray = cost) -> None:
-                    _zncc_rows(images, pieces, self.window // 2, top, cost[top : top + _ROWS])
-
-                list(pool.map(fill, range(0, H, _ROWS)))
-                costs.append(torch.from_numpy(cost).view(H, W, _LANES)[..., :B])
+        for images in spherical_images.permute(0, 2, 3, 1).split(_LANES, -1):
+            B = images.shape[-1]
+            if B < _LANES:
+                images = pad(images, (0, _LANES - B), value=torch.nan)
+            cost = np.empty((H, W * _LANES), np.float32)
+            _mean_costs(images.contiguous().flatten(2).numpy(), pieces, self.window // 2, cost)
+            costs.append(torch.from_numpy(cost).view(H, W, _LANES)[..., :B])
         return costs[0] if len(costs) == 1 else torch.cat(costs, -1)
 
 
@@ -99,8 +93,8 @@ def common_columns(a: tuple[int, int], b: tuple[int, int], W: int) -> list[tuple
 
 
 @compiled(nogil=True, error_model="numpy")
-def _zncc_rows(images: NDArray, pieces: NDArray, radius: int, top: int, cost: NDArray) -> None:
-    """Write the mean costs of some rows, from `top` on, to cost (rows, W · lanes).
+def _mean_costs(images: NDArray, pieces: NDArray, radius: int, cost: NDArray) -> None:
+    """Write the mean costs over the pairs to cost (H, W · lanes).
 
     Args:
         images: shape (cameras, H, W · lanes)
@@ -109,17 +103,15 @@ def _zncc_rows(images: NDArray, pieces: NDArray, radius: int, top: int, cost: ND
     count = np.zeros(cost.shape, np.float32)
     cost[:] = 0
     for i, j, start, width in pieces:
-        _add_costs(images[i], images[j], start, width, radius, top, cost, count)
+        _add_costs(images[i], images[j], start, width, radius, cost, count)
     for y in range(len(cost)):
         for t in range(cost.shape[1]):
             cost[y, t] /= count[y, t]  # 0/0 = NaN where no pair is visible
 
 
 @numba.njit
-def _add_costs(
-    a: NDArray, b: NDArray, start: int, width: int, radius: int, top: int, total: NDArray, count: NDArray
-) -> None:
-    """Add the costs of the columns [start, start + width) of one pair to total and count (rows, W · lanes).
+def _add_costs(a: NDArray, b: NDArray, start: int, width: int, radius: int, total: NDArray, count: NDArray) -> None:
+    """Add the costs of the columns [start, start + width) of one pair to total and count (H, W · lanes).
 
     The sums over the rows of the window slide down the image, the sums over its columns then slide along the row. They
     are float64: in float32 the variance of a bright, flat patch would be rounding error.
@@ -130,19 +122,19 @@ def _add_costs(
     box = np.empty((6, width * _LANES))
     pair = np.empty((2, width * _LANES), np.float32)  # weight and weighted cost
     first = (start - radius) % W * _LANES
-    for y in range(top - 2 * radius, top + len(total)):
+    for y in range(-2 * radius, len(total)):
         row = y + radius
         new, old = ring[row % (window + 1)], ring[(row + 1) % (window + 1)]
         new[:] = 0
         if 0 <= row < len(a):
             _common_pixels(a[row], b[row], first, new)
         _slide(sums, new, old)
-        if y >= top:
+        if y >= 0:
             for q in range(6):
                 _add_columns(sums[q], window, box[q])
             _correlate(box, ring[y % (window + 1)][0][radius * _LANES :], pair)
-            _add_wrapped(pair[0], start % W * _LANES, count[y - top])
-            _add_wrapped(pair[1], start % W * _LANES, total[y - top])
+            _add_wrapped(pair[0], start % W * _LANES, count[y])
+            _add_wrapped(pair[1], start % W * _LANES, total[y])
 
 
 @numba.njit
