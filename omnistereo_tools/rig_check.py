@@ -99,7 +99,7 @@ def check_rig(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid) -> RigChe
     cost = matching_cost(sweep, images)
     given = RigHypothesis("as given", cost, cost)
     others = [
-        RigHypothesis(name, matching_cost(sweep.with_poses(other), images), cost)
+        RigHypothesis(name, matching_cost(sweep.with_poses(other.T_rig_cam), images), cost)
         for name, other in _other_poses(rig, grid)
     ]
     for name, changed in _other_images(images):
@@ -162,7 +162,7 @@ def _rotated_cameras(sweep: SphereSweep, images: Sequence[ArrayLike]) -> Iterato
         pairs = [pair for pair in camera_pairs("all", rig) if camera in pair]
 
         def cost(axis_angle: NDArray, camera: int = camera, pairs: Pairs = pairs) -> float:
-            return matching_cost(sweep.with_poses(rotate_camera(rig, camera, axis_angle)), images, pairs)
+            return matching_cost(sweep.with_poses(rotate_camera(rig, camera, axis_angle).T_rig_cam), images, pairs)
 
         given_cost = cost(np.zeros(3))
         steps = angle * np.concatenate([np.eye(3), -np.eye(3)])

@@ -105,7 +105,8 @@ class OcamCamera:
         """Project points to pixels: A(Π(X; Φ)) (paper, Section III-A).
 
         Args:
-            points (array or torch tensor, shape (..., 3)): Points in the camera frame; only their direction matters.
+            points (array or torch tensor, shape (..., 3)): Points in the camera frame; only their direction matters,
+                at any length between 1e-150 and 1e150.
             use_direct_poly: False: evaluate the inverse polynomial, as every released code does. True: find the root of
                 the direct polynomial, for files whose two polynomials disagree.
 

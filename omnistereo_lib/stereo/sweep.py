@@ -18,11 +18,12 @@ from torch.nn.functional import grid_sample
 
 from omnistereo_lib.errors import OmnistereoError, checked
 from omnistereo_lib.geometry.camera import OcamCamera
+from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 
 _D0 = 2.0**-23  # 1/m, inverse depth of the sphere at infinity in the paper
-_BLOCK = 16  # spheres warped at a time: their cells fill one cache line of the (H, W, N) volume
+BLOCK = 16  # spheres warped at a time: their cells fill one cache line of the (H, W, N) volume
 _MAX_SIDE = 32766  # largest width and height of the output of cv2.remap
 OUTSIDE = -1e5  # px, pixel coordinate of invalid rays; NaN coordinates are undefined in cv2.remap
 _LUT_BUDGET = 2 << 30  # bytes
@@ -51,7 +52,6 @@ class SphereSweep:
 
     Attributes:
         rig: The rig with its origin at the sweep centre: its poses are the inverse of Θ* in the paper.
-        lut_bytes: Size of the lookup tables that are kept.
     """
 
     @checked
@@ -71,26 +71,29 @@ class SphereSweep:
         if max_lut_bytes is None:
             max_lut_bytes = min(_LUT_BUDGET, psutil.virtual_memory().available // 4)
         self.max_lut_bytes = max_lut_bytes
-        self.lut_bytes = 0
         self._rays = grid.rays()
         self._luts: dict[tuple[int, int], _LookupTable] = {}
         self._spans: dict[tuple[int, int], tuple[int, int]] = {}  # (start, width) of the visible columns
         self._device_maps: dict[tuple[int, int, int], Tensor] = {}
 
-    def with_poses(self, rig: Rig) -> "SphereSweep":
-        """Return a sweep of the same cameras with the poses of a rig, around their mean centre.
+    def with_poses(self, T_rig_cam: Sequence[Pose]) -> "SphereSweep":
+        """Return a sweep of the same cameras with other poses, around their mean centre.
 
         Cameras that stay where they are share their tables: to rotate one of them costs one camera's tables.
         """
         other = copy(self)
-        other.rig = rig.recentered()
+        other.rig = self.rig.with_poses(T_rig_cam).recentered()
         poses = zip(self.rig.T_rig_cam, other.rig.T_rig_cam, strict=True)
         kept = {i for i, (a, b) in enumerate(poses) if np.array_equal(a.R, b.R) and np.array_equal(a.t, b.t)}
         other._luts = {key: lut for key, lut in self._luts.items() if key[0] in kept}
         other._spans = {key: span for key, span in self._spans.items() if key[0] in kept}
         other._device_maps = {}
-        other.lut_bytes = sum(maps.nbytes for lut in other._luts.values() for _, maps in lut)
         return other
+
+    @property
+    def lut_bytes(self) -> int:
+        """Size of the lookup tables that are kept."""
+        return sum(maps.nbytes for lut in self._luts.values() for _, maps in lut)
 
     @cached_property
     def _image_masks(self) -> list[NDArray[np.uint8]]:
@@ -173,7 +176,7 @@ class SphereSweep:
                 gray = blur(gray * inside, sigma)
                 gray /= weight
             mean, deviation = (float(moment[0, 0]) for moment in cv2.meanStdDev(gray, mask=mask))
-            gray = gray - np.float32(mean)
+            gray = gray - np.float32(mean)  # not in place: it may be the caller's image
             gray *= np.float32(1 / deviation if deviation > 0 else 1.0)
             return torch.from_numpy(gray).to(self.device)
 
@@ -183,7 +186,7 @@ class SphereSweep:
     def blocks(self) -> list[range]:
         """Return the sphere indices 0 to N - 1 in blocks that are warped together."""
         N = self.grid.num_spheres
-        block = max(1, min(_BLOCK, _MAX_SIDE // self.grid.width))
+        block = max(1, min(BLOCK, _MAX_SIDE // self.grid.width))
         return [range(n, min(n + block, N)) for n in range(0, N, block)]
 
     def warp_block(self, normalized: Sequence[Tensor], spheres: range, out: Tensor | None = None) -> Tensor:
@@ -234,7 +237,6 @@ class SphereSweep:
             size = sum(maps.nbytes for _, maps in lut)
             if self.lut_bytes + size <= self.max_lut_bytes:
                 self._luts[key] = lut
-                self.lut_bytes += size
         return lut
 
     def _compute_lut(self, camera: int, spheres: range) -> _LookupTable:

@@ -14,7 +14,7 @@ from torch import Tensor
 from omnistereo_lib.errors import OmnistereoError, checked
 from omnistereo_lib.geometry.rig import Pairs, Rig, camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_lib.stereo.sweep import BLOCK, SphereSweep
 from omnistereo_lib.stereo.zncc import ZNCC
 
 
@@ -126,7 +126,7 @@ def check_memory(rig: Rig, grid: SphereGrid, device: torch.device | str = "cpu")
     H, W = grid.shape
     # Bytes per ray, measured: a block of spheres in sweep and cost, then the volume and the copies that SGM makes.
     if device.type == "cpu":
-        more_blocks = min(torch.get_num_threads(), math.ceil(grid.num_spheres / 16)) - 1  # at once; see `_by_blocks`
+        more_blocks = min(torch.get_num_threads(), math.ceil(grid.num_spheres / BLOCK)) - 1  # at once; see `_by_blocks`
         need = H * W * (400 + 225 * len(rig) + 9 * grid.num_spheres + more_blocks * (250 + 64 * len(rig)))
     else:
         need = H * W * (1800 + 64 * len(rig) + 18 * grid.num_spheres)
