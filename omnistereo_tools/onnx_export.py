@@ -13,7 +13,7 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, make_folder
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.stereo.correlation import feature_coordinates, pixels_per_degree
+from omnistereo_lib.stereo.correlation import feature_coordinates, pixels_per_degree, volume_sizes
 from omnistereo_lib.stereo.sweep import reduce_images, visible_pixels
 from omnistereo_lib.stereo.volumenet import VolumeNet
 
@@ -26,7 +26,7 @@ def export_onnx(out: Path, rig: Rig, grid: SphereGrid, network: VolumeNet | None
 
     features.onnx   image (h, w) float32 and visible (h, w) bool → features (32, ⌈h / 2⌉, ⌈w / 2⌉); any size
     volume.onnx     volume (1, 9, W, H, N) float32, sizes in multiples of 8 → logits (1, W, H, N)
-    rig.npz         for each camera its mask, the factor by which images are reduced, and where cells of the volume land
+    rig.npz         for each volume and camera a mask, the factor by which images are reduced, and where cells land
     run_onnx.py     the rest of the method in NumPy
 
     Args:
@@ -65,14 +65,17 @@ def _export(network: torch.nn.Module, inputs: tuple, path: Path, axes: dict, out
 def _write_rig(path: Path, rig: Rig, grid: SphereGrid) -> None:
     """Write what of the rig and the grid the script needs."""
     blank = [np.zeros(camera.image_size[::-1], np.uint8) for camera in rig.cameras]
-    reduced, _ = reduce_images(rig, blank, pixels_per_degree(grid))
     arrays = {
         "size": np.array([grid.width, grid.height, grid.num_spheres]),
         "inverse_depth": np.array([1 / grid.min_depth, 1 / grid.max_depth]),
     }
-    for k, (camera, coordinates) in enumerate(zip(reduced.cameras, feature_coordinates(reduced, grid), strict=True)):
-        arrays[f"mask{k}"] = visible_pixels(camera)
-        arrays[f"factor{k}"] = np.array(rig.cameras[k].image_size[0] // camera.image_size[0])
-        arrays[f"uv{k}"] = coordinates.numpy()
+    for size in volume_sizes(grid):
+        reduced, _ = reduce_images(rig, blank, pixels_per_degree(size))
+        for k, (camera, uv) in enumerate(zip(reduced.cameras, feature_coordinates(reduced, grid, size), strict=True)):
+            name = f"{size[0]}_{k}"
+            arrays[f"mask{name}"] = visible_pixels(camera)
+            arrays[f"factor{name}"] = np.array(rig.cameras[k].image_size[0] // camera.image_size[0])
+            arrays[f"uv{name}"] = uv.numpy()
+    arrays["widths"] = np.array([size[0] for size in volume_sizes(grid)])
     with atomic_write(path) as temporary:
         np.savez_compressed(temporary, **arrays)

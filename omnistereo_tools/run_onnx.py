@@ -25,13 +25,15 @@ def depth(folder: Path, images: list[Array]) -> tuple[Array, Array]:
     """
     rig = np.load(folder / "rig.npz")
     features, volume = (ort.InferenceSession(folder / name) for name in ("features.onnx", "volume.onnx"))
-    maps = []
-    for k, image in enumerate(images):
-        gray, mask = normalized(image, rig[f"mask{k}"], int(rig[f"factor{k}"]))
-        maps.append(features.run(None, {"image": gray, "visible": mask})[0])
-    correlation = correlate(maps, [rig[f"uv{k}"] for k in range(len(images))])
-    (logits,) = volume.run(None, {"volume": correlation[None]})
-    index, confidence = read_out(logits[0], tuple(rig["size"]))
+    logits = []
+    for width in rig["widths"]:  # of the volumes, coarse to fine: their logits are averaged
+        maps, names = [], [f"{width}_{k}" for k in range(len(images))]
+        for name, image in zip(names, images, strict=True):
+            gray, mask = normalized(image, rig[f"mask{name}"], int(rig[f"factor{name}"]))
+            maps.append(features.run(None, {"image": gray, "visible": mask})[0])
+        correlation = correlate(maps, [rig[f"uv{name}"] for name in names])
+        logits.append(volume.run(None, {"volume": correlation[None]})[0][0])
+    index, confidence = read_out(logits, tuple(rig["size"]))
     hidden = resize_nearest((correlation[-1] <= 0.3).all(-1).T, index.shape)  # k / 4 of two cameras is 0.5
     near, far = rig["inverse_depth"]
     inverse_depth = far + index * (near - far) / (rig["size"][2] - 1)
@@ -73,22 +75,27 @@ def sample(features: Array, uv: Array) -> Array:
     return np.where(np.isnan(uv[..., :1]), 0, top * (1 - b) + bottom * b).astype(np.float32)
 
 
-def read_out(logits: Array, size: tuple[int, int, int]) -> tuple[Array, Array]:
-    """Return sphere index and confidence (H, W) of logits (w, h, n) at a size (W, H, N): the mean around the best."""
+def read_out(logits: list[Array], size: tuple[int, int, int]) -> tuple[Array, Array]:
+    """Return sphere index and confidence (H, W) of logits (w, h, n) of volumes, averaged at a size (W, H, N)."""
     width, height, spheres = size
     index, confidence = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
-    left, right, weight = positions(width, logits.shape[0])
     for start in range(0, width, COLUMNS):
         part = slice(start, start + COLUMNS)
-        w = weight[part, None, None]
-        x = logits[left[part] % len(logits)] * (1 - w) + logits[right[part] % len(logits)] * w
-        p = np.exp(between(between(x, height, 1), spheres, 2))
+        p = np.exp(sum(resized(one, size, part) for one in logits) / len(logits))
         p /= p.sum(-1, keepdims=True)
         near = p.argmax(-1)[..., None] + np.arange(-RADIUS, RADIUS + 1)
         mass = np.take_along_axis(p, near.clip(0, spheres - 1), -1) * ((near >= 0) & (near < spheres))
         index[:, part] = ((mass * near).sum(-1) / mass.sum(-1)).T
         confidence[:, part] = mass.sum(-1).T
     return index, confidence
+
+
+def resized(logits: Array, size: tuple[int, int, int], columns: slice) -> Array:
+    """Return columns of logits (w, h, n) at a size (W, H, N), interpolated, circular in θ."""
+    left, right, weight = (x[columns] for x in positions(size[0], len(logits)))
+    weight = weight[:, None, None]
+    across = logits[left % len(logits)] * (1 - weight) + logits[right % len(logits)] * weight
+    return between(between(across, size[1], 1), size[2], 2)
 
 
 def positions(size: int, old: int) -> tuple[Array, Array, Array]:

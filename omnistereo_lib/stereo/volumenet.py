@@ -31,7 +31,7 @@ from omnistereo_lib.stereo.correlation import (
     correlate,
     feature_coordinates,
     pixels_per_degree,
-    volume_size,
+    volume_sizes,
 )
 from omnistereo_lib.stereo.learned import Precision, autocast
 from omnistereo_lib.stereo.sweep import SphereSweep, reduce_images, to_gray, visible_pixels
@@ -123,7 +123,7 @@ class VolumeNet(StoredNetwork):
         self.down = nn.ModuleList(nn.Sequential(Conv3d(a, b, stride=2), Conv3d(b, b)) for a, b in steps)
         self.up = nn.ModuleList(nn.ModuleList([nn.Conv3d(b, a, 1), Conv3d(a, a)]) for a, b in steps)
         self.head = nn.Conv3d(WIDTHS[0], 1, 3, padding=(0, 1, 1))
-        self._prepared: WeakKeyDictionary[SphereSweep, tuple[list[Tensor], list[Tensor]]] = WeakKeyDictionary()
+        self._prepared: WeakKeyDictionary[SphereSweep, dict] = WeakKeyDictionary()  # by the size of the volume
 
     def correlation(self, images: Sequence[Tensor], visible: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tensor:
         """Return the correlation volume (9, W, H, N) of one frame; see `FeatureNet` and `correlate`."""
@@ -149,26 +149,31 @@ class VolumeNet(StoredNetwork):
         Images and `progress` as in `cost_volume`; raises an `OmnistereoError` if there is not enough memory.
         """
         grid, device = sweep.grid, sweep.device
-        require_memory(
-            _BYTES * math.prod(volume_size(grid)) + 4 * math.prod(grid.shape) * grid.num_spheres, grid, device
-        )
+        sizes = volume_sizes(grid)
+        require_memory(_BYTES * math.prod(sizes[-1]) + 4 * math.prod(grid.shape) * grid.num_spheres, grid, device)
         self.to(device)
-        rig, images = reduce_images(sweep.rig, images, pixels_per_degree(grid))
-        if sweep not in self._prepared:
-            masks = [torch.from_numpy(visible_pixels(camera)).to(device) for camera in rig.cameras]
-            self._prepared[sweep] = masks, [uv.to(device) for uv in feature_coordinates(rig, grid)]
-        masks, coordinates = self._prepared[sweep]
-        normalized = [normalize(torch.from_numpy(to_gray(i)).to(device), m) for i, m in zip(images, masks, strict=True)]
+        *_, correlation = correlations = [self._correlation_at(sweep, images, size) for size in sizes]
         with autocast(self.precision, device):
-            correlation = self.correlation(normalized, masks, coordinates)
-            logits = self(correlation[None])
+            logits = [self(one[None]) / len(sizes) for one in correlations]
         shared = (correlation[-1] > 0.3).any(-1).float()[None, None]  # k / 4 of two cameras is 0.5
         hidden = interpolate(shared, grid.shape[::-1], mode="nearest")[0, 0].T == 0
         volume = torch.empty(*grid.shape, grid.num_spheres, device=device)
         for columns in progress(torch.arange(grid.width, device=device).split(64)):
-            p = resize_logits(logits, columns, grid)[0].softmax(-1)
-            volume[:, columns] = (1 - p).transpose(0, 1)
+            mean = sum(resize_logits(one, columns, grid)[0] for one in logits)
+            volume[:, columns] = (1 - mean.softmax(-1)).transpose(0, 1)
         return volume.masked_fill_(hidden[..., None], torch.nan)
+
+    def _correlation_at(self, sweep: SphereSweep, images: Sequence[ArrayLike], size: tuple[int, int, int]) -> Tensor:
+        """Return the correlation volume of a frame at a size; masks and coordinates are kept for the next frame."""
+        rig, images = reduce_images(sweep.rig, images, pixels_per_degree(size))
+        prepared, device = self._prepared.setdefault(sweep, {}), sweep.device
+        if size not in prepared:
+            masks = [torch.from_numpy(visible_pixels(camera)).to(device) for camera in rig.cameras]
+            prepared[size] = masks, [uv.to(device) for uv in feature_coordinates(rig, sweep.grid, size)]
+        masks, coordinates = prepared[size]
+        normalized = [normalize(torch.from_numpy(to_gray(i)).to(device), m) for i, m in zip(images, masks, strict=True)]
+        with autocast(self.precision, device):
+            return self.correlation(normalized, masks, coordinates)
 
 
 def normalize(image: Tensor, visible: Tensor) -> Tensor:

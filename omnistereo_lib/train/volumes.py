@@ -15,7 +15,7 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.stereo.correlation import feature_coordinates, pixels_per_degree
+from omnistereo_lib.stereo.correlation import feature_coordinates, pixels_per_degree, volume_sizes
 from omnistereo_lib.stereo.sweep import reduce_images, to_gray, visible_pixels
 from omnistereo_lib.stereo.volumenet import VolumeNet, local_mean, normalize, resize_logits
 from omnistereo_lib.train.frames import TrainingFrames, to_device
@@ -70,17 +70,21 @@ class VolumeSamples(TrainingFrames):
         """Return a frame on a grid; with an rng, rotated and scaled at random, its images changed."""
         rotation, scale = self.view(rng)
         grid = self.grid(scale * frame.rig.min_depth)
-        rig, images = reduce_images(frame.rig.recentered(), frame.images, pixels_per_degree(grid))
+        size = volume_sizes(grid)[-1]
+        rig, images = reduce_images(frame.rig.recentered(), frame.images, pixels_per_degree(size))
         if frame.rig not in self._masks:
             self._masks[frame.rig] = [to_device(visible_pixels(camera), self.device) for camera in rig.cameras]
         masks = self._masks[frame.rig]
         gray = [to_gray(image) if rng is None else _other_look(to_gray(image), rng) for image in images]
         index = grid.inverse_depth_to_index(frame.inverse_depth_along(grid.rays() @ rotation))
         index = np.where(index <= grid.num_spheres - 1, index, np.nan).astype(np.float32).T
+        coordinates = feature_coordinates(rig.transformed(Pose(rotation, np.zeros(3))), grid, size)
+        if rng is not None and rng.integers(2):  # a mirrored world: θ becomes -θ
+            index, coordinates = index[::-1], [uv.flip(0) for uv in coordinates]
         return VolumeSample(
             [normalize(to_device(image, self.device), mask) for image, mask in zip(gray, masks, strict=True)],
             masks,
-            [uv.to(self.device) for uv in feature_coordinates(rig.transformed(Pose(rotation, np.zeros(3))), grid)],
+            [uv.to(self.device) for uv in coordinates],
             to_device(index, self.device),
         )
 

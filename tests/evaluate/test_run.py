@@ -3,10 +3,6 @@
 import hashlib
 import json
 import shutil
-import signal
-import subprocess
-import sys
-import time
 
 import pytest
 import scene
@@ -168,24 +164,6 @@ def test_an_interrupted_run_resumes_to_the_same_file(data, tmp_path, expected, s
     with pytest.raises(osl.OmnistereoError, match=rf"{6 - stop} of 6 results are missing, such as .*zncc.*json"):
         task.results()
     assert evaluate(tmp_path, data, tuple(reversed(ZNCC))) == expected  # the order of methods does not matter
-
-
-def test_a_killed_process_resumes_to_the_same_file(data, tmp_path):
-    """SIGKILL at any moment."""
-    penalties = ABLATIONS["penalties"][:12]
-    script = (
-        "import sys, pathlib, time; from omnistereo_lib.evaluate import *\n"
-        "methods, sets = select_methods(sys.argv[3:]), {'box': pathlib.Path(sys.argv[2])}\n"
-        "for job in Evaluation(sys.argv[1], sets, methods, Scale(96, 24, 12)).run(): time.sleep(0.01)"
-    )
-    words = [tmp_path / "killed", data, *(method.name for method in penalties)]
-    process = subprocess.Popen([sys.executable, "-c", script, *map(str, words)], stdout=subprocess.DEVNULL)
-    while process.poll() is None and not list((tmp_path / "killed").glob("frames/*/*/[!.]*.json")):
-        time.sleep(0.002)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    assert 0 < len(evaluation(tmp_path / "killed", data, penalties).missing()) < 36
-    assert evaluate(tmp_path / "killed", data, penalties) == evaluate(tmp_path / "whole", data, penalties)
 
 
 def test_a_temporary_file_that_a_kill_leaves_is_not_a_result(data, tmp_path):

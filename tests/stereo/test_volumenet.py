@@ -11,7 +11,7 @@ from torch.nn.functional import grid_sample
 from torch.profiler import ProfilerActivity, profile
 
 import omnistereo_lib as osl
-from omnistereo_lib.stereo.correlation import _PairProducts, bilinear, correlate, feature_coordinates, volume_size
+from omnistereo_lib.stereo.correlation import _PairProducts, bilinear, correlate, feature_coordinates, volume_sizes
 from omnistereo_lib.stereo.pipeline import estimate_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.volume import cost_volume
@@ -38,16 +38,16 @@ def small():
 
 
 @pytest.mark.parametrize(
-    ("grid", "size"),
+    ("grid", "sizes"),
     [
-        ((320, 80, 64), (160, 40, 32)),
-        ((640, 160, 192), (320, 80, 48)),
-        ((1200, 300, 192), (304, 80, 48)),
-        ((96, 24, 16), (160, 40, 32)),  # finer than the grid, as the network was trained
+        ((320, 80, 64), [(160, 40, 32)]),
+        ((640, 160, 192), [(160, 40, 32), (320, 80, 48)]),
+        ((1200, 300, 192), [(160, 40, 32), (304, 80, 48)]),
+        ((96, 24, 16), [(160, 40, 32)]),  # finer than the grid, as the network was trained
     ],
 )
-def test_the_size_of_the_volume(grid, size):
-    assert volume_size(osl.SphereGrid(*grid[:2], num_spheres=grid[2])) == size
+def test_the_sizes_of_the_volumes(grid, sizes):
+    assert volume_sizes(osl.SphereGrid(*grid[:2], num_spheres=grid[2])) == sizes
 
 
 def test_the_features_of_a_cell_are_interpolated(small):
@@ -91,8 +91,9 @@ def test_the_gradient_of_the_correlation():
 def test_cells_land_on_the_features_of_their_points():
     rig = scene.rig(cameras=3).recentered()
     grid = osl.SphereGrid(320, 96, (-45, 45), 64, 0.6)
-    coordinates = feature_coordinates(rig, grid)
-    assert coordinates[0].shape == (*volume_size(grid), 2) == (160, 48, 32, 2)
+    (size,) = volume_sizes(grid)
+    coordinates = feature_coordinates(rig, grid, size)
+    assert coordinates[0].shape == (*size, 2) == (160, 48, 32, 2)
     rays = replace(grid, width=160, height=48).rays()
     for column, row, sphere in ((0, 0, 0), (57, 15, 19), (140, 45, 31)):
         # Sphere m of the volume lies between the spheres 2 m and 2 m + 1 of the grid.

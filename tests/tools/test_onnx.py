@@ -14,8 +14,8 @@ from omnistereo_lib.files import write_image
 
 ort = pytest.importorskip("onnxruntime", reason="ONNX Runtime is not installed: environment.txt has it")
 
-SMALL = ["--width", "96", "--height", "24", "--spheres", "16"]
-GRID = osl.SphereGrid(96, 24, num_spheres=16, min_depth=0.6)
+FINE = ["--width", "384", "--height", "96", "--spheres", "64"]  # two volumes: the script averages as the library does
+GRID = osl.SphereGrid(384, 96, num_spheres=64, min_depth=0.6)
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def rig():
 def exported(rig, tmp_path_factory):
     folder = tmp_path_factory.mktemp("onnx")
     rig.save(folder / "rig.yaml")
-    assert cli.main(["onnx", "--rig", str(folder / "rig.yaml"), *SMALL, "--out", str(folder / "out")]) == 0
+    assert cli.main(["onnx", "--rig", str(folder / "rig.yaml"), *FINE, "--out", str(folder / "out")]) == 0
     return folder / "out"
 
 

@@ -4,10 +4,8 @@ import csv
 import hashlib
 import os
 import re
-import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -92,27 +90,6 @@ def command(data, out, *settings, network="sweepnet"):
     tiny = [f"{name}={value}" for name, value in recipe.as_dict().items() if value != usual[name]]
     verb = ["-m", "omnistereo_lib", "train", network, "--data", data, "--out", out, "--precision", "float32"]
     return [str(word) for word in [*verb, "--set", *tiny, *settings]]
-
-
-def test_a_killed_process_goes_on_to_the_same_weights(data, tmp_path):
-    """SIGKILL, whatever it is doing: it writes its state after every step, and may be in the middle of that."""
-    recipe = replace(SWEEPNET, steps=20)
-    script = (
-        "import sys; from dataclasses import asdict, replace; sys.path[:0] = sys.argv[1].split()\n"
-        "import test_train as t\n"
-        "t.train(replace(t.SWEEPNET, steps=20), sys.argv[2], sys.argv[3], 'cpu', 'float32', 0.0)"
-    )
-    arguments = [sys.executable, "-c", script, PATHS, tmp_path / "killed", data]
-    process = subprocess.Popen([str(word) for word in arguments])
-    while process.poll() is None and not (tmp_path / "killed" / STATE).exists():
-        time.sleep(0.02)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    left = recipe.steps - load_tensors(tmp_path / "killed" / STATE)[1]["step"]
-    assert 0 < left < recipe.steps
-    assert len(losses(recipe, tmp_path / "killed", data)) == left
-    losses(recipe, tmp_path / "whole", data)
-    assert_same_weights(weights(tmp_path / "whole"), weights(tmp_path / "killed"))
 
 
 def test_two_processes_compute_what_one_does(data, tmp_path):
