@@ -33,6 +33,7 @@ if _workers:
     _cores = max(1, (os.cpu_count() or 1) // _workers)
     os.environ.setdefault("OMP_NUM_THREADS", str(_cores))
     os.environ.setdefault("NUMBA_NUM_THREADS", str(max(2, _cores)))
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # threads that wait leave the core to the other workers
 
 
 # No deadline: a busy machine is no mistake. In CI the same examples every time: a search for new ones belongs where
