@@ -34,6 +34,7 @@ from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.sweepnet import SweepNet
 from omnistereo_lib.train import RECIPES
 from omnistereo_lib.train.spheres import SphereObjective, SphereSamples
+from omnistereo_tools.memory import keep_memory
 
 _SEAM = 42  # columns on each side whose costs see across the seam: half the receptive field of 81, and the stride
 
@@ -321,6 +322,7 @@ def bench_calibrate(repeats: int = 3) -> list[Row]:
 
 def run(quick: bool = False) -> None:
     """Print the table; quick: only at teaching scale, in seconds. The scale of the paper takes 10 GiB and minutes."""
+    keep_memory()  # as every command does
     scales = [(320, 80, 64)] if quick else [(320, 80, 64), (1200, 300, 192)]
     cv2.setNumThreads(torch.get_num_threads())
     print(f"{torch.get_num_threads()} threads; the shorter of repeated runs, taken in turns")

@@ -16,6 +16,7 @@ from tqdm import tqdm
 from omnistereo_lib.cli import calibrate, evaluate, train
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools.commands import depth, doctor, live, onnx
+from omnistereo_tools.memory import keep_memory
 
 COMMANDS = {"depth": depth, "calibrate": calibrate, "doctor": doctor, "train": train, "evaluate": evaluate}
 COMMANDS |= {"live": live, "onnx": onnx}
@@ -27,6 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")  # where the terminal is not UTF-8
     tqdm.monitor_interval = 0  # its thread would outlive the command
+    keep_memory()
     try:
         try:
             options = _parse(list(sys.argv[1:] if arguments is None else arguments))

@@ -51,32 +51,21 @@ def _read_once(architecture: type[StoredNetwork], path: Path, wrap: bool, precis
     return network
 
 
-def _learned(architecture: type[StoredNetwork], path: Path, wrap: bool, precision: Precision) -> Cost:
-    """Return a network as a cost; a weights file is read once per process, and again after it was rewritten."""
-    return _read_once(architecture, path, wrap, precision, path.stat().st_mtime_ns if path.is_file() else 0)
+def _network(architecture: type[StoredNetwork]) -> Callable[[Method, Path, Precision], Cost]:
+    """Return what loads a network as a cost: a file is read once per process, and again after it was rewritten."""
+
+    def load(method: Method, path: Path, precision: Precision) -> Cost:
+        written = path.stat().st_mtime_ns if path.is_file() else 0
+        return _read_once(architecture, path, method.volume_key.wrap, precision, written)
+
+    return load
 
 
 COSTS = {  # in the order of Table II
     "zncc": CostEntry("ZNCC", lambda method, path, precision: ZNCC(method.window), frozenset({"window", "pairs"})),
-    "mccnn": CostEntry(
-        "MC-CNN",
-        lambda method, path, precision: _learned(MCCNN, path, True, precision),
-        frozenset({"weights", "pairs"}),
-        "mccnn_fast",
-    ),
-    "sweepnet": CostEntry(
-        "SweepNet",
-        lambda method, path, precision: _learned(SweepNet, path, method.wrap, precision),
-        frozenset({"weights", "pairs", "wrap"}),
-        "sweepnet",
-    ),
-    "volumenet": CostEntry(
-        "VolumeNet",
-        lambda method, path, precision: _learned(VolumeNet, path, True, precision),
-        frozenset({"weights"}),
-        "volumenet",
-        read_out=local_mean,
-    ),
+    "mccnn": CostEntry("MC-CNN", _network(MCCNN), frozenset({"weights", "pairs"}), "mccnn_fast"),
+    "sweepnet": CostEntry("SweepNet", _network(SweepNet), frozenset({"weights", "pairs", "wrap"}), "sweepnet"),
+    "volumenet": CostEntry("VolumeNet", _network(VolumeNet), frozenset({"weights"}), "volumenet", read_out=local_mean),
 }
 
 

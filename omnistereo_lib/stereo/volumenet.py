@@ -152,7 +152,7 @@ class VolumeNet(StoredNetwork):
         sizes = volume_sizes(grid)
         require_memory(_BYTES * math.prod(sizes[-1]) + 4 * math.prod(grid.shape) * grid.num_spheres, grid, device)
         self.to(device)
-        *_, correlation = correlations = [self._correlation_at(sweep, images, size) for size in sizes]
+        *_, correlation = correlations = [self.correlation_at(sweep, images, size) for size in sizes]
         with autocast(self.precision, device):
             logits = [self(one[None]) / len(sizes) for one in correlations]
         shared = (correlation[-1] > 0.3).any(-1).float()[None, None]  # k / 4 of two cameras is 0.5
@@ -163,7 +163,7 @@ class VolumeNet(StoredNetwork):
             volume[:, columns] = (1 - mean.softmax(-1)).transpose(0, 1)
         return volume.masked_fill_(hidden[..., None], torch.nan)
 
-    def _correlation_at(self, sweep: SphereSweep, images: Sequence[ArrayLike], size: tuple[int, int, int]) -> Tensor:
+    def correlation_at(self, sweep: SphereSweep, images: Sequence[ArrayLike], size: tuple[int, int, int]) -> Tensor:
         """Return the correlation volume of a frame at a size; masks and coordinates are kept for the next frame."""
         rig, images = reduce_images(sweep.rig, images, pixels_per_degree(size))
         prepared, device = self._prepared.setdefault(sweep, {}), sweep.device
