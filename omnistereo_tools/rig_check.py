@@ -164,7 +164,7 @@ def _rotated_cameras(sweep: SphereSweep, images: Sequence[ArrayLike]) -> Iterato
         def cost(axis_angle: NDArray, camera: int = camera, pairs: Pairs = pairs) -> float:
             return matching_cost(sweep.with_poses(rotate_camera(rig, camera, axis_angle).T_rig_cam), images, pairs)
 
-        given_cost = cost(np.zeros(3))
+        given_cost = matching_cost(sweep, images, pairs)
         steps = angle * np.concatenate([np.eye(3), -np.eye(3)])
         costs = np.array([cost(step) for step in steps])
         slopes, curvatures = (costs[:3] - costs[3:]) / 2, costs[:3] + costs[3:] - 2 * given_cost

@@ -119,7 +119,7 @@ def test_one_camera_rotated_by_6_degrees_is_named(world, axis):
 
 def test_one_camera_of_the_sample_rotated_by_2_degrees_is_named():
     data = osl.load_dataset(SAMPLE)
-    grid = osl.SphereGrid(240, 60, (-45, 45), 32, data.rig.min_depth)
+    grid = osl.SphereGrid(240, 60, (-45, 45), 16, data.rig.min_depth)
     rig, images = reduce_images(data.rig, data[0].images, grid.width / 360)
     for wrong, low, high in ((rig, 0.97, 1.03), (rotate_camera(rig, 2, [0, np.radians(2), 0]), 0.4, 0.8)):
         ratios = [one.cost / one.given_cost for one in _rotated_cameras(SphereSweep(wrong, grid), images)]
