@@ -79,8 +79,6 @@ class VolumeSamples(TrainingFrames):
         index = grid.inverse_depth_to_index(frame.inverse_depth_along(grid.rays() @ rotation))
         index = np.where(index <= grid.num_spheres - 1, index, np.nan).astype(np.float32).T
         coordinates = feature_coordinates(rig.transformed(Pose(rotation, np.zeros(3))), grid, size)
-        if rng is not None and rng.integers(2):  # a mirrored world: θ becomes -θ
-            index, coordinates = index[::-1], [uv.flip(0) for uv in coordinates]
         return VolumeSample(
             [normalize(to_device(image, self.device), mask) for image, mask in zip(gray, masks, strict=True)],
             masks,
