@@ -16,7 +16,6 @@ from tqdm import tqdm
 from omnistereo_lib.cli import calibrate, evaluate, train
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools.commands import depth, doctor, live, onnx
-from omnistereo_tools.memory import keep_memory
 
 COMMANDS = {"depth": depth, "calibrate": calibrate, "doctor": doctor, "train": train, "evaluate": evaluate}
 COMMANDS |= {"live": live, "onnx": onnx}
@@ -28,6 +27,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")  # where the terminal is not UTF-8
     tqdm.monitor_interval = 0  # its thread would outlive the command
+    from omnistereo_tools.memory import keep_memory
+
     keep_memory()
     try:
         try:
