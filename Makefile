@@ -15,7 +15,7 @@ KEPT_APART := 3 153 303 453
 PAPERS := $(foreach cost,zncc mccnn sweepnet,$(cost)+sgm,p1=0.1,p2=12)
 # In the order of the files: by size, the longest tests of one file each would come last.
 WORKERS := -n logical --maxprocesses 4 --dist loadscope --no-loadscope-reorder
-# glibc gives large arrays back to the system and clears fresh pages for the next ones: a tenth of the tests' time.
+# Otherwise glibc gives large arrays back to the system, which clears pages for the next ones.
 KEEP_MEMORY := MALLOC_MMAP_MAX_=0 MALLOC_TRIM_THRESHOLD_=1000000000
 
 # No question about news, and no notebook marked as unsaved because it was opened.

@@ -69,13 +69,14 @@ def _write_rig(path: Path, rig: Rig, grid: SphereGrid) -> None:
         "size": np.array([grid.width, grid.height, grid.num_spheres]),
         "inverse_depth": np.array([1 / grid.min_depth, 1 / grid.max_depth]),
     }
-    for size in volume_sizes(grid):
+    sizes = volume_sizes(grid)
+    for number, size in enumerate(sizes):
         reduced, _ = reduce_images(rig, blank, pixels_per_degree(size))
         for k, (camera, uv) in enumerate(zip(reduced.cameras, feature_coordinates(reduced, grid, size), strict=True)):
-            name = f"{size[0]}_{k}"
+            name = f"{number}_{k}"
             arrays[f"mask{name}"] = visible_pixels(camera)
             arrays[f"factor{name}"] = np.array(rig.cameras[k].image_size[0] // camera.image_size[0])
             arrays[f"uv{name}"] = uv.numpy()
-    arrays["widths"] = np.array([size[0] for size in volume_sizes(grid)])
+    arrays["volumes"] = np.array(len(sizes))
     with atomic_write(path) as temporary:
         np.savez_compressed(temporary, **arrays)

@@ -26,8 +26,8 @@ def depth(folder: Path, images: list[Array]) -> tuple[Array, Array]:
     rig = np.load(folder / "rig.npz")
     features, volume = (ort.InferenceSession(folder / name) for name in ("features.onnx", "volume.onnx"))
     logits = []
-    for width in rig["widths"]:  # of the volumes, coarse to fine: their logits are averaged
-        maps, names = [], [f"{width}_{k}" for k in range(len(images))]
+    for number in range(rig["volumes"]):  # coarse to fine: their logits are averaged
+        maps, names = [], [f"{number}_{k}" for k in range(len(images))]
         for name, image in zip(names, images, strict=True):
             gray, mask = normalized(image, rig[f"mask{name}"], int(rig[f"factor{name}"]))
             maps.append(features.run(None, {"image": gray, "visible": mask})[0])

@@ -14,8 +14,8 @@ from omnistereo_lib.files import write_image
 
 ort = pytest.importorskip("onnxruntime", reason="ONNX Runtime is not installed: environment.txt has it")
 
-FINE = ["--width", "384", "--height", "96", "--spheres", "64"]  # two volumes: the script averages as the library does
-GRID = osl.SphereGrid(384, 96, num_spheres=64, min_depth=0.6)
+FINE = ["--width", "320", "--height", "80", "--spheres", "128"]  # two volumes, equally wide: 32 and 64 spheres
+GRID = osl.SphereGrid(320, 80, num_spheres=128, min_depth=0.6)
 
 
 @pytest.fixture(scope="module")
