@@ -109,7 +109,7 @@ def test_fast_inference_is_the_plain_networks(frame):
 @pytest.mark.skipif(not uses_bfloat16("auto", "cpu"), reason="this processor would take minutes to imitate bfloat16")
 @pytest.mark.parametrize("name", NETWORKS)
 def test_bfloat16_changes_no_figure(name, frame):
-    rig, grid = osl.load_dataset(SUNNY, split="test").rig, osl.SphereGrid(320, 80, num_spheres=16, min_depth=1.65)
+    rig, grid = osl.load_dataset(SUNNY, split="test").rig, osl.SphereGrid(160, 40, num_spheres=16, min_depth=1.65)
     sweep, network = osl.SphereSweep(rig, grid), NETWORKS[name].pretrained()
     exact, half = (
         osl.cost_volume(sweep, frame.images, LearnedCost(network, precision)) for precision in ("float32", "bfloat16")

@@ -110,7 +110,7 @@ def test_two_processes_compute_what_one_does(data, tmp_path):
 
 @BOTH
 def test_it_learns(recipe, data, tmp_path):
-    recipe = replace(recipe, width=64, height=16, steps=40, validate_every=40, augment=False, learning_rate=3e-3)
+    recipe = replace(recipe, width=64, height=16, steps=24, validate_every=24, augment=False, learning_rate=3e-3)
     curve = losses(recipe, tmp_path, data)
     assert np.mean(curve[-8:]) < 0.85 * np.mean(curve[:4])
 
