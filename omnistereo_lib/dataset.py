@@ -29,15 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError, checked
-from omnistereo_lib.files import (
-    atomic_write,
-    path_within,
-    read_bytes,
-    read_data,
-    read_image,
-    read_pixels,
-    read_text,
-)
+from omnistereo_lib.files import atomic_write, path_within, read_bytes, read_data, read_image, read_pixels, read_text
 from omnistereo_lib.geometry.rig import Rig, Unit
 from omnistereo_lib.geometry.sphere import Sampling, SphereGrid
 from omnistereo_lib.rig_files import load_rig

@@ -16,7 +16,8 @@ from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
 
 Unit = Literal["mm", "cm", "m"]
-Pairs = Literal["ring", "all"] | Sequence[tuple[int, int]]
+Pair = tuple[int, int]
+Pairs = Literal["ring", "all"] | Sequence[Pair]
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +92,7 @@ class Rig:
 
 
 @checked
-def camera_pairs(pairs: Pairs, rig: Rig) -> list[tuple[int, int]]:
+def camera_pairs(pairs: Pairs, rig: Rig) -> list[Pair]:
     """Return the camera pairs to match, as indices (paper, Section III-B).
 
     Args:
@@ -118,7 +119,7 @@ def camera_pairs(pairs: Pairs, rig: Rig) -> list[tuple[int, int]]:
     return [(int(i), int(j)) for i, j in chosen]
 
 
-def _neighbours(rig: Rig) -> list[tuple[int, int]]:
+def _neighbours(rig: Rig) -> list[Pair]:
     """Return the ring of cameras, sorted by the azimuth θ of their optical axes, starting at camera 0."""
     axes = np.stack([pose.R[:, 2] for pose in rig.T_rig_cam])
     azimuth = np.arctan2(axes[:, 0], axes[:, 2])

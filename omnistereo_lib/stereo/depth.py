@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -15,6 +14,7 @@ from torch import Tensor
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.compiled import compiled, minimum
 from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_lib.stereo.threads import map_threads
 from omnistereo_lib.stereo.volume import as_volume
 from omnistereo_lib.stereo.zncc import ZNCC
 
@@ -34,20 +34,7 @@ def winner_takes_all(volume: ArrayLike | Tensor, subindex: bool = False) -> Tens
     Returns:
         float32 tensor, shape (H, W): Sphere index; NaN where every cell is NaN.
     """
-
-    def best(rows: Tensor) -> Tensor:
-        cost, _, winner = _two_lowest(rows)
-        index = winner.float()
-        if subindex:
-            last = rows.shape[-1] - 1
-            left = rows.gather(-1, (winner - 1).clamp(0)[..., None])[..., 0]
-            right = rows.gather(-1, (winner + 1).clamp(max=last)[..., None])[..., 0]
-            bend = left - 2 * cost + right
-            inner = (winner > 0) & (winner < last) & (bend > 0)  # False next to a NaN
-            index = torch.where(inner, index + (left - right) / (2 * bend), index)
-        return torch.where(cost.isinf(), torch.nan, index)
-
-    return _by_rows(best, volume)
+    return index_and_confidence(volume, subindex)[0]
 
 
 def confidence(volume: ArrayLike | Tensor) -> Tensor:
@@ -62,13 +49,29 @@ def confidence(volume: ArrayLike | Tensor) -> Tensor:
     Returns:
         float32 tensor, shape (H, W), in [0, 1]: NaN where every cell is NaN; 1 where there is no n₂.
     """
+    return index_and_confidence(volume)[1]
 
-    def peak_ratio(rows: Tensor) -> Tensor:
-        first, second, _ = _two_lowest(rows)
+
+def index_and_confidence(volume: ArrayLike | Tensor, subindex: bool = False) -> tuple[Tensor, Tensor]:
+    """Return what `winner_takes_all` and `confidence` do, in one pass over the volume, some rows at a time."""
+
+    def read_out(rows: Tensor) -> Tensor:
+        first, second, winner = _two_lowest(rows)
+        index = winner.float()
+        if subindex:
+            last = rows.shape[-1] - 1
+            left = rows.gather(-1, (winner - 1).clamp(0)[..., None])[..., 0]
+            right = rows.gather(-1, (winner + 1).clamp(max=last)[..., None])[..., 0]
+            bend = left - 2 * first + right
+            inner = (winner > 0) & (winner < last) & (bend > 0)  # False next to a NaN
+            index = torch.where(inner, index + (left - right) / (2 * bend), index)
         ratio = torch.where(second > 0, 1 - first / second, 0.0)
-        return torch.where(first.isinf(), torch.nan, ratio)
+        return torch.where(first.isinf(), torch.nan, torch.stack([index, ratio]))
 
-    return _by_rows(peak_ratio, volume)
+    volume = as_volume(volume)
+    rows = max(1, _CELLS // volume[0].numel())
+    parts = map_threads(lambda part: read_out(part.float()), volume.split(rows))
+    return tuple(torch.cat(list(parts), 1))
 
 
 def _two_lowest(volume: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -103,14 +106,6 @@ def _find_two_lowest(volume: NDArray, costs: NDArray, winner: NDArray) -> None:
             for n in range(N):
                 second = minimum(second, ray[n])
             costs[0, y, x], costs[1, y, x], winner[y, x] = first, second, best
-
-
-def _by_rows(function: Callable[[Tensor], Tensor], volume: ArrayLike | Tensor) -> Tensor:
-    """Apply a function of each ray to a cost volume, some rows at a time: (H, W, N) → (H, W)."""
-    volume = as_volume(volume)
-    rows = max(1, _CELLS // volume[0].numel())
-    with ThreadPoolExecutor(torch.get_num_threads()) as pool:
-        return torch.cat(list(pool.map(lambda part: function(part.float()), volume.split(rows))))
 
 
 @dataclass(frozen=True, eq=False)

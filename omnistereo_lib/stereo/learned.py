@@ -16,6 +16,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from omnistereo_lib.errors import OmnistereoError, checked
+from omnistereo_lib.geometry.rig import Pair
 from omnistereo_lib.stereo.sweep import split_at_seam
 from omnistereo_lib.stereo.weights import StoredNetwork
 from omnistereo_lib.stereo.zncc import common_columns
@@ -144,10 +145,7 @@ class LearnedCost:
 
     @torch.no_grad()
     def __call__(
-        self,
-        spherical_images: Tensor,
-        pairs: Sequence[tuple[int, int]],
-        columns: Sequence[tuple[int, int]] | None = None,
+        self, spherical_images: Tensor, pairs: Sequence[Pair], columns: Sequence[tuple[int, int]] | None = None
     ) -> Tensor:
         """Return the mean cost over camera pairs (Eq. 2) for a block of spheres; arguments as in `ZNCC`.
 

@@ -16,7 +16,7 @@ from typing import Any, Literal
 from torch import Tensor
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.stereo.depth import confidence, winner_takes_all
+from omnistereo_lib.stereo.depth import index_and_confidence
 from omnistereo_lib.stereo.learned import LearnedCost, PairNetwork, Precision
 from omnistereo_lib.stereo.mccnn import MCCNN
 from omnistereo_lib.stereo.sgm import sgm
@@ -202,7 +202,7 @@ class Method:
         """Return index and confidence (H, W) of a smoothed volume; with `subindex` or the setting between spheres."""
         if self._reads_out:
             return COSTS[self.cost].read_out(volume)
-        return winner_takes_all(volume, subindex or self.subindex), confidence(volume)
+        return index_and_confidence(volume, subindex or self.subindex)
 
 
 def penalties(width: int, num_spheres: int, p1: float = 0.1, p2: float = 12.0) -> tuple[float, float]:

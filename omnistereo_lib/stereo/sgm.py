@@ -26,7 +26,6 @@ these trapezoids run, then the triangles between them. The tiles also keep the d
 
 import math
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from numbers import Real
 
@@ -39,6 +38,7 @@ from torch.nn.functional import pad
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.stereo.compiled import compiled, minimum
+from omnistereo_lib.stereo.threads import map_threads
 from omnistereo_lib.stereo.volume import as_volume
 
 MAX_LAPS = 64
@@ -95,18 +95,17 @@ def _sgm_numba(cost: NDArray, p1: float, p2: float, diagonals: bool, wrap: bool)
     total = np.empty_like(cost)  # NumPy asks for huge pages, torch does not
     fill = np.empty((H, W), np.float32)
     messages = np.zeros((2, 3, W, N), np.float32)
-    with ThreadPoolExecutor(torch.get_num_threads()) as pool:
 
-        def rows(y: int) -> bool:
-            return _scan_rows(cost[y : y + 4], fill[y : y + 4], total[y : y + 4], wrap, p1, p2)
+    def rows(y: int) -> bool:
+        return _scan_rows(cost[y : y + 4], fill[y : y + 4], total[y : y + 4], wrap, p1, p2)
 
-        infinite = any(list(pool.map(rows, range(0, H, 4))))
+    infinite = any(list(map_threads(rows, range(0, H, 4))))
 
-        def advance(tile: tuple) -> None:
-            _advance(cost, fill, total, messages, tile, diagonals, wrap, p1, p2)
+    def advance(tile: tuple) -> None:
+        _advance(cost, fill, total, messages, tile, diagonals, wrap, p1, p2)
 
-        for tiles in _tiles(H, W):
-            list(pool.map(advance, tiles))
+    for tiles in _tiles(H, W):
+        list(map_threads(advance, tiles))
     return torch.from_numpy(total), infinite
 
 

@@ -21,6 +21,7 @@ from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.threads import map_threads
 
 _D0 = 2.0**-23  # 1/m, inverse depth of the sphere at infinity in the paper
 BLOCK = 16  # spheres warped at a time: their cells fill one cache line of the (H, W, N) volume
@@ -180,8 +181,7 @@ class SphereSweep:
             gray *= np.float32(1 / deviation if deviation > 0 else 1.0)
             return torch.from_numpy(gray).to(self.device)
 
-        with ThreadPoolExecutor(torch.get_num_threads()) as pool:
-            return list(pool.map(normalize, check_images(images, self.rig), self._image_masks, self._blurs))
+        return list(map_threads(normalize, check_images(images, self.rig), self._image_masks, self._blurs))
 
     def blocks(self) -> list[range]:
         """Return the sphere indices 0 to N - 1 in blocks that are warped together."""

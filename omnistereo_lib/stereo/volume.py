@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Protocol
 
 import numpy as np
@@ -12,9 +11,10 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from omnistereo_lib.errors import OmnistereoError, checked
-from omnistereo_lib.geometry.rig import Pairs, Rig, camera_pairs
+from omnistereo_lib.geometry.rig import Pair, Pairs, Rig, camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.sweep import BLOCK, SphereSweep
+from omnistereo_lib.stereo.threads import map_threads
 from omnistereo_lib.stereo.zncc import ZNCC
 
 
@@ -25,10 +25,7 @@ class Cost(Protocol):
     """
 
     def __call__(
-        self,
-        spherical_images: Tensor,
-        pairs: Sequence[tuple[int, int]],
-        columns: Sequence[tuple[int, int]] | None = None,
+        self, spherical_images: Tensor, pairs: Sequence[Pair], columns: Sequence[tuple[int, int]] | None = None
     ) -> Tensor:
         """Return the costs as `ZNCC.__call__` does."""
 
@@ -96,10 +93,9 @@ def _by_blocks(
             target.copy_(costs)
         buffers.append(buffer)
 
-    with ThreadPoolExecutor(threads) as pool:
-        done = (pool.map if threads > 1 else map)(fill, blocks)
-        for _ in zip(progress(blocks), done, strict=True):
-            pass
+    done = (map_threads if threads > 1 else map)(fill, blocks)
+    for _ in zip(progress(blocks), done, strict=True):
+        pass
     return volume
 
 

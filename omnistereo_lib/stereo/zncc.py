@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d, pad
 
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.geometry.rig import Pair
 from omnistereo_lib.stereo.compiled import compiled
 
 _LANES = 16  # spheres side by side, as many as in a block of the sweep
@@ -37,10 +38,7 @@ class ZNCC:
             raise OmnistereoError(f"the ZNCC window is {self.window!r}; expected an odd number of at least 3")
 
     def __call__(
-        self,
-        spherical_images: Tensor,
-        pairs: Sequence[tuple[int, int]],
-        columns: Sequence[tuple[int, int]] | None = None,
+        self, spherical_images: Tensor, pairs: Sequence[Pair], columns: Sequence[tuple[int, int]] | None = None
     ) -> Tensor:
         """Return the mean cost over camera pairs (Eq. 2) for a block of spheres.
 

@@ -1,0 +1,18 @@
+"""Threads that are kept from frame to frame: to start them anew took a tenth of a small frame's time."""
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+
+import torch
+
+
+def map_threads(function: Callable, *arguments: Iterable) -> Iterator:
+    """Yield what `map` does, computed in `torch.get_num_threads()` threads. The function must not call this itself."""
+    return _pool(torch.get_num_threads()).map(function, *arguments)
+
+
+_pool = cache(ThreadPoolExecutor)
+if hasattr(os, "register_at_fork"):  # a forked process has none of the threads
+    os.register_at_fork(after_in_child=_pool.cache_clear)
