@@ -71,7 +71,7 @@ def file_name(recipe: Recipe) -> str:
     """Return the name of the bundled weights, without their ending; what learned from fewer worlds says so."""
     if isinstance(recipe, MCCNNRecipe):
         return f"{recipe.network}_{recipe.variant}"
-    if isinstance(recipe, VolumeNetRecipe) and recipe.worlds != VolumeNetRecipe.worlds:
+    if isinstance(recipe, VolumeNetRecipe) and {*recipe.worlds.split()} != {*VolumeNetRecipe.worlds.split()}:
         return "_".join([recipe.network, *recipe.worlds.split()])
     return recipe.network
 

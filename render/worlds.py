@@ -49,8 +49,8 @@ class WorldSet:
 
 
 WORLDS = {
-    "things/train": WorldSet("things", 150, samples=7),
-    "rooms/train": WorldSet("room", 80, samples=9),
+    "things/train": WorldSet("things", 120, samples=7),
+    "rooms/train": WorldSet("room", 140, samples=9),
     "streets/train": WorldSet("street", 20, samples=7),
     # Held-out: other seeds, so other scenes and other rigs.
     "things/test": WorldSet("things", 8, samples=7, first=1001),

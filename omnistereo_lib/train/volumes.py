@@ -67,7 +67,7 @@ class VolumeSamples(TrainingFrames):
         return rotation, float(np.exp(rng.uniform(np.log(0.4), np.log(2.5))))
 
     def _sample(self, frame: Frame, rng: np.random.Generator | None) -> VolumeSample:
-        """Return a frame on a grid; with an rng, rotated and scaled at random, its images changed."""
+        """Return a frame on a grid; with an rng, rotated, scaled and mirrored at random, its images changed."""
         rotation, scale = self.view(rng)
         grid = self.grid(scale * frame.rig.min_depth)
         size = volume_sizes(grid)[-1]
@@ -79,6 +79,8 @@ class VolumeSamples(TrainingFrames):
         index = grid.inverse_depth_to_index(frame.inverse_depth_along(grid.rays() @ rotation))
         index = np.where(index <= grid.num_spheres - 1, index, np.nan).astype(np.float32).T
         coordinates = feature_coordinates(rig.transformed(Pose(rotation, np.zeros(3))), grid, size)
+        if rng is not None and rng.integers(2):  # a mirrored world: θ becomes -θ
+            index, coordinates = index[::-1], [uv.flip(0) for uv in coordinates]
         return VolumeSample(
             [normalize(to_device(image, self.device), mask) for image, mask in zip(gray, masks, strict=True)],
             masks,

@@ -44,4 +44,4 @@ def test_the_walls_are_found(name, method):
     seen = np.sum([sweep.project_sphere(camera, truth)[1] for camera in range(len(rig))], axis=0) >= 2
     error = 100 / GRID.num_spheres * np.abs(depth.index - truth)[seen]
     assert seen.mean() > 0.3 and not np.isnan(error).any()
-    assert np.median(error) < 1.5 and np.mean(error) < 3  # % of the spheres; one sphere is 3.1
+    assert np.median(error) < 1.5 and np.mean(error) < 4  # % of the spheres; one sphere is 3.1

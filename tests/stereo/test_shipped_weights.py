@@ -49,7 +49,9 @@ def test_card_and_curve_are_of_these_weights(name):
     assert RECIPES[RECIPE[name].network][preset].with_overrides(asked.split()) == RECIPE[name]
     with (BUNDLED_WEIGHTS / f"{name}.csv").open(newline="") as file:
         curve = [float(row["loss"]) for row in csv.DictReader(file)]
-    assert np.mean(curve[-10:]) < (0.95 if about.get("init_weights") else 0.7) * np.mean(curve[:10])
+    # In a further round the loss falls by less than batches differ.
+    rows, ratio = (30, 0.95) if about.get("init_weights") else (10, 0.7)
+    assert np.mean(curve[-rows:]) < ratio * np.mean(curve[:rows])
 
 
 def test_training_data_are_those_that_ship():
