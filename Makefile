@@ -13,8 +13,8 @@ SETS := sunny cloudy sunset indoor
 # Training frames that the networks have not learned from, to choose SGM's penalties on; and the paper's penalties.
 KEPT_APART := 3 153 303 453
 PAPERS := $(foreach cost,zncc mccnn sweepnet,$(cost)+sgm,p1=0.1,p2=12)
-# In the order of the files: by size, the longest tests of one file each would come last.
-WORKERS := -n logical --maxprocesses 4 --dist loadscope --no-loadscope-reorder
+# One worker more than cores, since some tests wait. In the order of the files: by size, the longest would come last.
+WORKERS = -n $(shell $(PYTHON) -c "import os; print(min(4, 1 + os.cpu_count()))") --dist loadscope --no-loadscope-reorder
 # Otherwise glibc gives large arrays back to the system, which clears pages for the next ones.
 KEEP_MEMORY := MALLOC_MMAP_MAX_=0 MALLOC_TRIM_THRESHOLD_=1000000000
 
