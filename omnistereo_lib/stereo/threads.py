@@ -1,4 +1,4 @@
-"""Threads that are kept from frame to frame: to start them anew took a tenth of a small frame's time."""
+"""Threads that are kept from frame to frame: a small frame has no time to start them anew."""
 
 import os
 from collections.abc import Callable, Iterable, Iterator

@@ -44,4 +44,6 @@ def test_the_walls_are_found(name, method):
     seen = np.sum([sweep.project_sphere(camera, truth)[1] for camera in range(len(rig))], axis=0) >= 2
     error = 100 / GRID.num_spheres * np.abs(depth.index - truth)[seen]
     assert seen.mean() > 0.3 and not np.isnan(error).any()
-    assert np.median(error) < 1.5 and np.mean(error) < 4  # % of the spheres; one sphere is 3.1
+    # % of the spheres; one sphere is 3.1. VolumeNet has lost some of its feel for this pair since rooms count twice.
+    limit = 4 if (name, method) == ("one up, one down", "volumenet") else 3
+    assert np.median(error) < 1.5 and np.mean(error) < limit
