@@ -14,7 +14,7 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, make_folder, read_bytes
 from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS, load_tensors, save_tensors, signature
 from omnistereo_lib.train.loop import LOG, WEIGHTS, read_log, write_csv
-from omnistereo_lib.train.recipes import RECIPES, MCCNNRecipe, Recipe, VolumeNetRecipe
+from omnistereo_lib.train.recipes import RECIPES, MCCNNRecipe, Recipe
 
 Rows = Sequence[dict[str, float]]  # of a log
 _EVERY = 10  # steps between two rows of the curve
@@ -68,12 +68,12 @@ def export_weights(run: str | Path, folder: str | Path = BUNDLED_WEIGHTS, half: 
 
 
 def file_name(recipe: Recipe) -> str:
-    """Return the name of the bundled weights, without their ending; what learned from fewer worlds says so."""
-    if isinstance(recipe, MCCNNRecipe):
-        return f"{recipe.network}_{recipe.variant}"
-    if isinstance(recipe, VolumeNetRecipe) and {*recipe.worlds.split()} != {*VolumeNetRecipe.worlds.split()}:
-        return "_".join([recipe.network, *recipe.worlds.split()])
-    return recipe.network
+    """Return the name of the bundled weights, without their ending; it says what other worlds they learned from."""
+    name = f"{recipe.network}_{recipe.variant}" if isinstance(recipe, MCCNNRecipe) else recipe.network
+    worlds = {*recipe.worlds.split()}
+    if worlds == {*type(recipe).worlds.split()}:
+        return name
+    return f"{name}_{'_'.join(worlds) if len(worlds) == 1 else 'worlds'}"
 
 
 def _thin(rows: Rows) -> list[list[Any]]:

@@ -140,7 +140,7 @@ def train_variant(
     torch.manual_seed(recipe.seed)
     data = samples(recipe, [DATA / world / "train" for world in recipe.worlds.split()])
     model = network().train()
-    objective = VolumeObjective(model, data.grid(1.0))
+    objective = VolumeObjective(model, data.grid_of(1.0))
     optimizer = torch.optim.AdamW(model.parameters(), weight_decay=recipe.weight_decay)
 
     def loss(k: int, purpose: int = 0) -> Tensor:

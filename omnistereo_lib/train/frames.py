@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from omnistereo_lib.stereo.sweep import SphereSweep, to_gray
 from omnistereo_lib.train.recipes import Recipe
 
 DATA = Path(__file__).resolve().parents[2] / "data_samples"
+Folders = str | Path | Sequence[str | Path]
 
 
 class TrainingFrames:
@@ -27,7 +29,7 @@ class TrainingFrames:
     have ground truth, or a rig file does not state the nearest depth.
     """
 
-    def __init__(self, recipe: Recipe, data: str | Path | Sequence[str | Path]) -> None:
+    def __init__(self, recipe: Recipe, data: Folders) -> None:
         self.recipe = recipe
         self.validation: list[Frame] = []
         self.training: list[Frame] = []
@@ -47,6 +49,11 @@ class TrainingFrames:
         count = len(self.training) + len(self.validation)
         self.metadata = {"folder": names, "frames": count, "sha256": digest.hexdigest()}
 
+    def grid_of(self, min_depth: float) -> SphereGrid:
+        """Return the grid of a frame."""
+        size = self.recipe.width, self.recipe.height
+        return SphereGrid(*size, num_spheres=self.recipe.num_spheres, min_depth=min_depth)
+
     def training_frame(self, number: int) -> Frame:
         """Return the frame of a micro-batch, counted over all steps: once per epoch, in random order."""
         epoch, place = divmod(number, len(self.training))
@@ -55,22 +62,20 @@ class TrainingFrames:
 
 
 class SweptFrames(TrainingFrames):
-    """Training frames of one rig with their sweep, for networks that match pairs of spherical images."""
+    """Training frames and the sweep of one rig at a time, for networks that match pairs of spherical images."""
 
-    def __init__(self, recipe: Recipe, data: str | Path, device: torch.device | str = "cpu") -> None:
+    def __init__(self, recipe: Recipe, data: Folders, device: torch.device | str) -> None:
         super().__init__(recipe, data)
-        rig = self.training[0].rig
-        self.grid = SphereGrid(recipe.width, recipe.height, num_spheres=recipe.num_spheres, min_depth=rig.min_depth)
-        self.rays = self.grid.rays()
-        self.sweep = SphereSweep(rig, self.grid, device=device)
-        self.pairs = camera_pairs("ring", self.sweep.rig)
-        self._gt_index: dict[int, NDArray] = {}
+        # Four rigs: that of the streets is seldom the one to go, and those of the worlds do not come again soon.
+        self._sweep_of = lru_cache(4)(lambda rig: SphereSweep(rig, self.grid_of(rig.min_depth), device=device))
+        self.use(self.training[0])
 
-    def gt_index(self, frame: Frame) -> NDArray:
-        """Return the ground-truth sphere index of a frame, not rounded, (H, W); cached."""
-        if frame.number not in self._gt_index:
-            self._gt_index[frame.number] = frame.gt_index(self.grid).astype(np.float32)
-        return self._gt_index[frame.number]
+    def use(self, frame: Frame) -> NDArray[np.float32]:
+        """Turn to the rig of a frame; return its ground-truth sphere index, not rounded, (H, W)."""
+        self.sweep = self._sweep_of(frame.rig)
+        self.grid, self.rays = self.sweep.grid, self.sweep.grid.rays()
+        self.pairs = camera_pairs("ring", self.sweep.rig)
+        return frame.gt_index(self.grid).astype(np.float32)
 
     def images(self, frame: Frame, rng: np.random.Generator | None) -> list[Tensor]:
         """Return the normalised images of a frame; with an rng, each camera with a random gain and gamma."""

@@ -26,7 +26,7 @@ from omnistereo_lib.files import atomic_write, make_folder, read_bytes, read_tex
 from omnistereo_lib.stereo.learned import Precision, autocast, uses_bfloat16
 from omnistereo_lib.stereo.sweep import select_device
 from omnistereo_lib.stereo.weights import load_tensors, save_tensors
-from omnistereo_lib.train.frames import DATA
+from omnistereo_lib.train.frames import DATA, Folders
 from omnistereo_lib.train.patches import PatchSamples
 from omnistereo_lib.train.recipes import Recipe
 from omnistereo_lib.train.spheres import SphereSamples
@@ -41,7 +41,7 @@ _TRAIN, _VALIDATE, _NORMS = range(3)  # purposes of random numbers, so that no t
 def train(
     recipe: Recipe,
     out: str | Path,
-    data: str | Path | Sequence[str | Path] | None = None,
+    data: Folders | None = None,
     device: torch.device | str = "cpu",
     precision: Precision = "auto",
     checkpoint_s: float = 60.0,

@@ -1,7 +1,6 @@
 """Samples and losses of MC-CNN: pairs of 9 × 9 patches that do or do not show the same point."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -13,7 +12,7 @@ from omnistereo_lib.dataset import Frame
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.stereo.mccnn import MCCNN, PATCH
 from omnistereo_lib.stereo.sweep import OUTSIDE, remap
-from omnistereo_lib.train.frames import SweptFrames, to_device
+from omnistereo_lib.train.frames import Folders, SweptFrames, to_device
 from omnistereo_lib.train.recipes import MCCNNRecipe
 
 _RADIUS = PATCH // 2
@@ -35,7 +34,7 @@ class PatchSamples(SweptFrames):
 
     recipe: MCCNNRecipe
 
-    def __init__(self, recipe: MCCNNRecipe, data: str | Path, device: torch.device | str = "cpu") -> None:
+    def __init__(self, recipe: MCCNNRecipe, data: Folders, device: torch.device | str = "cpu") -> None:
         super().__init__(recipe, data, "cpu")  # patches are cut out here, and compared on the device
         self.device = torch.device(device)
         self.network = MCCNN(recipe.variant)
@@ -44,8 +43,8 @@ class PatchSamples(SweptFrames):
 
     def micro_batch(self, frame: Frame, rng: np.random.Generator, augment: bool) -> PatchBatch:
         """Sample rays of one frame with a camera pair each, and spheres on which they match and do not."""
+        index = self.use(frame)
         images = [image.numpy() for image in self.images(frame, rng if augment else None)]
-        index = self.gt_index(frame)
         sides: tuple[list, list] = ([], [])
         quota = -(-self.recipe.rays_per_frame // len(self.pairs))
         for i, j in self.pairs:

@@ -1,7 +1,6 @@
 """Samples and loss of SweepNet: labelled rays on whole spheres (paper, Section III-C and IV)."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -13,7 +12,7 @@ from omnistereo_lib.dataset import Frame
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.stereo.learned import Features
 from omnistereo_lib.stereo.sweepnet import SweepNet
-from omnistereo_lib.train.frames import SweptFrames, sample_true_indices, to_device
+from omnistereo_lib.train.frames import Folders, SweptFrames, sample_true_indices, to_device
 from omnistereo_lib.train.recipes import SweepNetRecipe
 
 Columns = list[tuple[int, int]]  # (start, width) around the seam, for each camera
@@ -45,7 +44,7 @@ class SphereSamples(SweptFrames):
 
     recipe: SweepNetRecipe
 
-    def __init__(self, recipe: SweepNetRecipe, data: str | Path, device: torch.device | str = "cpu") -> None:
+    def __init__(self, recipe: SweepNetRecipe, data: Folders, device: torch.device | str = "cpu") -> None:
         super().__init__(recipe, data, device)
         self.network = SweepNet(recipe.batch_norm, recipe.wrap)
         self.network.check_size(recipe.height, recipe.width)
@@ -60,7 +59,8 @@ class SphereSamples(SweptFrames):
         """Sample spheres of one frame and label rays on them (Eq. 3); with `augment`, rotate and flip at random."""
         if self._half_size is not None and rng.integers(2):
             return self._half_size.micro_batch(frame, rng, augment)
-        images, index = self.images(frame, rng if augment else None), self.gt_index(frame)
+        index = self.use(frame)
+        images = self.images(frame, rng if augment else None)
         for _ in range(_TRIES):
             block, spheres = self._draw_spheres(index, frame, rng)
             spherical_images = self.sweep.warp_block(images, block)[:, [n - block.start for n in spheres]]

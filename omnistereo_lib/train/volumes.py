@@ -1,8 +1,6 @@
 """Samples and loss of VolumeNet: whole frames, each on a grid of its own."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -18,7 +16,7 @@ from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.correlation import feature_coordinates, pixels_per_degree, volume_sizes
 from omnistereo_lib.stereo.sweep import reduce_images, to_gray, visible_pixels
 from omnistereo_lib.stereo.volumenet import VolumeNet, local_mean, normalize, resize_logits
-from omnistereo_lib.train.frames import TrainingFrames, to_device
+from omnistereo_lib.train.frames import Folders, TrainingFrames, to_device
 from omnistereo_lib.train.recipes import VolumeNetRecipe
 
 
@@ -37,19 +35,12 @@ class VolumeSamples(TrainingFrames):
 
     recipe: VolumeNetRecipe
 
-    def __init__(
-        self, recipe: VolumeNetRecipe, data: str | Path | Sequence[str | Path], device: torch.device | str = "cpu"
-    ) -> None:
+    def __init__(self, recipe: VolumeNetRecipe, data: Folders, device: torch.device | str = "cpu") -> None:
         super().__init__(recipe, data)
         self.device = torch.device(device)
         self.network = VolumeNet()
-        self.objective = VolumeObjective(self.network, self.grid(1.0))
+        self.objective = VolumeObjective(self.network, self.grid_of(1.0))
         self._masks: dict[Rig, list[Tensor]] = {}
-
-    def grid(self, min_depth: float) -> SphereGrid:
-        """Return the grid of a frame."""
-        size = self.recipe.width, self.recipe.height
-        return SphereGrid(*size, num_spheres=self.recipe.num_spheres, min_depth=min_depth)
 
     def micro_batch(self, frame: Frame, rng: np.random.Generator, augment: bool) -> list[VolumeSample]:
         """Return a frame and others drawn at random, `batch_frames` in all; with `augment`, each seen differently."""
@@ -69,7 +60,7 @@ class VolumeSamples(TrainingFrames):
     def _sample(self, frame: Frame, rng: np.random.Generator | None) -> VolumeSample:
         """Return a frame on a grid; with an rng, rotated, scaled and mirrored at random, its images changed."""
         rotation, scale = self.view(rng)
-        grid = self.grid(scale * frame.rig.min_depth)
+        grid = self.grid_of(scale * frame.rig.min_depth)
         size = volume_sizes(grid)[-1]
         rig, images = reduce_images(frame.rig.recentered(), frame.images, pixels_per_degree(size))
         if frame.rig not in self._masks:

@@ -4,11 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scene
 import torch
 from tiny import MCCNN, SWEEPNET
 
-from omnistereo_lib.train.patches import PatchSamples
-from omnistereo_lib.train.spheres import SphereSamples
+import omnistereo_lib as osl
+from omnistereo_lib.train.patches import PatchBatch, PatchSamples
+from omnistereo_lib.train.spheres import SphereBatch, SphereSamples, Strip
 
 
 @pytest.mark.parametrize("augment", [False, True])
@@ -33,6 +35,31 @@ def test_positives_are_where_the_truth_is_and_show_the_same(data, augment):
     assert matches > 0.9 > 0.7 > others
 
 
+@pytest.mark.parametrize(("kind", "recipe"), [(SphereSamples, SWEEPNET), (PatchSamples, MCCNN)])
+def test_each_frame_is_swept_with_its_own_rig(data, tmp_path, kind, recipe):
+    """Among frames of another rig, a frame gives the same samples as alone."""
+    other = scene.write_set(
+        tmp_path / "other", scene.rig(0.2, 3, width=160, height=150), osl.SphereGrid(96, 24, (-45, 45), 12, 0.4),
+        [(0, 0, 0), (0.1, 0, 0.2)],
+    )  # fmt: skip
+    both, alone = kind(recipe, [data, other]), [kind(recipe, folder) for folder in (data, other)]
+    frames = [samples.training[0] for samples in alone]
+    for k in (0, 1, 0):
+        drawn, expected = (
+            samples.micro_batch(frames[k], np.random.default_rng(3), augment=True) for samples in (both, alone[k])
+        )
+        assert _text(drawn) == _text(expected)
+
+
+def _text(x):
+    """All numbers of a micro-batch, NaN among them."""
+    if isinstance(x, list):
+        return [_text(part) for part in x]
+    if isinstance(x, SphereBatch | PatchBatch | Strip):
+        return {name: _text(part) for name, part in vars(x).items()}
+    return str(np.asarray(x).tolist())
+
+
 def test_labels_are_the_rounded_truth(data):
     samples = SphereSamples(replace(SWEEPNET, width=96, height=24, max_positives=9999, negatives=9999), data)
     frame = samples.training[0]
@@ -40,7 +67,7 @@ def test_labels_are_the_rounded_truth(data):
     counts = np.bincount(true.astype(int).ravel(), minlength=12)
     drawn = set()
     for seed in range(30):
-        block, spheres = samples._draw_spheres(samples.gt_index(frame), frame, np.random.default_rng(seed))
+        block, spheres = samples._draw_spheres(samples.use(frame), frame, np.random.default_rng(seed))
         drawn |= set(spheres.tolist())
         batch = samples.micro_batch(frame, np.random.default_rng(seed), augment=False)
         images = samples.sweep.normalize_images(frame.images)
@@ -58,12 +85,12 @@ def test_where_nothing_is_there_are_negatives(data):
     recipe = replace(SWEEPNET, width=96, height=24, num_spheres=24, any_sphere=1.0, min_negatives=50)
     samples = SphereSamples(recipe, data)
     frame = samples.training[0]
-    counts = np.bincount(np.rint(samples.gt_index(frame)).astype(int).ravel(), minlength=24)
+    counts = np.bincount(np.rint(samples.use(frame)).astype(int).ravel(), minlength=24)
     drawn, matched = set(), set()
     for seed in range(80):
-        drawn |= set(samples._draw_spheres(samples.gt_index(frame), frame, np.random.default_rng(seed))[1].tolist())
+        drawn |= set(samples._draw_spheres(samples.use(frame), frame, np.random.default_rng(seed))[1].tolist())
     for seed in range(20):
-        _, spheres = samples._draw_spheres(samples.gt_index(frame), frame, np.random.default_rng(seed))
+        _, spheres = samples._draw_spheres(samples.use(frame), frame, np.random.default_rng(seed))
         batch = samples.micro_batch(frame, np.random.default_rng(seed), augment=False)
         for strip in batch.strips:
             on = spheres[strip.labelled.nonzero()[:, 0]]
@@ -122,7 +149,7 @@ def test_a_point_is_shown_where_its_camera_looks(data):
 
 def test_non_matches_lie_so_many_pixels_off(data):
     samples = PatchSamples(replace(MCCNN, width=192, height=48, num_spheres=48, negative_high_px=4.0), data)
-    index = samples.gt_index(samples.training[0])
+    index = samples.use(samples.training[0])
     drawn = []
     for i, j in samples.pairs:
         pixel, match, other = samples.draw_rays(index, i, j, 100, np.random.default_rng(i))

@@ -37,7 +37,7 @@ def test_the_ground_truth_turns_with_the_grid(data):
     samples = VolumeSamples(TINY, data)
     frame = load_dataset(data)[1]
     plain = samples.micro_batch(frame, np.random.default_rng(0), augment=False)[0]
-    grid = samples.grid(0.6)
+    grid = samples.grid_of(0.6)
     step = osl.Pose.from_vector([0, 0, 0, 0, 0, 0.2])
     rig = osl.Rig(frame.rig.cameras, [step @ pose for pose in frame.rig.T_rig_cam])
     exact = scene.true_index(rig, grid).T
@@ -116,10 +116,15 @@ def test_every_preset_makes_a_step(data, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("worlds", "name"), [("sunny streets things rooms rooms", "volumenet"), ("sunny", "volumenet_sunny")]
-)
-def test_the_file_of_weights_says_what_they_learned_from(worlds, name):
-    assert file_name(replace(TINY, worlds=worlds)) == name
+    ("network", "preset", "name"),
+    [
+        ("volumenet", "refined", "volumenet"), ("volumenet", "sunny", "volumenet_sunny"),
+        ("sweepnet", "shipped", "sweepnet"), ("sweepnet", "worlds", "sweepnet_worlds"),
+        ("mccnn", "worlds", "mccnn_fast_worlds"),
+    ],
+)  # fmt: skip
+def test_the_file_of_weights_says_what_they_learned_from(network, preset, name):
+    assert file_name(RECIPES[network][preset]) == name
 
 
 def test_frames_without_depth_in_the_swept_range_are_refused(data):
