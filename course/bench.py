@@ -37,6 +37,7 @@ from omnistereo_lib.train.spheres import SphereObjective, SphereSamples
 from omnistereo_tools.memory import keep_memory
 
 _SEAM = 42  # columns on each side whose costs see across the seam: half the receptive field of 81, and the stride
+_LONG = 5.0  # s
 
 
 @dataclass(frozen=True)
@@ -62,18 +63,19 @@ def table(rows: Sequence[Row]) -> str:
 def best_of(repeats: int, *calls: Callable[[], Any]) -> tuple[list[float], list[Any]]:
     """Return the shortest time of each call in seconds, and its last result.
 
-    The calls alternate, so that a busy machine slows all of them. An extra first round compiles and is not counted;
-    with 0 repeats it is the only one, and counts.
+    The calls alternate, so that a busy machine slows all of them. An extra first round compiles and is not counted,
+    unless it is the only one: with 0 repeats, and for a call of more than `_LONG` seconds, which is not repeated.
     """
-    best, results = [float("inf")] * len(calls), [None] * len(calls)
-    for k in range(repeats + 1):
+    times, results = [[] for _ in calls], [None] * len(calls)
+    for _ in range(repeats + 1):
         for i, call in enumerate(calls):
+            if times[i] and times[i][0] > _LONG:
+                continue
             results[i] = None  # free its memory before the next one is computed
             start = time.perf_counter()
             results[i] = call()
-            if k or not repeats:
-                best[i] = min(best[i], time.perf_counter() - start)
-    return best, results
+            times[i].append(time.perf_counter() - start)
+    return [min(seconds[1:] or seconds) for seconds in times], results
 
 
 def bench_sgm(width: int = 1200, height: int = 300, num: int = 192, repeats: int = 5) -> list[Row]:

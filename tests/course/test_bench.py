@@ -4,6 +4,7 @@ import boards
 import numpy as np
 import pytest
 
+from course import bench
 from course.bench import Row, bench_sgm, bench_sweepnet, bench_training, best_of, opencv_fisheye, table
 from omnistereo_lib.calibrate.camera import calibrate_camera
 
@@ -33,6 +34,13 @@ def test_best_of_alternates_and_does_not_count_the_first_round():
     times, results = best_of(2, lambda: calls.append("ours"), lambda: calls.append("theirs") or len(calls))
     assert calls == ["ours", "theirs"] * 3 and results == [None, 6] and 0 <= min(times) <= max(times) < 1
     assert best_of(0, lambda: time.sleep(0.01))[0][0] >= 0.01
+
+
+def test_a_long_call_is_not_repeated(monkeypatch):
+    monkeypatch.setattr(bench, "_LONG", 0.02)
+    calls = []
+    times, _ = best_of(2, lambda: calls.append("ours"), lambda: calls.append("theirs") or time.sleep(0.03))
+    assert calls == ["ours", "theirs", "ours", "ours"] and times[1] >= 0.03
 
 
 def test_table_shows_the_ratio():
