@@ -13,6 +13,7 @@ SETS := sunny cloudy sunset indoor
 # Training frames that the networks have not learned from, to choose SGM's penalties on; and the paper's penalties.
 KEPT_APART := 3 153 303 453
 PAPERS := $(foreach cost,zncc mccnn sweepnet,$(cost)+sgm,p1=0.1,p2=12)
+WORLDS := ,weights=sweepnet_worlds
 # One worker more than cores, since some tests wait. In the order of the files: by size, the longest would come last.
 WORKERS = -n $(shell $(PYTHON) -c "import os; print(min(4, 1 + os.cpu_count()))") --dist loadscope --no-loadscope-reorder
 # Otherwise glibc gives large arrays back to the system, which clears pages for the next ones.
@@ -56,14 +57,17 @@ results: $(READY)  ## the stored results and the book's reproduction report agai
 	$(EVALUATE) --sets $(SETS) aerial --scale paper --out out/paper $(RESULTS_ARGS)
 	for scale in teaching paper; do $(EVALUATE) --sets $(SETS) aerial --methods volumenet volumenet+sgm \
 	  --scale $$scale --out out/$$scale-volumenet; done
-	$(EVALUATE) --sets things rooms --methods zncc zncc+sgm sweepnet+sgm volumenet volumenet+sgm --out out/teaching-worlds
+	$(EVALUATE) --sets $(SETS) aerial --methods sweepnet$(WORLDS) sweepnet+sgm$(WORLDS) --out out/teaching-sweepnet_worlds
+	$(EVALUATE) --sets things rooms --methods zncc zncc+sgm sweepnet+sgm sweepnet+sgm$(WORLDS) volumenet volumenet+sgm \
+	  --out out/teaching-worlds
 	$(BIN)/python -m course ledger book/reproduction.md --results out/paper/results.json
 	$(BIN)/python -m course variants --out out/variants \
 	  --set steps=300 validate_every=30 validation_groups=24
 	$(BIN)/python -m course volume-variants --out out/volume-variants --set steps=110 warmup=15
 	cp out/variants/variants.csv out/volume-variants/volume_variants.csv data_samples/results/
 	$(BIN)/python -m course snapshots
-	for name in teaching ablations calibrated penalties paper teaching-volumenet teaching-worlds paper-volumenet; do cp out/$$name/results.json data_samples/results/$$name.json; done
+	for name in teaching ablations calibrated penalties paper teaching-volumenet teaching-worlds \
+	  teaching-sweepnet_worlds paper-volumenet; do cp out/$$name/results.json data_samples/results/$$name.json; done
 	$(BIN)/python -c "from pathlib import Path; from render.frames import renew_manifest as renew; \
 	  renew(Path('data_samples'))"
 

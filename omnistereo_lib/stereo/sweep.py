@@ -309,7 +309,10 @@ def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray]:
 def visible_pixels(camera: OcamCamera) -> NDArray[np.bool_]:
     """Return which pixels lie on the image circle and the mask, shape (height, width)."""
     width, height = camera.image_size
-    return camera.unproject(np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1))[1]
+    c, d, e = camera.affine  # from pixels to the image plane, but no further: `unproject` would solve for the angles
+    offsets = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1) - camera.center
+    inside = np.linalg.norm(offsets @ np.linalg.inv([[1, e], [d, c]]).T, axis=-1) <= camera.max_radius + 1e-6
+    return inside if camera.mask is None else inside & camera.mask
 
 
 def to_gray(image: NDArray) -> NDArray[np.float32]:

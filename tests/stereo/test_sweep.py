@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scene
@@ -177,6 +179,17 @@ def test_detail_finer_than_the_panorama_does_not_reach_it(world):
     gray = images[0][visible_pixels(rig.cameras[0])]  # a fine panorama takes the pixels as they are
     normalized = fine.normalize_images(images)[0].numpy()[visible_pixels(rig.cameras[0])]
     np.testing.assert_allclose(normalized, (gray - gray.mean()) / gray.std(), atol=1e-4)
+
+
+def test_visible_pixels_are_those_that_unproject_accepts():
+    lens, mask = scene.camera(), np.random.default_rng(0).random((384, 400)) < 0.9
+    skewed = replace(lens, affine=(1.02, 0.01, -0.02), mask=mask)
+    pixels = np.stack(np.meshgrid(np.arange(400), np.arange(384)), -1)
+    for camera in (lens, skewed, skewed.reduced(3)):
+        width, height = camera.image_size
+        expected = camera.unproject(pixels[:height, :width])[1]
+        np.testing.assert_array_equal(visible_pixels(camera), expected)
+        assert 0 < expected.mean() < 1
 
 
 def test_what_lies_outside_of_the_image_circle_stays_out(world):
