@@ -152,14 +152,15 @@ PAPERS = {"optimizer": "sgd", "schedule": "drop", "warmup": 0, "weight_decay": 0
 # spheres one sphere is as many pixels as there. The 320 × 80 of the notebooks is the other half: there the receptive
 # field is higher than the panorama, and a network trained only on that would learn where its upper and lower edges are.
 _FINE = {"width": 640, "height": 160, "num_spheres": 96}
-# Half of the frames from the streets, which must not get worse.
-_WORLDS = {"worlds": "sunny sunny streets rooms things", "learning_rate": 3e-4, "validation_groups": 24}
 RECIPES: dict[str, dict[str, Recipe]] = {
     "sweepnet": {
         "teaching": SweepNetRecipe(steps=150, warmup=30, validate_every=30, validation_groups=8),
         "shipped": SweepNetRecipe(**_FINE, halve=True, spheres_per_frame=1, steps=4000, validate_every=250),
-        # Begun with --init-weights of "shipped", like that of MC-CNN.
-        "worlds": SweepNetRecipe(**_FINE, **_WORLDS, halve=True, spheres_per_frame=1, batch_norm=False, steps=900),
+        # With --init-weights of "shipped". Most frames are of the streets, which must not get worse.
+        "worlds": SweepNetRecipe(
+            **_FINE, halve=True, spheres_per_frame=1, batch_norm=False, worlds="sunny sunny sunny streets rooms things",
+            steps=500, learning_rate=2e-4, validation_groups=24,
+        ),
         # 350 frames × 192 spheres × 14 epochs at 16 spheres a step; the paper does not state its batch.
         "paper": SweepNetRecipe(
             width=600, height=150, num_spheres=192, learning_rate=0.003, steps=58800, validate_every=2000,
@@ -179,7 +180,6 @@ RECIPES: dict[str, dict[str, Recipe]] = {
     "mccnn": {
         "teaching": MCCNNRecipe(steps=400, warmup=50, validate_every=50),
         "shipped": MCCNNRecipe(**_FINE, steps=6000, validate_every=500),
-        "worlds": MCCNNRecipe(**_FINE, **_WORLDS, steps=3000, validate_every=500),
         # 40 million pairs × 14 epochs at 256 a step.
         "paper": MCCNNRecipe(
             variant="accurate", negative_high_px=18.0, width=600, height=150, num_spheres=192, learning_rate=0.003,

@@ -1,7 +1,9 @@
 """The results that ship: of the data and weights that ship, and the same when they are computed again."""
 
 import re
+from itertools import product
 
+import numpy as np
 import pytest
 
 import omnistereo_lib as osl
@@ -107,6 +109,24 @@ def test_the_page_on_training_quotes_the_results():
     for light, label, numbers in quoted:
         found = [means[label, f"{light} {metric}"] for metric in METRICS]
         assert numbers == " | ".join(f"{x:.{1 if '>' in m else 2}f}" for x, m in zip(found, METRICS, strict=True))
+
+
+def test_sweepnet_of_all_worlds_is_better_in_rooms_and_no_worse_in_the_streets():
+    """And the page on training quotes its figures."""
+    places = {"streets": ("sunny", "cloudy", "sunset"), "room": ("indoor",)}
+    records = {"Sunny": ("teaching", ""), "all worlds": ("teaching-sweepnet_worlds", ",weights=sweepnet_worlds")}
+    rows = []
+    for (place, sets), method in product(places.items(), ("sweepnet", "sweepnet+sgm")):
+        means = {}
+        for trained_on, (name, weights) in records.items():
+            stored = read_record(STORED[name])["frames"]
+            frames = [frame[method + weights]["figures"] for key in sets for frame in stored[key].values()]
+            means[trained_on] = np.array([np.mean([figures[metric] for figures in frames]) for metric in METRICS])
+            cells = [f"{x:.{1 if '>' in m else 2}f}" for x, m in zip(means[trained_on], METRICS, strict=True)]
+            rows.append(" | ".join(["", place, Method.parse(method).label, trained_on, *cells, ""]).strip())
+        assert (means["all worlds"] <= (1.0 if place == "room" else 1.02) * means["Sunny"]).all(), (place, method)
+    text = (DATA.parent / "book" / "training.md").read_text(encoding="utf-8")
+    assert [row for row in text.splitlines() if row.startswith(("| streets |", "| room |"))] == rows
 
 
 def test_the_readme_quotes_the_report():

@@ -120,7 +120,7 @@ def test_every_preset_makes_a_step(data, tmp_path):
     [
         ("volumenet", "refined", "volumenet"), ("volumenet", "sunny", "volumenet_sunny"),
         ("sweepnet", "shipped", "sweepnet"), ("sweepnet", "worlds", "sweepnet_worlds"),
-        ("mccnn", "worlds", "mccnn_fast_worlds"),
+        ("mccnn", "shipped", "mccnn_fast"),
     ],
 )  # fmt: skip
 def test_the_file_of_weights_says_what_they_learned_from(network, preset, name):
