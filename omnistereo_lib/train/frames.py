@@ -68,14 +68,17 @@ class SweptFrames(TrainingFrames):
         super().__init__(recipe, data)
         # Four rigs: that of the streets is seldom the one to go, and those of the worlds do not come again soon.
         self._sweep_of = lru_cache(4)(lambda rig: SphereSweep(rig, self.grid_of(rig.min_depth), device=device))
+        self._gt_index: dict[Path, NDArray] = {}  # lights of one drive share the file
         self.use(self.training[0])
 
     def use(self, frame: Frame) -> NDArray[np.float32]:
-        """Turn to the rig of a frame; return its ground-truth sphere index, not rounded, (H, W)."""
+        """Turn to the rig of a frame; return its ground-truth sphere index, not rounded, (H, W), kept for later."""
         self.sweep = self._sweep_of(frame.rig)
         self.grid, self.rays = self.sweep.grid, self.sweep.grid.rays()
         self.pairs = camera_pairs("ring", self.sweep.rig)
-        return frame.gt_index(self.grid).astype(np.float32)
+        if frame.gt_path not in self._gt_index:
+            self._gt_index[frame.gt_path] = frame.gt_index(self.grid).astype(np.float32)
+        return self._gt_index[frame.gt_path]
 
     def images(self, frame: Frame, rng: np.random.Generator | None) -> list[Tensor]:
         """Return the normalised images of a frame; with an rng, each camera with a random gain and gamma."""
@@ -83,11 +86,8 @@ class SweptFrames(TrainingFrames):
             return self.sweep.normalize_images(frame.images)
         gammas = np.exp(rng.uniform(-0.25, 0.25, len(frame.images)))
         curved = [255 * (to_gray(image) / 255) ** np.float32(g) for image, g in zip(frame.images, gammas, strict=True)]
-        images = []
-        for image in self.sweep.normalize_images(curved):
-            gain, offset = np.exp(rng.uniform(-0.2, 0.2)), rng.uniform(-0.2, 0.2)
-            images.append(image * float(gain) + float(offset))
-        return images
+        normalized = self.sweep.normalize_images(curved)
+        return [image * float(np.exp(rng.uniform(-0.2, 0.2))) + rng.uniform(-0.2, 0.2) for image in normalized]
 
 
 def sample_true_indices(mask: NDArray, count: int, rng: np.random.Generator) -> NDArray:
