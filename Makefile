@@ -58,6 +58,7 @@ results: $(READY)  ## the stored results and the book's reproduction report agai
 	for scale in teaching paper; do $(EVALUATE) --sets $(SETS) aerial --methods volumenet volumenet+sgm \
 	  --scale $$scale --out out/$$scale-volumenet; done
 	$(EVALUATE) --sets $(SETS) aerial --methods sweepnet$(WORLDS) sweepnet+sgm$(WORLDS) --out out/teaching-sweepnet_worlds
+	$(EVALUATE) --sets indoor --scale paper --methods sweepnet$(WORLDS) sweepnet+sgm$(WORLDS) --out out/paper-sweepnet_worlds
 	$(EVALUATE) --sets things rooms --methods zncc zncc+sgm sweepnet+sgm sweepnet+sgm$(WORLDS) volumenet volumenet+sgm \
 	  --out out/teaching-worlds
 	$(BIN)/python -m course ledger book/reproduction.md --results out/paper/results.json
@@ -67,7 +68,8 @@ results: $(READY)  ## the stored results and the book's reproduction report agai
 	cp out/variants/variants.csv out/volume-variants/volume_variants.csv data_samples/results/
 	$(BIN)/python -m course snapshots
 	for name in teaching ablations calibrated penalties paper teaching-volumenet teaching-worlds \
-	  teaching-sweepnet_worlds paper-volumenet; do cp out/$$name/results.json data_samples/results/$$name.json; done
+	  teaching-sweepnet_worlds paper-volumenet paper-sweepnet_worlds; do \
+	  cp out/$$name/results.json data_samples/results/$$name.json; done
 	$(BIN)/python -c "from pathlib import Path; from render.frames import renew_manifest as renew; \
 	  renew(Path('data_samples'))"
 
