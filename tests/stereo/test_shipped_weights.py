@@ -4,6 +4,7 @@ import csv
 import hashlib
 import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ SUNNY = Path(osl.__file__).parents[1] / "data_samples" / "sunny"
 NETWORKS = {"sweepnet": SweepNet, "mccnn_fast": MCCNN}
 RECIPE = {
     "sweepnet": RECIPES["sweepnet"]["shipped"],
+    "sweepnet_worlds": RECIPES["sweepnet"]["worlds"],
     "mccnn_fast": RECIPES["mccnn"]["shipped"],
     "mccnn_accurate": replace(RECIPES["mccnn"]["shipped"], variant="accurate", negative_high_px=18.0),
     "volumenet": RECIPES["volumenet"]["refined"],
@@ -54,13 +56,20 @@ def test_card_and_curve_are_of_these_weights(name):
     assert np.mean(curve[-rows:]) < ratio * np.mean(curve[:rows])
 
 
+def test_every_file_of_weights_has_its_recipe():
+    assert {path.stem for path in BUNDLED_WEIGHTS.glob("*.safetensors")} == set(RECIPE)
+
+
 def test_training_data_are_those_that_ship():
+    @cache
+    def content(world):
+        frames = osl.load_dataset(SUNNY.parent / world, split="train")
+        return b"".join(path.read_bytes() for frame in frames for path in (*frame.image_paths, frame.gt_path))
+
     for name, recipe in RECIPE.items():
         digest, worlds = hashlib.sha256(), recipe.worlds.split()
         for world in worlds:
-            for frame in osl.load_dataset(SUNNY.parent / world, split="train"):
-                for path in (*frame.image_paths, frame.gt_path):
-                    digest.update(path.read_bytes())
+            digest.update(content(world))
         _, about = load_tensors(BUNDLED_WEIGHTS / f"{name}.safetensors")
         assert about["data"]["folder"] == ", ".join(f"{world}/train" for world in worlds)
         assert about["data"]["sha256"] == digest.hexdigest()
