@@ -69,7 +69,7 @@ results: $(READY)  ## the stored results and the book's reproduction report agai
 	$(BIN)/python -m course snapshots
 	for name in teaching ablations calibrated penalties paper teaching-volumenet teaching-worlds \
 	  teaching-sweepnet_worlds paper-volumenet paper-sweepnet_worlds; do \
-	  cp out/$$name/results.json data_samples/results/$$name.json; done
+	  sed -E 's/(\.[0-9]{5})[0-9]+/\1/g' out/$$name/results.json > data_samples/results/$$name.json; done  # five decimals
 	$(BIN)/python -c "from pathlib import Path; from render.frames import renew_manifest as renew; \
 	  renew(Path('data_samples'))"
 

@@ -60,7 +60,7 @@ def encode(fig: Figure, kind: Literal["png", "jpeg"] = "png", tight: bool = True
     if kind == "png":
         image.quantize(256, dither=Image.Dither.NONE).save(encoded, "png", optimize=True)
     else:
-        image.save(encoded, "jpeg", quality=60, optimize=True)
+        image.save(encoded, "jpeg", quality=50, progressive=True, optimize=True)
     return encoded.getvalue()
 
 

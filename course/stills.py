@@ -53,7 +53,7 @@ def record_sliders(draw: Callable[..., list[bytes]], sliders: dict[str, Widget])
         for place, value in enumerate(values):
             if place != first or not shown:  # where all sliders stand as at first, one picture does for all
                 still = _stack(draw(**start | {name: value}))
-                still.save(folder / f"{len(index)}-{name}-{place}.webp", quality=55, method=6)
+                still.save(folder / f"{len(index)}-{name}-{place}.webp", quality=40, method=6)
         shown.append({"name": name, "values": values, "start": first})
     _close(folder, [*index, {"sliders": shown}])
 

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -28,11 +27,10 @@ def config_checksum(results: Record) -> str:
 
 
 def write_record(path: Path, record: Record) -> None:
-    """Write a record atomically as JSON with sorted keys; an innermost object takes one line."""
+    """Write a record atomically as compact JSON with sorted keys."""
     make_folder(path.parent)
-    text = json.dumps(record, indent=1, sort_keys=True, allow_nan=False)
-    text = re.sub(r"\{[^{}]*\}", lambda found: re.sub(r"\n *", " ", found[0]), text)  # JSON strings have no newline
     with atomic_write(path) as temporary:
+        text = json.dumps(record, sort_keys=True, separators=(",", ":"), allow_nan=False)
         temporary.write_text(text + "\n", encoding="utf-8")
 
 

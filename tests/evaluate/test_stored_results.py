@@ -128,6 +128,12 @@ def test_sweepnet_of_all_worlds_is_better_in_rooms_and_no_worse_in_the_streets()
         assert (means[1] <= (1.02 if place == "streets" else 1.0) * means[0]).all(), (place, method)
     text = (DATA.parent / "book" / "training.md").read_text(encoding="utf-8")
     assert [row for row in text.splitlines() if row.startswith(("| streets", "| room"))] == rows
+    skies = []
+    for name, method in (("teaching", "sweepnet"), ("teaching-sweepnet_worlds", "sweepnet,weights=sweepnet_worlds")):
+        frames = read_record(STORED[name])["frames"]["sunny"].values()
+        total, rays = (sum(frame[method]["strata"]["sky"][key] for frame in frames) for key in ("sum", "rays"))
+        skies.append(f"{total / rays:.1f}")
+    assert f"Sunny's sky falls from {' to '.join(skies)}" in text
 
 
 def test_the_readme_quotes_the_report():
