@@ -1,8 +1,9 @@
 """Checkerboard corners in strongly distorted images, to a few hundredths of a pixel.
 
-OpenCV finds the board, its classic detector first: on bent boards it finds more than the newer one. Then each
-corner is refined in a window of half the distance to its neighbours, a quarter where squares are large: near the
-rim they are several times smaller than in the middle, and a window of fixed size would see the next corner.
+OpenCV finds the board, its classic detector first: on bent boards it finds more than the newer one, and on black and
+white images it is fast. Then each corner is refined in a window of half the distance to its neighbours, a quarter where
+squares are large: near the rim they are several times smaller than in the middle, and a window of fixed size would see
+the next corner.
 """
 
 import warnings
@@ -22,7 +23,8 @@ Gray = NDArray[np.uint8]
 Progress = Callable[[Iterable], Iterable]
 
 _CLASSIC = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-_SMALL = 640  # px: the longer side of the copy on which thresholds are tried one by one
+_SMALL = 640  # px: the longer side of the copies on which thresholds are tried one by one
+_LARGE = 1000  # px: the longer side of an image that is not enlarged
 # px, half sizes of windows: the least that cornerSubPix can use, and what is enough for small squares. A larger
 # window averages more noise, but where squares are slanted or bent it reaches other edges and is biased by them.
 _LEAST_WINDOW, _SMALL_WINDOW = 2, 5
@@ -54,27 +56,29 @@ def find_corners(image: ArrayLike, board: Checkerboard) -> Floats | None:
 
 
 def _attempts(gray: Gray, board: Checkerboard) -> Iterator[Floats | None]:
-    """Yield the corners that each detector finds, from the one that mostly succeeds to slow ones."""
+    """Yield the corners that each detector finds, in the order that is fastest on the whole."""
+    yield from _on_thresholds(gray, board, offset=8)
     yield _classic(gray, board)
-    smaller = _SMALL / max(gray.shape)
-    yield _classic(gray, board, smaller if smaller < 0.75 else 1.5)
-    yield _classic(cv2.createCLAHE(3.0, (8, 8)).apply(gray), board)
     found, corners = cv2.findChessboardCornersSB(gray, board.corners, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
     yield corners.reshape(-1, 2).astype(np.float64) if found else None
-    scale = min(smaller, 1.0)
+    yield from _on_thresholds(gray, board, offset=0)
+    if max(gray.shape) <= _LARGE:
+        yield _classic(cv2.resize(gray, None, fx=1.5, fy=1.5, interpolation=cv2.INTER_CUBIC), board, scale=1.5)
+    yield _classic(cv2.createCLAHE(3.0, (8, 8)).apply(gray), board)
+
+
+def _on_thresholds(gray: Gray, board: Checkerboard, offset: float) -> Iterator[Floats | None]:
+    """Yield what is found in small black and white copies, each in a tenth of the time of a gray image."""
+    scale = min(_SMALL / max(gray.shape), 1.0)
     small = cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    for block in (21, 41, 81, 161):
-        for offset in (0, 8):
-            black = cv2.adaptiveThreshold(small, 255, cv2.ADAPTIVE_THRESH_GAUSSIAN_C, cv2.THRESH_BINARY, block, offset)
-            found = _classic(black, board)
-            yield None if found is None else (found + 0.5) / scale - 0.5
+    for block in (41, 21, 81, 161):
+        black = cv2.adaptiveThreshold(small, 255, cv2.ADAPTIVE_THRESH_GAUSSIAN_C, cv2.THRESH_BINARY, block, offset)
+        yield _classic(black, board, scale, flags=0)
 
 
-def _classic(gray: Gray, board: Checkerboard, scale: float = 1.0) -> Floats | None:
-    if scale != 1.0:
-        method = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
-        gray = cv2.resize(gray, None, fx=scale, fy=scale, interpolation=method)
-    found, corners = cv2.findChessboardCorners(gray, board.corners, flags=_CLASSIC)
+def _classic(gray: Gray, board: Checkerboard, scale: float = 1.0, flags: int = _CLASSIC) -> Floats | None:
+    """Return what OpenCV's classic detector finds, in pixels of the image of which `gray` is `scale` times the size."""
+    found, corners = cv2.findChessboardCorners(gray, board.corners, flags=flags)
     return (corners.reshape(-1, 2).astype(np.float64) + 0.5) / scale - 0.5 if found else None
 
 
