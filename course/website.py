@@ -34,7 +34,7 @@ def build(out: Path) -> int:
     with TemporaryDirectory() as folder:
         source, extra, html, trees = (Path(folder, name) for name in ("source", "extra", "html", "trees"))
         assemble(source, extra)
-        options = ["-q", "-j", "auto", "-W", "--keep-going", "-c", str(BOOK), "-d", str(trees)]
+        options = ["-q", "-W", "--keep-going", "-c", str(BOOK), "-d", str(trees)]
         options += ["-D", f"html_extra_path={extra}"]
         if status := build_main(["-b", "html", *options, str(source), str(html)]):
             return status
