@@ -146,7 +146,7 @@ def bench_frame(width: int, height: int, num: int, repeats: int = 6) -> list[Row
     return [Row(f"ZNCC + SGM frame {width}×{height}×{num}, against plain torch + libsgm", *times, note)]
 
 
-def bench_volumenet(width: int, height: int, num: int, repeats: int = 3) -> list[Row]:
+def bench_volumenet(width: int, height: int, num: int, repeats: int = 2) -> list[Row]:
     """Compare a whole VolumeNet frame with a ZNCC + SGM frame of this library; both have their tables ready."""
     sweep, images = _rig_and_images(width, height, num)
     methods = [partial(sweep_depth, sweep, images, name) for name in ("volumenet", "zncc+sgm")]
@@ -254,7 +254,7 @@ def _plain_sweepnet(net: SweepNet, spherical: torch.Tensor, pairs: Sequence[tupl
     return (sums / counts).permute(1, 2, 0)
 
 
-def bench_training(width: int, height: int, num: int, repeats: int = 3) -> list[Row]:
+def bench_training(width: int, height: int, num: int, repeats: int = 2) -> list[Row]:
     """Compare a training step of SweepNet in float32 with the same step in the channels-last memory format."""
     scale = {"width": width, "height": height, "num_spheres": num, "halve": False}
     samples = SphereSamples(replace(RECIPES["sweepnet"]["shipped"], **scale), DATA / "sunny" / "train")
@@ -344,7 +344,7 @@ def run(quick: bool = False) -> None:
             table([*bench_warp(*scale), *bench_sgm(*scale), *bench_frame(*scale), *bench_volumenet(*scale)]), flush=True
         )
     if not quick:
-        parts = bench_sweepnet(320, 80, 64, range(28, 36)), bench_sweepnet(1200, 300, 192, range(95, 97))
+        parts = bench_sweepnet(320, 80, 64, range(30, 34)), bench_sweepnet(1200, 300, 192, range(95, 96))
         print(table([row for rows in parts for row in rows]), flush=True)
         print(table(bench_training(640, 160, 96)), flush=True)
     print(table(bench_calibrate()), flush=True)
