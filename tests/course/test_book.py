@@ -263,7 +263,7 @@ def test_figures_are_dark_on_a_dark_page(served, open_page):
 
 def test_book_search_finds_a_word(served, open_page):
     page = open_page(1280, 844)
-    page.goto(f"{served}/index.html")
+    page.goto(f"{served}/index.html", wait_until="networkidle")  # a picture that is left half loaded has failed
     page.locator("input[name=q]:visible").first.fill("panorama")
     page.keyboard.press("Enter")
     found = page.locator("#search-results li a")
