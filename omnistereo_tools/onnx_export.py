@@ -14,7 +14,7 @@ from omnistereo_lib.files import atomic_write, make_folder
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.correlation import feature_coordinates, pixels_per_degree, volume_sizes
-from omnistereo_lib.stereo.sweep import reduce_images, visible_pixels
+from omnistereo_lib.stereo.sweep import reduce_images
 from omnistereo_lib.stereo.volumenet import VolumeNet
 
 OPSET = 18  # the first whose Resize takes the axes as torch does
@@ -74,7 +74,7 @@ def _write_rig(path: Path, rig: Rig, grid: SphereGrid) -> None:
         reduced, _ = reduce_images(rig, blank, pixels_per_degree(size))
         for k, (camera, uv) in enumerate(zip(reduced.cameras, feature_coordinates(reduced, grid, size), strict=True)):
             name = f"{number}_{k}"
-            arrays[f"mask{name}"] = visible_pixels(camera)
+            arrays[f"mask{name}"] = camera.visible_pixels()
             arrays[f"factor{name}"] = np.array(rig.cameras[k].image_size[0] // camera.image_size[0])
             arrays[f"uv{name}"] = uv.numpy()
     arrays["volumes"] = np.array(len(sizes))

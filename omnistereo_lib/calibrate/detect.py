@@ -1,9 +1,8 @@
 """Checkerboard corners in strongly distorted images, to a few hundredths of a pixel.
 
-OpenCV finds the board, its classic detector first: on bent boards it finds more than the newer one, and on black and
-white images it is fast. Then each corner is refined in a window of half the distance to its neighbours, a quarter where
-squares are large: near the rim they are several times smaller than in the middle, and a window of fixed size would see
-the next corner.
+OpenCV finds the board, its classic detector first: on bent boards it finds more than the newer one. Then each
+corner is refined in a window of half the distance to its neighbours, a quarter where squares are large: near the
+rim they are several times smaller than in the middle, and a window of fixed size would see the next corner.
 """
 
 import warnings

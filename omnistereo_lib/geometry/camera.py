@@ -178,6 +178,14 @@ class OcamCamera:
             return inside & self.mask[row.astype(int), column.astype(int)]
         return inside & xp.as_tensor(self.mask, device=uv.device)[row.long(), column.long()]
 
+    def visible_pixels(self) -> NDArray[np.bool_]:
+        """Return which pixels lie on the image circle and the mask, shape (height, width)."""
+        width, height = self.image_size
+        offsets = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1) - self.center
+        # As in `unproject`, without the angles: they take most of its time.
+        inside = np.linalg.norm(offsets @ np.linalg.inv(self._A).T, axis=-1) <= self.max_radius + 1e-6
+        return inside if self.mask is None else inside & self.mask
+
     def reduced(self, factor: int) -> OcamCamera:
         """Return the camera of images in which blocks of factor × factor pixels are averaged to one."""
         width, height = (size // factor for size in self.image_size)

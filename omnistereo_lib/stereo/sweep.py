@@ -17,7 +17,6 @@ from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from omnistereo_lib.errors import OmnistereoError, checked
-from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
@@ -99,7 +98,7 @@ class SphereSweep:
     @cached_property
     def _image_masks(self) -> list[NDArray[np.uint8]]:
         """For each camera 1 where its pixels are valid, else 0, shape (height, width)."""
-        return [visible_pixels(camera).astype(np.uint8) for camera in self.rig.cameras]
+        return [camera.visible_pixels().astype(np.uint8) for camera in self.rig.cameras]
 
     def project_sphere(self, camera: int, index: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Project the points of one sphere into one camera: Π_i(M(Θ*_i) ρ(p)/d_n) of Eq. 1.
@@ -304,15 +303,6 @@ def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray]:
     if len({image.ndim for image in images}) > 1:  # gray and colour: all in colour
         images = [np.repeat(image[..., None], 3, -1) if image.ndim == 2 else image for image in images]
     return images
-
-
-def visible_pixels(camera: OcamCamera) -> NDArray[np.bool_]:
-    """Return which pixels lie on the image circle and the mask, shape (height, width)."""
-    width, height = camera.image_size
-    c, d, e = camera.affine  # from pixels to the image plane, but no further: `unproject` would solve for the angles
-    offsets = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1) - camera.center
-    inside = np.linalg.norm(offsets @ np.linalg.inv([[1, e], [d, c]]).T, axis=-1) <= camera.max_radius + 1e-6
-    return inside if camera.mask is None else inside & camera.mask
 
 
 def to_gray(image: NDArray) -> NDArray[np.float32]:

@@ -34,7 +34,7 @@ from omnistereo_lib.stereo.correlation import (
     volume_sizes,
 )
 from omnistereo_lib.stereo.learned import Precision, autocast
-from omnistereo_lib.stereo.sweep import SphereSweep, reduce_images, to_gray, visible_pixels
+from omnistereo_lib.stereo.sweep import SphereSweep, reduce_images, to_gray
 from omnistereo_lib.stereo.volume import require_memory
 from omnistereo_lib.stereo.weights import StoredNetwork
 
@@ -168,7 +168,7 @@ class VolumeNet(StoredNetwork):
         rig, images = reduce_images(sweep.rig, images, pixels_per_degree(size))
         prepared, device = self._prepared.setdefault(sweep, {}), sweep.device
         if size not in prepared:
-            masks = [torch.from_numpy(visible_pixels(camera)).to(device) for camera in rig.cameras]
+            masks = [torch.from_numpy(camera.visible_pixels()).to(device) for camera in rig.cameras]
             prepared[size] = masks, [uv.to(device) for uv in feature_coordinates(rig, sweep.grid, size)]
         masks, coordinates = prepared[size]
         normalized = [normalize(torch.from_numpy(to_gray(i)).to(device), m) for i, m in zip(images, masks, strict=True)]

@@ -14,7 +14,7 @@ from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.correlation import feature_coordinates, pixels_per_degree, volume_sizes
-from omnistereo_lib.stereo.sweep import reduce_images, to_gray, visible_pixels
+from omnistereo_lib.stereo.sweep import reduce_images, to_gray
 from omnistereo_lib.stereo.volumenet import VolumeNet, local_mean, normalize, resize_logits
 from omnistereo_lib.train.frames import Folders, TrainingFrames, to_device
 from omnistereo_lib.train.recipes import VolumeNetRecipe
@@ -64,7 +64,7 @@ class VolumeSamples(TrainingFrames):
         size = volume_sizes(grid)[-1]
         rig, images = reduce_images(frame.rig.recentered(), frame.images, pixels_per_degree(size))
         if frame.rig not in self._masks:
-            self._masks[frame.rig] = [to_device(visible_pixels(camera), self.device) for camera in rig.cameras]
+            self._masks[frame.rig] = [to_device(camera.visible_pixels(), self.device) for camera in rig.cameras]
         masks = self._masks[frame.rig]
         gray = [to_gray(image) if rng is None else _other_look(to_gray(image), rng) for image in images]
         index = grid.inverse_depth_to_index(frame.inverse_depth_along(grid.rays() @ rotation))

@@ -132,6 +132,17 @@ def test_validity_comes_from_geometry_and_mask(dtype):
     assert equidistant(image_size=(4000, 4000)).unproject([[3999, 377], [402, 377]])[1].tolist() == [False, True]
 
 
+def test_visible_pixels_are_those_that_unproject_accepts():
+    mask = np.random.default_rng(0).random(SIZE[::-1]) < 0.9
+    masked = stereographic(f=90.0, affine=(1.02, 0.01, -0.02), mask=mask)
+    pixels = np.stack(np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1])), -1)
+    for camera in (stereographic(f=90.0), masked, masked.reduced(3)):
+        width, height = camera.image_size
+        expected = camera.unproject(pixels[:height, :width])[1]
+        np.testing.assert_array_equal(camera.visible_pixels(), expected)
+        assert 0 < expected.mean() < 1
+
+
 def test_useless_points_are_invalid_and_finite():
     uv, valid = equidistant().project([[0, 0, 0], [np.nan, 0, 1], [0, np.inf, 0], [0, 0, -np.inf]])
     assert not valid.any() and np.isfinite(uv).all()

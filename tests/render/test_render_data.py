@@ -10,7 +10,6 @@ import pytest
 from lens_oracle import directions
 
 import omnistereo_lib as osl
-from omnistereo_lib.stereo.sweep import visible_pixels
 from render.drive import plan_drive
 from render.frames import (
     SEED,
@@ -94,7 +93,7 @@ def test_shipped_truth_is_a_street(shipped):
 
 
 def test_shipped_pictures_are_neither_black_nor_burnt_out(shipped):
-    lenses = [visible_pixels(camera) for camera in shipped.rig.cameras]
+    lenses = [camera.visible_pixels() for camera in shipped.rig.cameras]
     pictures = (zip(shipped[i].images, lenses, strict=True) for i in FRAMES)
     for picture, lens in itertools.chain.from_iterable(pictures):
         seen = picture[lens]
@@ -234,7 +233,7 @@ def sky_warmth(data):
 @pytest.mark.parametrize("name", ["cloudy/test", "sunset/test", "sunny/train"])
 def test_pictures_of_other_lights_and_streets_are_neither_black_nor_burnt_out(name):
     data = osl.load_dataset(SAMPLES.parent / name)
-    black, lenses = [], [visible_pixels(camera) for camera in data.rig.cameras]
+    black, lenses = [], [camera.visible_pixels() for camera in data.rig.cameras]
     pictures = (zip(frame.images, lenses, strict=True) for frame in data[:: max(1, len(data) // 8)])
     for picture, lens in itertools.chain.from_iterable(pictures):
         seen = picture.reshape(*lens.shape, -1)[lens]

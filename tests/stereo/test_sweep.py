@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import scene
@@ -13,7 +11,6 @@ from omnistereo_lib.stereo.sweep import (
     blur_px,
     remap,
     split_at_seam,
-    visible_pixels,
 )
 
 GRID = osl.SphereGrid(64, 20, (-40, 35), 20, 0.6)
@@ -173,28 +170,17 @@ def test_detail_finer_than_the_panorama_does_not_reach_it(world):
     sweep = osl.SphereSweep(rig, GRID)
     clean, striped = (sweep.normalize_images(some) for some in (images, stripes))
     for camera in range(len(rig)):
-        inside = visible_pixels(rig.cameras[camera])
+        inside = rig.cameras[camera].visible_pixels()
         assert (clean[camera] - striped[camera]).numpy()[inside].std() < 0.02  # of unit variance
     fine = osl.SphereSweep(rig, osl.SphereGrid(1440, 20, (-40, 35), 20, 0.6))
-    gray = images[0][visible_pixels(rig.cameras[0])]  # a fine panorama takes the pixels as they are
-    normalized = fine.normalize_images(images)[0].numpy()[visible_pixels(rig.cameras[0])]
+    gray = images[0][rig.cameras[0].visible_pixels()]  # a fine panorama takes the pixels as they are
+    normalized = fine.normalize_images(images)[0].numpy()[rig.cameras[0].visible_pixels()]
     np.testing.assert_allclose(normalized, (gray - gray.mean()) / gray.std(), atol=1e-4)
-
-
-def test_visible_pixels_are_those_that_unproject_accepts():
-    lens, mask = scene.camera(), np.random.default_rng(0).random((384, 400)) < 0.9
-    skewed = replace(lens, affine=(1.02, 0.01, -0.02), mask=mask)
-    pixels = np.stack(np.meshgrid(np.arange(400), np.arange(384)), -1)
-    for camera in (lens, skewed, skewed.reduced(3)):
-        width, height = camera.image_size
-        expected = camera.unproject(pixels[:height, :width])[1]
-        np.testing.assert_array_equal(visible_pixels(camera), expected)
-        assert 0 < expected.mean() < 1
 
 
 def test_what_lies_outside_of_the_image_circle_stays_out(world):
     rig, images = world
-    outside = [~visible_pixels(camera) for camera in rig.cameras]
+    outside = [~camera.visible_pixels() for camera in rig.cameras]
     black, white = (
         osl.SphereSweep(rig, GRID).normalize_images(
             [np.where(o, value, i) for i, o in zip(images, outside, strict=True)]
