@@ -67,7 +67,7 @@ def _attempts(gray: Gray, board: Checkerboard) -> Iterator[Floats | None]:
 
 
 def _on_thresholds(gray: Gray, board: Checkerboard, offset: float) -> Iterator[Floats | None]:
-    """Yield what is found in small black and white copies, each in a tenth of the time of a gray image."""
+    """Yield what is found in small black and white copies, which are searched in a fraction of the time."""
     scale = min(_SMALL / max(gray.shape), 1.0)
     small = cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     for block in (41, 21, 81, 161):
