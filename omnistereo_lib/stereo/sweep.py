@@ -247,7 +247,7 @@ class SphereSweep:
             maps[:, :, k] = uv
             maps[~valid, k] = OUTSIDE
 
-        with ThreadPoolExecutor() as pool:  # NumPy releases the interpreter lock in large operations
+        with ThreadPoolExecutor(torch.get_num_threads()) as pool:  # more would wait for the interpreter lock
             list(pool.map(fill, range(len(spheres))))
         start, width = _circular_span((maps[..., 0] > OUTSIDE).any((0, 2)))
         self._spans[camera, spheres.start] = start, width
