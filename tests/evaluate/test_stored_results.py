@@ -46,7 +46,7 @@ def test_they_come_from_what_ships(name):
 @pytest.mark.parametrize(
     ("name", "number", "costs"),
     [
-        ("teaching", 831, {"zncc", "mccnn"}),  # notebook 08 has SweepNet again
+        ("teaching", 831, {"zncc", "mccnn", "sweepnet"}),
         ("ablations", 831, {"zncc"}),  # the networks take minutes
         ("penalties", 153, {"zncc"}),
     ],
@@ -61,7 +61,7 @@ def test_a_frame_again(name, number, costs):
     methods = [method for method in every if method.cost in costs and not method.num_spheres]
     sweep = osl.SphereSweep(data.rig, grid)
     again = dict(evaluate_frame(sweep, data.frame(number), methods, lambda method: method.load_cost(BUNDLED_WEIGHTS)))
-    assert again.keys() == set(methods) and {method.cost for method in methods} == costs and len(methods) >= 4
+    assert again.keys() == set(methods) and {method.cost for method in methods} == costs and len(methods) >= 6
     for method, errors in again.items():
         figures = stored["frames"]["sunny"][f"{number:05}"][method.name]["figures"]
         assert errors["figures"] == pytest.approx(figures, abs=0.1), method.name
