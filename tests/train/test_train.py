@@ -109,10 +109,12 @@ def test_two_processes_compute_what_one_does(data, tmp_path):
 
 
 @BOTH
-def test_it_learns(recipe, data, tmp_path):
-    recipe = replace(recipe, width=64, height=16, steps=24, validate_every=24, augment=False, learning_rate=3e-3)
-    curve = losses(recipe, tmp_path, data)
-    assert np.mean(curve[-8:]) < 0.85 * np.mean(curve[:4])
+def test_it_learns_a_batch_that_comes_again_and_again(recipe, data, tmp_path, monkeypatch):
+    draw = _Run.micro_batch
+    monkeypatch.setattr(_Run, "micro_batch", lambda run, purpose, _: draw(run, purpose, 0))
+    recipe = replace(recipe, steps=8, validate_every=8, augment=False, learning_rate=3e-3)
+    first, *_, last = losses(recipe, tmp_path, data)
+    assert last < 0.5 * first
 
 
 def test_the_papers_recipe_on_a_small_panorama(data, tmp_path):
