@@ -43,25 +43,18 @@ def test_they_come_from_what_ships(name):
     assert all(set(frame) == set(stored["methods"]) for frame in frames)
 
 
-@pytest.mark.parametrize(
-    ("name", "number", "costs"),
-    [
-        ("teaching", 831, {"zncc", "mccnn", "sweepnet"}),
-        ("ablations", 831, {"zncc"}),  # the networks take minutes
-        ("penalties", 153, {"zncc"}),
-    ],
-)
-def test_a_frame_again(name, number, costs):
-    """Methods at the teaching scale; bfloat16 there and float32 here may differ by a tenth of a point."""
+# ZNCC's, since the networks take minutes; notebook 08 computes a frame of "teaching" again.
+@pytest.mark.parametrize(("name", "number"), [("ablations", 831), ("penalties", 153)])
+def test_a_frame_again(name, number):
     stored = read_record(STORED[name])
     data = osl.load_dataset(DATA / "sunny", split=split_of(name))
     scale = SCALES["teaching"]
     grid = osl.SphereGrid(scale.width, scale.height, num_spheres=scale.num_spheres, min_depth=data.rig.min_depth)
     every = [Method.parse(text) for text in stored["methods"]]
-    methods = [method for method in every if method.cost in costs and not method.num_spheres]
+    methods = [method for method in every if method.cost == "zncc" and not method.num_spheres]
     sweep = osl.SphereSweep(data.rig, grid)
     again = dict(evaluate_frame(sweep, data.frame(number), methods, lambda method: method.load_cost(BUNDLED_WEIGHTS)))
-    assert again.keys() == set(methods) and {method.cost for method in methods} == costs and len(methods) >= 6
+    assert again.keys() == set(methods) and len(methods) >= 6
     for method, errors in again.items():
         figures = stored["frames"]["sunny"][f"{number:05}"][method.name]["figures"]
         assert errors["figures"] == pytest.approx(figures, abs=0.1), method.name
