@@ -47,15 +47,15 @@ def picture(data: bytes, alt: str, folder: Path, up: str = "", scale: float = SC
 def for_dark_page(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return a figure (H, W, 3) with light ink on dark paper; hues, photographs and maps stay as they are."""
     low, high = (reduce(each, cv2.split(rgb)) for each in (cv2.min, cv2.max))
-    turned = rgb + (255 - high - low)[..., None]  # lightness turned over, hue kept; modulo 256
+    turned = rgb + cv2.merge([255 - high - low] * 3)  # lightness turned over, hue kept; modulo 256
     dark = cv2.LUT(turned, _SHADES)
     ink = (low < _WHITE).astype(np.uint8)
     for contour in cv2.findContours(ink, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]:
         x, y, width, height = cv2.boundingRect(contour)
         if height < 40 or (width < 40 and height < 100):  # letters and lines, but not a colour bar
             continue
-        inside = cv2.drawContours(np.zeros((height, width), np.uint8), [contour], 0, 1, -1, offset=(-x, -y)) > 0
+        inside = cv2.drawContours(np.zeros((height, width), np.uint8), [contour], 0, 1, -1, offset=(-x, -y))
         place = np.s_[y : y + height, x : x + width]
-        if inside.mean() > _SOLID and ink[place][inside].mean() > _FILLED:
-            dark[place][inside] = rgb[place][inside]
+        if inside.mean() > _SOLID and cv2.mean(ink[place], inside)[0] > _FILLED:
+            cv2.copyTo(rgb[place], inside, dark[place])
     return dark
