@@ -1,8 +1,8 @@
 """Runs commands in processes of their own without importing the library for each: `python command_server.py`.
 
-It imports the library once and then forks. Each line on its standard input is JSON, [command line, log file]. It
-answers "NUMBER started", the number of the process, and "NUMBER STATUS" when that one has ended. So a test that kills a
-hundred commands does not import torch a hundred times.
+It imports the library once, with what commands load later, and then forks. Each line on its standard input is JSON,
+[command line, log file]. It answers "NUMBER started", the number of the process, and "NUMBER STATUS" when that one has
+ended. So a test that kills a hundred commands does not import torch a hundred times.
 """
 
 import json
@@ -15,7 +15,10 @@ import traceback
 from pathlib import Path
 
 import cv2
+import numba
+import scipy.ndimage  # noqa: F401
 import torch
+import torch._dynamo  # by torch's optimizers
 from render_stand_in import replace_blender
 
 import render
@@ -59,6 +62,7 @@ def wait(number):
 
 def main():
     sys.modules["matplotlib"] = None  # the figures of a calibration take longer than the calibration
+    numba.njit(lambda: None)()  # loads its compiler
     cv2.setNumThreads(1)
     torch.set_num_threads(1)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a terminal in which the tests are interrupted
