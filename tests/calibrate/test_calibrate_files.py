@@ -8,12 +8,11 @@ import boards
 import cv2
 import numpy as np
 import pytest
-import yaml
 from boards import BOARD, SIZE
 
 import omnistereo_lib as osl
 from omnistereo_lib import cli
-from omnistereo_lib.calibrate.captures import find_captures, save_corners
+from omnistereo_lib.calibrate.captures import find_captures, load_corners, save_corners
 from omnistereo_lib.calibrate.detect import find_corners
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Pose
@@ -243,12 +242,11 @@ def test_a_rig_from_corners_on_file(detected, tmp_path, capsys):
     for written in ("config.yaml", "."):  # the folder: ocam1.txt … and poses.txt
         rig = osl.Rig.load(tmp_path / written, unit="m", max_fov_deg=200)
         assert len(rig) == 4
-    expected = [f"{kind}_cam{i}.{end}" for kind, end in (("corners", "yaml"), ("report", "png")) for i in (1, 2, 3, 4)]
-    assert all((tmp_path / name).is_file() for name in expected)
-    assert yaml.safe_load((tmp_path / "corners_cam1.yaml").read_text())["board"] == {
-        "corners": [12, 10],
-        "square": 0.06,
-    }
-    again = tmp_path / "again"
-    assert cli.main([*arguments[:3], str(tmp_path), *arguments[4:], "--out", str(again)]) == 0
-    assert (again / "report.txt").read_text().splitlines()[0] == (tmp_path / "report.txt").read_text().splitlines()[0]
+    for i in (1, 2, 3, 4):
+        assert (tmp_path / f"report_cam{i}.png").is_file()
+        (found, *about), (given, *same) = (load_corners(out / f"corners_cam{i}.yaml") for out in (tmp_path, detected))
+        assert about == same and found.keys() == given.keys()
+        for name, corners in given.items():  # for the next run; some boards had been read from their other end
+            assert corners is found[name] is None or any(
+                np.array_equal(found[name], ends, equal_nan=True) for ends in (corners, corners[::-1])
+            )

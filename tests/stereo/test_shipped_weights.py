@@ -77,7 +77,7 @@ def test_training_data_are_those_that_ship():
 
 @pytest.mark.parametrize("cost", ["mccnn", "sweepnet"])
 def test_learned_costs_beat_zncc_on_a_street_they_have_not_seen(cost):
-    """By the stored results; `test_stored_results` computes them again."""
+    """By the stored results; notebook 08 computes the raw ones again."""
     raw, with_sgm = (
         read_record(SUNNY.parent / "results" / f"{name}.json")["frames"]["sunny"]["00831"]
         for name in ("teaching", "ablations")
