@@ -22,8 +22,6 @@ from omnistereo_lib.train import RECIPES, train
 from omnistereo_lib.train.loop import LOG, STATE, WEIGHTS, _Run
 from omnistereo_lib.train.spheres import SphereObjective, SphereSamples
 
-BOTH = pytest.mark.parametrize("recipe", [SWEEPNET, MCCNN], ids=["sweepnet", "mccnn"])
-
 PATHS = f"{Path(__file__).parent} {Path(__file__).parents[1]}"  # this module and the helpers beside its folder
 
 
@@ -107,10 +105,8 @@ def test_two_processes_compute_what_one_does(data, tmp_path):
         torch.testing.assert_close(there[name], here[name], atol=1e-3, rtol=1e-3)
 
 
-@BOTH
-def test_it_learns_a_batch_that_comes_again_and_again(recipe, data, tmp_path, monkeypatch):
-    draw = _Run.micro_batch
-    monkeypatch.setattr(_Run, "micro_batch", lambda run, purpose, _: draw(run, purpose, 0))
+@pytest.mark.parametrize("recipe", [SWEEPNET, MCCNN], ids=["sweepnet", "mccnn"])
+def test_it_learns_a_batch_that_comes_again_and_again(recipe, data, tmp_path, same_batch):
     recipe = replace(recipe, steps=8, validate_every=8, augment=False, learning_rate=3e-3)
     first, *_, last = losses(recipe, tmp_path, data)
     assert last < 0.5 * first

@@ -14,7 +14,6 @@ from omnistereo_lib.dataset import load_dataset
 from omnistereo_lib.stereo import correlation
 from omnistereo_lib.stereo.weights import load_tensors
 from omnistereo_lib.train import RECIPES, VolumeNetRecipe, train
-from omnistereo_lib.train.loop import _Run
 from omnistereo_lib.train.volumes import VolumeObjective, VolumeSample, VolumeSamples
 
 TINY = VolumeNetRecipe(width=64, height=16, num_spheres=16, steps=4, validate_every=2, validation_groups=1, warmup=2)
@@ -88,9 +87,8 @@ def test_the_loss_is_the_cross_entropy_of_the_two_nearest_spheres():
     assert error.item() == np.mean([abs(read - 6.75) > 0.08, abs(read - 7) > 0.08])
 
 
-def test_it_learns_a_batch_that_comes_again_and_again(data, tmp_path, monkeypatch):
-    draw, rows = _Run.micro_batch, []
-    monkeypatch.setattr(_Run, "micro_batch", lambda run, purpose, _: draw(run, purpose, 0))
+def test_it_learns_a_batch_that_comes_again_and_again(data, tmp_path, same_batch):
+    rows = []
     train(replace(TINY, steps=8, validate_every=8), tmp_path, data, precision="float32", progress=rows.append)
     assert rows[-1]["loss"] < 0.8 * rows[0]["loss"]
 
