@@ -167,13 +167,15 @@ def test_two_frames_of_one_sweep(network):
     assert torch.allclose(in_color, first, atol=1e-3)
 
 
-def test_bfloat16_is_close(network):
-    rig = scene.rig(width=120, height=112)
+def test_bfloat16_is_close(monkeypatch):
+    # Smaller than usual: most processors emulate bfloat16, slowly.
+    monkeypatch.setattr("omnistereo_lib.stereo.volumenet.volume_sizes", lambda grid: [(48, 16, 16)])
+    shipped, rig = VolumeNet.pretrained(), scene.rig(width=120, height=112)  # untrained, all spheres are as likely
     images, sweep = scene.images(rig, finest=0.5), SphereSweep(rig, GRID)
     volumes = []
-    for network.precision in ("bfloat16", "float32", "auto"):
-        volumes.append(cost_volume(sweep, images, network))
-    assert (volumes[0] - volumes[1]).abs().max() < 0.01
+    for shipped.precision in ("bfloat16", "float32"):
+        volumes.append(cost_volume(sweep, images, shipped))
+    assert 0 < (volumes[0] - volumes[1]).abs().max() < 0.02
 
 
 def test_one_frame_in_float32_takes_the_fast_kernels(network):
