@@ -244,7 +244,7 @@ def method_flow(width: int, height: int, spheres: int) -> Figure:
     fig, (ax,) = _canvas(10, 2.2)
     boxes = ("images, lenses,\nposes", "sweep", "matching cost", "SGM", "winner")
     volume = f"{height} × {width} × {spheres}"
-    between = ("4 × 768 × 800", f"4 × {volume}", volume, volume)
+    between = ("4 × 768 × 800", f"4 × {spheres} × {height} × {width}", volume, volume)
     for k, name in enumerate(boxes):
         color = plt.cm.viridis(0.35 + 0.13 * k)
         ax.add_patch(plt.Rectangle((3.2 * k, 0), 2.0, 1.1, facecolor=color, alpha=0.45, edgecolor="none"))
@@ -252,7 +252,7 @@ def method_flow(width: int, height: int, spheres: int) -> Figure:
         if k:
             _arrow(ax, (3.2 * k - 1.15, 0.55), (3.2 * k - 0.05, 0.55), "0.3")
             ax.text(3.2 * k - 0.6, 1.3, between[k - 1], ha="center", fontsize=8, color="0.3")
-    ax.text(14.8, 1.3, f"{height} × {width} depths", ha="center", fontsize=8, color="0.3")
+    ax.text(14.8, 1.3, f"{height} × {width} indices", ha="center", fontsize=8, color="0.3")
     for k, notebook in enumerate(("01, 02", "03", "04, 05, 06", "07", "07")):
         ax.text(3.2 * k + 1.0, -0.35, notebook, ha="center", fontsize=8, color="0.3")
     ax.set(xlim=(-0.3, 16), ylim=(-0.6, 1.7))

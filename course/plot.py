@@ -17,8 +17,8 @@ from course import stills
 from omnistereo_lib.dataset import Frame
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.stereo.depth import colorize_depth
 from omnistereo_tools.calibration_figures import calibration_figure, draw_coverage
+from omnistereo_tools.pictures import colorize_depth
 
 if TYPE_CHECKING:
     from ipywidgets import Widget

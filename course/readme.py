@@ -14,7 +14,7 @@ import omnistereo_lib as osl
 from course import nbtools
 from course.plot import DEPTH_COLORS
 from course.view3d import draw_points
-from omnistereo_lib.stereo.depth import colorize_depth
+from omnistereo_tools.pictures import colorize_depth
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.errors import OmnistereoError, shortened
 
 _JPEG, _PNG = b"\xff\xd8", b"\x89P"  # first bytes
 _END_MARKERS = {_JPEG: b"\xff\xd9", _PNG: b"IEND"}
@@ -54,9 +54,7 @@ def path_within(folder: Path, name: Any, source: str | Path, root: Path | None =
     except (OSError, ValueError, RuntimeError):  # too long, a zero byte, links in a circle
         inside = False
     if not inside:
-        raise OmnistereoError(
-            f"{source} names {str(name)[:80]!r}; expected a path below {root or folder}. Copy it there."
-        )
+        raise OmnistereoError(f"{source} names {shortened(name)}; expected a path below {root or folder}. Copy it.")
     return path
 
 

@@ -10,13 +10,32 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.stereo.depth import Depth, colorize_depth
+from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.sweep import SphereSweep
 
 BACKGROUND = 0x20  # colours stand out, and gaps between points do not dazzle
 _ANY_GRID = SphereGrid(2, 2)  # `colorize_depth` reads its nearest depth only
 _NEAREST = 0.1  # metres in front of the eye
 _LARGEST = 7  # px of a point: nearer ones would hide what is behind them
+
+
+def colorize_depth(inverse_depth: ArrayLike, grid: SphereGrid) -> NDArray[np.uint8]:
+    """Return a colour image of inverse depth: near is bright and warm, far is dark, unknown is striped grey.
+
+    Args:
+        inverse_depth: array, shape (H, W), 1/m, NaN unknown
+        grid: The nearest sphere has the brightest colour.
+
+    Returns:
+        uint8 array, shape (H, W, 3), RGB
+    """
+    inverse_depth = np.asarray(inverse_depth)
+    level = np.clip(256 * np.nan_to_num(inverse_depth) * grid.min_depth, 0, 255).astype(np.uint8)
+    # The lightness of Inferno is monotonic, so it works in grey print and for colour-blind readers.
+    colors = cv2.cvtColor(cv2.applyColorMap(level, cv2.COLORMAP_INFERNO), cv2.COLOR_BGR2RGB)
+    rows, columns = np.indices(inverse_depth.shape)
+    stripes = np.where((rows + columns) // 4 % 2, 170, 200)[..., None]
+    return np.where(np.isfinite(inverse_depth)[..., None], colors, stripes).astype(np.uint8)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from omnistereo_lib.stereo.volume import cost_volume
 _BETTER = 0.75  # a mistake is reported if undoing it brings the cost below this fraction,
 _NOISE = 0.01  # and by more than this
 _BETTER_ROTATED = 0.9  # the same for one camera; right rigs 1.2 and more, 2° off 0.3 to 0.8 on the sample sets
-_ROTATION_PX = 1.5  # panorama pixels by which a camera is rotated: less is not resolved
+_ROTATION_PX = 1.5  # panorama pixels by which a camera is rotated; less than one is not resolved
 _FITS = 0.1  # below this median cost no other order is tried
 _HOPELESS = 0.25  # above this median cost no hypothesis fits
 _NO_OVERLAP = 0.5  # cost of a patch without texture, which is no evidence for or against a match
@@ -157,7 +157,8 @@ def _rotated_cameras(sweep: SphereSweep, images: Sequence[ArrayLike]) -> Iterato
     Costs of different pairs are not comparable: in a room they differ by a factor of four with the right rig, while
     a rotation by 2° raises them by a fifth. So each camera is compared with itself.
     """
-    rig, angle = sweep.rig, _ROTATION_PX * 2 * np.pi / sweep.grid.width
+    rig, pixel = sweep.rig, 2 * np.pi / sweep.grid.width
+    angle = _ROTATION_PX * pixel
     for camera in range(len(rig)):
         pairs = [pair for pair in camera_pairs("all", rig) if camera in pair]
 
@@ -169,6 +170,7 @@ def _rotated_cameras(sweep: SphereSweep, images: Sequence[ArrayLike]) -> Iterato
         costs = np.array([cost(step) for step in steps])
         slopes, curvatures = (costs[:3] - costs[3:]) / 2, costs[:3] + costs[3:] - 2 * given_cost
         newton = angle * (-slopes / np.maximum(curvatures, 1e-9)).clip(-1, 1)
+        newton *= np.linalg.norm(newton) >= pixel  # less may match better by chance
         lowest, step = min((cost(newton), newton), (costs.min(), steps[costs.argmin()]), key=lambda pair: pair[0])
         name = f"camera {camera + 1} looks rotated by about {np.degrees(np.linalg.norm(step)):.1f}°"
         yield RigHypothesis(name, float(lowest), given_cost)

@@ -226,6 +226,7 @@ def check_share_of_sphere(rng: Rng, k: int) -> Case:
         (np.mean(weight * mask), "divide by the sum of all weights, not by the number of pixels"),
         (np.sum(weight * mask), "that is a sum of weights; divide by the sum of all of them"),
         (np.sum(weight * mask) / weight.sum(), "each row's weight counts once for every pixel of the row"),
+        (share(middles) * np.ptp(np.sin(np.radians([low, high]))) / 2, "that is the share of the whole sphere"),
     ]
     return (mask, low, high), share(middles), mistakes
 

@@ -137,7 +137,7 @@ def check_most_confident(rng: Rng, k: int) -> Case:
         (chosen, "a method without an estimate may still be confident: leave it out at that ray"),
         (lambda i, c: chosen(i, np.where(np.isnan(i), -1, -c + 5)), "that is the least confident method"),
         (lambda i, c: chosen(i, np.where(np.isnan(i), -1, i)), "that is the nearest estimate: choose by confidence"),
-        (numbers, "that is the number of the method; return its index"),
+        (numbers, "that is the number of the method; return the sphere index it gives"),
         (one_for_all, "that is one method for all rays: each ray has its own"),
         (lambda i, c: np.nanmean(i, 0), "that is the mean of the methods, which lies between two surfaces"),
         (lambda i, c: np.nansum(i * c, 0) / np.sum(c * np.isfinite(i), 0), "that is a weighted mean, which lies"

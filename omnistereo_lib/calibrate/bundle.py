@@ -46,9 +46,9 @@ class BundleProblem:
         rotated, in_camera = self._points(state)
         d_intrinsics, d_point = self._derivatives(*self._project(state, in_camera)[1])
         d_in_rig = d_point @ state.R_cam[seen.camera]
-        d_capture = np.concatenate([-d_in_rig @ _cross(rotated) @ state.J_board[seen.capture], d_in_rig], -1)
+        d_capture = np.concatenate([-d_in_rig @ cross(rotated) @ state.J_board[seen.capture], d_in_rig], -1)
         rotated = in_camera - state.t_cam[seen.camera]
-        d_camera = np.concatenate([-d_point @ _cross(rotated) @ state.J_cam[seen.camera], d_point], -1)
+        d_camera = np.concatenate([-d_point @ cross(rotated) @ state.J_cam[seen.camera], d_point], -1)
         entries = np.concatenate([d_intrinsics, d_camera, d_capture], axis=-1)  # (M, 2, entries of a row)
         entries = entries.reshape(-1, entries.shape[-1])[self._used]
         return csr_matrix((entries, self._columns, self._indptr), shape=(2 * len(self.scale), self.initial.num_params))
@@ -223,16 +223,16 @@ class _UnpackedParams:
         self.intrinsics = x[: cameras * width].reshape(cameras, width)
         moving = np.concatenate([np.zeros((1, 6)), x[cameras * width : rig].reshape(-1, 6)])
         boards = x[rig:].reshape(-1, 6)
-        self.R_cam, self.J_cam, self.t_cam = *_rotations(moving[:, :3]), moving[:, 3:]
-        self.R_board, self.J_board, self.t_board = *_rotations(boards[:, :3]), boards[:, 3:]
+        self.R_cam, self.J_cam, self.t_cam = *rotations(moving[:, :3]), moving[:, 3:]
+        self.R_board, self.J_board, self.t_board = *rotations(boards[:, :3]), boards[:, 3:]
 
 
-def _rotations(r: Floats) -> tuple[Floats, Floats]:
+def rotations(r: Floats) -> tuple[Floats, Floats]:
     """Return R(r) and the left Jacobian J with R(r + δ) ≈ (I + [J δ]×) R(r), each (n, 3, 3).
 
     Rodrigues' formula: R = I + sin(a)/a K + (1 - cos a)/a² K², K = [r]×; J = I + (1 - cos a)/a² K + (a - sin a)/a³ K².
     """
-    K = _cross(r)
+    K = cross(r)
     angle = np.linalg.norm(r, axis=-1)[:, None, None]
     a = np.maximum(angle, 1e-6)
     small = angle < 1e-6  # the series' first terms
@@ -242,7 +242,7 @@ def _rotations(r: Floats) -> tuple[Floats, Floats]:
     return np.eye(3) + first * K + second * K @ K, np.eye(3) + second * K + third * K @ K
 
 
-def _cross(v: Floats) -> Floats:
+def cross(v: Floats) -> Floats:
     """Return the matrices [v]× of vectors (n, 3), shape (n, 3, 3)."""
     x, y, z = v.T
     zero = np.zeros_like(x)

@@ -12,7 +12,7 @@ from omnistereo_lib.calibrate.init import initial_estimate
 from omnistereo_lib.calibrate.params import CalibrationParams, collect_observations
 from omnistereo_lib.calibrate.report import CameraReport
 from omnistereo_lib.calibrate.solution import Solution, distances_of
-from omnistereo_lib.errors import OmnistereoError, checked
+from omnistereo_lib.errors import OmnistereoError, check_number, checked
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Floats
 from omnistereo_lib.rig_files.parse import parse_size
@@ -21,6 +21,7 @@ DEGREES = (4, 6, 8)  # odd ones add little; beyond 8 nothing was ever gained (no
 _SIGNIFICANT = 2.0  # standard errors by which a higher degree has to lower the cross-validation error
 _MOST = 20  # degrees beyond are a typing error
 _FOLDS = 3
+_WRONG = 5.0  # times the median distance of a corner: it was misdetected
 _MIN_VIEWS = 3
 _FEW_VIEWS = 10
 _BAD_VIEW = 3.0  # times the error of the median view
@@ -128,18 +129,16 @@ def _checked(name: str | int, corners: NDArray | None, board: Checkerboard) -> F
             f"view {name}: {len(corners)} corners; expected {columns} x {rows} = {len(board.points)}, the inner "
             "corners of the board, columns first. Put NaN for missing corners"
         )
-    corners = corners.astype(np.float64)
+    corners = np.where(np.isfinite(corners), corners, np.nan).astype(np.float64)
     return corners if np.isfinite(corners).all(axis=1).sum() >= 6 else None
 
 
 def check_settings(degree: int | None, max_fov_deg: float | None) -> None:
     """Raise an `OmnistereoError` for a degree or a field of view that cannot be, before any image is searched."""
-    if degree is not None and not (degree % 1 == 0 and DEGREES[0] <= degree <= _MOST):
-        raise OmnistereoError(
-            f"degree is {degree}; expected an integer of {DEGREES[0]} to {_MOST}, or None to choose it"
-        )
-    if max_fov_deg is not None and not 1 <= max_fov_deg <= 360:
-        raise OmnistereoError(f"max_fov_deg is {max_fov_deg}; expected a field of view of 1 to 360 degrees")
+    if degree is not None:
+        check_number(degree, "degree", DEGREES[0], _MOST, whole=True)
+    if max_fov_deg is not None:
+        check_number(max_fov_deg, "max_fov_deg", 1, 360)
 
 
 def _check_input(corners: Sequence, images: Sequence | None, board: Checkerboard) -> None:
@@ -201,7 +200,9 @@ def _cv_errors(params: CalibrationParams, views: Sequence[Floats], points: Float
         train, test = np.flatnonzero(~held_out), np.flatnonzero(held_out)
         seen, unseen = (collect_observations([[views[k] for k in part]], points) for part in (train, test))
         fitted = bundle_adjust(params.with_captures(train), seen, loss="soft_l1", tolerance=1e-6)
-        reach = np.arccos(fitted.intrinsics[0].rays(seen.pixels)[:, 2].min())
+        distance = distances_of(fitted, seen)
+        near = seen.pixels[distance < _WRONG * np.median(distance)]
+        reach = np.arccos(fitted.intrinsics[0].rays(near)[:, 2].min())
         try:
             fitted.intrinsics[0].camera(2 * float(np.degrees(reach)))
         except OmnistereoError:  # not monotonic where no corners constrain it, such as around the axis of a mirror

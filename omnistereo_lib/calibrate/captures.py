@@ -57,9 +57,7 @@ def find_captures(folder: str | Path) -> Captures:
     found = {name: images for name, images in found.items() if images} or {folder.name: _images(folder)}
     cameras = sorted(found, key=_natural)
     if not any(found.values()):
-        raise OmnistereoError(
-            f"{folder} has no images ({', '.join(sorted(_SUFFIXES))}); expected cam1/0001.png, cam2/0001.png, …"
-        )
+        raise OmnistereoError(f"{folder} has no images ({', '.join(sorted(_SUFFIXES))}); expected cam1/0001.png, …")
     names = sorted(set().union(*found.values()), key=_natural)
     if len(cameras) > 1 and sum(map(len, found.values())) == len(names):
         examples = ", ".join(f"{camera}/{min(found[camera])}" for camera in cameras)
@@ -77,10 +75,7 @@ def _images(folder: Path) -> dict[str, Path]:
     found: dict[str, Path] = {}
     for path in files:
         if path.stem in found:
-            raise OmnistereoError(
-                f"{folder} has {found[path.stem].name} and {path.name}; expected one image per capture. "
-                "Keep one of them"
-            )
+            raise OmnistereoError(f"{folder} has {found[path.stem].name} and {path.name}; expected one. Keep one")
         found[path.stem] = path
     return found
 

@@ -12,6 +12,7 @@ import numpy as np
 from omnistereo_lib.calibrate.bundle import bundle_adjust
 from omnistereo_lib.calibrate.params import CalibrationParams, Intrinsics, collect_observations
 from omnistereo_lib.calibrate.solution import distances_of
+from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Floats, Pose
 
 # F = smaller image side / (2 × angle at its edge): from 130° at the edge (mirrors) down to 10° (telephoto).
@@ -47,6 +48,10 @@ def initial_estimate(views: Sequence[Floats], points: Floats, image_size: tuple[
             best, least = params, error
         if least < _GOOD_PX:
             break
+    if best is None:
+        raise OmnistereoError(
+            f"corners lie up to {farthest:.0f} px from the middle of an image of {image_size}; check the image size"
+        )
     return best
 
 

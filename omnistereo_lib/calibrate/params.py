@@ -52,7 +52,7 @@ class Intrinsics:
 
     def with_degree(self, degree: int) -> Intrinsics:
         """Return the same camera with a polynomial of at least this degree, new coefficients 0."""
-        more = np.zeros(max(degree - self.degree, 0))
+        more = np.zeros(max(int(degree) - self.degree, 0))
         return Intrinsics(np.concatenate([self.vector, more]), self.image_size)
 
     def rays(self, pixels: Floats) -> Floats:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from omnistereo_lib.calibrate.bundle import cross, rotations
 from omnistereo_lib.calibrate.params import CalibrationParams, Intrinsics
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Floats, Pose
@@ -89,6 +90,12 @@ class CameraReport(_Report):
         stacked = np.concatenate(list(self.residuals_used().values()))
         return stacked[np.isfinite(stacked).all(axis=-1)]
 
+    def inlier_angles_deg(self) -> Floats:
+        """Return the angle of each inlier from the optical axis, shape (M,), degrees; in the order of the residuals."""
+        used = self.residuals_used()
+        inlier = np.isfinite(np.concatenate(list(used.values()))).all(axis=-1)
+        return np.degrees(np.concatenate([self.angles[view] for view in used])[inlier])
+
     def distances(self, view: int) -> Floats:
         """Return the reprojection errors of the corners of a view, px, with outliers."""
         distances = np.linalg.norm(self.residuals[view], axis=1)
@@ -101,17 +108,15 @@ class CameraReport(_Report):
 
     @property
     def max_corner_angle_deg(self) -> float:
-        """Largest angle of a corner from the optical axis, degrees."""
-        return float(np.degrees(max(np.nanmax(self.angles[view]) for view in self.views_used)))
+        """Largest angle of an inlier from the optical axis, degrees."""
+        return float(self.inlier_angles_deg().max())
 
     def errors_by_angle(self) -> list[tuple[int, int, ReprojectionErrors]]:
         """Return the errors in rings of 10° from the axis: (lower end in degrees, corners, errors)."""
-        residuals = np.concatenate(list(self.residuals_used().values()))
-        ring = np.degrees(np.concatenate([self.angles[view] for view in self.views_used])) // _RING_DEG
-        ring[~np.isfinite(residuals).all(axis=1)] = np.nan
+        residuals, ring = self.inlier_residuals(), self.inlier_angles_deg() // _RING_DEG
         return [
             (int(i) * _RING_DEG, int((ring == i).sum()), ReprojectionErrors.from_residuals(residuals[ring == i]))
-            for i in np.unique(ring[np.isfinite(ring)])
+            for i in np.unique(ring)
         ]
 
     def build_camera(self, max_fov_deg: float | None) -> tuple[OcamCamera, CameraReport]:
@@ -153,14 +158,10 @@ def _camera_warnings(report: CameraReport, camera: OcamCamera) -> Iterator[str]:
             "is extrapolated. Hold the board closer to the rim"
         )
     edges = np.arange(0.0, last, _RING_DEG)
-    angles = np.degrees(np.concatenate([report.angles[view] for view in report.views_used]))
-    sparse = np.histogram(angles[np.isfinite(angles)], edges)[0] < _FEW_CORNERS
+    sparse = np.histogram(report.inlier_angles_deg(), edges)[0] < _FEW_CORNERS
     steps = np.diff(np.concatenate([[0], sparse.astype(int), [0]]))
     for low, high in zip(edges[np.flatnonzero(steps == 1)], edges[np.flatnonzero(steps == -1)], strict=True):
-        yield (
-            f"hardly any corners between {low:.0f}° and {high:.0f}° from the axis: the polynomial is not constrained "
-            "there. Cover every ring"
-        )
+        yield f"hardly any corners constrain the polynomial {low:.0f}° to {high:.0f}° from the axis. Cover every ring"
     if len(report.views_used) < _FEW_VIEWS:
         by_accident = len(report.rejected) > 2 * len(report.views_used)
         check = ". Check the board size: another one is found here and there by accident" if by_accident else ""
@@ -203,12 +204,15 @@ class RigReport(_Report):
         return np.concatenate([camera.inlier_residuals() for camera in self.joint])
 
     def pose_uncertainty(self) -> list[tuple[float, float]]:
-        """Return the standard deviation of each camera pose against camera 1: (degrees, metres)."""
-        sigma = np.sqrt(np.diag(self.covariance))
-        poses = sigma[sum(len(i.vector) for i in self.params.intrinsics) :].reshape(-1, 6)
-        return [(0.0, 0.0)] + [
-            (float(np.degrees(np.linalg.norm(row[:3]))), float(np.linalg.norm(row[3:]))) for row in poses
-        ]
+        """Return the standard deviation of each camera's rotation and position against camera 1: (degrees, metres)."""
+        poses = np.array([pose.as_vector() for pose in self.params.T_cam_rig[1:]])
+        blocks = self.covariance[-poses.size :, -poses.size :].reshape(len(poses), 6, len(poses), 6)
+        found = [(0.0, 0.0)]
+        for k, (J, across) in enumerate(zip(rotations(poses[:, :3])[1], cross(poses[:, 3:]), strict=True)):
+            turn, shift = np.hstack([J, np.zeros((3, 3))]), np.hstack([across @ J, np.eye(3)])  # by δr and δt
+            angle, metres = (np.sqrt(np.trace(A @ blocks[k, :, k] @ A.T)) for A in (turn, shift))
+            found.append((float(np.degrees(angle)), float(metres)))
+        return found
 
     def text(self, names: Sequence[str] | None = None) -> str:
         """Return the report as text; `names` are what the captures are called instead of their indices."""

@@ -59,9 +59,12 @@ def calibrate_rig(
             f"views[camera][capture] has {[len(row) for row in views]} captures; expected at least two cameras with "
             "equally many captures. Put None for captures that a camera lacks"
         )
+    sizes = [None] * len(views) if image_sizes is None else image_sizes
+    if len(sizes) != len(views):
+        raise OmnistereoError(f"image_sizes has {len(sizes)} entries; expected one for each of {len(views)} cameras")
     check_settings(degree, max_fov_deg)
     corners, single = [], []
-    for i, (row, size) in enumerate(zip(views, image_sizes or [None] * len(views), strict=True), start=1):
+    for i, (row, size) in enumerate(zip(views, sizes, strict=True), start=1):
         try:
             found, size, images = read_views(row, board, size, progress, names)
             report = calibrate_corners(found, size, images, board, degree, max_fov_deg)[1]

@@ -54,8 +54,8 @@ class OcamCamera:
     load: ClassVar[Callable[..., OcamCamera]]  # attached by `rig_files`: geometry does not read files
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "poly", np.asarray(self.poly, np.float64))
-        object.__setattr__(self, "inv_poly", np.asarray(self.inv_poly, np.float64))
+        object.__setattr__(self, "poly", np.array(self.poly, np.float64))
+        object.__setattr__(self, "inv_poly", np.array(self.inv_poly, np.float64))
         object.__setattr__(self, "mask", None if self.mask is None else np.asarray(self.mask) != 0)
         self._check()
         for name, number in (("center", float), ("affine", float), ("image_size", int)):  # plain, not NumPy scalars

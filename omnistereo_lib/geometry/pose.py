@@ -26,7 +26,7 @@ class Pose:
     t: Floats  #: translation (3,) in metres: the origin of frame b in frame a
 
     def __post_init__(self) -> None:
-        R, t = np.asarray(self.R, np.float64), np.asarray(self.t, np.float64)
+        R, t = np.array(self.R, np.float64), np.array(self.t, np.float64)
         if R.shape != (3, 3) or t.shape != (3,):
             raise OmnistereoError(f"R has shape {R.shape} and t {t.shape}; expected (3, 3) and (3,)")
         if not (np.isfinite(R).all() and np.abs(t).max() < _FAR):  # false for NaN

@@ -103,9 +103,9 @@ def camera_pairs(pairs: Pairs, rig: Rig) -> list[Pair]:
     Raises:
         OmnistereoError: If a pair names a missing camera, or one camera twice.
     """
-    if pairs == "ring":
+    if isinstance(pairs, str) and pairs == "ring":
         return _neighbours(rig)
-    if pairs == "all":
+    if isinstance(pairs, str) and pairs == "all":
         return list(combinations(range(len(rig)), 2))
     if isinstance(pairs, str):
         raise OmnistereoError(f'pairs is {pairs!r}; expected "ring", "all" or a list of camera pairs')

@@ -49,6 +49,8 @@ def save_rig(rig: Rig, path: str | Path) -> None:
     origin of the file and need a nearest depth: for them, save `rig.recentered()` with a `min_depth`.
     """
     path = Path(path)
+    if path.suffix not in (".yaml", ".yml"):
+        raise OmnistereoError(f"{path}: a rig is saved as YAML. Give a file that ends in .yaml")
     cameras, masked = [], any(camera.mask is not None for camera in rig.cameras)
     for i, (camera, pose) in enumerate(zip(rig.cameras, rig.T_rig_cam, strict=True), 1):
         mask_file = path.with_name(f"{path.stem}_mask{i}.png")
@@ -57,8 +59,6 @@ def save_rig(rig: Rig, path: str | Path) -> None:
         if masked:
             valid = np.ones(camera.image_size[::-1], bool) if camera.mask is None else camera.mask
             write_image(mask_file, np.where(valid, 0, 255).astype(np.uint8))
-        else:
-            mask_file.unlink(missing_ok=True)  # of a rig saved here before: it would be read with this one
         cameras.append(names | ocam_records(camera) | field)
     data = {
         "config": {} if rig.min_depth is None else {"omnimvs_sweep_min_depth": float(rig.min_depth)},
@@ -67,3 +67,5 @@ def save_rig(rig: Rig, path: str | Path) -> None:
     }
     with atomic_write(path) as temporary:
         temporary.write_text(to_yaml(data))
+    for camera in [] if masked else cameras:  # masks of a rig saved here before would be read with this one
+        path.with_name(camera["invalid_mask"]).unlink(missing_ok=True)

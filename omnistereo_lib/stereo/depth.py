@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
@@ -63,7 +62,7 @@ def index_and_confidence(volume: ArrayLike | Tensor, subindex: bool = False) -> 
             left = rows.gather(-1, (winner - 1).clamp(0)[..., None])[..., 0]
             right = rows.gather(-1, (winner + 1).clamp(max=last)[..., None])[..., 0]
             bend = left - 2 * first + right
-            inner = (winner > 0) & (winner < last) & (bend > 0)  # False next to a NaN
+            inner = (winner > 0) & (winner < last) & (bend > 0) & (bend < torch.inf)  # False next to a NaN
             index = torch.where(inner, index + (left - right) / (2 * bend), index)
         ratio = torch.where(second > 0, 1 - first / second, 0.0)
         return torch.where(first.isinf(), torch.nan, torch.stack([index, ratio]))
@@ -150,7 +149,7 @@ class Depth:
         samples = np.stack(self.sweep.warp(images, self.index))
         visible = np.isfinite(samples)
         with np.errstate(invalid="ignore"):
-            return np.where(visible, samples, 0).sum(0) / visible.sum(0)
+            return np.where(visible, samples, 0).sum(0) / visible.sum(0, dtype=np.float32)
 
     def agreement(self, images: Sequence[ArrayLike]) -> NDArray[np.float32]:
         """Return the photo-consistency of two cameras at the estimated depth, a check without ground truth.
@@ -195,22 +194,3 @@ class Depth:
         colors = np.repeat(colors[..., None], 3, -1) if colors.ndim == 2 else colors
         keep &= np.isfinite(colors[..., 0])
         return self.grid.rays()[keep] * depth[keep, None], np.clip(colors[keep].round(), 0, 255).astype(np.uint8)
-
-
-def colorize_depth(inverse_depth: ArrayLike, grid: SphereGrid) -> NDArray[np.uint8]:
-    """Return a colour image of inverse depth: near is bright and warm, far is dark, unknown is striped grey.
-
-    Args:
-        inverse_depth: array, shape (H, W), 1/m, NaN unknown
-        grid: The nearest sphere has the brightest colour.
-
-    Returns:
-        uint8 array, shape (H, W, 3), RGB
-    """
-    inverse_depth = np.asarray(inverse_depth)
-    level = np.clip(256 * np.nan_to_num(inverse_depth) * grid.min_depth, 0, 255).astype(np.uint8)
-    # The lightness of Inferno is monotonic, so it works in grey print and for colour-blind readers.
-    colors = cv2.cvtColor(cv2.applyColorMap(level, cv2.COLORMAP_INFERNO), cv2.COLOR_BGR2RGB)
-    rows, columns = np.indices(inverse_depth.shape)
-    stripes = np.where((rows + columns) // 4 % 2, 170, 200)[..., None]
-    return np.where(np.isfinite(inverse_depth)[..., None], colors, stripes).astype(np.uint8)

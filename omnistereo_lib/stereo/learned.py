@@ -156,7 +156,7 @@ class LearnedCost:
         self.network.check_size(H, W)
         self.network.to(device)
         columns = columns if columns is not None else [(0, W)] * cameras
-        total = torch.zeros(B, H, W, device=device)
+        total = torch.zeros(B, H, W, dtype=torch.float32, device=device)
         count = torch.zeros_like(total)
         # On a CPU so few that their features stay in the cache of a core; a GPU has to be filled.
         spheres = max(1, (1 << 14 if device.type == "cpu" else 1 << 22) // (H * W))
@@ -169,7 +169,8 @@ class LearnedCost:
     def _add_costs(self, images: Tensor, pairs: Sequence, columns: Sequence, total: Tensor, count: Tensor) -> None:
         """Add the costs and the visibility of all pairs to total and count (B, H, W)."""
         network, W, device = self.network, images.shape[-1], images.device
-        features = {i: network.extract_columns(images[i], columns[i]) for i in {i for pair in pairs for i in pair}}
+        cameras = {i for pair in pairs for i in pair if columns[i][1]}  # that see something
+        features = {i: network.extract_columns(images[i], columns[i]) for i in cameras}
         chunk = 1 << 11 if device.type == "cpu" else 1 << 19  # pixels; as for the spheres
         for i, j in pairs:
             for start, stop in network.shared_strips(columns[i], columns[j], W):
@@ -177,7 +178,7 @@ class LearnedCost:
                 visible = ~(images[i].index_select(-1, strip) + images[j].index_select(-1, strip)).isnan()
                 pixels = network.match_columns(features[i], features[j], start, stop)[visible]
                 scores = torch.cat([network.score_pixels(part) for part in pixels.split(chunk)])
-                cost = torch.zeros(visible.shape, device=device)
+                cost = torch.zeros(visible.shape, dtype=torch.float32, device=device)
                 cost[visible] = network.to_cost(scores)
                 total[..., strip] += cost
                 count[..., strip] += visible

@@ -6,7 +6,7 @@ from dataclasses import replace
 import torch
 from numpy.typing import ArrayLike
 
-from omnistereo_lib.errors import checked
+from omnistereo_lib.errors import OmnistereoError, checked
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.depth import Depth
@@ -63,6 +63,8 @@ def sweep_depth(
         progress: Wraps the sequence of sphere blocks, such as tqdm.
     """
     method = Method.parse(method)
+    if method.num_spheres not in (0, N := sweep.grid.num_spheres):
+        raise OmnistereoError(f"{method.name} has {method.num_spheres} spheres and the sweep {N}; make one of as many")
     volume = cost_volume(sweep, images, method.load_cost() if cost is None else cost, method.pairs, progress)
     index, confidence = method.read_out(method.smooth(volume), subindex)
     return Depth(index.cpu().numpy(), confidence.cpu().numpy(), sweep)

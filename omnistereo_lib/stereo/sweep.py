@@ -201,7 +201,8 @@ class SphereSweep:
                 of a tensor with the shape of `out`.
         """
         if out is None:
-            out = torch.empty(len(normalized), *self.grid.shape, len(spheres), device=self.device)
+            shape = len(normalized), *self.grid.shape, len(spheres)
+            out = torch.empty(shape, dtype=torch.float32, device=self.device)
         for camera, image in enumerate(normalized):
             self.warp_camera(image, camera, spheres, out[camera])
         return out.permute(0, 3, 1, 2)
@@ -271,11 +272,13 @@ def select_device(device: torch.device | str) -> torch.device:
     """
     try:
         device = torch.device(device)
+        if device.type not in ("cpu", "cuda"):
+            raise TypeError
     except (RuntimeError, TypeError):
         raise OmnistereoError(f'device is {device!r}; expected "cpu" or "cuda"') from None
     if device.type == "cuda":
-        if not torch.cuda.is_available():
-            raise OmnistereoError(f'device is "{device}", but PyTorch finds no CUDA GPU. Pass device="cpu".')
+        if (device.index or 0) >= (count := torch.cuda.device_count()):
+            raise OmnistereoError(f'device is "{device}"; PyTorch finds {count or "no"} CUDA GPU. Pass device="cpu".')
         device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", device.index or 0)))
         torch.cuda.set_device(device)
     return device
@@ -290,6 +293,7 @@ def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray]:
             finite.
     """
     images = [np.asarray(image.detach().cpu() if isinstance(image, Tensor) else image) for image in images]
+    images = [image.astype(image.dtype.newbyteorder("="), copy=False) for image in images]
     for i, (image, (width, height)) in enumerate(zip(images, rig.image_sizes(len(images)), strict=True)):
         if image.shape not in [(height, width), (height, width, 3)]:
             raise OmnistereoError(

@@ -10,9 +10,10 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from omnistereo_lib.errors import OmnistereoError, checked
+from omnistereo_lib.errors import OmnistereoError, checked, shortened
 from omnistereo_lib.geometry.rig import Pair, Pairs, Rig, camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.learned import LearnedCost, PairNetwork
 from omnistereo_lib.stereo.sweep import BLOCK, SphereSweep
 from omnistereo_lib.stereo.threads import map_threads
 from omnistereo_lib.stereo.zncc import ZNCC
@@ -42,7 +43,7 @@ def cost_volume(
 
     Args:
         images: one array per camera, (height, width) or (height, width, 3)
-        cost: Default: ZNCC(window=9).
+        cost: A `Cost`, or a network such as `SweepNet`. Default: ZNCC(window=9).
         pairs: See `camera_pairs`.
         progress: Wraps the sequence of sphere blocks, such as tqdm.
 
@@ -54,7 +55,7 @@ def cost_volume(
         OmnistereoError: If the images do not fit the rig, the cameras of no pair share a view, or memory cannot hold
             the volume.
     """
-    cost = ZNCC() if cost is None else cost
+    cost = ZNCC() if cost is None else LearnedCost(cost) if isinstance(cost, PairNetwork) else cost
     whole = getattr(cost, "whole_volume", None)
     if not callable(whole or cost):
         raise OmnistereoError(f"cost is {cost!r}; expected a matching cost, which is called like ZNCC")
@@ -75,18 +76,22 @@ def _by_blocks(
     normalized = sweep.normalize_images(images)
     H, W = sweep.grid.shape
     check_memory(sweep.rig, sweep.grid, sweep.device)
-    volume = torch.empty(H, W, sweep.grid.num_spheres, device=sweep.device)
+    as_out = {"dtype": torch.float32, "device": sweep.device}
+    volume = torch.empty(H, W, sweep.grid.num_spheres, **as_out)
     blocks, on_cpu = sweep.blocks(), sweep.device.type == "cpu"
     # ZNCC runs in one thread, so it gets one for each block; a network has threads of its own.
     threads = min(torch.get_num_threads(), len(blocks)) if on_cpu and isinstance(cost, ZNCC) else 1
-    buffers = [torch.empty(len(sweep.rig), H, W, len(blocks[0]), device=sweep.device) for _ in range(threads)]
+    buffers = [torch.empty(len(sweep.rig), H, W, len(blocks[0]), **as_out) for _ in range(threads)]
 
     def fill(spheres: range) -> None:
         buffer = buffers.pop()
         out = buffer if len(spheres) == buffer.shape[-1] else None  # the last block may be smaller
         block = sweep.warp_block(normalized, spheres, out)  # first: it computes what visible_columns looks up
         columns = [sweep.visible_columns(camera, spheres) for camera in range(len(sweep.rig))]
-        costs, target = cost(block, pairs, columns), volume[:, :, spheres.start : spheres.stop]
+        costs, target = torch.as_tensor(cost(block, pairs, columns)), volume[:, :, spheres.start : spheres.stop]
+        if costs.shape != target.shape:
+            found = f"costs of shape {tuple(costs.shape)}"
+            raise OmnistereoError(f"{shortened(cost)} gives {found}; expected (H, W, spheres) = {tuple(target.shape)}")
         if on_cpu:  # by NumPy: torch has threads of its own, which spin after each operation and slow these down
             target.numpy()[:] = costs.detach().float().numpy()
         else:

@@ -151,7 +151,7 @@ class VolumeNet(StoredNetwork):
         grid, device = sweep.grid, sweep.device
         sizes = volume_sizes(grid)
         require_memory(_BYTES * math.prod(sizes[-1]) + 4 * math.prod(grid.shape) * grid.num_spheres, grid, device)
-        self.to(device)
+        self.eval().to(device)
         *_, correlation = correlations = [self.correlation_at(sweep, images, size) for size in sizes]
         with autocast(self.precision, device):
             logits = [self(one[None]) / len(sizes) for one in correlations]

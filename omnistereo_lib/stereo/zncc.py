@@ -214,7 +214,7 @@ def _zncc_torch(spherical_images: Tensor, pairs: Sequence[tuple[int, int]], wind
         x = pad(x, (r, r, 0, 0), mode="circular")
         return avg_pool2d(x, window, stride=1, padding=(r, 0))
 
-    total = torch.zeros(spherical_images.shape[1:], device=spherical_images.device)
+    total = torch.zeros(spherical_images.shape[1:], dtype=torch.float32, device=spherical_images.device)
     count = torch.zeros_like(total)
     for i, j in pairs:
         a, b = spherical_images[i].double(), spherical_images[j].double()

@@ -182,6 +182,15 @@ def test_wrong_corners_are_named_and_change_nothing(fitted, views):
     assert (np.abs(difference) < 2 * np.sqrt(np.diag(fitted[1].covariance))).all()
 
 
+def test_a_wrong_corner_at_the_rim_widens_nothing(fitted, views):
+    corners = [view.copy() for view in views[0]]
+    corners[3][0] = 2.0  # in the black corner of the picture
+    camera, report = osl.calibrate_camera(corners, BOARD, SIZE)
+    assert [outlier[:2] for outlier in report.outliers] == [(3, 0)]
+    assert camera.max_fov_deg == pytest.approx(fitted[0].max_fov_deg, abs=1.0)
+    assert report.cv_error_px == pytest.approx(fitted[1].cv_error_px, rel=0.05)
+
+
 def test_a_view_that_does_not_fit_is_named(fitted, views):
     corners = [view.copy() for view in views[0]]
     corners[4] += np.random.default_rng(8).normal(0, 2.0, corners[4].shape)  # blurred
@@ -254,9 +263,14 @@ def test_a_view_with_another_number_of_corners_is_named(views):
         osl.calibrate_rig([[views[0][0], None, views[0][1][:-12]]] * 2, BOARD, [SIZE] * 2, names=["a", "b", "c.png"])
 
 
-@pytest.mark.parametrize("degree", [0, 3, 4.5])
+def test_an_image_size_that_is_not_that_of_the_corners(views):
+    with pytest.raises(OmnistereoError, match=r"px from the middle of an image of \(64, 48\); check the image size"):
+        osl.calibrate_camera(views[0], BOARD, image_size=(64, 48))
+
+
+@pytest.mark.parametrize("degree", [0, 3, 4.5, "6"])
 def test_degrees_that_are_no_camera(views, degree):
-    with pytest.raises(OmnistereoError, match=f"degree is {degree}; expected an integer of 4 to 20"):
+    with pytest.raises(OmnistereoError, match=f"degree is {degree!r}; expected an integer of 4 to 20"):
         osl.calibrate_camera(views[0], BOARD, SIZE, degree=degree)
 
 

@@ -85,6 +85,8 @@ def test_captures_that_are_shuffled_contradict_each_other(seen_by_four):
 def test_what_a_rig_needs(seen_by_four):
     with pytest.raises(OmnistereoError, match="at least two cameras"):
         osl.calibrate_rig(seen_by_four[:1], BOARD, [SIZE])
+    with pytest.raises(OmnistereoError, match="image_sizes has 1 entries; expected one for each of 4 cameras"):
+        osl.calibrate_rig(seen_by_four, BOARD, [SIZE])
     with pytest.raises(OmnistereoError, match="equally many captures"):
         osl.calibrate_rig([seen_by_four[0], seen_by_four[1][:-1]], BOARD, [SIZE] * 2)
     with pytest.raises(OmnistereoError, match=r"camera 2: (0 of 0 views|there are no views)"):
@@ -105,6 +107,19 @@ def test_few_shared_captures_and_cameras_that_move(seen_by_four):
             views[2][k] = views[2][k] + 3.0 * np.array([np.cos(azimuth), np.sin(azimuth)])
     text = osl.calibrate_rig(views, BOARD, [SIZE] * 4)[1].text()
     assert "taken at the same time" in text
+
+
+def test_the_uncertainty_of_a_pose_is_that_of_poses_drawn_from_the_covariance(rigged):
+    """Also of camera 3, which looks back: axis-angle vectors are no rotations that one may add."""
+    report, rng = rigged[1], np.random.default_rng(5)
+    poses = report.params.T_cam_rig[1:]
+    noise = rng.multivariate_normal(
+        np.zeros(6 * len(poses)), report.covariance[-6 * len(poses) :, -6 * len(poses) :], 2000
+    )
+    for k, (pose, expected) in enumerate(zip(poses, report.pose_uncertainty()[1:], strict=True)):
+        drawn = [Pose.from_vector(pose.as_vector() + row[6 * k : 6 * k + 6]) for row in noise]
+        moved = np.array([(pose @ other.inverse()).magnitude() for other in drawn])
+        np.testing.assert_allclose(np.sqrt((moved**2).mean(0)), expected, rtol=0.06)
 
 
 def test_the_covariance_keeps_what_is_known_best(rigged, seen_by_four):

@@ -12,7 +12,7 @@ from matplotlib import pyplot as plt
 import omnistereo_lib as osl
 from course import plot
 from omnistereo_lib.dataset import Frame
-from omnistereo_lib.stereo.depth import colorize_depth
+from omnistereo_tools.pictures import colorize_depth
 
 matplotlib.use("agg")
 

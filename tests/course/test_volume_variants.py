@@ -54,7 +54,7 @@ def test_a_variant_is_trained_by_its_recipe(tmp_path, monkeypatch):
     (tmp_path / "rooms").mkdir()
     (tmp_path / "rooms" / "train").symlink_to(DATA / "rooms" / "test")  # fewer frames
     monkeypatch.setattr(volume_variants, "DATA", tmp_path)
-    small = ["worlds=rooms", "width=64", "height=16", "num_spheres=16", "steps=2", "warmup=1", "validation_groups=1"]
+    small = ["worlds=rooms", "width=64", "height=16", "num_spheres=16", "steps=1", "warmup=1", "validation_groups=1"]
     recipe = RECIPES["volumenet"]["teaching"].with_overrides(small)
     _, network, samples = VARIANTS["as shipped"]
     torch.manual_seed(recipe.seed)

@@ -53,6 +53,10 @@ def test_pairs():
     assert camera_pairs([(2, 0)], scene.rig(cameras=3)) == [(2, 0)]
 
 
+def test_pairs_may_be_an_array():
+    assert camera_pairs(np.array([[0, 1], [1, 2]]), scene.rig()) == [(0, 1), (1, 2)]
+
+
 def test_the_ring_is_sorted_by_azimuth_not_by_number():
     rig = scene.rig(cameras=4)
     order = [0, 2, 3, 1]  # front, back, left, right

@@ -312,10 +312,10 @@ def test_saving_where_nothing_can_be_written(tmp_path):
     rig = Rig([CAMERA] * 2, [Pose.identity()] * 2)
     with pytest.raises(OmnistereoError, match=r"rig.yaml cannot be written: No such file"):
         save_rig(rig, tmp_path / "missing" / "rig.yaml")
-    (tmp_path / "taken").mkdir()
-    with pytest.raises(OmnistereoError, match="taken cannot be written"):
-        save_rig(rig, tmp_path / "taken")
-    assert [path.name for path in tmp_path.iterdir()] == ["taken"]  # no half-written file stays
+    (tmp_path / "taken.yaml").mkdir()
+    with pytest.raises(OmnistereoError, match=r"taken\.yaml cannot be written"):
+        save_rig(rig, tmp_path / "taken.yaml")
+    assert [path.name for path in tmp_path.iterdir()] == ["taken.yaml"]  # no half-written file stays
 
 
 def test_numpy_numbers_are_written_as_plain_numbers(tmp_path):

@@ -27,6 +27,7 @@ def test_nan_cells_do_not_compete():
     index = osl.winner_takes_all(volume)
     assert index[0, :2].tolist() == [0, 2] and index[0, 2].isnan()
     assert osl.winner_takes_all(volume, subindex=True)[0, :2].tolist() == [0, 2]
+    assert osl.winner_takes_all([[[np.inf, 1.0, 2.0, 3.0]]], subindex=True).tolist() == [[1]]
 
 
 @given(vertex=st.floats(0.6, 8.4), bend=st.floats(0.01, 10))

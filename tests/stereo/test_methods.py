@@ -88,6 +88,12 @@ def test_an_object_of_your_own_is_a_cost(box):
     assert (osl.estimate_depth(*box, GRID, "zncc", second_sphere, subindex=False).index % 16 == 2).all()
 
 
+def test_a_network_of_your_own_is_a_cost_in_whatever_mode_it_is(box):
+    for name, network in (("mccnn", osl.MCCNN.pretrained()), ("volumenet", osl.VolumeNet.pretrained())):
+        expected = osl.estimate_depth(*box, GRID, name).index
+        np.testing.assert_array_equal(osl.estimate_depth(*box, GRID, name, network.train()).index, expected)
+
+
 def test_a_new_cost_joins_in_one_place(box, monkeypatch):
     entry = CostEntry("Mine", lambda method, path, precision: osl.ZNCC(3), frozenset(), p1=0.5, p2=1.5)
     monkeypatch.setitem(COSTS, "mine", entry)

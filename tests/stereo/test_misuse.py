@@ -1,5 +1,6 @@
 """Wrong arguments that `bad_inputs.py` does not have: each gets the library's error, at once, and says why."""
 
+import dataclasses
 import inspect
 
 import numpy as np
@@ -31,7 +32,11 @@ def rig(pose=0.0, min_depth=None):
     [
         (lambda: osl.SphereGrid(96, 1_000_000_000), "height is 1000000000"),
         (lambda: osl.SphereSweep(RIG, GRID, device=5.5), "device is 5.5"),
+        (lambda: osl.SphereSweep(RIG, GRID, device="mps"), "mps.*; expected .*cuda"),
         (lambda: depth([None] * 4), "image 1 has shape"),
+        (lambda: depth(cost=lambda *_: torch.zeros(1, 48, 4)), r"shape \(1, 48, 4\); expected .* \(12, 48, 4\)"),
+        (lambda: sweep_depth(SWEEP, IMAGES, "zncc,num_spheres=8"), "8 spheres and the sweep 4"),
+        (lambda: RIG.save("rig.json"), "rig.json: a rig is saved as YAML"),
         (lambda: depth([*IMAGES[:3], np.zeros((56, 60), complex)]), "image 4 has type complex128"),
         (lambda: osl.ZNCC(window="9"), "window is '9'"),
         (lambda: rig(1e8), r"camera 1 .* 100000000.0; expected a number of 0 to 1"),
@@ -93,6 +98,30 @@ def test_wrong_types(name, call, wrong):
     with pytest.raises(osl.OmnistereoError, match=rf"^{name} is .*; expected ") as error:
         call(wrong)
     assert len(str(error.value)) < 200
+
+
+@pytest.mark.parametrize("method", ["zncc+sgm", "mccnn", "sweepnet", "volumenet"])
+def test_torchs_default_type_changes_nothing(method):
+    expected = depth(method=method).index
+    torch.set_default_dtype(torch.float64)
+    try:
+        found = depth(method=method).index
+    finally:
+        torch.set_default_dtype(torch.float32)
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
+def test_images_of_either_byte_order():
+    expected = depth(method="volumenet").index
+    swapped = [image.astype(">f4") for image in IMAGES]
+    np.testing.assert_array_equal(depth(swapped, method="volumenet").index, expected)
+
+
+def test_what_was_checked_does_not_change_afterwards():
+    t, poly = np.zeros(3), np.array(RIG.cameras[0].poly)
+    pose, camera = osl.Pose(np.eye(3), t), dataclasses.replace(RIG.cameras[0], poly=poly)
+    t[0], poly[0] = 1, -1
+    assert (pose.t == 0).all() and camera.poly[0] == RIG.cameras[0].poly[0]
 
 
 def test_right_types_of_every_kind(tmp_path):

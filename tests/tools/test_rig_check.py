@@ -8,6 +8,7 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
+from omnistereo_lib.evaluate.run import DATA
 from omnistereo_lib.stereo.sweep import SphereSweep, reduce_images
 from omnistereo_tools.rig_check import (
     RigCheck,
@@ -124,6 +125,13 @@ def test_one_camera_of_the_sample_rotated_by_2_degrees_is_named():
     for wrong, low, high in ((rig, 0.97, 1.03), (rotate_camera(rig, 2, [0, np.radians(2), 0]), 0.4, 0.8)):
         ratios = [one.cost / one.given_cost for one in _rotated_cameras(SphereSweep(wrong, grid), images)]
         assert low < ratios[2] < high and ratios[2] <= min(ratios) + 0.02
+
+
+def test_a_small_grid_raises_no_false_alarm():
+    """At 5° per pixel, a rotation by 1° happens to match the room better; it is less than the grid resolves."""
+    frame = osl.load_dataset(DATA / "indoor", split="test").frame(1)
+    check = check_rig(frame.rig, frame.images, osl.SphereGrid(72, 18, (-45, 45), 24, 0.5))
+    assert check.fits, check.summary()
 
 
 def test_images_of_another_scene(world):
