@@ -11,11 +11,13 @@ OUT/
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from hashlib import sha256
 from pathlib import Path
 
 import cv2
@@ -58,18 +60,17 @@ class DepthWriter:
         cls, out: Path, recording: Recording, rig: Rig, grid: SphereGrid, method: str, suffix: str = ".tiff",
         with_video: bool = False, device: str = "cpu",
     ) -> DepthWriter:  # fmt: skip
-        """Return the writer of a recording, which makes the folder `out` or continues what is in it.
+        """Return the writer of a recording; it writes nothing before `prepare`.
 
         Raises:
-            OmnistereoError: If `out` holds a recording with other settings or cannot be written to, the panorama does
-                not fit the layout or the memory, or there is no such method or device.
+            OmnistereoError: If `out` holds the user's own data, the panorama does not fit the layout or the memory, or
+                there is no such method or device.
         """
         check_layout(grid)
         method, device = Method.parse(method), select_device(device)
         grid = replace(grid, num_spheres=method.num_spheres or grid.num_spheres)
+        _check_not_users(out, [*(f"cam{k}" for k in range(1, len(rig) + 1)), "video"], recording)
         check_memory(rig, grid, device)
-        settings = {"method": method.name, "width": grid.width, "height": grid.height, "spheres": grid.num_spheres}
-        _check_settings(make_folder(out) / SETTINGS, settings | {"min_depth": grid.min_depth, "depth": suffix})
         return cls(out, recording, SphereSweep(rig, grid, device=device), method, suffix, with_video)
 
     def depth_path(self, number: int) -> Path:
@@ -112,12 +113,21 @@ class DepthWriter:
                 writing.result()
 
     def prepare(self, rig: Rig) -> None:
-        """Make the folders and the rig file, and remove what an interrupted run has left half written."""
+        """Make the folder `out` or continue what is in it, and remove what an interrupted run has left half written.
+
+        Raises an `OmnistereoError` if `out` holds a recording with other settings or cannot be written to.
+        """
+        grid = self.sweep.grid
+        settings = {"method": self.method.name, "width": grid.width, "height": grid.height, "spheres": grid.num_spheres}
+        settings |= {"min_depth": grid.min_depth, "depth": self.suffix}
+        settings |= {"rig": _rig_checksum(rig), "images": self.recording.checksum}
+        _check_settings(make_folder(self.out) / SETTINGS, settings)
         folders = [make_folder(self.out / f"cam{k}") for k in range(1, len(rig) + 1)]
         folders += [make_folder(self.depth_path(0).parent)]
         folders += [make_folder(self.out / "video")] if self.with_video else []
         for path in (path for folder in folders for path in folder.glob(".[0-9]*.*")):
-            path.unlink()
+            if re.fullmatch(r"\.[0-9]+\.[0-9]{5,}\.[A-Za-z]+", path.name):  # as `atomic_write` names them
+                path.unlink()
         Rig(rig.cameras, rig.T_rig_cam, self.sweep.grid.min_depth).save(self.out / "config.yaml")
 
     def write(self, number: int, images: list[NDArray[np.uint8]], depth: Depth) -> None:
@@ -168,6 +178,30 @@ def check_layout(grid: SphereGrid) -> None:
         )
 
 
+def _check_not_users(out: Path, names: Sequence[str], recording: Recording) -> None:
+    """Raise an `OmnistereoError` if a recording would be written into folders of the user, or over the rig file."""
+    written = [(out / name).resolve() for name in names]
+    for source in recording.sources:
+        if source.path.resolve() in written:
+            raise OmnistereoError(f"{source.path} holds your images; --out {out} would write there. Choose another.")
+    if (out / "config.yaml").exists() and not (out / SETTINGS).exists():
+        raise OmnistereoError(
+            f"{out} holds a config.yaml but no {SETTINGS}; expected a new folder or that of a recording. "
+            "Choose another --out."
+        )
+
+
+def _rig_checksum(rig: Rig) -> str:
+    """Return a checksum of all that depth depends on: lenses, masks, poses and the nearest depth."""
+    checksum = sha256(repr(rig.min_depth).encode())
+    for lens, pose in zip(rig.cameras, rig.T_rig_cam, strict=True):
+        numbers = (lens.poly, lens.inv_poly, lens.center, lens.affine, lens.image_size, lens.max_fov_deg)
+        for values in (*numbers, pose.R, pose.t):
+            checksum.update(np.asarray(values, np.float32).tobytes())  # a fit has other last digits elsewhere
+        checksum.update(b"" if lens.mask is None else lens.mask.tobytes())
+    return checksum.hexdigest()[:16]
+
+
 def _check_settings(path: Path, settings: dict) -> None:
     """Write the settings of a new recording, or compare them with those of the one that is continued."""
     text = json.dumps(settings, indent=1) + "\n"
@@ -177,7 +211,7 @@ def _check_settings(path: Path, settings: dict) -> None:
     elif read_text(path) != text:
         raise OmnistereoError(
             f"{path} is of a recording with other settings: {' '.join(read_text(path).split())}; expected "
-            f"{' '.join(text.split())}. Choose another --out, or the same options as before."
+            f"{' '.join(text.split())}. Choose another --out, or the same rig, images and options as before."
         )
 
 
@@ -192,7 +226,7 @@ def stored_min_depth(out: Path) -> float | None:
 def write_video(path: Path, writer: DepthWriter, fps: float | None = None) -> None:
     """Write the pictures of a recording, panorama over depth, as a video: .mp4 (MPEG-4) or .webm (VP9).
 
-    Raises an `OmnistereoError` if OpenCV cannot write it.
+    Raises an `OmnistereoError` if OpenCV cannot write it; a video that was there is kept then.
     """
     pictures = [writer.picture_path(number) for number in writer.recording.frames]
     height, width = cv2.imread(str(pictures[0])).shape[:2]
@@ -205,3 +239,9 @@ def write_video(path: Path, writer: DepthWriter, fps: float | None = None) -> No
         for picture in pictures:
             video.write(cv2.imread(str(picture)))
         video.release()
+        written = cv2.VideoCapture(str(temporary))  # OpenCV does not say that the disk was full
+        count = sum(1 for _ in iter(written.grab, False))
+        if count < len(pictures):
+            raise OmnistereoError(
+                f"{path} cannot be written: {count} of its {len(pictures)} frames can be read back. Is the disk full?"
+            )

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 
 import cv2
@@ -94,6 +96,7 @@ class Recording:
     sources: tuple[Pictures | Video, ...]
     frames: dict[int, int | str]  #: number of a frame → its name in the sources
     missing: dict[Path, list[int | str]]  #: source → frames that others have and it does not
+    checksum: str  #: of the paths of the sources and of the names that all frames have in them, chosen or not
 
     @classmethod
     def open(cls, paths: Sequence[Path], start: int = 0, stop: int | None = None, step: int = 1) -> Recording:
@@ -105,9 +108,13 @@ class Recording:
                 are matched by name are counted from 0.
 
         Raises:
-            OmnistereoError: If a path is neither, holds no frames, the cameras have none in common, or no frame is
-                left.
+            OmnistereoError: If a path is neither, holds no frames, the cameras have none in common, no frame is left,
+                or `start` or `step` is too small.
         """
+        if start < 0:
+            raise OmnistereoError(f"the first frame is {start}; expected --start of at least 0")
+        if step < 1:
+            raise OmnistereoError(f"the step is {step}; expected --step of at least 1")
         sources = tuple(Pictures(path) if path.is_dir() else Video(path) for path in paths)
         by_number = all(source.numbered for source in sources)
         if by_number:
@@ -125,7 +132,10 @@ class Recording:
         chosen = [n for n in frames if n >= start and (stop is None or n < stop)][::step]
         if not chosen:
             raise OmnistereoError(f"no frame is left of {min(frames)} … {max(frames)}. Change --start or --stop")
-        return cls(sources, {number: frames[number] for number in chosen}, missing)
+        named = {} if by_number else frames  # a recording by number may grow, and its frames keep their numbers
+        content = json.dumps([[str(source.path.resolve()) for source in sources], named])
+        checksum = sha256(content.encode()).hexdigest()[:16]
+        return cls(sources, {number: frames[number] for number in chosen}, missing, checksum)
 
     @property
     def fps(self) -> float | None:

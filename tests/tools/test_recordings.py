@@ -1,9 +1,13 @@
 """Recordings: matched frames, a data set that `load_dataset` reads back, resumed after any end."""
 
+import os
+import re
+import shutil
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -107,6 +111,72 @@ def test_killed_and_resumed_it_is_the_same(recorded, done, tmp_path):
 def test_another_recording_is_not_overwritten(recorded, done, capsys):
     assert run(*depth_command(recorded, done), "--spheres", 32) == 2
     assert "recording.json is of a recording with other settings" in capsys.readouterr().err
+
+
+def test_the_depth_of_another_rig_or_of_other_pictures_is_not_kept(recorded, done, tmp_path, capsys):
+    rig = osl.load_rig(recorded / "rig.yaml")
+    moved = [*rig.T_rig_cam[:3], osl.Pose(rig.T_rig_cam[3].R, 1.01 * rig.T_rig_cam[3].t)]
+    mask = np.ones(rig.cameras[0].image_size[::-1], bool)
+    mask[:9] = False
+    masked = [replace(rig.cameras[0], mask=mask), *rig.cameras[1:]]
+    before = (done / "config.yaml").read_bytes()
+    for k, other in enumerate([rig.with_poses(moved), osl.Rig(masked, rig.T_rig_cam, 0.6)]):
+        (tmp_path / str(k)).mkdir()
+        other.save(tmp_path / str(k) / "rig.yaml")
+        assert run(*depth_command(recorded, done), "--rig", tmp_path / str(k) / "rig.yaml") == 2
+        assert "recording.json is of a recording with other settings" in capsys.readouterr().err
+    shutil.copytree(recorded, tmp_path / "copy")
+    assert run(*depth_command(tmp_path / "copy", done)) == 2
+    assert "recording.json is of a recording with other settings" in capsys.readouterr().err
+    assert (done / "config.yaml").read_bytes() == before
+    assert run(*depth_command(recorded, done)) == 0
+
+
+def test_a_frame_that_gets_another_name_is_another_recording(tmp_path):
+    folders = [pictures(tmp_path / name, "b.png", "c.png") for name in "xy"]
+    first = Recording.open(folders, stop=1)
+    assert first.checksum == Recording.open(folders).checksum  # more frames continue it
+    for folder in folders:
+        write_image(folder / "a.png", np.zeros((4, 4)))
+    assert first.checksum != Recording.open(folders).checksum
+    numbered = [pictures(tmp_path / name, "1.png", "2.png") for name in "zw"]
+    shorter = Recording.open(numbered)
+    for folder in numbered:
+        write_image(folder / "0.png", np.zeros((4, 4)))
+    assert shorter.checksum == Recording.open(numbered).checksum != Recording.open(numbered[::-1]).checksum
+
+
+def test_hidden_files_of_the_user_stay(recorded, tmp_path):
+    out = tmp_path / "out"
+    (out / "cam1").mkdir(parents=True)
+    for name in (".1.notes.txt", ".1.00001.png"):
+        (out / "cam1" / name).write_text("notes")
+    assert run(*depth_command(recorded, out), "--stop", 2) == 0
+    assert [path.name for path in (out / "cam1").glob(".*")] == [".1.notes.txt"]
+
+
+def test_a_video_for_which_the_disk_is_full_is_told(recorded, done, tmp_path, capsys, monkeypatch):
+    class Full:
+        """A writer whose file ends early, and which does not say so."""
+
+        def __init__(self, path, *arguments):
+            self.path, self.video = path, VideoWriter(path, *arguments)
+
+        def __getattr__(self, name):
+            return getattr(self.video, name)
+
+        def release(self):
+            self.video.release()
+            os.truncate(self.path, os.path.getsize(self.path) // 2)
+
+    VideoWriter = cv2.VideoWriter
+    monkeypatch.setattr(cv2, "VideoWriter", Full)
+    before = (done / "depth.mp4").read_bytes()
+    assert run(*depth_command(recorded, done), "--video", done / "depth.mp4") == 2
+    assert re.search(r"depth.mp4 cannot be written: \d of its 6 frames can be read back", capsys.readouterr().err)
+    assert (done / "depth.mp4").read_bytes() == before
+    assert run(*depth_command(recorded, done), "--video", tmp_path / "depth.webm") == 2
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_pixels_that_are_not_square_are_refused(recorded, tmp_path, capsys):
