@@ -12,7 +12,7 @@ from functools import cache
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.evaluate.run import Evaluation, Job
@@ -21,25 +21,36 @@ from omnistereo_lib.rig_files import load_rig
 from omnistereo_tools.recordings import DepthWriter
 from omnistereo_tools.sources import Pictures, Recording
 
+if TYPE_CHECKING:
+    from dask.distributed import Client
+
 _PATIENCE_S = 30  # for the scheduler to answer
 _VIDEO_BATCH = 32  # frames at a time: a worker reads a video from its start up to them
+
+
+def connect(address: str) -> Client:
+    """Return a client of a Dask scheduler.
+
+    Raises an `OmnistereoError` if dask.distributed is not installed or no scheduler answers.
+    """
+    try:
+        from dask.distributed import Client
+    except ImportError:
+        raise OmnistereoError("--cluster needs Dask: pip install 'omnistereo-lib[distributed]'") from None
+    try:
+        return Client(address, timeout=_PATIENCE_S)
+    except (OSError, ValueError) as error:
+        raise OmnistereoError(f"no Dask scheduler answers at {address}: {error}. Start one: dask scheduler") from None
 
 
 def on_cluster(address: str, function: Callable[[Any], Any], arguments: Sequence) -> Iterator[Any]:
     """Yield function(argument) for all arguments as workers of a Dask cluster finish them.
 
-    Raises an `OmnistereoError` if dask.distributed is not installed, no scheduler answers, or a frame killed several
-    workers; what a worker raises is raised here.
+    Raises an `OmnistereoError` as `connect`, or if a frame killed several workers; what a worker raises is raised here.
     """
-    try:
-        from dask.distributed import Client, KilledWorker, as_completed
-    except ImportError:
-        raise OmnistereoError("--cluster needs Dask: pip install 'omnistereo-lib[distributed]'") from None
-    try:
-        client = Client(address, timeout=_PATIENCE_S)
-    except (OSError, ValueError) as error:
-        raise OmnistereoError(f"no Dask scheduler answers at {address}: {error}. Start one: dask scheduler") from None
-    with client:
+    with connect(address) as client:
+        from dask.distributed import KilledWorker, as_completed
+
         futures = client.map(function, arguments, pure=False)
         try:
             for future in as_completed(futures):

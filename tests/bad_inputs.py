@@ -25,6 +25,7 @@ from omnistereo_lib.files import write_image
 from omnistereo_lib.geometry.rig import camera_pairs
 
 DEPTH = "depth --rig RIG --images IMAGES --width 96 --height 24 --spheres 16 --method zncc --out OUT "
+RECORDING = DEPTH.replace("IMAGES", "DATA/cam1 DATA/cam2 DATA/cam3 DATA/cam4")
 SET = "depth --rig DATA --width 96 --height 24 --spheres 16 --method zncc --out OUT "
 DOCTOR = "doctor --rig RIG --images IMAGES --width 96 --height 24 --spheres 16 "
 LOOK = "doctor --rig RIG "
@@ -108,6 +109,11 @@ def no_shared_view(data: Path) -> None:
     narrow = scene.camera(200, 192, max_fov_deg=60)
     poses = [osl.Pose.from_vector([0, turn, 0, 0.2 * np.cos(turn), 0, 0.2 * np.sin(turn)]) for turn in QUARTERS]
     osl.Rig([narrow] * 4, poses, min_depth=0.6).save(data / "config.yaml")
+
+
+def folders_of_other_names(data: Path) -> None:
+    for camera in (1, 2, 3, 4):
+        (data / f"cam{camera}").rename(data / f"view{camera}")
 
 
 QUARTERS = np.arange(4) * np.pi / 2
@@ -223,6 +229,31 @@ COMMANDS = [
     Row("out of a long name", DEPTH + "--out LONG", "File name too long"),
     Row("a mesh of another kind", DEPTH + "--mesh OUT.stl", r"out.stl has the wrong suffix; expected .glb or .ply"),
     Row("an image of another kind", DEPTH + "--equirectangular OUT.jpg", r"out.jpg has the wrong suffix; expected"),
+    Row("a mesh below a file", DEPTH + "--mesh RIG/a.glb", r"config.yaml cannot be made or written to"),
+    Row("an image below a file", DEPTH + "--equirectangular RIG/a.tiff", r"config.yaml cannot be made or written to"),
+    Row("crops below a file", DEPTH + "--crops RIG/crops", r"config.yaml.crops cannot be made or written to"),
+    Row("a farthest depth not a number", DEPTH + "--max-depth nan", "--max-depth is nan; expected a number of"),
+    Row("a farthest depth below 0", DEPTH + "--max-depth -3", "--max-depth is -3.0; expected a number of"),
+    Row("an infinite farthest depth", DEPTH + "--max-depth inf", "--max-depth is inf; expected a number of"),
+    Row("a confidence of 7", DEPTH + "--min-confidence 7", "--min-confidence is 7.0; expected a number of 0 to 1"),
+    Row("no triangles", DEPTH + "--mesh OUT.glb --mesh-faces 0", "--mesh-faces is 0; expected an integer of 1"),
+    Row("triangles below 0", DEPTH + "--mesh OUT.glb --mesh-faces -5", "--mesh-faces is -5; expected an integer of 1"),
+    # recordings
+    Row("every 0th frame", RECORDING + "--step 0", "the step is 0; expected --step of at least 1"),
+    Row("frames backwards", RECORDING + "--step -1", "the step is -1; expected --step of at least 1"),
+    Row("a start below 0", RECORDING + "--start -5", "the first frame is -5; expected --start of at least 0"),
+    Row("a recording over its pictures", RECORDING + "--out DATA", "cam1 holds your images; --out .* would write"),
+    Row("a recording over a rig file", RECORDING.replace("cam", "view") + "--out DATA",
+        "holds a config.yaml but no recording.json; expected a new folder", folders_of_other_names),
+    Row("a video below a file", RECORDING + "--video RIG/a.mp4", r"config.yaml cannot be made or written to"),
+    *(Row(f"a recording with --{option.split()[0]}", f"{RECORDING}--{option}",
+          f"--{option.split()[0]} is for one frame; --images are folders or videos")
+      for option in ("frame 1", "max-depth 9", "min-confidence 0.5", "mesh OUT.glb", "mesh-faces 9",
+                     "equirectangular OUT.tiff", "crops OUT/crops")),
+    *(Row(f"one frame with --{option.split()[0]}", f"{DEPTH}--{option}",
+          f"--{option.split()[0]} is for recordings; expected --images with a folder or a video per camera")
+      for option in ("start 1", "stop 9", "step 2", "cluster tcp://127.0.0.1:1", "depth-format png",
+                     "video OUT.mp4")),
     # rig files
     Row("no rig file", LOOK + "--rig DATA/none.yaml", r"none.yaml.*"),
     Row("a rig file of a long name", DEPTH + "--rig LONG", "File name too long"),

@@ -13,10 +13,16 @@ methods: zncc, mccnn, sweepnet or volumenet; +sgm smooths; ,pairs=all and others
 """
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
 
 from omnistereo_lib.cli.inputs import add_device
+from omnistereo_lib.errors import OmnistereoError, check_number
 from omnistereo_tools.inputs import add_grid, add_input, make_grid, read_input, read_rig
+
+_OF_FRAMES = {"frame": 0}  # options and their defaults
+_OF_FRAMES |= dict.fromkeys(["max_depth", "min_confidence", "mesh", "mesh_faces", "equirectangular", "crops"])
+_OF_RECORDINGS = {"start": 0, "stop": None, "step": 1, "cluster": None, "depth_format": "tiff", "video": None}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,9 +56,18 @@ def run(options: argparse.Namespace) -> None:
     from omnistereo_tools.sources import is_recording
 
     if options.images is not None and is_recording(options.images):
+        _refuse(options, _OF_FRAMES, "one frame; --images are folders or videos")
         _run_recording(options)
     else:
+        _refuse(options, _OF_RECORDINGS, "recordings; expected --images with a folder or a video per camera")
         _run_frame(options)
+
+
+def _refuse(options: argparse.Namespace, defaults: Mapping, purpose: str) -> None:
+    """Raise an `OmnistereoError` if an option has another value than its default: it would be ignored."""
+    for name, default in defaults.items():
+        if getattr(options, name) != default:
+            raise OmnistereoError(f"--{name.replace('_', '-')} is for {purpose}. Leave it out, or change --images.")
 
 
 def _run_frame(options: argparse.Namespace) -> None:
@@ -66,9 +81,18 @@ def _run_frame(options: argparse.Namespace) -> None:
     from omnistereo_tools.points import Limits
 
     check_suffixes(mesh=options.mesh, equirectangular=options.equirectangular)
+    if options.max_depth is not None:
+        check_number(options.max_depth, "--max-depth", 1e-6, 1e9)
+    if options.min_confidence is not None:
+        check_number(options.min_confidence, "--min-confidence", 0, 1)
+    if options.mesh_faces is not None:
+        check_number(options.mesh_faces, "--mesh-faces", 1, 10**9, whole=True)
     rig, images, frame = read_input(options)
     grid = make_grid(options, rig, images)
-    gt_index = None if frame is None else frame.gt_index(grid)  # fail fast: read the ground truth, make the folder
+    gt_index = None if frame is None else frame.gt_index(grid)  # fail fast: read the ground truth, make the folders
+    for folder in (*(file.parent for file in (options.mesh, options.equirectangular) if file), options.crops):
+        if folder is not None:
+            make_folder(folder)
     out = make_folder(options.out)
     depth = estimate_depth(
         rig, images, grid, options.method, device=options.device,
@@ -86,6 +110,7 @@ def _run_recording(options: argparse.Namespace) -> None:
     """Estimate depth for all frames that are not done yet, and write the video."""
     from tqdm import tqdm
 
+    from omnistereo_lib.files import make_folder
     from omnistereo_tools.exports import check_suffixes
     from omnistereo_tools.recordings import DepthWriter, stored_min_depth, write_video
     from omnistereo_tools.sources import Recording
@@ -96,20 +121,22 @@ def _run_recording(options: argparse.Namespace) -> None:
     for path, names in recording.missing.items():
         some = ", ".join(map(str, names[:8])) + " …" * (len(names) > 8)
         print(f"{path} lacks {len(names)} frames that other cameras have; they are left out: {some}")
-    options.min_depth = options.min_depth or stored_min_depth(options.out)
+    if options.min_depth is None:
+        options.min_depth = stored_min_depth(options.out)
     grid = make_grid(options, rig, next(recording.read([min(recording.frames)], rig)))
     writer = DepthWriter.open(
         options.out, recording, rig, grid, options.method, f".{options.depth_format}", options.video is not None,
         options.device,
     )  # fmt: skip
+    if options.cluster is not None:
+        from omnistereo_tools.cluster import connect, depth_on_cluster
+
+        connect(options.cluster).close()  # fail fast, before anything is written
+    if options.video is not None:
+        make_folder(options.video.parent)
     writer.prepare(rig)
     left, total = writer.left(), len(recording.frames)
-    if options.cluster is None:
-        done = writer.run(left)
-    else:
-        from omnistereo_tools.cluster import depth_on_cluster
-
-        done = depth_on_cluster(options.cluster, writer, options.device)
+    done = writer.run(left) if options.cluster is None else depth_on_cluster(options.cluster, writer, options.device)
     for _ in tqdm(done, "depth", total, initial=total - len(left), unit="frame"):
         pass
     print(f"{len(recording.frames)} frames are in {options.out}/, which load_dataset reads")

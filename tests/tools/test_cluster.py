@@ -92,3 +92,4 @@ def test_a_scheduler_that_is_not_there(recorded, tmp_path, capsys, monkeypatch):
     small = ["--width", 96, "--height", 24, "--spheres", 16, "--method", "zncc"]
     assert run(*command, *small, "--out", tmp_path / "out", "--cluster", "tcp://127.0.0.1:1") == 2
     assert "no Dask scheduler answers at tcp://127.0.0.1:1" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
