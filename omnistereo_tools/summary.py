@@ -50,7 +50,8 @@ def error_sentences(depth: Depth, gt_index: NDArray) -> list[str]:
     errors = index_error(depth.index, gt_index, depth.grid.num_spheres)
     truth = depth.grid.index_to_depth(gt_index)
     both = depth.valid & np.isfinite(truth) & np.isfinite(depth.depth) & (truth >= depth.grid.min_depth)
-    half, most = np.quantile(np.abs(depth.depth / truth - 1)[both], [0.5, 0.9]) if both.any() else (np.nan, np.nan)
+    off = np.abs(depth.depth[both] / truth[both] - 1)
+    half, most = np.quantile(off, [0.5, 0.9]) if both.any() else (np.nan, np.nan)
     return [
         f"Against the ground truth, half of the rays are within {100 * half:.1f} % of their true depth and nine tenths "
         f"within {100 * most:.0f} %: at 10 m that is {10 * half:.2g} m and {10 * most:.2g} m.",

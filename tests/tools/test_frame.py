@@ -1,6 +1,7 @@
 """What `omnistereo depth` leaves behind, against a box whose walls are known."""
 
 import re
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -85,6 +86,9 @@ def test_the_sentences_say_what_was_found(depth):
     assert "half of the rays are within 0.0 % of their true depth and nine tenths within 0 %" in exact
     off = osl.Depth(depth.index * 1.1, depth.confidence, depth.sweep)
     assert "half of the rays are within 9.1 % of" in error_sentences(off, depth.index)[0]  # 1 - 1 / 1.1
+    index = np.where(np.arange(160) < 9, 0, depth.index)  # the sky is infinitely far in both
+    with warnings.catch_warnings(action="error"):
+        assert "within 0.0 % of" in error_sentences(osl.Depth(index, depth.confidence, depth.sweep), index)[0]
 
 
 def test_a_frame_without_a_point_is_written_too(depth, pictures, tmp_path):
