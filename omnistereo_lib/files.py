@@ -211,8 +211,8 @@ def _read_header(path: str | Path, content: bytes) -> tuple[int, int]:
     if mode == "F":
         raise OmnistereoError(f"{path} holds floating-point numbers; expected a picture of 8 or 16 bits")
     if mode in ("RGBA", "LA", "PA") or pages > 1:
-        left = "transparency" if pages == 1 else f"{pages - 1} more pages"
-        warnings.warn(f"{path} has {left}, which is ignored", stacklevel=4)
+        more = "1 more page, which is" if pages == 2 else f"{pages - 1} more pages, which are"
+        warnings.warn(f"{path} has {'transparency, which is' if pages == 1 else more} ignored", stacklevel=4)
     return size
 
 

@@ -11,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 import cv2
 import numpy as np
 import pytest
+import tifffile
 
 from omnistereo_lib import OmnistereoError
 from omnistereo_lib.files import atomic_write, make_folder, read_gray, read_image, write_image
@@ -110,6 +111,13 @@ def test_16_bit_and_transparent_images_become_8_bit_rgb(tmp_path):
     deep, clear = read_image(tmp_path / "deep.png"), read_image(tmp_path / "clear.png")
     assert deep.dtype == np.uint8 and deep.shape == (4, 4) and deep[0, 0] == 128
     assert clear.shape == (4, 4, 3) and clear[0, 0].tolist() == [3, 2, 1]
+
+
+@pytest.mark.parametrize(("pages", "said"), [(2, "1 more page, which is"), (3, "2 more pages, which are")])
+def test_further_pages_are_ignored(tmp_path, pages, said):
+    tifffile.imwrite(tmp_path / "a.tiff", np.zeros((pages, 20, 30), np.uint8), photometric="minisblack")
+    with pytest.warns(UserWarning, match=f"a.tiff has {said} ignored$"):
+        assert read_image(tmp_path / "a.tiff").shape == (20, 30)
 
 
 @pytest.mark.parametrize("read", [read_gray, read_image])

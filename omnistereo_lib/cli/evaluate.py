@@ -13,7 +13,7 @@ from omnistereo_lib.cli.inputs import add_device, is_first_process
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.add_argument("--sets", nargs="+", default=["sunny", "cloudy", "sunset"], help="names or data set folders")
-    parser.add_argument("--split", choices=["train", "test"], help="of the folders (default: all frames)")
+    parser.add_argument("--split", choices=["train", "test"], help="(default: test of a bundled name, all of a folder)")
     parser.add_argument("--frames", type=int, nargs="+", help="frame numbers (default: all with ground truth)")
     parser.add_argument("--methods", nargs="+", default=[], help="such as zncc sweepnet+sgm,p1=0.2 (default: all)")
     ablations = "window weights pairs wrap subindex penalties spheres"
@@ -35,8 +35,8 @@ def run(options: argparse.Namespace) -> None:
     from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
 
     arguments = {
-        "out": options.out or Path("out") / f"evaluation_{options.scale}", "sets": find_sets(options.sets),
-        "methods": select_methods(options.methods, options.ablations), "scale": SCALES[options.scale],
+        "out": options.out or Path("out") / f"evaluation_{options.scale}", "scale": SCALES[options.scale],
+        "sets": find_sets(options.sets, options.split), "methods": select_methods(options.methods, options.ablations),
         "split": options.split, "frames": options.frames, "weights": options.weights or BUNDLED_WEIGHTS,
         "device": options.device, "precision": options.precision, "rig": options.rig,
     }  # fmt: skip

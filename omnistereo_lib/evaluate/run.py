@@ -65,20 +65,20 @@ def select_shard(items: list, shard: str) -> list:
     return items[int(part) - 1 :: int(parts)]
 
 
-def find_sets(names: Sequence[str]) -> dict[str, Path]:
+def find_sets(names: Sequence[str], split: str | None = None) -> dict[str, Path]:
     """Return the folders of data sets by name; raise an `OmnistereoError` if one is missing or two have one name.
 
-    "sunny" means the test frames of data_samples/sunny, and so on. Anything else is a folder, called by its own name
-    or, if it is a split, also by that of its parent, such as city-train.
+    "sunny" means data_samples/sunny/test, or with split "train" the set sunny-train. Anything else is a folder, called
+    by its own name or, if it is a split, also by that of its parent, such as city-train.
     """
     sets: dict[str, Path] = {}
     for text in names:
-        name, folder = text, DATA / text / "test"
+        name, folder = f"{text}-train" if split == "train" else text, DATA / text / (split or "test")
         if Path(text).name != text or not folder.is_dir():
             folder = Path(text).resolve()
             name = f"{folder.parent.name}-{folder.name}" if folder.name in ("train", "test") else folder.name
         if not folder.is_dir():
-            places = f"{DATA / text / 'test'} or {folder}"
+            places = f"{DATA / text / (split or 'test')} or {folder}"
             raise OmnistereoError(f"data set {text!r} not found in {places}. Pass a bundled name or a data set folder.")
         if sets.setdefault(name, folder) != folder:
             raise OmnistereoError(f"{sets[name]} and {folder} are both called {name!r}. Evaluate them separately.")
@@ -137,7 +137,7 @@ class Evaluation:
         methods = tuple(dict.fromkeys(methods))
         self.scale, self.weights, self.precision, self.device = scale, Path(weights), precision, select_device(device)
         self._weights = _weights_checksums(methods, self.weights)
-        self.sets = {name: load_dataset(folder, split) for name, folder in sets.items()}
+        self.sets = {name: load_dataset(path, None if path.name == split else split) for name, path in sets.items()}
         self._rigs = {} if rig is None else {name: _read_rig(rig, data) for name, data in self.sets.items()}
         self._rig = "own" if rig is None else checksum(b"".join(map(read_bytes, _rig_files(Path(rig)))))
         chosen = [(name, frame) for name, data in self.sets.items() for frame in _select_frames(data, frames)]
