@@ -33,12 +33,17 @@ def rig_doubts(rig: Rig, min_depth: float) -> Iterator[str]:
         )
 
 
-def image_doubts(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid) -> Iterator[str]:
-    """Yield what cannot be right with the images of a rig; an `OmnistereoError` if they do not fit its cameras."""
+def same_pictures(rig: Rig, images: Sequence[ArrayLike]) -> str | None:
+    """Return which images of a rig are the same; an `OmnistereoError` if they do not fit its cameras."""
     numbered = list(enumerate(check_images(images, rig), 1))
     same = [f"{i} and {j}" for (i, a), (j, b) in combinations(numbered, 2) if np.array_equal(a, b)]
-    if same:
-        yield f"images {', '.join(same)} are the same picture. Check their paths"
+    return f"images {', '.join(same)} are the same picture. Check their paths" if same else None
+
+
+def image_doubts(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid) -> Iterator[str]:
+    """Yield what cannot be right with the images of a rig; an `OmnistereoError` if they do not fit its cameras."""
+    if same := same_pictures(rig, images):
+        yield same
         return
     found = other_order(rig, images, replace(grid, width=160, height=40, num_spheres=16))
     if found is not None:

@@ -17,7 +17,12 @@ from omnistereo_tools.frame import SHARP, FrameResult
 from omnistereo_tools.pictures import sharp_panorama
 from omnistereo_tools.recordings import CODECS
 
-_SUFFIXES = {"mesh": mesh.SUFFIXES, "equirectangular": (".tiff", ".tif"), "video": tuple(CODECS)}
+_SUFFIXES = {
+    "mesh": mesh.SUFFIXES,
+    "equirectangular": (".tiff", ".tif"),
+    "video": tuple(CODECS),
+    "coverage": (".png", ".jpg", ".jpeg"),
+}
 
 
 def check_suffixes(**files: Path | None) -> None:

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 SAMPLE = Path(omnistereo_lib.__file__).parent / "sample"  # travels with the package
 
 
-def add_input(parser: argparse.ArgumentParser, recordings: bool = False) -> None:
-    """Add the options that name a rig and its images."""
-    parser.add_argument("--rig", type=Path, help="rig file, folder of one, or data set (default: the bundled sample)")
+def add_input(parser: argparse.ArgumentParser, recordings: bool = False, default: str = "the bundled sample") -> None:
+    """Add the options that name a rig and its images; `default` says what is done without --rig."""
+    parser.add_argument("--rig", type=Path, help=f"rig file, folder of one, or data set (default: {default})")
     parser.add_argument("--unit", choices=["mm", "cm", "m"], help="unit of the poses, if the file does not state it")
     each = "image, folder of images or video" if recordings else "image"
     parser.add_argument("--images", type=Path, nargs="+", help=f"one {each} per camera, in the order of the rig")
@@ -64,13 +64,18 @@ def read_input(options: argparse.Namespace) -> tuple[Rig, list[NDArray], Frame |
 
 
 def read_rig(options: argparse.Namespace) -> Rig:
-    """Return the rig of --images, with its masks; an `OmnistereoError` if files are missing or --rig is."""
+    """Return the rig with its masks; an `OmnistereoError` if files are missing or --rig is."""
     from omnistereo_lib.rig_files import load_rig
     from omnistereo_tools.masks import with_masks
 
     if options.rig is None:
         raise OmnistereoError("--images needs --rig: the file or folder that describes the cameras")
-    return with_masks(load_rig(options.rig, options.unit), options.masks, options.images)
+    return with_masks(load_rig(options.rig, options.unit), options.masks, options.images or [])
+
+
+def is_rig_alone(path: Path) -> bool:
+    """Return whether a path is a rig file or a folder of one, not a data set."""
+    return not any((*path.glob("cam[0-9]*/"), *path.glob("[0-9]*/cam[0-9]*/")))
 
 
 def make_grid(

@@ -144,35 +144,48 @@ def has_window() -> bool:
 
 
 def show_in_window(pictures: Iterator[NDArray[np.uint8]]) -> int:
-    """Show pictures in a window until they end, or Escape or q is pressed; return how many there were."""
+    """Show pictures in a window until they end, or Escape, q or Ctrl-C is pressed; return how many there were."""
     count = 0
-    for picture in pictures:
-        cv2.imshow("omnistereo live", picture)
-        count += 1
-        if cv2.waitKey(1) & 0xFF in (27, ord("q")):
-            break
+    try:
+        for picture in pictures:
+            cv2.imshow("omnistereo live", picture)
+            count += 1
+            if cv2.waitKey(1) & 0xFF in (27, ord("q")):
+                break
+    except KeyboardInterrupt as stop:
+        _end_by(stop)
     cv2.destroyAllWindows()
     return count
 
 
 def show_in_browser(pictures: Iterator[NDArray[np.uint8]], latest: Latest) -> int:
-    """Give pictures to a server of `serve` until they end; return how many there were."""
+    """Give pictures to a server of `serve` until they end or Ctrl-C is pressed; return how many there were."""
     count = 0
     try:
         for picture in pictures:
             latest.put(cv2.imencode(".jpg", picture)[1].tobytes())
             count += 1
+    except KeyboardInterrupt as stop:
+        _end_by(stop)
     finally:
         latest.close()
     return count
+
+
+def _end_by(stop: KeyboardInterrupt) -> None:
+    """Let Ctrl-C end the view; SIGTERM, which the command line raises as a class of its own, ends the command."""
+    if type(stop) is not KeyboardInterrupt:
+        raise stop
 
 
 @contextmanager
 def serve(latest: Latest, port: int) -> Iterator[str]:
     """Serve JPEG pictures to browsers of this machine as a stream; yield the address.
 
-    Raises an `OmnistereoError` if the port is in use.
+    Raises an `OmnistereoError` if the port is in use or none.
     """
+    if not 0 <= port <= 65535:
+        raise OmnistereoError(f"--port is {port}; expected 0 to 65535. Choose another, or 0 for any.")
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:

@@ -22,7 +22,7 @@ def with_masks(rig: Rig, masks: Sequence[Path] | None, images: Sequence[Path]) -
         images: One path per camera; its folder is where mask.png is looked for.
 
     Raises:
-        OmnistereoError: If there is not one mask per camera, or one cannot be read or has another size.
+        OmnistereoError: If there is not one mask per camera, or one cannot be read, has another size or hides all.
     """
     if masks is not None and len(masks) != len(rig):
         raise OmnistereoError(f"there are {len(masks)} masks for {len(rig)} cameras. Give one per camera.")
@@ -34,5 +34,7 @@ def with_masks(rig: Rig, masks: Sequence[Path] | None, images: Sequence[Path]) -
         path = masks[k] if masks is not None else folders[k] / NAME
         if masks is not None or (camera.mask is None and path.is_file()):
             camera = replace(camera, mask=read_gray(path, camera.image_size) >= 128)
+            if not camera.visible_pixels().any():
+                raise OmnistereoError(f"{path} hides the whole picture; expected bright where it is valid. Invert it.")
         cameras.append(camera)
     return Rig(cameras, rig.T_rig_cam, rig.min_depth)

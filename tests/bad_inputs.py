@@ -181,6 +181,14 @@ COMMANDS = [
     Row("pictures without a rig", "depth --images IMAGES --out OUT", r"--images needs --rig"),
     Row("doctor: a picture too few", DOCTOR + "--images DATA/cam1/0001.png", "there are 1 images for 4 cameras"),
     Row("doctor: no rig", "doctor --images IMAGES", "--images needs --rig"),
+    Row("doctor: coverage and no rig", "doctor --coverage OUT.png", "--coverage needs --rig"),
+    Row("doctor: a frame and no rig", "doctor --frame 3", "--frame needs --rig"),
+    Row("doctor: masks and no rig", "doctor --masks OUT.png", "--masks needs --rig"),
+    Row("doctor: no such mask", LOOK + "--masks OUT OUT OUT OUT", "out cannot be read: No such file"),
+    Row("doctor: coverage of another kind", LOOK + "--coverage OUT.xyz", "out.xyz has the wrong suffix; expected .png"),
+    Row("doctor: coverage of no kind", LOOK + "--coverage OUT", "out has the wrong suffix; expected .png"),
+    Row("a mask hides all", DEPTH + "--masks DATA/0.png DATA/0.png DATA/0.png DATA/0.png",
+        "0.png hides the whole picture; expected", lambda d: write_image(d / "0.png", np.zeros((192, 200)))),
     Row("doctor: a picture is text", DOCTOR, "cam2.0001.png is not an image", write("cam2/0001.png", "hello")),
     # panoramas
     Row("phi too high", DEPTH + "--phi -45 91", r"phi_deg is \(-45.0, 91.0\); expected two angles"),
@@ -201,6 +209,8 @@ COMMANDS = [
     Row("wider than OpenCV can", DEPTH + "--width 32767", "32767.* 32766"),
     Row("higher than OpenCV can", DEPTH + "--height 40000 --width 2", "40000.* 32766"),
     Row("doctor: a billion rows", DOCTOR + "--height 1000000000", "height is 1000000000; expected"),
+    Row("live: zero depth", "live --rig RIG --cameras 0 1 2 3 --min-depth 0", r"min_depth is 0.0 and max_depth inf"),
+    Row("onnx: zero depth", "onnx --rig RIG --out OUT --min-depth 0", r"min_depth is 0.0 and max_depth inf"),
     # methods
     Row("no such method", DEPTH + "--method magic", r"one of zncc, mccnn, sweepnet, volumenet, got 'magic'"),
     Row("no such smoothing", DEPTH + "--method zncc+median", "aggregate must be one of none, sgm, got 'median'"),

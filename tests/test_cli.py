@@ -121,6 +121,19 @@ def test_doctor_of_a_rig_without_images_says_what_it_can_see(data, tmp_path, cap
     assert read_image(tmp_path / "coverage.png").shape[1] == 1080
 
 
+def test_doctor_of_a_folder_that_holds_a_rig_alone(data, tmp_path, capsys):
+    (tmp_path / "rig").mkdir()
+    (data / "config.yaml").rename(tmp_path / "rig" / "config.yaml")
+    assert run("doctor", "--rig", tmp_path / "rig") == 0
+    assert "With --images the poses are checked, too." in capsys.readouterr().out
+
+
+def test_doctor_of_the_same_picture_twice(data, capsys):
+    (data / "cam1" / "0001.png").write_bytes((data / "cam2" / "0001.png").read_bytes())
+    assert run("doctor", *with_images(data), *SMALL) == 1
+    assert capsys.readouterr().out.endswith("FAIL  images 1 and 2 are the same picture. Check their paths\n")
+
+
 @pytest.mark.parametrize("well", [True, False])
 def test_doctor_of_the_installation(monkeypatch, well):
     module = importlib.import_module("omnistereo_tools.installation")

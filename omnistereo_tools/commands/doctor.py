@@ -6,31 +6,37 @@ example: omnistereo doctor --rig rig.yaml --images 1.png 2.png 3.png 4.png --cov
 import argparse
 from pathlib import Path
 
-from omnistereo_tools.inputs import add_grid, add_input, make_grid, read_input
+from omnistereo_tools.inputs import add_grid, add_input, is_rig_alone, make_grid, read_input, read_rig
 
 _NEAR = 0.5  # metres: most images show something nearer than a few times this
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    add_input(parser)
+    add_input(parser, default="check the installation instead")
     add_grid(parser, width=320, height=80, spheres=64)
     parser.add_argument("--coverage", type=Path, help="draw there how many cameras see each direction, how far apart")
 
 
 def run(options: argparse.Namespace) -> int:
     """Print what is in place and what is not; return 1 if something is wrong."""
-    if options.rig is None and options.images is None:
+    if options.rig is None:
+        from omnistereo_lib.errors import OmnistereoError
         from omnistereo_tools.installation import doctor
 
+        for name in ("images", "masks", "frame", "unit", "coverage"):
+            if getattr(options, name):
+                raise OmnistereoError(f"--{name} needs --rig: the file or folder that describes the cameras")
         return 0 if doctor() else 1
     from omnistereo_lib.files import write_image
-    from omnistereo_lib.rig_files import load_rig
     from omnistereo_tools.coverage import Coverage
+    from omnistereo_tools.doubts import same_pictures
+    from omnistereo_tools.exports import check_suffixes
     from omnistereo_tools.rig_check import check_rig
 
-    alone = options.images is None and options.rig.is_file()
-    rig, images, _ = (load_rig(options.rig, options.unit), None, None) if alone else read_input(options)
+    check_suffixes(coverage=options.coverage)
+    alone = options.images is None and is_rig_alone(options.rig)
+    rig, images, _ = (read_rig(options), None, None) if alone else read_input(options)
     low, high = rig.baselines.min(), rig.baselines.max()
     print(f"{len(rig)} cameras, {low:.3g} to {high:.3g} m apart: check that this is right.")
     coverage = Coverage.of(rig)
@@ -40,6 +46,9 @@ def run(options: argparse.Namespace) -> int:
     if alone:
         print("With --images the poses are checked, too.")
         return 0
+    if same := same_pictures(rig, images):
+        print(f"FAIL  {same}")
+        return 1
     # Not a depth that comes from the baselines: it would be wrong by the same factor as they are.
     check = check_rig(rig, images, make_grid(options, rig, images, _NEAR))
     for hypothesis in (check.given, *check.alternatives[:3]):

@@ -27,7 +27,7 @@ def run(options: argparse.Namespace) -> None:
     from omnistereo_tools.onnx_export import export_onnx
 
     rig = load_rig(options.rig, options.unit)
-    min_depth = options.min_depth or rig.min_depth
+    min_depth = rig.min_depth if options.min_depth is None else options.min_depth
     if min_depth is None:
         raise OmnistereoError(f"{options.rig} states no nearest depth. Pass --min-depth, in metres")
     grid = SphereGrid(options.width, options.height, tuple(options.phi), options.spheres, min_depth)

@@ -84,6 +84,31 @@ def test_the_command_plays_videos_to_their_end(recorded, capsys):
     assert re.search(r"open http://127.0.0.1:\d+/ in a browser of this machine; Ctrl-C stops\n[1-5] frames, ", told)
 
 
+class Terminated(KeyboardInterrupt):
+    """As the command line's own, of SIGTERM."""
+
+
+@pytest.mark.parametrize("stop", [KeyboardInterrupt, Terminated])
+def test_ctrl_c_ends_it_with_the_last_line(recorded, capsys, monkeypatch, stop):
+    def pictures(*_):
+        yield np.zeros((20, 30, 3), np.uint8)
+        raise stop
+
+    _, folder, videos = recorded
+    monkeypatch.setattr(live, "live_pictures", pictures)
+    command = ["live", "--rig", str(folder / "rig.yaml"), "--cameras", *videos, "--browser", "--port", "0"]
+    ended = stop is KeyboardInterrupt
+    assert cli.main(command) == (0 if ended else 130)
+    told = capsys.readouterr()
+    assert ("1 frames, " in told.out) is ended and ("interrupted" in told.err) is not ended
+
+
+@pytest.mark.parametrize("port", [-1, 65536])
+def test_a_port_is_a_number_of_16_bits(port):
+    with pytest.raises(osl.OmnistereoError, match=f"--port is {port}; expected 0 to 65535"), serve(Latest(), port):
+        pass
+
+
 def test_the_newest_value_is_what_waits():
     latest = Latest()
     latest.put(1)
