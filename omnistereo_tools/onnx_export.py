@@ -68,6 +68,7 @@ def _write_rig(path: Path, rig: Rig, grid: SphereGrid) -> None:
     arrays = {
         "size": np.array([grid.width, grid.height, grid.num_spheres]),
         "inverse_depth": np.array([1 / grid.min_depth, 1 / grid.max_depth]),
+        "image_sizes": np.array([camera.image_size for camera in rig.cameras]),
     }
     sizes = volume_sizes(grid)
     for number, size in enumerate(sizes):

@@ -119,15 +119,31 @@ def resize_nearest(x: Array, shape: tuple[int, int]) -> Array:
     return x[row[:, None], column]
 
 
+def read_images(paths: list[str], sizes: Array) -> list[Array]:
+    """Return one image per camera of the rig, whose sizes (width, height) are given; exit if they do not fit."""
+    if len(paths) != len(sizes):
+        raise SystemExit(f"error: there are {len(paths)} images for {len(sizes)} cameras. Give one for each.")
+    images = []
+    for path, (width, height) in zip(paths, sizes, strict=True):
+        image = cv2.imread(path, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        if image is None:
+            raise SystemExit(f"error: {path} cannot be read as an image. Check the path.")
+        if image.shape[:2] != (height, width):
+            found = f"{image.shape[1]} × {image.shape[0]} px; the camera has {width} × {height} px"
+            raise SystemExit(f"error: {path} is {found}. Pass images as they were calibrated.")
+        images.append(image)
+    return images
+
+
 def main() -> None:
     """Compute the depth of one frame."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("images", nargs="+", help="one image per camera, in the order of the rig")
     parser.add_argument("--out", default="inverse_depth.npy", help="float32, 1/m, 0 = infinitely far, NaN = unknown")
     options = parser.parse_args()
-    flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
-    images = [cv2.imread(path, flags) for path in options.images]
-    inverse_depth, _ = depth(Path(__file__).parent, images)
+    folder = Path(__file__).parent
+    images = read_images(options.images, np.load(folder / "rig.npz")["image_sizes"])
+    inverse_depth, _ = depth(folder, images)
     np.save(options.out, inverse_depth.astype(np.float32))
     height, width = inverse_depth.shape
     print(f"{options.out}: {width} × {height} rays, the nearest at {1 / np.nanmax(inverse_depth):.2g} m")

@@ -21,6 +21,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Write the files and say what they are."""
+    import shlex
+
     from omnistereo_lib.errors import OmnistereoError
     from omnistereo_lib.geometry.sphere import SphereGrid
     from omnistereo_lib.rig_files import load_rig
@@ -32,4 +34,5 @@ def run(options: argparse.Namespace) -> None:
         raise OmnistereoError(f"{options.rig} states no nearest depth. Pass --min-depth, in metres")
     grid = SphereGrid(options.width, options.height, tuple(options.phi), options.spheres, min_depth)
     print(f"written to {options.out}/: {', '.join(export_onnx(options.out, rig, grid))}")
-    print(f"without torch: python {options.out}/run_onnx.py with one image for each of the {len(rig)} cameras")
+    script = shlex.quote(f"{options.out}/run_onnx.py")
+    print(f"without torch: python {script} with one image for each of the {len(rig)} cameras")

@@ -58,26 +58,51 @@ def test_volume(exported, network):
     assert relative(found, network(volume).numpy()) < 1e-3
 
 
+def run(script, *arguments):
+    """Run the script where there is neither torch nor this library."""
+    alone = (
+        "import runpy, sys; sys.modules['torch'] = sys.modules['omnistereo_lib'] = None; sys.argv = sys.argv[1:]; "
+        "runpy.run_path(sys.argv[0], run_name='__main__')"
+    )
+    return subprocess.run(
+        [sys.executable, "-c", alone, *map(str, (script, *arguments))], capture_output=True, text=True
+    )
+
+
 def test_depth_without_torch(exported, network, rig, tmp_path):
     images = []
     for k, picture in enumerate(scene.images(rig, finest=0.25)):
         color = np.stack([picture, 0.5 * picture, 255 - picture], -1).astype(np.uint8)
         images.append(color)
         write_image(tmp_path / f"{k}.png", color)
-    without_torch = (
-        "import runpy, sys; sys.modules['torch'] = sys.modules['omnistereo_lib'] = None; sys.argv = sys.argv[1:]; "
-        "runpy.run_path(sys.argv[0], run_name='__main__')"
-    )
-    command = [sys.executable, "-c", without_torch]
-    paths = [str(tmp_path / f"{k}.png") for k in range(4)]
-    done = subprocess.run(
-        [*command, str(exported / "run_onnx.py"), *paths, "--out", str(tmp_path / "a.npy")],
-        capture_output=True, text=True,
-    )  # fmt: skip
+    done = run(exported / "run_onnx.py", *(tmp_path / f"{k}.png" for k in range(4)), "--out", tmp_path / "a.npy")
     assert done.returncode == 0, done.stderr
     network.precision = "float32"
     expected = osl.estimate_depth(rig, images, GRID, "volumenet", cost=network).inverse_depth
     np.testing.assert_allclose(np.load(tmp_path / "a.npy"), expected, atol=1e-3 / 0.6)
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (["right.png"] * 3, "there are 3 images for 4 cameras"),
+        (["right.png"] * 3 + ["small.png"], "small.png is 100 × 192 px; the camera has 200 × 192 px"),
+        (["none.png"] * 4, "none.png cannot be read as an image"),
+    ],
+)
+def test_the_script_says_in_one_line_what_is_wrong(exported, tmp_path, names, said):
+    write_image(tmp_path / "right.png", np.zeros((192, 200)))
+    write_image(tmp_path / "small.png", np.zeros((192, 100)))
+    done = run(exported / "run_onnx.py", *(tmp_path / name for name in names), "--out", tmp_path / "a.npy")
+    error, *rest = [line for line in done.stderr.splitlines() if "imread" not in line]  # a warning of OpenCV
+    assert done.returncode == 1 and not rest and said in error and error.startswith("error: ")
+    assert not (tmp_path / "a.npy").exists()
+
+
+def test_the_command_that_is_proposed_runs_in_a_shell(rig, tmp_path, capsys):
+    rig.save(tmp_path / "rig.yaml")
+    assert cli.main(["onnx", "--rig", str(tmp_path / "rig.yaml"), *FINE, "--out", str(tmp_path / "my out")]) == 0
+    assert f"python '{tmp_path}/my out/run_onnx.py' with" in capsys.readouterr().out
 
 
 def test_a_rig_without_a_nearest_depth_is_told(rig, tmp_path, capsys):
