@@ -51,6 +51,9 @@ def main(arguments: list[str] | None = None) -> int:
     except OmnistereoError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
 
 
 def run(options: argparse.Namespace) -> int:

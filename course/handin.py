@@ -10,6 +10,7 @@ import csv
 import hashlib
 import io
 import json
+import math
 import re
 import time
 from collections import Counter
@@ -64,20 +65,6 @@ def checkers_called(source: str) -> list[str]:
     return [name for name in names if name.startswith("check_")]
 
 
-def read_notebook(path: Path) -> nbformat.NotebookNode:
-    """Return a handed-in notebook; an `OmnistereoError` if it is none."""
-    try:
-        nb = nbformat.read(path, as_version=4)
-        _ = [cell.cell_type + cell.source for cell in nb.cells]  # all that is used of it
-        return nb
-    except OSError as error:
-        raise OmnistereoError(f"{path} cannot be read: {error.strerror}. Check the path.") from None
-    except Exception as error:  # JSON, its keys, a format of the future: nbformat raises many kinds
-        raise OmnistereoError(
-            f"{path} is not a notebook ({type(error).__name__}): save it again in JupyterLab"
-        ) from None
-
-
 def original_of(nb: nbformat.NotebookNode, path: Path) -> Path:
     """Return the course's notebook that a handed-in one began as, by the number in its title."""
     title = next((cell.source for cell in nb.cells if cell.cell_type == "markdown"), "")
@@ -104,7 +91,7 @@ def check_notebook(path: Path, seconds: float = SECONDS, memory_gib: float = MEM
     Raises:
         OmnistereoError: If it is not a notebook of the course.
     """
-    started, nb = time.monotonic(), read_notebook(path)
+    started, nb = time.monotonic(), nbtools.read_notebook(path)
     original = original_of(nb, path)
     asked = exercises_of(nbformat.read(original, as_version=4))
     results, notes = {}, list(other_version(nb, asked))
@@ -167,9 +154,12 @@ def check(path: Path, out: Path = OUT, seconds: float = SECONDS, memory_gib: flo
     """Check a notebook, or all below a folder; print the sheets and write them to `out`, a class's table as well.
 
     Raises:
-        OmnistereoError: If there is no notebook, or if `path` is one and not of the course; in a folder, such a one
-            gets a sheet without exercises, and the class goes on.
+        OmnistereoError: If a limit is not positive, there is no notebook, or if `path` is one and not of the course; in
+            a folder, such a one gets a sheet without exercises, and the class goes on.
     """
+    for name, limit in (("seconds", seconds), ("memory", memory_gib)):
+        if not 0 < limit < math.inf:
+            raise OmnistereoError(f"{name} is {limit:g}; expected a positive number. Leave --{name} out, or raise it")
     if not path.is_dir():
         return [sheet_of(path, path.name, make_folder(out), seconds, memory_gib)]
     names = [file.relative_to(path) for file in sorted(path.rglob("*.ipynb"))]

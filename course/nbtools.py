@@ -34,6 +34,7 @@ from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernel
 
 from course import stills
 from course.plot import caption_output, captions
+from omnistereo_lib.errors import OmnistereoError
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = ROOT / "notebooks"
@@ -62,6 +63,20 @@ def notebooks() -> list[Path]:
 def code_cells(nb: nbformat.NotebookNode) -> list[nbformat.NotebookNode]:
     """All code cells that hold code."""
     return [cell for cell in nb.cells if cell.cell_type == "code" and cell.source.strip()]
+
+
+def read_notebook(path: Path) -> nbformat.NotebookNode:
+    """Return a notebook; an `OmnistereoError` if it is none."""
+    try:
+        nb = nbformat.read(path, as_version=4)
+        _ = [cell.cell_type + cell.source for cell in nb.cells]  # what every tool uses of it
+        return nb
+    except OSError as error:
+        raise OmnistereoError(f"{path} cannot be read: {error.strerror}. Check the path.") from None
+    except Exception as error:  # JSON, its keys, a format of the future: nbformat raises many kinds
+        raise OmnistereoError(
+            f"{path} is not a notebook ({type(error).__name__}): save it again in JupyterLab"
+        ) from None
 
 
 # --- Clean ------------------------------------------------------------------------------------------------
@@ -123,8 +138,7 @@ def store(path: Path, text: str) -> None:
 
 def problems(path: Path) -> list[str]:
     """Say what is wrong with a stored notebook; nothing wrong, nothing said."""
-    text = path.read_text(encoding="utf-8")
-    nb = nbformat.reads(text, as_version=4)
+    nb, text = read_notebook(path), path.read_text(encoding="utf-8")
     found = [*_facts(nb), *_runs(nb), *_lengths(nb), *_outputs(nb), *_pictures(nb), *_frame(nb), *_numbers(nb)]
     if len(text.encode()) > MAX_BYTES:
         found.append(f"{len(text.encode()) // 1000} KB; at most {MAX_BYTES // 1000}: smaller pictures")
@@ -333,7 +347,7 @@ def execute(nb: nbformat.NotebookNode, folder: Path, variables: dict[str, str] |
 
 def run(path: Path) -> list[str]:
     """Run, clean and store one notebook; return what keeps it from being stored."""
-    nb = nbformat.read(path, as_version=4)
+    nb = read_notebook(path)
     try:
         seconds = execute(nb, path.parent)
     except (CellExecutionError, CellTimeoutError, DeadKernelError) as error:
@@ -355,7 +369,7 @@ def run(path: Path) -> list[str]:
 
 def record_stills(path: Path) -> None:
     """Run a notebook and store, for the website and the slides, what its live figures show, if it has any."""
-    nb = nbformat.read(path, as_version=4)
+    nb = read_notebook(path)
     live = [
         number for number, cell in enumerate(nb.cells) if cell.cell_type == "code" and stills.LIVE.search(cell.source)
     ]
@@ -392,7 +406,7 @@ def main(command: str, paths: list[Path]) -> int:
     found = {}
     for path in paths:
         if command == "clean":
-            store(path, text_of(clean(nbformat.read(path, as_version=4))))
+            store(path, text_of(clean(read_notebook(path))))
         else:
             found[path] = run(path) if command == "run" else problems(path)
     for path, what in found.items():

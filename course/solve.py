@@ -80,8 +80,11 @@ def main(names: list[str]) -> None:
         names: Numbers of the notebooks, such as "04"; all of them if empty.
 
     Raises:
-        OmnistereoError: If a notebook stops, or a checker does not call a solution right.
+        OmnistereoError: If there is no such notebook, one stops, or a checker does not call a solution right.
     """
+    known = [path.stem[:2] for path in nbtools.notebooks()]
+    if unknown := [name for name in names if name not in known]:
+        raise OmnistereoError(f"there is no notebook {', '.join(unknown)}; expected one of {', '.join(known)}")
     OUT.mkdir(parents=True, exist_ok=True)
     for name in LOOKED_UP:
         if not (OUT.parent / name).exists():

@@ -146,7 +146,10 @@ def running(seconds: float, memory_gib: float) -> Iterator[Student]:
                 watcher = Thread(target=student.watch, args=(over,), daemon=True)
                 watcher.start()
                 try:
-                    student.run("__import__('course.wire')", seconds)
+                    try:
+                        student.run("__import__('course.wire')", seconds)
+                    except Stopped as stopped:
+                        raise OmnistereoError(f"no cell can run: {stopped}. Raise --seconds or --memory") from None
                     yield student
                 finally:
                     over.set()

@@ -34,6 +34,15 @@ def test_all_is_well(healthy, capsys):
         assert word in text
 
 
+def test_ctrl_c_is_one_line(monkeypatch, capsys):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(doctor, "check_clone", stop)
+    assert __main__.main(["doctor"]) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+
+
 def test_without_the_pins(healthy, capsys):
     (healthy / "environment.txt").unlink()
     assert check_clone() is False

@@ -29,7 +29,7 @@ UNTRIED = "def mean_over_pairs(costs):\n    return ...\n\n\n" + CALLS["mean_over
 
 NUMBER = {
     exercise.function: exercise.number
-    for exercise in handin.exercises_of(handin.read_notebook(nbtools.NOTEBOOKS / "04_zncc.ipynb"))
+    for exercise in handin.exercises_of(nbtools.read_notebook(nbtools.NOTEBOOKS / "04_zncc.ipynb"))
 }
 
 
@@ -161,7 +161,7 @@ def test_a_student_has_every_package_of_the_clone():
 
 
 def test_every_exercise_of_the_course_is_judged():
-    found = [exercise for path in nbtools.notebooks() for exercise in handin.exercises_of(handin.read_notebook(path))]
+    found = [exercise for path in nbtools.notebooks() for exercise in handin.exercises_of(nbtools.read_notebook(path))]
     checkers = {name for name in vars(exercises) if name.startswith("check_")}
     assert {exercise.checker for exercise in found} == checkers
     assert {exercise.function for exercise in found} == set(solve.ANSWERS)
@@ -181,6 +181,22 @@ def test_what_is_not_a_notebook_of_the_course(tmp_path, content, said, capsys):
     path.write_text(content, encoding="utf-8")
     assert main(["check", str(path), "--out", str(tmp_path / "out")]) == 2
     assert f"{path} {said}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("option", "value"), [("seconds", "-5"), ("seconds", "nan"), ("memory", "0"), ("memory", "inf")]
+)
+def test_a_limit_that_is_not_positive(tmp_path, capsys, option, value):
+    path = write(tmp_path / "mine.ipynb", student_writes())
+    assert main(["check", str(path), "--out", str(tmp_path / "out"), f"--{option}", value]) == 2
+    assert f"error: {option} is {value}; expected a positive number" in capsys.readouterr().err
+
+
+def test_a_limit_in_which_nothing_can_run(tmp_path, monkeypatch):
+    monkeypatch.setattr(student, "COPIED", ("omnistereo_lib", "course", "notebooks"))
+    path = write(tmp_path / "mine.ipynb", student_writes())
+    with pytest.raises(OmnistereoError, match=r"no cell can run: it used more than 0\.001 GiB of memory\. Raise"):
+        handin.check_notebook(path, memory_gib=0.001)
 
 
 def test_a_folder_without_notebooks(tmp_path):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from nbformat.v4 import new_markdown_cell
 from notebook_cells import FACTS, SLIDER, code, framed, nbval, notebook, write
 
-from course import nbtools
+from course import __main__, nbtools
 from course.plot import captions
 
 # --- The comparison, one nbval run over all cases -----------------------------------------------------------
@@ -148,6 +148,18 @@ def test_guard_is_content_with_a_good_notebook(tmp_path):
     failing.execution_count = 3
     described = new_markdown_cell('![the rig](rig.png) <img src="rig.png" alt="the rig">')
     assert nbtools.problems(stored(tmp_path, good(picture(), failing, described))) == []
+
+
+@pytest.mark.parametrize("command", ["run", "clean", "lint", "stills"])
+@pytest.mark.parametrize(
+    ("name", "said"), [("nix.ipynb", "cannot be read: No such file"), ("a.md", "is not a notebook")]
+)
+def test_what_is_no_notebook_is_one_line(tmp_path, capsys, command, name, said):
+    (tmp_path / "a.md").write_text("# Tiny\n", encoding="utf-8")
+    assert __main__.main([command, str(tmp_path / name)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"error: {tmp_path / name} {said}")
+    assert (tmp_path / "a.md").read_text(encoding="utf-8") == "# Tiny\n"
 
 
 def test_guard_finds_what_clean_would_drop(tmp_path):

@@ -167,5 +167,8 @@ def test_all_that_the_notebooks_look_up_lies_beside_the_solutions():
 
 def test_command_runs_what_is_asked_for(tiny, monkeypatch, capsys):
     monkeypatch.setattr(solve, "ANSWERS", {"double": double})
-    solve.main(["07"])
-    assert not list((tiny / "out" / "solutions").glob("*.ipynb"))
+    with pytest.raises(OmnistereoError, match="there is no notebook 07, xx; expected one of 00"):
+        solve.main(["00", "07", "xx"])
+    assert not (tiny / "out").exists()
+    solve.main(["00"])
+    assert (tiny / "out" / "solutions" / "00_tiny.ipynb").exists()
