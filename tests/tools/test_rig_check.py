@@ -142,12 +142,22 @@ def test_images_of_another_scene(world):
     assert check.summary().startswith("neither the rig as given nor any usual mistake explains the images")
 
 
+def test_one_picture_of_another_place():
+    street, room = (osl.load_dataset(DATA / name / "test")[0] for name in ("sunny", "indoor"))
+    images = [*street.images[:2], room.images[2], street.images[3]]
+    check = check_rig(street.rig, images, osl.SphereGrid(160, 40, (-45, 45), 32, street.rig.min_depth))
+    assert not check.fits and "nor any usual mistake explains the images" in check.summary()
+
+
 @pytest.mark.parametrize(
     ("given", "other", "rotated", "fits"),
     [
         (0.02, 0.012, 1.0, True),  # better by less than the noise
         (0.2, 0.1, 1.0, False),
         (0.3, 0.28, 1.0, False),  # nothing fits
+        (0.15, 0.16, 1.0, False),  # one wrong picture
+        (0.112, 0.106, 1.0, False),
+        (0.112, 0.14, 1.0, True),  # a difficult room
         (0.05, 0.1, 0.95, True),
         (0.05, 0.1, 0.85, False),
     ],
