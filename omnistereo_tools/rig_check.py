@@ -23,8 +23,8 @@ _BETTER = 0.75  # a mistake is reported if undoing it brings the cost below this
 _NOISE = 0.01  # and by more than this
 _BETTER_ROTATED = 0.9  # the same for one camera; right rigs 1.2 and more, 2° off 0.3 to 0.8 on the sample sets
 _ROTATION_PX = 1.5  # panorama pixels by which a camera is rotated; less than one is not resolved
-_FITS = 0.1  # below this median cost no other order is tried; above it every alternative must cost more
-_WRONG = 0.14  # above this median cost the rig does not fit; right rigs up to 0.113, one wrong picture 0.09 to 0.27
+_FITS = 0.1  # below this median cost no other order is tried; a few right rigs cost up to 0.17
+_CLEAR = 0.9  # these must cost below this fraction of any alternative; right rigs 0.63 to 0.84, one wrong picture 0.95
 _HOPELESS = 0.25  # above this median cost no hypothesis fits, and no rotated camera is looked for
 _NO_OVERLAP = 0.5  # cost of a patch without texture, which is no evidence for or against a match
 _UNITS = {1000: ("mm", "m"), 100: ("cm", "m"), 10: ("mm", "cm")}  # large unit / small unit: (small, large)
@@ -60,7 +60,7 @@ class RigCheck:
     @property
     def fits(self) -> bool:
         """Whether the rig is right."""
-        highest = _FITS if self.alternatives[0].cost < self.given.cost else _WRONG
+        highest = max(_FITS, min(_CLEAR * self.alternatives[0].cost, _HOPELESS))
         return self.mistake is None and self.given.cost <= highest
 
     def summary(self) -> str:
