@@ -21,7 +21,7 @@ from omnistereo_lib.stereo.volume import cost_volume
 
 _BETTER = 0.75  # a mistake is reported if undoing it brings the cost below this fraction,
 _NOISE = 0.01  # and by more than this
-_BETTER_ROTATED = 0.9  # the same for one camera; right rigs 1.2 and more, 2° off 0.3 to 0.8 on the sample sets
+_BETTER_ROTATED = 0.9  # the same for one camera; right rigs about 1, 2° off 0.3 to 0.8 on the sample sets
 _ROTATION_PX = 1.5  # panorama pixels by which a camera is rotated; less than one is not resolved
 _FITS = 0.1  # below this median cost no other order is tried; a few right rigs cost up to 0.17
 _CLEAR = 0.94  # these cost below this fraction of any alternative; 0.63 to 0.933, with one wrong picture 0.949 and more
