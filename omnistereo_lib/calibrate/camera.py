@@ -201,7 +201,7 @@ def _cv_errors(params: CalibrationParams, views: Sequence[Floats], points: Float
         seen, unseen = (collect_observations([[views[k] for k in part]], points) for part in (train, test))
         fitted = bundle_adjust(params.with_captures(train), seen, loss="soft_l1", tolerance=1e-6)
         distance = distances_of(fitted, seen)
-        near = seen.pixels[distance < _WRONG * np.median(distance)]
+        near = seen.pixels[distance <= _WRONG * np.median(distance)]
         reach = np.arccos(fitted.intrinsics[0].rays(near)[:, 2].min())
         try:
             fitted.intrinsics[0].camera(2 * float(np.degrees(reach)))

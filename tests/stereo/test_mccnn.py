@@ -67,6 +67,13 @@ def test_parameters_are_the_published_ones(variant, expected):
     assert sum(p.numel() for p in osl.MCCNN(variant).parameters()) == expected
 
 
+def test_a_camera_that_sees_nothing_changes_nothing():
+    cost, (spherical, columns) = osl.LearnedCost(network("fast"), "float32"), images()
+    spherical[2] = torch.nan
+    found = cost(spherical, RING, [*columns[:2], (0, 0)])
+    torch.testing.assert_close(found, cost(spherical[:2], [(0, 1)], columns[:2]), equal_nan=True)
+
+
 @pytest.mark.parametrize("variant", ["fast", "accurate"])
 def test_whole_panoramas_equal_patch_by_patch(variant):
     net, (spherical, columns) = network(variant), images()
