@@ -11,7 +11,7 @@ from omnistereo_lib.calibrate.detect import Progress, detect_views, edge_width, 
 from omnistereo_lib.calibrate.init import initial_estimate
 from omnistereo_lib.calibrate.params import CalibrationParams, collect_observations
 from omnistereo_lib.calibrate.report import CameraReport
-from omnistereo_lib.calibrate.solution import Solution, distances_of
+from omnistereo_lib.calibrate.solution import OUTLIER, Solution, distances_of
 from omnistereo_lib.errors import OmnistereoError, check_number, checked
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Floats
@@ -21,7 +21,6 @@ DEGREES = (4, 6, 8)  # odd ones add little; beyond 8 nothing was ever gained (no
 _SIGNIFICANT = 2.0  # standard errors by which a higher degree has to lower the cross-validation error
 _MOST = 20  # degrees beyond are a typing error
 _FOLDS = 3
-_WRONG = 5.0  # times the median distance of a corner: it was misdetected
 _MIN_VIEWS = 3
 _FEW_VIEWS = 10
 _BAD_VIEW = 3.0  # times the error of the median view
@@ -201,7 +200,7 @@ def _cv_errors(params: CalibrationParams, views: Sequence[Floats], points: Float
         seen, unseen = (collect_observations([[views[k] for k in part]], points) for part in (train, test))
         fitted = bundle_adjust(params.with_captures(train), seen, loss="soft_l1", tolerance=1e-6)
         distance = distances_of(fitted, seen)
-        near = seen.pixels[distance <= _WRONG * np.median(distance)]
+        near = seen.pixels[distance <= OUTLIER * np.median(distance)]
         reach = np.arccos(fitted.intrinsics[0].rays(near)[:, 2].min())
         try:
             fitted.intrinsics[0].camera(2 * float(np.degrees(reach)))

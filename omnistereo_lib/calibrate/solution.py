@@ -14,7 +14,7 @@ from omnistereo_lib.calibrate.report import CameraReport
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Floats
 
-_OUTLIER_SIGMAS = 6.0
+OUTLIER = 6.0 / 1.177  # times the median distance: 6 σ, of which the median of a two-dimensional normal error is 1.177
 
 
 def residuals_of(params: CalibrationParams, observations: Observations) -> Floats:
@@ -38,8 +38,7 @@ def refine(params: CalibrationParams, observations: Observations) -> tuple[Calib
     for _ in range(2):  # second round: recover inliers that outliers had biased in the first fit
         distance = distances_of(params, observations)
         typical = np.array([np.median(distance[view == k]) for k in range(view.max() + 1)])
-        # The median distance of a two-dimensional normal error is 1.177 σ.
-        inlier_mask = distance <= _OUTLIER_SIGMAS * np.maximum(typical[view], np.median(distance)) / 1.177
+        inlier_mask = distance <= OUTLIER * np.maximum(typical[view], np.median(distance))
         params = bundle_adjust(params, observations.select(inlier_mask))
     return params, inlier_mask
 

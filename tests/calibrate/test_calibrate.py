@@ -268,6 +268,10 @@ def test_an_image_size_that_is_not_that_of_the_corners(views):
         osl.calibrate_camera(views[0], BOARD, image_size=(64, 48))
 
 
+def test_a_degree_may_be_a_whole_float(views):
+    assert osl.calibrate_camera(views[0], BOARD, SIZE, degree=6.0)[1].degree == 6
+
+
 @pytest.mark.parametrize("degree", [0, 3, 4.5, "6"])
 def test_degrees_that_are_no_camera(views, degree):
     with pytest.raises(OmnistereoError, match=f"degree is {degree!r}; expected an integer of 4 to 20"):
