@@ -17,7 +17,6 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from hashlib import sha256
 from pathlib import Path
 
 import cv2
@@ -26,6 +25,7 @@ from numpy.typing import NDArray
 
 from omnistereo_lib.dataset import write_inverse_depth
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.evaluate.records import checksum
 from omnistereo_lib.files import atomic_write, make_folder, read_text, write_image
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
@@ -193,13 +193,13 @@ def _check_not_users(out: Path, names: Sequence[str], recording: Recording) -> N
 
 def _rig_checksum(rig: Rig) -> str:
     """Return a checksum of all that depth depends on: lenses, masks, poses and the nearest depth."""
-    checksum = sha256(repr(rig.min_depth).encode())
+    content = repr(rig.min_depth).encode()
     for lens, pose in zip(rig.cameras, rig.T_rig_cam, strict=True):
         numbers = (lens.poly, lens.inv_poly, lens.center, lens.affine, lens.image_size, lens.max_fov_deg)
         for values in (*numbers, pose.R, pose.t):
-            checksum.update(np.asarray(values, np.float32).tobytes())  # a fit has other last digits elsewhere
-        checksum.update(b"" if lens.mask is None else lens.mask.tobytes())
-    return checksum.hexdigest()[:16]
+            content += np.asarray(values, np.float32).tobytes()  # a fit has other last digits elsewhere
+        content += b"" if lens.mask is None else lens.mask.tobytes()
+    return checksum(content)[:16]
 
 
 def _check_settings(path: Path, settings: dict) -> None:

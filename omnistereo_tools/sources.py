@@ -6,7 +6,6 @@ import json
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from hashlib import sha256
 from pathlib import Path
 
 import cv2
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.evaluate.records import checksum
 from omnistereo_lib.files import check_size, read_image
 from omnistereo_lib.geometry.rig import Rig
 
@@ -134,8 +134,7 @@ class Recording:
             raise OmnistereoError(f"no frame is left of {min(frames)} … {max(frames)}. Change --start or --stop")
         named = {} if by_number else frames  # a recording by number may grow, and its frames keep their numbers
         content = json.dumps([[str(source.path.resolve()) for source in sources], named])
-        checksum = sha256(content.encode()).hexdigest()[:16]
-        return cls(sources, {number: frames[number] for number in chosen}, missing, checksum)
+        return cls(sources, {number: frames[number] for number in chosen}, missing, checksum(content.encode())[:16])
 
     @property
     def fps(self) -> float | None:
