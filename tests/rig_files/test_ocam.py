@@ -2,6 +2,7 @@
 
 import logging
 import warnings
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -315,6 +316,8 @@ def test_saving_where_nothing_can_be_written(tmp_path):
     (tmp_path / "taken.yaml").mkdir()
     with pytest.raises(OmnistereoError, match=r"taken\.yaml cannot be written"):
         save_rig(rig, tmp_path / "taken.yaml")
+    with pytest.raises(OmnistereoError, match=r"rig\.yaml cannot be written: Not a directory"):
+        save_rig(rig, Path(__file__) / "rig.yaml")
     assert [path.name for path in tmp_path.iterdir()] == ["taken.yaml"]  # no half-written file stays
 
 
