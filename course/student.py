@@ -56,6 +56,7 @@ class Student:
     def __init__(self, client: NotebookClient, folder: Path, seconds: float, memory_gib: float) -> None:
         self.client, self.folder = client, folder
         self.seconds, self.memory_gib = seconds, memory_gib
+        self.started, self.kernel = time.monotonic(), psutil.Process(client.km.provisioner.pid)
         self.broken = ""  # the limit that was broken, in words
         self.peak_gib = 0.0
 
@@ -99,20 +100,23 @@ class Student:
         """Tell whether the notebook has a function of this name."""
         return not self.run(f"assert callable({name})", 10)
 
+    def enforce_limits(self) -> None:
+        """Kill the kernel and its children if they have broken a limit."""
+        with suppress(psutil.NoSuchProcess):
+            family = [self.kernel, *self.kernel.children(recursive=True)]
+            used = sum(process.memory_info().rss for process in family) / GIB
+            self.peak_gib = max(self.peak_gib, used)
+            if time.monotonic() - self.started > self.seconds:
+                self.broken = f"it ran longer than {self.seconds:g} s"
+            elif used > self.memory_gib:
+                self.broken = f"it used more than {self.memory_gib:g} GiB of memory"
+            for process in family if self.broken else ():
+                process.kill()
+
     def watch(self, over: Event) -> None:
-        """Kill the kernel and its children once they break a limit."""
-        started, kernel = time.monotonic(), psutil.Process(self.client.km.provisioner.pid)
+        """Enforce the limits until the notebook is over."""
         while not over.wait(0.1):
-            with suppress(psutil.NoSuchProcess):
-                family = [kernel, *kernel.children(recursive=True)]
-                used = sum(process.memory_info().rss for process in family) / GIB
-                self.peak_gib = max(self.peak_gib, used)
-                if time.monotonic() - started > self.seconds:
-                    self.broken = f"it ran longer than {self.seconds:g} s"
-                elif used > self.memory_gib:
-                    self.broken = f"it used more than {self.memory_gib:g} GiB of memory"
-                for process in family if self.broken else ():
-                    process.kill()
+            self.enforce_limits()
 
 
 @contextmanager
@@ -140,9 +144,11 @@ def running(seconds: float, memory_gib: float) -> Iterator[Student]:
             shutdown_kernel="immediate",
         )
         env = {name: os.environ[name] for name in KEPT if name in os.environ} | {"PYTHONPATH": str(copy)}
-        student, over = Student(client, calls, seconds, memory_gib), Event()
+        over = Event()
         try:
             with client.setup_kernel(cwd=str(copy / "notebooks"), env=env, stdout=DEVNULL, stderr=DEVNULL):
+                student = Student(client, calls, seconds, memory_gib)
+                student.enforce_limits()  # the first cell may be over before the watcher looks
                 watcher = Thread(target=student.watch, args=(over,), daemon=True)
                 watcher.start()
                 try:
