@@ -245,8 +245,8 @@ def fit_inverse_polynomial(
         array, shape (degree + 1,), low to high
 
     Raises:
-        OmnistereoError: If the direct polynomial is not monotonic up to the end of the field of view, or no degree up
-            to 25 fits.
+        OmnistereoError: If a0 ≥ 0, the direct polynomial is not monotonic up to the end of the field of view, or no
+            degree up to 25 fits.
     """
     max_t = np.radians(max_fov_deg / 2) - np.pi / 2
     radii, angles = _monotone_branch(np.asarray(poly, np.float64), max_t, max_radius)
@@ -276,6 +276,8 @@ def _monotone_branch(
     poly: NDArray[np.float64], max_t: float, max_radius: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Sample radii and angles t of the direct polynomial from the axis to max_t; refuse one that ends earlier."""
+    if poly[0] >= 0:
+        raise OmnistereoError(f"poly starts with {poly[0]}; expected a0 < 0 (minus the focal length in px)")
     radius, angle = _branch_end(poly, max_t, max_radius)
     if angle < max_t:
         raise OmnistereoError(

@@ -36,15 +36,15 @@ def index_error(
             error. All NaN if there is no ray to evaluate.
 
     Raises:
-        OmnistereoError: If index and gt_index differ in shape.
+        OmnistereoError: If index, gt_index and valid differ in shape.
     """
     gt_index = np.asarray(gt_index, np.float64)
     error = error_map(index, gt_index, num_spheres)
     error = np.where(np.isnan(error), 100.0, error)
-    evaluated = (gt_index >= 0) & (gt_index < num_spheres)
-    if valid is not None:
-        evaluated &= np.asarray(valid, bool)
-    error = error[evaluated]
+    valid = np.ones(error.shape, bool) if valid is None else np.asarray(valid, bool)
+    if valid.shape != error.shape:
+        raise OmnistereoError(f"valid has shape {valid.shape}; expected that of the panorama, {error.shape}")
+    error = error[valid & (gt_index >= 0) & (gt_index < num_spheres)]
     if error.size == 0:
         return dict.fromkeys((">1", ">3", ">5", "MAE", "RMS"), np.nan)
     return {

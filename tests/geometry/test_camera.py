@@ -169,6 +169,8 @@ def test_bad_points_and_polynomials_are_named():
         equidistant().unproject(torch.zeros(3))
     with pytest.raises(OmnistereoError, match=r"monotonic only .*Lower max_fov_deg"):
         fit_inverse_polynomial([-180.0, 0.0, -1e-3], 220, 2000)
+    with pytest.raises(OmnistereoError, match=r"poly starts with 180\.0; expected a0 < 0"):
+        fit_inverse_polynomial([180.0, 0.0, 1e-3], 220, 2000)
     with pytest.raises(OmnistereoError, match=r"degree 25 has an error of .*expected at most 1e-06 px"):
         fit_inverse_polynomial([-F, 0, 1 / (4 * F)], 350, 20000, tolerance=1e-6)
 

@@ -37,6 +37,8 @@ def test_ground_gt_is_not_rounded():
 def test_maps_must_agree_in_shape():
     with pytest.raises(osl.OmnistereoError, match=r"\(2, 3\).*\(3, 2\)"):
         osl.index_error(np.zeros((2, 3)), np.zeros((3, 2)), 10)
+    with pytest.raises(osl.OmnistereoError, match=r"valid has shape \(3,\); expected that of the panorama, \(2, 3\)"):
+        osl.index_error(np.zeros((2, 3)), np.zeros((2, 3)), 10, np.ones(3))
 
 
 def test_sparsification_of_a_perfect_and_of_a_useless_confidence():
