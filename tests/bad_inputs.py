@@ -248,6 +248,7 @@ COMMANDS = [
     Row("a confidence of 7", DEPTH + "--min-confidence 7", "--min-confidence is 7.0; expected a number of 0 to 1"),
     Row("no triangles", DEPTH + "--mesh OUT.glb --mesh-faces 0", "--mesh-faces is 0; expected an integer of 1"),
     Row("triangles below 0", DEPTH + "--mesh OUT.glb --mesh-faces -5", "--mesh-faces is -5; expected an integer of 1"),
+    Row("triangles of no mesh", DEPTH + "--mesh-faces 9", "--mesh-faces decimates a mesh; found no --mesh. Add"),
     # recordings
     Row("every 0th frame", RECORDING + "--step 0", "the step is 0; expected --step of at least 1"),
     Row("frames backwards", RECORDING + "--step -1", "the step is -1; expected --step of at least 1"),

@@ -87,6 +87,8 @@ def _run_frame(options: argparse.Namespace) -> None:
         check_number(options.min_confidence, "--min-confidence", 0, 1)
     if options.mesh_faces is not None:
         check_number(options.mesh_faces, "--mesh-faces", 1, 10**9, whole=True)
+        if options.mesh is None:
+            raise OmnistereoError("--mesh-faces decimates a mesh; found no --mesh. Add --mesh FILE, or leave it out.")
     rig, images, frame = read_input(options)
     grid = make_grid(options, rig, images)
     gt_index = None if frame is None else frame.gt_index(grid)  # fail fast: read the ground truth, make the folders
