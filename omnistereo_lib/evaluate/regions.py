@@ -12,9 +12,8 @@ from omnistereo_lib.stereo.metrics import error_map
 from omnistereo_lib.stereo.sweep import SphereSweep
 
 METRICS = (">1", ">3", ">5", "MAE", "RMS")
-HANDOVERS = "at hand-overs"
 # And "seen by 0", 1 …
-REGIONS = ("all", "sky", "far", "middle", "near", "at edges", "off edges", "thin", HANDOVERS)
+REGIONS = ("all", "sky", "far", "middle", "near", "at edges", "off edges", "thin", "at hand-overs")
 SUMS = ("rays", ">1", ">3", ">5", "sum", "squares")
 DISCONTINUITY_PERCENT = 5.0  # of N; the largest error threshold of the paper
 EDGE_PX = 4  # half of a 9 × 9 patch: a patch centred nearer holds both surfaces
@@ -46,7 +45,7 @@ def find_regions(gt_index: ArrayLike, sweep: SphereSweep) -> dict[str, NDArray[n
         "at edges": edges,
         "off edges": ~edges,
         "thin": thin_objects(gt_index, N),
-        HANDOVERS: near_handovers(visible),
+        "at hand-overs": near_handovers(visible),
         **{f"seen by {k}": count == k for k in range(len(sweep.rig) + 1)},
     }
 

@@ -23,6 +23,7 @@ from omnistereo_lib.evaluate import (
     select_methods,
     write_results,
 )
+from omnistereo_lib.evaluate.records import read_record
 from omnistereo_lib.evaluate.regions import METRICS, error_sums, find_regions
 from omnistereo_lib.stereo.methods import Method, penalties
 
@@ -298,6 +299,14 @@ def test_damaged_results_are_named(data, tmp_path, content):
         osl.OmnistereoError, match=r"zncc.json(: not valid JSON| has no results of an evaluation.*Delete it)"
     ):
         evaluation(tmp_path, data)
+
+
+def test_results_that_lack_a_region_are_refused(own, tmp_path):
+    record = json.loads((own / "results.json").read_text())
+    del record["frames"]["box"]["00002"]["zncc+sgm"]["strata"]["at hand-overs"]
+    (tmp_path / "old.json").write_text(json.dumps(record))
+    with pytest.raises(osl.OmnistereoError, match=r"old\.json is damaged .*a region is missing.*evaluate again"):
+        read_record(tmp_path / "old.json")
 
 
 def test_missing_weights_are_named(data, weights, tmp_path):

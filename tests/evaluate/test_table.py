@@ -256,7 +256,7 @@ def record(figures_of, sets=("box", "sunset", "sunny")):
             "all": dict(zip(SUMS, (100, 50, 20, 10 + k, 150.0, 900.0), strict=True)),
             "thin": dict(zip(SUMS, (10 * k, 5 * k, 0, 0, 40.0 * k, 160.0 * k), strict=True)),
             "sky": dict(zip(SUMS, (20, 10, 8, 8, 70.0, 500.0), strict=True)),
-            **dict.fromkeys(("far", "middle", "near", "at edges", "off edges", "seen by 0"), empty),
+            **dict.fromkeys(("far", "middle", "near", "at edges", "off edges", "at hand-overs", "seen by 0"), empty),
         }
         return {"figures": dict(zip(METRICS, figures_of(name, k, method), strict=True)), "strata": regions}
 
