@@ -14,7 +14,7 @@ import nbformat
 from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
 from nbformat import NotebookNode
 
-from course import nbtools, solutions
+from course import kernels, nbtools, solutions
 from omnistereo_lib.errors import OmnistereoError
 
 OUT = nbtools.ROOT / "out" / "solutions"
@@ -93,7 +93,7 @@ def main(names: list[str]) -> None:
         if names and path.stem[:2] not in names:
             continue
         try:
-            seconds = nbtools.execute(nb, OUT)
+            seconds = kernels.execute(nb, OUT)
         except CellExecutionError as error:
             raise OmnistereoError(f"{path.name} with its solutions stopped: {error.ename}: {error.evalue}") from None
         except (CellTimeoutError, DeadKernelError) as error:

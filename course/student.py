@@ -20,7 +20,7 @@ from nbclient import NotebookClient
 from nbclient.exceptions import DeadKernelError
 from nbformat.v4 import new_code_cell, new_notebook
 
-from course import nbtools, wire
+from course import kernels, nbtools, wire
 from omnistereo_lib.errors import OmnistereoError
 
 GIB = 2**30
@@ -138,7 +138,7 @@ def running(seconds: float, memory_gib: float) -> Iterator[Student]:
         client = _Client(
             new_notebook(cells=[new_code_cell()]),
             kernel_name="python3",
-            kernel_manager_class=nbtools.KernelManager,
+            kernel_manager_class=kernels.KernelManager,
             allow_errors=True,
             interrupt_on_timeout=True,
             shutdown_kernel="immediate",

@@ -1,8 +1,6 @@
 """Notebooks are run, and stored only if nothing is wrong."""
 
-import asyncio
 import os
-from queue import Empty
 
 import nbformat
 import pytest
@@ -36,32 +34,6 @@ def test_run_stores_a_notebook_that_guard_nbval_and_a_second_run_accept(stand_in
     assert cells[1].outputs[0].metadata["image/png"]["alt"] == captions()["04 one ray"]["alt"]
     assert cells[1].outputs[1].data["text/markdown"] == f"*Figure:* {captions()['04 one ray']['caption']}"
     assert sorted(file.name for file in stand_in.glob("*.ipynb*")) == ["tiny.ipynb"]
-
-
-def test_a_message_that_wakes_nobody_is_found_a_second_later(monkeypatch):
-    looks = []
-
-    async def look(_, timeout):
-        looks.append(timeout)
-        await asyncio.sleep(timeout / 100)
-        if len(looks) < 3:
-            raise Empty
-        return "message"
-
-    monkeypatch.setattr(nbtools.AsyncZMQSocketChannel, "get_msg", look)
-    channel = nbtools._Channel.__new__(nbtools._Channel)
-    assert asyncio.run(channel.get_msg(timeout=None)) == "message"
-    assert looks == [1, 1, 1]
-    looks.clear()
-    with pytest.raises(Empty):
-        asyncio.run(channel.get_msg(timeout=0))
-    assert looks == [0]
-
-
-def test_kernels_are_asked_through_the_channel_that_looks_again():
-    client = nbtools.KernelManager(kernel_name="python3").client_factory()
-    assert type(client) is nbtools._Client
-    assert client.shell_channel_class is client.iopub_channel_class is nbtools._Channel
 
 
 @pytest.mark.parametrize(
