@@ -2,12 +2,15 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
+from importlib.metadata import metadata
 from pathlib import Path
 from zipfile import ZipFile
 
 import pytest
+from packaging.specifiers import SpecifierSet
 
 import omnistereo_lib as osl
 
@@ -56,6 +59,13 @@ def test_what_is_in_the_wheel(installed):
     assert here <= set(names)
     assert {"omnistereo_lib/py.typed", "omnistereo_lib/weights/sweepnet.safetensors"} <= here
     assert sum(path.stat().st_size for path in (ROOT / "omnistereo_lib/sample").rglob("*")) < 700_000
+
+
+def test_every_pin_can_be_installed_on_the_oldest_python():
+    """README promises 3.11; Debian 12 has 3.11.2."""
+    pins = "".join((ROOT / name).read_text() for name in ("environment.txt", "constraints.txt"))
+    needed = {name: metadata(name)["Requires-Python"] for name in re.findall(r"^([\w.-]+)==", pins, re.MULTILINE)}
+    assert {name: python for name, python in needed.items() if "3.11.0" not in SpecifierSet(python or "")} == {}
 
 
 def test_depth_of_the_sample_from_an_empty_folder(run, installed, tmp_path):
