@@ -124,20 +124,3 @@ def test_gray_and_colour_pictures_mixed(data):
     panorama = bad_inputs.depth(mixed).panorama(mixed)
     assert panorama.shape == (24, 96, 3)
     np.testing.assert_allclose(panorama[..., 0], bad_inputs.depth(pictures).panorama(pictures), atol=1e-3)
-
-
-def test_the_table_is_long_enough():
-    assert sum(map(len, (bad_inputs.COMMANDS, bad_inputs.DOUBTFUL, bad_inputs.BOMBS, bad_inputs.CALLS))) >= 150
-
-
-@pytest.mark.parametrize(
-    ("rows", "said"),
-    [
-        (bad_inputs.COMMANDS, "a table of {} commands"),
-        (bad_inputs.DOUBTFUL, "{} commands that must warn"),
-        (bad_inputs.CALLS, "{} calls from Python"),
-        (bad_inputs.BOMBS, "{} files, in processes with limits"),
-    ],
-)
-def test_the_page_of_promises_counts_the_rows(rows, said):
-    assert said.format(len(rows)) in (ROOT / "book" / "promises.md").read_text(encoding="utf-8")
