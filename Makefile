@@ -29,7 +29,7 @@ if sys.version_info < (3, 11):
 endef
 export CHECK_PYTHON
 
-.PHONY: lab test depth render bench results notebooks solutions book slides constraints clean
+.PHONY: lab test types depth render bench results notebooks solutions book slides constraints clean
 
 lab: $(READY)  ## opens JupyterLab, or prints its address where there is no browser; LAB_ARGS: more options
 	$(BIN)/jupyter lab $(LAB) $(LAB_ARGS) notebooks/00_quickstart.ipynb
@@ -38,6 +38,9 @@ test: $(READY)  ## linters, library tests, and every notebook cell against its s
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(KEEP_MEMORY) $(BIN)/python -m pytest $(WORKERS) $(NBVAL)
+
+types: $(READY)  ## the type checker in strict mode, on the library
+	$(BIN)/mypy
 
 depth: $(READY)  ## the sample frame, or your own: RIG=rig.yaml IMAGES="1.png 2.png 3.png 4.png" make depth
 	$(BIN)/python -m omnistereo_lib depth $(if $(RIG),--rig '$(RIG)') $(if $(IMAGES),--images $(IMAGES)) $(DEPTH_ARGS)
@@ -96,7 +99,7 @@ constraints: $(READY)  ## pins what came along with environment.txt
 	@mv constraints.txt.tmp constraints.txt
 
 clean:  ## removes what the other targets made, the environments included
-	rm -rf .venv .venv-render out .pytest_cache .ruff_cache .hypothesis omnistereo_lib.egg-info
+	rm -rf .venv .venv-render out .pytest_cache .ruff_cache .mypy_cache .hypothesis omnistereo_lib.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(READY): environment.txt constraints.txt pyproject.toml
