@@ -29,7 +29,7 @@ if sys.version_info < (3, 11):
 endef
 export CHECK_PYTHON
 
-.PHONY: lab test types depth render bench results notebooks solutions book slides constraints clean
+.PHONY: lab test check types depth render bench results notebooks solutions book slides constraints clean
 
 lab: $(READY)  ## opens JupyterLab, or prints its address where there is no browser; LAB_ARGS: more options
 	$(BIN)/jupyter lab $(LAB) $(LAB_ARGS) notebooks/00_quickstart.ipynb
@@ -38,6 +38,12 @@ test: $(READY)  ## linters, library tests, and every notebook cell against its s
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(KEEP_MEMORY) $(BIN)/python -m pytest $(WORKERS) $(NBVAL)
+
+check: $(READY)  ## the fast tier, a minute: linters, geometry, stereo, rig files and one notebook
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(KEEP_MEMORY) $(BIN)/python -m pytest $(WORKERS) $(NBVAL) tests/geometry tests/rig_files tests/stereo \
+	  --ignore tests/stereo/test_shipped_weights.py notebooks/03_sphere_sweep.ipynb
 
 types: $(READY)  ## the type checker in strict mode, on the library
 	$(BIN)/mypy

@@ -5,8 +5,10 @@ import re
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import nbformat
+import notebook_comparison
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
 
 from course import nbtools
@@ -61,8 +63,8 @@ def framed(*cells):
 
 
 def nbval(path):
-    """Run nbval as `make test` does, in a folder with our conftest: for each cell, did it pass?"""
-    shutil.copy(nbtools.ROOT / "conftest.py", path.parent)
+    """Run nbval as `make test` does, with our comparison: for each cell, did it pass?"""
+    shutil.copy(Path(notebook_comparison.__file__), path.parent / "conftest.py")
     sanitize = nbtools.ROOT / "tests" / "nbval_sanitize.cfg"
     options = ["--nbval", "--nbval-current-env", f"--nbval-sanitize-with={sanitize}", "-rA", "--color=no"]
     done = subprocess.run(
