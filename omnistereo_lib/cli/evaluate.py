@@ -7,7 +7,7 @@ import argparse
 from functools import partial
 from pathlib import Path
 
-from omnistereo_lib.cli.inputs import add_device, is_first_process
+from omnistereo_lib.cli.inputs import add_device
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,7 +19,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     ablations = "window weights pairs wrap subindex penalties spheres"
     parser.add_argument("--ablations", nargs="+", default=[], metavar="NAME", help=ablations)
     parser.add_argument("--scale", default="teaching", choices=["teaching", "training", "paper"])
-    parser.add_argument("--shard", default="1/1", help="part i/n of the frames, for several machines (default: 1/1)")
     parser.add_argument("--weights", type=Path, help="folder of weights files (default: the bundled ones)")
     parser.add_argument("--cluster", metavar="ADDRESS", help="of a Dask scheduler, to use many machines")
     add_device(parser)
@@ -28,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Evaluate methods on data sets; the process that finds all results there merges them and prints the table."""
+    """Evaluate methods on data sets, merge the results and print the table."""
     from tqdm import tqdm
 
     from omnistereo_lib.evaluate import SCALES, Evaluation, errors_table, find_sets, select_methods, write_results
@@ -46,17 +45,11 @@ def run(options: argparse.Namespace) -> None:
         from omnistereo_tools.cluster import evaluate_on_cluster
 
         run_jobs = partial(evaluate_on_cluster, options.cluster, arguments)
-    mine = evaluation.select_shard(options.shard)
-    done = len(mine) - len(evaluation.missing(mine))
-    with tqdm(total=len(mine), initial=done, desc="evaluate", unit="result", disable=not is_first_process()) as bar:
-        for job in run_jobs(mine):
+    total = len(evaluation.jobs)
+    with tqdm(total=total, initial=total - len(evaluation.missing()), desc="evaluate", unit="result") as bar:
+        for job in run_jobs(evaluation.jobs):
             bar.set_postfix_str(f"{job.data} {job.frame} {job.method.name}", refresh=False)
             bar.update()
-    missing = evaluation.missing()
-    if missing:
-        there = len(evaluation.jobs) - len(missing)
-        print(f"{there} of {len(evaluation.jobs)} results are in {evaluation.out}/; other shards have the rest")
-        return
     results = evaluation.results()
     written = write_results(evaluation.out, results)
     print(errors_table(results).text(), end="")

@@ -1,12 +1,10 @@
 """Evaluation runs: any methods on any data sets at any scale, frame by frame.
 
 Every result is a file of its own, written atomically, which depends only on the data, weights and settings that it
-states. So an interrupted run resumes, machines split the frames by shard, their folders are merged by copying, and the
-merged file is always the same.
+states. So an interrupted run resumes, the machines of a Dask cluster share the frames, and the merged file is always
+the same.
 """
 
-import os
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -57,14 +55,6 @@ class Job(NamedTuple):
     method: Method
 
 
-def select_shard(items: list, shard: str) -> list:
-    """Return shard i/n, such as "2/8": every eighth item, starting at the second."""
-    part, _, parts = shard.partition("/")
-    if not (re.fullmatch("[0-9]{1,9}/[0-9]{1,9}", shard) and 1 <= int(part) <= int(parts)):
-        raise OmnistereoError(f"shard {shard!r} is not of the form i/n; expected 1 ≤ i ≤ n, such as 2/8")
-    return items[int(part) - 1 :: int(parts)]
-
-
 def find_sets(names: Sequence[str], split: str | None = None) -> dict[str, Path]:
     """Return the folders of data sets by name; raise an `OmnistereoError` if one is missing or two have one name.
 
@@ -111,8 +101,7 @@ class Evaluation:
         out: Output folder, made if missing; frames/SET/NUMBER/METHOD.json are the single results.
         sets, split: Folders with ground truth by name, as `find_sets` returns them; their split, see `load_dataset`.
         frames: Frame numbers, the same in every set; default: all with ground truth.
-        weights, device, precision: Folder of the weights; see `select_device` and `LearnedCost`. Under `torchrun` every
-            process takes its own GPU.
+        weights, device, precision: Folder of the weights; see `select_device` and `LearnedCost`.
         rig: Another rig, such as a calibrated one, in place of the rig of every set: anything that `load_rig` reads.
             Its first camera gets the pose of the first camera of the set.
 
@@ -162,13 +151,6 @@ class Evaluation:
         """Return the jobs (default: of all) that have no result yet."""
         return [job for job in (self.jobs if jobs is None else jobs) if not self.path(job).is_file()]
 
-    def select_shard(self, shard: str = "1/1") -> list[Job]:
-        """Return the jobs of shard i/n of the frames; under `torchrun`, the part of this process."""
-        process = f"{int(os.environ.get('RANK', '0')) + 1}/{os.environ.get('WORLD_SIZE', '1')}"
-        frames = list(dict.fromkeys(job[:2] for job in self.jobs))
-        mine = set(select_shard(select_shard(frames, shard), process))
-        return [job for job in self.jobs if job[:2] in mine]
-
     def run(self, jobs: Sequence[Job] | None = None) -> Iterator[Job]:
         """Do the jobs (default: all) that have no result yet; yield each job once its result is written."""
         load_cost = partial(Method.load_cost, folder=self.weights, precision=self.precision)
@@ -197,7 +179,7 @@ class Evaluation:
         """
         if missing := self.missing():
             found = f"{len(missing)} of {len(self.jobs)} results are missing, such as {self.path(missing[0])}"
-            raise OmnistereoError(f"{found}. Run the other shards, or the same command again.")
+            raise OmnistereoError(f"{found}. Run the same command again.")
         results: Record = {}
         for job in self.jobs:
             add_record(results, self.check(self.path(job)))

@@ -26,6 +26,9 @@ from omnistereo_lib.stereo.volumenet import VolumeNet, local_mean
 from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS, StoredNetwork
 from omnistereo_lib.stereo.zncc import ZNCC
 
+FRAME_METHOD = "volumenet"  # default for a single frame: the lowest errors, at seconds a frame
+VIDEO_METHOD = "zncc+sgm"  # default for many frames, recorded or live: the fastest that is smooth
+
 
 @dataclass(frozen=True)
 class CostEntry:

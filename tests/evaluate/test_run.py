@@ -1,4 +1,4 @@
-"""Evaluation runs: frames against the single steps, runs that are interrupted, killed and sharded, what is refused."""
+"""Evaluation runs: frames against the single steps, runs that are interrupted and killed, what is refused."""
 
 import hashlib
 import json
@@ -125,7 +125,7 @@ def test_a_method_may_have_its_own_number_of_spheres(data, tmp_path):
     assert frames["zncc"] == frames["zncc,num_spheres=12"] != frames["zncc,num_spheres=24"]
 
 
-# ---- interrupted runs, shards
+# ---- interrupted runs
 
 
 def test_the_merged_file_states_its_inputs(data, weights, expected_of_all):
@@ -174,33 +174,14 @@ def test_a_temporary_file_that_a_kill_leaves_is_not_a_result(data, tmp_path):
     assert len(evaluation(tmp_path, data).missing()) == 5
 
 
-@pytest.mark.parametrize("parts", [2, 4])
-def test_shards_of_several_machines_merge_to_the_same_file(data, tmp_path, expected, parts):
-    jobs = []
-    for part in range(1, parts + 1):
-        task = evaluation(tmp_path / f"machine{part}", data)
-        jobs += task.run(task.select_shard(f"{part}/{parts}"))
+def test_results_of_several_machines_are_merged_by_copying(data, tmp_path, expected):
+    for machine in (0, 1):
+        task = evaluation(tmp_path / f"machine{machine}", data)
+        for _ in task.run(task.jobs[machine::2]):
+            pass
         shutil.copytree(task.out, tmp_path / "together", dirs_exist_ok=True)
-    task = evaluation(tmp_path / "together", data)
-    assert set(jobs) == set(task.jobs) and len(jobs) == len(task.jobs) and list(task.run()) == []
+    assert evaluation(tmp_path / "together", data).missing() == []
     assert evaluate(tmp_path / "together", data) == expected
-
-
-def test_processes_of_torchrun_share_the_frames(data, tmp_path, monkeypatch):
-    task = evaluation(tmp_path, data)
-    monkeypatch.setenv("WORLD_SIZE", "2")
-    shards = []
-    for rank in ("0", "1"):
-        monkeypatch.setenv("RANK", rank)
-        shards.append({job.frame for job in task.select_shard()})
-    assert shards == [{1, 3}, {2}]
-    assert {job.frame for job in task.select_shard("2/2")} == set()  # one frame, and this is the second process
-
-
-@pytest.mark.parametrize("shard", ["0/2", "3/2", "2", "a/b", "1/0", "", "²/3"])
-def test_bad_shards(shard):
-    with pytest.raises(osl.OmnistereoError, match="is not of the form i/n"):
-        run.select_shard([1, 2, 3], shard)
 
 
 # ---- another rig
@@ -380,12 +361,3 @@ def test_the_command_line(data, weights, tmp_path, capsys, monkeypatch, expected
     assert f"written to {out}/: results.json, errors.txt" in captured.out
     assert command(*arguments, "--ablations", "window", "--frames", "2") == 0
     assert "ZNCC, window = 13" in capsys.readouterr().out
-
-
-def test_the_command_line_in_shards(data, tmp_path, capsys, small, monkeypatch, expected):
-    arguments = ["--sets", data, "--methods", "zncc", "zncc+sgm", "--out", tmp_path / "out"]
-    assert command(*arguments, "--shard", "1/2") == 0
-    assert "4 of 6 results are in" in capsys.readouterr().out
-    assert not (tmp_path / "out" / "results.json").exists()
-    assert command(*arguments, "--shard", "2/2") == 0
-    assert (tmp_path / "out" / "results.json").read_bytes() == expected
