@@ -33,9 +33,7 @@ def main(arguments: list[str] | None = None) -> int:
         commands.add_parser(name, help=text).add_argument("folder", nargs="?", type=Path, default=folder)
     bench = commands.add_parser("bench", help="time the library against named alternatives, as ratios")
     bench.add_argument("--quick", action="store_true", help="leave out the scale of the paper")
-    ledger = commands.add_parser("ledger", help="update the reproduction report in a Markdown file")
-    ledger.add_argument("file", type=Path)
-    ledger.add_argument("--results", type=Path, help="results.json of `omnistereo_lib evaluate`")
+    commands.add_parser("reproduction", help="compute the verdicts of book/reproduction.md from the stored results")
     ship = commands.add_parser("ship", help="bundle the weights of a finished training run, with curve and card")
     ship.add_argument("run", type=Path, help="folder of the run")
     ship.add_argument("--half", action="store_true", help="store float16: half the file")
@@ -116,11 +114,10 @@ def run(options: argparse.Namespace) -> int:
 
             print(f"written: {take_snapshots()}")
             return 0
-        case "ledger":
-            from course.ledger import write_ledger
-            from omnistereo_lib.evaluate.records import read_record
+        case "reproduction":
+            from course.reproduction import renew_report
 
-            write_ledger(options.file, options.results and read_record(options.results))
+            renew_report()
             return 0
         case _:
             return nbtools.main(options.command, getattr(options, "notebooks", []))

@@ -6,8 +6,11 @@ reads. A warning is an error.
 """
 
 import base64
+import inspect
+import pkgutil
 import re
 import shutil
+from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -18,15 +21,12 @@ from sphinx.cmd.build import build_main
 import omnistereo_lib as osl
 from course import nbtools, stills
 from course.figures import draw_figures
-from course.library import docstrings, modules, summary
-from course.paper_map import paper_map
 from course.pictures import picture
 from course.teaching import stuck
 
 BOOK = nbtools.ROOT / "book"
 TO_NOTEBOOK = re.compile(r"\[([^\]]+)\]\((?:notebooks/)?(\d\d_\w+\.ipynb)(?:#[^)]*)?\)")
 PICTURE = re.compile(r"!\[([^\]]+)\]\(([^)]+)\)")
-NOT_LISTED = ("__main__",)
 
 
 def build(out: Path) -> int:
@@ -51,7 +51,6 @@ def assemble(source: Path, extra: Path) -> None:
     (source / "reference").mkdir(parents=True)
     generated = {
         "notebooks": nbtools.readme_table(paths),
-        "map": paper_map(paths),
         "names": face(),
         "modules": reference(source),
     } | stuck()
@@ -103,23 +102,25 @@ def without_dead_links(text: str) -> str:
 def reference(source: Path) -> str:
     """Write one page of the reference for each stage of the library; return their table, as Markdown."""
     stages: dict[str, list[str]] = {}
-    for module in modules():
-        stage = module.split(".")[1:2]
-        if stage and stage[0] not in NOT_LISTED:
-            stages.setdefault(stage[0], []).append(module)
-    documented, rows = docstrings(), []
+    for module in pkgutil.walk_packages(osl.__path__, "omnistereo_lib."):
+        if not module.name.endswith(".__main__"):
+            stages.setdefault(module.name.split(".")[1], []).append(module.name)
+    rows = []
     for stage, names in stages.items():
         listing = "\n".join(f".. automodule:: {name}\n   :members:\n   :ignore-module-all:\n" for name in names)
         page = f"# {stage}\n\n```{{eval-rst}}\n{listing}```\n"
         (source / "reference" / f"{stage}.md").write_text(page, encoding="utf-8")
-        rows.append(f"| [`{stage}`](reference/{stage}.md) | {summary(documented[names[0]])} |\n")
+        rows.append(f"| [`{stage}`](reference/{stage}.md) | {summary(import_module(names[0]))} |\n")
     return "| module | what it is |\n|---|---|\n" + "".join(rows)
 
 
 def face() -> str:
     """Return the table of the names that `import omnistereo_lib` offers, as Markdown."""
-    documented = docstrings()
-    rows = [
-        f"| `osl.{name}` | {summary(documented[f'{getattr(osl, name).__module__}.{name}'])} |\n" for name in osl.__all__
-    ]
+    rows = [f"| `osl.{name}` | {summary(getattr(osl, name))} |\n" for name in osl.__all__]
     return "| name | what it is |\n|---|---|\n" + "".join(rows)
+
+
+def summary(thing: object) -> str:
+    """Return the first paragraph of a docstring, for a cell of a Markdown table."""
+    text = " ".join(inspect.getdoc(thing).partition("\n\n")[0].split())
+    return text.replace("|", r"\|").replace("*", r"\*")

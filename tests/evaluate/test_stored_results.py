@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import omnistereo_lib as osl
-from course.ledger import ledger, split_at_markers
 from omnistereo_lib import cli
 from omnistereo_lib.evaluate import SCALES, evaluate_frame
 from omnistereo_lib.evaluate.records import checksum, config_checksum, read_record
@@ -19,7 +18,6 @@ from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
 from omnistereo_lib.train import RECIPES
 from omnistereo_lib.train.spheres import SphereSamples
 
-REPORT = DATA.parent / "book" / "reproduction.md"
 STORED = {path.stem: path for path in sorted((DATA / "results").glob("*.json"))}
 
 
@@ -81,12 +79,6 @@ def test_penalties_are_chosen_on_frames_that_no_network_learned_from():
     assert set(read_record(STORED["penalties"])["frames"]["sunny"]) <= kept_apart
 
 
-def test_the_report_is_of_these_results():
-    before, after = split_at_markers(REPORT)
-    made = f"{before}\n{ledger(read_record(STORED['paper']))}{after}"
-    assert REPORT.read_text(encoding="utf-8") == made, "the book has another one: make results"
-
-
 def test_the_page_on_training_quotes_the_results():
     text = (DATA.parent / "book" / "training.md").read_text(encoding="utf-8")
     quoted = re.findall(r"^\| (Sunny|Aerial|Indoor) \| (.+?) \| (.+) \|$", text, re.MULTILINE)
@@ -127,11 +119,3 @@ def test_sweepnet_of_all_worlds_is_better_in_rooms_and_no_worse_in_the_streets()
         total, rays = (sum(frame[method]["strata"]["sky"][key] for frame in frames) for key in ("sum", "rays"))
         skies.append(f"{total / rays:.1f}")
     assert f"Sunny's sky falls from {' to '.join(skies)}" in text
-
-
-def test_the_readme_quotes_the_report():
-    readme, report = (
-        (DATA.parent / name).read_text(encoding="utf-8") for name in ("README.md", "book/reproduction.md")
-    )
-    rows = [line for line in readme.splitlines() if line.endswith(("reproduced |", "</sub> |"))]
-    assert len(rows) == 5 and set(rows) <= set(report.splitlines())

@@ -1,0 +1,209 @@
+"""The reproduction report: the paper's numbers are consistent, the rules give their verdicts, the page keeps up."""
+
+import ast
+import inspect
+import re
+from copy import deepcopy
+from importlib import import_module
+from operator import attrgetter
+
+import numpy as np
+import pytest
+import torch
+
+import omnistereo_lib as osl
+from course.nbtools import ROOT
+from course.reproduction import PAGE, PAPER, RESULTS, ROWS, TOLERANCE, judge_order, judge_size, report
+from omnistereo_lib.evaluate import METHODS, errors_table
+from omnistereo_lib.evaluate.records import read_record
+from omnistereo_lib.evaluate.regions import METRICS
+from omnistereo_lib.evaluate.table import LIGHTS
+
+TEXT = PAGE.read_text(encoding="utf-8")
+CELLS = [line.strip("| ").split(" | ") for line in TEXT.splitlines() if line.startswith("| ")]
+DIFFERENCES = [line.split(" | ") for line in TEXT.rpartition("<details>")[2].splitlines() if line.startswith("| ")][2:]
+
+
+@pytest.fixture
+def results():
+    """The stored results, with the paper's metrics in place of ours."""
+    stored = deepcopy(read_record(RESULTS))
+    for (method, light), values in PAPER.items():
+        for frame in stored["frames"][light].values():
+            frame[method]["figures"] = dict(zip(METRICS, values, strict=True))
+    return stored
+
+
+def finding(part, results):
+    (compare,) = [compare for claim, compare in ROWS.items() if part in claim]
+    return compare(results)
+
+
+def change(results, method, light, factors):
+    for frame in results["frames"][light].values():
+        values = np.multiply(PAPER[method, light], factors)
+        frame[method]["figures"] = dict(zip(METRICS, values, strict=True))
+
+
+# ---- the paper's table
+
+
+def test_the_papers_table_is_consistent():
+    assert list(PAPER) == [(method.name, light) for method in METHODS for light in LIGHTS]
+    for one, three, five, mae, rms in PAPER.values():
+        assert one >= three >= five > 0 and rms >= mae > 0
+        assert five * 5 / 100 <= mae  # an error above 5 counts at least 5
+
+
+def test_the_lowest_errors_are_those_that_the_paper_prints_in_bold():
+    for methods in (METHODS[:3], METHODS[3:]):
+        for light in LIGHTS:
+            best = np.argmin([PAPER[method.name, light] for method in methods], 0)
+            printed = [2, 1, 1, 2, 2] if (light, methods) == ("cloudy", METHODS[3:]) else [2] * 5  # '>3': both in bold
+            np.testing.assert_array_equal(best, printed)
+
+
+# ---- rules
+
+
+def test_the_papers_own_numbers_are_reproduced(results):
+    for claim, compare in ROWS.items():
+        found = compare(results)
+        if any(part in claim for part in ("Fig. 7", "Fig. 8", "Fig. 9")):
+            assert (found.paper, found.verdict) != ("shown", "reproduced")
+        elif not claim.startswith("Section IV") or "below" in claim:
+            assert found == (found.paper, found.paper, "reproduced", ""), claim
+
+
+@pytest.mark.parametrize(
+    ("factors", "expected"),
+    [
+        (1 + 0.95 * TOLERANCE * np.array([1, -1, 1, -1, 1]), ("reproduced", "")),
+        ([1, 1, 1 + 1.05 * TOLERANCE, 1, 1 - 1.05 * TOLERANCE], ("trend reproduced", "beyond 20 %: >5, RMS")),
+        ([1, 3, 1, 1, 1], ("differs", "beyond 20 %: >3; on the other side of 1: >3")),
+        ([3] * 5, ("differs", "beyond 20 %: {0}; on the other side of 1: {0}".format(">1, >3, >5, MAE and 1 more"))),
+    ],
+)
+def test_errors_are_compared_as_ratios_to_zncc(results, factors, expected):
+    change(results, "sweepnet", "sunny", factors)
+    assert finding("SweepNet, Sunny", results)[2:] == expected
+    assert finding("SweepNet, Sunset", results).verdict == "reproduced"
+
+
+def test_zncc_is_compared_as_it_is(results):
+    assert judge_size([1.1], [0.9], ["MAE"], ratios=False) == ("differs", "beyond 20 %: MAE")
+    change(results, "zncc", "sunny", [1, 0.5, 1, 1, 1])
+    assert finding("ZNCC, Sunny", results)[2:] == ("differs", "beyond 20 %: >3")
+
+
+def test_an_order_need_not_hold_where_it_does_not_in_the_paper(results):
+    order = np.array([True, True, True, False])
+    assert judge_order(order, order, "abcd") == ("reproduced", "")
+    assert judge_order([True] * 4, order, "abcd") == ("reproduced", "")
+    assert judge_order([True, True, False, True], order, "abcd") == ("trend reproduced", "not c")
+    assert judge_order([True, False, False, True], order, "abcd") == ("differs", "not b, c")
+    change(results, "sweepnet+sgm", "sunny", 9)
+    assert finding("SweepNet + SGM below MC-CNN", results)[:2] == ("13 of 15", "8 of 15")
+    assert "SweepNet + SGM / SweepNet Sunny >1" in finding("SGM lowers", results).reason
+
+
+def test_what_the_cameras_see(results):
+    """Two cameras side by side are one pair, three are two of neighbours and three in all."""
+    for frame in results["frames"]["sunny"].values():
+        for seen, rays in enumerate((10, 0, 50, 40, 0)):
+            frame["zncc"]["strata"][f"seen by {seen}"]["rays"] = rays
+    assert finding("no blind regions", results)[1:3] == ("90.0 %", "differs")
+    million = 2 * 350 * 600 * 150 / 1e6
+    expected = f"{1.3 * million:.0f} M<br><sub>with all pairs {1.7 * million:.0f} M</sub>"
+    assert finding("labels to train on", results)[1:3] == (expected, "reproduced")
+
+
+def test_our_numbers_are_those_of_the_table():
+    stored = read_record(RESULTS)
+    for (label, *_), cells in errors_table(stored).rows:
+        lights = [column.split()[0] for column in errors_table(stored).columns]
+        for light in ("Sunny", "Cloudy", "Sunset"):
+            if f"{label}, {light}" not in ROWS:
+                continue
+            shown = [float(x) for x in ROWS[f"{label}, {light}"](stored).ours.split("<")[0].split()]
+            expected = [cell[0] for cell, name in zip(cells, lights, strict=True) if name == light]
+            np.testing.assert_allclose(shown, expected, atol=0.051)
+
+
+# ---- the page
+
+
+def test_the_page_is_of_the_stored_results():
+    assert report(read_record(RESULTS)) == TEXT, "run: python -m course reproduction"
+    assert [claim for claim in ROWS if TEXT.count(f"\n| {claim} | ") != 1] == []
+
+
+def test_the_claims_are_open_and_the_other_tables_closed():
+    assert re.findall(r"<details( open)?><summary>(\w+)", TEXT)[0] == (" open", "Claims")
+    assert TEXT.count("<details open>") == 1 and TEXT.count("<details") == TEXT.count("</details>") == 5
+
+
+def test_every_table_figure_and_equation_of_the_paper_is_there():
+    sources = " ".join(cells[0] for cells in CELLS)
+    expected = {f"Fig. {n}" for n in range(1, 10)} | {f"Eq. {n}" for n in range(1, 6)} | {"Table I", "Table II"}
+    assert {name for name in expected if re.search(rf"{name}(?![\dI])", sources)} == expected
+
+
+def resolve(name):
+    """Return what a dotted name below omnistereo_lib, or of render, stands for."""
+    name = name if name.startswith("render.") else f"omnistereo_lib.{name}"
+    for split in range(name.count("."), 0, -1):
+        parts = name.split(".")
+        try:
+            return attrgetter(".".join(parts[split:]))(import_module(".".join(parts[:split])))
+        except ModuleNotFoundError:
+            continue
+    raise AssertionError(name)
+
+
+@pytest.mark.parametrize("name", sorted({*re.findall(r"`((?:\w+\.)+\w+)`", TEXT)}))
+def test_what_is_named_exists(name):
+    assert resolve(name) is not None
+
+
+@pytest.mark.parametrize("path", sorted({*re.findall(r"`(tests/[^`]+)`|\((notebooks/[^)]+)\)", TEXT)}))
+def test_tests_and_notebooks_exist(path):
+    assert (ROOT / "".join(path)).is_file()
+
+
+@pytest.mark.parametrize("cells", [c for c in CELLS if re.match(r"Eq\. \d|Table I:|Section III-[AB]\b", c[0])], ids=str)
+def test_a_search_for_a_part_of_the_paper_finds_its_code(cells):
+    part = re.match(r"Eq\. \d|Table I\b|Section III-.", cells[0])[0]
+    files = [inspect.getsource(inspect.getmodule(resolve(name))) for name in re.findall(r"`([\w.]+)`", cells[1])]
+    assert any(part in text for text in files)
+
+
+@pytest.mark.parametrize("cells", [cells for cells in DIFFERENCES if cells[4]], ids=lambda cells: cells[4])
+def test_an_option_chooses_otherwise(cells):
+    """An option is a call of the first thing named, with a value that is not its default, or an entry of it."""
+    tree, target = ast.parse(cells[4].strip("`"), mode="eval").body, resolve(re.search(r"`([\w.]+)`", cells[5])[1])
+    if isinstance(tree, ast.Subscript):
+        assert eval(cells[4].strip("`"), {"RECIPES": target}) is not None
+        return
+    assert cells[5].strip(" |`").split("`")[0].endswith(ast.unparse(tree.func))
+    (keyword,) = tree.keywords
+    default = inspect.signature(target).parameters[keyword.arg].default
+    assert ast.unparse(keyword.value) != repr(default)
+
+
+def test_unknown_cells_of_sgm_cost_what_the_page_says():
+    """The mean cost of the known cells of their ray."""
+    assert (
+        "| SGM where no pair sees a cell |" in TEXT and "an unknown cell has the mean cost of the known cells" in TEXT
+    )
+    volume = torch.from_numpy(np.random.default_rng(0).random((6, 12, 8), np.float32))
+    known, unknown = volume.clone(), torch.rand(volume.shape) < 0.2
+    known[unknown] = torch.nan
+    filled = torch.where(unknown, known.nanmean(-1, keepdim=True), volume)
+    torch.testing.assert_close(osl.sgm(known)[~unknown], osl.sgm(filled)[~unknown])
+
+
+def test_the_readme_quotes_the_report():
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    rows = [line for line in readme.splitlines() if line.endswith(("reproduced |", "</sub> |"))]
+    assert len(rows) == 5 and set(rows) <= set(TEXT.splitlines())
