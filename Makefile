@@ -8,7 +8,7 @@ RENDER := .venv-render/bin
 RENDER_READY := .venv-render/.installed
 
 NBVAL := --nbval --nbval-current-env --nbval-sanitize-with=tests/nbval_sanitize.cfg --nbval-cell-timeout=600
-EVALUATE := $(BIN)/python -m omnistereo_lib evaluate
+EVALUATE := $(BIN)/omnistereo evaluate
 SETS := sunny cloudy sunset indoor
 # Training frames that the networks have not learned from, to choose SGM's penalties on; and the paper's penalties.
 KEPT_APART := 3 153 303 453
@@ -49,7 +49,7 @@ types: $(READY)  ## the type checker in strict mode, on the library
 	$(BIN)/mypy
 
 depth: $(READY)  ## the sample frame, or your own: RIG=rig.yaml IMAGES="1.png 2.png 3.png 4.png" make depth
-	$(BIN)/python -m omnistereo_lib depth $(if $(RIG),--rig '$(RIG)') $(if $(IMAGES),--images $(IMAGES)) $(DEPTH_ARGS)
+	$(BIN)/omnistereo depth $(if $(RIG),--rig '$(RIG)') $(if $(IMAGES),--images $(IMAGES)) $(DEPTH_ARGS)
 
 render: $(RENDER_READY)  ## renders the sample frames; Blender has an environment of its own
 	$(RENDER)/python -m render $(RENDER_ARGS)
@@ -60,7 +60,7 @@ bench: $(READY)  ## speed, as ratios against named alternatives
 results: $(READY)  ## the stored results and the book's reproduction report again: hours, but it resumes
 	$(EVALUATE) --sets $(SETS) --scale teaching --out out/teaching
 	$(EVALUATE) --sets sunny --ablations window weights pairs wrap subindex spheres --methods $(PAPERS) --out out/ablations
-	$(BIN)/python -m omnistereo_lib calibrate data_samples/calibration/van --board 12x10 --square 0.06 --max-fov 220 --out out/van
+	$(BIN)/omnistereo calibrate data_samples/calibration/van --board 12x10 --square 0.06 --max-fov 220 --out out/van
 	$(EVALUATE) --sets sunny --rig out/van/config.yaml --out out/calibrated
 	$(EVALUATE) --sets data_samples/sunny --split train --frames $(KEPT_APART) --ablations penalties --out out/penalties
 	$(EVALUATE) --sets $(SETS) aerial --scale paper --out out/paper $(RESULTS_ARGS)

@@ -27,7 +27,7 @@ Written by `{command}`.
 - **Data:** {folder}, {frames} frames, every tenth only for validation; SHA-256 of all of them `{data_sha256}`. No \
 test street is among them.
 - **Machine:** {processor}, {threads} threads, {processes} process(es), {precision}, torch {torch}; {hours:.1f} hours.
-- **Errors** on the test streets: `python -m omnistereo_lib evaluate`.
+- **Errors** on the test streets: `omnistereo evaluate`.
 
 | step | validation loss | validation error |
 |---|---|---|
@@ -100,7 +100,7 @@ def _model_card(weights: Path, recipe: Recipe, metadata: dict[str, Any], rows: R
     presets, settings = RECIPES[recipe.network], recipe.as_dict()
     name = next((name for name, preset in presets.items() if preset == recipe), "shipped")
     overrides = [f"{key}={value}" for key, value in settings.items() if presets[name].as_dict().get(key) != value]
-    command = f"python -m omnistereo_lib train {recipe.network} --preset {name}"
+    command = f"omnistereo train {recipe.network} --preset {name}"
     command += f" --set {' '.join(overrides)}" if overrides else ""
     if metadata.get("init_weights"):
         command += f" --init-weights FILE`, FILE with SHA-256 `{metadata['init_weights']}"

@@ -1,4 +1,1 @@
-"""Depth out of the library and into use: pictures, a viewer, meshes, recordings, ONNX, a live view, checks of rigs.
-
-Installed beside `omnistereo_lib` and built on it; only the command line of the library imports from here.
-"""
+"""Applications of `omnistereo_lib`: the command line `omnistereo`, and the modules that its commands use."""

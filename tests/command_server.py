@@ -22,8 +22,8 @@ import torch._dynamo  # by torch's optimizers
 from render_stand_in import replace_blender
 
 import render
-from omnistereo_lib import cli
 from omnistereo_lib.train import MCCNNRecipe, train
+from omnistereo_tools import cli
 
 
 def run(command):

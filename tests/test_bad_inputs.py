@@ -13,7 +13,7 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
-from omnistereo_lib import cli
+from omnistereo_tools import cli
 
 ROOT = Path(osl.__file__).resolve().parents[1]
 

@@ -13,9 +13,9 @@ import torch
 import yaml
 
 import omnistereo_lib as osl
-from omnistereo_lib import cli
 from omnistereo_lib.dataset import read_inverse_depth, write_inverse_depth
 from omnistereo_lib.files import read_image, write_image
+from omnistereo_tools import cli
 from omnistereo_tools.rig_check import invert_poses
 
 SMALL = ["--width", "96", "--height", "24", "--spheres", "16"]

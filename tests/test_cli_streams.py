@@ -11,8 +11,9 @@ from pathlib import Path
 import numba
 import pytest
 
-from omnistereo_lib import cli
 from omnistereo_lib.stereo.compiled import compiled
+from omnistereo_tools import cli
+from omnistereo_tools.commands.options import SAMPLE
 
 
 @pytest.fixture
@@ -39,7 +40,7 @@ def stopped_by(number, in_c=False):
 @pytest.mark.parametrize("in_c", [False, True])
 def test_a_command_is_stopped(monkeypatch, capsys, number, status, in_c):
     before = signal.getsignal(signal.SIGTERM)
-    monkeypatch.setattr(cli.doctor, "run", stopped_by(number, in_c))
+    monkeypatch.setattr(cli.doctor_command, "run", stopped_by(number, in_c))
     assert cli.main(["doctor"]) == status
     assert capsys.readouterr().err == "interrupted; run the same command to resume\n"
     assert signal.getsignal(signal.SIGTERM) == before
@@ -49,7 +50,7 @@ def test_other_errors_in_c_are_bugs(monkeypatch):
     def run(options):
         raise SystemError("a function in C returned NULL without setting an exception")
 
-    monkeypatch.setattr(cli.doctor, "run", run)
+    monkeypatch.setattr(cli.doctor_command, "run", run)
     with pytest.raises(SystemError):
         cli.main(["doctor"])
 
@@ -78,12 +79,12 @@ def test_a_full_disk(stdout, capsys):
 
 def test_an_ascii_terminal(stdout):
     stream = stdout(io.TextIOWrapper(io.BytesIO(), encoding="ascii"))
-    assert cli.main(["doctor", "--rig", str(Path(cli.__file__).parents[1] / "sample" / "config.yaml")]) == 0
+    assert cli.main(["doctor", "--rig", str(SAMPLE / "config.yaml")]) == 0
     assert b"4 cameras, 0.841 to 1.2 m apart" in stream.buffer.getvalue() and b"320 ? 80" in stream.buffer.getvalue()
 
 
 def test_the_module_answers_in_one_line(tmp_path):
-    command = [sys.executable, "-m", "omnistereo_lib", "depth", "--rig", str(tmp_path / "none")]
+    command = [sys.executable, "-m", "omnistereo_tools", "depth", "--rig", str(tmp_path / "none")]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 2 and done.stdout == ""
     assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1

@@ -71,7 +71,7 @@ def test_every_pin_can_be_installed_on_the_oldest_python():
 def test_depth_of_the_sample_from_an_empty_folder(run, installed, tmp_path):
     where = run("-c", "import omnistereo_lib; print(omnistereo_lib.__file__)").stdout.strip()
     assert Path(where).is_relative_to(installed[1])
-    done = run("-m", "omnistereo_lib", "depth", *SMALL)
+    done = run("-m", "omnistereo_tools", "depth", *SMALL)
     assert done.returncode == 0, done.stderr
     written = sorted(path.name for path in (tmp_path / "out").iterdir())
     assert written == ["data", "index.html", "overview.png"]
@@ -79,12 +79,12 @@ def test_depth_of_the_sample_from_an_empty_folder(run, installed, tmp_path):
 
 
 def test_doctor_without_the_clone(run):
-    done = run("-m", "omnistereo_lib", "doctor")
+    done = run("-m", "omnistereo_tools", "doctor")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "NOTE  packages and data of the course are not checked" in done.stdout
     assert "OK    torch 2" in done.stdout and "matplotlib" not in done.stdout
 
 
 def test_what_needs_the_clone_says_so(run):
-    done = run("-m", "omnistereo_lib", "evaluate", "--sets", "sunny")
+    done = run("-m", "omnistereo_tools", "evaluate", "--sets", "sunny")
     assert done.returncode == 2 and done.stderr.startswith("error: ") and done.stderr.count("\n") == 1

@@ -208,7 +208,7 @@ def _weights_checksums(methods: Sequence[Method], folder: Path) -> dict[str, str
     if missing:
         files, names = ", ".join({str(path): "" for path in missing.values()}), ", ".join(m.name for m in missing)
         others = " ".join(method.name for method in methods if method not in missing) or "zncc zncc+sgm"
-        remedy = f"Make them with python -m omnistereo_lib train, or leave these methods out: --methods {others}"
+        remedy = f"Make them with omnistereo train, or leave these methods out: --methods {others}"
         raise OmnistereoError(f"weights are missing: {files}, for {names}. {remedy}")
     return {path.name: checksum(read_bytes(path)) for path in {*paths.values()} - {None}}
 

@@ -1,1 +1,1 @@
-"""Commands of `omnistereo` that are not the method itself, one module each; they import what is slow when they run."""
+"""The commands of `omnistereo`, one module each; what is slow to import is imported when a command runs."""

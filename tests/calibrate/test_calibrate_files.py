@@ -11,12 +11,12 @@ import pytest
 from boards import BOARD, SIZE
 
 import omnistereo_lib as osl
-from omnistereo_lib import cli
 from omnistereo_lib.calibrate.captures import find_captures, load_corners, save_corners
 from omnistereo_lib.calibrate.detect import find_corners
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.rig_files.camera_models import kannala_brandt
+from omnistereo_tools import cli
 from omnistereo_tools.rig_exports import export_rig, fit_kannala_brandt
 
 SHIPPED = Path(osl.__file__).resolve().parents[1] / "data_samples" / "calibration"

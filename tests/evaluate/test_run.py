@@ -9,7 +9,6 @@ import scene
 import torch
 
 import omnistereo_lib as osl
-from omnistereo_lib import cli
 from omnistereo_lib.evaluate import (
     ABLATIONS,
     METHODS,
@@ -26,6 +25,7 @@ from omnistereo_lib.evaluate import (
 from omnistereo_lib.evaluate.records import read_record
 from omnistereo_lib.evaluate.regions import METRICS, error_sums, find_regions
 from omnistereo_lib.stereo.methods import Method, penalties
+from omnistereo_tools import cli
 
 SMALL = Scale(96, 24, 12)
 TINY = Scale(48, 14, 8)  # for the networks

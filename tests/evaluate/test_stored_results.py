@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import omnistereo_lib as osl
-from omnistereo_lib import cli
 from omnistereo_lib.evaluate import SCALES, evaluate_frame
 from omnistereo_lib.evaluate.records import checksum, config_checksum, read_record
 from omnistereo_lib.evaluate.regions import METRICS
@@ -17,6 +16,7 @@ from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
 from omnistereo_lib.train import RECIPES
 from omnistereo_lib.train.spheres import SphereSamples
+from omnistereo_tools import cli
 
 STORED = {path.stem: path for path in sorted((DATA / "results").glob("*.json"))}
 

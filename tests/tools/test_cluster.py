@@ -10,8 +10,8 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
-from omnistereo_lib import cli
 from omnistereo_lib.files import write_image
+from omnistereo_tools import cli
 
 distributed = pytest.importorskip("dask.distributed", reason="Dask is not installed: environment.txt has it")
 

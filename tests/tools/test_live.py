@@ -10,10 +10,9 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
-from omnistereo_lib import cli
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_tools import live
-from omnistereo_tools.live import Latest, live_pictures, serve, show_in_browser
+from omnistereo_tools import cli, live_view
+from omnistereo_tools.live_view import Latest, live_pictures, serve, show_in_browser
 
 FRAMES = 5
 GRID = osl.SphereGrid(96, 24, num_spheres=16, min_depth=0.6)
@@ -50,14 +49,14 @@ def test_pictures_show_panorama_over_depth(recorded):
 def test_a_video_begins_to_play_when_the_first_depth_was_computed(recorded, monkeypatch):
     """Compiling and tables take longer than a short video."""
     rig, _, videos = recorded
-    compute, calls = live.sweep_depth, []
+    compute, calls = live_view.sweep_depth, []
 
     def slow_at_first(*arguments):
         calls.append(arguments)
         time.sleep(1.0 if len(calls) == 1 else 0.0)  # the video takes 0.25 s
         return compute(*arguments)
 
-    monkeypatch.setattr(live, "sweep_depth", slow_at_first)
+    monkeypatch.setattr(live_view, "sweep_depth", slow_at_first)
     first = next(iter(live_pictures(videos, SphereSweep(rig, GRID), "zncc")))
     assert len(calls) == 2 and first[: first.shape[0] // 3].std() > 20
 
@@ -95,7 +94,7 @@ def test_ctrl_c_ends_it_with_the_last_line(recorded, capsys, monkeypatch, stop):
         raise stop
 
     _, folder, videos = recorded
-    monkeypatch.setattr(live, "live_pictures", pictures)
+    monkeypatch.setattr(live_view, "live_pictures", pictures)
     command = ["live", "--rig", str(folder / "rig.yaml"), "--cameras", *videos, "--browser", "--port", "0"]
     ended = stop is KeyboardInterrupt
     assert cli.main(command) == (0 if ended else 130)

@@ -9,8 +9,8 @@ import scene
 import torch
 
 import omnistereo_lib as osl
-from omnistereo_lib import cli
 from omnistereo_lib.files import write_image
+from omnistereo_tools import cli
 
 ort = pytest.importorskip("onnxruntime", reason="ONNX Runtime is not installed: environment.txt has it")
 

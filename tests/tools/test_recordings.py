@@ -15,8 +15,8 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
-from omnistereo_lib import cli
 from omnistereo_lib.files import read_image, write_image
+from omnistereo_tools import cli
 from omnistereo_tools.sources import Recording
 
 GRID = osl.SphereGrid(96, 24, num_spheres=16, min_depth=0.6)
@@ -88,7 +88,7 @@ def test_16_bit_png_comes_back_within_a_step(recorded, done, tmp_path):
 def test_killed_and_resumed_it_is_the_same(recorded, done, tmp_path):
     """kill -9 as soon as some frames are there: only whole files are left, and the second run adds the rest."""
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "omnistereo_lib", *map(str, depth_command(recorded, out))]
+    command = [sys.executable, "-m", "omnistereo_tools", *map(str, depth_command(recorded, out))]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, start_new_session=True)
     folder, give_up = out / "depth_estimate_96", time.monotonic() + 120
     while process.poll() is None and len(list(folder.glob("0*.tiff"))) < 2 and time.monotonic() < give_up:

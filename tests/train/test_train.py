@@ -16,11 +16,11 @@ from tiny import MCCNN, SWEEPNET, TINY
 
 import omnistereo_lib as osl
 from course.ship import _hours, export_weights
-from omnistereo_lib import cli
 from omnistereo_lib.stereo.weights import load_tensors
 from omnistereo_lib.train import RECIPES, train
 from omnistereo_lib.train.loop import LOG, STATE, WEIGHTS, _Run
 from omnistereo_lib.train.spheres import SphereObjective, SphereSamples
+from omnistereo_tools import cli
 
 PATHS = f"{Path(__file__).parent} {Path(__file__).parents[1]}"  # this module and the helpers beside its folder
 
@@ -85,7 +85,7 @@ def command(data, out, *settings, network="sweepnet"):
     recipe = {"sweepnet": SWEEPNET, "mccnn": MCCNN}[network]
     usual = RECIPES[network]["teaching"].as_dict()
     tiny = [f"{name}={value}" for name, value in recipe.as_dict().items() if value != usual[name]]
-    verb = ["-m", "omnistereo_lib", "train", network, "--data", data, "--out", out, "--precision", "float32"]
+    verb = ["-m", "omnistereo_tools", "train", network, "--data", data, "--out", out, "--precision", "float32"]
     return [str(word) for word in [*verb, "--set", *tiny, *settings]]
 
 

@@ -8,8 +8,7 @@ Examples:
 import argparse
 from pathlib import Path
 
-from omnistereo_lib.cli.inputs import add_device
-from omnistereo_tools.inputs import add_grid
+from omnistereo_tools.commands.options import add_device, add_grid
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,7 +32,7 @@ def run(options: argparse.Namespace) -> None:
     from omnistereo_lib.geometry.sphere import SphereGrid
     from omnistereo_lib.rig_files import load_rig
     from omnistereo_lib.stereo.sweep import SphereSweep, select_device
-    from omnistereo_tools import live
+    from omnistereo_tools import live_view
     from omnistereo_tools.masks import with_masks
 
     rig = with_masks(load_rig(options.rig, options.unit), options.masks, [])
@@ -45,12 +44,12 @@ def run(options: argparse.Namespace) -> None:
     if len(sources) != len(rig):
         raise OmnistereoError(f"there are {len(sources)} cameras or videos for a rig of {len(rig)}. Give one for each.")
     sweep = SphereSweep(rig, grid, device=select_device(options.device))
-    pictures, start = live.live_pictures(sources, sweep, options.method), monotonic()
-    if live.has_window() and not options.browser:
-        count = live.show_in_window(pictures)
+    pictures, start = live_view.live_pictures(sources, sweep, options.method), monotonic()
+    if live_view.has_window() and not options.browser:
+        count = live_view.show_in_window(pictures)
     else:
-        latest = live.Latest()
-        with live.serve(latest, options.port) as address:
+        latest = live_view.Latest()
+        with live_view.serve(latest, options.port) as address:
             print(f"open {address} in a browser of this machine; Ctrl-C stops", flush=True)
-            count = live.show_in_browser(pictures, latest)
+            count = live_view.show_in_browser(pictures, latest)
     print(f"{count} frames, {count / (monotonic() - start):.1f} frames/s")

@@ -7,7 +7,7 @@ import argparse
 from functools import partial
 from pathlib import Path
 
-from omnistereo_lib.cli.inputs import add_device
+from omnistereo_tools.commands.options import add_device
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -8,7 +8,7 @@ Example:
 import argparse
 from pathlib import Path
 
-from omnistereo_tools.inputs import SAMPLE, add_grid
+from omnistereo_tools.commands.options import SAMPLE, add_grid
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

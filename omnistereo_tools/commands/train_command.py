@@ -4,10 +4,11 @@ example: omnistereo train sweepnet --preset teaching --set steps=100
 """
 
 import argparse
+import os
 from pathlib import Path
 
-from omnistereo_lib.cli.inputs import add_device, is_first_process
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_tools.commands.options import add_device
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,7 +33,7 @@ def run(options: argparse.Namespace) -> None:
         raise OmnistereoError(f"{options.network} has the presets {', '.join(presets)}, not {options.preset!r}")
     recipe = presets[options.preset].with_overrides(options.set)
     out = options.out or Path("out") / f"{options.network}_{options.preset}"
-    first_process = is_first_process()
+    first_process = os.environ.get("RANK", "0") == "0"  # the one that prints, under torchrun
     bar = None
 
     def progress(row: dict[str, float]) -> None:

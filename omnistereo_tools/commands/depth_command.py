@@ -16,9 +16,8 @@ import argparse
 from collections.abc import Mapping
 from pathlib import Path
 
-from omnistereo_lib.cli.inputs import add_device
 from omnistereo_lib.errors import OmnistereoError, check_number
-from omnistereo_tools.inputs import add_grid, add_input, make_grid, read_input, read_rig
+from omnistereo_tools.commands.options import add_device, add_grid, add_input, make_grid, read_input, read_rig
 
 _OF_FRAMES = {"frame": 0}  # options and their defaults
 _OF_FRAMES |= dict.fromkeys(["max_depth", "min_confidence", "mesh", "mesh_faces", "equirectangular", "crops"])

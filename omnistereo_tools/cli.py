@@ -13,12 +13,27 @@ from io import TextIOWrapper
 
 from tqdm import tqdm
 
-from omnistereo_lib.cli import calibrate, evaluate, train
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_tools.commands import depth, doctor, live, onnx
+from omnistereo_tools.commands import (
+    calibrate_command,
+    depth_command,
+    doctor_command,
+    evaluate_command,
+    live_command,
+    onnx_command,
+    train_command,
+)
+from omnistereo_tools.memory import keep_memory
 
-COMMANDS = {"depth": depth, "calibrate": calibrate, "doctor": doctor, "train": train, "evaluate": evaluate}
-COMMANDS |= {"live": live, "onnx": onnx}
+COMMANDS = {
+    "depth": depth_command,
+    "calibrate": calibrate_command,
+    "doctor": doctor_command,
+    "train": train_command,
+    "evaluate": evaluate_command,
+    "live": live_command,
+    "onnx": onnx_command,
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -27,8 +42,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")  # where the terminal is not UTF-8
     tqdm.monitor_interval = 0  # its thread would outlive the command
-    from omnistereo_tools.memory import keep_memory
-
     keep_memory()
     try:
         try:

@@ -1,4 +1,4 @@
-"""What the commands on a rig share: the rig, its images, the grid."""
+"""Options that several commands share, and the rig, images and grid that they name."""
 
 from __future__ import annotations
 
@@ -101,3 +101,10 @@ def make_grid(
     for doubt in (*rig_doubts(rig, min_depth), *image_doubts(rig, images, grid)):
         warnings.warn(doubt, stacklevel=2)
     return grid
+
+
+def add_device(parser: argparse.ArgumentParser, precision: bool = True) -> None:
+    """Add the option that says where to compute, and in which precision."""
+    parser.add_argument("--device", default="cpu", choices=["cpu", "cuda"], help="where to compute (default: cpu)")
+    if precision:
+        parser.add_argument("--precision", default="auto", choices=["auto", "float32", "bfloat16"])

@@ -6,7 +6,7 @@ example: omnistereo doctor --rig rig.yaml --images 1.png 2.png 3.png 4.png --cov
 import argparse
 from pathlib import Path
 
-from omnistereo_tools.inputs import add_grid, add_input, is_rig_alone, make_grid, read_input, read_rig
+from omnistereo_tools.commands.options import add_grid, add_input, is_rig_alone, make_grid, read_input, read_rig
 
 _NEAR = 0.5  # metres: most images show something nearer than a few times this
 
