@@ -14,5 +14,13 @@ def map_threads(function: Callable, *arguments: Iterable) -> Iterator:
 
 
 _pool = cache(ThreadPoolExecutor)
-if hasattr(os, "register_at_fork"):  # a forked process has none of the threads
-    os.register_at_fork(after_in_child=_pool.cache_clear)
+
+
+def _after_fork() -> None:
+    """Do without the threads of the parent, which a forked process has not: torch would wait for them for ever."""
+    _pool.cache_clear()
+    torch.set_num_threads(1)
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)

@@ -1,0 +1,64 @@
+"""Depth in other processes, after the parent has started its threads: it must end, with the parent's result."""
+
+import multiprocessing
+import os
+import subprocess
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scene
+from torch.utils.data import DataLoader, Dataset
+
+import omnistereo_lib as osl
+
+METHODS = ["zncc+sgm", "mccnn", "sweepnet", "volumenet"]
+RIG = scene.rig(width=60, height=56)
+GRID = osl.SphereGrid(48, 16, num_spheres=8, min_depth=0.6)
+IMAGES = [np.random.default_rng(k).integers(0, 255, (56, 60), np.uint8) for k in range(4)]
+
+
+def index(method):
+    return osl.estimate_depth(RIG, IMAGES, GRID, method).index
+
+
+class Frames(Dataset):
+    """One estimate per method, as a training that prepares depth in its workers would ask for it."""
+
+    def __len__(self):
+        return len(METHODS)
+
+    def __getitem__(self, k):
+        return index(METHODS[k])
+
+
+def main():
+    """Estimate here, then in forked and spawned processes, by each of Python's and torch's ways to start them."""
+    expected = [index(method) for method in METHODS]
+    results = {}
+    for start in ("fork", "spawn"):
+        with multiprocessing.get_context(start).Pool(2) as pool:
+            results[start] = pool.map(index, METHODS)
+    with ProcessPoolExecutor(2, multiprocessing.get_context("fork")) as executor:
+        results["executor"] = list(executor.map(index, METHODS))
+    loader = DataLoader(Frames(), batch_size=None, num_workers=2, multiprocessing_context="fork")
+    results["loader"] = [item.numpy() for item in loader]
+    for name, found in results.items():
+        for method, a, b in zip(METHODS, found, expected, strict=True):
+            close = np.isclose(a, b, atol=0.05, equal_nan=True)  # fewer threads, other sums in bfloat16
+            assert close.mean() > 0.95, (name, method, close.mean())
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+def test_depth_in_other_processes():
+    here = Path(__file__)
+    command = [sys.executable, str(here)]
+    environment = {**os.environ, "PYTHONPATH": f"{here.parents[2]}:{here.parents[1]}"}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+if __name__ == "__main__":
+    main()
