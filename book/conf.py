@@ -91,7 +91,8 @@ def say_levels(app: Sphinx, page: str, template: str, context: dict, doctree: no
 
 
 def full_name(code: str) -> str:
-    """Return the full name that code such as `osl.sgm(volume)`, `Rig.load` or `metrics.error_map` would have."""
+    """Return the full name that code such as `osl.sgm(volume)`, `load_rig` or `metrics.error_map` would have."""
     name = code.partition("(")[0].removeprefix("osl.").removeprefix("omnistereo_lib.")
-    home = osl._EXPORTS.get(name.partition(".")[0])
-    return f"omnistereo_lib.{home}.{name}" if home else f"omnistereo_lib.{name}"
+    first = name.partition(".")[0]
+    home = getattr(osl, first).__module__ if first in osl.__all__ else "omnistereo_lib"
+    return f"{home}.{name}"

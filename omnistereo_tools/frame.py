@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.dataset import write_inverse_depth
 from omnistereo_lib.files import atomic_write, make_folder, write_image
+from omnistereo_lib.rig_files import save_rig
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.metrics import index_error
 from omnistereo_tools.overview import draw_overview
@@ -79,7 +80,7 @@ class FrameResult:
         write_image(data / "inverse_depth.png", ColorScale.of(depth.inverse_depth).colorize(depth))
         write_image(data / "panorama.jpg", depth.panorama(self.images))
         cloud.write(data / "points.ply")
-        depth.sweep.rig.save(data / "rig.yaml")
+        save_rig(depth.sweep.rig, data / "rig.yaml")
         text = _README.format(
             width=grid.width, height=grid.height, phi=grid.phi_deg, method=self.method, points=len(cloud.points),
             max_depth=self.limits.max_depth, min_confidence=self.limits.min_confidence,

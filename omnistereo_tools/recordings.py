@@ -29,6 +29,7 @@ from omnistereo_lib.evaluate.records import checksum
 from omnistereo_lib.files import atomic_write, make_folder, read_text, write_image
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.rig_files import save_rig
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
@@ -128,7 +129,7 @@ class DepthWriter:
         for path in (path for folder in folders for path in folder.glob(".[0-9]*.*")):
             if re.fullmatch(r"\.[0-9]+\.[0-9]{5,}\.[A-Za-z]+", path.name):  # as `atomic_write` names them
                 path.unlink()
-        Rig(rig.cameras, rig.T_rig_cam, self.sweep.grid.min_depth).save(self.out / "config.yaml")
+        save_rig(Rig(rig.cameras, rig.T_rig_cam, self.sweep.grid.min_depth), self.out / "config.yaml")
 
     def write(self, number: int, images: list[NDArray[np.uint8]], depth: Depth) -> None:
         """Write images, video frame and depth of one frame."""

@@ -108,7 +108,7 @@ def kalibr(R: np.ndarray) -> Callable[[Path], None]:
 def no_shared_view(data: Path) -> None:
     narrow = scene.camera(200, 192, max_fov_deg=60)
     poses = [osl.Pose.from_vector([0, turn, 0, 0.2 * np.cos(turn), 0, 0.2 * np.sin(turn)]) for turn in QUARTERS]
-    osl.Rig([narrow] * 4, poses, min_depth=0.6).save(data / "config.yaml")
+    osl.save_rig(osl.Rig([narrow] * 4, poses, min_depth=0.6), data / "config.yaml")
 
 
 def folders_of_other_names(data: Path) -> None:

@@ -79,7 +79,7 @@ def true_index(rig, grid):
 def write_set(folder, still, grid, places, first=1):
     """A data set in the public layout: the rig moved to some places (metres), one frame at each, with ground truth."""
     (folder / f"omnidepth_gt_{grid.width}").mkdir(parents=True)
-    osl.Rig(still.cameras, still.T_rig_cam, min_depth=grid.min_depth).save(folder / "config.yaml")
+    osl.save_rig(osl.Rig(still.cameras, still.T_rig_cam, min_depth=grid.min_depth), folder / "config.yaml")
     for number, place in enumerate(places, first):
         step = osl.Pose.from_vector([0, 0, 0, *place])
         moved = osl.Rig(still.cameras, [step @ pose for pose in still.T_rig_cam])

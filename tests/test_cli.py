@@ -37,7 +37,7 @@ def data(tmp_path, scene_images):
     rig, pictures = scene_images
     folder = tmp_path / "data"
     folder.mkdir()
-    rig.save(folder / "config.yaml")
+    osl.save_rig(rig, folder / "config.yaml")
     for k, picture in enumerate(pictures, 1):
         (folder / f"cam{k}").mkdir()
         write_image(folder / f"cam{k}" / "0001.png", np.stack([picture] * 3, -1))
@@ -95,7 +95,7 @@ def test_depth_of_images(data, tmp_path, capsys):
 
 def test_depth_of_gray_images_without_a_nearest_depth(data, tmp_path, capsys, scene_images):
     rig, pictures = scene_images
-    osl.Rig(rig.cameras, rig.T_rig_cam).save(data / "config.yaml")
+    osl.save_rig(osl.Rig(rig.cameras, rig.T_rig_cam), data / "config.yaml")
     for k, picture in enumerate(pictures, 1):
         write_image(data / f"cam{k}" / "0001.png", picture)
     assert run("depth", *with_images(data), *SMALL, "--out", tmp_path / "out") == 0
@@ -110,7 +110,7 @@ def test_doctor_of_a_rig(data, capsys, scene_images):
     out = capsys.readouterr().out
     low, high = scene_images[0].baselines.min(), scene_images[0].baselines.max()
     assert f"4 cameras, {low:.3g} to {high:.3g} m apart" in out and "OK    the rig fits the images" in out
-    invert_poses(scene_images[0]).save(data / "config.yaml")
+    osl.save_rig(invert_poses(scene_images[0]), data / "config.yaml")
     assert run("doctor", *with_images(data), *SMALL) == 1
     assert "FAIL  the poses look inverted (rig → camera instead of camera → rig)" in capsys.readouterr().out
 

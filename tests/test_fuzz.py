@@ -27,7 +27,7 @@ from omnistereo_lib.dataset import read_inverse_depth, write_inverse_depth
 from omnistereo_lib.evaluate.records import read_record
 from omnistereo_lib.evaluate.table import errors_table, regions_table
 from omnistereo_lib.files import read_image
-from omnistereo_lib.rig_files.ocam import read_ocam_txt
+from omnistereo_lib.rig_files.ocam import load_camera
 from omnistereo_lib.train.loop import COLUMNS, _Run, read_log, write_csv
 
 FILES = int(os.environ.get("FUZZ", "150"))
@@ -163,7 +163,7 @@ def samples(folder):
         "basalt": ("calibration.json", json.dumps(basalt()), osl.load_rig, check_rig),
         "kalibr": ("camchain.yaml", json.dumps(chain), osl.load_rig, check_rig),
         "opencv": ("opencv.yaml", json.dumps(opencv), lambda path: osl.load_rig(path, "cm"), check_rig),
-        "ocam": ("ocam1.txt", OCAM_TXT, read_ocam_txt, check_camera),
+        "ocam": ("ocam1.txt", OCAM_TXT, load_camera, check_camera),
     }
     found |= ocam_poses(folder) | corners(folder) | data_set(folder) | pictures(folder) | tensors(folder) | records()
     return {name: sample if len(sample) == 5 else (*sample, damage) for name, sample in found.items()}

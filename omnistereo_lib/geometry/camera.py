@@ -15,10 +15,10 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from types import ModuleType
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.polynomial import polyder
@@ -50,8 +50,6 @@ class OcamCamera:
     #: (height, width), of any numeric type, stored as bool: non-zero where the image is valid; None: everywhere
     mask: NDArray[np.bool_] | None = None
     max_radius: float = field(init=False, repr=False)  # of the field of view, px before A
-
-    load: ClassVar[Callable[..., OcamCamera]]  # attached by `rig_files`: geometry does not read files
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "poly", np.array(self.poly, np.float64))

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from numbers import Integral
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,9 +30,6 @@ class Rig:
     cameras: tuple[OcamCamera, ...]
     T_rig_cam: tuple[Pose, ...]  #: camera → rig, metres: as in the public files, the inverse of Θ* in the paper
     min_depth: float | None = None  #: nearest depth in metres that the rig file proposes for a sweep
-
-    load: ClassVar[Callable[..., Rig]]  # both attached by `rig_files`: geometry does not read files
-    save: ClassVar[Callable[..., None]]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cameras", tuple(self.cameras))

@@ -34,7 +34,7 @@ _RECORDS = {
 _MAX_POLYNOMIAL_ERROR = 0.1  # px, between the two polynomials; beyond it a warning
 
 
-def read_ocam_txt(path: str | Path, max_fov_deg: float = DEFAULT_FOV_DEG) -> OcamCamera:
+def load_camera(path: str | Path, max_fov_deg: float = DEFAULT_FOV_DEG) -> OcamCamera:
     """Read a camera from an OCamCalib text file.
 
     Five records, one per line, `#` starts a comment: the direct and the inverse polynomial (each the number of

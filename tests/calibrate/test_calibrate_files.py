@@ -132,7 +132,7 @@ def test_shipped_captures_show_what_their_truth_says(name):
 @pytest.mark.parametrize("name", SETS)
 def test_recorded_corners_are_those_of_the_recorded_rig(name):
     """The config's polynomials against the lens itself, and poses against corners."""
-    rig, truth = osl.Rig.load(SHIPPED / name), truth_of(name)
+    rig, truth = osl.load_rig(SHIPPED / name), truth_of(name)
     poses = {
         (capture["name"], view["camera"] - 1): Pose.from_vector(view["T_rig_board"])
         for capture in json.loads((SHIPPED / name / "truth.json").read_text())["captures"]
@@ -145,7 +145,7 @@ def test_recorded_corners_are_those_of_the_recorded_rig(name):
 
 def assert_is_the_true_rig(rig, report, name):
     """Every pose within four of its predicted standard deviations."""
-    true = osl.Rig.load(SHIPPED / name)
+    true = osl.load_rig(SHIPPED / name)
     for i, (sigma_deg, sigma_m) in enumerate(report.pose_uncertainty()[1:], start=1):
         error = (true.T_rig_cam[0].inverse() @ true.T_rig_cam[i]).inverse() @ rig.T_rig_cam[i]
         angle, shift = error.magnitude()
@@ -185,7 +185,7 @@ def test_kannala_brandt_follows_an_equidistant_lens():
 def test_rigs_for_others_come_back(tmp_path, name):
     rig = rig_of().transformed(Pose.from_vector([0.1, 0.2, 0.3, 1, 2, 3]))
     residuals = export_rig(rig, tmp_path)
-    again = osl.Rig.load(tmp_path / name, unit="m")
+    again = osl.load_rig(tmp_path / name, unit="m")
     for i in range(4):
         expected = rig.T_rig_cam[0].inverse() @ rig.T_rig_cam[i]
         angle, shift = (expected.inverse() @ again.T_rig_cam[i]).magnitude()
@@ -240,7 +240,7 @@ def test_a_rig_from_corners_on_file(detected, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "rig: 4 cameras" in said and (tmp_path / "report.txt").read_text().strip() in said
     for written in ("config.yaml", "."):  # the folder: ocam1.txt … and poses.txt
-        rig = osl.Rig.load(tmp_path / written, unit="m", max_fov_deg=200)
+        rig = osl.load_rig(tmp_path / written, unit="m", max_fov_deg=200)
         assert len(rig) == 4
     for i in (1, 2, 3, 4):
         assert (tmp_path / f"report_cam{i}.png").is_file()

@@ -276,7 +276,7 @@ def test_notation_names_what_the_library_has():
 
 
 def exists(name):
-    """Tell whether a name, as the book writes it, is one of the library's: `Rig.load`, `metrics.error_map`."""
+    """Tell whether a name, as the book writes it, is one of the library's: `load_rig`, `metrics.error_map`."""
     first, *rest = name.split(".")
     thing = getattr(osl, first) if first in osl.__all__ else importlib.import_module(f"omnistereo_lib.{first}")
     for part in rest:

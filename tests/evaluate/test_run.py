@@ -200,7 +200,7 @@ def test_a_set_with_a_rig_for_each_frame_equals_its_frames_evaluated_alone(data,
 
 
 def test_the_same_rig_in_another_frame_changes_nothing(data, tmp_path, expected):
-    RIG.transformed(osl.Pose.from_vector([0.3, -0.2, 0.5, 1.0, 2.0, -3.0])).save(tmp_path / "moved.yaml")
+    osl.save_rig(RIG.transformed(osl.Pose.from_vector([0.3, -0.2, 0.5, 1.0, 2.0, -3.0])), tmp_path / "moved.yaml")
     moved = json.loads(evaluate(tmp_path / "moved", data, rig=tmp_path / "moved.yaml"))
     for number, methods in json.loads(expected)["frames"]["box"].items():
         for name, errors in methods.items():
@@ -210,7 +210,7 @@ def test_the_same_rig_in_another_frame_changes_nothing(data, tmp_path, expected)
 
 def test_a_bent_rig_is_worse_and_kept_apart(data, tmp_path, own, expected):
     bend = osl.Pose.from_vector([0, torch.pi / 36, 0, 0, 0, 0])
-    osl.Rig(RIG.cameras, [*RIG.T_rig_cam[:-1], RIG.T_rig_cam[-1] @ bend]).save(tmp_path / "bent.yaml")
+    osl.save_rig(osl.Rig(RIG.cameras, [*RIG.T_rig_cam[:-1], RIG.T_rig_cam[-1] @ bend]), tmp_path / "bent.yaml")
     bent = json.loads(evaluate(tmp_path / "out", data, rig=tmp_path / "bent.yaml"))
     for number, methods in json.loads(expected)["frames"]["box"].items():
         found = bent["frames"]["box"][number]["zncc+sgm"]
@@ -221,7 +221,7 @@ def test_a_bent_rig_is_worse_and_kept_apart(data, tmp_path, own, expected):
 
 
 def test_a_rig_of_other_cameras_is_named(data, tmp_path):
-    osl.Rig(RIG.cameras[:3], RIG.T_rig_cam[:3]).save(tmp_path / "three.yaml")
+    osl.save_rig(osl.Rig(RIG.cameras[:3], RIG.T_rig_cam[:3]), tmp_path / "three.yaml")
     with pytest.raises(osl.OmnistereoError, match=r"three.yaml has cameras of .* pixels; expected .*, as in .*box"):
         evaluation(tmp_path / "out", data, rig=tmp_path / "three.yaml")
     assert not (tmp_path / "out").exists()
@@ -308,7 +308,7 @@ def test_bad_data_are_named(data, copy, tmp_path):
     shutil.rmtree(copy / "omnidepth_gt_96")
     with pytest.raises(osl.OmnistereoError, match="has no ground truth for the frames requested"):
         evaluation(tmp_path / "out", copy)
-    RIG.save(copy / "config.yaml")
+    osl.save_rig(RIG, copy / "config.yaml")
     with pytest.raises(osl.OmnistereoError, match="does not state its nearest depth"):
         evaluation(tmp_path / "out", copy)
 

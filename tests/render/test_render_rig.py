@@ -41,7 +41,7 @@ def test_written_rig_sees_what_blender_draws(name, size, tmp_path):
     write_config(tmp_path / "config.yaml", rig, size, {"img_fmt": "cam%d/%04d.jpg", "start": 1})
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        loaded = osl.Rig.load(tmp_path)
+        loaded = osl.load_rig(tmp_path)
     assert loaded.min_depth == rig.min_depth
     for camera, pose, made in zip(loaded.cameras, loaded.T_rig_cam, rig.cameras, strict=True):
         assert camera.image_size == size and camera.max_fov_deg == 220

@@ -81,7 +81,7 @@ def test_written_rig_has_the_angles_of_its_lenses(seed, tmp_path):
     write_config(tmp_path / "config.yaml", rig, SIZE, {"start": 1}, digits=12)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        loaded = osl.Rig.load(tmp_path)
+        loaded = osl.load_rig(tmp_path)
     assert loaded.min_depth == rig.min_depth
     for camera, pose, made in zip(loaded.cameras, loaded.T_rig_cam, rig.cameras, strict=True):
         np.testing.assert_allclose(pose.R, made.T_rig_cam.R, atol=1e-12)

@@ -31,7 +31,7 @@ from rig_file_samples import (
 )  # fmt: skip
 from scipy.spatial.transform import Rotation
 
-from omnistereo_lib import OmnistereoError, Rig, load_rig
+from omnistereo_lib import OmnistereoError, load_rig
 from omnistereo_lib.rig_files.camera_models import double_sphere, kannala_brandt, omni
 
 
@@ -41,7 +41,7 @@ def test_basalt(tmp_path, caplog):
     (tmp_path / "cam1").mkdir()
     cv2.imwrite(str(tmp_path / "cam1" / "mask.png"), mask)
     with caplog.at_level(logging.INFO, "omnistereo_lib"):
-        rig = Rig.load(dump(tmp_path / "calibration.json", basalt()))
+        rig = load_rig(dump(tmp_path / "calibration.json", basalt()))
     assert "basalt JSON, 2 cameras" in caplog.text and "camera 1: ds fitted by OCam" in caplog.text
     T = rig.T_rig_cam[1]  # camera -> rig as stored: nothing is inverted
     np.testing.assert_allclose(T.R, Rotation.from_rotvec([0, np.pi, 0.1]).as_matrix(), atol=1e-12)
@@ -51,7 +51,7 @@ def test_basalt(tmp_path, caplog):
     uv, valid = rig.cameras[0].project(RAYS)
     assert valid.any()
     np.testing.assert_allclose(uv[valid], double_sphere(RAYS, **DOUBLE_SPHERE)[0][valid], atol=0.02)
-    assert Rig.load(tmp_path).baselines[0] == pytest.approx(np.hypot(0.1, 0.06))
+    assert load_rig(tmp_path).baselines[0] == pytest.approx(np.hypot(0.1, 0.06))
 
 
 @pytest.mark.parametrize(
@@ -73,13 +73,13 @@ def test_basalt(tmp_path, caplog):
 )
 def test_broken_basalt_files(tmp_path, changes, message):
     with pytest.raises(OmnistereoError, match=f"(?s)calibration.json: .*{message}"):
-        Rig.load(dump(tmp_path / "calibration.json", basalt(**changes)))
+        load_rig(dump(tmp_path / "calibration.json", basalt(**changes)))
 
 
 def test_kalibr_chain_is_inverted(tmp_path, caplog):
     T10, T21 = matrix([0, 1.5, 0.1], [0.1, 0, 0.2]), matrix([0.2, -1, 0], [-0.3, 0.1, 0])
     with caplog.at_level(logging.INFO, "omnistereo_lib"):
-        rig = Rig.load(dump(tmp_path / "camchain.yaml", kalibr(T10, T21)))
+        rig = load_rig(dump(tmp_path / "camchain.yaml", kalibr(T10, T21)))
     assert "Kalibr camchain, 3 cameras" in caplog.text
     point = np.array([0.3, -0.2, 2.0, 1.0])  # in camera 0, which is the rig's frame
     for pose, T in zip(rig.T_rig_cam, (np.eye(4), T10, T21 @ T10), strict=True):
@@ -105,7 +105,7 @@ def test_kalibr_chain_is_inverted(tmp_path, caplog):
     ids=["ds", "pinhole-equidistant", "omni-radtan", "omni-none"],
 )
 def test_kalibr_models(tmp_path, entries, project):
-    rig = Rig.load(dump(tmp_path / "camchain.yaml", kalibr(np.eye(4), **entries)))
+    rig = load_rig(dump(tmp_path / "camchain.yaml", kalibr(np.eye(4), **entries)))
     uv, valid = rig.cameras[0].project(RAYS)
     assert valid.mean() > 0.2
     np.testing.assert_allclose(uv[valid], project(RAYS)[0][valid], atol=0.05)
@@ -115,7 +115,7 @@ def test_what_a_polynomial_cannot_follow_is_told(tmp_path):
     lens = {"camera_model": "omni", "intrinsics": [1.5, *FOCAL], "distortion_model": "radtan"}
     lens |= {"distortion_coeffs": [0.0, 0.0, 2e-3, 0.0]}
     with pytest.warns(UserWarning, match=r"camchain.yaml, cam0: .* px away from the omni model.*tangential"):
-        Rig.load(dump(tmp_path / "camchain.yaml", kalibr(np.eye(4), **lens)))
+        load_rig(dump(tmp_path / "camchain.yaml", kalibr(np.eye(4), **lens)))
 
 
 @pytest.mark.parametrize(
@@ -137,7 +137,7 @@ def test_what_a_polynomial_cannot_follow_is_told(tmp_path):
 )
 def test_broken_kalibr_files(tmp_path, data, message):
     with pytest.raises(OmnistereoError, match=f"camchain.yaml: .*{message}"):
-        Rig.load(dump(tmp_path / "camchain.yaml", data))
+        load_rig(dump(tmp_path / "camchain.yaml", data))
 
 
 def opencv_file(path, **values):
@@ -179,7 +179,7 @@ def test_opencv_layouts(tmp_path, layout, header, caplog):
     path = opencv_file(tmp_path / "fisheye.yaml", **LAYOUTS[layout])
     path.write_text("\n".join([header, *path.read_text().splitlines()[1:]]))
     with caplog.at_level(logging.INFO, "omnistereo_lib"):
-        rig = Rig.load(path, "cm")
+        rig = load_rig(path, "cm")
     assert "OpenCV fisheye, 2 cameras" in caplog.text
     point = np.array([0.1, 0.2, 0.7])  # in the first camera, metres
     np.testing.assert_allclose(rig.T_rig_cam[1] @ (R2 @ point + T2 / 100), point, atol=1e-12)
@@ -193,7 +193,7 @@ def test_opencv_layouts(tmp_path, layout, header, caplog):
 
 def test_opencv_files_as_plain_yaml_lists(tmp_path):
     camera = {"K": K.tolist(), "D": D4.tolist(), "resolution": list(SIZE), "R": R2.tolist(), "T": T2.tolist()}
-    rig = Rig.load(dump(tmp_path / "rig.yaml", {"cameras": [camera, camera, camera]}), "m")
+    rig = load_rig(dump(tmp_path / "rig.yaml", {"cameras": [camera, camera, camera]}), "m")
     np.testing.assert_allclose(rig.centers, [-R2.T @ T2] * 3, atol=1e-12)
 
 
@@ -201,7 +201,7 @@ def test_opencv_files_need_a_unit(tmp_path):
     path = opencv_file(tmp_path / "fisheye.yaml", **LAYOUTS["stereo pair"])
     distance = np.linalg.norm(T2)
     with pytest.raises(OmnistereoError, match=rf"fisheye.yaml: .*not state its unit.*cm.*{distance / 100:.4g}"):
-        Rig.load(path)
+        load_rig(path)
 
 
 @pytest.mark.parametrize(
@@ -220,7 +220,7 @@ def test_opencv_files_need_a_unit(tmp_path):
 def test_broken_opencv_files(tmp_path, changes, message):
     path = opencv_file(tmp_path / "fisheye.yaml", **LAYOUTS["stereo pair"] | changes)
     with pytest.raises(OmnistereoError, match=f"fisheye.yaml: .*{message}"):
-        Rig.load(path, "cm")
+        load_rig(path, "cm")
 
 
 @pytest.mark.parametrize(
@@ -235,7 +235,7 @@ def test_broken_opencv_files(tmp_path, changes, message):
 )
 def test_unknown_files_list_what_is_known(tmp_path, name, text, message):
     with pytest.raises(OmnistereoError, match=rf"(?s){name}: {message}.*basalt JSON.*Kalibr.*OpenCV"):
-        Rig.load(write(tmp_path / name, text))
+        load_rig(write(tmp_path / name, text))
 
 
 @pytest.mark.parametrize(
@@ -251,15 +251,15 @@ def test_unknown_files_list_what_is_known(tmp_path, name, text, message):
 )
 def test_files_that_are_not_json_or_yaml(tmp_path, name, text):
     with pytest.raises(OmnistereoError, match=rf"{name}: not valid JSON or YAML .*complete"):
-        Rig.load(write(tmp_path / name, text))
+        load_rig(write(tmp_path / name, text))
 
 
 def test_missing_files_and_empty_folders(tmp_path):
     with pytest.raises(OmnistereoError, match=r"nothing.yaml cannot be read"):
-        Rig.load(tmp_path / "nothing.yaml")
+        load_rig(tmp_path / "nothing.yaml")
     write(tmp_path / "notes.md", "")
     with pytest.raises(OmnistereoError, match=r"(?s)found \['notes.md'\]; expected ocam.*supported formats"):
-        Rig.load(tmp_path)
+        load_rig(tmp_path)
 
 
 FORMAT_FILES = {

@@ -33,9 +33,8 @@ from rig_file_samples import (
     write,
 )  # fmt: skip
 
-from omnistereo_lib import OcamCamera, OmnistereoError, Pose, Rig
-from omnistereo_lib.rig_files.ocam import read_ocam_txt, write_ocam_folder, write_ocam_txt
-from omnistereo_lib.rig_files.omnimvs import save_rig
+from omnistereo_lib import OmnistereoError, Pose, Rig, load_camera, load_rig, save_rig
+from omnistereo_lib.rig_files.ocam import write_ocam_folder, write_ocam_txt
 from omnistereo_tools.rig_exports import export_rig
 
 C, D, E = AFFINE
@@ -43,7 +42,7 @@ C, D, E = AFFINE
 
 def test_ocam_file_is_row_and_column_low_to_high(tmp_path):
     """The whole chain by hand, in the file's own axes."""
-    camera = read_ocam_txt(write(tmp_path / "ocam1.txt", OCAM_TXT), 220)
+    camera = load_camera(write(tmp_path / "ocam1.txt", OCAM_TXT), 220)
     assert camera.image_size == SIZE and camera.center == CENTER and camera.max_fov_deg == 220
     X, Y, Z = 0.5, 0.3, -0.05
     t = np.arctan2(-Z, np.hypot(X, Y))
@@ -57,7 +56,7 @@ def test_ocam_file_is_row_and_column_low_to_high(tmp_path):
 
 def test_ocam_file_round_trip_is_exact(tmp_path):
     write_ocam_txt(CAMERA, tmp_path / "camera.txt")
-    back = OcamCamera.load(tmp_path / "camera.txt", max_fov_deg=220)
+    back = load_camera(tmp_path / "camera.txt", max_fov_deg=220)
     np.testing.assert_array_equal(back.poly, CAMERA.poly)
     np.testing.assert_array_equal(back.inv_poly, CAMERA.inv_poly)
     assert (back.center, back.affine, back.image_size) == (CAMERA.center, CAMERA.affine, CAMERA.image_size)
@@ -76,13 +75,13 @@ def test_ocam_file_round_trip_is_exact(tmp_path):
     ids=["trailing data", "float counts", "no blank lines", "windows", "float size"],
 )
 def test_ocam_file_variants(tmp_path, text):
-    same_camera(read_ocam_txt(write(tmp_path / "ocam.txt", text), 220), CAMERA)
+    same_camera(load_camera(write(tmp_path / "ocam.txt", text), 220), CAMERA)
 
 
 @pytest.mark.parametrize("empty", ["", "0"])
 def test_a_missing_inverse_polynomial_is_fitted(tmp_path, empty):
     text = OCAM_TXT.replace(f"{N_INVERSE} {INVERSE}", empty)
-    camera = read_ocam_txt(write(tmp_path / "ocam.txt", text), 220)
+    camera = load_camera(write(tmp_path / "ocam.txt", text), 220)
     theta = np.radians(np.linspace(0, 110, 50))
     uv, _ = camera.project(np.stack([np.sin(theta), 0 * theta, np.cos(theta)], -1))
     np.testing.assert_allclose(uv[:, 0], 2 * F * np.tan(theta / 2) + CENTER[0], atol=0.02)
@@ -91,13 +90,13 @@ def test_a_missing_inverse_polynomial_is_fitted(tmp_path, empty):
 def test_polynomials_that_disagree_are_told(tmp_path):
     worse = OCAM_TXT.replace(repr(CAMERA.inv_poly[0].item()), repr(CAMERA.inv_poly[0].item() + 1.5))
     with pytest.warns(UserWarning, match=r"ocam7.txt: .* disagree by up to 1.50 px.*uses inv_poly"):
-        camera = read_ocam_txt(write(tmp_path / "ocam7.txt", worse), 220)
+        camera = load_camera(write(tmp_path / "ocam7.txt", worse), 220)
     straight = np.array([1.0, 0, 0])
     assert camera.project(straight)[0][0] - CAMERA.project(straight)[0][0] == pytest.approx(1.5)
     close = OCAM_TXT.replace(repr(CAMERA.inv_poly[0].item()), repr(CAMERA.inv_poly[0].item() + 0.09))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        read_ocam_txt(write(tmp_path / "ocam8.txt", close), 220)
+        load_camera(write(tmp_path / "ocam8.txt", close), 220)
 
 
 @pytest.mark.parametrize(
@@ -123,31 +122,31 @@ def test_polynomials_that_disagree_are_told(tmp_path):
 )
 def test_broken_ocam_files(tmp_path, text, message):
     with pytest.raises(OmnistereoError, match=rf"(?s)ocam.txt: .*{message}"):
-        read_ocam_txt(write(tmp_path / "ocam.txt", text), 220)
+        load_camera(write(tmp_path / "ocam.txt", text), 220)
 
 
 @settings(fuzz, max_examples=400)
 @given(st.floats(0, 1), damages, st.sampled_from([60.0, 220.0, 360.0]))
 def test_an_ocam_file_with_any_damage(tmp_path_factory, keep, damage, fov):
     content = damaged(OCAM_TXT.encode(), keep, damage)
-    only_our_error(lambda path: read_ocam_txt(path, fov), tmp_path_factory.getbasetemp() / "damaged.txt", content)
+    only_our_error(lambda path: load_camera(path, fov), tmp_path_factory.getbasetemp() / "damaged.txt", content)
 
 
 @settings(fuzz, max_examples=200)
 @given(st.lists(st.lists(st.floats() | st.integers() | st.text(max_size=5), max_size=8), max_size=7))
 def test_an_ocam_file_of_any_numbers(tmp_path_factory, records):
     text = "\n".join(" ".join(map(str, [len(record), *record])) for record in records)
-    only_our_error(lambda path: read_ocam_txt(path, 220), tmp_path_factory.getbasetemp() / "any.txt", text.encode())
+    only_our_error(lambda path: load_camera(path, 220), tmp_path_factory.getbasetemp() / "any.txt", text.encode())
 
 
 @pytest.mark.parametrize(("unit", "scale"), [("mm", 1e-3), ("cm", 1e-2), ("m", 1.0)])
 def test_ocam_folder(tmp_path, unit, scale, caplog):
     with caplog.at_level(logging.INFO, "omnistereo_lib"):
-        rig = Rig.load(ocam_folder(tmp_path), unit)
+        rig = load_rig(ocam_folder(tmp_path), unit)
     assert len(rig) == 4 and f"OCamCalib text files in {unit}, 4 cameras" in caplog.text
     np.testing.assert_allclose(rig.centers, scale * np.array([[0, 0, 0], [20, 0, -20], [0, 0, -40], [-20, 0, -20]]))
     assert rig.cameras[0].max_fov_deg == 220
-    assert Rig.load(tmp_path, unit, max_fov_deg=190).cameras[3].max_fov_deg == 190
+    assert load_rig(tmp_path, unit, max_fov_deg=190).cameras[3].max_fov_deg == 190
     # Camera -> rig: the second camera looks along the rig's +x.
     np.testing.assert_allclose(rig.T_rig_cam[1].R @ [0, 0, 1], [1, 0, 0], atol=1e-6)
 
@@ -156,17 +155,17 @@ def test_the_unit_is_not_guessed(tmp_path):
     with pytest.raises(
         OmnistereoError, match=r"(?s)poses.txt: .*not state its unit.*mm.*0.02828 to 0.04 m.*cm.*0.2828 to 0.4"
     ):
-        Rig.load(ocam_folder(tmp_path))
+        load_rig(ocam_folder(tmp_path))
     with pytest.raises(OmnistereoError, match=r"unit is 'inch'; expected one of \['mm', 'cm', 'm'\]"):
-        Rig.load(tmp_path, "inch")
+        load_rig(tmp_path, "inch")
     with pytest.raises(OmnistereoError, match="max_fov_deg is 0; expected a number of 1 to 360"):
-        Rig.load(tmp_path, "cm", max_fov_deg=0)
+        load_rig(tmp_path, "cm", max_fov_deg=0)
 
 
 def test_ten_cameras_are_in_the_order_of_their_numbers(tmp_path):
     ocam_folder(tmp_path, cameras=11, poses="".join(f"0 0 0 {i} 0 0\n" for i in range(11)))
     write(tmp_path / "ocam10.txt", OCAM_TXT.replace(f"{CENTER[1]} {CENTER[0]}", "300 300"))
-    rig = Rig.load(tmp_path, "m")
+    rig = load_rig(tmp_path, "m")
     assert [camera.center == (300, 300) for camera in rig.cameras].index(True) == 9
 
 
@@ -183,17 +182,17 @@ def test_ten_cameras_are_in_the_order_of_their_numbers(tmp_path):
 )
 def test_broken_poses_name_the_camera(tmp_path, poses, message):
     with pytest.raises(OmnistereoError, match=message):
-        Rig.load(ocam_folder(tmp_path, poses=poses), "cm")
+        load_rig(ocam_folder(tmp_path, poses=poses), "cm")
 
 
 def test_one_camera_is_no_rig(tmp_path):
     with pytest.raises(OmnistereoError, match="at least 2 cameras"):
-        Rig.load(ocam_folder(tmp_path, cameras=1, poses="0 0 0 0 0 0"), "cm")
+        load_rig(ocam_folder(tmp_path, cameras=1, poses="0 0 0 0 0 0"), "cm")
     with pytest.raises(OmnistereoError, match=r"ocam1.txt: .*Pass the folder of a rig"):
-        Rig.load(tmp_path / "ocam1.txt", "cm")
+        load_rig(tmp_path / "ocam1.txt", "cm")
     (tmp_path / "poses.txt").unlink()
     with pytest.raises(OmnistereoError, match=r"poses.txt cannot be read"):
-        Rig.load(tmp_path, "cm")
+        load_rig(tmp_path, "cm")
 
 
 def test_omnimvs_config(tmp_path, caplog):
@@ -201,35 +200,35 @@ def test_omnimvs_config(tmp_path, caplog):
     mask[:, :300] = 1  # the released code writes 0 and 1
     cv2.imwrite(str(tmp_path / "mask2.png"), mask)
     with pytest.raises(OmnistereoError, match=r"the masks mask1.png, mask3.png are named, but missing"):
-        Rig.load(dump(tmp_path / "config.yaml", omnimvs()))
+        load_rig(dump(tmp_path / "config.yaml", omnimvs()))
     for name in ("mask1.png", "mask3.png"):
         cv2.imwrite(str(tmp_path / name), 0 * mask)
     with caplog.at_level(logging.INFO, "omnistereo_lib"):
-        rig = Rig.load(dump(tmp_path / "config.yaml", omnimvs()))
+        rig = load_rig(dump(tmp_path / "config.yaml", omnimvs()))
     assert "OmniMVS config.yaml, 3 cameras" in caplog.text
     assert rig.min_depth == 1.65 and rig.cameras[0].max_fov_deg == 200
     np.testing.assert_allclose(rig.centers, [[0, 0, 0.6], [0.6, 0, 0], [0, 0, -0.6]], atol=1e-15)
     same_camera(rig.cameras[0], stereographic(max_fov_deg=200))
     assert rig.cameras[0].mask.all()
     np.testing.assert_array_equal(rig.cameras[1].mask, mask == 0)  # true is outside
-    assert Rig.load(tmp_path).min_depth == 1.65
-    assert Rig.load(tmp_path, unit="m", max_fov_deg=150).cameras[0].max_fov_deg == 150
+    assert load_rig(tmp_path).min_depth == 1.65
+    assert load_rig(tmp_path, unit="m", max_fov_deg=150).cameras[0].max_fov_deg == 150
     with pytest.raises(OmnistereoError, match=r"in metres by definition\. Omit unit='cm'"):
-        Rig.load(tmp_path, unit="cm")
+        load_rig(tmp_path, unit="cm")
 
 
 def test_poses_that_no_rig_has(tmp_path):
     rig = omnimvs()
     rig["cameras"][1]["pose"][3] = 1001.0
     with pytest.raises(OmnistereoError, match=r"config.yaml: a camera stands 1001 m from the origin"):
-        Rig.load(dump(tmp_path / "config.yaml", rig))
+        load_rig(dump(tmp_path / "config.yaml", rig))
 
 
 def test_a_folder_with_both_formats(tmp_path):
     """The published folders have both, and their metric scales differ by three."""
     dump(ocam_folder(tmp_path) / "config.yaml", omnimvs())
-    assert len(Rig.load(tmp_path)) == 3
-    assert len(Rig.load(tmp_path, "cm")) == 4
+    assert len(load_rig(tmp_path)) == 3
+    assert len(load_rig(tmp_path, "cm")) == 4
 
 
 def broken_omnimvs(key, value):
@@ -257,31 +256,31 @@ def broken_omnimvs(key, value):
 )
 def test_broken_omnimvs_configs(tmp_path, data, message):
     with pytest.raises(OmnistereoError, match=message):
-        Rig.load(dump(tmp_path / "config.yaml", data))
+        load_rig(dump(tmp_path / "config.yaml", data))
 
 
 def test_masks_that_do_not_fit(tmp_path):
     path = dump(tmp_path / "config.yaml", omnimvs())
     cv2.imwrite(str(tmp_path / "mask1.png"), np.zeros((30, 40), np.uint8))
     with pytest.raises(OmnistereoError, match=r"mask1.png is 40 × 30 px; the camera has 800 × 760 px"):
-        Rig.load(path)
+        load_rig(path)
     (tmp_path / "mask1.png").write_bytes(b"no picture")
     with pytest.raises(OmnistereoError, match=r"mask1.png is not an image"):
-        Rig.load(path)
+        load_rig(path)
 
 
 def test_saved_rigs_come_back(tmp_path):
     mask = np.random.default_rng(0).random(SIZE[::-1]) > 0.2
     poses = [Pose.from_vector(theta) for theta in np.random.default_rng(1).normal(size=(3, 6))]
     rig = Rig([CAMERA, stereographic(mask=mask), stereographic(max_fov_deg=123.4)], poses, min_depth=1 / 3)
-    rig.save(tmp_path / "rig.yaml")
+    save_rig(rig, tmp_path / "rig.yaml")
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "rig.yaml",
         "rig_mask1.png",
         "rig_mask2.png",
         "rig_mask3.png",
     ]
-    back = Rig.load(tmp_path / "rig.yaml")
+    back = load_rig(tmp_path / "rig.yaml")
     assert back.min_depth == rig.min_depth
     for ours, theirs, T, T_too in zip(back.cameras, rig.cameras, back.T_rig_cam, poses, strict=True):
         np.testing.assert_array_equal(ours.poly, theirs.poly)
@@ -292,14 +291,14 @@ def test_saved_rigs_come_back(tmp_path):
         np.testing.assert_array_equal(T.t, T_too.t)
     assert back.cameras[0].mask.all()
     np.testing.assert_array_equal(back.cameras[1].mask, mask)
-    rig.with_poses(poses).save(tmp_path / "rig.yaml")  # over itself
-    Rig([CAMERA, CAMERA], poses[:2]).save(tmp_path / "rig.yaml")
-    assert Rig.load(tmp_path / "rig.yaml").cameras[1].mask is None  # not the mask of the rig before
+    save_rig(rig.with_poses(poses), tmp_path / "rig.yaml")  # over itself
+    save_rig(Rig([CAMERA, CAMERA], poses[:2]), tmp_path / "rig.yaml")
+    assert load_rig(tmp_path / "rig.yaml").cameras[1].mask is None  # not the mask of the rig before
 
 
 def test_saved_rigs_have_what_the_public_codes_read(tmp_path):
     """Released loaders take these entries by name and position."""
-    Rig([CAMERA] * 4, [Pose.identity()] * 4, 0.55).save(tmp_path / "config.yaml")
+    save_rig(Rig([CAMERA] * 4, [Pose.identity()] * 4, 0.55), tmp_path / "config.yaml")
     data = yaml.safe_load((tmp_path / "config.yaml").read_text())
     assert data["config"] == {"omnimvs_sweep_min_depth": 0.55} and "img_fmt" in data["dataset"]
     for i, camera in enumerate(data["cameras"], 1):
@@ -328,9 +327,9 @@ def test_numpy_numbers_are_written_as_plain_numbers(tmp_path):
     )  # fmt: skip
     rig = Rig([camera] * 2, [Pose.identity()] * 2)
     write_ocam_folder(rig, tmp_path)
-    rig.save(tmp_path / "config.yaml")
+    save_rig(rig, tmp_path / "config.yaml")
     export_rig(rig, tmp_path)
     written = {path.name: path.read_text() for path in tmp_path.iterdir()}
     assert len(written) == 8 and not [name for name, text in written.items() if "np." in text or "numpy" in text]
     for path, unit in (("", "m"), ("config.yaml", None), ("kalibr.yaml", None), ("opencv.yaml", "m")):
-        assert Rig.load(tmp_path / path, unit).cameras[0].image_size == SIZE
+        assert load_rig(tmp_path / path, unit).cameras[0].image_size == SIZE

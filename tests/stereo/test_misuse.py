@@ -36,7 +36,7 @@ def rig(pose=0.0, min_depth=None):
         (lambda: depth([None] * 4), "image 1 has shape"),
         (lambda: depth(cost=lambda *_: torch.zeros(1, 48, 4)), r"shape \(1, 48, 4\); expected .* \(12, 48, 4\)"),
         (lambda: sweep_depth(SWEEP, IMAGES, "zncc,num_spheres=8"), "8 spheres and the sweep 4"),
-        (lambda: RIG.save("rig.json"), "rig.json: a rig is saved as YAML"),
+        (lambda: osl.save_rig(RIG, "rig.json"), "rig.json: a rig is saved as YAML"),
         (lambda: depth([*IMAGES[:3], np.zeros((56, 60), complex)]), "image 4 has type complex128"),
         (lambda: osl.ZNCC(window="9"), "window is '9'"),
         (lambda: rig(1e8), r"camera 1 .* 100000000.0; expected a number of 0 to 1"),
@@ -81,7 +81,7 @@ BOARD = osl.Checkerboard((4, 3), 0.06)
         ("rig", lambda wrong: osl.camera_pairs("ring", wrong)),
         ("T_rig_cam", lambda wrong: RIG.with_poses(wrong)),
         ("T_new_rig", lambda wrong: RIG.transformed(wrong)),
-        ("path", lambda wrong: RIG.save(wrong)),
+        ("path", lambda wrong: osl.save_rig(RIG, wrong)),
         ("path", lambda wrong: osl.load_rig(wrong)),
         ("path", lambda wrong: osl.SweepNet.from_file(wrong)),
         ("paths", lambda wrong: osl.load_images(wrong)),
@@ -126,7 +126,7 @@ def test_what_was_checked_does_not_change_afterwards():
 
 def test_right_types_of_every_kind(tmp_path):
     """A path may be text or a path, a sequence an array; numbers of NumPy are left to the function."""
-    RIG.save(str(tmp_path / "rig.yaml"))
+    osl.save_rig(RIG, str(tmp_path / "rig.yaml"))
     assert (
         len(osl.load_rig(tmp_path / "rig.yaml")) == len(osl.load_rig(path=str(tmp_path / "rig.yaml"), unit=None)) == 4
     )

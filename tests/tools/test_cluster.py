@@ -29,7 +29,7 @@ def cluster():
 def recorded(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recorded")
     still = scene.rig(width=100, height=96)
-    osl.Rig(still.cameras, still.T_rig_cam, min_depth=0.6).save(folder / "rig.yaml")
+    osl.save_rig(osl.Rig(still.cameras, still.T_rig_cam, min_depth=0.6), folder / "rig.yaml")
     for n in range(FRAMES):
         step = osl.Pose.from_vector([0, 0, 0, 0.03 * n, 0, 0])
         for k, picture in enumerate(scene.images(still.transformed(step), finest=0.25), 1):

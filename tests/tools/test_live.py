@@ -24,7 +24,7 @@ def recorded(tmp_path_factory):
     folder = tmp_path_factory.mktemp("videos")
     rig = scene.rig(width=100, height=96)
     rig = osl.Rig(rig.cameras, rig.T_rig_cam, min_depth=0.6)
-    rig.save(folder / "rig.yaml")
+    osl.save_rig(rig, folder / "rig.yaml")
     for k, picture in enumerate(scene.images(rig, finest=0.25)):
         video = cv2.VideoWriter(str(folder / f"{k}.mkv"), cv2.VideoWriter_fourcc(*"FFV1"), 20, (100, 96))
         for _ in range(FRAMES):

@@ -27,7 +27,7 @@ def rig():
 @pytest.fixture(scope="module")
 def exported(rig, tmp_path_factory):
     folder = tmp_path_factory.mktemp("onnx")
-    rig.save(folder / "rig.yaml")
+    osl.save_rig(rig, folder / "rig.yaml")
     assert cli.main(["onnx", "--rig", str(folder / "rig.yaml"), *FINE, "--out", str(folder / "out")]) == 0
     return folder / "out"
 
@@ -100,12 +100,12 @@ def test_the_script_says_in_one_line_what_is_wrong(exported, tmp_path, names, sa
 
 
 def test_the_command_that_is_proposed_runs_in_a_shell(rig, tmp_path, capsys):
-    rig.save(tmp_path / "rig.yaml")
+    osl.save_rig(rig, tmp_path / "rig.yaml")
     assert cli.main(["onnx", "--rig", str(tmp_path / "rig.yaml"), *FINE, "--out", str(tmp_path / "my out")]) == 0
     assert f"python '{tmp_path}/my out/run_onnx.py' with" in capsys.readouterr().out
 
 
 def test_a_rig_without_a_nearest_depth_is_told(rig, tmp_path, capsys):
-    osl.Rig(rig.cameras, rig.T_rig_cam).save(tmp_path / "rig.yaml")
+    osl.save_rig(osl.Rig(rig.cameras, rig.T_rig_cam), tmp_path / "rig.yaml")
     assert cli.main(["onnx", "--rig", str(tmp_path / "rig.yaml"), "--out", str(tmp_path / "out")]) == 2
     assert "states no nearest depth. Pass --min-depth" in capsys.readouterr().err

@@ -29,7 +29,7 @@ def recorded(tmp_path_factory):
     """A rig that moves through the box: folders of numbered pictures beside its rig file."""
     folder = tmp_path_factory.mktemp("recorded")
     still = scene.rig(width=100, height=96)
-    osl.Rig(still.cameras, still.T_rig_cam, min_depth=0.6).save(folder / "rig.yaml")
+    osl.save_rig(osl.Rig(still.cameras, still.T_rig_cam, min_depth=0.6), folder / "rig.yaml")
     for n in range(1, FRAMES + 1):
         step = osl.Pose.from_vector([0, 0, 0, 0.05 * n, 0, 0])
         for k, picture in enumerate(scene.images(still.transformed(step), finest=0.25), 1):
@@ -122,7 +122,7 @@ def test_the_depth_of_another_rig_or_of_other_pictures_is_not_kept(recorded, don
     before = (done / "config.yaml").read_bytes()
     for k, other in enumerate([rig.with_poses(moved), osl.Rig(masked, rig.T_rig_cam, 0.6)]):
         (tmp_path / str(k)).mkdir()
-        other.save(tmp_path / str(k) / "rig.yaml")
+        osl.save_rig(other, tmp_path / str(k) / "rig.yaml")
         assert run(*depth_command(recorded, done), "--rig", tmp_path / str(k) / "rig.yaml") == 2
         assert "recording.json is of a recording with other settings" in capsys.readouterr().err
     shutil.copytree(recorded, tmp_path / "copy")

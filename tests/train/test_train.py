@@ -243,8 +243,8 @@ def test_bad_data(data, tmp_path):
         for path in data.iterdir():
             if path.name not in (name, "config.yaml"):
                 (copy / path.name).symlink_to(path)
-        rig = osl.Rig.load(data)
-        osl.Rig(rig.cameras, rig.T_rig_cam, min_depth=0.6 if name else None).save(copy / "config.yaml")
+        rig = osl.load_rig(data)
+        osl.save_rig(osl.Rig(rig.cameras, rig.T_rig_cam, min_depth=0.6 if name else None), copy / "config.yaml")
     with refused("has 0 frames with ground truth"):
         losses(SWEEPNET, tmp_path / "out", tmp_path / "truth")
     with refused("does not state its nearest depth"):
