@@ -1,36 +1,42 @@
 """Check handed-in notebooks: `python -m course check my_notebook.ipynb`, or a folder of them.
 
-The notebook runs in a kernel of its own, and every function that an exercise asks for is called there; judged it is
-here, by the checkers of this clone. Each notebook gets a score sheet as JSON; a class gets one table, scores.csv.
-A sheet that is there, of the same notebook and the same checkers, is kept, so that a stopped class resumes.
+The notebook runs in a process of its own (`course.student`), which brings back what the student's functions answer;
+they are judged here, by the checkers of this clone. Each notebook gets a score sheet as JSON; a class gets one table,
+scores.csv. A sheet of the same notebook and the same checkers is kept, so that a stopped class resumes.
 """
 
-import ast
 import csv
 import hashlib
-import io
 import json
 import math
+import os
 import re
-import time
+import sys
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import redirect_stdout
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 import nbformat
+import numpy as np
 
 from course import exercises, nbtools, solve, student
+from course.exercises.compare import CASES, diagnose
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import atomic_write, make_folder
+from omnistereo_lib.files import atomic_write, make_folder, read_bytes
 
 OUT = nbtools.ROOT / "out" / "checked"
 SECONDS, MEMORY_GIB = 600.0, 4.0
 ANSWER_S = 20.0  # for each call of a student's function
+MAX_BYTES = 32 * 2**20  # of a notebook
+MAX_NOTES = 50
 STATUSES = ("right", "wrong", "not tried", "not judged")
 UNTOUCHED = "nothing returned yet"  # what checkers say of a stub
+CHECKER = re.compile(r"\bexercises\.(check_\w+)\(")
+ENVIRONMENT = (Path(sys.prefix), *(nbtools.ROOT / name for name in ("course", "omnistereo_lib", "omnistereo_tools")))
 
 Sheet = dict[str, Any]
 
@@ -43,31 +49,36 @@ class Exercise:
     checker: str  #: name in `course.exercises`
     function: str  #: name of the function that the student writes
 
+    def cases(self, seed: int = 0) -> Iterator[tuple]:
+        """Yield the checker's cases: inputs, right value, and the known mistakes with their hints."""
+        checker = resolve_name(f"course.exercises.{self.checker}")
+        return (checker.case(k, seed) for k in range(CASES))
+
 
 def exercises_of(nb: nbformat.NotebookNode) -> list[Exercise]:
-    """Return a notebook's exercises: the stubs that are handed to a checker."""
+    """Return the exercises of a notebook of the course: the stubs that are handed to a checker."""
     found, number = [], ""
     for cell in nb.cells:
         if cell.cell_type == "markdown":
             number = [number, *re.findall(r"^\*\*(\d\d\.\d+) \(", cell.source, re.MULTILINE)][-1]
         elif names := [stub.name for stub in solve.stubs(cell.source)]:
-            found += [Exercise(number, checker, names[0]) for checker in checkers_called(cell.source)]
+            found += [Exercise(number, checker, names[0]) for checker in CHECKER.findall(cell.source)]
     return found
 
 
-def checkers_called(source: str) -> list[str]:
-    """Return the names of the checkers that a cell calls; none if the cell is not Python."""
+def read_cells(path: Path) -> list[tuple[str, str]]:
+    """Return type and source of a handed-in notebook's cells; outputs may be anything, and are not looked at."""
+    content = read_bytes(path, MAX_BYTES)
     try:
-        calls = [node.func for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call)]
-    except SyntaxError:
-        return []
-    names = (ast.unparse(call).partition("exercises.")[2] for call in calls)
-    return [name for name in names if name.startswith("check_")]
+        return [(cell["cell_type"], "".join(cell["source"])) for cell in json.loads(content)["cells"]]
+    except Exception as error:  # JSON, its nesting, its keys
+        kind = type(error).__name__
+        raise OmnistereoError(f"{path} is not a notebook ({kind}): save it again in JupyterLab") from None
 
 
-def original_of(nb: nbformat.NotebookNode, path: Path) -> Path:
+def original_of(cells: list[tuple[str, str]], path: Path) -> Path:
     """Return the course's notebook that a handed-in one began as, by the number in its title."""
-    title = next((cell.source for cell in nb.cells if cell.cell_type == "markdown"), "")
+    title = next((source for kind, source in cells if kind == "markdown"), "")
     found = [original for original in nbtools.notebooks() if title.startswith(f"# {original.stem[:2]} ")]
     if not found:
         raise OmnistereoError(
@@ -86,53 +97,67 @@ def check_notebook(path: Path, seconds: float = SECONDS, memory_gib: float = MEM
     Args:
         path: The notebook; it is read and never written.
         seconds: The time that it may take in all. A cell is interrupted after a third of it.
-        memory_gib: The memory that its kernel may use.
+        memory_gib: The memory that all its processes may use together.
 
     Raises:
-        OmnistereoError: If it is not a notebook of the course.
+        OmnistereoError: If it is not a notebook of the course, or the limits leave no room for any cell.
     """
-    started, nb = time.monotonic(), nbtools.read_notebook(path)
-    original = original_of(nb, path)
-    asked = exercises_of(nbformat.read(original, as_version=4))
-    results, notes = {}, list(other_version(nb, asked))
-    try:
-        with student.running(seconds, memory_gib) as kernel:
-            for number, cell in enumerate(nbtools.code_cells(nb), start=1):
-                if said := kernel.run(cell.source, seconds / 3):
-                    notes.append(f"code cell {number} stopped with {said}")
-                for exercise in asked:  # now: a later cell may never end, or write over the function
-                    if exercise.checker in checkers_called(cell.source):
-                        results[exercise.number] = judge(kernel, exercise)
-            for exercise in asked:
-                if exercise.number not in results:
-                    results[exercise.number] = judge(kernel, exercise)
-    except student.Stopped as stopped:
-        notes.append(f"stopped in code cell {number}: {stopped}")
-    unjudged = {"status": "not judged", "said": notes[-1] if notes else ""}
-    results = {exercise.number: results.get(exercise.number, unjudged) for exercise in asked}
-    used = {"seconds": round(time.monotonic() - started, 1), "peak_gib": round(kernel.peak_gib, 2)}
-    return {"notebook": original.stem, "exercises": results, "notes": notes} | used
+    cells = read_cells(path)
+    original = original_of(cells, path)
+    asked = exercises_of(nbtools.read_notebook(original))
+    code = [source for kind, source in cells if kind == "code"]
+    seed = int(checksum(path)[:8], 16)  # cases that its author has not seen, the same at each check
+    task = {"cells": code, "exercises": {exercise.function: exercise.checker for exercise in asked}}
+    ran = student.run(task | {"seed": seed, "cell_s": seconds / 3, "answer_s": ANSWER_S}, seconds, memory_gib)
+    if ran.stopped and not ran.records:
+        raise OmnistereoError(f"no cell can run: {ran.stopped}. Raise --seconds or --memory")
+    said = [record.get("said") for record in ran.records if "cell" in record]
+    notes = list(other_version(code, asked))
+    notes += [f"code cell {number} stopped with {text}" for number, text in enumerate(said, start=1) if text]
+    notes = notes[:MAX_NOTES]
+    if ran.stopped:
+        notes.append(f"stopped in code cell {len(said) + 1}: {ran.stopped}")
+    answers = {
+        record["function"]: record.get("replies") for record in ran.records if isinstance(record.get("function"), str)
+    }
+    results = {exercise.number: judge(exercise, seed, answers, ran.stopped) for exercise in asked}
+    used = {"seconds": round(ran.seconds, 1), "peak_gib": round(ran.peak_gib, 2)}
+    return {"notebook": original.stem, "exercises": results, "notes": list(map(printable, notes))} | used
 
 
-def judge(kernel: student.Student, exercise: Exercise) -> dict[str, str]:
-    """Return the status of an exercise and what this clone's checker says of the student's function."""
-    if not kernel.has(exercise.function):
-        return {"status": "not tried", "said": f"there is no function {exercise.function}"}
-    spoken = io.StringIO()
-    with redirect_stdout(spoken):
-        getattr(exercises, exercise.checker)(kernel.function(exercise.function, ANSWER_S))
-    said = spoken.getvalue().splitlines()[-1]
+def judge(exercise: Exercise, seed: int, answers: dict[Any, Any], stopped: str) -> dict[str, str]:
+    """Return the status of an exercise and what this clone's checker says of the answers of the student's function."""
+    if exercise.function not in answers:
+        missing = f"there is no function {exercise.function}"
+        return {"status": "not judged", "said": stopped} if stopped else {"status": "not tried", "said": missing}
+    said = diagnose(repeat(answers[exercise.function]), exercise.cases(seed))
     status = "not tried" if said.startswith(UNTOUCHED) else "right" if said == "right" else "wrong"
-    return {"status": status, "said": said}
+    return {"status": status, "said": printable(said)}
 
 
-def other_version(nb: nbformat.NotebookNode, asked: list[Exercise]) -> Iterator[str]:
+def repeat(replies: Any) -> Callable:
+    """Return a function that answers as the student's did: with its value, its exception, its writing into arrays."""
+    left = iter(replies)
+
+    def answer(*arguments: Any) -> Any:
+        reply = next(left, {"error": "RuntimeError", "text": "no answer"})
+        if "error" in reply:  # by its name, but as an exception of no other use
+            raise type(reply["error"], (Exception,), {"__module__": "builtins"})(reply["text"])
+        for argument, after in zip(arguments, reply["arguments"], strict=True):
+            if isinstance(argument, np.ndarray):
+                argument[...] = json.loads(after)
+        value = json.loads(reply["value"])
+        return type(value["type"], (), {})() if isinstance(value, dict) and "type" in value else value
+
+    return answer
+
+
+def other_version(code: list[str], asked: list[Exercise]) -> Iterator[str]:
     """Say where a notebook has other exercises than this clone's."""
-    has = {name for cell in nbtools.code_cells(nb) for name in checkers_called(cell.source)}
-    known = {exercise.checker for exercise in asked}
+    has = {name for source in code for name in CHECKER.findall(source)}
     if lacking := [exercise.number for exercise in asked if exercise.checker not in has]:
         yield f"does not call the checkers of {', '.join(lacking)}"
-    if foreign := sorted(name for name in has - known if not hasattr(exercises, name)):
+    if foreign := sorted(name for name in has if not hasattr(exercises, name)):
         yield f"of another version of the course: calls {', '.join(foreign)}, which this clone does not have"
 
 
@@ -145,6 +170,11 @@ def in_words(sheet: Sheet) -> str:
     lines += [f"  note: {note}" for note in sheet["notes"]]
     counts = Counter(result["status"] for result in sheet["exercises"].values())
     return "\n".join([*lines, "  " + ", ".join(f"{counts[status]} {status}" for status in STATUSES)])
+
+
+def printable(text: str) -> str:
+    """Return a text as one line of at most 500 characters that every file takes: others than printable ones escaped."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text[:500])[:500]
 
 
 # --- A class ----------------------------------------------------------------------------------------------
@@ -160,47 +190,84 @@ def check(path: Path, out: Path = OUT, seconds: float = SECONDS, memory_gib: flo
     for name, limit in (("seconds", seconds), ("memory", memory_gib)):
         if not 0 < limit < math.inf:
             raise OmnistereoError(f"{name} is {limit:g}; expected a positive number. Leave --{name} out, or raise it")
-    if not path.is_dir():
-        return [sheet_of(path, path.name, make_folder(out), seconds, memory_gib)]
-    names = [file.relative_to(path) for file in sorted(path.rglob("*.ipynb"))]
-    names = [name for name in names if not any(part.startswith(".") for part in name.parts)]
+    is_class = path.is_dir()
+    folder = path if is_class else path.parent
+    names = [file.relative_to(path) for file in sorted(path.rglob("*.ipynb"))] if is_class else [Path(path.name)]
+    names = [name for name in names if not is_class or not any(part.startswith(".") for part in name.parts)]
     if not names:
         raise OmnistereoError(f"{path} holds no notebook: give a folder with .ipynb files, in any folders below it")
-    sheets = []
+    make_folder(out)
+    kept = {name: stored_sheet(out / f"{name}.json", folder / name) for name in names}  # before any code can write one
+    environment, sheets = last_changes(), []
     for name in names:
         try:
-            sheets.append(sheet_of(path / name, name.as_posix(), out, seconds, memory_gib))
-        except OmnistereoError as error:
-            print(f"{name}: {error}")
-            sheets.append({"file": name.as_posix(), "exercises": {}, "notes": [str(error)]})
-    write_scores(out / "scores.csv", sheets)
-    print(f"written: {out / 'scores.csv'}")
+            if not (sheet := kept[name]):
+                checked = check_notebook(folder / name, seconds, memory_gib)
+                sheet = {"file": printable(str(name)), **made_from(folder / name), **checked}
+                store_sheet(out / f"{name}.json", sheet, environment)
+            say(in_words(sheet))
+        except Exception as error:  # whatever a notebook of a class raises becomes its sheet
+            if not is_class:
+                raise
+            note = printable(str(error) or type(error).__name__)
+            sheet = {"file": printable(str(name)), "exercises": {}, "notes": [note]}
+            say(f"{sheet['file']}: {note}")
+        sheets.append(sheet)
+        if is_class:
+            write_scores(out / "scores.csv", sheets)  # each time, so that it is there whatever comes
+    if is_class:
+        say(f"written: {out / 'scores.csv'}")
     return sheets
 
 
-def sheet_of(path: Path, name: str, out: Path, seconds: float, memory_gib: float) -> Sheet:
-    """Return a notebook's score sheet, the stored one if nothing has changed; print it and store it."""
-    made_from = {"sha256": checksum(path), "checkers": checksum(*sorted(Path(exercises.__file__).parent.glob("*.py")))}
-    stored = out / f"{name}.json"
-    if stored.is_file():
-        sheet = json.loads(stored.read_text(encoding="utf-8"))
-        if made_from.items() <= sheet.items():
-            print(in_words(sheet), flush=True)
-            return sheet
-    sheet = {"file": name, **made_from, **check_notebook(path, seconds, memory_gib)}
-    print(in_words(sheet), flush=True)
-    make_folder(stored.parent)
-    with atomic_write(stored) as temporary:
-        temporary.write_text(json.dumps(sheet, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    return sheet
+def say(text: str) -> None:
+    """Print a text at once, in the letters that the terminal has."""
+    encoding = sys.stdout.encoding or "utf-8"
+    print(text.encode(encoding, "backslashreplace").decode(encoding), flush=True)
+
+
+def made_from(path: Path) -> dict[str, str]:
+    """Return the checksums of a notebook and of the checkers, on which its sheet depends."""
+    return {"sha256": checksum(path), "checkers": checksum(*sorted(Path(exercises.__file__).parent.glob("*.py")))}
 
 
 def checksum(*paths: Path) -> str:
     """Return the SHA-256 of some files' contents, one behind the other."""
+    return hashlib.sha256(b"".join(read_bytes(path, MAX_BYTES) for path in paths)).hexdigest()
+
+
+def stored_sheet(stored: Path, path: Path) -> Sheet | None:
+    """Return the stored sheet of a notebook if there is one, whole, of the same notebook and checkers."""
+    with suppress(Exception):  # it may be damaged in any way
+        sheet = json.loads(read_bytes(stored))
+        if in_words(sheet) and made_from(path).items() <= sheet.items():
+            return sheet
+    return None
+
+
+def store_sheet(stored: Path, sheet: Sheet, environment: set[tuple[str, int]]) -> None:
+    """Store a sheet, unless the environment has changed since the class began; if it cannot be, the sheet says so."""
+    if changed := sorted(environment ^ last_changes()):
+        sheet["notes"].append(printable(f"the environment has changed: {changed[0][0]}. Install it again, then check"))
+        return
     try:
-        return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()
-    except OSError as error:
-        raise OmnistereoError(f"{error.filename} cannot be read: {error.strerror}. Check the path.") from None
+        make_folder(stored.parent)
+        with atomic_write(stored) as temporary:
+            temporary.write_text(json.dumps(sheet, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    except OmnistereoError as error:
+        sheet["notes"].append(printable(str(error)))
+
+
+def last_changes() -> set[tuple[str, int]]:
+    """Return every file of the installed packages and of the clone's code, with the time of its last change."""
+    found, folders = set(), list(map(str, ENVIRONMENT))
+    for folder in folders:  # grows
+        for entry in os.scandir(folder):
+            if entry.is_dir(follow_symlinks=False):
+                folders += [entry.path] if entry.name != "__pycache__" else []
+            else:
+                found.add((entry.path, entry.stat(follow_symlinks=False).st_ctime_ns))
+    return found
 
 
 def write_scores(path: Path, sheets: list[Sheet]) -> None:
@@ -213,11 +280,10 @@ def write_scores(path: Path, sheets: list[Sheet]) -> None:
             results = {number: result["status"] for number, result in sheet["exercises"].items()}
             counts = Counter(results.values())
             row = {status: counts[status] for status in STATUSES} | results
-            table.writerow(
-                {
-                    "file": sheet["file"],
-                    "notebook": sheet.get("notebook", ""),
-                    **row,
-                    "notes": "; ".join(sheet["notes"]),
-                }
-            )
+            row |= {"file": sheet["file"], "notebook": sheet.get("notebook", ""), "notes": "; ".join(sheet["notes"])}
+            table.writerow({key: no_formula(value) for key, value in row.items()})
+
+
+def no_formula(cell: str | int) -> str | int:
+    """Return a cell that a spreadsheet shows as it is: one that begins like a formula gets an apostrophe."""
+    return f"'{cell}" if str(cell).startswith(("=", "+", "-", "@")) else cell

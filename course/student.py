@@ -1,29 +1,39 @@
-"""A student's notebook in a kernel of its own: a copy of the clone to work in, limits of time and memory.
+"""A student's notebook in a process of its own, with limits: what its functions answer comes back, and nothing else.
+
+`run` starts `python -m course.student` in a copy of the clone. That process runs the cells by IPython, as Jupyter does,
+and after each cell tries the functions that are new on the inputs of their exercises. What it writes is JSON, a line
+each, into a file that is read when all its processes have ended; so nobody waits for it. Nothing in there is
+believed: `course.handin` compares the answers with the right ones.
 
 This keeps mistakes from doing harm, not malice: the code runs as the user who starts it. For strangers' notebooks
 the whole check belongs into a container; book/teaching.md says how.
 """
 
+import ctypes
+import json
 import os
 import shutil
+import signal
+import stat
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
-from subprocess import DEVNULL
-from tempfile import TemporaryDirectory
-from threading import Event, Thread
+from pkgutil import resolve_name
+from tempfile import TemporaryDirectory, TemporaryFile
 from typing import Any
 
+import numpy as np
 import psutil
-from nbclient import NotebookClient
-from nbclient.exceptions import DeadKernelError
-from nbformat.v4 import new_code_cell, new_notebook
 
-from course import kernels, nbtools, wire
+from course.exercises.compare import CASES
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.geometry.pose import Pose
 
-GIB = 2**30
+ROOT = Path(__file__).resolve().parents[1]
 COPIED = (
     "notebooks",
     "data_samples",
@@ -34,131 +44,254 @@ COPIED = (
     "environment.txt",
     "constraints.txt",
 )
-LEFT_OUT = shutil.ignore_patterns(".*", "solutions*")  # the answers stay out of the copy
-KEPT = ("PATH", "HOME", "LANG", "LC_ALL", "TMPDIR", "VIRTUAL_ENV", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
-MAX_REPLY_BYTES = 64 * 2**20
+KEPT = ("PATH", "LANG", "LC_ALL", "VIRTUAL_ENV", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")  # of the environment
+GIB = 2**30
+MAX_PROCESSES = 256
+MAX_FILE_BYTES = 4 * GIB  # of each file that it writes
+MAX_ANSWER_BYTES = 4 * 2**20  # as JSON
+MAX_READ_BYTES = 64 * 2**20
+PR_SET_CHILD_SUBREAPER = 36  # <sys/prctl.h>
 
 
-class Stopped(BaseException):
-    """The kernel has gone: it broke a limit, or it died. No `Exception`, so that no checker takes it for a finding."""
+# --- The judge's side ---------------------------------------------------------------------------------------
 
 
-class _Client(NotebookClient):
-    """A client that keeps no output but errors: a student's cell may print without end."""
+@dataclass
+class Run:
+    """What came back from a notebook."""
 
-    def output(self, outs: list, msg: dict, display_id: str | None, cell_index: int) -> Any:
-        return super().output(outs, msg, None, cell_index) if msg["msg_type"] == "error" else None
+    records: list[dict[str, Any]]  #: as written by `main`; not to be believed
+    stopped: str  #: why it did not come to its end, or nothing
+    seconds: float
+    peak_gib: float  #: memory of all its processes
 
 
-class Student:
-    """A notebook's kernel, while it runs; see `running`."""
+def run(task: dict[str, Any], seconds: float, memory_gib: float) -> Run:
+    """Run a notebook in a process of its own, and end all that it has started.
 
-    def __init__(self, client: NotebookClient, folder: Path, seconds: float, memory_gib: float) -> None:
-        self.client, self.folder = client, folder
-        self.seconds, self.memory_gib = seconds, memory_gib
-        self.started, self.kernel = time.monotonic(), psutil.Process(client.km.provisioner.pid)
-        self.broken = ""  # the limit that was broken, in words
-        self.peak_gib = 0.0
+    Args:
+        task: For `main`: the cells, the exercises, the seed of their cases and the limits of time.
+        seconds: The time that it may take in all.
+        memory_gib: The memory that all its processes may use together.
+    """
+    adopt_orphans()
+    started = time.monotonic()
+    others = set(psutil.Process().children(recursive=True))
 
-    def run(self, source: str, seconds: float) -> str:
-        """Run a cell, interrupted after so many seconds; return the error with which it stopped, or nothing.
+    def family() -> list[psutil.Process]:
+        return [process for process in psutil.Process().children(recursive=True) if process not in others]
 
-        Raises:
-            Stopped: If the kernel has gone.
-        """
-        cell = new_code_cell(source)
-        self.client.timeout = max(1, round(seconds))
+    with TemporaryDirectory(prefix="student-", ignore_cleanup_errors=True) as folder, TemporaryFile() as answers:
+        copy, own = Path(folder, "clone"), {"HOME": Path(folder, "home"), "TMPDIR": Path(folder, "tmp")}
+        copy_clone(copy)
+        for path in own.values():
+            path.mkdir()
+        told = Path(folder, "task.json")
+        told.write_text(json.dumps(task), encoding="ascii")
+        env = {name: os.environ[name] for name in KEPT if name in os.environ} | {name: str(own[name]) for name in own}
+        env |= {"PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1", "MPLBACKEND": "agg"}
+        process = subprocess.Popen(
+            [sys.executable, "-m", "course.student"],
+            stdin=told.open(),
+            stdout=answers,
+            stderr=subprocess.DEVNULL,
+            cwd=copy / "notebooks",
+            env=env,
+            start_new_session=True,
+        )
         try:
-            self.client.execute_cell(cell, 0)
-        except (DeadKernelError, RuntimeError) as error:
-            raise Stopped(self.broken or f"the kernel died: {error}") from None
-        errors = [output for output in cell.outputs if output.output_type == "error"]
-        if not errors:
-            return ""
-        name, text = errors[0].ename, errors[0].evalue
-        text = f"interrupted after {seconds:g} s" if name == "KeyboardInterrupt" else text
-        return f"{name}: {text}"[:500]
+            broken, peak_gib = watch(process, family, seconds, memory_gib)
+        finally:
+            end(process, family)
+        answers.seek(0)
+        records = list(read_records(answers.read(MAX_READ_BYTES)))
+    if not broken and not any("end" in record for record in records):
+        broken = f"its process ended with status {process.returncode}"
+    return Run(records, broken, time.monotonic() - started, peak_gib)
 
-    def function(self, name: str, seconds: float) -> Callable:
-        """Return a function that calls the student's function of this name, in its kernel."""
 
-        def call(*arguments: Any) -> Any:
-            wire.write_call(self.folder, arguments)
-            said = self.run(f"__import__('course.wire').wire.serve({name}, {str(self.folder)!r})", seconds)
-            reply = self.folder / wire.REPLY
-            if said.startswith("KeyboardInterrupt"):
-                raise TimeoutError(f"no answer in {seconds:g} s")
-            if not reply.is_file():
-                raise RuntimeError(said or "no answer")
-            if reply.stat().st_size > MAX_REPLY_BYTES:
-                raise MemoryError(f"an answer of more than {MAX_REPLY_BYTES // 2**20} MiB")
-            return wire.read_reply(self.folder, arguments)
+def adopt_orphans() -> None:
+    """Become the parent of every descendant that loses its own, so that daemons that detach are found; Linux only."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
-        return call
 
-    def has(self, name: str) -> bool:
-        """Tell whether the notebook has a function of this name."""
-        return not self.run(f"assert callable({name})", 10)
+def copy_clone(copy: Path) -> None:
+    """Copy what a notebook needs of the clone, without the solutions, hidden files, links and pipes."""
 
-    def enforce_limits(self) -> None:
-        """Kill the kernel and its children if they have broken a limit."""
-        with suppress(psutil.NoSuchProcess):
-            family = [self.kernel, *self.kernel.children(recursive=True)]
-            used = sum(process.memory_info().rss for process in family) / GIB
-            self.peak_gib = max(self.peak_gib, used)
-            if time.monotonic() - self.started > self.seconds:
-                self.broken = f"it ran longer than {self.seconds:g} s"
-            elif used > self.memory_gib:
-                self.broken = f"it used more than {self.memory_gib:g} GiB of memory"
-            for process in family if self.broken else ():
-                process.kill()
+    def left_out(folder: str, names: list[str]) -> list[str]:
+        modes = {name: os.lstat(os.path.join(folder, name)).st_mode for name in names}
+        hidden = shutil.ignore_patterns(".*", "solutions*")(folder, names)
+        return [
+            name for name in names if name in hidden or not (stat.S_ISREG(modes[name]) or stat.S_ISDIR(modes[name]))
+        ]
 
-    def watch(self, over: Event) -> None:
-        """Enforce the limits until the notebook is over."""
-        while not over.wait(0.1):
-            self.enforce_limits()
+    for path in map(ROOT.joinpath, COPIED):
+        if path.is_dir():
+            shutil.copytree(path, copy / path.name, ignore=left_out)
+        else:
+            shutil.copy2(path, copy)
+
+
+def watch(
+    process: subprocess.Popen, family: Callable[[], list[psutil.Process]], seconds: float, memory_gib: float
+) -> tuple[str, float]:
+    """Wait for a process; return the limit that it and its family have broken, or nothing, and their peak in GiB."""
+    deadline, peak = time.monotonic() + seconds, 0.0
+    while process.poll() is None:
+        members, used = family(), 0
+        for member in members:
+            with suppress(psutil.Error):
+                memory = member.memory_full_info()
+                used += getattr(memory, "pss", memory.rss)  # what they share counts once, where the system says so
+        peak = max(peak, used / GIB)
+        if peak > memory_gib:
+            return f"it used more than {memory_gib:g} GiB of memory", peak
+        if len(members) > MAX_PROCESSES:
+            return f"it ran more than {MAX_PROCESSES} processes", peak
+        if time.monotonic() > deadline:
+            return f"it ran longer than {seconds:g} s", peak
+        time.sleep(0.05)
+    return "", peak
+
+
+def end(process: subprocess.Popen, family: Callable[[], list[psutil.Process]]) -> None:
+    """Kill a process and its family until nobody is left."""
+    if process.poll() is None:
+        os.killpg(process.pid, signal.SIGKILL)  # all at once: they may be starting others faster than one can look
+        process.wait()
+    for _ in range(100):
+        if not (members := family()):
+            return
+        for kill in (psutil.Process.suspend, psutil.Process.kill):  # nobody starts another one in between
+            for member in members:
+                with suppress(psutil.Error):
+                    kill(member)
+        psutil.wait_procs(members, timeout=1)
+    raise OmnistereoError(f"processes that it started cannot be ended: {[member.pid for member in members]}. End them")
+
+
+def read_records(content: bytes) -> Iterator[dict[str, Any]]:
+    """Yield the records among some lines, whatever the others are."""
+    for line in content.splitlines():
+        with suppress(Exception):  # cut short, nested too deeply, not of ours
+            if isinstance(record := json.loads(line), dict):
+                yield record
+
+
+# --- The student's side -------------------------------------------------------------------------------------
+
+
+class OutOfTime(BaseException):
+    """Raised where a cell or function has taken too long; `except Exception` does not catch it."""
+
+
+def main() -> None:
+    """Run the cells of a task from stdin; write what they raise and what their functions answer to stdout."""
+    from IPython.core.interactiveshell import InteractiveShell
+    from traitlets.config import Config
+
+    task = json.load(sys.stdin)
+    records = os.fdopen(os.dup(1), "w", encoding="ascii")
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what it prints goes nowhere: it may print without end
+    sys.path[:] = [path for path in sys.path if Path(path) == ROOT or not Path(path, "course").is_dir()]
+    with suppress(ImportError, ValueError, OSError):  # Windows; a limit that is lower already
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_FSIZE, (MAX_FILE_BYTES, MAX_FILE_BYTES))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    shell = InteractiveShell.instance(config=Config(HistoryManager={"enabled": False}))
+    shell.showtraceback = shell.showsyntaxerror = lambda *_, **__: None
+    cases = {name: resolve_name(f"course.exercises.{checker}").case for name, checker in task["exercises"].items()}
+    tried: dict[str, Any] = {}
+
+    def write(**record: Any) -> None:
+        print(json.dumps(record), file=records, flush=True)
+
+    write(begin=True)
+    for number, source in enumerate(task["cells"], start=1):
+        write(cell=number, said=run_cell(shell, source, task["cell_s"]))
+        for name, case in cases.items():
+            function = shell.user_ns.get(name)
+            if callable(function) and function is not tried.get(name) and not from_course(function):
+                tried[name] = function  # now: a later cell may never end, or write over it
+                write(function=name, replies=replies(function, case, task["seed"], task["answer_s"]))
+    write(end=True)
+
+
+def from_course(function: Callable) -> bool:
+    """Tell whether a function is the course's own, such as a solution that the notebook goes on with."""
+    return str(getattr(function, "__module__", "")).partition(".")[0] == "course"
+
+
+def run_cell(shell: Any, source: str, seconds: float) -> str:
+    """Run a cell; return what it stopped with, or nothing."""
+    try:
+        with at_most(seconds):
+            result = shell.run_cell(source, silent=True)
+        error = result.error_in_exec if result.error_before_exec is None else result.error_before_exec
+    except BaseException as raised:  # what IPython does not catch: a syntax tree too deep, a timer that comes late
+        error = raised
+    return "" if error is None else ": ".join(described(error))
+
+
+def replies(function: Callable, case: Callable, seed: int, seconds: float) -> list[dict[str, Any]]:
+    """Return what a function answers to each case of its checker, until it raises something."""
+    found: list[dict[str, Any]] = []
+    for k in range(CASES):
+        try:
+            inputs = case(k, seed)[0]
+            with at_most(seconds):
+                value = in_json(function(*inputs))
+                arguments = [in_json(value) for value in inputs]  # it may have written into them
+            if len(value) > MAX_ANSWER_BYTES:
+                raise MemoryError(f"an answer of more than {MAX_ANSWER_BYTES // 2**20} MiB")
+        except BaseException as error:
+            kind, text = described(error)
+            return [*found, {"error": kind, "text": text}]
+        found.append({"value": value, "arguments": arguments})
+    return found
 
 
 @contextmanager
-def running(seconds: float, memory_gib: float) -> Iterator[Student]:
-    """Start a kernel in a copy of the clone, for a notebook; end it and remove the copy afterwards.
+def at_most(seconds: float) -> Iterator[None]:
+    """Raise `OutOfTime` where the code within takes longer."""
 
-    Args:
-        seconds: The time that the kernel may take in all.
-        memory_gib: The memory that it and its children may use together.
-    """
-    with TemporaryDirectory(prefix="student-") as folder:
-        copy, calls = Path(folder, "clone"), Path(folder, "calls")
-        for path in map(nbtools.ROOT.joinpath, COPIED):
-            if path.is_dir():
-                shutil.copytree(path, copy / path.name, ignore=LEFT_OUT)
-            else:
-                shutil.copy2(path, copy)
-        calls.mkdir()
-        client = _Client(
-            new_notebook(cells=[new_code_cell()]),
-            kernel_name="python3",
-            kernel_manager_class=kernels.KernelManager,
-            allow_errors=True,
-            interrupt_on_timeout=True,
-            shutdown_kernel="immediate",
-        )
-        env = {name: os.environ[name] for name in KEPT if name in os.environ} | {"PYTHONPATH": str(copy)}
-        over = Event()
-        try:
-            with client.setup_kernel(cwd=str(copy / "notebooks"), env=env, stdout=DEVNULL, stderr=DEVNULL):
-                student = Student(client, calls, seconds, memory_gib)
-                student.enforce_limits()  # the first cell may be over before the watcher looks
-                watcher = Thread(target=student.watch, args=(over,), daemon=True)
-                watcher.start()
-                try:
-                    try:
-                        student.run("__import__('course.wire')", seconds)
-                    except Stopped as stopped:
-                        raise OmnistereoError(f"no cell can run: {stopped}. Raise --seconds or --memory") from None
-                    yield student
-                finally:
-                    over.set()
-                    watcher.join()
-        except RuntimeError as error:
-            raise OmnistereoError(f"no kernel started: {error}. Run `python -m course doctor`") from None
+    def stop(*_: Any) -> None:
+        raise OutOfTime(f"no answer in {seconds:g} s")
+
+    signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+
+
+def described(error: BaseException) -> tuple[str, str]:
+    """Return an exception's name and text."""
+    try:
+        return type(error).__name__, str(error)[:500]
+    except BaseException:  # of its own making
+        return type(error).__name__, ""
+
+
+def in_json(value: Any) -> str:
+    """Return a value in JSON: the numbers of an array or a pose; of what JSON cannot hold, the name of its type."""
+    try:
+        return json.dumps(value, default=plain)
+    except Exception:  # a list in itself, a tensor with a gradient, an object's own error
+        return json.dumps({"type": type(value).__name__})
+
+
+def plain(value: Any) -> Any:
+    """Return what `json` is to write in place of a value that it does not know."""
+    if value is ...:
+        return None
+    if isinstance(value, Pose):
+        return value.as_vector().tolist()
+    return np.asarray(value).tolist() if hasattr(value, "__array__") else {"type": type(value).__name__}
+
+
+if __name__ == "__main__":
+    main()
