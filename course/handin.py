@@ -23,7 +23,7 @@ from typing import Any
 import nbformat
 import numpy as np
 
-from course import exercises, nbtools, solve, student
+from course import exercises, nbtools, student
 from course.exercises.compare import CASES, diagnose
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, make_folder, read_bytes
@@ -35,7 +35,8 @@ MAX_BYTES = 32 * 2**20  # of a notebook
 MAX_NOTES = 50
 STATUSES = ("right", "wrong", "not tried", "not judged")
 UNTOUCHED = "nothing returned yet"  # what checkers say of a stub
-CHECKER = re.compile(r"\bexercises\.(check_\w+)\(")
+CHECKED = re.compile(r"\b(?:exercises|(nb\d\d))\.(check_\w+)\((\w+)\)")  # module, checker, function
+NUMBER = re.compile(r"^\*\*(\d\d\.\d+) \(", re.MULTILINE)  # **04.2 (medium).**
 ENVIRONMENT = (Path(sys.prefix), *(nbtools.ROOT / name for name in ("course", "omnistereo_lib", "omnistereo_tools")))
 
 Sheet = dict[str, Any]
@@ -43,11 +44,11 @@ Sheet = dict[str, Any]
 
 @dataclass(frozen=True)
 class Exercise:
-    """An exercise with a checker."""
+    """A function that a student writes and a checker tries."""
 
-    number: str  #: such as 04.2
-    checker: str  #: name in `course.exercises`
-    function: str  #: name of the function that the student writes
+    number: str  #: such as 04.2; the function's name where it has no number
+    checker: str  #: where it is, below `course.exercises`
+    function: str  #: its name
 
     def cases(self, seed: int = 0) -> Iterator[tuple]:
         """Yield the checker's cases: inputs, right value, and the known mistakes with their hints."""
@@ -56,13 +57,14 @@ class Exercise:
 
 
 def exercises_of(nb: nbformat.NotebookNode) -> list[Exercise]:
-    """Return the exercises of a notebook of the course: the stubs that are handed to a checker."""
+    """Return the exercises of a notebook of the course: the functions that it hands to a checker."""
     found, number = [], ""
     for cell in nb.cells:
         if cell.cell_type == "markdown":
-            number = [number, *re.findall(r"^\*\*(\d\d\.\d+) \(", cell.source, re.MULTILINE)][-1]
-        elif names := [stub.name for stub in solve.stubs(cell.source)]:
-            found += [Exercise(number, checker, names[0]) for checker in CHECKER.findall(cell.source)]
+            number = [number, *NUMBER.findall(cell.source)][-1]
+        else:
+            for module, checker, function in CHECKED.findall(cell.source):
+                found.append(Exercise(number or function, f"{module}.{checker}".lstrip("."), function))
     return found
 
 
@@ -154,11 +156,12 @@ def repeat(replies: Any) -> Callable:
 
 def other_version(code: list[str], asked: list[Exercise]) -> Iterator[str]:
     """Say where a notebook has other exercises than this clone's."""
-    has = {name for source in code for name in CHECKER.findall(source)}
-    if lacking := [exercise.number for exercise in asked if exercise.checker not in has]:
+    has = {checker for source in code for _, checker, _ in CHECKED.findall(source)}
+    known = {exercise.checker.rpartition(".")[2]: exercise.number for exercise in asked}
+    if lacking := [number for checker, number in known.items() if checker not in has]:
         yield f"does not call the checkers of {', '.join(lacking)}"
-    if foreign := sorted(name for name in has if not hasattr(exercises, name)):
-        yield f"of another version of the course: calls {', '.join(foreign)}, which this clone does not have"
+    if foreign := sorted(has - set(known)):
+        yield f"of another version of the course: calls {', '.join(foreign)}, which the notebook here does not"
 
 
 def in_words(sheet: Sheet) -> str:

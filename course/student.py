@@ -14,7 +14,6 @@ import json
 import os
 import shutil
 import signal
-import stat
 import subprocess
 import sys
 import time
@@ -34,16 +33,7 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Pose
 
 ROOT = Path(__file__).resolve().parents[1]
-COPIED = (
-    "notebooks",
-    "data_samples",
-    "omnistereo_lib",
-    "omnistereo_tools",
-    "course",
-    "render",
-    "environment.txt",
-    "constraints.txt",
-)
+COPIED = ("notebooks", "data_samples", "omnistereo_lib", "omnistereo_tools", "course", "render", "environment.txt")
 KEPT = ("PATH", "LANG", "LC_ALL", "VIRTUAL_ENV", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")  # of the environment
 GIB = 2**30
 MAX_PROCESSES = 256
@@ -120,11 +110,9 @@ def copy_clone(copy: Path) -> None:
     """Copy what a notebook needs of the clone, without the solutions, hidden files, links and pipes."""
 
     def left_out(folder: str, names: list[str]) -> list[str]:
-        modes = {name: os.lstat(os.path.join(folder, name)).st_mode for name in names}
-        hidden = shutil.ignore_patterns(".*", "solutions*")(folder, names)
-        return [
-            name for name in names if name in hidden or not (stat.S_ISREG(modes[name]) or stat.S_ISDIR(modes[name]))
-        ]
+        paths = {name: Path(folder, name) for name in names}
+        plain = {name for name, path in paths.items() if not path.is_symlink() and (path.is_file() or path.is_dir())}
+        return [*set(names) - plain, *shutil.ignore_patterns(".*", "solutions*")(folder, names)]
 
     for path in map(ROOT.joinpath, COPIED):
         if path.is_dir():
@@ -139,20 +127,24 @@ def watch(
     """Wait for a process; return the limit that it and its family have broken, or nothing, and their peak in GiB."""
     deadline, peak = time.monotonic() + seconds, 0.0
     while process.poll() is None:
-        members, used = family(), 0
-        for member in members:
-            with suppress(psutil.Error):
-                memory = member.memory_full_info()
-                used += getattr(memory, "pss", memory.rss)  # what they share counts once, where the system says so
-        peak = max(peak, used / GIB)
-        if peak > memory_gib:
-            return f"it used more than {memory_gib:g} GiB of memory", peak
+        members = family()
         if len(members) > MAX_PROCESSES:
             return f"it ran more than {MAX_PROCESSES} processes", peak
+        peak = max(peak, sum(map(memory_of, members)) / GIB)
+        if peak > memory_gib:
+            return f"it used more than {memory_gib:g} GiB of memory", peak
         if time.monotonic() > deadline:
             return f"it ran longer than {seconds:g} s", peak
         time.sleep(0.05)
     return "", peak
+
+
+def memory_of(process: psutil.Process) -> int:
+    """Return the bytes that a process uses; what it shares with others counts in parts, where the system says so."""
+    with suppress(psutil.Error):
+        memory = process.memory_full_info()
+        return getattr(memory, "pss", memory.rss)
+    return 0  # it has ended
 
 
 def end(process: subprocess.Popen, family: Callable[[], list[psutil.Process]]) -> None:

@@ -94,7 +94,7 @@ JUDGED = {
     "empty": ((), "tried tried tried", "does not call the checkers of 04.1, 04.2"),
     "cheats": ((CHEAT,), "wrong tried tried", ""),
     "knows the cases": ((KNOWN, call("zncc_cost")), "wrong tried tried", ""),
-    "other": ((GOOD, "exercises.check_that_was(0)"), "right tried tried", "calls check_that_was, which this clone"),
+    "other": ((GOOD, "exercises.check_that_was(zncc_cost)"), "right tried tried", "calls check_that_was, which the"),
     "writes over it": ((GOOD, "zncc_cost = None"), "right tried tried", ""),
     "eats": (
         (GOOD, "eaten = [b'x' * 2**20 * n for n in range(10**6)]", STUB),
