@@ -171,7 +171,7 @@ def measure(model: VolumeNet) -> dict[str, Any]:
         sweep = SphereSweep(data.rig, osl.SphereGrid(320, 80, num_spheres=64, min_depth=data.rig.min_depth))
         errors = []
         for frame in data:
-            index = local_mean(model.whole_volume(sweep, frame.images))[0].numpy()
+            index = local_mean(osl.cost_volume(sweep, frame.images, model))[0].numpy()
             error = osl.index_error(index, frame.gt_index(sweep.grid), 64)
             errors.append([error[">1"], error[">3"], error["MAE"]])
         means = np.mean(errors, axis=0).round(2).tolist()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from threading import Condition, Thread
@@ -100,13 +100,12 @@ def live_pictures(
 ) -> Iterator[NDArray[np.uint8]]:
     """Return pictures, panorama over depth, BGR, until a source ends; see `Cameras`, which also says what raises."""
     cameras, method = Cameras(sources, sweep.rig), Method.parse(method)
-    cost = method.load_cost()
     blank = [np.zeros(camera.image_size[::-1], np.uint8) for camera in sweep.rig.cameras]
-    sweep_depth(sweep, blank, method, cost).panorama(blank)  # what takes long once, before a video begins to play
-    return _play(cameras, sweep, method, cost)
+    sweep_depth(sweep, blank, method).panorama(blank)  # warm up tables and kernels
+    return _play(cameras, sweep, method)
 
 
-def _play(cameras: Cameras, sweep: SphereSweep, method: Method, cost: Callable) -> Iterator[NDArray[np.uint8]]:
+def _play(cameras: Cameras, sweep: SphereSweep, method: Method) -> Iterator[NDArray[np.uint8]]:
     scale = ColorScale(0.0, 0.8 / sweep.grid.min_depth)
     reader = Thread(target=cameras.read, daemon=True)
     reader.start()
@@ -114,7 +113,7 @@ def _play(cameras: Cameras, sweep: SphereSweep, method: Method, cost: Callable) 
     try:
         for frames in cameras.newest:
             images = [cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) for frame in frames]
-            depth = sweep_depth(sweep, images, method, cost)
+            depth = sweep_depth(sweep, images, method)
             panorama = np.nan_to_num(depth.panorama(images)).round().astype(np.uint8)
             now = time.monotonic()
             note = f"{1 / (now - before):.1f} frames/s, median {np.nanmedian(depth.depth):.1f} m"

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.methods import VIDEO_METHOD
 from omnistereo_lib.stereo.pipeline import estimate_depth
 from omnistereo_lib.stereo.sweep import reduce_images
 
@@ -34,7 +35,7 @@ def propose_min_depth(rig: Rig, images: Sequence[ArrayLike], phi_deg: tuple[floa
     rig, images = reduce_images(rig, images, _WIDTH / 360)
     nearest = _BASELINES * float(rig.baselines.mean())
     for _ in range(_PASSES):
-        depth = estimate_depth(rig, images, SphereGrid(_WIDTH, _HEIGHT, phi_deg, _SPHERES, nearest))
+        depth = estimate_depth(rig, images, SphereGrid(_WIDTH, _HEIGHT, phi_deg, _SPHERES, nearest), VIDEO_METHOD)
         sure = depth.valid & (depth.confidence >= np.nanmedian(depth.confidence))
         nearest = max(nearest, _MARGIN * float(np.quantile(depth.depth[sure], _QUANTILE)))
     return float(f"{nearest:.2g}")

@@ -16,7 +16,7 @@ import shutil
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -33,8 +33,7 @@ from omnistereo_lib.rig_files import save_rig
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
-from omnistereo_lib.stereo.sweep import SphereSweep, select_device
-from omnistereo_lib.stereo.volume import check_memory
+from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.pictures import ColorScale
 from omnistereo_tools.sources import Pictures, Recording
 
@@ -68,10 +67,8 @@ class DepthWriter:
                 there is no such method or device.
         """
         check_layout(grid)
-        method, device = Method.parse(method), select_device(device)
-        grid = replace(grid, num_spheres=method.num_spheres or grid.num_spheres)
+        method = Method.parse(method)
         _check_not_users(out, [*(f"cam{k}" for k in range(1, len(rig) + 1)), "video"], recording)
-        check_memory(rig, grid, device)
         return cls(out, recording, SphereSweep(rig, grid, device=device), method, suffix, with_video)
 
     def depth_path(self, number: int) -> Path:
@@ -98,14 +95,14 @@ class DepthWriter:
         Raises:
             OmnistereoError: If a frame cannot be read, does not fit the rig, or cannot be written.
         """
-        cost, images_of = self.method.load_cost(), self.recording.read(numbers, self.sweep.rig)
+        images_of = self.recording.read(numbers, self.sweep.rig)
         with ThreadPoolExecutor(1) as reader, ThreadPoolExecutor(1) as pool:
             read, written = deque(reader.submit(next, images_of) for _ in numbers[:_PENDING]), deque()
             for k, number in enumerate(numbers):
                 images = read.popleft().result()
                 if k + _PENDING < len(numbers):
                     read.append(reader.submit(next, images_of))
-                depth = sweep_depth(self.sweep, images, self.method, cost)
+                depth = sweep_depth(self.sweep, images, self.method)
                 written.append(pool.submit(self.write, number, images, depth))
                 if len(written) > _PENDING:
                     written.popleft().result()

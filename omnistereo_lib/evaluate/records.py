@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from omnistereo_lib.errors import OmnistereoError, check_number, shortened
+from omnistereo_lib.evaluate.methods import EvaluatedMethod
 from omnistereo_lib.evaluate.regions import METRICS, REGIONS, SUMS
 from omnistereo_lib.files import atomic_write, make_folder, read_data
-from omnistereo_lib.stereo.methods import Method
 
 Record = dict[str, Any]  # nested, with strings as keys; what JSON holds
 _INPUTS = ("config", "methods", "data", "weights")
@@ -53,7 +53,7 @@ def _check_results(record: Record) -> None:
         check_number(record["config"][name], name, 1, 1_000_000, whole=True)
     if not isinstance(record["config"]["rig"], str) or not all(isinstance(record[part], dict) for part in _INPUTS):
         raise TypeError(f"rig is {shortened(record['config']['rig'])}")
-    names = {name: Method(**settings).name for name, settings in record["methods"].items()}
+    names = {name: EvaluatedMethod(**settings).name for name, settings in record["methods"].items()}
     if names != {name: name for name in names}:
         raise ValueError(f"the settings of {shortened(names)} are of other methods")
     if not (names and record["frames"] and all(record["frames"].values())):

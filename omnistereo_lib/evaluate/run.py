@@ -7,7 +7,7 @@ the same.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import partial
+from functools import cache, partial
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
@@ -17,18 +17,19 @@ import torch
 
 from omnistereo_lib.dataset import Dataset, Frame, load_dataset
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.evaluate.methods import METHODS
+from omnistereo_lib.evaluate.methods import METHODS, EvaluatedMethod
 from omnistereo_lib.evaluate.records import Record, add_record, check_record, checksum, config_checksum, write_record
 from omnistereo_lib.evaluate.regions import error_sums, find_regions
 from omnistereo_lib.files import make_folder, read_bytes
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.rig_files import load_rig
+from omnistereo_lib.stereo.cost import Cost
+from omnistereo_lib.stereo.device import select_device
 from omnistereo_lib.stereo.learned import Precision, uses_bfloat16
-from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.metrics import index_error
-from omnistereo_lib.stereo.sweep import SphereSweep, select_device
-from omnistereo_lib.stereo.volume import Cost, cost_volume
+from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_lib.stereo.volume import cost_volume
 from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
 
 DATA = Path(__file__).resolve().parents[2] / "data_samples"
@@ -52,7 +53,7 @@ class Job(NamedTuple):
 
     data: str
     frame: int
-    method: Method
+    method: EvaluatedMethod
 
 
 def find_sets(names: Sequence[str], split: str | None = None) -> dict[str, Path]:
@@ -76,8 +77,8 @@ def find_sets(names: Sequence[str], split: str | None = None) -> dict[str, Path]
 
 
 def evaluate_frame(
-    sweep: SphereSweep, frame: Frame, methods: Sequence[Method], load_cost: Callable[[Method], Cost]
-) -> Iterator[tuple[Method, Record]]:
+    sweep: SphereSweep, frame: Frame, methods: Sequence[EvaluatedMethod], load_cost: Callable[[EvaluatedMethod], Cost]
+) -> Iterator[tuple[EvaluatedMethod, Record]]:
     """Evaluate methods on one frame with ground truth; methods with equal cost volumes share them.
 
     The sweep has the number of spheres of these methods; `load_cost` returns the matching cost of a method. Yields each
@@ -114,7 +115,7 @@ class Evaluation:
         self,
         out: str | Path,
         sets: Mapping[str, Path],
-        methods: Sequence[Method] = METHODS,
+        methods: Sequence[EvaluatedMethod] = METHODS,
         scale: Scale = SCALES["teaching"],
         split: str | None = None,
         frames: Sequence[int] | None = None,
@@ -153,7 +154,7 @@ class Evaluation:
 
     def run(self, jobs: Sequence[Job] | None = None) -> Iterator[Job]:
         """Do the jobs (default: all) that have no result yet; yield each job once its result is written."""
-        load_cost = partial(Method.load_cost, folder=self.weights, precision=self.precision)
+        load_cost = cache(partial(EvaluatedMethod.load_cost, folder=self.weights, precision=self.precision))
         order = attrgetter("data", "method.num_spheres", "frame")
         todo = sorted(self.missing(jobs), key=order)
         for (name, num_spheres), of_sweep in groupby(todo, lambda job: order(job)[:2]):
@@ -188,8 +189,8 @@ class Evaluation:
     def _record(self, job: Job, errors: Record) -> Record:
         """Return the errors of a job with all their inputs."""
         config, weights = asdict(self.scale) | {"rig": self._rig}, {}
-        path = job.method.weights_file(self.weights)
-        if path is not None:
+        if job.method.has_weights:
+            path = job.method.weights_file(self.weights)
             config["precision"] = "bfloat16" if uses_bfloat16(self.precision, self.device) else "float32"
             weights[path.name] = self._weights[path.name]
         return {
@@ -201,16 +202,16 @@ class Evaluation:
         }
 
 
-def _weights_checksums(methods: Sequence[Method], folder: Path) -> dict[str, str]:
+def _weights_checksums(methods: Sequence[EvaluatedMethod], folder: Path) -> dict[str, str]:
     """Return the SHA-256 of the weights files by name; all of them must be there."""
-    paths = {method: method.weights_file(folder) for method in methods}
-    missing = {method: path for method, path in paths.items() if path is not None and not path.is_file()}
+    paths = {method: method.weights_file(folder) for method in methods if method.has_weights}
+    missing = {method: path for method, path in paths.items() if not path.is_file()}
     if missing:
         files, names = ", ".join({str(path): "" for path in missing.values()}), ", ".join(m.name for m in missing)
         others = " ".join(method.name for method in methods if method not in missing) or "zncc zncc+sgm"
         remedy = f"Make them with omnistereo train, or leave these methods out: --methods {others}"
         raise OmnistereoError(f"weights are missing: {files}, for {names}. {remedy}")
-    return {path.name: checksum(read_bytes(path)) for path in {*paths.values()} - {None}}
+    return {path.name: checksum(read_bytes(path)) for path in {*paths.values()}}
 
 
 def _select_frames(data: Dataset, numbers: Sequence[int] | None) -> list[Frame]:

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from omnistereo_lib.evaluate.methods import EvaluatedMethod
 from omnistereo_lib.evaluate.records import Record, write_record
 from omnistereo_lib.evaluate.regions import METRICS, REGIONS, SUMS, sums_to_metrics
 from omnistereo_lib.files import atomic_write, make_folder
-from omnistereo_lib.stereo.methods import Method, penalties
+from omnistereo_lib.stereo.methods import penalties
 
 WITHOUT_SKY = "without sky"
 LIGHTS = ("sunny", "cloudy", "sunset")  # in the order of the paper
@@ -150,7 +151,7 @@ def write_results(folder: str | Path, results: Record) -> list[str]:
 
 
 def _caption(results: Record, what: str) -> str:
-    config, default = results["config"], Method(cost="zncc")
+    config, default = results["config"], EvaluatedMethod(cost="zncc")
     frames = ", ".join(f"{len(results['frames'][name])} of {name}" for name in _sets(results))
     p1, p2 = penalties(config["width"], config["num_spheres"])
     rig = "" if config["rig"] == "own" else f" Not the sets' own rig, but {config['rig'][:12]}…."
@@ -166,6 +167,7 @@ def _sets(results: Record) -> list[str]:
     return [*(name for name in LIGHTS if name in results["frames"]), *sorted(set(results["frames"]) - {*LIGHTS})]
 
 
-def _methods(results: Record) -> list[Method]:
+def _methods(results: Record) -> list[EvaluatedMethod]:
     """Return the methods in the order of Table II."""
-    return sorted((Method(**settings) for settings in results["methods"].values()), key=lambda method: method.sort_key)
+    methods = (EvaluatedMethod(**settings) for settings in results["methods"].values())
+    return sorted(methods, key=lambda method: method.sort_key)

@@ -12,12 +12,14 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 from torch.nn.functional import pad
 
-from omnistereo_lib.errors import OmnistereoError, checked
+from omnistereo_lib.errors import OmnistereoError, shortened
 from omnistereo_lib.geometry.rig import Pair
-from omnistereo_lib.stereo.sweep import split_at_seam
+from omnistereo_lib.stereo.cost import BlockCost, Progress
+from omnistereo_lib.stereo.sweep import SphereSweep, split_at_seam
 from omnistereo_lib.stereo.weights import StoredNetwork
 from omnistereo_lib.stereo.zncc import common_columns
 
@@ -75,6 +77,12 @@ class PairNetwork(StoredNetwork):
     match_halo: ClassVar[int] = 0  # and `match_features`
     wrap: bool = True  # whether every layer continues around the ±180° seam
 
+    def volume(
+        self, sweep: SphereSweep, images: Sequence[ArrayLike], pairs: Sequence[Pair], progress: Progress = iter
+    ) -> Tensor:
+        """Return the cost volume, as `LearnedCost` computes it; see `Cost`."""
+        return LearnedCost(self).volume(sweep, images, pairs, progress)
+
     def to_cost(self, score: Tensor) -> Tensor:
         """Return the cost in [0, 1] of a score, here the logit of a mismatch."""
         return torch.sigmoid(score)
@@ -129,32 +137,40 @@ class Features:
         return self.maps.permute(0, 2, 3, 1).index_select(2, index).permute(0, 3, 1, 2)  # stays channels last
 
 
-class LearnedCost:
+class LearnedCost(BlockCost):
     """A network as a matching cost, called like `ZNCC`: the same costs as from the network, many times faster.
 
     Args:
-        network: Put into evaluation mode and channels-last memory, and moved to the device of the images.
-        precision: Of the matrix products; see `uses_bfloat16`, which also says what raises.
+        network: Put into evaluation mode and channels-last memory; `volume` moves it to the device of the sweep.
+        precision: Of the matrix products; see `uses_bfloat16`. Another one raises an `OmnistereoError`.
     """
 
-    @checked
     def __init__(self, network: PairNetwork, precision: Precision = "auto") -> None:
+        if not isinstance(network, PairNetwork):
+            raise OmnistereoError(f"network is {shortened(network)}; expected PairNetwork")
         uses_bfloat16(precision, "cpu")
         self.network = network.eval().to(memory_format=torch.channels_last)
         self.precision = precision
+
+    def volume(
+        self, sweep: SphereSweep, images: Sequence[ArrayLike], pairs: Sequence[Pair], progress: Progress = iter
+    ) -> Tensor:
+        """Return the cost volume, one block of spheres at a time; see `Cost`."""
+        self.network.to(sweep.device)
+        return super().volume(sweep, images, pairs, progress)
 
     @torch.no_grad()
     def __call__(
         self, spherical_images: Tensor, pairs: Sequence[Pair], columns: Sequence[tuple[int, int]] | None = None
     ) -> Tensor:
-        """Return the mean cost over camera pairs (Eq. 2) for a block of spheres; arguments as in `ZNCC`.
+        """Return the mean cost over camera pairs (Eq. 2) for a block of spheres, (H, W, B); see `BlockCost`.
 
-        Raises an `OmnistereoError` if the network cannot take a panorama of this size.
+        Images and network are on one device. Raises an `OmnistereoError` if the network cannot take a panorama of
+        this size.
         """
         cameras, B, H, W = spherical_images.shape
         device = spherical_images.device
         self.network.check_size(H, W)
-        self.network.to(device)
         columns = columns if columns is not None else [(0, W)] * cameras
         total = torch.zeros(B, H, W, dtype=torch.float32, device=device)
         count = torch.zeros_like(total)

@@ -9,73 +9,75 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal, Self
 
 from torch import Tensor
 
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.stereo.cost import Cost
 from omnistereo_lib.stereo.depth import index_and_confidence
-from omnistereo_lib.stereo.learned import LearnedCost, PairNetwork, Precision
+from omnistereo_lib.stereo.learned import LearnedCost, Precision
 from omnistereo_lib.stereo.mccnn import MCCNN
 from omnistereo_lib.stereo.sgm import sgm
+from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.sweepnet import SweepNet
-from omnistereo_lib.stereo.volume import Cost
 from omnistereo_lib.stereo.volumenet import VolumeNet, local_mean
-from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS, StoredNetwork
+from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
 from omnistereo_lib.stereo.zncc import ZNCC
 
 FRAME_METHOD = "volumenet"  # default for a single frame: the lowest errors, at seconds a frame
 VIDEO_METHOD = "zncc+sgm"  # default for many frames, recorded or live: the fastest that is smooth
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CostEntry:
-    """A matching cost in the vocabulary of methods."""
+    """A matching cost in the vocabulary of methods.
+
+    A cost of your own is a class with one method, from images warped onto a block of spheres to costs; see `BlockCost`.
+    With an entry in `COSTS`, every method name, command and table knows it:
+
+    >>> import torch
+    >>> from omnistereo_lib.stereo.cost import BlockCost
+    >>> class Difference(BlockCost):
+    ...     def __call__(self, spherical_images, pairs, columns=None):
+    ...         costs = [(spherical_images[i] - spherical_images[j]).abs().clamp(max=1) for i, j in pairs]
+    ...         return torch.stack(costs).nanmean(0).permute(1, 2, 0)  # (B, H, W) → (H, W, B)
+    >>> COSTS["difference"] = CostEntry("Difference", lambda method, path, precision: Difference())
+    >>> Method.parse("difference+sgm,p1=0.2").label
+    'Difference + SGM, p1 = 0.2'
+    """
 
     label: str  # row of a table
-    load: Callable[[Method, Path | None, Precision], Cost]  # with the weights file, if there is one
-    settings: frozenset[str]  # of `Method` that change this cost
+    load: Callable[[Method, Path, Precision], Cost]  # with the path of the weights file, where the cost has weights
+    settings: frozenset[str] = frozenset()  # those of `Method` that change this cost
     weights: str = ""  # bundled weights file without .safetensors; "" for a cost without weights
-    p1: float = 0.1  # SGM penalties that suit this cost at the paper's scale; see `penalties`
-    p2: float = 12.0
     # Raw volume (H, W, N) → index and confidence (H, W), in place of `winner_takes_all` and `confidence`.
     read_out: Callable[[Tensor], tuple[Tensor, Tensor]] | None = None
 
 
-@cache
-def _read_once(architecture: type[StoredNetwork], path: Path, wrap: bool, precision: Precision, _: int) -> Cost:
-    network = architecture.from_file(path)
-    if isinstance(network, PairNetwork):
-        network.wrap = network.wrap and wrap
-        return LearnedCost(network, precision)
+def _load_mccnn(method: Method, path: Path, precision: Precision) -> Cost:
+    return LearnedCost(MCCNN.from_file(path), precision)
+
+
+def _load_sweepnet(method: Method, path: Path, precision: Precision) -> Cost:
+    network = SweepNet.from_file(path)
+    network.wrap = network.wrap and method.wrap
+    return LearnedCost(network, precision)
+
+
+def _load_volumenet(method: Method, path: Path, precision: Precision) -> Cost:
+    network = VolumeNet.from_file(path)
     network.precision = precision
     return network
 
 
-def _network(architecture: type[StoredNetwork]) -> Callable[[Method, Path, Precision], Cost]:
-    """Return what loads a network as a cost: a file is read once per process, and again after it was rewritten."""
-
-    def load(method: Method, path: Path, precision: Precision) -> Cost:
-        written = path.stat().st_mtime_ns if path.is_file() else 0
-        return _read_once(architecture, path, method.volume_key.wrap, precision, written)
-
-    return load
-
-
 COSTS = {  # in the order of Table II
     "zncc": CostEntry("ZNCC", lambda method, path, precision: ZNCC(method.window), frozenset({"window", "pairs"})),
-    "mccnn": CostEntry("MC-CNN", _network(MCCNN), frozenset({"weights", "pairs"}), "mccnn_fast"),
-    "sweepnet": CostEntry("SweepNet", _network(SweepNet), frozenset({"weights", "pairs", "wrap"}), "sweepnet"),
-    "volumenet": CostEntry("VolumeNet", _network(VolumeNet), frozenset({"weights"}), "volumenet", read_out=local_mean),
+    "mccnn": CostEntry("MC-CNN", _load_mccnn, frozenset({"weights", "pairs"}), "mccnn_fast"),
+    "sweepnet": CostEntry("SweepNet", _load_sweepnet, frozenset({"weights", "pairs", "wrap"}), "sweepnet"),
+    "volumenet": CostEntry("VolumeNet", _load_volumenet, frozenset({"weights"}), "volumenet", read_out=local_mean),
 }
-
-
-_TYPES = {  # of the settings in a name
-    "window": int, "weights": str, "pairs": str, "p1": float, "p2": float, "wrap": bool, "subindex": bool,
-    "num_spheres": int,
-}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +98,16 @@ class Method:
     p2: float | None = None
     wrap: bool = True  #: False: SGM stops at the ±180° seam, and so does every layer of SweepNet
     subindex: bool = False  #: refine the index, see `winner_takes_all`; the paper reports integer indices
-    num_spheres: int = 0  #: N instead of the N of the grid; 0: that of the grid
+
+    _TYPES: ClassVar[dict[str, type]] = {
+        "window": int,
+        "weights": str,
+        "pairs": str,
+        "p1": float,
+        "p2": float,
+        "wrap": bool,
+        "subindex": bool,
+    }
 
     def __post_init__(self) -> None:
         for name, choices in (("cost", tuple(COSTS)), ("aggregate", ("none", "sgm")), ("pairs", ("ring", "all"))):
@@ -107,19 +118,17 @@ class Method:
         p1, p2 = self.p1 or 0.0, math.inf if self.p2 is None else self.p2
         if not (0 <= p1 <= p2 and p1 < math.inf and self.p2 != math.inf):
             raise OmnistereoError(f"{self.name}: expected 0 ≤ p1 ≤ p2, got {self.p1} and {self.p2}")
-        if self.num_spheres == 1 or self.num_spheres < 0:
-            raise OmnistereoError(f"{self.name}: a sweep needs at least 2 spheres, got {self.num_spheres}")
         if set(self.weights) & set(",/\\"):
             raise OmnistereoError(f"weights is a file name without folder and ending, got {self.weights!r}")
         ZNCC(self.window)  # raises if this is not a window
 
     @classmethod
-    def parse(cls, name: str | Method) -> Method:
+    def parse(cls, name: str | Self) -> Self:
         """Return the method of a name; a method is returned as it is.
 
         Raises an `OmnistereoError` if there is no such method.
         """
-        if isinstance(name, Method):
+        if isinstance(name, cls):
             return name
         if not isinstance(name, str):
             raise OmnistereoError(f"method is {name!r}; expected a name such as 'zncc+sgm'")
@@ -128,12 +137,13 @@ class Method:
         values: dict[str, Any] = {}
         for setting in settings:
             key, _, value = setting.partition("=")
-            if key not in _TYPES:
-                raise OmnistereoError(f"{name}: unknown setting {key!r}; expected one of {', '.join(_TYPES)}")
+            if key not in cls._TYPES:
+                raise OmnistereoError(f"{name}: unknown setting {key!r}; expected one of {', '.join(cls._TYPES)}")
+            kind = cls._TYPES[key]
             try:
-                values[key] = {"true": True, "false": False}[value] if _TYPES[key] is bool else _TYPES[key](value)
+                values[key] = {"true": True, "false": False}[value] if kind is bool else kind(value)
             except (ValueError, KeyError):
-                raise OmnistereoError(f"{name}: {key} must be of type {_TYPES[key].__name__}, got {value!r}") from None
+                raise OmnistereoError(f"{name}: {key} must be of type {kind.__name__}, got {value!r}") from None
         return cls(cost=cost, aggregate=aggregate or "none", **values)
 
     @property
@@ -148,12 +158,12 @@ class Method:
         return ", ".join([base, *(f"{name} = {_text(value)}" for name, value in self._changed.items())])
 
     @property
-    def sort_key(self) -> tuple:
+    def sort_key(self) -> tuple[Any, ...]:
         """Order of Table II: methods without SGM first, then by cost."""
         return self.aggregate, list(COSTS).index(self.cost), tuple(self._changed.items())
 
     @property
-    def volume_key(self) -> Method:
+    def volume_key(self) -> Self:
         """The method reduced to what its cost volume depends on; methods with equal keys share their volumes."""
         wrap = self.wrap or "wrap" not in COSTS[self.cost].settings
         return replace(self, aggregate="none", p1=None, p2=None, subindex=False, wrap=wrap)
@@ -169,20 +179,21 @@ class Method:
         return {name: getattr(self, name) for name, default in defaults.items() if getattr(self, name) != default}
 
     @property
-    def _used(self) -> set[str]:
+    def _used(self) -> frozenset[str]:
         """Settings that make a difference."""
         of_sgm = {"p1", "p2", "wrap"} if self.aggregate == "sgm" else set()
-        of_winner = set() if self._reads_out else {"subindex"}
-        return {"num_spheres"} | COSTS[self.cost].settings | of_sgm | of_winner
+        reads_out = self.aggregate == "none" and COSTS[self.cost].read_out is not None
+        of_winner = set() if reads_out else {"subindex"}
+        return COSTS[self.cost].settings | of_sgm | of_winner
 
     @property
-    def _reads_out(self) -> bool:
-        return self.aggregate == "none" and COSTS[self.cost].read_out is not None
+    def has_weights(self) -> bool:
+        """Whether the cost is a network, with a file of weights."""
+        return COSTS[self.cost].weights != ""
 
-    def weights_file(self, folder: Path = BUNDLED_WEIGHTS) -> Path | None:
-        """Return the weights file in a folder, or None for a cost without weights."""
-        bundled = COSTS[self.cost].weights
-        return folder / f"{self.weights or bundled}.safetensors" if bundled else None
+    def weights_file(self, folder: Path = BUNDLED_WEIGHTS) -> Path:
+        """Return the path of the weights file in a folder; that of a cost without weights means nothing."""
+        return folder / f"{self.weights or COSTS[self.cost].weights}.safetensors"
 
     def load_cost(self, folder: Path = BUNDLED_WEIGHTS, precision: Precision = "auto") -> Cost:
         """Return the matching cost, a network with its weights from a folder.
@@ -191,33 +202,37 @@ class Method:
         """
         return COSTS[self.cost].load(self, self.weights_file(folder), precision)
 
+    def cost_of(self, sweep: SphereSweep) -> Cost:
+        """Return the matching cost, loaded once for a sweep."""
+        return sweep.keep((COSTS[self.cost], self.volume_key), self.load_cost)
+
     def smooth(self, volume: Tensor) -> Tensor:
         """Return the volume (H, W, N) from which depth is read: after SGM where the method has it."""
         if self.aggregate == "none":
             return volume
-        cost = COSTS[self.cost]
-        p1, p2 = penalties(*volume.shape[1:], cost.p1, cost.p2)
+        p1, p2 = penalties(*volume.shape[1:])
         p2 = max(p2, self.p1 or 0) if self.p2 is None else self.p2
         p1 = min(p1, p2) if self.p1 is None else self.p1
         return sgm(volume, p1, p2, wrap=self.wrap)
 
     def read_out(self, volume: Tensor, subindex: bool = False) -> tuple[Tensor, Tensor]:
         """Return index and confidence (H, W) of a smoothed volume; with `subindex` or the setting between spheres."""
-        if self._reads_out:
-            return COSTS[self.cost].read_out(volume)
+        own = COSTS[self.cost].read_out
+        if own is not None and self.aggregate == "none":
+            return own(volume)
         return index_and_confidence(volume, subindex or self.subindex)
 
 
-def penalties(width: int, num_spheres: int, p1: float = 0.1, p2: float = 12.0) -> tuple[float, float]:
-    """Return SGM's penalties for a panorama of W columns and N spheres from those for the paper's 1200 and 192.
+def penalties(width: int, num_spheres: int) -> tuple[float, float]:
+    """Return SGM's penalties for a panorama of W columns and N spheres: the paper's 0.1 and 12 at 1200 and 192.
 
     A surface covers fewer pixels of a coarser panorama, so fewer costs speak for it against the same penalties; and
     among more spheres its slope is more steps a pixel, each of which is paid. The powers were chosen on held-out frames
     of the training sets; see notebook 07. Neither penalty exceeds that of the paper's scale.
     """
     scale = min(width / 1200, 1.0)
-    p2 *= min(scale**2 * 192 / num_spheres, 1.0)
-    return min(p1 * scale**0.5, p2), p2
+    p2 = 12.0 * min(scale**2 * 192 / num_spheres, 1.0)
+    return min(0.1 * scale**0.5, p2), p2
 
 
 def _text(value: Any) -> str:

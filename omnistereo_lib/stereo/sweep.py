@@ -1,12 +1,12 @@
 """Sphere sweep: warp the fisheye images onto concentric spheres (paper, Section III-B and Eq. 1)."""
 
 import math
-import os
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence, Sized
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from functools import cached_property
 from threading import Lock
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -16,23 +16,24 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-from omnistereo_lib.errors import OmnistereoError, checked
+from omnistereo_lib.errors import OmnistereoError, shortened
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.device import BLOCK, check_memory, select_device
 from omnistereo_lib.stereo.threads import map_threads
 
 _D0 = 2.0**-23  # 1/m, inverse depth of the sphere at infinity in the paper
-BLOCK = 16  # spheres warped at a time: their cells fill one cache line of the (H, W, N) volume
 _MAX_SIDE = 32766  # largest width and height of the output of cv2.remap
 OUTSIDE = -1e5  # px, pixel coordinate of invalid rays; NaN coordinates are undefined in cv2.remap
 _LUT_BUDGET = 2 << 30  # bytes
-_ONE_TABLE = Lock()  # at a time: it takes all cores, and much memory
+_LUT_LOCK = Lock()  # one build at a time: it takes all cores and much memory
 
 # Pixel coordinates of the rays of one block of spheres in one camera, as (first column, maps of shape (H,
 # columns · block, 2)): the pixels of one ray on neighbouring spheres are close together in the image, so they follow
 # each other. Only the visible columns are stored: in one part, or in two if they cross the ±180° seam.
 _LookupTable = list[tuple[int, NDArray[np.float32]]]
+_Kept = TypeVar("_Kept")
 
 
 class SphereSweep:
@@ -48,13 +49,13 @@ class SphereSweep:
         max_lut_bytes: Default: 2 GiB, or a quarter of the available memory if that is less.
 
     Raises:
-        OmnistereoError: If the panorama is larger than OpenCV can sample: 32766 pixels a side.
+        OmnistereoError: If the panorama is larger than OpenCV can sample, 32766 pixels a side, if memory cannot hold a
+            cost volume of the grid, or if there is no such device.
 
     Attributes:
         rig: The rig with its origin at the sweep centre: its poses are the inverse of Θ* in the paper.
     """
 
-    @checked
     def __init__(
         self,
         rig: Rig,
@@ -63,11 +64,16 @@ class SphereSweep:
         device: torch.device | str = "cpu",
         max_lut_bytes: int | None = None,
     ) -> None:
+        if not isinstance(rig, Rig):
+            raise OmnistereoError(f"rig is {shortened(rig)}; expected Rig")
+        if not isinstance(grid, SphereGrid):
+            raise OmnistereoError(f"grid is {shortened(grid)}; expected SphereGrid")
         if max(grid.shape) > _MAX_SIDE:
             raise OmnistereoError(f"the panorama is {grid.width} × {grid.height}; expected at most {_MAX_SIDE} a side")
         self.rig = rig.recentered(center)
         self.grid = grid
         self.device = select_device(device)
+        check_memory(len(rig), grid, self.device)
         if max_lut_bytes is None:
             max_lut_bytes = min(_LUT_BUDGET, psutil.virtual_memory().available // 4)
         self.max_lut_bytes = max_lut_bytes
@@ -75,6 +81,13 @@ class SphereSweep:
         self._luts: dict[tuple[int, int], _LookupTable] = {}
         self._spans: dict[tuple[int, int], tuple[int, int]] = {}  # (start, width) of the visible columns
         self._device_maps: dict[tuple[int, int, int], Tensor] = {}
+        self._kept: dict[Hashable, Any] = {}
+
+    def keep(self, key: Hashable, make: Callable[[], _Kept]) -> _Kept:
+        """Return make(), called once for this sweep: what a cost keeps from frame to frame, beside the tables."""
+        if key not in self._kept:
+            self._kept[key] = make()
+        return self._kept[key]
 
     def with_poses(self, T_rig_cam: Sequence[Pose]) -> "SphereSweep":
         """Return a sweep of the same cameras with other poses, around their mean centre.
@@ -87,7 +100,7 @@ class SphereSweep:
         kept = {i for i, (a, b) in enumerate(poses) if np.array_equal(a.R, b.R) and np.array_equal(a.t, b.t)}
         other._luts = {key: lut for key, lut in self._luts.items() if key[0] in kept}
         other._spans = {key: span for key, span in self._spans.items() if key[0] in kept}
-        other._device_maps = {}
+        other._device_maps, other._kept = {}, {}
         return other
 
     @property
@@ -232,7 +245,7 @@ class SphereSweep:
         key = (camera, spheres.start)
         if key in self._luts:
             return self._luts[key]
-        with _ONE_TABLE:
+        with _LUT_LOCK:
             lut = self._compute_lut(camera, spheres)
             size = sum(maps.nbytes for _, maps in lut)
             if self.lut_bytes + size <= self.max_lut_bytes:
@@ -265,26 +278,6 @@ class SphereSweep:
         return on_device
 
 
-def select_device(device: torch.device | str) -> torch.device:
-    """Return the device to compute on; under `torchrun`, each process uses its own GPU.
-
-    Raises an `OmnistereoError` if PyTorch cannot use a GPU that was asked for.
-    """
-    try:
-        device = torch.device(device)
-        if device.type not in ("cpu", "cuda"):
-            raise TypeError
-    except (RuntimeError, TypeError):
-        raise OmnistereoError(f'device is {device!r}; expected "cpu" or "cuda"') from None
-    if device.type == "cuda":
-        if (device.index or 0) >= (count := torch.cuda.device_count()):
-            raise OmnistereoError(f'device is "{device}"; PyTorch finds {count or "no"} CUDA GPU. Pass device="cpu".')
-        device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", device.index or 0)))
-        torch.cuda.set_device(device)
-    return device
-
-
-@checked
 def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray]:
     """Return the images as arrays, checked against the cameras of the rig.
 
@@ -292,6 +285,8 @@ def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray]:
         OmnistereoError: If there is not one image per camera, or one has the wrong size, shape or type or is not
             finite.
     """
+    if not isinstance(images, Sized):  # arrays and tensors are sequences, too
+        raise OmnistereoError(f"images is {shortened(images)}; expected one array per camera")
     images = [np.asarray(image.detach().cpu() if isinstance(image, Tensor) else image) for image in images]
     images = [image.astype(image.dtype.newbyteorder("="), copy=False) for image in images]
     for i, (image, (width, height)) in enumerate(zip(images, rig.image_sizes(len(images)), strict=True)):

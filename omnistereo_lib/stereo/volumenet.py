@@ -14,16 +14,15 @@ Volumes are (batch, channels, W, H, N): with W first, PyTorch picks its fast CPU
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
-from weakref import WeakKeyDictionary
 
 import torch
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
 from torch.nn.functional import interpolate, relu
 
+from omnistereo_lib.geometry.rig import Pair
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.correlation import (
     CHANNELS,
@@ -33,14 +32,13 @@ from omnistereo_lib.stereo.correlation import (
     pixels_per_degree,
     volume_sizes,
 )
+from omnistereo_lib.stereo.cost import Progress
 from omnistereo_lib.stereo.learned import Precision, autocast
 from omnistereo_lib.stereo.sweep import SphereSweep, reduce_images, to_gray
-from omnistereo_lib.stereo.volume import require_memory
 from omnistereo_lib.stereo.weights import StoredNetwork
 
 WIDTHS = (16, 32, 48, 64)  # channels of the U-net's levels, each half as wide, high and deep as the one before
 _RADIUS = 2  # spheres on either side of the most probable one that the read-out takes in
-_BYTES = 400  # of memory for each cell of the volume, measured
 
 
 class FeatureNet(nn.Module):
@@ -106,10 +104,10 @@ def double(x: Tensor) -> Tensor:
 class VolumeNet(StoredNetwork):
     """Features, correlation and a 3-D U-net; see the head of the module. 518,305 parameters.
 
-    As a matching cost it gives the whole volume at once: `cost_volume` calls `whole_volume`.
+    As a matching cost it computes the whole volume at once, from all cameras.
 
     Attributes:
-        precision: Of the matrix products in `whole_volume`; see `uses_bfloat16`.
+        precision: Of the matrix products in `volume`; see `uses_bfloat16`.
     """
 
     bundled = "volumenet"
@@ -123,7 +121,6 @@ class VolumeNet(StoredNetwork):
         self.down = nn.ModuleList(nn.Sequential(Conv3d(a, b, stride=2), Conv3d(b, b)) for a, b in steps)
         self.up = nn.ModuleList(nn.ModuleList([nn.Conv3d(b, a, 1), Conv3d(a, a)]) for a, b in steps)
         self.head = nn.Conv3d(WIDTHS[0], 1, 3, padding=(0, 1, 1))
-        self._prepared: WeakKeyDictionary[SphereSweep, dict] = WeakKeyDictionary()  # by the size of the volume
 
     def correlation(self, images: Sequence[Tensor], visible: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tensor:
         """Return the correlation volume (9, W, H, N) of one frame; see `FeatureNet` and `correlate`."""
@@ -141,16 +138,14 @@ class VolumeNet(StoredNetwork):
         return self.head(wrap(x)).float()[:, 0]
 
     @torch.no_grad()
-    def whole_volume(
-        self, sweep: SphereSweep, images: Sequence[ArrayLike], progress: Callable[[Iterable], Iterable] = iter
+    def volume(
+        self, sweep: SphereSweep, images: Sequence[ArrayLike], pairs: Sequence[Pair] = (), progress: Progress = iter
     ) -> Tensor:
         """Return 1 - probability of every sphere, shape (H, W, N); NaN for rays that no two cameras share.
 
-        Images and `progress` as in `cost_volume`; raises an `OmnistereoError` if there is not enough memory.
+        See `Cost`. The pairs are not used: `correlate` compares all cameras.
         """
-        grid, device = sweep.grid, sweep.device
-        sizes = volume_sizes(grid)
-        require_memory(_BYTES * math.prod(sizes[-1]) + 4 * math.prod(grid.shape) * grid.num_spheres, grid, device)
+        grid, device, sizes = sweep.grid, sweep.device, volume_sizes(sweep.grid)
         self.eval().to(device)
         *_, correlation = correlations = [self.correlation_at(sweep, images, size) for size in sizes]
         with autocast(self.precision, device):
@@ -166,11 +161,13 @@ class VolumeNet(StoredNetwork):
     def correlation_at(self, sweep: SphereSweep, images: Sequence[ArrayLike], size: tuple[int, int, int]) -> Tensor:
         """Return the correlation volume of a frame at a size; masks and coordinates are kept for the next frame."""
         rig, images = reduce_images(sweep.rig, images, pixels_per_degree(size))
-        prepared, device = self._prepared.setdefault(sweep, {}), sweep.device
-        if size not in prepared:
+        device = sweep.device
+
+        def project() -> tuple[list[Tensor], list[Tensor]]:
             masks = [torch.from_numpy(camera.visible_pixels()).to(device) for camera in rig.cameras]
-            prepared[size] = masks, [uv.to(device) for uv in feature_coordinates(rig, sweep.grid, size)]
-        masks, coordinates = prepared[size]
+            return masks, [uv.to(device) for uv in feature_coordinates(rig, sweep.grid, size)]
+
+        masks, coordinates = sweep.keep((VolumeNet, size), project)
         normalized = [normalize(torch.from_numpy(to_gray(i)).to(device), m) for i, m in zip(images, masks, strict=True)]
         with autocast(self.precision, device):
             return self.correlation(normalized, masks, coordinates)

@@ -4,6 +4,7 @@ import hashlib
 import json
 import struct
 from collections.abc import Mapping
+from os import PathLike
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -11,7 +12,7 @@ import torch
 from safetensors.torch import load, save
 from torch import Tensor, nn
 
-from omnistereo_lib.errors import OmnistereoError, checked, shortened
+from omnistereo_lib.errors import OmnistereoError, shortened
 from omnistereo_lib.files import atomic_write, parse_json, read_bytes
 
 BUNDLED_WEIGHTS = Path(__file__).resolve().parents[1] / "weights"
@@ -42,7 +43,6 @@ class StoredNetwork(nn.Module):
         save_tensors(path, self.state_dict(), about)
 
     @classmethod
-    @checked
     def from_file(cls, path: str | Path, **expected: Any) -> Self:
         """Build a network with the weights of a file that training wrote, in evaluation mode.
 
@@ -60,7 +60,7 @@ class StoredNetwork(nn.Module):
             wanted = signature(cls.__name__, expected)
             raise OmnistereoError(f"{path}: holds {signature(name, config)}; expected {wanted}. Pass another file.")
         try:
-            network = cls(**config)
+            network = cls(**config).float()  # whatever the default type of torch is
             like = network.state_dict()
             floating = [key for key in like if like[key].is_floating_point()]  # counts may be stored as either
             if wrong := [key for key in floating if not tensors[key].is_floating_point()]:
@@ -102,6 +102,8 @@ def load_tensors(path: str | Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         OmnistereoError: If the file is missing, truncated, changed since it was written, not finite, or not from this
             library.
     """
+    if not isinstance(path, str | PathLike):
+        raise OmnistereoError(f"path is {shortened(path)}; expected the path of a file")
     content = read_bytes(path)
     try:
         tensors = load(content)

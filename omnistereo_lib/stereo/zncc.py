@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from numbers import Integral
+from typing import ClassVar
 
 import numba
 import numpy as np
@@ -14,6 +15,7 @@ from torch.nn.functional import avg_pool2d, pad
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.rig import Pair
 from omnistereo_lib.stereo.compiled import compiled
+from omnistereo_lib.stereo.cost import BlockCost
 
 _LANES = 16  # spheres side by side, as many as in a block of the sweep
 _PIECE = 64  # columns at a time: the sums over their windows stay in the cache
@@ -21,7 +23,7 @@ _FLAT_VARIANCE = 1e-6  # of unit-variance images; flatter patches hold only the 
 
 
 @dataclass(frozen=True)
-class ZNCC:
+class ZNCC(BlockCost):
     """Zero-mean normalised cross-correlation of square patches as a cost (1 - ZNCC)/2 in [0, 1] (paper, Section IV).
 
     A patch holds the pixels of the window that are visible to both cameras; it continues across the ±180° seam.
@@ -32,6 +34,7 @@ class ZNCC:
     """
 
     window: int = 9  #: side of the window in pixels, odd; 9 in the paper
+    one_thread: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if not isinstance(self.window, Integral) or self.window < 3 or self.window % 2 == 0:
@@ -40,19 +43,9 @@ class ZNCC:
     def __call__(
         self, spherical_images: Tensor, pairs: Sequence[Pair], columns: Sequence[tuple[int, int]] | None = None
     ) -> Tensor:
-        """Return the mean cost over camera pairs (Eq. 2) for a block of spheres.
+        """Return the mean cost over camera pairs (Eq. 2) for a block of spheres, (H, W, B); see `BlockCost`.
 
-        Args:
-            spherical_images (float32 tensor, shape (cameras, B, H, W)): Images warped onto B spheres, NaN where the ray
-                is not visible to the camera.
-            columns: Visible columns of each camera, around the seam; all others are skipped. Default: all columns.
-
-        Returns:
-            float32 tensor, shape (H, W, B): Cost in [0, 1], NaN where the ray is not visible to both cameras of any
-                pair.
-
-        Raises:
-            OmnistereoError: If the window is larger than the panorama.
+        Raises an `OmnistereoError` if the window is larger than the panorama.
         """
         H, W = spherical_images.shape[-2:]
         if self.window > min(H, W):

@@ -23,8 +23,8 @@ from torch.nn.parallel import DistributedDataParallel
 
 from omnistereo_lib.errors import OmnistereoError, check_number, shortened
 from omnistereo_lib.files import atomic_write, make_folder, read_bytes, read_text
+from omnistereo_lib.stereo.device import select_device
 from omnistereo_lib.stereo.learned import Precision, autocast, uses_bfloat16
-from omnistereo_lib.stereo.sweep import select_device
 from omnistereo_lib.stereo.weights import load_tensors, save_tensors
 from omnistereo_lib.train.frames import DATA, Folders
 from omnistereo_lib.train.patches import PatchSamples

@@ -22,9 +22,10 @@ from omnistereo_lib.evaluate import (
     select_methods,
     write_results,
 )
+from omnistereo_lib.evaluate.methods import EvaluatedMethod
 from omnistereo_lib.evaluate.records import read_record
 from omnistereo_lib.evaluate.regions import METRICS, error_sums, find_regions
-from omnistereo_lib.stereo.methods import Method, penalties
+from omnistereo_lib.stereo.methods import penalties
 from omnistereo_tools import cli
 
 SMALL = Scale(96, 24, 12)
@@ -74,8 +75,8 @@ def copy(data, tmp_path):
 
 
 def test_a_frame_agrees_with_the_single_steps(data, weights):
-    methods = [*METHODS, *map(Method.parse, ("zncc+sgm,p1=0.3,p2=2", "zncc,subindex=true,pairs=all"))]
-    methods.append(Method.parse("sweepnet,wrap=false"))
+    methods = [*METHODS, *map(EvaluatedMethod.parse, ("zncc+sgm,p1=0.3,p2=2", "zncc,subindex=true,pairs=all"))]
+    methods.append(EvaluatedMethod.parse("sweepnet,wrap=false"))
     dataset = osl.load_dataset(data)
     grid = osl.SphereGrid(48, 14, num_spheres=8, min_depth=0.6)
     sweep = osl.SphereSweep(dataset.rig, grid)
@@ -120,7 +121,7 @@ def test_zncc_finds_the_walls(expected):
 
 
 def test_a_method_may_have_its_own_number_of_spheres(data, tmp_path):
-    methods = [Method(cost="zncc", num_spheres=n) for n in (0, 12, 24)]
+    methods = [EvaluatedMethod(cost="zncc", num_spheres=n) for n in (0, 12, 24)]
     frames = json.loads(evaluate(tmp_path / "out", data, methods, frames=[2]))["frames"]["box"]["00002"]
     assert frames["zncc"] == frames["zncc,num_spheres=12"] != frames["zncc,num_spheres=24"]
 
@@ -234,7 +235,7 @@ def test_another_scale_is_refused(own, data):
     with pytest.raises(osl.OmnistereoError, match=r"config height = 24 there, 12 here; config width = 96 there, 48"):
         evaluation(own, data, scale=Scale(48, 12, 12))
     with pytest.raises(osl.OmnistereoError, match=r"num_spheres = 12 there, 24 here\)\. Use another output folder"):
-        evaluation(own, data, [Method(cost="zncc", window=5)], scale=Scale(96, 24, 24))
+        evaluation(own, data, [EvaluatedMethod(cost="zncc", window=5)], scale=Scale(96, 24, 24))
 
 
 @pytest.mark.parametrize("changed", ["config.yaml", "cam3/0002.png", "omnidepth_gt_96/00002.tiff"])

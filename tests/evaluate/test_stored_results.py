@@ -8,11 +8,11 @@ import pytest
 
 import omnistereo_lib as osl
 from omnistereo_lib.evaluate import SCALES, evaluate_frame
+from omnistereo_lib.evaluate.methods import EvaluatedMethod
 from omnistereo_lib.evaluate.records import checksum, config_checksum, read_record
 from omnistereo_lib.evaluate.regions import METRICS
 from omnistereo_lib.evaluate.run import DATA
 from omnistereo_lib.evaluate.table import errors_table
-from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
 from omnistereo_lib.train import RECIPES
 from omnistereo_lib.train.spheres import SphereSamples
@@ -48,7 +48,7 @@ def test_a_frame_again(name, number):
     data = osl.load_dataset(DATA / "sunny", split=split_of(name))
     scale = SCALES["teaching"]
     grid = osl.SphereGrid(scale.width, scale.height, num_spheres=scale.num_spheres, min_depth=data.rig.min_depth)
-    every = [Method.parse(text) for text in stored["methods"]]
+    every = [EvaluatedMethod.parse(text) for text in stored["methods"]]
     methods = [method for method in every if method.cost == "zncc" and not method.num_spheres]
     sweep = osl.SphereSweep(data.rig, grid)
     again = dict(evaluate_frame(sweep, data.frame(number), methods, lambda method: method.load_cost(BUNDLED_WEIGHTS)))
@@ -109,7 +109,7 @@ def test_sweepnet_of_all_worlds_is_better_in_rooms_and_no_worse_in_the_streets()
             figures = [frame[name]["figures"] for key in sets for frame in stored[key].values()]
             means.append(np.array([np.mean([one[metric] for one in figures]) for metric in METRICS]))
             cells = [f"{x:.{1 if '>' in m else 2}f}" for x, m in zip(means[-1], METRICS, strict=True)]
-            rows.append(f"| {' | '.join([place, Method.parse(method).label, trained_on, *cells])} |")
+            rows.append(f"| {' | '.join([place, EvaluatedMethod.parse(method).label, trained_on, *cells])} |")
         assert (means[1] <= (1.02 if place == "streets" else 1.0) * means[0]).all(), (place, method)
     text = (DATA.parent / "book" / "training.md").read_text(encoding="utf-8")
     assert [row for row in text.splitlines() if row.startswith(("| streets", "| room"))] == rows

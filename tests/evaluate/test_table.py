@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 import omnistereo_lib as osl
 from omnistereo_lib.evaluate import Table, errors_table, regions_table
+from omnistereo_lib.evaluate.methods import EvaluatedMethod
 from omnistereo_lib.evaluate.records import write_record
 from omnistereo_lib.evaluate.regions import (
     METRICS,
@@ -26,7 +27,6 @@ from omnistereo_lib.evaluate.regions import (
 )
 from omnistereo_lib.evaluate.table import bootstrap
 from omnistereo_lib.files import read_data
-from omnistereo_lib.stereo.methods import Method
 
 RIG = scene.rig(width=200, height=192)
 
@@ -248,7 +248,7 @@ def test_bootstrap_is_open_for_one_frame():
 
 def record(figures_of, sets=("box", "sunset", "sunny")):
     """Results with these metrics for every method, set and frame, out of order."""
-    methods = [Method.parse(name) for name in ("zncc+sgm", "zncc,window=5", "mccnn", "zncc")]
+    methods = [EvaluatedMethod.parse(name) for name in ("zncc+sgm", "zncc,window=5", "mccnn", "zncc")]
     empty = dict.fromkeys(SUMS, 0)
 
     def errors(name, k, method):

@@ -56,7 +56,7 @@ def estimate():
     rig = scene.rig()
     grid = osl.SphereGrid(160, 40, (-40, 40), 24, 0.6)
     images = scene.images(rig)
-    return rig, grid, images, osl.estimate_depth(rig, images, grid)
+    return rig, grid, images, osl.estimate_depth(rig, images, grid, "zncc+sgm")
 
 
 def test_pipeline_finds_the_box(estimate):

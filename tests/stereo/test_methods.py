@@ -1,5 +1,9 @@
 """One vocabulary of methods: every name comes back, wrong ones are explained, an object of one's own takes part."""
 
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+from copy import deepcopy
+
 import numpy as np
 import pytest
 import scene
@@ -7,13 +11,15 @@ import torch
 
 import omnistereo_lib as osl
 from omnistereo_lib.evaluate import ABLATIONS, METHODS, SCALES, Scale, select_methods
+from omnistereo_lib.evaluate.methods import EvaluatedMethod
+from omnistereo_lib.stereo.cost import BlockCost
 from omnistereo_lib.stereo.methods import COSTS, CostEntry, Method, penalties
 from omnistereo_lib.stereo.pipeline import sweep_depth
 
 
 @pytest.mark.parametrize("method", {m.name: m for ms in (METHODS, *ABLATIONS.values()) for m in ms}.values(), ids=str)
 def test_names_are_read_back(method):
-    assert Method.parse(method.name) == method
+    assert EvaluatedMethod.parse(method.name) == method
     assert method.volume_key.aggregate == "none" and method.volume_key.volume_key == method.volume_key
 
 
@@ -69,42 +75,58 @@ def test_a_name_is_what_its_parts_are(box):
     for depth in (
         sweep_depth(sweep, images, "zncc+sgm,window=5,pairs=all,p1=0.2,p2=3", subindex=False),
         osl.estimate_depth(rig, images, GRID, "zncc+sgm,window=5,pairs=all,p1=0.2,p2=3", subindex=False),
-        osl.estimate_depth(rig, images, GRID, "zncc+sgm,pairs=all,p1=0.2,p2=3", osl.ZNCC(5), subindex=False),
     ):
         np.testing.assert_array_equal(depth.index, expected)
 
 
-def test_the_number_of_spheres_is_a_setting(box):
-    assert osl.estimate_depth(*box, GRID, "zncc,num_spheres=8").grid.num_spheres == 8
-
-
-def test_an_object_of_your_own_is_a_cost(box):
-    def second_sphere(spherical_images, pairs, columns=None):
+class SecondSphere(BlockCost):
+    def __call__(self, spherical_images, pairs, columns=None):
         _, B, H, W = spherical_images.shape
         cost = torch.ones(H, W, B)
         cost[..., 2] = 0
         return cost
 
-    assert (osl.estimate_depth(*box, GRID, "zncc", second_sphere, subindex=False).index % 16 == 2).all()
+
+def test_a_cost_of_your_own_joins_in_one_place(box, monkeypatch):
+    monkeypatch.setitem(COSTS, "second", CostEntry("Second", lambda method, path, precision: SecondSphere()))
+    assert Method.parse("second+sgm").label == "Second + SGM"
+    assert (osl.estimate_depth(*box, GRID, "second", subindex=False).index % 16 == 2).all()
 
 
-def test_a_network_of_your_own_is_a_cost_in_whatever_mode_it_is(box):
-    for name, network in (("mccnn", osl.MCCNN.pretrained()), ("volumenet", osl.VolumeNet.pretrained())):
-        expected = osl.estimate_depth(*box, GRID, name).index
-        np.testing.assert_array_equal(osl.estimate_depth(*box, GRID, name, network.train()).index, expected)
+def test_a_cost_that_is_registered_again_takes_the_place_of_the_first(box, monkeypatch):
+    """As when the cell of a notebook runs twice."""
+    sweep = osl.SphereSweep(box[0], GRID)
+    for window in (3, 5):
+        monkeypatch.setitem(COSTS, "mine", CostEntry("Mine", lambda *_, size=window: osl.ZNCC(size)))
+        found, expected = (sweep_depth(sweep, box[1], name).index for name in ("mine", f"zncc,window={window}"))
+        np.testing.assert_array_equal(found, expected)
 
 
-def test_a_new_cost_joins_in_one_place(box, monkeypatch):
-    entry = CostEntry("Mine", lambda method, path, precision: osl.ZNCC(3), frozenset(), p1=0.5, p2=1.5)
-    monkeypatch.setitem(COSTS, "mine", entry)
-    method = Method.parse("mine+sgm")
-    assert (method.name, method.label) == ("mine+sgm", "Mine + SGM")
-    p1, p2 = penalties(GRID.width, GRID.num_spheres, 0.5, 1.5)
-    expected = osl.estimate_depth(*box, GRID, f"zncc+sgm,window=3,p1={p1},p2={p2}").index
-    np.testing.assert_array_equal(osl.estimate_depth(*box, GRID, "mine+sgm").index, expected)
+@pytest.mark.parametrize("name", ["mccnn", "volumenet"])
+def test_a_network_is_a_cost_in_whatever_mode_it_is(box, name):
+    sweep, method = osl.SphereSweep(box[0], GRID), Method.parse(name)
+    network = {"mccnn": osl.MCCNN, "volumenet": osl.VolumeNet}[name].pretrained().train()
+    found = osl.cost_volume(sweep, box[1], network)
+    expected = osl.cost_volume(sweep, box[1], method.load_cost())
+    torch.testing.assert_close(found, expected, rtol=0, atol=0, equal_nan=True)
 
 
-def test_a_network_is_read_once_per_process():
-    assert Method.parse("mccnn").load_cost() is Method.parse("mccnn+sgm,pairs=all").load_cost()
-    wrapped, cut = (Method.parse(name).load_cost() for name in ("sweepnet+sgm", "sweepnet+sgm,wrap=false"))
+def test_a_sweep_keeps_its_networks(box):
+    sweep, other = (osl.SphereSweep(box[0], GRID) for _ in range(2))
+    kept = Method.parse("mccnn").cost_of(sweep)
+    assert Method.parse("mccnn+sgm").cost_of(sweep) is kept and Method.parse("mccnn").cost_of(other) is not kept
+    wrapped, cut = (Method.parse(name).cost_of(sweep) for name in ("sweepnet+sgm", "sweepnet+sgm,wrap=false"))
     assert wrapped.network.wrap and not cut.network.wrap
+
+
+@pytest.mark.parametrize("kind", [osl.MCCNN, osl.SweepNet, osl.VolumeNet])
+def test_networks_are_copied_and_pickled_after_use_and_serve_two_threads(box, kind):
+    grid = osl.SphereGrid(64, 16, (-40, 40), 16, 0.6)
+    sweep, network = osl.SphereSweep(box[0], grid), kind.pretrained()
+    expected = osl.cost_volume(sweep, box[1], network)
+    for copied in (deepcopy(network), pickle.loads(pickle.dumps(network))):
+        assert torch.equal(osl.cost_volume(sweep, box[1], copied).nan_to_num(), expected.nan_to_num())
+    sweeps = [sweep, *(osl.SphereSweep(box[0], grid) for _ in range(3))]
+    with ThreadPoolExecutor(2) as pool:
+        for found in pool.map(lambda one: osl.cost_volume(one, box[1], network), sweeps):
+            torch.testing.assert_close(found, expected, rtol=0, atol=1e-6, equal_nan=True)

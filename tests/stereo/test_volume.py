@@ -8,7 +8,8 @@ import torch
 
 import omnistereo_lib as osl
 from omnistereo_lib.geometry.rig import camera_pairs
-from omnistereo_lib.stereo.volume import check_memory
+from omnistereo_lib.stereo import sweep as sweep_module
+from omnistereo_lib.stereo.device import check_memory
 
 GRID = osl.SphereGrid(160, 40, (-40, 40), 24, 0.6)
 
@@ -55,9 +56,16 @@ def test_the_memory_of_the_device_is_checked(monkeypatch, full, other):
     free = {full: 10**6, other: 10**12}
     monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=free["cpu"]))
     monkeypatch.setattr(torch.cuda, "mem_get_info", lambda _: (free["cuda"], 10**12))
-    check_memory(scene.rig(), GRID, other)
+    check_memory(4, GRID, torch.device(other))
     with pytest.raises(osl.OmnistereoError, match=rf"160 × 40 with 24 spheres needs \d+\.\d GiB of {full} memory"):
-        check_memory(scene.rig(), GRID, full)
+        check_memory(4, GRID, torch.device(full))
+
+
+def test_memory_is_checked_once_for_a_sweep(monkeypatch, world):
+    looks = []
+    monkeypatch.setattr(sweep_module, "check_memory", lambda *arguments: looks.append(arguments))
+    osl.estimate_depth(*world, GRID, "zncc+sgm")
+    assert len(looks) == 1
 
 
 def test_progress_sees_every_block(world):

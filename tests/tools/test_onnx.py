@@ -10,6 +10,7 @@ import torch
 
 import omnistereo_lib as osl
 from omnistereo_lib.files import write_image
+from omnistereo_lib.stereo.volumenet import local_mean
 from omnistereo_tools import cli
 
 ort = pytest.importorskip("onnxruntime", reason="ONNX Runtime is not installed: environment.txt has it")
@@ -78,7 +79,7 @@ def test_depth_without_torch(exported, network, rig, tmp_path):
     done = run(exported / "run_onnx.py", *(tmp_path / f"{k}.png" for k in range(4)), "--out", tmp_path / "a.npy")
     assert done.returncode == 0, done.stderr
     network.precision = "float32"
-    expected = osl.estimate_depth(rig, images, GRID, "volumenet", cost=network).inverse_depth
+    expected = GRID.index_to_inverse_depth(local_mean(osl.cost_volume(osl.SphereSweep(rig, GRID), images, network))[0])
     np.testing.assert_allclose(np.load(tmp_path / "a.npy"), expected, atol=1e-3 / 0.6)
 
 

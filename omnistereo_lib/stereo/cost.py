@@ -1,0 +1,91 @@
+"""A matching cost: one method, from sweep, images and camera pairs to the cost volume (paper, Section III-B)."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, ClassVar, Protocol
+
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor
+
+from omnistereo_lib.errors import OmnistereoError, shortened
+from omnistereo_lib.geometry.rig import Pair
+from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_lib.stereo.threads import map_threads
+
+Progress = Callable[[Iterable[Any]], Iterable[Any]]  # wraps what is done in turn, such as tqdm
+
+
+class Cost(Protocol):
+    """A matching cost. `ZNCC`, `LearnedCost`, the networks and everything derived from `BlockCost` are costs."""
+
+    def volume(
+        self, sweep: SphereSweep, images: Sequence[ArrayLike], pairs: Sequence[Pair], progress: Progress = iter
+    ) -> Tensor:
+        """Return the cost volume C(p, n) of a frame.
+
+        Args:
+            images: one array per camera, (height, width) or (height, width, 3)
+            pairs: The camera pairs to compare.
+            progress: Wraps the sequence of the parts that are computed in turn.
+
+        Returns:
+            float32 tensor, shape (H, W, N), on the device of the sweep: Cost in [0, 1], 0 = match; NaN where the point
+                is not visible to both cameras of any pair.
+        """
+
+
+class BlockCost(ABC):
+    """Base of a cost that compares images warped onto a block of spheres: a subclass has `__call__`, see `COSTS`."""
+
+    one_thread: ClassVar[bool] = False  # whether `__call__` runs in one thread, so that each block can have one
+
+    @abstractmethod
+    def __call__(
+        self, spherical_images: Tensor, pairs: Sequence[Pair], columns: Sequence[tuple[int, int]] | None = None
+    ) -> Tensor:
+        """Return the mean cost over camera pairs (Eq. 2) for a block of spheres.
+
+        Args:
+            spherical_images (float32 tensor, shape (cameras, B, H, W)): Images warped onto B spheres, NaN where the ray
+                is not visible to the camera.
+            columns: Visible columns (start, width) of each camera, around the seam; all others may be skipped. Default:
+                all columns.
+
+        Returns:
+            float32 tensor, shape (H, W, B): Cost in [0, 1], NaN where the ray is not visible to both cameras of any
+                pair.
+        """
+
+    def volume(
+        self, sweep: SphereSweep, images: Sequence[ArrayLike], pairs: Sequence[Pair], progress: Progress = iter
+    ) -> Tensor:
+        """Return the cost volume, one block of spheres at a time; see `Cost`."""
+        normalized = sweep.normalize_images(images)  # cameras × (h, w)
+        (H, W), on_cpu, blocks = sweep.grid.shape, sweep.device.type == "cpu", sweep.blocks()
+        volume = torch.empty(H, W, sweep.grid.num_spheres, dtype=torch.float32, device=sweep.device)
+        threads = min(torch.get_num_threads(), len(blocks)) if on_cpu and self.one_thread else 1
+        buffers = [volume.new_empty(len(sweep.rig), H, W, len(blocks[0])) for _ in range(threads)]
+
+        def fill(spheres: range) -> None:
+            buffer = buffers.pop()
+            out = buffer if len(spheres) == buffer.shape[-1] else None  # the last block may be smaller
+            block = sweep.warp_block(normalized, spheres, out)  # (cameras, B, H, W); Eq. 1
+            columns = [sweep.visible_columns(camera, spheres) for camera in range(len(sweep.rig))]
+            costs = torch.as_tensor(self(block, pairs, columns))  # (H, W, B); Eq. 2
+            target = volume[:, :, spheres.start : spheres.stop]
+            if costs.shape != target.shape:
+                wrong = f"{shortened(self)} gives costs of shape {tuple(costs.shape)}"
+                raise OmnistereoError(f"{wrong}; expected (H, W, spheres) = {tuple(target.shape)}")
+            if on_cpu:  # by NumPy: torch has threads of its own, which spin after each operation and slow these down
+                target.numpy()[:] = costs.detach().float().numpy()
+            else:
+                target.copy_(costs)
+            buffers.append(buffer)
+
+        done = (map_threads if threads > 1 else map)(fill, blocks)
+        for _ in zip(progress(blocks), done, strict=True):
+            pass
+        return volume

@@ -1,0 +1,59 @@
+"""The device to compute on, and whether its memory holds a panorama."""
+
+import math
+import os
+
+import psutil
+import torch
+
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.geometry.sphere import SphereGrid
+
+BLOCK = 16  # spheres warped at a time: their cells fill one cache line of the (H, W, N) volume
+
+
+def select_device(device: torch.device | str) -> torch.device:
+    """Return the device to compute on; under `torchrun`, each process uses its own GPU.
+
+    Raises an `OmnistereoError` if PyTorch cannot use a GPU that was asked for.
+    """
+    try:
+        device = torch.device(device)
+        if device.type not in ("cpu", "cuda"):
+            raise TypeError
+    except (RuntimeError, TypeError):
+        raise OmnistereoError(f'device is {device!r}; expected "cpu" or "cuda"') from None
+    if device.type == "cuda":
+        if (device.index or 0) >= (count := torch.cuda.device_count()):
+            raise OmnistereoError(f'device is "{device}"; PyTorch finds {count or "no"} CUDA GPU. Pass device="cpu".')
+        device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", device.index or 0)))
+        torch.cuda.set_device(device)
+    return device
+
+
+def check_memory(cameras: int, grid: SphereGrid, device: torch.device) -> None:
+    """Refuse a panorama that needs more than three quarters of the available memory; the rest is for lookup tables.
+
+    Raises:
+        OmnistereoError: With the size needed and the size available.
+    """
+    # Bytes per ray, measured: a block of spheres in sweep and cost, then the volume and the copies that SGM makes.
+    if device.type == "cpu":
+        more_blocks = min(torch.get_num_threads(), math.ceil(grid.num_spheres / BLOCK)) - 1  # see `BlockCost.volume`
+        per_ray = 400 + 225 * cameras + 9 * grid.num_spheres + more_blocks * (250 + 64 * cameras)
+    else:
+        per_ray = 1800 + 64 * cameras + 18 * grid.num_spheres
+    need, free = grid.width * grid.height * per_ray, 0.75 * _available_memory(device)
+    if need > free:
+        raise OmnistereoError(
+            f"a panorama of {grid.width} × {grid.height} with {grid.num_spheres} spheres needs {need / 2**30:.1f} GiB "
+            f"of {device} memory; {free / 2**30:.1f} GiB are available. Use fewer spheres or a smaller panorama."
+        )
+
+
+def _available_memory(device: torch.device) -> int:
+    """Return the bytes that can be allocated on a device; the host memory unless it is a CUDA GPU."""
+    if device.type != "cuda":
+        return int(psutil.virtual_memory().available)
+    cached = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
+    return torch.cuda.mem_get_info(device)[0] + cached
