@@ -6,10 +6,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.geometry.camera import OcamCamera
 
-POINT, FIRST, SECOND, SPHERE = "C1", "C0", "C2", "0.75"  # the point looked at, two cameras, the spheres
+FIRST, SECOND, POINT, SPHERE = "C0", "C1", "C3", "0.75"  # cameras 1 and 2, as everywhere; the point, the spheres
 
 
 def _canvas(width: float, height: float, panels: int = 1) -> tuple[Figure, list[Axes]]:
@@ -47,6 +48,59 @@ def aliasing() -> Figure:
         ax.plot(samples, at, "o-", color=POINT, lw=2, ms=6)
         ax.set(title=name, xlabel="image [px]", ylim=(-1.3, 1.3))
     axes[0].set_ylabel("brightness")
+    return fig
+
+
+def panorama_angles(theta_deg: float, phi_deg: float) -> Figure:
+    """The angles θ and φ of one ray, on the unit sphere and on the panorama that unrolls it."""
+    fig = plt.figure(figsize=(10, 3.6), layout="constrained")
+    left = fig.add_subplot(1, 2, 1, projection="3d", computed_zorder=False)
+    right = fig.add_subplot(1, 2, 2)
+
+    def ray(theta: ArrayLike, phi: ArrayLike) -> list[NDArray]:
+        """x, z and -y, so that Matplotlib's third axis, which points up, shows y pointing down."""
+        theta, phi = np.broadcast_arrays(np.radians(theta), np.radians(phi))
+        return [np.cos(phi) * np.sin(theta), np.cos(phi) * np.cos(theta), -np.sin(phi)]
+
+    around = np.linspace(-180, 180, 181)
+    for phi in (-45, 0, 45):
+        left.plot(*ray(around, phi), color=SPHERE, lw=1.6 if phi == 0 else 0.8)
+    for theta in range(-180, 180, 45):
+        left.plot(*ray(theta, np.linspace(-45, 45, 40)), color=SPHERE, lw=0.8)
+    for end, name in (((1.5, 0, 0), "x, right"), ((0, 1.5, 0), "z, forward"), ((0, 0, -1.1), "y, down")):
+        left.plot(*zip((0, 0, 0), end, strict=True), color="0.2", lw=1.2)
+        left.text(*np.multiply(1.12, end), name, color="0.2", ha="center")
+    left.plot(*zip((0, 0, 0), ray(theta_deg, phi_deg), strict=True), color=POINT, lw=2.5)
+    left.plot(*ray(np.linspace(0, theta_deg, 40), 0), color=FIRST, lw=2.5)
+    left.plot(*ray(theta_deg, np.linspace(0, phi_deg, 20)), color=SECOND, lw=2.5)
+    left.text(*np.multiply(1.25, ray(0.55 * theta_deg, 0)), "θ", color=FIRST, fontsize=13)
+    left.text(*np.multiply(1.15, ray(theta_deg + 12, 0.9 * phi_deg)), "φ", color=SECOND, fontsize=13)
+    left.view_init(28, -62)
+    left.set_box_aspect((1, 1, 0.75), zoom=1.45)
+    left.set_axis_off()
+    right.axhline(0, color=SPHERE)
+    right.axvline(0, color=SPHERE)
+    right.plot([0, theta_deg], [0, 0], color=FIRST, lw=2.5)
+    right.plot([theta_deg] * 2, [0, phi_deg], color=SECOND, lw=2.5)
+    right.plot(theta_deg, phi_deg, "o", color=POINT)
+    right.text(0.5 * theta_deg, -3, "θ", color=FIRST, fontsize=13, ha="center")
+    right.text(theta_deg + 4, 0.5 * phi_deg, "φ", color=SECOND, fontsize=13, va="center")
+    right.set(xlim=(-180, 180), ylim=(45, -45), aspect="equal", xlabel="θ [°], columns to the right")
+    right.set(ylabel="φ [°], rows down", xticks=range(-180, 181, 90), yticks=(-45, 0, 45))
+    return fig
+
+
+def chain(steps: list[tuple[str, str]]) -> Figure:
+    """A row of boxes, each with a name above it and numbers in it, and arrows between them."""
+    fig, (ax,) = _canvas(10, 1.5)
+    for k, (name, numbers) in enumerate(steps):
+        color = plt.cm.viridis(0.35 + 0.13 * k)
+        ax.add_patch(plt.Rectangle((3 * k, 0), 2.3, 1.1, facecolor=color, alpha=0.45, edgecolor="none"))
+        ax.text(3 * k + 1.15, 0.55, numbers, ha="center", va="center", fontsize=9)
+        ax.text(3 * k + 1.15, 1.3, name, ha="center", fontsize=9, color="0.3")
+        if k:
+            _arrow(ax, (3 * k - 0.65, 0.55), (3 * k - 0.05, 0.55), "0.3")
+    ax.set(xlim=(-0.2, 3 * len(steps) - 0.5), ylim=(-0.1, 1.7))
     return fig
 
 

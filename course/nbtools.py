@@ -25,7 +25,7 @@ from pathlib import Path
 import nbformat
 from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
 
-from course import stills
+from course import exercises, stills
 from course.kernels import execute
 from course.plot import caption_output, captions
 from omnistereo_lib.errors import OmnistereoError
@@ -41,8 +41,13 @@ MAX_BYTES = 800_000
 MAX_CELL_LINES, MAX_MEDIAN_LINES, MAX_LINES = 30, 8, 330
 OPENING = re.compile(r"# .+\*\*You will\*\* .+\*\*Before you start:\*\* .+\*\*Next:\*\* ", re.DOTALL)
 CLOSING = ["## Exercises", "## Common errors", "## Takeaways", "## Further reading"]
-EXERCISE = re.compile(r"^\*\*\d\d\.\d+(?: \(([\w-]+)\))?\.\*\*", re.MULTILINE)  # **03.1 (warm-up).**
+# The folded solution of an open function; clean() writes the right answer's source into it.
+SOLUTION = re.compile(
+    r"(<details><summary>A solution: <code>(\w+)</code></summary>\n\n```python\n)(.*?)(?=\n```)", re.DOTALL
+)
+EXERCISE = re.compile(r"^\*\*\d\d\.\d+(?: \(([\w -]+)\))?\.\*\*", re.MULTILINE)  # **03.1 (warm-up).**
 LEVELS = ["warm-up", "medium", "hard", "open"]
+KINDS = ["experiment", "case", "open question"]  # of exercises behind open functions
 
 PICTURES = ("image/png", "image/jpeg")
 WIDGET = "application/vnd.jupyter.widget-view+json"
@@ -91,8 +96,11 @@ def clean(nb: nbformat.NotebookNode) -> nbformat.NotebookNode:
         }
     )
     nb.nbformat, nb.nbformat_minor = 4, 5
+    answers = {function.name: function.source for function in open_functions(nb)}
     for number, cell in enumerate(nb.cells):
         cell.id = f"cell-{number}"
+        if cell.cell_type == "markdown":
+            cell.source = SOLUTION.sub(lambda fold: fold[1] + answers.get(fold[2], fold[3]), cell.source)
         tags = cell.metadata.get("tags")
         cell.metadata = nbformat.from_dict({"tags": tags} if tags else {})
         if cell.cell_type == "code":
@@ -103,6 +111,12 @@ def clean(nb: nbformat.NotebookNode) -> nbformat.NotebookNode:
                     output.traceback = [f"{output.ename}: {output.evalue}"]
             _renew_captions(cell)
     return nb
+
+
+def open_functions(nb: nbformat.NotebookNode) -> list[exercises.Open]:
+    """Return the functions that a notebook leaves open; it is known by the number in its title."""
+    title = re.match(r"# (\d\d) ·", nb.cells[0].source if nb.cells else "")
+    return exercises.functions(title[1]) if title else []
 
 
 def _renew_captions(cell: nbformat.NotebookNode) -> None:
@@ -217,6 +231,10 @@ def _frame(nb: nbformat.NotebookNode) -> Iterator[str]:
     if sections != CLOSING:
         yield f"its last sections are {sections}; they must be {CLOSING}"
     levels = EXERCISE.findall("\n".join(prose))
+    if open_functions(nb):
+        if not 2 <= len(levels) <= 4 or set(levels) - set(KINDS):
+            yield f"its exercises are marked {levels}; two to four, each one of {KINDS}"
+        return
     rising = set(levels) <= set(LEVELS) and levels == sorted(levels, key=LEVELS.index)
     if not rising or {"warm-up", "open"} - set(levels):
         yield f"its exercises are marked {levels}; from (warm-up) to (open), out of {LEVELS}"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 FOLDER = "pictures"
-SCALE = 0.62  # letters of figures at 150 dpi are then as large as the text
+CSS_PX_PER_INCH = 93  # letters of figures are then as large as the text
 PAPER, INK = (19, 20, 22), 225  # the theme's dark page; what was black on white
 _LEAST = 0.7  # of that width: on a telephone a figure scrolls before its letters are too small
 _WHITE = 235  # from here on a pixel is paper
@@ -20,14 +20,14 @@ _SOLID, _FILLED = 0.6, 0.7  # of its bounding box, of its inside: then a shape i
 _SHADES = np.round(np.linspace(PAPER, (INK,) * 3, 256)).astype(np.uint8)[:, None]
 
 
-def picture(data: bytes, alt: str, folder: Path, up: str = "", scale: float = SCALE) -> str:
+def picture(data: bytes, alt: str, folder: Path, up: str = "", scale: float = 0.0) -> str:
     """Write a picture and its dark twin into `folder`/pictures; return the HTML that shows the one that fits.
 
     Args:
         data: A PNG or JPEG file.
         alt: What it shows, for somebody who cannot see it.
         up: From the page to `folder`: "../" or nothing.
-        scale: CSS pixels for one of its pixels, where there is room.
+        scale: CSS pixels for one of its pixels, where there is room; follows from its resolution unless given.
     """
     image = Image.open(io.BytesIO(data))
     name = hashlib.sha256(data).hexdigest()[:16]
@@ -35,6 +35,7 @@ def picture(data: bytes, alt: str, folder: Path, up: str = "", scale: float = SC
     light.parent.mkdir(parents=True, exist_ok=True)
     light.write_bytes(data)
     Image.fromarray(for_dark_page(np.asarray(image.convert("RGB")))).save(dark, quality=80, method=2)
+    scale = scale or CSS_PX_PER_INCH / image.info.get("dpi", (150, 150))[0]
     width, height = round(scale * image.width), round(scale * image.height)
     size = f'width="{width}" height="{height}" alt="{html.escape(alt)}"'
     shown = (

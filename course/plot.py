@@ -43,24 +43,24 @@ __all__ = [
 ]
 
 DEPTH_COLORS = "inferno"  # as `colorize_depth`
-DPI = 150  # sharp on a screen with small pixels, small enough that a notebook stays below 800 KB
+DPI = {"png": 150, "jpeg": 100}  # sharp on a screen, small enough that a notebook stays below 800 KB
 CAPTIONS = Path(__file__).resolve().parents[1] / "notebooks" / "captions.yaml"
 
 
 def encode(fig: Figure, kind: Literal["png", "jpeg"] = "png", tight: bool = True) -> bytes:
-    """Encode a figure as a PNG of 256 colours (lines, text) or a JPEG (photographs) at 150 dots per inch.
+    """Encode a figure as a PNG of 256 colours (lines, text) or a JPEG (photographs).
 
     A tight one is cut to what is drawn, for which it is drawn twice.
     """
     from PIL import Image
 
     drawn, encoded = io.BytesIO(), io.BytesIO()
-    fig.savefig(drawn, format="png", dpi=DPI, bbox_inches="tight" if tight else None)
+    fig.savefig(drawn, format="png", dpi=DPI[kind], bbox_inches="tight" if tight else None)
     image = Image.open(drawn).convert("RGB")
     if kind == "png":
         image.quantize(256, dither=Image.Dither.NONE).save(encoded, "png", optimize=True)
     else:
-        image.save(encoded, "jpeg", quality=50, progressive=True, optimize=True)
+        image.save(encoded, "jpeg", quality=50, progressive=True, optimize=True, dpi=(DPI[kind],) * 2)
     return encoded.getvalue()
 
 

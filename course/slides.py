@@ -6,7 +6,7 @@ They follow from a notebook's structure; nothing is marked in it:
 - A cell that draws shows its picture and the caption, in the room that the text before it leaves. Other code is shown
   where it fits on one slide together with what it printed; longer code is left out, and only what it printed is shown.
 - A sentence does not get a slide to itself where code or printed text can go with it.
-- A live figure shows its stills, or the viewer. An exercise is followed by its solution, at the next step.
+- A live figure shows its stills, or the viewer. An open function is followed by its solution, at the next step.
 - Left out are imports, the check of the installation, and what prints more than a slide can hold.
 
 reveal.js comes with the package sphinx-revealjs, MathJax with sphinx-mathjax-offline: the slides need no network.
@@ -48,6 +48,7 @@ LITTLE = 250.0  # a heading and a sentence or two
 PICTURE = (240.0, 325.0)  # at least, a wide one and a tall one
 HIDDEN, SOLUTION = "hide-input", "solution"
 EXERCISE = re.compile(r"\*\*\d\d\.\d+ \(")
+FOLD = re.compile(r"<details>.*?\n```\n|</details>", re.DOTALL)
 LINK = re.compile(r'<a href="(\d\d_\w+)\.ipynb[^"]*">(.*?)</a>')  # to another notebook
 
 
@@ -177,8 +178,11 @@ def _split(cell: NotebookNode) -> tuple[NotebookNode, NotebookNode]:
 
 def pieces(nb: NotebookNode) -> Iterator[NotebookNode]:
     """Yield what the slides show of a notebook: blocks of text one by one, and cells of code."""
-    codes = iter(narrow([_shown_code(cell) for cell in nb.cells if cell.cell_type == "code"]))
+    codes = iter(narrow([_shown_code(cell) for cell in nb.cells if cell.cell_type == "code" or _solution(cell)]))
     for cell in nb.cells:
+        if _solution(cell):
+            yield new_code_cell(next(codes), metadata={"tags": [SOLUTION]})
+            cell = new_markdown_cell(FOLD.sub("", cell.source))
         if cell.cell_type == "markdown":
             lines = cell.source.splitlines()
             tokens = MarkdownIt().enable("table").parse(cell.source)
@@ -186,7 +190,7 @@ def pieces(nb: NotebookNode) -> Iterator[NotebookNode]:
             yield from (new_markdown_cell("\n".join(lines[first:last])) for first, last in blocks)
             continue
         code = next(codes)
-        if any(solve.stubs(cell.source)):
+        if _asked_at_the_end(cell):
             cell = new_code_cell(code, metadata={"tags": [SOLUTION]})
         elif cell.source == nbtools.SETUP or (not cell.outputs and _imports(cell)):
             continue
@@ -197,10 +201,21 @@ def pieces(nb: NotebookNode) -> Iterator[NotebookNode]:
             yield cell
 
 
+def _solution(cell: NotebookNode) -> re.Match | None:
+    """Return the folded solution in a cell of text, if there is one."""
+    return nbtools.SOLUTION.search(cell.source) if cell.cell_type == "markdown" else None
+
+
+def _asked_at_the_end(cell: NotebookNode) -> list[str]:
+    """Return the names of the stubs of an exercise that is not in the flow yet."""
+    return [stub.name for stub in solve.stubs(cell.source) if stub.name in solve.ANSWERS]
+
+
 def _shown_code(cell: NotebookNode) -> str:
     """Return a cell's code; of an exercise its solution, without the checker."""
-    stubs = [stub.name for stub in solve.stubs(cell.source)]
-    return "\n\n\n".join(solve.inspect.getsource(solve.ANSWERS[name]) for name in stubs) or cell.source
+    if solution := _solution(cell):
+        return solution[3]
+    return "\n\n\n".join(map(solve.inspect.getsource, map(solve.ANSWERS.get, _asked_at_the_end(cell)))) or cell.source
 
 
 def narrow(codes: list[str]) -> list[str]:

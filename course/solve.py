@@ -1,12 +1,13 @@
-"""Write the notebooks with their exercises solved, and run them: `python -m course solve` fills out/solutions.
+"""Write the notebooks with their open functions solved, and run them: `python -m course solve` fills out/solutions.
 
-A solution notebook is the stored notebook with every stub, a function that ends in `return ...`, replaced by
-the function of the same name in course/solutions. There is no second copy of anything.
+A solution notebook is the stored notebook with every stub, a function that ends in `...`, replaced by the right answer
+in course/exercises (of an exercise that is not in the flow yet, in course/solutions).
 """
 
 import ast
 import copy
 import inspect
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import nbformat
 from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
 from nbformat import NotebookNode
 
-from course import kernels, nbtools, solutions
+from course import exercises, kernels, nbtools, solutions
 from omnistereo_lib.errors import OmnistereoError
 
 OUT = nbtools.ROOT / "out" / "solutions"
@@ -23,9 +24,9 @@ ANSWERS = {name: value for name, value in vars(solutions).items() if inspect.isf
 
 
 def stubs(source: str) -> Iterator[ast.FunctionDef]:
-    """Yield the functions of a cell that are still to be written: they end in `return ...`."""
+    """Yield the functions of a cell that are still to be written: they end in `...`."""
     for node in ast.parse(source).body:
-        if isinstance(node, ast.FunctionDef) and ast.unparse(node.body[-1]) == "return ...":
+        if isinstance(node, ast.FunctionDef) and ast.unparse(node.body[-1]).endswith("..."):
             yield node
 
 
@@ -52,10 +53,15 @@ def solve(nb: NotebookNode, answers: dict[str, Callable]) -> NotebookNode:
     return nb
 
 
+def open_answers(number: str) -> dict[str, Callable]:
+    """Return the right answers of the functions that a notebook leaves open, by name."""
+    return {function.name: function.answer for function in exercises.functions(number)}
+
+
 def solve_all(paths: list[Path], answers: dict[str, Callable]) -> dict[Path, NotebookNode]:
     """Return all notebooks solved, by path; an answer that no stub asks for is an error."""
     stored = {path: nbformat.read(path, as_version=4) for path in paths}
-    notebooks = {path: solve(nb, answers) for path, nb in stored.items()}
+    notebooks = {path: solve(nb, answers | open_answers(path.stem[:2])) for path, nb in stored.items()}
     cells = [cell for nb in stored.values() for cell in nbtools.code_cells(nb)]
     asked = {stub.name for cell in cells for stub in stubs(cell.source)}
     if unasked := [name for name in answers if name not in asked]:
@@ -67,10 +73,10 @@ def solve_all(paths: list[Path], answers: dict[str, Callable]) -> dict[Path, Not
 
 
 def not_right(nb: NotebookNode) -> list[str]:
-    """Return what the checkers said of a solved notebook's exercises, where it is not "right"."""
-    cells = [cell for cell in nbtools.code_cells(nb) if "exercises.check_" in cell.source]
+    """Return what the checkers said of a solved notebook's functions, where it is not "right"."""
+    cells = [cell for cell in nbtools.code_cells(nb) if re.search(r"\.check_\w+\(", cell.source)]
     said = ["".join(output.get("text", "") for output in cell.outputs).strip() for cell in cells]
-    return [words for words in said if words.splitlines()[-1:] != ["right"]]
+    return [words for words in said if not re.search(r"^(\w+: right\. .+ with yours\.|right)$", words, re.MULTILINE)]
 
 
 def main(names: list[str]) -> None:

@@ -20,6 +20,7 @@ Rng = np.random.Generator
 Case = tuple[tuple, ArrayLike, Sequence[tuple[ArrayLike, str]]]  # inputs, right value, mistakes: value and hint
 
 CASES = 10
+RIGHT, NOT_WRITTEN = "right", "nothing returned yet"
 
 _FACTORS = (
     (-1.0, "that is the right value with the other sign"),
@@ -79,7 +80,7 @@ def diagnose(answer: Answer, cases: Iterable[Case]) -> str:
         except (Exception, SystemExit) as error:  # whatever a student's code raises is a finding; Ctrl-C is not
             return _stopped(error, len(inputs))
         if value is None or value is Ellipsis:
-            return "nothing returned yet: replace the ... and return your result"
+            return f"{NOT_WRITTEN}: replace the ... and return your result"
         values = _numbers(value)
         if values is None:
             return _not_numbers(value, np.asarray(right, np.float64))
@@ -87,16 +88,12 @@ def diagnose(answer: Answer, cases: Iterable[Case]) -> str:
         tried.append(case)
         overwritten = overwritten or next(_overwritten(given, inputs), None)
     said = _compare(found, tried)
-    if said == "right" and overwritten:
+    if said == RIGHT and overwritten:
         return (
             f"not yet: the value is right, but your function overwrites its argument number {overwritten}, which its "
             "caller may still need. Write into a copy"
         )
     return said
-
-
-def _ray(theta: float, phi: float) -> Array:
-    return np.array([np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta)])
 
 
 def _stopped(error: BaseException, arguments: int) -> str:
@@ -136,7 +133,7 @@ def _compare(found: list[Array], cases: Sequence[Case]) -> str:
     rights = [np.asarray(right, np.float64) for _, right, _ in cases]
     differ = [not _same(*pair) for pair in zip(found, rights, strict=True)]
     if not any(differ):
-        return "right"
+        return RIGHT
     for mistake in zip(*(mistakes for _, _, mistakes in cases), strict=True):  # the same one in all cases
         if all(_same(values, value) for values, (value, _) in zip(found, mistake, strict=True)):
             return f"not yet: {mistake[0][1]}"

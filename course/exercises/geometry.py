@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from course.exercises.compare import Array, Case, Rng, _ray, checker
-from omnistereo_lib.geometry.camera import OcamCamera
+from course.exercises.compare import Array, Case, Rng, checker
 from omnistereo_lib.geometry.pose import Pose
 
 
@@ -140,67 +139,3 @@ def check_depth_error(rng: Rng, k: int) -> Case:
          " its limit for small steps"),
     ]  # fmt: skip
     return (depth, N, nearest), depth**2 * step, mistakes
-
-
-@checker
-def check_point_of_ray(rng: Rng, k: int) -> Case:
-    """03.1: the point at a distance along the ray of angles θ, φ in radians, rig frame."""
-    theta, phi, depth = rng.uniform(0.5, 1.2) + 3 * (k % 2), rng.uniform(0.2, 0.5), rng.uniform(2, 8)
-    x, y, z = ray = _ray(theta, phi)
-    mistakes = [
-        (depth * _ray(*np.radians([theta, phi])), "the angles are in radians already, and NumPy wants radians"),
-        (depth * _ray(*np.degrees([theta, phi])), "NumPy wants radians, and the angles are in radians already"),
-        (depth * _ray(phi, theta), "θ goes around and φ goes down: they are swapped"),
-        (depth * np.array([z, y, x]), "that is the paper's printed ρ, whose panorama is turned by 90° and mirrored"),
-        (depth * ray * [1, -1, 1], "y points down and φ is positive downwards: the second component is +sin φ"),
-        (depth * ray * [-1, 1, 1], "x points right and θ grows to the right: the first component is +cos φ sin θ"),
-        (depth * np.array([np.sin(theta), y, np.cos(theta)]), "cos φ belongs to x and z: a ray has length 1"),
-        (depth * ray / z, "the depth is measured along the ray, not along z"),
-        (ray, "that is the unit ray; the point lies `depth` metres along it"),
-        (ray / depth, "that is divided by the depth, as if it were an inverse depth: multiply"),
-    ]
-    return (theta, phi, depth), depth * ray, mistakes
-
-
-@checker
-def check_pixel_of_point(rng: Rng, k: int) -> Case:
-    """03.2: the pixel (u, v) at which a camera sees a point that is given in the rig frame."""
-    camera = OcamCamera([-200.0, 0.0, 1e-3], [314.159, 200.0], (400.0, 380.0), (1.0, 0.0, 0.0), (800, 768))
-    T_rig_cam = Pose.from_vector([0.1, 0.9, -0.2, 0.3, -0.1, 0.5] * rng.uniform(0.7, 1.3, 6))
-    R, t = T_rig_cam.R, T_rig_cam.t
-    point = rng.uniform(0.8, 2.5, 3)
-
-    def project(point: Array) -> Array:
-        return camera.project(point)[0]
-
-    pixel = project(T_rig_cam.inverse() @ point)
-    mistakes = [
-        (project(T_rig_cam @ point), "T_rig_cam takes camera coordinates to the rig, the point goes back: invert it"),
-        (project(R @ (point - t)), "the translation is undone, but the rotation is not transposed: Rᵀ(p - t)"),
-        (project(R.T @ point - t), "the inverse's translation is -Rᵀt, not -t: Rᵀ(p - t)"),
-        (project(R.T @ point + t), "the inverse's translation is -Rᵀt, not t: Rᵀ(p - t)"),
-        (project(R.T @ point), "the rotation is undone, the translation is left out: Rᵀ(p - t)"),
-        (project(point - t), "the translation is undone, the rotation is left out: Rᵀ(p - t)"),
-        (project(point), "the point is used as if it were in the camera's frame: transform it first"),
-        (pixel[::-1], "pixels are (u, v), right first, then down: yours are swapped"),
-        (pixel + 0.5, "whole numbers are pixel centres here: add no half pixel"),
-        (pixel - 0.5, "whole numbers are pixel centres here: subtract no half pixel"),
-        (np.rint(pixel), "do not round: a point falls between pixels"),
-        (np.floor(pixel), "do not cut off the decimals: a point falls between pixels"),
-    ]
-    return (camera, T_rig_cam, point), pixel, mistakes
-
-
-@checker
-def check_rotation_error(rng: Rng, k: int) -> Case:
-    """03.3: how many pixels of a panorama W wide a yaw error in degrees moves a far point."""
-    yaw, width = rng.uniform(0.2, 0.9), int(rng.integers(200, 1300))
-    mistakes = [
-        (yaw / (2 * np.pi) * width, "the error is in degrees, and 360 of them, not 2π, make the full width"),
-        (yaw / 180 * width, "the panorama spans 360°, not 180°"),
-        (yaw / 360 * (width - 1), "W columns make the full circle, not W - 1"),
-        (width / 360, "that is the number of pixels in one degree: multiply by the error"),
-        (360 / width, "that is the number of degrees in a pixel; pixels are asked"),
-        (yaw * 360 / width, "360 and the width are swapped: W pixels make 360°"),
-    ]
-    return (yaw, width), yaw / 360 * width, mistakes

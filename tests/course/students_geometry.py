@@ -7,27 +7,6 @@ import math
 from statistics import fmean
 
 import numpy as np
-from scipy.spatial.transform import Rotation
-
-
-def list_of_ray(theta, phi, depth):
-    return [depth * math.cos(phi) * math.sin(theta), depth * math.sin(phi), depth * math.cos(phi) * math.cos(theta)]
-
-
-def ray_by_rotations(theta, phi, depth):
-    """Forward, turned down by φ, then to the right by θ."""
-    return Rotation.from_euler("xy", [-phi, theta]).apply([0, 0, depth])
-
-
-def pixel_by_matrix(camera, T_rig_cam, point):
-    M = np.eye(4)
-    M[:3, :3], M[:3, 3] = T_rig_cam.R, T_rig_cam.t
-    uv, _ = camera.project((np.linalg.inv(M) @ [*point, 1])[:3])
-    return tuple(uv)
-
-
-def pixel_of_floats(camera, T_rig_cam, point):
-    return camera.project(T_rig_cam.R.T @ (point - T_rig_cam.t))[0].astype(np.float32)
 
 
 def polynomial(poly, r):
@@ -127,51 +106,6 @@ INDEX_TO_DEPTH = [
     ("turn n around", lambda n, N, nearest: 1 / np.linspace(1 / nearest, 0, N)[n]),
     ("even in inverse depth", lambda n, N, nearest: np.linspace(0, nearest, N)[n]),
     ("metres are asked", lambda n, N, nearest: (N - 1) / n),
-]
-POINT_OF_RAY = [
-    ("right", list_of_ray),
-    ("right", ray_by_rotations),
-    ("right", lambda t, p, d: d * np.float32([np.cos(p) * np.sin(t), np.sin(p), np.cos(p) * np.cos(t)])),
-    ("in radians already, and", lambda t, p, d: list_of_ray(np.deg2rad(t), np.deg2rad(p), d)),
-    ("NumPy wants radians, and", lambda t, p, d: list_of_ray(math.degrees(t), math.degrees(p), d)),
-    ("swapped", lambda t, p, d: list_of_ray(p, t, d)),
-    ("printed ρ", lambda t, p, d: d * np.array([np.cos(p) * np.cos(t), np.sin(p), np.cos(p) * np.sin(t)])),
-    ("y points down", lambda t, p, d: list_of_ray(t, -p, d)),
-    ("x points right", lambda t, p, d: list_of_ray(-t, p, d)),
-    ("a ray has length 1", lambda t, p, d: np.array([np.sin(t), np.sin(p), np.cos(t)]) * d),
-    ("not along z", lambda t, p, d: [d * np.tan(t), d * np.tan(p) / np.cos(t), d]),
-    ("`depth` metres along it", lambda t, p, d: list_of_ray(t, p, 1)),
-    ("divided by the depth", lambda t, p, d: list_of_ray(t, p, 1 / d)),
-    ("centimetres", lambda t, p, d: list_of_ray(t, p, 100 * d)),
-]
-PIXEL_OF_POINT = [
-    ("right", lambda camera, T, p: camera.project(T.inverse() @ p)[0]),
-    ("right", pixel_by_matrix),
-    ("right", pixel_of_floats),
-    ("invert it", lambda camera, T, p: camera.project(T @ p)[0]),
-    ("not transposed", lambda camera, T, p: camera.project(T.R.dot(p - T.t))[0]),
-    ("not -t", lambda camera, T, p: camera.project(T.R.T.dot(p) - T.t)[0]),
-    ("not t:", lambda camera, T, p: camera.project(p @ T.R + T.t)[0]),
-    ("translation is left out", lambda camera, T, p: camera.project(p @ T.R)[0]),
-    ("rotation is left out", lambda camera, T, p: camera.project(p - T.t)[0]),
-    ("transform it first", lambda camera, T, p: camera.project(p)[0]),
-    ("yours are swapped", lambda camera, T, p: pixel_by_matrix(camera, T, p)[::-1]),
-    ("add no half pixel", lambda camera, T, p: [x + 0.5 for x in pixel_by_matrix(camera, T, p)]),
-    ("subtract no half pixel", lambda camera, T, p: [x - 0.5 for x in pixel_by_matrix(camera, T, p)]),
-    ("do not round", lambda camera, T, p: [round(x) for x in pixel_by_matrix(camera, T, p)]),
-    ("do not cut off", lambda camera, T, p: [int(x) for x in pixel_by_matrix(camera, T, p)]),
-    ("return it alone", lambda camera, T, p: camera.project(T.inverse() @ p)),
-]
-ROTATION_ERROR = [
-    ("right", lambda degrees, width: degrees / (360 / width)),
-    ("right", lambda degrees, width: np.radians(np.float32(degrees)) * width / (2 * np.pi)),
-    ("not 2π", lambda degrees, width: width * degrees / (2 * np.pi)),
-    ("not 180°", lambda degrees, width: np.radians(degrees) / np.pi * width),
-    ("not W - 1", lambda degrees, width: (width - 1) * degrees / 360),
-    ("multiply by the error", lambda degrees, width: width / 360),
-    ("pixels are asked", lambda degrees, width: 360 / width),
-    ("swapped", lambda degrees, width: 360 / width * degrees),
-    ("other sign", lambda degrees, width: -degrees * width / 360),
 ]
 
 

@@ -26,6 +26,10 @@ EXERCISES = [
     for path in nbtools.notebooks()
     for cell in nbtools.code_cells(nbformat.read(path, as_version=4))
     for check, answer in CALL.findall(cell.source)
+] + [
+    pytest.param(function, function.answer, id=f"{path.stem[:2]} {function.name}")
+    for path in nbtools.notebooks()
+    for function in exercises.functions(path.stem[:2])
 ]
 
 OPERATORS = {

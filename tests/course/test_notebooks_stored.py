@@ -8,7 +8,7 @@ import re
 import nbformat
 import pytest
 
-from course import nbtools
+from course import exercises, nbtools
 from course.plot import captions
 
 TEMPLATE = nbtools.ROOT / "course" / "template.ipynb"
@@ -34,6 +34,8 @@ def test_exercises_are_numbered_and_the_open_one_comes_last(path):
     prose = "\n".join(cell.source for cell in cells if cell.cell_type == "markdown")
     numbers = re.findall(r"^\*\*(\d\d\.\d+)\b", prose, re.MULTILINE)
     assert numbers == [f"{path.stem[:2]}.{k}" for k in range(1, len(numbers) + 1)]
+    if exercises.functions(path.stem[:2]):
+        return
     checkers = [k for k, cell in enumerate(cells) if re.search(r"^exercises\.check_\w+\(", cell.source, re.MULTILINE)]
     assert len(checkers) >= (5 if 1 <= int(path.stem[:2]) <= 9 else 2)
     assert max(checkers) < min(k for k, cell in enumerate(cells) if "(open).**" in cell.source)

@@ -1,0 +1,193 @@
+"""The functions that the notebooks leave open: right answers, known mistakes, garbage, and where they are asked for.
+
+The notebooks themselves show that the answers agree with the library, and nbval compares what they print.
+"""
+
+import ast
+import io
+import itertools
+from contextlib import redirect_stdout
+
+import numpy as np
+import pytest
+
+from course import exercises, nbtools, solve
+from course.exercises.opened import NOT_WRITTEN, RIGHT, Open
+
+NOTEBOOKS = {path.stem[:2]: nbtools.read_notebook(path) for path in nbtools.notebooks()}
+FUNCTIONS = [
+    pytest.param(number, function, id=f"{number} {function.name}")
+    for number in NOTEBOOKS
+    for function in exercises.functions(number)
+]
+each = pytest.mark.parametrize(("number", "function"), FUNCTIONS)
+MISTAKES = [
+    pytest.param(function, *mistake, id=f"{number} {function.name} {k}")
+    for number in NOTEBOOKS
+    for function in exercises.functions(number)
+    for k, mistake in enumerate(function.mistakes)
+]
+MOST_LINES = 12
+
+
+@each
+def test_the_answer_is_right(number, function):
+    assert function.check(lambda *inputs: function.answer(*inputs)) == RIGHT
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize(("function", "mistake", "hint"), MISTAKES)
+def test_a_mistake_is_named(function, mistake, hint):
+    assert function.check(mistake) == f"not yet: {hint}"
+
+
+def said(check, function):
+    """What a check cell prints, and what the notebook goes on with."""
+    with redirect_stdout(io.StringIO()) as printed:
+        used = check(function)
+    assert printed.getvalue().count("\n") == 1
+    return printed.getvalue(), used
+
+
+@each
+def test_a_check_gives_the_function_to_go_on_with(number, function):
+    def mine(*inputs):
+        return function.answer(*inputs)
+
+    assert said(function, mine) == (f"{function.name}: right. The notebook goes on with yours.\n", mine)
+    wrong, hint = function.mistakes[0]
+    with np.errstate(all="ignore"):
+        words = f"{function.name}: not yet: {hint}. The notebook goes on with the solution.\n"
+        assert said(function, wrong) == (words, function.answer)
+    words, used = said(function, function.answer)  # the check cell, run twice
+    assert "this is the solution" in words and used is function.answer
+
+
+# --- In the notebooks ---------------------------------------------------------------------------------------
+
+
+def cells_of(number, function):
+    """The cells of an open function: the stub, the check, and the cell after it."""
+    cells = NOTEBOOKS[number].cells
+    stubs = [k for k, c in enumerate(cells) if c.cell_type == "code" and names(c) == [function.name]]
+    assert len(stubs) == 1
+    return cells[stubs[0] : stubs[0] + 3]
+
+
+def names(cell):
+    return [stub.name for stub in solve.stubs(cell.source)]
+
+
+@each
+def test_a_function_is_asked_for_checked_and_solved_in_one_place(number, function):
+    stub, check, solution = cells_of(number, function)
+    asked, answer = (ast.parse(source).body[0] for source in (stub.source, function.source))
+    assert ast.unparse(asked.args) == ast.unparse(answer.args)
+    assert ast.get_docstring(asked) == ast.get_docstring(answer)
+    assert ast.unparse(asked.body[-1]) == "..." and len(asked.body) == 2
+    assert check.source.splitlines()[0] == f"{function.name} = nb{number}.check_{function.name}({function.name})"
+    assert nbtools.SOLUTION.match(solution.source.removeprefix("<details>"))[2] == function.name
+    assert f"```python\n{function.source}\n```" in solution.source
+    assert len(ast.unparse(answer).splitlines()) - 2 <= MOST_LINES  # but for the signature and the docstring
+
+
+@pytest.mark.parametrize("number", NOTEBOOKS)
+def test_a_notebook_asks_for_what_its_module_holds(number):
+    asked = [name for cell in nbtools.code_cells(NOTEBOOKS[number]) for name in names(cell)]
+    functions = [function.name for function in exercises.functions(number)]
+    assert not functions or (asked == functions and 3 <= len(functions) <= 5)
+
+
+@each
+def test_a_later_cell_uses_the_function(number, function):
+    """So the figures after it could not be drawn without it."""
+    cells = nbtools.code_cells(NOTEBOOKS[number])
+    check = next(k for k, cell in enumerate(cells) if f"check_{function.name}(" in cell.source)
+    later = itertools.chain(*(ast.walk(ast.parse(cell.source)) for cell in cells[check:]))
+    uses = sum(isinstance(node, ast.Name) and node.id == function.name for node in later)
+    assert uses > 2  # those of the check itself
+
+
+@pytest.mark.parametrize("number", [number for number in NOTEBOOKS if exercises.functions(number)])
+def test_answers_written_into_the_notebook_are_right_there(number):
+    """With the notebook's own imports, and each function before."""
+    namespace = {}
+    nb = solve.solve(NOTEBOOKS[number], solve.open_answers(number))
+    for cell in nbtools.code_cells(nb):
+        if cell.source == nbtools.SETUP:
+            continue
+        for node in ast.parse(cell.source).body:
+            open_one = isinstance(node, ast.FunctionDef) and node.name in solve.open_answers(number)
+            if isinstance(node, ast.Import | ast.ImportFrom) or open_one:
+                exec(compile(ast.Module([node], []), "cell", "exec"), namespace)
+    for function in exercises.functions(number):
+        mine = namespace[function.name]
+        assert mine is not function.answer and said(function, mine)[1] is mine
+
+
+# --- Garbage, once --------------------------------------------------------------------------------------------
+
+
+def twice(x, factor):
+    return factor * x
+
+
+CHECK = Open(twice, lambda rng, k: (rng.uniform(1, 2, (2, 3 + k % 2)), 2.0), [(lambda x, _: x, "multiply")])
+
+
+class Hostile:
+    """Every way to look at it fails."""
+
+    def __array__(self, *args, **kwargs):
+        raise RuntimeError("no array")
+
+    __repr__ = __str__ = __len__ = __iter__ = __float__ = __array__
+
+
+def overwriting(x, factor):
+    x *= factor
+    return x
+
+
+def raising(error):
+    def answer(x, factor):
+        raise error
+
+    return answer
+
+
+GARBAGE = {
+    "nothing": (lambda x, f: None, NOT_WRITTEN),
+    "ellipsis": (lambda x, f: ..., NOT_WRITTEN),
+    "not a function": (3, "hand over the function itself"),
+    "other arguments": (lambda x: x, "is called with 2 arguments"),
+    "an error": (raising(ValueError("no")), "stopped with ValueError: no"),
+    "an exit": (raising(SystemExit(1)), "stopped with SystemExit"),
+    "text": (lambda x, f: "twice", "expected numbers of shape (2, 3), got str"),
+    "hostile": (lambda x, f: Hostile(), "got Hostile"),
+    "ragged": (lambda x, f: [[1], [2, 3]], "a list that is no array of numbers"),
+    "truth values": (lambda x, f: x > 1, "an array of bool"),
+    "too much": (lambda x, f: (f * x, x.shape), "the first thing that you return is right"),
+    "wrong shape": (lambda x, f: f * x[0], "expected numbers of shape (2, 3), got numbers of shape (3,)"),
+    "NaN": (lambda x, f: np.nan * x, "there are NaN"),
+    "infinite": (lambda x, f: np.where(x < 1.5, f * x, np.inf), "there are NaN or infinite values"),
+    "the other sign": (lambda x, f: -f * x, "the right value with the other sign"),
+    "centimetres": (lambda x, f: 100 * f * x, "centimetres"),
+    "degrees": (lambda x, f: np.degrees(f * x), "are there degrees"),
+    "unknown": (lambda x, f: f * x + 0.37, "off by up to 0.37 in all; no usual mistake explains it"),
+    "overwrites": (overwriting, "the value is right, but your function overwrites its argument number 1"),
+    "single precision": (lambda x, f: (f * x).astype(np.float32), RIGHT),
+    "a list": (lambda x, f: (f * x).tolist(), RIGHT),
+}
+
+
+@pytest.mark.parametrize("name", GARBAGE)
+def test_garbage_gets_a_sentence(name):
+    function, words = GARBAGE[name]
+    assert words in CHECK.check(function)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, GeneratorExit])
+def test_an_interrupt_is_not_swallowed(error):
+    with pytest.raises(error):
+        CHECK.check(raising(error()))
