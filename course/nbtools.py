@@ -114,9 +114,9 @@ def clean(nb: nbformat.NotebookNode) -> nbformat.NotebookNode:
 
 
 def open_functions(nb: nbformat.NotebookNode) -> list[exercises.Open]:
-    """Return the functions that a notebook leaves open; it is known by the number in its title."""
-    title = re.match(r"# (\d\d) ·", nb.cells[0].source if nb.cells else "")
-    return exercises.functions(title[1]) if title else []
+    """Return the functions that a notebook leaves open, from the module that its checks name."""
+    named = re.search(r"\bnb(\d\d)\.check_", "\n".join(cell.source for cell in code_cells(nb)))
+    return exercises.functions(named[1]) if named else []
 
 
 def _renew_captions(cell: nbformat.NotebookNode) -> None:
