@@ -26,6 +26,7 @@ these trapezoids run, then the triangles between them. The tiles also keep the d
 
 import math
 from collections.abc import Iterator
+from importlib.util import find_spec
 from itertools import pairwise
 from numbers import Real
 
@@ -65,7 +66,8 @@ def sgm(volume: Tensor | np.ndarray, p1: float = 0.1, p2: float = 12.0, paths: i
 
     Note:
         The CPU version uses ``torch.get_num_threads()`` threads; results do not depend on their number. It needs one
-        more volume of memory. Other devices run torch operations, one row or column at a time, in three more volumes.
+        more volume of memory. A GPU needs two more, or three
+        where Triton is not installed.
 
     Raises:
         OmnistereoError: If the volume is not 3-D, has fewer than 2 spheres or infinite costs, or p1, p2 or paths is out
@@ -78,7 +80,7 @@ def sgm(volume: Tensor | np.ndarray, p1: float = 0.1, p2: float = 12.0, paths: i
         raise OmnistereoError(f"sgm: penalties are p1 = {p1!r}, p2 = {p2!r}; expected finite numbers, 0 ≤ p1 ≤ p2")
     if volume.device.type != "cpu":
         infinite = bool(volume.isinf().any())
-        total = volume if infinite else sgm_torch(volume, p1, p2, paths, wrap)
+        total = volume if infinite else _sgm_gpu(volume, p1, p2, paths, wrap)
     else:
         total, infinite = _sgm_numba(volume.numpy(), np.float32(p1), np.float32(p2), paths == 8, wrap)
     if infinite:
@@ -241,14 +243,31 @@ def _add_paths(paths: NDArray, total: NDArray) -> None:
         total[n] += paths[0, n + 1] + paths[1, n + 1] + paths[2, n + 1]
 
 
+# ---- GPU: by Triton where it is installed, as with torch for CUDA on Linux; else by torch.
+
+
+def _sgm_gpu(volume: Tensor, p1: float, p2: float, paths: int, wrap: bool) -> Tensor:
+    if find_spec("triton") is None:
+        return sgm_torch(volume, p1, p2, paths, wrap)
+    from omnistereo_lib.stereo.sgm_triton import sgm_triton
+
+    return sgm_triton(volume, p1, p2, paths, wrap)
+
+
+def fill_unknown(volume: Tensor) -> Tensor:
+    """Return a copy of a volume whose unknown cells have the mean cost of their ray, 0 where no cell is known."""
+    cost = volume.clone()
+    for rows in cost.split(16):  # some rows at a time: no further copy of the volume
+        rows.copy_(torch.where(rows.isnan(), rows.nanmean(-1, keepdim=True).nan_to_num(0.0), rows))
+    return cost
+
+
 # ---- Any device: whole rows and columns at once, both directions of a path side by side.
 
 
 def sgm_torch(volume: Tensor, p1: float, p2: float, paths: int, wrap: bool) -> Tensor:
     """Return S of a volume without infinite costs, in the precision of the volume."""
-    cost = volume.clone()
-    for rows in cost.split(16):  # some rows at a time: no further copy of the volume
-        rows.copy_(torch.where(rows.isnan(), rows.nanmean(-1, keepdim=True).nan_to_num(0.0), rows))
+    cost = fill_unknown(volume)
     total = _scan_columns(cost, p1, p2, MAX_LAPS if wrap else 1)
     H, W, N = volume.shape
     messages = cost.new_zeros(3 if paths == 8 else 1, 2, W, N)

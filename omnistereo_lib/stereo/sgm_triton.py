@@ -1,0 +1,86 @@
+"""Semi-global matching on a GPU, one program per scanline; the same recurrence as in `sgm`, in Triton.
+
+A scanline is one path over the panorama: a row, or a line that starts in the first (or last) row and moves by 0 or ±1
+column per row. Its program keeps the message M (N numbers) in registers and walks along the line. Scanlines of one
+direction never share a pixel, so a launch per direction adds to S without atomics.
+"""
+
+import math
+
+import torch
+import triton
+import triton.language as tl
+from torch import Tensor
+
+from omnistereo_lib.stereo.sgm import MAX_LAPS, fill_unknown
+
+
+@triton.jit
+def _step(cost, message, sphere, p1, p2, BLOCK: tl.constexpr):
+    """Extend a path by one pixel: L = C + M and the next message (the recurrence of `sgm`)."""
+    path = cost + message  # inf beyond the last sphere
+    lowest = tl.min(path, 0)
+    below = tl.where(sphere > 0, tl.gather(path, tl.maximum(sphere - 1, 0), 0), float("inf"))
+    above = tl.where(sphere < BLOCK - 1, tl.gather(path, tl.minimum(sphere + 1, BLOCK - 1), 0), float("inf"))
+    following = tl.minimum(path, tl.minimum(tl.minimum(below, above) + p1, lowest + p2)) - lowest
+    return path, following
+
+
+@triton.jit
+def _scan_rows(cost, total, W, N, p1, p2, laps, leftward: tl.constexpr, BLOCK: tl.constexpr):
+    """Add the L of one row to the total: laps around the panorama until the message repeats, then the lap that counts.
+
+    cost, total: pointers to (H, W, N); program k scans row k.
+    """
+    sphere = tl.arange(0, BLOCK)
+    inside = sphere < N
+    row = tl.program_id(0).to(tl.int64) * W * N
+    message = tl.zeros([BLOCK], tl.float32)
+    lap, changed = 1, 1
+    while (lap < laps) & (changed > 0):
+        before = message
+        for i in range(W):
+            x = W - 1 - i if leftward else i
+            c = tl.load(cost + row + x * N + sphere, inside, float("inf"))
+            _, message = _step(c, message, sphere, p1, p2, BLOCK)
+        changed = tl.max(tl.where(message != before, 1, 0), 0)
+        lap += 1
+    for i in range(W):
+        x = W - 1 - i if leftward else i
+        cell = row + x * N + sphere
+        path, message = _step(tl.load(cost + cell, inside, float("inf")), message, sphere, p1, p2, BLOCK)
+        tl.store(total + cell, tl.load(total + cell, inside) + path, inside)
+
+
+@triton.jit
+def _scan_lines(
+    cost, total, H, W, N, p1, p2, up: tl.constexpr, slope: tl.constexpr, wrap: tl.constexpr, BLOCK: tl.constexpr
+):
+    """Add the L of one line from the first row down (or the last row up), `slope` columns to the right per row."""
+    sphere = tl.arange(0, BLOCK)
+    inside = sphere < N
+    message = tl.zeros([BLOCK], tl.float32)
+    x = tl.program_id(0).to(tl.int64)
+    for step in range(H):
+        y = H - 1 - step if up else step
+        cell = (y * W + x) * N + sphere
+        path, message = _step(tl.load(cost + cell, inside, float("inf")), message, sphere, p1, p2, BLOCK)
+        tl.store(total + cell, tl.load(total + cell, inside) + path, inside)
+        x = (x + W + slope) % W
+        if not wrap and slope != 0:  # a line that leaves the flat image enters it on the other side as a new one
+            message = tl.where(x == (0 if slope > 0 else W - 1), 0.0, message)
+
+
+def sgm_triton(volume: Tensor, p1: float, p2: float, paths: int, wrap: bool) -> Tensor:
+    """Return S of a volume (H, W, N) on a GPU without infinite costs; arguments as in `sgm`."""
+    cost = fill_unknown(volume)
+    total = torch.zeros_like(cost)
+    H, W, N = cost.shape
+    BLOCK = triton.next_power_of_2(N)
+    one = {"num_warps": 1}  # a reduction within a warp needs no barrier
+    for leftward in (False, True):
+        _scan_rows[(H,)](cost, total, W, N, p1, p2, MAX_LAPS if wrap else 1, leftward, BLOCK, **one)
+    for up in (False, True):
+        for slope in (0, 1, -1) if paths == 8 else (0,):
+            _scan_lines[(W,)](cost, total, H, W, N, p1, p2, up, slope, wrap, BLOCK, **one)
+    return total.masked_fill_(volume.isnan(), math.nan)
