@@ -19,7 +19,7 @@ def main(arguments: list[str] | None = None) -> int:
         ("stills", "run notebooks and store what their live figures show, for the website and the slides"),
     ):
         commands.add_parser(name, help=text).add_argument("notebooks", nargs="+", type=Path)
-    commands.add_parser("doctor", help="check Python, the packages of environment.txt, the data and OpenGL")
+    commands.add_parser("doctor", help="check Python, the packages of environment.txt and the data")
     check = commands.add_parser("check", help="check handed-in notebooks; this runs their code, see book/teaching.md")
     check.add_argument("path", type=Path, help="a notebook, or a folder of a class")
     check.add_argument("--out", type=Path, default=nbtools.ROOT / "out" / "checked", help="folder of the score sheets")

@@ -1,25 +1,14 @@
-"""Check of the clone: the packages that environment.txt pins, the data, and whether PyVista can draw."""
+"""Check of the clone: the packages that environment.txt pins, and the data."""
 
 import hashlib
 import json
-import os
 import re
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 from omnistereo_tools.installation import Check, check_machine, check_python, installed_version, print_checks
 
 _ROOT = Path(__file__).resolve().parents[1]
-_PROBE_SECONDS = 60
-
-_RENDER_PROBE = """
-import pyvista
-plotter = pyvista.Plotter(off_screen=True, window_size=(64, 64))
-plotter.add_mesh(pyvista.Sphere())
-assert plotter.screenshot(return_img=True).std() > 0
-"""
 
 
 def doctor(short: bool = False) -> None:
@@ -31,11 +20,11 @@ def check_clone(short: bool = False) -> bool:
     """Print what is installed and what is missing, with the fix; return whether nothing failed.
 
     Args:
-        short: Only Python, the packages and the data, in one line if nothing failed. Otherwise one line for each, and
-            notes on OpenGL, cores and memory, which do not count as failures.
+        short: Print one line if nothing failed. Otherwise one line for each check, and notes on cores and memory,
+            which do not count as failures.
     """
     checks = [*check_python(), *_pinned_packages(), *_data()]
-    return print_checks(checks, () if short else (*_opengl(), *check_machine()), "Python, packages and data", short)
+    return print_checks(checks, () if short else check_machine(), "Python, packages and data", short)
 
 
 def _pinned_packages() -> Iterator[Check]:
@@ -76,26 +65,3 @@ def _data() -> Iterator[Check]:
 
 def _sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "missing"
-
-
-def opengl_works() -> bool:
-    """Return whether PyVista can render here, tried in a separate process: without OpenGL, VTK crashes."""
-    command = [sys.executable, "-c", _RENDER_PROBE]
-    try:
-        probe = subprocess.run(command, capture_output=True, env=headless(), check=False, timeout=_PROBE_SECONDS)
-    except subprocess.TimeoutExpired:
-        return False
-    return probe.returncode == 0
-
-
-def headless() -> dict[str, str]:
-    """Return the environment in which VTK renders without a display and without a warning about it."""
-    if sys.platform == "linux" and "DISPLAY" not in os.environ:
-        return {**os.environ, "VTK_DEFAULT_OPENGL_WINDOW": "vtkEGLRenderWindow"}
-    return dict(os.environ)
-
-
-def _opengl() -> Iterator[Check]:
-    passed = opengl_works()
-    fix = "no OpenGL: point clouds are drawn by NumPy; on Debian: apt install libegl1 libgl1-mesa-dri"
-    yield passed, "OpenGL: PyVista draws point clouds" if passed else fix

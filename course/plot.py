@@ -1,24 +1,31 @@
-"""Pictures for the notebooks. The only module that draws; Matplotlib is imported when it does."""
+"""Figures of the notebooks: captioned, live, and the panels that they are made of.
+
+Matplotlib is imported by the functions that draw, so that importing this module stays fast.
+"""
 
 from __future__ import annotations
 
 import base64
+import html
 import io
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from course import stills
 from omnistereo_lib.dataset import Frame
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.depth import Depth
 from omnistereo_tools.calibration_figures import calibration_figure, draw_coverage
-from omnistereo_tools.pictures import colorize_depth
+from omnistereo_tools.pictures import colorize_depth, draw_points, sharp_panorama
+from omnistereo_tools.points import Limits
+from omnistereo_tools.viewer import page_of, viewer_data
 
 if TYPE_CHECKING:
     from ipywidgets import Widget
@@ -35,14 +42,17 @@ __all__ = [
     "draw_coverage",
     "draw_depth",
     "draw_panorama",
+    "draw_points",
     "draw_rig",
     "encode",
+    "explore",
     "interactive",
     "pick_ray",
     "show",
 ]
 
 DEPTH_COLORS = "inferno"  # as `colorize_depth`
+SHARP_PX = 1280  # width of the panorama that is looked around in
 DPI = {"png": 150, "jpeg": 100}  # sharp on a screen, small enough that a notebook stays below 800 KB
 CAPTIONS = Path(__file__).resolve().parents[1] / "notebooks" / "captions.yaml"
 
@@ -183,6 +193,26 @@ def _with_cross(panorama: NDArray, row: int, column: int) -> bytes:
         for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
             cv2.line(picture, (x + 8 * dx, y + 8 * dy), (x + 22 * dx, y + 22 * dy), color, thickness)
     return cv2.imencode(".jpg", picture[..., ::-1])[1].tobytes()
+
+
+def explore(depth: Depth, images: Sequence[ArrayLike], max_depth: float, min_confidence: float = 0.0) -> None:
+    """Show a depth panorama: its points to rotate, tilt and zoom, its image to look around in.
+
+    Notebooks are stored without it: the captioned figure before it says what it shows.
+
+    Args:
+        images: One of each camera, as for `Depth.panorama`.
+        max_depth, min_confidence: Rays up to this depth in metres, and with at least this confidence, become points.
+    """
+    from IPython.display import display
+    from ipywidgets import HTML
+
+    panorama = sharp_panorama(depth, images, SHARP_PX)
+    data = viewer_data(depth, panorama, Limits(max_depth, min_confidence), "Drag to turn and tilt", mode="points")
+    if stills.recording():
+        return stills.record_view(data)
+    page = html.escape(page_of(data))
+    display(HTML(f'<iframe srcdoc="{page}" title="{stills.VIEW}" style="width: 100%; height: 800px"></iframe>'))
 
 
 def draw_panorama(ax: Axes, picture: NDArray, grid: SphereGrid, title: str = "", **imshow: Any) -> AxesImage:

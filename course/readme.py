@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 import omnistereo_lib as osl
 from course import nbtools
 from course.plot import DEPTH_COLORS
-from course.view3d import draw_points
-from omnistereo_tools.pictures import colorize_depth
+from omnistereo_tools.pictures import colorize_depth, draw_points
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,7 +23,7 @@ WIDTH_PX, DPI = 2000, 100
 GROUND = "#202020"  # as behind the points
 FRAME = 831
 SAME = 0.2  # gray levels, mean difference; two threads in place of one make 0.03, SGM in place of the network makes 9
-EYE = (-8.0, -6.0, -10.5)  # metres, rig frame
+EYE = (-4.0, -3.0, -5.2)  # metres, rig frame
 
 
 def main() -> None:
@@ -79,7 +78,7 @@ def picture(
     panels = {
         (0, scale + high + gap, wide, high): panorama.clip(0, 255).astype(np.uint8),
         (0, scale, wide, high): colorize_depth(inverse_depth, grid),
-        (wide + gap, 0, right, height): draw_points(points, colors, EYE, size=(right, height)),
+        (wide + gap, 0, right, height): draw_points(points, colors, (right, height), EYE),
     }
     for where, image in panels.items():
         ax = place(*where)

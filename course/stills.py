@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 STILLS = Path(__file__).resolve().parents[1] / "book" / "stills"
 VARIABLE = "COURSE_STILLS"
-LIVE = re.compile(r"^(interactive|pick_ray|view3d\.explore)\(", re.MULTILINE)
+LIVE = re.compile(r"^(interactive|pick_ray|explore)\(", re.MULTILINE)
 SHOWN = "In Jupyter this computes; here it shows stored pictures, one slider at a time."
 VIEW = "The points of a depth panorama, to turn, tilt and zoom"
 _WIDTH = 900  # pixels

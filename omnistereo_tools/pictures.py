@@ -91,23 +91,32 @@ def sharp_panorama(depth: Depth, images: Sequence[ArrayLike], width: int) -> NDA
     return pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, -1)
 
 
-def draw_points(points: NDArray, colors: NDArray, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Draw a point cloud (M, 3) in metres as seen from above and behind the rig, looking forward along +z.
+def draw_points(
+    points: NDArray, colors: NDArray, size: tuple[int, int], eye: tuple[float, float, float] | None = None
+) -> NDArray[np.uint8]:
+    """Draw a point cloud (M, 3) in metres, rig frame.
 
     Args:
         colors: uint8 array, shape (M, 3), RGB
         size: (width, height) in pixels
+        eye: Where it is seen from, towards the sweep centre, metres; not straight above. Default: from above and
+            behind the rig, at a distance that suits the cloud.
+
+    Returns:
+        uint8 array, shape (height, width, 3), RGB
     """
     width, height = size
     picture = np.full((height, width, 3), BACKGROUND, np.uint8)
     if len(points) == 0:
         return picture
-    typical = float(np.percentile(np.linalg.norm(points, axis=-1), 60))
-    eye = typical * np.array([0.35, -0.9, -1.3])  # y points down
-    x, y, z = _axes(towards=np.array([0.0, 0.1 * typical, 0.3 * typical]) - eye) @ (points - eye).T
-    in_front = z > max(_NEAREST, 0.35 * typical)  # a wall between the eye and the rig would hide the scene
+    target, nearest = np.zeros(3), _NEAREST
+    if eye is None:
+        typical = float(np.percentile(np.linalg.norm(points, axis=-1), 60))
+        eye, target = typical * np.array([0.35, -0.9, -1.3]), typical * np.array([0.0, 0.1, 0.3])  # y points down
+        nearest = max(_NEAREST, 0.35 * typical)  # a wall between the eye and the rig would hide the scene
+    x, y, z = _axes(target - eye) @ (points - eye).T
     order = np.argsort(-z)
-    order = order[in_front[order]]
+    order = order[z[order] > nearest]
     focal = 0.62 * width
     u, v = width / 2 + focal * x[order] / z[order], height / 2 + focal * y[order] / z[order]
     reach = np.linalg.norm(points[order], axis=-1) / z[order]

@@ -27,7 +27,7 @@ evaluate
 LAYER = {name: number for number, line in enumerate(LAYERS.split("\n")) for name in line.split()}
 
 # Slow or large libraries stay with the modules that exist for them.
-AT_HOME = {"matplotlib": set(), "pyvista": set(), "IPython": set(), "bpy": set(), "ipywidgets": set()}
+AT_HOME = {"matplotlib": set(), "IPython": set(), "bpy": set(), "ipywidgets": set()}
 EAGER = {
     "cv2": {"stereo.sweep", "stereo.depth", "calibrate.detect"},
     "scipy": {"calibrate.bundle", "calibrate.rig"},
@@ -160,7 +160,7 @@ def run(code):
 @pytest.mark.parametrize("name", ["geometry.camera", "geometry.pose", "geometry.rig", "geometry.sphere", "errors"])
 def test_geometry_needs_only_numpy(name):
     """Blender's interpreter has nothing else."""
-    heavy = "{'torch', 'cv2', 'numba', 'matplotlib', 'pyvista', 'yaml', 'scipy', 'tifffile', 'psutil'}"
+    heavy = "{'torch', 'cv2', 'numba', 'matplotlib', 'yaml', 'scipy', 'tifffile', 'psutil'}"
     assert run(f"import sys, omnistereo_lib.{name}; print({heavy} & set(sys.modules))") == "set()"
 
 

@@ -98,7 +98,7 @@ def test_every_live_figure_has_stills_of_its_sliders_or_a_view():
         calls, found = stills.LIVE.findall(code), stills.stored(path.stem)
         assert len(found) == len(calls), f"python -m course stills notebooks/{path.name}"
         for call, live in zip(calls, found, strict=True):
-            assert ("view" in live) == (call == "view3d.explore")
+            assert ("view" in live) == (call == "explore")
             assert all(slider["name"] in code for slider in live.get("sliders", []))
 
 

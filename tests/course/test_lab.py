@@ -128,7 +128,7 @@ def test_quickstart_opens_unchanged_runs_in_jupyterlab_and_its_points_turn(lab, 
     choose(page, "Edit", "Clear Outputs of All Cells")
     expect(prompts).to_have_text(["[ ]:"] * len(cells))
     # Up to the points: nbval runs the rest, too.
-    ran = 1 + next(n for n, cell in enumerate(cells) if "view3d.explore" in cell.source)
+    ran = 1 + next(n for n, cell in enumerate(cells) if "explore(depth" in cell.source)
     page.locator(".jp-CodeCell").nth(ran).click()
     choose(page, "Run", "Run All Above Selected Cell")
     numbered = prompts.filter(has_text=re.compile(r"^\[\d+\]:$"))

@@ -12,7 +12,7 @@ from ipywidgets import FloatLogSlider, FloatSlider, IntSlider
 from PIL import Image
 
 import omnistereo_lib as osl
-from course import pictures, plot, stills, view3d
+from course import pictures, plot, stills
 from omnistereo_lib.stereo.sweep import SphereSweep
 
 RNG = np.random.default_rng(0)
@@ -117,7 +117,7 @@ def test_a_view_is_stored_and_begins_with_its_points(recorded, tmp_path, open_pa
     depth = osl.Depth(
         scene.true_index(rig, grid).astype(np.float32), np.ones(grid.shape, np.float32), SphereSweep(rig, grid)
     )
-    view3d.explore(depth, [np.full((64, 80), 200, np.uint8)] * 4, max_depth=50)
+    plot.explore(depth, [np.full((64, 80), 200, np.uint8)] * 4, max_depth=50)
     assert 'src="../views/tiny-0.html"' in stills.shown("tiny", 0, tmp_path, "../")
     page = open_page(900, 800)
     page.goto((tmp_path / "views" / "tiny-0.html").as_uri())
