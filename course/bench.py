@@ -1,20 +1,18 @@
-"""Speed as a ratio against a named alternative, measured in one run with the same number of threads."""
+"""Speed as a ratio to a named alternative, both measured by `torch.utils.benchmark` with the same number of threads."""
 
 from __future__ import annotations
 
 import resource
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
-from itertools import repeat
-from typing import Any
+from functools import cache, partial
 
 import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch.nn.functional import avg_pool2d, grid_sample, pad, relu
+from torch.utils.benchmark import Timer
 
 from omnistereo_lib.calibrate.board import Checkerboard
 from omnistereo_lib.calibrate.camera import calibrate_camera
@@ -27,9 +25,9 @@ from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.rig import camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.rig_files import load_rig
-from omnistereo_lib.stereo.learned import LearnedCost, Precision, uses_bfloat16
+from omnistereo_lib.stereo.learned import LearnedCost, uses_bfloat16
 from omnistereo_lib.stereo.pipeline import sweep_depth
-from omnistereo_lib.stereo.sgm import sgm, sgm_torch
+from omnistereo_lib.stereo.sgm import sgm
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.sweepnet import SweepNet
 from omnistereo_lib.stereo.threads import map_threads
@@ -37,54 +35,26 @@ from omnistereo_lib.train import RECIPES
 from omnistereo_lib.train.spheres import SphereObjective, SphereSamples
 from omnistereo_tools.memory import keep_memory
 
-_SEAM = 42  # columns on each side whose costs see across the seam: half the receptive field of 81, and the stride
-_LONG = 10.0  # s
+_SECONDS = 3.0  # a call is repeated for so long; one that takes longer is timed once
 
 
-@dataclass(frozen=True)
-class Row:
-    """One comparison: seconds of this library and of the alternative, and a note."""
-
-    name: str
-    ours_s: float
-    theirs_s: float
-    note: str = ""
+def compare(name: str, ours: Callable, theirs: Callable, note: Callable[[float], str] = "".format) -> None:
+    """Print one comparison: milliseconds of both, their ratio, and a note on our time in seconds."""
+    a, b = seconds(ours), seconds(theirs)
+    print(f"{name:76} {1e3 * a:9.1f} {1e3 * b:10.1f} {a / b:6.2f}  {note(a)}", flush=True)
 
 
-def table(rows: Sequence[Row]) -> str:
-    """Return the comparisons as aligned text."""
-    width = max(len(row.name) for row in rows)
-    lines = [f"{'':{width}}   ours/ms  theirs/ms  ratio"]
-    for row in rows:
-        times = f"{1e3 * row.ours_s:9.1f} {1e3 * row.theirs_s:10.1f}"
-        lines.append(f"{row.name:{width}} {times} {row.ours_s / row.theirs_s:6.2f}  {row.note}")
-    return "\n".join(lines)
+def seconds(call: Callable) -> float:
+    """Return the median time of a call; a first one, which compiles, is not counted."""
+    timer = Timer("call()", globals={"call": call}, num_threads=torch.get_num_threads())
+    return timer.blocked_autorange(min_run_time=_SECONDS).median
 
 
-def best_of(repeats: int, *calls: Callable[[], Any]) -> tuple[list[float], list[Any]]:
-    """Return the shortest time of each call in seconds, and its last result.
-
-    The calls alternate, so that a busy machine slows all of them. An extra first round compiles and is not counted,
-    unless it is the only one: with 0 repeats, and for a call of more than `_LONG` seconds, which is not repeated.
-    """
-    times, results = [[] for _ in calls], [None] * len(calls)
-    for _ in range(repeats + 1):
-        for i, call in enumerate(calls):
-            if times[i] and times[i][0] > _LONG:
-                continue
-            results[i] = None  # free its memory before the next one is computed
-            start = time.perf_counter()
-            results[i] = call()
-            times[i].append(time.perf_counter() - start)
-    return [min(seconds[1:] or seconds) for seconds in times], results
-
-
-def bench_sgm(width: int = 1200, height: int = 300, num: int = 192, repeats: int = 5) -> list[Row]:
+def bench_sgm(width: int, height: int, num: int) -> None:
     """Compare `sgm` (float32, 8 paths, across the seam) with OpenCV StereoSGBM in mode HH (16-bit, 8 paths).
 
     Both get the same image pair and the penalties of the paper; mode HH uses only one thread. The OpenCV time includes
-    single-pixel costs and argmin, ours is the aggregation; OpenCV skips the first `num` columns. The note says how
-    often the argmin equals that of a float64 run.
+    single-pixel costs and argmin, ours is the aggregation; OpenCV skips the first `num` columns.
     """
     left, right = _stereo_pair(width, height, num)
     volume = torch.stack([torch.from_numpy(np.abs(left - np.roll(right, n, axis=1))) for n in range(num)], -1)
@@ -92,13 +62,12 @@ def bench_sgm(width: int = 1200, height: int = 300, num: int = 192, repeats: int
     opencv = cv2.StereoSGBM.create(
         numDisparities=num, blockSize=1, P1=round(0.1 * 255), P2=12 * 255, mode=cv2.StereoSGBM_MODE_HH
     )
-    times, _ = best_of(repeats, lambda: sgm(volume), lambda: opencv.compute(left, right))
-    part = volume[: height // 5 + 1]  # the float64 run takes seconds
-    exact = sgm_torch(part.double(), 0.1, 12.0, 8, True).argmin(-1)
-    same = (sgm(part).argmin(-1) == exact).double().mean().item()
-    speed = f"{volume.numel() / times[0] / 1e6:.0f} M cells/s"
-    note = f"{speed}; winner as in float64 on {same:.2%} of {exact.numel()} rays"
-    return [Row(f"SGM {width}×{height}×{num}, 8 paths, against StereoSGBM HH", *times, note)]
+    compare(
+        f"SGM {width}×{height}×{num}, 8 paths, against StereoSGBM HH",
+        lambda: sgm(volume),
+        lambda: opencv.compute(left, right),
+        lambda ours: f"{volume.numel() / ours / 1e6:.0f} M cells/s",
+    )
 
 
 def _stereo_pair(width: int, height: int, num: int) -> tuple[NDArray, NDArray]:
@@ -114,7 +83,7 @@ def _stereo_pair(width: int, height: int, num: int) -> tuple[NDArray, NDArray]:
     return tuple(np.clip(image, 0, 1).astype(np.float32) for image in noisy)
 
 
-def bench_warp(width: int, height: int, num: int, repeats: int = 3) -> list[Row]:
+def bench_warp(width: int, height: int, num: int) -> None:
     """Compare the warp of one camera onto all spheres with cv2.remap; both have their lookup tables ready."""
     sweep, images = _rig_and_images(width, height, num)
     image = sweep.normalize_images(images)[0]
@@ -130,31 +99,32 @@ def bench_warp(width: int, height: int, num: int, repeats: int = 3) -> list[Row]
         for table in tables:
             cv2.remap(image.numpy(), table, None, cv2.INTER_LINEAR, theirs_out, cv2.BORDER_CONSTANT)
 
-    times, _ = best_of(repeats, warp, remap)
-    return [Row(f"warp {width}×{height}×{num}, one camera, against cv2.remap", *times, "both with ready tables")]
+    compare(f"warp {width}×{height}×{num}, one camera, against cv2.remap", warp, remap)
 
 
-def bench_frame(width: int, height: int, num: int, repeats: int = 6) -> list[Row]:
+def bench_frame(width: int, height: int, num: int) -> None:
     """Compare a whole ZNCC + SGM frame with plain torch (grid_sample, avg_pool2d) and textbook SGM (libsgm)."""
     sweep, images = _rig_and_images(width, height, num)
     grids = []  # for each camera its pixels of every ray on every sphere, (N, H, W, 2), in [-1, 1] for `grid_sample`
     for i, camera in enumerate(sweep.rig.cameras):
         pixels = np.stack(_pixels(sweep, i))
         grids.append(torch.from_numpy(pixels * np.float32(2 / (np.array(camera.image_size) - 1)) - 1))
-    times, _ = best_of(repeats, lambda: sweep_depth(sweep, images), lambda: _plain_frame(images, grids))
-    note = f"{1 / times[0]:.1f} frames/s; tables {sweep.lut_bytes / 2**20:.0f} MiB"
-    return [Row(f"ZNCC + SGM frame {width}×{height}×{num}, against plain torch + libsgm", *times, note)]
+    compare(
+        f"ZNCC + SGM frame {width}×{height}×{num}, against plain torch + libsgm",
+        lambda: sweep_depth(sweep, images, "zncc+sgm"),
+        lambda: _plain_frame(images, grids),
+        lambda ours: f"{1 / ours:.1f} frames/s; tables {sweep.lut_bytes / 2**20:.0f} MiB",
+    )
 
 
-def bench_volumenet(width: int, height: int, num: int, repeats: int = 2) -> list[Row]:
+def bench_volumenet(width: int, height: int, num: int) -> None:
     """Compare a whole VolumeNet frame with a ZNCC + SGM frame of this library; both have their tables ready."""
     sweep, images = _rig_and_images(width, height, num)
-    methods = [partial(sweep_depth, sweep, images, name) for name in ("volumenet", "zncc+sgm")]
-    times, _ = best_of(repeats, *methods)
-    return [Row(f"VolumeNet frame {width}×{height}×{num}, against ZNCC + SGM", *times)]
+    methods = (partial(sweep_depth, sweep, images, name) for name in ("volumenet", "zncc+sgm"))
+    compare(f"VolumeNet frame {width}×{height}×{num}, against ZNCC + SGM", *methods)
 
 
-@lru_cache(2)
+@cache
 def _rig_and_images(width: int, height: int, num: int) -> tuple[SphereSweep, list[NDArray]]:
     """Return a sweep, with its lookup tables ready, and the images of a frame."""
     data = load_dataset(DATA / "sunny" / "test")
@@ -191,42 +161,26 @@ def _plain_frame(images: list[NDArray], grids: list[torch.Tensor]) -> NDArray:
     return smooth.argmin(-1)
 
 
-def bench_sweepnet(width: int, height: int, num: int, spheres: range | None = None) -> list[Row]:
-    """Compare SweepNet with a plain implementation, on some spheres of a frame or on all.
+def bench_sweepnet(width: int, height: int, num: int, spheres: range) -> None:
+    """Compare SweepNet, in each precision of the processor, with a plain implementation on some spheres of a frame.
 
-    Plain: in float32, every pair by itself, the whole panorama, as PyTorch runs it. Weights and images are equal, the
-    warp is not timed. One row for each precision of the processor; the note has the largest difference of a cost.
+    Plain: in float32, every pair separately, the whole panorama, as PyTorch runs it. Weights and images are equal, the
+    warp is not timed.
     """
     sweep, images = _rig_and_images(width, height, num)
-    chosen = range(num) if spheres is None else spheres
-    blocks = [range(max(b.start, chosen.start), min(b.stop, chosen.stop)) for b in sweep.blocks()]
-    blocks = [block for block in blocks if block]
-    prepared = sweep.normalize_images(images)
-    warped = [sweep.warp_block(prepared, block) for block in blocks]
-    columns = [[sweep.visible_columns(i, block) for i in range(len(sweep.rig))] for block in blocks]
-    pairs = camera_pairs("ring", sweep.rig)
-    plain = SweepNet.pretrained()
-    precisions = ("float32", "bfloat16") if uses_bfloat16("auto", "cpu") else ("float32",)
-
-    def ours(precision: Precision) -> list[torch.Tensor]:
-        cost = LearnedCost(SweepNet.pretrained(), precision)
-        return [cost(*job) for job in zip(warped, repeat(pairs), columns)]
-
-    def theirs() -> list[torch.Tensor]:
-        return [_plain_sweepnet(plain, spherical, pairs) for spherical in warped]
-
-    times, costs = best_of(1, *(partial(ours, precision) for precision in precisions), theirs)
-    *inside, exact = (torch.cat(blocks, -1)[:, _SEAM:-_SEAM] for blocks in costs)  # only the plain one has a seam
-    rows = []
-    for precision, seconds, found in zip(precisions, times, inside, strict=False):
-        note = f"costs away from the seam differ by up to {(found - exact).abs().nan_to_num().max():.1e}"
-        name = f"SweepNet {width}×{height}, {len(chosen)} of {num} spheres, {precision}, against plain float32"
-        rows.append(Row(name, seconds, times[-1], note))
-    return rows
+    warped = sweep.warp_block(sweep.normalize_images(images), spheres)
+    columns = [sweep.visible_columns(i, spheres) for i in range(len(sweep.rig))]
+    pairs, network = camera_pairs("ring", sweep.rig), SweepNet.pretrained()
+    for precision in ("float32", "bfloat16") if uses_bfloat16("auto", "cpu") else ("float32",):
+        compare(
+            f"SweepNet {width}×{height}, {len(spheres)} of {num} spheres, {precision}, against plain float32",
+            partial(LearnedCost(SweepNet.pretrained(), precision), warped, pairs, columns),
+            partial(plain_sweepnet, network, warped, pairs),
+        )
 
 
 @torch.no_grad()
-def _plain_sweepnet(net: SweepNet, spherical: torch.Tensor, pairs: Sequence[tuple[int, int]]) -> torch.Tensor:
+def plain_sweepnet(net: SweepNet, spherical: torch.Tensor, pairs: Sequence[tuple[int, int]]) -> torch.Tensor:
     """Return the costs of a block of spheres by Table I as printed: no crop, no shared features, no strips."""
     layers = net.layers
 
@@ -254,22 +208,20 @@ def _plain_sweepnet(net: SweepNet, spherical: torch.Tensor, pairs: Sequence[tupl
     return (sums / counts).permute(1, 2, 0)
 
 
-def bench_training(width: int, height: int, num: int, repeats: int = 2) -> list[Row]:
+def bench_training(width: int, height: int, num: int) -> None:
     """Compare a training step of SweepNet in float32 with the same step in the channels-last memory format."""
     scale = {"width": width, "height": height, "num_spheres": num, "halve": False}
     samples = SphereSamples(replace(RECIPES["sweepnet"]["shipped"], **scale), DATA / "sunny" / "train")
     batch = samples.micro_batch(samples.training[0], np.random.default_rng(0), augment=False)
-    layouts = torch.contiguous_format, torch.channels_last
-    networks = [SweepNet.pretrained().train().to(memory_format=layout) for layout in layouts]
 
-    def step(network: SweepNet) -> torch.Tensor:
+    def step(network: SweepNet) -> None:
         network.zero_grad()
         SphereObjective(network)(batch)[0].backward()
-        return torch.cat([parameter.grad.flatten() for parameter in network.parameters()])
 
-    times, (ours, theirs) = best_of(repeats, *(partial(step, network) for network in networks))
-    note = f"the gradients differ by {(ours - theirs).norm() / theirs.norm():.1e} of their length"
-    return [Row(f"SweepNet {width}×{height}, a step of training in float32, against channels last", *times, note)]
+    layouts = torch.contiguous_format, torch.channels_last
+    networks = (SweepNet.pretrained().train().to(memory_format=layout) for layout in layouts)
+    name = f"SweepNet {width}×{height}, a step of training in float32, against channels last"
+    compare(name, *(partial(step, network) for network in networks))
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,11 +257,10 @@ def opencv_fisheye(
         return FisheyeFit(np.inf, matrix, distortion)
 
 
-def bench_calibrate(repeats: int = 3) -> list[Row]:
+def bench_calibrate() -> None:
     """Calibrate a camera against `cv2.fisheye.calibrate` on the same corners; detection is not timed.
 
-    OpenCV's model ends at 90° from the axis, so both get boards within 80°. The note has our times for all views of the
-    camera and for the whole rig.
+    OpenCV's model ends at 90° from the axis, so both get boards within 80°, and OpenCV our focal length to start from.
     """
     board, folder = Checkerboard((12, 10), 0.06), DATA / "calibration" / "handheld"
     captures = find_captures(folder)
@@ -318,35 +269,32 @@ def bench_calibrate(repeats: int = 3) -> list[Row]:
     start, whole = calibrate_camera(corners[0], board, sizes[0])
     near = [view for view in whole.views_used if np.nanmax(whole.angles[view]) < np.radians(80)]
     views = [whole.corners[view] for view in near if np.isfinite(whole.corners[view]).all()]
-    times, ((_, ours), theirs) = best_of(
-        repeats,
+    ours_px = calibrate_camera(views, board, sizes[0])[1].errors.rms_distance_px
+    theirs_px = opencv_fisheye(views, board, sizes[0], start).rms_px
+    rig_s = seconds(lambda: calibrate_rig(corners, board, sizes))
+    compare(
+        f"calibrate a camera, {len(views)} views, against cv2.fisheye",
         lambda: calibrate_camera(views, board, sizes[0]),
         lambda: opencv_fisheye(views, board, sizes[0], start),
+        lambda _: (
+            f"rms distance {ours_px:.3f} px, theirs {theirs_px:.3f}; "
+            f"4 cameras with {len(captures.names)} captures {rig_s:.2f} s"
+        ),
     )
-    (camera_s, rig_s), _ = best_of(
-        0, lambda: calibrate_camera(corners[0], board, sizes[0]), lambda: calibrate_rig(corners, board, sizes)
-    )
-    note = (
-        f"rms distance {ours.errors.rms_distance_px:.3f} px, theirs {theirs.rms_px:.3f} from our focal length; all "
-        f"{len(whole.views_used)} views {camera_s:.2f} s, 4 cameras with {len(captures.names)} captures {rig_s:.2f} s"
-    )
-    return [Row(f"calibrate a camera, {len(views)} views, against cv2.fisheye", *times, note)]
 
 
 def run(quick: bool = False) -> None:
-    """Print the table; quick: only at teaching scale, in seconds. The scale of the paper takes 10 GiB and minutes."""
+    """Print all comparisons; quick: only at teaching scale, in a minute. The scale of the paper takes 10 GiB."""
     keep_memory()  # as every command does
-    scales = [(320, 80, 64)] if quick else [(320, 80, 64), (1200, 300, 192)]
     cv2.setNumThreads(torch.get_num_threads())
-    print(f"{torch.get_num_threads()} threads; the shorter of repeated runs, taken in turns")
-    for scale in scales:
-        print(
-            table([*bench_warp(*scale), *bench_sgm(*scale), *bench_frame(*scale), *bench_volumenet(*scale)]), flush=True
-        )
+    print(f"{torch.get_num_threads()} threads; medians of repeated runs\n{'':76}   ours/ms  theirs/ms  ratio")
+    for scale in [(320, 80, 64)] if quick else [(320, 80, 64), (1200, 300, 192)]:
+        for comparison in (bench_warp, bench_sgm, bench_frame, bench_volumenet):
+            comparison(*scale)
     if not quick:
-        parts = bench_sweepnet(320, 80, 64, range(30, 34)), bench_sweepnet(1200, 300, 192, range(95, 96))
-        print(table([row for rows in parts for row in rows]), flush=True)
-        print(table(bench_training(640, 160, 96)), flush=True)
-    print(table(bench_calibrate()), flush=True)
+        bench_sweepnet(320, 80, 64, range(30, 34))
+        bench_sweepnet(1200, 300, 192, range(95, 96))
+        bench_training(640, 160, 96)
+    bench_calibrate()
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     print(f"peak memory of this process, the alternatives included: {peak:.1f} GiB")
