@@ -148,3 +148,17 @@ def test_contact_sheet_has_a_row_for_each_frame_whatever_its_rig():
     assert sheet[24, 50::20].tolist() == [[v] * 3 for v in (100, 101, 102, 103, 104)]
     far = colorize_depth(np.zeros((1, 1)), osl.SphereGrid(20, 8, min_depth=0.5))[0, 0]
     assert (sheet[:, :40] == far).all()
+
+
+def test_points_are_seen_from_the_eye():
+    """Red 1 m down (+y), green 1 m to the right (+x), seen from behind; blue behind the eye is not seen."""
+    rng = np.random.default_rng(0)
+    places = {(0, 1, 0): (255, 0, 0), (1, 0, 0): (0, 255, 0), (0, 0, -8): (0, 0, 255)}
+    points = np.concatenate([rng.normal(place, 0.1, (300, 3)) for place in places])
+    colors = np.repeat(np.uint8(list(places.values())), 300, axis=0)
+    picture = plot.draw_points(points, colors, size=(300, 200), eye=(0, 0, -4))
+    red, green, blue = ((picture == color).all(-1).nonzero() for color in places.values())
+    assert picture.shape == (200, 300, 3) and len(blue[0]) == 0
+    focal = 0.62 * 300  # px
+    assert np.mean(red, 1) == pytest.approx([100 + focal / 4, 150], abs=2)
+    assert np.mean(green, 1) == pytest.approx([100, 150 + focal / 4], abs=2)
