@@ -1,7 +1,8 @@
 """The one error that the library raises for bad input, and the checks of numbers and types."""
 
 import inspect
-from collections.abc import Callable, Sequence, Sized
+from collections.abc import Callable, Iterator, Sequence, Sized
+from contextlib import contextmanager
 from functools import cache, wraps
 from numbers import Real
 from os import PathLike
@@ -19,6 +20,16 @@ class OmnistereoError(ValueError):
     The message names what was given (the file, where there is one), what was found in it, what was expected and what
     to do. The command line prints it as one plain line; everything else that escapes is a bug.
     """
+
+
+@contextmanager
+def error_context(source: str | Path) -> Iterator[None]:
+    """Prefix every `OmnistereoError` raised inside with a file name, or with a camera in the file."""
+    try:
+        yield
+    except OmnistereoError as error:
+        named = str(error).startswith(str(source))
+        raise OmnistereoError(str(error) if named else f"{source}: {error}") from None
 
 
 def check_number(value: Any, what: str, low: float, high: float, whole: bool = False) -> float:

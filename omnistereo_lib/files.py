@@ -68,15 +68,18 @@ def read_text(path: str | Path, most: int = _MAX_TEXT) -> str:
 
 
 def read_data(path: str | Path, most: int = _MAX_TEXT) -> Any:
-    """Return the content of a JSON (by its suffix) or YAML file as Python values; an OpenCV matrix is a flat list.
+    """Return the content of a JSON, XML (by their suffixes) or YAML file as Python values.
 
-    An `OmnistereoError` names what is damaged, stated twice, nested too deeply, or repeated too often by aliases.
+    A matrix of OpenCV is a mapping with its rows, cols and data; values in XML are text. An `OmnistereoError` names
+    what is damaged, stated twice, nested too deeply, or repeated too often by aliases.
     """
     import yaml
 
     text = read_text(path, most)
     if Path(path).suffix == ".json":
         return parse_json(text, path)
+    if Path(path).suffix == ".xml":
+        return _parse_xml(text, path)
     try:  # OpenCV before 5 writes "%YAML:1.0", which is not valid YAML
         return _yaml_loader()(re.sub(r"\A\s*%YAML:.*", "", text)).get_single_data()
     except (yaml.YAMLError, *_BROKEN) as error:
@@ -91,9 +94,37 @@ def parse_json(text: str | bytes, source: str | Path) -> Any:
         raise _damaged(source, error) from None
 
 
-def _damaged(source: str | Path, error: Exception) -> OmnistereoError:
+def _parse_xml(text: str, source: str | Path) -> Any:
+    """Return XML as a mapping from the name of its root; elements called `_` are a list, as OpenCV writes it."""
+    from xml.etree import ElementTree
+
+    def value(element: ElementTree.Element) -> Any:
+        if len(element) == 0:
+            words = (element.text or "").split()
+            return words[0] if len(words) == 1 else words
+        if all(child.tag == "_" for child in element):
+            return [value(child) for child in element]
+        return _unique([(child.tag, value(child)) for child in element])
+
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise OmnistereoError(f"{source}: XML with a document type; expected plain elements. Remove it")
+    try:
+        root = ElementTree.fromstring(text)
+        return {root.tag: value(root)}
+    except (ElementTree.ParseError, *_BROKEN) as error:
+        raise _damaged(source, error, "XML") from None
+
+
+def to_yaml(data: dict[str, Any]) -> str:
+    """Return YAML text with every number in full and lists of numbers on one line."""
+    import yaml
+
+    return str(yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100))
+
+
+def _damaged(source: str | Path, error: Exception, kind: str = "JSON or YAML") -> OmnistereoError:
     reason = " ".join(str(error).split())[:300] or type(error).__name__
-    return OmnistereoError(f"{source}: not valid JSON or YAML ({reason}). Check that the file is complete")
+    return OmnistereoError(f"{source}: not valid {kind} ({reason}). Check that the file is complete")
 
 
 def _unique(pairs: list[tuple[Any, Any]]) -> dict[Any, Any]:
@@ -121,9 +152,7 @@ def _yaml_loader() -> type:
             return super().construct_mapping(node, deep)
 
     for tag in ("opencv-matrix", "opencv-nd-matrix"):
-        Loader.add_constructor(
-            f"tag:yaml.org,2002:{tag}", lambda loader, node: loader.construct_mapping(node, deep=True).get("data")
-        )
+        Loader.add_constructor( f"tag:yaml.org,2002:{tag}", lambda loader, node: loader.construct_mapping(node, deep=True))
     return Loader
 
 

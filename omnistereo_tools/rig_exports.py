@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import atomic_write, make_folder
+from omnistereo_lib.files import atomic_write, make_folder, to_yaml
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
-from omnistereo_lib.rig_files.camera_models import AZIMUTHS, kannala_brandt, ring_rays
-from omnistereo_lib.rig_files.parse import to_yaml
+from omnistereo_lib.rig_files.camera_models import kannala_brandt
+from omnistereo_lib.rig_files.fit import AZIMUTHS, ring_rays
 
 _MAX_ERROR = 1.0  # px; beyond it a warning
 

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.calibrate.board import Checkerboard
-from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.files import atomic_write, read_data, read_image
 from omnistereo_lib.geometry.pose import Floats
-from omnistereo_lib.rig_files.parse import error_context, parse_floats, parse_size, require_key, require_list
+from omnistereo_lib.rig_files.parse import Section, parse_floats, parse_size
 
 _SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".webp"}  # not TIFF: data sets keep ground truth in it
 
@@ -112,14 +112,12 @@ def load_corners(path: str | Path) -> tuple[dict[str, Floats | None], Checkerboa
     Raises an `OmnistereoError` if the file is missing, not YAML or incomplete; the message names the view.
     """
     with error_context(path):
-        content = read_data(path)
-        board = require_key(content, "board")
-        board = Checkerboard(tuple(require_list(board, "corners")), require_key(board, "square"))
-        image_size = parse_size(require_key(content, "image_size"), "image_size")
-        views = require_key(content, "views")
-        if not isinstance(views, dict):
-            raise OmnistereoError(f"views is {views!r:.80}; expected the corners by the name of the image")
-        views = {str(name): _corners_of(value, name, board, image_size) for name, value in views.items()}
+        content = Section(read_data(path))
+        board_section = content.section("board")
+        board = Checkerboard(board_section.require("corners"), board_section.number("square"))
+        image_size = parse_size(content.require("image_size"), "image_size")
+        found = content.section("views").values
+        views = {name: _corners_of(value, name, board, image_size) for name, value in found.items()}
     return views, board, image_size
 
 

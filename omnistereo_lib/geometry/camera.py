@@ -122,7 +122,7 @@ class OcamCamera:
         finite = xp.isfinite(n) & xp.isfinite(z) & ((n > 0) | (z != 0))
         in_view = finite & (t <= self._max_t + 1e-12)
         t = xp.where(in_view, t, xp.full_like(t, self._max_t))  # the polynomial is undefined further out
-        r = self._radius_by_root(t) if use_direct_poly else _horner(self.inv_poly, t)
+        r = self._radius_by_root(t, self._max_t) if use_direct_poly else _horner(self.inv_poly, t)
         off_axis = finite & (n > 0)  # points on the axis project to the centre
         n = xp.where(off_axis, n, xp.ones_like(n))
         # Divide first: r / n can overflow close to the axis.
@@ -200,13 +200,20 @@ class OcamCamera:
         )
 
     def inverse_poly_error_px(self) -> float:
-        """Return the largest distance in pixels between `poly` and `inv_poly` over the field of view."""
-        t = np.linspace(-np.pi / 2 + 1e-6, self._max_t, 2000)
-        return float(np.abs(self._radius_by_root(t) - _horner(self.inv_poly, t)).max())
+        """Return the largest distance in pixels between `poly` and `inv_poly`, inside the image and the field of view.
 
-    def _radius_by_root(self, t: Array) -> Array:
-        """Find the smallest positive root r of f(r) cos t = r sin t by Newton's method."""
-        radii, angles = _monotone_branch(self.poly, self._max_t, 3 * max(self.image_size))
+        Raises an `OmnistereoError` if the direct polynomial does not reach as far.
+        """
+        width, height = self.image_size
+        corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) - 0.5 - self.center
+        t = np.linspace(-np.pi / 2 + 1e-6, self._max_t, 2000)
+        radii = _horner(self.inv_poly, t)
+        inside = radii <= np.linalg.norm(corners @ np.linalg.inv(self._A).T, axis=-1).max()
+        return float(np.abs(self._radius_by_root(t[inside], t[inside][-1]) - radii[inside]).max())
+
+    def _radius_by_root(self, t: Array, max_t: float) -> Array:
+        """Find the smallest positive root r of f(r) cos t = r sin t, t ≤ max_t, by Newton's method."""
+        radii, angles = _monotone_branch(self.poly, max_t, 3 * max(self.image_size))
         slope = polyder(self.poly)
         xp = _namespace(t)
         r = _interpolate(xp, t, angles, radii)

@@ -30,6 +30,7 @@ class Rig:
     cameras: tuple[OcamCamera, ...]
     T_rig_cam: tuple[Pose, ...]  #: camera → rig, metres: as in the public files, the inverse of Θ* in the paper
     min_depth: float | None = None  #: nearest depth in metres that the rig file proposes for a sweep
+    T_rig_file: Pose | None = None  #: from the frame of the rig file to the rig frame; None: they are the same
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cameras", tuple(self.cameras))
@@ -71,7 +72,8 @@ class Rig:
     @checked
     def transformed(self, T_new_rig: Pose) -> Rig:
         """Return the rig in another frame: T_new_rig maps rig coordinates to the new frame."""
-        return self.with_poses([T_new_rig @ pose for pose in self.T_rig_cam])
+        T_new_file = T_new_rig if self.T_rig_file is None else T_new_rig @ self.T_rig_file
+        return Rig(self.cameras, [T_new_rig @ pose for pose in self.T_rig_cam], self.min_depth, T_new_file)
 
     def recentered(self, center: ArrayLike | None = None) -> Rig:
         """Return the rig with its origin moved to the sweep centre, axes unchanged.
@@ -85,7 +87,7 @@ class Rig:
     @checked
     def with_poses(self, T_rig_cam: Sequence[Pose]) -> Rig:
         """Return the same cameras with other poses."""
-        return Rig(self.cameras, T_rig_cam, self.min_depth)
+        return Rig(self.cameras, T_rig_cam, self.min_depth, self.T_rig_file)
 
 
 @checked

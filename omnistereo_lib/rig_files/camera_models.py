@@ -1,36 +1,28 @@
-"""Fisheye camera models of other libraries, and their conversion to and from OCam cameras by fitting.
+"""Camera models of other libraries.
 
-A model is a function from rays to pixels, float64, that also returns where it is valid. `fit_ocam` samples a model
-and fits the polynomial camera, so that the rest of the library uses a single camera class.
+A model is a function from rays to pixels, float64, that also returns where it is valid. `fit.fit_ocam` samples it and
+fits the polynomial camera, so that the rest of the library uses a single camera class.
 
 References: Usenko et al. 2018, "The double sphere camera model" (double sphere and the unified models);
-Kannala and Brandt 2006 (here with the four coefficients of OpenCV); Mei and Rives 2007 (omni).
+Kannala and Brandt 2006 (here with the four coefficients of OpenCV); Mei and Rives 2007 (omni); Devernay and Faugeras
+2001 (fov); the manuals of OpenCV (pinhole), Metashape and Hugin.
 """
 
-import logging
-import warnings
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Floats
 
 Projected = tuple[Floats, NDArray[np.bool_]]  # uv (..., 2) px, valid (...)
 Projection = Callable[[Floats], Projected]  # of rays (..., 3)
 
-_log = logging.getLogger("omnistereo_lib")
-
-DEFAULT_FOV_DEG = 220.0  # the widest common lens; in images without a mask, black corners lie beyond it
-_ANGLE_STEP = np.radians(0.25)
-AZIMUTHS = np.arange(64) * (2 * np.pi / 64)
-_FIT_TOLERANCE = 0.01  # px, as for any inverse polynomial
-_MAX_DEGREE = 20
-_MAX_RESIDUAL = 0.1  # px; beyond it a warning
+MAX_PINHOLE_DEG = 120.0  # full field of view; beyond it a pixel of a pinhole camera is wider than four at its centre
 
 
 def double_sphere(rays: Floats, fx: float, fy: float, cx: float, cy: float, xi: float, alpha: float) -> Projected:
@@ -60,69 +52,174 @@ def unified(rays: Floats, fx: float, fy: float, cx: float, cy: float, alpha: flo
 
 
 def omni(
-    rays: Floats, fx: float, fy: float, cx: float, cy: float, xi: float,
-    k1: float = 0.0, k2: float = 0.0, p1: float = 0.0, p2: float = 0.0,
-) -> Projected:  # fmt: skip
+    rays: Floats,
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
+    xi: float,
+    k1: float = 0.0,
+    k2: float = 0.0,
+    p1: float = 0.0,
+    p2: float = 0.0,
+    skew: float = 0.0,
+) -> Projected:
     """Project with the model of Mei and Rives: a unit sphere seen from xi behind its centre, then radtan distortion.
 
     As `double_sphere`, with xi ≥ 0 and the radial (k1, k2) and tangential (p1, p2) coefficients of OpenCV on the
-    normalised plane.
+    normalised plane; u = fx x + skew y + cx.
     """
     x, y, z, length = _components(rays)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        mx, my = x / (z + xi * length), y / (z + xi * length)
-        r2 = mx * mx + my * my
-        radial = 1 + k1 * r2 + k2 * r2 * r2
-        u = mx * radial + 2 * p1 * mx * my + p2 * (r2 + 2 * mx * mx)
-        v = my * radial + p1 * (r2 + 2 * my * my) + 2 * p2 * mx * my
-    return np.stack([fx * u + cx, fy * v + cy], -1), z > -_unified_limit(xi / (1 + xi)) * length
+        x, y = _radtan(x / (z + xi * length), y / (z + xi * length), k1, k2, p1, p2)
+        return _to_pixels(x, y, fx, fy, cx, cy, skew), z > -_unified_limit(xi / (1 + xi)) * length
+
+
+def pinhole(
+    rays: Floats,
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
+    k1: float = 0.0,
+    k2: float = 0.0,
+    p1: float = 0.0,
+    p2: float = 0.0,
+    k3: float = 0.0,
+    k4: float = 0.0,
+    k5: float = 0.0,
+    k6: float = 0.0,
+    skew: float = 0.0,
+    rpmax: float = 0.0,
+) -> Projected:
+    """Project with the pinhole model of OpenCV and its rational radtan distortion, valid within 120°.
+
+    `rpmax` is the largest radius on the normalised plane that basalt allows; 0 sets no limit.
+    """
+    x, y, z, length = _components(rays)
+    valid = z > np.cos(np.radians(MAX_PINHOLE_DEG / 2)) * length
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        x, y = x / z, y / z
+        valid &= (rpmax == 0) | (np.hypot(x, y) <= rpmax)
+        x, y = _radtan(x, y, k1, k2, p1, p2, k3, (k4, k5, k6))
+        return _to_pixels(x, y, fx, fy, cx, cy, skew), valid
+
+
+def field_of_view(rays: Floats, fx: float, fy: float, cx: float, cy: float, w: float) -> Projected:
+    """Project with the FOV model (ATAN): r = atan(2 tan(θ) tan(w / 2)) / w, valid below θ = 90°."""
+    x, y, z, length = _components(rays)
+    n = np.hypot(x, y)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scale = np.arctan2(2 * n * np.tan(w / 2), z) / w / np.maximum(n, 1e-300)
+    return _to_pixels(x * scale, y * scale, fx, fy, cx, cy), z > 1e-9 * length
 
 
 def kannala_brandt(
-    rays: Floats, fx: float, fy: float, cx: float, cy: float, k1: float, k2: float, k3: float, k4: float
+    rays: Floats,
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
+    k1: float,
+    k2: float,
+    k3: float,
+    k4: float,
+    skew: float = 0.0,
 ) -> Projected:
     """Project with r(θ) = θ + k1 θ³ + k2 θ⁵ + k3 θ⁷ + k4 θ⁹, θ from the axis.
 
     As `double_sphere`, valid as far as r(θ) increases. Also called OpenCV fisheye, kb4 or pinhole-equidistant.
-    OpenCV divides by z and stops at 90°; θ = atan2(hypot(x, y), z) does not.
+    OpenCV divides by z and stops at 90°; θ = atan2(hypot(x, y), z) does not. u = fx x + skew y + cx.
     """
     x, y, z, length = _components(rays)
     r = Polynomial([0, 1, 0, k1, 0, k2, 0, k3, 0, k4])
-    maxima = r.deriv().roots()
-    maxima = maxima[(np.abs(maxima.imag) < 1e-9) & (maxima.real > 0)].real
     theta = np.arctan2(np.hypot(x, y), z)
     scale = r(theta) / np.maximum(np.hypot(x, y), 1e-300)
-    valid = (length > 0) & (theta < maxima.min(initial=np.inf))
-    return np.stack([fx * x * scale + cx, fy * y * scale + cy], -1), valid
+    valid = (length > 0) & (theta < _first_maximum(r))
+    return _to_pixels(x * scale, y * scale, fx, fy, cx, cy, skew), valid
+
+
+# The radius on the normalised plane at an angle from the axis, by the usual names of the projections.
+RADII: dict[str, Callable[[Any], Any]] = {
+    "rectilinear": lambda theta: np.where(theta < np.radians(MAX_PINHOLE_DEG / 2), np.tan(theta), np.nan),
+    "equidistant": lambda theta: theta,
+    "equisolid": lambda theta: 2 * np.sin(theta / 2),
+    "stereographic": lambda theta: 2 * np.tan(theta / 2),
+    "orthographic": lambda theta: np.where(theta < np.pi / 2, np.sin(theta), np.nan),
+}
+
+
+def metashape(
+    rays: Floats,
+    projection: str,
+    f: float,
+    cx: float,
+    cy: float,
+    k1: float = 0.0,
+    k2: float = 0.0,
+    k3: float = 0.0,
+    k4: float = 0.0,
+    p1: float = 0.0,
+    p2: float = 0.0,
+    b1: float = 0.0,
+    b2: float = 0.0,
+) -> Projected:
+    """Project with the model of Metashape: one of `RADII`, then the distortion of a pinhole camera.
+
+    Its p1 and p2 are the p2 and p1 of OpenCV, its k4 is the coefficient of r⁸; u = (f + b1) x + b2 y + cx.
+    """
+    x, y, z, length = _components(rays)
+    n = np.hypot(x, y)
+    scale = RADII[projection](np.arctan2(n, z)) / np.maximum(n, 1e-300)
+    x, y = _radtan(x * scale, y * scale, k1, k2, p2, p1, k3, k4=k4)
+    return _to_pixels(x, y, f + b1, f, cx, cy, b2), (length > 0) & np.isfinite(scale)
+
+
+def hugin(
+    rays: Floats, projection: str, f: float, cx: float, cy: float, a: float, b: float, c: float, half_side: float
+) -> Projected:
+    """Project with the lens model of Hugin: one of `RADII` times f, then r (a ρ³ + b ρ² + c ρ + 1 - a - b - c).
+
+    ρ = r / half_side, half the shorter side of the image in pixels.
+    """
+    x, y, z, length = _components(rays)
+    n = np.hypot(x, y)
+    rho = f / half_side * RADII[projection](np.arctan2(n, z))
+    scale = half_side * Polynomial([0, 1 - a - b - c, c, b, a])(rho) / np.maximum(n, 1e-300)
+    return _to_pixels(x * scale, y * scale, 1.0, 1.0, cx, cy), (length > 0) & np.isfinite(scale)
 
 
 _PINHOLE = ("fx", "fy", "cx", "cy")
-_MODELS: dict[str, tuple[Callable[..., Projected], tuple[str, ...]]] = {
-    "ds": (double_sphere, (*_PINHOLE, "xi", "alpha")),
-    "kb4": (kannala_brandt, (*_PINHOLE, "k1", "k2", "k3", "k4")),
-    "omni": (omni, (*_PINHOLE, "xi", "k1", "k2", "p1", "p2")),
-    "eucm": (unified, (*_PINHOLE, "alpha", "beta")),
-    "ucm": (unified, (*_PINHOLE, "alpha")),
+RADTAN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # in the order of OpenCV
+# Each model with its parameters: those that it needs, and those that are 0 where they are not stated.
+_MODELS: dict[str, tuple[Callable[..., Projected], tuple[str, ...], tuple[str, ...]]] = {
+    "ds": (double_sphere, (*_PINHOLE, "xi", "alpha"), ()),
+    "kb4": (kannala_brandt, (*_PINHOLE, "k1", "k2", "k3", "k4"), ("skew",)),
+    "omni": (omni, (*_PINHOLE, "xi"), ("k1", "k2", "p1", "p2", "skew")),
+    "eucm": (unified, (*_PINHOLE, "alpha", "beta"), ()),
+    "ucm": (unified, (*_PINHOLE, "alpha"), ()),
+    "pinhole": (pinhole, _PINHOLE, (*RADTAN, "skew", "rpmax")),
+    "fov": (field_of_view, (*_PINHOLE, "w"), ()),
 }
-_OPTIONAL = {"k1", "k2", "p1", "p2"}  # of omni
-_RANGES = {"fx": (0, 1e6), "fy": (0, 1e6), "alpha": (-1e-12, 1), "beta": (0, 1e3), "xi": (-1, 1e3)}
+for _name in RADII:
+    _distortion = ("k1", "k2", "k3", "k4", "p1", "p2", "b1", "b2")
+    _MODELS[f"metashape {_name}"] = partial(metashape, projection=_name), ("f", "cx", "cy"), _distortion
+    _MODELS[f"hugin {_name}"] = partial(hugin, projection=_name), ("f", "cx", "cy", "a", "b", "c", "half_side"), ()
+_RANGES = {"fx": (0, 1e6), "fy": (0, 1e6), "f": (0, 1e6), "alpha": (-1e-12, 1), "beta": (0, 1e3), "xi": (-1, 1e3), "w": (0, np.pi)}
 
 
 def make_camera_model(model: str, parameters: dict[str, float]) -> Projection:
-    """Return the projection of a named model: "ds", "kb4", "omni", "eucm" or "ucm".
-
-    `parameters` are all keyword arguments of the model function; the distortion of "omni" may be omitted.
+    """Return the projection of a named model, one of `_MODELS`; `parameters` are keyword arguments of its function.
 
     Raises:
         OmnistereoError: If the model is unknown, or a parameter is missing, unknown or out of range.
     """
     if model not in _MODELS:
         raise OmnistereoError(
-            f"camera model {model!r} is unknown; expected one of {sorted(_MODELS)}. Recalibrate with it"
+            f"camera model {model!r} is unknown; expected one of {[*_MODELS][:7]}. Recalibrate with it"
         )
-    function, names = _MODELS[model]
-    optional = _OPTIONAL if model == "omni" else set()
-    if not set(names) - optional <= set(parameters) <= set(names):
+    function, names, optional = _MODELS[model]
+    if not set(names) <= set(parameters) <= {*names, *optional}:
         raise OmnistereoError(f"camera model {model!r} needs the parameters {list(names)}, found {list(parameters)}")
     for name, value in parameters.items():
         low, high = _RANGES.get(name, (-1e6, 1e6))
@@ -136,146 +233,41 @@ def _components(rays: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     return rays[..., 0], rays[..., 1], rays[..., 2], np.linalg.norm(rays, axis=-1)
 
 
+def _radtan(
+    x: Floats,
+    y: Floats,
+    k1: float,
+    k2: float,
+    p1: float,
+    p2: float,
+    k3: float = 0.0,
+    divisor: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    k4: float = 0.0,
+) -> tuple[Floats, Floats]:
+    """Distort points of the normalised plane: radial by a quotient of polynomials of r², and tangential."""
+    r2 = x * x + y * y
+    radial = Polynomial([1, k1, k2, k3, k4])(r2) / Polynomial([1, *divisor])(r2)
+    return (
+        x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+        y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+    )
+
+
+def _to_pixels(x: Floats, y: Floats, fx: float, fy: float, cx: float, cy: float, skew: float = 0.0) -> Floats:
+    return np.stack([fx * x + skew * y + cx, fy * y + cy], -1)
+
+
 def _pinhole(x: Floats, y: Floats, depth: Floats, fx: float, fy: float, cx: float, cy: float) -> Floats:
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.stack([fx * x / depth + cx, fy * y / depth + cy], -1)
+        return _to_pixels(x / depth, y / depth, fx, fy, cx, cy)
+
+
+def _first_maximum(r: Polynomial) -> float:
+    """Return the smallest positive argument at which a polynomial stops increasing, or infinity."""
+    roots = r.deriv().roots()
+    return float(roots[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)].real.min(initial=np.inf))
 
 
 def _unified_limit(alpha: float) -> float:
     """Return w: rays with z > -w |ray| project one to one through the sphere and the shifted pinhole."""
     return alpha / (1 - alpha) if alpha <= 0.5 else (1 - alpha) / alpha
-
-
-def fit_camera(
-    source: str,
-    model: str,
-    parameters: dict[str, float],
-    image_size: tuple[int, int],
-    max_fov_deg: float | None,
-    mask: NDArray[np.bool_] | None = None,
-) -> OcamCamera:
-    """Return the OCam camera of a named model in a file; parameters as `make_camera_model` and `fit_ocam`.
-
-    `source`, the file and the camera, is for messages. A UserWarning reports a residual above 0.1 px, which
-    tangential distortion causes.
-    """
-    try:
-        with np.errstate(all="ignore"):  # absurd parameters overflow before they are refused
-            camera, residual = fit_ocam(make_camera_model(model, parameters), image_size, max_fov_deg, mask)
-    except np.linalg.LinAlgError:
-        raise OmnistereoError(f"no camera fits the {model} parameters {parameters}. Check them") from None
-    _log.info("%s: %s fitted by OCam, %.1f° seen, worst residual %.2g px", source, model, camera.max_fov_deg, residual)
-    if residual > _MAX_RESIDUAL:
-        warnings.warn(
-            f"{source}: the OCam polynomials are up to {residual:.2f} px away from the {model} model in the file, by "
-            "tangential distortion or a model that is not monotonic. Lower max_fov_deg, or calibrate an OCam model.",
-            UserWarning,
-            stacklevel=2,
-        )
-    return camera
-
-
-def fit_ocam(
-    project: Projection,
-    image_size: tuple[int, int],
-    max_fov_deg: float | None = None,
-    mask: NDArray[np.bool_] | None = None,
-) -> tuple[OcamCamera, float]:
-    """Fit an OCam camera to the projection of another model.
-
-    Rays are sampled on rings around the axis. On each ring the first Fourier coefficients over the azimuth
-    give the centre and the 2 × 2 map of the ring; over all rings the maps are one affine map times a radius (their
-    best rank-1 approximation, the least-squares solution). The two polynomials are then fitted to the radii.
-
-    Args:
-        project: Rays (..., 3) → pixels (..., 2), valid (...), such as `functools.partial(double_sphere, fx=..., ...)`.
-        image_size: Width and height, pixels. OmnistereoError if the model projects nothing into the image.
-        max_fov_deg: Limit of the full field of view, degrees. None: none with a mask, 220° without a mask. The result
-            is the smallest of this, the limit of the model and the widest angle of a valid pixel.
-        mask (bool array, shape (height, width)): True where the image is valid.
-
-    Returns:
-        residual: Largest distance in pixels between the model and the projection by either polynomial.
-    """
-    half = _half_field(project, image_size, max_fov_deg, mask)
-    theta = np.linspace(0.0, half, 257)[1:]
-    rays = ring_rays(theta)
-    uv = project(rays)[0]
-    center = uv.mean((0, 1))
-    harmonics = np.stack([np.cos(AZIMUTHS), np.sin(AZIMUTHS)], -1)
-    maps = np.einsum("rai,aj->rij", uv, harmonics) * (2 / len(AZIMUTHS))
-    A = np.linalg.svd(maps.reshape(-1, 4), full_matrices=False)[2][0].reshape(2, 2)
-    A /= A[0, 0]
-    radius = np.einsum("rij,ij->r", maps, A) / (A * A).sum()
-    camera = OcamCamera(
-        poly=_fit_direct(radius, theta - np.pi / 2),
-        inv_poly=_fit_inverse(radius, theta - np.pi / 2),
-        center=tuple(center.tolist()),
-        affine=(float(A[1, 1]), float(A[1, 0]), float(A[0, 1])),
-        image_size=image_size,
-        max_fov_deg=float(np.degrees(2 * half)),
-        mask=mask,
-    )
-    errors = [
-        np.linalg.norm(camera.project(rays, use_direct_poly=exact)[0] - uv, axis=-1).max() for exact in (False, True)
-    ]
-    return camera, float(max(errors))
-
-
-def ring_rays(theta: Floats) -> Floats:
-    """Return unit rays (rings, azimuths, 3) at angles θ from the axis."""
-    sine, cosine = np.sin(theta)[:, None], np.cos(theta)[:, None]
-    x, y = sine * np.cos(AZIMUTHS), sine * np.sin(AZIMUTHS)
-    return np.stack(np.broadcast_arrays(x, y, cosine), -1)
-
-
-def _half_field(
-    project: Projection, image_size: tuple[int, int], max_fov_deg: float | None, mask: NDArray[np.bool_] | None
-) -> float:
-    """Return the half field of view in radians, as `fit_ocam` chooses it."""
-    theta = np.arange(0.0, np.pi, _ANGLE_STEP)
-    uv, valid = project(ring_rays(theta))
-    uv = np.where(valid[..., None], uv, np.nan)
-    radius = np.linalg.norm(uv - uv[0].mean(0), axis=-1)
-    one_to_one = np.append(True, (np.diff(radius, axis=0) > 0).all(1)).cumprod().astype(bool)  # NaN is not > 0
-    theta, uv = theta[one_to_one], uv[one_to_one]
-    width, height = image_size
-    with np.errstate(invalid="ignore"):
-        inside = ((uv >= 0) & (uv <= (width - 1, height - 1))).all(-1)
-    if mask is not None:
-        column, row = np.where(inside[..., None], uv, 0).round().astype(int).transpose(2, 0, 1)
-        inside &= mask[row, column]
-    if not inside[theta > 0].any():
-        raise OmnistereoError(
-            f"the camera model projects nothing into the image of {width} × {height} px. Check its parameters"
-        )
-    visible = theta[inside.any(1)].max() + _ANGLE_STEP
-    default = 360.0 if mask is not None else DEFAULT_FOV_DEG
-    limit = np.radians(default if max_fov_deg is None else max_fov_deg) / 2
-    return float(min(visible, theta.max(), limit))
-
-
-def _fit_inverse(radius: Floats, t: Floats) -> Floats:
-    """Fit r(t), zero on the axis; coefficients low to high."""
-    limits = [-np.pi / 2, t[-1]]
-    scaled = (t - limits[0]) / (limits[1] - limits[0])
-    b = _fit_lowest_degree(scaled[:, None] ** np.arange(1, _MAX_DEGREE + 1), radius, 3)
-    return Polynomial([0, *b], domain=limits, window=[0, 1]).convert().coef
-
-
-def _fit_direct(radius: Floats, t: Floats) -> Floats:
-    """Fit f(r) with f(r) cos t = r sin t and a1 = 0; coefficients low to high."""
-    exponents = np.array([0, *range(2, _MAX_DEGREE + 1)])
-    powers = (radius / radius[-1])[:, None] ** exponents * np.cos(t)[:, None]
-    a = _fit_lowest_degree(powers, radius * np.sin(t), 4)
-    a /= radius[-1] ** exponents[: len(a)]
-    return np.array([a[0], 0.0, *a[1:]])
-
-
-def _fit_lowest_degree(powers: Floats, values: Floats, terms: int) -> Floats:
-    """Return the least-squares coefficients of the fewest columns, at least `terms`, that meet the tolerance."""
-    for count in range(terms, powers.shape[1] + 1):
-        fit = np.linalg.lstsq(powers[:, :count], values, rcond=None)[0]
-        if np.abs(powers[:, :count] @ fit - values).max() < _FIT_TOLERANCE:
-            break
-    return fit

@@ -7,19 +7,21 @@ OCam files keep (row, column) for the centre, the affine map and the image size;
 import logging
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.files import atomic_write, read_gray, read_text
 from omnistereo_lib.geometry.camera import OcamCamera, fit_inverse_polynomial
-from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.geometry.pose import Floats, Pose
 from omnistereo_lib.geometry.rig import Rig
-from omnistereo_lib.rig_files.camera_models import DEFAULT_FOV_DEG
-from omnistereo_lib.rig_files.parse import error_context, metres_per_unit, parse_axis_angle, parse_floats, parse_size
+from omnistereo_lib.rig_files.camera_models import Projected
+from omnistereo_lib.rig_files.fit import DEFAULT_FOV_DEG, MAX_ERROR, field_of_view_deg
+from omnistereo_lib.rig_files.parse import parse_axis_angle, parse_floats, parse_size
 
 _log = logging.getLogger("omnistereo_lib")
 
@@ -31,27 +33,18 @@ _RECORDS = {
     "affine": "affine map: c, d, e",
     "image_size": "image size: height, width",
 }
-_MAX_POLYNOMIAL_ERROR = 0.1  # px, between the two polynomials; beyond it a warning
 
 
-def load_camera(path: str | Path, max_fov_deg: float = DEFAULT_FOV_DEG) -> OcamCamera:
+def read_ocam_txt(path: str | Path, max_fov_deg: float | None = None) -> OcamCamera:
     """Read a camera from an OCamCalib text file.
 
     Five records, one per line, `#` starts a comment: the direct and the inverse polynomial (each the number of
     coefficients, then the coefficients from low to high), the centre (row, column), the affine c d e, the
     image size (height, width). A missing inverse polynomial is fitted; lines after the fifth record are ignored.
-
-    The file does not state `max_fov_deg`, the full field of view of the lens. OmnistereoError if the polynomials do
-    not reach it; UserWarning if they differ by more than 0.1 px anywhere in it.
+    For `max_fov_deg` see `ocam_camera`.
     """
-    camera = _read_camera(path, max_fov_deg)
-    warn_of_polynomials([camera], path)
-    return camera
-
-
-def _read_camera(path: str | Path, max_fov_deg: float) -> OcamCamera:
     with error_context(path):
-        records: list[Any] = _data_lines(path)
+        records: list[Any] = data_lines(path)
         if len(records) > 1 and (len(records[1]) == 2 or records[1] == ["0"]):
             # Some exports omit the inverse polynomial: the second record is then the centre, of two numbers.
             records = [records[0], None, *records[1 + (records[1] == ["0"]) :]]
@@ -71,24 +64,6 @@ def write_ocam_txt(camera: OcamCamera, path: str | Path) -> None:
         temporary.write_text(text)
 
 
-def read_ocam_folder(folder: Path, unit: str | None, max_fov_deg: float | None) -> Rig:
-    """Read ocam1.txt, ocam2.txt, … and poses.txt (camera → rig), whose unit the files do not state."""
-    files = sorted(folder.glob("ocam*.txt"), key=lambda file: (len(file.name), file.name))  # ocam2 before ocam10
-    poses_file = folder / "poses.txt"
-    with error_context(poses_file):
-        poses = [parse_pose(line, camera) for camera, line in enumerate(_data_lines(poses_file), 1)]
-        if len(poses) != len(files):
-            raise OmnistereoError(
-                f"found {len(poses)} poses and {len(files)} camera files "
-                f"({', '.join(file.name for file in files)}); expected one line rx ry rz tx ty tz per camera"
-            )
-        scale = metres_per_unit(unit, np.stack([pose.t for pose in poses]))
-    cameras = [_read_camera(file, DEFAULT_FOV_DEG if max_fov_deg is None else max_fov_deg) for file in files]
-    warn_of_polynomials(cameras, folder)
-    with error_context(folder):
-        return Rig(cameras, [Pose(pose.R, pose.t * scale) for pose in poses])
-
-
 def write_ocam_folder(rig: Rig, folder: str | Path) -> None:
     """Write a rig in the layout of the SweepNet release: ocam1.txt … and poses.txt (camera → rig, metres)."""
     for number, camera in enumerate(rig.cameras, 1):
@@ -98,18 +73,17 @@ def write_ocam_folder(rig: Rig, folder: str | Path) -> None:
         temporary.write_text("\n".join(lines) + "\n")
 
 
-def _data_lines(path: str | Path) -> list[list[str]]:
+def data_lines(path: str | Path) -> list[list[str]]:
     """Return the words of every line that is not empty or a comment."""
     lines = [line.split("#")[0].split() for line in read_text(path).splitlines()]
     return [line for line in lines if line]
 
 
-def parse_pose(values: Any, camera: int) -> Pose:
-    """Return the pose of six numbers rx ry rz tx ty tz, camera → rig; errors name the camera."""
-    with error_context(f"camera {camera}"):
-        vector = parse_floats(values, "the pose rx ry rz tx ty tz", 6)
-        parse_axis_angle(vector[:3], "the rotation")
-        return Pose.from_vector(vector)
+def parse_pose(values: Any) -> Pose:
+    """Return the pose of six numbers rx ry rz tx ty tz, camera → rig."""
+    vector = parse_floats(values, "the pose rx ry rz tx ty tz", 6)
+    parse_axis_angle(vector[:3], "the rotation")
+    return Pose.from_vector(vector)
 
 
 def ocam_records(camera: OcamCamera) -> dict[str, list[float]]:
@@ -125,28 +99,60 @@ def ocam_records(camera: OcamCamera) -> dict[str, list[float]]:
 
 
 def ocam_camera(
-    records: Mapping[str, Any], max_fov_deg: float, source: str, mask_file: Path | None = None
+    records: Mapping[str, Any], max_fov_deg: float | None, source: str, mask_file: Path | None = None
 ) -> OcamCamera:
-    """Return the camera of five records in file order (row, column); `inv_poly` may be None."""
+    """Return the camera of five records in file order (row, column).
+
+    `inv_poly` may be None and is then fitted to `poly`. `max_fov_deg` is the full field of view of the lens, which the
+    inverse polynomial must reach. None: up to 220°, as far as the image and the polynomial do.
+    """
     poly = _counted(records["poly"], "the direct polynomial")
     row, column = parse_floats(records["center"], "the centre (row, column)", 2).tolist()
-    affine = tuple(parse_floats(records["affine"], "the affine map c d e", 3).tolist())
+    c, d, e = parse_floats(records["affine"], "the affine map c d e", 3).tolist()
     height, width = parse_size(records["image_size"], "the image size (height, width)")
-    if not (0 <= row < height and 0 <= column < width):
-        raise OmnistereoError(
-            f"the centre, row {row:g} and column {column:g}, lies outside the image of height {height} and "
-            f"width {width}. Check that the file is complete and has rows before columns"
-        )
     with np.errstate(all="ignore"):  # broken coefficients overflow before they are refused
         if records["inv_poly"] is None:
             _log.info("%s: no inverse polynomial, fitting one", source)
-            inv_poly = fit_inverse_polynomial(poly, max_fov_deg, 3 * max(width, height))
+            max_radius = 3.0 * max(width, height)
+            fov = _direct_reach_deg(poly, max_radius) if max_fov_deg is None else max_fov_deg
+            inv_poly = fit_inverse_polynomial(poly, fov, max_radius)
         else:
             inv_poly = _counted(records["inv_poly"], "the inverse polynomial")
         mask = None if mask_file is None else read_gray(mask_file, (width, height)) == 0  # not 0 is outside
-        camera = OcamCamera(poly, inv_poly, (column, row), affine, (width, height), max_fov_deg, mask)
-        _check_polynomials(camera)
-    return camera
+        camera = OcamCamera(poly, inv_poly, (column, row), (c, d, e), (width, height), 1.0, mask)
+        return replace(camera, max_fov_deg=_field_of_view(camera, max_fov_deg))
+
+
+def _field_of_view(camera: OcamCamera, max_fov_deg: float | None) -> float:
+    """Return the field of view in degrees, as `ocam_camera` chooses it."""
+
+    def project(rays: Floats) -> Projected:
+        n = np.hypot(rays[..., 0], rays[..., 1])
+        radius = np.polynomial.polynomial.polyval(np.arctan2(-rays[..., 2], n), camera.inv_poly)
+        x, y = (rays[..., k] / np.maximum(n, 1e-300) * radius for k in (0, 1))
+        c, d, e = camera.affine
+        uv = np.stack([x + e * y + camera.center[0], d * x + c * y + camera.center[1]], -1)
+        return uv, np.isfinite(radius)
+
+    if max_fov_deg is None:
+        return field_of_view_deg(project, camera.image_size)
+    angles = np.linspace(0.0, np.radians(max_fov_deg / 2), 1000)
+    increasing = np.diff(np.polynomial.polynomial.polyval(angles - np.pi / 2, camera.inv_poly)) > 0
+    if not increasing.all():
+        reach = 2 * np.degrees(angles[np.argmin(increasing)])
+        raise OmnistereoError(
+            f"the inverse polynomial increases only up to {reach:.1f}°; expected the field of view, "
+            f"{max_fov_deg:g}°. Lower max_fov_deg (--max-fov {int(reach)})"
+        )
+    return max_fov_deg
+
+
+def _direct_reach_deg(poly: Floats, max_radius: float) -> float:
+    """Return the full field of view in degrees, at most 220, up to which the direct polynomial is monotonic."""
+    radii = np.linspace(0.0, max_radius, 4096)
+    angles = np.arctan2(np.polynomial.polynomial.polyval(radii, poly), radii)
+    end = np.argmin(np.append(np.diff(angles) > 0, False))
+    return min(DEFAULT_FOV_DEG, float(np.floor(180 + 2 * np.degrees(angles[end]))))
 
 
 def _counted(record: Any, name: str) -> NDArray[np.float64]:
@@ -160,30 +166,27 @@ def _counted(record: Any, name: str) -> NDArray[np.float64]:
     return values[1:]
 
 
-def _check_polynomials(camera: OcamCamera) -> None:
-    """Refuse an inverse polynomial that is not monotonic within the field of view, or a direct one without a root."""
-    angles = np.linspace(0.0, np.radians(camera.max_fov_deg / 2), 1000)
-    increasing = np.diff(np.polynomial.polynomial.polyval(angles - np.pi / 2, camera.inv_poly)) > 0
-    if not increasing.all():
-        raise OmnistereoError(
-            f"the inverse polynomial increases only up to {2 * np.degrees(angles[np.argmin(increasing)]):.1f}°; "
-            f"expected max_fov_deg = {camera.max_fov_deg:g}. Lower max_fov_deg or recalibrate"
-        )
-    if not np.isfinite(camera.inverse_poly_error_px()):
-        raise OmnistereoError("the direct polynomial has no root for every ray in the field of view. Recalibrate")
-
-
 def warn_of_polynomials(cameras: Sequence[OcamCamera], source: Path | str) -> None:
-    """Warn once if direct and inverse polynomial of some cameras disagree, and say what that means."""
-    with np.errstate(all="ignore"):
-        errors = {i: camera.inverse_poly_error_px() for i, camera in enumerate(cameras, 1)}
-    far_off = [i for i, error in errors.items() if error > _MAX_POLYNOMIAL_ERROR]
-    if far_off:
-        of_cameras = f" of camera{'s' * (len(far_off) > 1)} {', '.join(map(str, far_off))}" if len(cameras) > 1 else ""
-        warnings.warn(
-            f"{source}: direct and inverse polynomial (poly, inv_poly){of_cameras} disagree by up to "
-            f"{max(errors.values()):.2f} px. Projection uses inv_poly, as every released code does; if poly is the one "
-            "that was calibrated, images are warped that far off. Recalibrate, or pass use_direct_poly=True.",
-            UserWarning,
-            stacklevel=2,
-        )
+    """Warn once if direct and inverse polynomial of some cameras disagree where pixels are, and say what that means."""
+    errors = {i: error for i, camera in enumerate(cameras, 1) if (error := _polynomial_error(camera)) > MAX_ERROR}
+    if not errors:
+        return
+    of_cameras = f" of camera{'s' * (len(errors) > 1)} {', '.join(map(str, errors))}" if len(cameras) > 1 else ""
+    worst = max(errors.values())
+    apart = f"by up to {worst:.2f} px" if np.isfinite(worst) else "so much that poly has no ray for some pixels"
+    warnings.warn(
+        f"{source}: direct and inverse polynomial (poly, inv_poly){of_cameras} disagree {apart}. Projection uses "
+        "inv_poly, as every released code does. If poly is the one that was calibrated, delete inv_poly from the file: "
+        "it is then fitted to poly",
+        UserWarning,
+        stacklevel=2,
+    )
+
+
+def _polynomial_error(camera: OcamCamera) -> float:
+    """Return `inverse_poly_error_px`, infinite where the direct polynomial ends inside the image."""
+    try:
+        with np.errstate(all="ignore"):
+            return camera.inverse_poly_error_px()
+    except OmnistereoError:
+        return float("inf")

@@ -2,43 +2,43 @@
 
 import warnings
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from omnistereo_lib.errors import OmnistereoError, checked
-from omnistereo_lib.files import atomic_write, path_within, write_image
+from omnistereo_lib.errors import OmnistereoError, checked, error_context
+from omnistereo_lib.files import atomic_write, path_within, to_yaml, write_image
 from omnistereo_lib.geometry.rig import Rig
-from omnistereo_lib.rig_files.camera_models import DEFAULT_FOV_DEG
 from omnistereo_lib.rig_files.ocam import ocam_camera, ocam_records, parse_pose, warn_of_polynomials
-from omnistereo_lib.rig_files.parse import error_context, parse_floats, require_key, require_list, to_yaml
+from omnistereo_lib.rig_files.parse import RigFile, Section, check_fov
 
 
-def read_omnimvs(data: dict[str, Any], path: Path, max_fov_deg: float | None) -> Rig:
+def read_omnimvs(data: Section, path: Path, max_fov_deg: float | None) -> RigFile:
     """Read a parsed config.yaml, and the masks that exist beside it."""
     cameras, poses, missing = [], [], []
-    for i, cam in enumerate(require_list(data, "cameras"), 1):
+    for i, cam in data.sections("cameras").items():
         with error_context(f"camera {i}"):
-            records = {key: require_key(cam, key) for key in ("poly", "inv_poly", "center", "affine", "image_size")}
-            fov = float(parse_floats(cam.get("max_fov", DEFAULT_FOV_DEG), "max_fov", 1)[0])
-            mask_file = path_within(path.parent, cam["invalid_mask"], path) if cam.get("invalid_mask") else None
-            if mask_file and not mask_file.exists():
+            if cam.word("model", default="ocam") != "ocam":
+                raise OmnistereoError(f"model is {cam.get('model')!r}; expected ocam. Recalibrate with it")
+            records = {key: cam.require(key) for key in ("poly", "center", "affine", "image_size")}
+            records["inv_poly"] = cam.get("inv_poly")
+            stated = None if cam.get("max_fov") is None else check_fov(cam.number("max_fov"), "max_fov")
+            mask = cam.get("invalid_mask")
+            mask_file = None if mask is None else path_within(path.parent, mask, path)
+            if mask_file is not None and not mask_file.exists():
                 missing.append(mask_file.name)
                 mask_file = None
-            fov = fov if max_fov_deg is None else max_fov_deg
+            fov = stated if max_fov_deg is None else max_fov_deg
             cameras.append(ocam_camera(records, fov, f"{path}, camera {i}", mask_file))
-            pose = require_key(cam, "pose")
-        poses.append(parse_pose(pose, i))
+            poses.append(parse_pose(cam.require("pose")))
     if missing and any(camera.mask is not None for camera in cameras):
         raise OmnistereoError(f"the masks {', '.join(missing)} are named, but missing. Copy them beside the file")
     if missing and missing[0] != f"{path.stem}_mask1.png":  # `save_rig` names them for the public codes
         warnings.warn(f"{path}: the masks {', '.join(missing)} are missing; every pixel counts as valid", stacklevel=2)
     warn_of_polynomials(cameras, path)
-    settings = data.get("config")
-    min_depth = settings.get("omnimvs_sweep_min_depth") if isinstance(settings, dict) else None
-    if min_depth is not None:
-        min_depth = float(parse_floats(min_depth, "omnimvs_sweep_min_depth", 1)[0])
-    return Rig(cameras, poses, min_depth)
+    config = Section(data.get("config", default={}), "config")
+    min_depth = None if config.get("omnimvs_sweep_min_depth") is None else config.number("omnimvs_sweep_min_depth")
+    turned = config.get("T_rig_file")
+    return RigFile(cameras, poses, min_depth, None if turned is None else parse_pose(turned))
 
 
 @checked
@@ -60,12 +60,14 @@ def save_rig(rig: Rig, path: str | Path) -> None:
             valid = np.ones(camera.image_size[::-1], bool) if camera.mask is None else camera.mask
             write_image(mask_file, np.where(valid, 0, 255).astype(np.uint8))
         cameras.append(names | ocam_records(camera) | field)
+    config = {} if rig.min_depth is None else {"omnimvs_sweep_min_depth": float(rig.min_depth)}
+    turned = {} if rig.T_rig_file is None else {"T_rig_file": rig.T_rig_file.as_vector().tolist()}
     data = {
-        "config": {} if rig.min_depth is None else {"omnimvs_sweep_min_depth": float(rig.min_depth)},
+        "config": config | turned,
         "dataset": {"img_fmt": "cam%d/%04d.png", "lut_fmt": "lt_(%d,%d,%d).hwd"},  # required by the public codes
         "cameras": cameras,
     }
     with atomic_write(path) as temporary:
         temporary.write_text(to_yaml(data))
-    for camera in [] if masked else cameras:  # masks of a rig saved here before would be read with this one
-        path.with_name(camera["invalid_mask"]).unlink(missing_ok=True)
+    for i in range(0 if masked else len(rig)):  # masks of a rig saved here before would be read with this one
+        path.with_name(f"{path.stem}_mask{i + 1}.png").unlink(missing_ok=True)

@@ -1,0 +1,166 @@
+"""The conversion of other camera models to OCam cameras, by fitting the polynomials to sampled rays."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+
+import numpy as np
+from numpy.polynomial import Polynomial
+from numpy.typing import NDArray
+
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.geometry.camera import OcamCamera
+from omnistereo_lib.geometry.pose import Floats
+from omnistereo_lib.rig_files.camera_models import Projection, make_camera_model
+
+_log = logging.getLogger("omnistereo_lib")
+
+DEFAULT_FOV_DEG = 220.0  # the widest common lens; in images without a mask, black corners lie beyond it
+_ANGLE_STEP = np.radians(0.25)
+AZIMUTHS = np.arange(64) * (2 * np.pi / 64)
+_FIT_TOLERANCE = 0.01  # px, as for any inverse polynomial
+_MAX_DEGREE = 20
+MAX_ERROR = 0.1  # px; beyond it a warning
+
+
+def fit_camera(
+    source: str,
+    model: str,
+    parameters: dict[str, float],
+    image_size: tuple[int, int],
+    max_fov_deg: float | None,
+    mask: NDArray[np.bool_] | None = None,
+) -> OcamCamera:
+    """Return the OCam camera of a named model in a file; parameters as `make_camera_model` and `fit_ocam`.
+
+    `source`, the file and the camera, is for messages. A UserWarning reports a residual above 0.1 px, which
+    tangential distortion causes.
+    """
+    try:
+        with np.errstate(all="ignore"):  # absurd parameters overflow before they are refused
+            camera, residual = fit_ocam(make_camera_model(model, parameters), image_size, max_fov_deg, mask)
+    except np.linalg.LinAlgError:
+        raise OmnistereoError(f"no camera fits the {model} parameters {parameters}. Check them") from None
+    _log.info("%s: %s fitted by OCam, %.1f° seen, worst residual %.2g px", source, model, camera.max_fov_deg, residual)
+    if residual > MAX_ERROR:
+        warnings.warn(
+            f"{source}: an OCam camera follows the {model} model in the file to {residual:.2f} px only: it has no "
+            "tangential distortion. Where that is too much, lower max_fov_deg (--max-fov)",
+            UserWarning,
+            stacklevel=2,
+        )
+    return camera
+
+
+def fit_ocam(
+    project: Projection,
+    image_size: tuple[int, int],
+    max_fov_deg: float | None = None,
+    mask: NDArray[np.bool_] | None = None,
+) -> tuple[OcamCamera, float]:
+    """Fit an OCam camera to the projection of another model.
+
+    Rays are sampled on rings around the axis. On each ring the first Fourier coefficients over the azimuth
+    give the centre and the 2 × 2 map of the ring; over all rings the maps are one affine map times a radius (their
+    best rank-1 approximation, the least-squares solution). The two polynomials are then fitted to the radii.
+
+    Args:
+        project: Rays (..., 3) → pixels (..., 2), valid (...), such as `functools.partial(double_sphere, fx=..., ...)`.
+        image_size: Width and height, pixels. OmnistereoError if the model projects nothing into the image.
+        max_fov_deg: As for `field_of_view_deg`.
+        mask (bool array, shape (height, width)): True where the image is valid.
+
+    Returns:
+        residual: Largest distance in pixels, inside the image and on the mask, between the model and the projection.
+    """
+    fov = field_of_view_deg(project, image_size, max_fov_deg, mask)
+    theta = np.linspace(0.0, np.radians(fov / 2), 257)[1:]
+    rays = ring_rays(theta)
+    uv = project(rays)[0]
+    center = uv.mean((0, 1))
+    harmonics = np.stack([np.cos(AZIMUTHS), np.sin(AZIMUTHS)], -1)
+    maps = np.einsum("rai,aj->rij", uv, harmonics) * (2 / len(AZIMUTHS))
+    A = np.linalg.svd(maps.reshape(-1, 4), full_matrices=False)[2][0].reshape(2, 2)
+    A /= A[0, 0]
+    radius = np.einsum("rij,ij->r", maps, A) / (A * A).sum()
+    camera = OcamCamera(
+        poly=_fit_direct(radius, theta - np.pi / 2),
+        inv_poly=_fit_inverse(radius, theta - np.pi / 2),
+        center=tuple(center.tolist()),
+        affine=(float(A[1, 1]), float(A[1, 0]), float(A[0, 1])),
+        image_size=image_size,
+        max_fov_deg=fov,
+        mask=mask,
+    )
+    errors = np.linalg.norm(camera.project(rays)[0] - uv, axis=-1)
+    return camera, float(errors[camera.contains(uv)].max(initial=0.0))
+
+
+def ring_rays(theta: Floats) -> Floats:
+    """Return unit rays (rings, azimuths, 3) at angles θ from the axis."""
+    sine, cosine = np.sin(theta)[:, None], np.cos(theta)[:, None]
+    x, y = sine * np.cos(AZIMUTHS), sine * np.sin(AZIMUTHS)
+    return np.stack(np.broadcast_arrays(x, y, cosine), -1)
+
+
+def field_of_view_deg(
+    project: Projection,
+    image_size: tuple[int, int],
+    max_fov_deg: float | None = None,
+    mask: NDArray[np.bool_] | None = None,
+) -> float:
+    """Return the full field of view of a lens in degrees, as far as the model is one to one and pixels see it.
+
+    Args:
+        project, image_size, mask: As for `fit_ocam`.
+        max_fov_deg: Limit, degrees. None: none with a mask, 220° without a mask.
+    """
+    theta = np.arange(0.0, np.pi, _ANGLE_STEP)
+    uv, valid = project(ring_rays(theta))
+    uv = np.where(valid[..., None], uv, np.nan)
+    radius = np.linalg.norm(uv - uv[0].mean(0), axis=-1)
+    one_to_one = np.append(True, (np.diff(radius, axis=0) > 0).all(1)).cumprod().astype(bool)  # NaN is not > 0
+    theta, uv = theta[one_to_one], uv[one_to_one]
+    width, height = image_size
+    with np.errstate(invalid="ignore"):
+        inside = ((uv >= 0) & (uv <= (width - 1, height - 1))).all(-1)
+    if mask is not None:
+        column, row = np.where(inside[..., None], uv, 0).round().astype(int).transpose(2, 0, 1)
+        inside &= mask[row, column]
+    if not inside[theta > 0].any():
+        raise OmnistereoError(
+            f"the camera model projects nothing into the image of {width} × {height} px. Check its parameters"
+        )
+    visible = theta[inside.any(1)].max() + _ANGLE_STEP
+    default = 360.0 if mask is not None else DEFAULT_FOV_DEG
+    limit = np.radians(default if max_fov_deg is None else max_fov_deg) / 2
+    return float(np.degrees(2 * min(visible, theta.max(), limit)))
+
+
+def _fit_inverse(radius: Floats, t: Floats) -> Floats:
+    """Fit r(t), zero on the axis; coefficients low to high."""
+    limits = [-np.pi / 2, t[-1]]
+    scaled = (t - limits[0]) / (limits[1] - limits[0])
+    b = _fit_lowest_degree(scaled[:, None] ** np.arange(1, _MAX_DEGREE + 1), radius, 3)
+    return np.asarray(Polynomial([0, *b], domain=limits, window=[0, 1]).convert().coef)
+
+
+def _fit_direct(radius: Floats, t: Floats) -> Floats:
+    """Fit f(r) with f(r) cos t = r sin t and a1 = 0; coefficients low to high."""
+    exponents = np.array([0, *range(2, _MAX_DEGREE + 1)])
+    to_px = np.cos(t) * np.gradient(radius, t) / radius  # of the difference of both sides
+    powers = (radius / radius[-1])[:, None] ** exponents * (np.cos(t) * to_px)[:, None]
+    a = _fit_lowest_degree(powers, radius * np.sin(t) * to_px, 4)
+    a /= radius[-1] ** exponents[: len(a)]
+    return np.array([a[0], 0.0, *a[1:]])
+
+
+def _fit_lowest_degree(powers: Floats, values: Floats, terms: int) -> Floats:
+    """Return the least-squares coefficients of the fewest columns, at least `terms`, that meet the tolerance."""
+    fit = np.zeros(0)
+    for count in range(terms, powers.shape[1] + 1):
+        fit = np.linalg.lstsq(powers[:, :count], values, rcond=None)[0]
+        if np.abs(powers[:, :count] @ fit - values).max() < _FIT_TOLERANCE:
+            break
+    return fit

@@ -1,0 +1,75 @@
+"""Lens files of photogrammetry and panorama programs, one camera each: Metashape XML, Hugin .pto and .ini.
+
+The top-left corner of the image is (0, 0) in both programs, so that pixel centres are shifted by half a pixel.
+"""
+
+import configparser
+import re
+from pathlib import Path
+
+import numpy as np
+
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.rig_files.camera_models import RADII
+from omnistereo_lib.rig_files.fit import fit_camera
+from omnistereo_lib.rig_files.parse import RigFile, Section, parse_size
+
+NO_DEPTH = (
+    "It is stitched as if seen from one point, and depth needs two: pass the images of the single lenses, before "
+    "stitching, with their calibration"
+)
+_METASHAPE = {
+    "frame": "rectilinear",
+    "fisheye": "equidistant",
+    "equidistant_fisheye": "equidistant",
+    "equisolid_fisheye": "equisolid",
+}
+_HUGIN = {0: "rectilinear", 2: "equidistant", 3: "equidistant", 8: "orthographic", 10: "stereographic", 21: "equisolid"}
+
+
+def read_metashape(data: Section, path: Path, max_fov_deg: float | None) -> RigFile:
+    """Read the parsed XML of a calibration; absent coefficients are 0."""
+    lens = data.section("calibration")
+    projection = lens.word("projection", default="frame")
+    if projection not in _METASHAPE:
+        reason = f". {NO_DEPTH}" if projection in ("spherical", "cylindrical") else ". Recalibrate with one of them"
+        raise OmnistereoError(f"projection is {projection}; expected one of {', '.join(_METASHAPE)}{reason}")
+    size = parse_size([lens.require("width"), lens.require("height")], "width and height")
+    names = ("f", "k1", "k2", "k3", "k4", "p1", "p2", "b1", "b2")
+    parameters = {name: lens.number(name) for name in names if name == "f" or name in lens.values}
+    for name, side in zip(("cx", "cy"), size, strict=True):  # from the middle of the image
+        parameters[name] = (lens.number(name) if name in lens.values else 0.0) + side / 2 - 0.5
+    model = f"metashape {_METASHAPE[projection]}"
+    return RigFile([fit_camera(str(path), model, parameters, size, max_fov_deg)], [Pose.identity()])
+
+
+def read_hugin(data: Section, path: Path, max_fov_deg: float | None) -> RigFile:
+    """Read the lens of `parse_hugin`."""
+    kind = int(data.number("f"))
+    if kind not in _HUGIN:
+        reason = f". {NO_DEPTH}" if kind in (1, 4) else ". Recalibrate with one of them"
+        raise OmnistereoError(f"the projection of the lens is {kind}; expected one of {[*_HUGIN]}{reason}")
+    width, height = size = parse_size([data.require("w"), data.require("h")], "w and h")
+    half_view = np.radians(data.number("v") / 2)
+    parameters = {name: data.number(name) if name in data.values else 0.0 for name in "abc"}
+    parameters |= {"f": width / 2 / float(RADII[_HUGIN[kind]](half_view)), "half_side": min(size) / 2}
+    for name, shift, side in (("cx", "d", width), ("cy", "e", height)):
+        parameters[name] = side / 2 - 0.5 + (data.number(shift) if shift in data.values else 0.0)
+    model = f"hugin {_HUGIN[kind]}"
+    return RigFile([fit_camera(str(path), model, parameters, size, max_fov_deg)], [Pose.identity()])
+
+
+def parse_hugin(text: str, path: Path) -> dict[str, str]:
+    """Return the lens of the first image of a project (.pto) or of a lens file (.ini), by the letters of a project."""
+    if path.suffix == ".ini":
+        parser = configparser.ConfigParser(interpolation=None)
+        try:
+            parser.read_string(text)
+            lens = dict(parser["Lens"])
+        except (configparser.Error, KeyError) as error:
+            raise OmnistereoError(f"not a lens file of Hugin ({' '.join(str(error).split())[:200]})") from None
+        names = {"image_width": "w", "image_height": "h", "type": "f", "hfov": "v"}
+        return {names.get(key, key): value for key, value in lens.items() if key in (*names, *"abcde")}
+    line = next((line for line in text.splitlines() if line.startswith("i ")), "")
+    return dict(re.findall(r"\s([whfvabcde])(-?[0-9.]+(?:[eE][-+]?[0-9]+)?)(?=\s|$)", line))

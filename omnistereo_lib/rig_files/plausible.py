@@ -1,0 +1,118 @@
+"""What a rig file assumes without saying, checked for every format: frame, principal point, sizes, positions."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.geometry.camera import OcamCamera
+from omnistereo_lib.geometry.pose import Floats, Pose, rotation_from_axis_angle
+from omnistereo_lib.geometry.rig import Rig
+
+_log = logging.getLogger("omnistereo_lib")
+
+_FAR = 1000.0  # metres
+_OFF_CENTER = 0.12  # of the side of the image; right calibrations, also of cropped sensors, stay below
+_CENTERED = 0.04
+_LEVEL_DEG = 10.0  # mounted cameras lean less, frames of another convention more
+_ASTRAY_DEG = 60.0  # from the mean of the other cameras, beyond which a camera is mounted rolled
+_AGREE = 0.75  # length of the mean of unit vectors; all cameras may look up or down by 40°
+
+
+def check_rig(rig: Rig, source: Path) -> None:
+    """Refuse cameras far from the origin; warn of what `check_camera` finds."""
+    if (far := np.abs(rig.centers).max()) > _FAR:
+        raise OmnistereoError(f"a camera stands {far:.4g} m from the origin; expected at most {_FAR:g} m")
+    for i, camera in enumerate(rig.cameras, 1):
+        check_camera(camera, f"{source}, camera {i}")
+
+
+def check_camera(camera: OcamCamera, source: str) -> None:
+    """Refuse a principal point outside the image, warn of one far from the middle, both with a guess."""
+    size, center = np.array(camera.image_size), np.array(camera.center)
+
+    def off_center(point: Floats, sides: Floats) -> float:
+        return float(np.abs((point + 0.5) / sides - 0.5).max())
+
+    off = off_center(center, size)
+    if off <= _OFF_CENTER:
+        return
+    guesses = {
+        "width and height, or row and column, look swapped": off_center(center, size[::-1]),
+        "the camera looks calibrated at half the size of the image": off_center(2 * center, size),
+        "the camera looks calibrated at twice the size of the image": off_center(center / 2, size),
+    }
+    guess, error = min(guesses.items(), key=lambda item: item[1])
+    guess = guess if error < _CENTERED else "check that the image size is that of the calibration"
+    found = (
+        f"the principal point is ({center[0]:.1f}, {center[1]:.1f}) in an image of {size[0]} × {size[1]} px; "
+        f"expected near the middle, ({size[0] / 2:g}, {size[1] / 2:g})"
+    )
+    if off >= 0.5:
+        raise OmnistereoError(f"{source}: {found}: it lies outside the image; {guess}")
+    warnings.warn(f"{source}: {found}; {guess}", UserWarning, stacklevel=2)
+
+
+def level(rig: Rig, source: Path) -> Rig:
+    """Return a rig whose +y points down.
+
+    Where the y axes of the cameras agree, but lean from +y by more than 10°, the rig is turned: +y along their mean,
+    and +z along the horizontal direction of the first camera. `Rig.T_rig_file` states the turn. Where they disagree,
+    only a rig whose centres lie in a plane that is not horizontal is warned of.
+    """
+    down, agree = _down(rig)
+    angle = float(np.degrees(np.arccos(np.clip(down[1], -1, 1))))
+    if agree and angle > _LEVEL_DEG:
+        forward = rig.T_rig_cam[0].R[:, 2] - (rig.T_rig_cam[0].R[:, 2] @ down) * down
+        if np.linalg.norm(forward) < 0.1:  # the first camera looks up or down: the shortest turn
+            axis = np.cross(down, [0.0, 1.0, 0.0])
+            axis = axis / np.linalg.norm(axis) if np.linalg.norm(axis) > 1e-9 else np.array([0.0, 0.0, 1.0])
+            R = rotation_from_axis_angle(np.radians(angle) * axis)
+        else:
+            forward /= np.linalg.norm(forward)
+            R = np.stack([np.cross(down, forward), down, forward])
+        T = Pose(R, np.zeros(3))
+        _log.warning(
+            "%s: the cameras agree that down is %.0f° from +y of the rig: the rig is turned level, by %.0f° in all, "
+            "its first camera to the front (--keep-frame or keep_frame=True leave it)",
+            source, angle, T.magnitude()[0],
+        )  # fmt: skip
+        return rig.transformed(T)
+    tilt = _plane_tilt_deg(rig)
+    if agree:
+        _log.info("%s: the rig is level to %.1f°", source, angle)
+    elif tilt is not None and tilt > _LEVEL_DEG:
+        warnings.warn(
+            f"{source}: the cameras do not agree which way is down, and their centres lie in a plane that is "
+            f"{tilt:.0f}° from horizontal: the panorama may lie on its side. Its +y should point down",
+            UserWarning,
+            stacklevel=2,
+        )
+    return rig
+
+
+def _down(rig: Rig) -> tuple[Floats, bool]:
+    """Return the mean y axis of the cameras but those mounted rolled, in the rig frame, and whether they agree."""
+    y = np.stack([pose.R[:, 1] for pose in rig.T_rig_cam])
+    kept = np.ones(len(y), bool)
+    for _ in range(2):
+        mean = y[kept].mean(0)
+        mean /= max(float(np.linalg.norm(mean)), 1e-9)
+        kept = y @ mean > np.cos(np.radians(_ASTRAY_DEG))
+        if not kept.any():
+            return mean, False
+    mean = y[kept].mean(0)
+    length = float(np.linalg.norm(mean))
+    return mean / length, 2 * int(kept.sum()) > len(y) and length > _AGREE
+
+
+def _plane_tilt_deg(rig: Rig) -> float | None:
+    """Return the angle between the plane of the camera centres and the horizontal; None if they span no plane."""
+    _, spread, axes = np.linalg.svd(rig.centers - rig.centers.mean(0))
+    if len(rig) < 3 or spread[1] < 0.1 * spread[0] or spread[2] > 0.3 * spread[1]:
+        return None
+    return float(np.degrees(np.arccos(min(1.0, abs(axes[2, 1])))))
