@@ -152,7 +152,9 @@ def _yaml_loader() -> type:
             return super().construct_mapping(node, deep)
 
     for tag in ("opencv-matrix", "opencv-nd-matrix"):
-        Loader.add_constructor( f"tag:yaml.org,2002:{tag}", lambda loader, node: loader.construct_mapping(node, deep=True))
+        Loader.add_constructor(
+            f"tag:yaml.org,2002:{tag}", lambda loader, node: loader.construct_mapping(node, deep=True)
+        )
     return Loader
 
 

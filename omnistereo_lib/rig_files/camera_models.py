@@ -205,7 +205,15 @@ for _name in RADII:
     _distortion = ("k1", "k2", "k3", "k4", "p1", "p2", "b1", "b2")
     _MODELS[f"metashape {_name}"] = partial(metashape, projection=_name), ("f", "cx", "cy"), _distortion
     _MODELS[f"hugin {_name}"] = partial(hugin, projection=_name), ("f", "cx", "cy", "a", "b", "c", "half_side"), ()
-_RANGES = {"fx": (0, 1e6), "fy": (0, 1e6), "f": (0, 1e6), "alpha": (-1e-12, 1), "beta": (0, 1e3), "xi": (-1, 1e3), "w": (0, np.pi)}
+_RANGES = {
+    "fx": (0, 1e6),
+    "fy": (0, 1e6),
+    "f": (0, 1e6),
+    "alpha": (-1e-12, 1),
+    "beta": (0, 1e3),
+    "xi": (-1, 1e3),
+    "w": (0, np.pi),
+}
 
 
 def make_camera_model(model: str, parameters: dict[str, float]) -> Projection:

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import logging
 import os
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from omnistereo_lib.errors import OmnistereoError, check_number, checked, error_context
+from omnistereo_lib.errors import OmnistereoError, checked, error_context
 from omnistereo_lib.files import read_data, read_text
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
@@ -42,7 +43,7 @@ class Format(NamedTuple):
 FORMATS = (
     Format("OmniMVS config.yaml", lambda data: _is_omnimvs(data.get("cameras")), read_omnimvs),
     Format("basalt JSON", lambda data: "value0" in data, read_basalt),
-    Format("Kalibr camchain", lambda data: "camera_model" in (data.get("cam0") or ""), read_kalibr),
+    Format("Kalibr camchain", lambda data: "camera_model" in _mapping(data.get("cam0")), read_kalibr),
     Format("VINS configuration", lambda data: "body_T_cam0" in data, read_vins),
     Format("OpenCV", is_opencv, read_opencv, in_metres=False),
     Format("camodocal camera", lambda data: "model_type" in data, read_camodocal),
@@ -89,7 +90,7 @@ def load_rig(
     if unit is not None and unit not in METRES_PER_UNIT:
         raise OmnistereoError(f"unit is {unit!r}; expected one of {list(METRES_PER_UNIT)}")
     if max_fov_deg is not None:
-        check_fov(check_number(max_fov_deg, "max_fov_deg", 0, 360), "max_fov_deg")
+        check_fov(max_fov_deg, "max_fov_deg")
     if os.path.isdir(path) and not (unit is None and (path / "config.yaml").exists()) and _lens_files(path):
         name, in_metres, found = "OCamCalib text files", False, _read_folder(path, max_fov_deg)
     else:
@@ -103,7 +104,7 @@ def load_rig(
             )
         if in_metres and unit not in (None, "m"):
             raise OmnistereoError(f"{name} files are in metres by definition. Omit unit={unit!r}")
-        rig = Rig(found.cameras, found.T_rig_cam, found.min_depth, found.T_rig_file)
+        rig = Rig(tuple(found.cameras), tuple(found.T_rig_cam), found.min_depth, found.T_rig_file)
         scale = 1.0 if in_metres else metres_per_unit(unit, rig.centers)
         rig = rig.with_poses([Pose(pose.R, scale * pose.t) for pose in rig.T_rig_cam])
         plausible.check_rig(rig, path)
@@ -120,6 +121,8 @@ def load_camera(path: str | Path, max_fov_deg: float | None = None) -> OcamCamer
         max_fov_deg: As for `load_rig`.
     """
     path = Path(path)
+    if max_fov_deg is not None:
+        check_fov(max_fov_deg, "max_fov_deg")
     if path.suffix == ".txt":
         camera = read_ocam_txt(path, max_fov_deg)
         warn_of_polynomials([camera], path)
@@ -128,7 +131,9 @@ def load_camera(path: str | Path, max_fov_deg: float | None = None) -> OcamCamer
         if len(found.cameras) != 1:
             raise OmnistereoError(f"{path}: {name} of {len(found.cameras)} cameras; expected one. Use load_rig")
         camera = found.cameras[0]
-    plausible.check_camera(camera, str(path))
+    with error_context(path):
+        if doubt := plausible.camera_doubt(camera):
+            warnings.warn(f"{path}: {doubt}", UserWarning, stacklevel=2)
     return camera
 
 
@@ -173,8 +178,8 @@ def _read_file(path: Path, max_fov_deg: float | None) -> tuple[str, bool, RigFil
             raise OmnistereoError(f"a text file holds one camera or the poses. Pass the folder of a rig; {_SUPPORTED}")
         is_hugin = path.suffix in (".pto", ".ini")
         data = parse_hugin(read_text(path, _MAX_BYTES), path) if is_hugin else read_data(path, _MAX_BYTES)
-        content = data if isinstance(data, dict) else {}
-        content = content["opencv_storage"] if isinstance(content.get("opencv_storage"), dict) else content  # XML
+        content = _mapping(data)
+        content = _mapping(content.get("opencv_storage", content))  # the root of OpenCV's XML
         form = next((each for each in FORMATS if each.recognises(content)), None)
         if form is None:
             keys = sorted(map(str, content))[:8]
@@ -185,6 +190,10 @@ def _read_file(path: Path, max_fov_deg: float | None) -> tuple[str, bool, RigFil
         if ignored:
             _log.info("%s: ignored keys: %s", path, ", ".join(ignored))
         return form.name, form.in_metres, found
+
+
+def _mapping(value: Any) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}
 
 
 def _is_omnimvs(cameras: Any) -> bool:

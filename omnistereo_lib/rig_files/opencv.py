@@ -66,7 +66,9 @@ def _cameras(data: Section) -> list[Section]:
     """Return the cameras in file order."""
     if "cameras" in data.values:
         return list(data.sections("cameras").values())
-    nested = [data.section(key) for key, value in data.values.items() if isinstance(value, dict) and "data" not in value]
+    nested = [
+        data.section(key) for key, value in data.values.items() if isinstance(value, dict) and "data" not in value
+    ]
     nested = [cam for cam in nested if set(_ALIASES["K"]) & set(cam.values)]
     if nested:
         return nested

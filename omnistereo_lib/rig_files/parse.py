@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
-from os.path import commonprefix
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -85,12 +84,10 @@ class Section:
         """Return the mappings of a key that holds a list, counted from 1, or names."""
         value = self.require(name)
         items = enumerate(value, 1) if isinstance(value, list) else Section(value, name).values.items()
-        return {str(key): self._add(f"{name} {key}", item) for key, item in items}
+        return {str(key): self._add(str(key), item, f"{name} {key}") for key, item in items}
 
-    def _add(self, name: str, value: Any) -> Section:
-        if name not in self._inner:
-            self._inner[name] = Section(value, name)
-        return self._inner[name]
+    def _add(self, name: str, value: Any, path: str | None = None) -> Section:
+        return self._inner.setdefault(path or name, Section(value, name))
 
     def unread(self) -> Iterator[str]:
         """Yield the keys that nobody asked for, those of inner sections included.
@@ -114,7 +111,7 @@ def _is_misspelt(key: str, name: str) -> bool:
     if min(len(key), len(name)) < _SHORT:
         return False
     a, b = key.lower(), name.lower()
-    start = len(commonprefix([a, b]))
+    start = next((k for k, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
     a, b = a[start:], b[start:]
     if (a[:1] + b[:1]).isdigit():  # camera_matrix_1 and camera_matrix_2
         return False

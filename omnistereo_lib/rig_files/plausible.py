@@ -24,15 +24,21 @@ _AGREE = 0.75  # length of the mean of unit vectors; all cameras may look up or 
 
 
 def check_rig(rig: Rig, source: Path) -> None:
-    """Refuse cameras far from the origin; warn of what `check_camera` finds."""
+    """Refuse cameras far from the origin; warn of what `camera_doubt` finds."""
     if (far := np.abs(rig.centers).max()) > _FAR:
         raise OmnistereoError(f"a camera stands {far:.4g} m from the origin; expected at most {_FAR:g} m")
-    for i, camera in enumerate(rig.cameras, 1):
-        check_camera(camera, f"{source}, camera {i}")
+    doubts = {i: doubt for i, camera in enumerate(rig.cameras, 1) if (doubt := camera_doubt(camera))}
+    if doubts:
+        i, *others = doubts
+        likewise = f". Likewise camera {', '.join(map(str, others))}" if others else ""
+        warnings.warn(f"{source}, camera {i}: {doubts[i]}{likewise}", UserWarning, stacklevel=2)
 
 
-def check_camera(camera: OcamCamera, source: str) -> None:
-    """Refuse a principal point outside the image, warn of one far from the middle, both with a guess."""
+def camera_doubt(camera: OcamCamera) -> str | None:
+    """Return what is wrong with a principal point far from the middle of the image, with a guess.
+
+    Raises an `OmnistereoError` if it lies outside.
+    """
     size, center = np.array(camera.image_size), np.array(camera.center)
 
     def off_center(point: Floats, sides: Floats) -> float:
@@ -40,21 +46,20 @@ def check_camera(camera: OcamCamera, source: str) -> None:
 
     off = off_center(center, size)
     if off <= _OFF_CENTER:
-        return
+        return None
     guesses = {
-        "width and height, or row and column, look swapped": off_center(center, size[::-1]),
-        "the camera looks calibrated at half the size of the image": off_center(2 * center, size),
-        "the camera looks calibrated at twice the size of the image": off_center(center / 2, size),
+        "Width and height, or row and column, look swapped": off_center(center, size[::-1]),
+        "The camera looks calibrated at half the size of the image": off_center(2 * center, size),
+        "The camera looks calibrated at twice the size of the image": off_center(center / 2, size),
     }
     guess, error = min(guesses.items(), key=lambda item: item[1])
-    guess = guess if error < _CENTERED else "check that the image size is that of the calibration"
-    found = (
-        f"the principal point is ({center[0]:.1f}, {center[1]:.1f}) in an image of {size[0]} × {size[1]} px; "
-        f"expected near the middle, ({size[0] / 2:g}, {size[1] / 2:g})"
+    doubt = (
+        f"the principal point is ({center[0]:.1f}, {center[1]:.1f}) in an image of {size[0]} × {size[1]} px; expected "
+        f"near its middle. {guess if error < _CENTERED else 'Check that the image size is that of the calibration'}"
     )
     if off >= 0.5:
-        raise OmnistereoError(f"{source}: {found}: it lies outside the image; {guess}")
-    warnings.warn(f"{source}: {found}; {guess}", UserWarning, stacklevel=2)
+        raise OmnistereoError(doubt.replace("near its middle", "inside it, near the middle"))
+    return doubt
 
 
 def level(rig: Rig, source: Path) -> Rig:
@@ -76,7 +81,7 @@ def level(rig: Rig, source: Path) -> Rig:
             forward /= np.linalg.norm(forward)
             R = np.stack([np.cross(down, forward), down, forward])
         T = Pose(R, np.zeros(3))
-        _log.warning(
+        _log.info(
             "%s: the cameras agree that down is %.0f° from +y of the rig: the rig is turned level, by %.0f° in all, "
             "its first camera to the front (--keep-frame or keep_frame=True leave it)",
             source, angle, T.magnitude()[0],
