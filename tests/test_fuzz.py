@@ -27,7 +27,7 @@ from omnistereo_lib.dataset import read_inverse_depth, write_inverse_depth
 from omnistereo_lib.evaluate.records import read_record
 from omnistereo_lib.evaluate.table import errors_table, regions_table
 from omnistereo_lib.files import read_image
-from omnistereo_lib.rig_files.ocam import load_camera
+from omnistereo_lib.rig_files import load_camera
 from omnistereo_lib.train.loop import COLUMNS, _Run, read_log, write_csv
 
 FILES = int(os.environ.get("FUZZ", "150"))

@@ -30,7 +30,7 @@ class Rig:
     cameras: tuple[OcamCamera, ...]
     T_rig_cam: tuple[Pose, ...]  #: camera → rig, metres: as in the public files, the inverse of Θ* in the paper
     min_depth: float | None = None  #: nearest depth in metres that the rig file proposes for a sweep
-    T_rig_file: Pose | None = None  #: from the frame of the rig file to the rig frame; None: they are the same
+    T_rig_file: Pose | None = None  #: from the frame of the file that it was read from to the rig frame
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cameras", tuple(self.cameras))

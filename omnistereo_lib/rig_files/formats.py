@@ -80,7 +80,7 @@ def load_rig(
         max_fov_deg: Full field of view of the lenses, degrees. None: the value in the file (config.yaml), else up to
             220°, or the mask, as far as the image and the model reach.
         keep_frame: Keep the frame of the file. False: a rig whose cameras agree that down is not +y is turned level,
-            see `plausible.level`.
+            see `plausible.level`, unless it was saved after it had been loaded.
 
     Raises:
         OmnistereoError: If the file is missing, broken or of an unsupported format, or its unit is neither stated nor
@@ -104,13 +104,15 @@ def load_rig(
             )
         if in_metres and unit not in (None, "m"):
             raise OmnistereoError(f"{name} files are in metres by definition. Omit unit={unit!r}")
-        rig = Rig(tuple(found.cameras), tuple(found.T_rig_cam), found.min_depth, found.T_rig_file)
+        T_rig_file = found.T_rig_file or Pose.identity()
+        rig = Rig(tuple(found.cameras), tuple(found.T_rig_cam), found.min_depth, T_rig_file)
         scale = 1.0 if in_metres else metres_per_unit(unit, rig.centers)
         rig = rig.with_poses([Pose(pose.R, scale * pose.t) for pose in rig.T_rig_cam])
         plausible.check_rig(rig, path)
         low, high = rig.baselines.min(), rig.baselines.max()
-        _log.info("%s: %s, %d cameras, %.3f to %.3f m apart", path, name, len(rig), low, high)
-        return rig if keep_frame else plausible.level(rig, path)
+        in_unit = "" if in_metres else f" in {unit}"
+        _log.info("%s: %s%s, %d cameras, %.3f to %.3f m apart", path, name, in_unit, len(rig), low, high)
+        return rig if keep_frame or found.T_rig_file else plausible.level(rig, path)
 
 
 def load_camera(path: str | Path, max_fov_deg: float | None = None) -> OcamCamera:

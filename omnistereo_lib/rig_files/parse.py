@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.errors import OmnistereoError, check_number, shortened
+from omnistereo_lib.errors import OmnistereoError, check_number, error_context, shortened
 from omnistereo_lib.geometry.camera import MAX_SIDE, OcamCamera
 from omnistereo_lib.geometry.pose import Floats, Pose
 
@@ -36,7 +36,7 @@ class Section:
 
     def __init__(self, values: Any, name: str = "") -> None:
         if not isinstance(values, dict):
-            raise OmnistereoError(f"{name or 'the file'} is {shortened(values)}; expected keys and values")
+            raise OmnistereoError(f"found {shortened(values)}; expected keys with values")
         self.values = {str(key): value for key, value in values.items()}
         self.name = name
         self._asked: set[str] = set()
@@ -83,11 +83,12 @@ class Section:
     def sections(self, name: str) -> dict[str, Section]:
         """Return the mappings of a key that holds a list, counted from 1, or names."""
         value = self.require(name)
-        items = enumerate(value, 1) if isinstance(value, list) else Section(value, name).values.items()
+        items = enumerate(value, 1) if isinstance(value, list) else self.section(name).values.items()
         return {str(key): self._add(str(key), item, f"{name} {key}") for key, item in items}
 
     def _add(self, name: str, value: Any, path: str | None = None) -> Section:
-        return self._inner.setdefault(path or name, Section(value, name))
+        with error_context(path or name):
+            return self._inner.setdefault(path or name, Section(value, name))
 
     def unread(self) -> Iterator[str]:
         """Yield the keys that nobody asked for, those of inner sections included.
@@ -124,8 +125,8 @@ def parse_floats(values: Any, name: str, count: int | None = None, may_be_nan: b
     "1e-3", which is text in YAML, is accepted, and so are the matrices of OpenCV and ROS, {rows, cols, data}.
     """
     if isinstance(values, dict) and "data" in values:
-        rows, cols = (parse_floats(values.get(side, 1), f"{side} of {name}", 1)[0] for side in ("rows", "cols"))
-        values, count = values["data"], int(rows * cols) if count is None else count
+        sides = [parse_floats(values[side], f"{side} of {name}", 1)[0] for side in ("rows", "cols") if side in values]
+        values, count = values["data"], int(np.prod(sides)) if count is None and len(sides) == 2 else count
     try:
         array = np.asarray(values, np.float64).ravel()
     except (TypeError, ValueError, OverflowError):
