@@ -62,7 +62,8 @@ def test_data_that_are_refused(tmp_path, name, content, message):
 def test_aliases_and_headers_as_programs_write_them(tmp_path):
     path = tmp_path / "a.yaml"
     path.write_text("%YAML:1.0\na: &k !!opencv-matrix {rows: 1, cols: 2, dt: d, data: [1., 2.]}\nb: *k\n")
-    assert read_data(path) == {"a": [1.0, 2.0], "b": [1.0, 2.0]}
+    matrix = {"rows": 1, "cols": 2, "dt": "d", "data": [1.0, 2.0]}
+    assert read_data(path) == {"a": matrix, "b": matrix}
 
 
 def test_what_is_no_file(tmp_path):

@@ -18,10 +18,10 @@ def read_basalt(data: Section, path: Path, max_fov_deg: float | None) -> RigFile
     value = data.section("value0")
     poses, intrinsics = value.sections("T_imu_cam"), value.sections("intrinsics")
     sizes = value.require("resolution")
-    if not (isinstance(sizes, list) and len(poses) == len(intrinsics) == len(sizes)):
+    counts = [len(each) if isinstance(each, dict | list) else 0 for each in (poses, intrinsics, sizes)]
+    if len(set(counts)) > 1:
         raise OmnistereoError(
-            f"found {len(poses)} T_imu_cam, {len(intrinsics)} intrinsics and {len(list(sizes))} resolution; "
-            "expected one of each per camera"
+            "found {} T_imu_cam, {} intrinsics and {} resolution; expected one of each per camera".format(*counts)
         )
     cameras, T_rig_cam = [], []
     for i, (pose, model, size) in enumerate(zip(poses.values(), intrinsics.values(), sizes, strict=True)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
@@ -114,7 +115,7 @@ def _is_misspelt(key: str, name: str) -> bool:
     a, b = key.lower(), name.lower()
     start = next((k for k, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
     a, b = a[start:], b[start:]
-    if (a[:1] + b[:1]).isdigit():  # camera_matrix_1 and camera_matrix_2
+    if re.fullmatch("[0-9]+", a[:1] + b[:1]):  # camera_matrix_1 and camera_matrix_2
         return False
     return a[1:] == b[1:] or a[1:] == b or a == b[1:] or (a[1::-1] == b[:2] and a[2:] == b[2:])
 

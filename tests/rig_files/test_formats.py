@@ -65,6 +65,7 @@ def test_basalt(tmp_path, caplog):
         ({"intrinsics": [{"camera_type": "ds", "intrinsics": DOUBLE_SPHERE | {"xi": "a"}}] * 2}, "xi must be numbers"),
         ({"intrinsics": [{"camera_type": "ds", "intrinsics": 3}] * 2}, "intrinsics: found 3; expected keys"),
         ({"resolution": [list(SIZE)]}, "found 2 T_imu_cam, 2 intrinsics and 1 resolution;"),
+        ({"resolution": 800.0}, "found 2 T_imu_cam, 2 intrinsics and 0 resolution;"),
         ({"resolution": [[0, 0]] * 2}, "camera 0"),
         ({"T_imu_cam": [{"qx": 0}] * 2}, "camera 0: key 'qy' is missing"),
         ({"T_imu_cam": [dict.fromkeys(("px", "py", "pz", "qx", "qy", "qz", "qw"), 0)] * 2}, "length 0; expected 1"),
