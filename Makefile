@@ -8,12 +8,6 @@ RENDER := .venv-render/bin
 RENDER_READY := .venv-render/.installed
 
 NBVAL := --nbval --nbval-current-env --nbval-sanitize-with=tests/nbval_sanitize.cfg --nbval-cell-timeout=600
-EVALUATE := $(BIN)/omnistereo evaluate
-SETS := sunny cloudy sunset indoor
-# Training frames that the networks have not learned from, to choose SGM's penalties on; and the paper's penalties.
-KEPT_APART := 3 153 303 453
-PAPERS := $(foreach cost,zncc mccnn sweepnet,$(cost)+sgm,p1=0.1,p2=12)
-WORLDS := ,weights=sweepnet_worlds
 # One worker more than cores, since some tests wait. In the order of the files: by size, the longest would come last.
 WORKERS = -n $(shell $(PYTHON) -c "import os; print(min(4, 1 + os.cpu_count()))") --dist loadscope --no-loadscope-reorder
 # Otherwise glibc gives large arrays back to the system, which clears pages for the next ones.
@@ -58,29 +52,7 @@ bench: $(READY)  ## speed, as ratios against named alternatives
 	$(BIN)/python -m course bench $(BENCH_ARGS)
 
 results: $(READY)  ## the stored results and the book's reproduction report again: hours, but it resumes
-	$(EVALUATE) --sets $(SETS) --scale teaching --out out/teaching
-	$(EVALUATE) --sets sunny --ablations window weights pairs wrap subindex spheres --methods $(PAPERS) --out out/ablations
-	$(BIN)/omnistereo calibrate data_samples/calibration/van --board 12x10 --square 0.06 --max-fov 220 --out out/van
-	$(EVALUATE) --sets sunny --rig out/van/config.yaml --out out/calibrated
-	$(EVALUATE) --sets data_samples/sunny --split train --frames $(KEPT_APART) --ablations penalties --out out/penalties
-	$(EVALUATE) --sets $(SETS) aerial --scale paper --out out/paper $(RESULTS_ARGS)
-	for scale in teaching paper; do $(EVALUATE) --sets $(SETS) aerial --methods volumenet volumenet+sgm \
-	  --scale $$scale --out out/$$scale-volumenet; done
-	$(EVALUATE) --sets $(SETS) aerial --methods sweepnet$(WORLDS) sweepnet+sgm$(WORLDS) --out out/teaching-sweepnet_worlds
-	$(EVALUATE) --sets indoor --scale paper --methods sweepnet$(WORLDS) sweepnet+sgm$(WORLDS) --out out/paper-sweepnet_worlds
-	$(EVALUATE) --sets things rooms --methods zncc zncc+sgm sweepnet+sgm sweepnet+sgm$(WORLDS) volumenet volumenet+sgm \
-	  --out out/teaching-worlds
-	$(BIN)/python -m course ledger book/reproduction.md --results out/paper/results.json
-	$(BIN)/python -m course variants --out out/variants \
-	  --set steps=300 validate_every=30 validation_groups=24
-	$(BIN)/python -m course volume-variants --out out/volume-variants --set steps=110 warmup=15
-	cp out/variants/variants.csv out/volume-variants/volume_variants.csv data_samples/results/
-	$(BIN)/python -m course snapshots
-	for name in teaching ablations calibrated penalties paper teaching-volumenet teaching-worlds \
-	  teaching-sweepnet_worlds paper-volumenet paper-sweepnet_worlds; do \
-	  sed -E 's/(\.[0-9]{5})[0-9]+/\1/g' out/$$name/results.json > data_samples/results/$$name.json; done  # five decimals
-	$(BIN)/python -c "from pathlib import Path; from render.frames import renew_manifest as renew; \
-	  renew(Path('data_samples'))"
+	$(BIN)/python -m course results $(RESULTS_ARGS)
 
 notebooks: $(READY)  ## runs all notebooks from fresh kernels, cleans and stores them, renews stills and the README's table
 	$(BIN)/python -m course run notebooks/*.ipynb

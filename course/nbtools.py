@@ -373,6 +373,8 @@ def main(command: str, paths: list[Path]) -> int:
     for path in paths:
         if command == "clean":
             store(path, text_of(clean(read_notebook(path))))
+        elif command == "stills":
+            record_stills(path)
         else:
             found[path] = run(path) if command == "run" else problems(path)
     for path, what in found.items():

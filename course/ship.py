@@ -64,6 +64,7 @@ def export_weights(run: str | Path, folder: str | Path = BUNDLED_WEIGHTS, half: 
     write_csv(curve, ["step", "loss", "error", "validation_loss", "validation_error"], _thin(rows))
     with atomic_write(card) as temporary:
         temporary.write_text(_model_card(weights, recipe, metadata, rows, half), encoding="utf-8")
+    print(f"written: {weights}, {curve.name}, {card.name}")
     return [weights, curve, card]
 
 

@@ -1,10 +1,8 @@
-"""VolumeNet trained seven ways, the same short time each: what is each choice worth? Notebook 12 shows the table."""
+"""VolumeNet trained in seven ways, for the same short time each: the ablation study of notebook 12."""
 
 from __future__ import annotations
 
 import csv
-import json
-import re
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -17,20 +15,21 @@ from torch.nn.functional import grid_sample, interpolate, relu
 from tqdm import tqdm
 
 import omnistereo_lib as osl
-from omnistereo_lib.files import atomic_write
+from omnistereo_lib.files import make_folder
 from omnistereo_lib.stereo.correlation import CHANNELS, GROUPS
 from omnistereo_lib.stereo.learned import autocast
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.volumenet import WIDTHS, Conv3d, VolumeNet, local_mean
 from omnistereo_lib.train import RECIPES, VolumeNetRecipe
 from omnistereo_lib.train.frames import DATA
+from omnistereo_lib.train.loop import write_csv
 from omnistereo_lib.train.volumes import VolumeObjective, VolumeSamples
 
 SETS = ("sunny", "indoor", "aerial")  # test frames that each variant is measured on
 
 
 class MeanAndVariance(VolumeNet):
-    """Shows the U-net mean and variance of the cameras' features in every cell instead of their correlation."""
+    """A network that gives its U-net the mean and variance of the cameras' features instead of their correlation."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -77,27 +76,20 @@ class SpheresAsChannels(VolumeNet):
         return self.head(x).float().permute(0, 2, 3, 1)
 
 
-class OneView(VolumeSamples):
-    """Samples without rotated grids, without scaled depths, or without both."""
-
-    rotated, scaled = True, True
-
-    def view(self, rng: np.random.Generator | None) -> tuple[np.ndarray, float]:
-        """Return rotation and scale; see `VolumeSamples.view`."""
-        rotation, scale = super().view(rng)
-        return (rotation if self.rotated else np.eye(3)), (scale if self.scaled else 1.0)
-
-
-class NotRotated(OneView):
+class NotRotated(VolumeSamples):
     """Every grid stands upright, with the seam at the back."""
 
-    rotated = False
+    def view(self, rng: np.random.Generator | None) -> tuple[np.ndarray, float]:
+        """Return no rotation, and the scale; see `VolumeSamples.view`."""
+        return np.eye(3), super().view(rng)[1]
 
 
-class NotScaled(OneView):
-    """The nearest sphere is where the rig file has it."""
+class NotScaled(VolumeSamples):
+    """The nearest sphere is at the depth that the rig file states."""
 
-    scaled = False
+    def view(self, rng: np.random.Generator | None) -> tuple[np.ndarray, float]:
+        """Return the rotation, and no scale; see `VolumeSamples.view`."""
+        return super().view(rng)[0], 1.0
 
 
 # name → worlds, network, samples
@@ -111,26 +103,23 @@ VARIANTS: dict[str, tuple[str, type[VolumeNet], type[VolumeSamples]]] = {
     "streets only": ("sunny streets", VolumeNet, VolumeSamples),
     "streets and rooms": ("sunny streets rooms", VolumeNet, VolumeSamples),
 }
+_SHORT = ("steps=110", "warmup=15")
 
 
-def compare_volumes(out: Path, settings: Sequence[str] = ()) -> Path:
-    """Train each variant by the teaching recipe and measure it, unless its result is there; return the CSV of all."""
-    out.mkdir(parents=True, exist_ok=True)
-    rows = []
+def compare_volumenets(out: Path, settings: Sequence[str] = _SHORT) -> Path:
+    """Train each variant of the teaching recipe and measure it; return the CSV, whose rows are not computed again."""
+    table, rows = out / "volume_variants.csv", {}
+    if table.is_file():
+        with table.open(newline="", encoding="utf-8") as file:
+            rows = {row["variant"]: row for row in csv.DictReader(file)}
     for name, (worlds, network, samples) in VARIANTS.items():
-        path = out / (re.sub(r"\W+", "_", name) + ".json")
-        if not path.is_file():
+        if name not in rows:
             recipe = RECIPES["volumenet"]["teaching"].with_overrides([f"worlds={worlds}", *settings])
             trained = train_variant(recipe, network, samples, name)
-            figures = {"parameters": sum(p.numel() for p in network().parameters()), **measure(trained)}
-            with atomic_write(path) as temporary:
-                temporary.write_text(json.dumps(figures), encoding="utf-8")
-        rows.append({"variant": name, **json.loads(path.read_text(encoding="utf-8"))})
-    with atomic_write(out / "volume_variants.csv") as temporary, temporary.open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-    return out / "volume_variants.csv"
+            parameters = sum(p.numel() for p in network().parameters())
+            rows[name] = {"variant": name, "parameters": parameters, **measure(trained)}
+            write_csv(make_folder(out) / table.name, list(rows[name]), [list(row.values()) for row in rows.values()])
+    return table
 
 
 def train_variant(
@@ -154,7 +143,7 @@ def train_variant(
         loss(step).backward()
         nn.utils.clip_grad_norm_(model.parameters(), recipe.clip)
         optimizer.step()
-    with torch.no_grad():  # statistics of the batch norms, as `train` takes them
+    with torch.no_grad():  # statistics of the batch norms, computed again as `train` does
         for layer in model.modules():
             if isinstance(layer, nn.modules.batchnorm._BatchNorm):
                 layer.reset_running_stats()
@@ -165,7 +154,7 @@ def train_variant(
 
 def measure(model: VolumeNet) -> dict[str, Any]:
     """Return the mean '>1', '>3' and MAE over the test frames of each set at 320 × 80 × 64."""
-    figures = {}
+    metrics = {}
     for name in SETS:
         data = osl.load_dataset(DATA / name, split="test")
         sweep = SphereSweep(data.rig, osl.SphereGrid(320, 80, num_spheres=64, min_depth=data.rig.min_depth))
@@ -175,5 +164,5 @@ def measure(model: VolumeNet) -> dict[str, Any]:
             error = osl.index_error(index, frame.gt_index(sweep.grid), 64)
             errors.append([error[">1"], error[">3"], error["MAE"]])
         means = np.mean(errors, axis=0).round(2).tolist()
-        figures |= dict(zip((f"{name} >1", f"{name} >3", f"{name} MAE"), means, strict=True))
-    return figures
+        metrics |= dict(zip((f"{name} >1", f"{name} >3", f"{name} MAE"), means, strict=True))
+    return metrics

@@ -10,15 +10,14 @@ from omnistereo_lib.train.loop import COLUMNS, LOG, write_csv
 def test_every_variant_is_trained_by_its_recipe_and_compared(tmp_path, monkeypatch):
     trained = {}
 
-    def train(recipe, out, data):
+    def train(recipe, out):
         out.mkdir(parents=True)
         trained[out.name] = recipe
-        rows = [[step, 1, 1, recipe.learning_rate, 0, *([] if step % 2 == 0 else [1, 0.5 / (step + len(trained))])]
-                for step in range(4)]  # fmt: skip
-        write_csv(out / LOG, COLUMNS, [[*row, *[""] * (len(COLUMNS) - len(row))] for row in rows])
+        validation = [["", ""] if step % 2 == 0 else [1, 0.5 / (step + len(trained))] for step in range(4)]
+        write_csv(out / LOG, COLUMNS, [[step, 1, 1, 0.1, 0, *validation[step]] for step in range(4)])
 
     monkeypatch.setattr(variants, "train", train)
-    path = variants.compare(tmp_path, ["steps=4", "width=160"])
+    path = variants.compare_sweepnets(tmp_path, ["steps=4", "width=160"])
     teaching = RECIPES["sweepnet"]["teaching"].with_overrides(["steps=4", "width=160"])
     assert trained["ours"] == teaching and not trained["no_batch_norm"].batch_norm
     assert trained["SGD"].optimizer == "sgd" and trained["SGD"].batch_norm == teaching.batch_norm
