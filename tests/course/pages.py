@@ -34,8 +34,8 @@ class Page(HTMLParser):
         self.ids.add(has.get("id"))
         if tag == "a" and "href" in has:
             self.links.append(has["href"])
-        if has.get(LOADS.get(tag, "")):
-            self.fetched.append(has[LOADS[tag]])
+        if address := has.get(LOADS.get(tag, "")) or has.get("data-src"):
+            self.fetched.append(address)
         if tag == "img":
             self.pictures.append(has)
         self.in_formula = "math" in has.get("class", "").split()

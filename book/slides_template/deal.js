@@ -1,0 +1,43 @@
+// Deal the cells of a page out to slides, when the formulas are drawn: a slide begins at each heading and where the next
+// piece does not fit; a heading of the first or second level begins a column. A piece taller than a slide shrinks, and
+// one much taller scrolls.
+document.addEventListener("DOMContentLoaded", async () => {
+  await window.MathJax.startup.promise
+  const slides = document.querySelector(".slides"), [width, height] = [1280, 720]
+  const pieces = [...slides.querySelectorAll(".jp-Cell")].flatMap((cell) => {
+    const text = cell.matches(".jp-MarkdownCell") ? ".jp-MarkdownOutput > *" : ".jp-Cell-inputWrapper, .jp-OutputArea-child"
+    const parts = [...cell.querySelectorAll(text)]
+    for (const part of parts) {
+      if (part.localName === "details") part.open = true
+      if (part.localName === "details" || cell.matches(".celltag_solution")) part.classList.add("fragment")
+    }
+    return parts
+  })
+  let column, page
+  const turn = (begin) => {
+    if (begin) slides.append((column = document.createElement("section")))
+    column.append((page = document.createElement("section")))
+    page.className = "jp-RenderedHTMLCommon"
+  }
+  const isFull = () => page.scrollHeight > page.clientHeight
+  slides.replaceChildren()
+  slides.classList.add("dealing")
+  for (const piece of pieces) {
+    if (!page || piece.matches("h1, h2")) turn(true)
+    else if (piece.matches("h3") || /^\d\d\.\d+ \(/.test(piece.textContent)) turn(false) // an exercise
+    page.append(piece)
+    if (isFull() && page.firstChild !== piece) {
+      const before = piece.previousSibling
+      const leads = before.matches("p, h3") || (before.querySelector("img") && piece.matches(".jp-OutputArea-child"))
+      turn(false)
+      if (leads && before.previousSibling) page.append(before) // a sentence to its figure, a figure to its caption
+      page.append(piece)
+    }
+    if (isFull()) {
+      const fits = 1 - (page.scrollHeight - page.clientHeight) / piece.offsetHeight
+      Object.assign(piece.style, { zoom: Math.max(0.7, fits), display: "block", minHeight: 0, overflowY: "auto" })
+    }
+  }
+  slides.classList.remove("dealing")
+  Reveal.initialize({ width, height, center: false, margin: 0.03, display: "flex", hash: true, slideNumber: "c/t", transition: "none" })
+})
