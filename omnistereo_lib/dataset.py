@@ -20,16 +20,26 @@ from __future__ import annotations
 import io
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence, Sized
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.errors import OmnistereoError, checked
-from omnistereo_lib.files import atomic_write, path_within, read_bytes, read_data, read_image, read_pixels, read_text
+from omnistereo_lib.errors import OmnistereoError, check_type
+from omnistereo_lib.files import (
+    as_path,
+    atomic_write,
+    path_within,
+    read_bytes,
+    read_data,
+    read_image,
+    read_pixels,
+    read_text,
+)
 from omnistereo_lib.geometry.rig import Rig, Unit
 from omnistereo_lib.geometry.sphere import Sampling, SphereGrid
 from omnistereo_lib.rig_files import load_rig
@@ -55,8 +65,8 @@ class Frame:
 
     number: int
     image_paths: list[Path]
+    rig: Rig
     gt_path: Path | None = None
-    rig: Rig | None = None
 
     @cached_property
     def images(self) -> list[NDArray[np.uint8]]:
@@ -71,9 +81,8 @@ class Frame:
         """
         if self.gt_path is None:
             raise OmnistereoError(f"frame {self.number} has no ground truth beside {self.image_paths[0].parent}")
-        return read_inverse_depth(self.gt_path, self.rig and self.rig.min_depth)
+        return read_inverse_depth(self.gt_path, self.rig.min_depth)
 
-    @checked
     def gt_index(self, grid: SphereGrid) -> NDArray[np.float64]:
         """Return the ground-truth sphere index n̂ on a grid, shape (H, W), not rounded; NaN = unknown.
 
@@ -81,9 +90,10 @@ class Frame:
         -45° to 45°. The pixel sampling is that of the grid. Each ray takes the nearest ground-truth pixel, since
         interpolation across a depth discontinuity gives a depth that is not in the scene.
         """
+        check_type(grid, SphereGrid, "grid")
         return grid.inverse_depth_to_index(self.inverse_depth_along(grid.rays(), grid.sampling))
 
-    def inverse_depth_along(self, rays: NDArray, sampling: Sampling = "center") -> NDArray[np.float32]:
+    def inverse_depth_along(self, rays: NDArray[np.float64], sampling: Sampling = "center") -> NDArray[np.float32]:
         """Return the inverse depth in 1/m of the ground-truth pixels nearest to rays (..., 3); NaN = unknown."""
         height, width = self.inverse_depth.shape
         highest = 180.0 * height / width
@@ -108,6 +118,10 @@ class Dataset(Sequence[Frame]):
     def __len__(self) -> int:
         return len(self._frames)
 
+    @overload
+    def __getitem__(self, i: int) -> Frame: ...
+    @overload
+    def __getitem__(self, i: slice) -> Dataset: ...
     def __getitem__(self, i: int | slice) -> Frame | Dataset:
         if isinstance(i, slice):
             return Dataset(self.folder, self._rig, self._frames[i])
@@ -130,7 +144,6 @@ class Dataset(Sequence[Frame]):
         return f"Dataset({self.folder.name}: {len(self)} frames, {with_gt} with ground truth, {cameras})"
 
 
-@checked
 def load_dataset(
     folder: str | Path, split: str | None = None, unit: Unit | None = None, gt_width: int | None = None
 ) -> Dataset:
@@ -146,7 +159,7 @@ def load_dataset(
         OmnistereoError: If the folder, the rig or the frames are missing, a camera lacks a frame, or two files have one
             number.
     """
-    folder = Path(folder)
+    folder = as_path(folder, "folder")
     if not os.path.isdir(folder):  # False also for a name that no file can have
         raise OmnistereoError(f"{folder} cannot be read: there is no such folder. Check the path.")
     if split is not None and (folder / split).is_dir():
@@ -179,16 +192,16 @@ def _read_frames(folder: Path, rig: Rig, cameras: dict[int, Path], gt_width: int
         if missing := [number for number in numbers if number not in files]:
             raise OmnistereoError(f"{camera} has no image of frame {missing[0]}, other cameras have. Complete it.")
     gt = _find_gt(_gt_root(folder), gt_width)
-    return [Frame(n, [files[n] for files in images], gt.get(n), rig) for n in numbers]
+    return [Frame(n, [files[n] for files in images], rig, gt.get(n)) for n in numbers]
 
 
-@checked
 def load_images(paths: Sequence[str | Path], rig: Rig | None = None) -> list[NDArray[np.uint8]]:
     """Read one image for each camera, in the order of the rig; see `read_image` for shapes and errors.
 
     With a rig, number and sizes of the images are compared with its cameras before anything is decoded.
     """
-    sizes = rig.image_sizes(len(paths)) if rig else [None] * len(paths)
+    check_type(paths, Sized, "paths")
+    sizes = [None] * len(paths) if rig is None else rig.image_sizes(len(paths))
     return [read_image(path, size) for path, size in zip(paths, sizes, strict=True)]
 
 
@@ -205,7 +218,7 @@ def read_inverse_depth(path: str | Path, min_depth: float | None = None) -> NDAr
     return np.where(np.isfinite(values) & (values >= 0), values, np.float32(np.nan))
 
 
-def write_inverse_depth(path: str | Path, inverse_depth: NDArray) -> None:
+def write_inverse_depth(path: str | Path, inverse_depth: NDArray[Any]) -> None:
     """Write a panorama of inverse depth in 1/m as a deflated float32 TIFF."""
     import tifffile
 
@@ -219,7 +232,7 @@ def _read_float_tiff(path: Path) -> NDArray[np.float32]:
     content = read_bytes(path)
     try:
         with tifffile.TiffFile(io.BytesIO(content)) as tiff:
-            floats = [page for page in tiff.pages if page.ndim == 2 and page.dtype.kind == "f"]
+            floats = [page for page in tiff.pages if page.ndim == 2 and page.dtype and page.dtype.kind == "f"]
             if max((page.size for page in floats), default=0) > _MAX_PIXELS:
                 raise OmnistereoError(f"{floats[0].shape} pixels are too many")
             pages = [page.asarray() for page in floats]

@@ -34,11 +34,21 @@ def error_context(source: str | Path) -> Iterator[None]:
 
 def check_number(value: Any, what: str, low: float, high: float, whole: bool = False) -> float:
     """Return a number of low … high as float, a whole one as int; else the `OmnistereoError` says `what` it is."""
-    valid = isinstance(value, Real) and not isinstance(value, bool) and low <= value <= high
+    valid = _is_number(value) and low <= value <= high
     if not valid or (whole and value != int(value)):
         kind = "an integer" if whole else "a number"
         raise OmnistereoError(f"{what} is {shortened(value)}; expected {kind} of {low} to {high}")
     return int(value) if whole else float(value)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def check_type(value: object, kind: type, name: str) -> None:
+    """Raise an `OmnistereoError` if an argument is not of a class, or a class that its kind is registered for."""
+    if not isinstance(value, kind):
+        raise OmnistereoError(f"{name} is {shortened(value)}; expected {kind.__name__}")
 
 
 def checked(function: _Function) -> _Function:

@@ -8,7 +8,7 @@ import stat
 import time
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -30,14 +30,23 @@ _MAX_TEXT = 1 << 24  # bytes; a calibration of 500 boards has 2 million
 _MAX_VALUES = 1_000_000  # of a YAML file, with what its aliases repeat
 
 
+def as_path(path: str | Path, name: str = "path") -> Path:
+    """Return an argument as a path; an `OmnistereoError` says that it is something else."""
+    try:
+        return Path(path)
+    except TypeError:
+        raise OmnistereoError(f"{name} is {shortened(path)}; expected the name of a file or folder") from None
+
+
 def read_bytes(path: str | Path, most: int = _MAX_BYTES) -> bytes:
     """Return the content of a regular file of at most `most` bytes; an `OmnistereoError` says why it cannot be read."""
+    path = as_path(path)
     try:
-        status = os.stat(path)  # opening a pipe would wait for its other end
+        status = path.stat()  # opening a pipe would wait for its other end
         if not stat.S_ISREG(status.st_mode) or status.st_size > most:
             found = f"has {status.st_size} bytes" if stat.S_ISREG(status.st_mode) else "is a folder, a pipe or a device"
             raise OmnistereoError(f"{path} {found}; expected a file of at most {most >> 10} KiB. Check the path.")
-        return Path(path).read_bytes()
+        return path.read_bytes()
     except (OSError, ValueError) as error:  # a path cannot hold a zero byte
         if isinstance(error, OmnistereoError):
             raise
@@ -168,7 +177,7 @@ def _expanded(node: Any, known: dict[int, float]) -> float:
     return known[id(node)]
 
 
-def read_pixels(path: str | Path, flags: int, image_size: tuple[int, int] | None = None) -> NDArray:
+def read_pixels(path: str | Path, flags: int, image_size: tuple[int, int] | None = None) -> NDArray[Any]:
     """Decode an image file with OpenCV; `flags` select depth and colour, see `cv2.imdecode`.
 
     Raises an `OmnistereoError` if the file is missing, not an image, of another size (width, height) than expected,
@@ -181,8 +190,9 @@ def read_pixels(path: str | Path, flags: int, image_size: tuple[int, int] | None
     end = _END_MARKERS.get(content[:2])
     if end is not None and end not in content[-64:]:
         raise OmnistereoError(f"{path} is truncated ({len(content)} bytes, no end-of-image marker). Copy it again.")
+    complaints: AbstractContextManager[list[str]] = _complaints() if content[:2] == _JPEG else nullcontext([])
     try:
-        with _complaints() if content[:2] == _JPEG else nullcontext([]) as said:
+        with complaints as said:
             pixels = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
     except cv2.error:  # the header states an absurd size
         pixels = None
@@ -256,7 +266,7 @@ def read_image(path: str | Path, image_size: tuple[int, int] | None = None) -> N
     import cv2
 
     image = read_pixels(path, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION, image_size)
-    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+    return np.asarray(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
 
 
 def read_gray(path: str | Path, image_size: tuple[int, int]) -> NDArray[np.uint8]:
@@ -265,7 +275,7 @@ def read_gray(path: str | Path, image_size: tuple[int, int]) -> NDArray[np.uint8
     return image if image.ndim == 2 else image.max(-1)
 
 
-def write_image(path: str | Path, image: NDArray) -> None:
+def write_image(path: str | Path, image: NDArray[Any]) -> None:
     """Write an image, gray (height, width) or RGB (height, width, 3), in the format of the file name suffix.
 
     Values range from 0 to 255; NaN becomes black. JPEG files have quality 95, OpenCV's default.

@@ -304,7 +304,7 @@ BAND = osl.SphereGrid(64, 16, (-45, 45), 48, 0.7)
 
 def gt_index(tmp_path, inverse_depth, grid):
     write_inverse_depth(tmp_path / "gt.tiff", inverse_depth)
-    return Frame(1, [], tmp_path / "gt.tiff").gt_index(grid)
+    return Frame(1, [], RIG, tmp_path / "gt.tiff").gt_index(grid)
 
 
 def gt_of(grid):

@@ -43,7 +43,7 @@ class Checkerboard:
     def points(self) -> NDArray[np.float64]:
         """Corners in the board frame, shape (K, 3), metres, row by row, columns fastest."""
         x, y = np.meshgrid(np.arange(self.corners[0]), np.arange(self.corners[1]))
-        return self.square * np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+        return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]).astype(np.float64) * self.square
 
     @cached_property
     def symmetries(self) -> tuple[NDArray[np.int64], ...]:

@@ -8,7 +8,7 @@ with one Θ_i, the identity. The unknowns: see `params`.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -204,7 +204,7 @@ def estimate_covariance(params: CalibrationParams, observations: Observations, s
     J = BundleProblem(params, observations).jacobian(params.to_vector())
     rig = params.num_rig_params
     scale = _column_norms(J)[:rig]  # unit columns, so that metres and pixels meet in equal numbers
-    R = np.zeros((0, rig))
+    R: Any = np.zeros((0, rig))  # NumPy's stubs expect Q and R from each mode of qr
     for k in range(len(params.T_rig_board)):
         rows = J[np.repeat(observations.capture == k, 2)]
         intrinsics, pose = rows[:, :rig].toarray() / scale, rows[:, rig + 6 * k : rig + 6 * (k + 1)].toarray()

@@ -1,6 +1,7 @@
 """One camera from views of a board: initial estimate, robust fit, polynomial degree, rejected views, report."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,7 +13,7 @@ from omnistereo_lib.calibrate.init import initial_estimate
 from omnistereo_lib.calibrate.params import CalibrationParams, collect_observations
 from omnistereo_lib.calibrate.report import CameraReport
 from omnistereo_lib.calibrate.solution import OUTLIER, Solution, distances_of
-from omnistereo_lib.errors import OmnistereoError, check_number, checked
+from omnistereo_lib.errors import OmnistereoError, check_number, check_type
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Floats
 from omnistereo_lib.rig_files.parse import parse_size
@@ -28,7 +29,6 @@ _BLURRED = 1.5  # times the edge width of the median view; sharp views of one ca
 _PARALLEL = np.radians(5.0)
 
 
-@checked
 def calibrate_camera(
     views: Sequence[ArrayLike | None],
     board: Checkerboard,
@@ -72,17 +72,17 @@ def calibrate_corners(
     _check_input(corners, images, board)
     given = [k for k, view in enumerate(images or corners) if view is not None]
     found = [k for k, view in enumerate(corners) if view is not None]
-    params = initial_estimate([corners[k] for k in found], board.points, image_size)
+    views = [view for view in corners if view is not None]
+    params = initial_estimate(views, board.points, image_size)
     _check_tilts(params)
     rejected = dict.fromkeys(sorted(set(given) - set(found)), "no board found")
     cv_error_px: dict[int, float] = {}
-    views = [corners[k] for k in found]
     if degree is None:
         degree, cv_error_px = choose_degree(params, views, board.points)
     params = bundle_adjust(params.with_degree(degree), collect_observations([views], board.points), loss="soft_l1")
     bad = _bad_views(params, views, board.points)
     if images is not None:
-        bad |= _blurred_views([images[k] for k in found], views, board)
+        bad |= _blurred_views(images, corners, board)
     good = [k for k in range(len(found)) if k not in bad]
     if len(good) < _MIN_VIEWS:
         raise OmnistereoError(
@@ -102,24 +102,27 @@ def read_views(
     image_size: tuple[int, int] | None,
     progress: Progress = iter,
     names: Sequence[str] | None = None,
-) -> tuple[list[Floats | None], tuple[int, int], list | None]:
+) -> tuple[list[Floats | None], tuple[int, int], list[NDArray[Any] | None] | None]:
     """Return the corners of each view, width and height of the images, and the images if views are images.
 
     Raises an `OmnistereoError` if there are no views, or corners do not fit the board or come without the image size.
     """
+    check_type(views, Iterable, "views")
+    check_type(board, Checkerboard, "board")
     arrays = [None if view is None else np.asarray(view) for view in views]
     given = [array for array in arrays if array is not None]
     if not given:
         raise OmnistereoError("there are no views. Pass images of the board, or the corners detected in them")
     if not all(array.ndim == 2 and array.shape[1] == 2 for array in given):
-        return detect_views(arrays, board, progress, names), given[0].shape[1::-1], arrays
+        height, width = given[0].shape[:2]
+        return detect_views(arrays, board, progress, names), (width, height), arrays
     if image_size is None:
         raise OmnistereoError("views are corners, so the image size is unknown. Pass image_size=(width, height)")
-    named = zip(range(len(arrays)) if names is None else names, arrays, strict=True)
-    return [_checked(name, array, board) for name, array in named], parse_size(image_size, "image_size"), None
+    named = zip(map(str, range(len(arrays))) if names is None else names, arrays, strict=True)
+    return [_check_corners(name, array, board) for name, array in named], parse_size(image_size, "image_size"), None
 
 
-def _checked(name: str | int, corners: NDArray | None, board: Checkerboard) -> Floats | None:
+def _check_corners(name: str, corners: NDArray[Any] | None, board: Checkerboard) -> Floats | None:
     if corners is None:
         return None
     if len(corners) != len(board.points):
@@ -140,7 +143,9 @@ def check_settings(degree: int | None, max_fov_deg: float | None) -> None:
         check_number(max_fov_deg, "max_fov_deg", 1, 360)
 
 
-def _check_input(corners: Sequence, images: Sequence | None, board: Checkerboard) -> None:
+def _check_input(
+    corners: Sequence[Floats | None], images: Sequence[ArrayLike | None] | None, board: Checkerboard
+) -> None:
     given = [view for view in (images or corners) if view is not None]
     found = sum(view is not None for view in corners)
     # A board size given too small is found here and there as a part of the board.
@@ -196,7 +201,7 @@ def _cv_errors(params: CalibrationParams, views: Sequence[Floats], points: Float
     errors = np.empty(len(views))
     for fold in range(_FOLDS):
         held_out = np.arange(len(views)) % _FOLDS == fold
-        train, test = np.flatnonzero(~held_out), np.flatnonzero(held_out)
+        train, test = np.flatnonzero(~held_out).tolist(), np.flatnonzero(held_out).tolist()
         seen, unseen = (collect_observations([[views[k] for k in part]], points) for part in (train, test))
         fitted = bundle_adjust(params.with_captures(train), seen, loss="soft_l1", tolerance=1e-6)
         distance = distances_of(fitted, seen)
@@ -224,9 +229,12 @@ def _bad_views(params: CalibrationParams, views: Sequence[Floats], points: Float
     return _far_above_usual(typical, _BAD_VIEW, reason)
 
 
-def _blurred_views(images: Sequence[ArrayLike], views: Sequence[Floats], board: Checkerboard) -> dict[int, str]:
-    """Return the views with wider edges than usual: their corners may fit, but not where the board was."""
-    widths = np.array([edge_width(image, corners, board) for image, corners in zip(images, views, strict=True)])
+def _blurred_views(
+    images: Sequence[ArrayLike | None], corners: Sequence[Floats | None], board: Checkerboard
+) -> dict[int, str]:
+    """Return the views with wider edges than usual: motion blur shifts corners consistently, so that they may fit."""
+    found = ((a, b) for a, b in zip(images, corners, strict=True) if a is not None and b is not None)
+    widths = np.array([edge_width(image, view, board) for image, view in found])
     reason = "blurred: edges {:.1f} px wide, usual {:.1f} px. Check that the board was still"
     return _far_above_usual(widths, _BLURRED, reason)
 

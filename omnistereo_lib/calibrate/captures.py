@@ -29,10 +29,12 @@ class Captures:
 
     def images(self, camera: int) -> list[NDArray[np.uint8] | None]:
         """Read the images of one camera, which have one size; None where it has none."""
-        images, size = [], None
+        images: list[NDArray[np.uint8] | None] = []
+        size = None
         for path in self.paths[camera]:
-            images.append(path and read_image(path, size))
-            size = size or (path and images[-1].shape[1::-1])
+            image = None if path is None else read_image(path, size)
+            size = size if image is None else (image.shape[1], image.shape[0])
+            images.append(image)
         return images
 
     def views(self) -> list[list[NDArray[np.uint8] | None]]:

@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import combinations
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,8 +19,8 @@ from omnistereo_lib.calibrate.board import Checkerboard
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Floats
 
-Gray = NDArray[np.uint8]
-Progress = Callable[[Iterable], Iterable]
+Gray = NDArray[Any]  # uint8, (H, W); OpenCV's stubs do not say which integers it returns
+Progress = Callable[[Iterable[Any]], Iterable[Any]]
 
 _CLASSIC = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 _SMALL = 640  # px: the longer side of the copies on which thresholds are tried one by one
@@ -132,7 +133,8 @@ def edge_width(image: ArrayLike, corners: Floats, board: Checkerboard) -> float:
     return float(max(widths))
 
 
-def _look(gray: NDArray[np.float32], pixels: Floats) -> NDArray[np.float32]:
+def _look(gray: NDArray[Any], pixels: Floats) -> NDArray[Any]:
+    """Interpolate linearly at pixels (..., ..., 2)."""
     u, v = np.moveaxis(pixels.astype(np.float32), -1, 0)
     return cv2.remap(gray, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
@@ -198,8 +200,8 @@ def _in_order(corners: Floats, gray: Gray, board: Checkerboard) -> Floats:
 def _first_is_black(grid: Floats, gray: Gray) -> bool:
     """Compare the square within the first four corners with the two beside it."""
     first, right, below = (grid[i : i + 2, j : j + 2].reshape(4, 2).mean(axis=0) for i, j in ((0, 0), (0, 1), (1, 0)))
-    values = cv2.remap(gray, np.float32([[first, right, below]]), None, cv2.INTER_LINEAR).ravel().astype(float)
-    return bool(values[0] < (values[1] + values[2]) / 2)
+    inside, *beside = _look(gray, np.array([[first, right, below]])).ravel().astype(float)
+    return bool(inside < np.mean(beside))
 
 
 def _gray(image: ArrayLike) -> Gray:
@@ -227,8 +229,8 @@ def detect_views(
         OmnistereoError: If an array is not an image, the images differ in size, or none shows the board; then it says
             which size of board would fit, if one does.
     """
-    names = range(len(images)) if names is None else names
-    grays = {}
+    names = [str(k) for k in range(len(images))] if names is None else names
+    grays: dict[int, Gray] = {}
     for k, image in enumerate(images):
         try:
             grays |= {} if image is None else {k: _gray(image)}
@@ -246,8 +248,8 @@ def detect_views(
         found = dict(zip(grays, corners, strict=True))
     if all(corners is None for corners in found.values()):
         raise OmnistereoError(f"no board {board} found in {len(grays)} images. {_advice(list(grays.values()), board)}")
-    for a, b in _duplicates(grays, found):
-        warnings.warn(f"views {names[a]} and {names[b]} are the same image: it counts twice", stacklevel=2)
+    for j, k in _duplicates(grays, found):
+        warnings.warn(f"views {names[j]} and {names[k]} are the same image: it counts twice", stacklevel=2)
     return [found.get(k) for k in range(len(images))]
 
 
@@ -283,7 +285,8 @@ def suggest_board(
 
 
 def _duplicates(grays: dict[int, Gray], found: dict[int, Floats | None]) -> Iterator[tuple[int, int]]:
-    for a, b in combinations([k for k, corners in found.items() if corners is not None], 2):
-        close = np.nanmax(np.abs(found[a] - found[b])) < 0.5
+    boards = {k: corners for k, corners in found.items() if corners is not None}
+    for a, b in combinations(boards, 2):
+        close = np.nanmax(np.abs(boards[a] - boards[b])) < 0.5
         if close and np.abs(grays[a].astype(float) - grays[b]).mean() < _SAME:
             yield a, b

@@ -134,8 +134,8 @@ class Observations:
 
     def select(self, mask: NDArray[np.bool_]) -> Observations:
         """Return the corners where the mask, shape (M,), is True."""
-        rows = (column[mask] for column in (self.camera, self.capture, self.corner, self.pixels))
-        return Observations(*rows, self.board_points)
+        camera, capture, corner = (column[mask] for column in (self.camera, self.capture, self.corner))
+        return Observations(camera, capture, corner, self.pixels[mask], self.board_points)
 
 
 def collect_observations(views: Sequence[Sequence[Floats | None]], points: Floats) -> Observations:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -41,8 +42,12 @@ class ReprojectionErrors:
         return cls(np.sqrt(mean / 2), np.sqrt(mean), float(np.sqrt(squares).mean()))
 
 
-class _Report:
-    """Reprojection errors of a report over its `inlier_residuals()`."""
+class _Report(ABC):
+    """Reprojection errors of a report over its inliers."""
+
+    @abstractmethod
+    def inlier_residuals(self) -> Floats:
+        """Return the residuals of all inliers, shape (M, 2), px."""
 
     @property
     def errors(self) -> ReprojectionErrors:

@@ -1,6 +1,6 @@
 """The rig from captures that its cameras share: a spanning tree of relative poses, then one joint adjustment."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Sized
 from dataclasses import replace
 from itertools import combinations
 
@@ -15,7 +15,7 @@ from omnistereo_lib.calibrate.detect import Progress
 from omnistereo_lib.calibrate.params import CalibrationParams, Observations, collect_observations
 from omnistereo_lib.calibrate.report import CameraReport, RigReport
 from omnistereo_lib.calibrate.solution import Solution, distances_of
-from omnistereo_lib.errors import OmnistereoError, checked
+from omnistereo_lib.errors import OmnistereoError, check_type
 from omnistereo_lib.geometry.pose import Floats, Pose
 from omnistereo_lib.geometry.rig import Rig
 
@@ -25,7 +25,6 @@ _FEW_SHARED = 5
 _MOVED = 1.5  # the same over all shared captures: then the cameras do not move as one
 
 
-@checked
 def calibrate_rig(
     views: Sequence[Sequence[ArrayLike | None]],
     board: Checkerboard,
@@ -54,6 +53,8 @@ def calibrate_rig(
         OmnistereoError: If the captures of the cameras do not match in number, a camera cannot be calibrated by itself,
             two cameras are the same, or cameras are not connected through shared captures.
     """
+    check_type(views, Sized, "views")
+    check_type(board, Checkerboard, "board")
     if len(views) < 2 or len({len(row) for row in views}) != 1:
         raise OmnistereoError(
             f"views[camera][capture] has {[len(row) for row in views]} captures; expected at least two cameras with "
@@ -73,15 +74,7 @@ def calibrate_rig(
         single.append(report)
         # Drop views that the single-camera calibration rejected.
         corners.append([view if k in report.views_used else None for k, view in enumerate(found)])
-    shared = {}  # pair of cameras (i < j) → the captures that both see
-    for i, j in combinations(range(len(corners)), 2):
-        both = [k for k, (a, b) in enumerate(zip(corners[i], corners[j], strict=True)) if a is not None is not b]
-        if both and all(np.allclose(corners[i][k], corners[j][k], rtol=0, atol=1e-3, equal_nan=True) for k in both):
-            raise OmnistereoError(
-                f"cameras {i + 1} and {j + 1} have the same corners in all {len(both)} captures that they share: "
-                "they are one camera. Check that no folder of images is a copy of another"
-            )
-        shared |= {(i, j): both} if both else {}
+    shared = _shared_captures(corners)
     T_cam_rig = _spanning_tree(shared, single, board)
     corners, rejected = _resolve_board_ambiguity(corners, single, T_cam_rig, board)
     captures = [k for k, view in enumerate(zip(*corners, strict=True)) if any(c is not None for c in view)]
@@ -96,6 +89,22 @@ def calibrate_rig(
         captures = [k for k in captures if k not in bad]
     solution = Solution.solve(params, observations)
     return _build_rig(solution, tuple(captures), tuple(single), rejected, shared, max_fov_deg)
+
+
+def _shared_captures(corners: list[list[Floats | None]]) -> dict[tuple[int, int], list[int]]:
+    """Return the captures that both cameras of a pair (i < j) see; refuse one camera given twice."""
+    shared = {}
+    for i, j in combinations(range(len(corners)), 2):
+        views = enumerate(zip(corners[i], corners[j], strict=True))
+        both = {k: (a, b) for k, (a, b) in views if a is not None and b is not None}
+        if both and all(np.allclose(a, b, rtol=0, atol=1e-3, equal_nan=True) for a, b in both.values()):
+            raise OmnistereoError(
+                f"cameras {i + 1} and {j + 1} have the same corners in all {len(both)} captures that they share: "
+                "they are one camera. Check that no folder of images is a copy of another"
+            )
+        if both:
+            shared[i, j] = list(both)
+    return shared
 
 
 def _spanning_tree(
@@ -133,7 +142,7 @@ def _relative_pose(i: int, j: int, captures: list[int], single: list[CameraRepor
         key: np.array([min(_direction_errors(T, i, j, k, single, board)) for k in captures])
         for key, T in proposals.items()
     }
-    best = min(errors, key=lambda key: (-np.sum(errors[key] < _AGREE), np.median(errors[key])))
+    best = min(errors, key=lambda key: (-np.count_nonzero(errors[key] < _AGREE), np.median(errors[key])))
     agree = [k for k, error in zip(captures, errors[best], strict=True) if error < _AGREE]
     if len(agree) < 2 <= len(captures):
         raise OmnistereoError(
@@ -175,10 +184,11 @@ def _resolve_board_ambiguity(
     """
     corners, rejected = [list(row) for row in corners], {}
     for k in range(len(corners[0])):
-        first, *others = [i for i, row in enumerate(corners) if row[k] is not None] or [0]
+        views = {i: view for i, row in enumerate(corners) if (view := row[k]) is not None}
+        first, *others = views or [0]
         for j in others:
             errors = _direction_errors(T_cam_rig[j] @ T_cam_rig[first].inverse(), first, j, k, single, board)
-            corners[j][k] = corners[j][k][np.argsort(board.symmetries[int(np.argmin(errors))])]
+            corners[j][k] = views[j][np.argsort(board.symmetries[int(np.argmin(errors))])]
             if min(errors) > _AGREE:
                 rejected[k] = (
                     f"cameras {first + 1} and {j + 1} see the board {np.degrees(min(errors)):.1f}° apart: it moved "
@@ -206,7 +216,7 @@ def _bad_captures(
                 f"reprojection error {joint:.2f} px, {usual:.2f} px in each camera by itself: the board moved between "
                 f"the exposures of cameras {' and '.join(str(i + 1) for i in cameras)}, or was misdetected"
             )
-    bad = {}
+    bad: dict[int, str] = {}
     for group in ratios.values():
         # If most captures of the same cameras have a high ratio, no single one is to blame.
         typical = sorted(group.values())[(len(group) - 1) // 2]
@@ -236,12 +246,11 @@ def _build_rig(
     max_fov_deg: float | None,
 ) -> tuple[Rig, RigReport]:
     cameras, joint = [], []
-    for i, report in enumerate(single):
-        camera, report = solution.camera_report(
-            i, captures, report.rejected, report.cv_error_px, f"camera {i + 1}"
-        ).build_camera(max_fov_deg)
+    for i, alone in enumerate(single):
+        found = solution.camera_report(i, captures, alone.rejected, alone.cv_error_px, f"camera {i + 1}")
+        camera, camera_report = found.build_camera(max_fov_deg)
         cameras.append(camera)
-        joint.append(report)
+        joint.append(camera_report)
     params = solution.params
     counts = {pair: len(set(numbers) - set(rejected)) for pair, numbers in shared.items()}
     report = RigReport(tuple(joint), single, captures, rejected, counts, params, solution.covariance, solution.sigma_px)

@@ -99,7 +99,7 @@ class OcamCamera:
         """Mean resolution of the lens from its axis to the rim of the field of view."""
         return self.max_radius / (self.max_fov_deg / 2)
 
-    def project(self, points: ArrayLike, use_direct_poly: bool = False) -> tuple[Array, Array]:
+    def project(self, points: Array, use_direct_poly: bool = False) -> tuple[Array, Array]:
         """Project points to pixels: A(Π(X; Φ)) (paper, Section III-A).
 
         Args:
@@ -131,7 +131,7 @@ class OcamCamera:
         uv = xp.stack([x + e * y + self.center[0], d * x + c * y + self.center[1]], -1)
         return uv, in_view & self.contains(uv)
 
-    def unproject(self, uv: ArrayLike, use_direct_poly: bool = False) -> tuple[Array, Array]:
+    def unproject(self, uv: Array, use_direct_poly: bool = False) -> tuple[Array, Array]:
         """Return the unit rays of pixels: the inverse of `project` with the same `use_direct_poly`.
 
         Args:
@@ -189,12 +189,13 @@ class OcamCamera:
         width, height = (size // factor for size in self.image_size)
         mask = self.mask
         if mask is not None:
-            mask = mask[: height * factor, : width * factor].reshape(height, factor, width, factor).all((1, 3))
+            blocks = mask[: height * factor, : width * factor].reshape(height, factor, width, factor)
+            mask = np.all(blocks, axis=(1, 3))
         return replace(
             self,
-            poly=[a * float(factor) ** (k - 1) for k, a in enumerate(self.poly)],  # f(r) = factor f'(r / factor)
+            poly=self.poly * float(factor) ** np.arange(-1, len(self.poly) - 1),  # f(r) = factor f'(r / factor)
             inv_poly=self.inv_poly / factor,
-            center=tuple((c + 0.5) / factor - 0.5 for c in self.center),
+            center=((self.center[0] + 0.5) / factor - 0.5, (self.center[1] + 0.5) / factor - 0.5),
             image_size=(width, height),
             mask=mask,
         )
@@ -261,7 +262,7 @@ def fit_inverse_polynomial(
             fit = np.polynomial.Polynomial.fit(angles, radii, degree)
         error = np.abs(fit(angles) - radii).max()
         if error < tolerance:
-            return fit.convert().coef
+            return np.asarray(fit.convert().coef, np.float64)
     raise OmnistereoError(
         f"poly {np.asarray(poly)}: the inverse polynomial of degree 25 has an error of {error:.3g} px; "
         f"expected at most {tolerance} px. Lower max_fov_deg = {max_fov_deg} to the field of view of the lens."
@@ -295,7 +296,7 @@ def _monotone_branch(
     return radii, np.arctan2(_horner(poly, radii), radii)
 
 
-def _horner(coefficients: NDArray[np.float64], x: Array) -> Array:
+def _horner(coefficients: NDArray[np.floating], x: Array) -> Array:
     """Evaluate a polynomial, coefficients from low to high."""
     value = x * 0.0 + float(coefficients[-1])
     for coefficient in coefficients[-2::-1]:
@@ -304,7 +305,7 @@ def _horner(coefficients: NDArray[np.float64], x: Array) -> Array:
     return value
 
 
-def _all(values: Any, count: int) -> tuple:
+def _all(values: Any, count: int) -> tuple[Any, ...]:
     if not isinstance(values, Sequence | np.ndarray) or len(values) != count:
         raise OmnistereoError(f"found {values!r}; expected {count} numbers")
     return tuple(values)
@@ -316,7 +317,7 @@ def _namespace(a: Array) -> ModuleType:
     return torch if torch is not None and isinstance(a, torch.Tensor) else np
 
 
-def _as_array(a: ArrayLike, width: int) -> tuple[Array, ModuleType]:
+def _as_array(a: Any, width: int) -> tuple[Array, ModuleType]:
     xp = _namespace(a)
     a = np.asarray(a, np.float64) if xp is np else a
     if a.ndim < 1 or a.shape[-1] != width:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -68,6 +69,10 @@ class Pose:
         """Return the inverse transform T_ba (paper, Section III-A)."""
         return Pose(self.R.T, -self.R.T @ self.t)
 
+    @overload
+    def __matmul__(self, other: Pose) -> Pose: ...
+    @overload
+    def __matmul__(self, other: ArrayLike) -> Floats: ...
     def __matmul__(self, other: Pose | ArrayLike) -> Pose | Floats:
         """Compose poses (T_ab @ T_bc = T_ac, ⋆ of Section III-A) or transform points (..., 3) from frame b to a."""
         if isinstance(other, Pose):

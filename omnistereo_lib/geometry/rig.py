@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from numbers import Integral
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omnistereo_lib.errors import OmnistereoError, check_number, checked
+from omnistereo_lib.errors import OmnistereoError, check_number, check_type
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
 
@@ -27,14 +27,15 @@ class Rig:
     Raises an `OmnistereoError` if there are fewer than two cameras or not one pose per camera.
     """
 
-    cameras: tuple[OcamCamera, ...]
-    T_rig_cam: tuple[Pose, ...]  #: camera → rig, metres: as in the public files, the inverse of Θ* in the paper
+    cameras: Sequence[OcamCamera]
+    T_rig_cam: Sequence[Pose]  #: camera → rig, metres: as in the public files, the inverse of Θ* in the paper
     min_depth: float | None = None  #: nearest depth in metres that the rig file proposes for a sweep
     T_rig_file: Pose | None = None  #: from the frame of the file that it was read from to the rig frame
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "cameras", tuple(self.cameras))
-        object.__setattr__(self, "T_rig_cam", tuple(self.T_rig_cam))
+        for name in ("cameras", "T_rig_cam"):
+            check_type(getattr(self, name), Iterable, name)
+            object.__setattr__(self, name, tuple(getattr(self, name)))
         if len(self.cameras) < 2 or len(self.cameras) != len(self.T_rig_cam):
             raise OmnistereoError(
                 f"the rig has {len(self.cameras)} cameras and {len(self.T_rig_cam)} poses; "
@@ -69,9 +70,9 @@ class Rig:
         i, j = np.triu_indices(len(self), 1)
         return np.linalg.norm(self.centers[i] - self.centers[j], axis=-1)
 
-    @checked
     def transformed(self, T_new_rig: Pose) -> Rig:
         """Return the rig in another frame: T_new_rig maps rig coordinates to the new frame."""
+        check_type(T_new_rig, Pose, "T_new_rig")
         T_new_file = T_new_rig if self.T_rig_file is None else T_new_rig @ self.T_rig_file
         return Rig(self.cameras, [T_new_rig @ pose for pose in self.T_rig_cam], self.min_depth, T_new_file)
 
@@ -84,13 +85,11 @@ class Rig:
         center = self.centers.mean(0) if center is None else np.asarray(center, np.float64)
         return self.transformed(Pose(np.eye(3), -center))
 
-    @checked
     def with_poses(self, T_rig_cam: Sequence[Pose]) -> Rig:
         """Return the same cameras with other poses."""
         return Rig(self.cameras, T_rig_cam, self.min_depth, self.T_rig_file)
 
 
-@checked
 def camera_pairs(pairs: Pairs, rig: Rig) -> list[Pair]:
     """Return the camera pairs to match, as indices (paper, Section III-B).
 
@@ -102,16 +101,17 @@ def camera_pairs(pairs: Pairs, rig: Rig) -> list[Pair]:
     Raises:
         OmnistereoError: If a pair names a missing camera, or one camera twice.
     """
+    check_type(rig, Rig, "rig")
     if isinstance(pairs, str) and pairs == "ring":
         return _neighbours(rig)
     if isinstance(pairs, str) and pairs == "all":
         return list(combinations(range(len(rig)), 2))
     if isinstance(pairs, str):
         raise OmnistereoError(f'pairs is {pairs!r}; expected "ring", "all" or a list of camera pairs')
-    chosen = list(pairs) if isinstance(pairs, Sequence | np.ndarray) else [pairs]
+    chosen: list[Any] = list(pairs) if isinstance(pairs, Sequence | np.ndarray) else [pairs]
     for pair in chosen:
         two = isinstance(pair, Sequence | np.ndarray) and len(pair) == 2 and pair[0] != pair[1]
-        if not (two and all(isinstance(i, Integral) and 0 <= i < len(rig) for i in pair)):
+        if not (two and all(isinstance(i, Integral) and i in range(len(rig)) for i in pair)):
             raise OmnistereoError(f"pairs has {pair!r}; expected two different cameras of 0 to {len(rig) - 1}")
     if not chosen:
         raise OmnistereoError("pairs is empty; expected at least one camera pair")
