@@ -1,17 +1,10 @@
 """The one error that the library raises for bad input, and the checks of numbers and types."""
 
-import inspect
-from collections.abc import Callable, Iterator, Sequence, Sized
+from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache, wraps
 from numbers import Real
-from os import PathLike
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
-
-_Function = TypeVar("_Function", bound=Callable)
-_LENIENT = {Path: PathLike, Sequence: Sized}  # annotated → accepted: arrays and tensors are sequences, too
+from typing import Any
 
 
 class OmnistereoError(ValueError):
@@ -49,35 +42,6 @@ def check_type(value: object, kind: type, name: str) -> None:
     """Raise an `OmnistereoError` if an argument is not of a class, or a class that its kind is registered for."""
     if not isinstance(value, kind):
         raise OmnistereoError(f"{name} is {shortened(value)}; expected {kind.__name__}")
-
-
-def checked(function: _Function) -> _Function:
-    """Decorate a function so that arguments of other types than annotated raise an `OmnistereoError`.
-
-    It checks classes of the library, paths, sequences and functions, not numbers and arrays, which have many types.
-    """
-    signature = inspect.signature(function)
-    hints = cache(lambda: {name: _accepted(hint) for name, hint in get_type_hints(function).items()})
-
-    @wraps(function)
-    def call(*args: Any, **kwargs: Any) -> Any:
-        for name, value in signature.bind(*args, **kwargs).arguments.items():
-            accepted = hints().get(name)
-            if accepted and not isinstance(value, tuple(accepted.values())):
-                raise OmnistereoError(f"{name} is {shortened(value)}; expected {' or '.join(accepted)}")
-        return function(*args, **kwargs)
-
-    return call
-
-
-def _accepted(hint: Any) -> dict[str, type] | None:
-    """Return the types that an annotation allows by their names, or None if one of them is not checked."""
-    kinds = [get_origin(part) or part for part in (get_args(hint) if isinstance(hint, UnionType) else [hint])]
-    for kind in kinds:
-        own = getattr(kind, "__module__", "").startswith("omnistereo_lib") and not getattr(kind, "_is_protocol", False)
-        if kind not in (str, NoneType, Callable, *_LENIENT) and not own:
-            return None
-    return {kind.__name__.removesuffix("Type"): _LENIENT.get(kind, kind) for kind in kinds}
 
 
 def shortened(value: Any) -> str:

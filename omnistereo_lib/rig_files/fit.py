@@ -160,7 +160,7 @@ def _fit_lowest_degree(powers: Floats, values: Floats, terms: int) -> Floats:
     """Return the least-squares coefficients of the fewest columns, at least `terms`, that meet the tolerance."""
     fit: Floats = np.zeros(0)
     for count in range(terms, powers.shape[1] + 1):
-        fit = np.linalg.lstsq(powers[:, :count], values, rcond=None)[0]
+        fit = np.asarray(np.linalg.lstsq(powers[:, :count], values, rcond=None)[0], np.float64)
         if np.abs(powers[:, :count] @ fit - values).max() < _FIT_TOLERANCE:
             break
     return fit

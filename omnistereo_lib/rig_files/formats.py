@@ -12,8 +12,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from omnistereo_lib.errors import OmnistereoError, checked, error_context
-from omnistereo_lib.files import read_data, read_text
+from omnistereo_lib.errors import OmnistereoError, error_context
+from omnistereo_lib.files import as_path, read_data, read_text
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
@@ -64,7 +64,6 @@ _MAX_BYTES = 1 << 18  # a hundred cameras have 60,000; a megabyte of YAML takes 
 _KNOWN_KEYS = {"dataset", "cam_id", "img_dir", "rostopic", "cam_overlaps"}  # of every such file, without a meaning here
 
 
-@checked
 def load_rig(
     path: str | Path, unit: str | None = None, max_fov_deg: float | None = None, keep_frame: bool = False
 ) -> Rig:
@@ -86,7 +85,7 @@ def load_rig(
         OmnistereoError: If the file is missing, broken or of an unsupported format, or its unit is neither stated nor
             given.
     """
-    path = Path(path)
+    path = as_path(path)
     if unit is not None and unit not in METRES_PER_UNIT:
         raise OmnistereoError(f"unit is {unit!r}; expected one of {list(METRES_PER_UNIT)}")
     if max_fov_deg is not None:
@@ -122,7 +121,7 @@ def load_camera(path: str | Path, max_fov_deg: float | None = None) -> OcamCamer
         path: The file.
         max_fov_deg: As for `load_rig`.
     """
-    path = Path(path)
+    path = as_path(path)
     if max_fov_deg is not None:
         check_fov(max_fov_deg, "max_fov_deg")
     if path.suffix == ".txt":

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from omnistereo_lib.errors import OmnistereoError, checked, error_context
-from omnistereo_lib.files import atomic_write, path_within, to_yaml, write_image
+from omnistereo_lib.errors import OmnistereoError, error_context
+from omnistereo_lib.files import as_path, atomic_write, path_within, to_yaml, write_image
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.rig_files.ocam import ocam_camera, ocam_records, parse_pose, warn_of_polynomials
 from omnistereo_lib.rig_files.parse import RigFile, Section, check_fov
@@ -41,14 +41,13 @@ def read_omnimvs(data: Section, path: Path, max_fov_deg: float | None) -> RigFil
     return RigFile(cameras, poses, min_depth, None if turned is None else parse_pose(turned))
 
 
-@checked
 def save_rig(rig: Rig, path: str | Path) -> None:
     """Write a rig as config.yaml (OmniMVS format, metres), every number in full.
 
     Masks are written beside it as <name>_mask1.png and so on, bright = outside. The public codes sweep around the
     origin of the file and need a nearest depth: for them, save `rig.recentered()` with a `min_depth`.
     """
-    path = Path(path)
+    path = as_path(path)
     if path.suffix not in (".yaml", ".yml"):
         raise OmnistereoError(f"{path}: a rig is saved as YAML. Give a file that ends in .yaml")
     cameras, masked = [], any(camera.mask is not None for camera in rig.cameras)
