@@ -1,4 +1,4 @@
-"""The course's line drawings: what the words of a notebook point at, drawn to scale where scale matters."""
+"""Line drawings for the notebooks, to scale where scale matters."""
 
 from itertools import pairwise
 
@@ -268,10 +268,9 @@ def doubled_contour() -> Figure:
         meets = place + along * (-b + np.sqrt(b**2 - np.dot(place, place) + radius**2))
         _line(ax, place, pole, color=color, lw=1.4)
         ax.plot(*meets, "s", color=color, ms=9, zorder=4)
-        words = f"here {name}\npaints the pole"
-        offset = (24 * side, 16 if side < 0 else 10)
-        ax.annotate(words, meets, offset, textcoords="offset points", color=color, fontsize=9,
-                    ha="left" if side > 0 else "right", va="center")  # fmt: skip
+        offset, align = ((24, 10), "left") if side > 0 else ((-24, 16), "right")
+        style = {"color": color, "fontsize": 9, "ha": align, "va": "center"}
+        ax.annotate(f"here {name}\npaints the pole", meets, offset, textcoords="offset points", **style)
         _camera(ax, place, name, color)
     ax.plot(*pole, "s", color="0.3", ms=11)
     ax.annotate("the pole", pole, (14, 6), textcoords="offset points", va="center", color="0.3")

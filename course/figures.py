@@ -1,4 +1,4 @@
-"""The figures of the page on notation: frames, pixels, panorama and spheres, drawn from the sample data."""
+"""Figures of the page on notation: frames, pixels, panorama and spheres, drawn from the sample data."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from course.plot import draw_panorama, draw_rig, encode
 from omnistereo_lib.dataset import Dataset
 
 SAMPLE = Path(__file__).resolve().parents[1] / "data_samples" / "sunny"
-COLORS = "petroff6"  # Matplotlib's style whose colours colour-blind readers can tell apart
+COLORS = "petroff6"  # a style of Matplotlib whose colours colour-blind readers can tell apart
 SPHERES = 9
 
 
@@ -38,7 +38,7 @@ def _rig(data: Dataset) -> Figure:
 
 
 def _camera(data: Dataset) -> Figure:
-    """Draw one fisheye image, with the camera's axes at its centre and those of the pixels at its corner."""
+    """Draw a fisheye image with the camera axes at its centre and the pixel axes at its corner."""
     camera, image = data.rig.cameras[0], data[0].images[0]
     fig, ax = _figure(7, 6.4)
     ax.imshow(image)
@@ -52,7 +52,7 @@ def _camera(data: Dataset) -> Figure:
 
 
 def _panorama(data: Dataset) -> Figure:
-    """Draw what the rig sees of infinity, with the rig's axes and where the cameras' axes point."""
+    """Draw the panorama at infinity with the axes of the rig and the directions of the cameras."""
     grid = osl.SphereGrid(1280, 320, (-45, 45), SPHERES, data.rig.min_depth)
     sweep = osl.SphereSweep(data.rig, grid)
     fig, ax = _figure(7, 2.6)
@@ -69,14 +69,14 @@ def _panorama(data: Dataset) -> Figure:
 
 
 def _spheres(data: Dataset) -> Figure:
-    """Draw a few spheres around the rig from above, as far as the page goes."""
+    """Draw a few spheres around the rig, from above."""
     grid = osl.SphereGrid(320, 80, num_spheres=SPHERES, min_depth=data.rig.min_depth)
     fig, ax = _figure(7, 6)
     ax.plot(*data.rig.recentered().centers[:, [0, 2]].T, "ko", ms=4)
     ax.plot(0, 0, "k+", ms=12)
     around = np.linspace(0, 2 * np.pi, 361)
     for n in range(2, SPHERES):
-        radius, angle = grid.index_to_depth(n), (n - 2) * np.pi / 3  # the numbers in a spiral, so that none is hidden
+        radius, angle = grid.index_to_depth(n), (n - 2) * np.pi / 3  # numbers along a spiral, so that none is hidden
         ax.plot(radius * np.sin(around), radius * np.cos(around), color="C0", lw=1)
         at = (radius * np.sin(angle), radius * np.cos(angle))
         ax.text(*at, str(n), ha="center", va="center", bbox={"fc": "w", "ec": "none", "pad": 1.5})

@@ -1,7 +1,7 @@
-"""How `make lab` reads notebooks, so that JupyterLab does not take them for changed as soon as they are open.
+"""The file manager of `make lab`: an opened notebook is not marked as unsaved.
 
-JupyterLab writes into a notebook on which kernel it runs, down to Python's version, and marks it as unsaved where that
-is new. The course stores its notebooks without (`nbtools.clean`). So it is said here, while they are read.
+JupyterLab writes the running kernel, down to the version of Python, into a notebook and marks it as unsaved if that is
+new. The course stores its notebooks without it (`nbtools.clean`), so it is added while they are read.
 """
 
 from typing import Any
@@ -12,10 +12,10 @@ from jupyter_server.services.contents.largefilemanager import AsyncLargeFileMana
 
 
 class Notebooks(AsyncLargeFileManager):
-    """JupyterLab's files; notebooks of this course say the kernel that is here."""
+    """Files of JupyterLab; injects the spec of the running kernel into notebooks of this course."""
 
     async def get(self, *arguments: Any, **options: Any) -> dict[str, Any]:
-        """Return a file or folder, as the server asks for it."""
+        """Return a file or folder; see `AsyncLargeFileManager.get`."""
         model = await super().get(*arguments, **options)
         if model["type"] == "notebook" and model["content"] and "omnistereo" in model["content"]["metadata"]:
             spec = {key: get_kernel_dict()[key] for key in ("display_name", "language")}

@@ -22,8 +22,10 @@ from omnistereo_lib.dataset import Frame
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.depth import Depth
-from omnistereo_tools.calibration_figures import calibration_figure, draw_coverage
-from omnistereo_tools.pictures import colorize_depth, draw_points, sharp_panorama
+from omnistereo_tools.calibration_figures import calibration_figure as calibration_figure
+from omnistereo_tools.calibration_figures import draw_coverage as draw_coverage
+from omnistereo_tools.pictures import colorize_depth, sharp_panorama
+from omnistereo_tools.pictures import draw_points as draw_points
 from omnistereo_tools.points import Limits
 from omnistereo_tools.viewer import page_of, viewer_data
 
@@ -33,26 +35,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
 
-__all__ = [
-    "calibration_figure",
-    "caption_output",
-    "captions",
-    "colorize_depth",
-    "contact_sheet",
-    "draw_coverage",
-    "draw_depth",
-    "draw_panorama",
-    "draw_points",
-    "draw_rig",
-    "encode",
-    "explore",
-    "interactive",
-    "pick_ray",
-    "show",
-]
-
-DEPTH_COLORS = "inferno"  # as `colorize_depth`
-SHARP_PX = 1280  # width of the panorama that is looked around in
+DEPTH_COLORS = "inferno"  # the colours of `colorize_depth`
+SHARP_PX = 1280  # width of the panorama in the viewer
 DPI = {"png": 150, "jpeg": 100}  # sharp on a screen, small enough that a notebook stays below 800 KB
 CAPTIONS = Path(__file__).resolve().parents[1] / "notebooks" / "captions.yaml"
 
@@ -60,7 +44,7 @@ CAPTIONS = Path(__file__).resolve().parents[1] / "notebooks" / "captions.yaml"
 def encode(fig: Figure, kind: Literal["png", "jpeg"] = "png", tight: bool = True) -> bytes:
     """Encode a figure as a PNG of 256 colours (lines, text) or a JPEG (photographs).
 
-    A tight one is cut to what is drawn, for which it is drawn twice.
+    A tight figure is cropped to what is drawn, which takes a second drawing.
     """
     from PIL import Image
 
@@ -81,8 +65,8 @@ def show(fig: Figure, name: str) -> None:
         fig: The figure; it is closed afterwards, so that Jupyter does not show it a second time.
         name: Its entry in notebooks/captions.yaml, with
             caption: What the reader should see in it, one or two sentences of Markdown. Appears as "*Figure:* ...".
-            alt: What the picture shows, for somebody who cannot see it. Stored in both places that renderers look at:
-            the image's metadata (nbconvert's classic template) and the output's plain-text form (MyST, terminals).
+            alt: Text for readers who cannot see it. Stored in the two places that renderers read: the metadata of the
+            image (nbconvert's classic template) and the plain-text form of the output (MyST, terminals).
             kind: "png" for drawings, "jpeg" for photographs and panoramas.
 
     Raises:
@@ -111,13 +95,13 @@ def captions() -> dict[str, dict[str, str]]:
 
 
 def interactive(draw: Callable[..., Figure], **sliders: Widget) -> None:
-    """Show a figure that follows sliders, drawn anew as a small JPEG whenever one of them moves.
+    """Show a figure that follows sliders: redrawn, as a small JPEG, whenever one of them moves.
 
     Notebooks are stored without it: the captioned figure before it says what it shows.
 
     Args:
-        draw: Takes the sliders' values by name, returns a figure.
-        sliders: Widgets with a value, named as the arguments of `draw`.
+        draw: A function of the values of the sliders, by name, that returns a figure.
+        sliders: Widgets with a value, named like the arguments of `draw`.
     """
     import matplotlib.pyplot as plt
     from IPython.display import display
@@ -125,7 +109,7 @@ def interactive(draw: Callable[..., Figure], **sliders: Widget) -> None:
 
     def drawn(**values: Any) -> bytes:
         fig = draw(**values)
-        picture = encode(fig, "jpeg", tight=stills.recording())  # a slider is to answer at once
+        picture = encode(fig, "jpeg", tight=stills.recording())  # a slider must answer at once
         plt.close(fig)
         return picture
 
@@ -146,13 +130,13 @@ def interactive(draw: Callable[..., Figure], **sliders: Widget) -> None:
 def pick_ray(draw: Callable[[int, int], Figure], panorama: NDArray, row: int, column: int) -> None:
     """Show a panorama to click on and, below it, the figure of the ray at the cross.
 
-    Two sliders move the cross as well: by the keyboard, and in programs that know no clicks.
+    Two sliders move the cross as well, by keyboard and in programs that do not support clicks.
     Notebooks are stored without it: the captioned figure before it says what it shows.
 
     Args:
-        draw: Takes the row and the column of a ray by these names, returns a figure.
-        panorama (array, shape (H, W) or (H, W, 3)): Gray values or colours of 0 … 255; NaN becomes gray.
-        row, column: Where the cross is at first.
+        draw: A function of the `row` and the `column` of a ray that returns a figure.
+        panorama (array, shape (H, W) or (H, W, 3)): Gray values or colours, 0 to 255; NaN becomes gray.
+        row, column: Where the cross is at the start.
     """
     from ipyevents import Event
     from IPython.display import display
@@ -183,13 +167,13 @@ def pick_ray(draw: Callable[[int, int], Figure], panorama: NDArray, row: int, co
 
 
 def _with_cross(panorama: NDArray, row: int, column: int) -> bytes:
-    """Encode a panorama, three pixels for one, with an open cross around a ray, as a JPEG."""
+    """Encode a panorama as a JPEG, at three times its size, with an open cross around a ray."""
     import cv2
 
     gray = np.where(np.isfinite(panorama), panorama, 185).clip(0, 255).astype(np.uint8)
     picture = np.repeat(np.repeat(gray if gray.ndim == 3 else np.stack([gray] * 3, -1), 3, 0), 3, 1)
     x, y = 3 * column + 1, 3 * row + 1
-    for color, thickness in (((0, 0, 0), 5), ((255, 255, 0), 2)):  # dark around bright: seen on any ground
+    for color, thickness in (((0, 0, 0), 5), ((255, 255, 0), 2)):  # dark around bright is visible on any background
         for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
             cv2.line(picture, (x + 8 * dx, y + 8 * dy), (x + 22 * dx, y + 22 * dy), color, thickness)
     return cv2.imencode(".jpg", picture[..., ::-1])[1].tobytes()
@@ -219,8 +203,8 @@ def draw_panorama(ax: Axes, picture: NDArray, grid: SphereGrid, title: str = "",
     """Draw a panorama with its angles: θ to the right, φ down, in degrees.
 
     Args:
-        picture (array, shape (H, W) or (H, W, 3)): Gray values and colours of 0 … 255 or anything `imshow` takes; NaN
-            stays gray.
+        picture (array, shape (H, W) or (H, W, 3)): Gray values, colours from 0 to 255, or anything `imshow` takes;
+            NaN is gray.
         imshow: Further arguments of Matplotlib's imshow.
     """
     picture = np.asarray(picture)
@@ -255,7 +239,7 @@ def contact_sheet(frames: Iterable[Frame], height: int = 120) -> NDArray[np.uint
 
     Args:
         frames: They may have different rigs. Inverse depth is coloured up to the `min_depth` of each rig.
-        height: Of each row, pixels.
+        height: Pixels of each row.
     """
     import cv2
 
@@ -276,7 +260,7 @@ def draw_rig(ax: Axes, rig: Rig, fov_deg: float | None = None) -> None:
     """Draw a rig from above: z up, x to the right, an arrow and a wedge of view for each camera.
 
     Args:
-        fov_deg: Opening of the wedges; the cameras' field of view unless given.
+        fov_deg: Opening angle of the wedges; default: the field of view of each camera.
     """
     from matplotlib.patches import Wedge
 

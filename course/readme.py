@@ -1,4 +1,4 @@
-"""What the README shows that is made: its picture and its table of notebooks. `python -m course readme`."""
+"""The generated parts of the README: its image and its table of notebooks. `python -m course readme`."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 
 PICTURE = nbtools.NOTEBOOKS / "omnistereo.jpg"
 WIDTH_PX, DPI = 2000, 100
-GROUND = "#202020"  # as behind the points
+GROUND = "#202020"  # the background of the points
 FRAME = 831
-SAME = 0.2  # gray levels, mean difference; two threads in place of one make 0.03, SGM in place of the network makes 9
+SAME = 0.2  # gray levels, mean difference: 0.03 with another number of threads, 9 with another method
 EYE = (-4.0, -3.0, -5.2)  # metres, rig frame
 
 
 def main() -> None:
-    """Renew the README's table and its picture."""
+    """Update the table and the image."""
     nbtools.store(nbtools.README, nbtools.with_table(nbtools.README.read_text(encoding="utf-8"), nbtools.notebooks()))
     data = osl.load_dataset(nbtools.ROOT / "data_samples" / "sunny", split="test")
     grid = osl.SphereGrid(width=1280, height=320, phi_deg=(-45, 45), num_spheres=192, min_depth=data.rig.min_depth)
@@ -41,9 +41,9 @@ def main() -> None:
 
 
 def renew(path: Path, picture: bytes) -> None:
-    """Write a picture unless the file shows the same already.
+    """Write an image unless the file shows the same already.
 
-    With another number of threads, or on another processor, the network's last digits differ, and with them some bytes.
+    On another processor, or with another number of threads, the last digits of the network differ, and some bytes.
     """
     old, new = (cv2.imdecode(np.frombuffer(data, np.uint8), 1) for data in (path.read_bytes(), picture))
     if old.shape != new.shape or cv2.absdiff(old, new).mean() > SAME:
@@ -53,20 +53,20 @@ def renew(path: Path, picture: bytes) -> None:
 def picture(
     panorama: NDArray, inverse_depth: NDArray, grid: osl.SphereGrid, points: NDArray, colors: NDArray
 ) -> Figure:
-    """Return a panorama, its depth below it with a scale in metres, and its points to the right.
+    """Draw a panorama, its depth below it with a scale in metres, and its points on the right.
 
     Args:
-        panorama: (H, W, 3), values of 0 … 255.
-        inverse_depth: (H, W) in 1/m, on the same grid.
-        grid: Of both, four times as wide as high, as ±45° are.
-        points: (M, 3) in metres, rig frame.
-        colors: (M, 3), uint8, RGB.
+        panorama: array, shape (H, W, 3), RGB, 0 to 255
+        inverse_depth: array, shape (H, W), 1/m
+        grid: Grid of both, four times as wide as high (±45°).
+        points: array, shape (M, 3), metres, rig frame
+        colors: uint8 array, shape (M, 3), RGB
     """
     import matplotlib.pyplot as plt
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
-    gap, wide, scale = 10, 1320, 46  # pixels, as all places below; the scale's place is below the depth
+    gap, wide, scale = 10, 1320, 46  # pixels; the scale is below the depth
     high = wide // 4
     height = 2 * high + gap + scale
     right = WIDTH_PX - wide - gap

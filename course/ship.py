@@ -1,4 +1,4 @@
-"""From a finished run to bundled weights: the file, its learning curve, and a model card."""
+"""Bundle the weights of a finished run: the file, its learning curve and a model card."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS, load_tensors, save_te
 from omnistereo_lib.train.loop import LOG, WEIGHTS, read_log, write_csv
 from omnistereo_lib.train.recipes import RECIPES, MCCNNRecipe, Recipe
 
-Rows = Sequence[dict[str, float]]  # of a log
+Rows = Sequence[dict[str, float]]  # a training log
 _EVERY = 10  # steps between two rows of the curve
 _CARD = """# {file}
 
@@ -40,13 +40,15 @@ test street is among them.
 
 
 def export_weights(run: str | Path, folder: str | Path = BUNDLED_WEIGHTS, half: bool = False) -> list[Path]:
-    """Put the weights of a finished run where `SweepNet.pretrained` and `MCCNN.pretrained` look for them.
+    """Copy the weights of a finished run to where `SweepNet.pretrained` and `MCCNN.pretrained` find them.
 
     Args:
         run: Folder of the run.
-        folder: Gets NAME.safetensors, NAME.csv (the loss of every tenth step) and NAME.md (the model card), which are
-            returned.
-        half: Store float16, for half the file size; a network computes in float32 or bfloat16 nonetheless.
+        folder: Where to write them.
+        half: Store float16: half the file size. A network still computes in float32 or bfloat16.
+
+    Returns:
+        The paths of NAME.safetensors, NAME.csv (the loss of every tenth step) and NAME.md (the model card).
 
     Raises:
         OmnistereoError: If the run is missing, damaged or not finished, or the folder cannot be written.
@@ -69,7 +71,7 @@ def export_weights(run: str | Path, folder: str | Path = BUNDLED_WEIGHTS, half: 
 
 
 def file_name(recipe: Recipe) -> str:
-    """Return the name of the bundled weights, without their ending; it says what other worlds they learned from."""
+    """Return the name of the bundled weights, without ending; it names training worlds other than the usual ones."""
     name = f"{recipe.network}_{recipe.variant}" if isinstance(recipe, MCCNNRecipe) else recipe.network
     worlds = {*recipe.worlds.split()}
     if worlds == {*type(recipe).worlds.split()}:
@@ -78,7 +80,7 @@ def file_name(recipe: Recipe) -> str:
 
 
 def _thin(rows: Rows) -> list[list[Any]]:
-    """Return the mean loss and error of every ten steps, and the last validation among them."""
+    """Return the mean loss and error of each ten steps, and their last validation."""
     thin = []
     for part in (rows[k : k + _EVERY] for k in range(0, len(rows), _EVERY)):
         means = [f"{sum(row[name] for row in part) / len(part):.4g}" for name in ("loss", "error")]
@@ -92,7 +94,7 @@ def _validated(rows: Rows) -> Rows:
 
 
 def _hours(rows: Rows) -> float:
-    """Return the time of all calls together: "seconds" starts from 0 in each."""
+    """Return the total time: "seconds" starts at 0 again when a run resumes."""
     seconds = [row["seconds"] for row in rows]
     return sum(b - a if b > a else b for a, b in pairwise([0.0, *seconds])) / 3600
 
@@ -106,15 +108,18 @@ def _model_card(weights: Path, recipe: Recipe, metadata: dict[str, Any], rows: R
     if metadata.get("init_weights"):
         command += f" --init-weights FILE`, FILE with SHA-256 `{metadata['init_weights']}"
     command += "`, then `python -m course ship" + (" --half" if half else "")
-    return _CARD.format_map(
-        metadata | metadata["data"] | {
-            "file": weights.name, "sha256": hashlib.sha256(read_bytes(weights)).hexdigest(), "command": command,
-            "network": signature(metadata["architecture"], metadata["config"]),
-            "data_sha256": metadata["data"]["sha256"], "hours": _hours(rows),
-            "settings": "\n".join(f"| {name} | {value} |" for name, value in settings.items()),
-            "validations": "\n".join(
-                f"| {row['step'] + 1} | {row['validation_loss']:.4f} | {100 * row['validation_error']:.2f} % |"
-                for row in _validated(rows)
-            ),
-        }
-    )  # fmt: skip
+    validations = (
+        f"| {row['step'] + 1} | {row['validation_loss']:.4f} | {100 * row['validation_error']:.2f} % |"
+        for row in _validated(rows)
+    )
+    about = {
+        "file": weights.name,
+        "sha256": hashlib.sha256(read_bytes(weights)).hexdigest(),
+        "command": command,
+        "network": signature(metadata["architecture"], metadata["config"]),
+        "data_sha256": metadata["data"]["sha256"],
+        "hours": _hours(rows),
+        "settings": "\n".join(f"| {name} | {value} |" for name, value in settings.items()),
+        "validations": "\n".join(validations),
+    }
+    return _CARD.format_map(metadata | metadata["data"] | about)

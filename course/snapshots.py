@@ -1,4 +1,4 @@
-"""SweepNet while it learns: its depth of one frame after some steps of training, for notebook 06."""
+"""Snapshots of SweepNet in training, for notebook 06: its best spheres of one frame after some steps."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from omnistereo_lib.train.spheres import SphereObjective, SphereSamples
 
 STEPS = 0, 5, 15, 40, 80, 150
 FRAME = 831  # of the test streets, none of which is trained on
-UNSEEN = 255  # stored in place of NaN
+UNSEEN = 255  # stored for NaN
 SNAPSHOTS = DATA / "results" / "snapshots.npz"
 RATE = 1e-3  # as in the notebook's own loop
 DECISION = [f"fc{k}" for k in range(1, 6)]
@@ -26,12 +26,13 @@ HELD_OUT = 8  # micro-batches, the same ones every time
 
 
 def take_snapshots(out: Path = SNAPSHOTS) -> Path:
-    """Train as notebook 06 does, for longer; store what the network makes of one frame after each of `STEPS`.
+    """Train longer than notebook 06 does, and store the best spheres of one frame after each of `STEPS`.
 
-    The convolutions are those of the bundled SweepNet. Its decision, fc1 … fc5, starts from random weights and learns
-    by the teaching recipe on the notebook's small panoramas. The file holds `steps`, `wrong` (wrong labels on held-out
-    frames, a fraction) and `index`, uint8 of shape (steps, H, W): the sphere with the lowest cost, nothing smoothed,
-    `UNSEEN` where no camera pair sees the ray.
+    The convolutions are those of the bundled SweepNet. Its decision, fc1 to fc5, starts from random weights and learns
+    by the teaching recipe on the small panoramas of the notebook.
+
+    The file has the arrays `steps`, `wrong` (fraction of wrong labels on held-out frames) and `index`, uint8 of shape
+    (steps, H, W): the sphere with the lowest cost, without SGM, `UNSEEN` where no camera pair sees the ray.
     """
     recipe = replace(RECIPES["sweepnet"]["teaching"], width=160, height=40, num_spheres=32)
     samples = SphereSamples(recipe, DATA / "sunny" / "train")
@@ -58,7 +59,7 @@ def take_snapshots(out: Path = SNAPSHOTS) -> Path:
 
 
 def undecided(seed: int) -> tuple[SweepNet, list[torch.nn.Parameter]]:
-    """Return the bundled network with a random decision, and the decision's weights, which alone learn."""
+    """Return the bundled network with a random decision, and the weights of the decision; only these learn."""
     network = SweepNet.pretrained().requires_grad_(False)
     torch.manual_seed(seed)
     fresh = SweepNet()

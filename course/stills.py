@@ -1,8 +1,8 @@
-"""What the website and the slides show in place of live figures: `python -m course stills notebooks/*.ipynb`.
+"""Stills: what the website and the slides show in place of live figures. `python -m course stills notebooks/*.ipynb`.
 
-A notebook is run with a folder in the environment variable below. Its live figures then show nothing; they write there
-what their sliders would show, a still for each of a few places of each slider, and what the viewer shows. The folder's
-index.json says in which order.
+The notebook runs with the environment variable `VARIABLE` set to a folder. Its live figures then show nothing and write
+into that folder instead: an image for each of a few values of each slider, or the data of the viewer. The file
+index.json lists them in order.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from PIL import Image
 
-from course.pictures import picture
+from course.dark_mode import picture
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools.viewer import page_of
 
@@ -29,9 +29,9 @@ STILLS = Path(__file__).resolve().parents[1] / "book" / "stills"
 VARIABLE = "COURSE_STILLS"
 LIVE = re.compile(r"^(interactive|pick_ray|explore)\(", re.MULTILINE)
 SHOWN = "In Jupyter this computes; here it shows stored pictures, one slider at a time."
-VIEW = "The points of a depth panorama, to turn, tilt and zoom"
+VIEW = "The points of a depth panorama, to rotate, tilt and zoom"
 _WIDTH = 900  # pixels
-_PLACES = {1: 13, 2: 9, 3: 7}  # of each slider, by their number
+_PLACES = {1: 13, 2: 9, 3: 7}  # number of sliders → stills of each
 
 
 # --- Record -------------------------------------------------------------------------------------------------
@@ -43,7 +43,7 @@ def recording() -> bool:
 
 
 def record_sliders(draw: Callable[..., list[bytes]], sliders: dict[str, Widget]) -> None:
-    """Store stills: `draw` returns pictures, one below the other, for the sliders' values by name."""
+    """Store stills: `draw` returns images, shown one below the other, for values of the sliders by name."""
     folder, index = _open()
     start = {name: slider.value for name, slider in sliders.items()}
     shown = []
@@ -51,7 +51,7 @@ def record_sliders(draw: Callable[..., list[bytes]], sliders: dict[str, Widget])
         values = places(slider, _PLACES[len(sliders)])
         first = values.index(start[name])
         for place, value in enumerate(values):
-            if place != first or not shown:  # where all sliders stand as at first, one picture does for all
+            if place != first or not shown:  # all sliders share the first still
                 still = _stack(draw(**start | {name: value}))
                 still.save(folder / f"{len(index)}-{name}-{place}.webp", quality=40, method=6)
         shown.append({"name": name, "values": values, "start": first})
@@ -59,7 +59,7 @@ def record_sliders(draw: Callable[..., list[bytes]], sliders: dict[str, Widget])
 
 
 def record_view(data: dict[str, Any]) -> None:
-    """Store what a viewer's page shows."""
+    """Store the data that a page of the viewer shows."""
     folder, index = _open()
     name = f"{len(index)}.json"
     (folder / name).write_text(json.dumps(data) + "\n", encoding="utf-8")
@@ -67,8 +67,8 @@ def record_view(data: dict[str, Any]) -> None:
 
 
 def places(slider: Widget, count: int) -> list[float]:
-    """Return about `count` places of a slider, evenly spaced over its range, and the one where it stands."""
-    base = getattr(slider, "base", None)  # of a logarithmic one
+    """Return about `count` values of a slider, evenly spaced over its range, its present value among them."""
+    base = getattr(slider, "base", None)  # logarithmic sliders have one
     stands = np.log(slider.value) / np.log(base) if base else slider.value
     steps = round((slider.max - slider.min) / slider.step)
     at = [slider.min + slider.step * round(k) for k in np.linspace(0, steps, min(count, steps + 1))]
@@ -104,19 +104,19 @@ def _stack(pictures: list[bytes]) -> Image.Image:
 
 
 def stored(stem: str) -> list[dict]:
-    """Return what is stored of a notebook's live figures, in their order."""
+    """Return the entries of index.json for the live figures of a notebook, in order."""
     index = STILLS / stem / "index.json"
     return json.loads(index.read_text(encoding="utf-8")) if index.exists() else []
 
 
 def shown(stem: str, number: int, out: Path, up: str = "") -> str:
-    """Write one live figure's pictures or viewer into a folder; return the HTML that shows them.
+    """Write the stills or the viewer of one live figure into a folder; return the HTML that shows them.
 
     Args:
-        stem: Of the notebook.
-        number: Which of its live figures, from 0.
-        out: The folder of the website or of the slides.
-        up: From the page to `out`.
+        stem: Name of the notebook, without ending.
+        number: Number of the live figure, from 0.
+        out: Folder of the website or of the slides.
+        up: Path from the page to `out`: "../" or nothing.
     """
     if number >= len(stored(stem)):
         raise OmnistereoError(

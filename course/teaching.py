@@ -1,4 +1,4 @@
-"""What the teacher's page takes from the checkers: the mistakes that they know, by notebook."""
+"""The part of the teacher's page that is generated: the mistakes that the checkers recognise, by notebook."""
 
 import html
 import re

@@ -1,4 +1,4 @@
-"""Uncertainty of a calibration, and its effect on depth: the shift of the best sphere along each ray, to first order.
+"""Uncertainty of a calibration and its effect on depth: the shift of the best sphere along each ray, to first order.
 
 A point that belongs at direction s of the panorama appears, in the image of camera i warped with the wrong rig onto
 sphere n + δ, at s - M⁻¹(∂u/∂n δ + Δu), where M = ∂u/∂s is the derivative of the pixel u with respect to direction and

@@ -1,8 +1,7 @@
 """Build the course as a website: `make book`, or `python -m course book FOLDER`.
 
-Its pages come from three places: the Markdown files of `book/`, the notebooks as they are stored, and what is
-generated from the library: figures, the map of the paper, the reference. They meet in a temporary folder, which Sphinx
-reads. A warning is an error.
+Its pages are the Markdown files of `book/`, the stored notebooks, and the reference of the library, which is generated.
+They meet in a temporary folder, which Sphinx reads. A warning is an error.
 """
 
 import base64
@@ -20,17 +19,16 @@ from sphinx.cmd.build import build_main
 
 import omnistereo_lib as osl
 from course import nbtools, stills
+from course.dark_mode import picture
 from course.figures import draw_figures
-from course.pictures import picture
 from course.teaching import stuck
 
 BOOK = nbtools.ROOT / "book"
-TO_NOTEBOOK = re.compile(r"\[([^\]]+)\]\((?:notebooks/)?(\d\d_\w+\.ipynb)(?:#[^)]*)?\)")
 PICTURE = re.compile(r"!\[([^\]]+)\]\(([^)]+)\)")
 
 
 def build(out: Path) -> int:
-    """Build the website in the folder `out`, in place of an older one; 0 when there was nothing to warn of."""
+    """Build the website in the folder `out`, in place of an older one; return 0 if there was no warning."""
     with TemporaryDirectory() as folder:
         source, extra, html, trees = (Path(folder, name) for name in ("source", "extra", "html", "trees"))
         assemble(source, extra)
@@ -46,7 +44,7 @@ def build(out: Path) -> int:
 
 
 def assemble(source: Path, extra: Path) -> None:
-    """Put all pages into one folder, and what they show into another one."""
+    """Write all pages into the folder `source`, and the images that they show into `extra`."""
     paths = nbtools.notebooks()
     (source / "reference").mkdir(parents=True)
     generated = {
@@ -60,7 +58,7 @@ def assemble(source: Path, extra: Path) -> None:
         text = page.read_text(encoding="utf-8")
         for name, part in generated.items():
             text = text.replace(f"<!-- {name} -->", part)
-        text = with_pictures(without_dead_links(text), source, extra)
+        text = with_pictures(text, source, extra)
         (source / page.name).write_text(text, encoding="utf-8")
     for path in paths:
         nb = for_the_book(nbformat.read(path, as_version=4), path.stem, extra)
@@ -68,16 +66,13 @@ def assemble(source: Path, extra: Path) -> None:
 
 
 def for_the_book(nb: nbformat.NotebookNode, stem: str, extra: Path) -> nbformat.NotebookNode:
-    """Prepare a notebook: pictures for both modes, stills for what is live, no link to what is not there."""
+    """Prepare a notebook: images for light and dark mode, stills in place of live figures."""
     live = 0
     for cell in nb.cells:
-        if cell.cell_type == "markdown":
-            cell.source = without_dead_links(cell.source)
+        if cell.cell_type != "code":
             continue
         for output in cell.outputs:
             data = output.get("data", {})
-            if caption := data.get("text/markdown"):
-                data["text/markdown"] = without_dead_links(caption)
             for mime in set(nbtools.PICTURES) & set(data):
                 shown = picture(base64.b64decode(data[mime]), output.metadata[mime]["alt"], extra, "../")
                 output.data = nbformat.from_dict({"text/html": shown})
@@ -89,14 +84,8 @@ def for_the_book(nb: nbformat.NotebookNode, stem: str, extra: Path) -> nbformat.
 
 
 def with_pictures(text: str, source: Path, extra: Path) -> str:
-    """Return a page's Markdown with its pictures for both modes."""
+    """Return the Markdown of a page with its images for light and dark mode."""
     return PICTURE.sub(lambda found: picture((source / found[2]).read_bytes(), found[1], extra), text)
-
-
-def without_dead_links(text: str) -> str:
-    """Return the text with links to notebooks that are not there (yet) as plain words."""
-    there = {path.name for path in nbtools.notebooks()}
-    return TO_NOTEBOOK.sub(lambda link: link[0] if link[2] in there else link[1], text)
 
 
 def reference(source: Path) -> str:

@@ -12,7 +12,7 @@ from ipywidgets import FloatLogSlider, FloatSlider, IntSlider
 from PIL import Image
 
 import omnistereo_lib as osl
-from course import pictures, plot, stills
+from course import dark_mode, plot, stills
 from omnistereo_lib.stereo.sweep import SphereSweep
 
 RNG = np.random.default_rng(0)
@@ -34,16 +34,16 @@ def figure():
 
 def test_paper_gets_dark_ink_light_and_a_photograph_stays():
     page, photograph = figure()
-    dark = pictures.for_dark_page(page)
+    dark = dark_mode.for_dark_page(page)
     np.testing.assert_array_equal(dark[photograph], page[photograph])
     rest = np.ones(page.shape[:2], bool)
     rest[photograph] = False
-    assert (dark[rest & (page == 255).all(-1)] == pictures.PAPER).all()
-    assert (dark[rest & (page == 0).all(-1)] == pictures.INK).all()
+    assert (dark[rest & (page == 255).all(-1)] == dark_mode.PAPER).all()
+    assert (dark[rest & (page == 0).all(-1)] == dark_mode.INK).all()
 
 
 def test_a_line_keeps_its_hue_and_is_seen_on_dark_paper():
-    dark = pictures.for_dark_page(np.tile(np.uint8([31, 119, 180]), (4, 4, 1)))[0, 0]
+    dark = dark_mode.for_dark_page(np.tile(np.uint8([31, 119, 180]), (4, 4, 1)))[0, 0]
     hue = [cv2.cvtColor(np.uint8([[color]]), cv2.COLOR_RGB2HSV)[0, 0, 0] for color in ([31, 119, 180], dark)]
     assert abs(int(hue[0]) - int(hue[1])) <= 2
     assert dark.max() > 150
@@ -91,7 +91,7 @@ def test_a_live_figure_is_stored_at_its_places_and_shown(recorded, tmp_path):
 
     html = stills.shown("tiny", 0, tmp_path / "out", "../")
     assert html.count("<input") == 2 and html.count("<img") == 2 * 5 and html.count(" hidden>") == 4
-    assert len(list((tmp_path / "out" / pictures.FOLDER).iterdir())) == 2 * 3  # n = 5 is always the same picture
+    assert len(list((tmp_path / "out" / dark_mode.FOLDER).iterdir())) == 2 * 3  # n = 5 is always the same picture
 
 
 def test_a_click_on_a_panorama_is_stored_with_its_figure(recorded):

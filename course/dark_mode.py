@@ -1,4 +1,4 @@
-"""The book's pictures: as they are on a white page, and with their paper dark on a dark one."""
+"""Images of the book in light and dark mode: white paper becomes dark, photographs stay as they are."""
 
 import hashlib
 import html
@@ -12,22 +12,23 @@ from numpy.typing import NDArray
 from PIL import Image
 
 FOLDER = "pictures"
-CSS_PX_PER_INCH = 93  # letters of figures are then as large as the text
-PAPER, INK = (19, 20, 22), 225  # the theme's dark page; what was black on white
-_LEAST = 0.7  # of that width: on a telephone a figure scrolls before its letters are too small
-_WHITE = 235  # from here on a pixel is paper
-_SOLID, _FILLED = 0.6, 0.7  # of its bounding box, of its inside: then a shape is a photograph or a map, not lines
+CSS_PX_PER_INCH = 93  # the text of figures is then as large as that of the page
+PAPER, INK = (19, 20, 22), 225  # the dark page of the theme, and what black becomes on it
+_LEAST = 0.7  # fraction of the width: on a telephone a figure scrolls before its text is too small
+_WHITE = 235  # a pixel at least this bright is paper
+# A shape that fills its bounding box and its inside to these fractions is a photograph or a map, not lines.
+_SOLID, _FILLED = 0.6, 0.7
 _SHADES = np.round(np.linspace(PAPER, (INK,) * 3, 256)).astype(np.uint8)[:, None]
 
 
 def picture(data: bytes, alt: str, folder: Path, up: str = "", scale: float = 0.0) -> str:
-    """Write a picture and its dark twin into `folder`/pictures; return the HTML that shows the one that fits.
+    """Write an image and its dark version into `folder`/pictures; return HTML that shows the one for the mode.
 
     Args:
         data: A PNG or JPEG file.
-        alt: What it shows, for somebody who cannot see it.
-        up: From the page to `folder`: "../" or nothing.
-        scale: CSS pixels for one of its pixels, where there is room; follows from its resolution unless given.
+        alt: Text for readers who cannot see it.
+        up: Path from the page to `folder`: "../" or nothing.
+        scale: CSS pixels per image pixel, at most; default: from the resolution of the file.
     """
     image = Image.open(io.BytesIO(data))
     name = hashlib.sha256(data).hexdigest()[:16]
@@ -48,12 +49,12 @@ def picture(data: bytes, alt: str, folder: Path, up: str = "", scale: float = 0.
 def for_dark_page(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return a figure (H, W, 3) with light ink on dark paper; hues, photographs and maps stay as they are."""
     low, high = (reduce(each, cv2.split(rgb)) for each in (cv2.min, cv2.max))
-    turned = rgb + cv2.merge([255 - high - low] * 3)  # lightness turned over, hue kept; modulo 256
-    dark = cv2.LUT(turned, _SHADES)
+    inverted = rgb + cv2.merge([255 - high - low] * 3)  # invert lightness, keep hue; modulo 256
+    dark = cv2.LUT(inverted, _SHADES)
     ink = (low < _WHITE).astype(np.uint8)
     for contour in cv2.findContours(ink, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]:
         x, y, width, height = cv2.boundingRect(contour)
-        if height < 40 or (width < 40 and height < 100):  # letters and lines, but not a colour bar
+        if height < 40 or (width < 40 and height < 100):  # letters and lines, but no colour bar
             continue
         inside = cv2.drawContours(np.zeros((height, width), np.uint8), [contour], 0, 1, -1, offset=(-x, -y))
         place = np.s_[y : y + height, x : x + width]
