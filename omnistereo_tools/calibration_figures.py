@@ -1,18 +1,12 @@
-"""Figures by which a calibration is judged; Matplotlib is imported when they are drawn."""
+"""Figures by which a calibration is judged."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING
-
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from omnistereo_lib.calibrate.report import CameraReport
-from omnistereo_lib.files import atomic_write
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 def draw_residuals(ax: Axes, report: CameraReport) -> None:
@@ -80,21 +74,10 @@ def _frame_of_image(ax: Axes, report: CameraReport, title: str) -> None:
 
 def calibration_figure(report: CameraReport) -> Figure:
     """Return the four pictures that a calibration is judged by: coverage, residuals, by angle, directions."""
-    import matplotlib.pyplot as plt
-
-    fig, axes = plt.subplots(2, 2, figsize=(11, 9), layout="constrained")
+    figure = Figure(figsize=(11, 9), layout="constrained")
+    axes = figure.subplots(2, 2)
     draw_coverage(axes[0, 0], report)
     draw_residuals(axes[0, 1], report)
     draw_error_by_angle(axes[1, 0], report)
     draw_error_directions(axes[1, 1], report)
-    return fig
-
-
-def save_figure(path: str | Path, report: CameraReport) -> None:
-    """Write `calibration_figure` as a PNG that depends only on the report."""
-    import matplotlib.pyplot as plt
-
-    fig = calibration_figure(report)
-    with atomic_write(path) as temporary:  # Matplotlib would write its version into the file
-        fig.savefig(temporary, format="png", dpi=80, metadata={"Software": None})
-    plt.close(fig)
+    return figure

@@ -5,19 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import combinations
 
-import cv2
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_tools.pictures import BACKGROUND, write_text
 
 _COVERED = 0.95  # of the rays of a row, or of those that see far away, have depth: the rest is rims
 _CLEARANCE = 1.1  # spheres begin this many times farther out than the outermost camera
 _SPHERES = (32, 256)
-_ONE, _MORE = (0x70, 0x70, 0x70), cv2.COLORMAP_VIRIDIS
 
 
 @dataclass(frozen=True)
@@ -109,29 +108,22 @@ class Coverage:
         )
         return lines
 
-    def picture(self) -> NDArray[np.uint8]:
-        """Return the coverage as a picture, RGB: cameras above, baseline below, over the whole sphere."""
-        count, baseline = self.cameras, self.baseline / np.nanmax(self.baseline) if self.share(2) else self.baseline
-        colors = cv2.applyColorMap(np.linspace(60, 255, len(self.rig) - 1).astype(np.uint8)[None], _MORE)[0, :, ::-1]
-        palette = np.array([(BACKGROUND,) * 3, _ONE, *colors], np.uint8)
-        metres = cv2.applyColorMap((255 * np.nan_to_num(baseline)).astype(np.uint8), _MORE)[..., ::-1]
-        metres = np.where(np.isnan(baseline)[..., None], BACKGROUND, metres).astype(np.uint8)
-        size, gap = (3 * count.shape[1], 3 * count.shape[0]), 70
-        page = np.full((2 * (size[1] + gap), size[0], 3), BACKGROUND // 2, np.uint8)
-        widest = f"{np.nanmax(self.baseline):.2f} m" if self.share(2) else "none"
-        titles = (
-            "Cameras that see each direction; the horizon is in the middle",
-            f"Baseline across the ray, dark to bright: 0 to {widest}; without colour there is no depth",
-        )
-        for k, (panel, title) in enumerate(zip((palette[count], metres), titles, strict=True)):
-            top = k * (size[1] + gap) + gap
-            page[top : top + size[1]] = cv2.resize(panel, size, interpolation=cv2.INTER_NEAREST)
-            write_text(page, title, (12, top - 24))
-        for k, color in enumerate(palette):
-            at = size[0] - 70 * (len(palette) - k)
-            page[gap - 44 : gap - 20, at : at + 24] = color
-            write_text(page, str(k), (at + 30, gap - 24))
-        return page
+    def figure(self) -> Figure:
+        """Return a figure of the whole sphere: how many cameras see each direction, and their baseline across it."""
+        figure, most = Figure(figsize=(11, 11), layout="constrained"), len(self.rig)
+        axes = figure.subplots(2, 1, sharex=True)
+        extent = (-180, 180, 90, -90)
+        colors = colormaps["viridis"].resampled(most + 1)
+        count = axes[0].imshow(self.cameras, colors, extent=extent, vmin=-0.5, vmax=most + 0.5, interpolation="nearest")
+        figure.colorbar(count, ax=axes[0], label="cameras", ticks=range(most + 1), shrink=0.9)
+        axes[0].set_title("Cameras that see each direction: two see depth")
+        baseline = axes[1].imshow(self.baseline, extent=extent, vmin=0, interpolation="nearest")
+        figure.colorbar(baseline, ax=axes[1], label="baseline in metres", shrink=0.9)
+        axes[1].set_title("Baseline across the ray: the wider, the more exact; blank: no depth")
+        axes[1].set(xlabel="azimuth θ in degrees, 0 is forward", xticks=range(-180, 181, 45))
+        for ax in axes:
+            ax.set(ylabel="elevation φ in degrees, down > 0", yticks=range(-90, 91, 30))
+        return figure
 
 
 def _visible(rig: Rig, grid: SphereGrid, depth: float) -> NDArray[np.bool_]:

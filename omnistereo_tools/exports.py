@@ -13,8 +13,7 @@ from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_tools import mesh
 from omnistereo_tools.crops import write_crops
-from omnistereo_tools.frame import SHARP, FrameResult
-from omnistereo_tools.pictures import sharp_panorama
+from omnistereo_tools.frame import FrameResult
 from omnistereo_tools.recordings import CODECS
 
 _SUFFIXES = {
@@ -45,8 +44,7 @@ def export_frame(
     written = []
     if mesh_file is not None:
         make_folder(mesh_file.parent)
-        panorama = sharp_panorama(result.depth, result.images, SHARP)
-        triangles = mesh.write_mesh(mesh_file, result.depth, panorama, result.limits, faces)
+        triangles = mesh.write_mesh(mesh_file, result.depth, result.panorama, result.limits, faces)
         written.append(f"{mesh_file} ({triangles} triangles)")
     if equirectangular is not None:
         import tifffile

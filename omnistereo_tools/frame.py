@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import isfinite
 from pathlib import Path
 
+import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.dataset import write_inverse_depth
@@ -16,12 +18,12 @@ from omnistereo_lib.rig_files import save_rig
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.metrics import index_error
 from omnistereo_tools.overview import draw_overview
-from omnistereo_tools.pictures import ColorScale, sharp_panorama
+from omnistereo_tools.pictures import ColorScale, save_figure, sharp_panorama
 from omnistereo_tools.points import Limits, PointCloud
 from omnistereo_tools.summary import depth_sentences, error_sentences
 from omnistereo_tools.viewer import viewer_page
 
-SHARP = 1800  # px, width of the panorama that is looked at
+_SHARP = 1800  # px, width of the panorama that is looked at
 
 _README = """\
 Panoramas have {height} rows, from {phi[0]:g}° to {phi[1]:g}° (down is positive), and {width} columns around the circle.
@@ -61,30 +63,39 @@ class FrameResult:
         errors = [] if self.gt_index is None else error_sentences(self.depth, self.gt_index)
         return depth_sentences(self.depth, self.limits) + errors
 
+    @cached_property
+    def panorama(self) -> NDArray[np.uint8]:
+        """The panorama that is looked at, sharper than the depth, RGB; it is the texture of a mesh, too."""
+        return sharp_panorama(self.depth, self.images, _SHARP)
+
     def write(self, out: Path) -> list[str]:
         """Write everything into a folder; return the names of what was written, the first to look at first."""
-        data = make_folder(out / "data")
-        cloud = PointCloud.of(self.depth, self.images, self.limits)
-        self._write_data(data, cloud)
-        panorama = sharp_panorama(self.depth, self.images, SHARP)
-        page = draw_overview(self.depth, panorama, cloud.points, cloud.colors, self.title, self.sentences())
-        write_image(out / "overview.png", page)
+        data, colors = make_folder(out / "data"), self.depth.panorama(self.images)
+        cloud = PointCloud.of(self.depth, colors, self.limits)
+        self._write_data(data, colors, cloud)
+        save_figure(out / "overview.png", draw_overview(self.depth, self.panorama, cloud, self.title, self.sentences()))
         with atomic_write(out / "index.html") as temporary:
-            temporary.write_text(viewer_page(self.depth, panorama, self.limits, self.title), encoding="utf-8")
+            page = viewer_page(self.depth, self.panorama, self.limits, self.title)
+            temporary.write_text(page, encoding="utf-8")
         return ["overview.png", "index.html (open it in a browser)", "data/ (README.txt says what each file holds)"]
 
-    def _write_data(self, data: Path, cloud: PointCloud) -> None:
+    def _write_data(self, data: Path, panorama: NDArray[np.float32], cloud: PointCloud) -> None:
         depth, grid = self.depth, self.depth.grid
         write_inverse_depth(data / "inverse_depth.tiff", depth.inverse_depth)
         write_inverse_depth(data / "confidence.tiff", depth.confidence)
         write_image(data / "inverse_depth.png", ColorScale.of(depth.inverse_depth).colorize(depth))
-        write_image(data / "panorama.jpg", depth.panorama(self.images))
+        write_image(data / "panorama.jpg", panorama)
         cloud.write(data / "points.ply")
         save_rig(depth.sweep.rig, data / "rig.yaml")
         text = _README.format(
-            width=grid.width, height=grid.height, phi=grid.phi_deg, method=self.method, points=len(cloud.points),
-            max_depth=self.limits.max_depth, min_confidence=self.limits.min_confidence,
-        )  # fmt: skip
+            width=grid.width,
+            height=grid.height,
+            phi=grid.phi_deg,
+            method=self.method,
+            points=len(cloud.points),
+            max_depth=self.limits.max_depth,
+            min_confidence=self.limits.min_confidence,
+        )
         (data / "errors.json").unlink(missing_ok=True)  # of another frame
         if self.gt_index is not None:
             found = index_error(depth.index, self.gt_index, grid.num_spheres)

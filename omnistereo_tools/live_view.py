@@ -1,4 +1,4 @@
-"""Live view: panorama and depth of cameras or videos, as fast as the machine goes, in a window or in the browser."""
+"""Live view: panorama and depth of cameras or videos, as fast as the machine goes, in the browser."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_tools.pictures import BACKGROUND, ColorScale, write_text
+from omnistereo_tools.pictures import BACKGROUND, ColorScale
 
 _WIDTH = 1280  # px of the picture, if the panorama is smaller
 _PATIENCE_S = 10.0  # of a camera that gives no picture
@@ -129,35 +129,11 @@ def _draw(panorama: NDArray[np.uint8], colors: NDArray[np.uint8], note: str) -> 
     size = (panorama.shape[1] * factor, panorama.shape[0] * factor)
     pictures = [cv2.resize(picture, size, interpolation=cv2.INTER_LINEAR) for picture in (panorama, colors)]
     line = np.full((40, size[0], 3), BACKGROUND, np.uint8)
-    write_text(line, note, (12, 28))
+    cv2.putText(line, note, (12, 28), (0xE8,) * 3, cv2.FontFace("sans"), 22, 400)
     return np.vstack([*pictures, line])
 
 
-def has_window() -> bool:
-    """Return whether this OpenCV can open a window here."""
-    try:
-        cv2.namedWindow("omnistereo live", cv2.WINDOW_NORMAL)
-    except cv2.error:
-        return False
-    return True
-
-
-def show_in_window(pictures: Iterator[NDArray[np.uint8]]) -> int:
-    """Show pictures in a window until they end, or Escape, q or Ctrl-C is pressed; return how many there were."""
-    count = 0
-    try:
-        for picture in pictures:
-            cv2.imshow("omnistereo live", picture)
-            count += 1
-            if cv2.waitKey(1) & 0xFF in (27, ord("q")):
-                break
-    except KeyboardInterrupt as stop:
-        _end_by(stop)
-    cv2.destroyAllWindows()
-    return count
-
-
-def show_in_browser(pictures: Iterator[NDArray[np.uint8]], latest: Latest) -> int:
+def show(pictures: Iterator[NDArray[np.uint8]], latest: Latest) -> int:
     """Give pictures to a server of `serve` until they end or Ctrl-C is pressed; return how many there were."""
     count = 0
     try:
@@ -165,16 +141,11 @@ def show_in_browser(pictures: Iterator[NDArray[np.uint8]], latest: Latest) -> in
             latest.put(cv2.imencode(".jpg", picture)[1].tobytes())
             count += 1
     except KeyboardInterrupt as stop:
-        _end_by(stop)
+        if type(stop) is not KeyboardInterrupt:  # SIGTERM, a class of its own in the command line, ends the command
+            raise
     finally:
         latest.close()
     return count
-
-
-def _end_by(stop: KeyboardInterrupt) -> None:
-    """Let Ctrl-C end the view; SIGTERM, which the command line raises as a class of its own, ends the command."""
-    if type(stop) is not KeyboardInterrupt:
-        raise stop
 
 
 @contextmanager

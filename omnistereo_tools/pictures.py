@@ -1,17 +1,23 @@
-"""Pictures of a depth panorama: a sharp panorama, depth in colours that use the range found, points from outside."""
+"""Pictures of a depth panorama: the sharp panorama, depth in colours that use the range found, points from outside."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from omnistereo_lib.files import atomic_write
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.sweep import SphereSweep
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 BACKGROUND = 0x20  # colours stand out, and gaps between points do not dazzle
 _ANY_GRID = SphereGrid(2, 2)  # `colorize_depth` reads its nearest depth only
@@ -140,6 +146,8 @@ def _axes(towards: NDArray) -> NDArray[np.float64]:
     return np.stack([right, np.cross(forward, right), forward])
 
 
-def write_text(picture: NDArray, text: str, at: tuple[int, int], size: int = 22, bold: bool = False) -> None:
-    """Write a line of light text on a picture, in place; `at` is the left end of its base line."""
-    cv2.putText(picture, text, at, (0xE8,) * 3, cv2.FontFace("sans"), size, 600 if bold else 400)
+def save_figure(path: Path, figure: Figure, dpi: int = 100) -> None:
+    """Write a figure of Matplotlib in the format of the suffix, so that its bytes depend only on what it shows."""
+    kind = path.suffix.lower()[1:]
+    with atomic_write(path) as temporary:  # Matplotlib would write its version into a PNG
+        figure.savefig(temporary, format=kind, dpi=dpi, metadata={"Software": None} if kind == "png" else None)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from omnistereo_lib.files import atomic_write
 from omnistereo_lib.stereo.depth import Depth
@@ -56,10 +55,9 @@ class PointCloud:
     confidence: NDArray[np.float32]  #: (M,), in [0, 1]
 
     @classmethod
-    def of(cls, depth: Depth, images: Sequence[ArrayLike], limits: Limits) -> PointCloud:
-        """Return the points of the rays within the limits; gray images give gray points."""
-        colors = depth.panorama(images)
-        colors = np.repeat(colors[..., None], 3, -1) if colors.ndim == 2 else colors
+    def of(cls, depth: Depth, panorama: NDArray[np.float32], limits: Limits) -> PointCloud:
+        """Return the points of the rays within the limits, coloured by `Depth.panorama`; gray gives gray points."""
+        colors = np.repeat(panorama[..., None], 3, -1) if panorama.ndim == 2 else panorama
         keep = limits.keep(depth) & np.isfinite(colors[..., 0])
         points = depth.grid.rays() * np.where(keep, depth.depth, 0)[..., None]
         return cls(

@@ -203,7 +203,7 @@ COMMANDS = [
     Row("no such device", DEPTH + "--device tpu", "--device: invalid choice: 'tpu'"),
     Row("the unit stated twice", DEPTH + "--unit cm", r"in metres by definition. Omit unit='cm'"),
     # data sets and outputs
-    Row("no such frame", SET + "--frame 7", r"has frames 0 … 0, not 7"),
+    Row("no such frame", SET + "--frame 7", r"has frames 0 to 0, not 7"),
     Row("a file as data set", SET + "--rig RIG", r"config.yaml is not a data set folder"),
     Row("no data set", SET + "--rig DATA/none", r"none is not a data set folder"),
     Row("damaged ground truth", SET, r"00001.tiff is not a complete TIFF", write("omnidepth_gt_96/00001.tiff", "II*")),
@@ -316,9 +316,9 @@ COMMANDS = [
 
 # What computes but can mean nothing: exit status 0, and a warning.
 DOUBTFUL = [
-    Row("cameras at one place", DEPTH, "cameras 1 and 2, 1 and 3, .* stand at one place: they see no depth",
+    Row("cameras at one place", DEPTH, "cameras 1 and 2, 1 and 3, .* are at one place: they see no depth",
         poses(lambda pose, number: [*pose[:3], 0, 0, 0]), 0),
-    Row("two cameras are one", DEPTH, "cameras 1 and 2 stand at one place",
+    Row("two cameras are one", DEPTH, "cameras 1 and 2 are at one place",
         config(lambda c: c["cameras"][1].update(pose=c["cameras"][0]["pose"])), 0),
     Row("poses in millimetres", DEPTH, "the cameras are up to .* m apart. Check the unit of the translations",
         poses(lambda pose, number: [*pose[:3], *(1000 * t for t in pose[3:])]), 0),

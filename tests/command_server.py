@@ -15,6 +15,8 @@ import traceback
 from pathlib import Path
 
 import cv2
+import matplotlib.backends.backend_agg
+import matplotlib.figure  # noqa: F401
 import numba
 import scipy.ndimage  # noqa: F401
 import torch
@@ -61,7 +63,6 @@ def wait(number):
 
 
 def main():
-    sys.modules["matplotlib"] = None  # the figures of a calibration take longer than the calibration
     numba.njit(lambda: None)()  # loads its compiler
     cv2.setNumThreads(1)
     torch.set_num_threads(1)

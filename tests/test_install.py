@@ -82,7 +82,7 @@ def test_doctor_without_the_clone(run):
     done = run("-m", "omnistereo_tools", "doctor")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "NOTE  packages and data of the course are not checked" in done.stdout
-    assert "OK    torch 2" in done.stdout and "matplotlib" not in done.stdout
+    assert "OK    torch 2" in done.stdout and "jupyterlab" not in done.stdout
 
 
 def test_what_needs_the_clone_says_so(run):

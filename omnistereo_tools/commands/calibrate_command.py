@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -121,15 +120,11 @@ def _write_reports(
 ) -> list[str]:
     """Write the figures and corners of each camera, captures without a board as null; return what was written."""
     from omnistereo_lib.calibrate.captures import save_corners
-    from omnistereo_tools.calibration_figures import save_figure
+    from omnistereo_tools.calibration_figures import calibration_figure
+    from omnistereo_tools.pictures import save_figure
 
-    has_matplotlib = find_spec("matplotlib") is not None
     for camera, report in zip(cameras, reports, strict=True):
-        if has_matplotlib:
-            save_figure(out / f"report_{camera}.png", report)
+        save_figure(out / f"report_{camera}.png", calibration_figure(report), dpi=80)
         views = {name: report.corners.get(k) for k, name in enumerate(names)}
         save_corners(out / f"corners_{camera}.yaml", views, board, report.intrinsics.image_size)
-    if not has_matplotlib:
-        print("report_*.png are not written, Matplotlib is not installed: pip install matplotlib")
-        return ["corners_*.yaml"]
     return ["report_*.png", "corners_*.yaml"]

@@ -12,42 +12,50 @@ Examples:
 methods: zncc, mccnn, sweepnet or volumenet; +sgm smooths; ,pairs=all and others change settings
 """
 
+from __future__ import annotations
+
 import argparse
-from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from omnistereo_lib.errors import OmnistereoError, check_number
-from omnistereo_tools.commands.options import add_device, add_grid, add_input, make_grid, read_input, read_rig
+from omnistereo_tools.commands.options import add_device, add_grid, add_images, add_rig, make_grid, read_frame, read_rig
 
-_OF_FRAMES = {"frame": 0}  # options and their defaults
-_OF_FRAMES |= dict.fromkeys(["max_depth", "min_confidence", "mesh", "mesh_faces", "equirectangular", "crops"])
-_OF_RECORDINGS = {"start": 0, "stop": None, "step": 1, "cluster": None, "depth_format": "tiff", "video": None}
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from omnistereo_lib.geometry.rig import Rig
+    from omnistereo_lib.geometry.sphere import SphereGrid
+
+# Options of one kind of input; None where they are not given.
+_OF_FRAMES = ("frame", "max_depth", "min_confidence", "mesh", "mesh_faces", "equirectangular", "crops")
+_OF_RECORDINGS = ("start", "stop", "step", "cluster", "depth_format", "video")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    add_input(parser, recordings=True)
+    add_rig(parser, help="rig file, folder of one, or data set (default: the bundled sample)")
+    add_images(parser, each="image, folder of images or video")
     add_grid(parser, width=640, height=160, spheres=192)
-    parser.add_argument("--method", default="volumenet", help="see above (default: volumenet)")
+    parser.add_argument("--method", help="default: for a frame the most exact, for a recording one that keeps pace")
     add_device(parser, precision=False)
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder for the results (default: out)")
-    parser.add_argument("--max-depth", type=float, help="of points, metres (default: the fourth sphere from infinity)")
-    parser.add_argument("--min-confidence", type=float, help="of points (default: all but the least confident tenth)")
-    parser.add_argument("--mesh", type=Path, metavar="FILE", help="write a mesh as well: .glb (textured, y up) or .ply")
-    parser.add_argument("--mesh-faces", type=int, metavar="N", help="decimate the mesh to N triangles")
-    parser.add_argument(
-        "--equirectangular", type=Path, metavar="FILE", help="write depth as 2:1 TIFF, for 360° viewers"
-    )
-    parser.add_argument("--crops", type=Path, metavar="FOLDER", help="perspective crops with depth and transforms.json")
-    of_recording = parser.add_argument_group("recordings")
-    of_recording.add_argument("--start", type=int, default=0, metavar="N", help="first frame number (default: 0)")
-    of_recording.add_argument("--stop", type=int, metavar="N", help="frame number to stop before (default: the end)")
-    of_recording.add_argument("--step", type=int, default=1, metavar="N", help="every N-th frame (default: 1)")
-    of_recording.add_argument("--cluster", metavar="ADDRESS", help="of a Dask scheduler, to use many machines")
-    of_recording.add_argument("--depth-format", default="tiff", choices=["tiff", "png"], help="float32, or 16 bits")
-    of_recording.add_argument(
-        "--video", type=Path, metavar="FILE", help="panorama over depth: .mp4, or .webm for browsers"
-    )
+    frame = parser.add_argument_group("one frame")
+    frame.add_argument("--max-depth", type=float, help="of points, metres (default: the fourth sphere from infinity)")
+    frame.add_argument("--min-confidence", type=float, help="of points (default: all but the least confident tenth)")
+    frame.add_argument("--mesh", type=Path, metavar="FILE", help="write a mesh as well: .glb (textured, y up) or .ply")
+    frame.add_argument("--mesh-faces", type=int, metavar="N", help="decimate the mesh to N triangles")
+    frame.add_argument("--equirectangular", type=Path, metavar="FILE", help="write depth as 2:1 TIFF, for 360° viewers")
+    frame.add_argument("--crops", type=Path, metavar="FOLDER", help="perspective crops with depth and transforms.json")
+    recording = parser.add_argument_group("recordings")
+    recording.add_argument("--start", type=int, metavar="N", help="first frame number (default: 0)")
+    recording.add_argument("--stop", type=int, metavar="N", help="frame number to stop before (default: the end)")
+    recording.add_argument("--step", type=int, metavar="N", help="every N-th frame (default: 1)")
+    recording.add_argument("--cluster", metavar="ADDRESS", help="of a Dask scheduler, to use many machines")
+    recording.add_argument("--depth-format", choices=["tiff", "png"], help="float32 (default), or 16 bits")
+    recording.add_argument("--video", type=Path, metavar="FILE", help="panorama over depth: .mp4, or browsers' .webm")
 
 
 def run(options: argparse.Namespace) -> None:
@@ -62,10 +70,10 @@ def run(options: argparse.Namespace) -> None:
         _run_frame(options)
 
 
-def _refuse(options: argparse.Namespace, defaults: Mapping, purpose: str) -> None:
-    """Raise an `OmnistereoError` if an option has another value than its default: it would be ignored."""
-    for name, default in defaults.items():
-        if getattr(options, name) != default:
+def _refuse(options: argparse.Namespace, names: Sequence[str], purpose: str) -> None:
+    """Raise an `OmnistereoError` if one of the options is given: it would be ignored."""
+    for name in names:
+        if getattr(options, name) is not None:
             raise OmnistereoError(f"--{name.replace('_', '-')} is for {purpose}. Leave it out, or change --images.")
 
 
@@ -74,10 +82,35 @@ def _run_frame(options: argparse.Namespace) -> None:
     from tqdm import tqdm
 
     from omnistereo_lib.files import make_folder
+    from omnistereo_lib.stereo.methods import FRAME_METHOD
     from omnistereo_lib.stereo.pipeline import estimate_depth
-    from omnistereo_tools.exports import check_suffixes, export_frame
+    from omnistereo_tools.exports import export_frame
     from omnistereo_tools.frame import FrameResult
     from omnistereo_tools.points import Limits
+
+    _check_frame_options(options)
+    rig, images, frame = read_frame(options)
+    grid = _choose_grid(options, rig, images)
+    gt_index = None if frame is None else frame.gt_index(grid)  # fail fast: read the ground truth, make the folders
+    files = (options.mesh, options.equirectangular)
+    for folder in (options.out, options.crops, *(file and file.parent for file in files)):
+        if folder is not None:
+            make_folder(folder)
+    method = options.method or FRAME_METHOD
+    depth = estimate_depth(
+        rig, images, grid, method, device=options.device, progress=lambda blocks: tqdm(blocks, "sweep", unit="block")
+    )
+    limits = Limits.of(depth, options.max_depth, options.min_confidence)
+    result = FrameResult(depth, images, limits, method, gt_index)
+    written = result.write(options.out)
+    written += export_frame(result, options.mesh, options.mesh_faces, options.equirectangular, options.crops)
+    print("\n".join(result.sentences()))
+    print(f"written to {options.out}/: {', '.join(written)}")
+
+
+def _check_frame_options(options: argparse.Namespace) -> None:
+    """Raise an `OmnistereoError` if an option of a frame has a value that it cannot have."""
+    from omnistereo_tools.exports import check_suffixes
 
     check_suffixes(mesh=options.mesh, equirectangular=options.equirectangular)
     if options.max_depth is not None:
@@ -88,23 +121,23 @@ def _run_frame(options: argparse.Namespace) -> None:
         check_number(options.mesh_faces, "--mesh-faces", 1, 10**9, whole=True)
         if options.mesh is None:
             raise OmnistereoError("--mesh-faces decimates a mesh; found no --mesh. Add --mesh FILE, or leave it out.")
-    rig, images, frame = read_input(options)
-    grid = make_grid(options, rig, images)
-    gt_index = None if frame is None else frame.gt_index(grid)  # fail fast: read the ground truth, make the folders
-    for folder in (*(file.parent for file in (options.mesh, options.equirectangular) if file), options.crops):
-        if folder is not None:
-            make_folder(folder)
-    out = make_folder(options.out)
-    depth = estimate_depth(
-        rig, images, grid, options.method, device=options.device,
-        progress=lambda blocks: tqdm(blocks, desc="sweep", unit="block"),
-    )  # fmt: skip
-    limits = Limits.of(depth, options.max_depth, options.min_confidence)
-    result = FrameResult(depth, images, limits, options.method, gt_index)
-    written = result.write(out)
-    written += export_frame(result, options.mesh, options.mesh_faces, options.equirectangular, options.crops)
-    print("\n".join(result.sentences()))
-    print(f"written to {out}/: {', '.join(written)}")
+
+
+def _choose_grid(options: argparse.Namespace, rig: Rig, images: Sequence[NDArray[np.uint8]]) -> SphereGrid:
+    """Return the grid, with a nearest depth that the images show where nobody states it; warn of doubtful input."""
+    import warnings
+
+    from omnistereo_tools.doubts import image_doubts, rig_doubts
+    from omnistereo_tools.nearest import propose_min_depth
+
+    found = None
+    if options.min_depth is None and rig.min_depth is None:
+        found = propose_min_depth(rig, images, tuple(options.phi))
+        print(f"The rig file states no nearest depth: a coarse look at the images proposes --min-depth {found:g}.")
+    grid = make_grid(options, rig, found)
+    for doubt in (*rig_doubts(rig, grid.min_depth), *image_doubts(rig, images, grid)):
+        warnings.warn(doubt, stacklevel=2)
+    return grid
 
 
 def _run_recording(options: argparse.Namespace) -> None:
@@ -112,23 +145,34 @@ def _run_recording(options: argparse.Namespace) -> None:
     from tqdm import tqdm
 
     from omnistereo_lib.files import make_folder
+    from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD
     from omnistereo_tools.exports import check_suffixes
     from omnistereo_tools.recordings import DepthWriter, stored_min_depth, write_video
     from omnistereo_tools.sources import Recording
 
     check_suffixes(video=options.video)
     rig = read_rig(options)
-    recording = Recording.open(options.images, options.start, options.stop, options.step)
+    step = 1 if options.step is None else options.step
+    recording = Recording.open(options.images, options.start or 0, options.stop, step)
     for path, names in recording.missing.items():
         some = ", ".join(map(str, names[:8])) + " …" * (len(names) > 8)
         print(f"{path} lacks {len(names)} frames that other cameras have; they are left out: {some}")
+    if options.method is None:
+        print(f"method: {VIDEO_METHOD}, which keeps pace; --method {FRAME_METHOD} has lower errors and takes longer")
     if options.min_depth is None:
         options.min_depth = stored_min_depth(options.out)
-    grid = make_grid(options, rig, next(recording.read([min(recording.frames)], rig)))
+    grid = _choose_grid(options, rig, next(recording.read([min(recording.frames)], rig)))
+    suffix = f".{options.depth_format or 'tiff'}"
     writer = DepthWriter.open(
-        options.out, recording, rig, grid, options.method, f".{options.depth_format}", options.video is not None,
-        options.device,
-    )  # fmt: skip
+        options.out,
+        recording,
+        rig,
+        grid,
+        options.method or VIDEO_METHOD,
+        suffix=suffix,
+        with_video=options.video is not None,
+        device=options.device,
+    )
     if options.cluster is not None:
         from omnistereo_tools.cluster import connect, depth_on_cluster
 
@@ -140,7 +184,7 @@ def _run_recording(options: argparse.Namespace) -> None:
     done = writer.run(left) if options.cluster is None else depth_on_cluster(options.cluster, writer, options.device)
     for _ in tqdm(done, "depth", total, initial=total - len(left), unit="frame"):
         pass
-    print(f"{len(recording.frames)} frames are in {options.out}/, which load_dataset reads")
+    print(f"{total} frames are in {options.out}/, which load_dataset reads")
     if options.video is not None:
         write_video(options.video, writer)
         print(f"written to {options.video}")

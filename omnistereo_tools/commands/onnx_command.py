@@ -8,13 +8,12 @@ Example:
 import argparse
 from pathlib import Path
 
-from omnistereo_tools.commands.options import SAMPLE, add_grid
+from omnistereo_tools.commands.options import SAMPLE, add_grid, add_rig, make_grid
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    parser.add_argument("--rig", type=Path, default=SAMPLE, help="rig file or folder (default: the bundled sample)")
-    parser.add_argument("--unit", choices=["mm", "cm", "m"], help="unit of the poses, if the file does not state it")
+    add_rig(parser, default=SAMPLE, help="rig file or folder (default: the bundled sample)")
     add_grid(parser, width=640, height=160, spheres=192)
     parser.add_argument("--out", type=Path, default=Path("out/onnx"), help="folder for the files (default: out/onnx)")
 
@@ -23,16 +22,11 @@ def run(options: argparse.Namespace) -> None:
     """Write the files and say what they are."""
     import shlex
 
-    from omnistereo_lib.errors import OmnistereoError
-    from omnistereo_lib.geometry.sphere import SphereGrid
     from omnistereo_lib.rig_files import load_rig
     from omnistereo_tools.onnx_export import export_onnx
 
     rig = load_rig(options.rig, options.unit)
-    min_depth = rig.min_depth if options.min_depth is None else options.min_depth
-    if min_depth is None:
-        raise OmnistereoError(f"{options.rig} states no nearest depth. Pass --min-depth, in metres")
-    grid = SphereGrid(options.width, options.height, tuple(options.phi), options.spheres, min_depth)
-    print(f"written to {options.out}/: {', '.join(export_onnx(options.out, rig, grid))}")
+    written = export_onnx(options.out, rig, make_grid(options, rig))
+    print(f"written to {options.out}/: {', '.join(written)}")
     script = shlex.quote(f"{options.out}/run_onnx.py")
     print(f"without torch: python {script} with one image for each of the {len(rig)} cameras")

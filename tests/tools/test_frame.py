@@ -11,6 +11,7 @@ import scene
 import omnistereo_lib as osl
 from omnistereo_lib.files import read_image, write_image
 from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_tools.exports import export_frame
 from omnistereo_tools.frame import FrameResult
 from omnistereo_tools.masks import with_masks
 from omnistereo_tools.pictures import BACKGROUND, ColorScale, draw_points
@@ -70,7 +71,7 @@ def test_the_points_are_on_the_walls_and_the_normals_across_them(written, depth)
 
 
 def test_limits_drop_what_is_far_or_unsure(depth):
-    cloud = PointCloud.of(depth, [np.zeros((192, 200), np.uint8)] * 4, Limits(2.0, 0.5))
+    cloud = PointCloud.of(depth, np.zeros(GRID.shape, np.float32), Limits(2.0, 0.5))
     assert np.linalg.norm(cloud.points, axis=-1).max() <= 2.0 and cloud.confidence.min() >= 0.5
     assert len(cloud.points) == (depth.valid & (depth.depth <= 2) & (depth.confidence >= 0.5)).sum() > 0
 
@@ -129,6 +130,17 @@ def test_near_points_hide_far_ones():
         shown = {tuple(color) for color in picture.reshape(-1, 3)}
         assert (255, 0, 0) in shown
     assert (draw_points(points[:0], colors[:0], (4, 3)) == BACKGROUND).all()
+
+
+def test_each_panorama_is_computed_once(depth, pictures, tmp_path, monkeypatch):
+    """At the size of the depth, and at the size that is looked at, which is the texture of the mesh, too."""
+    pytest.importorskip("trimesh")
+    computed, panorama = [], osl.Depth.panorama
+    monkeypatch.setattr(osl.Depth, "panorama", lambda *given: computed.append(panorama(*given)) or computed[-1])
+    result = FrameResult(depth, pictures, Limits.of(depth), "zncc+sgm")
+    result.write(tmp_path)
+    export_frame(result, tmp_path / "a.glb", None, None, None)
+    assert [one.shape[1] for one in computed] == [160, 1920]
 
 
 def test_masks_beside_the_images_or_named(rig, tmp_path):

@@ -12,7 +12,7 @@ import scene
 import omnistereo_lib as osl
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools import cli, live_view
-from omnistereo_tools.live_view import Latest, live_pictures, serve, show_in_browser
+from omnistereo_tools.live_view import Latest, live_pictures, serve, show
 
 FRAMES = 5
 GRID = osl.SphereGrid(96, 24, num_spheres=16, min_depth=0.6)
@@ -67,7 +67,7 @@ def test_the_browser_gets_a_stream():
     with serve(latest, 0) as address:
         assert '<img src="stream"' in urllib.request.urlopen(address, timeout=60).read().decode()
         stream = urllib.request.urlopen(address + "stream", timeout=60)
-        assert show_in_browser(iter(pictures), latest) == 3
+        assert show(iter(pictures), latest) == 3
         parts = stream.read().split(b"--x\r\n")[1:]
     assert 1 <= len(parts) <= 3
     jpeg = parts[-1].split(b"\r\n\r\n", 1)[1]
@@ -76,7 +76,7 @@ def test_the_browser_gets_a_stream():
 
 def test_the_command_plays_videos_to_their_end(recorded, capsys):
     _, folder, videos = recorded
-    small = ["--width", 96, "--height", 24, "--spheres", 16, "--method", "zncc", "--browser", "--port", 0]
+    small = ["--width", 96, "--height", 24, "--spheres", 16, "--method", "zncc", "--port", 0]
     command = ["live", "--rig", folder / "rig.yaml", "--cameras", *videos, *small]
     assert cli.main([str(argument) for argument in command]) == 0
     told = capsys.readouterr().out
@@ -95,7 +95,7 @@ def test_ctrl_c_ends_it_with_the_last_line(recorded, capsys, monkeypatch, stop):
 
     _, folder, videos = recorded
     monkeypatch.setattr(live_view, "live_pictures", pictures)
-    command = ["live", "--rig", str(folder / "rig.yaml"), "--cameras", *videos, "--browser", "--port", "0"]
+    command = ["live", "--rig", str(folder / "rig.yaml"), "--cameras", *videos, "--port", "0"]
     ended = stop is KeyboardInterrupt
     assert cli.main(command) == (0 if ended else 130)
     told = capsys.readouterr()

@@ -1,5 +1,6 @@
 """Recordings: matched frames, a data set that `load_dataset` reads back, resumed after any end."""
 
+import json
 import os
 import re
 import shutil
@@ -16,6 +17,7 @@ import scene
 
 import omnistereo_lib as osl
 from omnistereo_lib.files import read_image, write_image
+from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD
 from omnistereo_tools import cli
 from omnistereo_tools.sources import Recording
 
@@ -106,6 +108,14 @@ def test_killed_and_resumed_it_is_the_same(recorded, done, tmp_path):
     for path in files:
         assert (out / path).read_bytes() == (done / path).read_bytes(), path
     assert {name: (folder / name).stat().st_mtime_ns for name in halfway} == halfway  # not computed again
+
+
+def test_by_default_it_keeps_pace_and_says_so(recorded, tmp_path, capsys):
+    command = depth_command(recorded, tmp_path / "out")
+    del command[command.index("--method") : command.index("--method") + 2]
+    assert run(*command, "--stop", 2) == 0
+    assert f"method: {VIDEO_METHOD}, which keeps pace; --method {FRAME_METHOD} has" in capsys.readouterr().out
+    assert json.loads((tmp_path / "out" / "recording.json").read_text())["method"] == VIDEO_METHOD
 
 
 def test_another_recording_is_not_overwritten(recorded, done, capsys):
