@@ -1,33 +1,37 @@
-"""VolumeNet as ONNX files for a rig, with a script that runs them without torch."""
+"""VolumeNet for a rig as one ONNX file, images in and depth out, with a script that runs it without torch."""
 
 from __future__ import annotations
 
 import shutil
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import torch
+from torch import Tensor, nn
+from torch.nn.functional import avg_pool2d, grid_sample, interpolate
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, make_folder
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.stereo.correlation import feature_coordinates, pixels_per_degree, volume_sizes
+from omnistereo_lib.stereo.correlation import GROUPS, feature_coordinates, pixels_per_degree, volume_sizes
 from omnistereo_lib.stereo.sweep import reduce_images
-from omnistereo_lib.stereo.volumenet import VolumeNet
+from omnistereo_lib.stereo.volumenet import VolumeNet, local_mean, normalize, resize_logits
 
 OPSET = 18  # the first whose Resize takes the axes as torch does
 _SCRIPT = Path(__file__).with_name("run_onnx.py")
+_COLUMNS = 32  # of a volume or the panorama at a time: temporary arrays stay small
+_LUMA = 0.299, 0.587, 0.114  # of red, green and blue (BT.601)
 
 
 def export_onnx(out: Path, rig: Rig, grid: SphereGrid, network: VolumeNet | None = None) -> list[str]:
     """Write VolumeNet for a rig and a grid into a folder; return the names of the files.
 
-    features.onnx   image (h, w) float32 and visible (h, w) bool → features (32, ⌈h / 2⌉, ⌈w / 2⌉); any size
-    volume.onnx     volume (1, 9, W, H, N) float32, sizes in multiples of 8 → logits (1, W, H, N)
-    rig.npz         for each volume and camera a mask, the factor by which images are reduced, and where cells land
-    run_onnx.py     the rest of the method in NumPy
+    depth.onnx    image1 … imageK (h, w, 3) uint8, RGB → inverse_depth (H, W) float32 in 1/m, 0 = infinitely far, NaN =
+                  unknown, and confidence (H, W)
+    run_onnx.py   reads images and runs it
 
     Args:
         network: Default: the bundled one.
@@ -40,44 +44,77 @@ def export_onnx(out: Path, rig: Rig, grid: SphereGrid, network: VolumeNet | None
     except ImportError:
         raise OmnistereoError("an export needs onnx: pip install 'omnistereo-lib[onnx]'") from None
     out = make_folder(out)
-    network = (VolumeNet.pretrained() if network is None else network).cpu().eval()
-    image, visible = torch.zeros(64, 64), torch.ones(64, 64, dtype=torch.bool)
-    sizes = {0: "height", 1: "width"}
-    _export(network.features, (image, visible), out / "features.onnx", {"image": sizes, "visible": sizes}, "features")
-    volume = torch.zeros(1, 9, 16, 16, 16)
-    _export(network, (volume,), out / "volume.onnx", {"volume": {2: "W", 3: "H", 4: "N"}}, "logits")
-    _write_rig(out / "rig.npz", rig.recentered(), grid)
+    graph = DepthGraph(VolumeNet.pretrained() if network is None else network, rig, grid).cpu().eval()
+    images = tuple(torch.randint(256, (*camera.image_size[::-1], 3), dtype=torch.uint8) for camera in rig.cameras)
+    with atomic_write(out / "depth.onnx") as temporary, warnings.catch_warnings(), torch.no_grad():
+        warnings.simplefilter("ignore")  # tracing warns of sizes that become constants; they are those of rig and grid
+        torch.onnx.export(
+            graph,
+            images,
+            str(temporary),
+            input_names=[f"image{k}" for k in range(1, len(rig) + 1)],
+            output_names=["inverse_depth", "confidence"],
+            opset_version=OPSET,
+            do_constant_folding=False,  # the maps that ONNX Runtime folds when it loads the file would fill it
+            dynamo=False,  # the newer exporter takes twenty times as long, for the same numbers
+        )
     with atomic_write(out / _SCRIPT.name) as temporary:
         shutil.copyfile(_SCRIPT, temporary)
-    return ["features.onnx", "volume.onnx", "rig.npz", _SCRIPT.name]
+    return ["depth.onnx", _SCRIPT.name]
 
 
-def _export(network: torch.nn.Module, inputs: tuple, path: Path, axes: dict, output: str) -> None:
-    with atomic_write(path) as temporary, warnings.catch_warnings(), torch.no_grad():
-        warnings.simplefilter("ignore")  # tracing warns of sizes that become constants; they are the channels
-        # dynamo=False: the newer exporter takes twenty times as long, for the same numbers.
-        torch.onnx.export(
-            network, inputs, str(temporary), input_names=list(axes), output_names=[output], dynamic_axes=axes,
-            opset_version=OPSET, dynamo=False,
-        )  # fmt: skip
+class DepthGraph(nn.Module):
+    """`estimate_depth` by VolumeNet for one rig and grid, of operations that ONNX has."""
+
+    def __init__(self, network: VolumeNet, rig: Rig, grid: SphereGrid) -> None:
+        super().__init__()
+        self.network, self.rig, self.grid = network, rig.recentered(), grid
+
+    def forward(self, *images: Tensor) -> tuple[Tensor, Tensor]:
+        """Return inverse depth in 1/m and confidence, (H, W) each, NaN = unknown, of one image (h, w, 3) per camera."""
+        grid, sizes = self.grid, volume_sizes(self.grid)
+        *_, correlation = correlations = [self._correlation(images, size) for size in sizes]
+        logits = [self.network(one[None]) / len(sizes) for one in correlations]
+        read_out = []
+        for columns in torch.arange(grid.width).split(_COLUMNS):
+            mean = sum(resize_logits(one, columns, grid)[0] for one in logits)
+            read_out.append(torch.stack(local_mean(1 - mean.softmax(-1))))
+        index, confidence = torch.cat(read_out, 1).transpose(1, 2)
+        shared = (correlation[-1] > 0.3).any(-1).float()[None, None]  # k / 4 of two cameras is 0.5
+        hidden = interpolate(shared, grid.shape[::-1], mode="nearest")[0, 0].T == 0
+        far, near = 1 / grid.max_depth, 1 / grid.min_depth
+        inverse_depth = far + index * ((near - far) / (grid.num_spheres - 1))
+        return inverse_depth.masked_fill(hidden, torch.nan), confidence.masked_fill(hidden, torch.nan)
+
+    def _correlation(self, images: Sequence[Tensor], size: tuple[int, int, int]) -> Tensor:
+        """Return the correlation volume (9, W, H, N) at a size."""
+        blank = [np.zeros(camera.image_size[::-1], np.uint8) for camera in self.rig.cameras]
+        rig, _ = reduce_images(self.rig, blank, pixels_per_degree(size))
+        features = []
+        for image, camera, reduced in zip(images, self.rig.cameras, rig.cameras, strict=True):
+            gray = _reduced_gray(image, camera.image_size[0] // reduced.image_size[0])
+            visible = torch.from_numpy(reduced.visible_pixels())
+            features.append(self.network.features(normalize(gray, visible), visible))
+        coordinates = [uv.split(_COLUMNS) for uv in feature_coordinates(rig, self.grid, size)]
+        return torch.cat([_correlate(features, part) for part in zip(*coordinates, strict=True)], 1)
 
 
-def _write_rig(path: Path, rig: Rig, grid: SphereGrid) -> None:
-    """Write what of the rig and the grid the script needs."""
-    blank = [np.zeros(camera.image_size[::-1], np.uint8) for camera in rig.cameras]
-    arrays = {
-        "size": np.array([grid.width, grid.height, grid.num_spheres]),
-        "inverse_depth": np.array([1 / grid.min_depth, 1 / grid.max_depth]),
-        "image_sizes": np.array([camera.image_size for camera in rig.cameras]),
-    }
-    sizes = volume_sizes(grid)
-    for number, size in enumerate(sizes):
-        reduced, _ = reduce_images(rig, blank, pixels_per_degree(size))
-        for k, (camera, uv) in enumerate(zip(reduced.cameras, feature_coordinates(reduced, grid, size), strict=True)):
-            name = f"{number}_{k}"
-            arrays[f"mask{name}"] = camera.visible_pixels()
-            arrays[f"factor{name}"] = np.array(rig.cameras[k].image_size[0] // camera.image_size[0])
-            arrays[f"uv{name}"] = uv.numpy()
-    arrays["volumes"] = np.array(len(sizes))
-    with atomic_write(path) as temporary:
-        np.savez_compressed(temporary, **arrays)
+def _reduced_gray(image: Tensor, factor: int) -> Tensor:
+    """Return an image (h, w, 3) in gray, (h / factor, w / factor), as `reduce_images` and `to_gray` give it."""
+    blocks = avg_pool2d(image.permute(2, 0, 1).float()[None], factor)[0]
+    return torch.einsum("chw,c->hw", (blocks + 0.5).floor(), torch.tensor(_LUMA))
+
+
+def _correlate(features: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tensor:
+    """Return what `correlate` does, for some columns of the volume."""
+    warped, seen = [], []
+    for maps, uv in zip(features, coordinates, strict=True):
+        last = torch.tensor([maps.shape[2] - 1.0, maps.shape[1] - 1.0])
+        seen.append(~uv[..., 0].isnan())
+        at = (2 * uv.nan_to_num() / last - 1).flatten(0, 1)[None]
+        sampled = grid_sample(maps[None], at, padding_mode="border", align_corners=True)[0].unflatten(1, uv.shape[:2])
+        warped.append(sampled * seen[-1])
+    k = sum(one.float() for one in seen)
+    products = sum(warped).square() - sum(one.square() for one in warped)
+    groups = products.unflatten(0, (GROUPS, -1)).mean(1) / (k * (k - 1)).clamp(min=1)
+    return torch.cat([groups, k[None] / 4])

@@ -118,7 +118,7 @@ def test_doctor_of_a_rig(data, capsys, scene_images):
 def test_doctor_of_a_rig_without_images_says_what_it_can_see(data, tmp_path, capsys):
     assert run("doctor", "--rig", data / "config.yaml", "--coverage", tmp_path / "coverage.png") == 0
     assert "At 5 m, a match that is off by one pixel puts a depth off by" in capsys.readouterr().out
-    assert read_image(tmp_path / "coverage.png").shape[1] == 1080
+    assert cv2.imread(str(tmp_path / "coverage.png")).std() > 20
 
 
 def test_doctor_of_a_folder_that_holds_a_rig_alone(data, tmp_path, capsys):
