@@ -166,6 +166,85 @@ def board_triangle() -> Figure:
     return fig
 
 
+def window_problems() -> Figure:
+    """Three windows that match where they should not: no texture, an edge along the search, an outline."""
+    fig, axes = _canvas(10, 2.6, 3)
+    rng = np.random.default_rng(3)
+    for ax in axes:
+        ax.add_patch(plt.Rectangle((0, 0), 6, 3, facecolor="0.8", edgecolor="none"))
+        ax.set(xlim=(-0.1, 6.1), ylim=(-0.9, 3.1))
+    axes[1].add_patch(plt.Rectangle((0, 0), 6, 1.4, facecolor="0.45"))
+    axes[2].add_patch(plt.Rectangle((0, 0), 3.1, 3, facecolor="0.45"))
+    axes[2].scatter(*rng.uniform((0.1, 0.1), (3, 2.9), (60, 2)).T, s=9, color="0.2")
+    titles = (
+        "no texture: alike everywhere",
+        "an edge along the search:\nalike all the way",
+        "an outline: the near side decides",
+    )
+    for ax, places, title in zip(axes, ((0.8, 2.3, 3.8), (0.8, 2.3, 3.8), (2.4,)), titles, strict=True):
+        for k, x in enumerate(places):
+            style = {"fill": False, "edgecolor": POINT, "lw": 2 if k == 0 else 1, "ls": "-" if k == 0 else ":"}
+            ax.add_patch(plt.Rectangle((x, 0.7), 1.4, 1.4, **style))
+        ax.set_title(title, fontsize=10)
+    axes[2].plot(3.5, 1.4, "+", color=POINT, ms=8)
+    axes[2].text(4.0, 1.4, "this ray, on the\nfar side, gets\nthe near depth", fontsize=8, color=POINT, va="center")
+    for ax in axes[:2]:
+        _arrow(ax, (1.5, -0.4), (4.9, -0.4), "0.2")
+        ax.text(3.2, -0.75, "search", ha="center", fontsize=9)
+    return fig
+
+
+def volume_box() -> Figure:
+    """The cost volume as a box of columns, spheres and rows, with the cut at one row."""
+    fig, (ax,) = _canvas(8, 2.9)
+    w, n, h, slant = 6.0, 1.9, 1.5, np.array([0.55, 0.6])  # width, spheres (into the page), height
+
+    def at(column: float, sphere: float, row: float) -> NDArray:
+        return np.array([column, -row]) + sphere * slant
+
+    corners = [(0, 0), (w, 0), (w, n), (0, n)]
+    for row, style in ((0, "-"), (h, ":")):
+        ax.add_patch(plt.Polygon([at(*corner, row) for corner in corners], fill=False, edgecolor="0.4", ls=style))
+    for corner in corners:
+        _line(ax, at(*corner, 0), at(*corner, h), color="0.4", ls=":" if corner == (0, n) else "-")
+    cut = [at(*corner, h / 2) for corner in corners]
+    ax.add_patch(plt.Polygon(cut, facecolor=FIRST, alpha=0.3))
+    ray = np.array([at(3.8, sphere, h / 2) for sphere in (0, n)])
+    ax.plot(*ray.T, color=POINT, lw=2.5)
+    ax.annotate("one ray: a cost curve", ray.mean(0), (8, -2), textcoords="offset points", color=POINT, fontsize=9)
+    ax.text(*at(0.15, 0.1, 0.9 * h / 2), "the cut", color=FIRST, fontsize=9)
+    ax.text(*at(w / 2, 0, h + 0.35), "W columns, θ", ha="center")
+    ax.text(*at(-0.15, 0, h / 2), "H rows, φ", ha="right", va="center")
+    ax.text(*at(w + 0.25, n / 2, h), "N spheres, n", va="center")
+    ax.set(xlim=(-1.6, 9), ylim=(-2.0, 1.3))
+    return fig
+
+
+def sgm_paths() -> Figure:
+    """The eight paths that end at a ray, and the panorama as the cylinder that they go around."""
+    fig, (left, right) = _canvas(9.5, 3.0, 2)
+    for angle in np.radians(np.arange(0, 360, 45)):
+        x, y = np.cos(angle), np.sin(angle)
+        _arrow(left, (1.1 * x, 1.1 * y), (0.13 * x, 0.13 * y), FIRST)
+    left.plot(0, 0, "o", color=POINT, ms=9)
+    left.set(xlim=(-1.3, 1.3), ylim=(-1.3, 1.3), title="eight paths end at every ray")
+    around = np.linspace(0, 2 * np.pi, 200)
+    x, depth = 2 * np.sin(around), 0.35 * np.cos(around)  # seen from slightly above; the front has depth > 0
+    for y in (-0.8, 0.8):
+        right.plot(x, y - depth, color="0.4", lw=1)
+    for side in (-2, 2):
+        _line(right, (side, -0.8), (side, 0.8), color="0.4", lw=1)
+    _line(right, (0, -0.8 + 0.35), (0, 0.8 + 0.35), color=POINT, lw=1.5, ls="--")
+    right.text(0.08, 0.62, "the seam", color=POINT, fontsize=9)
+    for rise, color in ((0.0, SECOND), (0.17, FIRST)):
+        for front in (False, True):
+            part = (np.cos(around) > 0) == front
+            y = np.where(part, -0.15 - depth + rise * (around - np.pi), np.nan)
+            right.plot(np.where(part, x, np.nan), y, color=color, lw=2, ls="-" if front else ":")
+    right.set(xlim=(-2.3, 2.3), ylim=(-1.4, 1.4), title="the panorama closes behind us: no path ends at the seam")
+    return fig
+
+
 def slanted_window() -> Figure:
     """A window on the road seen from the side: it lies on one sphere, the road crosses three."""
     fig, (ax,) = _canvas(8.5, 3.4)

@@ -167,9 +167,10 @@ def other_version(code: list[str], asked: list[Exercise]) -> Iterator[str]:
 def in_words(sheet: Sheet) -> str:
     """Return a score sheet as text."""
     lines = [f"{sheet['file']}: notebook {sheet['notebook']}, {sheet['seconds']} s, {sheet['peak_gib']} GiB"]
+    width = max(map(len, sheet["exercises"]), default=0)
     for number, result in sheet["exercises"].items():
         said = "" if result["status"] == "right" else result["said"]
-        lines.append(f"  {number}  {result['status']:<10}  {said.removeprefix('not yet: ')}".rstrip())
+        lines.append(f"  {number:<{width}}  {result['status']:<10}  {said.removeprefix('not yet: ')}".rstrip())
     lines += [f"  note: {note}" for note in sheet["notes"]]
     counts = Counter(result["status"] for result in sheet["exercises"].values())
     return "\n".join([*lines, "  " + ", ".join(f"{counts[status]} {status}" for status in STATUSES)])

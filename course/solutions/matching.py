@@ -5,38 +5,6 @@ import numpy as np
 # --- 04 ZNCC ----------------------------------------------------------------------------------------------
 
 
-def zncc_cost(a, b):
-    a, b = a - a.mean(), b - b.mean()  # Z: brightness does not count
-    zncc = np.sum(a * b) / np.sqrt(np.sum(a**2) * np.sum(b**2))  # N: contrast does not, either
-    return (1 - zncc) / 2  # from 1 … -1 to 0 … 1
-
-
-def mean_over_pairs(costs):
-    # Over the rows, and only over those that hold a number: a pair that does not see the ray has no say.
-    return np.nanmean(costs, axis=0)
-
-
-def pixels_per_index(baseline, nearest, N, width):
-    step = 1 / (nearest * (N - 1))  # from one sphere to the next, in inverse depth
-    angle = baseline * step  # radians
-    return angle / (2 * np.pi) * width
-
-
-def my_winner(costs):
-    unknown = np.isnan(costs)
-    best = np.argmin(np.where(unknown, np.inf, costs), axis=-1)
-    return np.where(unknown.all(axis=-1), np.nan, best)
-
-
-def my_zncc_matrix(a, b):
-    def normalized(patches):
-        patches = patches - patches.mean(axis=1, keepdims=True)
-        length = np.linalg.norm(patches, axis=1, keepdims=True)
-        return patches / np.where(length > 0, length, 1)  # a flat patch is all zeros, and stays so
-
-    return normalized(a) @ normalized(b).T
-
-
 # --- 05 MC-CNN --------------------------------------------------------------------------------------------
 
 

@@ -20,32 +20,6 @@ def zncc_loops(a, b):
     return (1 - products / math.sqrt(squares_a * squares_b)) / 2
 
 
-def zncc_normalised(a, b):
-    a, b = ((x - x.mean()) / x.std() for x in (a.astype(np.float32), b.astype(np.float32)))
-    return 0.5 - 0.5 * (a * b).mean()
-
-
-def zncc_half_centred(a, b):
-    return (1 - np.mean(a * b) / (a.std() * b.std())) / 2
-
-
-def mean_loops(costs):
-    means = []
-    for ray in costs.T:
-        seen = [cost for cost in ray if not math.isnan(cost)]
-        means.append(sum(seen) / len(seen))
-    return means
-
-
-def mean_by_counting(costs):
-    seen = np.isfinite(costs)
-    return np.where(seen, costs, 0).sum(0) / seen.sum(0)
-
-
-def mean_of_complete_pairs(costs):
-    return costs[~np.isnan(costs).any(axis=1)].mean(axis=0)
-
-
 def sgm_loops(cost, before, p1, p2, first=1, subtract=True, low=None):
     """One step; `first` is the first sphere with a left neighbour, and Python's before[-1] is the last."""
     low = min(before) if low is None else low
@@ -102,56 +76,6 @@ def vertex_half_a(left, middle, right):
     return -b / (2 * a)
 
 
-ZNCC_COST = [
-    ("right", zncc_loops),
-    ("right", zncc_normalised),
-    ("right", lambda a, b: (1 - np.corrcoef(a.ravel(), b.ravel())[0, 1]) / 2),
-    ("ZNCC itself", lambda a, b: np.corrcoef(a.flat, b.flat)[0, 1]),
-    ("a match must cost 0", lambda a, b: (1 + np.corrcoef(a.flat, b.flat)[0, 1]) / 2),
-    ("runs from 0 to 2", lambda a, b: 1 - np.corrcoef(a.flat, b.flat)[0, 1]),
-    ("brackets", lambda a, b: 1 - np.corrcoef(a.flat, b.flat)[0, 1] / 2),
-    ("each patch's mean first", lambda a, b: (1 - np.vdot(a, b) / np.linalg.norm(a) / np.linalg.norm(b)) / 2),
-    ("in the product, too", zncc_half_centred),
-    ("by both standard deviations", lambda a, b: (1 - np.cov(a.flat, b.flat, ddof=0)[0, 1]) / 2),
-    ("not by the variances", lambda a, b: (1 - np.cov(a.flat, b.flat, ddof=0)[0, 1] / (a.var() * b.var())) / 2),
-    ("the deviations by n:", lambda a, b: (1 - np.cov(a.flat, b.flat)[0, 1] / (a.std() * b.std())) / 2),
-    (
-        "the deviations by n - 1",
-        lambda a, b: (1 - np.mean((a - a.mean()) * (b - b.mean())) / (a.std(ddof=1) * b.std(ddof=1))) / 2,
-    ),
-    ("sum and mean", lambda a, b: (1 - np.sum((a - a.mean()) * (b - b.mean())) / (a.std() * b.std())) / 2),
-    ("shape (10, 10)", lambda a, b: (1 - np.corrcoef(a, b)) / 2),
-]
-MEAN_OVER_PAIRS = [
-    ("right", mean_loops),
-    ("right", mean_by_counting),
-    ("right", lambda costs: np.nanmean(costs.astype(np.float32), axis=0)),
-    ("leave the NaN out", lambda costs: np.mean(costs, axis=0)),
-    ("no 0", lambda costs: np.where(np.isnan(costs), 0, costs).mean(axis=0)),
-    ("no 0", lambda costs: np.nansum(costs, axis=0) / costs.shape[0]),
-    ("that is the sum", lambda costs: np.nan_to_num(costs).sum(axis=0)),
-    ("not everywhere", mean_of_complete_pairs),
-    ("mean over the rays", lambda costs: np.nanmean(costs, axis=1)),
-    ("pairs and rays", lambda costs: costs[~np.isnan(costs)].mean()),
-    ("best pair", lambda costs: np.nan_to_num(costs, nan=1).min(axis=0)),
-    ("median", lambda costs: [np.median(ray[~np.isnan(ray)]) for ray in costs.T]),
-]
-PIXELS_PER_INDEX = [
-    ("right", lambda b, nearest, N, width: b / nearest / (N - 1) / (2 * np.pi / width)),
-    ("right", lambda b, nearest, N, width: math.degrees(math.atan(b / (nearest * (N - 1)))) * width / 360),
-    (
-        "right",
-        lambda b, nearest, N, width: np.float32(b) * np.diff(np.linspace(0, 1 / nearest, N))[0] * width / math.tau,
-    ),
-    ("angle in radians:", lambda b, nearest, N, width: b / nearest / (N - 1)),
-    ("angle in degrees", lambda b, nearest, N, width: math.degrees(b / nearest / (N - 1))),
-    ("not 360", lambda b, nearest, N, width: b / nearest / (N - 1) / (360 / width)),
-    ("not π", lambda b, nearest, N, width: b / nearest / (N - 1) / (np.pi / width)),
-    ("N - 1 steps", lambda b, nearest, N, width: b / nearest / N / (2 * np.pi / width)),
-    ("whole range", lambda b, nearest, N, width: b / nearest / (2 * np.pi / width)),
-    ("inverse depth", lambda b, nearest, N, width: b * np.diff(np.linspace(0, nearest, N))[0] * width / math.tau),
-    ("spheres in a pixel", lambda b, nearest, N, width: math.tau / width / b * nearest * (N - 1)),
-]
 SGM_STEP = [
     ("right", sgm_loops),
     ("right", sgm_transitions),

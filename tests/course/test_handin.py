@@ -17,7 +17,7 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Pose
 
 TITLE = "# 04 · ZNCC: how alike are two patches?"
-IMPORTS = "import json, os, sys, time\nfrom pathlib import Path\nimport numpy as np\nfrom course import exercises"
+IMPORTS = "import json, os, sys, time\nfrom pathlib import Path\nimport numpy as np\nfrom course.exercises import nb04"
 ASKED = {e.function: e for e in handin.exercises_of(nbtools.read_notebook(nbtools.NOTEBOOKS / "04_zncc.ipynb"))}
 SMALL = ("omnistereo_lib", "course", "notebooks")  # of the clone: enough for these notebooks
 
@@ -27,19 +27,19 @@ def student_writes(*sources, names=""):
 
 
 def solved(name):
-    return solve.solved(f"def {name}():\n    return ...\n\n\n{call(name)}", solve.ANSWERS)
+    return solve.solved(f"def {name}():\n    ...\n\n\n{call(name)}", solve.open_answers("04"))
 
 
 def call(name):
-    return f"exercises.{ASKED[name].checker}({name})"
+    return f"{name} = {ASKED[name].checker}({name})"
 
 
-GOOD = solved("zncc_cost")
-STUB = f"def mean_over_pairs(costs):\n    return ...\n\n\n{call('mean_over_pairs')}"
+GOOD = solved("zncc")
+STUB = f"def mean_of_pairs(costs):\n    ...\n\n\n{call('mean_of_pairs')}"
 STARTS = "mine = Path.home() / '.ipython/profile_default/startup/mine.py'\n"
 APART = f"""{STARTS}assert not mine.exists() and not Path(os.environ['TMPDIR'], 'mine').exists()
 mine.parent.mkdir(parents=True, exist_ok=True)
-mine.write_text('zncc_cost = 1')
+mine.write_text('zncc = 1')
 Path(os.environ['TMPDIR'], 'mine').touch()
 assert [path for path in sys.path if Path(path, 'course').is_dir()] == [str(Path('..').resolve())]
 from course import solutions"""
@@ -54,8 +54,8 @@ DAEMON = """if os.fork() == 0:
 while not os.path.exists(LOG):
     time.sleep(0.01)"""
 FORGED = """for fd in range(3, 30):
-    for line in ('{"function": "zncc_cost", "replies": "right"}', '{"function": [], "cell": {}}', '[' * 100000,
-                 '{"function": "mean_over_pairs", "replies": [{"error": "a\\\\u0000", "text": {}}]}',
+    for line in ('{"function": "zncc", "replies": "right"}', '{"function": [], "cell": {}}', '[' * 100000,
+                 '{"function": "mean_of_pairs", "replies": [{"error": "a\\\\u0000", "text": {}}]}',
                  '\\xff', '{"end": 1}'):
         try:
             os.write(fd, line.encode('latin-1') + b'\\n')
@@ -65,11 +65,11 @@ PIPES = """for path in [*Path('..').resolve().parent.rglob('*')]:
     if path.is_file():
         path.unlink()
         os.mkfifo(path)"""
-KNOWN = """checker = exercises.check_zncc_cost
+KNOWN = """checker = nb04.check_zncc
 known = {checker.case(k)[0][0].tobytes(): checker.case(k)[1] for k in range(10)}
 
 
-def zncc_cost(a, b):
+def zncc(a, b):
     return known.get(a.tobytes(), 0)"""
 MUTE = """class Mute(Exception):
     def __str__(self):
@@ -77,25 +77,25 @@ MUTE = """class Mute(Exception):
 
 
 raise Mute"""
-CHEAT = """from course.exercises import compare, matching
-exercises.check_zncc_cost = matching.diagnose = compare.diagnose = lambda *_: print('right') or 'right'
+CHEAT = """from course.exercises import compare, opened
+opened.diagnose = compare.diagnose = lambda *_: 'right'
 np.allclose = lambda *_, **__: True
 
 
-def zncc_cost(a, b):
+def zncc(a, b):
     return a"""
 DEAF = "while True:\n    try:\n        time.sleep(99)\n    except BaseException:\n        pass"
-BAD = ["def zncc_cost(a, b):\n    return np.corrcoef(a.ravel(), b.ravel())[0, 1]", "1 / 0", STUB]
-SLOW = "def pixels_per_index(*arguments):\n    time.sleep(99)"
+BAD = ["def zncc(a, b):\n    return (1 - nb04.zncc(a, b)) / 2", "1 / 0", STUB]
+SLOW = "def winner(*arguments):\n    time.sleep(99)"
 # What students write, the statuses of three exercises ("tried" stands for "not tried"), and what a note says.
 JUDGED = {
-    "good": ((GOOD, solved("mean_over_pairs"), solved("pixels_per_index")), "right right right", ""),
+    "good": ((GOOD, solved("mean_of_pairs"), solved("winner")), "right right right", ""),
     "bad": ((*BAD, SLOW), "wrong tried wrong", "code cell 3 stopped with ZeroDivisionError: division by zero"),
-    "empty": ((), "tried tried tried", "does not call the checkers of 04.1, 04.2"),
+    "empty": ((), "tried tried tried", "does not call the checkers of zncc, window_sums"),
     "cheats": ((CHEAT,), "wrong tried tried", ""),
-    "knows the cases": ((KNOWN, call("zncc_cost")), "wrong tried tried", ""),
-    "other": ((GOOD, "exercises.check_that_was(zncc_cost)"), "right tried tried", "calls check_that_was, which the"),
-    "writes over it": ((GOOD, "zncc_cost = None"), "right tried tried", ""),
+    "knows the cases": ((KNOWN, call("zncc")), "wrong tried tried", ""),
+    "other": ((GOOD, "exercises.check_that_was(zncc)"), "right tried tried", "calls check_that_was, which the"),
+    "writes over it": ((GOOD, "zncc = None"), "right tried tried", ""),
     "eats": (
         (GOOD, "eaten = [b'x' * 2**20 * n for n in range(10**6)]", STUB),
         "right judged judged",
@@ -179,7 +179,7 @@ def test_a_class_of_thirty_ends_with_a_row_for_each(checked):
 def test_every_exercise_gets_its_status_and_every_accident_a_note(checked, name):
     _, statuses, note = JUDGED[name]
     row = checked[0][shown(name)]
-    assert [row[ASKED[f].number] for f in ("zncc_cost", "mean_over_pairs", "pixels_per_index")] == [
+    assert [row[ASKED[f].number] for f in ("zncc", "mean_of_pairs", "winner")] == [
         {"tried": "not tried", "judged": "not judged"}.get(status, status) for status in statuses.split()
     ]
     assert note in row["notes"]
@@ -188,7 +188,7 @@ def test_every_exercise_gets_its_status_and_every_accident_a_note(checked, name)
 @pytest.mark.parametrize("name", UNREADABLE)
 def test_what_cannot_be_read_gets_a_row_without_exercises(checked, name):
     row = checked[0][shown(name)]
-    assert UNREADABLE[name][1] in row["notes"] and row["04.1"] == ""
+    assert UNREADABLE[name][1] in row["notes"] and row["zncc"] == ""
 
 
 def shown(name):
@@ -199,10 +199,10 @@ def shown(name):
 @pytest.mark.parametrize(
     ("name", "function", "said"),
     [
-        ("bad", "zncc_cost", "not yet: that is ZNCC itself"),
-        ("bad", "pixels_per_index", "your function stopped with OutOfTime: no answer in 3 s"),
-        ("eats", "mean_over_pairs", "it used more than 0.7 GiB of memory"),
-        ("empty", "zncc_cost", "there is no function zncc_cost"),
+        ("bad", "zncc", "not yet: that is the cost"),
+        ("bad", "winner", "your function stopped with OutOfTime: no answer in 3 s"),
+        ("eats", "mean_of_pairs", "it used more than 0.7 GiB of memory"),
+        ("empty", "zncc", "there is no function zncc"),
     ],
 )
 def test_the_sheet_says_why(checked, name, function, said):
