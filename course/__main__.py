@@ -61,7 +61,9 @@ def _parser() -> argparse.ArgumentParser:
         add(name, calls, text).add_argument("out", nargs="?", type=Path, default=OUT / name)
     add("readme", "readme.main", "update the README's table of notebooks and its picture")
     add("reproduction", "reproduction.renew_report", "compute book/reproduction.md from the stored results")
-    results = add("results", "results.compute_results", "compute all stored results again: hours, but it resumes")
+    results = add(
+        "results", "stored_results.compute_results", "compute the stored results again: hours, but it resumes"
+    )
     results.add_argument("options", nargs=argparse.REMAINDER, help="of every evaluation, such as --cluster ADDRESS")
     for name, network in (("variants", "SweepNet"), ("volume-variants", "VolumeNet")):
         command = add(name, f"{name.replace('-', '_')}.compare_{network.lower()}s", f"train variants of {network}")

@@ -32,10 +32,6 @@ def test_encode_depends_on_the_picture_alone(figure, kind, magic):
     assert matplotlib.__version__.encode() not in data
 
 
-def test_a_photograph_is_smaller_as_jpeg(figure):
-    assert len(plot.encode(figure, "jpeg")) < 0.7 * len(plot.encode(figure, "png"))
-
-
 def test_show_publishes_picture_description_and_caption_and_closes(figure, monkeypatch):
     shown = []
     monkeypatch.setattr("IPython.display.display", lambda data, **options: shown.append((data, options)))

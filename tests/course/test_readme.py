@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 import pytest
 
-import omnistereo_lib as osl
 from course import nbtools, readme
 
 TEXT = nbtools.README.read_text(encoding="utf-8")
@@ -25,17 +24,6 @@ def test_every_file_that_it_links_to_is_there(page):
     assert [
         link for link in links if link not in made and not any((folder / link).exists() for folder in folders)
     ] == []
-
-
-def test_the_panels_are_aligned():
-    grid = osl.SphereGrid(width=64, height=16, min_depth=1.0)
-    white, nowhere = np.full((16, 64, 3), 255.0), np.empty((0, 3))
-    fig = readme.picture(white, np.full((16, 64), 0.5), grid, nowhere, nowhere.astype(np.uint8))
-    above, below, points, scale = (ax.get_position() for ax in fig.axes)
-    assert (above.x0, above.x1, above.height) == pytest.approx((below.x0, below.x1, below.height))
-    assert (points.y0, points.y1) == pytest.approx((0, above.y1)) and points.x0 > above.x1 > scale.x1
-    labels = [label.get_text() for label in fig.axes[3].get_xticklabels()]
-    assert labels[0] == "∞" and labels[-1] == "2 m" and scale.y1 < below.y0
 
 
 def test_the_picture_is_written_only_when_it_shows_something_else(tmp_path):
