@@ -158,6 +158,12 @@ def load_dataset(
     Raises:
         OmnistereoError: If the folder, the rig or the frames are missing, a camera lacks a frame, or two files have one
             number.
+
+    >>> dataset = osl.load_dataset("data_samples/sunny", split="test")
+    >>> dataset
+    Dataset(test: 8 frames, 8 with ground truth, 4 cameras of 800 × 768)
+    >>> dataset[0].number, dataset[0].inverse_depth.shape
+    (706, (300, 1200))
     """
     folder = as_path(folder, "folder")
     if not os.path.isdir(folder):  # False also for a name that no file can have
@@ -199,6 +205,10 @@ def load_images(paths: Sequence[str | Path], rig: Rig | None = None) -> list[NDA
     """Read one image for each camera, in the order of the rig; see `read_image` for shapes and errors.
 
     With a rig, number and sizes of the images are compared with its cameras before anything is decoded.
+
+    >>> images = osl.load_images([f"data_samples/sunny/test/cam{k}/0706.jpg" for k in (1, 2, 3, 4)])
+    >>> images[0].shape, images[0].dtype
+    ((768, 800, 3), dtype('uint8'))
     """
     check_type(paths, Sized, "paths")
     sizes = [None] * len(paths) if rig is None else rig.image_sizes(len(paths))

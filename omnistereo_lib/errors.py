@@ -12,6 +12,10 @@ class OmnistereoError(ValueError):
 
     The message names what was given (the file, where there is one), what was found in it, what was expected and what
     to do. The command line prints it as one plain line; everything else that escapes is a bug.
+
+    >>> osl.SphereGrid(640, 160, min_depth=-1)
+    Traceback (most recent call last):
+    omnistereo_lib.errors.OmnistereoError: min_depth is -1 and max_depth inf; expected metres with ...
     """
 
 

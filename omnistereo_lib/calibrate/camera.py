@@ -55,6 +55,15 @@ def calibrate_camera(
     Raises:
         OmnistereoError: If fewer than three views show the board, all views are parallel, corners do not fit the board,
             or the corners do not determine the camera.
+
+    >>> board = osl.Checkerboard((8, 6), square=0.05)
+    >>> true = osl.load_rig("data_samples/sunny/test").cameras[0]
+    >>> turns = [[np.sin(k) / 2, np.cos(k) / 2, 0] for k in range(8)]
+    >>> poses = [osl.Pose.from_vector([*turn, k / 10 - 0.4, -0.1, 0.3]) for k, turn in enumerate(turns)]
+    >>> views = [true.project(pose @ board.points)[0] for pose in poses]  # or images of a board
+    >>> camera, report = osl.calibrate_camera(views, board, true.image_size, degree=4)
+    >>> report.rms_px < 0.01 and bool(np.allclose(camera.center, true.center, atol=0.01))
+    True
     """
     check_settings(degree, max_fov_deg)
     return calibrate_corners(*read_views(views, board, image_size, progress, names), board, degree, max_fov_deg)

@@ -52,6 +52,20 @@ def calibrate_rig(
     Raises:
         OmnistereoError: If the captures of the cameras do not match in number, a camera cannot be calibrated by itself,
             two cameras are the same, or cameras are not connected through shared captures.
+
+    >>> board = osl.Checkerboard((8, 6), square=0.05)
+    >>> true = osl.load_rig("data_samples/sunny/test")
+    >>> true = osl.Rig(true.cameras[:2], true.T_rig_cam[:2])
+    >>> turns = [[np.sin(k) / 2, np.pi / 4 + np.cos(k) / 3, 0, 0, 0, 0] for k in range(8)]
+    >>> before = osl.Pose(np.eye(3), [-0.2, -0.1, 1.0])  # where both cameras look
+    >>> boards = [true.T_rig_cam[0] @ osl.Pose.from_vector(turn) @ before for turn in turns]
+    >>> views = [
+    ...     [camera.project(T_rig_cam.inverse() @ T_rig_board @ board.points)[0] for T_rig_board in boards]
+    ...     for camera, T_rig_cam in zip(true.cameras, true.T_rig_cam)
+    ... ]
+    >>> rig, report = osl.calibrate_rig(views, board, [camera.image_size for camera in true.cameras], degree=4)
+    >>> bool(abs(rig.baselines - true.baselines)[0] < 0.001)  # metres
+    True
     """
     check_type(views, Sized, "views")
     check_type(board, Checkerboard, "board")

@@ -39,6 +39,17 @@ class OcamCamera:
     """A fisheye camera with polynomial distortion.
 
     Raises an `OmnistereoError` if a parameter is not finite, has the wrong shape or is out of range.
+
+    >>> camera = osl.load_rig("data_samples/sunny/test").cameras[0]
+    >>> uv, valid = camera.project([[0, 0, 1], [1, 0, 0], [0, 0, -1]])  # ahead, to the right, behind
+    >>> uv.round(1)
+    array([[400.4, 383. ],
+           [702.2, 383. ],
+           [400.4, 383. ]])
+    >>> valid
+    array([ True,  True, False])
+    >>> bool(np.allclose(camera.unproject(uv[1])[0], [1, 0, 0]))
+    True
     """
 
     poly: NDArray[np.float64]  #: direct polynomial f, coefficients from low to high, pixels; f(0) < 0
@@ -253,6 +264,9 @@ def fit_inverse_polynomial(
     Raises:
         OmnistereoError: If a0 ≥ 0, the direct polynomial is not monotonic up to the end of the field of view, or no
             degree up to 25 fits.
+
+    >>> osl.fit_inverse_polynomial([-200, 0, 1e-3], max_fov_deg=180, max_radius=500).round(1)
+    array([447.2, 499.6, 275.6, 150.1,  62.3,  18.8,   2.6])
     """
     max_t = np.radians(max_fov_deg / 2) - np.pi / 2
     radii, angles = _monotone_branch(np.asarray(poly, np.float64), max_t, max_radius)

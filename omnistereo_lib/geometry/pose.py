@@ -21,6 +21,12 @@ class Pose:
     """A rigid transform T_ab: coordinates in frame b become coordinates in frame a.
 
     Raises an `OmnistereoError` if R or t has the wrong shape, is not finite, or R is not a rotation.
+
+    >>> T_ab = osl.Pose.from_vector([0, np.pi / 2, 0, 0.5, 0, 0])  # 90° about y, then 0.5 m along x
+    >>> (T_ab @ [0, 0, 1]).round(3)
+    array([1.5, 0. , 0. ])
+    >>> (T_ab @ T_ab.inverse()).magnitude()
+    (0.0, 0.0)
     """
 
     R: Floats  #: rotation matrix (3, 3); rounding as in printed files, up to 1e-5, is corrected

@@ -25,6 +25,12 @@ class Rig:
     """Two or more cameras and their poses.
 
     Raises an `OmnistereoError` if there are fewer than two cameras or not one pose per camera.
+
+    >>> rig = osl.load_rig("data_samples/sunny/test")
+    >>> len(rig), rig.min_depth
+    (4, 1.65)
+    >>> rig.baselines.round(2)
+    array([0.86, 1.2 , 0.84, 0.86, 1.2 , 0.84])
     """
 
     cameras: Sequence[OcamCamera]
@@ -100,6 +106,12 @@ def camera_pairs(pairs: Pairs, rig: Rig) -> list[Pair]:
 
     Raises:
         OmnistereoError: If a pair names a missing camera, or one camera twice.
+
+    >>> rig = osl.load_rig("data_samples/sunny/test")
+    >>> osl.camera_pairs("ring", rig)
+    [(0, 1), (1, 2), (2, 3), (3, 0)]
+    >>> osl.camera_pairs("all", rig)
+    [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
     """
     check_type(rig, Rig, "rig")
     if isinstance(pairs, str) and pairs == "ring":

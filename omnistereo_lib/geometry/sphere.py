@@ -34,6 +34,15 @@ class SphereGrid:
 
     Raises:
         OmnistereoError: If a size is not an integer, or a size, an angle or a depth is missing or out of range.
+
+    >>> grid = osl.SphereGrid(640, 160, num_spheres=192, min_depth=0.55)
+    >>> grid.index_to_depth([0, 1, 191]).round(2)
+    array([   inf, 105.05,   0.55])
+    >>> grid.rays().shape
+    (160, 640, 3)
+    >>> pixel, valid = grid.project([0, 0, 1])  # straight ahead
+    >>> pixel.tolist(), bool(valid)
+    ([319.5, 79.5], True)
     """
 
     width: int  #: panorama size W in pixels; θ spans the full circle over the columns

@@ -84,6 +84,10 @@ def load_rig(
     Raises:
         OmnistereoError: If the file is missing, broken or of an unsupported format, or its unit is neither stated nor
             given.
+
+    >>> rig = osl.load_rig("data_samples/sunny/test")
+    >>> len(rig), rig.cameras[0].image_size
+    (4, (800, 768))
     """
     path = as_path(path)
     if unit is not None and unit not in METRES_PER_UNIT:
@@ -115,11 +119,16 @@ def load_rig(
 
 
 def load_camera(path: str | Path, max_fov_deg: float | None = None) -> OcamCamera:
-    """Read one camera: an OCamCalib text file, a lens file, or any supported format that holds one camera.
+    r"""Read one camera: an OCamCalib text file, a lens file, or any supported format that holds one camera.
 
     Args:
         path: The file.
         max_fov_deg: As for `load_rig`.
+
+    >>> with open("ocam1.txt", "w") as file:  # without an inverse polynomial, which is fitted
+    ...     print("3 -200 0 1e-3", "0", "240 320", "1 0 0", "480 640", sep="\n", file=file)
+    >>> osl.load_camera("ocam1.txt", max_fov_deg=180).center  # (u, v); the file has the row first
+    (320.0, 240.0)
     """
     path = as_path(path)
     if max_fov_deg is not None:

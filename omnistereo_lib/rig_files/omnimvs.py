@@ -46,6 +46,10 @@ def save_rig(rig: Rig, path: str | Path) -> None:
 
     Masks are written beside it as <name>_mask1.png and so on, bright = outside. The public codes sweep around the
     origin of the file and need a nearest depth: for them, save `rig.recentered()` with a `min_depth`.
+
+    >>> osl.save_rig(osl.load_rig("data_samples/sunny/test").recentered(), "rig.yaml")
+    >>> bool(np.allclose(osl.load_rig("rig.yaml").centers.mean(axis=0), 0))
+    True
     """
     path = as_path(path)
     if path.suffix not in (".yaml", ".yml"):

@@ -32,6 +32,11 @@ def winner_takes_all(volume: ArrayLike | Tensor, subindex: bool = False) -> Tens
 
     Returns:
         float32 tensor, shape (H, W): Sphere index; NaN where every cell is NaN.
+
+    >>> osl.winner_takes_all(np.array([[[0.5, 0.2, 0.1, 0.4]]]))
+    tensor([[2.]])
+    >>> osl.winner_takes_all(np.array([[[0.5, 0.2, 0.1, 0.4]]]), subindex=True)
+    tensor([[1.7500]])
     """
     return index_and_confidence(volume, subindex)[0]
 
@@ -47,6 +52,9 @@ def confidence(volume: ArrayLike | Tensor) -> Tensor:
 
     Returns:
         float32 tensor, shape (H, W), in [0, 1]: NaN where every cell is NaN; 1 where there is no n₂.
+
+    >>> osl.confidence(np.array([[[0.4, 0.2, 0.1, 0.2, 0.4]]]))  # n* = 2, n₂ = 0
+    tensor([[0.7500]])
     """
     return index_and_confidence(volume)[1]
 
@@ -109,7 +117,14 @@ def _find_two_lowest(volume: NDArray, costs: NDArray, winner: NDArray) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Depth:
-    """A depth panorama around the sweep centre."""
+    """A depth panorama around the sweep centre.
+
+    >>> frame = osl.load_dataset("data_samples/sunny", split="test")[0]
+    >>> grid = osl.SphereGrid(64, 16, num_spheres=16, min_depth=1.65)
+    >>> depth = osl.estimate_depth(frame.rig, frame.images, grid, "zncc+sgm")
+    >>> depth.index.shape, bool(depth.valid.all()), float(depth.depth.min()) >= 1.65
+    ((16, 64), True, True)
+    """
 
     #: Sphere index n*, (H, W), fractional with sub-sphere refinement; NaN where no pair of cameras sees the ray.
     index: NDArray[np.float32]

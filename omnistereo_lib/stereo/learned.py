@@ -143,6 +143,11 @@ class LearnedCost(BlockCost):
     Args:
         network: Put into evaluation mode and channels-last memory; `volume` moves it to the device of the sweep.
         precision: Of the matrix products; see `uses_bfloat16`. Another one raises an `OmnistereoError`.
+
+    >>> frame = osl.load_dataset("data_samples/sunny", split="test")[0]
+    >>> sweep = osl.SphereSweep(frame.rig, osl.SphereGrid(64, 16, num_spheres=4, min_depth=1.65))
+    >>> osl.cost_volume(sweep, frame.images, osl.LearnedCost(osl.MCCNN.pretrained())).shape
+    torch.Size([16, 64, 4])
     """
 
     def __init__(self, network: PairNetwork, precision: Precision = "auto") -> None:

@@ -26,6 +26,9 @@ class MCCNN(PairNetwork):
 
     Args:
         variant: 111,424 and 870,449 parameters; another one raises `OmnistereoError`.
+
+    >>> sum(parameter.numel() for parameter in osl.MCCNN("fast").parameters())
+    111424
     """
 
     padding = (PATCH // 2, PATCH // 2)

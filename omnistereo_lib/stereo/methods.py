@@ -87,6 +87,10 @@ class Method:
     Raises:
         OmnistereoError: If a value is out of range, or is set although the method does not use it: a method has one
             name.
+
+    >>> method = osl.Method.parse("zncc+sgm,p1=0.2")
+    >>> method.cost, method.aggregate, method.p1, method.window
+    ('zncc', 'sgm', 0.2, 9)
     """
 
     cost: str  #: a key of `COSTS`

@@ -37,6 +37,10 @@ def index_error(
 
     Raises:
         OmnistereoError: If index, gt_index and valid differ in shape.
+
+    >>> metrics = osl.index_error(index=[[10, 12]], gt_index=[[10, 10]], num_spheres=100)
+    >>> metrics[">1"], metrics["MAE"]
+    (50.0, 1.0)
     """
     gt_index = np.asarray(gt_index, np.float64)
     error = error_map(index, gt_index, num_spheres)
@@ -73,6 +77,10 @@ def sparsification(
 
     Raises:
         OmnistereoError: If error and confidence differ in size.
+
+    >>> curve, auc, oracle_auc = osl.sparsification([4.0, 3.0, 2.0, 1.0], [0.1, 0.2, 0.3, 0.4], [0, 0.5])
+    >>> curve.tolist(), auc == oracle_auc  # the confidence is as good as can be
+    ([2.5, 1.5], True)
     """
     error, confidence = np.asarray(error, np.float64).ravel(), np.asarray(confidence, np.float64).ravel()
     if error.shape != confidence.shape:

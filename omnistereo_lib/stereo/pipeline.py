@@ -35,6 +35,11 @@ def estimate_depth(
     Raises:
         OmnistereoError: If the inputs do not fit together, no method has that name, there is not enough memory or no
             such device.
+
+    >>> frame = osl.load_dataset("data_samples/sunny", split="test")[0]
+    >>> grid = osl.SphereGrid(64, 16, num_spheres=16, min_depth=1.65)
+    >>> osl.estimate_depth(frame.rig, frame.images, grid, "zncc").depth.shape  # metres along each ray
+    (16, 64)
     """
     method = Method.parse(method)
     return sweep_depth(SphereSweep(rig, grid, device=device), images, method, subindex, progress)

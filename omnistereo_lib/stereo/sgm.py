@@ -72,6 +72,12 @@ def sgm(volume: Tensor | np.ndarray, p1: float = 0.1, p2: float = 12.0, paths: i
     Raises:
         OmnistereoError: If the volume is not 3-D, has fewer than 2 spheres or infinite costs, or p1, p2 or paths is out
             of range.
+
+    >>> volume = np.ones((5, 8, 6), np.float32)
+    >>> volume[..., 3] = 0  # every ray at sphere 3,
+    >>> volume[2, 4, 3], volume[2, 4, 0] = 0.5, 0.4  # but for noise at one
+    >>> int(volume[2, 4].argmin()), int(osl.sgm(volume, p1=0.1, p2=1.0)[2, 4].argmin())
+    (0, 3)
     """
     volume = as_volume(volume).to(torch.float32).contiguous()
     if paths not in (4, 8):

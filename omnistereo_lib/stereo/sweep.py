@@ -54,6 +54,11 @@ class SphereSweep:
 
     Attributes:
         rig: The rig with its origin at the sweep centre: its poses are the inverse of Θ* in the paper.
+
+    >>> frame = osl.load_dataset("data_samples/sunny", split="test")[0]
+    >>> sweep = osl.SphereSweep(frame.rig, osl.SphereGrid(64, 16, num_spheres=16, min_depth=1.65))
+    >>> bool(np.allclose(sweep.rig.centers.mean(axis=0), 0))  # the origin is the sweep centre
+    True
     """
 
     def __init__(

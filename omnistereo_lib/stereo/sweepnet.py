@@ -22,6 +22,9 @@ class SweepNet(PairNetwork):
             released code has it. `fuse_batch_norm` removes it from a trained network.
         wrap: True: every layer continues around the ±180° seam. False: as Table I prints, circular columns only for the
             input and zeros in the layers behind it, which makes the seam visible.
+
+    >>> sum(parameter.numel() for parameter in osl.SweepNet().parameters())
+    757729
     """
 
     bundled = "sweepnet"

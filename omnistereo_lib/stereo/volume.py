@@ -35,6 +35,11 @@ def cost_volume(
 
     Raises:
         OmnistereoError: If the images do not fit the rig, or the cameras of no pair share a view.
+
+    >>> frame = osl.load_dataset("data_samples/sunny", split="test")[0]
+    >>> sweep = osl.SphereSweep(frame.rig, osl.SphereGrid(64, 16, num_spheres=16, min_depth=1.65))
+    >>> osl.cost_volume(sweep, frame.images, osl.ZNCC(window=5)).shape
+    torch.Size([16, 64, 16])
     """
     cost = ZNCC() if cost is None else cost
     if not hasattr(cost, "volume"):

@@ -108,6 +108,9 @@ class VolumeNet(StoredNetwork):
 
     Attributes:
         precision: Of the matrix products in `volume`; see `uses_bfloat16`.
+
+    >>> sum(parameter.numel() for parameter in osl.VolumeNet().parameters())
+    518305
     """
 
     bundled = "volumenet"

@@ -31,6 +31,11 @@ class ZNCC(BlockCost):
 
     Raises:
         OmnistereoError: If the window is not an odd number of at least 3.
+
+    >>> import torch
+    >>> image = torch.rand(16, 64, 1)  # (H, W, spheres): two cameras that see the same
+    >>> float(osl.ZNCC(window=5)(torch.stack([image.permute(2, 0, 1)] * 2), [(0, 1)]).max()) < 1e-3
+    True
     """
 
     window: int = 9  #: side of the window in pixels, odd; 9 in the paper
