@@ -37,15 +37,17 @@ def _parser() -> argparse.ArgumentParser:
         command.set_defaults(calls=calls)
         return command
 
-    for name, text in (
-        ("run", "run notebooks from fresh kernels, clean and store them"),
-        ("clean", "remove what should not be stored: ids, timings, widget state"),
-        ("lint", "check notebooks against the course's rules"),
-        ("stills", "run notebooks and store what their live figures show, for the website and the slides"),
+    for name, calls, text in (
+        ("run", "kernels.run", "run notebooks from fresh kernels, clean and store them"),
+        ("clean", "nbtools.clean_stored", "remove what should not be stored: ids, timings, widget state"),
+        ("lint", "rules.lint", "check notebooks against the course's rules"),
+        (
+            "stills",
+            "kernels.record_stills",
+            "run notebooks and store what their live figures show, for the website and the slides",
+        ),
     ):
-        command = add(name, "nbtools.main", text)
-        command.set_defaults(command=name)
-        command.add_argument("paths", nargs="+", type=Path, metavar="NOTEBOOK")
+        add(name, calls, text).add_argument("paths", nargs="+", type=Path, metavar="NOTEBOOK")
     add("doctor", "doctor.check_clone", "check Python, the packages of environment.txt and the data")
     check = add("check", "handin.check", "check handed-in notebooks; this runs their code, see book/teaching.md")
     check.add_argument("path", type=Path, help="a notebook, or a folder of a class")

@@ -1,7 +1,8 @@
-"""Run a notebook from a fresh kernel."""
+"""Run notebooks from fresh kernels: `python -m course run notebooks/00_quickstart.ipynb`."""
 
 import math
 import os
+import shutil
 import time
 from pathlib import Path
 from queue import Empty
@@ -10,6 +11,9 @@ import nbformat
 from jupyter_client import AsyncKernelClient, AsyncKernelManager
 from jupyter_client.channels import AsyncZMQSocketChannel
 from nbclient import NotebookClient
+from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
+
+from course import nbtools, rules, stills
 
 
 class _Channel(AsyncZMQSocketChannel):
@@ -56,3 +60,40 @@ def execute(nb: nbformat.NotebookNode, folder: Path, variables: dict[str, str] |
         record_timing=False,
     ).execute(env=os.environ | (variables or {}))
     return time.perf_counter() - start
+
+
+def run(paths: list[Path]) -> bool:
+    """Run notebooks from fresh kernels, clean and store them; print what keeps one from being stored."""
+    return rules.report({path: run_one(path) for path in paths})
+
+
+def run_one(path: Path) -> list[str]:
+    """Run, clean and store one notebook; return what keeps it from being stored: an error, its time, a rule."""
+    nb = nbtools.read_notebook(path)
+    try:
+        seconds = execute(nb, path.parent)
+    except (CellExecutionError, CellTimeoutError, DeadKernelError) as error:
+        return [f"stopped: {error}"]
+    budget = nb.metadata.get("omnistereo", {}).get("budget_s", rules.MAX_BUDGET_S)
+    print(f"{path.name}: {seconds:.1f} s of {budget} s")
+    if seconds > budget:
+        return [f"took {seconds:.1f} s, its budget is {budget} s (metadata.omnistereo.budget_s)"]
+    text = nbtools.text_of(nbtools.clean(nb))
+    if not (found := rules.problems(text)):
+        nbtools.store(path, text)
+    return found
+
+
+def record_stills(paths: list[Path]) -> None:
+    """Run notebooks and store what their live figures show, for the website and the slides."""
+    for path in paths:
+        nb = nbtools.read_notebook(path)
+        live = [
+            number
+            for number, cell in enumerate(nb.cells)
+            if cell.cell_type == "code" and stills.LIVE.search(cell.source)
+        ]
+        shutil.rmtree(stills.STILLS / path.stem, ignore_errors=True)
+        if live:
+            nb.cells = nb.cells[: live[-1] + 1]
+            execute(nb, path.parent, {stills.VARIABLE: str(stills.STILLS / path.stem)})

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import io
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import cv2
+import nbformat
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +20,8 @@ from omnistereo_tools.pictures import colorize_depth, draw_points
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+README = nbtools.ROOT / "README.md"
+TABLE = re.compile(r"(?<=<!-- notebooks -->\n).*(?=<!-- /notebooks -->)", re.DOTALL)
 PICTURE = nbtools.NOTEBOOKS / "omnistereo.jpg"
 WIDTH_PX, DPI = 2000, 100
 GROUND = "#202020"  # the background of the points
@@ -28,7 +32,7 @@ EYE = (-4.0, -3.0, -5.2)  # metres, rig frame
 
 def main() -> None:
     """Update the table and the image."""
-    nbtools.store(nbtools.README, nbtools.with_table(nbtools.README.read_text(encoding="utf-8"), nbtools.notebooks()))
+    nbtools.store(README, with_table(README.read_text(encoding="utf-8"), nbtools.notebooks()))
     data = osl.load_dataset(nbtools.ROOT / "data_samples" / "sunny", split="test")
     grid = osl.SphereGrid(width=1280, height=320, phi_deg=(-45, 45), num_spheres=192, min_depth=data.rig.min_depth)
     frame = data.frame(FRAME)
@@ -38,6 +42,25 @@ def main() -> None:
     drawn = io.BytesIO()
     fig.savefig(drawn, format="jpeg", dpi=DPI, facecolor=GROUND, pil_kwargs={"quality": 85, "optimize": True})
     renew(PICTURE, drawn.getvalue())
+
+
+def readme_table(paths: list[Path]) -> str:
+    """Return the table of notebooks, from their own metadata."""
+    rows = ["| notebook | what you learn | to read | needs |", "|---|---|---|---|"]
+    for path in paths:
+        facts = nbformat.read(path, as_version=4).metadata["omnistereo"]
+        rows.append(
+            f"| [{path.stem[:2]} {facts['title']}](notebooks/{path.name}) | {facts['learn']} "
+            f"| {facts['minutes_to_read']} min | {facts['needs']} |"
+        )
+    return "\n".join(rows) + "\n"
+
+
+def with_table(readme: str, paths: list[Path]) -> str:
+    """Return the README's text with the table between its two markers renewed."""
+    if not TABLE.search(readme):
+        raise SystemExit("README.md has no lines <!-- notebooks --> and <!-- /notebooks --> for the table")
+    return TABLE.sub(lambda _: readme_table(paths), readme, count=1)
 
 
 def renew(path: Path, picture: bytes) -> None:

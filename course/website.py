@@ -21,6 +21,7 @@ import omnistereo_lib as osl
 from course import nbtools, stills
 from course.dark_mode import picture
 from course.figures import draw_figures
+from course.readme import readme_table
 from course.teaching import stuck
 
 BOOK = nbtools.ROOT / "book"
@@ -48,7 +49,7 @@ def assemble(source: Path, extra: Path) -> None:
     paths = nbtools.notebooks()
     (source / "reference").mkdir(parents=True)
     generated = {
-        "notebooks": nbtools.readme_table(paths),
+        "notebooks": readme_table(paths),
         "names": face(),
         "modules": reference(source),
     } | stuck()

@@ -20,7 +20,7 @@ import pytest
 from pages import Page, count_pictures, count_stills, foreign_or_missing, leads
 
 import omnistereo_lib as osl
-from course import nbtools, slides, stills
+from course import nbtools, rules, slides, stills
 
 BOOK = nbtools.ROOT / "book"
 
@@ -282,9 +282,7 @@ def test_the_notebooks_use_the_terms_that_the_glossary_says_they_teach():
     for term, meaning in re.findall(r"^(\w.*)\n  (.*)$", glossary, re.MULTILINE):
         words = "|".join(re.escape(word.lower().removesuffix("s").replace("-", " ")) for word in term.split(", "))
         for name in re.findall(r"\(notebooks/(\w+\.ipynb)\)", meaning):
-            prose = " ".join(
-                nbtools.prose(nbformat.read(nbtools.NOTEBOOKS / name, as_version=4))
-            )  # code does not count
+            prose = " ".join(rules.prose(nbformat.read(nbtools.NOTEBOOKS / name, as_version=4)))  # code does not count
             if not re.search(rf"\b({words})", re.sub(r"[\s-]+", " ", prose).lower()):
                 lacking.append((term, name))
     assert lacking == []

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from nbformat.v4 import new_markdown_cell
 from notebook_cells import FACTS, SLIDER, code, framed, nbval, notebook, write
 
-from course import __main__, nbtools
+from course import __main__, nbtools, readme, rules
 from course.plot import captions
 
 # --- The comparison, one nbval run over all cases -----------------------------------------------------------
@@ -72,10 +72,8 @@ def closing(old, new):
     return nb
 
 
-def stored(tmp_path, nb):
-    path = tmp_path / "tiny.ipynb"
-    path.write_text(nbtools.text_of(nbtools.clean(nb)), encoding="utf-8")
-    return path
+def stored(nb):
+    return nbtools.text_of(nbtools.clean(nb))
 
 
 def picture(alt="a line that rises from left to right", plain=None, caption="*Figure:* It rises."):
@@ -136,18 +134,18 @@ BAD = {  # what is planted, what the guard must say
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_guard_finds(tmp_path, case):
+def test_guard_finds(case):
     nb, said = BAD[case]
-    found = nbtools.problems(stored(tmp_path, nbformat.from_dict(nb)))
+    found = rules.problems(stored(nbformat.from_dict(nb)))
     assert len(found) == 1 and said in found[0]
 
 
-def test_guard_is_content_with_a_good_notebook(tmp_path):
+def test_guard_is_content_with_a_good_notebook():
     failing = with_output("error", **ERROR)
     failing.metadata["tags"] = ["raises-exception"]
     failing.execution_count = 3
     described = new_markdown_cell('![the rig](rig.png) <img src="rig.png" alt="the rig">')
-    assert nbtools.problems(stored(tmp_path, good(picture(), failing, described))) == []
+    assert rules.problems(stored(good(picture(), failing, described))) == []
 
 
 @pytest.mark.parametrize("command", ["run", "clean", "lint", "stills"])
@@ -166,10 +164,10 @@ def test_guard_finds_what_clean_would_drop(tmp_path):
     nb = nbtools.clean(good())
     nb.metadata["widgets"] = {"application/vnd.jupyter.widget-state+json": {}}
     path = write(tmp_path / "tiny.ipynb", nb)
-    (found,) = nbtools.problems(path)
+    (found,) = rules.problems(nbtools.read_text(path))
     assert "not clean" in found
-    assert nbtools.main("clean", [path]) == 0
-    assert nbtools.problems(path) == []
+    assert __main__.main(["clean", str(path)]) == 0
+    assert rules.problems(nbtools.read_text(path)) == []
 
 
 def test_clean_drops_what_depends_on_the_machine_and_keeps_the_rest():
@@ -201,7 +199,7 @@ MEASURED = code("width, half, share = 320, -0.5, 0.25", printed="rms 0.1238 px, 
 
 def stray(*texts):
     """What the rule says about texts beside the cell MEASURED."""
-    return list(nbtools._numbers(notebook(MEASURED, *map(new_markdown_cell, texts))))
+    return list(rules._numbers(notebook(MEASURED, *map(new_markdown_cell, texts))))
 
 
 @pytest.mark.parametrize(
@@ -254,26 +252,26 @@ def test_a_new_caption_needs_no_run():
 
 def test_captions_are_prose_and_carry_nothing():
     drawn = picture(caption="*Figure:* 77 cars and 3.14159 m.")
-    found = "".join(nbtools._numbers(notebook(drawn)))
+    found = "".join(rules._numbers(notebook(drawn)))
     assert "the text says 77," in found
     assert "the text says 3.14159m," in found
 
 
 def test_cells_that_are_not_python_set_no_numbers():
-    (found,) = nbtools._numbers(notebook(code("%timeit -n 77 f()"), new_markdown_cell("77 times")))
+    (found,) = rules._numbers(notebook(code("%timeit -n 77 f()"), new_markdown_cell("77 times")))
     assert "the text says 77," in found
 
 
 @given(st.decimals(11, 10**6, places=5), st.integers(0, 5))
 def test_every_rounding_of_a_printed_number_is_carried(number, places):
     nb = notebook(code("f()", printed=f"{number}\n"), new_markdown_cell(f"about {number:.{places}f} px"))
-    assert list(nbtools._numbers(nb)) == []
+    assert list(rules._numbers(nb)) == []
 
 
 @given(st.decimals(11, 10**6, places=3), st.decimals(11, 10**6, places=3))
 def test_no_other_number_is_carried(printed, written):
     nb = notebook(code("f()", printed=f"{printed}\n"), new_markdown_cell(f"exactly {written} px"))
-    assert bool(list(nbtools._numbers(nb))) == (printed != written)
+    assert bool(list(rules._numbers(nb))) == (printed != written)
 
 
 # --- README -------------------------------------------------------------------------------------------------
@@ -281,12 +279,12 @@ def test_no_other_number_is_carried(printed, written):
 
 def test_readme_table_comes_from_the_notebooks(tmp_path):
     path = write(tmp_path / "03_tiny.ipynb", good())
-    readme = "before\n<!-- notebooks -->\nold\n<!-- /notebooks -->\nafter\n"
-    new = nbtools.with_table(readme, [path])
+    text = "before\n<!-- notebooks -->\nold\n<!-- /notebooks -->\nafter\n"
+    new = readme.with_table(text, [path])
     assert new.startswith("before\n<!-- notebooks -->\n| notebook |")
     row = "| [03 Tiny](notebooks/03_tiny.ipynb) | nothing | 1 min | CPU |"
     assert f"{row}\n<!-- /notebooks -->" in new
     assert new.endswith("after\n")
-    assert nbtools.with_table(new, [path]) == new
+    assert readme.with_table(new, [path]) == new
     with pytest.raises(SystemExit, match="<!-- notebooks -->"):
-        nbtools.with_table("no table here", [path])
+        readme.with_table("no table here", [path])

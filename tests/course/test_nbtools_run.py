@@ -6,7 +6,7 @@ import nbformat
 import pytest
 from notebook_cells import DRAWING, FACTS, SLIDER, code, framed, nbval, notebook, write
 
-from course import nbtools
+from course import kernels, nbtools, rules
 from course.plot import captions
 
 
@@ -23,11 +23,11 @@ def stand_in(tmp_path, monkeypatch):
 def test_run_stores_a_notebook_that_guard_nbval_and_a_second_run_accept(stand_in):
     nb = framed(*map(code, [nbtools.SETUP, DRAWING, SLIDER, "2 * 0.25"]))
     path = write(stand_in / "tiny.ipynb", nb)
-    assert nbtools.main("run", [path]) == 0
+    assert kernels.run([path])
     first = path.read_text(encoding="utf-8")
-    assert nbtools.main("lint", [path]) == 0
+    assert rules.lint([path])
     assert nbval(path) == [True] * 4
-    assert nbtools.main("run", [path]) == 0
+    assert kernels.run([path])
     assert path.read_text(encoding="utf-8") == first
     cells = nbtools.code_cells(nbformat.reads(first, as_version=4))
     assert [cell.execution_count for cell in cells] == [1, 2, 3, 4]
@@ -48,7 +48,7 @@ def test_run_keeps_the_file_as_it_was_when_something_is_wrong(stand_in, capsys, 
     nb = notebook(code(nbtools.SETUP), code(source), omnistereo=FACTS | {"budget_s": budget})
     path = write(stand_in / "tiny.ipynb", nb)
     before = path.read_bytes()
-    assert nbtools.main("run", [path]) == 1
+    assert not kernels.run([path])
     assert said in capsys.readouterr().err
     assert path.read_bytes() == before
     assert sorted(file.name for file in stand_in.glob("*.ipynb*") if not file.is_dir()) == ["tiny.ipynb"]

@@ -8,7 +8,7 @@ import re
 import nbformat
 import pytest
 
-from course import exercises, nbtools
+from course import exercises, nbtools, rules
 from course.plot import captions
 
 TEMPLATE = nbtools.ROOT / "course" / "template.ipynb"
@@ -17,7 +17,7 @@ each = pytest.mark.parametrize("path", nbtools.notebooks(), ids=lambda path: pat
 
 @pytest.mark.parametrize("path", [*nbtools.notebooks(), TEMPLATE], ids=lambda path: path.stem)
 def test_stored_as_it_should_be(path):
-    assert nbtools.problems(path) == []
+    assert rules.problems(nbtools.read_text(path)) == []
 
 
 @each

@@ -8,11 +8,11 @@ import pytest
 
 from course import nbtools, readme
 
-TEXT = nbtools.README.read_text(encoding="utf-8")
+TEXT = readme.README.read_text(encoding="utf-8")
 
 
 def test_it_lists_the_notebooks():
-    assert nbtools.with_table(TEXT, nbtools.notebooks()) == TEXT, "python -m course readme"
+    assert readme.with_table(TEXT, nbtools.notebooks()) == TEXT, "python -m course readme"
 
 
 @pytest.mark.parametrize("page", ["README.md", *sorted(f"book/{path.name}" for path in nbtools.ROOT.glob("book/*.md"))])
