@@ -23,7 +23,7 @@ from omnistereo_lib.evaluate.table import LIGHTS
 from omnistereo_lib.files import atomic_write
 from omnistereo_lib.stereo.methods import Method, penalties
 from omnistereo_lib.train.recipes import RECIPES, SweepNetRecipe
-from render.frames import SETS
+from render.image_sets import SETS
 
 PAGE = ROOT / "book" / "reproduction.md"
 RESULTS = ROOT / "data_samples" / "results" / "paper.json"

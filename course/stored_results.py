@@ -12,7 +12,7 @@ from course.reproduction import renew_report
 from course.snapshots import take_snapshots
 from course.variants import compare_sweepnets
 from course.volume_variants import compare_volumenets
-from render.frames import renew_manifest
+from render.image_sets import renew_manifest
 
 STORED = ROOT / "data_samples" / "results"
 OUT = ROOT / "out"

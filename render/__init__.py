@@ -18,9 +18,9 @@ from pathlib import Path
 from threading import Thread
 
 from omnistereo_lib.errors import OmnistereoError
+from render.board_captures import is_captured, render_captures
 from render.boards import CAPTURES
-from render.captures import is_captured, render_captures
-from render.frames import SEED, SETS, forget_partial, is_complete, render_set, select_shard, write_manifest
+from render.image_sets import SEED, SETS, forget_partial, is_complete, render_set, select_shard, write_manifest
 from render.worlds import WORLDS, is_rendered, render_worlds
 
 _ALL = SETS | WORLDS | CAPTURES

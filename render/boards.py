@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Pose
 from render.lens import MAX_FOV_DEG, REFERENCE_HEIGHT, REFERENCE_WIDTH, Lens
-from render.rig import RenderRig, RigCamera, make_rig
+from render.render_rig import RenderRig, RigCamera, make_rig
 
 COLUMNS, ROWS, SQUARE = 12, 10, 0.060  # the paper's board: inner corners, metres
 MARGIN = 0.020  # white around the outer squares
@@ -123,7 +123,7 @@ def project(lens: Lens, points: ArrayLike, width: int = REFERENCE_WIDTH) -> tupl
     across = np.hypot(x, y)
     theta = np.arctan2(across, z)
     ratio = lens.radius(theta) / np.maximum(across, 1e-12)
-    uv = np.stack([x * ratio, y * ratio], -1) + lens.centre
+    uv = np.stack([x * ratio, y * ratio], -1) + lens.center
     return (uv + 0.5) * (width / REFERENCE_WIDTH) - 0.5, theta
 
 
@@ -238,8 +238,8 @@ class _Planner:
             between = (a.t + b.t) / 2
             away = forward / np.linalg.norm(forward) * (self.rng.uniform(0.35, 0.75) + 0.2 * apart)
             along = (a.t - b.t) * self.rng.uniform(-0.2, 0.2) + (0, self.rng.uniform(-0.5, 0.5), 0)
-            centre = between + away + along
-            return _facing(centre, between, self._angle(), self.rng.uniform(0, np.radians(30)), self._angle())
+            center = between + away + along
+            return _facing(center, between, self._angle(), self.rng.uniform(0, np.radians(30)), self._angle())
 
         return self._draw(draw, [c, following])
 
@@ -297,13 +297,13 @@ def _before(
     return _rounded(camera.T_rig_cam @ Pose(R, distance * ray - R @ _MIDDLE))
 
 
-def _facing(centre: NDArray, viewer: NDArray, roll: float, tilt: float, about: float) -> Pose:
+def _facing(center: NDArray, viewer: NDArray, roll: float, tilt: float, about: float) -> Pose:
     """Return T_rig_board of a board at `centre` that faces a viewer but for `tilt`."""
-    z = (centre - viewer) / np.linalg.norm(centre - viewer)
+    z = (center - viewer) / np.linalg.norm(center - viewer)
     x = np.cross([0, 1, 0], z)
     x /= np.linalg.norm(x)
     R = np.stack([x, np.cross(z, x), z], axis=1) @ _tilted(roll, tilt, about)
-    return _rounded(Pose(R, centre - R @ _MIDDLE))
+    return _rounded(Pose(R, center - R @ _MIDDLE))
 
 
 def _tilted(roll: float, tilt: float, about: float) -> NDArray[np.float64]:

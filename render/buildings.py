@@ -6,13 +6,13 @@ import numpy as np
 
 from render.facades import PALETTES, Style, facade, party_wall, random_style
 from render.layout import KERB_HEIGHT, Lot, Rectangle
-from render.mesh import Mesh
+from render.mesh_builder import Mesh
 
 
 def build(lot: Lot, rng: np.random.Generator) -> tuple[Mesh, tuple[float, float, float]]:
     """Return a building as a mesh in world coordinates, and its colour."""
     style, mesh = random_style(rng), Mesh()
-    colour = np.array(PALETTES[style.wall][rng.integers(len(PALETTES[style.wall]))]) * rng.uniform(0.85, 1.15)
+    color = np.array(PALETTES[style.wall][rng.integers(len(PALETTES[style.wall]))]) * rng.uniform(0.85, 1.15)
     setback = rng.uniform(0.0, 0.5)
     x0, y0, x1, y1 = (
         edge + sign * setback * lot.street_sides[side]
@@ -31,7 +31,7 @@ def build(lot: Lot, rng: np.random.Generator) -> tuple[Mesh, tuple[float, float,
         _gable_roof(mesh, body, top)
     else:
         _flat_roof(mesh, body, top, rng)
-    return mesh, tuple(np.clip(colour, 0, 0.8))
+    return mesh, tuple(np.clip(color, 0, 0.8))
 
 
 def _storeys(
@@ -81,7 +81,7 @@ def _flat_roof(mesh: Mesh, body: Rectangle, z: float, rng: np.random.Generator) 
     for start, along, length in body.sides():
         mesh.place((*start, z), (*along, 0), (along[1], -along[0], 0))
         mesh.box((0, -0.25, 0), (length, 0.04, 0.7), "trim")
-    mesh.place((*body.centre, z))
+    mesh.place((*body.center, z))
     reach = np.array(body.size) / 2 - 2.2
     if min(reach) < 1:
         return

@@ -23,7 +23,7 @@ from render.layout import (
     split_lots,
 )
 from render.materials import Materials
-from render.mesh import Mesh
+from render.mesh_builder import Mesh
 from render.traffic import Traffic
 
 _CURB_STRIP = 0.6  # from the kerb to the middle of lamp posts and signs
@@ -37,22 +37,22 @@ class Stage:
     materials: Materials = field(default_factory=Materials)
     shared: dict[str, Any] = field(default_factory=dict)
 
-    def add(self, mesh: Mesh, name: str, colour: ArrayLike = (0.5, 0.5, 0.5)) -> Any:
+    def add(self, mesh: Mesh, name: str, color: ArrayLike = (0.5, 0.5, 0.5)) -> Any:
         """Add a mesh that is used once, in world coordinates."""
-        return self.put(mesh.to_blender(name, self.materials), (0, 0, 0), 0.0, colour)
+        return self.put(mesh.to_blender(name, self.materials), (0, 0, 0), 0.0, color)
 
     def share(self, name: str, mesh: Mesh, smooth: bool = True) -> None:
         """Keep a mesh for repeated use under `name`."""
         self.shared[name] = mesh.to_blender(name, self.materials, smooth)
 
     def put(
-        self, mesh: Any, at: ArrayLike, yaw: float = 0.0, colour: ArrayLike = (0.5, 0.5, 0.5), scale: float = 1.0
+        self, mesh: Any, at: ArrayLike, yaw: float = 0.0, color: ArrayLike = (0.5, 0.5, 0.5), scale: float = 1.0
     ) -> Any:
         """Place an object with a shared mesh (its name) or a Blender mesh."""
         data = self.shared[mesh] if isinstance(mesh, str) else mesh
         item = bpy.data.objects.new(data.name, data)
         item.location, item.rotation_euler = at, (0.0, 0.0, yaw)
-        item.scale, item.color = (scale,) * 3, (*colour, 1.0)
+        item.scale, item.color = (scale,) * 3, (*color, 1.0)
         bpy.context.scene.collection.objects.link(item)
         return item
 
@@ -129,8 +129,8 @@ class Side:
 
 def _lot(stage: Stage, lot: Lot, rng: np.random.Generator) -> None:
     if not lot.empty:
-        mesh, colour = buildings.build(lot, rng)
-        stage.add(mesh, "building", colour)
+        mesh, color = buildings.build(lot, rng)
+        stage.add(mesh, "building", color)
         return
     mesh, g = Mesh(), lot.ground
     z = KERB_HEIGHT + 0.012
@@ -150,14 +150,14 @@ def _lot(stage: Stage, lot: Lot, rng: np.random.Generator) -> None:
     stage.add(mesh, "garden")
     for x in np.arange(g.x0 + 3.8, g.x1 - 3.6, 5.5):
         stage.put(
-            f"big tree{rng.integers(6)}", (x, g.centre[1] + rng.uniform(-1.5, 1.5), z), rng.uniform(0, 6.28), scale=0.9
+            f"big tree{rng.integers(6)}", (x, g.center[1] + rng.uniform(-1.5, 1.5), z), rng.uniform(0, 6.28), scale=0.9
         )
 
 
 def _park(stage: Stage, block: Block, rng: np.random.Generator) -> None:
     area, mesh, z = block.building_line, Mesh(), KERB_HEIGHT + 0.03
     mesh.prism(area.rounded(3.0), 0.0, z, "kerbstone", "grass")
-    middle, (w, h) = area.centre, area.size
+    middle, (w, h) = area.center, area.size
     for low, high in (
         ((area.x0, middle[1] - 1.2), (area.x1, middle[1] + 1.2)),
         ((middle[0] - 1.2, area.y0), (middle[0] + 1.2, area.y1)),
@@ -259,7 +259,7 @@ def _skyline(stage: Stage, district: District, rng: np.random.Generator) -> None
             half = reach[side % 2] + away + 40
             for s in np.arange(-half, half, wide * 1.18):
                 across = reach[1 - side % 2] + away + rng.uniform(0, 18)
-                centre = e.centre + ((s, across), (across, s), (s, -across), (-across, s))[side]
+                center = e.center + ((s, across), (across, s), (s, -across), (-across, s))[side]
                 size = np.array([wide, wide]) / 2 * rng.uniform(0.8, 1.05)
-                mesh.box((*(centre - size), 0), (*(centre + size), height * rng.uniform(0.5, 1.4)), "skyline")
+                mesh.box((*(center - size), 0), (*(center + size), height * rng.uniform(0.5, 1.4)), "skyline")
     stage.add(mesh, "skyline", (0.32, 0.29, 0.27))

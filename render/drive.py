@@ -77,6 +77,6 @@ def _arc(corner: NDArray, before: NDArray, after: NDArray) -> NDArray[np.float64
     """Return the quarter circle that rounds a corner between two directions at right angles."""
     turns_left = before[0] * after[1] - before[1] * after[0] > 0
     radius = _LEFT_TURN if turns_left else _RIGHT_TURN
-    centre = corner + radius * (after - before)
+    center = corner + radius * (after - before)
     t = np.linspace(0, np.pi / 2, 200)[:, None]
-    return centre - radius * np.cos(t) * after + radius * np.sin(t) * before
+    return center - radius * np.cos(t) * after + radius * np.sin(t) * before

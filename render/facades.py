@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from render.mesh import Mesh
+from render.mesh_builder import Mesh
 
 PALETTES = {
     "brick": [(0.33, 0.12, 0.07), (0.25, 0.11, 0.08), (0.4, 0.23, 0.13), (0.42, 0.33, 0.2), (0.2, 0.13, 0.11)],
@@ -136,22 +136,22 @@ def _columns(length: float, bay: float) -> NDArray[np.float64]:
 
 def _windows(mesh: Mesh, length: float, style: Style, rng: np.random.Generator, first_floor: int) -> None:
     """Fill the wall around a grid of openings: piers between columns, spandrels between floors, panes inside."""
-    centres = _columns(length, style.bay)
-    half = min(style.window_width, length / len(centres) - 0.3) / 2
+    centers = _columns(length, style.bay)
+    half = min(style.window_width, length / len(centers) - 0.3) / 2
     levels = np.arange(first_floor, style.floors)
     floor = np.where(levels == 0, 0, style.ground_height + (levels - 1) * style.floor_height)
     low, high = floor + style.sill, floor + style.sill + style.window_height
     base = style.ground_height if first_floor else 0.0
-    left = np.concatenate([[0], centres + half])
-    right = np.concatenate([centres - half, [length]])
+    left = np.concatenate([[0], centers + half])
+    right = np.concatenate([centers - half, [length]])
     _wall(mesh, left, right, base, style.height, style.wall)
     gaps = np.concatenate([[base], high]), np.concatenate([low, [style.height]])
     for bottom, top in zip(*gaps, strict=True):
-        _wall(mesh, centres - half, centres + half, bottom, top, style.wall)
-    s, z0 = (grid.ravel() for grid in np.meshgrid(centres, low))
+        _wall(mesh, centers - half, centers + half, bottom, top, style.wall)
+    s, z0 = (grid.ravel() for grid in np.meshgrid(centers, low))
     openings(mesh, s - half, s + half, z0, z0 + style.window_height, style.recess, style.wall, rng)
     if style.balconies != "none":
-        _balconies(mesh, centres, half, floor[1:] if first_floor == 0 else floor, style, rng)
+        _balconies(mesh, centers, half, floor[1:] if first_floor == 0 else floor, style, rng)
 
 
 def _wall(mesh: Mesh, s0: NDArray, s1: NDArray, z0: float, z1: float, material: str) -> None:
@@ -189,9 +189,9 @@ def openings(
 
 
 def _balconies(
-    mesh: Mesh, centres: NDArray, half: float, floors: NDArray, style: Style, rng: np.random.Generator
+    mesh: Mesh, centers: NDArray, half: float, floors: NDArray, style: Style, rng: np.random.Generator
 ) -> None:
-    chosen = centres[rng.random(len(centres)) < 0.45]
+    chosen = centers[rng.random(len(centers)) < 0.45]
     for s in chosen:
         for floor in floors[rng.random(len(floors)) < 0.9]:
             z, wide, deep = floor + style.sill - 0.28, half + 0.35, 0.95
@@ -226,8 +226,8 @@ def _railing(mesh: Mesh, s0: float, s1: float, deep: float, z: float) -> None:
 
 def _flowers(mesh: Mesh, s0: float, s1: float, deep: float, z: float, rng: np.random.Generator) -> None:
     n = int(40 * (s1 - s0))
-    centre = np.column_stack([rng.uniform(s0, s1, n), rng.normal(deep, 0.06, n), z + rng.uniform(0, 0.22, n)])
-    mesh.add(centre[:, None] + rng.normal(0, 0.05, (n, 4, 3)), "leaf", rng.random(n))
+    center = np.column_stack([rng.uniform(s0, s1, n), rng.normal(deep, 0.06, n), z + rng.uniform(0, 0.22, n)])
+    mesh.add(center[:, None] + rng.normal(0, 0.05, (n, 4, 3)), "leaf", rng.random(n))
 
 
 def _ornaments(mesh: Mesh, length: float, style: Style, rng: np.random.Generator) -> None:
@@ -343,18 +343,18 @@ def _awning(mesh: Mesh, s0: float, s1: float, z: float, rng: np.random.Generator
 
 def _entrance_floor(mesh: Mesh, length: float, style: Style, rng: np.random.Generator) -> None:
     """Add a ground floor with windows, a door with steps, and a plinth."""
-    centres = _columns(length, style.bay)
-    half = min(style.window_width, length / len(centres) - 0.3) / 2
-    door = int(rng.integers(len(centres)))
+    centers = _columns(length, style.bay)
+    half = min(style.window_width, length / len(centers) - 0.3) / 2
+    door = int(rng.integers(len(centers)))
     wall, height = party_wall(style), style.ground_height
     low, high = 1.1, 1.1 + min(style.window_height, height - 1.5)
-    _wall(mesh, np.concatenate([[0], centres + half]), np.concatenate([centres - half, [length]]), 0.0, height, wall)
-    keep = np.arange(len(centres)) != door
-    s = centres[keep]
+    _wall(mesh, np.concatenate([[0], centers + half]), np.concatenate([centers - half, [length]]), 0.0, height, wall)
+    keep = np.arange(len(centers)) != door
+    s = centers[keep]
     _wall(mesh, s - half, s + half, 0.0, low, wall)
-    _wall(mesh, centres - half, centres + half, high, height, wall)
+    _wall(mesh, centers - half, centers + half, high, height, wall)
     openings(mesh, s - half, s + half, np.full(len(s), low), np.full(len(s), high), style.recess, wall, rng)
-    c = centres[door]
+    c = centers[door]
     mesh.box((c - half, -0.12, 0.0), (c + half, 0.01, high), "wood")
     mesh.box(
         [(c - half, 0, 0.0), (c - half - 0.2, 0, 0)],

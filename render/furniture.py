@@ -7,10 +7,10 @@ import itertools
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from render.mesh import Mesh
+from render.mesh_builder import Mesh
 
 
-def cushion(mesh: Mesh, centre: ArrayLike, size: ArrayLike, material: str, value: float = 0.5) -> None:
+def cushion(mesh: Mesh, center: ArrayLike, size: ArrayLike, material: str, value: float = 0.5) -> None:
     """Add a soft box of a full `size`: a superellipsoid, flat in the middle and round at the edges."""
     latitude = np.linspace(-np.pi / 2, np.pi / 2, 13)[:, None]
     angle = np.linspace(0, 2 * np.pi, 29)
@@ -18,7 +18,7 @@ def cushion(mesh: Mesh, centre: ArrayLike, size: ArrayLike, material: str, value
     height, girth = np.sign(latitude) * np.abs(np.sin(latitude)) ** 0.6, np.cos(latitude).clip(0) ** 0.35
     across, along = (girth * wave for wave in bent)
     unit = np.stack(np.broadcast_arrays(across, along, height), axis=-1)
-    mesh.sheet(np.asarray(centre) + unit * np.asarray(size) / 2, material, value)
+    mesh.sheet(np.asarray(center) + unit * np.asarray(size) / 2, material, value)
 
 
 def bookcase(rng: np.random.Generator, width: float, height: float) -> Mesh:
@@ -155,9 +155,9 @@ def low_table(rng: np.random.Generator) -> Mesh:
     return mesh
 
 
-def leaves(mesh: Mesh, rng: np.random.Generator, centre: ArrayLike, count: int, size: float) -> None:
+def leaves(mesh: Mesh, rng: np.random.Generator, center: ArrayLike, count: int, size: float) -> None:
     """Add small leaves around a point."""
-    at = centre + rng.normal(0, 1.6 * size, (count, 1, 3))
+    at = center + rng.normal(0, 1.6 * size, (count, 1, 3))
     mesh.add(at + rng.normal(0, size, (count, 4, 3)), "leaf", rng.random(count))
 
 

@@ -18,7 +18,7 @@ from render.drive import level_rig
 from render.layout import Lot, Rectangle
 from render.lights import add_light
 from render.materials import Shader, recipe
-from render.mesh import Mesh
+from render.mesh_builder import Mesh
 
 _LONG, _WIDE, _HIGH = 5.5, 4.5, 2.7
 _WALL = 0.28  # thickness
@@ -163,9 +163,9 @@ def _hang(stage: Stage, rng: np.random.Generator) -> None:
 
 
 def _put(
-    stage: Stage, mesh: Mesh, at: ArrayLike, yaw: float = 0.0, colour: tuple[float, float, float] = (0.5, 0.5, 0.5)
+    stage: Stage, mesh: Mesh, at: ArrayLike, yaw: float = 0.0, color: tuple[float, float, float] = (0.5, 0.5, 0.5)
 ) -> None:
-    stage.put(mesh.to_blender("furniture", stage.materials, smooth=True), at, yaw, colour)
+    stage.put(mesh.to_blender("furniture", stage.materials, smooth=True), at, yaw, color)
 
 
 # Outside and light
@@ -183,8 +183,8 @@ def _outside(stage: Stage, rng: np.random.Generator) -> None:
         stage.put(tree.to_blender("tree", stage.materials, smooth=True), (x, y, _GARDEN))
     for x in (-14.0, 2.0, 19.0):
         lot = Lot(Rectangle(x, 20, x + 14, 30), (True,) * 4, (True, False, False, False), False)
-        house, colour = buildings.build(lot, rng)
-        stage.put(house.to_blender("house", stage.materials), (0, 0, _GARDEN), 0.0, colour)
+        house, color = buildings.build(lot, rng)
+        stage.put(house.to_blender("house", stage.materials), (0, 0, _GARDEN), 0.0, color)
 
 
 def _lamps(stage: Stage) -> None:
@@ -203,9 +203,9 @@ def _lamps(stage: Stage) -> None:
         _window_light(portal, watts)
 
 
-def _bulb(name: str, at: ArrayLike, watts: float, radius: float, colour: tuple[float, float, float]) -> None:
+def _bulb(name: str, at: ArrayLike, watts: float, radius: float, color: tuple[float, float, float]) -> None:
     light = bpy.data.lights.new(name, "POINT")
-    light.energy, light.color, light.shadow_soft_size = watts, colour, radius
+    light.energy, light.color, light.shadow_soft_size = watts, color, radius
     _shine(light, at)
 
 
@@ -235,9 +235,9 @@ def _shine(light: Any, at: ArrayLike) -> Any:
 @recipe
 def wall_paint(s: Shader) -> Any:
     """Emulsion paint on plaster: a grain of a few percent, clouds fainter still. The face's value is the colour."""
-    colour = s.mix(s.value, (0.72, 0.69, 0.62), (0.42, 0.52, 0.5))
-    grained = s.shade(colour, 0.93, 1.05, s.noise(55.0, 4, 0.7))
-    return s.finish(s.shade(grained, 0.95, 1.03, s.noise(1.1, 3)), colour)
+    color = s.mix(s.value, (0.72, 0.69, 0.62), (0.42, 0.52, 0.5))
+    grained = s.shade(color, 0.93, 1.05, s.noise(55.0, 4, 0.7))
+    return s.finish(s.shade(grained, 0.95, 1.03, s.noise(1.1, 3)), color)
 
 
 @recipe
@@ -257,9 +257,9 @@ def parquet(s: Shader) -> Any:
 @recipe
 def oak(s: Shader) -> Any:
     """Oiled wood, light or dark by the face's value."""
-    colour = s.mix(s.value, (0.2, 0.11, 0.055), (0.5, 0.33, 0.17))
+    color = s.mix(s.value, (0.2, 0.11, 0.055), (0.5, 0.33, 0.17))
     grain = s.noise(9.0, 6, 0.7, s.stretch(s.object_position, (6.0, 0.9, 1.4)))
-    return s.finish(s.shade(colour, 0.68, 1.25, grain), (0.35, 0.22, 0.11), 0.2, 0.35)
+    return s.finish(s.shade(color, 0.68, 1.25, grain), (0.35, 0.22, 0.11), 0.2, 0.35)
 
 
 @recipe
@@ -267,16 +267,16 @@ def book(s: Shader) -> Any:
     """Cloth and paper spines, a colour for each face value, with bands for title and author."""
     own = s.join(s.math("MULTIPLY", s.value, 613.0), 0.0, 0.0)
     dye = s.shade(s.cells(1.0, output="Color", at=own), 0.35, 0.75, s.value)
-    colour = s.mix(0.5, dye, s.mix(s.value, (0.3, 0.26, 0.2), (0.04, 0.035, 0.03)))
+    color = s.mix(0.5, dye, s.mix(s.value, (0.3, 0.26, 0.2), (0.04, 0.035, 0.03)))
     lines = s.ramp(s.noise(1.0, 2, 0.5, s.join(s.math("MULTIPLY", s.height, 42.0), own, 0.0)), 0.6, 0.64)
-    return s.finish(s.mix(lines, s.shade(colour, 0.5, 0.95, s.noise(30.0, 4)), (0.6, 0.55, 0.4)), (0.2, 0.16, 0.13))
+    return s.finish(s.mix(lines, s.shade(color, 0.5, 0.95, s.noise(30.0, 4)), (0.6, 0.55, 0.4)), (0.2, 0.16, 0.13))
 
 
 @recipe
 def glaze(s: Shader) -> Any:
     """Glazed earthenware, from sea green to clay by the face's value, speckled."""
-    colour = s.mix(s.value, (0.1, 0.22, 0.24), (0.55, 0.36, 0.22))
-    return s.finish(s.shade(colour, 0.6, 1.2, s.noise(24.0, 5, 0.7, s.object_position)), (0.3, 0.27, 0.22), 0.4, 0.12)
+    color = s.mix(s.value, (0.1, 0.22, 0.24), (0.55, 0.36, 0.22))
+    return s.finish(s.shade(color, 0.6, 1.2, s.noise(24.0, 5, 0.7, s.object_position)), (0.3, 0.27, 0.22), 0.4, 0.12)
 
 
 @recipe
@@ -298,8 +298,8 @@ def magazine(s: Shader) -> Any:
 @recipe
 def fruit(s: Shader) -> Any:
     """Apples and oranges by the face's value."""
-    colour = s.mix(s.math("GREATER_THAN", s.value, 0.5), (0.5, 0.07, 0.03), (0.7, 0.33, 0.04))
-    return s.finish(s.shade(colour, 0.7, 1.25, s.noise(30.0, 4, 0.6, s.object_position)), (0.55, 0.2, 0.05), 0.3, 0.25)
+    color = s.mix(s.math("GREATER_THAN", s.value, 0.5), (0.5, 0.07, 0.03), (0.7, 0.33, 0.04))
+    return s.finish(s.shade(color, 0.7, 1.25, s.noise(30.0, 4, 0.6, s.object_position)), (0.55, 0.2, 0.05), 0.3, 0.25)
 
 
 @recipe
@@ -325,9 +325,9 @@ def rug(s: Shader) -> Any:
 @recipe
 def curtain(s: Shader) -> Any:
     """Linen, from sand to ochre by the face's value."""
-    colour = s.mix(s.value, (0.4, 0.24, 0.1), (0.6, 0.53, 0.41))
+    color = s.mix(s.value, (0.4, 0.24, 0.1), (0.6, 0.53, 0.41))
     threads = s.noise(60.0, 3, 0.6, s.stretch(s.object_position, (1.0, 3.0, 0.3)))
-    return s.finish(s.shade(colour, 0.75, 1.15, threads), (0.5, 0.43, 0.32))
+    return s.finish(s.shade(color, 0.75, 1.15, threads), (0.5, 0.43, 0.32))
 
 
 @recipe

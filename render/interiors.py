@@ -10,8 +10,8 @@ import numpy as np
 from render import indoor, nature  # noqa: F401  indoor registers the materials of furniture
 from render.city import Stage
 from render.lights import add_light, random_sky
-from render.mesh import Mesh
-from render.patterns import random_colour, random_material, random_materials
+from render.mesh_builder import Mesh
+from render.patterns import random_color, random_material, random_materials
 from render.rooms import SMALL_MATERIALS, Opening, RoomPlan, wall_frame
 from render.shader import Shader
 
@@ -27,7 +27,7 @@ def build_room(plan: RoomPlan, rng: np.random.Generator) -> None:
     stage.add(_window_frames(plan), "frames") if plan.windows else None
     for piece in plan.pieces:
         mesh = piece.mesh.to_blender("piece", stage.materials, smooth=True)
-        stage.put(mesh, piece.at, piece.yaw, random_colour(rng), piece.scale)
+        stage.put(mesh, piece.at, piece.yaw, random_color(rng), piece.scale)
     lamps = not plan.windows or rng.random() < 0.6
     if plan.windows:
         _outside(stage, plan, rng)
@@ -43,9 +43,9 @@ def build_room(plan: RoomPlan, rng: np.random.Generator) -> None:
 def _paint(rng: np.random.Generator, lightest: float = 0.8) -> Any:
     """Return the material of a blank wall: white, gray or a pale colour, plain or with a grain of a few percent."""
     value, hue = rng.uniform(0.25, lightest) ** 0.5 * lightest**0.5, rng.uniform(0.92, 1.0, 3)
-    colour = tuple(float(c) for c in value * hue)
+    color = tuple(float(c) for c in value * hue)
     s, grain = Shader("paint"), rng.choice([0.0, 0.015, 0.04])
-    return s.finish(s.shade(colour, 1 - grain, 1 + grain, s.noise(float(rng.uniform(20, 70)), 4, 0.7)), colour)
+    return s.finish(s.shade(color, 1 - grain, 1 + grain, s.noise(float(rng.uniform(20, 70)), 4, 0.7)), color)
 
 
 def _choose_materials(stage: Stage, rng: np.random.Generator) -> None:
@@ -107,19 +107,19 @@ def _window_frames(plan: RoomPlan) -> Mesh:
 
 def _outside(stage: Stage, plan: RoomPlan, rng: np.random.Generator) -> None:
     """Put a ground, houses as plain blocks, and a few trees around the room."""
-    ground, centre = Mesh(), plan.size[:2] / 2
+    ground, center = Mesh(), plan.size[:2] / 2
     ground.add([(-200, -200, _GARDEN), (200, -200, _GARDEN), (200, 200, _GARDEN), (-200, 200, _GARDEN)], "grass")
     away, half = np.linalg.norm(plan.size[:2]), np.zeros(2)
     for k in range(10):
         angle, far = rng.uniform(0, 2 * np.pi), away + rng.uniform(14, 60)
         half = rng.uniform(3, 9, 2)
-        at = centre + far * np.array([np.cos(angle), np.sin(angle)])
+        at = center + far * np.array([np.cos(angle), np.sin(angle)])
         ground.box((*(at - half), _GARDEN), (*(at + half), rng.uniform(3, 20)), ("brick", "plaster", "skyline")[k % 3])
-    stage.add(ground, "outside", random_colour(rng))
+    stage.add(ground, "outside", random_color(rng))
     tree = nature.tree(rng, 5.5, 1.6).to_blender("tree", stage.materials, smooth=True)
     for _ in range(5):
         angle, far = rng.uniform(0, 2 * np.pi), away / 2 + rng.uniform(3.5, 12)
-        stage.put(tree, (*(centre + far * np.array([np.cos(angle), np.sin(angle)])), _GARDEN), angle)
+        stage.put(tree, (*(center + far * np.array([np.cos(angle), np.sin(angle)])), _GARDEN), angle)
 
 
 def _window_light(plan: RoomPlan, w: Opening, watts: float) -> None:

@@ -35,7 +35,7 @@ class Rectangle:
         return self.x1 - self.x0, self.y1 - self.y0
 
     @property
-    def centre(self) -> NDArray[np.float64]:
+    def center(self) -> NDArray[np.float64]:
         """Middle point, shape (2,)."""
         return np.array([self.x0 + self.x1, self.y0 + self.y1]) / 2
 

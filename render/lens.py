@@ -28,7 +28,7 @@ class Lens:
     """
 
     k: tuple[float, float, float]
-    centre: tuple[float, float]
+    center: tuple[float, float]
     max_fov_deg: float = MAX_FOV_DEG
 
     @property
@@ -60,7 +60,7 @@ class Lens:
 
         Blender's manual has both in units of the longer side; of a panoramic camera that is not so.
         """
-        u, v = self.centre
+        u, v = self.center
         return ((REFERENCE_WIDTH - 1) / 2 - u) / REFERENCE_WIDTH, (v - (REFERENCE_HEIGHT - 1) / 2) / REFERENCE_HEIGHT
 
 
@@ -70,7 +70,7 @@ class OcamFit:
 
     poly: NDArray[np.float64]
     inv_poly: NDArray[np.float64]
-    centre: tuple[float, float]  # (u, v)
+    center: tuple[float, float]  # (u, v)
     residual_px: float  # worst error of `poly`, as far as images go
     inverse_residual_px: float  # worst error of `inv_poly`
 
@@ -85,8 +85,8 @@ def random_lens(rng: np.random.Generator) -> Lens:
     linear = edge / focal
     cubic = 0.3325 + 3.8 * (1.9170 - linear)
     quartic = np.radians(MAX_FOV_DEG / 2) - linear - cubic
-    centre = ((REFERENCE_WIDTH - 1) / 2 + rng.normal(0, 1.5), (REFERENCE_HEIGHT - 1) / 2 + rng.normal(0, 1.152))
-    return Lens((float(linear / edge), float(cubic / edge**3), float(quartic / edge**4)), centre)
+    center = ((REFERENCE_WIDTH - 1) / 2 + rng.normal(0, 1.5), (REFERENCE_HEIGHT - 1) / 2 + rng.normal(0, 1.152))
+    return Lens((float(linear / edge), float(cubic / edge**3), float(quartic / edge**4)), center)
 
 
 def random_fisheye(rng: np.random.Generator, fov_deg: float) -> Lens:
@@ -99,8 +99,8 @@ def random_fisheye(rng: np.random.Generator, fov_deg: float) -> Lens:
     linear = half * rng.uniform(0.9, 1.08)
     quartic = -rng.uniform(0.0, 0.35)
     cubic = half - linear - quartic
-    centre = ((REFERENCE_WIDTH - 1) / 2 + rng.normal(0, 2.0), (REFERENCE_HEIGHT - 1) / 2 + rng.normal(0, 1.5))
-    return Lens((float(linear / edge), float(cubic / edge**3), float(quartic / edge**4)), centre, float(fov_deg))
+    center = ((REFERENCE_WIDTH - 1) / 2 + rng.normal(0, 2.0), (REFERENCE_HEIGHT - 1) / 2 + rng.normal(0, 1.5))
+    return Lens((float(linear / edge), float(cubic / edge**3), float(quartic / edge**4)), center, float(fov_deg))
 
 
 def fit_ocam(lens: Lens, width: int = REFERENCE_WIDTH) -> OcamFit:
@@ -111,7 +111,7 @@ def fit_ocam(lens: Lens, width: int = REFERENCE_WIDTH) -> OcamFit:
     scale = width / REFERENCE_WIDTH
     theta = np.radians(np.linspace(0.02, lens.rendered_fov_deg / 2, 2000))
     r = lens.radius(theta) * scale
-    centre = tuple((c + 0.5) * scale - 0.5 for c in lens.centre)
+    center = tuple((c + 0.5) * scale - 0.5 for c in lens.center)
     for degree in range(4, _MAX_DEGREE + 1):
         poly, residual = _fit_direct(theta, r, degree)
         if residual < _FIT_TOLERANCE_PX:
@@ -120,7 +120,7 @@ def fit_ocam(lens: Lens, width: int = REFERENCE_WIDTH) -> OcamFit:
         inv_poly, inverse_residual = _fit_inverse(theta, r, degree)
         if inverse_residual < _FIT_TOLERANCE_PX:
             break
-    return OcamFit(poly, inv_poly, centre, residual, inverse_residual)
+    return OcamFit(poly, inv_poly, center, residual, inverse_residual)
 
 
 def _fit_direct(theta: NDArray, r: NDArray, degree: int) -> tuple[NDArray[np.float64], float]:

@@ -17,7 +17,7 @@ class Light:
     elevation: float
     azimuth: float  # of the sun, counter-clockwise from east
     sun: float
-    sun_colour: tuple[float, float, float]
+    sun_color: tuple[float, float, float]
     sky: float
     clouds: float  # share of the sky covered
     overcast: bool
@@ -42,7 +42,7 @@ def add_light(name: str | Light) -> Light:
     world.cycles.sampling_method, world.cycles.sample_map_resolution = "MANUAL", 512
     if light.sun:
         sun = bpy.data.lights.new("sun", "SUN")
-        sun.energy, sun.angle, sun.color = light.sun, np.radians(0.53), light.sun_colour
+        sun.energy, sun.angle, sun.color = light.sun, np.radians(0.53), light.sun_color
         item = bpy.data.objects.new("sun", sun)
         item.rotation_euler = (0.0, np.radians(90 - light.elevation), np.radians(light.azimuth))
         bpy.context.scene.collection.objects.link(item)
@@ -62,7 +62,7 @@ def random_sky(rng: np.random.Generator) -> Light:
     )
 
 
-def add_dome(colours: Sequence[tuple[float, float, float]], strength: float) -> None:
+def add_dome(colors: Sequence[tuple[float, float, float]], strength: float) -> None:
     """Give the current scene a dome that shines in the first colour below and the second above."""
     world = bpy.data.worlds.new("dome")
     bpy.context.scene.world = world
@@ -75,8 +75,8 @@ def add_dome(colours: Sequence[tuple[float, float, float]], strength: float) -> 
     tree.links.new(split.outputs["Z"], height.inputs[0])
     height.inputs[1].default_value = -1.0
     tree.links.new(height.outputs[0], mix.inputs[0])
-    for k, colour in enumerate(colours, start=1):
-        mix.inputs[k].default_value = (*colour, 1.0)
+    for k, color in enumerate(colors, start=1):
+        mix.inputs[k].default_value = (*color, 1.0)
     background, output = tree.nodes.new("ShaderNodeBackground"), tree.nodes.new("ShaderNodeOutputWorld")
     tree.links.new(mix.outputs[0], background.inputs["Color"])
     background.inputs["Strength"].default_value = strength
@@ -113,10 +113,10 @@ class _Sky:
         split = self.tree.nodes.new("ShaderNodeSeparateXYZ")
         self.tree.links.new(self.direction, split.inputs[0])
         x, y, z = split.outputs
-        colour = self._overcast(z) if self.light.overcast else self._clear()
-        colour = self.node("ShaderNodeMixRGB", self._clouds(x, y, z), colour, self._cloud_colour(x, y, z))
+        color = self._overcast(z) if self.light.overcast else self._clear()
+        color = self.node("ShaderNodeMixRGB", self._clouds(x, y, z), color, self._cloud_color(x, y, z))
         strength = self.light.sky
-        background = self.node("ShaderNodeBackground", colour, strength)
+        background = self.node("ShaderNodeBackground", color, strength)
         if self.light.sun:
             background = self._with_sun_disc(background)
         output = self.tree.nodes.new("ShaderNodeOutputWorld")
@@ -144,13 +144,13 @@ class _Sky:
         edge = 0.66 - 0.3 * self.light.clouds
         return self.node("ShaderNodeMapRange", noise, edge, edge + 0.16, 0.0, 0.85)
 
-    def _cloud_colour(self, x: Any, y: Any, z: Any) -> Any:
+    def _cloud_color(self, x: Any, y: Any, z: Any) -> Any:
         noise = self.node("ShaderNodeTexNoise", self._on_cloud_layer(x, y, z), None, 0.8, 8.0, 0.6)
         low, high = (0.35, 1.25) if self.light.overcast else (2.4, 5.2)
         if self.light.elevation < 20:
             low, high = 0.8, 2.2
         gray = self.node("ShaderNodeMapRange", noise, 0.32, 0.68, low, high)
-        tint = self.light.sun_colour if self.light.elevation < 20 else (1.0, 1.0, 1.03)
+        tint = self.light.sun_color if self.light.elevation < 20 else (1.0, 1.0, 1.03)
         parts = [self.node("ShaderNodeMath", gray, t, operation="MULTIPLY") for t in tint]
         return self.node("ShaderNodeCombineXYZ", *parts)
 
@@ -167,5 +167,5 @@ class _Sky:
         )
         path = self.tree.nodes.new("ShaderNodeLightPath").outputs["Is Camera Ray"]
         share = self.node("ShaderNodeMath", inside, path, operation="MULTIPLY")
-        disc = self.node("ShaderNodeBackground", (*self.light.sun_colour, 1.0), 60.0)
+        disc = self.node("ShaderNodeBackground", (*self.light.sun_color, 1.0), 60.0)
         return self.node("ShaderNodeMixShader", share, background, disc)

@@ -84,10 +84,10 @@ def soil(s: Shader) -> Any:
 # Walls; the object's colour is the building's own
 
 
-def _weather(s: Shader, colour: Socket) -> Socket:
+def _weather(s: Shader, color: Socket) -> Socket:
     """Darken towards the street, with vertical streaks of rain and blotches of soot."""
     streaks = s.ramp(s.noise(1.6, 4, 0.6, s.stretch(s.position, (1.0, 1.0, 0.08))), 0.35, 0.7)
-    streaked = s.shade(colour, 1.12, 0.72, streaks)
+    streaked = s.shade(color, 1.12, 0.72, streaks)
     blotched = s.shade(streaked, 0.72, 1.2, s.noise(0.35, 6, 0.65))
     splash = s.math("ADD", s.ramp(s.height, 0.1, 1.6), s.math("SUBTRACT", s.noise(1.8, 4), 0.5))
     return s.shade(blotched, 0.55, 1.0, s.ramp(splash, 0.0, 1.0))
@@ -237,7 +237,7 @@ def tinted(s: Shader) -> Any:
 def fabric(s: Shader) -> Any:
     """Cloth coloured by the face's value, as people wear it, with folds and weave."""
     ramp = s.node("ShaderNodeValToRGB", Fac=s.value)
-    colours = [
+    colors = [
         (0.02, 0.02, 0.03),
         (0.05, 0.08, 0.2),
         (0.3, 0.04, 0.04),
@@ -250,9 +250,9 @@ def fabric(s: Shader) -> Any:
         (0.45, 0.1, 0.2),
     ]
     ramp.color_ramp.interpolation = "CONSTANT"
-    for i, colour in enumerate(colours):
-        stop = ramp.color_ramp.elements[i] if i < 2 else ramp.color_ramp.elements.new(i / len(colours))
-        stop.position, stop.color = i / len(colours), (*colour, 1.0)
+    for i, color in enumerate(colors):
+        stop = ramp.color_ramp.elements[i] if i < 2 else ramp.color_ramp.elements.new(i / len(colors))
+        stop.position, stop.color = i / len(colors), (*color, 1.0)
     folds = s.noise(5.0, 5, 0.7, s.stretch(s.object_position, (1.6, 1.6, 0.6)))
     return s.finish(s.shade(ramp.outputs[0], 0.45, 1.4, folds), (0.2, 0.18, 0.17))
 

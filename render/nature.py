@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from render.mesh import Mesh
+from render.mesh_builder import Mesh
 
 
 def tree(rng: np.random.Generator, height: float, crown: float) -> Mesh:
@@ -25,18 +25,18 @@ def tree(rng: np.random.Generator, height: float, crown: float) -> Mesh:
         mesh.tube([root, (root + tip) / 2 + (0, 0, 0.12), tip], [0.05, 0.035, 0.012], "bark", 5)
         blobs.append((tip, size))
     blobs.append((np.array([0, 0, 0.88 * height]), 0.5 * crown))
-    for centre, size in blobs:
-        _foliage(mesh, centre, np.array([size, size, 0.8 * size]), int(420 * size**2) + 60, rng)
+    for center, size in blobs:
+        _foliage(mesh, center, np.array([size, size, 0.8 * size]), int(420 * size**2) + 60, rng)
     return mesh
 
 
 def _foliage(
-    mesh: Mesh, centre: NDArray, radii: NDArray, count: int, rng: np.random.Generator, size: float = 0.075
+    mesh: Mesh, center: NDArray, radii: NDArray, count: int, rng: np.random.Generator, size: float = 0.075
 ) -> None:
     """Scatter leaves through an ellipsoid, denser towards its skin."""
     direction = rng.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    at = centre + direction * radii * rng.uniform(0.35, 1.0, (count, 1)) ** 0.6
+    at = center + direction * radii * rng.uniform(0.35, 1.0, (count, 1)) ** 0.6
     a, b = rng.normal(size=(2, count, 3))
     a /= np.linalg.norm(a, axis=1, keepdims=True)
     b = np.cross(a, b)

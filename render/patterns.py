@@ -13,7 +13,7 @@ from render.shader import Materials, Shader, Socket
 PATTERNS = ("plain", "gradient", "grain", "clouds", "blots", "cells", "cracks", "bricks", "stripes", "checks", "print")
 
 
-def random_colour(rng: np.random.Generator, vivid: float = 0.8) -> tuple[float, float, float]:
+def random_color(rng: np.random.Generator, vivid: float = 0.8) -> tuple[float, float, float]:
     """Draw a linear RGB colour, from near black to near white; `vivid` is the largest saturation."""
     value = rng.uniform(0.03, 0.85)
     return colorsys.hsv_to_rgb(rng.random(), vivid * rng.random(), value)
@@ -23,7 +23,7 @@ def random_material(
     rng: np.random.Generator,
     kinds: Sequence[str] = PATTERNS,
     scale: float = 1.0,
-    colours: Sequence[tuple[float, float, float]] | None = None,
+    colors: Sequence[tuple[float, float, float]] | None = None,
     world: bool = False,
     gloss: float = 0.5,
 ) -> Any:
@@ -38,15 +38,15 @@ def random_material(
     """
     kind = str(rng.choice(list(kinds)))
     shader = Shader(kind)
-    a, b = colours or (random_colour(rng), random_colour(rng))
+    a, b = colors or (random_color(rng), random_color(rng))
     at = shader.position if world else shader.object_position
     frequency = scale * float(np.exp(rng.uniform(np.log(0.7), np.log(5.0))))
-    colour = _pattern(shader, kind, at, frequency, a, b, rng)
+    color = _pattern(shader, kind, at, frequency, a, b, rng)
     if kind not in ("plain", "gradient"):
-        colour = shader.shade(colour, 0.8, 1.15, shader.noise(9.0 * frequency, 3, 0.7, at))
+        color = shader.shade(color, 0.8, 1.15, shader.noise(9.0 * frequency, 3, 0.7, at))
     plain = tuple((np.array(a) + b) / 2)
     mirror = rng.uniform(0.15, 0.8) if rng.random() < gloss else 0.0
-    return shader.finish(colour, plain, mirror, float(rng.uniform(0.03, 0.5)))
+    return shader.finish(color, plain, mirror, float(rng.uniform(0.03, 0.5)))
 
 
 def random_materials(rng: np.random.Generator, count: int, **options: Any) -> Materials:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from omnistereo_lib.geometry.pose import Pose
 from render import furniture, nature
-from render.mesh import Mesh
+from render.mesh_builder import Mesh
 from render.shapes import bounds_after, distance_to_box, random_shape
 from render.things import random_pose
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from render.lens import Lens
-from render.rig import Sensor
+from render.render_rig import Sensor
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
@@ -40,7 +40,7 @@ def _relative_radius(shape: tuple[int, int], lens: Lens) -> NDArray[np.float64]:
     """Return the distance of every pixel from the axis; 1 is the rim of the field of view."""
     height, width = shape
     scale = width / 800
-    u, v = ((c + 0.5) * scale - 0.5 for c in lens.centre)
+    u, v = ((c + 0.5) * scale - 0.5 for c in lens.center)
     rows, columns = np.mgrid[:height, :width]
     return np.hypot(columns - u, rows - v) / (lens.radius(np.radians(lens.max_fov_deg / 2)) * scale)
 

@@ -89,15 +89,15 @@ class Shader:
         node.blend_type = blend
         return node.outputs[0]
 
-    def shade(self, colour: Socket, low: float, high: float, by: Socket) -> Socket:
+    def shade(self, color: Socket, low: float, high: float, by: Socket) -> Socket:
         """Return the colour times a gray between low and high, chosen by a number from 0 to 1."""
         gray = self.math("MULTIPLY_ADD", by, high - low)
         gray.node.inputs[2].default_value = low
-        return self.mix(1.0, colour, self.join(gray, gray, gray), "MULTIPLY")
+        return self.mix(1.0, color, self.join(gray, gray, gray), "MULTIPLY")
 
     def bricks(
         self,
-        colours: tuple[Socket, Socket, Socket],
+        colors: tuple[Socket, Socket, Socket],
         width: float,
         height: float,
         joint: float,
@@ -108,9 +108,9 @@ class Shader:
         node = self.node(
             "ShaderNodeTexBrick",
             Vector=self.wall if at is None else at,
-            Color1=colours[0],
-            Color2=colours[1],
-            Mortar=colours[2],
+            Color1=colors[0],
+            Color2=colors[1],
+            Mortar=colors[2],
             Scale=1.0,
         )
         node.offset = shift
@@ -123,13 +123,13 @@ class Shader:
             node.inputs[name].default_value = size
         return node
 
-    def finish(self, colour: Socket, plain: Socket, gloss: float = 0.0, roughness: float = 0.3) -> Any:
+    def finish(self, color: Socket, plain: Socket, gloss: float = 0.0, roughness: float = 0.3) -> Any:
         """End the graph: matt, or with a share of mirror that grows towards grazing angles.
 
         Light that arrives over a second matt surface sees the `plain` colour alone: nobody can tell, and
         the noise textures are what a bounce costs.
         """
-        surface = self.node("ShaderNodeBsdfDiffuse", Color=colour).outputs[0]
+        surface = self.node("ShaderNodeBsdfDiffuse", Color=color).outputs[0]
         if gloss:
             mirror = self.node("ShaderNodeBsdfGlossy", Roughness=roughness).outputs[0]
             fresnel = self.node("ShaderNodeFresnel", IOR=1.0 + gloss).outputs[0]
@@ -140,11 +140,11 @@ class Shader:
         self.node("ShaderNodeOutputMaterial", Surface=both)
         return self.material
 
-    def glow(self, colour: Socket, strength: float) -> Any:
+    def glow(self, color: Socket, strength: float) -> Any:
         """End the graph as a lamp that only the camera sees (no noise from tiny lights)."""
         self.node(
             "ShaderNodeOutputMaterial",
-            Surface=self.node("ShaderNodeEmission", Color=colour, Strength=strength).outputs[0],
+            Surface=self.node("ShaderNodeEmission", Color=color, Strength=strength).outputs[0],
         )
         self.material.cycles.emission_sampling = "NONE"
         return self.material

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from render.furniture import cushion
-from render.mesh import Mesh
+from render.mesh_builder import Mesh
 
 Builder = Callable[[Mesh, np.random.Generator, Sequence[str]], None]
 

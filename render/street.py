@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from render.layout import CORNER_RADIUS, HALF_STREET, KERB_HEIGHT, OUTSKIRTS, Block, District
-from render.mesh import Mesh
+from render.mesh_builder import Mesh
 
 _PAINT = 0.004  # height of road markings above the asphalt
 

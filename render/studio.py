@@ -23,8 +23,8 @@ from render.boards import (
     CaptureSet,
 )
 from render.materials import Shader, Socket
-from render.mesh import Mesh
-from render.rig import RigCamera
+from render.mesh_builder import Mesh
+from render.render_rig import RigCamera
 
 _THICKNESS = 0.008  # of the board
 _FRONT, _RIGHT, _BACK, _LEFT = 4.1, 3.9, -3.7, -4.3

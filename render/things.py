@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from omnistereo_lib.geometry.pose import Pose
 from render import furniture, nature, street, vehicles
 from render.drive import level_rig
-from render.mesh import Mesh
+from render.mesh_builder import Mesh
 from render.shapes import bounds_after, distance_to_box, random_shape
 
 _FARTHEST = 30.0  # of the things; backgrounds are farther or at infinity
@@ -116,12 +116,12 @@ def build_things(plan: ThingsPlan, rng: np.random.Generator) -> None:
     """Fill the current Blender scene."""
     from render import indoor  # noqa: F401  registers the materials of furniture
     from render.city import Stage
-    from render.patterns import random_colour, random_materials
+    from render.patterns import random_color, random_materials
 
     stage = Stage(random_materials(rng, _MATERIALS))
     for thing in plan.things:
         item = stage.put(
-            thing.mesh.to_blender("thing", stage.materials, smooth=True), thing.at, 0.0, random_colour(rng), thing.scale
+            thing.mesh.to_blender("thing", stage.materials, smooth=True), thing.at, 0.0, random_color(rng), thing.scale
         )
         item.rotation_euler = thing.angles
     _add_ground(stage, plan, rng)
@@ -166,19 +166,19 @@ def _add_lights(plan: ThingsPlan, rng: np.random.Generator) -> None:
     import bpy
 
     from render.lights import add_dome, add_light, random_sky
-    from render.patterns import random_colour
+    from render.patterns import random_color
 
     if plan.backdrop == "sky" and plan.ground is None:
         add_light("cloudy")  # the other skies are black below the horizon
     elif plan.backdrop == "sky" or rng.random() < 0.5:
         add_light(random_sky(rng))
     else:
-        add_dome([random_colour(rng, 0.5) for _ in range(2)], float(rng.uniform(0.4, 1.2)))
+        add_dome([random_color(rng, 0.5) for _ in range(2)], float(rng.uniform(0.4, 1.2)))
     for _ in range(rng.integers(0, 4)):
         away, (x, y, z) = rng.uniform(3, 12), rng.normal(size=3)
         lamp = bpy.data.lights.new("lamp", "POINT")
         lamp.energy, lamp.shadow_soft_size = 20 * away**2 * rng.uniform(0.3, 2), rng.uniform(0.02, 1.0)
-        lamp.color = np.array(random_colour(rng, 0.4)) + 0.4
+        lamp.color = np.array(random_color(rng, 0.4)) + 0.4
         item = bpy.data.objects.new("lamp", lamp)
         item.location = away * np.array([x, y, abs(z)]) / np.linalg.norm([x, y, z])
         item.visible_camera = False

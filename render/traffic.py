@@ -38,11 +38,11 @@ class Traffic:
         rig = np.asarray(rig_at, float)
         for item, along_x, line, sign, s, speed, length, low, car_length in self._cars:
             along = low + (s + sign * speed * frame) % length
-            centre, yaw = lane_point(along_x, line, sign, along)
-            item.location, item.rotation_euler = (*centre, 0.0), (0.0, 0.0, yaw)
+            center, yaw = lane_point(along_x, line, sign, along)
+            item.location, item.rotation_euler = (*center, 0.0), (0.0, 0.0, yaw)
             direction = np.array([np.cos(yaw), np.sin(yaw)])
             item.hide_render = item.hide_viewport = bool(
-                distance_to_car(rig, centre, direction, car_length) < _CLEARANCE
+                distance_to_car(rig, center, direction, car_length) < _CLEARANCE
                 or (not along_x and np.abs(self._district.ys - along).min() < HALF_STREET + car_length / 2)
             )
 
@@ -54,8 +54,8 @@ def lane_point(along_x: bool, line: float, sign: int, along: float) -> tuple[NDA
     return np.array([line + sign * LANE, along]), np.pi / 2 * sign
 
 
-def distance_to_car(point: NDArray, centre: NDArray, direction: NDArray, length: float, width: float = 1.95) -> float:
+def distance_to_car(point: NDArray, center: NDArray, direction: NDArray, length: float, width: float = 1.95) -> float:
     """Return the distance on the ground from a point to a car's outline, 0 inside."""
-    offset = point - centre
+    offset = point - center
     along, across = abs(offset @ direction), abs(offset @ (-direction[1], direction[0]))
     return float(np.hypot(max(along - length / 2, 0), max(across - width / 2, 0)))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from render.mesh import Mesh
+from render.mesh_builder import Mesh
 
 
 @dataclass(frozen=True)
@@ -107,11 +107,11 @@ def _shell(mesh: Mesh, body: Body) -> None:
 
 
 def _is_glass(quads: np.ndarray, body: Body) -> np.ndarray:
-    centre = quads.mean(axis=1)
-    t, z = centre[:, 0] / body.length + 0.5, centre[:, 2]
+    center = quads.mean(axis=1)
+    t, z = center[:, 0] / body.length + 0.5, center[:, 2]
     local_top = np.interp(t, body.stations, body.tops)
     in_cabin = (t > body.cabin[0]) & (t < body.cabin[1])
-    is_cover = np.abs(centre[:, 1]) < body.width / 2 * 0.72
+    is_cover = np.abs(center[:, 1]) < body.width / 2 * 0.72
     slope = np.abs(np.gradient(np.interp(np.linspace(0, 1, 201), body.stations, body.tops)) * 200 / body.length)
     steep = np.interp(t, np.linspace(0, 1, 201), slope) > 0.22
     flank = ~is_cover & (z > body.belt + 0.04) & (z < local_top - 0.1)

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import make_folder
 from omnistereo_lib.geometry.pose import Pose
-from render.frames import image_path, write_frame
-from render.rig import RenderRig, random_rig, write_config
+from render.image_sets import image_path, write_frame
+from render.render_rig import RenderRig, random_rig, write_config
 
 _KEPT = 32  # every 32nd step of the ground truth is used: within 0.05 of 192 spheres, in half the space
 

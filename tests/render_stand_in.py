@@ -7,8 +7,8 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 
-from render import frames
-from render.frames import SETS
+from render import image_sets as frames
+from render.image_sets import SETS
 from render.layout import plan_district
 
 TINY = replace(SETS["sunny/test"], size=(25, 24), samples=1, truths=((16, 4), (24, 6)))

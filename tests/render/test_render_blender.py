@@ -17,7 +17,7 @@ from lens_oracle import blender_pixel
 import omnistereo_lib as osl
 import render
 from render.lens import fit_ocam
-from render.rig import make_rig
+from render.render_rig import make_rig
 
 SAMPLES = Path(osl.__file__).parents[1] / "data_samples" / "sunny"
 
@@ -132,7 +132,7 @@ import bpy, numpy as np
 from omnistereo_lib.geometry.pose import Pose
 from render.blender import empty_scene, fisheye_picture
 from render.lens import Lens
-from render.rig import make_rig
+from render.render_rig import make_rig
 
 out, rays = sys.argv[1], np.load(sys.argv[1] + "/rays.npy")
 empty_scene()
@@ -160,9 +160,9 @@ def test_balls_are_where_the_camera_model_says(tmp_path):
     in_blender(BALLS, tmp_path)
     picture = np.load(tmp_path / "picture.npy").mean(-1)
 
-    lens = replace(make_rig(5).cameras[0].lens, centre=(419.5, 359.5))
+    lens = replace(make_rig(5).cameras[0].lens, center=(419.5, 359.5))
     fit = fit_ocam(lens, 200)
-    camera = osl.OcamCamera(fit.poly, fit.inv_poly, fit.centre, (1, 0, 0), (200, 192))
+    camera = osl.OcamCamera(fit.poly, fit.inv_poly, fit.center, (1, 0, 0), (200, 192))
     columns, rows = np.meshgrid(np.arange(200), np.arange(192))
     for (u, v), valid in zip(*camera.project(rays), strict=True):
         assert valid

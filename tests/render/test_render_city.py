@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from render.drive import ROUTES, plan_drive
-from render.frames import SEED
+from render.image_sets import SEED
 from render.layout import HALF_STREET, LANE, STREETS, plan_district, split_lots
 from render.traffic import Traffic
 from render.vehicles import BODIES
@@ -31,9 +31,9 @@ def test_drive_is_even_and_keeps_to_its_lane(route):
         if np.abs((DISTRICT.xs, DISTRICT.ys)[axis] - point[axis]).min() < crossing:
             continue
         lines = (DISTRICT.ys, DISTRICT.xs)[axis]
-        centre_line = lines[np.abs(lines - point[1 - axis]).argmin()]
+        center_line = lines[np.abs(lines - point[1 - axis]).argmin()]
         right = np.array([heading[1], -heading[0]])[1 - axis]
-        assert (point[1 - axis] - centre_line) * right == pytest.approx(LANE, abs=1e-6)
+        assert (point[1 - axis] - center_line) * right == pytest.approx(LANE, abs=1e-6)
 
 
 def pieces(route):

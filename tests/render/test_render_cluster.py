@@ -44,7 +44,7 @@ def render_frame(images, rig, T_world_rig, exposure, seed):
     return pictures, [rng.random(size[::-1]) for size in images.truths]
 
 
-render.frames._render_frame = render_frame
+render.image_sets._render_frame = render_frame
 render.SETS["sunny/test"] = replace(render.SETS["sunny/test"], size=(25, 24), truths=((16, 4),))
 sys.modules["bpy"] = Module(__spec__="there")
 sys.modules["render.blender"] = Module(empty_scene=lambda: None)

@@ -11,12 +11,12 @@ from lens_oracle import directions
 
 import omnistereo_lib as osl
 from render.drive import plan_drive
-from render.frames import (
+from render.image_sets import (
     SEED,
     SETS,
 )
 from render.layout import plan_district
-from render.rig import make_rig, write_config
+from render.render_rig import make_rig, write_config
 
 SAMPLES = Path(osl.__file__).parents[1] / "data_samples" / "sunny"
 DISTRICT = plan_district(SEED)
@@ -102,13 +102,13 @@ def test_shipped_pictures_are_neither_black_nor_burnt_out(shipped):
         assert 0 < picture[:8, :8].mean() < 12  # outside the lens circle: the sensor's noise in the dark
 
 
-def surely_seen(centre, inverse_depth):
+def surely_seen(center, inverse_depth):
     """Where a camera sees the point of a ray: the whole line of sight lies before what the rig's centre sees."""
     with np.errstate(divide="ignore"):
         points = GRID.rays() * np.minimum(1 / inverse_depth, 1e4)[..., None]
     seen = np.ones(GRID.shape, bool)
     for share_of_way in np.linspace(0.05, 0.995, 12):
-        between = centre + share_of_way * (points - centre)
+        between = center + share_of_way * (points - center)
         pixels, inside = GRID.project(between)
         covered = np.linalg.norm(between, axis=-1) * sample(inverse_depth, pixels, cv2.INTER_NEAREST) > 1.02
         seen &= inside & ~covered
@@ -138,7 +138,7 @@ def test_images_warped_with_the_truth_agree(shipped, i):
     truth = frame.inverse_depth
     low, high = around(truth, WINDOW)
     smooth = (low > 0) & (high < 1.15 * low)
-    seen = [surely_seen(centre, truth) for centre in shipped.rig.centers]
+    seen = [surely_seen(center, truth) for center in shipped.rig.centers]
     wrong = warped_zncc(shipped, frame, truth * 1.2)
     for ((a, b), zncc, contrast), (_, off, _) in zip(warped_zncc(shipped, frame, truth), wrong, strict=True):
         textured = smooth & all_around(seen[a] & seen[b]) & np.isfinite(zncc) & (contrast > 20)
@@ -192,7 +192,7 @@ def test_other_sets_images_warped_with_the_truth_agree(name, monkeypatch):
     truth = data[0].inverse_depth
     low, high = around(truth, WINDOW)
     smooth = (low > 0) & (high < 1.02 * low)
-    seen = [surely_seen(centre, truth) for centre in data.rig.centers]
+    seen = [surely_seen(center, truth) for center in data.rig.centers]
     wrong = warped_zncc(data, data[0], truth * 1.2)
     for ((a, b), zncc, contrast), (_, off, _) in zip(warped_zncc(data, data[0], truth), wrong, strict=True):
         textured = smooth & all_around(seen[a] & seen[b]) & np.isfinite(zncc) & (contrast > 20)
@@ -250,7 +250,7 @@ def test_warped_images_agree_in_other_lights_and_streets(name):
     truth = frame.inverse_depth
     low, high = around(truth, WINDOW)
     smooth = (low > 0) & (high < 1.1 * low)
-    seen = [surely_seen(centre, truth) for centre in data.rig.centers]
+    seen = [surely_seen(center, truth) for center in data.rig.centers]
     wrong = warped_zncc(data, frame, truth * 1.2)
     right, off = [], []
     for ((a, b), zncc, contrast), (_, other, _) in zip(warped_zncc(data, frame, truth), wrong, strict=True):

@@ -17,10 +17,10 @@ from render_stand_in import TINY, replace_blender
 import omnistereo_lib as osl
 import render
 from omnistereo_lib.errors import OmnistereoError
-from render import frames as frames_module
+from render import image_sets as frames_module
 from render import main
 from render.drive import ROUTES
-from render.frames import (
+from render.image_sets import (
     SEED,
     SETS,
     forget_partial,
@@ -30,7 +30,7 @@ from render.frames import (
     select_shard,
     write_manifest,
 )
-from render.rig import make_rig
+from render.render_rig import make_rig
 
 
 @pytest.fixture

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from lens_oracle import blender_pixel, directions
 
 import omnistereo_lib as osl
-from render.frames import SEED
+from render.image_sets import SEED
 from render.lens import fit_ocam, random_lens
-from render.rig import Sensor, _yaml_float, make_rig, write_config
+from render.render_rig import Sensor, _yaml_float, make_rig, write_config
 from render.sensor import _tone, develop
 
 
@@ -30,7 +30,7 @@ def test_ocam_polynomials_fit_the_lens(seed):
     for width in (800, 400):
         fit = fit_ocam(lens, width)
         assert max(fit.residual_px, fit.inverse_residual_px) < 2e-3
-        camera = osl.OcamCamera(fit.poly, fit.inv_poly, fit.centre, (1, 0, 0), (width, width * 96 // 100))
+        camera = osl.OcamCamera(fit.poly, fit.inv_poly, fit.center, (1, 0, 0), (width, width * 96 // 100))
         assert camera.inverse_poly_error_px() < 5e-3
 
 
@@ -78,11 +78,11 @@ def test_numbers_survive_yaml(value):
 
 
 @pytest.mark.parametrize(("name", "baseline"), [("van", 0.6), ("handheld", 0.15 * np.sqrt(2))])
-def test_rig_stands_around_its_centre(name, baseline):
+def test_rig_stands_around_its_center(name, baseline):
     rig = make_rig(SEED, name)
-    centres = np.stack([camera.T_rig_cam.t for camera in rig.cameras])
-    np.testing.assert_allclose(centres.mean(0), 0, atol=1e-12)
-    np.testing.assert_allclose(np.linalg.norm(centres, axis=1), baseline, rtol=0.05)
+    centers = np.stack([camera.T_rig_cam.t for camera in rig.cameras])
+    np.testing.assert_allclose(centers.mean(0), 0, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(centers, axis=1), baseline, rtol=0.05)
     for camera, forward in zip(rig.cameras, np.array([[0, 0, 1], [1, 0, 0], [0, 0, -1], [-1, 0, 0]]), strict=True):
         assert camera.T_rig_cam.R[:, 2] @ forward > np.cos(np.radians(4))
         assert camera.T_rig_cam.t @ forward > 0.9 * baseline
@@ -90,7 +90,7 @@ def test_rig_stands_around_its_centre(name, baseline):
 
 def test_rig_comes_from_its_seed_alone():
     def numbers(rig):
-        cameras = ((*c.T_rig_cam.as_vector(), *c.lens.k, *c.lens.centre, *vars(c.sensor).values()) for c in rig.cameras)
+        cameras = ((*c.T_rig_cam.as_vector(), *c.lens.k, *c.lens.center, *vars(c.sensor).values()) for c in rig.cameras)
         return np.array(list(cameras))
 
     np.testing.assert_array_equal(numbers(make_rig(7)), numbers(make_rig(7)))
@@ -111,7 +111,7 @@ def light(picture):
 def test_developed_picture_is_dark_at_the_rim():
     picture = develop(np.full((768, 800, 3), 0.3), LENS, QUIET, 1.0, False, np.random.default_rng(0))
     assert picture.shape == (768, 800, 3) and picture.dtype == np.uint8
-    u, v = np.rint(LENS.centre).astype(int)
+    u, v = np.rint(LENS.center).astype(int)
     rim = int(u - LENS.radius(np.radians(110)))
     assert light(picture[v, u]) == pytest.approx([0.3] * 3, rel=0.01)
     assert light(picture[v, rim]) == pytest.approx([0.3 * 0.85] * 3, rel=0.01)

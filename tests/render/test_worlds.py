@@ -11,9 +11,9 @@ import pytest
 
 import omnistereo_lib as osl
 from omnistereo_lib.errors import OmnistereoError
-from render.frames import SEED, SETS
-from render.mesh import Mesh
-from render.rig import random_rig, write_config
+from render.image_sets import SEED, SETS
+from render.mesh_builder import Mesh
+from render.render_rig import random_rig, write_config
 from render.rooms import plan_room, wall_frame
 from render.shapes import SHAPES
 from render.things import plan_things
@@ -26,7 +26,7 @@ def rng(seed, *more):
     return np.random.default_rng([seed, *more])
 
 
-def centres(rig):
+def centers(rig):
     return np.array([camera.T_rig_cam.t for camera in rig.cameras])
 
 
@@ -53,7 +53,7 @@ def test_rigs_differ_and_stay_within_their_limits():
     rigs = [random_rig(rng(k), 0.3 * 10 ** (k / 100)) for k in range(101)]
     assert set(Counter(len(rig.cameras) for rig in rigs)) == {3, 4, 5, 6}
     for rig in rigs:
-        at = centres(rig)
+        at = centers(rig)
         np.testing.assert_allclose(at.mean(axis=0), 0, atol=1e-12)
         assert np.linalg.norm(at, axis=1).max() < 0.6 * rig.min_depth  # nothing is inside the rig
         baselines = np.linalg.norm(at - np.roll(at, 1, axis=0), axis=1)
@@ -61,7 +61,7 @@ def test_rigs_differ_and_stay_within_their_limits():
         assert all(180 <= camera.lens.max_fov_deg <= 220 for camera in rig.cameras)
         axes = np.array([camera.T_rig_cam.R[:, 2] for camera in rig.cameras])
         assert np.abs(axes[:, 1]).max() < np.sin(np.radians(20))  # they look around, not up or down
-    heights = [np.ptp(centres(rig)[:, 1]) / rig.min_depth for rig in rigs]
+    heights = [np.ptp(centers(rig)[:, 1]) / rig.min_depth for rig in rigs]
     assert 10 < sum(height > 0.05 for height in heights) < 60  # some have cameras above and below their plane
 
 

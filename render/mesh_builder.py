@@ -70,7 +70,7 @@ class Mesh:
         self.sheet(rings, material, value)
         self.add(rings[[0, -1], :-1], material, value)
 
-    def ball(self, centre: ArrayLike, radii: ArrayLike, material: str, rings: int = 8, value: float = 0.5) -> None:
+    def ball(self, center: ArrayLike, radii: ArrayLike, material: str, rings: int = 8, value: float = 0.5) -> None:
         """Add an ellipsoid with its axes along the frame's."""
         latitude = np.linspace(-np.pi / 2, np.pi / 2, rings + 1)[:, None]
         angle = np.linspace(0, 2 * np.pi, 2 * rings + 1)
@@ -78,7 +78,7 @@ class Mesh:
             np.broadcast_arrays(np.cos(latitude) * np.cos(angle), np.cos(latitude) * np.sin(angle), np.sin(latitude)),
             axis=-1,
         )
-        self.sheet(np.asarray(centre) + unit * np.asarray(radii), material, value)
+        self.sheet(np.asarray(center) + unit * np.asarray(radii), material, value)
 
     def prism(self, outline: ArrayLike, bottom: float, top: float, side: str, cover: str) -> None:
         """Add an upright prism over a polygon of (n, 2) points, counter-clockwise, without its floor."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, make_folder
 from omnistereo_lib.geometry.pose import Pose
-from render.rig import RenderRig, make_rig, write_config
+from render.render_rig import RenderRig, make_rig, write_config
 
 SEED = 2019
 _STEPS = 65500  # of the first public release's 16-bit ground truth: inverse depth in units of 1 / (65500 D_min)

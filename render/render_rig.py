@@ -87,16 +87,16 @@ def random_rig(rng: np.random.Generator, min_depth: float) -> RenderRig:
     fov_deg = rng.uniform(200 if count == 3 else 182, 218)
     lift = radius * rng.uniform(0.1, 0.5) * (rng.random() < 1 / 3)
     headings = 2 * np.pi * np.arange(count) / count + rng.normal(0, np.radians(4), count)
-    centres = radius * np.column_stack([np.sin(headings), np.zeros(count), np.cos(headings)])
-    centres += rng.normal(0, 0.03 * radius, (count, 3))
-    centres[:, 1] += lift * rng.uniform(-1, 1, count)
-    centres -= centres.mean(axis=0)
+    centers = radius * np.column_stack([np.sin(headings), np.zeros(count), np.cos(headings)])
+    centers += rng.normal(0, 0.03 * radius, (count, 3))
+    centers[:, 1] += lift * rng.uniform(-1, 1, count)
+    centers -= centers.mean(axis=0)
     cameras = []
-    for heading, centre in zip(headings, centres, strict=True):
+    for heading, center in zip(headings, centers, strict=True):
         tilted = Pose.from_vector([*rng.normal(0, np.radians((3, 2, 4))), 0, 0, 0])
         R = (Pose.from_vector([0, heading, 0, 0, 0, 0]) @ tilted).R
         lens = random_fisheye(rng, round(fov_deg + rng.uniform(-2, 2), 2))
-        cameras.append(RigCamera(lens, Pose(R, centre), _random_sensor(rng)))
+        cameras.append(RigCamera(lens, Pose(R, center), _random_sensor(rng)))
     return RenderRig("random", tuple(cameras), min_depth)
 
 
@@ -141,7 +141,7 @@ def _camera_lines(number: int, camera: RigCamera, size: tuple[int, int], digits:
         "model": "ocam",
         "poly": _numbers([len(fit.poly), *_with_digits(fit.poly, digits)]),
         "inv_poly": _numbers([len(fit.inv_poly), *_with_digits(fit.inv_poly, digits)]),
-        "center": _numbers([fit.centre[1], fit.centre[0]]),
+        "center": _numbers([fit.center[1], fit.center[0]]),
         "affine": "[1.0, 0.0, 0.0]",
         "image_size": f"[{height}, {width}]",
         "pose": _numbers([*_with_digits(camera.T_rig_cam.as_vector()[:3], 12), *camera.T_rig_cam.t]),

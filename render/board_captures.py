@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from omnistereo_lib.files import atomic_write, make_folder
 from omnistereo_lib.geometry.pose import Pose
 from render.boards import COLUMNS, ROWS, SQUARE, Capture, CaptureSet, plan_captures, true_corners
-from render.rig import RigCamera, make_rig, write_config
+from render.render_rig import RigCamera, make_rig, write_config
 
 _BLUR_PX = 0.5  # of the lens, the standard deviation
 _QUALITY = 75  # of the JPEG files: corners are found to 0.05 px as with 92, in a third of the space
