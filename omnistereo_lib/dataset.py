@@ -29,6 +29,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from omnistereo_lib.consumer_images import check_not_stitched, split_image
 from omnistereo_lib.errors import OmnistereoError, check_type
 from omnistereo_lib.files import (
     as_path,
@@ -145,7 +146,12 @@ class Dataset(Sequence[Frame]):
 
 
 def load_dataset(
-    folder: str | Path, split: str | None = None, unit: Unit | None = None, gt_width: int | None = None
+    folder: str | Path,
+    split: str | None = None,
+    unit: Unit | None = None,
+    gt_width: int | None = None,
+    max_fov_deg: float | None = None,
+    keep_frame: bool = False,
 ) -> Dataset:
     """Open a data set in the public layout (see the module docstring); images are read on first use.
 
@@ -154,6 +160,7 @@ def load_dataset(
             every frame.
         unit: Unit of the poses, for rig files that do not state it.
         gt_width: Panorama width in pixels of the ground truth to read, where there are several; default: the widest.
+        max_fov_deg, keep_frame: As for `load_rig`; with ground truth, the frame of the file is kept.
 
     Raises:
         OmnistereoError: If the folder, the rig or the frames are missing, a camera lacks a frame, or two files have one
@@ -174,11 +181,15 @@ def load_dataset(
     cameras = _by_number(folders, _CAMERA)
     rigs = {} if cameras else _by_number(folders, _RIG_FOLDER)
     if rigs:
-        rig, frames = None, [frame for path in rigs.values() for frame in load_dataset(path, None, unit, gt_width)]
+        rig, frames = (
+            None,
+            [frame for path in rigs.values() for frame in load_dataset(path, None, unit, gt_width, max_fov_deg)],
+        )
         if len({frame.number for frame in frames}) < len(frames):
             raise OmnistereoError(f"{folder} has two frames of one number; expected different numbers. Rename one.")
     else:
-        rig = load_rig(folder, unit)
+        # Ground truth is in the frame of the file.
+        rig = load_rig(folder, unit, max_fov_deg, keep_frame or bool(_find_gt(_gt_root(folder), gt_width)))
         frames = _read_frames(folder, rig, cameras, gt_width)
     if split is not None:
         frames = _published_split(folder, split, frames)
@@ -204,13 +215,18 @@ def _read_frames(folder: Path, rig: Rig, cameras: dict[int, Path], gt_width: int
 def load_images(paths: Sequence[str | Path], rig: Rig | None = None) -> list[NDArray[np.uint8]]:
     """Read one image for each camera, in the order of the rig; see `read_image` for shapes and errors.
 
-    With a rig, number and sizes of the images are compared with its cameras before anything is decoded.
+    With a rig, number and sizes of the images are compared with its cameras before anything is decoded. One image for
+    a rig holds all its cameras, see `consumer_images.split_image`.
 
     >>> images = osl.load_images([f"data_samples/sunny/test/cam{k}/0706.jpg" for k in (1, 2, 3, 4)])
     >>> images[0].shape, images[0].dtype
     ((768, 800, 3), dtype('uint8'))
     """
     check_type(paths, Sized, "paths")
+    for path in paths:
+        check_not_stitched(as_path(path, "paths"))
+    if rig is not None and len(paths) == 1:
+        return split_image(read_image(paths[0]), rig, paths[0])
     sizes = [None] * len(paths) if rig is None else rig.image_sizes(len(paths))
     return [read_image(path, size) for path, size in zip(paths, sizes, strict=True)]
 

@@ -37,4 +37,4 @@ def with_masks(rig: Rig, masks: Sequence[Path] | None, images: Sequence[Path]) -
             if not camera.visible_pixels().any():
                 raise OmnistereoError(f"{path} hides the whole picture; expected bright where it is valid. Invert it.")
         cameras.append(camera)
-    return Rig(cameras, rig.T_rig_cam, rig.min_depth)
+    return replace(rig, cameras=tuple(cameras))

@@ -16,7 +16,7 @@ import shutil
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -126,7 +126,7 @@ class DepthWriter:
         for path in (path for folder in folders for path in folder.glob(".[0-9]*.*")):
             if re.fullmatch(r"\.[0-9]+\.[0-9]{5,}\.[A-Za-z]+", path.name):  # as `atomic_write` names them
                 path.unlink()
-        save_rig(Rig(rig.cameras, rig.T_rig_cam, self.sweep.grid.min_depth), self.out / "config.yaml")
+        save_rig(replace(rig, min_depth=self.sweep.grid.min_depth), self.out / "config.yaml")
 
     def write(self, number: int, images: list[NDArray[np.uint8]], depth: Depth) -> None:
         """Write images, video frame and depth of one frame."""

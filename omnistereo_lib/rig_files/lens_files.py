@@ -9,16 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
+from omnistereo_lib.consumer_images import NO_DEPTH
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.rig_files.camera_models import RADII
 from omnistereo_lib.rig_files.fit import fit_camera
 from omnistereo_lib.rig_files.parse import RigFile, Section, parse_size
 
-NO_DEPTH = (
-    "It is stitched as if seen from one point, and depth needs two: pass the images of the single lenses, before "
-    "stitching, with their calibration"
-)
 _METASHAPE = {
     "frame": "rectilinear",
     "fisheye": "equidistant",

@@ -45,7 +45,7 @@ def camera_doubt(camera: OcamCamera) -> str | None:
         return float(np.abs((point + 0.5) / sides - 0.5).max())
 
     off = off_center(center, size)
-    if off <= _OFF_CENTER:
+    if off <= _OFF_CENTER or _is_one_of_two(center, size):
         return None
     guesses = {
         "Width and height, or row and column, look swapped": off_center(center, size[::-1]),
@@ -60,6 +60,12 @@ def camera_doubt(camera: OcamCamera) -> str | None:
     if off >= 0.5:
         raise OmnistereoError(doubt.replace("near its middle", "inside it, near the middle"))
     return doubt
+
+
+def _is_one_of_two(center: Floats, size: Floats) -> bool:
+    """Return whether a principal point is in the middle of one half of an image that two lenses share."""
+    along, across = np.sort(np.abs((center + 0.5) / size - 0.5))[::-1]
+    return bool(abs(along - 0.25) < _CENTERED and across < _CENTERED)
 
 
 def level(rig: Rig, source: Path) -> Rig:

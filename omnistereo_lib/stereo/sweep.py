@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Hashable, Sequence, Sized
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
+from dataclasses import replace
 from functools import cached_property
 from threading import Lock
 from typing import Any, TypeVar
@@ -346,7 +347,7 @@ def reduce_images(rig: Rig, images: Sequence[ArrayLike], pixels_per_degree: floa
         cut = image[: height * factor, : width * factor]
         reduced.append(cv2.resize(cut, (width, height), interpolation=cv2.INTER_AREA))
         cameras.append(camera.reduced(factor))
-    return Rig(cameras, rig.T_rig_cam, rig.min_depth), reduced
+    return replace(rig, cameras=tuple(cameras)), reduced
 
 
 def _circular_span(visible: NDArray[np.bool_]) -> tuple[int, int]:
