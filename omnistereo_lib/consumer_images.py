@@ -17,6 +17,7 @@ NO_DEPTH = (
 _STITCHED = (".360",)  # of GoPro: two halves of one cube map
 _SIDES_MEET = 0.25  # difference of the first and the last column, by that of columns half an image apart
 _EVEN = 0.35  # variation along the first row, which is one point, by that of the whole image
+_APART = 0.2  # of the longer side, between the principal points of lenses that share an image
 _DARK = 8.0  # mean gray value of the first row of an image circle
 
 
@@ -36,7 +37,8 @@ def split_image(image: NDArray[np.uint8], rig: Rig, path: str | Path) -> list[ND
     widths, heights = zip(*sizes, strict=True)
     if is_equirectangular(image):
         raise OmnistereoError(f"{path} looks like an equirectangular panorama: 2 to 1, its sides meet. {NO_DEPTH}")
-    if set(sizes) == {(width, height)}:
+    centers = np.array([camera.center for camera in rig.cameras])
+    if set(sizes) == {(width, height)} and np.ptp(centers, axis=0).max() > _APART * max(width, height):
         return [image] * len(sizes)
     if (sum(widths), set(heights)) == (width, {height}):
         return np.split(image, np.cumsum(widths)[:-1], axis=1)

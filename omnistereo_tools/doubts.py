@@ -33,8 +33,12 @@ def rig_doubts(rig: Rig, min_depth: float) -> Iterator[str]:
 
 
 def same_pictures(images: Sequence[NDArray]) -> str | None:
-    """Return which images of a rig are the same picture, if any are."""
-    same = [f"{i} and {j}" for (i, a), (j, b) in combinations(enumerate(images, 1), 2) if np.array_equal(a, b)]
+    """Return which images of a rig are the same picture, if any are; one that two cameras share is no mistake."""
+    same = [
+        f"{i} and {j}"
+        for (i, a), (j, b) in combinations(enumerate(images, 1), 2)
+        if a is not b and np.array_equal(a, b)
+    ]
     return f"images {', '.join(same)} are the same picture. Check their paths" if same else None
 
 

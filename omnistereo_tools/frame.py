@@ -20,7 +20,7 @@ from omnistereo_lib.stereo.metrics import index_error
 from omnistereo_tools.overview import draw_overview
 from omnistereo_tools.pictures import ColorScale, save_figure, sharp_panorama
 from omnistereo_tools.points import Limits, PointCloud
-from omnistereo_tools.summary import depth_sentences, error_sentences
+from omnistereo_tools.summary import depth_sentences, error_sentences, turn_sentence
 from omnistereo_tools.viewer import viewer_page
 
 _SHARP = 1800  # px, width of the panorama that is looked at
@@ -36,7 +36,8 @@ inverse_depth.png    the same as colours: near is bright, far is dark, striped i
 panorama.jpg         the cameras' colours at the depth of each ray, one pixel per ray; black = unknown
 points.ply           {points} points, binary PLY: metres (x right, y down, z forward), normals towards the rig, colours,
                      confidence; rays up to {max_depth:.3g} m with a confidence of at least {min_confidence:.3g}
-rig.yaml             the cameras with their origin moved to the centre of the panorama
+rig.yaml             the cameras with their origin moved to the centre of the panorama; T_rig_file (axis-angle, metres)
+                     takes coordinates of your rig file to those of the panorama and the points
 """
 _ERRORS = "errors.json          errors against the ground truth in % of the range swept, as in Table II of the paper\n"
 
@@ -56,7 +57,8 @@ class FrameResult:
         """One line for the head of pictures and pages."""
         grid = self.depth.grid
         rays = f"{grid.width} × {grid.height} rays"
-        return f"{self.method}: {len(self.images)} cameras, {rays}, {grid.num_spheres} spheres"
+        turned = ", rig turned level" if turn_sentence(self.depth.sweep.rig) else ""
+        return f"{self.method}: {len(self.images)} cameras{turned}, {rays}, {grid.num_spheres} spheres"
 
     def sentences(self) -> list[str]:
         """Return what came out, in plain sentences."""

@@ -20,6 +20,7 @@ _LIT = 0.1  # of the way from black to the median of the lit pixels; vignetting 
 _RUN = 4  # px that are lit in a row: less is noise or a reflection
 _LEAST_SHARE = 0.3  # of the directions that show the edge of the circle inside the image
 _ROUND = 0.015  # of the radius, median distance of the edge from a circle; a dark floor is less round
+_OFF_CENTER = 0.2  # of the radius, from the principal point
 _INSIDE_DEG = 3.0  # from the end of the stated field of view; less is blur
 _SHRINK = 0.99  # of the radius: the edge itself is blurred
 
@@ -55,14 +56,15 @@ def measure_circle(images: Sequence[NDArray[np.uint8]], center: tuple[float, flo
     if len(edge) < _LEAST_SHARE * 360:
         return None
     middle, radius = _fit_circle(edge)
-    if np.median(np.abs(np.linalg.norm(edge - middle, axis=1) - radius)) > _ROUND * radius:
-        return None
+    is_round = np.median(np.abs(np.linalg.norm(edge - middle, axis=1) - radius)) <= _ROUND * radius
     u, v = (middle + 0.5) / scale - 0.5
+    if not is_round or np.hypot(u - center[0], v - center[1]) > _OFF_CENTER * radius / scale:
+        return None
     return ImageCircle((float(u), float(v)), radius / scale)
 
 
 def _edge_points(lit: NDArray[np.bool_], center: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return, for each of 360 directions in which the image ends black, the outermost lit pixel (u, v), shape (N, 2)."""
+    """Return the outermost lit pixel (u, v) in each of 360 directions in which the image ends black, shape (N, 2)."""
     height, width = lit.shape
     azimuth, radii = np.radians(np.arange(360)), np.arange(float(np.hypot(height, width)))
     u = center[0] + np.cos(azimuth)[:, None] * radii

@@ -5,12 +5,19 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.metrics import index_error
 from omnistereo_tools.points import Limits
 
 _FEW = 0.002  # of the rays: fewer are noise, not a thing
 _MARGIN = 0.8  # of the nearest depth: room for what comes nearer in the next frame
+
+
+def turn_sentence(rig: Rig) -> str | None:
+    """Return by how much a rig was turned from the frame of its file, or None if it was not."""
+    degrees = 0.0 if rig.T_rig_file is None else rig.T_rig_file.magnitude()[0]
+    return f"The rig was turned level, by {degrees:.0f}° (--keep-frame leaves it)." if degrees > 1e-6 else None
 
 
 def depth_sentences(depth: Depth, limits: Limits) -> list[str]:

@@ -105,6 +105,7 @@ class Evaluation:
         weights, device, precision: Folder of the weights; see `select_device` and `LearnedCost`.
         rig: Another rig, such as a calibrated one, in place of the rig of every set: anything that `load_rig` reads.
             Its first camera gets the pose of the first camera of the set.
+        max_fov_deg: Limit of the field of view of all rigs, see `load_rig`.
 
     Raises:
         OmnistereoError: If data, weights, rig or device are missing, the rig has other cameras than a set, or the
@@ -123,13 +124,20 @@ class Evaluation:
         device: torch.device | str = "cpu",
         precision: Precision = "auto",
         rig: str | Path | None = None,
+        max_fov_deg: float | None = None,
     ) -> None:
         methods = tuple(dict.fromkeys(methods))
         self.scale, self.weights, self.precision, self.device = scale, Path(weights), precision, select_device(device)
         self._weights = _weights_checksums(methods, self.weights)
-        self.sets = {name: load_dataset(path, None if path.name == split else split) for name, path in sets.items()}
-        self._rigs = {} if rig is None else {name: _read_rig(rig, data) for name, data in self.sets.items()}
+        self.sets = {
+            name: load_dataset(path, None if path.name == split else split, max_fov_deg=max_fov_deg)
+            for name, path in sets.items()
+        }
+        self._rigs = (
+            {} if rig is None else {name: _read_rig(rig, data, max_fov_deg) for name, data in self.sets.items()}
+        )
         self._rig = "own" if rig is None else checksum(b"".join(map(read_bytes, _rig_files(Path(rig)))))
+        self._rig += "" if max_fov_deg is None else f", {max_fov_deg:g}°"
         chosen = [(name, frame) for name, data in self.sets.items() for frame in _select_frames(data, frames)]
         self.jobs = [Job(name, frame.number, method) for name, frame in chosen for method in methods]
         self._data = {(name, frame.number): _checksums(name, self.sets[name].folder, frame) for name, frame in chosen}
@@ -226,9 +234,9 @@ def _select_frames(data: Dataset, numbers: Sequence[int] | None) -> list[Frame]:
     return with_gt
 
 
-def _read_rig(path: str | Path, data: Dataset) -> Rig:
+def _read_rig(path: str | Path, data: Dataset, max_fov_deg: float | None) -> Rig:
     """Read a rig and give its first camera the pose of the first camera of a data set; the spheres stay the same."""
-    own, rig = data.rig, load_rig(path)
+    own, rig = data.rig, load_rig(path, None, max_fov_deg, keep_frame=True)
     sizes = [[camera.image_size for camera in one.cameras] for one in (own, rig)]
     if sizes[0] != sizes[1]:
         raise OmnistereoError(f"{path} has cameras of {sizes[1]} pixels; expected {sizes[0]}, as in {data.folder}")

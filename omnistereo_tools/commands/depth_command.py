@@ -20,7 +20,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from omnistereo_lib.errors import OmnistereoError, check_number
-from omnistereo_tools.commands.options import add_device, add_grid, add_images, add_rig, make_grid, read_frame, read_rig
+from omnistereo_tools.commands.options import (
+    add_device,
+    add_grid,
+    add_images,
+    add_rig,
+    make_grid,
+    mask_circles,
+    read_frame,
+    read_masked_rig,
+)
 
 if TYPE_CHECKING:
     import numpy as np
@@ -147,11 +156,12 @@ def _run_recording(options: argparse.Namespace) -> None:
     from omnistereo_lib.files import make_folder
     from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD
     from omnistereo_tools.exports import check_suffixes
+    from omnistereo_tools.image_circle import FRAMES
     from omnistereo_tools.recordings import DepthWriter, stored_min_depth, write_video
     from omnistereo_tools.sources import Recording
 
     check_suffixes(video=options.video)
-    rig = read_rig(options)
+    rig = read_masked_rig(options)
     step = 1 if options.step is None else options.step
     recording = Recording.open(options.images, options.start or 0, options.stop, step)
     for path, names in recording.missing.items():
@@ -161,7 +171,9 @@ def _run_recording(options: argparse.Namespace) -> None:
         print(f"method: {VIDEO_METHOD}, which keeps pace; --method {FRAME_METHOD} has lower errors and takes longer")
     if options.min_depth is None:
         options.min_depth = stored_min_depth(options.out)
-    grid = _choose_grid(options, rig, next(recording.read([min(recording.frames)], rig)))
+    first = list(recording.read(sorted(recording.frames)[:FRAMES], rig))
+    rig = mask_circles(rig, first)
+    grid = _choose_grid(options, rig, first[0])
     suffix = f".{options.depth_format or 'tiff'}"
     writer = DepthWriter.open(
         options.out,

@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_tools.commands.options import add_grid, add_images, add_rig, make_grid, read_frame, read_rig
+from omnistereo_tools.commands.options import add_grid, add_images, add_rig, make_grid, read_frame, read_masked_rig
 
 _NEAR = 0.5  # metres: most images show something nearer than a few times this
 
@@ -26,9 +26,11 @@ def run(options: argparse.Namespace) -> int:
         return _check_rig(options)
     from omnistereo_tools.installation import doctor
 
-    for name in ("images", "masks", "frame", "unit", "coverage"):
+    for name in ("images", "masks", "frame", "unit", "max_fov", "coverage"):
         if getattr(options, name) is not None:
-            raise OmnistereoError(f"--{name} needs --rig: the file or folder that describes the cameras")
+            raise OmnistereoError(
+                f"--{name.replace('_', '-')} needs --rig: the file or folder that describes the cameras"
+            )
     return 0 if doctor() else 1
 
 
@@ -44,7 +46,7 @@ def _check_rig(options: argparse.Namespace) -> int:
 
     check_suffixes(coverage=options.coverage)
     has_images = options.images is not None or _is_data_set(options.rig)
-    rig, images, _ = read_frame(options) if has_images else (read_rig(options), [], None)
+    rig, images, _ = read_frame(options) if has_images else (read_masked_rig(options), [], None)
     low, high = rig.baselines.min(), rig.baselines.max()
     print(f"{len(rig)} cameras, {low:.3g} to {high:.3g} m apart: check that this is right.")
     coverage = Coverage.of(rig)

@@ -7,7 +7,7 @@ import argparse
 from functools import partial
 from pathlib import Path
 
-from omnistereo_tools.commands.options import add_device
+from omnistereo_tools.commands.options import add_device, add_max_fov
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -21,6 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scale", default="teaching", choices=["teaching", "training", "paper"])
     parser.add_argument("--weights", type=Path, help="folder of weights files (default: the bundled ones)")
     parser.add_argument("--cluster", metavar="ADDRESS", help="of a Dask scheduler, to use many machines")
+    add_max_fov(parser)
     add_device(parser)
     parser.add_argument("--out", type=Path, help="folder for the results (default: out/evaluation_SCALE)")
     parser.add_argument("--rig", type=Path, help="rig file or folder to use instead of the rigs of the data sets")
@@ -38,6 +39,7 @@ def run(options: argparse.Namespace) -> None:
         "sets": find_sets(options.sets, options.split), "methods": select_methods(options.methods, options.ablations),
         "split": options.split, "frames": options.frames, "weights": options.weights or BUNDLED_WEIGHTS,
         "device": options.device, "precision": options.precision, "rig": options.rig,
+        "max_fov_deg": options.max_fov,
     }  # fmt: skip
     evaluation = Evaluation(**arguments)
     run_jobs = evaluation.run

@@ -9,7 +9,7 @@ import argparse
 from pathlib import Path
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_tools.commands.options import add_device, add_grid, add_rig, make_grid
+from omnistereo_tools.commands.options import add_device, add_grid, add_rig, make_grid, read_rig
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -27,13 +27,12 @@ def run(options: argparse.Namespace) -> None:
     """Show pictures until a camera ends, or Ctrl-C."""
     from time import monotonic
 
-    from omnistereo_lib.rig_files import load_rig
     from omnistereo_lib.stereo.methods import VIDEO_METHOD
     from omnistereo_lib.stereo.sweep import SphereSweep
     from omnistereo_tools import live_view
     from omnistereo_tools.masks import with_masks
 
-    rig = with_masks(load_rig(options.rig, options.unit), options.masks, [])
+    rig = with_masks(read_rig(options), options.masks, [])
     grid = make_grid(options, rig)
     sources = [int(source) if source.isdigit() else source for source in options.cameras]
     if len(sources) != len(rig):

@@ -8,7 +8,7 @@ Example:
 import argparse
 from pathlib import Path
 
-from omnistereo_tools.commands.options import SAMPLE, add_grid, add_rig, make_grid
+from omnistereo_tools.commands.options import SAMPLE, add_grid, add_rig, make_grid, read_rig
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,10 +22,9 @@ def run(options: argparse.Namespace) -> None:
     """Write the files and say what they are."""
     import shlex
 
-    from omnistereo_lib.rig_files import load_rig
     from omnistereo_tools.onnx_export import export_onnx
 
-    rig = load_rig(options.rig, options.unit)
+    rig = read_rig(options)
     written = export_onnx(options.out, rig, make_grid(options, rig))
     print(f"written to {options.out}/: {', '.join(written)}")
     script = shlex.quote(f"{options.out}/run_onnx.py")

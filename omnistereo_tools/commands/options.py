@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,6 +25,15 @@ def add_rig(parser: argparse.ArgumentParser, **rig: object) -> None:
     """Add the options that name a rig; keyword arguments are those of --rig."""
     parser.add_argument("--rig", type=Path, **rig)
     parser.add_argument("--unit", choices=["mm", "cm", "m"], help="unit of the poses, if the file does not state it")
+    add_max_fov(parser)
+    parser.add_argument("--keep-frame", action="store_true", help="do not turn the rig level")
+
+
+def add_max_fov(parser: argparse.ArgumentParser) -> None:
+    """Add the option that limits the field of view of rigs."""
+    parser.add_argument(
+        "--max-fov", type=float, metavar="DEGREES", help="full field of view (default: of the rig file)"
+    )
 
 
 def add_images(parser: argparse.ArgumentParser, each: str = "image") -> None:
@@ -52,13 +62,35 @@ def add_device(parser: argparse.ArgumentParser, precision: bool = True) -> None:
 
 
 def read_rig(options: argparse.Namespace) -> Rig:
-    """Return the rig with its masks; an `OmnistereoError` if files are missing or --rig is."""
+    """Return the rig, and say if it was turned level; an `OmnistereoError` if files are missing or --rig is."""
     from omnistereo_lib.rig_files import load_rig
-    from omnistereo_tools.masks import with_masks
+    from omnistereo_tools.summary import turn_sentence
 
     if options.rig is None:
         raise OmnistereoError("--images needs --rig: the file or folder that describes the cameras")
-    return with_masks(load_rig(options.rig, options.unit), options.masks, options.images or [])
+    rig = load_rig(options.rig, options.unit, options.max_fov, options.keep_frame)
+    if turned := turn_sentence(rig):
+        print(turned)
+    return rig
+
+
+def read_masked_rig(options: argparse.Namespace) -> Rig:
+    """Return the rig with the masks of --masks, or those beside its images, see `read_rig`."""
+    from omnistereo_tools.masks import with_masks
+
+    return with_masks(read_rig(options), options.masks, options.images or [])
+
+
+def mask_circles(rig: Rig, images: Sequence[Sequence[NDArray[np.uint8]]]) -> Rig:
+    """Return the rig with what is black in images[frame][camera] masked, and warn of it, see `image_circle`."""
+    import warnings
+
+    from omnistereo_tools.image_circle import with_circles
+
+    rig, found = with_circles(rig, images)
+    if found is not None:
+        warnings.warn(found, stacklevel=2)
+    return rig
 
 
 def read_frame(options: argparse.Namespace) -> tuple[Rig, list[NDArray[np.uint8]], Frame | None]:
@@ -70,12 +102,14 @@ def read_frame(options: argparse.Namespace) -> tuple[Rig, list[NDArray[np.uint8]
     from omnistereo_tools.masks import with_masks
 
     if options.images is not None:
-        rig = read_rig(options)
-        return rig, load_images(options.images, rig), None
+        rig = read_masked_rig(options)
+        images = load_images(options.images, rig)
+        return mask_circles(rig, [images]), images, None
     folder = options.rig or SAMPLE
     if not folder.is_dir():
         raise OmnistereoError(f"{folder} is not a data set folder. Give --images, one per camera of the rig")
-    data, number = load_dataset(folder, unit=options.unit), options.frame or 0
+    data = load_dataset(folder, None, options.unit, None, options.max_fov, options.keep_frame)
+    number = options.frame or 0
     if not -len(data) <= number < len(data):
         raise OmnistereoError(f"{folder} has frames 0 to {len(data) - 1}, not {number}")
     frame = data[number]
