@@ -19,6 +19,8 @@ from omnistereo_lib.stereo.sweep import OUTSIDE, remap
 from omnistereo_tools.points import Limits
 
 _FOV_DEG = 80.0  # of a crop; wider ones stretch their corners
+_CUBE_DEG = 91.0  # the faces share their edges
+_RAYS = 10_000  # of a camera, tried for what its crops cover
 _STEPS = 20  # of the search for the depth of a pixel; it has converged after 5 but at depth edges
 _CONVERGED = 0.02  # of the depth
 _FARTHEST = 1e4  # metres, in place of infinity
@@ -42,19 +44,48 @@ class Crop:
         return np.stack([x, y, np.ones_like(x)], -1)
 
 
-def crops_of(camera: int, lens: OcamCamera, pose: Pose) -> Iterator[Crop]:
-    """Yield three crops of a camera, left, middle and right, as fine as its image, or one if the lens is narrow."""
-    fov = min(_FOV_DEG, 0.7 * lens.max_fov_deg)
+def crops_of(camera: int, lens: OcamCamera, pose: Pose, whole: bool = False) -> Iterator[Crop]:
+    """Yield crops of a camera, as fine as its image.
+
+    Args:
+        whole: False: left, middle and right along the horizon, or one if the lens is narrow. True: the faces of a cube
+            that the field of view reaches, which leave nothing out.
+    """
+    half = lens.max_fov_deg / 2
+    fov = _CUBE_DEG if whole else min(_FOV_DEG, 0.7 * lens.max_fov_deg)
     corner = np.degrees(np.arctan(np.sqrt(2) * np.tan(np.radians(fov / 2))))
-    yaw = np.radians(lens.max_fov_deg / 2 - corner)
+    if whole:
+        angles = [(0.0, 0.0)]
+        if half > fov / 2:
+            angles += [(0.0, 90.0), (0.0, -90.0), (90.0, 0.0), (-90.0, 0.0)]
+        if half > 180 - corner:
+            angles += [(0.0, 180.0)]
+    else:
+        yaw = half - corner
+        angles = [(0.0, -yaw), (0.0, 0.0), (0.0, yaw)] if yaw > 10 else [(0.0, 0.0)]
     size = 2 * round(fov * lens.image_size[0] / lens.max_fov_deg / 2)
-    for angle in (-yaw, 0.0, yaw) if yaw > np.radians(10) else (0.0,):
-        turned = pose @ Pose.from_vector([0, angle, 0, 0, 0, 0])
+    for angle in angles:
+        turned = pose @ Pose.from_vector([*np.radians(angle), 0, 0, 0, 0])
         yield Crop(camera, turned, size, size / 2 / np.tan(np.radians(fov / 2)))
 
 
-def write_crops(out: Path, depth: Depth, images: Sequence[ArrayLike], limits: Limits) -> int:
-    """Write crops, their depth and transforms.json, as nerfstudio reads them, into a folder; return their number.
+def covered_share(crops: Sequence[Crop], lens: OcamCamera, pose: Pose) -> float:
+    """Return the share of the visible pixels of a camera whose rays are in one of its crops."""
+    v, u = np.nonzero(lens.visible_pixels())
+    rays, _ = lens.unproject(np.stack([u, v], -1)[:: max(1, len(u) // _RAYS)])
+    covered = np.zeros(len(rays), bool)
+    for crop in crops:
+        x, y, z = np.moveaxis(rays @ pose.R.T @ crop.T_rig_crop.R, -1, 0)
+        covered |= (z > 0) & (np.maximum(np.abs(x), np.abs(y)) * crop.focal <= z * crop.size / 2)
+    return float(covered.mean())
+
+
+def write_crops(
+    out: Path, depth: Depth, images: Sequence[ArrayLike], limits: Limits, whole: bool = False
+) -> tuple[int, float]:
+    """Write crops, their depth and transforms.json, as nerfstudio reads them, into a folder.
+
+    Returns their number, and the share of what the cameras see that is in them. `whole`: see `crops_of`.
 
     images/0_1.png   the second crop of the first camera
     depth/0_1.png    16 bits: depth along the optical axis in millimetres; 0 where it is unknown or beyond 65 m
@@ -62,9 +93,11 @@ def write_crops(out: Path, depth: Depth, images: Sequence[ArrayLike], limits: Li
     transforms.json  intrinsics, and poses with y up and the view along -z; the world is the rig with y up
     """
     rig = depth.sweep.rig
-    frames = []
+    frames, shares = [], []
     for k, (lens, pose) in enumerate(zip(rig.cameras, rig.T_rig_cam, strict=True)):
-        for number, crop in enumerate(crops_of(k, lens, pose)):
+        crops = list(crops_of(k, lens, pose, whole))
+        shares.append(covered_share(crops, lens, pose))
+        for number, crop in enumerate(crops):
             name = f"{k}_{number}.png"
             picture, visible = crop_image(crop, lens, pose, images[k])
             z = np.where(visible, crop_depth(crop, depth, limits), np.nan)
@@ -77,7 +110,7 @@ def write_crops(out: Path, depth: Depth, images: Sequence[ArrayLike], limits: Li
             frames.append(frame)
     with atomic_write(out / "transforms.json") as temporary:
         temporary.write_text(json.dumps({"camera_model": "PINHOLE", "frames": frames}, indent=1) + "\n")
-    return len(frames)
+    return len(frames), float(np.mean(shares))
 
 
 def crop_image(

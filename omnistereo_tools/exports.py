@@ -24,6 +24,9 @@ _SUFFIXES = {
 }
 
 
+_ALL = 0.99  # of what the cameras see
+
+
 def check_suffixes(**files: Path | None) -> None:
     """Raise an `OmnistereoError` if a file to be written, such as mesh=…, has a suffix of another format."""
     for kind, path in files.items():
@@ -32,14 +35,19 @@ def check_suffixes(**files: Path | None) -> None:
 
 
 def export_frame(
-    result: FrameResult, mesh_file: Path | None, faces: int | None, equirectangular: Path | None, crops: Path | None
+    result: FrameResult,
+    mesh_file: Path | None,
+    faces: int | None,
+    equirectangular: Path | None,
+    crops: Path | None,
+    all_crops: bool = False,
 ) -> list[str]:
     """Write the files that are asked for; return their names, each with what it holds.
 
     Args:
         mesh_file, faces: See `mesh.write_mesh`.
         equirectangular: See `equirectangular_depth`.
-        crops: See `write_crops`.
+        crops, all_crops: See `write_crops`.
     """
     written = []
     if mesh_file is not None:
@@ -54,8 +62,11 @@ def export_frame(
             tifffile.imwrite(temporary, equirectangular_depth(result.depth), compression="deflate")
         written.append(f"{equirectangular} (metres along the ray)")
     if crops is not None:
-        count = write_crops(make_folder(crops), result.depth, result.images, result.limits)
-        written.append(f"{crops}/ ({count} perspective crops, transforms.json)")
+        count, share = write_crops(make_folder(crops), result.depth, result.images, result.limits, all_crops)
+        more = "" if all_crops or share > _ALL else "; --all-crops covers the rest"
+        written.append(
+            f"{crops}/ ({count} crops of {100 * share:.0f} % of what the cameras see{more}; transforms.json)"
+        )
     return written
 
 

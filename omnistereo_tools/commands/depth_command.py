@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from omnistereo_lib.geometry.sphere import SphereGrid
 
 # Options of one kind of input; None where they are not given.
-_OF_FRAMES = ("frame", "max_depth", "min_confidence", "mesh", "mesh_faces", "equirectangular", "crops")
+_OF_FRAMES = ("frame", "max_depth", "min_confidence", "mesh", "mesh_faces", "equirectangular", "crops", "all_crops")
 _OF_RECORDINGS = ("start", "stop", "step", "cluster", "depth_format", "video")
 
 
@@ -58,6 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     frame.add_argument("--mesh-faces", type=int, metavar="N", help="decimate the mesh to N triangles")
     frame.add_argument("--equirectangular", type=Path, metavar="FILE", help="write depth as 2:1 TIFF, for 360° viewers")
     frame.add_argument("--crops", type=Path, metavar="FOLDER", help="perspective crops with depth and transforms.json")
+    frame.add_argument("--all-crops", action="store_true", default=None, help="crops up to the rim, above and below")
     recording = parser.add_argument_group("recordings")
     recording.add_argument("--start", type=int, metavar="N", help="first frame number (default: 0)")
     recording.add_argument("--stop", type=int, metavar="N", help="frame number to stop before (default: the end)")
@@ -112,7 +113,9 @@ def _run_frame(options: argparse.Namespace) -> None:
     limits = Limits.of(depth, options.max_depth, options.min_confidence)
     result = FrameResult(depth, images, limits, method, gt_index)
     written = result.write(options.out)
-    written += export_frame(result, options.mesh, options.mesh_faces, options.equirectangular, options.crops)
+    written += export_frame(
+        result, options.mesh, options.mesh_faces, options.equirectangular, options.crops, bool(options.all_crops)
+    )
     print("\n".join(result.sentences()))
     print(f"written to {options.out}/: {', '.join(written)}")
 
@@ -126,6 +129,8 @@ def _check_frame_options(options: argparse.Namespace) -> None:
         check_number(options.max_depth, "--max-depth", 1e-6, 1e9)
     if options.min_confidence is not None:
         check_number(options.min_confidence, "--min-confidence", 0, 1)
+    if options.all_crops and options.crops is None:
+        raise OmnistereoError("--all-crops says which crops; found no --crops. Add --crops FOLDER, or leave it out.")
     if options.mesh_faces is not None:
         check_number(options.mesh_faces, "--mesh-faces", 1, 10**9, whole=True)
         if options.mesh is None:

@@ -9,7 +9,7 @@ import scene
 
 import omnistereo_lib as osl
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_tools.crops import write_crops
+from omnistereo_tools.crops import covered_share, crops_of, write_crops
 from omnistereo_tools.points import Limits
 
 
@@ -24,7 +24,8 @@ def written(rig, tmp_path_factory):
     index = scene.true_index(rig, grid).astype(np.float32)
     depth = osl.Depth(index, np.ones_like(index), SphereSweep(rig, grid))
     folder = tmp_path_factory.mktemp("crops")
-    assert write_crops(folder, depth, scene.images(rig, finest=0.25), Limits(100.0, 0.0)) == 12
+    count, share = write_crops(folder, depth, scene.images(rig, finest=0.25), Limits(100.0, 0.0))
+    assert count == 12 and 0.4 < share < 0.7
     return folder
 
 
@@ -52,3 +53,19 @@ def test_each_crop_is_what_a_pinhole_sees(rig, written):
         expected = scene.texture(origin + unit * distance[..., None], finest=0.25)
         inner = slice(20, -20)
         assert np.abs(image[inner, inner] - expected[inner, inner]).mean() < 2  # of 255, interpolated
+
+
+@pytest.mark.parametrize(("fov_deg", "count"), [(60, 1), (190, 5), (220, 5), (300, 6)])
+def test_the_faces_of_a_cube_leave_nothing_out(fov_deg, count):
+    lens, pose = scene.camera(200, 192, fov_deg), osl.Pose.from_vector([0.1, 2.0, 0.3, 0.2, 0, 0])
+    crops = list(crops_of(0, lens, pose, whole=True))
+    assert len(crops) == count and covered_share(crops, lens, pose) > 0.999
+    rays = np.random.default_rng(0).normal(size=(4000, 3))
+    seen = rays[lens.project(rays)[1]]
+    inside = np.zeros(len(seen), bool)
+    for crop in crops:  # by the projection of a pinhole, written out
+        x, y, z = (seen @ pose.R.T @ crop.T_rig_crop.R).T
+        with np.errstate(divide="ignore"):
+            u, v = crop.focal * x / z + crop.size / 2, crop.focal * y / z + crop.size / 2
+        inside |= (z > 0) & (u >= 0) & (u <= crop.size) & (v >= 0) & (v <= crop.size)
+    assert inside.all()

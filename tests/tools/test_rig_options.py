@@ -1,0 +1,104 @@
+"""The commands on rigs whose frame, field of view or black rim is not what it should be."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+import scene
+import yaml
+
+import omnistereo_lib as osl
+from omnistereo_lib.files import write_image
+from omnistereo_tools import cli
+
+FLU = osl.Pose(np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]]), np.zeros(3))  # x forward, z up
+SMALL = ["--width", "96", "--height", "24", "--spheres", "16", "--method", "zncc"]
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    """A rig in the frame of a robot, its images, and the same images black beyond 160° of the lens."""
+    folder, rig = tmp_path_factory.mktemp("robot"), scene.rig(width=200, height=192)
+    pictures = scene.images(rig, finest=0.25)
+    osl.save_rig(osl.Rig(rig.cameras, rig.transformed(FLU).T_rig_cam, 0.5), folder / "rig.yaml")
+    for k, (camera, picture) in enumerate(zip(rig.cameras, pictures, strict=True), 1):
+        v, u = np.indices(picture.shape)
+        seen = np.hypot(u - camera.center[0], v - camera.center[1]) <= camera.max_radius * 160 / 220
+        write_image(folder / f"{k}.png", picture)
+        write_image(folder / f"dark{k}.png", np.where(seen, picture, 0))
+    return folder, rig
+
+
+def depth(folder, out, *options, images="{}.png"):
+    pictures = [str(folder / images.format(k)) for k in (1, 2, 3, 4)]
+    return cli.main(
+        ["depth", "--rig", str(folder / "rig.yaml"), "--images", *pictures, *SMALL, "--out", str(out), *options]
+    )
+
+
+def test_the_turn_is_stated_and_can_be_undone(world, tmp_path, capsys):
+    folder, rig = world
+    assert depth(folder, tmp_path / "turned") == 0
+    assert re.search(
+        r"^The rig was turned level, by 1[12][0-9]° \(--keep-frame leaves it\)\.$", capsys.readouterr().out, re.M
+    )
+    assert "rig turned level" in (tmp_path / "turned" / "index.html").read_text(encoding="utf-8")
+    stored = yaml.safe_load((tmp_path / "turned" / "data" / "rig.yaml").read_text())
+    T = osl.Pose.from_vector(stored["config"]["T_rig_file"])
+    # A camera of the panorama's frame, back in the frame of the robot.
+    there = osl.Pose.from_vector(stored["cameras"][1]["pose"])
+    robot = rig.transformed(FLU).T_rig_cam[1]
+    np.testing.assert_allclose((T.inverse() @ there).t, robot.t, atol=1e-9)
+    np.testing.assert_allclose((T.inverse() @ there).R, robot.R, atol=1e-9)
+    assert depth(folder, tmp_path / "kept", "--keep-frame") == 0
+    assert "turned" not in capsys.readouterr().out
+
+
+def test_a_black_rim_is_told_and_masked(world, tmp_path, capsys):
+    folder, _ = world
+    assert depth(folder, tmp_path, images="dark{}.png") == 0
+    said = capsys.readouterr().err
+    pattern = (
+        r"black beyond (\d+)° of the 220° stated: two cameras see (\d+) % of the sphere, not (\d+) %.*--max-fov (\d+)"
+    )
+    found = re.search(f"images of camera 1, 2, 3, 4 are {pattern}", said)
+    fov, after, before, proposed = map(int, found.groups())
+    assert 155 <= fov <= 162 and after < before - 20 and 154 <= proposed <= 162
+    assert depth(folder, tmp_path, "--max-fov", str(proposed), images="dark{}.png") == 0
+    assert "black beyond" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["doctor", "depth", "live", "onnx", "evaluate"])
+def test_every_command_on_a_rig_takes_a_field_of_view(world, tmp_path, capsys, command):
+    rig = ["--rig", str(world[0] / "rig.yaml"), "--max-fov", "3.84"]
+    rig += {"live": ["--cameras", "0", "1"], "depth": ["--images", "1.png"], "evaluate": ["--sets", "sunny"]}.get(
+        command, []
+    )
+    assert cli.main([command, *rig]) == 2
+    assert re.search(r"max_fov_deg is 3.84; expected .* degrees.* radians \(220.0°\)", capsys.readouterr().err)
+
+
+def test_evaluations_of_other_fields_of_view_are_kept_apart(tmp_path):
+    from omnistereo_lib.evaluate import Evaluation
+
+    grid = osl.SphereGrid(96, 24, (-45, 45), 16, 0.6)
+    folder = scene.write_set(tmp_path / "set", scene.rig(width=200, height=192), grid, [(0, 0, 0)])
+    narrow = Evaluation(tmp_path / "out", {"set": folder}, max_fov_deg=180)
+    assert {camera.max_fov_deg for camera in narrow.sets["set"].rig.cameras} == {180}
+    records = [
+        each._record(each.jobs[0], {})["config"] for each in (narrow, Evaluation(tmp_path / "b", {"set": folder}))
+    ]
+    assert json.dumps(records[0]) != json.dumps(records[1])
+
+
+def test_the_frame_of_ground_truth_is_kept(tmp_path):
+    grid = osl.SphereGrid(96, 24, (-45, 45), 16, 0.6)
+    folder = scene.write_set(tmp_path / "set", scene.rig(width=200, height=192), grid, [(0, 0, 0)])
+    rig = osl.load_rig(folder)
+    osl.save_rig(osl.Rig(rig.cameras, rig.transformed(FLU).T_rig_cam, 0.6), folder / "config.yaml")
+    kept = osl.load_dataset(folder).rig
+    np.testing.assert_allclose(kept.T_rig_cam[0].R, (FLU @ rig.T_rig_cam[0]).R, atol=1e-12)
+    for path in (folder / "omnidepth_gt_96").iterdir():
+        path.unlink()
+    assert osl.load_dataset(folder).rig.T_rig_file.magnitude()[0] > 100
