@@ -24,7 +24,7 @@ import nbformat
 import numpy as np
 
 from course import exercises, nbtools, student
-from course.exercises.compare import CASES, diagnose
+from course.exercises.compare import CASES, NOT_WRITTEN, RIGHT, diagnose
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, make_folder, read_bytes
 
@@ -34,7 +34,6 @@ ANSWER_S = 20.0  # for each call of a student's function
 MAX_BYTES = 32 * 2**20  # of a notebook
 MAX_NOTES = 50
 STATUSES = ("right", "wrong", "not tried", "not judged")
-UNTOUCHED = "nothing returned yet"  # what checkers say of a stub
 CHECKED = re.compile(r"\b(?:exercises|(nb\d\d))\.(check_\w+)\((\w+)\)")  # module, checker, function
 NUMBER = re.compile(r"^\*\*(\d\d\.\d+) \(", re.MULTILINE)  # **04.2 (medium).**
 ENVIRONMENT = (Path(sys.prefix), *(nbtools.ROOT / name for name in ("course", "omnistereo_lib", "omnistereo_tools")))
@@ -85,7 +84,7 @@ def original_of(cells: list[tuple[str, str]], path: Path) -> Path:
     if not found:
         raise OmnistereoError(
             f"{path} begins with {title[:40]!r}; expected the title of a notebook of the course, such as "
-            "'# 04 · ZNCC'. Leave the first cell as it was"
+            "'# 04 · ZNCC'. Leave its first cell as it was"
         )
     return found[0]
 
@@ -133,7 +132,7 @@ def judge(exercise: Exercise, seed: int, answers: dict[Any, Any], stopped: str) 
         missing = f"there is no function {exercise.function}"
         return {"status": "not judged", "said": stopped} if stopped else {"status": "not tried", "said": missing}
     said = diagnose(repeat(answers[exercise.function]), exercise.cases(seed))
-    status = "not tried" if said.startswith(UNTOUCHED) else "right" if said == "right" else "wrong"
+    status = "not tried" if said.startswith(NOT_WRITTEN) else "right" if said == RIGHT else "wrong"
     return {"status": status, "said": printable(said)}
 
 
@@ -194,6 +193,8 @@ def check(path: Path, out: Path = OUT, seconds: float = SECONDS, memory_gib: flo
     for name, limit in (("seconds", seconds), ("memory", memory_gib)):
         if not 0 < limit < math.inf:
             raise OmnistereoError(f"{name} is {limit:g}; expected a positive number. Leave --{name} out, or raise it")
+    if os.name != "posix":
+        raise OmnistereoError("limits need Linux or macOS. Check hand-ins in a container; book/teaching.md says how")
     is_class = path.is_dir()
     folder = path if is_class else path.parent
     names = [file.relative_to(path) for file in sorted(path.rglob("*.ipynb"))] if is_class else [Path(path.name)]
@@ -201,6 +202,8 @@ def check(path: Path, out: Path = OUT, seconds: float = SECONDS, memory_gib: flo
     if not names:
         raise OmnistereoError(f"{path} holds no notebook: give a folder with .ipynb files, in any folders below it")
     make_folder(out)
+    if is_class:
+        write_scores(out / "scores.csv", [])  # it is there whatever comes
     kept = {name: stored_sheet(out / f"{name}.json", folder / name) for name in names}  # before any code can write one
     environment, sheets = last_changes(), []
     for name in names:
@@ -218,7 +221,7 @@ def check(path: Path, out: Path = OUT, seconds: float = SECONDS, memory_gib: flo
             say(f"{sheet['file']}: {note}")
         sheets.append(sheet)
         if is_class:
-            write_scores(out / "scores.csv", sheets)  # each time, so that it is there whatever comes
+            write_scores(out / "scores.csv", sheets)
     if is_class:
         say(f"written: {out / 'scores.csv'}")
     return sheets

@@ -19,8 +19,8 @@ from course import nbtools, rules, stills
 class _Channel(AsyncZMQSocketChannel):
     """A channel that looks again every second.
 
-    Now and then the asynchronous poll is not woken by a message that has arrived, and would sit beside it until
-    its time limit: ten minutes for a cell's answer, for ever for its pictures.
+    Now and then the asynchronous poll misses a message that has arrived, and waits until its time limit: ten minutes
+    for the answer to a cell, for ever for its outputs.
     """
 
     async def get_msg(self, timeout: float | None = None) -> dict:
@@ -44,10 +44,10 @@ class KernelManager(AsyncKernelManager):
 
 
 def execute(nb: nbformat.NotebookNode, folder: Path, variables: dict[str, str] | None = None) -> float:
-    """Run all cells in a fresh kernel that stands in `folder`; return the seconds it took.
+    """Run all cells in a fresh kernel, with `folder` as its working directory; return the seconds it took.
 
     Args:
-        variables: Of the kernel's environment, besides this process's own.
+        variables: Environment variables of the kernel, in addition to those of this process.
     """
     start = time.perf_counter()
     NotebookClient(

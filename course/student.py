@@ -80,15 +80,16 @@ def run(task: dict[str, Any], seconds: float, memory_gib: float) -> Run:
         told.write_text(json.dumps(task), encoding="ascii")
         env = {name: os.environ[name] for name in KEPT if name in os.environ} | {name: str(own[name]) for name in own}
         env |= {"PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1", "MPLBACKEND": "agg"}
-        process = subprocess.Popen(
-            [sys.executable, "-m", "course.student"],
-            stdin=told.open(),
-            stdout=answers,
-            stderr=subprocess.DEVNULL,
-            cwd=copy / "notebooks",
-            env=env,
-            start_new_session=True,
-        )
+        with told.open() as task_file:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "course.student"],
+                stdin=task_file,
+                stdout=answers,
+                stderr=subprocess.DEVNULL,
+                cwd=copy / "notebooks",
+                env=env,
+                start_new_session=True,
+            )
         try:
             broken, peak_gib = watch(process, family, seconds, memory_gib)
         finally:
@@ -150,7 +151,8 @@ def memory_of(process: psutil.Process) -> int:
 def end(process: subprocess.Popen, family: Callable[[], list[psutil.Process]]) -> None:
     """Kill a process and its family until nobody is left."""
     if process.poll() is None:
-        os.killpg(process.pid, signal.SIGKILL)  # all at once: they may be starting others faster than one can look
+        with suppress(ProcessLookupError, PermissionError):  # it has just ended
+            os.killpg(process.pid, signal.SIGKILL)  # all at once: they may start others faster than one can look
         process.wait()
     for _ in range(100):
         if not (members := family()):
@@ -180,6 +182,8 @@ class OutOfTime(BaseException):
 
 def main() -> None:
     """Run the cells of a task from stdin; write what they raise and what their functions answer to stdout."""
+    import resource  # not on Windows, where the judge may be imported
+
     from IPython.core.interactiveshell import InteractiveShell
     from traitlets.config import Config
 
@@ -187,11 +191,8 @@ def main() -> None:
     records = os.fdopen(os.dup(1), "w", encoding="ascii")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what it prints goes nowhere: it may print without end
     sys.path[:] = [path for path in sys.path if Path(path) == ROOT or not Path(path, "course").is_dir()]
-    with suppress(ImportError, ValueError, OSError):  # Windows; a limit that is lower already
-        import resource
-
+    with suppress(ValueError):  # the limit is lower already
         resource.setrlimit(resource.RLIMIT_FSIZE, (MAX_FILE_BYTES, MAX_FILE_BYTES))
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     shell = InteractiveShell.instance(config=Config(HistoryManager={"enabled": False}))
     shell.showtraceback = shell.showsyntaxerror = lambda *_, **__: None
     cases = {name: resolve_name(f"course.exercises.{checker}").case for name, checker in task["exercises"].items()}

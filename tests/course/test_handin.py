@@ -36,11 +36,12 @@ def call(name):
 
 GOOD = solved("zncc")
 STUB = f"def mean_of_pairs(costs):\n    ...\n\n\n{call('mean_of_pairs')}"
-STARTS = "mine = Path.home() / '.ipython/profile_default/startup/mine.py'\n"
-APART = f"""{STARTS}assert not mine.exists() and not Path(os.environ['TMPDIR'], 'mine').exists()
+APART = """mine = Path.home() / '.ipython/profile_default/startup/mine.py'
+assert not mine.exists() and not Path(os.environ['TMPDIR'], 'mine').exists()
 mine.parent.mkdir(parents=True, exist_ok=True)
 mine.write_text('zncc = 1')
 Path(os.environ['TMPDIR'], 'mine').touch()
+assert not {"IPYTHONDIR", "JUPYTER_CONFIG_DIR", "XDG_CONFIG_HOME"} & set(os.environ)
 assert [path for path in sys.path if Path(path, 'course').is_dir()] == [str(Path('..').resolve())]
 from course import solutions"""
 DAEMON = """if os.fork() == 0:
@@ -161,6 +162,8 @@ def checked(tmp_path_factory):
     for name, (make, _) in UNREADABLE.items():
         make(folder / f"{name}.ipynb")
     with pytest.MonkeyPatch.context() as patch:
+        for variable in ("IPYTHONDIR", "JUPYTER_CONFIG_DIR", "XDG_CONFIG_HOME"):
+            patch.setenv(variable, str(out))
         patch.setattr(student, "COPIED", SMALL)
         patch.setattr(student, "MAX_PROCESSES", 99)
         patch.setattr(handin, "ANSWER_S", 3)
@@ -245,10 +248,10 @@ def test_a_sheet_that_cannot_be_stored_stops_nobody(tmp_path, monkeypatch):
     monkeypatch.setattr(handin, "ENVIRONMENT", [])
     monkeypatch.setattr(handin, "check_notebook", lambda *_: {"notebook": "04", "exercises": {}, "notes": []} | USED)
     (tmp_path / "scores.csv").mkdir()
-    for name in ("a", "b" * 245, "scores.csv/c"):
+    for name in ("scores.csv/c", "t", "u" * 245):
         (tmp_path / f"{name}.ipynb").touch()
     sheets = handin.check(tmp_path, tmp_path / "out")
-    assert [bool(sheet["notes"]) for sheet in sheets] == [False, True, True]
+    assert [bool(sheet["notes"]) for sheet in sheets] == [True, False, True]
     assert (tmp_path / "out" / "scores.csv").is_file()
 
 
