@@ -23,7 +23,7 @@ if sys.version_info < (3, 11):
 endef
 export CHECK_PYTHON
 
-.PHONY: lab test check types depth render bench results notebooks solutions book slides constraints clean
+.PHONY: lab test check types coverage depth render bench results notebooks solutions book slides constraints clean
 
 lab: $(READY)  ## opens JupyterLab, or prints its address where there is no browser; LAB_ARGS: more options
 	$(BIN)/jupyter lab $(LAB) $(LAB_ARGS) notebooks/00_quickstart.ipynb
@@ -41,6 +41,9 @@ check: $(READY)  ## the fast tier, a minute: linters, geometry, stereo, rig file
 
 types: $(READY)  ## the type checker in strict mode, on the library
 	$(BIN)/mypy
+
+coverage: $(READY)  ## the lines of the library that the tests reach; apart from `test`, which it would slow by a half
+	$(KEEP_MEMORY) $(BIN)/python -m pytest $(WORKERS) --cov tests
 
 depth: $(READY)  ## the sample frame, or your own: RIG=rig.yaml IMAGES="1.png 2.png 3.png 4.png" make depth
 	$(BIN)/omnistereo depth $(if $(RIG),--rig '$(RIG)') $(if $(IMAGES),--images $(IMAGES)) $(DEPTH_ARGS)
@@ -77,7 +80,7 @@ constraints: $(READY)  ## pins what came along with environment.txt
 	@mv constraints.txt.tmp constraints.txt
 
 clean:  ## removes what the other targets made, the environments included
-	rm -rf .venv .venv-render out .pytest_cache .ruff_cache .mypy_cache .hypothesis omnistereo_lib.egg-info
+	rm -rf .venv .venv-render out .pytest_cache .ruff_cache .mypy_cache .hypothesis .coverage* omnistereo_lib.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(READY): environment.txt constraints.txt pyproject.toml

@@ -292,7 +292,7 @@ def _gt_root(folder: Path) -> Path:
     data = read_data(config)
     settings = data.get("dataset") if isinstance(data, dict) else None
     truth = settings.get("truth") if isinstance(settings, dict) else None
-    if truth is None:  # the word stands elsewhere
+    if truth is None:  # `truth:` is not under `dataset`
         return folder
     root = path_within(folder, truth, config, folder.resolve().parent.parent)  # such as sunny/test beside cloudy/test
     if not root.is_dir():

@@ -14,12 +14,26 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import LinearOperator
+from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
 from omnistereo_lib.calibrate.params import NUM_AFFINE, CalibrationParams, Ints, Observations, powers_of
 from omnistereo_lib.geometry.pose import Floats
 
 _NEWTON_STEPS = 8  # quadratic from the observed radius, which is a few pixels off at first and less later
+
+
+class _UnpackedParams:
+    """Rotations, translations and the rotations' derivatives at x, stacked for indexing by corner."""
+
+    def __init__(self, initial: CalibrationParams, x: Floats) -> None:
+        cameras, rig = len(initial.intrinsics), initial.num_rig_params
+        width = len(initial.intrinsics[0].vector)
+        self.intrinsics = x[: cameras * width].reshape(cameras, width)
+        moving = np.concatenate([np.zeros((1, 6)), x[cameras * width : rig].reshape(-1, 6)])
+        boards = x[rig:].reshape(-1, 6)
+        self.R_cam, self.J_cam, self.t_cam = *rotations(moving[:, :3]), moving[:, 3:]
+        self.R_board, self.J_board, self.t_board = *rotations(boards[:, :3]), boards[:, 3:]
 
 
 class BundleProblem:
@@ -39,6 +53,43 @@ class BundleProblem:
         """Return predicted minus observed pixels, shape (2 M,): u, v of the first corner, then of the second."""
         state = _UnpackedParams(self.initial, x)
         return (self._project(state, self._points(state)[1])[0] - self.observations.pixels).ravel()
+
+    def _points(self, state: _UnpackedParams) -> tuple[Floats, Floats]:
+        """Return the corners rotated into the rig frame, and in the camera frame, (M, 3) each."""
+        camera, capture = self.observations.camera, self.observations.capture
+        rotated = np.einsum("mij,mj->mi", state.R_board[capture], self.observations.points)
+        in_rig = rotated + state.t_board[capture]
+        return rotated, np.einsum("mij,mj->mi", state.R_cam[camera], in_rig) + state.t_cam[camera]
+
+    def _project(self, state: _UnpackedParams, points: Floats) -> tuple[Floats, tuple[Floats, ...]]:
+        """Return the pixels (M, 2) of points (M, 3) in the camera frames, and what `_derivatives` takes."""
+        u0, v0, c, d = state.intrinsics[self.observations.camera, :NUM_AFFINE].T
+        alpha = state.intrinsics[self.observations.camera, NUM_AFFINE:]
+        X, Y, Z = points.T
+        n = np.hypot(X, Y)
+        off_axis = n > 1e-12  # a point on the axis lies in any direction, at radius 0
+        px = np.where(off_axis, X, 1.0) / np.where(off_axis, n, 1.0)
+        py = np.where(off_axis, Y, 0.0) / np.where(off_axis, n, 1.0)
+        r = self._radius(alpha, n, Z, np.stack([u0, v0], -1))
+        mx, my = r * px, r * py
+        return np.stack([mx + d * my + u0, d * mx + c * my + v0], -1), (c, d, alpha, n, Z, px, py, r)
+
+    def _radius(self, alpha: Floats, n: Floats, Z: Floats, center: Floats) -> Floats:
+        """Solve f(r) n + r Z = 0 by Newton's method from the observed radius: the right one of several roots."""
+        r = np.linalg.norm(self.observations.pixels - center, axis=-1)
+        limit = 1.5 * r + 0.1 * self.scale
+        for _ in range(_NEWTON_STEPS):
+            f, slope, _ = self._polynomial(alpha, r)
+            r = np.clip(r - (f * n + r * Z) / (slope * n + Z), 0.0, limit)
+        return r
+
+    def _polynomial(self, alpha: Floats, r: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return f(r), f'(r) and ∂f/∂α_k = s (r/s)^k, shapes (M,), (M,), (M, degree)."""
+        powers = powers_of(self.degree)
+        ratio = (r / self.scale)[:, None]
+        basis = ratio**powers
+        slope = (alpha[:, 1:] * powers[1:] * ratio ** (powers[1:] - 1)).sum(axis=1)
+        return self.scale * (alpha * basis).sum(axis=1), slope, self.scale[:, None] * basis
 
     def jacobian(self, x: Floats) -> csr_matrix:
         """Return the derivatives of `residuals`, shape (2 M, unknowns), sparse."""
@@ -66,26 +117,6 @@ class BundleProblem:
         self._used = columns >= 0
         return columns[self._used], np.concatenate([[0], np.cumsum(self._used.sum(axis=1))])
 
-    def _points(self, state: _UnpackedParams) -> tuple[Floats, Floats]:
-        """Return the corners rotated into the rig frame, and in the camera frame, (M, 3) each."""
-        camera, capture = self.observations.camera, self.observations.capture
-        rotated = np.einsum("mij,mj->mi", state.R_board[capture], self.observations.points)
-        in_rig = rotated + state.t_board[capture]
-        return rotated, np.einsum("mij,mj->mi", state.R_cam[camera], in_rig) + state.t_cam[camera]
-
-    def _project(self, state: _UnpackedParams, points: Floats) -> tuple[Floats, tuple[Floats, ...]]:
-        """Return the pixels (M, 2) of points (M, 3) in the camera frames, and what `_derivatives` takes."""
-        u0, v0, c, d = state.intrinsics[self.observations.camera, :NUM_AFFINE].T
-        alpha = state.intrinsics[self.observations.camera, NUM_AFFINE:]
-        X, Y, Z = points.T
-        n = np.hypot(X, Y)
-        off_axis = n > 1e-12  # a point on the axis lies in any direction, at radius 0
-        px = np.where(off_axis, X, 1.0) / np.where(off_axis, n, 1.0)
-        py = np.where(off_axis, Y, 0.0) / np.where(off_axis, n, 1.0)
-        r = self._radius(alpha, n, Z, np.stack([u0, v0], -1))
-        mx, my = r * px, r * py
-        return np.stack([mx + d * my + u0, d * mx + c * my + v0], -1), (c, d, alpha, n, Z, px, py, r)
-
     def _derivatives(
         self, c: Floats, d: Floats, alpha: Floats, n: Floats, Z: Floats, px: Floats, py: Floats, r: Floats
     ) -> tuple[Floats, Floats]:
@@ -105,23 +136,6 @@ class BundleProblem:
         r_alpha = -powers * (n / steep)[:, None]
         d_alpha = (A @ np.stack([px, py], -1)[:, :, None]) * r_alpha[:, None, :]
         return np.concatenate([d_affine, d_alpha], axis=-1), A @ d_m
-
-    def _radius(self, alpha: Floats, n: Floats, Z: Floats, center: Floats) -> Floats:
-        """Solve f(r) n + r Z = 0 by Newton's method from the observed radius: the right one of several roots."""
-        r = np.linalg.norm(self.observations.pixels - center, axis=-1)
-        limit = 1.5 * r + 0.1 * self.scale
-        for _ in range(_NEWTON_STEPS):
-            f, slope, _ = self._polynomial(alpha, r)
-            r = np.clip(r - (f * n + r * Z) / (slope * n + Z), 0.0, limit)
-        return r
-
-    def _polynomial(self, alpha: Floats, r: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return f(r), f'(r) and ∂f/∂α_k = s (r/s)^k, shapes (M,), (M,), (M, degree)."""
-        powers = powers_of(self.degree)
-        ratio = (r / self.scale)[:, None]
-        basis = ratio**powers
-        slope = (alpha[:, 1:] * powers[1:] * ratio ** (powers[1:] - 1)).sum(axis=1)
-        return self.scale * (alpha * basis).sum(axis=1), slope, self.scale[:, None] * basis
 
 
 # Its factorisations are small: on a busy machine two BLAS threads take four times as long as one.
@@ -214,32 +228,18 @@ def estimate_covariance(params: CalibrationParams, observations: Observations, s
     return sigma**2 * root @ root.T
 
 
-class _UnpackedParams:
-    """Rotations, translations and the rotations' derivatives at x, stacked for indexing by corner."""
-
-    def __init__(self, initial: CalibrationParams, x: Floats) -> None:
-        cameras, rig = len(initial.intrinsics), initial.num_rig_params
-        width = len(initial.intrinsics[0].vector)
-        self.intrinsics = x[: cameras * width].reshape(cameras, width)
-        moving = np.concatenate([np.zeros((1, 6)), x[cameras * width : rig].reshape(-1, 6)])
-        boards = x[rig:].reshape(-1, 6)
-        self.R_cam, self.J_cam, self.t_cam = *rotations(moving[:, :3]), moving[:, 3:]
-        self.R_board, self.J_board, self.t_board = *rotations(boards[:, :3]), boards[:, 3:]
-
-
 def rotations(r: Floats) -> tuple[Floats, Floats]:
     """Return R(r) and the left Jacobian J with R(r + δ) ≈ (I + [J δ]×) R(r), each (n, 3, 3).
 
-    Rodrigues' formula: R = I + sin(a)/a K + (1 - cos a)/a² K², K = [r]×; J = I + (1 - cos a)/a² K + (a - sin a)/a³ K².
+    J = I + (1 - cos a)/a² K + (a - sin a)/a³ K², with a = |r| and K = [r]×.
     """
     K = cross(r)
     angle = np.linalg.norm(r, axis=-1)[:, None, None]
     a = np.maximum(angle, 1e-6)
-    small = angle < 1e-6  # the series' first terms
-    first = np.where(small, 1.0, np.sin(a) / a)
-    second = np.where(small, 0.5, (1 - np.cos(a)) / a**2)
-    third = np.where(small, 1 / 6, (a - np.sin(a)) / a**3)
-    return np.eye(3) + first * K + second * K @ K, np.eye(3) + second * K + third * K @ K
+    small = angle < 1e-6  # the first terms of the series
+    first = np.where(small, 0.5, (1 - np.cos(a)) / a**2)
+    second = np.where(small, 1 / 6, (a - np.sin(a)) / a**3)
+    return Rotation.from_rotvec(r).as_matrix(), np.eye(3) + first * K + second * K @ K
 
 
 def cross(v: Floats) -> Floats:

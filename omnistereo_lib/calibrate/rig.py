@@ -260,8 +260,8 @@ def _build_rig(
     max_fov_deg: float | None,
 ) -> tuple[Rig, RigReport]:
     cameras, joint = [], []
-    for i, alone in enumerate(single):
-        found = solution.camera_report(i, captures, alone.rejected, alone.cv_error_px, f"camera {i + 1}")
+    for i, before in enumerate(single):
+        found = solution.camera_report(i, captures, before.rejected, before.cv_error_px, f"camera {i + 1}")
         camera, camera_report = found.build_camera(max_fov_deg)
         cameras.append(camera)
         joint.append(camera_report)
