@@ -18,6 +18,7 @@ LAYERS = """
 errors
 files
 geometry
+consumer_images
 rig_files
 dataset
 stereo
