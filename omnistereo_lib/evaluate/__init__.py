@@ -5,6 +5,16 @@ from omnistereo_lib.evaluate.run import SCALES, Evaluation, Scale, evaluate_fram
 from omnistereo_lib.evaluate.table import Table, errors_table, regions_table, write_results
 
 __all__ = [
-    "ABLATIONS", "METHODS", "SCALES", "Evaluation", "Scale", "Table", "errors_table", "evaluate_frame", "find_sets",
-    "regions_table", "select_methods", "write_results",
-]  # fmt: skip
+    "ABLATIONS",
+    "METHODS",
+    "SCALES",
+    "Evaluation",
+    "Scale",
+    "Table",
+    "errors_table",
+    "evaluate_frame",
+    "find_sets",
+    "regions_table",
+    "select_methods",
+    "write_results",
+]

@@ -1,8 +1,9 @@
-"""Evaluation results: one JSON file per frame and method, with checksums of its inputs so that runs can be merged."""
+"""Files of results: one per frame and method with a checksum of its inputs, and `results.json` of them all."""
 
 import hashlib
 import json
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from omnistereo_lib.evaluate.methods import EvaluatedMethod
 from omnistereo_lib.evaluate.regions import METRICS, REGIONS, SUMS
 from omnistereo_lib.files import atomic_write, make_folder, read_data
 
-Record = dict[str, Any]  # nested, with strings as keys; what JSON holds
+Record = dict[str, Any]  # nested, as JSON holds it; its keys "figures" and "strata" are the metrics and the regions
 _INPUTS = ("config", "methods", "data", "weights")
 
 
@@ -34,17 +35,46 @@ def write_record(path: Path, record: Record) -> None:
         temporary.write_text(text + "\n", encoding="utf-8")
 
 
+def rounded(errors: Any) -> Any:
+    """Return nested results with five decimals, which is more than they mean."""
+    if isinstance(errors, dict):
+        return {key: rounded(value) for key, value in errors.items()}
+    return round(errors, 5) if isinstance(errors, float) else errors
+
+
+def read_errors(path: Path, inputs_sha256: str) -> Record:
+    """Read the errors of a method on a frame; an `OmnistereoError` says that they are damaged or of other inputs."""
+    record = read_data(path)
+    if not isinstance(record, dict) or record.keys() != {"inputs", "errors"}:
+        raise OmnistereoError(f"{path} has no result of an evaluation. Delete it, or choose another folder.")
+    if record["inputs"] != inputs_sha256:
+        raise OmnistereoError(
+            f"{path} comes from another scale, rig or precision, from other data or other weights. "
+            "Use another output folder, or delete this one to start over."
+        )
+    with _damage_named(path):
+        _check_errors(record["errors"])
+    return record["errors"]
+
+
 def read_record(path: Path) -> Record:
-    """Read a record; an `OmnistereoError` says that the file is missing or not one of `write_record`."""
+    """Read a results.json; an `OmnistereoError` says that the file is missing, damaged or something else."""
     record = read_data(path)
     if not isinstance(record, dict) or not {*_INPUTS, "frames"} <= record.keys():
         raise OmnistereoError(f"{path} has no results of an evaluation. Delete it, or choose another folder.")
-    try:
+    with _damage_named(path):
         _check_results(record)
+    return record
+
+
+@contextmanager
+def _damage_named(path: Path) -> Iterator[None]:
+    """Turn what a check raises into an `OmnistereoError` that names the file."""
+    try:
+        yield
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         found = f"{path} is damaged ({type(error).__name__}: {str(error)[:300]})"
         raise OmnistereoError(f"{found}. Delete it and evaluate again.") from None
-    return record
 
 
 def _check_results(record: Record) -> None:
@@ -62,44 +92,17 @@ def _check_results(record: Record) -> None:
         if results.keys() != names.keys():
             raise KeyError(f"the methods of a frame are {sorted(results)}")
         for errors in results.values():
-            for metric in METRICS:
-                value = errors["figures"][metric]
-                value is None or check_number(value, metric, 0, 1e9)
-            if not errors["strata"].keys() >= {*REGIONS}:
-                raise KeyError("a region is missing")
-            for region, sums in errors["strata"].items():
-                rays = check_number(sums["rays"], f"rays of {region}", 0, min(1e12, errors["strata"]["all"]["rays"]))
-                for key in SUMS:  # an error is at most 100 % of N
-                    check_number(sums[key], f"{region} {key}", 0, 1e4 * rays)
+            _check_errors(errors)
 
 
-def check_record(path: Path, expected: Record) -> Record:
-    """Read a record; an `OmnistereoError` names each setting or checksum that differs from the expected record."""
-    record = read_record(path)
-    found = [f for part in _INPUTS for f in _differences(record[part], expected.get(part, {}), part)]
-    if found:
-        more = f" and {len(found) - 6} more" if len(found) > 6 else ""
-        raise OmnistereoError(
-            f"{path} belongs to a different evaluation ({'; '.join(found[:6])}{more}). "
-            "Use another output folder, or delete this one to start over."
-        )
-    return record
-
-
-def _differences(there: Any, here: Any, name: str) -> Iterator[str]:
-    """Yield the contradictions of two records as text; a key of only one of them is not a contradiction."""
-    if isinstance(there, dict) and isinstance(here, dict):
-        for key in sorted(there.keys() & here.keys()):
-            yield from _differences(there[key], here[key], f"{name} {key}")
-    elif there != here:
-        short = [f"{text[:12]}…" if len(text) == 64 else text for text in (str(there), str(here))]  # 64: checksums
-        yield f"{name} = {short[0]} there, {short[1]} here"
-
-
-def add_record(total: Record, record: Record) -> None:
-    """Merge a record into another one, in place."""
-    for key, value in record.items():
-        if isinstance(value, dict):
-            add_record(total.setdefault(key, {}), value)
-        else:
-            total[key] = value
+def _check_errors(errors: Record) -> None:
+    """Raise one of several types if the errors of a frame are not of the form that `evaluate_frame` gives them."""
+    for metric in METRICS:
+        if errors["figures"][metric] is not None:
+            check_number(errors["figures"][metric], metric, 0, 1e9)
+    if not errors["strata"].keys() >= {*REGIONS}:
+        raise KeyError("a region is missing")
+    for region, sums in errors["strata"].items():
+        rays = check_number(sums["rays"], f"rays of {region}", 0, min(1e12, errors["strata"]["all"]["rays"]))
+        for key in SUMS:  # an error is at most 100 % of N
+            check_number(sums[key], f"{region} {key}", 0, 1e4 * rays)

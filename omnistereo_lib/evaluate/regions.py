@@ -1,4 +1,4 @@
-"""Regions of a panorama: by depth, at depth discontinuities, on thin objects, by the number of cameras that see.
+"""Regions of a panorama: by depth, at depth discontinuities, on thin objects, by the number of cameras that see it.
 
 Regions depend only on the ground-truth index n̂, so that all methods are judged on the same rays.
 """
@@ -12,13 +12,13 @@ from omnistereo_lib.stereo.metrics import error_map
 from omnistereo_lib.stereo.sweep import SphereSweep
 
 METRICS = (">1", ">3", ">5", "MAE", "RMS")
-# And "seen by 0", 1 …
+# Every panorama has these, and "seen by 0", "seen by 1" … besides.
 REGIONS = ("all", "sky", "far", "middle", "near", "at edges", "off edges", "thin", "at hand-overs")
 SUMS = ("rays", ">1", ">3", ">5", "sum", "squares")
-DISCONTINUITY_PERCENT = 5.0  # of N; the largest error threshold of the paper
+DISCONTINUITY_PERCENT = 5.0  # percent of N; the largest error threshold of the paper
 EDGE_PX = 4  # half of a 9 × 9 patch: a patch centred nearer holds both surfaces
 HANDOVER_DEG = 3.0  # on either side of the end of a camera's view
-THIN_DEG = 3.0  # as wide as a post of 15 cm at 3 m
+THIN_DEG = 3.0  # a post of 15 cm at 3 m is as wide
 
 
 def find_regions(gt_index: ArrayLike, sweep: SphereSweep) -> dict[str, NDArray[np.bool_]]:
@@ -31,7 +31,7 @@ def find_regions(gt_index: ArrayLike, sweep: SphereSweep) -> dict[str, NDArray[n
     """
     gt_index = np.asarray(gt_index, np.float64)
     N = sweep.grid.num_spheres
-    fraction = gt_index / (N - 1)  # of the inverse depth swept
+    fraction = gt_index / (N - 1)  # 0 to 1 over the swept inverse depth
     edges = near_edges(gt_index, N)
     points = np.nan_to_num(gt_index)  # unknown ones count as far away, so that they end no view
     visible = np.stack([sweep.project_sphere(camera, points)[1] for camera in range(len(sweep.rig))])

@@ -1,10 +1,11 @@
 """Evaluation runs: any methods on any data sets at any scale, frame by frame.
 
-Every result is a file of its own, written atomically, which depends only on the data, weights and settings that it
-states. So an interrupted run resumes, the machines of a Dask cluster share the frames, and the merged file is always
-the same.
+Every result is a file of its own, written atomically, with a checksum of the data, weights and settings that it depends
+on. So an interrupted run resumes, the machines of a Dask cluster share the frames, and the merged file is always the
+same.
 """
 
+import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
@@ -18,7 +19,7 @@ import torch
 from omnistereo_lib.dataset import Dataset, Frame, load_dataset
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.evaluate.methods import METHODS, EvaluatedMethod
-from omnistereo_lib.evaluate.records import Record, add_record, check_record, checksum, config_checksum, write_record
+from omnistereo_lib.evaluate.records import Record, checksum, config_checksum, read_errors, rounded, write_record
 from omnistereo_lib.evaluate.regions import error_sums, find_regions
 from omnistereo_lib.files import make_folder, read_bytes
 from omnistereo_lib.geometry.rig import Rig
@@ -108,8 +109,8 @@ class Evaluation:
         max_fov_deg: Limit of the field of view of all rigs, see `load_rig`.
 
     Raises:
-        OmnistereoError: If data, weights, rig or device are missing, the rig has other cameras than a set, or the
-            folder holds results of another scale, rig, other data or other weights.
+        OmnistereoError: If data, weights, rig or device are missing, the rig has other cameras than a set, or a result
+            in the folder comes from another scale or rig, other data or other weights.
     """
 
     def __init__(
@@ -128,7 +129,6 @@ class Evaluation:
     ) -> None:
         methods = tuple(dict.fromkeys(methods))
         self.scale, self.weights, self.precision, self.device = scale, Path(weights), precision, select_device(device)
-        self._weights = _weights_checksums(methods, self.weights)
         self.sets = {
             name: load_dataset(path, None if path.name == split else split, max_fov_deg=max_fov_deg)
             for name, path in sets.items()
@@ -136,25 +136,21 @@ class Evaluation:
         self._rigs = (
             {} if rig is None else {name: _read_rig(rig, data, max_fov_deg) for name, data in self.sets.items()}
         )
-        self._rig = "own" if rig is None else checksum(b"".join(map(read_bytes, _rig_files(Path(rig)))))
-        self._rig += "" if max_fov_deg is None else f", {max_fov_deg:g}°"
         chosen = [(name, frame) for name, data in self.sets.items() for frame in _select_frames(data, frames)]
         self.jobs = [Job(name, frame.number, method) for name, frame in chosen for method in methods]
+        rig_text = "own" if rig is None else checksum(b"".join(map(read_bytes, _rig_files(Path(rig)))))
+        rig_text += "" if max_fov_deg is None else f", {max_fov_deg:g}°"
+        self._config = asdict(scale) | {"rig": rig_text}
         self._data = {(name, frame.number): _checksums(name, self.sets[name].folder, frame) for name, frame in chosen}
-        self._inputs: Record = {}
-        for job in self.jobs:
-            add_record(self._inputs, self._record(job, {}))
+        self._weights = _weights_checksums(methods, self.weights)
         self.out = make_folder(out)
-        for path in sorted(self.out.glob("frames/*/*/[!.]*.json")):  # with a dot: temporary files
-            self.check(path)
+        for job in self.jobs:
+            if self.path(job).is_file():
+                read_errors(self.path(job), self._inputs_sha256(job))
 
     def path(self, job: Job) -> Path:
         """Return the file of a result."""
         return self.out / "frames" / job.data / f"{job.frame:05d}" / f"{job.method.name}.json"
-
-    def check(self, path: str | Path) -> Record:
-        """Read a result or a results.json; an `OmnistereoError` names damage, other settings and other checksums."""
-        return check_record(Path(path), self._inputs)
 
     def missing(self, jobs: Sequence[Job] | None = None) -> list[Job]:
         """Return the jobs (default: of all) that have no result yet."""
@@ -166,48 +162,65 @@ class Evaluation:
         order = attrgetter("data", "method.num_spheres", "frame")
         todo = sorted(self.missing(jobs), key=order)
         for (name, num_spheres), of_sweep in groupby(todo, lambda job: order(job)[:2]):
-            scale, rig = self.scale, None
+            sweep, swept = None, None
             for number, of_frame in groupby(of_sweep, attrgetter("frame")):
                 frame, methods = self.sets[name].frame(number), [job.method for job in of_frame]
-                before, rig = rig, self._rigs.get(name, frame.rig)
-                if rig is not before:  # the sweep's lookup tables serve all frames of a rig
-                    N = num_spheres or scale.num_spheres
-                    grid = SphereGrid(scale.width, scale.height, num_spheres=N, min_depth=rig.min_depth)
-                    sweep = SphereSweep(rig, grid, device=self.device)
+                rig = self._rigs.get(name, frame.rig)
+                if sweep is None or rig is not swept:  # the sweep's lookup tables serve all frames of a rig
+                    sweep, swept = SphereSweep(rig, self._grid(rig, num_spheres), device=self.device), rig
                 for method, errors in evaluate_frame(sweep, frame, methods, load_cost):
                     job = Job(name, number, method)
-                    write_record(self.path(job), self._record(job, errors))
+                    write_record(self.path(job), {"inputs": self._inputs_sha256(job), "errors": rounded(errors)})
                     yield job
 
-    def results(self) -> Record:
-        """Return the union of the records of all jobs; raise an `OmnistereoError` if one is missing or does not fit.
+    def _grid(self, rig: Rig, num_spheres: int) -> SphereGrid:
+        scale = self.scale
+        assert rig.min_depth is not None  # `_select_frames` refuses others
+        return SphereGrid(
+            scale.width, scale.height, num_spheres=num_spheres or scale.num_spheres, min_depth=rig.min_depth
+        )
 
-        "config": the scale, the rig and the precision of the networks; "methods": their settings by name;
-        "config_sha256": of both; "data", "weights": SHA-256 of the files; "frames": set → number → method → what
-        `evaluate_frame` yields.
+    @property
+    def inputs(self) -> Record:
+        """What the results depend on.
+
+        "config": the scale, the rig and the precision of the networks; "methods": their settings by name; "data",
+        "weights": SHA-256 of the files.
+        """
+        methods = {job.method.name: job.method for job in self.jobs}
+        return {
+            "config": self._config | (self._precision if self._weights else {}),
+            "methods": {name: asdict(method) for name, method in methods.items()},
+            "data": {key: sha for files in self._data.values() for key, sha in files.items()},
+            "weights": self._weights,
+        }
+
+    def results(self) -> Record:
+        """Return the `inputs`, their "config_sha256", and "frames": set → number → method → `evaluate_frame`.
+
+        Raises an `OmnistereoError` if a result is missing or does not fit.
         """
         if missing := self.missing():
             found = f"{len(missing)} of {len(self.jobs)} results are missing, such as {self.path(missing[0])}"
             raise OmnistereoError(f"{found}. Run the same command again.")
-        results: Record = {}
+        frames: Record = {}
         for job in self.jobs:
-            add_record(results, self.check(self.path(job)))
-        return results | {"config_sha256": config_checksum(results)}
+            results = frames.setdefault(job.data, {}).setdefault(f"{job.frame:05d}", {})
+            results[job.method.name] = read_errors(self.path(job), self._inputs_sha256(job))
+        inputs = self.inputs
+        return inputs | {"frames": frames, "config_sha256": config_checksum(inputs)}
 
-    def _record(self, job: Job, errors: Record) -> Record:
-        """Return the errors of a job with all their inputs."""
-        config, weights = asdict(self.scale) | {"rig": self._rig}, {}
+    def _inputs_sha256(self, job: Job) -> str:
+        """Return the SHA-256 of all that a result depends on."""
+        config, weights = self._config, None
         if job.method.has_weights:
-            path = job.method.weights_file(self.weights)
-            config["precision"] = "bfloat16" if uses_bfloat16(self.precision, self.device) else "float32"
-            weights[path.name] = self._weights[path.name]
-        return {
-            "config": config,
-            "methods": {job.method.name: asdict(job.method)},
-            "data": self._data[job.data, job.frame],
-            "weights": weights,
-            "frames": {job.data: {f"{job.frame:05d}": {job.method.name: errors}}},
-        }
+            config, weights = config | self._precision, self._weights[job.method.weights_file(self.weights).name]
+        inputs = {"config": config, "method": asdict(job.method), "data": self._data[job[:2]], "weights": weights}
+        return checksum(json.dumps(inputs, sort_keys=True).encode())
+
+    @property
+    def _precision(self) -> dict[str, str]:
+        return {"precision": "bfloat16" if uses_bfloat16(self.precision, self.device) else "float32"}
 
 
 def _weights_checksums(methods: Sequence[EvaluatedMethod], folder: Path) -> dict[str, str]:
@@ -253,7 +266,9 @@ def _rig_files(path: Path) -> list[Path]:
 def _checksums(name: str, set_folder: Path, frame: Frame) -> dict[str, str]:
     """Return the SHA-256 of the input files of a frame: rig, images, ground truth."""
     folder = frame.image_paths[0].parents[1]
-    name = f"{name}/{folder.name}" if folder.parent == set_folder else name  # with a rig of its own
+    if folder.parent == set_folder:  # the frame has a rig of its own
+        name = f"{name}/{folder.name}"
     files = {f"{name}/{path.name}": path for path in _rig_files(folder)}
-    files |= {f"{name}/{path.parent.name}/{path.name}": path for path in [*frame.image_paths, frame.gt_path]}
+    depth = [frame.gt_path] if frame.gt_path is not None else []
+    files |= {f"{name}/{path.parent.name}/{path.name}": path for path in [*frame.image_paths, *depth]}
     return {key: checksum(read_bytes(path)) for key, path in files.items()}

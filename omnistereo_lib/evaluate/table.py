@@ -5,6 +5,7 @@ import io
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,7 +17,7 @@ from omnistereo_lib.files import atomic_write, make_folder
 from omnistereo_lib.stereo.methods import penalties
 
 WITHOUT_SKY = "without sky"
-LIGHTS = ("sunny", "cloudy", "sunset")  # in the order of the paper
+LIGHTS = ("sunny", "cloudy", "sunset")  # the paper's order
 _RESAMPLES, _SEED = 10_000, 0
 
 
@@ -40,7 +41,10 @@ class Table:
             lines += [[*words, *values], [*[""] * len(words), *intervals]]
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         align = [str.ljust] * len(self.heads) + [str.rjust] * len(self.columns)
-        rows = ["  ".join(a(*pair) for a, *pair in zip(align, line, widths, strict=True)).rstrip() for line in lines]
+        rows = [
+            "  ".join(pad(cell, width) for pad, cell, width in zip(align, line, widths, strict=True)).rstrip()
+            for line in lines
+        ]
         return "".join(f"{row}\n" for row in [*rows, self.caption] if row)
 
     def markdown(self) -> str:
@@ -71,7 +75,7 @@ class Table:
 
 
 def bootstrap(
-    samples: ArrayLike, statistic: Callable[[NDArray], NDArray], level: float = 0.95, count: int = _RESAMPLES
+    samples: ArrayLike, statistic: Callable[[NDArray[Any]], NDArray[Any]], level: float = 0.95, count: int = _RESAMPLES
 ) -> NDArray[np.float64]:
     """Return a statistic of frames with the lower and upper end of its percentile bootstrap interval, shape (C, 3).
 
@@ -124,7 +128,7 @@ def regions_table(results: Record) -> Table:
                     words = [name, region, f"{percent:.1f} %", method.label]
                     rows.append((words, bootstrap(samples, sums_to_metrics)))
     caption = _caption(results, "All rays of all frames together")
-    return Table(["set", "stratum", "rays", "method"], list(METRICS), rows, caption)
+    return Table(["set", "region", "rays", "method"], list(METRICS), rows, caption)
 
 
 def _sums(regions: dict[str, dict[str, float]], name: str) -> NDArray[np.float64]:
@@ -141,8 +145,8 @@ def write_results(folder: str | Path, results: Record) -> list[str]:
     """Write results.json and both tables in three formats; return the names of the files."""
     folder = make_folder(folder)
     write_record(folder / "results.json", results)
-    texts = {}
-    for name, table in (("errors", errors_table(results)), ("strata", regions_table(results))):
+    texts: dict[str, str] = {}
+    for name, table in (("errors", errors_table(results)), ("regions", regions_table(results))):
         texts |= {f"{name}.txt": table.text(), f"{name}.md": table.markdown(), f"{name}.csv": table.csv()}
     for name, text in texts.items():
         with atomic_write(folder / name) as temporary:

@@ -1,16 +1,18 @@
 """Numba's compiler, storing what it compiles where it can, and a minimum that it vectorises."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import numba
 from numba.extending import intrinsic
 
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 
-def compiled(**options: Any) -> Callable:
+
+def compiled(**options: Any) -> Callable[[_Function], _Function]:
     """Return `numba.njit` with a cache on disk, or without where neither the package nor the home is writable."""
 
-    def compile_(function: Callable) -> Callable:
+    def compile_(function: _Function) -> _Function:
         try:
             return numba.njit(cache=True, **options)(function)
         except RuntimeError:  # numba finds no folder for its cache
@@ -19,8 +21,7 @@ def compiled(**options: Any) -> Callable:
     return compile_
 
 
-@intrinsic
-def minimum(context: Any, a: Any, b: Any) -> Any:
+def _minimum(context: Any, a: Any, b: Any) -> Any:
     """Return the smaller of two float32 that are not NaN. Python's min keeps Numba from vectorising a reduction."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -28,3 +29,6 @@ def minimum(context: Any, a: Any, b: Any) -> Any:
         return builder.select(builder.fcmp_ordered("<", *args, flags=flags), *args, flags=flags)
 
     return numba.float32(numba.float32, numba.float32), build
+
+
+minimum: Any = intrinsic(_minimum)  # Any: called in compiled code only, with a and b alone

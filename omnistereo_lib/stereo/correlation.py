@@ -16,7 +16,7 @@ from omnistereo_lib.stereo.learned import full_precision
 
 CHANNELS, GROUPS = 32, 8
 LEAST = 160, 32  # columns and spheres of the volumes on which the shipped network was trained
-_CELLS = 1 << 14  # whose features are correlated at a time: so few that they stay in the cache of a core
+_CELLS = 1 << 14  # cells correlated at a time: so few that their features stay in the cache of a core
 
 
 def volume_sizes(grid: SphereGrid) -> list[tuple[int, int, int]]:
@@ -28,8 +28,12 @@ def volume_sizes(grid: SphereGrid) -> list[tuple[int, int, int]]:
     """
     coarser, deeper = 2 * max(1, round(grid.width / 640)), 2 * max(1, round(grid.num_spheres / 96))
     fine = max(grid.width / coarser, LEAST[0]), max(grid.num_spheres / deeper, LEAST[1])
-    sizes = ((width, grid.height * width / grid.width, spheres) for width, spheres in (LEAST, fine))
-    return list(dict.fromkeys(tuple(8 * math.ceil(side / 8) for side in size) for size in sizes))
+
+    def size_of(width: float, spheres: float) -> tuple[int, int, int]:
+        height = grid.height * width / grid.width
+        return 8 * math.ceil(width / 8), 8 * math.ceil(height / 8), 8 * math.ceil(spheres / 8)
+
+    return list(dict.fromkeys([size_of(*LEAST), size_of(*fine)]))
 
 
 def pixels_per_degree(size: tuple[int, int, int]) -> float:
@@ -144,11 +148,12 @@ def correlate(features: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tens
     Returns:
         tensor, shape (9, W, H, N): Eight correlations, 0 where k < 2, and k / 4.
     """
-    shape = coordinates[0].shape[:3]
+    shape = coordinates[0].shape[:3]  # W, H, N
     tables = [maps.permute(1, 2, 0).reshape(-1, CHANNELS) for maps in features]
     columns = max(1, _CELLS // shape[1:].numel())
     split = zip(*(uv.split(columns) for uv in coordinates), strict=True)
-    parts = ([bilinear(uv, maps.shape[:0:-1]) for uv, maps in zip(uvs, features, strict=True)] for uvs in split)
-    k = sum((~uv[..., 0].isnan()).flatten().float() for uv in coordinates)[:, None]
+    sizes = [(maps.shape[2], maps.shape[1]) for maps in features]
+    parts = ([bilinear(uv, size) for uv, size in zip(uvs, sizes, strict=True)] for uvs in split)
+    k = torch.stack([(~uv[..., 0].isnan()).flatten() for uv in coordinates], -1).float().sum(-1, keepdim=True)
     products = _PairProducts.apply(parts, *tables)
     return torch.cat([products / (k * (k - 1)).clamp(min=1), k / 4], 1).view(*shape, -1).permute(3, 0, 1, 2)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,7 +18,7 @@ from omnistereo_lib.stereo.threads import map_threads
 from omnistereo_lib.stereo.volume import as_volume
 from omnistereo_lib.stereo.zncc import ZNCC
 
-_CELLS = 1 << 19  # of a cost volume at a time, 2 MB in float32, by one thread
+_CELLS = 1 << 19  # cells of the volume that a thread reads at a time: 2 MB in float32
 
 
 def winner_takes_all(volume: ArrayLike | Tensor, subindex: bool = False) -> Tensor:
@@ -62,8 +63,8 @@ def confidence(volume: ArrayLike | Tensor) -> Tensor:
 def index_and_confidence(volume: ArrayLike | Tensor, subindex: bool = False) -> tuple[Tensor, Tensor]:
     """Return what `winner_takes_all` and `confidence` do, in one pass over the volume, some rows at a time."""
 
-    def read_out(rows: Tensor) -> Tensor:
-        first, second, winner = _two_lowest(rows)
+    def read_out(rows: Tensor) -> Tensor:  # (h, W, N) → (2, h, W)
+        first, second, winner = _two_lowest(rows)  # (h, W) each
         index = winner.float()
         if subindex:
             last = rows.shape[-1] - 1
@@ -75,18 +76,19 @@ def index_and_confidence(volume: ArrayLike | Tensor, subindex: bool = False) -> 
         ratio = torch.where(second > 0, 1 - first / second, 0.0)
         return torch.where(first.isinf(), torch.nan, torch.stack([index, ratio]))
 
-    volume = as_volume(volume)
+    volume = as_volume(volume)  # (H, W, N)
     rows = max(1, _CELLS // volume[0].numel())
     parts = map_threads(lambda part: read_out(part.float()), volume.split(rows))
-    return tuple(torch.cat(list(parts), 1))
+    index, ratio = torch.cat(list(parts), 1)  # (H, W) each
+    return index, ratio
 
 
 def _two_lowest(volume: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return the costs (H, W) of n* and of the best sphere that is not n* or next to it, infinite if none, and n*."""
     if volume.device.type == "cpu":
-        costs, winner = np.empty((2, *volume.shape[:2]), np.float32), np.empty(volume.shape[:2], np.int64)
-        _find_two_lowest(volume.contiguous().numpy(), costs, winner)
-        return *torch.from_numpy(costs), torch.from_numpy(winner)
+        costs, best = np.empty((2, *volume.shape[:2]), np.float32), np.empty(volume.shape[:2], np.int64)
+        _find_two_lowest(volume.contiguous().numpy(), costs, best)
+        return torch.from_numpy(costs[0]), torch.from_numpy(costs[1]), torch.from_numpy(best)
     filled = torch.where(volume.isnan(), torch.inf, volume)
     first, winner = filled.min(-1)
     nearby = torch.stack([winner - 1, winner, winner + 1], -1).clamp(0, volume.shape[-1] - 1)
@@ -94,7 +96,7 @@ def _two_lowest(volume: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 @compiled(nogil=True)
-def _find_two_lowest(volume: NDArray, costs: NDArray, winner: NDArray) -> None:
+def _find_two_lowest(volume: NDArray[Any], costs: NDArray[Any], winner: NDArray[Any]) -> None:
     """Write what `_two_lowest` returns to costs (2, H, W) and winner (H, W), one ray at a time."""
     H, W, N = volume.shape
     infinity = np.float32(np.inf)
@@ -183,7 +185,7 @@ class Depth:
         samples = np.stack(self.sweep.warp(gray, self.index))
         angles = np.stack([self.sweep.off_axis_angles(camera, self.index) for camera in range(len(gray))])
         best = np.argsort(np.where(np.isnan(samples), np.inf, angles), axis=0)[:2]
-        best.sort(axis=0)  # by number, or a window would mix the two where the nearer one changes
+        best.sort(axis=0)  # camera order, or a window would mix the two where the nearer one changes
         two = torch.from_numpy(np.take_along_axis(samples, best, axis=0))
         return 1 - 2 * ZNCC()(two[:, None], [(0, 1)])[..., 0].numpy()
 

@@ -58,14 +58,9 @@ def full_precision(x: Tensor) -> torch.autocast:
 class PairNetwork(StoredNetwork):
     """A network that maps two spherical images to a cost map; see `SweepNet` and `MCCNN`.
 
-    Its `forward` is composed of
-
-    - `extract_features`: padded images, 0 where unseen → features (B, C, h, w),
-    - `match_features`: the features of two images → K numbers per pixel, (B, H, columns, K),
-    - `score_pixels`: (…, K) → scores (…), and `to_cost`: scores → costs in [0, 1],
-
-    which know nothing of the panorama around what they are given. Strips of columns can therefore run by themselves,
-    if they carry a halo that is cut off afterwards:
+    Its `forward` is composed of `extract_features`, `match_features`, `score_pixels` and `to_cost`, which know nothing
+    of the panorama around what they are given. Strips of columns can therefore run by themselves, if they carry a halo
+    that is cut off afterwards:
 
         | halo |  columns start … stop - 1  | halo |
 
@@ -74,7 +69,7 @@ class PairNetwork(StoredNetwork):
     stride: ClassVar[int] = 1  # columns of the panorama per column of features
     padding: ClassVar[tuple[int, int]]  # px, rows (of 0) and columns that `extract_features` takes off each side
     feature_halo: ClassVar[int] = 0  # columns of features at each side that `extract_features` gets wrong
-    match_halo: ClassVar[int] = 0  # and `match_features`
+    match_halo: ClassVar[int] = 0  # columns of features at each side that `match_features` gets wrong
     wrap: bool = True  # whether every layer continues around the ±180° seam
 
     def volume(
@@ -82,6 +77,21 @@ class PairNetwork(StoredNetwork):
     ) -> Tensor:
         """Return the cost volume, as `LearnedCost` computes it; see `Cost`."""
         return LearnedCost(self).volume(sweep, images, pairs, progress)
+
+    def check_size(self, H: int, W: int) -> None:
+        """Refuse panoramas that the network cannot take."""
+
+    def extract_features(self, images: Tensor) -> Tensor:
+        """Return the features (B, C, h, w) of padded images, 0 where unseen."""
+        raise NotImplementedError
+
+    def match_features(self, left: Tensor, right: Tensor) -> Tensor:
+        """Return K numbers per pixel, (B, H, columns, K), of the features of two images."""
+        raise NotImplementedError
+
+    def score_pixels(self, pixels: Tensor) -> Tensor:
+        """Return the scores (…) of pixels (…, K)."""
+        raise NotImplementedError
 
     def to_cost(self, score: Tensor) -> Tensor:
         """Return the cost in [0, 1] of a score, here the logit of a mismatch."""
@@ -154,7 +164,8 @@ class LearnedCost(BlockCost):
         if not isinstance(network, PairNetwork):
             raise OmnistereoError(f"network is {shortened(network)}; expected PairNetwork")
         uses_bfloat16(precision, "cpu")
-        self.network = network.eval().to(memory_format=torch.channels_last)
+        self.network = network.eval()
+        self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # torch's hints lack it
         self.precision = precision
 
     def volume(
@@ -187,10 +198,17 @@ class LearnedCost(BlockCost):
                 self._add_costs(spherical_images[:, block], pairs, columns, total[block], count[block])
         return (total / count).permute(1, 2, 0)  # 0/0 = NaN where no pair sees the ray
 
-    def _add_costs(self, images: Tensor, pairs: Sequence, columns: Sequence, total: Tensor, count: Tensor) -> None:
+    def _add_costs(
+        self,
+        images: Tensor,
+        pairs: Sequence[Pair],
+        columns: Sequence[tuple[int, int]],
+        total: Tensor,
+        count: Tensor,
+    ) -> None:
         """Add the costs and the visibility of all pairs to total and count (B, H, W)."""
         network, W, device = self.network, images.shape[-1], images.device
-        cameras = {i for pair in pairs for i in pair if columns[i][1]}  # that see something
+        cameras = {i for pair in pairs for i in pair if columns[i][1]}  # without those that see nothing
         features = {i: network.extract_columns(images[i], columns[i]) for i in cameras}
         chunk = 1 << 11 if device.type == "cpu" else 1 << 19  # pixels; as for the spheres
         for i, j in pairs:

@@ -32,6 +32,8 @@ class MCCNN(PairNetwork):
     """
 
     padding = (PATCH // 2, PATCH // 2)
+    tower: Any  # ModuleList; torch does not type its entries
+    head: Any
 
     def __init__(self, variant: Variant = "fast") -> None:
         super().__init__()

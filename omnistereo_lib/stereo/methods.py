@@ -148,7 +148,8 @@ class Method:
                 values[key] = {"true": True, "false": False}[value] if kind is bool else kind(value)
             except (ValueError, KeyError):
                 raise OmnistereoError(f"{name}: {key} must be of type {kind.__name__}, got {value!r}") from None
-        return cls(cost=cost, aggregate=aggregate or "none", **values)
+        values |= {"cost": cost, "aggregate": aggregate or "none"}
+        return cls(**values)
 
     @property
     def name(self) -> str:

@@ -29,6 +29,7 @@ from collections.abc import Iterator
 from importlib.util import find_spec
 from itertools import pairwise
 from numbers import Real
+from typing import Any
 
 import numpy as np
 import torch
@@ -45,6 +46,7 @@ from omnistereo_lib.stereo.volume import as_volume
 MAX_LAPS = 64
 INFINITY = np.float32(np.inf)
 _STRIP = 128  # columns
+_Tile = tuple[bool, int, int, int, int, int]  # up, top, bottom, first, last, slope
 
 
 def sgm(volume: Tensor | np.ndarray, p1: float = 0.1, p2: float = 12.0, paths: int = 8, wrap: bool = True) -> Tensor:
@@ -97,7 +99,7 @@ def sgm(volume: Tensor | np.ndarray, p1: float = 0.1, p2: float = 12.0, paths: i
 # ---- CPU: one pixel at a time; the compiler vectorises the loops over n.
 
 
-def _sgm_numba(cost: NDArray, p1: float, p2: float, diagonals: bool, wrap: bool) -> tuple[Tensor, bool]:
+def _sgm_numba(cost: NDArray[Any], p1: float, p2: float, diagonals: bool, wrap: bool) -> tuple[Tensor, bool]:
     """Return S, and whether a cost is infinite."""
     H, W, N = cost.shape
     total = np.empty_like(cost)  # NumPy asks for huge pages, torch does not
@@ -109,7 +111,7 @@ def _sgm_numba(cost: NDArray, p1: float, p2: float, diagonals: bool, wrap: bool)
 
     infinite = any(list(map_threads(rows, range(0, H, 4))))
 
-    def advance(tile: tuple) -> None:
+    def advance(tile: _Tile) -> None:
         _advance(cost, fill, total, messages, tile, diagonals, wrap, p1, p2)
 
     for tiles in _tiles(H, W):
@@ -117,8 +119,8 @@ def _sgm_numba(cost: NDArray, p1: float, p2: float, diagonals: bool, wrap: bool)
     return torch.from_numpy(total), infinite
 
 
-def _tiles(H: int, W: int) -> Iterator[list[tuple]]:
-    """Yield lists of tiles that can run at the same time, each (up, top, bottom, first, last, slope)."""
+def _tiles(H: int, W: int) -> Iterator[list[_Tile]]:
+    """Yield lists of tiles that can run at the same time."""
     strips = max(1, W // _STRIP)
     columns = [W * i // strips for i in range(strips + 1)]
     depth = max(1, W // strips // 2)  # rows until a trapezoid that narrows on both sides ends
@@ -130,7 +132,7 @@ def _tiles(H: int, W: int) -> Iterator[list[tuple]]:
 
 
 @njit
-def _fill_value(cost: NDArray) -> float:
+def _fill_value(cost: NDArray[Any]) -> np.float32:
     """Return the data term of the unknown cells of a ray: the mean of its known costs, not finite if one is not."""
     regular = True
     for n in range(cost.size):
@@ -146,7 +148,7 @@ def _fill_value(cost: NDArray) -> float:
 
 
 @njit
-def _add_cost(cost: NDArray, fill: float, message: NDArray, path: NDArray) -> float:
+def _add_cost(cost: NDArray[Any], fill: float, message: NDArray[Any], path: NDArray[Any]) -> np.float32:
     """Extend a path by one pixel, L = C + M; return the lowest L. path is (N + 2,), its ends stay infinite."""
     lowest = INFINITY
     for n in range(cost.size):
@@ -157,7 +159,7 @@ def _add_cost(cost: NDArray, fill: float, message: NDArray, path: NDArray) -> fl
 
 
 @njit
-def _update_message(path: NDArray, lowest: float, p1: float, p2: float, message: NDArray) -> None:
+def _update_message(path: NDArray[Any], lowest: float, p1: float, p2: float, message: NDArray[Any]) -> None:
     """Write the message M to the next pixel of the path."""
     jump = lowest + p2
     for n in range(message.size):
@@ -166,7 +168,7 @@ def _update_message(path: NDArray, lowest: float, p1: float, p2: float, message:
 
 
 @njit
-def _copy_if_changed(path: NDArray, path_costs: NDArray) -> bool:
+def _copy_if_changed(path: NDArray[Any], path_costs: NDArray[Any]) -> bool:
     """Copy path to path_costs; return whether a value changed."""
     changed = False
     for n in range(path_costs.size):
@@ -177,7 +179,7 @@ def _copy_if_changed(path: NDArray, path_costs: NDArray) -> bool:
 
 @njit
 def _scan_row(
-    cost: NDArray, fill: NDArray, path_costs: NDArray, leftward: bool, wrap: bool, p1: float, p2: float
+    cost: NDArray[Any], fill: NDArray[Any], path_costs: NDArray[Any], leftward: bool, wrap: bool, p1: float, p2: float
 ) -> None:
     """Write the L of one path along one row to path_costs (W, N), in laps until nothing changes."""
     W, N = cost.shape
@@ -193,18 +195,19 @@ def _scan_row(
 
 
 @compiled(nogil=True)
-def _scan_rows(cost: NDArray, fill: NDArray, total: NDArray, wrap: bool, p1: float, p2: float) -> bool:
+def _scan_rows(cost: NDArray[Any], fill: NDArray[Any], total: NDArray[Any], wrap: bool, p1: float, p2: float) -> bool:
     """Write the sum of the two paths along rows to total, and fill; return whether a cost is infinite."""
+    H, W, N = cost.shape
     infinite = False
-    leftward = np.empty(cost.shape[1:], np.float32)
-    for y in range(len(cost)):
-        for x in range(len(leftward)):
+    leftward = np.empty((W, N), np.float32)
+    for y in range(H):
+        for x in range(W):
             fill[y, x] = _fill_value(cost[y, x])
             infinite |= not abs(fill[y, x]) < INFINITY
         _scan_row(cost[y], fill[y], total[y], False, wrap, p1, p2)
         _scan_row(cost[y], fill[y], leftward, True, wrap, p1, p2)
-        for x in range(len(leftward)):
-            for n in range(leftward.shape[1]):
+        for x in range(W):
+            for n in range(N):
                 c = cost[y, x, n]
                 total[y, x, n] += leftward[x, n] + (c - c)  # NaN where C is, which stays
     return infinite
@@ -212,11 +215,11 @@ def _scan_rows(cost: NDArray, fill: NDArray, total: NDArray, wrap: bool, p1: flo
 
 @compiled(nogil=True)
 def _advance(
-    cost: NDArray,
-    fill: NDArray,
-    total: NDArray,
-    messages: NDArray,
-    tile: tuple,
+    cost: NDArray[Any],
+    fill: NDArray[Any],
+    total: NDArray[Any],
+    messages: NDArray[Any],
+    tile: _Tile,
     diagonals: bool,
     wrap: bool,
     p1: float,
@@ -244,7 +247,7 @@ def _advance(
 
 
 @njit
-def _add_paths(paths: NDArray, total: NDArray) -> None:
+def _add_paths(paths: NDArray[Any], total: NDArray[Any]) -> None:
     for n in range(total.size):
         total[n] += paths[0, n + 1] + paths[1, n + 1] + paths[2, n + 1]
 

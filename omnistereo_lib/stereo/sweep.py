@@ -34,6 +34,7 @@ _LUT_LOCK = Lock()  # one build at a time: it takes all cores and much memory
 # columns · block, 2)): the pixels of one ray on neighbouring spheres are close together in the image, so they follow
 # each other. Only the visible columns are stored: in one part, or in two if they cross the ±180° seam.
 _LookupTable = list[tuple[int, NDArray[np.float32]]]
+_Blurring = tuple[float, NDArray[np.float32], NDArray[np.float32]]  # σ of `blur_px`, the mask, the mask blurred
 _Kept = TypeVar("_Kept")
 
 
@@ -165,8 +166,8 @@ class SphereSweep:
         return warped
 
     @cached_property
-    def _blurs(self) -> list[tuple[float, NDArray[np.float32], NDArray[np.float32]]]:
-        """For each camera σ of `blur_px`, its mask, and that blurred by it."""
+    def _blurs(self) -> list[_Blurring]:
+        """What `normalize_images` needs of each camera."""
         spacing = 360 / self.grid.width
         sigmas = [blur_px(camera.pixels_per_degree * spacing) for camera in self.rig.cameras]
         masks = [mask.astype(np.float32) for mask in self._image_masks]
@@ -188,10 +189,10 @@ class SphereSweep:
             OmnistereoError: If there is not one image per camera, or one has the wrong size or is not finite.
         """
 
-        def normalize(image: NDArray, mask: NDArray, blurring: tuple) -> Tensor:
+        def normalize(image: NDArray[Any], mask: NDArray[np.uint8], blurring: _Blurring) -> Tensor:
             sigma, inside, weight = blurring
             gray = to_gray(image)
-            if sigma:  # over the image circle alone: the black around it stays out
+            if sigma:  # within the image circle: the black around it stays out
                 gray = blur(gray * inside, sigma)
                 gray /= weight
             mean, deviation = (float(moment[0, 0]) for moment in cv2.meanStdDev(gray, mask=mask))
@@ -269,7 +270,8 @@ class SphereSweep:
 
         with ThreadPoolExecutor(torch.get_num_threads()) as pool:  # more would wait for the interpreter lock
             list(pool.map(fill, range(len(spheres))))
-        start, width = _circular_span((maps[..., 0] > OUTSIDE).any((0, 2)))
+        visible: NDArray[np.bool_] = np.any(maps[..., 0] > OUTSIDE, axis=(0, 2))
+        start, width = _circular_span(visible)
         self._spans[camera, spheres.start] = start, width
         return [(a, np.ascontiguousarray(maps[:, a:b]).reshape(H, -1, 2)) for a, b in split_at_seam(start, width, W)]
 
@@ -284,7 +286,7 @@ class SphereSweep:
         return on_device
 
 
-def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray]:
+def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray[Any]]:
     """Return the images as arrays, checked against the cameras of the rig.
 
     Raises:
@@ -293,9 +295,9 @@ def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray]:
     """
     if not isinstance(images, Sized):  # arrays and tensors are sequences, too
         raise OmnistereoError(f"images is {shortened(images)}; expected one array per camera")
-    images = [np.asarray(image.detach().cpu() if isinstance(image, Tensor) else image) for image in images]
-    images = [image.astype(image.dtype.newbyteorder("="), copy=False) for image in images]
-    for i, (image, (width, height)) in enumerate(zip(images, rig.image_sizes(len(images)), strict=True)):
+    arrays = [np.asarray(image.detach().cpu() if isinstance(image, Tensor) else image) for image in images]
+    arrays = [image.astype(image.dtype.newbyteorder("="), copy=False) for image in arrays]
+    for i, (image, (width, height)) in enumerate(zip(arrays, rig.image_sizes(len(arrays)), strict=True)):
         if image.shape not in [(height, width), (height, width, 3)]:
             raise OmnistereoError(
                 f"image {i + 1} has shape {image.shape}; camera {i + 1} expects ({height}, {width}) or "
@@ -305,15 +307,15 @@ def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray]:
             raise OmnistereoError(f"image {i + 1} has type {image.dtype}; expected uint8 or float")
         if image.dtype != np.uint8 and not np.isfinite(image).all():
             raise OmnistereoError(f"image {i + 1} has NaN or infinite values; expected finite gray values")
-    if len({image.ndim for image in images}) > 1:  # gray and colour: all in colour
-        images = [np.repeat(image[..., None], 3, -1) if image.ndim == 2 else image for image in images]
-    return images
+    if len({image.ndim for image in arrays}) > 1:  # gray and colour: all in colour
+        arrays = [np.repeat(image[..., None], 3, -1) if image.ndim == 2 else image for image in arrays]
+    return arrays
 
 
-def to_gray(image: NDArray) -> NDArray[np.float32]:
+def to_gray(image: NDArray[Any]) -> NDArray[np.float32]:
     """Return an image (height, width) or RGB (height, width, 3) in gray, float32 (BT.601 luma)."""
     image = np.ascontiguousarray(image, np.float32)
-    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.float32)
 
 
 def blur_px(spacing: float) -> float:
@@ -326,10 +328,10 @@ def blur_px(spacing: float) -> float:
 
 def blur(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
     """Blur an image by a Gaussian; σ = 0 returns it as it is."""
-    return cv2.GaussianBlur(image, (0, 0), sigma) if sigma else image
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.float32) if sigma else image
 
 
-def reduce_images(rig: Rig, images: Sequence[ArrayLike], pixels_per_degree: float) -> tuple[Rig, list[NDArray]]:
+def reduce_images(rig: Rig, images: Sequence[ArrayLike], pixels_per_degree: float) -> tuple[Rig, list[NDArray[Any]]]:
     """Return cameras and images of about a resolution, if theirs is higher: pixels are averaged in whole blocks.
 
     Args:
@@ -367,10 +369,13 @@ def split_at_seam(start: int, width: int, total: int) -> list[tuple[int, int]]:
     return [(first, stop) for first, stop in ranges if stop > first]
 
 
-def remap(image: NDArray[np.float32], maps: NDArray[np.float32], out: NDArray[np.float32] | None = None) -> NDArray:
+def remap(
+    image: NDArray[np.float32], maps: NDArray[np.float32], out: NDArray[np.float32] | None = None
+) -> NDArray[Any]:
     """Sample an image bilinearly at maps (H, W, 2), NaN outside. OpenCV 5 does not round the coordinates."""
     nan = (np.nan,) * 4
-    return cv2.remap(image, maps, None, cv2.INTER_LINEAR, out, cv2.BORDER_CONSTANT, nan)
+    no_second: Any = None  # maps holds both coordinates; OpenCV's hints do not know that the second map may be None
+    return np.asarray(cv2.remap(image, maps, no_second, cv2.INTER_LINEAR, out, cv2.BORDER_CONSTANT, nan), np.float32)
 
 
 def _grid_sample(image: Tensor, maps: Tensor) -> Tensor:

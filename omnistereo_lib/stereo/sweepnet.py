@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import relu_
+from torch.nn.utils import fuse_conv_bn_weights
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.stereo.learned import PairNetwork, full_precision
@@ -29,17 +30,20 @@ class SweepNet(PairNetwork):
 
     bundled = "sweepnet"
     stride, padding, feature_halo, match_halo = 2, (0, 2), 17, 2
+    layers: Any  # ModuleDict; torch does not type its entries
+    norms: Any
 
     def __init__(self, batch_norm: bool = False, wrap: bool = True) -> None:
         super().__init__()
         self.wrap = wrap
-        self.layers = nn.ModuleDict({"conv1": nn.Conv2d(1, 32, 5, stride=2, padding=(2, 0))})
+        self.layers = nn.ModuleDict()
+        self.layers["conv1"] = nn.Conv2d(1, 32, 5, stride=2, padding=(2, 0))
         for k in range(2, 19):
             self.layers[f"conv{k}"] = nn.Conv2d(32, 32, 3, padding=1)
         self.layers["conv19"] = nn.Conv2d(64, 128, 3, padding=1)
         self.layers["deconv1"] = nn.ConvTranspose2d(128, 128, 3, stride=2, padding=1, output_padding=1)
         self.layers["conv20"] = nn.Conv2d(128, 128, 3, padding=1)
-        self.layers["fc1"] = nn.Linear(128, 256)  # 1 × 1 convolutions: matrix products on a list of pixels
+        self.layers["fc1"] = nn.Linear(128, 256)  # fc1 … fc5: 1 × 1 convolutions, as products on a list of pixels
         for k in (2, 3, 4):
             self.layers[f"fc{k}"] = nn.Linear(256, 256)
         self.layers["fc5"] = nn.Linear(256, 1)
@@ -117,11 +121,9 @@ class SweepNet(PairNetwork):
         for name, layer in self.layers.items():
             weight, bias = layer.weight, layer.bias
             if name in self.norms:
-                norm = self.norms[name]
-                scale = norm.weight / (norm.running_var + norm.eps).sqrt()
-                bias = norm.bias - norm.running_mean * scale
-                out = 1 if isinstance(layer, nn.ConvTranspose2d) else 0
-                weight = weight * scale.view([-1 if axis == out else 1 for axis in range(weight.ndim)])
+                norm, transposed = self.norms[name], isinstance(layer, nn.ConvTranspose2d)
+                statistics = norm.running_mean, norm.running_var, norm.eps, norm.weight, norm.bias
+                weight, bias = fuse_conv_bn_weights(weight, bias, *statistics, transposed)
             plain.layers[name].weight.copy_(weight)
             plain.layers[name].bias.copy_(bias)
-        return plain.to(weight.device).eval()
+        return plain.to(self.layers["fc5"].weight.device).eval()

@@ -1,14 +1,17 @@
-"""Threads that are kept from frame to frame: a small frame has no time to start them anew."""
+"""Threads that are kept from frame to frame: starting them costs more than a small frame."""
 
 import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from typing import Any, TypeVar
 
 import torch
 
+_Result = TypeVar("_Result")
 
-def map_threads(function: Callable, *arguments: Iterable) -> Iterator:
+
+def map_threads(function: Callable[..., _Result], *arguments: Iterable[Any]) -> Iterator[_Result]:
     """Yield what `map` does, computed in `torch.get_num_threads()` threads. The function must not call this itself."""
     return _pool(torch.get_num_threads()).map(function, *arguments)
 

@@ -41,6 +41,18 @@ WIDTHS = (16, 32, 48, 64)  # channels of the U-net's levels, each half as wide, 
 _RADIUS = 2  # spheres on either side of the most probable one that the read-out takes in
 
 
+class ResidualBlock(nn.Sequential):
+    """Two dilated 3 × 3 convolutions, whose output is added to their input."""
+
+    def __init__(self, *dilations: int) -> None:
+        super().__init__(*(nn.Conv2d(CHANNELS, CHANNELS, 3, padding=d, dilation=d) for d in dilations))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return the feature maps (B, 32, h, w) of feature maps."""
+        first, second = self
+        return relu(x + second(relu(first(x))))
+
+
 class FeatureNet(nn.Module):
     """Features of fisheye images, whose length says how much texture there is.
 
@@ -51,10 +63,7 @@ class FeatureNet(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.first = nn.Conv2d(1, CHANNELS, 5, stride=2, padding=2)
-        self.blocks = nn.ModuleList(
-            nn.ModuleList(nn.Conv2d(CHANNELS, CHANNELS, 3, padding=d, dilation=d) for d in dilations)
-            for dilations in ((1, 1), (1, 2), (4, 2))
-        )
+        self.blocks = nn.Sequential(ResidualBlock(1, 1), ResidualBlock(1, 2), ResidualBlock(4, 2))
         self.last = nn.Conv2d(CHANNELS, CHANNELS, 3, padding=1)
 
     def forward(self, image: Tensor, visible: Tensor) -> Tensor:
@@ -67,9 +76,7 @@ class FeatureNet(nn.Module):
         Returns:
             tensor, shape (32, ⌈h / 2⌉, ⌈w / 2⌉): Feature pixel (x, y) is centred on the image pixel (2x, 2y).
         """
-        x = relu(self.first(image[None, None]))
-        for first, second in self.blocks:
-            x = relu(x + second(relu(first(x))))
+        x = self.blocks(relu(self.first(image[None, None])))  # (1, 32, h / 2, w / 2)
         maps, visible = self.last(x)[0].float(), visible[::2, ::2]
         # Zero mean per channel and unit variance per group over the visible pixels.
         count = visible.sum().clamp(min=1)
@@ -101,6 +108,18 @@ def double(x: Tensor) -> Tensor:
     return interpolate(wrap(x), scale_factor=2, mode="trilinear", align_corners=False)[:, :, 2:-2]
 
 
+class Up(nn.ModuleList):
+    """A step up in the U-net: project to the channels of the finer level, double the size, add that level, filter."""
+
+    def __init__(self, finer: int, coarser: int) -> None:
+        super().__init__([nn.Conv3d(coarser, finer, 1), Conv3d(finer, finer)])
+
+    def forward(self, x: Tensor, level: Tensor) -> Tensor:
+        """Return the finer level (B, C, W, H, N), given the coarser one and what the way down left of the finer."""
+        project, merge = self
+        return merge(double(project(x)) + level)
+
+
 class VolumeNet(StoredNetwork):
     """Features, correlation and a 3-D U-net; see the head of the module. 518,305 parameters.
 
@@ -122,7 +141,7 @@ class VolumeNet(StoredNetwork):
         self.stem = nn.Sequential(Conv3d(GROUPS + 1, WIDTHS[0]), Conv3d(WIDTHS[0], WIDTHS[0]))
         steps = list(pairwise(WIDTHS))
         self.down = nn.ModuleList(nn.Sequential(Conv3d(a, b, stride=2), Conv3d(b, b)) for a, b in steps)
-        self.up = nn.ModuleList(nn.ModuleList([nn.Conv3d(b, a, 1), Conv3d(a, a)]) for a, b in steps)
+        self.up = nn.ModuleList(Up(a, b) for a, b in steps)
         self.head = nn.Conv3d(WIDTHS[0], 1, 3, padding=(0, 1, 1))
 
     def correlation(self, images: Sequence[Tensor], visible: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tensor:
@@ -136,8 +155,8 @@ class VolumeNet(StoredNetwork):
         for down in self.down:
             levels.append(down(levels[-1]))
         x = levels.pop()
-        for project, merge in reversed(self.up):
-            x = merge(double(project(x)) + levels.pop())
+        for up in reversed(self.up):
+            x = up(x, levels.pop())
         return self.head(wrap(x)).float()[:, 0]
 
     @torch.no_grad()
@@ -150,14 +169,14 @@ class VolumeNet(StoredNetwork):
         """
         grid, device, sizes = sweep.grid, sweep.device, volume_sizes(sweep.grid)
         self.eval().to(device)
-        *_, correlation = correlations = [self.correlation_at(sweep, images, size) for size in sizes]
+        correlations = [self.correlation_at(sweep, images, size) for size in sizes]  # (9, w, h, n) each
         with autocast(self.precision, device):
-            logits = [self(one[None]) / len(sizes) for one in correlations]
-        shared = (correlation[-1] > 0.3).any(-1).float()[None, None]  # k / 4 of two cameras is 0.5
-        hidden = interpolate(shared, grid.shape[::-1], mode="nearest")[0, 0].T == 0
+            logits = [self(one[None]) / len(sizes) for one in correlations]  # (1, w, h, n) each
+        shared = (correlations[-1][-1] > 0.3).any(-1).float()[None, None]  # k / 4 of two cameras is 0.5
+        hidden = interpolate(shared, grid.shape[::-1], mode="nearest")[0, 0].T == 0  # (H, W)
         volume = torch.empty(*grid.shape, grid.num_spheres, device=device)
         for columns in progress(torch.arange(grid.width, device=device).split(64)):
-            mean = sum(resize_logits(one, columns, grid)[0] for one in logits)
+            mean = torch.stack([resize_logits(one, columns, grid)[0] for one in logits]).sum(0)
             volume[:, columns] = (1 - mean.softmax(-1)).transpose(0, 1)
         return volume.masked_fill_(hidden[..., None], torch.nan)
 
@@ -199,8 +218,8 @@ def local_mean(volume: Tensor) -> tuple[Tensor, Tensor]:
     local soft-argmax: the mean over all spheres would lie between two surfaces at a depth discontinuity. The confidence
     is the probability that these five have together, in [0, 1]. NaN where the cost is NaN.
     """
-    best = volume.argmin(-1, keepdim=True)
-    near = best + torch.arange(-_RADIUS, _RADIUS + 1, device=volume.device)
+    best = volume.argmin(-1, keepdim=True)  # (H, W, 1)
+    near = best + torch.arange(-_RADIUS, _RADIUS + 1, device=volume.device)  # (H, W, 5)
     inside = (near >= 0) & (near < volume.shape[-1])
     mass = (1 - volume.gather(-1, near.clamp(0, volume.shape[-1] - 1))) * inside
     total = mass.sum(-1)

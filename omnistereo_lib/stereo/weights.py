@@ -89,7 +89,7 @@ def save_tensors(path: str | Path, tensors: Mapping[str, Tensor], metadata: Mapp
     _check_finite(path, tensors)
     content = save(tensors, {"about": json.dumps(metadata), "sha256": _checksum(tensors)})
     (length,) = struct.unpack("<Q", content[:8])
-    header = json.dumps(parse_json(content[8 : 8 + length], path), sort_keys=True).encode()  # not at random
+    header = json.dumps(parse_json(content[8 : 8 + length], path), sort_keys=True).encode()  # safetensors' order varies
     header += b" " * (-len(header) % 8)  # the tensors stay aligned
     with atomic_write(path) as temporary:
         temporary.write_bytes(struct.pack("<Q", len(header)) + header + content[8 + length :])
@@ -108,7 +108,7 @@ def load_tensors(path: str | Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     try:
         tensors = load(content)
         header = parse_json(content[8 : 8 + struct.unpack("<Q", content[:8])[0]], path).get("__metadata__") or {}
-    except Exception as error:  # of several types; those of the library say what is wrong as well
+    except Exception as error:  # safetensors and struct raise several types
         found = f"{path} is not a complete safetensors file: {str(error)[:300]}"
         raise OmnistereoError(f"{found}. Copy it again, or make it by training.") from None
     if not {"about", "sha256"} <= header.keys():

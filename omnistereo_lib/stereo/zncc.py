@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from numbers import Integral
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numba
 import numpy as np
@@ -19,7 +19,7 @@ from omnistereo_lib.stereo.cost import BlockCost
 
 _LANES = 16  # spheres side by side, as many as in a block of the sweep
 _PIECE = 64  # columns at a time: the sums over their windows stay in the cache
-_FLAT_VARIANCE = 1e-6  # of unit-variance images; flatter patches hold only the rounding of the interpolation
+_FLAT_VARIANCE = 1e-6  # images have variance 1; flatter patches hold only the rounding of the interpolation
 
 
 @dataclass(frozen=True)
@@ -61,8 +61,8 @@ class ZNCC(BlockCost):
             return _zncc_torch(spherical_images, pairs, self.window)
         columns = columns if columns is not None else [(0, W)] * len(spherical_images)
         strips = [(i, j, *strip) for i, j in pairs for strip in common_columns(columns[i], columns[j], W)]
-        pieces = [(i, j, s + k, min(_PIECE, width - k)) for i, j, s, width in strips for k in range(0, width, _PIECE)]
-        pieces = np.array(pieces, np.int64).reshape(-1, 4)
+        rows = [(i, j, s + k, min(_PIECE, width - k)) for i, j, s, width in strips for k in range(0, width, _PIECE)]
+        pieces = np.array(rows, np.int64).reshape(-1, 4)
         costs = []
         for images in spherical_images.permute(0, 2, 3, 1).split(_LANES, -1):
             B = images.shape[-1]
@@ -89,7 +89,7 @@ def common_columns(a: tuple[int, int], b: tuple[int, int], W: int) -> list[tuple
 
 
 @compiled(nogil=True, error_model="numpy")
-def _mean_costs(images: NDArray, pieces: NDArray, radius: int, cost: NDArray) -> None:
+def _mean_costs(images: NDArray[Any], pieces: NDArray[Any], radius: int, cost: NDArray[Any]) -> None:
     """Write the mean costs over the pairs to cost (H, W · lanes).
 
     Args:
@@ -106,7 +106,9 @@ def _mean_costs(images: NDArray, pieces: NDArray, radius: int, cost: NDArray) ->
 
 
 @numba.njit
-def _add_costs(a: NDArray, b: NDArray, start: int, width: int, radius: int, total: NDArray, count: NDArray) -> None:
+def _add_costs(
+    a: NDArray[Any], b: NDArray[Any], start: int, width: int, radius: int, total: NDArray[Any], count: NDArray[Any]
+) -> None:
     """Add the costs of the columns [start, start + width) of one pair to total and count (H, W · lanes).
 
     The sums over the rows of the window slide down the image, the sums over its columns then slide along the row. They
@@ -134,7 +136,7 @@ def _add_costs(a: NDArray, b: NDArray, start: int, width: int, radius: int, tota
 
 
 @numba.njit
-def _common_pixels(a: NDArray, b: NDArray, first: int, pixels: NDArray) -> None:
+def _common_pixels(a: NDArray[Any], b: NDArray[Any], first: int, pixels: NDArray[Any]) -> None:
     """Copy two rows of pixels, from `first` on around the seam, to pixels (3, padded): weight, a, b.
 
     The weight is 1 where both are visible; elsewhere all three are 0.
@@ -154,7 +156,7 @@ def _common_pixels(a: NDArray, b: NDArray, first: int, pixels: NDArray) -> None:
 
 
 @numba.njit
-def _slide(sums: NDArray, new: NDArray, old: NDArray) -> None:
+def _slide(sums: NDArray[Any], new: NDArray[Any], old: NDArray[Any]) -> None:
     """Add a row of pixels to the sums and remove another; a row holds weights, a and b, which are 0 or 1, 0, 0."""
     for q, i, j in ((0, 0, 0), (1, 0, 1), (2, 0, 2), (3, 1, 1), (4, 2, 2), (5, 1, 2)):
         total, p, r, p_old, r_old = sums[q], new[i], new[j], old[i], old[j]
@@ -163,7 +165,7 @@ def _slide(sums: NDArray, new: NDArray, old: NDArray) -> None:
 
 
 @numba.njit
-def _add_columns(sums: NDArray, window: int, box: NDArray) -> None:
+def _add_columns(sums: NDArray[Any], window: int, box: NDArray[Any]) -> None:
     """Write the sums over the columns of the window to box."""
     box[:_LANES] = 0
     for x in range(window):
@@ -176,7 +178,7 @@ def _add_columns(sums: NDArray, window: int, box: NDArray) -> None:
 
 
 @numba.njit(error_model="numpy")
-def _correlate(box: NDArray, weight: NDArray, pair: NDArray) -> None:
+def _correlate(box: NDArray[Any], weight: NDArray[Any], pair: NDArray[Any]) -> None:
     """Compute weight and weighted cost (1 - ZNCC)/2 from box sums; 0.5 where a patch is flat (paper, Section IV)."""
     half, one = np.float32(0.5), np.float32(1)
     for t in range(box.shape[1]):
@@ -191,7 +193,7 @@ def _correlate(box: NDArray, weight: NDArray, pair: NDArray) -> None:
 
 
 @numba.njit
-def _add_wrapped(values: NDArray, first: int, row: NDArray) -> None:
+def _add_wrapped(values: NDArray[Any], first: int, row: NDArray[Any]) -> None:
     """Add values to a row, from `first` on around the seam."""
     n = min(len(row) - first, len(values))
     target, start = row[first : first + n], values[n:]

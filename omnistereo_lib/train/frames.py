@@ -4,6 +4,7 @@ import hashlib
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -68,7 +69,7 @@ class SweptFrames(TrainingFrames):
         super().__init__(recipe, data)
         # Four rigs: that of the streets is seldom the one to go, and those of the worlds do not come again soon.
         self._sweep_of = lru_cache(4)(lambda rig: SphereSweep(rig, self.grid_of(rig.min_depth), device=device))
-        self._gt_index: dict[Path, NDArray] = {}  # lights of one drive share the file
+        self._gt_index: dict[Path, NDArray[Any]] = {}  # lights of one drive share the file
         self.use(self.training[0])
 
     def use(self, frame: Frame) -> NDArray[np.float32]:
@@ -90,12 +91,12 @@ class SweptFrames(TrainingFrames):
         return [image * float(np.exp(rng.uniform(-0.2, 0.2))) + rng.uniform(-0.2, 0.2) for image in normalized]
 
 
-def sample_true_indices(mask: NDArray, count: int, rng: np.random.Generator) -> NDArray:
+def sample_true_indices(mask: NDArray[Any], count: int, rng: np.random.Generator) -> NDArray[Any]:
     """Return flat indices of at most `count` true cells of a mask, drawn at random."""
     cells = np.flatnonzero(mask)
     return cells if len(cells) <= count else rng.choice(cells, count, replace=False)
 
 
-def to_device(values: NDArray, device: torch.device) -> Tensor:
+def to_device(values: NDArray[Any], device: torch.device) -> Tensor:
     """Copy an array to a device."""
     return torch.from_numpy(np.ascontiguousarray(values)).to(device)

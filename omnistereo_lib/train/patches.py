@@ -1,6 +1,7 @@
 """Samples and losses of MC-CNN: pairs of 9 × 9 patches that do or do not show the same point."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -65,8 +66,8 @@ class PatchSamples(SweptFrames):
         return PatchBatch(to_device(left, self.device), to_device(right, self.device))
 
     def draw_rays(
-        self, index: NDArray, i: int, j: int, count: int, rng: np.random.Generator
-    ) -> tuple[NDArray, NDArray, NDArray]:
+        self, index: NDArray[Any], i: int, j: int, count: int, rng: np.random.Generator
+    ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         """Draw rays that cameras i and j both see, and spheres on which they show the same point and another.
 
         Distances are in pixels between the two cameras' views of the point.
@@ -96,8 +97,8 @@ class PatchSamples(SweptFrames):
         return np.stack([rows, columns], -1)[chosen], (gt_index + off).clip(0, last)[chosen], other[chosen]
 
     def pair_shift_px(
-        self, i: int, j: int, rows: NDArray, columns: NDArray, gt_index: NDArray, away: ArrayLike
-    ) -> NDArray:
+        self, i: int, j: int, rows: NDArray[Any], columns: NDArray[Any], gt_index: NDArray[Any], away: ArrayLike
+    ) -> NDArray[Any]:
         """Return how far apart, in pixels, two cameras show a point on a sphere `away` spheres off its own.
 
         On its own sphere they show it at the same place. `away` = 1 gives pixels per sphere.
@@ -107,7 +108,9 @@ class PatchSamples(SweptFrames):
         shift, W = left - right, self.grid.width
         return np.hypot((shift[..., 0] + W / 2) % W - W / 2, shift[..., 1])
 
-    def _apparent_direction(self, camera: int, rays: NDArray, gt_index: NDArray, sweep_index: NDArray) -> NDArray:
+    def _apparent_direction(
+        self, camera: int, rays: NDArray[Any], gt_index: NDArray[Any], sweep_index: NDArray[Any]
+    ) -> NDArray[Any]:
         """Return the direction (K, 3) at which the panorama of a camera on sphere `sweep_index` shows a scene point.
 
         It is where the line of sight from the camera centre c, direction u, meets the sphere: |d c + s u| = 1.
@@ -119,14 +122,16 @@ class PatchSamples(SweptFrames):
         along = (start * sight).sum(-1, keepdims=True)
         return start + sight * (np.sqrt(along**2 + 1 - (start**2).sum(-1, keepdims=True)) - along)
 
-    def _inverse(self, index: NDArray) -> NDArray:
+    def _inverse(self, index: NDArray[Any]) -> NDArray[Any]:
         return self.grid.index_to_inverse_depth(index)[:, None]
 
-    def sees(self, camera: int, rows: NDArray, columns: NDArray, index: NDArray) -> NDArray:
+    def sees(self, camera: int, rows: NDArray[Any], columns: NDArray[Any], index: NDArray[Any]) -> NDArray[Any]:
         """Return whether rays at given spheres lie in the field of view of a camera."""
         return self._project(camera, self.rays[rows, columns], self._inverse(index))[1]
 
-    def _occluded(self, camera: int, index: NDArray, rows: NDArray, columns: NDArray, gt_index: NDArray) -> NDArray:
+    def _occluded(
+        self, camera: int, index: NDArray[Any], rows: NDArray[Any], columns: NDArray[Any], gt_index: NDArray[Any]
+    ) -> NDArray[Any]:
         """Return whether something is between a camera and the points of rays, by the ground truth from the centre."""
         center = self.sweep.rig.T_rig_cam[camera].t
         points = self.rays[rows, columns] / np.maximum(self._inverse(gt_index), 1e-6)
@@ -140,7 +145,7 @@ class PatchSamples(SweptFrames):
             occluded |= inside & (nearest > here + 1)  # one sphere of slack for slanted surfaces
         return occluded
 
-    def patches(self, image: NDArray, camera: int, pixel: NDArray, index: NDArray) -> NDArray:
+    def patches(self, image: NDArray[Any], camera: int, pixel: NDArray[Any], index: NDArray[Any]) -> NDArray[Any]:
         """Cut patches (K, 9, 9) around pixels (K, 2) out of the panoramas of one camera on spheres `index` (K,).
 
         As in `MCCNN`, they are 0 where the camera does not see and above and below the panorama.
@@ -154,7 +159,7 @@ class PatchSamples(SweptFrames):
         maps = np.where(valid[..., None], uv, OUTSIDE).astype(np.float32)
         return np.nan_to_num(remap(image, maps.reshape(-1, PATCH, 2))).reshape(-1, PATCH, PATCH)
 
-    def _project(self, camera: int, rays: NDArray, inverse: NDArray) -> tuple[NDArray, NDArray]:
+    def _project(self, camera: int, rays: NDArray[Any], inverse: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
         T_cam_rig = self.sweep.rig.T_rig_cam[camera].inverse()
         points = rays @ T_cam_rig.R.T + np.maximum(inverse, 2.0**-23) * T_cam_rig.t
         return self.sweep.rig.cameras[camera].project(points)

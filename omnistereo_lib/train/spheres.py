@@ -1,6 +1,7 @@
 """Samples and loss of SweepNet: labelled rays on whole spheres (paper, Section III-C and IV)."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -78,8 +79,8 @@ class SphereSamples(SweptFrames):
         )
 
     def _augment_rotation(
-        self, images: Tensor, gt_sphere: NDArray, columns: Columns, rng: np.random.Generator
-    ) -> tuple[Tensor, NDArray, Columns]:
+        self, images: Tensor, gt_sphere: NDArray[Any], columns: Columns, rng: np.random.Generator
+    ) -> tuple[Tensor, NDArray[Any], Columns]:
         """Rotate the panorama by any number of columns, and flip it or not."""
         W = self.grid.width
         shift, flip = int(rng.integers(W)), bool(rng.integers(2))
@@ -90,7 +91,7 @@ class SphereSamples(SweptFrames):
             columns = [(-(start + width) % W, width) for start, width in columns]
         return images, gt_sphere, columns
 
-    def _draw_spheres(self, index: NDArray, frame: Frame, rng: np.random.Generator) -> tuple[range, NDArray]:
+    def _draw_spheres(self, index: NDArray[Any], frame: Frame, rng: np.random.Generator) -> tuple[range, NDArray[Any]]:
         """Draw spheres of one block: all with enough positives about equally often, and sometimes others."""
         N = self.grid.num_spheres
         inside = index[(index > -0.5) & (index < N - 0.5)]
@@ -110,9 +111,9 @@ class SphereSamples(SweptFrames):
 
     def _strips(
         self,
-        visible: NDArray,
-        positive: NDArray,
-        known: NDArray,
+        visible: NDArray[Any],
+        positive: NDArray[Any],
+        known: NDArray[Any],
         columns: Columns,
         pairs: list,
         rng: np.random.Generator,
@@ -133,7 +134,9 @@ class SphereSamples(SweptFrames):
                     strips.append(Strip(i, j, start, stop, *tensors))
         return strips
 
-    def _draw_labels(self, common: NDArray, positive: NDArray, rng: np.random.Generator) -> tuple[NDArray, NDArray]:
+    def _draw_labels(
+        self, common: NDArray[Any], positive: NDArray[Any], rng: np.random.Generator
+    ) -> tuple[NDArray[Any], NDArray[Any]]:
         """Draw, on every sphere, positives and some negatives for each; return a mask, and the labels in it."""
         labelled = np.zeros(common.shape, bool)
         for k in range(len(common)):

@@ -1,6 +1,7 @@
 """Samples and loss of VolumeNet: whole frames, each on a grid of its own."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -48,7 +49,7 @@ class VolumeSamples(TrainingFrames):
         others = [pool[k] for k in rng.integers(len(pool), size=self.recipe.batch_frames - 1)]
         return [self._sample(one, rng if augment else None) for one in (frame, *others)]
 
-    def view(self, rng: np.random.Generator | None) -> tuple[NDArray, float]:
+    def view(self, rng: np.random.Generator | None) -> tuple[NDArray[Any], float]:
         """Draw the rotation of a grid, any way about the vertical and tilted by ±10°, and the scale of its depths."""
         if rng is None:
             return np.eye(3), 1.0
