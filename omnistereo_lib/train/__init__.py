@@ -3,6 +3,4 @@
 from omnistereo_lib.train.loop import train
 from omnistereo_lib.train.recipes import RECIPES, MCCNNRecipe, Recipe, SweepNetRecipe, VolumeNetRecipe
 
-__all__ = [
-    "RECIPES", "MCCNNRecipe", "Recipe", "SweepNetRecipe", "VolumeNetRecipe", "train",
-]  # fmt: skip
+__all__ = ["RECIPES", "MCCNNRecipe", "Recipe", "SweepNetRecipe", "VolumeNetRecipe", "train"]

@@ -116,11 +116,12 @@ class _Run:
             self.init_sha256 = hashlib.sha256(read_bytes(init)).hexdigest()
         self.objective = self.samples.objective
         self.parallel = DistributedDataParallel(self.objective, broadcast_buffers=False) if self.world > 1 else None
-        settings = {"lr": recipe.learning_rate, "weight_decay": recipe.weight_decay}
-        if recipe.optimizer == "adamw":
-            self.optimizer = torch.optim.AdamW(self.network.parameters(), **settings)
-        else:
-            self.optimizer = torch.optim.SGD(self.network.parameters(), momentum=recipe.momentum, **settings)
+        settings: dict[str, Any] = {"lr": recipe.learning_rate, "weight_decay": recipe.weight_decay}
+        self.optimizer: torch.optim.Optimizer = (
+            torch.optim.AdamW(self.network.parameters(), **settings)
+            if recipe.optimizer == "adamw"
+            else torch.optim.SGD(self.network.parameters(), momentum=recipe.momentum, **settings)
+        )
 
     def micro_batch(self, purpose: int, k: int) -> Any:
         """Draw micro-batch number k: of a validation frame, or of a training frame, augmented."""
@@ -145,8 +146,8 @@ class _Run:
         self.optimizer.zero_grad()
         for k in mine:
             batch = self.micro_batch(_TRAIN, step * self.recipe.frames_per_step + k)
-            exchange = self.world == 1 or k == mine[-1]
-            with nullcontext() if exchange else self.parallel.no_sync():
+            last = k == mine[-1]  # the processes exchange their gradients then
+            with nullcontext() if self.parallel is None or last else self.parallel.no_sync():
                 loss, error = self.loss(batch, self.parallel)
                 (loss / len(mine)).backward()
             metrics += torch.stack([loss.detach(), error]).cpu() / len(mine)
@@ -186,10 +187,17 @@ class _Run:
         cpu = f"{platform.machine()} {torch.backends.cpu.get_cpu_capability()}"
         processor = torch.cuda.get_device_name(self.device) if self.device.type == "cuda" else cpu
         self.network.fuse_batch_norm().save(
-            path, recipe=self.recipe.as_dict(), **row, data=self.samples.metadata, init_weights=self.init_sha256,
-            processes=self.world, processor=processor, threads=torch.get_num_threads(), precision=precision,
+            path,
+            recipe=self.recipe.as_dict(),
+            **row,
+            data=self.samples.metadata,
+            init_weights=self.init_sha256,
+            processes=self.world,
+            processor=processor,
+            threads=torch.get_num_threads(),
+            precision=precision,
             torch=torch.__version__,
-        )  # fmt: skip
+        )
 
     def save_state(self, path: Path, step: int) -> None:
         """Write all that the next step depends on into one file."""
@@ -214,14 +222,15 @@ class _Run:
             raise OmnistereoError(f"{found}. Use another folder, or delete this one to start over.")
         try:
             self._restore(tensors)
-            return check_number(metadata.get("step"), "step", 0, self.recipe.steps, whole=True)
+            return int(check_number(metadata.get("step"), "step", 0, self.recipe.steps, whole=True))
         except (ValueError, KeyError, IndexError, RuntimeError) as error:
             found = f"{path} is not the state of this training: {str(error)[:500]}"
             raise OmnistereoError(f"{found}. Delete it to start over.") from None
 
     def _restore(self, tensors: Mapping[str, Tensor]) -> None:
         """Take network and optimiser from the tensors of a state; raise one of several types if they do not fit."""
-        network, memory = {}, {}
+        network: dict[str, Tensor] = {}
+        memory: dict[int, dict[str, Tensor]] = {}
         shapes = [weight.shape for weight in self.network.parameters()]
         for name, tensor in tensors.items():
             kind, key = name.split(".", 1)
@@ -269,7 +278,7 @@ def read_log(path: Path, stop: int) -> list[dict[str, float]]:
     return [row | {"step": step} for step, row in enumerate(rows)]
 
 
-def write_csv(path: str | Path, header: Sequence[str], rows: Iterable[Sequence]) -> None:
+def write_csv(path: str | Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Write a table, atomically."""
     with atomic_write(path) as temporary, temporary.open("w", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows([header, *rows])

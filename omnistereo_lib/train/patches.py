@@ -40,13 +40,15 @@ class PatchSamples(SweptFrames):
         self.device = torch.device(device)
         self.network = MCCNN(recipe.variant)
         self.network.check_size(recipe.height, recipe.width)
-        self.objective = PatchObjective(self.network, recipe.margin)
+        self.objective: nn.Module = (
+            HingeObjective(self.network, recipe.margin) if recipe.variant == "fast" else EntropyObjective(self.network)
+        )
 
     def micro_batch(self, frame: Frame, rng: np.random.Generator, augment: bool) -> PatchBatch:
         """Sample rays of one frame with a camera pair each, and spheres on which they match and do not."""
         index = self.use(frame)
         images = [image.numpy() for image in self.images(frame, rng if augment else None)]
-        sides: tuple[list, list] = ([], [])
+        sides: tuple[list[list[NDArray[Any]]], list[list[NDArray[Any]]]] = ([], [])
         quota = -(-self.recipe.rays_per_frame // len(self.pairs))
         for i, j in self.pairs:
             pixel, match, other = self.draw_rays(index, i, j, quota, rng)
@@ -165,21 +167,38 @@ class PatchSamples(SweptFrames):
         return self.sweep.rig.cameras[camera].project(points)
 
 
-class PatchObjective(nn.Module):
-    """The losses of MC-CNN: a hinge on cosines (fast), binary cross-entropy (accurate)."""
+class _PatchObjective(nn.Module):
+    """What the losses of MC-CNN's two variants share."""
 
-    def __init__(self, network: MCCNN, margin: float) -> None:
+    def __init__(self, network: MCCNN) -> None:
         super().__init__()
-        self.network, self.margin = network, margin
+        self.network = network
 
-    def forward(self, batch: PatchBatch) -> tuple[Tensor, Tensor]:
-        """Return the loss of a micro-batch and its error: the fraction of wrong answers.
-
-        Wrong is, in the fast variant, a non-match that looks more alike than the match of the same ray.
-        """
+    def scores(self, batch: PatchBatch) -> tuple[Tensor, Tensor]:
+        """Return the scores (K,) of the patch pairs that match, and of those that do not."""
         left, right = (self.network.extract_features(side) for side in (batch.left, batch.right))
         match, other = self.network.score_pixels(self.network.match_features(left, right)).flatten().chunk(2)
-        if self.network.variant == "fast":
-            return (self.margin + other - match).clamp_min(0).mean(), (other >= match).float().mean()
+        return match, other
+
+
+class HingeObjective(_PatchObjective):
+    """The loss of the fast variant: a hinge on cosines."""
+
+    def __init__(self, network: MCCNN, margin: float) -> None:
+        super().__init__(network)
+        self.margin = margin
+
+    def forward(self, batch: PatchBatch) -> tuple[Tensor, Tensor]:
+        """Return the loss, and the fraction of rays whose non-match looks no less alike than their match."""
+        match, other = self.scores(batch)
+        return (self.margin + other - match).clamp_min(0).mean(), (other >= match).float().mean()
+
+
+class EntropyObjective(_PatchObjective):
+    """The loss of the accurate variant: binary cross-entropy on logits of a mismatch."""
+
+    def forward(self, batch: PatchBatch) -> tuple[Tensor, Tensor]:
+        """Return the loss, and the fraction of pairs that are taken for the wrong kind."""
+        match, other = self.scores(batch)
         score, label = torch.cat([match, other]), torch.cat([torch.zeros_like(match), torch.ones_like(other)])
         return binary_cross_entropy_with_logits(score, label), ((score > 0) != (label > 0.5)).float().mean()

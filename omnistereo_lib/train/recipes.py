@@ -11,8 +11,9 @@ from omnistereo_lib.errors import OmnistereoError
 _CHOICES = {"optimizer": ("adamw", "sgd"), "schedule": ("cosine", "drop"), "variant": ("fast", "accurate")}
 _FRACTIONS = {"momentum", "any_sphere"}
 _MAY_BE_ZERO = {
-    "seed", "warmup", "weight_decay", "min_positives", "negatives", "min_negatives", "positive_px", "margin",
-}  # fmt: skip
+    *("seed", "warmup", "weight_decay", "positive_px", "margin"),
+    *("min_positives", "negatives", "min_negatives"),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +42,7 @@ class Recipe:
     learning_rate: float = 2e-3
     schedule: Literal["cosine", "drop"] = "cosine"  # drop: a tenth after 11 of 14 epochs, as in both papers
     warmup: int = 100  # steps of rising learning rate: Adam's estimates are poor at first
-    momentum: float = 0.9  # of sgd
+    momentum: float = 0.9  # sgd only
     weight_decay: float = 1e-4
     clip: float = 1.0  # largest norm of the gradient; a bad batch moves the weights no further
 
@@ -61,7 +62,8 @@ class Recipe:
                 valid, wanted = 0 <= value <= 1, "a fraction in [0, 1]"
             else:
                 kind = Integral if isinstance(self.__dataclass_fields__[name].default, int) else Real
-                valid = isinstance(value, kind) and 0 <= value < math.inf and (value > 0 or name in _MAY_BE_ZERO)
+                number = float(value) if isinstance(value, kind) else math.nan
+                valid = 0 <= number < math.inf and (number > 0 or name in _MAY_BE_ZERO)
                 wanted = f"a finite number {'≥' if name in _MAY_BE_ZERO else '>'} 0"
             if not valid:
                 raise OmnistereoError(f"{self.network} recipe: {name} = {value!r}; expected {wanted}")
@@ -100,7 +102,7 @@ class SweepNetRecipe(Recipe):
 
     network: ClassVar[str] = "sweepnet"
 
-    batch_norm: bool = True  # as in the authors' released code; Table I has none
+    batch_norm: bool = True  # the authors' released code has it, Table I has not
     wrap: bool = True  # no seam in any layer; Table I pads only the input
     halve: bool = False  # every other micro-batch, at random, at half of W, H and N: the network must fit any width
     spheres_per_frame: int = 2  # twice as many where the panorama is halved
@@ -118,7 +120,7 @@ class VolumeNetRecipe(Recipe):
     network: ClassVar[str] = "volumenet"
     worlds: str = "sunny streets things rooms"
     frames_per_step: int = 1
-    batch_frames: int = 2  # in one pass of the U-net, whose batch norms see them all
+    batch_frames: int = 2  # frames in one pass of the U-net, whose batch norms see them all
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,8 +135,8 @@ class MCCNNRecipe(Recipe):
     rays_per_frame: int = 64  # the papers' batches of 128 and 256 pairs are 1 and 2 frames of these
     positive_px: float = 0.5  # matches are off by up to this, as estimates on integer spheres are (MC-CNN: 0.5 to 1)
     negative_low_px: float = 1.5  # non-matches are off by at least this (MC-CNN: 1.5 to 4)
-    negative_high_px: float = 6.0  # and at most this (MC-CNN: 6; the accurate variant 18)
-    margin: float = 0.2  # of the hinge loss, fast variant
+    negative_high_px: float = 6.0  # non-matches are off by at most this (MC-CNN: 6; the accurate variant 18)
+    margin: float = 0.2  # hinge loss of the fast variant: a match beats a non-match by this cosine
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -144,36 +146,67 @@ class MCCNNRecipe(Recipe):
 
 
 # The optimiser of both papers.
-PAPERS = {"optimizer": "sgd", "schedule": "drop", "warmup": 0, "weight_decay": 0.0, "augment": False, "clip": 1e9}
+PAPERS: dict[str, Any] = {
+    "optimizer": "sgd",
+    "schedule": "drop",
+    "warmup": 0,
+    "weight_decay": 0.0,
+    "augment": False,
+    "clip": 1e9,
+}
 
 # teaching: minutes on two cores, enough to see it learn. shipped: what made omnistereo_lib/weights.
 # paper: the numbers of the papers, for a GPU and their data; steps = 14 epochs.
 # 640 × 160 samples images of 400 × 384 as finely as the paper's 1200 × 300 samples those of 800 × 768, and with 96
 # spheres one sphere is as many pixels as there. The 320 × 80 of the notebooks is the other half: there the receptive
 # field is higher than the panorama, and a network trained only on that would learn where its upper and lower edges are.
-_FINE = {"width": 640, "height": 160, "num_spheres": 96}
+_FINE: dict[str, Any] = {"width": 640, "height": 160, "num_spheres": 96}
 RECIPES: dict[str, dict[str, Recipe]] = {
     "sweepnet": {
         "teaching": SweepNetRecipe(steps=150, warmup=30, validate_every=30, validation_groups=8),
         "shipped": SweepNetRecipe(**_FINE, halve=True, spheres_per_frame=1, steps=4000, validate_every=250),
         # With --init-weights of "shipped". Most frames are of the streets, which must not get worse.
         "worlds": SweepNetRecipe(
-            **_FINE, halve=True, spheres_per_frame=1, batch_norm=False, worlds="sunny sunny sunny streets rooms things",
-            steps=500, learning_rate=2e-4, validation_groups=24,
+            **_FINE,
+            halve=True,
+            spheres_per_frame=1,
+            batch_norm=False,
+            worlds="sunny sunny sunny streets rooms things",
+            steps=500,
+            learning_rate=2e-4,
+            validation_groups=24,
         ),
         # 350 frames × 192 spheres × 14 epochs at 16 spheres a step; the paper does not state its batch.
         "paper": SweepNetRecipe(
-            width=600, height=150, num_spheres=192, learning_rate=0.003, steps=58800, validate_every=2000,
-            frames_per_step=8, batch_norm=False, wrap=False, negatives=1, max_positives=90000,
-            any_sphere=0.0, min_negatives=0, **PAPERS,
+            width=600,
+            height=150,
+            num_spheres=192,
+            learning_rate=0.003,
+            steps=58800,
+            validate_every=2000,
+            frames_per_step=8,
+            batch_norm=False,
+            wrap=False,
+            negatives=1,
+            max_positives=90000,
+            any_sphere=0.0,
+            min_negatives=0,
+            **PAPERS,
         ),
     },
     "volumenet": {
         "teaching": VolumeNetRecipe(steps=300, warmup=30, validate_every=100),
         "shipped": VolumeNetRecipe(steps=1200, warmup=60, validate_every=200),
         # The last of five rounds (1200, 700, 3000, 1200, 1200 steps), each with --init-weights of the one before.
-        "refined": VolumeNetRecipe(worlds="sunny streets things rooms rooms", steps=1200, learning_rate=1e-3, seed=2,
-                                   warmup=60, validate_every=250, validation_groups=24),
+        "refined": VolumeNetRecipe(
+            worlds="sunny streets things rooms rooms",
+            steps=1200,
+            learning_rate=1e-3,
+            seed=2,
+            warmup=60,
+            validate_every=250,
+            validation_groups=24,
+        ),
         "sunny": VolumeNetRecipe(worlds="sunny", steps=320, warmup=30, validate_every=200),
         "gpu": VolumeNetRecipe(**_FINE, steps=20000, warmup=500, frames_per_step=2, validate_every=1000),
     },
@@ -182,8 +215,15 @@ RECIPES: dict[str, dict[str, Recipe]] = {
         "shipped": MCCNNRecipe(**_FINE, steps=6000, validate_every=500),
         # 40 million pairs × 14 epochs at 256 a step.
         "paper": MCCNNRecipe(
-            variant="accurate", negative_high_px=18.0, width=600, height=150, num_spheres=192, learning_rate=0.003,
-            steps=2187500, validate_every=20000, **PAPERS,
+            variant="accurate",
+            negative_high_px=18.0,
+            width=600,
+            height=150,
+            num_spheres=192,
+            learning_rate=0.003,
+            steps=2187500,
+            validate_every=20000,
+            **PAPERS,
         ),
     },
-}  # fmt: skip
+}

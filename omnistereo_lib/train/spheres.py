@@ -11,6 +11,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits, pad
 
 from omnistereo_lib.dataset import Frame
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.geometry.rig import Pair
 from omnistereo_lib.stereo.learned import Features
 from omnistereo_lib.stereo.sweepnet import SweepNet
 from omnistereo_lib.train.frames import Folders, SweptFrames, sample_true_indices, to_device
@@ -52,8 +53,14 @@ class SphereSamples(SweptFrames):
         self.objective = SphereObjective(self.network)
         self._half_size = None
         if recipe.halve:
-            half = {name: getattr(recipe, name) // 2 for name in ("width", "height", "num_spheres")}
-            half = replace(recipe, **half, halve=False, spheres_per_frame=2 * recipe.spheres_per_frame)
+            half = replace(
+                recipe,
+                width=recipe.width // 2,
+                height=recipe.height // 2,
+                num_spheres=recipe.num_spheres // 2,
+                halve=False,
+                spheres_per_frame=2 * recipe.spheres_per_frame,
+            )
             self._half_size = SphereSamples(half, data, device)
 
     def micro_batch(self, frame: Frame, rng: np.random.Generator, augment: bool) -> SphereBatch:
@@ -115,7 +122,7 @@ class SphereSamples(SweptFrames):
         positive: NDArray[Any],
         known: NDArray[Any],
         columns: Columns,
-        pairs: list,
+        pairs: list[Pair],
         rng: np.random.Generator,
     ) -> list[Strip]:
         """Label the columns that each pair shares, given bool (cameras, S, H, W), (S, H, W) and (H, W)."""
