@@ -88,7 +88,7 @@ def sgm(volume: Tensor | np.ndarray, p1: float = 0.1, p2: float = 12.0, paths: i
         raise OmnistereoError(f"sgm: penalties are p1 = {p1!r}, p2 = {p2!r}; expected finite numbers, 0 ≤ p1 ≤ p2")
     if volume.device.type != "cpu":
         infinite = bool(volume.isinf().any())
-        total = volume if infinite else _sgm_gpu(volume, p1, p2, paths, wrap)
+        total = volume if infinite else sgm_gpu(volume, p1, p2, paths, wrap)
     else:
         total, infinite = _sgm_numba(volume.numpy(), np.float32(p1), np.float32(p2), paths == 8, wrap)
     if infinite:
@@ -255,15 +255,17 @@ def _add_paths(paths: NDArray[Any], total: NDArray[Any]) -> None:
 # ---- GPU: by Triton where it is installed, as with torch for CUDA on Linux; else by torch.
 
 
-def _sgm_gpu(volume: Tensor, p1: float, p2: float, paths: int, wrap: bool) -> Tensor:
+def sgm_gpu(volume: Tensor, p1: float, p2: float, paths: int, wrap: bool) -> Tensor:
+    """Return S of a volume on a GPU without infinite costs; arguments as in `sgm`."""
     if find_spec("triton") is None:
         return sgm_torch(volume, p1, p2, paths, wrap)
-    from omnistereo_lib.stereo.sgm_triton import sgm_triton
+    from omnistereo_lib.stereo.sgm_triton import sum_paths
 
-    return sgm_triton(volume, p1, p2, paths, wrap)
+    total = sum_paths(_fill_unknown(volume), p1, p2, paths, wrap, MAX_LAPS)
+    return total.masked_fill_(volume.isnan(), math.nan)
 
 
-def fill_unknown(volume: Tensor) -> Tensor:
+def _fill_unknown(volume: Tensor) -> Tensor:
     """Return a copy of a volume whose unknown cells have the mean cost of their ray, 0 where no cell is known."""
     cost = volume.clone()
     for rows in cost.split(16):  # some rows at a time: no further copy of the volume
@@ -276,7 +278,7 @@ def fill_unknown(volume: Tensor) -> Tensor:
 
 def sgm_torch(volume: Tensor, p1: float, p2: float, paths: int, wrap: bool) -> Tensor:
     """Return S of a volume without infinite costs, in the precision of the volume."""
-    cost = fill_unknown(volume)
+    cost = _fill_unknown(volume)
     total = _scan_columns(cost, p1, p2, MAX_LAPS if wrap else 1)
     H, W, N = volume.shape
     messages = cost.new_zeros(3 if paths == 8 else 1, 2, W, N)

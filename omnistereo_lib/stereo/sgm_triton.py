@@ -5,14 +5,10 @@ column per row. Its program keeps the message M (N numbers) in registers and wal
 direction never share a pixel, so a launch per direction adds to S without atomics.
 """
 
-import math
-
 import torch
 import triton
 import triton.language as tl
 from torch import Tensor
-
-from omnistereo_lib.stereo.sgm import MAX_LAPS, fill_unknown
 
 
 @triton.jit
@@ -71,16 +67,15 @@ def _scan_lines(
             message = tl.where(x == (0 if slope > 0 else W - 1), 0.0, message)
 
 
-def sgm_triton(volume: Tensor, p1: float, p2: float, paths: int, wrap: bool) -> Tensor:
-    """Return S of a volume (H, W, N) on a GPU without infinite costs; arguments as in `sgm`."""
-    cost = fill_unknown(volume)
+def sum_paths(cost: Tensor, p1: float, p2: float, paths: int, wrap: bool, max_laps: int) -> Tensor:
+    """Return Σ_r L_r of a volume (H, W, N) on a GPU whose costs are all known and finite; arguments as in `sgm`."""
     total = torch.zeros_like(cost)
     H, W, N = cost.shape
     BLOCK = triton.next_power_of_2(N)
     one = {"num_warps": 1}  # a reduction within a warp needs no barrier
     for leftward in (False, True):
-        _scan_rows[(H,)](cost, total, W, N, p1, p2, MAX_LAPS if wrap else 1, leftward, BLOCK, **one)
+        _scan_rows[(H,)](cost, total, W, N, p1, p2, max_laps if wrap else 1, leftward, BLOCK, **one)
     for up in (False, True):
         for slope in (0, 1, -1) if paths == 8 else (0,):
             _scan_lines[(W,)](cost, total, H, W, N, p1, p2, up, slope, wrap, BLOCK, **one)
-    return total.masked_fill_(volume.isnan(), math.nan)
+    return total

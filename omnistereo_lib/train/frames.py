@@ -45,7 +45,7 @@ class TrainingFrames:
             self.validation += frames[::10]
             self.training += [frame for k, frame in enumerate(frames) if k % 10]
             for path in (path for frame in frames for path in (*frame.image_paths, frame.gt_path)):
-                digest.update(read_bytes(path))
+                digest.update(read_bytes(path) if path else b"")
         names = ", ".join("/".join(folder.resolve().parts[-2:]) for folder in folders)
         count = len(self.training) + len(self.validation)
         self.metadata = {"folder": names, "frames": count, "sha256": digest.hexdigest()}
@@ -67,13 +67,13 @@ class SweptFrames(TrainingFrames):
 
     def __init__(self, recipe: Recipe, data: Folders, device: torch.device | str) -> None:
         super().__init__(recipe, data)
-        # Four rigs: that of the streets is seldom the one to go, and those of the worlds do not come again soon.
+        # Four rigs: this keeps the rig of the streets, which recurs; those of the other worlds do not come again soon.
         self._sweep_of = lru_cache(4)(lambda rig: SphereSweep(rig, self.grid_of(rig.min_depth), device=device))
-        self._gt_index: dict[Path, NDArray[Any]] = {}  # lights of one drive share the file
+        self._gt_index: dict[Path | None, NDArray[Any]] = {}  # lights of one drive share the file
         self.use(self.training[0])
 
     def use(self, frame: Frame) -> NDArray[np.float32]:
-        """Turn to the rig of a frame; return its ground-truth sphere index, not rounded, (H, W), kept for later."""
+        """Select the rig of a frame; return its ground-truth sphere index, not rounded, (H, W), kept for later."""
         self.sweep = self._sweep_of(frame.rig)
         self.grid, self.rays = self.sweep.grid, self.sweep.grid.rays()
         self.pairs = camera_pairs("ring", self.sweep.rig)

@@ -15,7 +15,7 @@ from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.correlation import feature_coordinates, pixels_per_degree, volume_sizes
-from omnistereo_lib.stereo.sweep import reduce_images, to_gray
+from omnistereo_lib.stereo.sweep import blur, reduce_images, to_gray
 from omnistereo_lib.stereo.volumenet import VolumeNet, local_mean, normalize, resize_logits
 from omnistereo_lib.train.frames import Folders, TrainingFrames, to_device
 from omnistereo_lib.train.recipes import VolumeNetRecipe
@@ -61,6 +61,7 @@ class VolumeSamples(TrainingFrames):
     def _sample(self, frame: Frame, rng: np.random.Generator | None) -> VolumeSample:
         """Return a frame on a grid; with an rng, rotated, scaled and mirrored at random, its images changed."""
         rotation, scale = self.view(rng)
+        assert frame.rig.min_depth is not None  # `TrainingFrames` refuses others
         grid = self.grid_of(scale * frame.rig.min_depth)
         size = volume_sizes(grid)[-1]
         rig, images = reduce_images(frame.rig.recentered(), frame.images, pixels_per_degree(size))
@@ -68,8 +69,8 @@ class VolumeSamples(TrainingFrames):
             self._masks[frame.rig] = [to_device(camera.visible_pixels(), self.device) for camera in rig.cameras]
         masks = self._masks[frame.rig]
         gray = [to_gray(image) if rng is None else _other_look(to_gray(image), rng) for image in images]
-        index = grid.inverse_depth_to_index(frame.inverse_depth_along(grid.rays() @ rotation))
-        index = np.where(index <= grid.num_spheres - 1, index, np.nan).astype(np.float32).T
+        gt_index = grid.inverse_depth_to_index(frame.inverse_depth_along(grid.rays() @ rotation))
+        index = np.where(gt_index <= grid.num_spheres - 1, gt_index, np.nan).astype(np.float32).T  # (W, H)
         coordinates = feature_coordinates(rig.transformed(Pose(rotation, np.zeros(3))), grid, size)
         if rng is not None and rng.integers(2):  # a mirrored world: θ becomes -θ
             index, coordinates = index[::-1], [uv.flip(0) for uv in coordinates]
@@ -83,11 +84,9 @@ class VolumeSamples(TrainingFrames):
 
 def _other_look(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
     """Change gain, gamma, sharpness and noise of one camera; its image is in [0, 255]."""
-    import cv2
-
     image = (image / 255 * np.exp(rng.uniform(-0.25, 0.25))).clip(0, 1) ** np.exp(rng.uniform(-0.3, 0.3))
     if rng.random() < 0.3:
-        image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.3, 1.0))
+        image = blur(image, rng.uniform(0.3, 1.0))
     return (image + rng.normal(0, rng.uniform(0, 0.02), image.shape)).astype(np.float32)
 
 

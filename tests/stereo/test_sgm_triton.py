@@ -11,16 +11,14 @@ import numpy as np
 import pytest
 import torch
 
-from omnistereo_lib.stereo.sgm import sgm
+from omnistereo_lib.stereo.sgm import sgm, sgm_gpu
 
 
 def main():
-    from omnistereo_lib.stereo.sgm_triton import sgm_triton
-
     volume = np.random.default_rng(0).random((4, 7, 6), np.float32)
     volume[1, 2, :4] = volume[2, 5] = np.nan
     for paths, wrap in product((4, 8), (True, False)):
-        found = sgm_triton(torch.from_numpy(volume), 0.1, 0.7, paths, wrap)
+        found = sgm_gpu(torch.from_numpy(volume), 0.1, 0.7, paths, wrap)
         torch.testing.assert_close(found, sgm(volume, 0.1, 0.7, paths, wrap), atol=1e-5, rtol=0, equal_nan=True)
 
 
