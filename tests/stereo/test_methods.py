@@ -1,5 +1,6 @@
 """One vocabulary of methods: every name comes back, wrong ones are explained, an object of one's own takes part."""
 
+import doctest
 import pickle
 from concurrent.futures import ThreadPoolExecutor
 from copy import deepcopy
@@ -12,6 +13,7 @@ import torch
 import omnistereo_lib as osl
 from omnistereo_lib.evaluate import ABLATIONS, METHODS, SCALES, Scale, select_methods
 from omnistereo_lib.evaluate.methods import EvaluatedMethod
+from omnistereo_lib.stereo import methods
 from omnistereo_lib.stereo.cost import BlockCost
 from omnistereo_lib.stereo.methods import COSTS, CostEntry, Method, penalties
 from omnistereo_lib.stereo.pipeline import sweep_depth
@@ -91,6 +93,13 @@ def test_a_cost_of_your_own_joins_in_one_place(box, monkeypatch):
     monkeypatch.setitem(COSTS, "second", CostEntry("Second", lambda method, path, precision: SecondSphere()))
     assert Method.parse("second+sgm").label == "Second + SGM"
     assert (osl.estimate_depth(*box, GRID, "second", subindex=False).index % 16 == 2).all()
+
+
+def test_the_example_of_a_cost_of_your_own(monkeypatch):
+    monkeypatch.setattr(methods, "COSTS", dict(COSTS))
+    runner, example = doctest.DocTestRunner(), methods.CostEntry.__doc__
+    runner.run(doctest.DocTestParser().get_doctest(example, dict(vars(methods)), "CostEntry", None, None))
+    assert runner.failures == 0 and runner.tries > 4 and "difference" in methods.COSTS
 
 
 def test_a_cost_that_is_registered_again_takes_the_place_of_the_first(box, monkeypatch):
