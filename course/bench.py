@@ -15,10 +15,10 @@ from torch.nn.functional import avg_pool2d, grid_sample, pad, relu
 from torch.utils.benchmark import Timer
 
 from omnistereo_lib.calibrate.board import Checkerboard
-from omnistereo_lib.calibrate.camera import calibrate_camera
 from omnistereo_lib.calibrate.captures import find_captures
 from omnistereo_lib.calibrate.detect import detect_views
-from omnistereo_lib.calibrate.rig import calibrate_rig
+from omnistereo_lib.calibrate.joint import calibrate_rig
+from omnistereo_lib.calibrate.single_camera import calibrate_camera
 from omnistereo_lib.dataset import load_dataset
 from omnistereo_lib.evaluate.run import DATA
 from omnistereo_lib.geometry.camera import OcamCamera

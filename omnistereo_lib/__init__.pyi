@@ -1,6 +1,6 @@
 from .calibrate.board import Checkerboard
-from .calibrate.camera import calibrate_camera
-from .calibrate.rig import calibrate_rig
+from .calibrate.joint import calibrate_rig
+from .calibrate.single_camera import calibrate_camera
 from .dataset import load_dataset, load_images
 from .errors import OmnistereoError
 from .geometry.camera import OcamCamera, fit_inverse_polynomial

@@ -31,7 +31,7 @@ LAYER = {name: number for number, line in enumerate(LAYERS.split("\n")) for name
 AT_HOME = {"matplotlib": set(), "IPython": set(), "bpy": set(), "ipywidgets": set()}
 EAGER = {
     "cv2": {"stereo.sweep", "calibrate.detect"},
-    "scipy": {"calibrate.bundle", "calibrate.rig"},
+    "scipy": {"calibrate.bundle", "calibrate.joint"},
 }
 
 

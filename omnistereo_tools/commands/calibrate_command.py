@@ -40,8 +40,8 @@ def _board_size(text: str) -> tuple[int, int]:
 def run(options: argparse.Namespace) -> None:
     """Calibrate one camera or a rig and write it, its report and its detections."""
     from omnistereo_lib.calibrate.board import Checkerboard
-    from omnistereo_lib.calibrate.camera import calibrate_camera
-    from omnistereo_lib.calibrate.rig import calibrate_rig
+    from omnistereo_lib.calibrate.joint import calibrate_rig
+    from omnistereo_lib.calibrate.single_camera import calibrate_camera
     from omnistereo_lib.files import atomic_write, make_folder
     from omnistereo_lib.rig_files.ocam import write_ocam_txt
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from course import bench
-from omnistereo_lib.calibrate.camera import calibrate_camera
+from omnistereo_lib.calibrate.single_camera import calibrate_camera
 from omnistereo_lib.geometry.rig import camera_pairs
 from omnistereo_lib.stereo.learned import LearnedCost
 from omnistereo_lib.stereo.sweepnet import SweepNet

@@ -10,10 +10,10 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, mini
 
 from omnistereo_lib.calibrate.board import Checkerboard
 from omnistereo_lib.calibrate.bundle import bundle_adjust
-from omnistereo_lib.calibrate.camera import calibrate_corners, check_settings, read_views
 from omnistereo_lib.calibrate.detect import Progress
 from omnistereo_lib.calibrate.params import CalibrationParams, Observations, collect_observations
 from omnistereo_lib.calibrate.report import CameraReport, RigReport
+from omnistereo_lib.calibrate.single_camera import calibrate_corners, check_settings, read_views
 from omnistereo_lib.calibrate.solution import Solution, distances_of
 from omnistereo_lib.errors import OmnistereoError, check_type
 from omnistereo_lib.geometry.pose import Floats, Pose
