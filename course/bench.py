@@ -38,7 +38,7 @@ from omnistereo_tools.memory import keep_memory
 _SECONDS = 3.0  # a call is repeated for so long; one that takes longer is timed once
 
 
-def compare(name: str, ours: Callable, theirs: Callable, note: Callable[[float], str] = "".format) -> None:
+def compare(name: str, ours: Callable, theirs: Callable, note: Callable[[float], str] = lambda ours: "") -> None:
     """Print one comparison: milliseconds of both, their ratio, and a note on our time in seconds."""
     a, b = seconds(ours), seconds(theirs)
     print(f"{name:76} {1e3 * a:9.1f} {1e3 * b:10.1f} {a / b:6.2f}  {note(a)}", flush=True)

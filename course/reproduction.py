@@ -27,9 +27,9 @@ from render.image_sets import SETS
 
 PAGE = ROOT / "book" / "reproduction.md"
 RESULTS = ROOT / "data_samples" / "results" / "paper.json"
-TOLERANCE = 0.2  # relative; the paper prints MAE with two digits, of which the last is up to 10 %
+TOLERANCE = 0.2  # relative; the last digit of the MAE that the paper prints is worth up to 10 %
 REPRODUCED, TREND, DIFFERS = "reproduced", "trend reproduced", "differs"
-_NAMED = 4  # places that a reason lists before it only counts
+_NAMED = 4  # a reason lists this many places and counts the others
 
 _TABLE_II = """
 zncc          40.7 28.0 25.2 10.0 23.0  44.9 31.0 27.9 10.9 23.9  39.5 26.8 24.0  9.7 22.9
@@ -88,7 +88,7 @@ def judge_size(ours: ArrayLike, paper: ArrayLike, names: Sequence[str], ratios: 
     far, other_side = np.abs(ours / paper - 1) > TOLERANCE, (ours < 1) != (paper < 1)
     if not far.any():
         return REPRODUCED, ""
-    reason = f"beyond {TOLERANCE:.0%}: {_listed(names, far)}".replace("%", " %")
+    reason = f"beyond {100 * TOLERANCE:.0f} %: {_listed(names, far)}"
     if ratios and other_side.any():
         reason += f"; on the other side of 1: {_listed(names, other_side)}"
     return (TREND if ratios and not other_side.any() else DIFFERS), reason
@@ -192,8 +192,9 @@ def same(paper: str, ours: Callable[[Record], str], reason: str = "") -> Compari
 
 def labels(results: Record) -> Finding:
     """Compare the labels to train on: for each camera pair that sees a true point, one positive and one negative."""
-    million = 2 * 350 * 600 * 150 / 1e6  # of 350 frames
-    ring, every = (million * seen_by(results) @ pairs for pairs in ((0, 0, 1, 2, 4), (0, 0, 1, 3, 6)))
+    million = 2 * 350 * 600 * 150 / 1e6  # labels of a pair that sees every ray of 350 frames
+    pairs_of_neighbours, all_pairs = (0, 0, 1, 2, 4), (0, 0, 1, 3, 6)  # among 0 to 4 adjacent cameras
+    ring, every = (million * seen_by(results) @ pairs for pairs in (pairs_of_neighbours, all_pairs))
     text = f"{ring:.0f} M<br><sub>with all pairs {every:.0f} M</sub>"
     return Finding("92 M", text, *judge_size([ring], [92], ["labels"], ratios=False))
 
