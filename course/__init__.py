@@ -1,1 +1,1 @@
-"""What only the course needs: exercises, notebook plots, the reproduction report, notebook and book tools."""
+"""The machinery of the course: exercises, figures, the reproduction report, tools for notebooks and the book."""

@@ -136,7 +136,7 @@ def pick_ray(draw: Callable[[int, int], Figure], panorama: NDArray, row: int, co
     Args:
         draw: A function of the `row` and the `column` of a ray that returns a figure.
         panorama (array, shape (H, W) or (H, W, 3)): Gray values or colours, 0 to 255; NaN becomes gray.
-        row, column: Where the cross is at the start.
+        row, column: Initial position of the cross.
     """
     from ipyevents import Event
     from IPython.display import display

@@ -47,7 +47,7 @@ PAPER = {  # (method, light) → the five metrics
 
 
 class Finding(NamedTuple):
-    """What the paper has, what we have, the verdict, and the reason why it is not better."""
+    """The cells of a row: the paper's value, our value, the verdict, and the reason why it is not better."""
 
     paper: str
     ours: str

@@ -46,13 +46,13 @@ def index_shift(rig: Rig, wrong: Rig, grid: SphereGrid, index: float, pairs: Pai
     """Predict the shift of the best sphere if `wrong` is used in place of `rig`.
 
     Args:
-        rig, wrong: In the same frame, its origin the sweep centre.
+        rig, wrong: The right rig and the wrong one, in the same frame with the sweep centre as its origin.
         index: True sphere index of the scene, in (0, N - 1].
-        pairs: Camera pairs; the result minimizes the sum of their squared errors.
+        pairs: Camera pairs; the result minimises the sum of their squared errors.
 
     Returns:
-        array, shape (H, W), spheres; NaN where no pair sees the ray: Positive: the scene appears nearer than it is.
-            First order: valid for shifts small against the texture.
+        array, shape (H, W), spheres: Positive where the scene appears nearer than it is, NaN where no pair sees the
+            ray. To first order: the shift in the images must be small compared with the texture.
     """
     return _shift(_linearize(rig, grid, index), wrong, grid, index, camera_pairs(pairs, rig))
 
@@ -61,8 +61,8 @@ def index_uncertainty(report: RigReport, grid: SphereGrid, index: float, pairs: 
     """Return the standard deviation of the sphere index due to calibration uncertainty.
 
     Args:
-        report: Of `calibrate_rig`: its covariance is propagated through `index_shift`.
-        grid, index, pairs: As for `index_shift`.
+        report: Report of `calibrate_rig`, whose covariance is propagated through `index_shift`.
+        grid, index, pairs: See `index_shift`.
 
     Returns:
         array, shape (H, W), spheres
@@ -154,7 +154,7 @@ def standard_deviation(function: Callable[[Floats], Floats], x: Floats, covarian
     polynomial are known together far better than each by itself.
 
     Args:
-        function: From parameters (n,) to an array of any shape.
+        function: A function of the parameters (n,) that returns an array of any shape.
         x: array, shape (n,)
         covariance (array, shape (n, n)): Covariance of the parameters.
     """
