@@ -23,24 +23,23 @@ if sys.version_info < (3, 11):
 endef
 export CHECK_PYTHON
 
-.PHONY: lab test check types coverage depth render bench results notebooks solutions book slides constraints clean
+.PHONY: lab test check coverage depth render bench results notebooks solutions book slides constraints clean
 
 lab: $(READY)  ## opens JupyterLab, or prints its address where there is no browser; LAB_ARGS: more options
 	$(BIN)/jupyter lab $(LAB) $(LAB_ARGS) notebooks/00_quickstart.ipynb
 
-test: $(READY)  ## linters, library tests, and every notebook cell against its stored output
+test: $(READY)  ## linters, types, library tests, and every notebook cell against its stored output
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/mypy
 	$(KEEP_MEMORY) $(BIN)/python -m pytest $(WORKERS) $(NBVAL)
 
-check: $(READY)  ## the fast tier, a minute: linters, geometry, stereo, rig files and one notebook
+check: $(READY)  ## the fast tier, a minute: linters, types, geometry, stereo, rig files and one notebook
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/mypy
 	$(KEEP_MEMORY) $(BIN)/python -m pytest $(WORKERS) $(NBVAL) tests/geometry tests/rig_files tests/stereo \
 	  --ignore tests/stereo/test_shipped_weights.py notebooks/03_sphere_sweep.ipynb
-
-types: $(READY)  ## the type checker in strict mode, on the library
-	$(BIN)/mypy
 
 coverage: $(READY)  ## the lines of the library that the tests reach; apart from `test`, which it would slow by a half
 	$(KEEP_MEMORY) $(BIN)/python -m pytest $(WORKERS) --cov tests
