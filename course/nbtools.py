@@ -1,4 +1,4 @@
-"""The files of the notebooks: read, cleaned, so that they are stored the same whoever ran them, and written."""
+"""Read, clean and write notebook files. Cleaned, they are the same whoever ran them."""
 
 import copy
 import re
@@ -26,12 +26,12 @@ WIDGET = "application/vnd.jupyter.widget-view+json"
 
 
 def notebooks() -> list[Path]:
-    """All notebooks of the course, in their order."""
+    """Return the paths of all notebooks of the course, in order."""
     return sorted(NOTEBOOKS.glob("*.ipynb"))
 
 
 def code_cells(nb: nbformat.NotebookNode) -> list[nbformat.NotebookNode]:
-    """All code cells that hold code."""
+    """Return the code cells that are not empty."""
     return [cell for cell in nb.cells if cell.cell_type == "code" and cell.source.strip()]
 
 
@@ -52,9 +52,9 @@ def read_notebook(path: Path) -> nbformat.NotebookNode:
 
 
 def clean(nb: nbformat.NotebookNode) -> nbformat.NotebookNode:
-    """Return the notebook without anything that depends on who ran it, where and in which program.
+    """Return a notebook without what depends on the machine and the program that ran it; fill in its solutions.
 
-    Code, text, tags, outputs and execution counts stay as they are.
+    Code, tags, outputs and execution counts stay as they are.
     """
     nb = copy.deepcopy(nb)
     facts = nb.metadata.get("omnistereo", {})
@@ -90,7 +90,7 @@ def open_functions(nb: nbformat.NotebookNode) -> list[exercises.Open]:
 
 
 def _renew_captions(cell: nbformat.NotebookNode) -> None:
-    """Write the captions and alternative texts of captions.yaml into the outputs: a new one needs no run."""
+    """Write the captions and alternative texts of captions.yaml into the outputs, so that a new one needs no run."""
     names = iter(re.findall(r'\bshow\(.*, "([^"]+)"\)', cell.source))
     for picture, below in pairwise(cell.outputs):
         mime = next((mime for mime in PICTURES if mime in picture.get("data", {})), None)

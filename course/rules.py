@@ -70,7 +70,7 @@ def _runs(nb: nbformat.NotebookNode) -> Iterator[str]:
     if counts != list(range(1, len(cells) + 1)):
         yield f"not run in order from a fresh kernel: counts {counts}"
     if not any(cell.outputs for cell in cells):
-        yield "no cell has an output: nothing could be compared"
+        yield "no cell has an output, so nothing can be compared"
 
 
 def _lengths(nb: nbformat.NotebookNode) -> Iterator[str]:
@@ -87,16 +87,16 @@ def _outputs(nb: nbformat.NotebookNode) -> Iterator[str]:
     for number, cell in enumerate(nbtools.code_cells(nb), start=1):
         tags = cell.metadata.get("tags", [])
         if any(line.rstrip().endswith(";") for line in cell.source.splitlines()):
-            yield f"cell {number}: a line ends in ';', which the tests' kernel does not heed"
+            yield f"cell {number}: a line ends in ';', which hides an output, but not from nbval"
         for output in cell.outputs:
             data = output.get("data", {})
             said = output.get("text", "") + "".join(str(data[mime]) for mime in data if mime not in nbtools.PICTURES)
             if output.output_type == "error" and "raises-exception" not in tags:
                 yield f"cell {number}: {output.ename}, without the tag raises-exception"
             if output.get("name") == "stderr":
-                yield f"cell {number}: a warning; mend its cause: {output.text.strip()[:200]}"
+                yield f"cell {number}: a warning; fix its cause: {output.text.strip()[:200]}"
             if "image/svg+xml" in data:
-                yield f"cell {number}: an SVG picture, which differs at every run; PNG it is"
+                yield f"cell {number}: an SVG picture, which differs in every run; use PNG"
             if re.search(r"\b0x[0-9a-f]{6,}|(?<![\w.~-])/(home|Users|root|tmp)/", said):
                 yield f"cell {number}: a memory address or a path of this machine in its output"
             if "\r" in said:
@@ -104,7 +104,7 @@ def _outputs(nb: nbformat.NotebookNode) -> Iterator[str]:
 
 
 def _pictures(nb: nbformat.NotebookNode) -> Iterator[str]:
-    """Every picture has a text that stands for it and a caption: `course.plot.show` gives both, from captions.yaml."""
+    """Every picture has an alternative text and a caption: `course.plot.show` takes both from captions.yaml."""
     for number, cell in enumerate(nbtools.code_cells(nb), start=1):
         for output, after in pairwise([*cell.outputs, {}]):
             data, caption = output.get("data", {}), after.get("data", {}).get("text/markdown", "")
@@ -121,7 +121,7 @@ def _pictures(nb: nbformat.NotebookNode) -> Iterator[str]:
 
 
 def _frame(nb: nbformat.NotebookNode) -> Iterator[str]:
-    """Every notebook opens and closes in the same way; course/template.ipynb says what goes where."""
+    """Every notebook opens and closes in the same way."""
     prose = [cell.source for cell in nb.cells if cell.cell_type == "markdown"]
     if not prose or not OPENING.match(prose[0]):
         yield "its first text is not: # title, **You will** …, **Before you start:** …, **Next:** …"
@@ -138,10 +138,9 @@ def _frame(nb: nbformat.NotebookNode) -> Iterator[str]:
         yield f"its exercises are marked {levels}; from (warm-up) to (open), out of {LEVELS}"
 
 
-# A number in the text is carried by the notebook: a cell prints it, to the digits that the text gives, or sets it in
-# its code. Free are whole numbers up to ten without a unit, years, numbers of notebooks and exercises, what stands
-# in code or links, whole numbers in formulas, multiples of 45° and the lenses' 220°. A sentence that says "paper"
-# quotes the paper.
+# A notebook must carry the numbers in its text: a cell prints them, to the digits that the text gives, or sets them.
+# Exempt are whole numbers up to ten without a unit, years, numbers of notebooks and exercises, numbers in code and
+# links, whole numbers in formulas, multiples of 45° and the lenses' 220°. A sentence with the word "paper" quotes it.
 NUMBER = re.compile(r"(?<![\w.])(?:\d{1,3}(?:,\d{3})+|\d+)(?:\.\d+)?(?:e-?\d+)?(?!\.?\w)")
 UNIT = re.compile(r"\s?(°|%|(?:px|pixels?|mm|cm|m|ms|s|percent|degrees|metres|seconds)\b)")
 NAMES = re.compile(r"```.*?```|`[^`]*`|!?\[[^\]]*\]\([^)]*\)|\*\*\d\d\.\d+|\A# \d\d ·", re.DOTALL)
@@ -161,7 +160,7 @@ def _numbers(nb: nbformat.NotebookNode) -> Iterator[str]:
 
 
 def _sentences(nb: nbformat.NotebookNode) -> Iterator[str]:
-    """What has to be true: not names, not the paper's own figures; of formulas the decimal numbers alone."""
+    """Yield the sentences whose numbers are checked: without names and quotations; of formulas only the decimals."""
     for text in prose(nb):
         text = FORMULA.sub(lambda formula: " ".join(re.findall(r"\d+\.\d+", formula[0])), NAMES.sub(" ", text))
         yield from (sentence for sentence in SENTENCE_END.split(text) if not re.search(r"\bpaper\b", sentence))
@@ -182,7 +181,7 @@ def _is_carried(word: str, unit: str, carried: set[Decimal]) -> bool:
 
 
 def prose(nb: nbformat.NotebookNode) -> Iterator[str]:
-    """Text cells and captions."""
+    """Yield text cells and captions."""
     yield from (cell.source for cell in nb.cells if cell.cell_type == "markdown")
     for cell in nbtools.code_cells(nb):
         texts = (output.get("data", {}).get("text/markdown", "") for output in cell.outputs)
@@ -190,7 +189,7 @@ def prose(nb: nbformat.NotebookNode) -> Iterator[str]:
 
 
 def _carried(nb: nbformat.NotebookNode) -> set[Decimal]:
-    """All numbers in the code, strings apart, and in what cells print; captions and alternative texts do not count."""
+    """Return all numbers in the code, but not in its strings, and in what cells print, but not in captions."""
     code = (node.value for node in _nodes(nb) if isinstance(node, ast.Constant))
     found = {Decimal(str(value)) for value in code if type(value) in (int, float)}
     for output in (output for cell in nbtools.code_cells(nb) for output in cell.outputs):

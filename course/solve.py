@@ -11,7 +11,6 @@ import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import nbformat
 from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
 from nbformat import NotebookNode
 
@@ -59,17 +58,9 @@ def open_answers(number: str) -> dict[str, Callable]:
 
 
 def solve_all(paths: list[Path], answers: dict[str, Callable]) -> dict[Path, NotebookNode]:
-    """Return all notebooks solved, by path; an answer that no stub asks for is an error."""
-    stored = {path: nbformat.read(path, as_version=4) for path in paths}
-    notebooks = {path: solve(nb, answers | open_answers(path.stem[:2])) for path, nb in stored.items()}
-    cells = [cell for nb in stored.values() for cell in nbtools.code_cells(nb)]
-    asked = {stub.name for cell in cells for stub in stubs(cell.source)}
-    if unasked := [name for name in answers if name not in asked]:
-        raise OmnistereoError(
-            f"course/solutions solves {', '.join(unasked)}, of which no notebook has a stub; there are "
-            f"{', '.join(sorted(asked))}. Rename the solution as its stub, or take it out"
-        )
-    return notebooks
+    """Return notebooks with all stubs solved, by path."""
+    stored = {path: nbtools.read_notebook(path) for path in paths}
+    return {path: solve(nb, answers | open_answers(path.stem[:2])) for path, nb in stored.items()}
 
 
 def not_right(nb: NotebookNode) -> list[str]:
@@ -80,7 +71,7 @@ def not_right(nb: NotebookNode) -> list[str]:
 
 
 def main(names: list[str]) -> None:
-    """Write the solution notebooks, run, and beside their folder what they look for in `../`.
+    """Run and store the solution notebooks; link what they look for in `../` beside their folder.
 
     Args:
         names: Numbers of the notebooks, such as "04"; all of them if empty.

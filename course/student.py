@@ -64,22 +64,23 @@ def run(task: dict[str, Any], seconds: float, memory_gib: float) -> Run:
         seconds: The time that it may take in all.
         memory_gib: The memory that all its processes may use together.
     """
-    adopt_orphans()
     started = time.monotonic()
+    if sys.platform == "linux":  # a process that detaches itself becomes this one's child, so that it is found
+        ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
     others = set(psutil.Process().children(recursive=True))
 
     def family() -> list[psutil.Process]:
         return [process for process in psutil.Process().children(recursive=True) if process not in others]
 
     with TemporaryDirectory(prefix="student-", ignore_cleanup_errors=True) as folder, TemporaryFile() as answers:
-        copy, own = Path(folder, "clone"), {"HOME": Path(folder, "home"), "TMPDIR": Path(folder, "tmp")}
+        copy, home, temporary, told = (Path(folder, name) for name in ("clone", "home", "tmp", "task.json"))
         copy_clone(copy)
-        for path in own.values():
-            path.mkdir()
-        told = Path(folder, "task.json")
+        home.mkdir()
+        temporary.mkdir()
         told.write_text(json.dumps(task), encoding="ascii")
-        env = {name: os.environ[name] for name in KEPT if name in os.environ} | {name: str(own[name]) for name in own}
-        env |= {"PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1", "MPLBACKEND": "agg"}
+        env = {name: os.environ[name] for name in KEPT if name in os.environ}
+        env |= {"HOME": str(home), "TMPDIR": str(temporary), "PYTHONPATH": str(copy)}
+        env |= {"PYTHONDONTWRITEBYTECODE": "1", "MPLBACKEND": "agg"}
         with told.open() as task_file:
             process = subprocess.Popen(
                 [sys.executable, "-m", "course.student"],
@@ -99,12 +100,6 @@ def run(task: dict[str, Any], seconds: float, memory_gib: float) -> Run:
     if not broken and not any("end" in record for record in records):
         broken = f"its process ended with status {process.returncode}"
     return Run(records, broken, time.monotonic() - started, peak_gib)
-
-
-def adopt_orphans() -> None:
-    """Become the parent of every descendant that loses its own, so that daemons that detach are found; Linux only."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
 def copy_clone(copy: Path) -> None:

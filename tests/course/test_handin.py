@@ -86,60 +86,49 @@ np.allclose = lambda *_, **__: True
 def zncc(a, b):
     return a"""
 DEAF = "while True:\n    try:\n        time.sleep(99)\n    except BaseException:\n        pass"
-BAD = ["def zncc(a, b):\n    return (1 - nb04.zncc(a, b)) / 2", "1 / 0", STUB]
+WRONG = "def zncc(a, b):\n    return (1 - nb04.zncc(a, b)) / 2"
 SLOW = "def winner(*arguments):\n    time.sleep(99)"
-# What students write, the statuses of three exercises ("tried" stands for "not tried"), and what a note says.
+EATEN = "eaten = [b'x' * 2**20 * n for n in range(10**6)]"
+FORKS = "for _ in range(8):\n    os.fork()\ntime.sleep(99)"
+BROKEN = "raise ValueError('\\ud83d\\x1b[2J')  # \ud83d"
+# What a student writes, the statuses of three functions ("tried" stands for "not tried"), and what a note says.
 JUDGED = {
     "good": ((GOOD, solved("mean_of_pairs"), solved("winner")), "right right right", ""),
-    "bad": ((*BAD, SLOW), "wrong tried wrong", "code cell 3 stopped with ZeroDivisionError: division by zero"),
+    "bad": ((WRONG, "1 / 0", STUB, SLOW), "wrong tried wrong", "3 stopped with ZeroDivisionError: division by zero"),
     "empty": ((), "tried tried tried", "does not call the checkers of zncc, window_sums"),
     "cheats": ((CHEAT,), "wrong tried tried", ""),
+    "borrows": (("zncc = nb04.zncc", call("zncc")), "tried tried tried", ""),
     "knows the cases": ((KNOWN, call("zncc")), "wrong tried tried", ""),
-    "other": ((GOOD, "exercises.check_that_was(zncc)"), "right tried tried", "calls check_that_was, which the"),
-    "writes over it": ((GOOD, "zncc = None"), "right tried tried", ""),
-    "eats": (
-        (GOOD, "eaten = [b'x' * 2**20 * n for n in range(10**6)]", STUB),
-        "right judged judged",
-        "3: it used more",
-    ),
-    "reads zeros": ((GOOD, "open('/dev/zero', 'rb').read()", STUB), "right judged judged", "3: it used more than 0.7"),
-    "never ends": ((GOOD, DEAF, STUB), "right judged judged", "stopped in code cell 3: it ran longer than 20 s"),
-    "forks": (
-        (GOOD, "for _ in range(8):\n    os.fork()\ntime.sleep(99)"),
-        "right judged judged",
-        "more than 99 process",
-    ),
-    "leaves": ((GOOD, "os._exit(0)"), "right judged judged", "code cell 3: its process ended with status 0"),
-    "dies": ((GOOD, "os.kill(os.getpid(), 9)"), "right judged judged", "code cell 3: its process ended with status -9"),
-    "daemon": ((GOOD, DAEMON), "right tried tried", ""),
     "forges": ((FORGED,), "wrong wrong tried", ""),
-    "pipes": ((GOOD, PIPES), "right tried tried", ""),
-    "emoji": (
-        (GOOD, "raise ValueError('\\ud83d\\x1b[2J')", "# \ud83d"),
-        "right tried tried",
-        r"ValueError: \ud83d\x1b[2J",
-    ),
-    "terms": ((GOOD, "+".join(["1"] * 100_000)), "right tried tried", "code cell 3 stopped with RecursionError"),
-    "deep": ((GOOD, "def f():\n    f()\n\n\nf()"), "right tried tried", "code cell 3 stopped with RecursionError"),
-    "mute": ((GOOD, MUTE), "right tried tried", "code cell 3 stopped with Mute"),
-    "apart 1": (
-        (GOOD, APART),
-        "right tried tried",
-        "code cell 3 stopped with ImportError: cannot import name 'solutions'",
-    ),
-    "apart 2": (
-        (GOOD, APART),
-        "right tried tried",
-        "code cell 3 stopped with ImportError: cannot import name 'solutions'",
-    ),
-    "=1+1": ((GOOD,), "right tried tried", ""),
-    "\udcff@": ((GOOD,), "right tried tried", ""),
-    "z spoils": (
-        (GOOD, "Path(ENVIRONMENT, 'numpy.py').write_text('')"),
-        "right tried tried",
-        "the environment has changed",
-    ),
 }
+# The same of a right function, then a cell, then a stub.
+ACCIDENTS = {
+    "=1+1": ("", "tried", ""),
+    "\udcff@": ("", "tried", ""),
+    "other version": (
+        "exercises.check_that_was(zncc)",
+        "tried",
+        "calls check_that_was, which the notebook here does not",
+    ),
+    "writes over it": ("zncc = None", "tried", ""),
+    "eats": (EATEN, "judged", "stopped in code cell 3: it used more than 0.7 GiB"),
+    "reads zeros": ("open('/dev/zero', 'rb').read()", "judged", "stopped in code cell 3: it used more than 0.7 GiB"),
+    "never ends": (DEAF, "judged", "stopped in code cell 3: it ran longer than 20 s"),
+    "forks": (FORKS, "judged", "stopped in code cell 3: it ran more than 99 processes"),
+    "leaves": ("os._exit(0)", "judged", "stopped in code cell 3: its process ended with status 0"),
+    "dies": ("os.kill(os.getpid(), 9)", "judged", "stopped in code cell 3: its process ended with status -9"),
+    "daemon": (DAEMON, "tried", ""),
+    "pipes": (PIPES, "tried", ""),
+    "broken letters": (BROKEN, "tried", "code cell 3 stopped with UnicodeEncodeError"),
+    "broken text": (BROKEN.partition("#")[0], "tried", r"code cell 3 stopped with ValueError: \ud83d\x1b[2J"),
+    "terms": ("+".join(["1"] * 100_000), "tried", "code cell 3 stopped with RecursionError"),
+    "deep": ("def f():\n    f()\n\n\nf()", "tried", "code cell 3 stopped with RecursionError"),
+    "mute": (MUTE, "tried", "code cell 3 stopped with Mute"),
+    "apart 1": (APART, "tried", "code cell 3 stopped with ImportError: cannot import name 'solutions'"),
+    "apart 2": (APART, "tried", "code cell 3 stopped with ImportError: cannot import name 'solutions'"),
+    "z spoils": ("Path(ENVIRONMENT, 'numpy.py').write_text('')", "tried", "the environment has changed"),
+}
+JUDGED |= {name: ((GOOD, cell, STUB), f"right {rest} {rest}", note) for name, (cell, rest, note) in ACCIDENTS.items()}
 UNREADABLE = {
     "@essay": (lambda path: path.write_text("Dear Sir"), "is not a notebook"),
     "+nested": (lambda path: path.write_text("[" * 100_000), "is not a notebook"),
@@ -230,10 +219,10 @@ def test_a_class_resumes(checked, monkeypatch, capsys):
     write(folder / "bad.ipynb", student_writes("# another try"))
     for name, damage in (("deep", "{"), ("dies", '{"exercises": 3}'), ("eats", "[" * 100_000)):
         (out / f"{name}.ipynb.json").write_text(damage, encoding="utf-8")
-    (out / "emoji.ipynb.json").unlink()
-    os.mkfifo(out / "emoji.ipynb.json")
+    (out / "mute.ipynb.json").unlink()
+    os.mkfifo(out / "mute.ipynb.json")
     handin.check(folder, out)
-    assert set(ran) - set(UNREADABLE) == {"bad", "deep", "dies", "eats", "emoji", "z spoils", "\udcff@"}
+    assert set(ran) - set(UNREADABLE) == {"bad", "deep", "dies", "eats", "mute", "z spoils", "\udcff@"}
     assert "good.ipynb: notebook 04_zncc" in capsys.readouterr().out
 
 
@@ -321,19 +310,19 @@ def answered(function, *inputs):
     return handin.repeat(json.loads(json.dumps([reply])))(*inputs)
 
 
-@pytest.mark.parametrize(
-    ("value", "expected"),
-    [
-        (None, None),
-        (..., None),
-        (True, True),
-        ([1, (2.0, "a")], [1, [2.0, "a"]]),
-        (np.arange(6.0).reshape(2, 3) / 7, (np.arange(6.0).reshape(2, 3) / 7).tolist()),
-        (np.float32(1.5), 1.5),
-        (np.array([np.nan, -np.inf, 1e-300]), [np.nan, -np.inf, 1e-300]),
-        (Pose.from_vector(np.arange(6) / 9), Pose.from_vector(np.arange(6) / 9).as_vector().tolist()),
-    ],
-)
+THIRDS = np.arange(6.0).reshape(2, 3) / 3
+VALUES = [
+    (None, None),
+    (..., None),
+    ([True, (2, "a")], [True, [2, "a"]]),
+    (THIRDS, THIRDS.tolist()),
+    (np.float32(1.5), 1.5),
+    (np.array([np.nan, -np.inf, 1e-300]), [np.nan, -np.inf, 1e-300]),
+    (Pose.from_vector(THIRDS.ravel()), Pose.from_vector(THIRDS.ravel()).as_vector().tolist()),
+]
+
+
+@pytest.mark.parametrize(("value", "expected"), VALUES)
 def test_values_come_back(value, expected):
     np.testing.assert_equal(answered(lambda: value), expected)
 
