@@ -95,6 +95,7 @@ BROKEN = "raise ValueError('\\ud83d\\x1b[2J')  # \ud83d"
 JUDGED = {
     "good": ((GOOD, solved("mean_of_pairs"), solved("winner")), "right right right", ""),
     "bad": ((WRONG, "1 / 0", STUB, SLOW), "wrong tried wrong", "3 stopped with ZeroDivisionError: division by zero"),
+    "in one cell": ((f"{WRONG}\n\n\n{call('zncc')}",), "wrong tried tried", ""),
     "empty": ((), "tried tried tried", "does not call the checkers of zncc, window_sums"),
     "cheats": ((CHEAT,), "wrong tried tried", ""),
     "borrows": (("zncc = nb04.zncc", call("zncc")), "tried tried tried", ""),
