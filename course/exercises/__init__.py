@@ -13,7 +13,6 @@ from course.exercises.geometry import *  # noqa: F403
 from course.exercises.lens_arrays import *  # noqa: F403
 from course.exercises.matching import *  # noqa: F403
 from course.exercises.opened import Open
-from course.exercises.pipeline import *  # noqa: F403
 from course.exercises.results import *  # noqa: F403
 from course.exercises.rig_arrays import *  # noqa: F403
 from course.exercises.scene_arrays import *  # noqa: F403

@@ -4,53 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from course.exercises.compare import Array, Case, Rng, checker
-
-
-@checker
-def check_sgm_step(rng: Rng, k: int) -> Case:
-    """07.1: one step of SGM's recurrence along a path."""
-    N = int(rng.integers(8, 14))
-    cost, before = rng.uniform(0, 1, N), 1.2 + rng.uniform(0, 1, N)
-    before[rng.choice([0, N - 1])] = 1.15  # a neighbour across the end would be cheap
-    p1, p2, best = rng.uniform(0.05, 0.15), rng.uniform(0.4, 0.6), before.min()
-    ends = np.pad(before, 1, constant_values=np.inf)
-
-    def step(p1: float, p2: float, best: float = best, around: Array = ends) -> Array:
-        neighbours = np.minimum(around[:-2], around[2:]) + p1
-        return cost + np.minimum(np.minimum(before, neighbours), best + p2) - best
-
-    right = step(p1, p2)
-    mistakes = [
-        (right + best, "subtract min_k L(p - r, k) at the end, or the sums grow along the path"),
-        (step(p2, p1), "P1 is for a step of one sphere, P2 for a jump: they are swapped"),
-        (step(p1, p2, around=np.pad(before, 1, mode="wrap")), "n ± 1 does not wrap: sphere 0 has no left neighbour"),
-        (step(p1, p2, around=np.array([before[-1], *ends[1:]])), "n ± 1 does not wrap: sphere 0 has no left neighbour"),
-        (step(p1, p2, best=0.0) - best, "a jump starts at the best sphere before: min_k L(p - r, k) + P2, not P2"),
-        (step(p1, np.inf), "the jump is missing: min_k L(p - r, k) + P2"),
-        (step(np.inf, p2), "the neighbours are missing: L(p - r, n ± 1) + P1"),
-        (step(p1, p2, best=cost.min()), "min_k is over the path costs before, not over this ray's costs"),
-        (right - cost, "add this ray's own cost, C(p, n)"),
-        (cost, "that is the cost alone: add the cheapest way to arrive"),
-    ]
-    return (cost, before, p1, p2), right, mistakes
-
-
-@checker
-def check_parabola(rng: Rng, k: int) -> Case:
-    """07.2: the offset of a parabola's vertex from its middle sample."""
-    left, middle, right = rng.uniform(0.3, 0.6), rng.uniform(0.1, 0.25), rng.uniform(0.3, 0.6)
-    slope, curvature = left - right, left - 2 * middle + right
-    offset = slope / (2 * curvature)
-    mistakes = [
-        (-offset, "the sign: the vertex lies towards the cheaper neighbour"),
-        (slope / curvature, "the 2 below the line is missing"),
-        (slope / 2 * curvature, "brackets: `/ 2 * x` divides by 2, then multiplies by x; `/ (2 * x)` divides by both"),
-        (slope / (4 * curvature), "the parabola's leading coefficient is half of l - 2c + r"),
-        (slope / (2 * (left - middle + right)), "the middle sample counts twice: l - 2c + r"),
-        (1 + offset, "that is measured from the left sample; the offset is from the middle one"),
-    ]
-    return (left, middle, right), offset, mistakes
+from course.exercises.compare import Case, Rng, checker
 
 
 @checker

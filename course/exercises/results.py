@@ -6,37 +6,6 @@ import numpy as np
 
 from course.exercises.compare import Array, Case, Rng, checker
 from omnistereo_lib.geometry.pose import Pose
-from omnistereo_lib.stereo.metrics import error_map
-
-
-@checker
-def check_index_error(rng: Rng, k: int) -> Case:
-    """07.3: mean absolute error in percent of the range swept (Eq. 5), over the rays with an estimate."""
-    N, rays = int(rng.integers(40, 200)), int(rng.integers(6, 20))
-    truth = rng.uniform(0, N - 1, rays)
-    index = np.rint(truth + rng.normal(-0.5, 3, rays))
-    index[-1 - k % 3 :] = np.nan
-    known = ~np.isnan(index)
-    error = error_map(index, truth, N)[known]
-    mistakes = [
-        (error.mean() * N / 100, "that is in indices; the error is in percent of the N spheres: multiply by 100/N"),
-        (error.mean() / 100, "that is a fraction of the N spheres: percent is 100 times that"),
-        (error.mean() * N / (N - 1), "Eq. 5 divides by N, not by N - 1"),
-        (error_map(index, np.rint(truth), N)[known].mean(), "do not round the truth: that is for training only"),
-        (np.nan, "a ray without an estimate (NaN) spoils the mean: leave it out"),
-        (error.sum() / len(index), "a ray without an estimate (NaN) is not among those to divide by, either"),
-        (
-            (error.sum() + 100 * np.sum(~known)) / len(index),
-            "leave rays without an estimate out; `index_error` counts them as 100",
-        ),
-        (error.sum(), "that is the sum: divide by the number of rays with an estimate"),
-        (np.sqrt((error**2).mean()), "that is the root mean square; the MAE is the mean of the absolute values"),
-        (100 / N * (index - truth)[known].mean(), "take the absolute value of each ray, before the mean"),
-        (100 / N * abs((index - truth)[known].mean()), "take the absolute value of each ray, before the mean"),
-        (error, "that is the error of each ray: take the mean"),
-        (error_map(index, truth, N), "that is the error of each ray: leave the NaN out and take the mean"),
-    ]
-    return (index, truth, N), error.mean(), mistakes
 
 
 @checker

@@ -9,37 +9,6 @@ from statistics import fmean
 
 import numpy as np
 
-from omnistereo_lib import index_error
-
-
-def mae_loops(index, truth, N):
-    errors = [100 / N * abs(i - t) for i, t in zip(index, truth, strict=True) if i == i]
-    return sum(errors) / len(errors)
-
-
-def library_mae(index, truth, N):
-    return index_error(index, truth, N)["MAE"]
-
-
-INDEX_ERROR = [
-    ("right", mae_loops),
-    ("right", lambda index, truth, N: 100 / N * np.nanmean(np.abs(index - truth))),
-    ("right", lambda index, truth, N: np.nanmean(np.abs(np.float32(truth) - np.float32(index)) * 100 / N)),
-    ("that is in indices", lambda index, truth, N: np.nanmean(abs(index - truth))),
-    ("that is a fraction", lambda index, truth, N: np.nanmean(abs(index - truth)) / N),
-    ("not by N - 1", lambda index, truth, N: np.nanmean(abs(index - truth)) / (N - 1) * 100),
-    ("do not round", lambda index, truth, N: mae_loops(index, np.round(truth), N)),
-    ("spoils the mean", lambda index, truth, N: 100 / N * np.mean(np.abs(index - truth))),
-    ("among those to divide by", lambda index, truth, N: 100 / N * np.nansum(np.abs(index - truth)) / len(index)),
-    ("counts them as 100", library_mae),
-    ("that is the sum", lambda index, truth, N: np.nansum(np.abs(index - truth)) * 100 / N),
-    ("root mean square", lambda index, truth, N: 100 / N * np.nanmean((index - truth) ** 2) ** 0.5),
-    ("absolute value of each", lambda index, truth, N: 100 / N * np.nanmean(index - truth)),
-    ("absolute value of each", lambda index, truth, N: 100 / N * abs(np.nanmean(index - truth))),
-    ("of each ray: take", lambda index, truth, N: 100 / N * np.abs(index - truth)[~np.isnan(index)]),
-    ("of each ray: leave", lambda index, truth, N: 100 / N * np.abs(index - truth)),
-]
-
 
 def share_of(error, limit, wrong):
     """Percent of rays, row by row, that `wrong` says are."""

@@ -110,7 +110,7 @@ BAD = {  # what is planted, what the guard must say
     "progress": (good(code("f()", printed="1 %\r2 %\n", count=2)), "progress bar"),
     "semicolon": (good(code("f();", count=2)), "ends in ';'"),
     "long cell": (good(code("f()", count=2), code("f()\n" * 31, count=3)), "a code cell of 31 lines"),
-    "long cells": (good(*(code("f()\n" * 9, count=n) for n in (2, 3))), "9 lines in the median"),
+    "long cells": (good(*(code("f()\n" * 11, count=n) for n in (2, 3))), "11 lines in the median"),
     "long": (good(*(code("f()\n" * 8, count=n) for n in range(2, 45))), "lines of code in all"),
     "size": (good(code("f()", printed="x" * 800_000, count=2)), "at most 800"),
     "no alt": (good(picture(alt="")), "without alternative text"),
