@@ -296,7 +296,7 @@ COMMANDS = [
     Row("train: one frame", TRAIN, "has 1 frames with ground truth; expected at least 2"),
     Row("train: no data", TRAIN + "--data DATA/none", "none"),
     # calibrate
-    Row("calibrate: a board of words", CALIBRATE + "--board twelve", "expected columns x rows such as 12x10"),
+    Row("calibrate: a board of words", CALIBRATE + "--board twelve", "expected columns x rows such as --board 12x10"),
     Row("calibrate: a board of two columns", CALIBRATE + "--board 2x9", "two integers of 3 to 200"),
     Row("calibrate: another board", CALIBRATE + "--board 9x6", "is of a board of 4 x 3", corners("a", "a")),
     Row("calibrate: squares not a number", CALIBRATE + "--square nan", "its edge in metres"),

@@ -17,7 +17,24 @@ import pytest
 import tifffile
 import torch
 import yaml
-from rig_files.rig_file_samples import D4, OCAM_TXT, POSES_TXT, R2, RAYS, SIZE, T2, K, basalt, kalibr, matrix, omnimvs
+from rig_files.rig_file_samples import (
+    D4,
+    HUGIN,
+    MEI,
+    METASHAPE,
+    OCAM_TXT,
+    POSES_TXT,
+    R2,
+    RAYS,
+    SIZE,
+    T2,
+    K,
+    basalt,
+    kalibr,
+    matrix,
+    omnimvs,
+    ros,
+)
 from train.tiny import MCCNN as RECIPE
 
 import omnistereo_lib as osl
@@ -163,6 +180,10 @@ def samples(folder):
         "basalt": ("calibration.json", json.dumps(basalt()), osl.load_rig, check_rig),
         "kalibr": ("camchain.yaml", json.dumps(chain), osl.load_rig, check_rig),
         "opencv": ("opencv.yaml", json.dumps(opencv), lambda path: osl.load_rig(path, "cm"), check_rig),
+        "ros": ("ros.yaml", json.dumps(ros()), lambda path: osl.load_rig(path, "cm"), check_rig),
+        "camodocal": ("mei.yaml", json.dumps(MEI), load_camera, check_camera),
+        "metashape": ("lens.xml", METASHAPE.format(projection="fisheye"), load_camera, check_camera),
+        "hugin": ("lens.pto", HUGIN, load_camera, check_camera),
         "ocam": ("ocam1.txt", OCAM_TXT, load_camera, check_camera),
     }
     found |= ocam_poses(folder) | corners(folder) | data_set(folder) | pictures(folder) | tensors(folder) | records()

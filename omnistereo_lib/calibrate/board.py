@@ -1,9 +1,11 @@
-"""The checkerboard: its corners and its symmetries."""
+"""Calibration boards: their corners, and the symmetries of a checkerboard."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from numbers import Real
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +15,30 @@ from omnistereo_lib.geometry.pose import Pose
 
 
 @dataclass(frozen=True)
-class Checkerboard:
+class Board(ABC):
+    """A flat board whose corners are known. Every corner of it is recognised, but for `symmetries`."""
+
+    @property
+    @abstractmethod
+    def points(self) -> NDArray[np.float64]:
+        """Corners in the board frame, shape (K, 3), metres, z = 0."""
+
+    @property
+    def symmetries(self) -> tuple[NDArray[np.int64], ...]:
+        """Corner permutations that leave the pattern unchanged, each of shape (K,); identity first."""
+        return (np.arange(len(self.points)),)
+
+    def symmetry_pose(self, symmetry: NDArray[np.int64]) -> Pose:
+        """Return the pose T with `T @ points[k] == points[symmetry[k]]`."""
+        return Pose.identity()
+
+    def find_corners(self, gray: NDArray[Any]) -> NDArray[np.float64] | None:
+        """Return the corners of the board in an image, (K, 2) px, NaN where they are not visible, or None."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Checkerboard(Board):
     """A flat checkerboard.
 
     Board frame, seen from the front: origin at the first corner, x right, y down, z into the board.

@@ -158,7 +158,7 @@ def bundle_adjust(
     """
     bundle = BundleProblem(initial, observations)
     x0 = initial.to_vector()
-    free = slice(initial.num_rig_params if fixed == "rig" else 0, None)
+    free = slice(initial.num_rig_params if fixed == "rig" else initial.num_fixed, None)
     # In whitened unknowns y the columns of the Jacobian are orthonormal initially, and SciPy's iterative solver
     # is done in ten products instead of several hundred.
     P = _whitening(bundle.jacobian(x0)[:, free])
@@ -207,25 +207,29 @@ def _column_norms(J: csr_matrix) -> Floats:
 def estimate_covariance(params: CalibrationParams, observations: Observations, sigma: float) -> Floats:
     """Return the covariance of intrinsics and rig for corner noise `sigma` (px), (num_rig_params, num_rig_params).
 
-    The inverse of JᵀJ / σ², without the rows and columns of the board poses. JᵀJ itself is never formed: it squares
-    the condition number, and the best known combinations of unknowns, which rays consist of, would be lost in
-    rounding. Capture by capture, an orthogonal projection removes what the board pose can explain, and the rest
-    updates the triangle R of a QR factorisation.
+    The inverse of JᵀJ / σ², without the rows and columns of the board poses; 0 for given intrinsics. JᵀJ itself is
+    never formed: it squares the condition number, and the best known combinations of unknowns, which rays consist of,
+    would be lost in rounding. Capture by capture, an orthogonal projection removes what the board pose can explain, and
+    the rest updates the triangle R of a QR factorisation.
 
     Raises:
         numpy.linalg.LinAlgError: If the corners do not determine all unknowns.
     """
     J = BundleProblem(params, observations).jacobian(params.to_vector())
-    rig = params.num_rig_params
-    scale = _column_norms(J)[:rig]  # unit columns, so that metres and pixels meet in equal numbers
-    R: Any = np.zeros((0, rig))  # NumPy's stubs expect Q and R from each mode of qr
+    given, rig = params.num_fixed, params.num_rig_params
+    covariance = np.zeros((rig, rig))
+    if given == rig:
+        return covariance
+    scale = _column_norms(J)[given:rig]  # unit columns, so that metres and pixels meet in equal numbers
+    R: Any = np.zeros((0, rig - given))  # NumPy's stubs expect Q and R from each mode of qr
     for k in range(len(params.T_rig_board)):
         rows = J[np.repeat(observations.capture == k, 2)]
-        intrinsics, pose = rows[:, :rig].toarray() / scale, rows[:, rig + 6 * k : rig + 6 * (k + 1)].toarray()
+        of_rig, pose = rows[:, given:rig].toarray() / scale, rows[:, rig + 6 * k : rig + 6 * (k + 1)].toarray()
         Q = np.linalg.qr(pose)[0]
-        R = np.linalg.qr(np.concatenate([R, intrinsics - Q @ (Q.T @ intrinsics)]), mode="r")
+        R = np.linalg.qr(np.concatenate([R, of_rig - Q @ (Q.T @ of_rig)]), mode="r")
     root = np.linalg.inv(R) / scale[:, None]
-    return sigma**2 * root @ root.T
+    covariance[given:, given:] = sigma**2 * root @ root.T
+    return covariance
 
 
 def rotations(r: Floats) -> tuple[Floats, Floats]:

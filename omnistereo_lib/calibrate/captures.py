@@ -3,14 +3,15 @@
 import json
 import re
 import warnings
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.calibrate.board import Checkerboard
+from omnistereo_lib.calibrate.board import Board, Checkerboard
+from omnistereo_lib.calibrate.marker_boards import AprilGrid, CharucoBoard
 from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.files import atomic_write, read_data, read_image
 from omnistereo_lib.geometry.pose import Floats
@@ -87,9 +88,7 @@ def _natural(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if re.fullmatch("[0-9]+", part) else (-1, part) for part in re.split("([0-9]{1,18})", name)]
 
 
-def save_corners(
-    path: str | Path, views: dict[str, Floats | None], board: Checkerboard, image_size: tuple[int, int]
-) -> None:
+def save_corners(path: str | Path, views: dict[str, Floats | None], board: Board, image_size: tuple[int, int]) -> None:
     """Write detections as YAML that a person can edit: a line for each corner, null for views without a board.
 
     Args:
@@ -97,7 +96,7 @@ def save_corners(
         image_size: Width and height of the images.
     """
     lines = [
-        f"board: {{corners: [{board.corners[0]}, {board.corners[1]}], square: {board.square!r}}}  # inner, metres",
+        f"board: {json.dumps(asdict(board))}  # metres",
         f"image_size: [{image_size[0]}, {image_size[1]}]  # width, height",
         "views:  # pixels (u, v), row by row; [.nan, .nan] omits a corner, null a view",
     ]
@@ -108,22 +107,46 @@ def save_corners(
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def load_corners(path: str | Path) -> tuple[dict[str, Floats | None], Checkerboard, tuple[int, int]]:
+def load_corners(path: str | Path) -> tuple[dict[str, Floats | None], Board, tuple[int, int]]:
     """Read what `save_corners` wrote: views, board, image size.
 
     Raises an `OmnistereoError` if the file is missing, not YAML or incomplete; the message names the view.
     """
     with error_context(path):
         content = Section(read_data(path))
-        board_section = content.section("board")
-        board = Checkerboard(board_section.require("corners"), board_section.number("square"))
+        board = parse_board(content.section("board"))
         image_size = parse_size(content.require("image_size"), "image_size")
         found = content.section("views").values
         views = {name: _corners_of(value, name, board, image_size) for name, value in found.items()}
     return views, board, image_size
 
 
-def _corners_of(value: Any, name: str, board: Checkerboard, image_size: tuple[int, int]) -> Floats | None:
+def parse_board(found: Section) -> Board:
+    """Return the board of a mapping: ours, by its fields, or the target of a Kalibr file."""
+    target = found.word("target_type")
+    if target == "aprilgrid":
+        tags = found.require("tagCols"), found.require("tagRows")
+        return AprilGrid(tags, found.number("tagSize"), found.number("tagSpacing"))
+    if target == "checkerboard":
+        corners = found.require("targetCols"), found.require("targetRows")
+        return Checkerboard(corners, found.number("colSpacingMeters"))
+    if target:
+        raise OmnistereoError(f"target_type is {target}; expected aprilgrid or checkerboard. Print one of them")
+    if "tags" in found.values:
+        return AprilGrid(found.require("tags"), found.number("size"), found.number("spacing"))
+    if "squares" in found.values:
+        dictionary = str(found.get("dictionary", default="DICT_4X4_50"))
+        return CharucoBoard(found.require("squares"), found.number("square"), found.number("marker"), dictionary)
+    return Checkerboard(found.require("corners"), found.number("square"))
+
+
+def load_board(path: str | Path) -> Board:
+    """Read a board from YAML: the target file of Kalibr, or the fields of one of our boards."""
+    with error_context(path):
+        return parse_board(Section(read_data(path)))
+
+
+def _corners_of(value: Any, name: str, board: Board, image_size: tuple[int, int]) -> Floats | None:
     if value is None:
         return None
     corners = parse_floats(value, f"view {name}", 2 * len(board.points), may_be_nan=True).reshape(-1, 2)

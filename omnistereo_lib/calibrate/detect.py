@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omnistereo_lib.calibrate.board import Checkerboard
+from omnistereo_lib.calibrate.board import Board, Checkerboard
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Floats
 
@@ -34,8 +34,8 @@ _MOST_LOST = 0.1  # of the corners; if more are lost, the detection is wrong
 _SAME = 2.0  # mean difference in gray levels below which two views are the same image
 
 
-def find_corners(image: ArrayLike, board: Checkerboard) -> Floats | None:
-    """Find all inner corners of the board.
+def find_corners(image: ArrayLike, board: Board) -> Floats | None:
+    """Find all inner corners of a checkerboard, or what is visible of a board of markers.
 
     Args:
         image (array, shape (H, W) or (H, W, 3)): uint8, or float in 0 to 255; colour in any order.
@@ -46,6 +46,8 @@ def find_corners(image: ArrayLike, board: Checkerboard) -> Floats | None:
             corner is nearest to the top left. A mirrored image is not recognised. None if not every corner is visible.
     """
     gray = _gray(image)
+    if not isinstance(board, Checkerboard):
+        return board.find_corners(gray)
     for attempt in _attempts(gray, board):
         if attempt is not None:
             # First the order: refinement may lose one of the corners that decide it.
@@ -217,7 +219,7 @@ def _gray(image: ArrayLike) -> Gray:
 
 def detect_views(
     images: Sequence[ArrayLike | None],
-    board: Checkerboard,
+    board: Board,
     progress: Progress = iter,
     names: Sequence[str] | None = None,
 ) -> list[Floats | None]:
@@ -253,7 +255,9 @@ def detect_views(
     return [found.get(k) for k in range(len(images))]
 
 
-def _advice(grays: list[Gray], board: Checkerboard) -> str:
+def _advice(grays: list[Gray], board: Board) -> str:
+    if not isinstance(board, Checkerboard):
+        return "Check columns, rows and dictionary, and that the images are sharp and evenly lit"
     suggestion = suggest_board(grays, board)
     if suggestion is None:
         return "Check that the board size counts inner corners and that all of them are visible, sharp and evenly lit"
@@ -287,6 +291,7 @@ def suggest_board(
 def _duplicates(grays: dict[int, Gray], found: dict[int, Floats | None]) -> Iterator[tuple[int, int]]:
     boards = {k: corners for k, corners in found.items() if corners is not None}
     for a, b in combinations(boards, 2):
-        close = np.nanmax(np.abs(boards[a] - boards[b])) < 0.5
-        if close and np.abs(grays[a].astype(float) - grays[b]).mean() < _SAME:
+        apart = np.abs(boards[a] - boards[b])
+        both = np.isfinite(apart)
+        if both.any() and apart[both].max() < 0.5 and np.abs(grays[a].astype(float) - grays[b]).mean() < _SAME:
             yield a, b

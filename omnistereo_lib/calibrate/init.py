@@ -13,6 +13,7 @@ from omnistereo_lib.calibrate.bundle import bundle_adjust
 from omnistereo_lib.calibrate.params import CalibrationParams, Intrinsics, collect_observations
 from omnistereo_lib.calibrate.solution import distances_of
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Floats, Pose
 
 # F = smaller image side / (2 × angle at its edge): from 130° at the edge (mirrors) down to 10° (telephoto).
@@ -53,6 +54,14 @@ def initial_estimate(views: Sequence[Floats], points: Floats, image_size: tuple[
             f"corners lie up to {farthest:.0f} px from the middle of an image of {image_size}; check the image size"
         )
     return best
+
+
+def estimate_poses(camera: OcamCamera, views: Sequence[Floats], points: Floats) -> CalibrationParams:
+    """Return a given camera, which stays as it is, and the pose of each view; arguments as `initial_estimate`."""
+    intrinsics, roll = Intrinsics.of_camera(camera)
+    rays = [np.where(valid[:, None], rays @ roll.R.T, np.nan) for rays, valid in map(camera.unproject, views)]
+    poses = tuple(solve_planar_pose(of_view, points)[0] for of_view in rays)
+    return CalibrationParams((intrinsics,), (Pose.identity(),), poses, fixed_intrinsics=True)
 
 
 def _init_equidistant(image_size: tuple[int, int], focal: float, farthest: float) -> Intrinsics:

@@ -8,14 +8,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
-from omnistereo_lib.calibrate.board import Checkerboard
+from omnistereo_lib.calibrate.board import Board
 from omnistereo_lib.calibrate.bundle import bundle_adjust
 from omnistereo_lib.calibrate.detect import Progress
-from omnistereo_lib.calibrate.params import CalibrationParams, Observations, collect_observations
+from omnistereo_lib.calibrate.params import CalibrationParams, Intrinsics, Observations, collect_observations
 from omnistereo_lib.calibrate.report import CameraReport, RigReport
 from omnistereo_lib.calibrate.single_camera import calibrate_corners, check_settings, read_views
 from omnistereo_lib.calibrate.solution import Solution, distances_of
 from omnistereo_lib.errors import OmnistereoError, check_type
+from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Floats, Pose
 from omnistereo_lib.geometry.rig import Rig
 
@@ -27,12 +28,13 @@ _MOVED = 1.5  # the same over all shared captures: then the cameras do not move 
 
 def calibrate_rig(
     views: Sequence[Sequence[ArrayLike | None]],
-    board: Checkerboard,
+    board: Board,
     image_sizes: Sequence[tuple[int, int]] | None = None,
     degree: int | None = None,
     max_fov_deg: float | None = None,
     progress: Progress = iter,
     names: Sequence[str] | None = None,
+    cameras: Sequence[OcamCamera] | None = None,
 ) -> tuple[Rig, RigReport]:
     """Calibrate all cameras of a rig and their poses: the paper's joint minimisation (Section III-A).
 
@@ -45,6 +47,7 @@ def calibrate_rig(
         max_fov_deg: Full field of view of the cameras. None: as far as each has corners.
         progress: Wraps the images of each camera during detection, such as `tqdm`.
         names: What messages call the captures. None: their indices.
+        cameras: Given intrinsics, one camera each: they stay as they are, and only the poses are found.
 
     Returns:
         rig: The rig frame is the frame of camera 1.
@@ -68,7 +71,7 @@ def calibrate_rig(
     True
     """
     check_type(views, Sized, "views")
-    check_type(board, Checkerboard, "board")
+    check_type(board, Board, "board")
     if len(views) < 2 or len({len(row) for row in views}) != 1:
         raise OmnistereoError(
             f"views[camera][capture] has {[len(row) for row in views]} captures; expected at least two cameras with "
@@ -78,11 +81,15 @@ def calibrate_rig(
     if len(sizes) != len(views):
         raise OmnistereoError(f"image_sizes has {len(sizes)} entries; expected one for each of {len(views)} cameras")
     check_settings(degree, max_fov_deg)
+    given: Sequence[OcamCamera | None] = [None] * len(views) if cameras is None else cameras
+    if len(given) != len(views):
+        raise OmnistereoError(f"there are {len(given)} given cameras for views of {len(views)}. Give one for each")
     corners, single = [], []
-    for i, (row, size) in enumerate(zip(views, sizes, strict=True), start=1):
+    for i, (row, size, camera) in enumerate(zip(views, sizes, given, strict=True), start=1):
         try:
             found, size, images = read_views(row, board, size, progress, names)
-            report = calibrate_corners(found, size, images, board, degree, max_fov_deg)[1]
+            _check_given(camera, size)
+            report = calibrate_corners(found, size, images, board, degree, max_fov_deg, camera)[1]
         except OmnistereoError as error:
             raise OmnistereoError(f"camera {i}: {error}") from error
         single.append(report)
@@ -93,7 +100,7 @@ def calibrate_rig(
     corners, rejected = _resolve_board_ambiguity(corners, single, T_cam_rig, board)
     captures = [k for k, view in enumerate(zip(*corners, strict=True)) if any(c is not None for c in view)]
     while True:
-        params = _initial_params(corners, captures, T_cam_rig, single)
+        params = _initial_params(corners, captures, T_cam_rig, single, cameras is not None)
         observations = collect_observations([[row[k] for k in captures] for row in corners], board.points)
         params = bundle_adjust(params, observations, loss="soft_l1", tolerance=1e-6)
         bad = _bad_captures(params, observations, captures, single)
@@ -102,7 +109,12 @@ def calibrate_rig(
         rejected |= bad
         captures = [k for k in captures if k not in bad]
     solution = Solution.solve(params, observations)
-    return _build_rig(solution, tuple(captures), tuple(single), rejected, shared, max_fov_deg)
+    return _build_rig(solution, tuple(captures), tuple(single), rejected, shared, max_fov_deg, cameras)
+
+
+def _check_given(camera: OcamCamera | None, image_size: tuple[int, int]) -> None:
+    if camera is not None and camera.image_size != tuple(image_size):
+        raise OmnistereoError(f"the images are {image_size} px, the given camera {camera.image_size}. Pass its images")
 
 
 def _shared_captures(corners: list[list[Floats | None]]) -> dict[tuple[int, int], list[int]]:
@@ -121,9 +133,7 @@ def _shared_captures(corners: list[list[Floats | None]]) -> dict[tuple[int, int]
     return shared
 
 
-def _spanning_tree(
-    shared: dict[tuple[int, int], list[int]], single: list[CameraReport], board: Checkerboard
-) -> list[Pose]:
+def _spanning_tree(shared: dict[tuple[int, int], list[int]], single: list[CameraReport], board: Board) -> list[Pose]:
     """Chain relative poses from camera 1 along the pairs that share most captures; return T_cam_rig."""
     lengths = np.zeros((len(single), len(single)))
     for pair, captures in shared.items():
@@ -144,7 +154,7 @@ def _spanning_tree(
     return T_cam_rig
 
 
-def _relative_pose(i: int, j: int, captures: list[int], single: list[CameraReport], board: Checkerboard) -> Pose:
+def _relative_pose(i: int, j: int, captures: list[int], single: list[CameraReport], board: Board) -> Pose:
     """Return T_j_i, on which most shared captures agree: each proposes one for each symmetry of the board."""
     # What T_j_i is if the corners of camera j in capture k are those of camera i in a symmetry of the board.
     proposals = {
@@ -167,9 +177,7 @@ def _relative_pose(i: int, j: int, captures: list[int], single: list[CameraRepor
     return _mean_pose([proposals[key] for key in chosen])
 
 
-def _direction_errors(
-    T_j_i: Pose, i: int, j: int, k: int, single: list[CameraReport], board: Checkerboard
-) -> list[float]:
+def _direction_errors(T_j_i: Pose, i: int, j: int, k: int, single: list[CameraReport], board: Board) -> list[float]:
     """Return, for each symmetry, the angle between the corners of camera j and those of camera i, radians."""
     seen = _unit(single[j].T_cam_board[k] @ board.points)
     expected = _unit(T_j_i @ (single[i].T_cam_board[k] @ board.points))
@@ -188,7 +196,7 @@ def _mean_pose(poses: list[Pose]) -> Pose:
 
 
 def _resolve_board_ambiguity(
-    corners: list[list[Floats | None]], single: list[CameraReport], T_cam_rig: list[Pose], board: Checkerboard
+    corners: list[list[Floats | None]], single: list[CameraReport], T_cam_rig: list[Pose], board: Board
 ) -> tuple[list[list[Floats | None]], dict[int, str]]:
     """Reorder corners to match the first camera of each capture.
 
@@ -239,7 +247,11 @@ def _bad_captures(
 
 
 def _initial_params(
-    corners: list[list[Floats | None]], captures: list[int], T_cam_rig: list[Pose], single: list[CameraReport]
+    corners: list[list[Floats | None]],
+    captures: list[int],
+    T_cam_rig: list[Pose],
+    single: list[CameraReport],
+    fixed_intrinsics: bool,
 ) -> CalibrationParams:
     """Take each board pose from the first camera of the capture."""
     degree = max(report.degree for report in single)
@@ -248,7 +260,7 @@ def _initial_params(
         i = next(i for i, row in enumerate(corners) if row[k] is not None)
         boards.append(T_cam_rig[i].inverse() @ single[i].T_cam_board[k])
     intrinsics = tuple(report.intrinsics.with_degree(degree) for report in single)
-    return CalibrationParams(intrinsics, tuple(T_cam_rig), tuple(boards))
+    return CalibrationParams(intrinsics, tuple(T_cam_rig), tuple(boards), fixed_intrinsics)
 
 
 def _build_rig(
@@ -258,17 +270,23 @@ def _build_rig(
     rejected: dict[int, str],
     shared: dict[tuple[int, int], list[int]],
     max_fov_deg: float | None,
+    given: Sequence[OcamCamera] | None,
 ) -> tuple[Rig, RigReport]:
     cameras, joint = [], []
     for i, before in enumerate(single):
         found = solution.camera_report(i, captures, before.rejected, before.cv_error_px, f"camera {i + 1}")
-        camera, camera_report = found.build_camera(max_fov_deg)
+        camera, camera_report = found.build_camera(given[i].max_fov_deg if given else max_fov_deg)
         cameras.append(camera)
         joint.append(camera_report)
     params = solution.params
     counts = {pair: len(set(numbers) - set(rejected)) for pair, numbers in shared.items()}
     report = RigReport(tuple(joint), single, captures, rejected, counts, params, solution.covariance, solution.sigma_px)
-    rig = Rig(cameras, [pose.inverse() for pose in params.T_cam_rig])
+    T_rig_cam = [pose.inverse() for pose in params.T_cam_rig]
+    if given:
+        rolls = [Intrinsics.of_camera(camera)[1] for camera in given]
+        cameras = list(given)
+        T_rig_cam = [rolls[0].inverse() @ pose @ roll for pose, roll in zip(T_rig_cam, rolls, strict=True)]
+    rig = Rig(cameras, T_rig_cam)
     return rig, replace(report, warnings=tuple(_rig_warnings(report)))
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from omnistereo_lib.geometry.camera import OcamCamera, fit_inverse_polynomial
 from omnistereo_lib.geometry.pose import Floats, Pose
+from omnistereo_lib.rig_files.fit import fit_direct_polynomial
 
 Ints = NDArray[np.int64]
 
@@ -63,6 +64,23 @@ class Intrinsics:
         rays = np.concatenate([xy, depth[..., None]], axis=-1)
         return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
 
+    @classmethod
+    def of_camera(cls, camera: OcamCamera) -> tuple[Intrinsics, Pose]:
+        """Return a camera as the optimiser sees it, and the roll from the camera frame to that of the optimiser.
+
+        The polynomial is fitted to the inverse polynomial, which is what projects.
+        """
+        c, d, e = camera.affine
+        U, singular, Vt = np.linalg.svd(np.array([[1.0, e], [d, c]]))
+        A = U @ np.diag(singular) @ U.T  # A = symmetric × rotation, and the rotation goes into the pose
+        t = np.linspace(-np.pi / 2, np.radians(camera.max_fov_deg / 2) - np.pi / 2, 257)[1:]
+        poly = fit_direct_polynomial(A[0, 0] * np.polynomial.polynomial.polyval(t, camera.inv_poly), t)
+        scale, powers = max(camera.image_size) / 2, powers_of(len(poly) - 1)
+        alpha = poly[powers] * scale ** (powers - 1.0)
+        A, roll = A / A[0, 0], np.eye(3)
+        roll[:2, :2] = U @ Vt
+        return cls(np.array([*camera.center, A[1, 1], A[0, 1], *alpha]), camera.image_size), Pose(roll, np.zeros(3))
+
     def camera(self, max_fov_deg: float) -> OcamCamera:
         """Return the camera, its inverse polynomial fitted to better than 0.01 px.
 
@@ -80,6 +98,7 @@ class CalibrationParams:
     intrinsics: tuple[Intrinsics, ...]  # one for each camera, of equal degree
     T_cam_rig: tuple[Pose, ...]  # the paper's Θ_i: rig → camera; the first is the identity
     T_rig_board: tuple[Pose, ...]  # the paper's Θ_k: board → rig, one for each capture
+    fixed_intrinsics: bool = False  # the intrinsics are given, and stay as they are
 
     def with_degree(self, degree: int) -> CalibrationParams:
         """Return the same unknowns with polynomials of at least this degree."""
@@ -100,11 +119,17 @@ class CalibrationParams:
         intrinsics = [Intrinsics(part, i.image_size) for part, i in zip(parts, self.intrinsics, strict=True)]
         poses = [Pose.from_vector(theta) for theta in x[self._num_intrinsics :].reshape(-1, 6)]
         others = len(self.T_cam_rig) - 1
-        return CalibrationParams(tuple(intrinsics), (Pose.identity(), *poses[:others]), tuple(poses[others:]))
+        T_cam_rig = (Pose.identity(), *poses[:others])
+        return CalibrationParams(tuple(intrinsics), T_cam_rig, tuple(poses[others:]), self.fixed_intrinsics)
 
     @property
     def _num_intrinsics(self) -> int:
         return sum(len(i.vector) for i in self.intrinsics)
+
+    @property
+    def num_fixed(self) -> int:
+        """Number of unknowns, the first ones, that are given."""
+        return self._num_intrinsics if self.fixed_intrinsics else 0
 
     @property
     def num_rig_params(self) -> int:

@@ -162,6 +162,11 @@ def _camera_warnings(report: CameraReport, camera: OcamCamera) -> Iterator[str]:
             f"no corner beyond {last:.0f}° from the axis, but the field of view ends at {half:.0f}°: the camera model "
             "is extrapolated. Hold the board closer to the rim"
         )
+    if last > half + _MARGIN_DEG:
+        yield (
+            f"corners reach {last:.0f}° from the axis, but the field of view ends at {half:.0f}°: the rim is cut off. "
+            f"Pass max_fov_deg = {2 * np.floor(last):.0f} (--max-fov), or none"
+        )
     edges = np.arange(0.0, last, _RING_DEG)
     sparse = np.histogram(report.inlier_angles_deg(), edges)[0] < _FEW_CORNERS
     steps = np.diff(np.concatenate([[0], sparse.astype(int), [0]]))

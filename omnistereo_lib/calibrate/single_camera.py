@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omnistereo_lib.calibrate.board import Checkerboard
+from omnistereo_lib.calibrate.board import Board, Checkerboard
 from omnistereo_lib.calibrate.bundle import bundle_adjust
 from omnistereo_lib.calibrate.detect import Progress, detect_views, edge_width, suggest_board
-from omnistereo_lib.calibrate.init import initial_estimate
+from omnistereo_lib.calibrate.init import estimate_poses, initial_estimate
 from omnistereo_lib.calibrate.params import CalibrationParams, collect_observations
 from omnistereo_lib.calibrate.report import CameraReport
 from omnistereo_lib.calibrate.solution import OUTLIER, Solution, distances_of
@@ -23,6 +23,7 @@ _SIGNIFICANT = 2.0  # standard errors by which a higher degree has to lower the 
 _MOST = 20  # degrees beyond are a typing error
 _FOLDS = 3
 _MIN_VIEWS = 3
+_FEWEST_CORNERS = 6  # of a view: four determine the pose of a plane, more say whether it fits
 _FEW_VIEWS = 10
 _BAD_VIEW = 3.0  # times the error of the median view
 _BLURRED = 1.5  # times the edge width of the median view; sharp views of one camera differ by a tenth
@@ -31,7 +32,7 @@ _PARALLEL = np.radians(5.0)
 
 def calibrate_camera(
     views: Sequence[ArrayLike | None],
-    board: Checkerboard,
+    board: Board,
     image_size: tuple[int, int] | None = None,
     degree: int | None = None,
     max_fov_deg: float | None = None,
@@ -73,27 +74,38 @@ def calibrate_corners(
     corners: list[Floats | None],
     image_size: tuple[int, int],
     images: Sequence[ArrayLike | None] | None,
-    board: Checkerboard,
+    board: Board,
     degree: int | None = None,
     max_fov_deg: float | None = None,
+    given: OcamCamera | None = None,
 ) -> tuple[OcamCamera, CameraReport]:
-    """Calibrate one camera as `calibrate_camera` does, from detected corners; with images, reject blurred views."""
-    _check_input(corners, images, board)
-    given = [k for k, view in enumerate(images or corners) if view is not None]
+    """Calibrate one camera as `calibrate_camera` does, from detected corners; with images, reject blurred views.
+
+    With a `given` camera, only the poses of the board are found.
+    """
+    if given is not None:
+        corners = [None if view is None else _corners_in_view(view, given) for view in corners]
+        max_fov_deg = given.max_fov_deg
+    _check_input(corners, images, board, 1 if given else _MIN_VIEWS)
+    taken = [k for k, view in enumerate(images or corners) if view is not None]
     found = [k for k, view in enumerate(corners) if view is not None]
     views = [view for view in corners if view is not None]
-    params = initial_estimate(views, board.points, image_size)
-    _check_tilts(params)
-    rejected = dict.fromkeys(sorted(set(given) - set(found)), "no board found")
+    rejected = dict.fromkeys(sorted(set(taken) - set(found)), "no board found")
     cv_error_px: dict[int, float] = {}
-    if degree is None:
-        degree, cv_error_px = choose_degree(params, views, board.points)
-    params = bundle_adjust(params.with_degree(degree), collect_observations([views], board.points), loss="soft_l1")
+    if given is None:
+        params = initial_estimate(views, board.points, image_size)
+        _check_tilts(params)
+        if degree is None:
+            degree, cv_error_px = choose_degree(params, views, board.points)
+        params = params.with_degree(degree)
+    else:
+        params = estimate_poses(given, views, board.points)
+    params = bundle_adjust(params, collect_observations([views], board.points), loss="soft_l1")
     bad = _bad_views(params, views, board.points)
-    if images is not None:
+    if images is not None and isinstance(board, Checkerboard):
         bad |= _blurred_views(images, corners, board)
     good = [k for k in range(len(found)) if k not in bad]
-    if len(good) < _MIN_VIEWS:
+    if len(good) < (1 if given else _MIN_VIEWS):
         raise OmnistereoError(
             f"only {len(good)} of {len(found)} views fit one camera. Check that the board is {board} and flat, and "
             "that all images are from one camera at the same zoom"
@@ -105,9 +117,15 @@ def calibrate_corners(
     return report.build_camera(max_fov_deg)
 
 
+def _corners_in_view(corners: Floats, camera: OcamCamera) -> Floats | None:
+    """Return the corners that a given camera sees, NaN for the others, or None if too few are left."""
+    seen = np.where(camera.unproject(corners)[1][:, None], corners, np.nan)
+    return seen if np.isfinite(seen).all(axis=1).sum() >= _FEWEST_CORNERS else None
+
+
 def read_views(
     views: Sequence[ArrayLike | None],
-    board: Checkerboard,
+    board: Board,
     image_size: tuple[int, int] | None,
     progress: Progress = iter,
     names: Sequence[str] | None = None,
@@ -117,7 +135,7 @@ def read_views(
     Raises an `OmnistereoError` if there are no views, or corners do not fit the board or come without the image size.
     """
     check_type(views, Iterable, "views")
-    check_type(board, Checkerboard, "board")
+    check_type(board, Board, "board")
     arrays = [None if view is None else np.asarray(view) for view in views]
     given = [array for array in arrays if array is not None]
     if not given:
@@ -131,17 +149,16 @@ def read_views(
     return [_check_corners(name, array, board) for name, array in named], parse_size(image_size, "image_size"), None
 
 
-def _check_corners(name: str, corners: NDArray[Any] | None, board: Checkerboard) -> Floats | None:
+def _check_corners(name: str, corners: NDArray[Any] | None, board: Board) -> Floats | None:
     if corners is None:
         return None
     if len(corners) != len(board.points):
-        columns, rows = board.corners
         raise OmnistereoError(
-            f"view {name}: {len(corners)} corners; expected {columns} x {rows} = {len(board.points)}, the inner "
-            "corners of the board, columns first. Put NaN for missing corners"
+            f"view {name}: {len(corners)} corners; expected {len(board.points)}, those of a board {board}, in the "
+            "order of its points. Put NaN for missing corners"
         )
     corners = np.where(np.isfinite(corners), corners, np.nan).astype(np.float64)
-    return corners if np.isfinite(corners).all(axis=1).sum() >= 6 else None
+    return corners if np.isfinite(corners).all(axis=1).sum() >= _FEWEST_CORNERS else None
 
 
 def check_settings(degree: int | None, max_fov_deg: float | None) -> None:
@@ -153,12 +170,12 @@ def check_settings(degree: int | None, max_fov_deg: float | None) -> None:
 
 
 def _check_input(
-    corners: Sequence[Floats | None], images: Sequence[ArrayLike | None] | None, board: Checkerboard
+    corners: Sequence[Floats | None], images: Sequence[ArrayLike | None] | None, board: Board, least: int
 ) -> None:
     given = [view for view in (images or corners) if view is not None]
     found = sum(view is not None for view in corners)
     # A board size given too small is found here and there as a part of the board.
-    if images is not None and found < min(_FEW_VIEWS, len(given) / 2):
+    if images is not None and isinstance(board, Checkerboard) and found < min(_FEW_VIEWS, len(given) / 2):
         suggestion = suggest_board(given, board, only_larger=True)
         if suggestion is not None:
             (columns, rows), count = suggestion
@@ -166,9 +183,9 @@ def _check_input(
                 f"{found} of {len(given)} views show a board {board}, but one of {columns} x {rows} inner corners is "
                 f"found in {count} of the first images. Check that the board size counts all inner corners"
             )
-    if found < _MIN_VIEWS:
+    if found < least:
         raise OmnistereoError(
-            f"{found} of {len(given)} views show the board; expected at least {_MIN_VIEWS}. Take 15 or more, tilted "
+            f"{found} of {len(given)} views show the board; expected at least {least}. Take 15 or more, tilted "
             "every way and out to the rim"
         )
 

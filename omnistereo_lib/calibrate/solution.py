@@ -62,7 +62,7 @@ class Solution:
         params, inlier_mask = refine(params, observations)
         inliers = observations.select(inlier_mask)
         residuals = residuals_of(params, inliers)
-        sigma_px = float(np.sqrt((residuals**2).sum() / max(residuals.size - params.num_params, 1)))
+        sigma_px = float(np.sqrt((residuals**2).sum() / max(residuals.size - params.num_params + params.num_fixed, 1)))
         try:
             covariance = estimate_covariance(params, inliers, sigma_px)
         except np.linalg.LinAlgError as error:

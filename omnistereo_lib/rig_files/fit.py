@@ -85,7 +85,7 @@ def fit_ocam(
     A /= A[0, 0]
     radius = np.einsum("rij,ij->r", maps, A) / (A * A).sum()
     camera = OcamCamera(
-        poly=_fit_direct(radius, theta - np.pi / 2),
+        poly=fit_direct_polynomial(radius, theta - np.pi / 2),
         inv_poly=_fit_inverse(radius, theta - np.pi / 2),
         center=tuple(center.tolist()),
         affine=(float(A[1, 1]), float(A[1, 0]), float(A[0, 1])),
@@ -146,8 +146,8 @@ def _fit_inverse(radius: Floats, t: Floats) -> Floats:
     return np.asarray(Polynomial([0, *b], domain=limits, window=[0, 1]).convert().coef)
 
 
-def _fit_direct(radius: Floats, t: Floats) -> Floats:
-    """Fit f(r) with f(r) cos t = r sin t and a1 = 0; coefficients low to high."""
+def fit_direct_polynomial(radius: Floats, t: Floats) -> Floats:
+    """Fit f(r) with f(r) cos t = r sin t and a1 = 0 to 0.01 px; radii (N,) in px, coefficients low to high."""
     exponents = np.array([0, *range(2, _MAX_DEGREE + 1)])
     to_px = np.cos(t) * np.gradient(radius, t) / radius  # of the difference of both sides
     powers = (radius / radius[-1])[:, None] ** exponents * (np.cos(t) * to_px)[:, None]

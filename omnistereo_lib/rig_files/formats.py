@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -147,10 +147,29 @@ def load_camera(path: str | Path, max_fov_deg: float | None = None) -> OcamCamer
     return camera
 
 
+def load_cameras(path: str | Path, max_fov_deg: float | None = None) -> list[OcamCamera]:
+    """Read the cameras of a rig file, or of a folder of files of one camera each, without their poses.
+
+    Args:
+        path, max_fov_deg: As for `load_rig`; a folder needs no poses.txt.
+    """
+    path = as_path(path)
+    if max_fov_deg is not None:
+        check_fov(max_fov_deg, "max_fov_deg")
+    files = _sorted(file for pattern in _LENS_FILES for file in path.glob(pattern) if file.is_file())
+    if files and not (path / "config.yaml").exists():
+        return [load_camera(file, max_fov_deg) for file in files]
+    return _read_file(_find_rig_file(path) if path.is_dir() else path, max_fov_deg)[2].cameras
+
+
 def _lens_files(folder: Path) -> list[Path]:
     """Return the files of single cameras in the order of their numbers: cam2 before cam10."""
     found = [list(folder.glob(pattern)) for pattern in _LENS_FILES]
     files = found[0] or (found[1] if (folder / "poses.txt").exists() else [])
+    return _sorted(files)
+
+
+def _sorted(files: Iterable[Path]) -> list[Path]:
     return sorted(files, key=lambda file: (len(file.name), file.name))
 
 

@@ -1,12 +1,20 @@
-"""Calibrate a camera or a rig: images of a checkerboard in, intrinsics and poses out.
+"""Calibrate a camera or a rig: images of a board in, intrinsics and poses out.
 
 FOLDER holds one folder of images per camera; images of one capture have the same name.
-example: omnistereo calibrate FOLDER --board 12x10 --square 0.06 --max-fov 220
+
+Examples:
+  omnistereo calibrate FOLDER --board 12x10 --square 0.06 --max-fov 220
+      a checkerboard, all of which must be visible
+  omnistereo calibrate FOLDER --board aprilgrid.yaml
+      the target file of Kalibr, or a YAML file with the fields of a board: see the book
+  omnistereo calibrate FOLDER --board 12x10 --square 0.06 --rig lenses.yaml
+      the poses alone, of cameras that are calibrated
 """
 
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,51 +22,65 @@ from typing import TYPE_CHECKING
 from omnistereo_lib.errors import OmnistereoError
 
 if TYPE_CHECKING:
-    from omnistereo_lib.calibrate.board import Checkerboard
+    from omnistereo_lib.calibrate.board import Board
     from omnistereo_lib.geometry.rig import Rig
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder with one folder of images per camera")
-    parser.add_argument("--board", required=True, type=_board_size, help="inner corners, columns x rows, such as 12x10")
-    parser.add_argument("--square", required=True, type=float, help="edge of a square in metres, such as 0.06")
+    parser.add_argument("--board", required=True, help="inner corners, columns x rows, such as 12x10, or a YAML file")
+    parser.add_argument("--square", type=float, help="edge of a square of a checkerboard in metres, such as 0.06")
+    parser.add_argument("--rig", type=Path, help="keep the intrinsics of this rig file or folder of cameras")
     parser.add_argument("--degree", type=int, help="polynomial degree (default: chosen by cross-validation)")
     parser.add_argument("--max-fov", type=float, help="field of view in degrees (default: as far as corners reach)")
     parser.add_argument("--corners", type=Path, help="folder with corners_*.yaml of an earlier run, edited or not")
     parser.add_argument("--out", type=Path, default=Path("out/rig"), help="folder for the results (default: out/rig)")
 
 
-def _board_size(text: str) -> tuple[int, int]:
-    columns, _, rows = text.lower().partition("x")
-    try:
-        return int(columns), int(rows)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"expected columns x rows such as 12x10, got {text!r}") from None
+def _read_board(options: argparse.Namespace) -> Board:
+    """Return the board that --board and --square name."""
+    from omnistereo_lib.calibrate.board import Checkerboard
+    from omnistereo_lib.calibrate.captures import load_board
+
+    if Path(options.board).suffix in (".yaml", ".yml"):
+        if options.square is not None:
+            raise OmnistereoError(f"{options.board} states its sizes. Leave out --square")
+        return load_board(options.board)
+    size = re.fullmatch("([0-9]{1,3})x([0-9]{1,3})", options.board.lower())
+    if size is None or options.square is None:
+        found = f"--board {options.board}" + ("" if options.square is None else f" --square {options.square:g}")
+        raise OmnistereoError(
+            f"found {found}; expected columns x rows such as --board 12x10 --square 0.06, or a YAML file"
+        )
+    return Checkerboard((int(size[1]), int(size[2])), options.square)
 
 
 def run(options: argparse.Namespace) -> None:
     """Calibrate one camera or a rig and write it, its report and its detections."""
-    from omnistereo_lib.calibrate.board import Checkerboard
     from omnistereo_lib.calibrate.joint import calibrate_rig
     from omnistereo_lib.calibrate.single_camera import calibrate_camera
     from omnistereo_lib.files import atomic_write, make_folder
+    from omnistereo_lib.rig_files.formats import load_cameras
     from omnistereo_lib.rig_files.ocam import write_ocam_txt
 
-    board = Checkerboard(options.board, options.square)
+    board = _read_board(options)
     if options.corners is None:
         cameras, names, views, sizes, progress = _read_captures(options.folder)
     else:
         cameras, names, views, sizes, progress = _read_corners(options.corners, board)
     out = make_folder(options.out)
     settings = {"degree": options.degree, "max_fov_deg": options.max_fov, "progress": progress, "names": names}
+    if options.rig is not None and (len(views) == 1 or options.degree is not None):
+        raise OmnistereoError("--rig keeps the intrinsics of two or more cameras. Leave it, or --degree, out")
     if len(views) == 1:
         camera, report = calibrate_camera(views[0], board, sizes and sizes[0], **settings)
         reports = [report]
         write_ocam_txt(camera, out / "ocam1.txt")
         written = ["ocam1.txt"]
     else:
-        rig, report = calibrate_rig(views, board, sizes, **settings)
+        given = None if options.rig is None else load_cameras(options.rig, options.max_fov)
+        rig, report = calibrate_rig(views, board, sizes, **settings, cameras=given)
         reports = report.joint
         written = _write_rig(out, rig)
     text = report.text(names)
@@ -86,7 +108,7 @@ def _read_captures(folder: Path) -> tuple:
     return captures.cameras, captures.names, captures.views(), None, partial(tqdm, desc="boards", unit="image")
 
 
-def _read_corners(folder: Path, board: Checkerboard) -> tuple:
+def _read_corners(folder: Path, board: Board) -> tuple:
     """Return what `_read_captures` does, with corners instead of images."""
     from omnistereo_lib.calibrate.captures import load_corners
 
@@ -95,7 +117,7 @@ def _read_corners(folder: Path, board: Checkerboard) -> tuple:
         raise OmnistereoError(f"{folder} holds no corners_*.yaml: run once without --corners, which writes them")
     loaded = [load_corners(path) for path in files]
     for path, (_, detected, _) in zip(files, loaded, strict=True):
-        if detected.corners != board.corners:
+        if type(detected) is not type(board) or len(detected.points) != len(board.points):
             raise OmnistereoError(f"{path} is of a board {detected}, not {board}")
     names = tuple(sorted(set().union(*(views for views, _, _ in loaded))))
     views = [[by_name.get(name) for name in names] for by_name, _, _ in loaded]
@@ -116,7 +138,7 @@ def _write_rig(out: Path, rig: Rig) -> list[str]:
 
 
 def _write_reports(
-    out: Path, cameras: Sequence[str], names: Sequence[str], reports: Sequence, board: Checkerboard
+    out: Path, cameras: Sequence[str], names: Sequence[str], reports: Sequence, board: Board
 ) -> list[str]:
     """Write the figures and corners of each camera, captures without a board as null; return what was written."""
     from omnistereo_lib.calibrate.captures import save_corners

@@ -133,6 +133,50 @@ D4 = np.array([-0.011, 0.004, -0.0021, 0.0003])
 R2, T2 = Rotation.from_rotvec([0.1, 1.4, 0]).as_matrix(), np.array([12.0, 0.5, -3.0])  # rig -> camera, centimetres
 
 
+K4 = [-0.011, 0.004, -0.0021, 0.0003]
+
+
+def ros(**changes):
+    camera = {
+        "image_width": SIZE[0],
+        "image_height": SIZE[1],
+        "camera_name": "left",
+        "camera_matrix": {"rows": 3, "cols": 3, "data": [200.0, 0, 400, 0, 199.0, 380, 0, 0, 1]},
+        "distortion_model": "equidistant",
+        "distortion_coefficients": {"rows": 1, "cols": 4, "data": K4},
+    }
+    pose = {"R": {"rows": 3, "cols": 3, "data": R2.ravel().tolist()}, "T": {"rows": 3, "cols": 1, "data": T2.tolist()}}
+    return {"left": camera | changes, "right": camera | pose | changes}
+
+
+MEI = {
+    "model_type": "MEI",
+    "camera_name": "fish",
+    "image_width": SIZE[0],
+    "image_height": SIZE[1],
+    "mirror_parameters": {"xi": 1.5},
+    "distortion_parameters": {"k1": -0.05, "k2": 0.01, "p1": 0.0, "p2": 0.0},
+    "projection_parameters": {"gamma1": 560.0, "gamma2": 558.0, "u0": 400.0, "v0": 380.0},
+}
+METASHAPE = """<?xml version="1.0" encoding="UTF-8"?>
+<calibration>
+  <projection>{projection}</projection>
+  <width>800</width>
+  <height>760</height>
+  <f>240.0</f>
+  <cx>3.5</cx>
+  <cy>-2.0</cy>
+  <b1>1.5</b1>
+  <b2>-0.5</b2>
+  <k1>-0.02</k1>
+  <k2>0.004</k2>
+  <k4>0.0001</k4>
+  <date>2026-01-01T00:00:00Z</date>
+</calibration>
+"""
+HUGIN = 'i w800 h760 f3 v180 Ra0 a0.01 b-0.02 c0.005 d2.5 e-1.5 g0 t0 r0 p0 y0 n"a0.jpg"\n'
+
+
 def only_our_error(read, path, content):
     """Read a damaged file: either it is refused by the library's own error, or what comes out works."""
     path.write_bytes(content)

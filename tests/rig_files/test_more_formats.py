@@ -7,7 +7,7 @@ from math import atan, atan2, cos, hypot, sin, tan
 import cv2
 import numpy as np
 import pytest
-from rig_file_samples import FOCAL, R2, RAYS, SIZE, T2, dump, kalibr, matrix, write
+from rig_file_samples import FOCAL, K4, MEI, METASHAPE, R2, RAYS, SIZE, T2, dump, kalibr, matrix, ros, write
 
 from omnistereo_lib import OmnistereoError, load_camera, load_rig
 
@@ -31,26 +31,10 @@ def theta_d(theta, k):
     return theta * (1 + k[0] * theta**2 + k[1] * theta**4 + k[2] * theta**6 + k[3] * theta**8)
 
 
-K4 = [-0.011, 0.004, -0.0021, 0.0003]
-
-
 def kb4(x, y, z, skew=0.0):
     theta, around = angle(x, y, z)
     mx, my = theta_d(theta, K4) * cos(around), theta_d(theta, K4) * sin(around)
     return 200.0 * mx + skew * my + 400.0, 199.0 * my + 380.0
-
-
-def ros(**changes):
-    camera = {
-        "image_width": WIDTH,
-        "image_height": HEIGHT,
-        "camera_name": "left",
-        "camera_matrix": {"rows": 3, "cols": 3, "data": [200.0, 0, 400, 0, 199.0, 380, 0, 0, 1]},
-        "distortion_model": "equidistant",
-        "distortion_coefficients": {"rows": 1, "cols": 4, "data": K4},
-    }
-    pose = {"R": {"rows": 3, "cols": 3, "data": R2.ravel().tolist()}, "T": {"rows": 3, "cols": 1, "data": T2.tolist()}}
-    return {"left": camera | changes, "right": camera | pose | changes}
 
 
 def test_matrices_of_ros(tmp_path):
@@ -144,17 +128,6 @@ def test_the_omnidirectional_model_of_opencv(tmp_path):
     follows(rig.cameras[0], lambda x, y, z: mei(x, y, z, 1.2, (500, 498), (400, 380), -0.1, 0.02, skew=1.0))
 
 
-MEI = {
-    "model_type": "MEI",
-    "camera_name": "fish",
-    "image_width": WIDTH,
-    "image_height": HEIGHT,
-    "mirror_parameters": {"xi": 1.5},
-    "distortion_parameters": {"k1": -0.05, "k2": 0.01, "p1": 0.0, "p2": 0.0},
-    "projection_parameters": {"gamma1": 560.0, "gamma2": 558.0, "u0": 400.0, "v0": 380.0},
-}
-
-
 def test_rigs_of_vins_with_cameras_of_camodocal(tmp_path):
     k = dict(zip(("k2", "k3", "k4", "k5"), K4, strict=True))
     projection = {"mu": 200.0, "mv": 199.0, "u0": 400.0, "v0": 380.0}
@@ -175,24 +148,6 @@ def test_rigs_of_vins_with_cameras_of_camodocal(tmp_path):
         OmnistereoError, match=r"model_type is SCARAMUZZA; expected one of MEI, KANNALA_BRANDT, PINHOLE"
     ):
         load_camera(dump(tmp_path / "scaramuzza.yaml", {"model_type": "scaramuzza"}))
-
-
-METASHAPE = """<?xml version="1.0" encoding="UTF-8"?>
-<calibration>
-  <projection>{projection}</projection>
-  <width>800</width>
-  <height>760</height>
-  <f>240.0</f>
-  <cx>3.5</cx>
-  <cy>-2.0</cy>
-  <b1>1.5</b1>
-  <b2>-0.5</b2>
-  <k1>-0.02</k1>
-  <k2>0.004</k2>
-  <k4>0.0001</k4>
-  <date>2026-01-01T00:00:00Z</date>
-</calibration>
-"""
 
 
 @pytest.mark.parametrize(

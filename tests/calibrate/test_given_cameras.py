@@ -1,0 +1,223 @@
+"""Poses alone, of cameras whose intrinsics are given, and boards of which a part is seen."""
+
+from dataclasses import replace
+
+import boards
+import cv2
+import numpy as np
+import pytest
+from boards import BOARD, CENTER, SIZE
+
+import omnistereo_lib as osl
+from omnistereo_lib.calibrate.captures import load_board, load_corners, save_corners
+from omnistereo_lib.calibrate.detect import find_corners
+from omnistereo_lib.calibrate.marker_boards import AprilGrid, CharucoBoard
+from omnistereo_lib.calibrate.params import Intrinsics
+from omnistereo_lib.geometry.camera import fit_inverse_polynomial
+from omnistereo_tools import cli
+
+F = 200.0  # px, of "equidistant 210"
+
+
+def given(roll_deg=0.0):
+    """Return the lens of `boards`, r = F θ, as a camera whose affine map rolls it about its axis, and that roll."""
+    theta = np.linspace(1e-3, np.radians(108), 400)
+    powers = np.array([0, *range(2, 15)])
+    r = F * theta
+    fit = np.linalg.lstsq((r[:, None] / r[-1]) ** powers, -r / np.tan(theta), rcond=None)[0] / r[-1] ** powers
+    poly = np.zeros(15)
+    poly[powers] = fit
+    a = np.radians(roll_deg)
+    # A of a rolled equidistant lens is a rotation; files scale it to A[0, 0] = 1, and the radius by the inverse.
+    affine, scale = (1.0, np.tan(a), -np.tan(a)), np.cos(a)
+    poly = poly * scale ** (1.0 - np.arange(15))
+    inverse = fit_inverse_polynomial(poly, 210, 3 * max(SIZE), 1e-3)
+    camera = osl.OcamCamera(poly, inverse, tuple(CENTER), affine, SIZE, 210)
+    rotation = np.array([[np.cos(a), np.sin(a), 0], [-np.sin(a), np.cos(a), 0], [0, 0, 1]])
+    return camera, osl.Pose(rotation, np.zeros(3))  # T_camera_lens
+
+
+@pytest.mark.parametrize("roll_deg", [0.0, 25.0])
+def test_the_optimiser_sees_the_same_camera(roll_deg):
+    camera, T_camera_lens = given(roll_deg)
+    points = np.random.default_rng(0).normal(size=(500, 3))
+    expected, inside = boards.project(points)
+    uv, valid = camera.project(points @ T_camera_lens.R.T)
+    np.testing.assert_allclose(uv[valid & inside], expected[valid & inside], atol=5e-3)
+    intrinsics, roll = Intrinsics.of_camera(camera)
+    rays = intrinsics.rays(uv[valid])
+    ours = points[valid] @ T_camera_lens.R.T @ roll.R.T
+    np.testing.assert_allclose(rays, ours / np.linalg.norm(ours, axis=-1, keepdims=True), atol=1e-4)
+
+
+@pytest.fixture(scope="module")
+def seen():
+    return boards.captures(np.random.default_rng(8), alone=2, shared=4, noise=0.05)
+
+
+def test_poses_of_given_cameras_are_found(seen):
+    """With a few shared captures, which would not do for the intrinsics, and cameras whose affine maps roll them."""
+    cameras, rolls = zip(*(given(roll) for roll in (0, 25, 0, -40)), strict=True)
+    rig, report = osl.calibrate_rig(seen, BOARD, [SIZE] * 4, cameras=cameras)
+    assert rig.cameras == cameras
+    truth = [pose @ roll.inverse() for pose, roll in zip(boards.rig_poses(), rolls, strict=True)]
+    for pose, there in zip(rig.T_rig_cam, truth, strict=True):
+        angle, shift = ((truth[0].inverse() @ there).inverse() @ pose).magnitude()
+        assert angle < 0.05 and shift < 1e-3
+    assert report.rms_px == pytest.approx(0.05, abs=0.005)
+    assert "4 cameras" in report.text()
+
+
+def test_given_cameras_must_fit(seen):
+    camera, _ = given()
+    with pytest.raises(osl.OmnistereoError, match="there are 1 given cameras for views of 4"):
+        osl.calibrate_rig(seen, BOARD, [SIZE] * 4, cameras=[camera])
+    other = replace(camera, image_size=(640, 480), center=(320, 240))
+    with pytest.raises(osl.OmnistereoError, match=r"camera 1: the images are \(800, 768\) px, the given camera"):
+        osl.calibrate_rig(seen, BOARD, [SIZE] * 4, cameras=[other] * 4)
+
+
+APRIL = AprilGrid((6, 5), 0.1, 0.3)
+CHARUCO = CharucoBoard((9, 7), 0.06, 0.045)
+PX_PER_M = 2000
+
+
+def print_april(border):
+    """Draw the board as Kalibr prints it: tags from the bottom left, black squares where gaps cross."""
+    columns, rows = APRIL.tags
+    tag, gap = round(APRIL.size * PX_PER_M), round(APRIL.size * APRIL.spacing * PX_PER_M)
+    pitch, margin = tag + gap, 2 * gap
+    page = np.full((rows * pitch - gap + 2 * margin, columns * pitch - gap + 2 * margin), 255, np.uint8)
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    for number in range(columns * rows):
+        row, column = rows - 1 - number // columns, number % columns
+        y, x = margin + row * pitch, margin + column * pitch
+        page[y : y + tag, x : x + tag] = cv2.aruco.generateImageMarker(dictionary, number, tag, borderBits=border)
+    for row in range(rows + 1):
+        for column in range(columns + 1):
+            y, x = margin + row * pitch - gap, margin + column * pitch - gap
+            page[y : y + gap, x : x + gap] = 0
+    return page, margin
+
+
+def print_charuco():
+    columns, rows = CHARUCO.squares
+    square = round(CHARUCO.square * PX_PER_M)
+    page = CHARUCO._board(False).generateImage((columns * square, rows * square), marginSize=0)
+    return np.pad(page, 40, constant_values=255), 40
+
+
+def photograph(page, margin, pose, blur=0.7):
+    """Return what the equidistant lens sees of a printed page at a pose of the board, by its rays, one by one."""
+    u, v = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
+    offset = np.stack([u, v], -1) - CENTER
+    r = np.linalg.norm(offset, axis=-1)
+    theta = r / F
+    rays = np.stack(
+        [*np.moveaxis(offset / np.maximum(r, 1e-9)[..., None] * np.sin(theta)[..., None], -1, 0), np.cos(theta)], -1
+    )
+    normal = pose.R[:, 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = (pose.t @ normal) / (rays @ normal)
+    hit = (depth > 0) & (theta < np.radians(105))
+    on_board = pose.inverse() @ np.where(hit[..., None], rays * depth[..., None], 1e6)
+    at = (on_board[..., :2] * PX_PER_M + margin - 0.5).astype(np.float32)
+    image = cv2.remap(cv2.GaussianBlur(page, (0, 0), 3), at, None, cv2.INTER_LINEAR, borderValue=128)
+    return cv2.GaussianBlur(image, (0, 0), blur)
+
+
+AHEAD = osl.Pose.from_vector([0.2, 0.15, 0.1, -0.3, -0.25, 0.35])
+
+
+@pytest.mark.parametrize("border", [2, 1])
+@pytest.mark.parametrize("turn", [0.0, 2.0])
+def test_tags_are_found_where_they_are(border, turn):
+    middle = osl.Pose(np.eye(3), APRIL.points.mean(axis=0))
+    pose = AHEAD @ middle @ osl.Pose.from_vector([0, 0, turn, 0, 0, 0]) @ middle.inverse()
+    corners = find_corners(photograph(*print_april(border), pose), APRIL)
+    expected, inside = boards.project(pose @ APRIL.points)
+    known = np.isfinite(corners[:, 0])
+    assert known.sum() > 0.6 * inside.sum() > 40
+    error = np.linalg.norm(corners - expected, axis=1)[known & inside]
+    assert np.median(error) < 0.15 and np.quantile(error, 0.95) < 0.6
+
+
+def test_chessboard_corners_between_markers():
+    corners = find_corners(photograph(*print_charuco(), AHEAD), CHARUCO)
+    expected, _ = boards.project(AHEAD @ CHARUCO.points)
+    known = np.isfinite(corners[:, 0])
+    assert known.mean() > 0.6 and np.median(np.linalg.norm(corners - expected, axis=1)[known]) < 0.15
+
+
+def test_a_part_of_a_board_counts():
+    """Half of the board is beyond the rim of the lens."""
+    page, margin = print_april(2)
+    turn = osl.Pose.from_vector([0, np.radians(88), 0, 0, 0, 0])
+    pose = turn @ osl.Pose.from_vector([0, 0, 0, -0.35, -0.3, 0.35])
+    corners = find_corners(photograph(page, margin, pose), APRIL)
+    known = np.isfinite(corners[:, 0])
+    assert 8 <= known.sum() < len(known)
+    expected, _ = boards.project(pose @ APRIL.points)
+    assert np.median(np.linalg.norm(corners - expected, axis=1)[known]) < 0.3
+    assert find_corners(photograph(*print_charuco(), pose), APRIL) is None
+
+
+def test_boards_of_files(tmp_path):
+    target = tmp_path / "april.yaml"
+    target.write_text("target_type: 'aprilgrid'\ntagCols: 6\ntagRows: 5\ntagSize: 0.1\ntagSpacing: 0.3\n")
+    assert load_board(target) == APRIL
+    target.write_text(
+        "target_type: 'checkerboard'\ntargetCols: 12\ntargetRows: 10\nrowSpacingMeters: 0.06\ncolSpacingMeters: 0.06\n"
+    )
+    assert load_board(target) == BOARD
+    target.write_text("target_type: 'circlegrid'\n")
+    with pytest.raises(osl.OmnistereoError, match=r"april.yaml: target_type is circlegrid; expected aprilgrid"):
+        load_board(target)
+    for board in (BOARD, APRIL, CHARUCO):
+        corners = np.full((len(board.points), 2), np.nan)
+        corners[:7] = 50.25
+        save_corners(tmp_path / "corners.yaml", {"a": corners, "b": None}, board, SIZE)
+        views, read, size = load_corners(tmp_path / "corners.yaml")
+        assert read == board and size == SIZE and views["b"] is None
+        np.testing.assert_array_equal(views["a"], corners)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: AprilGrid((0, 5), 0.08, 0.3), "the tags of an AprilGrid is 0"),
+        (lambda: AprilGrid((6, 5), 0.0, 0.3), "the edge of a tag in metres is 0.0"),
+        (lambda: CharucoBoard((9, 7), 0.06, 0.07), "the marker"),
+        (lambda: CharucoBoard((9, 7), 0.06, 0.045, "DICT_9X9"), "dictionary is 'DICT_9X9'"),
+    ],
+)
+def test_boards_that_cannot_be(make, message):
+    with pytest.raises(osl.OmnistereoError, match=message):
+        make()
+
+
+def test_the_command_keeps_given_cameras(seen, tmp_path, capsys):
+    names = [f"{k:03}" for k in range(len(seen[0]))]
+    for i, row in enumerate(seen, 1):
+        save_corners(tmp_path / f"corners_cam{i}.yaml", dict(zip(names, row, strict=True)), BOARD, SIZE)
+    camera, _ = given()
+    anywhere = [osl.Pose.from_vector([0, 0, 0, i, 0, 0]) for i in range(4)]  # poses that are not used
+    osl.save_rig(osl.Rig((camera,) * 4, anywhere), tmp_path / "lenses.yaml")
+    board = ["--board", "12x10", "--square", "0.06"]
+    command = ["calibrate", str(tmp_path), "--corners", str(tmp_path), "--out", str(tmp_path / "out")]
+    assert cli.main([*command, *board, "--rig", str(tmp_path / "lenses.yaml")]) == 0
+    rig = osl.load_rig(tmp_path / "out" / "config.yaml", keep_frame=True)
+    np.testing.assert_array_equal(rig.cameras[2].inv_poly, camera.inv_poly)
+    _, shift = (rig.T_rig_cam[0].inverse() @ rig.T_rig_cam[2]).magnitude()
+    truth = boards.rig_poses()
+    assert shift == pytest.approx((truth[0].inverse() @ truth[2]).magnitude()[1], abs=1e-3)
+    assert cli.main([*command, *board, "--rig", str(tmp_path / "lenses.yaml"), "--degree", "4"]) == 2
+    assert "--rig keeps the intrinsics" in capsys.readouterr().err
+    assert cli.main([*command, "--board", "12x10"]) == 2
+    assert "found --board 12x10; expected columns x rows such as --board 12x10 --square 0.06" in capsys.readouterr().err
+
+
+def test_corners_beyond_the_field_of_view_are_told():
+    views, _ = boards.views(np.random.default_rng(2), count=12)
+    _, report = osl.calibrate_camera(views, BOARD, SIZE, degree=6, max_fov_deg=150)
+    assert any("the rim is cut off. Pass max_fov_deg = " in warning for warning in report.warnings)
