@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 from torch.nn.functional import pad
 
-from omnistereo_lib.errors import OmnistereoError, shortened
+from omnistereo_lib.errors import OmnistereoError, check_type
 from omnistereo_lib.geometry.rig import Pair
 from omnistereo_lib.stereo.cost import BlockCost, Progress
 from omnistereo_lib.stereo.sweep import SphereSweep, split_at_seam
@@ -161,8 +161,7 @@ class LearnedCost(BlockCost):
     """
 
     def __init__(self, network: PairNetwork, precision: Precision = "auto") -> None:
-        if not isinstance(network, PairNetwork):
-            raise OmnistereoError(f"network is {shortened(network)}; expected PairNetwork")
+        check_type(network, PairNetwork, "network")
         uses_bfloat16(precision, "cpu")
         self.network = network.eval()
         self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # torch's hints lack it

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-from omnistereo_lib.errors import OmnistereoError, shortened
+from omnistereo_lib.errors import OmnistereoError, check_type, shortened
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
@@ -71,10 +71,8 @@ class SphereSweep:
         device: torch.device | str = "cpu",
         max_lut_bytes: int | None = None,
     ) -> None:
-        if not isinstance(rig, Rig):
-            raise OmnistereoError(f"rig is {shortened(rig)}; expected Rig")
-        if not isinstance(grid, SphereGrid):
-            raise OmnistereoError(f"grid is {shortened(grid)}; expected SphereGrid")
+        check_type(rig, Rig, "rig")
+        check_type(grid, SphereGrid, "grid")
         if max(grid.shape) > _MAX_SIDE:
             raise OmnistereoError(f"the panorama is {grid.width} × {grid.height}; expected at most {_MAX_SIDE} a side")
         self.rig = rig.recentered(center)

@@ -4,7 +4,6 @@ import hashlib
 import json
 import struct
 from collections.abc import Mapping
-from os import PathLike
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -102,8 +101,6 @@ def load_tensors(path: str | Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         OmnistereoError: If the file is missing, truncated, changed since it was written, not finite, or not from this
             library.
     """
-    if not isinstance(path, str | PathLike):
-        raise OmnistereoError(f"path is {shortened(path)}; expected the path of a file")
     content = read_bytes(path)
     try:
         tensors = load(content)
