@@ -16,7 +16,7 @@ from omnistereo_lib.calibrate.solution import OUTLIER, Solution, distances_of
 from omnistereo_lib.errors import OmnistereoError, check_number, check_type
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Floats
-from omnistereo_lib.rig_files.parse import parse_size
+from omnistereo_lib.rig_files.parse import check_fov, parse_size
 
 DEGREES = (4, 6, 8)  # odd ones add little; beyond 8 nothing was ever gained (notebook 01 shows it)
 _SIGNIFICANT = 2.0  # standard errors by which a higher degree has to lower the cross-validation error
@@ -166,7 +166,7 @@ def check_settings(degree: int | None, max_fov_deg: float | None) -> None:
     if degree is not None:
         check_number(degree, "degree", DEGREES[0], _MOST, whole=True)
     if max_fov_deg is not None:
-        check_number(max_fov_deg, "max_fov_deg", 1, 360)
+        check_fov(max_fov_deg, "max_fov_deg")
 
 
 def _check_input(

@@ -161,17 +161,23 @@ def metashape(
     k4: float = 0.0,
     p1: float = 0.0,
     p2: float = 0.0,
+    p3: float = 0.0,
+    p4: float = 0.0,
     b1: float = 0.0,
     b2: float = 0.0,
 ) -> Projected:
     """Project with the model of Metashape: one of `RADII`, then the distortion of a pinhole camera.
 
-    Its p1 and p2 are the p2 and p1 of OpenCV, its k4 is the coefficient of r⁸; u = (f + b1) x + b2 y + cx.
+    Its p1 and p2 are the p2 and p1 of OpenCV, and grow with 1 + p3 r² + p4 r⁴; its k4 is the coefficient of r⁸.
+    u = (f + b1) x + b2 y + cx.
     """
     x, y, z, length = _components(rays)
     n = np.hypot(x, y)
     scale = RADII[projection](np.arctan2(n, z)) / np.maximum(n, 1e-300)
-    x, y = _radtan(x * scale, y * scale, k1, k2, p2, p1, k3, k4=k4)
+    x, y = x * scale, y * scale
+    r2 = x * x + y * y
+    decentring = 1 + p3 * r2 + p4 * r2 * r2
+    x, y = _radtan(x, y, k1, k2, p2 * decentring, p1 * decentring, k3, k4=k4)
     return _to_pixels(x, y, f + b1, f, cx, cy, b2), (length > 0) & np.isfinite(scale)
 
 
@@ -202,7 +208,7 @@ _MODELS: dict[str, tuple[Callable[..., Projected], tuple[str, ...], tuple[str, .
     "fov": (field_of_view, (*_PINHOLE, "w"), ()),
 }
 for _name in RADII:
-    _distortion = ("k1", "k2", "k3", "k4", "p1", "p2", "b1", "b2")
+    _distortion = ("k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4", "b1", "b2")
     _MODELS[f"metashape {_name}"] = partial(metashape, projection=_name), ("f", "cx", "cy"), _distortion
     _MODELS[f"hugin {_name}"] = partial(hugin, projection=_name), ("f", "cx", "cy", "a", "b", "c", "half_side"), ()
 _RANGES = {
@@ -246,8 +252,8 @@ def _radtan(
     y: Floats,
     k1: float,
     k2: float,
-    p1: float,
-    p2: float,
+    p1: float | Floats,
+    p2: float | Floats,
     k3: float = 0.0,
     divisor: tuple[float, float, float] = (0.0, 0.0, 0.0),
     k4: float = 0.0,

@@ -33,7 +33,7 @@ def read_metashape(data: Section, path: Path, max_fov_deg: float | None) -> RigF
         reason = f". {NO_DEPTH}" if projection in ("spherical", "cylindrical") else ". Recalibrate with one of them"
         raise OmnistereoError(f"projection is {projection}; expected one of {', '.join(_METASHAPE)}{reason}")
     size = parse_size([lens.require("width"), lens.require("height")], "width and height")
-    names = ("f", "k1", "k2", "k3", "k4", "p1", "p2", "b1", "b2")
+    names = ("f", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4", "b1", "b2")
     parameters = {name: lens.number(name) for name in names if name == "f" or name in lens.values}
     for name, side in zip(("cx", "cy"), size, strict=True):  # from the middle of the image
         parameters[name] = (lens.number(name) if name in lens.values else 0.0) + side / 2 - 0.5
@@ -47,6 +47,8 @@ def read_hugin(data: Section, path: Path, max_fov_deg: float | None) -> RigFile:
     if kind not in _HUGIN:
         reason = f". {NO_DEPTH}" if kind in (1, 4) else ". Recalibrate with one of them"
         raise OmnistereoError(f"the projection of the lens is {kind}; expected one of {[*_HUGIN]}{reason}")
+    if any(data.number(name) for name in "gt" if name in data.values):
+        raise OmnistereoError("the lens is sheared (g, t), as scans are; expected 0 and 0. Recalibrate")
     width, height = size = parse_size([data.require("w"), data.require("h")], "w and h")
     half_view = np.radians(data.number("v") / 2)
     parameters = {name: data.number(name) if name in data.values else 0.0 for name in "abc"}
@@ -67,6 +69,6 @@ def parse_hugin(text: str, path: Path) -> dict[str, str]:
         except (configparser.Error, KeyError) as error:
             raise OmnistereoError(f"not a lens file of Hugin ({' '.join(str(error).split())[:200]})") from None
         names = {"image_width": "w", "image_height": "h", "type": "f", "hfov": "v"}
-        return {names.get(key, key): value for key, value in lens.items() if key in (*names, *"abcde")}
+        return {names.get(key, key): value for key, value in lens.items() if key in (*names, *"abcdegt")}
     line = next((line for line in text.splitlines() if line.startswith("i ")), "")
-    return dict(re.findall(r"\s([whfvabcde])(-?[0-9.]+(?:[eE][-+]?[0-9]+)?)(?=\s|$)", line))
+    return dict(re.findall(r"\s([whfvabcdegt])(-?[0-9.]+(?:[eE][-+]?[0-9]+)?)(?=\s|$)", line))

@@ -7,7 +7,7 @@ from math import atan, atan2, cos, hypot, sin, tan
 import cv2
 import numpy as np
 import pytest
-from rig_file_samples import FOCAL, K4, MEI, METASHAPE, R2, RAYS, SIZE, T2, dump, kalibr, matrix, ros, write
+from rig_file_samples import FOCAL, HUGIN, K4, MEI, METASHAPE, R2, RAYS, SIZE, T2, dump, kalibr, matrix, ros, write
 
 from omnistereo_lib import OmnistereoError, load_camera, load_rig
 
@@ -174,7 +174,7 @@ def test_lenses_of_metashape(tmp_path, projection, radius):
 
 def test_decentring_of_metashape(tmp_path):
     """Its p1 multiplies r² + 2x² in x: small, since an OCam camera does not follow it."""
-    text = METASHAPE.format(projection="frame").replace("<k4>0.0001</k4>", "<p1>1e-4</p1><p2>0</p2>")
+    text = METASHAPE.format(projection="frame").replace("<k4>0.0001</k4>", "<p1>1e-4</p1><p2>0</p2><p3>0.5</p3>")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         camera = load_camera(write(tmp_path / "lens.xml", text))
@@ -183,7 +183,8 @@ def test_decentring_of_metashape(tmp_path):
         x, y = x / z, y / z
         r2 = x * x + y * y
         radial = 1 - 0.02 * r2 + 0.004 * r2**2
-        x, y = x * radial + 1e-4 * (r2 + 2 * x * x), y * radial + 2e-4 * x * y
+        p1 = 1e-4 * (1 + 0.5 * r2)
+        x, y = x * radial + p1 * (r2 + 2 * x * x), y * radial + 2 * p1 * x * y
         return 403.0 + 241.5 * x - 0.5 * y, 377.5 + 240 * y
 
     follows(camera, pixel, atol=0.25)
@@ -215,6 +216,7 @@ def test_lenses_of_hugin(tmp_path, kind, radius, suffix):
     [
         ("lens.xml", METASHAPE.format(projection="spherical"), "projection is spherical; .*depth needs two"),
         ("pano.pto", 'i w8000 h4000 f4 v360 a0 b0 c0 n"a.jpg"\n', "the projection of the lens is 4; .*depth needs two"),
+        ("lens.pto", HUGIN.replace("g0", "g0.5"), r"the lens is sheared \(g, t\)"),
         ("lens.ini", "[Camera]\nw=1\n", "lens.ini: not a lens file of Hugin"),
         ("pano.json", json.dumps({"project": {"globallenses": []}}), "PTGui projects are not read: .*Hugin"),
         ("chunk.xml", "<document><chunk/></document>", "Metashape projects are not read: save the calibration"),
