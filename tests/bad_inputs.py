@@ -301,7 +301,7 @@ COMMANDS = [
     Row("calibrate: another board", CALIBRATE + "--board 9x6", "is of a board of 4 x 3", corners("a", "a")),
     Row("calibrate: squares not a number", CALIBRATE + "--square nan", "its edge in metres"),
     Row("calibrate: no field of view", CALIBRATE + "--max-fov 0", "max_fov_deg is 0.0; expected", corners("a", "a")),
-    Row("calibrate: radians", CALIBRATE + "--max-fov 3.84", r"max_fov_deg is 3.84; .* radians \(220", corners("a", "a")),
+    Row("calibrate: radians", CALIBRATE + "--max-fov 3.84", r"is 3.84; .* radians \(220", corners("a", "a")),
     Row("calibrate: degree 0", CALIBRATE + "--degree 0", "degree is 0; expected an integer of 4", corners("a", "a")),
     Row("calibrate: one view", CALIBRATE, "1 of 1 views show the board; expected at least 3", corners("a", "a")),
     Row("calibrate: no corners", CALIBRATE, "holds no corners_"),
