@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import cv2
-import nbformat
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,12 +45,14 @@ def main() -> None:
 
 def readme_table(paths: list[Path]) -> str:
     """Return the table of notebooks, from their own metadata."""
-    rows = ["| notebook | what you learn | to read | needs |", "|---|---|---|---|"]
+    rows = ["| notebook | what you learn | you write | to read | needs |", "|---|---|---|---|---|"]
     for path in paths:
-        facts = nbformat.read(path, as_version=4).metadata["omnistereo"]
+        nb = nbtools.read_notebook(path)
+        facts, number = nb.metadata["omnistereo"], len(nbtools.open_functions(nb))
+        write = f"{number} functions" if number else "exercises"
         rows.append(
             f"| [{path.stem[:2]} {facts['title']}](notebooks/{path.name}) | {facts['learn']} "
-            f"| {facts['minutes_to_read']} min | {facts['needs']} |"
+            f"| {write} | {facts['minutes_to_read']} min | {facts['needs']} |"
         )
     return "\n".join(rows) + "\n"
 

@@ -1,12 +1,14 @@
-"""The part of the teacher's page that is generated: the mistakes that the checkers recognise, by notebook."""
+"""Generated parts of the book: the mistakes that the checkers recognise, and what students write, by notebook."""
 
+import ast
 import html
+import inspect
 import re
 from collections.abc import Iterator
 
 import nbformat
 
-from course import handin, nbtools
+from course import exercises, handin, nbtools
 
 
 def stuck() -> dict[str, str]:
@@ -18,6 +20,20 @@ def stuck() -> dict[str, str]:
         head = "<details><summary>All mistakes that the checkers know by name</summary>"
         parts[f"stuck {path.stem[:2]}"] = "\n".join([head, "", *lines, "", "</details>"])
     return parts
+
+
+def written() -> str:
+    """Return the table of all functions that students write, in Markdown, with its total."""
+    rows, total = ["| notebook | you write | which returns | lines |", "|---|---|---|---:|"], 0
+    for path in nbtools.notebooks():
+        for function in exercises.functions(path.stem[:2]):
+            body = ast.parse(function.source).body[0].body[1:]  # without the docstring
+            lines = function.source.splitlines()[body[0].lineno - 1 :]
+            total += len(lines)
+            number = f"[{path.stem[:2]}](notebooks/{path.name})"
+            returns = inspect.getdoc(function.answer).splitlines()[0]
+            rows.append(f"| {number} | `{function.name}` | {returns} | {len(lines)} |")
+    return "\n".join([*rows, f"| | | **all together** | **{total}** |"])
 
 
 def hints(exercise: handin.Exercise) -> Iterator[str]:

@@ -22,7 +22,7 @@ from course import nbtools, stills
 from course.dark_mode import picture
 from course.figures import draw_figures
 from course.readme import readme_table
-from course.teaching import stuck
+from course.teaching import stuck, written
 
 BOOK = nbtools.ROOT / "book"
 PICTURE = re.compile(r"!\[([^\]]+)\]\(([^)]+)\)")
@@ -52,6 +52,7 @@ def assemble(source: Path, extra: Path) -> None:
         "notebooks": readme_table(paths),
         "names": face(),
         "modules": reference(source),
+        "written": written(),
     } | stuck()
     draw_figures(source)
     shutil.copytree(nbtools.NOTEBOOKS, source / "notebooks", ignore=shutil.ignore_patterns(".*"))

@@ -282,7 +282,7 @@ def test_readme_table_comes_from_the_notebooks(tmp_path):
     text = "before\n<!-- notebooks -->\nold\n<!-- /notebooks -->\nafter\n"
     new = readme.with_table(text, [path])
     assert new.startswith("before\n<!-- notebooks -->\n| notebook |")
-    row = "| [03 Tiny](notebooks/03_tiny.ipynb) | nothing | 1 min | CPU |"
+    row = "| [03 Tiny](notebooks/03_tiny.ipynb) | nothing | exercises | 1 min | CPU |"
     assert f"{row}\n<!-- /notebooks -->" in new
     assert new.endswith("after\n")
     assert readme.with_table(new, [path]) == new

@@ -48,3 +48,11 @@ def test_the_mistakes_are_those_of_the_checkers():
         assert re.findall(r"^- \*\*(\S+)\*\*\n  - \S", part, re.MULTILINE) == [
             e.number for e in handin.exercises_of(nb)
         ]
+
+
+def test_what_you_write_names_every_function_and_adds_up_its_lines():
+    table = teaching.written()
+    asked = [function.name for nb in NOTEBOOKS.values() for function in nbtools.open_functions(nb)]
+    assert re.findall(r"\| `(\w+)` \|", table) == asked
+    *lines, total = map(int, re.findall(r"(\d+)(?:\*\*)? \|$", table, re.MULTILINE))
+    assert sum(lines) == total and len(lines) == len(asked) and all(lines)
