@@ -102,9 +102,9 @@ def sgm(volume: Tensor | np.ndarray, p1: float = 0.1, p2: float = 12.0, paths: i
 def _sgm_numba(cost: NDArray[Any], p1: float, p2: float, diagonals: bool, wrap: bool) -> tuple[Tensor, bool]:
     """Return S, and whether a cost is infinite."""
     H, W, N = cost.shape
-    total = np.empty_like(cost)  # NumPy asks for huge pages, torch does not
-    fill = np.empty((H, W), np.float32)
-    messages = np.zeros((2, 3, W, N), np.float32)
+    total = np.empty_like(cost)  # (H, W, N); NumPy asks for huge pages, torch does not
+    fill = np.empty((H, W), np.float32)  # the data term of a ray's unknown cells
+    messages = np.zeros((2, 3, W, N), np.float32)  # of the passes down and up: straight on, to the right, to the left
 
     def rows(y: int) -> bool:
         return _scan_rows(cost[y : y + 4], fill[y : y + 4], total[y : y + 4], wrap, p1, p2)

@@ -142,9 +142,17 @@ def test_the_merged_file_states_its_inputs(data, weights, expected_of_all):
     scale = {"width": 48, "height": 14, "num_spheres": 8}
     assert results["config"] == {**scale, "precision": "float32", "rig": "own"}
     assert results["methods"]["mccnn+sgm"] == {
-        "cost": "mccnn", "aggregate": "sgm", "window": 9, "weights": "", "pairs": "ring", "p1": None, "p2": None,
-        "wrap": True, "subindex": False, "num_spheres": 0,
-    }  # fmt: skip
+        "cost": "mccnn",
+        "aggregate": "sgm",
+        "window": 9,
+        "weights": "",
+        "pairs": "ring",
+        "p1": None,
+        "p2": None,
+        "wrap": True,
+        "subindex": False,
+        "num_spheres": 0,
+    }
     files = ["config.yaml", *(f"omnidepth_gt_96/{number:05}.tiff" for number in FRAMES)]
     files += [f"cam{k}/{number:04}.png" for k in (1, 2, 3, 4) for number in FRAMES]
     assert results["data"] == {f"box/{name}": sha(data / name) for name in files}

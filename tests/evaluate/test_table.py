@@ -172,9 +172,12 @@ def test_depth_ranges_and_cameras():
     regions = find_regions(gt_index, osl.SphereSweep(RIG, grid))
     known = np.isfinite(gt_index)
     for name, expected in {
-        "all": True, "sky": np.isinf(depth), "far": (depth > 3 * 0.6) & np.isfinite(depth),
-        "middle": (depth <= 3 * 0.6) & (depth > 1.5 * 0.6), "near": depth <= 1.5 * 0.6,
-    }.items():  # fmt: skip
+        "all": True,
+        "sky": np.isinf(depth),
+        "far": (depth > 3 * 0.6) & np.isfinite(depth),
+        "middle": (depth <= 3 * 0.6) & (depth > 1.5 * 0.6),
+        "near": depth <= 1.5 * 0.6,
+    }.items():
         np.testing.assert_array_equal(regions[name] & known, expected & known)
     center = np.mean([pose.t for pose in RIG.T_rig_cam], 0)
     points = center + grid.rays() * np.where(np.isinf(depth), 1e7, depth)[..., None]

@@ -62,7 +62,7 @@ def rig(pose=0.0, min_depth=None):
         (lambda: SweepNetRecipe(seed=-1), "seed = -1"),
         (lambda: SweepNetRecipe(spheres_per_frame=-1), "spheres_per_frame = -1"),
     ],
-)  # fmt: skip
+)
 def test_wrong_arguments(call, message):
     with pytest.raises(osl.OmnistereoError, match=message) as error:
         call()
@@ -96,7 +96,7 @@ BOARD = osl.Checkerboard((4, 3), 0.06)
         ("views", lambda wrong: osl.calibrate_rig(wrong, BOARD)),
         ("board", lambda wrong: osl.calibrate_rig([[VOLUME[0]]] * 2, wrong)),
     ],
-)  # fmt: skip
+)
 @pytest.mark.parametrize("wrong", [None, 5, 0.5, object()], ids=lambda wrong: type(wrong).__name__)
 def test_wrong_types(name, call, wrong):
     with pytest.raises(osl.OmnistereoError, match=rf"^{name} is .*; expected ") as error:

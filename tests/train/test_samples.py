@@ -39,9 +39,11 @@ def test_positives_are_where_the_truth_is_and_show_the_same(data, augment):
 def test_each_frame_is_swept_with_its_own_rig(data, tmp_path, kind, recipe):
     """Among frames of another rig, a frame gives the same samples as alone."""
     other = scene.write_set(
-        tmp_path / "other", scene.rig(0.2, 3, width=160, height=150), osl.SphereGrid(96, 24, (-45, 45), 12, 0.4),
+        tmp_path / "other",
+        scene.rig(0.2, 3, width=160, height=150),
+        osl.SphereGrid(96, 24, (-45, 45), 12, 0.4),
         [(0, 0, 0), (0.1, 0, 0.2)],
-    )  # fmt: skip
+    )
     both, alone = kind(recipe, [data, other]), [kind(recipe, folder) for folder in (data, other)]
     frames = [samples.training[0] for samples in alone]
     for k in (0, 1, 0):

@@ -121,11 +121,13 @@ def test_every_preset_makes_a_step(data, tmp_path):
 @pytest.mark.parametrize(
     ("network", "preset", "name"),
     [
-        ("volumenet", "refined", "volumenet"), ("volumenet", "sunny", "volumenet_sunny"),
-        ("sweepnet", "shipped", "sweepnet"), ("sweepnet", "worlds", "sweepnet_worlds"),
+        ("volumenet", "refined", "volumenet"),
+        ("volumenet", "sunny", "volumenet_sunny"),
+        ("sweepnet", "shipped", "sweepnet"),
+        ("sweepnet", "worlds", "sweepnet_worlds"),
         ("mccnn", "shipped", "mccnn_fast"),
     ],
-)  # fmt: skip
+)
 def test_the_file_of_weights_says_what_they_learned_from(network, preset, name):
     assert file_name(RECIPES[network][preset]) == name
 
