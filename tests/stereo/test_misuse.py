@@ -28,7 +28,7 @@ class Flat(BlockCost):
 
 
 def depth(images=IMAGES, **options):
-    return osl.estimate_depth(RIG, images, GRID, **options)
+    return osl.estimate_depth(RIG, images, GRID, **{"method": "zncc+sgm"} | options)
 
 
 def rig(pose=0.0, min_depth=None):
