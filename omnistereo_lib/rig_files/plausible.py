@@ -90,8 +90,10 @@ def level(rig: Rig, source: Path) -> Rig:
         _log.info(
             "%s: the cameras agree that down is %.0f° from +y of the rig: the rig is turned level, by %.0f° in all, "
             "its first camera to the front (--keep-frame or keep_frame=True leave it)",
-            source, angle, T.magnitude()[0],
-        )  # fmt: skip
+            source,
+            angle,
+            T.magnitude()[0],
+        )
         return rig.transformed(T)
     tilt = _plane_tilt_deg(rig)
     if agree:
