@@ -16,7 +16,7 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, make_folder
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.stereo.correlation import GROUPS, feature_coordinates, pixels_per_degree, volume_sizes
+from omnistereo_lib.stereo.correlation import GROUPS, pixels_per_degree, project_cells, volume_cells, volume_sizes
 from omnistereo_lib.stereo.sweep import reduce_images
 from omnistereo_lib.stereo.volumenet import VolumeNet, local_mean, normalize, resize_logits
 
@@ -55,7 +55,7 @@ def export_onnx(out: Path, rig: Rig, grid: SphereGrid, network: VolumeNet | None
             input_names=[f"image{k}" for k in range(1, len(rig) + 1)],
             output_names=["inverse_depth", "confidence"],
             opset_version=OPSET,
-            do_constant_folding=False,  # the maps that ONNX Runtime folds when it loads the file would fill it
+            do_constant_folding=False,  # the coordinates of all cells would be a hundred times as large as the network
             dynamo=False,  # the newer exporter takes twenty times as long, for the same numbers
         )
     with atomic_write(out / _SCRIPT.name) as temporary:
@@ -69,11 +69,15 @@ class DepthGraph(nn.Module):
     def __init__(self, network: VolumeNet, rig: Rig, grid: SphereGrid) -> None:
         super().__init__()
         self.network, self.rig, self.grid = network, rig.recentered(), grid
+        for number, size in enumerate(volume_sizes(grid)):  # buffers: what is computed from them is part of the graph
+            rays, inverse_depth = volume_cells(grid, size)
+            self.register_buffer(f"rays{number}", rays)
+            self.register_buffer(f"inverse_depth{number}", inverse_depth)
 
     def forward(self, *images: Tensor) -> tuple[Tensor, Tensor]:
         """Return inverse depth in 1/m and confidence, (H, W) each, NaN = unknown, of one image (h, w, 3) per camera."""
         grid, sizes = self.grid, volume_sizes(self.grid)
-        *_, correlation = correlations = [self._correlation(images, size) for size in sizes]
+        *_, correlation = correlations = [self._correlation(images, k, size) for k, size in enumerate(sizes)]
         logits = [self.network(one[None]) / len(sizes) for one in correlations]
         read_out = []
         for columns in torch.arange(grid.width).split(_COLUMNS):
@@ -86,8 +90,8 @@ class DepthGraph(nn.Module):
         inverse_depth = far + index * ((near - far) / (grid.num_spheres - 1))
         return inverse_depth.masked_fill(hidden, torch.nan), confidence.masked_fill(hidden, torch.nan)
 
-    def _correlation(self, images: Sequence[Tensor], size: tuple[int, int, int]) -> Tensor:
-        """Return the correlation volume (9, W, H, N) at a size."""
+    def _correlation(self, images: Sequence[Tensor], number: int, size: tuple[int, int, int]) -> Tensor:
+        """Return the correlation volume (9, W, H, N) of a number and size."""
         blank = [np.zeros(camera.image_size[::-1], np.uint8) for camera in self.rig.cameras]
         rig, _ = reduce_images(self.rig, blank, pixels_per_degree(size))
         features = []
@@ -95,8 +99,9 @@ class DepthGraph(nn.Module):
             gray = _reduced_gray(image, camera.image_size[0] // reduced.image_size[0])
             visible = torch.from_numpy(reduced.visible_pixels())
             features.append(self.network.features(normalize(gray, visible), visible))
-        coordinates = [uv.split(_COLUMNS) for uv in feature_coordinates(rig, self.grid, size)]
-        return torch.cat([_correlate(features, part) for part in zip(*coordinates, strict=True)], 1)
+        rays, inverse_depth = self.get_buffer(f"rays{number}"), self.get_buffer(f"inverse_depth{number}")
+        parts = [project_cells(rig, some, inverse_depth) for some in rays.split(_COLUMNS)]
+        return torch.cat([_correlate(features, part) for part in parts], 1)
 
 
 def _reduced_gray(image: Tensor, factor: int) -> Tensor:

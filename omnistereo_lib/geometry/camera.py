@@ -132,12 +132,12 @@ class OcamCamera:
         t = xp.arctan2(-z, n)
         finite = xp.isfinite(n) & xp.isfinite(z) & ((n > 0) | (z != 0))
         in_view = finite & (t <= self._max_t + 1e-12)
-        t = xp.where(in_view, t, xp.full_like(t, self._max_t))  # the polynomial is undefined further out
+        t = xp.where(in_view, t, self._max_t)  # the polynomial is undefined further out
         r = self._radius_by_root(t, self._max_t) if use_direct_poly else _horner(self.inv_poly, t)
         off_axis = finite & (n > 0)  # points on the axis project to the centre
-        n = xp.where(off_axis, n, xp.ones_like(n))
+        n = xp.where(off_axis, n, 1.0)
         # Divide first: r / n can overflow close to the axis.
-        x, y = (xp.where(off_axis, side, xp.zeros_like(side)) / n * r for side in (x, y))
+        x, y = (xp.where(off_axis, side, 0.0) / n * r for side in (x, y))
         c, d, e = self.affine
         uv = xp.stack([x + e * y + self.center[0], d * x + c * y + self.center[1]], -1)
         return uv, in_view & self.contains(uv)

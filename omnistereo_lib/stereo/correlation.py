@@ -51,10 +51,19 @@ def feature_coordinates(rig: Rig, grid: SphereGrid, size: tuple[int, int, int]) 
     Returns:
         list of float32 tensors, shape (W', H', N', 2): Feature pixels, NaN where the cell is not visible to the camera.
     """
+    return project_cells(rig, *volume_cells(grid, size))
+
+
+def volume_cells(grid: SphereGrid, size: tuple[int, int, int]) -> tuple[Tensor, Tensor]:
+    """Return rays (W', H', 3) and inverse depths (N', 1) in 1/m of the cells of a volume of a size."""
     width, height, spheres = size
     rays = torch.from_numpy(replace(grid, width=width, height=height).rays()).float().transpose(0, 1)
     index = (np.arange(spheres) + 0.5) * grid.num_spheres / spheres - 0.5
-    inverse_depth = torch.from_numpy(grid.index_to_inverse_depth(index)).float()[:, None]
+    return rays, torch.from_numpy(grid.index_to_inverse_depth(index)).float()[:, None]
+
+
+def project_cells(rig: Rig, rays: Tensor, inverse_depth: Tensor) -> list[Tensor]:
+    """Return what `feature_coordinates` does for the cells of `volume_cells`."""
     coordinates = []
     for camera, pose in zip(rig.cameras, rig.T_rig_cam, strict=True):
         T_cam_rig = pose.inverse()
