@@ -1,7 +1,7 @@
 """Frames handed out to many machines by Dask: `--cluster ADDRESS` of a scheduler; all machines see the same files.
 
 A worker that dies costs its frame only: the scheduler gives the frame to another one. Results are files, written
-whole, and the same as those of a local run.
+atomically, and the same as those of a local run.
 """
 
 from __future__ import annotations
@@ -85,9 +85,14 @@ def depth_on_cluster(address: str, writer: DepthWriter, device: str = "cpu") -> 
     """Estimate the depth of all frames of a prepared recording that are not done yet; yield their numbers."""
     sources = writer.recording.sources
     task = RecordingTask(
-        writer.out.resolve(), tuple(source.path.resolve() for source in sources), writer.sweep.grid,
-        writer.method.name, writer.suffix, writer.with_video, device,
-    )  # fmt: skip
+        writer.out.resolve(),
+        tuple(source.path.resolve() for source in sources),
+        writer.sweep.grid,
+        writer.method.name,
+        writer.suffix,
+        writer.with_video,
+        device,
+    )
     left = writer.left()
     size = 1 if all(isinstance(source, Pictures) for source in sources) else _VIDEO_BATCH
     batches = [(task, tuple(left[k : k + size])) for k in range(0, len(left), size)]

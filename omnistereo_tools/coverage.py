@@ -1,4 +1,4 @@
-"""What a rig can see, before it has taken an image: cameras and baseline in every direction, depth resolution."""
+"""Coverage of a rig, without any image: cameras and baseline in every direction, depth resolution."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class Coverage:
         return depth
 
     def sentences(self) -> list[str]:
-        """Return what there is to know, one plain sentence each."""
+        """Return what the rig can see and how exact its depth can be, in plain sentences."""
         rig, lines = self.rig, []
         shares = ", ".join(f"{k} or more {100 * self.share(k):.0f} %" for k in range(1, len(rig) + 1))
         lines.append(f"Cameras that see a direction, as a share of the whole sphere: {shares}.")

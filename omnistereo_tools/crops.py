@@ -65,8 +65,8 @@ def crops_of(camera: int, lens: OcamCamera, pose: Pose, whole: bool = False) -> 
         angles = [(0.0, -yaw), (0.0, 0.0), (0.0, yaw)] if yaw > 10 else [(0.0, 0.0)]
     size = 2 * round(fov * lens.image_size[0] / lens.max_fov_deg / 2)
     for angle in angles:
-        turned = pose @ Pose.from_vector([*np.radians(angle), 0, 0, 0, 0])
-        yield Crop(camera, turned, size, size / 2 / np.tan(np.radians(fov / 2)))
+        rotated = pose @ Pose.from_vector([*np.radians(angle), 0, 0, 0, 0])
+        yield Crop(camera, rotated, size, size / 2 / np.tan(np.radians(fov / 2)))
 
 
 def covered_share(crops: Sequence[Crop], lens: OcamCamera, pose: Pose) -> float:

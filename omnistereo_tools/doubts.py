@@ -1,4 +1,4 @@
-"""What computes but can mean nothing: cameras at one place, poses in a wrong unit, one picture twice, swapped ones."""
+"""Doubts about input that computes but may mean nothing: poses in a wrong unit, one image twice, swapped images."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

@@ -11,13 +11,13 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, make_folder
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.depth import Depth
-from omnistereo_tools import mesh
+from omnistereo_tools import mesh_export
 from omnistereo_tools.crops import write_crops
 from omnistereo_tools.frame import FrameResult
 from omnistereo_tools.recordings import CODECS
 
 _SUFFIXES = {
-    "mesh": mesh.SUFFIXES,
+    "mesh": mesh_export.SUFFIXES,
     "equirectangular": (".tiff", ".tif"),
     "video": tuple(CODECS),
     "coverage": (".png", ".jpg", ".jpeg"),
@@ -45,14 +45,14 @@ def export_frame(
     """Write the files that are asked for; return their names, each with what it holds.
 
     Args:
-        mesh_file, faces: See `mesh.write_mesh`.
+        mesh_file, faces: See `write_mesh`.
         equirectangular: See `equirectangular_depth`.
         crops, all_crops: See `write_crops`.
     """
     written = []
     if mesh_file is not None:
         make_folder(mesh_file.parent)
-        triangles = mesh.write_mesh(mesh_file, result.depth, result.panorama, result.limits, faces)
+        triangles = mesh_export.write_mesh(mesh_file, result.depth, result.panorama, result.limits, faces)
         written.append(f"{mesh_file} ({triangles} triangles)")
     if equirectangular is not None:
         import tifffile

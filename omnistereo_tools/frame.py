@@ -61,7 +61,7 @@ class FrameResult:
         return f"{self.method}: {len(self.images)} cameras{turned}, {rays}, {grid.num_spheres} spheres"
 
     def sentences(self) -> list[str]:
-        """Return what came out, in plain sentences."""
+        """Return the result in plain sentences."""
         errors = [] if self.gt_index is None else error_sentences(self.depth, self.gt_index)
         return depth_sentences(self.depth, self.limits) + errors
 

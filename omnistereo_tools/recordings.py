@@ -57,9 +57,16 @@ class DepthWriter:
 
     @classmethod
     def open(
-        cls, out: Path, recording: Recording, rig: Rig, grid: SphereGrid, method: str, suffix: str = ".tiff",
-        with_video: bool = False, device: str = "cpu",
-    ) -> DepthWriter:  # fmt: skip
+        cls,
+        out: Path,
+        recording: Recording,
+        rig: Rig,
+        grid: SphereGrid,
+        method: str,
+        suffix: str = ".tiff",
+        with_video: bool = False,
+        device: str = "cpu",
+    ) -> DepthWriter:
         """Return the writer of a recording; it writes nothing before `prepare`.
 
         Raises:
@@ -80,7 +87,7 @@ class DepthWriter:
         return self.out / "video" / f"{number:05}.jpg"
 
     def is_done(self, number: int) -> bool:
-        """Return whether all files of a frame are there: they are written whole, depth last."""
+        """Return whether all files of a frame are there: each is written atomically, depth last."""
         return self.depth_path(number).exists() and (not self.with_video or self.picture_path(number).exists())
 
     def left(self) -> list[int]:

@@ -1,4 +1,4 @@
-"""What one frame came out as, in plain sentences."""
+"""The result of one frame in plain sentences."""
 
 from __future__ import annotations
 

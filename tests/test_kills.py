@@ -26,8 +26,16 @@ from omnistereo_lib.calibrate.captures import save_corners
 
 KILLS = int(os.environ.get("KILLS", "1"))
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
-RECIPE = {"width": 96, "height": 24, "num_spheres": 12, "steps": 6, "validate_every": 2, "validation_groups": 2,
-          "warmup": 2, "rays_per_frame": 16}  # fmt: skip
+RECIPE = {
+    "width": 96,
+    "height": 24,
+    "num_spheres": 12,
+    "steps": 6,
+    "validate_every": 2,
+    "validation_groups": 2,
+    "warmup": 2,
+    "rays_per_frame": 16,
+}
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="Windows has neither fork nor these signals")
 

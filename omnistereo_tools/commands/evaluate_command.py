@@ -35,12 +35,18 @@ def run(options: argparse.Namespace) -> None:
     from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
 
     arguments = {
-        "out": options.out or Path("out") / f"evaluation_{options.scale}", "scale": SCALES[options.scale],
-        "sets": find_sets(options.sets, options.split), "methods": select_methods(options.methods, options.ablations),
-        "split": options.split, "frames": options.frames, "weights": options.weights or BUNDLED_WEIGHTS,
-        "device": options.device, "precision": options.precision, "rig": options.rig,
+        "out": options.out or Path("out") / f"evaluation_{options.scale}",
+        "scale": SCALES[options.scale],
+        "sets": find_sets(options.sets, options.split),
+        "methods": select_methods(options.methods, options.ablations),
+        "split": options.split,
+        "frames": options.frames,
+        "weights": options.weights or BUNDLED_WEIGHTS,
+        "device": options.device,
+        "precision": options.precision,
+        "rig": options.rig,
         "max_fov_deg": options.max_fov,
-    }  # fmt: skip
+    }
     evaluation = Evaluation(**arguments)
     run_jobs = evaluation.run
     if options.cluster is not None:

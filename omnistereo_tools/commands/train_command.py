@@ -46,9 +46,14 @@ def run(options: argparse.Namespace) -> None:
             bar.write(f"step {row['step'] + 1}: validation {row['validation_loss']:.4f} {row['validation_error']:.2%}")
 
     train(
-        recipe, out, options.data, options.device, options.precision, init_weights=options.init_weights,
+        recipe,
+        out,
+        options.data,
+        options.device,
+        options.precision,
+        init_weights=options.init_weights,
         progress=progress,
-    )  # fmt: skip
+    )
     if bar is not None:
         bar.close()
     if first_process:

@@ -39,8 +39,9 @@ def test_pictures_show_panorama_over_depth(recorded):
     assert 1 <= len(pictures) <= FRAMES  # who is slow misses frames
     height = pictures[-1].shape[0] - 40
     panorama, depth = pictures[-1][: height // 2], pictures[-1][height // 2 : height]
-    truth = osl.estimate_depth(rig, [cv2.cvtColor(cv2.VideoCapture(v).read()[1], cv2.COLOR_BGR2GRAY) for v in videos],
-                               GRID, "zncc")  # fmt: skip
+    truth = osl.estimate_depth(
+        rig, [cv2.cvtColor(cv2.VideoCapture(v).read()[1], cv2.COLOR_BGR2GRAY) for v in videos], GRID, "zncc"
+    )
     small = cv2.resize(depth, (96, 24), interpolation=cv2.INTER_AREA).astype(int).sum(-1)
     assert np.corrcoef(small.ravel(), truth.inverse_depth.ravel())[0, 1] > 0.9  # near is bright
     assert panorama.std() > 20 and np.ptp(panorama.astype(int), axis=-1).mean() < 3  # the scene is gray
@@ -121,9 +122,11 @@ def test_the_newest_value_is_what_waits():
 
 @pytest.mark.parametrize(
     "change, message",
-    [(["--cameras", "no.mp4", "1.mkv"], "there are 2 cameras or videos for a rig of 4"),
-     (["--cameras", "no.mp4", "no.mp4", "no.mp4", "no.mp4"], "video no.mp4 cannot be opened")],
-)  # fmt: skip
+    [
+        (["--cameras", "no.mp4", "1.mkv"], "there are 2 cameras or videos for a rig of 4"),
+        (["--cameras", "no.mp4", "no.mp4", "no.mp4", "no.mp4"], "video no.mp4 cannot be opened"),
+    ],
+)
 def test_what_cannot_be_shown_is_told(recorded, capsys, change, message):
     assert cli.main(["live", "--rig", str(recorded[1] / "rig.yaml"), *change, "--port", "0"]) == 2
     assert message in capsys.readouterr().err

@@ -4,10 +4,6 @@ import json
 import os
 import re
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from dataclasses import replace
 
 import cv2
@@ -87,27 +83,19 @@ def test_16_bit_png_comes_back_within_a_step(recorded, done, tmp_path):
     np.testing.assert_allclose(frames[1].inverse_depth, np.nan_to_num(exact[1].inverse_depth), atol=0.6 / 65500 / 0.6)
 
 
-def test_killed_and_resumed_it_is_the_same(recorded, done, tmp_path):
-    """kill -9 as soon as some frames are there: only whole files are left, and the second run adds the rest."""
+def test_resumed_it_is_the_same_and_no_frame_is_computed_again(recorded, done, tmp_path):
+    """`tests/test_kills.py` kills it at any moment; here it is seen that no frame is computed again."""
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "omnistereo_tools", *map(str, depth_command(recorded, out))]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, start_new_session=True)
-    folder, give_up = out / "depth_estimate_96", time.monotonic() + 120
-    while process.poll() is None and len(list(folder.glob("0*.tiff"))) < 2 and time.monotonic() < give_up:
-        time.sleep(0.002)
-    process.send_signal(signal.SIGKILL)
-    process.communicate()
+    folder = out / "depth_estimate_96"
+    assert run(*depth_command(recorded, out), "--stop", 4) == 0
     halfway = {path.name: path.stat().st_mtime_ns for path in folder.glob("0*.tiff")}
-    assert len(halfway) >= 2
     (folder / ".1.00004.tiff").write_bytes(b"half of a file")
     assert run(*depth_command(recorded, out)) == 0
-    files = sorted(path.relative_to(done) for path in done.rglob("*") if path.suffix in (".tiff", ".png", ".yaml"))
-    assert (
-        sorted(path.relative_to(out) for path in out.rglob("*") if path.suffix in (".tiff", ".png", ".yaml")) == files
+    assert {name: (folder / name).stat().st_mtime_ns for name in halfway} == halfway and len(halfway) == 3
+    whole, resumed = (
+        {path.relative_to(root): path.read_bytes() for path in root.rglob("depth_*/*")} for root in (done, out)
     )
-    for path in files:
-        assert (out / path).read_bytes() == (done / path).read_bytes(), path
-    assert {name: (folder / name).stat().st_mtime_ns for name in halfway} == halfway  # not computed again
+    assert resumed == whole
 
 
 def test_by_default_it_keeps_pace_and_says_so(recorded, tmp_path, capsys):
