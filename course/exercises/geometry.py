@@ -9,22 +9,6 @@ from omnistereo_lib.geometry.pose import Pose
 
 
 @checker
-def check_index_to_depth(rng: Rng, k: int) -> Case:
-    """00.1: depth in metres of sphere index n, given N and D_min."""
-    n, N, nearest = int(rng.integers(3, 20)), int(rng.integers(50, 200)), rng.uniform(0.4, 0.9)
-    depth = nearest * (N - 1) / n
-    mistakes = [
-        (1 / depth, "that is the inverse depth in 1/m; the depth is one divided by it"),
-        (nearest * N / n, "the spheres run from 0 to N - 1: it is N - 1 steps from infinity to D_min, not N"),
-        (nearest * N / (n + 1), "the spheres count from 0, which is at infinity: n, not n + 1"),
-        (nearest * (N - 1) / (N - 1 - n), "sphere 0 is the one at infinity, sphere N - 1 the nearest: turn n around"),
-        (nearest * n / (N - 1), "the spheres are even in inverse depth, not in depth"),
-        ((N - 1) / n, "that is in units of the nearest depth; metres are asked"),
-    ]
-    return (n, N, nearest), depth, mistakes
-
-
-@checker
 def check_ray_of_pixel(rng: Rng, k: int) -> Case:
     """01.1: the unit ray of a pixel, given u, v, the direct polynomial (low to high) and the centre (u0, v0)."""
     u, v, center = *rng.uniform(450, 700, 2), rng.uniform(350, 420, 2)

@@ -5,24 +5,6 @@ import numpy as np
 # --- 00 Quickstart ----------------------------------------------------------------------------------------
 
 
-def index_to_depth(n, N, nearest):
-    # N spheres have N - 1 steps between them, from 0 at infinity to 1 / nearest, even in inverse depth.
-    step = 1 / (nearest * (N - 1))
-    return 1 / (n * step)
-
-
-def my_indices(depth, N, nearest):
-    step = 1 / (nearest * (N - 1))
-    index = 1 / depth / step  # 1 / inf is 0, and NaN stays NaN
-    return np.minimum(index, N - 1)
-
-
-def my_share_off(index, gt_index):
-    known = ~np.isnan(gt_index)
-    right = np.abs(index - gt_index)[known] <= 1  # False for NaN, too, which is how a missing estimate counts
-    return 100 * np.mean(~right)
-
-
 # --- 01 Fisheye model -------------------------------------------------------------------------------------
 
 

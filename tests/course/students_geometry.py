@@ -96,18 +96,6 @@ DEPTH_ERROR = [
     ("sphere nearer", lambda depth, N, nearest: depth - 1 / (1 / depth + 1 / (nearest * (N - 1)))),
 ]
 
-INDEX_TO_DEPTH = [
-    ("right", lambda n, N, nearest: 1 / (n / (nearest * (N - 1)))),
-    ("right", lambda n, N, nearest: math.inf if n == 0 else nearest * (N - 1) / n),
-    ("right", lambda n, N, nearest: 1 / np.linspace(0, 1 / nearest, N, dtype=np.float32)[n]),
-    ("inverse depth in 1/m", lambda n, N, nearest: n / nearest / (N - 1)),
-    ("N - 1 steps", lambda n, N, nearest: nearest / (n / N)),
-    ("n, not n + 1", lambda n, N, nearest: nearest * N / (n + 1)),
-    ("turn n around", lambda n, N, nearest: 1 / np.linspace(1 / nearest, 0, N)[n]),
-    ("even in inverse depth", lambda n, N, nearest: np.linspace(0, nearest, N)[n]),
-    ("metres are asked", lambda n, N, nearest: (N - 1) / n),
-]
-
 
 def metres_per_unit_loops(positions, i, j, measured):
     return measured / math.dist(positions[i].tolist(), positions[j].tolist())
