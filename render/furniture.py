@@ -75,8 +75,15 @@ def table(rng: np.random.Generator, length: float = 1.5, width: float = 0.85, he
     _fruit_bowl(mesh, rng, (0.08, 0.1, height))
     _pile(mesh, rng, (-0.2, 0.5, height), 4)
     mesh.box((-0.15, -0.62, height), (0.1, -0.28, height + 0.016), "dark_trim")
-    mesh.add([(-0.15, -0.62, height + 0.02), (-0.15, -0.28, height + 0.02), (-0.25, -0.28, height + 0.24),
-              (-0.25, -0.62, height + 0.24)], "screen")  # fmt: skip
+    mesh.add(
+        [
+            (-0.15, -0.62, height + 0.02),
+            (-0.15, -0.28, height + 0.02),
+            (-0.25, -0.28, height + 0.24),
+            (-0.25, -0.62, height + 0.24),
+        ],
+        "screen",
+    )
     for x, y in ((0.24, -0.2), (0.22, 0.42), (-0.3, 0.05)):
         mesh.tube([(x, y, height), (x, y, height + 0.09)], 0.038, "glaze", 16, rng.random())
     for x, y in ((0.26, -0.52), (0.3, 0.22)):
@@ -164,8 +171,9 @@ def leaves(mesh: Mesh, rng: np.random.Generator, center: ArrayLike, count: int, 
 def plant(rng: np.random.Generator, height: float) -> Mesh:
     """Return a pot plant around the origin: stems that arch out, each leaf folded along its rib."""
     mesh = Mesh()
-    mesh.sheet(_turned(np.array([(0, 0.0), (0.13, 0), (0.18, 0.3), (0.19, 0.33), (0.165, 0.33), (0.16, 0.29)])),
-               "glaze", 0.35)  # fmt: skip
+    mesh.sheet(
+        _turned(np.array([(0, 0.0), (0.13, 0), (0.18, 0.3), (0.19, 0.33), (0.165, 0.33), (0.16, 0.29)])), "glaze", 0.35
+    )
     mesh.add([(0.16 * np.cos(a), 0.16 * np.sin(a), 0.29) for a in np.linspace(0, 2 * np.pi, 17)[:-1]], "soil")
     for k in range(22):
         angle, up = 2.4 * k + rng.uniform(-0.3, 0.3), rng.uniform(0.45, 1.0) * (height - 0.35)
@@ -230,8 +238,16 @@ def picture(width: float, height: float, kind: str, value: float) -> Mesh:
     """Return a framed picture in the y-z plane, its middle at the origin, that faces +x."""
     mesh, y, z = Mesh(), width / 2, height / 2
     mesh.box((0, -y, -z), (0.012, y, z), "white")
-    mesh.add([(0.013, -y + 0.05, -z + 0.05), (0.013, y - 0.05, -z + 0.05), (0.013, y - 0.05, z - 0.05),
-              (0.013, -y + 0.05, z - 0.05)], kind, value)  # fmt: skip
+    mesh.add(
+        [
+            (0.013, -y + 0.05, -z + 0.05),
+            (0.013, y - 0.05, -z + 0.05),
+            (0.013, y - 0.05, z - 0.05),
+            (0.013, -y + 0.05, z - 0.05),
+        ],
+        kind,
+        value,
+    )
     bars = [(-y, y, -z, 0.025 - z), (-y, y, z - 0.025, z), (-y, 0.025 - y, -z, z), (y - 0.025, y, -z, z)]
     mesh.box([(0, a, c) for a, _, c, _ in bars], [(0.028, b, d) for _, b, _, d in bars], "dark_trim")
     return mesh
@@ -256,8 +272,12 @@ def sideboard(rng: np.random.Generator, width: float = 1.7) -> Mesh:
     """Return a low cupboard along y with a television, loudspeakers, a row of records and their cables."""
     mesh, top = Mesh(), 0.55
     mesh.box((0, 0, 0.12), (0.42, width, top), "oak", 0.25)
-    mesh.box([(0.42, y, 0.14) for y in np.arange(3) * width / 3 + 0.01],
-             [(0.437, y, top - 0.02) for y in np.arange(1, 4) * width / 3 - 0.01], "oak", 0.35)  # fmt: skip
+    mesh.box(
+        [(0.42, y, 0.14) for y in np.arange(3) * width / 3 + 0.01],
+        [(0.437, y, top - 0.02) for y in np.arange(1, 4) * width / 3 - 0.01],
+        "oak",
+        0.35,
+    )
     for k in range(3):
         mesh.ball((0.45, (k + 0.5) * width / 3, 0.45), (0.015, 0.015, 0.015), "rim", 6)
     for x, y in ((0.05, 0.08), (0.37, 0.08), (0.05, width - 0.08), (0.37, width - 0.08)):

@@ -75,8 +75,13 @@ def _shell() -> Mesh:
 def _joinery() -> Mesh:
     """Return skirting boards, the window's frame and sill, the door in the south wall, a socket and a switch."""
     mesh, (x0, z0), (x1, z1) = Mesh(), *_WINDOW
-    skirting = [((0, 0), (0.014, _WIDE)), ((_LONG - 0.014, 0), (_LONG, _WIDE)), ((0, 0), (3.98, 0.014)),
-                ((5.02, 0), (_LONG, 0.014)), ((0, _WIDE - 0.014), (_LONG, _WIDE))]  # fmt: skip
+    skirting = [
+        ((0, 0), (0.014, _WIDE)),
+        ((_LONG - 0.014, 0), (_LONG, _WIDE)),
+        ((0, 0), (3.98, 0.014)),
+        ((5.02, 0), (_LONG, 0.014)),
+        ((0, _WIDE - 0.014), (_LONG, _WIDE)),
+    ]
     mesh.box([(*low, 0) for low, _ in skirting], [(*high, 0.08) for _, high in skirting], "enamel")
     y, middle, bar = _WIDE + 0.12, (x0 + x1) / 2, 0.055
     uprights = [(x0, x0 + bar), (middle - bar, middle + bar), (x1 - bar, x1)]
@@ -96,12 +101,19 @@ def _door(mesh: Mesh) -> None:
     """Add a door with four panels, its frame, handle and hinges."""
     left, right, top = 4.05, 4.95, 2.05
     mesh.box((left, 0, 0.006), (right, 0.012, top), "enamel")
-    for x, z, wide, tall in ((0.12, 0.18, 0.28, 0.62), (0.5, 0.18, 0.28, 0.62), (0.12, 0.95, 0.28, 0.95),
-                             (0.5, 0.95, 0.28, 0.95)):  # fmt: skip
+    for x, z, wide, tall in (
+        (0.12, 0.18, 0.28, 0.62),
+        (0.5, 0.18, 0.28, 0.62),
+        (0.12, 0.95, 0.28, 0.95),
+        (0.5, 0.95, 0.28, 0.95),
+    ):
         mesh.box((left + x, 0.012, z), (left + x + wide, 0.022, z + tall), "enamel")
         mesh.box((left + x + 0.03, 0.022, z + 0.03), (left + x + wide - 0.03, 0.027, z + tall - 0.03), "enamel")
-    frame = [((left - 0.07, 0), (left, top + 0.07)), ((right, 0), (right + 0.07, top + 0.07)),
-             ((left, top), (right, top + 0.07))]  # fmt: skip
+    frame = [
+        ((left - 0.07, 0), (left, top + 0.07)),
+        ((right, 0), (right + 0.07, top + 0.07)),
+        ((left, top), (right, top + 0.07)),
+    ]
     mesh.box([(x, 0, z) for (x, z), _ in frame], [(x, 0.03, z) for _, (x, z) in frame], "enamel")
     mesh.box((left + 0.05, 0.012, 0.95), (left + 0.08, 0.02, 1.12), "rim")
     mesh.tube([(left + 0.065, 0.015, 1.06), (left + 0.065, 0.06, 1.06), (left + 0.19, 0.06, 1.06)], 0.009, "rim", 10)
@@ -140,8 +152,12 @@ def _rug(stage: Stage) -> None:
     x = np.arange(1.03, 2.19, 0.025)
     for y, out in ((0.72, -0.06), (2.72, 0.06)):
         ends = np.sort([y, y + out])
-        mesh.box(np.column_stack([x, 0 * x + ends[0], 0 * x]),
-                 np.column_stack([x + 0.009, 0 * x + ends[1], 0 * x + 0.005]), "curtain", 0.7)  # fmt: skip
+        mesh.box(
+            np.column_stack([x, 0 * x + ends[0], 0 * x]),
+            np.column_stack([x + 0.009, 0 * x + ends[1], 0 * x + 0.005]),
+            "curtain",
+            0.7,
+        )
     stage.add(mesh, "rug")
 
 

@@ -219,8 +219,11 @@ def _cupboard(rng: np.random.Generator) -> Mesh:
 def _door(rng: np.random.Generator) -> Mesh:
     mesh, wide, high = Mesh(), rng.uniform(0.75, 1.0), rng.uniform(1.98, 2.15)
     paint = str(rng.choice(["enamel", "oak", "2"]))
-    mesh.box([(0, -0.07, 0), (0, wide, 0), (0, -0.07, high)],
-             [(0.03, 0, high), (0.03, wide + 0.07, high), (0.03, wide + 0.07, high + 0.07)], "enamel")  # fmt: skip
+    mesh.box(
+        [(0, -0.07, 0), (0, wide, 0), (0, -0.07, high)],
+        [(0.03, 0, high), (0.03, wide + 0.07, high), (0.03, wide + 0.07, high + 0.07)],
+        "enamel",
+    )
     mesh.box((0, 0, 0.005), (0.015, wide, high), paint)
     mesh.tube([(0.015, wide - 0.07, 1.05), (0.06, wide - 0.07, 1.05), (0.06, wide - 0.19, 1.05)], 0.009, "rim", 8)
     return mesh

@@ -118,8 +118,11 @@ def _fence(mesh: Mesh, rng: np.random.Generator, materials: Sequence[str]) -> No
     """Add upright bars between two rails."""
     x, thick, high = np.linspace(-0.8, 0.8, int(rng.integers(4, 12))), rng.uniform(0.015, 0.06), rng.uniform(0.2, 0.5)
     zero = 0 * x
-    mesh.box(np.column_stack([x - thick, zero - thick, zero - high]),
-             np.column_stack([x + thick, zero + thick, zero + high]), materials[0])  # fmt: skip
+    mesh.box(
+        np.column_stack([x - thick, zero - thick, zero - high]),
+        np.column_stack([x + thick, zero + thick, zero + high]),
+        materials[0],
+    )
     for z in (-0.7 * high, 0.7 * high):
         mesh.box((-0.85, -1.5 * thick, z - thick), (0.85, -thick, z + thick), materials[-1])
 

@@ -37,8 +37,14 @@ def data(original, tmp_path):
 
 def words(row, data):
     images = " ".join(str(bad_inputs.first(data, camera)) for camera in (1, 2, 3, 4))
-    places = {"DATA": data, "RIG": data / "config.yaml", "IMAGES": images, "OUT": data.parent / "out",
-              "BOARDS": data / "boards", "LONG": data / (300 * "n")}  # fmt: skip
+    places = {
+        "DATA": data,
+        "RIG": data / "config.yaml",
+        "IMAGES": images,
+        "OUT": data.parent / "out",
+        "BOARDS": data / "boards",
+        "LONG": data / (300 * "n"),
+    }
     return re.sub("|".join(places), lambda word: str(places[word[0]]), row.command).split()
 
 

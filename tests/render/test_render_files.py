@@ -209,9 +209,7 @@ def test_blender_environment_gets_the_same_job(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     job = ["sunny/test", "--frames", "706", "831", "--shard", "2/2", "--seed", "3"]
     assert main([*job, "--out", "here"]) == 7  # the exit status is the renderer's
-    assert [str(word) for word in calls[0]] == [
-        str(python), "-m", "render", *job, "--out", str(tmp_path / "here")
-    ]  # fmt: skip
+    assert [str(word) for word in calls[0]] == [str(python), "-m", "render", *job, "--out", str(tmp_path / "here")]
 
 
 def test_folder_that_cannot_be_written(no_blender, tmp_path):

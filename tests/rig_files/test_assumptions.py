@@ -20,7 +20,7 @@ from rig_file_samples import (
     omnimvs,
     stereographic,
     write,
-)  # fmt: skip
+)
 from scipy.spatial.transform import Rotation
 
 from omnistereo_lib import OmnistereoError, Pose, Rig, load_camera, load_rig, save_rig

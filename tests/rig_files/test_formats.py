@@ -28,7 +28,7 @@ from rig_file_samples import (
     omnimvs,
     only_our_error,
     write,
-)  # fmt: skip
+)
 from scipy.spatial.transform import Rotation
 
 from omnistereo_lib import OmnistereoError, load_rig

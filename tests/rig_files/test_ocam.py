@@ -30,7 +30,7 @@ from rig_file_samples import (
     same_camera,
     stereographic,
     write,
-)  # fmt: skip
+)
 
 from omnistereo_lib import OmnistereoError, Pose, Rig, load_camera, load_rig, save_rig
 from omnistereo_lib.rig_files.ocam import write_ocam_folder, write_ocam_txt
@@ -324,9 +324,11 @@ def test_saving_where_nothing_can_be_written(tmp_path):
 
 def test_numpy_numbers_are_written_as_plain_numbers(tmp_path):
     camera = stereographic(
-        center=tuple(np.float64(CENTER)), affine=tuple(np.float64([1, 0, 0])), image_size=tuple(np.int64(SIZE)),
+        center=tuple(np.float64(CENTER)),
+        affine=tuple(np.float64([1, 0, 0])),
+        image_size=tuple(np.int64(SIZE)),
         max_fov_deg=np.float64(200),
-    )  # fmt: skip
+    )
     rig = Rig([camera] * 2, [Pose.identity()] * 2)
     write_ocam_folder(rig, tmp_path)
     save_rig(rig, tmp_path / "config.yaml")
