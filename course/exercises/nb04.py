@@ -31,7 +31,10 @@ check_zncc = Open(
         (lambda a, b: np.nan if np.ptp(b) == 0 else zncc(a, b), "a flat patch divides 0 by 0: return 0 for it"),
         (lambda a, b: (1 - zncc(a, b)) / 2, "that is the cost; return ZNCC itself, 1 for a match"),
         (_not_zero_mean, "subtract the mean of each patch first (the Z of ZNCC)"),
-        (lambda a, b: np.mean(a * b) / (a.std() * max(b.std(), 1e-12)), "subtract the means in the product, too"),
+        (
+            lambda a, b: zncc(a, b) + (a.mean() * b.mean() / a.std() / b.std() if np.ptp(b) else 0),
+            "subtract the means, too",
+        ),
         (lambda a, b: zncc(a, b) * a.std() * b.std(), "divide by both standard deviations (the N of ZNCC)"),
         (lambda a, b: zncc(a, b) / (a.std() * max(b.std(), 1e-12)), "divide by the deviations, not by the variances"),
         (lambda a, b: zncc(a, b) * a.size, "sum and mean are mixed: take the mean of the products"),
