@@ -7,14 +7,18 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import embedding_bag
 
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.compiled import compiled
 from omnistereo_lib.stereo.learned import full_precision
+from omnistereo_lib.stereo.threads import map_threads
 
 CHANNELS, GROUPS = 32, 8
+_SIZE = CHANNELS // GROUPS
 LEAST = 160, 32  # columns and spheres of the volumes on which the shipped network was trained
 _CELLS = 1 << 14  # cells correlated at a time: so few that their features stay in the cache of a core
 
@@ -41,7 +45,9 @@ def pixels_per_degree(size: tuple[int, int, int]) -> float:
     return 4 * size[0] / 360
 
 
-def feature_coordinates(rig: Rig, grid: SphereGrid, size: tuple[int, int, int]) -> list[Tensor]:
+def feature_coordinates(
+    rig: Rig, grid: SphereGrid, size: tuple[int, int, int], device: torch.device | str = "cpu"
+) -> list[Tensor]:
     """Return where the cells of a volume land on the feature maps of every camera (Eq. 1).
 
     Args:
@@ -51,7 +57,8 @@ def feature_coordinates(rig: Rig, grid: SphereGrid, size: tuple[int, int, int]) 
     Returns:
         list of float32 tensors, shape (W', H', N', 2): Feature pixels, NaN where the cell is not visible to the camera.
     """
-    return project_cells(rig, *volume_cells(grid, size))
+    rays, inverse_depth = volume_cells(grid, size)
+    return project_cells(rig, rays.to(device), inverse_depth.to(device))
 
 
 def volume_cells(grid: SphereGrid, size: tuple[int, int, int]) -> tuple[Tensor, Tensor]:
@@ -67,7 +74,7 @@ def project_cells(rig: Rig, rays: Tensor, inverse_depth: Tensor) -> list[Tensor]
     coordinates = []
     for camera, pose in zip(rig.cameras, rig.T_rig_cam, strict=True):
         T_cam_rig = pose.inverse()
-        R, t = (torch.from_numpy(a).float() for a in (T_cam_rig.R, T_cam_rig.t))
+        R, t = (torch.from_numpy(a).float().to(rays.device) for a in (T_cam_rig.R, T_cam_rig.t))
         uv, visible = camera.project((rays @ R.T)[:, :, None] + inverse_depth * t)
         coordinates.append(torch.where(visible[..., None], uv / 2, torch.nan))  # maps have every second pixel
     return coordinates
@@ -110,6 +117,105 @@ class _PairProducts(torch.autograd.Function):
                 for corner in range(4):
                     of_table.index_add_(0, index[:, corner], of_cells * weight[:, corner, None])
         return None, *grads
+
+
+class _CellProducts(torch.autograd.Function):
+    """As `_PairProducts`, by loops over the cells that pass over the cameras to which a cell is not visible."""
+
+    @staticmethod
+    def forward(ctx: Any, uv: Tensor, *maps: Tensor) -> Tensor:
+        """Return the sums (cells, 8) of features (h, w, 32), given where the cells are in them: (cameras, cells, 2)."""
+        table = torch.cat([one.detach().reshape(-1, CHANNELS) for one in maps]).numpy()
+        sizes = np.array([one.shape[:2] for one in maps])
+        products = torch.empty(uv.shape[1], GROUPS)
+        totals = torch.empty(uv.shape[1] if any(ctx.needs_input_grad) else 0, CHANNELS)
+
+        def sum_products(start: int) -> None:
+            cells = slice(start, start + _CELLS)
+            _sum_products(table, sizes, uv[:, cells].numpy(), products[cells].numpy(), totals[cells].numpy())
+
+        list(map_threads(sum_products, range(0, uv.shape[1], _CELLS)))
+        ctx.save_for_backward(uv, totals, *maps)
+        return products
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
+        """Return the gradients of the features; see `_PairProducts`."""
+        uv, totals, *maps = ctx.saved_tensors
+        grads = [torch.zeros(one.shape) for one in maps]
+
+        def scatter(camera: int) -> None:
+            arrays = maps[camera].detach(), uv[camera], totals, grad.contiguous(), grads[camera]
+            _scatter_gradient(*(array.numpy() for array in arrays))
+
+        list(map_threads(scatter, range(len(maps))))
+        return None, *grads
+
+
+# Not nnan: a test for NaN says where a cell is visible.
+_loop = compiled(nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"})
+
+
+@_loop
+def _corner(x: float, y: float, height: int, width: int) -> tuple[int, int, float, float]:
+    """Return column and row of the pixel up and left of a position, and how far the position is beyond it."""
+    column, row = min(max(int(x), 0), width - 2), min(max(int(y), 0), height - 2)
+    fx, fy = np.float32(x - column), np.float32(y - row)
+    return column, row, min(max(fx, np.float32(0)), np.float32(1)), min(max(fy, np.float32(0)), np.float32(1))
+
+
+@_loop
+def _sum_products(table: NDArray, sizes: NDArray, uv: NDArray, products: NDArray, totals: NDArray) -> None:
+    """Write Σ over pairs i ≠ j of the group means of f_i f_j, and Σ f_i; one table holds all features."""
+    total, square = np.zeros(CHANNELS, np.float32), np.zeros(CHANNELS, np.float32)
+    for cell in range(uv.shape[1]):
+        total[:] = 0
+        square[:] = 0
+        first = 0
+        for camera in range(len(sizes)):
+            height, width = sizes[camera]
+            x, y = uv[camera, cell]
+            if x == x:
+                column, row, fx, fy = _corner(x, y, height, width)
+                r, one = first + row * width + column, np.float32(1)
+                a, b, c, d = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
+                for k in range(CHANNELS):
+                    f = a * table[r, k] + b * table[r + 1, k] + c * table[r + width, k] + d * table[r + width + 1, k]
+                    total[k] += f
+                    square[k] += f * f
+            first += height * width
+        for group in range(GROUPS):
+            summed = np.float32(0)
+            for k in range(group * _SIZE, (group + 1) * _SIZE):
+                summed += total[k] * total[k] - square[k]
+            products[cell, group] = summed / np.float32(_SIZE)
+        if len(totals):
+            totals[cell] = total
+
+
+@_loop
+def _scatter_gradient(maps: NDArray, uv: NDArray, totals: NDArray, grad: NDArray, out: NDArray) -> None:
+    """Add ∂/∂f_i = 2 (Σ_j f_j - f_i), times the gradient of the group means, to the pixels from which f_i was read."""
+    height, width, _ = maps.shape
+    table, out = maps.reshape(-1, CHANNELS), out.reshape(-1, CHANNELS)
+    g = np.zeros(CHANNELS, np.float32)
+    for cell in range(len(uv)):
+        x, y = uv[cell]
+        if x == x:
+            column, row, fx, fy = _corner(x, y, height, width)
+            r, one = row * width + column, np.float32(1)
+            a, b, c, d = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
+            for group in range(GROUPS):
+                for k in range(group * _SIZE, (group + 1) * _SIZE):
+                    g[k] = grad[cell, group] * np.float32(2 / _SIZE)
+            for k in range(CHANNELS):
+                f = a * table[r, k] + b * table[r + 1, k] + c * table[r + width, k] + d * table[r + width + 1, k]
+                g[k] *= totals[cell, k] - f
+            for k in range(CHANNELS):
+                out[r, k] += a * g[k]
+                out[r + 1, k] += b * g[k]
+                out[r + width, k] += c * g[k]
+                out[r + width + 1, k] += d * g[k]
 
 
 def _sample(table: Tensor, index: Tensor, weight: Tensor) -> Tensor:
@@ -158,11 +264,14 @@ def correlate(features: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tens
         tensor, shape (9, W, H, N): Eight correlations, 0 where k < 2, and k / 4.
     """
     shape = coordinates[0].shape[:3]  # W, H, N
-    tables = [maps.permute(1, 2, 0).reshape(-1, CHANNELS) for maps in features]
-    columns = max(1, _CELLS // shape[1:].numel())
-    split = zip(*(uv.split(columns) for uv in coordinates), strict=True)
-    sizes = [(maps.shape[2], maps.shape[1]) for maps in features]
-    parts = ([bilinear(uv, size) for uv, size in zip(uvs, sizes, strict=True)] for uvs in split)
+    maps = [one.permute(1, 2, 0).contiguous() for one in features]
     k = torch.stack([(~uv[..., 0].isnan()).flatten() for uv in coordinates], -1).float().sum(-1, keepdim=True)
-    products = _PairProducts.apply(parts, *tables)
+    if features[0].device.type == "cpu":
+        products = _CellProducts.apply(torch.stack([uv.reshape(-1, 2) for uv in coordinates]), *maps)
+    else:
+        columns = max(1, _CELLS // shape[1:].numel())
+        split = zip(*(uv.split(columns) for uv in coordinates), strict=True)
+        sizes = [(one.shape[1], one.shape[0]) for one in maps]
+        parts = ([bilinear(uv, size) for uv, size in zip(uvs, sizes, strict=True)] for uvs in split)
+        products = _PairProducts.apply(parts, *(one.view(-1, CHANNELS) for one in maps))
     return torch.cat([products / (k * (k - 1)).clamp(min=1), k / 4], 1).view(*shape, -1).permute(3, 0, 1, 2)

@@ -187,7 +187,7 @@ class VolumeNet(StoredNetwork):
 
         def project() -> tuple[list[Tensor], list[Tensor]]:
             masks = [torch.from_numpy(camera.visible_pixels()).to(device) for camera in rig.cameras]
-            return masks, [uv.to(device) for uv in feature_coordinates(rig, sweep.grid, size)]
+            return masks, feature_coordinates(rig, sweep.grid, size, device)
 
         masks, coordinates = sweep.keep((VolumeNet, size), project)
         normalized = [normalize(torch.from_numpy(to_gray(i)).to(device), m) for i, m in zip(images, masks, strict=True)]

@@ -17,24 +17,31 @@ from omnistereo_lib.files import read_bytes
 from omnistereo_lib.geometry.rig import camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.sweep import SphereSweep, to_gray
-from omnistereo_lib.train.recipes import Recipe
+from omnistereo_lib.train.endless import EndlessFrame, EndlessWorlds
+from omnistereo_lib.train.recipes import ENDLESS, Recipe
 
 DATA = Path(__file__).resolve().parents[2] / "data_samples"
 Folders = str | Path | Sequence[str | Path]
+_HELD_OUT = 1 << 40  # the seed of the endless worlds of validation; no recipe has it
 
 
 class TrainingFrames:
     """The frames of data sets that have ground truth: nine of ten to train on, every tenth for validation.
 
-    `data` is a folder that `load_dataset` reads, or several. Raises `OmnistereoError` if fewer than two frames of one
-    have ground truth, or a rig file does not state the nearest depth.
+    `data` is a folder that `load_dataset` reads, or several. "endless" among them stands for endless worlds, in which
+    every frame is a new one: of "endless", "endless" and two folders, every other micro-batch is of such a frame.
+    Raises `OmnistereoError` if fewer than two frames of a folder have ground truth, or a rig file does not state the
+    nearest depth.
     """
 
     def __init__(self, recipe: Recipe, data: Folders) -> None:
         self.recipe = recipe
         self.validation: list[Frame] = []
         self.training: list[Frame] = []
-        folders = [Path(folder) for folder in ([data] if isinstance(data, str | Path) else data)]
+        worlds = [Path(world) for world in ([data] if isinstance(data, str | Path) else data)]
+        folders = [world for world in worlds if str(world) != ENDLESS]
+        self._endless_of = len(worlds) - len(folders), len(worlds)  # so many of so many micro-batches
+        self.endless, self.held_out = EndlessWorlds(recipe.seed), EndlessWorlds(_HELD_OUT, workers=0)
         digest = hashlib.sha256()
         for folder in folders:
             frames = [frame for frame in load_dataset(folder) if frame.gt_path is not None]
@@ -46,7 +53,7 @@ class TrainingFrames:
             self.training += [frame for k, frame in enumerate(frames) if k % 10]
             for path in (path for frame in frames for path in (*frame.image_paths, frame.gt_path)):
                 digest.update(read_bytes(path) if path else b"")
-        names = ", ".join("/".join(folder.resolve().parts[-2:]) for folder in folders)
+        names = ", ".join("/".join(world.resolve().parts[-2:]) if world in folders else ENDLESS for world in worlds)
         count = len(self.training) + len(self.validation)
         self.metadata = {"folder": names, "frames": count, "sha256": digest.hexdigest()}
 
@@ -55,11 +62,25 @@ class TrainingFrames:
         size = self.recipe.width, self.recipe.height
         return SphereGrid(*size, num_spheres=self.recipe.num_spheres, min_depth=min_depth)
 
-    def training_frame(self, number: int) -> Frame:
-        """Return the frame of a micro-batch, counted over all steps: once per epoch, in random order."""
+    def training_frame(self, number: int) -> Frame | EndlessFrame:
+        """Return the frame of a micro-batch, counted over all steps; frames of folders once per epoch, shuffled."""
+        endless, number = self._split(number)
+        if endless:
+            return self.endless.frame(number)
         epoch, place = divmod(number, len(self.training))
         order = np.random.default_rng([self.recipe.seed, epoch]).permutation(len(self.training))
         return self.training[order[place]]
+
+    def validation_frame(self, number: int) -> Frame | EndlessFrame:
+        """Return the frame of a micro-batch of the validation."""
+        endless, number = self._split(number)
+        return self.held_out.frame(number) if endless else self.validation[number % len(self.validation)]
+
+    def _split(self, number: int) -> tuple[bool, int]:
+        """Return whether a micro-batch is of an endless world, and its number among those or among the others."""
+        endless, total = self._endless_of
+        before, after = number * endless // total, (number + 1) * endless // total
+        return after > before, before if after > before else number - before
 
 
 class SweptFrames(TrainingFrames):
@@ -69,19 +90,21 @@ class SweptFrames(TrainingFrames):
         super().__init__(recipe, data)
         # Four rigs: this keeps the rig of the streets, which recurs; those of the other worlds do not come again soon.
         self._sweep_of = lru_cache(4)(lambda rig: SphereSweep(rig, self.grid_of(rig.min_depth), device=device))
-        self._gt_index: dict[Path | None, NDArray[Any]] = {}  # lights of one drive share the file
-        self.use(self.training[0])
+        self._gt_index: dict[Path, NDArray[Any]] = {}  # lights of one drive share the file
+        self.use(self.validation_frame(0))
 
-    def use(self, frame: Frame) -> NDArray[np.float32]:
+    def use(self, frame: Frame | EndlessFrame) -> NDArray[np.float32]:
         """Select the rig of a frame; return its ground-truth sphere index, not rounded, (H, W), kept for later."""
         self.sweep = self._sweep_of(frame.rig)
         self.grid, self.rays = self.sweep.grid, self.sweep.grid.rays()
         self.pairs = camera_pairs("ring", self.sweep.rig)
+        if frame.gt_path is None:
+            return frame.gt_index(self.grid).astype(np.float32)
         if frame.gt_path not in self._gt_index:
             self._gt_index[frame.gt_path] = frame.gt_index(self.grid).astype(np.float32)
         return self._gt_index[frame.gt_path]
 
-    def images(self, frame: Frame, rng: np.random.Generator | None) -> list[Tensor]:
+    def images(self, frame: Frame | EndlessFrame, rng: np.random.Generator | None) -> list[Tensor]:
         """Return the normalised images of a frame; with an rng, each camera with a random gain and gamma."""
         if rng is None:
             return self.sweep.normalize_images(frame.images)

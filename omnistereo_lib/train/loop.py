@@ -28,13 +28,14 @@ from omnistereo_lib.stereo.learned import Precision, autocast, uses_bfloat16
 from omnistereo_lib.stereo.weights import load_tensors, save_tensors
 from omnistereo_lib.train.frames import DATA, Folders
 from omnistereo_lib.train.patches import PatchSamples
-from omnistereo_lib.train.recipes import Recipe
+from omnistereo_lib.train.recipes import ENDLESS, Recipe
 from omnistereo_lib.train.spheres import SphereSamples
 from omnistereo_lib.train.volumes import VolumeSamples
 
 STATE, WEIGHTS, LOG = "state.safetensors", "weights.safetensors", "log.csv"
 COLUMNS = ("step", "loss", "error", "learning_rate", "seconds", "validation_loss", "validation_error")
 _SAMPLES = {"sweepnet": SphereSamples, "mccnn": PatchSamples, "volumenet": VolumeSamples}
+_FEW = 100  # steps, in which one may be skipped
 _TRAIN, _VALIDATE, _NORMS = range(3)  # purposes of random numbers, so that no two share any
 
 
@@ -55,8 +56,8 @@ def train(
 
     Args:
         out: Folder; made where it is missing.
-        data: Folders that `load_dataset` reads, with ground truth. Default: the training sets of data_samples that the
-            recipe names.
+        data: Folders that `load_dataset` reads, with ground truth, and "endless" for worlds that are made up as the
+            training goes on. Default: the training sets of data_samples that the recipe names.
         precision: Of the matrix products; weights, losses and sums stay float32.
         checkpoint_s: Seconds between two states.
         init_weights: Trained weights to begin with instead of random ones. Their architecture must be that of the
@@ -68,9 +69,11 @@ def train(
     Raises:
         OmnistereoError: If the data cannot be trained on, the folder belongs to a different run or cannot be written,
             the architecture of `init_weights` is not that of the recipe, there is no such device, the micro-batches
-            cannot be divided among the processes, or the loss, its gradient or a weight is not finite.
+            cannot be divided among the processes, a weight is not finite, or the loss or its gradient is not in more
+            than one step in a hundred. Such a step is skipped; its loss in the log is empty.
     """
-    data = [DATA / name / "train" for name in recipe.worlds.split()] if data is None else data
+    if data is None:
+        data = [name if name == ENDLESS else DATA / name / "train" for name in recipe.worlds.split()]
     run = _Run(recipe, data, select_device(device), precision, init_weights)
     out = make_folder(out)
     first = run.resume(out / STATE)
@@ -79,8 +82,12 @@ def train(
     for step in range(first, recipe.steps):
         row = dict.fromkeys(COLUMNS, math.nan) | run.step(step)
         done = step + 1
+        skipped = math.isnan(row["loss"]) + sum(math.isnan(earlier["loss"]) for earlier in rows)
+        if skipped > max(done, _FEW) / 100:
+            found = f"the loss or its gradient was not finite in {skipped} of {done} steps"
+            raise OmnistereoError(f"{found}. Lower learning_rate or increase warmup.")
         if done % recipe.validate_every == 0 or done == recipe.steps:
-            row |= run.validate()
+            row |= run.validate(done)
             if run.rank == 0:
                 run.write_weights(out / WEIGHTS, row)
         row["seconds"] = time.perf_counter() - began
@@ -127,8 +134,7 @@ class _Run:
         """Draw micro-batch number k: of a validation frame, or of a training frame, augmented."""
         rng = np.random.default_rng([self.recipe.seed, purpose, k])
         if purpose == _VALIDATE:
-            frame = self.samples.validation[k % len(self.samples.validation)]
-            return self.samples.micro_batch(frame, rng, augment=False)
+            return self.samples.micro_batch(self.samples.validation_frame(k), rng, augment=False)
         return self.samples.micro_batch(self.samples.training_frame(k), rng, self.recipe.augment)
 
     def loss(self, micro_batch: Any, objective: nn.Module | None = None) -> tuple[Tensor, Tensor]:
@@ -137,7 +143,10 @@ class _Run:
             return (objective or self.objective)(micro_batch)
 
     def step(self, step: int) -> dict[str, float]:
-        """Do one step; return its row of the log, with the loss and error over all processes."""
+        """Do one step; return its row of the log, with the loss and error over all processes.
+
+        Where the loss or its gradient is not finite, the weights stay as they are and the loss is NaN.
+        """
         rate = self.recipe.learning_rate_at(step)
         for group in self.optimizer.param_groups:
             group["lr"] = rate
@@ -155,16 +164,18 @@ class _Run:
             distributed.all_reduce(metrics)
         loss, error = (metrics / self.world).tolist()
         norm = nn.utils.clip_grad_norm_(self.network.parameters(), self.recipe.clip).item()
-        if not math.isfinite(loss + norm):
-            found = f"the loss is {loss} and the norm of its gradient {norm} at step {step}"
-            raise OmnistereoError(f"{found}. Lower learning_rate or increase warmup.")
-        self.optimizer.step()
-        return {"step": step, "loss": loss, "error": error, "learning_rate": rate}
+        finite = math.isfinite(loss + norm)
+        if finite:
+            self.optimizer.step()
+        return {"step": step, "loss": loss if finite else math.nan, "error": error, "learning_rate": rate}
 
     @torch.no_grad()
-    def validate(self) -> dict[str, float]:
-        """Return mean loss and error of the same micro-batches every time, of frames that are never trained on."""
-        self._update_bn()
+    def validate(self, done: int) -> dict[str, float]:
+        """Return mean loss and error of the same micro-batches every time, of frames that are never trained on.
+
+        `done` steps came before.
+        """
+        self._update_bn(done)
         self.network.eval()
         metrics = torch.zeros(2)
         for k in range(self.recipe.validation_groups):
@@ -172,14 +183,14 @@ class _Run:
         self.network.train()
         return dict(zip(("validation_loss", "validation_error"), metrics.tolist(), strict=True))
 
-    def _update_bn(self) -> None:
+    def _update_bn(self, done: int) -> None:
         """Recompute batch norm statistics: running averages would lag behind and differ between processes."""
         norms = [layer for layer in self.network.modules() if isinstance(layer, nn.modules.batchnorm._BatchNorm)]
         for norm in norms:
             norm.reset_running_stats()
         if norms:
             for k in range(self.recipe.validation_groups):
-                self.loss(self.micro_batch(_NORMS, k))
+                self.loss(self.micro_batch(_NORMS, done * self.recipe.frames_per_step + k))
 
     def write_weights(self, path: Path, row: Mapping[str, float]) -> None:
         """Write the weights to use, batch norms fused, with what they come from: two machines give two sets."""

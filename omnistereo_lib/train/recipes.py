@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal, Self
 
 from omnistereo_lib.errors import OmnistereoError
 
+ENDLESS = "endless"
 _CHOICES = {"optimizer": ("adamw", "sgd"), "schedule": ("cosine", "drop"), "variant": ("fast", "accurate")}
 _FRACTIONS = {"momentum", "any_sphere"}
 _MAY_BE_ZERO = {
@@ -24,7 +25,7 @@ class Recipe:
     """
 
     network: ClassVar[str]  # name of the network that the recipe is for
-    worlds: str = "sunny"  # training sets of data_samples, unless others are given
+    worlds: str = "sunny"  # training sets of data_samples, unless others are given; "endless": see `EndlessWorlds`
 
     # Scale: a network is free of scale through D_min, but not of the field of view of its receptive field.
     width: int = 320  # W; the teaching scale, where a frame takes seconds on two cores
@@ -57,7 +58,7 @@ class Recipe:
             elif isinstance(value, bool):
                 continue
             elif name == "worlds":
-                valid, wanted = value.split() != [], "names of folders in data_samples"
+                valid, wanted = value.split() != [], "names of folders in data_samples, or endless"
             elif name in _FRACTIONS:
                 valid, wanted = 0 <= value <= 1, "a fraction in [0, 1]"
             else:

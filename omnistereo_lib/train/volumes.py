@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
-from torch.nn.functional import log_softmax
+from torch.nn.functional import interpolate, log_softmax
 
 from omnistereo_lib.dataset import Frame
 from omnistereo_lib.errors import OmnistereoError
@@ -17,6 +18,7 @@ from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.correlation import feature_coordinates, pixels_per_degree, volume_sizes
 from omnistereo_lib.stereo.sweep import blur, reduce_images, to_gray
 from omnistereo_lib.stereo.volumenet import VolumeNet, local_mean, normalize, resize_logits
+from omnistereo_lib.train.endless import EndlessFrame
 from omnistereo_lib.train.frames import Folders, TrainingFrames, to_device
 from omnistereo_lib.train.recipes import VolumeNetRecipe
 
@@ -41,12 +43,22 @@ class VolumeSamples(TrainingFrames):
         self.device = torch.device(device)
         self.network = VolumeNet()
         self.objective = VolumeObjective(self.network, self.grid_of(1.0))
-        self._masks: dict[Rig, list[Tensor]] = {}
+        self._rays = self.grid_of(1.0).rays()
+        self._masks: WeakKeyDictionary[Rig, list[Tensor]] = WeakKeyDictionary()
 
-    def micro_batch(self, frame: Frame, rng: np.random.Generator, augment: bool) -> list[VolumeSample]:
-        """Return a frame and others drawn at random, `batch_frames` in all; with `augment`, each seen differently."""
-        pool = self.training if augment else self.validation
-        others = [pool[k] for k in rng.integers(len(pool), size=self.recipe.batch_frames - 1)]
+    def micro_batch(self, frame: Frame | EndlessFrame, rng: np.random.Generator, augment: bool) -> list[VolumeSample]:
+        """Return a frame and others, `batch_frames` in all; with `augment`, each seen differently.
+
+        The others of a folder are drawn at random; those of endless worlds are the next ones, so that each frame comes
+        again in the following micro-batch, seen differently.
+        """
+        count = self.recipe.batch_frames - 1
+        if isinstance(frame, EndlessFrame):
+            worlds = self.endless if augment else self.held_out
+            others = [worlds.frame(frame.number + 1 + k) for k in range(count)]
+        else:
+            pool = self.training if augment else self.validation
+            others = [pool[k] for k in rng.integers(len(pool), size=count)]
         return [self._sample(one, rng if augment else None) for one in (frame, *others)]
 
     def view(self, rng: np.random.Generator | None) -> tuple[NDArray[Any], float]:
@@ -58,7 +70,7 @@ class VolumeSamples(TrainingFrames):
         rotation = tilted.R @ Pose.from_vector([0, roll, 0, 0, 0, 0]).R
         return rotation, float(np.exp(rng.uniform(np.log(0.4), np.log(2.5))))
 
-    def _sample(self, frame: Frame, rng: np.random.Generator | None) -> VolumeSample:
+    def _sample(self, frame: Frame | EndlessFrame, rng: np.random.Generator | None) -> VolumeSample:
         """Return a frame on a grid; with an rng, rotated, scaled and mirrored at random, its images changed."""
         rotation, scale = self.view(rng)
         assert frame.rig.min_depth is not None  # `TrainingFrames` refuses others
@@ -66,28 +78,36 @@ class VolumeSamples(TrainingFrames):
         size = volume_sizes(grid)[-1]
         rig, images = reduce_images(frame.rig.recentered(), frame.images, pixels_per_degree(size))
         if frame.rig not in self._masks:
-            self._masks[frame.rig] = [to_device(camera.visible_pixels(), self.device) for camera in rig.cameras]
+            masks = [to_device(camera.visible_pixels(), self.device) for camera in rig.cameras]
+            self._masks[frame.rig] = masks
         masks = self._masks[frame.rig]
-        gray = [to_gray(image) if rng is None else _other_look(to_gray(image), rng) for image in images]
-        gt_index = grid.inverse_depth_to_index(frame.inverse_depth_along(grid.rays() @ rotation))
-        index = np.where(gt_index <= grid.num_spheres - 1, gt_index, np.nan).astype(np.float32).T  # (W, H)
-        coordinates = feature_coordinates(rig.transformed(Pose(rotation, np.zeros(3))), grid, size)
+        gray = [_other_look(to_gray(image), rng, self.device) for image in images]
+        coordinates = feature_coordinates(rig.transformed(Pose(rotation, np.zeros(3))), grid, size, self.device)
+        gt_index = grid.inverse_depth_to_index(frame.inverse_depth_along(self._rays @ rotation))
+        gt_index = np.where(gt_index <= grid.num_spheres - 1, gt_index, np.nan).astype(np.float32).T  # (W, H)
+        index = to_device(gt_index, self.device)
+        index = index.where(_shared_rays(coordinates, index.shape), torch.nan)
         if rng is not None and rng.integers(2):  # a mirrored world: θ becomes -θ
-            index, coordinates = index[::-1], [uv.flip(0) for uv in coordinates]
-        return VolumeSample(
-            [normalize(to_device(image, self.device), mask) for image, mask in zip(gray, masks, strict=True)],
-            masks,
-            [uv.to(self.device) for uv in coordinates],
-            to_device(index, self.device),
-        )
+            index, coordinates = index.flip(0), [uv.flip(0) for uv in coordinates]
+        return VolumeSample([normalize(*pair) for pair in zip(gray, masks, strict=True)], masks, coordinates, index)
 
 
-def _other_look(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
-    """Change gain, gamma, sharpness and noise of one camera; its image is in [0, 255]."""
-    image = (image / 255 * np.exp(rng.uniform(-0.25, 0.25))).clip(0, 1) ** np.exp(rng.uniform(-0.3, 0.3))
+def _shared_rays(coordinates: list[Tensor], shape: torch.Size) -> Tensor:
+    """Return on which rays of a panorama (W, H) two cameras see a common cell, given `feature_coordinates`."""
+    shared = (sum((~uv[..., 0].isnan()).float() for uv in coordinates) > 1).any(-1)
+    return interpolate(shared[None, None].float(), shape, mode="nearest")[0, 0] > 0
+
+
+def _other_look(image: NDArray[np.float32], rng: np.random.Generator | None, device: torch.device) -> Tensor:
+    """Copy an image in [0, 255] to a device; with an rng, change gain, gamma, sharpness and noise of its camera."""
+    if rng is None:
+        return to_device(image, device)
     if rng.random() < 0.3:
         image = blur(image, rng.uniform(0.3, 1.0))
-    return (image + rng.normal(0, rng.uniform(0, 0.02), image.shape)).astype(np.float32)
+    gain, gamma, noise = np.exp(rng.uniform(-0.25, 0.25)), np.exp(rng.uniform(-0.3, 0.3)), rng.uniform(0, 0.02)
+    gray = (to_device(image, device) / 255 * gain).clamp(0, 1) ** gamma
+    generator = torch.Generator(device).manual_seed(int(rng.integers(1 << 62)))
+    return gray + noise * torch.randn(gray.shape, device=device, generator=generator)
 
 
 class VolumeObjective(nn.Module):

@@ -214,9 +214,31 @@ def test_a_folder_with_another_run_is_left_alone(data, tmp_path):
 
 def test_a_loss_that_is_not_finite_stops_the_run(data, tmp_path):
     recipe = replace(SWEEPNET, optimizer="sgd", learning_rate=1e30, warmup=0, batch_norm=False, steps=20)
-    with refused(r"the loss is .* at step \d+\. Lower learning_rate"):
+    with refused(r"was not finite in 2 of \d+ steps\. Lower learning_rate"):
         losses(recipe, tmp_path, data, checkpoint_s=0)
     assert (tmp_path / STATE).is_file() and load_tensors(tmp_path / STATE)  # finite: `load_tensors` checks
+
+
+def test_a_step_that_is_not_finite_is_skipped(data, tmp_path, monkeypatch):
+    """The second step has no loss, changes no weight and is empty in the log; a resumed run counts it."""
+    spoiled, loss = [1], _Run.loss
+    calls = []
+
+    def spoil(run, batch, objective=None):
+        calls.append(None)
+        value, error = loss(run, batch, objective)
+        return (value * np.nan if len(calls) - 1 in spoiled else value), error
+
+    monkeypatch.setattr(_Run, "loss", spoil)
+    recipe = replace(SWEEPNET, frames_per_step=1, validate_every=100, batch_norm=False)
+    before = stopped(recipe, tmp_path, data, steps=1)[0]["loss"]
+    state = load_tensors(tmp_path / STATE)[0]
+    assert np.isnan(stopped(recipe, tmp_path, data, steps=1)[0]["loss"]) and np.isfinite(before)
+    assert all(torch.equal(tensor, state[name]) for name, tensor in load_tensors(tmp_path / STATE)[0].items())
+    assert (tmp_path / LOG).read_text().splitlines()[2].startswith("1,,")
+    spoiled.append(2)
+    with refused("was not finite in 2 of 3 steps"):
+        losses(recipe, tmp_path, data)
 
 
 def test_weights_that_are_not_finite_stop_the_run(data, tmp_path):
