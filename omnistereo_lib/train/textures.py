@@ -2,6 +2,8 @@
 
 Every pattern takes the footprint of the pixel, its width on the surface. What is finer than the footprint fades to its
 mean, so nothing aliases with a single ray a pixel.
+
+Numba's cache looks at one file: after a change here, touch `caster.py`, whose functions are compiled with these.
 """
 
 import math
@@ -103,7 +105,8 @@ def _bricks(u: float, v: float, foot: float, face: int, q: Any, seed: int) -> fl
     du, dv = u - column, (v / q[0] - row) * q[0]
     brick = 0.5 + q[2] * (random(int(column), int(row), face, seed) - 0.5)
     joint = _inside(min(du, 1 - du) - q[1], foot) * _inside(min(dv, q[0] - dv) - q[1], foot)
-    return mix(0.5, brick * joint, 1 - ramp(0.4, 1.2, foot))
+    mean = 0.5 * max(1 - 2 * q[1], 0.0) * max(1 - 2 * q[1] / q[0], 0.0)
+    return mix(mean, brick * joint, 1 - ramp(0.4, 1.2, foot))
 
 
 @_compiled
