@@ -378,7 +378,7 @@ def inverse_distances(prims: Any, tree: Any, origin: Any, rays: Any, out: Any) -
         out[k] = 1 / t if number >= 0 else 0.0
 
 
-def build_tree(prims: NDArray) -> Tree:
+def build_tree(prims: NDArray[Any]) -> Tree:
     """Sort primitives into a tree of boxes, in the order in which rays from near the origin should visit them.
 
     Returns:
@@ -388,9 +388,11 @@ def build_tree(prims: NDArray) -> Tree:
     """
     reach = np.einsum("nji,nj->ni", np.abs(prims["rotation"]), prims["half"]) + 1e-9
     low, high = prims["center"] - reach, prims["center"] + reach
-    bounds, skip, leaf = [], [], []
+    bounds: list[NDArray[np.float64]] = []
+    skip: list[int] = []
+    leaf: list[int] = []
 
-    def add(numbers: NDArray) -> None:
+    def add(numbers: NDArray[Any]) -> None:
         node = len(bounds)
         bounds.append(np.concatenate([low[numbers].min(0), high[numbers].max(0)]))
         skip.append(0)
@@ -407,6 +409,6 @@ def build_tree(prims: NDArray) -> Tree:
     return np.array(bounds), np.array(skip), np.array(leaf)
 
 
-def _distance(low: NDArray, high: NDArray) -> float:
+def _distance(low: NDArray[Any], high: NDArray[Any]) -> float:
     """Return the distance from the origin to a box with sides along the axes."""
     return float(np.linalg.norm(np.maximum(np.maximum(low, -high), 0)))

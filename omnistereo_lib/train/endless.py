@@ -23,8 +23,9 @@ from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import Sampling, SphereGrid
-from omnistereo_lib.rig_files.camera_models import fit_ocam, kannala_brandt
-from omnistereo_lib.train.caster import BOX, build_tree, inverse_distances, look
+from omnistereo_lib.rig_files.camera_models import kannala_brandt
+from omnistereo_lib.rig_files.fit import fit_ocam
+from omnistereo_lib.train.caster import BOX, Tree, build_tree, inverse_distances, look
 from omnistereo_lib.train.objects import log_uniform
 from omnistereo_lib.train.scenes import SCENES
 
@@ -37,14 +38,14 @@ _PURPOSE = 11  # so that no other generator of a seed draws the same numbers
 class Scene:
     """Primitives and light, as the ray caster takes them, in metres."""
 
-    primitives: NDArray  # of dtype PRIMITIVE
-    light: NDArray  # one record of dtype LIGHT
+    primitives: NDArray[Any]  # of dtype PRIMITIVE
+    light: NDArray[Any]  # one record of dtype LIGHT
 
     @cached_property
-    def _tree(self) -> tuple[NDArray, NDArray, NDArray]:
+    def _tree(self) -> Tree:
         return build_tree(self.primitives)
 
-    def inverse_depth_along(self, rays: NDArray, origin: NDArray | None = None) -> NDArray[np.float32]:
+    def inverse_depth_along(self, rays: NDArray[Any], origin: NDArray[Any] | None = None) -> NDArray[np.float32]:
         """Return the inverse distance in 1/m to the first surface along unit rays (..., 3) from a point; 0 is sky."""
         flat = np.ascontiguousarray(rays, np.float64).reshape(-1, 3)
         inverse = np.empty(len(flat), np.float32)
@@ -74,7 +75,7 @@ class EndlessFrame:
     scene: Scene
     gt_path: ClassVar[None] = None  # nothing is stored
 
-    def inverse_depth_along(self, rays: NDArray, sampling: Sampling = "center") -> NDArray[np.float32]:
+    def inverse_depth_along(self, rays: NDArray[Any], sampling: Sampling = "center") -> NDArray[np.float32]:
         """Return the inverse depth in 1/m along unit rays (..., 3), exact whatever the sampling; 0 is sky."""
         return self.scene.inverse_depth_along(rays)
 
@@ -122,7 +123,7 @@ def draw_frame(seed: int, number: int, size: float = 1.0) -> EndlessFrame:
     return EndlessFrame(number, rig, _develop(radiance, rig.cameras, rng), scene)
 
 
-def _without_obstacles(primitives: NDArray, rig: Rig, clearance: float) -> NDArray:
+def _without_obstacles(primitives: NDArray[Any], rig: Rig, clearance: float) -> NDArray[Any]:
     """Leave out what a camera would stand in or touch, but not what is all around it."""
     keep = np.ones(len(primitives), bool)
     for place in [*rig.centers, np.zeros(3)]:
@@ -177,7 +178,7 @@ def _draw_camera(rng: Generator, width: int, fov_deg: float, bend: float) -> Oca
     return fit_ocam(lens, (width, height), fov_deg)[0]
 
 
-def _develop(radiance: list[NDArray], cameras: tuple[OcamCamera, ...], rng: Generator) -> list[NDArray[np.uint8]]:
+def _develop(radiance: list[NDArray[Any]], cameras: tuple[OcamCamera, ...], rng: Generator) -> list[NDArray[np.uint8]]:
     """Return what lenses and sensors make of radiance: vignetting, dirt, exposure, blur, noise, tone, JPEG."""
     bright = np.nanpercentile(np.concatenate([gray.ravel() for gray in radiance]), 90)
     exposure = rng.uniform(0.3, 1.1) / max(float(bright), 1e-3)
@@ -203,7 +204,7 @@ def _develop(radiance: list[NDArray], cameras: tuple[OcamCamera, ...], rng: Gene
     return images
 
 
-def _with_dirt(light: NDArray, rng: Generator) -> NDArray:
+def _with_dirt(light: NDArray[Any], rng: Generator) -> NDArray[Any]:
     """Return an image through drops and dust on the lens: out of focus, they veil what is behind them."""
     height, width = light.shape
     veil = np.zeros_like(light)

@@ -63,9 +63,9 @@ class Builder:
     """Adds primitives in a frame of its own: that of a room, of a table in it, of a cup on the table."""
 
     rng: Generator
-    primitives: list[NDArray]
-    R: NDArray  # this frame → scene
-    t: NDArray
+    primitives: list[NDArray[Any]]
+    R: NDArray[Any]  # this frame → scene
+    t: NDArray[Any]
 
     @classmethod
     def empty(cls, rng: Generator) -> "Builder":

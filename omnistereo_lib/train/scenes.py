@@ -7,6 +7,7 @@ origin. Each function returns the builder, the light, and a radius in metres for
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -18,7 +19,7 @@ from omnistereo_lib.train import textures as tx
 from omnistereo_lib.train.caster import BOX, CYLINDER, ELLIPSOID, LIGHT, SOFT
 from omnistereo_lib.train.objects import Builder, any_yaw, log_uniform, plain, surface
 
-Drawn = tuple[Builder, NDArray, float]
+Drawn = tuple[Builder, NDArray[Any], float]
 
 
 def _around(rng: Generator, position: tuple[float, float, float]) -> Builder:
@@ -27,7 +28,7 @@ def _around(rng: Generator, position: tuple[float, float, float]) -> Builder:
     return Builder.empty(rng).at(*(-rotation_from_axis_angle([0, yaw, 0]) @ position), yaw)
 
 
-def _sun_and_sky(rng: Generator) -> NDArray:
+def _sun_and_sky(rng: Generator) -> NDArray[Any]:
     """Draw light without a lamp."""
     light = np.zeros(1, LIGHT)[0]
     height, azimuth = np.radians(rng.uniform(8, 75)), any_yaw(rng)

@@ -87,6 +87,25 @@ def test_the_gradient_of_the_correlation():
     assert torch.autograd.gradcheck(lambda *t: _PairProducts.apply(parts, *t), tables)
 
 
+def test_the_loops_on_a_cpu_do_what_the_tensor_operations_do():
+    rng = torch.Generator().manual_seed(3)
+    uv = [torch.rand(8, 8, 16, 2, generator=rng) * torch.tensor([18.0, 12.0 + k]) for k in range(4)]
+    for at in uv:
+        at[torch.rand(8, 8, 16, generator=rng) < 0.4] = torch.nan
+    uv[0][0, 0, 0] = torch.tensor([18.0, 12.0])  # the last pixel of a map
+    maps = [torch.randn(32, 13 + k, 19, generator=rng).requires_grad_() for k in range(4)]
+    upstream = torch.randn(9, 8, 8, 16, generator=rng)
+    loops = correlate(maps, uv)
+    by_loops = torch.autograd.grad((loops * upstream).sum(), maps)
+    tables = [one.permute(1, 2, 0).reshape(-1, 32) for one in maps]
+    parts = [[bilinear(at, (19, 13 + k)) for k, at in enumerate(uv)]]
+    count = sum((~at[..., :1].isnan()).float().flatten()[:, None] for at in uv)
+    tensors = (_PairProducts.apply(parts, *tables) / (count * (count - 1)).clamp(min=1)).T.view(8, 8, 8, 16)
+    assert torch.allclose(loops[:8], tensors, atol=1e-5)
+    by_tensors = torch.autograd.grad((tensors * upstream[:8]).sum(), maps)
+    assert all(torch.allclose(a, b, atol=1e-5) for a, b in zip(by_loops, by_tensors, strict=True))
+
+
 def test_cells_land_on_the_features_of_their_points():
     rig = scene.rig(cameras=3).recentered()
     grid = osl.SphereGrid(320, 96, (-45, 45), 64, 0.6)

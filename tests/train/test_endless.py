@@ -9,7 +9,7 @@ from tiny import SWEEPNET
 
 import omnistereo_lib as osl
 from omnistereo_lib.stereo import correlation
-from omnistereo_lib.train import VolumeNetRecipe, train
+from omnistereo_lib.train import VolumeNetRecipe, endless, train
 from omnistereo_lib.train.endless import EndlessWorlds, draw_frame
 from omnistereo_lib.train.spheres import SphereSamples
 from omnistereo_lib.train.volumes import VolumeSamples
@@ -22,6 +22,12 @@ TINY = VolumeNetRecipe(
 @pytest.fixture(scope="module")
 def frames():
     return [draw_frame(7, number) for number in range(12)]
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch):
+    monkeypatch.setattr(correlation, "LEAST", (0, 0))
+    monkeypatch.setattr(endless, "_AHEAD", 1)
 
 
 def test_a_frame_is_its_seed_and_number(frames):
@@ -90,7 +96,6 @@ def test_folders_and_endless_worlds_are_mixed_by_weight(data):
 
 
 def test_a_frame_serves_the_micro_batches_that_follow(monkeypatch):
-    monkeypatch.setattr(correlation, "LEAST", (0, 0))
     samples = VolumeSamples(replace(TINY, batch_frames=3), ["endless"])
     samples.endless, seen = EndlessWorlds(0, workers=0), []
     monkeypatch.setattr(samples, "_sample", lambda frame, rng: seen.append(frame.number))
@@ -98,10 +103,7 @@ def test_a_frame_serves_the_micro_batches_that_follow(monkeypatch):
     assert seen == [5, 6, 7]
 
 
-@pytest.mark.parametrize("worlds", ["endless"])
-def test_a_run_in_endless_worlds_resumes_to_the_same_weights(worlds, tmp_path, monkeypatch):
-    monkeypatch.setattr(correlation, "LEAST", (0, 0))
-
+def test_a_run_in_endless_worlds_resumes_to_the_same_weights(tmp_path):
     def interrupt(row):
         if row["step"] == 1:
             raise KeyboardInterrupt
