@@ -7,11 +7,13 @@ baselines, nearest depths, two to six cameras, lenses, poses, light, and what a 
 
 import math
 import os
+import signal
 import weakref
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property, lru_cache, partial
-from multiprocessing import get_context
+from functools import cached_property, partial
+from multiprocessing import get_context, parent_process
+from threading import Thread
 from typing import Any, ClassVar
 
 import cv2
@@ -92,23 +94,40 @@ class EndlessWorlds:
     """
 
     def __init__(self, seed: int, workers: int | None = None) -> None:
+        self.seed = seed
         self._workers = max(1, (os.cpu_count() or 2) - 1) if workers is None else workers
-        self._drawn = lru_cache(_KEPT + _AHEAD * self._workers)(partial(self._draw, seed))
+        self._drawn: dict[int, Any] = {}  # frames, or futures of frames
 
     def frame(self, number: int) -> EndlessFrame:
         """Return a frame; the ones that follow are drawn meanwhile."""
-        drawn = [self._drawn(number + k) for k in range(1 + _AHEAD * self._workers)]
-        return drawn[0].result() if self._workers else drawn[0]
-
-    def _draw(self, seed: int, number: int) -> Any:
-        return self._pool.submit(draw_frame, seed, number) if self._workers else draw_frame(seed, number)
+        ahead = _AHEAD * self._workers
+        for n in range(number, number + 1 + ahead):
+            if n not in self._drawn:
+                one = self._pool.submit(draw_frame, self.seed, n) if self._workers else draw_frame(self.seed, n)
+                self._drawn[n] = one
+        drawn = self._drawn[number]
+        for n in list(self._drawn)[: -_KEPT - ahead]:
+            del self._drawn[n]
+        return drawn.result() if self._workers else drawn
 
     @cached_property
     def _pool(self) -> ProcessPoolExecutor:
         # Not forked: the copy of a process whose threads hold locks may wait for them forever.
-        pool = ProcessPoolExecutor(self._workers, get_context("spawn"), cv2.setNumThreads, (1,))
+        pool = ProcessPoolExecutor(self._workers, get_context("spawn"), _prepare_worker)
         weakref.finalize(self, pool.shutdown, wait=False, cancel_futures=True)
         return pool
+
+
+def _prepare_worker() -> None:
+    """Take one core, leave Ctrl-C to the parent, and end with it even where it is killed."""
+    cv2.setNumThreads(1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def end_with(parent: Any) -> None:
+        parent.join()
+        os._exit(1)
+
+    Thread(target=end_with, args=[parent_process()], daemon=True).start()
 
 
 def draw_frame(seed: int, number: int, size: float = 1.0) -> EndlessFrame:
