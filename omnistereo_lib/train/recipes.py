@@ -210,10 +210,23 @@ RECIPES: dict[str, dict[str, Recipe]] = {
         ),
         "sunny": VolumeNetRecipe(worlds="sunny", steps=320, warmup=30, validate_every=200),
         # With --init-weights of "refined": half of the micro-batches are of worlds and rigs that never come again.
-        "endless": VolumeNetRecipe(worlds="endless endless endless endless sunny streets rooms things", steps=1200,
-                                   learning_rate=5e-4, seed=3, warmup=60, validate_every=200, validation_groups=16),
-        "gpu": VolumeNetRecipe(**_FINE, worlds="endless endless endless endless sunny streets rooms things",
-                               steps=20000, warmup=500, frames_per_step=2, validate_every=1000),
+        "endless": VolumeNetRecipe(
+            worlds="endless endless endless endless sunny streets rooms things",
+            steps=1200,
+            learning_rate=5e-4,
+            seed=3,
+            warmup=60,
+            validate_every=200,
+            validation_groups=16,
+        ),
+        "gpu": VolumeNetRecipe(
+            **_FINE,
+            worlds="endless endless endless endless sunny streets rooms things",
+            steps=20000,
+            warmup=500,
+            frames_per_step=2,
+            validate_every=1000,
+        ),
     },
     "mccnn": {
         "teaching": MCCNNRecipe(steps=400, warmup=50, validate_every=50),
