@@ -1,6 +1,7 @@
 """Endless worlds: frames by number alone, finite, of many kinds; the images agree with the depth; runs resume."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -59,27 +60,25 @@ def test_frames_are_finite_and_of_many_kinds(frames):
 
 
 def test_cameras_agree_at_the_true_depth(frames):
-    """The gray values of a point in all cameras that see it differ less than those of wrong depths."""
-    grid = osl.SphereGrid(128, 32)
-    better = 0
-    for frame in frames:
-        inverse = frame.inverse_depth_along(grid.rays())
-        right, wrong = (
-            _spread(frame, grid.rays() / np.maximum(scale * inverse, 1e-3)[..., None]) for scale in (1, 2.5)
-        )
-        better += right < 0.8 * wrong
-    assert better >= len(frames) - 2  # two of a kind of walls without texture, seen by chance
+    """The gray values of a point in the cameras that see it differ less than those of points at wrong depths."""
+    rays = osl.SphereGrid(128, 32).rays()
+    better = []
+    for frame in frames[:6]:
+        seen = [frame.scene.image(*view) for view in zip(frame.rig.cameras, frame.rig.T_rig_cam, strict=True)]
+        inverse = frame.inverse_depth_along(rays)
+        points = [rays / np.maximum(scale * inverse, 1e-3)[..., None] for scale in (1, 2.5)]
+        right, wrong = (_spread(frame.rig, seen, at) for at in points)
+        better.append(right < 0.8 * wrong)
+    assert sum(better) >= 5  # walls without texture agree at any depth
 
 
-def _spread(frame, points):
+def _spread(rig, seen, points):
     values = []
-    for camera, pose in zip(frame.rig.cameras, frame.rig.T_rig_cam, strict=True):
+    for camera, pose, gray in zip(rig.cameras, rig.T_rig_cam, seen, strict=True):
         uv, valid = camera.project(pose.inverse() @ points)
         column, row = np.rint(uv).astype(int).transpose(2, 0, 1)
-        width, height = camera.image_size
-        radiance = frame.scene.image(camera, pose)
-        seen = radiance[row.clip(0, height - 1), column.clip(0, width - 1)]
-        values.append(np.where(valid, seen, np.nan))
+        height, width = gray.shape
+        values.append(np.where(valid, gray[row.clip(0, height - 1), column.clip(0, width - 1)], np.nan))
     shared = np.isfinite(values).sum(0) > 1
     return np.median(np.nanstd(np.array(values)[:, shared], 0))
 
@@ -103,7 +102,9 @@ def test_a_frame_serves_the_micro_batches_that_follow(monkeypatch):
     assert seen == [5, 6, 7]
 
 
-def test_a_run_in_endless_worlds_resumes_to_the_same_weights(tmp_path):
+def test_a_run_in_endless_worlds_resumes_to_the_same_weights(tmp_path, monkeypatch):
+    monkeypatch.setattr("omnistereo_lib.train.frames.EndlessWorlds", partial(EndlessWorlds, workers=0))
+
     def interrupt(row):
         if row["step"] == 1:
             raise KeyboardInterrupt
