@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import embedding_bag
 
@@ -157,7 +156,7 @@ _loop = compiled(nogil=True, error_model="numpy", fastmath={"contract", "reassoc
 
 
 @_loop
-def _corner(x: float, y: float, height: int, width: int) -> tuple[int, int, float, float]:
+def _corner(x: float, y: float, height: int, width: int) -> tuple[int, int, Any, Any]:
     """Return column and row of the pixel up and left of a position, and how far the position is beyond it."""
     column, row = min(max(int(x), 0), width - 2), min(max(int(y), 0), height - 2)
     fx, fy = np.float32(x - column), np.float32(y - row)
@@ -165,7 +164,7 @@ def _corner(x: float, y: float, height: int, width: int) -> tuple[int, int, floa
 
 
 @_loop
-def _sum_products(table: NDArray, sizes: NDArray, uv: NDArray, products: NDArray, totals: NDArray) -> None:
+def _sum_products(table: Any, sizes: Any, uv: Any, products: Any, totals: Any) -> None:
     """Write Σ over pairs i ≠ j of the group means of f_i f_j, and Σ f_i; one table holds all features."""
     total, square = np.zeros(CHANNELS, np.float32), np.zeros(CHANNELS, np.float32)
     for cell in range(uv.shape[1]):
@@ -194,7 +193,7 @@ def _sum_products(table: NDArray, sizes: NDArray, uv: NDArray, products: NDArray
 
 
 @_loop
-def _scatter_gradient(maps: NDArray, uv: NDArray, totals: NDArray, grad: NDArray, out: NDArray) -> None:
+def _scatter_gradient(maps: Any, uv: Any, totals: Any, grad: Any, out: Any) -> None:
     """Add ∂/∂f_i = 2 (Σ_j f_j - f_i), times the gradient of the group means, to the pixels from which f_i was read."""
     height, width, _ = maps.shape
     table, out = maps.reshape(-1, CHANNELS), out.reshape(-1, CHANNELS)

@@ -9,6 +9,7 @@ import math
 import os
 import signal
 import weakref
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -197,7 +198,7 @@ def _draw_camera(rng: Generator, width: int, fov_deg: float, bend: float) -> Oca
     return fit_ocam(lens, (width, height), fov_deg)[0]
 
 
-def _develop(radiance: list[NDArray[Any]], cameras: tuple[OcamCamera, ...], rng: Generator) -> list[NDArray[np.uint8]]:
+def _develop(radiance: list[NDArray[Any]], cameras: Sequence[OcamCamera], rng: Generator) -> list[NDArray[np.uint8]]:
     """Return what lenses and sensors make of radiance: vignetting, dirt, exposure, blur, noise, tone, JPEG."""
     bright = np.nanpercentile(np.concatenate([gray.ravel() for gray in radiance]), 90)
     exposure = rng.uniform(0.3, 1.1) / max(float(bright), 1e-3)
@@ -219,7 +220,7 @@ def _develop(radiance: list[NDArray[Any]], cameras: tuple[OcamCamera, ...], rng:
         light += np.float32(noise) * np.sqrt(0.1 + np.clip(light, 0, 1)) * rng.standard_normal(gray.shape, np.float32)
         tone = np.clip(light, 0, 1) ** gamma * 255 * visible
         _, encoded = cv2.imencode(".jpg", tone.round().astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, quality])
-        images.append(cv2.imdecode(encoded, cv2.IMREAD_GRAYSCALE))
+        images.append(np.asarray(cv2.imdecode(encoded, cv2.IMREAD_GRAYSCALE), np.uint8))
     return images
 
 

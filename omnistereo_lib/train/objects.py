@@ -72,10 +72,10 @@ class Builder:
         """Return the builder of a new scene."""
         return cls(rng, [], np.eye(3), np.zeros(3))
 
-    def at(self, x: float, y: float, z: float, yaw: float = 0.0, tilt: ArrayLike = (0, 0, 0)) -> "Builder":
+    def at(self, place: ArrayLike, yaw: float = 0.0, tilt: ArrayLike = (0, 0, 0)) -> "Builder":
         """Return a builder for an object at a place, tilted by an axis-angle vector and turned by a yaw in radians."""
         R = rotation_from_axis_angle([0, yaw, 0]) @ rotation_from_axis_angle(tilt)
-        return Builder(self.rng, self.primitives, self.R @ R, self.R @ np.array([x, y, z]) + self.t)
+        return Builder(self.rng, self.primitives, self.R @ R, self.R @ np.asarray(place, float) + self.t)
 
     def add(self, shape: int, center: ArrayLike, half: ArrayLike, skin: Surface, **fields: Any) -> None:
         """Add a primitive; fields as in `PRIMITIVE`."""
@@ -94,7 +94,7 @@ class Builder:
         axis = np.cross([0, 1, 0], along / length)
         angle = math.acos(np.clip(along[1] / length, -1, 1))
         tilt = axis * angle / max(float(np.linalg.norm(axis)), 1e-9)
-        middle = self.at(*(np.add(a, b) / 2), tilt=tilt)
+        middle = self.at(np.add(a, b) / 2, tilt=tilt)
         middle.add(CYLINDER, (0, 0, 0), (radius, length / 2, radius), skin)
 
     def wire(self, a: ArrayLike, b: ArrayLike, sag: float, radius: float) -> None:
@@ -111,7 +111,7 @@ def small_thing(b: Builder, size: float) -> None:
     half = size * b.rng.uniform(0.4, 1.0, 3)
     bump = b.rng.choice([0, b.rng.uniform(0.05, 0.35)])
     soft = {"roundness": b.rng.integers(1, 4), "bump": bump, "ripple": b.rng.uniform(1, 7, 3)}
-    b.add(b.rng.integers(4), (0, -half[1], 0), half, surface(b.rng, 2 * size, blank=0.15), **soft)
+    b.add(int(b.rng.integers(4)), (0, -half[1], 0), half, surface(b.rng, 2 * size, blank=0.15), **soft)
 
 
 def _legs(b: Builder, x: float, z: float, height: float, radius: float, skin: Surface) -> None:
@@ -126,9 +126,10 @@ def _table(b: Builder) -> None:
     b.add(BOX, (0, -height, 0), (x, 0.02, z), skin)
     _legs(b, x - 0.05, z - 0.05, height, u(0.01, 0.035), skin)
     for _ in range(b.rng.integers(0, 6)):
-        small_thing(b.at(u(-0.8, 0.8) * x, -height - 0.02, u(-0.8, 0.8) * z, any_yaw(b.rng)), u(0.04, 0.16))
+        place = u(-0.8, 0.8) * x, -height - 0.02, u(-0.8, 0.8) * z
+        small_thing(b.at(place, any_yaw(b.rng)), u(0.04, 0.16))
     if b.rng.random() < 0.3:
-        screen(b.at(0, -height - 0.3, 0, u(-0.5, 0.5)))
+        screen(b.at((0, -height - 0.3, 0), u(-0.5, 0.5)))
 
 
 def _chair(b: Builder) -> None:
@@ -173,7 +174,7 @@ def _plant(b: Builder) -> None:
     for _ in range(b.rng.integers(8, 26)):
         tip = np.array([0.3 * b.rng.normal(), -u(0.3, 1), 0.3 * b.rng.normal()]) * height - [0, 0.25, 0]
         b.rod((0, -0.25, 0), tip, 0.005, leaf)
-        blade = b.at(*tip, any_yaw(b.rng), b.rng.normal(0, 0.6, 3))
+        blade = b.at(tip, any_yaw(b.rng), b.rng.normal(0, 0.6, 3))
         blade.add(ELLIPSOID, (0, 0, 0), (u(0.03, 0.08), 0.004, u(0.08, 0.25)), leaf)
 
 
@@ -205,7 +206,7 @@ def _boxes(b: Builder) -> None:
     y = 0.0
     for _ in range(b.rng.integers(1, 4)):
         half = b.rng.uniform(0.1, 0.45, 3)
-        b.at(0, y, 0, any_yaw(b.rng)).add(BOX, (0, -half[1], 0), half, surface(b.rng, 0.6))
+        b.at((0, y, 0), any_yaw(b.rng)).add(BOX, (0, -half[1], 0), half, surface(b.rng, 0.6))
         y -= 2 * half[1]
 
 
@@ -233,7 +234,7 @@ def tree(b: Builder) -> None:
         b.rod((0, -trunk * u(0.7, 1), 0), tip, u(0.015, 0.05), bark)
         half, cut = u(0.4, 1.5) * u(0.6, 1, 3), (u(4, 14), u(0.35, 0.6), 0, 0)
         for shell in () if bare else (1.0, 0.7):
-            b.at(*tip, any_yaw(b.rng)).add(ELLIPSOID, (0, 0, 0), shell * half, leaf, cut=cut)
+            b.at(tip, any_yaw(b.rng)).add(ELLIPSOID, (0, 0, 0), shell * half, leaf, cut=cut)
 
 
 def _bush(b: Builder) -> None:
@@ -295,7 +296,7 @@ def facade(b: Builder, length: float, height: float) -> None:
     for _ in range(b.rng.integers(0, 6)):
         y, z, w = -u(0.6, max(height - 0.5, 1)), u(0.1, 0.9) * length, u(0.4, 2.5)
         if b.rng.random() < 0.4:
-            balcony = b.at(-0.6, y, z, np.pi / 2)
+            balcony = b.at((-0.6, y, z), np.pi / 2)
             balcony.add(BOX, (0, 0, 0), (w, 0.06, 0.6), plain(0.5))
             railing(balcony, w)
         else:

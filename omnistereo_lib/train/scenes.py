@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.geometry.pose import rotation_from_axis_angle
 from omnistereo_lib.train import objects
@@ -22,10 +22,10 @@ from omnistereo_lib.train.objects import Builder, any_yaw, log_uniform, plain, s
 Drawn = tuple[Builder, NDArray[Any], float]
 
 
-def _around(rng: Generator, position: tuple[float, float, float]) -> Builder:
+def _around(rng: Generator, position: ArrayLike) -> Builder:
     """Return the builder of a place in which the rig is at a position, in any direction."""
     yaw = any_yaw(rng)
-    return Builder.empty(rng).at(*(-rotation_from_axis_angle([0, yaw, 0]) @ position), yaw)
+    return Builder.empty(rng).at(-rotation_from_axis_angle([0, yaw, 0]) @ np.asarray(position, float), yaw)
 
 
 def _sun_and_sky(rng: Generator) -> NDArray[Any]:
@@ -55,16 +55,16 @@ def room(rng: Generator) -> Drawn:
         b.add(CYLINDER, (0, -H / 2, 0), half, surface(rng, 3.0, blank=0.5))
         walls = walls[:1]
     for distance, half_length, yaw in walls:
-        _wall(b.at(0, 0, 0, yaw).at(0, 0, distance), half_length, H)
+        _wall(b.at((0, 0, 0), yaw).at((0, 0, distance)), half_length, H)
     for _ in range(rng.integers(2, 5 + int(min(4 * X * Z, 26)))):
         yaw = rng.choice([any_yaw(rng), 0, np.pi / 2, np.pi])
-        objects.furniture(b.at(u(-0.92, 0.92) * X, 0, u(-0.92, 0.92) * Z, yaw))
+        objects.furniture(b.at((u(-0.92, 0.92) * X, 0, u(-0.92, 0.92) * Z), yaw))
     for _ in range(rng.integers(0, 4)):  # pillars and pipes
         x, z = u(-0.92, 0.92) * X, u(-0.92, 0.92) * Z
         b.rod((x, 0, z), (x, -H, z), log_uniform(rng, 0.015, 0.25), surface(rng, 0.8))
     for _ in range(rng.integers(0, 4)):  # lamps and cables under the ceiling
-        y, half = u(0.05, 0.5) - H, u(0.05, 0.5, 3) * (1, 0.2, 1)
-        b.add(BOX, (u(-0.9, 0.9) * X, y, u(-0.9, 0.9) * Z), half, surface(rng, 0.5), glow=rng.choice([0, 0.6]))
+        y, size = u(0.05, 0.5) - H, u(0.05, 0.5, 3) * (1, 0.2, 1)
+        b.add(BOX, (u(-0.9, 0.9) * X, y, u(-0.9, 0.9) * Z), size, surface(rng, 0.5), glow=rng.choice([0, 0.6]))
         b.wire((-X, y, u(-1, 1) * Z), (X, y, u(-1, 1) * Z), u(0, 0.3), u(0.005, 0.02))
     if rng.random() < 0.4:
         _view_from_windows(b, X + Z)
@@ -96,7 +96,7 @@ def _wall(b: Builder, half: float, H: float) -> None:
         elif kind == "mirror":
             b.add(BOX, (x, y, 0), (w, h, 0.015), plain(0.1, mirror=u(0.5, 0.95)))
         elif kind == "screen":
-            objects.screen(b.at(x, y, -0.06))
+            objects.screen(b.at((x, y, -0.06)))
         elif kind == "door":
             b.add(BOX, (x, -1.0, 0), (0.45, 1.0, 0.03), surface(rng, 1.0, blank=0.5))
         elif kind == "curtain":
@@ -113,7 +113,7 @@ def _view_from_windows(b: Builder, distance: float) -> None:
     b.add(BOX, (0, drop + 0.1, 0), (150, 0.1, 150), surface(rng, 5.0, blank=0.1))
     for _ in range(rng.integers(2, 14)):
         yaw, away = any_yaw(rng), distance + log_uniform(rng, 3, 80)
-        place = b.at(away * math.sin(yaw), drop, away * math.cos(yaw), yaw)
+        place = b.at((away * math.sin(yaw), drop, away * math.cos(yaw)), yaw)
         if rng.random() < 0.5:
             objects.tree(place)
         else:
@@ -127,26 +127,26 @@ def street(rng: Generator) -> Drawn:
     side = u(-0.5, 0.5) * width
     b = _around(rng, (side, -u(0.8, 2.6), 0))
     b.add(BOX, (0, 0.1, 0), (300, 0.1, 300), surface(rng, 1.5, tx.CLOUDS, dark=u(0.1, 0.4), light=u(0.2, 0.5)))
-    for z in range(-72, 72, 6):
+    for z in np.arange(-72.0, 72, 6):
         b.add(BOX, (0, 0, z), (0.08, 0.004, 1.5), plain(0.8))
     for yaw in (0, np.pi):
-        half = b.at(0, 0, 0, yaw)
-        half.add(BOX, (width + 4, 0, 0), (4, 0.12, 200), surface(rng, 1.0, tx.BRICKS))
+        side_of_street = b.at((0, 0, 0), yaw)
+        side_of_street.add(BOX, (width + 4, 0, 0), (4, 0.12, 200), surface(rng, 1.0, tx.BRICKS))
         z = -120.0
         while z < 120:
             length = u(5, 25)
             if rng.random() < 0.85:
-                objects.facade(half.at(width + u(2.5, 5), 0, z), length, log_uniform(rng, 3, 30))
+                objects.facade(side_of_street.at((width + u(2.5, 5), 0, z)), length, log_uniform(rng, 3, 30))
             z += length
     for _ in range(rng.integers(3, 20)):
         x, z = rng.choice([-1, 1]) * u(0.4, 0.95) * width, 20 * rng.normal()
         if abs(z) > 5 or abs(x - side) > 2.6:
-            objects.car(b.at(x, 0, z, 0.05 * rng.normal()))
+            objects.car(b.at((x, 0, z), 0.05 * rng.normal()))
     for _ in range(rng.integers(8, 40)):
         x, z = rng.choice([-1, 1]) * (width + u(0.2, 2.5)), 25 * rng.normal()
-        objects.street_furniture(b.at(x, -0.12, z, rng.choice([0, np.pi / 2, np.pi, any_yaw(rng)])))
+        objects.street_furniture(b.at((x, -0.12, z), rng.choice([0, np.pi / 2, np.pi, any_yaw(rng)])))
     if rng.random() < 0.3:
-        fence = b.at(rng.choice([-1, 1]) * (width + 0.3), -0.12, 6 * rng.normal(), np.pi / 2)
+        fence = b.at((rng.choice([-1, 1]) * (width + 0.3), -0.12, 6 * rng.normal()), np.pi / 2)
         objects.railing(fence, u(3, 12), u(0.6, 2))
     for _ in range(rng.integers(0, 6)):
         z, y = u(-40, 40), u(4.5, 9)
@@ -159,14 +159,14 @@ def things(rng: Generator) -> Drawn:
     u, b = rng.uniform, Builder.empty(rng)
     if rng.random() < 0.55:
         size = log_uniform(rng, 5, 40)
-        shell, half = b.at(*(u(-0.2, 0.2, 3) * size), tilt=rng.normal(size=3)), (size, size * u(0.4, 1), size)
+        shell, half = b.at(u(-0.2, 0.2, 3) * size, tilt=rng.normal(size=3)), (size, size * u(0.4, 1), size)
         shell.add(rng.choice([BOX, ELLIPSOID]), (0, 0, 0), half, surface(rng, size / 2, blank=0.15))
     if rng.random() < 0.5:
-        ground = b.at(0, u(0.6, 3), 0, tilt=rng.normal(0, 0.05, 3))
+        ground = b.at((0, u(0.6, 3), 0), tilt=rng.normal(0, 0.05, 3))
         ground.add(BOX, (0, 0.1, 0), (200, 0.1, 200), surface(rng, 4.0, blank=0.1))
     for _ in range(rng.integers(12, 110)):
         distance, towards = log_uniform(rng, 0.5, 25), rng.normal(size=3) * (1, 0.6, 1)
-        place = b.at(*(distance * towards / np.linalg.norm(towards)), tilt=rng.normal(0, 1.5, 3))
+        place = b.at(distance * towards / np.linalg.norm(towards), tilt=rng.normal(0, 1.5, 3))
         _thing_in_the_air(place, distance * log_uniform(rng, 0.03, 0.3))
     light = _sun_and_sky(rng)
     if rng.random() < 0.3:
@@ -179,8 +179,8 @@ def _thing_in_the_air(b: Builder, size: float) -> None:
     rng, u = b.rng, b.rng.uniform
     kind = rng.choice(["bar", "leaves", "grating", "any"], p=[0.15, 0.04, 0.06, 0.75])
     if kind == "bar":
-        half = size * rng.permutation([log_uniform(rng, 0.02, 0.1), rng.choice([0.05, 1]), 2.0])
-        b.add(BOX, (0, 0, 0), half, surface(rng, 2 * size))
+        bar = size * rng.permutation([log_uniform(rng, 0.02, 0.1), rng.choice([0.05, 1]), 2.0])
+        b.add(BOX, (0, 0, 0), bar, surface(rng, 2 * size))
     elif kind == "leaves":
         cut = (u(2, 6) / size, 0.5, 0, 0)
         b.add(ELLIPSOID, (0, 0, 0), (size, size, size), surface(rng, size), cutout=tx.LEAVES, cut=cut)

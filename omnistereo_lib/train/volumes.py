@@ -84,8 +84,8 @@ class VolumeSamples(TrainingFrames):
         gray = [_other_look(to_gray(image), rng, self.device) for image in images]
         coordinates = feature_coordinates(rig.transformed(Pose(rotation, np.zeros(3))), grid, size, self.device)
         gt_index = grid.inverse_depth_to_index(frame.inverse_depth_along(self._rays @ rotation))
-        gt_index = np.where(gt_index <= grid.num_spheres - 1, gt_index, np.nan).astype(np.float32).T  # (W, H)
-        index = to_device(gt_index, self.device)
+        known = np.where(gt_index <= grid.num_spheres - 1, gt_index, np.nan).astype(np.float32).T  # (W, H)
+        index = to_device(known, self.device)
         index = index.where(_shared_rays(coordinates, index.shape), torch.nan)
         if rng is not None and rng.integers(2):  # a mirrored world: θ becomes -θ
             index, coordinates = index.flip(0), [uv.flip(0) for uv in coordinates]
@@ -94,7 +94,8 @@ class VolumeSamples(TrainingFrames):
 
 def _shared_rays(coordinates: list[Tensor], shape: torch.Size) -> Tensor:
     """Return on which rays of a panorama (W, H) two cameras see a common cell, given `feature_coordinates`."""
-    shared = (sum((~uv[..., 0].isnan()).float() for uv in coordinates) > 1).any(-1)
+    visible = torch.stack([~uv[..., 0].isnan() for uv in coordinates])
+    shared = (visible.sum(0) > 1).any(-1)
     return interpolate(shared[None, None].float(), shape, mode="nearest")[0, 0] > 0
 
 

@@ -124,7 +124,7 @@ def test_holes_show_what_is_behind_them():
 def many(rng, count=60):
     builder = Builder.empty(rng)
     for _ in range(count):
-        place = builder.at(*rng.uniform(-3, 3, 3), tilt=rng.normal(size=3))
+        place = builder.at(rng.uniform(-3, 3, 3), tilt=rng.normal(size=3))
         place.add(rng.integers(3), (0, 0, 0), rng.uniform(0.05, 0.6, 3), {"light": 0.5})
     return builder.primitives
 
