@@ -104,6 +104,7 @@ def test_a_frame_serves_the_micro_batches_that_follow(monkeypatch):
 
 def test_a_run_in_endless_worlds_resumes_to_the_same_weights(tmp_path, monkeypatch):
     monkeypatch.setattr("omnistereo_lib.train.frames.EndlessWorlds", partial(EndlessWorlds, workers=0))
+    monkeypatch.setattr(endless, "draw_frame", partial(draw_frame, size=0.25))
 
     def interrupt(row):
         if row["step"] == 1:
