@@ -17,9 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--preset", default="teaching", help="teaching, shipped, paper … (default: teaching)")
     parser.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="change numbers of the preset")
     parser.add_argument("--init-weights", type=Path, metavar="FILE", help="start from trained weights, not random ones")
-    parser.add_argument(
-        "--data", type=Path, nargs="+", help="sets with ground truth, or endless (default: the preset's)"
-    )
+    parser.add_argument("--data", type=Path, nargs="+", help="data sets, or endless (default: those of the preset)")
     add_device(parser)
     parser.add_argument("--out", type=Path, help="folder of the run (default: out/NETWORK_PRESET)")
 
