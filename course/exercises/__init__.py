@@ -1,7 +1,8 @@
-"""Checkers for the notebooks' exercises: they try an answer and say what is wrong with it, and what to try next.
+"""What students write, and the checks that say what is wrong with it: a module for each notebook, such as nb03.
 
-A checker runs the answer on ten random cases and compares it with the right one and with what the usual mistakes
-would give. It prints its finding and never raises, whatever it is handed.
+A check runs the student's function on ten random cases and compares it with the right answer and with what the usual
+mistakes would give. It prints its finding and never raises, whatever it is handed. The other modules serve the
+notebooks whose exercises are not in the flow yet.
 """
 
 from importlib import import_module
