@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from io import BytesIO
 from pathlib import Path
+from secrets import token_hex
 from tempfile import TemporaryFile
 from threading import Lock
 from typing import Any
@@ -24,7 +25,7 @@ _JPEG, _PNG = b"\xff\xd8", b"\x89P"  # first bytes
 _END_MARKERS = {_JPEG: b"\xff\xd9", _PNG: b"IEND"}
 _STDERR = Lock()  # of the whole process
 _BROKEN = (ValueError, TypeError, AttributeError, LookupError, ArithmeticError, RecursionError)  # of the two parsers
-_RECENT = 10.0  # seconds
+_STALE = 3600.0  # seconds; no single file takes so long to write
 _MAX_BYTES = 1 << 30
 _MAX_TEXT = 1 << 24  # bytes; a calibration of 500 boards has 2 million
 _MAX_VALUES = 1_000_000  # of a YAML file, with what its aliases repeat
@@ -293,14 +294,18 @@ def write_image(path: str | Path, image: NDArray[Any]) -> None:
 def atomic_write(path: str | Path) -> Iterator[Path]:
     """Write a file atomically: yield a temporary path beside it, rename it on success, remove it on failure.
 
-    Removes what killed processes have left of it. Raises an `OmnistereoError` if the folder is missing or not writable.
+    Each writer has a name of its own, also beside writers in other threads, containers and machines. The content is on
+    the disk before the file has its name. Removes what killed processes have left of it. Raises an `OmnistereoError` if
+    the folder is missing or not writable.
     """
     path = Path(path)
-    temporary = path.with_name(f".{os.getpid()}.{path.name}")  # same suffix: writers choose the format by it
+    temporary = path.with_name(f".{token_hex(8)}.{path.name}")  # same suffix: writers choose the format by it
     try:
         _remove_stale(path)
         yield temporary
+        _sync(temporary)
         temporary.replace(path)
+        _sync(path.parent)
     except OSError as error:
         raise OmnistereoError(
             f"{path} cannot be written: {error.strerror}. Give a file in an existing, writable folder."
@@ -310,15 +315,23 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
             temporary.unlink()
 
 
-def _remove_stale(path: Path) -> None:
-    """Remove the temporary files of `path` whose processes have ended; another machine may still write a recent one."""
-    import psutil
+def _sync(path: Path) -> None:
+    """Wait until a file, or the names in a folder, are on the disk."""
+    if path.is_dir() and os.name != "posix":
+        return  # Windows has no such thing
+    descriptor = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
-    for left in path.parent.glob(f".*.{glob.escape(path.name)}"):
-        number = left.name.split(".")[1]
-        stale = re.fullmatch("[0-9]{1,9}", number) and left.name == f".{number}.{path.name}"
-        if stale and not psutil.pid_exists(int(number)) and time.time() - left.stat().st_mtime > _RECENT:
-            left.unlink(missing_ok=True)
+
+def _remove_stale(path: Path) -> None:
+    """Remove the temporary files of `path` to which nobody has written for an hour."""
+    for left in path.parent.glob(f".{'[0-9a-f]' * 16}.{glob.escape(path.name)}"):
+        with suppress(FileNotFoundError):  # another writer was quicker
+            if time.time() - left.stat().st_mtime > _STALE:
+                left.unlink()
 
 
 def make_folder(path: str | Path) -> Path:
