@@ -8,7 +8,6 @@ notebooks whose exercises are not in the flow yet.
 from importlib import import_module
 from pathlib import Path
 
-from course.exercises.cost_arrays import *  # noqa: F403
 from course.exercises.depth_arrays import *  # noqa: F403
 from course.exercises.geometry import *  # noqa: F403
 from course.exercises.lens_arrays import *  # noqa: F403

@@ -1,72 +1,10 @@
-"""Checkers of notebooks 04 to 07: costs, networks, SGM."""
+"""Checkers of notebook 06: labels, the loss, the receptive field."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from course.exercises.compare import Case, Rng, checker
-
-
-@checker
-def check_cosine_cost(rng: Rng, k: int) -> Case:
-    """05.1: the cost (1 - cos)/2 of two descriptions of any length."""
-    f_i = rng.normal(0.3, 1, 32 * (1 + k % 3))
-    f_j = 1.7 * f_i + rng.normal(0.2, 0.9, len(f_i))
-    dot, length_i, length_j = f_i @ f_j, np.linalg.norm(f_i), np.linalg.norm(f_j)
-    cos = dot / (length_i * length_j)
-    mistakes = [
-        (cos, "that is the cosine, 1 for a match; the cost is (1 - cos)/2"),
-        ((1 + cos) / 2, "the sign: a match must cost 0"),
-        (1 - cos, "1 - cos runs from 0 to 2: divide by 2"),
-        ((1 - dot) / 2, "divide the dot product by both lengths"),
-        ((1 - dot / length_i) / 2, "divide by the second length, too"),
-        ((1 - dot / length_j) / 2, "divide by the first length, too"),
-        ((1 - dot / (length_i * length_j) ** 2) / 2, "divide by the lengths, not by their squares"),
-        ((1 - np.corrcoef(f_i, f_j)[0, 1]) / 2, "that subtracts the means, as ZNCC does; the cosine does not"),
-        (np.arccos(cos) / np.pi, "that is the angle by π; the cosine is asked"),
-    ]
-    return (f_i, f_j), (1 - cos) / 2, mistakes
-
-
-@checker
-def check_hinge_loss(rng: Rng, k: int) -> Case:
-    """05.2: the mean of max(0, margin + negative - positive) over the rays."""
-    positive, negative = rng.uniform([[0.3], [0.0]], [[1.0], [0.7]], (2, int(rng.integers(12, 30))))
-    margin = rng.uniform(0.15, 0.3)
-    each = np.maximum(0, margin + negative - positive)
-    mistakes = [
-        (np.maximum(0, margin + positive - negative).mean(), "the roles: the match must score higher by the margin"),
-        ((margin + negative - positive).mean(), "a ray that is right by more than the margin costs 0, not less"),
-        (max(0.0, (margin + negative - positive).mean()), "the hinge is of each ray: take the maximum, then the mean"),
-        (np.maximum(0, negative - positive).mean(), "the margin is missing"),
-        (
-            np.maximum(0, negative - positive - margin).mean(),
-            "the margin is added: right by a hair is not enough",
-        ),
-        (each.sum(), "that is the sum; take the mean over the rays"),
-        (each, "that is the loss of each ray: take the mean"),
-        ((each**2).mean(), "the hinge is not squared"),
-        (each[each > 0].mean(), "rays that cost nothing count in the mean as well"),
-    ]
-    return (positive, negative, margin), each.mean(), mistakes
-
-
-@checker
-def check_patch_size(rng: Rng, k: int) -> Case:
-    """05.3: side of the patch that `layers` convolutions of kernel × kernel see, one behind the other."""
-    layers, kernel = int(rng.integers(4, 10)), 2 * int(rng.integers(1, 6)) + 1
-    mistakes = [
-        (
-            layers * kernel,
-            "neighbouring windows overlap: each layer adds kernel - 1 to what it starts from",
-        ),
-        (layers * (kernel - 1), "with no layer at all it is one pixel: add it"),
-        (1 + layers * (kernel // 2), "the windows grow to both sides: each layer adds kernel - 1"),
-        (kernel + layers - 1, "each layer adds kernel - 1 pixels, not one"),
-        (kernel**layers, "sizes add up; they multiply with strides only"),
-        (kernel, "that is what one layer sees"),
-    ]
-    return (layers, kernel), 1 + layers * (kernel - 1), mistakes
 
 
 @checker

@@ -1,43 +1,6 @@
-"""Solutions of notebooks 04 to 07: costs, networks, SGM."""
+"""Solutions of notebook 06."""
 
 import numpy as np
-
-# --- 04 ZNCC ----------------------------------------------------------------------------------------------
-
-
-# --- 05 MC-CNN --------------------------------------------------------------------------------------------
-
-
-def my_cosine_cost(f_i, f_j):
-    # The lengths leave the direction alone to be compared.
-    cosine = f_i @ f_j / (np.linalg.norm(f_i) * np.linalg.norm(f_j))
-    return (1 - cosine) / 2
-
-
-def my_hinge(positive, negative, margin):
-    # A ray whose match is ahead by more than the margin costs nothing, however far it is ahead.
-    each = np.maximum(0, margin + negative - positive)
-    return each.mean()
-
-
-def my_patch_size(layers, kernel):
-    # One pixel sees itself; each convolution adds half a kernel on both sides.
-    return 1 + layers * (kernel - 1)
-
-
-def my_unit_features(features):
-    length = np.linalg.norm(features, axis=0)  # one for each pixel
-    return features / np.where(length > 0, length, 1)
-
-
-def my_patches(panorama, rows, columns, half):
-    W = panorama.shape[1]
-    around = np.arange(-half, half + 1)
-    padded = np.pad(panorama, ((half, half), (0, 0)))  # zeros above and below
-    y = rows[:, None, None] + half + around[:, None]  # half rows further down in the padded panorama
-    x = (columns[:, None, None] + around) % W
-    return padded[y, x]
-
 
 # --- 06 SweepNet ------------------------------------------------------------------------------------------
 
@@ -78,6 +41,3 @@ def my_convolution(image, kernel):
             # np.roll goes around the seam: column c gets what is j - half columns to its right.
             result += kernel[i, j] * np.roll(padded[i : i + H], half - j, axis=1)
     return result
-
-
-# --- 07 SGM -----------------------------------------------------------------------------------------------
