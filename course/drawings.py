@@ -140,13 +140,13 @@ def lens_section(camera: OcamCamera) -> Figure:
         _line(ax, (radius, 0), (radius, height), color=color, lw=0.8, ls=":")
         angle = np.degrees(np.arctan2(radius, height))
         ax.text(*(445 * direction), f"θ = {angle:.0f}°", color=color, va="center")
-        ax.text(radius + 5, 10, f"r = {radius}", color=color, fontsize=9)
+        ax.text(radius + 4, -24, f"r = {radius}", color=color, fontsize=9)
         if color == FIRST:
             ax.text(radius + 5, height / 2, "−f(r)", color=color, fontsize=9)
     _arrow(ax, (0, 0), (0, 400), "0.2", "the axis, z", xytext=(-70, 80))
     _line(ax, (-385, 0), (470, 0), color="0.6", lw=0.8)
-    ax.text(-386, 8, "90° from the axis", color="0.4", fontsize=9)
-    ax.set(xlim=(-390, 560), ylim=(-190, 430))
+    ax.text(478, 0, "90° from the axis", color="0.4", fontsize=9, va="center")
+    ax.set(xlim=(-390, 640), ylim=(-190, 430))
     return fig
 
 
@@ -410,4 +410,26 @@ def unet(size: tuple[int, int, int] = (160, 40, 32), widths: tuple[int, ...] = (
     for level in range(last):
         style = {"arrowstyle": "->", "ls": ":", "color": "C3"}
         ax.annotate("", (len(levels) - 2.4 - level, -level - 0.1), (level + 1.4, -level - 0.1), arrowprops=style)
+    return fig
+
+
+def board_rays() -> Figure:
+    """A board from the side: what its pose consists of, and the rays from the camera to its corners."""
+    fig, (ax,) = _canvas(8, 3.6)
+    origin, along = np.array([-0.9, 1.9]), np.array([0.95, -0.31])
+    for k in range(6):
+        corner = origin + 0.62 * k * along
+        _line(ax, (0, 0), tuple(corner), color=SPHERE, lw=1)
+        ax.plot(*corner, "o", color="0.3", ms=6)
+        _arrow(ax, (0, 0), tuple(0.8 * corner / np.hypot(*corner)), FIRST)
+    ax.text(0.85, 0.2, "rays b, of length 1", color=FIRST)
+    _arrow(ax, (0, 0), tuple(origin), POINT)
+    ax.text(-0.75, 1.0, "t", color=POINT, fontsize=13)
+    side, last = origin + np.array([0.1, 0.25]), origin + 3.1 * along
+    _arrow(ax, tuple(side), tuple(side + along), SECOND)
+    ax.text(*(side + 0.55 * along + 0.08), r"$\mathbf{r}_1$, of length 1", color=SECOND, fontsize=11)
+    ax.text(*(last + 0.1), r"a corner: $X\,\mathbf{r}_1 + Y\,\mathbf{r}_2 + \mathbf{t}$", color="0.3")
+    ax.text(origin[0] - 0.1, origin[1], "the board's origin", ha="right", va="center", color="0.3", fontsize=9)
+    _camera(ax, (0, 0), "camera", "0.2")
+    ax.set(xlim=(-2.6, 4.4), ylim=(-0.35, 2.6))
     return fig

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from course.exercises.depth_arrays import *  # noqa: F403
 from course.exercises.geometry import *  # noqa: F403
-from course.exercises.lens_arrays import *  # noqa: F403
 from course.exercises.matching import *  # noqa: F403
 from course.exercises.opened import Open
 from course.exercises.results import *  # noqa: F403

@@ -54,7 +54,7 @@ def checker(case: Callable[[Rng, int], Case]) -> Callable[[Answer], None]:
 
 def by(inputs: tuple, right: Answer, wrong: Sequence[tuple[Answer, str]]) -> Case:
     """Return the case of a right function and of wrong ones, each with the hint that names its mistake."""
-    return inputs, right(*inputs), [(mistake(*inputs), hint) for mistake, hint in wrong]
+    return inputs, _numbers(right(*inputs)), [(_numbers(mistake(*inputs)), hint) for mistake, hint in wrong]
 
 
 def diagnose(answer: Answer, cases: Iterable[Case]) -> str:

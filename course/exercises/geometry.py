@@ -1,73 +1,9 @@
-"""Checkers of notebooks 00 to 03: lens, rig, spheres."""
+"""Checkers of notebook 02."""
 
 from __future__ import annotations
 
-import numpy as np
-
-from course.exercises.compare import Array, Case, Rng, checker
+from course.exercises.compare import Case, Rng, checker
 from omnistereo_lib.geometry.pose import Pose
-
-
-@checker
-def check_ray_of_pixel(rng: Rng, k: int) -> Case:
-    """01.1: the unit ray of a pixel, given u, v, the direct polynomial (low to high) and the centre (u0, v0)."""
-    u, v, center = *rng.uniform(450, 700, 2), rng.uniform(350, 420, 2)
-    poly = np.array([-196.0, 0.0, 1.6e-3, -1e-7]) * rng.uniform(0.8, 1.2, 4)
-
-    def ray(x: float, y: float, poly: Array = poly) -> Array:
-        r = np.hypot(x, y)
-        direction = np.array([x, y, -np.polyval(poly[::-1], r)])
-        return direction / np.linalg.norm(direction)
-
-    x, y = u - center[0], v - center[1]
-    right = ray(x, y)
-    r = np.hypot(x, y)
-    mistakes = [
-        (right * [1, 1, -1], "the ray is (x, y, -f(r)): f is negative before the lens, and z points forward"),
-        (right * np.linalg.norm([x, y, np.polyval(poly[::-1], r)]), "divide by the length: a ray is a unit vector"),
-        (ray(u, v), "x and y count from the centre: subtract it"),
-        (-right * [1, 1, -1], "x and y are the pixel minus the centre, not the centre minus the pixel"),
-        (ray(u - center[1], v - center[0]), "the centre is (u0, v0): its parts are swapped"),
-        (ray(y, x), "x belongs to u and y to v: they are swapped"),
-        (ray(x, y, poly[::-1]), "the coefficients run from low to high; np.polyval wants the highest first"),
-        (ray(x, y, poly[:1]), "the whole polynomial at r, not its first coefficient alone"),
-    ]
-    return (u, v, poly, center), right, mistakes
-
-
-@checker
-def check_angle_from_axis(rng: Rng, k: int) -> Case:
-    """01.2: the angle from the optical axis, in degrees, of a ray given as (x, y, z)."""
-    ray = np.array([0.8, 0.3, -0.4]) * rng.uniform(0.5, 1.2, 3) * (1, rng.choice([-1, 1]), 1 if k < 5 else -1)
-    x, y, z = ray
-    across = np.hypot(x, y)
-    theta = np.arctan2(across, z)
-    mistakes = [
-        (theta, "that is in radians; degrees are asked"),
-        (np.degrees(np.arctan(across / z)), "arctan of a quotient loses the quadrant: beyond 90° use arctan2"),
-        (np.degrees(np.arctan2(z, across)), "that is the angle above the xy-plane; the axis is 90° from it"),
-        (np.degrees(np.arctan2(-z, across)), "that is t of the camera's docstring, below the xy-plane: add 90°"),
-        (np.degrees(np.arccos(z)), "arccos(z) wants a unit vector: this ray has another length"),
-        (np.degrees(np.arctan2(x, z)), "that leaves y out: the distance from the axis is hypot(x, y)"),
-        (np.degrees(np.arcsin(across / np.linalg.norm(ray))), "arcsin cannot tell 60° from 120°: use arctan2"),
-    ]
-    return (ray,), np.degrees(theta), mistakes
-
-
-@checker
-def check_rms_per_component(rng: Rng, k: int) -> Case:
-    """01.3: the root mean square over all u and v of residuals, shape (K, 2)."""
-    residuals = rng.normal(0.05, 0.2, (rng.integers(30, 50), 2))
-    squares = np.sum(residuals**2, axis=1)
-    mistakes = [
-        (np.sqrt(squares.mean()), "that is the rms distance, √2 more: take the mean over u and v both"),
-        (np.sqrt(squares).mean(), "that is the mean distance; return the root of the mean square"),
-        (np.mean(residuals**2), "take the root of the mean square"),
-        (np.abs(residuals).mean(), "that is the mean magnitude; return the root of the mean square"),
-        (residuals.std(), "that subtracts the mean first: a bias is an error, too"),
-        (np.sqrt(np.sum(residuals**2)), "the mean of the squares, not their sum"),
-    ]
-    return (residuals,), np.sqrt(np.mean(residuals**2)), mistakes
 
 
 @checker

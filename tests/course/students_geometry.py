@@ -4,62 +4,8 @@ Each list has (words, answer): "right", or words of the hint.
 """
 
 import math
-from statistics import fmean
 
 import numpy as np
-
-
-def polynomial(poly, r):
-    return sum(a * r**k for k, a in enumerate(poly))
-
-
-def ray_loops(u, v, poly, center):
-    x, y = u - center[0], v - center[1]
-    z = -polynomial(poly, math.hypot(x, y))
-    length = math.sqrt(x * x + y * y + z * z)
-    return [x / length, y / length, z / length]
-
-
-def ray_like(change):
-    """The right ray of changed arguments."""
-    return lambda u, v, poly, center: ray_loops(*change(u, v, poly, center))
-
-
-RAY_OF_PIXEL = [
-    ("right", ray_loops),
-    ("right", lambda u, v, poly, c: np.float32(ray_loops(u, v, poly, c))),
-    ("f is negative before the lens", lambda *a: np.array(ray_loops(*a)) * [1, 1, -1]),
-    ("a ray is a unit vector", lambda u, v, p, c: [u - c[0], v - c[1], -polynomial(p, math.hypot(u - c[0], v - c[1]))]),
-    ("count from the centre", ray_like(lambda u, v, poly, c: (u, v, poly, [0, 0]))),
-    ("not the centre minus the pixel", lambda *a: np.array(ray_loops(*a)) * [-1, -1, 1]),
-    ("its parts are swapped", ray_like(lambda u, v, poly, c: (u, v, poly, c[::-1]))),
-    ("x belongs to u", lambda *a: np.array(ray_loops(*a))[[1, 0, 2]]),
-    ("the highest first", ray_like(lambda u, v, poly, c: (u, v, poly[::-1], c))),
-    ("not its first coefficient alone", ray_like(lambda u, v, poly, c: (u, v, poly[:1], c))),
-]
-
-ANGLE_FROM_AXIS = [
-    ("right", lambda ray: math.degrees(math.acos(ray[2] / np.linalg.norm(ray)))),
-    ("right", lambda ray: np.rad2deg(np.arctan2(np.linalg.norm(ray[:2]), ray[2]))),
-    ("degrees are asked", lambda ray: math.atan2(math.hypot(*ray[:2]), ray[2])),
-    ("loses the quadrant", lambda ray: math.degrees(math.atan(math.hypot(*ray[:2]) / ray[2]))),
-    ("above the xy-plane", lambda ray: math.degrees(math.atan2(ray[2], math.hypot(*ray[:2])))),
-    ("below the xy-plane", lambda ray: math.degrees(math.atan2(-ray[2], math.hypot(*ray[:2])))),
-    ("wants a unit vector", lambda ray: math.degrees(math.acos(ray[2]))),
-    ("leaves y out", lambda ray: math.degrees(math.atan2(ray[0], ray[2]))),
-    ("60° from 120°", lambda ray: math.degrees(math.asin(math.hypot(*ray[:2]) / np.linalg.norm(ray)))),
-]
-
-RMS_PER_COMPONENT = [
-    ("right", lambda e: math.sqrt(fmean(x * x for x in e.ravel().tolist()))),
-    ("right", lambda e: np.linalg.norm(e) / math.sqrt(e.size)),
-    ("rms distance", lambda e: math.sqrt(fmean(u * u + v * v for u, v in e.tolist()))),
-    ("mean distance", lambda e: fmean(math.hypot(u, v) for u, v in e.tolist())),
-    ("take the root", lambda e: fmean(x * x for x in e.ravel().tolist())),
-    ("mean magnitude", lambda e: fmean(abs(x) for x in e.ravel().tolist())),
-    ("a bias is an error", lambda e: np.sqrt(np.var(e))),
-    ("not their sum", lambda e: np.linalg.norm(e)),
-]
 
 RELATIVE_POSE = [
     ("right", lambda a, b: b @ a.inverse()),

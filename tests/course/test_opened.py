@@ -114,8 +114,6 @@ def test_answers_written_into_the_notebook_are_right_there(number):
     namespace = {}
     nb = solve.solve(NOTEBOOKS[number], solve.open_answers(number))
     for cell in nbtools.code_cells(nb):
-        if cell.source == nbtools.SETUP:
-            continue
         for node in ast.parse(cell.source).body:
             if isinstance(node, ast.Import | ast.ImportFrom | ast.FunctionDef):
                 with suppress(NameError):
