@@ -59,7 +59,7 @@ check_unproject = Open(
 )
 
 
-def project(rays, inv_poly, center, max_deg):
+def project_rays(rays, inv_poly, center, max_deg):
     """Pixels (…, 2) of rays (…, 3) of any length: u right, v down; NaN beyond max_deg from the axis."""
     x, y, z = np.moveaxis(rays, -1, 0)
     n = np.hypot(x, y)
@@ -87,7 +87,7 @@ def _at(change: Answer) -> Answer:
     def pixels(rays: Array, inv_poly: Array, center: Array, max_deg: float) -> Array:
         t = change(rays[:, 2], np.hypot(rays[:, 0], rays[:, 1]))
         other = np.stack([rays[:, 0], rays[:, 1]], 1) / np.maximum(np.hypot(rays[:, 0], rays[:, 1]), 1e-12)[:, None]
-        seen = np.isfinite(project(rays, inv_poly, center, max_deg))
+        seen = np.isfinite(project_rays(rays, inv_poly, center, max_deg))
         return np.where(seen, other * np.polyval(inv_poly[::-1], t)[:, None] + center, np.nan)
 
     return pixels
@@ -95,32 +95,38 @@ def _at(change: Answer) -> Answer:
 
 def _undirected(rays: Array, inv_poly: Array, center: Array, max_deg: float) -> Array:
     n = np.hypot(rays[:, :1], rays[:, 1:2])
-    return (project(rays, inv_poly, center, max_deg) - center) * n + center
+    return (project_rays(rays, inv_poly, center, max_deg) - center) * n + center
 
 
 def _divided(rays: Array, *rest: Array) -> Array:
-    return np.where(np.hypot(rays[:, :1], rays[:, 1:2]) > 0, project(rays, *rest), np.nan)
+    return np.where(np.hypot(rays[:, :1], rays[:, 1:2]) > 0, project_rays(rays, *rest), np.nan)
 
 
-check_project = Open(
-    project,
+check_project_rays = Open(
+    project_rays,
     _some_rays,
     [
         (_divided, "on the axis hypot(x, y) is 0: do not divide by it there, that ray goes to the centre"),
         (_at(lambda z, n: np.arctan2(z, n)), "the sign of z: t is the angle *below* the xy-plane, atan2(-z, n)"),
         (_at(lambda z, n: np.arctan2(n, z)), "that is the angle from the axis; t is 90° less"),
         (_at(lambda z, n: np.degrees(np.arctan2(-z, n))), "the polynomial takes t in radians"),
-        (lambda r, b, c, m: project(r, b[::-1], c, m), "inv_poly runs from low to high; np.polyval wants it reversed"),
-        (lambda *inputs: project(*inputs)[:, ::-1], "pixels are (u, v), right first, then down: yours are swapped"),
-        (lambda r, b, c, m: project(r[:, [1, 0, 2]], b, c, m), "u goes with x and v with y: they are swapped"),
-        (lambda r, b, c, m: project(r, b, 0 * c, m), "x and y count from the centre: add it"),
-        (lambda r, b, c, m: project(r, b, c, 180), "beyond max_deg the lens sees nothing: NaN for both numbers"),
-        (lambda r, b, c, m: project(r, b, c, m / 2), "max_deg counts from the axis: do not halve it"),
-        (lambda *inputs: np.nan_to_num(project(*inputs)), "a ray beyond max_deg has no pixel: NaN, not 0"),
+        (
+            lambda r, b, c, m: project_rays(r, b[::-1], c, m),
+            "inv_poly runs from low to high; np.polyval wants it reversed",
+        ),
+        (
+            lambda *inputs: project_rays(*inputs)[:, ::-1],
+            "pixels are (u, v), right first, then down: yours are swapped",
+        ),
+        (lambda r, b, c, m: project_rays(r[:, [1, 0, 2]], b, c, m), "u goes with x and v with y: they are swapped"),
+        (lambda r, b, c, m: project_rays(r, b, 0 * c, m), "x and y count from the centre: add it"),
+        (lambda r, b, c, m: project_rays(r, b, c, 180), "beyond max_deg the lens sees nothing: NaN for both numbers"),
+        (lambda r, b, c, m: project_rays(r, b, c, m / 2), "max_deg counts from the axis: do not halve it"),
+        (lambda *inputs: np.nan_to_num(project_rays(*inputs)), "a ray beyond max_deg has no pixel: NaN, not 0"),
         (_undirected, "x and y give the direction only: divide them by hypot(x, y)"),
-        (lambda r, b, c, m: project(r, b, c, m) + 0.5, "half a pixel off: whole numbers are pixel centres"),
-        (lambda *inputs: np.rint(project(*inputs)), "do not round: a ray falls between pixels"),
-        (lambda *inputs: project(*inputs).T, "u and v are the last axis: (…, 2)"),
+        (lambda r, b, c, m: project_rays(r, b, c, m) + 0.5, "half a pixel off: whole numbers are pixel centres"),
+        (lambda *inputs: np.rint(project_rays(*inputs)), "do not round: a ray falls between pixels"),
+        (lambda *inputs: project_rays(*inputs).T, "u and v are the last axis: (…, 2)"),
     ],
 )
 
