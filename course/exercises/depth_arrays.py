@@ -34,23 +34,29 @@ def check_normalized_images(rng: Rng, k: int) -> Case:
 
     wrong = [
         (partial(right, axis=None), "one mean for all cameras: each has its own exposure"),
-        (partial(right, axis=0), "normalised over the wrong axis: over the pixels of each camera, not over the"
-         " cameras"),
+        (
+            partial(right, axis=0),
+            "normalised over the wrong axis: over the pixels of each camera, not over the cameras",
+        ),
         (partial(right, axis=1), "each camera has one mean, over rows and columns"),
         (partial(right, axis=2), "each camera has one mean, over rows and columns"),
         (partial(right, ddof=1), "the variance is the mean of the squares here: divide by n, not by n - 1"),
         (partial(right, power=2), "divide by the standard deviation, not by the variance"),
         (partial(right, power=0), "the mean is right; divide by the standard deviation, too"),
-        (lambda x: np.where(np.isnan(x), np.nan, right(x)), "what is not visible becomes 0, the mean; a network"
-         " cannot compute with NaN"),
+        (
+            lambda x: np.where(np.isnan(x), np.nan, right(x)),
+            "what is not visible becomes 0, the mean; a network cannot compute with NaN",
+        ),
         (lambda x: np.full_like(x, np.nan), "NaN spoils mean and deviation: take them over the visible pixels"),
         (lambda x: np.zeros_like(x), "NaN spoils mean and deviation: take them over the visible pixels"),
         (in_two_ways, "a pixel that is not visible is not black: leave it out of mean and deviation"),
-        (lambda x: np.where(np.isnan(x), 0, in_two_ways(x)), "a pixel that is not visible is not black: leave it out"
-         " of mean and deviation"),
+        (
+            lambda x: np.where(np.isnan(x), 0, in_two_ways(x)),
+            "a pixel that is not visible is not black: leave it out of mean and deviation",
+        ),
         (lambda x: np.nan_to_num(x / np.nanstd(x, each, keepdims=True)), "subtract the mean first"),
         (range_of, "that runs from 0 to 1; the network wants mean 0 and variance 1"),
-    ]  # fmt: skip
+    ]
     return by((images,), right, wrong)
 
 
@@ -88,5 +94,5 @@ def check_convolution(rng: Rng, k: int) -> Case:
         (lambda i, w: right(i, w) / w.size, "the sum of the products, not their mean"),
         (lambda i, w: i * w.sum(), "each neighbour has its own weight"),
         (lambda i, w: np.maximum(right(i, w), 0), "no ReLU yet: the sum alone"),
-    ]  # fmt: skip
+    ]
     return by((image, kernel), right, wrong)

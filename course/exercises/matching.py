@@ -44,15 +44,19 @@ def check_balanced_loss(rng: Rng, k: int) -> Case:
         (np.concatenate([positive, negative]).mean(), "there are more negatives: the mean of each kind, then of both"),
         (positive.mean() + negative.mean(), "each kind weighs one half: divide the sum of both means by 2"),
         (-right, "the minus: logarithms of numbers below 1 are negative, a loss is not"),
-        ((-np.log(cost[match]).mean() - np.log(1 - cost[~match]).mean()) / 2, "the cost is the probability of *no*"
-         " match: label 0 takes log(1 - cost)"),
+        (
+            (-np.log(cost[match]).mean() - np.log(1 - cost[~match]).mean()) / 2,
+            "the cost is the probability of *no* match: label 0 takes log(1 - cost)",
+        ),
         (right / np.log(2), "that is with the logarithm to base 2; take the natural one"),
         (right / np.log(10), "that is with the logarithm to base 10; take the natural one"),
-        (((cost[match] ** 2).mean() + ((1 - cost[~match]) ** 2).mean()) / 2, "that is the squared error; return the"
-         " cross-entropy"),
+        (
+            ((cost[match] ** 2).mean() + ((1 - cost[~match]) ** 2).mean()) / 2,
+            "that is the squared error; return the cross-entropy",
+        ),
         (negative.mean() / 2, "the positives are missing: label 0 takes log(1 - cost)"),
         (positive.mean() / 2, "the negatives are missing: label 1 takes log(cost)"),
-    ]  # fmt: skip
+    ]
     return (cost, label), right, mistakes
 
 
@@ -66,12 +70,15 @@ def check_receptive_field(rng: Rng, k: int) -> Case:
     plain = 1 + np.sum(kernels - 1)
     right = 1 + np.sum((kernels - 1) * before)
     mistakes = [
-        (plain, "behind a stride of 2 a pixel is two pixels of the input: each layer adds (kernel - 1) times the"
-         " product of all strides before it"),
+        (
+            plain,
+            "behind a stride of 2 a pixel is two pixels of the input: each layer adds (kernel - 1) times the"
+            " product of all strides before it",
+        ),
         (1 + np.sum((kernels - 1) * after), "a layer's own stride counts for those behind it, not for itself"),
         (1 + np.sum((kernels - 1) * strides), "strides multiply up: the product of all that came before"),
         (plain * after[-1], "a stride counts for the layers behind it only"),
         (right - 1, "with no layer at all it is one pixel: add it"),
         (kernels.sum(), "neighbouring windows overlap: each layer adds kernel - 1"),
-    ]  # fmt: skip
+    ]
     return (layers,), float(right), mistakes

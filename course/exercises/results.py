@@ -42,9 +42,11 @@ def check_pooled_rms(rng: Rng, k: int) -> Case:
         (np.sqrt(squares.sum()) / rays.sum(), "divide under the root"),
         (np.sqrt(squares / rays), "that is each frame's; add up over the frames"),
         (sums.sum() / rays.sum(), "that is the mean error; Σ e² is asked for"),
-        (np.sqrt(squares.sum() / rays.sum() - (sums.sum() / rays.sum()) ** 2), "that is the standard deviation: do not"
-         " subtract the mean"),
-    ]  # fmt: skip
+        (
+            np.sqrt(squares.sum() / rays.sum() - (sums.sum() / rays.sum()) ** 2),
+            "that is the standard deviation: do not subtract the mean",
+        ),
+    ]
     return (rays, sums, squares), right, mistakes
 
 
@@ -96,7 +98,7 @@ def check_metres_per_unit(rng: Rng, k: int) -> Case:
         (measured / np.hypot(apart[0], apart[2]), "cameras stand at different heights, too: y is missing"),
         (measured / np.linalg.norm(positions[j - 1] - positions[i - 1]), "i and j are indices from 0: subtract no 1"),
         (0.001, "that is the unit it stands for, millimetres; return the ratio itself, which tells more"),
-    ]  # fmt: skip
+    ]
     return (positions, i, j, measured), measured / distance, mistakes
 
 
@@ -147,13 +149,17 @@ def check_spheres_needed(rng: Rng, k: int) -> Case:
         (np.ceil(moves * pixels) + 1, "fewer pixels a sphere need more spheres: divide by `pixels`"),
         (np.ceil(2 * steps) + 1, "W pixels make the full circle, 2π, not π"),
         (np.ceil(baseline / nearest * width / 360 / pixels) + 1, "baseline / nearest is in radians, 2π for W pixels"),
-        (np.ceil(baseline * nearest * width / (2 * np.pi) / pixels) + 1, "near things move more: divide by the"
-         " nearest depth"),
-        (np.ceil(nearest / baseline * width / (2 * np.pi) / pixels) + 1, "the parallax is baseline / depth, not the"
-         " other way round"),
+        (
+            np.ceil(baseline * nearest * width / (2 * np.pi) / pixels) + 1,
+            "near things move more: divide by the nearest depth",
+        ),
+        (
+            np.ceil(nearest / baseline * width / (2 * np.pi) / pixels) + 1,
+            "the parallax is baseline / depth, not the other way round",
+        ),
         (np.ceil(np.degrees(baseline / nearest) / pixels) + 1, "that counts degrees for pixels: W pixels make 360°"),
         (np.ceil(baseline / nearest / pixels) + 1, "that counts radians for pixels: W pixels make 2π"),
-    ]  # fmt: skip
+    ]
     return (baseline, nearest, width, pixels), N, mistakes
 
 
@@ -214,5 +220,5 @@ def check_risk_ratio(rng: Rng, k: int) -> Case:
         (among_others / wrong.mean(), "compare with the rays that agree, not with all"),
         (among_others, "that is the share of wrong rays where they disagree; divide by that where they agree"),
         (agree[~wrong].mean() / agree[wrong].mean(), "that splits the rays by error; split them by agreement"),
-    ]  # fmt: skip
+    ]
     return (agree, wrong), among_others / among_agreeing, mistakes

@@ -44,16 +44,22 @@ def check_chain_of_poses(rng: Rng, k: int) -> Case:
         (lambda s: chain(s)[1:], "camera 0 → camera 0 belongs to it: the identity comes first"),
         (lambda s: chain(s)[:-1], "the last camera is missing: K steps lead to K + 1 cameras"),
         (lambda s: chain(s)[-1], "that is the last pose alone; all are asked"),
-        (lambda s: np.concatenate([np.eye(4)[None], s]), "those are the steps: each pose is the product of all before"
-         " it"),
-        (lambda s: np.cumprod(np.concatenate([np.ones((1, 4, 4)), s]), axis=0), "`*` multiplies number by number;"
-         " poses want `@`"),
-        (lambda s: np.concatenate([np.eye(4)[None], np.cumprod(s, axis=0)]), "`*` multiplies number by number; poses"
-         " want `@`"),
+        (
+            lambda s: np.concatenate([np.eye(4)[None], s]),
+            "those are the steps: each pose is the product of all before it",
+        ),
+        (
+            lambda s: np.cumprod(np.concatenate([np.ones((1, 4, 4)), s]), axis=0),
+            "`*` multiplies number by number; poses want `@`",
+        ),
+        (
+            lambda s: np.concatenate([np.eye(4)[None], np.cumprod(s, axis=0)]),
+            "`*` multiplies number by number; poses want `@`",
+        ),
         (by_parts, "translations do not add up: each step turns what came before"),
         (lambda s: chain(s.swapaxes(1, 2)), "the matrices are transposed: a point is a column, right of the matrix"),
         (lambda s: chain(s).swapaxes(1, 2), "the matrices are transposed: a point is a column, right of the matrix"),
-    ]  # fmt: skip
+    ]
     return by((steps,), chain, wrong)
 
 
@@ -93,8 +99,10 @@ def check_view_rms(rng: Rng, k: int) -> Case:
         return right(T, *rest)
 
     wrong = [
-        (lambda T, *rest: right(np.linalg.inv(T), *rest), "inverse pose: T_cam_board takes the board to the camera"
-         " already"),
+        (
+            lambda T, *rest: right(np.linalg.inv(T), *rest),
+            "inverse pose: T_cam_board takes the board to the camera already",
+        ),
         (rotated_only, "the translation is missing"),
         (lambda T, *rest: right(np.swapaxes(T, 1, 2), *rest), "the rotation is transposed"),
         (partial(right, bend=np.tan), "that is a pinhole, r = F tan θ; this lens has r = F θ"),
@@ -106,15 +114,21 @@ def check_view_rms(rng: Rng, k: int) -> Case:
         (lambda T, b, c, F, m: right(T, b, c, F, m + 0.5), "half a pixel off: whole numbers are pixel centres"),
         (lambda *a: np.nanmean(distance(*a), axis=1), "that is the mean distance: square before you take the mean"),
         (lambda *a: right(*a) ** 2, "take the root"),
-        (lambda *a: np.sqrt(np.nanmean(_residuals(*a) ** 2, axis=(1, 2))), "that is the rms of u and v; the rms"
-         " distance is √2 more"),
+        (
+            lambda *a: np.sqrt(np.nanmean(_residuals(*a) ** 2, axis=(1, 2))),
+            "that is the rms of u and v; the rms distance is √2 more",
+        ),
         (lambda *a: np.sqrt(np.nansum(distance(*a) ** 2, axis=1)), "the mean of the squares, not their sum"),
         (lambda *a: np.sqrt(np.nanmean(distance(*a) ** 2)), "that is one number for all views; each has its own"),
-        (lambda *a: np.sqrt(np.nanmean(distance(*a) ** 2, axis=0)), "the mean over the wrong axis: over the corners"
-         " of a view"),
+        (
+            lambda *a: np.sqrt(np.nanmean(distance(*a) ** 2, axis=0)),
+            "the mean over the wrong axis: over the corners of a view",
+        ),
         (lambda *a: np.sqrt(np.mean(distance(*a) ** 2, axis=1)), "a corner that was not found is NaN: leave it out"),
-        (lambda *a: np.sqrt(np.nan_to_num(distance(*a) ** 2).mean(1)), "a corner that was not found is no error of 0,"
-         " and none of those to divide by"),
+        (
+            lambda *a: np.sqrt(np.nan_to_num(distance(*a) ** 2).mean(1)),
+            "a corner that was not found is no error of 0, and none of those to divide by",
+        ),
         (distance, "those are the distances of all corners; take the rms of each view"),
-    ]  # fmt: skip
+    ]
     return by((T, board, corners, F, center), right, wrong)

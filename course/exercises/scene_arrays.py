@@ -35,8 +35,10 @@ def check_seen_by(rng: Rng, k: int) -> Case:
     wrong = [
         (lambda r, a, fov: right(r, a, 2 * fov), "the field of view is the full angle: half of it on each side"),
         (lambda r, a, fov: right(r, a, fov / 2), "half the field of view on each side, not a quarter"),
-        (lambda r, a, fov: len(a) - right(r, a, fov), "the wrong way round: small angles are seen, and their cosine"
-         " is large"),
+        (
+            lambda r, a, fov: len(a) - right(r, a, fov),
+            "the wrong way round: small angles are seen, and their cosine is large",
+        ),
         (lambda r, a, fov: right(-r, a, fov), "the sign: a camera looks along its axis"),
         (plain, "divide by both lengths: neither rays nor axes are unit vectors"),
         (lambda r, a, fov: plain(unit(r), a, fov), "divide by the length of the axes, too"),
@@ -47,10 +49,12 @@ def check_seen_by(rng: Rng, k: int) -> Case:
         (lambda r, a, fov: right(r, a[:4], fov), "a rig may have more than four cameras"),
         (lambda r, a, fov: (right(r, a, fov) > 0) * 1, "that is whether one sees it; return how many do"),
         (lambda r, a, fov: right(r, a, fov) / len(a), "that is the share of the cameras; return their number"),
-        (lambda r, a, fov: right(r, a, fov) * (right(r, a, fov) - 1) / 2, "that is the number of pairs; cameras are"
-         " asked"),
+        (
+            lambda r, a, fov: right(r, a, fov) * (right(r, a, fov) - 1) / 2,
+            "that is the number of pairs; cameras are asked",
+        ),
         (lambda r, a, fov: right(r, a * [1, 0, 1], fov), "the axes point up and down, too: y counts"),
-    ]  # fmt: skip
+    ]
     return by((rays, axes, fov_deg), right, wrong)
 
 
@@ -107,7 +111,7 @@ def check_depth_edges(rng: Rng, k: int) -> Case:
         (lambda i, x: np.where(np.isnan(i), np.nan, right(i, x)), "a ray without an index gets 0, not NaN"),
         (lambda i, x: 1 - right(i, x), "the wrong way round: an edge is 1"),
         (lambda i, x: np.sum(right(i, x)), "that is the number of rays at edges; return the whole mask"),
-    ]  # fmt: skip
+    ]
     return by((index, jump), right, wrong)
 
 
@@ -140,15 +144,19 @@ def check_most_confident(rng: Rng, k: int) -> Case:
         (numbers, "that is the number of the method; return the sphere index it gives"),
         (one_for_all, "that is one method for all rays: each ray has its own"),
         (lambda i, c: np.nanmean(i, 0), "that is the mean of the methods, which lies between two surfaces"),
-        (lambda i, c: np.nansum(i * c, 0) / np.sum(c * np.isfinite(i), 0), "that is a weighted mean, which lies"
-         " between two surfaces"),
+        (
+            lambda i, c: np.nansum(i * c, 0) / np.sum(c * np.isfinite(i), 0),
+            "that is a weighted mean, which lies between two surfaces",
+        ),
         (lambda i, c: np.nanmedian(i, 0), "that is the median of the methods: choose by confidence"),
         (lambda i, c: np.nan_to_num(right(i, c)), "a ray without any estimate stays NaN, and is not at infinity"),
-        (lambda i, c: np.where(np.isnan(i).any(0), np.nan, right(i, c)), "one method without an estimate does not"
-         " hinder the others"),
+        (
+            lambda i, c: np.where(np.isnan(i).any(0), np.nan, right(i, c)),
+            "one method without an estimate does not hinder the others",
+        ),
         (lambda i, c: np.where(np.isnan(i), -1, c).max(0), "that is the confidence; return the index"),
         (lambda i, c: i[0], "that is the first method: choose by confidence"),
-    ]  # fmt: skip
+    ]
     return by((index, confidence), right, wrong)
 
 
@@ -185,18 +193,26 @@ def check_blend(rng: Rng, k: int) -> Case:
         (partial(right, far=True), "the wrong way round: the weight is largest on the axis, and 0 at the rim"),
         (partial(right, power=2), "the weight falls evenly to the rim: do not square it"),
         (nearest, "that is the camera closest to the ray alone, which leaves seams: blend all that see it"),
-        (lambda i, a, h: np.sum(weights(i, a, h) * i, 0) / weights(i, a, h).sum(0), "a camera that does not see the"
-         " ray is NaN and spoils the others: leave it out"),
-        (lambda i, a, h: np.nansum(weights(i, a, h) * i, 0) / weights(i, a, h).sum(0), "a camera whose image is NaN"
-         " there must not be among the weights to divide by, either"),
+        (
+            lambda i, a, h: np.sum(weights(i, a, h) * i, 0) / weights(i, a, h).sum(0),
+            "a camera that does not see the ray is NaN and spoils the others: leave it out",
+        ),
+        (
+            lambda i, a, h: np.nansum(weights(i, a, h) * i, 0) / weights(i, a, h).sum(0),
+            "a camera whose image is NaN there must not be among the weights to divide by, either",
+        ),
         (lambda i, a, h: np.nansum(weights(i, a, h) * i, 0), "divide by the sum of the weights"),
-        (lambda i, a, h: np.nansum(weights(i, a, h) * i, 0) / np.isfinite(i).sum(0), "divide by the sum of the"
-         " weights, not by the number of cameras"),
-        (lambda i, a, h: right(i, a, 180), "the weight is 0 at the rim of the lens, `half_fov` from the axis, not at"
-         " 180°"),
+        (
+            lambda i, a, h: np.nansum(weights(i, a, h) * i, 0) / np.isfinite(i).sum(0),
+            "divide by the sum of the weights, not by the number of cameras",
+        ),
+        (
+            lambda i, a, h: right(i, a, 180),
+            "the weight is 0 at the rim of the lens, `half_fov` from the axis, not at 180°",
+        ),
         (lambda i, a, h: right(i, a, h / 2), "`half_fov` is half already: the weight is `half_fov` minus the angle"),
         (lambda i, a, h: np.nan_to_num(right(i, a, h)), "what nobody sees stays NaN; it is not black"),
         (lambda i, a, h: right(i[:4], a[:4], h), "a rig may have more than four cameras"),
         (lambda i, a, h: np.nanmax(i, 0), "that is the brightest camera: blend all that see the ray"),
-    ]  # fmt: skip
+    ]
     return by((images, angles, half_fov), right, wrong)

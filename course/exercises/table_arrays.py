@@ -50,12 +50,16 @@ def check_error_table(rng: Rng, k: int) -> Case:
         (lambda i, gt, N: right(i, gt, 100), "errors in percent of the N spheres: times 100 / N"),
         (lambda i, gt, N: right(i, gt, 100 * N), "errors in percent of the N spheres: times 100 / N, not 1 / N"),
         (lambda i, gt, N: right(i, gt, N - 1), "Eq. 5 divides by N, not by N - 1"),
-        (lambda i, gt, N: right(np.where(np.isnan(gt), np.nan, i), np.nan_to_num(gt), N), "a ray without ground truth"
-         " is left out; it is no error of 100"),
+        (
+            lambda i, gt, N: right(np.where(np.isnan(gt), np.nan, i), np.nan_to_num(gt), N),
+            "a ray without ground truth is left out; it is no error of 100",
+        ),
         (partial(right, missing=np.nan), "a missing estimate is an error of 100, it is not left out"),
         (partial(right, missing=0), "a missing estimate is an error of 100, not of 0"),
-        (lambda i, gt, N: right(i, np.nan_to_num(gt), N), "a ray without ground truth is left out; it is not at"
-         " infinity"),
+        (
+            lambda i, gt, N: right(i, np.nan_to_num(gt), N),
+            "a ray without ground truth is left out; it is not at infinity",
+        ),
         (lambda i, gt, N: np.nan * right(i, gt, N), "NaN spoils the means: leave rays without ground truth out"),
         (lambda i, gt, N: right(i, np.rint(gt), N), "do not round the ground truth"),
         (partial(right, signed=True), "too near is as wrong as too far: take the absolute value"),
@@ -66,7 +70,7 @@ def check_error_table(rng: Rng, k: int) -> Case:
         (lambda *a: right(*a)[:, :3], "MAE and RMS are missing: five columns"),
         (lambda *a: right(*a).T, "one row for each method: (methods, 5)"),
         (lambda *a: right(*a).mean(0), "that is the mean over the methods: each has its own row"),
-    ]  # fmt: skip
+    ]
     return by((indices, gt_index, N), right, wrong)
 
 
@@ -101,13 +105,15 @@ def check_bootstrap_interval(rng: Rng, k: int) -> Case:
         (partial(right, mean=np.sum), "the mean of each draw, not the sum"),
         (lambda a, b, d: right(b, a, d), "a minus b, not b minus a"),
         (lambda a, b, d: right(a, 0, d), "the difference of both methods, not a alone"),
-        (lambda a, b, d: np.percentile(a - b, both), "those are percentiles of the frames, not of the mean: draw"
-         " first"),
+        (
+            lambda a, b, d: np.percentile(a - b, both),
+            "those are percentiles of the frames, not of the mean: draw first",
+        ),
         (lambda a, b, d: np.percentile((a - b)[d], both), "take the mean of each draw before the percentiles"),
         (normal, "that assumes normally distributed means; take their percentiles"),
         (apart, "both methods saw the same frames: draw frames, and take both figures of each"),
         (lambda a, b, d: (a - b)[d].mean(1), "those are the means of all draws: take their percentiles"),
-    ]  # fmt: skip
+    ]
     return by((a, b, draws), right, wrong)
 
 
@@ -132,19 +138,27 @@ def check_rig_mask(rng: Rng, k: int) -> Case:
         (lambda f, x: (np.ptp(f.astype(float), axis=0) < x) * 1, "by exactly `limit` is not more than `limit`"),
         (lambda f, x: (steps(f).max(0) <= x) * 1, "small steps add up: compare the largest value with the smallest"),
         (lambda f, x: (steps(f).mean(0) <= x) * 1, "small steps add up: compare the largest value with the smallest"),
-        (lambda f, x: (np.abs(f[-1].astype(float) - f[0]) <= x) * 1, "the first and the last frame are not enough: a"
-         " pixel may change and come back"),
+        (
+            lambda f, x: (np.abs(f[-1].astype(float) - f[0]) <= x) * 1,
+            "the first and the last frame are not enough: a pixel may change and come back",
+        ),
         (lambda f, x: (np.abs(f[1].astype(float) - f[0]) <= x) * 1, "two frames are not enough: look at all"),
-        (lambda f, x: (f.astype(float).std(0) <= x) * 1, "that is the standard deviation; the limit is of the whole"
-         " change"),
-        (lambda f, x: (np.abs(f - f.astype(float).mean(0)).max(0) <= x) * 1, "that is the change from the mean; asked"
-         " is from the smallest value to the largest"),
-        (lambda f, x: (np.abs(np.diff(f, axis=0)).max(0) <= x) * 1, "uint8 wraps around: 3 - 5 is 254. Compute with"
-         " floats"),
+        (
+            lambda f, x: (f.astype(float).std(0) <= x) * 1,
+            "that is the standard deviation; the limit is of the whole change",
+        ),
+        (
+            lambda f, x: (np.abs(f - f.astype(float).mean(0)).max(0) <= x) * 1,
+            "that is the change from the mean; asked is from the smallest value to the largest",
+        ),
+        (
+            lambda f, x: (np.abs(np.diff(f, axis=0)).max(0) <= x) * 1,
+            "uint8 wraps around: 3 - 5 is 254. Compute with floats",
+        ),
         (lambda f, x: (np.ptp(f.astype(float), axis=2) <= x) * 1, "the wrong axis: the frames are the first one"),
         (lambda f, x: np.ptp(f.astype(float), axis=0), "that is the change; return 1 where it is small, 0 elsewhere"),
         (lambda f, x: np.mean(right(f, x)), "that is the share of the pixels; return the whole mask"),
-    ]  # fmt: skip
+    ]
     return by((frames, limit), right, wrong)
 
 
@@ -188,16 +202,22 @@ def check_gain_and_offset(rng: Rng, k: int) -> Case:
         (through_zero, "with an offset the line does not go through 0: fit both numbers"),
         (lambda a, b: through_zero(a, b)[:1], "gain and offset are asked"),
         (lambda a, b: _line(a, b)[0], "gain and offset are asked"),
-        (lambda a, b: with_gain(moments(a, b)[2] / moments(a, b)[0], a, b), "the quotient of the means is no gain: it"
-         " has the offset in it"),
-        (lambda a, b: with_gain(moments(a, b)[3] / moments(a, b)[1], a, b), "the quotient of the deviations takes"
-         " noise for gain: divide the covariance by the variance of a"),
+        (
+            lambda a, b: with_gain(moments(a, b)[2] / moments(a, b)[0], a, b),
+            "the quotient of the means is no gain: it has the offset in it",
+        ),
+        (
+            lambda a, b: with_gain(moments(a, b)[3] / moments(a, b)[1], a, b),
+            "the quotient of the deviations takes noise for gain: divide the covariance by the variance of a",
+        ),
         (lambda a, b: with_gain(1, a, b), "that is an offset alone: the gain is not 1"),
-        (lambda a, b: np.array([1 / _line(b, a)[0], -_line(b, a)[1] / _line(b, a)[0]]), "that minimises the errors of"
-         " a; minimise those of b"),
+        (
+            lambda a, b: np.array([1 / _line(b, a)[0], -_line(b, a)[1] / _line(b, a)[0]]),
+            "that minimises the errors of a; minimise those of b",
+        ),
         (lambda a, b: _line(np.nan_to_num(a), np.nan_to_num(b)), "NaN is not black: use the rays that both see"),
         (lambda a, b: np.array([np.nan, np.nan]), "NaN spoils the sums: use the rays that both see"),
         (each_own, "all means over the same rays, those that both see"),
         (lambda a, b: _line(a, b) * [1, -1], "the sign of the offset: mean of b minus gain times mean of a"),
-    ]  # fmt: skip
+    ]
     return by((a, b), _line, wrong)
