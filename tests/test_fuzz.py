@@ -270,9 +270,11 @@ def valid(tmp_path_factory):
     return folder, samples(folder)
 
 
-NAMES = ["omnimvs", "omnimvs, in lines", "basalt", "kalibr", "opencv", "ocam", "poses", "corners", "data set", "png",
-         "jpg", "bmp", "tiff", "float TIFF", "float TIFF, not deflated", "16-bit PNG", "weights", "state", "log",
-         "results"]  # fmt: skip
+NAMES = [
+    "omnimvs", "omnimvs, in lines", "basalt", "kalibr", "opencv", "ros", "camodocal", "metashape", "hugin", "ocam",
+    "poses", "corners", "data set", "png", "jpg", "bmp", "tiff", "float TIFF", "float TIFF, not deflated",
+    "16-bit PNG", "weights", "state", "log", "results",
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -126,8 +126,8 @@ class _CellProducts(torch.autograd.Function):
         """Return the sums (cells, 8) of features (h, w, 32), given where the cells are in them: (cameras, cells, 2)."""
         table = torch.cat([one.detach().reshape(-1, CHANNELS) for one in maps]).numpy()
         sizes = np.array([one.shape[:2] for one in maps])
-        products = torch.empty(uv.shape[1], GROUPS)
-        totals = torch.empty(uv.shape[1] if any(ctx.needs_input_grad) else 0, CHANNELS)
+        products = torch.empty(uv.shape[1], GROUPS, dtype=torch.float32)
+        totals = torch.empty(uv.shape[1] if any(ctx.needs_input_grad) else 0, CHANNELS, dtype=torch.float32)
 
         def sum_products(start: int) -> None:
             cells = slice(start, start + _CELLS)
@@ -141,7 +141,7 @@ class _CellProducts(torch.autograd.Function):
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
         """Return the gradients of the features; see `_PairProducts`."""
         uv, totals, *maps = ctx.saved_tensors
-        grads = [torch.zeros(one.shape) for one in maps]
+        grads = [torch.zeros(one.shape, dtype=torch.float32) for one in maps]
 
         def scatter(camera: int) -> None:
             arrays = maps[camera].detach(), uv[camera], totals, grad.contiguous(), grads[camera]

@@ -280,12 +280,12 @@ def test_degrees_that_are_no_camera(views, degree):
 
 def test_a_part_of_the_board_is_not_the_board(monkeypatch):
     """A few views show a part as large as the board given: these are accidents."""
-    from omnistereo_lib.calibrate import camera
+    from omnistereo_lib.calibrate import single_camera
 
-    monkeypatch.setattr(camera, "suggest_board", lambda images, board, only_larger: ((13, 10), 5))
+    monkeypatch.setattr(single_camera, "suggest_board", lambda images, board, only_larger: ((13, 10), 5))
     corners = [*boards.views(np.random.default_rng(0), count=3)[0], *[None] * 7]
     with pytest.raises(OmnistereoError, match=r"3 of 10 views show .* 13 x 10 inner corners is found in 5"):
-        camera.calibrate_corners(corners, SIZE, [np.zeros(SIZE[::-1], np.uint8)] * 10, BOARD)
+        single_camera.calibrate_corners(corners, SIZE, [np.zeros(SIZE[::-1], np.uint8)] * 10, BOARD)
 
 
 def test_parallel_boards():
