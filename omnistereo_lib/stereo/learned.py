@@ -7,6 +7,7 @@ cannot change a cost that is kept.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
@@ -55,7 +56,7 @@ def full_precision(x: Tensor) -> torch.autocast:
     return torch.autocast(x.device.type, enabled=False)
 
 
-class PairNetwork(StoredNetwork):
+class PairNetwork(StoredNetwork, ABC):
     """A network that maps two spherical images to a cost map; see `SweepNet` and `MCCNN`.
 
     Its `forward` is composed of `extract_features`, `match_features`, `score_pixels` and `to_cost`, which know nothing
@@ -81,17 +82,17 @@ class PairNetwork(StoredNetwork):
     def check_size(self, H: int, W: int) -> None:
         """Refuse panoramas that the network cannot take."""
 
+    @abstractmethod
     def extract_features(self, images: Tensor) -> Tensor:
         """Return the features (B, C, h, w) of padded images, 0 where unseen."""
-        raise NotImplementedError
 
+    @abstractmethod
     def match_features(self, left: Tensor, right: Tensor) -> Tensor:
         """Return K numbers per pixel, (B, H, columns, K), of the features of two images."""
-        raise NotImplementedError
 
+    @abstractmethod
     def score_pixels(self, pixels: Tensor) -> Tensor:
         """Return the scores (…) of pixels (…, K)."""
-        raise NotImplementedError
 
     def to_cost(self, score: Tensor) -> Tensor:
         """Return the cost in [0, 1] of a score, here the logit of a mismatch."""
