@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from threading import Condition, Thread
+from threading import BoundedSemaphore, Condition, Thread
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,7 +22,9 @@ from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.pictures import BACKGROUND, ColorScale
 
 _WIDTH = 1280  # px of the picture, if the panorama is smaller
-_PATIENCE_S = 10.0  # of a camera that gives no picture
+_PATIENCE_S = 10.0  # of a camera that gives no picture, and of a browser that neither asks nor reads
+_CLIENTS = 16  # connections at a time; a page has two
+_HOST = re.compile(r"(localhost|127\.0\.0\.1)(:[0-9]+)?")  # a name of another site may lead here, too
 _PAGE = b"""<!doctype html><title>omnistereo live</title>
 <body style="margin:0;background:#202020"><img src="stream" alt="panorama over depth" style="width:100%">"""
 
@@ -148,6 +152,28 @@ def show(pictures: Iterator[NDArray[np.uint8]], latest: Latest) -> int:
     return count
 
 
+class _Server(ThreadingHTTPServer):
+    """A server of few clients at a time; who is one too many is turned away at once."""
+
+    daemon_threads = True
+
+    def __init__(self, *arguments: Any) -> None:
+        self._free = BoundedSemaphore(_CLIENTS)
+        super().__init__(*arguments)
+
+    def verify_request(self, *_: object) -> bool:
+        return self._free.acquire(blocking=False)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
+
+    def handle_error(self, *_: object) -> None:
+        """Leave a client that went away or waited too long."""
+
+
 @contextmanager
 def serve(latest: Latest, port: int) -> Iterator[str]:
     """Serve JPEG pictures to browsers of this machine as a stream; yield the address.
@@ -158,13 +184,17 @@ def serve(latest: Latest, port: int) -> Iterator[str]:
         raise OmnistereoError(f"--port is {port}; expected 0 to 65535. Choose another, or 0 for any.")
 
     class Handler(BaseHTTPRequestHandler):
+        timeout = _PATIENCE_S
+
         def do_GET(self) -> None:
+            if not _HOST.fullmatch(self.headers.get("Host", "")):
+                self.send_error(403)
+                return
             is_stream = self.path == "/stream"
             self.send_response(200)
             self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=x" if is_stream else "text/html")
             self.end_headers()
-            with suppress(BrokenPipeError, ConnectionResetError):  # the page was closed
-                self._stream() if is_stream else self.wfile.write(_PAGE)
+            self._stream() if is_stream else self.wfile.write(_PAGE)
 
         def _stream(self) -> None:
             for jpeg in latest:
@@ -175,10 +205,9 @@ def serve(latest: Latest, port: int) -> Iterator[str]:
             pass
 
     try:
-        server = ThreadingHTTPServer(("127.0.0.1", port), Handler)
+        server = _Server(("127.0.0.1", port), Handler)
     except OSError:
         raise OmnistereoError(f"port {port} is in use. Choose another --port, or 0 for any.") from None
-    server.daemon_threads = True
     Thread(target=server.serve_forever, daemon=True).start()
     try:
         yield f"http://127.0.0.1:{server.server_address[1]}/"

@@ -1,8 +1,13 @@
 """The live view, from video files, in the browser."""
 
 import re
+import socket
+import threading
 import time
+import urllib.error
 import urllib.request
+from contextlib import ExitStack
+from urllib.parse import urlsplit
 
 import cv2
 import numpy as np
@@ -73,6 +78,46 @@ def test_the_browser_gets_a_stream():
     assert 1 <= len(parts) <= 3
     jpeg = parts[-1].split(b"\r\n\r\n", 1)[1]
     assert np.abs(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR) - 200.0).max() < 3
+
+
+@pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example:8765", "", None])
+def test_a_page_of_another_name_gets_no_pictures(host):
+    """As of a site whose name its owner lets point here (DNS rebinding)."""
+    with serve(Latest(), 0) as address:
+        asked = urllib.request.Request(address, headers={} if host is None else {"Host": host})
+        if host is None:  # urllib would add it
+            with socket.create_connection(("127.0.0.1", urlsplit(address).port), 60) as client:
+                client.sendall(b"GET / HTTP/1.0\r\n\r\n")
+                assert b" 403 " in client.makefile("rb").readline()
+        else:
+            with pytest.raises(urllib.error.HTTPError, match="403"):
+                urllib.request.urlopen(asked, timeout=60)
+
+
+def test_clients_that_say_nothing_keep_nobody_out_for_long(monkeypatch, capfd):
+    monkeypatch.setattr(live_view, "_PATIENCE_S", 1.0)
+    with serve(Latest(), 0) as address, ExitStack() as clients:
+        port = urlsplit(address).port
+        silent = [clients.enter_context(socket.create_connection(("127.0.0.1", port), 60)) for _ in range(60)]
+        one_too_many = silent[-1].recv(1)  # closed at once
+        assert one_too_many == b"" and all(client.recv(1) == b"" for client in silent)  # after a second
+        assert b"stream" in urllib.request.urlopen(address, timeout=60).read()
+    assert capfd.readouterr().err == ""
+
+
+def test_a_client_that_does_not_read_is_left(monkeypatch):
+    monkeypatch.setattr(live_view, "_PATIENCE_S", 0.5)
+    latest = Latest()
+    with serve(latest, 0) as address:
+        port = urlsplit(address).port
+        with socket.create_connection(("127.0.0.1", port), 60) as client:
+            client.sendall(b"GET /stream HTTP/1.0\r\nHost: localhost\r\n\r\n")
+            assert client.recv(4) == b"HTTP"
+            latest.put(bytes(1 << 26))  # more than the system keeps for it
+            deadline = time.monotonic() + 60
+            while any("process_request" in thread.name for thread in threading.enumerate()):
+                assert time.monotonic() < deadline, "its thread still waits"
+                time.sleep(0.05)
 
 
 def test_the_command_plays_videos_to_their_end(recorded, capsys):
