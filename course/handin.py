@@ -34,8 +34,8 @@ ANSWER_S = 20.0  # for each call of a student's function
 MAX_BYTES = 32 * 2**20  # of a notebook
 MAX_NOTES = 50
 STATUSES = ("right", "wrong", "not tried", "not judged")
-CHECKED = re.compile(r"\b(?:exercises|(nb\d\d))\.(check_\w+)\((\w+)\)")  # module, checker, function
-NUMBER = re.compile(r"^\*\*(\d\d\.\d+) \(", re.MULTILINE)  # **04.2 (medium).**
+CHECKED = re.compile(r"\b(?:exercises|(nb\d\db?))\.(check_\w+)\((\w+)\)")  # module, checker, function
+NUMBER = re.compile(r"^\*\*(\d\db?\.\d+) \(", re.MULTILINE)  # **04.2 (medium).**
 ENVIRONMENT = (Path(sys.prefix), *(nbtools.ROOT / name for name in ("course", "omnistereo_lib", "omnistereo_tools")))
 
 Sheet = dict[str, Any]
@@ -80,7 +80,7 @@ def read_cells(path: Path) -> list[tuple[str, str]]:
 def original_of(cells: list[tuple[str, str]], path: Path) -> Path:
     """Return the course's notebook that a handed-in one began as, by the number in its title."""
     title = next((source for kind, source in cells if kind == "markdown"), "")
-    found = [original for original in nbtools.notebooks() if title.startswith(f"# {original.stem[:2]} ")]
+    found = [original for original in nbtools.notebooks() if title.startswith(f"# {nbtools.number(original)} ")]
     if not found:
         raise OmnistereoError(
             f"{path} begins with {title[:40]!r}; expected the title of a notebook of the course, such as "

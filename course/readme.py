@@ -51,7 +51,7 @@ def readme_table(paths: list[Path]) -> str:
         facts, number = nb.metadata["omnistereo"], len(nbtools.open_functions(nb))
         write = f"{number} functions" if number else "exercises"
         rows.append(
-            f"| [{path.stem[:2]} {facts['title']}](notebooks/{path.name}) | {facts['learn']} "
+            f"| [{nbtools.number(path)} {facts['title']}](notebooks/{path.name}) | {facts['learn']} "
             f"| {write} | {facts['minutes_to_read']} min | {facts['needs']} |"
         )
     return "\n".join(rows) + "\n"

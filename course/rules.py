@@ -25,7 +25,7 @@ MAX_BYTES = 800_000
 MAX_CELL_LINES, MAX_MEDIAN_LINES, MAX_LINES = 30, 10, 330
 OPENING = re.compile(r"# .+\*\*You will\*\* .+\*\*Before you start:\*\* .+\*\*Next:\*\* ", re.DOTALL)
 CLOSING = ["## Exercises", "## Common errors", "## Takeaways", "## Further reading"]
-EXERCISE = re.compile(r"^\*\*\d\d\.\d+(?: \(([\w -]+)\))?\.\*\*", re.MULTILINE)  # **03.1 (warm-up).**
+EXERCISE = re.compile(r"^\*\*\d\db?\.\d+(?: \(([\w -]+)\))?\.\*\*", re.MULTILINE)  # **03.1 (warm-up).**
 LEVELS = ["warm-up", "medium", "hard", "open"]
 KINDS = ["experiment", "case", "open question"]  # of exercises behind open functions
 
@@ -143,7 +143,7 @@ def _frame(nb: nbformat.NotebookNode) -> Iterator[str]:
 # links, whole numbers in formulas, multiples of 45° and the lenses' 220°. A sentence with the word "paper" quotes it.
 NUMBER = re.compile(r"(?<![\w.])(?:\d{1,3}(?:,\d{3})+|\d+)(?:\.\d+)?(?:e-?\d+)?(?!\.?\w)")
 UNIT = re.compile(r"\s?(°|%|(?:px|pixels?|mm|cm|m|ms|s|percent|degrees|metres|seconds)\b)")
-NAMES = re.compile(r"```.*?```|`[^`]*`|!?\[[^\]]*\]\([^)]*\)|\*\*\d\d\.\d+|\A# \d\d ·", re.DOTALL)
+NAMES = re.compile(r"```.*?```|`[^`]*`|!?\[[^\]]*\]\([^)]*\)|\*\*\d\db?\.\d+|\A# \d\db? ·", re.DOTALL)
 FORMULA = re.compile(r"\$+[^$]+\$+")
 SENTENCE_END = re.compile(r"(?<=[.!?])\s+|\n{2,}|\n(?=[-*|#>\d])")
 LENS_DEG = (220, 110)  # the field of view, and the half of it on each side of the axis

@@ -27,7 +27,7 @@ MATHJAX = Path(find_spec("sphinx-mathjax-offline").submodule_search_locations[0]
 BOOK = nbtools.ROOT / "book"
 TEMPLATE = BOOK / "slides_template"
 SCRIPTS = (MATHJAX, BOOK / "stills.js", TEMPLATE / "deal.js")
-LINK = re.compile(r'<a href="(\d\d_\w+)\.ipynb[^"]*">(.*?)</a>')  # to another notebook
+LINK = re.compile(r'<a href="(\d\db?_\w+)\.ipynb[^"]*">(.*?)</a>')  # to another notebook
 
 
 def make_slides(out: Path) -> None:
@@ -55,7 +55,7 @@ def make_slides(out: Path) -> None:
         )
         (out / f"{path.stem}.slides.html").write_text(page, encoding="utf-8")
         facts = nb.metadata["omnistereo"]
-        title, learn = html.escape(f"{path.stem[:2]} {facts['title']}"), html.escape(facts["learn"])
+        title, learn = html.escape(f"{nbtools.number(path)} {facts['title']}"), html.escape(facts["learn"])
         entries.append(f'<li><a href="{path.stem}.slides.html">{title}</a>: {learn}</li>')
     index = (TEMPLATE / "list.html").read_text(encoding="utf-8")
     (out / "index.html").write_text(index.replace("{entries}", "\n".join(entries)), encoding="utf-8")

@@ -60,7 +60,7 @@ def open_answers(number: str) -> dict[str, Callable]:
 def solve_all(paths: list[Path], answers: dict[str, Callable]) -> dict[Path, NotebookNode]:
     """Return notebooks with all stubs solved, by path."""
     stored = {path: nbtools.read_notebook(path) for path in paths}
-    return {path: solve(nb, answers | open_answers(path.stem[:2])) for path, nb in stored.items()}
+    return {path: solve(nb, answers | open_answers(nbtools.number(path))) for path, nb in stored.items()}
 
 
 def not_right(nb: NotebookNode) -> list[str]:
@@ -79,7 +79,7 @@ def main(names: list[str]) -> None:
     Raises:
         OmnistereoError: If there is no such notebook, one stops, or a checker does not call a solution right.
     """
-    known = [path.stem[:2] for path in nbtools.notebooks()]
+    known = [nbtools.number(path) for path in nbtools.notebooks()]
     if unknown := [name for name in names if name not in known]:
         raise OmnistereoError(f"there is no notebook {', '.join(unknown)}; expected one of {', '.join(known)}")
     OUT.mkdir(parents=True, exist_ok=True)
@@ -87,7 +87,7 @@ def main(names: list[str]) -> None:
         if not (OUT.parent / name).exists():
             (OUT.parent / name).symlink_to(Path("..") / name)
     for path, nb in solve_all(nbtools.notebooks(), ANSWERS).items():
-        if names and path.stem[:2] not in names:
+        if names and nbtools.number(path) not in names:
             continue
         try:
             seconds = kernels.execute(nb, OUT)

@@ -18,7 +18,7 @@ def stuck() -> dict[str, str]:
         asked = handin.exercises_of(nbformat.read(path, as_version=4))
         lines = ["\n  - ".join([f"- **{exercise.number}**", *hints(exercise)]) for exercise in asked]
         head = "<details><summary>All mistakes that the checkers know by name</summary>"
-        parts[f"stuck {path.stem[:2]}"] = "\n".join([head, "", *lines, "", "</details>"])
+        parts[f"stuck {nbtools.number(path)}"] = "\n".join([head, "", *lines, "", "</details>"])
     return parts
 
 
@@ -26,11 +26,11 @@ def written() -> str:
     """Return the table of all functions that students write, in Markdown, with its total."""
     rows, total = ["| notebook | you write | which returns | lines |", "|---|---|---|---:|"], 0
     for path in nbtools.notebooks():
-        for function in exercises.functions(path.stem[:2]):
+        for function in exercises.functions(nbtools.number(path)):
             body = ast.parse(function.source).body[0].body[1:]  # without the docstring
             lines = function.source.splitlines()[body[0].lineno - 1 :]
             total += len(lines)
-            number = f"[{path.stem[:2]}](notebooks/{path.name})"
+            number = f"[{nbtools.number(path)}](notebooks/{path.name})"
             returns = inspect.getdoc(function.answer).splitlines()[0]
             rows.append(f"| {number} | `{function.name}` | {returns} | {len(lines)} |")
     return "\n".join([*rows, f"| | | **all together** | **{total}** |"])

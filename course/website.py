@@ -50,6 +50,7 @@ def assemble(source: Path, extra: Path) -> None:
     (source / "reference").mkdir(parents=True)
     generated = {
         "notebooks": readme_table(paths),
+        "order": "\n".join(f"notebooks/{path.stem}" for path in paths),
         "names": face(),
         "modules": reference(source),
         "written": written(),

@@ -24,7 +24,7 @@ document.addEventListener("DOMContentLoaded", async () => {
   slides.classList.add("dealing")
   for (const piece of pieces) {
     if (!page || piece.matches("h1, h2")) turn(true)
-    else if (piece.matches("h3") || /^\d\d\.\d+ \(/.test(piece.textContent)) turn(false) // an exercise
+    else if (piece.matches("h3") || /^\d\db?\.\d+ \(/.test(piece.textContent)) turn(false) // an exercise
     page.append(piece)
     if (isFull() && page.firstChild !== piece) {
       const before = piece.previousSibling

@@ -266,7 +266,7 @@ def test_a_student_has_every_package_of_the_clone():
 
 def test_every_exercise_of_the_course_is_judged():
     found = [exercise for path in nbtools.notebooks() for exercise in handin.exercises_of(nbtools.read_notebook(path))]
-    numbers = [path.stem[:2] for path in nbtools.notebooks()]
+    numbers = [nbtools.number(path) for path in nbtools.notebooks()]
     opened = {function.name: f"nb{k}.check_{function.name}" for k in numbers for function in exercises.functions(k)}
     checkers = {name for name in vars(exercises) if name.startswith("check_")}
     assert {exercise.checker for exercise in found} == checkers | set(opened.values())

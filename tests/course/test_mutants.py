@@ -22,14 +22,14 @@ from course.exercises.compare import CASES, _numbers, _same, diagnose
 TRIED = None if os.environ.get("MUTANTS") == "all" else 15
 CALL = re.compile(r"^exercises\.(check_\w+)\((\w+)\)$", re.MULTILINE)
 EXERCISES = [
-    pytest.param(getattr(exercises, check), solve.ANSWERS[answer], id=f"{path.stem[:2]} {answer}")
+    pytest.param(getattr(exercises, check), solve.ANSWERS[answer], id=f"{nbtools.number(path)} {answer}")
     for path in nbtools.notebooks()
     for cell in nbtools.code_cells(nbformat.read(path, as_version=4))
     for check, answer in CALL.findall(cell.source)
 ] + [
-    pytest.param(function, function.answer, id=f"{path.stem[:2]} {function.name}")
+    pytest.param(function, function.answer, id=f"{nbtools.number(path)} {function.name}")
     for path in nbtools.notebooks()
-    for function in exercises.functions(path.stem[:2])
+    for function in exercises.functions(nbtools.number(path))
 ]
 
 OPERATORS = {

@@ -14,7 +14,7 @@ import pytest
 from course import exercises, nbtools, solve
 from course.exercises.opened import NOT_WRITTEN, RIGHT, Open
 
-NOTEBOOKS = {path.stem[:2]: nbtools.read_notebook(path) for path in nbtools.notebooks()}
+NOTEBOOKS = {nbtools.number(path): nbtools.read_notebook(path) for path in nbtools.notebooks()}
 FUNCTIONS = [
     pytest.param(number, function, id=f"{number} {function.name}")
     for number in NOTEBOOKS

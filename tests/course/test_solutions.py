@@ -14,7 +14,7 @@ from omnistereo_lib.errors import OmnistereoError
 
 STORED = {path: nbformat.read(path, as_version=4) for path in nbtools.notebooks()}
 EXERCISES = [
-    pytest.param(path, cell, id=f"{path.stem[:2]} {next(solve.stubs(cell.source)).name}")
+    pytest.param(path, cell, id=f"{nbtools.number(path)} {next(solve.stubs(cell.source)).name}")
     for path, nb in STORED.items()
     for cell in nbtools.code_cells(nb)
     if any(stub.name in solve.ANSWERS for stub in solve.stubs(cell.source))
