@@ -1,9 +1,11 @@
 # The course, from a clone: `make lab` to read it, `make depth` for the result alone, `make test` to check it.
 # Needs Python 3.11 or newer with venv. Another interpreter: make lab PYTHON=python3.12
+# TORCH=cpu takes torch's CPU build, TORCH=auto the one for this machine's GPU, by uv; otherwise pip's default.
 
 PYTHON ?= python3
-BIN := .venv/bin
+BIN := .venv/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 READY := .venv/.installed
+DEV_READY := .venv/.installed-dev
 RENDER := .venv-render/bin
 RENDER_READY := .venv-render/.installed
 
@@ -13,9 +15,6 @@ WORKERS = -n $(shell $(PYTHON) -c "import os; print(min(4, 1 + os.cpu_count()))"
 # Otherwise glibc gives large arrays back to the system, which clears pages for the next ones.
 KEEP_MEMORY := MALLOC_MMAP_MAX_=0 MALLOC_TRIM_THRESHOLD_=1000000000
 
-# No question about news, and no notebook marked as unsaved because it was opened.
-LAB := --LabApp.app_settings_dir=course/jupyterlab --ServerApp.contents_manager_class=course.lab.Notebooks
-
 define CHECK_PYTHON
 import sys
 if sys.version_info < (3, 11):
@@ -23,26 +22,35 @@ if sys.version_info < (3, 11):
 endef
 export CHECK_PYTHON
 
-.PHONY: lab test check coverage depth render bench results notebooks solutions book slides constraints clean
+.PHONY: lab fresh doctor test check coverage grade depth render bench results notebooks solutions book slides constraints clean
 
-lab: $(READY)  ## opens JupyterLab, or prints its address where there is no browser; LAB_ARGS: more options
-	$(BIN)/jupyter lab $(LAB) $(LAB_ARGS) notebooks/00_quickstart.ipynb
+lab: $(READY)  ## JupyterLab on your copies of the notebooks, in my_notebooks; LAB_ARGS: more options
+	$(BIN)/python -m course lab -- $(LAB_ARGS)
 
-test: $(READY)  ## linters, types, library tests, and every notebook cell against its stored output
+fresh: $(READY)  ## a fresh copy of one notebook: make fresh NOTEBOOK=03; yours is kept beside it
+	$(BIN)/python -m course fresh $(NOTEBOOK)
+
+doctor: $(READY)  ## checks Python, the packages and the data, and says how to fix what is wrong
+	$(BIN)/python -m course doctor
+
+test: $(DEV_READY)  ## linters, types, library tests, and every notebook cell against its stored output
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(KEEP_MEMORY) $(BIN)/python -m pytest $(WORKERS) $(NBVAL)
 
-check: $(READY)  ## the fast tier, a minute: linters, types, geometry, stereo, rig files and one notebook
+check: $(DEV_READY)  ## the fast tier, a minute: linters, types, geometry, stereo, rig files and one notebook
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(KEEP_MEMORY) $(BIN)/python -m pytest $(WORKERS) $(NBVAL) tests/geometry tests/rig_files tests/stereo \
 	  --ignore tests/stereo/test_shipped_weights.py notebooks/03_sphere_sweep.ipynb
 
-coverage: $(READY)  ## the lines of the library that the tests reach; apart from `test`, which it would slow by a half
+coverage: $(DEV_READY)  ## the lines of the library that the tests reach; apart from `test`, which it would slow by a half
 	$(KEEP_MEMORY) $(BIN)/python -m pytest $(WORKERS) --cov tests
+
+grade: $(READY)  ## score sheets of handed-in notebooks; runs their code, see book/teaching.md: make grade HANDED_IN=folder
+	$(BIN)/python -m course check '$(HANDED_IN)' $(GRADE_ARGS)
 
 depth: $(READY)  ## the sample frame, or your own: RIG=rig.yaml IMAGES="1.png 2.png 3.png 4.png" make depth
 	$(BIN)/omnistereo depth $(if $(RIG),--rig '$(RIG)') $(if $(IMAGES),--images $(IMAGES)) $(DEPTH_ARGS)
@@ -53,8 +61,8 @@ render: $(RENDER_READY)  ## renders the sample frames; Blender has an environmen
 bench: $(READY)  ## speed, as ratios against named alternatives
 	$(BIN)/python -m course bench $(BENCH_ARGS)
 
-results: $(READY)  ## the stored results and the book's reproduction report again: hours, but it resumes
-	$(BIN)/python -m course results $(RESULTS_ARGS)
+results: $(DEV_READY)  ## the stored results and the book's reproduction report again: hours, but it resumes
+	$(BIN)/python -m course results -- $(RESULTS_ARGS)
 
 notebooks: $(READY)  ## runs all notebooks from fresh kernels, cleans and stores them, renews stills and the README's table
 	$(BIN)/python -m course run notebooks/*.ipynb
@@ -64,16 +72,16 @@ notebooks: $(READY)  ## runs all notebooks from fresh kernels, cleans and stores
 solutions: $(READY)  ## the notebooks with every exercise solved, run, into out/solutions: ten minutes
 	$(BIN)/python -m course solve
 
-book: $(READY)  ## the course as a website, which reads offline: out/book/index.html
+book: $(DEV_READY)  ## the course as a website, which reads offline: out/book/index.html
 	$(BIN)/python -m course book
 
-slides: $(READY)  ## slides of every notebook, which show offline: out/slides
+slides: $(DEV_READY)  ## slides of every notebook, which show offline: out/slides
 	$(BIN)/python -m course slides
 
-constraints: $(READY)  ## pins what came along with environment.txt
-	@{ echo "# What the packages of environment.txt bring along, pinned. Written by: make constraints"; \
+constraints: $(DEV_READY)  ## pins what came along with environment.txt
+	@{ echo "# What the packages of environment.txt and environment-dev.txt bring along, pinned. Written by: make constraints"; \
 	  echo "# Nothing of CUDA stands here: whether torch needs it depends on the build that pip finds."; \
-	  grep -v '^-' environment.txt > .venv/direct.txt; \
+	  grep -hv '^-' environment.txt environment-dev.txt > .venv/direct.txt; \
 	  $(BIN)/pip freeze --exclude-editable -r .venv/direct.txt | sed '1,/^## /d' \
 	  | grep -ivE '^(nvidia|cuda|triton)|[ +]|@'; } > constraints.txt.tmp
 	@mv constraints.txt.tmp constraints.txt
@@ -82,12 +90,21 @@ clean:  ## removes what the other targets made, the environments included
 	rm -rf .venv .venv-render out .pytest_cache .ruff_cache .mypy_cache .hypothesis .coverage* omnistereo_lib.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
+# Bytecode is written when a module is first imported: that takes a third of the disk that writing all of it does.
+define INSTALL
+@$(PYTHON) -c "$$CHECK_PYTHON"
+@test -x $(BIN)/pip || $(PYTHON) -m venv --clear .venv
+@echo "Installing the packages of $< into .venv; once, a minute or two."
+@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile $(if $(TORCH),uv,-r $<)
+@$(if $(TORCH),$(BIN)/uv pip install --quiet --python $(BIN)/python --torch-backend $(TORCH) -r $<)
+@touch $@
+endef
+
 $(READY): environment.txt constraints.txt pyproject.toml
-	@$(PYTHON) -c "$$CHECK_PYTHON"
-	@test -x $(BIN)/pip || $(PYTHON) -m venv --clear .venv
-	@echo "Installing the course's packages into .venv; once, a minute or two."
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -r environment.txt
-	@touch $@
+	$(INSTALL)
+
+$(DEV_READY): environment-dev.txt environment.txt constraints.txt pyproject.toml
+	$(INSTALL)
 
 $(RENDER_READY): environment-render.txt
 	@$(PYTHON) -c "$$CHECK_PYTHON"

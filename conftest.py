@@ -1,8 +1,7 @@
-"""How the tests run: which cores, which examples, in which order. How notebooks compare: `notebook_comparison`."""
+"""How the tests run: which cores, in which order. How notebooks compare: `notebook_comparison`."""
 
 import os
 
-import hypothesis
 import pytest
 
 pytest_plugins = ["notebook_comparison"]
@@ -16,13 +15,6 @@ if _workers:
     os.environ.setdefault("OMP_NUM_THREADS", str(_cores))
     os.environ.setdefault("NUMBA_NUM_THREADS", str(max(2, _cores)))
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # threads that wait leave the core to the other workers
-
-
-# No deadline: a busy machine is no mistake. In CI the same examples every time: a search for new ones belongs where
-# somebody can follow it up.
-hypothesis.settings.register_profile("course", deadline=None)
-hypothesis.settings.register_profile("ci", deadline=None, derandomize=True)
-hypothesis.settings.load_profile("ci" if os.environ.get("CI") else "course")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -48,6 +48,10 @@ def _parser() -> argparse.ArgumentParser:
         ),
     ):
         add(name, calls, text).add_argument("paths", nargs="+", type=Path, metavar="NOTEBOOK")
+    lab = add("lab", "lab.start", "open JupyterLab on working copies of the notebooks, in my_notebooks")
+    lab.add_argument("options", nargs="*", help="of JupyterLab, after --, such as -- --no-browser")
+    fresh = add("fresh", "lab.renew", "a fresh working copy of one notebook; yours is kept beside it")
+    fresh.add_argument("name", help="such as 03")
     add("doctor", "doctor.check_clone", "check Python, the packages of environment.txt and the data")
     check = add("check", "handin.check", "check handed-in notebooks; this runs their code, see book/teaching.md")
     check.add_argument("path", type=Path, help="a notebook, or a folder of a class")
@@ -66,7 +70,7 @@ def _parser() -> argparse.ArgumentParser:
     results = add(
         "results", "stored_results.compute_results", "compute the stored results again: hours, but it resumes"
     )
-    results.add_argument("options", nargs=argparse.REMAINDER, help="of every evaluation, such as --cluster ADDRESS")
+    results.add_argument("options", nargs="*", help="of every evaluation, after --, such as -- --cluster ADDRESS")
     for name, network in (("variants", "SweepNet"), ("volume-variants", "VolumeNet")):
         command = add(name, f"{name.replace('-', '_')}.compare_{network.lower()}s", f"train variants of {network}")
         command.set_defaults(out=OUT / name)

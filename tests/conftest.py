@@ -1,10 +1,17 @@
-"""A real browser, for the tests that read the course as its readers do; skipped where there is none."""
+"""Which examples Hypothesis draws, and a real browser, for tests that read the course as its readers do."""
 
 import os
 import shutil
 from urllib.parse import urlsplit
 
+import hypothesis
 import pytest
+
+# No deadline: a busy machine is no mistake. In CI the same examples every time: a search for new ones belongs where
+# somebody can follow it up.
+hypothesis.settings.register_profile("course", deadline=None)
+hypothesis.settings.register_profile("ci", deadline=None, derandomize=True)
+hypothesis.settings.load_profile("ci" if os.environ.get("CI") else "course")
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 FLAGS = [
@@ -20,7 +27,7 @@ PATIENCE_S = 600  # for what takes seconds on an idle machine
 
 @pytest.fixture(scope="module")
 def chromium():
-    sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: environment.txt has it")
+    sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is missing: environment-dev.txt has it")
     path = next(filter(None, map(shutil.which, BROWSERS)), None)
     if path is None:
         pytest.skip(f"no browser on the PATH: {', '.join(BROWSERS)}")

@@ -5,12 +5,14 @@ import os
 import re
 import subprocess
 import sys
-from importlib.metadata import metadata
+from importlib.metadata import metadata, requires
 from pathlib import Path
 from zipfile import ZipFile
 
 import pytest
+from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
+from packaging.utils import canonicalize_name
 
 import omnistereo_lib as osl
 
@@ -21,7 +23,7 @@ SMALL = ["--width", "96", "--height", "24", "--spheres", "16"]
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory):
     """The wheel and the folder that it is installed into."""
-    pytest.importorskip("hatchling", reason="hatchling is not installed: environment.txt has it")
+    pytest.importorskip("hatchling", reason="hatchling is not installed: environment-dev.txt has it")
     folder = tmp_path_factory.mktemp("install")
     pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
     wheel = [*pip, "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), str(ROOT)]
@@ -61,11 +63,38 @@ def test_what_is_in_the_wheel(installed):
     assert sum(path.stat().st_size for path in (ROOT / "omnistereo_lib/sample").rglob("*")) < 700_000
 
 
+PINS = dict(
+    re.findall(
+        r"^([\w.-]+)==(\S+)",
+        "".join((ROOT / name).read_text() for name in ("environment.txt", "environment-dev.txt", "constraints.txt")),
+        re.M,
+    )
+)
+
+
 def test_every_pin_can_be_installed_on_the_oldest_python():
     """README promises 3.11; Debian 12 has 3.11.2."""
-    pins = "".join((ROOT / name).read_text() for name in ("environment.txt", "constraints.txt"))
-    needed = {name: metadata(name).get("Requires-Python", "") for name in re.findall(r"^([\w.-]+)==", pins, re.M)}
+    needed = {name: metadata(name).get("Requires-Python", "") for name in PINS}
     assert {name: python for name, python in needed.items() if "3.11.0" not in SpecifierSet(python)} == {}
+
+
+def test_the_pins_are_a_lock():
+    """Pip and uv install the same versions today and in a year: no package brings one along that has no pin."""
+    pinned = {canonicalize_name(name) for name in PINS}
+    left, brought = [Requirement(name) for name in PINS], {}
+    while left:
+        asking = left.pop()
+        for text in requires(asking.name) or []:
+            asked = Requirement(text)
+            extras = asking.extras or {""}
+            if not asked.marker or any(asked.marker.evaluate({"extra": extra}) for extra in extras):
+                name = canonicalize_name(asked.name)
+                if name not in pinned and name not in brought:
+                    brought[name] = asking.name
+                if asked.extras:
+                    left.append(asked)
+    of_builds = re.compile(r"setuptools|triton|(nvidia|cuda)-.*")  # what a build of torch asks for
+    assert {name: by for name, by in brought.items() if not of_builds.fullmatch(name)} == {}
 
 
 def test_depth_of_the_sample_from_an_empty_folder(run, installed, tmp_path):

@@ -15,13 +15,17 @@ from pathlib import Path
 
 import nbformat
 import pytest
+from jupyterlab.labapp import LabApp
 
+import omnistereo_lib as osl
+from course import lab as lab_module
 from course import nbtools, stills
 
-sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: environment.txt has it")
+sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: environment-dev.txt has it")
 
 ROOT = nbtools.ROOT
-QUICKSTART = Path("notebooks") / "00_quickstart.ipynb"
+STORED = Path("notebooks") / "00_quickstart.ipynb"
+QUICKSTART = Path("my_notebooks") / "00_quickstart.ipynb"
 SEEN = ROOT / "out" / "browser"
 PATIENCE_S = 600  # for what takes seconds on an idle machine
 expect = sync_api.expect
@@ -49,9 +53,9 @@ def clone(tmp_path_factory):
     """A folder like a clone, in which notebooks may be run."""
     folder = tmp_path_factory.mktemp("clone")
     for entry in ROOT.iterdir():
-        if entry.name == "notebooks":
+        if entry.name in ("notebooks", "course"):
             shutil.copytree(entry, folder / entry.name, ignore=shutil.ignore_patterns(".*"))
-        elif not entry.name.startswith(".") and entry.name != "out":
+        elif not entry.name.startswith(".") and entry.name not in ("out", "my_notebooks"):
             (folder / entry.name).symlink_to(entry)
     (folder / ".venv").symlink_to(sys.prefix)
     return folder
@@ -113,7 +117,7 @@ PICTURE = """canvas => new Promise(done => requestAnimationFrame(() => requestAn
 
 
 def test_quickstart_opens_unchanged_runs_in_jupyterlab_and_its_points_turn(lab, clone, open_page):
-    stored = (clone / QUICKSTART).read_bytes()
+    stored = (clone / STORED).read_bytes()
     cells = nbtools.code_cells(nbformat.reads(stored.decode(), as_version=4))
     page = open_page(1280, 900)
     page.goto(lab)
@@ -150,4 +154,33 @@ def test_quickstart_opens_unchanged_runs_in_jupyterlab_and_its_points_turn(lab, 
 
     assert page.complaints == []
     page.close()
-    assert (clone / QUICKSTART).read_bytes() == stored
+    assert (clone / STORED).read_bytes() == (clone / QUICKSTART).read_bytes() == stored
+
+
+@pytest.fixture
+def folders(tmp_path, monkeypatch):
+    """Two stored notebooks, and the folder of their working copies."""
+    monkeypatch.setattr(nbtools, "NOTEBOOKS", tmp_path / "notebooks")
+    monkeypatch.setattr(lab_module, "WORKING", tmp_path / "my_notebooks")
+    monkeypatch.setattr(LabApp, "launch_instance", lambda arguments: arguments)
+    nbtools.NOTEBOOKS.mkdir()
+    for name in ("00_a", "01_b"):
+        nbformat.write(nbformat.v4.new_notebook(), nbtools.NOTEBOOKS / f"{name}.ipynb")
+    return nbtools.NOTEBOOKS, lab_module.WORKING
+
+
+def test_working_copies_are_kept_until_one_is_renewed(folders, capsys):
+    stored, working = folders
+    lab_module.start([])
+    original = (stored / "00_a.ipynb").read_text()
+    assert [(working / path.name).read_text() for path in nbtools.notebooks()] == [original] * 2
+    for mine in ("once", "twice"):
+        (working / "00_a.ipynb").write_text(mine)
+        lab_module.start([])
+        assert (working / "00_a.ipynb").read_text() == mine
+        lab_module.renew("00")
+        assert (working / "00_a.ipynb").read_text() == original
+    assert [(working / f"00_a-{number}.ipynb").read_text() for number in (1, 2)] == ["once", "twice"]
+    assert capsys.readouterr().out.splitlines()[-1] == "your work is kept as 00_a-2.ipynb"
+    with pytest.raises(osl.OmnistereoError, match="there is no notebook '7'; expected one of 00, 01"):
+        lab_module.renew("7")

@@ -4,6 +4,7 @@ import argparse
 
 import pytest
 
+from course import __main__
 from course import stored_results as results
 from omnistereo_lib.evaluate import SCALES, select_methods
 from omnistereo_lib.evaluate.records import read_record
@@ -58,3 +59,8 @@ def test_the_results_are_computed_and_stored_one_after_the_other(tmp_path, monke
         name: name for name in results.EVALUATIONS
     }
     assert len(list(tmp_path.glob("*.csv"))) == 2
+
+
+def test_options_are_passed_on():
+    options = vars(__main__._parser().parse_args(["results", "--", "--cluster", "tcp://a:1"]))
+    assert options["options"] == ["--cluster", "tcp://a:1"]

@@ -12,7 +12,7 @@ import pytest
 import render
 from render import SETS, main
 
-distributed = pytest.importorskip("dask.distributed", reason="Dask is not installed: environment.txt has it")
+distributed = pytest.importorskip("dask.distributed", reason="Dask is not installed: environment-dev.txt has it")
 
 NUMBERS = range(706, 711)
 

@@ -13,7 +13,7 @@ import omnistereo_lib as osl
 from omnistereo_lib.files import write_image
 from omnistereo_tools import cli
 
-distributed = pytest.importorskip("dask.distributed", reason="Dask is not installed: environment.txt has it")
+distributed = pytest.importorskip("dask.distributed", reason="Dask is not installed: environment-dev.txt has it")
 
 FRAMES = 12
 

@@ -12,7 +12,7 @@ from omnistereo_lib.files import write_image
 from omnistereo_lib.stereo.volumenet import local_mean
 from omnistereo_tools import cli
 
-pytest.importorskip("onnxruntime", reason="ONNX Runtime is not installed: environment.txt has it")
+pytest.importorskip("onnxruntime", reason="ONNX Runtime is not installed: environment-dev.txt has it")
 
 FINE = ["--width", "320", "--height", "80", "--spheres", "128"]  # two volumes, equally wide: 32 and 64 spheres
 GRID = osl.SphereGrid(320, 80, num_spheres=128, min_depth=0.6)
