@@ -22,13 +22,16 @@ if sys.version_info < (3, 11):
 endef
 export CHECK_PYTHON
 
-.PHONY: lab fresh doctor test check coverage grade depth render bench results notebooks solutions book slides constraints clean
+.PHONY: lab fresh progress doctor test check coverage grade depth render bench results notebooks solutions book slides constraints clean
 
 lab: $(READY)  ## JupyterLab on your copies of the notebooks, in my_notebooks; LAB_ARGS: more options
 	$(BIN)/python -m course lab -- $(LAB_ARGS)
 
 fresh: $(READY)  ## a fresh copy of one notebook: make fresh NOTEBOOK=03; yours is kept beside it
 	$(BIN)/python -m course fresh $(NOTEBOOK)
+
+progress: $(READY)  ## which of your functions are right, across the notebooks: out/progress.html
+	$(BIN)/python -m course progress
 
 doctor: $(READY)  ## checks Python, the packages and the data, and says how to fix what is wrong
 	$(BIN)/python -m course doctor

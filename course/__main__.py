@@ -63,8 +63,9 @@ def _parser() -> argparse.ArgumentParser:
     for name, calls, text in (
         ("book", "website.build", "build the website"),
         ("slides", "slides.make_slides", "build the slides"),
+        ("progress.html", "progress.write_progress", "write a page on what is right in the working copies"),
     ):
-        add(name, calls, text).add_argument("out", nargs="?", type=Path, default=OUT / name)
+        add(name.partition(".")[0], calls, text).add_argument("out", nargs="?", type=Path, default=OUT / name)
     add("readme", "readme.main", "update the README's table of notebooks and its picture")
     add("reproduction", "reproduction.renew_report", "compute book/reproduction.md from the stored results")
     results = add(

@@ -67,7 +67,7 @@ def not_right(nb: NotebookNode) -> list[str]:
     """Return what the checkers said of a solved notebook's functions, where it is not "right"."""
     cells = [cell for cell in nbtools.code_cells(nb) if re.search(r"\.check_\w+\(", cell.source)]
     said = ["".join(output.get("text", "") for output in cell.outputs).strip() for cell in cells]
-    return [words for words in said if not re.search(r"^(\w+: right\. .+ with yours\.|right)$", words, re.MULTILINE)]
+    return [words for words in said if not re.search(r"^(.*\w+: right, .+ with yours\.|right)$", words, re.MULTILINE)]
 
 
 def main(names: list[str]) -> None:

@@ -5,8 +5,9 @@ mistakes, in `check_look_up = Open(look_up, ...)`. In the notebook,
 
     look_up = nb03.check_look_up(look_up)
 
-says in one line what is right or wrong, and binds the name to what the notebook goes on with: the student's function
-if it is right, the answer if it is not. The notebook shows the answer's source as the solution.
+says in one line what is right or wrong, with a hint from the second failure on, and binds the name to what the notebook
+goes on with: the student's function if it is right, the answer if it is not. The notebook shows the answer's source as
+the solution.
 
 For grading: `course.exercises.functions("03")` returns all that a notebook leaves open, in order; each has a `name` and
 `check(function) -> str`, which is `RIGHT`, begins with `NOT_WRITTEN`, or says what is wrong.
@@ -14,7 +15,9 @@ For grading: `course.exercises.functions("03")` returns all that a notebook leav
 
 from __future__ import annotations
 
+import ast
 import inspect
+import sys
 import warnings
 from collections.abc import Callable, Sequence
 
@@ -23,6 +26,8 @@ import numpy as np
 from course.exercises.compare import CASES, NOT_WRITTEN, RIGHT, Answer, Case, Rng, by, diagnose
 
 __all__ = ["NOT_WRITTEN", "RIGHT", "Open"]
+
+_GREEN, _RED, _PLAIN = "\x1b[32m", "\x1b[31m", "\x1b[0m"  # as Jupyter and terminals colour text
 
 
 class Open:
@@ -40,6 +45,7 @@ class Open:
         self.answer, self.draw, self.mistakes = answer, draw, mistakes
         self.name = answer.__name__
         self.source = inspect.getsource(answer).rstrip()
+        self.solved, self.failures = False, 0  # since the kernel was started
 
     def case(self, k: int, seed: int = 0) -> Case:
         """Draw case number k: inputs, right value, and what each mistake gives instead."""
@@ -58,7 +64,23 @@ class Open:
             print(f"{self.name}: this is the solution. To check yours, run its cell again, then this one.")
             return function
         said = self.check(function)
-        said = NOT_WRITTEN if said.startswith(NOT_WRITTEN) else said
-        right = said == RIGHT
-        print(f"{self.name}: {said}. The notebook goes on with {'yours' if right else 'the solution'}.")
-        return function if right else self.answer
+        if said.startswith(NOT_WRITTEN):  # as the notebooks are stored
+            print(f"{self.name}: {NOT_WRITTEN}. The notebook goes on with the solution.")
+            return self.answer
+        if said == RIGHT:
+            self.solved = True
+            functions = [
+                value for value in vars(sys.modules[self.answer.__module__]).values() if isinstance(value, Open)
+            ]
+            count = f"{sum(value.solved for value in functions)} of {len(functions)} in this notebook"
+            print(f"{_GREEN}✓{_PLAIN} {self.name}: right, {count}. The notebook goes on with yours.")
+            return function
+        self.failures += 1
+        hint = f" Hint: {self.hint()}." if self.failures > 1 else ""
+        print(f"{_RED}✗{_PLAIN} {self.name}: {said}.{hint} The notebook goes on with the solution.")
+        return self.answer
+
+    def hint(self) -> str:
+        """Say how the answer begins, without its docstring."""
+        first, *others = (node for node in ast.parse(self.source).body[0].body if not isinstance(node, ast.Expr))
+        return f"a solution begins with `{ast.unparse(first).splitlines()[0]}`" if others else "one line is enough"

@@ -50,15 +50,20 @@ def said(check, function):
 
 
 @each
-def test_a_check_gives_the_function_to_go_on_with(number, function):
+def test_a_check_gives_the_function_to_go_on_with(number, function, monkeypatch):
+    monkeypatch.setattr(function, "failures", 0)
+
     def mine(*inputs):
         return function.answer(*inputs)
 
-    assert said(function, mine) == (f"{function.name}: right. The notebook goes on with yours.\n", mine)
+    words, used = said(function, mine)
+    assert used is mine and f"{function.name}: right, " in words
     wrong, hint = function.mistakes[0]
-    with np.errstate(all="ignore"):
-        words = f"{function.name}: not yet: {hint}. The notebook goes on with the solution.\n"
-        assert said(function, wrong) == (words, function.answer)
+    for failures in (1, 2):
+        with np.errstate(all="ignore"):
+            words, used = said(function, wrong)
+        assert used is function.answer and f"{function.name}: not yet: {hint}. " in words
+        assert ("Hint: " in words) is (failures == 2) and words.endswith(" The notebook goes on with the solution.\n")
     words, used = said(function, function.answer)  # the check cell, run twice
     assert "this is the solution" in words and used is function.answer
 
@@ -121,6 +126,20 @@ def test_answers_written_into_the_notebook_are_right_there(number):
     for function in exercises.functions(number):
         mine = namespace[function.name]
         assert mine is not function.answer and said(function, mine)[1] is mine
+
+
+def test_a_check_counts_what_is_right_in_its_notebook_and_gives_a_hint(monkeypatch):
+    for function in exercises.functions("03"):
+        monkeypatch.setattr(function, "solved", False)
+        monkeypatch.setattr(function, "failures", 0)
+    first, second, *_ = exercises.functions("03")
+    for done, function in ((1, first), (2, second), (2, second)):
+        words, _ = said(function, lambda *inputs, function=function: function.answer(*inputs))
+        assert words == (
+            f"\x1b[32m✓\x1b[0m {function.name}: right, {done} of 5 in this notebook. The notebook goes on with yours.\n"
+        )
+    assert first.hint() == "a solution begins with `theta = (columns + 0.5 - width / 2) * 2 * np.pi / width`"
+    assert exercises.functions("05")[2].hint() == "one line is enough"
 
 
 # --- Garbage, once --------------------------------------------------------------------------------------------
