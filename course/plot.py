@@ -121,7 +121,7 @@ def interactive(draw: Callable[..., Figure], **sliders: Widget) -> None:
         picture.value = drawn(**{name: slider.value for name, slider in sliders.items()})
 
     for name, slider in sliders.items():
-        slider.description = slider.description or name
+        slider.description, slider.layout.width = slider.description or name, "100%"
         slider.observe(update, "value")
     update()
     display(VBox([*sliders.values(), picture]))

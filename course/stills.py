@@ -54,7 +54,10 @@ def record_sliders(draw: Callable[..., list[bytes]], sliders: dict[str, Widget])
             if place != first or not shown:  # all sliders share the first still
                 still = _stack(draw(**start | {name: value}))
                 still.save(folder / f"{len(index)}-{name}-{place}.webp", quality=40, method=6)
-        shown.append({"name": name, "values": values, "start": first})
+        entry = {"name": name, "values": values, "start": first}
+        if names := {value: label for label, value in getattr(slider, "options", ())}:
+            entry["labels"] = [names[value] for value in values]
+        shown.append(entry)
     _close(folder, [*index, {"sliders": shown}])
 
 
@@ -69,11 +72,17 @@ def record_view(data: dict[str, Any]) -> None:
 def places(slider: Widget, count: int) -> list[float]:
     """Return about `count` values of a slider, evenly spaced over its range, its present value among them."""
     base = getattr(slider, "base", None)  # logarithmic sliders have one
-    stands = np.log(slider.value) / np.log(base) if base else slider.value
-    steps = round((slider.max - slider.min) / slider.step)
-    at = [slider.min + slider.step * round(k) for k in np.linspace(0, steps, min(count, steps + 1))]
+    if options := getattr(slider, "options", None):  # of a slider over labels: (label, value)
+        stands, low, high, step = slider.index, 0, len(options) - 1, 1
+    else:
+        stands, low, high, step = slider.value, slider.min, slider.max, slider.step
+    stands = np.log(stands) / np.log(base) if base else stands
+    steps = round((high - low) / step)
+    at = [low + step * round(k) for k in np.linspace(0, steps, min(count, steps + 1))]
     nearest = int(np.argmin(np.abs(np.array(at) - stands)))
     at[nearest if np.isclose(at[nearest], stands) else min(max(nearest, 1), len(at) - 2)] = stands  # both ends stay
+    if options:
+        return [options[x][1] for x in at]
     values = [base**x if base else x for x in at]
     return [slider.value if x == stands else type(slider.value)(f"{v:.4g}") for x, v in zip(at, values, strict=True)]
 
@@ -131,7 +140,8 @@ def shown(stem: str, number: int, out: Path, up: str = "") -> str:
         return f'<iframe class="view" src="{up}views/{page.name}" title="{VIEW}" loading="lazy"></iframe>'
     rows, pictures = [], []
     for k, slider in enumerate(about["sliders"]):
-        name, start, values = slider["name"], slider["start"], [f"{value:.4g}" for value in slider["values"]]
+        name, start = slider["name"], slider["start"]
+        values = slider.get("labels") or [f"{value:.4g}" for value in slider["values"]]
         rows.append(
             f'<label><span>{name}</span> <input type="range" max="{len(values) - 1}" value="{start}"'
             f" data-values='{json.dumps(values)}'> <output>{values[start]}</output></label>"

@@ -96,7 +96,7 @@ def test_a_slider_on_a_slide_shows_another_picture(shown, open_page):
     slider.focus()
     page.keyboard.press("ArrowRight")
     assert shown_picture.get_attribute("src") != before and shown_picture.count() == 1
-    assert page.locator(".present .stills output").text_content() == "16"
+    assert page.locator(".present .stills output").text_content() == "16, 6.50 m"
 
 
 def test_a_solution_comes_at_the_next_step(shown, open_page):

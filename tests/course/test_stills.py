@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import scene
-from ipywidgets import FloatLogSlider, FloatSlider, IntSlider
+from ipywidgets import FloatLogSlider, FloatSlider, IntSlider, SelectionSlider
 from PIL import Image
 
 import omnistereo_lib as osl
@@ -59,6 +59,7 @@ def test_a_line_keeps_its_hue_and_is_seen_on_dark_paper():
         (IntSlider(1, 0, 2), 9, [0, 1, 2]),
         (FloatSlider(0.25, min=-1, max=1, step=0.25), 3, [-1, 0.25, 1]),
         (FloatLogSlider(12, min=-2, max=2), 5, [0.01, 0.1, 1, 12, 100]),
+        (SelectionSlider(options=[("far", 3), ("near", 5), ("at hand", 7)], value=5), 3, [3, 5, 7]),
     ],
 )
 def test_places_are_spread_over_the_slider_and_hold_its_own(slider, count, expected):
@@ -92,6 +93,13 @@ def test_a_live_figure_is_stored_at_its_places_and_shown(recorded, tmp_path):
     html = stills.shown("tiny", 0, tmp_path / "out", "../")
     assert html.count("<input") == 2 and html.count("<img") == 2 * 5 and html.count(" hidden>") == 4
     assert len(list((tmp_path / "out" / dark_mode.FOLDER).iterdir())) == 2 * 3  # n = 5 is always the same picture
+
+
+def test_a_slider_over_labels_shows_them(recorded, tmp_path):
+    slider = SelectionSlider(options=[("0, ∞", 0), ("1, 5 m", 1)], value=1)
+    plot.interactive(lambda n: plt.figure(figsize=(2, 1)), n=slider)
+    html = stills.shown("tiny", 0, tmp_path)
+    assert "<output>1, 5 m</output>" in html and 'alt="The live figure at n = 0, ∞"' in html
 
 
 def test_a_click_on_a_panorama_is_stored_with_its_figure(recorded):
