@@ -2,13 +2,13 @@
 
 nbconvert writes each notebook as one page, and deal.js, beside it, deals the page out to slides in the browser: it
 begins a slide at each heading, and where the next piece does not fit. Nothing has to be marked in a notebook; `shown`
-says what the slides leave out. A cell with the tag `skip` is left out, too.
+says what the slides show of it. A cell with the tag `skip` is left out.
 
 reveal.js comes with the package sphinx-revealjs, MathJax with sphinx-mathjax-offline: the slides need no network.
 """
 
-import ast
 import html
+import itertools
 import re
 import shutil
 from collections.abc import Iterator
@@ -18,15 +18,19 @@ from pathlib import Path
 import nbformat
 from nbconvert import SlidesExporter
 from nbformat import NotebookNode
-from nbformat.v4 import new_notebook, new_output
+from nbformat.v4 import new_markdown_cell, new_notebook, new_output
 
 from course import nbtools, solve, stills
+from course.exercises.compare import NOT_WRITTEN
 
 REVEAL = Path(find_spec("sphinx_revealjs").submodule_search_locations[0], "_static/revealjs")
 MATHJAX = Path(find_spec("sphinx-mathjax-offline").submodule_search_locations[0], "static/mathjax/tex-svg.js")
 BOOK = nbtools.ROOT / "book"
 TEMPLATE = BOOK / "slides_template"
 SCRIPTS = (MATHJAX, BOOK / "stills.js", TEMPLATE / "deal.js")
+LEFT_OUT = {"## Exercises", "## Common errors", "## Further reading"}
+BLOCK = re.compile(r"<details>.*?</details>|```.*?```|\$\$.*?\$\$|\S.*?(?=\n\s*\n|\Z)", re.DOTALL)
+SENTENCE = re.compile(r"(?<=[.!?])(?<!\bEq\.)(?<!\bFig\.)\s+(?=[A-Z*`$\[])")
 LINK = re.compile(r'<a href="(\d\db?_\w+)\.ipynb[^"]*">(.*?)</a>')  # to another notebook
 
 
@@ -63,34 +67,58 @@ def make_slides(out: Path) -> None:
 
 
 def shown(nb: NotebookNode, stem: str, out: Path) -> Iterator[NotebookNode]:
-    """Yield the cells that the slides show of a notebook.
+    """Yield the cells that the slides show of a notebook: what a room needs, the notebook has the rest.
 
-    Not imports, nor the check of the installation; of a figure the picture without its code; of a live figure its
-    stills; of an exercise the solution; a solution comes at the next step.
+    Headings, formulas, lists, and of each paragraph the first sentence; on the title slide the first picture. Of code
+    the functions that are left open, each as "Your turn", with its solution at the next step; else what it shows. Of a
+    live figure its stills. Not the exercises, common errors and further reading at the end.
     """
-    live = 0
+    live, section = 0, ""
+    solutions = {fold[2]: fold[0] for fold in nbtools.SOLUTION.finditer("\n".join(cell.source for cell in nb.cells))}
     for cell in nb.cells:
         tags = cell.metadata.setdefault("tags", [])
-        if cell.cell_type == "code":
+        if cell.cell_type == "markdown":
+            kept = []
+            for block in BLOCK.findall(cell.source):
+                section = block if re.match("##? ", block) else section
+                if section not in LEFT_OUT and not block.startswith("<details>"):
+                    kept.append(in_short(block))
+            cell.source = "\n\n".join(kept)
+            if cell is nb.cells[0]:
+                cell.source += f"\n\n{first_picture(nb)}"
+        elif section in LEFT_OUT or cell.source == nbtools.SETUP:
+            continue
+        elif stubs := [stub.name for stub in solve.stubs(cell.source)]:
+            yield new_markdown_cell("\n\n".join(f"### Your turn: `{name}`" for name in stubs))
+            yield cell
+            cell = new_markdown_cell("\n\n".join(f"{solutions[name]}\n```\n</details>" for name in stubs))
+        else:
             for _ in stills.LIVE.findall(cell.source):
                 figure = stills.shown(stem, live, out).replace(
                     '<iframe class="view" src', '<iframe class="view" data-src'
                 )
                 cell.outputs.append(new_output("display_data", {"text/html": figure}))
                 live += 1
-            if any(stub.name in solve.ANSWERS for stub in solve.stubs(cell.source)):  # an exercise; others are folded
-                tags.append("solution")
-                cell.source, cell.outputs = solve.solved(cell.source, solve.ANSWERS), []
-            elif {*nbtools.PICTURES, "text/html"} & {
-                mime for output in cell.outputs for mime in output.get("data", {})
-            }:
-                tags.append("hide-input")
-            elif cell.source == nbtools.SETUP or (not cell.outputs and only_imports(cell.source)):
+            pictures = [output for output in cell.outputs if "data" in output]  # with their captions
+            cell.outputs = pictures or [output for output in cell.outputs if NOT_WRITTEN not in output.text]
+            tags.append("hide-input")
+            if not cell.outputs:
                 continue
-        if "skip" not in tags:
+        if cell.source and "skip" not in tags:
             yield cell
 
 
-def only_imports(source: str) -> bool:
-    """Tell whether a cell only imports."""
-    return all(isinstance(node, ast.Import | ast.ImportFrom) for node in ast.parse(source).body)
+def in_short(block: str) -> str:
+    """Return a block of Markdown, but of a paragraph its first sentence, unless that ends within its emphasis."""
+    first, *others = SENTENCE.split(block, maxsplit=1)
+    is_prose = re.match(r"[\w*_`$(\[\"“‘]", block) and not re.match(r"(\*|\d+\.) |\$\$", block)
+    return first if others and is_prose and first.count("*") % 2 == first.count("$") % 2 == 0 else block
+
+
+def first_picture(nb: NotebookNode) -> str:
+    """Return the first picture of a notebook as HTML."""
+    for output in itertools.chain(*(cell.outputs for cell in nbtools.code_cells(nb))):
+        for mime in set(nbtools.PICTURES) & set(output.get("data", {})):
+            picture, alt = output.data[mime].replace("\n", ""), html.escape(output.data["text/plain"])
+            return f'<div class="jp-RenderedImage"><img src="data:{mime};base64,{picture}" alt="{alt}"></div>'
+    return ""

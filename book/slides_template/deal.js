@@ -1,6 +1,6 @@
 // Deal the cells of a page out to slides, when the formulas are drawn: a slide begins at each heading and where the next
-// piece does not fit; a heading of the first or second level begins a column. A piece taller than a slide shrinks, and
-// one much taller scrolls.
+// piece does not fit, but a heading goes below what fills less than half a slide. A heading of the first or second level
+// begins a column. A piece taller than a slide shrinks, and one much taller scrolls.
 document.addEventListener("DOMContentLoaded", async () => {
   await window.MathJax.startup.promise
   const slides = document.querySelector(".slides"), [width, height] = [1280, 720]
@@ -8,8 +8,9 @@ document.addEventListener("DOMContentLoaded", async () => {
     const text = cell.matches(".jp-MarkdownCell") ? ".jp-MarkdownOutput > *" : ".jp-Cell-inputWrapper, .jp-OutputArea-child"
     const parts = [...cell.querySelectorAll(text)]
     for (const part of parts) {
-      if (part.localName === "details") part.open = true
-      if (part.localName === "details" || cell.matches(".celltag_solution")) part.classList.add("fragment")
+      if (part.localName !== "details") continue
+      part.open = true
+      part.classList.add("fragment")
     }
     return parts
   })
@@ -20,11 +21,12 @@ document.addEventListener("DOMContentLoaded", async () => {
     page.className = "jp-RenderedHTMLCommon"
   }
   const isFull = () => page.scrollHeight > page.clientHeight
+  const isHalf = () => page.lastChild.offsetTop + page.lastChild.offsetHeight - page.offsetTop > height / 2
   slides.replaceChildren()
   slides.classList.add("dealing")
   for (const piece of pieces) {
-    if (!page || piece.matches("h1, h2")) turn(true)
-    else if (piece.matches("h3") || /^\d\db?\.\d+ \(/.test(piece.textContent)) turn(false) // an exercise
+    if (!page) turn(true)
+    else if (piece.matches("h2, h3") && (isHalf() || column === slides.firstChild)) turn(piece.matches("h2"))
     page.append(piece)
     if (isFull() && page.firstChild !== piece) {
       const before = piece.previousSibling
