@@ -2,8 +2,6 @@
 
 import hashlib
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -42,18 +40,23 @@ def rounded(errors: Any) -> Any:
     return round(errors, 5) if isinstance(errors, float) else errors
 
 
-def read_errors(path: Path, inputs_sha256: str) -> Record:
-    """Read the errors of a method on a frame; an `OmnistereoError` says that they are damaged or of other inputs."""
-    record = read_data(path)
-    if not isinstance(record, dict) or record.keys() != {"inputs", "errors"}:
-        raise OmnistereoError(f"{path} has no result of an evaluation. Delete it, or choose another folder.")
-    if record["inputs"] != inputs_sha256:
+def read_errors(path: Path, inputs_sha256: str) -> Record | None:
+    """Read the errors of a method on a frame; None where there are none, or none that are whole.
+
+    Raises an `OmnistereoError` if they are of other inputs.
+    """
+    try:
+        record = read_data(path)
+        other = record["inputs"] != inputs_sha256
+        if not other:
+            _check_errors(record["errors"])
+    except (KeyError, TypeError, AttributeError, ValueError):
+        return None
+    if other:
         raise OmnistereoError(
             f"{path} comes from another scale, rig or precision, from other data or other weights. "
             "Use another output folder, or delete this one to start over."
         )
-    with _damage_named(path):
-        _check_errors(record["errors"])
     return record["errors"]
 
 
@@ -62,19 +65,12 @@ def read_record(path: Path) -> Record:
     record = read_data(path)
     if not isinstance(record, dict) or not {*_INPUTS, "frames"} <= record.keys():
         raise OmnistereoError(f"{path} has no results of an evaluation. Delete it, or choose another folder.")
-    with _damage_named(path):
-        _check_results(record)
-    return record
-
-
-@contextmanager
-def _damage_named(path: Path) -> Iterator[None]:
-    """Turn what a check raises into an `OmnistereoError` that names the file."""
     try:
-        yield
+        _check_results(record)
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         found = f"{path} is damaged ({type(error).__name__}: {str(error)[:300]})"
         raise OmnistereoError(f"{found}. Delete it and evaluate again.") from None
+    return record
 
 
 def _check_results(record: Record) -> None:

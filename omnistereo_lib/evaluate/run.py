@@ -144,17 +144,18 @@ class Evaluation:
         self._data = {(name, frame.number): _checksums(name, self.sets[name].folder, frame) for name, frame in chosen}
         self._weights = _weights_checksums(methods, self.weights)
         self.out = make_folder(out)
-        for job in self.jobs:
-            if self.path(job).is_file():
-                read_errors(self.path(job), self._inputs_sha256(job))
+        self.missing()  # reads all that there is
 
     def path(self, job: Job) -> Path:
         """Return the file of a result."""
         return self.out / "frames" / job.data / f"{job.frame:05d}" / f"{job.method.name}.json"
 
     def missing(self, jobs: Sequence[Job] | None = None) -> list[Job]:
-        """Return the jobs (default: of all) that have no result yet."""
-        return [job for job in (self.jobs if jobs is None else jobs) if not self.path(job).is_file()]
+        """Return the jobs (default: of all) that have no result yet, or one that cannot be read."""
+        return [job for job in (self.jobs if jobs is None else jobs) if self._errors(job) is None]
+
+    def _errors(self, job: Job) -> Record | None:
+        return read_errors(self.path(job), self._inputs_sha256(job))
 
     def run(self, jobs: Sequence[Job] | None = None) -> Iterator[Job]:
         """Do the jobs (default: all) that have no result yet; yield each job once its result is written."""
@@ -206,7 +207,7 @@ class Evaluation:
         frames: Record = {}
         for job in self.jobs:
             results = frames.setdefault(job.data, {}).setdefault(f"{job.frame:05d}", {})
-            results[job.method.name] = read_errors(self.path(job), self._inputs_sha256(job))
+            results[job.method.name] = self._errors(job)
         inputs = self.inputs
         return inputs | {"frames": frames, "config_sha256": config_checksum(inputs)}
 
