@@ -17,10 +17,10 @@ form one data set whose frames carry their rigs, `Frame.rig`; `Dataset.rig` is f
 
 from __future__ import annotations
 
-import io
 import os
 import re
 from collections.abc import Iterable, Sequence, Sized
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -30,10 +30,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.consumer_images import check_not_stitched, split_image
+from omnistereo_lib.containers import ContainerError, tiff_pages
 from omnistereo_lib.errors import OmnistereoError, check_type
 from omnistereo_lib.files import (
     as_path,
     atomic_write,
+    decoder_messages,
     path_within,
     read_bytes,
     read_data,
@@ -45,7 +47,6 @@ from omnistereo_lib.geometry.rig import Rig, Unit
 from omnistereo_lib.geometry.sphere import Sampling, SphereGrid
 from omnistereo_lib.rig_files import load_rig
 
-_MAX_PIXELS = 1 << 26  # of a panorama of ground truth
 _CAMERA = r"cam([0-9]+)"
 _RIG_FOLDER = r"([0-9]+)"
 _IMAGE = r"([0-9]+)\.(?i:png|jpe?g|bmp|tiff?)"
@@ -253,20 +254,22 @@ def write_inverse_depth(path: str | Path, inverse_depth: NDArray[Any]) -> None:
 
 
 def _read_float_tiff(path: Path) -> NDArray[np.float32]:
-    import tifffile
+    import cv2
 
     content = read_bytes(path)
     try:
-        with tifffile.TiffFile(io.BytesIO(content)) as tiff:
-            floats = [page for page in tiff.pages if page.ndim == 2 and page.dtype and page.dtype.kind == "f"]
-            if max((page.size for page in floats), default=0) > _MAX_PIXELS:
-                raise OmnistereoError(f"{floats[0].shape} pixels are too many")
-            pages = [page.asarray() for page in floats]
-    except Exception as error:  # tifffile raises many types for a damaged file
-        raise OmnistereoError(f"{path} is not a complete TIFF file: {error}. Copy it again.") from None
-    if len(pages) != 1 or pages[0].ndim != 2:
-        raise OmnistereoError(f"{path} has {len(pages)} float pages; expected one, of inverse depth in 1/m")
-    return pages[0]
+        floats = [k for k, page in enumerate(tiff_pages(content)) if page.is_float]
+    except ContainerError as error:
+        raise OmnistereoError(f"{path} is not a complete TIFF file: it is {error}. Copy it again.") from None
+    if len(floats) != 1:
+        raise OmnistereoError(f"{path} has {len(floats)} float pages; expected one, of inverse depth in 1/m")
+    with decoder_messages(), suppress(cv2.error):
+        read, pages = cv2.imdecodemulti(
+            np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED, range=(floats[0], floats[0] + 1)
+        )
+        if read:
+            return pages[0]
+    raise OmnistereoError(f"{path} is not a complete TIFF file: its pixels cannot be decoded. Copy it again.")
 
 
 def _read_png16(path: Path, min_depth: float | None) -> NDArray[np.float64]:

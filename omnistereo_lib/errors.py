@@ -1,5 +1,6 @@
 """The one error that the library raises for bad input, and the checks of numbers and types."""
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from numbers import Real
@@ -17,6 +18,15 @@ class OmnistereoError(ValueError):
     Traceback (most recent call last):
     omnistereo_lib.errors.OmnistereoError: min_depth is -1 and max_depth inf; expected metres with ...
     """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(one_line(message))
+
+
+def one_line(text: str) -> str:
+    """Return a text as one line of at most 500 characters; of a longer one the middle is left out."""
+    text = re.sub(r"\s*[\x00-\x1f\x7f-\x9f\u2028\u2029]+\s*", " ", text)  # control characters move a terminal's cursor
+    return text if len(text) <= 500 else f"{text[:330]} … {text[-167:]}"
 
 
 @contextmanager
@@ -52,6 +62,6 @@ def shortened(value: Any) -> str:
     """Return a value as a message shows it, in at most 80 characters."""
     try:
         text = str(value) if isinstance(value, Real) else repr(value)
-    except ValueError:  # an integer of thousands of digits
-        text = "a number of thousands of digits"
+    except (ValueError, RecursionError):  # an integer of thousands of digits
+        text = f"of type {type(value).__name__}"
     return text if len(text) <= 80 else f"{text[:77]}..."

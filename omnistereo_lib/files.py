@@ -7,8 +7,8 @@ import re
 import stat
 import time
 import warnings
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from io import BytesIO
 from pathlib import Path
 from secrets import token_hex
@@ -19,15 +19,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from omnistereo_lib.containers import ContainerError, check_density, check_pixels, check_png, tiff_pages
 from omnistereo_lib.errors import OmnistereoError, shortened
 
-_JPEG, _PNG = b"\xff\xd8", b"\x89P"  # first bytes
-_END_MARKERS = {_JPEG: b"\xff\xd9", _PNG: b"IEND"}
+_JPEG, _PNG, _TIFF = b"\xff\xd8", b"\x89PNG\r\n\x1a\n", (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")  # first bytes
+_JPEG_END = b"\xff\xd9"
+_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "PPM", "WEBP")  # as Pillow calls them
 _STDERR = Lock()  # of the whole process
 _BROKEN = (ValueError, TypeError, AttributeError, LookupError, ArithmeticError, RecursionError)  # of the two parsers
 _STALE = 3600.0  # seconds; no single file takes so long to write
 _MAX_BYTES = 1 << 30
 _MAX_TEXT = 1 << 24  # bytes; a calibration of 500 boards has 2 million
+_MAX_DEPTH = 64
 _MAX_VALUES = 1_000_000  # of a YAML file, with what its aliases repeat
 
 
@@ -91,7 +94,7 @@ def read_data(path: str | Path, most: int = _MAX_TEXT) -> Any:
     if Path(path).suffix == ".xml":
         return _parse_xml(text, path)
     try:  # OpenCV before 5 writes "%YAML:1.0", which is not valid YAML
-        return _yaml_loader()(re.sub(r"\A\s*%YAML:.*", "", text)).get_single_data()
+        return _not_deep(_yaml_loader()(re.sub(r"\A\s*%YAML:.*", "", text)).get_single_data())
     except (yaml.YAMLError, *_BROKEN) as error:
         raise _damaged(path, error) from None
 
@@ -99,7 +102,7 @@ def read_data(path: str | Path, most: int = _MAX_TEXT) -> Any:
 def parse_json(text: str | bytes, source: str | Path) -> Any:
     """Return JSON as Python values; an `OmnistereoError` names the source, and what is damaged or stated twice."""
     try:
-        return json.loads(text, object_pairs_hook=_unique)
+        return _not_deep(json.loads(text, object_pairs_hook=_unique))
     except _BROKEN as error:
         raise _damaged(source, error) from None
 
@@ -146,6 +149,20 @@ def _unique(pairs: list[tuple[Any, Any]]) -> dict[Any, Any]:
     return found
 
 
+def _not_deep(values: Any) -> Any:
+    """Return values as they are, which are not nested so deeply that Python could not compare or show them."""
+    inner = [values]
+    for _ in range(_MAX_DEPTH):
+        inner = [part for value in inner for part in _parts(value)]
+        if not inner:
+            return values
+    raise ValueError(f"values nested more than {_MAX_DEPTH} deep")
+
+
+def _parts(value: Any) -> Iterable[Any]:
+    return value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+
+
 def _yaml_loader() -> type:
     """Return a loader in Python, whose recursion is limited: that in C crashes where a file is nested deeply."""
     import yaml
@@ -182,35 +199,47 @@ def read_pixels(path: str | Path, flags: int, image_size: tuple[int, int] | None
     """Decode an image file with OpenCV; `flags` select depth and colour, see `cv2.imdecode`.
 
     Raises an `OmnistereoError` if the file is missing, not an image, of another size (width, height) than expected,
-    larger than any picture, or truncated: OpenCV would fill it with gray. Warns if it is damaged elsewhere.
+    larger than any picture, damaged or truncated: OpenCV would fill it with gray. Warns if it is damaged where only
+    the decoder can tell.
     """
     import cv2
 
-    content = read_bytes(path)
-    check_size(path, _read_header(path, content), image_size)  # a small file can hold a large picture
-    end = _END_MARKERS.get(content[:2])
-    if end is not None and end not in content[-64:]:
-        raise OmnistereoError(f"{path} is truncated ({len(content)} bytes, no end-of-image marker). Copy it again.")
-    complaints: AbstractContextManager[list[str]] = _complaints() if content[:2] == _JPEG else nullcontext([])
+    content = check_image(path, image_size)
     try:
-        with complaints as said:
+        with decoder_messages() as said:
             pixels = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
     except cv2.error:  # the header states an absurd size
         pixels = None
     if pixels is None:
         raise _not_an_image(path, content)
-    if damage := [line for line in said if "Corrupt JPEG" in line]:
+    if damage := [line for line in said if "Corrupt JPEG" in line or "libpng error" in line]:
         message = f"{path} is damaged, so that a part of the picture may be wrong ({damage[0]}). Copy it again"
         warnings.warn(message, UserWarning, stacklevel=3)
     return pixels
 
 
+def check_image(path: str | Path, image_size: tuple[int, int] | None = None) -> bytes:
+    """Return the content of an image file, checked as far as it can be without decoding; raises as `read_pixels`."""
+    content = read_bytes(path)
+    try:
+        size = _read_header(path, content)
+        check_size(path, size, image_size)  # a small file can hold a large picture
+        check_pixels(*size)
+    except ContainerError as error:
+        raise OmnistereoError(f"{path} is {error}. Copy it again.") from None
+    return content
+
+
 @contextmanager
-def _complaints() -> Iterator[list[str]]:
-    """Collect what the decoder, which is written in C, prints to the standard error output of the process."""
+def decoder_messages() -> Iterator[list[str]]:
+    """Collect the lines that a decoder, which is written in C, prints to the standard error output of the process."""
     said: list[str] = []
     with _STDERR, TemporaryFile() as file:
-        kept = os.dup(2)
+        try:
+            kept = os.dup(2)
+        except OSError:  # it is closed
+            yield said
+            return
         try:
             os.dup2(file.fileno(), 2)
             yield said
@@ -219,6 +248,10 @@ def _complaints() -> Iterator[list[str]]:
             os.close(kept)
         file.seek(0)
         said += file.read().decode(errors="replace").splitlines()
+
+
+if hasattr(os, "register_at_fork"):  # no child is born while its error output leads elsewhere
+    os.register_at_fork(before=_STDERR.acquire, after_in_parent=_STDERR.release, after_in_child=_STDERR.release)
 
 
 def check_size(path: str | Path, found: tuple[int, int], expected: tuple[int, int] | None) -> None:
@@ -231,30 +264,39 @@ def check_size(path: str | Path, found: tuple[int, int], expected: tuple[int, in
 
 
 def _not_an_image(path: str | Path, content: bytes) -> OmnistereoError:
-    return OmnistereoError(f"{path} is not an image ({len(content)} bytes); expected PNG, JPEG or similar")
+    return OmnistereoError(f"{path} is not an image ({len(content)} bytes); expected one of {', '.join(_FORMATS)}")
 
 
 def _read_header(path: str | Path, content: bytes) -> tuple[int, int]:
     """Return width and height as the header states them; warn of what OpenCV leaves out.
 
-    Raises an `OmnistereoError` if it cannot be read, or the pixels are too many or no integers.
+    Raises an `OmnistereoError` if it cannot be read or the pixels are no integers, a `ContainerError` if what it states
+    does not fit into the file.
     """
     from PIL import Image
 
+    pages = 0
+    if content[:8] == _PNG:
+        check_png(content)
+    elif content[:4] in _TIFF:
+        pages = len(tiff_pages(content))
+    elif content[:2] == _JPEG and _JPEG_END not in content[-64:]:
+        raise ContainerError(f"truncated ({len(content)} bytes, no end-of-image marker)")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            image = Image.open(BytesIO(content))
-            size, mode, pages = image.size, image.mode, getattr(image, "n_frames", 1)
+            image = Image.open(BytesIO(content), formats=_FORMATS)
+            size, mode, pages = image.size, image.mode, pages or getattr(image, "n_frames", 1)
     except Image.DecompressionBombError as error:
         raise OmnistereoError(f"{path} is too large for a picture: {error}") from None
     except Exception:  # it raises many types for a damaged file
         raise _not_an_image(path, content) from None
+    check_density(*size, image.format, content)
     if mode == "F":
         raise OmnistereoError(f"{path} holds floating-point numbers; expected a picture of 8 or 16 bits")
     if mode in ("RGBA", "LA", "PA") or pages > 1:
         more = "1 more page, which is" if pages == 2 else f"{pages - 1} more pages, which are"
-        warnings.warn(f"{path} has {'transparency, which is' if pages == 1 else more} ignored", stacklevel=4)
+        warnings.warn(f"{path} has {'transparency, which is' if pages == 1 else more} ignored", stacklevel=5)
     return size
 
 

@@ -2,18 +2,20 @@
 
 import argparse
 import os
+import re
 import signal
 import sys
 import threading
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from difflib import get_close_matches
 from io import TextIOWrapper
+from typing import NoReturn
 
 from tqdm import tqdm
 
-from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.errors import OmnistereoError, one_line
 from omnistereo_tools.commands import (
     calibrate_command,
     depth_command,
@@ -23,8 +25,10 @@ from omnistereo_tools.commands import (
     onnx_command,
     train_command,
 )
-from omnistereo_tools.memory import keep_memory
+from omnistereo_tools.memory import check_address_space, keep_memory
 
+# Of libraries whose errors have no type in common.
+_EXHAUSTED = re.compile(r"can't start new thread|(allocate|insufficient|out of) memory|CUDA error", re.IGNORECASE)
 COMMANDS = {
     "depth": depth_command,
     "calibrate": calibrate_command,
@@ -38,6 +42,7 @@ COMMANDS = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; return the exit status. Whatever goes wrong is one plain line, never a traceback."""
+    _open_streams()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")  # where the terminal is not UTF-8
@@ -45,9 +50,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     keep_memory()
     try:
         try:
+            check_address_space()
             options = _parse(list(sys.argv[1:] if arguments is None else arguments))
             with _stopped_by_sigterm(), warnings.catch_warnings():
-                warnings.showwarning = lambda message, *_: print(f"warning: {message}", file=sys.stderr)
+                warnings.showwarning = lambda message, *_: _say(f"warning: {message}")
                 return options.run(options) or 0
         finally:
             print(end="", flush=True)
@@ -64,6 +70,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(error, BrokenPipeError):  # a reader such as `head` has seen enough
             return 141
         return _stop(f"error: {error.filename or 'the output'} cannot be read or written: {error.strerror}", 2)
+    except Exception as error:
+        if not (isinstance(error, MemoryError) or _EXHAUSTED.search(str(error))):
+            raise
+        return _stop(f"error: the machine has too little memory, threads or GPU left ({error}). Ask for less of it.", 2)
+
+
+def _open_streams() -> None:
+    """Open the streams that the parent has closed: a file would get their numbers, and what C prints."""
+    for number in range(3):
+        with suppress(OSError):
+            os.fstat(number)
+            continue
+        os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
+    sys.stdout, sys.stderr = (stream or os.fdopen(k, "w") for k, stream in ((1, sys.stdout), (2, sys.stderr)))
 
 
 class _Terminated(KeyboardInterrupt):
@@ -87,19 +107,30 @@ def _stopped_by_sigterm() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
+def _say(line: str) -> None:
+    print(one_line(line), file=sys.stderr)
+
+
 def _stop(line: str, status: int) -> int:
-    print(line, file=sys.stderr)
+    _say(line)
     return status
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors are not as long as what it was given."""
+
+    def error(self, message: str) -> NoReturn:
+        super().error(one_line(message))
 
 
 def _parse(arguments: list[str]) -> argparse.Namespace:
     """Parse a command; without one print the help, and for a wrong name propose one that is similar."""
-    parser = argparse.ArgumentParser(prog="omnistereo", description="Depth panoramas from a rig of fisheye cameras.")
+    parser = _Parser(prog="omnistereo", description="Depth panoramas from a rig of fisheye cameras.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for name, module in COMMANDS.items():
         command = commands.add_parser(
             name,
-            help=module.__doc__.splitlines()[0],
+            help=(module.__doc__ or name).splitlines()[0],  # PYTHONOPTIMIZE=2 drops it
             description=module.__doc__,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )

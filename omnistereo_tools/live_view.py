@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from threading import BoundedSemaphore, Condition, Thread
 from typing import Any
 
@@ -15,11 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.files import decoder_messages
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.pictures import BACKGROUND, ColorScale
+from omnistereo_tools.sources import open_video
 
 _WIDTH = 1280  # px of the picture, if the panorama is smaller
 _PATIENCE_S = 10.0  # of a camera that gives no picture, and of a browser that neither asks nor reads
@@ -73,14 +76,10 @@ class Cameras:
     """
 
     def __init__(self, sources: Sequence[int | str], rig: Rig) -> None:
-        self.captures = [cv2.VideoCapture(source) for source in sources]
-        for source, capture, camera in zip(sources, self.captures, rig.cameras, strict=False):
-            if not capture.isOpened():
-                what = "camera" if isinstance(source, int) else "video"
-                raise OmnistereoError(f"{what} {source} cannot be opened. Check that it exists and is not in use.")
-            if isinstance(source, int):
-                capture.set(cv2.CAP_PROP_FRAME_WIDTH, camera.image_size[0])
-                capture.set(cv2.CAP_PROP_FRAME_HEIGHT, camera.image_size[1])
+        self.captures = [
+            _open_camera(source, camera.image_size) if isinstance(source, int) else open_video(Path(source))
+            for source, camera in zip(sources, rig.cameras, strict=False)
+        ]
         rates = [capture.get(cv2.CAP_PROP_FPS) for capture in self.captures]
         # Videos play at their own speed, cameras set it themselves.
         self.period = 1 / rates[0] if isinstance(sources[0], str) and rates[0] > 0 else 0.0
@@ -97,6 +96,16 @@ class Cameras:
             due += self.period
             time.sleep(max(0.0, due - time.monotonic()))
         self.newest.close()
+
+
+def _open_camera(number: int, image_size: tuple[int, int]) -> cv2.VideoCapture:
+    with decoder_messages():
+        capture = cv2.VideoCapture(number)
+    if not capture.isOpened():
+        raise OmnistereoError(f"camera {number} cannot be opened. Check that it exists and is not in use.")
+    capture.set(cv2.CAP_PROP_FRAME_WIDTH, image_size[0])
+    capture.set(cv2.CAP_PROP_FRAME_HEIGHT, image_size[1])
+    return capture
 
 
 def live_pictures(

@@ -3,7 +3,7 @@
 OUT/
   config.yaml                       the rig, with the nearest depth of the sweep
   cam1/00001.jpg …  cam2/ …         the images: links to your pictures, or frames of your videos
-  depth_estimate_640/00001.tiff     inverse depth, 1/m; written last, so that a frame which has it is complete
+  depth_estimate_640/00001.tiff     inverse depth, 1/m; written last, so that a frame is complete if it can be read
   recording.json                    how the depth was computed
   video/00001.jpg                   panorama over depth, with --video
 """
@@ -11,7 +11,6 @@ OUT/
 from __future__ import annotations
 
 import json
-import re
 import shutil
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -23,13 +22,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.dataset import write_inverse_depth
+from omnistereo_lib.dataset import read_inverse_depth, write_inverse_depth
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.evaluate.records import checksum
-from omnistereo_lib.files import atomic_write, make_folder, read_text, write_image
+from omnistereo_lib.files import atomic_write, make_folder, read_data, read_pixels, read_text, write_image
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.rig_files import save_rig
+from omnistereo_lib.rig_files.parse import Section
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
@@ -87,8 +87,16 @@ class DepthWriter:
         return self.out / "video" / f"{number:05}.jpg"
 
     def is_done(self, number: int) -> bool:
-        """Return whether all files of a frame are there: each is written atomically, depth last."""
-        return self.depth_path(number).exists() and (not self.with_video or self.picture_path(number).exists())
+        """Return whether depth and video frame of a frame can be read: they are written last."""
+        try:
+            depth = read_inverse_depth(self.depth_path(number), self.sweep.grid.min_depth)
+            return depth.shape == self.sweep.grid.shape and (not self.with_video or self.picture(number).size > 0)
+        except OmnistereoError:
+            return False
+
+    def picture(self, number: int) -> NDArray[np.uint8]:
+        """Read the video frame of a frame, BGR."""
+        return read_pixels(self.picture_path(number), cv2.IMREAD_COLOR)
 
     def left(self) -> list[int]:
         """Return the numbers of the frames that are not done yet."""
@@ -118,7 +126,7 @@ class DepthWriter:
                 writing.result()
 
     def prepare(self, rig: Rig) -> None:
-        """Make the folder `out` or continue what is in it, and remove what an interrupted run has left half written.
+        """Make the folder `out` or continue what is in it.
 
         Raises an `OmnistereoError` if `out` holds a recording with other settings or cannot be written to.
         """
@@ -127,12 +135,10 @@ class DepthWriter:
         settings |= {"min_depth": grid.min_depth, "depth": self.suffix}
         settings |= {"rig": _rig_checksum(rig), "images": self.recording.checksum}
         _check_settings(make_folder(self.out) / SETTINGS, settings)
-        folders = [make_folder(self.out / f"cam{k}") for k in range(1, len(rig) + 1)]
-        folders += [make_folder(self.depth_path(0).parent)]
-        folders += [make_folder(self.out / "video")] if self.with_video else []
-        for path in (path for folder in folders for path in folder.glob(".[0-9]*.*")):
-            if re.fullmatch(r"\.[0-9]+\.[0-9]{5,}\.[A-Za-z]+", path.name):  # as `atomic_write` names them
-                path.unlink()
+        for folder in (*(f"cam{k}" for k in range(1, len(rig) + 1)), self.depth_path(0).parent.name):
+            make_folder(self.out / folder)
+        if self.with_video:
+            make_folder(self.out / "video")
         save_rig(replace(rig, min_depth=self.sweep.grid.min_depth), self.out / "config.yaml")
 
     def write(self, number: int, images: list[NDArray[np.uint8]], depth: Depth) -> None:
@@ -221,10 +227,10 @@ def _check_settings(path: Path, settings: dict) -> None:
 
 
 def stored_min_depth(out: Path) -> float | None:
-    """Return the nearest depth in metres of the recording in a folder, None if there is none."""
+    """Return the nearest depth of the recording in a folder; None if there is none."""
     try:
-        return float(json.loads((out / SETTINGS).read_text())["min_depth"])
-    except (OSError, ValueError, KeyError, TypeError):
+        return Section(read_data(out / SETTINGS)).number("min_depth")
+    except OmnistereoError:  # what is damaged is named when the settings are compared
         return None
 
 
@@ -233,20 +239,20 @@ def write_video(path: Path, writer: DepthWriter, fps: float | None = None) -> No
 
     Raises an `OmnistereoError` if OpenCV cannot write it; a video that was there is kept then.
     """
-    pictures = [writer.picture_path(number) for number in writer.recording.frames]
-    height, width = cv2.imread(str(pictures[0])).shape[:2]
+    numbers = list(writer.recording.frames)
+    height, width = writer.picture(numbers[0]).shape[:2]
     make_folder(path.parent)
     with atomic_write(path) as temporary:
         codec = cv2.VideoWriter_fourcc(*CODECS[path.suffix.lower()])
         video = cv2.VideoWriter(str(temporary), codec, fps or writer.recording.fps or _FPS, (width, height))
         if not video.isOpened():
             raise OmnistereoError(f"{path} cannot be written: this OpenCV has no encoder for it. Try .webm or .mp4.")
-        for picture in pictures:
-            video.write(cv2.imread(str(picture)))
+        for number in numbers:
+            video.write(writer.picture(number))
         video.release()
         written = cv2.VideoCapture(str(temporary))  # OpenCV does not say that the disk was full
         count = sum(1 for _ in iter(written.grab, False))
-        if count < len(pictures):
+        if count < len(numbers):
             raise OmnistereoError(
-                f"{path} cannot be written: {count} of its {len(pictures)} frames can be read back. Is the disk full?"
+                f"{path} cannot be written: {count} of its {len(numbers)} frames can be read back. Is the disk full?"
             )

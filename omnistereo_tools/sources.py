@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -14,11 +15,12 @@ from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.evaluate.records import checksum
-from omnistereo_lib.files import check_size, read_image
+from omnistereo_lib.files import check_size, decoder_messages, read_image
 from omnistereo_lib.geometry.rig import Rig
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 _VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v", ".mpg", ".mpeg", ".ts")
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet: what cannot be read is told by an error
 _NOT_FRAMES = ("mask",)  # file names without suffix
 
 
@@ -52,6 +54,17 @@ class Pictures:
             yield read_image(self.files[key], image_size)
 
 
+def open_video(path: Path, image_size: tuple[int, int] | None = None) -> cv2.VideoCapture:
+    """Open a video file, of the size (width, height) of its camera; raises an `OmnistereoError` if it is none."""
+    with decoder_messages():
+        video = cv2.VideoCapture(str(path)) if path.is_file() else None  # a pipe would wait for its other end
+    if video is None or not video.isOpened():
+        raise OmnistereoError(f"{path} is not a video that OpenCV can read. Check the path, or convert it.")
+    found = int(video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(video.get(cv2.CAP_PROP_FRAME_HEIGHT))
+    check_size(path, found, image_size)
+    return video
+
+
 class Video:
     """A video of one camera; its frames are counted from 0."""
 
@@ -59,26 +72,20 @@ class Video:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        video = self._open()
+        video = open_video(path)
         self.fps = video.get(cv2.CAP_PROP_FPS) or None
-        self.files = range(int(video.get(cv2.CAP_PROP_FRAME_COUNT)))
-        if not len(self.files):
-            raise OmnistereoError(f"{path} has no frames that OpenCV can read. Convert it, such as with ffmpeg.")
+        stated, most = video.get(cv2.CAP_PROP_FRAME_COUNT), path.stat().st_size
+        if not 0 < stated <= most:
+            found = f"{path} has no frames that OpenCV can read (it states {stated:.0f} in {most} bytes)"
+            raise OmnistereoError(f"{found}. Convert it, such as with ffmpeg.")
+        self.files = range(int(stated))
 
     def use_numbers(self) -> None:
         """Call the frames by their numbers, as they are."""
 
-    def _open(self) -> cv2.VideoCapture:
-        video = cv2.VideoCapture(str(self.path))
-        if not video.isOpened():
-            raise OmnistereoError(f"{self.path} is not a video that OpenCV can read. Check the path, or convert it.")
-        return video
-
     def read(self, keys: Sequence[int], image_size: tuple[int, int]) -> Iterator[NDArray[np.uint8]]:
         """Yield some frames, in ascending order; those between are skipped, because seeking is not exact."""
-        video, position = self._open(), 0
-        width, height = int(video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(video.get(cv2.CAP_PROP_FRAME_HEIGHT))
-        check_size(self.path, (width, height), image_size)
+        video, position = open_video(self.path, image_size), 0
         for key in keys:
             while position < key and video.grab():
                 position += 1

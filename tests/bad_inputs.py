@@ -4,6 +4,7 @@ In a command DATA is a small data set of one frame with ground truth, RIG its co
 OUT a folder that does not exist yet, BOARDS a folder of corners, LONG a name of 300 characters.
 """
 
+import json
 import os
 import shutil
 import struct
@@ -13,6 +14,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 import scene
 import tifffile
@@ -353,6 +355,27 @@ def large(side: int) -> Callable[[Path], None]:
     return spoil
 
 
+def circular(name: str) -> Callable[[Path], None]:
+    """A TIFF whose next directory is itself."""
+    return write(name, struct.pack("<2sHIHHHIHHI", b"II", 42, 8, 1, 256, 3, 1, 6, 0, 8))
+
+
+def long_chunk(data: Path) -> None:
+    """A PNG, in the length of one of whose chunks a bit is wrong."""
+    content = bytearray(first(data).read_bytes())
+    content[33] ^= 0x40  # of the chunk after the header
+    first(data).write_bytes(content)
+
+
+def scans(data: Path) -> None:
+    """A progressive JPEG with the last of its scans 20,000 times."""
+    noise = np.random.default_rng(0).integers(0, 255, (192, 200), np.uint8)
+    content = cv2.imencode(".jpg", np.tile(noise, (10, 10)), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
+    scan = content.rindex(b"\xff\xda")
+    (length,) = struct.unpack_from(">H", content, scan + 2)
+    first(data).write_bytes(content[:-2] + 20_000 * content[scan : scan + 2 + length] + content[-2:])
+
+
 def large_ground_truth(data: Path) -> None:
     """A TIFF of zeros."""
     path, values = data / "omnidepth_gt_96" / "00001.tiff", np.zeros((1 << 13, 1 << 14), np.float32)
@@ -384,6 +407,12 @@ def masked(data: Path) -> None:
     endless("mask.png")(data)
 
 
+def tensors(entry: dict, length: int | None = None) -> Callable[[Path], None]:
+    """A file of weights with one tensor, or with a header that says it is so long."""
+    header = json.dumps({"__metadata__": {"about": "{}", "sha256": ""}, "x": entry}).encode()
+    return write("weights.safetensors", struct.pack("<Q", length or len(header)) + header)
+
+
 MILLION = "1, " * 10**6
 BOMBS = [
     Row("YAML aliases", "load_rig RIG", "config.yaml", aliases),
@@ -402,8 +431,19 @@ BOMBS = [
     Row("a picture without end", "load_images IMAGES", "cam2.0001.png", endless("cam2/0001.png")),
     Row("a picture of 30,000 × 30,000 pixels", "load_images IMAGES", "cam2.0001.png", large(30_000)),
     Row("a picture larger than the camera", "images DATA", "png is 13000 × 13000 px; the camera has", large(13_000)),
+    Row("a circle of directories", "load_images IMAGES", "cam2.0001.png is damaged .the directory",
+        circular("cam2/0001.png")),
+    Row("ground truth with such a circle", "ground_truth DATA", "1.tiff is not a complete TIFF file: it is damaged",
+        circular("omnidepth_gt_96/00001.tiff")),
+    Row("a long chunk", "load_images IMAGES", "cam2.0001.png is truncated", long_chunk),
+    Row("a picture of 20,000 scans", "load_images IMAGES", "cam2.0001.png is damaged .it states", scans),
+    Row("weights of a long header", "weights DATA", "its header has 109", tensors({}, 1 << 40)),
+    Row("weights of a strange type", "weights DATA", "tensors of type .'F8_E5M2'.; expected F16, BF16",
+        tensors({"dtype": "F8_E5M2", "shape": [0], "data_offsets": [0, 0]})),
+    Row("weights of a large shape", "weights DATA", "not a complete safetensors",
+        tensors({"dtype": "F32", "shape": [1 << 20, 1 << 20], "data_offsets": [0, 1 << 42]})),
     Row("ground truth of 134 million pixels", "ground_truth DATA", "pixels are too many", large_ground_truth),
-]
+]  # fmt: skip
 
 # ---- calls
 

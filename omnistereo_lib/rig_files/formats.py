@@ -50,14 +50,10 @@ FORMATS = (
     Format("Metashape lens", lambda data: "calibration" in data, read_metashape),
     Format("Hugin lens", lambda data: {"w", "h", "f", "v"} <= data.keys(), read_hugin),
 )
-_SUPPORTED = """supported formats:
-  - a folder with ocam1.txt, ocam2.txt, … (OCamCalib) and poses.txt (pass the unit)
-  - OmniMVS config.yaml: a list `cameras` with poly, inv_poly, pose
-  - basalt JSON: value0 with T_imu_cam, intrinsics, resolution
-  - Kalibr camchain YAML: cam0, cam1, … with camera_model, and T_cn_cnm1 or T_cam_imu
-  - VINS YAML: body_T_cam0, cam0_calib, … and the camera files of camodocal that it names
-  - OpenCV or ROS YAML, JSON or XML: K, D, R, T and image_size of each camera (pass the unit)
-  - a folder with cam1, cam2, … of one camera each (camodocal, OpenCV, Metashape XML, Hugin) and poses.txt"""
+_SUPPORTED = (
+    "supported formats: OmniMVS config.yaml, basalt JSON, Kalibr camchain, VINS YAML, OpenCV or ROS (YAML, JSON, XML), "
+    "and a folder with poses.txt and ocam1.txt, … (OCamCalib) or cam1, … (camodocal, OpenCV, Metashape, Hugin)"
+)
 _RIG_FILES = ("config.yaml", "rig.yaml", "calibration.json", "calibration.yaml")  # the first found in a folder
 _LENS_FILES = ("ocam*.txt", "cam[0-9]*.*")  # the first found in a folder with poses.txt
 _MAX_BYTES = 1 << 18  # a hundred cameras have 60,000; a megabyte of YAML takes seconds

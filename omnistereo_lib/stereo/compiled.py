@@ -31,4 +31,5 @@ def _minimum(context: Any, a: Any, b: Any) -> Any:
     return numba.float32(numba.float32, numba.float32), build
 
 
-minimum: Any = intrinsic(_minimum)  # Any: called in compiled code only, with a and b alone
+# Any: called in compiled code only, with a and b alone; without a compiler (NUMBA_DISABLE_JIT) by Python.
+minimum: Any = min if numba.config.DISABLE_JIT else intrinsic(_minimum)

@@ -2,11 +2,12 @@
 
 import math
 import os
+import re
 
 import psutil
 import torch
 
-from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.errors import OmnistereoError, shortened
 from omnistereo_lib.geometry.sphere import SphereGrid
 
 BLOCK = 16  # spheres warped at a time: their cells fill one cache line of the (H, W, N) volume
@@ -26,9 +27,17 @@ def select_device(device: torch.device | str) -> torch.device:
     if device.type == "cuda":
         if (device.index or 0) >= (count := torch.cuda.device_count()):
             raise OmnistereoError(f'device is "{device}"; PyTorch finds {count or "no"} CUDA GPU. Pass device="cpu".')
-        device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", device.index or 0)))
+        device = torch.device("cuda", number_from_environment("LOCAL_RANK", device.index or 0))
         torch.cuda.set_device(device)
     return device
+
+
+def number_from_environment(name: str, default: int) -> int:
+    """Return a number that `torchrun` sets for each of its processes; the default where it has not."""
+    value = os.environ.get(name, str(default))
+    if not re.fullmatch("[0-9]{1,6}", value):
+        raise OmnistereoError(f"{name} in the environment is {shortened(value)}; expected a number. Unset it.")
+    return int(value)
 
 
 def check_memory(cameras: int, grid: SphereGrid, device: torch.device) -> None:

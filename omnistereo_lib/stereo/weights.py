@@ -14,6 +14,8 @@ from torch import Tensor, nn
 from omnistereo_lib.errors import OmnistereoError, shortened
 from omnistereo_lib.files import atomic_write, parse_json, read_bytes
 
+_TYPES = ("F16", "BF16", "F32", "F64", "I64")  # as safetensors calls them
+_MAX_HEADER = 1 << 20  # bytes; that of a training state has 30,000
 BUNDLED_WEIGHTS = Path(__file__).resolve().parents[1] / "weights"
 
 
@@ -103,8 +105,8 @@ def load_tensors(path: str | Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """
     content = read_bytes(path)
     try:
+        header = _read_header(path, content)
         tensors = load(content)
-        header = parse_json(content[8 : 8 + struct.unpack("<Q", content[:8])[0]], path).get("__metadata__") or {}
     except Exception as error:  # safetensors and struct raise several types
         found = f"{path} is not a complete safetensors file: {str(error)[:300]}"
         raise OmnistereoError(f"{found}. Copy it again, or make it by training.") from None
@@ -117,6 +119,18 @@ def load_tensors(path: str | Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     if not isinstance(about, dict):
         raise OmnistereoError(f"{path}: what is stored about the tensors is {shortened(about)}; expected settings")
     return tensors, about
+
+
+def _read_header(path: str | Path, content: bytes) -> dict[str, Any]:
+    """Return the metadata of a safetensors file, all of whose tensors are of a type that networks have."""
+    (length,) = struct.unpack("<Q", content[:8])
+    if length > _MAX_HEADER:
+        raise ValueError(f"its header has {length} bytes")
+    header = parse_json(content[8 : 8 + length], path)
+    metadata = header.pop("__metadata__", None) or {}
+    if other := {entry["dtype"] for entry in header.values()} - {*_TYPES}:
+        raise ValueError(f"it holds tensors of type {shortened(other)}; expected {', '.join(_TYPES)}")
+    return metadata
 
 
 def _check_finite(path: str | Path, tensors: Mapping[str, Tensor]) -> None:

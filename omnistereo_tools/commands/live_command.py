@@ -6,6 +6,7 @@ Examples:
 """
 
 import argparse
+import re
 from pathlib import Path
 
 from omnistereo_lib.errors import OmnistereoError
@@ -34,7 +35,7 @@ def run(options: argparse.Namespace) -> None:
 
     rig = with_masks(read_rig(options), options.masks, [])
     grid = make_grid(options, rig)
-    sources = [int(source) if source.isdigit() else source for source in options.cameras]
+    sources = [int(source) if re.fullmatch("[0-9]{1,3}", source) else source for source in options.cameras]
     if len(sources) != len(rig):
         raise OmnistereoError(f"there are {len(sources)} cameras or videos for a rig of {len(rig)}. Give one for each.")
     sweep = SphereSweep(rig, grid, device=options.device)

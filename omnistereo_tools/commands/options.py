@@ -120,9 +120,12 @@ def read_frame(options: argparse.Namespace) -> tuple[Rig, list[NDArray[np.uint8]
 def make_grid(options: argparse.Namespace, rig: Rig, default: float | None = None) -> SphereGrid:
     """Return the grid; its nearest depth is the user's, else that of the rig file, else the default in metres."""
     from omnistereo_lib.geometry.sphere import SphereGrid
+    from omnistereo_lib.stereo.device import check_memory, select_device
 
     depths = (options.min_depth, rig.min_depth, default)
     min_depth = next((depth for depth in depths if depth is not None), None)
     if min_depth is None:
         raise OmnistereoError(f"{options.rig} states no nearest depth. Pass --min-depth, in metres")
-    return SphereGrid(options.width, options.height, tuple(options.phi), options.spheres, min_depth)
+    grid = SphereGrid(options.width, options.height, tuple(options.phi), options.spheres, min_depth)
+    check_memory(len(rig), grid, select_device(getattr(options, "device", "cpu")))
+    return grid

@@ -4,7 +4,6 @@ example: omnistereo train sweepnet --preset teaching --set steps=100
 """
 
 import argparse
-import os
 from pathlib import Path
 
 from omnistereo_lib.errors import OmnistereoError
@@ -26,6 +25,7 @@ def run(options: argparse.Namespace) -> None:
     """Train a network to the end, with a progress bar; several processes under torchrun share the work."""
     from tqdm import tqdm
 
+    from omnistereo_lib.stereo.device import number_from_environment
     from omnistereo_lib.train import RECIPES, train
 
     presets = RECIPES[options.network]
@@ -33,7 +33,8 @@ def run(options: argparse.Namespace) -> None:
         raise OmnistereoError(f"{options.network} has the presets {', '.join(presets)}, not {options.preset!r}")
     recipe = presets[options.preset].with_overrides(options.set)
     out = options.out or Path("out") / f"{options.network}_{options.preset}"
-    first_process = os.environ.get("RANK", "0") == "0"  # the one that prints, under torchrun
+    rank, _, _ = (number_from_environment(name, 0) for name in ("RANK", "LOCAL_RANK", "WORLD_SIZE"))  # of torchrun
+    first_process = rank == 0  # the one that prints
     bar = None
 
     def progress(row: dict[str, float]) -> None:

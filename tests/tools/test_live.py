@@ -169,7 +169,7 @@ def test_the_newest_value_is_what_waits():
     "change, message",
     [
         (["--cameras", "no.mp4", "1.mkv"], "there are 2 cameras or videos for a rig of 4"),
-        (["--cameras", "no.mp4", "no.mp4", "no.mp4", "no.mp4"], "video no.mp4 cannot be opened"),
+        (["--cameras", "no.mp4", "no.mp4", "no.mp4", "no.mp4"], "no.mp4 is not a video that OpenCV can read"),
     ],
 )
 def test_what_cannot_be_shown_is_told(recorded, capsys, change, message):
