@@ -19,3 +19,21 @@ document.addEventListener("DOMContentLoaded", async () => {
   await window.MathJax?.startup?.promise // formulas take their room late
   boxes.forEach(mark)
 })
+
+// What the theme leaves unsaid to a screen reader: what its two side bars and its page of results are.
+document.addEventListener("DOMContentLoaded", () => {
+  for (const [bar, name] of [["sidebar", "All pages"], ["toc", "On this page"]])
+    document.querySelector(`.${bar}-drawer`)?.setAttribute("aria-label", name)
+  const results = document.getElementById("search-results")
+  if (!results) return
+  results.insertAdjacentHTML("beforebegin", "<h1>Search</h1>")
+  // A page that the search has found by a heading or a term is found by its text, too: once is enough.
+  new MutationObserver(() => {
+    const seen = new Set()
+    for (const item of results.querySelectorAll("li:not(.kind-object)")) {
+      const page = item.querySelector("a").pathname
+      item.hidden = seen.has(page)
+      seen.add(page)
+    }
+  }).observe(results, { childList: true, subtree: true })
+})
