@@ -93,12 +93,11 @@ clean:  ## removes what the other targets made, the environments included
 	rm -rf .venv .venv-render out .pytest_cache .ruff_cache .mypy_cache .hypothesis .coverage* omnistereo_lib.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# Bytecode is written when a module is first imported: that takes a third of the disk that writing all of it does.
 define INSTALL
 @$(PYTHON) -c "$$CHECK_PYTHON"
 @test -x $(BIN)/pip || $(PYTHON) -m venv --clear .venv
 @echo "Installing the packages of $< into .venv; once, a minute or two."
-@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile $(if $(TORCH),uv,-r $<)
+@$(BIN)/python -m pip install --quiet --disable-pip-version-check $(if $(TORCH),uv,-r $<)
 @$(if $(TORCH),$(BIN)/uv pip install --quiet --python $(BIN)/python --torch-backend $(TORCH) -r $<)
 @touch $@
 endef
