@@ -294,23 +294,25 @@ def patch_tower() -> Figure:
     return fig
 
 
-def bootstrap(values: np.ndarray, draws: int = 3) -> Figure:
-    """Eight figures, three resamples of them with their means, and the means of ten thousand."""
+def bootstrap(values: np.ndarray, ends: np.ndarray, draws: int = 3) -> Figure:
+    """The values of the frames, three resamples of them with their means, and the means of ten thousand."""
     rng = np.random.default_rng(0)
     fig, (left, right) = plt.subplots(1, 2, figsize=(10, 3.0), layout="constrained")
-    left.plot(values, np.zeros(len(values)), "o", color=FIRST)
-    left.text(values.max(), 0.18, "the frames", color=FIRST, ha="right")
+    ranks = np.argsort(np.argsort(values))
+    left.plot(values, np.where(ranks % 2, 0.15, -0.15), "o", color="0.2")  # so that equal values are two dots
+    left.text(values.max(), 0.3, "the frames", color="0.2", ha="right")
     for row in range(1, draws + 1):
         taken, counts = np.unique(rng.choice(values, len(values)), return_counts=True)
         left.scatter(taken, np.full(len(taken), -row), s=28 * counts, color="0.6")
         left.plot(np.repeat(taken, counts).mean(), -row, "|", ms=22, mew=2.5, color=POINT)
-    left.set(yticks=[], ylim=(-draws - 0.6, 0.7), title="drawn with replacement: larger dots are drawn more often")
-    means = rng.choice(values, (10_000, len(values))).mean(axis=1)
-    right.hist(means, 60, color="0.7")
-    for edge in np.percentile(means, (2.5, 97.5)):
-        right.axvline(edge, color=POINT, ls="--")
+    left.set(yticks=[], ylim=(-draws - 0.6, 0.8), title="drawn with replacement: larger dots are drawn more often")
+    right.hist(rng.choice(values, (10_000, len(values))).mean(axis=1), 60, color="0.7")
+    for end in ends:
+        right.axvline(end, color=POINT, ls="--")
     right.set(yticks=[], title="the means of 10,000 such draws")
     for ax in (left, right):
+        ax.axvline(0, color="k", lw=0.8)
+        ax.set_xlabel("difference [points]")
         ax.spines[["left", "top", "right"]].set_visible(False)
     return fig
 

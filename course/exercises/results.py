@@ -1,4 +1,4 @@
-"""Checkers of notebooks 08 to 11: evaluation, your own rig, rendering."""
+"""Checkers of notebooks 09 to 11: your own rig, rendering, two groups of rays."""
 
 from __future__ import annotations
 
@@ -6,77 +6,6 @@ import numpy as np
 
 from course.exercises.compare import Array, Case, Rng, checker
 from omnistereo_lib.geometry.pose import Pose
-
-
-@checker
-def check_share_above(rng: Rng, k: int) -> Case:
-    """08.1: percent of rays whose error exceeds a limit; NaN, no estimate, counts as wrong."""
-    limit = float(rng.integers(1, 6))
-    error = rng.exponential(limit, (3 + k % 3, 8))
-    error[0, :2], error[1, :2], error[2, 2] = limit, 0.5 * limit, np.nan
-    above, missing = error > limit, np.isnan(error)
-    right = 100 * np.mean(above | missing)
-    mistakes = [
-        (right / 100, "that is a fraction; percent are asked"),
-        (100 * np.mean(above), "a comparison with NaN is False: a ray without an estimate counts as wrong"),
-        (100 * np.mean(above[~missing]), "a ray without an estimate counts as wrong; it is not left out"),
-        (100 * np.mean((error >= limit) | missing), "exceeds: an error equal to the limit is still right"),
-        (100 - right, "that is the share of the rays that are right"),
-        (float(np.sum(above | missing)), "that is their number; the share is asked"),
-        (100 * np.mean(above | missing, axis=1), "that is the share of each row; one number is asked"),
-    ]
-    return (error, limit), right, mistakes
-
-
-@checker
-def check_pooled_rms(rng: Rng, k: int) -> Case:
-    """08.2: RMS of all frames together, from each frame's number of rays, sum of e and sum of e²."""
-    rays, means = 2.0 * rng.integers(200, 2500, 3 + k % 4), rng.uniform(1, 5, 3 + k % 4)
-    sums, squares = rays * means, rays * means**2 * rng.uniform(1.5, 3, len(rays))
-    right = np.sqrt(squares.sum() / rays.sum())
-    mistakes = [
-        (right**2, "take the root"),
-        (np.sqrt(squares / rays).mean(), "that is the mean over the frames: a frame with few rays counts too much"),
-        (np.sqrt((squares / rays).mean()), "the frames have different numbers of rays: add up first, then divide"),
-        (np.sqrt(squares.sum()), "divide by the number of rays"),
-        (np.sqrt(squares.sum()) / rays.sum(), "divide under the root"),
-        (np.sqrt(squares / rays), "that is each frame's; add up over the frames"),
-        (sums.sum() / rays.sum(), "that is the mean error; Σ e² is asked for"),
-        (
-            np.sqrt(squares.sum() / rays.sum() - (sums.sum() / rays.sum()) ** 2),
-            "that is the standard deviation: do not subtract the mean",
-        ),
-    ]
-    return (rays, sums, squares), right, mistakes
-
-
-@checker
-def check_standard_error(rng: Rng, k: int) -> Case:
-    """08.4: standard error of the mean difference a - b of two methods, from their figures in the same frames."""
-    b = rng.uniform(9, 20, int(rng.integers(6, 12)))
-    a = b + rng.normal(1.5, 1, len(b))
-    n, difference = len(a), a - b
-    deviation = np.std(difference, ddof=1)
-    apart = np.sqrt((np.var(a, ddof=1) + np.var(b, ddof=1)) / n)
-    mistakes = [
-        (deviation, "that is the spread of single frames: the mean of n frames is √n times as certain"),
-        (deviation / n, "divide by √n, not by n"),
-        (deviation**2 / n, "that is its square: take the root"),
-        (
-            np.std(difference) / np.sqrt(n),
-            "the mean came from the same frames: n - 1 in the variance",
-        ),
-        (
-            np.std(difference),
-            "the spread of single frames, with n in place of n - 1: take that, then divide by √n",
-        ),
-        (apart, "both methods saw the same frames: subtract frame by frame, then look at the spread"),
-        (np.sqrt((np.var(a) + np.var(b)) / n), "both methods saw the same frames: subtract frame by frame first"),
-        (np.std(a, ddof=1) / np.sqrt(n), "that is the standard error of a alone; take the differences a - b"),
-        (difference.mean(), "that is the mean difference; how uncertain is it?"),
-        (difference, "those are the differences; one number is asked"),
-    ]
-    return (a, b), deviation / np.sqrt(n), mistakes
 
 
 @checker

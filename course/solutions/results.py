@@ -1,40 +1,6 @@
-"""Solutions of notebooks 08 to 11: evaluation, your own rig, rendering."""
+"""Solutions of notebooks 09 to 11: your own rig, rendering, the gallery."""
 
 import numpy as np
-
-# --- 08 Evaluation ----------------------------------------------------------------------------------------
-
-
-def my_share_above(error, limit):
-    right = error <= limit  # False for NaN, too, which is how no estimate counts as wrong
-    return 100 * np.mean(~right)
-
-
-def my_pooled_rms(rays, sums, squares):
-    # First add up over the frames, then divide, then take the root. Σ e is not needed.
-    return np.sqrt(squares.sum() / rays.sum())
-
-
-def my_standard_error(a, b):
-    # Both methods saw the same frames, so subtract frame by frame: what makes a frame hard cancels.
-    difference = a - b
-    deviation = difference.std(ddof=1)  # n - 1: the mean was taken from the same frames
-    return deviation / np.sqrt(len(difference))
-
-
-def my_table(indices, gt_index, N):
-    known = ~np.isnan(gt_index)
-    error = 100 / N * np.abs(indices - gt_index)[:, known]  # (methods, rays)
-    error = np.where(np.isnan(error), 100, error)  # no estimate is the largest error
-    above = [100 * np.mean(error > limit, axis=1) for limit in (1, 3, 5)]
-    return np.stack([*above, error.mean(axis=1), np.sqrt(np.mean(error**2, axis=1))], axis=1)
-
-
-def my_interval(a, b, draws):
-    difference = a - b  # frame by frame: both methods saw the same
-    means = difference[draws].mean(axis=1)  # one mean for each draw
-    return np.percentile(means, [2.5, 97.5])
-
 
 # --- 09 Your own rig --------------------------------------------------------------------------------------
 
