@@ -2,7 +2,7 @@
 
 import json
 import warnings
-from math import atan, atan2, cos, hypot, sin, tan
+from math import atan, atan2, cos, hypot, pi, sin, tan
 
 import cv2
 import numpy as np
@@ -145,9 +145,27 @@ def test_rigs_of_vins_with_cameras_of_camodocal(tmp_path):
     with pytest.raises(OmnistereoError, match=r"front.yaml: camodocal camera of one camera; a rig needs at least 2"):
         load_rig(tmp_path / "front.yaml")
     with pytest.raises(
-        OmnistereoError, match=r"model_type is SCARAMUZZA; expected one of MEI, KANNALA_BRANDT, PINHOLE"
+        OmnistereoError, match=r"model_type is OTHER; expected one of MEI, KANNALA_BRANDT, PINHOLE, SCA"
     ):
-        load_camera(dump(tmp_path / "scaramuzza.yaml", {"model_type": "scaramuzza"}))
+        load_camera(dump(tmp_path / "other.yaml", {"model_type": "other"}))
+
+
+def test_scaramuzza_of_camodocal(tmp_path):
+    """An equidistant lens of 210 px per radian."""
+    inv_poly = {"p0": 210 * pi / 2, "p1": 210.0} | {f"p{k}": 0.0 for k in range(2, 20)}
+    radii = np.linspace(1, 380, 400)
+    direct = np.polynomial.Polynomial.fit(radii, -radii / np.tan(radii / 210), 10, domain=(-1, 1), window=(-1, 1))
+    affine = {"ac": 1.02, "ad": 0.003, "ae": -0.002, "cx": 401.0, "cy": 379.0}
+    content = {"model_type": "SCARAMUZZA", "image_width": 800, "image_height": 768, "affine_parameters": affine}
+    content |= {"poly_parameters": {f"p{k}": float(a) for k, a in enumerate(direct.coef)}}
+    camera = load_camera(dump(tmp_path / "lens.yaml", content | {"inv_poly_parameters": inv_poly}))
+
+    def pixel(x, y, z):
+        theta, around = angle(x, y, z)
+        x, y = 210 * theta * cos(around), 210 * theta * sin(around)
+        return 1.02 * x + 0.003 * y + 401, -0.002 * x + y + 379
+
+    follows(camera, pixel)
 
 
 @pytest.mark.parametrize(
