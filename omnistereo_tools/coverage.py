@@ -17,6 +17,7 @@ from omnistereo_lib.stereo.sweep import SphereSweep
 _COVERED = 0.95  # of the rays of a row, or of those that see far away, have depth: the rest is rims
 _CLEARANCE = 1.1  # spheres begin this many times farther out than the outermost camera
 _SPHERES = (32, 256)
+_ANY_ROWS = (-45.0, 45.0)  # degrees, where no row has depth all around
 
 
 @dataclass(frozen=True)
@@ -56,13 +57,8 @@ class Coverage:
         """
         return depth**2 * np.radians(1 / self.pixels_per_degree) / self.baseline
 
-    def propose(self) -> SphereGrid | None:
-        """Return the grid that uses the images fully, or None if there is no row that has depth all around.
-
-        Elevations: the rows around the horizon that two cameras see all around. One column is a pixel, and one sphere
-        moves a match by a pixel (median over rays). Nearest depth: where the same rays are still seen by two cameras,
-        outside the rig. Farthest: where a pixel more is infinity.
-        """
+    def rows(self) -> tuple[float, float] | None:
+        """Return the elevations in degrees between which two cameras see nearly all around, or None without any."""
         full = np.mean(self.cameras >= 2, axis=1) >= _COVERED
         low = high = len(full) // 2
         if not full[low]:
@@ -72,24 +68,74 @@ class Coverage:
         while high < len(full) - 1 and full[high + 1]:
             high += 1
         edges = np.linspace(-90, 90, len(full) + 1)
-        phi = float(edges[low]), float(edges[high + 1])
-        farthest = float(np.nanmedian(self.baseline[low : high + 1])) / np.radians(1 / self.pixels_per_degree)
-        nearest = self._nearest(slice(low, high + 1))
-        spheres = int(np.clip(8 * np.ceil((1 + farthest / nearest) / 8), *_SPHERES))
-        width = 8 * round(360 * self.pixels_per_degree / 8)
-        height = max(8, 8 * round(width * (phi[1] - phi[0]) / 360 / 8))
-        return SphereGrid(width, height, phi, spheres, float(f"{nearest:.2g}"), max_depth=float(f"{farthest:.2g}"))
+        return float(edges[low]), float(edges[high + 1])
 
-    def _nearest(self, rows: slice) -> float:
+    def propose(
+        self,
+        width: int | None = None,
+        height: int | None = None,
+        phi_deg: tuple[float, float] | None = None,
+        num_spheres: int | None = None,
+        min_depth: float | None = None,
+    ) -> SphereGrid:
+        """Return the recommended grid: what is given stays, and what is None uses the images fully.
+
+        One column is a pixel, and one sphere moves a match by a pixel (median over rays). Pixels are square: the
+        elevations are those of `rows`, or with a height those around the horizon. The nearest depth is that at which
+        the rows are covered nearly as well as far away, outside the rig.
+        """
+        if width is None:
+            width = 8 * round(360 * self.pixels_per_degree / 8)
+        if phi_deg is None and height is None:
+            phi_deg = self.rows() or _ANY_ROWS
+        elif phi_deg is None:
+            half = min(180 * height / width, 90.0)
+            phi_deg = -half, half
+        if height is None:
+            height = max(8, 8 * round(width * (phi_deg[1] - phi_deg[0]) / 360 / 8))
+        if min_depth is None:
+            min_depth = self._nearest(phi_deg)
+        if num_spheres is None:
+            num_spheres = int(np.clip(8 * np.ceil((1 + self._farthest(phi_deg) / min_depth) / 8), *_SPHERES))
+        return SphereGrid(width, height, phi_deg, num_spheres, min_depth)
+
+    def _between(self, phi_deg: tuple[float, float]) -> slice:
+        """Return the rows between two elevations, at least one."""
+        first, stop = np.rint((np.array(phi_deg) + 90) * self.grid.height / 180).astype(int)
+        return slice(min(first, self.grid.height - 1), max(stop, first + 1))
+
+    def _farthest(self, phi_deg: tuple[float, float]) -> float:
+        """Return the depth in metres beyond which a match that is off by a pixel is infinitely far, in the median."""
+        baseline = self.baseline[self._between(phi_deg)]
+        return float(np.median(baseline[baseline > 0])) / np.radians(1 / self.pixels_per_degree)
+
+    def _nearest(self, phi_deg: tuple[float, float]) -> float:
         """Return the least depth in metres, to a tenth, at which the rows are covered nearly as well as far away."""
-        depth = _CLEARANCE * float(np.linalg.norm(self.rig.centers, axis=1).max())
+        rows, depth = self._between(phi_deg), _CLEARANCE * float(np.linalg.norm(self.rig.centers, axis=1).max())
         far = np.sum(self.cameras[rows] >= 2)
         while np.sum(_visible(self.rig, self.grid, depth).sum(0)[rows] >= 2) < _COVERED * far:
             depth *= 1.1
-        return depth
+        return float(f"{depth:.2g}")
 
-    def sentences(self) -> list[str]:
-        """Return what the rig can see and how exact its depth can be, in plain sentences."""
+    def left_out(self, grid: SphereGrid) -> str:
+        """Return what a grid shows, and what it leaves out of what the cameras see, as a sentence."""
+        seen = np.sum(self.cameras >= 2, axis=1) * np.cos(self.grid.phis())  # by solid angle
+        outside = 100 * (1 - seen[self._between(grid.phi_deg)].sum() / max(seen.sum(), 1e-9))
+        width = self.propose(phi_deg=grid.phi_deg, num_spheres=2, min_depth=grid.min_depth).width
+        parts = []
+        if outside >= 1:
+            first, last = np.flatnonzero(seen)[[0, -1]]
+            low, high = np.linspace(-90, 90, len(seen) + 1)[[first, last + 1]]
+            parts.append(f"{outside:.0f} % of the directions that two cameras see (--phi {low:g} {high:g})")
+        if width > grid.width:
+            parts.append(f"detail (--width {width} uses the images fully)")
+        return (
+            f"{grid.width} × {grid.height} rays from {grid.phi_deg[0]:g}° to {grid.phi_deg[1]:g}°, "
+            f"{grid.num_spheres} spheres from {grid.min_depth:g} m. Left out: {' and '.join(parts) or 'nothing'}."
+        )
+
+    def sentences(self, min_depth: float | None = None) -> list[str]:
+        """Return what the rig can see and how exact its depth can be, in plain sentences; arguments as `propose`."""
         rig, lines = self.rig, []
         shares = ", ".join(f"{k} or more {100 * self.share(k):.0f} %" for k in range(1, len(rig) + 1))
         lines.append(f"Cameras that see a direction, as a share of the whole sphere: {shares}.")
@@ -98,13 +144,13 @@ class Coverage:
         for depth in (1.0, 5.0, 20.0):
             off = float(np.nanmedian(self.depth_resolution(depth)))
             lines.append(f"At {depth:g} m, a match that is off by one pixel puts a depth off by {off:.2g} m.")
-        grid = self.propose()
-        if grid is None:
+        if self.rows() is None:
             return [*lines, "No row of the panorama has depth all around: choose --phi and look at the picture."]
+        grid = self.propose(min_depth=min_depth)
         lines.append(
             f"The images can fill a panorama of {grid.width} × {grid.height} from {grid.phi_deg[0]:g}° to "
             f"{grid.phi_deg[1]:g}° with {grid.num_spheres} spheres, from {grid.min_depth:g} m; beyond "
-            f"{grid.max_depth:g} m all looks infinitely far. Smaller ones are faster: 320 × 80 and 64 spheres to try."
+            f"{self._farthest(grid.phi_deg):.2g} m all looks infinitely far."
         )
         return lines
 

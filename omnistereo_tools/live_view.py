@@ -6,9 +6,10 @@ import re
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from threading import BoundedSemaphore, Condition, Thread
+from threading import BoundedSemaphore, Condition, Event, Thread
 from typing import Any
 
 import cv2
@@ -18,18 +19,55 @@ from numpy.typing import NDArray
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import decoder_messages
 from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_tools.blend import blended_panorama
 from omnistereo_tools.pictures import BACKGROUND, ColorScale
 from omnistereo_tools.sources import open_video
+from omnistereo_tools.summary import metres
 
 _WIDTH = 1280  # px of the picture, if the panorama is smaller
 _PATIENCE_S = 10.0  # of a camera that gives no picture, and of a browser that neither asks nor reads
-_CLIENTS = 16  # connections at a time; a page has two
+_CLIENTS = 16  # connections at a time; a page has three
 _HOST = re.compile(r"(localhost|127\.0\.0\.1)(:[0-9]+)?")  # a name of another site may lead here, too
-_PAGE = b"""<!doctype html><title>omnistereo live</title>
-<body style="margin:0;background:#202020"><img src="stream" alt="panorama over depth" style="width:100%">"""
+_SCALE_PX, _NOTE_PX = 44, 40  # heights of the scale and of the line below it
+_INK = (0xE8,) * 3
+_PAGE = b"""<!doctype html><html lang="en"><title>omnistereo live</title>
+<body style="margin:0;background:#202020;color:#e8e8e8;font:16px system-ui,sans-serif">
+<img id="view" src="stream" alt="panorama over depth" style="width:100%;cursor:crosshair">
+<p id="depth" role="status" style="margin:8px 12px">Point at the picture: here stands its depth.</p>
+<script>
+const view = document.getElementById("view"), line = document.getElementById("depth");
+let asking = false;
+view.onpointermove = async event => {
+  if (asking) return;
+  asking = true;
+  const box = view.getBoundingClientRect();
+  const x = (event.clientX - box.left) / box.width, y = (event.clientY - box.top) / box.height;
+  try { line.textContent = await (await fetch(`depth?${x}&${y}`)).text(); }
+  catch { line.textContent = "the live view has ended"; }
+  asking = false;
+};
+</script>"""
+
+
+@dataclass(frozen=True, eq=False)
+class LivePicture:
+    """What the browser shows: panorama over depth, its scale and a line of text."""
+
+    jpeg: bytes
+    depth: NDArray[np.float64]  #: (H, W), metres
+    rows: float  #: share of the height of the picture that the panorama takes, and the depth again
+
+    def depth_at(self, x: float, y: float) -> str:
+        """Return the depth in words at a place of the picture, both coordinates from 0 to 1."""
+        row, column = int(y % self.rows / self.rows * len(self.depth)), int(x * self.depth.shape[1])
+        if not (0 <= y < 2 * self.rows and 0 <= column < self.depth.shape[1]):
+            return ""
+        depth = self.depth[row, column]
+        return "no depth here" if np.isnan(depth) else f"{metres(float(depth))} along the ray"
 
 
 class Latest:
@@ -39,6 +77,7 @@ class Latest:
         self._changed = Condition()
         self._value, self._number = None, 0
         self.closed = False
+        self.watched = Event()  #: set when somebody begins to look
 
     def put(self, value: object) -> None:
         """Renew the value."""
@@ -52,9 +91,15 @@ class Latest:
             self.closed = True
             self._changed.notify_all()
 
+    @property
+    def newest(self) -> object:
+        """The newest value, None before the first."""
+        return self._value
+
     def __iter__(self) -> Iterator:
         """Yield the newest value, whenever there is a newer one, until it is closed."""
         seen = 0
+        self.watched.set()
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._number > seen or self.closed)  # noqa: B023
@@ -72,14 +117,19 @@ class Cameras:
         rig: Its image sizes are asked of the cameras.
 
     Raises:
-        OmnistereoError: If a source cannot be opened.
+        OmnistereoError: If there is not one source per camera, or one cannot be opened.
+
+    Attributes:
+        first: The first picture of each, RGB: what is black, how near things are and how bright the cameras are.
     """
 
     def __init__(self, sources: Sequence[int | str], rig: Rig) -> None:
-        self.captures = [
-            _open_camera(source, camera.image_size) if isinstance(source, int) else open_video(Path(source))
-            for source, camera in zip(sources, rig.cameras, strict=False)
-        ]
+        if len(sources) != len(rig):
+            raise OmnistereoError(
+                f"there are {len(sources)} cameras or videos for a rig of {len(rig)}. Give one for each."
+            )
+        self.captures = [_open(source, camera.image_size) for source, camera in zip(sources, rig.cameras, strict=True)]
+        self.first = [_first(source, capture) for source, capture in zip(sources, self.captures, strict=True)]
         rates = [capture.get(cv2.CAP_PROP_FPS) for capture in self.captures]
         # Videos play at their own speed, cameras set it themselves.
         self.period = 1 / rates[0] if isinstance(sources[0], str) and rates[0] > 0 else 0.0
@@ -98,27 +148,37 @@ class Cameras:
         self.newest.close()
 
 
-def _open_camera(number: int, image_size: tuple[int, int]) -> cv2.VideoCapture:
+def _open(source: int | str, image_size: tuple[int, int]) -> cv2.VideoCapture:
+    """Open a video, or a camera, which is asked for the size of the images of the rig."""
+    if isinstance(source, str):
+        return open_video(Path(source), image_size)
     with decoder_messages():
-        capture = cv2.VideoCapture(number)
+        capture = cv2.VideoCapture(source)
     if not capture.isOpened():
-        raise OmnistereoError(f"camera {number} cannot be opened. Check that it exists and is not in use.")
+        raise OmnistereoError(f"camera {source} cannot be opened. Check that it exists and is not in use.")
     capture.set(cv2.CAP_PROP_FRAME_WIDTH, image_size[0])
     capture.set(cv2.CAP_PROP_FRAME_HEIGHT, image_size[1])
     return capture
 
 
-def live_pictures(
-    sources: Sequence[int | str], sweep: SphereSweep, method: str | Method
-) -> Iterator[NDArray[np.uint8]]:
-    """Return pictures, panorama over depth, BGR, until a source ends; see `Cameras`, which also says what raises."""
-    cameras, method = Cameras(sources, sweep.rig), Method.parse(method)
-    blank = [np.zeros(camera.image_size[::-1], np.uint8) for camera in sweep.rig.cameras]
-    sweep_depth(sweep, blank, method).panorama(blank)  # warm up tables and kernels
+def _first(source: int | str, capture: cv2.VideoCapture) -> NDArray[np.uint8]:
+    """Return the first picture of a source, RGB; a video begins again."""
+    read, picture = capture.read()
+    if not read:
+        raise OmnistereoError(f"{source} gives no picture. Check the camera, or convert the video.")
+    if isinstance(source, str):
+        capture.open(source)
+    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+
+
+def live_pictures(cameras: Cameras, sweep: SphereSweep, method: str | Method) -> Iterator[LivePicture]:
+    """Return pictures until a source ends; tables and kernels are ready when the first one is asked for."""
+    method = Method.parse(method)
+    blended_panorama(sweep_depth(sweep, cameras.first, method), cameras.first)
     return _play(cameras, sweep, method)
 
 
-def _play(cameras: Cameras, sweep: SphereSweep, method: Method) -> Iterator[NDArray[np.uint8]]:
+def _play(cameras: Cameras, sweep: SphereSweep, method: Method) -> Iterator[LivePicture]:
     scale = ColorScale(0.0, 0.8 / sweep.grid.min_depth)
     reader = Thread(target=cameras.read, daemon=True)
     reader.start()
@@ -127,38 +187,40 @@ def _play(cameras: Cameras, sweep: SphereSweep, method: Method) -> Iterator[NDAr
         for frames in cameras.newest:
             images = [cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) for frame in frames]
             depth = sweep_depth(sweep, images, method)
-            panorama = np.nan_to_num(depth.panorama(images)).round().astype(np.uint8)
+            panorama = np.nan_to_num(blended_panorama(depth, images)).round().astype(np.uint8)
             now = time.monotonic()
-            note = f"{1 / (now - before):.1f} frames/s, median {np.nanmedian(depth.depth):.1f} m"
+            note = f"{method.name}: {1 / (now - before):.1f} frames/s, median {metres(np.nanmedian(depth.depth))}"
             before = now
-            yield cv2.cvtColor(_draw(panorama, scale.colorize(depth), note), cv2.COLOR_RGB2BGR)
+            yield draw_picture(panorama, depth, scale, note)
     finally:
         cameras.newest.close()
         reader.join(_PATIENCE_S)
 
 
-def _draw(panorama: NDArray[np.uint8], colors: NDArray[np.uint8], note: str) -> NDArray[np.uint8]:
+def draw_picture(panorama: NDArray[np.uint8], depth: Depth, scale: ColorScale, note: str) -> LivePicture:
+    """Draw a panorama (H, W, 3), RGB, over its depth in colours, with the scale in metres and a note."""
     factor = max(1, round(_WIDTH / panorama.shape[1]))
-    size = (panorama.shape[1] * factor, panorama.shape[0] * factor)
-    pictures = [cv2.resize(picture, size, interpolation=cv2.INTER_LINEAR) for picture in (panorama, colors)]
-    line = np.full((40, size[0], 3), BACKGROUND, np.uint8)
-    cv2.putText(line, note, (12, 28), (0xE8,) * 3, cv2.FontFace("sans"), 22, 400)
-    return np.vstack([*pictures, line])
+    width, height = panorama.shape[1] * factor, panorama.shape[0] * factor
+    colors = scale.colorize(depth)
+    parts = [cv2.resize(picture, (width, height), interpolation=cv2.INTER_LINEAR) for picture in (panorama, colors)]
+    parts += [_scale_strip(scale, width), np.full((_NOTE_PX, width, 3), BACKGROUND, np.uint8)]
+    picture = np.vstack(parts)
+    _write(picture, f"{note}. Striped: no depth", (12, len(picture) - 12))
+    jpeg = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes()
+    return LivePicture(jpeg, depth.depth, height / len(picture))
 
 
-def show(pictures: Iterator[NDArray[np.uint8]], latest: Latest) -> int:
-    """Give pictures to a server of `serve` until they end or Ctrl-C is pressed; return how many there were."""
-    count = 0
-    try:
-        for picture in pictures:
-            latest.put(cv2.imencode(".jpg", picture)[1].tobytes())
-            count += 1
-    except KeyboardInterrupt as stop:
-        if type(stop) is not KeyboardInterrupt:  # SIGTERM, a class of its own in the command line, ends the command
-            raise
-    finally:
-        latest.close()
-    return count
+def _scale_strip(scale: ColorScale, width: int) -> NDArray[np.uint8]:
+    """Return the colours from far to near with their depths in metres below, (height, width, 3) RGB."""
+    strip = np.full((_SCALE_PX, width, 3), BACKGROUND, np.uint8)
+    strip[4:18] = cv2.resize(scale.bar(256), (width, 14), interpolation=cv2.INTER_LINEAR)
+    for at, label in scale.ticks():
+        _write(strip, label, (int(np.clip(at * width - 16, 4, width - 52)), _SCALE_PX - 6))
+    return strip
+
+
+def _write(picture: NDArray[np.uint8], text: str, place: tuple[int, int]) -> None:
+    cv2.putText(picture, text, place, _INK, cv2.FontFace("sans"), 20, 400)
 
 
 class _Server(ThreadingHTTPServer):
@@ -185,7 +247,7 @@ class _Server(ThreadingHTTPServer):
 
 @contextmanager
 def serve(latest: Latest, port: int) -> Iterator[str]:
-    """Serve JPEG pictures to browsers of this machine as a stream; yield the address.
+    """Serve live pictures to browsers of this machine as a stream of JPEG; yield the address.
 
     Raises an `OmnistereoError` if the port is in use or none.
     """
@@ -199,16 +261,27 @@ def serve(latest: Latest, port: int) -> Iterator[str]:
             if not _HOST.fullmatch(self.headers.get("Host", "")):
                 self.send_error(403)
                 return
-            is_stream = self.path == "/stream"
+            name, _, query = self.path.partition("?")
+            content, send = {
+                "/stream": ("multipart/x-mixed-replace; boundary=x", self._stream),
+                "/depth": ("text/plain; charset=utf-8", lambda: self.wfile.write(self._depth(query).encode())),
+            }.get(name, ("text/html", lambda: self.wfile.write(_PAGE)))
             self.send_response(200)
-            self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=x" if is_stream else "text/html")
+            self.send_header("Content-Type", content)
             self.end_headers()
-            self._stream() if is_stream else self.wfile.write(_PAGE)
+            send()
+
+        def _depth(self, query: str) -> str:
+            try:
+                x, y = map(float, query.split("&"))
+                return latest.newest.depth_at(x, y)
+            except (ValueError, AttributeError):  # another question, or before the first picture
+                return ""
 
         def _stream(self) -> None:
-            for jpeg in latest:
-                head = f"--x\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
-                self.wfile.write(head.encode() + jpeg + b"\r\n")
+            for picture in latest:
+                head = f"--x\r\nContent-Type: image/jpeg\r\nContent-Length: {len(picture.jpeg)}\r\n\r\n"
+                self.wfile.write(head.encode() + picture.jpeg + b"\r\n")
 
         def log_message(self, *_: object) -> None:
             pass
@@ -221,5 +294,6 @@ def serve(latest: Latest, port: int) -> Iterator[str]:
     try:
         yield f"http://127.0.0.1:{server.server_address[1]}/"
     finally:
+        latest.close()
         server.shutdown()
         server.server_close()

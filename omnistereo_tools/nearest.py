@@ -20,14 +20,14 @@ _MARGIN = 0.55  # for what comes nearer in the next frame, and for small things 
 _PASSES = 2
 
 
-def propose_min_depth(rig: Rig, images: Sequence[ArrayLike], phi_deg: tuple[float, float] = (-45.0, 45.0)) -> float:
+def propose_min_depth(rig: Rig, images: Sequence[ArrayLike]) -> float:
     """Return a nearest depth in metres, rounded: a little less than the nearest thing that a coarse sweep finds.
 
-    The second pass sweeps from what the first one found: with fewer spheres wasted in front of it, it is sharper.
+    The second pass sweeps from what the first one found: with fewer spheres wasted in front of it, it is sharper. Both
+    look around the horizon, where nothing is distorted; a floor that is nearer below is within the margin.
 
     Args:
         images: one array per camera, in the order of the rig
-        phi_deg: Elevation range of the panorama in degrees.
 
     Raises:
         OmnistereoError: If the images do not fit the rig, or no two cameras see a ray.
@@ -35,7 +35,9 @@ def propose_min_depth(rig: Rig, images: Sequence[ArrayLike], phi_deg: tuple[floa
     rig, images = reduce_images(rig, images, _WIDTH / 360)
     nearest = _BASELINES * float(rig.baselines.mean())
     for _ in range(_PASSES):
-        depth = estimate_depth(rig, images, SphereGrid(_WIDTH, _HEIGHT, phi_deg, _SPHERES, nearest), VIDEO_METHOD)
+        depth = estimate_depth(
+            rig, images, SphereGrid(_WIDTH, _HEIGHT, num_spheres=_SPHERES, min_depth=nearest), VIDEO_METHOD
+        )
         sure = depth.valid & (depth.confidence >= np.nanmedian(depth.confidence))
         nearest = max(nearest, _MARGIN * float(np.quantile(depth.depth[sure], _QUANTILE)))
     return float(f"{nearest:.2g}")

@@ -15,11 +15,13 @@ from omnistereo_lib.files import atomic_write
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_tools.blend import blended_panorama, estimate_gains
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 BACKGROUND = 0x20  # colours stand out, and gaps between points do not dazzle
+_FADE, _GRAY = 0.65, 0x80  # of what is doubtful, towards
 _ANY_GRID = SphereGrid(2, 2)  # `colorize_depth` reads its nearest depth only
 _NEAREST = 0.1  # metres in front of the eye
 _LARGEST = 7  # px of a point: nearer ones would hide what is behind them
@@ -44,6 +46,11 @@ def colorize_depth(inverse_depth: ArrayLike, grid: SphereGrid) -> NDArray[np.uin
     return np.where(np.isfinite(inverse_depth)[..., None], colors, stripes).astype(np.uint8)
 
 
+def faded(colors: NDArray[np.uint8], doubtful: NDArray[np.bool_], towards: int = BACKGROUND) -> NDArray[np.uint8]:
+    """Return colours (..., 3) of which the doubtful ones (...) are drawn towards a gray value."""
+    return np.where(doubtful[..., None], (1 - _FADE) * colors + _FADE * towards, colors).astype(np.uint8)
+
+
 @dataclass(frozen=True)
 class ColorScale:
     """Range of inverse depth in 1/m that the colours of a depth picture are stretched to."""
@@ -59,9 +66,10 @@ class ColorScale:
         low = 0.0 if low < 0.02 * high else float(low)  # the sky is part of the scale
         return cls(low, float(max(high, low + 1e-3)))
 
-    def colorize(self, depth: Depth) -> NDArray[np.uint8]:
-        """Return the colours of inverse depth, (H, W, 3) RGB; see `colorize_depth`."""
-        return colorize_depth(depth.inverse_depth - self.low, replace(depth.grid, **self._as_range))
+    def colorize(self, depth: Depth, doubtful: NDArray[np.bool_] | None = None) -> NDArray[np.uint8]:
+        """Return the colours of inverse depth, (H, W, 3) RGB, doubtful rays faded; see `colorize_depth`."""
+        colors = colorize_depth(depth.inverse_depth - self.low, replace(depth.grid, **self._as_range))
+        return colors if doubtful is None else faded(colors, doubtful, _GRAY)
 
     def bar(self, width: int) -> NDArray[np.uint8]:
         """Return the colours from `low` to `high` as a picture of one row, (1, width, 3) RGB."""
@@ -84,7 +92,7 @@ class ColorScale:
 
 
 def sharp_panorama(depth: Depth, images: Sequence[ArrayLike], width: int) -> NDArray[np.uint8]:
-    """Return the reference panorama with about `width` columns or more, uint8 RGB; unknown is black.
+    """Return the blended panorama with about `width` columns or more, uint8 RGB; unknown is black.
 
     The images hold more detail than the depth, so each ray is divided into several at its depth.
     """
@@ -92,8 +100,8 @@ def sharp_panorama(depth: Depth, images: Sequence[ArrayLike], width: int) -> NDA
     grid = replace(depth.grid, width=factor * depth.grid.width, height=factor * depth.grid.height)
     index = np.repeat(np.repeat(depth.index, factor, 0), factor, 1)
     sweep = SphereSweep(depth.sweep.rig, grid, center=np.zeros(3))  # the rig of a sweep is centred already
-    panorama = Depth(index, np.ones_like(index), sweep).panorama(images)
-    pixels = np.nan_to_num(panorama).clip(0, 255).round().astype(np.uint8)
+    fine = Depth(index, np.ones_like(index), sweep)
+    pixels = np.nan_to_num(blended_panorama(fine, images, estimate_gains(depth, images))).round().astype(np.uint8)
     return pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, -1)
 
 

@@ -1,4 +1,4 @@
-"""The point cloud: which rays are points, their colours, normals and confidence, as binary PLY."""
+"""The point cloud: which rays are points, their colours, normals, confidence and doubts, as binary PLY."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from omnistereo_lib.files import atomic_write
 from omnistereo_lib.stereo.depth import Depth
 
-_DROPPED = 0.1  # of the rays by default: on the test frames they hold two fifths of the errors
 _FAR_SPHERE = 4  # beyond it, one sphere more or less is a quarter of the depth: a spray of points, not a surface
 
 _PROPERTIES = dict.fromkeys(("x", "y", "z", "nx", "ny", "nz"), "<f4")
-_PROPERTIES |= {"red": "u1", "green": "u1", "blue": "u1", "confidence": "<f4"}
+_PROPERTIES |= {"red": "u1", "green": "u1", "blue": "u1", "confidence": "<f4", "doubtful": "u1"}
 _PLY_TYPES = {"<f4": "float", "u1": "uchar"}
 
 
@@ -28,17 +27,10 @@ class Limits:
 
     @classmethod
     def of(cls, depth: Depth, max_depth: float | None = None, min_confidence: float | None = None) -> Limits:
-        """Return the limits, with defaults for None.
-
-        By default: up to the fourth sphere from infinity, without the least confident tenth of the rays. What
-        confidence means depends on the method; its order does not.
-        """
+        """Return the limits; by default up to the fourth sphere from infinity, and with any confidence."""
         if max_depth is None:
             max_depth = float(depth.grid.index_to_depth(min(_FAR_SPHERE, depth.grid.num_spheres - 1)))
-        if min_confidence is None:
-            known = depth.confidence[depth.valid]
-            min_confidence = float(np.quantile(known, _DROPPED)) if known.size else 0.0
-        return cls(max_depth, min_confidence)
+        return cls(max_depth, min_confidence or 0.0)
 
     def keep(self, depth: Depth) -> NDArray[np.bool_]:
         """Return which rays are within the limits, bool, shape (H, W)."""
@@ -53,10 +45,11 @@ class PointCloud:
     normals: NDArray[np.float32]  #: (M, 3), unit length, towards the rig
     colors: NDArray[np.uint8]  #: (M, 3), RGB
     confidence: NDArray[np.float32]  #: (M,), in [0, 1]
+    doubtful: NDArray[np.bool_]  #: (M,)
 
     @classmethod
-    def of(cls, depth: Depth, panorama: NDArray[np.float32], limits: Limits) -> PointCloud:
-        """Return the points of the rays within the limits, coloured by `Depth.panorama`; gray gives gray points."""
+    def of(cls, depth: Depth, panorama: NDArray[np.float32], limits: Limits, doubtful: NDArray[np.bool_]) -> PointCloud:
+        """Return the points of the rays within the limits, coloured by a panorama; gray gives gray points."""
         colors = np.repeat(panorama[..., None], 3, -1) if panorama.ndim == 2 else panorama
         keep = limits.keep(depth) & np.isfinite(colors[..., 0])
         points = depth.grid.rays() * np.where(keep, depth.depth, 0)[..., None]
@@ -65,12 +58,13 @@ class PointCloud:
             normals(points)[keep].astype(np.float32),
             colors[keep].clip(0, 255).round().astype(np.uint8),
             depth.confidence[keep].astype(np.float32),
+            doubtful[keep],
         )
 
     def write(self, path: Path) -> None:
         """Write the points as binary PLY, with the properties that MeshLab, CloudCompare and Open3D read."""
         rows = np.empty(len(self.points), list(_PROPERTIES.items()))
-        columns = [*self.points.T, *self.normals.T, *self.colors.T, self.confidence]
+        columns = [*self.points.T, *self.normals.T, *self.colors.T, self.confidence, self.doubtful]
         for name, column in zip(_PROPERTIES, columns, strict=True):
             rows[name] = column
         header = ["ply", "format binary_little_endian 1.0", "comment metres; x right, y down, z forward"]

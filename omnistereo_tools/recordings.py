@@ -34,6 +34,7 @@ from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_tools.blend import blended_panorama
 from omnistereo_tools.pictures import ColorScale
 from omnistereo_tools.sources import Pictures, Recording
 
@@ -143,14 +144,15 @@ class DepthWriter:
 
     def write(self, number: int, images: list[NDArray[np.uint8]], depth: Depth) -> None:
         """Write images, video frame and depth of one frame."""
-        for k, (source, image) in enumerate(zip(self.recording.sources, images, strict=True), 1):
-            folder = self.out / f"cam{k}"
-            if isinstance(source, Pictures):
+        sources = self.recording.sources
+        for k, image in enumerate(images, 1):
+            folder, source = self.out / f"cam{k}", sources[min(k, len(sources)) - 1]
+            if isinstance(source, Pictures) and len(sources) == len(images):
                 _link(source.files[self.recording.frames[number]], folder, number)
             else:
                 write_image(folder / f"{number:05}.jpg", image)
         if self.with_video:
-            panorama = np.nan_to_num(depth.panorama(images))
+            panorama = np.nan_to_num(blended_panorama(depth, images))
             panorama = panorama if panorama.ndim == 3 else np.repeat(panorama[..., None], 3, -1)
             scale = ColorScale(0.0, 0.8 / self.sweep.grid.min_depth)  # the same colours in all frames
             write_image(self.picture_path(number), np.vstack([panorama, scale.colorize(depth)]))

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Pairs, Rig, camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.cost import Progress
 from omnistereo_lib.stereo.sweep import SphereSweep, reduce_images
 from omnistereo_lib.stereo.volume import cost_volume
 
@@ -80,7 +81,7 @@ class RigCheck:
         )
 
 
-def check_rig(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid) -> RigCheck:
+def check_rig(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid, progress: Progress = iter) -> RigCheck:
     """Match the images with the rig as given and with each usual mistake undone.
 
     The images are first reduced to the resolution of the panorama, below which their detail is noise.
@@ -93,6 +94,7 @@ def check_rig(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid) -> RigChe
         images: one array per camera
         grid: A small one, such as 320 × 80 with 64 spheres. A rotated camera is found from about one pixel on, 1.1°
             here.
+        progress: Wraps the mistakes that are tried, such as tqdm, then the cameras that may be rotated.
 
     Raises:
         OmnistereoError: If the images do not fit the cameras.
@@ -101,17 +103,17 @@ def check_rig(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid) -> RigChe
     sweep = SphereSweep(rig, grid)
     cost = matching_cost(sweep, images)
     given = RigHypothesis("as given", cost, cost)
+    tried = [(name, other.T_rig_cam, images) for name, other in _other_poses(rig, grid)]
+    tried += [(name, None, changed) for name, changed in _other_images(images)]
     others = [
-        RigHypothesis(name, matching_cost(sweep.with_poses(other.T_rig_cam), images), cost)
-        for name, other in _other_poses(rig, grid)
+        RigHypothesis(name, matching_cost(sweep if poses is None else sweep.with_poses(poses), pictures), cost)
+        for name, poses, pictures in progress(tried)
     ]
-    for name, changed in _other_images(images):
-        others.append(RigHypothesis(name, matching_cost(sweep, changed), cost))
     check = RigCheck(given, sorted(others, key=lambda one: one.cost), [])
     if check.mistake is not None or cost > _HOPELESS or len(rig) < 3:
         return check
-    rotated = sorted(_rotated_cameras(sweep, images), key=lambda one: one.cost / max(one.given_cost, 1e-9))
-    return replace(check, rotated=rotated)
+    rotated = [_rotated_camera(sweep, images, camera) for camera in progress(range(len(rig)))]
+    return replace(check, rotated=sorted(rotated, key=lambda one: one.cost / max(one.given_cost, 1e-9)))
 
 
 def other_order(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid) -> str | None:
@@ -154,29 +156,28 @@ def rotate_camera(rig: Rig, camera: int, axis_angle: ArrayLike) -> Rig:
     return rig.with_poses([pose @ rotation if i == camera else pose for i, pose in enumerate(rig.T_rig_cam)])
 
 
-def _rotated_cameras(sweep: SphereSweep, images: Sequence[ArrayLike]) -> Iterator[RigHypothesis]:
-    """Yield each camera with the rotation that its own pairs prefer: about one axis, or a Newton step about all three.
+def _rotated_camera(sweep: SphereSweep, images: Sequence[ArrayLike], camera: int) -> RigHypothesis:
+    """Return a camera with the rotation that its own pairs prefer: about one axis, or a Newton step about all three.
 
     Costs of different pairs are not comparable: in a room they differ by a factor of four with the right rig, while
     a rotation by 2° raises them by a fifth. So each camera is compared with itself.
     """
     rig, pixel = sweep.rig, 2 * np.pi / sweep.grid.width
     angle = _ROTATION_PX * pixel
-    for camera in range(len(rig)):
-        pairs = [pair for pair in camera_pairs("all", rig) if camera in pair]
+    pairs = [pair for pair in camera_pairs("all", rig) if camera in pair]
 
-        def cost(axis_angle: NDArray, camera: int = camera, pairs: Pairs = pairs) -> float:
-            return matching_cost(sweep.with_poses(rotate_camera(rig, camera, axis_angle).T_rig_cam), images, pairs)
+    def cost(axis_angle: NDArray) -> float:
+        return matching_cost(sweep.with_poses(rotate_camera(rig, camera, axis_angle).T_rig_cam), images, pairs)
 
-        given_cost = matching_cost(sweep, images, pairs)
-        steps = angle * np.concatenate([np.eye(3), -np.eye(3)])
-        costs = np.array([cost(step) for step in steps])
-        slopes, curvatures = (costs[:3] - costs[3:]) / 2, costs[:3] + costs[3:] - 2 * given_cost
-        newton = angle * (-slopes / np.maximum(curvatures, 1e-9)).clip(-1, 1)
-        newton *= np.linalg.norm(newton) >= pixel  # less may match better by chance
-        lowest, step = min((cost(newton), newton), (costs.min(), steps[costs.argmin()]), key=lambda pair: pair[0])
-        name = f"camera {camera + 1} looks rotated by about {np.degrees(np.linalg.norm(step)):.1f}°"
-        yield RigHypothesis(name, float(lowest), given_cost)
+    given_cost = matching_cost(sweep, images, pairs)
+    steps = angle * np.concatenate([np.eye(3), -np.eye(3)])
+    costs = np.array([cost(step) for step in steps])
+    slopes, curvatures = (costs[:3] - costs[3:]) / 2, costs[:3] + costs[3:] - 2 * given_cost
+    newton = angle * (-slopes / np.maximum(curvatures, 1e-9)).clip(-1, 1)
+    newton *= np.linalg.norm(newton) >= pixel  # less may match better by chance
+    lowest, step = min((cost(newton), newton), (costs.min(), steps[costs.argmin()]), key=lambda pair: pair[0])
+    name = f"camera {camera + 1} looks rotated by about {np.degrees(np.linalg.norm(step)):.1f}°"
+    return RigHypothesis(name, float(lowest), given_cost)
 
 
 def _other_poses(rig: Rig, grid: SphereGrid) -> Iterator[tuple[str, Rig]]:

@@ -13,13 +13,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from omnistereo_lib.consumer_images import split_image
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.evaluate.records import checksum
 from omnistereo_lib.files import check_size, decoder_messages, read_image
 from omnistereo_lib.geometry.rig import Rig
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
-_VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v", ".mpg", ".mpeg", ".ts")
+_VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v", ".mpg", ".mpeg", ".ts", ".insv")
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet: what cannot be read is told by an error
 _NOT_FRAMES = ("mask",)  # file names without suffix
 
@@ -48,8 +49,8 @@ class Pictures:
         """Call the frames by the numbers at the end of their names."""
         self.files = {int(re.search(r"[0-9]+$", name)[0]): path for name, path in self.files.items()}
 
-    def read(self, keys: Sequence, image_size: tuple[int, int]) -> Iterator[NDArray[np.uint8]]:
-        """Yield the pictures of some frames; width and height must be those of the camera."""
+    def read(self, keys: Sequence, image_size: tuple[int, int] | None) -> Iterator[NDArray[np.uint8]]:
+        """Yield the pictures of some frames; width and height must be those of the camera, unless they are None."""
         for key in keys:
             yield read_image(self.files[key], image_size)
 
@@ -83,7 +84,7 @@ class Video:
     def use_numbers(self) -> None:
         """Call the frames by their numbers, as they are."""
 
-    def read(self, keys: Sequence[int], image_size: tuple[int, int]) -> Iterator[NDArray[np.uint8]]:
+    def read(self, keys: Sequence[int], image_size: tuple[int, int] | None) -> Iterator[NDArray[np.uint8]]:
         """Yield some frames, in ascending order; those between are skipped, because seeking is not exact."""
         video, position = open_video(self.path, image_size), 0
         for key in keys:
@@ -149,8 +150,16 @@ class Recording:
         return next((source.fps for source in self.sources if source.fps), None)
 
     def read(self, numbers: Sequence[int], rig: Rig) -> Iterator[list[NDArray[np.uint8]]]:
-        """Yield the images of all cameras of a rig for some frames, in ascending order."""
-        keys, sizes = [self.frames[number] for number in numbers], rig.image_sizes(len(self.sources))
+        """Yield the images of all cameras of a rig for some frames, in ascending order.
+
+        A single source holds all cameras in each of its pictures, see `split_image`.
+        """
+        keys = [self.frames[number] for number in numbers]
+        if len(self.sources) == 1:
+            for image in self.sources[0].read(keys, None):
+                yield split_image(image, rig, self.sources[0].path)
+            return
+        sizes = rig.image_sizes(len(self.sources))
         read = (source.read(keys, size) for source, size in zip(self.sources, sizes, strict=True))
         for images in zip(*read, strict=True):
             yield list(images)

@@ -11,6 +11,8 @@ from omnistereo_lib.stereo.metrics import index_error
 from omnistereo_tools.points import Limits
 
 _FEW = 0.002  # of the rays: fewer are noise, not a thing
+_NEAR = 0.1  # of the rays
+_NEARER = 0.9  # of a depth: worth saying
 _MARGIN = 0.8  # of the nearest depth: room for what comes nearer in the next frame
 
 
@@ -20,19 +22,23 @@ def turn_sentence(rig: Rig) -> str | None:
     return f"The rig was turned level, by {degrees:.0f}° (--keep-frame leaves it)." if degrees > 1e-6 else None
 
 
-def depth_sentences(depth: Depth, limits: Limits) -> list[str]:
-    """Return nearest and median depth, whether the spheres suit them, and how many rays the limits keep."""
+def depth_sentences(depth: Depth, limits: Limits, doubtful: NDArray[np.bool_]) -> list[str]:
+    """Return nearest and median depth, what is doubtful, how many rays the limits keep, whether the spheres suit."""
     rays, known = depth.index.size, int(depth.valid.sum())
     keep = limits.keep(depth)
     far = int((depth.depth > limits.max_depth).sum())
-    nearest = nearest_depth(depth, keep)
-    found = f"the nearest thing is {metres(nearest)} away" if keep.any() else "no ray is within the limits"
+    nearest = nearest_depth(depth, keep & ~doubtful)
+    found = f"the nearest thing is {metres(nearest)} away"
+    if not (keep & ~doubtful).any():
+        found = "no ray within the limits is sure" if keep.any() else "no ray is within the limits"
+    unsure = known - far - int(keep.sum())
+    below = f" and {unsure} with a confidence below {limits.min_confidence:.2g} (--min-confidence)" if unsure else ""
     sentences = [
         f"{100 * known / rays:.0f} % of the {rays} rays have a depth: {found}, "
         f"the median depth is {metres(float(np.nanmedian(depth.depth)))}.",
+        *_doubt_sentence(depth, doubtful, nearest_depth(depth, keep), nearest),
         f"Point cloud and mesh use {int(keep.sum())} rays. Left out: {far} beyond {metres(limits.max_depth)} "
-        f"(--max-depth) and {known - far - int(keep.sum())} with a confidence below {limits.min_confidence:.2g} "
-        f"(--min-confidence).",
+        f"(--max-depth){below}.",
     ]
     grid = depth.grid
     if _MARGIN * nearest > 1.5 * grid.min_depth:  # what `propose_min_depth` found is not contradicted at once
@@ -45,6 +51,19 @@ def depth_sentences(depth: Depth, limits: Limits) -> list[str]:
             f"Try --min-depth {grid.min_depth / 2:.2g}."
         )
     return sentences
+
+
+def _doubt_sentence(depth: Depth, doubtful: NDArray[np.bool_], nearest: float, sure: float) -> list[str]:
+    """Return how many rays are doubtful, in all and among the nearest; `nearest` counts all of them, `sure` none."""
+    if not (doubtful & depth.valid).any():
+        return []
+    near = np.nanquantile(depth.depth, _NEAR)
+    share, of_near = (100 * doubtful[rays].mean() for rays in (depth.valid, depth.depth <= near))
+    nearer = f" If they are right, the nearest thing is {metres(nearest)} away." if nearest < _NEARER * sure else ""
+    return [
+        f"Doubtful are {share:.0f} % of the rays, and {of_near:.0f} % of the nearest tenth, up to {metres(near)}: they "
+        f"stay in the files, marked, and are faded in the pictures.{nearer}"
+    ]
 
 
 def nearest_depth(depth: Depth, keep: NDArray[np.bool_]) -> float:

@@ -14,16 +14,19 @@ from numpy.typing import NDArray
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_tools.pictures import ColorScale
 from omnistereo_tools.points import Limits
+from omnistereo_tools.trust import DOUBTFUL
 
 _PAGE = Path(__file__).with_name("viewer.html")
-_RAYS = 800_000  # 3 bytes each; with the picture the page stays below 5 MB
+_RAYS = 600_000  # 4 bytes each; with the picture the page stays below 5 MB
 _WIDEST = 2400  # px of the picture
 _STEPS = 65534  # of inverse depth in 16 bits; 0 is unknown
 
 
-def viewer_page(depth: Depth, panorama: NDArray[np.uint8], limits: Limits, title: str) -> str:
+def viewer_page(
+    depth: Depth, panorama: NDArray[np.uint8], limits: Limits, title: str, trust: NDArray | None = None
+) -> str:
     """Return the page as HTML, with everything in it; arguments as `viewer_data`."""
-    return page_of(viewer_data(depth, panorama, limits, title))
+    return page_of(viewer_data(depth, panorama, limits, title, trust=trust))
 
 
 def page_of(data: dict[str, Any]) -> str:
@@ -32,7 +35,12 @@ def page_of(data: dict[str, Any]) -> str:
 
 
 def viewer_data(
-    depth: Depth, panorama: NDArray[np.uint8], limits: Limits, title: str, mode: str = "look"
+    depth: Depth,
+    panorama: NDArray[np.uint8],
+    limits: Limits,
+    title: str,
+    mode: str = "look",
+    trust: NDArray | None = None,
 ) -> dict[str, Any]:
     """Return what the page shows, as JSON.
 
@@ -41,7 +49,9 @@ def viewer_data(
         limits: Rays that become points.
         title: What was computed and how, one line.
         mode: How it begins: "look" around, "flat" or "points".
+        trust: Of `trust.trust`, (H, W): doubtful rays are faded, and a slider hides them. None: all are trusted.
     """
+    trust = np.ones(depth.grid.shape) if trust is None else trust
     step = int(np.ceil(np.sqrt(depth.index.size / _RAYS)))
     inverse_depth = depth.inverse_depth[::step, ::step]
     known = np.isfinite(inverse_depth)
@@ -56,6 +66,8 @@ def viewer_data(
         "perStep": per_step,
         "steps": _base64(np.where(known, 1 + np.nan_to_num(inverse_depth) / per_step, 0).round().astype("<u2")),
         "confidence": _base64((255 * np.nan_to_num(depth.confidence[::step, ::step])).round().astype(np.uint8)),
+        "trust": _base64((255 * trust[::step, ::step]).round().astype(np.uint8)),
+        "doubtful": 255 * DOUBTFUL,
         "low": scale.low,
         "high": scale.high,
         "ticks": scale.ticks(),

@@ -190,7 +190,6 @@ COMMANDS = [
     Row("lower than the window", DEPTH + "--height 4", r"window is 9; expected at most .* 96 × 4"),
     Row("more than the memory", DEPTH + "--width 30000 --height 30000 --spheres 9999", "9999 spheres needs .*GiB"),
     Row("wider than OpenCV can", DEPTH + "--width 32767", "32767.* 32766"),
-    Row("live: zero depth", "live --rig RIG --cameras 0 1 2 3 --min-depth 0", r"min_depth is 0.0 and max_depth inf"),
     Row("onnx: zero depth", "onnx --rig RIG --out OUT --min-depth 0", r"min_depth is 0.0 and max_depth inf"),
     # methods
     Row("no such method", DEPTH + "--method magic", r"one of zncc, mccnn, sweepnet, volumenet, got 'magic'"),

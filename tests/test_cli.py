@@ -3,6 +3,7 @@
 import importlib
 import json
 import re
+import shlex
 
 import cv2
 import numpy as np
@@ -16,6 +17,8 @@ import omnistereo_lib as osl
 from omnistereo_lib.dataset import read_inverse_depth, write_inverse_depth
 from omnistereo_lib.files import read_image, write_image
 from omnistereo_tools import cli
+from omnistereo_tools.commands import depth_command
+from omnistereo_tools.commands.options import make_grid
 from omnistereo_tools.rig_check import invert_poses
 
 SMALL = ["--width", "96", "--height", "24", "--spheres", "16"]
@@ -28,6 +31,7 @@ RESULTS = [
     "panorama.jpg",
     "points.ply",
     "rig.yaml",
+    "trust.tiff",
 ]
 
 
@@ -126,6 +130,24 @@ def test_doctor_of_a_rig_without_images_says_what_it_can_see(data, tmp_path, cap
     assert run("doctor", "--rig", data / "config.yaml", "--coverage", tmp_path / "coverage.png") == 0
     assert "At 5 m, a match that is off by one pixel puts a depth off by" in capsys.readouterr().out
     assert cv2.imread(str(tmp_path / "coverage.png")).std() > 20
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_doctor_prints_the_command_that_depth_is_by_default(data, capsys, monkeypatch, scene_images, stated):
+    rig, _ = scene_images
+    osl.save_rig(osl.Rig(rig.cameras, rig.T_rig_cam, 0.6 if stated else None), data / "config.yaml")
+    grids = []
+
+    def stop(*arguments):
+        grids.append(make_grid(*arguments))
+        raise osl.OmnistereoError("seen enough")
+
+    monkeypatch.setattr(depth_command, "make_grid", stop)
+    assert run("doctor", *with_images(data), *SMALL) == 0
+    command = shlex.split(capsys.readouterr().out.splitlines()[-1])
+    assert command[0] == "omnistereo" and run(*command[1:]) == 2
+    assert run("depth", *with_images(data)) == 2
+    assert grids[0] == grids[1] and grids[0].phi_deg == (-90, 90) and grids[0].shape == (320, 640)
 
 
 def test_doctor_of_a_folder_that_holds_a_rig_alone(data, tmp_path, capsys):

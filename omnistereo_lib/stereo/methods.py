@@ -187,9 +187,13 @@ class Method:
     def _used(self) -> frozenset[str]:
         """Settings that make a difference."""
         of_sgm = {"p1", "p2", "wrap"} if self.aggregate == "sgm" else set()
-        reads_out = self.aggregate == "none" and COSTS[self.cost].read_out is not None
-        of_winner = set() if reads_out else {"subindex"}
+        of_winner = set() if self.reads_out else {"subindex"}
         return COSTS[self.cost].settings | of_sgm | of_winner
+
+    @property
+    def reads_out(self) -> bool:
+        """Whether index and confidence are the cost's own, see `CostEntry.read_out`; else those of the lowest costs."""
+        return self.aggregate == "none" and COSTS[self.cost].read_out is not None
 
     @property
     def has_weights(self) -> bool:
@@ -222,10 +226,8 @@ class Method:
 
     def read_out(self, volume: Tensor, subindex: bool = False) -> tuple[Tensor, Tensor]:
         """Return index and confidence (H, W) of a smoothed volume; with `subindex` or the setting between spheres."""
-        own = COSTS[self.cost].read_out
-        if own is not None and self.aggregate == "none":
-            return own(volume)
-        return index_and_confidence(volume, subindex or self.subindex)
+        own = COSTS[self.cost].read_out if self.reads_out else None
+        return index_and_confidence(volume, subindex or self.subindex) if own is None else own(volume)
 
 
 def penalties(width: int, num_spheres: int) -> tuple[float, float]:

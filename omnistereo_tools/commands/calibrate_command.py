@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,6 +24,7 @@ from omnistereo_lib.errors import OmnistereoError
 if TYPE_CHECKING:
     from omnistereo_lib.calibrate.board import Board
     from omnistereo_lib.geometry.rig import Rig
+    from omnistereo_lib.stereo.cost import Progress
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -93,10 +94,6 @@ def run(options: argparse.Namespace) -> None:
 
 def _read_captures(folder: Path) -> tuple:
     """Return camera names, capture names, images, no sizes, and a progress bar over the images."""
-    from functools import partial
-
-    from tqdm import tqdm
-
     from omnistereo_lib.calibrate.captures import find_captures
 
     captures = find_captures(folder)
@@ -105,7 +102,24 @@ def _read_captures(folder: Path) -> tuple:
         for camera, row in zip(captures.cameras, captures.paths, strict=True)
     )
     print(f"images: {counts}")
-    return captures.cameras, captures.names, captures.views(), None, partial(tqdm, desc="boards", unit="image")
+    return captures.cameras, captures.names, captures.views(), None, _bars(len(captures.cameras))
+
+
+def _bars(cameras: int) -> Progress:
+    """Return what shows a bar over the images of each camera in turn, and says when they are all read."""
+    from itertools import count
+
+    from tqdm import tqdm
+
+    numbers = count(1)
+
+    def bar(images: Iterable) -> Iterator:
+        number = next(numbers)
+        yield from tqdm(images, f"boards of camera {number} of {cameras}", unit="image")
+        if number == cameras:
+            print("solving for lenses and poses: up to a minute", flush=True)
+
+    return bar
 
 
 def _read_corners(folder: Path, board: Board) -> tuple:

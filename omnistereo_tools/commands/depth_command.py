@@ -21,6 +21,8 @@ from typing import TYPE_CHECKING
 
 from omnistereo_lib.errors import OmnistereoError, check_number
 from omnistereo_tools.commands.options import (
+    SPHERES,
+    WIDTH,
     add_device,
     add_grid,
     add_images,
@@ -47,13 +49,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add_rig(parser, help="rig file, folder of one, or data set (default: the bundled sample)")
     add_images(parser, each="image, folder of images or video")
-    add_grid(parser, width=640, height=160, spheres=192)
+    add_grid(parser, width=WIDTH, height=None, spheres=SPHERES)
     parser.add_argument("--method", help="default: for a frame the most exact, for a recording one that keeps pace")
     add_device(parser, precision=False)
-    parser.add_argument("--out", type=Path, default=Path("out"), help="folder for the results (default: out)")
+    parser.add_argument("--out", type=Path, help="folder for the results (default: out; with --rig out/depth_NAME)")
     frame = parser.add_argument_group("one frame")
     frame.add_argument("--max-depth", type=float, help="of points, metres (default: the fourth sphere from infinity)")
-    frame.add_argument("--min-confidence", type=float, help="of points (default: all but the least confident tenth)")
+    frame.add_argument("--min-confidence", type=float, help="of points (default: 0; doubtful ones are marked)")
     frame.add_argument("--mesh", type=Path, metavar="FILE", help="write a mesh as well: .glb (textured, y up) or .ply")
     frame.add_argument("--mesh-faces", type=int, metavar="N", help="decimate the mesh to N triangles")
     frame.add_argument("--equirectangular", type=Path, metavar="FILE", help="write depth as 2:1 TIFF, for 360° viewers")
@@ -72,6 +74,8 @@ def run(options: argparse.Namespace) -> None:
     """Estimate the depth of one frame or of a recording."""
     from omnistereo_tools.sources import is_recording
 
+    if options.out is None:  # a rig of one's own never overwrites the sample's results
+        options.out = Path("out") if options.rig is None else Path("out", f"depth_{options.rig.resolve().stem}")
     if options.images is not None and is_recording(options.images):
         _refuse(options, _OF_FRAMES, "one frame; --images are folders or videos")
         _run_recording(options)
@@ -89,13 +93,12 @@ def _refuse(options: argparse.Namespace, names: Sequence[str], purpose: str) -> 
 
 def _run_frame(options: argparse.Namespace) -> None:
     """Estimate depth for one frame, write everything, and say what came out."""
-    from tqdm import tqdm
-
     from omnistereo_lib.files import make_folder
     from omnistereo_lib.stereo.methods import FRAME_METHOD
     from omnistereo_lib.stereo.pipeline import estimate_depth
     from omnistereo_tools.exports import export_frame
     from omnistereo_tools.frame import FrameResult
+    from omnistereo_tools.pace import named_bar, say_frame
     from omnistereo_tools.points import Limits
 
     _check_frame_options(options)
@@ -107,12 +110,11 @@ def _run_frame(options: argparse.Namespace) -> None:
         if folder is not None:
             make_folder(folder)
     method = options.method or FRAME_METHOD
-    depth = estimate_depth(
-        rig, images, grid, method, device=options.device, progress=lambda blocks: tqdm(blocks, "sweep", unit="block")
-    )
+    say_frame(method, grid, options.device)
+    depth = estimate_depth(rig, images, grid, method, device=options.device, progress=named_bar)
     limits = Limits.of(depth, options.max_depth, options.min_confidence)
     result = FrameResult(depth, images, limits, method, gt_index)
-    written = result.write(options.out)
+    written = result.write(options.out, named_bar)
     written += export_frame(
         result, options.mesh, options.mesh_faces, options.equirectangular, options.crops, bool(options.all_crops)
     )
@@ -138,17 +140,14 @@ def _check_frame_options(options: argparse.Namespace) -> None:
 
 
 def _choose_grid(options: argparse.Namespace, rig: Rig, images: Sequence[NDArray[np.uint8]]) -> SphereGrid:
-    """Return the grid, with a nearest depth that the images show where nobody states it; warn of doubtful input."""
+    """Return the recommended grid, say what it leaves out, and warn of doubtful input."""
     import warnings
 
+    from omnistereo_tools.coverage import Coverage
     from omnistereo_tools.doubts import image_doubts, rig_doubts
-    from omnistereo_tools.nearest import propose_min_depth
 
-    found = None
-    if options.min_depth is None and rig.min_depth is None:
-        found = propose_min_depth(rig, images, tuple(options.phi))
-        print(f"The rig file states no nearest depth: a coarse look at the images proposes --min-depth {found:g}.")
-    grid = make_grid(options, rig, found)
+    grid = make_grid(options, rig, images)
+    print(Coverage.of(rig).left_out(grid))
     for doubt in (*rig_doubts(rig, grid.min_depth), *image_doubts(rig, images, grid)):
         warnings.warn(doubt, stacklevel=2)
     return grid
@@ -162,6 +161,7 @@ def _run_recording(options: argparse.Namespace) -> None:
     from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD
     from omnistereo_tools.exports import check_suffixes
     from omnistereo_tools.image_circle import FRAMES
+    from omnistereo_tools.pace import say_recording
     from omnistereo_tools.recordings import DepthWriter, stored_min_depth, write_video
     from omnistereo_tools.sources import Recording
 
@@ -178,6 +178,8 @@ def _run_recording(options: argparse.Namespace) -> None:
         options.min_depth = stored_min_depth(options.out)
     first = list(recording.read(sorted(recording.frames)[:FRAMES], rig))
     rig = mask_circles(rig, first)
+    if options.height is None and options.phi is None:  # a public layout, which keeps pace
+        options.height = options.width // 4
     grid = _choose_grid(options, rig, first[0])
     suffix = f".{options.depth_format or 'tiff'}"
     writer = DepthWriter.open(
@@ -198,6 +200,8 @@ def _run_recording(options: argparse.Namespace) -> None:
         make_folder(options.video.parent)
     writer.prepare(rig)
     left, total = writer.left(), len(recording.frames)
+    if options.cluster is None:
+        say_recording(writer.sweep, first[0], len(left), writer.method.name, [VIDEO_METHOD, FRAME_METHOD])
     done = writer.run(left) if options.cluster is None else depth_on_cluster(options.cluster, writer, options.device)
     for _ in tqdm(done, "depth", total, initial=total - len(left), unit="frame"):
         pass

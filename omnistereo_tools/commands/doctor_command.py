@@ -3,11 +3,31 @@
 example: omnistereo doctor --rig rig.yaml --images 1.png 2.png 3.png 4.png --coverage coverage.png
 """
 
+from __future__ import annotations
+
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_tools.commands.options import add_grid, add_images, add_rig, make_grid, read_frame, read_masked_rig
+from omnistereo_tools.commands.options import (
+    SPHERES,
+    WIDTH,
+    add_grid,
+    add_images,
+    add_rig,
+    make_grid,
+    read_frame,
+    read_masked_rig,
+)
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from omnistereo_lib.geometry.rig import Rig
+    from omnistereo_lib.geometry.sphere import SphereGrid
 
 _NEAR = 0.5  # metres: most images show something nearer than a few times this
 
@@ -35,14 +55,10 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check_rig(options: argparse.Namespace) -> int:
-    """Say what a rig can see, and check it against its images, if there are any; return 1 if something is wrong."""
-    import warnings
-
+    """Say what a rig can see and what depth to ask for, and check it against its images; return 1 if it is wrong."""
     from omnistereo_tools.coverage import Coverage
-    from omnistereo_tools.doubts import rig_doubts, same_pictures
     from omnistereo_tools.exports import check_suffixes
     from omnistereo_tools.pictures import save_figure
-    from omnistereo_tools.rig_check import check_rig
 
     check_suffixes(coverage=options.coverage)
     has_images = options.images is not None or _is_data_set(options.rig)
@@ -50,20 +66,64 @@ def _check_rig(options: argparse.Namespace) -> int:
     low, high = rig.baselines.min(), rig.baselines.max()
     print(f"{len(rig)} cameras, {low:.3g} to {high:.3g} m apart: check that this is right.")
     coverage = Coverage.of(rig)
-    print(*coverage.sentences(), sep="\n")
+    grid = _recommended(options, rig, images)
+    print(*coverage.sentences(grid.min_depth), sep="\n")
     if options.coverage is not None:
         save_figure(options.coverage, coverage.figure())
+    status = _check_images(options, rig, images) if has_images else 0
     if not has_images:
         print("With --images the poses are checked, too.")
-        return 0
+    if status == 0:
+        print(f"{coverage.left_out(grid)} Ready to run:\n{_depth_command(options, grid)}")
+    return status
+
+
+def _recommended(options: argparse.Namespace, rig: Rig, images: Sequence[NDArray[np.uint8]]) -> SphereGrid:
+    """Return the grid that `omnistereo depth` takes by default; without images the nearest depth is the rig's."""
+    if images:
+        chosen = argparse.Namespace(**vars(options) | {"width": WIDTH, "height": None, "spheres": SPHERES})
+        return make_grid(chosen, rig, images)
+    from omnistereo_tools.coverage import Coverage
+
+    min_depth = rig.min_depth if options.min_depth is None else options.min_depth
+    return Coverage.of(rig).propose(WIDTH, None, options.phi and tuple(options.phi), SPHERES, min_depth)
+
+
+def _depth_command(options: argparse.Namespace, grid: SphereGrid) -> str:
+    """Return the command line that computes the depth of a grid from the same rig and images."""
+    import shlex
+
+    words = ["omnistereo", "depth"]
+    for name in ("rig", "unit", "max_fov", "keep_frame", "images", "masks", "frame"):
+        value = getattr(options, name)
+        if value is not None and value is not False:
+            words.append(f"--{name.replace('_', '-')}")
+            words += [] if value is True else map(str, value) if isinstance(value, list) else [str(value)]
+    low, high = (f"{angle:g}" for angle in grid.phi_deg)
+    words += ["--width", str(grid.width), "--height", str(grid.height), "--phi", low, high]
+    return shlex.join([*words, "--spheres", str(grid.num_spheres), "--min-depth", f"{grid.min_depth:g}"])
+
+
+def _check_images(options: argparse.Namespace, rig: Rig, images: Sequence[NDArray[np.uint8]]) -> int:
+    """Check a rig against its images; return 1 if it is wrong."""
+    import warnings
+
+    from tqdm import tqdm
+
+    from omnistereo_tools.doubts import rig_doubts, same_pictures
+    from omnistereo_tools.rig_check import check_rig
+
     if same := same_pictures(images):
         print(f"FAIL  {same}")
         return 1
     # Not a depth that comes from the baselines: it would be wrong by the same factor as they are.
-    grid = make_grid(options, rig, _NEAR)
+    stated = (options.min_depth, rig.min_depth, _NEAR)
+    fixed = argparse.Namespace(**vars(options) | {"min_depth": next(depth for depth in stated if depth is not None)})
+    grid = make_grid(fixed, rig)
     for doubt in rig_doubts(rig, grid.min_depth):
         warnings.warn(doubt, stacklevel=2)
-    check = check_rig(rig, images, grid)
+    print("Trying the usual mistakes takes about 10 s:", flush=True)
+    check = check_rig(rig, images, grid, lambda tried: tqdm(tried, "check", leave=False))
     for hypothesis in (check.given, *check.alternatives[:3]):
         print(f"{hypothesis.cost:.3f}  {hypothesis.name}")
     print(f"{'OK  ' if check.fits else 'FAIL'}  {check.summary()}")

@@ -9,8 +9,7 @@ import argparse
 import re
 from pathlib import Path
 
-from omnistereo_lib.errors import OmnistereoError
-from omnistereo_tools.commands.options import add_device, add_grid, add_rig, make_grid, read_rig
+from omnistereo_tools.commands.options import add_device, add_grid, add_rig, make_grid, mask_circles, read_rig
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Show pictures until a camera ends, or Ctrl-C."""
+    """Show pictures as soon as somebody looks, until a video ends, Ctrl-C or SIGTERM."""
     from time import monotonic
 
     from omnistereo_lib.stereo.methods import VIDEO_METHOD
@@ -33,15 +32,24 @@ def run(options: argparse.Namespace) -> None:
     from omnistereo_tools import live_view
     from omnistereo_tools.masks import with_masks
 
-    rig = with_masks(read_rig(options), options.masks, [])
-    grid = make_grid(options, rig)
-    sources = [int(source) if re.fullmatch("[0-9]{1,3}", source) else source for source in options.cameras]
-    if len(sources) != len(rig):
-        raise OmnistereoError(f"there are {len(sources)} cameras or videos for a rig of {len(rig)}. Give one for each.")
-    sweep = SphereSweep(rig, grid, device=options.device)
-    pictures, start = live_view.live_pictures(sources, sweep, options.method or VIDEO_METHOD), monotonic()
-    latest = live_view.Latest()
-    with live_view.serve(latest, options.port) as address:
-        print(f"open {address} in a browser of this machine; Ctrl-C stops", flush=True)
-        count = live_view.show(pictures, latest)
-    print(f"{count} frames, {count / (monotonic() - start):.1f} frames/s")
+    count, start, ended = 0, monotonic(), "stopped"
+    try:
+        print("opening the cameras and computing tables: a few seconds", flush=True)
+        rig = with_masks(read_rig(options), options.masks, [])
+        sources = [int(source) if re.fullmatch("[0-9]{1,3}", source) else source for source in options.cameras]
+        cameras = live_view.Cameras(sources, rig)
+        rig = mask_circles(rig, [cameras.first])
+        sweep = SphereSweep(rig, make_grid(options, rig, cameras.first), device=options.device)
+        pictures = live_view.live_pictures(cameras, sweep, options.method or VIDEO_METHOD)
+        latest = live_view.Latest()
+        with live_view.serve(latest, options.port) as address:
+            print(f"open {address} in a browser of this machine: it begins then. Ctrl-C stops", flush=True)
+            latest.watched.wait()
+            start = monotonic()
+            for count, picture in enumerate(pictures, 1):  # noqa: B007 (told at the end)
+                latest.put(picture)
+        ended = "the videos have ended"
+    except KeyboardInterrupt:  # SIGTERM, too: there is nothing to resume
+        pass
+    seconds = monotonic() - start
+    print(f"{ended}: {count} frames, {count / seconds:.1f} frames/s")

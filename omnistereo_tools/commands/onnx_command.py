@@ -25,6 +25,7 @@ def run(options: argparse.Namespace) -> None:
     from omnistereo_tools.onnx_export import export_onnx
 
     rig = read_rig(options)
+    print("exporting takes about 20 s", flush=True)
     written = export_onnx(options.out, rig, make_grid(options, rig))
     print(f"written to {options.out}/: {', '.join(written)}")
     script = shlex.quote(f"{options.out}/run_onnx.py")

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from omnistereo_lib.geometry.rig import Rig
     from omnistereo_lib.geometry.sphere import SphereGrid
 
+WIDTH, SPHERES = 640, 192  # of a panorama: the size of the public data sets
 SAMPLE = Path(omnistereo_lib.__file__).parent / "sample"  # travels with the package
 
 
@@ -43,12 +44,13 @@ def add_images(parser: argparse.ArgumentParser, each: str = "image") -> None:
     parser.add_argument("--frame", type=int, help="frame of a data set, counted from 0 (default: 0)")
 
 
-def add_grid(parser: argparse.ArgumentParser, width: int, height: int, spheres: int) -> None:
-    """Add the options of the panorama and its spheres."""
+def add_grid(parser: argparse.ArgumentParser, width: int, height: int | None, spheres: int) -> None:
+    """Add the options of the panorama and its spheres; without a height it shows all that two cameras see."""
+    rows = "all that two cameras see" if height is None else str(height)
     parser.add_argument("--width", type=int, default=width, help=f"panorama width (default: {width})")
-    parser.add_argument("--height", type=int, default=height, help=f"panorama height (default: {height})")
+    parser.add_argument("--height", type=int, default=height, help=f"panorama height (default: {rows})")
     parser.add_argument(
-        "--phi", type=float, nargs=2, default=(-45.0, 45.0), help="elevation range in degrees, down is positive"
+        "--phi", type=float, nargs=2, help="elevation range in degrees, down is positive (default: square pixels)"
     )
     parser.add_argument("--spheres", type=int, default=spheres, help=f"number of spheres N (default: {spheres})")
     parser.add_argument("--min-depth", type=float, help="nearest depth in metres (default: of the rig file, or found)")
@@ -117,15 +119,19 @@ def read_frame(options: argparse.Namespace) -> tuple[Rig, list[NDArray[np.uint8]
     return rig, frame.images, frame if frame.gt_path else None
 
 
-def make_grid(options: argparse.Namespace, rig: Rig, default: float | None = None) -> SphereGrid:
-    """Return the grid; its nearest depth is the user's, else that of the rig file, else the default in metres."""
-    from omnistereo_lib.geometry.sphere import SphereGrid
+def make_grid(options: argparse.Namespace, rig: Rig, images: Sequence[NDArray[np.uint8]] = ()) -> SphereGrid:
+    """Return the recommended grid, in which the user's options stay; see `Coverage.propose` and `propose_min_depth`."""
     from omnistereo_lib.stereo.device import check_memory, select_device
+    from omnistereo_tools.coverage import Coverage
+    from omnistereo_tools.nearest import propose_min_depth
 
-    depths = (options.min_depth, rig.min_depth, default)
-    min_depth = next((depth for depth in depths if depth is not None), None)
-    if min_depth is None:
+    min_depth = rig.min_depth if options.min_depth is None else options.min_depth
+    if min_depth is None and not images:
         raise OmnistereoError(f"{options.rig} states no nearest depth. Pass --min-depth, in metres")
-    grid = SphereGrid(options.width, options.height, tuple(options.phi), options.spheres, min_depth)
+    if min_depth is None:
+        min_depth = propose_min_depth(rig, images)
+        print(f"The rig file states no nearest depth: a coarse look at the images proposes --min-depth {min_depth:g}.")
+    phi = options.phi and tuple(options.phi)
+    grid = Coverage.of(rig).propose(options.width, options.height, phi, options.spheres, min_depth)
     check_memory(len(rig), grid, select_device(getattr(options, "device", "cpu")))
     return grid

@@ -67,7 +67,7 @@ def angle(a, b):
 
 def test_a_forward_pair_has_no_row_with_depth_all_around():
     coverage = Coverage.of(rig_of([0, 0, 0, -0.1, 0, 0], [0, 0, 0, 0.1, 0, 0], fov=120.0))
-    assert coverage.propose() is None
+    assert coverage.rows() is None and coverage.propose(640).phi_deg == (-45, 45)
     assert coverage.sentences()[-1].startswith("No row of the panorama has depth all around")
 
 

@@ -12,6 +12,8 @@ import scene
 import omnistereo_lib as osl
 from omnistereo_lib.files import write_image
 from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_tools import frame
+from omnistereo_tools import pictures as pictures_module
 from omnistereo_tools.exports import export_frame
 from omnistereo_tools.frame import FrameResult
 from omnistereo_tools.masks import with_masks
@@ -20,6 +22,9 @@ from omnistereo_tools.points import Limits, PointCloud
 from omnistereo_tools.summary import depth_sentences, error_sentences
 
 GRID = osl.SphereGrid(160, 40, num_spheres=64, min_depth=0.6)
+
+
+NOTHING = np.zeros(GRID.shape, bool)
 
 
 @pytest.fixture(scope="module")
@@ -67,19 +72,20 @@ def test_the_points_are_on_the_walls_and_the_normals_across_them(written, depth)
     facing = normals[inside][np.arange(len(wall)), wall] * towards
     assert np.median(facing) > 0.999
     assert (facing > 0.98).mean() > 0.99
-    assert cloud["confidence"].min() >= np.nanquantile(depth.confidence, 0.1) - 1e-6
-    assert len(points) == pytest.approx(0.9 * GRID.width * GRID.height, rel=0.02)
+    assert len(points) == depth.valid.sum() and cloud["confidence"].min() == 0  # nothing is lost,
+    assert 0 < cloud["doubtful"].mean() < 0.5 and cloud["doubtful"][cloud["confidence"] == 0].all()  # but marked
 
 
 def test_limits_drop_what_is_far_or_unsure(depth):
-    cloud = PointCloud.of(depth, np.zeros(GRID.shape, np.float32), Limits(2.0, 0.5))
+    cloud = PointCloud.of(depth, np.zeros(GRID.shape, np.float32), Limits(2.0, 0.5), depth.confidence < 0.7)
     assert np.linalg.norm(cloud.points, axis=-1).max() <= 2.0 and cloud.confidence.min() >= 0.5
     assert len(cloud.points) == (depth.valid & (depth.depth <= 2) & (depth.confidence >= 0.5)).sum() > 0
+    np.testing.assert_array_equal(cloud.doubtful, cloud.confidence < 0.7)
 
 
 def test_the_sentences_say_what_was_found(depth):
     truth = depth.depth[depth.valid]
-    first, second, *hints = depth_sentences(depth, Limits(1e9, 0.0))
+    first, second, *hints = depth_sentences(depth, Limits(1e9, 0.0), NOTHING)
     assert re.search(rf"the nearest thing is {np.quantile(truth, 0.002):.2g} m away, the median", first)
     assert f"use {depth.valid.sum()} rays. Left out: 0 beyond" in second
     nearest = truth.min()
@@ -93,10 +99,19 @@ def test_the_sentences_say_what_was_found(depth):
         assert "within 0.0 % of" in error_sentences(osl.Depth(index, depth.confidence, depth.sweep), index)[0]
 
 
+def test_what_is_doubtful_is_told_and_not_the_nearest_thing(depth):
+    nearest, sure = np.nanquantile(depth.depth, [0.002, 0.3])
+    first, second, third, *_ = depth_sentences(depth, Limits(1e9, 0.0), depth.depth <= sure)
+    assert f"the nearest thing is {sure:.2g} m away" in first
+    assert second.startswith("Doubtful are 30 % of the rays, and 100 % of the nearest tenth, up to ")
+    assert second.endswith(f"If they are right, the nearest thing is {nearest:.2g} m away.")
+    assert f"use {depth.valid.sum()} rays" in third
+
+
 def test_a_frame_without_a_point_is_written_too(depth, pictures, tmp_path):
     result = FrameResult(depth, pictures, Limits(0.1, 0.0), "zncc+sgm")
     result.write(tmp_path)
-    first, second = result.sentences()
+    first, *_, second = result.sentences()
     assert "the nearest thing is unknown away" not in first and "no ray is within" in first
     assert f"use 0 rays. Left out: {depth.valid.sum()} beyond 0.1 m" in second
     assert b"element vertex 0" in (tmp_path / "data" / "points.ply").read_bytes()
@@ -107,7 +122,9 @@ def test_nearer_spheres_are_proposed_where_nothing_is_near(rig):
     index = scene.true_index(rig, grid).astype(np.float32)
     far = osl.Depth(index, np.ones_like(index), SphereSweep(rig, grid))
     nearest = np.quantile(far.depth, 0.002)
-    assert f"--min-depth {0.8 * nearest:.2g} would use them better" in depth_sentences(far, Limits(1e9, 0.0))[-1]
+    assert (
+        f"--min-depth {0.8 * nearest:.2g} would use them better" in depth_sentences(far, Limits(1e9, 0.0), NOTHING)[-1]
+    )
 
 
 def test_the_colours_span_the_depths_found():
@@ -136,8 +153,9 @@ def test_near_points_hide_far_ones():
 def test_each_panorama_is_computed_once(depth, pictures, tmp_path, monkeypatch):
     """At the size of the depth, and at the size that is looked at, which is the texture of the mesh, too."""
     pytest.importorskip("trimesh")
-    computed, panorama = [], osl.Depth.panorama
-    monkeypatch.setattr(osl.Depth, "panorama", lambda *given: computed.append(panorama(*given)) or computed[-1])
+    computed, blended = [], frame.blended_panorama
+    for module in (frame, pictures_module):
+        monkeypatch.setattr(module, "blended_panorama", lambda *given: computed.append(blended(*given)) or computed[-1])
     result = FrameResult(depth, pictures, Limits.of(depth), "zncc+sgm")
     result.write(tmp_path)
     export_frame(result, tmp_path / "a.glb", None, None, None)

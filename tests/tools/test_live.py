@@ -6,7 +6,7 @@ import threading
 import time
 import urllib.error
 import urllib.request
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from urllib.parse import urlsplit
 
 import cv2
@@ -17,7 +17,8 @@ import scene
 import omnistereo_lib as osl
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools import cli, live_view
-from omnistereo_tools.live_view import Latest, live_pictures, serve, show
+from omnistereo_tools.live_view import Cameras, Latest, LivePicture, draw_picture, live_pictures, serve
+from omnistereo_tools.pictures import ColorScale
 
 FRAMES = 5
 GRID = osl.SphereGrid(96, 24, num_spheres=16, min_depth=0.6)
@@ -38,12 +39,17 @@ def recorded(tmp_path_factory):
     return rig, folder, [str(folder / f"{k}.mkv") for k in range(4)]
 
 
+def decode(jpeg):
+    return cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
+
+
 def test_pictures_show_panorama_over_depth(recorded):
     rig, _, videos = recorded
-    pictures = list(live_pictures(videos, SphereSweep(rig, GRID), "zncc"))
+    pictures = list(live_pictures(Cameras(videos, rig), SphereSweep(rig, GRID), "zncc"))
     assert 1 <= len(pictures) <= FRAMES  # who is slow misses frames
-    height = pictures[-1].shape[0] - 40
-    panorama, depth = pictures[-1][: height // 2], pictures[-1][height // 2 : height]
+    pixels = decode(pictures[-1].jpeg)
+    height = round(pictures[-1].rows * len(pixels))
+    panorama, depth = pixels[:height], pixels[height : 2 * height]
     truth = osl.estimate_depth(
         rig, [cv2.cvtColor(cv2.VideoCapture(v).read()[1], cv2.COLOR_BGR2GRAY) for v in videos], GRID, "zncc"
     )
@@ -63,21 +69,43 @@ def test_a_video_begins_to_play_when_the_first_depth_was_computed(recorded, monk
         return compute(*arguments)
 
     monkeypatch.setattr(live_view, "sweep_depth", slow_at_first)
-    first = next(iter(live_pictures(videos, SphereSweep(rig, GRID), "zncc")))
-    assert len(calls) == 2 and first[: first.shape[0] // 3].std() > 20
+    first = next(iter(live_pictures(Cameras(videos, rig), SphereSweep(rig, GRID), "zncc")))
+    assert len(calls) == 2 and decode(first.jpeg)[:200].std() > 20
 
 
-def test_the_browser_gets_a_stream():
+@pytest.fixture(scope="module")
+def picture(recorded):
+    """A picture of the box at its true depth."""
+    rig = recorded[0]
+    index = scene.true_index(rig, GRID).astype(np.float32)
+    index[0, 0] = np.nan
+    depth = osl.Depth(index, np.ones_like(index), SphereSweep(rig, GRID))
+    return depth, draw_picture(np.full((24, 96, 3), 200, np.uint8), depth, ColorScale(0.0, 1.3), "zncc")
+
+
+def test_the_depth_below_the_pointer_is_told(picture):
+    depth, shown = picture
+    row, column = 17, 40
+    for part in (0, 1):  # the panorama and the depth below it
+        told = shown.depth_at((column + 0.5) / 96, (part + (row + 0.5) / 24) * shown.rows)
+        assert told == f"{depth.depth[row, column]:.2g} m along the ray"
+    assert shown.depth_at(0.0, 0.0) == "no depth here" and shown.depth_at(0.5, 0.99) == ""
+
+
+def test_the_browser_gets_a_stream_and_depths(picture):
+    depth, shown = picture
     latest = Latest()
-    pictures = [np.full((20, 30, 3), gray, np.uint8) for gray in (10, 60, 200)]
     with serve(latest, 0) as address:
-        assert '<img src="stream"' in urllib.request.urlopen(address, timeout=60).read().decode()
+        assert 'src="stream"' in urllib.request.urlopen(address, timeout=60).read().decode()
+        assert not latest.watched.is_set()  # nobody looks yet
         stream = urllib.request.urlopen(address + "stream", timeout=60)
-        assert show(iter(pictures), latest) == 3
-        parts = stream.read().split(b"--x\r\n")[1:]
-    assert 1 <= len(parts) <= 3
-    jpeg = parts[-1].split(b"\r\n\r\n", 1)[1]
-    assert np.abs(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR) - 200.0).max() < 3
+        assert latest.watched.wait(60)
+        latest.put(shown)
+        told = urllib.request.urlopen(address + f"depth?{40.5 / 96}&{17.5 / 24 * shown.rows}", timeout=60).read()
+        latest.close()
+        (part,) = stream.read().split(b"--x\r\n")[1:]
+    assert told.decode() == f"{depth.depth[17, 40]:.2g} m along the ray"
+    assert part.split(b"\r\n\r\n", 1)[1] == shown.jpeg + b"\r\n"
 
 
 @pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example:8765", "", None])
@@ -113,20 +141,37 @@ def test_a_client_that_does_not_read_is_left(monkeypatch):
         with socket.create_connection(("127.0.0.1", port), 60) as client:
             client.sendall(b"GET /stream HTTP/1.0\r\nHost: localhost\r\n\r\n")
             assert client.recv(4) == b"HTTP"
-            latest.put(bytes(1 << 26))  # more than the system keeps for it
+            latest.put(LivePicture(bytes(1 << 26), np.ones((2, 2)), 0.5))  # more than the system keeps for it
             deadline = time.monotonic() + 60
             while any("process_request" in thread.name for thread in threading.enumerate()):
                 assert time.monotonic() < deadline, "its thread still waits"
                 time.sleep(0.05)
 
 
-def test_the_command_plays_videos_to_their_end(recorded, capsys):
+@pytest.fixture
+def viewer(monkeypatch):
+    """A browser that opens the page as soon as there is one."""
+    server = live_view.serve
+
+    @contextmanager
+    def serve_and_look(latest, port):
+        with server(latest, port) as address, urllib.request.urlopen(address + "stream", timeout=60):
+            yield address
+
+    monkeypatch.setattr(live_view, "serve", serve_and_look)
+
+
+def live(folder, videos):
+    small = ["--width", "96", "--height", "24", "--spheres", "16", "--method", "zncc", "--port", "0"]
+    return cli.main(["live", "--rig", str(folder / "rig.yaml"), "--cameras", *videos, *small])
+
+
+def test_the_command_plays_videos_to_their_end(recorded, capsys, viewer):
     _, folder, videos = recorded
-    small = ["--width", 96, "--height", 24, "--spheres", 16, "--method", "zncc", "--port", 0]
-    command = ["live", "--rig", folder / "rig.yaml", "--cameras", *videos, *small]
-    assert cli.main([str(argument) for argument in command]) == 0
+    assert live(folder, videos) == 0
     told = capsys.readouterr().out
-    assert re.search(r"open http://127.0.0.1:\d+/ in a browser of this machine; Ctrl-C stops\n[1-5] frames, ", told)
+    page = r"open http://127.0.0.1:\d+/ in a browser of this machine: it begins then. Ctrl-C stops"
+    assert re.search(page + r"\nthe videos have ended: [1-5] frames, ", told)
 
 
 class Terminated(KeyboardInterrupt):
@@ -134,18 +179,15 @@ class Terminated(KeyboardInterrupt):
 
 
 @pytest.mark.parametrize("stop", [KeyboardInterrupt, Terminated])
-def test_ctrl_c_ends_it_with_the_last_line(recorded, capsys, monkeypatch, stop):
+def test_ctrl_c_ends_it_with_its_own_words(recorded, capsys, monkeypatch, viewer, picture, stop):
     def pictures(*_):
-        yield np.zeros((20, 30, 3), np.uint8)
+        yield picture[1]
         raise stop
 
-    _, folder, videos = recorded
     monkeypatch.setattr(live_view, "live_pictures", pictures)
-    command = ["live", "--rig", str(folder / "rig.yaml"), "--cameras", *videos, "--port", "0"]
-    ended = stop is KeyboardInterrupt
-    assert cli.main(command) == (0 if ended else 130)
+    assert live(*recorded[1:]) == 0
     told = capsys.readouterr()
-    assert ("1 frames, " in told.out) is ended and ("interrupted" in told.err) is not ended
+    assert "stopped: 1 frames, " in told.out and "interrupted" not in told.err
 
 
 @pytest.mark.parametrize("port", [-1, 65536])

@@ -76,6 +76,23 @@ def test_the_video_has_every_frame_panorama_over_depth(done):
     assert gray < 10 < colored  # the scene is gray
 
 
+def test_a_video_with_two_circles_is_two_cameras(tmp_path):
+    back = osl.Pose.from_vector([0, np.pi, 0, 0, 0, -0.1])
+    rig = osl.Rig((scene.camera(200, 192, 220),) * 2, (osl.Pose.identity(), back), min_depth=0.5)
+    osl.save_rig(rig, tmp_path / "rig.yaml")
+    picture = np.hstack([np.stack([image.astype(np.uint8)] * 3, -1) for image in scene.images(rig, finest=0.25)])
+    video = cv2.VideoWriter(str(tmp_path / "dual.mkv"), cv2.VideoWriter_fourcc(*"FFV1"), 20, (400, 192))
+    for _ in range(2):
+        video.write(picture)
+    video.release()
+    command = ["depth", "--rig", tmp_path / "rig.yaml", "--images", tmp_path / "dual.mkv", *SMALL]
+    assert run(*command, "--out", tmp_path / "out") == 0
+    data = osl.load_dataset(tmp_path / "out")
+    assert len(data) == 2
+    for image, half in zip(data[0].images, np.split(picture, 2, axis=1), strict=True):
+        assert np.abs(image - half.astype(float)).mean() < 3  # JPEG
+
+
 def test_16_bit_png_comes_back_within_a_step(recorded, done, tmp_path):
     assert run(*depth_command(recorded, tmp_path / "out"), "--depth-format", "png", "--stop", 3) == 0
     frames, exact = osl.load_dataset(tmp_path / "out"), osl.load_dataset(done)

@@ -1,0 +1,79 @@
+"""The panorama that is looked at: cameras made equally bright and blended, so that none shows where it ends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omnistereo_lib.geometry.camera import OcamCamera
+from omnistereo_lib.stereo.depth import Depth
+from omnistereo_lib.stereo.sweep import OUTSIDE, remap
+
+DARKEST, BRIGHTEST = 6, 249  # gray values; below and above, a sensor is blind
+_FEWEST = 200  # rays that two cameras share; fewer do not tell how bright they are
+_LARGEST_GAIN = 2.0
+
+
+def estimate_gains(depth: Depth, images: Sequence[ArrayLike]) -> NDArray[np.float64]:
+    """Return the factor of each camera, and of each channel, that makes all equally bright where they overlap.
+
+    Exposure and white balance differ from camera to camera. The ratio of two cameras is the median over the rays that
+    both see with values in range, so that wrong depths do not matter; the gains fit all ratios by least squares, with
+    a mean logarithm of 0.
+
+    Args:
+        images: one array per camera, (height, width) or (height, width, 3), 0 to 255
+
+    Returns:
+        array, shape (cameras, channels), where gray has one channel
+    """
+    samples = np.stack(depth.sweep.warp(images, depth.index))
+    samples = samples.reshape(*samples.shape[:3], -1)  # (cameras, H, W, channels)
+    usable, one = ((samples >= DARKEST) & (samples <= BRIGHTEST)).all(-1), np.eye(len(samples))
+    rows, ratios = [np.ones(len(samples))], [np.zeros(samples.shape[-1])]
+    for i, j in combinations(range(len(samples)), 2):
+        both = usable[i] & usable[j]
+        if both.sum() >= _FEWEST:
+            weight = np.sqrt(both.mean())
+            rows.append(weight * (one[i] - one[j]))
+            ratios.append(weight * np.median(np.log(samples[j][both] / samples[i][both]), axis=0))
+    logarithms = np.linalg.lstsq(np.stack(rows), np.stack(ratios), rcond=None)[0]
+    return np.exp(logarithms.clip(-np.log(_LARGEST_GAIN), np.log(_LARGEST_GAIN)))
+
+
+def blended_panorama(depth: Depth, images: Sequence[ArrayLike], gains: NDArray | None = None) -> NDArray[np.float32]:
+    """Return the images at the estimated depth, blended: `Depth.panorama` without the edges of the cameras.
+
+    A camera counts the more, the farther the point is from the rim of its visible pixels.
+
+    Args:
+        images: one array per camera, (height, width) or (height, width, 3), 0 to 255
+        gains: Of `estimate_gains`, None: those of these images.
+
+    Returns:
+        float32 array, shape (H, W) or (H, W, 3), 0 to 255: NaN where no camera sees the point, or there is no depth.
+    """
+    gains = (estimate_gains(depth, images) if gains is None else gains).astype(np.float32)
+    channels = gains.shape[1]
+    total, weights = np.zeros((*depth.grid.shape, channels), np.float32), np.zeros((*depth.grid.shape, 1), np.float32)
+    for k, (camera, image) in enumerate(zip(depth.sweep.rig.cameras, images, strict=True)):
+        uv, valid = depth.sweep.project_sphere(k, depth.index)
+        maps = np.where(valid[..., None], uv, OUTSIDE).astype(np.float32)
+        weight = np.nan_to_num(remap(_distance_from_rim(camera), maps))[..., None] ** 2
+        sample = remap(np.asarray(image, np.float32), maps).reshape(*total.shape[:2], -1)
+        total += np.nan_to_num(sample) * weight * gains[k]
+        weights += weight
+    with np.errstate(invalid="ignore"):
+        blended = np.clip(total / weights, 0, 255)
+    return blended[..., 0] if channels == 1 else blended
+
+
+def _distance_from_rim(camera: OcamCamera) -> NDArray[np.float32]:
+    """Return the distance of each pixel from the nearest that is not visible, shape (height, width), at most 1."""
+    visible = np.pad(camera.visible_pixels().astype(np.uint8), 1)  # the image ends in a rim, too
+    distance = cv2.distanceTransform(visible, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
+    return distance / distance.max()

@@ -1,0 +1,67 @@
+"""How long depth takes: said before it begins, and shown while it goes on."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TypeVar
+
+import torch
+from numpy.typing import ArrayLike
+from tqdm import tqdm
+
+from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.methods import Method
+from omnistereo_lib.stereo.pipeline import sweep_depth
+from omnistereo_lib.stereo.sweep import SphereSweep
+
+# Seconds for each cell of the cost volume, rays × spheres, with four cameras on two cores, and what comes before.
+_SECONDS = {"zncc": 5e-8, "mccnn": 5e-7, "sweepnet": 5e-7, "volumenet": 2e-7}
+_FIXED_S, _CORES = 3.0, 2
+_FEW_FRAMES = 10  # are soon done
+_Part = TypeVar("_Part")
+
+
+def named_bar(parts: Iterable[_Part]) -> Iterator[_Part]:
+    """Show a bar over parts of the work; a part that is text, such as "camera 2 of 4", is named."""
+    with tqdm(parts, "sweep", unit="part", leave=False) as bar:
+        for part in bar:
+            if isinstance(part, str):
+                bar.set_description(part)
+            yield part
+
+
+def say_frame(method: str, grid: SphereGrid, device: str) -> None:
+    """Say how long the depth of a frame will take on this machine's processor, before it begins."""
+    cells = grid.width * grid.height * grid.num_spheres
+    seconds = _FIXED_S + cells * _SECONDS[Method.parse(method).cost] * _CORES / torch.get_num_threads()
+    takes = f" takes about {in_words(seconds)}" if device == "cpu" else ""
+    print(f"{method}{takes}", flush=True)
+
+
+def say_recording(
+    sweep: SphereSweep, images: Sequence[ArrayLike], frames: int, method: str, others: Sequence[str]
+) -> None:
+    """Say how long the frames of a recording will take, by the method chosen and by others, as its first frame does."""
+    if frames < _FEW_FRAMES:
+        return
+    print(f"{frames} frames: about {in_words(frames * _measure(sweep, images, method))} by {method}", flush=True)
+    for other in others:
+        if other != method:
+            took = in_words(frames * _measure(sweep, images, other))
+            print(f"{' ' * len(str(frames))}         {took} by {other} (--method {other})", flush=True)
+
+
+def _measure(sweep: SphereSweep, images: Sequence[ArrayLike], method: str) -> float:
+    """Return how many seconds a frame takes, once the tables of the sweep and the network are there."""
+    sweep_depth(sweep, images, method)
+    start = time.perf_counter()
+    sweep_depth(sweep, images, method)
+    return time.perf_counter() - start
+
+
+def in_words(seconds: float) -> str:
+    """Return a duration with one or two digits: "8 s", "40 s", "3 min", "2 h"."""
+    if seconds < 90:
+        return f"{max(1, round(seconds)):.0f} s" if seconds < 10 else f"{10 * round(seconds / 10):.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.0f} h"

@@ -1,0 +1,43 @@
+"""Trust, against errors of spheres: the same confidence is worth more where a sphere is a smaller part of the depth."""
+
+import numpy as np
+import pytest
+import scene
+
+import omnistereo_lib as osl
+from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_tools.trust import DOUBTFUL, trust
+
+GRID = osl.SphereGrid(160, 40, num_spheres=192, min_depth=0.3)
+
+
+@pytest.fixture(scope="module")
+def box():
+    rig = scene.rig(width=200, height=192)
+    return rig, scene.true_index(rig, GRID).astype(np.float32), scene.images(rig, finest=0.25)
+
+
+def trust_at(index, confidence, method, box):
+    rig, _, images = box
+    depth = osl.Depth(np.full(GRID.shape, index, np.float32), np.full(GRID.shape, confidence), SphereSweep(rig, GRID))
+    return float(trust(depth, images, method).max())  # where two cameras see the point
+
+
+@pytest.mark.parametrize("method", ["volumenet", "zncc+sgm"])
+def test_it_is_judged_at_equal_range(box, method):
+    near, middle, far = (trust_at(index, 0.3, method, box) for index in (150, 60, 4))
+    assert near > middle > far == pytest.approx(0.3, abs=1e-6) and near > DOUBTFUL
+    assert trust_at(60, 0.5, method, box) > middle  # and grows with the confidence
+    assert trust_at(190.0, 1.0, method, box) == 0  # on the last spheres: it may be nearer
+
+
+def test_black_and_white_are_no_evidence(box):
+    rig, index, images = box
+    depth = osl.Depth(index, np.ones_like(index), SphereSweep(rig, GRID))
+    assert (trust(depth, images, "volumenet")[:, 5:-5] == 1).mean() > 0.99
+    blown = [np.where(np.indices(image.shape)[1] < 100, 255, image) for image in images]  # the left half of each
+    unlit = trust(depth, blown, "volumenet") == 0
+    seen = np.stack(depth.sweep.warp(blown, index))
+    few = (np.isfinite(seen) & (seen < 250)).sum(0) < 2
+    assert few.mean() > 0.2 and (unlit == few).mean() > 0.97  # but for the median at their borders
+    assert not trust(depth, [np.zeros_like(image) for image in images], "volumenet").any()
