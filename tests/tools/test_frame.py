@@ -103,7 +103,7 @@ def test_what_is_doubtful_is_told_and_not_the_nearest_thing(depth):
     nearest, sure = np.nanquantile(depth.depth, [0.002, 0.3])
     first, second, third, *_ = depth_sentences(depth, Limits(1e9, 0.0), depth.depth <= sure)
     assert f"the nearest thing is {sure:.2g} m away" in first
-    assert second.startswith("Doubtful are 30 % of the rays, and 100 % of the nearest tenth, up to ")
+    assert second.startswith("Doubtful are 31 % of the rays, and 100 % of the nearest tenth, up to ")
     assert second.endswith(f"If they are right, the nearest thing is {nearest:.2g} m away.")
     assert f"use {depth.valid.sum()} rays" in third
 
