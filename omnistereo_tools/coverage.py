@@ -120,7 +120,7 @@ class Coverage:
     def left_out(self, grid: SphereGrid) -> str:
         """Return what a grid shows, and what it leaves out of what the cameras see, as a sentence."""
         seen = np.sum(self.cameras >= 2, axis=1) * np.cos(self.grid.phis())  # by solid angle
-        outside = 100 * (1 - seen[self._between(grid.phi_deg)].sum() / max(seen.sum(), 1e-9))
+        outside = 100 * (1 - seen[self._between(grid.phi_deg)].sum() / seen.sum()) if seen.any() else 0.0
         width = self.propose(phi_deg=grid.phi_deg, num_spheres=2, min_depth=grid.min_depth).width
         parts = []
         if outside >= 1:
