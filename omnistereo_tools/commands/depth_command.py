@@ -93,7 +93,6 @@ def _refuse(options: argparse.Namespace, names: Sequence[str], purpose: str) -> 
 
 def _run_frame(options: argparse.Namespace) -> None:
     """Estimate depth for one frame, write everything, and say what came out."""
-    from omnistereo_lib.files import make_folder
     from omnistereo_lib.stereo.methods import FRAME_METHOD
     from omnistereo_lib.stereo.pipeline import estimate_depth
     from omnistereo_tools.exports import export_frame
@@ -105,21 +104,26 @@ def _run_frame(options: argparse.Namespace) -> None:
     rig, images, frame = read_frame(options)
     grid = _choose_grid(options, rig, images)
     gt_index = None if frame is None else frame.gt_index(grid)  # fail fast: read the ground truth, make the folders
-    files = (options.mesh, options.equirectangular)
-    for folder in (options.out, options.crops, *(file and file.parent for file in files)):
-        if folder is not None:
-            make_folder(folder)
+    _make_folders(options)
     method = options.method or FRAME_METHOD
     say_frame(method, grid, options.device)
     depth = estimate_depth(rig, images, grid, method, device=options.device, progress=named_bar)
-    limits = Limits.of(depth, options.max_depth, options.min_confidence)
-    result = FrameResult(depth, images, limits, method, gt_index)
+    result = FrameResult(depth, images, Limits.of(depth, options.max_depth, options.min_confidence), method, gt_index)
     written = result.write(options.out, named_bar)
     written += export_frame(
         result, options.mesh, options.mesh_faces, options.equirectangular, options.crops, bool(options.all_crops)
     )
     print("\n".join(result.sentences()))
     print(f"written to {options.out}/: {', '.join(written)}")
+
+
+def _make_folders(options: argparse.Namespace) -> None:
+    from omnistereo_lib.files import make_folder
+
+    files = (options.mesh, options.equirectangular)
+    for folder in (options.out, options.crops, *(file and file.parent for file in files)):
+        if folder is not None:
+            make_folder(folder)
 
 
 def _check_frame_options(options: argparse.Namespace) -> None:
