@@ -44,8 +44,8 @@ def open_page(chromium):
     """Open an empty page of some size, with what went wrong on it in `page.complaints`."""
     contexts = []
 
-    def open_one(width, height):
-        contexts.append(chromium.new_context(viewport={"width": width, "height": height}))
+    def open_one(width, height, **options):
+        contexts.append(chromium.new_context(viewport={"width": width, "height": height}, **options))
         page = contexts[-1].new_page()
         page.set_default_timeout(1000 * PATIENCE_S)
         page.complaints = []

@@ -41,6 +41,85 @@ def test_it_looks_around_and_tells_the_depth(depth, open_page, tmp_path):
     assert shown > 10_000 and page.complaints == []
 
 
+def opened(open_page, folder, page_text, **options):
+    (folder / "index.html").write_text(page_text, encoding="utf-8")
+    page = open_page(1200, 900, **options)
+    page.goto(f"file://{folder}/index.html")
+    page.wait_for_selector("body[data-drawn]")
+    return page
+
+
+def point_of(depth, row, column):
+    return depth.depth[row, column] * depth.grid.rays()[row, column]
+
+
+@pytest.mark.parametrize("touch", [False, True], ids=["mouse", "touch"])
+@pytest.mark.parametrize("mode", ["look", "flat"])
+def test_two_picks_give_the_distance_between_their_points(depth, open_page, tmp_path, mode, touch):
+    data = viewer_data(depth, np.zeros((80, 320, 3), np.uint8), Limits(50.0, 0.0), "picks", mode)
+    page = opened(open_page, tmp_path, page_of(data), has_touch=touch)
+    box = page.locator("#view").bounding_box()
+    press = page.touchscreen.tap if touch else page.mouse.click
+    cells = (22, 74), (25, 88)
+    for number, cell in enumerate(cells):
+        ray = (point_of(depth, *cell) / depth.depth[cell]).tolist()
+        x, y = page.evaluate("ray => placeOf(ray)", ray)
+        press(box["x"] + x / 1120 * box["width"], box["y"] + y / 630 * box["height"])
+        told = page.inner_text("#readout")  # a finger does not hover
+        assert float(told.partition(" m")[0]) == pytest.approx(depth.depth[cell], abs=0.06)
+        assert page.inner_text("#distance").endswith("Pick another one" if number == 0 else "between the two marks")
+    distance = np.linalg.norm(point_of(depth, *cells[0]) - point_of(depth, *cells[1]))
+    assert float(page.inner_text("#distance").split()[0]) == pytest.approx(distance, abs=0.06)
+    page.mouse.move(box["x"] + 300, box["y"] + 300)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 400, box["y"] + 300)
+    page.mouse.up()  # a drag picks nothing
+    assert page.inner_text("#distance").endswith("between the two marks") and page.complaints == []
+
+
+def test_it_shows_the_exact_depth_and_the_error(depth, open_page, tmp_path):
+    truth = depth.index + np.where(np.arange(160) < 80, 0.0, 3.2)  # 5 % of the spheres, on the right
+    page_text = viewer_page(depth, np.zeros((80, 320, 3), np.uint8), Limits(50.0, 0.0), "errors", gt_index=truth)
+    page = opened(open_page, tmp_path, page_text)
+    page.select_option("#layer", "error")
+    colors = page.evaluate("[...colors]")
+    for column, at in ((60, 0), (120, 128)):  # of 256 colours up to 10 %
+        k = 40 * 320 + 2 * column
+        found = page.evaluate(f"[...painted.slice(3 * {k}, 3 * {k} + 3)]")
+        np.testing.assert_allclose(found, colors[3 * at : 3 * at + 3], atol=4)
+    assert page.inner_text("#scale").startswith("0 %")
+    plain = opened(open_page, tmp_path, viewer_page(depth, np.zeros((8, 32, 3), np.uint8), Limits(50.0, 0.0), "none"))
+    assert not plain.locator("#layer").is_visible()
+
+
+def test_depth_has_no_stairs_but_edges(depth, open_page, tmp_path):
+    index = np.tile(np.linspace(10, 12, 160, dtype=np.float32), (40, 1))  # a slope
+    index[:, 100:] += 40  # and an edge
+    slope = osl.Depth(index, depth.confidence, depth.sweep)
+    page = opened(
+        open_page, tmp_path, viewer_page(slope, np.zeros((160, 640, 3), np.uint8), Limits(50.0, 0.0), "slope")
+    )
+    x = np.arange(100, 540)
+    values = page.evaluate(
+        "xs => { const v = Float32Array.from(steps, (_, k) => onScale(k)); return xs.map(x => between(x / 4, 20, v)) }",
+        x.tolist(),
+    )
+    jumps = np.abs(np.diff(values))
+    assert (jumps > 0.1).sum() == 1  # the edge stays sharp
+    rest = np.delete(jumps, jumps.argmax())
+    assert rest.max() < 1.5 * np.median(rest)
+
+
+@pytest.mark.parametrize(("scheme", "gray"), [("light", 0xFA), ("dark", 0x20)])
+def test_it_is_light_or_dark_as_the_reader_wants(depth, open_page, tmp_path, scheme, gray):
+    page_text = viewer_page(depth, np.zeros((80, 320, 3), np.uint8), Limits(50.0, 0.0), "theme")
+    page = opened(open_page, tmp_path, page_text, color_scheme=scheme)
+    page.check("input[value=flat]")
+    page.wait_for_selector("body[data-drawn=flat]")
+    corner = page.evaluate("[...document.getElementById('view').getContext('2d').getImageData(2, 2, 1, 1).data]")
+    assert corner[:3] == [gray] * 3
+
+
 @pytest.mark.parametrize("width", [390, 1200])
 def test_the_labels_of_its_scale_do_not_touch(depth, open_page, tmp_path, width):
     page = open_page(width, 900)
@@ -61,5 +140,6 @@ def test_it_is_small_and_asks_no_network(depth):
     index[:9] = np.nan
     noisy = osl.Depth(index, np.ones_like(index), SphereSweep(depth.sweep.rig, large))
     panorama = np.clip(rng.normal(128, 20, (1024, 2048, 3)), 0, 255).astype(np.uint8)  # no photograph is worse
-    page = viewer_page(noisy, panorama, Limits(50.0, 0.0), "large")
-    assert len(page.encode()) < 5_000_000 and not re.search(r"https?://|src=\"|href=", page)
+    for gt_index in (None, index):
+        page = viewer_page(noisy, panorama, Limits(50.0, 0.0), "large", gt_index=gt_index)
+        assert len(page.encode()) < 5_000_000 and not re.search(r"https?://|src=\"|href=", page)
