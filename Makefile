@@ -22,7 +22,7 @@ if sys.version_info < (3, 11):
 endef
 export CHECK_PYTHON
 
-.PHONY: lab fresh progress doctor test check coverage grade depth render bench results notebooks solutions book slides constraints clean
+.PHONY: lab fresh progress doctor test check coverage grade depth demo render bench results notebooks solutions book slides constraints clean
 
 lab: $(READY)  ## JupyterLab on your copies of the notebooks, in my_notebooks; LAB_ARGS: more options
 	$(BIN)/python -m course lab -- $(LAB_ARGS)
@@ -57,6 +57,9 @@ grade: $(READY)  ## score sheets of handed-in notebooks; runs their code, see bo
 
 depth: $(READY)  ## the sample frame, or your own: RIG=rig.yaml IMAGES="1.png 2.png 3.png 4.png" make depth
 	$(BIN)/omnistereo depth $(if $(RIG),--rig '$(RIG)') $(if $(IMAGES),--images $(IMAGES)) $(DEPTH_ARGS)
+
+demo: $(READY)  ## a drive through the bundled streets, panorama and depth live in the browser
+	$(BIN)/omnistereo demo
 
 render: $(RENDER_READY)  ## renders the sample frames; Blender has an environment of its own
 	$(RENDER)/python -m render $(RENDER_ARGS)

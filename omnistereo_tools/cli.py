@@ -18,6 +18,7 @@ from tqdm import tqdm
 from omnistereo_lib.errors import OmnistereoError, one_line
 from omnistereo_tools.commands import (
     calibrate_command,
+    demo_command,
     depth_command,
     doctor_command,
     evaluate_command,
@@ -30,6 +31,7 @@ from omnistereo_tools.memory import check_address_space, keep_memory
 # Of libraries whose errors have no type in common.
 _EXHAUSTED = re.compile(r"can't start new thread|(allocate|insufficient|out of) memory|CUDA error", re.IGNORECASE)
 COMMANDS = {
+    "demo": demo_command,
     "depth": depth_command,
     "calibrate": calibrate_command,
     "doctor": doctor_command,

@@ -21,10 +21,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--method", help="as of omnistereo depth (default: one that keeps pace)")
     add_device(parser, precision=False)
     parser.add_argument("--port", type=int, default=8765, help="of the page for the browser, 0: any (default: 8765)")
+    parser.add_argument("--open", action="store_true", help="open the page in the browser")
 
 
 def run(options: argparse.Namespace) -> None:
     """Show pictures as soon as somebody looks, until a video ends, Ctrl-C or SIGTERM."""
+    import webbrowser
     from time import monotonic
 
     from omnistereo_lib.stereo.methods import VIDEO_METHOD
@@ -44,6 +46,8 @@ def run(options: argparse.Namespace) -> None:
         latest = live_view.Latest()
         with live_view.serve(latest, options.port) as address:
             print(f"open {address} in a browser of this machine: it begins then. Ctrl-C stops", flush=True)
+            if options.open:
+                webbrowser.open(address)
             latest.watched.wait()
             start = monotonic()
             for count, picture in enumerate(pictures, 1):  # noqa: B007 (told at the end)

@@ -6,6 +6,7 @@ import threading
 import time
 import urllib.error
 import urllib.request
+import webbrowser
 from contextlib import ExitStack, contextmanager
 from urllib.parse import urlsplit
 
@@ -17,6 +18,7 @@ import scene
 import omnistereo_lib as osl
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools import cli, live_view
+from omnistereo_tools.commands import demo_command
 from omnistereo_tools.live_view import Cameras, Latest, LivePicture, draw_picture, live_pictures, serve
 from omnistereo_tools.pictures import ColorScale
 
@@ -172,6 +174,29 @@ def test_the_command_plays_videos_to_their_end(recorded, capsys, viewer):
     told = capsys.readouterr().out
     page = r"open http://127.0.0.1:\d+/ in a browser of this machine: it begins then. Ctrl-C stops"
     assert re.search(page + r"\nthe videos have ended: [1-5] frames, ", told)
+
+
+def test_the_demo_plays_the_drive_and_opens_the_browser(recorded, tmp_path, monkeypatch, capsys):
+    rig, _, videos = recorded
+    osl.save_rig(rig, tmp_path / "config.yaml")
+    for i, video in enumerate(videos, start=1):
+        capture, folder = cv2.VideoCapture(video), tmp_path / f"cam{i}"
+        folder.mkdir()
+        for k in range(3):
+            cv2.imwrite(str(folder / f"{k:04}.jpg"), cv2.cvtColor(capture.read()[1], cv2.COLOR_BGR2GRAY))
+    monkeypatch.setattr(demo_command, "DRIVE", tmp_path)
+    browsers = []
+
+    def browser(address):
+        browsers.append(threading.Thread(target=lambda: urllib.request.urlopen(address + "stream", timeout=60).read()))
+        browsers[-1].start()
+
+    monkeypatch.setattr(webbrowser, "open", browser)
+    assert cli.main(["demo"]) == 0
+    assert re.search(r"the videos have ended: [1-3] frames, ", capsys.readouterr().out) and len(browsers) == 1
+    browsers[0].join(60)
+    monkeypatch.setattr(demo_command, "DRIVE", tmp_path / "nowhere")
+    assert cli.main(["demo"]) == 2 and "the drive comes with the clone" in capsys.readouterr().err
 
 
 class Terminated(KeyboardInterrupt):
