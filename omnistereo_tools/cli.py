@@ -45,9 +45,6 @@ COMMANDS = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; return the exit status. Whatever goes wrong is one plain line, never a traceback."""
     _open_streams()
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(errors="replace")  # where the terminal is not UTF-8
     tqdm.monitor_interval = 0  # its thread would outlive the command
     keep_memory()
     try:
@@ -79,13 +76,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _open_streams() -> None:
-    """Open the streams that the parent has closed: a file would get their numbers, and what C prints."""
+    """Open the streams that the parent has closed: a file would get their numbers, and what C prints into them."""
     for number in range(3):
         with suppress(OSError):
             os.fstat(number)
             continue
         os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
     sys.stdout, sys.stderr = (stream or os.fdopen(k, "w") for k, stream in ((1, sys.stdout), (2, sys.stderr)))
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")  # where the terminal is not UTF-8
 
 
 class _Terminated(KeyboardInterrupt):

@@ -517,7 +517,7 @@ CALLS = [
     Call("five paths", lambda: osl.sgm(VOLUME, paths=5), "paths is 5; expected 4 or 8"),
     Call("a negative penalty", lambda: osl.sgm(VOLUME, p1=-0.1), "p1 = -0.1"),
     Call("penalties upside down", lambda: osl.sgm(VOLUME, p1=1.0, p2=0.5), "p2 = 0.5"),
-    Call("an infinite cost", lambda: osl.sgm(with_infinity(np.inf)), "infinite costs"),
+    Call("an infinite cost", lambda: osl.sgm(with_infinity(np.inf)), "a cost is infinite"),
     Call("a complex volume", lambda: osl.sgm(VOLUME.astype(complex)), "the cost volume holds complex"),
     Call("depth of a flat volume", lambda: osl.winner_takes_all(VOLUME[0]), r"shape \(3, 4\) .*expected"),
     Call("an even window", lambda: osl.ZNCC(window=4), "window is 4; expected an odd number"),

@@ -8,12 +8,16 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import cv2
 import numba
 import pytest
 
+import omnistereo_lib
 from omnistereo_lib.stereo.compiled import compiled
 from omnistereo_tools import cli
 from omnistereo_tools.commands.options import SAMPLE
+
+ROOT = Path(omnistereo_lib.__file__).parents[1]
 
 
 @pytest.fixture
@@ -88,6 +92,69 @@ def test_the_module_answers_in_one_line(tmp_path):
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 2 and done.stdout == ""
     assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
+
+
+SMALL = "depth --width 24 --height 12 --spheres 4 --method zncc+sgm --out"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="the shell is of Unix")
+@pytest.mark.parametrize(
+    ("variables", "arguments", "status"),
+    [
+        ("PYTHONOPTIMIZE=2", f"{SMALL} out 0<&- 1>&- 2>&-", 0),
+        ("NUMBA_DISABLE_JIT=1", f"{SMALL} out 2>/dev/null", 0),
+        ("PYTHONOPTIMIZE=1", "depth --rig none 2>&-", 2),  # the line has nowhere to go, and is not put into a file
+    ],
+)
+def test_streams_that_are_closed_and_python_that_is_set_otherwise(tmp_path, variables, arguments, status):
+    command = f"PYTHONPATH={ROOT} {variables} exec {sys.executable} -m omnistereo_tools {arguments}"
+    done = subprocess.run(command, shell=True, cwd=tmp_path, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (status, "")
+    assert (tmp_path / "out" / "overview.png").exists() is (status == 0)
+
+
+@pytest.mark.parametrize("name", ["RANK", "WORLD_SIZE", "LOCAL_RANK"])
+@pytest.mark.parametrize("value", ["x", "-1", "²", "1_0", "9" * 5000])
+def test_a_number_of_the_environment_that_is_none(monkeypatch, capsys, tmp_path, name, value):
+    monkeypatch.setenv(name, value)
+    assert cli.main(["train", "sweepnet", "--out", str(tmp_path / "out")]) == 2
+    assert capsys.readouterr().err.startswith(f"error: {name} in the environment is ")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError("Unable to allocate 9 GiB"),
+        RuntimeError("can't start new thread"),
+        RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate 9 bytes"),
+        RuntimeError("CUDA error: the device is gone\nCompile with TORCH_USE_CUDA_DSA" + 900 * "."),
+        cv2.error("OpenCV(5.0.0) alloc.cpp:73: error: (-4:Insufficient memory) Failed to allocate 9 bytes"),
+    ],
+    ids=str,
+)
+def test_what_the_machine_has_too_little_of(monkeypatch, capsys, error):
+    def run(options):
+        raise error
+
+    monkeypatch.setattr(cli.doctor_command, "run", run)
+    assert cli.main(["doctor"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: the machine has too little memory") and said.count("\n") == 1 and len(said) <= 501
+
+
+def test_too_little_address_space(monkeypatch, capsys):
+    """OpenBLAS would ask for more for ever."""
+    resource = pytest.importorskip("resource")
+    monkeypatch.setattr(resource, "getrlimit", lambda which: (1_500_000_000, -1))
+    assert cli.main(["doctor"]) == 2
+    assert "the address space is limited to 1.4 GiB" in capsys.readouterr().err
+
+
+def test_an_argument_of_thousands_of_digits(capsys):
+    with pytest.raises(SystemExit, match="2"):
+        cli.main(["depth", "--width", "9" * 6000])
+    assert len(capsys.readouterr().err.splitlines()[-1]) < 540
 
 
 def test_numba_without_a_folder_for_its_cache(monkeypatch):

@@ -67,6 +67,9 @@ class OcamCamera:
         object.__setattr__(self, "inv_poly", np.array(self.inv_poly, np.float64))
         object.__setattr__(self, "mask", None if self.mask is None else np.asarray(self.mask) != 0)
         self._check()
+        for array in (self.poly, self.inv_poly, self.mask):
+            if array is not None:
+                array.setflags(write=False)
         for name, number in (("center", float), ("affine", float), ("image_size", int)):  # plain, not NumPy scalars
             object.__setattr__(self, name, tuple(map(number, getattr(self, name))))
         object.__setattr__(self, "max_fov_deg", float(self.max_fov_deg))
@@ -185,7 +188,7 @@ class OcamCamera:
         row = xp.where(inside, v, xp.zeros_like(v)).round()
         if xp is np:
             return inside & self.mask[row.astype(int), column.astype(int)]
-        return inside & xp.as_tensor(self.mask, device=uv.device)[row.long(), column.long()]
+        return inside & xp.tensor(self.mask, device=uv.device)[row.long(), column.long()]
 
     def visible_pixels(self) -> NDArray[np.bool_]:
         """Return which pixels lie on the image circle and the mask, shape (height, width)."""

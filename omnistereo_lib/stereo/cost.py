@@ -74,11 +74,13 @@ class BlockCost(ABC):
             out = buffer if len(spheres) == buffer.shape[-1] else None  # the last block may be smaller
             block = sweep.warp_block(normalized, spheres, out)  # (cameras, B, H, W); Eq. 1
             columns = [sweep.visible_columns(camera, spheres) for camera in range(len(sweep.rig))]
-            costs = torch.as_tensor(self(block, pairs, columns))  # (H, W, B); Eq. 2
+            costs = self(block, pairs, columns)  # (H, W, B); Eq. 2
             target = volume[:, :, spheres.start : spheres.stop]
-            if costs.shape != target.shape:
-                wrong = f"{shortened(self)} gives costs of shape {tuple(costs.shape)}"
+            shape = tuple(getattr(costs, "shape", ()))
+            if shape != target.shape:
+                wrong = f"{shortened(self)} gives {f'costs of shape {shape}' if shape else shortened(costs)}"
                 raise OmnistereoError(f"{wrong}; expected (H, W, spheres) = {tuple(target.shape)}")
+            costs = torch.as_tensor(costs)
             if on_cpu:  # by NumPy: torch has threads of its own, which spin after each operation and slow these down
                 target.numpy()[:] = costs.detach().float().numpy()
             else:

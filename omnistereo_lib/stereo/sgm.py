@@ -45,6 +45,7 @@ from omnistereo_lib.stereo.volume import as_volume
 
 MAX_LAPS = 64
 INFINITY = np.float32(np.inf)
+LARGEST = np.float32(1e30)  # sums of costs and penalties below it are finite
 _STRIP = 128  # columns
 _Tile = tuple[bool, int, int, int, int, int]  # up, top, bottom, first, last, slope
 
@@ -84,15 +85,15 @@ def sgm(volume: Tensor | np.ndarray, p1: float = 0.1, p2: float = 12.0, paths: i
     volume = as_volume(volume).to(torch.float32).contiguous()
     if paths not in (4, 8):
         raise OmnistereoError(f"sgm: paths is {paths!r}; expected 4 or 8")
-    if not (isinstance(p1, Real) and isinstance(p2, Real) and 0 <= p1 <= p2 < math.inf):
+    if not (isinstance(p1, Real) and isinstance(p2, Real) and 0 <= p1 <= p2 < LARGEST):
         raise OmnistereoError(f"sgm: penalties are p1 = {p1!r}, p2 = {p2!r}; expected finite numbers, 0 ≤ p1 ≤ p2")
     if volume.device.type != "cpu":
-        infinite = bool(volume.isinf().any())
-        total = volume if infinite else sgm_gpu(volume, p1, p2, paths, wrap)
+        too_large = bool((volume.abs() >= LARGEST).any())  # false for NaN
+        total = volume if too_large else sgm_gpu(volume, p1, p2, paths, wrap)
     else:
-        total, infinite = _sgm_numba(volume.numpy(), np.float32(p1), np.float32(p2), paths == 8, wrap)
-    if infinite:
-        raise OmnistereoError("sgm: the volume has infinite costs; expected finite costs. Set unknown cells to NaN.")
+        total, too_large = _sgm_numba(volume.numpy(), np.float32(p1), np.float32(p2), paths == 8, wrap)
+    if too_large:
+        raise OmnistereoError(f"sgm: a cost is infinite, or {LARGEST:g} or more. Set unknown cells to NaN.")
     return total
 
 
@@ -100,7 +101,7 @@ def sgm(volume: Tensor | np.ndarray, p1: float = 0.1, p2: float = 12.0, paths: i
 
 
 def _sgm_numba(cost: NDArray[Any], p1: float, p2: float, diagonals: bool, wrap: bool) -> tuple[Tensor, bool]:
-    """Return S, and whether a cost is infinite."""
+    """Return S, and whether a cost is too large."""
     H, W, N = cost.shape
     total = np.empty_like(cost)  # (H, W, N); NumPy asks for huge pages, torch does not
     fill = np.empty((H, W), np.float32)  # the data term of a ray's unknown cells
@@ -109,14 +110,14 @@ def _sgm_numba(cost: NDArray[Any], p1: float, p2: float, diagonals: bool, wrap: 
     def rows(y: int) -> bool:
         return _scan_rows(cost[y : y + 4], fill[y : y + 4], total[y : y + 4], wrap, p1, p2)
 
-    infinite = any(list(map_threads(rows, range(0, H, 4))))
+    too_large = any(list(map_threads(rows, range(0, H, 4))))
 
     def advance(tile: _Tile) -> None:
         _advance(cost, fill, total, messages, tile, diagonals, wrap, p1, p2)
 
     for tiles in _tiles(H, W):
         list(map_threads(advance, tiles))
-    return torch.from_numpy(total), infinite
+    return torch.from_numpy(total), too_large
 
 
 def _tiles(H: int, W: int) -> Iterator[list[_Tile]]:
@@ -133,15 +134,17 @@ def _tiles(H: int, W: int) -> Iterator[list[_Tile]]:
 
 @njit
 def _fill_value(cost: NDArray[Any]) -> np.float32:
-    """Return the data term of the unknown cells of a ray: the mean of its known costs, not finite if one is not."""
+    """Return the data term of the unknown cells of a ray: the mean of its known costs, infinite if one is too large."""
     regular = True
     for n in range(cost.size):
-        regular &= abs(cost[n]) < INFINITY  # false for NaN
+        regular &= abs(cost[n]) < LARGEST  # false for NaN
     if regular:
         return np.float32(0)  # not used
     total, known = 0.0, 0
     for n in range(cost.size):
         if cost[n] == cost[n]:
+            if not abs(cost[n]) < LARGEST:
+                return INFINITY
             total += cost[n]
             known += 1
     return np.float32(total / max(known, 1))
@@ -196,21 +199,21 @@ def _scan_row(
 
 @compiled(nogil=True)
 def _scan_rows(cost: NDArray[Any], fill: NDArray[Any], total: NDArray[Any], wrap: bool, p1: float, p2: float) -> bool:
-    """Write the sum of the two paths along rows to total, and fill; return whether a cost is infinite."""
+    """Write the sum of the two paths along rows to total, and fill; return whether a cost is too large."""
     H, W, N = cost.shape
-    infinite = False
+    too_large = False
     leftward = np.empty((W, N), np.float32)
     for y in range(H):
         for x in range(W):
             fill[y, x] = _fill_value(cost[y, x])
-            infinite |= not abs(fill[y, x]) < INFINITY
+            too_large |= fill[y, x] == INFINITY
         _scan_row(cost[y], fill[y], total[y], False, wrap, p1, p2)
         _scan_row(cost[y], fill[y], leftward, True, wrap, p1, p2)
         for x in range(W):
             for n in range(N):
                 c = cost[y, x, n]
                 total[y, x, n] += leftward[x, n] + (c - c)  # NaN where C is, which stays
-    return infinite
+    return too_large
 
 
 @compiled(nogil=True)

@@ -88,6 +88,10 @@ class SphereSweep:
         self._device_maps: dict[tuple[int, int, int], Tensor] = {}
         self._kept: dict[Hashable, Any] = {}
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out what is kept: a copy, or a sweep in another process, makes its own."""
+        return self.__dict__ | {"_luts": {}, "_spans": {}, "_device_maps": {}, "_kept": {}}
+
     def keep(self, key: Hashable, make: Callable[[], _Kept]) -> _Kept:
         """Return make(), called once for this sweep: what a cost keeps from frame to frame, beside the tables."""
         if key not in self._kept:

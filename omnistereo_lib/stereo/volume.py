@@ -1,11 +1,13 @@
 """The cost volume C(p, n): matching costs of all rays on all spheres (paper, Section III-B and Eq. 2)."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
-from torch import Tensor
+from torch import Tensor, nn
 
 from omnistereo_lib.errors import OmnistereoError, shortened
 from omnistereo_lib.geometry.rig import Pairs, camera_pairs
@@ -42,16 +44,48 @@ def cost_volume(
     torch.Size([16, 64, 16])
     """
     cost = ZNCC() if cost is None else cost
-    if not hasattr(cost, "volume"):
+    if not hasattr(cost, "volume") or isinstance(cost, type):
         raise OmnistereoError(f"cost is {shortened(cost)}; expected an object with a method `volume`, such as ZNCC()")
-    pairs = camera_pairs(pairs, sweep.rig)
-    volume = cost.volume(sweep, images, pairs, progress)
+    _check_network(getattr(cost, "network", cost))
+    pairs, shape = camera_pairs(pairs, sweep.rig), (*sweep.grid.shape, sweep.grid.num_spheres)
+    volume = cost.volume(sweep, images, pairs, partial(_each, progress))
+    if not (isinstance(volume, Tensor) and volume.shape == shape and volume.is_floating_point()):
+        kind = f"{volume.dtype} of shape {tuple(volume.shape)}" if isinstance(volume, Tensor) else shortened(volume)
+        raise OmnistereoError(f"the cost {shortened(cost)} returns {kind}; expected a float tensor of shape {shape}")
     if all(row.isnan().all() for row in volume):
         raise OmnistereoError(
             f"no ray is visible to both cameras of any pair {pairs}. Check the poses (camera → rig, metres), the field "
             f"of view, the masks and phi_deg = {sweep.grid.phi_deg}."
         )
     return volume
+
+
+def _each(progress: Progress, parts: Iterable[Any]) -> Iterator[Any]:
+    """Yield the parts as `progress` does; an `OmnistereoError` says that it is none, or leaves out or adds some."""
+    parts = list(parts)
+    try:
+        wrapped = iter(progress(parts))
+    except TypeError:
+        raise OmnistereoError(
+            f"progress is {shortened(progress)}; expected what wraps a sequence, such as tqdm"
+        ) from None
+    left = iter(parts)
+    for part in wrapped:
+        if part is not next(left, None):
+            break
+        yield part
+    else:
+        if next(left, None) is None:
+            return
+    raise OmnistereoError(f"progress is {shortened(progress)}; it leaves out parts of what it wraps, or adds some")
+
+
+def _check_network(cost: object) -> None:
+    """Refuse a network that has no numbers, or not those that the sums are meant for."""
+    for weight in cost.parameters() if isinstance(cost, nn.Module) else ():
+        if weight.is_meta or weight.dtype != torch.float32:
+            kind = "no weights (device meta)" if weight.is_meta else f"weights of type {weight.dtype}"
+            raise OmnistereoError(f"the network has {kind}; expected float32. Convert it: network.float()")
 
 
 def as_volume(volume: ArrayLike | Tensor) -> Tensor:

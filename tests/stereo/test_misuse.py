@@ -2,6 +2,8 @@
 
 import dataclasses
 import inspect
+import pickle
+from copy import deepcopy
 
 import numpy as np
 import pytest
@@ -27,6 +29,23 @@ class Flat(BlockCost):
         return torch.zeros(1, 48, 4)
 
 
+class Silent(BlockCost):
+    """A cost that returns nothing."""
+
+    def __call__(self, spherical_images, pairs, columns=None):
+        pass
+
+
+class Whole:
+    """A cost that returns anything as its volume."""
+
+    def __init__(self, volume):
+        self.returned = volume
+
+    def volume(self, sweep, images, pairs, progress=iter):
+        return self.returned
+
+
 def depth(images=IMAGES, **options):
     return osl.estimate_depth(RIG, images, GRID, **{"method": "zncc+sgm"} | options)
 
@@ -50,6 +69,23 @@ def rig(pose=0.0, min_depth=None):
         (lambda: rig(min_depth=-1.0), "min_depth.* is -1.0"),
         (lambda: rig(min_depth=np.nan), "min_depth.* is nan"),
         (lambda: sgm(torch.from_numpy(VOLUME + 1j)), "type torch.complex64; expected"),
+        (lambda: osl.cost_volume(SWEEP, IMAGES, Silent()), r"gives None; expected .* \(12, 48, 4\)"),
+        (
+            lambda: osl.cost_volume(SWEEP, IMAGES, Whole(None)),
+            r"Whole.* returns None; expected a float tensor of shape",
+        ),
+        (lambda: osl.cost_volume(SWEEP, IMAGES, Whole(torch.zeros(4, 12, 48))), r"returns .* \(4, 12, 48\); expected"),
+        (lambda: osl.cost_volume(SWEEP, IMAGES, Whole(torch.zeros(12, 48, 4, dtype=int))), "returns torch.int64 of"),
+        (lambda: osl.cost_volume(SWEEP, IMAGES, osl.ZNCC), "cost is <class .*; expected an object"),
+        (lambda: osl.cost_volume(SWEEP, IMAGES, osl.MCCNN().half()), "the network has weights of type torch.float16"),
+        (lambda: osl.cost_volume(SWEEP, IMAGES, osl.LearnedCost(osl.MCCNN().double())), "type torch.float64; expected"),
+        (lambda: osl.cost_volume(SWEEP, IMAGES, osl.MCCNN().to("meta")), "the network has no weights"),
+        (lambda: depth(progress=None), "progress is None; expected what wraps a sequence"),
+        (lambda: depth(progress=lambda blocks: None), "progress is .*; expected what wraps a sequence"),
+        (lambda: depth(progress=lambda blocks: blocks[1:]), "progress is .*; it leaves out parts"),
+        (lambda: depth(progress=lambda blocks: [*blocks, 1]), "progress is .*; it leaves out parts"),
+        (lambda: sgm(1e38 * VOLUME), r"a cost is infinite, or 1e\+30 or more"),
+        (lambda: sgm(VOLUME, p2=1e38), r"p2 = 1e\+38; expected"),
         (lambda: sgm(None), "holds object"),
         (lambda: sgm(VOLUME, p1="0.1"), "p1 = '0.1'"),
         (lambda: osl.winner_takes_all(VOLUME[..., :1]), "expected .* N ≥ 2"),
@@ -126,6 +162,33 @@ def test_what_was_checked_does_not_change_afterwards():
     pose, camera = osl.Pose(np.eye(3), t), dataclasses.replace(RIG.cameras[0], poly=poly)
     t[0], poly[0] = 1, -1
     assert (pose.t == 0).all() and camera.poly[0] == RIG.cameras[0].poly[0]
+
+
+def test_costs_that_are_large_stay_finite():
+    volume = 1e29 * VOLUME
+    volume[2, 3, 1] = np.nan
+    assert (sgm(volume).isfinite() == torch.from_numpy(volume).isfinite()).all()
+
+
+def test_what_is_frozen_cannot_be_written_into():
+    camera = dataclasses.replace(RIG.cameras[0], mask=np.ones((56, 60)))
+    for array in (camera.poly, camera.inv_poly, camera.mask):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
+
+
+@pytest.mark.parametrize("copy", [deepcopy, lambda value: pickle.loads(pickle.dumps(value))], ids=["copy", "pickle"])
+def test_copies_do_what_the_original_does(copy):
+    """As joblib, Dask or a process pool make them. A sweep leaves its tables behind."""
+    expected = depth(method="sweepnet")
+    kept = copy(expected)
+    np.testing.assert_array_equal(kept.depth, expected.depth)
+    again = sweep_depth(kept.sweep, IMAGES, copy(osl.Method.parse("sweepnet")))
+    np.testing.assert_array_equal(again.index, expected.index)
+    np.testing.assert_array_equal(copy(RIG).cameras[0].poly, RIG.cameras[0].poly)
+    assert {copy(GRID), copy(osl.Method.parse("zncc")), GRID} == {GRID, osl.Method.parse("zncc")}
+    assert len({copy(RIG), RIG, RIG.T_rig_cam[0]}) == 3  # by identity
+    assert str(copy(osl.OmnistereoError("wrong"))) == "wrong"
 
 
 def test_right_types_of_every_kind(tmp_path):
