@@ -253,7 +253,7 @@ def write_inverse_depth(path: str | Path, inverse_depth: NDArray[Any]) -> None:
         tifffile.imwrite(temporary, np.asarray(inverse_depth, np.float32), compression="deflate")
 
 
-def _read_float_tiff(path: Path) -> NDArray[np.float32]:
+def _read_float_tiff(path: Path) -> NDArray[Any]:
     import cv2
 
     content = read_bytes(path)

@@ -32,4 +32,4 @@ def _minimum(context: Any, a: Any, b: Any) -> Any:
 
 
 # Any: called in compiled code only, with a and b alone; without a compiler (NUMBA_DISABLE_JIT) by Python.
-minimum: Any = min if numba.config.DISABLE_JIT else intrinsic(_minimum)
+minimum: Any = min if numba.config.DISABLE_JIT else intrinsic(_minimum)  # type: ignore[attr-defined]
