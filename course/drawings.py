@@ -161,8 +161,29 @@ def board_triangle() -> Figure:
         ax.text(x, y - 0.28, name, ha="center", color=color)
     _arrow(ax, (1.75, 1.95), (0.25, 0.25), "0.35", r"$T_{1b}$, from picture 1", ha="right", xytext=(-8, 4))
     _arrow(ax, (2.25, 1.95), (3.75, 0.25), "0.35", r"$T_{2b}$, from picture 2", xytext=(8, 4))
-    _arrow(ax, (0.9, -0.05), (3.7, -0.05), "0.2", r"$T_{21} = T_{2b} \star T_{1b}^{-1}$", xytext=(-44, -18))
+    _arrow(ax, (3.7, -0.05), (0.9, -0.05), "0.2", r"$T_{12} = T_{1b} \star T_{2b}^{-1}$", xytext=(-44, -18))
     ax.set(xlim=(-1.6, 6), ylim=(-0.75, 3))
+    return fig
+
+
+def shift_along_parallax() -> Figure:
+    """Where two images show one thing on the panorama with a wrong pose, and how far a change of sphere moves them."""
+    fig, (ax,) = _canvas(9, 3.2)
+    places, steps = np.array([[[0.0, 0.0], [3.4, 0.95]], [[0.5, 0.06], [-0.6, -0.04]]])
+    e, p = places[0] - places[1], steps[0] - steps[1]
+    met = places - (p @ e) / (p @ p) * steps
+    for k, (color, side) in enumerate(((FIRST, [0, -0.3]), (SECOND, [0, 0.2]))):
+        _line(ax, places[k], met[k], color=color, lw=0.8, ls=":")
+        _arrow(ax, tuple(places[k]), tuple(places[k] + steps[k]), color)
+        ax.plot(*places[k], "s", ms=12, color=color)
+        ax.plot(*met[k], "s", ms=12, mfc="none", mec=color, mew=1.6)
+        ax.text(*(places[k] + side), f"image {k + 1}", color=color, ha="center")
+        ax.text(*(places[k] + 0.9 * steps[k] + side), rf"$p_{k + 1}$", color=color, fontsize=12, ha="center")
+    _arrow(ax, tuple(places[1] + 0.03 * e), tuple(places[1] + 0.97 * e), "0.5")
+    ax.text(0.75, 0.35, r"$e = e_1 - e_2$", color="0.4", ha="right")
+    ax.annotate("", *met, arrowprops={"arrowstyle": "<->", "color": POINT, "lw": 1.6, "shrinkA": 7, "shrinkB": 7})
+    ax.text(1.9, 0.42, "what is left across:\nno sphere closes it", color=POINT, va="center")
+    ax.set(xlim=(-0.9, 4.4), ylim=(-0.5, 1.4))
     return fig
 
 

@@ -9,11 +9,9 @@ from importlib import import_module
 from pathlib import Path
 
 from course.exercises.depth_arrays import *  # noqa: F403
-from course.exercises.geometry import *  # noqa: F403
 from course.exercises.matching import *  # noqa: F403
 from course.exercises.opened import Open
 from course.exercises.results import *  # noqa: F403
-from course.exercises.rig_arrays import *  # noqa: F403
 from course.exercises.scene_arrays import *  # noqa: F403
 from course.exercises.table_arrays import *  # noqa: F403
 from course.exercises.volumes import *  # noqa: F403

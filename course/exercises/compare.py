@@ -105,10 +105,17 @@ def _stopped(error: BaseException, arguments: int) -> str:
 
 def _numbers(found: Any) -> Array | None:
     try:
-        values = np.asarray(found.as_vector() if isinstance(found, Pose) else found)
+        values = np.asarray(_vectors(found))
     except Exception:  # parts of unequal shape, a tensor with a gradient, an object's own error
         return None
     return values.astype(np.float64) if values.dtype.kind in "iuf" else None  # no text, truth values, complex numbers
+
+
+def _vectors(found: Any) -> Any:
+    """Return a pose, and every pose of a list, as a vector; anything else as it is."""
+    if isinstance(found, list):
+        return [_vectors(one) for one in found]
+    return found.as_vector() if isinstance(found, Pose) else found
 
 
 def _not_numbers(found: Any, right: Array) -> str:

@@ -4,7 +4,6 @@
 as np, and are written as on a board: one step a line, the reason beside it.
 """
 
-from course.solutions.geometry import *  # noqa: F403
 from course.solutions.matching import *  # noqa: F403
 from course.solutions.results import *  # noqa: F403
 from course.solutions.volumes import *  # noqa: F403

@@ -7,41 +7,6 @@ import math
 
 import numpy as np
 
-RELATIVE_POSE = [
-    ("right", lambda a, b: b @ a.inverse()),
-    ("right", lambda a, b: (a @ b.inverse()).inverse().as_vector()),
-    ("the way back", lambda a, b: a @ b.inverse()),
-    ("stands on the left", lambda a, b: a.inverse() @ b),
-    ("belongs to camera 1's pose", lambda a, b: b.inverse() @ a),
-    ("do not meet", lambda a, b: b @ a),
-    ("do not meet", lambda a, b: a @ b),
-]
-
-COUNT_UNKNOWNS = [
-    ("right", lambda C, K, M: C * (4 + M) + 6 * (C - 1) + 6 * K),
-    ("right", lambda C, K, M: np.int64(C * M + 10 * C + 6 * K - 6)),
-    ("no unknown", lambda C, K, M: C * (4 + M) + 6 * C + 6 * K),
-    ("each capture's board", lambda C, K, M: C * (4 + M) + 6 * (C - 1)),
-    ("ties the cameras together", lambda C, K, M: C * (4 + M) + 6 * (C - 1) + 6 * K * C),
-    ("a1 is zero", lambda C, K, M: C * (5 + M) + 6 * (C - 1) + 6 * K),
-    ("there is no a1", lambda C, K, M: C * (6 + M) + 6 * (C - 1) + 6 * K),
-    ("adjusted with the poses", lambda C, K, M: 6 * (C - 1) + 6 * K),
-    ("a lens of its own", lambda C, K, M: 4 + M + 6 * (C - 1) + 6 * K),
-    ("six numbers", lambda C, K, M: C * (4 + M) + 3 * (C - 1) + 3 * K),
-]
-
-DEPTH_ERROR = [
-    ("right", lambda depth, N, nearest: depth * depth / nearest / (N - 1)),
-    ("right", lambda depth, N, nearest: np.float32(depth**2 / (nearest * (N - 1)))),
-    ("enters squared", lambda depth, N, nearest: depth / (nearest * (N - 1))),
-    ("one step in inverse depth", lambda depth, N, nearest: 1 / nearest / (N - 1)),
-    ("not N", lambda depth, N, nearest: depth**2 / (nearest * N)),
-    ("not in depth", lambda depth, N, nearest: nearest / (N - 1)),
-    ("sphere 1", lambda depth, N, nearest: nearest * (N - 1)),
-    ("further out", lambda depth, N, nearest: 1 / (1 / depth - 1 / (nearest * (N - 1))) - depth),
-    ("sphere nearer", lambda depth, N, nearest: depth - 1 / (1 / depth + 1 / (nearest * (N - 1)))),
-]
-
 
 def metres_per_unit_loops(positions, i, j, measured):
     return measured / math.dist(positions[i].tolist(), positions[j].tolist())
