@@ -110,6 +110,25 @@ def test_depth_has_no_stairs_but_edges(depth, open_page, tmp_path):
     assert rest.max() < 1.5 * np.median(rest)
 
 
+def test_a_surface_of_points_has_no_gaps(depth, open_page, tmp_path):
+    down = depth.grid.rays()[..., 1]
+    floor = depth.grid.depth_to_index(np.where(down > 0.3, 1.5 / np.maximum(down, 0.3), np.inf))  # 1.5 m below
+    data = viewer_data(
+        osl.Depth(floor.astype(np.float32), depth.confidence, depth.sweep),
+        np.full((80, 320, 3), 200, np.uint8),
+        Limits(50.0, 0.0),
+        "floor",
+        "points",
+    )
+    page = opened(open_page, tmp_path, page_of(data))
+    covered = page.evaluate("""() => points.cells.filter(k => k + D.width < steps.length).map(k => {
+        const [a, b] = [pointOf(k), pointOf(k + D.width)]
+        const [x, y] = placeOf(a.map((value, i) => (value + b[i]) / 2)).map(Math.floor)
+        return x < 0 || y < 0 || x >= W || y >= H || owner[y * W + x] >= 0
+    })""")
+    assert len(covered) > 1000 and np.mean(covered) > 0.97
+
+
 @pytest.mark.parametrize(("scheme", "gray"), [("light", 0xFA), ("dark", 0x20)])
 def test_it_is_light_or_dark_as_the_reader_wants(depth, open_page, tmp_path, scheme, gray):
     page_text = viewer_page(depth, np.zeros((80, 320, 3), np.uint8), Limits(50.0, 0.0), "theme")
