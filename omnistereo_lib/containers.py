@@ -10,6 +10,8 @@ from typing import NamedTuple
 
 MAX_PIXELS = 1 << 26  # of a picture or panorama: decoding one takes less than a gigabyte
 _MAX_SIDE = 100_000
+_JPEG, _PNG, _TIFF = b"\xff\xd8", b"\x89PNG\r\n\x1a\n", (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")  # first bytes
+_JPEG_END = b"\xff\xd9"
 _MAX_PAGES = 1000
 _MAX_VISITS = 1 << 31  # pixels × scans of a JPEG, whose decoder goes over the whole picture for each of its scans
 _PIXELS_PER_BYTE = {"PNG": 8 * 1032, "JPEG": 1024, "BMP": 128, "PPM": 8}  # the most that a format can hold
@@ -29,6 +31,17 @@ class TiffPage(NamedTuple):
     width: int
     height: int
     is_float: bool  #: one number per pixel, float32 or float64
+
+
+def check_container(content: bytes) -> int:
+    """Check what can be seen of a PNG, TIFF or JPEG without decoding it; return the number of pages of a TIFF, or 0."""
+    if content[:8] == _PNG:
+        check_png(content)
+    elif content[:4] in _TIFF:
+        return len(tiff_pages(content))
+    elif content[:2] == _JPEG and _JPEG_END not in content[-64:]:
+        raise ContainerError(f"truncated ({len(content)} bytes, no end-of-image marker)")
+    return 0
 
 
 def check_pixels(width: int, height: int) -> None:

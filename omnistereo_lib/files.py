@@ -5,7 +5,6 @@ import json
 import os
 import re
 import stat
-import time
 import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -19,13 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.containers import ContainerError, check_density, check_pixels, check_png, tiff_pages
+from omnistereo_lib.containers import ContainerError, check_container, check_density, check_pixels
 from omnistereo_lib.errors import OmnistereoError, shortened
 
-_JPEG, _PNG, _TIFF = b"\xff\xd8", b"\x89PNG\r\n\x1a\n", (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")  # first bytes
-_JPEG_END = b"\xff\xd9"
 _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "PPM", "WEBP")  # as Pillow calls them
 _STDERR = Lock()  # of the whole process
+_made: list[Path] = []  # folders that `make_folder` has made
 _BROKEN = (ValueError, TypeError, AttributeError, LookupError, ArithmeticError, RecursionError)  # of the two parsers
 _STALE = 3600.0  # seconds; no single file takes so long to write
 _MAX_BYTES = 1 << 30
@@ -275,13 +273,7 @@ def _read_header(path: str | Path, content: bytes) -> tuple[int, int]:
     """
     from PIL import Image
 
-    pages = 0
-    if content[:8] == _PNG:
-        check_png(content)
-    elif content[:4] in _TIFF:
-        pages = len(tiff_pages(content))
-    elif content[:2] == _JPEG and _JPEG_END not in content[-64:]:
-        raise ContainerError(f"truncated ({len(content)} bytes, no end-of-image marker)")
+    pages = check_container(content)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -343,10 +335,11 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
     path = Path(path)
     temporary = path.with_name(f".{token_hex(8)}.{path.name}")  # same suffix: writers choose the format by it
     try:
-        _remove_stale(path)
         yield temporary
         _sync(temporary)
+        now = temporary.stat().st_mtime  # of the disk: the clocks of machines that share it differ
         temporary.replace(path)
+        _remove_stale(path, now)
         _sync(path.parent)
     except OSError as error:
         raise OmnistereoError(
@@ -368,17 +361,18 @@ def _sync(path: Path) -> None:
         os.close(descriptor)
 
 
-def _remove_stale(path: Path) -> None:
-    """Remove the temporary files of `path` to which nobody has written for an hour."""
+def _remove_stale(path: Path, now: float) -> None:
+    """Remove the temporary files of `path` to which nobody has written for an hour, by the clock of the disk."""
     for left in path.parent.glob(f".{'[0-9a-f]' * 16}.{glob.escape(path.name)}"):
         with suppress(FileNotFoundError):  # another writer was quicker
-            if time.time() - left.stat().st_mtime > _STALE:
+            if now - left.stat().st_mtime > _STALE:
                 left.unlink()
 
 
 def make_folder(path: str | Path) -> Path:
     """Make a folder and its parents if missing; return its path. An `OmnistereoError` says why it is not writable."""
     path = Path(path)
+    _made.extend(folder for folder in (path, *path.parents) if not folder.exists())
     try:
         path.mkdir(parents=True, exist_ok=True)
         with TemporaryFile(dir=path):
@@ -386,3 +380,21 @@ def make_folder(path: str | Path) -> Path:
     except OSError as error:
         message = f"folder {path} cannot be made or written to: {error.strerror}. Choose another folder."
         raise OmnistereoError(message) from None
+
+
+def remove_empty_folders() -> None:
+    """Remove the folders that `make_folder` has made and nothing was written into, as before a refusal."""
+    for folder in sorted(set(_made), reverse=True):  # inner ones first
+        with suppress(OSError):
+            folder.rmdir()
+    _made.clear()
+
+
+def is_whole(path: str | Path) -> bool:
+    """Return whether an image file is there and complete, as far as can be seen without decoding it."""
+    try:
+        content = read_bytes(path)
+        check_container(content)
+        return len(content) > 0
+    except (OmnistereoError, ContainerError):
+        return False

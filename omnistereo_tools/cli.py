@@ -114,6 +114,9 @@ def _say(line: str) -> None:
 
 
 def _stop(line: str, status: int) -> int:
+    from omnistereo_lib.files import remove_empty_folders
+
+    remove_empty_folders()
     _say(line)
     return status
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from omnistereo_lib.consumer_images import split_image
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.evaluate.records import checksum
-from omnistereo_lib.files import check_size, decoder_messages, read_image
+from omnistereo_lib.files import check_image, check_size, decoder_messages, read_image
 from omnistereo_lib.geometry.rig import Rig
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
@@ -48,6 +48,11 @@ class Pictures:
     def use_numbers(self) -> None:
         """Call the frames by the numbers at the end of their names."""
         self.files = {int(re.search(r"[0-9]+$", name)[0]): path for name, path in self.files.items()}
+
+    def check(self, keys: Sequence, image_size: tuple[int, int]) -> None:
+        """Raise an `OmnistereoError` if a picture is not of the size of the camera, or damaged where it shows."""
+        for key in keys:
+            check_image(self.files[key], image_size)
 
     def read(self, keys: Sequence, image_size: tuple[int, int] | None) -> Iterator[NDArray[np.uint8]]:
         """Yield the pictures of some frames; width and height must be those of the camera, unless they are None."""
@@ -83,6 +88,10 @@ class Video:
 
     def use_numbers(self) -> None:
         """Call the frames by their numbers, as they are."""
+
+    def check(self, keys: Sequence[int], image_size: tuple[int, int]) -> None:
+        """Raise an `OmnistereoError` if the frames are not of the size of the camera; how many there are is stated."""
+        open_video(self.path, image_size)
 
     def read(self, keys: Sequence[int], image_size: tuple[int, int] | None) -> Iterator[NDArray[np.uint8]]:
         """Yield some frames, in ascending order; those between are skipped, because seeking is not exact."""
@@ -148,6 +157,11 @@ class Recording:
     def fps(self) -> float | None:
         """Frames per second of the first video, if there is one."""
         return next((source.fps for source in self.sources if source.fps), None)
+
+    def check(self, numbers: Sequence[int], rig: Rig) -> None:
+        """Raise an `OmnistereoError` if some frames cannot be read, as far as can be seen without decoding them."""
+        for source, size in zip(self.sources, rig.image_sizes(len(self.sources)), strict=True):
+            source.check([self.frames[number] for number in numbers], size)
 
     def read(self, numbers: Sequence[int], rig: Rig) -> Iterator[list[NDArray[np.uint8]]]:
         """Yield the images of all cameras of a rig for some frames, in ascending order.

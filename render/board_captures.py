@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.files import atomic_write, make_folder
+from omnistereo_lib.files import atomic_write, is_whole, make_folder
 from omnistereo_lib.geometry.pose import Pose
 from render.boards import COLUMNS, ROWS, SQUARE, Capture, CaptureSet, plan_captures, true_corners
 from render.render_rig import RigCamera, make_rig, write_config
@@ -28,9 +28,9 @@ def picture_path(folder: Path, number: int, camera: int) -> Path:
 
 
 def is_captured(folder: Path, captures: CaptureSet, number: int, seed: int) -> bool:
-    """Return whether all pictures of a capture are there."""
+    """Return whether all pictures of a capture are there, and whole."""
     capture = plan_captures(captures, seed)[number - captures.first]
-    return all(picture_path(folder, number, camera).is_file() for camera in capture.T_rig_board)
+    return all(is_whole(picture_path(folder, number, camera)) for camera in capture.T_rig_board)
 
 
 def write_truth(path: Path, captures: CaptureSet, seed: int) -> None:
@@ -89,7 +89,7 @@ def render_captures(folder: Path, captures: CaptureSet, numbers: tuple[int, ...]
         capture = plan_captures(captures, seed)[number - captures.first]
         for camera in capture.T_rig_board:
             path = picture_path(folder, number, camera)
-            if not path.is_file():
+            if not is_whole(path):
                 _write(path, _picture(studio, rig.cameras[camera - 1], capture, camera, captures, [seed, number]))
         yield number
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import atomic_write, make_folder
+from omnistereo_lib.files import atomic_write, is_whole, make_folder
 from omnistereo_lib.geometry.pose import Pose
 from render.render_rig import RenderRig, make_rig, write_config
 
@@ -122,8 +122,8 @@ def frame_paths(folder: Path, images: ImageSet, number: int) -> list[Path]:
 
 
 def is_complete(folder: Path, images: ImageSet, number: int) -> bool:
-    """Return whether all files of a frame are there."""
-    return all(path.is_file() for path in frame_paths(folder, images, number))
+    """Return whether all files of a frame are there, and whole."""
+    return all(map(is_whole, frame_paths(folder, images, number)))
 
 
 def select_shard(numbers: tuple[int, ...], shard: str) -> tuple[int, ...]:

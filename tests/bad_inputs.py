@@ -162,6 +162,12 @@ def two_frames(data: Path) -> None:
     shutil.copy(data / "omnidepth_gt_96" / "00001.tiff", data / "omnidepth_gt_96" / "00002.tiff")
 
 
+def torn_later(data: Path) -> None:
+    two_frames(data)
+    last = data / "cam2" / "0002.png"
+    last.write_bytes(last.read_bytes()[:-9])
+
+
 # ---- commands
 
 COMMANDS = [
@@ -217,6 +223,7 @@ COMMANDS = [
     Row("no triangles", DEPTH + "--mesh OUT.glb --mesh-faces 0", "--mesh-faces is 0; expected an integer of 1"),
     Row("triangles of no mesh", DEPTH + "--mesh-faces 9", "--mesh-faces decimates a mesh; found no --mesh. Add"),
     # recordings
+    Row("a recording whose last picture is torn", RECORDING, r"cam2.0002.png is truncated", torn_later),
     Row("every 0th frame", RECORDING + "--step 0", "the step is 0; expected --step of at least 1"),
     Row("a start below 0", RECORDING + "--start -5", "the first frame is -5; expected --start of at least 0"),
     Row("a recording over its pictures", RECORDING + "--out DATA", "cam1 holds your images; --out .* would write"),

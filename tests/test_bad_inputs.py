@@ -69,9 +69,7 @@ def test_a_command_is_answered_in_one_line(row, data, capsys):
     assert len(lines) == 1 and len(answer) <= 501
     assert "error: " not in answer and answer.count("cannot be read") < 2  # nothing is said twice
     assert sorted(data.rglob("*")) == before
-    out = data.parent / "out"
-    assert not out.exists() or not list(out.rglob("*"))
-    assert {path.name for path in data.parent.iterdir()} <= {"data", "out"}
+    assert [path.name for path in data.parent.iterdir()] == ["data"]
 
 
 @by_wrong(bad_inputs.DOUBTFUL)

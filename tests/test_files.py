@@ -12,7 +12,15 @@ import pytest
 import tifffile
 
 from omnistereo_lib import OmnistereoError
-from omnistereo_lib.files import atomic_write, make_folder, read_gray, read_image, write_image
+from omnistereo_lib.files import (
+    atomic_write,
+    is_whole,
+    make_folder,
+    read_gray,
+    read_image,
+    remove_empty_folders,
+    write_image,
+)
 
 RGB = np.random.default_rng(0).integers(0, 256, (20, 30, 3), np.uint8)
 
@@ -148,12 +156,42 @@ def test_what_killed_processes_have_left_is_removed_after_an_hour(tmp_path):
     others = [f".{'0a' * 8}.b.txt", f".{'0a' * 8}.[a].txt.bak", f"{'0a' * 8}.[a].txt", ".x.[a].txt", ".[a].txt"]
     for name in [*others, left]:
         (tmp_path / name).write_text("left")
-    for age, expected in ((99, {*others, left}), (4000, {*others})):
+    for age, expected in ((-9000, {*others, left}), (99, {*others, left}), (4000, {*others})):
         for name in [*others, left]:
             os.utime(tmp_path / name, (time.time() - age,) * 2)
         with atomic_write(tmp_path / "[a].txt") as temporary:
             temporary.write_text("new")
         assert {path.name for path in tmp_path.iterdir()} == {"[a].txt", *expected}
+
+
+def test_a_clock_that_is_wrong_does_not_take_another_writers_file(tmp_path, monkeypatch):
+    """As of a machine whose clock is a day ahead, in a folder that it shares."""
+    monkeypatch.setattr(time, "time", lambda now=time.time: now() + 86400)
+    with atomic_write(tmp_path / "a.txt") as first:
+        first.write_text("first")
+        with atomic_write(tmp_path / "a.txt") as second:
+            second.write_text("second")
+    assert (tmp_path / "a.txt").read_text() == "first"
+
+
+def test_folders_without_a_file_go_and_others_stay(tmp_path):
+    make_folder(tmp_path / "a" / "b" / "c")
+    (make_folder(tmp_path / "a" / "d") / "file").write_text("")
+    (tmp_path / "theirs").mkdir()
+    make_folder(tmp_path / "theirs")
+    remove_empty_folders()
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["a", "d", "file", "theirs"]
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".tiff"])
+def test_a_torn_picture_is_not_whole(tmp_path, suffix):
+    path = tmp_path / f"a{suffix}"
+    assert not is_whole(path)
+    write_image(path, RGB)
+    assert is_whole(path)
+    for keep in (300, 0):
+        path.write_bytes(path.read_bytes()[:keep])
+        assert not is_whole(path)
 
 
 def test_writers_of_one_file_have_names_of_their_own(tmp_path):

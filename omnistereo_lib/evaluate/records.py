@@ -45,6 +45,8 @@ def read_errors(path: Path, inputs_sha256: str) -> Record | None:
 
     Raises an `OmnistereoError` if they are of other inputs.
     """
+    if path.is_dir():
+        raise OmnistereoError(f"{path} is a folder; expected a file of results, or none. Remove it")
     try:
         record = read_data(path)
         other = record["inputs"] != inputs_sha256

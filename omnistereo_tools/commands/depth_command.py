@@ -196,14 +196,15 @@ def _run_recording(options: argparse.Namespace) -> None:
         with_video=options.video is not None,
         device=options.device,
     )
+    left, total = writer.left(), len(recording.frames)
+    recording.check(left, rig)  # fail fast, here and below, before anything is written
     if options.cluster is not None:
         from omnistereo_tools.cluster import connect, depth_on_cluster
 
-        connect(options.cluster).close()  # fail fast, before anything is written
+        connect(options.cluster).close()
     if options.video is not None:
         make_folder(options.video.parent)
     writer.prepare(rig)
-    left, total = writer.left(), len(recording.frames)
     if options.cluster is None:
         say_recording(writer.sweep, first[0], len(left), writer.method.name, [VIDEO_METHOD, FRAME_METHOD])
     done = writer.run(left) if options.cluster is None else depth_on_cluster(options.cluster, writer, options.device)
