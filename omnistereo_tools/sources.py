@@ -49,7 +49,7 @@ class Pictures:
         """Call the frames by the numbers at the end of their names."""
         self.files = {int(re.search(r"[0-9]+$", name)[0]): path for name, path in self.files.items()}
 
-    def check(self, keys: Sequence, image_size: tuple[int, int]) -> None:
+    def check(self, keys: Sequence, image_size: tuple[int, int] | None) -> None:
         """Raise an `OmnistereoError` if a picture is not of the size of the camera, or damaged where it shows."""
         for key in keys:
             check_image(self.files[key], image_size)
@@ -89,7 +89,7 @@ class Video:
     def use_numbers(self) -> None:
         """Call the frames by their numbers, as they are."""
 
-    def check(self, keys: Sequence[int], image_size: tuple[int, int]) -> None:
+    def check(self, keys: Sequence[int], image_size: tuple[int, int] | None) -> None:
         """Raise an `OmnistereoError` if the frames are not of the size of the camera; how many there are is stated."""
         open_video(self.path, image_size)
 
@@ -160,7 +160,8 @@ class Recording:
 
     def check(self, numbers: Sequence[int], rig: Rig) -> None:
         """Raise an `OmnistereoError` if some frames cannot be read, as far as can be seen without decoding them."""
-        for source, size in zip(self.sources, rig.image_sizes(len(self.sources)), strict=True):
+        sizes = [None] if len(self.sources) == 1 else rig.image_sizes(len(self.sources))
+        for source, size in zip(self.sources, sizes, strict=True):
             source.check([self.frames[number] for number in numbers], size)
 
     def read(self, numbers: Sequence[int], rig: Rig) -> Iterator[list[NDArray[np.uint8]]]:
