@@ -5,6 +5,7 @@ import torch
 
 from course import snapshots
 from omnistereo_lib.stereo.sweepnet import SweepNet
+from omnistereo_lib.train.loop import WEIGHTS
 
 
 def test_the_stored_snapshots_are_small_and_get_better():
@@ -17,11 +18,16 @@ def test_the_stored_snapshots_are_small_and_get_better():
     assert stored["wrong"][-1] < 0.6 * stored["wrong"][0]
 
 
-def test_only_the_decision_learns():
-    network, weights = snapshots.undecided(0)
-    learning = {name for name, weight in network.named_parameters() if weight.requires_grad}
-    assert learning == {f"layers.{name}.{part}" for name in snapshots.DECISION for part in ("weight", "bias")}
-    assert len(weights) == len(learning)
-    bundled = SweepNet.pretrained()
-    assert torch.equal(network.layers["conv18"].weight, bundled.layers["conv18"].weight)
-    assert not torch.equal(network.layers["fc1"].weight, bundled.layers["fc1"].weight)
+def test_a_snapshot_is_of_the_weights_at_its_step(tmp_path, monkeypatch):
+    def train(recipe, run, progress):
+        network = SweepNet()
+        for step in range(recipe.steps):
+            torch.nn.init.constant_(network.layers["fc5"].bias, step + 1)
+            network.save(run / WEIGHTS)
+            progress({"step": step, "validation_error": 0.5 / (step + 1)})
+
+    monkeypatch.setattr(snapshots, "train", train)
+    monkeypatch.setattr(snapshots, "_winners", lambda network, *_: np.uint8([[network.layers["fc5"].bias.item()]]))
+    stored = np.load(snapshots.take_snapshots(tmp_path / "snapshots.npz", steps=(1, 2, 4)))
+    assert stored["index"].ravel().tolist() == stored["steps"].tolist() == [1, 2, 4]
+    assert stored["wrong"].tolist() == [0.5, 0.25, 0.125]
