@@ -315,6 +315,37 @@ def patch_tower() -> Figure:
     return fig
 
 
+def sweepnet() -> Figure:
+    """Table I as boxes: the features of two cameras and their comparison; below, one block with its shortcut."""
+    fig, (ax,) = _canvas(10, 4.2)
+    ax.set_aspect("auto")
+    images, features = "image\n1 × H × W", "conv1 … conv18\n32 × H/2 × W/2"
+    boxes = [(0, y, images, color) for y, color in ((1, FIRST), (0, SECOND))]
+    boxes += [(1.7, y, features, color) for y, color in ((1, FIRST), (0, SECOND))]
+    boxes += [(3.4, 0.5, "stacked\n64 × H/2 × W/2", SPHERE), (5.1, 0.5, "conv19\n128 × H/2 × W/2", SPHERE)]
+    boxes += [(6.8, 0.5, "deconv1, conv20\n128 × H × W", SPHERE), (8.5, 0.5, "fc1 … fc5, sigmoid\n1 × H × W", SPHERE)]
+    boxes += [(x, -1.3, name, FIRST) for x, name in ((3.4, "conv2, ReLU"), (5.1, "conv3"))]
+    for x, y, text, color in boxes:
+        ax.add_patch(plt.Rectangle((x - 0.72, y - 0.19), 1.44, 0.38, color=color, alpha=0.4, lw=0))
+        ax.text(x, y, text, ha="center", va="center", fontsize=8)
+    for y in (1, 0):
+        _arrow(ax, (0.72, y), (0.98, y), "0.3")
+        _arrow(ax, (2.42, y), (2.68, 0.5 + 0.1 * (2 * y - 1)), "0.3")
+    for x in (4.12, 5.82, 7.52):
+        _arrow(ax, (x, 0.5), (x + 0.26, 0.5), "0.3")
+    ax.text(0.85, 1.32, "once for each camera, with the same weights", ha="center")
+    ax.text(6.0, 0.85, "once for each pair", ha="center")
+    for start, end in ((2.3, 2.68), (4.12, 4.38), (5.82, 6.3), (6.6, 7.0)):
+        _arrow(ax, (start, -1.3), (end, -1.3), "0.3")
+    ax.plot([2.45, 2.45, 6.45], [-1.3, -0.85, -0.85], color=POINT)
+    _arrow(ax, (6.45, -0.85), (6.45, -1.2), POINT)
+    for x, text in ((1.4, "a block, such as"), (6.45, "+"), (7.35, "ReLU")):
+        ax.text(x, -1.3, text, ha="center", va="center")
+    ax.text(4.25, -0.8, "the shortcut", color=POINT, ha="center")
+    ax.set(xlim=(-0.8, 9.3), ylim=(-1.6, 1.5))
+    return fig
+
+
 def bootstrap(values: np.ndarray, ends: np.ndarray, draws: int = 3) -> Figure:
     """The values of the frames, three resamples of them with their means, and the means of ten thousand."""
     rng = np.random.default_rng(0)

@@ -8,8 +8,6 @@ notebooks whose exercises are not in the flow yet.
 from importlib import import_module
 from pathlib import Path
 
-from course.exercises.depth_arrays import *  # noqa: F403
-from course.exercises.matching import *  # noqa: F403
 from course.exercises.opened import Open
 from course.exercises.results import *  # noqa: F403
 from course.exercises.scene_arrays import *  # noqa: F403
