@@ -133,6 +133,12 @@ class Depth:
     confidence: NDArray[np.float32]  #: (H, W), in [0, 1]
     sweep: SphereSweep  #: of the cost volume, with its grid and its rig
 
+    def __post_init__(self) -> None:
+        for name in ("index", "confidence"):
+            values = np.asarray(getattr(self, name)).view()
+            values.setflags(write=False)
+            object.__setattr__(self, name, values)
+
     @property
     def grid(self) -> SphereGrid:
         """Grid of rays and spheres."""

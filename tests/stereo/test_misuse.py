@@ -172,7 +172,8 @@ def test_costs_that_are_large_stay_finite():
 
 def test_what_is_frozen_cannot_be_written_into():
     camera = dataclasses.replace(RIG.cameras[0], mask=np.ones((56, 60)))
-    for array in (camera.poly, camera.inv_poly, camera.mask):
+    found = depth()
+    for array in (camera.poly, camera.inv_poly, camera.mask, found.index, found.confidence):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0
 
