@@ -15,9 +15,9 @@ from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
 
-# Seconds for each cell of the cost volume, rays × spheres, with four cameras on two cores, and what comes before.
-_SECONDS = {"zncc": 5e-8, "mccnn": 5e-7, "sweepnet": 5e-7, "volumenet": 2e-7}
-_FIXED_S, _CORES = 3.0, 2
+# Seconds for each cell of the cost volume, rays × spheres, of a first frame with four cameras on two cores.
+_SECONDS = {"zncc": 2.3e-7, "mccnn": 1e-5, "sweepnet": 3e-5, "volumenet": 3.3e-7}
+_WRITING_S, _CORES = 4.0, 2
 _FEW_FRAMES = 10  # are soon done
 _Part = TypeVar("_Part")
 
@@ -32,11 +32,14 @@ def named_bar(parts: Iterable[_Part]) -> Iterator[_Part]:
 
 
 def say_frame(method: str, grid: SphereGrid, device: str) -> None:
-    """Say how long the depth of a frame will take on this machine's processor, before it begins."""
+    """Say how long a frame will take on the processor, before it begins; elsewhere only by which method."""
+    seconds = _SECONDS.get(Method.parse(method).cost)
+    if seconds is None or device != "cpu":
+        print(f"method: {method}", flush=True)
+        return
     cells = grid.width * grid.height * grid.num_spheres
-    seconds = _FIXED_S + cells * _SECONDS[Method.parse(method).cost] * _CORES / torch.get_num_threads()
-    takes = f" takes about {in_words(seconds)}" if device == "cpu" else ""
-    print(f"{method}{takes}", flush=True)
+    total = _WRITING_S + cells * seconds * _CORES / torch.get_num_threads()
+    print(f"{method} takes about {in_words(total)}", flush=True)
 
 
 def say_recording(
@@ -45,11 +48,10 @@ def say_recording(
     """Say how long the frames of a recording will take, by the method chosen and by others, as its first frame does."""
     if frames < _FEW_FRAMES:
         return
-    print(f"{frames} frames: about {in_words(frames * _measure(sweep, images, method))} by {method}", flush=True)
-    for other in others:
-        if other != method:
-            took = in_words(frames * _measure(sweep, images, other))
-            print(f"{' ' * len(str(frames))}         {took} by {other} (--method {other})", flush=True)
+    took = {name: in_words(frames * _measure(sweep, images, name)) for name in dict.fromkeys([method, *others])}
+    print(f"{frames} frames: about {took.pop(method)} by {method}", flush=True)
+    for other, words in took.items():
+        print(f"about {words} by {other} (--method {other})", flush=True)
 
 
 def _measure(sweep: SphereSweep, images: Sequence[ArrayLike], method: str) -> float:

@@ -15,6 +15,7 @@ methods: zncc, mccnn, sweepnet or volumenet; +sgm smooths; ,pairs=all and others
 from __future__ import annotations
 
 import argparse
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -72,6 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Estimate the depth of one frame or of a recording."""
+    print("reading the rig and the images: a few seconds", flush=True)
     from omnistereo_tools.sources import is_recording
 
     if options.out is None:  # a rig of one's own never overwrites the sample's results
@@ -145,8 +147,6 @@ def _check_frame_options(options: argparse.Namespace) -> None:
 
 def _choose_grid(options: argparse.Namespace, rig: Rig, images: Sequence[NDArray[np.uint8]]) -> SphereGrid:
     """Return the recommended grid, say what it leaves out, and warn of doubtful input."""
-    import warnings
-
     from omnistereo_tools.coverage import Coverage
     from omnistereo_tools.doubts import image_doubts, rig_doubts
 

@@ -139,6 +139,25 @@ def test_it_is_light_or_dark_as_the_reader_wants(depth, open_page, tmp_path, sch
     assert corner[:3] == [gray] * 3
 
 
+def test_what_is_doubtful_is_told_and_faded_and_a_slider_hides_it(depth, open_page, tmp_path):
+    trust = np.full(GRID.shape, 0.9)
+    trust[:, 60:100] = 0.2  # ahead
+    panorama = np.full((80, 320, 3), 200, np.uint8)
+    page = opened(open_page, tmp_path, viewer_page(depth, panorama, Limits(50.0, 0.0), "doubts", trust=trust))
+    box = page.locator("#view").bounding_box()
+    page.mouse.move(box["x"] + box["width"] / 2 + 2, box["y"] + box["height"] / 2 + 2)
+    assert page.inner_text("#readout").endswith("m, confidence 0.75, doubtful")
+    colors = page.evaluate("[points.color[points.cells.indexOf(80)], points.color[points.cells.indexOf(20)]]")
+    assert colors[0] % 256 < 0.8 * 200 < 190 < colors[1] % 256
+    page.check("input[value=points]")
+    page.wait_for_selector("body[data-drawn=points]")
+    cells = "new Set(owner).size"
+    every = page.evaluate(cells)
+    page.evaluate("() => { $('least').value = 128; drawPoints(); }")
+    assert page.evaluate(cells) < 0.9 * every
+    assert page.evaluate("owner.every(k => k < 0 || trust[k] >= 128)") and page.complaints == []
+
+
 @pytest.mark.parametrize("width", [390, 1200])
 def test_the_labels_of_its_scale_do_not_touch(depth, open_page, tmp_path, width):
     page = open_page(width, 900)

@@ -1,0 +1,44 @@
+"""What is said about durations."""
+
+import pytest
+import scene
+
+import omnistereo_lib as osl
+from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_tools import pace
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [(0.2, "1 s"), (8.4, "8 s"), (43, "40 s"), (89, "90 s"), (170, "3 min"), (5000, "83 min"), (9000, "2 h")],
+)
+def test_durations_in_words(seconds, words):
+    assert pace.in_words(seconds) == words
+
+
+def test_the_whole_recording_by_both_methods(monkeypatch, capsys):
+    monkeypatch.setattr(pace, "_measure", lambda sweep, images, name: {"zncc+sgm": 0.5, "volumenet": 10.0}[name])
+    pace.say_recording(None, [], 120, "zncc+sgm", ["zncc+sgm", "volumenet"])
+    by_default = "120 frames: about 60 s by zncc+sgm\nabout 20 min by volumenet (--method volumenet)\n"
+    assert capsys.readouterr().out == by_default
+    pace.say_recording(None, [], 9, "zncc+sgm", ["volumenet"])
+    assert capsys.readouterr().out == ""  # soon done
+
+
+def test_a_frame_is_measured_after_its_tables(monkeypatch):
+    rig, done = scene.rig(width=100, height=96), []
+    monkeypatch.setattr(pace, "sweep_depth", lambda *given: done.append(given))
+    assert pace._measure(SphereSweep(rig, osl.SphereGrid(32, 8)), [], "zncc") < 1 and len(done) == 2
+
+
+def test_more_spheres_take_longer_and_other_devices_are_not_guessed(capsys):
+    for spheres in (192, 960):
+        pace.say_frame("volumenet", osl.SphereGrid(640, 160, num_spheres=spheres), "cpu")
+    pace.say_frame("volumenet", osl.SphereGrid(640, 160), "cuda")
+    first, second, third = capsys.readouterr().out.splitlines()
+    assert first.startswith("volumenet takes about ") and first != second and third == "method: volumenet"
+
+
+def test_a_bar_names_the_parts_that_have_names(capsys):
+    assert list(pace.named_bar(["camera 1 of 2", range(3)])) == ["camera 1 of 2", range(3)]
+    assert "camera 1 of 2:" in capsys.readouterr().err
