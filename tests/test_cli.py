@@ -104,6 +104,12 @@ def test_depth_of_images(data, tmp_path, capsys):
     np.testing.assert_allclose(sphere[16:40] * inverse_depth, 1, rtol=1e-6)
 
 
+def test_a_rig_of_ones_own_does_not_overwrite_the_sample(data, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run("depth", *with_images(data), *SMALL, "--method", "zncc") == 0
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["depth_config"]
+
+
 def test_depth_of_gray_images_without_a_nearest_depth(data, tmp_path, capsys, scene_images):
     rig, pictures = scene_images
     osl.save_rig(osl.Rig(rig.cameras, rig.T_rig_cam), data / "config.yaml")
