@@ -6,6 +6,7 @@ atomically, and the same as those of a local run.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -38,6 +39,9 @@ def connect(address: str) -> Client:
     except ImportError:
         raise OmnistereoError("--cluster needs Dask: pip install 'omnistereo-lib[distributed]'") from None
     try:
+        logging.getLogger("distributed.client").setLevel(
+            logging.CRITICAL
+        )  # what it logs of errors, ours says in a line
         return Client(address, timeout=_PATIENCE_S)
     except (OSError, ValueError) as error:
         raise OmnistereoError(f"no Dask scheduler answers at {address}: {error}. Start one: dask scheduler") from None
@@ -46,10 +50,13 @@ def connect(address: str) -> Client:
 def on_cluster(address: str, function: Callable[[Any], Any], arguments: Sequence) -> Iterator[Any]:
     """Yield function(argument) for all arguments as workers of a Dask cluster finish them.
 
-    Raises an `OmnistereoError` as `connect`, or if a frame killed several workers; what a worker raises is raised here.
+    Raises an `OmnistereoError` as `connect`, if a frame killed several workers, or if the scheduler ends; what a worker
+    raises is raised here.
     """
     with connect(address) as client:
         from dask.distributed import KilledWorker, as_completed
+        from distributed.client import FutureCancelledError
+        from distributed.comm import CommClosedError
 
         futures = client.map(function, arguments, pure=False)
         try:
@@ -57,6 +64,8 @@ def on_cluster(address: str, function: Callable[[Any], Any], arguments: Sequence
                 yield future.result()
         except KilledWorker as error:
             raise OmnistereoError(f"several workers died on the same frame: {error}. See their logs") from None
+        except (CommClosedError, FutureCancelledError):
+            raise OmnistereoError(f"the scheduler at {address} has ended. Start one; run the same to resume") from None
         finally:
             client.cancel(futures)
 

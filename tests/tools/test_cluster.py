@@ -12,6 +12,7 @@ import scene
 import omnistereo_lib as osl
 from omnistereo_lib.files import write_image
 from omnistereo_tools import cli
+from omnistereo_tools.cluster import on_cluster
 
 distributed = pytest.importorskip("dask.distributed", reason="Dask is not installed: environment-dev.txt has it")
 
@@ -84,6 +85,18 @@ def test_an_evaluation(cluster, tmp_path):
     assert run(*command, "--out", tmp_path / "cluster", "--cluster", cluster.scheduler_address) == 0
     local, of_cluster = ((tmp_path / name / "results.json").read_bytes() for name in ("local", "cluster"))
     assert local == of_cluster
+
+
+def ten(number):
+    return 10 * number
+
+
+def test_a_scheduler_that_ends():
+    with distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=None) as own:
+        results = on_cluster(own.scheduler_address, ten, [1, 2])
+        assert next(results) in (10, 20)
+    with pytest.raises(osl.OmnistereoError, match=r"the scheduler at .* has ended"):
+        list(results)
 
 
 def test_a_scheduler_that_is_not_there(recorded, tmp_path, capsys, monkeypatch):
