@@ -199,6 +199,19 @@ def test_the_demo_plays_the_drive_and_opens_the_browser(recorded, tmp_path, monk
     assert cli.main(["demo"]) == 2 and "the drive comes with the clone" in capsys.readouterr().err
 
 
+def test_a_black_rim_is_masked(tmp_path, capsys, viewer):
+    rig = scene.rig(width=200, height=192)
+    osl.save_rig(osl.Rig(rig.cameras, rig.T_rig_cam, min_depth=0.6), tmp_path / "rig.yaml")
+    for k, (camera, picture) in enumerate(zip(rig.cameras, scene.images(rig, finest=0.25), strict=True)):
+        v, u = np.indices(picture.shape)
+        seen = np.hypot(u - camera.center[0], v - camera.center[1]) <= camera.max_radius * 160 / 220
+        video = cv2.VideoWriter(str(tmp_path / f"{k}.mkv"), cv2.VideoWriter_fourcc(*"FFV1"), 20, (200, 192))
+        video.write(np.stack([np.where(seen, picture, 0)] * 3, -1).astype(np.uint8))
+        video.release()
+    assert live(tmp_path, [str(tmp_path / f"{k}.mkv") for k in range(4)]) == 0
+    assert "are black beyond 1" in capsys.readouterr().err
+
+
 class Terminated(KeyboardInterrupt):
     """As the command line's own, of SIGTERM."""
 
