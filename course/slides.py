@@ -31,6 +31,7 @@ SCRIPTS = (MATHJAX, BOOK / "stills.js", TEMPLATE / "deal.js")
 LEFT_OUT = {"## Exercises", "## Common errors", "## Further reading"}
 BLOCK = re.compile(r"<details>.*?</details>|```.*?```|\$\$.*?\$\$|\S.*?(?=\n\s*\n|\Z)", re.DOTALL)
 SENTENCE = re.compile(r"(?<=[.!?])(?<!\bEq\.)(?<!\bFig\.)\s+(?=[A-Z*`$\[])")
+DOCSTRING = re.compile(r'^ +""".*?"""\n', re.DOTALL | re.MULTILINE)
 LINK = re.compile(r'<a href="(\d\db?_\w+)\.ipynb[^"]*">(.*?)</a>')  # to another notebook
 
 
@@ -91,7 +92,8 @@ def shown(nb: NotebookNode, stem: str, out: Path) -> Iterator[NotebookNode]:
         elif stubs := [stub.name for stub in solve.stubs(cell.source)]:
             yield new_markdown_cell("\n\n".join(f"### Your turn: `{name}`" for name in stubs))
             yield cell
-            cell = new_markdown_cell("\n\n".join(f"{solutions[name]}\n```\n</details>" for name in stubs))
+            folds = (DOCSTRING.sub("", solutions[name], count=1) for name in stubs)  # the stub above has it
+            cell = new_markdown_cell("\n\n".join(f"{fold}\n```\n</details>" for fold in folds))
         else:
             for _ in stills.LIVE.findall(cell.source):
                 figure = stills.shown(stem, live, out).replace(

@@ -22,24 +22,32 @@ document.addEventListener("DOMContentLoaded", async () => {
   }
   const isFull = () => page.scrollHeight > page.clientHeight
   const isHalf = () => page.lastChild.offsetTop + page.lastChild.offsetHeight - page.offsetTop > height / 2
-  slides.replaceChildren()
-  slides.classList.add("dealing")
-  for (const piece of pieces) {
-    if (!page) turn(true)
-    else if (piece.matches("h2, h3") && (isHalf() || column === slides.firstChild)) turn(piece.matches("h2"))
-    page.append(piece)
-    if (isFull() && page.firstChild !== piece) {
-      const before = piece.previousSibling
-      const leads = before.matches("p, h3") || (before.querySelector("img") && piece.matches(".jp-OutputArea-child"))
-      turn(false)
-      if (leads && before.previousSibling) page.append(before) // a sentence to its figure, a figure to its caption
+  // The less room a picture needs at least, the fewer slides there are.
+  const deal = (least) => {
+    slides.style.setProperty("--least", `${least}px`)
+    slides.replaceChildren()
+    column = page = null
+    for (const piece of pieces) {
+      Object.assign(piece.style, { zoom: "", display: "", minHeight: "", overflowY: "" })
+      if (!page) turn(true)
+      else if (piece.matches("h2, h3") && (isHalf() || column === slides.firstChild)) turn(piece.matches("h2"))
       page.append(piece)
+      if (isFull() && page.firstChild !== piece) {
+        const before = piece.previousSibling
+        const leads = before.matches("p, h3") || (before.querySelector("img") && piece.matches(".jp-OutputArea-child"))
+        turn(false)
+        if (leads && before.previousSibling) page.append(before) // a sentence to its figure, a figure to its caption
+        page.append(piece)
+      }
+      if (isFull()) {
+        const fits = 1 - (page.scrollHeight - page.clientHeight) / piece.offsetHeight
+        Object.assign(piece.style, { zoom: Math.max(0.7, fits), display: "block", minHeight: 0, overflowY: "auto" })
+      }
     }
-    if (isFull()) {
-      const fits = 1 - (page.scrollHeight - page.clientHeight) / piece.offsetHeight
-      Object.assign(piece.style, { zoom: Math.max(0.7, fits), display: "block", minHeight: 0, overflowY: "auto" })
-    }
+    return slides.querySelectorAll("section > section").length
   }
+  slides.classList.add("dealing")
+  for (const least of [260, 200, 140]) if (deal(least) <= 25) break
   slides.classList.remove("dealing")
   Reveal.initialize({ width, height, center: false, margin: 0.03, display: "flex", hash: true, slideNumber: "c/t", transition: "none" })
 })
