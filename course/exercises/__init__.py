@@ -11,7 +11,6 @@ from pathlib import Path
 from course.exercises.opened import Open
 from course.exercises.results import *  # noqa: F403
 from course.exercises.scene_arrays import *  # noqa: F403
-from course.exercises.table_arrays import *  # noqa: F403
 from course.exercises.volumes import *  # noqa: F403
 
 

@@ -49,7 +49,10 @@ check_relative_pose = Open(
     _two_cameras,
     [
         (lambda *inputs: relative_pose(*inputs).inverse(), "that is T_21, camera 1 → camera 2: the way back"),
-        (lambda a, b, half: a[0] @ b[0].inverse(), "that is the first capture alone: which do most of them propose?"),
+        (
+            lambda a, b, half: a[0] @ b[0].inverse(),
+            "that is the first capture alone: take the pose that most of them propose",
+        ),
         (
             _voted(lambda a, b, half: [a @ b.inverse()]),
             "either camera may have read a board from the other end: half_turn",

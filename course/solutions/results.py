@@ -1,40 +1,6 @@
-"""Solutions of notebooks 09 to 11: your own rig, rendering, the gallery."""
+"""Solutions of notebooks 10 and 11: rendering, the gallery."""
 
 import numpy as np
-
-# --- 09 Your own rig --------------------------------------------------------------------------------------
-
-
-def my_metres_per_unit(positions, i, j, measured):
-    in_file = np.linalg.norm(positions[j] - positions[i])  # the distance does not care where the origin is
-    return measured / in_file
-
-
-def my_pose(matrix):
-    R, t = matrix[:3, :3], matrix[:3, 3] / 1000  # millimetres -> metres; a rotation has no unit
-    pose = np.eye(4)
-    pose[:3, :3] = R.T  # rig -> camera becomes camera -> rig: p = R q + t gives q = Rᵀ(p - t)
-    pose[:3, 3] = -R.T @ t
-    return pose
-
-
-def my_num_spheres(baseline, nearest, width, pixels):
-    parallax = baseline / nearest / (2 * np.pi) * width  # from infinity to the nearest sphere, in pixels
-    steps = np.ceil(parallax / pixels)  # rounded up: a step may be smaller, not larger
-    return int(steps) + 1  # steps are between spheres
-
-
-def my_rig_mask(frames, limit):
-    change = frames.max(axis=0).astype(int) - frames.min(axis=0)  # as int: bytes would wrap around
-    return np.where(change <= limit, 1, 0)
-
-
-def my_exposure(a, b):
-    both = ~np.isnan(a + b)
-    x, y = a[both].astype(float), b[both].astype(float)
-    gain, offset = np.polyfit(x, y, 1)  # a straight line is a polynomial, too
-    return np.array([gain, offset])
-
 
 # --- 10 Render a city -------------------------------------------------------------------------------------
 
