@@ -1,4 +1,4 @@
-"""Checkers of notebooks 10 and 11: rendering, two groups of rays."""
+"""Checkers of notebook 10: rendering."""
 
 from __future__ import annotations
 
@@ -48,21 +48,3 @@ def check_share_of_sphere(rng: Rng, k: int) -> Case:
         (share(middles) * np.ptp(np.sin(np.radians([low, high]))) / 2, "that is the share of the whole sphere"),
     ]
     return (mask, low, high), share(middles), mistakes
-
-
-@checker
-def check_risk_ratio(rng: Rng, k: int) -> Case:
-    """11.1: how many times as often a ray is wrong where two cameras disagree as where they agree."""
-    agree, wrong = rng.uniform(0, 1, (2, 5, 6 + k % 3)) < np.array([0.7, 0.4])[:, None, None]
-    agree[0, :4], wrong[0, :4] = (1, 1, 0, 0), (1, 0, 1, 0)  # all four kinds there are
-    among_agreeing, among_others = wrong[agree].mean(), wrong[~agree].mean()
-    mistakes = [
-        (among_agreeing / among_others, "that is the other way round: disagreeing over agreeing"),
-        (among_others - among_agreeing, "that is the difference of the shares; divide them"),
-        (100 * (among_others - among_agreeing), "that is the difference of the shares in percent; divide them"),
-        (wrong[~agree].sum() / wrong[agree].sum(), "those are numbers of rays: take shares, the groups differ in size"),
-        (among_others / wrong.mean(), "compare with the rays that agree, not with all"),
-        (among_others, "that is the share of wrong rays where they disagree; divide by that where they agree"),
-        (agree[~wrong].mean() / agree[wrong].mean(), "that splits the rays by error; split them by agreement"),
-    ]
-    return (agree, wrong), among_others / among_agreeing, mistakes

@@ -1,4 +1,4 @@
-"""Solutions of notebooks 10 and 11: rendering, the gallery."""
+"""Solutions of notebook 10: rendering a city."""
 
 import numpy as np
 
@@ -33,24 +33,3 @@ def my_edges(index, jump):
     edge[:-1] |= below
     edge[1:] |= below
     return edge.astype(int)
-
-
-# --- 11 Gallery -------------------------------------------------------------------------------------------
-
-
-def my_risk_ratio(agree, wrong):
-    # The groups differ in size, so shares are compared, not numbers.
-    return wrong[~agree].mean() / wrong[agree].mean()
-
-
-def my_pick(index, confidence):
-    known = np.where(np.isnan(index), -np.inf, confidence)
-    best = known.argmax(axis=0)
-    return np.take_along_axis(index, best[None], axis=0)[0]  # where nobody knows, that is NaN
-
-
-def my_blend(images, angles, half_fov):
-    weight = np.where(np.isnan(images), 0, half_fov - angles)
-    total = weight.sum(axis=0)
-    mean = np.sum(weight * np.nan_to_num(images), axis=0) / np.where(total > 0, total, 1)
-    return np.where(total > 0, mean, np.nan)

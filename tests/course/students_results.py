@@ -7,8 +7,6 @@ import math
 from itertools import pairwise
 from statistics import fmean
 
-import numpy as np
-
 
 def share_loops(mask, low, high, first=0.5, step=None, cos=math.cos, part=1.0, every=True):
     """The share by adding up pixels; `first` and `step`: where rows lie."""
@@ -43,23 +41,4 @@ SHARE_OF_SPHERE = [
     ("by the sum of all weights, not", lambda mask, low, high: share_sum(mask, low, high) / mask.size),
     ("divide by the sum of all of them", lambda mask, low, high: share_sum(mask, low, high)),
     ("once for every pixel", lambda mask, low, high: share_loops(mask, low, high, every=False)),
-]
-
-
-def risk(agree, wrong, group):
-    """Share of wrong rays among those that agree, or do not, counted one by one."""
-    chosen = [w for a, w in zip(agree.ravel(), wrong.ravel(), strict=True) if a == group]
-    return sum(chosen) / len(chosen)
-
-
-RISK_RATIO = [
-    ("right", lambda agree, wrong: risk(agree, wrong, False) / risk(agree, wrong, True)),
-    ("right", lambda agree, wrong: (wrong & ~agree).sum() / (~agree).sum() * agree.sum() / (wrong & agree).sum()),
-    ("other way round", lambda agree, wrong: risk(agree, wrong, True) / risk(agree, wrong, False)),
-    ("shares; divide", lambda agree, wrong: risk(agree, wrong, False) - risk(agree, wrong, True)),
-    ("in percent", lambda agree, wrong: 100 * (risk(agree, wrong, False) - risk(agree, wrong, True))),
-    ("numbers of rays", lambda agree, wrong: np.sum(wrong & ~agree) / np.sum(wrong & agree)),
-    ("not with all", lambda agree, wrong: risk(agree, wrong, False) / np.mean(wrong)),
-    ("divide by that", lambda agree, wrong: risk(agree, wrong, False)),
-    ("split them by agreement", lambda agree, wrong: risk(wrong, agree, False) / risk(wrong, agree, True)),
 ]
