@@ -369,6 +369,34 @@ def bootstrap(values: np.ndarray, ends: np.ndarray, draws: int = 3) -> Figure:
     return fig
 
 
+def slabs() -> Figure:
+    """Two rays and a box between two pairs of lines: one ray is between both pairs for a while, the other never."""
+    fig, (ax,) = _canvas(8, 3.9)
+    low, high = np.array([2.0, 0.6]), np.array([4.2, 2.2])
+    for place in (low[0], high[0]):
+        ax.axvline(place, color=FIRST, lw=1, ls=":")
+    for place in (low[1], high[1]):
+        ax.axhline(place, color=SECOND, lw=1, ls=":")
+    ax.add_patch(plt.Rectangle(low, *(high - low), facecolor="0.93", edgecolor="0.3", lw=1.5))
+    for ray, inside in ((np.array([0.91, 0.42]), True), (np.array([0.55, 0.835]), False)):
+        ends = np.sort(np.stack([low / ray, high / ray]), axis=0)  # entry and exit of each pair
+        _arrow(ax, (0, 0), 6.1 * ray if inside else 3.9 * ray, "0.4")
+        enters, leaves = ends[0].max(), ends[1].min()
+        if inside:
+            _line(ax, enters * ray, leaves * ray, color=POINT, lw=5, solid_capstyle="butt", zorder=3)
+        for axis, color in enumerate((FIRST, SECOND)):
+            for end, face in zip(ends[:, axis], (color, "w"), strict=True):
+                ax.plot(*(end * ray), "o", mfc=face, mec=color, ms=8, mew=1.8, zorder=4)
+    ax.text(4.35, 2.95, "● enters the pair,  ○ leaves it", color="0.3", fontsize=9)
+    ax.text(low[0], 3.3, "low", color=FIRST, ha="right", fontsize=9)
+    ax.text(high[0], 3.3, "high", color=FIRST, ha="right", fontsize=9)
+    ax.text(6.9, low[1] + 0.05, "low", color=SECOND, ha="right", fontsize=9)
+    ax.text(6.9, high[1] + 0.05, "high", color=SECOND, ha="right", fontsize=9)
+    _camera(ax, (0, 0), "origin", "0.2", (4, -14))
+    ax.set(xlim=(-0.4, 7), ylim=(-0.5, 3.5))
+    return fig
+
+
 def depth_triangle() -> Figure:
     """Depth along the axis against distance along the ray, for one pixel of a flat face."""
     fig, (ax,) = _canvas(7.5, 3.3)

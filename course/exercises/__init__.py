@@ -9,8 +9,6 @@ from importlib import import_module
 from pathlib import Path
 
 from course.exercises.opened import Open
-from course.exercises.results import *  # noqa: F403
-from course.exercises.scene_arrays import *  # noqa: F403
 from course.exercises.volumes import *  # noqa: F403
 
 

@@ -4,5 +4,4 @@
 as np, and are written as on a board: one step a line, the reason beside it.
 """
 
-from course.solutions.results import *  # noqa: F403
 from course.solutions.volumes import *  # noqa: F403

@@ -1,4 +1,7 @@
-"""Students of notebook 12: what each checker says, and to which answer; see students_results."""
+"""Students of notebook 12: what each checker says, and to which answer.
+
+Each list has (words, answer): "right", or words of the hint.
+"""
 
 from itertools import permutations
 
