@@ -122,7 +122,7 @@ def _check_images(options: argparse.Namespace, rig: Rig, images: Sequence[NDArra
     grid = make_grid(fixed, rig)
     for doubt in rig_doubts(rig, grid.min_depth):
         warnings.warn(doubt, stacklevel=2)
-    print("Trying the usual mistakes takes about 10 s:", flush=True)
+    print("Trying the usual mistakes takes about 20 s:", flush=True)
     check = check_rig(rig, images, grid, lambda tried: tqdm(tried, "check", leave=False))
     for hypothesis in (check.given, *check.alternatives[:3]):
         print(f"{hypothesis.cost:.3f}  {hypothesis.name}")
