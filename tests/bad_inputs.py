@@ -446,6 +446,8 @@ BOMBS = [
     Row("weights of a long header", "weights DATA", "its header has 109", tensors({}, 1 << 40)),
     Row("weights of a strange type", "weights DATA", "tensors of type .'F8_E5M2'.; expected F16, BF16",
         tensors({"dtype": "F8_E5M2", "shape": [0], "data_offsets": [0, 0]})),
+    Row("weights of a thousand dimensions", "weights DATA", "more than 8 dimensions",
+        tensors({"dtype": "F32", "shape": [1] * 1000, "data_offsets": [0, 0]})),
     Row("weights of a large shape", "weights DATA", "not a complete safetensors",
         tensors({"dtype": "F32", "shape": [1 << 20, 1 << 20], "data_offsets": [0, 1 << 42]})),
     Row("ground truth of 134 million pixels", "ground_truth DATA", "pixels are too many", large_ground_truth),

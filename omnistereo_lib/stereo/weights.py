@@ -15,6 +15,7 @@ from omnistereo_lib.errors import OmnistereoError, shortened
 from omnistereo_lib.files import atomic_write, parse_json, read_bytes
 
 _TYPES = ("F16", "BF16", "F32", "F64", "I64")  # as safetensors calls them
+_MAX_SIDES = 8  # dimensions; torch computes with up to 64
 _MAX_HEADER = 1 << 20  # bytes; that of a training state has 30,000
 BUNDLED_WEIGHTS = Path(__file__).resolve().parents[1] / "weights"
 
@@ -130,6 +131,8 @@ def _read_header(path: str | Path, content: bytes) -> dict[str, Any]:
     metadata = header.pop("__metadata__", None) or {}
     if other := {entry["dtype"] for entry in header.values()} - {*_TYPES}:
         raise ValueError(f"it holds tensors of type {shortened(other)}; expected {', '.join(_TYPES)}")
+    if any(len(entry["shape"]) > _MAX_SIDES for entry in header.values()):
+        raise ValueError(f"it holds tensors of more than {_MAX_SIDES} dimensions")
     return metadata
 
 
