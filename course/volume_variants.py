@@ -1,4 +1,4 @@
-"""VolumeNet trained in seven ways, for the same short time each: the ablation study of notebook 12."""
+"""VolumeNet trained in seven ways, for the same short time each: the ablation study in book/training.md."""
 
 from __future__ import annotations
 

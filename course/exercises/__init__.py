@@ -1,15 +1,13 @@
 """What students write, and the checks that say what is wrong with it: a module for each notebook, such as nb03.
 
 A check runs the student's function on ten random cases and compares it with the right answer and with what the usual
-mistakes would give. It prints its finding and never raises, whatever it is handed. The other modules serve the
-notebooks whose exercises are not in the flow yet.
+mistakes would give. It prints its finding and never raises, whatever it is handed.
 """
 
 from importlib import import_module
 from pathlib import Path
 
 from course.exercises.opened import Open
-from course.exercises.volumes import *  # noqa: F403
 
 
 def functions(notebook: str) -> list[Open]:

@@ -3,5 +3,3 @@
 `python -m course solve` puts them in the place of the stubs. They use what every notebook has imported, numpy
 as np, and are written as on a board: one step a line, the reason beside it.
 """
-
-from course.solutions.volumes import *  # noqa: F403
