@@ -29,14 +29,19 @@ def volume_sizes(grid: SphereGrid) -> list[tuple[int, int, int]]:
     more detail. So a fine grid has two, whose logits are averaged: that of the training, and one of half its own size
     or less. A grid no finer than the training's has the first alone.
     """
-    coarser, deeper = 2 * max(1, round(grid.width / 640)), 2 * max(1, round(grid.num_spheres / 96))
-    fine = max(grid.width / coarser, LEAST[0]), max(grid.num_spheres / deeper, LEAST[1])
+    coarser = 2 * max(1, round(grid.width / 640))
+    fine = max(grid.width / coarser, LEAST[0]), cells_of(grid.num_spheres)
 
     def size_of(width: float, spheres: float) -> tuple[int, int, int]:
         height = grid.height * width / grid.width
         return 8 * math.ceil(width / 8), 8 * math.ceil(height / 8), 8 * math.ceil(spheres / 8)
 
     return list(dict.fromkeys([size_of(*LEAST), size_of(*fine)]))
+
+
+def cells_of(num_spheres: int) -> float:
+    """Return how many cells the finest volume of a grid divides its spheres into."""
+    return max(num_spheres / (2 * max(1, round(num_spheres / 96))), LEAST[1])
 
 
 def pixels_per_degree(size: tuple[int, int, int]) -> float:

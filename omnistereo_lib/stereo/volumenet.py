@@ -27,6 +27,7 @@ from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.correlation import (
     CHANNELS,
     GROUPS,
+    cells_of,
     correlate,
     feature_coordinates,
     pixels_per_degree,
@@ -38,7 +39,6 @@ from omnistereo_lib.stereo.sweep import SphereSweep, reduce_images, to_gray
 from omnistereo_lib.stereo.weights import StoredNetwork
 
 WIDTHS = (16, 32, 48, 64)  # channels of the U-net's levels, each half as wide, high and deep as the one before
-_RADIUS = 2  # spheres on either side of the most probable one that the read-out takes in
 
 
 class ResidualBlock(nn.Sequential):
@@ -214,12 +214,15 @@ def resize_logits(logits: Tensor, columns: Tensor, grid: SphereGrid) -> Tensor:
 def local_mean(volume: Tensor) -> tuple[Tensor, Tensor]:
     """Return sphere index and confidence of costs 1 - probability (H, W, N): two float32 tensors (H, W).
 
-    The index is the mean sphere under the probabilities of the best sphere and its two neighbours on either side, a
-    local soft-argmax: the mean over all spheres would lie between two surfaces at a depth discontinuity. The confidence
-    is the probability that these five have together, in [0, 1]. NaN where the cost is NaN.
+    The index is the mean sphere under the probabilities of the best sphere and those within a cell of the finest
+    volume, at least two, on either side: a local soft-argmax. A narrower mean would never leave the cell of the best
+    sphere, and a wall would be a flight of steps; the mean over all spheres would lie between two surfaces at a depth
+    discontinuity. The confidence is the probability that these spheres have together, in [0, 1]. NaN where the cost is
+    NaN.
     """
+    radius = max(2, round(volume.shape[-1] / cells_of(volume.shape[-1])))
     best = volume.argmin(-1, keepdim=True)  # (H, W, 1)
-    near = best + torch.arange(-_RADIUS, _RADIUS + 1, device=volume.device)  # (H, W, 5)
+    near = best + torch.arange(-radius, radius + 1, device=volume.device)  # (H, W, 2 radius + 1)
     inside = (near >= 0) & (near < volume.shape[-1])
     mass = (1 - volume.gather(-1, near.clamp(0, volume.shape[-1] - 1))) * inside
     total = mass.sum(-1)

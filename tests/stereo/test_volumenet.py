@@ -152,6 +152,18 @@ def test_the_read_out_is_the_mean_around_the_best_sphere():
     assert index[0, 3].isnan() and confidence[0, 3].isnan()
 
 
+def test_the_mean_reaches_into_the_cells_beside_the_best_one():
+    """A wall between two of the 48 cells: its probabilities are interpolated, and their mean must not stay in one."""
+    cells = torch.linspace(0.0, 1.0, 9)  # how far the wall is from the first cell to the next
+    logits = torch.full((9, 1, 48), -20.0)
+    logits[:, 0, 20], logits[:, 0, 21] = torch.log(1 - cells + 1e-6), torch.log(cells + 1e-6)
+    fine = torch.nn.functional.interpolate(logits, 192, mode="linear", align_corners=False)
+    index, _ = local_mean(1 - fine.softmax(-1))
+    true = (20 + cells + 0.5) * 4 - 0.5
+    assert (index[:, 0] - true).abs().max() < 1
+    assert index[:, 0].diff().min() > 0.15  # the mean over ±2 spheres stands still: 0.09 and less
+
+
 def test_images_are_normalized_over_their_circle():
     image, visible = torch.arange(12.0).view(3, 4), torch.tensor([[True] * 3 + [False]] * 3)
     ours = normalize(image, visible)
