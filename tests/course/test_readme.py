@@ -18,7 +18,7 @@ def test_it_lists_the_notebooks():
 @pytest.mark.parametrize("page", ["README.md", *sorted(f"book/{path.name}" for path in nbtools.ROOT.glob("book/*.md"))])
 def test_every_file_that_it_links_to_is_there(page):
     path = nbtools.ROOT / page
-    links = re.findall(r"\]\(([^)#:]+\.(?:md|ipynb|jpg|cff))", path.read_text(encoding="utf-8"))
+    links = re.findall(r"\]\(([^)#:]+\.(?:md|ipynb|jpg|webp|cff))", path.read_text(encoding="utf-8"))
     made = {"rig.png", "camera.jpg", "panorama.jpg", "spheres.png"}  # with the book
     folders = (path.parent, nbtools.ROOT)  # the book's pages and the notebooks meet in one folder
     assert [
