@@ -8,7 +8,6 @@ micro-batches of a step and average their gradients: they compute what one proce
 import csv
 import hashlib
 import math
-import os
 import platform
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -23,7 +22,7 @@ from torch.nn.parallel import DistributedDataParallel
 
 from omnistereo_lib.errors import OmnistereoError, check_number, shortened
 from omnistereo_lib.files import atomic_write, make_folder, read_bytes, read_text
-from omnistereo_lib.stereo.device import select_device
+from omnistereo_lib.stereo.device import number_from_environment, select_device
 from omnistereo_lib.stereo.learned import Precision, autocast, uses_bfloat16
 from omnistereo_lib.stereo.weights import load_tensors, save_tensors
 from omnistereo_lib.train.frames import DATA, Folders
@@ -220,7 +219,7 @@ class _Run:
 
     def resume(self, path: Path) -> int:
         """Read the state that an earlier call with this recipe left, if any; return the step that comes next."""
-        if not path.is_file():
+        if not path.exists():
             return 0
         tensors, metadata = load_tensors(path)
         found = metadata.get("recipe", {})
@@ -264,14 +263,17 @@ class _Run:
 
 def _init_distributed(recipe: Recipe, device: torch.device) -> tuple[int, int]:
     """Return the rank of this process and the world size, above 1 where `torchrun` started the processes."""
-    world = int(os.environ.get("WORLD_SIZE", "1"))
+    world = number_from_environment("WORLD_SIZE", 1)
     if world == 1:
         return 0, 1
     if recipe.frames_per_step % world:
         found = f"frames_per_step = {recipe.frames_per_step} is not divisible by {world} processes"
         raise OmnistereoError(f"{found}. Set it to a multiple of {world}.")
     if not distributed.is_initialized():
-        distributed.init_process_group("nccl" if device.type == "cuda" else "gloo")
+        try:
+            distributed.init_process_group("nccl" if device.type == "cuda" else "gloo")
+        except ValueError as error:  # a variable of torchrun's is missing
+            raise OmnistereoError(f"WORLD_SIZE is {world}, but {error}. Unset it, or start by torchrun.") from None
     return distributed.get_rank(), world
 
 

@@ -319,3 +319,18 @@ def test_the_command_line(data, tmp_path, capsys):
     assert cli.main(["train", "mccnn", "--set", "steps=many"]) == 2
     assert "steps=many: 'many'; expected int" in capsys.readouterr().err
     assert osl.MCCNN.from_file(tmp_path / "out" / WEIGHTS).variant == "fast"
+
+
+def test_a_folder_in_the_place_of_the_state_is_refused_before_the_first_step(data, tmp_path):
+    (tmp_path / STATE).mkdir()
+    steps = []
+    with refused(STATE):
+        train(MCCNN, tmp_path, data, progress=steps.append)
+    assert steps == []
+
+
+def test_a_world_of_several_processes_without_torchrun_is_refused(data, tmp_path, monkeypatch):
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    monkeypatch.delenv("MASTER_ADDR", raising=False)
+    with refused(r"WORLD_SIZE is 2.*start by torchrun"):
+        train(replace(MCCNN, frames_per_step=2), tmp_path, data)
