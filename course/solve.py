@@ -1,7 +1,7 @@
 """Write the notebooks with their open functions solved, and run them: `python -m course solve` fills out/solutions.
 
 A solution notebook is the stored notebook with every stub, a function that ends in `...`, replaced by the right answer
-in course/exercises (of an exercise that is not in the flow yet, in course/solutions).
+in course/exercises.
 """
 
 import ast
@@ -14,12 +14,11 @@ from pathlib import Path
 from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
 from nbformat import NotebookNode
 
-from course import exercises, kernels, nbtools, solutions
+from course import exercises, kernels, nbtools
 from omnistereo_lib.errors import OmnistereoError
 
 OUT = nbtools.ROOT / "out" / "solutions"
 LOOKED_UP = ("data_samples", "omnistereo_lib")  # by the notebooks, in `../`
-ANSWERS = {name: value for name, value in vars(solutions).items() if inspect.isfunction(value)}
 
 
 def stubs(source: str) -> Iterator[ast.FunctionDef]:
@@ -35,9 +34,7 @@ def solved(source: str, answers: dict[str, Callable]) -> str:
     for stub in reversed(list(stubs(source))):  # from below, so that the line numbers above stay right
         if stub.name not in answers:
             known = ", ".join(answers)
-            raise OmnistereoError(
-                f"the stub {stub.name} has no solution; there are {known}. Write one into course/solutions"
-            )
+            raise OmnistereoError(f"the stub {stub.name} has no answer in course/exercises; there are {known}")
         lines[stub.lineno - 1 : stub.end_lineno] = inspect.getsource(answers[stub.name]).rstrip().splitlines()
     return "\n".join(lines)
 
@@ -57,17 +54,11 @@ def open_answers(number: str) -> dict[str, Callable]:
     return {function.name: function.answer for function in exercises.functions(number)}
 
 
-def solve_all(paths: list[Path], answers: dict[str, Callable]) -> dict[Path, NotebookNode]:
-    """Return notebooks with all stubs solved, by path."""
-    stored = {path: nbtools.read_notebook(path) for path in paths}
-    return {path: solve(nb, answers | open_answers(nbtools.number(path))) for path, nb in stored.items()}
-
-
 def not_right(nb: NotebookNode) -> list[str]:
     """Return what the checkers said of a solved notebook's functions, where it is not "right"."""
     cells = [cell for cell in nbtools.code_cells(nb) if re.search(r"\.check_\w+\(", cell.source)]
     said = ["".join(output.get("text", "") for output in cell.outputs).strip() for cell in cells]
-    return [words for words in said if not re.search(r"^(.*\w+: right, .+ with yours\.|right)$", words, re.MULTILINE)]
+    return [words for words in said if not re.search(r"^.*\w+: right, .+ with yours\.$", words, re.MULTILINE)]
 
 
 def main(names: list[str]) -> None:
@@ -86,9 +77,10 @@ def main(names: list[str]) -> None:
     for name in LOOKED_UP:
         if not (OUT.parent / name).exists():
             (OUT.parent / name).symlink_to(Path("..") / name)
-    for path, nb in solve_all(nbtools.notebooks(), ANSWERS).items():
+    for path in nbtools.notebooks():
         if names and nbtools.number(path) not in names:
             continue
+        nb = solve(nbtools.read_notebook(path), open_answers(nbtools.number(path)))
         try:
             seconds = kernels.execute(nb, OUT)
         except CellExecutionError as error:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import copy
-import functools
 import traceback
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
@@ -31,25 +29,6 @@ _FACTORS = (
     (180 / np.pi, "that is 180/π times the right value: are there degrees in place of radians?"),
     (np.pi / 180, "that is π/180 times the right value: are there radians in place of degrees?"),
 )
-
-
-def checker(case: Callable[[Rng, int], Case]) -> Callable[[Answer], None]:
-    """Make a checker of a function that draws case number k; its hints have the same order in all cases.
-
-    The checker tries an answer on the first `CASES` cases, the same each time, and prints what it finds.
-    """
-
-    @functools.wraps(case)
-    def check(answer: Answer) -> None:
-        print(diagnose(answer, map(check.case, range(CASES))))
-
-    def draw(k: int, seed: int = 0) -> Case:
-        with np.errstate(all="ignore"), warnings.catch_warnings():  # mistakes divide by zero
-            warnings.simplefilter("ignore", RuntimeWarning)
-            return case(np.random.default_rng((k, seed)), k)
-
-    check.case = draw
-    return check
 
 
 def by(inputs: tuple, right: Answer, wrong: Sequence[tuple[Answer, str]]) -> Case:

@@ -220,10 +220,11 @@ def local_mean(volume: Tensor) -> tuple[Tensor, Tensor]:
     discontinuity. The confidence is the probability that these spheres have together, in [0, 1]. NaN where the cost is
     NaN.
     """
-    radius = max(2, round(volume.shape[-1] / cells_of(volume.shape[-1])))
+    N = int(volume.shape[-1])  # a number while ONNX traces, too
+    radius = max(2, round(N / cells_of(N)))
     best = volume.argmin(-1, keepdim=True)  # (H, W, 1)
     near = best + torch.arange(-radius, radius + 1, device=volume.device)  # (H, W, 2 radius + 1)
-    inside = (near >= 0) & (near < volume.shape[-1])
-    mass = (1 - volume.gather(-1, near.clamp(0, volume.shape[-1] - 1))) * inside
+    inside = (near >= 0) & (near < N)
+    mass = (1 - volume.gather(-1, near.clamp(0, N - 1))) * inside
     total = mass.sum(-1)
     return (mass * near).sum(-1) / total, total

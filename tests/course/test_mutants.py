@@ -9,24 +9,16 @@ import copy
 import inspect
 import os
 import random
-import re
 import warnings
 
-import nbformat
 import numpy as np
 import pytest
 
-from course import exercises, nbtools, solve
+from course import exercises, nbtools
 from course.exercises.compare import CASES, _numbers, _same, diagnose
 
 TRIED = None if os.environ.get("MUTANTS") == "all" else 15
-CALL = re.compile(r"^exercises\.(check_\w+)\((\w+)\)$", re.MULTILINE)
 EXERCISES = [
-    pytest.param(getattr(exercises, check), solve.ANSWERS[answer], id=f"{nbtools.number(path)} {answer}")
-    for path in nbtools.notebooks()
-    for cell in nbtools.code_cells(nbformat.read(path, as_version=4))
-    for check, answer in CALL.findall(cell.source)
-] + [
     pytest.param(function, function.answer, id=f"{nbtools.number(path)} {function.name}")
     for path in nbtools.notebooks()
     for function in exercises.functions(nbtools.number(path))
