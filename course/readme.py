@@ -37,7 +37,7 @@ FRAME = 831
 SAME = 0.2  # gray levels, mean difference: 0.03 with another number of threads, 9 with another method
 EYE = (-6.5, -1.7, 2.0)  # metres, rig frame
 GAMMA = 0.7  # the street is in shadow; less than 1 makes it brighter
-STEPS, STEP_MS = 40, 110
+STEPS, STEP_MS = 32, 130
 
 
 def main() -> None:
@@ -158,7 +158,7 @@ def animation(depth: Depth, images: Sequence[NDArray]) -> bytes:
         frames.append(Image.fromarray(np.concatenate([mean, passed])))
     written = io.BytesIO()
     times = [STEP_MS] * (STEPS - 1) + [2500]  # the last one stays
-    frames[0].save(written, "webp", save_all=True, append_images=frames[1:], duration=times, loop=0, quality=60)
+    frames[0].save(written, "webp", save_all=True, append_images=frames[1:], duration=times, loop=0, quality=35)
     return written.getvalue()
 
 

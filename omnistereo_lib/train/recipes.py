@@ -208,7 +208,6 @@ RECIPES: dict[str, dict[str, Recipe]] = {
             validate_every=250,
             validation_groups=24,
         ),
-        "sunny": VolumeNetRecipe(worlds="sunny", steps=320, warmup=30, validate_every=200),
         # With --init-weights of "refined": half of the micro-batches are of worlds and rigs that never come again.
         "endless": VolumeNetRecipe(
             worlds="endless endless endless endless sunny streets rooms things",

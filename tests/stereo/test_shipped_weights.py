@@ -30,7 +30,6 @@ RECIPE = {
     "mccnn_fast": RECIPES["mccnn"]["shipped"],
     "mccnn_accurate": replace(RECIPES["mccnn"]["shipped"], variant="accurate", negative_high_px=18.0),
     "volumenet": RECIPES["volumenet"]["refined"],
-    "volumenet_sunny": RECIPES["volumenet"]["sunny"],
 }
 
 

@@ -122,7 +122,6 @@ def test_every_preset_makes_a_step(data, tmp_path):
     ("network", "preset", "name"),
     [
         ("volumenet", "refined", "volumenet"),
-        ("volumenet", "sunny", "volumenet_sunny"),
         ("sweepnet", "shipped", "sweepnet"),
         ("sweepnet", "worlds", "sweepnet_worlds"),
         ("mccnn", "shipped", "mccnn_fast"),
