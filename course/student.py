@@ -104,7 +104,7 @@ def run(task: dict[str, Any], seconds: float, memory_gib: float) -> Run:
 
 
 def copy_clone(copy: Path) -> None:
-    """Copy what a notebook needs of the clone, without the solutions, hidden files, links and pipes."""
+    """Copy what a notebook needs of the clone, without solution notebooks, hidden files, links and pipes."""
 
     def left_out(folder: str, names: list[str]) -> list[str]:
         paths = {name: Path(folder, name) for name in names}

@@ -92,7 +92,7 @@ WRONG = """() => {
             if (right > width || bottom > height) note(`${e.className} ends at ${right}, ${bottom}`)
             if (style.overflowX !== "visible" && e.scrollWidth > e.clientWidth + 1) note(`${e.className} is cut off`)
             if (e.localName === "pre" && parseFloat(style.fontSize) < 24) note(`code of ${style.fontSize}`)
-            if (e.localName === "img" && box.height / scale < 95) note(`a picture ${box.height / scale} px high`)
+            if (e.localName === "img" && box.height / scale < 100) note(`a picture ${box.height / scale} px high`)
         }
     }
     return found
