@@ -69,14 +69,15 @@ class DepthGraph(nn.Module):
     def __init__(self, network: VolumeNet, rig: Rig, grid: SphereGrid) -> None:
         super().__init__()
         self.network, self.rig, self.grid = network, rig.recentered(), grid
-        for number, size in enumerate(volume_sizes(grid)):  # buffers: what is computed from them is part of the graph
+        # Buffers: what is computed from them is part of the graph.
+        for number, size in enumerate(volume_sizes(grid, rig)):
             rays, inverse_depth = volume_cells(grid, size)
             self.register_buffer(f"rays{number}", rays)
             self.register_buffer(f"inverse_depth{number}", inverse_depth)
 
     def forward(self, *images: Tensor) -> tuple[Tensor, Tensor]:
         """Return inverse depth in 1/m and confidence, (H, W) each, NaN = unknown, of one image (h, w, 3) per camera."""
-        grid, sizes = self.grid, volume_sizes(self.grid)
+        grid, sizes = self.grid, volume_sizes(self.grid, self.rig)
         *_, correlation = correlations = [self._correlation(images, k, size) for k, size in enumerate(sizes)]
         logits = [self.network(one[None]) / len(sizes) for one in correlations]
         read_out = []

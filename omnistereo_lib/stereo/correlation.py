@@ -22,14 +22,18 @@ LEAST = 160, 32  # columns and spheres of the volumes on which the shipped netwo
 _CELLS = 1 << 14  # cells correlated at a time: so few that their features stay in the cache of a core
 
 
-def volume_sizes(grid: SphereGrid) -> list[tuple[int, int, int]]:
+def volume_sizes(grid: SphereGrid, rig: Rig | None = None) -> list[tuple[int, int, int]]:
     """Return width, height and spheres of the volumes of a grid, coarse to fine, in multiples of 8 for the U-net.
 
     The U-net sees a fixed number of cells around each: the coarser they are, the more of the scene, and the finer, the
     more detail. So a fine grid has two, whose logits are averaged: that of the training, and one of half its own size
-    or less. A grid no finer than the training's has the first alone.
+    or less. A grid no finer than the training's has the first alone. Given a rig, the second is no wider than suits its
+    images, see `pixels_per_degree`; in training, one batch holds frames of many.
     """
     coarser = 2 * max(1, round(grid.width / 640))
+    if rig is not None:
+        finest = 360 / 4 * min(camera.image_size[0] / camera.max_fov_deg for camera in rig.cameras)
+        coarser = max(coarser, 2 * math.ceil(grid.width / finest / 2))
     fine = max(grid.width / coarser, LEAST[0]), cells_of(grid.num_spheres)
 
     def size_of(width: float, spheres: float) -> tuple[int, int, int]:

@@ -167,7 +167,7 @@ class VolumeNet(StoredNetwork):
 
         See `Cost`. The pairs are not used: `correlate` compares all cameras.
         """
-        grid, device, sizes = sweep.grid, sweep.device, volume_sizes(sweep.grid)
+        grid, device, sizes = sweep.grid, sweep.device, volume_sizes(sweep.grid, sweep.rig)
         self.eval().to(device)
         correlations = [self.correlation_at(sweep, images, size) for size in sizes]  # (9, w, h, n) each
         with autocast(self.precision, device):

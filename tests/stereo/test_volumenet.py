@@ -11,7 +11,14 @@ from torch.nn.functional import grid_sample
 from torch.profiler import ProfilerActivity, profile
 
 import omnistereo_lib as osl
-from omnistereo_lib.stereo.correlation import _PairProducts, bilinear, correlate, feature_coordinates, volume_sizes
+from omnistereo_lib.stereo.correlation import (
+    _PairProducts,
+    bilinear,
+    correlate,
+    feature_coordinates,
+    pixels_per_degree,
+    volume_sizes,
+)
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.volume import cost_volume
 from omnistereo_lib.stereo.volumenet import VolumeNet, local_mean, normalize, resize_logits
@@ -47,6 +54,15 @@ def small():
 )
 def test_the_sizes_of_the_volumes(grid, sizes):
     assert volume_sizes(osl.SphereGrid(*grid[:2], num_spheres=grid[2])) == sizes
+
+
+def test_no_volume_is_finer_than_the_images_are():
+    grid = osl.SphereGrid(640, 160, num_spheres=192)
+    for width, finest in ((800, (320, 80, 48)), (400, (160, 40, 48))):
+        rig = scene.rig(width=width, height=width)
+        size = volume_sizes(grid, rig)[-1]
+        assert size == finest
+        assert rig.cameras[0].image_size[0] / rig.cameras[0].max_fov_deg >= pixels_per_degree(size)
 
 
 def test_the_features_of_a_cell_are_interpolated(small):
@@ -199,7 +215,7 @@ def test_two_frames_of_one_sweep(network):
 
 def test_bfloat16_is_close(monkeypatch):
     # Smaller than usual: most processors emulate bfloat16, slowly.
-    monkeypatch.setattr("omnistereo_lib.stereo.volumenet.volume_sizes", lambda grid: [(48, 16, 16)])
+    monkeypatch.setattr("omnistereo_lib.stereo.volumenet.volume_sizes", lambda grid, rig: [(48, 16, 16)])
     shipped, rig = VolumeNet.pretrained(), scene.rig(width=120, height=112)  # untrained, all spheres are as likely
     images, sweep = scene.images(rig, finest=0.5), SphereSweep(rig, GRID)
     volumes = []
