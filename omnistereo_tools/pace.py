@@ -26,8 +26,7 @@ def named_bar(parts: Iterable[_Part]) -> Iterator[_Part]:
     """Show a bar over parts of the work; a part that is text, such as "camera 2 of 4", is named."""
     with tqdm(parts, "sweep", unit="part", leave=False) as bar:
         for part in bar:
-            if isinstance(part, str):
-                bar.set_description(part)
+            bar.set_description(part if isinstance(part, str) else "sweep")
             yield part
 
 

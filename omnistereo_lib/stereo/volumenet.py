@@ -14,8 +14,9 @@ Volumes are (batch, channels, W, H, N): with W first, PyTorch picks its fast CPU
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
+from typing import Any
 
 import torch
 from numpy.typing import ArrayLike
@@ -169,19 +170,30 @@ class VolumeNet(StoredNetwork):
         """
         grid, device, sizes = sweep.grid, sweep.device, volume_sizes(sweep.grid, sweep.rig)
         self.eval().to(device)
-        correlations = [self.correlation_at(sweep, images, size) for size in sizes]  # (9, w, h, n) each
-        with autocast(self.precision, device):
-            logits = [self(one[None]) / len(sizes) for one in correlations]  # (1, w, h, n) each
-        shared = (correlations[-1][-1] > 0.3).any(-1).float()[None, None]  # k / 4 of two cameras is 0.5
+        cameras = [f"camera {k} of {len(sweep.rig)}" for k in range(1, len(sweep.rig) + 1)]
+        blocks = torch.arange(grid.width, device=device).split(64)
+        parts = iter(progress([*(["tables", *cameras, "correlation", "U-net"] * len(sizes)), *blocks]))
+        logits = []  # (1, w, h, n) each
+        for size in sizes:
+            correlation = self.correlation_at(sweep, images, size, parts)  # (9, w, h, n)
+            next(parts)
+            with autocast(self.precision, device):
+                logits.append(self(correlation[None]) / len(sizes))
+        shared = (correlation[-1] > 0.3).any(-1).float()[None, None]  # k / 4 of two cameras is 0.5
         hidden = interpolate(shared, grid.shape[::-1], mode="nearest")[0, 0].T == 0  # (H, W)
         volume = torch.empty(*grid.shape, grid.num_spheres, device=device)
-        for columns in progress(torch.arange(grid.width, device=device).split(64)):
+        for columns in parts:
             mean = torch.stack([resize_logits(one, columns, grid)[0] for one in logits]).sum(0)
             volume[:, columns] = (1 - mean.softmax(-1)).transpose(0, 1)
         return volume.masked_fill_(hidden[..., None], torch.nan)
 
-    def correlation_at(self, sweep: SphereSweep, images: Sequence[ArrayLike], size: tuple[int, int, int]) -> Tensor:
-        """Return the correlation volume of a frame at a size; masks and coordinates are kept for the next frame."""
+    def correlation_at(
+        self, sweep: SphereSweep, images: Sequence[ArrayLike], size: tuple[int, int, int], parts: Iterator[Any]
+    ) -> Tensor:
+        """Return the correlation volume of a frame at a size; masks and coordinates are kept for the next frame.
+
+        Before tables, each camera and the correlation it takes the next of the parts, so that a bar moves.
+        """
         rig, images = reduce_images(sweep.rig, images, pixels_per_degree(size))
         device = sweep.device
 
@@ -189,10 +201,16 @@ class VolumeNet(StoredNetwork):
             masks = [torch.from_numpy(camera.visible_pixels()).to(device) for camera in rig.cameras]
             return masks, feature_coordinates(rig, sweep.grid, size, device)
 
+        next(parts)
         masks, coordinates = sweep.keep((VolumeNet, size), project)
-        normalized = [normalize(torch.from_numpy(to_gray(i)).to(device), m) for i, m in zip(images, masks, strict=True)]
+        features = []
         with autocast(self.precision, device):
-            return self.correlation(normalized, masks, coordinates)
+            for image, mask in zip(images, masks, strict=True):
+                next(parts)
+                normalized = normalize(torch.from_numpy(to_gray(image)).to(device), mask)
+                features.append(self.features(normalized, mask))
+            next(parts)
+            return correlate(features, coordinates)
 
 
 def normalize(image: Tensor, visible: Tensor) -> Tensor:
