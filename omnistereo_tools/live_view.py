@@ -27,6 +27,7 @@ from omnistereo_tools.blend import blended_panorama
 from omnistereo_tools.pictures import BACKGROUND, ColorScale
 from omnistereo_tools.sources import open_video
 from omnistereo_tools.summary import metres
+from omnistereo_tools.trust import DOUBTFUL, trust
 
 _WIDTH = 1280  # px of the picture, if the panorama is smaller
 _PATIENCE_S = 10.0  # of a camera that gives no picture, and of a browser that neither asks nor reads
@@ -189,23 +190,26 @@ def _play(cameras: Cameras, sweep: SphereSweep, method: Method) -> Iterator[Live
             depth = sweep_depth(sweep, images, method)
             panorama = np.nan_to_num(blended_panorama(depth, images)).round().astype(np.uint8)
             now = time.monotonic()
+            doubtful = trust(depth, images, method) < DOUBTFUL
             note = f"{method.name}: {1 / (now - before):.1f} frames/s, median {metres(np.nanmedian(depth.depth))}"
             before = now
-            yield draw_picture(panorama, depth, scale, note)
+            yield draw_picture(panorama, depth, doubtful, scale, note)
     finally:
         cameras.newest.close()
         reader.join(_PATIENCE_S)
 
 
-def draw_picture(panorama: NDArray[np.uint8], depth: Depth, scale: ColorScale, note: str) -> LivePicture:
-    """Draw a panorama (H, W, 3), RGB, over its depth in colours, with the scale in metres and a note."""
+def draw_picture(
+    panorama: NDArray[np.uint8], depth: Depth, doubtful: NDArray[np.bool_], scale: ColorScale, note: str
+) -> LivePicture:
+    """Draw a panorama (H, W, 3), RGB, over its depth in colours, doubtful rays faded, with the scale and a note."""
     factor = max(1, round(_WIDTH / panorama.shape[1]))
     width, height = panorama.shape[1] * factor, panorama.shape[0] * factor
-    colors = scale.colorize(depth)
+    colors = scale.colorize(depth, doubtful)
     parts = [cv2.resize(picture, (width, height), interpolation=cv2.INTER_LINEAR) for picture in (panorama, colors)]
     parts += [_scale_strip(scale, width), np.full((_NOTE_PX, width, 3), BACKGROUND, np.uint8)]
     picture = np.vstack(parts)
-    _write(picture, f"{note}. Striped: no depth", (12, len(picture) - 12))
+    _write(picture, f"{note}. Faded: doubtful, striped: no depth", (12, len(picture) - 12))
     jpeg = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes()
     return LivePicture(jpeg, depth.depth, height / len(picture))
 

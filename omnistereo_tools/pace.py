@@ -47,6 +47,7 @@ def say_recording(
     """Say how long the frames of a recording will take, by the method chosen and by others, as its first frame does."""
     if frames < _FEW_FRAMES:
         return
+    print("timing the methods on one frame: a few seconds", flush=True)
     took = {name: in_words(frames * _measure(sweep, images, name)) for name in dict.fromkeys([method, *others])}
     print(f"{frames} frames: about {took.pop(method)} by {method}", flush=True)
     for other, words in took.items():

@@ -3,9 +3,11 @@
 OUT/
   config.yaml                       the rig, with the nearest depth of the sweep
   cam1/00001.jpg …  cam2/ …         the images: links to your pictures, or frames of your videos
+  confidence_640/00001.tiff         confidence of each ray, in [0, 1], as of a single frame
+  trust_640/00001.tiff              the same at equal range, in [0, 1]; below 0.5 a ray is doubtful
   depth_estimate_640/00001.tiff     inverse depth, 1/m; written last, so that a frame is complete if it can be read
   recording.json                    how the depth was computed
-  video/00001.jpg                   panorama over depth, with --video
+  video/00001.jpg                   panorama over depth, doubtful rays faded, with --video
 """
 
 from __future__ import annotations
@@ -37,9 +39,12 @@ from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.blend import blended_panorama
 from omnistereo_tools.pictures import ColorScale
 from omnistereo_tools.sources import Pictures, Recording
+from omnistereo_tools.summary import doubt_shares
+from omnistereo_tools.trust import DOUBTFUL, trust
 
 _PENDING = 2  # frames read ahead, and frames waiting to be written: memory stays constant
-_PNG_STEPS = 65500  # of inverse depth up to 1 / D_min, as in the first release of the public sets
+_PNG_STEPS = 65500  # of inverse depth up to 1 / D_min, as in the first release of the public sets; of trust up to 1
+_OF_RAYS = ("confidence", "trust", "depth_estimate")  # panoramas of a frame, in the order of writing
 SETTINGS = "recording.json"
 CODECS = {".mp4": "mp4v", ".webm": "VP90"}  # the second one plays in browsers, and takes thirty times as long
 _FPS = 10.0  # of pictures, which do not say
@@ -53,7 +58,7 @@ class DepthWriter:
     recording: Recording
     sweep: SphereSweep
     method: Method
-    suffix: str  #: of the depth files: ".tiff", float32, or ".png", 16 bits, unknown rays as infinitely far
+    suffix: str  #: of what is stored of rays: ".tiff", float32, or ".png", 16 bits, unknown depth as infinitely far
     with_video: bool  #: keep a picture of every frame, panorama over depth, for `write_video`
 
     @classmethod
@@ -79,21 +84,29 @@ class DepthWriter:
         _check_not_users(out, [*(f"cam{k}" for k in range(1, len(rig) + 1)), "video"], recording)
         return cls(out, recording, SphereSweep(rig, grid, device=device), method, suffix, with_video)
 
-    def depth_path(self, number: int) -> Path:
-        """Return where the depth of a frame is stored."""
-        return self.out / f"depth_estimate_{self.sweep.grid.width}" / f"{number:05}{self.suffix}"
+    def path(self, kind: str, number: int) -> Path:
+        """Return where a panorama of a frame is stored: its "depth_estimate", "confidence" or "trust"."""
+        return self.out / f"{kind}_{self.sweep.grid.width}" / f"{number:05}{self.suffix}"
 
     def picture_path(self, number: int) -> Path:
         """Return where the video frame of a frame is stored."""
         return self.out / "video" / f"{number:05}.jpg"
 
     def is_done(self, number: int) -> bool:
-        """Return whether depth and video frame of a frame can be read: they are written last."""
+        """Return whether all that is stored of the rays of a frame, and its video frame, can be read."""
         try:
-            depth = read_inverse_depth(self.depth_path(number), self.sweep.grid.min_depth)
-            return depth.shape == self.sweep.grid.shape and (not self.with_video or self.picture(number).size > 0)
+            whole = all(self.read(kind, number).shape == self.sweep.grid.shape for kind in _OF_RAYS)
+            return whole and (not self.with_video or self.picture(number).size > 0)
         except OmnistereoError:
             return False
+
+    def read(self, kind: str, number: int) -> NDArray[np.float32]:
+        """Read a panorama of a frame, (H, W); see `path`."""
+        return read_inverse_depth(self.path(kind, number), self._unit(kind))
+
+    def _unit(self, kind: str) -> float:
+        """Return the value in metres, or the number, whose inverse 16 bits reach."""
+        return self.sweep.grid.min_depth if kind == "depth_estimate" else 1.0
 
     def picture(self, number: int) -> NDArray[np.uint8]:
         """Read the video frame of a frame, BGR."""
@@ -136,7 +149,7 @@ class DepthWriter:
         settings |= {"min_depth": grid.min_depth, "depth": self.suffix}
         settings |= {"rig": _rig_checksum(rig), "images": self.recording.checksum}
         _check_settings(make_folder(self.out) / SETTINGS, settings)
-        for folder in (*(f"cam{k}" for k in range(1, len(rig) + 1)), self.depth_path(0).parent.name):
+        for folder in (*(f"cam{k}" for k in range(1, len(rig) + 1)), *(self.path(kind, 0).parent for kind in _OF_RAYS)):
             make_folder(self.out / folder)
         if self.with_video:
             make_folder(self.out / "video")
@@ -151,21 +164,36 @@ class DepthWriter:
                 _link(source.files[self.recording.frames[number]], folder, number)
             else:
                 write_image(folder / f"{number:05}.jpg", image)
+        trusted = trust(depth, images, self.method)
         if self.with_video:
             panorama = np.nan_to_num(blended_panorama(depth, images))
             panorama = panorama if panorama.ndim == 3 else np.repeat(panorama[..., None], 3, -1)
             scale = ColorScale(0.0, 0.8 / self.sweep.grid.min_depth)  # the same colours in all frames
-            write_image(self.picture_path(number), np.vstack([panorama, scale.colorize(depth)]))
-        self._write_depth(number, depth)
+            write_image(self.picture_path(number), np.vstack([panorama, scale.colorize(depth, trusted < DOUBTFUL)]))
+        for kind, values in zip(_OF_RAYS, (depth.confidence, trusted, depth.inverse_depth), strict=True):
+            self._write_panorama(kind, number, values)
 
-    def _write_depth(self, number: int, depth: Depth) -> None:
-        path = self.depth_path(number)
+    def _write_panorama(self, kind: str, number: int, values: NDArray) -> None:
+        path = self.path(kind, number)
         if self.suffix == ".tiff":
-            write_inverse_depth(path, depth.inverse_depth)
+            write_inverse_depth(path, values)
             return
-        steps = np.nan_to_num(depth.inverse_depth) * (_PNG_STEPS * self.sweep.grid.min_depth)
+        steps = np.nan_to_num(values) * (_PNG_STEPS * self._unit(kind))
         with atomic_write(path) as temporary:
             temporary.write_bytes(cv2.imencode(".png", steps.round().clip(0, 65535).astype(np.uint16))[1].tobytes())
+
+    def doubt_sentence(self) -> str:
+        """Return how many rays of the recording are doubtful, in all and among the nearest, from the files."""
+        shares = []
+        for number in self.recording.frames:
+            with np.errstate(divide="ignore"):
+                depth = 1 / self.read("depth_estimate", number)
+            shares.append(doubt_shares(depth, self.read("trust", number) < DOUBTFUL)[:2])
+        share, of_near = np.mean(shares, axis=0)
+        return (
+            f"Doubtful are {share:.0f} % of the rays, and {of_near:.0f} % of the nearest tenth of each frame: they "
+            f"stay in the files, with values below {DOUBTFUL:g} in {self.path('trust', 0).parent}/."
+        )
 
 
 def _link(picture: Path, folder: Path, number: int) -> None:

@@ -57,13 +57,22 @@ def _doubt_sentence(depth: Depth, doubtful: NDArray[np.bool_], nearest: float, s
     """Return how many rays are doubtful, in all and among the nearest; `nearest` counts all of them, `sure` none."""
     if not (doubtful & depth.valid).any():
         return []
-    near = np.nanquantile(depth.depth, _NEAR)
-    share, of_near = (100 * doubtful[rays].mean() for rays in (depth.valid, depth.depth <= near))
+    share, of_near, near = doubt_shares(depth.depth, doubtful)
     nearer = f" If they are right, the nearest thing is {metres(nearest)} away." if nearest < _NEARER * sure else ""
     return [
         f"Doubtful are {share:.0f} % of the rays, and {of_near:.0f} % of the nearest tenth, up to {metres(near)}: they "
         f"stay in the files, marked, and are faded in the pictures.{nearer}"
     ]
+
+
+def doubt_shares(depth: NDArray, doubtful: NDArray[np.bool_]) -> tuple[float, float, float]:
+    """Return how many percent of the rays are doubtful, and of the nearest tenth, and up to which depth that goes.
+
+    The depth is in metres, (H, W), NaN where it is unknown.
+    """
+    near = float(np.nanquantile(depth, _NEAR, method="lower"))
+    share, of_near = (100 * float(doubtful[rays].mean()) for rays in (~np.isnan(depth), depth <= near))
+    return share, of_near, near
 
 
 def nearest_depth(depth: Depth, keep: NDArray[np.bool_]) -> float:

@@ -210,6 +210,7 @@ def _run_recording(options: argparse.Namespace) -> None:
     done = writer.run(left) if options.cluster is None else depth_on_cluster(options.cluster, writer, options.device)
     for _ in tqdm(done, "depth", total, initial=total - len(left), unit="frame"):
         pass
+    print(writer.doubt_sentence())
     print(f"{total} frames are in {options.out}/, which load_dataset reads")
     if options.video is not None:
         write_video(options.video, writer)

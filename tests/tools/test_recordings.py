@@ -12,10 +12,13 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
+from omnistereo_lib.dataset import read_inverse_depth
 from omnistereo_lib.files import read_image, write_image
 from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD
 from omnistereo_tools import cli
+from omnistereo_tools.pictures import colorize_depth
 from omnistereo_tools.sources import Recording
+from omnistereo_tools.trust import trust
 
 GRID = osl.SphereGrid(96, 24, num_spheres=16, min_depth=0.6)
 SMALL = ["--width", "96", "--height", "24", "--spheres", "16", "--method", "zncc"]
@@ -63,6 +66,36 @@ def test_the_result_is_a_data_set(recorded, done):
         np.testing.assert_array_equal(frame.images[1], read_image(recorded / "view2" / f"cam2_{frame.number:03}.png"))
         alone = osl.estimate_depth(osl.load_rig(recorded / "rig.yaml"), frame.images, GRID, "zncc")
         np.testing.assert_array_equal(frame.inverse_depth, alone.inverse_depth.astype(np.float32))
+
+
+def test_every_frame_has_the_confidence_and_trust_of_a_single_frame(recorded, done, tmp_path):
+    rig = osl.load_rig(recorded / "rig.yaml")
+    alone = osl.estimate_depth(rig, osl.load_dataset(done)[2].images, GRID, "zncc")
+    trusted = trust(alone, osl.load_dataset(done)[2].images, "zncc")
+    assert run(*depth_command(recorded, tmp_path / "out"), "--depth-format", "png", "--start", 3, "--stop", 4) == 0
+    for folder, suffix, step in ((done, "tiff", 0), (tmp_path / "out", "png", 1 / 65500)):
+        for kind, expected in (("confidence", alone.confidence), ("trust", trusted)):
+            stored = read_inverse_depth(folder / f"{kind}_96" / f"00003.{suffix}", 1.0)
+            np.testing.assert_allclose(stored, np.nan_to_num(expected) if step else expected, atol=step)
+
+
+def test_the_summary_says_how_many_rays_are_doubtful_also_of_the_nearest(recorded, done, capsys):
+    assert run(*depth_command(recorded, done)) == 0  # all is there: it only sums up
+    said = re.search(r"Doubtful are (\d+) % of the rays, and (\d+) % of the nearest tenth", capsys.readouterr().out)
+    shares = []
+    for name in [f"{n:05}.tiff" for n in range(1, FRAMES + 1)]:
+        inverse, trusted = (read_inverse_depth(done / f"{kind}_96" / name) for kind in ("depth_estimate", "trust"))
+        nearest = np.argsort(-inverse.ravel())[: round(inverse.size / 10)]
+        shares.append([(trusted < 0.5).mean(), (trusted.ravel()[nearest] < 0.5).mean()])
+    np.testing.assert_allclose([int(said[1]), int(said[2])], 100 * np.mean(shares, 0), atol=1)
+
+
+def test_doubtful_rays_are_faded_in_the_video(done):
+    picture = read_image(done / "video" / "00003.jpg")[24:].astype(int)
+    inverse, trusted = (read_inverse_depth(done / f"{kind}_96" / "00003.tiff") for kind in ("depth_estimate", "trust"))
+    colors = colorize_depth(inverse, replace(GRID, min_depth=GRID.min_depth / 0.8))
+    off = np.abs(picture - colors).mean(-1)
+    assert (trusted < 0.5).sum() > 20 and off[trusted < 0.5].mean() > 3 * off[trusted >= 0.5].mean()
 
 
 def test_the_video_has_every_frame_panorama_over_depth(done):
