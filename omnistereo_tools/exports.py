@@ -52,8 +52,10 @@ def export_frame(
     written = []
     if mesh_file is not None:
         make_folder(mesh_file.parent)
-        triangles = mesh_export.write_mesh(mesh_file, result.depth, result.panorama, result.limits, faces)
-        written.append(f"{mesh_file} ({triangles} triangles)")
+        triangles, doubtful = mesh_export.write_mesh(
+            mesh_file, result.depth, result.panorama, result.limits, faces, result.doubtful
+        )
+        written.append(f"{mesh_file} ({triangles} triangles, {doubtful} of them doubtful and marked)")
     if equirectangular is not None:
         import tifffile
 

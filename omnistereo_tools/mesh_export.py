@@ -19,33 +19,47 @@ if TYPE_CHECKING:
 SUFFIXES = (".glb", ".ply")  # textured with y up; coloured vertices in the axes of the rig
 _EDGE = 0.2  # of the depth between neighbouring rays: a surface so oblique is hardly seen
 _SPHERES = 1.5  # always connected: far away, one sphere is more than `_EDGE`
+_TRANSLUCENT = 90  # of 255: doubtful triangles are faded, as in the pictures
 _Y_UP = np.diag([1.0, -1.0, -1.0])  # rig (y down, z forward) → glTF (y up, -z forward)
 
 
-def write_mesh(path: Path, depth: Depth, panorama: NDArray[np.uint8], limits: Limits, faces: int | None = None) -> int:
-    """Write the mesh of a depth panorama in metres; return its number of triangles.
+def write_mesh(
+    path: Path,
+    depth: Depth,
+    panorama: NDArray[np.uint8],
+    limits: Limits,
+    faces: int | None = None,
+    doubtful: NDArray[np.bool_] | None = None,
+) -> tuple[int, int]:
+    """Write the mesh of a depth panorama in metres; return its number of triangles, and how many are doubtful.
 
-    A .glb file is textured and has y up, as glTF demands; a .ply file has colours at its vertices and the axes of the
-    rig: x right, y down, z forward.
+    A .glb file is textured and has y up, as glTF demands; its doubtful triangles are an object of their own, named so
+    and translucent. A .ply file has colours and doubts at its vertices and the axes of the rig: x right, y down, z
+    forward.
 
     Args:
         panorama: uint8 array, RGB, the whole panorama at any size: the texture
         limits: Rays that become vertices; the sky is beyond its `max_depth`.
         faces: Number of triangles to decimate to. None: all.
+        doubtful: Which rays are doubtful, (H, W); so is a triangle with such a vertex. None: none is.
 
     Raises:
         OmnistereoError: If trimesh is not installed, no triangle is left, or the file cannot be written.
     """
     mesh = make_mesh(depth, limits, faces)
+    uv = mesh.metadata["uv"]
+    vertices = _look_up(uv, np.zeros(depth.grid.shape, bool) if doubtful is None else doubtful)
+    triangles = vertices[mesh.faces].any(-1)
     if path.suffix.lower() == ".glb":
         mesh.apply_transform(np.pad(_Y_UP, (0, 1)) + np.diag([0, 0, 0, 1.0]))
-        mesh.visual = _texture(mesh.metadata["uv"], panorama)
+        content = _textured(mesh, uv, panorama, triangles)
     else:
-        mesh.visual.vertex_colors = _vertex_colors(mesh.metadata["uv"], panorama)
-    content = mesh.export(file_type=path.suffix.lower()[1:])
+        mesh.visual.vertex_colors = _look_up(uv, panorama)
+        mesh.vertex_attributes["doubtful"] = vertices.astype(np.uint8)
+        content = mesh.export(file_type=path.suffix.lower()[1:])
     with atomic_write(path) as temporary:
         temporary.write_bytes(content)
-    return len(mesh.faces)
+    return len(mesh.faces), int(triangles.sum())
 
 
 def make_mesh(depth: Depth, limits: Limits, faces: int | None = None) -> Trimesh:
@@ -95,18 +109,35 @@ def _unwrap(mesh: Trimesh, depth: Depth) -> Trimesh:
     return type(mesh)(vertices, faces, process=False, metadata={"uv": uv})
 
 
-def _texture(uv: NDArray, panorama: NDArray[np.uint8]) -> object:
+def _textured(mesh: Trimesh, uv: NDArray, panorama: NDArray[np.uint8], doubtful: NDArray[np.bool_]) -> bytes:
+    """Return a GLB file with the triangles of a mesh as two objects, by whether they are doubtful; none is empty."""
     from PIL import Image
+    from trimesh import Scene
     from trimesh.visual import TextureVisuals
     from trimesh.visual.material import PBRMaterial
 
-    material = PBRMaterial(
-        baseColorTexture=Image.fromarray(panorama), metallicFactor=0.0, roughnessFactor=1.0, doubleSided=True
-    )
-    return TextureVisuals(uv=uv, material=material)
+    scene = Scene()
+    for name, chosen, alpha in (("surface", ~doubtful, None), ("doubtful", doubtful, _TRANSLUCENT)):
+        if not chosen.any():
+            continue
+        used, corners = np.unique(mesh.faces[chosen], return_inverse=True)
+        material = PBRMaterial(
+            name=name,
+            baseColorTexture=Image.fromarray(panorama),
+            baseColorFactor=None if alpha is None else [255, 255, 255, alpha],
+            alphaMode=None if alpha is None else "BLEND",
+            metallicFactor=0.0,
+            roughnessFactor=1.0,
+            doubleSided=True,
+        )
+        part = type(mesh)(mesh.vertices[used], corners.reshape(-1, 3), process=False)
+        part.visual = TextureVisuals(uv=uv[used], material=material)
+        scene.add_geometry(part, node_name=name, geom_name=name)
+    return scene.export(file_type="glb")
 
 
-def _vertex_colors(uv: NDArray, panorama: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _look_up(uv: NDArray, panorama: NDArray) -> NDArray:
+    """Return the values of a panorama of any size at texture coordinates (M, 2)."""
     height, width = panorama.shape[:2]
     column = np.floor(uv[:, 0] * width).astype(int) % width
     row = np.floor((1 - uv[:, 1]) * height).astype(int).clip(0, height - 1)

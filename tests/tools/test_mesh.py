@@ -34,7 +34,7 @@ def load(path):
 
 
 def test_glb_is_textured_y_up_and_on_the_walls(depth, panorama, tmp_path):
-    count = write_mesh(tmp_path / "a.glb", depth, panorama, ALL)
+    count, _ = write_mesh(tmp_path / "a.glb", depth, panorama, ALL)
     mesh = load(tmp_path / "a.glb")
     assert len(mesh.faces) == count == 2 * 39 * 160  # closed around the circle
     points = mesh.vertices * [1, -1, -1]
@@ -67,6 +67,27 @@ def test_ply_has_the_colour_of_each_vertex(depth, panorama, tmp_path):
     np.testing.assert_allclose(mesh.visual.vertex_colors[:, :2], expected, atol=4)
 
 
+def test_doubtful_triangles_are_marked_and_none_is_lost(depth, panorama, tmp_path):
+    doubtful = np.zeros(GRID.shape, bool)
+    doubtful[10:20, 50:70] = True
+    count, marked = write_mesh(tmp_path / "a.glb", depth, panorama, ALL, doubtful=doubtful)
+    parts = trimesh.load(tmp_path / "a.glb", process=False).geometry
+    assert len(parts["surface"].faces) + len(parts["doubtful"].faces) == count == 2 * 39 * 160
+    assert len(parts["doubtful"].faces) == marked == 2 * 11 * 21 - 2  # with those that reach over, but for two corners
+    pixels, _ = GRID.project(parts["doubtful"].vertices * [1, -1, -1])
+    assert pixels.min(0).round().tolist() == [49, 9] and pixels.max(0).round().tolist() == [70, 20]
+    look = parts["doubtful"].visual.material
+    assert look.alphaMode == "BLEND" and look.baseColorFactor[3] < 128
+    write_mesh(tmp_path / "a.ply", depth, panorama, ALL, doubtful=doubtful)
+    ply = (tmp_path / "a.ply").read_bytes()
+    assert b"property uchar doubtful" in ply.split(b"end_header")[0]
+    stored = trimesh.load(tmp_path / "a.ply", process=False)
+    found = stored.metadata["_ply_raw"]["vertex"]["data"]["doubtful"]
+    pixels, _ = GRID.project(stored.vertices)
+    column, row = pixels.round().astype(int).T
+    np.testing.assert_array_equal(np.ravel(found), doubtful[row, column % 160])
+
+
 def test_it_is_cut_where_the_depth_jumps_and_without_the_sky(depth):
     index = depth.index.copy()
     index[10:20, 50:70] = 50  # 0.75 m, before walls at more than a metre
@@ -82,7 +103,7 @@ def test_it_is_cut_where_the_depth_jumps_and_without_the_sky(depth):
 
 def test_it_is_decimated_on_demand(depth, panorama, tmp_path):
     pytest.importorskip("fast_simplification")
-    count = write_mesh(tmp_path / "a.glb", depth, panorama, ALL, faces=2000)
+    count, _ = write_mesh(tmp_path / "a.glb", depth, panorama, ALL, faces=2000)
     mesh = load(tmp_path / "a.glb")
     assert len(mesh.faces) == count <= 2000
     pixels, _ = GRID.project(mesh.vertices * [1, -1, -1])
