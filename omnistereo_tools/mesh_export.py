@@ -91,9 +91,13 @@ def _triangles(distance: NDArray, index: NDArray) -> NDArray[np.int64]:
     a, b, c, d = left[:-1].ravel(), right[:-1].ravel(), left[1:].ravel(), right[1:].ravel()
     corners = np.concatenate([np.stack([a, c, b], -1), np.stack([b, c, d], -1)])  # seen from the rig counter-clockwise
     depths, indices = distance.ravel()[corners], index.ravel()[corners]
-    near, far = depths.min(-1), depths.max(-1)  # NaN if one is unknown
-    connected = (far - near <= _EDGE * near) | (np.ptp(indices, axis=-1) <= _SPHERES)
-    return corners[connected & np.isfinite(far)]
+    return corners[is_connected(depths.T, indices.T) & np.isfinite(depths).all(-1)]
+
+
+def is_connected(depths: NDArray, indices: NDArray) -> NDArray[np.bool_]:
+    """Return whether neighbouring rays show one surface, (M,), given metres and sphere indices of each (rays, M)."""
+    near, far = depths.min(0), depths.max(0)  # NaN if one is unknown
+    return (far <= (1 + _EDGE) * near) | (np.ptp(indices, axis=0) <= _SPHERES)
 
 
 def _unwrap(mesh: Trimesh, depth: Depth) -> Trimesh:

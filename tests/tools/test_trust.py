@@ -5,6 +5,7 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
+from omnistereo_lib.evaluate.run import DATA
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.trust import DOUBTFUL, trust
 
@@ -41,3 +42,34 @@ def test_black_and_white_are_no_evidence(box):
     few = (np.isfinite(seen) & (seen < 250)).sum(0) < 2
     assert few.mean() > 0.2 and (unlit == few).mean() > 0.97  # but for the median at their borders
     assert not trust(depth, [np.zeros_like(image) for image in images], "volumenet").any()
+
+
+def test_small_things_in_mid_air_of_little_trust_are_doubtful(box):
+    rig, index, images = box
+    sweep, rays = SphereSweep(rig, GRID), np.s_[15:20, [158, 159, 0, 1, 2]]  # across the seam
+
+    def doubtful(index, confidence):
+        return trust(osl.Depth(index, confidence, sweep), images, "volumenet") < DOUBTFUL
+
+    near, weak = index.copy(), np.ones_like(index)
+    near[rays], weak[rays] = 1.5 * index[rays].max(), 0.4
+    assert doubtful(near, weak)[rays].all() and not doubtful(near, np.ones_like(index))[rays].any()
+    larger, of_larger = index.copy(), np.ones_like(index)
+    larger[5:35, 40:80], of_larger[5:35, 40:80] = 1.5 * index.max(), 0.4  # a fifth of the panorama
+    behind, of_behind = 1.5 * index, np.ones_like(index)
+    behind[rays], of_behind[rays] = index[rays], 0.5
+    for changed, confidence in ((larger, of_larger), (behind, of_behind)):
+        assert doubtful(changed, confidence)[confidence < 1].mean() < 0.1
+
+
+def test_on_a_frame_it_was_not_fitted_on_doubtful_depths_are_worse_at_every_range():
+    frame = osl.load_dataset(DATA / "sunny", split="test")[1]
+    grid = osl.SphereGrid(640, 160, num_spheres=192, min_depth=frame.rig.min_depth)
+    depth = osl.estimate_depth(frame.rig, frame.images, grid, "zncc+sgm")
+    truth = frame.gt_index(grid)
+    with np.errstate(invalid="ignore"):  # infinity, found and true
+        off = np.abs(depth.depth / grid.index_to_depth(truth) - 1) > 0.1
+    wrong, doubtful = off & (np.abs(depth.index - truth) > 2), trust(depth, frame.images, "zncc+sgm") < DOUBTFUL
+    for nearest, farthest in ((60, 192), (20, 60), (1, 20)):  # spheres, numbered from infinity
+        rays = np.isfinite(truth) & (depth.index >= nearest) & (depth.index < farthest)
+        assert wrong[rays & doubtful].mean() > 3 * wrong[rays & ~doubtful].mean() > 0
