@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from torch.nn.functional import avg_pool2d, grid_sample, pad, relu
 from torch.utils.benchmark import Timer
 
-from omnistereo_lib.calibrate.board import Checkerboard
 from omnistereo_lib.calibrate.captures import find_captures
+from omnistereo_lib.calibrate.checkerboard import Checkerboard
 from omnistereo_lib.calibrate.detect import detect_views
 from omnistereo_lib.calibrate.joint import calibrate_rig
 from omnistereo_lib.calibrate.single_camera import calibrate_camera

@@ -1,4 +1,4 @@
-from .calibrate.board import Checkerboard
+from .calibrate.checkerboard import Checkerboard
 from .calibrate.joint import calibrate_rig
 from .calibrate.single_camera import calibrate_camera
 from .dataset import load_dataset, load_images

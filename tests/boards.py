@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from omnistereo_lib.calibrate.board import Checkerboard
+from omnistereo_lib.calibrate.checkerboard import Checkerboard
 from omnistereo_lib.geometry.pose import Pose
 
 BOARD = Checkerboard((12, 10), 0.06)

@@ -42,8 +42,8 @@ from rig_files.rig_file_samples import (
 from train.tiny import MCCNN as RECIPE
 
 import omnistereo_lib as osl
-from omnistereo_lib.calibrate.board import Checkerboard
 from omnistereo_lib.calibrate.captures import load_corners, save_corners
+from omnistereo_lib.calibrate.checkerboard import Checkerboard
 from omnistereo_lib.dataset import read_inverse_depth, write_inverse_depth
 from omnistereo_lib.evaluate.records import read_record
 from omnistereo_lib.evaluate.table import errors_table, regions_table

@@ -30,7 +30,7 @@ LAYER = {name: number for number, line in enumerate(LAYERS.split("\n")) for name
 # Slow or large libraries stay with the modules that exist for them.
 AT_HOME = {"matplotlib": set(), "pyvista": set(), "IPython": set(), "bpy": set(), "ipywidgets": set()}
 EAGER = {
-    "cv2": {"stereo.sweep", "calibrate.detect", "calibrate.marker_boards", "train.endless"},
+    "cv2": {"stereo.sweep", "calibrate.checkerboard", "calibrate.marker_boards", "train.endless"},
     "scipy": {"calibrate.bundle", "calibrate.joint"},
 }
 

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.calibrate.board import Board, Checkerboard
+from omnistereo_lib.calibrate.board import Board
+from omnistereo_lib.calibrate.checkerboard import Checkerboard
 from omnistereo_lib.calibrate.marker_boards import AprilGrid, CharucoBoard
 from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.files import atomic_write, read_data, read_image

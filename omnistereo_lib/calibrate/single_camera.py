@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omnistereo_lib.calibrate.board import Board, Checkerboard
+from omnistereo_lib.calibrate.board import Board
 from omnistereo_lib.calibrate.bundle import bundle_adjust
-from omnistereo_lib.calibrate.detect import Progress, detect_views, edge_width, suggest_board
+from omnistereo_lib.calibrate.checkerboard import Checkerboard, edge_width, suggest_board
+from omnistereo_lib.calibrate.detect import Progress, detect_views
 from omnistereo_lib.calibrate.init import estimate_poses, initial_estimate
 from omnistereo_lib.calibrate.params import CalibrationParams, collect_observations
 from omnistereo_lib.calibrate.report import CameraReport

@@ -41,8 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _read_board(options: argparse.Namespace) -> Board:
     """Return the board that --board and --square name."""
-    from omnistereo_lib.calibrate.board import Checkerboard
     from omnistereo_lib.calibrate.captures import load_board
+    from omnistereo_lib.calibrate.checkerboard import Checkerboard
 
     if Path(options.board).suffix in (".yaml", ".yml"):
         if options.square is not None:

@@ -8,15 +8,9 @@ from boards import BOARD, CENTER, LENSES, SIZE
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from omnistereo_lib.calibrate.board import Checkerboard
 from omnistereo_lib.calibrate.captures import load_corners, save_corners
-from omnistereo_lib.calibrate.detect import (
-    detect_views,
-    edge_width,
-    find_corners,
-    refine_corners,
-    suggest_board,
-)
+from omnistereo_lib.calibrate.checkerboard import Checkerboard, edge_width, refine_corners, suggest_board
+from omnistereo_lib.calibrate.detect import detect_views, find_corners
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Pose
 
