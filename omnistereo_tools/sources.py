@@ -59,6 +59,16 @@ class Pictures:
         for key in keys:
             yield read_image(self.files[key], image_size)
 
+    def unreadable(self, keys: Sequence, image_size: tuple[int, int] | None) -> dict[int | str, str]:
+        """Decode some frames; return those that cannot be read, and why."""
+        bad = {}
+        for key in keys:
+            try:
+                read_image(self.files[key], image_size)
+            except OmnistereoError as error:
+                bad[key] = str(error)
+        return bad
+
 
 def open_video(path: Path, image_size: tuple[int, int] | None = None) -> cv2.VideoCapture:
     """Open a video file, of the size (width, height) of its camera; raises an `OmnistereoError` if it is none."""
@@ -104,6 +114,16 @@ class Video:
                 raise OmnistereoError(f"{self.path} ends before frame {key}. Pass --stop {key}, or copy it again.")
             position += 1
             yield cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+
+    def unreadable(self, keys: Sequence[int], image_size: tuple[int, int] | None) -> dict[int, str]:
+        """Decode some frames, in ascending order; return those after its end, which may be earlier than stated."""
+        count = 0
+        try:
+            for _ in self.read(keys, image_size):
+                count += 1
+        except OmnistereoError as error:
+            return dict.fromkeys(keys[count:], str(error))
+        return {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,9 +180,18 @@ class Recording:
 
     def check(self, numbers: Sequence[int], rig: Rig) -> None:
         """Raise an `OmnistereoError` if some frames cannot be read, as far as can be seen without decoding them."""
-        sizes = [None] if len(self.sources) == 1 else rig.image_sizes(len(self.sources))
-        for source, size in zip(self.sources, sizes, strict=True):
+        for source, size in zip(self.sources, self._sizes(rig), strict=True):
             source.check([self.frames[number] for number in numbers], size)
+
+    def unreadable(self, rig: Rig) -> dict[int, str]:
+        """Decode every frame; return the numbers of those that cannot be read, and why."""
+        keys, bad = list(self.frames.values()), {}
+        for source, size in zip(self.sources, self._sizes(rig), strict=True):
+            bad |= source.unreadable(keys, size)
+        return {number: bad[key] for number, key in self.frames.items() if key in bad}
+
+    def _sizes(self, rig: Rig) -> Sequence[tuple[int, int] | None]:
+        return [None] if len(self.sources) == 1 else rig.image_sizes(len(self.sources))
 
     def read(self, numbers: Sequence[int], rig: Rig) -> Iterator[list[NDArray[np.uint8]]]:
         """Yield the images of all cameras of a rig for some frames, in ascending order.
@@ -174,7 +203,6 @@ class Recording:
             for image in self.sources[0].read(keys, None):
                 yield split_image(image, rig, self.sources[0].path)
             return
-        sizes = rig.image_sizes(len(self.sources))
-        read = (source.read(keys, size) for source, size in zip(self.sources, sizes, strict=True))
+        read = (source.read(keys, size) for source, size in zip(self.sources, self._sizes(rig), strict=True))
         for images in zip(*read, strict=True):
             yield list(images)

@@ -51,8 +51,10 @@ class Pose:
                 f"determinant {determinant:.4g}; expected 0 and +1. Check that R is not scaled or mirrored."
             )
         # Keep exact rotations unchanged: the projection would add a rounding error.
-        object.__setattr__(self, "R", nearest if error > 1e-12 else R)
-        object.__setattr__(self, "t", t)
+        R = nearest if error > 1e-12 else R
+        for name, array in (("R", R), ("t", t)):
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
 
     @classmethod
     def identity(cls) -> Pose:

@@ -82,7 +82,7 @@ def project_cells(rig: Rig, rays: Tensor, inverse_depth: Tensor) -> list[Tensor]
     coordinates = []
     for camera, pose in zip(rig.cameras, rig.T_rig_cam, strict=True):
         T_cam_rig = pose.inverse()
-        R, t = (torch.from_numpy(a).float().to(rays.device) for a in (T_cam_rig.R, T_cam_rig.t))
+        R, t = (torch.tensor(a, dtype=torch.float32, device=rays.device) for a in (T_cam_rig.R, T_cam_rig.t))
         uv, visible = camera.project((rays @ R.T)[:, :, None] + inverse_depth * t)
         coordinates.append(torch.where(visible[..., None], uv / 2, torch.nan))  # maps have every second pixel
     return coordinates

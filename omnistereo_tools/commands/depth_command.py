@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,10 +41,11 @@ if TYPE_CHECKING:
 
     from omnistereo_lib.geometry.rig import Rig
     from omnistereo_lib.geometry.sphere import SphereGrid
+    from omnistereo_tools.sources import Recording
 
 # Options of one kind of input; None where they are not given.
 _OF_FRAMES = ("frame", "max_depth", "min_confidence", "mesh", "mesh_faces", "equirectangular", "crops", "all_crops")
-_OF_RECORDINGS = ("start", "stop", "step", "cluster", "depth_format", "video")
+_OF_RECORDINGS = ("start", "stop", "step", "skip_bad", "cluster", "depth_format", "video")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -66,6 +68,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     recording.add_argument("--start", type=int, metavar="N", help="first frame number (default: 0)")
     recording.add_argument("--stop", type=int, metavar="N", help="frame number to stop before (default: the end)")
     recording.add_argument("--step", type=int, metavar="N", help="every N-th frame (default: 1)")
+    recording.add_argument(
+        "--skip-bad", action="store_true", default=None, help="leave out frames that cannot be read; reads all first"
+    )
     recording.add_argument("--cluster", metavar="ADDRESS", help="of a Dask scheduler, to use many machines")
     recording.add_argument("--depth-format", choices=["tiff", "png"], help="float32 (default), or 16 bits")
     recording.add_argument("--video", type=Path, metavar="FILE", help="panorama over depth: .mp4, or browsers' .webm")
@@ -157,6 +162,18 @@ def _choose_grid(options: argparse.Namespace, rig: Rig, images: Sequence[NDArray
     return grid
 
 
+def _skip_bad(recording: Recording, rig: Rig) -> Recording:
+    """Return a recording without the frames that cannot be read; name them."""
+    print(f"reading {len(recording.frames)} frames: a few seconds for a hundred", flush=True)
+    bad = recording.unreadable(rig)
+    for number, why in bad.items():
+        print(f"frame {number} is left out: {why}")
+    frames = {number: key for number, key in recording.frames.items() if number not in bad}
+    if not frames:
+        raise OmnistereoError("no frame is left: none can be read. See above why")
+    return replace(recording, frames=frames)
+
+
 def _run_recording(options: argparse.Namespace) -> None:
     """Estimate depth for all frames that are not done yet, and write the video."""
     from tqdm import tqdm
@@ -176,6 +193,8 @@ def _run_recording(options: argparse.Namespace) -> None:
     for path, names in recording.missing.items():
         some = ", ".join(map(str, names[:8])) + " …" * (len(names) > 8)
         print(f"{path} lacks {len(names)} frames that other cameras have; they are left out: {some}")
+    if options.skip_bad:
+        recording = _skip_bad(recording, rig)
     if options.method is None:
         print(f"method: {VIDEO_METHOD}, which keeps pace; --method {FRAME_METHOD} has lower errors and takes longer")
     if options.min_depth is None:

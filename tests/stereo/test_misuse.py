@@ -173,7 +173,8 @@ def test_costs_that_are_large_stay_finite():
 def test_what_is_frozen_cannot_be_written_into():
     camera = dataclasses.replace(RIG.cameras[0], mask=np.ones((56, 60)))
     found = depth()
-    for array in (camera.poly, camera.inv_poly, camera.mask, found.index, found.confidence):
+    pose = RIG.T_rig_cam[0]
+    for array in (pose.R, pose.t, camera.poly, camera.inv_poly, camera.mask, found.index, found.confidence):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0
 

@@ -151,6 +151,22 @@ def test_resumed_it_is_the_same_and_no_frame_is_computed_again(recorded, done, t
     assert resumed == whole
 
 
+def test_bad_frames_are_named_and_left_out_if_asked(recorded, done, tmp_path, capsys):
+    shutil.copytree(recorded, tmp_path / "copy")
+    torn, other = tmp_path / "copy" / "view3" / "cam3_002.png", tmp_path / "copy" / "view1" / "cam1_005.png"
+    torn.write_bytes(torn.read_bytes()[:-2000])
+    write_image(other, np.zeros((9, 9), np.uint8))
+    command = depth_command(tmp_path / "copy", tmp_path / "out")
+    assert run(*command) == 2
+    capsys.readouterr()
+    assert run(*command, "--skip-bad") == 0
+    said = capsys.readouterr().out
+    assert f"frame 2 is left out: {torn}" in said and f"frame 5 is left out: {other} is 9 × 9 px" in said
+    frames = osl.load_dataset(tmp_path / "out")
+    assert [frame.number for frame in frames] == [1, 3, 4, 6]
+    np.testing.assert_array_equal(frames[1].inverse_depth, osl.load_dataset(done)[2].inverse_depth)
+
+
 def test_by_default_it_keeps_pace_and_says_so(recorded, tmp_path, capsys):
     command = depth_command(recorded, tmp_path / "out")
     del command[command.index("--method") : command.index("--method") + 2]
@@ -286,5 +302,6 @@ def test_a_video_shorter_than_it_says_is_told(tmp_path):
     assert len(list(source.read([1, 4], (64, 48)))) == 2
     with pytest.raises(osl.OmnistereoError, match=r"a.mkv ends before frame 7. Pass --stop 7"):
         list(source.read([1, 7], (64, 48)))
+    assert list(source.unreadable([1, 4, 7, 9], (64, 48))) == [7, 9]
     with pytest.raises(osl.OmnistereoError, match=r"a.mkv is 64 × 48 px; the camera has 48 × 64 px"):
         next(source.read([1], (48, 64)))
