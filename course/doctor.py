@@ -1,11 +1,12 @@
 """Check of the clone: the packages that environment.txt pins, and the data."""
 
 import hashlib
-import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.files import read_data
 from omnistereo_tools.installation import Check, check_machine, check_python, installed_version, print_checks
 
 _ROOT = Path(__file__).resolve().parents[1]
@@ -51,8 +52,8 @@ def _data() -> Iterator[Check]:
         yield False, f"{manifest.name} is missing from data_samples: {fix}"
         return
     try:
-        files = json.loads(manifest.read_text())["files"]
-    except (ValueError, KeyError):
+        files = dict(read_data(manifest)["files"])
+    except (OmnistereoError, LookupError, TypeError, ValueError):
         yield False, f"{manifest.name} is broken: {fix}"
         return
     broken = [name for name, checksum in files.items() if _sha256(manifest.parent / name) != checksum]

@@ -80,9 +80,10 @@ def test_data_that_is_not_what_was_released(healthy, capsys, change):
 
 def test_a_manifest_that_is_missing_or_broken(healthy, capsys):
     manifest = healthy / "data_samples" / "manifest.json"
-    manifest.write_text("{")
-    assert check_clone(short=True) is False
-    assert "manifest.json is broken: git checkout data_samples" in capsys.readouterr().out
+    for content in ("{", "[]", '{"files": 3}', "[" * 100_000):
+        manifest.write_text(content)
+        assert check_clone(short=True) is False
+        assert "manifest.json is broken: git checkout data_samples" in capsys.readouterr().out
     manifest.unlink()
     assert check_clone(short=True) is False
     assert "manifest.json is missing from data_samples: git checkout data_samples" in capsys.readouterr().out
