@@ -98,11 +98,20 @@ class OcamCamera:
             radii = _horner(self.inv_poly, np.linspace(-np.pi / 2, self._max_t, 64))
         if not (np.abs(radii) < 100 * MAX_SIDE).all():
             raise OmnistereoError(f"inv_poly reaches {np.abs(radii).max():.3g} px; expected radii as in an image")
+        if radii.min() > self._reach:
+            raise OmnistereoError(f"inv_poly starts at {radii.min():.3g} px; expected 0 on the optical axis")
 
     @property
     def _A(self) -> NDArray[np.float64]:
         c, d, e = self.affine
         return np.array([[1.0, e], [d, c]])
+
+    @property
+    def _reach(self) -> float:
+        """Return the distance of the farthest corner of the image from the centre, px before A."""
+        width, height = self.image_size
+        corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) - 0.5 - self.center
+        return float(np.linalg.norm(corners @ np.linalg.inv(self._A).T, axis=-1).max())
 
     @property
     def _max_t(self) -> float:
@@ -219,11 +228,9 @@ class OcamCamera:
 
         Raises an `OmnistereoError` if the direct polynomial does not reach as far.
         """
-        width, height = self.image_size
-        corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) - 0.5 - self.center
         t = np.linspace(-np.pi / 2 + 1e-6, self._max_t, 2000)
         radii = _horner(self.inv_poly, t)
-        inside = radii <= np.linalg.norm(corners @ np.linalg.inv(self._A).T, axis=-1).max()
+        inside = radii <= self._reach
         return float(np.abs(self._radius_by_root(t[inside], t[inside][-1]) - radii[inside]).max())
 
     def _radius_by_root(self, t: Array, max_t: float) -> Array:

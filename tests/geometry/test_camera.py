@@ -173,6 +173,8 @@ def test_bad_points_and_polynomials_are_named():
         fit_inverse_polynomial([180.0, 0.0, 1e-3], 220, 2000)
     with pytest.raises(OmnistereoError, match=r"degree 25 has an error of .*expected at most 1e-06 px"):
         fit_inverse_polynomial([-F, 0, 1 / (4 * F)], 350, 20000, tolerance=1e-6)
+    with pytest.raises(OmnistereoError, match=r"inv_poly starts at 4.72e\+03 px; expected 0 on the"):
+        equidistant(inv_poly=[5000.0, 180.0])
 
 
 def test_the_direct_polynomial_ends_where_it_stops_growing():
