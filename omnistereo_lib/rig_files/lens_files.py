@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from omnistereo_lib.consumer_images import NO_DEPTH
-from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.errors import OmnistereoError, check_number
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.rig_files.camera_models import RADII
 from omnistereo_lib.rig_files.fit import fit_camera
@@ -50,7 +50,7 @@ def read_hugin(data: Section, path: Path, max_fov_deg: float | None) -> RigFile:
     if any(data.number(name) for name in "gt" if name in data.values):
         raise OmnistereoError("the lens is sheared (g, t), as scans are; expected 0 and 0. Recalibrate")
     width, height = size = parse_size([data.require("w"), data.require("h")], "w and h")
-    half_view = np.radians(data.number("v") / 2)
+    half_view = np.radians(check_number(data.number("v"), "the field of view v in degrees", 1, 360) / 2)
     parameters = {name: data.number(name) if name in data.values else 0.0 for name in "abc"}
     parameters |= {"f": width / 2 / float(RADII[_HUGIN[kind]](half_view)), "half_side": min(size) / 2}
     for name, shift, side in (("cx", "d", width), ("cy", "e", height)):

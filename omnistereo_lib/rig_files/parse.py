@@ -126,7 +126,8 @@ def parse_floats(values: Any, name: str, count: int | None = None, may_be_nan: b
     "1e-3", which is text in YAML, is accepted, and so are the matrices of OpenCV and ROS, {rows, cols, data}.
     """
     if isinstance(values, dict) and "data" in values:
-        sides = [parse_floats(values[side], f"{side} of {name}", 1)[0] for side in ("rows", "cols") if side in values]
+        stated = {f"{side} of {name}": values[side] for side in ("rows", "cols") if side in values}
+        sides = [check_number(parse_floats(n, side, 1)[0], side, 0, 1000, whole=True) for side, n in stated.items()]
         values, count = values["data"], int(np.prod(sides)) if count is None and len(sides) == 2 else count
     try:
         array = np.asarray(values, np.float64).ravel()

@@ -41,9 +41,10 @@ def test_matrices_of_ros(tmp_path):
     rig = load_rig(dump(tmp_path / "rig.yaml", ros()), "cm")
     np.testing.assert_allclose(rig.T_rig_cam[1].inverse().t, T2 / 100, atol=1e-12)
     follows(rig.cameras[1], kb4)
-    wrong = ros(distortion_coefficients={"rows": 1, "cols": 5, "data": K4})
-    with pytest.raises(OmnistereoError, match="D must be 5 numbers, found 4"):
-        load_rig(dump(tmp_path / "rig.yaml", wrong), "cm")
+    for columns, message in ((5, "D must be 5 numbers, found 4"), (1e300, "cols of D is 1e.300; expected an integer")):
+        wrong = ros(distortion_coefficients={"rows": 1, "cols": columns, "data": K4})
+        with pytest.raises(OmnistereoError, match=message):
+            load_rig(dump(tmp_path / "rig.yaml", wrong), "cm")
 
 
 def test_fisheye_with_skew(tmp_path):
@@ -236,6 +237,7 @@ def test_lenses_of_hugin(tmp_path, kind, radius, suffix):
         ("pano.pto", 'i w8000 h4000 f4 v360 a0 b0 c0 n"a.jpg"\n', "the projection of the lens is 4; .*depth needs two"),
         ("lens.pto", HUGIN.replace("g0", "g0.5"), r"the lens is sheared \(g, t\)"),
         ("lens.ini", "[Camera]\nw=1\n", "lens.ini: not a lens file of Hugin"),
+        ("pano.pto", "i w800 h760 f3 v0\n", "field of view v in degrees is 0.0; expected a number of 1 to 360"),
         ("pano.json", json.dumps({"project": {"globallenses": []}}), "PTGui projects are not read: .*Hugin"),
         ("chunk.xml", "<document><chunk/></document>", "Metashape projects are not read: save the calibration"),
     ],
