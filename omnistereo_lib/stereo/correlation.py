@@ -27,13 +27,13 @@ def volume_sizes(grid: SphereGrid, rig: Rig | None = None) -> list[tuple[int, in
 
     The U-net sees a fixed number of cells around each: the coarser they are, the more of the scene, and the finer, the
     more detail. So a fine grid has two, whose logits are averaged: that of the training, and one of half its own size
-    or less. A grid no finer than the training's has the first alone. Given a rig, the second is no wider than suits its
-    images, see `pixels_per_degree`; in training, one batch holds frames of many.
+    or less. A grid no finer than the training's has the first alone. Given a rig, the second is about as wide as suits
+    its images, see `pixels_per_degree`, or narrower; in training, one batch holds frames of many rigs.
     """
-    coarser = 2 * max(1, round(grid.width / 640))
+    columns = 640.0  # of a grid whose second volume has half as many
     if rig is not None:
-        finest = 360 / 4 * min(camera.image_size[0] / camera.max_fov_deg for camera in rig.cameras)
-        coarser = max(coarser, 2 * math.ceil(grid.width / finest / 2))
+        columns = min(columns, 2 * 360 / 4 * min(camera.image_size[0] / camera.max_fov_deg for camera in rig.cameras))
+    coarser = 2 * max(1, round(grid.width / columns))
     fine = max(grid.width / coarser, LEAST[0]), cells_of(grid.num_spheres)
 
     def size_of(width: float, spheres: float) -> tuple[int, int, int]:

@@ -11,14 +11,7 @@ from torch.nn.functional import grid_sample
 from torch.profiler import ProfilerActivity, profile
 
 import omnistereo_lib as osl
-from omnistereo_lib.stereo.correlation import (
-    _PairProducts,
-    bilinear,
-    correlate,
-    feature_coordinates,
-    pixels_per_degree,
-    volume_sizes,
-)
+from omnistereo_lib.stereo.correlation import _PairProducts, bilinear, correlate, feature_coordinates, volume_sizes
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.volume import cost_volume
 from omnistereo_lib.stereo.volumenet import VolumeNet, local_mean, normalize, resize_logits
@@ -56,13 +49,13 @@ def test_the_sizes_of_the_volumes(grid, sizes):
     assert volume_sizes(osl.SphereGrid(*grid[:2], num_spheres=grid[2])) == sizes
 
 
-def test_no_volume_is_finer_than_the_images_are():
-    grid = osl.SphereGrid(640, 160, num_spheres=192)
-    for width, finest in ((800, (320, 80, 48)), (400, (160, 40, 48))):
-        rig = scene.rig(width=width, height=width)
-        size = volume_sizes(grid, rig)[-1]
-        assert size == finest
-        assert rig.cameras[0].image_size[0] / rig.cameras[0].max_fov_deg >= pixels_per_degree(size)
+@pytest.mark.parametrize(
+    ("columns", "pixels", "finer"),
+    [(640, 800, (320, 80, 48)), (704, 800, (352, 88, 48)), (640, 400, (160, 40, 48)), (320, 100, (160, 40, 48))],
+)
+def test_the_finer_volume_suits_the_images(columns, pixels, finer):
+    grid = osl.SphereGrid(columns, columns // 4, num_spheres=192)
+    assert volume_sizes(grid, scene.rig(width=pixels, height=pixels)) == [(160, 40, 32), finer]
 
 
 def test_the_features_of_a_cell_are_interpolated(small):
