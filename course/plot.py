@@ -192,7 +192,8 @@ def explore(depth: Depth, images: Sequence[ArrayLike], max_depth: float, min_con
     from ipywidgets import HTML
 
     panorama = sharp_panorama(depth, images, SHARP_PX)
-    data = viewer_data(depth, panorama, Limits(max_depth, min_confidence), "Drag to turn and tilt", mode="points")
+    limits = Limits(max_depth, min_confidence)
+    data = viewer_data(depth, panorama, limits, "Drag to turn and tilt", mode="points", images=images)
     if stills.recording():
         return stills.record_view(data)
     page = html.escape(page_of(data))

@@ -106,7 +106,15 @@ class FrameResult:
         save_figure(path, figure)
 
     def _write_page(self, path: Path) -> None:
-        page = viewer_page(self.depth, self.panorama, self.limits, self.title, trust=self.trust, gt_index=self.gt_index)
+        page = viewer_page(
+            self.depth,
+            self.panorama,
+            self.limits,
+            self.title,
+            trust=self.trust,
+            gt_index=self.gt_index,
+            images=self.images,
+        )
         with atomic_write(path) as temporary:
             temporary.write_text(page, encoding="utf-8")
 

@@ -1,6 +1,7 @@
 """The viewer in a real browser, without any network: what it says is the depth."""
 
 import re
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -129,6 +130,103 @@ def test_a_surface_of_points_has_no_gaps(depth, open_page, tmp_path):
     assert len(covered) > 1000 and np.mean(covered) > 0.97
 
 
+@pytest.mark.parametrize("touch", [False, True], ids=["mouse", "touch"])
+def test_it_shows_where_the_cameras_see_a_ray(depth, open_page, tmp_path, touch):
+    rig = depth.sweep.rig
+    mask = np.ones((192, 200), bool)
+    mask[:, :100] = False
+    rig = replace(rig, cameras=(replace(rig.cameras[0], mask=mask), *rig.cameras[1:]))
+    images = [np.full((192, 200), 90, np.uint8)] * 4
+    depth = replace(depth, sweep=SphereSweep(rig, GRID))
+    truth = depth.index + 5.0
+    panorama = np.zeros((80, 320, 3), np.uint8)
+    data = viewer_data(depth, panorama, Limits(50.0, 0.0), "rays", gt_index=truth, images=images)
+    page = opened(open_page, tmp_path, page_of(data), has_touch=touch)
+    for index, layer in ((depth.index, "steps"), (truth, "truth")):
+        found = page.evaluate(f"D.cameras.map(c => [...steps.keys()].map(k => pixelOf(c, k, {layer})))")
+        for camera, at in enumerate(found):
+            pixels, valid = depth.sweep.project_sphere(camera, index)
+            seen = np.array([pixel is not None for pixel in at])
+            assert (seen != valid.ravel()).mean() < 0.01  # along the rim
+            both = seen & valid.ravel()
+            assert both.sum() > 500
+            shown = np.array([pixel for pixel, keep in zip(at, both, strict=True) if keep])
+            np.testing.assert_allclose(shown, pixels.reshape(-1, 2)[both], atol=0.15)  # the depth is rounded
+    box = page.locator("#view").bounding_box()
+    press = page.touchscreen.tap if touch else page.mouse.click
+    row, column = 22, 74
+    x, y = page.evaluate("ray => placeOf(ray)", point_of(depth, row, column).tolist())
+    press(box["x"] + x / 1120 * box["width"], box["y"] + y / 630 * box["height"])
+    captions = page.locator("#fisheyes figcaption").all_inner_texts()
+    for camera, caption in enumerate(captions):
+        pixels, valid = depth.sweep.project_sphere(camera, depth.index)
+        place = "sees it at {:.0f}, {:.0f}".format(*pixels[row, column]) if valid[row, column] else "does not see it"
+        assert caption == f"camera {camera + 1} {place}"
+        u, v = (pixels[row, column] + 0.5) * 240 / 200
+        yellow = page.evaluate(
+            "([i, u, v]) => [...fisheyes[i].canvas.getContext('2d').getImageData(u, v, 1, 1).data]",
+            [camera, round(u + 10), round(v - 0.5)],
+        )
+        assert (yellow[:3] == [255, 255, 0]) == valid[row, column]
+    assert {caption.endswith("does not see it") for caption in captions} == {True, False} and page.complaints == []
+
+
+def test_surfaces_have_the_picture_on_them_and_no_gaps(depth, open_page, tmp_path):
+    rows, columns = np.indices((80, 320))
+    panorama = np.stack([columns * 255 // 320, rows * 255 // 80, np.full_like(rows, 128)], -1).astype(np.uint8)
+    data = viewer_data(depth, panorama, Limits(50.0, 0.0), "surfaces")
+    page = opened(open_page, tmp_path, page_of(data))
+    page.check("input[value=surfaces]")
+    page.wait_for_selector("body[data-drawn=surfaces]")
+    for distance in (1e-3, 0.2):  # from the rig, where nothing is hidden, and from behind it
+        page.evaluate(f"Object.assign(view, {{ turn: 3, tilt: 0, distance: {distance} }}); drawSurfaces()")
+        found = page.evaluate("""() => points.cells.map((k, i) => {
+            const [x, y] = placeOf(pointOf(k))?.map(Math.floor) ?? [-1, -1], place = y * W + x
+            return x < 0 || y < 0 || x >= W || y >= H ? [] : [k, owner[place], pixels[place]]
+        }).filter(seen => seen.length)""")
+        cells, owners, colors = np.array(found).T
+        assert len(cells) > 400
+        across = np.abs((owners - cells + 80) % 160 - 80)  # around the seam
+        same = (owners >= 0) & (across + np.abs(owners // 160 - cells // 160) <= 2)
+        assert same.mean() > (0.97 if distance < 0.1 else 0.8)
+        red, green = colors & 255, colors >> 8 & 255
+        inner = same & (cells // 160 > 1) & (cells // 160 < 38) & (cells % 160 > 1) & (cells % 160 < 158)
+        far_red = np.abs(red - (cells % 160 + 0.5) / 160 * 255)[inner]
+        far_green = np.abs(green - (cells // 160 + 0.5) / 40 * 255)[inner]
+        assert np.percentile(far_red, 97) < 8 and np.percentile(far_green, 97) < 8
+
+
+@pytest.mark.parametrize("touch", [False, True], ids=["mouse", "touch"])
+def test_it_flies_through_until_it_is_touched(depth, open_page, tmp_path, touch):
+    data = viewer_data(depth, np.zeros((80, 320, 3), np.uint8), Limits(50.0, 0.0), "flight")
+    page = opened(open_page, tmp_path, page_of(data), has_touch=touch)
+    (page.locator("#fly").tap if touch else page.locator("#fly").click)()
+    page.wait_for_function("view.turn > 0.1")
+    assert page.inner_text("#fly") == "stop" and page.is_checked("input[value=surfaces]")
+    box = page.locator("#view").bounding_box()
+    (page.touchscreen.tap if touch else page.mouse.click)(box["x"] + 40, box["y"] + 40)
+    page.wait_for_function("!flight")
+    assert page.inner_text("#fly") == "fly through"
+    turn = page.evaluate("view.turn")
+    page.wait_for_timeout(200)
+    assert page.evaluate("view.turn") == turn < 6
+    page.evaluate("flyTo(1)")  # it ends where it began
+    assert page.evaluate("Math.cos(view.turn) > 0.999 && view.tilt < 1e-6 && view.distance < start.distance / 10")
+    assert page.complaints == []
+
+
+def test_who_wants_no_motion_flies_in_single_steps(depth, open_page, tmp_path):
+    data = viewer_data(depth, np.zeros((80, 320, 3), np.uint8), Limits(50.0, 0.0), "calm")
+    page = opened(open_page, tmp_path, page_of(data), reduced_motion="reduce")
+    turns = []
+    for _ in range(3):
+        page.click("#fly")
+        page.wait_for_timeout(100)
+        turns += [page.evaluate("view.turn"), page.evaluate("view.turn")]
+    np.testing.assert_allclose(turns, 2 * np.pi / 6 * np.repeat([1, 2, 3], 2))
+    assert page.inner_text("#fly") == "fly through"
+
+
 @pytest.mark.parametrize(("scheme", "gray"), [("light", 0xFA), ("dark", 0x20)])
 def test_it_is_light_or_dark_as_the_reader_wants(depth, open_page, tmp_path, scheme, gray):
     page_text = viewer_page(depth, np.zeros((80, 320, 3), np.uint8), Limits(50.0, 0.0), "theme")
@@ -142,13 +240,13 @@ def test_it_is_light_or_dark_as_the_reader_wants(depth, open_page, tmp_path, sch
 def test_what_is_doubtful_is_told_and_faded_and_a_slider_hides_it(depth, open_page, tmp_path):
     trust = np.full(GRID.shape, 0.9)
     trust[:, 60:100] = 0.2  # ahead
-    panorama = np.full((80, 320, 3), 200, np.uint8)
+    panorama = np.full((80, 320, 3), 90, np.uint8)
     page = opened(open_page, tmp_path, viewer_page(depth, panorama, Limits(50.0, 0.0), "doubts", trust=trust))
     box = page.locator("#view").bounding_box()
     page.mouse.move(box["x"] + box["width"] / 2 + 2, box["y"] + box["height"] / 2 + 2)
     assert page.inner_text("#readout").endswith("m, confidence 0.75, doubtful")
     colors = page.evaluate("[points.color[points.cells.indexOf(80)], points.color[points.cells.indexOf(20)]]")
-    assert abs(colors[0] % 256 - 200) > 12 > 6 > abs(colors[1] % 256 - 200)  # towards the background, bright or dark
+    assert abs(colors[0] % 256 - 90) > 12 > 6 > abs(colors[1] % 256 - 90)  # towards the background, bright or dark
     page.check("input[value=points]")
     page.wait_for_selector("body[data-drawn=points]")
     cells = "new Set(owner).size"
