@@ -72,15 +72,22 @@ def show(fig: Figure, name: str) -> None:
     Raises:
         KeyError: If captions.yaml has no such entry.
     """
-    import matplotlib.pyplot as plt
     from IPython.display import display
 
     caption, alt, kind = (captions()[name][key] for key in ("caption", "alt", "kind"))
+    show_picture(fig, alt, kind)
+    display(caption_output(caption), raw=True)
+
+
+def show_picture(fig: Figure, alt: str, kind: str = "png") -> None:
+    """Show a figure with its alternative text, and close it; `kind` as in `show`."""
+    import matplotlib.pyplot as plt
+    from IPython import display
+
     mime = f"image/{kind}"
     picture = base64.b64encode(encode(fig, kind)).decode()
     plt.close(fig)
-    display({mime: picture, "text/plain": alt}, metadata={mime: {"alt": alt}}, raw=True)
-    display(caption_output(caption), raw=True)
+    display.display({mime: picture, "text/plain": alt}, metadata={mime: {"alt": alt}}, raw=True)
 
 
 def caption_output(caption: str) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""The generated parts of the README: its image and its table of notebooks. `python -m course readme`."""
+"""The generated parts of the README: its table, its picture, its animation, its viewer. `python -m course readme`."""
 
 from __future__ import annotations
 
@@ -21,17 +21,20 @@ from course import nbtools
 from course.plot import DEPTH_COLORS
 from course.view3d import draw_mesh
 from omnistereo_lib.stereo.depth import Depth
+from omnistereo_tools import cli
 from omnistereo_tools.mesh_export import write_mesh
 from omnistereo_tools.pictures import colorize_depth
 from omnistereo_tools.points import Limits
+from omnistereo_tools.viewer import data_of, page_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 README = nbtools.ROOT / "README.md"
 TABLE = re.compile(r"(?<=<!-- notebooks -->\n).*(?=<!-- /notebooks -->)", re.DOTALL)
-PICTURE = nbtools.NOTEBOOKS / "omnistereo.jpg"
+PICTURE = nbtools.NOTEBOOKS / "omnistereo.webp"
 SWEEP = nbtools.NOTEBOOKS / "sweep.webp"
+STREET = nbtools.ROOT / "book" / "street.html"
 WIDTH_PX, DPI = 1600, 100
 FRAME = 831
 SAME = 0.2  # gray levels, mean difference: 0.03 with another number of threads, 9 with another method
@@ -41,7 +44,7 @@ STEPS, STEP_MS = 32, 130
 
 
 def main() -> None:
-    """Update the table, the picture and the animation."""
+    """Update the table, the picture, the animation and the viewer."""
     nbtools.store(README, with_table(README.read_text(encoding="utf-8"), nbtools.notebooks()))
     data = osl.load_dataset(nbtools.ROOT / "data_samples" / "sunny", split="test")
     frame = data.frame(FRAME)
@@ -49,9 +52,15 @@ def main() -> None:
     depth = osl.estimate_depth(data.rig, frame.images, grid, method="volumenet")
     drawn = io.BytesIO()
     fig = picture(depth, frame.images)
-    fig.savefig(drawn, format="jpeg", dpi=DPI, facecolor="white", pil_kwargs={"quality": 85, "optimize": True})
+    fig.savefig(drawn, format="webp", dpi=DPI, facecolor="white", pil_kwargs={"quality": 75, "method": 6})
     if renew(PICTURE, drawn.getvalue()):
         SWEEP.write_bytes(animation(depth, frame.images))
+        with tempfile.TemporaryDirectory() as folder:
+            cli.main(["depth", "--out", folder])
+            page = Path(folder, "index.html").read_text(encoding="utf-8")
+    else:  # the same depth on the page as it is now
+        page = page_of(data_of(STREET.read_text(encoding="utf-8")))
+    nbtools.store(STREET, page)
 
 
 def readme_table(paths: list[Path]) -> str:
@@ -158,7 +167,7 @@ def animation(depth: Depth, images: Sequence[NDArray]) -> bytes:
         frames.append(Image.fromarray(np.concatenate([mean, passed])))
     written = io.BytesIO()
     times = [STEP_MS] * (STEPS - 1) + [2500]  # the last one stays
-    frames[0].save(written, "webp", save_all=True, append_images=frames[1:], duration=times, loop=0, quality=35)
+    frames[0].save(written, "webp", save_all=True, append_images=frames[1:], duration=times, loop=0, quality=30)
     return written.getvalue()
 
 

@@ -21,7 +21,7 @@ import omnistereo_lib as osl
 from course import nbtools, stills
 from course.dark_mode import picture
 from course.figures import draw_figures
-from course.readme import readme_table
+from course.readme import STREET, readme_table
 from course.teaching import stuck, written
 
 BOOK = nbtools.ROOT / "book"
@@ -56,6 +56,8 @@ def assemble(source: Path, extra: Path) -> None:
         "written": written(),
     } | stuck()
     draw_figures(source)
+    extra.mkdir()
+    shutil.copy(STREET, extra)
     shutil.copytree(nbtools.NOTEBOOKS, source / "notebooks", ignore=shutil.ignore_patterns(".*"))
     for page in BOOK.glob("*.md"):
         text = page.read_text(encoding="utf-8")

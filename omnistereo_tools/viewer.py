@@ -36,6 +36,11 @@ def page_of(data: dict[str, Any]) -> str:
     return _PAGE.read_text(encoding="utf-8").replace("{{DATA}}", json.dumps(data).replace("<", "\\u003c"))
 
 
+def data_of(page: str) -> dict[str, Any]:
+    """Return what a page shows: `page_of` reversed."""
+    return json.loads(page.partition('id="data">')[2].partition("</script>")[0])
+
+
 def viewer_data(
     depth: Depth,
     panorama: NDArray[np.uint8],
@@ -86,7 +91,7 @@ def viewer_data(
         "colors": _base64(scale.bar(256)),
         "maxDepth": min(limits.max_depth, 1e9),
         "minConfidence": limits.min_confidence,
-        "picture": _webp(_narrow(panorama)[..., ::-1], 80),
+        "picture": _webp(_narrow(panorama)[..., ::-1], 75),
         "cameras": [_camera(depth.sweep.rig, i, image) for i, image in enumerate(images)],
     }
 
@@ -118,7 +123,7 @@ def _camera(rig: Rig, number: int, image: ArrayLike) -> dict[str, Any]:
         "center": list(camera.center),
         "maxAngle": np.radians(camera.max_fov_deg / 2) - np.pi / 2,
         "scale": scale,
-        "image": _webp(small, 75),
+        "image": _webp(small, 60),
     }
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from course.exercises import beside
 from course.exercises.compare import Rng
 from course.exercises.opened import Open
 
@@ -157,4 +158,5 @@ check_stitched = Open(
         (lambda w: stitched(w).mean(axis=-1), "each colour keeps its own mean: (H, W, 3)"),
         (lambda w: np.nanmean(w, axis=(1, 2)), "the cameras are the first axis"),
     ],
+    picture=lambda: (beside.warped(),),
 )

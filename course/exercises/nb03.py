@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from course.exercises import beside
 from course.exercises.compare import Answer, Array, Rng
 from course.exercises.opened import Open
 from omnistereo_lib.geometry.camera import OcamCamera
@@ -161,6 +162,7 @@ check_look_up = Open(
         (lambda *inputs: np.nan_to_num(look_up(*inputs)), "what a camera does not see is NaN: it is not black"),
         (lambda *inputs: np.rint(look_up(*inputs)), "a mean of gray values is not an integer: compute with floats"),
     ],
+    picture=lambda: (beside.image(), beside.pixels()),
 )
 
 
@@ -200,4 +202,5 @@ check_disagreement = Open(
         (lambda w: np.nanstd(w, axis=(1, 2)), "the cameras are the first axis: compare them at each ray"),
         (lambda w: np.nanmean(disagreement(w)), "that is one number: each ray has its own"),
     ],
+    picture=lambda: (beside.gray(),),
 )

@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 
+from course.exercises import beside
 from course.exercises.compare import Array, Rng
 from course.exercises.opened import Open
 
@@ -79,6 +80,7 @@ check_window_sums = Open(
         (lambda image, r: np.roll(window_sums(image, r), r, 1), "the columns are off: cut `radius` off on both sides"),
         (lambda image, r: window_sums(image.T, r).T, "rows and columns are swapped: columns wrap"),
     ],
+    picture=lambda: (np.nan_to_num(beside.gray()[0]), 3),
 )
 
 
@@ -128,6 +130,7 @@ check_zncc_costs = Open(
         (lambda a, b, r: zncc_costs(a, b, 4), "the radius is an argument: do not write 4"),
         (lambda a, b, r: zncc_costs(a, b, r)[np.isfinite(a + b)], "return the whole map, with NaN where not both see"),
     ],
+    picture=lambda: (*beside.gray()[:2], 4),
 )
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from course.exercises import beside
 from course.exercises.compare import Answer, Array, Rng
 from course.exercises.opened import Open
 
@@ -86,6 +87,7 @@ check_depth_regions = Open(
         (lambda gt, N: depth_regions(gt, N) - 1, "count from 0, for the sky, to 3"),
         (lambda gt, N: np.bincount(depth_regions(gt, N)[np.isfinite(gt)].astype(int)), "that counts them: label each"),
     ],
+    picture=beside.truth,
 )
 
 

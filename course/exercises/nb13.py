@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from course.exercises import beside
 from course.exercises.compare import Answer, Array, Rng
 from course.exercises.nb03 import look_up
 from course.exercises.nb04 import mean_of_pairs, zncc_costs
@@ -101,6 +102,7 @@ check_warp = Open(
         (lambda im, c, T, p: project(c, (p - T.t) @ T.R), "those are the pixels: look the image up there"),
         (lambda *inputs: np.nan_to_num(warp(*inputs)), "what a camera does not see is NaN: it is not black"),
     ],
+    picture=beside.view,
 )
 
 

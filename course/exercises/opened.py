@@ -23,6 +23,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from course.exercises import beside
 from course.exercises.compare import CASES, NOT_WRITTEN, RIGHT, Answer, Case, Rng, by, diagnose
 
 __all__ = ["NOT_WRITTEN", "RIGHT", "Open"]
@@ -37,12 +38,18 @@ class Open:
         answer: The right function. Its source is the solution that the notebook shows.
         draw: Draws the inputs of case number k, a tuple.
         mistakes: The usual ones: functions like the answer, each with the sentence that names the mistake.
+        picture: Draws inputs of which the answer makes a panorama, (H, W) or (H, W, 3), where seeing it says more than
+            the sentence: a wrong function's picture is shown beside the right one.
     """
 
     def __init__(
-        self, answer: Answer, draw: Callable[[Rng, int], tuple], mistakes: Sequence[tuple[Answer, str]]
+        self,
+        answer: Answer,
+        draw: Callable[[Rng, int], tuple],
+        mistakes: Sequence[tuple[Answer, str]],
+        picture: Callable[[], tuple] | None = None,
     ) -> None:
-        self.answer, self.draw, self.mistakes = answer, draw, mistakes
+        self.answer, self.draw, self.mistakes, self.picture = answer, draw, mistakes, picture
         self.name = answer.__name__
         self.source = inspect.getsource(answer).rstrip()
         self.solved, self.failures = False, 0  # since the kernel was started
@@ -78,6 +85,8 @@ class Open:
         self.failures += 1
         hint = f" Hint: {self.hint()}." if self.failures > 1 else ""
         print(f"{_RED}✗{_PLAIN} {self.name}: {said}.{hint} The notebook goes on with the solution.")
+        if self.picture:
+            beside.show(function, self.answer, self.picture())
         return self.answer
 
     def hint(self) -> str:

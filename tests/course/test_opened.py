@@ -4,12 +4,15 @@ The notebooks themselves show that the answers agree with the library, and nbval
 """
 
 import ast
+import base64
 import io
 import itertools
 from contextlib import redirect_stdout, suppress
+from unittest.mock import patch
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from course import exercises, nbtools, solve
 from course.exercises.opened import NOT_WRITTEN, RIGHT, Open
@@ -43,7 +46,7 @@ def test_a_mistake_is_named(function, mistake, hint):
 
 def said(check, function):
     """What a check cell prints, and what the notebook goes on with."""
-    with redirect_stdout(io.StringIO()) as printed:
+    with redirect_stdout(io.StringIO()) as printed, patch("IPython.display.display"):
         used = check(function)
     assert printed.getvalue().count("\n") == 1
     return printed.getvalue(), used
@@ -126,6 +129,36 @@ def test_answers_written_into_the_notebook_are_right_there(number):
     for function in exercises.functions(number):
         mine = namespace[function.name]
         assert mine is not function.answer and said(function, mine)[1] is mine
+
+
+PICTURED = [pytest.param(*function.values, id=function.id) for function in FUNCTIONS if function.values[1].picture]
+
+
+@pytest.mark.parametrize(("number", "function"), PICTURED)
+def test_a_wrong_picture_is_shown_above_the_right_one(number, function):
+    right = np.asarray(function.answer(*function.picture()), np.float64)
+    assert right.shape[:2] == (80, 320) and np.isfinite(right).mean() > 0.3
+
+    def mirrored(*inputs):
+        return function.answer(*inputs)[:, ::-1]
+
+    with redirect_stdout(io.StringIO()), patch("IPython.display.display") as display:
+        function(mirrored)
+    ((shown,), how) = display.call_args
+    assert how["metadata"]["image/png"]["alt"] == shown["text/plain"] and function.name in shown["text/plain"]
+    drawn = np.asarray(Image.open(io.BytesIO(base64.b64decode(shown["image/png"]))).convert("L"), np.float64)
+    yours, beside = (half[:, ::-1] if k == 0 else half for k, half in enumerate(np.array_split(drawn, 2)))
+    middle = np.s_[yours.shape[0] // 3 : -yours.shape[0] // 4, 20:-20]  # without titles and edges
+    assert np.corrcoef(yours[middle].ravel(), beside[: len(yours)][middle].ravel())[0, 1] > 0.5
+
+
+def test_nothing_is_drawn_where_a_picture_says_nothing():
+    function = next(check for check in exercises.functions("03") if check.picture)
+    wrong = (lambda *_: 1 / 0, lambda *_: 0.0, lambda *_: None, lambda *inputs: function.answer(*inputs) + 1e-4)
+    with redirect_stdout(io.StringIO()), patch("IPython.display.display") as display:
+        for mistake in wrong:
+            function(mistake)
+    assert not display.called
 
 
 def test_a_check_counts_what_is_right_in_its_notebook_and_gives_a_hint(monkeypatch):

@@ -1,0 +1,95 @@
+"""The student's picture beside the right one: what a mistake does to a street.
+
+The inputs below are for `Open(..., picture=...)`: panoramas of the sample frame, 320 × 80, so that a check stays quick.
+"""
+
+import copy
+import warnings
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import omnistereo_lib as osl
+from omnistereo_lib.dataset import Frame
+
+_SPHERE = 20  # of 64: the white car is in focus
+
+
+def show(function: Callable[..., Any], answer: Callable[..., Any], inputs: tuple) -> None:
+    """Show what a function and the right one make of the same inputs, on one colour scale; NaN is gray.
+
+    Nothing is shown of a function that stops, whose picture has another shape, or that looks right here.
+    """
+    import matplotlib.pyplot as plt
+
+    from course.plot import show_picture
+
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            yours = np.asarray(function(*copy.deepcopy(inputs)), np.float64)
+        except (Exception, SystemExit):  # the sentence above has said it
+            return
+        right = np.asarray(answer(*inputs), np.float64)
+    if yours.shape != right.shape or np.allclose(yours, right, rtol=1e-2, equal_nan=True):
+        return
+    low, high = np.nanmin(right), np.nanmax(right)
+    fig, axes = plt.subplots(2, figsize=(8, 4.6), layout="constrained")
+    for ax, image, title in zip(axes, (yours, right), ("yours", "right"), strict=True):
+        known = np.isfinite(image)
+        ax.set_facecolor("0.73")
+        if image.ndim == 3:
+            image = np.where(known, image, 185).clip(0, 255).astype(np.uint8)
+        ax.imshow(image, cmap="gray", vmin=low, vmax=high, interpolation="nearest")
+        ax.set_title(title, loc="left", fontsize=10)
+        ax.set_xticks([])
+        ax.set_yticks([])
+    name = answer.__name__
+    show_picture(fig, f"Two panoramas of a street: what your {name} makes of it, and below it what the right one makes")
+
+
+@cache
+def _street() -> tuple[Frame, osl.SphereSweep]:
+    folder = Path(__file__).resolve().parents[2] / "data_samples" / "sunny"
+    data = osl.load_dataset(folder, split="test")
+    grid = osl.SphereGrid(320, 80, phi_deg=(-45, 45), num_spheres=64, min_depth=data.rig.min_depth)
+    return data.frame(831), osl.SphereSweep(data.rig, grid)
+
+
+def warped() -> NDArray[np.float64]:
+    """Return the four images on one sphere, in colours, (4, H, W, 3), NaN where a camera sees nothing."""
+    frame, sweep = _street()
+    return np.stack(sweep.warp(frame.images, _SPHERE)).astype(np.float64)
+
+
+def gray() -> NDArray[np.float64]:
+    """Return the same in gray, (4, H, W)."""
+    return warped().mean(axis=-1)
+
+
+def image() -> NDArray[np.float64]:
+    """Return the image of the first camera in gray."""
+    return np.mean(_street()[0].images[0], axis=-1)
+
+
+def pixels() -> NDArray[np.float64]:
+    """Return where the first camera sees the rays of the panorama on one sphere, (H, W, 2), NaN where it does not."""
+    uv, visible = _street()[1].project_sphere(0, _SPHERE)
+    return np.where(visible[..., None], uv, np.nan)
+
+
+def view() -> tuple:
+    """Return the first camera: its image, the camera, its pose, and the points of one sphere (H, W, 3)."""
+    _, sweep = _street()
+    points = sweep.grid.rays() * float(sweep.grid.index_to_depth(_SPHERE))
+    return image(), sweep.rig.cameras[0], sweep.rig.T_rig_cam[0], points
+
+
+def truth() -> tuple:
+    """Return the exact sphere indices of the street (H, W), and the number of spheres."""
+    frame, sweep = _street()
+    return frame.gt_index(sweep.grid), sweep.grid.num_spheres
