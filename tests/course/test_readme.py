@@ -48,10 +48,10 @@ def test_its_viewer_is_what_omnistereo_depth_writes():
     page = readme.STREET.read_text(encoding="utf-8")
     data = viewer.data_of(page)
     assert viewer.page_of(data) == page, "python -m course readme"
-    sample = osl.load_dataset("data_samples/sunny", split="test")
+    sample = osl.load_dataset("omnistereo_lib/sample")
     grid = osl.SphereGrid(640, 320, phi_deg=(-90, 90), num_spheres=192, min_depth=sample.rig.min_depth)
     assert data["title"] == "volumenet: 4 cameras, 640 × 320 rays, 192 spheres"
-    exact = sample.frame(readme.FRAME).gt_index(grid)
+    exact = sample[0].gt_index(grid)
     estimate, truth = (grid.inverse_depth_to_index(inverse_depth(data, name)) for name in ("steps", "truth"))
     np.testing.assert_allclose(truth, exact, atol=0.01)
     assert np.nanmean(np.abs(estimate - exact)) * 100 / 192 < 1.3  # percent, as `make depth` prints
