@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import io
+import json
 import re
 import tempfile
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -25,7 +26,7 @@ from omnistereo_tools import cli
 from omnistereo_tools.mesh_export import write_mesh
 from omnistereo_tools.pictures import colorize_depth
 from omnistereo_tools.points import Limits
-from omnistereo_tools.viewer import data_of, page_of
+from omnistereo_tools.viewer import page_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -61,6 +62,11 @@ def main() -> None:
     else:  # the same depth on the page as it is now
         page = page_of(data_of(STREET.read_text(encoding="utf-8")))
     nbtools.store(STREET, page)
+
+
+def data_of(page: str) -> dict[str, Any]:
+    """Return what a page of the viewer shows: `page_of` reversed."""
+    return json.loads(page.partition('id="data">')[2].partition("</script>")[0])
 
 
 def readme_table(paths: list[Path]) -> str:

@@ -36,11 +36,6 @@ def page_of(data: dict[str, Any]) -> str:
     return _PAGE.read_text(encoding="utf-8").replace("{{DATA}}", json.dumps(data).replace("<", "\\u003c"))
 
 
-def data_of(page: str) -> dict[str, Any]:
-    """Return what a page shows: `page_of` reversed."""
-    return json.loads(page.partition('id="data">')[2].partition("</script>")[0])
-
-
 def viewer_data(
     depth: Depth,
     panorama: NDArray[np.uint8],

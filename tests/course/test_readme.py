@@ -46,7 +46,7 @@ def test_the_picture_is_written_only_when_it_shows_something_else(tmp_path):
 
 def test_its_viewer_is_what_omnistereo_depth_writes():
     page = readme.STREET.read_text(encoding="utf-8")
-    data = viewer.data_of(page)
+    data = readme.data_of(page)
     assert viewer.page_of(data) == page, "python -m course readme"
     sample = osl.load_dataset("omnistereo_lib/sample")
     grid = osl.SphereGrid(640, 320, phi_deg=(-90, 90), num_spheres=192, min_depth=sample.rig.min_depth)
