@@ -69,6 +69,8 @@ class RigCheck:
         mistake, cost = self.mistake, self.given.cost
         if mistake is not None:
             change = f"the median matching cost would fall from {mistake.given_cost:.3f} to {mistake.cost:.3f}"
+            if mistake in self.rotated and mistake.cost > _FITS:  # the right rotation would fit
+                return f"{mistake.name}, or its image is of another moment: {change}, where below 0.1 fits. Check both"
             return f"{mistake.name}: {change}. Fix the file and check again"
         if not self.fits:
             return (

@@ -118,6 +118,14 @@ def test_one_camera_rotated_by_6_degrees_is_named(world, axis):
     assert check.summary().startswith(f"camera {camera + 1} looks rotated by about ")
 
 
+@pytest.mark.parametrize(("cost", "end"), [(0.02, "Fix the file and check again"), (0.24, "Check both")])
+def test_a_rotation_that_leaves_much_cost_may_be_another_moment(cost, end):
+    hypotheses = [RigHypothesis(name, *costs) for name, *costs in (("as given", 0.28, 0.28), ("other", 0.27, 0.28))]
+    rotated = RigHypothesis("camera 4 looks rotated by about 7.8°", cost, 0.284)
+    summary = RigCheck(hypotheses[0], hypotheses[1:], [rotated]).summary()
+    assert summary.endswith(end) and ("or its image is of another moment" in summary) is (cost > 0.1)
+
+
 def test_one_camera_of_the_sample_rotated_by_2_degrees_is_named():
     data = osl.load_dataset(SAMPLE)
     grid = osl.SphereGrid(240, 60, (-45, 45), 16, data.rig.min_depth)
