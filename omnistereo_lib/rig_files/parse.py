@@ -176,7 +176,7 @@ def metres_per_unit(unit: str | None, positions: NDArray[np.float64]) -> float:
     low, high = distances.min(initial=np.inf), distances.max(initial=0.0)
     meanings = ", ".join(f'unit="{name}": {low * m:.4g} to {high * m:.4g} m' for name, m in METRES_PER_UNIT.items())
     raise OmnistereoError(
-        f"the file does not state its unit. Pass it; the distances between the cameras would be {meanings}"
+        f"the file does not state its unit. Pass it (--unit); the distances between the cameras would be {meanings}"
     )
 
 

@@ -72,6 +72,7 @@ def _check_rig(options: argparse.Namespace) -> int:
         save_figure(options.coverage, coverage.figure())
     status = _check_images(options, rig, images) if has_images else 0
     if not has_images:
+        _warn_of_doubts(rig, grid.min_depth)
         print("With --images the poses are checked, too.")
     if status == 0:
         print(f"{coverage.left_out(grid)} Ready to run:\n{_depth_command(options, grid)}")
@@ -106,11 +107,9 @@ def _depth_command(options: argparse.Namespace, grid: SphereGrid) -> str:
 
 def _check_images(options: argparse.Namespace, rig: Rig, images: Sequence[NDArray[np.uint8]]) -> int:
     """Check a rig against its images; return 1 if it is wrong."""
-    import warnings
-
     from tqdm import tqdm
 
-    from omnistereo_tools.doubts import rig_doubts, same_pictures
+    from omnistereo_tools.doubts import same_pictures
     from omnistereo_tools.rig_check import check_rig
 
     if same := same_pictures(images):
@@ -120,14 +119,22 @@ def _check_images(options: argparse.Namespace, rig: Rig, images: Sequence[NDArra
     stated = (options.min_depth, rig.min_depth, _NEAR)
     fixed = argparse.Namespace(**vars(options) | {"min_depth": next(depth for depth in stated if depth is not None)})
     grid = make_grid(fixed, rig)
-    for doubt in rig_doubts(rig, grid.min_depth):
-        warnings.warn(doubt, stacklevel=2)
+    _warn_of_doubts(rig, grid.min_depth)
     print("Trying the usual mistakes takes about 20 s:", flush=True)
     check = check_rig(rig, images, grid, lambda tried: tqdm(tried, "check", leave=False))
     for hypothesis in (check.given, *check.alternatives[:3]):
         print(f"{hypothesis.cost:.3f}  {hypothesis.name}")
     print(f"{'OK  ' if check.fits else 'FAIL'}  {check.summary()}")
     return 0 if check.fits else 1
+
+
+def _warn_of_doubts(rig: Rig, min_depth: float) -> None:
+    import warnings
+
+    from omnistereo_tools.doubts import rig_doubts
+
+    for doubt in rig_doubts(rig, min_depth):
+        warnings.warn(doubt, stacklevel=2)
 
 
 def _is_data_set(path: Path) -> bool:

@@ -54,6 +54,16 @@ def test_the_turn_is_stated_and_can_be_undone(world, tmp_path, capsys):
     assert "turned" not in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("factor", "doubt"), [(1e-3, "are at one place: they see no depth"), (1e3, "Check the unit of the translations")]
+)
+def test_a_wrong_unit_is_doubted_without_images(tmp_path, capsys, factor, doubt):
+    rig = scene.rig(width=200, height=192)
+    osl.save_rig(rig.with_poses([osl.Pose(pose.R, factor * pose.t) for pose in rig.T_rig_cam]), tmp_path / "rig.yaml")
+    assert cli.main(["doctor", "--rig", str(tmp_path / "rig.yaml")]) == 0
+    assert doubt in capsys.readouterr().err
+
+
 def test_a_black_rim_is_told_and_masked(world, tmp_path, capsys):
     folder, _ = world
     assert depth(folder, tmp_path, images="dark{}.png") == 0
