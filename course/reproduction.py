@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from course.nbtools import ROOT
-from omnistereo_lib.evaluate.methods import METHODS
 from omnistereo_lib.evaluate.records import Record, config_checksum, read_record
 from omnistereo_lib.evaluate.regions import METRICS, SUMS, sums_to_metrics
 from omnistereo_lib.evaluate.table import LIGHTS
 from omnistereo_lib.files import atomic_write
 from omnistereo_lib.stereo.methods import Method, penalties
+from omnistereo_lib.stereo.zncc import default_window
 from omnistereo_lib.train.recipes import RECIPES, SweepNetRecipe
 from render.image_sets import SETS
 
@@ -221,8 +221,8 @@ def _coverage(results: Record) -> str:
 
 
 def _settings(_: Record) -> str:
-    windows = " and ".join({f"{method.window} × {method.window}" for method in METHODS})
-    return windows + ", P1 = {:g}, P2 = {:g}".format(*penalties(1200, 192))
+    window = default_window(1200)
+    return f"{window} × {window}, " + "P1 = {:g}, P2 = {:g}".format(*penalties(1200, 192))
 
 
 def _drives(_: Record) -> str:

@@ -19,6 +19,7 @@ from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.cost import Progress
 from omnistereo_lib.stereo.sweep import SphereSweep, reduce_images
 from omnistereo_lib.stereo.volume import cost_volume
+from omnistereo_lib.stereo.zncc import ZNCC
 
 _BETTER = 0.75  # a mistake is reported if undoing it brings the cost below this fraction,
 _NOISE = 0.01  # and by more than this
@@ -137,7 +138,7 @@ def matching_cost(sweep: SphereSweep, images: Sequence[ArrayLike], pairs: Pairs 
     valid = [sweep.project_sphere(camera, 0)[1] for camera in range(len(sweep.rig))]
     if not any((valid[i] & valid[j]).any() for i, j in camera_pairs(pairs, sweep.rig)):
         return _NO_OVERLAP
-    volume = cost_volume(sweep, images, pairs=pairs)
+    volume = cost_volume(sweep, images, ZNCC(window=9), pairs)  # the limits above are of this window
     lowest = torch.where(volume.isnan(), torch.inf, volume).amin(-1)
     return float(lowest[lowest.isfinite()].median())
 

@@ -193,7 +193,7 @@ COMMANDS = [
     Row("phi upside down", DEPTH + "--phi 45 -45", r"phi_deg is .* first < last"),
     Row("depth not a number", DEPTH + "--min-depth nan", r"min_depth is nan and max_depth inf"),
     Row("width in words", DEPTH + "--width wide", "--width: invalid int value"),
-    Row("lower than the window", DEPTH + "--height 4", r"window is 9; expected at most .* 96 × 4"),
+    Row("lower than the window", DEPTH + "--height 4", r"window is 5; expected at most .* 96 × 4"),
     Row("more than the memory", DEPTH + "--width 30000 --height 30000 --spheres 9999", "9999 spheres needs .*GiB"),
     Row("wider than OpenCV can", DEPTH + "--width 32767", "32767.* 32766"),
     Row("onnx: zero depth", "onnx --rig RIG --out OUT --min-depth 0", r"min_depth is 0.0 and max_depth inf"),

@@ -311,7 +311,7 @@ def records():
 
     errors = {"figures": dict.fromkeys(METRICS, 1.5), "strata": {name: dict.fromkeys(SUMS, 3.0) for name in REGIONS}}
     config = {"width": 96, "height": 24, "num_spheres": 12, "rig": "own"}
-    method = {"cost": "zncc", "aggregate": "sgm", "window": 9}
+    method = {"cost": "zncc", "aggregate": "sgm", "window": None}
     frames = {"sunny": {"00001": {"zncc+sgm": errors}, "00002": {"zncc+sgm": errors}}}
     record = {"config": config, "methods": {"zncc+sgm": method}, "data": {}, "weights": {}, "frames": frames}
     return {"results": ("results.json", json.dumps(record), read_record, check_results)}

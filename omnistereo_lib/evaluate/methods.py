@@ -42,7 +42,7 @@ def _varied(methods: Sequence[EvaluatedMethod], **changes: Sequence[Any]) -> tup
 
 # Each includes its baseline, so that an ablation is a table by itself.
 ABLATIONS = {
-    "window": _varied(_ZNCC, window=(5, 9, 13)),
+    "window": _varied(_ZNCC, window=(None, 3, 9, 13)),
     "weights": _varied(_MCCNN, weights=("", "mccnn_accurate")),
     "pairs": _varied(METHODS, pairs=("ring", "all")),
     "wrap": _varied((*_SGM, _SWEEPNET[0]), wrap=(True, False)),

@@ -19,6 +19,8 @@ DISCONTINUITY_PERCENT = 5.0  # percent of N; the largest error threshold of the 
 EDGE_PX = 4  # half of a 9 × 9 patch: a patch centred nearer holds both surfaces
 HANDOVER_DEG = 3.0  # on either side of the end of a camera's view
 THIN_DEG = 3.0  # a post of 15 cm at 3 m is as wide
+_SIGHT_STEPS = 1 / np.geomspace(1.05, 60, 40)  # fractions of the way to a point; denser in depth where it is near
+_BEHIND = 1.05  # times the depth of a surface; less is the slope of the surface itself
 
 
 def find_regions(gt_index: ArrayLike, sweep: SphereSweep) -> dict[str, NDArray[np.bool_]]:
@@ -27,7 +29,8 @@ def find_regions(gt_index: ArrayLike, sweep: SphereSweep) -> dict[str, NDArray[n
     "all". "sky" (infinitely far), "far", "middle" and "near": thirds of the inverse depth swept, beyond 3 D_min, from 3
     to 1.5 D_min, and nearer. "at edges": `near_edges`; "off edges": all others. "thin": `thin_objects`. "at
     hand-overs": within `HANDOVER_DEG` of where the view of a camera ends, so that others take over. "seen by k": the
-    ground-truth point is in the field of view of k cameras; occlusion is not tested.
+    ground-truth point is in the field of view of k cameras; occlusion is not tested. "occluded": with occlusion, fewer
+    than two cameras see the point, see `occluded_points`; no stereo method can measure it.
     """
     gt_index = np.asarray(gt_index, np.float64)
     N = sweep.grid.num_spheres
@@ -46,6 +49,7 @@ def find_regions(gt_index: ArrayLike, sweep: SphereSweep) -> dict[str, NDArray[n
         "off edges": ~edges,
         "thin": thin_objects(gt_index, N),
         "at hand-overs": near_handovers(visible),
+        "occluded": (visible & ~occluded_points(gt_index, sweep)).sum(0) < 2,
         **{f"seen by {k}": count == k for k in range(len(sweep.rig) + 1)},
     }
 
@@ -69,6 +73,27 @@ def near_handovers(visible: NDArray[np.bool_]) -> NDArray[np.bool_]:
     across = (visible != np.roll(visible, -1, 2)).any(0)
     down = (visible[:, 1:] != visible[:, :-1]).any(0)
     return _within(across, down, max(1, round(HANDOVER_DEG * visible.shape[2] / 360)))
+
+
+def occluded_points(gt_index: NDArray[np.float64], sweep: SphereSweep) -> NDArray[np.bool_]:
+    """Return the mask (cameras, H, W) of the points that a camera cannot see, by the ground-truth index n̂ (H, W).
+
+    The line of sight to such a point gets behind a surface: at one of `_SIGHT_STEPS` it is farther from the sweep
+    centre than the panorama's surface in that direction, by more than `_BEHIND`. The panorama does not tell how thick
+    things are, so all are solid; nor what is outside of it. Unknown rays count as infinitely far.
+    """
+    grid = sweep.grid
+    surface = np.nan_to_num(grid.index_to_inverse_depth(gt_index))  # 1/m
+    points = grid.rays() / np.maximum(surface, 1e-3)[..., None]
+    occluded = np.zeros((len(sweep.rig), *grid.shape), bool)
+    for camera, center in enumerate(sweep.rig.centers):
+        for step in _SIGHT_STEPS:
+            place = center + step * (points - center)
+            pixel, inside = grid.project(place)
+            column, row = np.rint(pixel).astype(int).clip(0, (grid.width - 1, grid.height - 1)).T
+            behind = np.linalg.norm(place, axis=-1) * surface[row.T, column.T] > _BEHIND
+            occluded[camera] |= inside & behind
+    return occluded
 
 
 def _within(across: NDArray[np.bool_], down: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:

@@ -15,6 +15,7 @@ from omnistereo_lib.evaluate.records import Record, write_record
 from omnistereo_lib.evaluate.regions import METRICS, REGIONS, SUMS, sums_to_metrics
 from omnistereo_lib.files import atomic_write, make_folder
 from omnistereo_lib.stereo.methods import penalties
+from omnistereo_lib.stereo.zncc import default_window
 
 WITHOUT_SKY = "without sky"
 LIGHTS = ("sunny", "cloudy", "sunset")  # the paper's order
@@ -162,6 +163,7 @@ def _caption(results: Record, what: str) -> str:
     return (
         f"{what} ({frames}), in % of the N spheres swept, with 95 % intervals by bootstrap over frames. "
         f"{config['width']} × {config['height']}, N = {config['num_spheres']}, pairs = {default.pairs}, "
+        f"window = {default_window(config['width'])}, "
         f"p1 = {p1:.2g}, p2 = {p2:.2g}, whole indices, unless a row says otherwise.{rig}"
     )
 

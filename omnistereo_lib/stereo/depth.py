@@ -193,7 +193,7 @@ class Depth:
         best = np.argsort(np.where(np.isnan(samples), np.inf, angles), axis=0)[:2]
         best.sort(axis=0)  # camera order, or a window would mix the two where the nearer one changes
         two = torch.from_numpy(np.take_along_axis(samples, best, axis=0))
-        return 1 - 2 * ZNCC()(two[:, None], [(0, 1)])[..., 0].numpy()
+        return 1 - 2 * ZNCC(window=9)(two[:, None], [(0, 1)])[..., 0].numpy()
 
     def point_cloud(
         self, images: Sequence[ArrayLike] | None = None, max_depth: float = 50.0, min_confidence: float = 0.0

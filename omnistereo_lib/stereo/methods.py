@@ -89,13 +89,13 @@ class Method:
             name.
 
     >>> method = osl.Method.parse("zncc+sgm,p1=0.2")
-    >>> method.cost, method.aggregate, method.p1, method.window
-    ('zncc', 'sgm', 0.2, 9)
+    >>> method.cost, method.aggregate, method.p1, method.pairs
+    ('zncc', 'sgm', 0.2, 'ring')
     """
 
     cost: str  #: a key of `COSTS`
     aggregate: Literal["none", "sgm"] = "none"  #: read depth from the raw cost volume, or after semi-global matching
-    window: int = 9  #: side of the ZNCC window, pixels
+    window: int | None = None  #: side of the ZNCC window, pixels; None: that of `default_window` for the width
     weights: str = ""  #: name of the weights file of a network, without .safetensors; "": the bundled one
     pairs: Literal["ring", "all"] = "ring"  #: see `camera_pairs`
     p1: float | None = None  #: SGM penalties; None: those of `penalties` for the size of the volume

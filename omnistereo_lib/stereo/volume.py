@@ -27,7 +27,7 @@ def cost_volume(
 
     Args:
         images: one array per camera, (height, width) or (height, width, 3)
-        cost: A `Cost`: `ZNCC`, a network such as `SweepNet`, or your own `BlockCost`. Default: ZNCC(window=9).
+        cost: A `Cost`: `ZNCC`, a network such as `SweepNet`, or your own `BlockCost`. Default: `ZNCC`.
         pairs: See `camera_pairs`. `VolumeNet` compares all cameras, whatever they are.
         progress: Wraps the sequence of sphere blocks, such as tqdm.
 

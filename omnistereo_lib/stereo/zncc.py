@@ -30,7 +30,7 @@ class ZNCC(BlockCost):
     A patch without texture costs 0.5: neither match nor mismatch.
 
     Raises:
-        OmnistereoError: If the window is not an odd number of at least 3.
+        OmnistereoError: If the window is not None or an odd number of at least 3.
 
     >>> import torch
     >>> image = torch.rand(16, 64, 1)  # (H, W, spheres): two cameras that see the same
@@ -38,12 +38,13 @@ class ZNCC(BlockCost):
     True
     """
 
-    window: int = 9  #: side of the window in pixels, odd; 9 in the paper
+    window: int | None = None  #: side of the window in pixels, odd; None: that of `default_window`
     one_thread: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        if not isinstance(self.window, Integral) or self.window < 3 or self.window % 2 == 0:
-            raise OmnistereoError(f"the ZNCC window is {self.window!r}; expected an odd number of at least 3")
+        window = self.window
+        if window is not None and (not isinstance(window, Integral) or window < 3 or window % 2 == 0):
+            raise OmnistereoError(f"the ZNCC window is {window!r}; expected an odd number of at least 3")
 
     def __call__(
         self, spherical_images: Tensor, pairs: Sequence[Pair], columns: Sequence[tuple[int, int]] | None = None
@@ -53,12 +54,13 @@ class ZNCC(BlockCost):
         Raises an `OmnistereoError` if the window is larger than the panorama.
         """
         H, W = spherical_images.shape[-2:]
-        if self.window > min(H, W):
+        window = default_window(W) if self.window is None else self.window
+        if window > min(H, W):
             raise OmnistereoError(
-                f"the ZNCC window is {self.window}; expected at most the panorama size {W} × {H}. Use a smaller window."
+                f"the ZNCC window is {window}; expected at most the panorama size {W} × {H}. Use a smaller window."
             )
         if spherical_images.device.type != "cpu":
-            return _zncc_torch(spherical_images, pairs, self.window)
+            return _zncc_torch(spherical_images, pairs, window)
         columns = columns if columns is not None else [(0, W)] * len(spherical_images)
         strips = [(i, j, *strip) for i, j in pairs for strip in common_columns(columns[i], columns[j], W)]
         rows = [(i, j, s + k, min(_PIECE, width - k)) for i, j, s, width in strips for k in range(0, width, _PIECE)]
@@ -69,9 +71,20 @@ class ZNCC(BlockCost):
             if B < _LANES:
                 images = pad(images, (0, _LANES - B), value=torch.nan)
             cost = np.empty((H, W * _LANES), np.float32)
-            _mean_costs(images.contiguous().flatten(2).numpy(), pieces, self.window // 2, cost)
+            _mean_costs(images.contiguous().flatten(2).numpy(), pieces, window // 2, cost)
             costs.append(torch.from_numpy(cost).view(H, W, _LANES)[..., :B])
         return costs[0] if len(costs) == 1 else torch.cat(costs, -1)
+
+
+def default_window(width: int) -> int:
+    """Return the side of ZNCC's window for a panorama of W columns: the paper's 9 at 1200, 7 at 640, 5 at 320.
+
+    It is the odd number nearest to 9 √(W / 1200), at least 5 and never larger than the paper's. A window of 9 would be
+    10° wide at 320 columns, and hold more than one depth. Chosen on held-out frames of the training sets; see notebook
+    07.
+    """
+    side = 9 * min(width / 1200, 1.0) ** 0.5
+    return max(2 * round((side - 1) / 2) + 1, 5)
 
 
 def common_columns(a: tuple[int, int], b: tuple[int, int], W: int) -> list[tuple[int, int]]:

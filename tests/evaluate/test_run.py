@@ -144,7 +144,7 @@ def test_the_merged_file_states_its_inputs(data, weights, expected_of_all):
     assert results["methods"]["mccnn+sgm"] == {
         "cost": "mccnn",
         "aggregate": "sgm",
-        "window": 9,
+        "window": None,
         "weights": "",
         "pairs": "ring",
         "p1": None,

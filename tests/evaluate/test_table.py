@@ -205,6 +205,20 @@ def test_hand_overs_are_where_the_view_of_a_camera_ends():
     assert found[away < 2.5].all() and not found[away > 3.5].any()
 
 
+def test_beside_a_plate_only_one_of_two_cameras_sees_the_sky():
+    """Cameras at x = ±0.5 m behind a plate at z = 2 m, |x| < 1 m: θ from arctan(1/2) to arctan(3/4), on both sides."""
+    rig = osl.Rig([RIG.cameras[0]] * 2, [osl.Pose(np.eye(3), [x, 0, 0]) for x in (-0.5, 0.5)])
+    grid = osl.SphereGrid(720, 20, (-45, 45), 32, 0.6)
+    x, _, z = np.moveaxis(grid.rays(), -1, 0)
+    azimuth = np.abs(np.degrees(np.arctan2(x, z)))
+    gt_index = grid.inverse_depth_to_index(np.where((z > 0) & (np.abs(x) < z / 2), z / 2, 0.0))
+    found = find_regions(gt_index, osl.SphereSweep(rig, grid))["occluded"]
+    low, high = np.degrees(np.arctan([0.5, 0.75]))
+    np.testing.assert_array_equal(found[azimuth < low - 0.5], False)
+    np.testing.assert_array_equal(found[(azimuth > low + 0.5) & (azimuth < high - 1)], True)
+    np.testing.assert_array_equal(found[(azimuth > high + 1) & (azimuth < 90)], False)
+
+
 # ---- bootstrap
 
 

@@ -17,6 +17,7 @@ from omnistereo_lib.stereo import methods
 from omnistereo_lib.stereo.cost import BlockCost
 from omnistereo_lib.stereo.methods import COSTS, CostEntry, Method, penalties
 from omnistereo_lib.stereo.pipeline import sweep_depth
+from omnistereo_lib.stereo.zncc import default_window
 
 
 @pytest.mark.parametrize("method", {m.name: m for ms in (METHODS, *ABLATIONS.values()) for m in ms}.values(), ids=str)
@@ -38,17 +39,24 @@ def test_names_and_labels():
     assert method == Method(cost="sweepnet", aggregate="sgm", weights="Plain_2", p1=0.2, wrap=False)
     assert method.name == "sweepnet+sgm,weights=Plain_2,p1=0.2,wrap=false"
     assert method.label == "SweepNet + SGM, weights = Plain_2, p1 = 0.2, wrap = false"
-    assert select_methods() == METHODS and len(select_methods(["zncc"], ["window"])) == 6
+    assert select_methods() == METHODS and len(select_methods(["zncc"], ["window"])) == 8
     ordered = [m.name for m in sorted(select_methods(ablations=["window"]), key=lambda m: m.sort_key)]
-    assert ordered[:3] == ["zncc", "zncc,window=5", "zncc,window=13"] and ordered[3] == "zncc+sgm"
+    assert ordered[:5] == ["zncc", "zncc,window=3", "zncc,window=9", "zncc,window=13", "zncc+sgm"]
     assert {"window", "weights", "pairs", "wrap", "subindex", "penalties", "spheres"} == set(ABLATIONS)
 
 
 def test_the_defaults_are_the_papers():
     for method in METHODS:
-        assert (method.window, method.p1, method.p2, method.subindex) == (9, None, None, False)
-    assert penalties(1200, 192) == (0.1, 12.0)
+        assert (method.window, method.p1, method.p2, method.subindex) == (None, None, None, False)
+    assert penalties(1200, 192) == (0.1, 12.0) and default_window(1200) == 9
     assert SCALES["paper"] == Scale(1200, 300, 192) and SCALES["training"] == Scale(600, 150, 192)
+
+
+def test_the_window_follows_the_scale(box):
+    assert [default_window(width) for width in (8, 320, 600, 640, 1280, 4800)] == [5, 5, 7, 7, 9, 9]
+    rig, images = box
+    five, default, nine = (osl.cost_volume(osl.SphereSweep(rig, GRID), images, osl.ZNCC(w)) for w in (5, None, 9))
+    assert torch.equal(default.nan_to_num(9), five.nan_to_num(9)) and not torch.equal(default, nine)
 
 
 def test_penalties_follow_the_scale(box):
