@@ -113,6 +113,6 @@ def test_more_spheres_rows_and_columns_than_are_computed_at_a_time():
     try:
         for count in (1, 3):
             torch.set_num_threads(count)
-            np.testing.assert_allclose(osl.ZNCC()(images, [(0, 1)]), expected, atol=1e-5)
+            np.testing.assert_allclose(osl.ZNCC(9)(images, [(0, 1)]), expected, atol=1e-5)
     finally:
         torch.set_num_threads(threads)
