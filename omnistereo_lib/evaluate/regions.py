@@ -19,7 +19,8 @@ DISCONTINUITY_PERCENT = 5.0  # percent of N; the largest error threshold of the 
 EDGE_PX = 4  # half of a 9 × 9 patch: a patch centred nearer holds both surfaces
 HANDOVER_DEG = 3.0  # on either side of the end of a camera's view
 THIN_DEG = 3.0  # a post of 15 cm at 3 m is as wide
-_SIGHT_STEPS = 1 / np.geomspace(1.05, 60, 40)  # fractions of the way to a point; denser in depth where it is near
+_FARTHEST = 60.0  # times D_min: points beyond, where there is no parallax, count as being there
+_SIGHT_STEPS = 1 / np.geomspace(1.05, _FARTHEST, 40)  # fractions of the way to a point; the first is at D_min or nearer
 _BEHIND = 1.05  # times the depth of a surface; less is the slope of the surface itself
 
 
@@ -84,7 +85,7 @@ def occluded_points(gt_index: NDArray[np.float64], sweep: SphereSweep) -> NDArra
     """
     grid = sweep.grid
     surface = np.nan_to_num(grid.index_to_inverse_depth(gt_index))  # 1/m
-    points = grid.rays() / np.maximum(surface, 1e-3)[..., None]
+    points = grid.rays() / np.maximum(surface, 1 / (_FARTHEST * grid.min_depth))[..., None]
     occluded = np.zeros((len(sweep.rig), *grid.shape), bool)
     for camera, center in enumerate(sweep.rig.centers):
         for step in _SIGHT_STEPS:

@@ -208,14 +208,15 @@ def test_hand_overs_are_where_the_view_of_a_camera_ends():
 def test_beside_a_plate_only_one_of_two_cameras_sees_the_sky():
     """Cameras at x = ±0.5 m behind a plate at z = 2 m, |x| < 1 m: θ from arctan(1/2) to arctan(3/4), on both sides."""
     rig = osl.Rig([RIG.cameras[0]] * 2, [osl.Pose(np.eye(3), [x, 0, 0]) for x in (-0.5, 0.5)])
-    grid = osl.SphereGrid(720, 20, (-45, 45), 32, 0.6)
+    grid = osl.SphereGrid(720, 20, (-45, 45), 32, 1.5)
     x, _, z = np.moveaxis(grid.rays(), -1, 0)
     azimuth = np.abs(np.degrees(np.arctan2(x, z)))
     gt_index = grid.inverse_depth_to_index(np.where((z > 0) & (np.abs(x) < z / 2), z / 2, 0.0))
     found = find_regions(gt_index, osl.SphereSweep(rig, grid))["occluded"]
+    found, azimuth = found[5:15], azimuth[5:15]  # above and below, lines of sight leave the panorama
     low, high = np.degrees(np.arctan([0.5, 0.75]))
     np.testing.assert_array_equal(found[azimuth < low - 0.5], False)
-    np.testing.assert_array_equal(found[(azimuth > low + 0.5) & (azimuth < high - 1)], True)
+    np.testing.assert_array_equal(found[(azimuth > low + 0.5) & (azimuth < high - 2.5)], True)  # the rest grazes it
     np.testing.assert_array_equal(found[(azimuth > high + 1) & (azimuth < 90)], False)
 
 
@@ -293,7 +294,7 @@ def test_the_table_has_the_form_of_the_paper():
     lines = table.text().splitlines()
     assert table.caption == lines.pop() == table.markdown().splitlines()[-1]
     assert table.caption.startswith("Means over frames (3 of sunny, 3 of sunset, 3 of box), in % of the N spheres")
-    assert "320 × 80, N = 64, pairs = ring, p1 = 0.052, p2 = 2.6, whole indices, unless" in table.caption
+    assert "320 × 80, N = 64, pairs = ring, window = 5, p1 = 0.052, p2 = 2.6, whole indices, unless" in table.caption
     assert len(lines) == 1 + 2 * 4
     assert lines[1].split()[:6] == ["ZNCC", "20.0", "10.0", "2.0", "5.25", "1.00"]
     interval = f"{cells[0, 1]:.1f}–{cells[0, 2]:.1f}"
