@@ -56,7 +56,7 @@ def open_answers(number: str) -> dict[str, Callable]:
 
 def not_right(nb: NotebookNode) -> list[str]:
     """Return what the checkers said of a solved notebook's functions, where it is not "right"."""
-    cells = [cell for cell in nbtools.code_cells(nb) if re.search(r"\.check_\w+\(", cell.source)]
+    cells = [cell for cell in nbtools.code_cells(nb) if re.search(r"\bnb\w+\.check_\w+\(", cell.source)]
     said = ["".join(output.get("text", "") for output in cell.outputs).strip() for cell in cells]
     return [words for words in said if not re.search(r"^.*\w+: right, .+ with yours\.$", words, re.MULTILINE)]
 

@@ -76,8 +76,10 @@ def tiny(course, tmp_path, monkeypatch):
     monkeypatch.setattr(solve, "OUT", tmp_path / "out" / "solutions")
     nb = nbformat.read(course, as_version=4)
     found = "'right, we go on with yours.' if double(2) == 4 else 'not yet: twice'"
-    check = f"class exercises:\n    check_it = lambda double: print('double:', {found})"
-    nb.cells[1].source = f"{check}\n\n\n{STUB.replace('print(double(2))', 'exercises.check_it(double)')}"
+    check = f"class nb00:\n    check_it = lambda double: print('double:', {found})"
+    nb.cells[1].source = f"{check}\n\n\n{STUB.replace('print(double(2))', 'nb00.check_it(double)')}"
+    other = "class tools:\n    check_rig = print\n\n\ntools.check_rig('no checker of the course')"
+    nb.cells.append(nbformat.v4.new_code_cell(other))
     nbformat.write(nb, course)
     (tmp_path / "data_samples").mkdir()
     return tmp_path
