@@ -173,7 +173,9 @@ def animation(depth: Depth, images: Sequence[NDArray]) -> bytes:
         frames.append(Image.fromarray(np.concatenate([mean, passed])))
     written = io.BytesIO()
     times = [STEP_MS] * (STEPS - 1) + [2500]  # the last one stays
-    frames[0].save(written, "webp", save_all=True, append_images=frames[1:], duration=times, loop=0, quality=30)
+    frames[0].save(
+        written, "webp", save_all=True, append_images=frames[1:], duration=times, loop=0, quality=24, method=6
+    )
     return written.getvalue()
 
 
