@@ -48,8 +48,8 @@ def trust(depth: Depth, images: Sequence[ArrayLike], method: str | Method) -> ND
 def _floating(depth: Depth, found: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return which rays belong to a small thing before its surroundings all around, of little trust, shape (H, W).
 
-    Wires, birds and lamps are such things, but are trusted more; of what is left, on frames with ground truth, two
-    thirds to three quarters of the rays are off by more than two spheres and a tenth of the depth.
+    Wires, birds and lamps are such things, but are trusted more; of what is left, most is off by more than two spheres
+    and a tenth of the depth.
     """
     rays, index, depths = np.arange(found.size).reshape(found.shape), depth.index.ravel(), depth.depth.ravel()
     across, down = (rays, np.roll(rays, -1, 1)), (rays[:-1], rays[1:])  # neighbours, around the seam, too
