@@ -52,7 +52,7 @@ def check_memory(cameras: int, grid: SphereGrid, device: torch.device) -> None:
         per_ray = 400 + 225 * cameras + 9 * grid.num_spheres + more_blocks * (250 + 64 * cameras)
     else:
         per_ray = 1800 + 64 * cameras + 18 * grid.num_spheres
-    need, free = grid.width * grid.height * per_ray, 0.75 * _available_memory(device)
+    need, free = grid.width * grid.height * per_ray, 0.75 * available_memory(device)
     if need > free:
         raise OmnistereoError(
             f"a panorama of {grid.width} × {grid.height} with {grid.num_spheres} spheres needs {need / 2**30:.1f} GiB "
@@ -60,7 +60,7 @@ def check_memory(cameras: int, grid: SphereGrid, device: torch.device) -> None:
         )
 
 
-def _available_memory(device: torch.device) -> int:
+def available_memory(device: torch.device) -> int:
     """Return the bytes that can be allocated on a device; the host memory unless it is a CUDA GPU."""
     if device.type != "cuda":
         return int(psutil.virtual_memory().available)

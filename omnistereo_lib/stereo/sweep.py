@@ -11,7 +11,6 @@ from typing import Any, TypeVar
 
 import cv2
 import numpy as np
-import psutil
 import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
@@ -21,7 +20,7 @@ from omnistereo_lib.errors import OmnistereoError, check_type, shortened
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.stereo.device import BLOCK, check_memory, select_device
+from omnistereo_lib.stereo.device import BLOCK, available_memory, check_memory, select_device
 from omnistereo_lib.stereo.threads import map_threads
 
 _D0 = 2.0**-23  # 1/m, inverse depth of the sphere at infinity in the paper
@@ -33,7 +32,7 @@ _LUT_LOCK = Lock()  # one build at a time: it takes all cores and much memory
 # Pixel coordinates of the rays of one block of spheres in one camera, as (first column, maps of shape (H,
 # columns · block, 2)): the pixels of one ray on neighbouring spheres are close together in the image, so they follow
 # each other. Only the visible columns are stored: in one part, or in two if they cross the ±180° seam.
-_LookupTable = list[tuple[int, NDArray[np.float32]]]
+_LookupTable = list[tuple[int, Tensor]]
 _Blurring = tuple[float, NDArray[np.float32], NDArray[np.float32]]  # σ of `blur_px`, the mask, the mask blurred
 _Kept = TypeVar("_Kept")
 
@@ -47,7 +46,7 @@ class SphereSweep:
 
     Args:
         center (array, shape (3,)): Sweep centre in the rig frame, metres. Default: the mean of the camera centres.
-        device: Device of the warped images: cv2.remap on "cpu", grid_sample elsewhere.
+        device: Device of tables and warped images: cv2.remap on "cpu", grid_sample elsewhere.
         max_lut_bytes: Default: 2 GiB, or a quarter of the available memory if that is less.
 
     Raises:
@@ -80,17 +79,16 @@ class SphereSweep:
         self.device = select_device(device)
         check_memory(len(rig), grid, self.device)
         if max_lut_bytes is None:
-            max_lut_bytes = min(_LUT_BUDGET, psutil.virtual_memory().available // 4)
+            max_lut_bytes = min(_LUT_BUDGET, available_memory(self.device) // 4)
         self.max_lut_bytes = max_lut_bytes
         self._rays = grid.rays()
         self._luts: dict[tuple[int, int], _LookupTable] = {}
         self._spans: dict[tuple[int, int], tuple[int, int]] = {}  # (start, width) of the visible columns
-        self._device_maps: dict[tuple[int, int, int], Tensor] = {}
         self._kept: dict[Hashable, Any] = {}
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out what is kept: a copy, or a sweep in another process, makes its own."""
-        return self.__dict__ | {"_luts": {}, "_spans": {}, "_device_maps": {}, "_kept": {}}
+        return self.__dict__ | {"_luts": {}, "_spans": {}, "_kept": {}}
 
     def keep(self, key: Hashable, make: Callable[[], _Kept]) -> _Kept:
         """Return make(), called once for this sweep: what a cost keeps from frame to frame, beside the tables."""
@@ -109,7 +107,7 @@ class SphereSweep:
         kept = {i for i, (a, b) in enumerate(poses) if np.array_equal(a.R, b.R) and np.array_equal(a.t, b.t)}
         other._luts = {key: lut for key, lut in self._luts.items() if key[0] in kept}
         other._spans = {key: span for key, span in self._spans.items() if key[0] in kept}
-        other._device_maps, other._kept = {}, {}
+        other._kept = {}
         return other
 
     @property
@@ -234,12 +232,12 @@ class SphereSweep:
         H, W, B = out.shape
         rows = out.view(H, W * B)
         on_cpu = self.device.type == "cpu"
-        for k, (column, maps) in enumerate(self._lookup_table(camera, spheres)):
+        for column, maps in self._lookup_table(camera, spheres):
             target = rows[:, column * B : column * B + maps.shape[1]]
             if on_cpu:
-                remap(image.numpy(), maps, target.numpy())
+                remap(image.numpy(), maps.numpy(), target.numpy())
             else:
-                target.copy_(_grid_sample(image, self._maps_on_device(camera, spheres, k, maps)))
+                target.copy_(_grid_sample(image, maps))
         start, width = self._spans[camera, spheres.start]
         for first, stop in split_at_seam((start + width) % W, W - width, W):
             (out.numpy() if on_cpu else out)[:, first:stop] = np.nan
@@ -263,29 +261,33 @@ class SphereSweep:
 
     def _compute_lut(self, camera: int, spheres: range) -> _LookupTable:
         H, W = self.grid.shape
-        maps = np.empty((H, W, len(spheres), 2), np.float32)
+        maps = torch.empty(H, W, len(spheres), 2, dtype=torch.float32, device=self.device)
+        if self.device.type == "cpu":
+            table = maps.numpy()
 
-        def fill(k: int) -> None:
-            uv, valid = self.project_sphere(camera, spheres[k])
-            maps[:, :, k] = uv
-            maps[~valid, k] = OUTSIDE
+            def fill(k: int) -> None:
+                uv, valid = self.project_sphere(camera, spheres[k])
+                table[:, :, k] = uv
+                table[~valid, k] = OUTSIDE
 
-        with ThreadPoolExecutor(torch.get_num_threads()) as pool:  # more would wait for the interpreter lock
-            list(pool.map(fill, range(len(spheres))))
-        visible: NDArray[np.bool_] = np.any(maps[..., 0] > OUTSIDE, axis=(0, 2))
+            with ThreadPoolExecutor(torch.get_num_threads()) as pool:  # more would wait for the interpreter lock
+                list(pool.map(fill, range(len(spheres))))
+        else:
+            for k, n in enumerate(spheres):
+                uv, valid = self._project_by_torch(camera, n)
+                maps[:, :, k] = uv.masked_fill_(~valid[..., None], OUTSIDE)
+        visible = (maps[..., 0] > OUTSIDE).any(2).any(0).cpu().numpy()
         start, width = _circular_span(visible)
         self._spans[camera, spheres.start] = start, width
-        return [(a, np.ascontiguousarray(maps[:, a:b]).reshape(H, -1, 2)) for a, b in split_at_seam(start, width, W)]
+        return [(a, maps[:, a:b].reshape(H, -1, 2)) for a, b in split_at_seam(start, width, W)]
 
-    def _maps_on_device(self, camera: int, spheres: range, part: int, maps: NDArray[np.float32]) -> Tensor:
-        """Return one part of a lookup table on the device, copied once if the table is kept."""
-        key = (camera, spheres.start, part)
-        if key in self._device_maps:
-            return self._device_maps[key]
-        on_device = torch.from_numpy(maps).to(self.device)
-        if key[:2] in self._luts:
-            self._device_maps[key] = on_device
-        return on_device
+    def _project_by_torch(self, camera: int, n: int) -> tuple[Tensor, Tensor]:
+        """Return what `project_sphere` does, as tensors that are computed on the device."""
+        rays = self.keep("rays", lambda: torch.from_numpy(self._rays).to(self.device))
+        T_cam_rig = self.rig.T_rig_cam[camera].inverse()
+        R, t = (torch.tensor(values, device=self.device) for values in (T_cam_rig.R, T_cam_rig.t))
+        inverse_depth = max(float(self.grid.index_to_inverse_depth(n)), _D0)
+        return self.rig.cameras[camera].project(rays @ R.T + inverse_depth * t)
 
 
 def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray[Any]]:

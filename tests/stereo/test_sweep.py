@@ -90,6 +90,16 @@ def test_lookup_tables_are_kept_within_their_budget_and_computed_once_per_frame_
     assert 0.4 * full < kept.lut_bytes < 0.75 * full  # 220° of 360°, less nearby
 
 
+@pytest.mark.parametrize("n", [0, 7, 19])
+def test_a_gpu_computes_the_same_tables(world, n):
+    """In torch, here on the CPU: where NumPy has the pixels."""
+    sweep = osl.SphereSweep(world[0], GRID)
+    for camera in range(len(sweep.rig)):
+        (uv, valid), (found, found_valid) = sweep.project_sphere(camera, n), sweep._project_by_torch(camera, n)
+        assert (found_valid.numpy() == valid).all() and valid.any() and not valid.all()
+        assert np.abs(found.numpy() - uv)[valid].max() < 1e-9
+
+
 def test_seam_is_no_border(world):
     """Rotating the rig by whole columns rolls every warped image, wherever the seam falls."""
     rig, images = world
