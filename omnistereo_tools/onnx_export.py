@@ -10,13 +10,19 @@ from pathlib import Path
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import avg_pool2d, grid_sample, interpolate
+from torch.nn.functional import avg_pool2d, interpolate
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, make_folder
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.stereo.correlation import GROUPS, pixels_per_degree, project_cells, volume_cells, volume_sizes
+from omnistereo_lib.stereo.correlation import (
+    correlate_by_tensors,
+    pixels_per_degree,
+    project_cells,
+    volume_cells,
+    volume_sizes,
+)
 from omnistereo_lib.stereo.sweep import reduce_images
 from omnistereo_lib.stereo.volumenet import VolumeNet, local_mean, normalize, resize_logits
 
@@ -102,25 +108,10 @@ class DepthGraph(nn.Module):
             features.append(self.network.features(normalize(gray, visible), visible))
         rays, inverse_depth = self.get_buffer(f"rays{number}"), self.get_buffer(f"inverse_depth{number}")
         parts = [project_cells(rig, some, inverse_depth) for some in rays.split(_COLUMNS)]
-        return torch.cat([_correlate(features, part) for part in parts], 1)
+        return torch.cat([correlate_by_tensors(features, part) for part in parts], 1)
 
 
 def _reduced_gray(image: Tensor, factor: int) -> Tensor:
     """Return an image (h, w, 3) in gray, (h / factor, w / factor), as `reduce_images` and `to_gray` give it."""
     blocks = avg_pool2d(image.permute(2, 0, 1).float()[None], factor)[0]
     return torch.einsum("chw,c->hw", (blocks + 0.5).floor(), torch.tensor(_LUMA))
-
-
-def _correlate(features: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tensor:
-    """Return what `correlate` does, for some columns of the volume."""
-    warped, seen = [], []
-    for maps, uv in zip(features, coordinates, strict=True):
-        last = torch.tensor([maps.shape[2] - 1.0, maps.shape[1] - 1.0])
-        seen.append(~uv[..., 0].isnan())
-        at = (2 * uv.nan_to_num() / last - 1).flatten(0, 1)[None]
-        sampled = grid_sample(maps[None], at, padding_mode="border", align_corners=True)[0].unflatten(1, uv.shape[:2])
-        warped.append(sampled * seen[-1])
-    k = sum(one.float() for one in seen)
-    products = sum(warped).square() - sum(one.square() for one in warped)
-    groups = products.unflatten(0, (GROUPS, -1)).mean(1) / (k * (k - 1)).clamp(min=1)
-    return torch.cat([groups, k[None] / 4])

@@ -1,19 +1,18 @@
 """Correlation of the features of all cameras in every cell of a coarse sweep volume; see `volumenet`."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import embedding_bag
+from torch.nn.functional import grid_sample
 
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.compiled import compiled
-from omnistereo_lib.stereo.learned import full_precision
 from omnistereo_lib.stereo.threads import map_threads
 
 CHANNELS, GROUPS = 32, 8
@@ -88,47 +87,11 @@ def project_cells(rig: Rig, rays: Tensor, inverse_depth: Tensor) -> list[Tensor]
     return coordinates
 
 
-class _PairProducts(torch.autograd.Function):
-    """Σ over pairs of cameras i ≠ j of the group means of f_i f_j, without keeping a warped map for the gradient."""
-
-    @staticmethod
-    def forward(ctx: Any, parts: Iterable[Sequence[tuple[Tensor, Tensor]]], *tables: Tensor) -> Tensor:
-        """Return the sums (cells, 8) of features (h · w, 32), part by part, at `bilinear` cells of each camera."""
-        products, kept, totals = [], [], []
-        for cells in parts:
-            total = _sample(tables[0], *cells[0])
-            squares = total.square()
-            for table, at in zip(tables[1:], cells[1:], strict=True):
-                warped = _sample(table, *at)
-                squares.addcmul_(warped, warped)
-                total += warped
-            with full_precision(total):
-                products.append((total.square() - squares) @ _group_means(total))
-            if any(ctx.needs_input_grad):
-                kept.append(cells)
-                totals.append(total)
-        ctx.save_for_backward(*tables, *totals)
-        ctx.parts = kept
-        return torch.cat(products)
-
-    @staticmethod
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
-        """Return the gradients of the features: ∂/∂f_i = 2 (Σ_j f_j - f_i), scattered back by the warp."""
-        count = len(ctx.parts[0])
-        tables, totals = ctx.saved_tensors[:count], ctx.saved_tensors[count:]
-        grads = [torch.zeros_like(table) for table in tables]
-        rows = grad.split([len(total) for total in totals])
-        for cells, total, row in zip(ctx.parts, totals, rows, strict=True):
-            of_products = 2 * row @ _group_means(total).T
-            for table, of_table, (index, weight) in zip(tables, grads, cells, strict=True):
-                of_cells = (total - _sample(table, index, weight)).mul_(of_products)
-                for corner in range(4):
-                    of_table.index_add_(0, index[:, corner], of_cells * weight[:, corner, None])
-        return None, *grads
-
-
 class _CellProducts(torch.autograd.Function):
-    """As `_PairProducts`, by loops over the cells that pass over the cameras to which a cell is not visible."""
+    """Σ over pairs of cameras i ≠ j of the group means of f_i f_j, by loops over the cells.
+
+    They pass over the cameras to which a cell is not visible, and keep no warped map for the gradient.
+    """
 
     @staticmethod
     def forward(ctx: Any, uv: Tensor, *maps: Tensor) -> Tensor:
@@ -148,7 +111,7 @@ class _CellProducts(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
-        """Return the gradients of the features; see `_PairProducts`."""
+        """Return the gradients of the features: ∂/∂f_i = 2 (Σ_j f_j - f_i), scattered back by the warp."""
         uv, totals, *maps = ctx.saved_tensors
         grads = [torch.zeros(one.shape, dtype=torch.float32) for one in maps]
 
@@ -226,38 +189,6 @@ def _scatter_gradient(maps: Any, uv: Any, totals: Any, grad: Any, out: Any) -> N
                 out[r + width + 1, k] += d * g[k]
 
 
-def _sample(table: Tensor, index: Tensor, weight: Tensor) -> Tensor:
-    """Return weighted sums of rows of a table (rows, C): (cells, C) for indices and weights (cells, 4)."""
-    return embedding_bag(index, table, mode="sum", per_sample_weights=weight)
-
-
-def _group_means(like: Tensor) -> Tensor:
-    """Return the matrix (32, 8) that averages the channels of each group."""
-    size = CHANNELS // GROUPS
-    return torch.eye(GROUPS, dtype=like.dtype, device=like.device).repeat_interleave(size, 0) / size
-
-
-def bilinear(uv: Tensor, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
-    """Return the four pixels around feature coordinates and their bilinear weights.
-
-    Args:
-        uv (tensor, shape (..., 2)): Feature pixels, NaN where the cell is not visible to the camera.
-        size: Width and height of the feature maps.
-
-    Returns:
-        index: int32 tensor, shape (cells, 4), row · width + column
-        weight: float32 tensor, shape (cells, 4), 0 where the cell is not visible to the camera
-    """
-    w, h = size
-    x, y = uv.reshape(-1, 2).nan_to_num().unbind(-1)
-    column, row = x.floor().clamp(0, w - 2), y.floor().clamp(0, h - 2)
-    x, y = (x - column).clamp(0, 1), (y - row).clamp(0, 1)
-    index = (row * w + column).int()
-    weight = torch.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y], -1)
-    weight = weight.masked_fill(uv.reshape(-1, 2)[:, :1].isnan(), 0.0)
-    return torch.stack([index, index + 1, index + w, index + w + 1], -1), weight
-
-
 def correlate(features: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tensor:
     """Correlate the features of all cameras to which a cell is visible, in groups of channels.
 
@@ -271,15 +202,24 @@ def correlate(features: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tens
     Returns:
         tensor, shape (9, W, H, N): Eight correlations, 0 where k < 2, and k / 4.
     """
-    shape = coordinates[0].shape[:3]  # W, H, N
+    if features[0].device.type != "cpu":
+        return correlate_by_tensors(features, coordinates)
     maps = [one.permute(1, 2, 0).contiguous() for one in features]
     k = torch.stack([(~uv[..., 0].isnan()).flatten() for uv in coordinates], -1).float().sum(-1, keepdim=True)
-    if features[0].device.type == "cpu":
-        products = _CellProducts.apply(torch.stack([uv.reshape(-1, 2) for uv in coordinates]), *maps)
-    else:
-        columns = max(1, _CELLS // shape[1:].numel())
-        split = zip(*(uv.split(columns) for uv in coordinates), strict=True)
-        sizes = [(one.shape[1], one.shape[0]) for one in maps]
-        parts = ([bilinear(uv, size) for uv, size in zip(uvs, sizes, strict=True)] for uvs in split)
-        products = _PairProducts.apply(parts, *(one.view(-1, CHANNELS) for one in maps))
-    return torch.cat([products / (k * (k - 1)).clamp(min=1), k / 4], 1).view(*shape, -1).permute(3, 0, 1, 2)
+    products = _CellProducts.apply(torch.stack([uv.reshape(-1, 2) for uv in coordinates]), *maps)
+    volume = torch.cat([products / (k * (k - 1)).clamp(min=1), k / 4], 1)
+    return volume.view(*coordinates[0].shape[:3], -1).permute(3, 0, 1, 2)
+
+
+def correlate_by_tensors(features: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tensor:
+    """Return what `correlate` does, by operations that every device and ONNX have."""
+    total, squares, k = (torch.zeros((), device=features[0].device) for _ in range(3))
+    for maps, uv in zip(features, coordinates, strict=True):
+        last = torch.tensor([maps.shape[2] - 1.0, maps.shape[1] - 1.0], device=maps.device)
+        seen = ~uv[..., 0].isnan()
+        at = (2 * uv.nan_to_num() / last - 1).flatten(0, 1)[None]
+        sampled = grid_sample(maps[None], at, padding_mode="border", align_corners=True)[0].unflatten(1, uv.shape[:2])
+        warped = sampled * seen
+        total, squares, k = total + warped, squares + warped.square(), k + seen
+    groups = (total.square() - squares).unflatten(0, (GROUPS, -1)).mean(1) / (k * (k - 1)).clamp(min=1)
+    return torch.cat([groups, k[None] / 4])

@@ -11,7 +11,7 @@ from torch.nn.functional import grid_sample
 from torch.profiler import ProfilerActivity, profile
 
 import omnistereo_lib as osl
-from omnistereo_lib.stereo.correlation import _PairProducts, bilinear, correlate, feature_coordinates, volume_sizes
+from omnistereo_lib.stereo.correlation import correlate, correlate_by_tensors, feature_coordinates, volume_sizes
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.volume import cost_volume
 from omnistereo_lib.stereo.volumenet import VolumeNet, local_mean, normalize, resize_logits
@@ -58,22 +58,13 @@ def test_the_finer_volume_suits_the_images(columns, pixels, finer):
     assert volume_sizes(grid, scene.rig(width=pixels, height=pixels)) == [(160, 40, 32), finer]
 
 
-def test_the_features_of_a_cell_are_interpolated(small):
-    (maps, *_), (uv, *_) = small
-    index, weight = bilinear(uv, (9, 7))
-    ours = (maps.flatten(1).T[index.long()] * weight[..., None]).sum(1)
-    position = uv.nan_to_num(-9).view(1, -1, 1, 2) / torch.tensor([4.0, 3.0]) - 1
-    theirs = grid_sample(maps[None].float(), position.float(), align_corners=True)[0, ..., 0].T
-    assert torch.allclose(ours.float(), theirs, atol=1e-5)
-
-
 def test_the_correlation_is_the_mean_over_all_pairs_of_cameras_that_see_the_cell(small):
     maps, uv = small
     ours = correlate([one.float() for one in maps], [one.float() for one in uv])
     sampled = []
     for features, at in zip(maps, uv, strict=True):
-        index, weight = bilinear(at, (9, 7))
-        sampled.append((features.flatten(1).T[index.long()] * weight[..., None]).sum(1).view(3, 2, 2, 32))
+        position = 2 * at.nan_to_num().view(1, 1, -1, 2) / torch.tensor([8, 6]) - 1
+        sampled.append(grid_sample(features[None], position, align_corners=True)[0, :, 0].T.view(3, 2, 2, 32))
     for cell in np.ndindex(3, 2, 2):
         seen = [f[cell] for f, at in zip(sampled, uv, strict=True) if at[cell].isfinite().all()]
         products = [(a * b).view(8, 4).mean(1) for a, b in permutations(seen, 2)]
@@ -81,19 +72,6 @@ def test_the_correlation_is_the_mean_over_all_pairs_of_cameras_that_see_the_cell
         assert torch.allclose(ours[(slice(8), *cell)].double(), expected, atol=1e-5)
         assert ours[(8, *cell)] == len(seen) / 4
     assert torch.allclose(correlate([m.float() for m in maps[::-1]], [at.float() for at in uv[::-1]]), ours, atol=1e-6)
-
-
-def test_the_gradient_of_the_correlation():
-    rng = np.random.default_rng(1)
-    tables = [torch.from_numpy(rng.normal(size=(6, 32))).requires_grad_() for _ in range(3)]
-    parts = [
-        [
-            (torch.from_numpy(rng.integers(0, 6, (2, 4)).astype(np.int32)), torch.from_numpy(rng.uniform(size=(2, 4))))
-            for _ in tables
-        ]
-        for _ in range(2)
-    ]
-    assert torch.autograd.gradcheck(lambda *t: _PairProducts.apply(parts, *t), tables)
 
 
 def test_the_loops_on_a_cpu_do_what_the_tensor_operations_do():
@@ -106,12 +84,9 @@ def test_the_loops_on_a_cpu_do_what_the_tensor_operations_do():
     upstream = torch.randn(9, 8, 8, 16, generator=rng)
     loops = correlate(maps, uv)
     by_loops = torch.autograd.grad((loops * upstream).sum(), maps)
-    tables = [one.permute(1, 2, 0).reshape(-1, 32) for one in maps]
-    parts = [[bilinear(at, (19, 13 + k)) for k, at in enumerate(uv)]]
-    count = sum((~at[..., :1].isnan()).float().flatten()[:, None] for at in uv)
-    tensors = (_PairProducts.apply(parts, *tables) / (count * (count - 1)).clamp(min=1)).T.view(8, 8, 8, 16)
-    assert torch.allclose(loops[:8], tensors, atol=1e-5)
-    by_tensors = torch.autograd.grad((tensors * upstream[:8]).sum(), maps)
+    tensors = correlate_by_tensors(maps, uv)  # with PyTorch's own gradient
+    assert torch.allclose(loops, tensors, atol=1e-5)
+    by_tensors = torch.autograd.grad((tensors * upstream).sum(), maps)
     assert all(torch.allclose(a, b, atol=1e-5) for a, b in zip(by_loops, by_tensors, strict=True))
 
 
