@@ -87,36 +87,38 @@ def project_cells(rig: Rig, rays: Tensor, inverse_depth: Tensor) -> list[Tensor]
     return coordinates
 
 
-class _CellProducts(torch.autograd.Function):
-    """Σ over pairs of cameras i ≠ j of the group means of f_i f_j, by loops over the cells.
+class _CellCorrelation(torch.autograd.Function):
+    """The correlation by loops over the cells: they pass over the cameras to which a cell is not visible.
 
-    They pass over the cameras to which a cell is not visible, and keep no warped map for the gradient.
+    No warped map is kept for the gradient.
     """
 
     @staticmethod
     def forward(ctx: Any, uv: Tensor, *maps: Tensor) -> Tensor:
-        """Return the sums (cells, 8) of features (h, w, 32), given where the cells are in them: (cameras, cells, 2)."""
+        """Return the cells (cells, 9) of `correlate`, given features (h, w, 32) and places (cameras, cells, 2)."""
         table = torch.cat([one.detach().reshape(-1, CHANNELS) for one in maps]).numpy()
         sizes = np.array([one.shape[:2] for one in maps])
-        products = torch.empty(uv.shape[1], GROUPS, dtype=torch.float32)
+        volume = torch.empty(uv.shape[1], GROUPS + 1, dtype=torch.float32)
         totals = torch.empty(uv.shape[1] if any(ctx.needs_input_grad) else 0, CHANNELS, dtype=torch.float32)
 
-        def sum_products(start: int) -> None:
+        def correlate_part(start: int) -> None:
             cells = slice(start, start + _CELLS)
-            _sum_products(table, sizes, uv[:, cells].numpy(), products[cells].numpy(), totals[cells].numpy())
+            _correlate_cells(table, sizes, uv[:, cells].numpy(), volume[cells].numpy(), totals[cells].numpy())
 
-        list(map_threads(sum_products, range(0, uv.shape[1], _CELLS)))
-        ctx.save_for_backward(uv, totals, *maps)
-        return products
+        list(map_threads(correlate_part, range(0, uv.shape[1], _CELLS)))
+        ctx.save_for_backward(uv, totals, volume, *maps)
+        return volume
 
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
         """Return the gradients of the features: ∂/∂f_i = 2 (Σ_j f_j - f_i), scattered back by the warp."""
-        uv, totals, *maps = ctx.saved_tensors
+        uv, totals, volume, *maps = ctx.saved_tensors
         grads = [torch.zeros(one.shape, dtype=torch.float32) for one in maps]
+        k = 4 * volume[:, GROUPS:]
+        of_products = (grad[:, :GROUPS] / (k * (k - 1)).clamp(min=1)).contiguous()
 
         def scatter(camera: int) -> None:
-            arrays = maps[camera].detach(), uv[camera], totals, grad.contiguous(), grads[camera]
+            arrays = maps[camera].detach(), uv[camera], totals, of_products, grads[camera]
             _scatter_gradient(*(array.numpy() for array in arrays))
 
         list(map_threads(scatter, range(len(maps))))
@@ -136,17 +138,18 @@ def _corner(x: float, y: float, height: int, width: int) -> tuple[int, int, Any,
 
 
 @_loop
-def _sum_products(table: Any, sizes: Any, uv: Any, products: Any, totals: Any) -> None:
-    """Write Σ over pairs i ≠ j of the group means of f_i f_j, and Σ f_i; one table holds all features."""
+def _correlate_cells(table: Any, sizes: Any, uv: Any, volume: Any, totals: Any) -> None:
+    """Write cells of `correlate` (cells, 9), and Σ f_i (cells, 32) if asked for; one table holds all features."""
     total, square = np.zeros(CHANNELS, np.float32), np.zeros(CHANNELS, np.float32)
     for cell in range(uv.shape[1]):
         total[:] = 0
         square[:] = 0
-        first = 0
+        first = count = 0
         for camera in range(len(sizes)):
             height, width = sizes[camera]
             x, y = uv[camera, cell]
             if x == x:
+                count += 1
                 column, row, fx, fy = _corner(x, y, height, width)
                 r, one = first + row * width + column, np.float32(1)
                 a, b, c, d = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
@@ -159,7 +162,8 @@ def _sum_products(table: Any, sizes: Any, uv: Any, products: Any, totals: Any) -
             summed = np.float32(0)
             for k in range(group * _SIZE, (group + 1) * _SIZE):
                 summed += total[k] * total[k] - square[k]
-            products[cell, group] = summed / np.float32(_SIZE)
+            volume[cell, group] = summed / np.float32(_SIZE * max(count * (count - 1), 1))
+        volume[cell, GROUPS] = np.float32(0.25) * count
         if len(totals):
             totals[cell] = total
 
@@ -205,9 +209,7 @@ def correlate(features: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tens
     if features[0].device.type != "cpu":
         return correlate_by_tensors(features, coordinates)
     maps = [one.permute(1, 2, 0).contiguous() for one in features]
-    k = torch.stack([(~uv[..., 0].isnan()).flatten() for uv in coordinates], -1).float().sum(-1, keepdim=True)
-    products = _CellProducts.apply(torch.stack([uv.reshape(-1, 2) for uv in coordinates]), *maps)
-    volume = torch.cat([products / (k * (k - 1)).clamp(min=1), k / 4], 1)
+    volume = _CellCorrelation.apply(torch.stack([uv.reshape(-1, 2) for uv in coordinates]), *maps)
     return volume.view(*coordinates[0].shape[:3], -1).permute(3, 0, 1, 2)
 
 

@@ -21,7 +21,7 @@ from typing import Any
 import torch
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
-from torch.nn.functional import interpolate, relu
+from torch.nn.functional import conv3d, interpolate, relu
 
 from omnistereo_lib.geometry.rig import Pair
 from omnistereo_lib.geometry.sphere import SphereGrid
@@ -51,7 +51,7 @@ class ResidualBlock(nn.Sequential):
     def forward(self, x: Tensor) -> Tensor:
         """Return the feature maps (B, 32, h, w) of feature maps."""
         first, second = self
-        return relu(x + second(relu(first(x))))
+        return relu(x + second(relu(first(x), inplace=True)), inplace=True)
 
 
 class FeatureNet(nn.Module):
@@ -66,6 +66,7 @@ class FeatureNet(nn.Module):
         self.first = nn.Conv2d(1, CHANNELS, 5, stride=2, padding=2)
         self.blocks = nn.Sequential(ResidualBlock(1, 1), ResidualBlock(1, 2), ResidualBlock(4, 2))
         self.last = nn.Conv2d(CHANNELS, CHANNELS, 3, padding=1)
+        nn.utils.convert_conv2d_weight_memory_format(self, torch.channels_last)  # a quarter faster
 
     def forward(self, image: Tensor, visible: Tensor) -> Tensor:
         """Return the feature maps of one image.
@@ -77,7 +78,7 @@ class FeatureNet(nn.Module):
         Returns:
             tensor, shape (32, ⌈h / 2⌉, ⌈w / 2⌉): Feature pixel (x, y) is centred on the image pixel (2x, 2y).
         """
-        x = self.blocks(relu(self.first(image[None, None])))  # (1, 32, h / 2, w / 2)
+        x = self.blocks(relu(self.first(image[None, None]), inplace=True))  # (1, 32, h / 2, w / 2)
         maps, visible = self.last(x)[0].float(), visible[::2, ::2]
         # Zero mean per channel and unit variance per group over the visible pixels.
         count = visible.sum().clamp(min=1)
@@ -96,7 +97,14 @@ class Conv3d(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Return the filtered volume (B, outputs, W, H, N), each side divided by the stride."""
-        return relu(self.norm(self.conv(wrap(x))))
+        conv, norm = self.conv, self.norm
+        if self.training:
+            return relu(norm(conv(wrap(x))), inplace=True)
+        assert norm.running_mean is not None and norm.running_var is not None
+        # The trained normalisation is part of the weights: the volume is read and written once less.
+        scale = norm.weight / (norm.running_var + norm.eps).sqrt()
+        weight, bias = conv.weight * scale[:, None, None, None, None], norm.bias - norm.running_mean * scale
+        return relu(conv3d(wrap(x), weight, bias, conv.stride, conv.padding), inplace=True)
 
 
 def wrap(x: Tensor) -> Tensor:
@@ -152,7 +160,7 @@ class VolumeNet(StoredNetwork):
 
     def forward(self, volume: Tensor) -> Tensor:
         """Run the U-net on correlation volumes (B, 9, W, H, N), sizes in multiples of 8: logits (B, W, H, N)."""
-        levels = [self.stem(volume)]
+        levels = [self.stem(volume.clone(memory_format=torch.channels_last_3d))]
         for down in self.down:
             levels.append(down(levels[-1]))
         x = levels.pop()
