@@ -25,21 +25,24 @@ def volume_sizes(grid: SphereGrid, rig: Rig | None = None) -> list[tuple[int, in
     """Return width, height and spheres of the volumes of a grid, coarse to fine, in multiples of 8 for the U-net.
 
     The U-net sees a fixed number of cells around each: the coarser they are, the more of the scene, and the finer, the
-    more detail. So a fine grid has two, whose logits are averaged: that of the training, and one of half its own size
-    or less. A grid no finer than the training's has the first alone. Given a rig, the second is about as wide as suits
-    its images, see `pixels_per_degree`, or narrower; in training, one batch holds frames of many rigs.
+    more detail. So there are two, whose logits are averaged: that of the training, and a finer one, three quarters as
+    wide as a small grid and half as wide as a large one. Given a rig, the finer one is no wider than suits its images,
+    see `pixels_per_degree`. Where that leaves nothing finer, there is the first alone.
     """
-    columns = 640.0  # of a grid whose second volume has half as many
+    columns = 640.0  # of a grid whose finer volume has half as many
     if rig is not None:
         columns = min(columns, 2 * 360 / 4 * min(camera.image_size[0] / camera.max_fov_deg for camera in rig.cameras))
     coarser = 2 * max(1, round(grid.width / columns))
-    fine = max(grid.width / coarser, LEAST[0]), cells_of(grid.num_spheres)
+    width = max(grid.width / coarser, min(0.75 * grid.width, 0.375 * columns), LEAST[0])
+    spheres = cells_of(grid.num_spheres)
+    if width > LEAST[0]:
+        spheres = max(spheres, min(0.75 * grid.num_spheres, 1.5 * LEAST[1]))
 
     def size_of(width: float, spheres: float) -> tuple[int, int, int]:
         height = grid.height * width / grid.width
         return 8 * math.ceil(width / 8), 8 * math.ceil(height / 8), 8 * math.ceil(spheres / 8)
 
-    return list(dict.fromkeys([size_of(*LEAST), size_of(*fine)]))
+    return list(dict.fromkeys([size_of(*LEAST), size_of(width, spheres)]))
 
 
 def cells_of(num_spheres: int) -> float:

@@ -75,7 +75,7 @@ class VolumeSamples(TrainingFrames):
         rotation, scale = self.view(rng)
         assert frame.rig.min_depth is not None  # `TrainingFrames` refuses others
         grid = self.grid_of(scale * frame.rig.min_depth)
-        size = volume_sizes(grid)[-1]
+        size = volume_sizes(grid)[0]
         rig, images = reduce_images(frame.rig.recentered(), frame.images, pixels_per_degree(size))
         if frame.rig not in self._masks:
             masks = [to_device(camera.visible_pixels(), self.device) for camera in rig.cameras]

@@ -39,7 +39,8 @@ def small():
 @pytest.mark.parametrize(
     ("grid", "sizes"),
     [
-        ((320, 80, 64), [(160, 40, 32)]),
+        ((200, 50, 64), [(160, 40, 32)]),
+        ((320, 80, 64), [(160, 40, 32), (240, 64, 48)]),
         ((640, 160, 192), [(160, 40, 32), (320, 80, 48)]),
         ((1200, 300, 192), [(160, 40, 32), (304, 80, 48)]),
         ((96, 24, 16), [(160, 40, 32)]),  # finer than the grid, as the network was trained
@@ -51,7 +52,13 @@ def test_the_sizes_of_the_volumes(grid, sizes):
 
 @pytest.mark.parametrize(
     ("columns", "pixels", "finer"),
-    [(640, 800, (320, 80, 48)), (704, 800, (352, 88, 48)), (640, 400, (160, 40, 48)), (320, 100, (160, 40, 48))],
+    [
+        (640, 800, (320, 80, 48)),
+        (320, 800, (240, 64, 48)),
+        (704, 800, (352, 88, 48)),
+        (640, 400, (160, 40, 48)),
+        (320, 100, (160, 40, 48)),
+    ],
 )
 def test_the_finer_volume_suits_the_images(columns, pixels, finer):
     grid = osl.SphereGrid(columns, columns // 4, num_spheres=192)
@@ -93,7 +100,7 @@ def test_the_loops_on_a_cpu_do_what_the_tensor_operations_do():
 def test_cells_land_on_the_features_of_their_points():
     rig = scene.rig(cameras=3).recentered()
     grid = osl.SphereGrid(320, 96, (-45, 45), 64, 0.6)
-    (size,) = volume_sizes(grid)
+    size = volume_sizes(grid)[0]
     coordinates = feature_coordinates(rig, grid, size)
     assert coordinates[0].shape == (*size, 2) == (160, 48, 32, 2)
     rays = replace(grid, width=160, height=48).rays()
