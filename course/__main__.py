@@ -72,9 +72,12 @@ def _parser() -> argparse.ArgumentParser:
         "results", "stored_results.compute_results", "compute the stored results again: hours, but it resumes"
     )
     results.add_argument("options", nargs="*", help="of every evaluation, after --, such as -- --cluster ADDRESS")
-    for name, network in (("variants", "SweepNet"), ("volume-variants", "VolumeNet")):
-        command = add(name, f"{name.replace('-', '_')}.compare_{network.lower()}s", f"train variants of {network}")
-        command.set_defaults(out=OUT / name)
+    for name, calls, text in (
+        ("variants", "variants.compare_sweepnets", "train variants of SweepNet"),
+        ("volume-variants", "volume_variants.compare_volumenets", "train variants of VolumeNet"),
+        ("volume-worlds", "volume_variants.compare_worlds", "train VolumeNet on shipped worlds, endless ones and both"),
+    ):
+        add(name, calls, text).set_defaults(out=OUT / name)
     add("snapshots", "snapshots.take_snapshots", "store what SweepNet makes of one frame while it learns")
     ship = add("ship", "ship.export_weights", "bundle the weights of a finished training run, with curve and card")
     ship.add_argument("run", type=Path, help="folder of the run")

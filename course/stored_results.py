@@ -11,7 +11,7 @@ from course.nbtools import ROOT
 from course.reproduction import renew_report
 from course.snapshots import take_snapshots
 from course.variants import compare_sweepnets
-from course.volume_variants import compare_volumenets
+from course.volume_variants import compare_volumenets, compare_worlds
 from render.image_sets import renew_manifest
 
 STORED = ROOT / "data_samples" / "results"
@@ -46,7 +46,12 @@ def compute_results(options: Sequence[str] = ()) -> None:
         _omnistereo(f"evaluate {arguments} --out {OUT / name}", *options)
         shutil.copyfile(OUT / name / "results.json", STORED / f"{name}.json")
     renew_report()
-    for table in (compare_sweepnets(OUT / "variants"), compare_volumenets(OUT / "volume-variants")):
+    for compare, folder in (
+        (compare_sweepnets, "variants"),
+        (compare_volumenets, "volume-variants"),
+        (compare_worlds, "volume-worlds"),
+    ):
+        table = compare(OUT / folder)
         shutil.copyfile(table, STORED / table.name)
     take_snapshots()
     renew_manifest(ROOT / "data_samples")

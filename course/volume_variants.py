@@ -1,4 +1,4 @@
-"""VolumeNet trained in seven ways, for the same short time each: the ablation study in book/training.md."""
+"""VolumeNet trained in many ways, for the same short time each: the ablation studies in book/training.md."""
 
 from __future__ import annotations
 
@@ -21,11 +21,10 @@ from omnistereo_lib.stereo.learned import autocast
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.volumenet import WIDTHS, Conv3d, VolumeNet, local_mean
 from omnistereo_lib.train import RECIPES, VolumeNetRecipe
-from omnistereo_lib.train.frames import DATA
+from omnistereo_lib.train.frames import DATA, folders_of
 from omnistereo_lib.train.loop import write_csv
+from omnistereo_lib.train.recipes import ENDLESS
 from omnistereo_lib.train.volumes import VolumeObjective, VolumeSamples
-
-SETS = ("sunny", "indoor", "aerial")  # test frames that each variant is measured on
 
 
 class MeanAndVariance(VolumeNet):
@@ -92,9 +91,10 @@ class NotScaled(VolumeSamples):
         return super().view(rng)[0], 1.0
 
 
-# name → worlds, network, samples
+Variants = dict[str, tuple[str, type[VolumeNet], type[VolumeSamples]]]  # name → worlds, network, samples
+
 ALL = "sunny streets things rooms"
-VARIANTS: dict[str, tuple[str, type[VolumeNet], type[VolumeSamples]]] = {
+VARIANTS: Variants = {
     "as shipped": (ALL, VolumeNet, VolumeSamples),
     "mean and variance": (ALL, MeanAndVariance, VolumeSamples),
     "2-D, spheres as channels": (ALL, SpheresAsChannels, VolumeSamples),
@@ -103,22 +103,37 @@ VARIANTS: dict[str, tuple[str, type[VolumeNet], type[VolumeSamples]]] = {
     "streets only": ("sunny streets", VolumeNet, VolumeSamples),
     "streets and rooms": ("sunny streets rooms", VolumeNet, VolumeSamples),
 }
-_SHORT = ("steps=110", "warmup=15")
+WORLDS: Variants = {
+    "shipped": (ALL, VolumeNet, VolumeSamples),
+    "endless": (ENDLESS, VolumeNet, VolumeSamples),
+    "both": (f"{' '.join([ENDLESS] * 4)} {ALL}", VolumeNet, VolumeSamples),
+}
 
 
-def compare_volumenets(out: Path, settings: Sequence[str] = _SHORT) -> Path:
-    """Train each variant of the teaching recipe and measure it; return the CSV, whose rows are not computed again."""
-    table, rows = out / "volume_variants.csv", {}
+def compare_volumenets(out: Path) -> Path:
+    """Train each of `VARIANTS` and measure it; return the CSV, whose rows are not computed again."""
+    return _compare(VARIANTS, out / "volume_variants.csv", ["steps=110", "warmup=15"], ("sunny", "indoor", "aerial"))
+
+
+def compare_worlds(out: Path) -> Path:
+    """Train on shipped worlds, on endless ones, and on both; return the CSV, whose rows are not computed again."""
+    sets = ("sunny", "indoor", "aerial", "things", "rooms")
+    return _compare(WORLDS, out / "volume_worlds.csv", ["steps=330", "warmup=30"], sets)
+
+
+def _compare(variants: Variants, table: Path, settings: Sequence[str], sets: Sequence[str]) -> Path:
+    rows = {}
     if table.is_file():
         with table.open(newline="", encoding="utf-8") as file:
             rows = {row["variant"]: row for row in csv.DictReader(file)}
-    for name, (worlds, network, samples) in VARIANTS.items():
+    for name, (worlds, network, samples) in variants.items():
         if name not in rows:
             recipe = RECIPES["volumenet"]["teaching"].with_overrides([f"worlds={worlds}", *settings])
             trained = train_variant(recipe, network, samples, name)
             parameters = sum(p.numel() for p in network().parameters())
-            rows[name] = {"variant": name, "parameters": parameters, **measure(trained)}
-            write_csv(make_folder(out) / table.name, list(rows[name]), [list(row.values()) for row in rows.values()])
+            rows[name] = {"variant": name, "parameters": parameters, **measure(trained, sets)}
+            make_folder(table.parent)
+            write_csv(table, list(rows[name]), [list(row.values()) for row in rows.values()])
     return table
 
 
@@ -127,7 +142,7 @@ def train_variant(
 ) -> VolumeNet:
     """Return a network trained by a recipe on the worlds that it names."""
     torch.manual_seed(recipe.seed)
-    data = samples(recipe, [DATA / world / "train" for world in recipe.worlds.split()])
+    data = samples(recipe, folders_of(recipe))
     model = network().train()
     objective = VolumeObjective(model, data.grid_of(1.0))
     optimizer = torch.optim.AdamW(model.parameters(), weight_decay=recipe.weight_decay)
@@ -152,14 +167,13 @@ def train_variant(
     return model.eval()
 
 
-def measure(model: VolumeNet) -> dict[str, Any]:
+def measure(model: VolumeNet, sets: Sequence[str]) -> dict[str, Any]:
     """Return the mean '>1', '>3' and MAE over the test frames of each set at 320 × 80 × 64."""
     metrics = {}
-    for name in SETS:
-        data = osl.load_dataset(DATA / name, split="test")
-        sweep = SphereSweep(data.rig, osl.SphereGrid(320, 80, num_spheres=64, min_depth=data.rig.min_depth))
+    for name in sets:
         errors = []
-        for frame in data:
+        for frame in osl.load_dataset(DATA / name, split="test"):
+            sweep = SphereSweep(frame.rig, osl.SphereGrid(320, 80, num_spheres=64, min_depth=frame.rig.min_depth))
             index = local_mean(osl.cost_volume(sweep, frame.images, model))[0].numpy()
             error = osl.index_error(index, frame.gt_index(sweep.grid), 64)
             errors.append([error[">1"], error[">3"], error["MAE"]])

@@ -25,6 +25,11 @@ Folders = str | Path | Sequence[str | Path]
 _HELD_OUT = 1 << 40  # the seed of the endless worlds of validation; no recipe has it
 
 
+def folders_of(recipe: Recipe) -> list[str | Path]:
+    """Return what a recipe trains on unless told otherwise: training sets of data_samples, and "endless"."""
+    return [world if world == ENDLESS else DATA / world / "train" for world in recipe.worlds.split()]
+
+
 class TrainingFrames:
     """The frames of data sets that have ground truth: nine of ten to train on, every tenth for validation.
 

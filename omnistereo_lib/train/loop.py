@@ -25,9 +25,9 @@ from omnistereo_lib.files import atomic_write, make_folder, read_bytes, read_tex
 from omnistereo_lib.stereo.device import number_from_environment, select_device
 from omnistereo_lib.stereo.learned import Precision, autocast, uses_bfloat16
 from omnistereo_lib.stereo.weights import load_tensors, save_tensors
-from omnistereo_lib.train.frames import DATA, Folders
+from omnistereo_lib.train.frames import Folders, folders_of
 from omnistereo_lib.train.patches import PatchSamples
-from omnistereo_lib.train.recipes import ENDLESS, Recipe
+from omnistereo_lib.train.recipes import Recipe
 from omnistereo_lib.train.spheres import SphereSamples
 from omnistereo_lib.train.volumes import VolumeSamples
 
@@ -71,9 +71,7 @@ def train(
             cannot be divided among the processes, a weight is not finite, or the loss or its gradient is not in more
             than one step in a hundred. Such a step is skipped; its loss in the log is empty.
     """
-    if data is None:
-        data = [name if name == ENDLESS else DATA / name / "train" for name in recipe.worlds.split()]
-    run = _Run(recipe, data, select_device(device), precision, init_weights)
+    run = _Run(recipe, folders_of(recipe) if data is None else data, select_device(device), precision, init_weights)
     out = make_folder(out)
     first = run.resume(out / STATE)
     rows = read_log(out / LOG, first)

@@ -48,7 +48,7 @@ def test_the_results_are_computed_and_stored_one_after_the_other(tmp_path, monke
     monkeypatch.setattr(results.subprocess, "run", run)
     monkeypatch.setattr(results, "OUT", tmp_path / "out")
     monkeypatch.setattr(results, "STORED", tmp_path)
-    for name in ("compare_sweepnets", "compare_volumenets"):
+    for name in ("compare_sweepnets", "compare_volumenets", "compare_worlds"):
         monkeypatch.setattr(results, name, table)
     for name in ("renew_report", "take_snapshots", "renew_manifest"):
         monkeypatch.setattr(results, name, lambda *_, name=name: done.append(name))
@@ -58,7 +58,7 @@ def test_the_results_are_computed_and_stored_one_after_the_other(tmp_path, monke
     assert {path.stem: path.read_text() for path in tmp_path.glob("*.json")} == {
         name: name for name in results.EVALUATIONS
     }
-    assert len(list(tmp_path.glob("*.csv"))) == 2
+    assert len(list(tmp_path.glob("*.csv"))) == 3
 
 
 def test_options_are_passed_on():

@@ -7,8 +7,16 @@ import pytest
 import torch
 
 from course import volume_variants
-from course.volume_variants import VARIANTS, MeanAndVariance, SpheresAsChannels, compare_volumenets, train_variant
-from omnistereo_lib.train import RECIPES
+from course.volume_variants import (
+    VARIANTS,
+    WORLDS,
+    MeanAndVariance,
+    SpheresAsChannels,
+    compare_volumenets,
+    compare_worlds,
+    train_variant,
+)
+from omnistereo_lib.train import RECIPES, frames
 from omnistereo_lib.train.frames import DATA
 
 
@@ -53,7 +61,7 @@ def test_what_the_samples_leave_out(name, upright, fixed):
 def test_a_variant_is_trained_by_its_recipe(tmp_path, monkeypatch):
     (tmp_path / "rooms").mkdir()
     (tmp_path / "rooms" / "train").symlink_to(DATA / "rooms" / "test")  # fewer frames
-    monkeypatch.setattr(volume_variants, "DATA", tmp_path)
+    monkeypatch.setattr(frames, "DATA", tmp_path)
     small = ["worlds=rooms", "width=64", "height=16", "num_spheres=16", "steps=1", "warmup=1", "validation_groups=1"]
     recipe = RECIPES["volumenet"]["teaching"].with_overrides(small)
     _, network, samples = VARIANTS["as shipped"]
@@ -64,20 +72,23 @@ def test_a_variant_is_trained_by_its_recipe(tmp_path, monkeypatch):
     assert all(changed) and not trained.training
 
 
-def test_the_table_has_all_and_resumes(tmp_path, monkeypatch):
+def test_the_tables_have_all_and_resume(tmp_path, monkeypatch):
     trained = []
 
     def train(recipe, network, samples, name):
-        trained.append((name, recipe.worlds, recipe.steps, network, samples))
+        trained.append((name, recipe.worlds, network, samples))
         return len(trained)
 
     monkeypatch.setattr(volume_variants, "train_variant", train)
-    monkeypatch.setattr(volume_variants, "measure", lambda model: {"sunny MAE": float(model)})
-    path = compare_volumenets(tmp_path, ["steps=7", "warmup=1"])
-    assert trained == [(name, variant[0], 7, *variant[1:]) for name, variant in VARIANTS.items()]
+    monkeypatch.setattr(volume_variants, "measure", lambda model, sets: {f"{sets[0]} MAE": float(model)})
+    assert compare_worlds(tmp_path).name == "volume_worlds.csv"
+    assert trained == [(name, *variant) for name, variant in WORLDS.items()]
+    trained.clear()
+    path = compare_volumenets(tmp_path)
+    assert trained == [(name, *variant) for name, variant in VARIANTS.items()]
     written = path.read_text(encoding="utf-8")
     path.write_text("".join(written.splitlines(keepends=True)[:-1]), encoding="utf-8")
-    assert compare_volumenets(tmp_path, ["steps=7", "warmup=1"]) == path and len(trained) == len(VARIANTS) + 1
+    assert compare_volumenets(tmp_path) == path and len(trained) == len(VARIANTS) + 1
     with path.open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["variant"] for row in rows] == [*VARIANTS]
