@@ -4,7 +4,7 @@ ZNCC compares patches and SweepNet whole spheres, but each sphere by itself: not
 *one* depth. VolumeNet takes the step that the field took after SweepNet (OmniMVS, ICCV 2019; GwcNet, CVPR 2019):
 
     features     each fisheye image → 32 feature maps at half its size
-    warp         the maps onto half as many spheres, at half the size of the panorama or less (Eq. 1)
+    warp         the maps onto the cells of two volumes, a coarse and a finer one (Eq. 1); see `volume_sizes`
     correlation  in groups of four channels, over all pairs of cameras to which a cell is visible
     3-D U-net    over θ, φ and the sphere index, circular in θ
     read-out     a probability for each sphere of a ray; the index is the mean around the most probable one
