@@ -61,10 +61,11 @@ class Scene:
         `pose` takes camera coordinates to those of the scene.
         """
         width, height = camera.image_size
-        rays, _ = camera.unproject(np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1))
-        gray = np.full((height, width), np.nan, np.float32)
+        visible = camera.visible_pixels()
+        rays, gray = np.zeros((height, width, 3)), np.full((height, width), np.nan, np.float32)
+        rays[visible], _ = camera.unproject(np.argwhere(visible)[:, ::-1])
         pixel = np.radians(1 / camera.pixels_per_degree)
-        look(self.primitives, self._tree, self.light, pose.t, rays @ pose.R.T, camera.visible_pixels(), pixel, gray)
+        look(self.primitives, self._tree, self.light, pose.t, rays @ pose.R.T, visible, pixel, gray)
         return gray
 
 
