@@ -160,6 +160,7 @@ class VolumeNet(StoredNetwork):
 
     def forward(self, volume: Tensor) -> Tensor:
         """Run the U-net on correlation volumes (B, 9, W, H, N), sizes in multiples of 8: logits (B, W, H, N)."""
+        # Channels last, a layout that every layer keeps: twice as fast. A copy, since `[None]` leaves odd strides.
         levels = [self.stem(volume.clone(memory_format=torch.channels_last_3d))]
         for down in self.down:
             levels.append(down(levels[-1]))
