@@ -46,7 +46,7 @@ def volume_sizes(grid: SphereGrid, rig: Rig | None = None) -> list[tuple[int, in
 
 
 def cells_of(num_spheres: int) -> float:
-    """Return how many cells the finest volume of a grid divides its spheres into."""
+    """Return into how many cells of depth the finer volume of a grid is divided, at least; see `volume_sizes`."""
     return max(num_spheres / (2 * max(1, round(num_spheres / 96))), LEAST[1])
 
 

@@ -209,16 +209,6 @@ RECIPES: dict[str, dict[str, Recipe]] = {
             validate_every=250,
             validation_groups=24,
         ),
-        # With --init-weights of "refined": half of the micro-batches are of worlds and rigs that never come again.
-        "endless": VolumeNetRecipe(
-            worlds="endless endless endless endless sunny streets rooms things",
-            steps=1200,
-            learning_rate=5e-4,
-            seed=3,
-            warmup=60,
-            validate_every=200,
-            validation_groups=16,
-        ),
         "gpu": VolumeNetRecipe(
             worlds="endless endless endless endless sunny streets rooms things",
             steps=20000,
