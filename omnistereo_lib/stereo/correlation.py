@@ -17,7 +17,8 @@ from omnistereo_lib.stereo.threads import map_threads
 
 CHANNELS, GROUPS = 32, 8
 _SIZE = CHANNELS // GROUPS
-LEAST = 160, 32  # columns and spheres of the volumes on which the shipped network was trained
+COARSE = 160, 32  # columns and spheres of the volume on which the shipped network was trained
+FINER = 320, 48  # and of the finer volume, at most
 _CELLS = 1 << 14  # cells correlated at a time: so few that their features stay in the cache of a core
 
 
@@ -25,29 +26,17 @@ def volume_sizes(grid: SphereGrid, rig: Rig | None = None) -> list[tuple[int, in
     """Return width, height and spheres of the volumes of a grid, coarse to fine, in multiples of 8 for the U-net.
 
     The U-net sees a fixed number of cells around each: the coarser they are, the more of the scene, and the finer, the
-    more detail. So there are two, whose logits are averaged: that of the training, and a finer one, three quarters as
-    wide as a small grid and half as wide as a large one. Given a rig, the finer one is no wider than suits its images,
-    see `pixels_per_degree`. Where that leaves nothing finer, there is the first alone.
+    more detail. So there are two, whose logits are averaged: that of the training, and a finer one, at most three
+    quarters as wide as the grid and, given a rig, no wider than suits its images; see `pixels_per_degree`. One no
+    wider than the first is finer in depth alone, and left out for grids of few spheres.
     """
-    columns = 640.0  # of a grid whose finer volume has half as many
+    columns = min(0.75 * grid.width, FINER[0])
     if rig is not None:
-        columns = min(columns, 2 * 360 / 4 * min(camera.image_size[0] / camera.max_fov_deg for camera in rig.cameras))
-    coarser = 2 * max(1, round(grid.width / columns))
-    width = max(grid.width / coarser, min(0.75 * grid.width, 0.375 * columns), LEAST[0])
-    spheres = cells_of(grid.num_spheres)
-    if width > LEAST[0]:
-        spheres = max(spheres, min(0.75 * grid.num_spheres, 1.5 * LEAST[1]))
-
-    def size_of(width: float, spheres: float) -> tuple[int, int, int]:
-        height = grid.height * width / grid.width
-        return 8 * math.ceil(width / 8), 8 * math.ceil(height / 8), 8 * math.ceil(spheres / 8)
-
-    return list(dict.fromkeys([size_of(*LEAST), size_of(width, spheres)]))
-
-
-def cells_of(num_spheres: int) -> float:
-    """Return into how many cells of depth the finer volume of a grid is divided, at least; see `volume_sizes`."""
-    return max(num_spheres / (2 * max(1, round(num_spheres / 96))), LEAST[1])
+        columns = min(columns, 360 / 4 * min(camera.image_size[0] / camera.max_fov_deg for camera in rig.cameras))
+    columns = max(80 * int(columns / 80), COARSE[0])  # in steps: one that is hardly finer does not pay
+    finer = columns > COARSE[0] or grid.num_spheres >= 2 * FINER[1]
+    cells = [COARSE, (columns, FINER[1])] if finer else [COARSE]
+    return [(w, 8 * math.ceil(w * grid.height / grid.width / 8), n) for w, n in cells]
 
 
 def pixels_per_degree(size: tuple[int, int, int]) -> float:

@@ -14,6 +14,7 @@ Volumes are (batch, channels, W, H, N): with W first, PyTorch picks its fast CPU
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any
@@ -27,15 +28,15 @@ from omnistereo_lib.geometry.rig import Pair
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.correlation import (
     CHANNELS,
+    COARSE,
     GROUPS,
-    cells_of,
     correlate,
     feature_coordinates,
     pixels_per_degree,
     volume_sizes,
 )
 from omnistereo_lib.stereo.cost import Progress
-from omnistereo_lib.stereo.learned import Precision, autocast
+from omnistereo_lib.stereo.learned import Precision, autocast, full_precision
 from omnistereo_lib.stereo.sweep import SphereSweep, reduce_images, to_gray
 from omnistereo_lib.stereo.weights import StoredNetwork
 
@@ -229,29 +230,39 @@ def normalize(image: Tensor, visible: Tensor) -> Tensor:
 
 
 def resize_logits(logits: Tensor, columns: Tensor, grid: SphereGrid) -> Tensor:
-    """Return columns of the full-size logits: (B, w, h, n) → (B, columns, H, N), interpolated, circular in θ."""
-    w = logits.shape[1]
+    """Return columns of the full-size logits: (B, w, h, n) → (B, columns, H, N), interpolated, circular in θ.
+
+    Linear across rays, cubic along them: linear, the most probable sphere of a ray would be in the middle of a cell.
+    """
+    w, n = logits.shape[1], logits.shape[3]
     position = (columns + 0.5) * (w / grid.width) - 0.5
     left = position.floor().long()
     weight = (position - left)[:, None, None]
     across = logits[:, left % w] * (1 - weight) + logits[:, (left + 1) % w] * weight
-    return interpolate(across, (grid.height, grid.num_spheres), mode="bilinear", align_corners=False)
+    rays = interpolate(across, (grid.height, n), mode="bilinear", align_corners=False)
+    cells = torch.eye(n, device=logits.device)[None, None]
+    with full_precision(rays):
+        return rays @ interpolate(cells, (n, grid.num_spheres), mode="bicubic", align_corners=False)[0, 0]
 
 
 def local_mean(volume: Tensor) -> tuple[Tensor, Tensor]:
     """Return sphere index and confidence of costs 1 - probability (H, W, N): two float32 tensors (H, W).
 
-    The index is the mean sphere under the probabilities of the best sphere and those within a cell of the finest
-    volume, at least two, on either side: a local soft-argmax. A narrower mean would never leave the cell of the best
-    sphere, and a wall would be a flight of steps; the mean over all spheres would lie between two surfaces at a depth
-    discontinuity. The confidence is the probability that these spheres have together, in [0, 1]. NaN where the cost is
-    NaN.
+    The index is a mean sphere under the probabilities of those within a cell of the coarse volume, at least two
+    spheres, on either side: a local soft-argmax. The first mean is around the best sphere, the next ones around the
+    mean before (mean shift): around the best sphere alone it hurries from one cell to the next, and a wall is a flight
+    of steps. The mean over all spheres would lie between two surfaces at a depth discontinuity. The confidence is the
+    probability that these spheres have together, in [0, 1]. NaN where the cost is NaN.
     """
     N = int(volume.shape[-1])  # a number while ONNX traces, too
-    radius = max(2, round(N / cells_of(N)))
-    best = volume.argmin(-1, keepdim=True)  # (H, W, 1)
-    near = best + torch.arange(-radius, radius + 1, device=volume.device)  # (H, W, 2 radius + 1)
-    inside = (near >= 0) & (near < N)
-    mass = (1 - volume.gather(-1, near.clamp(0, N - 1))) * inside
-    total = mass.sum(-1)
-    return (mass * near).sum(-1) / total, total
+    radius = max(2.0, N / COARSE[1])
+    around = torch.arange(-math.ceil(radius) - 1, math.ceil(radius) + 2, device=volume.device)
+    index = total = volume.argmin(-1).float()
+    for _ in range(3):
+        near = index.round().long()[..., None] + around  # (H, W, spheres)
+        inside = (near >= 0) & (near < N)
+        share = (radius + 1 - (near - index[..., None]).abs()).clamp(0, 1)  # less than 1 at either end
+        mass = (1 - volume.gather(-1, near.clamp(0, N - 1))) * share * inside
+        total = mass.sum(-1)
+        index = (mass * near).sum(-1) / total
+    return index, total

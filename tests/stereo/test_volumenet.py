@@ -42,7 +42,7 @@ def small():
         ((200, 50, 64), [(160, 40, 32)]),
         ((320, 80, 64), [(160, 40, 32), (240, 64, 48)]),
         ((640, 160, 192), [(160, 40, 32), (320, 80, 48)]),
-        ((1200, 300, 192), [(160, 40, 32), (304, 80, 48)]),
+        ((1200, 300, 192), [(160, 40, 32), (320, 80, 48)]),
         ((96, 24, 16), [(160, 40, 32)]),  # finer than the grid, as the network was trained
     ],
 )
@@ -54,8 +54,8 @@ def test_the_sizes_of_the_volumes(grid, sizes):
     ("columns", "pixels", "finer"),
     [
         (640, 800, (320, 80, 48)),
+        (640, 600, (240, 64, 48)),
         (320, 800, (240, 64, 48)),
-        (704, 800, (352, 88, 48)),
         (640, 400, (160, 40, 48)),
         (320, 100, (160, 40, 48)),
     ],
@@ -133,14 +133,32 @@ def test_resized_logits_are_interpolated_around_the_seam():
 
 
 def test_the_read_out_is_the_mean_around_the_best_sphere():
-    p = torch.zeros(1, 4, 10)
+    p = torch.zeros(1, 3, 10)
     p[0, 0, 3], p[0, 0, 4], p[0, 0, 9] = 0.5, 0.25, 0.25  # a second surface does not pull it away
     p[0, 1, 0], p[0, 1, 1] = 0.75, 0.25  # at the far end
-    p[0, 2] = 0.1
-    index, confidence = local_mean(torch.where(torch.arange(4)[:, None] == 3, torch.nan, 1 - p))
+    index, confidence = local_mean(torch.where(torch.arange(3)[:, None] == 2, torch.nan, 1 - p))
     assert torch.allclose(index[0, :2], torch.tensor([3 + 1 / 3, 0.25]))
-    assert torch.allclose(confidence[0, :3], torch.tensor([0.75, 1.0, 0.3]))
-    assert index[0, 3].isnan() and confidence[0, 3].isnan()
+    assert torch.allclose(confidence[0, :2], torch.tensor([0.75, 1.0]))
+    assert index[0, 2].isnan() and confidence[0, 2].isnan()
+
+
+@pytest.mark.parametrize("num_spheres", [16, 100])
+def test_the_read_out_by_brute_force(num_spheres):
+    """Sphere n fills n ± 0.5; of the probability of each, the part inside of the window counts."""
+    rng = np.random.default_rng(0)
+    p = rng.random((5, 1, num_spheres)) ** 8
+    p /= p.sum(-1, keepdims=True)
+    n, radius = np.arange(num_spheres), max(2, num_spheres / 32) + 0.5
+    expected = []
+    for ray in p[:, 0]:
+        index = ray.argmax()
+        for _ in range(3):
+            inside = np.minimum(n + 0.5, index + radius) - np.maximum(n - 0.5, index - radius)
+            mass = ray * inside.clip(0)
+            index = (mass * n).sum() / mass.sum()
+        expected.append([index, mass.sum()])
+    ours = torch.cat(local_mean(1 - torch.from_numpy(p)), 1)
+    np.testing.assert_allclose(ours, expected, rtol=1e-5)
 
 
 def test_the_mean_reaches_into_the_cells_beside_the_best_one():
@@ -153,6 +171,15 @@ def test_the_mean_reaches_into_the_cells_beside_the_best_one():
     true = (20 + cells + 0.5) * 4 - 0.5
     assert (index[:, 0] - true).abs().max() < 1
     assert index[:, 0].diff().min() > 0.15  # the mean over ±2 spheres stands still: 0.09 and less
+
+
+def test_the_most_probable_sphere_may_be_between_two_cells():
+    """Logits that are highest between two of eight cells, 12 spheres each."""
+    grid = osl.SphereGrid(8, 8, num_spheres=96)
+    peak = torch.linspace(3, 4, 5)
+    logits = -((torch.arange(8) - peak[:, None]) ** 2)
+    full = resize_logits(logits[:, None, None].expand(5, 8, 8, 8), torch.arange(1), grid)[:, 0, 0]
+    assert (full.argmax(-1) - ((peak + 0.5) * 12 - 0.5)).abs().max() < 2  # by linear interpolation: 5.5
 
 
 def test_images_are_normalized_over_their_circle():

@@ -27,7 +27,7 @@ def frames():
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch):
-    monkeypatch.setattr(correlation, "LEAST", (32, 8))
+    monkeypatch.setattr(correlation, "COARSE", (32, 8))
     monkeypatch.setattr(endless, "_AHEAD", 1)
 
 

@@ -21,7 +21,7 @@ TINY = VolumeNetRecipe(width=64, height=16, num_spheres=16, steps=4, validate_ev
 
 @pytest.fixture(autouse=True)
 def small_volumes(monkeypatch):
-    monkeypatch.setattr(correlation, "LEAST", (32, 8))
+    monkeypatch.setattr(correlation, "COARSE", (32, 8))
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def test_the_ground_truth_turns_with_the_grid(data, monkeypatch):
     known = plain.index.isfinite().numpy()
     assert known.mean() > 0.9 and np.median(np.abs(plain.index.numpy() - exact)[known]) < 0.05
     pictures = scene.images(rig, finest=1.0)  # smooth: values are read at the nearest pixel
-    monkeypatch.setattr(correlation, "LEAST", (128, 48))
+    monkeypatch.setattr(correlation, "COARSE", (128, 48))
     fine = VolumeSamples(replace(TINY, width=256, height=64, num_spheres=96), data)
     straight = _spread(pictures, fine._sample(frame, None))
     for seed in (3, 4, 5):
