@@ -248,14 +248,14 @@ def resize_logits(logits: Tensor, columns: Tensor, grid: SphereGrid) -> Tensor:
 def local_mean(volume: Tensor) -> tuple[Tensor, Tensor]:
     """Return sphere index and confidence of costs 1 - probability (H, W, N): two float32 tensors (H, W).
 
-    The index is a mean sphere under the probabilities of those within a cell of the coarse volume, at least two
-    spheres, on either side: a local soft-argmax. The first mean is around the best sphere, the next ones around the
-    mean before (mean shift): around the best sphere alone it hurries from one cell to the next, and a wall is a flight
-    of steps. The mean over all spheres would lie between two surfaces at a depth discontinuity. The confidence is the
-    probability that these spheres have together, in [0, 1]. NaN where the cost is NaN.
+    The index is the mean sphere under the probabilities of those within a cell of the coarse volume, at least one
+    sphere, on either side: a local soft-argmax. The first mean is around the best sphere, the next two are around the
+    mean before (mean shift): around the best sphere alone, it would hurry from cell to cell, and a wall be a flight of
+    steps. The mean over all spheres would lie between two surfaces at a depth discontinuity. The confidence is the
+    probability that the spheres of the last mean have together, in [0, 1]. NaN where the cost is NaN.
     """
     N = int(volume.shape[-1])  # a number while ONNX traces, too
-    radius = max(2.0, N / COARSE[1])
+    radius = max(1.0, N / COARSE[1])
     around = torch.arange(-math.ceil(radius) - 1, math.ceil(radius) + 2, device=volume.device)
     index = total = volume.argmin(-1).float()
     for _ in range(3):

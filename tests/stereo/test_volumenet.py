@@ -148,7 +148,7 @@ def test_the_read_out_by_brute_force(num_spheres):
     rng = np.random.default_rng(0)
     p = rng.random((5, 1, num_spheres)) ** 8
     p /= p.sum(-1, keepdims=True)
-    n, radius = np.arange(num_spheres), max(2, num_spheres / 32) + 0.5
+    n, radius = np.arange(num_spheres), max(1, num_spheres / 32) + 0.5
     expected = []
     for ray in p[:, 0]:
         index = ray.argmax()
