@@ -96,6 +96,22 @@ def test_the_page_on_training_quotes_the_results():
         assert numbers == " | ".join(f"{x:.{1 if '>' in m else 2}f}" for x, m in zip(found, METRICS, strict=True))
 
 
+def test_the_page_on_training_quotes_the_rigs_that_no_network_has_seen():
+    """Mean over the frames of the mean error over their rays that two cameras see; VolumeNet is the best in each."""
+    methods = ("zncc+sgm", "sweepnet+sgm", "sweepnet+sgm,weights=sweepnet_worlds", "volumenet")
+    text = (DATA.parent / "book" / "training.md").read_text(encoding="utf-8")
+    for world, frames in read_record(STORED["teaching-worlds"])["frames"].items():
+        errors = np.zeros((len(frames), len(methods)))
+        for row, frame in zip(errors, frames.values(), strict=True):
+            for k, method in enumerate(methods):
+                regions = [
+                    sums for name, sums in frame[method]["strata"].items() if re.fullmatch("seen by [2-9]", name)
+                ]
+                row[k] = sum(sums["sum"] for sums in regions) / sum(sums["rays"] for sums in regions)
+        assert (errors.argmin(1) == methods.index("volumenet")).all()
+        assert f"| {world} | {' | '.join(f'{mean:.2f}' for mean in errors.mean(0))} |" in text
+
+
 def test_sweepnet_of_all_worlds_is_better_in_rooms_and_no_worse_in_the_streets():
     """And the page on training quotes its figures."""
     lights, room = ("sunny", "cloudy", "sunset"), ("indoor",)
