@@ -34,11 +34,10 @@ class MeanAndVariance(VolumeNet):
         super().__init__()
         self.stem[0] = Conv3d(2 * CHANNELS + 1, WIDTHS[0])
 
-    def correlation(self, images: Sequence[Tensor], visible: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tensor:
-        """Return means, variances and k / 4, shape (65, W, H, N); see `VolumeNet.correlation`."""
+    def compare(self, features: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tensor:
+        """Return means, variances and k / 4, shape (65, W, H, N); see `VolumeNet.compare`."""
         count = total = squares = 0
-        for image, mask, uv in zip(images, visible, coordinates, strict=True):
-            maps = self.features(image, mask)
+        for maps, uv in zip(features, coordinates, strict=True):
             size = torch.tensor(maps.shape[:0:-1])
             at = (2 * uv / (size - 1) - 1).nan_to_num(nan=-9).flatten(1, 2)  # outside: 0
             warped = grid_sample(maps[None], at[None], align_corners=True)[0].view(-1, *uv.shape[:3])

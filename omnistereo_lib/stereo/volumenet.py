@@ -157,6 +157,10 @@ class VolumeNet(StoredNetwork):
     def correlation(self, images: Sequence[Tensor], visible: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tensor:
         """Return the correlation volume (9, W, H, N) of one frame; see `FeatureNet` and `correlate`."""
         features = [self.features(image, mask) for image, mask in zip(images, visible, strict=True)]
+        return self.compare(features, coordinates)
+
+    def compare(self, features: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tensor:
+        """Return the volume that the U-net sees, its last channel k / 4; see `correlate`."""
         return correlate(features, coordinates)
 
     def forward(self, volume: Tensor) -> Tensor:
@@ -220,7 +224,7 @@ class VolumeNet(StoredNetwork):
                 normalized = normalize(torch.from_numpy(to_gray(image)).to(device), mask)
                 features.append(self.features(normalized, mask))
             next(parts)
-            return correlate(features, coordinates)
+            return self.compare(features, coordinates)
 
 
 def normalize(image: Tensor, visible: Tensor) -> Tensor:

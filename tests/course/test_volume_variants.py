@@ -4,8 +4,10 @@ import csv
 
 import numpy as np
 import pytest
+import scene
 import torch
 
+import omnistereo_lib as osl
 from course import volume_variants
 from course.volume_variants import (
     VARIANTS,
@@ -21,22 +23,25 @@ from omnistereo_lib.train.frames import DATA
 
 
 def test_mean_and_variance_of_whole_pixels_by_hand():
-    torch.manual_seed(0)
-    model, rng = MeanAndVariance().eval(), np.random.default_rng(0)
-    images = [torch.rand(24, 32) for _ in range(3)]
-    visible = [torch.ones(24, 32, dtype=torch.bool)] * 3
-    maps = [model.features(image, mask) for image, mask in zip(images, visible, strict=True)]
+    rng = np.random.default_rng(0)
+    maps = [torch.from_numpy(rng.normal(size=(32, 12, 16)).astype(np.float32)) for _ in range(3)]
     height, width = maps[0].shape[-2:]
     uv = [np.stack([rng.integers(width, size=(4, 5, 2)), rng.integers(height, size=(4, 5, 2))], -1) for _ in maps]
     at = [torch.tensor(cells, dtype=torch.float32) for cells in uv]
     at[2][1, 2, 0] = torch.nan
-    with torch.no_grad():
-        found = model.correlation(images, visible, at).numpy()
-        features = np.stack([m.numpy()[:, cells[..., 1], cells[..., 0]] for m, cells in zip(maps, uv, strict=True)])
+    found = MeanAndVariance().compare(maps, at).numpy()
+    features = np.stack([m.numpy()[:, cells[..., 1], cells[..., 0]] for m, cells in zip(maps, uv, strict=True)])
     features[2, :, 1, 2, 0] = np.nan  # not visible there
     np.testing.assert_allclose(found[:32], np.nanmean(features, 0), atol=1e-4)
     np.testing.assert_allclose(found[32:64], np.nanvar(features, 0), atol=1e-4)
     assert found[64, 1, 2, 0] == 2 / 4 and found[64, 0, 0, 0] == 3 / 4
+
+
+@pytest.mark.parametrize("network", [MeanAndVariance, SpheresAsChannels])
+def test_a_variant_is_a_cost(network):
+    rig, grid = scene.rig(width=120, height=112), osl.SphereGrid(64, 16, num_spheres=32, min_depth=0.6)
+    volume = osl.cost_volume(osl.SphereSweep(rig, grid), scene.images(rig, finest=0.5), network().eval())
+    assert torch.allclose((1 - volume).nansum(-1), torch.tensor(1.0), atol=1e-4)
 
 
 def test_spheres_are_channels():
