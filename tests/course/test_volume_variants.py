@@ -1,6 +1,7 @@
 """VolumeNet's variants: what each shows its U-net, what its samples leave out, and the table of all."""
 
 import csv
+import re
 
 import numpy as np
 import pytest
@@ -75,6 +76,15 @@ def test_a_variant_is_trained_by_its_recipe(tmp_path, monkeypatch):
     trained = train_variant(recipe, network, samples)
     changed = [not torch.equal(a, b) for a, b in zip(trained.parameters(), start.parameters(), strict=True)]
     assert all(changed) and not trained.training
+
+
+@pytest.mark.parametrize("name", ["volume_variants", "volume_worlds"])
+def test_the_page_on_training_quotes_the_mean_errors(name):
+    text = (DATA.parent / "book" / "training.md").read_text(encoding="utf-8")
+    with (DATA / "results" / f"{name}.csv").open(newline="", encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            errors = " | ".join(f"{float(value):.2f}" for column, value in row.items() if column.endswith("MAE"))
+            assert re.search(rf"^\| {row['variant']}[^|]* \| {re.escape(errors)} \|$", text, re.MULTILINE), row
 
 
 def test_the_tables_have_all_and_resume(tmp_path, monkeypatch):
