@@ -1,7 +1,7 @@
 """One vocabulary of methods: every name comes back, wrong ones are explained, an object of one's own takes part."""
 
 import doctest
-import pickle
+import multiprocessing
 from concurrent.futures import ThreadPoolExecutor
 from copy import deepcopy
 
@@ -142,11 +142,13 @@ def test_a_sweep_keeps_its_networks(box):
 
 
 @pytest.mark.parametrize("kind", [osl.MCCNN, osl.SweepNet, osl.VolumeNet])
-def test_networks_are_copied_and_pickled_after_use_and_serve_two_threads(box, kind):
+def test_networks_are_copied_and_sent_after_use_and_serve_two_threads(box, kind):
     grid = osl.SphereGrid(64, 16, (-40, 40), 16, 0.6)
     sweep, network = osl.SphereSweep(box[0], grid), kind.pretrained()
     expected = osl.cost_volume(sweep, box[1], network)
-    for copied in (deepcopy(network), pickle.loads(pickle.dumps(network))):
+    queue = multiprocessing.Queue()  # as to another process
+    queue.put(network)
+    for copied in (deepcopy(network), queue.get(timeout=60)):
         assert torch.equal(osl.cost_volume(sweep, box[1], copied).nan_to_num(), expected.nan_to_num())
     sweeps = [sweep, *(osl.SphereSweep(box[0], grid) for _ in range(3))]
     with ThreadPoolExecutor(2) as pool:
