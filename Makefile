@@ -1,4 +1,4 @@
-# The course, from a clone: `make lab` to read it, `make depth` for the result alone, `make test` to check it.
+# The course, from a clone: `make lab` to read it, `make depth` for the result alone, `make help` for the rest.
 # Needs Python 3.11 or newer with venv. Another interpreter: make lab PYTHON=python3.12
 # TORCH=cpu takes torch's CPU build, TORCH=auto the one for this machine's GPU, by uv; otherwise pip's default.
 
@@ -22,19 +22,24 @@ if sys.version_info < (3, 11):
 endef
 export CHECK_PYTHON
 
-.PHONY: lab fresh progress doctor test check coverage grade depth demo render bench results notebooks solutions book slides constraints clean
+.DEFAULT_GOAL := help
+.PHONY: help lab fresh progress doctor test check coverage grade depth demo render bench results notebooks solutions book slides constraints clean
+
+help:  ## this list
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 lab: $(READY)  ## JupyterLab on your copies of the notebooks, in my_notebooks; LAB_ARGS: more options
 	$(BIN)/python -m course lab -- $(LAB_ARGS)
 
 fresh: $(READY)  ## a fresh copy of one notebook: make fresh NOTEBOOK=03; yours is kept beside it
+	$(if $(NOTEBOOK),,$(error Say which notebook: make fresh NOTEBOOK=03))
 	$(BIN)/python -m course fresh $(NOTEBOOK)
 
 progress: $(READY)  ## which of your functions are right, across the notebooks: out/progress.html
 	$(BIN)/python -m course progress
 
-doctor: $(READY)  ## checks Python, the packages and the data, and says how to fix what is wrong
-	$(BIN)/python -m course doctor
+doctor:  ## checks Python, the packages and the data, and says how to fix what is wrong
+	@$$($(BIN)/python -c pass 2>/dev/null && echo $(BIN)/python || echo $(PYTHON)) -m course doctor
 
 test: $(DEV_READY)  ## linters, types, library tests, and every notebook cell against its stored output
 	$(BIN)/ruff check .
@@ -49,10 +54,12 @@ check: $(DEV_READY)  ## the fast tier, a minute: linters, types, geometry, stere
 	$(KEEP_MEMORY) $(BIN)/python -m pytest $(WORKERS) $(NBVAL) tests/geometry tests/rig_files tests/stereo \
 	  --ignore tests/stereo/test_shipped_weights.py notebooks/03_sphere_sweep.ipynb
 
-coverage: $(DEV_READY)  ## the lines of the library that the tests reach; apart from `test`, which it would slow by a half; without the fuzzer, whose limits it breaks
+# Apart from `test`, which it would slow by a half; without the fuzzer, whose limits it breaks.
+coverage: $(DEV_READY)  ## the lines of the library that the tests reach
 	$(KEEP_MEMORY) $(BIN)/python -m pytest $(WORKERS) --cov=omnistereo_lib --ignore tests/test_fuzz.py tests
 
-grade: $(READY)  ## score sheets of handed-in notebooks; runs their code, see book/teaching.md: make grade HANDED_IN=folder
+grade: $(READY)  ## score sheets of handed-in notebooks, whose code it runs: make grade HANDED_IN=folder
+	$(if $(HANDED_IN),,$(error Say what to check, see book/teaching.md: make grade HANDED_IN=folder))
 	$(BIN)/python -m course check '$(HANDED_IN)' $(GRADE_ARGS)
 
 depth: $(READY)  ## the sample frame, or your own: RIG=rig.yaml IMAGES="1.png 2.png 3.png 4.png" make depth
@@ -67,21 +74,21 @@ render: $(RENDER_READY)  ## renders the sample frames; Blender has an environmen
 bench: $(READY)  ## speed, as ratios against named alternatives
 	$(BIN)/python -m course bench $(BENCH_ARGS)
 
-results: $(DEV_READY)  ## the stored results and the book's reproduction report again: hours, but it resumes
+results: $(DEV_READY)  ## the stored results and the reproduction report again: hours, but it resumes
 	$(BIN)/python -m course results -- $(RESULTS_ARGS)
 
-notebooks: $(READY)  ## runs all notebooks from fresh kernels, cleans and stores them, renews stills and the README's table
+notebooks: $(READY)  ## runs all notebooks and stores them, with their stills and the lists on the pages
 	$(BIN)/python -m course run notebooks/*.ipynb
 	$(BIN)/python -m course stills notebooks/*.ipynb
-	$(BIN)/python -m course readme
+	$(BIN)/python -m course pages
 
 solutions: $(READY)  ## the notebooks with every exercise solved, run, into out/solutions: ten minutes
 	$(BIN)/python -m course solve
 
-book: $(DEV_READY)  ## the course as a website, which reads offline: out/book/index.html
+book: $(DEV_READY)  ## the course as a website, which works offline: out/book/index.html
 	$(BIN)/python -m course book
 
-slides: $(DEV_READY)  ## slides of every notebook, which show offline: out/slides
+slides: $(DEV_READY)  ## slides of every notebook, which work offline: out/slides
 	$(BIN)/python -m course slides
 
 constraints: $(DEV_READY)  ## pins what came along with environment.txt

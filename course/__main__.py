@@ -5,18 +5,23 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
-from omnistereo_lib.errors import OmnistereoError
-
 OUT = Path(__file__).resolve().parents[1] / "out"
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one command; return the exit status. Bad input is one plain line."""
+    """Run one command; return the exit status. Bad input is one plain line, and so is a package that is missing."""
     options = vars(_parser().parse_args(arguments))
     module, function = options.pop("calls").split(".")  # imported only when it is used
     try:
         result = getattr(import_module(f"course.{module}"), function)(**options)
-    except OmnistereoError as error:
+    except ModuleNotFoundError as error:
+        print(f"error: {error}. python -m course doctor says what to install", file=sys.stderr)
+        return 2
+    except ValueError as error:
+        from omnistereo_lib.errors import OmnistereoError  # needs packages, which the doctor must not
+
+        if not isinstance(error, OmnistereoError):
+            raise
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
@@ -66,7 +71,7 @@ def _parser() -> argparse.ArgumentParser:
         ("progress.html", "progress.write_progress", "write a page on what is right in the working copies"),
     ):
         add(name.partition(".")[0], calls, text).add_argument("out", nargs="?", type=Path, default=OUT / name)
-    add("readme", "readme.main", "update the README's table of notebooks and its picture")
+    add("pages", "pages.main", "update the lists and pictures of the README and the book's pages")
     add("reproduction", "reproduction.renew_report", "compute book/reproduction.md from the stored results")
     results = add(
         "results", "stored_results.compute_results", "compute the stored results again: hours, but it resumes"

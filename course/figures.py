@@ -16,14 +16,16 @@ COLORS = "petroff6"  # a style of Matplotlib whose colours colour-blind readers 
 SPHERES = 9
 
 
-def draw_figures(folder: Path) -> None:
-    """Write rig.png, camera.jpg, panorama.jpg and spheres.png into a folder."""
+def draw_figures() -> dict[str, bytes]:
+    """Return the figures as files, by name: PNG for lines, JPEG for photographs."""
     data = osl.load_dataset(SAMPLE, split="test")
     with style.context(COLORS):
-        (folder / "rig.png").write_bytes(encode(_rig(data)))
-        (folder / "camera.jpg").write_bytes(encode(_camera(data), "jpeg"))
-        (folder / "panorama.jpg").write_bytes(encode(_panorama(data), "jpeg"))
-        (folder / "spheres.png").write_bytes(encode(_spheres(data)))
+        return {
+            "rig.png": encode(_rig(data)),
+            "camera.jpg": encode(_camera(data), "jpeg"),
+            "panorama.jpg": encode(_panorama(data), "jpeg"),
+            "spheres.png": encode(_spheres(data)),
+        }
 
 
 def _rig(data: Dataset) -> Figure:

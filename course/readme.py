@@ -1,10 +1,9 @@
-"""The generated parts of the README: its table, its picture, its animation, its viewer. `python -m course readme`."""
+"""The README's picture, its animation and its viewer, which `python -m course pages` updates."""
 
 from __future__ import annotations
 
 import io
 import json
-import re
 import tempfile
 import warnings
 from collections.abc import Sequence
@@ -31,8 +30,6 @@ from omnistereo_tools.viewer import page_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-README = nbtools.ROOT / "README.md"
-TABLE = re.compile(r"(?<=<!-- notebooks -->\n).*(?=<!-- /notebooks -->)", re.DOTALL)
 PICTURE = nbtools.NOTEBOOKS / "omnistereo.webp"
 SWEEP = nbtools.NOTEBOOKS / "sweep.webp"
 STREET = nbtools.ROOT / "book" / "street.html"
@@ -44,9 +41,8 @@ GAMMA = 0.7  # the street is in shadow; less than 1 makes it brighter
 STEPS, STEP_MS = 32, 130
 
 
-def main() -> None:
-    """Update the table, the picture, the animation and the viewer."""
-    nbtools.store(README, with_table(README.read_text(encoding="utf-8"), nbtools.notebooks()))
+def update_pictures() -> None:
+    """Update the picture, the animation and the viewer."""
     data = osl.load_dataset(nbtools.ROOT / "data_samples" / "sunny", split="test")
     frame = data.frame(FRAME)
     grid = osl.SphereGrid(width=1280, height=320, phi_deg=(-45, 45), num_spheres=192, min_depth=data.rig.min_depth)
@@ -67,27 +63,6 @@ def main() -> None:
 def data_of(page: str) -> dict[str, Any]:
     """Return what a page of the viewer shows: `page_of` reversed."""
     return json.loads(page.partition('id="data">')[2].partition("</script>")[0])
-
-
-def readme_table(paths: list[Path]) -> str:
-    """Return the table of notebooks, from their own metadata."""
-    rows = ["| notebook | what you learn | you write | to read | needs |", "|---|---|---|---|---|"]
-    for path in paths:
-        nb = nbtools.read_notebook(path)
-        facts, number = nb.metadata["omnistereo"], len(nbtools.open_functions(nb))
-        write = f"{number} functions" if number else "exercises"
-        rows.append(
-            f"| [{nbtools.number(path)} {facts['title']}](notebooks/{path.name}) | {facts['learn']} "
-            f"| {write} | {facts['minutes_to_read']} min | {facts['needs']} |"
-        )
-    return "\n".join(rows) + "\n"
-
-
-def with_table(readme: str, paths: list[Path]) -> str:
-    """Return the README's text with the table between its two markers renewed."""
-    if not TABLE.search(readme):
-        raise SystemExit("README.md has no lines <!-- notebooks --> and <!-- /notebooks --> for the table")
-    return TABLE.sub(lambda _: readme_table(paths), readme, count=1)
 
 
 def renew(path: Path, picture: bytes) -> bool:
@@ -177,7 +152,3 @@ def animation(depth: Depth, images: Sequence[NDArray]) -> bytes:
         written, "webp", save_all=True, append_images=frames[1:], duration=times, loop=0, quality=24, method=6
     )
     return written.getvalue()
-
-
-if __name__ == "__main__":
-    main()

@@ -281,7 +281,7 @@ ROWS: dict[str, Comparison] = {  # first cell → comparison
 
 
 def report(results: Record) -> str:
-    """Return the text of the page, computed from the content of results.json; its links are relative to the root."""
+    """Return the text of the page, computed from the content of results.json."""
     text = "\n".join(_computed(line, results) for line in PAGE.read_text(encoding="utf-8").split("\n"))
     text = re.sub(
         "(<summary>[^:<]+: )[^<]*(</summary>.*?</details>)",

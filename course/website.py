@@ -1,15 +1,12 @@
 """Build the course as a website: `make book`, or `python -m course book FOLDER`.
 
-Its pages are the Markdown files of `book/`, the stored notebooks, and the reference of the library, which is generated.
-They meet in a temporary folder, which Sphinx reads. A warning is an error.
+Its pages are the README, the Markdown files of `book/`, the stored notebooks, and the reference of the library, which
+is generated. They meet in a temporary folder, which Sphinx reads. A warning is an error.
 """
 
 import base64
-import inspect
-import pkgutil
 import re
 import shutil
-from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -17,14 +14,14 @@ import nbformat
 from nbformat.v4 import new_output
 from sphinx.cmd.build import build_main
 
-import omnistereo_lib as osl
 from course import nbtools, stills
 from course.dark_mode import picture
-from course.figures import draw_figures
-from course.readme import STREET, readme_table
-from course.teaching import stuck, written
+from course.pages import BOOK, README, stages
+from course.readme import STREET
 
-BOOK = nbtools.ROOT / "book"
+BESIDE = """
+what_you_write own_cameras notation glossary teaching mistakes reproduction training data library promises elsewhere
+""".split()
 PICTURE = re.compile(r"!\[([^\]]+)\]\(([^)]+)\)")
 
 
@@ -48,26 +45,39 @@ def assemble(source: Path, extra: Path) -> None:
     """Write all pages into the folder `source`, and the images that they show into `extra`."""
     paths = nbtools.notebooks()
     (source / "reference").mkdir(parents=True)
-    generated = {
-        "notebooks": readme_table(paths),
-        "order": "\n".join(f"notebooks/{path.stem}" for path in paths),
-        "names": face(),
-        "modules": reference(source),
-        "written": written(),
-    } | stuck()
-    draw_figures(source)
     extra.mkdir()
     shutil.copy(STREET, extra)
     shutil.copytree(nbtools.NOTEBOOKS, source / "notebooks", ignore=shutil.ignore_patterns(".*"))
-    for page in BOOK.glob("*.md"):
-        text = page.read_text(encoding="utf-8")
-        for name, part in generated.items():
-            text = text.replace(f"<!-- {name} -->", part)
-        text = with_pictures(text, source, extra)
+    for path in (*BOOK.glob("*.png"), *BOOK.glob("*.jpg")):
+        shutil.copy(path, source)
+    for page in (README, *BOOK.glob("*.md")):
+        text = with_pictures(with_links(page.read_text(encoding="utf-8")), source, extra)
         (source / page.name).write_text(text, encoding="utf-8")
+    front = (source / "README.md").rename(source / "index.md")
+    with front.open("a", encoding="utf-8") as file:
+        file.write(contents("Notebooks", [f"notebooks/{path.stem}" for path in paths]))
+        file.write(contents("Beside them", BESIDE) + contents("Reference", ["reference/*"]))
     for path in paths:
         nb = for_the_book(nbformat.read(path, as_version=4), path.stem, extra)
         nbformat.write(nb, source / "notebooks" / path.name)
+    for stage, names in stages().items():
+        listing = "\n".join(f".. automodule:: {name}\n   :members:\n   :ignore-module-all:\n" for name in names)
+        page = f"# {stage}\n\n```{{eval-rst}}\n{listing}```\n"
+        (source / "reference" / f"{stage}.md").write_text(page, encoding="utf-8")
+
+
+def contents(caption: str, names: list[str]) -> str:
+    """Return a part of the navigation, in MyST."""
+    listed = "\n".join(names)
+    return f"\n```{{toctree}}\n:hidden:\n:titlesonly:\n:glob:\n:caption: {caption}\n\n{listed}\n```\n"
+
+
+def with_links(text: str) -> str:
+    """Return the Markdown of a page with its links, which lead through the clone, as they lead through the website."""
+    text = re.sub(r"\]\((\.\./|book/)", "](", text)
+    text = re.sub(r"\]\(omnistereo_lib/(\w+)(\.py)?\)", r"](reference/\1.md)", text)
+    text = re.sub(r"\[([^]]+)\]\(street\.html\)", r'<a href="street.html">\1</a>', text)
+    return re.sub(r"\[([^]]+)\]\((LICENSE|CITATION\.cff|CONTRIBUTING\.md)\)", r"\1", text)
 
 
 def for_the_book(nb: nbformat.NotebookNode, stem: str, extra: Path) -> nbformat.NotebookNode:
@@ -91,30 +101,3 @@ def for_the_book(nb: nbformat.NotebookNode, stem: str, extra: Path) -> nbformat.
 def with_pictures(text: str, source: Path, extra: Path) -> str:
     """Return the Markdown of a page with its images for light and dark mode."""
     return PICTURE.sub(lambda found: picture((source / found[2]).read_bytes(), found[1], extra), text)
-
-
-def reference(source: Path) -> str:
-    """Write one page of the reference for each stage of the library; return their table, as Markdown."""
-    stages: dict[str, list[str]] = {}
-    for module in pkgutil.walk_packages(osl.__path__, "omnistereo_lib."):
-        if not module.name.endswith(".__main__"):
-            stages.setdefault(module.name.split(".")[1], []).append(module.name)
-    rows = []
-    for stage, names in stages.items():
-        listing = "\n".join(f".. automodule:: {name}\n   :members:\n   :ignore-module-all:\n" for name in names)
-        page = f"# {stage}\n\n```{{eval-rst}}\n{listing}```\n"
-        (source / "reference" / f"{stage}.md").write_text(page, encoding="utf-8")
-        rows.append(f"| [`{stage}`](reference/{stage}.md) | {summary(import_module(names[0]))} |\n")
-    return "| module | what it is |\n|---|---|\n" + "".join(rows)
-
-
-def face() -> str:
-    """Return the table of the names that `import omnistereo_lib` offers, as Markdown."""
-    rows = [f"| `osl.{name}` | {summary(getattr(osl, name))} |\n" for name in osl.__all__]
-    return "| name | what it is |\n|---|---|\n" + "".join(rows)
-
-
-def summary(thing: object) -> str:
-    """Return the first paragraph of a docstring, for a cell of a Markdown table."""
-    text = " ".join(inspect.getdoc(thing).partition("\n\n")[0].split())
-    return text.replace("|", r"\|").replace("*", r"\*")

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from nbformat.v4 import new_markdown_cell
 from notebook_cells import FACTS, SLIDER, code, framed, nbval, notebook, write
 
-from course import __main__, nbtools, readme, rules
+from course import __main__, nbtools, rules
 from course.plot import captions
 
 # --- The comparison, one nbval run over all cases -----------------------------------------------------------
@@ -272,19 +272,3 @@ def test_every_rounding_of_a_printed_number_is_carried(number, places):
 def test_no_other_number_is_carried(printed, written):
     nb = notebook(code("f()", printed=f"{printed}\n"), new_markdown_cell(f"exactly {written} px"))
     assert bool(list(rules._numbers(nb))) == (printed != written)
-
-
-# --- README -------------------------------------------------------------------------------------------------
-
-
-def test_readme_table_comes_from_the_notebooks(tmp_path):
-    path = write(tmp_path / "03_tiny.ipynb", good())
-    text = "before\n<!-- notebooks -->\nold\n<!-- /notebooks -->\nafter\n"
-    new = readme.with_table(text, [path])
-    assert new.startswith("before\n<!-- notebooks -->\n| notebook |")
-    row = "| [03 Tiny](notebooks/03_tiny.ipynb) | nothing | exercises | 1 min | CPU |"
-    assert f"{row}\n<!-- /notebooks -->" in new
-    assert new.endswith("after\n")
-    assert readme.with_table(new, [path]) == new
-    with pytest.raises(SystemExit, match="<!-- notebooks -->"):
-        readme.with_table("no table here", [path])

@@ -1,7 +1,8 @@
-"""The README: its table and picture as they are made, its links alive."""
+"""The pages of Markdown: lists and pictures as they are made, links that work on a code host."""
 
 import base64
 import re
+import shutil
 import zlib
 
 import cv2
@@ -9,25 +10,55 @@ import numpy as np
 import pytest
 
 import omnistereo_lib as osl
-from course import nbtools, readme
+from course import figures, nbtools, pages, readme
 from omnistereo_tools import viewer
 
-TEXT = readme.README.read_text(encoding="utf-8")
+ROOT = nbtools.ROOT
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "book").glob("*.md"))]
+TEXTS = {path: path.read_text(encoding="utf-8") for path in PAGES}
+each_page = pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(ROOT).as_posix())
 
 
-def test_it_lists_the_notebooks():
-    assert readme.with_table(TEXT, nbtools.notebooks()) == TEXT, "python -m course readme"
+@each_page
+def test_its_lists_are_as_they_are_made(path):
+    assert pages.with_lists(TEXTS[path]) == TEXTS[path], "python -m course pages"
 
 
-@pytest.mark.parametrize("page", ["README.md", *sorted(f"book/{path.name}" for path in nbtools.ROOT.glob("book/*.md"))])
-def test_every_file_that_it_links_to_is_there(page):
-    path = nbtools.ROOT / page
-    links = re.findall(r"\]\(([^)#:]+\.(?:md|ipynb|jpg|webp|html|cff))", path.read_text(encoding="utf-8"))
-    made = {"rig.png", "camera.jpg", "panorama.jpg", "spheres.png"}  # with the book
-    folders = (path.parent, nbtools.ROOT)  # the book's pages and the notebooks meet in one folder
-    assert [
-        link for link in links if link not in made and not any((folder / link).exists() for folder in folders)
-    ] == []
+def test_every_list_is_on_a_page():
+    assert sorted(name for text in TEXTS.values() for name, _ in pages.LIST.findall(text)) == sorted(pages.LISTS)
+
+
+@each_page
+def test_every_link_leads_to_a_file_and_a_heading_of_the_clone(path):
+    links = re.findall(r"\]\((?!https?:)([^)#]*)(?:#([^)]*))?\)", without_code(TEXTS[path]))
+    assert [name for name, _ in links if not (path.parent / name).exists()] == []
+    fragments = [((path.parent / name).resolve() if name else path, heading) for name, heading in links if heading]
+    assert [heading for target, heading in fragments if heading not in headings(target)] == []
+
+
+@each_page
+def test_a_code_host_shows_all_of_it(path):
+    """No role or directive, which only the website knows, and no place that only a program fills."""
+    text = without_code(TEXTS[path])
+    assert re.findall(r"\{\w+\}`|^```+\{|^:::", text, re.MULTILINE) == []
+    left = re.findall(r"<!-- (.*?) -->", text, re.DOTALL)
+    assert [note for note in left if not note.startswith("not run: ") and note.strip("/ ") not in pages.LISTS] == []
+
+
+def without_code(text):
+    return re.sub(r"^```\w+\n.*?^```$|`[^`\n]+`", "", text, flags=re.DOTALL | re.MULTILINE)
+
+
+def headings(path):
+    """The anchors of a page's headings, as code hosts and the website make them."""
+    titles = re.findall(r"^#+ (.+)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+def test_the_figures_of_the_notation_are_as_they_are_drawn(tmp_path):
+    for name, drawn in figures.draw_figures().items():
+        shutil.copy(ROOT / "book" / name, tmp_path)
+        assert not readme.renew(tmp_path / name, drawn), f"{name}: python -m course pages"
 
 
 def test_the_picture_is_written_only_when_it_shows_something_else(tmp_path):
@@ -47,7 +78,7 @@ def test_the_picture_is_written_only_when_it_shows_something_else(tmp_path):
 def test_its_viewer_is_what_omnistereo_depth_writes():
     page = readme.STREET.read_text(encoding="utf-8")
     data = readme.data_of(page)
-    assert viewer.page_of(data) == page, "python -m course readme"
+    assert viewer.page_of(data) == page, "python -m course pages"
     sample = osl.load_dataset("omnistereo_lib/sample")
     grid = osl.SphereGrid(640, 320, phi_deg=(-90, 90), num_spheres=192, min_depth=sample.rig.min_depth)
     assert data["title"] == "volumenet: 4 cameras, 640 × 320 rays, 192 spheres"
