@@ -1,5 +1,7 @@
 """`python -m course COMMAND`: a check of the clone, and what makes the notebooks, the book and the stored results."""
 
+from __future__ import annotations  # the doctor also answers an older Python
+
 import argparse
 import sys
 from importlib import import_module

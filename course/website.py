@@ -19,9 +19,10 @@ from course.dark_mode import picture
 from course.pages import BOOK, README, stages
 from course.readme import STREET
 
-BESIDE = """
-what_you_write own_cameras notation glossary teaching mistakes reproduction training data library promises elsewhere
-""".split()
+BESIDE = (
+    "what_you_write own_cameras notation glossary teaching mistakes reproduction training data library promises "
+    "elsewhere"
+)
 PICTURE = re.compile(r"!\[([^\]]+)\]\(([^)]+)\)")
 
 
@@ -55,8 +56,8 @@ def assemble(source: Path, extra: Path) -> None:
         (source / page.name).write_text(text, encoding="utf-8")
     front = (source / "README.md").rename(source / "index.md")
     with front.open("a", encoding="utf-8") as file:
-        file.write(contents("Notebooks", [f"notebooks/{path.stem}" for path in paths]))
-        file.write(contents("Beside them", BESIDE) + contents("Reference", ["reference/*"]))
+        file.write(contents("Notebooks", " ".join(f"notebooks/{path.stem}" for path in paths)))
+        file.write(contents("Beside them", BESIDE) + contents("Reference", "reference/*"))
     for path in paths:
         nb = for_the_book(nbformat.read(path, as_version=4), path.stem, extra)
         nbformat.write(nb, source / "notebooks" / path.name)
@@ -66,9 +67,9 @@ def assemble(source: Path, extra: Path) -> None:
         (source / "reference" / f"{stage}.md").write_text(page, encoding="utf-8")
 
 
-def contents(caption: str, names: list[str]) -> str:
+def contents(caption: str, names: str) -> str:
     """Return a part of the navigation, in MyST."""
-    listed = "\n".join(names)
+    listed = names.replace(" ", "\n")
     return f"\n```{{toctree}}\n:hidden:\n:titlesonly:\n:glob:\n:caption: {caption}\n\n{listed}\n```\n"
 
 
