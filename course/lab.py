@@ -6,6 +6,7 @@ version of Python, into a notebook and marks it as unsaved if that is new. The c
 """
 
 import itertools
+import os
 from typing import Any
 
 from ipykernel.ipkernel import IPythonKernel
@@ -21,6 +22,9 @@ SETTINGS = (
     f"--LabApp.app_settings_dir={nbtools.ROOT / 'course' / 'jupyterlab'}",  # no question about news
     "--ServerApp.contents_manager_class=course.lab.Notebooks",
 )
+# In a container there is only root, whom Jupyter refuses, lest a server that is open to others runs as root. This one
+# listens on localhost and asks for its token.
+AS_ROOT = ("--allow-root",) if hasattr(os, "geteuid") and os.geteuid() == 0 else ()
 
 
 def start(options: list[str]) -> None:
@@ -31,7 +35,7 @@ def start(options: list[str]) -> None:
     for path in nbtools.notebooks():
         if not (WORKING / path.name).exists():
             nbtools.store(WORKING / path.name, nbtools.read_text(path))
-    LabApp.launch_instance([*SETTINGS, *options, str(WORKING / nbtools.notebooks()[0].name)])
+    LabApp.launch_instance([*SETTINGS, *AS_ROOT, *options, str(WORKING / nbtools.notebooks()[0].name)])
 
 
 def renew(name: str) -> None:
@@ -46,6 +50,7 @@ def renew(name: str) -> None:
         print(f"your work is kept as {copy.rename(next(path for path in kept if not path.exists())).name}")
     WORKING.mkdir(exist_ok=True)
     nbtools.store(copy, nbtools.read_text(found[0]))
+    print(f"a fresh copy is in {WORKING.name}/{copy.name}")
 
 
 class Notebooks(AsyncLargeFileManager):

@@ -2,14 +2,19 @@
 
 import hashlib
 import json
+import os
+import shutil
 import subprocess
 import sys
+import venv
 from importlib import metadata
 
 import pytest
 
-from course import __main__, doctor
+from course import __main__, doctor, nbtools
 from course.doctor import check_clone
+
+ROOT = nbtools.ROOT
 
 
 @pytest.fixture
@@ -57,9 +62,10 @@ def test_the_short_form_is_the_same_everywhere(healthy, capsys):
 def test_a_package_that_is_missing_or_another_version(healthy, capsys):
     (healthy / "environment.txt").write_text("no-such-package-here==1.0\nnumpy==0.1  # old\n")
     assert check_clone(short=True) is False
+    fix = f"{sys.executable} -m pip install -r environment.txt"
     assert capsys.readouterr().out.splitlines() == [
-        "FAIL  no-such-package-here is missing, the course is tested with 1.0: pip install -r environment.txt",
-        f"FAIL  numpy is {metadata.version('numpy')}, the course is tested with 0.1: pip install -r environment.txt",
+        f"FAIL  no-such-package-here is missing, the course is tested with 1.0: {fix}",
+        f"FAIL  numpy is {metadata.version('numpy')}, the course is tested with 0.1: {fix}",
     ]
 
 
@@ -87,6 +93,38 @@ def test_a_manifest_that_is_missing_or_broken(healthy, capsys):
     manifest.unlink()
     assert check_clone(short=True) is False
     assert "manifest.json is missing from data_samples: git checkout data_samples" in capsys.readouterr().out
+
+
+@pytest.fixture(scope="module")
+def bare(tmp_path_factory):
+    """A Python without any package, as after an installation that failed."""
+    folder = tmp_path_factory.mktemp("bare")
+    venv.create(folder, with_pip=False)
+    return folder / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+
+
+def run_bare(command):
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+
+
+def test_it_needs_no_package(bare):
+    done = run_bare([bare, "-m", "course", "doctor"])
+    assert done.returncode == 1 and done.stderr == ""
+    assert f"packages of environment.txt is installed for {bare}: make lab\n" in done.stdout
+    assert "OK    data_samples: " in done.stdout
+
+
+def test_other_commands_without_packages_are_one_line_that_names_it(bare):
+    done = run_bare([bare, "-m", "course", "lab"])
+    assert done.returncode == 2 and done.stdout == "" and done.stderr.count("\n") == 1
+    assert done.stderr.startswith("error: No module named ") and "python -m course doctor" in done.stderr
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="no make on the PATH")
+def test_make_doctor_installs_nothing(bare):
+    done = run_bare(["make", "doctor", f"PYTHON={bare}", "BIN=no-such-folder"])
+    assert "installed for" in done.stdout and "Installing" not in done.stdout + done.stderr
 
 
 def test_the_short_form_is_quick_to_start():

@@ -30,7 +30,6 @@ SEEN = ROOT / "out" / "browser"
 PATIENCE_S = 600  # for what takes seconds on an idle machine
 expect = sync_api.expect
 
-AS_ROOT = os.geteuid() == 0  # JupyterLab then needs a word more
 # The environment is there already, or this test would not run: make need not look after it.
 MAKE = ["make", "-o", ".venv/.installed"]
 
@@ -69,7 +68,7 @@ def lab(clone):
         path = own / "settings" / "@jupyterlab" / f"{name}.jupyterlab-settings"
         path.parent.mkdir(parents=True)
         path.write_text(json.dumps(setting), encoding="utf-8")
-    arguments = ["--no-browser", "--LabApp.extension_manager=readonly", *(["--allow-root"] if AS_ROOT else [])]
+    arguments = ["--no-browser", "--LabApp.extension_manager=readonly"]
     log = clone / "lab.log"
     with log.open("wb") as sink:
         server = subprocess.Popen(
@@ -157,6 +156,19 @@ def test_quickstart_opens_unchanged_runs_in_jupyterlab_and_its_points_turn(lab, 
     assert (clone / STORED).read_bytes() == (clone / QUICKSTART).read_bytes() == stored
 
 
+def test_make_alone_lists_its_targets():
+    targets = re.search(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)[1].split()
+    said = subprocess.run(["make"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    assert re.findall(r"^make (\w+) +\w", said, re.MULTILINE) == targets
+
+
+@pytest.mark.parametrize("words", ["fresh NOTEBOOK=03", "grade HANDED_IN=folder"])
+def test_make_asks_for_a_name_that_it_needs(words):
+    done = subprocess.run([*MAKE, words.split()[0]], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 2 and done.stdout == ""
+    assert done.stderr.count("\n") == 1 and f": make {words}." in done.stderr
+
+
 @pytest.fixture
 def folders(tmp_path, monkeypatch):
     """Two stored notebooks, and the folder of their working copies."""
@@ -181,6 +193,9 @@ def test_working_copies_are_kept_until_one_is_renewed(folders, capsys):
         lab_module.renew("00")
         assert (working / "00_a.ipynb").read_text() == original
     assert [(working / f"00_a-{number}.ipynb").read_text() for number in (1, 2)] == ["once", "twice"]
-    assert capsys.readouterr().out.splitlines()[-1] == "your work is kept as 00_a-2.ipynb"
+    assert capsys.readouterr().out.splitlines()[-2:] == [
+        "your work is kept as 00_a-2.ipynb",
+        "a fresh copy is in my_notebooks/00_a.ipynb",
+    ]
     with pytest.raises(osl.OmnistereoError, match="there is no notebook '7'; expected one of 00, 01"):
         lab_module.renew("7")
