@@ -68,7 +68,7 @@ depth: $(READY)  ## the sample frame, or your own: RIG=rig.yaml IMAGES="1.png 2.
 demo: $(READY)  ## a drive through the bundled streets, panorama and depth live in the browser
 	$(BIN)/omnistereo demo
 
-render: $(RENDER_READY)  ## renders the sample frames; Blender has an environment of its own
+render: $(RENDER_READY)  ## renders what is missing of sunny/test, or RENDER_ARGS="sunny/train --frames 500 --out more"
 	$(RENDER)/python -m render $(RENDER_ARGS)
 
 bench: $(READY)  ## speed, as ratios against named alternatives

@@ -17,7 +17,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         result = getattr(import_module(f"course.{module}"), function)(**options)
     except ModuleNotFoundError as error:
-        print(f"error: {error}. python -m course doctor says what to install", file=sys.stderr)
+        print(f"error: {error}. {sys.executable} -m course doctor says what to install", file=sys.stderr)
         return 2
     except ValueError as error:
         from omnistereo_lib.errors import OmnistereoError  # needs packages, which the doctor must not
