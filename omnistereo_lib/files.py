@@ -91,8 +91,11 @@ def read_data(path: str | Path, most: int = _MAX_TEXT) -> Any:
         return parse_json(text, path)
     if Path(path).suffix == ".xml":
         return _parse_xml(text, path)
-    try:  # OpenCV before 5 writes "%YAML:1.0", which is not valid YAML
-        return _not_deep(_yaml_loader()(re.sub(r"\A\s*%YAML:.*", "", text)).get_single_data())
+    # OpenCV before 5 writes "%YAML:1.0", people "data:[" without a blank, ROS a line of dashes behind a message.
+    text = re.sub(r"\A\s*%YAML:.*|\n---\s*\Z", "", text)
+    text = re.sub(r"(?m)^([ ]*[\w.-]+:)(?=[\[{])", r"\1 ", text)
+    try:
+        return _not_deep(_yaml_loader()(text).get_single_data())
     except (yaml.YAMLError, *_BROKEN) as error:
         raise _damaged(path, error) from None
 

@@ -6,15 +6,17 @@ import numpy as np
 
 from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.files import read_gray
-from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.rig_files.fit import fit_camera
-from omnistereo_lib.rig_files.parse import RigFile, Section, parse_size
+from omnistereo_lib.rig_files.parse import RigFile, Section, parse_size, quaternion_pose
 
 _MODELS = {"pinhole-radtan8": "pinhole"}  # what basalt calls otherwise than `camera_models`
 
 
 def read_basalt(data: Section, path: Path, max_fov_deg: float | None) -> RigFile:
-    """Read a parsed calibration.json, and the masks camN/mask.png that exist beside it: N from 0, bright = valid."""
+    """Read basalt JSON: ds, eucm, ucm, kb4, pinhole, pinhole-radtan8 and fov.
+
+    Masks camN/mask.png beside the file are read, too: N from 0, bright = valid.
+    """
     value = data.section("value0")
     poses, intrinsics = value.sections("T_imu_cam"), value.sections("intrinsics")
     sizes = value.require("resolution")
@@ -26,7 +28,8 @@ def read_basalt(data: Section, path: Path, max_fov_deg: float | None) -> RigFile
     cameras, T_rig_cam = [], []
     for i, (pose, model, size) in enumerate(zip(poses.values(), intrinsics.values(), sizes, strict=True)):
         with error_context(f"camera {i}"):
-            T_rig_cam.append(_pose_from_quaternion(pose))
+            q = np.array([pose.number(key) for key in ("qw", "qx", "qy", "qz")])
+            T_rig_cam.append(quaternion_pose(q, np.array([pose.number(key) for key in ("px", "py", "pz")])))
             image_size = parse_size(size, "resolution")
             mask_file = path.parent / f"cam{i}" / "mask.png"
             mask = read_gray(mask_file, image_size) >= 128 if mask_file.exists() else None
@@ -35,15 +38,3 @@ def read_basalt(data: Section, path: Path, max_fov_deg: float | None) -> RigFile
             source = f"{path}, camera {i}"
             cameras.append(fit_camera(source, _MODELS.get(name, name), parameters, image_size, max_fov_deg, mask))
     return RigFile(cameras, T_rig_cam)
-
-
-def _pose_from_quaternion(pose: Section) -> Pose:
-    from scipy.spatial.transform import Rotation
-
-    q = np.array([pose.number(key) for key in ("qx", "qy", "qz", "qw")])
-    t = np.array([pose.number(key) for key in ("px", "py", "pz")])
-    if not np.abs(q).max() < 2 or abs(np.linalg.norm(q) - 1) > 1e-3:  # the largest first: squares can overflow
-        raise OmnistereoError(
-            f"the quaternion {q.tolist()} has length {np.linalg.norm(q.clip(-1e9, 1e9)):.4g}; expected 1"
-        )
-    return Pose(Rotation.from_quat(q).as_matrix(), t)

@@ -9,34 +9,52 @@ from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.files import path_within, read_data
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.rig_files.camera_models import RADTAN
 from omnistereo_lib.rig_files.fit import fit_camera
 from omnistereo_lib.rig_files.ocam import ocam_camera
-from omnistereo_lib.rig_files.parse import RigFile, Section, parse_matrix, parse_size
+from omnistereo_lib.rig_files.parse import RigFile, Section
 
-# model_type → our model, and our parameters where its names differ
-_MODELS = {
-    "mei": ("omni", {"gamma1": "fx", "gamma2": "fy", "u0": "cx", "v0": "cy"}),
+_RADTAN = dict(zip(RADTAN[:4], RADTAN[:4], strict=True))
+# model_type → our model, and the blocks of the file with our names of their keys
+_MODELS: dict[str, tuple[str, dict[str, dict[str, str]]]] = {
+    "mei": (
+        "omni",
+        {
+            "mirror_parameters": {"xi": "xi"},
+            "distortion_parameters": _RADTAN,
+            "projection_parameters": {"gamma1": "fx", "gamma2": "fy", "u0": "cx", "v0": "cy"},
+        },
+    ),
     "kannala_brandt": (
         "kb4",
-        {"mu": "fx", "mv": "fy", "u0": "cx", "v0": "cy", "k2": "k1", "k3": "k2", "k4": "k3", "k5": "k4"},
+        {
+            "projection_parameters": {"k2": "k1", "k3": "k2", "k4": "k3", "k5": "k4"}
+            | {"mu": "fx", "mv": "fy", "u0": "cx", "v0": "cy"}
+        },
     ),
-    "pinhole": ("pinhole", {}),
+    "pinhole": (
+        "pinhole",
+        {
+            "distortion_parameters": _RADTAN,
+            "projection_parameters": {"fx": "fx", "fy": "fy", "cx": "cx", "cy": "cy"},
+        },
+    ),
 }
 
 
 def read_camodocal(data: Section, path: Path, max_fov_deg: float | None) -> RigFile:
-    """Read a parsed camera file, which has no pose."""
+    """Read camodocal camera: MEI, KANNALA_BRANDT, PINHOLE or SCARAMUZZA."""
     return RigFile([_camera(data, path, max_fov_deg)], [Pose.identity()])
 
 
 def read_vins(data: Section, path: Path, max_fov_deg: float | None) -> RigFile:
-    """Read a parsed VINS configuration and the camera files that it names."""
+    """Read VINS configuration: with `body_T_cam0`, …, and the camodocal files that `cam0_calib`, … name."""
     cameras, poses = [], []
     for n in range(sum(name.startswith("body_T_cam") for name in data.values)):
-        poses.append(parse_matrix(data.require(f"body_T_cam{n}"), f"body_T_cam{n}"))
+        poses.append(data.pose(f"body_T_cam{n}"))
         file = path_within(path.parent, data.require(f"cam{n}_calib"), path)
         with error_context(file):
-            cameras.append(_camera(Section(read_data(file)), file, max_fov_deg))
+            cameras.append(_camera(data.add(f"cam{n}_calib", read_data(file)), file, max_fov_deg))
     return RigFile(cameras, poses)
 
 
@@ -49,14 +67,13 @@ def _camera(data: Section, path: Path, max_fov_deg: float | None) -> OcamCamera:
         raise OmnistereoError(
             f"model_type is {model_type.upper()}; expected one of {known}. Recalibrate with one of them"
         )
-    model, names = _MODELS[model_type]
+    model, blocks = _MODELS[model_type]
     parameters: dict[str, float] = {}
-    for key in ("mirror_parameters", "distortion_parameters", "projection_parameters"):
-        if key in data.values:
-            found = data.section(key).numbers()
-            parameters |= {names.get(name, name): value for name, value in found.items()}
-    size = parse_size([data.require("image_width"), data.require("image_height")], "image size")
-    return fit_camera(str(path), model, parameters, size, max_fov_deg)
+    for block, names in blocks.items():
+        with error_context(block):
+            inner = data.section(block)
+            parameters |= {ours: inner.number(theirs) for theirs, ours in names.items()}
+    return fit_camera(str(path), model, parameters, data.size("image_width", "image_height"), max_fov_deg)
 
 
 def _scaramuzza(data: Section, path: Path, max_fov_deg: float | None) -> OcamCamera:

@@ -22,6 +22,8 @@ AZIMUTHS = np.arange(64) * (2 * np.pi / 64)
 _FIT_TOLERANCE = 0.01  # px, as for any inverse polynomial
 _MAX_DEGREE = 20
 MAX_ERROR = 0.1  # px; beyond it a warning
+_LOST = 0.005  # share of the pixels; beyond it a warning
+_MAX_TANGENTIAL, _MISLABELLED_PX = 0.01, 10.0  # lenses have p1, p2 of 0.001; residual where they are another model's
 
 
 def fit_camera(
@@ -34,23 +36,47 @@ def fit_camera(
 ) -> OcamCamera:
     """Return the OCam camera of a named model in a file; parameters as `make_camera_model` and `fit_ocam`.
 
-    `source`, the file and the camera, is for messages. A UserWarning reports a residual above 0.1 px, which
-    tangential distortion causes.
+    `source`, the file and the camera, is for messages. A UserWarning reports a residual above 0.1 px, and pixels beyond
+    the angle at which the model stops being one to one. An `OmnistereoError` refuses a pinhole camera whose numbers
+    are those of a fisheye, see `_is_mislabelled`.
     """
     try:
         with np.errstate(all="ignore"):  # absurd parameters overflow before they are refused
-            camera, residual = fit_ocam(make_camera_model(model, parameters), image_size, max_fov_deg, mask)
+            project = make_camera_model(model, parameters)
+            camera, residual = fit_ocam(project, image_size, max_fov_deg, mask)
+            degrees, lost = pixels_beyond(project, image_size, mask)
     except np.linalg.LinAlgError:
         raise OmnistereoError(f"no camera fits the {model} parameters {parameters}. Check them") from None
     _log.info("%s: %s fitted by OCam, %.1f° seen, worst residual %.2g px", source, model, camera.max_fov_deg, residual)
+    if model == "pinhole" and residual > _MISLABELLED_PX and _is_mislabelled(parameters):
+        raise OmnistereoError(
+            f"p1 and p2 of a pinhole camera are {parameters['p1']:g} and {parameters['p2']:g}; expected below "
+            f"{_MAX_TANGENTIAL}. k1 k2 p1 p2 look like k1 k2 k3 k4 of a fisheye (Kannala-Brandt), which some drivers "
+            "call plumb_bob (T265). If so, write distortion_model: equidistant"
+        )
     if residual > MAX_ERROR:
+        tangential = any(parameters.get(name) for name in ("p1", "p2"))
         warnings.warn(
-            f"{source}: an OCam camera follows the {model} model in the file to {residual:.2f} px only: it has no "
-            "tangential distortion. Where that is too much, lower max_fov_deg (--max-fov)",
+            f"{source}: an OCam camera follows the {model} model in the file to {residual:.2f} px only"
+            f"{': it has no tangential distortion' if tangential else ''}. Where that is too much, lower max_fov_deg "
+            "(--max-fov)",
+            UserWarning,
+            stacklevel=2,
+        )
+    if lost > _LOST and 2 * degrees < camera.max_fov_deg + 1:
+        warnings.warn(
+            f"{source}: the {model} model is one to one within {2 * degrees:.0f}° only: {100 * lost:.0f} % of the "
+            "pixels lie beyond and are not used. Check its coefficients, or calibrate with points near the rim",
             UserWarning,
             stacklevel=2,
         )
     return camera
+
+
+def _is_mislabelled(parameters: dict[str, float]) -> bool:
+    """Return whether p1 and p2 are too large for tangential distortion, and no coefficient follows them."""
+    large = max(abs(parameters.get(name, 0.0)) for name in ("p1", "p2")) > _MAX_TANGENTIAL
+    return large and not any(parameters.get(f"k{n}") for n in (3, 4, 5, 6))
 
 
 def fit_ocam(
@@ -116,15 +142,10 @@ def field_of_view_deg(
         project, image_size, mask: As for `fit_ocam`.
         max_fov_deg: Limit, degrees. None: none with a mask, 220° without a mask.
     """
-    theta = np.arange(0.0, np.pi, _ANGLE_STEP)
-    uv, valid = project(ring_rays(theta))
-    uv = np.where(valid[..., None], uv, np.nan)
-    radius = np.linalg.norm(uv - uv[0].mean(0), axis=-1)
-    one_to_one = np.append(True, (np.diff(radius, axis=0) > 0).all(1)).cumprod().astype(bool)  # NaN is not > 0
-    theta, uv = theta[one_to_one], uv[one_to_one]
+    theta, uv, _ = _one_to_one(project)
     width, height = image_size
     with np.errstate(invalid="ignore"):
-        inside = ((uv >= 0) & (uv <= (width - 1, height - 1))).all(-1)
+        inside = np.asarray(((uv >= 0) & (uv <= (width - 1, height - 1))).all(-1))
     if mask is not None:
         column, row = np.where(inside[..., None], uv, 0).round().astype(int).transpose(2, 0, 1)
         inside &= mask[row, column]
@@ -136,6 +157,35 @@ def field_of_view_deg(
     default = 360.0 if mask is not None else DEFAULT_FOV_DEG
     limit = np.radians(default if max_fov_deg is None else max_fov_deg) / 2
     return float(np.degrees(2 * min(visible, theta.max(), limit)))
+
+
+def pixels_beyond(
+    project: Projection, image_size: tuple[int, int], mask: NDArray[np.bool_] | None = None
+) -> tuple[float, float]:
+    """Return the angle from the axis, degrees, at which a model stops being one to one, and the share of pixels beyond.
+
+    project, image_size, mask: As for `fit_ocam`.
+    """
+    theta, uv, radius = _one_to_one(project)
+    columns, rows = (np.linspace(0, side - 1, min(side, 256)) for side in image_size)
+    u, v = np.meshgrid(columns - uv[0, :, 0].mean(), rows - uv[0, :, 1].mean())
+    last = uv[-1] - uv[0].mean(0)
+    limit = np.interp(np.arctan2(v, u), np.arctan2(last[:, 1], last[:, 0]), radius[-1], period=2 * np.pi)
+    beyond = np.hypot(u, v) > limit
+    if mask is not None:
+        beyond = beyond[mask[np.ix_(rows.astype(int), columns.astype(int))]]
+    ends = theta[-1] < np.pi - 2 * _ANGLE_STEP
+    return float(np.degrees(theta[-1])), float(beyond.mean()) if ends and beyond.size else 0.0
+
+
+def _one_to_one(project: Projection) -> tuple[Floats, Floats, Floats]:
+    """Return the angles θ up to which radii grow, their pixels (rings, azimuths, 2), and radii (rings, azimuths)."""
+    theta = np.arange(0.0, np.pi, _ANGLE_STEP)
+    uv, valid = project(ring_rays(theta))
+    uv = np.where(valid[..., None], uv, np.nan)
+    radius = np.linalg.norm(uv - uv[0].mean(0), axis=-1)
+    kept = np.append(True, (np.diff(radius, axis=0) > 0).all(1)).cumprod().astype(bool)  # NaN is not > 0
+    return theta[kept], uv[kept], radius[kept]
 
 
 def _fit_inverse(radius: Floats, t: Floats) -> Floats:

@@ -7,10 +7,13 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.files import as_path, read_data, read_text
@@ -20,44 +23,88 @@ from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.rig_files import plausible
 from omnistereo_lib.rig_files.basalt import read_basalt
 from omnistereo_lib.rig_files.camodocal import read_camodocal, read_vins
-from omnistereo_lib.rig_files.kalibr import read_kalibr
-from omnistereo_lib.rig_files.lens_files import parse_hugin, read_hugin, read_metashape
-from omnistereo_lib.rig_files.ocam import data_lines, parse_pose, read_ocam_txt, warn_of_polynomials
+from omnistereo_lib.rig_files.kalibr import is_kalibr, read_kalibr
+from omnistereo_lib.rig_files.lens_files import parse_hugin, read_gyroflow, read_hugin, read_metashape
+from omnistereo_lib.rig_files.ocam import parse_pose, read_ocam_txt, warn_of_polynomials
 from omnistereo_lib.rig_files.omnimvs import read_omnimvs
-from omnistereo_lib.rig_files.opencv import is_opencv, read_opencv
-from omnistereo_lib.rig_files.parse import METRES_PER_UNIT, RigFile, Section, check_fov, metres_per_unit
+from omnistereo_lib.rig_files.opencv import is_opencv, read_mc_calib, read_opencv
+from omnistereo_lib.rig_files.parse import (
+    METRES_PER_UNIT,
+    RigFile,
+    Section,
+    check_fov,
+    is_irrelevant,
+    metres_per_unit,
+    numbered_lines,
+    warn_if_different,
+)
+from omnistereo_lib.rig_files.reconstructions import read_colmap_model, read_colmap_rig, read_transforms
 
 _log = logging.getLogger("omnistereo_lib")
 
 
-class Format(NamedTuple):
-    """A format of rig or lens files."""
+_UNSTATED = "`--unit`"
 
-    name: str
-    recognises: Callable[[dict[str, Any]], bool]  #: whether parsed content is of this format
+
+class Format(NamedTuple):
+    """A format of rig or lens files; the docstring of its reader begins "Read NAME: WHAT.", see `formats_table`."""
+
     read: Callable[[Section, Path, float | None], RigFile]  #: content, path, max_fov_deg; raises an `OmnistereoError`
-    in_metres: bool = True  #: whether the format defines its unit; else `load_rig` needs it
+    recognises: Callable[[dict[str, Any]], bool]  #: whether parsed content is of this format
+    unit: str = "metres"  #: of its poses; `load_rig` needs the one of `_UNSTATED`
+    has_settings: bool = False  #: whether its top level holds settings of a program, too
+
+    @property
+    def name(self) -> str:
+        """Its name for people."""
+        return _described(self.read)[0]
 
 
 # In the order in which they are tried.
 FORMATS = (
-    Format("OmniMVS config.yaml", lambda data: _is_omnimvs(data.get("cameras")), read_omnimvs),
-    Format("basalt JSON", lambda data: "value0" in data, read_basalt),
-    Format("Kalibr camchain", lambda data: "camera_model" in _mapping(data.get("cam0")), read_kalibr),
-    Format("VINS configuration", lambda data: "body_T_cam0" in data, read_vins),
-    Format("OpenCV", is_opencv, read_opencv, in_metres=False),
-    Format("camodocal camera", lambda data: "model_type" in data, read_camodocal),
-    Format("Metashape lens", lambda data: "calibration" in data, read_metashape),
-    Format("Hugin lens", lambda data: {"w", "h", "f", "v"} <= data.keys(), read_hugin),
+    Format(read_omnimvs, lambda data: data.get("cameras") == [] or _has_list("cameras", data, of="poly")),
+    Format(read_basalt, lambda data: "value0" in data),
+    Format(read_kalibr, is_kalibr),
+    Format(read_vins, lambda data: "body_T_cam0" in data, has_settings=True),
+    Format(read_camodocal, lambda data: "model_type" in data, ""),
+    Format(read_colmap_rig, lambda data: _has_list("cameras", data, of="image_prefix"), _UNSTATED),
+    Format(read_transforms, lambda data: _has_list("frames", data, of="transform_matrix"), _UNSTATED),
+    Format(read_gyroflow, lambda data: "fisheye_params" in data, "", has_settings=True),
+    Format(read_mc_calib, lambda data: "camera_pose_matrix" in _mapping(data.get("camera_0")), _UNSTATED),
+    Format(read_opencv, is_opencv, _UNSTATED),
+    Format(read_metashape, lambda data: "calibration" in data, ""),
+    Format(read_hugin, lambda data: {"w", "h", "f", "v"} <= data.keys(), ""),
 )
-_SUPPORTED = (
-    "supported formats: OmniMVS config.yaml, basalt JSON, Kalibr camchain, VINS YAML, OpenCV or ROS (YAML, JSON, XML), "
-    "and a folder with poses.txt and ocam1.txt, … (OCamCalib) or cam1, … (camodocal, OpenCV, Metashape, Hugin)"
-)
-_RIG_FILES = ("config.yaml", "rig.yaml", "calibration.json", "calibration.yaml")  # the first found in a folder
+# What is known, but not read: a pattern for a key of the file, and what to do instead.
+_NOT_READ = {
+    "project": "PTGui projects are not read: rebuild the lens in Hugin (.pto), which has the same a, b and c",
+    "document|chunk": "Metashape projects are not read: save the calibration of each camera (Tools)",
+    "cameraData": "DepthAI calibrations are not read: write K, D, R, T and the size as OpenCV names them, --unit cm",
+    r"Camera[12]?\.fx": "ORB-SLAM settings are not read: write the camchain of Kalibr",
+    "rig": "DriveWorks rigs are not read: write K, D, R, T and the size as OpenCV names them",
+}
+_RIG_FILES = ("config.yaml", "rig.yaml", "calibration.json", "calibration.yaml", "rig_config.json", "transforms.json")
 _LENS_FILES = ("ocam*.txt", "cam[0-9]*.*")  # the first found in a folder with poses.txt
+_COLMAP = ("cameras.txt", "images.txt")
 _MAX_BYTES = 1 << 18  # a hundred cameras have 60,000; a megabyte of YAML takes seconds
-_KNOWN_KEYS = {"dataset", "cam_id", "img_dir", "rostopic", "cam_overlaps"}  # of every such file, without a meaning here
+
+
+def formats_table() -> str:
+    """Return the formats as the table in book/own_cameras.md, whose test says how it is made."""
+    rows = [("format", "what is read", "unit"), ("---",) * 3]
+    rows += [(*_described(form.read), form.unit) for form in FORMATS]
+    rows += [(*_described(read), _UNSTATED) for read in (_read_folder, read_colmap_model)]
+    return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+
+
+def _described(read: Callable[..., RigFile]) -> tuple[str, str]:
+    """Return the name of what a function reads, and what it reads of that, by its docstring."""
+    name, what = " ".join(str(read.__doc__).split("\n\n")[0].split()).removeprefix("Read ").rstrip(".").split(": ", 1)
+    return name, what
+
+
+def _supported() -> str:
+    return f"supported formats: {', '.join(form.name for form in FORMATS)}, and folders with poses.txt or images.txt"
 
 
 def load_rig(
@@ -92,6 +139,9 @@ def load_rig(
         check_fov(max_fov_deg, "max_fov_deg")
     if os.path.isdir(path) and not (unit is None and (path / "config.yaml").exists()) and _lens_files(path):
         name, in_metres, found = "OCamCalib text files", False, _read_folder(path, max_fov_deg)
+    elif path.name in _COLMAP or (os.path.isdir(path) and all((path / name).exists() for name in _COLMAP)):
+        folder = path if os.path.isdir(path) else path.parent
+        name, in_metres, found = "COLMAP model", False, read_colmap_model(folder, max_fov_deg)
     else:
         path = _find_rig_file(path) if os.path.isdir(path) else path
         name, in_metres, found = _read_file(path, max_fov_deg)
@@ -107,6 +157,7 @@ def load_rig(
         rig = Rig(tuple(found.cameras), tuple(found.T_rig_cam), found.min_depth, T_rig_file)
         scale = 1.0 if in_metres else metres_per_unit(unit, rig.centers)
         rig = rig.with_poses([Pose(pose.R, scale * pose.t) for pose in rig.T_rig_cam])
+        _compare_sources(rig, path, unit)
         plausible.check_rig(rig, path)
         low, high = rig.baselines.min(), rig.baselines.max()
         in_unit = "" if in_metres else f" in {unit}"
@@ -170,12 +221,9 @@ def _sorted(files: Iterable[Path]) -> list[Path]:
 
 
 def _read_folder(folder: Path, max_fov_deg: float | None) -> RigFile:
-    """Read the files of single cameras, and poses.txt: camera → rig, in an unstated unit."""
-    files, poses, poses_file = _lens_files(folder), [], folder / "poses.txt"
-    with error_context(poses_file):
-        for i, line in enumerate(data_lines(poses_file), 1):
-            with error_context(f"camera {i}"):
-                poses.append(parse_pose(line))
+    """Read a folder: `ocam1.txt`, … (OCamCalib), or `cam1.xml`, `cam1.yaml`, … of any format above, and `poses.txt`."""
+    files, poses = _lens_files(folder), _read_poses(folder / "poses.txt")
+    with error_context(folder / "poses.txt"):
         if len(poses) != len(files):
             raise OmnistereoError(
                 f"found {len(poses)} poses and {len(files)} camera files "
@@ -188,47 +236,89 @@ def _read_folder(folder: Path, max_fov_deg: float | None) -> RigFile:
     return RigFile(cameras, poses)
 
 
+def _read_poses(file: Path) -> list[Pose]:
+    poses = []
+    with error_context(file):
+        for i, (number, words) in enumerate(numbered_lines(file), 1):
+            with error_context(f"line {number}, camera {i}"):
+                poses.append(parse_pose(words))
+    return poses
+
+
+def _compare_sources(rig: Rig, path: Path, unit: str | None) -> None:
+    """Warn if poses.txt and config.yaml stand in one folder and state different poses."""
+    folder = path if os.path.isdir(path) else path.parent
+    poses_file, config = folder / "poses.txt", folder / "config.yaml"
+    if path not in (folder, config) or not (poses_file.exists() and config.exists()):
+        return
+    if path == config:
+        used, other_name, other = "config.yaml", "poses.txt", _read_poses(poses_file)
+    else:
+        used, other_name, other = "poses.txt", "config.yaml", _read_file(config, None)[2].T_rig_cam
+    if len(other) != len(rig):
+        warnings.warn(
+            f"{folder}: {used} has {len(rig)} cameras, {other_name} {len(other)}. {used} is used", stacklevel=3
+        )
+        return
+    first, second = ([poses[0].inverse() @ pose for pose in poses] for poses in (rig.T_rig_cam, other))
+    if path == config:  # poses.txt does not state its unit: that in which it fits best
+        far = [max(float(np.linalg.norm(pose.t)) for pose in poses) or 1.0 for poses in (first, second)]
+        scale = min(METRES_PER_UNIT.values(), key=lambda scale: abs(np.log(far[0] / far[1] / scale)))
+        second = [Pose(pose.R, scale * pose.t) for pose in second]
+    warn_if_different(first, second, used, other_name, folder)
+
+
 def _find_rig_file(folder: Path) -> Path:
-    for name in _RIG_FILES:
-        if (folder / name).exists():
-            return folder / name
+    found = [name for name in _RIG_FILES if (folder / name).exists()]
+    if found:
+        if len(found) > 1:
+            warnings.warn(
+                f"{folder}: found {' and '.join(found)}; {found[0]} is read. Pass the file that is meant", stacklevel=3
+            )
+        return folder / found[0]
     found = sorted(file.name for file in folder.iterdir())[:8]
-    raise OmnistereoError(f"{folder}: found {found}; expected ocam*.txt or one of {_RIG_FILES}; {_SUPPORTED}")
+    raise OmnistereoError(f"{folder}: found {found}; expected ocam*.txt or one of {_RIG_FILES}; {_supported()}")
 
 
 def _read_file(path: Path, max_fov_deg: float | None) -> tuple[str, bool, RigFile]:
     """Return the name of the format of a file, whether it is in metres, and what the file holds."""
     with error_context(path):
         if path.suffix == ".txt":
-            raise OmnistereoError(f"a text file holds one camera or the poses. Pass the folder of a rig; {_SUPPORTED}")
+            raise OmnistereoError(
+                f"a text file holds one camera or the poses. Pass the folder of a rig; {_supported()}"
+            )
         is_hugin = path.suffix in (".pto", ".ini")
         data = parse_hugin(read_text(path, _MAX_BYTES), path) if is_hugin else read_data(path, _MAX_BYTES)
-        content = _mapping(data)
-        content = _mapping(content.get("opencv_storage", content))  # the root of OpenCV's XML
-        form = next((each for each in FORMATS if each.recognises(content)), None)
-        if form is None:
-            keys = sorted(map(str, content))[:8]
-            raise OmnistereoError(f"unknown format, found the keys {keys}{_unread_format(path, content)}; {_SUPPORTED}")
+        layers = [*_layers(data)]
+        found = next(((form, data) for data in layers for form in FORMATS if form.recognises(data)), None)
+        if found is None:
+            keys = sorted(map(str, _mapping(data)))
+            known = next((f". {do}" for key, do in _NOT_READ.items() for k in keys if re.fullmatch(key, k)), "")
+            raise OmnistereoError(f"unknown format, found the keys {keys[:8]}{known}; {_supported()}")
+        form, content = found
         section = Section(content)
-        found = form.read(section, path, max_fov_deg)
-        ignored = sorted(set(section.unread()) - _KNOWN_KEYS)
-        if ignored:
-            _log.info("%s: ignored keys: %s", path, ", ".join(ignored))
-        return form.name, form.in_metres, found
+        rig = form.read(section, path, max_fov_deg)
+        if settings := section.warn(path, form.has_settings):
+            _log.info("%s: keys of the program, not of cameras: %s", path, ", ".join(settings))
+        return form.name, form.unit != _UNSTATED, rig
+
+
+def _layers(data: Any) -> Iterator[dict[str, Any]]:
+    """Yield the content of a file as a mapping, and what is in it as long as it only wraps: a list, a single key."""
+    data = data[0] if isinstance(data, list) and len(data) == 1 else data
+    data = {"cameras": data} if isinstance(data, list) else data
+    while isinstance(data, dict):
+        yield data
+        inner = [value for key, value in data.items() if not is_irrelevant(key, value)]
+        data = inner[0] if len(inner) == 1 else None
+        data = {f"cam{n}": value for n, value in enumerate(data)} if isinstance(data, list) else data
 
 
 def _mapping(value: Any) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def _is_omnimvs(cameras: Any) -> bool:
-    return cameras == [] or (isinstance(cameras, list) and any(isinstance(c, dict) and "poly" in c for c in cameras))
-
-
-def _unread_format(path: Path, data: dict[str, Any]) -> str:
-    """Return what to do about a file of a program that is known, but whose files are not read."""
-    if path.suffix == ".pts" or "project" in data:
-        return ". PTGui projects are not read: rebuild the lens in Hugin (.pto), which has the same a, b and c"
-    if "document" in data or "chunk" in data:
-        return ". Metashape projects are not read: save the calibration of each camera (Tools, Camera Calibration)"
-    return ""
+def _has_list(key: str, data: dict[str, Any], of: str) -> bool:
+    """Return whether a key holds a list of mappings, one of which has the key `of`."""
+    values = data.get(key)
+    return isinstance(values, list) and any(of in _mapping(value) for value in values)

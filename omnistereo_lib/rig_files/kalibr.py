@@ -1,18 +1,19 @@
 """Kalibr camchain YAML, metres: `cam0`, `cam1`, … with `T_cn_cnm1` (camera n-1 → camera n) or the IMU poses.
 
-The rig frame is cam0. `T_cam_imu` (IMU → camera) and `T_imu_cam` (camera → IMU) are read where the chain is missing,
-and compared with it where both are there.
+The cameras may have other names, then in the order of the file; the rig frame is the first one. `T_cam_imu` (IMU →
+camera) and `T_imu_cam` or `T_BS` (camera → IMU) are read where the chain is missing, and compared with it.
 """
 
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.rig_files.camera_models import RADTAN
 from omnistereo_lib.rig_files.fit import fit_camera
-from omnistereo_lib.rig_files.parse import RigFile, Section, parse_floats, parse_matrix, parse_size, warn_if_different
+from omnistereo_lib.rig_files.parse import RigFile, Section, parse_floats, warn_if_different
 
 _PINHOLE = ("fx", "fy", "cx", "cy")
 # (camera_model, distortion_model) → our model, its parameters in file order: intrinsics, distortion_coeffs
@@ -29,17 +30,31 @@ _MODELS: dict[tuple[str, str], tuple[str, tuple[str, ...], tuple[str, ...]]] = {
 _ALIASES = {"equi": "equidistant", "kb4": "equidistant", "plumb_bob": "radtan", "radial-tangential": "radtan"}
 
 
+def is_kalibr(data: dict[str, Any]) -> bool:
+    """Return whether a file has cameras, or is one camera, as Kalibr writes them."""
+    return any(isinstance(cam, dict) and {"camera_model", "intrinsics"} <= cam.keys() for cam in (data, *data.values()))
+
+
 def read_kalibr(data: Section, path: Path, max_fov_deg: float | None) -> RigFile:
-    """Read a parsed camchain: models ds, eucm, omni and pinhole, with every distortion that Kalibr has for them."""
-    count = sum(bool(re.fullmatch(r"cam[0-9]+", name)) for name in data.values)
-    cams = [data.section(f"cam{n}") for n in range(count)]  # a gap in the chain is an error
-    cameras = []
+    """Read Kalibr camchain: ds, eucm, omni, or pinhole with equidistant, radtan or fov; also one camera."""
+    cams, cameras = _cameras(data), []
     for cam in cams:
-        with error_context(cam.name):
+        with error_context(cam.name or path):
             model, parameters = _parse_model(cam)
-            image_size = parse_size(cam.require("resolution"), "resolution")
-            cameras.append(fit_camera(f"{path}, {cam.name}", model, parameters, image_size, max_fov_deg))
+            source = f"{path}, {cam.name}" if cam.name else str(path)
+            cameras.append(fit_camera(source, model, parameters, cam.size("resolution"), max_fov_deg))
     return RigFile(cameras, _parse_poses(cams, path))
+
+
+def _cameras(data: Section) -> list[Section]:
+    """Return the cameras in the order of their numbers, from 0 or 1, else in that of the file."""
+    if "camera_model" in data.values:
+        return [data]
+    names = [name for name, value in data.values.items() if isinstance(value, dict)]
+    if all(re.fullmatch(r"cam(era)?_?[0-9]{1,4}", name) for name in names):
+        prefix, first = names[0].rstrip("0123456789"), min([1, *(int(re.sub(r"\D", "", name)) for name in names)])
+        names = [f"{prefix}{n}" for n in range(first, first + len(names))]  # a gap in the chain is an error
+    return [data.section(name) for name in names]
 
 
 def _parse_model(cam: Section) -> tuple[str, dict[str, float]]:
@@ -52,26 +67,25 @@ def _parse_model(cam: Section) -> tuple[str, dict[str, float]]:
             f"{', '.join(' + '.join(known) for known in _MODELS)}. Recalibrate with one of them"
         )
     model, intrinsics, coefficients = _MODELS[key]
-    values = cam.floats("intrinsics", count=len(intrinsics)).tolist()
-    stated = cam.get("distortion_coeffs", "distortion_coefficients", default=[] if not coefficients else None)
-    values += parse_floats(stated, "distortion_coeffs", None if not coefficients else len(coefficients)).tolist()
-    return model, dict(zip(intrinsics + coefficients, values, strict=False))
+    values = dict(zip(intrinsics, cam.floats("intrinsics", count=len(intrinsics)).tolist(), strict=True))
+    name = cam.key("distortion_coeffs", "distortion_coefficients")
+    stated = parse_floats(cam.require(name) if coefficients else cam.get(name, default=[]), name)
+    return model, values | cam.coefficients(name, stated.tolist(), coefficients)
 
 
 def _parse_poses(cams: Sequence[Section], path: Path) -> list[Pose]:
-    """Return camera → cam0 by the chain, else by the IMU."""
+    """Return camera → first camera by the chain, else by the IMU."""
     chain, by_imu, imu_key = [Pose.identity()], [], "T_cam_imu"
     for n, cam in enumerate(cams):
-        with error_context(cam.name):
-            previous = cam.get("T_cn_cnm1") if n > 0 else None
-            if previous is not None and len(chain) == n:
-                chain.append(chain[-1] @ parse_matrix(previous, "T_cn_cnm1").inverse())
-            T_cam_imu, T_imu_cam = cam.get("T_cam_imu"), cam.get("T_imu_cam", "T_BS")
-            if T_imu_cam is not None:
-                imu_key = "T_imu_cam"
-                by_imu.append(parse_matrix(T_imu_cam, imu_key))
-            elif T_cam_imu is not None:
-                by_imu.append(parse_matrix(T_cam_imu, "T_cam_imu").inverse())
+        with error_context(cam.name or path):
+            if n > 0 and cam.get("T_cn_cnm1") is not None and len(chain) == n:
+                chain.append(chain[-1] @ cam.pose("T_cn_cnm1").inverse())
+            imu_key = cam.key("T_imu_cam", "T_BS")
+            if cam.get(imu_key) is not None:
+                by_imu.append(cam.pose(imu_key))
+            elif cam.get("T_cam_imu") is not None:
+                imu_key = "T_cam_imu"
+                by_imu.append(cam.pose(imu_key).inverse())
             if len(chain) <= n and len(by_imu) <= n:
                 raise OmnistereoError(
                     f"no pose; found {sorted(cam.values)}; expected T_cn_cnm1, or T_cam_imu in every camera"

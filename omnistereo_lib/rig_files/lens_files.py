@@ -1,6 +1,7 @@
-"""Lens files of photogrammetry and panorama programs, one camera each: Metashape XML, Hugin .pto and .ini.
+"""Lens files of other programs, one camera each: Metashape XML, Hugin .pto and .ini, lens profiles of Gyroflow.
 
-The top-left corner of the image is (0, 0) in both programs, so that pixel centres are shifted by half a pixel.
+The top-left corner of the image is (0, 0) in Metashape and Hugin, so that pixel centres are shifted by half a pixel.
+A profile of Gyroflow holds the fisheye camera of OpenCV.
 """
 
 import configparser
@@ -14,7 +15,8 @@ from omnistereo_lib.errors import OmnistereoError, check_number
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.rig_files.camera_models import RADII
 from omnistereo_lib.rig_files.fit import fit_camera
-from omnistereo_lib.rig_files.parse import RigFile, Section, parse_size
+from omnistereo_lib.rig_files.opencv import FISHEYE, parse_focal
+from omnistereo_lib.rig_files.parse import RigFile, Section
 
 _METASHAPE = {
     "frame": "rectilinear",
@@ -26,37 +28,55 @@ _HUGIN = {0: "rectilinear", 2: "equidistant", 3: "equidistant", 8: "orthographic
 
 
 def read_metashape(data: Section, path: Path, max_fov_deg: float | None) -> RigFile:
-    """Read the parsed XML of a calibration; absent coefficients are 0."""
+    """Read Metashape lens: XML of one camera.
+
+    Absent coefficients are 0.
+    """
     lens = data.section("calibration")
     projection = lens.word("projection", default="frame")
     if projection not in _METASHAPE:
         reason = f". {NO_DEPTH}" if projection in ("spherical", "cylindrical") else ". Recalibrate with one of them"
         raise OmnistereoError(f"projection is {projection}; expected one of {', '.join(_METASHAPE)}{reason}")
-    size = parse_size([lens.require("width"), lens.require("height")], "width and height")
+    size = lens.size("width", "height")
     names = ("f", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4", "b1", "b2")
     parameters = {name: lens.number(name) for name in names if name == "f" or name in lens.values}
     for name, side in zip(("cx", "cy"), size, strict=True):  # from the middle of the image
-        parameters[name] = (lens.number(name) if name in lens.values else 0.0) + side / 2 - 0.5
+        parameters[name] = lens.number(name, default=0) + side / 2 - 0.5
     model = f"metashape {_METASHAPE[projection]}"
     return RigFile([fit_camera(str(path), model, parameters, size, max_fov_deg)], [Pose.identity()])
 
 
 def read_hugin(data: Section, path: Path, max_fov_deg: float | None) -> RigFile:
-    """Read the lens of `parse_hugin`."""
+    """Read Hugin lens: `.pto` or `.ini` of one camera."""
     kind = int(data.number("f"))
     if kind not in _HUGIN:
         reason = f". {NO_DEPTH}" if kind in (1, 4) else ". Recalibrate with one of them"
         raise OmnistereoError(f"the projection of the lens is {kind}; expected one of {[*_HUGIN]}{reason}")
-    if any(data.number(name) for name in "gt" if name in data.values):
+    if any(data.number(name, default=0) for name in "gt"):
         raise OmnistereoError("the lens is sheared (g, t), as scans are; expected 0 and 0. Recalibrate")
-    width, height = size = parse_size([data.require("w"), data.require("h")], "w and h")
+    width, height = size = data.size("w", "h")
     half_view = np.radians(check_number(data.number("v"), "the field of view v in degrees", 1, 360) / 2)
-    parameters = {name: data.number(name) if name in data.values else 0.0 for name in "abc"}
+    parameters = {name: data.number(name, default=0) for name in "abc"}
     parameters |= {"f": width / 2 / float(RADII[_HUGIN[kind]](half_view)), "half_side": min(size) / 2}
     for name, shift, side in (("cx", "d", width), ("cy", "e", height)):
-        parameters[name] = side / 2 - 0.5 + (data.number(shift) if shift in data.values else 0.0)
+        parameters[name] = side / 2 - 0.5 + data.number(shift, default=0)
     model = f"hugin {_HUGIN[kind]}"
     return RigFile([fit_camera(str(path), model, parameters, size, max_fov_deg)], [Pose.identity()])
+
+
+def read_gyroflow(data: Section, path: Path, max_fov_deg: float | None) -> RigFile:
+    """Read Gyroflow lens profile: of one camera, opencv_fisheye, not stretched."""
+    size, lens = data.section("calib_dimension").size("w", "h"), data.section("fisheye_params")
+    kind = data.word("distortion_model") or "opencv_fisheye"
+    stretched = {data.number(f"input_{side}_stretch", default=1) for side in ("horizontal", "vertical")} - {0, 1}
+    if kind != "opencv_fisheye" or stretched or data.get("digital_lens"):
+        raise OmnistereoError(
+            "only profiles with the distortion_model opencv_fisheye, without stretch and digital_lens, are read; found "
+            f"{kind}, {stretched or 'no'} stretch, digital_lens {data.get('digital_lens')}. Calibrate the lens"
+        )
+    lens.ignore("radial_distortion_limit")  # `fit_camera` finds it
+    D = lens.coefficients("distortion_coeffs", lens.floats("distortion_coeffs").tolist(), FISHEYE)
+    return RigFile([fit_camera(str(path), "kb4", parse_focal(lens) | D, size, max_fov_deg)], [Pose.identity()])
 
 
 def parse_hugin(text: str, path: Path) -> dict[str, str]:

@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError, error_context
-from omnistereo_lib.files import atomic_write, read_gray, read_text
+from omnistereo_lib.files import atomic_write, read_gray
 from omnistereo_lib.geometry.camera import OcamCamera, fit_inverse_polynomial
 from omnistereo_lib.geometry.pose import Floats, Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.rig_files.camera_models import Projected
 from omnistereo_lib.rig_files.fit import DEFAULT_FOV_DEG, MAX_ERROR, field_of_view_deg
-from omnistereo_lib.rig_files.parse import parse_axis_angle, parse_floats, parse_size
+from omnistereo_lib.rig_files.parse import numbered_lines, parse_axis_angle, parse_floats, parse_size
 
 _log = logging.getLogger("omnistereo_lib")
 
@@ -38,13 +38,13 @@ _RECORDS = {
 def read_ocam_txt(path: str | Path, max_fov_deg: float | None = None) -> OcamCamera:
     """Read a camera from an OCamCalib text file.
 
-    Five records, one per line, `#` starts a comment: the direct and the inverse polynomial (each the number of
-    coefficients, then the coefficients from low to high), the centre (row, column), the affine c d e, the
+    Five records, one per line, `#`, `%` or `//` starts a comment: the direct and the inverse polynomial (each the
+    number of coefficients, then the coefficients from low to high), the centre (row, column), the affine c d e, the
     image size (height, width). A missing inverse polynomial is fitted; lines after the fifth record are ignored.
     For `max_fov_deg` see `ocam_camera`.
     """
     with error_context(path):
-        records: list[Any] = data_lines(path)
+        records: list[Any] = [words for _, words in numbered_lines(path)]
         if len(records) > 1 and (len(records[1]) == 2 or records[1] == ["0"]):
             # Some exports omit the inverse polynomial: the second record is then the centre, of two numbers.
             records = [records[0], None, *records[1 + (records[1] == ["0"]) :]]
@@ -71,12 +71,6 @@ def write_ocam_folder(rig: Rig, folder: str | Path) -> None:
     lines = [" ".join(map(repr, pose.as_vector().tolist())) for pose in rig.T_rig_cam]
     with atomic_write(Path(folder) / "poses.txt") as temporary:
         temporary.write_text("\n".join(lines) + "\n")
-
-
-def data_lines(path: str | Path) -> list[list[str]]:
-    """Return the words of every line that is not empty or a comment."""
-    lines = [line.split("#")[0].split() for line in read_text(path).splitlines()]
-    return [line for line in lines if line]
 
 
 def parse_pose(values: Any) -> Pose:

@@ -13,7 +13,7 @@ from omnistereo_lib.rig_files.parse import RigFile, Section, check_fov
 
 
 def read_omnimvs(data: Section, path: Path, max_fov_deg: float | None) -> RigFile:
-    """Read a parsed config.yaml, and the masks that exist beside it."""
+    """Read OmniMVS config.yaml: with the masks beside it, and what `save_rig` writes."""
     cameras, poses, missing = [], [], []
     for i, cam in data.sections("cameras").items():
         with error_context(f"camera {i}"):

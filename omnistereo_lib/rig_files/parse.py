@@ -1,4 +1,4 @@
-"""Values of rig files: what is missing, misspelt or no number is an error that names the key."""
+"""Values of rig files: what is missing, misspelt or not a number is an error that names the key in the file."""
 
 from __future__ import annotations
 
@@ -13,14 +13,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError, check_number, error_context, shortened
+from omnistereo_lib.files import read_text
 from omnistereo_lib.geometry.camera import MAX_SIDE, OcamCamera
 from omnistereo_lib.geometry.pose import Floats, Pose
 
 METRES_PER_UNIT = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 MIN_FOV_DEG = 10.0  # a lens as narrow sees no depth around a rig; less is radians or a tangent
-_SAME_M, _SAME_DEG = 2e-3, 0.2  # poses that a file states twice; rounding is less, another calibration is more
+_SAME_M, SAME_DEG = 2e-3, 0.2  # poses that a file states twice; rounding is less, another calibration is more
+_ROUNDED = 1e-3  # of a rotation printed with three decimals; with four it is 0.002° from the nearest one
+_EXACT = 1e-5  # of a rotation printed with five; `Pose` corrects it
 _SHORT = 4  # letters; shorter keys, such as K and P, are one edit from each other without being misspelt
 _SHOWN = 8  # keys in a message
+# Keys without a meaning here, in lower case without "_", "-" and a number behind, by the reason.
+_IRRELEVANT = {
+    "names, dates and places of data": "name label id camid camname cameraname cameraid index serial serialnumber "
+    "vendor brand camerabrand lensmodel date time calibrationtime calibrationdate stamp timestamp note notes comment "
+    "author version header frameid rostopic topic imgdir dataset lutfmt imgfmt typeid nbcamera numcameras",
+    "how well and from what it was calibrated": "rms rmserror rmse error avgreprojectionerror reprojectionerror "
+    "nframes perviewreprojectionerrors nrofframes boardwidth boardheight squaresize aspectratio fixaspectratio flags "
+    "flagvalue extrinsicparameters imagepoints gridpoints",
+    "rectification and epipolar geometry, which follow": "p q e f rectificationmatrix projectionmatrix validpixroi",
+    "time and inertial sensors": "camoverlaps timeshiftcamimu camtimeoffsetns ratehz sensortype fps calibaccelbias "
+    "calibgyrobias imuupdaterate accelnoisestd gyronoisestd accelbiasstd gyrobiasstd timimumarker timumarker "
+    "tmocapworld mocaptimeoffsetns mocaptoimuoffsetns",
+    "brightness": "vignette gamma exposure",
+}
+_WITHOUT_MEANING = frozenset(" ".join(_IRRELEVANT.values()).split())
 
 
 class RigFile(NamedTuple):
@@ -35,21 +53,35 @@ class RigFile(NamedTuple):
 class Section:
     """A mapping of a rig file that knows which of its keys were asked for, so that none is dropped in silence."""
 
-    def __init__(self, values: Any, name: str = "") -> None:
+    def __init__(self, values: Any, name: str = "", notes: dict[str, list[str]] | None = None) -> None:
         if not isinstance(values, dict):
             raise OmnistereoError(f"found {shortened(values)}; expected keys with values")
         self.values = {str(key): value for key, value in values.items()}
         self.name = name
+        self.notes = {} if notes is None else notes  #: text → sections; of the whole file
         self._asked: set[str] = set()
         self._inner: dict[str, Section] = {}
 
-    def get(self, *names: str, default: Any = None) -> Any:
-        """Return the value of a key under whichever of its names the file has."""
+    def note(self, text: str) -> None:
+        """Keep what the user must know about the way in which the section was read."""
+        self.notes.setdefault(text, []).append(self.name)
+
+    def ignore(self, *names: str) -> None:
+        """Count keys as read."""
+        self._asked |= set(names)
+
+    def key(self, *names: str) -> str:
+        """Return the name that a key has in the file, the first if it has none."""
         self._asked |= set(names)
         found = [name for name in names if self.values.get(name) is not None]
         if any(self.values[name] != self.values[found[0]] for name in found):
             raise OmnistereoError(f"{' and '.join(found)} state one thing with different values. Delete the wrong one")
-        return self.values[found[0]] if found else default
+        return found[0] if found else names[0]
+
+    def get(self, *names: str, default: Any = None) -> Any:
+        """Return the value of a key under whichever of its names the file has."""
+        value = self.values.get(self.key(*names))
+        return default if value is None else value
 
     def require(self, *names: str) -> Any:
         """Return the value of a key; an `OmnistereoError` lists the keys that there are instead, similar ones first."""
@@ -63,15 +95,62 @@ class Section:
 
     def floats(self, *names: str, count: int | None = None) -> Floats:
         """Return the numbers of a key, see `parse_floats`."""
-        return parse_floats(self.require(*names), names[0], count)
+        return parse_floats(self.require(*names), self.key(*names), count)
 
-    def number(self, *names: str) -> float:
+    def number(self, *names: str, default: float | None = None) -> float:
         """Return the one number of a key."""
+        if default is not None and self.get(*names) is None:
+            return default
         return float(self.floats(*names, count=1)[0])
 
     def numbers(self) -> dict[str, float]:
         """Return every key with its number."""
         return {name: self.number(name) for name in self.values}
+
+    def size(self, *names: str) -> tuple[int, int]:
+        """Return the size of an image: the two numbers of one key, or of two keys."""
+        values = [self.number(name) for name in names] if len(names) == 2 else self.require(*names)
+        return parse_size(values, " and ".join(names) if len(names) == 2 else self.key(*names))
+
+    def coefficients(
+        self, key: str, values: Sequence[float], names: Sequence[str], fewer: Sequence[int] = ()
+    ) -> dict[str, float]:
+        """Return numbers by their names: as many as there are, or one of `fewer`; zeros behind them are dropped."""
+        if len(values) > len(names) and not any(values[len(names) :]):
+            self.note(f"{key} has {len(values)} numbers; the zeros after the first {len(names)} are dropped")
+            values = values[: len(names)]
+        if len(values) not in (len(names), *fewer):
+            counts = ", ".join(map(str, sorted({len(names), *fewer})))
+            raise OmnistereoError(f"{key} has {len(values)} numbers; expected {counts}: {' '.join(names)}")
+        return dict(zip(names, values, strict=False))
+
+    def rotation(self, key: str, values: Floats) -> Floats:
+        """Return a rotation matrix (3, 3); one printed with few decimals is replaced by the nearest, with a note."""
+        R = np.clip(values, -1e9, 1e9).reshape(3, 3)
+        U, _, Vt = np.linalg.svd(R)
+        nearest: Floats = U @ Vt
+        error, determinant = np.abs(nearest - R).max(), np.linalg.det(R)
+        if error > _ROUNDED or determinant < 0:
+            lengths = np.maximum(np.linalg.norm(R, axis=0), 1e-300)
+            degrees = np.degrees(np.arccos(np.clip((R / lengths * nearest).sum(0), -1, 1)).max())
+            raise OmnistereoError(
+                f"{key} is not a rotation: the nearest one differs by {error:.2g}, its axes by {degrees:.2g}°, and the "
+                f"determinant is {determinant:.4g}; expected 0 and +1. Check that {key} is not scaled, mirrored or cut"
+            )
+        if error > _EXACT:
+            self.note(f"{key} is rounded to few decimals; the nearest rotation is used")
+        return nearest if error > 1e-12 else R
+
+    def pose(self, *names: str) -> Pose:
+        """Return the pose of a 4 × 4 matrix, or of its first three rows."""
+        key = self.key(*names)
+        matrix = parse_floats(self.require(*names), f"the 4 × 4 pose {key}")
+        if matrix.size not in (12, 16):
+            raise OmnistereoError(f"the 4 × 4 pose {key} must be 16 numbers, found {matrix.size}")
+        if matrix.size == 16 and not np.allclose(matrix[12:], [0, 0, 0, 1], atol=1e-9):
+            raise OmnistereoError(f"the last row of the pose {key} is {matrix[12:].tolist()}; expected 0 0 0 1")
+        rows = matrix[:12].reshape(3, 4)
+        return Pose(self.rotation(key, rows[:, :3]), rows[:, 3])
 
     def word(self, *names: str, default: str = "") -> str:
         """Return the value of a key that names something, in lower case."""
@@ -79,33 +158,60 @@ class Section:
 
     def section(self, name: str) -> Section:
         """Return the mapping of a key."""
-        return self._add(name, self.require(name))
+        return self.add(name, self.require(name))
 
     def sections(self, name: str) -> dict[str, Section]:
         """Return the mappings of a key that holds a list, counted from 1, or names."""
         value = self.require(name)
-        items = enumerate(value, 1) if isinstance(value, list) else self.section(name).values.items()
-        return {str(key): self._add(str(key), item, f"{name} {key}") for key, item in items}
+        with error_context(name):
+            items = enumerate(value, 1) if isinstance(value, list) else Section(value).values.items()
+        return {str(key): self.add(str(key), item, f"{name} {key}") for key, item in items}
 
-    def _add(self, name: str, value: Any, path: str | None = None) -> Section:
+    def add(self, name: str, value: Any, path: str | None = None) -> Section:
+        """Return a section that messages call `name`, whose keys count as those of this one."""
         with error_context(path or name):
-            return self._inner.setdefault(path or name, Section(value, name))
+            return self._inner.setdefault(path or name, Section(value, name, self.notes))
 
-    def unread(self) -> Iterator[str]:
-        """Yield the keys that nobody asked for, those of inner sections included.
+    def unread(self) -> Iterator[tuple[Section, str]]:
+        """Yield the keys that nobody asked for and that may mean something, those of inner sections included.
 
         Raises an `OmnistereoError` for one that is a letter away from a key with a meaning.
         """
-        for key in self.values:
-            if key in self._asked:
+        for key, value in self.values.items():
+            if key in self._asked or is_irrelevant(key, value):
                 continue
             meant = next((name for name in sorted(self._asked) if _is_misspelt(key, name)), None)
             if meant is not None:
                 where = f"{self.name}: " if self.name else ""
                 raise OmnistereoError(f"{where}key {key!r} has no meaning; is {meant!r} meant? Correct or delete it")
-            yield key
+            yield self, key
         for inner in self._inner.values():
             yield from inner.unread()
+
+    def warn(self, source: Path, settings: bool) -> list[str]:
+        """Warn of the notes and of the keys that are not read; return those that are `settings` of the top level."""
+        unread: dict[Section, list[str]] = {}
+        for section, key in self.unread():
+            unread.setdefault(section, []).append(key)
+        skipped = unread.pop(self, []) if settings else []
+        for section, keys in unread.items():
+            read = get_close_matches(keys[0], section._asked, _SHOWN, 0.4) or sorted(section._asked)[:_SHOWN]
+            section.note(
+                f"{', '.join(keys)} not read; {', '.join(read)} are. Rename what has a meaning, delete the rest"
+            )
+        for text, names in self.notes.items():
+            sections = [*dict.fromkeys(filter(None, names))]
+            more = f" and {len(sections) - _SHOWN} more" if len(sections) > _SHOWN else ""
+            cameras = ", ".join(sections[:_SHOWN]) + more
+            warnings.warn(f"{source}{f', in {cameras}' if cameras else ''}: {text}", UserWarning, stacklevel=2)
+        return sorted(skipped)
+
+
+def is_irrelevant(key: str, value: Any) -> bool:
+    """Return whether a key has no meaning here, or its value states nothing: false, zero, or a list of such values."""
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else None
+    empty = not value if inner is None else all(is_irrelevant("", each) for each in inner)
+    return empty or re.sub(r"[\W_]|\d+$", "", str(key)).lower() in _WITHOUT_MEANING
 
 
 def _is_misspelt(key: str, name: str) -> bool:
@@ -140,6 +246,13 @@ def parse_floats(values: Any, name: str, count: int | None = None, may_be_nan: b
     return array
 
 
+def numbered_lines(path: str | Path, empty: bool = False) -> list[tuple[int, list[str]]]:
+    """Return number and words of every line that is not a comment (after #, % or //), and not empty unless asked."""
+    lines = enumerate(read_text(path).splitlines(), 1)
+    words = [(n, re.sub(r"(^|\s)(#|%|//).*", "", line).split(), line) for n, line in lines]
+    return [(n, found) for n, found, line in words if found or (empty and not line.strip())]
+
+
 def parse_size(values: Any, name: str) -> tuple[int, int]:
     """Return a value as the size of an image, two integers; 768.0 is accepted, 768.5 is not."""
     first, second = (
@@ -156,12 +269,14 @@ def parse_axis_angle(values: Any, name: str) -> NDArray[np.float64]:
     return r
 
 
-def parse_matrix(values: Any, name: str) -> Pose:
-    """Return the pose of a 4 × 4 matrix."""
-    matrix = parse_floats(values, f"the 4 × 4 pose {name}", 16).reshape(4, 4)
-    if not np.allclose(matrix[3], [0, 0, 0, 1], atol=1e-9):
-        raise OmnistereoError(f"the last row of the pose {name} is {matrix[3].tolist()}; expected 0 0 0 1")
-    return Pose(matrix[:3, :3], matrix[:3, 3])
+def quaternion_pose(q: Floats, t: Floats) -> Pose:
+    """Return the pose of a unit quaternion (w, x, y, z), and a translation."""
+    from scipy.spatial.transform import Rotation
+
+    if not np.abs(q).max() < 2 or abs(np.linalg.norm(q) - 1) > 1e-3:  # the largest first: squares can overflow
+        length = np.linalg.norm(q.clip(-1e9, 1e9))
+        raise OmnistereoError(f"the quaternion {q.tolist()} (w x y z) has length {length:.4g}; expected 1")
+    return Pose(Rotation.from_quat(q[[1, 2, 3, 0]]).as_matrix(), t)
 
 
 def metres_per_unit(unit: str | None, positions: NDArray[np.float64]) -> float:
@@ -197,17 +312,28 @@ def check_fov(value: float, name: str) -> float:
 
 
 def warn_if_different(
-    used: Sequence[Pose], other: Sequence[Pose], used_key: str, other_key: str, source: Path | str
-) -> None:
-    """Warn if a file states the poses of its cameras twice and differently."""
+    used: Sequence[Pose],
+    other: Sequence[Pose],
+    used_key: str,
+    other_key: str,
+    source: Path | str,
+    size: float | None = None,
+) -> bool:
+    """Warn if the poses of the cameras are stated twice and differently, and return whether they are.
+
+    size: That of the rig, where its unit is arbitrary; differences are then relative to it.
+    """
     differences = [(a.inverse() @ b).magnitude() for a, b in zip(used, other, strict=True)]
-    degrees, metres = np.max(differences, axis=0)
-    if metres > _SAME_M or degrees > _SAME_DEG:
-        worst = int(np.argmax([d / _SAME_DEG + m / _SAME_M for d, m in differences]))
+    weights = [degrees / SAME_DEG + metres / (size or 1) / _SAME_M for degrees, metres in differences]
+    worst = int(np.argmax(weights))
+    degrees, metres = differences[worst]
+    if different := max(metres / (size or 1) / _SAME_M, degrees / SAME_DEG) > 1:
+        apart = f"{100 * metres:.1f} cm" if size is None else f"{100 * metres / size:.1f} % of the size of the rig"
         warnings.warn(
             f"{source}: {used_key} and {other_key} contradict each other, most for camera {worst + 1}: its poses are "
-            f"{100 * differences[worst][1]:.1f} cm and {differences[worst][0]:.1f}° apart. {used_key} is used. Delete "
-            "the wrong one; `omnistereo doctor` with images says which fits",
+            f"{apart} and {degrees:.1f}° apart. {used_key} is used. Delete the wrong one; `omnistereo doctor` with "
+            "images says which fits",
             UserWarning,
             stacklevel=2,
         )
+    return different
