@@ -97,6 +97,7 @@ def opencv_text(rig: Rig, parameters: Sequence[dict[str, float]]) -> str:
         cameras[f"cam{i + 1}"] = {
             "K": [[p["fx"], 0.0, p["cx"]], [0.0, p["fy"], p["cy"]], [0.0, 0.0, 1.0]],
             "D": [p[f"k{n}"] for n in (1, 2, 3, 4)],
+            "distortion_model": "fisheye",
             "image_size": list(camera.image_size),
             "R": T.R.tolist(),
             "T": T.t.tolist(),

@@ -65,8 +65,8 @@ def fit_camera(
         )
     if lost > _LOST and 2 * degrees < camera.max_fov_deg + 1:
         warnings.warn(
-            f"{source}: the {model} model is one to one within {2 * degrees:.0f}° only: {100 * lost:.0f} % of the "
-            "pixels lie beyond and are not used. Check its coefficients, or calibrate with points near the rim",
+            f"{source}: the {model} model is one to one within {2 * degrees:.0f}° (a pinhole is used within 120°): "
+            f"{100 * lost:.0f} % of the pixels lie beyond and are not used. Check its coefficients",
             UserWarning,
             stacklevel=2,
         )

@@ -104,7 +104,7 @@ def _described(read: Callable[..., RigFile]) -> tuple[str, str]:
 
 
 def _supported() -> str:
-    return f"supported formats: {', '.join(form.name for form in FORMATS)}, and folders with poses.txt or images.txt"
+    return f"supported formats: {'; '.join(form.name for form in FORMATS)}; folders with poses.txt or images.txt"
 
 
 def load_rig(
@@ -292,7 +292,7 @@ def _read_file(path: Path, max_fov_deg: float | None) -> tuple[str, bool, RigFil
         layers = [*_layers(data)]
         found = next(((form, data) for data in layers for form in FORMATS if form.recognises(data)), None)
         if found is None:
-            keys = sorted(map(str, _mapping(data)))
+            keys = sorted(map(str, layers[0] if layers else []))
             known = next((f". {do}" for key, do in _NOT_READ.items() for k in keys if re.fullmatch(key, k)), "")
             raise OmnistereoError(f"unknown format, found the keys {keys[:8]}{known}; {_supported()}")
         form, content = found
@@ -305,7 +305,10 @@ def _read_file(path: Path, max_fov_deg: float | None) -> tuple[str, bool, RigFil
 
 def _layers(data: Any) -> Iterator[dict[str, Any]]:
     """Yield the content of a file as a mapping, and what is in it as long as it only wraps: a list, a single key."""
-    data = data[0] if isinstance(data, list) and len(data) == 1 else data
+    if isinstance(data, list) and (rigs := [each for each in data if "cameras" in _mapping(each)]):
+        if len(rigs) > 1:
+            raise OmnistereoError(f"the file holds {len(rigs)} rigs; expected one. Delete the others")
+        data = rigs[0]
     data = {"cameras": data} if isinstance(data, list) else data
     while isinstance(data, dict):
         yield data

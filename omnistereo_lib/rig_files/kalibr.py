@@ -13,7 +13,7 @@ from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.rig_files.camera_models import RADTAN
 from omnistereo_lib.rig_files.fit import fit_camera
-from omnistereo_lib.rig_files.parse import RigFile, Section, parse_floats, warn_if_different
+from omnistereo_lib.rig_files.parse import RigFile, Section, parse_floats, parse_size, warn_if_different
 
 _PINHOLE = ("fx", "fy", "cx", "cy")
 # (camera_model, distortion_model) → our model, its parameters in file order: intrinsics, distortion_coeffs
@@ -42,7 +42,9 @@ def read_kalibr(data: Section, path: Path, max_fov_deg: float | None) -> RigFile
         with error_context(cam.name or path):
             model, parameters = _parse_model(cam)
             source = f"{path}, {cam.name}" if cam.name else str(path)
-            cameras.append(fit_camera(source, model, parameters, cam.size("resolution"), max_fov_deg))
+            cameras.append(
+                fit_camera(source, model, parameters, parse_size(cam.require("resolution"), "resolution"), max_fov_deg)
+            )
     return RigFile(cameras, _parse_poses(cams, path))
 
 

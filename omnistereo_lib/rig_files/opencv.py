@@ -24,7 +24,7 @@ from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose, rotation_from_axis_angle
 from omnistereo_lib.rig_files.camera_models import RADTAN, make_camera_model
 from omnistereo_lib.rig_files.fit import field_of_view_deg, fit_camera, pixels_beyond, ring_rays
-from omnistereo_lib.rig_files.parse import SAME_DEG, RigFile, Section, parse_axis_angle, parse_floats
+from omnistereo_lib.rig_files.parse import SAME_DEG, RigFile, Section, parse_axis_angle, parse_floats, parse_size
 
 # What is read: its usual keys, then a pattern for every spelling, in lower case without "_" and "-".
 _KEYS = {
@@ -96,7 +96,7 @@ def _meaning(key: str) -> str | None:
 
 def _names(cam: Section, meaning: str) -> list[str]:
     """Return the keys of a camera that state something, then the usual ones."""
-    return [key for key in cam.values if _meaning(key) == meaning] + _KEYS[meaning][0].split()
+    return [*dict.fromkeys([*(key for key in cam.values if _meaning(key) == meaning), *_KEYS[meaning][0].split()])]
 
 
 def _numbered(key: str) -> tuple[str, str] | None:
@@ -108,8 +108,9 @@ def _numbered(key: str) -> tuple[str, str] | None:
 
 
 def _has_matrix(cam: Any) -> bool:
-    keys = {key for key, _ in _with_blocks(cam)} if isinstance(cam, dict) and "data" not in cam else set()
-    return any(_meaning(key) == "K" for key in keys) or set(_FOCAL) <= keys
+    """Return whether a value is one camera: states a camera matrix, or fx, fy, cx and cy, once."""
+    keys = [key for key, _ in _with_blocks(cam)] if isinstance(cam, dict) and "data" not in cam else []
+    return [_meaning(key) for key in keys].count("K") == 1 or all(keys.count(name) == 1 for name in _FOCAL)
 
 
 def _flat(cam: dict[str, Any]) -> dict[str, Any]:
@@ -170,8 +171,8 @@ def _parse_pose(cam: Section, first: bool, alone: bool) -> Pose:
     if alone or (first and not keys and T is None):
         return Pose.identity()
     poses = []
-    for key in dict.fromkeys(keys or ["R"]):
-        R = cam.floats(key) if keys else cam.floats(*_names(cam, "R"))
+    for key in keys or ["R"]:
+        R = cam.floats(*([key] if keys else _names(cam, "R")))
         if R.size not in (3, 9):
             raise OmnistereoError(f"{key} has {R.size} numbers; expected a 3 × 3 matrix or an axis-angle of 3 numbers")
         R = cam.rotation(key, R) if R.size == 9 else rotation_from_axis_angle(parse_axis_angle(R, key))
@@ -183,8 +184,11 @@ def _parse_pose(cam: Section, first: bool, alone: bool) -> Pose:
 
 def _parse_camera(cam: Section, data: Section, source: str, max_fov_deg: float | None) -> OcamCamera:
     sized = cam if any(cam.get(*_names(cam, each)) is not None for each in ("size", "width")) else data
-    sides = [sized.key(*_names(sized, side)) for side in ("width", "height")]
-    size = sized.size(*(_names(sized, "size") if sized.get(*_names(sized, "size")) is not None else sides))
+    key = sized.key(*_names(sized, "size"))
+    if sized.get(key) is not None:
+        size = parse_size(sized.get(key), key)
+    else:
+        size = sized.size(sized.key(*_names(sized, "width")), sized.key(*_names(sized, "height")))
     parameters, (name, model, coefficients) = parse_focal(cam), _stated_model(cam) or _stated_model(data) or ("",) * 3
     if has_xi := cam.get("xi") is not None:
         parameters["xi"] = cam.number("xi")
@@ -241,13 +245,14 @@ def _guess_model(cam: Section, key: str, D: list[float], focal: dict[str, float]
     reach the corners of the image, the camera is a fisheye; where only the pinhole is one to one up to them, that one.
     Where both are and differ by more than a pixel, an `OmnistereoError` asks for the model.
     """
-    stated = f"{key if D else 'D'} has {len(D)} numbers and no model is stated:"
+    found = f"{key} has {len(D)} numbers" if " " not in key else f"{key} are stated"
+    stated = f"{found if D else 'no distortion'} and no model is stated:"
     if len(D) not in (0, 4, 5, 8, 12, 14):
         raise OmnistereoError(
             f"{key} has {len(D)} numbers; expected 4 (fisheye), 5 or 8 (pinhole), and distortion_model"
         )
     if len(D) != 4:
-        cam.note(f"{stated} read as a pinhole ({'plumb_bob' if D else 'without distortion'})")
+        cam.note(f"{stated} read as a pinhole {'(plumb_bob)' if D else 'without distortion'}")
         return "plumb_bob" if D else "none"
     of_D = partial(zip, D, strict=True)
     fisheye = make_camera_model("kb4", focal | {k: d for d, k in of_D(FISHEYE)})

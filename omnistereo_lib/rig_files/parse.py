@@ -36,7 +36,7 @@ _IRRELEVANT = {
     "time and inertial sensors": "camoverlaps timeshiftcamimu camtimeoffsetns ratehz sensortype fps calibaccelbias "
     "calibgyrobias imuupdaterate accelnoisestd gyronoisestd accelbiasstd gyrobiasstd timimumarker timumarker "
     "tmocapworld mocaptimeoffsetns mocaptoimuoffsetns",
-    "brightness": "vignette gamma exposure",
+    "brightness and noise": "vignette gamma exposure exposuregain readnoise shotnoise falloff fitresidualpx",
 }
 _WITHOUT_MEANING = frozenset(" ".join(_IRRELEVANT.values()).split())
 
@@ -59,7 +59,7 @@ class Section:
         self.values = {str(key): value for key, value in values.items()}
         self.name = name
         self.notes = {} if notes is None else notes  #: text → sections; of the whole file
-        self._asked: set[str] = set()
+        self._asked: dict[str, None] = {}  # in the order of asking
         self._inner: dict[str, Section] = {}
 
     def note(self, text: str) -> None:
@@ -68,11 +68,11 @@ class Section:
 
     def ignore(self, *names: str) -> None:
         """Count keys as read."""
-        self._asked |= set(names)
+        self._asked |= dict.fromkeys(names)
 
     def key(self, *names: str) -> str:
         """Return the name that a key has in the file, the first if it has none."""
-        self._asked |= set(names)
+        self.ignore(*names)
         found = [name for name in names if self.values.get(name) is not None]
         if any(self.values[name] != self.values[found[0]] for name in found):
             raise OmnistereoError(f"{' and '.join(found)} state one thing with different values. Delete the wrong one")
@@ -107,10 +107,9 @@ class Section:
         """Return every key with its number."""
         return {name: self.number(name) for name in self.values}
 
-    def size(self, *names: str) -> tuple[int, int]:
-        """Return the size of an image: the two numbers of one key, or of two keys."""
-        values = [self.number(name) for name in names] if len(names) == 2 else self.require(*names)
-        return parse_size(values, " and ".join(names) if len(names) == 2 else self.key(*names))
+    def size(self, width: str, height: str) -> tuple[int, int]:
+        """Return the size of an image, the numbers of two keys."""
+        return parse_size([self.number(width), self.number(height)], f"{width} and {height}")
 
     def coefficients(
         self, key: str, values: Sequence[float], names: Sequence[str], fewer: Sequence[int] = ()
@@ -195,9 +194,10 @@ class Section:
             unread.setdefault(section, []).append(key)
         skipped = unread.pop(self, []) if settings else []
         for section, keys in unread.items():
-            read = get_close_matches(keys[0], section._asked, _SHOWN, 0.4) or sorted(section._asked)[:_SHOWN]
+            read = dict.fromkeys([*get_close_matches(keys[0], section._asked), *section._asked])
             section.note(
-                f"{', '.join(keys)} not read; {', '.join(read)} are. Rename what has a meaning, delete the rest"
+                f"not read: {', '.join(keys)}; what is read: {', '.join([*read][: 2 * _SHOWN])}. Rename what has a "
+                "meaning, delete the rest"
             )
         for text, names in self.notes.items():
             sections = [*dict.fromkeys(filter(None, names))]

@@ -92,8 +92,8 @@ def _size_of_images(path: Path, prefix: str) -> tuple[int, int]:
     images = [file for folder in folders for file in sorted(folder.glob("*")) if file.suffix.lower() in _IMAGES]
     if not images:
         raise OmnistereoError(
-            f"a rig_config.json of COLMAP does not state the size of the images, and there are none in {prefix}. Put the "
-            "images, or cameras.txt (`colmap model_converter` writes it) beside the file"
+            f"a rig_config.json of COLMAP does not state the size of the images, and there are none in {prefix}. Put "
+            "the images, or cameras.txt (`colmap model_converter` writes it), beside the file"
         )
     height, width = read_image(images[0]).shape[:2]
     return width, height

@@ -1,15 +1,12 @@
 """Sample rig files of every format, written by hand, and the helpers of the tests that read them."""
 
 import json
-import warnings
 
 import numpy as np
 import yaml
-from hypothesis import HealthCheck, settings
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from omnistereo_lib import OcamCamera, OmnistereoError, Rig, fit_inverse_polynomial
+from omnistereo_lib import OcamCamera, fit_inverse_polynomial
 
 SIZE = (800, 760)  # width, height
 CENTER = (402.3, 377.6)
@@ -175,31 +172,3 @@ METASHAPE = """<?xml version="1.0" encoding="UTF-8"?>
 </calibration>
 """
 HUGIN = 'i w800 h760 f3 v180 Ra0 a0.01 b-0.02 c0.005 d2.5 e-1.5 g0 t0 r0 p0 y0 n"a0.jpg"\n'
-
-
-def only_our_error(read, path, content):
-    """Read a damaged file: either it is refused by the library's own error, or what comes out works."""
-    path.write_bytes(content)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # polynomials that disagree
-        try:
-            loaded = read(path)
-        except OmnistereoError as error:
-            assert path.name in str(error) and len(str(error)) < 2000
-            return
-    for camera in loaded.cameras if isinstance(loaded, Rig) else [loaded]:
-        uv, valid = camera.project(RAYS)
-        assert np.isfinite(uv[valid]).all()
-        assert np.isfinite(camera.unproject(uv)[0]).all()
-
-
-fuzz = settings(suppress_health_check=[HealthCheck.too_slow])
-damages = st.lists(st.tuples(st.floats(0, 1), st.binary(min_size=1, max_size=4)), max_size=4)
-
-
-def damaged(content, keep, damage):
-    content = bytearray(content[: int(keep * len(content))])
-    for where, what in damage:
-        at = int(where * len(content))
-        content[at : at + len(what)] = what
-    return bytes(content)

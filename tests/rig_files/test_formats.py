@@ -1,14 +1,10 @@
 """basalt, Kalibr, OpenCV and COLMAP files, and the detection of the format."""
 
-import json
 import logging
 
 import cv2
 import numpy as np
 import pytest
-import yaml
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
 from rig_file_samples import (
     D4,
     DOUBLE_SPHERE,
@@ -19,14 +15,9 @@ from rig_file_samples import (
     T2,
     K,
     basalt,
-    damaged,
-    damages,
     dump,
-    fuzz,
     kalibr,
     matrix,
-    omnimvs,
-    only_our_error,
     write,
 )
 from scipy.spatial.transform import Rotation
@@ -67,7 +58,7 @@ def test_basalt(tmp_path, caplog):
         ({"resolution": [list(SIZE)]}, "found 2 T_imu_cam, 2 intrinsics and 1 resolution;"),
         ({"resolution": 800.0}, "found 2 T_imu_cam, 2 intrinsics and 0 resolution;"),
         ({"resolution": [[0, 0]] * 2}, "camera 0"),
-        ({"T_imu_cam": [{"qx": 0}] * 2}, "camera 0: key 'qy' is missing"),
+        ({"T_imu_cam": [{"qx": 0}] * 2}, "camera 0: key 'qw' is missing"),
         ({"T_imu_cam": [dict.fromkeys(("px", "py", "pz", "qx", "qy", "qz", "qw"), 0)] * 2}, "length 0; expected 1"),
         ({"T_imu_cam": 7}, "T_imu_cam: found 7; expected keys"),
     ],
@@ -128,7 +119,7 @@ def test_what_a_polynomial_cannot_follow_is_told(tmp_path):
         ),
         (kalibr(np.eye(4), intrinsics=[1, 2]), "cam0: intrinsics must be 6 numbers, found 2"),
         (kalibr(2 * np.eye(4)), "cam1: the last row of the pose"),
-        (kalibr(np.diag([2.0, 2, 2, 1])), "cam1: R is not a rotation"),
+        (kalibr(np.diag([2.0, 2, 2, 1])), "cam1: T_cn_cnm1 is not a rotation"),
         (kalibr(np.full((4, 4), np.nan)), "cam1: .*finite"),
         (kalibr(np.eye(3)), "cam1: the 4 × 4 pose T_cn_cnm1 must be 16 numbers, found 9"),
         (
@@ -184,7 +175,7 @@ def test_opencv_layouts(tmp_path, layout, header, caplog):
     path.write_text("\n".join([header, *path.read_text().splitlines()[1:]]))
     with caplog.at_level(logging.INFO, "omnistereo_lib"):
         rig = load_rig(path, "cm")
-    assert "OpenCV in cm, 2 cameras" in caplog.text
+    assert "OpenCV, ROS in cm, 2 cameras" in caplog.text
     point = np.array([0.1, 0.2, 0.7])  # in the first camera, metres
     np.testing.assert_allclose(rig.T_rig_cam[1] @ (R2 @ point + T2 / 100), point, atol=1e-12)
     np.testing.assert_allclose(rig.T_rig_cam[0] @ point, point)
@@ -212,8 +203,8 @@ def test_opencv_files_need_a_unit(tmp_path):
     ("changes", "message"),
     [
         (
-            {"D2": np.zeros(5), "distortion_model": "fisheye"},
-            "camera 2: D has 5 numbers; expected those of the fisheye model, k1 k2 k3 k4",
+            {"D2": np.ones(5), "distortion_model": "fisheye"},
+            "camera 2: D has 5 numbers; expected 4: k1 k2 k3 k4",
         ),
         ({"K2": np.eye(2)}, "camera 2: K must be 9 numbers, found 4"),
         ({"K1": K.T}, "camera 1: K is .*expected fx skew cx"),
@@ -245,45 +236,9 @@ def test_unknown_files_list_what_is_known(tmp_path, name, text, message):
         load_rig(write(tmp_path / name, text))
 
 
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("rig.yaml", "a: [1, 2"),
-        ("rig.yaml", "!!python/object/apply:os.getcwd []"),
-        ("rig.yaml", "[" * 20000),
-        ("rig.yaml", "when: 2020-99-99"),
-        ("rig.json", "{'single': 1}"),
-    ],
-    ids=["truncated", "python object", "deep", "date", "not JSON"],
-)
-def test_files_that_are_not_json_or_yaml(tmp_path, name, text):
-    with pytest.raises(OmnistereoError, match=rf"{name}: not valid JSON or YAML .*complete"):
-        load_rig(write(tmp_path / name, text))
-
-
 def test_missing_files_and_empty_folders(tmp_path):
     with pytest.raises(OmnistereoError, match=r"nothing.yaml cannot be read"):
         load_rig(tmp_path / "nothing.yaml")
     write(tmp_path / "notes.md", "")
     with pytest.raises(OmnistereoError, match=r"(?s)found \['notes.md'\]; expected ocam.*supported formats"):
         load_rig(tmp_path)
-
-
-FORMAT_FILES = {
-    "config.yaml": yaml.safe_dump(omnimvs()).encode(),
-    "calibration.json": json.dumps(basalt()).encode(),
-    "camchain.yaml": yaml.safe_dump(kalibr(matrix([0, 1, 0], [1, 0, 0]))).encode(),
-    "opencv.yaml": yaml.safe_dump(
-        {"K1": K.tolist(), "D1": D4.tolist(), "K2": K.tolist(), "D2": D4.tolist(), "R": R2.tolist(), "T": T2.tolist()}
-        | {"image_size": list(SIZE)}
-    ).encode(),
-}
-
-
-@settings(fuzz, max_examples=150)
-@given(st.sampled_from(sorted(FORMAT_FILES)), st.floats(0.3, 1) | st.just(1.0), damages)
-@example("calibration.json", 1.0, [])
-def test_rig_files_with_any_damage(tmp_path_factory, name, keep, damage):
-    unit = "m" if name != "opencv.yaml" else "cm"
-    content = damaged(FORMAT_FILES[name], keep, damage)
-    only_our_error(lambda path: load_rig(path, unit), tmp_path_factory.getbasetemp() / name, content)

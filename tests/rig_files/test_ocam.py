@@ -1,4 +1,4 @@
-"""OCamCalib text files and OmniMVS config.yaml: conventions, variants, broken files, fuzzing."""
+"""OCamCalib text files and OmniMVS config.yaml: conventions, variants, broken files."""
 
 import logging
 import warnings
@@ -8,8 +8,6 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from rig_file_samples import (
     AFFINE,
     CAMERA,
@@ -20,13 +18,9 @@ from rig_file_samples import (
     POSES_TXT,
     SIZE,
     F,
-    damaged,
-    damages,
     dump,
-    fuzz,
     ocam_folder,
     omnimvs,
-    only_our_error,
     same_camera,
     stereographic,
     write,
@@ -126,20 +120,6 @@ def test_broken_ocam_files(tmp_path, text, message):
         load_camera(write(tmp_path / "ocam.txt", text), 220)
 
 
-@settings(fuzz, max_examples=400)
-@given(st.floats(0, 1), damages, st.sampled_from([60.0, 220.0, 360.0]))
-def test_an_ocam_file_with_any_damage(tmp_path_factory, keep, damage, fov):
-    content = damaged(OCAM_TXT.encode(), keep, damage)
-    only_our_error(lambda path: load_camera(path, fov), tmp_path_factory.getbasetemp() / "damaged.txt", content)
-
-
-@settings(fuzz, max_examples=200)
-@given(st.lists(st.lists(st.floats() | st.integers() | st.text(max_size=5), max_size=8), max_size=7))
-def test_an_ocam_file_of_any_numbers(tmp_path_factory, records):
-    text = "\n".join(" ".join(map(str, [len(record), *record])) for record in records)
-    only_our_error(lambda path: load_camera(path, 220), tmp_path_factory.getbasetemp() / "any.txt", text.encode())
-
-
 @pytest.mark.parametrize(("unit", "scale"), [("mm", 1e-3), ("cm", 1e-2), ("m", 1.0)])
 def test_ocam_folder(tmp_path, unit, scale, caplog):
     with caplog.at_level(logging.INFO, "omnistereo_lib"):
@@ -171,7 +151,7 @@ def test_ten_cameras_are_in_the_order_of_their_numbers(tmp_path):
 @pytest.mark.parametrize(
     ("poses", "message"),
     [
-        (POSES_TXT.replace("20 0 -20", "20 0"), "poses.txt: camera 2: .*6 numbers, found 5"),
+        (POSES_TXT.replace("20 0 -20", "20 0"), "poses.txt: line 2, camera 2: .*6 numbers, found 5"),
         (POSES_TXT.replace("0 3.141593 0", "0 nan 0"), "camera 3: .*finite"),
         (POSES_TXT.replace("0 3.141593 0", "0 180 0"), "camera 3: .*exceeds 2π; expected radians"),
         (POSES_TXT.replace("20 0 -20", "20 0 x"), "camera 2: .*must be numbers"),
@@ -240,20 +220,8 @@ def broken_omnimvs(key, value):
     ("data", "message"),
     [
         (broken_omnimvs("poly", [7, 1, 2]), "config.yaml: camera 2: the direct polynomial has 3 numbers"),
-        (broken_omnimvs("center", [1]), r"camera 2: the centre \(row, column\) must be 2 numbers"),
         (broken_omnimvs("center", {"row": 1}), r"camera 2: the centre .* must be numbers, found \{'row': 1\}"),
-        (broken_omnimvs("pose", [0, 0, 0, float("nan"), 0, 0]), "camera 2: .*finite"),
-        (broken_omnimvs("pose", None), "camera 2"),
-        (broken_omnimvs("max_fov", "wide"), "camera 2: max_fov must be numbers, found 'wide'"),
-        (broken_omnimvs("max_fov", 500), r"camera 2: max_fov is 500.0; expected a number of 10.* to 360"),
-        (broken_omnimvs("image_size", [10**400, 3]), "camera 2: the image size .*numbers"),
-        (
-            omnimvs(cameras=[omnimvs()["cameras"][0]]),
-            "config.yaml: OmniMVS config.yaml of one camera; a rig needs at least 2 cameras",
-        ),
-        (omnimvs(cameras=[*omnimvs()["cameras"], 5]), "cameras 4: found 5; expected keys with values"),
         (omnimvs(cameras=[{"poly": [1, 2]}, {}]), r"camera 1: key 'center' is missing; found \['poly'\]"),
-        (omnimvs(config={"omnimvs_sweep_min_depth": "near"}), "omnimvs_sweep_min_depth must be numbers"),
     ],
 )
 def test_broken_omnimvs_configs(tmp_path, data, message):
