@@ -12,7 +12,7 @@ Beside P, as in a camera_info, R is the rectification. The model is stated, by x
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -108,9 +108,14 @@ def _numbered(key: str) -> tuple[str, str] | None:
 
 
 def _has_matrix(cam: Any) -> bool:
-    """Return whether a value is one camera: states a camera matrix, or fx, fy, cx and cy, once."""
-    keys = [key for key, _ in _with_blocks(cam)] if isinstance(cam, dict) and "data" not in cam else []
-    return [_meaning(key) for key in keys].count("K") == 1 or all(keys.count(name) == 1 for name in _FOCAL)
+    """Return whether a value is one camera: it, or one block of it, states K, or fx, fy, cx and cy."""
+
+    def states(keys: Iterable[str]) -> bool:
+        return any(_meaning(key) == "K" for key in keys) or set(_FOCAL) <= set(keys)
+
+    if not isinstance(cam, dict) or "data" in cam:
+        return False
+    return states(cam) or [states(value) for value in cam.values() if isinstance(value, dict)].count(True) == 1
 
 
 def _flat(cam: dict[str, Any]) -> dict[str, Any]:
@@ -123,7 +128,7 @@ def _flat(cam: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_blocks(cam: dict[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Yield the keys of a camera with their values, those of blocks such as intrinsics: {fx: …} in place of the block."""
+    """Yield the keys of a camera with their values; those of a block such as intrinsics: {fx: …} in its place."""
     for key, value in cam.items():
         is_block = isinstance(value, dict) and "data" not in value and key != "roi"
         is_block = is_block and any(_meaning(inner) or inner in (*_FOCAL, *RADTAN) for inner in value)
@@ -163,7 +168,12 @@ def _parse_pose(cam: Section, first: bool, alone: bool) -> Pose:
     if cam.get("camera_pose_matrix") is not None:
         return cam.pose("camera_pose_matrix")
     keys, T = [key for key in _names(cam, "R") if cam.get(key) is not None], cam.get(*_names(cam, "T"))
-    if not alone and cam.get("P", "p") is not None and (T is None or {"binning_x", "header"} & cam.values.keys()):
+    if (
+        keys
+        and not alone
+        and cam.get("P", "p") is not None
+        and (T is None or {"binning_x", "header"} & cam.values.keys())
+    ):
         raise OmnistereoError(
             "camera_info has no pose: R there is the rectification. Put cam1.yaml, cam2.yaml, … and poses.txt (a line "
             "rx ry rz tx ty tz for each, camera → rig) into a folder, and pass the folder"
@@ -242,8 +252,8 @@ def _guess_model(cam: Section, key: str, D: list[float], focal: dict[str, float]
     """Return the model of a camera that states none, with a note that says why.
 
     Four numbers are a fisheye (k1 k2 k3 k4) or a pinhole (k1 k2 p1 p2). A pinhole sees 120° at most: where it does not
-    reach the corners of the image, the camera is a fisheye; where only the pinhole is one to one up to them, that one.
-    Where both are and differ by more than a pixel, an `OmnistereoError` asks for the model.
+    reach the corners of the image, the camera is a fisheye. Where both do and differ by more than a pixel, an
+    `OmnistereoError` asks for the model.
     """
     found = f"{key} has {len(D)} numbers" if " " not in key else f"{key} are stated"
     stated = f"{found if D else 'no distortion'} and no model is stated:"
@@ -268,9 +278,6 @@ def _guess_model(cam: Section, key: str, D: list[float], focal: dict[str, float]
             f"{stated} a fisheye (k1 k2 k3 k4, {view:.0f}°) and a pinhole (k1 k2 p1 p2, "
             f"{field_of_view_deg(pinhole, size):.0f}°) are possible. Add distortion_model: fisheye or plumb_bob"
         )
-    if reaches == [False, True]:
-        cam.note(f"{stated} read as a pinhole (k1 k2 p1 p2), since a fisheye is not one to one in the image")
-        return "plumb_bob"
     cam.note(
         f"{stated} read as a fisheye (k1 k2 k3 k4, {view:.0f}°), since a pinhole does not reach the corners of the "
         "image. If it is a pinhole, add distortion_model: plumb_bob"

@@ -116,7 +116,7 @@ def read_colmap_model(folder: Path, max_fov_deg: float | None) -> RigFile:
                     raise OmnistereoError(f"found {words[:10]}; expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME")
                 pose = parse_floats(words[1:8], "QW QX QY QZ TX TY TZ", 7)
                 frames.setdefault(Path(words[9]).name, {})[words[8]] = quaternion_pose(pose[:4], pose[4:])
-    if len(frames) == len(listed) == len({camera for frame in frames.values() for camera in frame}):
+    if len(frames) == len(listed) and all(len(frame) == 1 for frame in frames.values()):  # one image of each camera
         frames = {"": {camera: pose for frame in frames.values() for camera, pose in frame.items()}}
     first = next(iter(listed), "")
     rigs = {

@@ -136,16 +136,6 @@ def test_a_misspelt_key_is_refused(tmp_path, key, misspelt):
         load_rig(dump(tmp_path / "config.yaml", data))
 
 
-def test_unknown_keys_are_listed_once(tmp_path, caplog):
-    data = omnimvs(author="Ann")
-    for camera in data["cameras"]:
-        camera["serial"] = 7
-        del camera["invalid_mask"]
-    with caplog.at_level(logging.INFO, "omnistereo_lib"):
-        load_rig(dump(tmp_path / "config.yaml", data))
-    assert caplog.text.count("ignored keys: author, serial\n") == 1
-
-
 def test_missing_keys_show_similar_ones_first(tmp_path):
     data = omnimvs()
     for camera in data["cameras"]:
