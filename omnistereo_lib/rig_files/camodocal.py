@@ -14,31 +14,24 @@ from omnistereo_lib.rig_files.fit import fit_camera
 from omnistereo_lib.rig_files.ocam import ocam_camera
 from omnistereo_lib.rig_files.parse import RigFile, Section
 
-_RADTAN = dict(zip(RADTAN[:4], RADTAN[:4], strict=True))
-# model_type → our model, and the blocks of the file with our names of their keys
-_MODELS: dict[str, tuple[str, dict[str, dict[str, str]]]] = {
+# model_type → our model and its parameters, and in their order the keys of the blocks in the file
+_FOCAL, _PROJECTION = ("fx", "fy", "cx", "cy"), "projection_parameters"
+_MODELS: dict[str, tuple[str, tuple[str, ...], dict[str, tuple[str, ...]]]] = {
     "mei": (
         "omni",
+        ("xi", *RADTAN[:4], *_FOCAL),
         {
-            "mirror_parameters": {"xi": "xi"},
-            "distortion_parameters": _RADTAN,
-            "projection_parameters": {"gamma1": "fx", "gamma2": "fy", "u0": "cx", "v0": "cy"},
+            "mirror_parameters": ("xi",),
+            "distortion_parameters": RADTAN[:4],
+            _PROJECTION: ("gamma1", "gamma2", "u0", "v0"),
         },
     ),
     "kannala_brandt": (
         "kb4",
-        {
-            "projection_parameters": {"k2": "k1", "k3": "k2", "k4": "k3", "k5": "k4"}
-            | {"mu": "fx", "mv": "fy", "u0": "cx", "v0": "cy"}
-        },
+        ("k1", "k2", "k3", "k4", *_FOCAL),
+        {_PROJECTION: ("k2", "k3", "k4", "k5", "mu", "mv", "u0", "v0")},
     ),
-    "pinhole": (
-        "pinhole",
-        {
-            "distortion_parameters": _RADTAN,
-            "projection_parameters": {"fx": "fx", "fy": "fy", "cx": "cx", "cy": "cy"},
-        },
-    ),
+    "pinhole": ("pinhole", (*RADTAN[:4], *_FOCAL), {"distortion_parameters": RADTAN[:4], _PROJECTION: _FOCAL}),
 }
 
 
@@ -67,12 +60,12 @@ def _camera(data: Section, path: Path, max_fov_deg: float | None) -> OcamCamera:
         raise OmnistereoError(
             f"model_type is {model_type.upper()}; expected one of {known}. Recalibrate with one of them"
         )
-    model, blocks = _MODELS[model_type]
-    parameters: dict[str, float] = {}
-    for block, names in blocks.items():
+    model, names, blocks = _MODELS[model_type]
+    values: list[float] = []
+    for block, keys in blocks.items():
         with error_context(block):
-            inner = data.section(block)
-            parameters |= {ours: inner.number(theirs) for theirs, ours in names.items()}
+            values += [data.section(block).number(key) for key in keys]
+    parameters = dict(zip(names, values, strict=True))
     return fit_camera(str(path), model, parameters, data.size("image_width", "image_height"), max_fov_deg)
 
 

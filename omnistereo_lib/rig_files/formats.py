@@ -157,7 +157,7 @@ def load_rig(
         rig = Rig(tuple(found.cameras), tuple(found.T_rig_cam), found.min_depth, T_rig_file)
         scale = 1.0 if in_metres else metres_per_unit(unit, rig.centers)
         rig = rig.with_poses([Pose(pose.R, scale * pose.t) for pose in rig.T_rig_cam])
-        _compare_sources(rig, path, unit)
+        _compare_sources(rig, path)
         plausible.check_rig(rig, path)
         low, high = rig.baselines.min(), rig.baselines.max()
         in_unit = "" if in_metres else f" in {unit}"
@@ -245,27 +245,26 @@ def _read_poses(file: Path) -> list[Pose]:
     return poses
 
 
-def _compare_sources(rig: Rig, path: Path, unit: str | None) -> None:
+def _compare_sources(rig: Rig, path: Path) -> None:
     """Warn if poses.txt and config.yaml stand in one folder and state different poses."""
     folder = path if os.path.isdir(path) else path.parent
     poses_file, config = folder / "poses.txt", folder / "config.yaml"
     if path not in (folder, config) or not (poses_file.exists() and config.exists()):
         return
-    if path == config:
-        used, other_name, other = "config.yaml", "poses.txt", _read_poses(poses_file)
-    else:
-        used, other_name, other = "poses.txt", "config.yaml", _read_file(config, None)[2].T_rig_cam
-    if len(other) != len(rig):
-        warnings.warn(
-            f"{folder}: {used} has {len(rig)} cameras, {other_name} {len(other)}. {used} is used", stacklevel=3
-        )
+    used, unused = (config, poses_file) if path == config else (poses_file, config)
+    try:
+        other = _read_poses(unused) if path == config else _read_file(unused, None)[2].T_rig_cam
+        if len(other) != len(rig):
+            raise OmnistereoError(f"{unused.name} has {len(other)} cameras, {used.name} {len(rig)}")
+    except OmnistereoError as error:
+        warnings.warn(f"{folder}: {used.name} is used, not {unused.name} beside it: {error}", stacklevel=3)
         return
     first, second = ([poses[0].inverse() @ pose for pose in poses] for poses in (rig.T_rig_cam, other))
     if path == config:  # poses.txt does not state its unit: that in which it fits best
         far = [max(float(np.linalg.norm(pose.t)) for pose in poses) or 1.0 for poses in (first, second)]
         scale = min(METRES_PER_UNIT.values(), key=lambda scale: abs(np.log(far[0] / far[1] / scale)))
         second = [Pose(pose.R, scale * pose.t) for pose in second]
-    warn_if_different(first, second, used, other_name, folder)
+    warn_if_different(first, second, used.name, unused.name, folder)
 
 
 def _find_rig_file(folder: Path) -> Path:

@@ -52,7 +52,8 @@ def _cameras(data: Section) -> list[Section]:
     """Return the cameras in the order of their numbers, from 0 or 1, else in that of the file."""
     if "camera_model" in data.values:
         return [data]
-    names = [name for name, value in data.values.items() if isinstance(value, dict)]
+    found = {name: value for name, value in data.values.items() if isinstance(value, dict)}
+    names = [name for name, value in found.items() if name.startswith("cam") or "camera_model" in value]
     if all(re.fullmatch(r"cam(era)?_?[0-9]{1,4}", name) for name in names):
         prefix, first = names[0].rstrip("0123456789"), min([1, *(int(re.sub(r"\D", "", name)) for name in names)])
         names = [f"{prefix}{n}" for n in range(first, first + len(names))]  # a gap in the chain is an error

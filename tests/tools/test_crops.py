@@ -55,6 +55,19 @@ def test_each_crop_is_what_a_pinhole_sees(rig, written):
         assert np.abs(image[inner, inner] - expected[inner, inner]).mean() < 2  # of 255, interpolated
 
 
+def test_the_crops_are_read_as_a_rig(written):
+    rig = osl.load_rig(written / "transforms.json", "m", keep_frame=True)
+    frames = json.loads((written / "transforms.json").read_text())["frames"]
+    u, v = 12.0, 30.0
+    for camera, pose, frame in zip(rig.cameras, rig.T_rig_cam, frames, strict=True):
+        ray = pose.R @ camera.unproject([u, v])[0]
+        matrix = np.array(frame["transform_matrix"])
+        right, up = (u + 0.5 - frame["cx"]) / frame["fl_x"], -(v + 0.5 - frame["cy"]) / frame["fl_y"]
+        expected = matrix[:3, :3] @ [right, up, -1]
+        np.testing.assert_allclose(ray / np.linalg.norm(ray), expected / np.linalg.norm(expected), atol=1e-4)
+        np.testing.assert_allclose(pose.t, matrix[:3, 3], atol=1e-12)
+
+
 @pytest.mark.parametrize(("fov_deg", "count"), [(60, 1), (190, 5), (220, 5), (300, 6)])
 def test_the_faces_of_a_cube_leave_nothing_out(fov_deg, count):
     lens, pose = scene.camera(200, 192, fov_deg), osl.Pose.from_vector([0.1, 2.0, 0.3, 0.2, 0, 0])
