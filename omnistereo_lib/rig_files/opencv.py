@@ -69,9 +69,7 @@ def read_opencv(data: Section, path: Path, max_fov_deg: float | None) -> RigFile
             if any(cam.number(key, default=0) > 1 for key in ("binning_x", "binning_y")):
                 raise OmnistereoError("the images are binned (binning_x, binning_y). Calibrate them at their own size")
             if cam.get("camera_group") != cams[0].get("camera_group"):
-                raise OmnistereoError(
-                    "camera_group is not that of the first camera: no pose connects them. Recalibrate"
-                )
+                raise OmnistereoError("camera_group is not that of the first camera: no pose connects them")
     return RigFile(cameras, T_rig_cam)
 
 
@@ -168,12 +166,10 @@ def _parse_pose(cam: Section, first: bool, alone: bool) -> Pose:
     if cam.get("camera_pose_matrix") is not None:
         return cam.pose("camera_pose_matrix")
     keys, T = [key for key in _names(cam, "R") if cam.get(key) is not None], cam.get(*_names(cam, "T"))
-    if (
-        keys
-        and not alone
-        and cam.get("P", "p") is not None
-        and (T is None or {"binning_x", "header"} & cam.values.keys())
-    ):
+    is_info = cam.get("P", "p") is not None and (T is None or bool({"binning_x", "header"} & cam.values.keys()))
+    if alone and (keys or T is not None) and not is_info:
+        cam.note("R and T are not used: the pose of a camera by itself is that in poses.txt")
+    if keys and is_info and not alone:
         raise OmnistereoError(
             "camera_info has no pose: R there is the rectification. Put cam1.yaml, cam2.yaml, … and poses.txt (a line "
             "rx ry rz tx ty tz for each, camera → rig) into a folder, and pass the folder"
@@ -193,7 +189,7 @@ def _parse_pose(cam: Section, first: bool, alone: bool) -> Pose:
 
 
 def _parse_camera(cam: Section, data: Section, source: str, max_fov_deg: float | None) -> OcamCamera:
-    sized = cam if any(cam.get(*_names(cam, each)) is not None for each in ("size", "width")) else data
+    sized = next((s for s in (cam, data) for side in ("size", "width") if s.get(*_names(s, side)) is not None), cam)
     key = sized.key(*_names(sized, "size"))
     if sized.get(key) is not None:
         size = parse_size(sized.get(key), key)
@@ -267,13 +263,11 @@ def _guess_model(cam: Section, key: str, D: list[float], focal: dict[str, float]
     of_D = partial(zip, D, strict=True)
     fisheye = make_camera_model("kb4", focal | {k: d for d, k in of_D(FISHEYE)})
     pinhole = make_camera_model("pinhole", focal | {k: d for d, k in of_D(RADTAN[:4])})
-    view, reaches = (
-        field_of_view_deg(fisheye, size),
-        [pixels_beyond(model, size)[1] == 0 for model in (fisheye, pinhole)],
-    )
-    (uv, _), (other, _) = (model(ring_rays(np.radians(np.arange(1, 60)))) for model in (fisheye, pinhole))
+    view, rays = field_of_view_deg(fisheye, size), ring_rays(np.radians(np.arange(1, 60)))
+    uv, other = fisheye(rays)[0], pinhole(rays)[0]
     inside = ((uv >= 0) & (uv <= np.array(size) - 1)).all(-1)
-    if all(reaches) and np.linalg.norm(uv - other, axis=-1)[inside].max(initial=0) > 1:
+    reach = all(pixels_beyond(model, size)[1] == 0 for model in (fisheye, pinhole))
+    if reach and np.linalg.norm(uv - other, axis=-1)[inside].max(initial=0) > 1:
         raise OmnistereoError(
             f"{stated} a fisheye (k1 k2 k3 k4, {view:.0f}°) and a pinhole (k1 k2 p1 p2, "
             f"{field_of_view_deg(pinhole, size):.0f}°) are possible. Add distortion_model: fisheye or plumb_bob"

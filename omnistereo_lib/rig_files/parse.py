@@ -32,12 +32,13 @@ _IRRELEVANT = {
     "how well and from what it was calibrated": "rms rmserror rmse error avgreprojectionerror reprojectionerror "
     "nframes perviewreprojectionerrors nrofframes boardwidth boardheight squaresize aspectratio fixaspectratio flags "
     "flagvalue extrinsicparameters imagepoints gridpoints",
-    "rectification and epipolar geometry, which follow": "p q e f rectificationmatrix projectionmatrix validpixroi",
+    "rectification, which follows": "rectificationmatrix projectionmatrix validpixroi",
     "time and inertial sensors": "camoverlaps timeshiftcamimu camtimeoffsetns ratehz sensortype fps calibaccelbias "
     "calibgyrobias imuupdaterate accelnoisestd gyronoisestd accelbiasstd gyrobiasstd timimumarker timumarker "
     "tmocapworld mocaptimeoffsetns mocaptoimuoffsetns",
     "brightness and noise": "vignette gamma exposure exposuregain readnoise shotnoise falloff fitresidualpx",
 }
+_RECTIFIED = re.compile("[PQEF][0-9]?")  # projections, and the matrices of two views; p1 and f are something else
 _WITHOUT_MEANING = frozenset(" ".join(_IRRELEVANT.values()).split())
 
 
@@ -211,7 +212,9 @@ def is_irrelevant(key: str, value: Any) -> bool:
     """Return whether a key has no meaning here, or its value states nothing: false, zero, or a list of such values."""
     inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else None
     empty = not value if inner is None else all(is_irrelevant("", each) for each in inner)
-    return empty or re.sub(r"[\W_]|\d+$", "", str(key)).lower() in _WITHOUT_MEANING
+    return (
+        empty or bool(_RECTIFIED.fullmatch(str(key))) or re.sub(r"[\W_]|\d+$", "", str(key)).lower() in _WITHOUT_MEANING
+    )
 
 
 def _is_misspelt(key: str, name: str) -> bool:
