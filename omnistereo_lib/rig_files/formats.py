@@ -112,8 +112,9 @@ def load_rig(
 ) -> Rig:
     """Read a rig of any supported format; the log (`logging`, name "omnistereo_lib") states which.
 
-    Warns of what the file states twice and differently, of two polynomials, or a model and the fitted one, that differ
-    by more than 0.1 px inside the image, and of an implausible principal point.
+    Warns of what is stated twice and differently, in the file or in poses.txt beside config.yaml, of keys that are not
+    read, of a model that is not stated, of two polynomials, or a model and the fitted one, that differ by more than
+    0.1 px inside the image, of pixels beyond the model, and of an implausible principal point.
 
     Args:
         path: File or folder. In a folder with both, config.yaml is read instead of the OCamCalib text files, because it

@@ -190,11 +190,11 @@ def _parse_pose(cam: Section, first: bool, alone: bool) -> Pose:
 
 def _parse_camera(cam: Section, data: Section, source: str, max_fov_deg: float | None) -> OcamCamera:
     sized = next((s for s in (cam, data) for side in ("size", "width") if s.get(*_names(s, side)) is not None), cam)
-    key = sized.key(*_names(sized, "size"))
-    if sized.get(key) is not None:
-        size = parse_size(sized.get(key), key)
+    key, width = sized.key(*_names(sized, "size")), sized.key(*_names(sized, "width"))
+    if sized.get(key) is None and sized.get(width) is not None:
+        size = sized.size(width, sized.key(*_names(sized, "height")))
     else:
-        size = sized.size(sized.key(*_names(sized, "width")), sized.key(*_names(sized, "height")))
+        size = parse_size(sized.require(*_names(sized, "size")), key)
     parameters, (name, model, coefficients) = parse_focal(cam), _stated_model(cam) or _stated_model(data) or ("",) * 3
     if has_xi := cam.get("xi") is not None:
         parameters["xi"] = cam.number("xi")

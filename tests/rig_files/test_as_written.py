@@ -109,10 +109,10 @@ def test_chains_in_every_wrapper(tmp_path, data):
 
 
 def test_what_is_not_read_is_named(tmp_path):
-    data = {"cameras": [LENS | {"warp": [0.1, 0.2], "unit": "mm"}, LENS | POSE]}
+    data = {"cameras": [LENS | {"warp": [0.1, 0.2], "unit": "mm", "p1": 0.1, "f": 5}, LENS | POSE]}
     _, said = loaded(tmp_path / "rig.json", data)
     assert len(said) == 1 and re.search(
-        r"rig.json, in 1: not read: warp, unit; what is read: .*K, camera_matrix", said[0]
+        r"rig.json, in 1: not read: warp, unit, p1, f; what is read: .*K, camera_matrix", said[0]
     )
 
 
