@@ -23,6 +23,7 @@ import torch
 import yaml
 from rig_files.rig_file_samples import (
     D4,
+    EXAMPLES,
     HUGIN,
     MEI,
     METASHAPE,
@@ -210,6 +211,11 @@ def samples(folder):
         "hugin": ("lens.pto", HUGIN, load_camera, check_camera),
         "ocam": ("ocam1.txt", OCAM_TXT, load_camera, check_camera),
     }
+    for name in ("COLMAP rig", "nerfstudio", "MC-Calib"):
+        found[name] = (EXAMPLES[name][0], EXAMPLES[name][1], lambda path: osl.load_rig(path, "cm"), check_rig)
+    found["Gyroflow"] = (*EXAMPLES["Gyroflow lens profile"], load_camera, check_camera)
+    (folder / "cameras.txt").write_text(EXAMPLES["COLMAP model"][1])
+    found["COLMAP model"] = (*EXAMPLES["images.txt"], lambda path: osl.load_rig(path, "cm"), check_rig)
     found |= ocam_poses(folder) | corners(folder) | data_set(folder) | pictures(folder) | videos(folder)
     found |= tensors(folder) | records()
     return {name: sample if len(sample) == 5 else (*sample, damage) for name, sample in found.items()}

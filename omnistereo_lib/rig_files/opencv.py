@@ -130,7 +130,7 @@ def _with_blocks(cam: dict[str, Any]) -> Iterator[tuple[str, Any]]:
     for key, value in cam.items():
         is_block = isinstance(value, dict) and "data" not in value and key != "roi"
         is_block = is_block and any(_meaning(inner) or inner in (*_FOCAL, *RADTAN) for inner in value)
-        yield from value.items() if is_block else [(key, value)]
+        yield from ((str(name), inner) for name, inner in (value.items() if is_block else [(key, value)]))
 
 
 def _cameras(data: Section) -> list[Section]:

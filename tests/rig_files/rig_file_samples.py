@@ -1,6 +1,8 @@
 """Sample rig files of every format, written by hand, and the helpers of the tests that read them."""
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import yaml
@@ -171,4 +173,12 @@ METASHAPE = """<?xml version="1.0" encoding="UTF-8"?>
   <date>2026-01-01T00:00:00Z</date>
 </calibration>
 """
+# The examples of book/own_cameras.md: name, or file of a second one → file, content.
+PAGE = (Path(__file__).parents[2] / "book" / "own_cameras.md").read_text(encoding="utf-8")
+EXAMPLES = {
+    name or file: (file, text)
+    for name, file, text in re.findall(
+        r"^(?:\*\*(.*?)\*\*|and)[^`\n]*`([\w.]+)`[^\n]*\n\n```\w+\n(.*?)```$", PAGE, re.M | re.S
+    )
+}
 HUGIN = 'i w800 h760 f3 v180 Ra0 a0.01 b-0.02 c0.005 d2.5 e-1.5 g0 t0 r0 p0 y0 n"a0.jpg"\n'

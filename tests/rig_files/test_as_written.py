@@ -7,7 +7,22 @@ import warnings
 import numpy as np
 import pytest
 import yaml
-from rig_file_samples import K4, OCAM_TXT, R2, SIZE, T2, dump, kalibr, matrix, ocam_folder, omnimvs, ros, write
+from rig_file_samples import (
+    EXAMPLES,
+    K4,
+    OCAM_TXT,
+    PAGE,
+    R2,
+    SIZE,
+    T2,
+    dump,
+    kalibr,
+    matrix,
+    ocam_folder,
+    omnimvs,
+    ros,
+    write,
+)
 from test_more_formats import follows, kb4
 
 from omnistereo_lib import OmnistereoError, Pose, load_camera, load_rig
@@ -231,22 +246,17 @@ def test_two_sources_of_poses(tmp_path):
         assert [bool(re.search(expected or "", str(each.message))) for each in said] == [True] * bool(expected)
 
 
-PAGE = (__import__("pathlib").Path(__file__).parents[2] / "book" / "own_cameras.md").read_text(encoding="utf-8")
-EXAMPLES = re.findall(r"^(?:\*\*(.*?)\*\*|and)[^`\n]*`([\w.]+)`[^\n]*\n\n```\w+\n(.*?)```$", PAGE, re.M | re.S)
-
-
 def test_the_formats_in_the_book_are_those_of_the_readers():
     """Make the table with python -c 'from omnistereo_lib.rig_files.formats import *; print(formats_table())'."""
     assert formats_table() in PAGE
-    assert {name for name, _, _ in EXAMPLES} - {""} == {form.name for form in FORMATS} | {"a folder", "COLMAP model"}
+    assert set(EXAMPLES) == {form.name for form in FORMATS} | {"a folder", "COLMAP model", "images.txt"}
 
 
 @pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
 def test_each_example_is_read(tmp_path, form, recwarn):
-    files = {name or file: (file, text) for name, file, text in EXAMPLES}
     for name in {form.name, "camodocal camera", "COLMAP model"}:
-        write(tmp_path / files[name][0], files[name][1])
-    path = tmp_path / files[form.name][0]
+        write(tmp_path / EXAMPLES[name][0], EXAMPLES[name][1])
+    path = tmp_path / EXAMPLES[form.name][0]
     if not form.unit:
         assert load_camera(path).image_size == (640, 480)
     else:
@@ -257,11 +267,10 @@ def test_each_example_is_read(tmp_path, form, recwarn):
 
 
 def test_each_example_of_a_folder_is_read(tmp_path):
-    files = {name or file: (file, text) for name, file, text in EXAMPLES}
     for name in ("Metashape lens", "a folder"):
-        write(tmp_path / files[name][0], files[name][1])
-    write(tmp_path / "cam2.xml", files["Metashape lens"][1])
+        write(tmp_path / EXAMPLES[name][0], EXAMPLES[name][1])
+    write(tmp_path / "cam2.xml", EXAMPLES["Metashape lens"][1])
     assert load_rig(tmp_path, "m").baselines[0] == pytest.approx(0.2)
     for name in ("COLMAP model", "images.txt"):
-        write(tmp_path / "model" / files[name][0], files[name][1])
+        write(tmp_path / "model" / EXAMPLES[name][0], EXAMPLES[name][1])
     assert load_rig(tmp_path / "model", "m").baselines[0] == pytest.approx(0.2)
