@@ -186,12 +186,6 @@ def test_opencv_layouts(tmp_path, layout, header, caplog):
     np.testing.assert_allclose(uv[valid], theirs.reshape(-1, 2)[valid], atol=0.02)
 
 
-def test_opencv_files_as_plain_yaml_lists(tmp_path):
-    camera = {"K": K.tolist(), "D": D4.tolist(), "resolution": list(SIZE), "R": R2.tolist(), "T": T2.tolist()}
-    rig = load_rig(dump(tmp_path / "rig.yaml", {"cameras": [camera, camera, camera]}), "m")
-    np.testing.assert_allclose(rig.centers, [-R2.T @ T2] * 3, atol=1e-12)
-
-
 def test_opencv_files_need_a_unit(tmp_path):
     path = opencv_file(tmp_path / "fisheye.yaml", **LAYOUTS["stereo pair"])
     distance = np.linalg.norm(T2)
