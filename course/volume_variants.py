@@ -16,9 +16,11 @@ from tqdm import tqdm
 
 import omnistereo_lib as osl
 from omnistereo_lib.files import make_folder
-from omnistereo_lib.stereo.correlation import CHANNELS, GROUPS, pixels_per_degree, volume_sizes
+from omnistereo_lib.stereo.correlation import pixels_per_degree, volume_sizes
+from omnistereo_lib.stereo.images import reduce_images
+from omnistereo_lib.stereo.kernels.correlation_numba import CHANNELS, GROUPS
 from omnistereo_lib.stereo.learned import autocast
-from omnistereo_lib.stereo.sweep import SphereSweep, reduce_images
+from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.volumenet import WIDTHS, Conv3d, VolumeNet, local_mean
 from omnistereo_lib.train import RECIPES, VolumeNetRecipe
 from omnistereo_lib.train.frames import DATA, folders_of

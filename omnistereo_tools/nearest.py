@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.images import reduce_images
 from omnistereo_lib.stereo.methods import VIDEO_METHOD
 from omnistereo_lib.stereo.pipeline import estimate_depth
-from omnistereo_lib.stereo.sweep import reduce_images
 
 _WIDTH, _HEIGHT, _SPHERES = 320, 80, 64  # coarse: a tenth of a second
 _BASELINES = 1.0  # the first pass begins at the mean baseline: what is nearer, few cameras see

@@ -16,14 +16,10 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, make_folder
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.stereo.correlation import (
-    correlate_by_tensors,
-    pixels_per_degree,
-    project_cells,
-    volume_cells,
-    volume_sizes,
-)
-from omnistereo_lib.stereo.sweep import reduce_images
+from omnistereo_lib.reference import correlate
+from omnistereo_lib.stereo.correlation import pixels_per_degree, project_cells, volume_cells, volume_sizes
+from omnistereo_lib.stereo.images import reduce_images
+from omnistereo_lib.stereo.kernels.correlation_numba import GROUPS
 from omnistereo_lib.stereo.volumenet import VolumeNet, local_mean, normalize, resize_logits
 
 OPSET = 18  # the first whose Resize takes the axes as torch does
@@ -108,7 +104,7 @@ class DepthGraph(nn.Module):
             features.append(self.network.features(normalize(gray, visible), visible))
         rays, inverse_depth = self.get_buffer(f"rays{number}"), self.get_buffer(f"inverse_depth{number}")
         parts = [project_cells(rig, some, inverse_depth) for some in rays.split(_COLUMNS)]
-        return torch.cat([correlate_by_tensors(features, part) for part in parts], 1)
+        return torch.cat([correlate(features, part, GROUPS) for part in parts], 1)
 
 
 def _reduced_gray(image: Tensor, factor: int) -> Tensor:

@@ -17,7 +17,8 @@ from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Pairs, Rig, camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.cost import Progress
-from omnistereo_lib.stereo.sweep import SphereSweep, reduce_images
+from omnistereo_lib.stereo.images import reduce_images
+from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.volume import cost_volume
 from omnistereo_lib.stereo.zncc import ZNCC
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.stereo.methods import Method
@@ -13,8 +13,6 @@ class EvaluatedMethod(Method):
     """A method on a grid of the evaluation, which has the N of the scale or another one."""
 
     num_spheres: int = 0  #: N instead of that of the scale; 0: that of the scale
-
-    _TYPES: ClassVar[dict[str, type]] = Method._TYPES | {"num_spheres": int}
 
     def __post_init__(self) -> None:
         super().__post_init__()

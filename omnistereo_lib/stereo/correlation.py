@@ -3,23 +3,19 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import grid_sample
 
+from omnistereo_lib import reference
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.stereo.compiled import compiled
-from omnistereo_lib.stereo.threads import map_threads
+from omnistereo_lib.stereo.kernels import correlation_numba
+from omnistereo_lib.stereo.kernels.correlation_numba import GROUPS
 
-CHANNELS, GROUPS = 32, 8
-_SIZE = CHANNELS // GROUPS
 COARSE = 160, 32  # columns and spheres of the volume on which the shipped network was trained
 FINER = 320, 48  # and of the finer volume, at most
-_CELLS = 1 << 14  # cells correlated at a time: so few that their features stay in the cache of a core
 
 
 def volume_sizes(grid: SphereGrid, rig: Rig | None = None) -> list[tuple[int, int, int]]:
@@ -79,141 +75,17 @@ def project_cells(rig: Rig, rays: Tensor, inverse_depth: Tensor) -> list[Tensor]
     return coordinates
 
 
-class _CellCorrelation(torch.autograd.Function):
-    """The correlation by loops over the cells: they pass over the cameras to which a cell is not visible.
-
-    No warped map is kept for the gradient.
-    """
-
-    @staticmethod
-    def forward(ctx: Any, uv: Tensor, *maps: Tensor) -> Tensor:
-        """Return the cells (cells, 9) of `correlate`, given features (h, w, 32) and places (cameras, cells, 2)."""
-        table = torch.cat([one.detach().reshape(-1, CHANNELS) for one in maps]).numpy()
-        sizes = np.array([one.shape[:2] for one in maps])
-        volume = torch.empty(uv.shape[1], GROUPS + 1, dtype=torch.float32)
-        totals = torch.empty(uv.shape[1] if any(ctx.needs_input_grad) else 0, CHANNELS, dtype=torch.float32)
-
-        def correlate_part(start: int) -> None:
-            cells = slice(start, start + _CELLS)
-            _correlate_cells(table, sizes, uv[:, cells].numpy(), volume[cells].numpy(), totals[cells].numpy())
-
-        list(map_threads(correlate_part, range(0, uv.shape[1], _CELLS)))
-        ctx.save_for_backward(uv, totals, volume, *maps)
-        return volume
-
-    @staticmethod
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
-        """Return the gradients of the features: ∂/∂f_i = 2 (Σ_j f_j - f_i), scattered back by the warp."""
-        uv, totals, volume, *maps = ctx.saved_tensors
-        grads = [torch.zeros(one.shape, dtype=torch.float32) for one in maps]
-        k = 4 * volume[:, GROUPS:]
-        of_products = (grad[:, :GROUPS] / (k * (k - 1)).clamp(min=1)).contiguous()
-
-        def scatter(camera: int) -> None:
-            arrays = maps[camera].detach(), uv[camera], totals, of_products, grads[camera]
-            _scatter_gradient(*(array.numpy() for array in arrays))
-
-        list(map_threads(scatter, range(len(maps))))
-        return None, *grads
-
-
-# Not nnan: a test for NaN says where a cell is visible.
-_loop = compiled(nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"})
-
-
-@_loop
-def _corner(x: float, y: float, height: int, width: int) -> tuple[int, int, Any, Any]:
-    """Return column and row of the pixel up and left of a position, and how far the position is beyond it."""
-    column, row = min(max(int(x), 0), width - 2), min(max(int(y), 0), height - 2)
-    fx, fy = np.float32(x - column), np.float32(y - row)
-    return column, row, min(max(fx, np.float32(0)), np.float32(1)), min(max(fy, np.float32(0)), np.float32(1))
-
-
-@_loop
-def _correlate_cells(table: Any, sizes: Any, uv: Any, volume: Any, totals: Any) -> None:
-    """Write cells of `correlate` (cells, 9), and Σ f_i (cells, 32) if asked for; one table holds all features."""
-    total, square = np.zeros(CHANNELS, np.float32), np.zeros(CHANNELS, np.float32)
-    for cell in range(uv.shape[1]):
-        total[:] = 0
-        square[:] = 0
-        first = count = 0
-        for camera in range(len(sizes)):
-            height, width = sizes[camera]
-            x, y = uv[camera, cell]
-            if x == x:
-                count += 1
-                column, row, fx, fy = _corner(x, y, height, width)
-                r, one = first + row * width + column, np.float32(1)
-                a, b, c, d = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
-                for k in range(CHANNELS):
-                    f = a * table[r, k] + b * table[r + 1, k] + c * table[r + width, k] + d * table[r + width + 1, k]
-                    total[k] += f
-                    square[k] += f * f
-            first += height * width
-        for group in range(GROUPS):
-            summed = np.float32(0)
-            for k in range(group * _SIZE, (group + 1) * _SIZE):
-                summed += total[k] * total[k] - square[k]
-            volume[cell, group] = summed / np.float32(_SIZE * max(count * (count - 1), 1))
-        volume[cell, GROUPS] = np.float32(0.25) * count
-        if len(totals):
-            totals[cell] = total
-
-
-@_loop
-def _scatter_gradient(maps: Any, uv: Any, totals: Any, grad: Any, out: Any) -> None:
-    """Add ∂/∂f_i = 2 (Σ_j f_j - f_i), times the gradient of the group means, to the pixels from which f_i was read."""
-    height, width, _ = maps.shape
-    table, out = maps.reshape(-1, CHANNELS), out.reshape(-1, CHANNELS)
-    g = np.zeros(CHANNELS, np.float32)
-    for cell in range(len(uv)):
-        x, y = uv[cell]
-        if x == x:
-            column, row, fx, fy = _corner(x, y, height, width)
-            r, one = row * width + column, np.float32(1)
-            a, b, c, d = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
-            for group in range(GROUPS):
-                for k in range(group * _SIZE, (group + 1) * _SIZE):
-                    g[k] = grad[cell, group] * np.float32(2 / _SIZE)
-            for k in range(CHANNELS):
-                f = a * table[r, k] + b * table[r + 1, k] + c * table[r + width, k] + d * table[r + width + 1, k]
-                g[k] *= totals[cell, k] - f
-            for k in range(CHANNELS):
-                out[r, k] += a * g[k]
-                out[r + 1, k] += b * g[k]
-                out[r + width, k] += c * g[k]
-                out[r + width + 1, k] += d * g[k]
-
-
 def correlate(features: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tensor:
-    """Correlate the features of all cameras to which a cell is visible, in groups of channels.
-
-    The mean of f_i f_j over all pairs i ≠ j needs no pairs: it is ((Σ f)² - Σ f²) / (k (k - 1)), where k is the number
-    of cameras to which the cell is visible. So any number of cameras will do, in any order.
+    """Correlate the features of all cameras to which a cell is visible, in groups of channels; see `reference`.
 
     Args:
         features: one tensor per camera, shape (32, h, w)
         coordinates (one tensor per camera, shape (W, H, N, 2)): See `feature_coordinates`.
 
     Returns:
-        tensor, shape (9, W, H, N): Eight correlations, 0 where k < 2, and k / 4.
+        tensor, shape (9, W, H, N): Eight correlations, 0 where k < 2, and k / 4, where k is the number of cameras to
+            which the cell is visible.
     """
     if features[0].device.type != "cpu":
-        return correlate_by_tensors(features, coordinates)
-    maps = [one.permute(1, 2, 0).contiguous() for one in features]
-    volume = _CellCorrelation.apply(torch.stack([uv.reshape(-1, 2) for uv in coordinates]), *maps)
-    return volume.view(*coordinates[0].shape[:3], -1).permute(3, 0, 1, 2)
-
-
-def correlate_by_tensors(features: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tensor:
-    """Return what `correlate` does, by operations that every device and ONNX have."""
-    total, squares, k = (torch.zeros((), device=features[0].device) for _ in range(3))
-    for maps, uv in zip(features, coordinates, strict=True):
-        last = torch.tensor([maps.shape[2] - 1.0, maps.shape[1] - 1.0], device=maps.device)
-        seen = ~uv[..., 0].isnan()
-        at = (2 * uv.nan_to_num() / last - 1).flatten(0, 1)[None]
-        sampled = grid_sample(maps[None], at, padding_mode="border", align_corners=True)[0].unflatten(1, uv.shape[:2])
-        warped = sampled * seen
-        total, squares, k = total + warped, squares + warped.square(), k + seen
-    groups = (total.square() - squares).unflatten(0, (GROUPS, -1)).mean(1) / (k * (k - 1)).clamp(min=1)
-    return torch.cat([groups, k[None] / 4])
+        return reference.correlate(features, coordinates, GROUPS)
+    return correlation_numba.correlate(features, coordinates)

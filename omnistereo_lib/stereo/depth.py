@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
+from omnistereo_lib import reference
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.stereo.compiled import compiled, minimum
+from omnistereo_lib.stereo.kernels import winner_numba
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.threads import map_threads
 from omnistereo_lib.stereo.volume import as_volume
@@ -64,57 +64,14 @@ def index_and_confidence(volume: ArrayLike | Tensor, subindex: bool = False) -> 
     """Return what `winner_takes_all` and `confidence` do, in one pass over the volume, some rows at a time."""
 
     def read_out(rows: Tensor) -> Tensor:  # (h, W, N) → (2, h, W)
-        first, second, winner = _two_lowest(rows)  # (h, W) each
-        index = winner.float()
-        if subindex:
-            last = rows.shape[-1] - 1
-            left = rows.gather(-1, (winner - 1).clamp(0)[..., None])[..., 0]
-            right = rows.gather(-1, (winner + 1).clamp(max=last)[..., None])[..., 0]
-            bend = left - 2 * first + right
-            inner = (winner > 0) & (winner < last) & (bend > 0) & (bend < torch.inf)  # False next to a NaN
-            index = torch.where(inner, index + (left - right) / (2 * bend), index)
-        ratio = torch.where(second > 0, 1 - first / second, 0.0)
-        return torch.where(first.isinf(), torch.nan, torch.stack([index, ratio]))
+        if rows.device.type == "cpu":
+            return winner_numba.winner_and_confidence(rows.float(), subindex)
+        return torch.stack([reference.winner(rows.float(), subindex), reference.confidence(rows.float())])
 
     volume = as_volume(volume)  # (H, W, N)
-    rows = max(1, _CELLS // volume[0].numel())
-    parts = map_threads(lambda part: read_out(part.float()), volume.split(rows))
+    parts = map_threads(read_out, volume.split(max(1, _CELLS // volume[0].numel())))
     index, ratio = torch.cat(list(parts), 1)  # (H, W) each
     return index, ratio
-
-
-def _two_lowest(volume: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the costs (H, W) of n* and of the best sphere that is not n* or next to it, infinite if none, and n*."""
-    if volume.device.type == "cpu":
-        costs, best = np.empty((2, *volume.shape[:2]), np.float32), np.empty(volume.shape[:2], np.int64)
-        _find_two_lowest(volume.contiguous().numpy(), costs, best)
-        return torch.from_numpy(costs[0]), torch.from_numpy(costs[1]), torch.from_numpy(best)
-    filled = torch.where(volume.isnan(), torch.inf, volume)
-    first, winner = filled.min(-1)
-    nearby = torch.stack([winner - 1, winner, winner + 1], -1).clamp(0, volume.shape[-1] - 1)
-    return first, filled.scatter_(-1, nearby, torch.inf).amin(-1), winner
-
-
-@compiled(nogil=True)
-def _find_two_lowest(volume: NDArray[Any], costs: NDArray[Any], winner: NDArray[Any]) -> None:
-    """Write what `_two_lowest` returns to costs (2, H, W) and winner (H, W), one ray at a time."""
-    H, W, N = volume.shape
-    infinity = np.float32(np.inf)
-    ray = np.empty(N, np.float32)
-    for y in range(H):
-        for x in range(W):
-            cost, first, second = volume[y, x], infinity, infinity
-            for n in range(N):
-                ray[n] = cost[n] if cost[n] == cost[n] else infinity
-                first = minimum(first, ray[n])
-            best = 0
-            while ray[best] != first:
-                best += 1
-            for n in range(max(best - 1, 0), min(best + 2, N)):
-                ray[n] = infinity
-            for n in range(N):
-                second = minimum(second, ray[n])
-            costs[0, y, x], costs[1, y, x], winner[y, x] = first, second, best
 
 
 @dataclass(frozen=True, eq=False)

@@ -51,7 +51,7 @@ def check_memory(cameras: int, grid: SphereGrid, device: torch.device) -> None:
         more_blocks = min(torch.get_num_threads(), math.ceil(grid.num_spheres / BLOCK)) - 1  # see `BlockCost.volume`
         per_ray = 400 + 225 * cameras + 9 * grid.num_spheres + more_blocks * (250 + 64 * cameras)
     else:
-        per_ray = 1800 + 64 * cameras + 18 * grid.num_spheres
+        per_ray = 1800 + 128 * cameras + 18 * grid.num_spheres  # with the costs of a block for every pair of a ring
     need, free = grid.width * grid.height * per_ray, 0.75 * available_memory(device)
     if need > free:
         raise OmnistereoError(

@@ -19,10 +19,10 @@ from torch.nn.functional import pad
 
 from omnistereo_lib.errors import OmnistereoError, check_type
 from omnistereo_lib.geometry.rig import Pair
+from omnistereo_lib.stereo.columns import common_columns, split_at_seam
 from omnistereo_lib.stereo.cost import BlockCost, Progress
-from omnistereo_lib.stereo.sweep import SphereSweep, split_at_seam
+from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.weights import StoredNetwork
-from omnistereo_lib.stereo.zncc import common_columns
 
 Precision = Literal["auto", "float32", "bfloat16"]
 

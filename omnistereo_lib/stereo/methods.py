@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, Literal, Self, get_args, get_type_hints
 
 from torch import Tensor
 
@@ -103,16 +103,6 @@ class Method:
     wrap: bool = True  #: False: SGM stops at the ±180° seam, and so does every layer of SweepNet
     subindex: bool = False  #: refine the index, see `winner_takes_all`; the paper reports integer indices
 
-    _TYPES: ClassVar[dict[str, type]] = {
-        "window": int,
-        "weights": str,
-        "pairs": str,
-        "p1": float,
-        "p2": float,
-        "wrap": bool,
-        "subindex": bool,
-    }
-
     def __post_init__(self) -> None:
         for name, choices in (("cost", tuple(COSTS)), ("aggregate", ("none", "sgm")), ("pairs", ("ring", "all"))):
             if getattr(self, name) not in choices:
@@ -139,11 +129,12 @@ class Method:
         base, *settings = name.split(",")
         cost, _, aggregate = base.partition("+")
         values: dict[str, Any] = {}
+        types = _types_of_settings(cls)
         for setting in settings:
             key, _, value = setting.partition("=")
-            if key not in cls._TYPES:
-                raise OmnistereoError(f"{name}: unknown setting {key!r}; expected one of {', '.join(cls._TYPES)}")
-            kind = cls._TYPES[key]
+            if key not in types:
+                raise OmnistereoError(f"{name}: unknown setting {key!r}; expected one of {', '.join(types)}")
+            kind = types[key]
             try:
                 values[key] = {"true": True, "false": False}[value] if kind is bool else kind(value)
             except (ValueError, KeyError):
@@ -228,6 +219,15 @@ class Method:
         """Return index and confidence (H, W) of a smoothed volume; with `subindex` or the setting between spheres."""
         own = COSTS[self.cost].read_out if self.reads_out else None
         return index_and_confidence(volume, subindex or self.subindex) if own is None else own(volume)
+
+
+def _types_of_settings(cls: type) -> dict[str, type]:
+    """Return the types of the settings of a `Method`: of `int | None` that is int, of a choice of words str."""
+    found = {}
+    for name, hint in list(get_type_hints(cls).items())[2:]:
+        choices = get_args(hint)
+        found[name] = hint if not choices else choices[0] if isinstance(choices[0], type) else str
+    return found
 
 
 def penalties(width: int, num_spheres: int) -> tuple[float, float]:

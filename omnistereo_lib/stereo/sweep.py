@@ -1,10 +1,8 @@
 """Sphere sweep: warp the fisheye images onto concentric spheres (paper, Section III-B and Eq. 1)."""
 
-import math
-from collections.abc import Callable, Hashable, Sequence, Sized
+from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
-from dataclasses import replace
 from functools import cached_property
 from threading import Lock
 from typing import Any, TypeVar
@@ -14,13 +12,15 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
-from torch.nn.functional import grid_sample
 
-from omnistereo_lib.errors import OmnistereoError, check_type, shortened
+from omnistereo_lib import reference
+from omnistereo_lib.errors import OmnistereoError, check_type
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.columns import circular_span, split_at_seam
 from omnistereo_lib.stereo.device import BLOCK, available_memory, check_memory, select_device
+from omnistereo_lib.stereo.images import blur, blur_px, check_images, to_gray
 from omnistereo_lib.stereo.threads import map_threads
 
 _D0 = 2.0**-23  # 1/m, inverse depth of the sphere at infinity in the paper
@@ -237,7 +237,7 @@ class SphereSweep:
             if on_cpu:
                 remap(image.numpy(), maps.numpy(), target.numpy())
             else:
-                target.copy_(_grid_sample(image, maps))
+                target.copy_(reference.sample(image[None], maps)[0])
         start, width = self._spans[camera, spheres.start]
         for first, stop in split_at_seam((start + width) % W, W - width, W):
             (out.numpy() if on_cpu else out)[:, first:stop] = np.nan
@@ -275,9 +275,9 @@ class SphereSweep:
         else:
             for k, n in enumerate(spheres):
                 uv, valid = self._project_by_torch(camera, n)
-                maps[:, :, k] = uv.masked_fill_(~valid[..., None], OUTSIDE)
-        visible = (maps[..., 0] > OUTSIDE).any(2).any(0).cpu().numpy()
-        start, width = _circular_span(visible)
+                maps[:, :, k] = uv.masked_fill_(~valid[..., None], torch.nan)
+        visible = (maps[..., 0] > OUTSIDE).any(2).any(0).cpu().numpy()  # not NaN, either
+        start, width = circular_span(visible)
         self._spans[camera, spheres.start] = start, width
         return [(a, maps[:, a:b].reshape(H, -1, 2)) for a, b in split_at_seam(start, width, W)]
 
@@ -290,89 +290,6 @@ class SphereSweep:
         return self.rig.cameras[camera].project(rays @ R.T + inverse_depth * t)
 
 
-def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray[Any]]:
-    """Return the images as arrays, checked against the cameras of the rig.
-
-    Raises:
-        OmnistereoError: If there is not one image per camera, or one has the wrong size, shape or type or is not
-            finite.
-    """
-    if not isinstance(images, Sized):  # arrays and tensors are sequences, too
-        raise OmnistereoError(f"images is {shortened(images)}; expected one array per camera")
-    arrays = [np.asarray(image.detach().cpu() if isinstance(image, Tensor) else image) for image in images]
-    arrays = [image.astype(image.dtype.newbyteorder("="), copy=False) for image in arrays]
-    for i, (image, (width, height)) in enumerate(zip(arrays, rig.image_sizes(len(arrays)), strict=True)):
-        if image.shape not in [(height, width), (height, width, 3)]:
-            raise OmnistereoError(
-                f"image {i + 1} has shape {image.shape}; camera {i + 1} expects ({height}, {width}) or "
-                f"({height}, {width}, 3). Pass the image as captured: not resized, cropped or rotated."
-            )
-        if image.dtype != np.uint8 and not np.issubdtype(image.dtype, np.floating):
-            raise OmnistereoError(f"image {i + 1} has type {image.dtype}; expected uint8 or float")
-        if image.dtype != np.uint8 and not np.isfinite(image).all():
-            raise OmnistereoError(f"image {i + 1} has NaN or infinite values; expected finite gray values")
-    if len({image.ndim for image in arrays}) > 1:  # gray and colour: all in colour
-        arrays = [np.repeat(image[..., None], 3, -1) if image.ndim == 2 else image for image in arrays]
-    return arrays
-
-
-def to_gray(image: NDArray[Any]) -> NDArray[np.float32]:
-    """Return an image (height, width) or RGB (height, width, 3) in gray, float32 (BT.601 luma)."""
-    image = np.ascontiguousarray(image, np.float32)
-    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.float32)
-
-
-def blur_px(spacing: float) -> float:
-    """Return σ of the Gaussian that keeps samples `spacing` pixels apart from aliasing, in pixels; 0: none is needed.
-
-    The usual choice is half the spacing. An image is about as sharp as its pixels allow, σ = 0.5, and variances add.
-    """
-    return 0.5 * math.sqrt(spacing**2 - 1) if spacing > 1.1 else 0.0
-
-
-def blur(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
-    """Blur an image by a Gaussian; σ = 0 returns it as it is."""
-    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.float32) if sigma else image
-
-
-def reduce_images(rig: Rig, images: Sequence[ArrayLike], pixels_per_degree: float) -> tuple[Rig, list[NDArray[Any]]]:
-    """Return cameras and images of about a resolution, if theirs is higher: pixels are averaged in whole blocks.
-
-    Args:
-        images: one array per camera, (height, width) or (height, width, 3)
-        pixels_per_degree: Image width over field of view; equal sizes stay equal.
-
-    Raises:
-        OmnistereoError: If the images do not fit the rig.
-    """
-    cameras, reduced = [], []
-    widest = max(camera.max_fov_deg for camera in rig.cameras)
-    for camera, image in zip(rig.cameras, check_images(images, rig), strict=True):
-        factor = max(1, round(camera.image_size[0] / widest / pixels_per_degree))
-        width, height = (size // factor for size in camera.image_size)
-        cut = image[: height * factor, : width * factor]
-        reduced.append(cv2.resize(cut, (width, height), interpolation=cv2.INTER_AREA))
-        cameras.append(camera.reduced(factor))
-    return replace(rig, cameras=tuple(cameras)), reduced
-
-
-def _circular_span(visible: NDArray[np.bool_]) -> tuple[int, int]:
-    """Return the shortest (start, width) around the circle that covers every True of a row of columns."""
-    columns = np.flatnonzero(visible)
-    if len(columns) == 0:
-        return 0, 0
-    gaps = np.diff(np.append(columns, columns[0] + len(visible)))
-    widest = int(np.argmax(gaps))
-    start = int(columns[(widest + 1) % len(columns)])
-    return start, len(visible) - int(gaps[widest]) + 1
-
-
-def split_at_seam(start: int, width: int, total: int) -> list[tuple[int, int]]:
-    """Split the columns [start, start + width) around the seam into ranges [first, stop)."""
-    ranges = [(start, min(start + width, total)), (0, start + width - total)]
-    return [(first, stop) for first, stop in ranges if stop > first]
-
-
 def remap(
     image: NDArray[np.float32], maps: NDArray[np.float32], out: NDArray[np.float32] | None = None
 ) -> NDArray[Any]:
@@ -380,11 +297,3 @@ def remap(
     nan = (np.nan,) * 4
     no_second: Any = None  # maps holds both coordinates; OpenCV's hints do not know that the second map may be None
     return np.asarray(cv2.remap(image, maps, no_second, cv2.INTER_LINEAR, out, cv2.BORDER_CONSTANT, nan), np.float32)
-
-
-def _grid_sample(image: Tensor, maps: Tensor) -> Tensor:
-    """Sample as `remap`, in torch on any device."""
-    height, width = image.shape
-    scale = torch.tensor([2.0 / (width - 1), 2.0 / (height - 1)], device=maps.device)
-    sampled = grid_sample(image[None, None], (maps * scale - 1.0)[None], align_corners=True)[0, 0]
-    return sampled.masked_fill(maps[..., 0] == OUTSIDE, torch.nan)

@@ -14,7 +14,6 @@ Volumes are (batch, channels, W, H, N): with W first, PyTorch picks its fast CPU
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any
@@ -24,20 +23,15 @@ from numpy.typing import ArrayLike
 from torch import Tensor, nn
 from torch.nn.functional import conv3d, interpolate, relu
 
+from omnistereo_lib import reference
 from omnistereo_lib.geometry.rig import Pair
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.stereo.correlation import (
-    CHANNELS,
-    COARSE,
-    GROUPS,
-    correlate,
-    feature_coordinates,
-    pixels_per_degree,
-    volume_sizes,
-)
+from omnistereo_lib.stereo.correlation import COARSE, correlate, feature_coordinates, pixels_per_degree, volume_sizes
 from omnistereo_lib.stereo.cost import Progress
+from omnistereo_lib.stereo.images import reduce_images, to_gray
+from omnistereo_lib.stereo.kernels.correlation_numba import CHANNELS, GROUPS
 from omnistereo_lib.stereo.learned import Precision, autocast, full_precision
-from omnistereo_lib.stereo.sweep import SphereSweep, reduce_images, to_gray
+from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.weights import StoredNetwork
 
 WIDTHS = (16, 32, 48, 64)  # channels of the U-net's levels, each half as wide, high and deep as the one before
@@ -252,21 +246,8 @@ def resize_logits(logits: Tensor, columns: Tensor, grid: SphereGrid) -> Tensor:
 def local_mean(volume: Tensor) -> tuple[Tensor, Tensor]:
     """Return sphere index and confidence of costs 1 - probability (H, W, N): two float32 tensors (H, W).
 
-    The index is the mean sphere under the probabilities of those within a cell of the coarse volume, at least one
-    sphere, on either side: a local soft-argmax. The first mean is around the best sphere, the next two are around the
-    mean before (mean shift): around the best sphere alone, it would hurry from cell to cell, and a wall be a flight of
-    steps. The mean over all spheres would lie between two surfaces at a depth discontinuity. The confidence is the
-    probability that the spheres of the last mean have together, in [0, 1]. NaN where the cost is NaN.
+    The index is the mean sphere around the most probable one, within a cell of the coarse volume, at least one sphere,
+    on either side; see `reference.local_mean`. The confidence is the probability that these spheres have together, in
+    [0, 1]. NaN where the cost is NaN.
     """
-    N = int(volume.shape[-1])  # a number while ONNX traces, too
-    radius = max(1.0, N / COARSE[1])
-    around = torch.arange(-math.ceil(radius) - 1, math.ceil(radius) + 2, device=volume.device)
-    index = total = volume.argmin(-1).float()
-    for _ in range(3):
-        near = index.round().long()[..., None] + around  # (H, W, spheres)
-        inside = (near >= 0) & (near < N)
-        share = (radius + 1 - (near - index[..., None]).abs()).clamp(0, 1)  # less than 1 at either end
-        mass = (1 - volume.gather(-1, near.clamp(0, N - 1))) * share * inside
-        total = mass.sum(-1)
-        index = (mass * near).sum(-1) / total
-    return index, total
+    return reference.local_mean(volume, COARSE[1])

@@ -16,7 +16,8 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import read_bytes
 from omnistereo_lib.geometry.rig import camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.stereo.sweep import SphereSweep, to_gray
+from omnistereo_lib.stereo.images import to_gray
+from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.train.endless import EndlessFrame, EndlessWorlds
 from omnistereo_lib.train.recipes import ENDLESS, Recipe
 

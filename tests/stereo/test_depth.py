@@ -1,6 +1,7 @@
 import subprocess
 import sys
 from pathlib import Path
+from unittest import mock
 
 import cv2
 import numpy as np
@@ -11,15 +12,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import omnistereo_lib as osl
+from omnistereo_lib import reference
 from omnistereo_lib.stereo import depth
 
 
-def test_the_best_sphere_is_the_cheapest_and_rows_may_come_in_parts(monkeypatch):
-    volume = np.random.default_rng(0).random((5, 6, 7)).astype(np.float32)
-    whole = osl.winner_takes_all(volume, True), osl.confidence(volume)
-    monkeypatch.setattr(depth, "_CELLS", 2 * 6 * 7)
-    assert (osl.winner_takes_all(volume).numpy() == volume.argmin(-1)).all()
-    assert torch.equal(osl.winner_takes_all(volume, True), whole[0]) and torch.equal(osl.confidence(volume), whole[1])
+@given(st.integers(0, 2**32 - 1), st.integers(2, 40), st.sampled_from([0.0, 0.3, 0.9]), st.booleans())
+def test_index_and_confidence_are_those_of_the_definition(seed, num_spheres, unknown, subindex):
+    rng = np.random.default_rng(seed)
+    volume = rng.integers(0, 9, (5, 6, num_spheres)).astype(np.float32)  # many costs are equal
+    volume[rng.random(volume.shape) < unknown] = np.nan
+    with mock.patch.object(depth, "_CELLS", 2 * 6 * num_spheres):  # two rows at a time
+        found = depth.index_and_confidence(volume, subindex)
+    exact = torch.from_numpy(volume).double()
+    for ours, expected in zip(found, (reference.winner(exact, subindex), reference.confidence(exact)), strict=True):
+        torch.testing.assert_close(ours.double(), expected, rtol=0, atol=1e-6, equal_nan=True)
+    assert depth.index_and_confidence(exact.to("meta"))[0].shape == (5, 6)  # a device without a kernel
 
 
 def test_nan_cells_do_not_compete():

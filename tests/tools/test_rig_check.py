@@ -9,7 +9,8 @@ import scene
 
 import omnistereo_lib as osl
 from omnistereo_lib.evaluate.run import DATA
-from omnistereo_lib.stereo.sweep import SphereSweep, reduce_images
+from omnistereo_lib.stereo.images import reduce_images
+from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.rig_check import (
     RigCheck,
     RigHypothesis,

@@ -1,8 +1,7 @@
-"""Semi-global matching on a GPU, one program per scanline; the same recurrence as in `sgm`, in Triton.
+"""The paths of SGM on a GPU, in Triton: one program per scanline, which keeps its message in registers as it walks.
 
 A scanline is one path over the panorama: a row, or a line that starts in the first (or last) row and moves by 0 or ±1
-column per row. Its program keeps the message M (N numbers) in registers and walks along the line. Scanlines of one
-direction never share a pixel, so a launch per direction adds to S without atomics.
+column per row. Scanlines of one direction never share a pixel, so a launch per direction adds to S without atomics.
 """
 
 import torch

@@ -1,0 +1,159 @@
+"""ZNCC on a CPU: the sums over a window slide along, so that its size costs nothing, for 16 spheres side by side."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numba
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.functional import pad
+
+from omnistereo_lib.geometry.rig import Pair
+from omnistereo_lib.reference import FLAT_VARIANCE
+from omnistereo_lib.stereo.columns import common_columns
+from omnistereo_lib.stereo.compiled import compiled
+
+_LANES = 16  # spheres side by side, as many as in a block of the sweep
+_PIECE = 64  # columns at a time: the sums over their windows stay in the cache
+
+
+def mean_costs(
+    spherical_images: Tensor, pairs: Sequence[Pair], window: int, columns: Sequence[tuple[int, int]] | None
+) -> Tensor:
+    """Return the mean cost over pairs, (H, W, B), of images (cameras, B, H, W); arguments as in `ZNCC`."""
+    H, W = spherical_images.shape[-2:]
+    # Only the columns that both cameras of a pair see, in pieces.
+    columns = columns if columns is not None else [(0, W)] * len(spherical_images)
+    strips = [(i, j, *strip) for i, j in pairs for strip in common_columns(columns[i], columns[j], W)]
+    rows = [(i, j, s + k, min(_PIECE, width - k)) for i, j, s, width in strips for k in range(0, width, _PIECE)]
+    pieces = np.array(rows, np.int64).reshape(-1, 4)
+    # 16 spheres at a time, the last of which may be empty.
+    costs = []
+    for images in spherical_images.permute(0, 2, 3, 1).split(_LANES, -1):
+        B = images.shape[-1]
+        if B < _LANES:
+            images = pad(images, (0, _LANES - B), value=torch.nan)
+        cost = np.empty((H, W * _LANES), np.float32)
+        _mean_costs(images.contiguous().flatten(2).numpy(), pieces, window // 2, cost)
+        costs.append(torch.from_numpy(cost).view(H, W, _LANES)[..., :B])
+    return costs[0] if len(costs) == 1 else torch.cat(costs, -1)
+
+
+# One row at a time; the compiler vectorises the flat loops, in which the spheres of a pixel are neighbours.
+
+
+@compiled(nogil=True, error_model="numpy")
+def _mean_costs(images: NDArray[Any], pieces: NDArray[Any], radius: int, cost: NDArray[Any]) -> None:
+    """Write the mean costs over the pairs to cost (H, W · lanes).
+
+    Args:
+        images: shape (cameras, H, W · lanes)
+        pieces: rows of (camera, camera, start, width), at most `_PIECE` columns each so that they fit the cache
+    """
+    count = np.zeros(cost.shape, np.float32)
+    cost[:] = 0
+    for i, j, start, width in pieces:
+        _add_costs(images[i], images[j], start, width, radius, cost, count)
+    for y in range(len(cost)):
+        for t in range(cost.shape[1]):
+            cost[y, t] /= count[y, t]  # 0/0 = NaN where no pair is visible
+
+
+@numba.njit
+def _add_costs(
+    a: NDArray[Any], b: NDArray[Any], start: int, width: int, radius: int, total: NDArray[Any], count: NDArray[Any]
+) -> None:
+    """Add the costs of the columns [start, start + width) of one pair to total and count (H, W · lanes).
+
+    The sums over the rows of the window slide down the image, the sums over its columns then slide along the row. They
+    are float64: in float32 the variance of a bright, flat patch would be rounding error.
+    """
+    W, window, padded = a.shape[1] // _LANES, 2 * radius + 1, (width + 2 * radius) * _LANES
+    ring = np.zeros((window + 1, 3, padded), np.float32)  # the rows of the window and the one before
+    sums = np.zeros((6, padded))  # over the rows of the window: 1, a, b, a², b², ab
+    box = np.empty((6, width * _LANES))
+    pair = np.empty((2, width * _LANES), np.float32)  # weight and weighted cost
+    first = (start - radius) % W * _LANES
+    for y in range(-2 * radius, len(total)):
+        row = y + radius
+        new, old = ring[row % (window + 1)], ring[(row + 1) % (window + 1)]
+        new[:] = 0
+        if 0 <= row < len(a):
+            _common_pixels(a[row], b[row], first, new)
+        _slide(sums, new, old)
+        if y >= 0:
+            for q in range(6):
+                _add_columns(sums[q], window, box[q])
+            _correlate(box, ring[y % (window + 1)][0][radius * _LANES :], pair)
+            _add_wrapped(pair[0], start % W * _LANES, count[y])
+            _add_wrapped(pair[1], start % W * _LANES, total[y])
+
+
+@numba.njit
+def _common_pixels(a: NDArray[Any], b: NDArray[Any], first: int, pixels: NDArray[Any]) -> None:
+    """Copy two rows of pixels, from `first` on around the seam, to pixels (3, padded): weight, a, b.
+
+    The weight is 1 where both are visible; elsewhere all three are 0.
+    """
+    t = 0
+    while t < pixels.shape[1]:
+        n = min(len(a) - first, pixels.shape[1] - t)
+        left, right, visible = a[first : first + n], b[first : first + n], pixels[0][t : t + n]
+        for k in range(n):
+            both = left[k] + right[k]
+            visible[k] = 1.0 if both == both else 0.0  # not NaN
+        for source, row in ((left, pixels[1]), (right, pixels[2])):
+            target = row[t : t + n]
+            for k in range(n):
+                target[k] = source[k] if visible[k] != 0 else np.float32(0)
+        t, first = t + n, 0
+
+
+@numba.njit
+def _slide(sums: NDArray[Any], new: NDArray[Any], old: NDArray[Any]) -> None:
+    """Add a row of pixels to the sums and remove another; a row holds weights, a and b, which are 0 or 1, 0, 0."""
+    for q, i, j in ((0, 0, 0), (1, 0, 1), (2, 0, 2), (3, 1, 1), (4, 2, 2), (5, 1, 2)):
+        total, p, r, p_old, r_old = sums[q], new[i], new[j], old[i], old[j]
+        for t in range(len(total)):
+            total[t] += np.float64(p[t]) * np.float64(r[t]) - np.float64(p_old[t]) * np.float64(r_old[t])
+
+
+@numba.njit
+def _add_columns(sums: NDArray[Any], window: int, box: NDArray[Any]) -> None:
+    """Write the sums over the columns of the window to box."""
+    box[:_LANES] = 0
+    for x in range(window):
+        for k in range(_LANES):
+            box[k] += sums[x * _LANES + k]
+    last, ahead = box[:-_LANES], sums[window * _LANES :]
+    out = box[_LANES:]
+    for t in range(len(out)):
+        out[t] = last[t] + (ahead[t] - sums[t])
+
+
+@numba.njit(error_model="numpy")
+def _correlate(box: NDArray[Any], weight: NDArray[Any], pair: NDArray[Any]) -> None:
+    """Compute weight and weighted cost (1 - ZNCC)/2 from box sums; 0.5 where a patch is flat (paper, Section IV)."""
+    half, one = np.float32(0.5), np.float32(1)
+    for t in range(box.shape[1]):
+        n = box[0, t]
+        variance_a = n * box[3, t] - box[1, t] * box[1, t]  # times n²
+        variance_b = n * box[4, t] - box[2, t] * box[2, t]
+        covariance = n * box[5, t] - box[1, t] * box[2, t]
+        zncc = np.float32(covariance) / np.sqrt(np.float32(variance_a) * np.float32(variance_b))
+        textured = min(variance_a, variance_b) > FLAT_VARIANCE * n * n
+        pair[0, t] = weight[t]
+        pair[1, t] = weight[t] * (half - half * min(max(zncc if textured else np.float32(0), -one), one))
+
+
+@numba.njit
+def _add_wrapped(values: NDArray[Any], first: int, row: NDArray[Any]) -> None:
+    """Add values to a row, from `first` on around the seam."""
+    n = min(len(row) - first, len(values))
+    target, start = row[first : first + n], values[n:]
+    for t in range(n):
+        target[t] += values[t]
+    for t in range(len(start)):
+        row[t] += start[t]
