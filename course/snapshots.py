@@ -50,7 +50,7 @@ def take_snapshots(out: Path = SNAPSHOTS, steps: tuple[int, ...] = STEPS) -> Pat
 
     with TemporaryDirectory() as folder:
         run = Path(folder)
-        train(recipe, run, progress=look)
+        train(recipe, run, on_step=look)
     with atomic_write(out) as temporary:
         np.savez_compressed(temporary, steps=steps, wrong=wrong, index=np.stack(index))
     return out

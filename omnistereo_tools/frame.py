@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.dataset import write_inverse_depth
 from omnistereo_lib.files import atomic_write, make_folder, write_image
+from omnistereo_lib.progress import Progress, counted, silent
 from omnistereo_lib.rig_files import save_rig
-from omnistereo_lib.stereo.cost import Progress
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.metrics import index_error
 from omnistereo_tools.blend import blended_panorama
@@ -94,11 +94,14 @@ class FrameResult:
     def _cloud(self) -> PointCloud:
         return PointCloud.of(self.depth, self._colors, self.limits, self.doubtful)
 
-    def write(self, out: Path, progress: Progress = iter) -> list[str]:
+    def write(self, out: Path, progress: Progress = silent) -> list[str]:
         """Write everything into a folder; return the names of what was written, the first to look at first."""
         steps = {"data": self._write_data, "overview.png": self._write_overview, "index.html": self._write_page}
-        for name in progress(list(steps)):
-            steps[name](make_folder(out) / name)
+        step = counted(progress, len(steps))
+        for name, write in steps.items():
+            step(name)
+            write(make_folder(out) / name)
+        step("")
         return ["overview.png", "index.html (open it in a browser)", "data/ (README.txt says what each file holds)"]
 
     def _write_overview(self, path: Path) -> None:

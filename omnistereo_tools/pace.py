@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Sequence
-from typing import TypeVar
+from collections.abc import Sequence
 
 import torch
 from numpy.typing import ArrayLike
 from tqdm import tqdm
 
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.progress import Progress
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
@@ -19,15 +19,23 @@ from omnistereo_lib.stereo.sweep import SphereSweep
 _SECONDS = {"zncc": 2.3e-7, "mccnn": 1e-5, "sweepnet": 3e-5, "volumenet": 7e-8}
 _WRITING_S, _CORES = 4.0, 2
 _FEW_FRAMES = 10  # are soon done
-_Part = TypeVar("_Part")
 
 
-def named_bar(parts: Iterable[_Part]) -> Iterator[_Part]:
-    """Show a bar over parts of the work; a part that is text, such as "camera 2 of 4", is named."""
-    with tqdm(parts, "sweep", unit="part", leave=False) as bar:
-        for part in bar:
-            bar.set_description(part if isinstance(part, str) else "sweep")
-            yield part
+def progress_bar() -> Progress:
+    """Return a `progress` that shows a bar with the name of the part that is being done, until all parts are done."""
+    bar = None
+
+    def show(done: int, total: int, what: str) -> None:
+        nonlocal bar
+        bar = tqdm(total=total, unit="part", leave=False) if bar is None else bar
+        bar.set_description(what, refresh=False)
+        bar.update(done - bar.n)
+        bar.refresh()
+        if done == total:
+            bar.close()
+            bar = None
+
+    return show
 
 
 def say_frame(method: str, grid: SphereGrid, device: str) -> None:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Pairs, Rig, camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.stereo.cost import Progress
+from omnistereo_lib.progress import Progress, counted, silent
 from omnistereo_lib.stereo.images import reduce_images
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.volume import cost_volume
@@ -85,7 +85,7 @@ class RigCheck:
         )
 
 
-def check_rig(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid, progress: Progress = iter) -> RigCheck:
+def check_rig(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid, progress: Progress = silent) -> RigCheck:
     """Match the images with the rig as given and with each usual mistake undone.
 
     The images are first reduced to the resolution of the panorama, below which their detail is noise.
@@ -98,7 +98,7 @@ def check_rig(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid, progress:
         images: one array per camera
         grid: A small one, such as 320 × 80 with 64 spheres. A rotated camera is found from about one pixel on, 1.1°
             here.
-        progress: Wraps the mistakes that are tried, such as tqdm, then the cameras that may be rotated.
+        progress: Called as `progress(done, total, what)`: for the mistakes, then for the cameras that may be rotated.
 
     Raises:
         OmnistereoError: If the images do not fit the cameras.
@@ -109,14 +109,22 @@ def check_rig(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid, progress:
     given = RigHypothesis("as given", cost, cost)
     tried = [(name, other.T_rig_cam, images) for name, other in _other_poses(rig, grid)]
     tried += [(name, None, changed) for name, changed in _other_images(images)]
-    others = [
-        RigHypothesis(name, matching_cost(sweep if poses is None else sweep.with_poses(poses), pictures), cost)
-        for name, poses, pictures in progress(tried)
-    ]
+    others = []
+    step = counted(progress, len(tried))
+    for name, poses, pictures in tried:
+        step("mistakes")
+        other = matching_cost(sweep if poses is None else sweep.with_poses(poses), pictures)
+        others.append(RigHypothesis(name, other, cost))
+    step("")
     check = RigCheck(given, sorted(others, key=lambda one: one.cost), [])
     if check.mistake is not None or cost > _HOPELESS or len(rig) < 3:
         return check
-    rotated = [_rotated_camera(sweep, images, camera) for camera in progress(range(len(rig)))]
+    rotated = []
+    step = counted(progress, len(rig))
+    for camera in range(len(rig)):
+        step(f"camera {camera + 1} of {len(rig)}")
+        rotated.append(_rotated_camera(sweep, images, camera))
+    step("")
     return replace(check, rotated=sorted(rotated, key=lambda one: one.cost / max(one.given_cost, 1e-9)))
 
 

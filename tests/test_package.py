@@ -15,9 +15,10 @@ LIBRARY = ROOT / "omnistereo_lib"
 
 # A file imports from its own folder and from those of the lines above. Function-level imports count.
 LAYERS = """
-errors containers
+errors containers progress
 files
 geometry
+reference
 consumer_images
 rig_files
 dataset
@@ -30,7 +31,7 @@ LAYER = {name: number for number, line in enumerate(LAYERS.split("\n")) for name
 # Slow or large libraries stay with the modules that exist for them.
 AT_HOME = {"matplotlib": set(), "pyvista": set(), "IPython": set(), "bpy": set(), "ipywidgets": set()}
 EAGER = {
-    "cv2": {"stereo.sweep", "calibrate.checkerboard", "calibrate.marker_boards", "train.endless"},
+    "cv2": {"stereo.images", "stereo.sweep", "calibrate.checkerboard", "calibrate.marker_boards", "train.endless"},
     "scipy": {"calibrate.bundle", "calibrate.joint"},
 }
 

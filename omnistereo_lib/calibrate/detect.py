@@ -1,10 +1,9 @@
 """Boards in images: in one, and in all those of a camera."""
 
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,8 +11,7 @@ from numpy.typing import ArrayLike
 from omnistereo_lib.calibrate.board import Board, Gray, as_gray
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Floats
-
-Progress = Callable[[Iterable[Any]], Iterable[Any]]
+from omnistereo_lib.progress import Progress, counted, silent
 
 _SAME = 2.0  # mean difference in gray levels below which two views are the same image
 
@@ -33,7 +31,7 @@ def find_corners(image: ArrayLike, board: Board) -> Floats | None:
 def detect_views(
     images: Sequence[ArrayLike | None],
     board: Board,
-    progress: Progress = iter,
+    progress: Progress = silent,
     names: Sequence[str] | None = None,
 ) -> list[Floats | None]:
     """Find the board in each image of one camera, on all cores; None where there is no image or no board.
@@ -58,9 +56,13 @@ def detect_views(
             f"views {a} and {b} have different image sizes, {first} and {second} px; expected one size per camera. "
             "Pass the images as captured: not cropped, resized or rotated"
         )
+    found: dict[int, Floats | None] = {}
+    step = counted(progress, len(grays))
     with ThreadPoolExecutor() as pool:
-        corners = progress(pool.map(lambda gray: find_corners(gray, board), grays.values()))
-        found = dict(zip(grays, corners, strict=True))
+        for k, corners in zip(grays, pool.map(lambda gray: find_corners(gray, board), grays.values()), strict=True):
+            step("boards")
+            found[k] = corners
+    step("")
     if all(corners is None for corners in found.values()):
         raise OmnistereoError(f"no board {board} found in {len(grays)} images. {board.advice(list(grays.values()))}")
     for j, k in _duplicates(grays, found):

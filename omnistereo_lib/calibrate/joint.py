@@ -10,7 +10,6 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, mini
 
 from omnistereo_lib.calibrate.board import Board
 from omnistereo_lib.calibrate.bundle import bundle_adjust
-from omnistereo_lib.calibrate.detect import Progress
 from omnistereo_lib.calibrate.params import CalibrationParams, Intrinsics, Observations, collect_observations
 from omnistereo_lib.calibrate.report import CameraReport, RigReport
 from omnistereo_lib.calibrate.single_camera import calibrate_corners, check_settings, read_views
@@ -19,6 +18,7 @@ from omnistereo_lib.errors import OmnistereoError, check_type
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Floats, Pose
 from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.progress import Progress, silent
 
 _AGREE = 0.05  # radians between the directions of a corner in two cameras: rough poses are nearer, gross errors not
 _BAD_CAPTURE = 2.0  # times the error of its views in each camera by itself
@@ -32,7 +32,7 @@ def calibrate_rig(
     image_sizes: Sequence[tuple[int, int]] | None = None,
     degree: int | None = None,
     max_fov_deg: float | None = None,
-    progress: Progress = iter,
+    progress: Progress = silent,
     names: Sequence[str] | None = None,
     cameras: Sequence[OcamCamera] | None = None,
 ) -> tuple[Rig, RigReport]:
@@ -45,7 +45,7 @@ def calibrate_rig(
         image_sizes: Width and height for each camera, pixels; required if the views are corners.
         degree: Degree of the polynomials, at least 4. None: the highest that cross-validation chooses for a camera.
         max_fov_deg: Full field of view of the cameras. None: as far as each has corners.
-        progress: Wraps the images of each camera during detection, such as `tqdm`.
+        progress: Called as `progress(done, total, what)` during detection, with the images of each camera in turn.
         names: What messages call the captures. None: their indices.
         cameras: Given intrinsics, one camera each: they stay as they are, and only the poses are found.
 
@@ -87,7 +87,8 @@ def calibrate_rig(
     corners, single = [], []
     for i, (row, size, camera) in enumerate(zip(views, sizes, given, strict=True), start=1):
         try:
-            found, size, images = read_views(row, board, size, progress, names)
+            of_camera = _renamed(progress, f"boards of camera {i} of {len(views)}")
+            found, size, images = read_views(row, board, size, of_camera, names)
             _check_given(camera, size)
             report = calibrate_corners(found, size, images, board, degree, max_fov_deg, camera)[1]
         except OmnistereoError as error:
@@ -110,6 +111,11 @@ def calibrate_rig(
         captures = [k for k in captures if k not in bad]
     solution = Solution.solve(params, observations)
     return _build_rig(solution, tuple(captures), tuple(single), rejected, shared, max_fov_deg, cameras)
+
+
+def _renamed(progress: Progress, name: str) -> Progress:
+    """Return a `progress` that calls every part by a name."""
+    return lambda done, total, what: progress(done, total, what and name)
 
 
 def _check_given(camera: OcamCamera | None, image_size: tuple[int, int]) -> None:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from omnistereo_lib.calibrate.board import Board
 from omnistereo_lib.calibrate.bundle import bundle_adjust
 from omnistereo_lib.calibrate.checkerboard import Checkerboard, edge_width, suggest_board
-from omnistereo_lib.calibrate.detect import Progress, detect_views
+from omnistereo_lib.calibrate.detect import detect_views
 from omnistereo_lib.calibrate.init import estimate_poses, initial_estimate
 from omnistereo_lib.calibrate.params import CalibrationParams, collect_observations
 from omnistereo_lib.calibrate.report import CameraReport
@@ -17,6 +17,7 @@ from omnistereo_lib.calibrate.solution import OUTLIER, Solution, distances_of
 from omnistereo_lib.errors import OmnistereoError, check_number, check_type
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Floats
+from omnistereo_lib.progress import Progress, silent
 from omnistereo_lib.rig_files.parse import check_fov, parse_size
 
 DEGREES = (4, 6, 8)  # odd ones add little; beyond 8 nothing was ever gained (notebook 01 shows it)
@@ -37,7 +38,7 @@ def calibrate_camera(
     image_size: tuple[int, int] | None = None,
     degree: int | None = None,
     max_fov_deg: float | None = None,
-    progress: Progress = iter,
+    progress: Progress = silent,
     names: Sequence[str] | None = None,
 ) -> tuple[OcamCamera, CameraReport]:
     """Calibrate one camera: Φ and A of the paper's Section III-A, and the pose of each view.
@@ -48,7 +49,7 @@ def calibrate_camera(
         image_size: Width and height, pixels; required if the views are corners.
         degree: Degree of the polynomial f, at least 4. None: chosen by cross-validation.
         max_fov_deg: Full field of view of the camera returned. None: as far as there are corners.
-        progress: Wraps the images during detection, such as `tqdm`.
+        progress: Called as `progress(done, total, what)` during detection, with images done and in all.
         names: What messages call the views, such as file names. None: their indices.
 
     Returns:
@@ -128,7 +129,7 @@ def read_views(
     views: Sequence[ArrayLike | None],
     board: Board,
     image_size: tuple[int, int] | None,
-    progress: Progress = iter,
+    progress: Progress = silent,
     names: Sequence[str] | None = None,
 ) -> tuple[list[Floats | None], tuple[int, int], list[NDArray[Any] | None] | None]:
     """Return the corners of each view, width and height of the images, and the images if views are images.

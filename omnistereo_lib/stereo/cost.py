@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any, ClassVar, Protocol
+from collections.abc import Sequence
+from typing import ClassVar, Protocol
 
 import torch
 from numpy.typing import ArrayLike
@@ -12,24 +12,23 @@ from torch import Tensor
 
 from omnistereo_lib.errors import OmnistereoError, shortened
 from omnistereo_lib.geometry.rig import Pair
+from omnistereo_lib.progress import Progress, counted, silent
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.threads import map_threads
-
-Progress = Callable[[Iterable[Any]], Iterable[Any]]  # wraps what is done in turn, such as tqdm
 
 
 class Cost(Protocol):
     """A matching cost. `ZNCC`, `LearnedCost`, the networks and everything derived from `BlockCost` are costs."""
 
     def volume(
-        self, sweep: SphereSweep, images: Sequence[ArrayLike], pairs: Sequence[Pair], progress: Progress = iter
+        self, sweep: SphereSweep, images: Sequence[ArrayLike], pairs: Sequence[Pair], progress: Progress = silent
     ) -> Tensor:
         """Return the cost volume C(p, n) of a frame.
 
         Args:
             images: one array per camera, (height, width) or (height, width, 3)
             pairs: The camera pairs to compare.
-            progress: Wraps the sequence of the parts that are computed in turn.
+            progress: Called with parts done, parts in all and the next part; see `progress`.
 
         Returns:
             float32 tensor, shape (H, W, N), on the device of the sweep: Cost in [0, 1], 0 = match; NaN where the point
@@ -60,9 +59,10 @@ class BlockCost(ABC):
         """
 
     def volume(
-        self, sweep: SphereSweep, images: Sequence[ArrayLike], pairs: Sequence[Pair], progress: Progress = iter
+        self, sweep: SphereSweep, images: Sequence[ArrayLike], pairs: Sequence[Pair], progress: Progress = silent
     ) -> Tensor:
         """Return the cost volume, one block of spheres at a time; see `Cost`."""
+        # A block of spheres per thread, if the cost runs in one; each thread has a buffer for the warped images.
         normalized = sweep.normalize_images(images)  # cameras × (h, w)
         (H, W), on_cpu, blocks = sweep.grid.shape, sweep.device.type == "cpu", sweep.blocks()
         volume = torch.empty(H, W, sweep.grid.num_spheres, dtype=torch.float32, device=sweep.device)
@@ -70,11 +70,13 @@ class BlockCost(ABC):
         buffers = [volume.new_empty(len(sweep.rig), H, W, len(blocks[0])) for _ in range(threads)]
 
         def fill(spheres: range) -> None:
+            # Warp and compare.
             buffer = buffers.pop()
             out = buffer if len(spheres) == buffer.shape[-1] else None  # the last block may be smaller
             block = sweep.warp_block(normalized, spheres, out)  # (cameras, B, H, W); Eq. 1
             columns = [sweep.visible_columns(camera, spheres) for camera in range(len(sweep.rig))]
             costs = self(block, pairs, columns)  # (H, W, B); Eq. 2
+            # Check what a cost of the user's own returns, and copy it.
             target = volume[:, :, spheres.start : spheres.stop]
             shape = tuple(getattr(costs, "shape", ()))
             if shape != target.shape:
@@ -87,7 +89,8 @@ class BlockCost(ABC):
                 target.copy_(costs)
             buffers.append(buffer)
 
-        done = (map_threads if threads > 1 else map)(fill, blocks)
-        for _ in zip(progress(blocks), done, strict=True):
-            pass
+        step = counted(progress, len(blocks))
+        step("sweep")
+        for number, _ in enumerate((map_threads if threads > 1 else map)(fill, blocks), 1):
+            step("sweep" if number < len(blocks) else "")
         return volume

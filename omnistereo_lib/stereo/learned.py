@@ -19,8 +19,9 @@ from torch.nn.functional import pad
 
 from omnistereo_lib.errors import OmnistereoError, check_type
 from omnistereo_lib.geometry.rig import Pair
+from omnistereo_lib.progress import Progress, silent
 from omnistereo_lib.stereo.columns import common_columns, split_at_seam
-from omnistereo_lib.stereo.cost import BlockCost, Progress
+from omnistereo_lib.stereo.cost import BlockCost
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.weights import StoredNetwork
 
@@ -74,7 +75,7 @@ class PairNetwork(StoredNetwork, ABC):
     wrap: bool = True  # whether every layer continues around the ±180° seam
 
     def volume(
-        self, sweep: SphereSweep, images: Sequence[ArrayLike], pairs: Sequence[Pair], progress: Progress = iter
+        self, sweep: SphereSweep, images: Sequence[ArrayLike], pairs: Sequence[Pair], progress: Progress = silent
     ) -> Tensor:
         """Return the cost volume, as `LearnedCost` computes it; see `Cost`."""
         return LearnedCost(self).volume(sweep, images, pairs, progress)
@@ -169,7 +170,7 @@ class LearnedCost(BlockCost):
         self.precision = precision
 
     def volume(
-        self, sweep: SphereSweep, images: Sequence[ArrayLike], pairs: Sequence[Pair], progress: Progress = iter
+        self, sweep: SphereSweep, images: Sequence[ArrayLike], pairs: Sequence[Pair], progress: Progress = silent
     ) -> Tensor:
         """Return the cost volume, one block of spheres at a time; see `Cost`."""
         self.network.to(sweep.device)

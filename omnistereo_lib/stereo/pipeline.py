@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.stereo.cost import Progress
+from omnistereo_lib.progress import Progress, silent
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD, Method
 from omnistereo_lib.stereo.sweep import SphereSweep
@@ -21,7 +21,7 @@ def estimate_depth(
     method: str | Method = FRAME_METHOD,
     subindex: bool = True,
     device: torch.device | str = "cpu",
-    progress: Progress = iter,
+    progress: Progress = silent,
 ) -> Depth:
     """Estimate the depth panorama of one frame. For many frames of one rig, make a sweep and use `sweep_depth`.
 
@@ -30,7 +30,7 @@ def estimate_depth(
         method: Such as "zncc", "volumenet" or "sweepnet+sgm,p1=0.2"; see `Method`. A cost of your own gets a name in
             `COSTS`.
         subindex: Refine the index between spheres. False: as the method says, which is integer indices in the paper.
-        progress: Wraps the sequence of sphere blocks, such as tqdm.
+        progress: Called as `progress(done, total, what)`: parts done, parts in all, and the next part.
 
     Raises:
         OmnistereoError: If the inputs do not fit together, no method has that name, there is not enough memory or no
@@ -50,7 +50,7 @@ def sweep_depth(
     images: Sequence[ArrayLike],
     method: str | Method = VIDEO_METHOD,
     subindex: bool = True,
-    progress: Progress = iter,
+    progress: Progress = silent,
 ) -> Depth:
     """Estimate the depth panorama of one frame with a sweep that keeps its tables and networks from frame to frame.
 

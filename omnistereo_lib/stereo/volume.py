@@ -1,17 +1,16 @@
 """The cost volume C(p, n): matching costs of all rays on all spheres (paper, Section III-B and Eq. 2)."""
 
-from collections.abc import Iterable, Iterator, Sequence
-from functools import partial
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
-from omnistereo_lib.errors import OmnistereoError, shortened
+from omnistereo_lib.errors import OmnistereoError, check_type, shortened
 from omnistereo_lib.geometry.rig import Pairs, camera_pairs
-from omnistereo_lib.stereo.cost import Cost, Progress
+from omnistereo_lib.progress import Progress, silent
+from omnistereo_lib.stereo.cost import Cost
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.zncc import ZNCC
 
@@ -21,7 +20,7 @@ def cost_volume(
     images: Sequence[ArrayLike],
     cost: Cost | None = None,
     pairs: Pairs = "ring",
-    progress: Progress = iter,
+    progress: Progress = silent,
 ) -> Tensor:
     """Compute the cost volume C(p, n), the mean cost over camera pairs (Eq. 2).
 
@@ -29,7 +28,7 @@ def cost_volume(
         images: one array per camera, (height, width) or (height, width, 3)
         cost: A `Cost`: `ZNCC`, a network such as `SweepNet`, or your own `BlockCost`. Default: `ZNCC`.
         pairs: See `camera_pairs`. `VolumeNet` compares all cameras, whatever they are.
-        progress: Wraps the sequence of sphere blocks, such as tqdm.
+        progress: Called as `progress(done, total, what)`: parts done, parts in all, and the next part.
 
     Returns:
         float32 tensor, shape (H, W, N), on the device of the sweep: Cost in [0, 1], 0 = match; NaN where the point is
@@ -46,9 +45,10 @@ def cost_volume(
     cost = ZNCC() if cost is None else cost
     if not hasattr(cost, "volume") or isinstance(cost, type):
         raise OmnistereoError(f"cost is {shortened(cost)}; expected an object with a method `volume`, such as ZNCC()")
+    check_type(progress, Callable, "progress")  # type: ignore[arg-type]  # an abstract class
     _check_network(getattr(cost, "network", cost))
     pairs, shape = camera_pairs(pairs, sweep.rig), (*sweep.grid.shape, sweep.grid.num_spheres)
-    volume = cost.volume(sweep, images, pairs, partial(_each, progress))
+    volume = cost.volume(sweep, images, pairs, progress)
     if not (isinstance(volume, Tensor) and volume.shape == shape and volume.is_floating_point()):
         kind = f"{volume.dtype} of shape {tuple(volume.shape)}" if isinstance(volume, Tensor) else shortened(volume)
         raise OmnistereoError(f"the cost {shortened(cost)} returns {kind}; expected a float tensor of shape {shape}")
@@ -58,26 +58,6 @@ def cost_volume(
             f"of view, the masks and phi_deg = {sweep.grid.phi_deg}."
         )
     return volume
-
-
-def _each(progress: Progress, parts: Iterable[Any]) -> Iterator[Any]:
-    """Yield the parts as `progress` does; an `OmnistereoError` says that it is none, or leaves out or adds some."""
-    parts = list(parts)
-    try:
-        wrapped = iter(progress(parts))
-    except TypeError:
-        raise OmnistereoError(
-            f"progress is {shortened(progress)}; expected what wraps a sequence, such as tqdm"
-        ) from None
-    left = iter(parts)
-    for part in wrapped:
-        if part is not next(left, None):
-            break
-        yield part
-    else:
-        if next(left, None) is None:
-            return
-    raise OmnistereoError(f"progress is {shortened(progress)}; it leaves out parts of what it wraps, or adds some")
 
 
 def _check_network(cost: object) -> None:

@@ -14,9 +14,8 @@ Volumes are (batch, channels, W, H, N): with W first, PyTorch picks its fast CPU
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import Any
 
 import torch
 from numpy.typing import ArrayLike
@@ -26,8 +25,8 @@ from torch.nn.functional import conv3d, interpolate, relu
 from omnistereo_lib import reference
 from omnistereo_lib.geometry.rig import Pair
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.progress import Progress, counted, silent
 from omnistereo_lib.stereo.correlation import COARSE, correlate, feature_coordinates, pixels_per_degree, volume_sizes
-from omnistereo_lib.stereo.cost import Progress
 from omnistereo_lib.stereo.images import reduce_images, to_gray
 from omnistereo_lib.stereo.kernels.correlation_numba import CHANNELS, GROUPS
 from omnistereo_lib.stereo.learned import Precision, autocast, full_precision
@@ -170,7 +169,7 @@ class VolumeNet(StoredNetwork):
 
     @torch.no_grad()
     def volume(
-        self, sweep: SphereSweep, images: Sequence[ArrayLike], pairs: Sequence[Pair] = (), progress: Progress = iter
+        self, sweep: SphereSweep, images: Sequence[ArrayLike], pairs: Sequence[Pair] = (), progress: Progress = silent
     ) -> Tensor:
         """Return 1 - probability of every sphere, shape (H, W, N); NaN for rays that no two cameras share.
 
@@ -178,29 +177,37 @@ class VolumeNet(StoredNetwork):
         """
         grid, device, sizes = sweep.grid, sweep.device, volume_sizes(sweep.grid, sweep.rig)
         self.eval().to(device)
-        cameras = [f"camera {k} of {len(sweep.rig)}" for k in range(1, len(sweep.rig) + 1)]
         blocks = torch.arange(grid.width, device=device).split(64)
-        parts = iter(progress([*(["tables", *cameras, "correlation", "U-net"] * len(sizes)), *blocks]))
+        step = counted(progress, len(sizes) * (len(sweep.rig) + 3) + len(blocks))
+        # The logits of every cell, from a coarse volume and a finer one.
         logits = []  # (1, w, h, n) each
         for size in sizes:
-            correlation = self.correlation_at(sweep, images, size, parts)  # (9, w, h, n)
-            next(parts)
+            correlation = self.correlation_at(sweep, images, size, step)  # (9, w, h, n)
+            step("U-net")
             with autocast(self.precision, device):
                 logits.append(self(correlation[None]) / len(sizes))
+        # Rays that fewer than two cameras see in every cell have no cost.
         shared = (correlation[-1] > 0.3).any(-1).float()[None, None]  # k / 4 of two cameras is 0.5
         hidden = interpolate(shared, grid.shape[::-1], mode="nearest")[0, 0].T == 0  # (H, W)
+        # The mean logits at full size become probabilities, some columns at a time.
         volume = torch.empty(*grid.shape, grid.num_spheres, device=device)
-        for columns in parts:
+        for columns in blocks:
+            step("read-out")
             mean = torch.stack([resize_logits(one, columns, grid)[0] for one in logits]).sum(0)
             volume[:, columns] = (1 - mean.softmax(-1)).transpose(0, 1)
+        step("")
         return volume.masked_fill_(hidden[..., None], torch.nan)
 
     def correlation_at(
-        self, sweep: SphereSweep, images: Sequence[ArrayLike], size: tuple[int, int, int], parts: Iterator[Any]
+        self,
+        sweep: SphereSweep,
+        images: Sequence[ArrayLike],
+        size: tuple[int, int, int],
+        step: Callable[[str], object] = lambda what: None,
     ) -> Tensor:
         """Return the correlation volume of a frame at a size; masks and coordinates are kept for the next frame.
 
-        Before tables, each camera and the correlation it takes the next of the parts, so that a bar moves.
+        `step` is called with the name of each part before it begins: the tables, each camera, the correlation.
         """
         rig, images = reduce_images(sweep.rig, images, pixels_per_degree(size))
         device = sweep.device
@@ -209,15 +216,15 @@ class VolumeNet(StoredNetwork):
             masks = [torch.from_numpy(camera.visible_pixels()).to(device) for camera in rig.cameras]
             return masks, feature_coordinates(rig, sweep.grid, size, device)
 
-        next(parts)
+        step("tables")
         masks, coordinates = sweep.keep((VolumeNet, size), project)
         features = []
         with autocast(self.precision, device):
-            for image, mask in zip(images, masks, strict=True):
-                next(parts)
+            for k, (image, mask) in enumerate(zip(images, masks, strict=True), 1):
+                step(f"camera {k} of {len(rig)}")
                 normalized = normalize(torch.from_numpy(to_gray(image)).to(device), mask)
                 features.append(self.features(normalized, mask))
-            next(parts)
+            step("correlation")
             return self.compare(features, coordinates)
 
 

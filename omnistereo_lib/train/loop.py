@@ -46,7 +46,7 @@ def train(
     precision: Precision = "auto",
     checkpoint_s: float = 60.0,
     init_weights: str | Path | None = None,
-    progress: Callable[[dict[str, float]], object] = lambda row: None,
+    on_step: Callable[[dict[str, float]], object] = lambda row: None,
 ) -> Path:
     """Train a network to the end, or resume an interrupted run in the same folder; return the file of weights.
 
@@ -61,7 +61,7 @@ def train(
         checkpoint_s: Seconds between two states.
         init_weights: Trained weights to begin with instead of random ones. Their architecture must be that of the
             recipe: training writes weights without batch norms, so `batch_norm` must be False.
-        progress: Called with the log row of every step: "step" from 0, "loss", "error", "learning_rate", "seconds"
+        on_step: Called with the log row of every step: "step" from 0, "loss", "error", "learning_rate", "seconds"
             since this call, "validation_loss" and "validation_error", NaN between validations. An exception in it stops
             the run.
 
@@ -94,7 +94,7 @@ def train(
             write_csv(out / LOG, COLUMNS, cells)
             run.save_state(out / STATE, done)
             last_saved = time.perf_counter()
-        progress(row)
+        on_step(row)
     if run.world > 1:
         distributed.destroy_process_group()
     return out / WEIGHTS

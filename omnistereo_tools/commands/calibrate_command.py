@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,7 +24,6 @@ from omnistereo_lib.errors import OmnistereoError
 if TYPE_CHECKING:
     from omnistereo_lib.calibrate.board import Board
     from omnistereo_lib.geometry.rig import Rig
-    from omnistereo_lib.stereo.cost import Progress
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -64,14 +63,15 @@ def run(options: argparse.Namespace) -> None:
     from omnistereo_lib.files import atomic_write, make_folder
     from omnistereo_lib.rig_files.formats import load_cameras
     from omnistereo_lib.rig_files.ocam import write_ocam_txt
+    from omnistereo_tools.pace import progress_bar
 
     board = _read_board(options)
     if options.corners is None:
-        cameras, names, views, sizes, progress = _read_captures(options.folder)
+        cameras, names, views, sizes = _read_captures(options.folder)
     else:
-        cameras, names, views, sizes, progress = _read_corners(options.corners, board)
+        cameras, names, views, sizes = _read_corners(options.corners, board)
     out = make_folder(options.out)
-    settings = {"degree": options.degree, "max_fov_deg": options.max_fov, "progress": progress, "names": names}
+    settings = {"degree": options.degree, "max_fov_deg": options.max_fov, "progress": progress_bar(), "names": names}
     if options.rig is not None and (len(views) == 1 or options.degree is not None):
         raise OmnistereoError("--rig keeps the intrinsics of two or more cameras. Leave it, or --degree, out")
     if len(views) == 1:
@@ -93,7 +93,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _read_captures(folder: Path) -> tuple:
-    """Return camera names, capture names, images, no sizes, and a progress bar over the images."""
+    """Return camera names, capture names, images, and no sizes."""
     from omnistereo_lib.calibrate.captures import find_captures
 
     captures = find_captures(folder)
@@ -101,25 +101,8 @@ def _read_captures(folder: Path) -> tuple:
         f"{sum(path is not None for path in row)} of {camera}"
         for camera, row in zip(captures.cameras, captures.paths, strict=True)
     )
-    print(f"images: {counts}")
-    return captures.cameras, captures.names, captures.views(), None, _bars(len(captures.cameras))
-
-
-def _bars(cameras: int) -> Progress:
-    """Return what shows a bar over the images of each camera in turn, and says when they are all read."""
-    from itertools import count
-
-    from tqdm import tqdm
-
-    numbers = count(1)
-
-    def bar(images: Iterable) -> Iterator:
-        number = next(numbers)
-        yield from tqdm(images, f"boards of camera {number} of {cameras}", unit="image")
-        if number == cameras:
-            print("solving for lenses and poses: up to a minute", flush=True)
-
-    return bar
+    print(f"images: {counts}\nafter the boards, lenses and poses take up to a minute", flush=True)
+    return captures.cameras, captures.names, captures.views(), None
 
 
 def _read_corners(folder: Path, board: Board) -> tuple:
@@ -136,7 +119,7 @@ def _read_corners(folder: Path, board: Board) -> tuple:
     names = tuple(sorted(set().union(*(views for views, _, _ in loaded))))
     views = [[by_name.get(name) for name in names] for by_name, _, _ in loaded]
     cameras = tuple(path.stem.removeprefix("corners_") for path in files)
-    return cameras, names, views, [size for _, _, size in loaded], iter
+    return cameras, names, views, [size for _, _, size in loaded]
 
 
 def _write_rig(out: Path, rig: Rig) -> list[str]:

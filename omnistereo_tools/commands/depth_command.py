@@ -104,7 +104,7 @@ def _run_frame(options: argparse.Namespace) -> None:
     from omnistereo_lib.stereo.pipeline import estimate_depth
     from omnistereo_tools.exports import export_frame
     from omnistereo_tools.frame import FrameResult
-    from omnistereo_tools.pace import named_bar, say_frame
+    from omnistereo_tools.pace import progress_bar, say_frame
     from omnistereo_tools.points import Limits
 
     _check_frame_options(options)
@@ -114,9 +114,9 @@ def _run_frame(options: argparse.Namespace) -> None:
     _make_folders(options)
     method = options.method or FRAME_METHOD
     say_frame(method, grid, options.device)
-    depth = estimate_depth(rig, images, grid, method, device=options.device, progress=named_bar)
+    depth = estimate_depth(rig, images, grid, method, device=options.device, progress=progress_bar())
     result = FrameResult(depth, images, Limits.of(depth, options.max_depth, options.min_confidence), method, gt_index)
-    written = result.write(options.out, named_bar)
+    written = result.write(options.out, progress_bar())
     written += export_frame(
         result, options.mesh, options.mesh_faces, options.equirectangular, options.crops, bool(options.all_crops)
     )

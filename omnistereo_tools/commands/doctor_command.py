@@ -107,9 +107,8 @@ def _depth_command(options: argparse.Namespace, grid: SphereGrid) -> str:
 
 def _check_images(options: argparse.Namespace, rig: Rig, images: Sequence[NDArray[np.uint8]]) -> int:
     """Check a rig against its images; return 1 if it is wrong."""
-    from tqdm import tqdm
-
     from omnistereo_tools.doubts import same_pictures
+    from omnistereo_tools.pace import progress_bar
     from omnistereo_tools.rig_check import check_rig
 
     if same := same_pictures(images):
@@ -121,7 +120,7 @@ def _check_images(options: argparse.Namespace, rig: Rig, images: Sequence[NDArra
     grid = make_grid(fixed, rig)
     _warn_of_doubts(rig, grid.min_depth)
     print("Trying the usual mistakes takes about 20 s:", flush=True)
-    check = check_rig(rig, images, grid, lambda tried: tqdm(tried, "check", leave=False))
+    check = check_rig(rig, images, grid, progress_bar())
     for hypothesis in (check.given, *check.alternatives[:3]):
         print(f"{hypothesis.cost:.3f}  {hypothesis.name}")
     print(f"{'OK  ' if check.fits else 'FAIL'}  {check.summary()}")

@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> None:
     first_process = rank == 0  # the one that prints
     bar = None
 
-    def progress(row: dict[str, float]) -> None:
+    def show(row: dict[str, float]) -> None:
         nonlocal bar
         if bar is None:  # the time left counts from the first step of this call
             bar = tqdm(total=recipe.steps, initial=row["step"], desc="train", unit="step", disable=not first_process)
@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> None:
         options.device,
         options.precision,
         init_weights=options.init_weights,
-        progress=progress,
+        on_step=show,
     )
     if bar is not None:
         bar.close()

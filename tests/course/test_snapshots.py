@@ -19,12 +19,12 @@ def test_the_stored_snapshots_are_small_and_get_better():
 
 
 def test_a_snapshot_is_of_the_weights_at_its_step(tmp_path, monkeypatch):
-    def train(recipe, run, progress):
+    def train(recipe, run, on_step):
         network = SweepNet()
         for step in range(recipe.steps):
             torch.nn.init.constant_(network.layers["fc5"].bias, step + 1)
             network.save(run / WEIGHTS)
-            progress({"step": step, "validation_error": 0.5 / (step + 1)})
+            on_step({"step": step, "validation_error": 0.5 / (step + 1)})
 
     monkeypatch.setattr(snapshots, "train", train)
     monkeypatch.setattr(snapshots, "_winners", lambda network, *_: np.uint8([[network.layers["fc5"].bias.item()]]))

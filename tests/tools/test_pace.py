@@ -4,6 +4,7 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
+from omnistereo_lib.progress import counted
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools import pace
 
@@ -40,5 +41,11 @@ def test_more_spheres_take_longer_and_other_devices_are_not_guessed(capsys):
 
 
 def test_a_bar_names_the_parts_that_have_names(capsys):
-    assert list(pace.named_bar(["camera 1 of 2", range(3)])) == ["camera 1 of 2", range(3)]
-    assert "camera 1 of 2:" in capsys.readouterr().err
+    bar = pace.progress_bar()
+    for _ in range(2):  # one after the other
+        step = counted(bar, 2)
+        step("camera 1 of 2")
+        step("camera 2 of 2")
+        step("")
+    shown = capsys.readouterr().err
+    assert "camera 1 of 2:   0%" in shown and "camera 2 of 2:  50%" in shown

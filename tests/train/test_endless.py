@@ -112,7 +112,7 @@ def test_a_run_in_endless_worlds_resumes_to_the_same_weights(tmp_path, monkeypat
 
     whole = train(TINY, tmp_path / "whole", precision="float32")
     with pytest.raises(KeyboardInterrupt):
-        train(TINY, tmp_path / "parts", precision="float32", checkpoint_s=0, progress=interrupt)
+        train(TINY, tmp_path / "parts", precision="float32", checkpoint_s=0, on_step=interrupt)
     parts = train(TINY, tmp_path / "parts", precision="float32")
     assert whole.read_bytes() == parts.read_bytes()
 

@@ -31,7 +31,7 @@ def refused(match):
 
 def rows_of(recipe, out, data, **options):
     rows = []
-    assert train(recipe, out, data, precision="float32", progress=rows.append, **options) == out / WEIGHTS
+    assert train(recipe, out, data, precision="float32", on_step=rows.append, **options) == out / WEIGHTS
     return rows
 
 
@@ -49,7 +49,7 @@ def stopped(recipe, out, data, steps, **options):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train(recipe, out, data, precision="float32", checkpoint_s=0, progress=interrupt, **options)
+        train(recipe, out, data, precision="float32", checkpoint_s=0, on_step=interrupt, **options)
     return rows
 
 
@@ -325,7 +325,7 @@ def test_a_folder_in_the_place_of_the_state_is_refused_before_the_first_step(dat
     (tmp_path / STATE).mkdir()
     steps = []
     with refused(STATE):
-        train(MCCNN, tmp_path, data, progress=steps.append)
+        train(MCCNN, tmp_path, data, on_step=steps.append)
     assert steps == []
 
 

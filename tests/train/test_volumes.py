@@ -90,7 +90,7 @@ def test_the_loss_is_the_cross_entropy_of_the_two_nearest_spheres():
 
 def test_it_learns_a_batch_that_comes_again_and_again(data, tmp_path, same_batch):
     rows = []
-    train(replace(TINY, steps=8, validate_every=8), tmp_path, data, precision="float32", progress=rows.append)
+    train(replace(TINY, steps=8, validate_every=8), tmp_path, data, precision="float32", on_step=rows.append)
     assert rows[-1]["loss"] < 0.8 * rows[0]["loss"]
 
 
@@ -103,7 +103,7 @@ def test_a_run_resumes_to_the_same_weights(data, tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train(recipe, tmp_path / "parts", data, precision="float32", checkpoint_s=0, progress=interrupt)
+        train(recipe, tmp_path / "parts", data, precision="float32", checkpoint_s=0, on_step=interrupt)
     parts = train(recipe, tmp_path / "parts", data, precision="float32")
     assert whole.read_bytes() == parts.read_bytes()
     _, metadata = load_tensors(whole)
