@@ -74,6 +74,7 @@ def _parser() -> argparse.ArgumentParser:
     ):
         add(name.partition(".")[0], calls, text).add_argument("out", nargs="?", type=Path, default=OUT / name)
     add("pages", "pages.main", "update the lists and pictures of the README and the book's pages")
+    add("questions", "questions.write_page", "trace the ten questions of CONTRIBUTING.md again, and write their table")
     add("reproduction", "reproduction.renew_report", "compute book/reproduction.md from the stored results")
     results = add(
         "results", "stored_results.compute_results", "compute the stored results again: hours, but it resumes"

@@ -11,9 +11,10 @@ import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch.nn.functional import avg_pool2d, grid_sample, pad, relu
+from torch.nn.functional import pad, relu
 from torch.utils.benchmark import Timer
 
+from omnistereo_lib import reference
 from omnistereo_lib.calibrate.captures import find_captures
 from omnistereo_lib.calibrate.checkerboard import Checkerboard
 from omnistereo_lib.calibrate.detect import detect_views
@@ -25,12 +26,18 @@ from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.rig import camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.rig_files import load_rig
+from omnistereo_lib.stereo.correlation import correlate, feature_coordinates, pixels_per_degree, volume_sizes
+from omnistereo_lib.stereo.depth import index_and_confidence
+from omnistereo_lib.stereo.images import reduce_images
+from omnistereo_lib.stereo.kernels.correlation_numba import CHANNELS, GROUPS
 from omnistereo_lib.stereo.learned import LearnedCost, uses_bfloat16
+from omnistereo_lib.stereo.methods import penalties
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sgm import sgm
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.sweepnet import SweepNet
-from omnistereo_lib.stereo.threads import map_threads
+from omnistereo_lib.stereo.volume import cost_volume
+from omnistereo_lib.stereo.zncc import ZNCC, default_window
 from omnistereo_lib.train import RECIPES
 from omnistereo_lib.train.spheres import SphereObjective, SphereSamples
 from omnistereo_tools.memory import keep_memory
@@ -83,38 +90,46 @@ def _stereo_pair(width: int, height: int, num: int) -> tuple[NDArray, NDArray]:
     return tuple(np.clip(image, 0, 1).astype(np.float32) for image in noisy)
 
 
-def bench_warp(width: int, height: int, num: int) -> None:
-    """Compare the warp of one camera onto all spheres with cv2.remap; both have their lookup tables ready."""
+def bench_kernels(width: int, height: int, num: int) -> None:
+    """Compare the warp, every kernel and a ZNCC + SGM frame with their definitions in `reference`, in float32."""
     sweep, images = _rig_and_images(width, height, num)
-    image = sweep.normalize_images(images)[0]
-    ours_out = torch.empty(height, width, len(sweep.blocks()[0]))  # one block's, as in `cost_volume`
-    tables = _pixels(sweep, 0)
-    theirs_out = np.empty((height, width), np.float32)
+    grid, rig, pairs, spheres = sweep.grid, sweep.rig, camera_pairs("ring", sweep.rig), sweep.blocks()[0]
+    window, (p1, p2) = default_window(width), penalties(width, num)
+    # What each step starts from: normalised images, a block of warped ones, features and a volume.
+    normalized = sweep.normalize_images(images)
+    warped = sweep.warp_block(normalized, spheres).contiguous()
+    size = volume_sizes(grid, rig)[0]
+    reduced, _ = reduce_images(rig, images, pixels_per_degree(size))
+    shapes = [(CHANNELS, -(-height // 2), -(-width // 2)) for width, height in reduced.image_sizes(len(rig))]
+    features, pixels = [torch.rand(shape) for shape in shapes], feature_coordinates(reduced, grid, size)
+    volume = cost_volume(sweep, images)
+    rays, inverse_depths = reference.rays(width, height, grid.phi_deg), torch.from_numpy(grid.inverse_depths())
 
-    def warp() -> None:
-        for spheres in sweep.blocks():
-            sweep.warp_camera(image, 0, spheres, ours_out)
+    def warp() -> list[torch.Tensor]:
+        first = normalized[0], rig.cameras[0], rig.T_rig_cam[0], rays
+        return [reference.warp(*first, inverse_depths[n]) for n in spheres]
 
-    def remap() -> None:
-        for table in tables:
-            cv2.remap(image.numpy(), table, None, cv2.INTER_LINEAR, theirs_out, cv2.BORDER_CONSTANT)
+    def costs() -> torch.Tensor:
+        return reference.mean_over_pairs(torch.stack([reference.zncc(warped[i], warped[j], window) for i, j in pairs]))
 
-    compare(f"warp {width}×{height}×{num}, one camera, against cv2.remap", warp, remap)
-
-
-def bench_frame(width: int, height: int, num: int) -> None:
-    """Compare a whole ZNCC + SGM frame with plain torch (grid_sample, avg_pool2d) and textbook SGM (libsgm)."""
-    sweep, images = _rig_and_images(width, height, num)
-    grids = []  # for each camera its pixels of every ray on every sphere, (N, H, W, 2), in [-1, 1] for `grid_sample`
-    for i, camera in enumerate(sweep.rig.cameras):
-        pixels = np.stack(_pixels(sweep, i))
-        grids.append(torch.from_numpy(pixels * np.float32(2 / (np.array(camera.image_size) - 1)) - 1))
-    compare(
-        f"ZNCC + SGM frame {width}×{height}×{num}, against plain torch + libsgm",
-        lambda: sweep_depth(sweep, images, "zncc+sgm"),
-        lambda: _plain_frame(images, grids),
-        lambda ours: f"{1 / ours:.1f} frames/s; tables {sweep.lut_bytes / 2**20:.0f} MiB",
-    )
+    out = torch.empty(height, width, len(spheres))
+    for name, ours, definition in (
+        ("warp, one camera, one block", lambda: sweep.warp_camera(normalized[0], 0, spheres, out), warp),
+        ("ZNCC, one block", lambda: ZNCC(window)(warped, pairs), costs),
+        ("correlation", lambda: correlate(features, pixels), lambda: reference.correlate(features, pixels, GROUPS)),
+        ("SGM", lambda: sgm(volume, p1, p2), lambda: reference.sgm(volume, p1, p2)),
+        (
+            "winner and confidence",
+            lambda: index_and_confidence(volume, True),
+            lambda: (reference.winner(volume, True), reference.confidence(volume)),
+        ),
+        (
+            "ZNCC + SGM frame",
+            lambda: sweep_depth(sweep, images, "zncc+sgm"),
+            lambda: reference.estimate(normalized, rig, grid, pairs, window, p1, p2),
+        ),
+    ):
+        compare(f"{name} {width}×{height}×{num}, against the definition", ours, definition)
 
 
 def bench_volumenet(width: int, height: int, num: int) -> None:
@@ -131,34 +146,6 @@ def _rig_and_images(width: int, height: int, num: int) -> tuple[SphereSweep, lis
     sweep = SphereSweep(data.rig, SphereGrid(width, height, num_spheres=num, min_depth=data.rig.min_depth))
     sweep_depth(sweep, data[0].images)
     return sweep, data[0].images
-
-
-def _pixels(sweep: SphereSweep, camera: int) -> list[NDArray[np.float32]]:
-    """Return the pixels (H, W, 2) of the rays on every sphere."""
-    spheres = range(sweep.grid.num_spheres)
-    return list(map_threads(lambda n: sweep.project_sphere(camera, n)[0].astype(np.float32), spheres))
-
-
-def _plain_frame(images: list[NDArray], grids: list[torch.Tensor]) -> NDArray:
-    """Compute the indices of a frame (H, W) without this library: no wrapping, no visibility."""
-    from c_libsgm import sgm_api  # a package of the tests, not of the library
-
-    box = partial(avg_pool2d, kernel_size=9, stride=1, padding=4)
-    warped = []
-    for image, grid in zip(images, grids, strict=True):
-        gray = torch.from_numpy(image).float().mean(-1)[None, None].expand(len(grid), -1, -1, -1)
-        warped.append(grid_sample(gray, grid, align_corners=True).double())
-    costs = []
-    for a, b in zip(warped, [*warped[1:], warped[0]], strict=True):
-        covariance = box(a * b) - box(a) * box(b)
-        variances = (box(a * a) - box(a) ** 2) * (box(b * b) - box(b) ** 2)
-        costs.append(0.5 - 0.5 * covariance / variances.clamp_min(1e-9).sqrt())
-    volume = torch.stack(costs).mean(0)[:, 0].permute(1, 2, 0).float().contiguous().numpy()
-    H, W, _ = volume.shape
-    penalty = np.ones((H, W, 8), np.float32)
-    directions = np.array([(0, 1), (1, 0), (1, 1), (1, -1), (0, -1), (-1, 0), (-1, -1), (-1, 1)], np.int32)
-    smooth = sgm_api(volume, 0.1 * penalty, 12 * penalty, directions, 1e9, np.ones((H, W), np.float32))["cv"]
-    return smooth.argmin(-1)
 
 
 def bench_sweepnet(width: int, height: int, num: int, spheres: range) -> None:
@@ -288,8 +275,9 @@ def run(quick: bool = False) -> None:
     keep_memory()  # as every command does
     cv2.setNumThreads(torch.get_num_threads())
     print(f"{torch.get_num_threads()} threads; medians of repeated runs\n{'':76}   ours/ms  theirs/ms  ratio")
+    bench_kernels(320, 80, 64)
     for scale in [(320, 80, 64)] if quick else [(320, 80, 64), (1200, 300, 192)]:
-        for comparison in (bench_warp, bench_sgm, bench_frame, bench_volumenet):
+        for comparison in (bench_sgm, bench_volumenet):
             comparison(*scale)
     if not quick:
         bench_sweepnet(320, 80, 64, range(30, 34))

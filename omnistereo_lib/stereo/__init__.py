@@ -1,1 +1,1 @@
-"""The method: sweep, matching costs, cost volume, SGM, depth, metrics (paper, Section III and IV)."""
+"""The method, fast: sweep, matching costs, cost volume, SGM, depth, metrics; `reference` defines what they give."""

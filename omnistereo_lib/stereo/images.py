@@ -23,6 +23,7 @@ def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray[Any]]:
     """
     if not isinstance(images, Sized):  # arrays and tensors are sequences, too
         raise OmnistereoError(f"images is {shortened(images)}; expected one array per camera")
+    # Arrays in this machine's byte order, whatever they come as.
     arrays = [np.asarray(image.detach().cpu() if isinstance(image, Tensor) else image) for image in images]
     arrays = [image.astype(image.dtype.newbyteorder("="), copy=False) for image in arrays]
     for i, (image, (width, height)) in enumerate(zip(arrays, rig.image_sizes(len(arrays)), strict=True)):
@@ -35,7 +36,8 @@ def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray[Any]]:
             raise OmnistereoError(f"image {i + 1} has type {image.dtype}; expected uint8 or float")
         if image.dtype != np.uint8 and not np.isfinite(image).all():
             raise OmnistereoError(f"image {i + 1} has NaN or infinite values; expected finite gray values")
-    if len({image.ndim for image in arrays}) > 1:  # gray and colour: all in colour
+    # Gray and colour images together are all in colour.
+    if len({image.ndim for image in arrays}) > 1:
         arrays = [np.repeat(image[..., None], 3, -1) if image.ndim == 2 else image for image in arrays]
     return arrays
 

@@ -85,6 +85,7 @@ def sparsification(
     error, confidence = np.asarray(error, np.float64).ravel(), np.asarray(confidence, np.float64).ravel()
     if error.shape != confidence.shape:
         raise OmnistereoError(f"there are {error.size} errors and {confidence.size} confidences; expected as many")
+    # Without a finite ray, or without any error, there is no area to divide by.
     finite = np.isfinite(error) & np.isfinite(confidence)
     error, confidence = error[finite], confidence[finite]
     fractions = np.asarray(fractions, np.float64)
@@ -96,6 +97,7 @@ def sparsification(
         means = np.cumsum(ordered) / np.arange(1, len(ordered) + 1)
         return means[np.maximum(np.round((1 - fractions) * len(ordered)).astype(int), 1) - 1]
 
+    # Areas, relative to that of a random order.
     by_confidence = curve(confidence)
     unsorted = error.mean() * (fractions[-1] - fractions[0])
     auc = np.trapezoid(by_confidence, fractions) / unsorted

@@ -262,6 +262,7 @@ class SphereSweep:
     def _compute_lut(self, camera: int, spheres: range) -> _LookupTable:
         H, W = self.grid.shape
         maps = torch.empty(H, W, len(spheres), 2, dtype=torch.float32, device=self.device)
+        # Project the rays onto every sphere of the block.
         if self.device.type == "cpu":
             table = maps.numpy()
 
@@ -276,6 +277,7 @@ class SphereSweep:
             for k, n in enumerate(spheres):
                 uv, valid = self._project_by_torch(camera, n)
                 maps[:, :, k] = uv.masked_fill_(~valid[..., None], torch.nan)
+        # Keep the columns that are visible on any of them.
         visible = (maps[..., 0] > OUTSIDE).any(2).any(0).cpu().numpy()  # not NaN, either
         start, width = circular_span(visible)
         self._spans[camera, spheres.start] = start, width

@@ -36,6 +36,7 @@ class SweepNet(PairNetwork):
     def __init__(self, batch_norm: bool = False, wrap: bool = True) -> None:
         super().__init__()
         self.wrap = wrap
+        # The layers as Table I names them.
         self.layers = nn.ModuleDict()
         self.layers["conv1"] = nn.Conv2d(1, 32, 5, stride=2, padding=(2, 0))
         for k in range(2, 19):
@@ -47,6 +48,7 @@ class SweepNet(PairNetwork):
         for k in (2, 3, 4):
             self.layers[f"fc{k}"] = nn.Linear(256, 256)
         self.layers["fc5"] = nn.Linear(256, 1)
+        # Random weights, and batch norms where they are asked for.
         self.norms = nn.ModuleDict()
         for name, layer in self.layers.items():
             nn.init.zeros_(layer.bias)

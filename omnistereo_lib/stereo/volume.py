@@ -42,6 +42,7 @@ def cost_volume(
     >>> osl.cost_volume(sweep, frame.images, osl.ZNCC(window=5)).shape
     torch.Size([16, 64, 16])
     """
+    # Check the cost, which may be the user's own, before it runs and what it returns.
     cost = ZNCC() if cost is None else cost
     if not hasattr(cost, "volume") or isinstance(cost, type):
         raise OmnistereoError(f"cost is {shortened(cost)}; expected an object with a method `volume`, such as ZNCC()")

@@ -216,8 +216,10 @@ class VolumeNet(StoredNetwork):
             masks = [torch.from_numpy(camera.visible_pixels()).to(device) for camera in rig.cameras]
             return masks, feature_coordinates(rig, sweep.grid, size, device)
 
+        # What depends on the rig and the grid alone.
         step("tables")
         masks, coordinates = sweep.keep((VolumeNet, size), project)
+        # What depends on the images.
         features = []
         with autocast(self.precision, device):
             for k, (image, mask) in enumerate(zip(images, masks, strict=True), 1):

@@ -61,6 +61,7 @@ class StoredNetwork(nn.Module):
         if name != cls.__name__ or config != config | expected:
             wanted = signature(cls.__name__, expected)
             raise OmnistereoError(f"{path}: holds {signature(name, config)}; expected {wanted}. Pass another file.")
+        # Build the network of the file, and take its tensors.
         try:
             network = cls(**config).float()  # whatever the default type of torch is
             like = network.state_dict()
@@ -111,6 +112,7 @@ def load_tensors(path: str | Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     except Exception as error:  # safetensors and struct raise several types
         found = f"{path} is not a complete safetensors file: {str(error)[:300]}"
         raise OmnistereoError(f"{found}. Copy it again, or make it by training.") from None
+    # A file that is whole may still be another's, or changed.
     if not {"about", "sha256"} <= header.keys():
         raise OmnistereoError(f"{path} was not written by this library: its header has {sorted(header)}")
     if _checksum(tensors) != header["sha256"]:

@@ -1,4 +1,4 @@
-"""SGM against its definition in float64, and its own laws."""
+"""SGM against its definition in float64, and what the definition does not say: laps, threads, memory."""
 
 from concurrent.futures import ThreadPoolExecutor
 from unittest import mock
@@ -6,7 +6,7 @@ from unittest import mock
 import numpy as np
 import pytest
 import torch
-from hypothesis import assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from omnistereo_lib import reference
@@ -14,8 +14,6 @@ from omnistereo_lib.reference import MAX_LAPS
 from omnistereo_lib.stereo import sgm as sgm_module
 from omnistereo_lib.stereo.kernels.sgm_numba import _tiles
 from omnistereo_lib.stereo.sgm import sgm
-
-SHAPES = [(1, 1, 2), (4, 1, 5), (2, 2, 2), (5, 3, 64), (6, 9, 17), (3, 12, 33), (7, 4, 16), (2, 20, 31)]
 
 
 def noise(shape, seed=0, unknown=0.0):
@@ -30,18 +28,24 @@ def in_float64(volume, p1, p2, paths=8, wrap=True):
     return reference.sgm(torch.from_numpy(np.asarray(volume)).double(), p1, p2, paths, wrap)
 
 
-@pytest.mark.parametrize("wrap", [True, False])
-@pytest.mark.parametrize("paths", [4, 8])
-@pytest.mark.parametrize("shape", SHAPES)
-def test_agrees_with_the_definition(shape, paths, wrap, monkeypatch):
-    monkeypatch.setattr(sgm_module, "find_spec", lambda name: None)  # no Triton
-    for p1, p2, unknown in [(0.1, 0.8, 0.0), (0.1, 12.0, 0.0), (0.0, 0.0, 0.0), (0.3, 0.3, 0.2), (0.1, 1.0, 0.6)]:
-        volume = noise(shape, seed=sum(shape), unknown=unknown)
-        volume[-1, -1] = np.nan if unknown else volume[-1, -1]  # a whole ray too
-        expected = in_float64(volume, p1, p2, paths, wrap)
+@given(
+    shape=st.tuples(st.integers(1, 7), st.integers(1, 20), st.integers(2, 40)),
+    seed=st.integers(0, 2**32 - 1),
+    unknown=st.sampled_from([0.0, 0.2, 0.6]),
+    paths=st.sampled_from([4, 8]),
+    wrap=st.booleans(),
+    p1=st.sampled_from([0.0, 0.1]),
+    p2=st.floats(0.1, 20),
+)
+@settings(max_examples=60)
+def test_agrees_with_the_definition(shape, seed, unknown, paths, wrap, p1, p2):
+    volume = noise(shape, seed, unknown)
+    volume[-1, -1] = np.nan if unknown else volume[-1, -1]  # a whole ray too
+    expected = in_float64(volume, p1, p2, paths, wrap)
+    with mock.patch.object(sgm_module, "find_spec", lambda name: None):  # no Triton
         on_a_gpu = sgm_module.sgm_gpu(torch.from_numpy(volume), p1, p2, paths, wrap)
-        for found in (sgm(volume, p1, p2, paths, wrap), on_a_gpu):
-            np.testing.assert_allclose(found, expected, rtol=2e-6, atol=1e-5)
+    for found in (sgm(volume, p1, p2, paths, wrap), on_a_gpu):
+        np.testing.assert_allclose(found, expected, rtol=2e-6, atol=2e-5)
 
 
 def test_agrees_with_the_definition_at_teaching_width():
@@ -50,48 +54,12 @@ def test_agrees_with_the_definition_at_teaching_width():
         np.testing.assert_allclose(sgm(volume, wrap=wrap), in_float64(volume, 0.1, 12.0, 8, wrap), atol=1e-5)
 
 
-seeds = st.integers(0, 2**32 - 1)
-shapes = st.tuples(st.integers(1, 5), st.integers(6, 14), st.integers(2, 20))
-
-
-@given(shape=shapes, seed=seeds, unknown=st.sampled_from([0.0, 0.2]))
-@settings(deadline=None, max_examples=40)
-def test_what_every_ray_agrees_on_changes_nothing(shape, seed, unknown):
-    # Multiples of 1/4096, which float32 adds without rounding; only the mean of a ray with unknown cells rounds.
-    volume = np.float32(np.round(noise(shape, seed, unknown) * 4096) / 4096)
-    offset = np.float32(np.round(noise(shape[:2], seed + 1)[..., None] * 256 - 128) / 64)
-    shifted = sgm(volume + offset, 0.125, 2.0)
-    np.testing.assert_allclose(shifted.numpy() - 8 * offset, sgm(volume, 0.125, 2.0), atol=5e-5 if unknown else 0)
-
-
-def settles(volume, p1, p2):
-    with mock.patch.object(reference, "MAX_LAPS", MAX_LAPS - 1):
-        before = in_float64(volume, p1, p2, 4)
-    return torch.allclose(before, in_float64(volume, p1, p2, 4), rtol=0, atol=1e-9, equal_nan=True)
-
-
-@given(shape=shapes, seed=seeds, turn=st.integers(1, 13))
-@settings(deadline=None, max_examples=40)
-def test_a_rolled_panorama_gives_the_rolled_result(shape, seed, turn):
-    volume = noise(shape, seed, 0.1)
-    rolled = np.roll(volume, turn, axis=1)
-    assume(settles(volume, 0.1, 1.0) and settles(rolled, 0.1, 1.0))
-    np.testing.assert_allclose(sgm(rolled, 0.1, 1.0), np.roll(sgm(volume, 0.1, 1.0), turn, axis=1), atol=5e-5)
-
-
 def test_a_row_that_alternates_for_ever_stops_after_the_last_lap():
     volume = noise((1, 6, 6), seed=141, unknown=0.1)
-    assert not settles(volume, 0.1, 1.0)
+    with mock.patch.object(reference, "MAX_LAPS", MAX_LAPS - 1):
+        lap_before = in_float64(volume, 0.1, 1.0, 4)
+    assert not torch.allclose(lap_before, in_float64(volume, 0.1, 1.0, 4), rtol=0, atol=1e-3, equal_nan=True)
     np.testing.assert_allclose(sgm(volume, 0.1, 1.0), in_float64(volume, 0.1, 1.0), atol=1e-5)
-
-
-@given(shape=shapes, seed=seeds, wrap=st.booleans(), paths=st.sampled_from([4, 8]), p2=st.floats(0, 20))
-@settings(deadline=None, max_examples=40)
-def test_each_path_lies_between_cost_and_cost_plus_p2(shape, seed, wrap, paths, p2):
-    volume = noise(shape, seed)
-    mean = sgm(volume, 0.0, p2, paths, wrap).numpy() / paths
-    assert (mean >= volume - 1e-5).all()
-    assert (mean <= volume + p2 + 1e-5).all()
 
 
 def test_a_ray_with_nothing_to_compare_passes_messages_on():

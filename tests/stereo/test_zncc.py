@@ -1,8 +1,6 @@
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import omnistereo_lib as osl
 from omnistereo_lib import reference
@@ -37,22 +35,6 @@ def test_cost_agrees_with_the_definition(kind, window):
 
 def test_a_device_without_a_kernel_takes_the_definition():
     assert osl.ZNCC(5)(torch.from_numpy(block("textured")).to("meta"), [(0, 1)]).shape == (13, 17, 2)
-
-
-def test_same_image_costs_0_and_its_negative_1():
-    image = torch.from_numpy(block("textured", cameras=1))
-    both = torch.cat([image, image, -image])
-    assert osl.ZNCC()(both, [(0, 1)]).max() < 1e-6
-    assert osl.ZNCC()(both, [(0, 2)]).min() > 1 - 1e-6
-
-
-@given(gain=st.floats(0.01, 100), offset=st.floats(-10, 10), shift=st.integers(0, 16), seed=st.integers(0, 99))
-@settings(max_examples=25, deadline=None)
-def test_gain_offset_and_rolling_change_nothing(gain, offset, shift, seed):
-    images = torch.from_numpy(block("textured", cameras=2, seed=seed))
-    cost = osl.ZNCC(5)(images, [(0, 1)])
-    changed = torch.stack([images[0], gain * images[1] + offset]).roll(shift, -1)
-    torch.testing.assert_close(osl.ZNCC(5)(changed, [(0, 1)]), cost.roll(shift, 1), atol=2e-3 / min(gain, 1), rtol=0)
 
 
 def test_invisible_columns_may_be_skipped():

@@ -74,6 +74,7 @@ def _correlate_cells(table: Any, sizes: Any, uv: Any, volume: Any, totals: Any) 
     """Write cells of `correlate` (cells, 9), and Σ f_i (cells, 32) if asked for; one table holds all features."""
     total, square = np.zeros(CHANNELS, np.float32), np.zeros(CHANNELS, np.float32)
     for cell in range(uv.shape[1]):
+        # Σ f and Σ f² over the cameras that see the cell; NaN says that one does not.
         total[:] = 0
         square[:] = 0
         first = count = 0
@@ -90,6 +91,7 @@ def _correlate_cells(table: Any, sizes: Any, uv: Any, volume: Any, totals: Any) 
                     total[k] += f
                     square[k] += f * f
             first += height * width
+        # ((Σ f)² − Σ f²) / (k (k − 1)), the mean over a group of channels.
         for group in range(GROUPS):
             summed = np.float32(0)
             for k in range(group * _SIZE, (group + 1) * _SIZE):
@@ -112,12 +114,14 @@ def _scatter_gradient(maps: Any, uv: Any, totals: Any, grad: Any, out: Any) -> N
             column, row, fx, fy = _corner(x, y, height, width)
             r, one = row * width + column, np.float32(1)
             a, b, c, d = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
+            # The gradient of the features: 2 (Σ_j f_j − f_i) times that of their group.
             for group in range(GROUPS):
                 for k in range(group * _SIZE, (group + 1) * _SIZE):
                     g[k] = grad[cell, group] * np.float32(2 / _SIZE)
             for k in range(CHANNELS):
                 f = a * table[r, k] + b * table[r + 1, k] + c * table[r + width, k] + d * table[r + width + 1, k]
                 g[k] *= totals[cell, k] - f
+            # Back to the four pixels from which f_i was interpolated.
             for k in range(CHANNELS):
                 out[r, k] += a * g[k]
                 out[r + 1, k] += b * g[k]

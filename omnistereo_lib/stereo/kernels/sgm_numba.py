@@ -38,11 +38,13 @@ def sum_paths(cost: NDArray[Any], p1: float, p2: float, paths: int, wrap: bool) 
     fill = np.empty((H, W), np.float32)  # the data term of a ray's unknown cells
     messages = np.zeros((2, 3, W, N), np.float32)  # of the passes down and up: straight on, to the right, to the left
 
+    # Along the rows, four at a time in a thread; this also fills the unknown cells.
     def rows(y: int) -> bool:
         return _scan_rows(cost[y : y + 4], fill[y : y + 4], total[y : y + 4], wrap, p1, p2)
 
     too_large = any(list(map_threads(rows, range(0, H, 4))))
 
+    # Across the rows, tile by tile.
     def advance(tile: _Tile) -> None:
         _advance(cost, fill, total, messages, tile, paths == 8, wrap, p1, p2)
 
@@ -169,6 +171,7 @@ def _advance(
     for k in range(3):
         paths[k, 0] = paths[k, N + 1] = INFINITY
     for j in range(bottom - top):
+        # `step` rows after the first of the pass, a diagonal has moved by as many columns.
         y = bottom - 1 - j if up else top + j
         step = H - 1 - y if up else y
         for column in range(first + slope * j, last - slope * j):

@@ -31,6 +31,7 @@ def _scan_rows(cost, total, W, N, p1, p2, laps, leftward: tl.constexpr, BLOCK: t
     inside = sphere < N
     row = tl.program_id(0).to(tl.int64) * W * N
     message = tl.zeros([BLOCK], tl.float32)
+    # Laps that only carry the message around.
     lap, changed = 1, 1
     while (lap < laps) & (changed > 0):
         before = message
@@ -40,6 +41,7 @@ def _scan_rows(cost, total, W, N, p1, p2, laps, leftward: tl.constexpr, BLOCK: t
             _, message = _step(c, message, sphere, p1, p2, BLOCK)
         changed = tl.max(tl.where(message != before, 1, 0), 0)
         lap += 1
+    # The lap whose path counts.
     for i in range(W):
         x = W - 1 - i if leftward else i
         cell = row + x * N + sphere

@@ -76,13 +76,16 @@ def _add_costs(
     box = np.empty((6, width * _LANES))
     pair = np.empty((2, width * _LANES), np.float32)  # weight and weighted cost
     first = (start - radius) % W * _LANES
+    # Row y of the costs needs the rows up to y + radius: the first windows fill before the first row is written.
     for y in range(-2 * radius, len(total)):
+        # Slide down: the new row comes in, the one above the window goes out.
         row = y + radius
         new, old = ring[row % (window + 1)], ring[(row + 1) % (window + 1)]
         new[:] = 0
         if 0 <= row < len(a):
             _common_pixels(a[row], b[row], first, new)
         _slide(sums, new, old)
+        # Slide along the row, and compare.
         if y >= 0:
             for q in range(6):
                 _add_columns(sums[q], window, box[q])

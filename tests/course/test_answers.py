@@ -1,0 +1,52 @@
+"""The students' right answers, in NumPy, are the definition: on the inputs on which the checkers try them."""
+
+from importlib import import_module
+
+import numpy as np
+import pytest
+import torch
+
+from omnistereo_lib import reference
+
+
+def correlation(f):
+    """Features (cameras, …, 32) that are NaN where a camera does not see the cell, as maps and pixels on them."""
+    rows, columns = torch.meshgrid(*map(torch.arange, f.shape[1:3]), indexing="ij")
+    pixels = [torch.stack([columns, rows], -1).double().where(~one[..., :1].isnan(), torch.nan) for one in f]
+    return reference.correlate([one.nan_to_num().permute(2, 0, 1) for one in f], pixels, groups=8)[:8].permute(1, 2, 0)
+
+
+def cost_volume(spheres, radius):
+    costs = [reference.zncc(a, b, 2 * radius + 1) for a, b in zip(spheres, spheres.roll(-1, 0), strict=True)]
+    return reference.mean_over_pairs(torch.stack(costs)).permute(1, 2, 0)
+
+
+DEFINITIONS = {
+    "nb03.rays_of_pixels": lambda columns, rows, W, H, phi_deg: reference.rays(W, H, phi_deg)[rows, columns],
+    "nb03.pixels_of_points": lambda points, camera, pose: reference.project(
+        torch.from_numpy(pose.inverse() @ points.numpy()), camera
+    ),
+    "nb03.look_up": lambda image, pixels: reference.sample(image[None].double(), pixels)[0],
+    "nb04.zncc_costs": lambda a, b, radius: reference.zncc(a[None], b[None], 2 * radius + 1)[0],
+    "nb04.mean_of_pairs": reference.mean_over_pairs,
+    "nb04.winner": lambda costs: reference.winner(costs, subindex=False),
+    "nb07.step": lambda cost, before, p1, p2: cost + reference.message(before, p1, p2),
+    "nb07.sum_of_paths": reference.sgm,
+    "nb07.refined": lambda costs: reference.winner(costs, subindex=True),
+    "nb12.correlation": correlation,
+    "nb13.project": lambda camera, points: reference.project(points, camera),
+    "nb13.warp": lambda image, camera, pose, points: reference.warp(
+        image, camera, pose, points, torch.ones(points.shape[:-1], dtype=torch.float64)
+    ),
+    "nb13.cost_volume": cost_volume,
+}
+
+
+@pytest.mark.parametrize("name", DEFINITIONS)
+@pytest.mark.parametrize("k", range(3))
+def test_an_answer_is_the_definition(name, k):
+    module, function = name.split(".")
+    check = getattr(import_module(f"course.exercises.{module}"), f"check_{function}")
+    inputs = check.draw(np.random.default_rng(k), k)
+    tensors = [torch.as_tensor(one) if isinstance(one, np.ndarray) else one for one in inputs]
+    np.testing.assert_allclose(check.answer(*inputs), DEFINITIONS[name](*tensors), rtol=1e-6, atol=1e-7)
