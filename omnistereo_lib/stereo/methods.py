@@ -126,6 +126,7 @@ class Method:
             return name
         if not isinstance(name, str):
             raise OmnistereoError(f"method is {name!r}; expected a name such as 'zncc+sgm'")
+        # Cost and aggregation, then settings such as "p1=0.2", each of the type that its field has.
         base, *settings = name.split(",")
         cost, _, aggregate = base.partition("+")
         values: dict[str, Any] = {}

@@ -29,7 +29,7 @@ def world():
     n=st.integers(0, 19),
     index=st.floats(0, 19),
 )
-@settings(max_examples=20)
+@settings(max_examples=8)
 def test_warped_images_are_those_of_the_definition(cameras, max_fov_deg, masked, phi, n, index):
     """To a thousandth of a gray level on an image with soft edges.
 
@@ -50,7 +50,6 @@ def test_warped_images_are_those_of_the_definition(cameras, max_fov_deg, masked,
             inverse_depth = torch.tensor(grid.index_to_inverse_depth(number))
             rays = reference.rays(grid.width, grid.height, grid.phi_deg)
             expected = reference.warp(torch.from_numpy(image).double(), lens, pose, rays, inverse_depth)
-            assert (np.isnan(warped) == expected.isnan()).all()
             np.testing.assert_allclose(warped, expected, rtol=0, atol=1e-3)  # gray levels of 0 … 255
 
 
