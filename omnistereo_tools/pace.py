@@ -27,7 +27,7 @@ def progress_bar() -> Progress:
 
     def show(done: int, total: int, what: str) -> None:
         nonlocal bar
-        bar = tqdm(total=total, unit="part", leave=False) if bar is None else bar
+        bar = tqdm(total=total, desc=what, unit="part", leave=False) if bar is None else bar
         bar.set_description(what, refresh=False)
         bar.update(done - bar.n)
         bar.refresh()
