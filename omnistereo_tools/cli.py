@@ -27,6 +27,7 @@ from omnistereo_tools.commands import (
     train_command,
 )
 from omnistereo_tools.memory import check_address_space, keep_memory
+from omnistereo_tools.tiny import shrink
 
 # Of libraries whose errors have no type in common.
 _EXHAUSTED = re.compile(r"can't start new thread|(allocate|insufficient|out of) memory|CUDA error", re.IGNORECASE)
@@ -50,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         try:
             check_address_space()
-            options = _parse(list(sys.argv[1:] if arguments is None else arguments))
+            options = shrink(_parse(list(sys.argv[1:] if arguments is None else arguments)))
             with _stopped_by_sigterm(), warnings.catch_warnings():
                 warnings.showwarning = lambda message, *_: _say(f"warning: {message}")
                 return options.run(options) or 0

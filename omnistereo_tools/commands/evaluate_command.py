@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from omnistereo_tools.commands.options import add_device, add_max_fov
+from omnistereo_tools.tiny import is_tiny, shrink
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,7 +37,7 @@ def run(options: argparse.Namespace) -> None:
 
     arguments = {
         "out": options.out or Path("out") / f"evaluation_{options.scale}",
-        "scale": SCALES[options.scale],
+        "scale": shrink(SCALES[options.scale]),
         "sets": find_sets(options.sets, options.split),
         "methods": select_methods(options.methods, options.ablations),
         "split": options.split,
@@ -48,6 +49,9 @@ def run(options: argparse.Namespace) -> None:
         "max_fov_deg": options.max_fov,
     }
     evaluation = Evaluation(**arguments)
+    if is_tiny():  # one frame of each set
+        first = {job.data: job.frame for job in reversed(evaluation.jobs)}
+        evaluation.jobs = [job for job in evaluation.jobs if job.frame == first[job.data]]
     run_jobs = evaluation.run
     if options.cluster is not None:
         from omnistereo_tools.cluster import evaluate_on_cluster

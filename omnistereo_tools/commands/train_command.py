@@ -8,6 +8,7 @@ from pathlib import Path
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools.commands.options import add_device
+from omnistereo_tools.tiny import shrink
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,7 +32,7 @@ def run(options: argparse.Namespace) -> None:
     presets = RECIPES[options.network]
     if options.preset not in presets:
         raise OmnistereoError(f"{options.network} has the presets {', '.join(presets)}, not {options.preset!r}")
-    recipe = presets[options.preset].with_overrides(options.set)
+    recipe = shrink(presets[options.preset].with_overrides(options.set))
     out = options.out or Path("out") / f"{options.network}_{options.preset}"
     rank, _, _ = (number_from_environment(name, 0) for name in ("RANK", "LOCAL_RANK", "WORLD_SIZE"))  # of torchrun
     first_process = rank == 0  # the one that prints
