@@ -6,7 +6,7 @@ import sys
 from dataclasses import replace
 from typing import Any
 
-_CAPS = {"width": 96, "spheres": 16, "num_spheres": 16, "steps": 2, "validation_groups": 1}
+_CAPS = {"width": 96, "spheres": 16, "num_spheres": 16, "steps": 1, "batch_frames": 1, "validation_groups": 1}
 
 
 def is_tiny() -> bool:

@@ -16,4 +16,4 @@ def test_what_is_typed_is_capped(monkeypatch, capsys, tiny):
     assert shrink(typed) == expected
     assert ("OMNISTEREO_TINY is set" in capsys.readouterr().err) is bool(tiny)
     recipe = RECIPES["sweepnet"]["shipped"]
-    assert (shrink(recipe).steps, shrink(recipe).height) == ((2, 24) if tiny else (recipe.steps, recipe.height))
+    assert (shrink(recipe).steps, shrink(recipe).height) == ((1, 24) if tiny else (recipe.steps, recipe.height))
