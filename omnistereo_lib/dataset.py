@@ -182,10 +182,9 @@ def load_dataset(
     cameras = _by_number(folders, _CAMERA)
     rigs = {} if cameras else _by_number(folders, _RIG_FOLDER)
     if rigs:
-        rig, frames = (
-            None,
-            [frame for path in rigs.values() for frame in load_dataset(path, None, unit, gt_width, max_fov_deg)],
-        )
+        rig = None
+        of_rigs = [load_dataset(path, None, unit, gt_width, max_fov_deg, keep_frame) for path in rigs.values()]
+        frames = [frame for of_rig in of_rigs for frame in of_rig]
         if len({frame.number for frame in frames}) < len(frames):
             raise OmnistereoError(f"{folder} has two frames of one number; expected different numbers. Rename one.")
     else:
