@@ -12,6 +12,7 @@ from omnistereo_lib.stereo.methods import Method
 class EvaluatedMethod(Method):
     """A method on a grid of the evaluation, which has the N of the scale or another one."""
 
+    subindex: bool | None = False  #: the paper reports integer indices
     num_spheres: int = 0  #: N instead of that of the scale; 0: that of the scale
 
     def __post_init__(self) -> None:

@@ -153,7 +153,8 @@ class LearnedCost(BlockCost):
     """A network as a matching cost, called like `ZNCC`: the same costs as from the network, many times faster.
 
     Args:
-        network: Put into evaluation mode and channels-last memory; `volume` moves it to the device of the sweep.
+        network: Put into channels-last memory; if it is in training mode or on another device than the sweep, a copy
+            computes.
         precision: Of the matrix products; see `uses_bfloat16`. Another one raises an `OmnistereoError`.
 
     >>> frame = osl.load_dataset("data_samples/sunny", split="test")[0]
@@ -165,7 +166,7 @@ class LearnedCost(BlockCost):
     def __init__(self, network: PairNetwork, precision: Precision = "auto") -> None:
         check_type(network, PairNetwork, "network")
         uses_bfloat16(precision, "cpu")
-        self.network = network.eval()
+        self.network = network.ready(next(network.parameters()).device)
         self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # torch's hints lack it
         self.precision = precision
 
@@ -173,7 +174,7 @@ class LearnedCost(BlockCost):
         self, sweep: SphereSweep, images: Sequence[ArrayLike], pairs: Sequence[Pair], progress: Progress = silent
     ) -> Tensor:
         """Return the cost volume, one block of spheres at a time; see `Cost`."""
-        self.network.to(sweep.device)
+        self.network = self.network.ready(sweep.device)
         return super().volume(sweep, images, pairs, progress)
 
     @torch.no_grad()

@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal, Self, get_args, get_type_hints
 
-from torch import Tensor
+from torch import Tensor, nn
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.stereo.cost import Cost
@@ -101,7 +101,7 @@ class Method:
     p1: float | None = None  #: SGM penalties; None: those of `penalties` for the size of the volume
     p2: float | None = None
     wrap: bool = True  #: False: SGM stops at the ±180° seam, and so does every layer of SweepNet
-    subindex: bool = False  #: refine the index, see `winner_takes_all`; the paper reports integer indices
+    subindex: bool | None = None  #: refine the index, see `winner_takes_all`; None: whoever reads it out decides
 
     def __post_init__(self) -> None:
         for name, choices in (("cost", tuple(COSTS)), ("aggregate", ("none", "sgm")), ("pairs", ("ring", "all"))):
@@ -163,7 +163,7 @@ class Method:
     def volume_key(self) -> Self:
         """The method reduced to what its cost volume depends on; methods with equal keys share their volumes."""
         wrap = self.wrap or "wrap" not in COSTS[self.cost].settings
-        return replace(self, aggregate="none", p1=None, p2=None, subindex=False, wrap=wrap)
+        return replace(self, aggregate="none", p1=None, p2=None, subindex=type(self).subindex, wrap=wrap)
 
     @property
     def _base(self) -> str:
@@ -205,7 +205,14 @@ class Method:
 
     def cost_of(self, sweep: SphereSweep) -> Cost:
         """Return the matching cost, loaded once for a sweep."""
-        return sweep.keep((COSTS[self.cost], self.volume_key), self.load_cost)
+
+        def load() -> Cost:
+            cost = self.load_cost()
+            if isinstance(network := getattr(cost, "network", cost), nn.Module):
+                network.to(sweep.device)
+            return cost
+
+        return sweep.keep((COSTS[self.cost], self.volume_key), load)
 
     def smooth(self, volume: Tensor) -> Tensor:
         """Return the volume (H, W, N) from which depth is read: after SGM where the method has it."""
@@ -217,9 +224,10 @@ class Method:
         return sgm(volume, p1, p2, wrap=self.wrap)
 
     def read_out(self, volume: Tensor, subindex: bool = False) -> tuple[Tensor, Tensor]:
-        """Return index and confidence (H, W) of a smoothed volume; with `subindex` or the setting between spheres."""
+        """Return index and confidence (H, W) of a smoothed volume; the setting of the method outranks `subindex`."""
         own = COSTS[self.cost].read_out if self.reads_out else None
-        return index_and_confidence(volume, subindex or self.subindex) if own is None else own(volume)
+        refine = subindex if self.subindex is None else self.subindex
+        return index_and_confidence(volume, refine) if own is None else own(volume)
 
 
 def _types_of_settings(cls: type) -> dict[str, type]:

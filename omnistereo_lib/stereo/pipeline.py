@@ -29,7 +29,8 @@ def estimate_depth(
         images: one array per camera, (height, width) or (height, width, 3), uint8 or float
         method: Such as "zncc", "volumenet" or "sweepnet+sgm,p1=0.2"; see `Method`. A cost of your own gets a name in
             `COSTS`.
-        subindex: Refine the index between spheres. False: as the method says, which is integer indices in the paper.
+        subindex: Refine the index between spheres, unless the name of the method says, as in "zncc,subindex=false".
+            False: integer indices, as in the paper.
         progress: Called as `progress(done, total, what)`: parts done, parts in all, and the next part.
 
     Raises:

@@ -175,8 +175,9 @@ class VolumeNet(StoredNetwork):
 
         See `Cost`. The pairs are not used: `correlate` compares all cameras.
         """
+        if (network := self.ready(sweep.device)) is not self:
+            return network.volume(sweep, images, pairs, progress)
         grid, device, sizes = sweep.grid, sweep.device, volume_sizes(sweep.grid, sweep.rig)
-        self.eval().to(device)
         blocks = torch.arange(grid.width, device=device).split(64)
         step = counted(progress, len(sizes) * (len(sweep.rig) + 3) + len(blocks))
         # The logits of every cell, from a coarse volume and a finer one.

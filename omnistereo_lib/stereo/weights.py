@@ -4,6 +4,7 @@ import hashlib
 import json
 import struct
 from collections.abc import Mapping
+from copy import deepcopy
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -34,6 +35,13 @@ class StoredNetwork(nn.Module):
     def pretrained(cls) -> Self:
         """Return the bundled network, in evaluation mode."""
         return cls.from_file(BUNDLED_WEIGHTS / f"{cls.bundled}.safetensors")
+
+    def ready(self, device: torch.device | str) -> Self:
+        """Return the network in evaluation mode on a device: itself, or a copy, so that a training is not disturbed."""
+        device = torch.device(device)
+        training = any(module.training for module in self.modules())
+        elsewhere = any(weight.device != device for weight in self.parameters())
+        return deepcopy(self).eval().to(device) if training or elsewhere else self
 
     def fuse_batch_norm(self) -> nn.Module:
         """Return the network to store: itself. One whose batch norms fold into its layers overrides this."""

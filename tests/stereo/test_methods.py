@@ -94,6 +94,15 @@ def test_a_name_is_what_its_parts_are(box):
         np.testing.assert_array_equal(depth.index, expected)
 
 
+@pytest.mark.parametrize("name", ["zncc", "zncc+sgm", "volumenet+sgm"])
+def test_a_name_that_says_so_does_not_refine(box, name):
+    method = Method.parse(f"{name},subindex=false")
+    assert method.name == f"{name},subindex=false"
+    index = osl.estimate_depth(*box, GRID, method).index
+    np.testing.assert_array_equal(index, osl.estimate_depth(*box, GRID, name, subindex=False).index)
+    assert (index[np.isfinite(index)] % 1 == 0).all()
+
+
 class SecondSphere(BlockCost):
     def __call__(self, spherical_images, pairs, columns=None):
         _, B, H, W = spherical_images.shape
@@ -129,6 +138,7 @@ def test_a_network_is_a_cost_in_whatever_mode_it_is(box, name):
     sweep, method = osl.SphereSweep(box[0], GRID), Method.parse(name)
     network = {"mccnn": osl.MCCNN, "volumenet": osl.VolumeNet}[name].pretrained().train()
     found = osl.cost_volume(sweep, box[1], network)
+    assert all(module.training for module in network.modules())  # a training that looks at a frame goes on
     expected = osl.cost_volume(sweep, box[1], method.load_cost())
     torch.testing.assert_close(found, expected, rtol=0, atol=0, equal_nan=True)
 
