@@ -100,6 +100,10 @@ class EndlessWorlds:
         self._workers = max(1, (os.cpu_count() or 2) - 1) if workers is None else workers
         self._drawn: dict[int, Any] = {}  # frames, or futures of frames
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the seed and the number of processes: another process draws its frames itself."""
+        return {"seed": self.seed, "_workers": self._workers, "_drawn": {}}
+
     def frame(self, number: int) -> EndlessFrame:
         """Return a frame; the ones that follow are drawn meanwhile."""
         ahead = _AHEAD * self._workers

@@ -2,9 +2,9 @@
 
 import hashlib
 from collections.abc import Sequence
-from functools import lru_cache
+from copy import copy
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -14,7 +14,7 @@ from torch import Tensor
 from omnistereo_lib.dataset import Frame, load_dataset
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import read_bytes
-from omnistereo_lib.geometry.rig import camera_pairs
+from omnistereo_lib.geometry.rig import Rig, camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.images import to_gray
 from omnistereo_lib.stereo.sweep import SphereSweep
@@ -23,6 +23,7 @@ from omnistereo_lib.train.recipes import ENDLESS, Recipe
 
 DATA = Path(__file__).resolve().parents[2] / "data_samples"
 Folders = str | Path | Sequence[str | Path]
+_SWEEPS = 4  # rigs at a time: that of the streets recurs, those of the other worlds do not come again soon
 _HELD_OUT = 1 << 40  # the seed of the endless worlds of validation; no recipe has it
 
 
@@ -94,14 +95,26 @@ class SweptFrames(TrainingFrames):
 
     def __init__(self, recipe: Recipe, data: Folders, device: torch.device | str) -> None:
         super().__init__(recipe, data)
-        # Four rigs: this keeps the rig of the streets, which recurs; those of the other worlds do not come again soon.
-        self._sweep_of = lru_cache(4)(lambda rig: SphereSweep(rig, self.grid_of(rig.min_depth), device=device))
+        self.device = device
+        self._forget()
+
+    def _forget(self) -> None:
+        self._sweeps: dict[Rig, SphereSweep] = {}
         self._gt_index: dict[Path, NDArray[Any]] = {}  # lights of one drive share the file
         self.use(self.validation_frame(0))
 
+    def with_recipe(self, recipe: Recipe) -> Self:
+        """Return the same frames and network with sweeps of another size."""
+        other = copy(self)
+        other.recipe = recipe
+        other._forget()
+        return other
+
     def use(self, frame: Frame | EndlessFrame) -> NDArray[np.float32]:
         """Select the rig of a frame; return its ground-truth sphere index, not rounded, (H, W), kept for later."""
-        self.sweep = self._sweep_of(frame.rig)
+        grid = self.grid_of(frame.rig.min_depth)
+        self.sweep = self._sweeps.pop(frame.rig, None) or SphereSweep(frame.rig, grid, device=self.device)
+        self._sweeps = dict([*self._sweeps.items(), (frame.rig, self.sweep)][-_SWEEPS:])
         self.grid, self.rays = self.sweep.grid, self.sweep.grid.rays()
         self.pairs = camera_pairs("ring", self.sweep.rig)
         if frame.gt_path is None:

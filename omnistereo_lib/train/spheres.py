@@ -61,7 +61,7 @@ class SphereSamples(SweptFrames):
                 halve=False,
                 spheres_per_frame=2 * recipe.spheres_per_frame,
             )
-            self._half_size = SphereSamples(half, data, device)
+            self._half_size = self.with_recipe(half)
 
     def micro_batch(self, frame: Frame, rng: np.random.Generator, augment: bool) -> SphereBatch:
         """Sample spheres of one frame and label rays on them (Eq. 3); with `augment`, rotate and flip at random."""

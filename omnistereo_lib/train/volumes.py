@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -13,7 +12,6 @@ from torch.nn.functional import interpolate, log_softmax
 from omnistereo_lib.dataset import Frame
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Pose
-from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.correlation import feature_coordinates, pixels_per_degree, volume_sizes
 from omnistereo_lib.stereo.images import blur, reduce_images, to_gray
@@ -44,7 +42,6 @@ class VolumeSamples(TrainingFrames):
         self.network = VolumeNet()
         self.objective = VolumeObjective(self.network, self.grid_of(1.0))
         self._rays = self.grid_of(1.0).rays()
-        self._masks: WeakKeyDictionary[Rig, list[Tensor]] = WeakKeyDictionary()
 
     def micro_batch(self, frame: Frame | EndlessFrame, rng: np.random.Generator, augment: bool) -> list[VolumeSample]:
         """Return a frame and others, `batch_frames` in all; with `augment`, each seen differently.
@@ -77,10 +74,7 @@ class VolumeSamples(TrainingFrames):
         grid = self.grid_of(scale * frame.rig.min_depth)
         size = volume_sizes(grid)[0]
         rig, images = reduce_images(frame.rig.recentered(), frame.images, pixels_per_degree(size))
-        if frame.rig not in self._masks:
-            masks = [to_device(camera.visible_pixels(), self.device) for camera in rig.cameras]
-            self._masks[frame.rig] = masks
-        masks = self._masks[frame.rig]
+        masks = [to_device(camera.visible_pixels(), self.device) for camera in rig.cameras]
         gray = [_other_look(to_gray(image), rng, self.device) for image in images]
         coordinates = feature_coordinates(rig.transformed(Pose(rotation, np.zeros(3))), grid, size, self.device)
         gt_index = grid.inverse_depth_to_index(frame.inverse_depth_along(self._rays @ rotation))

@@ -1,5 +1,6 @@
 """Samples to train on: labels that tell the truth, patches that match and that do not, and their loss."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -9,8 +10,10 @@ import torch
 from tiny import MCCNN, SWEEPNET
 
 import omnistereo_lib as osl
+from omnistereo_lib.train import VolumeNetRecipe
 from omnistereo_lib.train.patches import PatchBatch, PatchSamples
 from omnistereo_lib.train.spheres import SphereBatch, SphereSamples, Strip
+from omnistereo_lib.train.volumes import VolumeSample, VolumeSamples
 
 
 @pytest.mark.parametrize("augment", [False, True])
@@ -53,11 +56,23 @@ def test_each_frame_is_swept_with_its_own_rig(data, tmp_path, kind, recipe):
         assert _text(drawn) == _text(expected)
 
 
+@pytest.mark.parametrize(
+    ("kind", "recipe"), [(SphereSamples, SWEEPNET), (PatchSamples, MCCNN), (VolumeSamples, VolumeNetRecipe())]
+)
+def test_samples_are_sent_to_other_processes(data, kind, recipe):
+    samples = kind(recipe, [data, "endless"])
+    copied = pickle.loads(pickle.dumps(samples))
+    drawn, again = (
+        one.micro_batch(one.validation[0], np.random.default_rng(3), augment=False) for one in (samples, copied)
+    )
+    assert _text(drawn) == _text(again)
+
+
 def _text(x):
     """All numbers of a micro-batch, NaN among them."""
     if isinstance(x, list):
         return [_text(part) for part in x]
-    if isinstance(x, SphereBatch | PatchBatch | Strip):
+    if isinstance(x, SphereBatch | PatchBatch | Strip | VolumeSample):
         return {name: _text(part) for name, part in vars(x).items()}
     return str(np.asarray(x).tolist())
 
@@ -182,5 +197,6 @@ def test_half_of_the_micro_batches_are_of_half_size(data):
     batches = [samples.micro_batch(samples.training[0], np.random.default_rng(k), augment=True) for k in range(60)]
     shapes = [tuple(batch.spherical_images.shape[1:]) for batch in batches]
     assert set(shapes) == {(1, 24, 96), (2, 12, 48)}
+    assert samples._half_size.training is samples.training and samples._half_size.network is samples.network
     assert 15 < shapes.count((1, 24, 96)) < 45
     assert all(strip.label.min() == 0 and strip.label.max() == 1 for batch in batches for strip in batch.strips[:1])
