@@ -1,5 +1,6 @@
 """config.yaml of OmniMVS: OCam cameras, poses camera → rig, metres."""
 
+import re
 import warnings
 from pathlib import Path
 
@@ -32,7 +33,7 @@ def read_omnimvs(data: Section, path: Path, max_fov_deg: float | None) -> RigFil
             poses.append(parse_pose(cam.require("pose")))
     if missing and any(camera.mask is not None for camera in cameras):
         raise OmnistereoError(f"the masks {', '.join(missing)} are named, but missing. Copy them beside the file")
-    if missing and missing[0] != f"{path.stem}_mask1.png":  # `save_rig` names them for the public codes
+    if missing and not re.fullmatch(rf"{re.escape(path.stem)}_mask1.png|.*_no_mask1.png", missing[0]):
         warnings.warn(f"{path}: the masks {', '.join(missing)} are missing; every pixel counts as valid", stacklevel=2)
     warn_of_polynomials(cameras, path)
     config = Section(data.get("config", default={}), "config")
@@ -44,8 +45,9 @@ def read_omnimvs(data: Section, path: Path, max_fov_deg: float | None) -> RigFil
 def save_rig(rig: Rig, path: str | Path) -> None:
     """Write a rig as config.yaml (OmniMVS format, metres), every number in full.
 
-    Masks are written beside it as <name>_mask1.png and so on, bright = outside. The public codes sweep around the
-    origin of the file and need a nearest depth: for them, save `rig.recentered()` with a `min_depth`.
+    Masks are written beside it as <name>_mask1.png and so on, bright = outside. The public codes need a name even
+    without a mask, and write their own there: <name>_no_mask1.png. They sweep around the origin of the file and need a
+    nearest depth: for them, save `rig.recentered()` with a `min_depth`.
 
     >>> osl.save_rig(osl.load_rig("data_samples/sunny/test").recentered(), "rig.yaml")
     >>> bool(np.allclose(osl.load_rig("rig.yaml").centers.mean(axis=0), 0))
@@ -56,7 +58,7 @@ def save_rig(rig: Rig, path: str | Path) -> None:
         raise OmnistereoError(f"{path}: a rig is saved as YAML. Give a file that ends in .yaml")
     cameras, masked = [], any(camera.mask is not None for camera in rig.cameras)
     for i, (camera, pose) in enumerate(zip(rig.cameras, rig.T_rig_cam, strict=True), 1):
-        mask_file = path.with_name(f"{path.stem}_mask{i}.png")
+        mask_file = path.with_name(f"{path.stem}_{'' if masked else 'no_'}mask{i}.png")
         names = {"cam_id": i, "img_dir": f"cam{i}", "model": "ocam"}
         field = {"pose": pose.as_vector().tolist(), "max_fov": camera.max_fov_deg, "invalid_mask": mask_file.name}
         if masked:
@@ -72,5 +74,3 @@ def save_rig(rig: Rig, path: str | Path) -> None:
     }
     with atomic_write(path) as temporary:
         temporary.write_text(to_yaml(data))
-    for i in range(0 if masked else len(rig)):  # masks of a rig saved here before would be read with this one
-        path.with_name(f"{path.stem}_mask{i + 1}.png").unlink(missing_ok=True)

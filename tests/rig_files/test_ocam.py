@@ -305,3 +305,9 @@ def test_numpy_numbers_are_written_as_plain_numbers(tmp_path):
     assert len(written) == 8 and not [name for name, text in written.items() if "np." in text or "numpy" in text]
     for path, unit in (("", "m"), ("config.yaml", None), ("kalibr.yaml", None), ("opencv.yaml", "m")):
         assert load_rig(tmp_path / path, unit).cameras[0].image_size == SIZE
+
+
+def test_a_copy_of_a_rig_without_masks_is_read_without_a_warning(tmp_path, recwarn):
+    save_rig(Rig([CAMERA] * 2, [Pose.identity()] * 2), tmp_path / "config.yaml")
+    load_rig((tmp_path / "config.yaml").rename(tmp_path / "mine.yaml"))
+    assert [str(warning.message) for warning in recwarn] == []
