@@ -23,6 +23,11 @@ from omnistereo_lib.errors import OmnistereoError, shortened
 
 _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "PPM", "WEBP")  # as Pillow calls them
 _STDERR = Lock()  # of the whole process
+# What the libraries print that OpenCV decodes by: warnings of libjpeg, libpng, FFmpeg.
+_OF_DECODERS = re.compile(
+    rb"Corrupt JPEG|Premature end|Inconsistent progression|Invalid SOS|Unsupported marker|Unknown Adobe|"
+    rb"Warning: unknown JFIF|Invalid component|libpng|\[[a-z0-9_,]+ @ "
+)
 _made: list[Path] = []  # folders that `make_folder` has made
 _BROKEN = (ValueError, TypeError, AttributeError, LookupError, ArithmeticError, RecursionError)  # of the two parsers
 _STALE = 3600.0  # seconds; no single file takes so long to write
@@ -233,7 +238,12 @@ def check_image(path: str | Path, image_size: tuple[int, int] | None = None) -> 
 
 @contextmanager
 def decoder_messages() -> Iterator[list[str]]:
-    """Collect the lines that a decoder, which is written in C, prints to the standard error output of the process."""
+    """Collect the lines that a decoder, which is written in C, prints to the standard error output of the process.
+
+    What other threads print meanwhile appears afterwards.
+    """
+    from cv2.utils import logging
+
     said: list[str] = []
     with _STDERR, TemporaryFile() as file:
         try:
@@ -241,14 +251,19 @@ def decoder_messages() -> Iterator[list[str]]:
         except OSError:  # it is closed
             yield said
             return
+        level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)  # OpenCV's own log
         try:
             os.dup2(file.fileno(), 2)
             yield said
         finally:
+            logging.setLogLevel(level)
             os.dup2(kept, 2)
             os.close(kept)
         file.seek(0)
-        said += file.read().decode(errors="replace").splitlines()
+        lines = file.read().splitlines(keepends=True)
+        said += [line.decode(errors="replace").strip() for line in lines if _OF_DECODERS.match(line)]
+        with suppress(OSError):
+            os.write(2, b"".join(line for line in lines if not _OF_DECODERS.match(line)))  # of other threads
 
 
 if hasattr(os, "register_at_fork"):  # no child is born while its error output leads elsewhere

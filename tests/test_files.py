@@ -83,6 +83,16 @@ def test_a_jpeg_that_is_damaged_in_the_middle_is_told(tmp_path, capfd):
     assert capfd.readouterr().err == ""
 
 
+def test_what_other_threads_print_meanwhile_is_not_lost(tmp_path, capfd):
+    write_image(tmp_path / "a.jpg", np.random.default_rng(0).integers(0, 255, (400, 500, 3), np.uint8))
+    with ThreadPoolExecutor(1) as pool:
+        reading, printed = pool.submit(lambda: [read_image(tmp_path / "a.jpg") for _ in range(30)]), 0
+        while not reading.done() or printed < 100:
+            os.write(2, b"line %d\n" % printed)
+            printed += 1
+    assert sorted(capfd.readouterr().err.splitlines()) == sorted(f"line {k}" for k in range(printed))
+
+
 def test_pictures_read_by_several_threads_leave_the_error_output_in_place(tmp_path):
     write_image(tmp_path / "a.jpg", np.random.default_rng(0).integers(0, 255, (400, 500, 3), np.uint8))
     before = os.fstat(2)
