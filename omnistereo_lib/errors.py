@@ -7,6 +7,8 @@ from numbers import Real
 from pathlib import Path
 from typing import Any
 
+EXIT_STATUS = "exit status: 0 done, 1 a check failed or the program has a defect, 2 bad input, 130 interrupted"
+
 
 class OmnistereoError(ValueError):
     """Bad input, said so that a person can act on it.

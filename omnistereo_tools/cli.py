@@ -1,21 +1,24 @@
 """The command line: `omnistereo COMMAND`, one module per command."""
 
 import argparse
+import json
 import os
 import re
 import signal
 import sys
 import threading
+import time
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from difflib import get_close_matches
 from io import TextIOWrapper
+from pathlib import Path
 from typing import NoReturn
 
 from tqdm import tqdm
 
-from omnistereo_lib.errors import OmnistereoError, one_line
+from omnistereo_lib.errors import EXIT_STATUS, OmnistereoError, one_line
 from omnistereo_tools.commands import (
     calibrate_command,
     demo_command,
@@ -48,6 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _open_streams()
     tqdm.monitor_interval = 0  # its thread would outlive the command
     keep_memory()
+    options = argparse.Namespace()
     try:
         try:
             check_address_space()
@@ -63,7 +67,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         stop = error if isinstance(error, KeyboardInterrupt) else error.__cause__
         if not isinstance(stop, KeyboardInterrupt):
             raise
-        return _stop("interrupted; run the same command to resume", 143 if isinstance(stop, _Terminated) else 130)
+        resumes = "; run the same command to resume" if getattr(options, "resumes", False) else ""
+        return _stop(f"interrupted{resumes}", 143 if isinstance(stop, _Terminated) else 130)
     except OSError as error:
         if error.filename is None:  # it is the output; what it has not taken would fail again at exit
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -118,7 +123,11 @@ def _stop(line: str, status: int) -> int:
     from omnistereo_lib.files import remove_empty_folders
 
     remove_empty_folders()
-    _say(line)
+    if (file := os.environ.get("TORCHELASTIC_ERROR_FILE")) is not None:  # torchrun ends with what it finds there
+        when = {"timestamp": str(int(time.time()))}
+        Path(file).write_text(json.dumps({"message": {"message": one_line(line), "extraInfo": when}}))
+    if os.environ.get("RANK", "0") == "0" or file is None:
+        _say(line)
     return status
 
 
@@ -131,13 +140,16 @@ class _Parser(argparse.ArgumentParser):
 
 def _parse(arguments: list[str]) -> argparse.Namespace:
     """Parse a command; without one print the help, and for a wrong name propose one that is similar."""
-    parser = _Parser(prog="omnistereo", description="Depth panoramas from a rig of fisheye cameras.")
+    parser = _Parser(
+        prog="omnistereo", description="Depth panoramas from a rig of fisheye cameras.", epilog=EXIT_STATUS
+    )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for name, module in COMMANDS.items():
         command = commands.add_parser(
             name,
             help=(module.__doc__ or name).splitlines()[0],  # PYTHONOPTIMIZE=2 drops it
             description=module.__doc__,
+            epilog=EXIT_STATUS,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         command.set_defaults(run=module.run)

@@ -253,10 +253,8 @@ class _Server(ThreadingHTTPServer):
 def serve(latest: Latest, port: int) -> Iterator[str]:
     """Serve live pictures to browsers of this machine as a stream of JPEG; yield the address.
 
-    Raises an `OmnistereoError` if the port is in use or none.
+    Raises an `OmnistereoError` if the port is in use.
     """
-    if not 0 <= port <= 65535:
-        raise OmnistereoError(f"--port is {port}; expected 0 to 65535. Choose another, or 0 for any.")
 
     class Handler(BaseHTTPRequestHandler):
         timeout = _PATIENCE_S

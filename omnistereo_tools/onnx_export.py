@@ -22,10 +22,19 @@ from omnistereo_lib.stereo.images import reduce_images
 from omnistereo_lib.stereo.kernels.correlation_numba import GROUPS
 from omnistereo_lib.stereo.volumenet import VolumeNet, local_mean, normalize, resize_logits
 
+FILES = ("depth.onnx", "run_onnx.py")
 OPSET = 18  # the first whose Resize takes the axes as torch does
 _SCRIPT = Path(__file__).with_name("run_onnx.py")
 _COLUMNS = 32  # of a volume or the panorama at a time: temporary arrays stay small
 _LUMA = 0.299, 0.587, 0.114  # of red, green and blue (BT.601)
+
+
+def check_installed() -> None:
+    """Raise an `OmnistereoError` if the package onnx, by which torch.onnx writes, is missing."""
+    try:
+        import onnx  # noqa: F401
+    except ImportError:
+        raise OmnistereoError("an export needs onnx: pip install 'omnistereo-lib[onnx]'") from None
 
 
 def export_onnx(out: Path, rig: Rig, grid: SphereGrid, network: VolumeNet | None = None) -> list[str]:
@@ -41,10 +50,7 @@ def export_onnx(out: Path, rig: Rig, grid: SphereGrid, network: VolumeNet | None
     Raises:
         OmnistereoError: If the package onnx is not installed, or a file cannot be written.
     """
-    try:
-        import onnx  # noqa: F401  (torch.onnx writes by it)
-    except ImportError:
-        raise OmnistereoError("an export needs onnx: pip install 'omnistereo-lib[onnx]'") from None
+    check_installed()
     out = make_folder(out)
     graph = DepthGraph(VolumeNet.pretrained() if network is None else network, rig, grid).cpu().eval()
     images = tuple(torch.randint(256, (*camera.image_size[::-1], 3), dtype=torch.uint8) for camera in rig.cameras)

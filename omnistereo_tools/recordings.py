@@ -44,7 +44,7 @@ from omnistereo_tools.trust import DOUBTFUL, trust
 
 _PENDING = 2  # frames read ahead, and frames waiting to be written: memory stays constant
 _PNG_STEPS = 65500  # of inverse depth up to 1 / D_min, as in the first release of the public sets; of trust up to 1
-_OF_RAYS = ("confidence", "trust", "depth_estimate")  # panoramas of a frame, in the order of writing
+OF_RAYS = ("confidence", "trust", "depth_estimate")  # panoramas of a frame, in the order of writing
 SETTINGS = "recording.json"
 CODECS = {".mp4": "mp4v", ".webm": "VP90"}  # the second one plays in browsers, and takes thirty times as long
 _FPS = 10.0  # of pictures, which do not say
@@ -81,7 +81,7 @@ class DepthWriter:
         """
         check_layout(grid)
         method = Method.parse(method)
-        _check_not_users(out, [*(f"cam{k}" for k in range(1, len(rig) + 1)), "video"], recording)
+        _check_not_users(out)
         return cls(out, recording, SphereSweep(rig, grid, device=device), method, suffix, with_video)
 
     def path(self, kind: str, number: int) -> Path:
@@ -95,7 +95,7 @@ class DepthWriter:
     def is_done(self, number: int) -> bool:
         """Return whether all that is stored of the rays of a frame, and its video frame, can be read."""
         try:
-            whole = all(self.read(kind, number).shape == self.sweep.grid.shape for kind in _OF_RAYS)
+            whole = all(self.read(kind, number).shape == self.sweep.grid.shape for kind in OF_RAYS)
             return whole and (not self.with_video or self.picture(number).size > 0)
         except OmnistereoError:
             return False
@@ -149,8 +149,9 @@ class DepthWriter:
         settings |= {"min_depth": grid.min_depth, "depth": self.suffix}
         settings |= {"rig": _rig_checksum(rig), "images": self.recording.checksum}
         _check_settings(make_folder(self.out) / SETTINGS, settings)
-        for folder in (*(f"cam{k}" for k in range(1, len(rig) + 1)), *(self.path(kind, 0).parent for kind in _OF_RAYS)):
-            make_folder(self.out / folder)
+        cameras = [self.out / f"cam{k}" for k in range(1, len(rig) + 1)]
+        for folder in (*cameras, *(self.path(kind, 0).parent for kind in OF_RAYS)):
+            make_folder(folder)
         if self.with_video:
             make_folder(self.out / "video")
         save_rig(replace(rig, min_depth=self.sweep.grid.min_depth), self.out / "config.yaml")
@@ -170,7 +171,7 @@ class DepthWriter:
             panorama = panorama if panorama.ndim == 3 else np.repeat(panorama[..., None], 3, -1)
             scale = ColorScale(0.0, 0.8 / self.sweep.grid.min_depth)  # the same colours in all frames
             write_image(self.picture_path(number), np.vstack([panorama, scale.colorize(depth, trusted < DOUBTFUL)]))
-        for kind, values in zip(_OF_RAYS, (depth.confidence, trusted, depth.inverse_depth), strict=True):
+        for kind, values in zip(OF_RAYS, (depth.confidence, trusted, depth.inverse_depth), strict=True):
             self._write_panorama(kind, number, values)
 
     def _write_panorama(self, kind: str, number: int, values: NDArray) -> None:
@@ -219,12 +220,8 @@ def check_layout(grid: SphereGrid) -> None:
         )
 
 
-def _check_not_users(out: Path, names: Sequence[str], recording: Recording) -> None:
-    """Raise an `OmnistereoError` if a recording would be written into folders of the user, or over the rig file."""
-    written = [(out / name).resolve() for name in names]
-    for source in recording.sources:
-        if source.path.resolve() in written:
-            raise OmnistereoError(f"{source.path} holds your images; --out {out} would write there. Choose another.")
+def _check_not_users(out: Path) -> None:
+    """Raise an `OmnistereoError` if a recording would be written over a rig file that no recording has put there."""
     if (out / "config.yaml").exists() and not (out / SETTINGS).exists():
         raise OmnistereoError(
             f"{out} holds a config.yaml but no {SETTINGS}; expected a new folder or that of a recording. "

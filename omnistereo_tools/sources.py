@@ -25,6 +25,14 @@ os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet: what cannot be r
 _NOT_FRAMES = ("mask",)  # file names without suffix
 
 
+def check_steps(start: int, step: int) -> None:
+    """Raise an `OmnistereoError` if frames cannot be counted so."""
+    if start < 0:
+        raise OmnistereoError(f"the first frame is {start}; expected --start of at least 0")
+    if step < 1:
+        raise OmnistereoError(f"the step is {step}; expected --step of at least 1")
+
+
 def is_recording(paths: Sequence[Path]) -> bool:
     """Return whether any of the paths is a folder or a video, not a picture."""
     return any(path.is_dir() or path.suffix.lower() in _VIDEOS for path in paths)
@@ -148,10 +156,7 @@ class Recording:
             OmnistereoError: If a path is neither, holds no frames, the cameras have none in common, no frame is left,
                 or `start` or `step` is too small.
         """
-        if start < 0:
-            raise OmnistereoError(f"the first frame is {start}; expected --start of at least 0")
-        if step < 1:
-            raise OmnistereoError(f"the step is {step}; expected --step of at least 1")
+        check_steps(start, step)
         sources = tuple(Pictures(path) if path.is_dir() else Video(path) for path in paths)
         by_number = all(source.numbered for source in sources)
         if by_number:

@@ -107,7 +107,10 @@ def test_depth_of_images(data, tmp_path, capsys):
 def test_a_rig_of_ones_own_does_not_overwrite_the_sample(data, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert run("depth", *with_images(data), *SMALL, "--method", "zncc") == 0
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["depth_config"]
+    (data / "config.yaml").rename(data / "mine.yaml")
+    words = with_images(data)
+    assert run("depth", "--rig", data / "mine.yaml", *words[2:], *SMALL, "--method", "zncc") == 0
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"depth_data", "depth_mine"}
 
 
 def test_depth_of_gray_images_without_a_nearest_depth(data, tmp_path, capsys, scene_images):
@@ -134,7 +137,9 @@ def test_doctor_of_a_rig(data, capsys, scene_images):
 
 def test_doctor_of_a_rig_without_images_says_what_it_can_see(data, tmp_path, capsys):
     assert run("doctor", "--rig", data / "config.yaml", "--coverage", tmp_path / "coverage.png") == 0
-    assert "At 5 m, a match that is off by one pixel puts a depth off by" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "At 5 m, a match that is off by one pixel puts a depth off by" in said
+    assert "Ready to run" not in said and "omnistereo depth" not in said  # without images nothing can run
     assert cv2.imread(str(tmp_path / "coverage.png")).std() > 20
 
 
@@ -176,11 +181,33 @@ def test_doctor_of_the_installation(monkeypatch, well):
     assert run("doctor") == (0 if well else 1)
 
 
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ("depth --rig none --images a b --method bogus", "cost must be one of .*'bogus'"),
+        ("depth --rig none --images none/ b --spheres 1", "num_spheres is 1"),
+        ("depth --rig none --images a b --max-fov 900", "max_fov_deg is 900"),
+        ("doctor --rig none --phi 20 10", r"phi_deg is \[20.0, 10.0\]"),
+        ("live --rig none --cameras 0 1 --method zncc,window=4", "window"),
+        ("onnx --rig none --width -8", "width is -8"),
+        ("calibrate none --board 12x10 --square 0.06 --degree 99", "degree is 99"),
+        ("evaluate --sets none --methods bogus", "cost must be one of .*'bogus'"),
+        ("train volumenet --data none --set steps=0", "steps = 0"),
+    ],
+)
+def test_what_is_typed_is_checked_before_a_file_is_opened(tmp_path, monkeypatch, capsys, command, said):
+    monkeypatch.chdir(tmp_path)
+    assert run(*command.split()) == 2
+    assert re.match(f"error: .*{said}", capsys.readouterr().err)
+
+
 @pytest.mark.parametrize("command", [[], ["--help"], *([name, "--help"] for name in cli.COMMANDS)], ids=" ".join)
 def test_help_is_given(command, capsys):
     with pytest.raises(SystemExit) as stop:
         run(*command)
-    assert stop.value.code == 0 and "usage: omnistereo" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert stop.value.code == 0 and "usage: omnistereo" in said
+    assert said.split("\n\n")[-1].startswith("exit status: 0 done")
 
 
 def test_warnings_are_plain_lines(data, tmp_path, capsys):

@@ -1,6 +1,7 @@
 """The command line on a bad day: Ctrl-C, a reader that leaves, a full disk, an ASCII terminal. Never a traceback."""
 
 import io
+import json
 import os
 import signal
 import subprocess
@@ -46,8 +47,16 @@ def test_a_command_is_stopped(monkeypatch, capsys, number, status, in_c):
     before = signal.getsignal(signal.SIGTERM)
     monkeypatch.setattr(cli.doctor_command, "run", stopped_by(number, in_c))
     assert cli.main(["doctor"]) == status
-    assert capsys.readouterr().err == "interrupted; run the same command to resume\n"
+    assert capsys.readouterr().err == "interrupted\n"
     assert signal.getsignal(signal.SIGTERM) == before
+
+
+@pytest.mark.parametrize("name", ["train", "evaluate"])
+def test_what_resumes_is_told_so(monkeypatch, capsys, name):
+    module = cli.COMMANDS[name]
+    monkeypatch.setattr(module, "run", stopped_by(signal.SIGINT))
+    assert cli.main([name, *(["volumenet"] if name == "train" else [])]) == 130
+    assert capsys.readouterr().err == "interrupted; run the same command to resume\n"
 
 
 def test_other_errors_in_c_are_bugs(monkeypatch):
@@ -119,6 +128,16 @@ def test_a_number_of_the_environment_that_is_none(monkeypatch, capsys, tmp_path,
     assert cli.main(["train", "sweepnet", "--out", str(tmp_path / "out")]) == 2
     assert capsys.readouterr().err.startswith(f"error: {name} in the environment is ")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("rank", ["0", "3"])
+def test_an_error_under_torchrun_is_one_line_and_the_reason_it_gives(monkeypatch, capsys, tmp_path, rank):
+    for name, value in {"WORLD_SIZE": "4", "RANK": rank, "TORCHELASTIC_ERROR_FILE": str(tmp_path / "error")}.items():
+        monkeypatch.setenv(name, value)
+    assert cli.main(["train", "sweepnet", "--preset", "shipped", "--out", str(tmp_path / "out")]) == 2
+    line = json.loads((tmp_path / "error").read_text())["message"]["message"]
+    assert "is not divisible by 4 processes; expected 1 or 2 of them" in line
+    assert capsys.readouterr().err == (f"{line}\n" if rank == "0" else "")
 
 
 @pytest.mark.parametrize(

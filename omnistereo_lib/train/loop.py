@@ -265,8 +265,12 @@ def _init_distributed(recipe: Recipe, device: torch.device) -> tuple[int, int]:
     if world == 1:
         return 0, 1
     if recipe.frames_per_step % world:
-        found = f"frames_per_step = {recipe.frames_per_step} is not divisible by {world} processes"
-        raise OmnistereoError(f"{found}. Set it to a multiple of {world}.")
+        frames = recipe.frames_per_step
+        fitting = " or ".join(str(n) for n in range(1, frames + 1) if frames % n == 0)
+        raise OmnistereoError(
+            f"frames_per_step = {frames} is not divisible by {world} processes; expected {fitting} of them. Start so "
+            f"many, or change the recipe: --set frames_per_step={world * math.ceil(frames / world)}"
+        )
     if not distributed.is_initialized():
         try:
             distributed.init_process_group("nccl" if device.type == "cuda" else "gloo")

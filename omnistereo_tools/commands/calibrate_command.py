@@ -3,11 +3,11 @@
 FOLDER holds one folder of images per camera; images of one capture have the same name.
 
 Examples:
-  omnistereo calibrate FOLDER --board 12x10 --square 0.06 --max-fov 220
+  omnistereo calibrate boards --board 12x10 --square 0.06 --max-fov 220
       a checkerboard, all of which must be visible
-  omnistereo calibrate FOLDER --board aprilgrid.yaml
+  omnistereo calibrate boards --board aprilgrid.yaml
       the target file of Kalibr, or a YAML file with the fields of a board: see the book
-  omnistereo calibrate FOLDER --board 12x10 --square 0.06 --rig lenses.yaml
+  omnistereo calibrate boards --board 12x10 --square 0.06 --rig lenses.yaml
       the poses alone, of cameras that are calibrated
 """
 
@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_tools.outputs import check_outputs
 
 if TYPE_CHECKING:
     from omnistereo_lib.calibrate.board import Board
@@ -59,12 +60,14 @@ def _read_board(options: argparse.Namespace) -> Board:
 def run(options: argparse.Namespace) -> None:
     """Calibrate one camera or a rig and write it, its report and its detections."""
     from omnistereo_lib.calibrate.joint import calibrate_rig
-    from omnistereo_lib.calibrate.single_camera import calibrate_camera
+    from omnistereo_lib.calibrate.single_camera import calibrate_camera, check_settings
     from omnistereo_lib.files import atomic_write, make_folder
     from omnistereo_lib.rig_files.formats import load_cameras
     from omnistereo_lib.rig_files.ocam import write_ocam_txt
     from omnistereo_tools.pace import progress_bar
 
+    check_settings(options.degree, options.max_fov)
+    _check_out(options)
     board = _read_board(options)
     if options.corners is None:
         cameras, names, views, sizes = _read_captures(options.folder)
@@ -87,9 +90,21 @@ def run(options: argparse.Namespace) -> None:
     text = report.text(names)
     with atomic_write(out / "report.txt") as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
-    written += ["report.txt", *_write_reports(out, cameras, names, reports, board)]
+    written += ["report.txt", *_write_figures(out, cameras, reports)]
+    if options.corners is None or not out.samefile(options.corners):
+        written += _write_corners(out, cameras, names, reports, board)
     print(text)
     print(f"written to {out}/: {', '.join(written)}")
+
+
+def _check_out(options: argparse.Namespace) -> None:
+    """Raise an `OmnistereoError` if --out would write over what is read, or add a camera to FOLDER."""
+    out, folder = options.out, options.folder.resolve()
+    if options.corners is None and folder in (out.resolve(), out.resolve().parent):
+        raise OmnistereoError(f"--out {out} would be read as images of {options.folder} the next time. Choose another.")
+    read = options if options.corners is None else argparse.Namespace(**vars(options) | {"folder": None})
+    names = ("*.yaml", "*.txt", "report_*.png", "colmap_*")
+    check_outputs(read, (path for name in names for path in out.glob(name) if path.stem[:8] != "corners_"))
 
 
 def _read_captures(folder: Path) -> tuple:
@@ -134,16 +149,23 @@ def _write_rig(out: Path, rig: Rig) -> list[str]:
     return ["config.yaml", "ocam*.txt", "poses.txt", "kalibr.yaml", "opencv.yaml", "colmap_*"]
 
 
-def _write_reports(
-    out: Path, cameras: Sequence[str], names: Sequence[str], reports: Sequence, board: Board
-) -> list[str]:
-    """Write the figures and corners of each camera, captures without a board as null; return what was written."""
-    from omnistereo_lib.calibrate.captures import save_corners
+def _write_figures(out: Path, cameras: Sequence[str], reports: Sequence) -> list[str]:
+    """Write the figure of each camera; return what was written."""
     from omnistereo_tools.calibration_figures import calibration_figure
     from omnistereo_tools.pictures import save_figure
 
     for camera, report in zip(cameras, reports, strict=True):
         save_figure(out / f"report_{camera}.png", calibration_figure(report), dpi=80)
+    return ["report_*.png"]
+
+
+def _write_corners(
+    out: Path, cameras: Sequence[str], names: Sequence[str], reports: Sequence, board: Board
+) -> list[str]:
+    """Write the corners of each camera, captures without a board as null; return what was written."""
+    from omnistereo_lib.calibrate.captures import save_corners
+
+    for camera, report in zip(cameras, reports, strict=True):
         views = {name: report.corners.get(k) for k, name in enumerate(names)}
         save_corners(out / f"corners_{camera}.yaml", views, board, report.intrinsics.image_size)
-    return ["report_*.png", "corners_*.yaml"]
+    return ["corners_*.yaml"]

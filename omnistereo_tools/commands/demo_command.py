@@ -1,6 +1,6 @@
 """Watch a drive through the bundled streets, panorama and depth live, in the browser.
 
-Example:
+Examples:
   omnistereo demo
 """
 
@@ -8,8 +8,9 @@ import argparse
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.errors import OmnistereoError, check_number
 from omnistereo_tools.commands import live_command
+from omnistereo_tools.tiny import shrink
 
 DRIVE = Path(__file__).resolve().parents[2] / "data_samples" / "sunny" / "train"
 _RATE = 5  # frames/s
@@ -17,16 +18,18 @@ _RATE = 5  # frames/s
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    parser.add_argument("--port", default="0", help="of the page for the browser (default: any free one)")
+    parser.add_argument("--port", type=int, default=0, help="of the page for the browser (default: any free one)")
 
 
 def run(options: argparse.Namespace) -> None:
     """Play the drive as `omnistereo live` plays videos."""
+    check_number(options.port, "--port", 0, 65535, whole=True)
     live = argparse.ArgumentParser()
     live_command.add_arguments(live)
     with TemporaryDirectory() as folder:
         videos = _videos(Path(folder))
-        live_command.run(live.parse_args(["--rig", str(DRIVE), "--cameras", *videos, "--port", options.port, "--open"]))
+        words = ["--rig", str(DRIVE), "--cameras", *videos, "--port", str(options.port), "--open"]
+        live_command.run(shrink(live.parse_args(words)))
 
 
 def _videos(folder: Path) -> list[str]:

@@ -29,11 +29,13 @@ from omnistereo_tools.commands.options import (
     add_grid,
     add_images,
     add_rig,
+    check_typed,
     make_grid,
     mask_circles,
     read_frame,
     read_masked_rig,
 )
+from omnistereo_tools.outputs import check_outputs
 
 if TYPE_CHECKING:
     import numpy as np
@@ -45,6 +47,7 @@ if TYPE_CHECKING:
 
 # Options of one kind of input; None where they are not given.
 _OF_FRAMES = ("frame", "max_depth", "min_confidence", "mesh", "mesh_faces", "equirectangular", "crops", "all_crops")
+_SHARED = ("config", "calibration", "kalibr", "opencv", "camchain")  # names that the files of many rigs have
 _OF_RECORDINGS = ("start", "stop", "step", "skip_bad", "cluster", "depth_format", "video")
 
 
@@ -81,14 +84,22 @@ def run(options: argparse.Namespace) -> None:
     print("reading the rig and the images: a few seconds", flush=True)
     from omnistereo_tools.sources import is_recording
 
+    check_typed(options)
     if options.out is None:  # a rig of one's own never overwrites the sample's results
-        options.out = Path("out") if options.rig is None else Path("out", f"depth_{options.rig.resolve().stem}")
+        options.out = Path("out") if options.rig is None else Path("out", f"depth_{_name_of(options.rig.resolve())}")
     if options.images is not None and is_recording(options.images):
         _refuse(options, _OF_FRAMES, "one frame; --images are folders or videos")
         _run_recording(options)
     else:
         _refuse(options, _OF_RECORDINGS, "recordings; expected --images with a folder or a video per camera")
         _run_frame(options)
+
+
+def _name_of(rig: Path) -> str:
+    """Return a name of a rig file or data set that others do not have."""
+    if rig.name in ("train", "test"):
+        return f"{rig.parent.name}-{rig.name}"
+    return rig.parent.name if rig.stem in _SHARED and rig.suffix else rig.stem
 
 
 def _refuse(options: argparse.Namespace, names: Sequence[str], purpose: str) -> None:
@@ -108,6 +119,13 @@ def _run_frame(options: argparse.Namespace) -> None:
     from omnistereo_tools.points import Limits
 
     _check_frame_options(options)
+    out, crops = options.out, options.crops
+    files = [out / "overview.png", out / "index.html", options.mesh, options.equirectangular]
+    folders = [out / "data"]
+    if crops is not None:
+        files.append(crops / "transforms.json")
+        folders += [crops / "images", crops / "depth", crops / "masks"]
+    check_outputs(options, files, folders)
     rig, images, frame = read_frame(options)
     grid = _choose_grid(options, rig, images)
     gt_index = None if frame is None else frame.gt_index(grid)  # fail fast: read the ground truth, make the folders
@@ -183,13 +201,18 @@ def _run_recording(options: argparse.Namespace) -> None:
     from omnistereo_tools.exports import check_suffixes
     from omnistereo_tools.image_circle import FRAMES
     from omnistereo_tools.pace import say_recording
-    from omnistereo_tools.recordings import DepthWriter, stored_min_depth, write_video
-    from omnistereo_tools.sources import Recording
+    from omnistereo_tools.recordings import OF_RAYS, SETTINGS, DepthWriter, stored_min_depth, write_video
+    from omnistereo_tools.sources import Recording, check_steps
 
     check_suffixes(video=options.video)
+    start, step = options.start or 0, 1 if options.step is None else options.step
+    check_steps(start, step)
+    options.resumes = True
+    out = options.out
+    filled = [out / "video", *out.glob("cam[0-9]*"), *(out / f"{kind}_{options.width}" for kind in OF_RAYS)]
+    check_outputs(options, [options.video, out / "config.yaml", out / SETTINGS], filled)
     rig = read_masked_rig(options)
-    step = 1 if options.step is None else options.step
-    recording = Recording.open(options.images, options.start or 0, options.stop, step)
+    recording = Recording.open(options.images, start, options.stop, step)
     for path, names in recording.missing.items():
         some = ", ".join(map(str, names[:8])) + " …" * (len(names) > 8)
         print(f"{path} lacks {len(names)} frames that other cameras have; they are left out: {some}")

@@ -1,6 +1,10 @@
 """Check the installation; with --rig, say what a rig can see, and check it against its images.
 
-example: omnistereo doctor --rig rig.yaml --images 1.png 2.png 3.png 4.png --coverage coverage.png
+Examples:
+  omnistereo doctor
+      the installation
+  omnistereo doctor --rig rig.yaml --images 1.png 2.png 3.png 4.png --coverage coverage.png
+      a rig and its images
 """
 
 from __future__ import annotations
@@ -17,10 +21,12 @@ from omnistereo_tools.commands.options import (
     add_grid,
     add_images,
     add_rig,
+    check_typed,
     make_grid,
     read_frame,
     read_masked_rig,
 )
+from omnistereo_tools.outputs import check_outputs
 
 if TYPE_CHECKING:
     import numpy as np
@@ -42,6 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print what is in place and what is not; return 1 if something is wrong."""
+    check_typed(options)
     if options.rig is not None:
         return _check_rig(options)
     from omnistereo_tools.installation import doctor
@@ -61,6 +68,7 @@ def _check_rig(options: argparse.Namespace) -> int:
     from omnistereo_tools.pictures import save_figure
 
     check_suffixes(coverage=options.coverage)
+    check_outputs(options, [options.coverage])
     has_images = options.images is not None or _is_data_set(options.rig)
     rig, images, _ = read_frame(options) if has_images else (read_masked_rig(options), [], None)
     low, high = rig.baselines.min(), rig.baselines.max()
@@ -73,8 +81,9 @@ def _check_rig(options: argparse.Namespace) -> int:
     status = _check_images(options, rig, images) if has_images else 0
     if not has_images:
         _warn_of_doubts(rig, grid.min_depth)
-        print("With --images the poses are checked, too.")
-    if status == 0:
+        print(coverage.left_out(grid))
+        print("With --images the poses are checked, too, and the command for depth is printed.")
+    elif status == 0:
         print(f"{coverage.left_out(grid)} Ready to run:\n{_depth_command(options, grid)}")
     return status
 
@@ -121,8 +130,9 @@ def _check_images(options: argparse.Namespace, rig: Rig, images: Sequence[NDArra
     _warn_of_doubts(rig, grid.min_depth)
     print("Trying the usual mistakes takes about 20 s:", flush=True)
     check = check_rig(rig, images, grid, progress_bar())
+    print("Matching cost of the rig as given, and what it would be with each of these mistakes put right:")
     for hypothesis in (check.given, *check.alternatives[:3]):
-        print(f"{hypothesis.cost:.3f}  {hypothesis.name}")
+        print(f"{hypothesis.cost:.3f}  {'' if hypothesis is check.given else 'if '}{hypothesis.name}")
     print(f"{'OK  ' if check.fits else 'FAIL'}  {check.summary()}")
     return 0 if check.fits else 1
 

@@ -1,13 +1,16 @@
 """Evaluate methods on data sets, as Table II of the paper does, or resume an interrupted evaluation.
 
-example: omnistereo evaluate --sets sunny indoor --methods zncc+sgm sweepnet+sgm --scale teaching
+Examples:
+  omnistereo evaluate --sets sunny indoor --methods zncc+sgm sweepnet+sgm --scale teaching
+      two methods on two of the bundled sets; run it again to resume
 """
 
 import argparse
 from functools import partial
 from pathlib import Path
 
-from omnistereo_tools.commands.options import add_device, add_max_fov
+from omnistereo_tools.commands.options import add_device, add_max_fov, check_typed
+from omnistereo_tools.outputs import check_outputs
 from omnistereo_tools.tiny import is_tiny, shrink
 
 
@@ -26,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_device(parser)
     parser.add_argument("--out", type=Path, help="folder for the results (default: out/evaluation_SCALE)")
     parser.add_argument("--rig", type=Path, help="rig file or folder to use instead of the rigs of the data sets")
+    parser.set_defaults(resumes=True)
 
 
 def run(options: argparse.Namespace) -> None:
@@ -35,11 +39,15 @@ def run(options: argparse.Namespace) -> None:
     from omnistereo_lib.evaluate import SCALES, Evaluation, errors_table, find_sets, select_methods, write_results
     from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
 
+    check_typed(options)
+    out = options.out or Path("out") / f"evaluation_{options.scale}"
+    tables = (out / f"{name}.{suffix}" for name in ("errors", "regions") for suffix in ("txt", "md", "csv"))
+    check_outputs(options, [out / "results.json", *tables], [out / "frames"])
     arguments = {
-        "out": options.out or Path("out") / f"evaluation_{options.scale}",
+        "out": out,
         "scale": shrink(SCALES[options.scale]),
-        "sets": find_sets(options.sets, options.split),
         "methods": select_methods(options.methods, options.ablations),
+        "sets": find_sets(options.sets, options.split),
         "split": options.split,
         "frames": options.frames,
         "weights": options.weights or BUNDLED_WEIGHTS,

@@ -2,14 +2,25 @@
 
 Examples:
   omnistereo live --rig rig.yaml --cameras 0 1 2 3
+      cameras, by their numbers
   omnistereo live --rig rig.yaml --cameras front.mp4 right.mp4 back.mp4 left.mp4
+      videos
 """
 
 import argparse
 import re
 from pathlib import Path
 
-from omnistereo_tools.commands.options import add_device, add_grid, add_rig, make_grid, mask_circles, read_rig
+from omnistereo_lib.errors import check_number
+from omnistereo_tools.commands.options import (
+    add_device,
+    add_grid,
+    add_rig,
+    check_typed,
+    make_grid,
+    mask_circles,
+    read_rig,
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,6 +45,8 @@ def run(options: argparse.Namespace) -> None:
     from omnistereo_tools import live_view
     from omnistereo_tools.masks import with_masks
 
+    check_typed(options)
+    check_number(options.port, "--port", 0, 65535, whole=True)
     count, start, ended = 0, monotonic(), "stopped"
     try:
         print("opening the cameras and computing tables: a few seconds", flush=True)

@@ -1,14 +1,15 @@
 """Export VolumeNet for a rig as ONNX, with a script that runs it without torch.
 
-Example:
+Examples:
   omnistereo onnx --rig rig.yaml --out onnx
-  python onnx/run_onnx.py 1.png 2.png 3.png 4.png
+      then, without torch: python onnx/run_onnx.py 1.png 2.png 3.png 4.png
 """
 
 import argparse
 from pathlib import Path
 
-from omnistereo_tools.commands.options import SAMPLE, add_grid, add_rig, make_grid, read_rig
+from omnistereo_tools.commands.options import SAMPLE, add_grid, add_rig, check_typed, make_grid, read_rig
+from omnistereo_tools.outputs import check_outputs
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,8 +23,11 @@ def run(options: argparse.Namespace) -> None:
     """Write the files and say what they are."""
     import shlex
 
-    from omnistereo_tools.onnx_export import export_onnx
+    from omnistereo_tools.onnx_export import FILES, check_installed, export_onnx
 
+    check_typed(options)
+    check_installed()
+    check_outputs(options, [options.out / name for name in FILES])
     rig = read_rig(options)
     print("exporting takes about 20 s", flush=True)
     written = export_onnx(options.out, rig, make_grid(options, rig))

@@ -63,6 +63,25 @@ def add_device(parser: argparse.ArgumentParser, precision: bool = True) -> None:
         parser.add_argument("--precision", default="auto", choices=["auto", "float32", "bfloat16"])
 
 
+def check_typed(options: argparse.Namespace) -> None:
+    """Raise an `OmnistereoError` if a number, method or device that was typed cannot be; no file is opened."""
+    from omnistereo_lib.geometry.sphere import SphereGrid
+    from omnistereo_lib.rig_files.parse import check_fov
+    from omnistereo_lib.stereo.device import select_device
+    from omnistereo_lib.stereo.methods import Method
+
+    typed = vars(options)
+    if typed.get("method") is not None:
+        Method.parse(options.method)
+    if "device" in typed:
+        select_device(options.device)
+    if typed.get("max_fov") is not None:
+        check_fov(options.max_fov, "max_fov_deg")
+    if "spheres" in typed:
+        phi_deg, min_depth = options.phi or (-45, 45), 1.0 if options.min_depth is None else options.min_depth
+        SphereGrid(options.width, options.height or 2, phi_deg, options.spheres, min_depth)
+
+
 def read_rig(options: argparse.Namespace) -> Rig:
     """Return the rig, and say if it was turned level; an `OmnistereoError` if files are missing or --rig is."""
     from omnistereo_lib.rig_files import load_rig

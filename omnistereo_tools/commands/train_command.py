@@ -1,13 +1,17 @@
 """Train a learned matching cost, or resume an interrupted run.
 
-example: omnistereo train sweepnet --preset teaching --set steps=100
+Examples:
+  omnistereo train sweepnet --preset teaching --set steps=100
+      a hundred steps; run it again to resume
 """
 
 import argparse
+import re
 from pathlib import Path
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_tools.commands.options import add_device
+from omnistereo_tools.commands.options import add_device, check_typed
+from omnistereo_tools.outputs import check_outputs
 from omnistereo_tools.tiny import shrink
 
 
@@ -19,7 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--init-weights", type=Path, metavar="FILE", help="start from trained weights, not random ones")
     parser.add_argument("--data", type=Path, nargs="+", help="data sets, or endless (default: those of the preset)")
     add_device(parser)
-    parser.add_argument("--out", type=Path, help="folder of the run (default: out/NETWORK_PRESET)")
+    parser.add_argument("--out", type=Path, help="folder of the run (default: out/NETWORK_PRESET_SETTINGS)")
+    parser.set_defaults(resumes=True)
 
 
 def run(options: argparse.Namespace) -> None:
@@ -28,12 +33,16 @@ def run(options: argparse.Namespace) -> None:
 
     from omnistereo_lib.stereo.device import number_from_environment
     from omnistereo_lib.train import RECIPES, train
+    from omnistereo_lib.train.loop import LOG, STATE, WEIGHTS
 
+    check_typed(options)
     presets = RECIPES[options.network]
     if options.preset not in presets:
         raise OmnistereoError(f"{options.network} has the presets {', '.join(presets)}, not {options.preset!r}")
     recipe = shrink(presets[options.preset].with_overrides(options.set))
-    out = options.out or Path("out") / f"{options.network}_{options.preset}"
+    named = "_".join([options.network, options.preset, *sorted(options.set)])
+    out = options.out or Path("out") / re.sub(r"[^\w.,=+-]", "-", named)
+    check_outputs(options, [out / name for name in (LOG, STATE, WEIGHTS)])
     rank, _, _ = (number_from_environment(name, 0) for name in ("RANK", "LOCAL_RANK", "WORLD_SIZE"))  # of torchrun
     first_process = rank == 0  # the one that prints
     bar = None

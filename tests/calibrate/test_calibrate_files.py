@@ -1,6 +1,7 @@
 """Calibration from files to files: captures in folders, the shipped sets, the command line, other programs' forms."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -231,6 +232,16 @@ def detected(tmp_path_factory):
         views = {f"{k:04d}": corners for k, corners in enumerate(row)}
         save_corners(folder / f"corners_cam{i}.yaml", views, BOARD, SIZE)
     return folder
+
+
+def test_corners_that_are_read_stay_as_they_are(detected, tmp_path):
+    """As after a run whose corners were edited."""
+    folder = shutil.copytree(detected, tmp_path / "rig")
+    arguments = ["calibrate", str(folder), "--corners", str(folder), "--board", "12x10", "--square", "0.06"]
+    before = {path: path.read_bytes() for path in folder.iterdir()}
+    for _ in range(2):  # twice in a row
+        assert cli.main([*arguments, "--degree", "4", "--out", str(folder)]) == 0
+        assert {path: path.read_bytes() for path in before} == before and (folder / "config.yaml").exists()
 
 
 def test_a_rig_from_corners_on_file(detected, tmp_path, capsys):

@@ -133,6 +133,16 @@ def test_16_bit_png_comes_back_within_a_step(recorded, done, tmp_path):
     np.testing.assert_allclose(frames[1].inverse_depth, np.nan_to_num(exact[1].inverse_depth), atol=0.6 / 65500 / 0.6)
 
 
+@pytest.mark.parametrize("out", [["--out", "drive"], []], ids=["relative", "default"])
+def test_a_recording_beside_its_pictures_twice_in_a_row(recorded, tmp_path, monkeypatch, out):
+    """As it is typed: with relative paths."""
+    monkeypatch.chdir(shutil.copytree(recorded, tmp_path / "here"))
+    command = ["depth", "--rig", "rig.yaml", "--images", "view1", "view2", "view3", "view4", *SMALL, "--stop", 2, *out]
+    for _ in range(2):
+        assert run(*command) == 0
+        assert len(osl.load_dataset(out[1] if out else "out/depth_rig")) == 1
+
+
 def test_resumed_it_is_the_same_and_no_frame_is_computed_again(recorded, done, tmp_path):
     """`tests/test_kills.py` kills it at any moment; here it is seen that no frame is computed again."""
     out = tmp_path / "out"

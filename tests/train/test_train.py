@@ -286,7 +286,7 @@ def test_bad_recipes(data, tmp_path, monkeypatch):
     with refused("expected positive_px < negative_low_px"):
         replace(MCCNN, negative_low_px=0.1)
     monkeypatch.setenv("WORLD_SIZE", "3")
-    with refused("frames_per_step = 2 is not divisible by 3 processes"):
+    with refused("is not divisible by 3 processes; expected 1 or 2 of them. .* --set frames_per_step=3$"):
         losses(SWEEPNET, tmp_path, data)
 
 
@@ -319,6 +319,16 @@ def test_the_command_line(data, tmp_path, capsys):
     assert cli.main(["train", "mccnn", "--set", "steps=many"]) == 2
     assert "steps=many: 'many'; expected int" in capsys.readouterr().err
     assert osl.MCCNN.from_file(tmp_path / "out" / WEIGHTS).variant == "fast"
+
+
+def test_runs_with_other_settings_have_other_default_folders(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    folders = []
+    monkeypatch.setattr("omnistereo_lib.train.train", lambda recipe, out, *_, **__: folders.append(str(out)))
+    for settings in ([], ["--set", "worlds=sunny things", "steps=9"], ["--set", "steps=9", "worlds=sunny things"]):
+        assert cli.main(["train", "mccnn", *settings]) == 0
+    other = "out/mccnn_teaching_steps=9_worlds=sunny-things"
+    assert folders == ["out/mccnn_teaching", other, other]
 
 
 def test_a_folder_in_the_place_of_the_state_is_refused_before_the_first_step(data, tmp_path):

@@ -1,0 +1,74 @@
+"""Nothing that a command reads is written over: each passes what it will write to `check_outputs`, before any work."""
+
+import argparse
+import os
+import re
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from pathlib import Path
+
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.files import read_text
+
+_PICTURES = ("png", "jpg", "jpeg", "bmp", "pgm", "webp")
+_READ = {  # options that name files, or a folder of which these are read
+    "images": ["*"],
+    "masks": [],
+    "cameras": [],
+    "folder": [f"{depth}*.{suffix}" for depth in ("", "*/") for suffix in _PICTURES],
+    "board": [],
+    "corners": ["corners_*.yaml"],
+    "weights": ["*.safetensors"],
+    "init_weights": [],
+}
+_SETS = ("rig", "sets", "data")  # options that name rig files, folders of one, or data sets
+_TEXTS = (".yaml", ".yml", ".json", ".txt", ".xml")
+_IMAGES_OF_SETS = [f"{depth}{folder}/*" for depth in ("", "*/", "*/*/") for folder in ("cam[0-9]*", "*depth_*")]
+
+
+def check_outputs(options: argparse.Namespace, files: Iterable[Path | None], folders: Iterable[Path] = ()) -> None:
+    """Raise an `OmnistereoError` if a command would write over a file that its options name, by whatever path.
+
+    Args:
+        files: Files that will be written; None: not asked for.
+        folders: Folders that will be filled: none of what is read may be in them.
+    """
+    targets = [*filter(None, files), *folders]
+    if not any(target.exists() for target in targets):
+        return
+    read = [path for path in _files_read(options) if path.is_file()]
+    known = {_identity(path): path for path in read}
+    known |= {_identity(folder): path for path in read for folder in (path.parent, path.resolve().parent)}
+    for target in targets:
+        if target.exists() and _identity(target) in known:
+            found = known[_identity(target)]
+            raise OmnistereoError(f"{found} is read, and writing {target} would write over it. Choose another name.")
+
+
+def _identity(path: Path) -> tuple[int, int]:
+    """Return what is the same for all names of a file or folder."""
+    status = path.stat()
+    return status.st_dev, status.st_ino
+
+
+def _files_read(options: argparse.Namespace) -> Iterator[Path]:
+    """Yield the files that the options name, or that lie in folders that they name."""
+    for name, patterns in _READ.items():
+        for path in _paths(options, name):
+            yield path
+            for pattern in patterns:
+                yield from path.glob(pattern)
+    for path in (path for name in _SETS for path in _paths(options, name)):
+        texts = [path] if not path.is_dir() else [file for file in path.glob("*") if file.suffix.lower() in _TEXTS]
+        yield from texts
+        for text in texts:  # its masks
+            with suppress(OmnistereoError, OSError):
+                words = re.findall(r"[^\s\"',:\[\]{}]+", read_text(text))
+                yield from (text.parent / word for word in set(words) if os.path.isfile(text.parent / word))
+        for pattern in _IMAGES_OF_SETS if path.is_dir() else ():
+            yield from path.glob(pattern)
+
+
+def _paths(options: argparse.Namespace, name: str) -> list[Path]:
+    value = getattr(options, name, None)
+    return [Path(one) for one in (value if isinstance(value, list) else [value]) if one is not None]

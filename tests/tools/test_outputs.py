@@ -1,0 +1,81 @@
+"""Nothing that a command reads is written over, whatever its names: each option that writes is tried."""
+
+import argparse
+import os
+from pathlib import Path
+
+import pytest
+
+from omnistereo_tools import cli
+from omnistereo_tools.outputs import _READ, _SETS
+
+WRITES = ("out", "mesh", "equirectangular", "crops", "video", "coverage")
+FILES = {
+    "rig.yaml": "cameras: [{invalid_mask: dark.png}]",
+    **dict.fromkeys(("1.ply", "1.tiff", "2.png", "3.png", "4.png", "dark.png", "overview.png", "mask.png"), "image"),
+    **dict.fromkeys(("data/points.png", "crops/images/1.png", "crops/transforms.json"), "image"),
+    **dict.fromkeys(("front.mp4", "back.mp4", "drive/cam1/1.png", "drive/cam2/1.png", "drive/video/1.png"), "image"),
+    "drive/config.yaml": "cameras: []",
+    "drive/recording.json": "{}",
+    "set/config.yaml": "dataset: {truth: ../truth}",
+    **dict.fromkeys(("set/cam1/1.png", "set/cam2/1.png", "set/omnidepth_gt_640/1.tiff"), "image"),
+    **dict.fromkeys(("boards/cam1/1.png", "boards/cam2/1.png", "rig/config.yaml", "rig/report.txt"), "image"),
+    **dict.fromkeys(("run/weights.safetensors", "tables/results.json", "network/run_onnx.py"), "text"),
+}
+FRAME = "depth --rig rig.yaml --images 1.tiff 2.png 3.png"
+BOARDS = "calibrate boards --square 0.1 --board 5x4"
+COMMANDS = [
+    f"{FRAME} --equirectangular 1.tiff",
+    f"{FRAME} --equirectangular linked.tiff",
+    f"{FRAME} --equirectangular same.tiff",
+    f"{FRAME} --equirectangular set/../1.tiff",
+    "depth --rig rig.yaml --images 1.ply 2.png --mesh 1.ply",
+    "depth --rig rig.yaml --images overview.png 2.png --out .",
+    "depth --rig rig.yaml --images data/points.png 2.png --out .",
+    "depth --rig rig.yaml --images crops/images/1.png 2.png --crops crops",
+    "depth --rig crops/transforms.json --images 1.tiff 2.png --crops crops",
+    "depth --rig set --equirectangular set/omnidepth_gt_640/1.tiff",
+    "depth --rig rig.yaml --images front.mp4 back.mp4 --video front.mp4",
+    "depth --rig rig.yaml --images drive/cam1 drive/cam2 --out drive",
+    "depth --rig rig.yaml --images drive/video front.mp4 --out drive",
+    "depth --rig drive/config.yaml --images front.mp4 back.mp4 --out drive",
+    "doctor --rig rig.yaml --coverage dark.png",
+    "doctor --rig rig.yaml --images 2.png 3.png --masks mask.png 4.png --coverage mask.png",
+    "doctor --rig set --coverage set/cam1/1.png",
+    f"{BOARDS} --out boards",
+    f"{BOARDS} --out boards/cam1",
+    f"{BOARDS} --out rig --rig rig/config.yaml",
+    "calibrate boards --board rig/config.yaml --out rig",
+    "train volumenet --init-weights run/weights.safetensors --out run",
+    "evaluate --sets set --rig tables/results.json --out tables",
+    "onnx --rig network/run_onnx.py --out network",
+]
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    for name, text in FILES.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    (tmp_path / "linked.tiff").symlink_to("1.tiff")
+    os.link(tmp_path / "1.tiff", tmp_path / "same.tiff")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_what_is_read_is_not_written_over(folder, capsys, command):
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    assert cli.main(command.split()) == 2
+    said = capsys.readouterr().err
+    assert "would write over it" in said or "would be read as images" in said
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+
+
+def test_every_option_that_is_a_path_is_read_or_tried_here():
+    paths = set()
+    for module in cli.COMMANDS.values():
+        module.add_arguments(parser := argparse.ArgumentParser())
+        paths |= {action.dest for action in parser._actions if action.type is Path}
+    assert paths == {*_READ, *_SETS, *WRITES} - {"cameras", "board", "sets"}  # these may be no files
+    assert all(any(f" --{name} " in command for command in COMMANDS) for name in WRITES)
