@@ -34,6 +34,7 @@ from omnistereo_tools.tiny import shrink
 
 # Of libraries whose errors have no type in common.
 _EXHAUSTED = re.compile(r"can't start new thread|(allocate|insufficient|out of) memory|CUDA error", re.IGNORECASE)
+_ABOUT = "Depth panoramas from a rig of fisheye cameras."
 COMMANDS = {
     "demo": demo_command,
     "depth": depth_command,
@@ -67,8 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         stop = error if isinstance(error, KeyboardInterrupt) else error.__cause__
         if not isinstance(stop, KeyboardInterrupt):
             raise
-        resumes = "; run the same command to resume" if getattr(options, "resumes", False) else ""
-        return _stop(f"interrupted{resumes}", 143 if isinstance(stop, _Terminated) else 130)
+        return _interrupted(options, stop)
     except OSError as error:
         if error.filename is None:  # it is the output; what it has not taken would fail again at exit
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -131,6 +131,11 @@ def _stop(line: str, status: int) -> int:
     return status
 
 
+def _interrupted(options: argparse.Namespace, stop: KeyboardInterrupt) -> int:
+    resumes = "; run the same command to resume" if getattr(options, "resumes", False) else ""
+    return _stop(f"interrupted{resumes}", 143 if isinstance(stop, _Terminated) else 130)
+
+
 class _Parser(argparse.ArgumentParser):
     """A parser whose errors are not as long as what it was given."""
 
@@ -140,9 +145,7 @@ class _Parser(argparse.ArgumentParser):
 
 def _parse(arguments: list[str]) -> argparse.Namespace:
     """Parse a command; without one print the help, and for a wrong name propose one that is similar."""
-    parser = _Parser(
-        prog="omnistereo", description="Depth panoramas from a rig of fisheye cameras.", epilog=EXIT_STATUS
-    )
+    parser = _Parser(prog="omnistereo", description=_ABOUT, epilog=EXIT_STATUS)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for name, module in COMMANDS.items():
         command = commands.add_parser(

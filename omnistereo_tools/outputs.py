@@ -8,7 +8,6 @@ from contextlib import suppress
 from pathlib import Path
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import read_text
 
 _PICTURES = ("png", "jpg", "jpeg", "bmp", "pgm", "webp")
 _READ = {  # options that name files, or a folder of which these are read
@@ -53,6 +52,8 @@ def _identity(path: Path) -> tuple[int, int]:
 
 def _files_read(options: argparse.Namespace) -> Iterator[Path]:
     """Yield the files that the options name, or that lie in folders that they name."""
+    from omnistereo_lib.files import read_text
+
     for name, patterns in _READ.items():
         for path in _paths(options, name):
             yield path

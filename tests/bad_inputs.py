@@ -226,9 +226,9 @@ COMMANDS = [
     Row("a recording whose last picture is torn", RECORDING, r"cam2.0002.png is truncated", torn_later),
     Row("every 0th frame", RECORDING + "--step 0", "the step is 0; expected --step of at least 1"),
     Row("a start below 0", RECORDING + "--start -5", "the first frame is -5; expected --start of at least 0"),
-    Row("a recording over its pictures", RECORDING + "--out DATA", "cam1.* is read, and writing .*cam1 would"),
+    Row("a recording over its pictures", RECORDING + "--out DATA", "config.yaml is read, and writing .*config.yaml"),
     Row("a recording over a rig file", RECORDING.replace("cam", "view") + "--out DATA",
-        "holds a config.yaml but no recording.json; expected a new folder", folders_of_other_names),
+        "config.yaml is read, and writing .*config.yaml", folders_of_other_names),
     Row("a video below a file", RECORDING + "--video RIG/a.mp4", r"config.yaml cannot be made or written to"),
     *(Row(f"a recording with --{option.split()[0]}", f"{RECORDING}--{option}",
           f"--{option.split()[0]} is for one frame; --images are folders or videos")

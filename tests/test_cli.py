@@ -165,7 +165,7 @@ def test_doctor_of_a_folder_that_holds_a_rig_alone(data, tmp_path, capsys):
     (tmp_path / "rig").mkdir()
     (data / "config.yaml").rename(tmp_path / "rig" / "config.yaml")
     assert run("doctor", "--rig", tmp_path / "rig") == 0
-    assert "With --images the poses are checked, too." in capsys.readouterr().out
+    assert "With --images the poses are checked, too" in capsys.readouterr().out
 
 
 def test_doctor_of_the_same_picture_twice(data, capsys):

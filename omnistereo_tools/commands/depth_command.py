@@ -85,8 +85,7 @@ def run(options: argparse.Namespace) -> None:
     from omnistereo_tools.sources import is_recording
 
     check_typed(options)
-    if options.out is None:  # a rig of one's own never overwrites the sample's results
-        options.out = Path("out") if options.rig is None else Path("out", f"depth_{_name_of(options.rig.resolve())}")
+    options.out = options.out or _default_out(options.rig)
     if options.images is not None and is_recording(options.images):
         _refuse(options, _OF_FRAMES, "one frame; --images are folders or videos")
         _run_recording(options)
@@ -95,11 +94,14 @@ def run(options: argparse.Namespace) -> None:
         _run_frame(options)
 
 
-def _name_of(rig: Path) -> str:
-    """Return a name of a rig file or data set that others do not have."""
+def _default_out(rig: Path | None) -> Path:
+    """Return a folder for the results of a rig, so that no rig overwrites those of another, or of the sample."""
+    if rig is None:
+        return Path("out")
+    rig = rig.resolve()
     if rig.name in ("train", "test"):
-        return f"{rig.parent.name}-{rig.name}"
-    return rig.parent.name if rig.stem in _SHARED and rig.suffix else rig.stem
+        return Path("out", f"depth_{rig.parent.name}-{rig.name}")
+    return Path("out", f"depth_{rig.parent.name if rig.stem in _SHARED and rig.suffix else rig.stem}")
 
 
 def _refuse(options: argparse.Namespace, names: Sequence[str], purpose: str) -> None:
@@ -119,13 +121,7 @@ def _run_frame(options: argparse.Namespace) -> None:
     from omnistereo_tools.points import Limits
 
     _check_frame_options(options)
-    out, crops = options.out, options.crops
-    files = [out / "overview.png", out / "index.html", options.mesh, options.equirectangular]
-    folders = [out / "data"]
-    if crops is not None:
-        files.append(crops / "transforms.json")
-        folders += [crops / "images", crops / "depth", crops / "masks"]
-    check_outputs(options, files, folders)
+    _check_frame_outputs(options)
     rig, images, frame = read_frame(options)
     grid = _choose_grid(options, rig, images)
     gt_index = None if frame is None else frame.gt_index(grid)  # fail fast: read the ground truth, make the folders
@@ -166,6 +162,17 @@ def _check_frame_options(options: argparse.Namespace) -> None:
         check_number(options.mesh_faces, "--mesh-faces", 1, 10**9, whole=True)
         if options.mesh is None:
             raise OmnistereoError("--mesh-faces decimates a mesh; found no --mesh. Add --mesh FILE, or leave it out.")
+
+
+def _check_frame_outputs(options: argparse.Namespace) -> None:
+    """Raise an `OmnistereoError` if a file of the results would replace one that is read."""
+    out, crops = options.out, options.crops
+    files = [out / "overview.png", out / "index.html", options.mesh, options.equirectangular]
+    folders = [out / "data"]
+    if crops is not None:
+        files.append(crops / "transforms.json")
+        folders += [crops / "images", crops / "depth", crops / "masks"]
+    check_outputs(options, files, folders)
 
 
 def _choose_grid(options: argparse.Namespace, rig: Rig, images: Sequence[NDArray[np.uint8]]) -> SphereGrid:
