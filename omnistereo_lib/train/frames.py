@@ -95,7 +95,7 @@ class SweptFrames(TrainingFrames):
 
     def __init__(self, recipe: Recipe, data: Folders, device: torch.device | str) -> None:
         super().__init__(recipe, data)
-        self.device = device
+        self.device = torch.device(device)
         self._forget()
 
     def _forget(self) -> None:
@@ -112,8 +112,10 @@ class SweptFrames(TrainingFrames):
 
     def use(self, frame: Frame | EndlessFrame) -> NDArray[np.float32]:
         """Select the rig of a frame; return its ground-truth sphere index, not rounded, (H, W), kept for later."""
-        grid = self.grid_of(frame.rig.min_depth)
-        self.sweep = self._sweeps.pop(frame.rig, None) or SphereSweep(frame.rig, grid, device=self.device)
+        if frame.rig not in self._sweeps:
+            assert frame.rig.min_depth is not None  # the constructor refuses others
+            self._sweeps[frame.rig] = SphereSweep(frame.rig, self.grid_of(frame.rig.min_depth), device=self.device)
+        self.sweep = self._sweeps.pop(frame.rig)
         self._sweeps = dict([*self._sweeps.items(), (frame.rig, self.sweep)][-_SWEEPS:])
         self.grid, self.rays = self.sweep.grid, self.sweep.grid.rays()
         self.pairs = camera_pairs("ring", self.sweep.rig)
