@@ -95,7 +95,7 @@ class SweptFrames(TrainingFrames):
 
     def __init__(self, recipe: Recipe, data: Folders, device: torch.device | str) -> None:
         super().__init__(recipe, data)
-        self.device = torch.device(device)
+        self._sweep_device = device
         self._forget()
 
     def _forget(self) -> None:
@@ -114,7 +114,9 @@ class SweptFrames(TrainingFrames):
         """Select the rig of a frame; return its ground-truth sphere index, not rounded, (H, W), kept for later."""
         if frame.rig not in self._sweeps:
             assert frame.rig.min_depth is not None  # the constructor refuses others
-            self._sweeps[frame.rig] = SphereSweep(frame.rig, self.grid_of(frame.rig.min_depth), device=self.device)
+            self._sweeps[frame.rig] = SphereSweep(
+                frame.rig, self.grid_of(frame.rig.min_depth), device=self._sweep_device
+            )
         self.sweep = self._sweeps.pop(frame.rig)
         self._sweeps = dict([*self._sweeps.items(), (frame.rig, self.sweep)][-_SWEEPS:])
         self.grid, self.rays = self.sweep.grid, self.sweep.grid.rays()

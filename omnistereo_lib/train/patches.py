@@ -37,6 +37,7 @@ class PatchSamples(SweptFrames):
 
     def __init__(self, recipe: MCCNNRecipe, data: Folders, device: torch.device | str = "cpu") -> None:
         super().__init__(recipe, data, "cpu")  # patches are cut out here, and compared on the device
+        self.device = torch.device(device)
         self.network = MCCNN(recipe.variant)
         self.network.check_size(recipe.height, recipe.width)
         self.objective: nn.Module = (
