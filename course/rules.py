@@ -22,7 +22,7 @@ from course import nbtools
 FACTS = {"title": str, "learn": str, "needs": str, "minutes_to_read": int, "budget_s": int}
 MAX_BUDGET_S = 60
 MAX_BYTES = 800_000
-MAX_CELL_LINES, MAX_MEDIAN_LINES, MAX_LINES = 30, 10, 330
+MAX_CELL_LINES, MAX_MEDIAN_LINES, MAX_LINES = 30, 10, 370
 OPENING = re.compile(r"# .+\*\*You will\*\* .+\*\*Before you start:\*\* .+\*\*Next:\*\* ", re.DOTALL)
 CLOSING = ["## Exercises", "## Common errors", "## Takeaways", "## Further reading"]
 EXERCISE = re.compile(r"^\*\*\d\db?\.\d+(?: \(([\w -]+)\))?\.\*\*", re.MULTILINE)  # **03.1 (warm-up).**
