@@ -166,6 +166,42 @@ def board_triangle() -> Figure:
     return fig
 
 
+def line_of_sight() -> Figure:
+    """Where a camera's image of a thing appears on two spheres with the right pose, and on one with a wrong pose."""
+    fig, axes = _canvas(10, 3.9, 2)
+    camera, far, near, thing_deg, arc = np.array([1.0, 0.0]), 3.4, 2.1, 62, np.radians(np.linspace(20, 110, 90))
+    thing = far * np.array([np.cos(np.radians(thing_deg)), np.sin(np.radians(thing_deg))])
+
+    def meets(turn_deg: float, radius: float) -> NDArray:
+        """Where the line of sight, rotated about the camera, meets a sphere."""
+        c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
+        along = np.array([[c, -s], [s, c]]) @ (thing - camera) / np.hypot(*(thing - camera))
+        b = camera @ along
+        return camera + along * (-b + np.sqrt(b**2 - camera @ camera + radius**2))
+
+    for ax, turn_deg, end, name, title in (
+        (axes[0], 0, meets(0, near), "p", "right pose, true sphere and next sphere"),
+        (axes[1], 16, meets(16, far), "e", "wrong pose, true sphere"),
+    ):
+        for radius in (far, near):
+            ax.plot(radius * np.cos(arc), radius * np.sin(arc), color=SPHERE, lw=1.2)
+        _line(ax, (0, 0), tuple(thing), color="0.3", lw=1, ls=":")
+        _line(ax, (0, 0), tuple(end), color=POINT, lw=1, ls=":")
+        _line(ax, tuple(camera), tuple(meets(turn_deg, far)), color=FIRST, lw=1.6)
+        ax.plot(*thing, "s", color="0.3", ms=9)
+        ax.plot(*end, "o", color=POINT, ms=7, zorder=4)
+        end_deg = np.degrees(np.arctan2(end[1], end[0]))
+        between = np.radians(np.linspace(thing_deg, end_deg, 30))
+        ax.plot(1.45 * np.cos(between), 1.45 * np.sin(between), color=POINT, lw=2)
+        middle = np.radians((thing_deg + end_deg) / 2)
+        ax.text(1.2 * np.cos(middle), 1.2 * np.sin(middle), name, color=POINT, fontsize=14, ha="center", va="center")
+        _camera(ax, tuple(camera), "camera", FIRST)
+        ax.plot(0, 0, "k+", ms=12)
+        ax.annotate("sweep centre", (0, 0), (0, -14), textcoords="offset points", ha="center", va="center")
+        ax.set(xlim=(-1.9, 3.6), ylim=(-0.4, 3.8), title=title)
+    return fig
+
+
 def shift_along_parallax() -> Figure:
     """Where two images show one thing on the panorama with a wrong pose, and how far a change of sphere moves them."""
     fig, (ax,) = _canvas(9, 3.2)
@@ -503,8 +539,8 @@ def board_rays() -> Figure:
         corner = origin + 0.62 * k * along
         _line(ax, (0, 0), tuple(corner), color=SPHERE, lw=1)
         ax.plot(*corner, "o", color="0.3", ms=6)
-        _arrow(ax, (0, 0), tuple(0.8 * corner / np.hypot(*corner)), FIRST)
-    ax.text(0.85, 0.2, "rays b, of length 1", color=FIRST)
+        _arrow(ax, (0, 0), tuple(corner / np.hypot(*corner)), FIRST)
+    ax.text(1.05, 0.25, "rays b, of length 1", color=FIRST)
     _arrow(ax, (0, 0), tuple(origin), POINT)
     ax.text(-0.75, 1.0, "t", color=POINT, fontsize=13)
     side, last = origin + np.array([0.1, 0.25]), origin + 3.1 * along

@@ -48,7 +48,10 @@ def draw_error_directions(ax: Axes, report: CameraReport) -> None:
     residuals = np.concatenate(list(report.residuals_used().values()))
     direction = np.degrees(np.arctan2(residuals[:, 1], residuals[:, 0]))
     known = np.isfinite(direction)
-    ax.scatter(*corners[known].T, c=direction[known], cmap="twilight", vmin=-180, vmax=180, s=9, linewidths=0)
+    colors = {"cmap": "twilight", "vmin": -180, "vmax": 180}
+    dots = ax.scatter(*corners[known].T, c=direction[known], s=9, linewidths=0, **colors)
+    bar = ax.figure.colorbar(dots, ax=ax, fraction=0.04)
+    bar.set_ticks(range(-180, 181, 90), labels=["left", "up", "right", "down", "left"])
     _frame_of_image(ax, report, "direction of the error")
 
 
