@@ -37,7 +37,7 @@ def connect(address: str) -> Client:
     try:
         from dask.distributed import Client
     except ImportError:
-        raise OmnistereoError("--cluster needs Dask: pip install 'omnistereo-lib[distributed]'") from None
+        raise OmnistereoError("--cluster needs Dask: in the clone, .venv/bin/pip install -e '.[distributed]'") from None
     try:
         logging.getLogger("distributed.client").setLevel(
             logging.CRITICAL

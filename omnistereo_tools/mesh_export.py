@@ -71,7 +71,7 @@ def make_mesh(depth: Depth, limits: Limits, faces: int | None = None) -> Trimesh
     try:
         import trimesh
     except ImportError:
-        raise OmnistereoError("a mesh needs trimesh: pip install 'omnistereo-lib[tools]'") from None
+        raise OmnistereoError("a mesh needs trimesh: in the clone, .venv/bin/pip install -e '.[tools]'") from None
     distance = np.where(limits.keep(depth), depth.depth, np.nan)
     points = depth.grid.rays() * distance[..., None]
     corners = _triangles(distance, depth.index)

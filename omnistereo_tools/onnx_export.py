@@ -34,7 +34,7 @@ def check_installed() -> None:
     try:
         import onnx  # noqa: F401
     except ImportError:
-        raise OmnistereoError("an export needs onnx: pip install 'omnistereo-lib[onnx]'") from None
+        raise OmnistereoError("an export needs onnx: in the clone, .venv/bin/pip install -e '.[onnx]'") from None
 
 
 def export_onnx(out: Path, rig: Rig, grid: SphereGrid, network: VolumeNet | None = None) -> list[str]:

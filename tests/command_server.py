@@ -1,8 +1,8 @@
 """Runs commands in processes of their own without importing the library for each: `python command_server.py`.
 
 It imports the library once, with what commands load later, and then forks. Each line on its standard input is JSON,
-[command line, log file]. It answers "NUMBER started", the number of the process, and "NUMBER STATUS" when that one has
-ended. So a test that kills a hundred commands does not import torch a hundred times.
+[command line, log file, folder to run in]. It answers "NUMBER started", the number of the process, and "NUMBER STATUS"
+when that one has ended. So a test that runs a hundred commands does not import torch a hundred times.
 """
 
 import json
@@ -33,14 +33,15 @@ def run(command):
     if command[0] == "render":
         replace_blender(operator.setitem, setattr)
         return render.main(command[1:])
-    if command[0] != "train":
+    if command[0] != "recipe":
         return cli.main(command)
     train(MCCNNRecipe(**json.loads(command[2])), command[3], command[1], checkpoint_s=0)
     return 0
 
 
-def child(command, log):
-    """Run a command with the output in a log file; return its exit status."""
+def child(command, log, folder):
+    """Run a command in a folder, with the output in a log file; return its exit status."""
+    os.chdir(folder)
     os.dup2(os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600), 1)
     os.dup2(1, 2)
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -48,6 +49,8 @@ def child(command, log):
         status = run(command)
     except KeyboardInterrupt:
         status = 130
+    except SystemExit as stop:
+        status = stop.code or 0
     except BaseException:
         traceback.print_exc()
         status = 99
@@ -68,10 +71,10 @@ def main():
     torch.set_num_threads(1)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a terminal in which the tests are interrupted
     for line in sys.stdin:
-        command, log = json.loads(line)
+        command, log, folder = json.loads(line)
         number = os.fork()
         if number == 0:
-            os._exit(child(command, Path(log)))
+            os._exit(child(command, Path(log).resolve(), folder))
         os.write(1, f"{number} started\n".encode())
         threading.Thread(target=wait, args=(number,), daemon=True).start()
 

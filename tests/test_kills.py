@@ -8,18 +8,15 @@ import io
 import json
 import os
 import random
-import re
 import signal
-import subprocess
-import sys
 import time
 from contextlib import suppress
-from pathlib import Path
 
 import boards
 import numpy as np
 import pytest
 import scene
+from served_commands import Server
 
 import omnistereo_lib as osl
 from omnistereo_lib.calibrate.captures import save_corners
@@ -40,27 +37,10 @@ RECIPE = {
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="Windows has neither fork nor these signals")
 
 
-class Server:
-    """Starts commands, each in a process of its own; see `command_server`."""
+class Killer(Server):
+    """A server that sends signals to what it has started."""
 
-    def __init__(self, folder):
-        self.folder, self.started, self.ended, self.rng = folder, [], {}, random.Random(KILLS)
-        command = [sys.executable, str(Path(__file__).with_name("command_server.py"))]
-        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-
-    def start(self, *arguments):
-        line = json.dumps([[str(word) for word in arguments], str(self.folder / "log.txt")])
-        self.process.stdin.write(line + "\n")
-        self.process.stdin.flush()
-        while not self.started:
-            self._listen()
-        return self.started.pop()
-
-    def wait(self, number):
-        """Return the exit status of a process when it ends; below 0 the signal that ended it."""
-        while number not in self.ended:
-            self._listen()
-        return self.ended.pop(number)
+    rng = random.Random(KILLS)
 
     def kill(self, number):
         """Send a signal, if the process still runs, and return its exit status."""
@@ -68,31 +48,12 @@ class Server:
             os.kill(number, self.rng.choice(SIGNALS))
         return self.wait(number)
 
-    def _listen(self):
-        number, said = self.process.stdout.readline().split()
-        if said == "started":
-            self.started.append(int(number))
-        else:
-            self.ended[int(number)] = int(said)
-
-    def run(self, *arguments):
-        return self.wait(self.start(*arguments))
-
-    def log(self):
-        return (self.folder / "log.txt").read_text(errors="replace")
-
-    def tracebacks(self):
-        """Return what the commands did not foresee: Python itself shows a Ctrl-C that came within a destructor."""
-        shown = r"Exception ignored in: .*\nTraceback .*\n(?: .*\n)+KeyboardInterrupt"
-        return re.findall("Traceback .*", re.sub(shown, "", self.log()))
-
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory):
-    server = Server(tmp_path_factory.mktemp("server"))
+    server = Killer(tmp_path_factory.mktemp("server"))
     yield server
-    server.process.stdin.close()
-    server.process.wait()
+    server.close()
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +88,7 @@ def command(request, data, corners):
         "evaluate": ["evaluate", "--sets", data, "--methods", "zncc", "zncc+sgm", "--out"],
         "render": ["render", "sunny/test", "--frames", *range(701, 741), "--out"],
     }
-    train = ["train", data, json.dumps(RECIPE)]
+    train = ["recipe", data, json.dumps(RECIPE)]
     return lambda out: [*(train if request.param == "train" else lines[request.param]), out]
 
 
