@@ -22,9 +22,10 @@ from typing import Any
 
 import nbformat
 import numpy as np
+import torch
 
 from course import exercises, nbtools, student
-from course.exercises.compare import CASES, NOT_WRITTEN, RIGHT, diagnose
+from course.exercises.opened import NOT_WRITTEN, RIGHT, Open
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, make_folder, read_bytes
 
@@ -49,10 +50,10 @@ class Exercise:
     checker: str  #: where it is, below `course.exercises`
     function: str  #: its name
 
-    def cases(self, seed: int = 0) -> Iterator[tuple]:
-        """Yield the checker's cases: inputs, right value, and the known mistakes with their hints."""
-        checker = resolve_name(f"course.exercises.{self.checker}")
-        return (checker.case(k, seed) for k in range(CASES))
+    @property
+    def open(self) -> Open:
+        """The checker itself."""
+        return resolve_name(f"course.exercises.{self.checker}")
 
 
 def exercises_of(nb: nbformat.NotebookNode) -> list[Exercise]:
@@ -131,9 +132,9 @@ def judge(exercise: Exercise, seed: int, answers: dict[Any, Any], stopped: str) 
     if exercise.function not in answers:
         missing = f"there is no function {exercise.function}"
         return {"status": "not judged", "said": stopped} if stopped else {"status": "not tried", "said": missing}
-    said = diagnose(repeat(answers[exercise.function]), exercise.cases(seed))
+    said = exercise.open.check(repeat(answers[exercise.function]), seed)
     status = "not tried" if said.startswith(NOT_WRITTEN) else "right" if said == RIGHT else "wrong"
-    return {"status": status, "said": printable(said)}
+    return {"status": status, "said": printable(" ".join(said.split()))}
 
 
 def repeat(replies: Any) -> Callable:
@@ -145,9 +146,12 @@ def repeat(replies: Any) -> Callable:
         if "error" in reply:  # by its name, but as an exception of no other use
             raise type(reply["error"], (Exception,), {"__module__": "builtins"})(reply["text"])
         for argument, after in zip(arguments, reply["arguments"], strict=True):
-            if isinstance(argument, np.ndarray):
-                argument[...] = json.loads(after)
+            array = argument.detach().numpy() if hasattr(argument, "detach") else argument
+            if isinstance(array, np.ndarray):
+                array[...] = json.loads(after)
         value = json.loads(reply["value"])
+        if reply.get("differentiable"):
+            return torch.tensor(value, dtype=torch.float64, requires_grad=True)
         return type(value["type"], (), {})() if isinstance(value, dict) and "type" in value else value
 
     return answer

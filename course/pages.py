@@ -65,7 +65,7 @@ def mistakes() -> str:
 
 def hints(exercise: handin.Exercise) -> Iterator[str]:
     """Yield what an exercise's checker says of each mistake that it knows, once."""
-    said = (hint for _, hint in next(exercise.cases())[2])
+    said = (hint for _, hint in exercise.open.slips)
     yield from (re.sub(r"([*_`])", r"\\\1", html.escape(hint, quote=False)) for hint in dict.fromkeys(said))
 
 

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 import psutil
 
-from course.exercises.compare import CASES
+from course.exercises.compare import CASES, where
 from course.exercises.opened import Open
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Pose
@@ -194,7 +194,7 @@ def main() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (MAX_FILE_BYTES, MAX_FILE_BYTES))
     shell = InteractiveShell.instance(config=Config(HistoryManager={"enabled": False}))
     shell.showtraceback = shell.showsyntaxerror = lambda *_, **__: None
-    cases = {name: resolve_name(f"course.exercises.{checker}").case for name, checker in task["exercises"].items()}
+    opened = {name: resolve_name(f"course.exercises.{checker}") for name, checker in task["exercises"].items()}
     tried: dict[str, Any] = {}
     handed: dict[str, Any] = {}  # to a check, which may put the solution in its place
     check = Open.__call__
@@ -211,11 +211,11 @@ def main() -> None:
     write(begin=True)
     for number, source in enumerate(task["cells"], start=1):
         write(cell=number, said=run_cell(shell, source, task["cell_s"]))
-        for name, case in cases.items():
+        for name, open_function in opened.items():
             function = handed.pop(name, shell.user_ns.get(name))
             if callable(function) and function is not tried.get(name) and not from_course(function):
                 tried[name] = function  # now: a later cell may never end, or write over it
-                write(function=name, replies=replies(function, case, task["seed"], task["answer_s"]))
+                write(function=name, replies=replies(function, open_function, task["seed"], task["answer_s"]))
     write(end=True)
 
 
@@ -235,21 +235,23 @@ def run_cell(shell: Any, source: str, seconds: float) -> str:
     return "" if error is None else ": ".join(described(error))
 
 
-def replies(function: Callable, case: Callable, seed: int, seconds: float) -> list[dict[str, Any]]:
+def replies(function: Callable, open_function: Open, seed: int, seconds: float) -> list[dict[str, Any]]:
     """Return what a function answers to each case of its checker, until it raises something."""
     found: list[dict[str, Any]] = []
     for k in range(CASES):
         try:
-            inputs = case(k, seed)[0]
+            inputs = open_function.inputs(k, seed)
             with at_most(seconds):
-                value = in_json(function(*inputs))
+                answer = function(*inputs)
+                value = in_json(answer)
                 arguments = [in_json(value) for value in inputs]  # it may have written into them
             if len(value) > MAX_ANSWER_BYTES:
                 raise MemoryError(f"an answer of more than {MAX_ANSWER_BYTES // 2**20} MiB")
         except BaseException as error:
             kind, text = described(error)
-            return [*found, {"error": kind, "text": text}]
-        found.append({"value": value, "arguments": arguments})
+            return [*found, {"error": kind, "text": text + where(error)}]
+        differentiable = getattr(answer, "requires_grad", False) is True
+        found.append({"value": value, "arguments": arguments, "differentiable": differentiable})
     return found
 
 
@@ -280,7 +282,7 @@ def in_json(value: Any) -> str:
     """Return a value in JSON: the numbers of an array or a pose; of what JSON cannot hold, the name of its type."""
     try:
         return json.dumps(value, default=plain)
-    except Exception:  # a list in itself, a tensor with a gradient, an object's own error
+    except Exception:  # a list in itself, an object's own error
         return json.dumps({"type": type(value).__name__})
 
 
@@ -290,6 +292,7 @@ def plain(value: Any) -> Any:
         return None
     if isinstance(value, Pose):
         return value.as_vector().tolist()
+    value = value.detach() if hasattr(value, "detach") else value
     return np.asarray(value).tolist() if hasattr(value, "__array__") else {"type": type(value).__name__}
 
 

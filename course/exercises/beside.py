@@ -1,6 +1,6 @@
 """The student's picture beside the right one: what a mistake does to a street.
 
-The inputs below are for `Open(..., picture=...)`: panoramas of the sample frame, 320 × 80, so that a check stays quick.
+The inputs below are for `Open(..., real=...)`: panoramas of the sample frame, 320 × 80, so that a check stays quick.
 """
 
 import copy
@@ -22,7 +22,8 @@ _SPHERE = 20  # of 64: the white car is in focus
 def show(function: Callable[..., Any], answer: Callable[..., Any], inputs: tuple) -> None:
     """Show what a function and the right one make of the same inputs, on one colour scale; NaN is gray.
 
-    Nothing is shown of a function that stops, whose picture has another shape, or that looks right here.
+    Nothing is shown of a function that stops, whose picture has another shape, or that looks right here. Of a cost
+    volume the winners are shown.
     """
     import matplotlib.pyplot as plt
 
@@ -35,8 +36,10 @@ def show(function: Callable[..., Any], answer: Callable[..., Any], inputs: tuple
         except (Exception, SystemExit):  # the sentence above has said it
             return
         right = np.asarray(answer(*inputs), np.float64)
-    if yours.shape != right.shape or np.allclose(yours, right, rtol=1e-2, equal_nan=True):
+    if yours.shape != right.shape or np.allclose(yours, right, rtol=1e-2, equal_nan=True) or right.ndim < 2:
         return
+    if right.ndim == 3 and right.shape[-1] > 3:
+        yours, right = (volume.argmin(axis=-1).astype(float) for volume in (yours, right))
     low, high = np.nanmin(right), np.nanmax(right)
     fig, axes = plt.subplots(2, figsize=(8, 4.6), layout="constrained")
     for ax, image, title in zip(axes, (yours, right), ("yours", "right"), strict=True):
@@ -76,10 +79,10 @@ def image() -> NDArray[np.float64]:
     return np.mean(_street()[0].images[0], axis=-1)
 
 
-def pixels() -> NDArray[np.float64]:
-    """Return where the first camera sees the rays of the panorama on one sphere, (H, W, 2), NaN where it does not."""
+def between() -> tuple:
+    """Return the same image, and its pixels at the rays of the panorama on one sphere, (H, W, 2), NaN if unseen."""
     uv, visible = _street()[1].project_sphere(0, _SPHERE)
-    return np.where(visible[..., None], uv, np.nan)
+    return image(), np.where(visible[..., None], uv, np.nan)
 
 
 def view() -> tuple:
@@ -93,3 +96,19 @@ def truth() -> tuple:
     """Return the exact sphere indices of the street (H, W), and the number of spheres."""
     frame, sweep = _street()
     return frame.gt_index(sweep.grid), sweep.grid.num_spheres
+
+
+def volume() -> tuple:
+    """Return ZNCC's costs of every fourth ray of the street, (20, 80, 16), float64, and two penalties."""
+    frame, sweep = _street()
+    grid = osl.SphereGrid(80, 20, (-45, 45), num_spheres=16, min_depth=sweep.grid.min_depth)
+    costs = osl.cost_volume(osl.SphereSweep(sweep.rig, grid), frame.images).numpy()
+    return np.nan_to_num(costs, nan=0.5).astype(np.float64), 0.1, 1.0
+
+
+def sight() -> tuple:
+    """Return the street for the line of sight of camera 1: its centre, points, 1/m, elevations, and fractions."""
+    frame, sweep = _street()
+    inverse_depth = sweep.grid.index_to_inverse_depth(frame.gt_index(sweep.grid))
+    points = sweep.grid.rays() / np.maximum(inverse_depth, 0.01)[..., None]
+    return sweep.rig.centers[0], points, inverse_depth, sweep.grid.phi_deg, 1 / np.geomspace(1.05, 60, 40)

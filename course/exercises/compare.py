@@ -1,154 +1,269 @@
-"""What a checker does with an answer: call it on several cases, compare, and put the difference into words."""
+"""What a checker does with a function: call it on several cases, compare, and put the difference into words."""
 
 from __future__ import annotations
 
 import copy
+import inspect
+import sys
+import time
 import traceback
+import warnings
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any
+from contextlib import contextmanager
+from itertools import islice
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from course.exercises import kinds
+from course.exercises.kinds import form, same
 from omnistereo_lib.geometry.pose import Pose
 
 Answer = Callable[..., Any]
 Array = NDArray[np.float64]
 Rng = np.random.Generator
-Case = tuple[tuple, ArrayLike, Sequence[tuple[ArrayLike, str]]]  # inputs, right value, mistakes: value and hint
 
 CASES = 10
 RIGHT, NOT_WRITTEN = "right", "nothing returned yet"
-
-_FACTORS = (
-    (-1.0, "that is the right value with the other sign"),
-    (2.0, "that is twice the right value: look for a 2"),
-    (0.5, "that is half the right value: look for a 2"),
-    (100.0, "that is 100 times the right value: is something in centimetres, or in percent?"),
-    (0.01, "that is a hundredth of the right value: is something in centimetres, or in percent?"),
-    (180 / np.pi, "that is 180/π times the right value: are there degrees in place of radians?"),
-    (np.pi / 180, "that is π/180 times the right value: are there radians in place of degrees?"),
-)
+SHOWN = 12  # numbers of an array
+SECONDS = 3.0  # for making an example smaller
 
 
-def by(inputs: tuple, right: Answer, wrong: Sequence[tuple[Answer, str]]) -> Case:
-    """Return the case of a right function and of wrong ones, each with the hint that names its mistake."""
-    return inputs, _numbers(right(*inputs)), [(_numbers(mistake(*inputs)), hint) for mistake, hint in wrong]
+class Failure(NamedTuple):
+    """A case on which a function differs from the answer."""
+
+    inputs: tuple
+    found: Array
+    right: Array
 
 
-def diagnose(answer: Answer, cases: Iterable[Case]) -> str:
-    """Call an answer on all cases and put into words how its values compare.
-
-    A hint is given if the answer makes its mistake in every case.
+def diagnose(
+    function: Answer,
+    answer: Answer,
+    slips: Iterable[tuple[Answer, str]],
+    cases: Iterable[tuple],
+    whole: Sequence[str] = (),
+) -> str:
+    """Call a function on all cases and put into words how its values compare.
 
     Args:
-        answer: What the student wrote. It gets copies of the inputs.
-        cases: Inputs, right value, and what the mistakes give instead, of any shape, with their hints.
+        function: What the student wrote. It gets copies of the inputs.
+        answer: The right function.
+        slips: Functions that make a usual mistake, each with the hint that names it.
+        cases: The inputs of each case.
+        whole: Names of arguments of which an example shows all.
 
     Returns:
-        str: "right", or what is wrong and the next thing to try.
+        str: "right", or what is wrong: the slip that most failing cases or the first show, or the smallest example.
     """
-    if not callable(answer):
+    if not callable(function):
         return "hand over the function itself: its name, without brackets behind it"
-    found, tried, overwritten = [], [], None
-    for case in cases:
-        inputs, right, _ = case
+    failures, notes, whole_numbers = [], [], True
+    for inputs in cases:
         given = copy.deepcopy(inputs)
         try:
-            value = answer(*given)
+            value = function(*given)
         except (Exception, SystemExit) as error:  # whatever a student's code raises is a finding; Ctrl-C is not
             return _stopped(error, len(inputs))
         if value is None or value is Ellipsis:
             return f"{NOT_WRITTEN}: replace the ... and return your result"
-        values = _numbers(value)
-        if values is None:
-            return _not_numbers(value, np.asarray(right, np.float64))
-        found.append(values)
-        tried.append(case)
-        overwritten = overwritten or next(_overwritten(given, inputs), None)
-    said = _compare(found, tried)
-    if said == RIGHT and overwritten:
-        return (
-            f"not yet: the value is right, but your function overwrites its argument number {overwritten}, which its "
-            "caller may still need. Write into a copy"
-        )
-    return said
+        expected = answer(*copy.deepcopy(inputs))
+        found, right = numbers(value), numbers(expected)
+        if found is None:
+            return _not_numbers(value, right)
+        whole_numbers &= np.asarray(_plain(expected)).dtype.kind == "i"
+        if not same(found, right):
+            failures.append(Failure(inputs, found, right))
+        elif whole_numbers and np.asarray(_plain(value)).dtype.kind == "f":
+            notes.append("it counts something: return whole numbers, int")
+        elif getattr(expected, "requires_grad", False) and not getattr(value, "requires_grad", False):
+            notes.append("PyTorch cannot differentiate it: stay with tensors, without .item(), .detach() and NumPy")
+        elif (number := _overwritten(given, inputs)) is not None:
+            notes.append(
+                f"your function overwrites its argument number {number}, which its caller may still need. "
+                "Write into a copy"
+            )
+    if not failures:
+        return f"not yet: the value is right, but {notes[0]}" if notes else RIGHT
+    with quiet():
+        said = _named(failures, slips) or _recognised(failures, answer)
+        return f"not yet: {said or _example(function, answer, failures, whole)}"
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Let NumPy divide by zero without a word: mistakes do."""
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+def numbers(found: Any) -> Array | None:
+    """Return what a function has returned as an array of float64, or None if it is not made of real numbers."""
+    try:
+        values = np.asarray(_plain(found))
+    except Exception:  # parts of unequal shape, an object's own error
+        return None
+    return values.astype(np.float64) if values.dtype.kind in "iuf" else None  # no text, truth values, complex numbers
+
+
+def _plain(found: Any) -> Any:
+    """Return a pose as a vector and a tensor without its gradient, also in a list or tuple; anything else as it is."""
+    if isinstance(found, list | tuple):
+        return [_plain(one) for one in found]
+    if isinstance(found, Pose):
+        return found.as_vector()
+    return found.detach() if "torch" in sys.modules and isinstance(found, sys.modules["torch"].Tensor) else found
+
+
+# --- What stands in the way of a comparison -------------------------------------------------------------------
 
 
 def _stopped(error: BaseException, arguments: int) -> str:
     if isinstance(error, TypeError) and error.__traceback__.tb_next is None:  # the call itself, nothing inside
         return f"your function is called with {arguments} arguments: keep its first line as it was ({error})"
     message = "".join(traceback.format_exception_only(error)).strip()
-    return f"your function stopped with {message}. Call it with numbers of your own: Python then shows the line"
+    return f"your function stopped with {message}{where(error)}"
 
 
-def _numbers(found: Any) -> Array | None:
-    try:
-        values = np.asarray(_vectors(found))
-    except Exception:  # parts of unequal shape, a tensor with a gradient, an object's own error
-        return None
-    return values.astype(np.float64) if values.dtype.kind in "iuf" else None  # no text, truth values, complex numbers
-
-
-def _vectors(found: Any) -> Any:
-    """Return a pose, and every pose of a list, as a vector; anything else as it is."""
-    if isinstance(found, list):
-        return [_vectors(one) for one in found]
-    return found.as_vector() if isinstance(found, Pose) else found
+def where(error: BaseException) -> str:
+    """Return the line of the student's code at which it stopped: the last one in the file of the function called."""
+    _, *frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if frame.filename == frames[0].filename]
+    if not own or Path(own[0].filename).is_relative_to(Path(__file__).parents[1]):
+        return ""
+    return f", in line {own[-1].lineno} of its cell" + (f": `{own[-1].line}`" if own[-1].line else "")
 
 
 def _not_numbers(found: Any, right: Array) -> str:
-    first = _numbers(found[0]) if isinstance(found, tuple) and found else None
-    if first is not None and _same(first, right):
+    first = numbers(found[0]) if isinstance(found, tuple) and found else None
+    if first is not None and same(first, right):
         return "not yet: the first thing that you return is right, return it alone"
     kind = type(found).__name__
     if isinstance(found, np.ndarray):
         kind = f"an array of {found.dtype}"
     elif isinstance(found, list | tuple):  # they are welcome, with numbers in them
         kind = f"a {kind} that is no array of numbers"
-    return f"not yet: expected {_form(right)}, got {kind}. Return real numbers, and nothing beside them"
+    return f"not yet: expected {form(right)}, got {kind}. Return real numbers, and nothing beside them"
 
 
-def _overwritten(given: tuple, inputs: tuple) -> Iterator[int]:
+def _overwritten(given: tuple, inputs: tuple) -> int | None:
     for number, (now, before) in enumerate(zip(given, inputs, strict=True), start=1):
-        if isinstance(before, np.ndarray) and not np.array_equal(now, before, equal_nan=before.dtype.kind == "f"):
-            yield number
+        before, now = numbers(before), numbers(now)
+        if before is not None and (now is None or not np.array_equal(now, before, equal_nan=True)):
+            return number
+    return None
 
 
-def _compare(found: list[Array], cases: Sequence[Case]) -> str:
-    rights = [np.asarray(right, np.float64) for _, right, _ in cases]
-    differ = [not _same(*pair) for pair in zip(found, rights, strict=True)]
-    if not any(differ):
-        return RIGHT
-    for mistake in zip(*(mistakes for _, _, mistakes in cases), strict=True):  # the same one in all cases
-        if all(_same(values, value) for values, (value, _) in zip(found, mistake, strict=True)):
-            return f"not yet: {mistake[0][1]}"
-    first = differ.index(True)
-    if found[first].shape != rights[first].shape:
-        expected, got = _form(rights[first]), _form(found[first])
-        return f"not yet: expected {expected}, got {got}. Look at the axes that you sum or stack over"
-    for factor, hint in _FACTORS:
-        if all(_same(values, factor * right) for values, right in zip(found, rights, strict=True)):
-            return f"not yet: {hint}"
-    return _difference(found[first], rights[first])
+# --- The difference in words ----------------------------------------------------------------------------------
 
 
-def _difference(found: Array, right: Array) -> str:
-    """Say where two arrays of the same shape differ first, and by how much."""
-    if (np.isfinite(right) & ~np.isfinite(found)).any():
-        return "not yet: there are NaN or infinite values. Look for a division by zero, or NaN that is not left out"
-    place = tuple(np.argwhere(~np.isclose(found, right, rtol=1e-4, atol=1e-6, equal_nan=True))[0])
-    where = f" at {[int(i) for i in place]}" if place else ""
-    worst = np.nanmax(np.abs(found - right), initial=0)
-    return (
-        f"not yet: {found[place]:.6g}{where} where {right[place]:.6g} is right, and off by up to {worst:.3g} in all; "
-        "no usual mistake explains it. Work out one value by hand and compare"
-    )
+def _named(failures: list[Failure], slips: Iterable[tuple[Answer, str]]) -> str:
+    """Return the hint of the slip that gives the most of the failing values, if it gives the first or most of them."""
+    return _elected([[hint for slip, hint in slips if _gives(slip, failure)] for failure in failures])
 
 
-def _same(found: Array, value: ArrayLike) -> bool:
-    return found.shape == np.shape(value) and np.allclose(found, value, rtol=1e-4, atol=1e-6, equal_nan=True)
+def _gives(slip: Answer, failure: Failure) -> bool:
+    try:
+        value = numbers(slip(*copy.deepcopy(failure.inputs)))
+    except Exception:  # it need not know every case
+        return False
+    return value is not None and same(failure.found, value)
 
 
-def _form(values: Array) -> str:
-    return f"numbers of shape {values.shape}" if values.ndim else "one number"
+def _recognised(failures: list[Failure], answer: Answer) -> str:
+    """Return the kind of slip that the values show: by what became of them, of an argument, or of a part."""
+    if words := _elected([list(kinds.of_values(failure.found, failure.right)) for failure in failures]):
+        _, found, right = failures[0]
+        return words if found.shape == right.shape else f"{words}; expected {form(right)}, got {form(found)}"
+    if len(failures) == 1 or any(failure.found.size > 1 or failure.found != failures[0].found for failure in failures):
+        of_arguments = [list(kinds.of_arguments(answer, f.inputs, f.found, numbers)) for f in failures[:3]]
+        if found := _elected(of_arguments):
+            return found
+    return _elected([list(kinds.of_part(failure.found, failure.right)) for failure in failures], by_first=False)
+
+
+def _elected(words: list[list[str]], by_first: bool = True) -> str:
+    """Return what is said of the most cases, if it is said of most of them, or of the first."""
+    count = Counter(word for of_case in words for word in dict.fromkeys(of_case))
+    for word, times in count.most_common(1):
+        return word if 2 * times > len(words) or (by_first and word in words[0]) else ""
+    return ""
+
+
+def _example(function: Answer, answer: Answer, failures: list[Failure], whole: Sequence[str]) -> str:
+    """Show the smallest input on which the two differ, what the function gave and what is right, beside each other."""
+    first = next((failure for failure in failures if failure.found.shape != failure.right.shape), None)
+    if first:
+        return f"expected {form(first.right)}, got {form(first.found)}. Look at the axes that you sum or stack over"
+    names = list(inspect.signature(answer).parameters)
+    begin = min(failures, key=lambda failure: failure.right.size)
+    inputs, found, right = smallest(function, answer, begin, [names.index(name) for name in whole])
+    given = [f"{name} = {text}" for name, x in zip(names, inputs, strict=True) if (text := _text(x))]
+    if right.size > SHOWN:  # it cannot be made smaller
+        place = tuple(np.argwhere(~np.isclose(found, right, rtol=1e-4, atol=1e-6, equal_nan=True))[0])
+        given.append(f"at {[int(k) for k in place]}")
+        found, right = found[place], right[place]
+    lines = ", ".join(given), f"yours: {_text(found)}", f"right: {_text(right)}"
+    return "\n    ".join(["the smallest example that differs:", *lines]) + "\n"
+
+
+def _text(x: Any) -> str:
+    """Return an argument in short: its numbers, or their shape if there are many; nothing of a camera."""
+    if (values := numbers(x)) is None:
+        return f"those of {list(x)}" if isinstance(x, dict) else ""
+    if values.size > SHOWN:
+        return form(values)
+    return np.array2string(np.asarray(_plain(x)), precision=4, separator=", ", max_line_width=10_000).replace("\n", "")
+
+
+def smallest(function: Answer, answer: Answer, failure: Failure, whole: Sequence[int]) -> Failure:
+    """Cut an example down as long as the function still differs: halves and single slices of its arrays and lists."""
+    until = time.monotonic() + SECONDS
+    smaller: Failure | None = failure
+    while smaller:
+        failure = smaller
+        tried = (_differs(function, answer, cut) for cut in _cuts(failure.inputs, whole) if time.monotonic() < until)
+        smaller = next(filter(None, islice(tried, 60)), None)
+    return failure
+
+
+def _differs(function: Answer, answer: Answer, inputs: tuple) -> Failure | None:
+    """Return how the two differ on some inputs, if both can be called with them and give arrays of one shape."""
+    try:
+        found, right = numbers(function(*copy.deepcopy(inputs))), numbers(answer(*copy.deepcopy(inputs)))
+    except Exception:
+        return None
+    if found is None or right is None or found.shape != right.shape or same(found, right):
+        return None
+    return Failure(inputs, found, right)
+
+
+def _cuts(inputs: tuple, whole: Sequence[int]) -> Iterator[tuple]:
+    """Yield the inputs with one size reduced wherever it occurs; coordinates, three or fewer behind, stay together."""
+    sizes = {size for k, x in enumerate(inputs) if k not in whole for size in _sizes(x).values()}
+    for size in sorted(sizes - {1}, reverse=True):
+        half = size // 2
+        for part in (slice(0, half), slice(half, size), slice(1, size), slice(0, size - 1)):
+            yield tuple(x if k in whole else _cut(x, size, part) for k, x in enumerate(inputs))
+
+
+def _sizes(x: Any) -> dict[int, int]:
+    """Return the sizes that may be cut, by axis."""
+    if isinstance(x, list):
+        return {0: len(x)}
+    shape = tuple(getattr(x, "shape", ()))
+    return {axis: n for axis, n in enumerate(shape) if n > 3 or axis < len(shape) - 1 or len(shape) == 1}
+
+
+def _cut(x: Any, size: int, part: slice) -> Any:
+    axes = [axis for axis, n in _sizes(x).items() if n == size]
+    if isinstance(x, list):
+        return x[part] if axes else x
+    if not axes:
+        return x
+    smaller = x[tuple(part if axis in axes else slice(None) for axis in range(x.ndim))]
+    return smaller.detach().requires_grad_(x.requires_grad) if hasattr(x, "detach") else smaller

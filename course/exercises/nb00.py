@@ -18,41 +18,16 @@ def _some_indices(rng: Rng, k: int) -> tuple:
     N = int(rng.integers(50, 200))
     index = rng.uniform(0.5, N - 1, (3, 4 + k % 3))
     index[0, 0] = 0
+    index = {8: np.array(5.5), 9: np.arange(1, N)}.get(k, index)
     return index, N, rng.uniform(0.4, 3)
 
 
-check_depth_of_index = Open(
-    depth_of_index,
-    _some_indices,
-    [
-        (
-            lambda n, N, nearest: n / (nearest * (N - 1)),
-            "that is the inverse depth in 1/m: the depth is 1 divided by it",
-        ),
-        (
-            lambda n, N, nearest: depth_of_index(n, N + 1, nearest),
-            "from infinity to min_depth there are N - 1 steps, not N",
-        ),
-        (
-            lambda n, N, nearest: depth_of_index(n + 1, N, nearest),
-            "the spheres count from 0, at infinity: n, not n + 1",
-        ),
-        (
-            lambda n, N, nearest: depth_of_index(N - 1 - n, N, nearest),
-            "sphere 0 is at infinity, sphere N - 1 the nearest",
-        ),
-        (lambda n, N, nearest: nearest * n / (N - 1), "the spheres are even in inverse depth, not in depth"),
-        (lambda n, N, nearest: depth_of_index(n, N, 1), "that is in units of the nearest depth: metres are asked"),
-        (
-            lambda n, N, nearest: depth_of_index(np.rint(n), N, nearest),
-            "do not round: an index may lie between two spheres",
-        ),
-        (
-            lambda n, N, nearest: np.where(n == 0, 0, depth_of_index(n, N, nearest)),
-            "sphere 0 is infinitely far away, not 0 m",
-        ),
-    ],
-)
+check_depth_of_index = Open(depth_of_index, _some_indices).with_slips("""
+    1 / inverse_depth → inverse_depth  # that is the inverse depth in 1/m: the depth is 1 divided by it
+    (N - 1) → N  # from infinity to min_depth there are N - 1 steps, not N
+    index / ( → (N - 1 - index) / (  # sphere 0 is at infinity, sphere N - 1 the nearest
+    return min_depth * index / (N - 1)  # the spheres are even in inverse depth, not in depth
+""")
 
 
 def index_errors(index, gt_index, N):
@@ -67,37 +42,16 @@ def _two_maps(rng: Rng, k: int) -> tuple:
     gt_index = rng.uniform(0, N - 1, (4, 6 + k % 3))
     index = gt_index + rng.normal(0, 0.05 * N, gt_index.shape)
     gt_index[1, :2] = index[1, 1:3] = np.nan
-    return index, gt_index, N
+    return (index.astype(np.float32) if k % 2 else index), gt_index, N
 
 
-check_index_errors = Open(
-    index_errors,
-    _two_maps,
-    [
-        (
-            lambda index, gt, N: 100 / N * np.abs(index - gt),
-            "a ray without an estimate is NaN: count it as an error of 100",
-        ),
-        (
-            lambda index, gt, N: np.nan_to_num(index_errors(index, gt, N), nan=100),
-            "without a ground truth no error is known: NaN",
-        ),
-        (
-            lambda index, gt, N: np.nan_to_num(index_errors(index, gt, N)),
-            "a ray without ground truth is not a perfect one: NaN",
-        ),
-        (
-            lambda *inputs: index_errors(*inputs) * np.sign(inputs[0] - inputs[1]),
-            "too near is as wrong as too far: np.abs",
-        ),
-        (lambda index, gt, N: index_errors(index, gt, 100), "in percent of the N spheres: times 100 / N"),
-        (lambda index, gt, N: index_errors(index, gt, 1), "divide by N: an error is a share of the range"),
-        (lambda *inputs: index_errors(*inputs) / 100, "in percent, not as a fraction"),
-        (lambda index, gt, N: index_errors(index, gt, N - 1), "Eq. 5 divides by N, not by N - 1"),
-        (lambda index, gt, N: index_errors(np.rint(index), np.rint(gt), N), "do not round"),
-        (lambda *inputs: np.nanmean(index_errors(*inputs)), "that is the mean: each ray keeps its own"),
-    ],
-)
+check_index_errors = Open(index_errors, _two_maps).with_slips("""
+    e = np.where(np.isnan(index), 100, e) →  # a ray without an estimate is NaN: count it as an error of 100
+    np.where(np.isnan(gt_index), np.nan, e) → e  # without a ground truth no error is known: NaN
+    np.abs(index - gt_index) → (index - gt_index)  # too near is as wrong as too far: np.abs
+    - gt_index → - np.rint(gt_index)  # the paper rounds the ground truth, here it keeps its decimals: do not round
+    100 / N * →  # in percent of the N spheres: times 100 / N
+""")
 
 
 def share_above(errors, limit):
@@ -110,23 +64,15 @@ def _some_errors(rng: Rng, k: int) -> tuple:
     errors = np.round(rng.exponential(3, (5, 7 + k % 4)) * 4) / 4
     errors[0, :3] = np.nan
     errors[1, :3] = 1, 3, 5
-    return errors, (1.0, 3.0, 5.0)[k % 3]
+    return errors, (1, 3.0, np.float64(5))[k % 3]
 
 
-check_share_above = Open(
-    share_above,
-    _some_errors,
-    [
-        (lambda e, limit: 100 * np.mean(e > limit), "a ray without a known error is not a good one: leave NaN out"),
-        (lambda e, limit: share_above(e, limit) / 100, "in percent, not as a fraction"),
-        (lambda e, limit: 100 - share_above(e, limit), "that is the share of the good rays: above the limit is bad"),
-        (lambda e, limit: share_above(e, limit - 1e-9), "an error of exactly the limit is not above it"),
-        (lambda e, limit: np.sum(e > limit), "that is their number: divide by the number of rays that are known"),
-        (lambda e, limit: share_above(e, 1), "the limit is an argument"),
-        (lambda e, limit: np.nanmean(e), "that is the mean error: count the rays above the limit"),
-        (lambda e, limit: 100 * np.nanmean(np.where(e > limit, 1, np.nan)), "divide by all rays that are known"),
-    ],
-)
+check_share_above = Open(share_above, _some_errors).with_slips("""
+    errors[np.isfinite(errors)] → errors  # a ray without a known error is not a good one: leave NaN out
+    known > limit → known >= limit  # an error of exactly the limit is not above it
+    100 * np.mean → np.sum  # that is their number: divide by the number of rays that are known
+    return np.nanmean(errors)  # that is the mean error: count the rays above the limit
+""")
 
 
 def stitched(warped):
@@ -142,21 +88,12 @@ def _panoramas(rng: Rng, k: int) -> tuple:
     warped[rng.uniform(0, 1, warped.shape[:3]) < 0.4] = np.nan
     warped[:, 0, 0] = np.nan  # a ray that no camera sees
     warped[0, 0, 1:] = 120
-    return (warped,)
+    return (warped.astype(np.float32) if k % 2 else warped,)
 
 
-check_stitched = Open(
-    stitched,
-    _panoramas,
-    [
-        (lambda w: w.mean(axis=0), "a camera that does not see the ray is NaN and spoils the rest: leave it out"),
-        (lambda w: np.nan_to_num(w).mean(axis=0), "divide by the number of cameras that see the ray, not by all"),
-        (lambda w: np.nan_to_num(stitched(w)), "what no camera sees is NaN: it is not black"),
-        (lambda w: np.nansum(w, axis=0), "that is the sum: divide by the number of cameras that see the ray"),
-        (lambda w: np.nanmedian(w, axis=0), "that is the median: take the mean"),
-        (lambda w: np.nanmax(w, axis=0), "that is the brightest camera: take the mean"),
-        (lambda w: stitched(w).mean(axis=-1), "each colour keeps its own mean: (H, W, 3)"),
-        (lambda w: np.nanmean(w, axis=(1, 2)), "the cameras are the first axis"),
-    ],
-    picture=lambda: (beside.warped(),),
-)
+check_stitched = Open(stitched, _panoramas, real=lambda: (beside.warped(),)).with_slips("""
+    return np.mean(warped, axis=0)  # a camera that does not see the ray is NaN and spoils the rest: leave it out
+    return np.nan_to_num(warped).mean(axis=0)  # divide by the number of cameras that see the ray, not by all
+    return np.nansum(warped, axis=0)  # that is the sum: divide by the number of cameras that see the ray
+    return np.nanmedian(warped, axis=0)  # that is the median: take the mean
+""")

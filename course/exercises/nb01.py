@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import omnistereo_lib as osl
-from course.exercises.compare import Answer, Array, Rng
+from course.exercises.compare import Rng
 from course.exercises.opened import Open
 
 
@@ -20,43 +20,19 @@ def unproject(pixels, poly, center):
 def _some_pixels(rng: Rng, k: int) -> tuple:
     poly = np.array([-196.0, 0.0, 1.6e-3, -1e-7]) * rng.uniform(0.8, 1.2, 4)
     pixels = rng.uniform(0, 780, (2,) if k == 9 else (2 + k % 3, 4, 2))
-    return pixels, poly, rng.uniform(350, 420, 2)
+    center = rng.uniform(350, 420, 2)
+    return pixels, poly, tuple(center) if k % 2 else center
 
 
-def _over(axis: int | None) -> Answer:
-    """Rays divided by lengths over the wrong axis."""
-
-    def rays(pixels: Array, poly: Array, center: Array) -> Array:
-        long = unproject(pixels, poly, center)
-        long = long / long[..., :1] * (pixels - center)[..., :1]
-        return long / np.linalg.norm(long, axis=axis, keepdims=axis is not None)
-
-    return rays
-
-
-def _long(pixels: Array, poly: Array, center: Array) -> Array:
-    rays = unproject(pixels, poly, center)
-    return rays / rays[..., :1] * (pixels - center)[..., :1]
-
-
-check_unproject = Open(
-    unproject,
-    _some_pixels,
-    [
-        (lambda *inputs: unproject(*inputs) * [1, 1, -1], "the ray is (x, y, -f(r)): f is negative in front"),
-        (lambda p, f, c: unproject(p, f, 0 * c), "x and y count from the centre: subtract it"),
-        (lambda *inputs: unproject(*inputs) * [-1, -1, 1], "x and y are the pixel minus the centre, not the reverse"),
-        (lambda p, f, c: unproject(p, f, c[::-1]), "the centre is (u0, v0): its parts are swapped"),
-        (lambda p, f, c: unproject(p[..., ::-1], f, c), "pixels are (u, v): yours are taken as (v, u)"),
-        (lambda p, f, c: unproject(p, f[::-1], c), "poly runs from low to high; np.polyval wants the highest first"),
-        (lambda p, f, c: unproject(p, f[:1], c), "the whole polynomial at r, not its first coefficient alone"),
-        (_long, "divide by the length: a ray is a unit vector"),
-        (_over(None), "divided by one length for all: each ray has its own, over the last axis"),
-        (lambda p, f, c: unproject(p + 0.5, f, c), "half a pixel off: whole numbers are pixel centres, add nothing"),
-        (lambda p, f, c: unproject(np.rint(p), f, c), "do not round the pixels"),
-        (lambda *inputs: np.moveaxis(unproject(*inputs), -1, 0)[..., None], "x, y, z are the last axis: (…, 3)"),
-    ],
-)
+check_unproject = Open(unproject, _some_pixels, whole=("poly", "center")).with_slips("""
+    z = - → z =  # the ray is (x, y, -f(r)): f is negative in front
+    - center →  # x and y count from the centre: subtract it
+    poly[::-1] → poly  # poly runs from low to high; np.polyval wants the highest first
+    return rays / np.linalg.norm(rays, axis=-1, keepdims=True) → return rays
+    # divide by the length: a ray is a unit vector
+    norm(rays, axis=-1, keepdims=True) → norm(rays)
+    # divided by one length for all: each ray has its own, over the last axis
+""")
 
 
 def project_rays(rays, inv_poly, center, max_deg):
@@ -71,64 +47,26 @@ def project_rays(rays, inv_poly, center, max_deg):
 
 
 def _some_rays(rng: Rng, k: int) -> tuple:
-    F, max_deg, center = rng.uniform(180, 220), rng.uniform(95, 110), rng.uniform(350, 420, 2)
+    F, max_deg, center = rng.uniform(180, 220), rng.uniform(95, 110), tuple(rng.uniform(350, 420, 2))
     in_theta = np.poly1d([-0.05 * F, rng.uniform(-8, 8), F, 0])
     inv_poly = in_theta(np.poly1d([1, np.pi / 2])).coeffs[::-1]  # in t
     theta, around = np.radians(rng.uniform(3, max_deg - 2, 9 + k % 4)), rng.uniform(-3, 3, 9 + k % 4)
     theta[-2:] = np.radians([max_deg + 5, max_deg + 30])
     theta[0] = 0 if k else theta[0]  # on the axis
     rays = np.stack([np.sin(theta) * np.cos(around), np.sin(theta) * np.sin(around), np.cos(theta)], axis=-1)
-    return rays * rng.uniform(0.5, 5, (len(rays), 1)), inv_poly, center, max_deg
+    rays *= rng.uniform(0.5, 5, (len(rays), 1))
+    return (rays[:, None] if k % 2 else rays), inv_poly, center, max_deg
 
 
-def _at(change: Answer) -> Answer:
-    """A projection with another angle in the place of t."""
-
-    def pixels(rays: Array, inv_poly: Array, center: Array, max_deg: float) -> Array:
-        t = change(rays[:, 2], np.hypot(rays[:, 0], rays[:, 1]))
-        other = np.stack([rays[:, 0], rays[:, 1]], 1) / np.maximum(np.hypot(rays[:, 0], rays[:, 1]), 1e-12)[:, None]
-        seen = np.isfinite(project_rays(rays, inv_poly, center, max_deg))
-        return np.where(seen, other * np.polyval(inv_poly[::-1], t)[:, None] + center, np.nan)
-
-    return pixels
-
-
-def _undirected(rays: Array, inv_poly: Array, center: Array, max_deg: float) -> Array:
-    n = np.hypot(rays[:, :1], rays[:, 1:2])
-    return (project_rays(rays, inv_poly, center, max_deg) - center) * n + center
-
-
-def _divided(rays: Array, *rest: Array) -> Array:
-    return np.where(np.hypot(rays[:, :1], rays[:, 1:2]) > 0, project_rays(rays, *rest), np.nan)
-
-
-check_project_rays = Open(
-    project_rays,
-    _some_rays,
-    [
-        (_divided, "on the axis hypot(x, y) is 0: do not divide by it there, that ray goes to the centre"),
-        (_at(lambda z, n: np.arctan2(z, n)), "the sign of z: t is the angle *below* the xy-plane, atan2(-z, n)"),
-        (_at(lambda z, n: np.arctan2(n, z)), "that is the angle from the axis; t is 90° less"),
-        (_at(lambda z, n: np.degrees(np.arctan2(-z, n))), "the polynomial takes t in radians"),
-        (
-            lambda r, b, c, m: project_rays(r, b[::-1], c, m),
-            "inv_poly runs from low to high; np.polyval wants it reversed",
-        ),
-        (
-            lambda *inputs: project_rays(*inputs)[:, ::-1],
-            "pixels are (u, v), right first, then down: yours are swapped",
-        ),
-        (lambda r, b, c, m: project_rays(r[:, [1, 0, 2]], b, c, m), "u goes with x and v with y: they are swapped"),
-        (lambda r, b, c, m: project_rays(r, b, 0 * c, m), "x and y count from the centre: add it"),
-        (lambda r, b, c, m: project_rays(r, b, c, 180), "beyond max_deg the lens sees nothing: NaN for both numbers"),
-        (lambda r, b, c, m: project_rays(r, b, c, m / 2), "max_deg counts from the axis: do not halve it"),
-        (lambda *inputs: np.nan_to_num(project_rays(*inputs)), "a ray beyond max_deg has no pixel: NaN, not 0"),
-        (_undirected, "x and y give the direction only: divide them by hypot(x, y)"),
-        (lambda r, b, c, m: project_rays(r, b, c, m) + 0.5, "half a pixel off: whole numbers are pixel centres"),
-        (lambda *inputs: np.rint(project_rays(*inputs)), "do not round: a ray falls between pixels"),
-        (lambda *inputs: project_rays(*inputs).T, "u and v are the last axis: (…, 2)"),
-    ],
-)
+check_project_rays = Open(project_rays, _some_rays, whole=("inv_poly",)).with_slips("""
+    np.maximum(n, 1e-12) → n  # on the axis hypot(x, y) is 0: do not divide by it there, that ray goes to the centre
+    np.arctan2(-z, n) → np.arctan2(z, n)  # the sign of z: t is the angle *below* the xy-plane, atan2(-z, n)
+    np.arctan2(-z, n) → np.arctan2(n, z)  # that is the angle from the axis; t is 90° less
+    np.degrees(np.arctan2(n, z)) → np.arctan2(n, z)
+    # beyond max_deg there is no pixel: compare the angle from the axis, in degrees
+    np.degrees(np.arctan2(n, z)) <= max_deg → z > 0
+    # a fisheye sees behind itself, z < 0: compare the angle with max_deg
+""")
 
 
 def planar_pose(rays, points):
@@ -148,37 +86,20 @@ def _a_board(rng: Rng, k: int) -> tuple:
     points = np.zeros((20 + k, 3))
     points[:, :2] = rng.uniform(0, 1, (20 + k, 2)) * [0.7, 0.5]
     pose = osl.Pose.from_vector([*rng.uniform(-0.6, 0.6, 3), *rng.uniform(-1, 1, 2), rng.uniform(-0.3, 0.8)])
-    rays = pose @ points + rng.normal(0, 1e-6, points.shape)
+    rays = pose @ points + rng.normal(0, 2e-5, points.shape)  # R is one to 1e-5, by step 3 only
     return rays / np.linalg.norm(rays, axis=-1, keepdims=True), points
 
 
-def _unscaled(rays: Array, points: Array) -> osl.Pose:
-    pose = planar_pose(rays, points)
-    return osl.Pose(pose.R, pose.t / np.sqrt(2 + pose.t @ pose.t))
-
-
-def _at_the_middle(rays: Array, points: Array) -> osl.Pose:
-    pose = planar_pose(rays, points)
-    return osl.Pose(pose.R, pose @ points.mean(axis=0))
-
-
-def _transposed(rays: Array, points: Array) -> osl.Pose:
-    pose = planar_pose(rays, points)
-    return osl.Pose(pose.R.T, pose.t)
-
-
-check_planar_pose = Open(
-    planar_pose,
-    _a_board,
-    [
-        (lambda rays, points: planar_pose(-rays, points), "H and -H both solve A h = 0: take the one along the rays"),
-        (_unscaled, "h has length 1, and H must not: scale it so that r1 and r2 have length 1, t with them"),
-        (lambda *inputs: planar_pose(*inputs).inverse(), "that is T_board_cam, the way back"),
-        (_transposed, "r1, r2 and r3 are the columns of R, not its rows"),
-        (lambda rays, points: planar_pose(rays, points[:, [1, 0, 2]]), "X belongs to r1 and Y to r2: they are swapped"),
-        (_at_the_middle, "t leads to the board's origin, not to the middle of its corners"),
-    ],
-)
+check_planar_pose = Open(planar_pose, _a_board).with_slips("""
+    H *= np.sign(np.sum(rays * (plane @ H.T))) →  # H and -H both solve A h = 0: take the one along the rays
+    np.sign(np.sum(rays * (plane @ H.T))) → np.sign(H[2, 2])
+    # the origin may lie behind this lens, t_z < 0: take the H along the rays
+    H *= 2 / np.linalg.norm(H[:, :2], axis=0).sum() →
+    # h has length 1, and H must not: scale it so that r1 and r2 have length 1, t with them
+    H[:, 2]) → H[:, 2]).inverse()  # that is T_board_cam, the way back
+    np.column_stack([r1, r2, np.cross → np.stack([r1, r2, np.cross
+    # r1, r2 and r3 are the columns of R, not its rows
+""")
 
 
 def residuals(lens, pose, points, found):
@@ -200,80 +121,37 @@ def _a_view(rng: Rng, k: int) -> tuple:
     return lens, pose, points, found
 
 
-def _seen(lens: Array, in_camera: Array, found: Array) -> Array:
-    """Residuals of points in the camera's frame."""
-    return residuals(lens, np.zeros(6), in_camera, found)
-
-
-def _by_angle(angle: Answer) -> Answer:
-    """Residuals with another angle in the place of θ."""
-
-    def of(lens: Array, pose: Array, points: Array, found: Array) -> Array:
-        x, y, z = (osl.Pose.from_vector(pose) @ points).T
-        n = np.hypot(x, y)
-        r = np.polyval([*lens[3::-1], 0], angle(n, z))
-        return np.stack([x / n * r, y / n * r], 1) + lens[4:] - found
-
-    return of
-
-
-def _moved(change: Answer) -> Answer:
-    """Residuals of points that another motion takes to the camera."""
-    return lambda lens, pose, points, found: _seen(lens, change(osl.Pose.from_vector(pose), points), found)
-
-
-check_residuals = Open(
-    residuals,
-    _a_view,
-    [
-        (lambda *inputs: -residuals(*inputs), "predicted minus found, not found minus predicted"),
-        (_moved(lambda T, points: T.inverse() @ points), "the pose takes the board to the camera: R X + t, no inverse"),
-        (_moved(lambda T, points: points @ T.R + T.t), "the rotation is transposed: R X + t"),
-        (_moved(lambda T, points: points @ T.R.T), "the translation is missing: R X + t"),
-        (_moved(lambda T, points: points + T.t), "the rotation is missing: R X + t"),
-        (_by_angle(lambda n, z: np.arctan(n / z)), "behind the lens arctan(n / z) is negative: use arctan2(n, z)"),
-        (_by_angle(lambda n, z: np.arctan2(z, n)), "θ counts from the axis: arctan2(n, z)"),
-        (_by_angle(lambda n, z: np.degrees(np.arctan2(n, z))), "the polynomial takes θ in radians"),
-        (lambda k, *rest: residuals(k * [1, 0, 0, 0, 1, 1], *rest), "k1 alone is an equidistant lens: add k2, k3, k4"),
-        (lambda k, *rest: residuals(k[[3, 2, 1, 0, 4, 5]], *rest), "k1 belongs to θ, k4 to θ⁴: they are reversed"),
-        (
-            lambda k, *rest: residuals(k * [1, 1, 1, 1, 0, 0], *rest),
-            "x and y count from the centre: add it",
-        ),
-        (lambda *inputs: np.nan_to_num(residuals(*inputs)), "a corner that was not found has no residual: NaN, not 0"),
-        (lambda *inputs: np.linalg.norm(residuals(*inputs), axis=1), "those are distances: return both components"),
-    ],
-)
+check_residuals = Open(residuals, _a_view, whole=("lens", "pose")).with_slips("""
+    np.arctan2(n, z) → np.arctan(n / z)  # behind the lens arctan(n / z) is negative: use arctan2(n, z)
+    [*lens[3::-1], 0] → lens[3::-1]  # k1 belongs to θ: np.polyval ends with the power 0, whose coefficient is 0
+    [*lens[3::-1], 0] → [lens[3], 0, lens[2], 0, lens[1], 0, lens[0], 0]
+    # all powers from θ to θ⁴, not the odd ones alone
+    x / n * r, y / n * r → x * r, y * r  # x and y give the direction only: divide them by n
+    x / n * r, y / n * r → y / n * r, x / n * r  # u goes with x and v with y: they are swapped
+""")
 
 
 def ocam_polynomial(r, theta, degree):
     """a0, 0, a2 … (degree + 1,), low to high, for which f(r) is nearest to -r / tan θ; r in px, θ in radians, (K,)."""
-    powers = [0, *range(2, degree + 1)]
-    a = np.linalg.lstsq(r[:, None] ** powers, -r / np.tan(theta), rcond=None)[0]
-    return np.insert(a, 1, 0)
+    powers = np.array([0, *range(2, degree + 1)])
+    far = r.max()  # powers of r / far are 1 at most; r⁶ in pixels is 10¹⁵, beside which lstsq loses the others
+    a = np.linalg.lstsq((r[:, None] / far) ** powers, -r / np.tan(theta), rcond=None)[0]
+    return np.insert(a / far**powers, 1, 0)
 
 
 def _a_lens(rng: Rng, k: int) -> tuple:
     theta = np.radians(np.linspace(2, 105, 40 + k))
     r = theta * rng.uniform(0.8, 1.2) + theta**2 * rng.uniform(0.05, 0.1) - theta**4 * rng.uniform(0.02, 0.04)
-    return r, theta, 3 + k % 3
+    return (200 * r if k % 2 else r), theta, 3 + k % 6  # in pixels, too
 
 
-def _with_a1(r: Array, theta: Array, degree: int) -> Array:
+check_ocam_polynomial = Open(ocam_polynomial, _a_lens).with_slips("""
     return np.polyfit(r, -r / np.tan(theta), degree)[::-1]
-
-
-check_ocam_polynomial = Open(
-    ocam_polynomial,
-    _a_lens,
-    [
-        (lambda r, theta, M: -ocam_polynomial(r, theta, M), "f(r) = -r / tan θ: it is negative in front of the lens"),
-        (_with_a1, "there is no a1: without it f has no kink on the axis. Leave r¹ out, and put a 0 for it"),
-        (lambda *inputs: ocam_polynomial(*inputs)[::-1], "the coefficients run from low to high"),
-        (lambda *inputs: np.delete(ocam_polynomial(*inputs), 1), "put a 0 for a1: np.insert"),
-        (lambda r, theta, M: ocam_polynomial(r, theta, M + 1), "the highest power is r to the degree"),
-        (lambda r, theta, M: ocam_polynomial(r, theta, M - 1), "the highest power is r to the degree: one is missing"),
-        (lambda r, theta, M: ocam_polynomial(r, np.degrees(theta), M), "θ is in radians, as np.tan wants it"),
-        (lambda r, theta, M: ocam_polynomial(r, np.pi / 2 - theta, M), "that is -r tan θ: divide by the tangent"),
-    ],
-)
+    # there is no a1: without it f has no kink on the axis. Leave r¹ out, and put a 0 for it
+    return np.insert(a / far**powers, 1, 0) → return a / far**powers  # put a 0 for a1: np.insert
+    -r / np.tan → -r * np.tan  # that is -r tan θ: divide by the tangent
+    (r[:, None] / far) ** powers → r[:, None] ** powers
+    a / far**powers → a
+    # in pixels r⁶ is 10¹⁵, and lstsq takes the rest for 0: fit powers of r / r.max(), then divide by those of
+    # r.max()
+""")

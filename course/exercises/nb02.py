@@ -3,7 +3,7 @@
 import numpy as np
 
 import omnistereo_lib as osl
-from course.exercises.compare import Answer, Array, Rng
+from course.exercises.compare import Rng
 from course.exercises.opened import Open
 
 Poses = list[osl.Pose]
@@ -32,43 +32,17 @@ def _two_cameras(rng: Rng, k: int) -> tuple:
     return boards, [T_12.inverse() @ T for T in seen], half_turn
 
 
-def _voted(propose: Answer) -> Answer:
-    """The most frequent of other proposals."""
-
-    def pose(T_1_board: Poses, T_2_board: Poses, half_turn: osl.Pose) -> osl.Pose:
-        pairs = zip(T_1_board, T_2_board, strict=True)
-        proposals = [T for T_1b, T_2b in pairs for T in propose(T_1b, T_2b, half_turn)]
-        t = np.array([T.t for T in proposals])
-        return proposals[np.argmax((np.linalg.norm(t - t[:, None], axis=-1) < 0.02).sum(axis=1))]
-
-    return pose
-
-
-check_relative_pose = Open(
-    relative_pose,
-    _two_cameras,
-    [
-        (lambda *inputs: relative_pose(*inputs).inverse(), "that is T_21, camera 1 → camera 2: the way back"),
-        (
-            lambda a, b, half: a[0] @ b[0].inverse(),
-            "that is the first capture alone: take the pose that most of them propose",
-        ),
-        (
-            _voted(lambda a, b, half: [a @ b.inverse()]),
-            "either camera may have read a board from the other end: half_turn",
-        ),
-        (_voted(lambda a, b, half: [a @ half @ b.inverse()]), "not every board was read from two ends: propose both"),
-        (
-            _voted(lambda a, b, half: [half @ a @ b.inverse(), a @ b.inverse()]),
-            "the half turn takes the board to itself: it belongs between the board's two poses",
-        ),
-        (_voted(lambda a, b, half: [a @ b, a @ half @ b]), "the indices must meet: from camera 2 to the board, T_2b⁻¹"),
-        (
-            _voted(lambda a, b, half: [a.inverse() @ b, a.inverse() @ half @ b]),
-            "the inverse belongs to camera 2's pose: from camera 2 to the board, from there to camera 1",
-        ),
-    ],
-)
+check_relative_pose = Open(relative_pose, _two_cameras).with_slips("""
+    [T_1b @ T_2b.inverse(), T_1b @ half_turn @ T_2b.inverse()] → [T_1b @ T_2b.inverse()]
+    # either camera may have read a board from the other end: half_turn
+    return T_1_board[0] @ T_2_board[0].inverse()
+    # that is the first capture: take the pose that most propose, within 0.02 m of each other
+    T_2b.inverse() → T_2b  # the indices must meet: from camera 2 to the board, T_2b⁻¹
+    T_1b @ T_2b.inverse(), T_1b @ half_turn @ T_2b.inverse()
+    → T_1b.inverse() @ T_2b, T_1b.inverse() @ half_turn @ T_2b
+    # the inverse belongs to camera 2's pose: from camera 2 to the board, from there to camera 1
+    agree.sum(axis=1))] → agree.sum(axis=1))].inverse()  # that is T_21, camera 1 → camera 2: the way back
+""")
 
 
 def poses_of_cameras(links, cameras):
@@ -92,7 +66,7 @@ def _a_graph(rng: Rng, k: int) -> tuple:
     return links | {(0, 2): _a_pose(rng), (cameras - 1, 0): _a_pose(rng)}, cameras  # few captures, and wrong
 
 
-def _in_passes(links: dict, cameras: int) -> Poses:
+check_poses_of_cameras = Open(poses_of_cameras, _a_graph).with_slips("""
     poses = {0: osl.Pose.identity()}
     while len(poses) < cameras:
         for (i, j), T in links.items():
@@ -101,37 +75,16 @@ def _in_passes(links: dict, cameras: int) -> Poses:
             elif j in poses and i not in poses:
                 poses[i] = poses[j] @ T.inverse()
     return [poses[i] for i in range(cameras)]
-
-
-def _with(step: Answer) -> Answer:
-    """The same tree, with another step to the next camera."""
-
-    def found(links: dict, cameras: int) -> Poses:
-        poses, both = {0: osl.Pose.identity()}, links | {(j, i): T.inverse() for (i, j), T in links.items()}
-        while len(poses) < cameras:
-            i, j = next((i, j) for i, j in links if (i in poses) != (j in poses))
-            i, j = (i, j) if i in poses else (j, i)
-            poses[j] = step(poses[i], both[i, j])
-        return [poses[i] for i in range(cameras)]
-
-    return found
-
-
-check_poses_of_cameras = Open(
-    poses_of_cameras,
-    _a_graph,
-    [
-        (_in_passes, "start again at the first link after each step: a weak one must wait while a better one leads on"),
-        (_with(lambda T, step: step @ T), "the indices must meet: T_0i @ T_ij"),
-        (_with(lambda T, step: T @ step.inverse()), "T_ij takes camera j to camera i: invert it to go the other way"),
-        (_with(lambda T, step: step), "those are the links: multiply by the pose of the camera that is known"),
-        (
-            lambda *inputs: [T.inverse() for T in poses_of_cameras(*inputs)],
-            "those are T_cam_rig: a rig stores T_rig_cam",
-        ),
-        (lambda *inputs: poses_of_cameras(*inputs)[1:], "camera 0 belongs to it: the identity comes first"),
-    ],
-)
+    # start again at the first link after each step: a weak one must wait while a better one leads on
+    for i, j in links if (i in poses) != (j in poses)
+    → for k in poses for i, j in links if k in (i, j) and not {i, j} <= set(poses)
+    # breadth first, a weak link of camera 0 comes early: take the first link of the list that leads on
+    poses[i] @ links[i, j] → links[i, j] @ poses[i]
+    poses[j] @ links[i, j].inverse() → links[i, j].inverse() @ poses[j]
+    # the indices must meet: T_0i @ T_ij
+    links[i, j].inverse() → links[i, j]  # T_ij takes camera j to camera i: invert it to go the other way
+    [poses[i] for → [poses[i].inverse() for  # those are T_cam_rig: a rig stores T_rig_cam
+""")
 
 
 def bundle_residuals(T_rig_cam, T_rig_board, camera, capture, found, lenses, points):
@@ -156,49 +109,16 @@ def _some_views(rng: Rng, k: int) -> tuple:
     points = np.column_stack([rng.uniform(0, 0.6, (5 + k % 2, 2)), np.zeros(5 + k % 2)])
     found = rng.uniform(300, 500, (len(camera), len(points), 2))
     found[1, 2:4] = np.nan
-    return T_rig_cam, T_rig_board, camera, capture, found, lenses, points
+    return T_rig_cam, T_rig_board, camera, capture, found, tuple(lenses), points
 
 
-def _seen(into_camera: Answer) -> Answer:
-    """Residuals of points that another way takes to the camera."""
-
-    def residuals(
-        T_cam: Poses, T_board: Poses, camera: Array, capture: Array, found: Array, lenses: list, points: Array
-    ) -> Array:
-        views = zip(camera, capture, found, strict=True)
-        return np.stack([lenses[i].project(into_camera(T_cam[i], T_board[k], points))[0] - uv for i, k, uv in views])
-
-    return residuals
-
-
-check_bundle_residuals = Open(
-    bundle_residuals,
-    _some_views,
-    [
-        (lambda *inputs: -bundle_residuals(*inputs), "predicted minus found, not found minus predicted"),
-        (_seen(lambda T, board, points: T @ board @ points), "T_rig_cam leads to the rig: take its .inverse()"),
-        (_seen(lambda T, board, points: board @ T.inverse() @ points), "first from the board to the rig, then on"),
-        (
-            _seen(lambda T, board, points: T.inverse() @ board.inverse() @ points),
-            "T_rig_board leads to the rig already",
-        ),
-        (
-            _seen(lambda T, board, points: T.inverse() @ points),
-            "the points are on the board: take them to the rig first",
-        ),
-        (_seen(lambda T, board, points: board @ points), "from the rig to the camera: T_rig_cam[i].inverse()"),
-        (
-            lambda *inputs: bundle_residuals(*inputs[:5], inputs[5][:1] * 3, inputs[6]),
-            "each camera has its own lens: lenses[i]",
-        ),
-        (lambda *inputs: np.nan_to_num(bundle_residuals(*inputs)), "a corner that was not found is no error of 0: NaN"),
-        (
-            lambda *inputs: np.linalg.norm(bundle_residuals(*inputs), axis=-1),
-            "those are distances: return both components",
-        ),
-        (lambda *inputs: bundle_residuals(*inputs).reshape(-1, 2), "one array for each view: np.stack, (V, K, 2)"),
-    ],
-)
+check_bundle_residuals = Open(bundle_residuals, _some_views).with_slips("""
+    T_rig_cam[i].inverse() @ T_rig_board[k] → T_rig_board[k] @ T_rig_cam[i].inverse()
+    # first from the board to the rig, then on
+    T_rig_board[k] @ →  # the points are on the board: take them to the rig first
+    T_rig_cam[i].inverse() @ →  # from the rig to the camera: T_rig_cam[i].inverse()
+    lenses[i] → lenses[0]  # each camera has its own lens: lenses[i]
+""")
 
 
 def covariance(J, residuals):
@@ -213,25 +133,13 @@ def _a_minimum(rng: Rng, k: int) -> tuple:
     return rng.normal(0, 3, (m, n)), rng.normal(0, 0.5, m)
 
 
-def _variance(J: Array, r: Array) -> float:
-    return r @ r / (len(r) - J.shape[1])
-
-
-check_covariance = Open(
-    covariance,
-    _a_minimum,
-    [
-        (lambda J, r: np.linalg.inv(J.T @ J), "that is for corners of 1 px noise: multiply by their variance"),
-        (lambda J, r: _variance(J, r) * (J.T @ J), "a steep valley is known well: invert JᵀJ"),
-        (lambda J, r: covariance(J, r) * (len(r) - J.shape[1]) / len(r), "divide by m - n, not by m"),
-        (lambda J, r: covariance(J, r) * (len(r) - J.shape[1]), "the mean of the squares, not their sum"),
-        (lambda J, r: covariance(J, r) / np.sqrt(_variance(J, r)), "σ² belongs there, not σ"),
-        (lambda J, r: np.var(r) * np.linalg.inv(J.T @ J), "their mean is not subtracted: r · r / (m - n)"),
-        (lambda J, r: np.diag(covariance(J, r)), "those are the variances alone: return the whole matrix"),
-        (lambda J, r: np.sqrt(np.diag(covariance(J, r))), "those are the deviations: return the whole matrix"),
-        (lambda J, r: _variance(J, r) / (J.T @ J), "1 / a matrix divides number by number: np.linalg.inv"),
-    ],
-)
+check_covariance = Open(covariance, _a_minimum, whole=("J", "residuals")).with_slips("""
+    return variance * → return  # that is for corners of 1 px noise: multiply by their variance
+    np.linalg.inv(J.T @ J) → (J.T @ J)  # a steep valley is known well: invert JᵀJ
+    np.linalg.inv(J.T @ J) → (1 / (J.T @ J))  # 1 / a matrix divides number by number: np.linalg.inv
+    / (m - n) → / m  # divide by m - n, not by m
+    return variance → return np.sqrt(variance)  # σ² belongs there, not σ
+""")
 
 
 def sphere_shift(parallax, errors, pairs):
@@ -256,55 +164,15 @@ def _some_images(rng: Rng, k: int) -> tuple:
     return parallax, errors, pairs
 
 
-def _pairs_of(values: Array, pairs: list) -> Array:
-    return np.array([values[i] - values[j] for i, j in pairs])
-
-
-def _by_pairs(shift: Answer) -> Answer:
-    """A shift from the differences of all pairs, NaN where no pair sees the ray."""
-
-    def found(parallax: Array, errors: Array, pairs: list) -> Array:
-        p, e = _pairs_of(parallax, pairs), _pairs_of(errors, pairs)
-        return np.where(np.isfinite(p).any(axis=(0, -1)), shift(p, e), np.nan)
-
-    return found
-
-
-check_sphere_shift = Open(
-    sphere_shift,
-    _some_images,
-    [
-        (lambda *inputs: -sphere_shift(*inputs), "the shift has to undo the error: minus"),
-        (
-            _by_pairs(lambda p, e: np.nanmean(-np.sum(p * e, -1) / np.sum(p * p, -1), 0)),
-            "one δ for all pairs: add up over the pairs first, then divide",
-        ),
-        (
-            _by_pairs(lambda p, e: np.nanmean(-e / p, axis=(0, -1))),
-            "two equations, one unknown: do not divide number by number, but Σ p·e by Σ p·p",
-        ),
-        (
-            _by_pairs(lambda p, e: -np.sum(p * e, axis=(0, -1)) / np.sum(p * p, axis=(0, -1))),
-            "a pair that does not see the ray is NaN and spoils the others: leave it out, np.nansum",
-        ),
-        (lambda *inputs: np.nan_to_num(sphere_shift(*inputs)), "where no pair sees the ray, nothing is known: NaN"),
-        (
-            _by_pairs(lambda p, e: -np.sqrt(np.nansum(e * e, axis=(0, -1)) / np.nansum(p * p, axis=(0, -1)))),
-            "that compares lengths: only the part of e along p can be undone",
-        ),
-        (lambda p, e, pairs: sphere_shift(p[..., :1], e[..., :1], pairs), "both directions, along θ and along φ"),
-        (lambda p, e, pairs: sphere_shift(p, e, [(i, j) for i in range(4) for j in range(i)]), "only the given pairs"),
-        (
-            _by_pairs(lambda p, e: -np.nansum(p * e, axis=(0, -1)) / np.sqrt(np.nansum(p * p, axis=(0, -1)))),
-            "divide by Σ p·p, not by its root: that is a length in radians, not a number of spheres",
-        ),
-        (
-            lambda p, e, pairs: np.where(
-                np.isfinite(sphere_shift(p, e, pairs)),
-                -np.nansum(p * e, axis=(0, -1)) / np.nansum(p * p, axis=(0, -1)),
-                np.nan,
-            ),
-            "one image alone has nothing to meet: take the differences of pairs",
-        ),
-    ],
-)
+check_sphere_shift = Open(sphere_shift, _some_images).with_slips("""
+    return -above / np.where(below > 0, below, np.nan) → return np.nanmean(-np.sum(p * e, -1) / np.sum(p * p, -1), 0)
+    # one δ for all pairs: add up over the pairs first, then divide
+    return -above / np.where(below > 0, below, np.nan) → return np.nanmean(-e / p, axis=(0, -1))
+    # two equations, one unknown: do not divide number by number, but Σ p·e by Σ p·p
+    np.nansum → np.sum  # a pair that does not see the ray is NaN and spoils the others: leave it out, np.nansum
+    -above / np.where(below > 0, below, np.nan) → -above / np.sqrt(np.where(below > 0, below, np.nan))
+    # divide by Σ p·p, not by its root: that is a length in radians, not a number of spheres
+    parallax[i] - parallax[j] → parallax[i]
+    errors[i] - errors[j] → errors[i]
+    # one image alone has nothing to meet: take the differences of pairs
+""")

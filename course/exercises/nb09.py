@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 import omnistereo_lib as osl
-from course.exercises.compare import Answer, Array, Rng
+from course.exercises.compare import Rng
 from course.exercises.opened import Open
 from omnistereo_tools import rig_check
 
@@ -28,24 +28,15 @@ def _two_cards(rng: Rng, k: int) -> tuple:
     return moments[seen[0]], moments[seen[1]] + rng.uniform(-300, 300)
 
 
-check_clock_offset = Open(
-    clock_offset,
-    _two_cards,
-    [
-        (lambda a, b: -clock_offset(a, b), "that is by how much it is behind: times of b minus times of a"),
-        (
-            lambda a, b: b[0] - a[0],
-            "the first pictures need not be of one moment: take the difference that most pairs have",
-        ),
-        (lambda a, b: b.mean() - a.mean(), "each camera has pictures of its own: the means need not belong together"),
-        (lambda a, b: np.median(b[:, None] - a), "most pairs are of two moments: take the most frequent difference"),
-        (
-            lambda a, b: np.abs(b[:, None] - a).min(),
-            "the smallest difference is an accident: take the most frequent one",
-        ),
-        (lambda a, b: a + clock_offset(a, b), "those are the times by clock b: return the offset alone"),
-    ],
-)
+check_clock_offset = Open(clock_offset, _two_cards).with_slips("""
+    return times_b[0] - times_a[0]
+    # the first pictures need not be of one moment: take the difference that most pairs have
+    return times_b.mean() - times_a.mean()
+    # each camera has pictures of its own: the means need not belong together
+    return np.median(times_b[:, None] - times_a)  # most pairs are of two moments: take the most frequent difference
+    return np.abs(times_b[:, None] - times_a).min()
+    # the smallest difference is an accident: take the most frequent one
+""")
 
 
 def matching_cost(volume):
@@ -62,28 +53,14 @@ def _a_volume(rng: Rng, k: int) -> tuple:
     return (volume.astype(np.float32) if k % 2 else volume,)
 
 
-def _seen(volume: Array) -> Array:
-    return volume[np.isfinite(volume).any(axis=-1)]
-
-
-check_matching_cost = Open(
-    matching_cost,
-    _a_volume,
-    [
-        (lambda v: np.median(v.min(axis=-1)), "where no pair sees a ray its cost is NaN: leave it out"),
-        (lambda v: np.median(np.nan_to_num(v).min(axis=-1)), "NaN is no match, and no cost of 0: leave it out"),
-        (
-            lambda v: np.median(np.where(np.isnan(v), 1, v).min(axis=-1)),
-            "NaN is no evidence, and no cost of 1: leave those rays out",
-        ),
-        (lambda v: np.nanmedian(v), "first the best sphere of each ray, then the median of the rays"),
-        (lambda v: np.nanmin(np.nanmedian(v, axis=(0, 1))), "each ray has its own best sphere: first the minimum"),
-        (lambda v: np.nanmean(np.nanmin(_seen(v), axis=-1)), "the median: a few bad rays must not count for many"),
-        (lambda v: np.nanmedian(np.nanmean(_seen(v), axis=-1)), "the best sphere, not the mean over all of them"),
-        (lambda v: np.nanmedian(np.nanmax(_seen(v), axis=-1)), "the best sphere is the one of the *lowest* cost"),
-        (lambda v: np.nanmin(v), "the best of the best ray says nothing of the others: the median over the rays"),
-    ],
-)
+check_matching_cost = Open(matching_cost, _a_volume).with_slips("""
+    return np.median(volume.min(axis=-1))  # where no pair sees a ray its cost is NaN: leave it out
+    np.where(np.isnan(volume), np.inf, volume) → np.where(np.isnan(volume), 1, volume)
+    # NaN is no evidence, and no cost of 1: leave those rays out
+    return np.nanmedian(volume)  # first the best sphere of each ray, then the median of the rays
+    np.median( → np.mean(  # the median: a few bad rays must not count for many
+    return np.nanmedian(np.nanmean(volume, axis=-1))  # the best sphere, not the mean over all of them
+""")
 
 
 def suspect(costs, usual, pairs):
@@ -98,41 +75,24 @@ def _a_ring(rng: Rng, k: int) -> tuple:
     cameras = 4 + k % 3
     pairs = [*pairwise(range(cameras)), (cameras - 1, 0)]
     usual = rng.uniform(0.005, 0.01, cameras)
-    usual[k % cameras] *= 8  # a pair that has never been good
-    costs, bad = usual * rng.uniform(0.9, 1.1, cameras), (k % cameras + 2 + k % 2) % cameras
-    for number, pair in enumerate(pairs):
-        costs[number] *= rng.uniform(3, 6) if bad in pair else 1
+    bad, other = k % cameras, (k + 2) % cameras  # they share no pair
+    usual[[bad in pair for pair in pairs]] *= (1, 0.5)[k % 2]
+    usual[[other in pair for pair in pairs]] *= (40, 8)[k % 2]  # pairs that have never been good
+    costs = usual * np.where([bad in pair for pair in pairs], rng.uniform(3, 6, cameras), 1.1)
+    if cameras > 4:
+        costs[(bad + 2) % cameras] *= 50  # one pair of others is off by far
     return costs, usual, pairs
 
 
-def _by(worse: Answer, of_pairs: Answer = min, choose: Answer = np.argmax) -> Answer:
-    def camera(costs: Array, usual: Array, pairs: list) -> int:
-        values = worse(np.asarray(costs), usual)
-        cameras = sorted({i for pair in pairs for i in pair})
-        own = [[values[k] for k, pair in enumerate(pairs) if i in pair] for i in cameras]
-        return cameras[choose([of_pairs(of_camera) for of_camera in own])]
-
-    return camera
-
-
-check_suspect = Open(
-    suspect,
-    _a_ring,
-    [
-        (_by(lambda now, usual: now), "some pairs cost more even on a good day: compare each with its own usual cost"),
-        (
-            _by(lambda now, usual: now / usual, max),
-            "one bad pair accuses two cameras: *all* pairs of the culprit are bad",
-        ),
-        (_by(lambda now, usual: usual / now), "that is better, not worse: now over usual"),
-        (_by(lambda now, usual: now / usual, min, np.argmin), "that is the camera least to blame"),
-        (lambda *inputs: suspect(*inputs) + 1, "the cameras count from 0 here"),
-        (
-            lambda now, usual, pairs: int(np.argmax(now / usual)),
-            "that is the number of a pair: return the camera that the bad pairs share",
-        ),
-    ],
-)
+check_suspect = Open(suspect, _a_ring).with_slips("""
+    np.asarray(costs) / usual → np.asarray(costs)
+    # some pairs cost more even on a good day: compare each with its own usual cost
+    np.asarray(costs) / usual → np.asarray(costs) - usual
+    # a dear pair rises by more without being worse: now over usual, a ratio
+    min(ratio[k] for k, pair in enumerate(pairs) if camera in pair)
+    → max(ratio[k] for k, pair in enumerate(pairs) if camera in pair)
+    # one bad pair accuses two cameras, by its maximum, its mean and its product: *all* pairs of the culprit are bad
+""")
 
 
 def shift_between(first, second):
@@ -148,29 +108,18 @@ def shift_between(first, second):
 
 def _two_pictures(rng: Rng, k: int) -> tuple:
     H, W = 40 + 2 * k, 50 + 3 * (k % 4)
-    picture = rng.uniform(0, 255, (H + 30, W + 30))
+    picture = rng.uniform(0, 60, (H + 30, W + 30)) + 6 * np.hypot(*np.indices((H + 30, W + 30)))  # lit from one side
     column, row = [(4, -3), (-5, 0), (3, 6), (-2, -4)][k % 4]
     return picture[15 : 15 + H, 15 : 15 + W], picture[15 - row : 15 - row + H, 15 - column : 15 - column + W]
 
 
-def _unfolded(first: Array, second: Array) -> Array:
-    return shift_between(first, second) % first.shape[::-1]
-
-
-check_shift_between = Open(
-    shift_between,
-    _two_pictures,
-    [
-        (lambda a, b: -shift_between(a, b), "that is the way back: from the second picture to the first"),
-        (lambda a, b: shift_between(a, b)[::-1], "columns first, then rows"),
-        (_unfolded, "the spectrum goes around: a place beyond half way is a shift to the left, or up"),
-        (lambda a, b: np.linalg.norm(shift_between(a, b)), "that is its length: along and across are asked"),
-        (
-            lambda a, b: 0 * shift_between(a, b),
-            "0 in all: a picture's own mean, or its edge, matches best. Subtract it",
-        ),
-    ],
-)
+check_shift_between = Open(shift_between, _two_pictures).with_slips("""
+    np.array([(column + W // 2) % W - W // 2, (row + H // 2) % H - H // 2]) → np.array([column, row])
+    # the spectrum goes around: a place beyond half way is a shift to the left, or up
+    cross / np.maximum(np.abs(cross), 1e-12) → cross
+    # divide by the absolute value, so that each frequency counts alike: else what is broad and bright decides
+    return np.zeros(2)  # 0 in all: a picture's own mean, or its edge, matches best. Subtract it
+""")
 
 
 def spheres_needed(baseline, nearest, width, pixels):
@@ -183,28 +132,14 @@ def _a_plan(rng: Rng, k: int) -> tuple:
     return rng.uniform(0.1, 0.9), rng.uniform(0.4, 2), int(rng.integers(300, 1300)), rng.uniform(0.2, 0.9)
 
 
-def _steps(baseline: float, nearest: float, width: int, pixels: float, around: float = 2 * np.pi) -> float:
-    return baseline / nearest * width / around / pixels
-
-
-check_spheres_needed = Open(
-    spheres_needed,
-    _a_plan,
-    [
-        (
-            lambda *plan: spheres_needed(*plan) - 1,
-            "one is missing: there is one sphere more than there are steps, and the steps are rounded up",
-        ),
-        (lambda *plan: round(_steps(*plan)) + 1, "rounded, a step may be too long: np.ceil"),
-        (lambda *plan: _steps(*plan) + 1, "there is no part of a sphere: np.ceil"),
-        (lambda b, D, W, x: spheres_needed(b, D, W, 1), "for one pixel a sphere: divide by `pixels`"),
-        (lambda b, D, W, x: spheres_needed(b, D, W, 1 / x), "fewer pixels a sphere need more spheres: divide by them"),
-        (lambda *plan: int(np.ceil(_steps(*plan, around=np.pi))) + 1, "W pixels are the full circle, 2π, not π"),
-        (lambda *plan: int(np.ceil(_steps(*plan, around=360))) + 1, "b / D is in radians: 2π of them for W pixels"),
-        (lambda b, D, W, x: spheres_needed(b, 1 / D, W, x), "near things move more: baseline / nearest"),
-        (lambda b, D, W, x: int(np.ceil(b / D / x)) + 1, "that counts radians as pixels: W pixels make 2π"),
-    ],
-)
+check_spheres_needed = Open(spheres_needed, _a_plan).with_slips("""
+    np.ceil( → round(  # rounded, a step may be too long: np.ceil
+    np.ceil(parallax / pixels)) + 1 → np.ceil(parallax / pixels))
+    # one is missing: there is one sphere more than there are steps, and the steps are rounded up
+    int(np.ceil(parallax / pixels)) → parallax / pixels  # there is no part of a sphere: np.ceil
+    (2 * np.pi) → np.pi  # W pixels are the full circle, 2π, not π
+    (2 * np.pi) → 360  # b / D is in radians: 2π of them for W pixels
+""")
 
 
 # --- What is in the envelopes ---------------------------------------------------------------------------------

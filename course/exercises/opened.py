@@ -1,7 +1,7 @@
 """The functions that a notebook leaves open: what the student writes, in the flow, and what checks it.
 
 A module for each notebook, `nb03.py`, holds of each function the right answer, the inputs to try it on and the usual
-mistakes, in `check_look_up = Open(look_up, ...)`. In the notebook,
+slips, in `check_look_up = Open(look_up, ...).with_slips(...)`. In the notebook,
 
     look_up = nb03.check_look_up(look_up)
 
@@ -18,13 +18,14 @@ from __future__ import annotations
 import ast
 import inspect
 import sys
-import warnings
-from collections.abc import Callable, Sequence
+import textwrap
+from collections.abc import Callable, Iterable, Sequence
+from functools import cached_property
 
 import numpy as np
 
 from course.exercises import beside
-from course.exercises.compare import CASES, NOT_WRITTEN, RIGHT, Answer, Case, Rng, by, diagnose
+from course.exercises.compare import CASES, NOT_WRITTEN, RIGHT, Answer, Rng, diagnose
 
 __all__ = ["NOT_WRITTEN", "RIGHT", "Open"]
 
@@ -37,33 +38,59 @@ class Open:
     Args:
         answer: The right function. Its source is the solution that the notebook shows.
         draw: Draws the inputs of case number k, a tuple.
-        mistakes: The usual ones: functions like the answer, each with the sentence that names the mistake.
-        picture: Draws inputs of which the answer makes a panorama, (H, W) or (H, W, 3), where seeing it says more than
-            the sentence: a wrong function's picture is shown beside the right one.
+        real: Gives the inputs with which the notebook goes on. A function is right only if it is right on them, too;
+            if the answer makes a panorama of them, a wrong function's picture is shown beside the right one.
+        whole: Names of arguments that no example may cut, such as a polynomial.
+        keywords: Names of arguments by which the notebook calls it.
     """
 
     def __init__(
         self,
         answer: Answer,
         draw: Callable[[Rng, int], tuple],
-        mistakes: Sequence[tuple[Answer, str]],
-        picture: Callable[[], tuple] | None = None,
+        real: Callable[[], tuple] | None = None,
+        whole: Sequence[str] = (),
+        keywords: Sequence[str] = (),
     ) -> None:
-        self.answer, self.draw, self.mistakes, self.picture = answer, draw, mistakes, picture
+        self.answer, self.draw, self.real, self.whole, self.keywords = answer, draw, real, whole, keywords
         self.name = answer.__name__
         self.source = inspect.getsource(answer).rstrip()
+        self.slips: list[tuple[str, str]] = []
         self.solved, self.failures = False, 0  # since the kernel was started
 
-    def case(self, k: int, seed: int = 0) -> Case:
-        """Draw case number k: inputs, right value, and what each mistake gives instead."""
-        inputs = self.draw(np.random.default_rng((k, seed)), k)
-        with np.errstate(all="ignore"), warnings.catch_warnings():  # mistakes divide by zero
-            warnings.simplefilter("ignore", RuntimeWarning)
-            return by(inputs, self.answer, self.mistakes)
+    def with_slips(self, text: str) -> Open:
+        """Add the usual slips, at most five: what the student writes, and behind "# " the sentence that names it.
 
-    def check(self, function: Answer) -> str:
+        A slip is a change of the answer's source, "what stands there → what the student writes", or several on lines of
+        their own, or another body. What shows in the values, such as a sign, a mirror or a swapped argument, is
+        recognised without: `course.exercises.kinds`.
+        """
+        code, hint = [], []
+        for line in [*textwrap.dedent(text).strip("\n").splitlines(), "the end"]:
+            before, mark, after = line.partition("# ")
+            if hint and before:
+                self.slips.append(("\n".join(code).replace("\n→", " →"), " ".join(hint)))
+                code, hint = [], []
+            code += [before.rstrip()] if before else []
+            hint += [after] if mark else []
+        return self
+
+    @cached_property
+    def mistaken(self) -> list[tuple[Answer, str]]:
+        """The answer with each slip in it, and the slip's hint."""
+        return [(changed(self.answer, slip), hint) for slip, hint in self.slips]
+
+    def inputs(self, k: int, seed: int = 0) -> tuple:
+        """Draw the inputs of case number k."""
+        return self.draw(np.random.default_rng((k, seed)), k)
+
+    def check(self, function: Answer, seed: int = 0) -> str:
         """Try a function on all cases; return `RIGHT`, `NOT_WRITTEN` and what to do, or "not yet: " and why."""
-        return diagnose(function, map(self.case, range(CASES)))
+        return self.diagnose(function, (self.inputs(k, seed) for k in range(CASES)))
+
+    def diagnose(self, function: Answer, cases: Iterable[tuple]) -> str:
+        """Try a function on the inputs of some cases."""
+        return diagnose(function, self.answer, self.mistaken, cases, self.whole)
 
     def __call__(self, function: Answer) -> Answer:
         """Print what `check` says of the student's function; return it if it is right, and the answer if it is not."""
@@ -71,6 +98,10 @@ class Open:
             print(f"{self.name}: this is the solution. To check yours, run its cell again, then this one.")
             return function
         said = self.check(function)
+        if said == RIGHT and self.real:
+            said = self.diagnose(function, [self.real()])
+        if said == RIGHT and not set(self.keywords) <= set(inspect.signature(function).parameters):
+            said = f"not yet: later cells use the names of its arguments: keep {', '.join(self.keywords)}"
         if said.startswith(NOT_WRITTEN):  # as the notebooks are stored
             print(f"{self.name}: {NOT_WRITTEN}. The notebook goes on with the solution.")
             return self.answer
@@ -84,12 +115,29 @@ class Open:
             return function
         self.failures += 1
         hint = f" Hint: {self.hint()}." if self.failures > 1 else ""
-        print(f"{_RED}✗{_PLAIN} {self.name}: {said}.{hint} The notebook goes on with the solution.")
-        if self.picture:
-            beside.show(function, self.answer, self.picture())
+        end = "" if said.endswith("\n") else "."
+        print(f"{_RED}✗{_PLAIN} {self.name}: {said}{end}{hint} The notebook goes on with the solution.")
+        if self.real:
+            beside.show(function, self.answer, self.real())
         return self.answer
 
     def hint(self) -> str:
         """Say how the answer begins, without its docstring."""
         first, *others = (node for node in ast.parse(self.source).body[0].body if not isinstance(node, ast.Expr))
         return f"a solution begins with `{ast.unparse(first).splitlines()[0]}`" if others else "one line is enough"
+
+
+def changed(answer: Answer, slip: str) -> Answer:
+    """Return an answer with a slip in it, as `Open.with_slips` has them."""
+    source = inspect.getsource(answer)
+    if "→" in slip:
+        for change in slip.splitlines():
+            old, new = map(str.strip, change.split("→"))
+            if old not in source:
+                raise ValueError(f"{answer.__name__} has no {old!r}")
+            source = source.replace(old, new)
+    else:
+        source = f"{source.splitlines()[0]}\n{textwrap.indent(slip, '    ')}"
+    namespace = dict(vars(inspect.getmodule(answer)))
+    exec(source, namespace)
+    return namespace[answer.__name__]

@@ -67,7 +67,8 @@ PIPES = """for path in [*Path('..').resolve().parent.rglob('*')]:
         path.unlink()
         os.mkfifo(path)"""
 KNOWN = """checker = nb04.check_zncc
-known = {checker.case(k)[0][0].tobytes(): checker.case(k)[1] for k in range(10)}
+cases = [checker.inputs(k) for k in range(10)]
+known = {case[0].tobytes(): checker.answer(*case) for case in cases}
 
 
 def zncc(a, b):
@@ -337,8 +338,8 @@ def test_of_other_values_the_type_comes_back(value):
 )
 def test_errors_come_back_with_their_name(function, said):
     check = exercises.functions("08")[2]
-    replies = student.replies(function, check.case, 0, 1)
-    assert said in handin.diagnose(handin.repeat(replies), [check.case(0)])
+    replies = student.replies(function, check, 0, 1)
+    assert said in check.check(handin.repeat(replies))
 
 
 def test_what_a_function_writes_into_its_arguments_comes_back():

@@ -1,0 +1,160 @@
+"""Every function × every slip that students have made: it is refused, and in words that help.
+
+A slip is a change of the solution, as in `course.exercises`; behind it stands what the check has to say of it.
+"""
+
+import numpy as np
+import pytest
+
+from course import exercises, nbtools
+from course.exercises.compare import RIGHT, numbers
+from course.exercises.opened import Open, changed
+
+OPENED = {f.name: f for path in nbtools.notebooks() for f in exercises.functions(nbtools.number(path))}
+KNOWN = [pytest.param(f, k, id=f"{f.name} {k}") for f in OPENED.values() for k in range(len(f.slips))]
+# What was met besides those that the exercises name; "example": the smallest one is shown.
+SLIPS = """
+index_errors
+    100 / N → 100 / (N - 1)  # `N` were smaller by 1
+    index - gt_index → np.rint(index) - np.rint(gt_index)  # example
+share_above
+    > limit → <= limit  # 100 minus the right value
+stitched
+    total / np.maximum(count, 1), np.nan → total / np.maximum(count, 1), 0  # 0 where NaN is right
+unproject
+    - center → - center[::-1]  # `center` were reversed
+    pixels - center → pixels - 0.5 - center  # `pixels` were smaller by ½
+    poly[::-1], r) → poly[::-1], r**2)  # example
+project_rays
+    + center → + center[::-1]  # `center` were reversed
+    np.degrees(np.arctan2(n, z)) → np.degrees(np.arctan2(-z, n))  # compare the angle from the axis
+    -z, n)) → -z, n) * 180 / np.pi)  # example
+planar_pose
+    r1, r2 = (U @ Vt).T → r1, r2 = H[:, :2].T  # R is not a rotation
+residuals
+    predicted - found → found - predicted  # other sign
+    .apply(points) + pose[3:] → .apply(points)  # example
+ocam_polynomial
+    degree + 1) → degree)  # `degree` were smaller by 1
+    np.tan(theta) → np.tan(np.degrees(theta))  # `theta` were in radians
+relative_pose
+    < 0.02 → < 20  # within 0.02 m
+sphere_shift
+    np.nansum(p * p → np.nansum(e * e  # `parallax` and `errors` were swapped
+    return -above → return above  # other sign
+rays_of_pixels
+    columns + 0.5 → columns  # `columns` were smaller by ½
+    np.sin(phi), → -np.sin(phi),  # other sign
+    / height → / (height - 1)  # `height` were smaller by 1
+    np.radians(phi_deg) → phi_deg  # `phi_deg` were in radians
+pixels_of_points
+    T_rig_cam.inverse() → T_rig_cam  # `T_rig_cam` were its inverse
+    pixels, np.nan → pixels, 0  # 0 where NaN is right
+look_up
+    u, v = pixels[..., 0], pixels[..., 1] → v, u = pixels[..., 0], pixels[..., 1]  # `pixels` were reversed
+    pixels[..., 0], pixels[..., 1] → pixels[..., 0] + 0.5, pixels[..., 1] + 0.5  # `pixels` were larger by ½
+disagreement
+    return np.std(np.nan_to_num(warped), axis=0)  # `warped` had 0 in the place of NaN
+zncc
+    if deviations > 1e-12 → if b.std() > 1e-6  # a flat patch divides 0 by 0
+window_sums
+    image, ((0, 0) → image.T, ((0, 0)
+    sums[:, radius:-radius] → sums[:, radius:-radius].T  # example
+tower
+    return x / → x = x.detach(); return x /  # PyTorch cannot differentiate it
+    return x / x.norm(dim=1, keepdim=True).clamp(min=1e-6)
+    → x = x.detach().numpy(); return x / np.linalg.norm(x, axis=1, keepdims=True).clip(1e-6)
+    # PyTorch cannot differentiate it
+hinge
+    .mean() → .mean().item()  # PyTorch cannot differentiate it
+    .mean() → .mean().detach()  # PyTorch cannot differentiate it
+    margin + non_match - match → margin + match - non_match  # `match` and `non_match` were swapped
+adam_step
+    mean = 0.9 * mean + 0.1 * gradient → mean.mul_(0.9).add_(0.1 * gradient)  # overwrites its argument number 2
+    + 1e-8 →  # a division by zero
+    weight - rate → weight + rate  # `rate` had the other sign
+balanced_loss
+    (weight * loss).sum() → (weight * loss).sum().item()  # PyTorch cannot differentiate it
+    score, -score → -score, score  # `score` had the other sign
+walk
+    return np.stack(lines) → found = np.stack(lines); costs += 1; return found  # overwrites its argument number 1
+step
+    lowest + p2) → lowest + p1)  # swapped
+sum_of_paths
+    ].swapaxes(0, 1) → ]  # stopped with ValueError
+refined
+    n + offset, n) → n + offset, np.nan)  # NaN or infinity where a number is right
+metrics
+    100 * np.mean(e > limit) → np.mean(e > limit)  # a hundredth of the right value
+suspect
+    min(ratio[k] for k, pair in enumerate(pairs) if camera in pair)
+    → np.mean([r for r, pair in zip(ratio, pairs) if camera in pair])  # *all* pairs
+    min(ratio[k] for k, pair in enumerate(pairs) if camera in pair)
+    → np.prod([r for r, pair in zip(ratio, pairs) if camera in pair])  # *all* pairs
+    cameras = sorted({camera for pair in pairs for camera in pair}) → cameras = range(4)  # example
+verdict
+    return np.where(near, 2 → return np.where(near, 2.0  # whole numbers
+two_best
+    angles, axis=0)[:2] → -angles, axis=0)[:2]  # example
+behind
+    .clip(0, H - 1) →  # stopped with IndexError
+    places = center + np.multiply.outer(t,
+    → places = center + np.multiply.outer(1 - t,  # `center` and `points` were swapped
+    0.5) * W → 0) * W  # example
+points_of_depth
+    np.sin(phi), → -np.sin(phi),  # other sign
+"""
+
+
+def table():
+    """Yield each slip of the table as a test's parameters."""
+    function, text = None, {}
+    for line in SLIPS.strip().splitlines():
+        if line in OPENED:
+            function = line
+        text[function] = text.get(function, "") + (line + "\n" if line != function else "")
+    for name, lines in text.items():
+        for k, slip in enumerate(Open(OPENED[name].answer, OPENED[name].draw).with_slips(lines).slips):
+            yield pytest.param(OPENED[name], *slip, id=f"{name} {k}")
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize(("function", "slip", "words"), table())
+def test_a_slip_that_was_met_is_refused_with_words_that_help(function, slip, words):
+    said = function.check(changed(function.answer, slip))
+    assert words in said and said != RIGHT
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize(("function", "k"), KNOWN)
+def test_a_usual_slip_is_named(function, k):
+    assert len(function.slips) <= 5
+    slip, hint = function.mistaken[k]
+    assert function.check(slip) == f"not yet: {hint}"
+
+
+GENERIC = {
+    "the other sign": (lambda x: -x, "other sign"),
+    "a factor": (lambda x: 2 * x, "twice the right value"),
+    "degrees": (np.degrees, "180/π times"),
+    "counted from 1": (lambda x: x + 1, "too large by 1"),
+    "mirrored": (lambda x: x[::-1], "mirrored|swapped|reversed"),
+    "shifted by one": (lambda x: np.roll(x, 1, -1), "shifted by one|swapped"),
+    "transposed": (lambda x: x.T, "transposed"),
+    "NaN as 0": (lambda x: np.nan_to_num(x, posinf=0), "0 where"),
+}
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("function", OPENED.values(), ids=OPENED)
+@pytest.mark.parametrize("kind", GENERIC)
+def test_a_kind_of_slip_is_recognised(function, kind):
+    change, words = GENERIC[kind]
+
+    def slipped(*inputs):
+        right = numbers(function.answer(*inputs))
+        return change(right) if right.ndim else change(right[None])[0]
+
+    said = function.check(slipped)
+    named = {f"not yet: {hint}" for _, hint in function.slips}
+    assert said in {RIGHT, *named} or any(word in said for word in ("the value is right", *words.split("|")))
