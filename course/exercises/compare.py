@@ -223,10 +223,11 @@ def _text(x: Any) -> str:
 def smallest(function: Answer, answer: Answer, failure: Failure, whole: Sequence[int]) -> Failure:
     """Cut an example down as long as the function still differs: halves and single slices of its arrays and lists."""
     until = time.monotonic() + SECONDS
+    axes = [() if k in whole else _axes(x) for k, x in enumerate(failure.inputs)]
     smaller: Failure | None = failure
     while smaller:
         failure = smaller
-        tried = (_differs(function, answer, cut) for cut in _cuts(failure.inputs, whole) if time.monotonic() < until)
+        tried = (_differs(function, answer, cut) for cut in _cuts(failure.inputs, axes) if time.monotonic() < until)
         smaller = next(filter(None, islice(tried, 60)), None)
     return failure
 
@@ -242,28 +243,27 @@ def _differs(function: Answer, answer: Answer, inputs: tuple) -> Failure | None:
     return Failure(inputs, found, right)
 
 
-def _cuts(inputs: tuple, whole: Sequence[int]) -> Iterator[tuple]:
-    """Yield the inputs with one size reduced wherever it occurs; coordinates, three or fewer behind, stay together."""
-    sizes = {size for k, x in enumerate(inputs) if k not in whole for size in _sizes(x).values()}
-    for size in sorted(sizes - {1}, reverse=True):
+def _axes(x: Any) -> Sequence[int]:
+    """Return the axes of an argument that may be cut: not the last one of coordinates or colours."""
+    shape = (len(x),) if isinstance(x, list) else tuple(getattr(x, "shape", ()))
+    return [axis for axis, size in enumerate(shape) if size > 3 or axis < len(shape) - 1]
+
+
+def _cuts(inputs: tuple, axes: list[Sequence[int]]) -> Iterator[tuple]:
+    """Yield the inputs with one size reduced, in all axes that have it."""
+    shapes = [(len(x),) if isinstance(x, list) else tuple(getattr(x, "shape", ())) for x in inputs]
+    sizes = {shape[axis] for shape, own in zip(shapes, axes, strict=True) for axis in own}
+    for size in sorted(sizes - {0, 1}, reverse=True):
         half = size // 2
         for part in (slice(0, half), slice(half, size), slice(1, size), slice(0, size - 1)):
-            yield tuple(x if k in whole else _cut(x, size, part) for k, x in enumerate(inputs))
+            yield tuple(
+                _cut(x, [axis for axis in own if shape[axis] == size], part)
+                for x, shape, own in zip(inputs, shapes, axes, strict=True)
+            )
 
 
-def _sizes(x: Any) -> dict[int, int]:
-    """Return the sizes that may be cut, by axis."""
-    if isinstance(x, list):
-        return {0: len(x)}
-    shape = tuple(getattr(x, "shape", ()))
-    return {axis: n for axis, n in enumerate(shape) if n > 3 or axis < len(shape) - 1 or len(shape) == 1}
-
-
-def _cut(x: Any, size: int, part: slice) -> Any:
-    axes = [axis for axis, n in _sizes(x).items() if n == size]
-    if isinstance(x, list):
+def _cut(x: Any, axes: list[int], part: slice) -> Any:
+    if not axes or isinstance(x, list):
         return x[part] if axes else x
-    if not axes:
-        return x
     smaller = x[tuple(part if axis in axes else slice(None) for axis in range(x.ndim))]
     return smaller.detach().requires_grad_(x.requires_grad) if hasattr(x, "detach") else smaller
