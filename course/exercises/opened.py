@@ -5,7 +5,7 @@ slips, in `check_look_up = Open(look_up, ...).with_slips(...)`. In the notebook,
 
     look_up = nb03.check_look_up(look_up)
 
-says in one line what is right or wrong, with a hint from the second failure on, and binds the name to what the notebook
+says what is right or wrong, with a hint from the second failure on, and binds the name to what the notebook
 goes on with: the student's function if it is right, the answer if it is not. The notebook shows the answer's source as
 the solution.
 
