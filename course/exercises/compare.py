@@ -179,7 +179,7 @@ def _recognised(failures: list[Failure], answer: Answer) -> str:
     if words := _elected([list(kinds.of_values(failure.found, failure.right)) for failure in failures]):
         _, found, right = failures[0]
         return words if found.shape == right.shape else f"{words}; expected {form(right)}, got {form(found)}"
-    if len(failures) == 1 or any(failure.found.size > 1 or failure.found != failures[0].found for failure in failures):
+    if len(failures) == 1 or len({failure.found.tobytes() for failure in failures}) > 1:
         of_arguments = [list(kinds.of_arguments(answer, f.inputs, f.found, numbers)) for f in failures[:3]]
         if found := _elected(of_arguments):
             return found

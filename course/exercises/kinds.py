@@ -64,6 +64,8 @@ def form(values: Array) -> str:
 
 def of_values(found: Array, right: Array) -> Iterator[str]:
     """Yield in words what turns the right values into those that were found."""
+    if not right.size or not found.size:
+        return
     if found.shape != right.shape:
         yield from _of_shape(found, right)
         return

@@ -207,6 +207,7 @@ GARBAGE = {
     "no name": (lambda x, f: f * x + 0.37, "too large by 0.37 everywhere"),
     "a part": (lambda x, f: f * np.stack([x[0], x[1] ** 2]), "wrong only in number 1 along axis 0"),
     "overwrites": (overwriting, "the value is right, but your function overwrites its argument number 1"),
+    "empty": (lambda x, f: x[:0], "expected numbers of shape (2, 3), got numbers of shape (0, 3)"),
     "single precision": (lambda x, f: (f * x).astype(np.float32), RIGHT),
     "a list": (lambda x, f: (f * x).tolist(), RIGHT),
 }
