@@ -47,12 +47,14 @@ test: $(DEV_READY)  ## linters, types, library tests, and every notebook cell ag
 	$(BIN)/mypy
 	$(KEEP_MEMORY) $(BIN)/python -m pytest $(WORKERS) $(NBVAL)
 
-check: $(DEV_READY)  ## the fast tier, a minute: linters, types, geometry, stereo, rig files and one notebook
+check: $(DEV_READY)  ## the fast tier, a minute: linters, types, geometry, stereo, rig files, one notebook and the examples of depth
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(KEEP_MEMORY) $(BIN)/python -m pytest $(WORKERS) $(NBVAL) tests/geometry tests/rig_files tests/stereo \
-	  --ignore tests/stereo/test_shipped_weights.py notebooks/03_sphere_sweep.ipynb
+	  --ignore tests/stereo/test_shipped_weights.py notebooks/03_sphere_sweep.ipynb \
+	  tests/test_pages_as_typed.py::test_every_command_is_run_or_marked \
+	  'tests/test_pages_as_typed.py::test_page[omnistereo depth]'
 
 # Apart from `test`, which it would slow by a half; without the fuzzer, whose limits it breaks.
 coverage: $(DEV_READY)  ## the lines of the library that the tests reach

@@ -99,8 +99,10 @@ def formats_table() -> str:
 
 def _described(read: Callable[..., RigFile]) -> tuple[str, str]:
     """Return the name of what a function reads, and what it reads of that, by its docstring."""
-    name, what = " ".join(str(read.__doc__).split("\n\n")[0].split()).removeprefix("Read ").rstrip(".").split(": ", 1)
-    return name, what
+    # PYTHONOPTIMIZE=2 drops docstrings; the name of the function is left.
+    text = read.__doc__ or f"{read.__name__.removeprefix('read_')}: "
+    name, what = " ".join(text.split("\n\n")[0].split()).removeprefix("Read ").rstrip(".").split(":", 1)
+    return name, what.strip()
 
 
 def _supported() -> str:
