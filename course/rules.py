@@ -5,13 +5,10 @@ course/template.ipynb says what goes where. A notebook states facts about itself
     {"title": "Quick start", "learn": "...", "needs": "CPU", "minutes_to_read": 10, "budget_s": 60}
 """
 
-import ast
 import re
 import statistics
 import sys
 from collections.abc import Iterator
-from contextlib import suppress
-from decimal import Decimal
 from itertools import pairwise
 from pathlib import Path
 
@@ -45,7 +42,7 @@ def report(found: dict[Path, list[str]]) -> bool:
 def problems(text: str) -> list[str]:
     """Return what is wrong with a notebook, given as the text of its file. Empty if valid."""
     nb = nbformat.reads(text, as_version=4)
-    found = [*_facts(nb), *_runs(nb), *_lengths(nb), *_outputs(nb), *_pictures(nb), *_frame(nb), *_numbers(nb)]
+    found = [*_facts(nb), *_runs(nb), *_lengths(nb), *_outputs(nb), *_pictures(nb), *_frame(nb)]
     if len(text.encode()) > MAX_BYTES:
         found.append(f"{len(text.encode()) // 1000} KB; at most {MAX_BYTES // 1000}: smaller pictures")
     if text != nbtools.text_of(nbtools.clean(nb)):
@@ -138,68 +135,9 @@ def _frame(nb: nbformat.NotebookNode) -> Iterator[str]:
         yield f"its exercises are marked {levels}; from (warm-up) to (open), out of {LEVELS}"
 
 
-# A notebook must carry the numbers in its text: a cell prints them, to the digits that the text gives, or sets them.
-# Exempt are whole numbers up to ten without a unit, years, numbers of notebooks and exercises, numbers in code and
-# links, whole numbers in formulas, multiples of 45° and the lenses' 220°. A sentence with the word "paper" quotes it.
-NUMBER = re.compile(r"(?<![\w.])(?:\d{1,3}(?:,\d{3})+|\d+)(?:\.\d+)?(?:e-?\d+)?(?!\.?\w)")
-UNIT = re.compile(r"\s?(°|%|(?:px|pixels?|mm|cm|m|ms|s|percent|degrees|metres|seconds)\b)")
-NAMES = re.compile(r"```.*?```|`[^`]*`|!?\[[^\]]*\]\([^)]*\)|\*\*\d\db?\.\d+|\A# \d\db? ·", re.DOTALL)
-FORMULA = re.compile(r"\$+[^$]+\$+")
-SENTENCE_END = re.compile(r"(?<=[.!?])\s+|\n{2,}|\n(?=[-*|#>\d])")
-LENS_DEG = (220, 110)  # the field of view, and the half of it on each side of the axis
-
-
-def _numbers(nb: nbformat.NotebookNode) -> Iterator[str]:
-    carried = _carried(nb)
-    for sentence in _sentences(nb):
-        for number in NUMBER.finditer(sentence):
-            word, unit = number[0], UNIT.match(sentence, number.end())
-            unit = unit[1] if unit else ""
-            if not _is_free(word, unit) and not _is_carried(word, unit, carried):
-                yield f"the text says {word}{unit}, no output and no code does: {' '.join(sentence.split())!r}"
-
-
-def _sentences(nb: nbformat.NotebookNode) -> Iterator[str]:
-    """Yield the sentences whose numbers are checked: without names and quotations; of formulas only the decimals."""
-    for text in prose(nb):
-        text = FORMULA.sub(lambda formula: " ".join(re.findall(r"\d+\.\d+", formula[0])), NAMES.sub(" ", text))
-        yield from (sentence for sentence in SENTENCE_END.split(text) if not re.search(r"\bpaper\b", sentence))
-
-
-def _is_free(word: str, unit: str) -> bool:
-    if unit == "°":
-        return float(word) % 45 == 0 or float(word) in LENS_DEG
-    small_or_year = word.isdigit() and (int(word) <= 10 or 1900 <= int(word) < 2100)
-    return not unit and (small_or_year or bool(re.match(r"0\d", word)))
-
-
-def _is_carried(word: str, unit: str, carried: set[Decimal]) -> bool:
-    value = Decimal(word.replace(",", ""))
-    half_a_digit = Decimal(1).scaleb(value.as_tuple().exponent) / 2
-    scales = (1, 100) if unit in ("%", "percent") else (1,)
-    return any(abs(scale * number - value) <= half_a_digit for number in carried for scale in scales)
-
-
 def prose(nb: nbformat.NotebookNode) -> Iterator[str]:
     """Yield text cells and captions."""
     yield from (cell.source for cell in nb.cells if cell.cell_type == "markdown")
     for cell in nbtools.code_cells(nb):
         texts = (output.get("data", {}).get("text/markdown", "") for output in cell.outputs)
         yield from (text for text in texts if text.startswith("*Figure:*"))
-
-
-def _carried(nb: nbformat.NotebookNode) -> set[Decimal]:
-    """Return all numbers in the code, but not in its strings, and in what cells print, but not in captions."""
-    code = (node.value for node in _nodes(nb) if isinstance(node, ast.Constant))
-    found = {Decimal(str(value)) for value in code if type(value) in (int, float)}
-    for output in (output for cell in nbtools.code_cells(nb) for output in cell.outputs):
-        if output.output_type in ("stream", "execute_result"):
-            said = output.get("text", "") + str(output.get("data", {}).get("text/plain", ""))
-            found |= {Decimal(number.replace(",", "")) for number in NUMBER.findall(said)}
-    return found
-
-
-def _nodes(nb: nbformat.NotebookNode) -> Iterator[ast.AST]:
-    for cell in nbtools.code_cells(nb):
-        with suppress(SyntaxError):  # IPython's own commands
-            yield from ast.walk(ast.parse(cell.source))

@@ -14,11 +14,9 @@ import warnings
 from pathlib import Path
 
 import container_damage
-import cv2
 import numpy as np
 import psutil
 import pytest
-import tifffile
 import torch
 import yaml
 from rig_files.rig_file_samples import (
@@ -45,23 +43,11 @@ from train.tiny import MCCNN as RECIPE
 import omnistereo_lib as osl
 from omnistereo_lib.calibrate.captures import load_corners, save_corners
 from omnistereo_lib.calibrate.checkerboard import Checkerboard
-from omnistereo_lib.dataset import read_inverse_depth, write_inverse_depth
 from omnistereo_lib.evaluate.records import read_record
 from omnistereo_lib.evaluate.table import errors_table, regions_table
-from omnistereo_lib.files import read_image
 from omnistereo_lib.rig_files import load_camera
 from omnistereo_lib.train.loop import COLUMNS, _Run, read_log, write_csv
-from omnistereo_tools.sources import Recording
 
-CONTAINERS = {
-    "png": container_damage.png,
-    "jpg": container_damage.jpeg,
-    "tiff": container_damage.tiff,
-    "bmp": container_damage.change_field,
-    "ppm": container_damage.change_field,
-    "webp": container_damage.change_field,
-}
-VIDEOS = {"mp4": "mp4v", "avi": "MJPG", "mkv": "FFV1"}
 SECONDS, MEMORY = 5, 1 << 30  # the budget of a file
 FILES = int(os.environ.get("FUZZ", "150"))
 WORDS = ["nan", ".nan", "inf", "-.inf", "1e308", "-1e308", "1e30", "0", "-1", "2.5", "", "abc", "[]", "{}", "null",
@@ -121,15 +107,6 @@ def _change_bytes(content, rng):
     if kind == 2:
         return content[:at] + content[at + length :]
     return content[:at] + content[at : at + length] * 2 + content[at + length :]
-
-
-def of_container(change):
-    """As `damage`, but mostly of the fields of a container."""
-
-    def harm(content, rng):
-        return rng.choice((change, change, change, container_damage.change_field, damage))(content, rng)
-
-    return harm
 
 
 def damage_tensors(content, rng):
@@ -216,7 +193,7 @@ def samples(folder):
     found["Gyroflow"] = (*EXAMPLES["Gyroflow lens profile"], load_camera, check_camera)
     (folder / "cameras.txt").write_text(EXAMPLES["COLMAP model"][1])
     found["COLMAP model"] = (*EXAMPLES["images.txt"], lambda path: osl.load_rig(path, "cm"), check_rig)
-    found |= ocam_poses(folder) | corners(folder) | data_set(folder) | pictures(folder) | videos(folder)
+    found |= ocam_poses(folder) | corners(folder) | data_set(folder)
     found |= tensors(folder) | records()
     return {name: sample if len(sample) == 5 else (*sample, damage) for name, sample in found.items()}
 
@@ -243,53 +220,6 @@ def data_set(folder):
         (folder / "set" / f"cam{k}" / "0001.png").write_bytes(b"")
     write = json.dumps(omnimvs(dataset={"truth": "."}))
     return {"data set": ("set/config.yaml", write, lambda path: osl.load_dataset(path.parent).rig, check_rig)}
-
-
-def pictures(folder):
-    rng = np.random.default_rng(0)
-    picture = cv2.GaussianBlur(rng.integers(0, 255, (24, 32, 3), np.uint8), (0, 0), 2)
-    found = {}
-    for suffix, harm in CONTAINERS.items():
-        content = cv2.imencode(f".{suffix}", picture)[1].tobytes()
-        found[suffix] = (f"picture.{suffix}", content, read_image, check_image, of_container(harm))
-    progressive = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
-    found["progressive jpg"] = (
-        "picture.jpg",
-        progressive,
-        read_image,
-        check_image,
-        of_container(container_damage.jpeg),
-    )
-    truth = rng.random((6, 24)).astype(np.float32)
-    write_inverse_depth(folder / "truth.tiff", truth)
-    content = (folder / "truth.tiff").read_bytes()
-    harm = of_container(container_damage.tiff)
-    found["float TIFF"] = ("truth.tiff", content, read_inverse_depth, check_truth, harm)
-    tifffile.imwrite(folder / "truth.tiff", truth)
-    content = (folder / "truth.tiff").read_bytes()
-    found["float TIFF, not deflated"] = ("truth.tiff", content, read_inverse_depth, check_truth, harm)
-    content = cv2.imencode(".png", (60000 * truth).astype(np.uint16))[1].tobytes()
-    harm = of_container(container_damage.png)
-    found["16-bit PNG"] = ("truth.png", content, lambda path: read_inverse_depth(path, 0.5), check_truth, harm)
-    return found
-
-
-def videos(folder):
-    pictures = np.random.default_rng(0).integers(0, 255, (3, 48, 64, 3), np.uint8)
-    found = {}
-    for suffix, codec in VIDEOS.items():
-        path = folder / f"video.{suffix}"
-        video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), 10, (64, 48))
-        for picture in pictures:
-            video.write(picture)
-        video.release()
-        harm = of_container(container_damage.change_field)
-        found[suffix] = (path.name, path.read_bytes(), first_frame, check_image, harm)
-    return found
-
-
-def first_frame(path):
-    return next(Recording.open([path]).sources[0].read([0], (64, 48)))
 
 
 def tensors(folder):
@@ -331,8 +261,8 @@ def valid(tmp_path_factory):
 
 NAMES = [
     "omnimvs", "omnimvs, in lines", "basalt", "kalibr", "opencv", "ros", "camodocal", "metashape", "hugin", "ocam",
-    "poses", "corners", "data set", *CONTAINERS, "progressive jpg", "float TIFF", "float TIFF, not deflated",
-    "16-bit PNG", *VIDEOS, "weights", "state", "log", "results",
+    "COLMAP rig", "nerfstudio", "MC-Calib", "Gyroflow", "COLMAP model", "poses", "corners", "data set", "weights",
+    "state", "log", "results",
 ]  # fmt: skip
 
 

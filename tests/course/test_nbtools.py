@@ -2,8 +2,6 @@
 
 import nbformat
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from nbformat.v4 import new_markdown_cell
 from notebook_cells import FACTS, SLIDER, code, framed, nbval, notebook, write
 
@@ -192,55 +190,6 @@ def test_clean_drops_what_depends_on_the_machine_and_keeps_the_rest():
     nbformat.validate(clean)
 
 
-# --- Numbers in the prose -----------------------------------------------------------------------------------
-
-MEASURED = code("width, half, share = 320, -0.5, 0.25", printed="rms 0.1238 px, 111,424 weights, -42.5 m, 1e-05\n")
-
-
-def stray(*texts):
-    """What the rule says about texts beside the cell MEASURED."""
-    return list(rules._numbers(notebook(MEASURED, *map(new_markdown_cell, texts))))
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "0.124 px rms, or 0.12 px, about 0.1 px",  # printed, to the digits that the text gives
-        "111,424 weights, 43 m, 1e-5",
-        "at 320 columns, 0.5 off, 25 % of the rays, 25 percent",  # set in the code
-        "two of 4 cameras, in 10 steps, since 2006",  # counts and years
-        "notebook 07, exercise 03.2 and **10.3 (open).**",
-        "a lens of 220°, 110° to each side, turned by 90°, all 360°",
-        "$d_{12} = 2^{-23} / 99$ and `data.frame(831)`, [99 pictures](99.ipynb), ```\nn = 98\n```",
-        "The paper has 40.7 % here.",
-        "float32, T_12, v2.13 are names",
-    ],
-)
-def test_numbers_that_are_carried_or_free(text):
-    assert stray(text) == []
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("0.125 px rms", "0.125px"),  # the digits that are printed do not carry it
-        ("111,425 weights", "111,425"),
-        ("17 pictures", "17"),
-        ("5 px apart", "5px"),  # a measurement, not a count
-        ("7 % of them", "7%"),
-        ("25 metres", "25metres"),  # a quarter in the code is no 25 metres
-        ("turned by 91°", "91°"),
-        ("with $P_2 = 12.5$", "12.5"),
-        ("40.7 is ours. The paper has it.", "40.7"),  # only the sentence that says so quotes the paper
-        ("- The paper's 40.7\n- our 40.8", "40.8"),
-        ("newspaper 40.7", "40.7"),
-    ],
-)
-def test_stray_numbers_are_named(text, said):
-    (found,) = stray(text)
-    assert f"the text says {said}," in found
-
-
 def test_a_new_caption_needs_no_run():
     stale = picture(caption="*Figure:* the old one")
     stale.source = 'show(fig, "04 one ray")'
@@ -248,27 +197,3 @@ def test_a_new_caption_needs_no_run():
     entry = captions()["04 one ray"]
     assert cell.outputs[0].data["text/plain"] == cell.outputs[0].metadata["image/png"]["alt"] == entry["alt"]
     assert cell.outputs[1].data["text/markdown"] == f"*Figure:* {entry['caption']}"
-
-
-def test_captions_are_prose_and_carry_nothing():
-    drawn = picture(caption="*Figure:* 77 cars and 3.14159 m.")
-    found = "".join(rules._numbers(notebook(drawn)))
-    assert "the text says 77," in found
-    assert "the text says 3.14159m," in found
-
-
-def test_cells_that_are_not_python_set_no_numbers():
-    (found,) = rules._numbers(notebook(code("%timeit -n 77 f()"), new_markdown_cell("77 times")))
-    assert "the text says 77," in found
-
-
-@given(st.decimals(11, 10**6, places=5), st.integers(0, 5))
-def test_every_rounding_of_a_printed_number_is_carried(number, places):
-    nb = notebook(code("f()", printed=f"{number}\n"), new_markdown_cell(f"about {number:.{places}f} px"))
-    assert list(rules._numbers(nb)) == []
-
-
-@given(st.decimals(11, 10**6, places=3), st.decimals(11, 10**6, places=3))
-def test_no_other_number_is_carried(printed, written):
-    nb = notebook(code("f()", printed=f"{printed}\n"), new_markdown_cell(f"exactly {written} px"))
-    assert bool(list(rules._numbers(nb))) == (printed != written)

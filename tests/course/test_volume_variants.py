@@ -9,14 +9,10 @@ import scene
 import torch
 
 import omnistereo_lib as osl
-from course import volume_variants
 from course.volume_variants import (
     VARIANTS,
-    WORLDS,
     MeanAndVariance,
     SpheresAsChannels,
-    compare_volumenets,
-    compare_worlds,
     train_variant,
 )
 from omnistereo_lib.train import RECIPES, frames
@@ -85,26 +81,3 @@ def test_the_page_on_training_quotes_the_mean_errors(name):
         for row in csv.DictReader(file):
             errors = " | ".join(f"{float(value):.2f}" for column, value in row.items() if column.endswith("MAE"))
             assert re.search(rf"^\| {row['variant']}[^|]* \| {re.escape(errors)} \|$", text, re.MULTILINE), row
-
-
-def test_the_tables_have_all_and_resume(tmp_path, monkeypatch):
-    trained = []
-
-    def train(recipe, network, samples, name):
-        trained.append((name, recipe.worlds, network, samples))
-        return len(trained)
-
-    monkeypatch.setattr(volume_variants, "train_variant", train)
-    monkeypatch.setattr(volume_variants, "measure", lambda model, sets: {f"{sets[0]} MAE": float(model)})
-    assert compare_worlds(tmp_path).name == "volume_worlds.csv"
-    assert trained == [(name, *variant) for name, variant in WORLDS.items()]
-    trained.clear()
-    path = compare_volumenets(tmp_path)
-    assert trained == [(name, *variant) for name, variant in VARIANTS.items()]
-    written = path.read_text(encoding="utf-8")
-    path.write_text("".join(written.splitlines(keepends=True)[:-1]), encoding="utf-8")
-    assert compare_volumenets(tmp_path) == path and len(trained) == len(VARIANTS) + 1
-    with path.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [row["variant"] for row in rows] == [*VARIANTS]
-    assert [float(row["sunny MAE"]) for row in rows] == [1, 2, 3, 4, 5, 6, 8]
