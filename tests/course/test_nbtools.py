@@ -109,7 +109,7 @@ BAD = {  # what is planted, what the guard must say
     "semicolon": (good(code("f();", count=2)), "ends in ';'"),
     "long cell": (good(code("f()", count=2), code("f()\n" * 31, count=3)), "a code cell of 31 lines"),
     "long cells": (good(*(code("f()\n" * 11, count=n) for n in (2, 3))), "11 lines in the median"),
-    "long": (good(*(code("f()\n" * 8, count=n) for n in range(2, 45))), "lines of code in all"),
+    "long": (good(*(code("f()\n" * 8, count=n) for n in range(2, 50))), "lines of code in all"),
     "size": (good(code("f()", printed="x" * 800_000, count=2)), "at most 800"),
     "no alt": (good(picture(alt="")), "without alternative text"),
     "alt elsewhere": (good(picture(plain="<Figure size 640x480>")), "without alternative text"),
@@ -127,7 +127,6 @@ BAD = {  # what is planted, what the guard must say
     "unknown mark": (closing("(open)", "(Open)"), "its exercises"),
     "nothing open": (closing("(open)", "(hard)"), "its exercises"),
     "hard first": (closing("**00.1", "**00.0 (open).** Look.\n\n**00.1"), "its exercises"),
-    "number": (good(new_markdown_cell("The error is 12.3 %.")), "the text says 12.3%"),
 }
 
 
