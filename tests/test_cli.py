@@ -187,6 +187,7 @@ def test_doctor_of_the_installation(monkeypatch, well):
         ("depth --rig none --images a b --method bogus", "cost must be one of .*'bogus'"),
         ("depth --rig none --images none/ b --spheres 1", "num_spheres is 1"),
         ("depth --rig none --images a b --max-fov 900", "max_fov_deg is 900"),
+        ("depth --rig none --images a.mp4 b.mp4 --phi -30 40", "phi_deg is .*expected --phi -34.875 34.875"),
         ("doctor --rig none --phi 20 10", r"phi_deg is \[20.0, 10.0\]"),
         ("live --rig none --cameras 0 1 --method zncc,window=4", "window"),
         ("onnx --rig none --width -8", "width is -8"),

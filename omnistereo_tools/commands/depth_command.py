@@ -204,16 +204,21 @@ def _run_recording(options: argparse.Namespace) -> None:
     from tqdm import tqdm
 
     from omnistereo_lib.files import make_folder
+    from omnistereo_lib.geometry.sphere import SphereGrid
     from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD
     from omnistereo_tools.exports import check_suffixes
     from omnistereo_tools.image_circle import FRAMES
     from omnistereo_tools.pace import say_recording
-    from omnistereo_tools.recordings import OF_RAYS, SETTINGS, DepthWriter, stored_min_depth, write_video
+    from omnistereo_tools.recordings import OF_RAYS, SETTINGS, DepthWriter, check_layout, stored_min_depth, write_video
     from omnistereo_tools.sources import Recording, check_steps
 
     check_suffixes(video=options.video)
     start, step = options.start or 0, 1 if options.step is None else options.step
     check_steps(start, step)
+    if options.phi is not None:
+        low, high = options.phi
+        height = options.height or round(options.width * (high - low) / 360)
+        check_layout(SphereGrid(options.width, height, (low, high), options.spheres, 1.0))
     options.resumes = True
     out = options.out
     filled = [out / "video", *out.glob("cam[0-9]*"), *(out / f"{kind}_{options.width}" for kind in OF_RAYS)]
