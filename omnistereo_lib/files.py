@@ -328,6 +328,20 @@ def read_gray(path: str | Path, image_size: tuple[int, int]) -> NDArray[np.uint8
     return image if image.ndim == 2 else image.max(-1)
 
 
+def find_pictures(folder: Path, suffixes: Iterable[str]) -> dict[str, Path]:
+    """Return the pictures in a folder, sorted, by name without ending; hidden files are none.
+
+    Raises an `OmnistereoError` if two differ only in their ending.
+    """
+    found: dict[str, Path] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() in suffixes and path.name[0] != ".":
+            if path.stem in found:
+                raise OmnistereoError(f"{folder} has {found[path.stem].name} and {path.name}; expected one. Keep one")
+            found[path.stem] = path
+    return found
+
+
 def write_image(path: str | Path, image: NDArray[Any]) -> None:
     """Write an image, gray (height, width) or RGB (height, width, 3), in the format of the file name suffix.
 

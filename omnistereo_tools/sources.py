@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from omnistereo_lib.consumer_images import split_image
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.evaluate.records import checksum
-from omnistereo_lib.files import check_image, check_size, decoder_messages, read_image
+from omnistereo_lib.files import check_image, check_size, decoder_messages, find_pictures, read_image
 from omnistereo_lib.geometry.rig import Rig
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
@@ -45,7 +45,7 @@ class Pictures:
 
     def __init__(self, folder: Path) -> None:
         self.path = folder
-        self.files = {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() in _PICTURES}
+        self.files = find_pictures(folder, _PICTURES)
         for name in _NOT_FRAMES:
             self.files.pop(name, None)
         if not self.files:

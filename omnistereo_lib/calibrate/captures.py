@@ -14,7 +14,7 @@ from omnistereo_lib.calibrate.board import Board
 from omnistereo_lib.calibrate.checkerboard import Checkerboard
 from omnistereo_lib.calibrate.marker_boards import AprilGrid, CharucoBoard
 from omnistereo_lib.errors import OmnistereoError, error_context
-from omnistereo_lib.files import atomic_write, read_data, read_image
+from omnistereo_lib.files import atomic_write, find_pictures, read_data, read_image
 from omnistereo_lib.geometry.pose import Floats
 from omnistereo_lib.rig_files.parse import Section, parse_floats, parse_size
 
@@ -57,8 +57,12 @@ def find_captures(folder: str | Path) -> Captures:
     folder = Path(folder)
     if not folder.is_dir():
         raise OmnistereoError(f"{folder} is not a folder. Pass a folder with one subfolder of images per camera")
-    found = {path.name: _images(path) for path in folder.iterdir() if path.is_dir() and path.name[0] != "."}
-    found = {name: images for name, images in found.items() if images} or {folder.name: _images(folder)}
+    found = {
+        path.name: find_pictures(path, _SUFFIXES) for path in folder.iterdir() if path.is_dir() and path.name[0] != "."
+    }
+    found = {name: images for name, images in found.items() if images} or {
+        folder.name: find_pictures(folder, _SUFFIXES)
+    }
     cameras = sorted(found, key=_natural)
     if not any(found.values()):
         raise OmnistereoError(f"{folder} has no images ({', '.join(sorted(_SUFFIXES))}); expected cam1/0001.png, …")
@@ -72,16 +76,6 @@ def find_captures(folder: str | Path) -> Captures:
         )
     paths = tuple(tuple(found[camera].get(name) for name in names) for camera in cameras)
     return Captures(tuple(cameras), tuple(names), paths)
-
-
-def _images(folder: Path) -> dict[str, Path]:
-    files = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in _SUFFIXES and path.name[0] != "."]
-    found: dict[str, Path] = {}
-    for path in files:
-        if path.stem in found:
-            raise OmnistereoError(f"{folder} has {found[path.stem].name} and {path.name}; expected one. Keep one")
-        found[path.stem] = path
-    return found
 
 
 def _natural(name: str) -> list[tuple[int, str]]:

@@ -275,6 +275,15 @@ def test_videos_are_recordings_too(recorded, done, tmp_path, capsys):
     assert agree.mean() > 0.95
 
 
+def test_hidden_files_are_no_pictures_and_of_one_name_there_is_one(tmp_path):
+    folder = pictures(tmp_path / "a", "0001.jpg", "0002.jpg")
+    (folder / "._0001.jpg").write_bytes(b"of macOS")
+    assert list(Recording.open([folder]).frames) == [1, 2]
+    write_image(folder / "0001.tif", np.zeros((4, 4)))
+    with pytest.raises(osl.OmnistereoError, match=r"a has 0001\.jpg and 0001\.tif; expected one"):
+        Recording.open([folder])
+
+
 def pictures(folder, *names):
     folder.mkdir()
     for name in names:
