@@ -5,9 +5,13 @@ from __future__ import annotations
 import json
 import os
 import re
+import warnings
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
+from statistics import median
 
 import cv2
 import numpy as np
@@ -23,6 +27,7 @@ _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 _VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v", ".mpg", ".mpeg", ".ts", ".insv")
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet: what cannot be read is told by an error
 _NOT_FRAMES = ("mask",)  # file names without suffix
+_FIRST_TIME = 10**9  # smallest number that is a time stamp: seconds since 1970, or ms, µs or ns
 
 
 def check_steps(start: int, step: int) -> None:
@@ -38,6 +43,14 @@ def is_recording(paths: Sequence[Path]) -> bool:
     return any(path.is_dir() or path.suffix.lower() in _VIDEOS for path in paths)
 
 
+def _number(name: str) -> int | None:
+    """Return the number at the end of a name, of decimal seconds since 1970 their nanoseconds; None without one."""
+    if seconds := re.search(r"(?<![0-9])([1-9][0-9]{9})\.([0-9]{1,9})$", name):
+        return int(seconds[1] + seconds[2].ljust(9, "0"))
+    number = re.search(r"[0-9]+$", name)
+    return int(number[0]) if number else None
+
+
 class Pictures:
     """The pictures of one camera in a folder, by frame: the number at the end of their names, else the name."""
 
@@ -50,12 +63,12 @@ class Pictures:
             self.files.pop(name, None)
         if not self.files:
             raise OmnistereoError(f"{folder} holds no pictures; expected one per frame, {', '.join(_PICTURES)}")
-        numbers = [re.search(r"[0-9]+$", name) for name in self.files]
-        self.numbered = all(numbers) and len({int(found[0]) for found in numbers}) == len(numbers)
+        numbers = {_number(name) for name in self.files}
+        self.numbered = None not in numbers and len(numbers) == len(self.files)
 
     def use_numbers(self) -> None:
         """Call the frames by the numbers at the end of their names."""
-        self.files = {int(re.search(r"[0-9]+$", name)[0]): path for name, path in self.files.items()}
+        self.files = dict(sorted((_number(name), path) for name, path in self.files.items()))
 
     def check(self, keys: Sequence, image_size: tuple[int, int] | None) -> None:
         """Raise an `OmnistereoError` if a picture is not of the size of the camera, or damaged where it shows."""
@@ -134,6 +147,35 @@ class Video:
         return {}
 
 
+def _match_times(times: Sequence[Sequence[float]], what: str) -> list[dict[float, float]]:
+    """Pair each frame of a camera with that of the first which is nearest in time, and the reverse.
+
+    Returns for each camera: time → time in the first, where they differ by at most half of the time between frames.
+    Warns by how much they differ at most; `what` has places for this and for the time between frames.
+    """
+    between = min((median(b - a for a, b in pairwise(camera)) for camera in times if len(camera) > 1), default=0)
+    matched, most = [], 0.0
+    for camera in times:
+        near = []
+        for time in camera:
+            k = bisect_left(times[0], time)
+            near.append(min((abs(other - time), time, other) for other in times[0][max(k - 1, 0) : k + 1]))
+        # A frame of the first camera that is nearest to several goes to the nearest of them, the last one here.
+        of_first = {other: (apart, time) for apart, time, other in sorted(near, reverse=True) if 2 * apart <= between}
+        matched.append({time: other for other, (_, time) in of_first.items()})
+        most = max([most, *(apart for apart, _ in of_first.values())])
+    if most:
+        warnings.warn(what.format(most, between), stacklevel=4)
+    return matched
+
+
+def _match_names(sources: Sequence[Pictures]) -> None:
+    """Call frames whose names are time stamps by those of the first camera that are nearest."""
+    what = "the time stamps of a frame differ by up to {:.0f}; frames are {:.0f} apart"
+    for source, name in zip(sources, _match_times([list(s.files) for s in sources], what), strict=True):
+        source.files = {name.get(time, time): path for time, path in source.files.items()}
+
+
 @dataclass(frozen=True, eq=False)
 class Recording:
     """The frames that all cameras have, in order."""
@@ -146,6 +188,8 @@ class Recording:
     @classmethod
     def open(cls, paths: Sequence[Path], start: int = 0, stop: int | None = None, step: int = 1) -> Recording:
         """Match the frames of folders and videos: by number where every name ends in one, else by name.
+
+        Numbers that are time stamps are matched by nearest time, within half of the time between frames.
 
         Args:
             paths: One folder or video per camera, in the order of the rig.
@@ -162,6 +206,8 @@ class Recording:
         if by_number:
             for source in sources:
                 source.use_numbers()
+            if all(min(source.files) >= _FIRST_TIME for source in sources):
+                _match_names(sources)
         every = sorted(set().union(*(source.files for source in sources)), key=lambda key: (isinstance(key, str), key))
         missing = {s.path: gone for s in sources if (gone := [key for key in every if key not in s.files])}
         common = [key for key in every if all(key in source.files for source in sources)]

@@ -275,6 +275,40 @@ def test_videos_are_recordings_too(recorded, done, tmp_path, capsys):
     assert agree.mean() > 0.95
 
 
+@pytest.mark.parametrize("unit", [1, 1000], ids=["ns", "µs"])
+def test_time_stamps_as_names_are_matched_by_nearest_time(tmp_path, unit):
+    start, frame = 1403636579763555584 // unit, 50_000_000 // unit
+    times = start + frame * np.arange(6)
+    late = np.delete(times, 2) + np.array([0, 5184, -700_000, 3000, 24_000_000]) // unit
+    folders = [pictures(tmp_path / name, *(f"{t}.png" for t in ts)) for name, ts in (("a", times), ("b", late))]
+    with pytest.warns(UserWarning, match=f"differ by up to {24_000_000 // unit}; .* {frame} apart"):
+        found = Recording.open(folders)
+    assert list(found.frames) == list(np.delete(times, 2)) and found.missing == {folders[1]: [times[2]]}
+    matched = [found.sources[1].files[key].stem for key in found.frames.values()]
+    assert matched == [str(t) for t in late]
+
+
+def test_a_picture_is_of_one_moment_only(tmp_path):
+    """The second camera is twice as fast: of its two pictures of an interval the nearer is taken."""
+    slow, fast = ([1700000000.0 + k / rate for k in range(n)] for rate, n in ((10, 4), (20, 8)))
+    a = pictures(tmp_path / "a", *(f"{t:.6f}".rstrip("0") + "0.png" for t in slow))
+    b = pictures(tmp_path / "b", *(f"{t + 0.001:.6f}.png" for t in fast))
+    with pytest.warns(UserWarning, match="differ by up to 1000000; .* 50000000 apart"):  # of decimal seconds, ns
+        found = Recording.open([a, b])
+    matched = [found.sources[1].files[key].name for key in found.frames.values()]
+    assert matched == [f"{t + 0.001:.6f}.png" for t in slow] and len(found.missing[a]) == 4
+
+
+def test_equal_time_stamps_and_counters_are_matched_exactly(tmp_path, recwarn):
+    stamps = [pictures(tmp_path / name, "1700000000.png", "1700000001.png") for name in "ab"]
+    assert list(Recording.open(stamps).frames) == [1700000000, 1700000001]
+    counters = [
+        pictures(tmp_path / "c", "0000000000.png", "0000000010.png"),
+        pictures(tmp_path / "d", "1.png", "10.png"),
+    ]
+    assert list(Recording.open(counters).frames) == [10] and not recwarn
+
+
 def test_hidden_files_are_no_pictures_and_of_one_name_there_is_one(tmp_path):
     folder = pictures(tmp_path / "a", "0001.jpg", "0002.jpg")
     (folder / "._0001.jpg").write_bytes(b"of macOS")
