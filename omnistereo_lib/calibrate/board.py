@@ -3,12 +3,13 @@
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.errors import OmnistereoError, check_number
 from omnistereo_lib.geometry.pose import Floats, Pose
 
 Gray = NDArray[Any]  # uint8, (H, W); OpenCV's stubs do not say which integers it returns
@@ -39,6 +40,15 @@ class Board(ABC):
     def advice(self, grays: Sequence[Gray]) -> str:
         """Return what to do if none of the images shows the board."""
         return "Check columns, rows and dictionary, and that the images are sharp and evenly lit"
+
+
+def check_edge(edge: Any, what: str) -> float:
+    """Return the edge of a square or a tag, 0.1 mm to 1 m, as float; above, it is taken for another unit."""
+    if isinstance(edge, Real) and 1 < edge <= 1000:
+        raise OmnistereoError(
+            f"{what} is {edge:g}. For {edge:g} mm pass {edge / 1000:g}, for {edge:g} cm {edge / 100:g}"
+        )
+    return check_number(edge, what, 1e-4, 1)
 
 
 def as_gray(image: ArrayLike) -> Gray:

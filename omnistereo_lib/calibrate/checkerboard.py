@@ -17,8 +17,8 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omnistereo_lib.calibrate.board import Board, Gray, as_gray
-from omnistereo_lib.errors import OmnistereoError, check_number
+from omnistereo_lib.calibrate.board import Board, Gray, as_gray, check_edge
+from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Floats, Pose
 
 _CLASSIC = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
@@ -39,7 +39,7 @@ class Checkerboard(Board):
     Board frame, seen from the front: origin at the first corner, x right, y down, z into the board.
 
     Raises:
-        OmnistereoError: If a count is not an integer of 3 to 200, or the square is not 0.1 mm to 100 m long.
+        OmnistereoError: If a count is not an integer of 3 to 200, or the square is not 0.1 mm to 1 m long.
 
     >>> board = osl.Checkerboard((8, 6), square=0.05)
     >>> board.points[[1, 8]]  # the second corner of the first row, the first of the second
@@ -58,7 +58,7 @@ class Checkerboard(Board):
                 f"board corners are {self.corners}; expected two integers of 3 to 200, inner columns and rows"
             )
         object.__setattr__(self, "corners", (int(counts[0]), int(counts[1])))
-        object.__setattr__(self, "square", check_number(self.square, "the square (its edge in metres)", 1e-4, 100))
+        object.__setattr__(self, "square", check_edge(self.square, "the square (its edge in metres)"))
 
     def __str__(self) -> str:
         columns, rows = self.corners

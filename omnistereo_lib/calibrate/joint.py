@@ -120,7 +120,13 @@ def _renamed(progress: Progress, name: str) -> Progress:
 
 def _check_given(camera: OcamCamera | None, image_size: tuple[int, int]) -> None:
     if camera is not None and camera.image_size != tuple(image_size):
-        raise OmnistereoError(f"the images are {image_size} px, the given camera {camera.image_size}. Pass its images")
+        larger, smaller = np.divide([image_size, camera.image_size], [camera.image_size, image_size])
+        remedy = "Pass its images"
+        if larger[0] == larger[1] == int(larger[0]):
+            remedy = f"Reduce the images by {larger[0]:g} in width and height"
+        elif smaller[0] == smaller[1] == int(smaller[0]):
+            remedy = f"Pass the images at full size, or the camera as camera.reduced({smaller[0]:g})"
+        raise OmnistereoError(f"the images are {image_size} px, the given camera {camera.image_size}. {remedy}")
 
 
 def _shared_captures(corners: list[list[Floats | None]]) -> dict[tuple[int, int], list[int]]:

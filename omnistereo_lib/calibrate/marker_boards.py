@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.calibrate.board import Board
+from omnistereo_lib.calibrate.board import Board, check_edge
 from omnistereo_lib.errors import OmnistereoError, check_number
 from omnistereo_lib.geometry.pose import Floats
 
@@ -38,8 +38,13 @@ class AprilGrid(Board):
     def __post_init__(self) -> None:
         columns, rows = (check_number(n, "the tags of an AprilGrid", 1, 24, whole=True) for n in self.tags)
         object.__setattr__(self, "tags", (int(columns), int(rows)))
-        check_number(self.size, "the edge of a tag in metres", 1e-4, 100)
-        check_number(self.spacing, "the gap between tags, by their edge,", 0.01, 10)
+        check_edge(self.size, "the edge of a tag in metres")
+        if not 0.1 <= check_number(self.spacing, "the gap between tags", 1e-4, 1000) <= 2:
+            ratio = self.spacing / self.size
+            hint = f". If it is in metres, pass {ratio:.3g}" if 0.1 <= ratio <= 2 else ""
+            raise OmnistereoError(
+                f"the gap between tags is {self.spacing:g}; expected a fraction of their edge, 0.1 to 2{hint}"
+            )
 
     def __str__(self) -> str:
         return f"of {self.tags[0]} x {self.tags[1]} AprilTags of {1000 * self.size:g} mm"
@@ -98,7 +103,7 @@ class CharucoBoard(Board):
     def __post_init__(self) -> None:
         columns, rows = (check_number(n, "the squares of a ChArUco board", 3, 100, whole=True) for n in self.squares)
         object.__setattr__(self, "squares", (int(columns), int(rows)))
-        check_number(self.square, "the square (its edge in metres)", 1e-4, 100)
+        check_edge(self.square, "the square (its edge in metres)")
         check_number(self.marker, "the marker (its edge in metres)", 1e-5, 0.99 * self.square)
         if not isinstance(getattr(cv2.aruco, self.dictionary, None), int):
             raise OmnistereoError(f"dictionary is {self.dictionary!r}; expected one of OpenCV, such as DICT_4X4_50")

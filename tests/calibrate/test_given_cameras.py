@@ -10,6 +10,7 @@ from printed_boards import APRIL, APRIL_FILE, CHARUCO, F, photograph, print_apri
 
 import omnistereo_lib as osl
 from omnistereo_lib.calibrate.captures import load_board, load_corners, save_corners
+from omnistereo_lib.calibrate.checkerboard import Checkerboard
 from omnistereo_lib.calibrate.detect import find_corners
 from omnistereo_lib.calibrate.marker_boards import AprilGrid, CharucoBoard
 from omnistereo_lib.calibrate.params import Intrinsics
@@ -70,9 +71,19 @@ def test_given_cameras_must_fit(seen):
     camera, _ = given()
     with pytest.raises(osl.OmnistereoError, match="there are 1 given cameras for views of 4"):
         osl.calibrate_rig(seen, BOARD, [SIZE] * 4, cameras=[camera])
-    other = replace(camera, image_size=(640, 480), center=(320, 240))
-    with pytest.raises(osl.OmnistereoError, match=r"camera 1: the images are \(800, 768\) px, the given camera"):
-        osl.calibrate_rig(seen, BOARD, [SIZE] * 4, cameras=[other] * 4)
+    half = [[None if view is None else (view + 0.5) / 2 - 0.5 for view in row] for row in seen]
+    for other, views, size, message in (
+        (replace(camera, image_size=(640, 480), center=(320, 240)), seen, SIZE, r"\(640, 480\)\. Pass its images"),
+        (camera.reduced(2), seen, SIZE, r"\(400, 384\)\. Reduce the images by 2 in width and height"),
+        (
+            camera,
+            half,
+            (400, 384),
+            r"\(800, 768\)\. Pass .* at full size, or the camera as camera\.reduced\(2\)",
+        ),
+    ):
+        with pytest.raises(osl.OmnistereoError, match=r"camera 1: the images are .* px, the given camera " + message):
+            osl.calibrate_rig(views, BOARD, [size] * 4, cameras=[other] * 4)
 
 
 AHEAD = osl.Pose.from_vector([0.2, 0.15, 0.1, -0.3, -0.25, 0.35])
@@ -136,6 +147,10 @@ def test_boards_of_files(tmp_path):
     [
         (lambda: AprilGrid((0, 5), 0.08, 0.3), "the tags of an AprilGrid is 0"),
         (lambda: AprilGrid((6, 5), 0.0, 0.3), "the edge of a tag in metres is 0.0"),
+        (lambda: AprilGrid((6, 5), 88, 0.3), "the edge of a tag in metres is 88. For 88 mm pass 0.088, for 88 cm 0.88"),
+        (lambda: AprilGrid((6, 5), 0.088, 0.0264), "is 0.0264; expected .* 0.1 to 2. If it is in metres, pass 0.3"),
+        (lambda: AprilGrid((6, 5), 0.088, 3.0), r"expected a fraction of their edge, 0\.1 to 2$"),
+        (lambda: Checkerboard((12, 10), 60), "metres. is 60. For 60 mm pass 0.06, for 60 cm 0.6"),
         (lambda: CharucoBoard((9, 7), 0.06, 0.07), "the marker"),
         (lambda: CharucoBoard((9, 7), 0.06, 0.045, "DICT_9X9"), "dictionary is 'DICT_9X9'"),
     ],
