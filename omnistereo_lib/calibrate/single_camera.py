@@ -1,6 +1,6 @@
 """One camera from views of a board: initial estimate, robust fit, polynomial degree, rejected views, report."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,7 @@ _FEWEST_CORNERS = 6  # of a view: four determine the pose of a plane, more say w
 _FEW_VIEWS = 10
 _BAD_VIEW = 3.0  # times the error of the median view
 _BLURRED = 1.5  # times the edge width of the median view; sharp views of one camera differ by a tenth
+_ONE_PLACE = 0.5  # px: no hand brings a board back as near
 _PARALLEL = np.radians(5.0)
 
 
@@ -88,11 +89,13 @@ def calibrate_corners(
     if given is not None:
         corners = [None if view is None else _corners_in_view(view, given) for view in corners]
         max_fov_deg = given.max_fov_deg
-    _check_input(corners, images, board, 1 if given else _MIN_VIEWS)
+    second = _second_board(corners)
+    corners = [None if k in second else view for k, view in enumerate(corners)]
+    _check_input(corners, images, board, 1 if given else _MIN_VIEWS, second)
     taken = [k for k, view in enumerate(images or corners) if view is not None]
     found = [k for k, view in enumerate(corners) if view is not None]
     views = [view for view in corners if view is not None]
-    rejected = dict.fromkeys(sorted(set(taken) - set(found)), "no board found")
+    rejected = dict.fromkeys(sorted(set(taken) - set(found)), "no board found") | second
     cv_error_px: dict[int, float] = {}
     if given is None:
         params = initial_estimate(views, board.points, image_size)
@@ -171,8 +174,27 @@ def check_settings(degree: int | None, max_fov_deg: float | None) -> None:
         check_fov(max_fov_deg, "max_fov_deg")
 
 
+def _second_board(corners: Sequence[Floats | None]) -> dict[int, str]:
+    """Return three or more views with the board at one place, though it was elsewhere between them, and the reason."""
+    found = {k: view for k, view in enumerate(corners) if view is not None}
+    standing: list[int] = []
+    for here in found.values():
+        apart = {k: np.linalg.norm(view - here, axis=1) for k, view in found.items()}
+        near = [k for k, d in apart.items() if (d < _ONE_PLACE).sum() > np.isfinite(d).sum() / 2]
+        standing = near if len(near) > len(standing) else standing
+    order = [k for k in found if standing and standing[0] <= k <= standing[-1]]
+    if len(standing) < _MIN_VIEWS or standing == order:  # one after the other: it was held still
+        return {}
+    reason = "a second board, at one place in all of them, while the board moved. Cover it and take them again"
+    return dict.fromkeys(standing, reason)
+
+
 def _check_input(
-    corners: Sequence[Floats | None], images: Sequence[ArrayLike | None] | None, board: Board, least: int
+    corners: Sequence[Floats | None],
+    images: Sequence[ArrayLike | None] | None,
+    board: Board,
+    least: int,
+    second: Mapping[int, str],
 ) -> None:
     given = [view for view in (images or corners) if view is not None]
     found = sum(view is not None for view in corners)
@@ -186,8 +208,9 @@ def _check_input(
                 f"found in {count} of the first images. Check that the board size counts all inner corners"
             )
     if found < least:
+        others = f"; {len(second)} show {next(iter(second.values()))}" if second else ""
         raise OmnistereoError(
-            f"{found} of {len(given)} views show the board; expected at least {least}. Take 15 or more, tilted "
+            f"{found} of {len(given)} views show the board{others}; expected at least {least}. Take 15 or more, tilted "
             "every way and out to the rim"
         )
 

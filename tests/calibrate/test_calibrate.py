@@ -202,6 +202,22 @@ def test_a_view_that_does_not_fit_is_named(fitted, views):
     )
 
 
+def test_a_second_board_that_stands_still_is_left_out(views):
+    """A board in the hand never comes back to the same pixels."""
+    rng = np.random.default_rng(18)
+    second = boards.CENTER + 9 * (BOARD.points[:, :2] / BOARD.square - [5.5, 4.5])  # flat, as no fisheye sees it
+    corners = list(views[0])
+    for k in (2, 7, 8, 15):
+        corners[k] = second + rng.normal(0, 0.05, second.shape)
+    report = osl.calibrate_camera(corners, BOARD, SIZE, degree=6)[1]
+    assert set(report.rejected) == {2, 7, 8, 15} and "a second board" in report.text()
+    assert boards.ray_error_deg(report.intrinsics, reach_deg=report.max_corner_angle_deg) < 1.5 * GOOD_DEG
+    for still in ([views[0][0]] * 3 + views[0], [views[0][0], *views[0]]):  # held still; a picture given twice
+        assert osl.calibrate_camera(still, BOARD, SIZE, degree=4)[1].rejected == {}
+    with pytest.raises(OmnistereoError, match="2 of 5 views show the board; 3 show a second board"):
+        osl.calibrate_camera([second, views[0][0], second, views[0][1], second], BOARD, SIZE)
+
+
 def test_the_degree_is_what_held_back_views_ask_for():
     truth = estimate(1, degree=3).intrinsics[0].with_degree(4)  # f of degree 3
     cam = truth.camera(170)
