@@ -3,7 +3,6 @@
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -44,7 +43,7 @@ class Board(ABC):
 
 def check_edge(edge: Any, what: str) -> float:
     """Return the edge of a square or a tag, 0.1 mm to 1 m, as float; above, it is taken for another unit."""
-    if isinstance(edge, Real) and 1 < edge <= 1000:
+    if isinstance(edge, (int, float)) and 1 < edge <= 1000:
         raise OmnistereoError(
             f"{what} is {edge:g}. For {edge:g} mm pass {edge / 1000:g}, for {edge:g} cm {edge / 100:g}"
         )
