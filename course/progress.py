@@ -11,7 +11,7 @@ from pathlib import Path
 from course import exercises, nbtools
 from course.lab import WORKING
 
-PICTURE = '"13 yours and '  # how the name of the figure begins that the certificate shows
+PICTURE = '"13 repaired"'  # the name of the figure that the certificate shows
 SAID = re.compile(r"^\x1b\[\d+m([✓✗])\x1b\[0m (\w+): ", re.MULTILINE)  # `Open.__call__`
 PAGE = """<!doctype html>
 <html lang="en">

@@ -42,7 +42,8 @@ def commands_of(page: str) -> list[Typed]:
     """Return the commands of a page or of a command's help, in the order in which they stand there."""
     if page in HELP:
         examples = re.findall(r"^  ((?:omnistereo|python -m) .*)$", help_of(page), re.MULTILINE)
-        return [Typed(f"{page} --help", example) for example in examples]
+        blender = ("needs the environment of Blender", f"{page} --help") if "render" in page else (None, None)
+        return [Typed(f"{page} --help", example, "sh", *blender) for example in examples]
     text = "\n\n".join(_markdown(ROOT / page)) if page.endswith(".ipynb") else (ROOT / page).read_text(encoding="utf-8")
     return _commands_in(page, text)
 

@@ -4,6 +4,7 @@ import io
 import re
 import shutil
 from contextlib import redirect_stdout
+from functools import partial
 
 import nbformat
 import pytest
@@ -26,7 +27,7 @@ def answer(path, right):
     nb = nbformat.read(path, 4)
     for function in exercises.functions(nbtools.number(path)):
         if function.name in right:
-            mine = (lambda *inputs, own=function.answer: own(*inputs)) if right[function.name] else lambda *inputs: 0.5
+            mine = partial(function.answer) if right[function.name] else lambda *inputs: 0.5
             with redirect_stdout(io.StringIO()) as printed:
                 function(mine)
             (cell,) = [cell for cell in nbtools.code_cells(nb) if f"check_{function.name}(" in cell.source]

@@ -119,12 +119,13 @@ def test_a_slider_on_a_slide_shows_another_picture(shown, open_page):
     page.evaluate(
         "Reveal.slide(...Object.values(Reveal.getIndices(document.querySelector('.stills').closest('section'))))"
     )
-    slider, shown_picture = page.locator(".present .stills input"), page.locator(".present .stills img:visible")
+    live = page.locator(".present .stills").first
+    slider, shown_picture = live.locator("input").first, live.locator("img:visible")
     before = shown_picture.get_attribute("src")
     slider.focus()
     page.keyboard.press("ArrowRight")
     assert shown_picture.get_attribute("src") != before and shown_picture.count() == 1
-    assert page.locator(".present .stills output").text_content() == "16, 6.50 m"
+    assert live.locator("output").first.text_content() == "16, 6.50 m"
 
 
 def test_a_solution_comes_at_the_next_step(shown, open_page):
