@@ -99,9 +99,12 @@ def without(key: str) -> Callable[[Path], None]:
 def kalibr(R: np.ndarray) -> Callable[[Path], None]:
     """A Kalibr chain whose second camera has this rotation."""
     camera = {
-        "camera_model": "ds", "intrinsics": [-0.2, 0.55, 60.0, 60.0, 100.0, 96.0], "resolution": [200, 192],
-        "distortion_model": "none", "distortion_coeffs": [],
-    }  # fmt: skip
+        "camera_model": "ds",
+        "intrinsics": [-0.2, 0.55, 60.0, 60.0, 100.0, 96.0],
+        "resolution": [200, 192],
+        "distortion_model": "none",
+        "distortion_coeffs": [],
+    }
     T = np.eye(4)
     T[:3, :3] = R
     return write("config.yaml", yaml.safe_dump({"cam0": camera, "cam1": {**camera, "T_cn_cnm1": T.tolist()}}))

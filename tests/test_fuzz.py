@@ -260,10 +260,29 @@ def valid(tmp_path_factory):
 
 
 NAMES = [
-    "omnimvs", "omnimvs, in lines", "basalt", "kalibr", "opencv", "ros", "camodocal", "metashape", "hugin", "ocam",
-    "COLMAP rig", "nerfstudio", "MC-Calib", "Gyroflow", "COLMAP model", "poses", "corners", "data set", "weights",
-    "state", "log", "results",
-]  # fmt: skip
+    "omnimvs",
+    "omnimvs, in lines",
+    "basalt",
+    "kalibr",
+    "opencv",
+    "ros",
+    "camodocal",
+    "metashape",
+    "hugin",
+    "ocam",
+    "COLMAP rig",
+    "nerfstudio",
+    "MC-Calib",
+    "Gyroflow",
+    "COLMAP model",
+    "poses",
+    "corners",
+    "data set",
+    "weights",
+    "state",
+    "log",
+    "results",
+]
 
 
 def peak():

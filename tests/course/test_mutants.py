@@ -25,18 +25,44 @@ EXERCISES = [
 ]
 
 OPERATORS = {
-    ast.Add: [ast.Sub], ast.Sub: [ast.Add], ast.Mult: [ast.Div, ast.Add], ast.Div: [ast.Mult, ast.FloorDiv],
-    ast.FloorDiv: [ast.Div], ast.Mod: [ast.Div], ast.Pow: [ast.Mult], ast.MatMult: [ast.Mult],
-    ast.BitAnd: [ast.BitOr], ast.BitOr: [ast.BitAnd],
-    ast.Lt: [ast.LtE, ast.Gt], ast.LtE: [ast.Lt, ast.Gt], ast.Gt: [ast.GtE, ast.Lt], ast.GtE: [ast.Gt, ast.Lt],
-    ast.Eq: [ast.NotEq], ast.NotEq: [ast.Eq],
-}  # fmt: skip
+    ast.Add: [ast.Sub],
+    ast.Sub: [ast.Add],
+    ast.Mult: [ast.Div, ast.Add],
+    ast.Div: [ast.Mult, ast.FloorDiv],
+    ast.FloorDiv: [ast.Div],
+    ast.Mod: [ast.Div],
+    ast.Pow: [ast.Mult],
+    ast.MatMult: [ast.Mult],
+    ast.BitAnd: [ast.BitOr],
+    ast.BitOr: [ast.BitAnd],
+    ast.Lt: [ast.LtE, ast.Gt],
+    ast.LtE: [ast.Lt, ast.Gt],
+    ast.Gt: [ast.GtE, ast.Lt],
+    ast.GtE: [ast.Gt, ast.Lt],
+    ast.Eq: [ast.NotEq],
+    ast.NotEq: [ast.Eq],
+}
 NAMES = [
-    ("min", "max"), ("minimum", "maximum"), ("argmin", "argmax"), ("nanmin", "nanmax"), ("sum", "mean"),
-    ("nansum", "nanmean"), ("nanmean", "mean"), ("nansum", "sum"), ("nanmin", "min"), ("nanargmin", "argmin"),
-    ("floor", "rint"), ("floor", "ceil"), ("sin", "cos"), ("hypot", "add"), ("isnan", "isfinite"), ("ones", "zeros"),
-    ("radians", "degrees"), ("any", "all"), ("cumsum", "cumprod"),
-]  # fmt: skip
+    ("min", "max"),
+    ("minimum", "maximum"),
+    ("argmin", "argmax"),
+    ("nanmin", "nanmax"),
+    ("sum", "mean"),
+    ("nansum", "nanmean"),
+    ("nanmean", "mean"),
+    ("nansum", "sum"),
+    ("nanmin", "min"),
+    ("nanargmin", "argmin"),
+    ("floor", "rint"),
+    ("floor", "ceil"),
+    ("sin", "cos"),
+    ("hypot", "add"),
+    ("isnan", "isfinite"),
+    ("ones", "zeros"),
+    ("radians", "degrees"),
+    ("any", "all"),
+    ("cumsum", "cumprod"),
+]
 
 
 def changes(node):

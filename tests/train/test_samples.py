@@ -1,6 +1,6 @@
 """Samples to train on: labels that tell the truth, patches that match and that do not, and their loss."""
 
-import pickle
+import multiprocessing
 from dataclasses import replace
 
 import numpy as np
@@ -61,7 +61,9 @@ def test_each_frame_is_swept_with_its_own_rig(data, tmp_path, kind, recipe):
 )
 def test_samples_are_sent_to_other_processes(data, kind, recipe):
     samples = kind(recipe, [data, "endless"])
-    copied = pickle.loads(pickle.dumps(samples))
+    queue = multiprocessing.Queue()
+    queue.put(samples)
+    copied = queue.get(timeout=60)
     drawn, again = (
         one.micro_batch(one.validation[0], np.random.default_rng(3), augment=False) for one in (samples, copied)
     )
