@@ -89,10 +89,10 @@ def calibrate_corners(
     if given is not None:
         corners = [None if view is None else _corners_in_view(view, given) for view in corners]
         max_fov_deg = given.max_fov_deg
+    taken = [k for k, view in enumerate(images or corners) if view is not None]
     second = _second_board(corners)
     corners = [None if k in second else view for k, view in enumerate(corners)]
-    _check_input(corners, images, board, 1 if given else _MIN_VIEWS, second)
-    taken = [k for k, view in enumerate(images or corners) if view is not None]
+    _check_input(corners, images, len(taken), board, 1 if given else _MIN_VIEWS, second)
     found = [k for k, view in enumerate(corners) if view is not None]
     views = [view for view in corners if view is not None]
     rejected = dict.fromkeys(sorted(set(taken) - set(found)), "no board found") | second
@@ -192,25 +192,25 @@ def _second_board(corners: Sequence[Floats | None]) -> dict[int, str]:
 def _check_input(
     corners: Sequence[Floats | None],
     images: Sequence[ArrayLike | None] | None,
+    taken: int,
     board: Board,
     least: int,
     second: Mapping[int, str],
 ) -> None:
-    given = [view for view in (images or corners) if view is not None]
     found = sum(view is not None for view in corners)
     # A board size given too small is found here and there as a part of the board.
-    if images is not None and isinstance(board, Checkerboard) and found < min(_FEW_VIEWS, len(given) / 2):
-        suggestion = suggest_board(given, board, only_larger=True)
+    if images is not None and isinstance(board, Checkerboard) and found < min(_FEW_VIEWS, taken / 2):
+        suggestion = suggest_board([view for view in images if view is not None], board, only_larger=True)
         if suggestion is not None:
             (columns, rows), count = suggestion
             raise OmnistereoError(
-                f"{found} of {len(given)} views show a board {board}, but one of {columns} x {rows} inner corners is "
+                f"{found} of {taken} views show a board {board}, but one of {columns} x {rows} inner corners is "
                 f"found in {count} of the first images. Check that the board size counts all inner corners"
             )
     if found < least:
         others = f"; {len(second)} show {next(iter(second.values()))}" if second else ""
         raise OmnistereoError(
-            f"{found} of {len(given)} views show the board{others}; expected at least {least}. Take 15 or more, tilted "
+            f"{found} of {taken} views show the board{others}; expected at least {least}. Take 15 or more, tilted "
             "every way and out to the rim"
         )
 

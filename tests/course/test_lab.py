@@ -164,7 +164,8 @@ def test_make_alone_lists_its_targets():
 
 @pytest.mark.parametrize("words", ["fresh NOTEBOOK=03", "grade HANDED_IN=folder"])
 def test_make_asks_for_a_name_that_it_needs(words):
-    done = subprocess.run([*MAKE, words.split()[0]], cwd=ROOT, capture_output=True, text=True)
+    outside = {name: value for name, value in os.environ.items() if name not in ("MAKEFLAGS", "MAKELEVEL")}
+    done = subprocess.run([*MAKE, words.split()[0]], cwd=ROOT, env=outside, capture_output=True, text=True)
     assert done.returncode == 2 and done.stdout == ""
     assert done.stderr.count("\n") == 1 and f": make {words}." in done.stderr
 
