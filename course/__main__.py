@@ -15,7 +15,7 @@ OUT = Path(__file__).resolve().parents[1] / "out"
 def main(arguments: list[str] | None = None) -> int:
     """Run one command; return the exit status. Bad input is one plain line, and so is a package that is missing."""
     options = vars(_parser().parse_args(arguments))
-    module, function = options.pop("calls").split(".")  # imported only when it is used
+    module, function = options.pop("calls").rsplit(".", 1)  # imported only when it is used
     try:
         result = getattr(import_module(f"course.{module}"), function)(**options)
     except ModuleNotFoundError as error:
@@ -47,52 +47,70 @@ def _parser() -> argparse.ArgumentParser:
         return command
 
     for name, calls, text in (
-        ("run", "kernels.run", "run notebooks from fresh kernels, clean and store them"),
+        ("run", "publish.kernels.run", "run notebooks from fresh kernels, clean and store them"),
         ("clean", "nbtools.clean_stored", "remove what should not be stored: ids, timings, widget state"),
-        ("lint", "rules.lint", "check notebooks against the course's rules"),
+        ("lint", "publish.rules.lint", "check notebooks against the course's rules"),
         (
             "stills",
-            "kernels.record_stills",
+            "publish.kernels.record_stills",
             "run notebooks and store what their live figures show, for the website and the slides",
         ),
     ):
         add(name, calls, text).add_argument("paths", nargs="+", type=Path, metavar="NOTEBOOK")
-    lab = add("lab", "lab.start", "open JupyterLab on working copies of the notebooks, in my_notebooks")
+    lab = add("lab", "classroom.lab.start", "open JupyterLab on working copies of the notebooks, in my_notebooks")
     lab.add_argument("options", nargs="*", help="of JupyterLab, after --, such as -- --no-browser")
-    fresh = add("fresh", "lab.renew", "a fresh working copy of one notebook; yours is kept beside it")
+    fresh = add("fresh", "classroom.lab.renew", "a fresh working copy of one notebook; yours is kept beside it")
     fresh.add_argument("name", help="such as 03")
-    add("doctor", "doctor.check_clone", "check Python, the packages of environment.txt and the data")
-    check = add("check", "handin.check", "check handed-in notebooks; this runs their code, see book/teaching.md")
+    add("doctor", "classroom.doctor.check_clone", "check Python, the packages of environment.txt and the data")
+    check = add(
+        "check", "classroom.handin.check", "check handed-in notebooks; this runs their code, see book/teaching.md"
+    )
     check.add_argument("path", type=Path, help="a notebook, or a folder of a class")
     check.add_argument("--out", type=Path, default=OUT / "checked", help="folder of the score sheets")
     check.add_argument("--seconds", type=float, default=600, help="time for each notebook")
     check.add_argument("--memory", dest="memory_gib", type=float, default=4, help="memory for each notebook, in GiB")
-    solve = add("solve", "solve.main", "run the notebooks with every exercise solved, into out/solutions")
+    solve = add("solve", "classroom.solve.main", "run the notebooks with every exercise solved, into out/solutions")
     solve.add_argument("names", nargs="*", help="numbers of notebooks, such as 04; all unless given")
     for name, calls, text in (
-        ("book", "website.build", "build the website"),
-        ("slides", "slides.make_slides", "build the slides"),
-        ("progress.html", "progress.write_progress", "write a page on what is right in the working copies"),
+        ("book", "publish.website.build", "build the website"),
+        ("slides", "publish.slides.make_slides", "build the slides"),
+        (
+            "classroom.progress.html",
+            "classroom.progress.write_progress",
+            "write a page on what is right in the working copies",
+        ),
     ):
         add(name.partition(".")[0], calls, text).add_argument("out", nargs="?", type=Path, default=OUT / name)
-    add("pages", "pages.main", "update the lists and pictures of the README and the book's pages")
-    add("questions", "questions.write_page", "trace the ten questions of CONTRIBUTING.md again, and write their table")
-    add("reproduction", "reproduction.renew_report", "compute book/reproduction.md from the stored results")
+    add("pages", "publish.pages.main", "update the lists and pictures of the README and the book's pages")
+    add(
+        "questions",
+        "experiments.questions.write_page",
+        "trace the ten questions of CONTRIBUTING.md again, and write their table",
+    )
+    add("reproduction", "publish.reproduction.renew_report", "compute book/reproduction.md from the stored results")
     results = add(
-        "results", "stored_results.compute_results", "compute the stored results again: hours, but it resumes"
+        "results",
+        "experiments.stored_results.compute_results",
+        "compute the stored results again: hours, but it resumes",
     )
     results.add_argument("options", nargs="*", help="of every evaluation, after --, such as -- --cluster ADDRESS")
     for name, calls, text in (
-        ("variants", "variants.compare_sweepnets", "train variants of SweepNet"),
-        ("volume-variants", "volume_variants.compare_volumenets", "train variants of VolumeNet"),
-        ("volume-worlds", "volume_variants.compare_worlds", "train VolumeNet on shipped worlds, endless ones and both"),
+        ("variants", "experiments.variants.compare_sweepnets", "train variants of SweepNet"),
+        ("volume-variants", "experiments.volume_variants.compare_volumenets", "train variants of VolumeNet"),
+        (
+            "volume-worlds",
+            "experiments.volume_variants.compare_worlds",
+            "train VolumeNet on shipped worlds, endless ones and both",
+        ),
     ):
         add(name, calls, text).set_defaults(out=OUT / name)
-    add("snapshots", "snapshots.take_snapshots", "store what SweepNet makes of one frame while it learns")
-    ship = add("ship", "ship.export_weights", "bundle the weights of a finished training run, with curve and card")
+    add("snapshots", "experiments.snapshots.take_snapshots", "store what SweepNet makes of one frame while it learns")
+    ship = add(
+        "ship", "experiments.ship.export_weights", "bundle the weights of a finished training run, with curve and card"
+    )
     ship.add_argument("run", type=Path, help="folder of the run")
     ship.add_argument("--half", action="store_true", help="store float16: half the file")
-    bench = add("bench", "bench.run", "time the library against named alternatives, as ratios")
+    bench = add("bench", "experiments.bench.run", "time the library against named alternatives, as ratios")
     bench.add_argument("--quick", action="store_true", help="leave out the scale of the paper")
     return parser
 

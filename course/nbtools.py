@@ -8,14 +8,14 @@ from pathlib import Path
 import nbformat
 
 from course import exercises
-from course.plot import caption_output, captions
+from course.figures.plot import caption_output, captions
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, read_bytes
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = ROOT / "notebooks"
 
-SETUP = "import omnistereo_lib as osl\nfrom course.doctor import doctor\n\ndoctor(short=True)"
+SETUP = "import omnistereo_lib as osl\nfrom course.classroom.doctor import doctor\n\ndoctor(short=True)"
 # The folded solution of an open function; clean() writes the right answer's source into it.
 SOLUTION = re.compile(
     r"(<details><summary>A solution: <code>(\w+)</code></summary>\n\n```python\n)(.*?)(?=\n```)", re.DOTALL

@@ -23,11 +23,11 @@ from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_tools.blend import blended_panorama
-from omnistereo_tools.pictures import BACKGROUND, ColorScale
-from omnistereo_tools.sources import open_video
-from omnistereo_tools.summary import metres
-from omnistereo_tools.trust import DOUBTFUL, trust
+from omnistereo_tools.input.sources import open_video
+from omnistereo_tools.judge.trust import DOUBTFUL, trust
+from omnistereo_tools.output.blend import blended_panorama
+from omnistereo_tools.output.pictures import BACKGROUND, ColorScale
+from omnistereo_tools.output.summary import metres
 
 _WIDTH = 1280  # px of the picture, if the panorama is smaller
 _PATIENCE_S = 10.0  # of a camera that gives no picture, and of a browser that neither asks nor reads

@@ -18,8 +18,8 @@ from pathlib import Path
 from threading import Thread
 
 from omnistereo_lib.errors import EXIT_STATUS, OmnistereoError
-from render.board_captures import is_captured, render_captures
-from render.boards import CAPTURES
+from render.boards.board_captures import is_captured, render_captures
+from render.boards.positions import CAPTURES
 from render.image_sets import SEED, SETS, forget_partial, is_complete, render_set, select_shard, write_manifest
 from render.worlds import WORLDS, is_rendered, render_worlds
 
@@ -102,7 +102,7 @@ def _render(folder: Path, name: str, numbers: tuple[int, ...], seed: int, cluste
     if cluster is None:
         finished = _render_here(folder, name, numbers, seed)
     else:
-        from omnistereo_tools.cluster import on_cluster
+        from omnistereo_tools.record.cluster import on_cluster
 
         finished = on_cluster(cluster, _render_in_process, [(folder, name, number, seed) for number in missing])
     with tqdm(total=len(numbers), initial=len(numbers) - len(missing), desc=name, unit="frame") as bar:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.geometry.pose import Pose
-from render.lens import SENSOR_MM, Lens
+from render.camera.lens import SENSOR_MM, Lens
 
 _SKY_DISTANCE = 1e9  # Cycles writes 1e10 where a ray meets nothing
 _TO_BLENDER = np.diag([1.0, -1.0, -1.0])  # our camera (x right, y down, z forward) in Blender's (y up, −z forward)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, is_whole, make_folder
 from omnistereo_lib.geometry.pose import Pose
-from render.render_rig import RenderRig, make_rig, write_config
+from render.camera.render_rig import RenderRig, make_rig, write_config
 
 SEED = 2019
 _STEPS = 65500  # of the first public release's 16-bit ground truth: inverse depth in units of 1 / (65500 D_min)
@@ -165,9 +165,9 @@ def render_set(folder: Path, images: ImageSet, numbers: tuple[int, ...], seed: i
 
 def _city(images: ImageSet, seed: int) -> tuple[Callable[[int], Pose], float]:
     """Build the city; return a function that brings a frame's traffic and gives T_world_rig, and the exposure."""
-    from render.city import build_city
-    from render.drive import plan_drive
-    from render.lights import add_light
+    from render.city.district import build_city
+    from render.city.drive import plan_drive
+    from render.surfaces.lights import add_light
 
     district, traffic = build_city(seed)
     exposure = add_light(images.light).exposure
@@ -183,7 +183,7 @@ def _city(images: ImageSet, seed: int) -> tuple[Callable[[int], Pose], float]:
 
 def _room(images: ImageSet, seed: int) -> tuple[Callable[[int], Pose], float]:
     """Build the room; return a function that gives T_world_rig of a frame, and the exposure."""
-    from render.indoor import build_room, room_pose
+    from render.indoor.living_room import build_room, room_pose
 
     return lambda number: room_pose(number - images.first), build_room(images.light, seed)
 
@@ -196,7 +196,7 @@ def _render_frame(
 ) -> tuple[list[NDArray], list[NDArray]]:
     """Return what the four cameras see, and the inverse depth around the rig for each size of truth."""
     from render.blender import depth_panorama, fisheye_picture
-    from render.sensor import develop
+    from render.camera.sensor import develop
 
     pictures = []
     for i, camera in enumerate(rig.cameras):

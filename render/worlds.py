@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import make_folder
 from omnistereo_lib.geometry.pose import Pose
+from render.camera.render_rig import RenderRig, random_rig, write_config
 from render.image_sets import image_path, write_frame
-from render.render_rig import RenderRig, random_rig, write_config
 
 _KEPT = 32  # every 32nd step of the ground truth is used: within 0.05 of 192 spheres, in half the space
 
@@ -92,7 +92,7 @@ def _photograph(
 ) -> list[NDArray[np.uint8]]:
     """Return what the cameras see, exposed for the middle of the brightness of all of them."""
     from render.blender import fisheye_picture
-    from render.sensor import develop
+    from render.camera.sensor import develop
 
     light = [
         fisheye_picture(camera.lens, T_world_rig @ camera.T_rig_cam, worlds.size, worlds.samples, 8 * number + i)
@@ -131,7 +131,7 @@ Build = Callable[[np.random.Generator, int], tuple[Pose, float]]
 
 def _things(seed: int) -> Build:
     from render.blender import empty_scene
-    from render.things import build_things, plan_things
+    from render.things.scenes import build_things, plan_things
 
     def build(rng: np.random.Generator, number: int) -> tuple[Pose, float]:
         empty_scene()
@@ -144,8 +144,8 @@ def _things(seed: int) -> Build:
 
 def _rooms(seed: int) -> Build:
     from render.blender import empty_scene
-    from render.interiors import build_room
-    from render.rooms import plan_room
+    from render.indoor.interiors import build_room
+    from render.indoor.rooms import plan_room
 
     def build(rng: np.random.Generator, number: int) -> tuple[Pose, float]:
         empty_scene()
@@ -158,10 +158,10 @@ def _rooms(seed: int) -> Build:
 
 def _streets(seed: int) -> Build:
     from render.blender import empty_scene
-    from render.city import build_city
-    from render.drive import plan_drive
-    from render.lights import add_light, random_sky, remove_lights
-    from render.things import random_pose
+    from render.city.district import build_city
+    from render.city.drive import plan_drive
+    from render.surfaces.lights import add_light, random_sky, remove_lights
+    from render.things.scenes import random_pose
 
     empty_scene()
     district, traffic = build_city(seed)

@@ -8,8 +8,8 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 
 from render import image_sets as frames
+from render.city.layout import plan_district
 from render.image_sets import SETS
-from render.layout import plan_district
 
 TINY = replace(SETS["sunny/test"], size=(25, 24), samples=1, truths=((16, 4), (24, 6)))
 
@@ -21,7 +21,12 @@ def replace_blender(setitem, setattr):
     blender = SimpleNamespace(empty_scene=lambda: None)
     city = SimpleNamespace(build_city=lambda seed: (plan_district(seed), SimpleNamespace(show=lambda *_: None)))
     lights = SimpleNamespace(add_light=lambda name: SimpleNamespace(exposure=1.0))
-    for name, module in {"bpy": bpy, "render.blender": blender, "render.city": city, "render.lights": lights}.items():
+    for name, module in {
+        "bpy": bpy,
+        "render.blender": blender,
+        "render.city.district": city,
+        "render.surfaces.lights": lights,
+    }.items():
         setitem(sys.modules, name, module)
 
     def render_frame(images, rig, T_world_rig, exposure, seed):

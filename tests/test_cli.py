@@ -19,7 +19,7 @@ from omnistereo_lib.files import read_image, write_image
 from omnistereo_tools import cli
 from omnistereo_tools.commands import depth_command
 from omnistereo_tools.commands.options import make_grid
-from omnistereo_tools.rig_check import invert_poses
+from omnistereo_tools.judge.rig_check import invert_poses
 
 SMALL = ["--width", "96", "--height", "24", "--spheres", "16"]
 GRID = osl.SphereGrid(96, 24, (-45, 45), 16, 0.6)

@@ -31,7 +31,13 @@ LAYER = {name: number for number, line in enumerate(LAYERS.split("\n")) for name
 # Slow or large libraries stay with the modules that exist for them.
 AT_HOME = {"matplotlib": set(), "pyvista": set(), "IPython": set(), "bpy": set(), "ipywidgets": set()}
 EAGER = {
-    "cv2": {"stereo.images", "stereo.sweep", "calibrate.checkerboard", "calibrate.marker_boards", "train.endless"},
+    "cv2": {
+        "stereo.images",
+        "stereo.sweep",
+        "calibrate.checkerboard",
+        "calibrate.marker_boards",
+        "train.endless.worlds",
+    },
     "scipy": {"calibrate.bundle", "calibrate.joint"},
 }
 
@@ -107,7 +113,7 @@ def test_the_renderer_uses_geometry_and_files_only():
     used = {other for path in sources("render").values() for other in ours(path)}
     assert {name.split(".")[1] for name in used} <= {"geometry", "errors", "files"}
     tools = {other for path in sources("render").values() for other in imports(path) if "omnistereo_tools" in other}
-    assert tools == {"omnistereo_tools.cluster"}
+    assert tools == {"omnistereo_tools.record.cluster"}
     eager = {other for path in sources("render").values() for other in imports(path, inside_functions=False)}
     assert not eager & tools  # Blender's environment cannot import them
 

@@ -28,7 +28,7 @@ import omnistereo_lib as osl
 from omnistereo_lib.files import write_image
 from omnistereo_lib.stereo.images import reduce_images
 from omnistereo_tools.commands.options import SAMPLE
-from omnistereo_tools.rig_exports import export_rig
+from omnistereo_tools.output.rig_exports import export_rig
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="the commands run in forked processes")
 SIDES = ("front", "right", "back", "left")

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from course.questions import PAGE, QUESTIONS, row
+from course.experiments.questions import PAGE, QUESTIONS, row
 
 
 def test_there_are_ten():

@@ -27,7 +27,7 @@ def show(function: Callable[..., Any], answer: Callable[..., Any], inputs: tuple
     """
     import matplotlib.pyplot as plt
 
-    from course.plot import show_picture
+    from course.figures.plot import show_picture
 
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -10,7 +10,7 @@ import numpy as np
 import omnistereo_lib as osl
 from course.exercises.compare import Rng
 from course.exercises.opened import Open
-from omnistereo_tools import rig_check
+from omnistereo_tools.judge import rig_check
 
 
 def clock_offset(times_a, times_b):

@@ -18,7 +18,7 @@ from omnistereo_lib.geometry.rig import Rig, camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.images import to_gray
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_lib.train.endless import EndlessFrame, EndlessWorlds
+from omnistereo_lib.train.endless.worlds import EndlessFrame, EndlessWorlds
 from omnistereo_lib.train.recipes import ENDLESS, Recipe
 
 DATA = Path(__file__).resolve().parents[2] / "data_samples"

@@ -16,7 +16,7 @@ from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.correlation import feature_coordinates, pixels_per_degree, volume_sizes
 from omnistereo_lib.stereo.images import blur, reduce_images, to_gray
 from omnistereo_lib.stereo.volumenet import VolumeNet, local_mean, normalize, resize_logits
-from omnistereo_lib.train.endless import EndlessFrame
+from omnistereo_lib.train.endless.worlds import EndlessFrame
 from omnistereo_lib.train.frames import Folders, TrainingFrames, to_device
 from omnistereo_lib.train.recipes import VolumeNetRecipe
 

@@ -64,7 +64,7 @@ def run(options: argparse.Namespace) -> None:
     from omnistereo_lib.files import atomic_write, make_folder
     from omnistereo_lib.rig_files.formats import load_cameras
     from omnistereo_lib.rig_files.ocam import write_ocam_txt
-    from omnistereo_tools.pace import progress_bar
+    from omnistereo_tools.judge.pace import progress_bar
 
     check_settings(options.degree, options.max_fov)
     _check_out(options)
@@ -140,7 +140,7 @@ def _read_corners(folder: Path, board: Board) -> tuple:
 def _write_rig(out: Path, rig: Rig) -> list[str]:
     from omnistereo_lib.rig_files import save_rig
     from omnistereo_lib.rig_files.ocam import write_ocam_folder
-    from omnistereo_tools.rig_exports import export_rig
+    from omnistereo_tools.output.rig_exports import export_rig
 
     save_rig(rig, out / "config.yaml")
     write_ocam_folder(rig, out)
@@ -151,8 +151,8 @@ def _write_rig(out: Path, rig: Rig) -> list[str]:
 
 def _write_figures(out: Path, cameras: Sequence[str], reports: Sequence) -> list[str]:
     """Write the figure of each camera; return what was written."""
-    from omnistereo_tools.calibration_figures import calibration_figure
-    from omnistereo_tools.pictures import save_figure
+    from omnistereo_tools.output.calibration_figures import calibration_figure
+    from omnistereo_tools.output.pictures import save_figure
 
     for camera, report in zip(cameras, reports, strict=True):
         save_figure(out / f"report_{camera}.png", calibration_figure(report), dpi=80)

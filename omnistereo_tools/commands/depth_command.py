@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
     from omnistereo_lib.geometry.rig import Rig
     from omnistereo_lib.geometry.sphere import SphereGrid
-    from omnistereo_tools.sources import Recording
+    from omnistereo_tools.input.sources import Recording
 
 # Options of one kind of input; None where they are not given.
 _OF_FRAMES = ("frame", "max_depth", "min_confidence", "mesh", "mesh_faces", "equirectangular", "crops", "all_crops")
@@ -82,7 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Estimate the depth of one frame or of a recording."""
     print("reading the rig and the images: a few seconds", flush=True)
-    from omnistereo_tools.sources import is_recording
+    from omnistereo_tools.input.sources import is_recording
 
     check_typed(options)
     options.out = options.out or _default_out(options.rig)
@@ -115,10 +115,10 @@ def _run_frame(options: argparse.Namespace) -> None:
     """Estimate depth for one frame, write everything, and say what came out."""
     from omnistereo_lib.stereo.methods import FRAME_METHOD
     from omnistereo_lib.stereo.pipeline import estimate_depth
-    from omnistereo_tools.exports import export_frame
-    from omnistereo_tools.frame import FrameResult
-    from omnistereo_tools.pace import progress_bar, say_frame
-    from omnistereo_tools.points import Limits
+    from omnistereo_tools.judge.pace import progress_bar, say_frame
+    from omnistereo_tools.output.exports import export_frame
+    from omnistereo_tools.output.frame import FrameResult
+    from omnistereo_tools.output.points import Limits
 
     _check_frame_options(options)
     _check_frame_outputs(options)
@@ -149,7 +149,7 @@ def _make_folders(options: argparse.Namespace) -> None:
 
 def _check_frame_options(options: argparse.Namespace) -> None:
     """Raise an `OmnistereoError` if an option of a frame has a value that it cannot have."""
-    from omnistereo_tools.exports import check_suffixes
+    from omnistereo_tools.output.exports import check_suffixes
 
     check_suffixes(mesh=options.mesh, equirectangular=options.equirectangular)
     if options.max_depth is not None:
@@ -177,8 +177,8 @@ def _check_frame_outputs(options: argparse.Namespace) -> None:
 
 def _choose_grid(options: argparse.Namespace, rig: Rig, images: Sequence[NDArray[np.uint8]]) -> SphereGrid:
     """Return the recommended grid, say what it leaves out, and warn of doubtful input."""
-    from omnistereo_tools.coverage import Coverage
-    from omnistereo_tools.doubts import image_doubts, rig_doubts
+    from omnistereo_tools.judge.coverage import Coverage
+    from omnistereo_tools.judge.doubts import image_doubts, rig_doubts
 
     grid = make_grid(options, rig, images)
     print(Coverage.of(rig).left_out(grid))
@@ -206,11 +206,18 @@ def _run_recording(options: argparse.Namespace) -> None:
     from omnistereo_lib.files import make_folder
     from omnistereo_lib.geometry.sphere import SphereGrid
     from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD
-    from omnistereo_tools.exports import check_suffixes
-    from omnistereo_tools.image_circle import FRAMES
-    from omnistereo_tools.pace import say_recording
-    from omnistereo_tools.recordings import OF_RAYS, SETTINGS, DepthWriter, check_layout, stored_min_depth, write_video
-    from omnistereo_tools.sources import Recording, check_steps
+    from omnistereo_tools.input.image_circle import FRAMES
+    from omnistereo_tools.input.sources import Recording, check_steps
+    from omnistereo_tools.judge.pace import say_recording
+    from omnistereo_tools.output.exports import check_suffixes
+    from omnistereo_tools.record.recordings import (
+        OF_RAYS,
+        SETTINGS,
+        DepthWriter,
+        check_layout,
+        stored_min_depth,
+        write_video,
+    )
 
     check_suffixes(video=options.video)
     start, step = options.start or 0, 1 if options.step is None else options.step
@@ -253,7 +260,7 @@ def _run_recording(options: argparse.Namespace) -> None:
     left, total = writer.left(), len(recording.frames)
     recording.check(left, rig)  # fail fast, here and below, before anything is written
     if options.cluster is not None:
-        from omnistereo_tools.cluster import connect, depth_on_cluster
+        from omnistereo_tools.record.cluster import connect, depth_on_cluster
 
         connect(options.cluster).close()
     if options.video is not None:

@@ -63,9 +63,9 @@ def run(options: argparse.Namespace) -> int:
 
 def _check_rig(options: argparse.Namespace) -> int:
     """Say what a rig can see and what depth to ask for, and check it against its images; return 1 if it is wrong."""
-    from omnistereo_tools.coverage import Coverage
-    from omnistereo_tools.exports import check_suffixes
-    from omnistereo_tools.pictures import save_figure
+    from omnistereo_tools.judge.coverage import Coverage
+    from omnistereo_tools.output.exports import check_suffixes
+    from omnistereo_tools.output.pictures import save_figure
 
     check_suffixes(coverage=options.coverage)
     check_outputs(options, [options.coverage])
@@ -93,7 +93,7 @@ def _recommended(options: argparse.Namespace, rig: Rig, images: Sequence[NDArray
     if images:
         chosen = argparse.Namespace(**vars(options) | {"width": WIDTH, "height": None, "spheres": SPHERES})
         return make_grid(chosen, rig, images)
-    from omnistereo_tools.coverage import Coverage
+    from omnistereo_tools.judge.coverage import Coverage
 
     min_depth = rig.min_depth if options.min_depth is None else options.min_depth
     return Coverage.of(rig).propose(WIDTH, None, options.phi and tuple(options.phi), SPHERES, min_depth)
@@ -116,9 +116,9 @@ def _depth_command(options: argparse.Namespace, grid: SphereGrid) -> str:
 
 def _check_images(options: argparse.Namespace, rig: Rig, images: Sequence[NDArray[np.uint8]]) -> int:
     """Check a rig against its images; return 1 if it is wrong."""
-    from omnistereo_tools.doubts import same_pictures
-    from omnistereo_tools.pace import progress_bar
-    from omnistereo_tools.rig_check import check_rig
+    from omnistereo_tools.judge.doubts import same_pictures
+    from omnistereo_tools.judge.pace import progress_bar
+    from omnistereo_tools.judge.rig_check import check_rig
 
     if same := same_pictures(images):
         print(f"FAIL  {same}")
@@ -140,7 +140,7 @@ def _check_images(options: argparse.Namespace, rig: Rig, images: Sequence[NDArra
 def _warn_of_doubts(rig: Rig, min_depth: float) -> None:
     import warnings
 
-    from omnistereo_tools.doubts import rig_doubts
+    from omnistereo_tools.judge.doubts import rig_doubts
 
     for doubt in rig_doubts(rig, min_depth):
         warnings.warn(doubt, stacklevel=2)

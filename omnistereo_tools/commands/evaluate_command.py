@@ -62,7 +62,7 @@ def run(options: argparse.Namespace) -> None:
         evaluation.jobs = [job for job in evaluation.jobs if job.frame == first[job.data]]
     run_jobs = evaluation.run
     if options.cluster is not None:
-        from omnistereo_tools.cluster import evaluate_on_cluster
+        from omnistereo_tools.record.cluster import evaluate_on_cluster
 
         run_jobs = partial(evaluate_on_cluster, options.cluster, arguments)
     total = len(evaluation.jobs)

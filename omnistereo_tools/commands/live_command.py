@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> None:
     from omnistereo_lib.stereo.methods import VIDEO_METHOD
     from omnistereo_lib.stereo.sweep import SphereSweep
     from omnistereo_tools import live_view
-    from omnistereo_tools.masks import with_masks
+    from omnistereo_tools.input.masks import with_masks
 
     check_typed(options)
     check_number(options.port, "--port", 0, 65535, whole=True)

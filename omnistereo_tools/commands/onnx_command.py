@@ -23,7 +23,7 @@ def run(options: argparse.Namespace) -> None:
     """Write the files and say what they are."""
     import shlex
 
-    from omnistereo_tools.onnx_export import FILES, check_installed, export_onnx
+    from omnistereo_tools.onnx.onnx_export import FILES, check_installed, export_onnx
 
     check_typed(options)
     check_installed()

@@ -85,7 +85,7 @@ def check_typed(options: argparse.Namespace) -> None:
 def read_rig(options: argparse.Namespace) -> Rig:
     """Return the rig, and say if it was turned level; an `OmnistereoError` if files are missing or --rig is."""
     from omnistereo_lib.rig_files import load_rig
-    from omnistereo_tools.summary import turn_sentence
+    from omnistereo_tools.output.summary import turn_sentence
 
     if options.rig is None:
         raise OmnistereoError("--images needs --rig: the file or folder that describes the cameras")
@@ -97,7 +97,7 @@ def read_rig(options: argparse.Namespace) -> Rig:
 
 def read_masked_rig(options: argparse.Namespace) -> Rig:
     """Return the rig with the masks of --masks, or those beside its images, see `read_rig`."""
-    from omnistereo_tools.masks import with_masks
+    from omnistereo_tools.input.masks import with_masks
 
     return with_masks(read_rig(options), options.masks, options.images or [])
 
@@ -106,7 +106,7 @@ def mask_circles(rig: Rig, images: Sequence[Sequence[NDArray[np.uint8]]]) -> Rig
     """Return the rig with what is black in images[frame][camera] masked, and warn of it, see `image_circle`."""
     import warnings
 
-    from omnistereo_tools.image_circle import with_circles
+    from omnistereo_tools.input.image_circle import with_circles
 
     rig, found = with_circles(rig, images)
     if found is not None:
@@ -120,7 +120,7 @@ def read_frame(options: argparse.Namespace) -> tuple[Rig, list[NDArray[np.uint8]
     Raises an `OmnistereoError` if files are missing or broken, or --images comes without --rig.
     """
     from omnistereo_lib.dataset import load_dataset, load_images
-    from omnistereo_tools.masks import with_masks
+    from omnistereo_tools.input.masks import with_masks
 
     if options.images is not None:
         rig = read_masked_rig(options)
@@ -141,8 +141,8 @@ def read_frame(options: argparse.Namespace) -> tuple[Rig, list[NDArray[np.uint8]
 def make_grid(options: argparse.Namespace, rig: Rig, images: Sequence[NDArray[np.uint8]] = ()) -> SphereGrid:
     """Return the recommended grid, in which the user's options stay; see `Coverage.propose` and `propose_min_depth`."""
     from omnistereo_lib.stereo.device import check_memory, select_device
-    from omnistereo_tools.coverage import Coverage
-    from omnistereo_tools.nearest import propose_min_depth
+    from omnistereo_tools.input.nearest import propose_min_depth
+    from omnistereo_tools.judge.coverage import Coverage
 
     min_depth = rig.min_depth if options.min_depth is None else options.min_depth
     if min_depth is None and not images:

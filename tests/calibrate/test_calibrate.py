@@ -8,7 +8,7 @@ import pytest
 from boards import BOARD, LENSES, SIZE
 
 import omnistereo_lib as osl
-from course.uncertainty import ray_uncertainty_deg, standard_deviation
+from course.experiments.uncertainty import ray_uncertainty_deg, standard_deviation
 from omnistereo_lib.calibrate.bundle import BundleProblem, bundle_adjust, estimate_covariance
 from omnistereo_lib.calibrate.init import initial_estimate, solve_planar_pose
 from omnistereo_lib.calibrate.params import CalibrationParams, Intrinsics, collect_observations

@@ -18,7 +18,7 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.rig_files.camera_models import kannala_brandt
 from omnistereo_tools import cli
-from omnistereo_tools.rig_exports import export_rig, fit_kannala_brandt
+from omnistereo_tools.output.rig_exports import export_rig, fit_kannala_brandt
 
 SHIPPED = Path(osl.__file__).resolve().parents[1] / "data_samples" / "calibration"
 SETS = ["handheld", "mistakes", "van"]

@@ -6,7 +6,7 @@ import pytest
 from boards import BOARD, SIZE
 
 import omnistereo_lib as osl
-from course.uncertainty import standard_deviation
+from course.experiments.uncertainty import standard_deviation
 from omnistereo_lib.calibrate.bundle import BundleProblem, estimate_covariance
 from omnistereo_lib.calibrate.params import Intrinsics, collect_observations
 from omnistereo_lib.errors import OmnistereoError

@@ -15,7 +15,7 @@ from course import nbtools
 
 FACTS = {"title": "Tiny", "learn": "nothing", "needs": "CPU", "minutes_to_read": 1, "budget_s": 60}
 DRAWING = """import matplotlib.pyplot as plt
-from course.plot import show
+from course.figures.plot import show
 
 fig, ax = plt.subplots(figsize=(2, 1))
 ax.plot([0, 1])

@@ -8,7 +8,8 @@ from urllib.parse import unquote, urlsplit
 
 import nbformat
 
-from course import nbtools, stills
+from course import nbtools
+from course.publish import stills
 
 LOADS = {"script": "src", "img": "src", "iframe": "src", "source": "src", "link": "href"}  # what a page fetches
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from course import bench
+from course.experiments import bench
 from omnistereo_lib.calibrate.single_camera import calibrate_camera
 from omnistereo_lib.geometry.rig import camera_pairs
 from omnistereo_lib.stereo.learned import LearnedCost

@@ -21,7 +21,8 @@ import pytest
 from pages import Page, count_pictures, count_stills, foreign_or_missing, leads
 
 import omnistereo_lib as osl
-from course import nbtools, rules, slides, stills
+from course import nbtools
+from course.publish import rules, slides, stills
 
 BOOK = nbtools.ROOT / "book"
 

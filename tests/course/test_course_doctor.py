@@ -11,8 +11,9 @@ from importlib import metadata
 
 import pytest
 
-from course import __main__, doctor, nbtools
-from course.doctor import check_clone
+from course import __main__, nbtools
+from course.classroom import doctor
+from course.classroom.doctor import check_clone
 
 ROOT = nbtools.ROOT
 
@@ -129,6 +130,6 @@ def test_make_doctor_installs_nothing(bare):
 
 def test_the_short_form_is_quick_to_start():
     """It does not load torch."""
-    code = "import sys; from course.doctor import doctor; doctor(True); print('torch' in sys.modules)"
+    code = "import sys; from course.classroom.doctor import doctor; doctor(True); print('torch' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "False"

@@ -11,8 +11,9 @@ import pytest
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
 from notebook_cells import write
 
-from course import exercises, handin, nbtools, solve, student
+from course import exercises, nbtools
 from course.__main__ import main
+from course.classroom import handin, solve, student
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Pose
 

@@ -18,8 +18,9 @@ import pytest
 from jupyterlab.labapp import LabApp
 
 import omnistereo_lib as osl
-from course import lab as lab_module
-from course import nbtools, stills
+from course import nbtools
+from course.classroom import lab as lab_module
+from course.publish import stills
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: environment-dev.txt has it")
 

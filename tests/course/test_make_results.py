@@ -5,7 +5,7 @@ import argparse
 import pytest
 
 from course import __main__
-from course import stored_results as results
+from course.experiments import stored_results as results
 from omnistereo_lib.evaluate import SCALES, select_methods
 from omnistereo_lib.evaluate.records import read_record
 from omnistereo_tools.commands import evaluate_command

@@ -5,8 +5,9 @@ import pytest
 from nbformat.v4 import new_markdown_cell
 from notebook_cells import FACTS, SLIDER, code, framed, nbval, notebook, write
 
-from course import __main__, nbtools, rules
-from course.plot import captions
+from course import __main__, nbtools
+from course.figures.plot import captions
+from course.publish import rules
 
 # --- The comparison, one nbval run over all cases -----------------------------------------------------------
 

@@ -6,8 +6,9 @@ import nbformat
 import pytest
 from notebook_cells import DRAWING, FACTS, SLIDER, code, framed, nbval, notebook, write
 
-from course import kernels, nbtools, rules
-from course.plot import captions
+from course import nbtools
+from course.figures.plot import captions
+from course.publish import kernels, rules
 
 
 @pytest.fixture

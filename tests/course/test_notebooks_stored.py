@@ -9,8 +9,9 @@ from itertools import pairwise
 import nbformat
 import pytest
 
-from course import exercises, nbtools, rules
-from course.plot import captions
+from course import exercises, nbtools
+from course.figures.plot import captions
+from course.publish import rules
 
 TEMPLATE = nbtools.ROOT / "course" / "template.ipynb"
 each = pytest.mark.parametrize("path", nbtools.notebooks(), ids=lambda path: path.stem)

@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from course import exercises, nbtools, solve
+from course import exercises, nbtools
+from course.classroom import solve
 from course.exercises.opened import NOT_WRITTEN, RIGHT, Open
 
 NOTEBOOKS = {nbtools.number(path): nbtools.read_notebook(path) for path in nbtools.notebooks()}

@@ -10,9 +10,9 @@ import scene
 from matplotlib import pyplot as plt
 
 import omnistereo_lib as osl
-from course import plot
+from course.figures import plot
 from omnistereo_lib.dataset import Frame
-from omnistereo_tools.pictures import colorize_depth
+from omnistereo_tools.output.pictures import colorize_depth
 
 matplotlib.use("agg")
 

@@ -10,7 +10,8 @@ import nbformat
 import pytest
 from nbformat.v4 import new_output
 
-from course import exercises, nbtools, progress
+from course import exercises, nbtools
+from course.classroom import progress
 
 
 @pytest.fixture

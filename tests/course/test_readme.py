@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 import omnistereo_lib as osl
-from course import figures, nbtools, pages, readme
-from omnistereo_tools import viewer
+from course import nbtools
+from course.figures import notation as figures
+from course.publish import pages, readme
+from omnistereo_tools.output import viewer
 
 ROOT = nbtools.ROOT
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "book").glob("*.md"))]

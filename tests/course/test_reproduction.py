@@ -13,7 +13,7 @@ import torch
 
 import omnistereo_lib as osl
 from course.nbtools import ROOT
-from course.reproduction import PAGE, PAPER, RESULTS, ROWS, TOLERANCE, judge_order, judge_size, report
+from course.publish.reproduction import PAGE, PAPER, RESULTS, ROWS, TOLERANCE, judge_order, judge_size, report
 from omnistereo_lib.evaluate import METHODS, errors_table
 from omnistereo_lib.evaluate.records import read_record
 from omnistereo_lib.evaluate.regions import METRICS

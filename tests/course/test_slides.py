@@ -7,7 +7,9 @@ import nbformat
 import pytest
 from pages import Page, count_pictures, count_stills, foreign_or_missing, leads
 
-from course import exercises, nbtools, slides, solve
+from course import exercises, nbtools
+from course.classroom import solve
+from course.publish import slides
 
 
 @pytest.fixture(scope="module")

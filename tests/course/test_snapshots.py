@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from course import snapshots
+from course.experiments import snapshots
 
 
 def test_the_stored_snapshots_are_small_and_get_better():

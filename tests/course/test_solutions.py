@@ -7,7 +7,8 @@ import nbformat
 import pytest
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
 
-from course import nbtools, solve
+from course import nbtools
+from course.classroom import solve
 from omnistereo_lib.errors import OmnistereoError
 
 STORED = {path: nbformat.read(path, as_version=4) for path in nbtools.notebooks()}

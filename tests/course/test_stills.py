@@ -12,7 +12,8 @@ from ipywidgets import FloatLogSlider, FloatSlider, IntSlider, SelectionSlider
 from PIL import Image
 
 import omnistereo_lib as osl
-from course import dark_mode, plot, stills
+from course.figures import plot
+from course.publish import dark_mode, stills
 from omnistereo_lib.stereo.sweep import SphereSweep
 
 RNG = np.random.default_rng(0)

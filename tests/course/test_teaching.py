@@ -5,7 +5,9 @@ import re
 import nbformat
 import pytest
 
-from course import handin, nbtools, pages
+from course import nbtools
+from course.classroom import handin
+from course.publish import pages
 
 PAGE = (nbtools.ROOT / "book" / "teaching.md").read_text(encoding="utf-8")
 SECTIONS = {part.partition(" ")[0]: part for part in re.split(r"^## (?=\d)", PAGE, flags=re.MULTILINE)[1:]}

@@ -6,7 +6,7 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
-from course.uncertainty import index_shift, index_uncertainty
+from course.experiments.uncertainty import index_shift, index_uncertainty
 from omnistereo_lib.geometry.pose import Pose
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from course.view3d import draw_mesh
+from course.figures.view3d import draw_mesh
 
 RED, SIZE = (200, 30, 20), (120, 80)
 

@@ -9,7 +9,7 @@ import scene
 import torch
 
 import omnistereo_lib as osl
-from course.volume_variants import (
+from course.experiments.volume_variants import (
     VARIANTS,
     MeanAndVariance,
     SpheresAsChannels,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from render.lens import SENSOR_MM
+from render.camera.lens import SENSOR_MM
 
 
 def blender_pixel(lens, directions, size):

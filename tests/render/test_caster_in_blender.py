@@ -7,10 +7,10 @@ import pytest
 from test_render_blender import in_blender, needs_blender
 
 import omnistereo_lib as osl
-from omnistereo_lib.train.caster import BOX, CYLINDER, ELLIPSOID, LIGHT, PRIMITIVE
-from omnistereo_lib.train.endless import Scene
+from omnistereo_lib.train.endless.caster import BOX, CYLINDER, ELLIPSOID, LIGHT, PRIMITIVE
+from omnistereo_lib.train.endless.worlds import Scene
 
-# A room full of things in the air, drawn once by `omnistereo_lib.train.scenes`, and Blender's inverse depth, in 1/m.
+# A room full of things in the air, drawn once by `train.endless.scenes`, and Blender's inverse depth, in 1/m.
 STORED = Path(__file__).with_name("caster_in_blender.npz")
 GRID = osl.SphereGrid(128, 64, (-90, 90), min_depth=1.0)
 

@@ -10,8 +10,8 @@ from test_render_blender import in_blender, needs_blender
 
 import omnistereo_lib as osl
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_tools.mesh_export import write_mesh
-from omnistereo_tools.points import Limits
+from omnistereo_tools.output.mesh_export import write_mesh
+from omnistereo_tools.output.points import Limits
 
 pytest.importorskip("trimesh", reason="trimesh is not installed: environment.txt has it")
 

@@ -16,8 +16,8 @@ from lens_oracle import blender_pixel
 
 import omnistereo_lib as osl
 import render
-from render.lens import fit_ocam
-from render.render_rig import make_rig
+from render.camera.lens import fit_ocam
+from render.camera.render_rig import make_rig
 
 SAMPLES = Path(osl.__file__).parents[1] / "data_samples" / "sunny"
 
@@ -43,8 +43,8 @@ import bpy, numpy as np
 from mathutils import Vector
 from render import main
 from render import SEED, SETS
-from render.drive import plan_drive
-from render.layout import plan_district
+from render.city.drive import plan_drive
+from render.city.layout import plan_district
 from omnistereo_lib.geometry.sphere import SphereGrid
 
 out = sys.argv[1]
@@ -131,8 +131,8 @@ import sys
 import bpy, numpy as np
 from omnistereo_lib.geometry.pose import Pose
 from render.blender import empty_scene, fisheye_picture
-from render.lens import Lens
-from render.render_rig import make_rig
+from render.camera.lens import Lens
+from render.camera.render_rig import make_rig
 
 out, rays = sys.argv[1], np.load(sys.argv[1] + "/rays.npy")
 empty_scene()

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from render.drive import ROUTES, plan_drive
+from render.city.drive import ROUTES, plan_drive
+from render.city.layout import HALF_STREET, LANE, STREETS, plan_district, split_lots
+from render.city.traffic import Traffic
+from render.city.vehicles import BODIES
 from render.image_sets import SEED
-from render.layout import HALF_STREET, LANE, STREETS, plan_district, split_lots
-from render.traffic import Traffic
-from render.vehicles import BODIES
 
 DISTRICT = plan_district(SEED)
 

@@ -29,7 +29,7 @@ import numpy as np
 
 sys.path.insert(0, os.getcwd())
 import render
-from render.layout import plan_district
+from render.city.layout import plan_district
 
 
 def render_frame(images, rig, T_world_rig, exposure, seed):
@@ -49,8 +49,8 @@ render.SETS["sunny/test"] = replace(render.SETS["sunny/test"], size=(25, 24), tr
 sys.modules["bpy"] = Module(__spec__="there")
 sys.modules["render.blender"] = Module(empty_scene=lambda: None)
 traffic = Module(show=lambda *_: None)
-sys.modules["render.city"] = Module(build_city=lambda seed: (plan_district(seed), traffic))
-sys.modules["render.lights"] = Module(add_light=lambda name: Module(exposure=1.0))
+sys.modules["render.city.district"] = Module(build_city=lambda seed: (plan_district(seed), traffic))
+sys.modules["render.surfaces.lights"] = Module(add_light=lambda name: Module(exposure=1.0))
 kind, code, *sys.argv[1:] = sys.argv[1:]
 raise SystemExit(render.main() if kind == "-m" else exec(code))
 """

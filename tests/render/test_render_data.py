@@ -10,13 +10,13 @@ import pytest
 from lens_oracle import directions
 
 import omnistereo_lib as osl
-from render.drive import plan_drive
+from render.camera.render_rig import make_rig, write_config
+from render.city.drive import plan_drive
+from render.city.layout import plan_district
 from render.image_sets import (
     SEED,
     SETS,
 )
-from render.layout import plan_district
-from render.render_rig import make_rig, write_config
 
 SAMPLES = Path(osl.__file__).parents[1] / "data_samples" / "sunny"
 DISTRICT = plan_district(SEED)

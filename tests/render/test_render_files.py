@@ -19,7 +19,8 @@ import render
 from omnistereo_lib.errors import OmnistereoError
 from render import image_sets as frames_module
 from render import main
-from render.drive import ROUTES
+from render.camera.render_rig import make_rig
+from render.city.drive import ROUTES
 from render.image_sets import (
     SEED,
     SETS,
@@ -30,7 +31,6 @@ from render.image_sets import (
     select_shard,
     write_manifest,
 )
-from render.render_rig import make_rig
 
 
 @pytest.fixture
@@ -93,7 +93,7 @@ def test_steps_of_the_first_release_and_another_sets_truth(no_blender, tmp_path)
 def test_room_and_its_rig_come_from_the_set(no_blender, tmp_path, monkeypatch):
     poses = [osl.Pose.from_vector([0, 0, 0, x, 0, 0]) for x in (1.0, 2.0)]
     room = SimpleNamespace(build_room=lambda light, seed: 1.0, room_pose=lambda index: poses[index])
-    monkeypatch.setitem(sys.modules, "render.indoor", room)
+    monkeypatch.setitem(sys.modules, "render.indoor.living_room", room)
     images = replace(SETS["indoor/test"], size=(25, 24), truths=((16, 4),))
     assert list(render_set(tmp_path, images, images.shipped, SEED)) == [1, 2]
     data = osl.load_dataset(tmp_path)

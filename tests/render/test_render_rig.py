@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from lens_oracle import blender_pixel, directions
 
 import omnistereo_lib as osl
+from render.camera.lens import fit_ocam, random_lens
+from render.camera.render_rig import Sensor, _yaml_float, make_rig, write_config
+from render.camera.sensor import _tone, develop
 from render.image_sets import SEED
-from render.lens import fit_ocam, random_lens
-from render.render_rig import Sensor, _yaml_float, make_rig, write_config
-from render.sensor import _tone, develop
 
 
 @given(st.integers(0, 2**32), st.floats(0, np.radians(113)))

@@ -11,12 +11,12 @@ import pytest
 
 import omnistereo_lib as osl
 from omnistereo_lib.errors import OmnistereoError
+from render.camera.render_rig import random_rig, write_config
 from render.image_sets import SEED, SETS
-from render.mesh_builder import Mesh
-from render.render_rig import random_rig, write_config
-from render.rooms import plan_room, wall_frame
-from render.shapes import SHAPES
-from render.things import plan_things
+from render.indoor.rooms import plan_room, wall_frame
+from render.surfaces.mesh_builder import Mesh
+from render.things.scenes import plan_things
+from render.things.shapes import SHAPES
 from render.worlds import WORLDS, is_rendered, render_worlds
 
 SIZE = (350, 336)
@@ -160,7 +160,7 @@ def no_blender(monkeypatch):
         depth_panorama=lambda pose, size, phi_deg: np.full(size[::-1], 2.0),
     )
     monkeypatch.setitem(sys.modules, "render.blender", blender)
-    monkeypatch.setitem(sys.modules, "render.interiors", SimpleNamespace(build_room=lambda plan, rng: None))
+    monkeypatch.setitem(sys.modules, "render.indoor.interiors", SimpleNamespace(build_room=lambda plan, rng: None))
 
 
 TINY = replace(WORLDS["rooms/train"], size=(25, 24), truth=(20, 8))

@@ -28,7 +28,7 @@ from rig_file_samples import (
 
 from omnistereo_lib import OmnistereoError, Pose, Rig, load_camera, load_rig, save_rig
 from omnistereo_lib.rig_files.ocam import write_ocam_folder, write_ocam_txt
-from omnistereo_tools.rig_exports import export_rig
+from omnistereo_tools.output.rig_exports import export_rig
 
 C, D, E = AFFINE
 

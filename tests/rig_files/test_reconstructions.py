@@ -9,7 +9,7 @@ from rig_file_samples import K4, RAYS, SIZE, dump, write
 from test_more_formats import AHEAD, follows, theta_d
 
 from omnistereo_lib import OmnistereoError, Pose, load_camera, load_rig
-from omnistereo_tools.rig_exports import export_rig
+from omnistereo_tools.output.rig_exports import export_rig
 
 WIDTH, HEIGHT = SIZE
 WORLD = Pose.from_vector([0.3, -0.4, 0.2, 5.0, -2.0, 1.0])  # rig → world

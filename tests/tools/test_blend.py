@@ -6,7 +6,7 @@ import scene
 
 import omnistereo_lib as osl
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_tools.blend import blended_panorama, estimate_gains
+from omnistereo_tools.output.blend import blended_panorama, estimate_gains
 
 GRID = osl.SphereGrid(320, 80, num_spheres=64, min_depth=0.6)
 EXPOSURE = np.array([1.0, 0.8, 1.1, 0.9])

@@ -12,7 +12,7 @@ import scene
 import omnistereo_lib as osl
 from omnistereo_lib.files import write_image
 from omnistereo_tools import cli
-from omnistereo_tools.cluster import on_cluster
+from omnistereo_tools.record.cluster import on_cluster
 
 distributed = pytest.importorskip("dask.distributed", reason="Dask is not installed: environment-dev.txt has it")
 
@@ -100,7 +100,7 @@ def test_a_scheduler_that_ends():
 
 
 def test_a_scheduler_that_is_not_there(recorded, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("omnistereo_tools.cluster._PATIENCE_S", 0.5)
+    monkeypatch.setattr("omnistereo_tools.record.cluster._PATIENCE_S", 0.5)
     command = ["depth", "--rig", recorded / "rig.yaml", "--images", *(recorded / f"view{k}" for k in (1, 2, 3, 4))]
     small = ["--width", 96, "--height", 24, "--spheres", 16, "--method", "zncc"]
     assert run(*command, *small, "--out", tmp_path / "out", "--cluster", "tcp://127.0.0.1:1") == 2

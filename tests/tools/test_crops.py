@@ -9,8 +9,8 @@ import scene
 
 import omnistereo_lib as osl
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_tools.crops import covered_share, crops_of, write_crops
-from omnistereo_tools.points import Limits
+from omnistereo_tools.output.crops import covered_share, crops_of, write_crops
+from omnistereo_tools.output.points import Limits
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import scene
 
 import omnistereo_lib as osl
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_tools.exports import check_suffixes, equirectangular_depth
+from omnistereo_tools.output.exports import check_suffixes, equirectangular_depth
 
 
 def test_equirectangular_depth_covers_the_sphere():

@@ -12,14 +12,14 @@ import scene
 import omnistereo_lib as osl
 from omnistereo_lib.files import write_image
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_tools import frame
-from omnistereo_tools import pictures as pictures_module
-from omnistereo_tools.exports import export_frame
-from omnistereo_tools.frame import FrameResult
-from omnistereo_tools.masks import with_masks
-from omnistereo_tools.pictures import BACKGROUND, ColorScale, draw_points
-from omnistereo_tools.points import Limits, PointCloud
-from omnistereo_tools.summary import depth_sentences, error_sentences
+from omnistereo_tools.input.masks import with_masks
+from omnistereo_tools.output import frame
+from omnistereo_tools.output import pictures as pictures_module
+from omnistereo_tools.output.exports import export_frame
+from omnistereo_tools.output.frame import FrameResult
+from omnistereo_tools.output.pictures import BACKGROUND, ColorScale, draw_points
+from omnistereo_tools.output.points import Limits, PointCloud
+from omnistereo_tools.output.summary import depth_sentences, error_sentences
 
 GRID = osl.SphereGrid(160, 40, num_spheres=64, min_depth=0.6)
 

@@ -20,7 +20,7 @@ from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools import cli, live_view
 from omnistereo_tools.commands import demo_command
 from omnistereo_tools.live_view import Cameras, Latest, LivePicture, draw_picture, live_pictures, serve
-from omnistereo_tools.pictures import ColorScale
+from omnistereo_tools.output.pictures import ColorScale
 
 FRAMES = 5
 GRID = osl.SphereGrid(96, 24, num_spheres=16, min_depth=0.6)

@@ -6,8 +6,8 @@ import scene
 
 import omnistereo_lib as osl
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_tools.mesh_export import make_mesh, write_mesh
-from omnistereo_tools.points import Limits
+from omnistereo_tools.output.mesh_export import make_mesh, write_mesh
+from omnistereo_tools.output.points import Limits
 
 trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed: environment.txt has it")
 

@@ -6,7 +6,7 @@ import scene
 import omnistereo_lib as osl
 from omnistereo_lib.progress import counted
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_tools import pace
+from omnistereo_tools.judge import pace
 
 
 @pytest.mark.parametrize(

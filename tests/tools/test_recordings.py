@@ -16,9 +16,9 @@ from omnistereo_lib.dataset import read_inverse_depth
 from omnistereo_lib.files import read_image, write_image
 from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD
 from omnistereo_tools import cli
-from omnistereo_tools.pictures import colorize_depth
-from omnistereo_tools.sources import Recording
-from omnistereo_tools.trust import trust
+from omnistereo_tools.input.sources import Recording
+from omnistereo_tools.judge.trust import trust
+from omnistereo_tools.output.pictures import colorize_depth
 
 GRID = osl.SphereGrid(96, 24, num_spheres=16, min_depth=0.6)
 SMALL = ["--width", "96", "--height", "24", "--spheres", "16", "--method", "zncc"]

@@ -11,7 +11,7 @@ import omnistereo_lib as osl
 from omnistereo_lib.evaluate.run import DATA
 from omnistereo_lib.stereo.images import reduce_images
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_tools.rig_check import (
+from omnistereo_tools.judge.rig_check import (
     RigCheck,
     RigHypothesis,
     _rotated_camera,

@@ -7,7 +7,7 @@ import scene
 import omnistereo_lib as osl
 from omnistereo_lib.evaluate.run import DATA
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_tools.trust import DOUBTFUL, trust
+from omnistereo_tools.judge.trust import DOUBTFUL, trust
 
 GRID = osl.SphereGrid(160, 40, num_spheres=192, min_depth=0.3)
 

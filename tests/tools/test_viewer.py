@@ -10,8 +10,8 @@ import scene
 
 import omnistereo_lib as osl
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_tools.points import Limits
-from omnistereo_tools.viewer import page_of, viewer_data, viewer_page
+from omnistereo_tools.output.points import Limits
+from omnistereo_tools.output.viewer import page_of, viewer_data, viewer_page
 
 GRID = osl.SphereGrid(160, 40, num_spheres=64, min_depth=0.6)
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from omnistereo_lib.geometry.pose import rotation_from_axis_angle
-from omnistereo_lib.train import textures
-from omnistereo_lib.train.caster import BOX, CYLINDER, ELLIPSOID, LIGHT, PRIMITIVE, SOFT, look
-from omnistereo_lib.train.endless import Scene
-from omnistereo_lib.train.objects import Builder
+from omnistereo_lib.train.endless import textures
+from omnistereo_lib.train.endless.caster import BOX, CYLINDER, ELLIPSOID, LIGHT, PRIMITIVE, SOFT, look
+from omnistereo_lib.train.endless.objects import Builder
+from omnistereo_lib.train.endless.worlds import Scene
 
 CENTER, HALF = np.array([0.4, -0.3, 3.0]), np.array([0.5, 0.9, 0.7])
 R = rotation_from_axis_angle([0.4, -0.7, 0.2])  # object → world

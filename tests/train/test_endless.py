@@ -10,8 +10,9 @@ from tiny import SWEEPNET
 
 import omnistereo_lib as osl
 from omnistereo_lib.stereo import correlation
-from omnistereo_lib.train import VolumeNetRecipe, endless, train
-from omnistereo_lib.train.endless import EndlessWorlds, draw_frame
+from omnistereo_lib.train import VolumeNetRecipe, train
+from omnistereo_lib.train.endless import worlds as endless
+from omnistereo_lib.train.endless.worlds import EndlessWorlds, draw_frame
 from omnistereo_lib.train.spheres import SphereSamples
 from omnistereo_lib.train.volumes import VolumeSamples
 

@@ -15,7 +15,7 @@ import torch
 from tiny import MCCNN, SWEEPNET, TINY
 
 import omnistereo_lib as osl
-from course.ship import _hours, export_weights
+from course.experiments.ship import _hours, export_weights
 from omnistereo_lib.stereo.weights import load_tensors
 from omnistereo_lib.train import RECIPES, train
 from omnistereo_lib.train.loop import LOG, STATE, WEIGHTS, _Run

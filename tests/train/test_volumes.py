@@ -9,7 +9,7 @@ import torch
 from torch.nn.functional import interpolate
 
 import omnistereo_lib as osl
-from course.ship import export_weights, file_name
+from course.experiments.ship import export_weights, file_name
 from omnistereo_lib.dataset import load_dataset
 from omnistereo_lib.stereo import correlation
 from omnistereo_lib.stereo.volumenet import local_mean

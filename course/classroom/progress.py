@@ -1,0 +1,87 @@
+"""The progress page, `make progress`: what the checks in the working copies said, as they were last saved.
+
+Where every function is right, it ends with a certificate: the panorama that notebook 13 computed by the student's own.
+"""
+
+import html
+import itertools
+import re
+from pathlib import Path
+
+from course import exercises, nbtools
+from course.classroom.lab import WORKING
+
+PICTURE = '"13 repaired"'  # the name of the figure that the certificate shows
+SAID = re.compile(r"^\x1b\[\d+m([✓✗])\x1b\[0m (\w+): ", re.MULTILINE)  # `Open.__call__`
+PAGE = """<!doctype html>
+<html lang="en">
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>omnistereo: your progress</title>
+<style>
+:root {{ color-scheme: light dark; }}
+body {{ font: 18px/1.5 system-ui, sans-serif; margin: 2em auto; max-width: 46em; padding: 0 1em; }}
+progress {{ height: 1.5em; width: 100%; }}
+h2 {{ font-size: 1.1em; margin: 1.2em 0 0; }}
+li {{ display: inline-block; list-style: none; margin-right: 1.2em; }}
+ul {{ margin: 0; padding: 0; }}
+.right {{ color: light-dark(#1a7f37, #5fd068); }}
+.wrong {{ color: light-dark(#b42318, #ff8f85); }}
+figure {{ border: 3px double; margin: 2em 0; padding: 1em; text-align: center; }}
+img {{ max-width: 100%; }}
+</style>
+<main>
+<h1>{count} of {total} functions are right</h1>
+<progress value="{count}" max="{total}" aria-label="functions that are right"></progress>
+{rows}
+{certificate}
+</main>
+</html>
+"""
+CERTIFICATE = """<figure>
+<h2>omnistereo, the whole course</h2>
+<p>All {total} functions are right, and this is what they compute: a depth panorama from four fisheye images.</p>
+<img src="data:{mime};base64,{picture}" alt="{alt}">
+</figure>"""
+
+
+def write_progress(out: Path) -> None:
+    """Write the page, and print the counts."""
+    rows, count, total = [], 0, 0
+    for path in nbtools.notebooks():
+        if not (functions := exercises.functions(nbtools.number(path))):
+            continue
+        marks = read_marks(WORKING / path.name)
+        found = [marks.get(function.name, "") for function in functions]
+        count, total = count + found.count("✓"), total + len(found)
+        title = f"{nbtools.number(path)} {nbtools.read_notebook(path).metadata['omnistereo']['title']}"
+        items = "".join(_item(function.name, mark) for function, mark in zip(functions, found, strict=True))
+        rows.append(f"<h2>{html.escape(title)}: {found.count('✓')} of {len(found)}</h2>\n<ul>{items}</ul>")
+        print(f"{title}: {found.count('✓')} of {len(found)}")
+    certificate = _certificate(total) if count == total else ""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    nbtools.store(out, PAGE.format(count=count, total=total, rows="\n".join(rows), certificate=certificate))
+    print(f"{count} of {total} functions are right. Written: {out}. Save a notebook to have it counted.")
+
+
+def read_marks(path: Path) -> dict[str, str]:
+    """Return ✓ or ✗ of the functions that a working copy has tried, by name."""
+    if not path.exists():
+        return {}
+    outputs = [output for cell in nbtools.code_cells(nbtools.read_notebook(path)) for output in cell.outputs]
+    return {name: mark for output in outputs for mark, name in SAID.findall(output.get("text", ""))}
+
+
+def _item(name: str, mark: str) -> str:
+    kind = {"✓": "right", "✗": "wrong"}.get(mark, "")
+    return f'<li><span class="{kind}">{mark or "·"}</span> <code>{name}</code></li>'
+
+
+def _certificate(total: int) -> str:
+    path = next(path for path in nbtools.notebooks() if nbtools.number(path) == "13")
+    cells = nbtools.code_cells(nbtools.read_notebook(WORKING / path.name))
+    for output in itertools.chain(*(cell.outputs for cell in cells if PICTURE in cell.source)):
+        for mime in set(nbtools.PICTURES) & set(output.get("data", {})):
+            picture, alt = output.data[mime].replace("\n", ""), html.escape(output.data["text/plain"])
+            return CERTIFICATE.format(total=total, mime=mime, picture=picture, alt=alt)
+    return ""  # it was removed

@@ -1,0 +1,300 @@
+"""A student's notebook in a process of its own, with limits: what its functions answer comes back, and nothing else.
+
+`run` starts `python -m course.classroom.student` in a copy of the clone. That process runs the cells by IPython, as
+Jupyter does, and after each cell tries the functions that are new on the inputs of their exercises. What it writes is
+JSON, a line each, into a file that is read when all its processes have ended; so nobody waits for it. Nothing in there
+is believed: `handin` compares the answers with the right ones.
+
+This keeps mistakes from doing harm, not malice: the code runs as the user who starts it. For strangers' notebooks
+the whole check belongs into a container; book/teaching.md says how.
+"""
+
+import ctypes
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from pkgutil import resolve_name
+from tempfile import TemporaryDirectory, TemporaryFile
+from typing import Any
+
+import numpy as np
+import psutil
+
+from course.exercises.compare import CASES, where
+from course.exercises.opened import Open
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.geometry.pose import Pose
+
+ROOT = Path(__file__).resolve().parents[2]
+COPIED = ("notebooks", "data_samples", "omnistereo_lib", "omnistereo_tools", "course", "render", "environment.txt")
+KEPT = ("PATH", "LANG", "LC_ALL", "VIRTUAL_ENV", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")  # of the environment
+GIB = 2**30
+MAX_PROCESSES = 256
+MAX_FILE_BYTES = 4 * GIB  # of each file that it writes
+MAX_ANSWER_BYTES = 4 * 2**20  # as JSON
+MAX_READ_BYTES = 64 * 2**20
+PR_SET_CHILD_SUBREAPER = 36  # <sys/prctl.h>
+
+
+# --- The judge's side ---------------------------------------------------------------------------------------
+
+
+@dataclass
+class Run:
+    """What came back from a notebook."""
+
+    records: list[dict[str, Any]]  #: as written by `main`; not to be believed
+    stopped: str  #: why it did not come to its end, or nothing
+    seconds: float
+    peak_gib: float  #: memory of all its processes
+
+
+def run(task: dict[str, Any], seconds: float, memory_gib: float) -> Run:
+    """Run a notebook in a process of its own, and end all that it has started.
+
+    Args:
+        task: For `main`: the cells, the exercises, the seed of their cases and the limits of time.
+        seconds: The time that it may take in all.
+        memory_gib: The memory that all its processes may use together.
+    """
+    started = time.monotonic()
+    if sys.platform == "linux":  # a process that detaches itself becomes this one's child, so that it is found
+        ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+    others = set(psutil.Process().children(recursive=True))
+
+    def family() -> list[psutil.Process]:
+        return [process for process in psutil.Process().children(recursive=True) if process not in others]
+
+    with TemporaryDirectory(prefix="student-", ignore_cleanup_errors=True) as folder, TemporaryFile() as answers:
+        copy, home, temporary, told = (Path(folder, name) for name in ("clone", "home", "tmp", "task.json"))
+        copy_clone(copy)
+        home.mkdir()
+        temporary.mkdir()
+        told.write_text(json.dumps(task), encoding="ascii")
+        env = {name: os.environ[name] for name in KEPT if name in os.environ}
+        env |= {"HOME": str(home), "TMPDIR": str(temporary), "PYTHONPATH": str(copy)}
+        env |= {"PYTHONDONTWRITEBYTECODE": "1", "MPLBACKEND": "agg"}
+        with told.open() as task_file:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "course.classroom.student"],
+                stdin=task_file,
+                stdout=answers,
+                stderr=subprocess.DEVNULL,
+                cwd=copy / "notebooks",
+                env=env,
+                start_new_session=True,
+            )
+        try:
+            broken, peak_gib = watch(process, family, seconds, memory_gib)
+        finally:
+            end(process, family)
+        answers.seek(0)
+        records = list(read_records(answers.read(MAX_READ_BYTES)))
+    if not broken and not any("end" in record for record in records):
+        broken = f"its process ended with status {process.returncode}"
+    return Run(records, broken, time.monotonic() - started, peak_gib)
+
+
+def copy_clone(copy: Path) -> None:
+    """Copy what a notebook needs of the clone, without solution notebooks, hidden files, links and pipes."""
+
+    def left_out(folder: str, names: list[str]) -> list[str]:
+        paths = {name: Path(folder, name) for name in names}
+        plain = {name for name, path in paths.items() if not path.is_symlink() and (path.is_file() or path.is_dir())}
+        return [*set(names) - plain, *shutil.ignore_patterns(".*", "solutions*")(folder, names)]
+
+    for path in map(ROOT.joinpath, COPIED):
+        if path.is_dir():
+            shutil.copytree(path, copy / path.name, ignore=left_out)
+        else:
+            shutil.copy2(path, copy)
+
+
+def watch(
+    process: subprocess.Popen, family: Callable[[], list[psutil.Process]], seconds: float, memory_gib: float
+) -> tuple[str, float]:
+    """Wait for a process; return the limit that it and its family have broken, or nothing, and their peak in GiB."""
+    deadline, peak = time.monotonic() + seconds, 0.0
+    while process.poll() is None:
+        members = family()
+        if len(members) > MAX_PROCESSES:
+            return f"it ran more than {MAX_PROCESSES} processes", peak
+        used = sum(map(memory_of, members)) / GIB
+        if used > memory_gib and len(members) > 1:  # perhaps only because what they share counts for each of them
+            used = sum(memory_of(member, shared=True) for member in members) / GIB
+        peak = max(peak, used)
+        if peak > memory_gib:
+            return f"it used more than {memory_gib:g} GiB of memory", peak
+        if time.monotonic() > deadline:
+            return f"it ran longer than {seconds:g} s", peak
+        time.sleep(0.05)
+    return "", peak
+
+
+def memory_of(process: psutil.Process, shared: bool = False) -> int:
+    """Return the bytes that a process uses; with `shared`, which takes longer, its part of what it shares, on Linux."""
+    with suppress(psutil.Error):
+        memory = process.memory_full_info() if shared else process.memory_info()
+        return getattr(memory, "pss", memory.rss)
+    return 0  # it has ended
+
+
+def end(process: subprocess.Popen, family: Callable[[], list[psutil.Process]]) -> None:
+    """Kill a process and its family until nobody is left."""
+    if process.poll() is None:
+        with suppress(ProcessLookupError, PermissionError):  # it has just ended
+            os.killpg(process.pid, signal.SIGKILL)  # all at once: they may start others faster than one can look
+        process.wait()
+    for _ in range(100):
+        if not (members := family()):
+            return
+        for kill in (psutil.Process.suspend, psutil.Process.kill):  # nobody starts another one in between
+            for member in members:
+                with suppress(psutil.Error):
+                    kill(member)
+        psutil.wait_procs(members, timeout=1)
+    raise OmnistereoError(f"processes that it started cannot be ended: {[member.pid for member in members]}. End them")
+
+
+def read_records(content: bytes) -> Iterator[dict[str, Any]]:
+    """Yield the records among some lines, whatever the others are."""
+    for line in content.splitlines():
+        with suppress(Exception):  # cut short, nested too deeply, not of ours
+            if isinstance(record := json.loads(line), dict):
+                yield record
+
+
+# --- The student's side -------------------------------------------------------------------------------------
+
+
+class OutOfTime(BaseException):
+    """Raised where a cell or function has taken too long; `except Exception` does not catch it."""
+
+
+def main() -> None:
+    """Run the cells of a task from stdin; write what they raise and what their functions answer to stdout."""
+    import resource  # not on Windows, where the judge may be imported
+
+    from IPython.core.interactiveshell import InteractiveShell
+    from traitlets.config import Config
+
+    task = json.load(sys.stdin)
+    records = os.fdopen(os.dup(1), "w", encoding="ascii")
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what it prints goes nowhere: it may print without end
+    sys.path[:] = [path for path in sys.path if Path(path) == ROOT or not Path(path, "course").is_dir()]
+    with suppress(ValueError):  # the limit is lower already
+        resource.setrlimit(resource.RLIMIT_FSIZE, (MAX_FILE_BYTES, MAX_FILE_BYTES))
+    shell = InteractiveShell.instance(config=Config(HistoryManager={"enabled": False}))
+    shell.showtraceback = shell.showsyntaxerror = lambda *_, **__: None
+    opened = {name: resolve_name(f"course.exercises.{checker}") for name, checker in task["exercises"].items()}
+    tried: dict[str, Any] = {}
+    handed: dict[str, Any] = {}  # to a check, which may put the solution in its place
+    check = Open.__call__
+
+    def check_and_keep(self: Open, function: Any) -> Any:
+        handed[self.name] = function
+        return check(self, function)
+
+    Open.__call__ = check_and_keep
+
+    def write(**record: Any) -> None:
+        print(json.dumps(record), file=records, flush=True)
+
+    write(begin=True)
+    for number, source in enumerate(task["cells"], start=1):
+        write(cell=number, said=run_cell(shell, source, task["cell_s"]))
+        for name, open_function in opened.items():
+            function = handed.pop(name, shell.user_ns.get(name))
+            if callable(function) and function is not tried.get(name) and not from_course(function):
+                tried[name] = function  # now: a later cell may never end, or write over it
+                write(function=name, replies=replies(function, open_function, task["seed"], task["answer_s"]))
+    write(end=True)
+
+
+def from_course(function: Callable) -> bool:
+    """Tell whether a function is the course's own, such as a solution that the notebook goes on with."""
+    return str(getattr(function, "__module__", "")).partition(".")[0] == "course"
+
+
+def run_cell(shell: Any, source: str, seconds: float) -> str:
+    """Run a cell; return what it stopped with, or nothing."""
+    try:
+        with at_most(seconds):
+            result = shell.run_cell(source, silent=True)
+        error = result.error_in_exec if result.error_before_exec is None else result.error_before_exec
+    except BaseException as raised:  # what IPython does not catch: a syntax tree too deep, a timer that comes late
+        error = raised
+    return "" if error is None else ": ".join(described(error))
+
+
+def replies(function: Callable, open_function: Open, seed: int, seconds: float) -> list[dict[str, Any]]:
+    """Return what a function answers to each case of its checker, until it raises something."""
+    found: list[dict[str, Any]] = []
+    for k in range(CASES):
+        try:
+            inputs = open_function.inputs(k, seed)
+            with at_most(seconds):
+                answer = function(*inputs)
+                value = in_json(answer)
+                arguments = [in_json(value) for value in inputs]  # it may have written into them
+            if len(value) > MAX_ANSWER_BYTES:
+                raise MemoryError(f"an answer of more than {MAX_ANSWER_BYTES // 2**20} MiB")
+        except BaseException as error:
+            kind, text = described(error)
+            return [*found, {"error": kind, "text": text + where(error)}]
+        differentiable = getattr(answer, "requires_grad", False) is True
+        found.append({"value": value, "arguments": arguments, "differentiable": differentiable})
+    return found
+
+
+@contextmanager
+def at_most(seconds: float) -> Iterator[None]:
+    """Raise `OutOfTime` where the code within takes longer."""
+
+    def stop(*_: Any) -> None:
+        raise OutOfTime(f"no answer in {seconds:g} s")
+
+    signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+
+
+def described(error: BaseException) -> tuple[str, str]:
+    """Return an exception's name and text."""
+    try:
+        return type(error).__name__, str(error)[:500]
+    except BaseException:  # of its own making
+        return type(error).__name__, ""
+
+
+def in_json(value: Any) -> str:
+    """Return a value in JSON: the numbers of an array or a pose; of what JSON cannot hold, the name of its type."""
+    try:
+        return json.dumps(value, default=plain)
+    except Exception:  # a list in itself, an object's own error
+        return json.dumps({"type": type(value).__name__})
+
+
+def plain(value: Any) -> Any:
+    """Return what `json` is to write in place of a value that it does not know."""
+    if value is ...:
+        return None
+    if isinstance(value, Pose):
+        return value.as_vector().tolist()
+    value = value.detach() if hasattr(value, "detach") else value
+    return np.asarray(value).tolist() if hasattr(value, "__array__") else {"type": type(value).__name__}
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""For whoever checks our figures: speed, ablations, uncertainty, the stored results and weights."""

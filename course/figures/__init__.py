@@ -1,0 +1,1 @@
+"""For whoever draws in a notebook: captioned panels, line drawings, meshes."""

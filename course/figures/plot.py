@@ -1,0 +1,291 @@
+"""Figures of the notebooks: captioned, live, and the panels that they are made of.
+
+Matplotlib is imported by the functions that draw, so that importing this module stays fast.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+from collections.abc import Callable, Iterable, Sequence
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import yaml
+from numpy.typing import ArrayLike, NDArray
+
+from course.publish import stills
+from omnistereo_lib.dataset import Frame
+from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.depth import Depth
+from omnistereo_tools.output.calibration_figures import calibration_figure as calibration_figure
+from omnistereo_tools.output.calibration_figures import draw_coverage as draw_coverage
+from omnistereo_tools.output.pictures import colorize_depth, sharp_panorama
+from omnistereo_tools.output.pictures import draw_points as draw_points
+from omnistereo_tools.output.points import Limits
+from omnistereo_tools.output.viewer import page_of, viewer_data
+
+if TYPE_CHECKING:
+    from ipywidgets import Widget
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.image import AxesImage
+
+DEPTH_COLORS = "inferno"  # the colours of `colorize_depth`
+SHARP_PX = 1280  # width of the panorama in the viewer
+DPI = {"png": 150, "jpeg": 100}  # sharp on a screen, small enough that a notebook stays below 800 KB
+CAPTIONS = Path(__file__).resolve().parents[2] / "notebooks" / "captions.yaml"
+
+
+def encode(fig: Figure, kind: Literal["png", "jpeg"] = "png", tight: bool = True) -> bytes:
+    """Encode a figure as a PNG of 256 colours (lines, text) or a JPEG (photographs).
+
+    A tight figure is cropped to what is drawn, which takes a second drawing.
+    """
+    from PIL import Image
+
+    drawn, encoded = io.BytesIO(), io.BytesIO()
+    fig.savefig(drawn, format="png", dpi=DPI[kind], bbox_inches="tight" if tight else None)
+    image = Image.open(drawn).convert("RGB")
+    if kind == "png":
+        image.quantize(256, dither=Image.Dither.NONE).save(encoded, "png", optimize=True)
+    else:
+        image.save(encoded, "jpeg", quality=50, progressive=True, optimize=True, dpi=(DPI[kind],) * 2)
+    return encoded.getvalue()
+
+
+def show(fig: Figure, name: str) -> None:
+    """Show a figure in a notebook, with its caption below it, and close it.
+
+    Args:
+        fig: The figure; it is closed afterwards, so that Jupyter does not show it a second time.
+        name: Its entry in notebooks/captions.yaml, with
+            caption: What the reader should see in it, one or two sentences of Markdown. Appears as "*Figure:* ...".
+            alt: Text for readers who cannot see it. Stored in the two places that renderers read: the metadata of the
+            image (nbconvert's classic template) and the plain-text form of the output (MyST, terminals).
+            kind: "png" for drawings, "jpeg" for photographs and panoramas.
+
+    Raises:
+        KeyError: If captions.yaml has no such entry.
+    """
+    from IPython.display import display
+
+    caption, alt, kind = (captions()[name][key] for key in ("caption", "alt", "kind"))
+    show_picture(fig, alt, kind)
+    display(caption_output(caption), raw=True)
+
+
+def show_picture(fig: Figure, alt: str, kind: str = "png") -> None:
+    """Show a figure with its alternative text, and close it; `kind` as in `show`."""
+    import matplotlib.pyplot as plt
+    from IPython import display
+
+    mime = f"image/{kind}"
+    picture = base64.b64encode(encode(fig, kind)).decode()
+    plt.close(fig)
+    display.display({mime: picture, "text/plain": alt}, metadata={mime: {"alt": alt}}, raw=True)
+
+
+def caption_output(caption: str) -> dict[str, str]:
+    """Return a caption in the forms in which a notebook stores it."""
+    return {"text/markdown": f"*Figure:* {caption}", "text/plain": caption}
+
+
+@cache
+def captions() -> dict[str, dict[str, str]]:
+    """Return caption, alternative text and kind of every figure, by name."""
+    return yaml.safe_load(CAPTIONS.read_text(encoding="utf-8"))
+
+
+def interactive(draw: Callable[..., Figure], **sliders: Widget) -> None:
+    """Show a figure that follows sliders: redrawn, as a small JPEG, whenever one of them moves.
+
+    Notebooks are stored without it: the captioned figure before it says what it shows.
+
+    Args:
+        draw: A function of the values of the sliders, by name, that returns a figure.
+        sliders: Widgets with a value, named like the arguments of `draw`.
+    """
+    import matplotlib.pyplot as plt
+    from IPython.display import display
+    from ipywidgets import Image, VBox
+
+    def drawn(**values: Any) -> bytes:
+        fig = draw(**values)
+        picture = encode(fig, "jpeg", tight=stills.recording())  # a slider must answer at once
+        plt.close(fig)
+        return picture
+
+    if stills.recording():
+        return stills.record_sliders(lambda **values: [drawn(**values)], sliders)
+    picture = Image(format="jpeg")
+
+    def update(_: object = None) -> None:
+        picture.value = drawn(**{name: slider.value for name, slider in sliders.items()})
+
+    for name, slider in sliders.items():
+        slider.description, slider.layout.width = slider.description or name, "100%"
+        slider.observe(update, "value")
+    update()
+    display(VBox([*sliders.values(), picture]))
+
+
+def pick_ray(draw: Callable[[int, int], Figure], panorama: NDArray, row: int, column: int) -> None:
+    """Show a panorama to click on and, below it, the figure of the ray at the cross.
+
+    Two sliders move the cross as well, by keyboard and in programs that do not support clicks.
+    Notebooks are stored without it: the captioned figure before it says what it shows.
+
+    Args:
+        draw: A function of the `row` and the `column` of a ray that returns a figure.
+        panorama (array, shape (H, W) or (H, W, 3)): Gray values or colours, 0 to 255; NaN becomes gray.
+        row, column: Initial position of the cross.
+    """
+    from ipyevents import Event
+    from IPython.display import display
+    from ipywidgets import Image, IntSlider, Layout
+
+    height, width = panorama.shape[:2]
+    rows, columns = IntSlider(row, 0, height - 1), IntSlider(column, 0, width - 1)
+    if stills.recording():
+        return stills.record_sliders(
+            lambda row, column: [_with_cross(panorama, row, column), encode(draw(row=row, column=column), "jpeg")],
+            {"row": rows, "column": columns},
+        )
+    picture = Image(format="jpeg", layout=Layout(width="100%"))
+
+    def mark(_: object = None) -> None:
+        picture.value = _with_cross(panorama, rows.value, columns.value)
+
+    def move(event: dict[str, Any]) -> None:
+        rows.value = int(height * event["relativeY"] / event["boundingRectHeight"])
+        columns.value = int(width * event["relativeX"] / event["boundingRectWidth"])
+
+    for slider in (rows, columns):
+        slider.observe(mark, "value")
+    Event(source=picture, watched_events=["click"]).on_dom_event(move)
+    mark()
+    display(picture)
+    interactive(draw, row=rows, column=columns)
+
+
+def _with_cross(panorama: NDArray, row: int, column: int) -> bytes:
+    """Encode a panorama as a JPEG, at three times its size, with an open cross around a ray."""
+    import cv2
+
+    gray = np.where(np.isfinite(panorama), panorama, 185).clip(0, 255).astype(np.uint8)
+    picture = np.repeat(np.repeat(gray if gray.ndim == 3 else np.stack([gray] * 3, -1), 3, 0), 3, 1)
+    x, y = 3 * column + 1, 3 * row + 1
+    for color, thickness in (((0, 0, 0), 5), ((255, 255, 0), 2)):  # dark around bright is visible on any background
+        for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+            cv2.line(picture, (x + 8 * dx, y + 8 * dy), (x + 22 * dx, y + 22 * dy), color, thickness)
+    return cv2.imencode(".jpg", picture[..., ::-1])[1].tobytes()
+
+
+def explore(depth: Depth, images: Sequence[ArrayLike], max_depth: float, min_confidence: float = 0.0) -> None:
+    """Show a depth panorama: its points to rotate, tilt and zoom, its image to look around in.
+
+    Notebooks are stored without it: the captioned figure before it says what it shows.
+
+    Args:
+        images: One of each camera, as for `Depth.panorama`.
+        max_depth, min_confidence: Rays up to this depth in metres, and with at least this confidence, become points.
+    """
+    from IPython.display import display
+    from ipywidgets import HTML
+
+    panorama = sharp_panorama(depth, images, SHARP_PX)
+    limits = Limits(max_depth, min_confidence)
+    data = viewer_data(depth, panorama, limits, "Drag to turn and tilt", mode="points", images=images)
+    if stills.recording():
+        return stills.record_view(data)
+    page = html.escape(page_of(data))
+    display(HTML(f'<iframe srcdoc="{page}" title="{stills.VIEW}" style="width: 100%; height: 800px"></iframe>'))
+
+
+def draw_panorama(ax: Axes, picture: NDArray, grid: SphereGrid, title: str = "", **imshow: Any) -> AxesImage:
+    """Draw a panorama with its angles: θ to the right, φ down, in degrees.
+
+    Args:
+        picture (array, shape (H, W) or (H, W, 3)): Gray values, colours from 0 to 255, or anything `imshow` takes;
+            NaN is gray.
+        imshow: Further arguments of Matplotlib's imshow.
+    """
+    picture = np.asarray(picture)
+    if picture.ndim == 3:
+        picture = np.where(np.isfinite(picture), picture, 185).clip(0, 255).astype(np.uint8)
+    low, high = grid.phi_deg
+    ax.set_facecolor("0.73")
+    image = ax.imshow(picture, extent=(-180, 180, high, low), aspect="equal", **{"cmap": "gray", **imshow})
+    ax.set_xticks(range(-180, 181, 90))
+    ax.set_yticks([low, 0, high] if low < 0 < high else [low, high])
+    ax.set_xlabel("θ [°]")
+    ax.set_ylabel("φ [°]")
+    ax.set_title(title, loc="left", fontsize=10)
+    return image
+
+
+def draw_depth(ax: Axes, inverse_depth: NDArray, grid: SphereGrid, title: str = "") -> AxesImage:
+    """Draw a panorama of inverse depth (H, W) in 1/m with a colour bar in metres; unknown rays are striped."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    image = draw_panorama(ax, colorize_depth(inverse_depth, grid), grid, title)
+    colors = ScalarMappable(Normalize(0, 1 / grid.min_depth), DEPTH_COLORS)
+    bar = ax.figure.colorbar(colors, ax=ax, fraction=0.02, pad=0.01)
+    ticks = np.array([0, 0.25, 0.5, 1]) / grid.min_depth
+    bar.set_ticks(ticks, labels=["∞" if tick == 0 else f"{1 / tick:.3g} m" for tick in ticks])
+    return image
+
+
+def contact_sheet(frames: Iterable[Frame], height: int = 120) -> NDArray[np.uint8]:
+    """Return one row for each frame: its inverse depth, then its images; shape (rows · height, width, 3), RGB.
+
+    Args:
+        frames: They may have different rigs. Inverse depth is coloured up to the `min_depth` of each rig.
+        height: Pixels of each row.
+    """
+    import cv2
+
+    rows = []
+    for frame in frames:
+        rows_px, columns_px = frame.inverse_depth.shape
+        grid = SphereGrid(columns_px, rows_px, min_depth=frame.rig.min_depth)
+        tiles = [colorize_depth(frame.inverse_depth, grid)]
+        tiles += [np.broadcast_to(image.reshape(*image.shape[:2], -1), (*image.shape[:2], 3)) for image in frame.images]
+        sizes = [(round(tile.shape[1] * height / tile.shape[0]), height) for tile in tiles]
+        scaled = [cv2.resize(tile, size, interpolation=cv2.INTER_AREA) for tile, size in zip(tiles, sizes, strict=True)]
+        rows.append(np.concatenate(scaled, axis=1))
+    width = max(row.shape[1] for row in rows)
+    return np.concatenate([np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0))) for row in rows])
+
+
+def draw_rig(ax: Axes, rig: Rig, fov_deg: float | None = None) -> None:
+    """Draw a rig from above: z up, x to the right, an arrow and a wedge of view for each camera.
+
+    Args:
+        fov_deg: Opening angle of the wedges; default: the field of view of each camera.
+    """
+    from matplotlib.patches import Wedge
+
+    reach = 1.2 * float(rig.baselines.max())
+    for i, (pose, camera) in enumerate(zip(rig.T_rig_cam, rig.cameras, strict=True)):
+        (x, _, z), (forward_x, _, forward_z) = pose.t, pose.R[:, 2]
+        color = f"C{i}"
+        half = (fov_deg or camera.max_fov_deg) / 2
+        direction = np.degrees(np.arctan2(forward_z, forward_x))
+        ax.add_patch(Wedge((x, z), reach, direction - half, direction + half, color=color, alpha=0.08))
+        ax.arrow(x, z, 0.3 * reach * forward_x, 0.3 * reach * forward_z, color=color, head_width=0.05 * reach)
+        ax.plot(x, z, "o", color=color)
+        ax.annotate(f"camera {i + 1}", (x, z), textcoords="offset points", xytext=(8, 6), color=color)
+    center = rig.centers.mean(0)
+    ax.plot(center[0], center[2], "k+", markersize=12)
+    ax.annotate("sweep centre", (center[0], center[2]), textcoords="offset points", xytext=(6, -12))
+    ax.set_aspect("equal")
+    ax.autoscale_view()
+    ax.set_xlabel("x (right) [m]")
+    ax.set_ylabel("z (forward) [m]")

@@ -1,0 +1,1 @@
+"""For whoever changes a notebook or the book: run, check and store them; website, slides, README."""

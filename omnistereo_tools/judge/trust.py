@@ -1,0 +1,74 @@
+"""How far the depth of a ray is trusted: its confidence, judged at equal range, and whether cameras saw anything."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from omnistereo_lib.stereo.depth import Depth
+from omnistereo_lib.stereo.methods import Method
+from omnistereo_tools.output.blend import BRIGHTEST, DARKEST
+from omnistereo_tools.output.mesh_export import is_connected
+
+DOUBTFUL = 0.5  # trust below which a depth is about as likely wrong as right
+_SPHERES = 20  # from infinity on: two spheres, of which the confidence of a network speaks, are a tenth of the depth
+_AROUND = 5  # rays
+_FLOATING_SIZE, _FLOATING_TRUST = 0.01, 0.7  # of all rays; mean
+_ALL_AROUND = 0.85  # of the edge of a thing, if that thing is in front
+_RATIO_SPHERES = 4  # the same for the ratio of costs, which speaks of no distance
+
+
+def trust(depth: Depth, images: Sequence[ArrayLike], method: str | Method) -> NDArray[np.float32]:
+    """Return how far each ray's depth is trusted, in [0, 1], shape (H, W); below `DOUBTFUL` it is doubtful.
+
+    A confidence says how sure the *sphere* is. Near the rig a sphere more or less hardly changes the depth, so the same
+    confidence means a better depth there, and what is near is seldom confident: it shows in few cameras, from very
+    different sides. Trust is 1 - (1 - confidence)^x, where x grows with the number of spheres between the ray's and
+    infinity. x is chosen so that on frames with ground truth about half of what is just doubtful is off by more than
+    two spheres and a tenth of the depth, at all ranges.
+
+    Trust is 0 where there is no evidence: where fewer than two cameras see anything but black or white, on the last two
+    spheres, since things may be nearer still, and where there is no depth. It is halved for small things in mid-air of
+    which no part is trusted much, see `_floating`.
+    """
+    grid, method = depth.grid, Method.parse(method)
+    step = (1 / grid.min_depth - 1 / grid.max_depth) / (grid.num_spheres - 1)
+    spheres = depth.inverse_depth / step
+    exponent = np.sqrt(np.maximum(spheres / _SPHERES, 1)) if method.reads_out else spheres / _RATIO_SPHERES
+    evidence = depth.valid & (depth.index <= grid.num_spheres - 3) & _is_lit(depth, images)
+    found = np.where(evidence, 1 - (1 - depth.confidence.clip(0, 1)) ** exponent, 0)
+    return np.where(_floating(depth, found), DOUBTFUL * found, found).astype(np.float32)
+
+
+def _floating(depth: Depth, found: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which rays belong to a small thing before its surroundings all around, of little trust, shape (H, W).
+
+    Wires, birds and lamps are such things, but are trusted more; of what is left, most is off by more than two spheres
+    and a tenth of the depth.
+    """
+    rays, index, depths = np.arange(found.size).reshape(found.shape), depth.index.ravel(), depth.depth.ravel()
+    across, down = (rays, np.roll(rays, -1, 1)), (rays[:-1], rays[1:])  # neighbours, around the seam, too
+    a, b = (np.concatenate([first.ravel(), second.ravel()]) for first, second in zip(across, down, strict=True))
+    connected = is_connected(np.stack([depths[a], depths[b]]), np.stack([index[a], index[b]]))
+    links = coo_array((connected[connected], (a[connected], b[connected])), (found.size, found.size))
+    count, thing = connected_components(links, directed=False)
+    edge = thing[a] != thing[b]
+    ahead = index[a[edge]] > index[b[edge]]  # False beside an unknown ray
+    before, behind = np.where(ahead, a[edge], b[edge]), np.where(ahead, b[edge], a[edge])
+    in_front, hidden = (np.bincount(thing[rays], minlength=count) for rays in (before, behind))
+    size = np.bincount(thing)
+    small = (size <= _FLOATING_SIZE * found.size) & (np.bincount(thing, found.ravel()) < _FLOATING_TRUST * size)
+    return (small & (in_front > _ALL_AROUND * (in_front + hidden)))[thing].reshape(found.shape)
+
+
+def _is_lit(depth: Depth, images: Sequence[ArrayLike]) -> NDArray[np.bool_]:
+    """Return where two cameras see neither black nor saturated pixels, for most rays around a ray, shape (H, W)."""
+    samples = np.stack(depth.sweep.warp(images, depth.index))
+    samples = samples.reshape(*samples.shape[:3], -1)  # (cameras, H, W, channels)
+    lit = ((samples.max(-1) >= DARKEST) & (samples.min(-1) <= BRIGHTEST)).sum(0) >= 2  # False where NaN
+    return cv2.medianBlur(lit.astype(np.uint8), _AROUND) > 0

@@ -1,0 +1,1 @@
+"""VolumeNet without torch: one ONNX file for a rig, and the script that runs it."""

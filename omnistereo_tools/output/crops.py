@@ -1,0 +1,168 @@
+"""Perspective crops of the fisheye images with depth and poses, for NeRF and Gaussian splatting programs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omnistereo_lib.files import atomic_write, make_folder, write_image
+from omnistereo_lib.geometry.camera import OcamCamera
+from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.stereo.depth import Depth
+from omnistereo_lib.stereo.sweep import OUTSIDE, remap
+from omnistereo_tools.output.points import Limits
+
+_FOV_DEG = 80.0  # of a crop; wider ones stretch their corners
+_CUBE_DEG = 91.0  # the faces share their edges
+_RAYS = 10_000  # of a camera, tried for what its crops cover
+_STEPS = 20  # of the search for the depth of a pixel; it has converged after 5 but at depth edges
+_CONVERGED = 0.02  # of the depth
+_FARTHEST = 1e4  # metres, in place of infinity
+_MILLIMETRE = 1e-3
+_FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # y down, z forward ↔ y up, z backward, as in OpenGL
+
+
+@dataclass(frozen=True)
+class Crop:
+    """A pinhole camera at the place of a camera of the rig."""
+
+    camera: int  #: number in the rig, from 0
+    T_rig_crop: Pose
+    size: int  #: pixels, square
+    focal: float  #: pixels
+
+    def rays(self) -> NDArray[np.float64]:
+        """Return the viewing ray of every pixel with z = 1 in its own frame, shape (size, size, 3)."""
+        offset = (np.arange(self.size) + 0.5 - self.size / 2) / self.focal
+        x, y = np.meshgrid(offset, offset)
+        return np.stack([x, y, np.ones_like(x)], -1)
+
+
+def crops_of(camera: int, lens: OcamCamera, pose: Pose, whole: bool = False) -> Iterator[Crop]:
+    """Yield crops of a camera, as fine as its image.
+
+    Args:
+        whole: False: left, middle and right along the horizon, or one if the lens is narrow. True: the faces of a cube
+            that the field of view reaches, which leave nothing out.
+    """
+    half = lens.max_fov_deg / 2
+    fov = _CUBE_DEG if whole else min(_FOV_DEG, 0.7 * lens.max_fov_deg)
+    corner = np.degrees(np.arctan(np.sqrt(2) * np.tan(np.radians(fov / 2))))
+    if whole:
+        angles = [(0.0, 0.0)]
+        if half > fov / 2:
+            angles += [(0.0, 90.0), (0.0, -90.0), (90.0, 0.0), (-90.0, 0.0)]
+        if half > 180 - corner:
+            angles += [(0.0, 180.0)]
+    else:
+        yaw = half - corner
+        angles = [(0.0, -yaw), (0.0, 0.0), (0.0, yaw)] if yaw > 10 else [(0.0, 0.0)]
+    size = 2 * round(fov * lens.image_size[0] / lens.max_fov_deg / 2)
+    for angle in angles:
+        rotated = pose @ Pose.from_vector([*np.radians(angle), 0, 0, 0, 0])
+        yield Crop(camera, rotated, size, size / 2 / np.tan(np.radians(fov / 2)))
+
+
+def covered_share(crops: Sequence[Crop], lens: OcamCamera, pose: Pose) -> float:
+    """Return the share of the visible pixels of a camera whose rays are in one of its crops."""
+    v, u = np.nonzero(lens.visible_pixels())
+    rays, _ = lens.unproject(np.stack([u, v], -1)[:: max(1, len(u) // _RAYS)])
+    covered = np.zeros(len(rays), bool)
+    for crop in crops:
+        x, y, z = np.moveaxis(rays @ pose.R.T @ crop.T_rig_crop.R, -1, 0)
+        covered |= (z > 0) & (np.maximum(np.abs(x), np.abs(y)) * crop.focal <= z * crop.size / 2)
+    return float(covered.mean())
+
+
+def write_crops(
+    out: Path, depth: Depth, images: Sequence[ArrayLike], limits: Limits, whole: bool = False
+) -> tuple[int, float]:
+    """Write crops, their depth and transforms.json, as nerfstudio reads them, into a folder.
+
+    Returns their number, and the share of what the cameras see that is in them. `whole`: see `crops_of`.
+
+    images/0_1.png   the second crop of the first camera
+    depth/0_1.png    16 bits: depth along the optical axis in millimetres; 0 where it is unknown or beyond 65 m
+    masks/0_1.png    0 where the lens or its mask covers a pixel; only if there is such a pixel
+    transforms.json  intrinsics, and poses with y up and the view along -z; the world is the rig with y up
+    """
+    rig = depth.sweep.rig
+    frames, shares = [], []
+    for k, (lens, pose) in enumerate(zip(rig.cameras, rig.T_rig_cam, strict=True)):
+        crops = list(crops_of(k, lens, pose, whole))
+        shares.append(covered_share(crops, lens, pose))
+        for number, crop in enumerate(crops):
+            name = f"{k}_{number}.png"
+            picture, visible = crop_image(crop, lens, pose, images[k])
+            z = np.where(visible, crop_depth(crop, depth, limits), np.nan)
+            write_image(make_folder(out / "images") / name, picture)
+            _write_millimetres(make_folder(out / "depth") / name, z)
+            frame = {"file_path": f"images/{name}", "depth_file_path": f"depth/{name}", **_intrinsics(crop)}
+            if not visible.all():
+                write_image(make_folder(out / "masks") / name, 255 * visible)
+                frame["mask_path"] = f"masks/{name}"
+            frames.append(frame)
+    with atomic_write(out / "transforms.json") as temporary:
+        temporary.write_text(json.dumps({"camera_model": "PINHOLE", "frames": frames}, indent=1) + "\n")
+    return len(frames), float(np.mean(shares))
+
+
+def crop_image(
+    crop: Crop, lens: OcamCamera, pose: Pose, image: ArrayLike
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Return the image of a crop, undistorted, 0 to 255, and where the camera sees it, (size, size)."""
+    uv, visible = lens.project(crop.rays() @ crop.T_rig_crop.R.T @ pose.R)
+    maps = np.where(visible[..., None], uv, OUTSIDE).astype(np.float32)
+    return np.nan_to_num(remap(np.asarray(image, np.float32), maps)), visible
+
+
+def crop_depth(crop: Crop, depth: Depth, limits: Limits) -> NDArray[np.float64]:
+    """Return the depth of every pixel of a crop along its optical axis, metres, (size, size); NaN unknown.
+
+    The crop is not where the panorama was computed: on each of its rays the point is searched whose distance from the
+    sweep centre is the depth of the panorama in its direction.
+    """
+    finite = np.nan_to_num(depth.depth, nan=_FARTHEST, posinf=_FARTHEST)
+    rays, center = crop.rays() @ crop.T_rig_crop.R.T, crop.T_rig_crop.t
+    length = np.linalg.norm(rays, axis=-1)
+    directions = rays / length[..., None]
+    along = directions @ center
+    points = directions * np.median(finite)
+    for _ in range(_STEPS):
+        found = _look_up(finite, depth, points)
+        root = np.maximum(along**2 + found**2 - center @ center, 0)  # of |center + s directions| = found
+        distance = -along + np.sqrt(root)
+        points = center + distance[..., None] * directions
+    panorama = np.where(limits.keep(depth), depth.depth, np.nan)
+    error = np.abs(_look_up(panorama, depth, points) / np.linalg.norm(points, axis=-1) - 1)
+    _, inside = depth.grid.project(points)
+    return np.where((error < _CONVERGED) & inside & (distance > 0), distance / length, np.nan)
+
+
+def _look_up(panorama: NDArray, depth: Depth, points: NDArray) -> NDArray[np.float64]:
+    """Return the value of a panorama in the direction of points (..., 3); beyond its rows that of the last one."""
+    pixels, _ = depth.grid.project(points)
+    column, row = np.moveaxis(np.rint(pixels).astype(int), -1, 0)
+    return panorama[row.clip(0, depth.grid.height - 1), column % depth.grid.width]
+
+
+def _intrinsics(crop: Crop) -> dict:
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = crop.T_rig_crop.R, crop.T_rig_crop.t
+    pose = _FLIP @ matrix @ _FLIP
+    center = {"cx": crop.size / 2, "cy": crop.size / 2}
+    focal = {"fl_x": crop.focal, "fl_y": crop.focal}
+    return {"w": crop.size, "h": crop.size, **focal, **center, "transform_matrix": pose.tolist()}
+
+
+def _write_millimetres(path: Path, z: NDArray) -> None:
+    steps = np.nan_to_num(z / _MILLIMETRE)
+    pixels = np.where(steps < 65535, steps.round(), 0).astype(np.uint16)
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(cv2.imencode(".png", pixels)[1].tobytes())

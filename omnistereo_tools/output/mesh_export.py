@@ -1,0 +1,148 @@
+"""A depth panorama as a textured mesh: GLB for Blender and viewers, PLY for the rest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.files import atomic_write
+from omnistereo_lib.stereo.depth import Depth
+from omnistereo_tools.output.points import Limits
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+SUFFIXES = (".glb", ".ply")  # textured with y up; coloured vertices in the axes of the rig
+_EDGE = 0.2  # of the depth between neighbouring rays: a surface so oblique is hardly seen
+_SPHERES = 1.5  # always connected: far away, one sphere is more than `_EDGE`
+_TRANSLUCENT = 90  # of 255: doubtful triangles are faded, as in the pictures
+_Y_UP = np.diag([1.0, -1.0, -1.0])  # rig (y down, z forward) → glTF (y up, -z forward)
+
+
+def write_mesh(
+    path: Path,
+    depth: Depth,
+    panorama: NDArray[np.uint8],
+    limits: Limits,
+    faces: int | None = None,
+    doubtful: NDArray[np.bool_] | None = None,
+) -> tuple[int, int]:
+    """Write the mesh of a depth panorama in metres; return its number of triangles, and how many are doubtful.
+
+    A .glb file is textured and has y up, as glTF demands; its doubtful triangles are an object of their own, named so
+    and translucent. A .ply file has colours and doubts at its vertices and the axes of the rig: x right, y down, z
+    forward.
+
+    Args:
+        panorama: uint8 array, RGB, the whole panorama at any size: the texture
+        limits: Rays that become vertices; the sky is beyond its `max_depth`.
+        faces: Number of triangles to decimate to. None: all.
+        doubtful: Which rays are doubtful, (H, W); so is a triangle with such a vertex. None: none is.
+
+    Raises:
+        OmnistereoError: If trimesh is not installed, no triangle is left, or the file cannot be written.
+    """
+    mesh = make_mesh(depth, limits, faces)
+    uv = mesh.metadata["uv"]
+    vertices = _look_up(uv, np.zeros(depth.grid.shape, bool) if doubtful is None else doubtful)
+    triangles = vertices[mesh.faces].any(-1)
+    if path.suffix.lower() == ".glb":
+        mesh.apply_transform(np.pad(_Y_UP, (0, 1)) + np.diag([0, 0, 0, 1.0]))
+        content = _textured(mesh, uv, panorama, triangles)
+    else:
+        mesh.visual.vertex_colors = _look_up(uv, panorama)
+        mesh.vertex_attributes["doubtful"] = vertices.astype(np.uint8)
+        content = mesh.export(file_type=path.suffix.lower()[1:])
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(content)
+    return len(mesh.faces), int(triangles.sum())
+
+
+def make_mesh(depth: Depth, limits: Limits, faces: int | None = None) -> Trimesh:
+    """Return the mesh in the axes of the rig, without colours; `metadata["uv"]` holds the texture coordinates (M, 2).
+
+    Triangles face the rig. u grows with the columns from 0 to 1 and, in the triangles that close the circle, a little
+    beyond; v grows upwards. Arguments and errors as in `write_mesh`.
+    """
+    try:
+        import trimesh
+    except ImportError:
+        raise OmnistereoError("a mesh needs trimesh: in the clone, .venv/bin/pip install -e '.[tools]'") from None
+    distance = np.where(limits.keep(depth), depth.depth, np.nan)
+    points = depth.grid.rays() * distance[..., None]
+    corners = _triangles(distance, depth.index)
+    if len(corners) == 0:
+        raise OmnistereoError("no triangle is left for the mesh. Raise --max-depth or lower --min-confidence")
+    used, corners = np.unique(corners, return_inverse=True)
+    mesh = trimesh.Trimesh(points.reshape(-1, 3)[used], corners.reshape(-1, 3), process=False)
+    if faces is not None and faces < len(mesh.faces):
+        mesh = mesh.simplify_quadric_decimation(face_count=faces)
+    return _unwrap(mesh, depth)
+
+
+def _triangles(distance: NDArray, index: NDArray) -> NDArray[np.int64]:
+    """Return vertex numbers (M, 3) of two triangles per cell of a grid (H, W), circular, none across a depth edge."""
+    number = np.arange(distance.size).reshape(distance.shape)
+    left, right = number, np.roll(number, -1, 1)
+    a, b, c, d = left[:-1].ravel(), right[:-1].ravel(), left[1:].ravel(), right[1:].ravel()
+    corners = np.concatenate([np.stack([a, c, b], -1), np.stack([b, c, d], -1)])  # seen from the rig counter-clockwise
+    depths, indices = distance.ravel()[corners], index.ravel()[corners]
+    return corners[is_connected(depths.T, indices.T) & np.isfinite(depths).all(-1)]
+
+
+def is_connected(depths: NDArray, indices: NDArray) -> NDArray[np.bool_]:
+    """Return whether neighbouring rays show one surface, (M,), given metres and sphere indices of each (rays, M)."""
+    near, far = depths.min(0), depths.max(0)  # NaN if one is unknown
+    return (far <= (1 + _EDGE) * near) | (np.ptp(indices, axis=0) <= _SPHERES)
+
+
+def _unwrap(mesh: Trimesh, depth: Depth) -> Trimesh:
+    """Return the mesh with texture coordinates: where a triangle crosses the ±180° seam, vertices are repeated."""
+    pixels, _ = depth.grid.project(mesh.vertices)
+    u, v = (pixels[:, 0] + 0.5) / depth.grid.width, 1 - (pixels[:, 1] + 0.5) / depth.grid.height
+    faces, vertices = np.array(mesh.faces), np.array(mesh.vertices)
+    beyond = (np.ptp(u[faces], axis=1) > 0.5)[:, None] & (u[faces] < 0.5)
+    repeated, copies = np.unique(faces[beyond], return_inverse=True)
+    faces[beyond] = len(vertices) + copies
+    uv = np.concatenate([np.stack([u, v], -1), np.stack([u[repeated] + 1, v[repeated]], -1)])
+    vertices = np.concatenate([vertices, vertices[repeated]])
+    return type(mesh)(vertices, faces, process=False, metadata={"uv": uv})
+
+
+def _textured(mesh: Trimesh, uv: NDArray, panorama: NDArray[np.uint8], doubtful: NDArray[np.bool_]) -> bytes:
+    """Return a GLB file with the triangles of a mesh as two objects, by whether they are doubtful; none is empty."""
+    from PIL import Image
+    from trimesh import Scene
+    from trimesh.visual import TextureVisuals
+    from trimesh.visual.material import PBRMaterial
+
+    scene = Scene()
+    for name, chosen, alpha in (("surface", ~doubtful, None), ("doubtful", doubtful, _TRANSLUCENT)):
+        if not chosen.any():
+            continue
+        used, corners = np.unique(mesh.faces[chosen], return_inverse=True)
+        material = PBRMaterial(
+            name=name,
+            baseColorTexture=Image.fromarray(panorama),
+            baseColorFactor=None if alpha is None else [255, 255, 255, alpha],
+            alphaMode=None if alpha is None else "BLEND",
+            metallicFactor=0.0,
+            roughnessFactor=1.0,
+            doubleSided=True,
+        )
+        part = type(mesh)(mesh.vertices[used], corners.reshape(-1, 3), process=False)
+        part.visual = TextureVisuals(uv=uv[used], material=material)
+        scene.add_geometry(part, node_name=name, geom_name=name)
+    return scene.export(file_type="glb")
+
+
+def _look_up(uv: NDArray, panorama: NDArray) -> NDArray:
+    """Return the values of a panorama of any size at texture coordinates (M, 2)."""
+    height, width = panorama.shape[:2]
+    column = np.floor(uv[:, 0] * width).astype(int) % width
+    row = np.floor((1 - uv[:, 1]) * height).astype(int).clip(0, height - 1)
+    return panorama[row, column]

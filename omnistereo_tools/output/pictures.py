@@ -1,0 +1,161 @@
+"""Pictures of a depth panorama: the sharp panorama, depth in colours that use the range found, points from outside."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omnistereo_lib.files import atomic_write
+from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.depth import Depth
+from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_tools.output.blend import blended_panorama, estimate_gains
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+BACKGROUND = 0x20  # colours stand out, and gaps between points do not dazzle
+_FADE, _GRAY = 0.65, 0x80  # of what is doubtful, towards
+_ANY_GRID = SphereGrid(2, 2)  # `colorize_depth` reads its nearest depth only
+_NEAREST = 0.1  # metres in front of the eye
+_LARGEST = 7  # px of a point: nearer ones would hide what is behind them
+
+
+def colorize_depth(inverse_depth: ArrayLike, grid: SphereGrid) -> NDArray[np.uint8]:
+    """Return a colour image of inverse depth: near is bright and warm, far is dark, unknown is striped grey.
+
+    Args:
+        inverse_depth: array, shape (H, W), 1/m, NaN unknown
+        grid: The nearest sphere has the brightest colour.
+
+    Returns:
+        uint8 array, shape (H, W, 3), RGB
+    """
+    inverse_depth = np.asarray(inverse_depth)
+    level = np.clip(256 * np.nan_to_num(inverse_depth) * grid.min_depth, 0, 255).astype(np.uint8)
+    # The lightness of Inferno is monotonic, so it works in grey print and for colour-blind readers.
+    colors = cv2.cvtColor(cv2.applyColorMap(level, cv2.COLORMAP_INFERNO), cv2.COLOR_BGR2RGB)
+    rows, columns = np.indices(inverse_depth.shape)
+    stripes = np.where((rows + columns) // 4 % 2, 170, 200)[..., None]
+    return np.where(np.isfinite(inverse_depth)[..., None], colors, stripes).astype(np.uint8)
+
+
+def faded(colors: NDArray[np.uint8], doubtful: NDArray[np.bool_], towards: int = BACKGROUND) -> NDArray[np.uint8]:
+    """Return colours (..., 3) of which the doubtful ones (...) are drawn towards a gray value."""
+    return np.where(doubtful[..., None], (1 - _FADE) * colors + _FADE * towards, colors).astype(np.uint8)
+
+
+@dataclass(frozen=True)
+class ColorScale:
+    """Range of inverse depth in 1/m that the colours of a depth picture are stretched to."""
+
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, inverse_depth: NDArray) -> ColorScale:
+        """Return the range without the outermost percent on either side."""
+        known = inverse_depth[np.isfinite(inverse_depth)]
+        low, high = np.percentile(known, [1, 99]) if known.size else (0.0, 1.0)
+        low = 0.0 if low < 0.02 * high else float(low)  # the sky is part of the scale
+        return cls(low, float(max(high, low + 1e-3)))
+
+    def colorize(self, depth: Depth, doubtful: NDArray[np.bool_] | None = None) -> NDArray[np.uint8]:
+        """Return the colours of inverse depth, (H, W, 3) RGB, doubtful rays faded; see `colorize_depth`."""
+        colors = colorize_depth(depth.inverse_depth - self.low, replace(depth.grid, **self._as_range))
+        return colors if doubtful is None else faded(colors, doubtful, _GRAY)
+
+    def bar(self, width: int) -> NDArray[np.uint8]:
+        """Return the colours from `low` to `high` as a picture of one row, (1, width, 3) RGB."""
+        grid = replace(_ANY_GRID, **self._as_range)
+        return colorize_depth(np.linspace(0, self.high - self.low, width)[None], grid)
+
+    def ticks(self) -> list[tuple[float, str]]:
+        """Return positions in [0, 1] and labels in metres, far to near, at least a twentieth apart."""
+        depths = [np.inf, *(digit * 10.0**k for k in (2, 1, 0, -1, -2) for digit in (7, 5, 4, 3, 2, 1.5, 1))]
+        chosen: list[tuple[float, str]] = []
+        for depth in depths:
+            at = (1 / depth - self.low) / (self.high - self.low)
+            if -1e-6 <= at <= 1 and (not chosen or at - chosen[-1][0] > 1 / 20):
+                chosen.append((float(at), "∞" if depth == np.inf else f"{depth:g} m"))
+        return chosen
+
+    @property
+    def _as_range(self) -> dict[str, float]:
+        return {"min_depth": 1 / (self.high - self.low), "max_depth": np.inf}
+
+
+def sharp_panorama(depth: Depth, images: Sequence[ArrayLike], width: int) -> NDArray[np.uint8]:
+    """Return the blended panorama with about `width` columns or more, uint8 RGB; unknown is black.
+
+    The images hold more detail than the depth, so each ray is divided into several at its depth.
+    """
+    factor = max(1, -(-width // depth.grid.width))
+    grid = replace(depth.grid, width=factor * depth.grid.width, height=factor * depth.grid.height)
+    index = np.repeat(np.repeat(depth.index, factor, 0), factor, 1)
+    sweep = SphereSweep(depth.sweep.rig, grid, center=np.zeros(3))  # the rig of a sweep is centred already
+    fine = Depth(index, np.ones_like(index), sweep)
+    pixels = np.nan_to_num(blended_panorama(fine, images, estimate_gains(depth, images))).round().astype(np.uint8)
+    return pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, -1)
+
+
+def draw_points(
+    points: NDArray, colors: NDArray, size: tuple[int, int], eye: tuple[float, float, float] | None = None
+) -> NDArray[np.uint8]:
+    """Draw a point cloud (M, 3) in metres, rig frame.
+
+    Args:
+        colors: uint8 array, shape (M, 3), RGB
+        size: (width, height) in pixels
+        eye: Where it is seen from, towards the sweep centre, metres; not straight above. Default: from above and
+            behind the rig, at a distance that suits the cloud.
+
+    Returns:
+        uint8 array, shape (height, width, 3), RGB
+    """
+    width, height = size
+    picture = np.full((height, width, 3), BACKGROUND, np.uint8)
+    if len(points) == 0:
+        return picture
+    target, nearest = np.zeros(3), _NEAREST
+    if eye is None:
+        typical = float(np.percentile(np.linalg.norm(points, axis=-1), 60))
+        eye, target = typical * np.array([0.35, -0.9, -1.3]), typical * np.array([0.0, 0.1, 0.3])  # y points down
+        nearest = max(_NEAREST, 0.35 * typical)  # a wall between the eye and the rig would hide the scene
+    x, y, z = _axes(target - eye) @ (points - eye).T
+    order = np.argsort(-z)
+    order = order[z[order] > nearest]
+    focal = 0.62 * width
+    u, v = width / 2 + focal * x[order] / z[order], height / 2 + focal * y[order] / z[order]
+    reach = np.linalg.norm(points[order], axis=-1) / z[order]
+    spacing = 2 * np.pi / np.sqrt(8 * len(points))  # about the angle between rays
+    sides = np.clip(np.ceil(focal * spacing * reach), 1, _LARGEST).astype(int)
+    depth = np.full((height, width), np.inf)
+    for row, column in np.ndindex(_LARGEST, _LARGEST):
+        at_u, at_v = np.floor(u + column - sides / 2).astype(int), np.floor(v + row - sides / 2).astype(int)
+        drawn = (np.maximum(row, column) < sides) & (at_u >= 0) & (at_u < width) & (at_v >= 0) & (at_v < height)
+        drawn[drawn] = z[order][drawn] < depth[at_v[drawn], at_u[drawn]]
+        where = at_v[drawn], at_u[drawn]  # of several points the last, and so the nearest, stays
+        picture[where], depth[where] = colors[order][drawn], z[order][drawn]
+    return picture
+
+
+def _axes(towards: NDArray) -> NDArray[np.float64]:
+    """Return the axes of a camera that looks in a direction, right, down, forward, as rows."""
+    forward = towards / np.linalg.norm(towards)
+    right = np.cross([0.0, 1.0, 0.0], forward)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(forward, right), forward])
+
+
+def save_figure(path: Path, figure: Figure, dpi: int = 100) -> None:
+    """Write a figure of Matplotlib in the format of the suffix, so that its bytes depend only on what it shows."""
+    kind = path.suffix.lower()[1:]
+    with atomic_write(path) as temporary:  # Matplotlib would write its version into a PNG
+        figure.savefig(temporary, format=kind, dpi=dpi, metadata={"Software": None} if kind == "png" else None)

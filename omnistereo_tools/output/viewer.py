@@ -1,0 +1,146 @@
+"""`index.html`: one file, read offline in any browser, to look around in the panorama and to rotate the points."""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.stereo.depth import Depth
+from omnistereo_tools.judge.trust import DOUBTFUL
+from omnistereo_tools.output.pictures import ColorScale
+from omnistereo_tools.output.points import Limits
+
+_PAGE = Path(__file__).with_name("viewer.html")
+_RAY_BYTES = 2_400_000  # of all rays; with the picture the page stays below 5 MB
+_WIDEST = 2400  # px of the picture
+_STEPS = 16382  # of inverse depth, a hundredth of a sphere; 0 is unknown
+_SMALL = 240  # px, width of a fisheye image
+
+
+def viewer_page(depth: Depth, panorama: NDArray[np.uint8], limits: Limits, title: str, **options: Any) -> str:
+    """Return the page as HTML, with everything in it; arguments as `viewer_data`."""
+    return page_of(viewer_data(depth, panorama, limits, title, **options))
+
+
+def page_of(data: dict[str, Any]) -> str:
+    """Return the page that shows what `viewer_data` returned."""
+    return _PAGE.read_text(encoding="utf-8").replace("{{DATA}}", json.dumps(data).replace("<", "\\u003c"))
+
+
+def viewer_data(
+    depth: Depth,
+    panorama: NDArray[np.uint8],
+    limits: Limits,
+    title: str,
+    mode: str = "look",
+    trust: NDArray | None = None,
+    gt_index: NDArray | None = None,
+    images: Sequence[ArrayLike] = (),
+) -> dict[str, Any]:
+    """Return what the page shows, as JSON.
+
+    Args:
+        panorama: uint8 array, any size, RGB: the whole panorama, sharper than the depth
+        limits: Rays that become points.
+        title: What was computed and how, one line.
+        mode: How it begins: "look" around, "flat" or "points".
+        trust: Of `trust.trust`, (H, W): doubtful rays are faded, and a slider hides them. None: all are trusted.
+        gt_index: The exact sphere indices, (H, W), if they are known: the page then shows them and the error, too.
+        images: One of each camera: the page then shows where each of them sees a ray.
+    """
+    grid = depth.grid
+    step = int(np.ceil(np.sqrt(depth.index.size * (4 if gt_index is None else 6) / _RAY_BYTES)))
+    inverse_depth = depth.inverse_depth[::step, ::step]
+    truth = inverse_depth if gt_index is None else grid.index_to_inverse_depth(gt_index)[::step, ::step]
+    per_step = float(np.nanmax([inverse_depth, truth], initial=1e-6)) / _STEPS
+    optional: dict[str, Any] = {}
+    if trust is not None:
+        optional["trust"] = _packed(_percent(trust[::step, ::step]))
+    if gt_index is not None:
+        per_metre = float(np.diff(grid.inverse_depth_to_index([0.0, 1.0]))[0])  # spheres per 1/m
+        percent = 100 / grid.num_spheres * per_metre  # the error as in the paper's tables
+        optional |= {"truth": _packed(_in_steps(truth, per_step)), "percent": percent}
+    scale = ColorScale.of(depth.inverse_depth)
+    return optional | {
+        "title": title,
+        "mode": mode,
+        "width": inverse_depth.shape[1],
+        "height": inverse_depth.shape[0],
+        "phi": np.radians(grid.phi_deg).tolist(),
+        "perStep": per_step,
+        "steps": _packed(_in_steps(inverse_depth, per_step)),
+        "confidence": _packed(_percent(depth.confidence[::step, ::step])),
+        "doubtful": 100 * DOUBTFUL,
+        "low": scale.low,
+        "high": scale.high,
+        "ticks": scale.ticks(),
+        "colors": _base64(scale.bar(256)),
+        "maxDepth": min(limits.max_depth, 1e9),
+        "minConfidence": limits.min_confidence,
+        "picture": _webp(_narrow(panorama)[..., ::-1], 75),
+        "cameras": [_camera(depth.sweep.rig, i, image) for i, image in enumerate(images)],
+    }
+
+
+def _in_steps(inverse_depth: NDArray, per_step: float) -> NDArray[np.uint16]:
+    """Return inverse depths as steps from 1; 0 is unknown, and nearer than the last step is the last."""
+    steps = np.where(np.isfinite(inverse_depth), 1 + np.nan_to_num(inverse_depth) / per_step, 0)
+    return steps.round().clip(0, _STEPS + 1).astype("<u2")
+
+
+def _percent(values: NDArray) -> NDArray[np.uint8]:
+    return (100 * np.nan_to_num(values)).round().astype(np.uint8)
+
+
+def _camera(rig: Rig, number: int, image: ArrayLike) -> dict[str, Any]:
+    """Return what projects points of the rig into a camera, and its image, small, transparent where it is blind."""
+    camera, T_cam_rig = rig.cameras[number], rig.T_rig_cam[number].inverse()
+    pixels = np.asarray(image).clip(0, 255).astype(np.uint8)
+    colors = pixels[..., ::-1] if pixels.ndim == 3 else cv2.cvtColor(pixels, cv2.COLOR_GRAY2BGR)
+    visible = np.where(camera.visible_pixels(), 255, 0).astype(np.uint8)
+    scale = _SMALL / camera.image_size[0]
+    size = (_SMALL, round(scale * camera.image_size[1]))
+    small = cv2.resize(np.dstack([colors, visible]), size, interpolation=cv2.INTER_AREA)
+    return {
+        "R": T_cam_rig.R.tolist(),
+        "t": T_cam_rig.t.tolist(),
+        "poly": list(camera.inv_poly),
+        "affine": list(camera.affine),
+        "center": list(camera.center),
+        "maxAngle": np.radians(camera.max_fov_deg / 2) - np.pi / 2,
+        "scale": scale,
+        "image": _webp(small, 60),
+    }
+
+
+def _packed(values: NDArray) -> str:
+    """Return unsigned integers (H, W) as text: differences along the rows, low bytes before high ones, deflated."""
+    differences = np.diff(values, axis=1, prepend=values.dtype.type(0))  # they wrap around
+    planes = differences.view(np.uint8).reshape(values.size, -1).T
+    return _base64(zlib.compress(planes.tobytes(), 9))
+
+
+def _base64(values: NDArray | bytes) -> str:
+    return base64.b64encode(values if isinstance(values, bytes) else np.ascontiguousarray(values).tobytes()).decode()
+
+
+def _narrow(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    height, width = picture.shape[:2]
+    if width <= _WIDEST:
+        return picture
+    return cv2.resize(picture, (_WIDEST, round(height * _WIDEST / width)), interpolation=cv2.INTER_AREA)
+
+
+def _webp(pixels: NDArray[np.uint8], quality: int) -> str:
+    """Return an image in BGR or BGRA as a data URI."""
+    _, encoded = cv2.imencode(".webp", pixels, [cv2.IMWRITE_WEBP_QUALITY, quality])
+    return "data:image/webp;base64," + _base64(encoded)

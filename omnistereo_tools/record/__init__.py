@@ -1,0 +1,1 @@
+"""Depth of a whole recording, frame by frame, on this machine or on many."""

@@ -1,0 +1,143 @@
+"""Frames handed out to many machines by Dask: `--cluster ADDRESS` of a scheduler; all machines see the same files.
+
+A worker that dies costs its frame only: the scheduler gives the frame to another one. Results are files, written
+atomically, and the same as those of a local run.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import groupby
+from operator import attrgetter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.evaluate.run import Evaluation, Job
+from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.rig_files import load_rig
+from omnistereo_tools.input.sources import Pictures, Recording
+from omnistereo_tools.record.recordings import DepthWriter
+
+if TYPE_CHECKING:
+    from dask.distributed import Client
+
+_PATIENCE_S = 30  # for the scheduler to answer
+_VIDEO_BATCH = 32  # frames at a time: a worker reads a video from its start up to them
+
+
+def connect(address: str) -> Client:
+    """Return a client of a Dask scheduler.
+
+    Raises an `OmnistereoError` if dask.distributed is not installed or no scheduler answers.
+    """
+    try:
+        from dask.distributed import Client
+    except ImportError:
+        raise OmnistereoError("--cluster needs Dask: in the clone, .venv/bin/pip install -e '.[distributed]'") from None
+    try:
+        logging.getLogger("distributed.client").setLevel(
+            logging.CRITICAL
+        )  # what it logs of errors, ours says in a line
+        return Client(address, timeout=_PATIENCE_S)
+    except (OSError, ValueError) as error:
+        raise OmnistereoError(f"no Dask scheduler answers at {address}: {error}. Start one: dask scheduler") from None
+
+
+def on_cluster(address: str, function: Callable[[Any], Any], arguments: Sequence) -> Iterator[Any]:
+    """Yield function(argument) for all arguments as workers of a Dask cluster finish them.
+
+    Raises an `OmnistereoError` as `connect`, if a frame killed several workers, or if the scheduler ends; what a worker
+    raises is raised here.
+    """
+    with connect(address) as client:
+        from dask.distributed import KilledWorker, as_completed
+        from distributed.client import FutureCancelledError
+        from distributed.comm import CommClosedError
+
+        futures = client.map(function, arguments, pure=False)
+        try:
+            for future in as_completed(futures):
+                yield future.result()
+        except KilledWorker as error:
+            raise OmnistereoError(f"several workers died on the same frame: {error}. See their logs") from None
+        except (CommClosedError, FutureCancelledError):
+            raise OmnistereoError(f"the scheduler at {address} has ended. Start one; run the same to resume") from None
+        finally:
+            client.cancel(futures)
+
+
+@dataclass(frozen=True)
+class RecordingTask:
+    """What a worker needs to continue a recording that was prepared: paths that every machine sees, and the grid."""
+
+    out: Path
+    images: tuple[Path, ...]
+    grid: SphereGrid
+    method: str
+    suffix: str
+    with_video: bool
+    device: str
+
+    def open(self) -> DepthWriter:
+        """Return the writer of the recording; its rig is the one that was stored with the settings."""
+        recording, rig = Recording.open(self.images), load_rig(self.out / "config.yaml")
+        return DepthWriter.open(
+            self.out, recording, rig, self.grid, self.method, self.suffix, self.with_video, self.device
+        )
+
+
+def depth_on_cluster(address: str, writer: DepthWriter, device: str = "cpu") -> Iterator[int]:
+    """Estimate the depth of all frames of a prepared recording that are not done yet; yield their numbers."""
+    sources = writer.recording.sources
+    task = RecordingTask(
+        writer.out.resolve(),
+        tuple(source.path.resolve() for source in sources),
+        writer.sweep.grid,
+        writer.method.name,
+        writer.suffix,
+        writer.with_video,
+        device,
+    )
+    left = writer.left()
+    size = 1 if all(isinstance(source, Pictures) for source in sources) else _VIDEO_BATCH
+    batches = [(task, tuple(left[k : k + size])) for k in range(0, len(left), size)]
+    for numbers in on_cluster(address, _depth_of_batch, batches):
+        yield from numbers
+
+
+_open_once = cache(RecordingTask.open)  # once per worker
+
+
+def _depth_of_batch(batch: tuple[RecordingTask, tuple[int, ...]]) -> tuple[int, ...]:
+    task, numbers = batch
+    writer = _open_once(task)
+    for _ in writer.run([number for number in numbers if not writer.is_done(number)]):
+        pass
+    return numbers
+
+
+def evaluate_on_cluster(address: str, arguments: dict[str, Any], jobs: Sequence[Job]) -> Iterator[Job]:
+    """Do the jobs of an `Evaluation`, given its arguments, whose paths every machine sees; yield each job.
+
+    Jobs that have a result already are not done again.
+    """
+    absolute = {name: value.resolve() if isinstance(value, Path) else value for name, value in arguments.items()}
+    absolute["sets"] = {name: path.resolve() for name, path in arguments["sets"].items()}
+    missing = Evaluation(**arguments).missing(jobs)
+    frames = [tuple(group) for _, group in groupby(missing, attrgetter("data", "frame"))]
+    for done in on_cluster(address, _evaluate_frame, [(absolute, frame) for frame in frames]):
+        yield from done
+
+
+_evaluations: dict[str, Evaluation] = {}  # of this worker, by arguments
+
+
+def _evaluate_frame(task: tuple[dict[str, Any], tuple[Job, ...]]) -> tuple[Job, ...]:
+    arguments, jobs = task
+    if repr(arguments) not in _evaluations:
+        _evaluations[repr(arguments)] = Evaluation(**arguments)
+    return tuple(_evaluations[repr(arguments)].run(jobs))

@@ -1,0 +1,285 @@
+"""Depth of a recording: a data set in the public layout that grows frame by frame, and can be interrupted.
+
+OUT/
+  config.yaml                       the rig, with the nearest depth of the sweep
+  cam1/00001.jpg …  cam2/ …         the images: links to your pictures, or frames of your videos
+  confidence_640/00001.tiff         confidence of each ray, in [0, 1], as of a single frame
+  trust_640/00001.tiff              the same at equal range, in [0, 1]; below 0.5 a ray is doubtful
+  depth_estimate_640/00001.tiff     inverse depth, 1/m; written last, so that a frame is complete if it can be read
+  recording.json                    how the depth was computed
+  video/00001.jpg                   panorama over depth, doubtful rays faded, with --video
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections import deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from omnistereo_lib.dataset import read_inverse_depth, write_inverse_depth
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.evaluate.records import checksum
+from omnistereo_lib.files import atomic_write, make_folder, read_data, read_pixels, read_text, write_image
+from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.rig_files import save_rig
+from omnistereo_lib.rig_files.parse import Section
+from omnistereo_lib.stereo.depth import Depth
+from omnistereo_lib.stereo.methods import Method
+from omnistereo_lib.stereo.pipeline import sweep_depth
+from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_tools.input.sources import Pictures, Recording
+from omnistereo_tools.judge.trust import DOUBTFUL, trust
+from omnistereo_tools.output.blend import blended_panorama
+from omnistereo_tools.output.pictures import ColorScale
+from omnistereo_tools.output.summary import doubt_shares
+
+_PENDING = 2  # frames read ahead, and frames waiting to be written: memory stays constant
+_PNG_STEPS = 65500  # of inverse depth up to 1 / D_min, as in the first release of the public sets; of trust up to 1
+OF_RAYS = ("confidence", "trust", "depth_estimate")  # panoramas of a frame, in the order of writing
+SETTINGS = "recording.json"
+CODECS = {".mp4": "mp4v", ".webm": "VP90"}  # the second one plays in browsers, and takes thirty times as long
+_FPS = 10.0  # of pictures, which do not say
+
+
+@dataclass(frozen=True, eq=False)
+class DepthWriter:
+    """Writes the frames of one recording into a data set folder."""
+
+    out: Path
+    recording: Recording
+    sweep: SphereSweep
+    method: Method
+    suffix: str  #: of what is stored of rays: ".tiff", float32, or ".png", 16 bits, unknown depth as infinitely far
+    with_video: bool  #: keep a picture of every frame, panorama over depth, for `write_video`
+
+    @classmethod
+    def open(
+        cls,
+        out: Path,
+        recording: Recording,
+        rig: Rig,
+        grid: SphereGrid,
+        method: str,
+        suffix: str = ".tiff",
+        with_video: bool = False,
+        device: str = "cpu",
+    ) -> DepthWriter:
+        """Return the writer of a recording; it writes nothing before `prepare`.
+
+        Raises:
+            OmnistereoError: If `out` holds the user's own data, the panorama does not fit the layout or the memory, or
+                there is no such method or device.
+        """
+        check_layout(grid)
+        method = Method.parse(method)
+        _check_not_users(out)
+        return cls(out, recording, SphereSweep(rig, grid, device=device), method, suffix, with_video)
+
+    def path(self, kind: str, number: int) -> Path:
+        """Return where a panorama of a frame is stored: its "depth_estimate", "confidence" or "trust"."""
+        return self.out / f"{kind}_{self.sweep.grid.width}" / f"{number:05}{self.suffix}"
+
+    def picture_path(self, number: int) -> Path:
+        """Return where the video frame of a frame is stored."""
+        return self.out / "video" / f"{number:05}.jpg"
+
+    def is_done(self, number: int) -> bool:
+        """Return whether all that is stored of the rays of a frame, and its video frame, can be read."""
+        try:
+            whole = all(self.read(kind, number).shape == self.sweep.grid.shape for kind in OF_RAYS)
+            return whole and (not self.with_video or self.picture(number).size > 0)
+        except OmnistereoError:
+            return False
+
+    def read(self, kind: str, number: int) -> NDArray[np.float32]:
+        """Read a panorama of a frame, (H, W); see `path`."""
+        return read_inverse_depth(self.path(kind, number), self._unit(kind))
+
+    def _unit(self, kind: str) -> float:
+        """Return the value in metres, or the number, whose inverse 16 bits reach."""
+        return self.sweep.grid.min_depth if kind == "depth_estimate" else 1.0
+
+    def picture(self, number: int) -> NDArray[np.uint8]:
+        """Read the video frame of a frame, BGR."""
+        return read_pixels(self.picture_path(number), cv2.IMREAD_COLOR)
+
+    def left(self) -> list[int]:
+        """Return the numbers of the frames that are not done yet."""
+        return [number for number in self.recording.frames if not self.is_done(number)]
+
+    def run(self, numbers: Sequence[int]) -> Iterator[int]:
+        """Estimate and write the depth of some frames, in ascending order; yield the number of each.
+
+        Reading, computing and writing overlap; memory does not grow with the number of frames.
+
+        Raises:
+            OmnistereoError: If a frame cannot be read, does not fit the rig, or cannot be written.
+        """
+        images_of = self.recording.read(numbers, self.sweep.rig)
+        with ThreadPoolExecutor(1) as reader, ThreadPoolExecutor(1) as pool:
+            read, written = deque(reader.submit(next, images_of) for _ in numbers[:_PENDING]), deque()
+            for k, number in enumerate(numbers):
+                images = read.popleft().result()
+                if k + _PENDING < len(numbers):
+                    read.append(reader.submit(next, images_of))
+                depth = sweep_depth(self.sweep, images, self.method)
+                written.append(pool.submit(self.write, number, images, depth))
+                if len(written) > _PENDING:
+                    written.popleft().result()
+                yield number
+            for writing in written:
+                writing.result()
+
+    def prepare(self, rig: Rig) -> None:
+        """Make the folder `out` or continue what is in it.
+
+        Raises an `OmnistereoError` if `out` holds a recording with other settings or cannot be written to.
+        """
+        grid = self.sweep.grid
+        settings = {"method": self.method.name, "width": grid.width, "height": grid.height, "spheres": grid.num_spheres}
+        settings |= {"min_depth": grid.min_depth, "depth": self.suffix}
+        settings |= {"rig": _rig_checksum(rig), "images": self.recording.checksum}
+        _check_settings(make_folder(self.out) / SETTINGS, settings)
+        cameras = [self.out / f"cam{k}" for k in range(1, len(rig) + 1)]
+        for folder in (*cameras, *(self.path(kind, 0).parent for kind in OF_RAYS)):
+            make_folder(folder)
+        if self.with_video:
+            make_folder(self.out / "video")
+        save_rig(replace(rig, min_depth=self.sweep.grid.min_depth), self.out / "config.yaml")
+
+    def write(self, number: int, images: list[NDArray[np.uint8]], depth: Depth) -> None:
+        """Write images, video frame and depth of one frame."""
+        sources = self.recording.sources
+        for k, image in enumerate(images, 1):
+            folder, source = self.out / f"cam{k}", sources[min(k, len(sources)) - 1]
+            if isinstance(source, Pictures) and len(sources) == len(images):
+                _link(source.files[self.recording.frames[number]], folder, number)
+            else:
+                write_image(folder / f"{number:05}.jpg", image)
+        trusted = trust(depth, images, self.method)
+        if self.with_video:
+            panorama = np.nan_to_num(blended_panorama(depth, images))
+            panorama = panorama if panorama.ndim == 3 else np.repeat(panorama[..., None], 3, -1)
+            scale = ColorScale(0.0, 0.8 / self.sweep.grid.min_depth)  # the same colours in all frames
+            write_image(self.picture_path(number), np.vstack([panorama, scale.colorize(depth, trusted < DOUBTFUL)]))
+        for kind, values in zip(OF_RAYS, (depth.confidence, trusted, depth.inverse_depth), strict=True):
+            self._write_panorama(kind, number, values)
+
+    def _write_panorama(self, kind: str, number: int, values: NDArray) -> None:
+        path = self.path(kind, number)
+        if self.suffix == ".tiff":
+            write_inverse_depth(path, values)
+            return
+        steps = np.nan_to_num(values) * (_PNG_STEPS * self._unit(kind))
+        with atomic_write(path) as temporary:
+            temporary.write_bytes(cv2.imencode(".png", steps.round().clip(0, 65535).astype(np.uint16))[1].tobytes())
+
+    def doubt_sentence(self) -> str:
+        """Return how many rays of the recording are doubtful, in all and among the nearest, from the files."""
+        shares = []
+        for number in self.recording.frames:
+            with np.errstate(divide="ignore"):
+                depth = 1 / self.read("depth_estimate", number)
+            shares.append(doubt_shares(depth, self.read("trust", number) < DOUBTFUL)[:2])
+        share, of_near = np.mean(shares, axis=0)
+        return (
+            f"Doubtful are {share:.0f} % of the rays, and {of_near:.0f} % of the nearest tenth of each frame: they "
+            f"stay in the files, with values below {DOUBTFUL:g} in {self.path('trust', 0).parent}/."
+        )
+
+
+def _link(picture: Path, folder: Path, number: int) -> None:
+    """Link a picture into the data set; copy it where the file system has no links."""
+    target = folder / f"{number:05}{picture.suffix}"
+    if target.exists():
+        return
+    try:
+        target.unlink(missing_ok=True)  # a link to what is no longer there
+        target.symlink_to(picture.resolve())
+    except OSError:
+        with atomic_write(target) as temporary:
+            shutil.copyfile(picture, temporary)
+
+
+def check_layout(grid: SphereGrid) -> None:
+    """Raise an `OmnistereoError` if a panorama does not fit the public layout: square pixels around the horizon."""
+    highest = 180.0 * grid.height / grid.width
+    if not np.allclose(grid.phi_deg, (-highest, highest)):
+        raise OmnistereoError(
+            f"phi_deg is {grid.phi_deg}; a recording is stored as a data set, whose pixels are square: expected "
+            f"--phi {-highest:g} {highest:g} for --width {grid.width} --height {grid.height}"
+        )
+
+
+def _check_not_users(out: Path) -> None:
+    """Raise an `OmnistereoError` if a recording would be written over a rig file that no recording has put there."""
+    if (out / "config.yaml").exists() and not (out / SETTINGS).exists():
+        raise OmnistereoError(
+            f"{out} holds a config.yaml but no {SETTINGS}; expected a new folder or that of a recording. "
+            "Choose another --out."
+        )
+
+
+def _rig_checksum(rig: Rig) -> str:
+    """Return a checksum of all that depth depends on: lenses, masks, poses and the nearest depth."""
+    content = repr(rig.min_depth).encode()
+    for lens, pose in zip(rig.cameras, rig.T_rig_cam, strict=True):
+        numbers = (lens.poly, lens.inv_poly, lens.center, lens.affine, lens.image_size, lens.max_fov_deg)
+        for values in (*numbers, pose.R, pose.t):
+            content += np.asarray(values, np.float32).tobytes()  # a fit has other last digits elsewhere
+        content += b"" if lens.mask is None else lens.mask.tobytes()
+    return checksum(content)[:16]
+
+
+def _check_settings(path: Path, settings: dict) -> None:
+    """Write the settings of a new recording, or compare them with those of the one that is continued."""
+    text = json.dumps(settings, indent=1) + "\n"
+    if not path.exists():
+        with atomic_write(path) as temporary:
+            temporary.write_text(text)
+    elif read_text(path) != text:
+        raise OmnistereoError(
+            f"{path} is of a recording with other settings: {' '.join(read_text(path).split())}; expected "
+            f"{' '.join(text.split())}. Choose another --out, or the same rig, images and options as before."
+        )
+
+
+def stored_min_depth(out: Path) -> float | None:
+    """Return the nearest depth of the recording in a folder; None if there is none."""
+    try:
+        return Section(read_data(out / SETTINGS)).number("min_depth")
+    except OmnistereoError:  # what is damaged is named when the settings are compared
+        return None
+
+
+def write_video(path: Path, writer: DepthWriter, fps: float | None = None) -> None:
+    """Write the pictures of a recording, panorama over depth, as a video: .mp4 (MPEG-4) or .webm (VP9).
+
+    Raises an `OmnistereoError` if OpenCV cannot write it; a video that was there is kept then.
+    """
+    numbers = list(writer.recording.frames)
+    height, width = writer.picture(numbers[0]).shape[:2]
+    make_folder(path.parent)
+    with atomic_write(path) as temporary:
+        codec = cv2.VideoWriter_fourcc(*CODECS[path.suffix.lower()])
+        video = cv2.VideoWriter(str(temporary), codec, fps or writer.recording.fps or _FPS, (width, height))
+        if not video.isOpened():
+            raise OmnistereoError(f"{path} cannot be written: this OpenCV has no encoder for it. Try .webm or .mp4.")
+        for number in numbers:
+            video.write(writer.picture(number))
+        video.release()
+        written = cv2.VideoCapture(str(temporary))  # OpenCV does not say that the disk was full
+        count = sum(1 for _ in iter(written.grab, False))
+        if count < len(numbers):
+            raise OmnistereoError(
+                f"{path} cannot be written: {count} of its {len(numbers)} frames can be read back. Is the disk full?"
+            )

@@ -1,0 +1,1 @@
+"""Lenses, sensors and rigs, each recorded exactly."""

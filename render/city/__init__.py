@@ -1,0 +1,1 @@
+"""The streets: plan, houses, vehicles, trees, and where the rig drives."""

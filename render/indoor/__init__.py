@@ -1,0 +1,1 @@
+"""The living room and the training rooms, with their furniture."""

@@ -1,0 +1,1 @@
+"""What things are made of and how they are lit: shaders, materials, patterns, lights, meshes."""

@@ -1,0 +1,1 @@
+"""Training scenes of many things at all distances."""
