@@ -1,8 +1,9 @@
 from .calibrate.checkerboard import Checkerboard
 from .calibrate.joint import calibrate_rig
 from .calibrate.single_camera import calibrate_camera
-from .dataset import load_dataset, load_images
+from .dataset import load_dataset
 from .errors import OmnistereoError
+from .frame import Frame, load_images
 from .geometry.camera import OcamCamera, fit_inverse_polynomial
 from .geometry.pose import Pose
 from .geometry.rig import Rig, camera_pairs
@@ -26,6 +27,7 @@ __all__ = [
     "ZNCC",
     "Checkerboard",
     "Depth",
+    "Frame",
     "LearnedCost",
     "Method",
     "OcamCamera",

@@ -175,7 +175,7 @@ def _first(source: int | str, capture: cv2.VideoCapture) -> NDArray[np.uint8]:
 def live_pictures(cameras: Cameras, sweep: SphereSweep, method: str | Method) -> Iterator[LivePicture]:
     """Return pictures until a source ends; tables and kernels are ready when the first one is asked for."""
     method = Method.parse(method)
-    blended_panorama(sweep_depth(sweep, cameras.first, method), cameras.first)
+    blended_panorama(sweep_depth(sweep, cameras.first, method))
     return _play(cameras, sweep, method)
 
 
@@ -188,9 +188,9 @@ def _play(cameras: Cameras, sweep: SphereSweep, method: Method) -> Iterator[Live
         for frames in cameras.newest:
             images = [cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) for frame in frames]
             depth = sweep_depth(sweep, images, method)
-            panorama = np.nan_to_num(blended_panorama(depth, images)).round().astype(np.uint8)
+            panorama = np.nan_to_num(blended_panorama(depth)).round().astype(np.uint8)
             now = time.monotonic()
-            doubtful = trust(depth, images, method) < DOUBTFUL
+            doubtful = trust(depth, method) < DOUBTFUL
             note = f"{method.name}: {1 / (now - before):.1f} frames/s, median {metres(np.nanmedian(depth.depth))}"
             before = now
             yield draw_picture(panorama, depth, doubtful, scale, note)

@@ -475,7 +475,7 @@ def camera(**values: Any) -> osl.OcamCamera:
 
 
 def depth(images: Any = IMAGES, rig: osl.Rig = RIG, **options: Any) -> osl.Depth:
-    return osl.estimate_depth(rig, images, GRID, **{"method": "zncc"} | options)
+    return osl.estimate_depth(osl.Frame.of(rig, images), GRID, **{"method": "zncc"} | options)
 
 
 def with_infinity(value: float) -> np.ndarray:

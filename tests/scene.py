@@ -6,8 +6,8 @@ It is the oracle of the tests: nothing here is shared with the library but the c
 import numpy as np
 
 import omnistereo_lib as osl
-from omnistereo_lib.dataset import write_inverse_depth
 from omnistereo_lib.files import write_image
+from omnistereo_lib.frame import write_inverse_depth
 
 HALF_SIZE = np.array([2.6, 1.4, 3.1])  # metres from the box's centre to its walls
 CENTER = np.array([0.3, -0.2, 0.4])

@@ -126,6 +126,6 @@ def test_right_input_is_not_doubted(data, capsys):
 def test_gray_and_colour_pictures_mixed(data):
     pictures = osl.load_images([bad_inputs.first(data, camera) for camera in (1, 2, 3, 4)])
     mixed = [np.stack([pictures[0]] * 3, -1), *pictures[1:]]
-    panorama = bad_inputs.depth(mixed).panorama(mixed)
+    panorama = bad_inputs.depth(mixed).panorama()
     assert panorama.shape == (24, 96, 3)
-    np.testing.assert_allclose(panorama[..., 0], bad_inputs.depth(pictures).panorama(pictures), atol=1e-3)
+    np.testing.assert_allclose(panorama[..., 0], bad_inputs.depth(pictures).panorama(), atol=1e-3)

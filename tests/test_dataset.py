@@ -9,8 +9,8 @@ import scene
 import tifffile
 
 import omnistereo_lib as osl
-from omnistereo_lib.dataset import Frame, read_inverse_depth, write_inverse_depth
 from omnistereo_lib.files import write_image
+from omnistereo_lib.frame import Frame, read_inverse_depth, write_inverse_depth
 
 RIG = scene.rig(width=40, height=32)
 GT = np.random.default_rng(0).uniform(0, 1 / 0.55, (8, 32)).astype(np.float32)  # ±45°
@@ -313,7 +313,7 @@ BAND = osl.SphereGrid(64, 16, (-45, 45), 48, 0.7)
 
 def gt_index(tmp_path, inverse_depth, grid):
     write_inverse_depth(tmp_path / "gt.tiff", inverse_depth)
-    return Frame(1, [], RIG, tmp_path / "gt.tiff").gt_index(grid)
+    return Frame(RIG, gt_path=tmp_path / "gt.tiff").gt_index(grid)
 
 
 def gt_of(grid):

@@ -21,6 +21,7 @@ geometry
 reference
 consumer_images
 rig_files
+frame
 dataset
 stereo
 calibrate train

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import omnistereo_lib as osl
-from omnistereo_lib.dataset import Frame
+from omnistereo_lib.frame import Frame
 
 _SPHERE = 20  # of 64: the white car is in focus
 

@@ -8,17 +8,17 @@ from __future__ import annotations
 import base64
 import html
 import io
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import yaml
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from course.publish import stills
-from omnistereo_lib.dataset import Frame
+from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.depth import Depth
@@ -186,21 +186,20 @@ def _with_cross(panorama: NDArray, row: int, column: int) -> bytes:
     return cv2.imencode(".jpg", picture[..., ::-1])[1].tobytes()
 
 
-def explore(depth: Depth, images: Sequence[ArrayLike], max_depth: float, min_confidence: float = 0.0) -> None:
+def explore(depth: Depth, max_depth: float, min_confidence: float = 0.0) -> None:
     """Show a depth panorama: its points to rotate, tilt and zoom, its image to look around in.
 
     Notebooks are stored without it: the captioned figure before it says what it shows.
 
     Args:
-        images: One of each camera, as for `Depth.panorama`.
         max_depth, min_confidence: Rays up to this depth in metres, and with at least this confidence, become points.
     """
     from IPython.display import display
     from ipywidgets import HTML
 
-    panorama = sharp_panorama(depth, images, SHARP_PX)
+    panorama = sharp_panorama(depth, SHARP_PX)
     limits = Limits(max_depth, min_confidence)
-    data = viewer_data(depth, panorama, limits, "Drag to turn and tilt", mode="points", images=images)
+    data = viewer_data(depth, panorama, limits, "Drag to turn and tilt", mode="points")
     if stills.recording():
         return stills.record_view(data)
     page = html.escape(page_of(data))

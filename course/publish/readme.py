@@ -6,7 +6,6 @@ import io
 import json
 import tempfile
 import warnings
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -46,12 +45,12 @@ def update_pictures() -> None:
     data = osl.load_dataset(nbtools.ROOT / "data_samples" / "sunny", split="test")
     frame = data.frame(FRAME)
     grid = osl.SphereGrid(width=1280, height=320, phi_deg=(-45, 45), num_spheres=192, min_depth=data.rig.min_depth)
-    depth = osl.estimate_depth(data.rig, frame.images, grid, method="volumenet")
+    depth = osl.estimate_depth(frame, grid, method="volumenet")
     drawn = io.BytesIO()
-    fig = picture(depth, frame.images)
+    fig = picture(depth)
     fig.savefig(drawn, format="webp", dpi=DPI, facecolor="white", pil_kwargs={"quality": 75, "method": 6})
     if renew(PICTURE, drawn.getvalue()):
-        SWEEP.write_bytes(animation(depth, frame.images))
+        SWEEP.write_bytes(animation(depth))
         with tempfile.TemporaryDirectory() as folder:
             cli.main(["depth", "--out", folder])
             page = Path(folder, "index.html").read_text(encoding="utf-8")
@@ -77,7 +76,7 @@ def renew(path: Path, picture: bytes) -> bool:
     return not same
 
 
-def picture(depth: Depth, images: Sequence[NDArray]) -> Figure:
+def picture(depth: Depth) -> Figure:
     """Draw fisheye images, their panorama, its depth with a scale in metres, and its surfaces, below each other."""
     import matplotlib.pyplot as plt
     from matplotlib.cm import ScalarMappable
@@ -86,7 +85,7 @@ def picture(depth: Depth, images: Sequence[NDArray]) -> Figure:
     gap, scale, grid = 8, 64, depth.grid  # pixels
     side, high, surfaces = (WIDTH_PX - 3 * gap) // 4, WIDTH_PX // 4, 600
     height = side + 2 * high + scale + surfaces + 3 * gap
-    panorama = brighter(depth.panorama(images))
+    panorama = brighter(depth.panorama())
     with tempfile.TemporaryDirectory() as folder:
         mesh = Path(folder) / "street.ply"
         write_mesh(mesh, depth, panorama, Limits(max_depth=40, min_confidence=0))
@@ -105,7 +104,7 @@ def picture(depth: Depth, images: Sequence[NDArray]) -> Figure:
         outline = [patheffects.withStroke(linewidth=6, foreground="black")]
         ax.text(14 / width, 1 - 12 / height_px, label, transform=ax.transAxes, path_effects=outline, **style)
 
-    for k, (camera, image) in enumerate(zip(depth.sweep.rig.cameras, images, strict=True)):
+    for k, (camera, image) in enumerate(zip(depth.sweep.rig.cameras, depth.images, strict=True)):
         disc = np.where(camera.visible_pixels()[..., None], brighter(image), 255).astype(np.uint8)
         draw(disc, k * (side + gap), 0, side, side, "fisheyes" if k == 0 else "")
     top = side + gap
@@ -129,7 +128,7 @@ def brighter(image: NDArray) -> NDArray[np.uint8]:
     return (255 * (np.nan_to_num(image).clip(0, 255) / 255) ** GAMMA).astype(np.uint8)
 
 
-def animation(depth: Depth, images: Sequence[NDArray]) -> bytes:
+def animation(depth: Depth) -> bytes:
     """Return an animated WebP: the sphere sweeps inwards, what it touches is in focus, and the depth grows.
 
     Above the mean of all cameras on the sphere, below the depth of the rays whose surface the sphere has passed.
@@ -143,7 +142,7 @@ def animation(depth: Depth, images: Sequence[NDArray]) -> bytes:
     for n in np.linspace(0, grid.num_spheres - 1, STEPS):
         with np.errstate(invalid="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # rays that no camera sees
-            mean = brighter(np.nanmean(np.stack(sweep.warp(images, n)), 0))
+            mean = brighter(np.nanmean(np.stack(sweep.warp(depth.images, n)), 0))
         passed = np.where((index <= n)[..., None], colors, 32).astype(np.uint8)
         frames.append(Image.fromarray(np.concatenate([mean, passed])))
     written = io.BytesIO()

@@ -80,7 +80,7 @@ class Depth:
 
     >>> frame = osl.load_dataset("data_samples/sunny", split="test")[0]
     >>> grid = osl.SphereGrid(64, 16, num_spheres=16, min_depth=1.65)
-    >>> depth = osl.estimate_depth(frame.rig, frame.images, grid, "zncc+sgm")
+    >>> depth = osl.estimate_depth(frame, grid, "zncc+sgm")
     >>> depth.index.shape, bool(depth.valid.all()), float(depth.depth.min()) >= 1.65
     ((16, 64), True, True)
     """
@@ -89,6 +89,7 @@ class Depth:
     index: NDArray[np.float32]
     confidence: NDArray[np.float32]  #: (H, W), in [0, 1]
     sweep: SphereSweep  #: of the cost volume, with its grid and its rig
+    images: Sequence[ArrayLike] = ()  #: one per camera, from which the depth was estimated
 
     def __post_init__(self) -> None:
         for name in ("index", "confidence"):
@@ -116,35 +117,29 @@ class Depth:
         """Depth along the ray in metres, shape (H, W); may be infinite, NaN unknown."""
         return self.grid.index_to_depth(self.index)
 
-    def panorama(self, images: Sequence[ArrayLike]) -> NDArray[np.float32]:
+    def panorama(self) -> NDArray[np.float32]:
         """Return the reference panorama: the images sampled at the estimated depth (paper, Fig. 1, 9).
-
-        Args:
-            images: one array per camera, (height, width) or (height, width, 3)
 
         Returns:
             float32 array, shape (H, W) or (H, W, 3), in the range of the images: Mean over the cameras to which the
                 point is visible; NaN where there is none, or no depth. A wrong depth shows as a double contour.
         """
-        samples = np.stack(self.sweep.warp(images, self.index))
+        samples = np.stack(self.sweep.warp(self.images, self.index))
         visible = np.isfinite(samples)
         with np.errstate(invalid="ignore"):
             return np.where(visible, samples, 0).sum(0) / visible.sum(0, dtype=np.float32)
 
-    def agreement(self, images: Sequence[ArrayLike]) -> NDArray[np.float32]:
+    def agreement(self) -> NDArray[np.float32]:
         """Return the photo-consistency of two cameras at the estimated depth, a check without ground truth.
 
         For each ray, the two cameras whose optical axes are nearest to the point are sampled at the estimated depth
         and correlated (ZNCC) over 9 × 9 rays, so that gain and vignetting matter little.
 
-        Args:
-            images: one array per camera, (height, width) or (height, width, 3)
-
         Returns:
             float32 array, shape (H, W), in [-1, 1]: 1 where both show the same, 0 in windows without texture; NaN where
                 the point is visible to fewer than two cameras, or there is no depth.
         """
-        gray = [image.cpu().numpy() for image in self.sweep.normalize_images(images)]
+        gray = [image.cpu().numpy() for image in self.sweep.normalize_images(self.images)]
         samples = np.stack(self.sweep.warp(gray, self.index))
         angles = np.stack([self.sweep.off_axis_angles(camera, self.index) for camera in range(len(gray))])
         best = np.argsort(np.where(np.isnan(samples), np.inf, angles), axis=0)[:2]
@@ -153,24 +148,21 @@ class Depth:
         return 1 - 2 * ZNCC(window=9)(two[:, None], [(0, 1)])[..., 0].numpy()
 
     def point_cloud(
-        self, images: Sequence[ArrayLike] | None = None, max_depth: float = 50.0, min_confidence: float = 0.0
-    ) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None]:
-        """Return the estimated points and their colours.
+        self, max_depth: float = 50.0, min_confidence: float = 0.0
+    ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+        """Return the estimated points, and their colours in the `panorama`, for images with values 0 to 255.
 
         Args:
-            images (one array per camera): Source of the colours, values 0 to 255; see `panorama`.
             max_depth: Largest depth in metres; beyond it, one sphere index is many metres.
             min_confidence: Smallest confidence.
 
         Returns:
             points: shape (M, 3), metres, rig frame at the sweep centre
-            colors: uint8, shape (M, 3), RGB, or None without images
+            colors: uint8, shape (M, 3), RGB
         """
         depth = self.depth
         keep = self.valid & (depth <= max_depth) & (self.confidence >= min_confidence)
-        if images is None:
-            return self.grid.rays()[keep] * depth[keep, None], None
-        colors = self.panorama(images)
+        colors = self.panorama()
         colors = np.repeat(colors[..., None], 3, -1) if colors.ndim == 2 else colors
         keep &= np.isfinite(colors[..., 0])
         return self.grid.rays()[keep] * depth[keep, None], np.clip(colors[keep].round(), 0, 255).astype(np.uint8)

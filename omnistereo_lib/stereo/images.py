@@ -1,45 +1,16 @@
-"""Images as the sweep and the networks take them: checked, gray, blurred, reduced."""
+"""Images as the sweep and the networks take them: gray, blurred, reduced."""
 
 import math
-from collections.abc import Sequence, Sized
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from torch import Tensor
 
-from omnistereo_lib.errors import OmnistereoError, shortened
+from omnistereo_lib.frame import check_images
 from omnistereo_lib.geometry.rig import Rig
-
-
-def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray[Any]]:
-    """Return the images as arrays, checked against the cameras of the rig.
-
-    Raises:
-        OmnistereoError: If there is not one image per camera, or one has the wrong size, shape or type or is not
-            finite.
-    """
-    if not isinstance(images, Sized):  # arrays and tensors are sequences, too
-        raise OmnistereoError(f"images is {shortened(images)}; expected one array per camera")
-    # Arrays in this machine's byte order, whatever they come as.
-    arrays = [np.asarray(image.detach().cpu() if isinstance(image, Tensor) else image) for image in images]
-    arrays = [image.astype(image.dtype.newbyteorder("="), copy=False) for image in arrays]
-    for i, (image, (width, height)) in enumerate(zip(arrays, rig.image_sizes(len(arrays)), strict=True)):
-        if image.shape not in [(height, width), (height, width, 3)]:
-            raise OmnistereoError(
-                f"image {i + 1} has shape {image.shape}; camera {i + 1} expects ({height}, {width}) or "
-                f"({height}, {width}, 3). Pass the image as captured: not resized, cropped or rotated."
-            )
-        if image.dtype != np.uint8 and not np.issubdtype(image.dtype, np.floating):
-            raise OmnistereoError(f"image {i + 1} has type {image.dtype}; expected uint8 or float")
-        if image.dtype != np.uint8 and not np.isfinite(image).all():
-            raise OmnistereoError(f"image {i + 1} has NaN or infinite values; expected finite gray values")
-    # Gray and colour images together are all in colour.
-    if len({image.ndim for image in arrays}) > 1:
-        arrays = [np.repeat(image[..., None], 3, -1) if image.ndim == 2 else image for image in arrays]
-    return arrays
 
 
 def to_gray(image: NDArray[Any]) -> NDArray[np.float32]:

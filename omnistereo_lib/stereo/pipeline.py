@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import torch
 from numpy.typing import ArrayLike
 
-from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.errors import OmnistereoError, shortened
+from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.progress import Progress, silent
 from omnistereo_lib.stereo.depth import Depth
@@ -15,8 +16,7 @@ from omnistereo_lib.stereo.volume import cost_volume
 
 
 def estimate_depth(
-    rig: Rig,
-    images: Sequence[ArrayLike],
+    frame: Frame,
     grid: SphereGrid,
     method: str | Method = FRAME_METHOD,
     subindex: bool = True,
@@ -26,7 +26,7 @@ def estimate_depth(
     """Estimate the depth panorama of one frame. For many frames of one rig, make a sweep and use `sweep_depth`.
 
     Args:
-        images: one array per camera, (height, width) or (height, width, 3), uint8 or float
+        frame: A rig and its images: of a data set, or `Frame.of(rig, images)`.
         method: Such as "zncc", "volumenet" or "sweepnet+sgm,p1=0.2"; see `Method`. A cost of your own gets a name in
             `COSTS`.
         subindex: Refine the index between spheres, unless the name of the method says, as in "zncc,subindex=false".
@@ -39,11 +39,13 @@ def estimate_depth(
 
     >>> frame = osl.load_dataset("data_samples/sunny", split="test")[0]
     >>> grid = osl.SphereGrid(64, 16, num_spheres=16, min_depth=1.65)
-    >>> osl.estimate_depth(frame.rig, frame.images, grid, "zncc").depth.shape  # metres along each ray
+    >>> osl.estimate_depth(frame, grid, "zncc").depth.shape  # metres along each ray
     (16, 64)
     """
+    if not isinstance(frame, Frame):
+        raise OmnistereoError(f"frame is {shortened(frame)}; expected a Frame. Make one: Frame.of(rig, images)")
     method = Method.parse(method)
-    return sweep_depth(SphereSweep(rig, grid, device=device), images, method, subindex, progress)
+    return sweep_depth(SphereSweep(frame.rig, grid, device=device), frame.images, method, subindex, progress)
 
 
 def sweep_depth(
@@ -55,9 +57,11 @@ def sweep_depth(
 ) -> Depth:
     """Estimate the depth panorama of one frame with a sweep that keeps its tables and networks from frame to frame.
 
-    Arguments and errors as in `estimate_depth`, but for the default method: the fastest that is smooth.
+    Args:
+        images: One array per camera, (height, width) or (height, width, 3), uint8 or float.
+        method: Default: the fastest that is smooth. The rest is as in `estimate_depth`.
     """
     method = Method.parse(method)
     volume = cost_volume(sweep, images, method.cost_of(sweep), method.pairs, progress)  # (H, W, N)
     index, confidence = method.read_out(method.smooth(volume), subindex)  # (H, W) each
-    return Depth(index.cpu().numpy(), confidence.cpu().numpy(), sweep)
+    return Depth(index.cpu().numpy(), confidence.cpu().numpy(), sweep, images)

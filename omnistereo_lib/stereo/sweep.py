@@ -15,12 +15,13 @@ from torch import Tensor
 
 from omnistereo_lib import reference
 from omnistereo_lib.errors import OmnistereoError, check_type
+from omnistereo_lib.frame import check_images
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.columns import circular_span, split_at_seam
 from omnistereo_lib.stereo.device import BLOCK, available_memory, check_memory, select_device
-from omnistereo_lib.stereo.images import blur, blur_px, check_images, to_gray
+from omnistereo_lib.stereo.images import blur, blur_px, to_gray
 from omnistereo_lib.stereo.threads import map_threads
 
 _D0 = 2.0**-23  # 1/m, inverse depth of the sphere at infinity in the paper

@@ -11,9 +11,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from omnistereo_lib.dataset import Frame, load_dataset
+from omnistereo_lib.dataset import load_dataset
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import read_bytes
+from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.rig import Rig, camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.images import to_gray

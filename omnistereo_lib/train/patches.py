@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits
 
-from omnistereo_lib.dataset import Frame
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.frame import Frame
 from omnistereo_lib.stereo.mccnn import MCCNN, PATCH
 from omnistereo_lib.stereo.sweep import OUTSIDE, remap
 from omnistereo_lib.train.frames import Folders, SweptFrames, to_device

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits, pad
 
-from omnistereo_lib.dataset import Frame
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.rig import Pair
 from omnistereo_lib.stereo.learned import Features
 from omnistereo_lib.stereo.sweepnet import SweepNet

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn.functional import interpolate, log_softmax
 
-from omnistereo_lib.dataset import Frame
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.correlation import feature_coordinates, pixels_per_degree, volume_sizes

@@ -122,14 +122,15 @@ def _run_frame(options: argparse.Namespace) -> None:
 
     _check_frame_options(options)
     _check_frame_outputs(options)
-    rig, images, frame = read_frame(options)
-    grid = _choose_grid(options, rig, images)
-    gt_index = None if frame is None else frame.gt_index(grid)  # fail fast: read the ground truth, make the folders
+    frame = read_frame(options)
+    grid = _choose_grid(options, frame.rig, frame.images)
+    # Fail fast: read the ground truth and make the folders.
+    gt_index = None if frame.gt_path is None else frame.gt_index(grid)
     _make_folders(options)
     method = options.method or FRAME_METHOD
     say_frame(method, grid, options.device)
-    depth = estimate_depth(rig, images, grid, method, device=options.device, progress=progress_bar())
-    result = FrameResult(depth, images, Limits.of(depth, options.max_depth, options.min_confidence), method, gt_index)
+    depth = estimate_depth(frame, grid, method, device=options.device, progress=progress_bar())
+    result = FrameResult(depth, Limits.of(depth, options.max_depth, options.min_confidence), method, gt_index)
     written = result.write(options.out, progress_bar())
     written += export_frame(
         result, options.mesh, options.mesh_faces, options.equirectangular, options.crops, bool(options.all_crops)

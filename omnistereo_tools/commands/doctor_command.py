@@ -70,7 +70,8 @@ def _check_rig(options: argparse.Namespace) -> int:
     check_suffixes(coverage=options.coverage)
     check_outputs(options, [options.coverage])
     has_images = options.images is not None or _is_data_set(options.rig)
-    rig, images, _ = read_frame(options) if has_images else (read_masked_rig(options), [], None)
+    frame = read_frame(options) if has_images else None
+    rig, images = (frame.rig, frame.images) if frame else (read_masked_rig(options), [])
     low, high = rig.baselines.min(), rig.baselines.max()
     print(f"{len(rig)} cameras, {low:.3g} to {high:.3g} m apart: check that this is right.")
     coverage = Coverage.of(rig)

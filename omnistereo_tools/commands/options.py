@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from omnistereo_lib.dataset import Frame
+    from omnistereo_lib.frame import Frame
     from omnistereo_lib.geometry.rig import Rig
     from omnistereo_lib.geometry.sphere import SphereGrid
 
@@ -114,18 +115,19 @@ def mask_circles(rig: Rig, images: Sequence[Sequence[NDArray[np.uint8]]]) -> Rig
     return rig
 
 
-def read_frame(options: argparse.Namespace) -> tuple[Rig, list[NDArray[np.uint8]], Frame | None]:
-    """Return the rig with its masks, the images and, if there is ground truth, the frame.
+def read_frame(options: argparse.Namespace) -> Frame:
+    """Return the images and the rig with its masks, with the ground truth of a data set that has one.
 
     Raises an `OmnistereoError` if files are missing or broken, or --images comes without --rig.
     """
-    from omnistereo_lib.dataset import load_dataset, load_images
+    from omnistereo_lib.dataset import load_dataset
+    from omnistereo_lib.frame import Frame, load_images
     from omnistereo_tools.input.masks import with_masks
 
     if options.images is not None:
         rig = read_masked_rig(options)
         images = load_images(options.images, rig)
-        return mask_circles(rig, [images]), images, None
+        return Frame.of(mask_circles(rig, [images]), images)
     folder = options.rig or SAMPLE
     if not folder.is_dir():
         raise OmnistereoError(f"{folder} is not a data set folder. Give --images, one per camera of the rig")
@@ -133,9 +135,7 @@ def read_frame(options: argparse.Namespace) -> tuple[Rig, list[NDArray[np.uint8]
     number = options.frame or 0
     if not -len(data) <= number < len(data):
         raise OmnistereoError(f"{folder} has frames 0 to {len(data) - 1}, not {number}")
-    frame = data[number]
-    rig = with_masks(data.rig, options.masks, frame.image_paths)
-    return rig, frame.images, frame if frame.gt_path else None
+    return replace(data[number], rig=with_masks(data.rig, options.masks, data[number].image_paths))
 
 
 def make_grid(options: argparse.Namespace, rig: Rig, images: Sequence[NDArray[np.uint8]] = ()) -> SphereGrid:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.images import reduce_images
@@ -36,7 +37,7 @@ def propose_min_depth(rig: Rig, images: Sequence[ArrayLike]) -> float:
     nearest = _BASELINES * float(rig.baselines.mean())
     for _ in range(_PASSES):
         depth = estimate_depth(
-            rig, images, SphereGrid(_WIDTH, _HEIGHT, num_spheres=_SPHERES, min_depth=nearest), VIDEO_METHOD
+            Frame.of(rig, images), SphereGrid(_WIDTH, _HEIGHT, num_spheres=_SPHERES, min_depth=nearest), VIDEO_METHOD
         )
         sure = depth.valid & (depth.confidence >= np.nanmedian(depth.confidence))
         nearest = max(nearest, _MARGIN * float(np.quantile(depth.depth[sure], _QUANTILE)))

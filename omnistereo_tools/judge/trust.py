@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -23,7 +21,7 @@ _ALL_AROUND = 0.85  # of the edge of a thing, if that thing is in front
 _RATIO_SPHERES = 4  # the same for the ratio of costs, which speaks of no distance
 
 
-def trust(depth: Depth, images: Sequence[ArrayLike], method: str | Method) -> NDArray[np.float32]:
+def trust(depth: Depth, method: str | Method) -> NDArray[np.float32]:
     """Return how far each ray's depth is trusted, in [0, 1], shape (H, W); below `DOUBTFUL` it is doubtful.
 
     A confidence says how sure the *sphere* is. Near the rig a sphere more or less hardly changes the depth, so the same
@@ -40,7 +38,7 @@ def trust(depth: Depth, images: Sequence[ArrayLike], method: str | Method) -> ND
     step = (1 / grid.min_depth - 1 / grid.max_depth) / (grid.num_spheres - 1)
     spheres = depth.inverse_depth / step
     exponent = np.sqrt(np.maximum(spheres / _SPHERES, 1)) if method.reads_out else spheres / _RATIO_SPHERES
-    evidence = depth.valid & (depth.index <= grid.num_spheres - 3) & _is_lit(depth, images)
+    evidence = depth.valid & (depth.index <= grid.num_spheres - 3) & _is_lit(depth)
     found = np.where(evidence, 1 - (1 - depth.confidence.clip(0, 1)) ** exponent, 0)
     return np.where(_floating(depth, found), DOUBTFUL * found, found).astype(np.float32)
 
@@ -66,9 +64,9 @@ def _floating(depth: Depth, found: NDArray[np.float64]) -> NDArray[np.bool_]:
     return (small & (in_front > _ALL_AROUND * (in_front + hidden)))[thing].reshape(found.shape)
 
 
-def _is_lit(depth: Depth, images: Sequence[ArrayLike]) -> NDArray[np.bool_]:
+def _is_lit(depth: Depth) -> NDArray[np.bool_]:
     """Return where two cameras see neither black nor saturated pixels, for most rays around a ray, shape (H, W)."""
-    samples = np.stack(depth.sweep.warp(images, depth.index))
+    samples = np.stack(depth.sweep.warp(depth.images, depth.index))
     samples = samples.reshape(*samples.shape[:3], -1)  # (cameras, H, W, channels)
     lit = ((samples.max(-1) >= DARKEST) & (samples.min(-1) <= BRIGHTEST)).sum(0) >= 2  # False where NaN
     return cv2.medianBlur(lit.astype(np.uint8), _AROUND) > 0

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import combinations
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.stereo.depth import Depth
@@ -18,20 +17,17 @@ _FEWEST = 200  # rays that two cameras share; fewer do not tell how bright they 
 _LARGEST_GAIN = 2.0
 
 
-def estimate_gains(depth: Depth, images: Sequence[ArrayLike]) -> NDArray[np.float64]:
+def estimate_gains(depth: Depth) -> NDArray[np.float64]:
     """Return the factor of each camera, and of each channel, that makes all equally bright where they overlap.
 
     Exposure and white balance differ from camera to camera. The ratio of two cameras is the median over the rays that
     both see with values in range, so that wrong depths do not matter; the gains fit all ratios by least squares, with
     a mean logarithm of 0.
 
-    Args:
-        images: one array per camera, (height, width) or (height, width, 3), 0 to 255
-
     Returns:
         array, shape (cameras, channels), where gray has one channel
     """
-    samples = np.stack(depth.sweep.warp(images, depth.index))
+    samples = np.stack(depth.sweep.warp(depth.images, depth.index))
     samples = samples.reshape(*samples.shape[:3], -1)  # (cameras, H, W, channels)
     usable, one = ((samples >= DARKEST) & (samples <= BRIGHTEST)).all(-1), np.eye(len(samples))
     rows, ratios = [np.ones(len(samples))], [np.zeros(samples.shape[-1])]
@@ -45,22 +41,21 @@ def estimate_gains(depth: Depth, images: Sequence[ArrayLike]) -> NDArray[np.floa
     return np.exp(logarithms.clip(-np.log(_LARGEST_GAIN), np.log(_LARGEST_GAIN)))
 
 
-def blended_panorama(depth: Depth, images: Sequence[ArrayLike], gains: NDArray | None = None) -> NDArray[np.float32]:
+def blended_panorama(depth: Depth, gains: NDArray | None = None) -> NDArray[np.float32]:
     """Return the images at the estimated depth, blended: `Depth.panorama` without the edges of the cameras.
 
     A camera counts the more, the farther the point is from the rim of its visible pixels.
 
     Args:
-        images: one array per camera, (height, width) or (height, width, 3), 0 to 255
-        gains: Of `estimate_gains`, None: those of these images.
+        gains: Of `estimate_gains`, None: those of its images, with values 0 to 255.
 
     Returns:
         float32 array, shape (H, W) or (H, W, 3), 0 to 255: NaN where no camera sees the point, or there is no depth.
     """
-    gains = (estimate_gains(depth, images) if gains is None else gains).astype(np.float32)
+    gains = (estimate_gains(depth) if gains is None else gains).astype(np.float32)
     channels = gains.shape[1]
     total, weights = np.zeros((*depth.grid.shape, channels), np.float32), np.zeros((*depth.grid.shape, 1), np.float32)
-    for k, (camera, image) in enumerate(zip(depth.sweep.rig.cameras, images, strict=True)):
+    for k, (camera, image) in enumerate(zip(depth.sweep.rig.cameras, depth.images, strict=True)):
         uv, valid = depth.sweep.project_sphere(k, depth.index)
         maps = np.where(valid[..., None], uv, OUTSIDE).astype(np.float32)
         weight = np.nan_to_num(remap(_distance_from_rim(camera), maps))[..., None] ** 2

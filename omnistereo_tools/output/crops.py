@@ -80,9 +80,7 @@ def covered_share(crops: Sequence[Crop], lens: OcamCamera, pose: Pose) -> float:
     return float(covered.mean())
 
 
-def write_crops(
-    out: Path, depth: Depth, images: Sequence[ArrayLike], limits: Limits, whole: bool = False
-) -> tuple[int, float]:
+def write_crops(out: Path, depth: Depth, limits: Limits, whole: bool = False) -> tuple[int, float]:
     """Write crops, their depth and transforms.json, as nerfstudio reads them, into a folder.
 
     Returns their number, and the share of what the cameras see that is in them. `whole`: see `crops_of`.
@@ -99,7 +97,7 @@ def write_crops(
         shares.append(covered_share(crops, lens, pose))
         for number, crop in enumerate(crops):
             name = f"{k}_{number}.png"
-            picture, visible = crop_image(crop, lens, pose, images[k])
+            picture, visible = crop_image(crop, lens, pose, depth.images[k])
             z = np.where(visible, crop_depth(crop, depth, limits), np.nan)
             write_image(make_folder(out / "images") / name, picture)
             _write_millimetres(make_folder(out / "depth") / name, z)

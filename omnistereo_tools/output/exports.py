@@ -64,7 +64,7 @@ def export_frame(
             tifffile.imwrite(temporary, equirectangular_depth(result.depth), compression="deflate")
         written.append(f"{equirectangular} (metres along the ray)")
     if crops is not None:
-        count, share = write_crops(make_folder(crops), result.depth, result.images, result.limits, all_crops)
+        count, share = write_crops(make_folder(crops), result.depth, result.limits, all_crops)
         more = "" if all_crops or share > _ALL else "; --all-crops covers the rest"
         written.append(
             f"{crops}/ ({count} crops of {100 * share:.0f} % of what the cameras see{more}; transforms.json)"

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import isfinite
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from omnistereo_lib.dataset import write_inverse_depth
 from omnistereo_lib.files import atomic_write, make_folder, write_image
+from omnistereo_lib.frame import write_inverse_depth
 from omnistereo_lib.progress import Progress, counted, silent
 from omnistereo_lib.rig_files import save_rig
 from omnistereo_lib.stereo.depth import Depth
@@ -50,10 +49,9 @@ _ERRORS = "errors.json          errors against the ground truth in % of the rang
 
 @dataclass(frozen=True, eq=False)
 class FrameResult:
-    """The depth of one frame, and what it was computed from."""
+    """The depth of one frame, and what is said and written about it."""
 
     depth: Depth
-    images: Sequence[ArrayLike]
     limits: Limits
     method: str
     gt_index: NDArray | None = None
@@ -64,7 +62,7 @@ class FrameResult:
         grid = self.depth.grid
         rays = f"{grid.width} × {grid.height} rays"
         turned = ", rig turned level" if turn_sentence(self.depth.sweep.rig) else ""
-        return f"{self.method}: {len(self.images)} cameras{turned}, {rays}, {grid.num_spheres} spheres"
+        return f"{self.method}: {len(self.depth.images)} cameras{turned}, {rays}, {grid.num_spheres} spheres"
 
     def sentences(self) -> list[str]:
         """Return the result in plain sentences."""
@@ -74,7 +72,7 @@ class FrameResult:
     @cached_property
     def trust(self) -> NDArray[np.float32]:
         """How far the depth of each ray is trusted, (H, W), in [0, 1]; see `trust`."""
-        return trust(self.depth, self.images, self.method)
+        return trust(self.depth, self.method)
 
     @property
     def doubtful(self) -> NDArray[np.bool_]:
@@ -84,11 +82,11 @@ class FrameResult:
     @cached_property
     def panorama(self) -> NDArray[np.uint8]:
         """The panorama that is looked at, sharper than the depth, RGB; it is the texture of a mesh, too."""
-        return sharp_panorama(self.depth, self.images, _SHARP)
+        return sharp_panorama(self.depth, _SHARP)
 
     @cached_property
     def _colors(self) -> NDArray[np.float32]:
-        return blended_panorama(self.depth, self.images)
+        return blended_panorama(self.depth)
 
     @cached_property
     def _cloud(self) -> PointCloud:
@@ -116,7 +114,6 @@ class FrameResult:
             self.title,
             trust=self.trust,
             gt_index=self.gt_index,
-            images=self.images,
         )
         with atomic_write(path) as temporary:
             temporary.write_text(page, encoding="utf-8")

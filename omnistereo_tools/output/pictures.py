@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -91,7 +90,7 @@ class ColorScale:
         return {"min_depth": 1 / (self.high - self.low), "max_depth": np.inf}
 
 
-def sharp_panorama(depth: Depth, images: Sequence[ArrayLike], width: int) -> NDArray[np.uint8]:
+def sharp_panorama(depth: Depth, width: int) -> NDArray[np.uint8]:
     """Return the blended panorama with about `width` columns or more, uint8 RGB; unknown is black.
 
     The images hold more detail than the depth, so each ray is divided into several at its depth.
@@ -100,8 +99,8 @@ def sharp_panorama(depth: Depth, images: Sequence[ArrayLike], width: int) -> NDA
     grid = replace(depth.grid, width=factor * depth.grid.width, height=factor * depth.grid.height)
     index = np.repeat(np.repeat(depth.index, factor, 0), factor, 1)
     sweep = SphereSweep(depth.sweep.rig, grid, center=np.zeros(3))  # the rig of a sweep is centred already
-    fine = Depth(index, np.ones_like(index), sweep)
-    pixels = np.nan_to_num(blended_panorama(fine, images, estimate_gains(depth, images))).round().astype(np.uint8)
+    fine = Depth(index, np.ones_like(index), sweep, depth.images)
+    pixels = np.nan_to_num(blended_panorama(fine, estimate_gains(depth))).round().astype(np.uint8)
     return pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, -1)
 
 

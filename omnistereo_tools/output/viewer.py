@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import json
 import zlib
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -44,9 +43,8 @@ def viewer_data(
     mode: str = "look",
     trust: NDArray | None = None,
     gt_index: NDArray | None = None,
-    images: Sequence[ArrayLike] = (),
 ) -> dict[str, Any]:
-    """Return what the page shows, as JSON.
+    """Return what the page shows, as JSON: with the images of the depth, where each camera sees a ray, too.
 
     Args:
         panorama: uint8 array, any size, RGB: the whole panorama, sharper than the depth
@@ -55,7 +53,6 @@ def viewer_data(
         mode: How it begins: "look" around, "flat" or "points".
         trust: Of `trust.trust`, (H, W): doubtful rays are faded, and a slider hides them. None: all are trusted.
         gt_index: The exact sphere indices, (H, W), if they are known: the page then shows them and the error, too.
-        images: One of each camera: the page then shows where each of them sees a ray.
     """
     grid = depth.grid
     step = int(np.ceil(np.sqrt(depth.index.size * (4 if gt_index is None else 6) / _RAY_BYTES)))
@@ -87,7 +84,7 @@ def viewer_data(
         "maxDepth": min(limits.max_depth, 1e9),
         "minConfidence": limits.min_confidence,
         "picture": _webp(_narrow(panorama)[..., ::-1], 75),
-        "cameras": [_camera(depth.sweep.rig, i, image) for i, image in enumerate(images)],
+        "cameras": [_camera(depth.sweep.rig, i, image) for i, image in enumerate(depth.images)],
     }
 
 

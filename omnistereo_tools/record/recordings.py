@@ -24,10 +24,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.dataset import read_inverse_depth, write_inverse_depth
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.evaluate.records import checksum
 from omnistereo_lib.files import atomic_write, make_folder, read_data, read_pixels, read_text, write_image
+from omnistereo_lib.frame import read_inverse_depth, write_inverse_depth
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.rig_files import save_rig
@@ -165,9 +165,9 @@ class DepthWriter:
                 _link(source.files[self.recording.frames[number]], folder, number)
             else:
                 write_image(folder / f"{number:05}.jpg", image)
-        trusted = trust(depth, images, self.method)
+        trusted = trust(depth, self.method)
         if self.with_video:
-            panorama = np.nan_to_num(blended_panorama(depth, images))
+            panorama = np.nan_to_num(blended_panorama(depth))
             panorama = panorama if panorama.ndim == 3 else np.repeat(panorama[..., None], 3, -1)
             scale = ColorScale(0.0, 0.8 / self.sweep.grid.min_depth)  # the same colours in all frames
             write_image(self.picture_path(number), np.vstack([panorama, scale.colorize(depth, trusted < DOUBTFUL)]))

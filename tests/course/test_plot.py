@@ -11,7 +11,7 @@ from matplotlib import pyplot as plt
 
 import omnistereo_lib as osl
 from course.figures import plot
-from omnistereo_lib.dataset import Frame
+from omnistereo_lib.frame import Frame
 from omnistereo_tools.output.pictures import colorize_depth
 
 matplotlib.use("agg")
@@ -133,7 +133,7 @@ def test_a_click_moves_the_cross_and_asks_that_ray(monkeypatch):
 def test_contact_sheet_has_a_row_for_each_frame_whatever_its_rig():
     def frame(cameras, value):
         rig = scene.rig(width=40, height=32, cameras=cameras)
-        frame = Frame(1, [], osl.Rig(rig.cameras, rig.T_rig_cam, min_depth=0.5))
+        frame = Frame(osl.Rig(rig.cameras, rig.T_rig_cam, min_depth=0.5))
         frame.__dict__["images"] = [np.full((32, 40), value + k, np.uint8) for k in range(cameras)]
         frame.__dict__["inverse_depth"] = np.zeros((8, 20), np.float32)
         return frame

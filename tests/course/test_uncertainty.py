@@ -32,7 +32,7 @@ def test_index_shift_is_what_the_sweep_finds():
     rig, grid = scene.rig(), osl.SphereGrid(160, 40, (-30, 30), 64, 1.0)
     images = scene.images(rig)
     wrong = rig.with_poses([rig.T_rig_cam[0] @ Pose.from_vector([0, np.radians(0.8), 0, 0, 0, 0]), *rig.T_rig_cam[1:]])
-    before, after = (osl.estimate_depth(which, images, grid, "zncc+sgm").index for which in (rig, wrong))
+    before, after = (osl.estimate_depth(osl.Frame.of(which, images), grid, "zncc+sgm").index for which in (rig, wrong))
     predicted = index_shift(rig.recentered(), wrong.recentered(rig.centers.mean(0)), grid, np.nanmedian(before))
     strong = np.abs(predicted) > 0.7 * np.nanmax(np.abs(predicted))
     moved = np.nanmedian((after - before)[strong] * np.sign(predicted[strong]))

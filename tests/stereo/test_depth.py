@@ -56,7 +56,7 @@ def estimate():
     rig = scene.rig()
     grid = osl.SphereGrid(160, 40, (-40, 40), 24, 0.6)
     images = scene.images(rig)
-    return rig, grid, images, osl.estimate_depth(rig, images, grid, "zncc+sgm")
+    return rig, grid, images, osl.estimate_depth(osl.Frame.of(rig, images), grid, "zncc+sgm")
 
 
 def test_pipeline_finds_the_box(estimate):
@@ -77,24 +77,24 @@ def test_confidence_orders_errors_better_than_chance(estimate):
 
 
 def test_panorama_shows_the_texture_of_the_walls(estimate):
-    rig, grid, images, depth = estimate
+    rig, grid, _, depth = estimate
     center = depth.sweep.rig  # at the sweep centre
     origin = np.mean([pose.t for pose in rig.T_rig_cam], 0)
     assert np.allclose(center.centers.mean(0), 0)
     rays = grid.rays()
     expected = scene.texture(origin + rays * scene.distance(origin, rays)[..., None])
-    assert np.nanmedian(np.abs(depth.panorama(images) - expected)) < 8
+    assert np.nanmedian(np.abs(depth.panorama() - expected)) < 8
 
 
 def test_point_cloud_lies_on_the_walls(estimate):
-    rig, _, images, depth = estimate
-    points, colors = depth.point_cloud([image.astype(np.uint8) for image in images])
-    origin = np.mean([pose.t for pose in rig.T_rig_cam], 0)
+    depth = estimate[3]
+    points, colors = depth.point_cloud()
+    origin = estimate[0].centers.mean(0)
     to_wall = np.abs(np.abs(points + origin - scene.CENTER) - scene.HALF_SIZE).min(-1)
     assert np.median(to_wall) < 0.1  # one sphere is 0.65 m there
     assert colors.shape == points.shape and colors.dtype == np.uint8
-    near, none = depth.point_cloud(max_depth=2.6)
-    assert none is None and np.linalg.norm(near, axis=-1).max() <= 2.6
+    near, _ = depth.point_cloud(max_depth=2.6)
+    assert np.linalg.norm(near, axis=-1).max() <= 2.6
 
 
 def test_cameras_agree_where_the_depth_is_right(estimate):
@@ -102,7 +102,7 @@ def test_cameras_agree_where_the_depth_is_right(estimate):
     truth = scene.true_index(rig, grid).astype(np.float32)
     shares = []
     for index in (truth, truth / 2, np.zeros_like(truth)):
-        agreement = osl.Depth(index, found.confidence, found.sweep).agreement(images)
+        agreement = osl.Depth(index, found.confidence, found.sweep, images).agreement()
         assert agreement.shape == grid.shape and np.nanmax(np.abs(agreement)) <= 1
         shares.append(np.mean(agreement > 0.5))
     assert shares[0] > 0.9 and max(shares[1:]) < 0.6
@@ -124,18 +124,16 @@ def test_agreement_of_one_ray_by_hand(estimate):
     best = np.sort(np.argsort(angles, axis=0)[:2], axis=0)
     assert (np.isfinite(angles).sum(0) > 2).any()  # or there would be nothing to choose
     left, right = np.take_along_axis(grays, best, axis=0)
-    assert found.agreement(images)[row, column] == pytest.approx(
-        np.corrcoef(left.ravel(), right.ravel())[0, 1], abs=1e-3
-    )
+    assert found.agreement()[row, column] == pytest.approx(np.corrcoef(left.ravel(), right.ravel())[0, 1], abs=1e-3)
 
 
 def test_agreement_needs_two_cameras_and_a_depth(estimate):
     _, grid, images, found = estimate
-    unknown = osl.Depth(np.full(grid.shape, np.nan, np.float32), found.confidence, found.sweep)
-    assert np.isnan(unknown.agreement(images)).all()
+    unknown = osl.Depth(np.full(grid.shape, np.nan, np.float32), found.confidence, found.sweep, images)
+    assert np.isnan(unknown.agreement()).all()
     narrow = osl.SphereSweep(scene.rig(max_fov_deg=80), grid)
-    alone = osl.Depth(np.ones(grid.shape, np.float32), found.confidence, narrow)
-    assert np.isnan(alone.agreement(images)).any()
+    alone = osl.Depth(np.ones(grid.shape, np.float32), found.confidence, narrow, images)
+    assert np.isnan(alone.agreement()).any()
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads the memory of a process as Linux shows it")

@@ -67,7 +67,7 @@ def test_penalties_follow_the_scale(box):
     p1, p2 = penalties(GRID.width, GRID.num_spheres)
     for given, both in (("", (p1, p2)), (",p1=5", (5, 5)), (",p2=0.001", (0.001, 0.001)), (",p1=0", (0, p2))):
         given, both = f"zncc+sgm{given}", "zncc+sgm,p1={},p2={}".format(*both)
-        indices = [osl.estimate_depth(*box, GRID, name).index for name in (given, both)]
+        indices = [osl.estimate_depth(osl.Frame.of(*box), GRID, name).index for name in (given, both)]
         np.testing.assert_array_equal(*indices)
 
 
@@ -89,7 +89,7 @@ def test_a_name_is_what_its_parts_are(box):
     expected = osl.winner_takes_all(volume)
     for depth in (
         sweep_depth(sweep, images, "zncc+sgm,window=5,pairs=all,p1=0.2,p2=3", subindex=False),
-        osl.estimate_depth(rig, images, GRID, "zncc+sgm,window=5,pairs=all,p1=0.2,p2=3", subindex=False),
+        osl.estimate_depth(osl.Frame.of(rig, images), GRID, "zncc+sgm,window=5,pairs=all,p1=0.2,p2=3", subindex=False),
     ):
         np.testing.assert_array_equal(depth.index, expected)
 
@@ -98,8 +98,8 @@ def test_a_name_is_what_its_parts_are(box):
 def test_a_name_that_says_so_does_not_refine(box, name):
     method = Method.parse(f"{name},subindex=false")
     assert method.name == f"{name},subindex=false"
-    index = osl.estimate_depth(*box, GRID, method).index
-    np.testing.assert_array_equal(index, osl.estimate_depth(*box, GRID, name, subindex=False).index)
+    index = osl.estimate_depth(osl.Frame.of(*box), GRID, method).index
+    np.testing.assert_array_equal(index, osl.estimate_depth(osl.Frame.of(*box), GRID, name, subindex=False).index)
     assert (index[np.isfinite(index)] % 1 == 0).all()
 
 
@@ -114,7 +114,7 @@ class SecondSphere(BlockCost):
 def test_a_cost_of_your_own_joins_in_one_place(box, monkeypatch):
     monkeypatch.setitem(COSTS, "second", CostEntry("Second", lambda method, path, precision: SecondSphere()))
     assert Method.parse("second+sgm").label == "Second + SGM"
-    assert (osl.estimate_depth(*box, GRID, "second", subindex=False).index % 16 == 2).all()
+    assert (osl.estimate_depth(osl.Frame.of(*box), GRID, "second", subindex=False).index % 16 == 2).all()
 
 
 def test_the_example_of_a_cost_of_your_own(monkeypatch):

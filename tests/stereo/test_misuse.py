@@ -47,7 +47,7 @@ class Whole:
 
 
 def depth(images=IMAGES, **options):
-    return osl.estimate_depth(RIG, images, GRID, **{"method": "zncc+sgm"} | options)
+    return osl.estimate_depth(osl.Frame.of(RIG, images), GRID, **{"method": "zncc+sgm"} | options)
 
 
 def rig(pose=0.0, min_depth=None):
@@ -109,10 +109,10 @@ BOARD = osl.Checkerboard((4, 3), 0.06)
 @pytest.mark.parametrize(
     ("name", "call"),
     [
-        ("rig", lambda wrong: osl.estimate_depth(wrong, IMAGES, GRID)),
-        ("images", lambda wrong: osl.estimate_depth(RIG, wrong, GRID)),
-        ("grid", lambda wrong: osl.estimate_depth(RIG, IMAGES, wrong)),
-        ("method", lambda wrong: osl.estimate_depth(RIG, IMAGES, GRID, wrong)),
+        ("rig", lambda wrong: osl.Frame.of(wrong, IMAGES)),
+        ("images", lambda wrong: osl.Frame.of(RIG, wrong)),
+        ("grid", lambda wrong: osl.estimate_depth(osl.Frame.of(RIG, IMAGES), wrong)),
+        ("method", lambda wrong: osl.estimate_depth(osl.Frame.of(RIG, IMAGES), GRID, wrong)),
         ("rig", lambda wrong: osl.SphereSweep(wrong, GRID)),
         ("grid", lambda wrong: osl.SphereSweep(RIG, wrong)),
         ("rig", lambda wrong: osl.camera_pairs("ring", wrong)),

@@ -21,7 +21,7 @@ IMAGES = [np.random.default_rng(k).integers(0, 255, (56, 60), np.uint8) for k in
 
 
 def index(method):
-    return osl.estimate_depth(RIG, IMAGES, GRID, method).index
+    return osl.estimate_depth(osl.Frame.of(RIG, IMAGES), GRID, method).index
 
 
 class Frames(Dataset):

@@ -38,7 +38,7 @@ RIGS = {
 @pytest.mark.parametrize("name", RIGS)
 def test_the_walls_are_found(name, method):
     rig = RIGS[name]
-    depth = osl.estimate_depth(rig, scene.images(rig, finest=0.12), GRID, method)
+    depth = osl.estimate_depth(osl.Frame.of(rig, scene.images(rig, finest=0.12)), GRID, method)
     sweep = osl.SphereSweep(rig, GRID)
     truth = scene.true_index(rig, GRID)
     seen = np.sum([sweep.project_sphere(camera, truth)[1] for camera in range(len(rig))], axis=0) >= 2

@@ -64,7 +64,7 @@ def test_the_memory_of_the_device_is_checked(monkeypatch, full, other):
 def test_memory_is_checked_once_for_a_sweep(monkeypatch, world):
     looks = []
     monkeypatch.setattr(sweep_module, "check_memory", lambda *arguments: looks.append(arguments))
-    osl.estimate_depth(*world, GRID, "zncc+sgm")
+    osl.estimate_depth(osl.Frame.of(*world), GRID, "zncc+sgm")
     assert len(looks) == 1
 
 

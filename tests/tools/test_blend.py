@@ -1,5 +1,7 @@
 """The blended panorama of a box whose colours are known, with cameras of different exposure."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scene
@@ -16,34 +18,31 @@ EXPOSURE = np.array([1.0, 0.8, 1.1, 0.9])
 def box():
     rig = scene.rig(width=400, height=384)
     index = scene.true_index(rig, GRID).astype(np.float32)
-    return osl.Depth(index, np.ones_like(index), SphereSweep(rig, GRID)), scene.images(rig, finest=0.25)
+    return osl.Depth(index, np.ones_like(index), SphereSweep(rig, GRID), scene.images(rig, finest=0.25))
 
 
 def test_gains_undo_exposures_and_white_balance(box):
-    depth, images = box
-    gains = estimate_gains(depth, [image * k for image, k in zip(images, EXPOSURE, strict=True)])
+    dark = [image * k for image, k in zip(box.images, EXPOSURE, strict=True)]
+    gains = estimate_gains(replace(box, images=dark))
     np.testing.assert_allclose(gains[:, 0] * EXPOSURE, np.exp(np.log(EXPOSURE).mean()), rtol=0.01)
     balance = np.stack([EXPOSURE, np.ones(4), EXPOSURE[::-1]], -1)
-    colored = [image[..., None] * k for image, k in zip(images, balance, strict=True)]
-    gains = estimate_gains(depth, colored)
+    colored = [image[..., None] * k for image, k in zip(box.images, balance, strict=True)]
+    gains = estimate_gains(replace(box, images=colored))
     np.testing.assert_allclose(gains * balance, np.exp(np.log(balance).mean(0))[None].repeat(4, 0), rtol=0.01)
 
 
 def test_no_edge_shows_where_a_camera_ends(box):
     """Each camera is darker towards its rim, as lenses are: `Depth.panorama` has steps there, the blend has none."""
-    depth, images = box
-    center = depth.sweep.rig.cameras[0].center
-    v, u = np.indices(images[0].shape)
+    center = box.sweep.rig.cameras[0].center
+    v, u = np.indices(box.images[0].shape)
     falloff = 1 - 0.4 * (np.hypot(u - center[0], v - center[1]) / 190).clip(0, 1) ** 2
-    flat = [np.full(image.shape, 150.0) * falloff for image in images]
-    steps = [
-        np.abs(np.diff(picture, axis=1)).max() for picture in (depth.panorama(flat), blended_panorama(depth, flat))
-    ]
+    flat = [np.full(image.shape, 150.0) * falloff for image in box.images]
+    flat = replace(box, images=flat)
+    steps = [np.abs(np.diff(picture, axis=1)).max() for picture in (flat.panorama(), blended_panorama(flat))]
     assert steps[0] > 10 > 4 > steps[1]
 
 
 def test_the_blend_of_equal_cameras_is_the_scene(box):
-    depth, images = box
-    blended, mean = blended_panorama(depth, images), depth.panorama(images)
+    blended, mean = blended_panorama(box), box.panorama()
     assert blended.shape == mean.shape == GRID.shape and np.isfinite(blended).all()
     assert np.median(np.abs(blended - mean)) < 2

@@ -22,9 +22,9 @@ def rig():
 def written(rig, tmp_path_factory):
     grid = osl.SphereGrid(320, 160, (-90, 90), num_spheres=64, min_depth=0.6)
     index = scene.true_index(rig, grid).astype(np.float32)
-    depth = osl.Depth(index, np.ones_like(index), SphereSweep(rig, grid))
+    depth = osl.Depth(index, np.ones_like(index), SphereSweep(rig, grid), scene.images(rig, finest=0.25))
     folder = tmp_path_factory.mktemp("crops")
-    count, share = write_crops(folder, depth, scene.images(rig, finest=0.25), Limits(100.0, 0.0))
+    count, share = write_crops(folder, depth, Limits(100.0, 0.0))
     assert count == 12 and 0.4 < share < 0.7
     return folder
 

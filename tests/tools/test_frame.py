@@ -33,12 +33,12 @@ def rig():
 
 
 @pytest.fixture(scope="module")
-def depth(rig):
+def depth(rig, pictures):
     """The true depth of the box, with a confidence that grows from left to right."""
     index = scene.true_index(rig, GRID).astype(np.float32)
     index[0, 0] = np.nan
     confidence = np.broadcast_to(np.linspace(0, 1, 160, dtype=np.float32), GRID.shape).copy()
-    return osl.Depth(index, np.where(np.isnan(index), np.nan, confidence), SphereSweep(rig, GRID))
+    return osl.Depth(index, np.where(np.isnan(index), np.nan, confidence), SphereSweep(rig, GRID), pictures)
 
 
 @pytest.fixture(scope="module")
@@ -47,9 +47,9 @@ def pictures(rig):
 
 
 @pytest.fixture(scope="module")
-def written(depth, pictures, tmp_path_factory):
+def written(depth, tmp_path_factory):
     out = tmp_path_factory.mktemp("out")
-    FrameResult(depth, pictures, Limits.of(depth), "zncc+sgm", depth.index).write(out)
+    FrameResult(depth, Limits.of(depth), "zncc+sgm", depth.index).write(out)
     return out
 
 
@@ -108,8 +108,8 @@ def test_what_is_doubtful_is_told_and_not_the_nearest_thing(depth):
     assert f"use {depth.valid.sum()} rays" in third
 
 
-def test_a_frame_without_a_point_is_written_too(depth, pictures, tmp_path):
-    result = FrameResult(depth, pictures, Limits(0.1, 0.0), "zncc+sgm")
+def test_a_frame_without_a_point_is_written_too(depth, tmp_path):
+    result = FrameResult(depth, Limits(0.1, 0.0), "zncc+sgm")
     result.write(tmp_path)
     first, *_, second = result.sentences()
     assert "the nearest thing is unknown away" not in first and "no ray is within" in first
@@ -156,7 +156,7 @@ def test_each_panorama_is_computed_once(depth, pictures, tmp_path, monkeypatch):
     computed, blended = [], frame.blended_panorama
     for module in (frame, pictures_module):
         monkeypatch.setattr(module, "blended_panorama", lambda *given: computed.append(blended(*given)) or computed[-1])
-    result = FrameResult(depth, pictures, Limits.of(depth), "zncc+sgm")
+    result = FrameResult(depth, Limits.of(depth), "zncc+sgm")
     result.write(tmp_path)
     export_frame(result, tmp_path / "a.glb", None, None, None)
     assert [one.shape[1] for one in computed] == [160, 1920]

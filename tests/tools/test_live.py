@@ -52,9 +52,8 @@ def test_pictures_show_panorama_over_depth(recorded):
     pixels = decode(pictures[-1].jpeg)
     height = round(pictures[-1].rows * len(pixels))
     panorama, depth = pixels[:height], pixels[height : 2 * height]
-    truth = osl.estimate_depth(
-        rig, [cv2.cvtColor(cv2.VideoCapture(v).read()[1], cv2.COLOR_BGR2GRAY) for v in videos], GRID, "zncc"
-    )
+    first = [cv2.cvtColor(cv2.VideoCapture(v).read()[1], cv2.COLOR_BGR2GRAY) for v in videos]
+    truth = osl.estimate_depth(osl.Frame.of(rig, first), GRID, "zncc")
     small = cv2.resize(depth, (96, 24), interpolation=cv2.INTER_AREA).astype(int).sum(-1)
     assert np.corrcoef(small.ravel(), truth.inverse_depth.ravel())[0, 1] > 0.9  # near is bright
     assert panorama.std() > 20 and np.ptp(panorama.astype(int), axis=-1).mean() < 3  # the scene is gray

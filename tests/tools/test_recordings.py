@@ -12,8 +12,8 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
-from omnistereo_lib.dataset import read_inverse_depth
 from omnistereo_lib.files import read_image, write_image
+from omnistereo_lib.frame import read_inverse_depth
 from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD
 from omnistereo_tools import cli
 from omnistereo_tools.input.sources import Recording
@@ -64,14 +64,14 @@ def test_the_result_is_a_data_set(recorded, done):
     assert len(data) == FRAMES and [frame.number for frame in data] == list(range(1, FRAMES + 1))
     for frame in data[::3]:
         np.testing.assert_array_equal(frame.images[1], read_image(recorded / "view2" / f"cam2_{frame.number:03}.png"))
-        alone = osl.estimate_depth(osl.load_rig(recorded / "rig.yaml"), frame.images, GRID, "zncc")
+        alone = osl.estimate_depth(osl.Frame.of(osl.load_rig(recorded / "rig.yaml"), frame.images), GRID, "zncc")
         np.testing.assert_array_equal(frame.inverse_depth, alone.inverse_depth.astype(np.float32))
 
 
 def test_every_frame_has_the_confidence_and_trust_of_a_single_frame(recorded, done, tmp_path):
-    rig = osl.load_rig(recorded / "rig.yaml")
-    alone = osl.estimate_depth(rig, osl.load_dataset(done)[2].images, GRID, "zncc")
-    trusted = trust(alone, osl.load_dataset(done)[2].images, "zncc")
+    frame = osl.Frame.of(osl.load_rig(recorded / "rig.yaml"), osl.load_dataset(done)[2].images)
+    alone = osl.estimate_depth(frame, GRID, "zncc")
+    trusted = trust(alone, "zncc")
     assert run(*depth_command(recorded, tmp_path / "out"), "--depth-format", "png", "--start", 3, "--stop", 4) == 0
     for folder, suffix, step in ((done, "tiff", 0), (tmp_path / "out", "png", 1 / 65500)):
         for kind, expected in (("confidence", alone.confidence), ("trust", trusted)):

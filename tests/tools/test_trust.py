@@ -1,5 +1,7 @@
 """Trust, against errors of spheres: the same confidence is worth more where a sphere is a smaller part of the depth."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scene
@@ -20,8 +22,9 @@ def box():
 
 def trust_at(index, confidence, method, box):
     rig, _, images = box
-    depth = osl.Depth(np.full(GRID.shape, index, np.float32), np.full(GRID.shape, confidence), SphereSweep(rig, GRID))
-    return float(trust(depth, images, method).max())  # where two cameras see the point
+    index, confidence = np.full(GRID.shape, index, np.float32), np.full(GRID.shape, confidence)
+    depth = osl.Depth(index, confidence, SphereSweep(rig, GRID), images)
+    return float(trust(depth, method).max())  # where two cameras see the point
 
 
 @pytest.mark.parametrize("method", ["volumenet", "zncc+sgm"])
@@ -34,14 +37,15 @@ def test_it_is_judged_at_equal_range(box, method):
 
 def test_black_and_white_are_no_evidence(box):
     rig, index, images = box
-    depth = osl.Depth(index, np.ones_like(index), SphereSweep(rig, GRID))
-    assert (trust(depth, images, "volumenet")[:, 5:-5] == 1).mean() > 0.99
+    depth = osl.Depth(index, np.ones_like(index), SphereSweep(rig, GRID), images)
+    assert (trust(depth, "volumenet")[:, 5:-5] == 1).mean() > 0.99
     blown = [np.where(np.indices(image.shape)[1] < 100, 255, image) for image in images]  # the left half of each
-    unlit = trust(depth, blown, "volumenet") == 0
+    unlit = trust(replace(depth, images=blown), "volumenet") == 0
     seen = np.stack(depth.sweep.warp(blown, index))
     few = (np.isfinite(seen) & (seen < 250)).sum(0) < 2
     assert few.mean() > 0.2 and (unlit == few).mean() > 0.97  # but for the median at their borders
-    assert not trust(depth, [np.zeros_like(image) for image in images], "volumenet").any()
+    dark = replace(depth, images=[np.zeros_like(image) for image in images])
+    assert not trust(dark, "volumenet").any()
 
 
 def test_small_things_in_mid_air_of_little_trust_are_doubtful(box):
@@ -49,7 +53,7 @@ def test_small_things_in_mid_air_of_little_trust_are_doubtful(box):
     sweep, rays = SphereSweep(rig, GRID), np.s_[15:20, [158, 159, 0, 1, 2]]  # across the seam
 
     def doubtful(index, confidence):
-        return trust(osl.Depth(index, confidence, sweep), images, "volumenet") < DOUBTFUL
+        return trust(osl.Depth(index, confidence, sweep, images), "volumenet") < DOUBTFUL
 
     near, weak = index.copy(), np.ones_like(index)
     near[rays], weak[rays] = 1.5 * index[rays].max(), 0.4
@@ -65,11 +69,11 @@ def test_small_things_in_mid_air_of_little_trust_are_doubtful(box):
 def test_on_a_frame_it_was_not_fitted_on_doubtful_depths_are_worse_at_every_range():
     frame = osl.load_dataset(DATA / "sunny", split="test")[1]
     grid = osl.SphereGrid(640, 160, num_spheres=192, min_depth=frame.rig.min_depth)
-    depth = osl.estimate_depth(frame.rig, frame.images, grid, "zncc+sgm")
+    depth = osl.estimate_depth(frame, grid, "zncc+sgm")
     truth = frame.gt_index(grid)
     with np.errstate(invalid="ignore"):  # infinity, found and true
         off = np.abs(depth.depth / grid.index_to_depth(truth) - 1) > 0.1
-    wrong, doubtful = off & (np.abs(depth.index - truth) > 2), trust(depth, frame.images, "zncc+sgm") < DOUBTFUL
+    wrong, doubtful = off & (np.abs(depth.index - truth) > 2), trust(depth, "zncc+sgm") < DOUBTFUL
     for nearest, farthest in ((60, 192), (20, 60), (1, 20)):  # spheres, numbered from infinity
         rays = np.isfinite(truth) & (depth.index >= nearest) & (depth.index < farthest)
         assert wrong[rays & doubtful].mean() > 3 * wrong[rays & ~doubtful].mean() > 0

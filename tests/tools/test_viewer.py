@@ -137,10 +137,10 @@ def test_it_shows_where_the_cameras_see_a_ray(depth, open_page, tmp_path, touch)
     mask[:, :100] = False
     rig = replace(rig, cameras=(replace(rig.cameras[0], mask=mask), *rig.cameras[1:]))
     images = [np.full((192, 200), 90, np.uint8)] * 4
-    depth = replace(depth, sweep=SphereSweep(rig, GRID))
+    depth = replace(depth, sweep=SphereSweep(rig, GRID), images=images)
     truth = depth.index + 5.0
     panorama = np.zeros((80, 320, 3), np.uint8)
-    data = viewer_data(depth, panorama, Limits(50.0, 0.0), "rays", gt_index=truth, images=images)
+    data = viewer_data(depth, panorama, Limits(50.0, 0.0), "rays", gt_index=truth)
     page = opened(open_page, tmp_path, page_of(data), has_touch=touch)
     for index, layer in ((depth.index, "steps"), (truth, "truth")):
         found = page.evaluate(f"D.cameras.map(c => [...steps.keys()].map(k => pixelOf(c, k, {layer})))")

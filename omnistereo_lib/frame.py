@@ -1,0 +1,186 @@
+"""A rig and its images, checked once where they enter; and the files that images and exact depth come from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence, Sized
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omnistereo_lib.consumer_images import check_not_stitched, split_image
+from omnistereo_lib.containers import ContainerError, tiff_pages
+from omnistereo_lib.errors import OmnistereoError, check_type, shortened
+from omnistereo_lib.files import as_path, atomic_write, decoder_messages, read_bytes, read_image, read_pixels
+from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.geometry.sphere import Sampling, SphereGrid
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A rig and what its cameras saw at one instant, with the exact depth if it is known.
+
+    `load_dataset(...)[k]` gives one whose files are read on first use; `Frame.of` makes one of any rig and images.
+
+    `number` is that of the file names; `rig` took the images, and its `min_depth` scales 16-bit PNG ground truth.
+    """
+
+    rig: Rig
+    image_paths: Sequence[Path] = ()
+    number: int = 0
+    gt_path: Path | None = None
+
+    @classmethod
+    def of(cls, rig: Rig, images: Sequence[ArrayLike]) -> Frame:
+        """Return a frame of a rig and its images: one array per camera, (height, width) or (height, width, 3), RGB.
+
+        Raises:
+            OmnistereoError: If there is not one image per camera, or one has the wrong size, shape or type or is not
+                finite.
+
+        >>> rig = osl.load_rig("data_samples/sunny/test")
+        >>> images = osl.load_images([f"data_samples/sunny/test/cam{k}/0706.jpg" for k in (1, 2, 3, 4)])
+        >>> osl.Frame.of(rig, images).images[0].shape
+        (768, 800, 3)
+        """
+        check_type(rig, Rig, "rig")
+        frame = cls(rig)
+        frame.__dict__["images"] = check_images(images, rig)  # where the cached property keeps them
+        return frame
+
+    @cached_property
+    def images(self) -> list[NDArray[Any]]:
+        """One array per camera, (height, width) or (height, width, 3) in RGB; read on first use."""
+        return load_images(self.image_paths, self.rig)
+
+    @cached_property
+    def inverse_depth(self) -> NDArray[np.float32]:
+        """Ground truth, 1/m from the rig centre along each ray, 0 = sky, NaN = unknown; read on first use.
+
+        Raises an `OmnistereoError` if the frame has none.
+        """
+        if self.gt_path is None:
+            beside = f" beside {self.image_paths[0].parent}" if self.image_paths else ""
+            raise OmnistereoError(f"frame {self.number} has no ground truth{beside}")
+        return read_inverse_depth(self.gt_path, self.rig.min_depth)
+
+    def gt_index(self, grid: SphereGrid) -> NDArray[np.float64]:
+        """Return the ground-truth sphere index n̂ on a grid, shape (H, W), not rounded; NaN = unknown.
+
+        As in all published sets, ground-truth pixels are square and the middle row is the horizon: 640 × 160 spans
+        -45° to 45°. The pixel sampling is that of the grid. Each ray takes the nearest ground-truth pixel, since
+        interpolation across a depth discontinuity gives a depth that is not in the scene.
+        """
+        check_type(grid, SphereGrid, "grid")
+        return grid.inverse_depth_to_index(self.inverse_depth_along(grid.rays(), grid.sampling))
+
+    def inverse_depth_along(self, rays: NDArray[np.float64], sampling: Sampling = "center") -> NDArray[np.float32]:
+        """Return the inverse depth in 1/m of the ground-truth pixels nearest to rays (..., 3); NaN = unknown."""
+        height, width = self.inverse_depth.shape
+        highest = 180.0 * height / width
+        pixels, inside = SphereGrid(width, height, (-highest, highest), sampling=sampling).project(rays)
+        column, row = np.moveaxis(np.rint(pixels).astype(int), -1, 0)
+        return np.where(inside, self.inverse_depth[row.clip(0, height - 1), column % width], np.float32(np.nan))
+
+
+def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray[Any]]:
+    """Return the images as arrays, checked against the cameras of the rig.
+
+    Raises:
+        OmnistereoError: If there is not one image per camera, or one has the wrong size, shape or type or is not
+            finite.
+    """
+    if not isinstance(images, Sized):  # arrays and tensors are sequences, too
+        raise OmnistereoError(f"images is {shortened(images)}; expected one array per camera")
+    # Arrays in this machine's byte order, whatever they come as: tensors, too, without importing torch for it.
+    arrays = [np.asarray(image.detach().cpu() if hasattr(image, "detach") else image) for image in images]
+    arrays = [image.astype(image.dtype.newbyteorder("="), copy=False) for image in arrays]
+    for i, (image, (width, height)) in enumerate(zip(arrays, rig.image_sizes(len(arrays)), strict=True)):
+        if image.shape not in [(height, width), (height, width, 3)]:
+            raise OmnistereoError(
+                f"image {i + 1} has shape {image.shape}; camera {i + 1} expects ({height}, {width}) or "
+                f"({height}, {width}, 3). Pass the image as captured: not resized, cropped or rotated."
+            )
+        if image.dtype != np.uint8 and not np.issubdtype(image.dtype, np.floating):
+            raise OmnistereoError(f"image {i + 1} has type {image.dtype}; expected uint8 or float")
+        if image.dtype != np.uint8 and not np.isfinite(image).all():
+            raise OmnistereoError(f"image {i + 1} has NaN or infinite values; expected finite gray values")
+    # Gray and colour images together are all in colour.
+    if len({image.ndim for image in arrays}) > 1:
+        arrays = [np.repeat(image[..., None], 3, -1) if image.ndim == 2 else image for image in arrays]
+    return arrays
+
+
+def load_images(paths: Sequence[str | Path], rig: Rig | None = None) -> list[NDArray[np.uint8]]:
+    """Read one image for each camera, in the order of the rig; see `read_image` for shapes and errors.
+
+    With a rig, number and sizes of the images are compared with its cameras before anything is decoded. One image for
+    a rig holds all its cameras, see `consumer_images.split_image`.
+
+    >>> images = osl.load_images([f"data_samples/sunny/test/cam{k}/0706.jpg" for k in (1, 2, 3, 4)])
+    >>> images[0].shape, images[0].dtype
+    ((768, 800, 3), dtype('uint8'))
+    """
+    check_type(paths, Sized, "paths")
+    for path in paths:
+        check_not_stitched(as_path(path, "paths"))
+    if rig is not None and len(paths) == 1:
+        return split_image(read_image(paths[0]), rig, paths[0])
+    sizes = [None] * len(paths) if rig is None else rig.image_sizes(len(paths))
+    return [read_image(path, size) for path, size in zip(paths, sizes, strict=True)]
+
+
+def read_inverse_depth(path: str | Path, min_depth: float | None = None) -> NDArray[np.float32]:
+    """Read a ground-truth panorama of inverse depth in 1/m, shape (H, W); 0 is infinitely far, NaN unknown.
+
+    Float TIFF holds inverse depth as it is; in files of the current releases a thumbnail page precedes it. 16-bit PNG
+    of the first release holds it in steps of 1/(65500 min_depth). Anything else raises an `OmnistereoError`.
+    """
+    path = Path(path)
+    values = _read_png16(path, min_depth) if path.suffix.lower() == ".png" else _read_float_tiff(path)
+    with np.errstate(over="ignore"):
+        values = values.astype(np.float32)
+    return np.where(np.isfinite(values) & (values >= 0), values, np.float32(np.nan))
+
+
+def write_inverse_depth(path: str | Path, inverse_depth: NDArray[Any]) -> None:
+    """Write a panorama of inverse depth in 1/m as a deflated float32 TIFF."""
+    import tifffile
+
+    with atomic_write(path) as temporary:
+        tifffile.imwrite(temporary, np.asarray(inverse_depth, np.float32), compression="deflate")
+
+
+def _read_float_tiff(path: Path) -> NDArray[Any]:
+    import cv2
+
+    content = read_bytes(path)
+    try:
+        floats = [k for k, page in enumerate(tiff_pages(content)) if page.is_float]
+    except ContainerError as error:
+        raise OmnistereoError(f"{path} is not a complete TIFF file: it is {error}. Copy it again.") from None
+    if len(floats) != 1:
+        raise OmnistereoError(f"{path} has {len(floats)} float pages; expected one, of inverse depth in 1/m")
+    with decoder_messages(), suppress(cv2.error):
+        read, pages = cv2.imdecodemulti(
+            np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED, range=(floats[0], floats[0] + 1)
+        )
+        if read:
+            return pages[0]
+    raise OmnistereoError(f"{path} is not a complete TIFF file: its pixels cannot be decoded. Copy it again.")
+
+
+def _read_png16(path: Path, min_depth: float | None) -> NDArray[np.float64]:
+    import cv2
+
+    steps = read_pixels(path, cv2.IMREAD_UNCHANGED)
+    if steps.ndim != 2 or steps.dtype != np.uint16:
+        found = f"{steps.dtype} of shape {steps.shape}"
+        raise OmnistereoError(f"{path} holds {found}; expected 16-bit gray steps of inverse depth")
+    if min_depth is None:
+        raise OmnistereoError(f"{path} is in units of 1/min_depth. State the nearest depth in the rig file.")
+    return steps / (65500.0 * min_depth)
