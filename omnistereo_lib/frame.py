@@ -27,6 +27,11 @@ class Frame:
     `load_dataset(...)[k]` gives one whose files are read on first use; `Frame.of` makes one of any rig and images.
 
     `number` is that of the file names; `rig` took the images, and its `min_depth` scales 16-bit PNG ground truth.
+
+    >>> rig = osl.load_rig("data_samples/sunny/test")
+    >>> images = osl.load_images([f"data_samples/sunny/test/cam{k}/0706.jpg" for k in (1, 2, 3, 4)])
+    >>> osl.Frame.of(rig, images).images[0].shape
+    (768, 800, 3)
     """
 
     rig: Rig
@@ -41,11 +46,6 @@ class Frame:
         Raises:
             OmnistereoError: If there is not one image per camera, or one has the wrong size, shape or type or is not
                 finite.
-
-        >>> rig = osl.load_rig("data_samples/sunny/test")
-        >>> images = osl.load_images([f"data_samples/sunny/test/cam{k}/0706.jpg" for k in (1, 2, 3, 4)])
-        >>> osl.Frame.of(rig, images).images[0].shape
-        (768, 800, 3)
         """
         check_type(rig, Rig, "rig")
         frame = cls(rig)
