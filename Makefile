@@ -12,8 +12,9 @@ RENDER_READY := .venv-render/.installed
 NBVAL := --nbval --nbval-current-env --nbval-sanitize-with=tests/nbval_sanitize.cfg --nbval-cell-timeout=600
 # One worker more than cores, since some tests wait. In the order of the files: by size, the longest would come last.
 WORKERS = -n $(shell $(PYTHON) -c "import os; print(min(4, 1 + os.cpu_count()))") --dist loadscope --no-loadscope-reorder
-# Otherwise glibc gives large arrays back to the system, which clears pages for the next ones.
-KEEP_MEMORY := MALLOC_MMAP_MAX_=0 MALLOC_TRIM_THRESHOLD_=1000000000
+# glibc would give large arrays back to the system, which clears pages for the next ones. Threads that wait would spin,
+# and keep the cores from the other workers.
+SHARED := MALLOC_MMAP_MAX_=0 MALLOC_TRIM_THRESHOLD_=1000000000 OMP_WAIT_POLICY=passive
 
 define CHECK_PYTHON
 import sys
@@ -45,20 +46,20 @@ test: $(DEV_READY)  ## linters, types, library tests, and every notebook cell ag
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(KEEP_MEMORY) $(BIN)/python -m pytest $(WORKERS) $(NBVAL)
+	$(SHARED) $(BIN)/python -m pytest $(WORKERS) $(NBVAL)
 
 check: $(DEV_READY)  ## the fast tier, a minute: linters, types, geometry, stereo, rig files, one notebook and the examples of depth
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(KEEP_MEMORY) $(BIN)/python -m pytest $(WORKERS) $(NBVAL) tests/geometry tests/rig_files tests/stereo \
+	$(SHARED) $(BIN)/python -m pytest $(WORKERS) $(NBVAL) tests/geometry tests/rig_files tests/stereo \
 	  --ignore tests/stereo/test_shipped_weights.py notebooks/03_sphere_sweep.ipynb \
 	  tests/test_pages_as_typed.py::test_every_command_is_run_or_marked \
 	  'tests/test_pages_as_typed.py::test_page[omnistereo depth]'
 
 # Apart from `test`, which it would slow by a half; without the fuzzer, whose limits it breaks.
 coverage: $(DEV_READY)  ## the lines of the library that the tests reach
-	$(KEEP_MEMORY) $(BIN)/python -m pytest $(WORKERS) --cov=omnistereo_lib --ignore tests/test_fuzz.py tests
+	$(SHARED) $(BIN)/python -m pytest $(WORKERS) --cov=omnistereo_lib --ignore tests/test_fuzz.py tests
 
 grade: $(READY)  ## score sheets of handed-in notebooks, whose code it runs: make grade HANDED_IN=folder
 	$(if $(HANDED_IN),,$(error Say what to check, see book/teaching.md: make grade HANDED_IN=folder))
