@@ -75,7 +75,7 @@ def _parser() -> argparse.ArgumentParser:
         ("book", "publish.website.build", "build the website"),
         ("slides", "publish.slides.make_slides", "build the slides"),
         (
-            "classroom.progress.html",
+            "progress.html",
             "classroom.progress.write_progress",
             "write a page on what is right in the working copies",
         ),
