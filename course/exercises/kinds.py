@@ -177,6 +177,11 @@ def of_arguments(answer: Callable, inputs: tuple, found: Array, numbers: Callabl
         for words, change in _changes(x):
             if gives({k: change}):
                 yield f"that would be right if `{names[k]}` {words}"
+    for i, j in combinations([k for k, x in enumerate(inputs) if isinstance(x, np.ndarray) and x.ndim], 2):
+        if inputs[i].shape == inputs[j].shape:
+            for (words, one), (_, other) in zip(_changes(inputs[i]), _changes(inputs[j]), strict=True):
+                if gives({i: one, j: other}):
+                    yield f"that would be right if `{names[i]}` and `{names[j]}` {words}"
 
 
 def _changes(x: Any) -> Iterator[tuple[str, Any]]:
@@ -196,5 +201,10 @@ def _changes(x: Any) -> Iterator[tuple[str, Any]]:
         yield words, back(change(values))
     for axis, size in enumerate(values.shape):
         yield f"were reversed along axis {axis}", back(np.flip(values, axis).copy())
+        half = size // 2
+        yield f"were rolled by half along axis {axis}: is half a turn missing?", back(np.roll(values, half, axis))
+        if values.ndim == 1 and size in (4, 6):  # such as the rotation and the translation of a pose
+            for words, used in {"first": np.arange(size) >= half, "last": np.arange(size) < half}.items():
+                yield f"had 0 in its {words} {half}: are they used?", back(values * used)
         for order in permutations(range(size)) if axis == values.ndim - 1 and size in (2, 3) else ():
             yield f"had its components in the order {list(order)}", back(values.take(order, axis))

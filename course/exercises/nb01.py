@@ -26,7 +26,8 @@ def _some_pixels(rng: Rng, k: int) -> tuple:
 
 check_unproject = Open(unproject, _some_pixels, whole=("poly", "center")).with_slips("""
     z = - → z =  # the ray is (x, y, -f(r)): f is negative in front
-    - center →  # x and y count from the centre: subtract it
+    np.linalg.norm(xy, axis=-1, keepdims=True)
+    → np.sum(xy**2, axis=-1, keepdims=True)  # that is r²: r is its root, the distance from the centre
     poly[::-1] → poly  # poly runs from low to high; np.polyval wants the highest first
     return rays / np.linalg.norm(rays, axis=-1, keepdims=True) → return rays
     # divide by the length: a ray is a unit vector
@@ -59,7 +60,7 @@ def _some_rays(rng: Rng, k: int) -> tuple:
 
 
 check_project_rays = Open(project_rays, _some_rays, whole=("inv_poly",)).with_slips("""
-    np.maximum(n, 1e-12) → n  # on the axis hypot(x, y) is 0: do not divide by it there, that ray goes to the centre
+    np.arctan2(-z, n) → np.degrees(np.arctan2(-z, n))  # the polynomial takes t in radians, not in degrees
     np.arctan2(-z, n) → np.arctan2(z, n)  # the sign of z: t is the angle *below* the xy-plane, atan2(-z, n)
     np.arctan2(-z, n) → np.arctan2(n, z)  # that is the angle from the axis; t is 90° less
     np.degrees(np.arctan2(n, z)) → np.arctan2(n, z)

@@ -85,6 +85,8 @@ def _a_ring(rng: Rng, k: int) -> tuple:
 
 
 check_suspect = Open(suspect, _a_ring).with_slips("""
+    sorted({camera for pair in pairs for camera in pair}) → range(4)
+    # not every rig has four cameras: take them from the pairs
     np.asarray(costs) / usual → np.asarray(costs)
     # some pairs cost more even on a good day: compare each with its own usual cost
     np.asarray(costs) / usual → np.asarray(costs) - usual

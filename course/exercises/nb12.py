@@ -127,7 +127,7 @@ def behind(center, points, inverse_depth, phi_deg, t):
 
 
 def _a_scene(rng: Rng, k: int) -> tuple:
-    H, W = 8 + k % 3, 20 + k % 5
+    H, W = 8 + k % 3, 20 + 2 * (k % 5)
     points = rng.normal(0, 3, (3, 4 + k % 3, 3))
     points[0] = [-0.05, 0.2, -2.5] + 0.1 * rng.normal(size=points[0].shape)  # at the seam
     points[1, :2] = [0, 4, 1], [0.3, -4, 1]  # below and above the panorama

@@ -16,7 +16,7 @@ KNOWN = [pytest.param(f, k, id=f"{f.name} {k}") for f in OPENED.values() for k i
 SLIPS = """
 index_errors
     100 / N → 100 / (N - 1)  # `N` were smaller by 1
-    index - gt_index → np.rint(index) - np.rint(gt_index)  # example
+    index - gt_index → np.rint(index) - np.rint(gt_index)  # `index` and `gt_index` were rounded
 share_above
     > limit → <= limit  # 100 minus the right value
 stitched
@@ -24,16 +24,18 @@ stitched
 unproject
     - center → - center[::-1]  # `center` were reversed
     pixels - center → pixels - 0.5 - center  # `pixels` were smaller by ½
-    poly[::-1], r) → poly[::-1], r**2)  # example
+    - center →  # `center` were 0
+    poly[::-1], r) → poly[::-1], r**2)  # that is r²
 project_rays
     + center → + center[::-1]  # `center` were reversed
     np.degrees(np.arctan2(n, z)) → np.degrees(np.arctan2(-z, n))  # compare the angle from the axis
-    -z, n)) → -z, n) * 180 / np.pi)  # example
+    -z, n)) → -z, n) * 180 / np.pi)  # in radians
+    np.maximum(n, 1e-12) → n  # a division by zero
 planar_pose
     r1, r2 = (U @ Vt).T → r1, r2 = H[:, :2].T  # R is not a rotation
 residuals
     predicted - found → found - predicted  # other sign
-    .apply(points) + pose[3:] → .apply(points)  # example
+    .apply(points) + pose[3:] → .apply(points)  # `pose` had 0 in its last 3
 ocam_polynomial
     degree + 1) → degree)  # `degree` were smaller by 1
     np.tan(theta) → np.tan(np.degrees(theta))  # `theta` were in radians
@@ -91,7 +93,6 @@ suspect
     → np.mean([r for r, pair in zip(ratio, pairs) if camera in pair])  # *all* pairs
     min(ratio[k] for k, pair in enumerate(pairs) if camera in pair)
     → np.prod([r for r, pair in zip(ratio, pairs) if camera in pair])  # *all* pairs
-    cameras = sorted({camera for pair in pairs for camera in pair}) → cameras = range(4)  # example
 verdict
     return np.where(near, 2 → return np.where(near, 2.0  # whole numbers
 two_best
@@ -100,7 +101,7 @@ behind
     .clip(0, H - 1) →  # stopped with IndexError
     places = center + np.multiply.outer(t,
     → places = center + np.multiply.outer(1 - t,  # `center` and `points` were swapped
-    0.5) * W → 0) * W  # example
+    0.5) * W → 0) * W  # half a turn
 points_of_depth
     np.sin(phi), → -np.sin(phi),  # other sign
 """
