@@ -103,7 +103,7 @@ def open_video(path: Path, image_size: tuple[int, int] | None = None) -> cv2.Vid
 
 
 class Video:
-    """A video of one camera; its frames are counted from 0."""
+    """A video of one camera; its frames are counted from 0, or called by those of another one, see `_match_videos`."""
 
     numbered = True
 
@@ -115,10 +115,22 @@ class Video:
         if not 0 < stated <= most:
             found = f"{path} has no frames that OpenCV can read (it states {stated:.0f} in {most} bytes)"
             raise OmnistereoError(f"{found}. Convert it, such as with ffmpeg.")
-        self.files = range(int(stated))
+        self.files = {number: number for number in range(int(stated))}
 
     def use_numbers(self) -> None:
         """Call the frames by their numbers, as they are."""
+
+    def times(self) -> list[float]:
+        """Read the time stamps of all frames, milliseconds from the first; raises an `OmnistereoError` without any."""
+        video, times = open_video(self.path), list[float]()
+        while video.grab():
+            times.append(video.get(cv2.CAP_PROP_POS_MSEC))
+        if any(b <= a for a, b in pairwise(times)):
+            raise OmnistereoError(
+                f"{self.path} has another frame rate than the other videos, and no time stamps by which its frames "
+                "could be matched. Convert all to one rate, such as with ffmpeg -vf fps"
+            )
+        return [time - times[0] for time in times]
 
     def check(self, keys: Sequence[int], image_size: tuple[int, int] | None) -> None:
         """Raise an `OmnistereoError` if the frames are not of the size of the camera; how many there are is stated."""
@@ -128,10 +140,11 @@ class Video:
         """Yield some frames, in ascending order; those between are skipped, because seeking is not exact."""
         video, position = open_video(self.path, image_size), 0
         for key in keys:
-            while position < key and video.grab():
+            frame = self.files.get(key, key)
+            while position < frame and video.grab():
                 position += 1
             read, picture = video.read()
-            if not read or position < key:
+            if not read or position < frame:
                 raise OmnistereoError(f"{self.path} ends before frame {key}. Pass --stop {key}, or copy it again.")
             position += 1
             yield cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
@@ -147,11 +160,11 @@ class Video:
         return {}
 
 
-def _match_times(times: Sequence[Sequence[float]], what: str) -> list[dict[float, float]]:
+def _match_times(times: Sequence[Sequence[float]]) -> tuple[list[dict[float, float]], float, float]:
     """Pair each frame of a camera with that of the first which is nearest in time, and the reverse.
 
-    Returns for each camera: time → time in the first, where they differ by at most half of the time between frames.
-    Warns by how much they differ at most; `what` has places for this and for the time between frames.
+    Returns for each camera time → time in the first, where they differ by at most half of the time between frames; the
+    largest difference; and the time between frames.
     """
     between = min((median(b - a for a, b in pairwise(camera)) for camera in times if len(camera) > 1), default=0)
     matched, most = [], 0.0
@@ -164,16 +177,41 @@ def _match_times(times: Sequence[Sequence[float]], what: str) -> list[dict[float
         of_first = {other: (apart, time) for apart, time, other in sorted(near, reverse=True) if 2 * apart <= between}
         matched.append({time: other for other, (_, time) in of_first.items()})
         most = max([most, *(apart for apart, _ in of_first.values())])
-    if most:
-        warnings.warn(what.format(most, between), stacklevel=4)
-    return matched
+    return matched, most, between
 
 
 def _match_names(sources: Sequence[Pictures]) -> None:
     """Call frames whose names are time stamps by those of the first camera that are nearest."""
-    what = "the time stamps of a frame differ by up to {:.0f}; frames are {:.0f} apart"
-    for source, name in zip(sources, _match_times([list(s.files) for s in sources], what), strict=True):
+    matched, most, between = _match_times([list(source.files) for source in sources])
+    if most:
+        warnings.warn(
+            f"the time stamps of a frame differ by up to {most:.0f}; frames are {between:.0f} apart", stacklevel=3
+        )
+    for source, name in zip(sources, matched, strict=True):
         source.files = {name.get(time, time): path for time, path in source.files.items()}
+
+
+def _match_videos(videos: Sequence[Video]) -> None:
+    """Call the frames of videos whose rates differ by those of the first video that are nearest in time.
+
+    Time is counted from the beginning of each. Warns by how much frames of one number would be apart at the end.
+    """
+    rates = [video.fps for video in videos if video.fps]
+    last = min(len(video.files) for video in videos)
+    drift = last / min(rates, default=1) - last / max(rates, default=1)
+    if len(rates) < len(videos) or 2 * drift * max(rates) <= 1:
+        return
+    print(f"reading the times of {sum(len(video.files) for video in videos)} frames", flush=True)
+    numbers = [{time: number for number, time in enumerate(video.times())} for video in videos]
+    matched, most, between = _match_times([list(times) for times in numbers])
+    found = ", ".join(f"{video.path} has {len(video.files)} frames, {video.fps:.5g} a second" for video in videos)
+    warnings.warn(
+        f"{found}: frames of one number would be up to {drift:.2g} s apart. They are matched by time instead, to "
+        f"{most:.0f} ms; frames are {between:.0f} ms apart. All videos must begin at one moment",
+        stacklevel=3,
+    )
+    for video, own, pairs in zip(videos, numbers, matched, strict=True):
+        video.files = {numbers[0][other]: own[time] for time, other in pairs.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +227,8 @@ class Recording:
     def open(cls, paths: Sequence[Path], start: int = 0, stop: int | None = None, step: int = 1) -> Recording:
         """Match the frames of folders and videos: by number where every name ends in one, else by name.
 
-        Numbers that are time stamps are matched by nearest time, within half of the time between frames.
+        Numbers that are time stamps are matched by nearest time, within half of the time between frames, and so are
+        videos whose rates differ.
 
         Args:
             paths: One folder or video per camera, in the order of the rig.
@@ -208,6 +247,8 @@ class Recording:
                 source.use_numbers()
             if all(min(source.files) >= _FIRST_TIME for source in sources):
                 _match_names(sources)
+            if all(isinstance(source, Video) for source in sources):
+                _match_videos(sources)
         every = sorted(set().union(*(source.files for source in sources)), key=lambda key: (isinstance(key, str), key))
         missing = {s.path: gone for s in sources if (gone := [key for key in every if key not in s.files])}
         common = [key for key in every if all(key in source.files for source in sources)]

@@ -253,8 +253,8 @@ def test_pixels_that_are_not_square_are_refused(recorded, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
-def write_video(path, pictures):
-    video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), 25, pictures[0].shape[1::-1])  # lossless
+def write_video(path, pictures, fps=25):
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), fps, pictures[0].shape[1::-1])  # lossless
     for picture in pictures:
         video.write(np.stack([picture] * 3, -1))
     video.release()
@@ -273,6 +273,28 @@ def test_videos_are_recordings_too(recorded, done, tmp_path, capsys):
     of_pictures = osl.load_dataset(done)[3]  # frame 4 of the pictures, which count from 1
     agree = np.isclose(data[1].inverse_depth, of_pictures.inverse_depth, rtol=0.05, equal_nan=True)
     assert agree.mean() > 0.95
+
+
+@pytest.mark.parametrize(("rate", "apart"), [(20, 20), (30, 17), (12.5, 40)])
+def test_videos_of_unequal_rates_are_matched_by_time(tmp_path, rate, apart):
+    """The gray value of a frame is its time in hundredths of a second, which is the oracle; the first one has 25."""
+    for name, fps in (("a.mkv", 25), ("b.avi", rate)):
+        grays = [np.full((16, 16), round(100 * k / fps), np.uint8) for k in range(round(2 * fps))]
+        write_video(tmp_path / name, grays, fps)
+    drift = min(50, round(2 * rate)) * abs(1 / 25 - 1 / rate)
+    with pytest.warns(UserWarning, match=rf"25 a second, .* {rate} a second: .* up to {drift:.2g} s apart"):
+        found = Recording.open([tmp_path / "a.mkv", tmp_path / "b.avi"])
+    assert len(found.frames) == min(50, round(2 * rate))
+    times = [[int(picture[0, 0, 0]) for picture in source.read([*found.frames], None)] for source in found.sources]
+    assert np.abs(np.subtract(*times)).max() <= apart / 10 / 2 + 1
+
+
+def test_videos_that_drift_by_less_than_half_a_frame_are_matched_by_number(tmp_path, recwarn):
+    """20 frames at 25 and at 24.7 frames per second: 10 ms."""
+    for name, fps in (("a.mkv", 25), ("b.avi", 24.7)):
+        write_video(tmp_path / name, [np.zeros((16, 16), np.uint8)] * 20, fps)
+    found = Recording.open([tmp_path / "a.mkv", tmp_path / "b.avi"])
+    assert found.sources[1].files == {k: k for k in range(20)} and not recwarn
 
 
 @pytest.mark.parametrize("unit", [1, 1000], ids=["ns", "µs"])
