@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, mini
 from omnistereo_lib.calibrate.board import Board
 from omnistereo_lib.calibrate.bundle import bundle_adjust
 from omnistereo_lib.calibrate.params import CalibrationParams, Intrinsics, Observations, collect_observations
-from omnistereo_lib.calibrate.report import CameraReport, RigReport
+from omnistereo_lib.calibrate.report import CameraReport, RigReport, name_of
 from omnistereo_lib.calibrate.single_camera import calibrate_corners, check_settings, read_views
 from omnistereo_lib.calibrate.solution import Solution, distances_of
 from omnistereo_lib.errors import OmnistereoError, check_type
@@ -23,7 +23,9 @@ from omnistereo_lib.progress import Progress, silent
 _AGREE = 0.05  # radians between the directions of a corner in two cameras: rough poses are nearer, gross errors not
 _BAD_CAPTURE = 2.0  # times the error of its views in each camera by itself
 _FEW_SHARED = 5
+_SHOWN = 2  # rejected views in a message
 _MOVED = 1.5  # the same over all shared captures: then the cameras do not move as one
+_UNLIKE = 5.0  # times the median error of the other cameras
 
 
 def calibrate_rig(
@@ -84,7 +86,7 @@ def calibrate_rig(
     given: Sequence[OcamCamera | None] = [None] * len(views) if cameras is None else cameras
     if len(given) != len(views):
         raise OmnistereoError(f"there are {len(given)} given cameras for views of {len(views)}. Give one for each")
-    corners, single = [], []
+    detected, single = [], []
     for i, (row, size, camera) in enumerate(zip(views, sizes, given, strict=True), start=1):
         try:
             of_camera = _renamed(progress, f"boards of camera {i} of {len(views)}")
@@ -94,9 +96,14 @@ def calibrate_rig(
         except OmnistereoError as error:
             raise OmnistereoError(f"camera {i}: {error}") from error
         single.append(report)
-        # Drop views that the single-camera calibration rejected.
-        corners.append([view if k in report.views_used else None for k, view in enumerate(found)])
+        detected.append(found)
+    # Drop views that the single-camera calibration rejected.
+    corners = [
+        [view if k in report.views_used else None for k, view in enumerate(row)]
+        for row, report in zip(detected, single, strict=True)
+    ]
     shared = _shared_captures(corners)
+    _check_connected(shared, detected, single, names)
     T_cam_rig = _spanning_tree(shared, single, board)
     corners, rejected = _resolve_board_ambiguity(corners, single, T_cam_rig, board)
     captures = [k for k, view in enumerate(zip(*corners, strict=True)) if any(c is not None for c in view)]
@@ -145,18 +152,42 @@ def _shared_captures(corners: list[list[Floats | None]]) -> dict[tuple[int, int]
     return shared
 
 
+def _check_connected(
+    shared: dict[tuple[int, int], list[int]],
+    detected: list[list[Floats | None]],
+    single: list[CameraReport],
+    names: Sequence[str] | None,
+) -> None:
+    """Raise an `OmnistereoError` if shared captures do not connect all cameras; it names views that were rejected."""
+    adjacent = np.zeros((len(single), len(single)))
+    for pair in shared:
+        adjacent[pair] = 1
+    groups, label = connected_components(adjacent, directed=False)
+    if groups == 1:
+        return
+    cameras = [" and ".join(str(i + 1) for i in np.flatnonzero(label == group)) for group in range(groups)]
+    lost = []
+    for k, views in enumerate(zip(*detected, strict=True)):
+        seen = [i for i, view in enumerate(views) if view is not None]
+        if len({int(label[i]) for i in seen}) > 1:  # it would connect them
+            lost += [(i, k, single[i].rejected[k]) for i in seen if k in single[i].rejected]
+    remedy = (
+        "Hold it 5 times or more where a camera of each group sees all of it, and check that file names match between "
+        "cameras"
+    )
+    if lost:
+        some = "; ".join(f"camera {i + 1}, {name_of(k, names)}: {why}" for i, k, why in lost[:_SHOWN])
+        remedy = f"{len(lost)} views that would connect them were rejected, such as {some}. Take them again"
+    raise OmnistereoError(
+        f"cameras {' / '.join(cameras)} are not connected: no capture shows the board to both groups. {remedy}"
+    )
+
+
 def _spanning_tree(shared: dict[tuple[int, int], list[int]], single: list[CameraReport], board: Board) -> list[Pose]:
     """Chain relative poses from camera 1 along the pairs that share most captures; return T_cam_rig."""
     lengths = np.zeros((len(single), len(single)))
     for pair, captures in shared.items():
         lengths[pair] = 1 / len(captures)
-    groups, label = connected_components(lengths, directed=False)
-    if groups > 1:
-        names = [" and ".join(str(i + 1) for i in np.flatnonzero(label == group)) for group in range(groups)]
-        raise OmnistereoError(
-            f"cameras {' / '.join(names)} are not connected: no capture shows the board to both groups. Hold it 5 "
-            "times or more where a camera of each group sees all of it, and check that file names match between cameras"
-        )
     tree = minimum_spanning_tree(lengths)
     order, parents = breadth_first_order(tree + tree.T, 0, directed=False)
     T_cam_rig = [Pose.identity()] * len(single)
@@ -303,6 +334,14 @@ def _build_rig(
 
 
 def _rig_warnings(report: RigReport) -> Iterator[str]:
+    own = [float(np.median(np.concatenate([r.distances(k) for k in r.views_used]))) for r in report.single_camera]
+    for i, error in enumerate(own):
+        usual = float(np.median(own[:i] + own[i + 1 :]))
+        if error >= _UNLIKE * usual:
+            yield (
+                f"camera {i + 1} has a median error of {error:.2f} px by itself, {error / usual:.0f} times that of the "
+                f"others ({usual:.2f} px). Check its images for a second board, blur, and another focus or zoom"
+            )
     for i, (camera, single) in enumerate(zip(report.joint, report.single_camera, strict=True)):
         most = max((count for pair, count in report.shared.items() if i in pair), default=0)
         if most < _FEW_SHARED:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -149,7 +150,7 @@ class CameraReport(_Report):
         lines.append(f"  mean distance in px by angle (corners): {', '.join(rings)}")
         lines += [f"  {line}" for line in _rejections(self.rejected, "view", names)]
         if self.outliers:
-            worst = ", ".join(f"view {_name(v, names)} corner {k}: {px:.1f} px" for v, k, px in self.outliers[:5])
+            worst = ", ".join(f"view {name_of(v, names)} corner {k}: {px:.1f} px" for v, k, px in self.outliers[:5])
             more = f" and {len(self.outliers) - 5} more" if len(self.outliers) > 5 else ""
             lines.append(f"  corners rejected: {worst}{more}")
         return "\n".join([*lines, *(f"  warning: {warning}" for warning in self.warnings)])
@@ -238,12 +239,19 @@ class RigReport(_Report):
             lines.append(f"  camera {number}: {camera.rms_px:.3f} px rms ({single.rms_px:.3f} px by itself){pose}")
         pairs = ", ".join(f"{i + 1}-{j + 1}: {count}" for (i, j), count in sorted(self.shared.items()))
         lines.append(f"  captures shared by cameras {pairs}")
+        centers = [pose.inverse().t for pose in self.params.T_cam_rig]
+        apart = (
+            f"{i + 1}-{j + 1}: {np.linalg.norm(centers[i] - centers[j]):.3f}"
+            for i, j in combinations(range(len(centers)), 2)
+        )
+        lines.append(f"  distances in metres between cameras {', '.join(apart)}")
         lines += [f"  {line}" for line in _rejections(self.rejected, "capture", names)]
         lines += [f"  warning: {warning}" for warning in self.warnings]
         return "\n".join([*lines, *(camera.text(names) for camera in self.joint)])
 
 
-def _name(view: int, names: Sequence[str] | None) -> str:
+def name_of(view: int, names: Sequence[str] | None) -> str:
+    """Return what a view or capture is called: its name, or its index where there are no names."""
     return str(view) if names is None else names[view]
 
 
@@ -251,5 +259,5 @@ def _rejections(rejected: Mapping[int, str], noun: str, names: Sequence[str] | N
     """Return one line for each reason, with all views that were rejected for it."""
     reasons: dict[str, list[str]] = {}
     for view, why in sorted(rejected.items()):
-        reasons.setdefault(why, []).append(_name(view, names))
+        reasons.setdefault(why, []).append(name_of(view, names))
     return [f"{noun}{'s' if len(of) > 1 else ''} {', '.join(of)} rejected: {why}" for why, of in reasons.items()]

@@ -1,5 +1,7 @@
 """Calibration of rigs from corners, against poses that are known."""
 
+import re
+
 import boards
 import numpy as np
 import pytest
@@ -45,6 +47,12 @@ def test_a_rig_is_recovered_whatever_end_the_boards_are_read_from(rigged):
     assert report.rejected == {} and report.rms_px == pytest.approx(0.05, abs=0.002)
     assert set(report.shared) == {(0, 1), (0, 3), (1, 2), (2, 3)} and min(report.shared.values()) >= 5
     assert "4 cameras" in report.text() and "camera 4:" in report.text()
+    places = np.stack([pose.t for pose in boards.rig_poses()])
+    apart = dict(re.findall(r"(\d-\d): (\d\.\d{3})", report.text().split("distances in metres")[1].split("\n")[0]))
+    assert len(apart) == 6
+    for pair, metres in apart.items():
+        i, j = (int(number) - 1 for number in pair.split("-"))
+        assert float(metres) == pytest.approx(np.linalg.norm(places[i] - places[j]), abs=2 * GOOD_M)
 
 
 @pytest.mark.parametrize(("degrees", "metres"), [(1.0, 0.005), (20.0, 0.2)])
@@ -64,14 +72,18 @@ def test_a_capture_whose_board_moved_is_named_and_changes_nothing(seen_by_four, 
         assert angle < sigma_deg and shift < sigma_m
 
 
-def test_cameras_that_share_no_capture(seen_by_four):
+@pytest.mark.parametrize(
+    ("blurred", "reason"),
+    [(False, "Hold it 5 times or more"), (True, r"\d+ views .* were rejected, such as camera [34], \d+: reproj")],
+)
+def test_cameras_that_share_no_capture(seen_by_four, blurred, reason):
+    rng = np.random.default_rng(2)
     views = [list(row) for row in seen_by_four]
-    for k in range(len(views[0])):  # cameras 1 and 2 against 3 and 4
-        if (views[0][k] is not None or views[1][k] is not None) and (
-            views[2][k] is not None or views[3][k] is not None
-        ):
-            views[2][k] = views[3][k] = None
-    with pytest.raises(OmnistereoError, match="cameras 1 and 2 / 3 and 4 are not connected"):
+    for k, (a, b, c, d) in enumerate(zip(*seen_by_four, strict=True)):  # cameras 1 and 2 against 3 and 4
+        if (a is not None or b is not None) and (c is not None or d is not None):
+            for i, view in ((2, c), (3, d)):
+                views[i][k] = view + rng.normal(0, 5, view.shape) if blurred and view is not None else None
+    with pytest.raises(OmnistereoError, match=f"cameras 1 and 2 / 3 and 4 are not connected: .* {reason}"):
         osl.calibrate_rig(views, BOARD, [SIZE] * 4, degree=DEGREE)
 
 
@@ -98,15 +110,20 @@ def test_one_camera_given_twice(seen_by_four):
         osl.calibrate_rig([*seen_by_four[:2], seen_by_four[0]], BOARD, [SIZE] * 3, degree=DEGREE)
 
 
-def test_few_shared_captures_and_cameras_that_move(seen_by_four):
+def test_cameras_that_move_and_one_that_is_unlike_the_others(seen_by_four):
     rng = np.random.default_rng(16)
     views = [list(row) for row in seen_by_four]
+    views[0] = [None if view is None else view + rng.normal(0, 0.5, view.shape) for view in views[0]]
     for k in range(40, 64):  # between the exposures each board moves a little
         if views[2][k] is not None:
             azimuth = rng.uniform(0, 2 * np.pi)
             views[2][k] = views[2][k] + 3.0 * np.array([np.cos(azimuth), np.sin(azimuth)])
     text = osl.calibrate_rig(views, BOARD, [SIZE] * 4)[1].text()
     assert "taken at the same time" in text
+    # Half of the distances of Gaussian noise are below 1.18 σ.
+    error, times = map(float, re.findall(r"camera 1 has a median error of (\S+) px by itself, (\d+) times", text)[0])
+    assert error == pytest.approx(1.18 * 0.5, rel=0.1) and times == pytest.approx(10, abs=1)
+    assert text.count("has a median error of") == 1
 
 
 def test_the_uncertainty_of_a_pose_is_that_of_poses_drawn_from_the_covariance(rigged):
