@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from omnistereo_lib.geometry.rig import Rig
     from omnistereo_lib.geometry.sphere import SphereGrid
 
-_NEAR = 0.5  # metres: most images show something nearer than a few times this
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
@@ -79,7 +77,7 @@ def _check_rig(options: argparse.Namespace) -> int:
     print(*coverage.sentences(grid.min_depth), sep="\n")
     if options.coverage is not None:
         save_figure(options.coverage, coverage.figure())
-    status = _check_images(options, rig, images) if has_images else 0
+    status = _check_images(options, rig, images, grid.min_depth) if has_images else 0
     if not has_images:
         _warn_of_doubts(rig, grid.min_depth)
         print(coverage.left_out(grid))
@@ -115,8 +113,8 @@ def _depth_command(options: argparse.Namespace, grid: SphereGrid) -> str:
     return shlex.join([*words, "--spheres", str(grid.num_spheres), "--min-depth", f"{grid.min_depth:g}"])
 
 
-def _check_images(options: argparse.Namespace, rig: Rig, images: Sequence[NDArray[np.uint8]]) -> int:
-    """Check a rig against its images; return 1 if it is wrong."""
+def _check_images(options: argparse.Namespace, rig: Rig, images: Sequence[NDArray[np.uint8]], min_depth: float) -> int:
+    """Check a rig against its images, on spheres from the nearest depth of the sweep; return 1 if it is wrong."""
     from omnistereo_tools.judge.doubts import same_pictures
     from omnistereo_tools.judge.pace import progress_bar
     from omnistereo_tools.judge.rig_check import check_rig
@@ -124,17 +122,20 @@ def _check_images(options: argparse.Namespace, rig: Rig, images: Sequence[NDArra
     if same := same_pictures(images):
         print(f"FAIL  {same}")
         return 1
-    # Not a depth that comes from the baselines: it would be wrong by the same factor as they are.
-    stated = (options.min_depth, rig.min_depth, _NEAR)
-    fixed = argparse.Namespace(**vars(options) | {"min_depth": next(depth for depth in stated if depth is not None)})
-    grid = make_grid(fixed, rig)
+    grid = make_grid(argparse.Namespace(**vars(options) | {"min_depth": min_depth}), rig)
+    is_stated = options.min_depth is not None or rig.min_depth is not None
     _warn_of_doubts(rig, grid.min_depth)
     print("Trying the usual mistakes takes about 20 s:", flush=True)
-    check = check_rig(rig, images, grid, progress_bar())
+    check = check_rig(rig, images, grid, progress_bar(), with_units=is_stated)
     print("Matching cost of the rig as given, and what it would be with each of these mistakes put right:")
     for hypothesis in (check.given, *check.alternatives[:3]):
         print(f"{hypothesis.cost:.3f}  {'' if hypothesis is check.given else 'if '}{hypothesis.name}")
     print(f"{'OK  ' if check.fits else 'FAIL'}  {check.summary()}")
+    if not is_stated:
+        print(
+            "A wrong unit does not show, since no nearest depth is stated: check the distances between the cameras "
+            "above, or pass --min-depth."
+        )
     return 0 if check.fits else 1
 
 

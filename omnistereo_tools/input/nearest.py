@@ -13,9 +13,9 @@ from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.images import reduce_images
 from omnistereo_lib.stereo.methods import VIDEO_METHOD
 from omnistereo_lib.stereo.pipeline import estimate_depth
+from omnistereo_tools.judge.coverage import Coverage
 
 _WIDTH, _HEIGHT, _SPHERES = 320, 80, 64  # coarse: a tenth of a second
-_BASELINES = 1.0  # the first pass begins at the mean baseline: what is nearer, few cameras see
 _QUANTILE = 0.002  # of the confident rays: fewer are mismatches
 _MARGIN = 0.55  # for what comes nearer in the next frame, and for small things that a coarse sweep misses
 _PASSES = 2
@@ -24,8 +24,9 @@ _PASSES = 2
 def propose_min_depth(rig: Rig, images: Sequence[ArrayLike]) -> float:
     """Return a nearest depth in metres, rounded: a little less than the nearest thing that a coarse sweep finds.
 
-    The second pass sweeps from what the first one found: with fewer spheres wasted in front of it, it is sharper. Both
-    look around the horizon, where nothing is distorted; a floor that is nearer below is within the margin.
+    The first pass begins where the rig can measure, see `Coverage.nearest`; what is nearer is not found. The second
+    pass sweeps from what the first one found: with fewer spheres wasted in front of it, it is sharper. Both look around
+    the horizon, where nothing is distorted; a floor that is nearer below is within the margin.
 
     Args:
         images: one array per camera, in the order of the rig
@@ -34,7 +35,7 @@ def propose_min_depth(rig: Rig, images: Sequence[ArrayLike]) -> float:
         OmnistereoError: If the images do not fit the rig, or no two cameras see a ray.
     """
     rig, images = reduce_images(rig, images, _WIDTH / 360)
-    nearest = _BASELINES * float(rig.baselines.mean())
+    nearest = Coverage.of(rig).nearest
     for _ in range(_PASSES):
         depth = estimate_depth(
             Frame.of(rig, images), SphereGrid(_WIDTH, _HEIGHT, num_spheres=_SPHERES, min_depth=nearest), VIDEO_METHOD

@@ -85,7 +85,9 @@ class RigCheck:
         )
 
 
-def check_rig(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid, progress: Progress = silent) -> RigCheck:
+def check_rig(
+    rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid, progress: Progress = silent, with_units: bool = True
+) -> RigCheck:
     """Match the images with the rig as given and with each usual mistake undone.
 
     The images are first reduced to the resolution of the panorama, below which their detail is noise.
@@ -99,6 +101,7 @@ def check_rig(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid, progress:
         grid: A small one, such as 320 × 80 with 64 spheres. A rotated camera is found from about one pixel on, 1.1°
             here.
         progress: Called as `progress(done, total, what)`: for the mistakes, then for the cameras that may be rotated.
+        with_units: Whether to try other units. False where `min_depth` comes from the rig: it scales with the rig.
 
     Raises:
         OmnistereoError: If the images do not fit the cameras.
@@ -107,7 +110,7 @@ def check_rig(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid, progress:
     sweep = SphereSweep(rig, grid)
     cost = matching_cost(sweep, images)
     given = RigHypothesis("as given", cost, cost)
-    tried = [(name, other.T_rig_cam, images) for name, other in _other_poses(rig, grid)]
+    tried = [(name, other.T_rig_cam, images) for name, other in _other_poses(rig, grid, with_units)]
     tried += [(name, None, changed) for name, changed in _other_images(images)]
     others = []
     step = counted(progress, len(tried))
@@ -192,10 +195,10 @@ def _rotated_camera(sweep: SphereSweep, images: Sequence[ArrayLike], camera: int
     return RigHypothesis(name, float(lowest), given_cost)
 
 
-def _other_poses(rig: Rig, grid: SphereGrid) -> Iterator[tuple[str, Rig]]:
+def _other_poses(rig: Rig, grid: SphereGrid, with_units: bool) -> Iterator[tuple[str, Rig]]:
     """Yield (what is wrong with the poses, the rig with that undone)."""
     yield "the poses look inverted (rig → camera instead of camera → rig)", invert_poses(rig)
-    for factor, (small, large) in _UNITS.items():
+    for factor, (small, large) in _UNITS.items() if with_units else ():
         far = f"or nothing is nearer than {factor * grid.min_depth:g} m (then raise min_depth)"
         long = f"the translations look {factor} times too long ({small} read as {large}?), {far}"
         yield long, scale_translations(rig, 1 / factor)

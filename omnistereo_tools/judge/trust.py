@@ -10,12 +10,14 @@ from scipy.sparse.csgraph import connected_components
 
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.methods import Method
+from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.output.blend import BRIGHTEST, DARKEST
 from omnistereo_tools.output.mesh_export import is_connected
 
 DOUBTFUL = 0.5  # trust below which a depth is about as likely wrong as right
 _SPHERES = 20  # from infinity on: two spheres, of which the confidence of a network speaks, are a tenth of the depth
 _AROUND = 5  # rays
+_LOOKED_AT = 16  # spheres, where a ray is looked up in the cameras: their views end smoothly
 _FLOATING_SIZE, _FLOATING_TRUST = 0.01, 0.7  # of all rays; mean
 _ALL_AROUND = 0.85  # of the edge of a thing, if that thing is in front
 _RATIO_SPHERES = 4  # the same for the ratio of costs, which speaks of no distance
@@ -31,8 +33,9 @@ def trust(depth: Depth, method: str | Method) -> NDArray[np.float32]:
     two spheres and a tenth of the depth, at all ranges.
 
     Trust is 0 where there is no evidence: where fewer than two cameras see anything but black or white, on the last two
-    spheres, since things may be nearer still, and where there is no depth. It is halved for small things in mid-air of
-    which no part is trusted much, see `_floating`.
+    spheres, since things may be nearer still, and where there is no depth. It is halved where a nearer thing could not
+    be found, since fewer than two cameras would see it, and for small things in mid-air of which no part is trusted
+    much, see `_floating`.
     """
     grid, method = depth.grid, Method.parse(method)
     step = (1 / grid.min_depth - 1 / grid.max_depth) / (grid.num_spheres - 1)
@@ -40,7 +43,23 @@ def trust(depth: Depth, method: str | Method) -> NDArray[np.float32]:
     exponent = np.sqrt(np.maximum(spheres / _SPHERES, 1)) if method.reads_out else spheres / _RATIO_SPHERES
     evidence = depth.valid & (depth.index <= grid.num_spheres - 3) & _is_lit(depth)
     found = np.where(evidence, 1 - (1 - depth.confidence.clip(0, 1)) ** exponent, 0)
-    return np.where(_floating(depth, found), DOUBTFUL * found, found).astype(np.float32)
+    doubtful = _floating(depth, found) | may_be_nearer(depth)
+    return np.where(doubtful, DOUBTFUL * found, found).astype(np.float32)
+
+
+def may_be_nearer(depth: Depth) -> NDArray[np.bool_]:
+    """Return where a nearer sphere is seen by fewer than two cameras, so that a thing there is not found, (H, W)."""
+    unseen = depth.sweep.keep("unseen", lambda: _nearest_unseen(depth.sweep))
+    return np.nan_to_num(depth.index, nan=np.inf) < unseen
+
+
+def _nearest_unseen(sweep: SphereSweep) -> NDArray[np.float64]:
+    """Return the number of the nearest sphere on which fewer than two cameras see a ray, -1 without any, (H, W)."""
+    nearest = np.full(sweep.grid.shape, -1.0)
+    for n in np.linspace(0, sweep.grid.num_spheres - 1, _LOOKED_AT):
+        seen = sum(sweep.project_sphere(camera, n)[1].astype(int) for camera in range(len(sweep.rig)))
+        nearest = np.where(seen < 2, n, nearest)
+    return nearest
 
 
 def _floating(depth: Depth, found: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -8,10 +8,12 @@ from numpy.typing import NDArray
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.metrics import index_error
+from omnistereo_tools.judge.trust import may_be_nearer
 from omnistereo_tools.output.points import Limits
 
 _FEW = 0.002  # of the rays: fewer are noise, not a thing
 _NEAR = 0.1  # of the rays
+_UNSEEN = 0.05  # of the rays: worth saying
 _NEARER = 0.9  # of a depth: worth saying
 _MARGIN = 0.8  # of the nearest depth: room for what comes nearer in the next frame
 
@@ -59,9 +61,11 @@ def _doubt_sentence(depth: Depth, doubtful: NDArray[np.bool_], nearest: float, s
         return []
     share, of_near, near = doubt_shares(depth.depth, doubtful)
     nearer = f" If they are right, the nearest thing is {metres(nearest)} away." if nearest < _NEARER * sure else ""
+    unseen = float(may_be_nearer(depth).mean())
+    hidden = f" On {100 * unseen:.0f} % only one camera would see a nearer thing." if unseen > _UNSEEN else ""
     return [
         f"Doubtful are {share:.0f} % of the rays, and {of_near:.0f} % of the nearest tenth, up to {metres(near)}: they "
-        f"stay in the files, marked, and are faded in the pictures.{nearer}"
+        f"stay in the files, marked, and are faded in the pictures.{hidden}{nearer}"
     ]
 
 

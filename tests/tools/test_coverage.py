@@ -65,6 +65,25 @@ def angle(a, b):
     return np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1))
 
 
+def test_depth_is_good_from_where_the_views_of_a_point_are_30_degrees_apart():
+    """A pair b apart sees the point straight ahead at d from directions 2 atan(b / 2d) apart."""
+    coverage = Coverage.of(rig_of([0, 0, 0, -0.1, 0, 0], [0, 0, 0, 0.1, 0, 0]))
+    good = coverage.good_from
+    assert good[14:16, 29:31] == pytest.approx(0.1 / np.tan(np.radians(15)), rel=0.06)
+    assert np.isinf(good[14:16, :8]).all()  # behind both
+    assert coverage.nearest < np.median(good[np.isfinite(good)])
+    far = Coverage.of(rig_of([0, 0, 0, -1.0, 0, 0], [0, 0, 0, 1.0, 0, 0]))
+    np.testing.assert_allclose(far.good_from, 10 * good)  # depth scales with the rig
+    assert far.nearest == pytest.approx(10 * coverage.nearest, rel=0.05)
+    assert "Depth can be measured ahead from 0.3" in " ".join(coverage.sentences())
+
+
+def test_cameras_at_one_place_are_told():
+    coverage = Coverage.of(rig_of([0] * 6, [0, 1, 0, 0, 0, 0]))
+    with pytest.raises(osl.OmnistereoError, match="all cameras are at one place: they see no depth"):
+        coverage.propose()
+
+
 def test_a_forward_pair_has_no_row_with_depth_all_around():
     coverage = Coverage.of(rig_of([0, 0, 0, -0.1, 0, 0], [0, 0, 0, 0.1, 0, 0], fov=120.0))
     assert coverage.rows() is None and coverage.propose(640).phi_deg == (-45, 45)

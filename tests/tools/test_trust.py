@@ -9,9 +9,9 @@ import scene
 import omnistereo_lib as osl
 from omnistereo_lib.evaluate.run import DATA
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_tools.judge.trust import DOUBTFUL, trust
+from omnistereo_tools.judge.trust import DOUBTFUL, may_be_nearer, trust
 
-GRID = osl.SphereGrid(160, 40, num_spheres=192, min_depth=0.3)
+GRID = osl.SphereGrid(160, 40, num_spheres=192, min_depth=0.9)  # all of which two cameras see
 
 
 @pytest.fixture(scope="module")
@@ -33,6 +33,28 @@ def test_it_is_judged_at_equal_range(box, method):
     assert near > middle > far == pytest.approx(0.3, abs=1e-6) and near > DOUBTFUL
     assert trust_at(60, 0.5, method, box) > middle  # and grows with the confidence
     assert trust_at(190.0, 1.0, method, box) == 0  # on the last spheres: it may be nearer
+
+
+def test_where_a_nearer_thing_would_be_seen_by_one_camera_only_it_is_doubtful():
+    """Two cameras 0.6 m apart that look along +z, of 150°: each sees a cone of 75°."""
+    lens = scene.camera(200, 192, 150)
+    rig = osl.Rig([lens] * 2, [osl.Pose.from_vector([0, 0, 0, x, 0, 0]) for x in (-0.3, 0.3)])
+    grid = osl.SphereGrid(160, 40, num_spheres=64, min_depth=0.5)
+    found = 4.0  # metres
+    images = [np.full((192, 200), 128.0)] * 2
+    index = np.full(grid.shape, grid.depth_to_index(found))
+    depth = osl.Depth(index, np.ones(grid.shape), SphereSweep(rig, grid), images)
+    rays, counts = grid.rays(), []
+    for d in np.linspace(grid.min_depth, found, 100):
+        points = [d * rays - [x, 0, 0] for x in (-0.3, 0.3)]
+        counts.append(sum(p[..., 2] / np.linalg.norm(p, axis=-1) > np.cos(np.radians(75)) for p in points))
+    hidden = np.min(counts, axis=0) < 2
+    seen = counts[-1] == 2  # at the depth found
+    assert (may_be_nearer(depth) == hidden)[seen].mean() > 0.97 and 0.02 < hidden[seen].mean() < 0.5
+    trusted = trust(depth, "volumenet")
+    assert (
+        trusted[may_be_nearer(depth)].max() == DOUBTFUL and (trusted[seen & ~may_be_nearer(depth)] == 1).mean() > 0.95
+    )
 
 
 def test_black_and_white_are_no_evidence(box):
