@@ -205,9 +205,9 @@ class Coverage:
             known = sector[np.isfinite(sector)]
             share = 100 * known.size / sector.size
             some = f" ({share:.0f} % of it)" if share < 99 else ""
-            parts.append(f"{name}{some} from {np.median(known):.2g} m" if known.size else f"{name} nowhere")
+            parts.append(f"{name}{some} from {np.median(known):.2g} m on" if known.size else f"{name} nowhere")
         return (
-            f"Depth can be measured {', '.join(parts)} on: nearer, only one camera sees a surface, or two do from more "
+            f"Depth can be measured {', '.join(parts)}. Nearer, only one camera sees a surface, or two do from more "
             "than 30° apart."
         )
 
