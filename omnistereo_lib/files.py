@@ -2,6 +2,7 @@
 
 import glob
 import json
+import math
 import os
 import re
 import stat
@@ -12,22 +13,23 @@ from io import BytesIO
 from pathlib import Path
 from secrets import token_hex
 from tempfile import TemporaryFile
-from threading import Lock
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.containers import ContainerError, check_container, check_density, check_pixels
 from omnistereo_lib.errors import OmnistereoError, shortened
 
+MAX_PIXELS = 1 << 26  # of a picture or panorama: decoding one takes less than a gigabyte
+_MAX_SIDE = 100_000
+_MAX_SCANS = 64  # of a JPEG, whose decoder goes over the whole picture for each of its scans
 _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "PPM", "WEBP")  # as Pillow calls them
-_STDERR = Lock()  # of the whole process
-# What the libraries print that OpenCV decodes by: warnings of libjpeg, libpng, FFmpeg.
-_OF_DECODERS = re.compile(
-    rb"Corrupt JPEG|Premature end|Inconsistent progression|Invalid SOS|Unsupported marker|Unknown Adobe|"
-    rb"Warning: unknown JFIF|Invalid component|libpng|\[[a-z0-9_,]+ @ "
-)
+_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "I;16", "I;16B", "I;16L", "I;16N")  # as Pillow calls them
+_COLOR_SPACES = {"CMYK": "CMYK colours", "LAB": "CIELAB colours", "YCbCr": "YCbCr colours", "HSV": "HSV colours"}
+_COLOR_SPACES |= {"F": "floating-point numbers", "I": "integers of 32 bits"}
+_NETPBM = re.compile(rb"P([2356])" + 3 * rb"(?:\s|#[^\n]*\n)+([0-9]{1,6})" + rb"\s")  # width, height, largest value
+_ORIENTATION, _BITS, _PLANAR = 274, 258, 284  # tags of TIFF, the first of EXIF, too
+_remarked: set[tuple[Path, str]] = set()  # what has been said of the pictures of a folder
 _made: list[Path] = []  # folders that `make_folder` has made
 _BROKEN = (ValueError, TypeError, AttributeError, LookupError, ArithmeticError, RecursionError)  # of the two parsers
 _STALE = 3600.0  # seconds; no single file takes so long to write
@@ -201,73 +203,158 @@ def _expanded(node: Any, known: dict[int, float]) -> float:
     return known[id(node)]
 
 
-def read_pixels(path: str | Path, flags: int, image_size: tuple[int, int] | None = None) -> NDArray[Any]:
-    """Decode an image file with OpenCV; `flags` select depth and colour, see `cv2.imdecode`.
+def open_picture(path: str | Path) -> tuple[bytes, Any]:
+    """Return the content of an image file and what Pillow reads of its header, whose pixels are not decoded yet.
 
-    Raises an `OmnistereoError` if the file is missing, not an image, of another size (width, height) than expected,
-    larger than any picture, damaged or truncated: OpenCV would fill it with gray. Warns if it is damaged where only
-    the decoder can tell.
+    Raises an `OmnistereoError` if the file is missing, not an image, larger than any picture, or damaged where that
+    shows without decoding it.
     """
-    import cv2
+    from PIL import Image, UnidentifiedImageError
 
-    content = check_image(path, image_size)
-    try:
-        with decoder_messages() as said:
-            pixels = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
-    except cv2.error:  # the header states an absurd size
-        pixels = None
-    if pixels is None:
-        raise _not_an_image(path, content)
-    if damage := [line for line in said if "Corrupt JPEG" in line or "libpng error" in line]:
-        message = f"{path} is damaged, so that a part of the picture may be wrong ({damage[0]}). Copy it again"
-        warnings.warn(message, UserWarning, stacklevel=3)
-    return pixels
-
-
-def check_image(path: str | Path, image_size: tuple[int, int] | None = None) -> bytes:
-    """Return the content of an image file, checked as far as it can be without decoding; raises as `read_pixels`."""
     content = read_bytes(path)
     try:
-        size = _read_header(path, content)
-        check_size(path, size, image_size)  # a small file can hold a large picture
-        check_pixels(*size)
-    except ContainerError as error:
-        raise OmnistereoError(f"{path} is {error}. Copy it again.") from None
-    return content
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            Image.open(BytesIO(content), formats=_FORMATS).verify()  # the checksums of a PNG
+            picture = Image.open(BytesIO(content), formats=_FORMATS)
+            orientation = Image.Image.getexif(picture).get(_ORIENTATION, 1)  # that of PNG decodes
+            if orientation != 1 and picture.format == "TIFF":
+                content = _not_turned(content)
+                picture = Image.open(BytesIO(content), formats=_FORMATS)
+    except Image.DecompressionBombError as error:
+        raise OmnistereoError(f"{path} is too large for a picture: {error}") from None
+    except UnidentifiedImageError:
+        found = f"{path} is not an image ({len(content)} bytes)"
+        raise OmnistereoError(f"{found}; expected one of {', '.join(_FORMATS)}") from None
+    except Exception as error:  # of many types
+        raise _damaged_picture(path, error) from None
+    if picture.width * picture.height > MAX_PIXELS or max(picture.size) > _MAX_SIDE:
+        raise OmnistereoError(f"{path} is too large for a picture: {picture.width} × {picture.height} pixels")
+    if picture.format == "JPEG" and not (b"\xff\xd9" in content[-64:] and content.count(b"\xff\xda") <= _MAX_SCANS):
+        raise _damaged_picture(path, "without the marker of its end, or of too many scans")
+    if orientation != 1:
+        _remark(
+            path,
+            f"is marked as turned or mirrored (orientation {orientation}); its pixels are taken as they are "
+            "stored, as a calibration means them. If yours means the turned picture, store that without the mark",
+        )
+    return content, picture
 
 
-@contextmanager
-def decoder_messages() -> Iterator[list[str]]:
-    """Collect the lines that a decoder, which is written in C, prints to the standard error output of the process.
+def check_image(path: str | Path, image_size: tuple[int, int] | None = None) -> tuple[bytes, Any]:
+    """Return what `open_picture` does of a picture of gray or RGB values and of a size (width, height), if given.
 
-    What other threads print meanwhile appears afterwards.
+    Raises an `OmnistereoError` if it has others, or as `open_picture`.
     """
-    from cv2.utils import logging
-
-    said: list[str] = []
-    with _STDERR, TemporaryFile() as file:
-        try:
-            kept = os.dup(2)
-        except OSError:  # it is closed
-            yield said
-            return
-        level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)  # OpenCV's own log
-        try:
-            os.dup2(file.fileno(), 2)
-            yield said
-        finally:
-            logging.setLogLevel(level)
-            os.dup2(kept, 2)
-            os.close(kept)
-        file.seek(0)
-        lines = file.read().splitlines(keepends=True)
-        said += [line.decode(errors="replace").strip() for line in lines if _OF_DECODERS.match(line)]
-        with suppress(OSError):
-            os.write(2, b"".join(line for line in lines if not _OF_DECODERS.match(line)))  # of other threads
+    content, picture = open_picture(path)
+    check_size(path, picture.size, image_size)
+    if picture.mode not in _MODES and picture.format != "PPM":
+        found = _COLOR_SPACES.get(picture.mode, f"values of the kind {picture.mode}")
+        raise OmnistereoError(f"{path} holds {found}; expected gray or RGB values of 8 or 16 bits. Convert it.")
+    if picture.mode in ("RGBA", "LA", "PA"):
+        _remark(path, "has transparency, which is ignored")
+    if (more := pages_of(path, picture) - 1) > 0:
+        _remark(path, f"has {more} more {'page, which is' if more == 1 else 'pages, which are'} ignored")
+    return content, picture
 
 
-if hasattr(os, "register_at_fork"):  # no child is born while its error output leads elsewhere
-    os.register_at_fork(before=_STDERR.acquire, after_in_parent=_STDERR.release, after_in_child=_STDERR.release)
+def pages_of(path: str | Path, picture: Any) -> int:
+    """Return how many pages a picture has; an `OmnistereoError` says that one does not lead to the next."""
+    try:
+        return int(getattr(picture, "n_frames", 1))
+    except Exception as error:  # of many types
+        raise _damaged_picture(path, error) from None
+
+
+def read_pixels(path: str | Path, image_size: tuple[int, int] | None = None) -> NDArray[Any]:
+    """Return the pixels of an image file as they are stored: (height, width) or RGB, (height, width, 3).
+
+    They are uint8, or uint16 where the file has more bits. Raises an `OmnistereoError` as `check_image`, or if the
+    pixels are damaged. A JPEG that is damaged in the middle is read as far as it can be, with a warning.
+    """
+    return _read_pixels(path, image_size)[0]
+
+
+def _read_pixels(path: str | Path, image_size: tuple[int, int] | None) -> tuple[NDArray[Any], int | None]:
+    """Return what `read_pixels` does, and the value that means white; None: 16 bits, which may not all be used."""
+    content, picture = check_image(path, image_size)
+    try:
+        if picture.format == "JPEG":
+            return _decode_jpeg(path, content, picture.mode), 255
+        if netpbm := _NETPBM.match(content):
+            return _decode_netpbm(content, netpbm), int(netpbm[4])
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            pixels = _decode(content, picture)
+        return pixels, 255 if pixels.dtype == np.uint8 else None
+    except Exception as error:  # of many types
+        raise _damaged_picture(path, error) from None
+
+
+def _decode_jpeg(path: str | Path, content: bytes, mode: str) -> NDArray[np.uint8]:
+    """Return the pixels of a JPEG; warn if it is damaged, which other decoders print or keep for themselves."""
+    from simplejpeg import decode_jpeg
+
+    space = "GRAY" if mode == "L" else "RGB"
+    try:
+        pixels = decode_jpeg(content, space)
+    except ValueError as error:
+        pixels = decode_jpeg(content, space, strict=False)
+        _remark(path, f"is damaged, so that a part of the picture may be wrong ({error}). Copy it again")
+    return pixels[..., 0] if mode == "L" else pixels
+
+
+def _decode_netpbm(content: bytes, header: re.Match[bytes]) -> NDArray[Any]:
+    """Return the pixels of a PGM or PPM, as text or bytes; raises a `ValueError` if there are too few or too large."""
+    kind, width, height, most = header[1], *map(int, header.groups()[1:])
+    shape = (height, width) if kind in b"25" else (height, width, 3)
+    count = math.prod(shape)
+    if kind in b"23":
+        values = np.array(re.sub(rb"#.*", b"", content[header.end() :]).split(None, count)[:count]).astype(np.uint16)
+    else:
+        values = np.frombuffer(content, ">u2" if most > 255 else np.uint8, count, header.end())
+    if values.max() > most:
+        raise ValueError(f"a value of {values.max()}, where {most} is the largest")
+    return values.astype(np.uint8 if most <= 255 else np.uint16).reshape(shape)
+
+
+def _decode(content: bytes, picture: Any) -> NDArray[Any]:
+    """Return the pixels of a picture; Pillow reads all, and only checks colours of 16 bits, which it would round."""
+    import cv2
+
+    tags = getattr(picture, "tag_v2", {})  # of a TIFF
+    is_deep = ";16" in str(picture.tile) or max(tags.get(_BITS, (8,))) > 8
+    if is_deep and tags.get(_PLANAR) == 2:
+        raise ValueError("colours of 16 bits that are stored apart")
+    picture.load()
+    if is_deep and not picture.mode.startswith("I"):
+        return np.asarray(cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED))[..., 2::-1]
+    if not picture.mode.startswith("I"):
+        picture = picture.convert("L" if picture.mode in ("1", "L", "LA") else "RGB")
+    pixels = np.asarray(picture)
+    return pixels.astype(pixels.dtype.newbyteorder("="))
+
+
+def _not_turned(content: bytes) -> bytes:
+    """Return a TIFF without its mark that it is turned, which decoders would follow."""
+    import tifffile
+
+    file = BytesIO(content)
+    with tifffile.TiffFile(file, mode="r+") as tiff:
+        tiff.pages.first.tags[_ORIENTATION].overwrite(1)
+    return file.getvalue()
+
+
+def _damaged_picture(path: str | Path, reason: object) -> OmnistereoError:
+    return OmnistereoError(f"{path} is damaged, truncated or of an unusual form ({reason}). Copy or convert it.")
+
+
+def _remark(path: str | Path, what: str) -> None:
+    """Warn of something in a picture, once for all pictures of its folder."""
+    place = (Path(path).parent, what)
+    if place not in _remarked:
+        _remarked.add(place)
+        warnings.warn(f"{path} {what}", UserWarning, stacklevel=2)
 
 
 def check_size(path: str | Path, found: tuple[int, int], expected: tuple[int, int] | None) -> None:
@@ -279,47 +366,23 @@ def check_size(path: str | Path, found: tuple[int, int], expected: tuple[int, in
         )
 
 
-def _not_an_image(path: str | Path, content: bytes) -> OmnistereoError:
-    return OmnistereoError(f"{path} is not an image ({len(content)} bytes); expected one of {', '.join(_FORMATS)}")
+def read_image(path: str | Path, image_size: tuple[int, int] | None = None) -> NDArray[Any]:
+    """Read an image: (height, width) if it is gray, else (height, width, 3) in RGB, of values from 0 to 255.
 
-
-def _read_header(path: str | Path, content: bytes) -> tuple[int, int]:
-    """Return width and height as the header states them; warn of what OpenCV leaves out.
-
-    Raises an `OmnistereoError` if it cannot be read or the pixels are no integers, a `ContainerError` if what it states
-    does not fit into the file.
+    They are uint8, or float32 where the file has other than 8 bits. Of a file of 16 bits white is its largest value of
+    8, 10, 12, 14 or 16 bits, as many as its pixels use; PGM and PPM state it. `image_size` is the width and height that
+    it must have, compared before it is decoded. A mark that it is turned (EXIF, TIFF) is ignored: calibrations refer to
+    the pixels of the sensor. Raises as `read_pixels`.
     """
-    from PIL import Image
-
-    pages = check_container(content)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            image = Image.open(BytesIO(content), formats=_FORMATS)
-            size, mode, pages = image.size, image.mode, pages or getattr(image, "n_frames", 1)
-    except Image.DecompressionBombError as error:
-        raise OmnistereoError(f"{path} is too large for a picture: {error}") from None
-    except Exception:  # it raises many types for a damaged file
-        raise _not_an_image(path, content) from None
-    check_density(*size, image.format, content)
-    if mode == "F":
-        raise OmnistereoError(f"{path} holds floating-point numbers; expected a picture of 8 or 16 bits")
-    if mode in ("RGBA", "LA", "PA") or pages > 1:
-        more = "1 more page, which is" if pages == 2 else f"{pages - 1} more pages, which are"
-        warnings.warn(f"{path} has {'transparency, which is' if pages == 1 else more} ignored", stacklevel=5)
-    return size
-
-
-def read_image(path: str | Path, image_size: tuple[int, int] | None = None) -> NDArray[np.uint8]:
-    """Read an image, uint8: (height, width) if it is gray, else (height, width, 3) in RGB.
-
-    `image_size` is the width and height that it must have, compared before it is decoded. The EXIF orientation is
-    ignored: calibrations refer to the pixels of the sensor. Raises as `read_pixels`.
-    """
-    import cv2
-
-    image = read_pixels(path, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION, image_size)
-    return np.asarray(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
+    pixels, white = _read_pixels(path, image_size)
+    if white == 255:
+        return pixels
+    if white is None:
+        bits = next(bits for bits in (8, 10, 12, 14, 16) if pixels.max() < 1 << bits)
+        white = (1 << bits) - 1
+        if bits < 16:
+            _remark(path, f"uses {bits} of its 16 bits, so that {white} is taken as white. A PGM or PPM can state it")
+    return pixels * np.float32(255 / white)
 
 
 def read_gray(path: str | Path, image_size: tuple[int, int]) -> NDArray[np.uint8]:
@@ -425,8 +488,7 @@ def remove_empty_folders() -> None:
 def is_whole(path: str | Path) -> bool:
     """Return whether an image file is there and complete, as far as can be seen without decoding it."""
     try:
-        content = read_bytes(path)
-        check_container(content)
-        return len(content) > 0
-    except (OmnistereoError, ContainerError):
+        open_picture(path)
+    except OmnistereoError:
         return False
+    return True

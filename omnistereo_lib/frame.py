@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence, Sized
-from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.consumer_images import check_not_stitched, split_image
-from omnistereo_lib.containers import ContainerError, tiff_pages
 from omnistereo_lib.errors import OmnistereoError, check_type, shortened
-from omnistereo_lib.files import as_path, atomic_write, decoder_messages, read_bytes, read_image, read_pixels
+from omnistereo_lib.files import MAX_PIXELS, as_path, atomic_write, open_picture, pages_of, read_image, read_pixels
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import Sampling, SphereGrid
+from omnistereo_lib.lazy import lazy_property
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +50,12 @@ class Frame:
         frame.__dict__["images"] = check_images(images, rig)  # where the cached property keeps them
         return frame
 
-    @cached_property
+    @lazy_property
     def images(self) -> list[NDArray[Any]]:
         """One array per camera, (height, width) or (height, width, 3) in RGB; read on first use."""
         return load_images(self.image_paths, self.rig)
 
-    @cached_property
+    @lazy_property
     def inverse_depth(self) -> NDArray[np.float32]:
         """Ground truth, 1/m from the rig centre along each ray, 0 = sky, NaN = unknown; read on first use.
 
@@ -156,28 +154,22 @@ def write_inverse_depth(path: str | Path, inverse_depth: NDArray[Any]) -> None:
 
 
 def _read_float_tiff(path: Path) -> NDArray[Any]:
-    import cv2
-
-    content = read_bytes(path)
+    _, picture = open_picture(path)
+    floats = []
     try:
-        floats = [k for k, page in enumerate(tiff_pages(content)) if page.is_float]
-    except ContainerError as error:
-        raise OmnistereoError(f"{path} is not a complete TIFF file: it is {error}. Copy it again.") from None
-    if len(floats) != 1:
-        raise OmnistereoError(f"{path} has {len(floats)} float pages; expected one, of inverse depth in 1/m")
-    with decoder_messages(), suppress(cv2.error):
-        read, pages = cv2.imdecodemulti(
-            np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED, range=(floats[0], floats[0] + 1)
-        )
-        if read:
-            return pages[0]
-    raise OmnistereoError(f"{path} is not a complete TIFF file: its pixels cannot be decoded. Copy it again.")
+        for page in range(pages_of(path, picture)):
+            picture.seek(page)
+            floats += [page] if picture.mode == "F" and picture.width * picture.height <= MAX_PIXELS else []
+        if len(floats) == 1:
+            picture.seek(floats[0])
+            return np.array(picture)
+    except Exception as error:  # of many types
+        raise OmnistereoError(f"{path} is not a complete TIFF file ({error}). Copy it again.") from None
+    raise OmnistereoError(f"{path} has {len(floats)} float pages; expected one, of inverse depth in 1/m")
 
 
 def _read_png16(path: Path, min_depth: float | None) -> NDArray[np.float64]:
-    import cv2
-
-    steps = read_pixels(path, cv2.IMREAD_UNCHANGED)
+    steps = read_pixels(path)
     if steps.ndim != 2 or steps.dtype != np.uint16:
         found = f"{steps.dtype} of shape {steps.shape}"
         raise OmnistereoError(f"{path} holds {found}; expected 16-bit gray steps of inverse depth")

@@ -1,6 +1,31 @@
-"""`python -m omnistereo_tools COMMAND`, the same as `omnistereo COMMAND`."""
+"""`omnistereo COMMAND` and `python -m omnistereo_tools COMMAND`."""
 
-from omnistereo_tools.cli import main
+import os
+import signal
+import sys
+from types import FrameType
+
+
+def start() -> int:
+    """Run the command line; a process that is stopped while modules load, or after the command, ends quietly."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _leave)
+    try:
+        from omnistereo_tools.cli import main
+    except ValueError as error:
+        print(f"error: {error}. Check the variables of the environment, such as TQDM_…", file=sys.stderr)
+        return 2
+    status = main()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_DFL)
+    return status
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    """End at once: an exception would go through modules that are half loaded, and come out as another one."""
+    os.write(2, b"interrupted\n")
+    os._exit(128 + number)
+
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    raise SystemExit(start())

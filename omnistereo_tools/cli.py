@@ -14,11 +14,12 @@ from contextlib import contextmanager, suppress
 from difflib import get_close_matches
 from io import TextIOWrapper
 from pathlib import Path
+from types import FrameType
 from typing import NoReturn
 
 from tqdm import tqdm
 
-from omnistereo_lib.errors import EXIT_STATUS, OmnistereoError, one_line
+from omnistereo_lib.errors import EXIT_STATUS, OmnistereoError, one_line, shortened
 from omnistereo_tools.commands import (
     calibrate_command,
     demo_command,
@@ -56,8 +57,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         try:
             check_address_space()
+            _check_environment()
             options = shrink(_parse(list(sys.argv[1:] if arguments is None else arguments)))
-            with _stopped_by_sigterm(), warnings.catch_warnings():
+            with _stoppable(), warnings.catch_warnings():
                 warnings.showwarning = lambda message, *_: _say(f"warning: {message}")
                 return options.run(options) or 0
         finally:
@@ -99,24 +101,45 @@ class _Terminated(KeyboardInterrupt):
 
 
 @contextmanager
-def _stopped_by_sigterm() -> Iterator[None]:
-    """Let SIGTERM end a command like Ctrl-C; only the main thread can."""
+def _stoppable() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM end a command alike, at once while it loads modules; only the main thread can."""
 
-    def stop(*_: object) -> None:
-        raise _Terminated
+    def stop(number: int, frame: FrameType | None) -> None:
+        while frame is not None:
+            if frame.f_code.co_filename.startswith("<frozen importlib"):
+                _say("interrupted")
+                os._exit(128 + number)  # an exception would go through modules that are half loaded
+            frame = frame.f_back
+        raise _Terminated if number == signal.SIGTERM else KeyboardInterrupt
 
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGTERM, stop)
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _check_environment() -> None:
+    """Raise an `OmnistereoError` for what libraries answer with a traceback when they are loaded; draw into files."""
+    os.environ |= {"MPLBACKEND": "agg", "MATPLOTLIBRC": os.devnull}
+    threads = os.environ.get("NUMBA_NUM_THREADS", "1")
+    if not re.fullmatch("[1-9][0-9]{0,3}", threads):
+        raise OmnistereoError(f"NUMBA_NUM_THREADS in the environment is {shortened(threads)}; expected 1 to 9999")
+    try:
+        os.getcwd()
+    except OSError:
+        raise OmnistereoError("the working folder is not there any more. Change to another one") from None
 
 
 def _say(line: str) -> None:
-    print(one_line(line), file=sys.stderr)
+    try:
+        print(one_line(line), file=sys.stderr, flush=True)
+    except OSError:  # it is full or closed; what it has not taken would fail again at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
 
 
 def _stop(line: str, status: int) -> int:

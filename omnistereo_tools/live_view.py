@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import decoder_messages
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.methods import Method
@@ -153,8 +152,7 @@ def _open(source: int | str, image_size: tuple[int, int]) -> cv2.VideoCapture:
     """Open a video, or a camera, which is asked for the size of the images of the rig."""
     if isinstance(source, str):
         return open_video(Path(source), image_size)
-    with decoder_messages():
-        capture = cv2.VideoCapture(source)
+    capture = cv2.VideoCapture(source)
     if not capture.isOpened():
         raise OmnistereoError(f"camera {source} cannot be opened. Check that it exists and is not in use.")
     capture.set(cv2.CAP_PROP_FRAME_WIDTH, image_size[0])

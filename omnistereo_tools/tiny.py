@@ -23,7 +23,7 @@ def shrink(settings: Any) -> Any:
     if not is_tiny() or "width" not in known:
         return settings
     capped = {name: min(known[name], most) for name, most in _CAPS.items() if name in known}
-    if known["height"] is not None:
+    if known["height"] is not None and known["width"] > 0:
         capped["height"] = max(1, round(known["height"] * capped["width"] / known["width"]))
     if isinstance(settings, argparse.Namespace):
         print("OMNISTEREO_TINY is set: the results are too small to mean anything", file=sys.stderr)

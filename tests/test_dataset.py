@@ -274,7 +274,7 @@ def test_png_counts_in_steps_of_the_nearest_depth(tmp_path):
     ("name", "content", "message"),
     [
         ("a.tiff", None, "cannot be read: No such file"),
-        ("a.tiff", b"hello", "is not a complete TIFF file"),
+        ("a.tiff", b"hello", "is not an image"),
         ("a.png", b"hello", "is not an image"),
     ],
 )

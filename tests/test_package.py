@@ -15,7 +15,7 @@ LIBRARY = ROOT / "omnistereo_lib"
 
 # A file imports from its own folder and from those of the lines above. Function-level imports count.
 LAYERS = """
-errors containers progress
+errors lazy progress
 files
 geometry
 reference

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from numbers import Real
 from typing import Any
 
@@ -20,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from omnistereo_lib.calibrate.board import Board, Gray, as_gray, check_edge
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Floats, Pose
+from omnistereo_lib.lazy import lazy_property
 
 _CLASSIC = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 _SMALL = 640  # px: the longer side of the copies on which thresholds are tried one by one
@@ -64,13 +64,13 @@ class Checkerboard(Board):
         columns, rows = self.corners
         return f"of {columns} x {rows} inner corners, squares of {1000 * self.square:g} mm"
 
-    @cached_property
+    @lazy_property
     def points(self) -> Floats:
         """Corners in the board frame, shape (K, 3), metres, row by row, columns fastest."""
         x, y = np.meshgrid(np.arange(self.corners[0]), np.arange(self.corners[1]))
         return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]).astype(np.float64) * self.square
 
-    @cached_property
+    @lazy_property
     def symmetries(self) -> tuple[NDArray[np.int64], ...]:
         """Corner permutations that leave the pattern unchanged, each of shape (K,); identity first.
 

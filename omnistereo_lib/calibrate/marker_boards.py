@@ -6,7 +6,6 @@ Each corner is known by its marker, so that a part of the board is enough: at th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import cv2
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from omnistereo_lib.calibrate.board import Board, check_edge
 from omnistereo_lib.errors import OmnistereoError, check_number
 from omnistereo_lib.geometry.pose import Floats
+from omnistereo_lib.lazy import lazy_property
 
 _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
 _BORDERS = (2, 1)  # bits of a tag's black border: Kalibr prints two, others one
@@ -49,7 +49,7 @@ class AprilGrid(Board):
     def __str__(self) -> str:
         return f"of {self.tags[0]} x {self.tags[1]} AprilTags of {1000 * self.size:g} mm"
 
-    @cached_property
+    @lazy_property
     def points(self) -> Floats:
         """Corners in the board frame, shape (4 tags, 3), metres, by the number of the tag."""
         number = np.arange(self.tags[0] * self.tags[1])
@@ -112,7 +112,7 @@ class CharucoBoard(Board):
         columns, rows = self.squares
         return f"of {columns} x {rows} ChArUco squares of {1000 * self.square:g} mm, {self.dictionary}"
 
-    @cached_property
+    @lazy_property
     def points(self) -> Floats:
         """Inner corners in the board frame, shape (K, 3), metres, row by row."""
         return np.asarray(self._board(legacy=False).getChessboardCorners(), np.float64)

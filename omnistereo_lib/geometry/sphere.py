@@ -12,6 +12,7 @@ from omnistereo_lib.errors import OmnistereoError, check_number
 Sampling = Literal["center", "sweepnet", "omnimvs"]
 
 
+_NEAREST = (1e-6, 1e9)  # m
 _MAX_SIDE = 1_000_000
 
 
@@ -64,10 +65,12 @@ class SphereGrid:
             raise OmnistereoError(f"phi_deg is {self.phi_deg}; expected two angles, -90 ≤ first < last ≤ 90 (down > 0)")
         object.__setattr__(self, "phi_deg", phi)
         near, far = self.min_depth, self.max_depth
-        if not (isinstance(near, Real) and isinstance(far, Real) and 0 < near < far and np.isfinite(near)):
+        if not (
+            isinstance(near, Real) and isinstance(far, Real) and 0 < near < far and _NEAREST[0] <= near <= _NEAREST[1]
+        ):
             raise OmnistereoError(
-                f"min_depth is {near} and max_depth {far}; expected metres with 0 < min_depth < max_depth. Pass the "
-                f"nearest depth, such as min_depth=rig.min_depth where the rig file has one."
+                f"min_depth is {near} and max_depth {far}; expected metres with 0 < min_depth < max_depth, at most "
+                f"{_NEAREST[1]:g}. Pass the nearest depth, such as min_depth=rig.min_depth where the rig file has one."
             )
         if self.sampling not in _SAMPLINGS:
             raise OmnistereoError(f"sampling is {self.sampling!r}; expected one of {', '.join(_SAMPLINGS)}")

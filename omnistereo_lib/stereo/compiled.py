@@ -4,8 +4,12 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numba
+from numba.core.compiler_lock import global_compiler_lock
 from numba.extending import intrinsic
 
+from omnistereo_lib.lazy import hold_at_fork
+
+hold_at_fork(global_compiler_lock)
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
-from functools import cached_property
 from threading import Lock
 from typing import Any, TypeVar
 
@@ -19,6 +18,7 @@ from omnistereo_lib.frame import check_images
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.lazy import hold_at_fork, lazy_property
 from omnistereo_lib.stereo.columns import circular_span, split_at_seam
 from omnistereo_lib.stereo.device import BLOCK, available_memory, check_memory, select_device
 from omnistereo_lib.stereo.images import blur, blur_px, to_gray
@@ -29,6 +29,7 @@ _MAX_SIDE = 32766  # largest width and height of the output of cv2.remap
 OUTSIDE = -1e5  # px, pixel coordinate of invalid rays; NaN coordinates are undefined in cv2.remap
 _LUT_BUDGET = 2 << 30  # bytes
 _LUT_LOCK = Lock()  # one build at a time: it takes all cores and much memory
+hold_at_fork(_LUT_LOCK)
 
 # Pixel coordinates of the rays of one block of spheres in one camera, as (first column, maps of shape (H,
 # columns · block, 2)): the pixels of one ray on neighbouring spheres are close together in the image, so they follow
@@ -116,7 +117,7 @@ class SphereSweep:
         """Size of the lookup tables that are kept."""
         return sum(maps.nbytes for lut in self._luts.values() for _, maps in lut)
 
-    @cached_property
+    @lazy_property
     def _image_masks(self) -> list[NDArray[np.uint8]]:
         """For each camera 1 where its pixels are valid, else 0, shape (height, width)."""
         return [camera.visible_pixels().astype(np.uint8) for camera in self.rig.cameras]
@@ -166,7 +167,7 @@ class SphereSweep:
             warped.append(remap(np.asarray(image, np.float32), maps))
         return warped
 
-    @cached_property
+    @lazy_property
     def _blurs(self) -> list[_Blurring]:
         """What `normalize_images` needs of each camera."""
         spacing = 360 / self.grid.width

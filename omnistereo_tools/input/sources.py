@@ -20,12 +20,14 @@ from numpy.typing import NDArray
 from omnistereo_lib.consumer_images import split_image
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.evaluate.records import checksum
-from omnistereo_lib.files import check_image, check_size, decoder_messages, find_pictures, read_image
+from omnistereo_lib.files import check_image, check_size, find_pictures, read_image
 from omnistereo_lib.geometry.rig import Rig
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 _VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v", ".mpg", ".mpeg", ".ts", ".insv")
-os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet: what cannot be read is told by an error
+# Quiet: what cannot be read is told by an error.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 _NOT_FRAMES = ("mask",)  # file names without suffix
 _FIRST_TIME = 10**9  # smallest number that is a time stamp: seconds since 1970, or ms, µs or ns
 
@@ -93,8 +95,7 @@ class Pictures:
 
 def open_video(path: Path, image_size: tuple[int, int] | None = None) -> cv2.VideoCapture:
     """Open a video file, of the size (width, height) of its camera; raises an `OmnistereoError` if it is none."""
-    with decoder_messages():
-        video = cv2.VideoCapture(str(path)) if path.is_file() else None  # a pipe would wait for its other end
+    video = cv2.VideoCapture(str(path)) if path.is_file() else None  # a pipe would wait for its other end
     if video is None or not video.isOpened():
         raise OmnistereoError(f"{path} is not a video that OpenCV can read. Check the path, or convert it.")
     found = int(video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(video.get(cv2.CAP_PROP_FRAME_HEIGHT))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from functools import cached_property
 from math import isfinite
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from omnistereo_lib.files import atomic_write, make_folder, write_image
 from omnistereo_lib.frame import write_inverse_depth
+from omnistereo_lib.lazy import lazy_property
 from omnistereo_lib.progress import Progress, counted, silent
 from omnistereo_lib.rig_files import save_rig
 from omnistereo_lib.stereo.depth import Depth
@@ -69,7 +69,7 @@ class FrameResult:
         errors = [] if self.gt_index is None else error_sentences(self.depth, self.gt_index)
         return depth_sentences(self.depth, self.limits, self.doubtful) + errors
 
-    @cached_property
+    @lazy_property
     def trust(self) -> NDArray[np.float32]:
         """How far the depth of each ray is trusted, (H, W), in [0, 1]; see `trust`."""
         return trust(self.depth, self.method)
@@ -79,16 +79,16 @@ class FrameResult:
         """Which rays are doubtful, (H, W)."""
         return self.trust < DOUBTFUL
 
-    @cached_property
+    @lazy_property
     def panorama(self) -> NDArray[np.uint8]:
         """The panorama that is looked at, sharper than the depth, RGB; it is the texture of a mesh, too."""
         return sharp_panorama(self.depth, _SHARP)
 
-    @cached_property
+    @lazy_property
     def _colors(self) -> NDArray[np.float32]:
         return blended_panorama(self.depth)
 
-    @cached_property
+    @lazy_property
     def _cloud(self) -> PointCloud:
         return PointCloud.of(self.depth, self._colors, self.limits, self.doubtful)
 

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.evaluate.records import checksum
-from omnistereo_lib.files import atomic_write, make_folder, read_data, read_pixels, read_text, write_image
+from omnistereo_lib.files import atomic_write, make_folder, read_data, read_image, read_text, write_image
 from omnistereo_lib.frame import read_inverse_depth, write_inverse_depth
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
@@ -110,7 +110,7 @@ class DepthWriter:
 
     def picture(self, number: int) -> NDArray[np.uint8]:
         """Read the video frame of a frame, BGR."""
-        return read_pixels(self.picture_path(number), cv2.IMREAD_COLOR)
+        return cv2.cvtColor(read_image(self.picture_path(number)), cv2.COLOR_RGB2BGR)
 
     def left(self) -> list[int]:
         """Return the numbers of the frames that are not done yet."""

@@ -4,6 +4,7 @@ import multiprocessing
 import os
 import subprocess
 import sys
+import threading
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import scene
 from torch.utils.data import DataLoader, Dataset
 
 import omnistereo_lib as osl
+from omnistereo_lib.lazy import lazy_property
 
 METHODS = ["zncc+sgm", "mccnn", "sweepnet", "volumenet"]
 RIG = scene.rig(width=60, height=56)
@@ -58,6 +60,32 @@ def test_depth_in_other_processes():
     environment = {**os.environ, "PYTHONPATH": f"{here.parents[2]}:{here.parents[1]}"}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr[-2000:]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="Windows does not fork")
+def test_what_a_thread_computes_at_the_fork_does_not_block_the_child():
+    """`functools.cached_property` of Python 3.11 would: one lock serves all objects."""
+    begun, go_on = threading.Event(), threading.Event()
+
+    class Slow:
+        @lazy_property
+        def value(self):
+            if threading.current_thread() is not threading.main_thread():
+                begun.set()
+                go_on.wait(60)
+            return 1
+
+    thread = threading.Thread(target=lambda: Slow().value)
+    thread.start()
+    begun.wait(60)
+    child = multiprocessing.get_context("fork").Process(target=lambda: sys.exit(Slow().value + 6))
+    child.start()
+    child.join(60)
+    status = child.exitcode
+    child.kill()
+    go_on.set()
+    thread.join()
+    assert status == 7
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ import weakref
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from multiprocessing import get_context, parent_process
 from threading import Thread
 from typing import Any, ClassVar
@@ -26,6 +26,7 @@ from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import Sampling, SphereGrid
+from omnistereo_lib.lazy import lazy_property
 from omnistereo_lib.rig_files.camera_models import kannala_brandt
 from omnistereo_lib.rig_files.fit import fit_ocam
 from omnistereo_lib.train.endless.caster import BOX, Tree, build_tree, inverse_distances, look
@@ -44,7 +45,7 @@ class Scene:
     primitives: NDArray[Any]  # of dtype PRIMITIVE
     light: NDArray[Any]  # one record of dtype LIGHT
 
-    @cached_property
+    @lazy_property
     def _tree(self) -> Tree:
         return build_tree(self.primitives)
 
@@ -116,7 +117,7 @@ class EndlessWorlds:
             del self._drawn[n]
         return drawn.result() if self._workers else drawn
 
-    @cached_property
+    @lazy_property
     def _pool(self) -> ProcessPoolExecutor:
         # Not forked: the copy of a process whose threads hold locks may wait for them forever.
         pool = ProcessPoolExecutor(self._workers, get_context("spawn"), _prepare_worker)
