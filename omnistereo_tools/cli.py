@@ -31,6 +31,7 @@ from omnistereo_tools.commands import (
     train_command,
 )
 from omnistereo_tools.memory import check_address_space, keep_memory
+from omnistereo_tools.outputs import let_go
 from omnistereo_tools.tiny import shrink
 
 # Of libraries whose errors have no type in common.
@@ -63,6 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 warnings.showwarning = lambda message, *_: _say(f"warning: {message}")
                 return options.run(options) or 0
         finally:
+            let_go()
             print(end="", flush=True)
     except OmnistereoError as error:
         return _stop(f"error: {error}", 2)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from threading import BoundedSemaphore, Condition, Event, Thread
+from socket import SHUT_RDWR, socket
+from threading import BoundedSemaphore, Condition, Event, Thread, Timer
 from typing import Any
 
 import cv2
@@ -247,6 +248,20 @@ class _Server(ThreadingHTTPServer):
         """Leave a client that went away or waited too long."""
 
 
+def _place(query: str) -> tuple[float, float] | None:
+    """Return the two coordinates of a query; None if it has others."""
+    with suppress(ValueError):
+        x, y = map(float, query.split("&"))
+        return (x, y) if abs(x) < 1e6 and abs(y) < 1e6 else None
+    return None
+
+
+def _cut(connection: socket) -> None:
+    """End a connection, whatever waits for it."""
+    with suppress(OSError):  # it has ended
+        connection.shutdown(SHUT_RDWR)
+
+
 @contextmanager
 def serve(latest: Latest, port: int) -> Iterator[str]:
     """Serve live pictures to browsers of this machine as a stream of JPEG; yield the address.
@@ -257,26 +272,41 @@ def serve(latest: Latest, port: int) -> Iterator[str]:
     class Handler(BaseHTTPRequestHandler):
         timeout = _PATIENCE_S
 
+        def setup(self) -> None:
+            super().setup()
+            self.deadline = Timer(_PATIENCE_S, _cut, [self.connection])  # of the whole request
+            self.deadline.daemon = True
+            self.deadline.start()
+
+        def finish(self) -> None:
+            self.deadline.cancel()
+            super().finish()
+
         def do_GET(self) -> None:
-            if not _HOST.fullmatch(self.headers.get("Host", "")):
-                self.send_error(403)
-                return
+            self.deadline.cancel()
             name, _, query = self.path.partition("?")
+            of_other_sites = self.headers.get("Sec-Fetch-Site", "none") not in ("same-origin", "none")
+            if not _HOST.fullmatch(self.headers.get("Host", "")) or (name != "/" and of_other_sites):
+                self.send_error(403)
+            elif name == "/depth" and _place(query) is None:
+                self.send_error(400)
+            else:
+                self._answer(name, _place(query))
+
+        def _answer(self, name: str, place: tuple[float, float] | None) -> None:
             content, send = {
                 "/stream": ("multipart/x-mixed-replace; boundary=x", self._stream),
-                "/depth": ("text/plain; charset=utf-8", lambda: self.wfile.write(self._depth(query).encode())),
+                "/depth": ("text/plain; charset=utf-8", lambda: self.wfile.write(self._depth(*place).encode())),
             }.get(name, ("text/html", lambda: self.wfile.write(_PAGE)))
             self.send_response(200)
             self.send_header("Content-Type", content)
+            self.send_header("Cross-Origin-Resource-Policy", "same-origin")  # no page of another site shows it
             self.end_headers()
             send()
 
-        def _depth(self, query: str) -> str:
-            try:
-                x, y = map(float, query.split("&"))
-                return latest.newest.depth_at(x, y)
-            except (ValueError, AttributeError):  # another question, or before the first picture
-                return ""
+        def _depth(self, x: float, y: float) -> str:
+            picture = latest.newest  # none before the first
+            return "" if picture is None else picture.depth_at(x, y)
 
         def _stream(self) -> None:
             for picture in latest:

@@ -1,4 +1,7 @@
-"""Nothing that a command reads is written over: each passes what it will write to `check_outputs`, before any work."""
+"""What a command writes: nothing that it reads, and nothing that another run is writing.
+
+Each passes what it will write to `check_outputs`, before any work, and holds its folder from when it begins to write.
+"""
 
 import argparse
 import os
@@ -24,6 +27,8 @@ _SETS = ("rig", "sets", "data")  # options that name rig files, folders of one, 
 _TEXTS = (".yaml", ".yml", ".json", ".txt", ".xml")
 _IMAGES_OF_SETS = [f"{depth}{folder}/*" for depth in ("", "*/", "*/*/") for folder in ("cam[0-9]*", "*depth_*")]
 
+_held: list[int] = []  # descriptors of folders
+
 
 def check_outputs(options: argparse.Namespace, files: Iterable[Path | None], folders: Iterable[Path] = ()) -> None:
     """Raise an `OmnistereoError` if a command would write over a file that its options name, by whatever path.
@@ -42,6 +47,34 @@ def check_outputs(options: argparse.Namespace, files: Iterable[Path | None], fol
         if target.exists() and _identity(target) in known:
             found = known[_identity(target)]
             raise OmnistereoError(f"{found} is read, and writing {target} would write over it. Choose another name.")
+
+
+def hold(folder: Path) -> Path:
+    """Make a folder, let no other run write into it until `let_go`, and return it.
+
+    The system lets go of it when the process ends, however it does. Raises an `OmnistereoError` if another run holds
+    it. Windows and some network file systems have no such locks: there nothing is held.
+    """
+    from omnistereo_lib.files import make_folder
+
+    make_folder(folder)
+    if os.name == "posix":
+        import fcntl
+
+        _held.append(os.open(folder, os.O_RDONLY))
+        try:
+            fcntl.flock(_held[-1], fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise OmnistereoError(f"another run is writing into {folder}. Wait for it, or choose another.") from None
+        except OSError:  # the file system has no locks
+            pass
+    return folder
+
+
+def let_go() -> None:
+    """Let other runs write into the folders that are held."""
+    while _held:
+        os.close(_held.pop())
 
 
 def _identity(path: Path) -> tuple[int, int]:

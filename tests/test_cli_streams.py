@@ -181,3 +181,51 @@ def test_numba_without_a_folder_for_its_cache(monkeypatch):
 
     monkeypatch.setattr(numba.core.caching.CompileResultCacheImpl, "_locator_classes", [])
     assert compiled(nogil=True)(increment)(1) == 2
+
+
+@pytest.mark.parametrize("value", ["0", "x", "-1", ""])
+def test_a_number_of_threads_that_is_none(monkeypatch, capsys, value):
+    monkeypatch.setenv("NUMBA_NUM_THREADS", value)
+    assert cli.main(["doctor"]) == 2
+    assert f"error: NUMBA_NUM_THREADS in the environment is {value!r}; expected 1 to 9999" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Windows keeps the folder in which a process works")
+def test_a_working_folder_that_is_gone(monkeypatch, capsys, tmp_path):
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert cli.main(["doctor"]) == 2
+    assert capsys.readouterr().err == "error: the working folder is not there any more. Change to another one\n"
+
+
+LOADING = """
+import os, signal, sys
+class Finder:
+    def find_spec(self, name, *_):
+        if name == "{module}":
+            os.kill(os.getpid(), signal.{name})
+sys.meta_path.insert(0, Finder())
+sys.argv = ["omnistereo", "doctor", "--rig", "none"]
+from omnistereo_tools.__main__ import start
+sys.exit(start())
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Windows has other signals")
+@pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143)])
+@pytest.mark.parametrize("module", ["omnistereo_tools.cli", "omnistereo_tools.outputs", "omnistereo_tools.masks"])
+def test_stopped_while_modules_load(name, status, module):
+    """The last one is loaded by the command itself."""
+    command = [sys.executable, "-c", LOADING.format(module=module, name=name)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (status, "interrupted\n")
+
+
+def test_the_variables_of_drawing_do_not_matter(tmp_path):
+    (tmp_path / "matplotlibrc").write_text("text.usetex: True\n")
+    variables = {"MPLBACKEND": "nonsense", "MATPLOTLIBRC": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "omnistereo_tools", *SMALL.split(), str(tmp_path / "out")]
+    done = subprocess.run(command, env={**os.environ, **variables}, capture_output=True, text=True)
+    assert done.returncode == 0 and (tmp_path / "out" / "overview.png").exists(), done.stderr

@@ -19,6 +19,7 @@ import psutil
 import pytest
 import torch
 import yaml
+from PIL import Image
 from rig_files.rig_file_samples import (
     D4,
     EXAMPLES,
@@ -45,6 +46,7 @@ from omnistereo_lib.calibrate.captures import load_corners, save_corners
 from omnistereo_lib.calibrate.checkerboard import Checkerboard
 from omnistereo_lib.evaluate.records import read_record
 from omnistereo_lib.evaluate.table import errors_table, regions_table
+from omnistereo_lib.files import read_image
 from omnistereo_lib.rig_files import load_camera
 from omnistereo_lib.train.loop import COLUMNS, _Run, read_log, write_csv
 
@@ -149,7 +151,7 @@ def check_truth(values):
 
 
 def check_image(image):
-    assert image.dtype == np.uint8 and image.shape[:2] != (0, 0)
+    assert np.isfinite(image).all() and image.shape[:2] != (0, 0) and 0 <= image.min() <= image.max() <= 255
 
 
 def check_network(network):
@@ -194,7 +196,7 @@ def samples(folder):
     (folder / "cameras.txt").write_text(EXAMPLES["COLMAP model"][1])
     found["COLMAP model"] = (*EXAMPLES["images.txt"], lambda path: osl.load_rig(path, "cm"), check_rig)
     found |= ocam_poses(folder) | corners(folder) | data_set(folder)
-    found |= tensors(folder) | records()
+    found |= tensors(folder) | records() | netpbm()
     return {name: sample if len(sample) == 5 else (*sample, damage) for name, sample in found.items()}
 
 
@@ -242,6 +244,26 @@ def tensors(folder):
     return found | {"log": ("log.csv", content, lambda path: read_log(path, 4), check_log)}
 
 
+def netpbm():
+    """Two pictures of six values, one as bytes."""
+    text = "P3 # as text\n3 2\n300\n" + " ".join(str(17 * k) for k in range(18))
+    content = b"P6\n3 2 255\n" + bytes(range(18))
+    return {"netpbm text": ("a.ppm", text, read_as_pillow, check_image),
+            "netpbm": ("a.ppm", content, read_as_pillow, check_image)}  # fmt: skip
+
+
+def read_as_pillow(path):
+    """Return what the library reads, which is what Pillow does, on its scale."""
+    read = read_image(path)
+    if b"#" in path.read_bytes()[12:]:  # Pillow joins the digits on both sides of a comment
+        return read
+    other = np.asarray(Image.open(path), np.float64)
+    assert read.shape == other.shape
+    most = 65535 / 255 if other.max() > 255 else 1.0
+    assert np.abs(read - other / most).max() <= 0.51
+    return read
+
+
 def records():
     from omnistereo_lib.evaluate.regions import METRICS, REGIONS, SUMS
 
@@ -282,6 +304,8 @@ NAMES = [
     "state",
     "log",
     "results",
+    "netpbm text",
+    "netpbm",
 ]
 
 

@@ -35,6 +35,7 @@ SECONDS, MEMORY_GIB = 600.0, 4.0
 ANSWER_S = 20.0  # for each call of a student's function
 MAX_BYTES = 32 * 2**20  # of a notebook
 MAX_NOTES = 50
+MAX_ARRAY_BYTES = 64 * 2**20  # of an answer
 STATUSES = ("right", "wrong", "not tried", "not judged")
 CHECKED = re.compile(r"\b(?:exercises|(nb\d\db?))\.(check_\w+)\((\w+)\)")  # module, checker, function
 NUMBER = re.compile(r"^\*\*(\d\db?\.\d+) \(", re.MULTILINE)  # **04.2 (medium).**
@@ -118,8 +119,10 @@ def check_notebook(path: Path, seconds: float = SECONDS, memory_gib: float = MEM
     notes = list(other_version(code, asked))
     notes += [f"code cell {number} stopped with {text}" for number, text in enumerate(said, start=1) if text]
     notes = notes[:MAX_NOTES]
+    notes += [f"left threads behind: {left}" for record in ran.records if (left := record.get("threads"))]
     if ran.stopped:
-        notes.append(f"stopped in code cell {len(said) + 1}: {ran.stopped}")
+        where = f"in code cell {len(said) + 1}" if len(said) < len(code) else "after its last cell"
+        notes.append(f"stopped {where}: {ran.stopped}")
     answers = {
         record["function"]: record.get("replies") for record in ran.records if isinstance(record.get("function"), str)
     }
@@ -149,13 +152,32 @@ def repeat(replies: Any) -> Callable:
         for argument, after in zip(arguments, reply["arguments"], strict=True):
             array = argument.detach().numpy() if hasattr(argument, "detach") else argument
             if isinstance(array, np.ndarray):
-                array[...] = json.loads(after)
-        value = json.loads(reply["value"])
+                array[...] = read_value(after)
+        value = read_value(reply["value"])
         if reply.get("differentiable"):
             return torch.tensor(value, dtype=torch.float64, requires_grad=True)
         return type(value["type"], (), {})() if isinstance(value, dict) and "type" in value else value
 
     return answer
+
+
+def read_value(text: str) -> Any:
+    """Return a value in JSON; raises a `MemoryError` if, as an array, it took far more than as text.
+
+    An array of texts gives each of its elements the room of the longest.
+    """
+    value = json.loads(text)
+    count, longest, left = 0, 1, [value]
+    while left:
+        part = left.pop()
+        if isinstance(part, list | dict):
+            left += part.values() if isinstance(part, dict) else part
+        elif isinstance(part, str):
+            longest = max(longest, len(part))
+        count += 1
+    if 4 * count * longest > MAX_ARRAY_BYTES:
+        raise MemoryError(f"an answer that would take {4 * count * longest >> 20} MiB as an array")
+    return value
 
 
 def other_version(code: list[str], asked: list[Exercise]) -> Iterator[str]:
@@ -211,11 +233,17 @@ def check(path: Path, out: Path = OUT, seconds: float = SECONDS, memory_gib: flo
         write_scores(out / "scores.csv", [])  # it is there whatever comes
     kept = {name: stored_sheet(out / f"{name}.json", folder / name) for name in names}  # before any code can write one
     environment, sheets = last_changes(), []
+    handed_in: dict[Path, str] = {name: content_of(folder / name) for name in names}
+    spoiled: dict[Path, list[str]] = {}
     for name in names:
         try:
             if not (sheet := kept[name]):
                 checked = check_notebook(folder / name, seconds, memory_gib)
                 sheet = {"file": printable(str(name)), **made_from(folder / name), **checked}
+                sheet["notes"] += spoiled.get(name, [])
+                for other in rewritten(folder, handed_in):
+                    sheet["notes"].append(printable(f"{other} was rewritten while this one ran. Hand both in again"))
+                    spoiled[other] = [printable(f"was rewritten while {name} ran. Hand both in again")]
                 store_sheet(out / f"{name}.json", sheet, environment)
             say(in_words(sheet))
         except Exception as error:  # whatever a notebook of a class raises becomes its sheet
@@ -230,6 +258,21 @@ def check(path: Path, out: Path = OUT, seconds: float = SECONDS, memory_gib: flo
     if is_class:
         say(f"written: {out / 'scores.csv'}")
     return sheets
+
+
+def content_of(path: Path) -> str:
+    """Return the checksum of a hand-in; nothing if it cannot be read."""
+    with suppress(OmnistereoError):
+        return checksum(path)
+    return ""
+
+
+def rewritten(folder: Path, handed_in: dict[Path, str]) -> list[Path]:
+    """Return the hand-ins that are not as they were; from now on they are."""
+    now = {name: content_of(folder / name) for name in handed_in}
+    others = [name for name in handed_in if now[name] != handed_in[name]]
+    handed_in |= now
+    return others
 
 
 def say(text: str) -> None:

@@ -82,6 +82,6 @@ def _certificate(total: int) -> str:
     cells = nbtools.code_cells(nbtools.read_notebook(WORKING / path.name))
     for output in itertools.chain(*(cell.outputs for cell in cells if PICTURE in cell.source)):
         for mime in set(nbtools.PICTURES) & set(output.get("data", {})):
-            picture, alt = output.data[mime].replace("\n", ""), html.escape(output.data["text/plain"])
-            return CERTIFICATE.format(total=total, mime=mime, picture=picture, alt=alt)
+            picture, alt = str(output.data[mime]).replace("\n", ""), str(output.data.get("text/plain", ""))
+            return CERTIFICATE.format(total=total, mime=mime, picture=html.escape(picture), alt=html.escape(alt))
     return ""  # it was removed

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_tools.outputs import check_outputs
+from omnistereo_tools.outputs import check_outputs, hold
 
 if TYPE_CHECKING:
     from omnistereo_lib.calibrate.board import Board
@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> None:
     """Calibrate one camera or a rig and write it, its report and its detections."""
     from omnistereo_lib.calibrate.joint import calibrate_rig
     from omnistereo_lib.calibrate.single_camera import calibrate_camera, check_settings
-    from omnistereo_lib.files import atomic_write, make_folder
+    from omnistereo_lib.files import atomic_write
     from omnistereo_lib.rig_files.formats import load_cameras
     from omnistereo_lib.rig_files.ocam import write_ocam_txt
     from omnistereo_tools.judge.pace import progress_bar
@@ -73,7 +73,7 @@ def run(options: argparse.Namespace) -> None:
         cameras, names, views, sizes = _read_captures(options.folder)
     else:
         cameras, names, views, sizes = _read_corners(options.corners, board)
-    out = make_folder(options.out)
+    out = hold(options.out)
     settings = {"degree": options.degree, "max_fov_deg": options.max_fov, "progress": progress_bar(), "names": names}
     if options.rig is not None and (len(views) == 1 or options.degree is not None):
         raise OmnistereoError("--rig keeps the intrinsics of two or more cameras. Leave it, or --degree, out")

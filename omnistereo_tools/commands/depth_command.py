@@ -35,7 +35,7 @@ from omnistereo_tools.commands.options import (
     read_frame,
     read_masked_rig,
 )
-from omnistereo_tools.outputs import check_outputs
+from omnistereo_tools.outputs import check_outputs, hold
 
 if TYPE_CHECKING:
     import numpy as np
@@ -142,8 +142,9 @@ def _run_frame(options: argparse.Namespace) -> None:
 def _make_folders(options: argparse.Namespace) -> None:
     from omnistereo_lib.files import make_folder
 
+    hold(options.out)
     files = (options.mesh, options.equirectangular)
-    for folder in (options.out, options.crops, *(file and file.parent for file in files)):
+    for folder in (options.crops, *(file and file.parent for file in files)):
         if folder is not None:
             make_folder(folder)
 
@@ -266,6 +267,9 @@ def _run_recording(options: argparse.Namespace) -> None:
         connect(options.cluster).close()
     if options.video is not None:
         make_folder(options.video.parent)
+    hold(options.out)
+    for number, picture in writer.changed().items():
+        print(f"frame {number} is computed again: {picture} has changed")
     writer.prepare(rig)
     if options.cluster is None:
         say_recording(writer.sweep, first[0], len(left), writer.method.name, [VIDEO_METHOD, FRAME_METHOD])

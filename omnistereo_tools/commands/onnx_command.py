@@ -9,7 +9,7 @@ import argparse
 from pathlib import Path
 
 from omnistereo_tools.commands.options import SAMPLE, add_grid, add_rig, check_typed, make_grid, read_rig
-from omnistereo_tools.outputs import check_outputs
+from omnistereo_tools.outputs import check_outputs, hold
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> None:
     check_outputs(options, [options.out / name for name in FILES])
     rig = read_rig(options)
     print("exporting takes about 20 s", flush=True)
-    written = export_onnx(options.out, rig, make_grid(options, rig))
+    written = export_onnx(hold(options.out), rig, make_grid(options, rig))
     print(f"written to {options.out}/: {', '.join(written)}")
     script = shlex.quote(f"{options.out}/run_onnx.py")
     print(f"without torch: python {script} with one image for each of the {len(rig)} cameras")

@@ -7,6 +7,7 @@ OUT/
   trust_640/00001.tiff              the same at equal range, in [0, 1]; below 0.5 a ray is doubtful
   depth_estimate_640/00001.tiff     inverse depth, 1/m; written last, so that a frame is complete if it can be read
   recording.json                    how the depth was computed
+  pictures.json                     for each frame, checksums of the pictures that its depth was computed from
   video/00001.jpg                   panorama over depth, doubtful rays faded, with --video
 """
 
@@ -17,8 +18,11 @@ import shutil
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -30,6 +34,7 @@ from omnistereo_lib.files import atomic_write, make_folder, read_data, read_imag
 from omnistereo_lib.frame import read_inverse_depth, write_inverse_depth
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.lazy import lazy_property
 from omnistereo_lib.rig_files import save_rig
 from omnistereo_lib.rig_files.parse import Section
 from omnistereo_lib.stereo.depth import Depth
@@ -46,6 +51,8 @@ _PENDING = 2  # frames read ahead, and frames waiting to be written: memory stay
 _PNG_STEPS = 65500  # of inverse depth up to 1 / D_min, as in the first release of the public sets; of trust up to 1
 OF_RAYS = ("confidence", "trust", "depth_estimate")  # panoramas of a frame, in the order of writing
 SETTINGS = "recording.json"
+PICTURES = "pictures.json"
+_SAMPLE = 4096  # bytes
 CODECS = {".mp4": "mp4v", ".webm": "VP90"}  # the second one plays in browsers, and takes thirty times as long
 _FPS = 10.0  # of pictures, which do not say
 
@@ -113,8 +120,32 @@ class DepthWriter:
         return cv2.cvtColor(read_image(self.picture_path(number)), cv2.COLOR_RGB2BGR)
 
     def left(self) -> list[int]:
-        """Return the numbers of the frames that are not done yet."""
-        return [number for number in self.recording.frames if not self.is_done(number)]
+        """Return the numbers of the frames that are not done yet, or whose pictures have changed since."""
+        changed = self.changed()
+        return [number for number in self.recording.frames if number in changed or not self.is_done(number)]
+
+    def changed(self) -> dict[int, Path]:
+        """Return the frames whose pictures are not those that they were prepared with, and a picture that differs."""
+        stored = self._stored_marks()
+        pairs = [(n, stored.get(str(n), marks), marks) for n, marks in self._marks.items()]
+        return {n: self._pictures(n)[_first_other(old, new)] for n, old, new in pairs if old != new}
+
+    def _pictures(self, number: int) -> list[Path]:
+        key = self.recording.frames[number]
+        return [s.files[key] if isinstance(s, Pictures) else s.path for s in self.recording.sources]
+
+    @lazy_property
+    def _marks(self) -> dict[int, list[str]]:
+        """For each frame what tells its pictures, or videos, from others of the same names."""
+        mark = cache(_mark)  # a video is the same for all frames
+        return {number: list(map(mark, self._pictures(number))) for number in self.recording.frames}
+
+    def _stored_marks(self) -> dict[str, Any]:
+        """Return the marks that the frames were prepared with, as far as they can be read."""
+        with suppress(OmnistereoError):
+            if isinstance(stored := read_data(self.out / PICTURES), dict):
+                return stored
+        return {}
 
     def run(self, numbers: Sequence[int]) -> Iterator[int]:
         """Estimate and write the depth of some frames, in ascending order; yield the number of each.
@@ -155,6 +186,11 @@ class DepthWriter:
         if self.with_video:
             make_folder(self.out / "video")
         save_rig(replace(rig, min_depth=self.sweep.grid.min_depth), self.out / "config.yaml")
+        for number in self.changed():
+            self.path(OF_RAYS[-1], number).unlink(missing_ok=True)  # so that the frame is not done
+        marks = self._stored_marks() | {str(number): marks for number, marks in self._marks.items()}
+        with atomic_write(self.out / PICTURES) as temporary:
+            temporary.write_text(json.dumps(marks) + "\n")
 
     def write(self, number: int, images: list[NDArray[np.uint8]], depth: Depth) -> None:
         """Write images, video frame and depth of one frame."""
@@ -200,14 +236,31 @@ class DepthWriter:
 def _link(picture: Path, folder: Path, number: int) -> None:
     """Link a picture into the data set; copy it where the file system has no links."""
     target = folder / f"{number:05}{picture.suffix}"
-    if target.exists():
+    if target.exists() and target.samefile(picture):
         return
     try:
-        target.unlink(missing_ok=True)  # a link to what is no longer there
+        target.unlink(missing_ok=True)  # a link to what is no longer there, or a copy
         target.symlink_to(picture.resolve())
     except OSError:
         with atomic_write(target) as temporary:
             shutil.copyfile(picture, temporary)
+
+
+def _mark(path: Path) -> str:
+    """Return a checksum of a file's name, size and time of change, and of samples of its content."""
+    status, sample = path.stat(), b""
+    if path.is_file():  # a pipe would wait for its other end
+        with path.open("rb") as file:
+            for place in (0, status.st_size // 2, max(0, status.st_size - _SAMPLE)):
+                file.seek(place)
+                sample += file.read(_SAMPLE)
+    return checksum(f"{path.name} {status.st_size} {status.st_mtime_ns}".encode() + sample)[:16]
+
+
+def _first_other(old: object, new: list[str]) -> int:
+    """Return the place of the first mark that differs; what is stored may be anything."""
+    known = old if isinstance(old, list) and len(old) == len(new) else [None] * len(new)
+    return next(k for k, (one, other) in enumerate(zip(known, new, strict=True)) if one != other)
 
 
 def check_layout(grid: SphereGrid) -> None:

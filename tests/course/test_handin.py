@@ -247,6 +247,21 @@ def test_a_sheet_that_cannot_be_stored_stops_nobody(tmp_path, monkeypatch):
     assert (tmp_path / "out" / "scores.csv").is_file()
 
 
+def test_a_notebook_that_rewrites_another_is_named_on_both_sheets(tmp_path, monkeypatch):
+    def check_notebook(path, *_):
+        if path.stem == "a":
+            (tmp_path / "b.ipynb").write_text("other")
+        return {"notebook": "04", "exercises": {}, "notes": []} | USED
+
+    monkeypatch.setattr(handin, "ENVIRONMENT", [])
+    monkeypatch.setattr(handin, "check_notebook", check_notebook)
+    for name in "abc":
+        (tmp_path / f"{name}.ipynb").touch()
+    notes = [sheet["notes"] for sheet in handin.check(tmp_path, tmp_path / "out")]
+    assert "b.ipynb was rewritten while this one ran" in notes[0][0]
+    assert "was rewritten while a.ipynb ran" in notes[1][0] and notes[2] == []
+
+
 USED = {"seconds": 1.0, "peak_gib": 0.1}
 
 
@@ -327,6 +342,12 @@ VALUES = [
 @pytest.mark.parametrize(("value", "expected"), VALUES)
 def test_values_come_back(value, expected):
     np.testing.assert_equal(answered(lambda: value), expected)
+
+
+def test_what_would_be_a_large_array_is_not_made_one():
+    """Every element of an array of texts has the room of the longest: a megabyte would take 4 GiB."""
+    with pytest.raises(MemoryError, match=r"would take 229\d MiB as an array"):
+        answered(lambda: ["a" * 10**6] + [""] * 600)
 
 
 @pytest.mark.parametrize("value", [{1}, 1j, b"1", abs, {(1, 2): 3}])

@@ -7,7 +7,7 @@ import time
 import urllib.error
 import urllib.request
 import webbrowser
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from urllib.parse import urlsplit
 
 import cv2
@@ -142,6 +142,40 @@ def test_clients_that_say_nothing_keep_nobody_out_for_long(monkeypatch, capfd):
         assert one_too_many == b"" and all(client.recv(1) == b"" for client in silent)  # after a second
         assert b"stream" in urllib.request.urlopen(address, timeout=60).read()
     assert capfd.readouterr().err == ""
+
+
+def test_clients_that_speak_slowly_keep_nobody_out(monkeypatch):
+    """A byte now and then is no silence; the whole request has a limit."""
+    monkeypatch.setattr(live_view, "_PATIENCE_S", 1.0)
+    with serve(Latest(), 0) as address, ExitStack() as clients:
+        port = urlsplit(address).port
+        slow = [clients.enter_context(socket.create_connection(("127.0.0.1", port), 60)) for _ in range(16)]
+        deadline, answered = time.monotonic() + 60, False
+        while not answered and time.monotonic() < deadline:
+            for client in slow:
+                with suppress(OSError):
+                    client.sendall(b"G")
+            with suppress(OSError):
+                answered = b"stream" in urllib.request.urlopen(address, timeout=0.3).read()
+        assert answered
+
+
+@pytest.mark.parametrize("site", ["cross-site", "same-site"])
+def test_a_page_of_another_site_is_not_shown_the_stream(site):
+    with serve(Latest(), 0) as address:
+        for name in ("stream", "depth?0.5&0.5"):
+            asked = urllib.request.Request(address + name, headers={"Sec-Fetch-Site": site})
+            with pytest.raises(urllib.error.HTTPError, match="403"):
+                urllib.request.urlopen(asked, timeout=60)
+        assert urllib.request.urlopen(address, timeout=60).headers["Cross-Origin-Resource-Policy"] == "same-origin"
+
+
+@pytest.mark.parametrize("query", ["inf&0.1", "nan&0.1", "0.1", "", "0.1&0.1&0.1", "a&b", "1e309&0"])
+def test_a_place_that_is_none_is_refused(picture, query):
+    latest = Latest()
+    latest.put(picture[1])
+    with serve(latest, 0) as address, pytest.raises(urllib.error.HTTPError, match="400"):
+        urllib.request.urlopen(f"{address}depth?{query}", timeout=60)
 
 
 def test_a_client_that_does_not_read_is_left(monkeypatch):

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools import cli
-from omnistereo_tools.outputs import _READ, _SETS
+from omnistereo_tools.outputs import _READ, _SETS, hold, let_go
 
 WRITES = ("out", "mesh", "equirectangular", "crops", "video", "coverage")
 FILES = {
@@ -79,3 +80,13 @@ def test_every_option_that_is_a_path_is_read_or_tried_here():
         paths |= {action.dest for action in parser._actions if action.type is Path}
     assert paths == {*_READ, *_SETS, *WRITES} - {"cameras", "board", "sets"}  # these may be no files
     assert all(any(f" --{name} " in command for command in COMMANDS) for name in WRITES)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Windows has no locks of folders")
+def test_a_folder_that_another_run_holds_is_refused_until_it_lets_go(tmp_path):
+    hold(tmp_path / "out")
+    with pytest.raises(OmnistereoError, match="another run is writing into"):
+        hold(tmp_path / "out")
+    let_go()
+    assert list(hold(tmp_path / "out").iterdir()) == []
+    let_go()

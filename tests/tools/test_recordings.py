@@ -161,6 +161,21 @@ def test_resumed_it_is_the_same_and_no_frame_is_computed_again(recorded, done, t
     assert resumed == whole
 
 
+def test_a_picture_that_has_changed_is_computed_again(recorded, done, tmp_path, capsys):
+    pictures, out = shutil.copytree(recorded, tmp_path / "pictures"), tmp_path / "out"
+    assert run(*depth_command(pictures, out)) == 0
+    changed = pictures / "view2" / "cam2_003.png"
+    write_image(changed, np.full((96, 100), 128))
+    before = {path.name: path.stat().st_mtime_ns for path in out.glob("depth_estimate_96/*")}
+    assert run(*depth_command(pictures, out)) == 0
+    assert f"frame 3 is computed again: {changed} has changed" in capsys.readouterr().out
+    after = {path.name: path.stat().st_mtime_ns for path in out.glob("depth_estimate_96/*")}
+    assert [name for name in after if after[name] != before[name]] == ["00003.tiff"]
+    old, new = (read_inverse_depth(folder / "depth_estimate_96" / "00003.tiff") for folder in (done, out))
+    assert not np.array_equal(old, new, equal_nan=True)
+    assert run(*depth_command(pictures, out)) == 0 and "computed again" not in capsys.readouterr().out
+
+
 def test_bad_frames_are_named_and_left_out_if_asked(recorded, done, tmp_path, capsys):
     shutil.copytree(recorded, tmp_path / "copy")
     torn, other = tmp_path / "copy" / "view3" / "cam3_002.png", tmp_path / "copy" / "view1" / "cam1_005.png"
