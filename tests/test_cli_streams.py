@@ -214,7 +214,7 @@ sys.exit(start())
 
 @pytest.mark.skipif(os.name != "posix", reason="Windows has other signals")
 @pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143)])
-@pytest.mark.parametrize("module", ["omnistereo_tools.cli", "omnistereo_tools.outputs", "omnistereo_tools.masks"])
+@pytest.mark.parametrize("module", ["omnistereo_tools.cli", "omnistereo_tools.outputs", "omnistereo_tools.input"])
 def test_stopped_while_modules_load(name, status, module):
     """The last one is loaded by the command itself."""
     command = [sys.executable, "-c", LOADING.format(module=module, name=name)]
