@@ -15,6 +15,7 @@ from omnistereo_lib.errors import OmnistereoError
 _PICTURES = ("png", "jpg", "jpeg", "bmp", "pgm", "webp")
 _READ = {  # options that name files, or a folder of which these are read
     "images": ["*"],
+    "from_images": ["*"],
     "masks": [],
     "cameras": [],
     "folder": [f"{depth}*.{suffix}" for depth in ("", "*/") for suffix in _PICTURES],
@@ -23,7 +24,7 @@ _READ = {  # options that name files, or a folder of which these are read
     "weights": ["*.safetensors"],
     "init_weights": [],
 }
-_SETS = ("rig", "sets", "data")  # options that name rig files, folders of one, or data sets
+_SETS = ("rig", "sets", "data", "lenses")  # options that name rig files, folders of one, or data sets
 _TEXTS = (".yaml", ".yml", ".json", ".txt", ".xml")
 _IMAGES_OF_SETS = [f"{depth}{folder}/*" for depth in ("", "*/", "*/*/") for folder in ("cam[0-9]*", "*depth_*")]
 

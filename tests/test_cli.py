@@ -129,7 +129,7 @@ def test_doctor_of_a_rig(data, capsys, scene_images):
     assert run("doctor", "--rig", data, *SMALL) == 0
     out = capsys.readouterr().out
     low, high = scene_images[0].baselines.min(), scene_images[0].baselines.max()
-    assert f"4 cameras, {low:.3g} to {high:.3g} m apart" in out and "OK    the rig fits the images" in out
+    assert f"4 cameras, {low:.3g} to {high:.3g} m apart" in out and "OK    the rig fits its images" in out
     osl.save_rig(invert_poses(scene_images[0]), data / "config.yaml")
     assert run("doctor", *with_images(data), *SMALL) == 1
     assert "FAIL  the poses look inverted (rig → camera instead of camera → rig)" in capsys.readouterr().out

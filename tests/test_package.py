@@ -37,9 +37,18 @@ EAGER = {
         "stereo.sweep",
         "calibrate.checkerboard",
         "calibrate.marker_boards",
+        "calibrate.features",
+        "calibrate.patches",
         "train.endless.worlds",
     },
-    "scipy": {"calibrate.bundle", "calibrate.joint"},
+    "scipy": {
+        "calibrate.bundle",
+        "calibrate.joint",
+        "calibrate.features",
+        "calibrate.relative_pose",
+        "calibrate.track_bundle",
+        "calibrate.from_images",
+    },
 }
 
 

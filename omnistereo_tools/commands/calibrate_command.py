@@ -9,6 +9,8 @@ Examples:
       the target file of Kalibr, or a YAML file with the fields of a board: see the book
   omnistereo calibrate boards --board 12x10 --square 0.06 --rig lenses.yaml
       the poses alone, of cameras that are calibrated
+  omnistereo calibrate --from-images front right back left --rig nominal.yaml
+      the poses without a board, from a drive: each camera's folder, video or picture
 """
 
 from __future__ import annotations
@@ -20,23 +22,26 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_tools.commands import calibrate_images
 from omnistereo_tools.outputs import check_outputs, hold
 
 if TYPE_CHECKING:
     from omnistereo_lib.calibrate.board import Board
-    from omnistereo_lib.geometry.rig import Rig
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder with one folder of images per camera")
-    parser.add_argument("--board", required=True, help="inner corners, columns x rows, such as 12x10, or a YAML file")
+    parser.add_argument(
+        "folder", type=Path, nargs="?", metavar="FOLDER", help="folder with one folder of images per camera"
+    )
+    parser.add_argument("--board", help="inner corners, columns x rows, such as 12x10, or a YAML file")
     parser.add_argument("--square", type=float, help="edge of a square of a checkerboard in metres, such as 0.06")
     parser.add_argument("--rig", type=Path, help="keep the intrinsics of this rig file or folder of cameras")
     parser.add_argument("--degree", type=int, help="polynomial degree (default: chosen by cross-validation)")
     parser.add_argument("--max-fov", type=float, help="field of view in degrees (default: as far as corners reach)")
     parser.add_argument("--corners", type=Path, help="folder with corners_*.yaml of an earlier run, edited or not")
     parser.add_argument("--out", type=Path, default=Path("out/rig"), help="folder for the results (default: out/rig)")
+    calibrate_images.add_arguments(parser)
 
 
 def _read_board(options: argparse.Namespace) -> Board:
@@ -57,14 +62,25 @@ def _read_board(options: argparse.Namespace) -> Board:
     return Checkerboard((int(size[1]), int(size[2])), options.square)
 
 
-def run(options: argparse.Namespace) -> None:
-    """Calibrate one camera or a rig and write it, its report and its detections."""
+def run(options: argparse.Namespace) -> int:
+    """Calibrate one camera or a rig and write it and its report; return 1 if images leave the given rig as it is."""
+    if options.from_images is not None:
+        return calibrate_images.run(options)
+    if options.folder is None or options.board is None:
+        raise OmnistereoError("calibrate needs FOLDER and --board, or --from-images and --rig")
+    _calibrate_boards(options)
+    return 0
+
+
+def _calibrate_boards(options: argparse.Namespace) -> None:
+    """Calibrate one camera or a rig from images of a board; write it, its report and its detections."""
     from omnistereo_lib.calibrate.joint import calibrate_rig
     from omnistereo_lib.calibrate.single_camera import calibrate_camera, check_settings
     from omnistereo_lib.files import atomic_write
     from omnistereo_lib.rig_files.formats import load_cameras
     from omnistereo_lib.rig_files.ocam import write_ocam_txt
     from omnistereo_tools.judge.pace import progress_bar
+    from omnistereo_tools.output.rig_exports import write_rig
 
     check_settings(options.degree, options.max_fov)
     _check_out(options)
@@ -86,7 +102,7 @@ def run(options: argparse.Namespace) -> None:
         given = None if options.rig is None else load_cameras(options.rig, options.max_fov)
         rig, report = calibrate_rig(views, board, sizes, **settings, cameras=given)
         reports = report.joint
-        written = _write_rig(out, rig)
+        written = write_rig(rig, out)
     text = report.text(names)
     with atomic_write(out / "report.txt") as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
@@ -135,18 +151,6 @@ def _read_corners(folder: Path, board: Board) -> tuple:
     views = [[by_name.get(name) for name in names] for by_name, _, _ in loaded]
     cameras = tuple(path.stem.removeprefix("corners_") for path in files)
     return cameras, names, views, [size for _, _, size in loaded]
-
-
-def _write_rig(out: Path, rig: Rig) -> list[str]:
-    from omnistereo_lib.rig_files import save_rig
-    from omnistereo_lib.rig_files.ocam import write_ocam_folder
-    from omnistereo_tools.output.rig_exports import export_rig
-
-    save_rig(rig, out / "config.yaml")
-    write_ocam_folder(rig, out)
-    residual = max(export_rig(rig, out))
-    print(f"kalibr.yaml, opencv.yaml and colmap_*: their camera model follows ours to {residual:.2f} px at worst")
-    return ["config.yaml", "ocam*.txt", "poses.txt", "kalibr.yaml", "opencv.yaml", "colmap_*"]
 
 
 def _write_figures(out: Path, cameras: Sequence[str], reports: Sequence) -> list[str]:

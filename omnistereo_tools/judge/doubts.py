@@ -9,10 +9,13 @@ from numpy.typing import NDArray
 
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_tools.judge.rig_check import other_order
+from omnistereo_lib.stereo.images import reduce_images
+from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_tools.judge.rig_check import find_mixup, matching_cost
 
 _TOGETHER = 1e-3  # m
 _FAR_APART = 100.0  # m
+_MATCHES = 0.1  # median matching cost below which nothing is looked for; a few right rigs cost up to 0.17
 _OUTSIDE = 1.5  # times the nearest depth; rigs of the public sets and of the course stay below 0.5
 
 
@@ -47,6 +50,7 @@ def image_doubts(rig: Rig, images: Sequence[NDArray], grid: SphereGrid) -> Itera
     if same := same_pictures(images):
         yield same
         return
-    found = other_order(rig, images, replace(grid, width=160, height=40, num_spheres=16))
-    if found is not None:
+    coarse = replace(grid, width=160, height=40, num_spheres=16)
+    small, reduced = reduce_images(rig, images, coarse.width / 360)
+    if matching_cost(SphereSweep(small, coarse), reduced) > _MATCHES and (found := find_mixup(rig, images)):
         yield f"{found}. `omnistereo doctor` with the same rig and images says more"

@@ -1,158 +1,268 @@
-"""Rig check against the images: inverted poses, a wrong unit, swapped or mirrored images, a rotated camera.
+"""Rig check: measure the relative poses from images, compare them with those of the rig, and name what is wrong.
 
-Each usual mistake is undone, and the rig is wrong if the images then match much better. The measure is the matching
-cost of the best sphere: below 0.1 where the geometry is right, above 0.3 where unrelated places are compared. One wrong
-picture of four lies between: half of the pairs are right.
+Nothing is named that does not fit what was measured.
 """
 
-from collections.abc import Iterator, Sequence
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, permutations, product
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.calibrate.features import FeatureFinder, Features
+from omnistereo_lib.calibrate.from_images import (
+    MeasuredRig,
+    chain_poses,
+    find_features,
+    find_pairs,
+    measure_rig,
+    relative_poses,
+)
+from omnistereo_lib.calibrate.track_bundle import mean_baseline, pose_differences
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.frame import check_images
+from omnistereo_lib.geometry.pose import Floats, Pose
 from omnistereo_lib.geometry.rig import Pairs, Rig, camera_pairs
-from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.progress import Progress, counted, silent
-from omnistereo_lib.stereo.images import reduce_images
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.volume import cost_volume
 from omnistereo_lib.stereo.zncc import ZNCC
+from omnistereo_tools.judge.mixups import as_given, explain
 
-_BETTER = 0.75  # a mistake is reported if undoing it brings the cost below this fraction,
-_NOISE = 0.01  # and by more than this
-_BETTER_ROTATED = 0.9  # the same for one camera; right rigs about 1, 2° off 0.3 to 0.8 on the sample sets
-_ROTATION_PX = 1.5  # panorama pixels by which a camera is rotated; less than one is not resolved
-_FITS = 0.1  # below this median cost no other order is tried; a few right rigs cost up to 0.17
-_CLEAR = 0.94  # these cost below this fraction of any alternative; 0.63 to 0.933, with one wrong picture 0.949 and more
-_HOPELESS = 0.25  # above this median cost no hypothesis fits, and no rotated camera is looked for
 _NO_OVERLAP = 0.5  # cost of a patch without texture, which is no evidence for or against a match
-_UNITS = {1000: ("mm", "m"), 100: ("cm", "m"), 10: ("mm", "cm")}  # large unit / small unit: (small, large)
+_SURE = 2.5  # deviations; of the length of a turn about three axes, passed by chance once in thousands
+_LEAST_TURN_DEG, _LEAST_SHIFT = 0.02, 0.005  # less is not worth saying; the shift is a share of the mean baseline
+_WRONG_PX, _WRONG_SHIFT = 0.5, 0.02  # less does no harm: of a turn in pixels, of a shift as above
+_CLEARER = 0.5  # times the misfit
+_NEAR_DEG = 1.0  # of file and images: then the file is where the measurement begins
+_UNITS = {1000: "m read as mm", 100: "m read as cm", 10: "cm read as mm"}
 
 
-@dataclass(frozen=True)
-class RigHypothesis:
-    """A rig with one mistake undone, and how well the images then match."""
-
-    name: str  # "as given", or the mistake that is undone
-    cost: float  # median over the rays of the matching cost of the best sphere, in [0, 1]
-    given_cost: float  # the same for the rig as given
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RigCheck:
     """Result of `check_rig`."""
 
-    given: RigHypothesis
-    alternatives: list[RigHypothesis]  # mistakes of the whole rig undone, best first
-    # One camera rotated, costs over its own pairs, largest improvement first. Empty for fewer than 3 cameras, or if
-    # the rig is wrong already.
-    rotated: list[RigHypothesis]
-
-    @property
-    def mistake(self) -> RigHypothesis | None:
-        """The hypothesis that explains the images much better than the rig as given, if there is one."""
-        best = self.alternatives[0]
-        if best.cost < min(_BETTER * best.given_cost, best.given_cost - _NOISE):
-            return best
-        return next((one for one in self.rotated[:1] if one.cost < _BETTER_ROTATED * one.given_cost), None)
-
-    @property
-    def fits(self) -> bool:
-        """Whether the rig is right."""
-        highest = max(_FITS, min(_CLEAR * self.alternatives[0].cost, _HOPELESS))
-        return self.mistake is None and self.given.cost <= highest
+    fits: bool
+    text: str  # the result in sentences
+    fixed: Rig | None = (
+        None  # the rig that the images show, if this one is wrong, its cameras in the order of the images
+    )
+    measured: MeasuredRig | None = None
+    is_mixup: bool = False  # of poses or images, not a camera that moved
 
     def summary(self) -> str:
-        """Return the result as a sentence."""
-        mistake, cost = self.mistake, self.given.cost
-        if mistake is not None:
-            change = f"the median matching cost would fall from {mistake.given_cost:.3f} to {mistake.cost:.3f}"
-            if mistake in self.rotated and mistake.cost > _FITS:  # the right rotation would fit
-                return f"{mistake.name}, or its image is of another moment: {change}, where below 0.1 fits. Check both"
-            return f"{mistake.name}: {change}. Fix the file and check again"
-        if not self.fits:
-            return (
-                f"neither the rig as given nor any usual mistake explains the images: the median matching cost is "
-                f"{cost:.3f}, expected below 0.1. Check that the images were taken at the same time by these cameras"
-            )
-        return (
-            f"the rig fits the images: the median matching cost is {cost:.3f}, "
-            f"that of the next best hypothesis {self.alternatives[0].cost:.3f}"
-        )
+        """Return the result in sentences."""
+        return self.text
 
 
 def check_rig(
-    rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid, progress: Progress = silent, with_units: bool = True
+    rig: Rig, images: Sequence[NDArray[np.uint8]], min_depth: float | None = None, progress: Progress = silent
 ) -> RigCheck:
-    """Match the images with the rig as given and with each usual mistake undone.
+    """Measure the poses of a rig from the images of one moment and compare them.
 
-    The images are first reduced to the resolution of the panorama, below which their detail is noise.
-
-    Images do not tell the length of a metre: a rig that is too large sees the same scene further away. `min_depth`,
-    the nearest depth in metres, tells it, and the number of spheres, whose steps are too wide for such a rig; more
-    spheres tell it less clearly, fewer suspect a right rig in a wide place.
+    Images do not tell the length of a metre: a rig that is too large sees the same scene further away. Only a stated
+    nearest depth tells it.
 
     Args:
-        images: one array per camera
-        grid: A small one, such as 320 × 80 with 64 spheres. A rotated camera is found from about one pixel on, 1.1°
-            here.
-        progress: Called as `progress(done, total, what)`: for the mistakes, then for the cameras that may be rotated.
-        with_units: Whether to try other units. False where `min_depth` comes from the rig: it scales with the rig.
+        images: one array per camera, uint8
+        min_depth: Depth in metres than which hardly anything is nearer; None: the unit is not checked.
+        progress: Called as `progress(done, total, what)`.
 
     Raises:
         OmnistereoError: If the images do not fit the cameras.
     """
-    rig, images = reduce_images(rig, images, grid.width / 360)
-    sweep = SphereSweep(rig, grid)
-    cost = matching_cost(sweep, images)
-    given = RigHypothesis("as given", cost, cost)
-    tried = [(name, other.T_rig_cam, images) for name, other in _other_poses(rig, grid, with_units)]
-    tried += [(name, None, changed) for name, changed in _other_images(images)]
-    others = []
-    step = counted(progress, len(tried))
-    for name, poses, pictures in tried:
-        step("mistakes")
-        other = matching_cost(sweep if poses is None else sweep.with_poses(poses), pictures)
-        others.append(RigHypothesis(name, other, cost))
+    step = counted(progress, 2)
+    step("matches")
+    features, pairs = _matches(rig, images)
+    wrong = _mixup(rig, images, features, pairs)
+    if wrong is None:
+        step("poses")
+        try:
+            chained = _chained(rig, pairs)
+            start = rig if as_given(rig, pairs).turn_deg < _NEAR_DEG else chained
+            measured = measure_rig(start, [images], "nothing", [features])
+            # All cameras together are more exact than pairs, and may name what those leave open.
+            wrong = _mixup(rig, images, features, relative_poses(measured.rig)) or _compared(rig, measured, min_depth)
+        except OmnistereoError as error:
+            wrong = RigCheck(False, str(error))
     step("")
-    check = RigCheck(given, sorted(others, key=lambda one: one.cost), [])
-    if check.mistake is not None or cost > _HOPELESS or len(rig) < 3:
-        return check
-    rotated = []
-    step = counted(progress, len(rig))
-    for camera in range(len(rig)):
-        step(f"camera {camera + 1} of {len(rig)}")
-        rotated.append(_rotated_camera(sweep, images, camera))
-    step("")
-    return replace(check, rotated=sorted(rotated, key=lambda one: one.cost / max(one.given_cost, 1e-9)))
+    return wrong
 
 
-def other_order(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid) -> str | None:
-    """Return what to do if the images match much better in another order, or one of them mirrored; a quick look.
+def find_mixup(rig: Rig, images: Sequence[NDArray[np.uint8]]) -> str | None:
+    """Return what is mixed up, in words, or None if nothing is."""
+    check = check_rig(rig, images)
+    return check.text if check.is_mixup else None
 
-    Raises an `OmnistereoError` if the images do not fit the cameras.
-    """
-    rig, images = reduce_images(rig, images, grid.width / 360)
-    sweep = SphereSweep(rig, grid)
-    given = matching_cost(sweep, images)
-    if given <= _FITS:
+
+def _matches(rig: Rig, images: Sequence[NDArray[np.uint8]]) -> tuple[list[Features], dict]:
+    """Return the features of the images, and what pairs of them say about their poses."""
+    features = find_features(rig.cameras, [[_to_uint8(image) for image in check_images(images, rig)]])
+    return features[0], find_pairs(features)
+
+
+def _to_uint8(image: NDArray) -> NDArray[np.uint8]:
+    return image if image.dtype == np.uint8 else image.round().clip(0, 255).astype(np.uint8)
+
+
+def _mixup(rig: Rig, images: Sequence[NDArray], features: list[Features], pairs: dict) -> RigCheck | None:
+    """Return what is wrong with the images or mixed up in the poses, or None."""
+    lost = sorted(set(range(len(rig))) - {camera for pair in pairs for camera in pair})
+    if mirrored := _mirrored(rig, images, features, lost):
+        names = " and ".join(str(k + 1) for k in mirrored)
+        return RigCheck(
+            False, f"image {names} looks mirrored: it matches the others once it is flipped. Flip it", is_mixup=True
+        )
+    if lost or len(pairs) < len(rig) - 1:
         return None
-    cost, name = min((matching_cost(sweep, changed), name) for name, changed in _other_images(images))
-    return name if cost < min(_BETTER * given, given - _NOISE) else None
+    given, found, clear = explain(rig, pairs)
+    if found is None or not found.parts:
+        return None
+    if not clear:  # with each image seen through its own lens it must fit much better
+        right = found.apply(rig)
+        again = as_given(right, _matches(right, images)[1])
+        if again.turn_deg > _NEAR_DEG or again.misfit > _CLEARER * found.misfit:
+            return None
+        found = replace(found, turn_deg=again.turn_deg, aim_deg=again.aim_deg)
+    return RigCheck(
+        False,
+        f"{found.name}. With this undone, file and images agree to {found.turn_deg:.1f}° in rotation and "
+        f"{found.aim_deg:.0f}° in the direction of the baselines, where they differ by {given.turn_deg:.0f}° and "
+        f"{given.aim_deg:.0f}°",
+        found.apply(rig),
+        is_mixup=True,
+    )
 
 
-def matching_cost(sweep: SphereSweep, images: Sequence[ArrayLike], pairs: Pairs = "ring") -> float:
-    """Return the median over all rays of the best raw ZNCC cost, in [0, 1]; 0.5 where no pair shares a view."""
+def _mirrored(
+    rig: Rig, images: Sequence[NDArray[np.uint8]], features: Sequence[Features], lost: Sequence[int]
+) -> list[int]:
+    """Return those of some cameras whose images match the others once they are mirrored."""
+    found = []
+    for k in lost:
+        again = list(features)
+        again[k] = FeatureFinder(rig.cameras[k]).find(np.fliplr(images[k]))
+        if any(k in pair for pair in find_pairs([again])):
+            found.append(k)
+    return found
+
+
+def _chained(rig: Rig, pairs: dict) -> Rig:
+    """Return the rig with the poses of the images, of the size and about in the place of the given one."""
+    poses = chain_poses(pairs, len(rig))
+    found = rig.with_poses(poses)
+    scale = mean_baseline(rig.centers) / mean_baseline(found.centers)
+    U, _, Vt = np.linalg.svd(sum(a.R @ b.R.T for a, b in zip(rig.T_rig_cam, poses, strict=True)))
+    common = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    offset = rig.centers.mean(axis=0) - scale * common @ found.centers.mean(axis=0)
+    return rig.with_poses([Pose(common @ pose.R, scale * common @ pose.t + offset) for pose in poses])
+
+
+def _compared(rig: Rig, measured: MeasuredRig, min_depth: float | None) -> RigCheck:
+    """Return how the poses of the rig differ from those measured, in words."""
+    differences = pose_differences(measured.rig, rig)
+    turn_sd, shift_sd = measured.deviations.T
+    turns, shifts = np.degrees(np.linalg.norm(differences[:, :3], axis=1)), np.linalg.norm(differences[:, 3:], axis=1)
+    wrong = turns > np.maximum(_SURE * turn_sd, _LEAST_TURN_DEG)
+    least_shift = _LEAST_SHIFT * mean_baseline(rig.centers)
+    moved = shifts > np.maximum(_SURE * shift_sd, least_shift)
+    limits = [f"Not all is shown: {refusal}." for refusal in measured.refusals()]
+    unit = _unit(measured, min_depth)
+    if unit is not None:
+        return RigCheck(False, unit, None, measured)
+    k = int(turns.argmax())
+    if not wrong.any() and not moved.any():
+        text = f"the rig fits its images: no camera is off by more than {turns[k]:.2g}° ± {turn_sd[k]:.1g}°"
+        return RigCheck(
+            True, " ".join([f"{text} and {_length(shifts.max())} ± {_length(shift_sd.max())}", *limits]), None, measured
+        )
+    found = []
+    only = _only_camera(measured.rig, rig)
+    if wrong.any() and only is not None:
+        k, turn = only
+        axis = turn / np.linalg.norm(turn)
+        found.append(
+            f"camera {k + 1} is turned by {np.degrees(np.linalg.norm(turn)):.2g}° ± {turn_sd[k]:.1g}° about its "
+            f"{_axis_name(axis)}"
+        )
+    elif wrong.any():
+        found += [f"camera {k + 1} is turned by {turns[k]:.2g}° ± {turn_sd[k]:.1g}°" for k in np.flatnonzero(wrong)]
+    found += [
+        f"the centre of camera {k + 1} is off by {_length(shifts[k])} ± {_length(shift_sd[k])}"
+        for k in np.flatnonzero(moved)
+    ]
+    text = f"against the other cameras, {', '.join(found)}"
+    wrong_deg = _WRONG_PX / min(camera.pixels_per_degree for camera in rig.cameras)
+    harmless = (
+        turns[wrong].max(initial=0) < wrong_deg
+        and shifts[moved].max(initial=0) < _WRONG_SHIFT / _LEAST_SHIFT * least_shift
+    )
+    if harmless:
+        text = f"the rig fits its images to {_WRONG_PX:g} pixel: {text}"
+    return RigCheck(bool(harmless), " ".join([text, *limits]), measured.rig, measured)
+
+
+def _only_camera(measured: Rig, rig: Rig) -> tuple[int, Floats] | None:
+    """Return the one camera that is turned against all others, if there is one, and its turn about its own axes."""
+    if len(rig) < 3:
+        return None
+    best: tuple[float, int, Floats] | None = None
+    R, R0 = (np.stack([pose.R for pose in one.T_rig_cam]) for one in (measured, rig))
+    for k in range(len(rig)):
+        others = [i for i in range(len(rig)) if i != k]
+        U, _, Vt = np.linalg.svd(np.einsum("nij,nkj->ik", R[others], R0[others]))
+        common = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+        turns = [Pose(R0[i].T @ common.T @ R[i], np.zeros(3)).as_vector()[:3] for i in range(len(rig))]
+        rest = max(float(np.linalg.norm(turns[i])) for i in others)
+        if best is None or rest < best[0]:
+            best = rest, k, turns[k]
+    rest, k, turn = best
+    return (k, turn) if rest < 0.3 * np.linalg.norm(turn) else None
+
+
+def _axis_name(axis: Floats) -> str:
+    largest = int(np.abs(axis).argmax())
+    if abs(axis[largest]) > 0.95:
+        return f"{'xyz'[largest]} axis"
+    return f"axis ({', '.join(f'{value:.2f}' for value in axis)})"
+
+
+def _length(metres: float) -> str:
+    return f"{1000 * metres:.2g} mm" if metres < 0.1 else f"{metres:.2g} m"
+
+
+def _unit(measured: MeasuredRig, min_depth: float | None) -> str | None:
+    """Return what the nearest points say about the unit of the translations, if it cannot be right."""
+    if min_depth is None:
+        return None
+    nearest = measured.depth_quantile(0.01)
+    for factor, unit in _UNITS.items():
+        for short in (True, False):
+            ratio = min_depth / nearest if short else nearest / min_depth
+            # Nothing may be near; nothing nearer than the nearest cannot be.
+            if ratio > (factor / 3 if short else factor / 2) and (short or factor > 10):
+                words = unit if short else " read as ".join(reversed(unit.split(" read as ")))
+                return (
+                    f"the translations look {factor} times too {'short' if short else 'long'} ({words}?): with them "
+                    f"the nearest things are {nearest:.2g} m away, and the nearest depth is stated as {min_depth:.2g} m"
+                )
+    return None
+
+
+def matching_cost(
+    sweep: SphereSweep, images: Sequence[ArrayLike], pairs: Pairs = "ring", rays: NDArray[np.bool_] | None = None
+) -> float:
+    """Return the median of the best raw ZNCC cost over rays (H, W), or all, in [0, 1]; 0.5 if no pair shares a view."""
     valid = [sweep.project_sphere(camera, 0)[1] for camera in range(len(sweep.rig))]
     if not any((valid[i] & valid[j]).any() for i, j in camera_pairs(pairs, sweep.rig)):
         return _NO_OVERLAP
-    volume = cost_volume(sweep, images, ZNCC(window=9), pairs)  # the limits above are of this window
+    volume = cost_volume(sweep, images, ZNCC(window=9), pairs)
     lowest = torch.where(volume.isnan(), torch.inf, volume).amin(-1)
-    return float(lowest[lowest.isfinite()].median())
+    chosen = lowest.isfinite() if rays is None else lowest.isfinite() & torch.from_numpy(rays)
+    return float(lowest[chosen].median()) if chosen.any() else _NO_OVERLAP
 
 
 def invert_poses(rig: Rig) -> Rig:
@@ -169,59 +279,3 @@ def rotate_camera(rig: Rig, camera: int, axis_angle: ArrayLike) -> Rig:
     """Return the rig with one camera rotated about its own axes; axis-angle (3,) in radians."""
     rotation = Pose.from_vector([*np.asarray(axis_angle), 0.0, 0.0, 0.0])
     return rig.with_poses([pose @ rotation if i == camera else pose for i, pose in enumerate(rig.T_rig_cam)])
-
-
-def _rotated_camera(sweep: SphereSweep, images: Sequence[ArrayLike], camera: int) -> RigHypothesis:
-    """Return a camera with the rotation that its own pairs prefer: about one axis, or a Newton step about all three.
-
-    Costs of different pairs are not comparable: in a room they differ by a factor of four with the right rig, while
-    a rotation by 2° raises them by a fifth. So each camera is compared with itself.
-    """
-    rig, pixel = sweep.rig, 2 * np.pi / sweep.grid.width
-    angle = _ROTATION_PX * pixel
-    pairs = [pair for pair in camera_pairs("all", rig) if camera in pair]
-
-    def cost(axis_angle: NDArray) -> float:
-        return matching_cost(sweep.with_poses(rotate_camera(rig, camera, axis_angle).T_rig_cam), images, pairs)
-
-    given_cost = matching_cost(sweep, images, pairs)
-    steps = angle * np.concatenate([np.eye(3), -np.eye(3)])
-    costs = np.array([cost(step) for step in steps])
-    slopes, curvatures = (costs[:3] - costs[3:]) / 2, costs[:3] + costs[3:] - 2 * given_cost
-    newton = angle * (-slopes / np.maximum(curvatures, 1e-9)).clip(-1, 1)
-    newton *= np.linalg.norm(newton) >= pixel  # less may match better by chance
-    lowest, step = min((cost(newton), newton), (costs.min(), steps[costs.argmin()]), key=lambda pair: pair[0])
-    name = f"camera {camera + 1} looks rotated by about {np.degrees(np.linalg.norm(step)):.1f}°"
-    return RigHypothesis(name, float(lowest), given_cost)
-
-
-def _other_poses(rig: Rig, grid: SphereGrid, with_units: bool) -> Iterator[tuple[str, Rig]]:
-    """Yield (what is wrong with the poses, the rig with that undone)."""
-    yield "the poses look inverted (rig → camera instead of camera → rig)", invert_poses(rig)
-    for factor, (small, large) in _UNITS.items() if with_units else ():
-        far = f"or nothing is nearer than {factor * grid.min_depth:g} m (then raise min_depth)"
-        long = f"the translations look {factor} times too long ({small} read as {large}?), {far}"
-        yield long, scale_translations(rig, 1 / factor)
-        short = f"the translations look {factor} times too short ({large} read as {small}?)"
-        yield short, scale_translations(rig, factor)
-    for camera, degrees in product(range(len(rig)), (90, 180, 270)):
-        name = f"camera {camera + 1} looks rolled by {degrees}° (clockwise as it looks)"
-        yield name, rotate_camera(rig, camera, [0, 0, np.radians(degrees)])
-
-
-def _other_images(images: list[NDArray]) -> Iterator[tuple[str, list[NDArray]]]:
-    """Yield (what is wrong with the images, the images with that undone)."""
-    for order in _other_orders(images):
-        name = f"the images look swapped (give them in the order {' '.join(str(i + 1) for i in order)})"
-        yield name, [images[i] for i in order]
-    for k, image in enumerate(images):
-        yield f"image {k + 1} looks mirrored", [*images[:k], np.fliplr(image), *images[k + 1 :]]
-
-
-def _other_orders(images: list[NDArray]) -> Iterator[tuple[int, ...]]:
-    """Yield the other orders of the images: all of them up to four cameras, else swaps of two."""
-    n = len(images)
-    swaps = (tuple({i: j, j: i}.get(k, k) for k in range(n)) for i, j in combinations(range(n), 2))
-    for order in permutations(range(n)) if n <= 4 else swaps:
-        if order != tuple(range(n)) and all(images[i].shape == images[k].shape for k, i in enumerate(order)):
-            yield order

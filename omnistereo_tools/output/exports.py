@@ -21,6 +21,7 @@ _SUFFIXES = {
     "equirectangular": (".tiff", ".tif"),
     "video": tuple(CODECS),
     "coverage": (".png", ".jpg", ".jpeg"),
+    "write": (".yaml", ".yml"),
 }
 
 

@@ -129,3 +129,15 @@ def _quaternion(pose: Pose) -> list[float]:
     half = pose.as_vector()[:3] / 2
     angle = np.linalg.norm(half)
     return [float(np.cos(angle)), *(np.sinc(angle / np.pi) * half).tolist()]
+
+
+def write_rig(rig: Rig, out: Path) -> list[str]:
+    """Write a rig into a folder in all formats, and say how well they hold it; return the names of the files."""
+    from omnistereo_lib.rig_files import save_rig
+    from omnistereo_lib.rig_files.ocam import write_ocam_folder
+
+    save_rig(rig, out / "config.yaml")
+    write_ocam_folder(rig, out)
+    residual = max(export_rig(rig, out))
+    print(f"kalibr.yaml, opencv.yaml and colmap_*: their camera model follows ours to {residual:.2f} px at worst")
+    return ["config.yaml", "ocam*.txt", "poses.txt", "kalibr.yaml", "opencv.yaml", "colmap_*"]

@@ -10,7 +10,7 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools import cli
 from omnistereo_tools.outputs import _READ, _SETS, hold, let_go
 
-WRITES = ("out", "mesh", "equirectangular", "crops", "video", "coverage")
+WRITES = ("out", "mesh", "equirectangular", "crops", "video", "coverage", "write")
 FILES = {
     "rig.yaml": "cameras: [{invalid_mask: dark.png}]",
     **dict.fromkeys(("1.ply", "1.tiff", "2.png", "3.png", "4.png", "dark.png", "overview.png", "mask.png"), "image"),
@@ -43,10 +43,13 @@ COMMANDS = [
     "doctor --rig rig.yaml --coverage dark.png",
     "doctor --rig rig.yaml --images 2.png 3.png --masks mask.png 4.png --coverage mask.png",
     "doctor --rig set --coverage set/cam1/1.png",
+    "doctor --rig rig.yaml --images 2.png 3.png --write rig.yaml",
     f"{BOARDS} --out boards",
     f"{BOARDS} --out boards/cam1",
     f"{BOARDS} --out rig --rig rig/config.yaml",
     "calibrate boards --board rig/config.yaml --out rig",
+    "calibrate --from-images 2.png 3.png --rig rig/config.yaml --out rig",
+    "calibrate --from-images 2.png 3.png --lenses rig/config.yaml --radius 0.3 --out rig",
     "train volumenet --init-weights run/weights.safetensors --out run",
     "evaluate --sets set --rig tables/results.json --out tables",
     "onnx --rig network/run_onnx.py --out network",

@@ -1,0 +1,234 @@
+"""The part of `omnistereo calibrate` that needs no board: poses from ordinary images of the rig."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_tools.outputs import check_outputs, hold
+
+if TYPE_CHECKING:
+    import numpy as np
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+    from omnistereo_lib.calibrate.from_images import Given, Images, MeasuredRig
+    from omnistereo_lib.geometry.rig import Rig
+    from omnistereo_lib.progress import Progress
+    from omnistereo_tools.input.sources import Recording
+
+_CANDIDATES = 24  # frames that are looked at
+_THUMBNAIL = 48  # pixels
+_STILL = 3.0  # gray values by which frames of a moving rig differ, in the mean
+_BLURRED = 0.7  # of the median sharpness
+_CHECKED = 3  # frames on which the matching cost is compared
+_AS_GOOD = 1.01  # times the cost
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of calibration from images."""
+    group = parser.add_argument_group("without a board")
+    group.add_argument("--from-images", type=Path, nargs="+", help="for each camera a folder, a video or one picture")
+    group.add_argument("--lenses", type=Path, help="rig file or folder of lens files: poses are not needed")
+    group.add_argument("--baseline", type=float, help="with --lenses: metres between cameras 1 and 2")
+    group.add_argument("--radius", type=float, help="with --lenses: mean distance of the cameras from their middle, m")
+    group.add_argument(
+        "--calibrated", action="store_true", help="the poses of --rig are a calibration: they keep weight"
+    )
+    group.add_argument("--free-lenses", action="store_true", help="adjust centre and focal length of the lenses, too")
+    group.add_argument("--frames", type=int, default=6, help="how many frames are chosen (default: 6)")
+    group.add_argument("--unit", choices=["mm", "cm", "m"], help="unit of the poses of --rig, if it does not state it")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure a rig from images, write it and its report; return 1 if the given rig is better and stays."""
+    from omnistereo_lib.files import atomic_write
+    from omnistereo_tools.judge.pace import progress_bar
+    from omnistereo_tools.output.pictures import save_figure
+    from omnistereo_tools.output.rig_exports import write_rig
+
+    _check(options)
+    out: Path = options.out
+    names = ("config.yaml", "report.txt", "report_points.png", "poses.txt", "kalibr.yaml", "opencv.yaml")
+    check_outputs(options, [out / name for name in names])
+    images, rig, given = _read(options)
+    print(f"measuring the poses from {len(images)} frames takes about {10 + 8 * len(images)} s", flush=True)
+    measured, better, costs = _measure(options, rig, given, images, progress_bar())
+    if refusals := measured.refusals():
+        raise OmnistereoError("; ".join(refusals))
+    text = "\n".join([*_report(measured, len(images), given), *costs])
+    print(text)
+    if not better:
+        print("The held-out parts of the images do not match better: the given rig stays, nothing is written.")
+        return 1
+    hold(out)
+    written = write_rig(measured.rig, out)
+    with atomic_write(out / "report.txt") as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")
+    save_figure(out / "report_points.png", _figure(measured), dpi=80)
+    print(f"written to {out}/: {', '.join([*written, 'report.txt', 'report_points.png'])}")
+    return 0
+
+
+def _check(options: argparse.Namespace) -> None:
+    """Raise an `OmnistereoError` if options do not go together."""
+    if options.folder is not None or options.board is not None:
+        raise OmnistereoError("--from-images needs no board. Leave FOLDER and --board out")
+    if (options.rig is None) == (options.lenses is None):
+        raise OmnistereoError("--from-images needs --rig with nominal poses, or --lenses and one length")
+    if options.lenses is not None and (options.baseline is None) == (options.radius is None):
+        raise OmnistereoError("--lenses needs one length, because images do not tell a metre: --baseline or --radius")
+    if options.rig is not None and (options.baseline or options.radius):
+        raise OmnistereoError("--baseline and --radius go with --lenses. The size of a rig is that of --rig")
+    for name in ("baseline", "radius", "frames"):
+        value = getattr(options, name)
+        if value is not None and not 0 < value < 1e4:
+            raise OmnistereoError(f"--{name} is {value}; expected a number above 0")
+
+
+def _read(options: argparse.Namespace) -> tuple[Images, Rig, Given]:
+    """Return the frames chosen, the rig, and what its poses are."""
+    from omnistereo_lib.calibrate.from_images import find_features, rig_from_pairs
+    from omnistereo_lib.frame import load_images
+    from omnistereo_lib.geometry.pose import Pose
+    from omnistereo_lib.geometry.rig import Rig
+    from omnistereo_lib.rig_files import load_rig
+    from omnistereo_lib.rig_files.formats import load_cameras
+    from omnistereo_tools.input.masks import with_masks
+    from omnistereo_tools.input.sources import Recording, is_recording
+
+    if options.rig is not None:
+        rig = load_rig(options.rig, options.unit, options.max_fov, keep_frame=True)
+    else:
+        cameras = load_cameras(options.lenses, options.max_fov)
+        rig = Rig(cameras, [Pose.identity()] * len(cameras))
+    rig = with_masks(rig, None, options.from_images)
+    if is_recording(options.from_images):
+        images = _choose_frames(Recording.open(options.from_images), rig, options.frames)
+    else:
+        images = [load_images(options.from_images, rig)]
+    if options.calibrated and len(images) == 1:
+        raise OmnistereoError("one frame does not replace a calibration. Give several, or leave out --calibrated")
+    if options.rig is not None:
+        return images, rig, "calibration" if options.calibrated else "nominal"
+    print("finding the poses without any to start from", flush=True)
+    return (
+        images,
+        rig_from_pairs(rig.cameras, find_features(rig.cameras, images), options.baseline, options.radius),
+        "nothing",
+    )
+
+
+def _choose_frames(recording: Recording, rig: Rig, count: int) -> Images:
+    """Return frames of a recording that are sharp and differ most: a still rig repeats its errors."""
+    import numpy as np
+
+    numbers = sorted(recording.frames)
+    candidates = [numbers[k] for k in np.unique(np.linspace(0, len(numbers) - 1, _CANDIDATES).round().astype(int))]
+    frames = list(recording.read(candidates, rig))
+    looks = np.stack([np.stack([_thumbnail(image) for image in images]) for images in frames])
+    sharpness = np.array([np.median([_sharpness(image) for image in images]) for images in frames])
+    left = [k for k in range(len(frames)) if sharpness[k] >= _BLURRED * np.median(sharpness)]
+    chosen = [max(left, key=lambda k: sharpness[k])]
+    while len(chosen) < count:
+        apart = {k: min(float(np.abs(looks[k] - looks[c]).mean()) for c in chosen) for k in left if k not in chosen}
+        if not apart or max(apart.values()) < _STILL:
+            break
+        chosen.append(max(apart, key=apart.__getitem__))
+    print(f"frames {', '.join(str(candidates[k]) for k in sorted(chosen))} of {len(numbers)} are used")
+    return [frames[k] for k in sorted(chosen)]
+
+
+def _thumbnail(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    import cv2
+    import numpy as np
+
+    from omnistereo_lib.stereo.images import to_gray
+
+    return np.asarray(cv2.resize(to_gray(image), (_THUMBNAIL, _THUMBNAIL), interpolation=cv2.INTER_AREA))
+
+
+def _sharpness(image: NDArray[np.uint8]) -> float:
+    import cv2
+
+    from omnistereo_lib.stereo.images import to_gray
+
+    return float(cv2.Laplacian(to_gray(image), cv2.CV_32F).std())
+
+
+def _measure(
+    options: argparse.Namespace, rig: Rig, given: Given, images: Images, progress: Progress
+) -> tuple[MeasuredRig, bool, list[str]]:
+    """Return the rig measured, whether it matches held-out parts better than the one given, and by how much."""
+    import numpy as np
+
+    from omnistereo_lib.calibrate.from_images import find_features, measure_rig
+
+    features = find_features(rig.cameras, images, progress)
+    measured = measure_rig(rig, images, given, features, options.free_lenses, progress=progress)
+    if given == "nothing":
+        return measured, True, []
+    half = measure_rig(rig, images, given, features, options.free_lenses, "even", progress)
+    before, after = _held_out_costs(rig, images), _held_out_costs(half.rig, images)
+    said = ", ".join(f"{a:.4f} → {b:.4f}" for a, b in zip(before, after, strict=True))
+    line = f"matching cost where images were held out, with the given rig → with one measured elsewhere: {said}"
+    return measured, float(np.mean(after)) <= _AS_GOOD * float(np.mean(before)), [line]
+
+
+def _held_out_costs(rig: Rig, images: Images) -> list[float]:
+    """Return the matching cost of some frames in the sectors that "even" leaves out."""
+    from omnistereo_lib.calibrate.from_images import in_odd_sector
+    from omnistereo_lib.geometry.sphere import SphereGrid
+    from omnistereo_lib.stereo.images import reduce_images
+    from omnistereo_lib.stereo.sweep import SphereSweep
+    from omnistereo_tools.judge.rig_check import matching_cost
+
+    nearest = rig.min_depth or 2 * float(rig.baselines.max())
+    grid = SphereGrid(320, 80, (-45, 45), 64, nearest)
+    held_out = in_odd_sector(grid.rays())
+    costs = []
+    for row in images[:_CHECKED]:
+        small, reduced = reduce_images(rig, row, grid.width / 360)
+        costs.append(matching_cost(SphereSweep(small, grid), reduced, rays=held_out))
+    return costs
+
+
+def _report(measured: MeasuredRig, frames: int, given: Given) -> list[str]:
+    """Return the report, a line for each camera."""
+    start = {
+        "nothing": "no poses were given",
+        "nominal": "the given poses were a start",
+        "calibration": "the given poses are a calibration, and keep weight",
+    }[given]
+    lines = [
+        f"rig: {len(measured.rig)} cameras, {frames} frame{'s' if frames > 1 else ''}, {measured.num_points} points in "
+        f"{measured.num_cells} cells of 15°, noise {measured.sigma_px:.2f} px; {start}",
+        f"  half of the points are within {measured.depth_quantile(0.5):.3g} m, nine tenths beyond "
+        f"{measured.depth_quantile(0.1):.3g} m; regions of the images disagree: deviations × {measured.lens_noise:.1f}",
+    ]
+    for k, ((turn, shift), (turn_sd, shift_sd)) in enumerate(
+        zip(measured.changes, measured.deviations, strict=True), 1
+    ):
+        known = f"pose known to {turn_sd:.3f}° and {1000 * shift_sd:.2g} mm"
+        change = "" if given == "nothing" else f"; turned by {turn:.3f}° and moved by {1000 * shift:.2g} mm"
+        lines.append(f"  camera {k}: {known}{change}")
+    lines.append("  the size of the rig is the one given: images do not tell a metre")
+    return lines
+
+
+def _figure(measured: MeasuredRig) -> Figure:
+    """Return a figure of where the points are, and how far."""
+    import numpy as np
+    from matplotlib.figure import Figure
+
+    u, depth = measured.points[:, :3], 1 / np.maximum(measured.points[:, 3], 1e-3)
+    figure = Figure(figsize=(11, 5), layout="constrained")
+    axes = figure.subplots()
+    azimuth, elevation = np.degrees(np.arctan2(u[:, 0], u[:, 2])), np.degrees(np.arcsin(u[:, 1].clip(-1, 1)))
+    drawn = axes.scatter(azimuth, elevation, c=np.log10(depth), s=6, cmap="viridis_r")
+    figure.colorbar(drawn, ax=axes, label="distance, log10 of metres")
+    axes.set(xlim=(-180, 180), ylim=(90, -90), xlabel="azimuth in degrees", ylabel="elevation in degrees, down > 0")
+    axes.set_title(f"{len(u)} points that cameras share: where there are none, nothing is known")
+    return figure
