@@ -37,6 +37,8 @@ _SURE = 2.5  # deviations; of the length of a turn about three axes, passed by c
 _LEAST_TURN_DEG, _LEAST_SHIFT = 0.02, 0.005  # less is not worth saying; the shift is a share of the mean baseline
 _WRONG_PX, _WRONG_SHIFT = 0.5, 0.02  # less does no harm: of a turn in pixels, of a shift as above
 _CLEARER = 0.5  # times the misfit
+_UNKNOWN_DEG = 1.0  # standard deviation of a turn; images that show no more say nothing about the rig
+_LARGE_TURN_DEG = 20.0  # of one camera: hardly a mount that gave way
 _NEAR_DEG = 1.0  # of file and images: then the file is where the measurement begins
 _UNITS = {1000: "m read as mm", 100: "m read as cm", 10: "cm read as mm"}
 
@@ -173,6 +175,8 @@ def _compared(rig: Rig, measured: MeasuredRig, min_depth: float | None) -> RigCh
     unit = _unit(measured, min_depth)
     if unit is not None:
         return RigCheck(False, unit, None, measured)
+    if turn_sd.max() > _UNKNOWN_DEG:
+        return RigCheck(False, f"the images do not show how the cameras stand. {' '.join(limits)}", None, measured)
     k = int(turns.argmax())
     if not wrong.any() and not moved.any():
         text = f"the rig fits its images: no camera is off by more than {turns[k]:.2g}° ± {turn_sd[k]:.1g}°"
@@ -183,13 +187,17 @@ def _compared(rig: Rig, measured: MeasuredRig, min_depth: float | None) -> RigCh
     only = _only_camera(measured.rig, rig)
     if wrong.any() and only is not None:
         k, turn = only
-        axis = turn / np.linalg.norm(turn)
-        found.append(
-            f"camera {k + 1} is turned by {np.degrees(np.linalg.norm(turn)):.2g}° ± {turn_sd[k]:.1g}° about its "
-            f"{_axis_name(axis)}"
-        )
+        degrees = float(np.degrees(np.linalg.norm(turn)))
+        said = f"camera {k + 1} is turned by {_degrees(degrees)} ± {turn_sd[k]:.1g}° about its {_axis_name(turn)}"
+        if degrees > _LARGE_TURN_DEG:
+            # In a scene that stands still, an image of another moment shows the place and turn of its own.
+            said += f" and off by about {shifts[k]:.1g} m, or its image is of another moment"
+            moved[:] = False
+        found.append(said)
     elif wrong.any():
-        found += [f"camera {k + 1} is turned by {turns[k]:.2g}° ± {turn_sd[k]:.1g}°" for k in np.flatnonzero(wrong)]
+        found += [
+            f"camera {k + 1} is turned by {_degrees(turns[k])} ± {turn_sd[k]:.1g}°" for k in np.flatnonzero(wrong)
+        ]
     found += [
         f"the centre of camera {k + 1} is off by {_length(shifts[k])} ± {_length(shift_sd[k])}"
         for k in np.flatnonzero(moved)
@@ -223,7 +231,12 @@ def _only_camera(measured: Rig, rig: Rig) -> tuple[int, Floats] | None:
     return (k, turn) if rest < 0.3 * np.linalg.norm(turn) else None
 
 
-def _axis_name(axis: Floats) -> str:
+def _degrees(angle: float) -> str:
+    return f"{angle:.2g}°" if angle < 10 else f"{angle:.0f}°"
+
+
+def _axis_name(turn: Floats) -> str:
+    axis = turn / np.linalg.norm(turn)
     largest = int(np.abs(axis).argmax())
     if abs(axis[largest]) > 0.95:
         return f"{'xyz'[largest]} axis"

@@ -174,3 +174,11 @@ def test_the_nearest_depth_tells_the_unit(street):
 def test_a_mirrored_image_is_named(frame):
     images = [*frame.images[:2], np.fliplr(frame.images[2]), frame.images[3]]
     assert rig_check.find_mixup(frame.rig, images).startswith("image 3 looks mirrored")
+
+
+def test_an_image_of_another_moment_may_be_meant():
+    """The room stands still, and the rig has turned by 131° between its two frames."""
+    now, later = osl.load_dataset(DATA / "indoor" / "test")[:2]
+    check = check_rig(now.rig, [*now.images[:3], later.images[3]])
+    assert not check.fits and "or its image is of another moment" in check.text
+    assert float(re.search(r"camera 4 is turned by (\d+)°", check.text)[1]) == pytest.approx(131, abs=1)
