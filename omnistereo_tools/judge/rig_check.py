@@ -171,17 +171,20 @@ def _compared(rig: Rig, measured: MeasuredRig, min_depth: float | None) -> RigCh
     wrong = turns > np.maximum(_SURE * turn_sd, _LEAST_TURN_DEG)
     least_shift = _LEAST_SHIFT * mean_baseline(rig.centers)
     moved = shifts > np.maximum(_SURE * shift_sd, least_shift)
-    limits = [f"Not all is shown: {refusal}." for refusal in measured.refusals()]
+    limits = [f"Not all is shown: {refusal}" for refusal in measured.refusals()]
     unit = _unit(measured, min_depth)
     if unit is not None:
         return RigCheck(False, unit, None, measured)
     if turn_sd.max() > _UNKNOWN_DEG:
-        return RigCheck(False, f"the images do not show how the cameras stand. {' '.join(limits)}", None, measured)
+        return RigCheck(False, f"the images do not show how the cameras stand. {'. '.join(limits)}", None, measured)
     k = int(turns.argmax())
     if not wrong.any() and not moved.any():
         text = f"the rig fits its images: no camera is off by more than {turns[k]:.2g}° ± {turn_sd[k]:.1g}°"
         return RigCheck(
-            True, " ".join([f"{text} and {_length(shifts.max())} ± {_length(shift_sd.max())}", *limits]), None, measured
+            True,
+            ". ".join([f"{text} and {_length(shifts.max())} ± {_length(shift_sd.max())}", *limits]),
+            None,
+            measured,
         )
     found = []
     only = _only_camera(measured.rig, rig)
@@ -210,7 +213,7 @@ def _compared(rig: Rig, measured: MeasuredRig, min_depth: float | None) -> RigCh
     )
     if harmless:
         text = f"the rig fits its images to {_WRONG_PX:g} pixel: {text}"
-    return RigCheck(bool(harmless), " ".join([text, *limits]), measured.rig, measured)
+    return RigCheck(bool(harmless), ". ".join([text, *limits]), measured.rig, measured)
 
 
 def _only_camera(measured: Rig, rig: Rig) -> tuple[int, Floats] | None:
