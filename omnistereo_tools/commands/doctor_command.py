@@ -139,6 +139,8 @@ def _check_images(options: argparse.Namespace, rig: Rig, images: Sequence[NDArra
     if options.write is not None and check.fixed is not None:
         save_rig(check.fixed, options.write)
         print(f"written to {options.write}: the rig as the images show it, in the order of the images")
+    elif options.write is not None:
+        print(f"{options.write} is not written: {'there is nothing to put right' if check.fits else 'see above'}")
     if stated is None:
         print(
             "A wrong unit does not show, since no nearest depth is stated: check the distances between the cameras "

@@ -48,16 +48,9 @@ class RigCheck:
     """Result of `check_rig`."""
 
     fits: bool
-    text: str  # the result in sentences
-    fixed: Rig | None = (
-        None  # the rig that the images show, if this one is wrong, its cameras in the order of the images
-    )
+    text: str  #: the result in sentences
+    fixed: Rig | None = None  #: if this rig is wrong, the one that the images show, in the order of the images
     measured: MeasuredRig | None = None
-    is_mixup: bool = False  # of poses or images, not a camera that moved
-
-    def summary(self) -> str:
-        """Return the result in sentences."""
-        return self.text
 
 
 def check_rig(
@@ -95,9 +88,9 @@ def check_rig(
 
 
 def find_mixup(rig: Rig, images: Sequence[NDArray[np.uint8]]) -> str | None:
-    """Return what is mixed up, in words, or None if nothing is."""
-    check = check_rig(rig, images)
-    return check.text if check.is_mixup else None
+    """Return what is mixed up, in words, or None if nothing is; a quick look, at pairs of cameras only."""
+    found = _mixup(rig, images, *_matches(rig, images))
+    return found.text if found else None
 
 
 def _matches(rig: Rig, images: Sequence[NDArray[np.uint8]]) -> tuple[list[Features], dict]:
@@ -115,9 +108,7 @@ def _mixup(rig: Rig, images: Sequence[NDArray], features: list[Features], pairs:
     lost = sorted(set(range(len(rig))) - {camera for pair in pairs for camera in pair})
     if mirrored := _mirrored(rig, images, features, lost):
         names = " and ".join(str(k + 1) for k in mirrored)
-        return RigCheck(
-            False, f"image {names} looks mirrored: it matches the others once it is flipped. Flip it", is_mixup=True
-        )
+        return RigCheck(False, f"image {names} looks mirrored: it matches the others once it is flipped. Flip it")
     if lost or len(pairs) < len(rig) - 1:
         return None
     given, found, clear = explain(rig, pairs)
@@ -135,7 +126,6 @@ def _mixup(rig: Rig, images: Sequence[NDArray], features: list[Features], pairs:
         f"{found.aim_deg:.0f}° in the direction of the baselines, where they differ by {given.turn_deg:.0f}° and "
         f"{given.aim_deg:.0f}°",
         found.apply(rig),
-        is_mixup=True,
     )
 
 
