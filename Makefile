@@ -61,9 +61,18 @@ check: $(DEV_READY)  ## the fast tier, a minute: linters, types, geometry, stere
 coverage: $(DEV_READY)  ## the lines of the library that the tests reach
 	$(SHARED) $(BIN)/python -m pytest $(WORKERS) --cov=omnistereo_lib --ignore tests/test_fuzz.py tests
 
-grade: $(READY)  ## score sheets of handed-in notebooks, whose code it runs: make grade HANDED_IN=folder
+grade: $(if $(CONTAINER),,$(READY))  ## score sheets of handed-in notebooks, whose code it runs: make grade HANDED_IN=folder [CONTAINER=docker]
 	$(if $(HANDED_IN),,$(error Say what to check, see book/teaching.md: make grade HANDED_IN=folder))
+ifeq ($(CONTAINER),)
 	$(BIN)/python -m course check '$(HANDED_IN)' $(GRADE_ARGS)
+else
+	$(CONTAINER) build --tag course-check --file course/classroom/Dockerfile .
+	mkdir -p out/checked && chmod a+w out/checked
+	$(CONTAINER) run --rm --network none --read-only --tmpfs /tmp:exec --env HOME=/tmp --memory 6g --pids-limit 512 \
+	  --cap-drop ALL --security-opt no-new-privileges \
+	  --volume "$$(realpath '$(HANDED_IN)'):/handed-in:ro" --volume '$(CURDIR)/out/checked:/checked' \
+	  course-check python -m course check /handed-in --out /checked $(GRADE_ARGS)
+endif
 
 depth: $(READY)  ## the sample frame, or your own: RIG=rig.yaml IMAGES="1.png 2.png 3.png 4.png" make depth
 	$(BIN)/omnistereo depth $(if $(RIG),--rig '$(RIG)') $(if $(IMAGES),--images $(IMAGES)) $(DEPTH_ARGS)

@@ -171,6 +171,15 @@ def test_make_asks_for_a_name_that_it_needs(words):
     assert done.stderr.count("\n") == 1 and f": make {words}." in done.stderr
 
 
+def test_a_class_can_be_graded_in_a_container():
+    """The command alone: few machines that run the tests have Docker."""
+    words = ["make", "-n", "grade", "HANDED_IN=notebooks", "CONTAINER=podman"]
+    said = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    assert ".venv" not in said and "podman build" in said
+    for limit in ("--network none", "--read-only", "--memory", "--pids-limit", "--cap-drop ALL", ":/handed-in:ro"):
+        assert limit in said.partition("podman run")[2]
+
+
 @pytest.fixture
 def folders(tmp_path, monkeypatch):
     """Two stored notebooks, and the folder of their working copies."""
