@@ -64,8 +64,10 @@ class Recipe:
             else:
                 kind = Integral if isinstance(self.__dataclass_fields__[name].default, int) else Real
                 number = float(value) if isinstance(value, kind) else math.nan
-                valid = 0 <= number < 2**31 and (number > 0 or name in _MAY_BE_ZERO)
-                wanted = f"a number {'≥' if name in _MAY_BE_ZERO else '>'} 0, below 2^31"
+                most = 2**31 if kind is Integral else math.inf  # torch takes no larger seed
+                valid = 0 <= number < most and (number > 0 or name in _MAY_BE_ZERO)
+                below = ", below 2^31" if kind is Integral else ""
+                wanted = f"a finite number {'≥' if name in _MAY_BE_ZERO else '>'} 0{below}"
             if not valid:
                 raise OmnistereoError(f"{self.network} recipe: {name} = {value!r}; expected {wanted}")
 

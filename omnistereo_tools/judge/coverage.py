@@ -21,7 +21,7 @@ _COARSE = SphereGrid(60, 30, (-90, 90), 2, 1.0)
 # Cosine of 30°, the widest angle between two views of a patch that is matched (Moreels and Perona 2007: 25° to 30°). In
 # a world of boxes VolumeNet was right on 80 % of the rays up to 25° and on 45 % beyond 30°; ZNCC lasts until 50°.
 _COS_WIDEST = np.cos(np.radians(30))
-_TOGETHER = 1e-3  # metres
+_TOGETHER = 1e-9  # metres; a rig in millimetres that is read as metres is merely small
 _FEW = 0.1  # of the directions: the public rigs state nearest depths within 10 % of this
 _STEP, _STEPS = 1.05, 100  # depths, from 130 times as far as the outermost camera inwards
 _SECTORS = {"ahead": 0, "right": 90, "behind": 180, "left": -90}  # degrees of azimuth

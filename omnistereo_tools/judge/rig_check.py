@@ -39,6 +39,7 @@ _WRONG_PX, _WRONG_SHIFT = 0.5, 0.02  # less does no harm: of a turn in pixels, o
 _CLEARER = 0.5  # times the misfit
 _UNKNOWN_DEG = 1.0  # standard deviation of a turn; images that show no more say nothing about the rig
 _LARGE_TURN_DEG = 20.0  # of one camera: hardly a mount that gave way
+_TOGETHER = 1e-9  # metres
 _NEAR_DEG = 1.0  # of file and images: then the file is where the measurement begins
 _UNITS = {1000: "m read as mm", 100: "m read as cm", 10: "cm read as mm"}
 
@@ -69,6 +70,8 @@ def check_rig(
     Raises:
         OmnistereoError: If the images do not fit the cameras.
     """
+    if mean_baseline(rig.centers) < _TOGETHER:
+        return RigCheck(False, "all cameras are at one place: they see no depth. Check their translations")
     step = counted(progress, 2)
     step("matches")
     features, pairs = _matches(rig, images)
