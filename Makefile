@@ -11,11 +11,14 @@ RENDER_READY := .venv-render/.installed
 
 NBVAL := --nbval --nbval-current-env --nbval-sanitize-with=tests/nbval_sanitize.cfg --nbval-cell-timeout=600
 # One worker more than cores, since some tests wait. In the order of the files: by size, the longest would come last.
-# `test` begins with the longest.
 WORKERS = -n $(shell $(PYTHON) -c "import os; print(min(4, 1 + os.cpu_count()))") --dist loadscope --no-loadscope-reorder
 # glibc would give large arrays back to the system, which clears pages for the next ones. Threads that wait would spin,
 # and keep the cores from the other workers.
 SHARED := MALLOC_MMAP_MAX_=0 MALLOC_TRIM_THRESHOLD_=1000000000 OMP_WAIT_POLICY=passive
+
+# The longest file first; pytest would sort it in if it stood beside its folder.
+LONGEST := tests/test_pages_as_typed.py
+TESTS := $(LONGEST) notebooks $(filter-out $(LONGEST),$(wildcard tests/test_*.py tests/*/test_*.py))
 
 define CHECK_PYTHON
 import sys
@@ -47,7 +50,7 @@ test: $(DEV_READY)  ## linters, types, library tests, and every notebook cell ag
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(SHARED) $(BIN)/python -m pytest $(WORKERS) $(NBVAL) tests/test_pages_as_typed.py notebooks tests
+	$(SHARED) $(BIN)/python -m pytest $(WORKERS) $(NBVAL) $(TESTS)
 
 check: $(DEV_READY)  ## the fast tier, a minute: linters, types, geometry, stereo, rig files, one notebook and the examples of depth
 	$(BIN)/ruff check .
