@@ -16,7 +16,7 @@ from omnistereo_lib.calibrate.single_camera import calibrate_corners, check_sett
 from omnistereo_lib.calibrate.solution import Solution, distances_of
 from omnistereo_lib.errors import OmnistereoError, check_type
 from omnistereo_lib.geometry.camera import OcamCamera
-from omnistereo_lib.geometry.pose import Floats, Pose
+from omnistereo_lib.geometry.pose import Floats, Pose, nearest_rotation
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.progress import Progress, silent
 
@@ -233,8 +233,7 @@ def _unit(points: Floats) -> Floats:
 
 def _mean_pose(poses: list[Pose]) -> Pose:
     """Return the rotation nearest to all of them and the median translation."""
-    U, _, Vt = np.linalg.svd(np.mean([pose.R for pose in poses], axis=0))
-    nearest = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    nearest = nearest_rotation(np.mean([pose.R for pose in poses], axis=0))
     return Pose(nearest, np.median([pose.t for pose in poses], axis=0))
 
 

@@ -18,7 +18,13 @@ from omnistereo_lib.calibrate.bundle import cross
 from omnistereo_lib.calibrate.features import Tracks
 from omnistereo_lib.calibrate.params import Ints
 from omnistereo_lib.geometry.camera import OcamCamera
-from omnistereo_lib.geometry.pose import Floats, Pose, axis_angle_from_rotation, rotation_from_axis_angle
+from omnistereo_lib.geometry.pose import (
+    Floats,
+    Pose,
+    axis_angle_from_rotation,
+    nearest_rotation,
+    rotation_from_axis_angle,
+)
 from omnistereo_lib.geometry.rig import Rig
 
 _LENS = 3  # corrections of a lens: centre u, v in pixels, share of the focal length
@@ -262,8 +268,7 @@ def pose_differences(rig: Rig, reference: Rig) -> Floats:
     A rotation, a shift and a scale that are common to all cameras are taken away: images alone do not show them.
     """
     R, R0 = (np.stack([pose.R for pose in one.T_rig_cam]) for one in (rig, reference))
-    U, _, Vt = np.linalg.svd(np.einsum("nij,nkj->ik", R, R0))
-    common = (U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt).T
+    common = nearest_rotation(np.einsum("nij,nkj->ik", R, R0)).T
     turns = [axis_angle_from_rotation(common @ a @ b.T) for a, b in zip(R, R0, strict=True)]
     t, t0 = (one.centers - one.centers.mean(axis=0) for one in (rig, reference))
     scale = mean_baseline(t0) / max(mean_baseline(t), 1e-12)

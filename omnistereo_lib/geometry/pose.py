@@ -109,6 +109,12 @@ def rotation_from_axis_angle(r: ArrayLike) -> Floats:
     return np.eye(3) + np.sinc(angle / np.pi) * K + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * K @ K
 
 
+def nearest_rotation(M: Floats) -> Floats:
+    """Return the rotation nearest to a matrix (3, 3), by its singular values: of a sum of rotations, their mean."""
+    U, _, Vt = np.linalg.svd(M)
+    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt, np.float64)
+
+
 def axis_angle_from_rotation(R: Floats) -> Floats:
     """Return r in radians, shape (3,), with R(r) = R and |r| ≤ π, stable at 0 and at π."""
     # Shepperd's method: each row of this symmetric matrix is the unit quaternion (x, y, z, w) times 4 × one

@@ -24,7 +24,7 @@ from omnistereo_lib.calibrate.from_images import (
 from omnistereo_lib.calibrate.track_bundle import mean_baseline, pose_differences
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.frame import check_images
-from omnistereo_lib.geometry.pose import Floats, Pose
+from omnistereo_lib.geometry.pose import Floats, Pose, nearest_rotation
 from omnistereo_lib.geometry.rig import Pairs, Rig, camera_pairs
 from omnistereo_lib.progress import Progress, counted, silent
 from omnistereo_lib.stereo.sweep import SphereSweep
@@ -150,8 +150,7 @@ def _chained(rig: Rig, pairs: dict) -> Rig:
     poses = chain_poses(pairs, len(rig))
     found = rig.with_poses(poses)
     scale = mean_baseline(rig.centers) / mean_baseline(found.centers)
-    U, _, Vt = np.linalg.svd(sum(a.R @ b.R.T for a, b in zip(rig.T_rig_cam, poses, strict=True)))
-    common = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    common = nearest_rotation(np.sum([a.R @ b.R.T for a, b in zip(rig.T_rig_cam, poses, strict=True)], axis=0))
     offset = rig.centers.mean(axis=0) - scale * common @ found.centers.mean(axis=0)
     return rig.with_poses([Pose(common @ pose.R, scale * common @ pose.t + offset) for pose in poses])
 
@@ -217,8 +216,7 @@ def _only_camera(measured: Rig, rig: Rig) -> tuple[int, Floats] | None:
     R, R0 = (np.stack([pose.R for pose in one.T_rig_cam]) for one in (measured, rig))
     for k in range(len(rig)):
         others = [i for i in range(len(rig)) if i != k]
-        U, _, Vt = np.linalg.svd(np.einsum("nij,nkj->ik", R[others], R0[others]))
-        common = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+        common = nearest_rotation(np.einsum("nij,nkj->ik", R[others], R0[others]))
         turns = [Pose(R0[i].T @ common.T @ R[i], np.zeros(3)).as_vector()[:3] for i in range(len(rig))]
         rest = max(float(np.linalg.norm(turns[i])) for i in others)
         if best is None or rest < best[0]:
