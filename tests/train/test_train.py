@@ -293,15 +293,15 @@ def test_bad_recipes(data, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     "recipe, name, value, expected",
     [
-        (SWEEPNET, "steps", 0, "a number > 0"),
-        (SWEEPNET, "learning_rate", float("inf"), "a number > 0"),
-        (SWEEPNET, "clip", float("nan"), "a number > 0"),
-        (SWEEPNET, "warmup", -5, "a number ≥ 0"),
+        (SWEEPNET, "steps", 0, "a finite number > 0"),
+        (SWEEPNET, "learning_rate", float("inf"), "a finite number > 0"),
+        (SWEEPNET, "clip", float("nan"), "a finite number > 0"),
+        (SWEEPNET, "warmup", -5, "a finite number ≥ 0"),
         (SWEEPNET, "momentum", float("nan"), "a fraction"),
         (SWEEPNET, "any_sphere", 20, "a fraction"),
         (SWEEPNET, "optimizer", "adam", "one of adamw, sgd"),
         (MCCNN, "variant", "slow", "one of fast, accurate"),
-        (MCCNN, "positive_px", -0.1, "a number ≥ 0"),
+        (MCCNN, "positive_px", -0.1, "a finite number ≥ 0"),
     ],
 )
 def test_recipes_check_their_ranges(recipe, name, value, expected):
