@@ -8,7 +8,7 @@ from pathlib import Path
 import nbformat
 
 from course import exercises
-from course.figures.plot import caption_output, captions
+from course.figures.captions import caption_output, captions
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, read_bytes
 

@@ -135,6 +135,10 @@ def _check_environment() -> None:
         os.getcwd()
     except OSError:
         raise OmnistereoError("the working folder is not there any more. Change to another one") from None
+    if os.path.exists("matplotlibrc"):  # Matplotlib reads it before the one of the variable
+        import matplotlib
+
+        matplotlib.rcdefaults()
 
 
 def _say(line: str) -> None:

@@ -3,6 +3,8 @@
 The inputs below are for `Open(..., real=...)`: panoramas of the sample frame, 320 × 80, so that a check stays quick.
 """
 
+from __future__ import annotations
+
 import copy
 import warnings
 from collections.abc import Callable

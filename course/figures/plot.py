@@ -9,14 +9,12 @@ import base64
 import html
 import io
 from collections.abc import Callable, Iterable
-from functools import cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
+from course.figures.captions import caption_output, captions
 from course.publish import stills
 from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.rig import Rig
@@ -38,7 +36,6 @@ if TYPE_CHECKING:
 DEPTH_COLORS = "inferno"  # the colours of `colorize_depth`
 SHARP_PX = 1280  # width of the panorama in the viewer
 DPI = {"png": 150, "jpeg": 100}  # sharp on a screen, small enough that a notebook stays below 800 KB
-CAPTIONS = Path(__file__).resolve().parents[2] / "notebooks" / "captions.yaml"
 
 
 def encode(fig: Figure, kind: Literal["png", "jpeg"] = "png", tight: bool = True) -> bytes:
@@ -88,17 +85,6 @@ def show_picture(fig: Figure, alt: str, kind: str = "png") -> None:
     picture = base64.b64encode(encode(fig, kind)).decode()
     plt.close(fig)
     display.display({mime: picture, "text/plain": alt}, metadata={mime: {"alt": alt}}, raw=True)
-
-
-def caption_output(caption: str) -> dict[str, str]:
-    """Return a caption in the forms in which a notebook stores it."""
-    return {"text/markdown": f"*Figure:* {caption}", "text/plain": caption}
-
-
-@cache
-def captions() -> dict[str, dict[str, str]]:
-    """Return caption, alternative text and kind of every figure, by name."""
-    return yaml.safe_load(CAPTIONS.read_text(encoding="utf-8"))
 
 
 def interactive(draw: Callable[..., Figure], **sliders: Widget) -> None:

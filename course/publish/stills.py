@@ -20,7 +20,6 @@ from PIL import Image
 
 from course.publish.dark_mode import picture
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_tools.output.viewer import page_of
 
 if TYPE_CHECKING:
     from ipywidgets import Widget
@@ -133,6 +132,8 @@ def shown(stem: str, number: int, out: Path, up: str = "") -> str:
         )
     about = stored(stem)[number]
     if "view" in about:
+        from omnistereo_tools.output.viewer import page_of
+
         page = out / "views" / f"{stem}-{number}.html"
         page.parent.mkdir(parents=True, exist_ok=True)
         data = json.loads((STILLS / stem / about["view"]).read_text(encoding="utf-8"))

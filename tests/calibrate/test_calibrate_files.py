@@ -155,7 +155,7 @@ def assert_is_the_true_rig(rig, report, name):
 
 def test_the_report_on_pictures_names_exactly_the_bad_ones():
     captures, truth = find_captures(SHIPPED / "mistakes"), truth_of("mistakes")
-    rig, report = osl.calibrate_rig(captures.views(), BOARD)
+    rig, report = osl.calibrate_rig(captures.views(), BOARD, degree=6)
     named = {mistake: set() for mistake in ("blurred", "cut", "moved")}
     named["moved"] = {(captures.names[k], None) for k in report.rejected}
     for i, camera in enumerate(report.joint):
@@ -225,10 +225,10 @@ def test_colmap_files(tmp_path):
 
 @pytest.fixture(scope="module")
 def detected(tmp_path_factory):
-    """A folder of corners as an earlier run leaves it."""
+    """A folder of two cameras' corners, as an earlier run leaves it."""
     folder = tmp_path_factory.mktemp("detected")
-    rows = boards.captures(np.random.default_rng(2), alone=8, shared=5, noise=0.05)
-    for i, row in enumerate(rows, start=1):
+    rows = boards.captures(np.random.default_rng(2), alone=5, shared=4, noise=0.05)
+    for i, row in enumerate(rows[:2], start=1):
         views = {f"{k:04d}": corners for k, corners in enumerate(row)}
         save_corners(folder / f"corners_cam{i}.yaml", views, BOARD, SIZE)
     return folder
@@ -246,14 +246,14 @@ def test_corners_that_are_read_stay_as_they_are(detected, tmp_path):
 
 def test_a_rig_from_corners_on_file(detected, tmp_path, capsys):
     arguments = ["calibrate", str(detected), "--corners", str(detected), "--board", "12x10", "--square", "0.06"]
-    arguments += ["--degree", "6"]  # quicker than to choose it
+    arguments += ["--degree", "4"]  # quicker than to choose it
     assert cli.main([*arguments, "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
-    assert "rig: 4 cameras" in said and (tmp_path / "report.txt").read_text().strip() in said
+    assert "rig: 2 cameras" in said and (tmp_path / "report.txt").read_text().strip() in said
     for written in ("config.yaml", "."):  # the folder: ocam1.txt … and poses.txt
         rig = osl.load_rig(tmp_path / written, unit="m", max_fov_deg=200)
-        assert len(rig) == 4
-    for i in (1, 2, 3, 4):
+        assert len(rig) == 2
+    for i in (1, 2):
         assert (tmp_path / f"report_cam{i}.png").is_file()
         (found, *about), (given, *same) = (load_corners(out / f"corners_cam{i}.yaml") for out in (tmp_path, detected))
         assert about == same and found.keys() == given.keys()

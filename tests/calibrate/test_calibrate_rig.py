@@ -118,7 +118,7 @@ def test_cameras_that_move_and_one_that_is_unlike_the_others(seen_by_four):
         if views[2][k] is not None:
             azimuth = rng.uniform(0, 2 * np.pi)
             views[2][k] = views[2][k] + 3.0 * np.array([np.cos(azimuth), np.sin(azimuth)])
-    text = osl.calibrate_rig(views, BOARD, [SIZE] * 4)[1].text()
+    text = osl.calibrate_rig(views, BOARD, [SIZE] * 4, degree=DEGREE)[1].text()
     assert "taken at the same time" in text
     # Half of the distances of Gaussian noise are below 1.18 σ.
     error, times = map(float, re.findall(r"camera 1 has a median error of (\S+) px by itself, (\d+) times", text)[0])

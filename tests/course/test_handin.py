@@ -116,7 +116,7 @@ ACCIDENTS = {
     "writes over it": ("zncc = None", "tried", ""),
     "eats": (EATEN, "judged", "stopped in code cell 3: it used more than 0.7 GiB"),
     "reads zeros": ("open('/dev/zero', 'rb').read()", "judged", "stopped in code cell 3: it used more than 0.7 GiB"),
-    "never ends": (DEAF, "judged", "stopped in code cell 3: it ran longer than 20 s"),
+    "never ends": (DEAF, "judged", "stopped in code cell 3: it ran longer than 15 s"),
     "forks": (FORKS, "judged", "stopped in code cell 3: it ran more than 99 processes"),
     "leaves": ("os._exit(0)", "judged", "stopped in code cell 3: its process ended with status 0"),
     "dies": ("os.kill(os.getpid(), 9)", "judged", "stopped in code cell 3: its process ended with status -9"),
@@ -160,7 +160,7 @@ def checked(tmp_path_factory):
         patch.setattr(student, "MAX_PROCESSES", 99)
         patch.setattr(handin, "ANSWER_S", 3)
         patch.setattr(handin, "ENVIRONMENT", [environment])
-        assert main(["check", str(folder), "--out", str(out), "--memory", "0.7", "--seconds", "20"]) == 0
+        assert main(["check", str(folder), "--out", str(out), "--memory", "0.7", "--seconds", "15"]) == 0
     with (out / "scores.csv").open(encoding="utf-8", newline="") as file:
         return {row["file"]: row for row in csv.DictReader(file)}, folder, out
 

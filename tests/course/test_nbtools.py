@@ -6,7 +6,7 @@ from nbformat.v4 import new_markdown_cell
 from notebook_cells import FACTS, SLIDER, code, framed, nbval, notebook, write
 
 from course import __main__, nbtools
-from course.figures.plot import captions
+from course.figures.captions import captions
 from course.publish import rules
 
 # --- The comparison, one nbval run over all cases -----------------------------------------------------------

@@ -7,7 +7,7 @@ import pytest
 from notebook_cells import DRAWING, FACTS, SLIDER, code, framed, nbval, notebook, write
 
 from course import nbtools
-from course.figures.plot import captions
+from course.figures.captions import captions
 from course.publish import kernels, rules
 
 

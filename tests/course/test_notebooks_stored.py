@@ -10,7 +10,7 @@ import nbformat
 import pytest
 
 from course import exercises, nbtools
-from course.figures.plot import captions
+from course.figures.captions import captions
 from course.publish import rules
 
 TEMPLATE = nbtools.ROOT / "course" / "template.ipynb"
