@@ -52,47 +52,23 @@ def unified(rays: Floats, fx: float, fy: float, cx: float, cy: float, alpha: flo
 
 
 def omni(
-    rays: Floats,
-    fx: float,
-    fy: float,
-    cx: float,
-    cy: float,
-    xi: float,
-    k1: float = 0.0,
-    k2: float = 0.0,
-    p1: float = 0.0,
-    p2: float = 0.0,
-    skew: float = 0.0,
+    rays: Floats, fx: float, fy: float, cx: float, cy: float, xi: float, skew: float = 0.0, **radtan: float
 ) -> Projected:
     """Project with the model of Mei and Rives: a unit sphere seen from xi behind its centre, then radtan distortion.
 
-    As `double_sphere`, with xi ≥ 0 and the radial (k1, k2) and tangential (p1, p2) coefficients of OpenCV on the
-    normalised plane; u = fx x + skew y + cx.
+    As `double_sphere`, with xi ≥ 0 and the coefficients k1, k2, p1 and p2 of OpenCV on the normalised plane;
+    u = fx x + skew y + cx.
     """
     x, y, z, length = _components(rays)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        x, y = _radtan(x / (z + xi * length), y / (z + xi * length), k1, k2, p1, p2)
+        x, y = _radtan(x / (z + xi * length), y / (z + xi * length), **radtan)
         return _to_pixels(x, y, fx, fy, cx, cy, skew), z > -_unified_limit(xi / (1 + xi)) * length
 
 
 def pinhole(
-    rays: Floats,
-    fx: float,
-    fy: float,
-    cx: float,
-    cy: float,
-    k1: float = 0.0,
-    k2: float = 0.0,
-    p1: float = 0.0,
-    p2: float = 0.0,
-    k3: float = 0.0,
-    k4: float = 0.0,
-    k5: float = 0.0,
-    k6: float = 0.0,
-    skew: float = 0.0,
-    rpmax: float = 0.0,
+    rays: Floats, fx: float, fy: float, cx: float, cy: float, skew: float = 0.0, rpmax: float = 0.0, **radtan: float
 ) -> Projected:
-    """Project with the pinhole model of OpenCV and its rational radtan distortion, valid within 120°.
+    """Project with the pinhole model of OpenCV and its distortion `RADTAN`, valid within 120°.
 
     `rpmax` is the largest radius on the normalised plane that basalt allows; 0 sets no limit.
     """
@@ -101,7 +77,7 @@ def pinhole(
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         x, y = x / z, y / z
         valid &= (rpmax == 0) | (np.hypot(x, y) <= rpmax)
-        x, y = _radtan(x, y, k1, k2, p1, p2, k3, (k4, k5, k6))
+        x, y = _radtan(x, y, **radtan)
         return _to_pixels(x, y, fx, fy, cx, cy, skew), valid
 
 
@@ -150,34 +126,21 @@ RADII: dict[str, Callable[[Any], Any]] = {
 
 
 def metashape(
-    rays: Floats,
-    projection: str,
-    f: float,
-    cx: float,
-    cy: float,
-    k1: float = 0.0,
-    k2: float = 0.0,
-    k3: float = 0.0,
-    k4: float = 0.0,
-    p1: float = 0.0,
-    p2: float = 0.0,
-    p3: float = 0.0,
-    p4: float = 0.0,
-    b1: float = 0.0,
-    b2: float = 0.0,
+    rays: Floats, projection: str, f: float, cx: float, cy: float, b1: float = 0.0, b2: float = 0.0, **distortion: float
 ) -> Projected:
     """Project with the model of Metashape: one of `RADII`, then the distortion of a pinhole camera.
 
-    Its p1 and p2 are the p2 and p1 of OpenCV, and grow with 1 + p3 r² + p4 r⁴; its k4 is the coefficient of r⁸.
-    u = (f + b1) x + b2 y + cx.
+    Of k1 … k4 and p1 … p4, k4 is the coefficient of r⁸; p1 and p2 are the p2 and p1 of OpenCV, and grow with
+    1 + p3 r² + p4 r⁴. u = (f + b1) x + b2 y + cx.
     """
+    k1, k2, k3, k4, p1, p2, p3, p4 = (dict.fromkeys(_METASHAPE, 0.0) | distortion).values()
     x, y, z, length = _components(rays)
     n = np.hypot(x, y)
     scale = RADII[projection](np.arctan2(n, z)) / np.maximum(n, 1e-300)
     x, y = x * scale, y * scale
     r2 = x * x + y * y
     decentring = 1 + p3 * r2 + p4 * r2 * r2
-    x, y = _radtan(x, y, k1, k2, p2 * decentring, p1 * decentring, k3, k4=k4)
+    x, y = _distorted(x, y, Polynomial([1, k1, k2, k3, k4])(r2), p2 * decentring, p1 * decentring)
     return _to_pixels(x, y, f + b1, f, cx, cy, b2), (length > 0) & np.isfinite(scale)
 
 
@@ -197,6 +160,7 @@ def hugin(
 
 _PINHOLE = ("fx", "fy", "cx", "cy")
 RADTAN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # in the order of OpenCV
+_METASHAPE = ("k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
 # Each model with its parameters: those that it needs, and those that are 0 where they are not stated.
 _MODELS: dict[str, tuple[Callable[..., Projected], tuple[str, ...], tuple[str, ...]]] = {
     "ds": (double_sphere, (*_PINHOLE, "xi", "alpha"), ()),
@@ -208,18 +172,10 @@ _MODELS: dict[str, tuple[Callable[..., Projected], tuple[str, ...], tuple[str, .
     "fov": (field_of_view, (*_PINHOLE, "w"), ()),
 }
 for _name in RADII:
-    _distortion = ("k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4", "b1", "b2")
-    _MODELS[f"metashape {_name}"] = partial(metashape, projection=_name), ("f", "cx", "cy"), _distortion
+    _MODELS[f"metashape {_name}"] = partial(metashape, projection=_name), ("f", "cx", "cy"), (*_METASHAPE, "b1", "b2")
     _MODELS[f"hugin {_name}"] = partial(hugin, projection=_name), ("f", "cx", "cy", "a", "b", "c", "half_side"), ()
-_RANGES = {
-    "fx": (0, 1e6),
-    "fy": (0, 1e6),
-    "f": (0, 1e6),
-    "alpha": (-1e-12, 1),
-    "beta": (0, 1e3),
-    "xi": (-1, 1e3),
-    "w": (0, np.pi),
-}
+_RANGES = dict.fromkeys(("fx", "fy", "f"), (0, 1e6))
+_RANGES |= {"alpha": (-1e-12, 1), "beta": (0, 1e3), "xi": (-1, 1e3), "w": (0, np.pi)}
 
 
 def make_camera_model(model: str, parameters: dict[str, float]) -> Projection:
@@ -247,20 +203,16 @@ def _components(rays: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     return rays[..., 0], rays[..., 1], rays[..., 2], np.linalg.norm(rays, axis=-1)
 
 
-def _radtan(
-    x: Floats,
-    y: Floats,
-    k1: float,
-    k2: float,
-    p1: float | Floats,
-    p2: float | Floats,
-    k3: float = 0.0,
-    divisor: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    k4: float = 0.0,
-) -> tuple[Floats, Floats]:
-    """Distort points of the normalised plane: radial by a quotient of polynomials of r², and tangential."""
+def _radtan(x: Floats, y: Floats, **coefficients: float) -> tuple[Floats, Floats]:
+    """Distort points of the normalised plane with the coefficients `RADTAN`, 0 where they are not given."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = (dict.fromkeys(RADTAN, 0.0) | coefficients).values()
     r2 = x * x + y * y
-    radial = Polynomial([1, k1, k2, k3, k4])(r2) / Polynomial([1, *divisor])(r2)
+    return _distorted(x, y, Polynomial([1, k1, k2, k3])(r2) / Polynomial([1, k4, k5, k6])(r2), p1, p2)
+
+
+def _distorted(x: Floats, y: Floats, radial: Floats, p1: float | Floats, p2: float | Floats) -> tuple[Floats, Floats]:
+    """Scale points of the normalised plane, and add the tangential distortion of OpenCV."""
+    r2 = x * x + y * y
     return (
         x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
         y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,

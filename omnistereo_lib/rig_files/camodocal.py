@@ -8,36 +8,32 @@ from pathlib import Path
 from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.files import path_within, read_data
 from omnistereo_lib.geometry.camera import OcamCamera
-from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.rig_files.camera_models import RADTAN
 from omnistereo_lib.rig_files.fit import fit_camera
 from omnistereo_lib.rig_files.ocam import ocam_camera
 from omnistereo_lib.rig_files.parse import RigFile, Section
 
-# model_type → our model and its parameters, and in their order the keys of the blocks in the file
-_FOCAL, _PROJECTION = ("fx", "fy", "cx", "cy"), "projection_parameters"
-_MODELS: dict[str, tuple[str, tuple[str, ...], dict[str, tuple[str, ...]]]] = {
+# model_type → our model, and for each block of the file its keys with our names of them
+_PROJECTION = "projection_parameters"
+_DISTORTION = {"distortion_parameters": {key: key for key in RADTAN[:4]}}
+_MODELS: dict[str, tuple[str, dict[str, dict[str, str]]]] = {
     "mei": (
         "omni",
-        ("xi", *RADTAN[:4], *_FOCAL),
-        {
-            "mirror_parameters": ("xi",),
-            "distortion_parameters": RADTAN[:4],
-            _PROJECTION: ("gamma1", "gamma2", "u0", "v0"),
-        },
+        {"mirror_parameters": {"xi": "xi"}}
+        | _DISTORTION
+        | {_PROJECTION: {"gamma1": "fx", "gamma2": "fy", "u0": "cx", "v0": "cy"}},
     ),
     "kannala_brandt": (
         "kb4",
-        ("k1", "k2", "k3", "k4", *_FOCAL),
-        {_PROJECTION: ("k2", "k3", "k4", "k5", "mu", "mv", "u0", "v0")},
+        {_PROJECTION: {"k2": "k1", "k3": "k2", "k4": "k3", "k5": "k4", "mu": "fx", "mv": "fy", "u0": "cx", "v0": "cy"}},
     ),
-    "pinhole": ("pinhole", (*RADTAN[:4], *_FOCAL), {"distortion_parameters": RADTAN[:4], _PROJECTION: _FOCAL}),
+    "pinhole": ("pinhole", _DISTORTION | {_PROJECTION: {key: key for key in ("fx", "fy", "cx", "cy")}}),
 }
 
 
 def read_camodocal(data: Section, path: Path, max_fov_deg: float | None) -> RigFile:
     """Read camodocal camera: MEI, KANNALA_BRANDT, PINHOLE or SCARAMUZZA."""
-    return RigFile([_camera(data, path, max_fov_deg)], [Pose.identity()])
+    return RigFile([_camera(data, path, max_fov_deg)])
 
 
 def read_vins(data: Section, path: Path, max_fov_deg: float | None) -> RigFile:
@@ -60,12 +56,11 @@ def _camera(data: Section, path: Path, max_fov_deg: float | None) -> OcamCamera:
         raise OmnistereoError(
             f"model_type is {model_type.upper()}; expected one of {known}. Recalibrate with one of them"
         )
-    model, names, blocks = _MODELS[model_type]
-    values: list[float] = []
+    model, blocks = _MODELS[model_type]
+    parameters: dict[str, float] = {}
     for block, keys in blocks.items():
         with error_context(block):
-            values += [data.section(block).number(key) for key in keys]
-    parameters = dict(zip(names, values, strict=True))
+            parameters |= {ours: data.section(block).number(key) for key, ours in keys.items()}
     return fit_camera(str(path), model, parameters, data.size("image_width", "image_height"), max_fov_deg)
 
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from omnistereo_lib.consumer_images import NO_DEPTH
 from omnistereo_lib.errors import OmnistereoError, check_number
-from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.rig_files.camera_models import RADII
 from omnistereo_lib.rig_files.fit import fit_camera
 from omnistereo_lib.rig_files.opencv import FISHEYE, parse_focal
@@ -43,7 +42,7 @@ def read_metashape(data: Section, path: Path, max_fov_deg: float | None) -> RigF
     for name, side in zip(("cx", "cy"), size, strict=True):  # from the middle of the image
         parameters[name] = lens.number(name, default=0) + side / 2 - 0.5
     model = f"metashape {_METASHAPE[projection]}"
-    return RigFile([fit_camera(str(path), model, parameters, size, max_fov_deg)], [Pose.identity()])
+    return RigFile([fit_camera(str(path), model, parameters, size, max_fov_deg)])
 
 
 def read_hugin(data: Section, path: Path, max_fov_deg: float | None) -> RigFile:
@@ -61,7 +60,7 @@ def read_hugin(data: Section, path: Path, max_fov_deg: float | None) -> RigFile:
     for name, shift, side in (("cx", "d", width), ("cy", "e", height)):
         parameters[name] = side / 2 - 0.5 + data.number(shift, default=0)
     model = f"hugin {_HUGIN[kind]}"
-    return RigFile([fit_camera(str(path), model, parameters, size, max_fov_deg)], [Pose.identity()])
+    return RigFile([fit_camera(str(path), model, parameters, size, max_fov_deg)])
 
 
 def read_gyroflow(data: Section, path: Path, max_fov_deg: float | None) -> RigFile:
@@ -76,7 +75,7 @@ def read_gyroflow(data: Section, path: Path, max_fov_deg: float | None) -> RigFi
         )
     lens.ignore("radial_distortion_limit")  # `fit_camera` finds it
     D = lens.coefficients("distortion_coeffs", lens.floats("distortion_coeffs").tolist(), FISHEYE)
-    return RigFile([fit_camera(str(path), "kb4", parse_focal(lens) | D, size, max_fov_deg)], [Pose.identity()])
+    return RigFile([fit_camera(str(path), "kb4", parse_focal(lens) | D, size, max_fov_deg)])
 
 
 def parse_hugin(text: str, path: Path) -> dict[str, str]:

@@ -12,7 +12,7 @@ Beside P, as in a camera_info, R is the rectification. The model is stated, by x
 """
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -40,15 +40,13 @@ _KEYS = {
 }
 _FOCAL, FISHEYE = ("fx", "fy", "cx", "cy"), ("k1", "k2", "k3", "k4")
 _SIDES = "left|right|front|back|rear|top|bottom"
+_RATIONAL = ("pinhole", RADTAN)
 # Words for a model, in lower case without separators: ours, and its coefficients in the order of D. 0, 1: MC-Calib.
 _MODELS = {
-    r"equi(distant)?|(opencv)?fisheye|kannalabrandt8?|kb[48]|1": ("kb4", FISHEYE),
-    r"plumbbob|rational(polynomial)?|radtan|radialtangential|brown(conrady)?|opencv|pinhole|perspective|0": (
-        "pinhole",
-        RADTAN,
-    ),
-    r"omnidir(ectional)?|omni|mei": ("omni", RADTAN[:4]),
-    r"none": ("pinhole", ()),
+    "equi(distant)?|(opencv)?fisheye|kannalabrandt8?|kb[48]|1": ("kb4", FISHEYE),
+    "plumbbob|rational(polynomial)?|radtan|radialtangential|brown(conrady)?|opencv|pinhole|perspective|0": _RATIONAL,
+    "omnidir(ectional)?|omni|mei": ("omni", RADTAN[:4]),
+    "none": ("pinhole", ()),
 }
 _EXPECTED = (
     "expected fisheye (equidistant), plumb_bob, rational_polynomial, omnidir (with xi) or none. Recalibrate with it"
@@ -117,20 +115,15 @@ def _has_matrix(cam: Any) -> bool:
 
 
 def _flat(cam: dict[str, Any]) -> dict[str, Any]:
-    """Return a camera with the keys of its blocks beside its own."""
+    """Return a camera with the keys of its blocks, such as intrinsics: {fx: …}, beside its own."""
     flat: dict[str, Any] = {}
-    for key, value in _with_blocks(cam):
-        if flat.setdefault(key, value) != value:
-            raise OmnistereoError(f"{key} is stated twice with different values. Delete the wrong one")
-    return flat
-
-
-def _with_blocks(cam: dict[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Yield the keys of a camera with their values; those of a block such as intrinsics: {fx: …} in its place."""
     for key, value in cam.items():
         is_block = isinstance(value, dict) and "data" not in value and key != "roi"
         is_block = is_block and any(_meaning(inner) or inner in (*_FOCAL, *RADTAN) for inner in value)
-        yield from ((str(name), inner) for name, inner in (value.items() if is_block else [(key, value)]))
+        for name, inner in value.items() if is_block else [(key, value)]:
+            if flat.setdefault(str(name), inner) != inner:
+                raise OmnistereoError(f"{name} is stated twice with different values. Delete the wrong one")
+    return flat
 
 
 def _cameras(data: Section) -> list[Section]:

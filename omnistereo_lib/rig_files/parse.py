@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from omnistereo_lib.errors import OmnistereoError, check_number, error_context, shortened
 from omnistereo_lib.files import read_text
 from omnistereo_lib.geometry.camera import MAX_SIDE, OcamCamera
-from omnistereo_lib.geometry.pose import Floats, Pose
+from omnistereo_lib.geometry.pose import Floats, Pose, nearest_rotation
 
 METRES_PER_UNIT = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 MIN_FOV_DEG = 10.0  # a lens as narrow sees no depth around a rig; less is radians or a tangent
@@ -43,10 +43,10 @@ _WITHOUT_MEANING = frozenset(" ".join(_IRRELEVANT.values()).split())
 
 
 class RigFile(NamedTuple):
-    """What a reader finds in a file; of one camera, if it has no poses."""
+    """What a reader finds in a file."""
 
     cameras: list[OcamCamera]
-    T_rig_cam: list[Pose]  #: camera → rig, in the unit of the file
+    T_rig_cam: Sequence[Pose] = ()  #: camera → rig, in the unit of the file; none of one camera by itself
     min_depth: float | None = None  #: metres
     T_rig_file: Pose | None = None  #: see `Rig`
 
@@ -127,19 +127,19 @@ class Section:
     def rotation(self, key: str, values: Floats) -> Floats:
         """Return a rotation matrix (3, 3); one printed with few decimals is replaced by the nearest, with a note."""
         R = np.clip(values, -1e9, 1e9).reshape(3, 3)
-        U, _, Vt = np.linalg.svd(R)
-        nearest: Floats = U @ Vt
-        error, determinant = np.abs(nearest - R).max(), np.linalg.det(R)
-        if error > _ROUNDED or determinant < 0:
+        nearest = nearest_rotation(R)
+        error = np.abs(nearest - R).max()
+        if error <= _EXACT:
+            return R
+        if error > _ROUNDED:
             lengths = np.maximum(np.linalg.norm(R, axis=0), 1e-300)
             degrees = np.degrees(np.arccos(np.clip((R / lengths * nearest).sum(0), -1, 1)).max())
             raise OmnistereoError(
-                f"{key} is not a rotation: the nearest one differs by {error:.2g}, its axes by {degrees:.2g}°, and the "
-                f"determinant is {determinant:.4g}; expected 0 and +1. Check that {key} is not scaled, mirrored or cut"
+                f"{key} is not a rotation: the nearest one differs by {error:.2g}, its axes by {degrees:.2g}°; "
+                f"expected at most {_ROUNDED:g}. Check that {key} is not scaled, mirrored or cut"
             )
-        if error > _EXACT:
-            self.note(f"{key} is rounded to few decimals; the nearest rotation is used")
-        return nearest if error > 1e-12 else R
+        self.note(f"{key} is rounded to few decimals; the nearest rotation is used")
+        return nearest
 
     def pose(self, *names: str) -> Pose:
         """Return the pose of a 4 × 4 matrix, or of its first three rows."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.camera import OcamCamera
-from omnistereo_lib.geometry.pose import Floats, Pose, rotation_from_axis_angle
+from omnistereo_lib.geometry.pose import Floats, Pose
 from omnistereo_lib.geometry.rig import Rig
 
 _log = logging.getLogger("omnistereo_lib")
@@ -72,20 +72,18 @@ def level(rig: Rig, source: Path) -> Rig:
     """Return a rig whose +y points down.
 
     Where the y axes of the cameras agree, but lean from +y by more than 10°, the rig is turned: +y along their mean,
-    and +z along the horizontal direction of the first camera. `Rig.T_rig_file` states the turn. Where they disagree,
-    only a rig whose centres lie in a plane that is not horizontal is warned of.
+    +z along the horizontal direction of the first camera. `Rig.T_rig_file` states the turn. Where they disagree, only a
+    rig whose centres lie in a plane that is not horizontal is warned of.
     """
     down, agree = _down(rig)
     angle = float(np.degrees(np.arccos(np.clip(down[1], -1, 1))))
     if agree and angle > _LEVEL_DEG:
-        forward = rig.T_rig_cam[0].R[:, 2] - (rig.T_rig_cam[0].R[:, 2] @ down) * down
-        if np.linalg.norm(forward) < 0.1:  # the first camera looks up or down: the shortest turn
-            axis = np.cross(down, [0.0, 1.0, 0.0])
-            axis = axis / np.linalg.norm(axis) if np.linalg.norm(axis) > 1e-9 else np.array([0.0, 0.0, 1.0])
-            R = rotation_from_axis_angle(np.radians(angle) * axis)
-        else:
-            forward /= np.linalg.norm(forward)
-            R = np.stack([np.cross(down, forward), down, forward])
+        forward = rig.T_rig_cam[0].R[:, 2]
+        if abs(forward @ down) > 0.995:  # it looks up or down: the top of its image
+            forward = -rig.T_rig_cam[0].R[:, 1]
+        right = np.cross(down, forward)
+        right /= np.linalg.norm(right)
+        R = np.stack([right, down, np.cross(right, down)])
         T = Pose(R, np.zeros(3))
         _log.info(
             "%s: the cameras agree that down is %.0f° from +y of the rig: the rig is turned level, by %.0f° in all, "

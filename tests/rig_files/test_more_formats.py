@@ -7,7 +7,7 @@ from math import atan, atan2, cos, hypot, pi, sin, tan
 import cv2
 import numpy as np
 import pytest
-from rig_file_samples import FOCAL, HUGIN, K4, MEI, METASHAPE, R2, RAYS, SIZE, T2, dump, kalibr, matrix, ros, write
+from rig_file_samples import FOCAL, HUGIN, K4, MEI, METASHAPE, RAYS, SIZE, T2, dump, kalibr, matrix, ros, write
 
 from omnistereo_lib import OmnistereoError, load_camera, load_rig
 
@@ -52,21 +52,6 @@ def test_fisheye_with_skew(tmp_path):
     skewed = ros(camera_matrix=[200.0, 1.5, 400, 0, 199.0, 380, 0, 0, 1])
     rig = load_rig(dump(tmp_path / "rig.yaml", skewed), "cm")
     follows(rig.cameras[0], lambda x, y, z: kb4(x, y, z, skew=1.5))
-
-
-@pytest.mark.parametrize("suffix", [".json", ".xml", ".yaml"])
-def test_file_storage_in_each_of_its_formats(tmp_path, suffix):
-    """Written by OpenCV itself."""
-    path = tmp_path / f"stereo{suffix}"
-    file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
-    K = np.array([[200.0, 0, 400], [0, 199, 380], [0, 0, 1]])
-    values = {"K1": K, "D1": np.array([K4]), "K2": K, "D2": np.array([K4]), "R": R2, "T": T2.reshape(3, 1)}
-    for name, value in (values | {"image_width": WIDTH, "image_height": HEIGHT}).items():
-        file.write(name, value)
-    file.release()
-    rig = load_rig(path, "cm")
-    np.testing.assert_allclose(rig.T_rig_cam[1].R.T, R2, atol=1e-12)
-    follows(rig.cameras[0], kb4)
 
 
 def test_xml_entities_are_refused(tmp_path):
@@ -259,12 +244,25 @@ def atan_model(x, y, z):
     return FOCAL[0] * r * cos(around) + 400, FOCAL[1] * r * sin(around) + 380
 
 
+def double_sphere(x, y, z, xi=-0.28, alpha=0.57):
+    length = hypot(x, y, z)
+    z += xi * length
+    depth = alpha * hypot(x, y, z) + (1 - alpha) * z
+    return FOCAL[0] * x / depth + 400, FOCAL[1] * y / depth + 380
+
+
 @pytest.mark.parametrize(
     ("entries", "pixel"),
     [
         ({"camera_model": "pinhole-equi", "distortion_coeffs": K4}, equidistant),
         ({"camera_model": "pinhole", "distortion_model": "equi", "distortion_coeffs": K4}, equidistant),
         ({"camera_model": "Pinhole", "distortion_model": "fov", "distortion_coeffs": [0.9]}, atan_model),
+        ({"intrinsics": [-0.28, 0.57, *FOCAL]}, double_sphere),
+        (
+            {"camera_model": "omni", "intrinsics": [1.5, *FOCAL], "distortion_model": "radtan"}
+            | {"distortion_coeffs": [-0.01, 0.002, 0.0, 0.0]},
+            lambda *X: mei(*X, 1.5, FOCAL[:2], FOCAL[2:], -0.01, 0.002),
+        ),
         (
             {"camera_model": "pinhole", "distortion_model": "radtan", "distortion_coeffs": [0.0] * 4},
             lambda x, y, z: (FOCAL[0] * x / z + 400, FOCAL[1] * y / z + 380),

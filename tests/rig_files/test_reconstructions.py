@@ -77,6 +77,12 @@ def test_rigs_of_colmap(tmp_path, name):
     rig = load_rig(dump(tmp_path / "rig_config.json", rig_config()), "m")
     same_poses(rig)
     follows(rig.cameras[1], pixel, AHEAD, atol=0.05)
+
+
+def test_models_in_the_rig_of_colmap(tmp_path):
+    name, values = "SIMPLE_PINHOLE", MODELS["SIMPLE_PINHOLE"][0]
+    text = "".join(f"{n} {name} {WIDTH} {HEIGHT} {' '.join(map(str, values))}\n" for n in (1, 2))
+    write(tmp_path / "cameras.txt", text)
     stated = rig_config(camera_model_name=name, camera_params=values)
     same_poses(load_rig(dump(tmp_path / "rig_config.json", stated), "m"))
     stated[0]["cameras"][0]["camera_params"] = [1.0, *values[1:]]
@@ -187,12 +193,18 @@ def test_profiles_of_gyroflow(tmp_path):
             load_camera(dump(tmp_path / "lens.json", profile | wrong))
 
 
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """A rig, the folder of what it is exported to, and the largest residual of the models there."""
+    rig, folder = load_rig("data_samples/sunny/test"), tmp_path_factory.mktemp("exported")
+    return rig, folder, max(export_rig(rig, folder))
+
+
 @pytest.mark.parametrize("name", ["colmap_rig_config.json", "opencv.yaml", "kalibr.yaml"])
-def test_what_is_exported_comes_back(tmp_path, name, recwarn):
+def test_what_is_exported_comes_back(exported, name, recwarn):
     """COLMAP's two files in the same way as the other ones: the residual is that of the model."""
-    true = load_rig("data_samples/sunny/test")
-    residual = max(export_rig(true, tmp_path))
-    rig = load_rig(tmp_path / name, None if "kalibr" in name else "m")
+    true, folder, residual = exported
+    rig = load_rig(folder / name, None if "kalibr" in name else "m")
     for n, camera in enumerate(rig.cameras):
         error = (
             (true.T_rig_cam[0].inverse() @ true.T_rig_cam[n]).inverse() @ rig.T_rig_cam[0].inverse() @ rig.T_rig_cam[n]
