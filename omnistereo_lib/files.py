@@ -233,11 +233,7 @@ def open_picture(path: str | Path) -> tuple[bytes, Any]:
     if picture.format == "JPEG" and not (b"\xff\xd9" in content[-64:] and content.count(b"\xff\xda") <= _MAX_SCANS):
         raise _damaged_picture(path, "without the marker of its end, or of too many scans")
     if orientation != 1:
-        _remark(
-            path,
-            f"is marked as turned or mirrored (orientation {orientation}); its pixels are taken as they are "
-            "stored, as a calibration means them. If yours means the turned picture, store that without the mark",
-        )
+        remark_turned(path, f"or mirrored (orientation {orientation})")
     return content, picture
 
 
@@ -355,6 +351,15 @@ def _remark(path: str | Path, what: str) -> None:
     if place not in _remarked:
         _remarked.add(place)
         warnings.warn(f"{path} {what}", UserWarning, stacklevel=2)
+
+
+def remark_turned(path: str | Path, how: str) -> None:
+    """Warn of a picture or video that is marked as turned, once for all in its folder."""
+    _remark(
+        path,
+        f"is marked as turned {how}; its pixels are taken as they are stored, as a calibration means them. If yours "
+        "means the turned picture, store that without the mark",
+    )
 
 
 def check_size(path: str | Path, found: tuple[int, int], expected: tuple[int, int] | None) -> None:

@@ -168,6 +168,7 @@ def _first(source: int | str, capture: cv2.VideoCapture) -> NDArray[np.uint8]:
         raise OmnistereoError(f"{source} gives no picture. Check the camera, or convert the video.")
     if isinstance(source, str):
         capture.open(source)
+        capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
     return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
 
 

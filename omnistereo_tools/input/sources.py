@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from omnistereo_lib.consumer_images import split_image
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.evaluate.records import checksum
-from omnistereo_lib.files import check_image, check_size, find_pictures, read_image
+from omnistereo_lib.files import check_image, check_size, find_pictures, read_image, remark_turned
 from omnistereo_lib.geometry.rig import Rig
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
@@ -94,10 +94,16 @@ class Pictures:
 
 
 def open_video(path: Path, image_size: tuple[int, int] | None = None) -> cv2.VideoCapture:
-    """Open a video file, of the size (width, height) of its camera; raises an `OmnistereoError` if it is none."""
+    """Open a video file whose frames are given as they are stored, whatever rotation it states for players.
+
+    Raises an `OmnistereoError` if it is none, or not of the size (width, height) of its camera.
+    """
     video = cv2.VideoCapture(str(path)) if path.is_file() else None  # a pipe would wait for its other end
     if video is None or not video.isOpened():
         raise OmnistereoError(f"{path} is not a video that OpenCV can read. Check the path, or convert it.")
+    video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
+    if turned := video.get(cv2.CAP_PROP_ORIENTATION_META):
+        remark_turned(path, f"by {turned:.0f}°")
     found = int(video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(video.get(cv2.CAP_PROP_FRAME_HEIGHT))
     check_size(path, found, image_size)
     return video

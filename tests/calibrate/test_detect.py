@@ -12,6 +12,7 @@ from omnistereo_lib.calibrate.captures import load_corners, save_corners
 from omnistereo_lib.calibrate.checkerboard import Checkerboard, edge_width, refine_corners, suggest_board
 from omnistereo_lib.calibrate.detect import detect_views, find_corners
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.files import read_image
 from omnistereo_lib.geometry.pose import Pose
 
 ODD_EVEN = Checkerboard((9, 6), 0.06)
@@ -179,6 +180,14 @@ def test_a_board_with_one_end_is_read_from_that_end():
 def test_float_and_colour_images(picture, corners):
     for image in (picture.astype(float), np.dstack([picture] * 3), np.dstack([picture] * 4)):
         assert np.abs(find_corners(image, BOARD) - corners).max() < 1e-6
+
+
+@pytest.mark.parametrize("suffix", ["png", "tiff"])
+@pytest.mark.filterwarnings("ignore:.*uses 12 of its 16 bits")
+def test_pictures_of_16_bits(tmp_path, picture, corners, suffix):
+    path = tmp_path / f"a.{suffix}"
+    cv2.imwrite(str(path), picture.astype(np.uint16) * 16)
+    assert rms(find_corners(read_image(path), BOARD), corners) < 0.01
 
 
 def test_where_no_whole_board_is():

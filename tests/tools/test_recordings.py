@@ -4,6 +4,7 @@ import json
 import os
 import re
 import shutil
+import struct
 from dataclasses import replace
 
 import cv2
@@ -16,8 +17,9 @@ from omnistereo_lib.files import read_image, write_image
 from omnistereo_lib.frame import read_inverse_depth
 from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD
 from omnistereo_tools import cli
-from omnistereo_tools.input.sources import Recording
+from omnistereo_tools.input.sources import Recording, Video
 from omnistereo_tools.judge.trust import trust
+from omnistereo_tools.live_view import Cameras
 from omnistereo_tools.output.pictures import colorize_depth
 
 GRID = osl.SphereGrid(96, 24, num_spheres=16, min_depth=0.6)
@@ -273,6 +275,44 @@ def write_video(path, pictures, fps=25):
     for picture in pictures:
         video.write(np.stack([picture] * 3, -1))
     video.release()
+
+
+def test_frames_of_a_turned_video_are_those_that_are_stored(tmp_path):
+    """The rotation that a telephone states is a matrix in the header of the track."""
+    upright, turned = ((1, 0, 0, 0, 1, 0), (0, 1, 0, -1, 0, 0))
+    path, picture = tmp_path / "a.mp4", np.zeros((48, 64, 3), np.uint8)
+    picture[:24] = 200
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 25, (64, 48))
+    for _ in range(3):
+        video.write(picture)
+    video.release()
+    head, mark, tail = path.read_bytes().partition(b"tkhd")
+    old, new = (struct.pack(">6i", *(x << 16 for x in matrix)) for matrix in (upright, turned))
+    path.write_bytes(head + mark + tail.replace(old, new, 1))
+    assert cv2.VideoCapture(str(path)).read()[1].shape == (64, 48, 3)  # as players show it
+    with pytest.warns(UserWarning, match=r"a.mp4 is marked as turned by 90°; its pixels .* as they are stored") as said:
+        frames = [*Video(path).read([0, 2], (64, 48))]
+    assert len(said) == 1 and all(np.abs(frame.astype(int) - picture).max() < 20 for frame in frames)
+    cameras = Cameras([str(path)] * 4, scene.rig(width=64, height=48))
+    assert cameras.first[0].shape == cameras.captures[0].read()[1].shape == (48, 64, 3)
+
+
+@pytest.mark.filterwarnings("ignore:.*uses 12 of its 16 bits")
+def test_pictures_of_16_bits_have_the_depth_and_the_doctor_of_8(recorded, tmp_path, capsys):
+    found = []
+    for factor in (1, 16):
+        files = [tmp_path / str(factor) / f"{k}.png" for k in (1, 2, 3, 4)]
+        files[0].parent.mkdir()
+        for view, file in zip(views(recorded), files, strict=True):
+            picture = read_image(sorted(view.iterdir())[0])
+            cv2.imwrite(str(file), picture if factor == 1 else picture.astype(np.uint16) * factor)
+        rig, out = ["--rig", recorded / "rig.yaml", "--images", *files], tmp_path / f"out{factor}"
+        assert run("depth", *rig, *SMALL, "--out", out) == 0
+        inverse = read_inverse_depth(out / "data" / "inverse_depth.tiff")
+        capsys.readouterr()
+        found.append((inverse, run("doctor", *rig, *SMALL[:6]), capsys.readouterr().out.splitlines()))
+    np.testing.assert_allclose(found[1][0], found[0][0], atol=0.01)
+    assert found[1][1:] == found[0][1:]
 
 
 def test_videos_are_recordings_too(recorded, done, tmp_path, capsys):
