@@ -8,10 +8,12 @@ import json
 import os
 import random
 import re
+import socket
 import struct
 import sys
 import warnings
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import container_damage
 import numpy as np
@@ -42,6 +44,7 @@ from rig_files.rig_file_samples import (
 from train.tiny import MCCNN as RECIPE
 
 import omnistereo_lib as osl
+from course.classroom import handin
 from omnistereo_lib.calibrate.captures import load_corners, save_corners
 from omnistereo_lib.calibrate.checkerboard import Checkerboard
 from omnistereo_lib.evaluate.records import read_record
@@ -49,6 +52,7 @@ from omnistereo_lib.evaluate.table import errors_table, regions_table
 from omnistereo_lib.files import read_image
 from omnistereo_lib.rig_files import load_camera
 from omnistereo_lib.train.loop import COLUMNS, _Run, read_log, write_csv
+from omnistereo_tools.live_view import Latest, LivePicture, serve
 
 SECONDS, MEMORY = 5, 1 << 30  # the budget of a file
 FILES = int(os.environ.get("FUZZ", "150"))
@@ -166,6 +170,16 @@ def check_log(rows):
     assert [row["step"] for row in rows] == list(range(len(rows)))
 
 
+def check_cells(cells):
+    assert all(isinstance(source, str) for _, source in cells)
+
+
+def check_answer(answer):
+    status, body = answer
+    assert status in (200, 400, 403, 404, 405, 408, 414, 431, 501, 505) or status is None
+    assert status != 200 or body in (b"", b"no depth here", b"2 m along the ray") or b"<!doctype html>" in body
+
+
 def check_step(step):
     assert isinstance(step, int) and step >= 0
 
@@ -196,7 +210,7 @@ def samples(folder):
     (folder / "cameras.txt").write_text(EXAMPLES["COLMAP model"][1])
     found["COLMAP model"] = (*EXAMPLES["images.txt"], lambda path: osl.load_rig(path, "cm"), check_rig)
     found |= ocam_poses(folder) | corners(folder) | data_set(folder)
-    found |= tensors(folder) | records() | netpbm()
+    found |= tensors(folder) | records() | netpbm() | hand_in()
     return {name: sample if len(sample) == 5 else (*sample, damage) for name, sample in found.items()}
 
 
@@ -244,6 +258,36 @@ def tensors(folder):
     return found | {"log": ("log.csv", content, lambda path: read_log(path, 4), check_log)}
 
 
+def hand_in():
+    cells = [{"cell_type": "markdown", "source": ["# 04 · ZNCC", "\n"]}, {"cell_type": "code", "source": "1 + 1"}]
+    text = json.dumps({"cells": cells, "nbformat": 4, "nbformat_minor": 5, "metadata": {}})
+
+    def read(path):
+        cells = handin.read_cells(path)
+        handin.original_of(cells, path)
+        list(handin.other_version([source for _, source in cells], []))
+        return cells
+
+    return {"hand-in": ("04.ipynb", text, read, check_cells)}
+
+
+def live_page(address):
+    """A request to the live view, and how it is answered: the status, None without one, and the content."""
+    port = urlsplit(address).port
+    request = b"GET /depth?0.5&0.1 HTTP/1.1\r\nHost: localhost\r\nAccept: */*\r\n\r\n"
+
+    def ask(path):
+        with socket.create_connection(("127.0.0.1", port), 60) as client:
+            client.sendall(path.read_bytes())
+            client.shutdown(socket.SHUT_WR)
+            answer = client.makefile("rb").read()
+        head, _, body = answer.partition(b"\r\n\r\n")
+        status = re.match(rb"HTTP/1\.[01] ([0-9]{3}) ", head)
+        return (int(status[1]), body) if status else (None, answer)
+
+    return {"request": ("request", request, ask, check_answer, damage)}
+
+
 def netpbm():
     """Two pictures of six values, one as bytes."""
     text = "P3 # as text\n3 2\n300\n" + " ".join(str(17 * k) for k in range(18))
@@ -277,8 +321,10 @@ def records():
 
 @pytest.fixture(scope="module")
 def valid(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("fuzz")
-    return folder, samples(folder)
+    folder, latest = tmp_path_factory.mktemp("fuzz"), Latest()
+    latest.put(LivePicture(b"", np.full((2, 4), 2.0), 0.4))
+    with serve(latest, 0) as address:
+        yield folder, samples(folder) | live_page(address)
 
 
 NAMES = [
@@ -306,6 +352,8 @@ NAMES = [
     "results",
     "netpbm text",
     "netpbm",
+    "hand-in",
+    "request",
 ]
 
 

@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import tempfile
 import time
 from pathlib import Path
 
@@ -93,6 +94,14 @@ SLOW = "def winner(*arguments):\n    time.sleep(99)"
 EATEN = "eaten = [b'x' * 2**20 * n for n in range(10**6)]"
 FORKS = "for _ in range(8):\n    os.fork()\ntime.sleep(99)"
 BROKEN = "raise ValueError('\\ud83d\\x1b[2J')  # \ud83d"
+LEFT = """import atexit, threading
+for _ in range(3000):
+    os.mkdir('d')
+    os.chdir('d')
+atexit.register(time.sleep, 99)
+threading.Thread(target=time.sleep, args=(99,), name='sleeper').start()
+while True:
+    print('x' * 10**6)"""
 # What a student writes, the statuses of three functions ("tried" stands for "not tried"), and what a note says.
 JUDGED = {
     "good": ((GOOD, solved("mean_of_pairs"), solved("winner")), "right right right", ""),
@@ -121,6 +130,7 @@ ACCIDENTS = {
     "leaves": ("os._exit(0)", "judged", "stopped in code cell 3: its process ended with status 0"),
     "dies": ("os.kill(os.getpid(), 9)", "judged", "stopped in code cell 3: its process ended with status -9"),
     "daemon": (DAEMON, "tried", ""),
+    "leaves things": (f"os.chdir(os.environ['TMPDIR'])\n{LEFT}", "tried", "left threads behind: sleeper"),
     "pipes": (PIPES, "tried", ""),
     "broken letters": (BROKEN, "tried", "code cell 3 stopped with UnicodeEncodeError"),
     "broken text": (BROKEN.partition("#")[0], "tried", r"code cell 3 stopped with ValueError: \ud83d\x1b[2J"),
@@ -147,6 +157,7 @@ def checked(tmp_path_factory):
     """The rows of the class's table by name, and the folders of the class and of the sheets."""
     folder, out, environment = map(tmp_path_factory.mktemp, ("class", "sheets", "environment"))
     (environment / "numpy.py").write_text("import fast\n")
+    (out / "temporary").mkdir()
     names = f"\nLOG, ENVIRONMENT = {str(out / 'daemon.log')!r}, {str(environment)!r}"
     for name, (sources, *_) in JUDGED.items():
         nb = json.dumps(student_writes(*sources, names=names))
@@ -156,6 +167,7 @@ def checked(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         for variable in ("IPYTHONDIR", "JUPYTER_CONFIG_DIR", "XDG_CONFIG_HOME"):
             patch.setenv(variable, str(out))
+        patch.setattr(tempfile, "tempdir", str(out / "temporary"))
         patch.setattr(student, "COPIED", SMALL)
         patch.setattr(student, "MAX_PROCESSES", 99)
         patch.setattr(handin, "ANSWER_S", 3)
@@ -210,6 +222,12 @@ def test_nothing_that_a_student_has_started_is_left(checked):
     size = log.stat().st_size
     time.sleep(0.2)
     assert log.stat().st_size == size > 0
+
+
+def test_printing_without_end_stops_a_cell_and_nothing_is_left_of_a_folder_3000_deep(checked):
+    rows, _, out = checked
+    assert "code cell 3 stopped with OutOfTime: no answer in 6.6" in rows["leaves things.ipynb"]["notes"]
+    assert list((out / "temporary").iterdir()) == []
 
 
 def test_a_class_resumes(checked, monkeypatch, capsys):
