@@ -135,7 +135,7 @@ def _check_images(options: argparse.Namespace, rig: Rig, images: Sequence[NDArra
     check = check_rig(rig, images, stated, progress_bar())
     small = reduce_images(rig, images, grid.width / 360)
     print(f"Median matching cost of the rig as given: {matching_cost(SphereSweep(small[0], grid), small[1]):.3f}")
-    print(f"{'OK  ' if check.fits else 'FAIL'}  {check.text}")
+    print(f"{'OK  ' if check.fits else 'OPEN' if check.fits is None else 'FAIL'}  {check.text}")
     if options.write is not None and check.fixed is not None:
         save_rig(check.fixed, options.write)
         print(f"written to {options.write}: the rig as the images show it, in the order of the images")

@@ -116,11 +116,11 @@ def with_circles(rig: Rig, images: Sequence[Sequence[NDArray[np.uint8]]]) -> tup
     if not seen:
         return rig, None
     masked = replace(rig, cameras=tuple(cameras))
-    before, after = (100 * Coverage.of(each, 180).share(2) for each in (rig, masked))
+    before, after = (f"{100 * Coverage.of(each, 180).share(2):.0f} %" for each in (rig, masked))
     numbers = ", ".join(str(k + 1) for k in seen)
     fields = f"{min(seen.values()):.0f}°"
+    loss = "" if after == before else f": two cameras see {after} of the sphere, not {before}"
     return masked, (
         f"the images of camera {numbers} are black beyond {fields} of the {rig.cameras[min(seen)].max_fov_deg:.0f}° "
-        f"stated: two cameras see {after:.0f} % of the sphere, not {before:.0f} %. The image circle is taken as mask; "
-        f"--max-fov {np.floor(min(seen.values())):.0f} states it"
+        f"stated{loss}. The image circle is taken as mask; --max-fov {np.floor(min(seen.values())):.0f} states it"
     )

@@ -48,7 +48,7 @@ _UNITS = {1000: "m read as mm", 100: "m read as cm", 10: "cm read as mm"}
 class RigCheck:
     """Result of `check_rig`."""
 
-    fits: bool
+    fits: bool | None  #: None: the images do not show it
     text: str  #: the result in sentences
     fixed: Rig | None = None  #: if this rig is wrong, the one that the images show, in the order of the images
     measured: MeasuredRig | None = None
@@ -85,7 +85,7 @@ def check_rig(
             # All cameras together are more exact than pairs, and may name what those leave open.
             wrong = _mixup(rig, images, features, relative_poses(measured.rig)) or _compared(rig, measured, min_depth)
         except OmnistereoError as error:
-            wrong = RigCheck(False, str(error))
+            wrong = RigCheck(None, f"the images do not show whether the rig fits: {error}")
     step("")
     return wrong
 
@@ -168,7 +168,7 @@ def _compared(rig: Rig, measured: MeasuredRig, min_depth: float | None) -> RigCh
     if unit is not None:
         return RigCheck(False, unit, None, measured)
     if turn_sd.max() > _UNKNOWN_DEG:
-        return RigCheck(False, f"the images do not show how the cameras stand. {'. '.join(limits)}", None, measured)
+        return RigCheck(None, f"the images do not show how the cameras stand. {'. '.join(limits)}", None, measured)
     k = int(turns.argmax())
     if not wrong.any() and not moved.any():
         text = f"the rig fits its images: no camera is off by more than {turns[k]:.2g}° ± {turn_sd[k]:.1g}°"

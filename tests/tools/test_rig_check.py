@@ -171,6 +171,13 @@ def test_the_nearest_depth_tells_the_unit(street):
     assert said.startswith("the translations look 1000 times too short (m read as mm?)")
 
 
+def test_a_rig_is_not_called_wrong_where_the_images_show_nothing():
+    rig = scene.rig(width=200, height=192)
+    check = check_rig(rig, [np.full((192, 200), 90, np.uint8)] * 4)
+    assert check.fits is None
+    assert check.text.startswith("the images do not show whether the rig fits: too few matches connect camera 2, 3, 4")
+
+
 def test_a_mirrored_image_is_named(frame):
     images = [*frame.images[:2], np.fliplr(frame.images[2]), frame.images[3]]
     assert rig_check.find_mixup(frame.rig, images).startswith("image 3 looks mirrored")
