@@ -24,9 +24,8 @@ MAX_PIXELS = 1 << 26  # of a picture or panorama: decoding one takes less than a
 _MAX_SIDE = 100_000
 _MAX_SCANS = 64  # of a JPEG, whose decoder goes over the whole picture for each of its scans
 _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "PPM", "WEBP")  # as Pillow calls them
-_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "I;16", "I;16B", "I;16L", "I;16N")  # as Pillow calls them
-_COLOR_SPACES = {"CMYK": "CMYK colours", "LAB": "CIELAB colours", "YCbCr": "YCbCr colours", "HSV": "HSV colours"}
-_COLOR_SPACES |= {"F": "floating-point numbers", "I": "integers of 32 bits"}
+_NOT_READ = {"CMYK": "CMYK colours", "LAB": "CIELAB colours", "YCbCr": "YCbCr colours", "HSV": "HSV colours"}
+_NOT_READ |= {"F": "floating-point numbers", "I": "integers of 32 bits"}  # modes, as Pillow calls them
 _NETPBM = re.compile(rb"P([2356])" + 3 * rb"(?:\s|#[^\n]*\n)+([0-9]{1,6})" + rb"\s")  # width, height, largest value
 _ORIENTATION, _BITS, _PLANAR = 274, 258, 284  # tags of TIFF, the first of EXIF, too
 _remarked: set[tuple[Path, str]] = set()  # what has been said of the pictures of a folder
@@ -52,15 +51,14 @@ def read_bytes(path: str | Path, most: int = _MAX_BYTES) -> bytes:
     path = as_path(path)
     try:
         status = path.stat()  # opening a pipe would wait for its other end
-        if not stat.S_ISREG(status.st_mode) or status.st_size > most:
-            found = f"has {status.st_size} bytes" if stat.S_ISREG(status.st_mode) else "is a folder, a pipe or a device"
-            raise OmnistereoError(f"{path} {found}; expected a file of at most {most >> 10} KiB. Check the path.")
-        return path.read_bytes()
+        is_file = stat.S_ISREG(status.st_mode)
+        if is_file and status.st_size <= most:
+            return path.read_bytes()
     except (OSError, ValueError) as error:  # a path cannot hold a zero byte
-        if isinstance(error, OmnistereoError):
-            raise
         reason = getattr(error, "strerror", None) or error
         raise OmnistereoError(f"{path} cannot be read: {reason}. Check the path.") from None
+    found = f"has {status.st_size} bytes" if is_file else "is a folder, a pipe or a device"
+    raise OmnistereoError(f"{path} {found}; expected a file of at most {most >> 10} KiB. Check the path.")
 
 
 def path_within(folder: Path, name: Any, source: str | Path, root: Path | None = None) -> Path:
@@ -244,8 +242,7 @@ def check_image(path: str | Path, image_size: tuple[int, int] | None = None) -> 
     """
     content, picture = open_picture(path)
     check_size(path, picture.size, image_size)
-    if picture.mode not in _MODES and picture.format != "PPM":
-        found = _COLOR_SPACES.get(picture.mode, f"values of the kind {picture.mode}")
+    if (found := _NOT_READ.get(picture.mode)) and picture.format != "PPM":
         raise OmnistereoError(f"{path} holds {found}; expected gray or RGB values of 8 or 16 bits. Convert it.")
     if picture.mode in ("RGBA", "LA", "PA"):
         _remark(path, "has transparency, which is ignored")

@@ -174,7 +174,7 @@ _MODELS: dict[str, tuple[Callable[..., Projected], tuple[str, ...], tuple[str, .
 for _name in RADII:
     _MODELS[f"metashape {_name}"] = partial(metashape, projection=_name), ("f", "cx", "cy"), (*_METASHAPE, "b1", "b2")
     _MODELS[f"hugin {_name}"] = partial(hugin, projection=_name), ("f", "cx", "cy", "a", "b", "c", "half_side"), ()
-_RANGES = dict.fromkeys(("fx", "fy", "f"), (0, 1e6))
+_RANGES: dict[str, tuple[float, float]] = dict.fromkeys(("fx", "fy", "f"), (0.0, 1e6))
 _RANGES |= {"alpha": (-1e-12, 1), "beta": (0, 1e3), "xi": (-1, 1e3), "w": (0, np.pi)}
 
 

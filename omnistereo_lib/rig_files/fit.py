@@ -38,7 +38,7 @@ def fit_camera(
 
     `source`, the file and the camera, is for messages. A UserWarning reports a residual above 0.1 px, and pixels beyond
     the angle at which the model stops being one to one. An `OmnistereoError` refuses a pinhole camera whose numbers
-    are those of a fisheye, see `_is_mislabelled`.
+    are those of a fisheye: p1 and p2 too large for tangential distortion, and no coefficient behind them.
     """
     try:
         with np.errstate(all="ignore"):  # absurd parameters overflow before they are refused
@@ -48,14 +48,15 @@ def fit_camera(
     except np.linalg.LinAlgError:
         raise OmnistereoError(f"no camera fits the {model} parameters {parameters}. Check them") from None
     _log.info("%s: %s fitted by OCam, %.1f° seen, worst residual %.2g px", source, model, camera.max_fov_deg, residual)
-    if model == "pinhole" and residual > _MISLABELLED_PX and _is_mislabelled(parameters):
+    tangential = max(abs(parameters.get(name, 0.0)) for name in ("p1", "p2"))
+    is_mislabelled = tangential > _MAX_TANGENTIAL and not any(parameters.get(f"k{n}") for n in (3, 4, 5, 6))
+    if model == "pinhole" and residual > _MISLABELLED_PX and is_mislabelled:
         raise OmnistereoError(
             f"p1 and p2 of a pinhole camera are {parameters['p1']:g} and {parameters['p2']:g}; expected below "
             f"{_MAX_TANGENTIAL}. k1 k2 p1 p2 look like k1 k2 k3 k4 of a fisheye (Kannala-Brandt), which some drivers "
             "call plumb_bob (T265). If so, write distortion_model: equidistant"
         )
     if residual > MAX_ERROR:
-        tangential = any(parameters.get(name) for name in ("p1", "p2"))
         warnings.warn(
             f"{source}: an OCam camera follows the {model} model in the file to {residual:.2f} px only"
             f"{': it has no tangential distortion' if tangential else ''}. Where that is too much, lower max_fov_deg "
@@ -71,12 +72,6 @@ def fit_camera(
             stacklevel=2,
         )
     return camera
-
-
-def _is_mislabelled(parameters: dict[str, float]) -> bool:
-    """Return whether p1 and p2 are too large for tangential distortion, and no coefficient follows them."""
-    large = max(abs(parameters.get(name, 0.0)) for name in ("p1", "p2")) > _MAX_TANGENTIAL
-    return large and not any(parameters.get(f"k{n}") for n in (3, 4, 5, 6))
 
 
 def fit_ocam(

@@ -9,7 +9,7 @@ import logging
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -84,7 +84,7 @@ _NOT_READ = {
     "rig": "DriveWorks rigs are not read: write K, D, R, T and the size as OpenCV names them",
 }
 _RIG_FILES = ("config.yaml", "rig.yaml", "calibration.json", "calibration.yaml", "rig_config.json", "transforms.json")
-_LENS_FILES = ("ocam*.txt", "cam[0-9]*.*")  # the first found in a folder with poses.txt
+_LENS_FILES = ("ocam*.txt", "cam[0-9]*.*")  # the first found
 _COLMAP = ("cameras.txt", "images.txt")
 _MAX_BYTES = 1 << 18  # a hundred cameras have 60,000; a megabyte of YAML takes seconds
 
@@ -140,13 +140,15 @@ def load_rig(
         raise OmnistereoError(f"unit is {unit!r}; expected one of {list(METRES_PER_UNIT)}")
     if max_fov_deg is not None:
         check_fov(max_fov_deg, "max_fov_deg")
-    if os.path.isdir(path) and not (unit is None and (path / "config.yaml").exists()) and _lens_files(path):
+    is_folder = os.path.isdir(path)
+    lenses = [] if not is_folder or (unit is None and (path / "config.yaml").exists()) else _lens_files(path)
+    if lenses and (lenses[0].name.startswith("ocam") or (path / "poses.txt").exists()):
         name, in_metres, found = "OCamCalib text files", False, _read_folder(path, max_fov_deg)
-    elif path.name in _COLMAP or (os.path.isdir(path) and all((path / name).exists() for name in _COLMAP)):
-        folder = path if os.path.isdir(path) else path.parent
+    elif path.name in _COLMAP or (is_folder and all((path / name).exists() for name in _COLMAP)):
+        folder = path if is_folder else path.parent
         name, in_metres, found = "COLMAP model", False, read_colmap_model(folder, max_fov_deg)
     else:
-        path = _find_rig_file(path) if os.path.isdir(path) else path
+        path = _find_rig_file(path) if is_folder else path
         name, in_metres, found = _read_file(path, max_fov_deg)
     with error_context(path):
         if len(found.cameras) == 1:
@@ -206,21 +208,15 @@ def load_cameras(path: str | Path, max_fov_deg: float | None = None) -> list[Oca
     path = as_path(path)
     if max_fov_deg is not None:
         check_fov(max_fov_deg, "max_fov_deg")
-    files = _sorted(file for pattern in _LENS_FILES for file in path.glob(pattern) if file.is_file())
-    if files and not (path / "config.yaml").exists():
+    if (files := _lens_files(path)) and not (path / "config.yaml").exists():
         return [load_camera(file, max_fov_deg) for file in files]
     return _read_file(_find_rig_file(path) if path.is_dir() else path, max_fov_deg)[2].cameras
 
 
 def _lens_files(folder: Path) -> list[Path]:
     """Return the files of single cameras in the order of their numbers: cam2 before cam10."""
-    found = [list(folder.glob(pattern)) for pattern in _LENS_FILES]
-    files = found[0] or (found[1] if (folder / "poses.txt").exists() else [])
-    return _sorted(files)
-
-
-def _sorted(files: Iterable[Path]) -> list[Path]:
-    return sorted(files, key=lambda file: (len(file.name), file.name))
+    found = next((files for pattern in _LENS_FILES if (files := [*folder.glob(pattern)])), [])
+    return sorted(found, key=lambda file: (len(file.name), file.name))
 
 
 def _read_folder(folder: Path, max_fov_deg: float | None) -> RigFile:
