@@ -104,6 +104,7 @@ def _parser() -> argparse.ArgumentParser:
         ),
     ):
         add(name, calls, text).set_defaults(out=OUT / name)
+    add("rig-sizes", "experiments.rig_sizes.print_table", "how many rays are right at which distance, by size of rig")
     add("snapshots", "experiments.snapshots.take_snapshots", "store what SweepNet makes of one frame while it learns")
     ship = add(
         "ship", "experiments.ship.export_weights", "bundle the weights of a finished training run, with curve and card"

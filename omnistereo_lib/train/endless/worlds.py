@@ -142,14 +142,14 @@ def draw_frame(seed: int, number: int, size: float = 1.0) -> EndlessFrame:
     rng = np.random.default_rng([seed, _PURPOSE, number])
     builder, light, radius = SCENES[rng.integers(len(SCENES))](rng)
     rig = draw_rig(rng, radius, size)
-    scene = Scene(_without_obstacles(np.concatenate(builder.primitives), rig, 0.05 + 0.1 * radius), light)
+    scene = Scene(without_obstacles(np.concatenate(builder.primitives), rig, 0.05 + 0.1 * radius), light)
     nearest = 1 / max(scene.inverse_depth_along(SphereGrid(160, 40).rays()).max(), 0.01)
     rig = Rig(rig.cameras, rig.T_rig_cam, float(nearest * rng.uniform(0.2, 0.7)))
     radiance = [scene.image(camera, pose) for camera, pose in zip(rig.cameras, rig.T_rig_cam, strict=True)]
-    return EndlessFrame(number, rig, _develop(radiance, rig.cameras, rng), scene)
+    return EndlessFrame(number, rig, develop(radiance, rig.cameras, rng), scene)
 
 
-def _without_obstacles(primitives: NDArray[Any], rig: Rig, clearance: float) -> NDArray[Any]:
+def without_obstacles(primitives: NDArray[Any], rig: Rig, clearance: float) -> NDArray[Any]:
     """Leave out what a camera would stand in or touch, but not what is all around it."""
     keep = np.ones(len(primitives), bool)
     for place in [*rig.centers, np.zeros(3)]:
@@ -204,7 +204,7 @@ def _draw_camera(rng: Generator, width: int, fov_deg: float, bend: float) -> Oca
     return fit_ocam(lens, (width, height), fov_deg)[0]
 
 
-def _develop(radiance: list[NDArray[Any]], cameras: Sequence[OcamCamera], rng: Generator) -> list[NDArray[np.uint8]]:
+def develop(radiance: list[NDArray[Any]], cameras: Sequence[OcamCamera], rng: Generator) -> list[NDArray[np.uint8]]:
     """Return what lenses and sensors make of radiance: vignetting, dirt, exposure, blur, noise, tone, JPEG."""
     bright = np.nanpercentile(np.concatenate([gray.ravel() for gray in radiance]), 90)
     exposure = rng.uniform(0.3, 1.1) / max(float(bright), 1e-3)
