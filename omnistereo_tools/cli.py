@@ -10,7 +10,7 @@ import threading
 import time
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from difflib import get_close_matches
 from io import TextIOWrapper
 from pathlib import Path
@@ -142,8 +142,10 @@ def _check_environment() -> None:
 
 
 def _say(line: str) -> None:
+    bars = getattr(sys.modules.get("tqdm"), "tqdm", None)  # one may stand in the line
     try:
-        print(one_line(line), file=sys.stderr, flush=True)
+        with bars.external_write_mode(sys.stderr) if bars else nullcontext():
+            print(one_line(line), file=sys.stderr, flush=True)
     except OSError:  # it is full or closed; what it has not taken would fail again at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
 

@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -17,6 +18,7 @@ import omnistereo_lib
 from omnistereo_lib.stereo.compiled import compiled
 from omnistereo_tools import cli
 from omnistereo_tools.commands.options import SAMPLE
+from omnistereo_tools.judge.pace import progress_bar
 
 ROOT = Path(omnistereo_lib.__file__).parents[1]
 
@@ -57,6 +59,17 @@ def test_what_resumes_is_told_so(monkeypatch, capsys, name):
     monkeypatch.setattr(module, "run", stopped_by(signal.SIGINT))
     assert cli.main([name, *(["volumenet"] if name == "train" else [])]) == 130
     assert capsys.readouterr().err == "interrupted; run the same command to resume\n"
+
+
+def test_what_is_said_does_not_stand_behind_a_bar(monkeypatch, capsys):
+    def run(options):
+        bar = progress_bar()
+        bar(0, 2, "sweep")
+        raise omnistereo_lib.OmnistereoError("no room")
+
+    monkeypatch.setattr(cli.doctor_command, "run", run)
+    assert cli.main(["doctor"]) == 2
+    assert re.search(r"sweep: +0%.*\r +\rerror: no room\n", capsys.readouterr().err)
 
 
 def test_other_errors_in_c_are_bugs(monkeypatch):
