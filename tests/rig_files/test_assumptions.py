@@ -16,7 +16,6 @@ from rig_file_samples import (
     dump,
     kalibr,
     matrix,
-    ocam_folder,
     omnimvs,
     stereographic,
     write,
@@ -61,6 +60,15 @@ def test_a_rig_in_the_frame_of_a_robot_is_turned_level(tmp_path, caplog):
     np.testing.assert_allclose(back.R, ring(FLU).T_rig_cam[1].R, atol=1e-12)
     kept = loaded(ring(FLU), tmp_path, keep_frame=True)
     np.testing.assert_allclose(kept.T_rig_cam[1].R, ring(FLU).T_rig_cam[1].R, atol=1e-12)
+
+
+@pytest.mark.parametrize("quarter", [-1, 1])
+def test_where_the_first_camera_looks_up_or_down_the_top_of_its_image_is_ahead(tmp_path, quarter):
+    first, *others = ring(FLU).T_rig_cam
+    turned = first @ Pose.from_vector([quarter * np.pi / 2, 0, 0, 0, 0, 0])
+    rig = loaded(ring(FLU).with_poses([turned, *others]), tmp_path)
+    np.testing.assert_allclose(rig.T_rig_cam[1].R[:, 1], [0, 1, 0], atol=1e-12)
+    np.testing.assert_allclose(rig.T_rig_cam[0].R[:, 1], [0, 0, -1], atol=1e-12)
 
 
 def test_a_rig_that_was_loaded_keeps_its_frame(tmp_path):
@@ -229,14 +237,3 @@ def test_a_file_of_one_camera_is_named_as_such(tmp_path):
     assert load_camera(path).image_size == SIZE
     with pytest.raises(OmnistereoError, match=r"basalt JSON of 2 cameras; expected one. Use load_rig"):
         load_camera(dump(tmp_path / "two.json", basalt()))
-
-
-def test_folders_of_lens_files(tmp_path):
-    """Any file of one camera takes the place of ocam1.txt."""
-    ocam_folder(tmp_path, cameras=0, poses="0 0 0 0 0 0\n0 1.5 0 10 0 0\n")
-    value = basalt()["value0"]
-    for i in (1, 2):
-        dump(tmp_path / f"cam{i}.json", {"value0": {key: entry[:1] for key, entry in value.items()}})
-    rig = load_rig(tmp_path, "cm")
-    np.testing.assert_allclose(rig.centers[1], [0.1, 0, 0])
-    assert rig.cameras[1].image_size == SIZE

@@ -153,21 +153,6 @@ def test_the_field_of_view_is_what_pixels_can_see():
     assert everything.max_fov_deg == pytest.approx(min(2 * corner, 350), abs=0.6)
 
 
-def test_the_field_of_view_ends_where_the_model_does():
-    folding = partial(kannala_brandt, fx=300, fy=300, cx=500, cy=500, k1=-0.1, k2=0, k3=0, k4=0)
-    camera, residual = fit_ocam(folding, (1000, 1000))
-    assert 2 * degrees(sqrt(1 / 0.3)) - 1 < camera.max_fov_deg <= 2 * degrees(sqrt(1 / 0.3))
-    at = rays(np.linspace(0.1, camera.max_fov_deg / 2, 99))
-    assert np.abs(camera.project(at)[0] - folding(at)[0]).max() < 0.01
-    assert residual < 0.01
-
-
-def test_named_models():
-    at = np.array([1.0, 0.0, 1.0])
-    assert make_camera_model("kb4", KB4)(at)[0][0] == kannala_brandt(at, **KB4)[0][0]
-    np.testing.assert_allclose(make_camera_model("ucm", PINHOLE | {"alpha": 0.0})(at)[0], [225 + 610.8, 600.2])
-
-
 @pytest.mark.parametrize(
     ("model", "parameters", "message"),
     [

@@ -2,7 +2,6 @@
 
 import logging
 import warnings
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -234,9 +233,6 @@ def test_masks_that_do_not_fit(tmp_path):
     cv2.imwrite(str(tmp_path / "mask1.png"), np.zeros((30, 40), np.uint8))
     with pytest.raises(OmnistereoError, match=r"mask1.png is 40 × 30 px; the camera has 800 × 760 px"):
         load_rig(path)
-    (tmp_path / "mask1.png").write_bytes(b"no picture")
-    with pytest.raises(OmnistereoError, match=r"mask1.png is not an image"):
-        load_rig(path)
 
 
 def test_saved_rigs_come_back(tmp_path):
@@ -276,18 +272,6 @@ def test_saved_rigs_have_what_the_public_codes_read(tmp_path):
         assert camera["poly"][0] == len(camera["poly"]) - 1 and camera["inv_poly"][0] == len(camera["inv_poly"]) - 1
         assert camera["center"] == [CENTER[1], CENTER[0]] and camera["image_size"] == [SIZE[1], SIZE[0]]
         assert len(camera["pose"]) == 6 and camera["max_fov"] == 220 and camera["invalid_mask"].endswith(".png")
-
-
-def test_saving_where_nothing_can_be_written(tmp_path):
-    rig = Rig([CAMERA] * 2, [Pose.identity()] * 2)
-    with pytest.raises(OmnistereoError, match=r"rig.yaml cannot be written: No such file"):
-        save_rig(rig, tmp_path / "missing" / "rig.yaml")
-    (tmp_path / "taken.yaml").mkdir()
-    with pytest.raises(OmnistereoError, match=r"taken\.yaml cannot be written"):
-        save_rig(rig, tmp_path / "taken.yaml")
-    with pytest.raises(OmnistereoError, match=r"rig\.yaml cannot be written: Not a directory"):
-        save_rig(rig, Path(__file__) / "rig.yaml")
-    assert [path.name for path in tmp_path.iterdir()] == ["taken.yaml"]  # no half-written file stays
 
 
 def test_numpy_numbers_are_written_as_plain_numbers(tmp_path):
