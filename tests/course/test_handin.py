@@ -226,7 +226,7 @@ def test_nothing_that_a_student_has_started_is_left(checked):
 
 def test_printing_without_end_stops_a_cell_and_nothing_is_left_of_a_folder_3000_deep(checked):
     rows, _, out = checked
-    assert "code cell 3 stopped with OutOfTime: no answer in 6.6" in rows["leaves things.ipynb"]["notes"]
+    assert "code cell 3 stopped with OutOfTime: no answer in 5 s" in rows["leaves things.ipynb"]["notes"]
     assert list((out / "temporary").iterdir()) == []
 
 
