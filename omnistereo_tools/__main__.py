@@ -2,7 +2,6 @@
 
 import os
 import signal
-import sys
 from types import FrameType
 
 
@@ -10,11 +9,8 @@ def start() -> int:
     """Run the command line; a process that is stopped while modules load, or after the command, ends quietly."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _leave)
-    try:
-        from omnistereo_tools.cli import main
-    except ValueError as error:
-        print(f"error: {error}. Check the variables of the environment, such as TQDM_…", file=sys.stderr)
-        return 2
+    from omnistereo_tools.cli import main
+
     status = main()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_DFL)

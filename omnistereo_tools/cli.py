@@ -14,10 +14,8 @@ from contextlib import contextmanager, nullcontext, suppress
 from difflib import get_close_matches
 from io import TextIOWrapper
 from pathlib import Path
-from types import FrameType
-from typing import NoReturn
-
-from tqdm import tqdm
+from types import FrameType, ModuleType
+from typing import NoReturn, get_type_hints
 
 from omnistereo_lib.errors import EXIT_STATUS, OmnistereoError, one_line, shortened
 from omnistereo_tools.commands import (
@@ -28,11 +26,13 @@ from omnistereo_tools.commands import (
     evaluate_command,
     live_command,
     onnx_command,
+    record_command,
     train_command,
 )
 from omnistereo_tools.memory import check_address_space, keep_memory
 from omnistereo_tools.outputs import let_go
-from omnistereo_tools.tiny import shrink
+from omnistereo_tools.parser import Options, add_options
+from omnistereo_tools.tiny import is_tiny, shrink
 
 # Of libraries whose errors have no type in common.
 _EXHAUSTED = re.compile(r"can't start new thread|(allocate|insufficient|out of) memory|CUDA error", re.IGNORECASE)
@@ -40,6 +40,7 @@ _ABOUT = "Depth panoramas from a rig of fisheye cameras."
 COMMANDS = {
     "demo": demo_command,
     "depth": depth_command,
+    "record": record_command,
     "calibrate": calibrate_command,
     "doctor": doctor_command,
     "train": train_command,
@@ -52,17 +53,19 @@ COMMANDS = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; return the exit status. Whatever goes wrong is one plain line, never a traceback."""
     _open_streams()
-    tqdm.monitor_interval = 0  # its thread would outlive the command
     keep_memory()
-    options = argparse.Namespace()
+    options = None
     try:
         try:
             check_address_space()
             _check_environment()
-            options = shrink(_parse(list(sys.argv[1:] if arguments is None else arguments)))
+            module, options = _parse(list(sys.argv[1:] if arguments is None else arguments))
+            if is_tiny():
+                options = shrink(options)
+                _say("OMNISTEREO_TINY is set: the results are too small to mean anything")
             with _stoppable(), warnings.catch_warnings():
                 warnings.showwarning = lambda message, *_: _say(f"warning: {message}")
-                return options.run(options) or 0
+                return module.run(options) or 0
         finally:
             let_go()
             print(end="", flush=True)
@@ -131,6 +134,11 @@ def _check_environment() -> None:
     threads = os.environ.get("NUMBA_NUM_THREADS", "1")
     if not re.fullmatch("[1-9][0-9]{0,3}", threads):
         raise OmnistereoError(f"NUMBA_NUM_THREADS in the environment is {shortened(threads)}; expected 1 to 9999")
+    if any(name.startswith("TQDM_") for name in os.environ):
+        try:
+            import tqdm  # noqa: F401  # it reads them when it is imported, as torch does
+        except ValueError as error:
+            raise OmnistereoError(f"{error}. Check the variables TQDM_… of the environment") from None
     try:
         os.getcwd()
     except OSError:
@@ -162,8 +170,8 @@ def _stop(line: str, status: int) -> int:
     return status
 
 
-def _interrupted(options: argparse.Namespace, stop: KeyboardInterrupt) -> int:
-    resumes = "; run the same command to resume" if getattr(options, "resumes", False) else ""
+def _interrupted(options: Options | None, stop: KeyboardInterrupt) -> int:
+    resumes = "; run the same command to resume" if options and options.resumes else ""
     return _stop(f"interrupted{resumes}", 143 if isinstance(stop, _Terminated) else 130)
 
 
@@ -174,10 +182,13 @@ class _Parser(argparse.ArgumentParser):
         super().error(one_line(message))
 
 
-def _parse(arguments: list[str]) -> argparse.Namespace:
-    """Parse a command; without one print the help, and for a wrong name propose one that is similar."""
+def _parse(arguments: list[str]) -> tuple[ModuleType, Options]:
+    """Return the module of a command and its options; without one print the help, and for a wrong name a similar one.
+
+    The options are of the class that `run` takes.
+    """
     parser = _Parser(prog="omnistereo", description=_ABOUT, epilog=EXIT_STATUS)
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
     for name, module in COMMANDS.items():
         command = commands.add_parser(
             name,
@@ -186,8 +197,8 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
             epilog=EXIT_STATUS,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        command.set_defaults(run=module.run)
-        module.add_arguments(command)
+        if name in arguments[:1]:
+            add_options(command, _options_of(module))
     if not arguments:
         parser.print_help()
         parser.exit()
@@ -195,4 +206,12 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
         similar = get_close_matches(arguments[0], COMMANDS, n=1)
         guess = f"Did you mean {similar[0]}?" if similar else f"Expected one of {', '.join(COMMANDS)}."
         parser.exit(2, f"error: there is no command {arguments[0]!r}. {guess}\n")
-    return parser.parse_args(arguments)
+    typed = vars(parser.parse_args(arguments))
+    module = COMMANDS[typed.pop("command")]
+    values = {name: tuple(value) if isinstance(value, list) else value for name, value in typed.items()}
+    return module, _options_of(module)(**values)
+
+
+def _options_of(module: ModuleType) -> type[Options]:
+    kind: type[Options] = get_type_hints(module.run)["options"]
+    return kind

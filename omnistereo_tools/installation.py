@@ -56,7 +56,7 @@ def _required_packages() -> Iterator[Check]:
         yield False, "omnistereo-lib is neither installed nor in its clone: pip install it"
         return
     for requirement in requirements:
-        name, minimum = re.fullmatch(r"([\w-]+)(?:>=([\d.]+))?.*", requirement).groups()
+        name, minimum = re.findall(r"^([\w-]+)(?:>=([\d.]+))?", requirement)[0]
         if "extra ==" in requirement:
             continue
         found = installed_version(name)
@@ -74,7 +74,7 @@ def installed_version(name: str) -> str:
 
 
 def _numbers(version: str) -> list[int]:
-    return [int(number) for number in re.match(r"[\d.]*", version)[0].split(".") if number]
+    return [int(number) for number in re.findall(r"^[\d.]*", version)[0].split(".") if number]
 
 
 def check_machine() -> Iterator[Check]:

@@ -76,11 +76,12 @@ class Latest:
 
     def __init__(self) -> None:
         self._changed = Condition()
-        self._value, self._number = None, 0
+        self._value: Any = None
+        self._number = 0
         self.closed = False
         self.watched = Event()  #: set when somebody begins to look
 
-    def put(self, value: object) -> None:
+    def put(self, value: Any) -> None:
         """Renew the value."""
         with self._changed:
             self._value, self._number = value, self._number + 1
@@ -93,11 +94,11 @@ class Latest:
             self._changed.notify_all()
 
     @property
-    def newest(self) -> object:
+    def newest(self) -> Any:
         """The newest value, None before the first."""
         return self._value
 
-    def __iter__(self) -> Iterator:
+    def __iter__(self) -> Iterator[Any]:
         """Yield the newest value, whenever there is a newer one, until it is closed."""
         seen = 0
         self.watched.set()
@@ -169,7 +170,7 @@ def _first(source: int | str, capture: cv2.VideoCapture) -> NDArray[np.uint8]:
     if isinstance(source, str):
         capture.open(source)
         capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
-    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), np.uint8)
 
 
 def live_pictures(cameras: Cameras, sweep: SphereSweep, method: str | Method) -> Iterator[LivePicture]:
@@ -208,7 +209,7 @@ def draw_picture(
     colors = scale.colorize(depth, doubtful)
     parts = [cv2.resize(picture, (width, height), interpolation=cv2.INTER_LINEAR) for picture in (panorama, colors)]
     parts += [_scale_strip(scale, width), np.full((_NOTE_PX, width, 3), BACKGROUND, np.uint8)]
-    picture = np.vstack(parts)
+    picture = np.asarray(np.vstack(parts), np.uint8)
     _write(picture, f"{note}. Faded: doubtful, striped: no depth", (12, len(picture) - 12))
     jpeg = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes()
     return LivePicture(jpeg, depth.depth, height / len(picture))
@@ -297,7 +298,7 @@ def serve(latest: Latest, port: int) -> Iterator[str]:
         def _answer(self, name: str, place: tuple[float, float] | None) -> None:
             content, send = {
                 "/stream": ("multipart/x-mixed-replace; boundary=x", self._stream),
-                "/depth": ("text/plain; charset=utf-8", lambda: self.wfile.write(self._depth(*place).encode())),
+                "/depth": ("text/plain; charset=utf-8", lambda: self.wfile.write(self._depth(place).encode())),
             }.get(name, ("text/html", lambda: self.wfile.write(_PAGE)))
             self.send_response(200)
             self.send_header("Content-Type", content)
@@ -305,9 +306,9 @@ def serve(latest: Latest, port: int) -> Iterator[str]:
             self.end_headers()
             send()
 
-        def _depth(self, x: float, y: float) -> str:
+        def _depth(self, place: tuple[float, float] | None) -> str:
             picture = latest.newest  # none before the first
-            return "" if picture is None else picture.depth_at(x, y)
+            return "" if picture is None or place is None else picture.depth_at(*place)
 
         def _stream(self) -> None:
             for picture in latest:

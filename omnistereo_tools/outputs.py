@@ -3,14 +3,14 @@
 Each passes what it will write to `check_outputs`, before any work, and holds its folder from when it begins to write.
 """
 
-import argparse
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_tools.parser import Options
 
 _PICTURES = ("png", "jpg", "jpeg", "bmp", "pgm", "webp")
 _READ = {  # options that name files, or a folder of which these are read
@@ -31,17 +31,20 @@ _IMAGES_OF_SETS = [f"{depth}{folder}/*" for depth in ("", "*/", "*/*/") for fold
 _held: list[int] = []  # descriptors of folders
 
 
-def check_outputs(options: argparse.Namespace, files: Iterable[Path | None], folders: Iterable[Path] = ()) -> None:
+def check_outputs(
+    options: Options, files: Iterable[Path | None], folders: Iterable[Path] = (), unread: Collection[str] = ()
+) -> None:
     """Raise an `OmnistereoError` if a command would write over a file that its options name, by whatever path.
 
     Args:
         files: Files that will be written; None: not asked for.
         folders: Folders that will be filled: none of what is read may be in them.
+        unread: Options whose files this command will not read.
     """
     targets = [*filter(None, files), *folders]
     if not any(target.exists() for target in targets):
         return
-    read = [path for path in _files_read(options) if path.is_file()]
+    read = [path for path in _files_read(options, unread) if path.is_file()]
     known = {_identity(path): path for path in read}
     known |= {_identity(folder): path for path in read for folder in (path.parent, path.resolve().parent)}
     for target in targets:
@@ -84,12 +87,12 @@ def _identity(path: Path) -> tuple[int, int]:
     return status.st_dev, status.st_ino
 
 
-def _files_read(options: argparse.Namespace) -> Iterator[Path]:
+def _files_read(options: Options, unread: Collection[str]) -> Iterator[Path]:
     """Yield the files that the options name, or that lie in folders that they name."""
     from omnistereo_lib.files import read_text
 
     for name, patterns in _READ.items():
-        for path in _paths(options, name):
+        for path in () if name in unread else _paths(options, name):
             yield path
             for pattern in patterns:
                 yield from path.glob(pattern)
@@ -104,6 +107,6 @@ def _files_read(options: argparse.Namespace) -> Iterator[Path]:
             yield from path.glob(pattern)
 
 
-def _paths(options: argparse.Namespace, name: str) -> list[Path]:
+def _paths(options: Options, name: str) -> list[Path]:
     value = getattr(options, name, None)
-    return [Path(one) for one in (value if isinstance(value, list) else [value]) if one is not None]
+    return [Path(one) for one in (value if isinstance(value, tuple) else [value]) if one is not None]

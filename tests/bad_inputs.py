@@ -27,7 +27,7 @@ from omnistereo_lib.files import write_image
 from omnistereo_lib.geometry.rig import camera_pairs
 
 DEPTH = "depth --rig RIG --images IMAGES --width 96 --height 24 --spheres 16 --method zncc --out OUT "
-RECORDING = DEPTH.replace("IMAGES", "DATA/cam1 DATA/cam2 DATA/cam3 DATA/cam4")
+RECORDING = DEPTH.replace("depth", "record").replace("IMAGES", "DATA/cam1 DATA/cam2 DATA/cam3 DATA/cam4")
 SET = "depth --rig DATA --width 96 --height 24 --spheres 16 --method zncc --out OUT "
 DOCTOR = "doctor --rig RIG --images IMAGES --width 96 --height 24 --spheres 16 "
 LOOK = "doctor --rig RIG "
@@ -176,13 +176,14 @@ def torn_later(data: Path) -> None:
 COMMANDS = [
     # the command itself
     Row("a misspelt command", "deph --out OUT", "there is no command 'deph'. Did you mean depth"),
-    Row("no such command", "xyz", "Expected one of demo, depth, "),
+    Row("no such command", "xyz", "Expected one of demo, depth, record, "),
     Row("no such option", DEPTH + "--no-such-option", "unrecognized arguments"),
     # pictures
     Row("a picture is missing", DEPTH, r"cam2.0001.png cannot be read: No such file", lambda d: first(d).unlink()),
     Row("a picture is truncated", DEPTH, r"cam2.0001.png is damaged, truncated or of", cut),
     Row("a picture is text", DEPTH, r"cam2.0001.png is not an image .5 bytes", write("cam2/0001.png", "hello")),
-    Row("a picture is a folder", DEPTH, r"has no frames that OpenCV can read", folder_named_like_a_picture),
+    Row("a picture is a folder", DEPTH, r"0001.png holds many frames; expected one pict.*: omnistereo record",
+        folder_named_like_a_picture),
     Row("a picture is smaller", DEPTH, r"cam2.0001.png is 100 × 96 px; the camera has 200 × 192 px", picture(SMALLER)),
     Row("a picture has a long name", "depth --rig RIG --images LONG LONG LONG LONG", "File name too long"),
     Row("a picture too few", DEPTH + "--images DATA/cam1/0001.png", "is one image of 200 × 192 px for 4 cameras"),
@@ -224,24 +225,15 @@ COMMANDS = [
     Row("a mesh below a file", DEPTH + "--mesh RIG/a.glb", r"config.yaml cannot be made or written to"),
     Row("a farthest depth not a number", DEPTH + "--max-depth nan", "--max-depth is nan; expected a number of"),
     Row("a confidence of 7", DEPTH + "--min-confidence 7", "--min-confidence is 7.0; expected a number of 0 to 1"),
-    Row("no triangles", DEPTH + "--mesh OUT.glb --mesh-faces 0", "--mesh-faces is 0; expected an integer of 1"),
-    Row("triangles of no mesh", DEPTH + "--mesh-faces 9", "--mesh-faces decimates a mesh; found no --mesh. Add"),
     # recordings
     Row("a recording whose last picture is torn", RECORDING, r"cam2.0002.png is damaged, truncated", torn_later),
-    Row("every 0th frame", RECORDING + "--step 0", "the step is 0; expected --step of at least 1"),
-    Row("a start below 0", RECORDING + "--start -5", "the first frame is -5; expected --start of at least 0"),
+    Row("every 0th frame", RECORDING + "--step 0", "--step is 0; expected an integer of 1"),
+    Row("a start below 0", RECORDING + "--start -5", "--start is -5; expected an integer of 0"),
     Row("a recording over its pictures", RECORDING + "--out DATA", "config.yaml is read, and writing .*config.yaml"),
     Row("a recording over a rig file", RECORDING.replace("cam", "view") + "--out DATA",
         "config.yaml is read, and writing .*config.yaml", folders_of_other_names),
     Row("a video below a file", RECORDING + "--video RIG/a.mp4", r"config.yaml cannot be made or written to"),
-    *(Row(f"a recording with --{option.split()[0]}", f"{RECORDING}--{option}",
-          f"--{option.split()[0]} is for one frame; --images are folders or videos")
-      for option in ("frame 1", "max-depth 9", "min-confidence 0.5", "mesh OUT.glb", "mesh-faces 9",
-                     "equirectangular OUT.tiff", "crops OUT/crops")),
-    *(Row(f"one frame with --{option.split()[0]}", f"{DEPTH}--{option}",
-          f"--{option.split()[0]} is for recordings; expected --images with a folder or a video per camera")
-      for option in ("start 1", "stop 9", "step 2", "cluster tcp://127.0.0.1:1", "depth-format png",
-                     "video OUT.mp4")),
+    Row("pictures as a recording", DEPTH.replace("depth", "record"), r"neither a folder nor a vid.*: omnistereo depth"),
     # rig files
     Row("no rig file", LOOK + "--rig DATA/none.yaml", r"none.yaml.*"),
     Row("a rig file of a long name", DEPTH + "--rig LONG", "File name too long"),

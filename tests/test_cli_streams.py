@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from functools import wraps
 from pathlib import Path
 
 import cv2
@@ -47,7 +48,8 @@ def stopped_by(number, in_c=False):
 @pytest.mark.parametrize("in_c", [False, True])
 def test_a_command_is_stopped(monkeypatch, capsys, number, status, in_c):
     before = signal.getsignal(signal.SIGTERM)
-    monkeypatch.setattr(cli.doctor_command, "run", stopped_by(number, in_c))
+    doctor = cli.doctor_command
+    monkeypatch.setattr(doctor, "run", wraps(doctor.run)(stopped_by(number, in_c)))
     assert cli.main(["doctor"]) == status
     assert capsys.readouterr().err == "interrupted\n"
     assert signal.getsignal(signal.SIGTERM) == before
@@ -56,7 +58,7 @@ def test_a_command_is_stopped(monkeypatch, capsys, number, status, in_c):
 @pytest.mark.parametrize("name", ["train", "evaluate"])
 def test_what_resumes_is_told_so(monkeypatch, capsys, name):
     module = cli.COMMANDS[name]
-    monkeypatch.setattr(module, "run", stopped_by(signal.SIGINT))
+    monkeypatch.setattr(module, "run", wraps(module.run)(stopped_by(signal.SIGINT)))
     assert cli.main([name, *(["volumenet"] if name == "train" else [])]) == 130
     assert capsys.readouterr().err == "interrupted; run the same command to resume\n"
 
@@ -73,6 +75,7 @@ def test_what_is_said_does_not_stand_behind_a_bar(monkeypatch, capsys):
 
 
 def test_other_errors_in_c_are_bugs(monkeypatch):
+    @wraps(cli.doctor_command.run)
     def run(options):
         raise SystemError("a function in C returned NULL without setting an exception")
 
@@ -165,6 +168,7 @@ def test_an_error_under_torchrun_is_one_line_and_the_reason_it_gives(monkeypatch
     ids=str,
 )
 def test_what_the_machine_has_too_little_of(monkeypatch, capsys, error):
+    @wraps(cli.doctor_command.run)
     def run(options):
         raise error
 

@@ -83,7 +83,7 @@ def command(request, data, corners):
     calibrate = ["calibrate", corners, "--corners", corners, "--board", "12x10", "--square", 0.06, "--degree", 4]
     lines = {
         "depth": ["depth", "--rig", data, *small, "--out"],
-        "recording": ["depth", "--rig", data / "config.yaml", "--images", *views, *small, "--out"],
+        "recording": ["record", "--rig", data / "config.yaml", "--images", *views, *small, "--out"],
         "calibrate": [*calibrate, "--out"],
         "evaluate": ["evaluate", "--sets", data, "--methods", "zncc", "zncc+sgm", "--out"],
         "render": ["render", "sunny/test", "--frames", *range(701, 741), "--out"],

@@ -206,8 +206,8 @@ def test_page(page, run, files, clone, tmp_path):
             continue
         _choose_boards(folder, "april" if "aprilgrid.yaml" in line else "pictures")
         where = clone if _is_of_the_clone(line) else folder
-        # A second run meets what the first has left: once for each command that writes, and for recordings.
-        kind = " ".join(re.findall("^omnistereo [a-z]+| --video", line))
+        # A second run meets what the first has left: once for each command that writes.
+        kind = " ".join(re.findall("^omnistereo [a-z]+", line))
         once = kind in RUN or not kind or line.startswith((*FOREVER, "omnistereo doctor"))
         for attempt in ("at first",) if once else ("at first", "again"):
             began = time.perf_counter()
@@ -231,7 +231,7 @@ def _choose_boards(folder, name):
 @pytest.mark.parametrize(
     ("line", "advice"),
     [
-        ("omnistereo depth --rig rig.yaml --images front right back left --height 160 --phi -30 30", "--phi -45 45"),
+        ("omnistereo record --rig rig.yaml --images front right back left --height 160 --phi -30 30", "--phi -45 45"),
         ("omnistereo doctor --rig opencv.yaml --images 1.png 2.png 3.png 4.png", "--unit m"),
         ("omnistereo onnx --rig calibration.json --out onnx", "--min-depth 1.5"),
     ],

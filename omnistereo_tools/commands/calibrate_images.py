@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools.outputs import check_outputs, hold
+from omnistereo_tools.parser import Options, option
 
 if TYPE_CHECKING:
     import numpy as np
@@ -27,33 +29,45 @@ _CHECKED = 3  # frames on which the matching cost is compared
 _AS_GOOD = 1.01  # times the cost
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of calibration from images."""
-    group = parser.add_argument_group("without a board")
-    group.add_argument("--from-images", type=Path, nargs="+", help="for each camera a folder, a video or one picture")
-    group.add_argument("--lenses", type=Path, help="rig file or folder of lens files: poses are not needed")
-    group.add_argument("--baseline", type=float, help="with --lenses: metres between cameras 1 and 2")
-    group.add_argument("--radius", type=float, help="with --lenses: mean distance of the cameras from their middle, m")
-    group.add_argument(
-        "--calibrated", action="store_true", help="the poses of --rig are a calibration: they keep weight"
-    )
-    group.add_argument("--free-lenses", action="store_true", help="adjust centre and focal length of the lenses, too")
-    group.add_argument("--frames", type=int, default=6, help="how many frames are chosen (default: 6)")
-    group.add_argument("--unit", choices=["mm", "cm", "m"], help="unit of the poses of --rig, if it does not state it")
+@dataclass(frozen=True, kw_only=True)
+class ImagesOptions(Options):
+    """Options of a calibration from images alone."""
+
+    from_images: tuple[Path, ...] | None = option("for each camera a folder, a video or one picture")
+    rig: Path | None = option("nominal poses; with a board: cameras whose intrinsics are kept")
+    unit: Literal["mm", "cm", "m"] | None = option("unit of the poses of --rig, if it does not state it", needs="rig")
+    lenses: Path | None = option("rig file or folder of lens files: poses are not needed", needs="from_images")
+    baseline: float | None = option("metres between cameras 1 and 2", needs="lenses", between=(1e-6, 1e4))
+    radius: float | None = option("mean metres from the cameras' middle", needs="lenses", between=(1e-6, 1e4))
+    calibrated: bool = option("the poses of --rig are a calibration: they keep weight", False, needs="rig")
+    free_lenses: bool = option("adjust centre and focal length of the lenses, too", False, needs="from_images")
+    frames: int = option("how many frames are chosen", 6, needs="from_images", between=(1, 1e4))
+    max_fov: float | None = option("field of view in degrees", unset="as far as corners reach, or of the lenses")
+    out: Path = option("folder for the results", Path("out/rig"))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.from_images is None:
+            return
+        if (self.rig is None) == (self.lenses is None):
+            raise OmnistereoError("--from-images needs --rig with nominal poses, or --lenses and one length")
+        if self.lenses is not None and (self.baseline is None) == (self.radius is None):
+            raise OmnistereoError(
+                "--lenses needs one length, because images do not tell a metre: --baseline or --radius"
+            )
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: ImagesOptions, recorded: Sequence[Path]) -> int:
     """Measure a rig from images, write it and its report; return 1 if the given rig is better and stays."""
     from omnistereo_lib.files import atomic_write
     from omnistereo_tools.judge.pace import progress_bar
     from omnistereo_tools.output.pictures import save_figure
     from omnistereo_tools.output.rig_exports import write_rig
 
-    _check(options)
-    out: Path = options.out
+    out = options.out
     names = ("config.yaml", "report.txt", "report_points.png", "poses.txt", "kalibr.yaml", "opencv.yaml")
     check_outputs(options, [out / name for name in names])
-    images, rig, given = _read(options)
+    images, rig, given = _read(options, recorded)
     print(f"measuring the poses from {len(images)} frames takes about {10 + 8 * len(images)} s", flush=True)
     measured, better, costs = _measure(options, rig, given, images, progress_bar())
     if refusals := measured.refusals():
@@ -72,23 +86,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _check(options: argparse.Namespace) -> None:
-    """Raise an `OmnistereoError` if options do not go together."""
-    if options.folder is not None or options.board is not None:
-        raise OmnistereoError("--from-images needs no board. Leave FOLDER and --board out")
-    if (options.rig is None) == (options.lenses is None):
-        raise OmnistereoError("--from-images needs --rig with nominal poses, or --lenses and one length")
-    if options.lenses is not None and (options.baseline is None) == (options.radius is None):
-        raise OmnistereoError("--lenses needs one length, because images do not tell a metre: --baseline or --radius")
-    if options.rig is not None and (options.baseline or options.radius):
-        raise OmnistereoError("--baseline and --radius go with --lenses. The size of a rig is that of --rig")
-    for name in ("baseline", "radius", "frames"):
-        value = getattr(options, name)
-        if value is not None and not 0 < value < 1e4:
-            raise OmnistereoError(f"--{name} is {value}; expected a number above 0")
-
-
-def _read(options: argparse.Namespace) -> tuple[Images, Rig, Given]:
+def _read(options: ImagesOptions, recorded: Sequence[Path]) -> tuple[Images, Rig, Given]:
     """Return the frames chosen, the rig, and what its poses are."""
     from omnistereo_lib.calibrate.from_images import find_features, rig_from_pairs
     from omnistereo_lib.frame import load_images
@@ -97,18 +95,19 @@ def _read(options: argparse.Namespace) -> tuple[Images, Rig, Given]:
     from omnistereo_lib.rig_files import load_rig
     from omnistereo_lib.rig_files.formats import load_cameras
     from omnistereo_tools.input.masks import with_masks
-    from omnistereo_tools.input.sources import Recording, is_recording
+    from omnistereo_tools.input.sources import Recording, of_recordings
 
-    if options.rig is not None:
+    if options.lenses is None:
+        assert options.rig is not None  # `ImagesOptions` wants one of them
         rig = load_rig(options.rig, options.unit, options.max_fov, keep_frame=True)
     else:
         cameras = load_cameras(options.lenses, options.max_fov)
         rig = Rig(cameras, [Pose.identity()] * len(cameras))
-    rig = with_masks(rig, None, options.from_images)
-    if is_recording(options.from_images):
-        images = _choose_frames(Recording.open(options.from_images), rig, options.frames)
+    rig = with_masks(rig, None, recorded)
+    if of_recordings(recorded):
+        images = _choose_frames(Recording.open(recorded), rig, options.frames)
     else:
-        images = [load_images(options.from_images, rig)]
+        images = [load_images(recorded, rig)]
     if options.calibrated and len(images) == 1:
         raise OmnistereoError("one frame does not replace a calibration. Give several, or leave out --calibrated")
     if options.rig is not None:
@@ -159,7 +158,7 @@ def _sharpness(image: NDArray[np.uint8]) -> float:
 
 
 def _measure(
-    options: argparse.Namespace, rig: Rig, given: Given, images: Images, progress: Progress
+    options: ImagesOptions, rig: Rig, given: Given, images: Images, progress: Progress
 ) -> tuple[MeasuredRig, bool, list[str]]:
     """Return the rig measured, whether it matches held-out parts better than the one given, and by how much."""
     import numpy as np

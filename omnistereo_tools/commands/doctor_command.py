@@ -9,128 +9,105 @@ Examples:
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_tools.commands.depth_command import DepthOptions
 from omnistereo_tools.commands.options import (
-    SPHERES,
-    WIDTH,
-    add_grid,
-    add_images,
-    add_rig,
-    check_typed,
+    FrameOptions,
+    GridOptions,
+    find_min_depth,
     make_grid,
     read_frame,
-    read_masked_rig,
+    read_rig,
+    warn_of,
 )
 from omnistereo_tools.outputs import check_outputs
+from omnistereo_tools.parser import as_typed, flag, option
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from omnistereo_lib.geometry.rig import Rig
+    from omnistereo_lib.frame import Frame
     from omnistereo_lib.geometry.sphere import SphereGrid
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the command."""
-    add_rig(parser, help="rig file, folder of one, or data set (default: check the installation instead)")
-    add_images(parser)
-    add_grid(parser, width=320, height=80, spheres=64)
-    parser.add_argument("--write", type=Path, metavar="FIXED.yaml", help="write there the rig as the images show it")
-    parser.add_argument("--coverage", type=Path, help="draw there how many cameras see each direction, how far apart")
+@dataclass(frozen=True, kw_only=True)
+class DoctorOptions(GridOptions, FrameOptions):
+    """Options of `omnistereo doctor`; the panorama is the one on which images are matched."""
+
+    rig: Path | None = option("rig file, folder of one, or data set", unset="check the installation instead")
+    width: int = 320
+    height: int | None = 80
+    spheres: int = 64
+    write: Path | None = option("write there the rig as the images show it", suffixes=(".yaml", ".yml"))
+    coverage: Path | None = option("draw there how many cameras see what", suffixes=(".png", ".jpg", ".jpeg"))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.rig is None and (given := set(self.given()) - {"width", "height", "spheres"}):
+            raise OmnistereoError(f"{flag(min(given))} needs --rig: the file or folder that describes the cameras")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: DoctorOptions) -> int:
     """Print what is in place and what is not; return 1 if something is wrong."""
-    check_typed(options)
     if options.rig is not None:
-        return _check_rig(options)
+        return _check_rig(options, options.rig)
     from omnistereo_tools.installation import doctor
 
-    for name in ("images", "masks", "frame", "unit", "max_fov", "write", "coverage"):
-        if getattr(options, name) is not None:
-            raise OmnistereoError(
-                f"--{name.replace('_', '-')} needs --rig: the file or folder that describes the cameras"
-            )
     return 0 if doctor() else 1
 
 
-def _check_rig(options: argparse.Namespace) -> int:
+def _check_rig(options: DoctorOptions, rig_file: Path) -> int:
     """Say what a rig can see and what depth to ask for, and check it against its images; return 1 if it is wrong."""
     from omnistereo_tools.judge.coverage import Coverage
-    from omnistereo_tools.output.exports import check_suffixes
+    from omnistereo_tools.judge.doubts import rig_doubts
     from omnistereo_tools.output.pictures import save_figure
 
-    check_suffixes(coverage=options.coverage, write=options.write)
     check_outputs(options, [options.coverage, options.write])
-    has_images = options.images is not None or _is_data_set(options.rig)
+    has_images = options.images is not None or _is_data_set(rig_file)
     if options.write is not None and not has_images:
         raise OmnistereoError("--write needs --images: only they show what the rig is")
     frame = read_frame(options) if has_images else None
-    rig, images = (frame.rig, frame.images) if frame else (read_masked_rig(options), [])
+    rig = frame.rig if frame else read_rig(options)
     low, high = rig.baselines.min(), rig.baselines.max()
     print(f"{len(rig)} cameras, {low:.3g} to {high:.3g} m apart: check that this is right.")
     coverage = Coverage.of(rig)
-    grid = _recommended(options, rig, images)
+    min_depth = rig.min_depth if options.min_depth is None else options.min_depth
+    if frame:
+        min_depth = find_min_depth(min_depth, rig, frame.images)
+    # The panorama that `omnistereo depth` computes by default.
+    grid = coverage.propose(DepthOptions.width, DepthOptions.height, options.phi, DepthOptions.spheres, min_depth)
     print(*coverage.sentences(grid.min_depth), sep="\n")
     if options.coverage is not None:
         save_figure(options.coverage, coverage.figure())
-    status = _check_images(options, rig, images, grid.min_depth) if has_images else 0
-    if not has_images:
-        _warn_of_doubts(rig, grid.min_depth)
+    status = _check_images(options, frame, make_grid(options, coverage, grid.min_depth)) if frame else 0
+    if not frame:
+        warn_of(rig_doubts(rig, grid.min_depth))
         print(coverage.left_out(grid))
         print("With --images the poses are checked, too, and the command for depth is printed.")
     elif status == 0:
-        print(f"{coverage.left_out(grid)} Ready to run:\n{_depth_command(options, grid)}")
+        chosen = {"width": grid.width, "height": grid.height, "phi": grid.phi_deg, "spheres": grid.num_spheres}
+        print(f"{coverage.left_out(grid)} Ready to run:")
+        print(as_typed("depth", DepthOptions, options, **chosen, min_depth=grid.min_depth))
     return status
 
 
-def _recommended(options: argparse.Namespace, rig: Rig, images: Sequence[NDArray[np.uint8]]) -> SphereGrid:
-    """Return the grid that `omnistereo depth` takes by default; without images the nearest depth is the rig's."""
-    if images:
-        chosen = argparse.Namespace(**vars(options) | {"width": WIDTH, "height": None, "spheres": SPHERES})
-        return make_grid(chosen, rig, images)
-    from omnistereo_tools.judge.coverage import Coverage
-
-    min_depth = rig.min_depth if options.min_depth is None else options.min_depth
-    return Coverage.of(rig).propose(WIDTH, None, options.phi and tuple(options.phi), SPHERES, min_depth)
-
-
-def _depth_command(options: argparse.Namespace, grid: SphereGrid) -> str:
-    """Return the command line that computes the depth of a grid from the same rig and images."""
-    import shlex
-
-    words = ["omnistereo", "depth"]
-    for name in ("rig", "unit", "max_fov", "keep_frame", "images", "masks", "frame"):
-        value = getattr(options, name)
-        if value is not None and value is not False:
-            words.append(f"--{name.replace('_', '-')}")
-            words += [] if value is True else map(str, value) if isinstance(value, list) else [str(value)]
-    low, high = (f"{angle:g}" for angle in grid.phi_deg)
-    words += ["--width", str(grid.width), "--height", str(grid.height), "--phi", low, high]
-    return shlex.join([*words, "--spheres", str(grid.num_spheres), "--min-depth", f"{grid.min_depth:g}"])
-
-
-def _check_images(options: argparse.Namespace, rig: Rig, images: Sequence[NDArray[np.uint8]], min_depth: float) -> int:
-    """Check a rig against its images, on spheres from the nearest depth of the sweep; return 1 if it is wrong."""
+def _check_images(options: DoctorOptions, frame: Frame, grid: SphereGrid) -> int:
+    """Check a rig against its images, whose matching cost is that on a grid; return 1 if it is wrong."""
     from omnistereo_lib.rig_files import save_rig
     from omnistereo_lib.stereo.images import reduce_images
     from omnistereo_lib.stereo.sweep import SphereSweep
-    from omnistereo_tools.judge.doubts import same_pictures
+    from omnistereo_tools.judge.doubts import rig_doubts, same_pictures
     from omnistereo_tools.judge.pace import progress_bar
     from omnistereo_tools.judge.rig_check import check_rig, matching_cost
 
+    rig, images = frame.rig, frame.images
     if same := same_pictures(images):
         print(f"FAIL  {same}")
         return 1
-    grid = make_grid(argparse.Namespace(**vars(options) | {"min_depth": min_depth}), rig)
     stated = rig.min_depth if options.min_depth is None else options.min_depth
-    _warn_of_doubts(rig, grid.min_depth)
+    warn_of(rig_doubts(rig, grid.min_depth))
     print("Measuring the poses from the images takes about 15 s:", flush=True)
     check = check_rig(rig, images, stated, progress_bar())
     small = reduce_images(rig, images, grid.width / 360)
@@ -147,15 +124,6 @@ def _check_images(options: argparse.Namespace, rig: Rig, images: Sequence[NDArra
             "above, or pass --min-depth."
         )
     return 0 if check.fits else 1
-
-
-def _warn_of_doubts(rig: Rig, min_depth: float) -> None:
-    import warnings
-
-    from omnistereo_tools.judge.doubts import rig_doubts
-
-    for doubt in rig_doubts(rig, min_depth):
-        warnings.warn(doubt, stacklevel=2)
 
 
 def _is_data_set(path: Path) -> bool:

@@ -7,35 +7,37 @@ Examples:
       videos
 """
 
-import argparse
 import re
+from dataclasses import MISSING, dataclass
 from pathlib import Path
 
-from omnistereo_lib.errors import check_number
 from omnistereo_tools.commands.options import (
-    add_device,
-    add_grid,
-    add_rig,
-    check_typed,
+    GridOptions,
+    MethodOptions,
+    RigOptions,
+    find_min_depth,
     make_grid,
     mask_circles,
     read_rig,
 )
+from omnistereo_tools.parser import option
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the command."""
-    add_rig(parser, required=True, help="rig file or folder")
-    parser.add_argument("--cameras", nargs="+", required=True, help="one camera number or video file per camera")
-    parser.add_argument("--masks", type=Path, nargs="+", help="one per camera, bright = valid")
-    add_grid(parser, width=320, height=80, spheres=64)
-    parser.add_argument("--method", help="as of omnistereo depth (default: one that keeps pace)")
-    add_device(parser, precision=False)
-    parser.add_argument("--port", type=int, default=8765, help="of the page for the browser, 0: any (default: 8765)")
-    parser.add_argument("--open", action="store_true", help="open the page in the browser")
+@dataclass(frozen=True, kw_only=True)
+class LiveOptions(MethodOptions, GridOptions, RigOptions):
+    """Options of `omnistereo live`."""
+
+    rig: Path = option("rig file or folder", MISSING)
+    cameras: tuple[str, ...] = option("one camera number or video file per camera", MISSING)
+    width: int = 320
+    height: int | None = 80
+    spheres: int = 64
+    method: str | None = option("as of omnistereo depth", unset="one that keeps pace")
+    port: int = option("of the page for the browser, 0: any", 8765, between=(0, 65535))
+    open: bool = option("open the page in the browser", False)
 
 
-def run(options: argparse.Namespace) -> None:
+def run(options: LiveOptions) -> None:
     """Show pictures as soon as somebody looks, until a video ends, Ctrl-C or SIGTERM."""
     import webbrowser
     from time import monotonic
@@ -43,18 +45,17 @@ def run(options: argparse.Namespace) -> None:
     from omnistereo_lib.stereo.methods import VIDEO_METHOD
     from omnistereo_lib.stereo.sweep import SphereSweep
     from omnistereo_tools import live_view
-    from omnistereo_tools.input.masks import with_masks
+    from omnistereo_tools.judge.coverage import Coverage
 
-    check_typed(options)
-    check_number(options.port, "--port", 0, 65535, whole=True)
     count, start, ended = 0, monotonic(), "stopped"
     try:
         print("opening the cameras and computing tables: a few seconds", flush=True)
-        rig = with_masks(read_rig(options), options.masks, [])
+        rig = read_rig(options)
         sources = [int(source) if re.fullmatch("[0-9]{1,3}", source) else source for source in options.cameras]
         cameras = live_view.Cameras(sources, rig)
         rig = mask_circles(rig, [cameras.first])
-        sweep = SphereSweep(rig, make_grid(options, rig, cameras.first), device=options.device)
+        min_depth = find_min_depth(options.min_depth, rig, cameras.first)
+        sweep = SphereSweep(rig, make_grid(options, Coverage.of(rig), min_depth), device=options.device)
         pictures = live_view.live_pictures(cameras, sweep, options.method or VIDEO_METHOD)
         latest = live_view.Latest()
         with live_view.serve(latest, options.port) as address:

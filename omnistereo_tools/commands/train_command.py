@@ -5,37 +5,39 @@ Examples:
       a hundred steps; run it again to resume
 """
 
-import argparse
 import re
+from dataclasses import MISSING, dataclass
 from pathlib import Path
+from typing import Literal
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_tools.commands.options import add_device, check_typed
+from omnistereo_tools.commands.options import PrecisionOptions
 from omnistereo_tools.outputs import check_outputs
+from omnistereo_tools.parser import option
 from omnistereo_tools.tiny import shrink
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the command."""
-    parser.add_argument("network", choices=["sweepnet", "mccnn", "volumenet"])
-    parser.add_argument("--preset", default="teaching", help="teaching, shipped, paper … (default: teaching)")
-    parser.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="change numbers of the preset")
-    parser.add_argument("--init-weights", type=Path, metavar="FILE", help="start from trained weights, not random ones")
-    parser.add_argument("--data", type=Path, nargs="+", help="data sets, or endless (default: those of the preset)")
-    add_device(parser)
-    parser.add_argument("--out", type=Path, help="folder of the run (default: out/NETWORK_PRESET_SETTINGS)")
-    parser.set_defaults(resumes=True)
+@dataclass(frozen=True, kw_only=True)
+class TrainOptions(PrecisionOptions):
+    """Options of `omnistereo train`."""
+
+    resumes = True
+
+    network: Literal["sweepnet", "mccnn", "volumenet"] = option("what is trained", MISSING, positional=True)
+    preset: str = option("teaching, shipped, paper …", "teaching")
+    set: tuple[str, ...] = option("change numbers of the preset", (), metavar="NAME=VALUE")
+    init_weights: Path | None = option("start from trained weights, not random ones", metavar="FILE")
+    data: tuple[Path, ...] | None = option("data sets, or endless", unset="those of the preset")
+    out: Path | None = option("folder of the run", unset="out/NETWORK_PRESET_SETTINGS")
 
 
-def run(options: argparse.Namespace) -> None:
+def run(options: TrainOptions) -> None:
     """Train a network to the end, with a progress bar; several processes under torchrun share the work."""
-    from tqdm import tqdm
-
     from omnistereo_lib.stereo.device import number_from_environment
     from omnistereo_lib.train import RECIPES, train
     from omnistereo_lib.train.loop import LOG, STATE, WEIGHTS
+    from omnistereo_tools.judge.pace import progress_bar, say
 
-    check_typed(options)
     presets = RECIPES[options.network]
     if options.preset not in presets:
         raise OmnistereoError(f"{options.network} has the presets {', '.join(presets)}, not {options.preset!r}")
@@ -44,17 +46,15 @@ def run(options: argparse.Namespace) -> None:
     out = options.out or Path("out") / re.sub(r"[^\w.,=+-]", "-", named)
     check_outputs(options, [out / name for name in (LOG, STATE, WEIGHTS)])
     rank, _, _ = (number_from_environment(name, 0) for name in ("RANK", "LOCAL_RANK", "WORLD_SIZE"))  # of torchrun
-    first_process = rank == 0  # the one that prints
-    bar = None
+    first_process, progress = rank == 0, progress_bar("step")
 
     def show(row: dict[str, float]) -> None:
-        nonlocal bar
-        if bar is None:  # the time left counts from the first step of this call
-            bar = tqdm(total=recipe.steps, initial=row["step"], desc="train", unit="step", disable=not first_process)
-        bar.set_postfix(loss=f"{row['loss']:.3f}", error=f"{row['error']:.1%}", refresh=False)
-        bar.update()
-        if first_process and row["validation_loss"] == row["validation_loss"]:
-            bar.write(f"step {row['step'] + 1}: validation {row['validation_loss']:.4f} {row['validation_error']:.2%}")
+        if not first_process:
+            return
+        done = int(row["step"]) + 1
+        progress(done, recipe.steps, f"loss {row['loss']:.3f} error {row['error']:.1%}")
+        if row["validation_loss"] == row["validation_loss"]:  # it is measured now and then
+            say(f"step {done}: validation {row['validation_loss']:.4f} {row['validation_error']:.2%}")
 
     train(
         recipe,
@@ -65,7 +65,5 @@ def run(options: argparse.Namespace) -> None:
         init_weights=options.init_weights,
         on_step=show,
     )
-    if bar is not None:
-        bar.close()
     if first_process:
         print(f"{recipe.steps} steps are done; in {out}/: log.csv, state.safetensors, weights.safetensors")

@@ -71,7 +71,7 @@ def _edge_points(lit: NDArray[np.bool_], center: NDArray[np.float64]) -> NDArray
     v = center[1] + np.sin(azimuth)[:, None] * radii
     inside = (u >= 0) & (u <= width - 1) & (v >= 0) & (v <= height - 1)
     values = inside & lit[v.round().astype(int).clip(0, height - 1), u.round().astype(int).clip(0, width - 1)]
-    run = np.lib.stride_tricks.sliding_window_view(values, _RUN, axis=1).all(-1)
+    run = np.all(np.lib.stride_tricks.sliding_window_view(values, _RUN, axis=1), axis=-1)
     last = run.shape[1] - 1 - np.argmax(run[:, ::-1], axis=1) + _RUN - 1  # outermost end of a lit run
     found = run.any(1) & (last < inside.sum(1) - _RUN)
     return np.column_stack([u[found, last[found]], v[found, last[found]]])

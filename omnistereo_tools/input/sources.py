@@ -32,17 +32,9 @@ _NOT_FRAMES = ("mask",)  # file names without suffix
 _FIRST_TIME = 10**9  # smallest number that is a time stamp: seconds since 1970, or ms, µs or ns
 
 
-def check_steps(start: int, step: int) -> None:
-    """Raise an `OmnistereoError` if frames cannot be counted so."""
-    if start < 0:
-        raise OmnistereoError(f"the first frame is {start}; expected --start of at least 0")
-    if step < 1:
-        raise OmnistereoError(f"the step is {step}; expected --step of at least 1")
-
-
-def is_recording(paths: Sequence[Path]) -> bool:
-    """Return whether any of the paths is a folder or a video, not a picture."""
-    return any(path.is_dir() or path.suffix.lower() in _VIDEOS for path in paths)
+def of_recordings(paths: Sequence[Path]) -> list[Path]:
+    """Return the paths that are folders or videos, not pictures."""
+    return [path for path in paths if path.is_dir() or path.suffix.lower() in _VIDEOS]
 
 
 def _number(name: str) -> int | None:
@@ -243,10 +235,9 @@ class Recording:
                 are matched by name are counted from 0.
 
         Raises:
-            OmnistereoError: If a path is neither, holds no frames, the cameras have none in common, no frame is left,
-                or `start` or `step` is too small.
+            OmnistereoError: If a path is neither, holds no frames, the cameras have none in common, or no frame is
+                left.
         """
-        check_steps(start, step)
         sources = tuple(Pictures(path) if path.is_dir() else Video(path) for path in paths)
         by_number = all(source.numbered for source in sources)
         if by_number:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +36,7 @@ def rig_doubts(rig: Rig, min_depth: float) -> Iterator[str]:
         )
 
 
-def same_pictures(images: Sequence[NDArray]) -> str | None:
+def same_pictures(images: Sequence[NDArray[Any]]) -> str | None:
     """Return which images of a rig are the same picture, if any are; one that two cameras share is no mistake."""
     same = [
         f"{i} and {j}"
@@ -45,7 +46,7 @@ def same_pictures(images: Sequence[NDArray]) -> str | None:
     return f"images {', '.join(same)} are the same picture. Check their paths" if same else None
 
 
-def image_doubts(rig: Rig, images: Sequence[NDArray], grid: SphereGrid) -> Iterator[str]:
+def image_doubts(rig: Rig, images: Sequence[NDArray[Any]], grid: SphereGrid) -> Iterator[str]:
     """Yield what cannot be right with the images of a rig: a quick look, with one coarse cost volume if all is well."""
     if same := same_pictures(images):
         yield same

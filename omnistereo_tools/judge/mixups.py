@@ -90,7 +90,7 @@ def _explanations(rig: Rig, pairs: Mapping[tuple[int, int], RelativePose]) -> It
             yield Explanation(" and ".join(parts), len(parts), R_order @ _turns()[axes], t_order, order, turn, aim)
     of_one = {name: form for name, form in _FORMS.items() if name != _MIRRORED and not name.startswith(_CHAIN)}
     for k, (name, form) in product(same, of_one.items()):
-        changed = [part.copy() for part in (R, t)]
+        changed = R.copy(), t.copy()
         for part, new in zip(changed, form(R, t), strict=True):
             part[k] = new[k]
         for axes, turn, aim in _misfits(*changed, pairs, k):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -102,11 +103,11 @@ def _matches(rig: Rig, images: Sequence[NDArray[np.uint8]]) -> tuple[list[Featur
     return features[0], find_pairs(features)
 
 
-def _to_uint8(image: NDArray) -> NDArray[np.uint8]:
+def _to_uint8(image: NDArray[Any]) -> NDArray[np.uint8]:
     return image if image.dtype == np.uint8 else image.round().clip(0, 255).astype(np.uint8)
 
 
-def _mixup(rig: Rig, images: Sequence[NDArray], features: list[Features], pairs: dict) -> RigCheck | None:
+def _mixup(rig: Rig, images: Sequence[NDArray[Any]], features: list[Features], pairs: dict) -> RigCheck | None:
     """Return what is wrong with the images or mixed up in the poses, or None."""
     lost = sorted(set(range(len(rig))) - {camera for pair in pairs for camera in pair})
     if mirrored := _mirrored(rig, images, features, lost):
@@ -212,14 +213,14 @@ def _only_camera(measured: Rig, rig: Rig) -> tuple[int, Floats] | None:
     """Return the one camera that is turned against all others, if there is one, and its turn about its own axes."""
     if len(rig) < 3:
         return None
-    best: tuple[float, int, Floats] | None = None
+    best: tuple[float, int, Floats] = np.inf, 0, np.zeros(3)
     R, R0 = (np.stack([pose.R for pose in one.T_rig_cam]) for one in (measured, rig))
     for k in range(len(rig)):
         others = [i for i in range(len(rig)) if i != k]
         common = nearest_rotation(np.einsum("nij,nkj->ik", R[others], R0[others]))
         turns = [Pose(R0[i].T @ common.T @ R[i], np.zeros(3)).as_vector()[:3] for i in range(len(rig))]
         rest = max(float(np.linalg.norm(turns[i])) for i in others)
-        if best is None or rest < best[0]:
+        if rest < best[0]:
             best = rest, k, turns[k]
     rest, k, turn = best
     return (k, turn) if rest < 0.3 * np.linalg.norm(turn) else None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import combinations
+from typing import Any
 
 import cv2
 import numpy as np
@@ -29,7 +30,7 @@ def estimate_gains(depth: Depth) -> NDArray[np.float64]:
     """
     samples = np.stack(depth.sweep.warp(depth.images, depth.index))
     samples = samples.reshape(*samples.shape[:3], -1)  # (cameras, H, W, channels)
-    usable, one = ((samples >= DARKEST) & (samples <= BRIGHTEST)).all(-1), np.eye(len(samples))
+    usable, one = np.all((samples >= DARKEST) & (samples <= BRIGHTEST), axis=-1), np.eye(len(samples))
     rows, ratios = [np.ones(len(samples))], [np.zeros(samples.shape[-1])]
     for i, j in combinations(range(len(samples)), 2):
         both = usable[i] & usable[j]
@@ -41,7 +42,7 @@ def estimate_gains(depth: Depth) -> NDArray[np.float64]:
     return np.exp(logarithms.clip(-np.log(_LARGEST_GAIN), np.log(_LARGEST_GAIN)))
 
 
-def blended_panorama(depth: Depth, gains: NDArray | None = None) -> NDArray[np.float32]:
+def blended_panorama(depth: Depth, gains: NDArray[Any] | None = None) -> NDArray[np.float32]:
     """Return the images at the estimated depth, blended: `Depth.panorama` without the edges of the cameras.
 
     A camera counts the more, the farther the point is from the rim of its visible pixels.

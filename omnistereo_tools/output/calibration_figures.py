@@ -12,7 +12,7 @@ from omnistereo_lib.calibrate.report import CameraReport
 def draw_residuals(ax: Axes, report: CameraReport) -> None:
     """Draw every corner's residual from one origin, with circles of one, two and three sigma: it should be a cloud."""
     residuals = report.inlier_residuals()
-    ax.scatter(*residuals.T, s=5, alpha=0.4, linewidths=0)
+    ax.scatter(residuals[:, 0], residuals[:, 1], s=5, alpha=0.4, linewidths=0)
     angle = np.linspace(0, 2 * np.pi, 100)
     for sigmas in (1, 2, 3):
         ax.plot(*(sigmas * report.sigma_px * np.array([np.cos(angle), np.sin(angle)])), color="0.4", lw=0.8)
@@ -48,8 +48,8 @@ def draw_error_directions(ax: Axes, report: CameraReport) -> None:
     residuals = np.concatenate(list(report.residuals_used().values()))
     direction = np.degrees(np.arctan2(residuals[:, 1], residuals[:, 0]))
     known = np.isfinite(direction)
-    colors = {"cmap": "twilight", "vmin": -180, "vmax": 180}
-    dots = ax.scatter(*corners[known].T, c=direction[known], s=9, linewidths=0, **colors)
+    u, v = corners[known].T
+    dots = ax.scatter(u, v, c=direction[known], s=9, linewidths=0, cmap="twilight", vmin=-180, vmax=180)
     bar = ax.figure.colorbar(dots, ax=ax, fraction=0.04)
     bar.set_ticks(range(-180, 181, 90), labels=["left", "up", "right", "down", "left"])
     _frame_of_image(ax, report, "direction of the error")
@@ -58,7 +58,8 @@ def draw_error_directions(ax: Axes, report: CameraReport) -> None:
 def draw_coverage(ax: Axes, report: CameraReport) -> None:
     """Draw all corners in the image, a colour for each view, with circles at 30°, 60°, 90° from the axis."""
     for view in report.views_used:
-        ax.scatter(*report.corners[view].T, s=5, linewidths=0)
+        u, v = report.corners[view].T
+        ax.scatter(u, v, s=5, linewidths=0)
     reach = report.max_corner_angle_deg
     camera = report.intrinsics.camera(2 * reach)
     azimuth = np.linspace(0, 2 * np.pi, 120)

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -143,7 +144,7 @@ def crop_depth(crop: Crop, depth: Depth, limits: Limits) -> NDArray[np.float64]:
     return np.where((error < _CONVERGED) & inside & (distance > 0), distance / length, np.nan)
 
 
-def _look_up(panorama: NDArray, depth: Depth, points: NDArray) -> NDArray[np.float64]:
+def _look_up(panorama: NDArray[Any], depth: Depth, points: NDArray[Any]) -> NDArray[np.float64]:
     """Return the value of a panorama in the direction of points (..., 3); beyond its rows that of the last one."""
     pixels, _ = depth.grid.project(points)
     column, row = np.moveaxis(np.rint(pixels).astype(int), -1, 0)
@@ -159,7 +160,7 @@ def _intrinsics(crop: Crop) -> dict:
     return {"w": crop.size, "h": crop.size, **focal, **center, "transform_matrix": pose.tolist()}
 
 
-def _write_millimetres(path: Path, z: NDArray) -> None:
+def _write_millimetres(path: Path, z: NDArray[Any]) -> None:
     steps = np.nan_to_num(z / _MILLIMETRE)
     pixels = np.where(steps < 65535, steps.round(), 0).astype(np.uint16)
     with atomic_write(path) as temporary:

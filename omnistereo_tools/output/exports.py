@@ -7,32 +7,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, make_folder
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_tools.output import mesh_export
 from omnistereo_tools.output.crops import write_crops
 from omnistereo_tools.output.frame import FrameResult
-from omnistereo_tools.record.recordings import CODECS
-
-_SUFFIXES = {
-    "mesh": mesh_export.SUFFIXES,
-    "equirectangular": (".tiff", ".tif"),
-    "video": tuple(CODECS),
-    "coverage": (".png", ".jpg", ".jpeg"),
-    "write": (".yaml", ".yml"),
-}
-
 
 _ALL = 0.99  # of what the cameras see
-
-
-def check_suffixes(**files: Path | None) -> None:
-    """Raise an `OmnistereoError` if a file to be written, such as mesh=…, has a suffix of another format."""
-    for kind, path in files.items():
-        if path is not None and path.suffix.lower() not in _SUFFIXES[kind]:
-            raise OmnistereoError(f"{path} has the wrong suffix; expected {' or '.join(_SUFFIXES[kind])}")
 
 
 def export_frame(

@@ -6,6 +6,7 @@ import json
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +55,7 @@ class FrameResult:
     depth: Depth
     limits: Limits
     method: str
-    gt_index: NDArray | None = None
+    gt_index: NDArray[Any] | None = None
 
     @property
     def title(self) -> str:

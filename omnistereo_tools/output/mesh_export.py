@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,6 @@ from omnistereo_tools.output.points import Limits
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
-SUFFIXES = (".glb", ".ply")  # textured with y up; coloured vertices in the axes of the rig
 _EDGE = 0.2  # of the depth between neighbouring rays: a surface so oblique is hardly seen
 _SPHERES = 1.5  # always connected: far away, one sphere is more than `_EDGE`
 _TRANSLUCENT = 90  # of 255: doubtful triangles are faded, as in the pictures
@@ -49,7 +48,7 @@ def write_mesh(
     mesh = make_mesh(depth, limits, faces)
     uv = mesh.metadata["uv"]
     vertices = _look_up(uv, np.zeros(depth.grid.shape, bool) if doubtful is None else doubtful)
-    triangles = vertices[mesh.faces].any(-1)
+    triangles = np.any(vertices[mesh.faces], axis=-1)
     if path.suffix.lower() == ".glb":
         mesh.apply_transform(np.pad(_Y_UP, (0, 1)) + np.diag([0, 0, 0, 1.0]))
         content = _textured(mesh, uv, panorama, triangles)
@@ -84,7 +83,7 @@ def make_mesh(depth: Depth, limits: Limits, faces: int | None = None) -> Trimesh
     return _unwrap(mesh, depth)
 
 
-def _triangles(distance: NDArray, index: NDArray) -> NDArray[np.int64]:
+def _triangles(distance: NDArray[Any], index: NDArray[Any]) -> NDArray[np.int64]:
     """Return vertex numbers (M, 3) of two triangles per cell of a grid (H, W), circular, none across a depth edge."""
     number = np.arange(distance.size).reshape(distance.shape)
     left, right = number, np.roll(number, -1, 1)
@@ -94,7 +93,7 @@ def _triangles(distance: NDArray, index: NDArray) -> NDArray[np.int64]:
     return corners[is_connected(depths.T, indices.T) & np.isfinite(depths).all(-1)]
 
 
-def is_connected(depths: NDArray, indices: NDArray) -> NDArray[np.bool_]:
+def is_connected(depths: NDArray[Any], indices: NDArray[Any]) -> NDArray[np.bool_]:
     """Return whether neighbouring rays show one surface, (M,), given metres and sphere indices of each (rays, M)."""
     near, far = depths.min(0), depths.max(0)  # NaN if one is unknown
     return (far <= (1 + _EDGE) * near) | (np.ptp(indices, axis=0) <= _SPHERES)
@@ -113,7 +112,7 @@ def _unwrap(mesh: Trimesh, depth: Depth) -> Trimesh:
     return type(mesh)(vertices, faces, process=False, metadata={"uv": uv})
 
 
-def _textured(mesh: Trimesh, uv: NDArray, panorama: NDArray[np.uint8], doubtful: NDArray[np.bool_]) -> bytes:
+def _textured(mesh: Trimesh, uv: NDArray[Any], panorama: NDArray[np.uint8], doubtful: NDArray[np.bool_]) -> bytes:
     """Return a GLB file with the triangles of a mesh as two objects, by whether they are doubtful; none is empty."""
     from PIL import Image
     from trimesh import Scene
@@ -140,7 +139,7 @@ def _textured(mesh: Trimesh, uv: NDArray, panorama: NDArray[np.uint8], doubtful:
     return scene.export(file_type="glb")
 
 
-def _look_up(uv: NDArray, panorama: NDArray) -> NDArray:
+def _look_up(uv: NDArray[Any], panorama: NDArray[Any]) -> NDArray[Any]:
     """Return the values of a panorama of any size at texture coordinates (M, 2)."""
     height, width = panorama.shape[:2]
     column = np.floor(uv[:, 0] * width).astype(int) % width

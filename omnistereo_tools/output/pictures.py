@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -58,7 +58,7 @@ class ColorScale:
     high: float
 
     @classmethod
-    def of(cls, inverse_depth: NDArray) -> ColorScale:
+    def of(cls, inverse_depth: NDArray[Any]) -> ColorScale:
         """Return the range without the outermost percent on either side."""
         known = inverse_depth[np.isfinite(inverse_depth)]
         low, high = np.percentile(known, [1, 99]) if known.size else (0.0, 1.0)
@@ -67,13 +67,12 @@ class ColorScale:
 
     def colorize(self, depth: Depth, doubtful: NDArray[np.bool_] | None = None) -> NDArray[np.uint8]:
         """Return the colours of inverse depth, (H, W, 3) RGB, doubtful rays faded; see `colorize_depth`."""
-        colors = colorize_depth(depth.inverse_depth - self.low, replace(depth.grid, **self._as_range))
+        colors = colorize_depth(depth.inverse_depth - self.low, self._over(depth.grid))
         return colors if doubtful is None else faded(colors, doubtful, _GRAY)
 
     def bar(self, width: int) -> NDArray[np.uint8]:
         """Return the colours from `low` to `high` as a picture of one row, (1, width, 3) RGB."""
-        grid = replace(_ANY_GRID, **self._as_range)
-        return colorize_depth(np.linspace(0, self.high - self.low, width)[None], grid)
+        return colorize_depth(np.linspace(0, self.high - self.low, width)[None], self._over(_ANY_GRID))
 
     def ticks(self) -> list[tuple[float, str]]:
         """Return positions in [0, 1] and labels in metres, far to near, at least a twentieth apart."""
@@ -85,9 +84,9 @@ class ColorScale:
                 chosen.append((float(at), "∞" if depth == np.inf else f"{depth:g} m"))
         return chosen
 
-    @property
-    def _as_range(self) -> dict[str, float]:
-        return {"min_depth": 1 / (self.high - self.low), "max_depth": np.inf}
+    def _over(self, grid: SphereGrid) -> SphereGrid:
+        """Return a grid whose spheres reach as far in inverse depth as the scale."""
+        return replace(grid, min_depth=1 / (self.high - self.low), max_depth=np.inf)
 
 
 def sharp_panorama(depth: Depth, width: int) -> NDArray[np.uint8]:
@@ -105,7 +104,7 @@ def sharp_panorama(depth: Depth, width: int) -> NDArray[np.uint8]:
 
 
 def draw_points(
-    points: NDArray, colors: NDArray, size: tuple[int, int], eye: tuple[float, float, float] | None = None
+    points: NDArray[Any], colors: NDArray[Any], size: tuple[int, int], eye: tuple[float, float, float] | None = None
 ) -> NDArray[np.uint8]:
     """Draw a point cloud (M, 3) in metres, rig frame.
 
@@ -123,11 +122,12 @@ def draw_points(
     if len(points) == 0:
         return picture
     target, nearest = np.zeros(3), _NEAREST
+    place = np.asarray(eye, np.float64)
     if eye is None:
         typical = float(np.percentile(np.linalg.norm(points, axis=-1), 60))
-        eye, target = typical * np.array([0.35, -0.9, -1.3]), typical * np.array([0.0, 0.1, 0.3])  # y points down
+        place, target = typical * np.array([0.35, -0.9, -1.3]), typical * np.array([0.0, 0.1, 0.3])  # y points down
         nearest = max(_NEAREST, 0.35 * typical)  # a wall between the eye and the rig would hide the scene
-    x, y, z = _axes(target - eye) @ (points - eye).T
+    x, y, z = _axes(target - place) @ (points - place).T
     order = np.argsort(-z)
     order = order[z[order] > nearest]
     focal = 0.62 * width
@@ -145,7 +145,7 @@ def draw_points(
     return picture
 
 
-def _axes(towards: NDArray) -> NDArray[np.float64]:
+def _axes(towards: NDArray[Any]) -> NDArray[np.float64]:
     """Return the axes of a camera that looks in a direction, right, down, forward, as rows."""
     forward = towards / np.linalg.norm(towards)
     right = np.cross([0.0, 1.0, 0.0], forward)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +75,7 @@ class PointCloud:
             temporary.write_bytes("\n".join([*header, "end_header", ""]).encode() + rows.tobytes())
 
 
-def normals(points: NDArray) -> NDArray[np.float64]:
+def normals(points: NDArray[Any]) -> NDArray[np.float64]:
     """Return unit normals of a panorama of points (H, W, 3), towards the rig: the cross product of the neighbours.
 
     The neighbour on either side is taken that is nearer in depth, so that a normal does not span a depth edge.
@@ -89,7 +90,7 @@ def normals(points: NDArray) -> NDArray[np.float64]:
     return normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
 
 
-def _nearer(a: NDArray, b: NDArray) -> NDArray[np.float64]:
+def _nearer(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
     """Return the shorter of two differences for each point, (H, W, 3)."""
     shorter = np.linalg.norm(a, axis=-1) <= np.linalg.norm(b, axis=-1)
     return np.where(shorter[..., None], a, b)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -69,7 +71,7 @@ def _doubt_sentence(depth: Depth, doubtful: NDArray[np.bool_], nearest: float, s
     ]
 
 
-def doubt_shares(depth: NDArray, doubtful: NDArray[np.bool_]) -> tuple[float, float, float]:
+def doubt_shares(depth: NDArray[Any], doubtful: NDArray[np.bool_]) -> tuple[float, float, float]:
     """Return how many percent of the rays are doubtful, and of the nearest tenth, and up to which depth that goes.
 
     The depth is in metres, (H, W), NaN where it is unknown.
@@ -84,7 +86,7 @@ def nearest_depth(depth: Depth, keep: NDArray[np.bool_]) -> float:
     return float(np.quantile(depth.depth[keep], _FEW)) if keep.any() else float("nan")
 
 
-def error_sentences(depth: Depth, gt_index: NDArray) -> list[str]:
+def error_sentences(depth: Depth, gt_index: NDArray[Any]) -> list[str]:
     """Return the errors against the ground truth: relative depth errors, then those of the paper."""
     errors = index_error(depth.index, gt_index, depth.grid.num_spheres)
     truth = depth.grid.index_to_depth(gt_index)

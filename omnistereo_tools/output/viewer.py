@@ -41,8 +41,8 @@ def viewer_data(
     limits: Limits,
     title: str,
     mode: str = "look",
-    trust: NDArray | None = None,
-    gt_index: NDArray | None = None,
+    trust: NDArray[Any] | None = None,
+    gt_index: NDArray[Any] | None = None,
 ) -> dict[str, Any]:
     """Return what the page shows, as JSON: with the images of the depth, where each camera sees a ray, too.
 
@@ -88,13 +88,13 @@ def viewer_data(
     }
 
 
-def _in_steps(inverse_depth: NDArray, per_step: float) -> NDArray[np.uint16]:
+def _in_steps(inverse_depth: NDArray[Any], per_step: float) -> NDArray[np.uint16]:
     """Return inverse depths as steps from 1; 0 is unknown, and nearer than the last step is the last."""
     steps = np.where(np.isfinite(inverse_depth), 1 + np.nan_to_num(inverse_depth) / per_step, 0)
     return steps.round().clip(0, _STEPS + 1).astype("<u2")
 
 
-def _percent(values: NDArray) -> NDArray[np.uint8]:
+def _percent(values: NDArray[Any]) -> NDArray[np.uint8]:
     return (100 * np.nan_to_num(values)).round().astype(np.uint8)
 
 
@@ -119,14 +119,14 @@ def _camera(rig: Rig, number: int, image: ArrayLike) -> dict[str, Any]:
     }
 
 
-def _packed(values: NDArray) -> str:
+def _packed(values: NDArray[Any]) -> str:
     """Return unsigned integers (H, W) as text: differences along the rows, low bytes before high ones, deflated."""
     differences = np.diff(values, axis=1, prepend=values.dtype.type(0))  # they wrap around
     planes = differences.view(np.uint8).reshape(values.size, -1).T
     return _base64(zlib.compress(planes.tobytes(), 9))
 
 
-def _base64(values: NDArray | bytes) -> str:
+def _base64(values: NDArray[Any] | bytes) -> str:
     return base64.b64encode(values if isinstance(values, bytes) else np.ascontiguousarray(values).tobytes()).decode()
 
 
@@ -134,7 +134,8 @@ def _narrow(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     height, width = picture.shape[:2]
     if width <= _WIDEST:
         return picture
-    return cv2.resize(picture, (_WIDEST, round(height * _WIDEST / width)), interpolation=cv2.INTER_AREA)
+    small = cv2.resize(picture, (_WIDEST, round(height * _WIDEST / width)), interpolation=cv2.INTER_AREA)
+    return np.asarray(small, np.uint8)
 
 
 def _webp(pixels: NDArray[np.uint8], quality: int) -> str:

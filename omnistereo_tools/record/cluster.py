@@ -19,6 +19,8 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.evaluate.run import Evaluation, Job
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.rig_files import load_rig
+from omnistereo_lib.stereo.methods import Method
+from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.input.sources import Pictures, Recording
 from omnistereo_tools.record.recordings import DepthWriter
 
@@ -77,31 +79,22 @@ class RecordingTask:
     out: Path
     images: tuple[Path, ...]
     grid: SphereGrid
-    method: str
+    method: Method
     suffix: str
     with_video: bool
     device: str
 
     def open(self) -> DepthWriter:
         """Return the writer of the recording; its rig is the one that was stored with the settings."""
-        recording, rig = Recording.open(self.images), load_rig(self.out / "config.yaml")
-        return DepthWriter.open(
-            self.out, recording, rig, self.grid, self.method, self.suffix, self.with_video, self.device
-        )
+        sweep = SphereSweep(load_rig(self.out / "config.yaml"), self.grid, device=self.device)
+        return DepthWriter(self.out, Recording.open(self.images), sweep, self.method, self.suffix, self.with_video)
 
 
 def depth_on_cluster(address: str, writer: DepthWriter, device: str = "cpu") -> Iterator[int]:
     """Estimate the depth of all frames of a prepared recording that are not done yet; yield their numbers."""
-    sources = writer.recording.sources
-    task = RecordingTask(
-        writer.out.resolve(),
-        tuple(source.path.resolve() for source in sources),
-        writer.sweep.grid,
-        writer.method.name,
-        writer.suffix,
-        writer.with_video,
-        device,
-    )
+    sources, grid = writer.recording.sources, writer.sweep.grid
+    images = tuple(source.path.resolve() for source in sources)
+    task = RecordingTask(writer.out.resolve(), images, grid, writer.method, writer.suffix, writer.with_video, device)
     left = writer.left()
     size = 1 if all(isinstance(source, Pictures) for source in sources) else _VIDEO_BATCH
     batches = [(task, tuple(left[k : k + size])) for k in range(0, len(left), size)]

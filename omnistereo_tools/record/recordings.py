@@ -17,7 +17,7 @@ import json
 import shutil
 from collections import deque
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
@@ -33,7 +33,6 @@ from omnistereo_lib.evaluate.records import checksum
 from omnistereo_lib.files import atomic_write, make_folder, read_data, read_image, read_text, write_image
 from omnistereo_lib.frame import read_inverse_depth, write_inverse_depth
 from omnistereo_lib.geometry.rig import Rig
-from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.lazy import lazy_property
 from omnistereo_lib.rig_files import save_rig
 from omnistereo_lib.rig_files.parse import Section
@@ -59,7 +58,7 @@ _FPS = 10.0  # of pictures, which do not say
 
 @dataclass(frozen=True, eq=False)
 class DepthWriter:
-    """Writes the frames of one recording into a data set folder."""
+    """Writes the frames of one recording into a data set folder: nothing before `prepare`."""
 
     out: Path
     recording: Recording
@@ -67,29 +66,6 @@ class DepthWriter:
     method: Method
     suffix: str  #: of what is stored of rays: ".tiff", float32, or ".png", 16 bits, unknown depth as infinitely far
     with_video: bool  #: keep a picture of every frame, panorama over depth, for `write_video`
-
-    @classmethod
-    def open(
-        cls,
-        out: Path,
-        recording: Recording,
-        rig: Rig,
-        grid: SphereGrid,
-        method: str,
-        suffix: str = ".tiff",
-        with_video: bool = False,
-        device: str = "cpu",
-    ) -> DepthWriter:
-        """Return the writer of a recording; it writes nothing before `prepare`.
-
-        Raises:
-            OmnistereoError: If `out` holds the user's own data, the panorama does not fit the layout or the memory, or
-                there is no such method or device.
-        """
-        check_layout(grid)
-        method = Method.parse(method)
-        _check_not_users(out)
-        return cls(out, recording, SphereSweep(rig, grid, device=device), method, suffix, with_video)
 
     def path(self, kind: str, number: int) -> Path:
         """Return where a panorama of a frame is stored: its "depth_estimate", "confidence" or "trust"."""
@@ -117,7 +93,7 @@ class DepthWriter:
 
     def picture(self, number: int) -> NDArray[np.uint8]:
         """Read the video frame of a frame, BGR."""
-        return cv2.cvtColor(read_image(self.picture_path(number)), cv2.COLOR_RGB2BGR)
+        return np.asarray(cv2.cvtColor(read_image(self.picture_path(number)), cv2.COLOR_RGB2BGR), np.uint8)
 
     def left(self) -> list[int]:
         """Return the numbers of the frames that are not done yet, or whose pictures have changed since."""
@@ -157,7 +133,8 @@ class DepthWriter:
         """
         images_of = self.recording.read(numbers, self.sweep.rig)
         with ThreadPoolExecutor(1) as reader, ThreadPoolExecutor(1) as pool:
-            read, written = deque(reader.submit(next, images_of) for _ in numbers[:_PENDING]), deque()
+            read = deque(reader.submit(next, images_of) for _ in numbers[:_PENDING])
+            written = deque[Future[None]]()
             for k, number in enumerate(numbers):
                 images = read.popleft().result()
                 if k + _PENDING < len(numbers):
@@ -169,6 +146,14 @@ class DepthWriter:
                 yield number
             for writing in written:
                 writing.result()
+
+    def check_out(self) -> None:
+        """Raise an `OmnistereoError` if a recording would be written over a rig file that none has put there."""
+        if (self.out / "config.yaml").exists() and not (self.out / SETTINGS).exists():
+            raise OmnistereoError(
+                f"{self.out} holds a config.yaml but no {SETTINGS}; expected a new folder or that of a recording. "
+                "Choose another --out."
+            )
 
     def prepare(self, rig: Rig) -> None:
         """Make the folder `out` or continue what is in it.
@@ -207,10 +192,11 @@ class DepthWriter:
             panorama = panorama if panorama.ndim == 3 else np.repeat(panorama[..., None], 3, -1)
             scale = ColorScale(0.0, 0.8 / self.sweep.grid.min_depth)  # the same colours in all frames
             write_image(self.picture_path(number), np.vstack([panorama, scale.colorize(depth, trusted < DOUBTFUL)]))
-        for kind, values in zip(OF_RAYS, (depth.confidence, trusted, depth.inverse_depth), strict=True):
-            self._write_panorama(kind, number, values)
+        self._write_panorama("confidence", number, depth.confidence)
+        self._write_panorama("trust", number, trusted)
+        self._write_panorama("depth_estimate", number, depth.inverse_depth)
 
-    def _write_panorama(self, kind: str, number: int, values: NDArray) -> None:
+    def _write_panorama(self, kind: str, number: int, values: NDArray[Any]) -> None:
         path = self.path(kind, number)
         if self.suffix == ".tiff":
             write_inverse_depth(path, values)
@@ -263,25 +249,6 @@ def _first_other(old: object, new: list[str]) -> int:
     return next(k for k, (one, other) in enumerate(zip(known, new, strict=True)) if one != other)
 
 
-def check_layout(grid: SphereGrid) -> None:
-    """Raise an `OmnistereoError` if a panorama does not fit the public layout: square pixels around the horizon."""
-    highest = 180.0 * grid.height / grid.width
-    if not np.allclose(grid.phi_deg, (-highest, highest)):
-        raise OmnistereoError(
-            f"phi_deg is {grid.phi_deg}; a recording is stored as a data set, whose pixels are square: expected "
-            f"--phi {-highest:g} {highest:g} for --width {grid.width} --height {grid.height}"
-        )
-
-
-def _check_not_users(out: Path) -> None:
-    """Raise an `OmnistereoError` if a recording would be written over a rig file that no recording has put there."""
-    if (out / "config.yaml").exists() and not (out / SETTINGS).exists():
-        raise OmnistereoError(
-            f"{out} holds a config.yaml but no {SETTINGS}; expected a new folder or that of a recording. "
-            "Choose another --out."
-        )
-
-
 def _rig_checksum(rig: Rig) -> str:
     """Return a checksum of all that depth depends on: lenses, masks, poses and the nearest depth."""
     content = repr(rig.min_depth).encode()
@@ -293,7 +260,7 @@ def _rig_checksum(rig: Rig) -> str:
     return checksum(content)[:16]
 
 
-def _check_settings(path: Path, settings: dict) -> None:
+def _check_settings(path: Path, settings: dict[str, Any]) -> None:
     """Write the settings of a new recording, or compare them with those of the one that is continued."""
     text = json.dumps(settings, indent=1) + "\n"
     if not path.exists():
@@ -323,7 +290,7 @@ def write_video(path: Path, writer: DepthWriter, fps: float | None = None) -> No
     height, width = writer.picture(numbers[0]).shape[:2]
     make_folder(path.parent)
     with atomic_write(path) as temporary:
-        codec = cv2.VideoWriter_fourcc(*CODECS[path.suffix.lower()])
+        codec = cv2.VideoWriter.fourcc(*CODECS[path.suffix.lower()])
         video = cv2.VideoWriter(str(temporary), codec, fps or writer.recording.fps or _FPS, (width, height))
         if not video.isOpened():
             raise OmnistereoError(f"{path} cannot be written: this OpenCV has no encoder for it. Try .webm or .mp4.")

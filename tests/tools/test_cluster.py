@@ -46,7 +46,7 @@ def run(*arguments):
 def test_a_recording_with_a_worker_that_dies(cluster, recorded, tmp_path):
     small = ["--width", 96, "--height", 24, "--spheres", 16, "--method", "zncc+sgm"]
     command = [
-        "depth",
+        "record",
         "--rig",
         recorded / "rig.yaml",
         "--images",
@@ -101,7 +101,7 @@ def test_a_scheduler_that_ends():
 
 def test_a_scheduler_that_is_not_there(recorded, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("omnistereo_tools.record.cluster._PATIENCE_S", 0.5)
-    command = ["depth", "--rig", recorded / "rig.yaml", "--images", *(recorded / f"view{k}" for k in (1, 2, 3, 4))]
+    command = ["record", "--rig", recorded / "rig.yaml", "--images", *(recorded / f"view{k}" for k in (1, 2, 3, 4))]
     small = ["--width", 96, "--height", 24, "--spheres", 16, "--method", "zncc"]
     assert run(*command, *small, "--out", tmp_path / "out", "--cluster", "tcp://127.0.0.1:1") == 2
     assert "no Dask scheduler answers at tcp://127.0.0.1:1" in capsys.readouterr().err

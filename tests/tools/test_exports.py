@@ -1,14 +1,11 @@
 """Files for other programs."""
 
-from pathlib import Path
-
 import numpy as np
-import pytest
 import scene
 
 import omnistereo_lib as osl
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_tools.output.exports import check_suffixes, equirectangular_depth
+from omnistereo_tools.output.exports import equirectangular_depth
 
 
 def test_equirectangular_depth_covers_the_sphere():
@@ -23,9 +20,3 @@ def test_equirectangular_depth_covers_the_sphere():
     center = np.mean([pose.t for pose in rig.T_rig_cam], 0)
     truth = scene.distance(center, osl.SphereGrid(160, 80, (-90, 90)).rays())
     np.testing.assert_allclose(panorama[~unknown], truth[~unknown], rtol=0.03)  # of the nearest of 60 rows
-
-
-@pytest.mark.parametrize("files", [{"mesh": "a.obj"}, {"equirectangular": "a.png"}, {"video": "a.avi"}])
-def test_another_format_is_refused_before_the_work(files):
-    with pytest.raises(osl.OmnistereoError, match=r"a\.\w+ has the wrong suffix; expected \."):
-        check_suffixes(**{kind: Path(name) for kind, name in files.items()})

@@ -1,8 +1,7 @@
 """Nothing that a command reads is written over, whatever its names: each option that writes is tried."""
 
-import argparse
 import os
-from pathlib import Path
+from typing import get_type_hints
 
 import pytest
 
@@ -36,10 +35,10 @@ COMMANDS = [
     "depth --rig rig.yaml --images crops/images/1.png 2.png --crops crops",
     "depth --rig crops/transforms.json --images 1.tiff 2.png --crops crops",
     "depth --rig set --equirectangular set/omnidepth_gt_640/1.tiff",
-    "depth --rig rig.yaml --images front.mp4 back.mp4 --video front.mp4",
-    "depth --rig rig.yaml --images drive/cam1 drive/cam2 --out drive",
-    "depth --rig rig.yaml --images drive/video front.mp4 --out drive",
-    "depth --rig drive/config.yaml --images front.mp4 back.mp4 --out drive",
+    "record --rig rig.yaml --images front.mp4 back.mp4 --video front.mp4",
+    "record --rig rig.yaml --images drive/cam1 drive/cam2 --out drive",
+    "record --rig rig.yaml --images drive/video front.mp4 --out drive",
+    "record --rig drive/config.yaml --images front.mp4 back.mp4 --out drive",
     "doctor --rig rig.yaml --coverage dark.png",
     "doctor --rig rig.yaml --images 2.png 3.png --masks mask.png 4.png --coverage mask.png",
     "doctor --rig set --coverage set/cam1/1.png",
@@ -79,8 +78,8 @@ def test_what_is_read_is_not_written_over(folder, capsys, command):
 def test_every_option_that_is_a_path_is_read_or_tried_here():
     paths = set()
     for module in cli.COMMANDS.values():
-        module.add_arguments(parser := argparse.ArgumentParser())
-        paths |= {action.dest for action in parser._actions if action.type is Path}
+        hints = get_type_hints(get_type_hints(module.run)["options"])
+        paths |= {name for name, hint in hints.items() if "Path" in str(hint)}
     assert paths == {*_READ, *_SETS, *WRITES} - {"cameras", "board", "sets"}  # these may be no files
     assert all(any(f" --{name} " in command for command in COMMANDS) for name in WRITES)
 

@@ -49,15 +49,15 @@ def run(*arguments):
     return cli.main([str(argument) for argument in arguments])
 
 
-def depth_command(folder, out):
-    return ["depth", "--rig", folder / "rig.yaml", "--images", *views(folder), *SMALL, "--out", out]
+def record_command(folder, out):
+    return ["record", "--rig", folder / "rig.yaml", "--images", *views(folder), *SMALL, "--out", out]
 
 
 @pytest.fixture(scope="module")
 def done(recorded, tmp_path_factory):
     """The depth of the whole recording, computed in one go, with a video."""
     out = tmp_path_factory.mktemp("done") / "out"
-    assert run(*depth_command(recorded, out), "--video", out / "depth.mp4") == 0
+    assert run(*record_command(recorded, out), "--video", out / "depth.mp4") == 0
     return out
 
 
@@ -74,7 +74,7 @@ def test_every_frame_has_the_confidence_and_trust_of_a_single_frame(recorded, do
     frame = osl.Frame.of(osl.load_rig(recorded / "rig.yaml"), osl.load_dataset(done)[2].images)
     alone = osl.estimate_depth(frame, GRID, "zncc")
     trusted = trust(alone, "zncc")
-    assert run(*depth_command(recorded, tmp_path / "out"), "--depth-format", "png", "--start", 3, "--stop", 4) == 0
+    assert run(*record_command(recorded, tmp_path / "out"), "--depth-format", "png", "--start", 3, "--stop", 4) == 0
     for folder, suffix, step in ((done, "tiff", 0), (tmp_path / "out", "png", 1 / 65500)):
         for kind, expected in (("confidence", alone.confidence), ("trust", trusted)):
             stored = read_inverse_depth(folder / f"{kind}_96" / f"00003.{suffix}", 1.0)
@@ -82,7 +82,7 @@ def test_every_frame_has_the_confidence_and_trust_of_a_single_frame(recorded, do
 
 
 def test_the_summary_says_how_many_rays_are_doubtful_also_of_the_nearest(recorded, done, capsys):
-    assert run(*depth_command(recorded, done)) == 0  # all is there: it only sums up
+    assert run(*record_command(recorded, done)) == 0  # all is there: it only sums up
     said = re.search(r"Doubtful are (\d+) % of the rays, and (\d+) % of the nearest tenth", capsys.readouterr().out)
     shares = []
     for name in [f"{n:05}.tiff" for n in range(1, FRAMES + 1)]:
@@ -120,7 +120,7 @@ def test_a_video_with_two_circles_is_two_cameras(tmp_path):
     for _ in range(2):
         video.write(picture)
     video.release()
-    command = ["depth", "--rig", tmp_path / "rig.yaml", "--images", tmp_path / "dual.mkv", *SMALL]
+    command = ["record", "--rig", tmp_path / "rig.yaml", "--images", tmp_path / "dual.mkv", *SMALL]
     assert run(*command, "--out", tmp_path / "out") == 0
     data = osl.load_dataset(tmp_path / "out")
     assert len(data) == 2
@@ -129,7 +129,7 @@ def test_a_video_with_two_circles_is_two_cameras(tmp_path):
 
 
 def test_16_bit_png_comes_back_within_a_step(recorded, done, tmp_path):
-    assert run(*depth_command(recorded, tmp_path / "out"), "--depth-format", "png", "--stop", 3) == 0
+    assert run(*record_command(recorded, tmp_path / "out"), "--depth-format", "png", "--stop", 3) == 0
     frames, exact = osl.load_dataset(tmp_path / "out"), osl.load_dataset(done)
     assert len(frames) == 2
     np.testing.assert_allclose(frames[1].inverse_depth, np.nan_to_num(exact[1].inverse_depth), atol=0.6 / 65500 / 0.6)
@@ -139,10 +139,10 @@ def test_16_bit_png_comes_back_within_a_step(recorded, done, tmp_path):
 def test_a_recording_beside_its_pictures_twice_in_a_row(recorded, tmp_path, monkeypatch, out):
     """As it is typed: with relative paths."""
     monkeypatch.chdir(shutil.copytree(recorded, tmp_path / "here"))
-    command = ["depth", "--rig", "rig.yaml", "--images", "view1", "view2", "view3", "view4", *SMALL, "--stop", 2, *out]
+    command = ["record", "--rig", "rig.yaml", "--images", "view1", "view2", "view3", "view4", *SMALL, "--stop", 2, *out]
     for _ in range(2):
         assert run(*command) == 0
-        assert len(osl.load_dataset(out[1] if out else "out/depth_rig")) == 1
+        assert len(osl.load_dataset(out[1] if out else "out/record_rig")) == 1
 
 
 def test_resumed_it_is_the_same_and_no_frame_is_computed_again(recorded, done, tmp_path):
@@ -150,11 +150,11 @@ def test_resumed_it_is_the_same_and_no_frame_is_computed_again(recorded, done, t
     out = tmp_path / "out"
     folder = out / "depth_estimate_96"
     video = ["--video", out / "depth.mp4"]
-    assert run(*depth_command(recorded, out), *video, "--stop", 4) == 0
+    assert run(*record_command(recorded, out), *video, "--stop", 4) == 0
     halfway = {path.name: path.stat().st_mtime_ns for path in folder.glob("0*.tiff")}
     for torn in (folder / "00001.tiff", out / "video" / "00002.jpg"):  # as after a power cut
         torn.write_bytes(torn.read_bytes()[:-9])
-    assert run(*depth_command(recorded, out), *video) == 0
+    assert run(*record_command(recorded, out), *video) == 0
     again = {name for name, mtime in halfway.items() if (folder / name).stat().st_mtime_ns != mtime}
     assert again == {"00001.tiff", "00002.tiff"} and len(halfway) == 3
     whole, resumed = (
@@ -165,17 +165,17 @@ def test_resumed_it_is_the_same_and_no_frame_is_computed_again(recorded, done, t
 
 def test_a_picture_that_has_changed_is_computed_again(recorded, done, tmp_path, capsys):
     pictures, out = shutil.copytree(recorded, tmp_path / "pictures"), tmp_path / "out"
-    assert run(*depth_command(pictures, out)) == 0
+    assert run(*record_command(pictures, out)) == 0
     changed = pictures / "view2" / "cam2_003.png"
     write_image(changed, np.full((96, 100), 128))
     before = {path.name: path.stat().st_mtime_ns for path in out.glob("depth_estimate_96/*")}
-    assert run(*depth_command(pictures, out)) == 0
+    assert run(*record_command(pictures, out)) == 0
     assert f"frame 3 is computed again: {changed} has changed" in capsys.readouterr().out
     after = {path.name: path.stat().st_mtime_ns for path in out.glob("depth_estimate_96/*")}
     assert [name for name in after if after[name] != before[name]] == ["00003.tiff"]
     old, new = (read_inverse_depth(folder / "depth_estimate_96" / "00003.tiff") for folder in (done, out))
     assert not np.array_equal(old, new, equal_nan=True)
-    assert run(*depth_command(pictures, out)) == 0 and "computed again" not in capsys.readouterr().out
+    assert run(*record_command(pictures, out)) == 0 and "computed again" not in capsys.readouterr().out
 
 
 def test_bad_frames_are_named_and_left_out_if_asked(recorded, done, tmp_path, capsys):
@@ -183,7 +183,7 @@ def test_bad_frames_are_named_and_left_out_if_asked(recorded, done, tmp_path, ca
     torn, other = tmp_path / "copy" / "view3" / "cam3_002.png", tmp_path / "copy" / "view1" / "cam1_005.png"
     torn.write_bytes(torn.read_bytes()[:-2000])
     write_image(other, np.zeros((9, 9), np.uint8))
-    command = depth_command(tmp_path / "copy", tmp_path / "out")
+    command = record_command(tmp_path / "copy", tmp_path / "out")
     assert run(*command) == 2
     capsys.readouterr()
     assert run(*command, "--skip-bad") == 0
@@ -195,7 +195,7 @@ def test_bad_frames_are_named_and_left_out_if_asked(recorded, done, tmp_path, ca
 
 
 def test_by_default_it_keeps_pace_and_says_so(recorded, tmp_path, capsys):
-    command = depth_command(recorded, tmp_path / "out")
+    command = record_command(recorded, tmp_path / "out")
     del command[command.index("--method") : command.index("--method") + 2]
     assert run(*command, "--stop", 2) == 0
     assert f"method: {VIDEO_METHOD}, which keeps pace; --method {FRAME_METHOD} has" in capsys.readouterr().out
@@ -203,7 +203,7 @@ def test_by_default_it_keeps_pace_and_says_so(recorded, tmp_path, capsys):
 
 
 def test_another_recording_is_not_overwritten(recorded, done, capsys):
-    assert run(*depth_command(recorded, done), "--spheres", 32) == 2
+    assert run(*record_command(recorded, done), "--spheres", 32) == 2
     assert "recording.json is of a recording with other settings" in capsys.readouterr().err
 
 
@@ -217,13 +217,13 @@ def test_the_depth_of_another_rig_or_of_other_pictures_is_not_kept(recorded, don
     for k, other in enumerate([rig.with_poses(moved), osl.Rig(masked, rig.T_rig_cam, 0.6)]):
         (tmp_path / str(k)).mkdir()
         osl.save_rig(other, tmp_path / str(k) / "rig.yaml")
-        assert run(*depth_command(recorded, done), "--rig", tmp_path / str(k) / "rig.yaml") == 2
+        assert run(*record_command(recorded, done), "--rig", tmp_path / str(k) / "rig.yaml") == 2
         assert "recording.json is of a recording with other settings" in capsys.readouterr().err
     shutil.copytree(recorded, tmp_path / "copy")
-    assert run(*depth_command(tmp_path / "copy", done)) == 2
+    assert run(*record_command(tmp_path / "copy", done)) == 2
     assert "recording.json is of a recording with other settings" in capsys.readouterr().err
     assert (done / "config.yaml").read_bytes() == before
-    assert run(*depth_command(recorded, done)) == 0
+    assert run(*record_command(recorded, done)) == 0
 
 
 def test_a_frame_that_gets_another_name_is_another_recording(tmp_path):
@@ -257,15 +257,15 @@ def test_a_video_for_which_the_disk_is_full_is_told(recorded, done, tmp_path, ca
     VideoWriter = cv2.VideoWriter
     monkeypatch.setattr(cv2, "VideoWriter", Full)
     before = (done / "depth.mp4").read_bytes()
-    assert run(*depth_command(recorded, done), "--video", done / "depth.mp4") == 2
+    assert run(*record_command(recorded, done), "--video", done / "depth.mp4") == 2
     assert re.search(r"depth.mp4 cannot be written: \d of its 6 frames can be read back", capsys.readouterr().err)
     assert (done / "depth.mp4").read_bytes() == before
-    assert run(*depth_command(recorded, done), "--video", tmp_path / "depth.webm") == 2
+    assert run(*record_command(recorded, done), "--video", tmp_path / "depth.webm") == 2
     assert list(tmp_path.iterdir()) == []
 
 
 def test_pixels_that_are_not_square_are_refused(recorded, tmp_path, capsys):
-    assert run(*depth_command(recorded, tmp_path / "out"), "--phi", -30, 45) == 2
+    assert run(*record_command(recorded, tmp_path / "out"), "--phi", -30, 45) == 2
     assert "expected --phi -45 45 for --width 96 --height 24" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
@@ -320,7 +320,7 @@ def test_videos_are_recordings_too(recorded, done, tmp_path, capsys):
         pictures = [read_image(path) for path in sorted(view.iterdir())]
         write_video(tmp_path / f"{k}.mkv", pictures[: 5 if k == 3 else None])
     videos = [tmp_path / f"{k}.mkv" for k in (1, 2, 3, 4)]
-    command = ["depth", "--rig", recorded / "rig.yaml", "--images", *videos, *SMALL, "--out", tmp_path / "out"]
+    command = ["record", "--rig", recorded / "rig.yaml", "--images", *videos, *SMALL, "--out", tmp_path / "out"]
     assert run(*command, "--start", 1, "--step", 2) == 0
     assert "3.mkv lacks 1 frames that other cameras have; they are left out: 5" in capsys.readouterr().out
     data = osl.load_dataset(tmp_path / "out")

@@ -1,0 +1,178 @@
+"""Estimate the depth of a recording: a folder of pictures or a video per camera in, a data set with depth out.
+
+Examples:
+  omnistereo record --rig rig.yaml --images front/ right/ back/ left/ --out drive
+      every frame of folders of pictures; run it again to resume
+  omnistereo record --rig rig.yaml --images front.mp4 right.mp4 back.mp4 left.mp4 --out drive --video drive/depth.mp4
+      videos, with a video of panorama over depth
+methods: those of omnistereo depth
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import MISSING, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_tools.commands.depth_command import default_out
+from omnistereo_tools.commands.options import (
+    GridOptions,
+    MethodOptions,
+    RigOptions,
+    find_min_depth,
+    make_grid,
+    mask_circles,
+    read_rig,
+    warn_of,
+)
+from omnistereo_tools.outputs import check_outputs, hold
+from omnistereo_tools.parser import as_typed, option
+
+if TYPE_CHECKING:
+    from omnistereo_lib.geometry.rig import Rig
+    from omnistereo_tools.input.sources import Recording
+    from omnistereo_tools.record.recordings import DepthWriter
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordOptions(MethodOptions, GridOptions, RigOptions):
+    """A recording, and what is written of it."""
+
+    resumes = True
+
+    rig: Path = option("rig file or folder", MISSING)
+    images: tuple[Path, ...] = option("one folder or video per camera, in the order of the rig", MISSING)
+    method: str | None = option("see above", unset="one that keeps pace")
+    height: int | None = option("rows", unset="a quarter of the columns, or as --phi asks")
+    start: int = option("first frame number", 0, metavar="N", between=(0, math.inf))
+    stop: int | None = option("frame number to stop before", unset="the end", metavar="N")
+    step: int = option("every N-th frame", 1, metavar="N", between=(1, math.inf))
+    skip_bad: bool = option("leave out frames that cannot be read; reads all first", False)
+    cluster: str | None = option("of a Dask scheduler, to use many machines", metavar="ADDRESS")
+    out: Path | None = option("folder for the results", unset="out/record_NAME")
+    depth_format: Literal["tiff", "png"] = option("float32, or 16 bits", "tiff")
+    video: Path | None = option("panorama over depth: .mp4, or browsers' .webm", suffixes=(".mp4", ".webm"))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        highest = 180.0 * self.rows / self.width
+        low, high = self.phi or (-min(highest, 90.0), min(highest, 90.0))
+        if max(abs(low + highest), abs(high - highest)) > 1e-3:
+            raise OmnistereoError(
+                f"--phi is {low:g} {high:g}; a recording is stored as a data set, whose pixels are square: expected "
+                f"--phi {-highest:g} {highest:g} for --width {self.width} --height {self.rows}"
+            )
+
+    @property
+    def rows(self) -> int:
+        """Rows of the panorama: by default a quarter of the columns, the public layout, which keeps pace."""
+        if self.height is None and self.phi is not None:
+            return round(self.width * (self.phi[1] - self.phi[0]) / 360)
+        return self.width // 4 if self.height is None else self.height
+
+
+def run(options: RecordOptions) -> None:
+    """Estimate depth for all frames that are not done yet, and write the video."""
+    print("reading the rig and the first frames: a few seconds", flush=True)
+    from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD, Method
+    from omnistereo_lib.stereo.sweep import SphereSweep
+    from omnistereo_tools.input.image_circle import FRAMES
+    from omnistereo_tools.judge.coverage import Coverage
+    from omnistereo_tools.judge.doubts import image_doubts, rig_doubts
+    from omnistereo_tools.judge.pace import progress_bar, say_recording
+    from omnistereo_tools.record.recordings import DepthWriter, stored_min_depth, write_video
+
+    out = options.out or default_out("record", options.rig)
+    _check(options, out)
+    # Read: the rig, which frames there are, and the first of them.
+    rig = read_rig(options, options.images)
+    recording = _open_recording(options, rig)
+    first = list(recording.read(sorted(recording.frames)[:FRAMES], rig))
+    rig = mask_circles(rig, first)
+    coverage = Coverage.of(rig)
+    stated = stored_min_depth(out) if options.min_depth is None else options.min_depth
+    grid = make_grid(replace(options, height=options.rows), coverage, find_min_depth(stated, rig, first[0]))
+    # Check and say, before anything is written.
+    print(coverage.left_out(grid))
+    warn_of(rig_doubts(rig, grid.min_depth))
+    warn_of(image_doubts(rig, first[0], grid))
+    if options.method is None:
+        print(f"method: {VIDEO_METHOD}, which keeps pace; --method {FRAME_METHOD} has lower errors and takes longer")
+    sweep, method = SphereSweep(rig, grid, device=options.device), Method.parse(options.method or VIDEO_METHOD)
+    writer = DepthWriter(out, recording, sweep, method, f".{options.depth_format}", options.video is not None)
+    writer.check_out()
+    left, total = writer.left(), len(recording.frames)
+    recording.check(left, rig)
+    _prepare(options, writer, rig)
+    if options.cluster is None:
+        say_recording(sweep, first[0], len(left), method.name, [VIDEO_METHOD, FRAME_METHOD])
+    # Compute and write.
+    progress = progress_bar("frame")
+    for done, number in enumerate(_frames_done(options, writer, left), total - len(left) + 1):
+        progress(done, total, f"frame {number}")
+    print(writer.doubt_sentence())
+    print(f"{total} frames are in {out}/, which load_dataset reads")
+    if options.video is not None:
+        write_video(options.video, writer)
+        print(f"written to {options.video}")
+
+
+def _check(options: RecordOptions, out: Path) -> None:
+    """Raise an `OmnistereoError` if --images are pictures of one frame, or a result would replace what is read."""
+    from omnistereo_tools.commands.depth_command import DepthOptions
+    from omnistereo_tools.input.sources import of_recordings
+    from omnistereo_tools.record.recordings import OF_RAYS, SETTINGS
+
+    if not of_recordings(options.images):
+        right = as_typed("depth", DepthOptions, options)
+        raise OmnistereoError(f"{options.images[0]} is neither a folder nor a video. For one frame: {right}")
+    filled = [out / "video", *out.glob("cam[0-9]*"), *(out / f"{kind}_{options.width}" for kind in OF_RAYS)]
+    check_outputs(options, [options.video, out / "config.yaml", out / SETTINGS], filled)
+
+
+def _open_recording(options: RecordOptions, rig: Rig) -> Recording:
+    """Return the frames chosen, and say which are left out; with --skip-bad those that cannot be read, too."""
+    from omnistereo_tools.input.sources import Recording
+
+    recording = Recording.open(options.images, options.start, options.stop, options.step)
+    for path, names in recording.missing.items():
+        some = ", ".join(map(str, names[:8])) + " …" * (len(names) > 8)
+        print(f"{path} lacks {len(names)} frames that other cameras have; they are left out: {some}")
+    if not options.skip_bad:
+        return recording
+    print(f"reading {len(recording.frames)} frames: a few seconds for a hundred", flush=True)
+    bad = recording.unreadable(rig)
+    for number, why in bad.items():
+        print(f"frame {number} is left out: {why}")
+    frames = {number: key for number, key in recording.frames.items() if number not in bad}
+    if not frames:
+        raise OmnistereoError("no frame is left: none can be read. See above why")
+    return replace(recording, frames=frames)
+
+
+def _prepare(options: RecordOptions, writer: DepthWriter, rig: Rig) -> None:
+    """Make the folders, and say which frames are computed again; the cluster must answer before."""
+    from omnistereo_lib.files import make_folder
+
+    if options.cluster is not None:
+        from omnistereo_tools.record.cluster import connect
+
+        connect(options.cluster).close()
+    if options.video is not None:
+        make_folder(options.video.parent)
+    hold(writer.out)
+    for number, picture in writer.changed().items():
+        print(f"frame {number} is computed again: {picture} has changed")
+    writer.prepare(rig)
+
+
+def _frames_done(options: RecordOptions, writer: DepthWriter, left: Sequence[int]) -> Iterator[int]:
+    """Compute the frames that are left, here or on the cluster; yield the number of each."""
+    if options.cluster is None:
+        return writer.run(left)
+    from omnistereo_tools.record.cluster import depth_on_cluster
+
+    return depth_on_cluster(options.cluster, writer, options.device)

@@ -1,0 +1,53 @@
+"""Options: what is typed becomes a dataclass, and a dataclass what can be typed."""
+
+from dataclasses import FrozenInstanceError
+from pathlib import Path
+
+import pytest
+
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_tools.cli import COMMANDS, _parse
+from omnistereo_tools.commands.depth_command import DepthOptions
+from omnistereo_tools.commands.record_command import RecordOptions
+from omnistereo_tools.parser import as_typed
+
+RECORDING = "record --rig r.yaml --images a.mp4 back --phi -22.5 22.5 --width 320 --unit mm --skip-bad --start 7"
+
+
+def test_words_become_values_of_the_types_declared():
+    module, options = _parse(RECORDING.split())
+    assert module is COMMANDS["record"] and isinstance(options, RecordOptions)
+    given = {name: getattr(options, name) for name in options.given()}
+    assert given == {
+        "rig": Path("r.yaml"),
+        "images": (Path("a.mp4"), Path("back")),
+        "phi": (-22.5, 22.5),
+        "width": 320,
+        "unit": "mm",
+        "skip_bad": True,
+        "start": 7,
+    }
+    with pytest.raises(FrozenInstanceError):
+        options.width = 9
+
+
+def test_options_become_the_words_of_another_command():
+    images = (Path("a.mp4"), Path("the back"))
+    options = DepthOptions(rig=Path("r"), images=images, keep_frame=True, min_depth=0.55, mesh=Path("a.glb"))
+    assert as_typed("record", RecordOptions, options, width=320) == (
+        "omnistereo record --rig r --keep-frame --width 320 --min-depth 0.55 --images a.mp4 'the back'"
+    )
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"mesh_faces": 0, "mesh": Path("a.glb")}, "--mesh-faces is 0; expected an integer of 1 to"),
+        ({"all_crops": True}, "--all-crops needs --crops"),
+        ({"mesh": Path("a.obj")}, "a.obj has the wrong suffix; expected .glb or .ply"),
+        ({"images": (Path("1.png"),)}, "--images needs --rig"),
+    ],
+)
+def test_options_that_cannot_be_are_refused_without_a_parser(values, said):
+    with pytest.raises(OmnistereoError, match=said):
+        DepthOptions(**values)
