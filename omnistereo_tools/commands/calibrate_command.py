@@ -90,14 +90,14 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
     # Compute lenses and poses.
     chosen = options.degree, options.max_fov, progress_bar(), names
     if len(views) == 1:
-        camera, single = calibrate_camera(views[0], board, sizes and sizes[0], *chosen)
-        reports, text = (single,), single.text(names)
+        camera, single = calibrate_camera(views[0], board, None if sizes is None else sizes[0], *chosen)
+        reports, text = [single], single.text(names)
         write_ocam_txt(camera, out / "ocam1.txt")
         written = ["ocam1.txt"]
     else:
         given = None if options.rig is None else load_cameras(options.rig, options.max_fov)
         rig, joint = calibrate_rig(views, board, sizes, *chosen, given)
-        reports, text = joint.joint, joint.text(names)
+        reports, text = list(joint.joint), joint.text(names)
         written = write_rig(rig, out)
     # Write what was found, and say it.
     with atomic_write(out / "report.txt") as temporary:

@@ -52,7 +52,7 @@ class Pictures:
 
     def __init__(self, folder: Path) -> None:
         self.path = folder
-        self.files = find_pictures(folder, _PICTURES)
+        self.files: dict[int | str, Path] = {**find_pictures(folder, _PICTURES)}
         for name in _NOT_FRAMES:
             self.files.pop(name, None)
         if not self.files:

@@ -97,11 +97,11 @@ class Coverage:
         """
         if width is None:
             width = 8 * round(360 * self.pixels_per_degree / 8)
-        if phi_deg is None and height is None:
-            phi_deg = self.rows() or _ANY_ROWS
-        elif phi_deg is None:
+        if phi_deg is None and height is not None:
             half = min(180 * height / width, 90.0)
             phi_deg = -half, half
+        elif phi_deg is None:
+            phi_deg = self.rows() or _ANY_ROWS
         if height is None:
             height = max(8, 8 * round(width * (phi_deg[1] - phi_deg[0]) / 360 / 8))
         if min_depth is None:

@@ -22,11 +22,12 @@ from omnistereo_lib.calibrate.from_images import (
     measure_rig,
     relative_poses,
 )
+from omnistereo_lib.calibrate.relative_pose import RelativePose
 from omnistereo_lib.calibrate.track_bundle import mean_baseline, pose_differences
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.frame import check_images
 from omnistereo_lib.geometry.pose import Floats, Pose, nearest_rotation
-from omnistereo_lib.geometry.rig import Pairs, Rig, camera_pairs
+from omnistereo_lib.geometry.rig import Pair, Pairs, Rig, camera_pairs
 from omnistereo_lib.progress import Progress, counted, silent
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.volume import cost_volume
@@ -97,7 +98,7 @@ def find_mixup(rig: Rig, images: Sequence[NDArray[np.uint8]]) -> str | None:
     return found.text if found else None
 
 
-def _matches(rig: Rig, images: Sequence[NDArray[np.uint8]]) -> tuple[list[Features], dict]:
+def _matches(rig: Rig, images: Sequence[NDArray[np.uint8]]) -> tuple[list[Features], dict[Pair, RelativePose]]:
     """Return the features of the images, and what pairs of them say about their poses."""
     features = find_features(rig.cameras, [[_to_uint8(image) for image in check_images(images, rig)]])
     return features[0], find_pairs(features)
@@ -107,7 +108,9 @@ def _to_uint8(image: NDArray[Any]) -> NDArray[np.uint8]:
     return image if image.dtype == np.uint8 else image.round().clip(0, 255).astype(np.uint8)
 
 
-def _mixup(rig: Rig, images: Sequence[NDArray[Any]], features: list[Features], pairs: dict) -> RigCheck | None:
+def _mixup(
+    rig: Rig, images: Sequence[NDArray[Any]], features: list[Features], pairs: dict[Pair, RelativePose]
+) -> RigCheck | None:
     """Return what is wrong with the images or mixed up in the poses, or None."""
     lost = sorted(set(range(len(rig))) - {camera for pair in pairs for camera in pair})
     if mirrored := _mirrored(rig, images, features, lost):
@@ -146,7 +149,7 @@ def _mirrored(
     return found
 
 
-def _chained(rig: Rig, pairs: dict) -> Rig:
+def _chained(rig: Rig, pairs: dict[Pair, RelativePose]) -> Rig:
     """Return the rig with the poses of the images, of the size and about in the place of the given one."""
     poses = chain_poses(pairs, len(rig))
     found = rig.with_poses(poses)

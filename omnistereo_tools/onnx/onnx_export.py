@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import warnings
 from collections.abc import Sequence
+from functools import reduce
 from pathlib import Path
 
 import numpy as np
@@ -90,7 +91,7 @@ class DepthGraph(nn.Module):
         logits = [self.network(one[None]) / len(sizes) for one in correlations]
         read_out = []
         for columns in torch.arange(grid.width).split(_COLUMNS):
-            mean = sum(resize_logits(one, columns, grid)[0] for one in logits)
+            mean = reduce(torch.add, (resize_logits(one, columns, grid)[0] for one in logits))
             read_out.append(torch.stack(local_mean(1 - mean.softmax(-1))))
         index, confidence = torch.cat(read_out, 1).transpose(1, 2)
         shared = (correlation[-1] > 0.3).any(-1).float()[None, None]  # k / 4 of two cameras is 0.5

@@ -151,7 +151,7 @@ def _look_up(panorama: NDArray[Any], depth: Depth, points: NDArray[Any]) -> NDAr
     return panorama[row.clip(0, depth.grid.height - 1), column % depth.grid.width]
 
 
-def _intrinsics(crop: Crop) -> dict:
+def _intrinsics(crop: Crop) -> dict[str, Any]:
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = crop.T_rig_crop.R, crop.T_rig_crop.t
     pose = _FLIP @ matrix @ _FLIP

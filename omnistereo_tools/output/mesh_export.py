@@ -53,9 +53,7 @@ def write_mesh(
         mesh.apply_transform(np.pad(_Y_UP, (0, 1)) + np.diag([0, 0, 0, 1.0]))
         content = _textured(mesh, uv, panorama, triangles)
     else:
-        mesh.visual.vertex_colors = _look_up(uv, panorama)
-        mesh.vertex_attributes["doubtful"] = vertices.astype(np.uint8)
-        content = mesh.export(file_type=path.suffix.lower()[1:])
+        content = _coloured(mesh, _look_up(uv, panorama), vertices)
     with atomic_write(path) as temporary:
         temporary.write_bytes(content)
     return len(mesh.faces), int(triangles.sum())
@@ -110,6 +108,16 @@ def _unwrap(mesh: Trimesh, depth: Depth) -> Trimesh:
     uv = np.concatenate([np.stack([u, v], -1), np.stack([u[repeated] + 1, v[repeated]], -1)])
     vertices = np.concatenate([vertices, vertices[repeated]])
     return type(mesh)(vertices, faces, process=False, metadata={"uv": uv})
+
+
+def _coloured(mesh: Trimesh, colors: NDArray[np.uint8], doubtful: NDArray[np.bool_]) -> bytes:
+    """Return a PLY file with the colours and doubts of the vertices."""
+    from trimesh.exchange.ply import export_ply
+    from trimesh.visual import ColorVisuals
+
+    mesh.visual = ColorVisuals(mesh, vertex_colors=colors)
+    mesh.vertex_attributes["doubtful"] = doubtful.astype(np.uint8)
+    return export_ply(mesh)
 
 
 def _textured(mesh: Trimesh, uv: NDArray[Any], panorama: NDArray[np.uint8], doubtful: NDArray[np.bool_]) -> bytes:

@@ -39,7 +39,7 @@ def draw_overview(
     first, last = depth.grid.phi_deg
     wide = _WIDTH * (last - first) / 360
     figure = Figure(figsize=(_WIDTH, 2 * wide + 8), layout="constrained")
-    above, middle, below = figure.subfigures(3, 1, height_ratios=[wide + 0.4, wide + 1.2, 6.4])
+    above, middle, below = figure.subfigures(3, 1, False, height_ratios=[wide + 0.4, wide + 1.2, 6.4])[:, 0]
     extent = (-180, 180, last, first)
     ax = above.subplots()
     ax.imshow(panorama, extent=extent)

@@ -106,7 +106,7 @@ def _camera(rig: Rig, number: int, image: ArrayLike) -> dict[str, Any]:
     visible = np.where(camera.visible_pixels(), 255, 0).astype(np.uint8)
     scale = _SMALL / camera.image_size[0]
     size = (_SMALL, round(scale * camera.image_size[1]))
-    small = cv2.resize(np.dstack([colors, visible]), size, interpolation=cv2.INTER_AREA)
+    small = np.asarray(cv2.resize(np.dstack([colors, visible]), size, interpolation=cv2.INTER_AREA), np.uint8)
     return {
         "R": T_cam_rig.R.tolist(),
         "t": T_cam_rig.t.tolist(),

@@ -49,7 +49,7 @@ def connect(address: str) -> Client:
         raise OmnistereoError(f"no Dask scheduler answers at {address}: {error}. Start one: dask scheduler") from None
 
 
-def on_cluster(address: str, function: Callable[[Any], Any], arguments: Sequence) -> Iterator[Any]:
+def on_cluster(address: str, function: Callable[[Any], Any], arguments: Sequence[Any]) -> Iterator[Any]:
     """Yield function(argument) for all arguments as workers of a Dask cluster finish them.
 
     Raises an `OmnistereoError` as `connect`, if a frame killed several workers, or if the scheduler ends; what a worker
@@ -58,7 +58,7 @@ def on_cluster(address: str, function: Callable[[Any], Any], arguments: Sequence
     with connect(address) as client:
         from dask.distributed import KilledWorker, as_completed
         from distributed.client import FutureCancelledError
-        from distributed.comm import CommClosedError
+        from distributed.comm.core import CommClosedError
 
         futures = client.map(function, arguments, pure=False)
         try:
