@@ -20,15 +20,15 @@ from omnistereo_tools.commands.options import (
     FrameOptions,
     GridOptions,
     MethodOptions,
+    default_out,
     find_min_depth,
     make_grid,
     read_frame,
     warn_of,
 )
+from omnistereo_tools.commands.record_command import RecordOptions
 from omnistereo_tools.outputs import check_outputs, hold
 from omnistereo_tools.parser import as_typed, option
-
-_SHARED = ("config", "calibration", "kalibr", "opencv", "camchain")  # names that the files of many rigs have
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,19 +82,8 @@ def run(options: DepthOptions) -> None:
     print(f"written to {out}/: {', '.join(written)}")
 
 
-def default_out(command: str, rig: Path | None) -> Path:
-    """Return a folder for the results of a rig, so that no rig overwrites those of another, or of the sample."""
-    if rig is None:
-        return Path("out")
-    rig = rig.resolve()
-    if rig.name in ("train", "test"):
-        return Path("out", f"{command}_{rig.parent.name}-{rig.name}")
-    return Path("out", f"{command}_{rig.parent.name if rig.stem in _SHARED and rig.suffix else rig.stem}")
-
-
 def _check(options: DepthOptions, out: Path) -> None:
     """Raise an `OmnistereoError` if --images are those of a recording, or a result would replace what is read."""
-    from omnistereo_tools.commands.record_command import RecordOptions
     from omnistereo_tools.input.sources import of_recordings
 
     for path in of_recordings(options.images or ()):

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from omnistereo_tools.judge.coverage import Coverage
 
 SAMPLE = Path(omnistereo_lib.__file__).parent / "sample"  # travels with the package
+_SHARED = ("config", "calibration", "kalibr", "opencv", "camchain")  # names that the files of many rigs have
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,3 +179,13 @@ def find_min_depth(stated: float | None, rig: Rig, images: Sequence[NDArray[np.u
 def make_grid(options: GridOptions, coverage: Coverage, min_depth: float) -> SphereGrid:
     """Return the panorama that the options ask for; what they leave open is as `Coverage.propose` recommends."""
     return coverage.propose(options.width, options.height, options.phi, options.spheres, min_depth)
+
+
+def default_out(command: str, rig: Path | None) -> Path:
+    """Return a folder for the results of a rig, so that no rig overwrites those of another, or of the sample."""
+    if rig is None:
+        return Path("out")
+    rig = rig.resolve()
+    if rig.name in ("train", "test"):
+        return Path("out", f"{command}_{rig.parent.name}-{rig.name}")
+    return Path("out", f"{command}_{rig.parent.name if rig.stem in _SHARED and rig.suffix else rig.stem}")

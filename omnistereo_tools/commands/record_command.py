@@ -17,11 +17,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_tools.commands.depth_command import default_out
 from omnistereo_tools.commands.options import (
+    FrameOptions,
     GridOptions,
     MethodOptions,
     RigOptions,
+    default_out,
     find_min_depth,
     make_grid,
     mask_circles,
@@ -122,12 +123,11 @@ def run(options: RecordOptions) -> None:
 
 def _check(options: RecordOptions, out: Path) -> None:
     """Raise an `OmnistereoError` if --images are pictures of one frame, or a result would replace what is read."""
-    from omnistereo_tools.commands.depth_command import DepthOptions
     from omnistereo_tools.input.sources import of_recordings
     from omnistereo_tools.record.recordings import OF_RAYS, SETTINGS
 
     if not of_recordings(options.images):
-        right = as_typed("depth", DepthOptions, options)
+        right = as_typed("depth", FrameOptions, options)
         raise OmnistereoError(f"{options.images[0]} is neither a folder nor a video. For one frame: {right}")
     filled = [out / "video", *out.glob("cam[0-9]*"), *(out / f"{kind}_{options.width}" for kind in OF_RAYS)]
     check_outputs(options, [options.video, out / "config.yaml", out / SETTINGS], filled)

@@ -1,14 +1,12 @@
 """`make results`: its table of evaluations is that of the stored results."""
 
-import argparse
-
 import pytest
 
 from course import __main__
 from course.experiments import stored_results as results
 from omnistereo_lib.evaluate import SCALES, select_methods
 from omnistereo_lib.evaluate.records import read_record
-from omnistereo_tools.commands import evaluate_command
+from omnistereo_tools import cli
 
 
 def test_every_stored_result_has_its_command():
@@ -17,9 +15,7 @@ def test_every_stored_result_has_its_command():
 
 @pytest.mark.parametrize("name", results.EVALUATIONS)
 def test_the_command_is_the_one_that_the_stored_result_came_from(name):
-    parser = argparse.ArgumentParser()
-    evaluate_command.add_arguments(parser)
-    options = parser.parse_args(results.EVALUATIONS[name].split())
+    options = cli._parse(["evaluate", *results.EVALUATIONS[name].split()])[1]
     stored = read_record(results.STORED / f"{name}.json")
     assert {path.rpartition("/")[2] for path in options.sets} == set(stored["frames"])
     assert {method.name for method in select_methods(options.methods, options.ablations)} == set(stored["methods"])
