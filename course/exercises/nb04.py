@@ -48,7 +48,9 @@ def _an_image(rng: Rng, k: int) -> tuple:
 
 check_window_sums = Open(window_sums, _an_image, real=lambda: (np.nan_to_num(beside.gray()[0]), 3)).with_slips("""
     mode="wrap" → mode="constant"  # the panorama is a circle: columns wrap around
-    mode="wrap" → mode="edge"  # the panorama is a circle: columns wrap, they do not repeat
+    ((0, 0), (radius, radius)) → ((radius, radius), (0, 0))
+    sums[:, radius:-radius] → sums[radius:-radius]
+    # the columns wrap, axis 1, and the rows do not: that is the other way round
     ((0, 0), (radius, radius)) → radius
     sums[:, radius:-radius] → sums[radius:-radius, radius:-radius]
     # rows do not wrap: above the first one there is nothing

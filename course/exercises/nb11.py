@@ -51,7 +51,7 @@ check_two_best = Open(two_best, _some_samples).with_slips("""
     # in camera order: sort their numbers, or a window mixes two cameras where the nearer one changes
     angles = np.where(np.isnan(samples), np.inf, angles) →
     # a camera that does not see the ray is NaN, however small its angle: leave it out
-    return samples[:2]  # each ray has its own two cameras
+    axis=0)[:2] → axis=0)[-2:]  # the two smallest angles are the nearest; unseen, with infinity, comes last
     np.take_along_axis(samples, best, axis=0) → best  # those are the cameras' numbers: look their gray values up
     return np.take_along_axis(samples, best, axis=0)
     → return np.sort(np.take_along_axis(samples, best, axis=0), axis=0)

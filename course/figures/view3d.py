@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.files import read_image
-from omnistereo_tools.output.pictures import BACKGROUND, draw_points
 
 _SECONDS = 60  # a mesh takes two
 
@@ -26,9 +25,13 @@ def draw_mesh(path: Path, eye: tuple[float, float, float], size: tuple[int, int]
     Returns:
         uint8 array, shape (height, width, 3), RGB
     """
+    # Here, since it brings torch along, which the other process can do without.
+    from omnistereo_tools.output.pictures import BACKGROUND, draw_points
+
     with tempfile.TemporaryDirectory() as folder:
         picture = Path(folder) / "mesh.png"
-        command = [sys.executable, "-m", "course.figures.view3d", str(path), str(picture), *map(str, (*eye, *size))]
+        command = [sys.executable, "-m", "course.figures.view3d", str(path), str(picture)]
+        command += map(str, (*eye, *size, BACKGROUND))
         try:
             subprocess.run(
                 command,
@@ -53,11 +56,11 @@ def _headless() -> dict[str, str]:
     return dict(os.environ)
 
 
-def _draw(path: str, picture: str, eye: tuple[float, ...], size: tuple[int, ...]) -> None:
+def _draw(path: str, picture: str, eye: tuple[float, ...], size: tuple[int, ...], background: int) -> None:
     import pyvista
 
     plotter = pyvista.Plotter(off_screen=True, window_size=list(size))
-    plotter.background_color = [BACKGROUND] * 3
+    plotter.background_color = [background] * 3
     plotter.add_mesh(pyvista.read(path), scalars="RGBA", rgb=True, lighting=False, culling="back")
     plotter.camera_position = [eye, (0.0, 0.0, 0.0), (0.0, -1.0, 0.0)]  # y points down in the rig frame
     plotter.camera.view_angle = 2 * np.degrees(np.arctan(size[1] / 2 / (0.62 * size[0])))  # as `draw_points`
@@ -66,4 +69,4 @@ def _draw(path: str, picture: str, eye: tuple[float, ...], size: tuple[int, ...]
 
 if __name__ == "__main__":
     mesh, target, *numbers = sys.argv[1:]
-    _draw(mesh, target, tuple(map(float, numbers[:3])), tuple(map(int, numbers[3:])))
+    _draw(mesh, target, tuple(map(float, numbers[:3])), tuple(map(int, numbers[3:5])), int(numbers[5]))

@@ -61,7 +61,8 @@ zncc
     if deviations > 1e-12 → if b.std() > 1e-6  # a flat patch divides 0 by 0
 window_sums
     image, ((0, 0) → image.T, ((0, 0)
-    sums[:, radius:-radius] → sums[:, radius:-radius].T  # example
+    sums[:, radius:-radius] → sums[:, radius:-radius].T  # the other way round
+    mode="wrap" → mode="edge"  # example
 tower
     return x / → x = x.detach(); return x /  # PyTorch cannot differentiate it
     return x / x.norm(dim=1, keepdim=True).clamp(min=1e-6)
@@ -96,7 +97,7 @@ suspect
 verdict
     return np.where(near, 2 → return np.where(near, 2.0  # whole numbers
 two_best
-    angles, axis=0)[:2] → -angles, axis=0)[:2]  # example
+    angles, axis=0)[:2] → -angles, axis=0)[:2]  # the two smallest angles
 behind
     .clip(0, H - 1) →  # stopped with IndexError
     places = center + np.multiply.outer(t,
@@ -120,7 +121,7 @@ def table():
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
-@pytest.mark.parametrize(("function", "slip", "words"), table())
+@pytest.mark.parametrize(("function", "slip", "words"), list(table()))
 def test_a_slip_that_was_met_is_refused_with_words_that_help(function, slip, words):
     said = function.check(changed(function.answer, slip))
     assert words in said and said != RIGHT
