@@ -96,6 +96,25 @@ suspect
     → np.prod([r for r, pair in zip(ratio, pairs) if camera in pair])  # *all* pairs
 verdict
     return np.where(near, 2 → return np.where(near, 2.0  # whole numbers
+epipolar_residual
+    normals * y → y * -normals  # other sign
+    np.degrees(np.arcsin(np.sum(normals * y, axis=1))) → np.arcsin(np.sum(normals * y, axis=1))  # π/180 times
+    return np.degrees → return np.abs(np.degrees(np.arcsin(np.sum(normals * y, axis=1)))); np.degrees
+    # without its sign
+eight_point
+    y[:, :, None] * x[:, None, :] → x[:, :, None] * y[:, None, :]  # `x` and `y` were swapped
+    np.sqrt(weights)[:, None] * equations → equations  # `weights` were 1
+    E * np.sign(E.flat[np.abs(E).argmax()]) → E  # other sign
+triangulate
+    return points / np.linalg.norm(points[:, :3], axis=1, keepdims=True) → return points  # example
+    T_21.inverse() → T_21  # `T_21` were its inverse
+share_ahead
+    points[:, 3] > 0 → points[:, 3] < 0  # example
+robust_weight
+    / scale →  # `scale` were 1
+who_moved
+    / sd[others] →  # example
+    np.mean(apart**2) → np.sum(apart**2)  # example
 two_best
     angles, axis=0)[:2] → -angles, axis=0)[:2]  # the two smallest angles
 behind
