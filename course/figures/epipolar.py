@@ -2,6 +2,7 @@
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from numpy.typing import NDArray
@@ -60,19 +61,19 @@ def draw_misses(ax: Axes, T_rig_a: Pose, T_rig_b: Pose, x: NDArray, y: NDArray, 
     missed = np.arcsin(np.sum(normals * seen_b, axis=1))
     side = np.cross(baseline, [0.0, 1.0, 0.0])
     side /= np.linalg.norm(side)
-    along = np.linspace(0.02, np.pi - 0.02, 400)[:, None]
-    for around in np.radians(np.arange(0, 360, 6)):
-        across = np.cos(around) * side + np.sin(around) * np.cross(baseline, side)
-        ax.plot(*_angles(np.cos(along) * baseline + np.sin(along) * across), color="0.85", lw=0.7, zorder=0)
+    around, along = np.radians(np.arange(0, 360, 6))[:, None, None], np.linspace(0.02, np.pi - 0.02, 400)[:, None]
+    across = np.cos(around) * side + np.sin(around) * np.cross(baseline, side)
+    circles = np.cos(along) * baseline + np.sin(along) * across
+    ax.add_collection(LineCollection(_angles(circles), color="0.85", lw=0.7, zorder=0))
     for start, end, color in ((seen_a, seen_b, "C0"), (seen_b, seen_b - normals * times * missed[:, None], "C3")):
-        for line in np.stack([start, end], axis=1):
-            ax.plot(*_angles(line), color=color, lw=1)
-    ax.plot(*_angles(seen_b), "k.", ms=3)
+        ax.add_collection(LineCollection(_angles(np.stack([start, end], axis=1)), color=color, lw=1))
+    ax.plot(*_angles(seen_b[None])[0].T, "k.", ms=3)
     ax.set(xlabel="θ [°]", ylabel="φ [°]", aspect="equal")
 
 
-def _angles(rays: NDArray) -> tuple[NDArray, NDArray]:
-    """Return θ from 0° to 360° and φ of rays (K, 3) of any length, (K,) each; NaN where a line crosses θ = 0."""
-    theta = np.degrees(np.arctan2(rays[:, 0], rays[:, 2])) % 360
-    phi = np.degrees(np.arctan2(rays[:, 1], np.hypot(rays[:, 0], rays[:, 2])))
-    return np.where(np.abs(np.diff(theta, prepend=theta[0])) > 180, np.nan, theta), phi
+def _angles(lines: NDArray) -> NDArray:
+    """Return θ from 0° to 360° and φ along lines of rays (K, L, 3) of any length, (K, L, 2); NaN beside θ = 0."""
+    x, y, z = np.moveaxis(lines, -1, 0)
+    theta, phi = np.degrees(np.arctan2(x, z)) % 360, np.degrees(np.arctan2(y, np.hypot(x, z)))
+    jumps = np.abs(np.diff(theta, axis=1, prepend=theta[:, :1])) > 180
+    return np.stack([np.where(jumps, np.nan, theta), phi], axis=-1)

@@ -102,14 +102,14 @@ epipolar_residual
     return np.degrees → return np.abs(np.degrees(np.arcsin(np.sum(normals * y, axis=1)))); np.degrees
     # without its sign
 eight_point
-    y[:, :, None] * x[:, None, :] → x[:, :, None] * y[:, None, :]  # `x` and `y` were swapped
+    y[:, :, None] * x[:, None, :] → x[:, :, None] * y[:, None, :]  # transposed
     np.sqrt(weights)[:, None] * equations → equations  # `weights` were 1
     E * np.sign(E.flat[np.abs(E).argmax()]) → E  # other sign
 triangulate
     return points / np.linalg.norm(points[:, :3], axis=1, keepdims=True) → return points  # example
     T_21.inverse() → T_21  # `T_21` were its inverse
 share_ahead
-    points[:, 3] > 0 → points[:, 3] < 0  # example
+    np.mean((points → np.sum((points  # 30 times
 robust_weight
     / scale →  # `scale` were 1
 who_moved
