@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -30,6 +31,8 @@ os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 _NOT_FRAMES = ("mask",)  # file names without suffix
 _FIRST_TIME = 10**9  # smallest number that is a time stamp: seconds since 1970, or ms, µs or ns
+Key = int | str  # of a frame: a number, or the name of a picture
+Time = TypeVar("Time", int, float)
 
 
 def of_recordings(paths: Sequence[Path]) -> list[Path]:
@@ -52,29 +55,28 @@ class Pictures:
 
     def __init__(self, folder: Path) -> None:
         self.path = folder
-        self.files: dict[int | str, Path] = {**find_pictures(folder, _PICTURES)}
-        for name in _NOT_FRAMES:
-            self.files.pop(name, None)
-        if not self.files:
+        named = {name: path for name, path in find_pictures(folder, _PICTURES).items() if name not in _NOT_FRAMES}
+        if not named:
             raise OmnistereoError(f"{folder} holds no pictures; expected one per frame, {', '.join(_PICTURES)}")
-        numbers = {_number(name) for name in self.files}
-        self.numbered = None not in numbers and len(numbers) == len(self.files)
+        self.files: dict[Key, Path] = dict(named.items())
+        self._numbers = {number: named[name] for name in named if (number := _number(name)) is not None}
+        self.numbered = len(self._numbers) == len(named)
 
     def use_numbers(self) -> None:
         """Call the frames by the numbers at the end of their names."""
-        self.files = dict(sorted((_number(name), path) for name, path in self.files.items()))
+        self.files = dict(sorted(self._numbers.items()))
 
-    def check(self, keys: Sequence, image_size: tuple[int, int] | None) -> None:
+    def check(self, keys: Sequence[Key], image_size: tuple[int, int] | None) -> None:
         """Raise an `OmnistereoError` if a picture is not of the size of the camera, or damaged where it shows."""
         for key in keys:
             check_image(self.files[key], image_size)
 
-    def read(self, keys: Sequence, image_size: tuple[int, int] | None) -> Iterator[NDArray[np.uint8]]:
+    def read(self, keys: Sequence[Key], image_size: tuple[int, int] | None) -> Iterator[NDArray[np.uint8]]:
         """Yield the pictures of some frames; width and height must be those of the camera, unless they are None."""
         for key in keys:
             yield read_image(self.files[key], image_size)
 
-    def unreadable(self, keys: Sequence, image_size: tuple[int, int] | None) -> dict[int | str, str]:
+    def unreadable(self, keys: Sequence[Key], image_size: tuple[int, int] | None) -> dict[Key, str]:
         """Decode some frames; return those that cannot be read, and why."""
         bad = {}
         for key in keys:
@@ -114,7 +116,7 @@ class Video:
         if not 0 < stated <= most:
             found = f"{path} has no frames that OpenCV can read (it states {stated:.0f} in {most} bytes)"
             raise OmnistereoError(f"{found}. Convert it, such as with ffmpeg.")
-        self.files = {number: number for number in range(int(stated))}
+        self.files: dict[Key, int] = {number: number for number in range(int(stated))}
 
     def use_numbers(self) -> None:
         """Call the frames by their numbers, as they are."""
@@ -131,24 +133,24 @@ class Video:
             )
         return [time - times[0] for time in times]
 
-    def check(self, keys: Sequence[int], image_size: tuple[int, int] | None) -> None:
+    def check(self, keys: Sequence[Key], image_size: tuple[int, int] | None) -> None:
         """Raise an `OmnistereoError` if the frames are not of the size of the camera; how many there are is stated."""
         open_video(self.path, image_size)
 
-    def read(self, keys: Sequence[int], image_size: tuple[int, int] | None) -> Iterator[NDArray[np.uint8]]:
+    def read(self, keys: Sequence[Key], image_size: tuple[int, int] | None) -> Iterator[NDArray[np.uint8]]:
         """Yield some frames, in ascending order; those between are skipped, because seeking is not exact."""
         video, position = open_video(self.path, image_size), 0
         for key in keys:
-            frame = self.files.get(key, key)
+            frame = self.files.get(key, len(self.files))
             while position < frame and video.grab():
                 position += 1
             read, picture = video.read()
             if not read or position < frame:
                 raise OmnistereoError(f"{self.path} ends before frame {key}. Pass --stop {key}, or copy it again.")
             position += 1
-            yield cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+            yield np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), np.uint8)
 
-    def unreadable(self, keys: Sequence[int], image_size: tuple[int, int] | None) -> dict[int, str]:
+    def unreadable(self, keys: Sequence[Key], image_size: tuple[int, int] | None) -> dict[Key, str]:
         """Decode some frames, in ascending order; return those after its end, which may be earlier than stated."""
         count = 0
         try:
@@ -159,7 +161,7 @@ class Video:
         return {}
 
 
-def _match_times(times: Sequence[Sequence[float]]) -> tuple[list[dict[float, float]], float, float]:
+def _match_times(times: Sequence[Sequence[Time]]) -> tuple[list[dict[Time, Time]], float, float]:
     """Pair each frame of a camera with that of the first which is nearest in time, and the reverse.
 
     Returns for each camera time → time in the first, where they differ by at most half of the time between frames; the
@@ -168,12 +170,14 @@ def _match_times(times: Sequence[Sequence[float]]) -> tuple[list[dict[float, flo
     between = min((median(b - a for a, b in pairwise(camera)) for camera in times if len(camera) > 1), default=0)
     matched, most = [], 0.0
     for camera in times:
-        near = []
+        near: list[tuple[float, Time, Time]] = []
         for time in camera:
             k = bisect_left(times[0], time)
             near.append(min((abs(other - time), time, other) for other in times[0][max(k - 1, 0) : k + 1]))
         # A frame of the first camera that is nearest to several goes to the nearest of them, the last one here.
-        of_first = {other: (apart, time) for apart, time, other in sorted(near, reverse=True) if 2 * apart <= between}
+        of_first: dict[Time, tuple[float, Time]] = {
+            other: (apart, time) for apart, time, other in sorted(near, reverse=True) if 2 * apart <= between
+        }
         matched.append({time: other for other, (_, time) in of_first.items()})
         most = max([most, *(apart for apart, _ in of_first.values())])
     return matched, most, between
@@ -181,13 +185,16 @@ def _match_times(times: Sequence[Sequence[float]]) -> tuple[list[dict[float, flo
 
 def _match_names(sources: Sequence[Pictures]) -> None:
     """Call frames whose names are time stamps by those of the first camera that are nearest."""
-    matched, most, between = _match_times([list(source.files) for source in sources])
+    times = [[key for key in source.files if isinstance(key, int)] for source in sources]
+    if min(map(min, times)) < _FIRST_TIME:
+        return
+    matched, most, between = _match_times(times)
     if most:
         warnings.warn(
             f"the time stamps of a frame differ by up to {most:.0f}; frames are {between:.0f} apart", stacklevel=3
         )
-    for source, name in zip(sources, matched, strict=True):
-        source.files = {name.get(time, time): path for time, path in source.files.items()}
+    for source, name, own in zip(sources, matched, times, strict=True):
+        source.files = {name.get(time, time): source.files[time] for time in own}
 
 
 def _match_videos(videos: Sequence[Video]) -> None:
@@ -218,8 +225,8 @@ class Recording:
     """The frames that all cameras have, in order."""
 
     sources: tuple[Pictures | Video, ...]
-    frames: dict[int, int | str]  #: number of a frame → its name in the sources
-    missing: dict[Path, list[int | str]]  #: source → frames that others have and it does not
+    frames: dict[int, Key]  #: number of a frame → its name in the sources
+    missing: dict[Path, list[Key]]  #: source → frames that others have and it does not
     checksum: str  #: of the paths of the sources and of the names that all frames have in them, chosen or not
 
     @classmethod
@@ -239,15 +246,19 @@ class Recording:
                 left.
         """
         sources = tuple(Pictures(path) if path.is_dir() else Video(path) for path in paths)
+        pictures = [source for source in sources if isinstance(source, Pictures)]
+        videos = [source for source in sources if isinstance(source, Video)]
         by_number = all(source.numbered for source in sources)
         if by_number:
             for source in sources:
                 source.use_numbers()
-            if all(min(source.files) >= _FIRST_TIME for source in sources):
-                _match_names(sources)
-            if all(isinstance(source, Video) for source in sources):
-                _match_videos(sources)
-        every = sorted(set().union(*(source.files for source in sources)), key=lambda key: (isinstance(key, str), key))
+            if not videos:
+                _match_names(pictures)
+            if not pictures:
+                _match_videos(videos)
+        every = sorted(
+            set[Key]().union(*(source.files for source in sources)), key=lambda key: (isinstance(key, str), key)
+        )
         missing = {s.path: gone for s in sources if (gone := [key for key in every if key not in s.files])}
         common = [key for key in every if all(key in source.files for source in sources)]
         if not common:
@@ -255,7 +266,7 @@ class Recording:
                 f"{' and '.join(str(source.path) for source in sources)} have no frame in common; expected equal "
                 "numbers at the end of the names, or equal names. Rename the files."
             )
-        frames = {key if by_number else k: key for k, key in enumerate(common)}
+        frames = {key if by_number and isinstance(key, int) else k: key for k, key in enumerate(common)}
         chosen = [n for n in frames if n >= start and (stop is None or n < stop)][::step]
         if not chosen:
             raise OmnistereoError(f"no frame is left of {min(frames)} … {max(frames)}. Change --start or --stop")
@@ -275,7 +286,7 @@ class Recording:
 
     def unreadable(self, rig: Rig) -> dict[int, str]:
         """Decode every frame; return the numbers of those that cannot be read, and why."""
-        keys, bad = list(self.frames.values()), {}
+        keys, bad = list(self.frames.values()), dict[Key, str]()
         for source, size in zip(self.sources, self._sizes(rig), strict=True):
             bad |= source.unreadable(keys, size)
         return {number: bad[key] for number, key in self.frames.items() if key in bad}

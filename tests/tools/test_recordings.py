@@ -244,6 +244,8 @@ def test_a_video_for_which_the_disk_is_full_is_told(recorded, done, tmp_path, ca
     class Full:
         """A writer whose file ends early, and which does not say so."""
 
+        fourcc = cv2.VideoWriter.fourcc
+
         def __init__(self, path, *arguments):
             self.path, self.video = path, VideoWriter(path, *arguments)
 
