@@ -162,6 +162,9 @@ def _stop(line: str, status: int) -> int:
     from omnistereo_lib.files import remove_empty_folders
 
     remove_empty_folders()
+    if tqdm := sys.modules.get("tqdm"):
+        for bar in [*tqdm.tqdm._instances]:  # it would be drawn once more, below the line
+            bar.close()
     if (file := os.environ.get("TORCHELASTIC_ERROR_FILE")) is not None:  # torchrun ends with what it finds there
         when = {"timestamp": str(int(time.time()))}
         Path(file).write_text(json.dumps({"message": {"message": one_line(line), "extraInfo": when}}))

@@ -63,15 +63,17 @@ def test_what_resumes_is_told_so(monkeypatch, capsys, name):
     assert capsys.readouterr().err == "interrupted; run the same command to resume\n"
 
 
-def test_what_is_said_does_not_stand_behind_a_bar(monkeypatch, capsys):
+def test_what_is_said_does_not_stand_behind_a_bar_nor_above_it(monkeypatch, capsys):
+    bar = progress_bar()
+
+    @wraps(cli.doctor_command.run)
     def run(options):
-        bar = progress_bar()
         bar(0, 2, "sweep")
         raise omnistereo_lib.OmnistereoError("no room")
 
     monkeypatch.setattr(cli.doctor_command, "run", run)
     assert cli.main(["doctor"]) == 2
-    assert re.search(r"sweep: +0%.*\r +\rerror: no room\n", capsys.readouterr().err)
+    assert re.search(r"sweep: +0%.*\r +\rerror: no room\n$", capsys.readouterr().err)
 
 
 def test_other_errors_in_c_are_bugs(monkeypatch):
