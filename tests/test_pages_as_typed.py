@@ -128,7 +128,7 @@ def files(tmp_path_factory):
     return folder
 
 
-def _boards(folder, pairs=3):
+def _boards(folder, pairs=2):
     """Copy pictures of a checkerboard that two cameras see, a few for each pair of neighbours."""
     van = ROOT / "data_samples/calibration/van"
     names = [sorted(path.name for path in (van / f"cam{k}").iterdir()) for k in (1, 2, 3, 4)]
@@ -202,7 +202,8 @@ def test_page(page, run, files, clone, tmp_path):
     for command in ALL[page]:
         line = _to_run(command)
         # Once for all pages, but for a block whose lines need each other.
-        if line is None or (line in RUN and (command.language == "inline" or _is_of_the_clone(line))):
+        alone = command.language == "inline" or command.text in MARKED or _is_of_the_clone(line or "")
+        if line is None or (line in RUN and alone):
             continue
         _choose_boards(folder, "april" if "aprilgrid.yaml" in line else "pictures")
         where = clone if _is_of_the_clone(line) else folder
