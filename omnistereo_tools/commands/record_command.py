@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from omnistereo_lib.geometry.rig import Rig
     from omnistereo_tools.input.sources import Recording
     from omnistereo_tools.record.recordings import DepthWriter
+    from omnistereo_tools.record.watching import Watching
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +53,7 @@ class RecordOptions(MethodOptions, GridOptions, RigOptions):
     stop: int | None = option("frame number to stop before", unset="the end", metavar="N")
     step: int = option("every N-th frame", 1, metavar="N", between=(1, math.inf))
     skip_bad: bool = option("leave out frames that cannot be read; reads all first", False)
+    follow: bool = option("when a camera has turned, go on with its new pose", False)
     cluster: str | None = option("of a Dask scheduler, to use many machines", metavar="ADDRESS")
     out: Path | None = option("folder for the results", unset="out/record_NAME")
     depth_format: Literal["tiff", "png"] = option("float32, or 16 bits", "tiff")
@@ -85,6 +87,7 @@ def run(options: RecordOptions) -> None:
     from omnistereo_tools.judge.doubts import image_doubts, rig_doubts
     from omnistereo_tools.judge.pace import progress_bar, say_recording
     from omnistereo_tools.record.recordings import DepthWriter, stored_min_depth, write_video
+    from omnistereo_tools.record.watching import Watching
 
     out = options.out or default_out("record", options.rig)
     _check(options, out)
@@ -112,8 +115,10 @@ def run(options: RecordOptions) -> None:
         say_recording(sweep, first[0], len(left), method.name, [VIDEO_METHOD, FRAME_METHOD])
     # Compute and write.
     progress = progress_bar("frame")
-    for done, number in enumerate(_frames_done(options, writer, left), total - len(left) + 1):
+    watching = Watching(rig, sweep, options.follow, out)
+    for done, number in enumerate(_frames_done(options, writer, left, watching), total - len(left) + 1):
         progress(done, total, f"frame {number}")
+    watching.close()
     print(writer.doubt_sentence())
     print(f"{total} frames are in {out}/, which load_dataset reads")
     if options.video is not None:
@@ -169,10 +174,10 @@ def _prepare(options: RecordOptions, writer: DepthWriter, rig: Rig) -> None:
     writer.prepare(rig)
 
 
-def _frames_done(options: RecordOptions, writer: DepthWriter, left: Sequence[int]) -> Iterator[int]:
-    """Compute the frames that are left, here or on the cluster; yield the number of each."""
+def _frames_done(options: RecordOptions, writer: DepthWriter, left: Sequence[int], watching: Watching) -> Iterator[int]:
+    """Compute the frames that are left, here, where the rig is watched, or on the cluster; yield the number of each."""
     if options.cluster is None:
-        return writer.run(left)
+        return writer.run(left, watching)
     from omnistereo_tools.record.cluster import depth_on_cluster
 
     return depth_on_cluster(options.cluster, writer, options.device)

@@ -45,6 +45,7 @@ from omnistereo_tools.judge.trust import DOUBTFUL, trust
 from omnistereo_tools.output.blend import blended_panorama
 from omnistereo_tools.output.pictures import ColorScale
 from omnistereo_tools.output.summary import doubt_shares
+from omnistereo_tools.record.watching import Watching
 
 _PENDING = 2  # frames read ahead, and frames waiting to be written: memory stays constant
 _PNG_STEPS = 65500  # of inverse depth up to 1 / D_min, as in the first release of the public sets; of trust up to 1
@@ -123,10 +124,11 @@ class DepthWriter:
                 return stored
         return {}
 
-    def run(self, numbers: Sequence[int]) -> Iterator[int]:
+    def run(self, numbers: Sequence[int], watching: Watching | None = None) -> Iterator[int]:
         """Estimate and write the depth of some frames, in ascending order; yield the number of each.
 
-        Reading, computing and writing overlap; memory does not grow with the number of frames.
+        Reading, computing and writing overlap; memory does not grow with the number of frames. The rig is looked at
+        in between.
 
         Raises:
             OmnistereoError: If a frame cannot be read, does not fit the rig, or cannot be written.
@@ -139,7 +141,8 @@ class DepthWriter:
                 images = read.popleft().result()
                 if k + _PENDING < len(numbers):
                     read.append(reader.submit(next, images_of))
-                depth = sweep_depth(self.sweep, images, self.method)
+                sweep = self.sweep if watching is None else watching.sweep_of(number, images)
+                depth = sweep_depth(sweep, images, self.method)
                 written.append(pool.submit(self.write, number, images, depth))
                 if len(written) > _PENDING:
                     written.popleft().result()

@@ -1,0 +1,152 @@
+"""A rig looked at while its depth is computed: see `omnistereo_lib.calibrate.watch`.
+
+OUT/
+  watch.json                        the rig as each look has it, to go on with
+  watch.png                         by how much each camera has turned
+  rig_00410.yaml                    the rig from a frame on, of which a warning spoke
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.files import atomic_write, read_data
+from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.lazy import lazy_property
+from omnistereo_lib.rig_files import save_rig
+from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_tools.judge.pace import say
+from omnistereo_tools.output.pictures import save_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from omnistereo_lib.calibrate.watch import Look, Watch
+
+WATCH = "watch.json"
+_FRAMES = 2  # of a look
+_SHARE = 0.05  # of the time
+_FIRST_S = 5.0  # between the frames of the first look: a rig that stands still shows the same twice
+
+
+class Watching:
+    """Looks at a rig in a thread of its own, for a twentieth of the time, and says if a camera has turned.
+
+    Args:
+        sweep: Of the rig.
+        follow: Compute depth with the turned camera's new pose from then on.
+        folder: Where looks are kept, so that a recording can go on; None: nowhere.
+    """
+
+    def __init__(self, rig: Rig, sweep: SphereSweep, follow: bool = False, folder: Path | None = None) -> None:
+        self.rig, self.sweep, self.follow, self.folder = rig, sweep, follow, folder
+        self._thread = ThreadPoolExecutor(1)
+        self._looking: Future[Look | None] | None = None
+        self._frames: list[tuple[int, Sequence[NDArray[np.uint8]]]] = []
+        self._rest_s, self._next = _FIRST_S, time.monotonic()
+        if folder is not None and (folder / WATCH).exists():
+            for look in _stored(folder / WATCH, len(rig)):
+                self.watch.add(look)
+            self._turn_sweep()
+
+    @lazy_property
+    def watch(self) -> Watch:
+        """What the looks have shown so far."""
+        from omnistereo_lib.calibrate.watch import Watch  # SciPy, which a short recording does not need
+
+        return Watch(self.rig)
+
+    def sweep_of(self, frame: int, images: Sequence[NDArray[np.uint8]]) -> SphereSweep:
+        """Take a frame, and return the sweep that its depth is to be computed with."""
+        if self._looking is not None and self._looking.done():
+            self._say(self._looking.result())
+        if self._looking is None and time.monotonic() >= self._next:
+            self._frames.append((frame, images))
+            self._next = time.monotonic() + self._rest_s / _FRAMES
+        if len(self._frames) == _FRAMES:
+            self._looking = self._thread.submit(self._look, self._frames)
+            self._frames = []
+        return self.sweep
+
+    def close(self) -> None:
+        """Wait for the last look, and draw all."""
+        if self._looking is not None:
+            self._say(self._looking.result())
+        self._thread.shutdown()
+        if self.folder is not None and (self.folder / WATCH).exists() and self.watch.can_compare:
+            save_figure(self.folder / "watch.png", _figure(self.watch))
+
+    def _look(self, frames: Sequence[tuple[int, Sequence[NDArray[np.uint8]]]]) -> Look | None:
+        from omnistereo_lib.calibrate.watch import look_at
+
+        start = time.monotonic()
+        look = look_at(self.rig, frames[0][0], [images for _, images in frames])
+        self._rest_s = (time.monotonic() - start) / _SHARE
+        return look
+
+    def _say(self, look: Look | None) -> None:
+        """Add a look, keep it, and print the warning if there is one."""
+        self._looking, self._next = None, time.monotonic() + self._rest_s / _FRAMES
+        if look is None:
+            return
+        warning = self.watch.add(look)
+        if self.folder is not None:
+            _store(self.folder / WATCH, self.watch.looks)
+        if warning is None:
+            return
+        say(warning)
+        if self.folder is not None:
+            path = self.folder / f"rig_{look.frame:05}.yaml"
+            save_rig(self.watch.rig_now(), path)
+            say(f"written to {path}: the rig with that camera turned")
+        self._turn_sweep()
+
+    def _turn_sweep(self) -> None:
+        if self.follow and self.watch.turned:
+            self.sweep = self.sweep.with_poses(self.watch.rig_now().T_rig_cam)
+
+
+def _store(path: Path, looks: Sequence[Look]) -> None:
+    rows = [[one.frame, one.differences.tolist(), one.covariance.tolist()] for one in looks]
+    with atomic_write(path) as temporary:
+        temporary.write_text(json.dumps(rows) + "\n")
+
+
+def _stored(path: Path, cameras: int) -> list[Look]:
+    """Return the looks of an earlier run, as far as they can be read."""
+    from omnistereo_lib.calibrate.watch import Look
+
+    looks = []
+    with suppress(OmnistereoError, TypeError, ValueError):
+        for frame, *arrays in read_data(path):
+            differences, covariance = (np.array(values, float) for values in arrays)
+            if differences.shape == (cameras, 6) and covariance.shape == (6 * cameras,) * 2:
+                looks.append(Look(int(frame), differences, covariance))
+    return looks
+
+
+def _figure(watch: Watch) -> Figure:
+    """Return a figure of the turn of each camera against the first looks, with its deviation, over the frames."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9, 4), layout="constrained")
+    axes = figure.subplots()
+    frames = [look.frame for look in watch.looks]
+    turns = np.array([watch.turns(look) for look in watch.looks])  # (looks, cameras, 2)
+    for camera in range(len(watch.rig)):
+        angle, deviation = turns[:, camera].T
+        axes.errorbar(frames, angle, deviation, marker=".", capsize=2, color=f"C{camera}", label=f"camera {camera + 1}")
+    axes.set(xlabel="frame", ylabel="turn in degrees, ± one standard deviation", ylim=(0, None))
+    axes.set_title("How each camera has turned against the recording's first looks")
+    axes.legend()
+    return figure
