@@ -47,6 +47,7 @@ EAGER = {
         "calibrate.features",
         "calibrate.relative_pose",
         "calibrate.track_bundle",
+        "calibrate.watch",
         "calibrate.from_images",
     },
 }
