@@ -40,7 +40,7 @@ class ImagesOptions(Options):
     baseline: float | None = option("metres between cameras 1 and 2", needs="lenses", between=(1e-6, 1e4))
     radius: float | None = option("mean metres from the cameras' middle", needs="lenses", between=(1e-6, 1e4))
     calibrated: bool = option("the poses of --rig are a calibration: they keep weight", False, needs="rig")
-    free_lenses: bool = option("adjust centre and focal length of the lenses, too", False, needs="from_images")
+    free_lenses: bool = option("adjust the lenses, too: a better fit, often a worse depth", False, needs="from_images")
     frames: int = option("how many frames are chosen", 6, needs="from_images", between=(1, 1e4))
     max_fov: float | None = option("field of view in degrees", unset="as far as corners reach, or of the lenses")
     out: Path = option("folder for the results", Path("out/rig"))
