@@ -1,11 +1,7 @@
 """One tiny frame with Blender, and where its camera model puts things."""
 
 import json
-import os
-import random
-import signal
 import subprocess
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -91,39 +87,6 @@ def test_one_frame_with_blender(tmp_path):
     for small, large in zip(data[0].images, shipped.images, strict=True):
         large = cv2.resize(large, (50, 48), interpolation=cv2.INTER_AREA)
         assert np.corrcoef(small.ravel(), large.ravel())[0, 1] > 0.95
-
-
-TINY_ROOM = """
-import sys
-from dataclasses import replace
-from render import SETS, main
-
-SETS["indoor/test"] = replace(SETS["indoor/test"], size=(50, 48), samples=1, truths=((64, 16),))
-sys.exit(main(["indoor/test", "--out", sys.argv[1]]))
-"""
-
-
-@needs_blender
-def test_killed_and_rendered_again_the_files_are_the_same(tmp_path):
-    """KILLS=10 kills it that often; see tests/test_kills.py."""
-    kills = int(os.environ.get("KILLS", "1"))
-    rng, began = random.Random(kills), time.perf_counter()
-    in_blender(TINY_ROOM, tmp_path / "whole")
-    duration = time.perf_counter() - began
-    for attempt in range(kills):
-        out = tmp_path / f"killed{attempt}"
-        process = subprocess.Popen([BLENDER, "-c", TINY_ROOM, out], cwd=BLENDER.parents[2], stderr=subprocess.DEVNULL)
-        time.sleep(rng.uniform(0.1, 0.95) * duration)
-        process.send_signal(rng.choice([signal.SIGKILL, signal.SIGTERM, signal.SIGINT]))
-        process.wait()
-        for path in out.rglob(".*"):
-            os.utime(path, (0, 0))  # as if the kill were long ago
-        in_blender(TINY_ROOM, out)
-        assert contents(out) == contents(tmp_path / "whole")
-
-
-def contents(folder):
-    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 BALLS = """

@@ -1,8 +1,9 @@
-"""Rendered files without Blender: a frame is there whole or not at all; the command line."""
+"""Rendered files without Blender: a frame is there whole or not at all; the command line, the workers of a cluster."""
 
 import hashlib
 import itertools
 import json
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,6 @@ from render_stand_in import TINY, replace_blender
 
 import omnistereo_lib as osl
 import render
-from omnistereo_lib.errors import OmnistereoError
 from render import image_sets as frames_module
 from render import main
 from render.camera.render_rig import make_rig
@@ -51,11 +51,9 @@ def test_rendered_set_is_a_data_set(no_blender, tmp_path):
     assert list(render_set(tmp_path, TINY, (706, 731), SEED)) == []
 
 
-@pytest.mark.parametrize("renames", range(6))
+@pytest.mark.parametrize("renames", [0, 3, 5])
 def test_killed_and_started_again_the_set_is_the_same(renames, no_blender, tmp_path, monkeypatch):
-    whole, killed, numbers = tmp_path / "whole", tmp_path / "killed", (706, 731)
-    list(render_set(whole, TINY, numbers, SEED))
-
+    killed, numbers = tmp_path / "killed", (706, 731)
     replacing, count = Path.replace, itertools.count()
 
     def kill(path, target):
@@ -74,7 +72,8 @@ def test_killed_and_started_again_the_set_is_the_same(renames, no_blender, tmp_p
     assert len(left) == 6  # four pictures and two truths, renamed or not
     assert contents(killed) == {**finished, Path("config.yaml"): (killed / "config.yaml").read_bytes()}
     assert list(render_set(killed, TINY, numbers, SEED)) == [731]
-    assert contents(killed) == contents(whole)
+    list(render_set(tmp_path / "whole", TINY, numbers, SEED))
+    assert contents(killed) == contents(tmp_path / "whole")
 
 
 def test_steps_of_the_first_release_and_another_sets_truth(no_blender, tmp_path):
@@ -183,17 +182,12 @@ def test_bad_arguments_are_said_in_one_line(arguments, words, capsys):
     assert all(word in error for word in words)
 
 
-def test_missing_environment_says_how_to_make_it(monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr(render, "_BLENDER_PYTHON", tmp_path / ".venv-render" / "bin" / "python")
-    assert main(["--out", str(tmp_path)]) == 2
-    assert "make render" in capsys.readouterr().err
-
-
-def test_environment_without_blender_does_not_call_itself(monkeypatch, capsys):
-    monkeypatch.setattr(render, "_BLENDER_PYTHON", Path(sys.prefix) / "bin" / Path(sys.executable).name)
+@pytest.mark.parametrize("environment", [Path(".venv-render"), Path(sys.prefix)], ids=["missing", "without Blender"])
+def test_an_unfinished_environment_says_how_to_make_it(environment, monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(render, "_BLENDER_PYTHON", tmp_path / environment / "bin" / Path(sys.executable).name)
     monkeypatch.setattr(render.importlib.util, "find_spec", lambda name: None)
-    assert main([]) == 2
-    assert "unfinished" in capsys.readouterr().err
+    assert main(["--out", str(tmp_path)]) == 2
+    assert "missing or unfinished" in (said := capsys.readouterr().err) and "run make render" in said
 
 
 def test_blender_environment_gets_the_same_job(monkeypatch, tmp_path):
@@ -212,7 +206,55 @@ def test_blender_environment_gets_the_same_job(monkeypatch, tmp_path):
     assert [str(word) for word in calls[0]] == [str(python), "-m", "render", *job, "--out", str(tmp_path / "here")]
 
 
-def test_folder_that_cannot_be_written(no_blender, tmp_path):
-    (tmp_path / "file").write_text("not a folder")
-    with pytest.raises(OmnistereoError, match="cannot be made or written to"):
-        list(render_set(tmp_path / "file" / "test", TINY, (706,), SEED))
+# A worker of a cluster renders each frame in a process of Blender's environment; `tests/tools/test_cluster.py` kills one
+
+STAND_IN = """#!{python}
+import sys
+import time
+
+sys.path[:0] = {path}
+from render_stand_in import replace_blender
+
+from render import image_sets
+
+replace_blender(dict.__setitem__, setattr)
+_, code, *sys.argv[1:] = sys.argv[1:]
+if "998" in sys.argv:
+    image_sets._render_frame = lambda *_: time.sleep(600)
+if "999" in sys.argv:
+    raise MemoryError("a city too large")
+exec(code)
+"""
+
+
+@pytest.fixture
+def worker(no_blender, tmp_path, monkeypatch):
+    """This process is the worker; the path of what stands in for Blender's interpreter."""
+    python = tmp_path / "environment" / "bin" / "python"
+    python.parent.mkdir(parents=True)
+    path = [str(render._ROOT), str(render._ROOT / "tests")]
+    python.write_text(STAND_IN.format(python=sys.executable, path=path))
+    python.chmod(0o755)
+    monkeypatch.setattr(render, "_BLENDER_PYTHON", python)
+    cluster = SimpleNamespace(on_cluster=lambda address, work, frames: map(work, frames))
+    monkeypatch.setitem(sys.modules, "omnistereo_tools.record.cluster", cluster)
+    return python
+
+
+def test_a_worker_writes_what_a_local_run_does(worker, tmp_path):
+    for out, options in (("cluster", ["--cluster", "address"]), ("local", [])):
+        assert main(["--out", str(tmp_path / out), "--frames", "706", "731", *options]) == 0
+    assert contents(tmp_path / "cluster") == contents(tmp_path / "local")
+
+
+def test_what_fails_in_blender_is_told(worker, tmp_path, capsys):
+    assert main(["--out", str(tmp_path / "out"), "--frames", "999", "--cluster", "address"]) == 2
+    said = capsys.readouterr().err
+    assert "sunny/test 999 failed in Blender's environment: " in said and "MemoryError: a city too large" in said
+
+
+def test_a_process_of_blender_ends_with_its_worker(worker, tmp_path):
+    command = [worker, "-c", "import render; render.run_for_worker()", tmp_path, "sunny/test", "998", "0"]
+    with subprocess.Popen(command, cwd=render._ROOT, stdin=subprocess.PIPE) as process:
+        process.stdin.close()
+        assert process.wait(600) == 1

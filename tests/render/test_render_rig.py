@@ -34,8 +34,7 @@ def test_ocam_polynomials_fit_the_lens(seed):
         assert camera.inverse_poly_error_px() < 5e-3
 
 
-@pytest.mark.parametrize("size", [(800, 768), (400, 384)])
-@pytest.mark.parametrize("name", ["van", "handheld"])
+@pytest.mark.parametrize(("name", "size"), [("van", (800, 768)), ("handheld", (400, 384))])
 def test_written_rig_sees_what_blender_draws(name, size, tmp_path):
     rig = make_rig(SEED, name)
     write_config(tmp_path / "config.yaml", rig, size, {"img_fmt": "cam%d/%04d.jpg", "start": 1})

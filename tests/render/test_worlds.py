@@ -67,7 +67,7 @@ def test_rigs_differ_and_stay_within_their_limits():
 
 def test_two_cameras_of_a_rig_see_nearly_every_direction():
     grid = osl.SphereGrid(64, 16)
-    for k in range(40):
+    for k in range(12):
         seen = np.zeros(grid.shape, int)
         for camera in random_rig(rng(k), 1.0).cameras:
             cosine = grid.rays() @ camera.T_rig_cam.R[:, 2]
@@ -75,7 +75,7 @@ def test_two_cameras_of_a_rig_see_nearly_every_direction():
         assert seen.min() >= 1 and (seen >= 2).mean() > 0.6
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(2))
 def test_written_rig_has_the_angles_of_its_lenses(seed, tmp_path):
     rig = random_rig(rng(seed), 0.8)
     write_config(tmp_path / "config.yaml", rig, SIZE, {"start": 1}, digits=12)
@@ -98,7 +98,7 @@ def test_written_rig_has_the_angles_of_its_lenses(seed, tmp_path):
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_shapes_lie_in_the_unit_sphere(name):
-    for k in range(30):
+    for k in range(10):
         mesh = Mesh()
         SHAPES[name](mesh, rng(k), ["a", "b", "c"])
         assert np.linalg.norm(points_on(mesh, 2), axis=1).max() <= 1 + 1e-9
@@ -108,7 +108,7 @@ def tilt_deg(pose):
     return np.degrees(np.arccos(-pose.R[2, 1]))  # of the y axis of the rig against the vertical
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(4))
 def test_no_thing_is_nearer_than_the_rig_is_made_for(seed):
     plan = plan_things(rng(seed))
     assert 0.4 <= plan.min_depth <= 3 and tilt_deg(plan.T_world_rig) <= 15 + 1e-6
@@ -123,7 +123,7 @@ def test_no_thing_is_nearer_than_the_rig_is_made_for(seed):
     assert max(nearest) / min(nearest) > 3
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(4))
 def test_rooms_hold_their_furniture_and_leave_place_for_the_rig(seed):
     plan = plan_room(rng(seed))
     at = plan.T_world_rig.t
