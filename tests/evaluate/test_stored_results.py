@@ -16,7 +16,6 @@ from omnistereo_lib.evaluate.table import errors_table
 from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
 from omnistereo_lib.train import RECIPES
 from omnistereo_lib.train.spheres import SphereSamples
-from omnistereo_tools import cli
 
 STORED = {path.stem: path for path in sorted((DATA / "results").glob("*.json"))}
 
@@ -58,17 +57,13 @@ def test_a_frame_again(name, number):
         assert errors["figures"] == pytest.approx(figures, abs=0.1), method.name
 
 
-def test_a_frame_again_with_the_rig_calibrated_again(tmp_path):
-    board = ["--board", "12x10", "--square", "0.06", "--max-fov", "220", "--out", str(tmp_path / "van")]
-    assert cli.main(["calibrate", str(DATA / "calibration" / "van"), *board]) == 0
-    asked = ["--sets", "sunny", "--frames", "831", "--methods", "zncc", "zncc+sgm", "--out", str(tmp_path / "again")]
-    assert cli.main(["evaluate", *asked, "--rig", str(tmp_path / "van" / "config.yaml")]) == 0
-    again = read_record(tmp_path / "again" / "results.json")["frames"]["sunny"]["00831"]
-    stored, exact = (read_record(STORED[name])["frames"]["sunny"]["00831"] for name in ("calibrated", "teaching"))
-    for method, errors in again.items():
-        assert errors["figures"] == pytest.approx(stored[method]["figures"], abs=0.1), method
-        assert errors["figures"]["MAE"] == pytest.approx(exact[method]["figures"]["MAE"], rel=0.05)
-        assert errors["figures"] != exact[method]["figures"]
+def test_the_calibrated_rig_costs_little():
+    """Notebook 02 calibrates it again."""
+    calibrated, exact = (read_record(STORED[name])["frames"]["sunny"] for name in ("calibrated", "teaching"))
+    for number, methods in calibrated.items():
+        for method, errors in methods.items():
+            known = exact[number][method]["figures"]
+            assert errors["figures"]["MAE"] == pytest.approx(known["MAE"], rel=0.05) and errors["figures"] != known
 
 
 def test_penalties_are_chosen_on_frames_that_no_network_learned_from():

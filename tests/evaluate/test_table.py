@@ -61,9 +61,8 @@ def random_maps(seed=0, shape=(9, 31), num_spheres=48):
     return index, gt_index
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_sums_and_metrics_agree_with_the_definition(seed):
-    index, gt_index = random_maps(seed)
+def test_sums_and_metrics_agree_with_the_definition():
+    index, gt_index = random_maps()
     masks = {"all": np.ones(gt_index.shape, bool), "some": np.random.default_rng(9).random(gt_index.shape) < 0.3}
     found = error_sums(index, gt_index, 48, masks)
     for name, mask in masks.items():
@@ -106,9 +105,9 @@ def test_degenerate_maps(name):
 # ---- regions
 
 
-def relief(seed=0, shape=(16, 40), num_spheres=64):
+def relief(shape=(16, 40), num_spheres=64):
     """A ground plane with posts, boxes, one across the seam, sky, and unknown rays."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     gt_index = np.tile(np.linspace(0, 12, shape[0])[:, None], shape[1])
     gt_index[:5] = 0
     for width in (1, 2, 3, 4, 5, 6, 9):
@@ -120,9 +119,8 @@ def relief(seed=0, shape=(16, 40), num_spheres=64):
     return gt_index
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_edges_are_near_a_depth_discontinuity(seed):
-    gt_index, limit = relief(seed), 0.05 * 64
+def test_edges_are_near_a_depth_discontinuity():
+    gt_index, limit = relief(), 0.05 * 64
     H, W = gt_index.shape
     beside = set()
     for y, x in itertools.product(range(H), range(W)):
@@ -138,7 +136,7 @@ def test_edges_are_near_a_depth_discontinuity(seed):
     np.testing.assert_array_equal(near_edges(gt_index, 64), expected)
 
 
-@pytest.mark.parametrize(("width", "side"), [(40, 3), (600, 5), (1200, 11)])
+@pytest.mark.parametrize(("width", "side"), [(40, 3), (600, 5)])
 def test_thin_is_where_no_square_of_a_few_degrees_fits(width, side):
     gt_index = np.tile(relief(), (1, width // 40))
     H, W = gt_index.shape
@@ -146,7 +144,7 @@ def test_thin_is_where_no_square_of_a_few_degrees_fits(width, side):
     assert 0 < found.mean() < 0.5
     r = side // 2
     filled = np.where(np.isnan(gt_index), np.inf, gt_index)
-    for y, x in np.random.default_rng(0).permutation(list(itertools.product(range(H), range(W))))[:320]:
+    for y, x in np.random.default_rng(0).permutation(list(itertools.product(range(H), range(W))))[:160]:
         lowest = []
         for cy, cx in itertools.product(range(y - r, y + r + 1), range(x - r, x + r + 1)):
             cy = min(max(cy, 0), H - 1)
@@ -238,20 +236,6 @@ def test_bootstrap_of_four_frames_against_all_resamples():
     means = [np.mean(drawn) for drawn in itertools.product(values, repeat=4)]
     expected = [4.0, *np.percentile(means, [2.5, 97.5])]
     np.testing.assert_allclose(bootstrap(values[:, None], mean)[0], expected, atol=0.26)  # the steps between means
-
-
-def test_bootstrap_of_many_normal_frames():
-    values = np.random.default_rng(3).normal(7, 2, (400, 2))
-    value, low, high = bootstrap(values, mean, count=4000).T
-    half = 1.96 * values.std(0) / 20
-    np.testing.assert_allclose(low, value - half, atol=0.03)
-    np.testing.assert_allclose(high, value + half, atol=0.03)
-
-
-def test_bootstrap_covers_less_with_few_frames():
-    rng = np.random.default_rng(0)
-    ends = np.array([bootstrap(rng.normal(size=(8, 1)), mean, count=400)[0] for _ in range(1000)])
-    assert np.mean((ends[:, 1] <= 0) & (ends[:, 2] >= 0)) == pytest.approx(0.89, abs=0.03)
 
 
 def test_bootstrap_is_open_for_one_frame():

@@ -206,7 +206,7 @@ def test_blender_environment_gets_the_same_job(monkeypatch, tmp_path):
     assert [str(word) for word in calls[0]] == [str(python), "-m", "render", *job, "--out", str(tmp_path / "here")]
 
 
-# A worker of a cluster renders each frame in a process of Blender's environment; `tests/tools/test_cluster.py` kills one
+# A worker of a cluster renders each frame in a process of its own; tests/tools/test_cluster.py kills workers
 
 STAND_IN = """#!{python}
 import sys

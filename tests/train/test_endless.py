@@ -1,4 +1,4 @@
-"""Endless worlds: frames by number alone, finite, of many kinds; the images agree with the depth; runs resume."""
+"""Endless worlds: frames by number alone, finite, of many kinds; the images agree with the depth."""
 
 from dataclasses import replace
 from functools import partial
@@ -10,9 +10,9 @@ from tiny import SWEEPNET
 
 import omnistereo_lib as osl
 from omnistereo_lib.stereo import correlation
-from omnistereo_lib.train import VolumeNetRecipe, train
+from omnistereo_lib.train import VolumeNetRecipe
 from omnistereo_lib.train.endless import worlds as endless
-from omnistereo_lib.train.endless.worlds import EndlessWorlds, draw_frame
+from omnistereo_lib.train.endless.worlds import EndlessFrame, EndlessWorlds, draw_frame
 from omnistereo_lib.train.spheres import SphereSamples
 from omnistereo_lib.train.volumes import VolumeSamples
 
@@ -23,7 +23,7 @@ TINY = VolumeNetRecipe(
 
 @pytest.fixture(scope="module")
 def frames():
-    return [draw_frame(7, number) for number in range(12)]
+    return [draw_frame(7, number) for number in range(6)]
 
 
 @pytest.fixture(autouse=True)
@@ -33,12 +33,10 @@ def small(monkeypatch):
 
 
 def test_a_frame_is_its_seed_and_number(frames):
-    worlds = EndlessWorlds(7, workers=1)
-    for k in (3, 4):
-        again = worlds.frame(k)
-        assert all(np.array_equal(a, b) for a, b in zip(frames[k].images, again.images, strict=True))
-        assert frames[k].rig.min_depth == again.rig.min_depth
-        assert np.array_equal(frames[k].scene.primitives, again.scene.primitives)
+    again = EndlessWorlds(7, workers=1).frame(3)  # drawn by another process
+    assert all(np.array_equal(a, b) for a, b in zip(frames[3].images, again.images, strict=True))
+    assert frames[3].rig.min_depth == again.rig.min_depth
+    assert np.array_equal(frames[3].scene.primitives, again.scene.primitives)
     assert not np.array_equal(draw_frame(8, 3).images[0], frames[3].images[0])
 
 
@@ -64,13 +62,13 @@ def test_cameras_agree_at_the_true_depth(frames):
     """The gray values of a point in the cameras that see it differ less than those of points at wrong depths."""
     rays = osl.SphereGrid(128, 32).rays()
     better = []
-    for frame in frames[:6]:
+    for frame in frames[:4]:
         seen = [frame.scene.image(*view) for view in zip(frame.rig.cameras, frame.rig.T_rig_cam, strict=True)]
         inverse = frame.inverse_depth_along(rays)
         points = [rays / np.maximum(scale * inverse, 1e-3)[..., None] for scale in (1, 2.5)]
         right, wrong = (_spread(frame.rig, seen, at) for at in points)
         better.append(right < 0.8 * wrong)
-    assert sum(better) >= 5  # walls without texture agree at any depth
+    assert sum(better) >= 3  # walls without texture agree at any depth
 
 
 def _spread(rig, seen, points):
@@ -84,38 +82,28 @@ def _spread(rig, seen, points):
     return np.median(np.nanstd(np.array(values)[:, shared], 0))
 
 
-def test_folders_and_endless_worlds_are_mixed_by_weight(data):
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Endless frames without pictures, which would take a second each; their seed lies where the rig would."""
+    monkeypatch.setattr("omnistereo_lib.train.frames.EndlessWorlds", partial(EndlessWorlds, workers=0))
+    monkeypatch.setattr(endless, "draw_frame", lambda seed, number: EndlessFrame(number, seed, [], None))
+
+
+def test_folders_and_endless_worlds_are_mixed_by_weight(data, undrawn):
     samples = VolumeSamples(TINY, ["endless", data, "endless"])
-    samples.endless = EndlessWorlds(TINY.seed, workers=0)
     kinds = [samples._split(number) for number in range(6)]
     assert kinds == [(False, 0), (True, 0), (True, 1), (False, 1), (True, 2), (True, 3)]
-    assert samples.training_frame(0) in samples.training and samples.training_frame(2).number == 1
-    assert samples.validation_frame(1).number == 0 and samples.validation_frame(0) in samples.validation
-    assert not np.array_equal(samples.validation_frame(1).images[0], samples.training_frame(1).images[0])
+    assert samples.training_frame(0) in samples.training and samples.validation_frame(0) in samples.validation
+    training, validation = samples.training_frame(2), samples.validation_frame(1)
+    assert (training.number, validation.number) == (1, 0) and training.rig == TINY.seed != validation.rig
     assert samples.metadata["folder"].startswith("endless, ") and samples.metadata["frames"] == 4
 
 
-def test_a_frame_serves_the_micro_batches_that_follow(monkeypatch):
-    samples = VolumeSamples(replace(TINY, batch_frames=3), ["endless"])
-    samples.endless, seen = EndlessWorlds(0, workers=0), []
+def test_a_frame_serves_the_micro_batches_that_follow(undrawn, monkeypatch):
+    samples, seen = VolumeSamples(replace(TINY, batch_frames=3), ["endless"]), []
     monkeypatch.setattr(samples, "_sample", lambda frame, rng: seen.append(frame.number))
     samples.micro_batch(samples.training_frame(5), np.random.default_rng(0), augment=True)
     assert seen == [5, 6, 7]
-
-
-def test_a_run_in_endless_worlds_resumes_to_the_same_weights(tmp_path, monkeypatch):
-    monkeypatch.setattr("omnistereo_lib.train.frames.EndlessWorlds", partial(EndlessWorlds, workers=0))
-    monkeypatch.setattr(endless, "draw_frame", partial(draw_frame, size=0.25))
-
-    def interrupt(row):
-        if row["step"] == 1:
-            raise KeyboardInterrupt
-
-    whole = train(TINY, tmp_path / "whole", precision="float32")
-    with pytest.raises(KeyboardInterrupt):
-        train(TINY, tmp_path / "parts", precision="float32", checkpoint_s=0, on_step=interrupt)
-    parts = train(TINY, tmp_path / "parts", precision="float32")
-    assert whole.read_bytes() == parts.read_bytes()
 
 
 def test_a_network_of_pairs_trains_in_endless_worlds():

@@ -2,12 +2,11 @@
 
 import csv
 import hashlib
+import multiprocessing
 import os
 import re
-import subprocess
-import sys
+import socket
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,8 +20,6 @@ from omnistereo_lib.train import RECIPES, train
 from omnistereo_lib.train.loop import LOG, STATE, WEIGHTS, _Run
 from omnistereo_lib.train.spheres import SphereObjective, SphereSamples
 from omnistereo_tools import cli
-
-PATHS = f"{Path(__file__).parent} {Path(__file__).parents[1]}"  # this module and the helpers beside its folder
 
 
 def refused(match):
@@ -63,6 +60,13 @@ def assert_same_weights(a, b):
         torch.testing.assert_close(a[name], b[name], atol=0, rtol=0)
 
 
+@pytest.fixture(scope="module")
+def finished(data, tmp_path_factory):
+    """The folder and the rows of a run that was stopped after two steps and resumed; tests only read it."""
+    out = tmp_path_factory.mktemp("finished") / "run"
+    return out, stopped(SWEEPNET, out, data, 2) + rows_of(SWEEPNET, out, data)
+
+
 # ---- the loop
 
 
@@ -70,7 +74,7 @@ def assert_same_weights(a, b):
 def test_the_seed_decides_the_weights_stopped_or_not(recipe, optimizer, data, tmp_path):
     recipe = replace(recipe, optimizer=optimizer)
     whole = losses(recipe, tmp_path / "whole", data)
-    assert losses(replace(recipe, seed=1), tmp_path / "seed", data) != whole
+    assert stopped(replace(recipe, seed=1), tmp_path / "seed", data, 1)[0]["loss"] != whole[0]
     part = [row["loss"] for row in stopped(recipe, tmp_path / "parts", data, 3)]
     with refused("Train to the end first"):
         export_weights(tmp_path / "parts", tmp_path / "weights")
@@ -89,13 +93,28 @@ def command(data, out, *settings, network="sweepnet"):
     return [str(word) for word in [*verb, "--set", *tiny, *settings]]
 
 
+def train_as(rank, port, *arguments):
+    """Train as one of two processes, with the variables that torchrun sets."""
+    os.environ |= {"RANK": str(rank), "WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port)}
+    torch.set_num_threads(1)
+    train(*arguments, precision="float32")
+
+
 def test_two_processes_compute_what_one_does(data, tmp_path):
     """By SGD: Adam divides by the gradient's size, rounding included where a gradient is nearly zero."""
-    recipe = replace(SWEEPNET, optimizer="sgd", learning_rate=0.01)
+    recipe = replace(SWEEPNET, optimizer="sgd", learning_rate=0.01, steps=2)
     one = losses(recipe, tmp_path / "one", data)
-    launcher = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
-    arguments = command(data, tmp_path / "two", "optimizer=sgd", "learning_rate=0.01")
-    subprocess.run([*launcher, *arguments], check=True, env=os.environ | {"OMP_NUM_THREADS": "1"})
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    processes = multiprocessing.get_context("forkserver")
+    processes.set_forkserver_preload(["torch._dynamo", "omnistereo_lib.train"])  # once for both
+    both = [processes.Process(target=train_as, args=(rank, port, recipe, tmp_path / "two", data)) for rank in (0, 1)]
+    for process in both:
+        process.start()
+    for process in both:
+        process.join()
+    assert [process.exitcode for process in both] == [0, 0]
     with (tmp_path / "two" / LOG).open() as file:
         two = [float(row["loss"]) for row in csv.DictReader(file)]
     np.testing.assert_allclose(two, one, rtol=2e-5)
@@ -119,10 +138,10 @@ def test_the_papers_recipe_on_a_small_panorama(data, tmp_path):
     assert osl.SweepNet.from_file(tmp_path / WEIGHTS).config == {"batch_norm": False, "wrap": False}
 
 
-def test_what_is_exported_is_what_was_validated(data, tmp_path):
+def test_what_is_exported_is_what_was_validated(data, finished):
     """The file holds Table I without norms; on the validation frame it has the loss that the log states."""
-    rows = rows_of(SWEEPNET, tmp_path, data)
-    network = osl.SweepNet.from_file(tmp_path / WEIGHTS)
+    out, rows = finished
+    network = osl.SweepNet.from_file(out / WEIGHTS)
     assert sum(p.numel() for p in network.parameters()) == 757_729
     samples = SphereSamples(SWEEPNET, data)
     with torch.no_grad():
@@ -132,14 +151,14 @@ def test_what_is_exported_is_what_was_validated(data, tmp_path):
         ]
         found = np.mean([SphereObjective(network)(batch)[0].item() for batch in batches])
     assert found == pytest.approx(rows[-1]["validation_loss"], rel=1e-4)
-    assert load_tensors(tmp_path / WEIGHTS)[1]["recipe"] == SWEEPNET.as_dict()
+    assert load_tensors(out / WEIGHTS)[1]["recipe"] == SWEEPNET.as_dict()
 
 
-def test_a_finished_run_ships_with_its_curve_and_card(data, tmp_path):
-    rows = stopped(SWEEPNET, tmp_path / "run", data, 2) + rows_of(SWEEPNET, tmp_path / "run", data)
-    files = export_weights(tmp_path / "run", tmp_path / "weights")
+def test_a_finished_run_ships_with_its_curve_and_card(data, finished, tmp_path):
+    run, rows = finished
+    files = export_weights(run, tmp_path / "weights")
     assert [path.name for path in files] == ["sweepnet.safetensors", "sweepnet.csv", "sweepnet.md"]
-    assert files[0].read_bytes() == (tmp_path / "run" / WEIGHTS).read_bytes()
+    assert files[0].read_bytes() == (run / WEIGHTS).read_bytes()
     card = files[2].read_text()
     assert hashlib.sha256(files[0].read_bytes()).hexdigest() in card
     assert f"{data.parent.name}/{data.name}, 4 frames" in card and "float32" in card
@@ -150,7 +169,7 @@ def test_a_finished_run_ships_with_its_curve_and_card(data, tmp_path):
         curve = list(csv.DictReader(file))
     assert float(curve[0]["loss"]) == pytest.approx(np.mean([row["loss"] for row in rows[:10]]), rel=1e-3)
     assert int(curve[-1]["step"]) == SWEEPNET.steps
-    half = export_weights(tmp_path / "run", tmp_path / "half", half=True)
+    half = export_weights(run, tmp_path / "half", half=True)
     assert (
         half[0].stat().st_size < 0.55 * files[0].stat().st_size
         and "python -m course ship --half`" in half[2].read_text()
@@ -161,10 +180,9 @@ def test_a_finished_run_ships_with_its_curve_and_card(data, tmp_path):
         assert halved[name].dtype == torch.float32
 
 
-def test_a_run_may_begin_with_trained_weights(data, tmp_path):
-    recipe = replace(SWEEPNET, batch_norm=False)
-    losses(SWEEPNET, tmp_path / "first", data)  # with norms, which its weights have folded in
-    start = tmp_path / "first" / WEIGHTS
+def test_a_run_may_begin_with_trained_weights(data, finished, tmp_path):
+    recipe = replace(SWEEPNET, batch_norm=False, steps=2, warmup=0)
+    start = finished[0] / WEIGHTS  # of a network with norms, which are folded into them
     samples, rng = SphereSamples(recipe, data), [np.random.default_rng([recipe.seed, 0, k]) for k in range(2)]
     objective = SphereObjective(osl.SweepNet.from_file(start))
     expected = [
@@ -172,10 +190,6 @@ def test_a_run_may_begin_with_trained_weights(data, tmp_path):
     ]
     found = losses(recipe, tmp_path / "whole", data, init_weights=start)
     assert found[0] == pytest.approx(np.mean(expected), rel=1e-5)
-    rows = stopped(recipe, tmp_path / "stopped", data, 2, init_weights=start)
-    assert [row["loss"] for row in rows] == found[:2]
-    assert losses(recipe, tmp_path / "stopped", data, init_weights=start) == found[2:]
-    assert_same_weights(weights(tmp_path / "whole"), weights(tmp_path / "stopped"))
     card = export_weights(tmp_path / "whole", tmp_path / "weights")[2].read_text()
     assert f"--init-weights FILE`, FILE with SHA-256 `{hashlib.sha256(start.read_bytes()).hexdigest()}`" in card
     with refused(r"a different run with init_weights = \w{64}; expected init_weights = None"):
@@ -204,16 +218,15 @@ def test_rates():
 # ---- bad input
 
 
-def test_a_folder_with_another_run_is_left_alone(data, tmp_path):
-    losses(SWEEPNET, tmp_path, data)
+def test_a_folder_with_another_run_is_left_alone(data, finished):
     with refused(r"a different run with seed = 0; expected seed = 5"):
-        losses(replace(SWEEPNET, seed=5), tmp_path, data)
+        losses(replace(SWEEPNET, seed=5), finished[0], data)
     with refused(r"a different run with network = sweepnet, .*; expected network = mccnn, "):
-        losses(MCCNN, tmp_path, data)
+        losses(MCCNN, finished[0], data)
 
 
 def test_a_loss_that_is_not_finite_stops_the_run(data, tmp_path):
-    recipe = replace(SWEEPNET, optimizer="sgd", learning_rate=1e30, warmup=0, batch_norm=False, steps=20)
+    recipe = replace(SWEEPNET, optimizer="sgd", learning_rate=1e30, warmup=0, batch_norm=False, steps=4)
     with refused(r"was not finite in 2 of \d+ steps\. Lower learning_rate"):
         losses(recipe, tmp_path, data, checkpoint_s=0)
     assert (tmp_path / STATE).is_file() and load_tensors(tmp_path / STATE)  # finite: `load_tensors` checks
@@ -250,12 +263,6 @@ def test_weights_that_are_not_finite_stop_the_run(data, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("precision, layout", [("float32", "contiguous_format"), ("bfloat16", "channels_last")])
-def test_order_in_memory_is_the_fastest_for_gradients(precision, layout, data):
-    network = _Run(SWEEPNET, data, torch.device("cpu"), precision, None).network
-    assert network.layers["conv20"].weight.is_contiguous(memory_format=getattr(torch, layout)) and network.training
-
-
 def test_bad_data(data, tmp_path):
     with refused("nothing"):
         losses(SWEEPNET, tmp_path / "out", tmp_path / "nothing")
@@ -287,6 +294,10 @@ def test_bad_recipes(data, tmp_path, monkeypatch):
         replace(MCCNN, negative_low_px=0.1)
     monkeypatch.setenv("WORLD_SIZE", "3")
     with refused("is not divisible by 3 processes; expected 1 or 2 of them. .* --set frames_per_step=3$"):
+        losses(SWEEPNET, tmp_path, data)
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    monkeypatch.delenv("MASTER_ADDR", raising=False)
+    with refused(r"WORLD_SIZE is 2.*start by torchrun"):
         losses(SWEEPNET, tmp_path, data)
 
 
@@ -337,10 +348,3 @@ def test_a_folder_in_the_place_of_the_state_is_refused_before_the_first_step(dat
     with refused(STATE):
         train(MCCNN, tmp_path, data, on_step=steps.append)
     assert steps == []
-
-
-def test_a_world_of_several_processes_without_torchrun_is_refused(data, tmp_path, monkeypatch):
-    monkeypatch.setenv("WORLD_SIZE", "2")
-    monkeypatch.delenv("MASTER_ADDR", raising=False)
-    with refused(r"WORLD_SIZE is 2.*start by torchrun"):
-        train(replace(MCCNN, frames_per_step=2), tmp_path, data)

@@ -1,6 +1,7 @@
 """Training of VolumeNet: ground truth turns with the grid, the loss has a closed form, runs learn and resume."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from omnistereo_lib.stereo import correlation
 from omnistereo_lib.stereo.volumenet import local_mean
 from omnistereo_lib.stereo.weights import load_tensors
 from omnistereo_lib.train import RECIPES, VolumeNetRecipe, train
+from omnistereo_lib.train.endless.worlds import EndlessWorlds
 from omnistereo_lib.train.volumes import VolumeObjective, VolumeSample, VolumeSamples
 
 TINY = VolumeNetRecipe(width=64, height=16, num_spheres=16, steps=4, validate_every=2, validation_groups=1, warmup=2)
@@ -90,33 +92,27 @@ def test_the_loss_is_the_cross_entropy_of_the_two_nearest_spheres():
 
 def test_it_learns_a_batch_that_comes_again_and_again(data, tmp_path, same_batch):
     rows = []
-    train(replace(TINY, steps=8, validate_every=8), tmp_path, data, precision="float32", on_step=rows.append)
+    train(replace(TINY, steps=6, validate_every=6), tmp_path, data, precision="float32", on_step=rows.append)
     assert rows[-1]["loss"] < 0.8 * rows[0]["loss"]
 
 
-def test_a_run_resumes_to_the_same_weights(data, tmp_path):
-    recipe = replace(TINY, steps=6)
-    whole = train(recipe, tmp_path / "whole", data, precision="float32")
+def test_a_run_among_folders_and_endless_worlds_resumes_to_the_same_weights(data, tmp_path, monkeypatch):
+    monkeypatch.setattr("omnistereo_lib.train.frames.EndlessWorlds", partial(EndlessWorlds, workers=0))
 
     def interrupt(row):
-        if row["step"] == 2:
+        if row["step"] == 1:
             raise KeyboardInterrupt
 
+    recipe, worlds = replace(TINY, steps=3, validate_every=3), [data, "endless"]
+    whole = train(recipe, tmp_path / "whole", worlds, precision="float32")
     with pytest.raises(KeyboardInterrupt):
-        train(recipe, tmp_path / "parts", data, precision="float32", checkpoint_s=0, on_step=interrupt)
-    parts = train(recipe, tmp_path / "parts", data, precision="float32")
+        train(recipe, tmp_path / "parts", worlds, precision="float32", checkpoint_s=0, on_step=interrupt)
+    parts = train(recipe, tmp_path / "parts", worlds, precision="float32")
     assert whole.read_bytes() == parts.read_bytes()
     _, metadata = load_tensors(whole)
     assert metadata["architecture"] == "VolumeNet" and metadata["data"]["frames"] == 3
     weights, curve, card = export_weights(tmp_path / "whole", tmp_path / "weights", half=True)
-    assert weights.name == "volumenet.safetensors" and "\n6," in curve.read_text() and "things" in card.read_text()
-
-
-def test_every_preset_makes_a_step(data, tmp_path):
-    """The numbers of the presets, at a size that a test can wait for."""
-    for name, recipe in RECIPES["volumenet"].items():
-        small = {"width": 64, "height": 16, "num_spheres": 16, "steps": 1, "validation_groups": 1}
-        train(replace(recipe, **small), tmp_path / name, data, precision="float32")
+    assert weights.name == "volumenet.safetensors" and "\n3," in curve.read_text() and "things" in card.read_text()
 
 
 @pytest.mark.parametrize(
