@@ -93,7 +93,7 @@ WRONG = "def zncc(a, b):\n    return (1 - nb04.zncc(a, b)) / 2"
 SLOW = "def winner(*arguments):\n    time.sleep(99)"
 EATEN = "eaten = [b'x' * 2**20 * n for n in range(10**6)]"
 FORKS = "for _ in range(8):\n    os.fork()\ntime.sleep(99)"
-BROKEN = "raise ValueError('\\ud83d\\x1b[2J')  # \ud83d"
+BROKEN = "raise ValueError('\\ud83d\\x1b[2J')"
 LEFT = """import atexit, threading
 for _ in range(3000):
     os.mkdir('d')
@@ -115,27 +115,21 @@ JUDGED = {
 }
 # The same of a right function, then a cell, then a stub.
 ACCIDENTS = {
-    "=1+1": ("", "tried", ""),
-    "\udcff@": ("", "tried", ""),
-    "other version": (
+    "\udcff@": (
         "exercises.check_that_was(zncc)",
         "tried",
         "calls check_that_was, which the notebook here does not",
     ),
     "writes over it": ("zncc = None", "tried", ""),
     "eats": (EATEN, "judged", "stopped in code cell 3: it used more than 0.7 GiB"),
-    "reads zeros": ("open('/dev/zero', 'rb').read()", "judged", "stopped in code cell 3: it used more than 0.7 GiB"),
     "never ends": (DEAF, "judged", "stopped in code cell 3: it ran longer than 15 s"),
     "forks": (FORKS, "judged", "stopped in code cell 3: it ran more than 99 processes"),
-    "leaves": ("os._exit(0)", "judged", "stopped in code cell 3: its process ended with status 0"),
     "dies": ("os.kill(os.getpid(), 9)", "judged", "stopped in code cell 3: its process ended with status -9"),
-    "daemon": (DAEMON, "tried", ""),
+    "=1+1": (DAEMON, "tried", ""),
     "leaves things": (f"os.chdir(os.environ['TMPDIR'])\n{LEFT}", "tried", "left threads behind: sleeper"),
     "pipes": (PIPES, "tried", ""),
-    "broken letters": (BROKEN, "tried", "code cell 3 stopped with UnicodeEncodeError"),
-    "broken text": (BROKEN.partition("#")[0], "tried", r"code cell 3 stopped with ValueError: \ud83d\x1b[2J"),
+    "broken text": (BROKEN, "tried", r"code cell 3 stopped with ValueError: \ud83d\x1b[2J"),
     "terms": ("+".join(["1"] * 100_000), "tried", "code cell 3 stopped with RecursionError"),
-    "deep": ("def f():\n    f()\n\n\nf()", "tried", "code cell 3 stopped with RecursionError"),
     "mute": (MUTE, "tried", "code cell 3 stopped with Mute"),
     "apart 1": (APART, "tried", "code cell 3 stopped with AssertionError: no solutions here"),
     "apart 2": (APART, "tried", "code cell 3 stopped with AssertionError: no solutions here"),
@@ -177,9 +171,8 @@ def checked(tmp_path_factory):
         return {row["file"]: row for row in csv.DictReader(file)}, folder, out
 
 
-def test_a_class_of_thirty_ends_with_a_row_for_each(checked):
-    rows, _, _ = checked
-    assert len(rows) == len(JUDGED) + len(UNREADABLE) > 30
+def test_a_class_ends_with_a_row_for_each(checked):
+    assert len(checked[0]) == len(JUDGED) + len(UNREADABLE)
 
 
 @pytest.mark.parametrize("name", JUDGED)
@@ -238,12 +231,12 @@ def test_a_class_resumes(checked, monkeypatch, capsys):
     monkeypatch.setattr(handin, "check_notebook", lambda path, *_: ran.append(path.stem) or dict(sheet))
     monkeypatch.setattr(handin, "ENVIRONMENT", [])
     write(folder / "bad.ipynb", student_writes("# another try"))
-    for name, damage in (("deep", "{"), ("dies", '{"exercises": 3}'), ("eats", "[" * 100_000)):
+    for name, damage in (("terms", "{"), ("dies", '{"exercises": 3}'), ("eats", "[" * 100_000)):
         (out / f"{name}.ipynb.json").write_text(damage, encoding="utf-8")
     (out / "mute.ipynb.json").unlink()
     os.mkfifo(out / "mute.ipynb.json")
     handin.check(folder, out)
-    assert set(ran) - set(UNREADABLE) == {"bad", "deep", "dies", "eats", "mute", "z spoils", "\udcff@"}
+    assert set(ran) - set(UNREADABLE) == {"bad", "terms", "dies", "eats", "mute", "z spoils", "\udcff@"}
     assert "good.ipynb: notebook 04_zncc" in capsys.readouterr().out
 
 

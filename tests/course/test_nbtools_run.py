@@ -4,7 +4,7 @@ import os
 
 import nbformat
 import pytest
-from notebook_cells import DRAWING, FACTS, SLIDER, code, framed, nbval, notebook, write
+from notebook_cells import DRAWING, FACTS, SLIDER, code, framed, notebook, write
 
 from course import nbtools
 from course.figures.captions import captions
@@ -21,13 +21,12 @@ def stand_in(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_run_stores_a_notebook_that_guard_nbval_and_a_second_run_accept(stand_in):
+def test_run_stores_a_notebook_that_the_guard_and_a_second_run_accept(stand_in):
     nb = framed(*map(code, [nbtools.SETUP, DRAWING, SLIDER, "2 * 0.25"]))
     path = write(stand_in / "tiny.ipynb", nb)
     assert kernels.run([path])
     first = path.read_text(encoding="utf-8")
     assert rules.lint([path])
-    assert nbval(path) == [True] * 4
     assert kernels.run([path])
     assert path.read_text(encoding="utf-8") == first
     cells = nbtools.code_cells(nbformat.reads(first, as_version=4))
@@ -41,8 +40,7 @@ def test_run_stores_a_notebook_that_guard_nbval_and_a_second_run_accept(stand_in
     ("source", "budget", "said"),
     [
         ("1 / 0", 60, "ZeroDivisionError"),
-        ("import warnings\nwarnings.warn('old')", 60, "a warning"),
-        ("import time\ntime.sleep(1)", 1, "its budget is 1 s"),
+        ("pass", 0, "its budget is 0 s"),
     ],
 )
 def test_run_keeps_the_file_as_it_was_when_something_is_wrong(stand_in, capsys, source, budget, said):

@@ -36,7 +36,7 @@ def test_mean_and_variance_of_whole_pixels_by_hand():
 
 @pytest.mark.parametrize("network", [MeanAndVariance, SpheresAsChannels])
 def test_a_variant_is_a_cost(network):
-    rig, grid = scene.rig(width=120, height=112), osl.SphereGrid(64, 16, num_spheres=32, min_depth=0.6)
+    rig, grid = scene.rig(width=60, height=56), osl.SphereGrid(64, 16, num_spheres=32, min_depth=0.6)
     volume = osl.cost_volume(osl.SphereSweep(rig, grid), scene.images(rig, finest=0.5), network().eval())
     assert torch.allclose((1 - volume).nansum(-1), torch.tensor(1.0), atol=1e-4)
 
