@@ -137,11 +137,11 @@ def _prepare_worker() -> None:
     Thread(target=end_with, args=[parent_process()], daemon=True).start()
 
 
-def draw_frame(seed: int, number: int) -> EndlessFrame:
-    """Draw a frame; images are about 300 to 400 pixels wide."""
+def draw_frame(seed: int, number: int, size: float = 1.0) -> EndlessFrame:
+    """Draw a frame; images are about 300 to 400 pixels wide, times `size`."""
     rng = np.random.default_rng([seed, _PURPOSE, number])
     builder, light, radius = SCENES[rng.integers(len(SCENES))](rng)
-    rig = draw_rig(rng, radius)
+    rig = draw_rig(rng, radius, size)
     scene = Scene(without_obstacles(np.concatenate(builder.primitives), rig, 0.05 + 0.1 * radius), light)
     nearest = 1 / max(scene.inverse_depth_along(SphereGrid(160, 40).rays()).max(), 0.01)
     rig = Rig(rig.cameras, rig.T_rig_cam, float(nearest * rng.uniform(0.2, 0.7)))
@@ -163,13 +163,13 @@ def without_obstacles(primitives: NDArray[Any], rig: Rig, clearance: float) -> N
     return primitives[keep]
 
 
-def draw_rig(rng: Generator, radius: float) -> Rig:
+def draw_rig(rng: Generator, radius: float, size: float = 1.0) -> Rig:
     """Draw a rig of 2 to 6 cameras about a radius in metres around the origin."""
     count = int(rng.choice([2, 3, 4, 5, 6], p=[0.1, 0.2, 0.45, 0.12, 0.13]))
     stacked = count == 2 and rng.random() < 0.5  # one above the other, both looking up or down
     heights = rng.uniform(0.3, 1.0) * radius * (-1) ** np.arange(count) if rng.random() < 0.15 else np.zeros(count)
     widest = rng.uniform(195, 230) if count < 4 else rng.uniform(160, 230)
-    width, bend, alike = int(rng.integers(300, 401)), rng.uniform(-1, 1), rng.random() < 0.7
+    width, bend, alike = int(size * rng.integers(300, 401)), rng.uniform(-1, 1), rng.random() < 0.7
     whole = Pose.from_vector([*rng.normal(0, np.radians(4), 3), 0, 0, 0])
     start, looks, sloppy = rng.uniform(0, 2 * np.pi), rng.choice([-1, 1]), np.radians(rng.choice([1, 4]))
     upright = rng.random() < 0.85
