@@ -5,12 +5,10 @@ OUT a folder that does not exist yet, BOARDS a folder of corners, LONG a name of
 """
 
 import json
-import os
 import shutil
 import struct
 import zlib
 from collections.abc import Callable
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,7 +27,6 @@ from omnistereo_lib.geometry.rig import camera_pairs
 DEPTH = "depth --rig RIG --images IMAGES --width 96 --height 24 --spheres 16 --method zncc --out OUT "
 RECORDING = DEPTH.replace("depth", "record").replace("IMAGES", "DATA/cam1 DATA/cam2 DATA/cam3 DATA/cam4")
 SET = "depth --rig DATA --width 96 --height 24 --spheres 16 --method zncc --out OUT "
-DOCTOR = "doctor --rig RIG --images IMAGES --width 96 --height 24 --spheres 16 "
 LOOK = "doctor --rig RIG "
 EVALUATE = "evaluate --sets DATA --methods zncc --out OUT "
 TRAIN = "train sweepnet --data DATA --out OUT "
@@ -43,7 +40,6 @@ class Row(NamedTuple):
     command: str
     said: str  # regular expression
     spoil: Callable[[Path], None] = lambda data: None  # makes the input bad
-    code: int = 2
 
 
 class Call(NamedTuple):
@@ -96,48 +92,14 @@ def without(key: str) -> Callable[[Path], None]:
     return config(lambda content: content["cameras"][1].pop(key))
 
 
-def kalibr(R: np.ndarray) -> Callable[[Path], None]:
-    """A Kalibr chain whose second camera has this rotation."""
-    camera = {
-        "camera_model": "ds",
-        "intrinsics": [-0.2, 0.55, 60.0, 60.0, 100.0, 96.0],
-        "resolution": [200, 192],
-        "distortion_model": "none",
-        "distortion_coeffs": [],
-    }
-    T = np.eye(4)
-    T[:3, :3] = R
-    return write("config.yaml", yaml.safe_dump({"cam0": camera, "cam1": {**camera, "T_cn_cnm1": T.tolist()}}))
-
-
 def no_shared_view(data: Path) -> None:
     narrow = scene.camera(200, 192, max_fov_deg=60)
     poses = [osl.Pose.from_vector([0, turn, 0, 0.2 * np.cos(turn), 0, 0.2 * np.sin(turn)]) for turn in QUARTERS]
     osl.save_rig(osl.Rig([narrow] * 4, poses, min_depth=0.6), data / "config.yaml")
 
 
-def folders_of_other_names(data: Path) -> None:
-    for camera in (1, 2, 3, 4):
-        (data / f"cam{camera}").rename(data / f"view{camera}")
-
-
 QUARTERS = np.arange(4) * np.pi / 2
 SMALLER = np.zeros((96, 100, 3), np.uint8)
-
-
-def poses(change: Callable[[list, int], list]) -> Callable[[Path], None]:
-    """Change the pose (axis-angle, metres) of every camera."""
-
-    def edit(content: dict) -> None:
-        for number, camera in enumerate(content["cameras"]):
-            camera["pose"] = change(camera["pose"], number)
-
-    return config(edit)
-
-
-def same_picture(data: Path) -> None:
-    for camera in (2, 3, 4):
-        first(data, camera).write_bytes(first(data, 1).read_bytes())
 
 
 def two_pictures_swapped(data: Path) -> None:
@@ -194,21 +156,19 @@ COMMANDS = [
     Row("a mask hides all", DEPTH + "--masks DATA/0.png DATA/0.png DATA/0.png DATA/0.png",
         "0.png hides the whole picture; expected", lambda d: write_image(d / "0.png", np.zeros((192, 200)))),
     # panoramas
-    Row("phi upside down", DEPTH + "--phi 45 -45", r"phi_deg is .* first < last"),
     Row("depth not a number", DEPTH + "--min-depth nan", r"min_depth is nan and max_depth inf"),
     Row("width in words", DEPTH + "--width wide", "--width: invalid int value"),
     Row("lower than the window", DEPTH + "--height 4", r"window is 5; expected at most .* 96 × 4"),
     Row("more than the memory", DEPTH + "--width 30000 --height 30000 --spheres 9999", "9999 spheres needs .*GiB"),
     Row("wider than OpenCV can", DEPTH + "--width 32767", "32767.* 32766"),
     Row("a nearest depth beyond the Moon", DEPTH + "--min-depth 1e30", r"min_depth is 1e\+30 .*at most 1e\+09"),
-    Row("onnx: zero depth", "onnx --rig RIG --out OUT --min-depth 0", r"min_depth is 0.0 and max_depth inf"),
     # methods
     Row("no such method", DEPTH + "--method magic", r"one of zncc, mccnn, sweepnet, volumenet, got 'magic'"),
     Row("no such smoothing", DEPTH + "--method zncc+median", "aggregate must be one of none, sgm, got 'median'"),
     Row("no such setting", DEPTH + "--method zncc,size=5", "unknown setting 'size'; expected one of window"),
     Row("a setting of another type", DEPTH + "--method zncc,window=wide", "window must be of type int, got 'wide'"),
-    Row("a setting it does not use", DEPTH + "--method zncc,p1=0.2", "zncc does not use p1. Leave it out"),
     Row("penalties upside down", DEPTH + "--method zncc+sgm,p1=3,p2=2", r"expected 0 ≤ p1 ≤ p2, got 3.0 and 2.0"),
+    Row("a setting it does not use", DEPTH + "--method zncc,p1=0.2", "zncc does not use p1. Leave it out"),
     Row("no such pairs", DEPTH + "--method zncc,pairs=some", "pairs must be one of ring, all"),
     Row("weights outside", DEPTH + "--method sweepnet,weights=../mine", "without folder and ending"),
     Row("no such device", DEPTH + "--device tpu", "--device: invalid choice: 'tpu'"),
@@ -216,33 +176,23 @@ COMMANDS = [
     # data sets and outputs
     Row("no such frame", SET + "--frame 7", r"has frames 0 to 0, not 7"),
     Row("a file as data set", SET + "--rig RIG", r"config.yaml is not a data set folder"),
-    Row("no data set", SET + "--rig DATA/none", r"none is not a data set folder"),
     Row("damaged ground truth", SET, "00001.tiff is not an image", write("omnidepth_gt_96/00001.tiff", "II*")),
     Row("out is a file", DEPTH + "--out RIG", r"config.yaml cannot be made or written to: File exists"),
     Row("out below a file", DEPTH + "--out RIG/out", r"cannot be made or written to: Not a directory"),
     Row("a mesh of another kind", DEPTH + "--mesh OUT.stl", r"out.stl has the wrong suffix; expected .glb or .ply"),
     Row("an image of another kind", DEPTH + "--equirectangular OUT.jpg", r"out.jpg has the wrong suffix; expected"),
-    Row("a mesh below a file", DEPTH + "--mesh RIG/a.glb", r"config.yaml cannot be made or written to"),
     Row("a farthest depth not a number", DEPTH + "--max-depth nan", "--max-depth is nan; expected a number of"),
     Row("a confidence of 7", DEPTH + "--min-confidence 7", "--min-confidence is 7.0; expected a number of 0 to 1"),
     # recordings
     Row("a recording whose last picture is torn", RECORDING, r"cam2.0002.png is damaged, truncated", torn_later),
     Row("every 0th frame", RECORDING + "--step 0", "--step is 0; expected an integer of 1"),
     Row("a start below 0", RECORDING + "--start -5", "--start is -5; expected an integer of 0"),
-    Row("a recording over its pictures", RECORDING + "--out DATA", "config.yaml is read, and writing .*config.yaml"),
-    Row("a recording over a rig file", RECORDING.replace("cam", "view") + "--out DATA",
-        "config.yaml is read, and writing .*config.yaml", folders_of_other_names),
-    Row("a video below a file", RECORDING + "--video RIG/a.mp4", r"config.yaml cannot be made or written to"),
     Row("pictures as a recording", DEPTH.replace("depth", "record"), r"neither a folder nor a vid.*: omnistereo depth"),
     # rig files
-    Row("no rig file", LOOK + "--rig DATA/none.yaml", r"none.yaml.*"),
     Row("a rig file of a long name", DEPTH + "--rig LONG", "File name too long"),
     Row("another format", LOOK, r"config.yaml: unknown format", write("config.yaml", "cameras: 4\n")),
     Row("no cameras", LOOK, "config.yaml: the rig has 0 cameras", write("config.yaml", "cameras: []\n")),
     Row("YAML cut off", LOOK, "config.yaml: not valid JSON or YAML", write("config.yaml", "a: [1, 2")),
-    Row("YAML with code", LOOK, "config.yaml: not valid", write("config.yaml", "!!python/object/apply:os.getcwd []")),
-    Row("YAML nested deep", LOOK, "config.yaml: not valid JSON or YAML", write("config.yaml", "[" * 20000)),
-    Row("one camera", LOOK, "of one camera; a rig needs", config(lambda c: c.update(cameras=c["cameras"][:1]))),
     Row("a camera is a number", LOOK, "cameras 5: found 5; expected keys", config(lambda c: c["cameras"].append(5))),
     Row("a pose not a number", LOOK, r"camera 2.* finite numbers", second("pose", [float("nan"), 0, 0, 0, 0, 0])),
     Row("a pose of words", LOOK, r"camera 2.* must be numbers", second("pose", ["a"] * 6)),
@@ -260,22 +210,12 @@ COMMANDS = [
     Row("a mask outside the folder", LOOK, r"camera 2: .*\.\./", second("invalid_mask", "../mask.png")),
     Row("a mask of a long name", LOOK, "camera 2: .*nnn.*; expected a path below", second("invalid_mask", 300 * "n")),
     Row("a mask by an absolute path", LOOK, "camera 2: .*/etc/passwd", second("invalid_mask", "/etc/passwd")),
-    Row("ground truth outside the folder", SET, "config.yaml", config(lambda c: c["dataset"].update(truth="../../.."))),
-    Row("two pictures of one frame", SET, "have the same number; expected one", lambda d: shutil.copy(
-        first(d), first(d).with_suffix(".jpg"))),
-    Row("a camera without the frame", SET, "cam2 has no|has no image of frame", lambda d: first(d).rename(
-        first(d).with_name("0002.png"))),
-    Row("a camera folder too few", SET, "expected cam1 to cam4", lambda d: shutil.rmtree(d / "cam2")),
-    Row("a key twice", LOOK, "config.yaml: .*config", lambda d: (d / "config.yaml").write_text(
-        (d / "config.yaml").read_text() + "config: {}\n")),
     Row("a nearest depth in words", LOOK, "config.yaml: omnimvs_sweep_min_depth must be numbers",
         config(lambda c: c.update(config={"omnimvs_sweep_min_depth": "near"}))),
     Row("a nearest depth below 0", LOOK, "config.yaml: .*omnimvs_sweep_min_depth.* -1.*expected",
         config(lambda c: c.update(config={"omnimvs_sweep_min_depth": -1}))),
-    Row("a scaled rotation", LOOK, r"config.yaml.* not a rotation", kalibr(2 * np.eye(3))),
     Row("cameras that share no view", DEPTH, r"no ray is visible to both cameras of any pair", no_shared_view),
     # evaluate
-    Row("evaluate: no such method", EVALUATE + "--methods magic", "cost must be one of zncc"),
     Row("evaluate: no such ablation", EVALUATE + "--ablations everything", "unknown ablation 'everything'; expected"),
     Row("evaluate: no such set", EVALUATE + "--sets rainy", "data set 'rainy' not found"),
     Row("evaluate: no weights", EVALUATE + "--methods sweepnet --weights none", "weights are missing: none.sweepnet"),
@@ -283,73 +223,65 @@ COMMANDS = [
     Row("evaluate: no such split", EVALUATE + "--split test", "has no split 'test'"),
     Row("evaluate: no nearest depth", EVALUATE, "does not state its nearest depth",
         config(lambda c: c.update(config={}))),
-    Row("evaluate: no such rig", EVALUATE + "--rig DATA/none.yaml", "none.yaml cannot be read"),
-    Row("evaluate: out is a file", EVALUATE + "--out RIG", "config.yaml cannot be made or written to"),
     # train
     Row("train: no such network", "train resnet", "invalid choice: 'resnet'"),
     Row("train: no such preset", TRAIN + "--preset tiny", "sweepnet has the presets .*, not 'tiny'"),
-    Row("train: no such setting", TRAIN + "--set wings=2", "unknown setting 'wings'; a sweepnet recipe has"),
     Row("train: a setting of words", TRAIN + "--set steps=many", "steps=many: 'many'; expected int"),
-    Row("train: no steps", TRAIN + "--set steps=0", "steps = 0; expected"),
     Row("train: a seed of 70 bits", TRAIN + "--set seed=1180591620717411303424", "seed = 1180.*; expected .*2.31"),
-    Row("train: one sphere", TRAIN + "--set num_spheres=1", "num_spheres is 1; expected", two_frames),
     Row("train: an odd panorama", TRAIN + "--set width=47 height=12", r"47 × 12 pixels; .* must be even", two_frames),
     Row("train: no weights to start from", TRAIN + "--init-weights DATA/none.safetensors",
         "none.safetensors", two_frames),
     Row("train: text as weights", TRAIN + "--init-weights RIG", "config.yaml is not a complete", two_frames),
     Row("train: one frame", TRAIN, "has 1 frames with ground truth; expected at least 2"),
-    Row("train: no data", TRAIN + "--data DATA/none", "none"),
     # calibrate
     Row("calibrate: a board of words", CALIBRATE + "--board twelve", "expected columns x rows such as --board 12x10"),
-    Row("calibrate: a board of two columns", CALIBRATE + "--board 2x9", "two integers of 3 to 200"),
     Row("calibrate: another board", CALIBRATE + "--board 9x6", "is of a board of 4 x 3", corners("a", "a")),
-    Row("calibrate: squares not a number", CALIBRATE + "--square nan", "its edge in metres"),
     Row("calibrate: no field of view", CALIBRATE + "--max-fov 0", "max_fov_deg is 0.0; expected", corners("a", "a")),
     Row("calibrate: radians", CALIBRATE + "--max-fov 3.84", r"is 3.84; .* radians \(220", corners("a", "a")),
     Row("calibrate: degree 0", CALIBRATE + "--degree 0", "degree is 0; expected an integer of 4", corners("a", "a")),
     Row("calibrate: one view", CALIBRATE, "1 of 1 views show the board; expected at least 3", corners("a", "a")),
     Row("calibrate: no corners", CALIBRATE, "holds no corners_"),
-    Row("calibrate: no pictures", "calibrate BOARDS --board 4x3 --square 0.06 --out OUT", "boards has no images"),
-    Row("calibrate: no folder", "calibrate DATA/none --board 4x3 --square 0.06 --out OUT", "none is not a folder"),
     Row("calibrate: a wild corner", CALIBRATE, r"corners_1.yaml: view a: corner .*\[-50000.0, 0.0\],? .*outside",
         corners("[0.0000, 0.0000]", "[-50000, 0]")),
     Row("calibrate: a corner of words", CALIBRATE, "corners_1.yaml: ", corners("[0.0000, 0.0000]", "[left, 0]")),
     Row("calibrate: an image of no size", CALIBRATE, r"corners_1.yaml: image_size",
         corners("[200, 192]", "[0, 0]")),
-    Row("calibrate: corners that are no YAML", CALIBRATE, "corners_1.yaml: not ", corners("board:", "[")),
 ]  # fmt: skip
 
-# What computes but can mean nothing: exit status 0, and a warning.
-DOUBTFUL = [
-    Row("cameras at one place", DEPTH, "cameras 1 and 2, 1 and 3, .* are at one place: they see no depth",
-        poses(lambda pose, number: [*pose[:3], 0, 0, 0]), 0),
-    Row("two cameras are one", DEPTH, "cameras 1 and 2 are at one place",
-        config(lambda c: c["cameras"][1].update(pose=c["cameras"][0]["pose"])), 0),
-    Row("poses in millimetres", DEPTH, "the cameras are up to .* m apart. Check the unit of the translations",
-        poses(lambda pose, number: [*pose[:3], *(1000 * t for t in pose[3:])]), 0),
-    Row("spheres inside the rig", DEPTH + "--min-depth 0.01", "the spheres begin at 0.01 m, inside the rig", code=0),
-    Row("the same picture four times", DEPTH, "images 1 and 2, .* are the same picture. Check their paths",
-        same_picture, 0),
-    Row("two pictures swapped", DEPTH, r"the images look swapped \(give them in the order 2 1 3 4\)",
-        two_pictures_swapped, 0),
-]  # fmt: skip
-
-# ---- bombs: small files that would take gigabytes or for ever; the command is what to load
+# ---- bombs: small files that would take gigabytes, or for ever
 
 
-def aliases(data: Path) -> None:
-    """A thousand bytes of YAML that stand for a billion numbers."""
-    lines = ["a: &a [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]"]
-    lines += [f"{b}: &{b} [{', '.join([f'*{a}'] * 10)}]" for a, b in pairwise("abcdefghi")]
-    (data / "config.yaml").write_text("\n".join([*lines, "cameras: [{poly: *i}]"]))
+class Bomb(NamedTuple):
+    """What is loaded, and refused within a second and a gigabyte."""
+
+    wrong: str
+    load: Callable[[Path], Any]
+    said: str
+    spoil: Callable[[Path], None]
+
+
+def pictures(data: Path) -> list[np.ndarray]:
+    return osl.load_images([first(data, camera) for camera in (1, 2, 3, 4)])
+
+
+def images(data: Path) -> Any:
+    return osl.load_dataset(data)[0].images
+
+
+def ground_truth(data: Path) -> np.ndarray:
+    return osl.load_dataset(data)[0].inverse_depth
+
+
+def weights(data: Path) -> osl.MCCNN:
+    return osl.MCCNN.from_file(data / "weights.safetensors")
 
 
 def large(side: int) -> Callable[[Path], None]:
-    """A black PNG of many pixels in few bytes; of the largest only the first rows."""
+    """The first rows of a black PNG of many pixels in few bytes."""
 
     def spoil(data: Path) -> None:
         packer = zlib.compressobj(1)
-        rows = [packer.compress(bytes(1 + side)) for _ in range(min(side, 13_000))]
+        rows = [packer.compress(bytes(1 + side)) for _ in range(1000)]
         size = struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)
         chunks = [(b"IHDR", size), (b"IDAT", b"".join(rows) + packer.flush()), (b"IEND", b"")]
         packed = [struct.pack(">I", len(c)) + n + c + struct.pack(">I", zlib.crc32(n + c)) for n, c in chunks]
@@ -380,34 +312,10 @@ def scans(data: Path) -> None:
 
 
 def large_ground_truth(data: Path) -> None:
-    """A TIFF of zeros."""
-    path, values = data / "omnidepth_gt_96" / "00001.tiff", np.zeros((1 << 13, 1 << 14), np.float32)
-    tifffile.imwrite(path, values, compression="deflate", rowsperstrip=64)
-
-
-def endless(name: str) -> Callable[[Path], None]:
-    """A link to a file that never ends."""
-
-    def spoil(data: Path) -> None:
-        (data / name).unlink(missing_ok=True)
-        (data / name).symlink_to("/dev/zero")
-
-    return spoil
-
-
-def pipe(name: str) -> Callable[[Path], None]:
-    """A pipe into which nobody writes."""
-
-    def spoil(data: Path) -> None:
-        (data / name).unlink(missing_ok=True)
-        os.mkfifo(data / name)
-
-    return spoil
-
-
-def masked(data: Path) -> None:
-    second("invalid_mask", "mask.png")(data)
-    endless("mask.png")(data)
+    """A TIFF whose header states another size than it holds."""
+    with tifffile.TiffFile(data / "omnidepth_gt_96" / "00001.tiff", mode="r+") as tiff:
+        for tag in ("ImageWidth", "ImageLength"):
+            tiff.pages[0].tags[tag].overwrite(1 << 14)
 
 
 def tensors(entry: dict, length: int | None = None) -> Callable[[Path], None]:
@@ -416,38 +324,22 @@ def tensors(entry: dict, length: int | None = None) -> Callable[[Path], None]:
     return write("weights.safetensors", struct.pack("<Q", length or len(header)) + header)
 
 
-MILLION = "1, " * 10**6
 BOMBS = [
-    Row("YAML aliases", "load_rig RIG", "config.yaml", aliases),
-    Row(
-        "a million coefficients",
-        "load_rig RIG",
-        "config.yaml",
-        write("config.yaml", f"cameras: [{{poly: [{MILLION}]}}]"),
-    ),
-    Row("a number of 100,000 digits", "load_rig RIG", "config.yaml", write("config.yaml", "cameras: " + "9" * 10**5)),
-    Row("a rig file without end", "load_rig RIG", "config.yaml", endless("config.yaml")),
-    Row("a mask without end", "load_rig RIG", "mask.png", masked),
-    Row("a mask /dev/zero", "load_rig RIG", "/dev/zero", second("invalid_mask", "/dev/zero")),
-    Row("a rig file that is a pipe", "load_rig RIG", "config.yaml", pipe("config.yaml")),
-    Row("a picture that is a pipe", "load_images IMAGES", "cam2.0001.png", pipe("cam2/0001.png")),
-    Row("a picture without end", "load_images IMAGES", "cam2.0001.png", endless("cam2/0001.png")),
-    Row("a picture of 30,000 × 30,000 pixels", "load_images IMAGES", "cam2.0001.png", large(30_000)),
-    Row("a picture larger than the camera", "images DATA", "is too large for a picture: 13000 × 13000", large(13_000)),
-    Row("a circle of directories", "load_images IMAGES", "cam2.0001.png is not an image",
-        circular("cam2/0001.png")),
-    Row("ground truth with such a circle", "ground_truth DATA", "1.tiff is not an image",
-        circular("omnidepth_gt_96/00001.tiff")),
-    Row("a long chunk", "load_images IMAGES", "cam2.0001.png is damaged, truncated", long_chunk),
-    Row("a picture of 20,000 scans", "load_images IMAGES", "or of too many scans", scans),
-    Row("weights of a long header", "weights DATA", "its header has 109", tensors({}, 1 << 40)),
-    Row("weights of a strange type", "weights DATA", "tensors of type .'F8_E5M2'.; expected F16, BF16",
-        tensors({"dtype": "F8_E5M2", "shape": [0], "data_offsets": [0, 0]})),
-    Row("weights of a thousand dimensions", "weights DATA", "more than 8 dimensions",
-        tensors({"dtype": "F32", "shape": [1] * 1000, "data_offsets": [0, 0]})),
-    Row("weights of a large shape", "weights DATA", "not a complete safetensors",
-        tensors({"dtype": "F32", "shape": [1 << 20, 1 << 20], "data_offsets": [0, 1 << 42]})),
-    Row("ground truth of 134 million pixels", "ground_truth DATA", "is too large for a picture", large_ground_truth),
+    Bomb("a picture of 30,000 × 30,000 pixels", pictures, "cam2.0001.png", large(30_000)),
+    Bomb("a picture larger than the camera", images, "is too large for a picture: 13000 × 13000", large(13_000)),
+    Bomb("a circle of directories", pictures, "cam2.0001.png is not an image", circular("cam2/0001.png")),
+    Bomb("ground truth with such a circle", ground_truth, "1.tiff is not an image",
+         circular("omnidepth_gt_96/00001.tiff")),
+    Bomb("a long chunk", pictures, "cam2.0001.png is damaged, truncated", long_chunk),
+    Bomb("a picture of 20,000 scans", pictures, "or of too many scans", scans),
+    Bomb("weights of a long header", weights, "its header has 109", tensors({}, 1 << 40)),
+    Bomb("weights of a strange type", weights, "tensors of type .'F8_E5M2'.; expected F16, BF16",
+         tensors({"dtype": "F8_E5M2", "shape": [0], "data_offsets": [0, 0]})),
+    Bomb("weights of a thousand dimensions", weights, "more than 8 dimensions",
+         tensors({"dtype": "F32", "shape": [1] * 1000, "data_offsets": [0, 0]})),
+    Bomb("weights of a large shape", weights, "not a complete safetensors",
+         tensors({"dtype": "F32", "shape": [1 << 20, 1 << 20], "data_offsets": [0, 1 << 42]})),
+    Bomb("ground truth of 268 million pixels", ground_truth, "is too large for a picture", large_ground_truth),
 ]  # fmt: skip
 
 # ---- calls
@@ -498,8 +390,9 @@ CALLS = [
     Call("a singular map", lambda: camera(affine=(0.0, 1.0, 0.0)), "singular"),
     Call("a mask on its side", lambda: camera(mask=np.ones((200, 192), bool)), r"mask has shape \(200, 192\)"),
     Call("a scaled rotation", lambda: osl.Pose(2 * np.eye(3), np.zeros(3)), "not a rotation"),
-    Call("a mirrored rotation", lambda: osl.Pose(np.diag([1.0, 1, -1]), np.zeros(3)), "determinant -1"),
     Call("a rotation not a number", lambda: osl.Pose(np.full((3, 3), np.nan), np.zeros(3)), "expected finite numbers"),
+    Call("a mirrored rotation", lambda: osl.Pose(np.diag([1.0, 1, -1]), np.zeros(3)), "determinant -1"),
+    Call("no views", lambda: osl.calibrate_camera([], osl.Checkerboard((4, 3), 0.06)), "there are no views"),
     Call("a translation of 1e308", lambda: osl.Pose(np.eye(3), [1e308, 0, 0]), "expected finite numbers, t below"),
     Call("a data set of a long name", lambda: osl.load_dataset(300 * "n"), "cannot be read: there is no such folder"),
     Call("a 4 × 4 rotation", lambda: osl.Pose(np.eye(4), np.zeros(3)), r"expected \(3, 3\)"),
@@ -535,14 +428,11 @@ CALLS = [
     Call("no such device", lambda: depth(device="foo"), "device is 'foo'; expected"),
     Call("a cost that is a number", lambda: osl.cost_volume(osl.SphereSweep(RIG, GRID), IMAGES, 5),
          "cost is 5; expected an object with a method `volume`"),
-    Call("no such method", lambda: depth(method="census"), "got 'census'"),
     Call("a method that is a number", lambda: depth(method=5), "method is 5; expected"),
     Call("no such unit", lambda: osl.load_rig("rig.yaml", "inch"), r"unit is 'inch'; expected one of \['mm'"),
     Call("a field of view of 0", lambda: osl.load_rig("rig.yaml", max_fov_deg=0), "max_fov_deg is 0; expected"),
     Call("no such rig", lambda: osl.load_rig("none.yaml"), "^none.yaml cannot be read"),
-    Call("images and no files", lambda: osl.load_images(["none.png"]), "none.png cannot be read"),
     Call("no such data set", lambda: osl.load_dataset("none"), "none"),
-    Call("no views", lambda: osl.calibrate_camera([], osl.Checkerboard((4, 3), 0.06)), "there are no views"),
     Call("corners without a size", lambda: osl.calibrate_camera(
         [np.zeros((12, 2))], osl.Checkerboard((4, 3), 0.06)), "the image size is unknown"),
     Call("weights that are not there", lambda: osl.SweepNet.from_file("none.safetensors"), "none.safetensors"),

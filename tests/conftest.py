@@ -1,10 +1,12 @@
-"""Which examples Hypothesis draws, and a real browser, for tests that read the course as its readers do."""
+"""Which examples Hypothesis draws, limits of time and memory, and a real browser for what readers open."""
 
 import os
 import shutil
+import sys
 from urllib.parse import urlsplit
 
 import hypothesis
+import psutil
 import pytest
 
 # No deadline: a busy machine is no mistake. In CI the same examples every time: a search for new ones belongs where
@@ -23,6 +25,30 @@ FLAGS = [
     "--disable-sync",
 ]
 PATIENCE_S = 600  # for what takes seconds on an idle machine
+
+
+@pytest.fixture
+def limits():
+    """Return a function that renews the limits of this process: seconds of the processor, and further memory.
+
+    A process that takes longer ends; one that asks for more gets a MemoryError.
+    """
+    if sys.platform != "linux":
+        pytest.skip("limits of memory are Linux's")
+    import resource
+
+    kinds = (resource.RLIMIT_CPU, resource.RLIMIT_AS)
+    before = [resource.getrlimit(kind) for kind in kinds]
+    had = psutil.Process().memory_info().vms
+
+    def renew(memory, seconds=5):
+        used = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
+        for kind, limit, (_, most) in zip(kinds, (int(used) + 1 + seconds, had + memory), before, strict=True):
+            resource.setrlimit(kind, (limit, most))
+
+    yield renew
+    for kind, limit in zip(kinds, before, strict=True):
+        resource.setrlimit(kind, limit)
 
 
 @pytest.fixture(scope="module")

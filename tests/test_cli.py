@@ -1,13 +1,11 @@
 """The command line: what it writes, and one plain line on everything that can be wrong with its input."""
 
-import importlib
 import json
 import re
 import shlex
 
 import cv2
 import numpy as np
-import psutil
 import pytest
 import scene
 import torch
@@ -174,13 +172,6 @@ def test_doctor_of_the_same_picture_twice(data, capsys):
     assert capsys.readouterr().out.endswith("FAIL  images 1 and 2 are the same picture. Check their paths\n")
 
 
-@pytest.mark.parametrize("well", [True, False])
-def test_doctor_of_the_installation(monkeypatch, well):
-    module = importlib.import_module("omnistereo_tools.installation")
-    monkeypatch.setattr(module, "doctor", lambda: well)
-    assert run("doctor") == (0 if well else 1)
-
-
 @pytest.mark.parametrize(
     ("command", "said"),
     [
@@ -226,9 +217,3 @@ def test_warnings_are_plain_lines(data, tmp_path, capsys):
 def test_cuda_where_there_is_none(data, tmp_path, capsys):
     assert run("depth", *with_images(data), "--device", "cuda", "--out", tmp_path / "out") == 2
     assert "PyTorch finds no CUDA GPU" in capsys.readouterr().err
-
-
-def test_out_of_memory_is_foreseen_with_the_figure(data, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(psutil, "virtual_memory", lambda: type("Memory", (), {"available": 2**20})())
-    assert run("depth", *with_images(data), *SMALL, "--out", tmp_path / "out") == 2
-    assert "0.0 GiB are available. Use fewer spheres or a smaller panorama" in capsys.readouterr().err

@@ -270,21 +270,6 @@ def test_png_counts_in_steps_of_the_nearest_depth(tmp_path):
         read_inverse_depth(path)
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
-    [
-        ("a.tiff", None, "cannot be read: No such file"),
-        ("a.tiff", b"hello", "is not an image"),
-        ("a.png", b"hello", "is not an image"),
-    ],
-)
-def test_files_that_are_not_ground_truth(tmp_path, name, content, message):
-    if content is not None:
-        (tmp_path / name).write_bytes(content)
-    with pytest.raises(osl.OmnistereoError, match=f"{name} {message}"):
-        read_inverse_depth(tmp_path / name, 0.5)
-
-
 def test_ground_truth_of_another_kind(tmp_path):
     write_image(tmp_path / "a.png", np.zeros((4, 8), np.uint8))
     with pytest.raises(osl.OmnistereoError, match=r"uint8 of shape \(4, 8\); expected 16-bit gray"):

@@ -10,7 +10,6 @@ import random
 import re
 import socket
 import struct
-import sys
 import warnings
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -54,8 +53,8 @@ from omnistereo_lib.rig_files import load_camera
 from omnistereo_lib.train.loop import COLUMNS, _Run, read_log, write_csv
 from omnistereo_tools.live_view import Latest, LivePicture, serve
 
-SECONDS, MEMORY = 5, 1 << 30  # the budget of a file
-FILES = int(os.environ.get("FUZZ", "150"))
+MEMORY = 1 << 30
+FILES = int(os.environ.get("FUZZ", "50"))
 WORDS = ["nan", ".nan", "inf", "-.inf", "1e308", "-1e308", "1e30", "0", "-1", "2.5", "", "abc", "[]", "{}", "null",
          "true", "9" * 400, "*a", "&a", "!!python/name:os", "\t", '"', "³", "\ufeff", "a: b", "2020-99-99"]  # fmt: skip
 VALUES = [None, True, 0, -1, 1e308, -1e308, 1e30, float("nan"), float("inf"), 10**30, 2.5, "", "abc", [], {}, [[]], [1],
@@ -363,26 +362,9 @@ def peak():
     return 1024 * int(re.search(r"VmPeak:\s*([0-9]+)", status)[1])
 
 
-@pytest.fixture
-def budget():
-    """Return a function to call before each file: the process ends if reading one takes longer than its budget."""
-    resource = pytest.importorskip("resource")
-    of_cpu, of_memory = resource.getrlimit(resource.RLIMIT_CPU), resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (psutil.Process().memory_info().vms + 4 * MEMORY, of_memory[1]))
-
-    def renew():
-        used = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
-        resource.setrlimit(resource.RLIMIT_CPU, (int(used) + 1 + SECONDS, of_cpu[1]))
-
-    yield renew
-    resource.setrlimit(resource.RLIMIT_CPU, of_cpu)
-    resource.setrlimit(resource.RLIMIT_AS, of_memory)
-
-
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.skipif(sys.platform != "linux", reason="limits of memory are Linux's")
 @pytest.mark.filterwarnings("ignore::UserWarning")
-def test_damaged_files_are_refused_or_read_as_finite_numbers(valid, budget, capfd, name):
+def test_damaged_files_are_refused_or_read_as_finite_numbers(valid, limits, capfd, name):
     folder, known = valid
     file, content, read, check, harm = known[name]
     content = content.encode() if isinstance(content, str) else content
@@ -393,7 +375,7 @@ def test_damaged_files_are_refused_or_read_as_finite_numbers(valid, budget, capf
     for number in range(FILES):
         rng = random.Random(f"{name} {number}")
         path.write_bytes(harm(content, rng))
-        budget()
+        limits(memory=4 * MEMORY)
         try:
             result = read(path)
         except osl.OmnistereoError as error:

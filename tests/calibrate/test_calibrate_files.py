@@ -9,6 +9,7 @@ import boards
 import cv2
 import numpy as np
 import pytest
+import scene
 from boards import BOARD, SIZE
 
 import omnistereo_lib as osl
@@ -16,30 +17,11 @@ from omnistereo_lib.calibrate.captures import find_captures, load_corners, save_
 from omnistereo_lib.calibrate.detect import find_corners
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Pose
-from omnistereo_lib.rig_files.camera_models import kannala_brandt
 from omnistereo_tools import cli
-from omnistereo_tools.output.rig_exports import export_rig, fit_kannala_brandt
+from omnistereo_tools.output.rig_exports import export_rig
 
 SHIPPED = Path(osl.__file__).resolve().parents[1] / "data_samples" / "calibration"
 SETS = ["handheld", "mistakes", "van"]
-
-
-def rig_of(seed=0):
-    """A rig of equidistant lenses, r = 200 px · θ, with the poses of `boards`."""
-    rng = np.random.default_rng(seed)
-    theta = np.linspace(0.01, np.radians(105), 300)
-    t = theta - np.pi / 2
-    cameras = []
-    for _ in range(4):
-        f = 200 + rng.normal(0, 1)
-        powers = np.array([0, 2, 3, 4, 5, 6, 7, 8])
-        basis = (theta[:, None] / 2) ** powers * np.sin(theta)[:, None]
-        scaled = np.linalg.lstsq(basis, -f * theta * np.cos(theta), rcond=None)[0]
-        poly = np.zeros(9)
-        poly[powers] = scaled / (2 * f) ** powers
-        inverse = np.polynomial.Polynomial.fit(t, f * theta, 3).convert().coef
-        cameras.append(osl.OcamCamera(poly, inverse, (400 + rng.normal(), 384 + rng.normal()), (1, 0, 0), SIZE, 208))
-    return osl.Rig(cameras, boards.rig_poses())
 
 
 # --- Captures ---------------------------------------------------------------------------------------------
@@ -173,51 +155,13 @@ def test_the_report_on_pictures_names_exactly_the_bad_ones():
 # --- Other programs ---------------------------------------------------------------------------------------
 
 
-def test_kannala_brandt_follows_an_equidistant_lens():
-    camera = rig_of().cameras[0]
-    parameters, residual = fit_kannala_brandt(camera)
-    assert residual < 0.1 and parameters["fx"] == pytest.approx(200, abs=4)
-    rays = np.random.default_rng(0).normal(size=(100, 3)) + np.array([0, 0, 0.5])
-    uv, seen = camera.project(rays)
-    assert np.abs(kannala_brandt(rays, **parameters)[0] - uv)[seen].max() < 0.1
-
-
-@pytest.mark.parametrize("name", ["kalibr.yaml", "opencv.yaml"])
-def test_rigs_for_others_come_back(tmp_path, name):
-    rig = rig_of().transformed(Pose.from_vector([0.1, 0.2, 0.3, 1, 2, 3]))
-    residuals = export_rig(rig, tmp_path)
-    again = osl.load_rig(tmp_path / name, unit="m")
-    for i in range(4):
-        expected = rig.T_rig_cam[0].inverse() @ rig.T_rig_cam[i]
-        angle, shift = (expected.inverse() @ again.T_rig_cam[i]).magnitude()
-        assert angle < 1e-6 and shift < 1e-9
-        rays = np.random.default_rng(i).normal(size=(100, 3)) + np.array([0, 0, 1])
-        (uv, seen), (theirs, there) = rig.cameras[i].project(rays), again.cameras[i].project(rays)
-        assert np.abs(uv - theirs)[seen & there].max() < residuals[i] + 0.05
-
-
 def test_a_lens_that_their_model_cannot_follow_is_named(tmp_path):
-    rig = rig_of()
+    rig = scene.rig()
     sheared = replace(rig.cameras[1], affine=(1.0, 0.01, 0.01))
     rig = osl.Rig([rig.cameras[0], sheared, *rig.cameras[2:]], rig.T_rig_cam)
     with pytest.warns(UserWarning, match=r"does not follow camera 2 \d\.\d px at worst") as said:
         residuals = export_rig(rig, tmp_path)
     assert len(said) == 1 and residuals[1] > 1 > max(residuals[0], *residuals[2:])
-
-
-def test_colmap_files(tmp_path):
-    rig = rig_of()
-    export_rig(rig, tmp_path)
-    lines = (tmp_path / "colmap_cameras.txt").read_text().splitlines()[1:]
-    numbers = [float(word) for word in lines[0].split()[4:]]
-    assert [line.split()[1] for line in lines] == ["OPENCV_FISHEYE"] * 4 and len(numbers) == 8
-    assert numbers[2] == pytest.approx(rig.cameras[0].center[0] + 0.5)  # pixel centres at one half
-    cameras = json.loads((tmp_path / "colmap_rig_config.json").read_text())[0]["cameras"]
-    w, x, y, z = cameras[1]["cam_from_rig_rotation"]
-    T = rig.T_rig_cam[1].inverse() @ rig.T_rig_cam[0]
-    R = np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - z * w)], [2 * (x * y + z * w), 1 - 2 * (x * x + z * z)]])
-    assert np.abs(R - T.R[:2, :2]).max() < 1e-9 and cameras[1]["cam_from_rig_translation"] == T.t.tolist()
-    assert cameras[0] == {"image_prefix": "cam1/", "ref_sensor": True}
 
 
 # --- The command line -------------------------------------------------------------------------------------

@@ -48,17 +48,8 @@ def test_basalt(tmp_path, caplog):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        (
-            {"intrinsics": [{"camera_type": "mirror", "intrinsics": {}}] * 2},
-            "camera 0: camera model 'mirror' is unknown",
-        ),
-        ({"intrinsics": [{"camera_type": "ds", "intrinsics": {"fx": 1.0}}] * 2}, "camera 0: .*needs the parameters"),
         ({"intrinsics": [{"camera_type": "ds", "intrinsics": DOUBLE_SPHERE | {"xi": "a"}}] * 2}, "xi must be numbers"),
-        ({"intrinsics": [{"camera_type": "ds", "intrinsics": 3}] * 2}, "intrinsics: found 3; expected keys"),
         ({"resolution": [list(SIZE)]}, "found 2 T_imu_cam, 2 intrinsics and 1 resolution;"),
-        ({"resolution": 800.0}, "found 2 T_imu_cam, 2 intrinsics and 0 resolution;"),
-        ({"resolution": [[0, 0]] * 2}, "camera 0"),
-        ({"T_imu_cam": [{"qx": 0}] * 2}, "camera 0: key 'qw' is missing"),
         ({"T_imu_cam": [dict.fromkeys(("px", "py", "pz", "qx", "qy", "qz", "qw"), 0)] * 2}, "length 0; expected 1"),
         ({"T_imu_cam": 7}, "T_imu_cam: found 7; expected keys"),
     ],
@@ -92,15 +83,9 @@ def test_what_a_polynomial_cannot_follow_is_told(tmp_path):
             kalibr(np.eye(4), distortion_model="radtan"),
             r"cam0: camera_model \+ distortion_model is ds \+ radtan; expected",
         ),
-        (kalibr(np.eye(4), intrinsics=[1, 2]), "cam0: intrinsics must be 6 numbers, found 2"),
         (kalibr(2 * np.eye(4)), "cam1: the last row of the pose"),
         (kalibr(np.diag([2.0, 2, 2, 1])), "cam1: T_cn_cnm1 is not a rotation"),
-        (kalibr(np.full((4, 4), np.nan)), "cam1: .*finite"),
         (kalibr(np.eye(3)), "cam1: the 4 × 4 pose T_cn_cnm1 must be 16 numbers, found 9"),
-        (
-            {**kalibr(), "cam1": kalibr()["cam0"]},
-            "cam1: no pose; found .*expected T_cn_cnm1, or T_cam_imu in every camera",
-        ),
         ({**kalibr(), "cam2": kalibr()["cam0"]}, "key 'cam1' is missing"),
     ],
 )
@@ -149,12 +134,9 @@ def test_opencv_files_need_a_unit(tmp_path):
             {"D2": np.ones(5), "distortion_model": "fisheye"},
             "camera 2: D has 5 numbers; expected 4: k1 k2 k3 k4",
         ),
-        ({"K2": np.eye(2)}, "camera 2: K must be 9 numbers, found 4"),
         ({"K1": K.T}, "camera 1: K is .*expected fx skew cx"),
-        ({"R": 1.1 * R2}, "camera 2: R is not a rotation"),
         ({"R": np.eye(2)}, "camera 2: R has 4 numbers; expected a 3 × 3 matrix or an axis-angle"),
         ({"T": np.full(3, np.nan)}, r"camera 2: T must be numbers, found \['.Nan'"),
-        ({"image_width": 0}, "camera 1: image_width and image_height is 0"),
         ({"K3": K}, "camera 2: key 'R' or 'rvec' is missing"),
     ],
 )
@@ -164,16 +146,14 @@ def test_broken_opencv_files(tmp_path, changes, message):
         load_rig(path, "cm")
 
 
-@pytest.mark.parametrize("text", ["hello: 5", "", "- 1\n- 2", "cam0: 3", "cameras: {}"])
+@pytest.mark.parametrize("text", ["", "- 1\n- 2", "cam0: 3"])
 def test_unknown_files_list_what_is_known(tmp_path, text):
     known = r"(?s)rig.yaml: unknown format, found the keys .*; supported formats.*basalt JSON.*Kalibr.*OpenCV"
     with pytest.raises(OmnistereoError, match=known):
         load_rig(write(tmp_path / "rig.yaml", text))
 
 
-def test_missing_files_and_empty_folders(tmp_path):
-    with pytest.raises(OmnistereoError, match=r"nothing.yaml cannot be read"):
-        load_rig(tmp_path / "nothing.yaml")
+def test_a_folder_without_a_rig(tmp_path):
     write(tmp_path / "notes.md", "")
     with pytest.raises(OmnistereoError, match=r"(?s)found \['notes.md'\]; expected ocam.*supported formats"):
         load_rig(tmp_path)

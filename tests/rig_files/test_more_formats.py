@@ -274,11 +274,6 @@ def test_other_names_and_models_of_kalibr(tmp_path, entries, pixel):
     follows(load_rig(dump(tmp_path / "chain.yaml", chain)).cameras[0], pixel)
 
 
-def test_chains_in_capitals(tmp_path):
-    lower, upper = (load_rig(dump(tmp_path / "chain.yaml", kalibr(np.eye(4), camera_model=m))) for m in ("ds", "DS"))
-    np.testing.assert_array_equal(lower.cameras[0].inv_poly, upper.cameras[0].inv_poly)
-
-
 @pytest.mark.parametrize("key", ["T_cam_imu", "T_imu_cam"])
 def test_chains_by_the_imu_alone(tmp_path, key):
     T_cam_imu = [matrix([0.1, 0, 0.02], [0.01, 0.02, 0.03]), matrix([0.1, 1.2, 0], [0.1, 0, 0.2])]

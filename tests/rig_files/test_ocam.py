@@ -1,7 +1,6 @@
 """OCamCalib text files and OmniMVS config.yaml: conventions, variants, broken files."""
 
 import logging
-import warnings
 
 import cv2
 import numpy as np
@@ -16,7 +15,6 @@ from rig_file_samples import (
     OCAM_TXT,
     POSES_TXT,
     SIZE,
-    F,
     dump,
     ocam_folder,
     omnimvs,
@@ -70,27 +68,6 @@ def test_ocam_file_variants(tmp_path, text):
     same_camera(load_camera(write(tmp_path / "ocam.txt", text), 220), CAMERA)
 
 
-@pytest.mark.parametrize("empty", ["", "0"])
-def test_a_missing_inverse_polynomial_is_fitted(tmp_path, empty):
-    text = OCAM_TXT.replace(f"{N_INVERSE} {INVERSE}", empty)
-    camera = load_camera(write(tmp_path / "ocam.txt", text), 220)
-    theta = np.radians(np.linspace(0, 110, 50))
-    uv, _ = camera.project(np.stack([np.sin(theta), 0 * theta, np.cos(theta)], -1))
-    np.testing.assert_allclose(uv[:, 0], 2 * F * np.tan(theta / 2) + CENTER[0], atol=0.02)
-
-
-def test_polynomials_that_disagree_are_told(tmp_path):
-    worse = OCAM_TXT.replace(repr(CAMERA.inv_poly[0].item()), repr(CAMERA.inv_poly[0].item() + 1.5))
-    with pytest.warns(UserWarning, match=r"ocam7.txt: .* disagree by up to 1.50 px.*uses inv_poly"):
-        camera = load_camera(write(tmp_path / "ocam7.txt", worse), 220)
-    straight = np.array([1.0, 0, 0])
-    assert camera.project(straight)[0][0] - CAMERA.project(straight)[0][0] == pytest.approx(1.5)
-    close = OCAM_TXT.replace(repr(CAMERA.inv_poly[0].item()), repr(CAMERA.inv_poly[0].item() + 0.09))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        load_camera(write(tmp_path / "ocam8.txt", close), 220)
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -100,13 +77,7 @@ def test_polynomials_that_disagree_are_told(tmp_path):
         (OCAM_TXT.replace(f"\n{N_INVERSE} ", "\n-1 "), "inverse polynomial has .* expected the number"),
         (OCAM_TXT.replace(f"{C} {D} {E}", f"{C} {D}"), "affine map c d e must be 3 numbers, found 2"),
         (OCAM_TXT.replace(f"{C} {D} {E}", f"{C} {D} five"), "affine map c d e must be numbers, found .*five"),
-        (OCAM_TXT.replace(f"{C} {D} {E}", f"{C} {D} nan"), "finite"),
         (OCAM_TXT.replace(f"{SIZE[1]} {SIZE[0]}", "768.5 800"), "expected an integer of 2 to 100000"),
-        (
-            OCAM_TXT.replace(f"{SIZE[1]} {SIZE[0]}", f"{SIZE[1]} 80"),
-            "principal point is .* in an image of 80 × 760 px; expected inside",
-        ),
-        (OCAM_TXT.replace("\n3 -", "\n3 "), "poly starts with 140.0; expected a0 < 0"),
         (
             OCAM_TXT.replace(f"{N_INVERSE} {INVERSE}", "3 400 -20 -3"),
             "polynomial increases only up to.*Lower max_fov_deg",
@@ -153,9 +124,7 @@ def test_ten_cameras_are_in_the_order_of_their_numbers(tmp_path):
         (POSES_TXT.replace("20 0 -20", "20 0"), "poses.txt: line 2, camera 2: .*6 numbers, found 5"),
         (POSES_TXT.replace("0 3.141593 0", "0 nan 0"), "camera 3: .*finite"),
         (POSES_TXT.replace("0 3.141593 0", "0 180 0"), "camera 3: .*exceeds 2π; expected radians"),
-        (POSES_TXT.replace("20 0 -20", "20 0 x"), "camera 2: .*must be numbers"),
         ("0 0 0 0 0 0\n", r"found 1 poses and 4 camera files \(ocam1.txt, "),
-        ("", "found 0 poses"),
     ],
 )
 def test_broken_poses_name_the_camera(tmp_path, poses, message):
@@ -207,25 +176,6 @@ def test_a_folder_with_both_formats(tmp_path):
     dump(ocam_folder(tmp_path) / "config.yaml", omnimvs())
     assert len(load_rig(tmp_path)) == 3
     assert len(load_rig(tmp_path, "cm")) == 4
-
-
-def broken_omnimvs(key, value):
-    data = omnimvs()
-    data["cameras"][1][key] = value
-    return data
-
-
-@pytest.mark.parametrize(
-    ("data", "message"),
-    [
-        (broken_omnimvs("poly", [7, 1, 2]), "config.yaml: camera 2: the direct polynomial has 3 numbers"),
-        (broken_omnimvs("center", {"row": 1}), r"camera 2: the centre .* must be numbers, found \{'row': 1\}"),
-        (omnimvs(cameras=[{"poly": [1, 2]}, {}]), r"camera 1: key 'center' is missing; found \['poly'\]"),
-    ],
-)
-def test_broken_omnimvs_configs(tmp_path, data, message):
-    with pytest.raises(OmnistereoError, match=message):
-        load_rig(dump(tmp_path / "config.yaml", data))
 
 
 def test_masks_that_do_not_fit(tmp_path):
