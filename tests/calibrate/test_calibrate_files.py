@@ -1,7 +1,6 @@
 """Calibration from files to files: captures in folders, the shipped sets, the command line, other programs' forms."""
 
 import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +20,6 @@ from omnistereo_tools import cli
 from omnistereo_tools.output.rig_exports import export_rig
 
 SHIPPED = Path(osl.__file__).resolve().parents[1] / "data_samples" / "calibration"
-SETS = ["handheld", "mistakes", "van"]
 
 
 # --- Captures ---------------------------------------------------------------------------------------------
@@ -95,13 +93,13 @@ def truth_of(name):
     }
 
 
-@pytest.mark.parametrize("name", SETS)
+@pytest.mark.parametrize("name", ["handheld", "van"])  # of "mistakes" all are searched below
 def test_shipped_captures_show_what_their_truth_says(name):
-    """Every eighth picture: the corners found are the recorded ones, without a bias."""
+    """Every twelfth picture: the corners found are the recorded ones, without a bias."""
     captures, truth = find_captures(SHIPPED / name), truth_of(name)
     errors = []
     for i, row in enumerate(captures.paths):
-        for k, path in list(enumerate(row))[i::8]:
+        for k, path in list(enumerate(row))[i::12]:
             if path is not None and truth[captures.names[k]][0] is None:
                 found, true = find_corners(osl.load_images([path])[0], BOARD), truth[captures.names[k]][1][i]
                 if found is not None:
@@ -112,7 +110,7 @@ def test_shipped_captures_show_what_their_truth_says(name):
     assert np.abs(np.nanmean(errors, axis=0)).max() < 0.02
 
 
-@pytest.mark.parametrize("name", SETS)
+@pytest.mark.parametrize("name", ["handheld", "mistakes", "van"])
 def test_recorded_corners_are_those_of_the_recorded_rig(name):
     """The config's polynomials against the lens itself, and poses against corners."""
     rig, truth = osl.load_rig(SHIPPED / name), truth_of(name)
@@ -167,41 +165,26 @@ def test_a_lens_that_their_model_cannot_follow_is_named(tmp_path):
 # --- The command line -------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def detected(tmp_path_factory):
-    """A folder of two cameras' corners, as an earlier run leaves it."""
-    folder = tmp_path_factory.mktemp("detected")
-    rows = boards.captures(np.random.default_rng(2), alone=5, shared=4, noise=0.05)
-    for i, row in enumerate(rows[:2], start=1):
-        views = {f"{k:04d}": corners for k, corners in enumerate(row)}
-        save_corners(folder / f"corners_cam{i}.yaml", views, BOARD, SIZE)
-    return folder
-
-
-def test_corners_that_are_read_stay_as_they_are(detected, tmp_path):
-    """As after a run whose corners were edited."""
-    folder = shutil.copytree(detected, tmp_path / "rig")
-    arguments = ["calibrate", str(folder), "--corners", str(folder), "--board", "12x10", "--square", "0.06"]
-    before = {path: path.read_bytes() for path in folder.iterdir()}
-    for _ in range(2):  # twice in a row
-        assert cli.main([*arguments, "--degree", "4", "--out", str(folder)]) == 0
-        assert {path: path.read_bytes() for path in before} == before and (folder / "config.yaml").exists()
-
-
-def test_a_rig_from_corners_on_file(detected, tmp_path, capsys):
-    arguments = ["calibrate", str(detected), "--corners", str(detected), "--board", "12x10", "--square", "0.06"]
-    arguments += ["--degree", "4"]  # quicker than to choose it
-    assert cli.main([*arguments, "--out", str(tmp_path)]) == 0
+def test_a_rig_from_corners_on_file(tmp_path, capsys):
+    """And again from what the first run has left, as after its corners were edited."""
+    detected, out = tmp_path / "detected", tmp_path / "out"
+    detected.mkdir()
+    for i, row in enumerate(boards.captures(np.random.default_rng(2), alone=4, shared=4, noise=0.05)[:2], start=1):
+        save_corners(detected / f"corners_cam{i}.yaml", {f"{k:04d}": view for k, view in enumerate(row)}, BOARD, SIZE)
+    board = ["--board", "12x10", "--square", "0.06", "--degree", "4"]  # quicker than to choose it
+    assert cli.main(["calibrate", str(detected), "--corners", str(detected), *board, "--out", str(out)]) == 0
     said = capsys.readouterr().out
-    assert "rig: 2 cameras" in said and (tmp_path / "report.txt").read_text().strip() in said
+    assert "rig: 2 cameras" in said and (out / "report.txt").read_text().strip() in said
     for written in ("config.yaml", "."):  # the folder: ocam1.txt … and poses.txt
-        rig = osl.load_rig(tmp_path / written, unit="m", max_fov_deg=200)
-        assert len(rig) == 2
+        assert len(osl.load_rig(out / written, unit="m", max_fov_deg=200)) == 2
     for i in (1, 2):
-        assert (tmp_path / f"report_cam{i}.png").is_file()
-        (found, *about), (given, *same) = (load_corners(out / f"corners_cam{i}.yaml") for out in (tmp_path, detected))
+        assert (out / f"report_cam{i}.png").is_file()
+        (found, *about), (given, *same) = (load_corners(at / f"corners_cam{i}.yaml") for at in (out, detected))
         assert about == same and found.keys() == given.keys()
         for name, corners in given.items():  # for the next run; some boards had been read from their other end
             assert corners is found[name] is None or any(
                 np.array_equal(found[name], ends, equal_nan=True) for ends in (corners, corners[::-1])
             )
+    before = {path: path.read_bytes() for path in out.glob("corners_*")}
+    assert cli.main(["calibrate", str(out), "--corners", str(out), *board, "--out", str(out)]) == 0
+    assert {path: path.read_bytes() for path in before} == before

@@ -89,8 +89,7 @@ def test_given_cameras_must_fit(seen):
 AHEAD = osl.Pose.from_vector([0.2, 0.15, 0.1, -0.3, -0.25, 0.35])
 
 
-@pytest.mark.parametrize("border", [2, 1])
-@pytest.mark.parametrize("turn", [0.0, 2.0])
+@pytest.mark.parametrize(("border", "turn"), [(2, 0.0), (1, 2.0)])
 def test_tags_are_found_where_they_are(border, turn):
     middle = osl.Pose(np.eye(3), APRIL.points.mean(axis=0))
     pose = AHEAD @ middle @ osl.Pose.from_vector([0, 0, turn, 0, 0, 0]) @ middle.inverse()
@@ -136,10 +135,12 @@ def test_boards_of_files(tmp_path):
     for board in (BOARD, APRIL, CHARUCO):
         corners = np.full((len(board.points), 2), np.nan)
         corners[:7] = 50.25
-        save_corners(tmp_path / "corners.yaml", {"a": corners, "b": None}, board, SIZE)
+        saved = {"a": corners, 'a "quoted": name.jpg': corners + 1, "b": None}
+        save_corners(tmp_path / "corners.yaml", saved, board, SIZE)
         views, read, size = load_corners(tmp_path / "corners.yaml")
-        assert read == board and size == SIZE and views["b"] is None
-        np.testing.assert_array_equal(views["a"], corners)
+        assert read == board and size == SIZE and list(views) == list(saved) and views["b"] is None
+        for name in list(saved)[:2]:
+            np.testing.assert_array_equal(views[name], saved[name])
 
 
 @pytest.mark.parametrize(
@@ -162,19 +163,19 @@ def test_boards_that_cannot_be(make, message):
 
 def test_the_command_keeps_given_cameras(seen, tmp_path, capsys):
     names = [f"{k:03}" for k in range(len(seen[0]))]
-    for i, row in enumerate(seen, 1):
+    for i, row in enumerate(seen[:2], 1):
         save_corners(tmp_path / f"corners_cam{i}.yaml", dict(zip(names, row, strict=True)), BOARD, SIZE)
     camera, _ = given()
-    anywhere = [osl.Pose.from_vector([0, 0, 0, i, 0, 0]) for i in range(4)]  # poses that are not used
-    osl.save_rig(osl.Rig((camera,) * 4, anywhere), tmp_path / "lenses.yaml")
+    anywhere = [osl.Pose.from_vector([0, 0, 0, i, 0, 0]) for i in range(2)]  # poses that are not used
+    osl.save_rig(osl.Rig((camera,) * 2, anywhere), tmp_path / "lenses.yaml")
     board = ["--board", "12x10", "--square", "0.06"]
     command = ["calibrate", str(tmp_path), "--corners", str(tmp_path), "--out", str(tmp_path / "out")]
     assert cli.main([*command, *board, "--rig", str(tmp_path / "lenses.yaml")]) == 0
     rig = osl.load_rig(tmp_path / "out" / "config.yaml", keep_frame=True)
-    np.testing.assert_array_equal(rig.cameras[2].inv_poly, camera.inv_poly)
-    _, shift = (rig.T_rig_cam[0].inverse() @ rig.T_rig_cam[2]).magnitude()
+    np.testing.assert_array_equal(rig.cameras[1].inv_poly, camera.inv_poly)
+    _, shift = (rig.T_rig_cam[0].inverse() @ rig.T_rig_cam[1]).magnitude()
     truth = boards.rig_poses()
-    assert shift == pytest.approx((truth[0].inverse() @ truth[2]).magnitude()[1], abs=1e-3)
+    assert shift == pytest.approx((truth[0].inverse() @ truth[1]).magnitude()[1], abs=1e-3)
     assert cli.main([*command, *board, "--rig", str(tmp_path / "lenses.yaml"), "--degree", "4"]) == 2
     assert "--rig keeps the intrinsics" in capsys.readouterr().err
     assert cli.main([*command, "--board", "12x10"]) == 2
@@ -183,5 +184,5 @@ def test_the_command_keeps_given_cameras(seen, tmp_path, capsys):
 
 def test_corners_beyond_the_field_of_view_are_told():
     views, _ = boards.views(np.random.default_rng(2), count=12)
-    _, report = osl.calibrate_camera(views, BOARD, SIZE, degree=6, max_fov_deg=150)
+    _, report = osl.calibrate_camera(views, BOARD, SIZE, degree=4, max_fov_deg=150)
     assert any("the rim is cut off. Pass max_fov_deg = " in warning for warning in report.warnings)

@@ -16,7 +16,7 @@ from omnistereo_tools.record.cluster import on_cluster
 
 distributed = pytest.importorskip("dask.distributed", reason="Dask is not installed: environment-dev.txt has it")
 
-FRAMES = 12
+FRAMES = 6
 
 
 @pytest.fixture(scope="module")

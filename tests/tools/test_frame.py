@@ -13,9 +13,6 @@ import omnistereo_lib as osl
 from omnistereo_lib.files import write_image
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.input.masks import with_masks
-from omnistereo_tools.output import frame
-from omnistereo_tools.output import pictures as pictures_module
-from omnistereo_tools.output.exports import export_frame
 from omnistereo_tools.output.frame import FrameResult
 from omnistereo_tools.output.pictures import BACKGROUND, ColorScale, draw_points
 from omnistereo_tools.output.points import Limits, PointCloud
@@ -148,18 +145,6 @@ def test_near_points_hide_far_ones():
         shown = {tuple(color) for color in picture.reshape(-1, 3)}
         assert (255, 0, 0) in shown
     assert (draw_points(points[:0], colors[:0], (4, 3)) == BACKGROUND).all()
-
-
-def test_each_panorama_is_computed_once(depth, pictures, tmp_path, monkeypatch):
-    """At the size of the depth, and at the size that is looked at, which is the texture of the mesh, too."""
-    pytest.importorskip("trimesh")
-    computed, blended = [], frame.blended_panorama
-    for module in (frame, pictures_module):
-        monkeypatch.setattr(module, "blended_panorama", lambda *given: computed.append(blended(*given)) or computed[-1])
-    result = FrameResult(depth, Limits.of(depth), "zncc+sgm")
-    result.write(tmp_path)
-    export_frame(result, tmp_path / "a.glb", None, None, None)
-    assert [one.shape[1] for one in computed] == [160, 1920]
 
 
 def test_masks_beside_the_images_or_named(rig, tmp_path):

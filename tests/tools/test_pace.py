@@ -1,11 +1,9 @@
 """What is said about durations."""
 
 import pytest
-import scene
 
 import omnistereo_lib as osl
 from omnistereo_lib.progress import counted
-from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.judge import pace
 
 
@@ -24,12 +22,6 @@ def test_the_whole_recording_by_both_methods(monkeypatch, capsys):
     assert capsys.readouterr().out == "timing the methods on one frame: a few seconds\n" + by_default
     pace.say_recording(None, [], 9, "zncc+sgm", ["volumenet"])
     assert capsys.readouterr().out == ""  # soon done
-
-
-def test_a_frame_is_measured_after_its_tables(monkeypatch):
-    rig, done = scene.rig(width=100, height=96), []
-    monkeypatch.setattr(pace, "sweep_depth", lambda *given: done.append(given))
-    assert pace._measure(SphereSweep(rig, osl.SphereGrid(32, 8)), [], "zncc") < 1 and len(done) == 2
 
 
 def test_more_spheres_take_longer_and_other_devices_are_not_guessed(capsys):
