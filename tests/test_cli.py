@@ -102,25 +102,18 @@ def test_depth_of_images(data, tmp_path, capsys):
     np.testing.assert_allclose(sphere[16:40] * inverse_depth, 1, rtol=1e-6)
 
 
-def test_a_rig_of_ones_own_does_not_overwrite_the_sample(data, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert run("depth", *with_images(data), *SMALL, "--method", "zncc") == 0
-    (data / "config.yaml").rename(data / "mine.yaml")
-    words = with_images(data)
-    assert run("depth", "--rig", data / "mine.yaml", *words[2:], *SMALL, "--method", "zncc") == 0
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"depth_data", "depth_mine"}
-
-
-def test_depth_of_gray_images_without_a_nearest_depth(data, tmp_path, capsys, scene_images):
+def test_depth_of_gray_images_without_a_nearest_depth(data, tmp_path, capsys, monkeypatch, scene_images):
     rig, pictures = scene_images
     osl.save_rig(osl.Rig(rig.cameras, rig.T_rig_cam), data / "config.yaml")
     for k, picture in enumerate(pictures, 1):
         write_image(data / f"cam{k}" / "0001.png", picture)
-    assert run("depth", *with_images(data), *SMALL, "--out", tmp_path / "out") == 0
+    monkeypatch.chdir(tmp_path)
+    assert run("depth", *with_images(data), *SMALL) == 0
     proposed = re.search(r"proposes --min-depth (\S+)\.\n", capsys.readouterr().out)
     truth = GRID.index_to_depth(scene.true_index(rig, GRID)).min()
     assert 0.4 * truth < float(proposed[1]) < truth
-    assert read_image(tmp_path / "out" / "data" / "panorama.jpg").ndim == 2
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["depth_data"]  # by the rig's name, or its folder's
+    assert read_image(tmp_path / "out" / "depth_data" / "data" / "panorama.jpg").ndim == 2
 
 
 def test_doctor_of_a_rig(data, capsys, scene_images):
@@ -141,10 +134,9 @@ def test_doctor_of_a_rig_without_images_says_what_it_can_see(data, tmp_path, cap
     assert cv2.imread(str(tmp_path / "coverage.png")).std() > 20
 
 
-@pytest.mark.parametrize("stated", [True, False])
-def test_doctor_prints_the_command_that_depth_is_by_default(data, capsys, monkeypatch, scene_images, stated):
+def test_doctor_prints_the_command_that_depth_is_by_default(data, capsys, monkeypatch, scene_images):
     rig, _ = scene_images
-    osl.save_rig(osl.Rig(rig.cameras, rig.T_rig_cam, 0.6 if stated else None), data / "config.yaml")
+    osl.save_rig(osl.Rig(rig.cameras, rig.T_rig_cam), data / "config.yaml")  # without a nearest depth
     grids = []
 
     def stop(*arguments):

@@ -25,13 +25,6 @@ SMOOTH = np.stack(np.meshgrid(np.arange(30), np.arange(20)), -1).astype(np.uint8
 RGB = np.random.default_rng(0).integers(0, 256, (20, 30, 3), np.uint8)
 
 
-@pytest.mark.parametrize("image", [RGB, RGB[..., 0]], ids=["colour", "gray"])
-def test_images_come_back(tmp_path, image):
-    write_image(tmp_path / "a.png", image)
-    np.testing.assert_array_equal(read_image(tmp_path / "a.png"), image)
-    assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
-
-
 def test_colour_is_rgb(tmp_path):
     cv2.imwrite(str(tmp_path / "blue.png"), np.full((4, 4, 3), (255, 0, 0), np.uint8))  # OpenCV: blue first
     assert read_image(tmp_path / "blue.png")[0, 0].tolist() == [0, 0, 255]
@@ -80,20 +73,18 @@ DEEP = np.random.default_rng(1).integers(0, 4096, (48, 64, 3), np.uint16)  # 12 
 
 
 @pytest.mark.parametrize("deep", [DEEP, DEEP[..., 0]], ids=["colour", "gray"])
-@pytest.mark.parametrize("form", ["png", "tiff", "tiles", "turned", "lzw", "bytes", "text"])
+@pytest.mark.parametrize("form", ["png", "tiff", "turned", "bytes", "text"])
 def test_all_of_12_bits_are_read(tmp_path, deep, form):
     """Written by OpenCV, tifffile and by hand; PGM and PPM state what is white."""
     path, head = tmp_path / f"a.{form}", "P{}\n# a comment\n64 48\n4095\n"
-    if form in ("png", "lzw"):
-        path = path.with_suffix(".png" if form == "png" else ".tif")
+    if form == "png":
         cv2.imwrite(str(path), deep[..., ::-1] if deep.ndim == 3 else deep)
     elif form == "bytes":
         path.write_bytes(head.format(deep.ndim + 3).encode() + deep.astype(">u2").tobytes())
     elif form == "text":
         path.write_text(head.format(deep.ndim) + " ".join(map(str, deep.ravel().tolist())))
     else:
-        options = {"tiles": {"tile": (16, 16)}, "turned": {"extratags": [(274, 3, 1, 6, True)]}}.get(form, {})
-        tifffile.imwrite(path, deep, **options)
+        tifffile.imwrite(path, deep, extratags=[(274, 3, 1, 6, True)] if form == "turned" else [])
     with nullcontext() if form in ("bytes", "text") else pytest.warns(UserWarning, match="uses 12 of its 16 bits"):
         image = read_image(path)
     assert image.dtype == np.float32

@@ -7,10 +7,6 @@ import pytest
 from course.experiments.questions import PAGE, QUESTIONS, row
 
 
-def test_there_are_ten():
-    assert len(QUESTIONS) == len(set(QUESTIONS)) == 10
-
-
 @pytest.mark.parametrize("question", QUESTIONS, ids=lambda question: question.text)
 def test_the_page_says_what_is_read(question):
     (stored,) = re.findall(rf"^\| {re.escape(question.text)} \|.*\n", PAGE.read_text(encoding="utf-8"), re.MULTILINE)

@@ -4,12 +4,14 @@ import os
 import signal
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import scene
 
 import omnistereo_lib as osl
+from omnistereo_lib.evaluate import SCALES
 from omnistereo_lib.files import write_image
 from omnistereo_tools import cli
 from omnistereo_tools.record.cluster import on_cluster
@@ -77,9 +79,10 @@ def test_a_recording_with_a_worker_that_dies(cluster, recorded, tmp_path):
         assert path.read_bytes() == other.read_bytes()
 
 
-def test_an_evaluation(cluster, tmp_path):
-    still = scene.rig(width=100, height=96)
-    scene.write_set(tmp_path / "box", still, osl.SphereGrid(320, 80, num_spheres=64, min_depth=0.6), np.eye(3)[:2] / 10)
+def test_an_evaluation(cluster, tmp_path, monkeypatch):
+    grid = osl.SphereGrid(96, 24, num_spheres=16, min_depth=0.6)
+    monkeypatch.setitem(SCALES, "teaching", replace(SCALES["teaching"], width=96, height=24, num_spheres=16))
+    scene.write_set(tmp_path / "box", scene.rig(width=100, height=96), grid, np.eye(3)[:2] / 10)
     command = ["evaluate", "--sets", tmp_path / "box", "--methods", "zncc"]
     assert run(*command, "--out", tmp_path / "local") == 0
     assert run(*command, "--out", tmp_path / "cluster", "--cluster", cluster.scheduler_address) == 0

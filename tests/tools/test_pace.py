@@ -15,15 +15,6 @@ def test_durations_in_words(seconds, words):
     assert pace.in_words(seconds) == words
 
 
-def test_the_whole_recording_by_both_methods(monkeypatch, capsys):
-    monkeypatch.setattr(pace, "_measure", lambda sweep, images, name: {"zncc+sgm": 0.5, "volumenet": 10.0}[name])
-    pace.say_recording(None, [], 120, "zncc+sgm", ["zncc+sgm", "volumenet"])
-    by_default = "120 frames: about 60 s by zncc+sgm\nabout 20 min by volumenet (--method volumenet)\n"
-    assert capsys.readouterr().out == "timing the methods on one frame: a few seconds\n" + by_default
-    pace.say_recording(None, [], 9, "zncc+sgm", ["volumenet"])
-    assert capsys.readouterr().out == ""  # soon done
-
-
 def test_more_spheres_take_longer_and_other_devices_are_not_guessed(capsys):
     for spheres in (192, 960):
         pace.say_frame("volumenet", osl.SphereGrid(640, 160, num_spheres=spheres), "cpu")

@@ -50,8 +50,6 @@ def test_the_turn_is_stated_and_can_be_undone(world, tmp_path, capsys):
     robot = rig.transformed(FLU).T_rig_cam[1]
     np.testing.assert_allclose((T.inverse() @ there).t, robot.t, atol=1e-9)
     np.testing.assert_allclose((T.inverse() @ there).R, robot.R, atol=1e-9)
-    assert depth(folder, tmp_path / "kept", "--keep-frame") == 0
-    assert "turned" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -74,8 +72,6 @@ def test_a_black_rim_is_told_and_masked(world, tmp_path, capsys):
     found = re.search(f"images of camera 1, 2, 3, 4 are {pattern}", said)
     fov, after, before, proposed = map(int, found.groups())
     assert 155 <= fov <= 162 and after < before - 20 and 154 <= proposed <= 162
-    assert depth(folder, tmp_path, "--max-fov", str(proposed), images="dark{}.png") == 0
-    assert "black beyond" not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", ["doctor", "depth", "record", "live", "onnx", "evaluate"])
