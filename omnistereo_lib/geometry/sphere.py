@@ -93,8 +93,9 @@ class SphereGrid:
 
     def rays(self) -> NDArray[np.float64]:
         """Return ρ(p) for every pixel, shape (H, W, 3), unit vectors in the rig frame (paper, Section III-B)."""
-        theta, phi = np.meshgrid(self.thetas(), self.phis())
-        return np.stack([np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta)], -1)
+        theta, phi = self.thetas(), self.phis()[:, None]
+        x, y, z = np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta)
+        return np.stack(np.broadcast_arrays(x, y, z), -1)
 
     def project(self, points: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Project points to panorama pixels: the inverse of `rays`.

@@ -182,7 +182,7 @@ def _held_out_costs(rig: Rig, images: Images) -> list[float]:
     from omnistereo_lib.geometry.sphere import SphereGrid
     from omnistereo_lib.stereo.images import reduce_images
     from omnistereo_lib.stereo.sweep import SphereSweep
-    from omnistereo_tools.judge.rig_check import matching_cost
+    from omnistereo_tools.judge.matching_cost import matching_cost
 
     nearest = rig.min_depth or 2 * float(rig.baselines.max())
     grid = SphereGrid(320, 80, (-45, 45), 64, nearest)

@@ -74,11 +74,11 @@ def run(options: DepthOptions) -> None:
     # Compute and write.
     depth = estimate_depth(frame, grid, method, device=options.device, progress=progress_bar())
     result = FrameResult(depth, Limits.of(depth, options.max_depth, options.min_confidence), method, gt_index)
+    print("\n".join(result.sentences()), flush=True)
     written = result.write(out, progress_bar())
     written += export_frame(
         result, options.mesh, options.mesh_faces, options.equirectangular, options.crops, options.all_crops
     )
-    print("\n".join(result.sentences()))
     print(f"written to {out}/: {', '.join(written)}")
 
 

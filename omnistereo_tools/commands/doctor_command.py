@@ -99,8 +99,9 @@ def _check_images(options: DoctorOptions, frame: Frame, grid: SphereGrid) -> int
     from omnistereo_lib.stereo.images import reduce_images
     from omnistereo_lib.stereo.sweep import SphereSweep
     from omnistereo_tools.judge.doubts import rig_doubts, same_pictures
+    from omnistereo_tools.judge.matching_cost import matching_cost
     from omnistereo_tools.judge.pace import progress_bar
-    from omnistereo_tools.judge.rig_check import check_rig, matching_cost
+    from omnistereo_tools.judge.rig_check import check_rig
 
     rig, images = frame.rig, frame.images
     if same := same_pictures(images):

@@ -5,16 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib import colormaps
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.sweep import SphereSweep
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _COVERED = 0.95  # of the rays of a row, or of those that see far away, have depth: the rest is rims
 _COARSE = SphereGrid(60, 30, (-90, 90), 2, 1.0)
@@ -213,6 +215,9 @@ class Coverage:
 
     def figure(self) -> Figure:
         """Return a figure of the whole sphere: how many cameras see each direction, and their baseline across it."""
+        from matplotlib import colormaps
+        from matplotlib.figure import Figure
+
         figure, most = Figure(figsize=(11, 11), layout="constrained"), len(self.rig)
         axes = figure.subplots(2, 1, sharex=True)
         extent = (-180, 180, 90, -90)

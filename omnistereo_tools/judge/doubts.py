@@ -12,7 +12,7 @@ from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.images import reduce_images
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_tools.judge.rig_check import find_mixup, matching_cost
+from omnistereo_tools.judge.matching_cost import matching_cost
 
 _TOGETHER = 1e-3  # m
 _FAR_APART = 100.0  # m
@@ -53,5 +53,8 @@ def image_doubts(rig: Rig, images: Sequence[NDArray[Any]], grid: SphereGrid) -> 
         return
     coarse = replace(grid, width=160, height=40, num_spheres=16)
     small, reduced = reduce_images(rig, images, coarse.width / 360)
-    if matching_cost(SphereSweep(small, coarse), reduced) > _MATCHES and (found := find_mixup(rig, images)):
-        yield f"{found}. `omnistereo doctor` with the same rig and images says more"
+    if matching_cost(SphereSweep(small, coarse), reduced) > _MATCHES:
+        from omnistereo_tools.judge.rig_check import find_mixup
+
+        if found := find_mixup(rig, images):
+            yield f"{found}. `omnistereo doctor` with the same rig and images says more"

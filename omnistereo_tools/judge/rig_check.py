@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.calibrate.features import FeatureFinder, Features
@@ -27,14 +26,10 @@ from omnistereo_lib.calibrate.track_bundle import mean_baseline, pose_difference
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.frame import check_images
 from omnistereo_lib.geometry.pose import Floats, Pose, nearest_rotation
-from omnistereo_lib.geometry.rig import Pair, Pairs, Rig, camera_pairs
+from omnistereo_lib.geometry.rig import Pair, Rig
 from omnistereo_lib.progress import Progress, counted, silent
-from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_lib.stereo.volume import cost_volume
-from omnistereo_lib.stereo.zncc import ZNCC
 from omnistereo_tools.judge.mixups import as_given, explain
 
-_NO_OVERLAP = 0.5  # cost of a patch without texture, which is no evidence for or against a match
 _SURE = 2.5  # deviations; of the length of a turn about three axes, passed by chance once in thousands
 _LEAST_TURN_DEG, _LEAST_SHIFT = 0.02, 0.005  # less is not worth saying; the shift is a share of the mean baseline
 _WRONG_PX, _WRONG_SHIFT = 0.5, 0.02  # less does no harm: of a turn in pixels, of a shift as above
@@ -261,19 +256,6 @@ def _unit(measured: MeasuredRig, min_depth: float | None) -> str | None:
                     f"the nearest things are {nearest:.2g} m away, and the nearest depth is stated as {min_depth:.2g} m"
                 )
     return None
-
-
-def matching_cost(
-    sweep: SphereSweep, images: Sequence[ArrayLike], pairs: Pairs = "ring", rays: NDArray[np.bool_] | None = None
-) -> float:
-    """Return the median of the best raw ZNCC cost over rays (H, W), or all, in [0, 1]; 0.5 if no pair shares a view."""
-    valid = [sweep.project_sphere(camera, 0)[1] for camera in range(len(sweep.rig))]
-    if not any((valid[i] & valid[j]).any() for i, j in camera_pairs(pairs, sweep.rig)):
-        return _NO_OVERLAP
-    volume = cost_volume(sweep, images, ZNCC(window=9), pairs)
-    lowest = torch.where(volume.isnan(), torch.inf, volume).amin(-1)
-    chosen = lowest.isfinite() if rays is None else lowest.isfinite() & torch.from_numpy(rays)
-    return float(lowest[chosen].median()) if chosen.any() else _NO_OVERLAP
 
 
 def invert_poses(rig: Rig) -> Rig:

@@ -7,9 +7,11 @@ from typing import Any
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from omnistereo_lib.geometry.camera import OcamCamera
+from omnistereo_lib.stereo.correlation import project_cells
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.sweep import OUTSIDE, remap
 
@@ -56,9 +58,11 @@ def blended_panorama(depth: Depth, gains: NDArray[Any] | None = None) -> NDArray
     gains = (estimate_gains(depth) if gains is None else gains).astype(np.float32)
     channels = gains.shape[1]
     total, weights = np.zeros((*depth.grid.shape, channels), np.float32), np.zeros((*depth.grid.shape, 1), np.float32)
+    # In float32, by torch: three times as fast as `project_sphere` on a sharp panorama.
+    rays, inverse_depth = (torch.from_numpy(array).float() for array in (depth.grid.rays(), depth.inverse_depth))
+    half_pixels = project_cells(depth.sweep.rig, rays, inverse_depth[..., None, None])
     for k, (camera, image) in enumerate(zip(depth.sweep.rig.cameras, depth.images, strict=True)):
-        uv, valid = depth.sweep.project_sphere(k, depth.index)
-        maps = np.where(valid[..., None], uv, OUTSIDE).astype(np.float32)
+        maps = (2 * half_pixels[k][:, :, 0]).nan_to_num(OUTSIDE).numpy()
         weight = np.nan_to_num(remap(_distance_from_rim(camera), maps))[..., None] ** 2
         sample = remap(np.asarray(image, np.float32), maps).reshape(*total.shape[:2], -1)
         total += np.nan_to_num(sample) * weight * gains[k]

@@ -21,7 +21,7 @@ from omnistereo_lib.stereo.metrics import index_error
 from omnistereo_tools.judge.trust import DOUBTFUL, trust
 from omnistereo_tools.output.blend import blended_panorama
 from omnistereo_tools.output.overview import draw_overview
-from omnistereo_tools.output.pictures import ColorScale, save_figure, sharp_panorama
+from omnistereo_tools.output.pictures import ColorScale, sharp_panorama
 from omnistereo_tools.output.points import Limits, PointCloud
 from omnistereo_tools.output.summary import depth_sentences, error_sentences, turn_sentence
 from omnistereo_tools.output.viewer import viewer_page
@@ -104,8 +104,8 @@ class FrameResult:
         return ["overview.png", "index.html (open it in a browser)", "data/ (README.txt says what each file holds)"]
 
     def _write_overview(self, path: Path) -> None:
-        figure = draw_overview(self.depth, self.panorama, self._cloud, self.trust, self.title, self.sentences())
-        save_figure(path, figure)
+        page = draw_overview(self.depth, self.panorama, self._cloud, self.trust, self.title, self.sentences())
+        write_image(path, page)
 
     def _write_page(self, path: Path) -> None:
         page = viewer_page(
