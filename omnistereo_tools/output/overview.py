@@ -21,7 +21,7 @@ from omnistereo_tools.output.points import PointCloud
 
 _WIDTH, _LEFT = 1880, 70  # px, of the page and of its margin
 _TEXT, _TITLE = 14, 17  # px, of letters
-_LETTERS = 92  # of a line of a note
+_LETTERS = 118  # of a line of a note
 _VIEW = (900, 506)  # px, of the points
 _AXES = "azimuth from left to right, 0° is ahead; elevation, down is positive"
 _TICKS = 30  # px, at least between two elevations
@@ -47,10 +47,8 @@ def draw_overview(
     wide, half = _WIDTH - 2 * _LEFT, _VIEW[0]
     # Above each other: panorama, depth, and the colours of the depth.
     row = page.panorama(panorama, (_LEFT, 40), wide, phi_deg, f"{title}; {_AXES}", cv2.INTER_AREA)
-    colors, name = (
-        scale.colorize(depth, trust < DOUBTFUL),
-        "Depth along the ray; faded: doubtful, striped: unknown",
-    )
+    name = "Depth along the ray; faded: doubtful, striped: unknown"
+    colors = scale.colorize(depth, trust < DOUBTFUL)
     row = page.panorama(colors, (_LEFT, row + 40), wide, phi_deg, name)
     page.paste(np.repeat(scale.bar(wide), 16, 0), (_LEFT, row + 10))
     for place, label in scale.ticks():
