@@ -30,7 +30,7 @@ from omnistereo_lib.stereo.correlation import correlate, feature_coordinates, pi
 from omnistereo_lib.stereo.depth import index_and_confidence
 from omnistereo_lib.stereo.images import reduce_images
 from omnistereo_lib.stereo.kernels.correlation_numba import CHANNELS, GROUPS
-from omnistereo_lib.stereo.learned import LearnedCost, uses_bfloat16
+from omnistereo_lib.stereo.learned import LearnedCost, choose_precision
 from omnistereo_lib.stereo.methods import penalties
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sgm import sgm
@@ -158,7 +158,7 @@ def bench_sweepnet(width: int, height: int, num: int, spheres: range) -> None:
     warped = sweep.warp_block(sweep.normalize_images(images), spheres)
     columns = [sweep.visible_columns(i, spheres) for i in range(len(sweep.rig))]
     pairs, network = camera_pairs("ring", sweep.rig), SweepNet.pretrained()
-    for precision in ("float32", "bfloat16") if uses_bfloat16("auto", "cpu") else ("float32",):
+    for precision in ("float32", "bfloat16") if choose_precision("auto", "cpu") == "bfloat16" else ("float32",):
         compare(
             f"SweepNet {width}×{height}, {len(spheres)} of {num} spheres, {precision}, against plain float32",
             partial(LearnedCost(SweepNet.pretrained(), precision), warped, pairs, columns),

@@ -28,7 +28,7 @@ from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.rig_files import load_rig
 from omnistereo_lib.stereo.cost import Cost
 from omnistereo_lib.stereo.device import select_device
-from omnistereo_lib.stereo.learned import Precision, uses_bfloat16
+from omnistereo_lib.stereo.learned import Precision, choose_precision
 from omnistereo_lib.stereo.metrics import index_error
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.volume import cost_volume
@@ -222,7 +222,7 @@ class Evaluation:
 
     @property
     def _precision(self) -> dict[str, str]:
-        return {"precision": "bfloat16" if uses_bfloat16(self.precision, self.device) else "float32"}
+        return {"precision": choose_precision(self.precision, self.device)}
 
 
 def _weights_checksums(methods: Sequence[EvaluatedMethod], folder: Path) -> dict[str, str]:

@@ -129,7 +129,7 @@ class VolumeNet(StoredNetwork):
     As a matching cost it computes the whole volume at once, from all cameras.
 
     Attributes:
-        precision: Of the matrix products in `volume`; see `uses_bfloat16`.
+        precision: Of the matrix products in `volume`; see `choose_precision`.
 
     >>> sum(parameter.numel() for parameter in osl.VolumeNet().parameters())
     518305

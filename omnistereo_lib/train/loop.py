@@ -23,7 +23,7 @@ from torch.nn.parallel import DistributedDataParallel
 from omnistereo_lib.errors import OmnistereoError, check_number, shortened
 from omnistereo_lib.files import atomic_write, make_folder, read_bytes, read_text
 from omnistereo_lib.stereo.device import number_from_environment, select_device
-from omnistereo_lib.stereo.learned import Precision, autocast, uses_bfloat16
+from omnistereo_lib.stereo.learned import Precision, autocast, choose_precision
 from omnistereo_lib.stereo.weights import load_tensors, save_tensors
 from omnistereo_lib.train.frames import Folders, folders_of
 from omnistereo_lib.train.patches import PatchSamples
@@ -110,7 +110,7 @@ class _Run:
             torch.manual_seed(recipe.seed)
             self.samples = _SAMPLES[recipe.network](recipe, data, device)
         # Channels last is faster, except for the gradient of the weights in float32 on a CPU; see `bench`.
-        slow = device.type == "cpu" and not uses_bfloat16(precision, device)
+        slow = device.type == "cpu" and choose_precision(precision, device) == "float32"
         layout = torch.contiguous_format if slow else torch.channels_last
         self.network = nn.utils.convert_conv2d_weight_memory_format(self.samples.network.to(device), layout).train()
         self.init_sha256 = None
@@ -191,7 +191,6 @@ class _Run:
 
     def write_weights(self, path: Path, row: Mapping[str, float]) -> None:
         """Write the weights to use, batch norms fused, with what they come from: two machines give two sets."""
-        precision = "bfloat16" if uses_bfloat16(self.precision, self.device) else "float32"
         cpu = f"{platform.machine()} {torch.backends.cpu.get_cpu_capability()}"
         processor = torch.cuda.get_device_name(self.device) if self.device.type == "cuda" else cpu
         self.network.fuse_batch_norm().save(
@@ -203,7 +202,7 @@ class _Run:
             processes=self.world,
             processor=processor,
             threads=torch.get_num_threads(),
-            precision=precision,
+            precision=choose_precision(self.precision, self.device),
             torch=torch.__version__,
         )
 

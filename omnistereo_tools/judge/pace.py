@@ -11,6 +11,7 @@ from tqdm import tqdm
 
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.progress import Progress
+from omnistereo_lib.stereo.learned import choose_precision
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
@@ -54,7 +55,8 @@ def say_frame(method: str, grid: SphereGrid, device: str) -> None:
         return
     cells = grid.width * grid.height * grid.num_spheres
     total = _WRITING_S + cells * seconds * _CORES / torch.get_num_threads()
-    print(f"{method} takes about {in_words(total)}", flush=True)
+    precision = f" in {choose_precision('auto', device)}" if Method.parse(method).has_weights else ""
+    print(f"{method} takes about {in_words(total)}{precision}", flush=True)
 
 
 def say_recording(

@@ -15,7 +15,7 @@ from test_sweepnet import dense
 import omnistereo_lib as osl
 from omnistereo_lib.evaluate.records import read_record
 from omnistereo_lib.evaluate.regions import METRICS
-from omnistereo_lib.stereo.learned import LearnedCost, uses_bfloat16
+from omnistereo_lib.stereo.learned import LearnedCost, choose_precision
 from omnistereo_lib.stereo.mccnn import MCCNN
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweepnet import SweepNet
@@ -116,7 +116,7 @@ def test_fast_inference_is_the_plain_networks(frame):
     torch.testing.assert_close(cost.double(), expected, atol=1e-5, rtol=0, equal_nan=True)
 
 
-@pytest.mark.skipif(not uses_bfloat16("auto", "cpu"), reason="this processor would take minutes to imitate bfloat16")
+@pytest.mark.skipif(choose_precision("auto", "cpu") == "float32", reason="minutes, on this processor")
 @pytest.mark.parametrize("name", NETWORKS)
 def test_bfloat16_changes_no_figure(name, frame):
     rig, grid = osl.load_dataset(SUNNY, split="test").rig, osl.SphereGrid(160, 40, num_spheres=16, min_depth=1.65)

@@ -11,7 +11,8 @@ from safetensors.torch import load_file, save_file
 from torch.nn.functional import conv2d, conv_transpose2d, linear, pad
 
 import omnistereo_lib as osl
-from omnistereo_lib.stereo.learned import Features, LearnedCost, uses_bfloat16
+from omnistereo_lib.stereo import learned
+from omnistereo_lib.stereo.learned import Features, LearnedCost, choose_precision
 from omnistereo_lib.stereo.sweepnet import SweepNet
 from omnistereo_lib.stereo.weights import _checksum, load_tensors, save_tensors
 
@@ -194,11 +195,16 @@ def test_odd_panoramas_are_refused(size):
             call(torch.zeros(2, 1, *size))
 
 
-def test_precision_is_chosen_by_the_processor(monkeypatch):
-    for flags, expected in [({}, False), ({"avx512_bf16": True}, True), ({"amx_bf16": True}, True)]:
-        monkeypatch.setattr(torch.cpu, "get_capabilities", lambda flags=flags: flags)
-        assert uses_bfloat16("auto", "cpu") is expected
-    assert uses_bfloat16("bfloat16", "cpu") and not uses_bfloat16("float32", "cpu")
+@pytest.mark.parametrize(
+    ("flags", "seconds", "expected"),
+    [({}, 1, "float32"), ({"avx512_bf16": True}, 7, "bfloat16"), ({"amx_bf16": True}, 8, "float32")],
+)
+def test_bfloat16_is_chosen_where_the_processor_has_it_and_is_faster(monkeypatch, flags, seconds, expected):
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: flags)
+    monkeypatch.setattr(learned, "_layer_seconds", {"float32": 10, "bfloat16": seconds}.get)
+    monkeypatch.setattr(learned, "_bfloat16_pays", learned._bfloat16_pays.__wrapped__)  # this process has tried already
+    assert choose_precision("auto", "cpu") == expected
+    assert [choose_precision(one, "cpu") for one in ("bfloat16", "float32")] == ["bfloat16", "float32"]
     with refused("precision = 'float16'; expected"):
         LearnedCost(network(), "float16")
 
