@@ -1,24 +1,29 @@
-"""Speed as a ratio to a named alternative, both measured by `torch.utils.benchmark` with the same number of threads."""
+"""Time of every stage against this machine's own limit and a named alternative, all measured in one run.
+
+The limit is the least time in which this machine could do it: for loops over the volume, the bytes that must be moved
+at the speed of a triad, a = b + 2c; for networks, their multiplications at the speed of a large matrix product. Times
+are medians of `torch.utils.benchmark`, all with the same number of threads.
+"""
 
 from __future__ import annotations
 
+import math
 import resource
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, partial
 
 import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch.nn.functional import pad, relu
 from torch.utils.benchmark import Timer
+from torch.utils.flop_counter import FlopCounterMode
 
 from omnistereo_lib import reference
 from omnistereo_lib.calibrate.captures import find_captures
 from omnistereo_lib.calibrate.checkerboard import Checkerboard
 from omnistereo_lib.calibrate.detect import detect_views
-from omnistereo_lib.calibrate.joint import calibrate_rig
 from omnistereo_lib.calibrate.single_camera import calibrate_camera
 from omnistereo_lib.dataset import load_dataset
 from omnistereo_lib.evaluate.run import DATA
@@ -28,27 +33,37 @@ from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.rig_files import load_rig
 from omnistereo_lib.stereo.correlation import correlate, feature_coordinates, pixels_per_degree, volume_sizes
 from omnistereo_lib.stereo.depth import index_and_confidence
-from omnistereo_lib.stereo.images import reduce_images
+from omnistereo_lib.stereo.images import reduce_images, to_gray
 from omnistereo_lib.stereo.kernels.correlation_numba import CHANNELS, GROUPS
-from omnistereo_lib.stereo.learned import LearnedCost, choose_precision
+from omnistereo_lib.stereo.learned import LearnedCost, autocast, choose_precision
 from omnistereo_lib.stereo.methods import penalties
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sgm import sgm
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.sweepnet import SweepNet
 from omnistereo_lib.stereo.volume import cost_volume
+from omnistereo_lib.stereo.volumenet import VolumeNet
 from omnistereo_lib.stereo.zncc import ZNCC, default_window
-from omnistereo_lib.train import RECIPES
-from omnistereo_lib.train.spheres import SphereObjective, SphereSamples
 from omnistereo_tools.memory import keep_memory
 
 _SECONDS = 3.0  # a call is repeated for so long; one that takes longer is timed once
+# Bytes of a cell that must be moved: costs are read, and sums read and written, along the rows, downwards and upwards.
+_SGM, _WINNER = 3 * 4 + 5 * 4, 4
+_WARP = 2 * 4 + 4  # for each camera, coordinates read and a value written
 
 
-def compare(name: str, ours: Callable, theirs: Callable, note: Callable[[float], str] = lambda ours: "") -> None:
-    """Print one comparison: milliseconds of both, their ratio, and a note on our time in seconds."""
-    a, b = seconds(ours), seconds(theirs)
-    print(f"{name:76} {1e3 * a:9.1f} {1e3 * b:10.1f} {a / b:6.2f}  {note(a)}", flush=True)
+def compare(name: str, ours: Callable, theirs: Callable | None = None, bytes_moved: float = 0, note: str = "") -> None:
+    """Print one line: our milliseconds, the limit's and the ratio, an alternative's and the ratio, and a note.
+
+    Args:
+        theirs: The alternative, None: there is none.
+        bytes_moved: What must be read and written; 0: the limit is that of the multiplications, if there are any.
+    """
+    bandwidth, speed = machine()
+    limit = bytes_moved / bandwidth or operations(ours) / speed
+    a, b = seconds(ours), theirs and seconds(theirs)
+    columns = [f"{1e3 * other:10.1f} {a / other:6.2f}" if other else " " * 17 for other in (limit, b)]
+    print(f"{name:76} {1e3 * a:9.1f} {' '.join(columns)}  {note}".rstrip(), flush=True)
 
 
 def seconds(call: Callable) -> float:
@@ -57,15 +72,33 @@ def seconds(call: Callable) -> float:
     return timer.blocked_autorange(min_run_time=_SECONDS).median
 
 
+@cache
+def machine() -> tuple[float, float]:
+    """Return this machine's bytes per second, and multiplications and additions per second as networks use them."""
+    a, b, c = torch.rand(3, 1 << 24)  # far beyond the caches
+    x = torch.rand(2048, 2048, dtype=getattr(torch, choose_precision("auto", "cpu")))
+    triad, product = seconds(lambda: torch.add(b, c, alpha=2, out=a)), seconds(lambda: x @ x)
+    return 3 * 4 * len(a) / triad, 2 * len(x) ** 3 / product
+
+
+def operations(call: Callable) -> int:
+    """Return the multiplications and additions of a call's convolutions and matrix products."""
+    with FlopCounterMode(display=False) as counter:
+        call()
+    return counter.get_total_flops()
+
+
 def bench_sgm(width: int, height: int, num: int) -> None:
     """Compare `sgm` (float32, 8 paths, across the seam) with OpenCV StereoSGBM in mode HH (16-bit, 8 paths).
 
     Both get the same image pair and the penalties of the paper; mode HH uses only one thread. The OpenCV time includes
     single-pixel costs and argmin, ours is the aggregation; OpenCV skips the first `num` columns.
     """
-    left, right = _stereo_pair(width, height, num)
-    volume = torch.stack([torch.from_numpy(np.abs(left - np.roll(right, n, axis=1))) for n in range(num)], -1)
-    left, right = (cv2.convertScaleAbs(image, alpha=255) for image in (left, right))
+    image = load_dataset(DATA / "sunny" / "test")[0].images[0]
+    left = cv2.resize(to_gray(image).round().astype(np.uint8), (width, height))
+    right = np.roll(left, -num // 2, axis=1)
+    shifted = [cv2.absdiff(left, np.roll(right, n, axis=1)) for n in range(num)]
+    volume = torch.from_numpy(np.stack(shifted, -1)).float() / 255
     opencv = cv2.StereoSGBM.create(
         numDisparities=num, blockSize=1, P1=round(0.1 * 255), P2=12 * 255, mode=cv2.StereoSGBM_MODE_HH
     )
@@ -73,21 +106,8 @@ def bench_sgm(width: int, height: int, num: int) -> None:
         f"SGM {width}×{height}×{num}, 8 paths, against StereoSGBM HH",
         lambda: sgm(volume),
         lambda: opencv.compute(left, right),
-        lambda ours: f"{volume.numel() / ours / 1e6:.0f} M cells/s",
+        _SGM * volume.numel(),
     )
-
-
-def _stereo_pair(width: int, height: int, num: int) -> tuple[NDArray, NDArray]:
-    """Return two float32 images in [0, 1], right(x) = left(x + d): smooth disparity, texture, camera noise."""
-    rng = np.random.default_rng(0)
-    texture = cv2.GaussianBlur(rng.normal(size=(height, width)), (0, 0), 1.5)
-    texture = 0.5 + 0.15 * texture / texture.std()
-    x, y = np.meshgrid(np.arange(width), np.arange(height))
-    disparity = num * (0.5 + 0.2 * np.sin(4 * np.pi * x / width) + 0.1 * np.cos(2 * np.pi * y / height))
-    column, row = np.float32((x + disparity) % width), np.float32(y)
-    right = cv2.remap(texture, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
-    noisy = [image + rng.normal(scale=0.01, size=image.shape) for image in (texture, right)]
-    return tuple(np.clip(image, 0, 1).astype(np.float32) for image in noisy)
 
 
 def bench_kernels(width: int, height: int, num: int) -> None:
@@ -103,6 +123,7 @@ def bench_kernels(width: int, height: int, num: int) -> None:
     shapes = [(CHANNELS, -(-height // 2), -(-width // 2)) for width, height in reduced.image_sizes(len(rig))]
     features, pixels = [torch.rand(shape) for shape in shapes], feature_coordinates(reduced, grid, size)
     volume = cost_volume(sweep, images)
+    cameras, cells, of_block = len(rig), volume.numel(), warped[0].numel()
     rays, inverse_depths = reference.rays(width, height, grid.phi_deg), torch.from_numpy(grid.inverse_depths())
 
     def warp() -> list[torch.Tensor]:
@@ -112,31 +133,49 @@ def bench_kernels(width: int, height: int, num: int) -> None:
     def costs() -> torch.Tensor:
         return reference.mean_over_pairs(torch.stack([reference.zncc(warped[i], warped[j], window) for i, j in pairs]))
 
+    def winner() -> tuple[torch.Tensor, torch.Tensor]:
+        return reference.winner(volume, True), reference.confidence(volume)
+
     out = torch.empty(height, width, len(spheres))
-    for name, ours, definition in (
-        ("warp, one camera, one block", lambda: sweep.warp_camera(normalized[0], 0, spheres, out), warp),
-        ("ZNCC, one block", lambda: ZNCC(window)(warped, pairs), costs),
-        ("correlation", lambda: correlate(features, pixels), lambda: reference.correlate(features, pixels, GROUPS)),
-        ("SGM", lambda: sgm(volume, p1, p2), lambda: reference.sgm(volume, p1, p2)),
-        (
-            "winner and confidence",
-            lambda: index_and_confidence(volume, True),
-            lambda: (reference.winner(volume, True), reference.confidence(volume)),
-        ),
-        (
-            "ZNCC + SGM frame",
-            lambda: sweep_depth(sweep, images, "zncc+sgm"),
-            lambda: reference.estimate(normalized, rig, grid, pairs, window, p1, p2),
-        ),
-    ):
-        compare(f"{name} {width}×{height}×{num}, against the definition", ours, definition)
+    of_frame = (_zncc_bytes(cameras) + _SGM + _WINNER) * cells
+    of_correlation = 4 * (2 * cameras + GROUPS + 1) * math.prod(size)
+
+    def against(name: str, bytes_moved: float, ours: Callable, definition: Callable) -> None:
+        compare(f"{name} {width}×{height}×{num}, against the definition", ours, definition, bytes_moved)
+
+    ours = partial(sweep.warp_camera, normalized[0], 0, spheres, out)
+    against("warp, one camera, one block", _WARP * of_block, ours, warp)
+    against("ZNCC, one block", 4 * (cameras + 1) * of_block, partial(ZNCC(window), warped, pairs), costs)
+    definition = partial(reference.correlate, features, pixels, GROUPS)
+    against("correlation", of_correlation, partial(correlate, features, pixels), definition)
+    against("SGM", _SGM * cells, partial(sgm, volume, p1, p2), partial(reference.sgm, volume, p1, p2))
+    ours = partial(index_and_confidence, volume, True)
+    against("winner and confidence", _WINNER * cells, ours, winner)
+    definition = partial(reference.estimate, normalized, rig, grid, pairs, window, p1, p2)
+    against("ZNCC + SGM frame", of_frame, partial(sweep_depth, sweep, images, "zncc+sgm"), definition)
+
+
+def _zncc_bytes(cameras: int) -> int:
+    """Return the bytes of a cell of the ZNCC volume: warped images are written and read, costs written."""
+    return (_WARP + 4) * cameras + 4
 
 
 def bench_volumenet(width: int, height: int, num: int) -> None:
-    """Compare a whole VolumeNet frame with a ZNCC + SGM frame of this library; both have their tables ready."""
+    """Time the ZNCC volume, the parts of VolumeNet, and its frame against one of ZNCC + SGM; all have their tables."""
     sweep, images = _rig_and_images(width, height, num)
+    scale, network = f"{width}×{height}×{num}", VolumeNet.pretrained()
+    bytes_moved = _zncc_bytes(len(sweep.rig)) * width * height * num
+    compare(f"ZNCC volume {scale}", lambda: cost_volume(sweep, images), None, bytes_moved)
+    # Features of a camera, and the U-net, of the finest volume.
+    size = volume_sizes(sweep.grid, sweep.rig)[-1]
+    camera = reduce_images(sweep.rig, images, pixels_per_degree(size))[0].cameras[0]
+    visible = torch.from_numpy(camera.visible_pixels())
+    with torch.no_grad(), autocast("auto", visible.device):
+        correlation = network.correlation_at(sweep, images, size)
+        compare(f"VolumeNet {scale}: features of one camera", lambda: network.features(visible.float(), visible))
+        compare(f"VolumeNet {scale}: U-net", lambda: network(correlation[None]))
     methods = (partial(sweep_depth, sweep, images, name) for name in ("volumenet", "zncc+sgm"))
-    compare(f"VolumeNet frame {width}×{height}×{num}, against ZNCC + SGM", *methods)
+    compare(f"VolumeNet frame {scale}, against ZNCC + SGM", *methods)
 
 
 @cache
@@ -157,58 +196,19 @@ def bench_sweepnet(width: int, height: int, num: int, spheres: range) -> None:
     sweep, images = _rig_and_images(width, height, num)
     warped = sweep.warp_block(sweep.normalize_images(images), spheres)
     columns = [sweep.visible_columns(i, spheres) for i in range(len(sweep.rig))]
-    pairs, network = camera_pairs("ring", sweep.rig), SweepNet.pretrained()
+    pairs, plain = camera_pairs("ring", sweep.rig), SweepNet.pretrained()
+    plain.wrap, views = False, warped.nan_to_num()  # with `wrap` it would repeat columns beyond the seam
+
+    @torch.no_grad()
+    def plainly() -> list[torch.Tensor]:
+        return [plain(a[None], b[None]) for i, j in pairs for a, b in zip(views[i], views[j], strict=True)]
+
     for precision in ("float32", "bfloat16") if choose_precision("auto", "cpu") == "bfloat16" else ("float32",):
         compare(
             f"SweepNet {width}×{height}, {len(spheres)} of {num} spheres, {precision}, against plain float32",
             partial(LearnedCost(SweepNet.pretrained(), precision), warped, pairs, columns),
-            partial(plain_sweepnet, network, warped, pairs),
+            plainly,
         )
-
-
-@torch.no_grad()
-def plain_sweepnet(net: SweepNet, spherical: torch.Tensor, pairs: Sequence[tuple[int, int]]) -> torch.Tensor:
-    """Return the costs of a block of spheres by Table I as printed: no crop, no shared features, no strips."""
-    layers = net.layers
-
-    def extract(image: torch.Tensor) -> torch.Tensor:
-        x = relu(layers["conv1"](pad(image.nan_to_num()[None, None], (2, 2, 0, 0), mode="circular")))
-        for k in range(2, 18, 2):
-            x = relu(x + layers[f"conv{k + 1}"](relu(layers[f"conv{k}"](x))))
-        return relu(layers["conv18"](x))
-
-    def match(left: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
-        x = torch.cat([extract(left), extract(right)], 1)
-        for name in ("conv19", "deconv1", "conv20"):
-            x = relu(layers[name](x))
-        x = x.permute(0, 2, 3, 1)
-        for name in ("fc1", "fc2", "fc3", "fc4"):
-            x = relu(layers[name](x))
-        return torch.sigmoid(layers["fc5"](x))[0, ..., 0]
-
-    sums, counts = torch.zeros(2, *spherical.shape[1:])
-    for i, j in pairs:
-        for n, (left, right) in enumerate(zip(spherical[i], spherical[j], strict=True)):  # one by one to save memory
-            visible = ~(left + right).isnan()
-            sums[n] += torch.where(visible, match(left, right), 0.0)
-            counts[n] += visible
-    return (sums / counts).permute(1, 2, 0)
-
-
-def bench_training(width: int, height: int, num: int) -> None:
-    """Compare a training step of SweepNet in float32 with the same step in the channels-last memory format."""
-    scale = {"width": width, "height": height, "num_spheres": num, "halve": False}
-    samples = SphereSamples(replace(RECIPES["sweepnet"]["shipped"], **scale), DATA / "sunny" / "train")
-    batch = samples.micro_batch(samples.training[0], np.random.default_rng(0), augment=False)
-
-    def step(network: SweepNet) -> None:
-        network.zero_grad()
-        SphereObjective(network)(batch)[0].backward()
-
-    layouts = torch.contiguous_format, torch.channels_last
-    networks = (SweepNet.pretrained().train().to(memory_format=layout) for layout in layouts)
-    name = f"SweepNet {width}×{height}, a step of training in float32, against channels last"
-    compare(name, *(partial(step, network) for network in networks))
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,23 +250,18 @@ def bench_calibrate() -> None:
     OpenCV's model ends at 90° from the axis, so both get boards within 80°, and OpenCV our focal length to start from.
     """
     board, folder = Checkerboard((12, 10), 0.06), DATA / "calibration" / "handheld"
-    captures = find_captures(folder)
-    corners = [detect_views(list(captures.images(i)), board) for i in range(len(captures.cameras))]
-    sizes = [camera.image_size for camera in load_rig(folder).cameras]
-    start, whole = calibrate_camera(corners[0], board, sizes[0])
+    corners = detect_views(list(find_captures(folder).images(0)), board)
+    size = load_rig(folder).cameras[0].image_size
+    start, whole = calibrate_camera(corners, board, size)
     near = [view for view in whole.views_used if np.nanmax(whole.angles[view]) < np.radians(80)]
     views = [whole.corners[view] for view in near if np.isfinite(whole.corners[view]).all()]
-    ours_px = calibrate_camera(views, board, sizes[0])[1].errors.rms_distance_px
-    theirs_px = opencv_fisheye(views, board, sizes[0], start).rms_px
-    rig_s = seconds(lambda: calibrate_rig(corners, board, sizes))
+    ours_px = calibrate_camera(views, board, size)[1].errors.rms_distance_px
+    theirs_px = opencv_fisheye(views, board, size, start).rms_px
     compare(
         f"calibrate a camera, {len(views)} views, against cv2.fisheye",
-        lambda: calibrate_camera(views, board, sizes[0]),
-        lambda: opencv_fisheye(views, board, sizes[0], start),
-        lambda _: (
-            f"rms distance {ours_px:.3f} px, theirs {theirs_px:.3f}; "
-            f"4 cameras with {len(captures.names)} captures {rig_s:.2f} s"
-        ),
+        lambda: calibrate_camera(views, board, size),
+        lambda: opencv_fisheye(views, board, size, start),
+        note=f"rms distance {ours_px:.3f} px, theirs {theirs_px:.3f}",
     )
 
 
@@ -274,15 +269,16 @@ def run(quick: bool = False) -> None:
     """Print all comparisons; quick: only at teaching scale, in a minute. The scale of the paper takes 10 GiB."""
     keep_memory()  # as every command does
     cv2.setNumThreads(torch.get_num_threads())
-    print(f"{torch.get_num_threads()} threads; medians of repeated runs\n{'':76}   ours/ms  theirs/ms  ratio")
+    bandwidth, speed = (value / 1e9 for value in machine())
+    limits = f"triad {bandwidth:.0f} GB/s, matrix product {speed:.0f} GFLOP/s in {choose_precision('auto', 'cpu')}"
+    print(f"{torch.get_num_threads()} threads: {limits}\n{'':76}   ours/ms   limit/ms  ratio  theirs/ms  ratio")
     bench_kernels(320, 80, 64)
-    for scale in [(320, 80, 64)] if quick else [(320, 80, 64), (1200, 300, 192)]:
+    for scale in [(320, 80, 64), (640, 160, 192)] + [(1200, 300, 192)] * (not quick):
         for comparison in (bench_sgm, bench_volumenet):
             comparison(*scale)
     if not quick:
         bench_sweepnet(320, 80, 64, range(30, 34))
         bench_sweepnet(1200, 300, 192, range(95, 96))
-        bench_training(640, 160, 96)
     bench_calibrate()
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     print(f"peak memory of this process, the alternatives included: {peak:.1f} GiB")

@@ -109,7 +109,7 @@ class _Run:
         with torch.random.fork_rng():
             torch.manual_seed(recipe.seed)
             self.samples = _SAMPLES[recipe.network](recipe, data, device)
-        # Channels last is faster, except for the gradient of the weights in float32 on a CPU; see `bench`.
+        # Channels last is faster, except for the gradient of the weights in float32 on a CPU.
         slow = device.type == "cpu" and choose_precision(precision, device) == "float32"
         layout = torch.contiguous_format if slow else torch.channels_last
         self.network = nn.utils.convert_conv2d_weight_memory_format(self.samples.network.to(device), layout).train()

@@ -1,5 +1,7 @@
 """The benchmarks: both sides do the same job, and a line has both times and their ratio."""
 
+import re
+
 import boards
 import numpy as np
 import pytest
@@ -7,9 +9,6 @@ import torch
 
 from course.experiments import bench
 from omnistereo_lib.calibrate.single_camera import calibrate_camera
-from omnistereo_lib.geometry.rig import camera_pairs
-from omnistereo_lib.stereo.learned import LearnedCost
-from omnistereo_lib.stereo.sweepnet import SweepNet
 
 
 @pytest.fixture(autouse=True)
@@ -17,29 +16,23 @@ def once(monkeypatch):
     monkeypatch.setattr(bench, "_SECONDS", 0.0)
 
 
-def test_a_line_has_both_times_and_their_ratio(capsys):
-    bench.compare("SGM, twice", lambda: None, lambda: sum(range(100_000)), "{:.0f} s".format)
-    *name, ours, theirs, ratio, note, unit = capsys.readouterr().out.split()
-    assert (name, note, unit) == (["SGM,", "twice"], "0", "s")
+def test_a_line_has_all_times_and_their_ratios(capsys, monkeypatch):
+    monkeypatch.setattr(bench, "machine", lambda: (1e9, 1e9))
+    x = torch.zeros(10, 100)
+    bench.compare("product, twice", lambda: x @ x.T, lambda: sum(range(100_000)), note="exact")
+    *name, ours, _, _, theirs, ratio, note = capsys.readouterr().out.split()
+    assert (name, note) == (["product,", "twice"], "exact")
     assert 0 <= float(ours) < float(theirs) and float(ratio) < 1
+    assert bench.operations(lambda: x @ x.T) == 2 * 10 * 100 * 10
+    bench.compare("copy", lambda: x.clone(), None, 2e6)
+    assert capsys.readouterr().out.split()[2] == "2.0"  # milliseconds: 2 MB at 1 GB/s
 
 
-@pytest.mark.parametrize(("name", "lines"), [("kernels", 6), ("sgm", 1), ("volumenet", 1), ("training", 1)])
+@pytest.mark.parametrize(("name", "lines"), [("kernels", 6), ("sgm", 1), ("volumenet", 4)])
 def test_a_comparison_runs(name, lines, capsys):
     getattr(bench, f"bench_{name}")(96, 24, 16)
-    ratios = [float(line.split("  ")[-2].split()[-1]) for line in capsys.readouterr().out.splitlines()]
-    assert len(ratios) == lines and min(ratios) >= 0
-
-
-def test_the_plain_sweepnet_has_the_same_costs():
-    """But for the columns that see across the seam: the plain one has a seam in all layers but the first."""
-    sweep, images = bench._rig_and_images(112, 16, 16)
-    spheres, pairs, network = range(7, 9), camera_pairs("ring", sweep.rig), SweepNet.pretrained()
-    warped = sweep.warp_block(sweep.normalize_images(images), spheres)
-    plain = bench.plain_sweepnet(network, warped, pairs)
-    ours = LearnedCost(network, "float32")(warped, pairs)
-    seam = 42  # half the receptive field of 81, and the stride
-    torch.testing.assert_close(ours[:, seam:-seam], plain[:, seam:-seam], atol=1e-5, rtol=0, equal_nan=True)
+    rows = [re.findall(r"  +([0-9.]+)", line) for line in capsys.readouterr().out.splitlines()]
+    assert len(rows) == lines and all(len(row) >= 2 for row in rows)
 
 
 def test_opencv_gets_a_fair_chance():
