@@ -8,9 +8,13 @@ import re
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools.parser import Options
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _PICTURES = ("png", "jpg", "jpeg", "bmp", "pgm", "webp")
 _READ = {  # options that name files, or a folder of which these are read
@@ -110,3 +114,12 @@ def _files_read(options: Options, unread: Collection[str]) -> Iterator[Path]:
 def _paths(options: Options, name: str) -> list[Path]:
     value = getattr(options, name, None)
     return [Path(one) for one in (value if isinstance(value, tuple) else [value]) if one is not None]
+
+
+def save_figure(path: Path, figure: "Figure", dpi: int = 100) -> None:
+    """Write a figure of Matplotlib in the format of the suffix, so that its bytes depend only on what it shows."""
+    from omnistereo_lib.files import atomic_write
+
+    kind = path.suffix.lower()[1:]
+    with atomic_write(path) as temporary:  # Matplotlib would write its version into a PNG
+        figure.savefig(temporary, format=kind, dpi=dpi, metadata={"Software": None} if kind == "png" else None)

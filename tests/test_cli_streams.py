@@ -20,7 +20,7 @@ import omnistereo_lib
 from omnistereo_lib.stereo.compiled import compiled
 from omnistereo_tools import cli
 from omnistereo_tools.commands.options import SAMPLE
-from omnistereo_tools.judge.pace import progress_bar
+from omnistereo_tools.progress import progress_bar
 
 ROOT = Path(omnistereo_lib.__file__).parents[1]
 

@@ -74,10 +74,10 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
     from omnistereo_lib.files import atomic_write
     from omnistereo_lib.rig_files.formats import load_cameras
     from omnistereo_lib.rig_files.ocam import write_ocam_txt
-    from omnistereo_tools.judge.pace import progress_bar
     from omnistereo_tools.output.calibration_figures import calibration_figure
-    from omnistereo_tools.output.pictures import save_figure
     from omnistereo_tools.output.rig_exports import write_rig
+    from omnistereo_tools.outputs import save_figure
+    from omnistereo_tools.progress import progress_bar
 
     # Read the boards.
     _check_out(options, folder)

@@ -60,9 +60,9 @@ class ImagesOptions(Options):
 def run(options: ImagesOptions, recorded: Sequence[Path]) -> int:
     """Measure a rig from images, write it and its report; return 1 if the given rig is better and stays."""
     from omnistereo_lib.files import atomic_write
-    from omnistereo_tools.judge.pace import progress_bar
-    from omnistereo_tools.output.pictures import save_figure
     from omnistereo_tools.output.rig_exports import write_rig
+    from omnistereo_tools.outputs import save_figure
+    from omnistereo_tools.progress import progress_bar
 
     out = options.out
     names = ("config.yaml", "report.txt", "report_points.png", "poses.txt", "kalibr.yaml", "opencv.yaml")

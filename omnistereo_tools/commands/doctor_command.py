@@ -62,7 +62,7 @@ def _check_rig(options: DoctorOptions, rig_file: Path) -> int:
     """Say what a rig can see and what depth to ask for, and check it against its images; return 1 if it is wrong."""
     from omnistereo_tools.judge.coverage import Coverage
     from omnistereo_tools.judge.doubts import rig_doubts
-    from omnistereo_tools.output.pictures import save_figure
+    from omnistereo_tools.outputs import save_figure
 
     check_outputs(options, [options.coverage, options.write])
     has_images = options.images is not None or _is_data_set(rig_file)
@@ -100,8 +100,8 @@ def _check_images(options: DoctorOptions, frame: Frame, grid: SphereGrid) -> int
     from omnistereo_lib.stereo.sweep import SphereSweep
     from omnistereo_tools.judge.doubts import rig_doubts, same_pictures
     from omnistereo_tools.judge.matching_cost import matching_cost
-    from omnistereo_tools.judge.pace import progress_bar
     from omnistereo_tools.judge.rig_check import check_rig
+    from omnistereo_tools.progress import progress_bar
 
     rig, images = frame.rig, frame.images
     if same := same_pictures(images):

@@ -38,7 +38,7 @@ def run(options: EvaluateOptions) -> None:
     """Evaluate methods on data sets, merge the results and print the table."""
     from omnistereo_lib.evaluate import SCALES, Evaluation, errors_table, find_sets, select_methods, write_results
     from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
-    from omnistereo_tools.judge.pace import progress_bar
+    from omnistereo_tools.progress import progress_bar
 
     out = options.out or Path("out") / f"evaluation_{options.scale}"
     tables = (out / f"{name}.{suffix}" for name in ("errors", "regions") for suffix in ("txt", "md", "csv"))

@@ -85,7 +85,8 @@ def run(options: RecordOptions) -> None:
     from omnistereo_tools.input.image_circle import FRAMES
     from omnistereo_tools.judge.coverage import Coverage
     from omnistereo_tools.judge.doubts import image_doubts, rig_doubts
-    from omnistereo_tools.judge.pace import progress_bar, say_recording
+    from omnistereo_tools.judge.pace import say_recording
+    from omnistereo_tools.progress import progress_bar
     from omnistereo_tools.record.recordings import DepthWriter, stored_min_depth, write_video
     from omnistereo_tools.record.watching import Watching
 

@@ -36,7 +36,7 @@ def run(options: TrainOptions) -> None:
     from omnistereo_lib.stereo.device import number_from_environment
     from omnistereo_lib.train import RECIPES, train
     from omnistereo_lib.train.loop import LOG, STATE, WEIGHTS
-    from omnistereo_tools.judge.pace import progress_bar, say
+    from omnistereo_tools.progress import progress_bar, say
 
     presets = RECIPES[options.network]
     if options.preset not in presets:

@@ -1,4 +1,4 @@
-"""How long depth takes: said before it begins, and shown while it goes on."""
+"""How long depth takes, said before it begins."""
 
 from __future__ import annotations
 
@@ -7,44 +7,17 @@ from collections.abc import Sequence
 
 import torch
 from numpy.typing import ArrayLike
-from tqdm import tqdm
 
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.progress import Progress
 from omnistereo_lib.stereo.learned import choose_precision
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
 
-tqdm.monitor_interval = 0  # its thread would outlive the command
-
 # Seconds for each cell of the cost volume, rays × spheres, of a first frame with four cameras on two cores.
 _SECONDS = {"zncc": 2.3e-7, "mccnn": 1e-5, "sweepnet": 3e-5, "volumenet": 7e-8}
 _WRITING_S, _CORES = 4.0, 2
 _FEW_FRAMES = 10  # are soon done
-
-
-def progress_bar(unit: str = "part") -> Progress:
-    """Return a `progress` that shows a bar with what is said of each part, until all parts are done."""
-    bar: tqdm | None = None
-
-    def show(done: int, total: int, what: str) -> None:
-        nonlocal bar
-        if bar is None:  # the time left counts from the first part of this call
-            bar = tqdm(total=total, initial=done, desc=what, unit=unit, leave=False)
-        bar.set_description(what, refresh=False)
-        bar.update(done - bar.n)
-        bar.refresh()
-        if done == total:
-            bar.close()
-            bar = None
-
-    return show
-
-
-def say(line: str) -> None:
-    """Print a line above the bar."""
-    tqdm.write(line)
 
 
 def say_frame(method: str, grid: SphereGrid, device: str) -> None:

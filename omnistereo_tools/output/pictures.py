@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omnistereo_lib.files import atomic_write
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.output.blend import blended_panorama, estimate_gains
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    pass
 
 BACKGROUND = 0x20  # colours stand out, and gaps between points do not dazzle
 _FADE, _GRAY = 0.65, 0x80  # of what is doubtful, towards
@@ -151,10 +149,3 @@ def _axes(towards: NDArray[Any]) -> NDArray[np.float64]:
     right = np.cross([0.0, 1.0, 0.0], forward)
     right /= np.linalg.norm(right)
     return np.stack([right, np.cross(forward, right), forward])
-
-
-def save_figure(path: Path, figure: Figure, dpi: int = 100) -> None:
-    """Write a figure of Matplotlib in the format of the suffix, so that its bytes depend only on what it shows."""
-    kind = path.suffix.lower()[1:]
-    with atomic_write(path) as temporary:  # Matplotlib would write its version into a PNG
-        figure.savefig(temporary, format=kind, dpi=dpi, metadata={"Software": None} if kind == "png" else None)

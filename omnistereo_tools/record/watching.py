@@ -25,8 +25,8 @@ from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.lazy import lazy_property
 from omnistereo_lib.rig_files import save_rig
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_tools.judge.pace import say
-from omnistereo_tools.output.pictures import save_figure
+from omnistereo_tools.outputs import save_figure
+from omnistereo_tools.progress import say
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,7 +9,7 @@ import scene
 
 import omnistereo_lib as osl
 from omnistereo_tools.judge.coverage import Coverage
-from omnistereo_tools.output.pictures import save_figure
+from omnistereo_tools.outputs import save_figure
 
 
 def rig_of(*poses, fov=200.0):

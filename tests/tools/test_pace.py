@@ -5,6 +5,7 @@ import pytest
 import omnistereo_lib as osl
 from omnistereo_lib.progress import counted
 from omnistereo_tools.judge import pace
+from omnistereo_tools.progress import progress_bar
 
 
 @pytest.mark.parametrize(
@@ -24,7 +25,7 @@ def test_more_spheres_take_longer_and_other_devices_are_not_guessed(capsys):
 
 
 def test_a_bar_names_the_parts_that_have_names(capsys):
-    bar = pace.progress_bar()
+    bar = progress_bar()
     for _ in range(2):  # one after the other
         step = counted(bar, 2)
         step("camera 1 of 2")
