@@ -65,7 +65,7 @@ def chromium():
         browser.close()
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def open_page(chromium):
     """Open an empty page of some size, with what went wrong on it in `page.complaints`."""
     contexts = []

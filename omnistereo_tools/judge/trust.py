@@ -21,6 +21,10 @@ _LOOKED_AT = 16  # spheres, where a ray is looked up in the cameras: their views
 _FLOATING_SIZE, _FLOATING_TRUST = 0.01, 0.7  # of all rays; mean
 _ALL_AROUND = 0.85  # of the edge of a thing, if that thing is in front
 _RATIO_SPHERES = 4  # the same for the ratio of costs, which speaks of no distance
+# Times of ten that a ray is right, off by at most two spheres or a tenth of the depth, and the trust in percent from
+# which on it is; on 9 frames with exact depth, sunny, indoor and aerial.
+_ODDS_OF_NETWORK = ((6, 78), (7, 95), (8, 98), (9, 100))
+_ODDS_OF_COSTS = ((6, 35), (7, 50), (8, 67), (9, 87))
 
 
 def trust(depth: Depth, method: str | Method) -> NDArray[np.float32]:
@@ -45,6 +49,11 @@ def trust(depth: Depth, method: str | Method) -> NDArray[np.float32]:
     found = np.where(evidence, 1 - (1 - depth.confidence.clip(0, 1)) ** exponent, 0)
     doubtful = _floating(depth, found) | may_be_nearer(depth)
     return np.where(doubtful, DOUBTFUL * found, found).astype(np.float32)
+
+
+def odds(method: str | Method) -> tuple[tuple[int, int], ...]:
+    """Return pairs of how many times of ten a ray is right, and from which trust in percent on."""
+    return _ODDS_OF_NETWORK if Method.parse(method).reads_out else _ODDS_OF_COSTS
 
 
 def may_be_nearer(depth: Depth) -> NDArray[np.bool_]:

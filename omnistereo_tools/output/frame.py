@@ -18,7 +18,7 @@ from omnistereo_lib.progress import Progress, counted, silent
 from omnistereo_lib.rig_files import save_rig
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.metrics import index_error
-from omnistereo_tools.judge.trust import DOUBTFUL, trust
+from omnistereo_tools.judge.trust import DOUBTFUL, odds, trust
 from omnistereo_tools.output.blend import blended_panorama
 from omnistereo_tools.output.overview import draw_overview
 from omnistereo_tools.output.pictures import ColorScale, sharp_panorama
@@ -114,6 +114,7 @@ class FrameResult:
             self.limits,
             self.title,
             trust=self.trust,
+            odds=odds(self.method),
             gt_index=self.gt_index,
         )
         with atomic_write(path) as temporary:

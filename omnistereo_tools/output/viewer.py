@@ -1,28 +1,32 @@
-"""`index.html`: one file, read offline in any browser, to look around in the panorama and to rotate the points."""
+"""`index.html`: one file for any browser, offline, to look around, to measure, and to ask why a ray has its depth."""
 
 from __future__ import annotations
 
 import base64
 import json
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.geometry.camera import OcamCamera
+from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.stereo.depth import Depth
+from omnistereo_tools.judge import ray
 from omnistereo_tools.judge.trust import DOUBTFUL
 from omnistereo_tools.output.pictures import ColorScale
 from omnistereo_tools.output.points import Limits
 
-_PAGE = Path(__file__).with_name("viewer.html")
+_PAGE = Path(__file__).with_name("page")
+_SCRIPTS = ("numbers.js", "ray.js", "draw.js", "page.js")
 _RAY_BYTES = 2_400_000  # of all rays; with the picture the page stays below 5 MB
-_WIDEST = 2400  # px of the picture
+_WIDEST = 3600  # px of the picture
 _STEPS = 16382  # of inverse depth, a hundredth of a sphere; 0 is unknown
-_SMALL = 240  # px, width of a fisheye image
+_IMAGE_WIDTH, _IMAGE_BYTES = 800, 40_000  # of a fisheye image, at most
 
 
 def viewer_page(depth: Depth, panorama: NDArray[np.uint8], limits: Limits, title: str, **options: Any) -> str:
@@ -32,7 +36,9 @@ def viewer_page(depth: Depth, panorama: NDArray[np.uint8], limits: Limits, title
 
 def page_of(data: dict[str, Any]) -> str:
     """Return the page that shows what `viewer_data` returned."""
-    return _PAGE.read_text(encoding="utf-8").replace("{{DATA}}", json.dumps(data).replace("<", "\\u003c"))
+    page, *scripts = ((_PAGE / name).read_text(encoding="utf-8") for name in ("page.html", *_SCRIPTS))
+    page = page.replace("{{SCRIPTS}}", "".join(scripts))
+    return page.replace("{{DATA}}", json.dumps(data).replace("<", "\\u003c"))
 
 
 def viewer_data(
@@ -42,6 +48,7 @@ def viewer_data(
     title: str,
     mode: str = "look",
     trust: NDArray[Any] | None = None,
+    odds: Sequence[tuple[int, int]] = (),
     gt_index: NDArray[Any] | None = None,
 ) -> dict[str, Any]:
     """Return what the page shows, as JSON: with the images of the depth, where each camera sees a ray, too.
@@ -51,7 +58,8 @@ def viewer_data(
         limits: Rays that become points.
         title: What was computed and how, one line.
         mode: How it begins: "look" around, "flat" or "points".
-        trust: Of `trust.trust`, (H, W): doubtful rays are faded, and a slider hides them. None: all are trusted.
+        trust: Of `trust.trust`, (H, W): doubtful rays are faded. None: all are trusted.
+        odds: Of `trust.odds`: a slider leaves the rays that are right so many times of ten. Empty: there is no slider.
         gt_index: The exact sphere indices, (H, W), if they are known: the page then shows them and the error, too.
     """
     grid = depth.grid
@@ -62,17 +70,24 @@ def viewer_data(
     optional: dict[str, Any] = {}
     if trust is not None:
         optional["trust"] = _packed(_percent(trust[::step, ::step]))
+    if odds:
+        optional["odds"] = odds
     if gt_index is not None:
         per_metre = float(np.diff(grid.inverse_depth_to_index([0.0, 1.0]))[0])  # spheres per 1/m
         percent = 100 / grid.num_spheres * per_metre  # the error as in the paper's tables
         optional |= {"truth": _packed(_in_steps(truth, per_step)), "percent": percent}
     scale = ColorScale.of(depth.inverse_depth)
+    cameras, images = fisheye_images(depth)
+    first, *_, last = grid.inverse_depths().tolist()
     return optional | {
         "title": title,
         "mode": mode,
         "width": inverse_depth.shape[1],
         "height": inverse_depth.shape[0],
         "phi": np.radians(grid.phi_deg).tolist(),
+        "spheres": grid.num_spheres,
+        "inverse": [first, last],
+        "pixelsPerDegree": max((camera.pixels_per_degree for camera in depth.sweep.rig.cameras), default=1.0),
         "perStep": per_step,
         "steps": _packed(_in_steps(inverse_depth, per_step)),
         "confidence": _packed(_percent(depth.confidence[::step, ::step])),
@@ -84,7 +99,11 @@ def viewer_data(
         "maxDepth": min(limits.max_depth, 1e9),
         "minConfidence": limits.min_confidence,
         "picture": _webp(_narrow(panorama)[..., ::-1], 75),
-        "cameras": [_camera(depth.sweep.rig, i, image) for i, image in enumerate(depth.images)],
+        "cameras": [
+            _camera(camera, pose, image)
+            for camera, pose, image in zip(cameras, depth.sweep.rig.T_rig_cam, images, strict=False)
+        ],
+        "ray": ray.for_the_page(),
     }
 
 
@@ -98,24 +117,32 @@ def _percent(values: NDArray[Any]) -> NDArray[np.uint8]:
     return (100 * np.nan_to_num(values)).round().astype(np.uint8)
 
 
-def _camera(rig: Rig, number: int, image: ArrayLike) -> dict[str, Any]:
-    """Return what projects points of the rig into a camera, and its image, small, transparent where it is blind."""
-    camera, T_cam_rig = rig.cameras[number], rig.T_rig_cam[number].inverse()
-    pixels = np.asarray(image).clip(0, 255).astype(np.uint8)
-    colors = pixels[..., ::-1] if pixels.ndim == 3 else cv2.cvtColor(pixels, cv2.COLOR_GRAY2BGR)
+def fisheye_images(depth: Depth) -> tuple[list[OcamCamera], list[NDArray[np.uint8]]]:
+    """Return the cameras and their images, RGB, as the page has them: blocks of pixels averaged where they are wide."""
+    cameras, images = [], []
+    for camera, image in zip(depth.sweep.rig.cameras, depth.images, strict=False):
+        factor = -(-camera.image_size[0] // _IMAGE_WIDTH)
+        width, height = (side // factor for side in camera.image_size)
+        pixels = np.asarray(image).clip(0, 255).astype(np.uint8)[: height * factor, : width * factor]
+        colors = pixels if pixels.ndim == 3 else cv2.cvtColor(pixels, cv2.COLOR_GRAY2RGB)
+        images.append(np.asarray(cv2.resize(colors, (width, height), interpolation=cv2.INTER_AREA), np.uint8))
+        cameras.append(camera.reduced(factor))
+    return cameras, images
+
+
+def _camera(camera: OcamCamera, T_rig_cam: Pose, image: NDArray[np.uint8]) -> dict[str, Any]:
+    """Return what projects points of the rig into a camera, and its image, transparent where it is blind."""
+    T_cam_rig = T_rig_cam.inverse()
     visible = np.where(camera.visible_pixels(), 255, 0).astype(np.uint8)
-    scale = _SMALL / camera.image_size[0]
-    size = (_SMALL, round(scale * camera.image_size[1]))
-    small = np.asarray(cv2.resize(np.dstack([colors, visible]), size, interpolation=cv2.INTER_AREA), np.uint8)
     return {
         "R": T_cam_rig.R.tolist(),
         "t": T_cam_rig.t.tolist(),
+        "place": T_rig_cam.t.tolist(),
         "poly": list(camera.inv_poly),
         "affine": list(camera.affine),
         "center": list(camera.center),
         "maxAngle": np.radians(camera.max_fov_deg / 2) - np.pi / 2,
-        "scale": scale,
-        "image": _webp(small, 60),
+        "image": _webp_of_at_most(np.dstack([image[..., ::-1], visible]), _IMAGE_BYTES),
     }
 
 
@@ -142,3 +169,12 @@ def _webp(pixels: NDArray[np.uint8], quality: int) -> str:
     """Return an image in BGR or BGRA as a data URI."""
     _, encoded = cv2.imencode(".webp", pixels, [cv2.IMWRITE_WEBP_QUALITY, quality])
     return "data:image/webp;base64," + _base64(encoded)
+
+
+def _webp_of_at_most(pixels: NDArray[np.uint8], most: int) -> str:
+    """Return an image as `_webp`, in the best quality that takes at most so many bytes."""
+    for quality in range(90, 0, -10):
+        found = _webp(pixels, quality)
+        if len(found) * 3 / 4 <= most:
+            break
+    return found

@@ -1,0 +1,484 @@
+// The page: what is shown, the controls, and the explanation of a ray.
+"use strict";
+
+const canvas = $("view");
+const dark = matchMedia("(prefers-color-scheme: dark)"), calm = matchMedia("(prefers-reduced-motion: reduce)");
+const start = { yaw: 0, pitch: 0, zoom: 1, turn: 0.3, tilt: 0.6, distance: 0 };
+const SLOW_MS = 100;  // two frames that take longer
+const MAGNIFIED = 2;  // at most, at first: pixels of the page for one of the cameras
+let view = { ...start }, renderer = null, picks = [], why = null;
+
+const mode = () => document.querySelector("input[name=mode]:checked").value;
+const outside = () => mode() === "points" || mode() === "surfaces";
+const doubtful = k => trust[k] < D.doubtful;
+
+// --- The view -----------------------------------------------------------------------------------------------------
+
+// Pixels of the page per radian, straight ahead. At first the height of the view is 90°, unless that is too coarse.
+function focal() {
+  const { clientWidth: w, clientHeight: h } = canvas, tallest = Math.min(Math.PI / 4, Math.max(...D.phi.map(Math.abs)));
+  if (outside()) return 0.8 * Math.max(w, h);
+  if (mode() === "flat") return w / (2 * Math.PI) * view.zoom;
+  const sharp = MAGNIFIED * D.pixelsPerDegree * 180 / Math.PI;
+  return Math.max(Math.min(h / 2 / Math.tan(tallest), sharp), w / 5.7) * view.zoom;
+}
+
+// How it looks, as the renderer takes it.
+function seen() {
+  const density = canvas.width / canvas.clientWidth;
+  const [turn, tilt] = outside() ? [view.turn, view.tilt] : [view.yaw, view.pitch];
+  return { mode: mode(), focal: focal() * density, turn: [turn, tilt], behind: outside() ? view.distance : 0 };
+}
+
+function settings() {
+  // Between points and surfaces white would dazzle.
+  const paper = (dark.matches ? 0x20 : outside() ? 0xb9 : 0xfa) / 255;
+  return {
+    paper: [paper, paper, paper], mixed: $("mix").value / 100, least: leastTrust() / 100,
+    layer: ["estimate", "truth", "error"].indexOf($("layer").value),
+  };
+}
+
+let pending = false;
+function draw() {
+  if (pending || !renderer) return;
+  pending = true;
+  requestAnimationFrame(() => { pending = false; drawNow(); });
+}
+
+function drawNow() {
+  renderer.draw(seen(), settings());
+  drawMarks();
+  storeState();
+  document.body.dataset.drawn = mode();
+}
+
+// On a slow machine the view is coarser while it moves.
+let coarse = false, resting = 0;
+function moving() {
+  const began = performance.now();
+  clearTimeout(resting);
+  resting = setTimeout(() => { if (coarse) { coarse = false; resize(); } }, 300);
+  requestAnimationFrame(() => requestAnimationFrame(() => {
+    if (!coarse && performance.now() - began > SLOW_MS) { coarse = true; resize(); }
+  }));
+  draw();
+}
+
+function resize() {
+  const density = coarse ? 0.5 : Math.min(devicePixelRatio, 2);
+  canvas.width = Math.max(1, Math.round(canvas.clientWidth * density));
+  canvas.height = Math.max(1, Math.round(canvas.clientHeight * density));
+  draw();
+}
+
+// Where a point is on the page, relative to the view; nothing if it is behind.
+function placeOf([x, y, z]) {
+  const { clientWidth: w, clientHeight: h } = canvas, f = focal();
+  const { turn: [turn, tilt], behind } = seen();
+  const [s, c, t, u] = [Math.sin(turn), Math.cos(turn), Math.sin(tilt), Math.cos(tilt)];
+  if (mode() === "flat") {
+    const right = Math.atan2(x, z) - turn, low = Math.atan2(y, Math.hypot(x, z)) - tilt - (D.phi[0] + D.phi[1]) / 2;
+    return [w / 2 + f * Math.atan2(Math.sin(right), Math.cos(right)), h / 2 + f * low];
+  }
+  const right = c * x - s * z, forward = s * x + c * z, down = u * y - t * forward, ahead = t * y + u * forward + behind;
+  if (outside()) return ahead > 0 ? [w / 2 + f * right / ahead, h / 2 + f * down / ahead] : null;
+  const theta = Math.atan2(right, ahead), level = Math.hypot(right, ahead);
+  return [w / 2 + 2 * f * Math.tan(theta / 2), h / 2 + 2 * f * down / level / (1 + Math.cos(theta))];
+}
+
+// The ray that is shown at a place of the page, -1 if there is none.
+function rayAt({ clientX, clientY }) {
+  const box = canvas.getBoundingClientRect(), density = canvas.width / box.width;
+  const x = Math.floor((clientX - box.left) * density), y = Math.floor((clientY - box.top) * density);
+  if (x < 0 || y < 0 || x >= canvas.width || y >= canvas.height) return -1;
+  return renderer.names(seen(), settings(), x, y)[0];
+}
+
+function move(dx, dy) {
+  if (outside()) {
+    view.turn += dx / 300;
+    view.tilt = clamp(view.tilt + dy / 300, -1.5, 1.5);
+  } else {
+    view.yaw -= dx / focal();
+    view.pitch = clamp(view.pitch - dy / focal(), -1.5, 1.5);
+  }
+  moving();
+}
+
+function zoom(factor) {
+  view.zoom = clamp(view.zoom * factor, 0.5, 16);
+  view.distance = clamp(view.distance / factor, start.distance / 50, start.distance * 10);
+  moving();
+}
+
+// --- Marks and distances --------------------------------------------------------------------------------------------
+
+const svg = (name, values) => {
+  const made = document.createElementNS("http://www.w3.org/2000/svg", name);
+  for (const [key, value] of Object.entries(values)) made.setAttribute(key, value);
+  return made;
+};
+
+function drawMarks() {
+  const places = picks.map(k => placeOf(inverse(k) > 1e-6 ? pointOf(k) : directionOf(k).map(x => 1e6 * x)));
+  const shapes = places.filter(Boolean).map(([cx, cy]) => svg("circle", { cx, cy, r: 8 }));
+  const [a, b] = places;
+  if (a && b) shapes.push(svg("line", { x1: a[0], y1: a[1], x2: b[0], y2: b[1] }));
+  $("marks").replaceChildren(...shapes);
+}
+
+// The first two picks are measured, a third begins again.
+function pick(k) {
+  if (k < 0 || !steps[k]) return;
+  picks = [...(picks.length === 2 ? [] : picks), k];
+  $("distance").textContent = distanceWords();
+  showWhy(k);
+  draw();
+}
+
+function distanceWords() {
+  if (picks.length < 2) return "Click a second place to measure.";
+  const [length, error] = distanceBetween(...picks);
+  if (!(length < 1e6)) return "One of the two is too far away to measure.";
+  return `${metres(length)} ± ${oneDigit(error)} between the two marks`;
+}
+
+function tell(event) {
+  const k = rayAt(event), exact = truth ? inverse(k, truth) : NaN;
+  $("readout").textContent = k < 0 ? "" : !steps[k] ? "no depth here"
+    : `${metres(1 / inverse(k))} ± ${oneDigit(deviation(k) / inverse(k) ** 2)}`
+      + (exact >= 0 ? `, exact ${metres(1 / exact)}` : "") + (doubtful(k) ? ", doubtful" : "");
+}
+
+// --- Why a ray has its depth -----------------------------------------------------------------------------------------
+
+function showWhy(k) {
+  if (!D.cameras?.length) return;
+  why = explain(k);
+  $("why").hidden = false;
+  $("sentence").textContent = sentenceOf(why);
+  $("tilt").textContent = tiltWords(why);
+  $("along").max = D.spheres - 1;
+  $("along").value = Math.round(why.index);
+  $("along").oninput();
+}
+
+function tiltWords({ index, shift }) {
+  if (Number.isNaN(shift)) return "";
+  const near = inverseOf(index), far = near - shift;
+  const moved = far > 0 ? roughly(1 / far - 1 / near) : "any distance";
+  return `One camera tilted by ${R.tiltDeg}° would move it by ${moved}.`;
+}
+
+function showAlong() {
+  const n = +$("along").value, depth = metres(1 / inverseOf(n)), agreement = why.agreement[n];
+  const words = Number.isNaN(agreement) ? "fewer than two cameras see it" : `the cameras agree by ${agreement.toFixed(2)} of 1`;
+  $("alongWords").textContent = `At ${depth}, ${words}.`;
+  drawCurve(n);
+  D.cameras.forEach((camera, i) => { drawPatch(camera, i, inverseOf(n)); drawFisheye(camera, i, inverseOf(n)); });
+}
+
+const INK = { line: "#d07010", estimate: "#2a7fd4", exact: "#2e9e4f", cursor: "#888" };
+
+// Agreement along the ray, far on the left; vertical lines at the estimate, the exact depth and the slider.
+function drawCurve(cursor) {
+  const box = $("curve"), [w, h] = [box.width, box.height] = [2 * box.clientWidth, 2 * box.clientHeight];
+  const context = box.getContext("2d"), ink = getComputedStyle(document.body).color;
+  const x = n => 10 + n / (D.spheres - 1) * (w - 20), y = value => (h - 40) * (1 - Math.max(value, 0)) + 12;
+  const line = (color, width, ...points) => {
+    context.beginPath();
+    points.forEach(([px, py]) => Number.isNaN(py) ? context.moveTo(px, 12) : context.lineTo(px, py));
+    Object.assign(context, { strokeStyle: color, lineWidth: width });
+    context.stroke();
+  };
+  line(INK.cursor, 2, [x(cursor), 0], [x(cursor), h - 28]);
+  line(INK.estimate, 5, [x(why.index), 0], [x(why.index), h - 28]);
+  const exact = truth && sphereOf(inverse(why.k, truth));
+  if (exact >= 0) line(INK.exact, 3, [x(exact), 0], [x(exact), h - 28]);
+  line(INK.line, 3, ...why.agreement.map((value, n) => [x(n), Number.isNaN(value) ? NaN : y(value)]));
+  Object.assign(context, { fillStyle: INK.line, font: "22px system-ui", textBaseline: "bottom" });
+  for (const mode of why.modes.slice(0, 3)) {
+    context.beginPath();
+    context.arc(x(mode.sphere), y(mode.agreement), 7, 0, 7);
+    context.fill();
+  }
+  context.fillStyle = ink;
+  context.fillText("far", 4, h);
+  context.textAlign = "right";
+  context.fillText("near", w - 4, h);
+  context.textAlign = "center";
+  for (const [color, name, at] of [[INK.estimate, "estimate", 0.3], [INK.exact, exact >= 0 ? "exact" : "", 0.5], [INK.line, "agreement", 0.7]]) {
+    context.fillStyle = color;
+    context.fillText(name, at * w, h);
+  }
+}
+
+// What a camera sees around the ray at a depth, in colour.
+function drawPatch(camera, i, inverseDepth) {
+  const side = 44, { canvas: box, caption } = patches[i], context = box.getContext("2d");
+  box.width = box.height = side;
+  const image = context.createImageData(side, side);
+  squareOf(why.ray, side).forEach((point, at) => {
+    const place = project(camera, point, inverseDepth);
+    const color = [0, 1, 2].map(c => place ? sampleOf(camera, place, (data, k) => data[k + c]) : NaN);
+    image.data.set(Number.isNaN(color[0]) ? [0, 0, 0, 0] : [...color, 255], 4 * at);
+  });
+  context.putImageData(image, 0, 0);
+  caption.textContent = why.hidden[i] ? "hidden there" : why.sees[i] ? `camera ${i + 1}` : "not in view";
+}
+
+// The image of a camera with the curve on which the match lies, and a cross at the depth of the slider.
+function drawFisheye(camera, i, inverseDepth) {
+  const { canvas: box, caption } = fisheyes[i], context = box.getContext("2d"), side = camera.pixels.width;
+  context.putImageData(camera.pixels, 0, 0);
+  // The middle of pixel (0, 0) is half a pixel from the corner.
+  context.setTransform(1, 0, 0, 1, 0.5, 0.5);
+  const places = Array.from({ length: D.spheres }, (_, n) => visiblePlace(camera, inverseOf(n)));
+  const at = visiblePlace(camera, inverseDepth), reach = side / 14;
+  for (const [width, color] of [[side / 60, "#000"], [side / 140, "#ff0"]]) {
+    Object.assign(context, { lineWidth: width, strokeStyle: color });
+    context.beginPath();
+    places.forEach((place, n) => place && (n && places[n - 1] ? context.lineTo(...place) : context.moveTo(...place)));
+    for (const [dx, dy] of at ? [[1, 0], [-1, 0], [0, 1], [0, -1]] : []) {
+      context.moveTo(at[0] + reach * dx / 3, at[1] + reach * dy / 3);
+      context.lineTo(at[0] + reach * dx, at[1] + reach * dy);
+    }
+    context.stroke();
+  }
+  caption.textContent = `camera ${i + 1} ` + (at ? `at ${at.map(Math.round).join(", ")}` : "does not see it");
+}
+
+// Where a camera sees the point of the ray at a depth; nothing where it does not.
+function visiblePlace(camera, inverseDepth) {
+  const place = project(camera, why.ray, inverseDepth);
+  return place && !Number.isNaN(sampleOf(camera, place, gray)) ? place : null;
+}
+
+let patches = [], fisheyes = [];
+async function makeRows() {
+  const row = name => D.cameras.map(() => {
+    const figure = document.createElement("figure"), caption = document.createElement("figcaption");
+    const canvas = document.createElement("canvas");
+    figure.append(canvas, caption);
+    $(name).append(figure);
+    return { canvas, caption };
+  });
+  [patches, fisheyes] = [row("patches"), row("fisheyes")];
+  await Promise.all(D.cameras.map(async (camera, i) => {
+    camera.pixels = await pixelsOf(camera.image);
+    Object.assign(fisheyes[i].canvas, { width: camera.pixels.width, height: camera.pixels.height });
+  }));
+}
+
+$("along").oninput = showAlong;
+$("curve").onpointerdown = $("curve").onpointermove = event => {
+  if (event.type === "pointermove" && !event.buttons) return;
+  const box = $("curve").getBoundingClientRect();
+  $("along").value = Math.round((event.clientX - box.left - 5) / (box.width - 10) * (D.spheres - 1));
+  showAlong();
+};
+document.querySelector("#why .close").onclick = () => { $("why").hidden = true; canvas.focus(); };
+
+// --- Pointers and keys -----------------------------------------------------------------------------------------------
+
+const dragging = new Map();
+let pressed = null;  // where a click or tap begins; a drag is none
+canvas.addEventListener("pointerdown", e => {
+  canvas.setPointerCapture(e.pointerId);
+  dragging.set(e.pointerId, e);
+  pressed = dragging.size === 1 ? e : null;
+  // A finger does not hover.
+  tell(e);
+});
+canvas.addEventListener("pointerup", e => {
+  if (pressed && Math.hypot(e.clientX - pressed.clientX, e.clientY - pressed.clientY) < 6) pick(rayAt(e));
+});
+for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, e => dragging.delete(e.pointerId));
+let hovered = false;
+canvas.addEventListener("pointermove", e => {
+  const before = dragging.get(e.pointerId);
+  if (before && dragging.size === 1) move(e.clientX - before.clientX, e.clientY - before.clientY);
+  if (before && dragging.size === 2) {
+    // Two fingers zoom.
+    const other = [...dragging.values()].find(p => p.pointerId !== e.pointerId);
+    const apart = p => Math.hypot(p.clientX - other.clientX, p.clientY - other.clientY);
+    zoom(apart(e) / Math.max(apart(before), 1));
+  }
+  if (before) dragging.set(e.pointerId, e);
+  if (before || hovered) return;
+  hovered = true;
+  requestAnimationFrame(() => { hovered = false; tell(e); });
+});
+canvas.addEventListener("wheel", e => {
+  // Within another page, which scrolls.
+  if (window !== parent && document.activeElement !== canvas) return;
+  e.preventDefault();
+  zoom(Math.exp(-e.deltaY / 600));
+}, { passive: false });
+canvas.addEventListener("keydown", e => {
+  const steps = { ArrowLeft: [40, 0], ArrowRight: [-40, 0], ArrowUp: [0, 40], ArrowDown: [0, -40] }, box = canvas.getBoundingClientRect();
+  if (steps[e.key]) { e.preventDefault(); move(...steps[e.key]); }
+  if (e.key === "+") zoom(1.2);
+  if (e.key === "-") zoom(1 / 1.2);
+  if (e.key === "Enter") pick(rayAt({ clientX: box.left + box.width / 2, clientY: box.top + box.height / 2 }));
+});
+
+// --- The flight ------------------------------------------------------------------------------------------------------
+
+// Out of the rig, once around what it has seen, and back; t from 0 to 1.
+function flyTo(t) {
+  const out = (1 - Math.cos(2 * Math.PI * t)) / 2;
+  Object.assign(view, { turn: 2 * Math.PI * t, tilt: 0.5 * out, distance: start.distance * (0.02 + 0.7 * out) });
+  moving();
+}
+
+const FLIGHT_MS = 16000, STATIONS = 6;
+// A request of the browser, 0 if there is none; for who wants no motion, one station at a time.
+let flight = 0, station = 0;
+function land() {
+  cancelAnimationFrame(flight);
+  flight = 0;
+  $("fly").textContent = "fly";
+}
+
+$("fly").onclick = () => {
+  document.querySelector("input[value=surfaces]").checked = true;
+  if (calm.matches) return flyTo(++station / STATIONS);
+  if (flight) return land();
+  const begin = performance.now(), next = now => {
+    const t = (now - begin) / FLIGHT_MS;
+    flyTo(clamp(t, 0, 1));
+    if (t < 1) flight = requestAnimationFrame(next); else land();
+  };
+  flight = requestAnimationFrame(next);
+  $("fly").textContent = "stop";
+};
+
+// Whatever the reader does ends the flight, and the hint, too.
+for (const kind of ["pointerdown", "wheel", "keydown"])
+  addEventListener(kind, e => {
+    $("hint").hidden = true;
+    if (flight && e.target !== $("fly")) land();
+  }, { capture: true, passive: true });
+
+// --- Controls --------------------------------------------------------------------------------------------------------
+
+$("in").onclick = () => zoom(1.25);
+$("out").onclick = () => zoom(0.8);
+$("reset").onclick = () => {
+  view = { ...start };
+  picks = [];
+  $("distance").textContent = "";
+  $("why").hidden = true;
+  draw();
+};
+
+// The trust below which rays fade: of the steps of the slider, the first shows all.
+const leastTrust = () => [[0, 0], ...(D.odds ?? [])][$("least").value][1];
+
+function showWords() {
+  const mixed = +$("mix").value, step = D.odds?.[$("least").value - 1];
+  $("mixWords").textContent = mixed === 0 ? "picture only" : mixed === 100 ? "depth only" : `${100 - mixed} % picture, ${mixed} % depth`;
+  const share = step && trust.reduce((count, value) => count + (value >= step[1]), 0) / trust.length;
+  $("leastWords").textContent = step ? `rays that are right at least ${step[0]} of 10 times: ${Math.round(100 * share)} %` : "all rays";
+}
+
+for (const name of ["mix", "least"]) $(name).oninput = () => { showWords(); draw(); };
+$("layer").onchange = () => {
+  if (+$("mix").value === 0) $("mix").value = 100;
+  showWords();
+  showScale();
+  draw();
+};
+dark.onchange = draw;
+document.querySelectorAll("input[name=mode]").forEach(button => { button.onchange = draw; });
+
+let ticks, labels;
+function showScale() {
+  ticks = $("layer").value === "error" ? [[0, "0 %"], [0.5, "5 %"], [1, "10 % of the spheres"]] : D.ticks;
+  $("scale").querySelectorAll("span").forEach(label => label.remove());
+  labels = ticks.map(([, text]) => Object.assign(document.createElement("span"), { textContent: text }));
+  $("scale").append(...labels);
+  placeLabels();
+}
+
+// Each label below its place on the scale; those that would touch the one before are hidden.
+function placeLabels() {
+  const width = $("scale").clientWidth;
+  let free = 0;
+  labels.forEach((label, i) => {
+    const left = clamp(ticks[i][0] * width - label.offsetWidth / 2, 0, width - label.offsetWidth);
+    label.style.left = left + "px";
+    label.style.visibility = left < free ? "hidden" : "visible";
+    if (left >= free) free = left + label.offsetWidth + 6;
+  });
+}
+
+function paintScale() {
+  const colors = bytes(D.colors), bar = $("colors").getContext("2d"), strip = bar.createImageData(256, 1);
+  for (let i = 0; i < 256; i++) strip.data.set([...colors.slice(3 * i, 3 * i + 3), 255], 4 * i);
+  bar.putImageData(strip, 0, 0);
+}
+
+// --- The address -----------------------------------------------------------------------------------------------------
+
+const INPUTS = ["mix", "least", "layer"], ANGLES = ["yaw", "pitch", "zoom", "turn", "tilt", "distance"];
+
+// The view goes into the fragment of the address, so that it can be sent.
+function storeState() {
+  const state = new URLSearchParams({ mode: mode() });
+  for (const name of ANGLES) if (view[name] !== start[name]) state.set(name, +view[name].toFixed(4));
+  for (const name of INPUTS) if ($(name).value !== $(name).dataset.first) state.set(name, $(name).value);
+  if (picks.length) state.set("rays", picks.join(" "));
+  // The page within a page has no address.
+  if (location.protocol !== "about:") history.replaceState(null, "", "#" + state);
+}
+
+function readState() {
+  const state = new URLSearchParams(location.hash.slice(1));
+  for (const name of INPUTS) {
+    $(name).dataset.first = $(name).value;
+    if (state.has(name)) $(name).value = state.get(name);
+  }
+  for (const name of ANGLES) if (Number.isFinite(parseFloat(state.get(name)))) view[name] = parseFloat(state.get(name));
+  const chosen = document.querySelector(`input[value="${CSS.escape(state.get("mode") ?? "")}"]`);
+  (chosen ?? document.querySelector(`input[value=${D.mode}]`)).checked = true;
+  for (const k of (state.get("rays") ?? "").split(" ").slice(0, 2)) if (k && k in steps) pick(+k);
+}
+
+// --- Begin -----------------------------------------------------------------------------------------------------------
+
+// What is shown of a panorama where there is no WebGL.
+function showPictureOnly() {
+  $("without").hidden = false;
+  $("without").textContent = "This browser has no WebGL 2, which looking around and the surfaces need. Here is the panorama:";
+  $("without").append(Object.assign(new Image(), { src: D.picture, alt: "the panorama", style: "width: 100%" }));
+  for (const name of ["hint", "controls", "head"]) $(name).hidden = true;
+  document.body.dataset.drawn = "without";
+}
+
+(async () => {
+  $("title").textContent = D.title;
+  $("layers").hidden = !D.truth;
+  $("sure").hidden = !D.odds;
+  $("least").max = D.odds?.length ?? 0;
+  await unpackRays();
+  const picture = new Image();
+  picture.src = D.picture;
+  await picture.decode();
+  D.cameras ??= [];
+  await makeRows();
+  const known = k => steps[k] > 0 && confidence[k] >= 100 * D.minConfidence - 0.5;
+  renderer = makeRenderer(canvas, picture, makeMesh(known));
+  if (!renderer) return showPictureOnly();
+  const near = Float32Array.from([...steps.keys()].filter(k => known(k) && inverse(k) * D.maxDepth >= 1), k => 1 / inverse(k)).sort();
+  view.distance = start.distance = 1.6 * (near[Math.floor(0.6 * near.length)] || 1);
+  readState();
+  paintScale();
+  showScale();
+  showWords();
+  new ResizeObserver(placeLabels).observe($("scale"));
+  new ResizeObserver(resize).observe(canvas);
+  resize();
+})();
