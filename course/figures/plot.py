@@ -20,6 +20,7 @@ from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.depth import Depth
+from omnistereo_tools.judge import ray
 from omnistereo_tools.output.calibration_figures import calibration_figure as calibration_figure
 from omnistereo_tools.output.calibration_figures import draw_coverage as draw_coverage
 from omnistereo_tools.output.pictures import colorize_depth, sharp_panorama
@@ -190,6 +191,48 @@ def explore(depth: Depth, max_depth: float, min_confidence: float = 0.0) -> None
         return stills.record_view(data)
     page = html.escape(page_of(data))
     display(HTML(f'<iframe srcdoc="{page}" title="{stills.VIEW}" style="width: 100%; height: 800px"></iframe>'))
+
+
+def explain_ray(depth: Depth, column: int, row: int, gt_index: NDArray | None = None) -> Figure:
+    """Return a figure of why a ray has its depth: the agreement of the cameras along it, their patches, their images.
+
+    Args:
+        depth: With the images from which it was estimated.
+        column, row: Of the ray.
+        gt_index: Exact sphere indices (H, W), if they are known.
+    """
+    import matplotlib.pyplot as plt
+
+    one, cameras = ray.explain(depth, column, row), len(depth.sweep.rig)
+    fig, axes = plt.subplot_mosaic(
+        [["along"] * cameras, [f"patch {i}" for i in range(cameras)], [f"image {i}" for i in range(cameras)]],
+        figsize=(2.4 * cameras, 7),
+        height_ratios=[1.2, 1, 1.3],
+        layout="constrained",
+    )
+    fig.suptitle(one.sentence)
+    along, nearest = axes["along"], 0 if np.isnan(one.index) else round(one.index)
+    along.plot(one.agreement, color="C1", label="agreement")
+    along.plot([m.sphere for m in one.modes[:3]], [m.agreement for m in one.modes[:3]], "o", color="C1")
+    along.axvline(one.index, color="C0", label=f"estimate, {one.depth:.3g} m")
+    if gt_index is not None:
+        along.axvline(gt_index[row, column], color="C2", ls="--", label="exact")
+    along.set(xlabel="sphere, from far to near", ylim=(-0.2, 1.05))
+    along.legend()
+    spheres = np.arange(depth.grid.num_spheres)
+    for i, (camera, image) in enumerate(zip(depth.sweep.rig.cameras, depth.images, strict=True)):
+        axes[f"patch {i}"].imshow(one.patches[i, nearest], cmap="gray", vmin=0, vmax=255)
+        label = "hidden" if one.hidden[i] else "" if one.sees[i] else "not in view"
+        axes[f"patch {i}"].set(title=f"camera {i + 1}", xlabel=label, xticks=[], yticks=[])
+        T_cam_rig = depth.sweep.rig.T_rig_cam[i].inverse()
+        points = depth.grid.rays()[row, column] @ T_cam_rig.R.T
+        uv, valid = camera.project(points + depth.grid.index_to_inverse_depth(spheres)[:, None] * T_cam_rig.t)
+        axes[f"image {i}"].imshow(np.asarray(image).clip(0, 255).astype(np.uint8), cmap="gray")
+        axes[f"image {i}"].plot(*np.where(valid[:, None], uv, np.nan).T, color="yellow", lw=1)
+        if valid[nearest]:
+            axes[f"image {i}"].plot(*uv[nearest], "+", color="red", ms=14, mew=2)
+        axes[f"image {i}"].axis("off")
+    return fig
 
 
 def draw_panorama(ax: Axes, picture: NDArray, grid: SphereGrid, title: str = "", **imshow: Any) -> AxesImage:

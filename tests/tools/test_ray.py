@@ -3,11 +3,13 @@
 from collections import Counter
 from dataclasses import replace
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import scene
 
 import omnistereo_lib as osl
+from course.figures import plot
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.judge import ray
 
@@ -38,6 +40,16 @@ def test_the_effect_of_a_tilt_is_the_angle_over_the_baseline():
         shift = ray.tilt_shift(ahead, 1 / depth, centers)
         assert shift == pytest.approx(np.radians(0.1) / baseline, rel=0.01)
     assert np.isnan(ray.tilt_shift(ahead, 0.1, centers[:1]))
+
+
+def test_the_figure_of_a_ray_shows_its_numbers(box):
+    one, figure = ray.explain(box, 80, 20), plot.explain_ray(box, 80, 20, box.index)
+    assert figure.get_suptitle() == one.sentence
+    along = figure.axes[0].lines[0].get_ydata()
+    np.testing.assert_array_equal(along, one.agreement)
+    crosses = [line for ax in figure.axes for line in ax.lines if line.get_marker() == "+"]
+    assert len(crosses) == one.sees.sum() > 1
+    plt.close(figure)
 
 
 @pytest.mark.parametrize("kind", ray.SENTENCES)
