@@ -123,8 +123,8 @@ def run(options: RecordOptions) -> None:
     print(writer.doubt_sentence())
     print(f"{total} frames are in {out}/, which load_dataset reads")
     if options.video is not None:
-        write_video(options.video, writer)
-        print(f"written to {options.video}")
+        seconds = write_video(options.video, writer)
+        print(f"written to {options.video}: panorama over depth, {total} frames, {seconds:.1f} s")
 
 
 def _check(options: RecordOptions, out: Path) -> None:

@@ -284,8 +284,10 @@ def stored_min_depth(out: Path) -> float | None:
         return None
 
 
-def write_video(path: Path, writer: DepthWriter, fps: float | None = None) -> None:
+def write_video(path: Path, writer: DepthWriter, fps: float | None = None) -> float:
     """Write the pictures of a recording, panorama over depth, as a video: .mp4 (MPEG-4) or .webm (VP9).
+
+    Return how many seconds it plays.
 
     Raises an `OmnistereoError` if OpenCV cannot write it; a video that was there is kept then.
     """
@@ -294,7 +296,8 @@ def write_video(path: Path, writer: DepthWriter, fps: float | None = None) -> No
     make_folder(path.parent)
     with atomic_write(path) as temporary:
         codec = cv2.VideoWriter.fourcc(*CODECS[path.suffix.lower()])
-        video = cv2.VideoWriter(str(temporary), codec, fps or writer.recording.fps or _FPS, (width, height))
+        rate = fps or writer.recording.fps or _FPS
+        video = cv2.VideoWriter(str(temporary), codec, rate, (width, height))
         if not video.isOpened():
             raise OmnistereoError(f"{path} cannot be written: this OpenCV has no encoder for it. Try .webm or .mp4.")
         for number in numbers:
@@ -306,3 +309,4 @@ def write_video(path: Path, writer: DepthWriter, fps: float | None = None) -> No
             raise OmnistereoError(
                 f"{path} cannot be written: {count} of its {len(numbers)} frames can be read back. Is the disk full?"
             )
+    return len(numbers) / rate

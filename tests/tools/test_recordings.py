@@ -140,12 +140,13 @@ def test_a_recording_beside_its_pictures_twice_in_a_row(recorded, tmp_path, monk
         assert len(osl.load_dataset("out/record_rig")) == 1
 
 
-def test_resumed_it_is_the_same_and_no_frame_is_computed_again(recorded, done, tmp_path):
+def test_resumed_it_is_the_same_and_no_frame_is_computed_again(recorded, done, tmp_path, capsys):
     """`tests/test_kills.py` kills it at any moment; here it is seen that no frame is computed again."""
     out = tmp_path / "out"
     folder = out / "depth_estimate_96"
     video = ["--video", out / "depth.mp4"]
     assert run(*record_command(recorded, out), *video, "--stop", 4) == 0
+    assert "depth.mp4: panorama over depth, 3 frames, 0.3 s\n" in capsys.readouterr().out
     halfway = {path.name: path.stat().st_mtime_ns for path in folder.glob("0*.tiff")}
     for torn in (folder / "00001.tiff", out / "video" / "00002.jpg"):  # as after a power cut
         torn.write_bytes(torn.read_bytes()[:-9])
