@@ -39,7 +39,7 @@ _CAMERA = r"cam([0-9]+)"
 _RIG_FOLDER = r"([0-9]+)"
 _IMAGE = r"([0-9]+)\.(?i:png|jpe?g|bmp|tiff?)"
 _GT = r"([0-9]+)\.(?i:png|tiff?)"
-_GT_FOLDER = r"(?:omnidepth_gt|depth)_(?:.*_)?([0-9]+)"
+_GT_FOLDER = r"(?:omnidepth_gt|omnidepth_world|depth)_(?:.*_)?([0-9]+)"
 
 # Last training frame and last test frame of the releases; the first frame is 1.
 _PUBLISHED_SPLITS = dict.fromkeys(("sunny", "cloudy", "sunset"), (700, 1000))

@@ -28,6 +28,7 @@ from omnistereo_tools.commands import (
     onnx_command,
     record_command,
     train_command,
+    world_command,
 )
 from omnistereo_tools.memory import check_address_space, keep_memory
 from omnistereo_tools.outputs import let_go
@@ -41,6 +42,7 @@ COMMANDS = {
     "demo": demo_command,
     "depth": depth_command,
     "record": record_command,
+    "world": world_command,
     "calibrate": calibrate_command,
     "doctor": doctor_command,
     "train": train_command,

@@ -27,6 +27,7 @@ _READ = {  # options that name files, or a folder of which these are read
     "corners": ["corners_*.yaml"],
     "weights": ["*.safetensors"],
     "init_weights": [],
+    "recording": ["config.yaml", "recording.json", "cam[0-9]*/*", "depth_estimate_*/*", "confidence_*/*"],
 }
 _SETS = ("rig", "sets", "data", "lenses")  # options that name rig files, folders of one, or data sets
 _TEXTS = (".yaml", ".yml", ".json", ".txt", ".xml")

@@ -25,6 +25,7 @@ frame
 dataset
 stereo
 calibrate train
+world
 evaluate
 """
 LAYER = {name: number for number, line in enumerate(LAYERS.split("\n")) for name in line.split()}
@@ -40,6 +41,8 @@ EAGER = {
         "calibrate.features",
         "calibrate.patches",
         "train.endless.worlds",
+        "world.motion",
+        "world.refine",
     },
     "scipy": {
         "calibrate.bundle",
@@ -49,6 +52,7 @@ EAGER = {
         "calibrate.track_bundle",
         "calibrate.watch",
         "calibrate.from_images",
+        "world.surface",
     },
 }
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from omnistereo_lib.calibrate.params import Ints
 from omnistereo_lib.geometry.camera import OcamCamera
@@ -119,6 +120,39 @@ def match_features(a: Features, b: Features, T_b_a: Pose | None = None, band_deg
     chosen = chosen[np.argsort(ratio[chosen], kind="stable")]
     chosen = chosen[np.unique(best[chosen], return_index=True)[1]]
     return np.stack([chosen, best[chosen]], axis=1), ratio[chosen]
+
+
+def match_near(a: Features, b: Features, predicted: Floats, gates_deg: Floats, ratio: float = 0.9) -> Ints:
+    """Return pairs of indices (M, 2) into two sets that are each other's best match near a predicted direction.
+
+    Only what lies in the gates is compared, so that thousands of features take milliseconds.
+
+    Args:
+        predicted: Where the features of a should be seen: unit rays (K, 3) in the frame of b.
+        gates_deg: How far from there at most, (K,).
+        ratio: Of the distance to that of the second best, which is somewhere else within the gate.
+    """
+    if min(len(a.rays), len(b.rays)) == 0:
+        return np.zeros((0, 2), np.int64)
+    chords = 2 * np.sin(np.radians(gates_deg) / 2)
+    near = cKDTree(b.rays).query_ball_point(predicted, chords)
+    i = np.repeat(np.arange(len(near)), [len(one) for one in near])
+    j = np.concatenate([np.asarray(one, np.int64) for one in near]) if len(i) else np.zeros(0, np.int64)
+    distance = np.sqrt(np.maximum(2 - 2 * np.einsum("kd,kd->k", a.descriptors[i], b.descriptors[j]), 0))
+    # The best of each feature of a, and the second best somewhere else.
+    order = np.lexsort((distance, i))
+    i, j, distance = i[order], j[order], distance[order]
+    first = np.flatnonzero(np.diff(i, prepend=-1))
+    best = np.repeat(first, np.diff(np.append(first, len(i))))
+    same = np.einsum("kd,kd->k", b.rays[j], b.rays[j[best]]) > np.cos(np.radians(_SAME_DEG))
+    rival = np.full(len(a.rays), np.sqrt(2.0))
+    np.minimum.at(rival, i[~same], distance[~same])
+    # The best of each feature of b.
+    back = np.full(len(b.rays), np.inf)
+    np.minimum.at(back, j, distance)
+    mutual = distance[first] <= back[j[first]]
+    chosen = first[mutual & (distance[first] < ratio * rival[i[first]])]
+    return np.stack([i[chosen], j[chosen]], axis=1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -71,7 +71,7 @@ class TrackBundle:
         for i, camera in enumerate(self.rig.cameras):
             mine = self.tracks.camera == i
             seen = camera.unproject(self.tracks.pixels[mine])[0]
-            basis = _tangents(seen)
+            basis = tangents(seen)
             ends = [camera.project(seen[:, None] + s * _STEP * np.swapaxes(basis, 1, 2))[0] for s in (1, -1)]
             to_px[mine] = np.einsum("mki,mjk->mij", (ends[0] - ends[1]) / (2 * _STEP), basis)
             rays[mine], from_center[mine] = seen, self.tracks.pixels[mine] - camera.center
@@ -122,7 +122,7 @@ class TrackBundle:
         parts = [d_rig @ cross(in_rig), -inverse * d_rig]
         if self.free_lenses:
             parts += [np.broadcast_to(np.eye(2), (len(point), 2, 2)), self._from_center[:, :, None]]
-        self._basis = _tangents(self.points[:, :3])
+        self._basis = tangents(self.points[:, :3])
         d_point = np.concatenate([d_rig @ self._basis[point], -d_rig @ self.t[camera][:, :, None]], axis=2)
         return residuals, np.concatenate(parts, axis=2), d_point
 
@@ -296,7 +296,7 @@ def _corrected(camera: OcamCamera, lens: Floats) -> OcamCamera:
     return replace(camera, poly=camera.poly * grown ** (1.0 - powers), inv_poly=camera.inv_poly * grown, center=center)
 
 
-def _tangents(rays: Floats) -> Floats:
+def tangents(rays: Floats) -> Floats:
     """Return two unit vectors across each ray, (M, 3, 2)."""
     other = np.where(np.abs(rays[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
     first = np.cross(rays, other)

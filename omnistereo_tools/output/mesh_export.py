@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 _EDGE = 0.2  # of the depth between neighbouring rays: a surface so oblique is hardly seen
 _SPHERES = 1.5  # always connected: far away, one sphere is more than `_EDGE`
 _TRANSLUCENT = 90  # of 255: doubtful triangles are faded, as in the pictures
-_Y_UP = np.diag([1.0, -1.0, -1.0])  # rig (y down, z forward) → glTF (y up, -z forward)
+Y_UP = np.diag([1.0, -1.0, -1.0])  # rig (y down, z forward) → glTF (y up, -z forward)
 
 
 def write_mesh(
@@ -50,7 +51,7 @@ def write_mesh(
     vertices = _look_up(uv, np.zeros(depth.grid.shape, bool) if doubtful is None else doubtful)
     triangles = np.any(vertices[mesh.faces], axis=-1)
     if path.suffix.lower() == ".glb":
-        mesh.apply_transform(np.pad(_Y_UP, (0, 1)) + np.diag([0, 0, 0, 1.0]))
+        mesh.apply_transform(np.pad(Y_UP, (0, 1)) + np.diag([0, 0, 0, 1.0]))
         content = _textured(mesh, uv, panorama, triangles)
     else:
         content = _coloured(mesh, _look_up(uv, panorama), vertices)
@@ -59,16 +60,22 @@ def write_mesh(
     return len(mesh.faces), int(triangles.sum())
 
 
+def import_trimesh() -> ModuleType:
+    """Return the module trimesh; an `OmnistereoError` says how to install it."""
+    try:
+        import trimesh
+    except ImportError:
+        raise OmnistereoError("a mesh needs trimesh: in the clone, .venv/bin/pip install -e '.[tools]'") from None
+    return trimesh
+
+
 def make_mesh(depth: Depth, limits: Limits, faces: int | None = None) -> Trimesh:
     """Return the mesh in the axes of the rig, without colours; `metadata["uv"]` holds the texture coordinates (M, 2).
 
     Triangles face the rig. u grows with the columns from 0 to 1 and, in the triangles that close the circle, a little
     beyond; v grows upwards. Arguments and errors as in `write_mesh`.
     """
-    try:
-        import trimesh
-    except ImportError:
-        raise OmnistereoError("a mesh needs trimesh: in the clone, .venv/bin/pip install -e '.[tools]'") from None
+    trimesh = import_trimesh()
     distance = np.where(limits.keep(depth), depth.depth, np.nan)
     points = depth.grid.rays() * distance[..., None]
     corners = _triangles(distance, depth.index)

@@ -39,6 +39,7 @@ COMMANDS = [
     "record --rig rig.yaml --images drive/cam1 drive/cam2 --out drive",
     "record --rig rig.yaml --images drive/video front.mp4 --out drive",
     "record --rig drive/config.yaml --images front.mp4 back.mp4 --out drive",
+    "world linked_world",
     "doctor --rig rig.yaml --coverage dark.png",
     "doctor --rig rig.yaml --images 2.png 3.png --masks mask.png 4.png --coverage mask.png",
     "doctor --rig set --coverage set/cam1/1.png",

@@ -1,0 +1,5 @@
+"""A recording becomes one world: who has depth of many frames comes here for the path of the rig and one surface.
+
+`motion` (the rig's step from frame to frame), `fusion` (signed distances of all frames, and depth read back from them),
+`surface` (the mesh).
+"""

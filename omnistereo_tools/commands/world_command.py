@@ -1,0 +1,117 @@
+"""Fuse a recording into one world: the path of the rig, one mesh, and depth that the other frames have sharpened.
+
+Examples:
+  omnistereo record --rig rig.yaml --images front/ right/ back/ left/ --out drive
+  omnistereo world drive
+      what is written lies in drive/world; run it again to resume
+"""
+
+from __future__ import annotations
+
+import json
+from contextlib import suppress
+from dataclasses import MISSING, dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_tools.outputs import check_outputs, hold
+from omnistereo_tools.parser import Options, option
+
+if TYPE_CHECKING:
+    from omnistereo_lib.geometry.pose import Pose
+    from omnistereo_lib.world.fusion import Volume
+    from omnistereo_tools.record.world import RecordedFrames
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorldOptions(Options):
+    """A recording, and how it is fused."""
+
+    resumes = True
+
+    recording: Path = option("folder that omnistereo record has written", MISSING, positional=True)
+    voxel: float = option("side of a voxel in metres", 0.15, between=(0.001, 100.0))
+    range: float = option("distance in metres up to which depth is fused", 30.0, between=(0.1, 10_000.0))
+    kitti: bool = option("write the path in KITTI's format, too", False)
+
+
+def run(options: WorldOptions) -> None:
+    """Find the path, fuse the frames, and write what comes of them."""
+    print("reading the recording: a few seconds", flush=True)
+    from omnistereo_lib.files import atomic_write, read_data
+    from omnistereo_tools.output.mesh_export import import_trimesh
+    from omnistereo_tools.record.world import RecordedFrames
+
+    import_trimesh()
+    frames = RecordedFrames.open(options.recording)
+    out = options.recording / "world"
+    refined = out / f"omnidepth_world_{frames.grid.width}"
+    check_outputs(options, [out / "config.yaml", out / "trajectory.txt"], [refined])
+    hold(out)
+    asked = {"voxel": options.voxel, "range": options.range, "kitti": options.kitti, "recording": frames.checksum}
+    with suppress(OmnistereoError):
+        if read_data(out / "world.json") == asked:
+            print(f"the world is in {out}/ already; delete {out / 'world.json'} to fuse it again")
+            return
+    (out / "world.json").unlink(missing_ok=True)
+    poses = frames.find_poses(out / "steps.json")
+    volume = _make_volume(options, frames, poses)
+    frames.integrate(volume, poses)
+    frames.refine(volume, poses, refined)
+    _write(options, frames, poses, volume, refined)
+    with atomic_write(out / "world.json") as temporary:
+        temporary.write_text(json.dumps(asked) + "\n")
+
+
+def _make_volume(options: WorldOptions, frames: RecordedFrames, poses: dict[int, Pose]) -> Volume:
+    """Return an empty volume with room for all frames; refuse one that memory does not hold."""
+    import numpy as np
+
+    from omnistereo_lib.stereo.device import available_memory, select_device
+    from omnistereo_lib.world.fusion import Volume, bytes_needed, touched_blocks
+
+    keys = np.zeros(0, np.int64)
+    for number, pose in poses.items():
+        view = frames.view(frames.data.frame(number), pose, colored=False)
+        keys = np.union1d(keys, touched_blocks(view, frames.grid, options.voxel, options.range))
+    if len(keys) == 0:
+        raise OmnistereoError(f"no ray of {options.recording} is nearer than {options.range:g} m. Raise --range")
+    need, free = bytes_needed(len(keys), frames.channels), available_memory(select_device("cpu"))
+    if need > free:
+        raise OmnistereoError(
+            f"not enough memory: needs {need / 2**30:.1f} GiB, {free / 2**30:.1f} GiB free. "
+            "Pass a larger --voxel or a smaller --range."
+        )
+    print(f"fusing {len(poses)} frames: {need / 2**30:.2g} GiB of memory", flush=True)
+    return Volume(keys, options.voxel, options.range, frames.channels)
+
+
+def _write(
+    options: WorldOptions, frames: RecordedFrames, poses: dict[int, Pose], volume: Volume, refined: Path
+) -> None:
+    """Write the path, the meshes and the page, and what makes the refined depth a data set."""
+    from omnistereo_lib.files import atomic_write
+    from omnistereo_lib.frame import read_inverse_depth
+    from omnistereo_lib.world.surface import extract_surface
+    from omnistereo_tools.output.world import draw_overview, trajectory_kitti, trajectory_tum, write_surface
+
+    print("extracting the surface", flush=True)
+    out, surface = refined.parent, extract_surface(volume)
+    write_surface(out, surface)
+    texts = {"trajectory.txt": trajectory_tum(poses)} | (
+        {"trajectory_kitti.txt": trajectory_kitti(poses)} if options.kitti else {}
+    )
+    for name, text in texts.items():
+        with atomic_write(out / name) as temporary:
+            temporary.write_text(text)
+    number = list(poses)[len(poses) // 2]
+    after = read_inverse_depth(refined / f"{number:05}.tiff")
+    figure = draw_overview(surface, poses, frames.data.frame(number).inverse_depth, after, frames.grid)
+    with atomic_write(out / "overview.png") as temporary:
+        figure.savefig(temporary, dpi=100)
+    frames.link(out)
+    length = sum((a.inverse() @ b).magnitude()[1] for a, b in pairwise(poses.values()))
+    print(f"{len(poses)} of {len(frames.data)} frames, {length:.1f} m of path, {len(surface.faces)} triangles")
+    print(f"written to {out}/; load_dataset reads its depth")

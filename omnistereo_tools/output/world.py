@@ -1,0 +1,68 @@
+"""What is written of a world: the path of the rig, its surface, and a page to look at."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from omnistereo_lib.files import atomic_write
+from omnistereo_lib.geometry.pose import Pose, axis_angle_from_rotation
+from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.world.surface import Surface
+from omnistereo_tools.output.mesh_export import Y_UP, import_trimesh
+from omnistereo_tools.output.pictures import colorize_depth
+
+_SHOWN = 200_000  # points of the plan
+
+
+def trajectory_tum(poses: Mapping[int, Pose]) -> str:
+    """Return the path in the format of the TUM RGB-D benchmark: number, position, unit quaternion x y z w."""
+    lines = ["# frame tx ty tz qx qy qz qw: rig -> world, metres; x right, y down, z forward in the first frame"]
+    for number, pose in poses.items():
+        r = axis_angle_from_rotation(pose.R)
+        half = np.linalg.norm(r) / 2
+        quaternion = [*(r * np.sinc(half / np.pi) / 2), np.cos(half)]
+        lines.append(" ".join([str(number), *(f"{value:.9f}" for value in [*pose.t, *quaternion])]))
+    return "\n".join(lines) + "\n"
+
+
+def trajectory_kitti(poses: Mapping[int, Pose]) -> str:
+    """Return the path in the format of the KITTI odometry benchmark: each pose as the three rows of [R | t]."""
+    rows = [np.hstack([pose.R, pose.t[:, None]]).ravel() for pose in poses.values()]
+    return "\n".join(" ".join(f"{value:.9e}" for value in row) for row in rows) + "\n"
+
+
+def write_surface(folder: Path, surface: Surface) -> None:
+    """Write mesh.glb, y up, and mesh.ply in the axes of the world, with the colours of the images."""
+    colors = np.broadcast_to(surface.color.round().clip(0, 255).astype(np.uint8), (len(surface.vertices), 3))
+    for name, axes in (("mesh.glb", Y_UP), ("mesh.ply", np.eye(3))):
+        mesh = import_trimesh().Trimesh(surface.vertices @ axes, surface.faces, vertex_colors=colors, process=False)
+        with atomic_write(folder / name) as temporary:
+            temporary.write_bytes(mesh.export(file_type=name[-3:]))
+
+
+def draw_overview(
+    surface: Surface,
+    poses: Mapping[int, Pose],
+    own: NDArray[np.float32],
+    refined: NDArray[np.float32],
+    grid: SphereGrid,
+) -> Figure:
+    """Return the page: the path on a plan of the surface, and the depth of one frame before and after, (H, W) each."""
+    figure = Figure(figsize=(12, 12), layout="constrained")
+    plan, before, after = figure.subplots(3, 1, height_ratios=[3, 1, 1])
+    points = surface.vertices[:: len(surface.vertices) // _SHOWN + 1]
+    path = np.array([pose.t for pose in poses.values()])
+    shown = plan.scatter(points[:, 0], points[:, 2], c=-points[:, 1], s=0.3, cmap="viridis", rasterized=True)
+    plan.plot(path[:, 0], path[:, 2], "r.-", lw=1)
+    plan.set(aspect="equal", xlabel="x in metres, right", ylabel="z in metres, forward")
+    plan.set_title(f"The path of the rig, {len(poses)} frames, on the surfaces from above")
+    figure.colorbar(shown, ax=plan, label="height over the first frame in metres", shrink=0.7)
+    for ax, inverse, title in ((before, own, "Depth of one frame alone"), (after, refined, "After fusing all frames")):
+        ax.imshow(colorize_depth(inverse, grid), interpolation="nearest")
+        ax.set(title=title, xticks=[], yticks=[])
+    return figure

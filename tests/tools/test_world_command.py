@@ -1,0 +1,96 @@
+"""`omnistereo world`: what it writes, that it resumes, and what it refuses."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+import scene
+
+import omnistereo_lib as osl
+from omnistereo_lib.files import write_image
+from omnistereo_lib.frame import write_inverse_depth
+from omnistereo_tools import cli
+
+GRID = osl.SphereGrid(160, 40, num_spheres=32, min_depth=0.6)
+PLACES = [[0, 0, 0.15 * n] for n in range(3)]
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    """A recording of three frames in the textured box, with exact depth."""
+    folder = tmp_path_factory.mktemp("recording") / "drive"
+    rig = scene.rig(width=300, height=288).recentered()
+    data = {"width": 160, "height": 40, "spheres": 32, "min_depth": 0.6}
+    for kind in ("depth_estimate_160", "confidence_160"):
+        (folder / kind).mkdir(parents=True)
+    (folder / "recording.json").write_text(json.dumps(data))
+    osl.save_rig(osl.Rig(rig.cameras, rig.T_rig_cam, min_depth=0.6), folder / "config.yaml")
+    for number, place in enumerate(PLACES, 1):
+        moved = rig.transformed(osl.Pose(np.eye(3), place))
+        for k, picture in enumerate(scene.images(moved, finest=0.12), 1):
+            (folder / f"cam{k}").mkdir(exist_ok=True)
+            write_image(folder / f"cam{k}" / f"{number:05}.png", picture)
+        depth = scene.distance(np.array(place), GRID.rays())
+        write_inverse_depth(folder / "depth_estimate_160" / f"{number:05}.tiff", 1 / depth)
+        write_inverse_depth(folder / "confidence_160" / f"{number:05}.tiff", np.ones(GRID.shape))
+    return folder
+
+
+@pytest.fixture
+def copy(recording, tmp_path):
+    return shutil.copytree(
+        recording, tmp_path / "drive", ignore=shutil.ignore_patterns("omnidepth*", "mesh*", "world.json")
+    )
+
+
+def test_path_meshes_and_refined_depth_of_a_recording(recording, capsys):
+    trimesh = pytest.importorskip("trimesh")
+    command = ["world", str(recording), "--voxel", "0.1", "--kitti"]
+    assert cli.main(command) == 0
+    out = recording / "world"
+    path = np.loadtxt(out / "trajectory.txt")
+    np.testing.assert_array_equal(path[:, 0], [1, 2, 3])
+    np.testing.assert_allclose(path[:, 1:4], PLACES, atol=0.01)
+    np.testing.assert_allclose(np.loadtxt(out / "trajectory_kitti.txt")[:, [3, 7, 11]], path[:, 1:4], atol=1e-6)
+    data = osl.load_dataset(out)
+    truth = scene.distance(np.array(PLACES[1]), GRID.rays())
+    assert np.median(np.abs(data.frame(2).inverse_depth * truth - 1)) < 0.02
+    walls = (trimesh.load(out / "mesh.ply").vertices - scene.CENTER) / scene.HALF_SIZE
+    assert np.median(np.abs(np.abs(walls).max(axis=1) - 1)) < 0.02
+    up = trimesh.load(out / "mesh.glb", force="mesh").vertices
+    assert up[:, 1].max() == pytest.approx(-(trimesh.load(out / "mesh.ply").vertices[:, 1].min()), abs=1e-4)
+    # The same command keeps what is there; another one keeps the steps.
+    before = {file: file.stat().st_mtime_ns for file in out.iterdir()}
+    assert cli.main(command) == 0 and "already" in capsys.readouterr().out
+    assert {file: file.stat().st_mtime_ns for file in out.iterdir()} == before
+    assert cli.main(["world", str(recording), "--voxel", "0.2"]) == 0
+    assert (out / "steps.json").stat().st_mtime_ns == before[out / "steps.json"]
+
+
+def fails(capsys, *arguments):
+    assert cli.main(["world", *map(str, arguments)]) == 2
+    return capsys.readouterr().err
+
+
+def test_what_is_missing_is_named(copy, capsys, tmp_path):
+    assert "recording.json" in fails(capsys, tmp_path)
+    (copy / "confidence_160" / "00002.tiff").unlink()
+    assert "00002.tiff" in fails(capsys, copy)
+    for number in (2, 3):
+        (copy / "depth_estimate_160" / f"{number:05}.tiff").unlink()
+    assert "1 frames with depth" in fails(capsys, copy)
+
+
+def test_more_memory_than_there_is_is_refused(copy, capsys, monkeypatch):
+    monkeypatch.setattr("omnistereo_lib.stereo.device.available_memory", lambda device: 1 << 20)
+    assert "not enough memory: needs" in fails(capsys, copy)
+    assert not (copy / "world" / "mesh.ply").exists()
+
+
+def test_frames_that_have_nothing_in_common_give_no_world(copy, capsys):
+    shutil.rmtree(copy / "world", ignore_errors=True)
+    rng = np.random.default_rng(0)
+    for path in copy.glob("cam*/*"):
+        write_image(path, rng.integers(0, 255, (288, 300)))
+    assert "no step between two frames is sure" in fails(capsys, copy)

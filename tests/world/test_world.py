@@ -1,0 +1,127 @@
+"""A recording becomes one world: each part against a closed form."""
+
+import numpy as np
+import pytest
+import scene
+from scipy.spatial.transform import Rotation
+
+import omnistereo_lib as osl
+from omnistereo_lib.world.fusion import View, Volume, bytes_needed, touched_blocks
+from omnistereo_lib.world.motion import SightingFinder, rig_step
+from omnistereo_lib.world.refine import mix
+from omnistereo_lib.world.surface import extract_surface
+from omnistereo_tools.output.world import trajectory_kitti, trajectory_tum
+
+GRID = osl.SphereGrid(320, 160, (-90.0, 90.0), num_spheres=64, min_depth=0.5)
+RADIUS, VOXEL, REACH = 3.0, 0.1, 10.0
+T_A_B = osl.Pose.from_vector([0.05, 0.2, -0.03, 0.4, 0.1, 0.5])
+
+
+def in_sphere(place):
+    """The distance from inside a sphere around the origin to its wall, along the rays of a rig that is not turned."""
+    along = GRID.rays() @ place
+    return np.sqrt(along**2 + RADIUS**2 - place @ place) - along
+
+
+def view(place, depth):
+    ones = np.ones(depth.shape)
+    return View.of(osl.Pose(np.eye(3), place), 1 / depth, ones, 100 * ones, 0.01)
+
+
+def fused(views):
+    keys = np.unique(np.concatenate([touched_blocks(one, GRID, VOXEL, REACH) for one in views]))
+    volume = Volume(keys, VOXEL, REACH, 1)
+    for one in views:
+        volume.integrate(one, GRID)
+    return volume
+
+
+@pytest.fixture(scope="module")
+def sphere():
+    places = [np.array(place) for place in ([0.3, 0.0, 0.2], [-0.4, 0.1, 0.0])]
+    return fused([view(place, in_sphere(place)) for place in places])
+
+
+@pytest.fixture(scope="module")
+def sightings():
+    """Two frames of a rig in the textured box: images and exact depth, before and after a known step."""
+    rig = scene.rig(width=400, height=384).recentered()
+    finder, found = SightingFinder(rig, GRID), []
+    for T in (osl.Pose.identity(), T_A_B):
+        images = [picture.astype(np.uint8) for picture in scene.images(rig.transformed(T), finest=0.12)]
+        depth = scene.distance(T.t, GRID.rays() @ T.R.T)
+        found.append(finder.find(images, (1 / depth).astype(np.float32)))
+    return rig, *found
+
+
+def test_the_step_of_the_rig_is_found_without_a_guess_and_with_a_wrong_one(sightings):
+    rig, a, b = sightings
+    for last in (None, osl.Pose.from_vector([0, 0, 0, 0, 0, -0.5])):
+        step = rig_step(rig, a, b, last)
+        angle, length = (T_A_B.inverse() @ step.T).magnitude()
+        assert step.sure and angle < 0.05 and length < 0.005
+
+
+def test_frames_of_different_places_give_no_sure_step(sightings):
+    rig, a, _ = sightings
+    rng = np.random.default_rng(0)
+    noise = [rng.integers(0, 255, camera.image_size[::-1], np.uint8) for camera in rig.cameras]
+    assert not rig_step(rig, a, SightingFinder(rig, GRID).find(noise, np.full(GRID.shape, 0.3, np.float32))).sure
+
+
+def test_depth_read_back_is_the_distance_to_the_surface(sphere):
+    place = np.array([0.0, -0.2, 0.5])  # no frame was here
+    inverse, color = sphere.march(osl.Pose(np.eye(3), place), GRID.rays(), REACH)
+    np.testing.assert_allclose(1 / inverse, in_sphere(place), atol=VOXEL / 10)
+    np.testing.assert_allclose(color, 100, rtol=1e-5)
+
+
+def test_the_mesh_is_closed_and_lies_on_the_surface(sphere):
+    trimesh = pytest.importorskip("trimesh")
+    surface = extract_surface(sphere)
+    np.testing.assert_allclose(np.linalg.norm(surface.vertices, axis=1), RADIUS, atol=VOXEL / 10)
+    mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(-4 / 3 * np.pi * RADIUS**3, rel=0.01)  # it faces the rig, which is inside
+
+
+def test_what_other_frames_see_through_is_carved():
+    depth, place = in_sphere(np.zeros(3)), np.zeros(3)
+    wrong = np.where(GRID.rays()[..., 2] > 0.9, 2.0, depth)  # in front of the wall, once in four frames
+    volume = fused([view(place, wrong), *[view(place, depth)] * 3])
+    inverse, _ = volume.march(osl.Pose.identity(), GRID.rays(), REACH)
+    np.testing.assert_allclose(1 / inverse, RADIUS, atol=VOXEL / 10)
+
+
+def test_memory_is_what_the_arrays_take(sphere):
+    assert bytes_needed(len(sphere.voxels[0]), 1) >= sum(array.nbytes for array in sphere.voxels[3:])
+
+
+def test_a_ray_keeps_its_own_depth_where_something_moves_near_the_rig_and_where_nothing_was_fused():
+    shape, sphere = (60, 90), 1e-3
+    own, fused_depth = np.full(shape, 1 / 20.0), np.full(shape, 1 / 22.0)
+    seen, remembered = np.full(shape, 100.0), np.full((*shape, 1), 50.0)  # half as long exposed
+    own[10:30, 80:], own[10:30, :10] = 1 / 12.0, 1 / 12.0  # a car, across the seam, before what was fused
+    seen[10:30, 80:], seen[10:30, :10] = 180.0, 180.0
+    own[40:50, 20:40] = 1 / 12.0  # wrong: what was fused looks like this
+    own[:5], fused_depth[:5] = 1 / 4.0, 1 / 4.2
+    fused_depth[55:] = np.nan
+    expected = fused_depth.copy()
+    for rows, columns in (
+        (slice(10, 30), slice(80, 90)),
+        (slice(10, 30), slice(0, 10)),
+        (slice(5), slice(90)),
+        (slice(55, 60), slice(90)),
+    ):
+        expected[rows, columns] = own[rows, columns]
+    np.testing.assert_allclose(mix(own, fused_depth, seen, remembered, sphere), expected, rtol=1e-6)
+
+
+def test_trajectories_are_in_the_formats_of_tum_and_kitti():
+    poses = {3: osl.Pose.identity(), 8: T_A_B}
+    row = np.array(trajectory_tum(poses).splitlines()[2].split(), float)
+    assert row[0] == 8
+    np.testing.assert_allclose(row[1:4], T_A_B.t, atol=1e-8)
+    np.testing.assert_allclose(Rotation.from_quat(row[4:]).as_matrix(), T_A_B.R, atol=1e-8)
+    matrix = np.array(trajectory_kitti(poses).splitlines()[1].split(), float).reshape(3, 4)
+    np.testing.assert_allclose(matrix, np.column_stack([T_A_B.R, T_A_B.t]), atol=1e-8)
