@@ -45,11 +45,10 @@ def run(options: WorldOptions) -> None:
     from omnistereo_tools.record.world import RecordedFrames
 
     import_trimesh()
-    frames = RecordedFrames.open(options.recording)
     out = options.recording / "world"
-    refined = out / f"omnidepth_world_{frames.grid.width}"
-    check_outputs(options, [out / "config.yaml", out / "trajectory.txt"], [refined])
-    hold(out)
+    check_outputs(options, [out / "config.yaml"], out.glob("omnidepth_world_*"))
+    frames = RecordedFrames.open(options.recording)
+    refined = hold(out) / f"omnidepth_world_{frames.grid.width}"
     asked = {"voxel": options.voxel, "range": options.range, "kitti": options.kitti, "recording": frames.checksum}
     with suppress(OmnistereoError):
         if read_data(out / "world.json") == asked:

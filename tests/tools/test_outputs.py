@@ -17,6 +17,7 @@ FILES = {
     **dict.fromkeys(("front.mp4", "back.mp4", "drive/cam1/1.png", "drive/cam2/1.png", "drive/video/1.png"), "image"),
     "drive/config.yaml": "cameras: []",
     "drive/recording.json": "{}",
+    "own/config.yaml": "cameras: []",
     "set/config.yaml": "dataset: {truth: ../truth}",
     **dict.fromkeys(("set/cam1/1.png", "set/cam2/1.png", "set/omnidepth_gt_640/1.tiff"), "image"),
     **dict.fromkeys(("boards/cam1/1.png", "boards/cam2/1.png", "rig/config.yaml", "rig/report.txt"), "image"),
@@ -39,7 +40,7 @@ COMMANDS = [
     "record --rig rig.yaml --images drive/cam1 drive/cam2 --out drive",
     "record --rig rig.yaml --images drive/video front.mp4 --out drive",
     "record --rig drive/config.yaml --images front.mp4 back.mp4 --out drive",
-    "world linked_world",
+    "world own",
     "doctor --rig rig.yaml --coverage dark.png",
     "doctor --rig rig.yaml --images 2.png 3.png --masks mask.png 4.png --coverage mask.png",
     "doctor --rig set --coverage set/cam1/1.png",
@@ -62,6 +63,7 @@ def folder(tmp_path, monkeypatch):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
     (tmp_path / "linked.tiff").symlink_to("1.tiff")
+    (tmp_path / "own" / "world").symlink_to(".")
     os.link(tmp_path / "1.tiff", tmp_path / "same.tiff")
     monkeypatch.chdir(tmp_path)
     return tmp_path

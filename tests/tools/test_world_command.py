@@ -39,9 +39,8 @@ def recording(tmp_path_factory):
 
 @pytest.fixture
 def copy(recording, tmp_path):
-    return shutil.copytree(
-        recording, tmp_path / "drive", ignore=shutil.ignore_patterns("omnidepth*", "mesh*", "world.json")
-    )
+    left_out = shutil.ignore_patterns("omnidepth*", "mesh*", "world.json")
+    return shutil.copytree(recording, tmp_path / "drive", ignore=left_out)
 
 
 def test_path_meshes_and_refined_depth_of_a_recording(recording, capsys):
@@ -83,7 +82,7 @@ def test_what_is_missing_is_named(copy, capsys, tmp_path):
 
 
 def test_more_memory_than_there_is_is_refused(copy, capsys, monkeypatch):
-    monkeypatch.setattr("omnistereo_lib.stereo.device.available_memory", lambda device: 1 << 20)
+    monkeypatch.setattr("omnistereo_lib.world.fusion.bytes_needed", lambda blocks, channels: 1 << 60)
     assert "not enough memory: needs" in fails(capsys, copy)
     assert not (copy / "world" / "mesh.ply").exists()
 
