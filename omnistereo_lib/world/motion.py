@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -23,7 +24,7 @@ from omnistereo_lib.geometry.sphere import SphereGrid
 _ANGLE_SD = np.radians(0.2)  # of a feature's ray: pixels of 0.5°, and a rig that is calibrated to as much
 _SPHERES_SD = 0.7  # of an inverse depth, plus half of what it varies by among its neighbours
 _UNKNOWN_SD = 0.15  # 1/m
-_SAMPLES, _JUDGES = 400, 400  # triples of matches tried, and matches that judge them
+_SAMPLES, _JUDGES = 300, 300  # triples of matches tried, and matches that judge them
 _KEPT = 4  # of the triples
 _INLIER = 3.0  # standard deviations
 _LEAST_INLIERS, _LEAST_SHARE = 60, 0.25
@@ -108,6 +109,11 @@ class _End:
     inverse: Floats  # (M,)
     sd: Floats  # (M,)
 
+    @cached_property
+    def basis(self) -> Floats:
+        """Two unit vectors across each ray, (M, 2, 3)."""
+        return np.swapaxes(tangents(self.ray), 1, 2)
+
     def points(self) -> Floats:
         return self.center + self.ray / np.maximum(self.inverse, _FARTHEST)[:, None]
 
@@ -186,7 +192,7 @@ def _one_way(T: Pose, a: _End, b: _End) -> tuple[Floats, Floats]:
     toward, by_inverse, by_step = _predict(T, a, b.center)
     length = np.maximum(np.linalg.norm(toward, axis=1), 1e-12)[:, None]
     seen = toward / length
-    basis = np.swapaxes(tangents(b.ray), 1, 2)
+    basis = b.basis
     d_seen = (basis - (basis @ seen[:, :, None]) * seen[:, None]) / length[:, :, None]
     line = np.einsum("mki,mi->mk", d_seen, by_inverse) * a.sd[:, None]
     variance = (line**2).sum(axis=1)
@@ -212,7 +218,7 @@ def _both_ways(T: Pose, matches: _Matches) -> tuple[Floats, Floats]:
 def _solve(T: Pose, matches: _Matches, scales: Sequence[float]) -> tuple[Pose, float]:
     """Minimise Geman and McClure's robust cost by Gauss-Newton; return the step and the cost, at most 1."""
     cost = np.inf
-    for scale in scales:
+    for scale in scales if len(matches[0].ray) > 2 else ():
         for _ in range(8):
             residuals, J = _both_ways(T, matches)
             squares = (residuals**2).sum(axis=1) / scale**2
