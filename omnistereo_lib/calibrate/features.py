@@ -65,7 +65,9 @@ class FeatureFinder:
         """Return the features of an image, (H, W) or RGB (H, W, 3) uint8; each by the view that sees it best."""
         gray = image if image.ndim == 2 else cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
         sift: Any = cv2.SIFT_create(  # type: ignore[attr-defined]  # OpenCV's stubs lack it
-            _MOST_PER_VIEW, contrastThreshold=0.008
+            _MOST_PER_VIEW,
+            contrastThreshold=0.008,
+            enable_precise_upscale=True,  # or keypoints lie a quarter of a pixel to the right and below
         )
         rays, descriptors = [np.zeros((0, 3))], [np.zeros((0, 128), np.float32)]
         for R, uv, inside in self.views:

@@ -231,6 +231,15 @@ def _sample(voxels: Voxels, x: float, y: float, z: float) -> float:
 
 
 @_loop
+def _way_out(x: float, direction: float, shortest: float) -> float:
+    """Return the way in voxels to where a ray leaves its block along one axis, at most `shortest`."""
+    if direction == 0:
+        return shortest
+    start = np.floor(x / BLOCK) * BLOCK
+    return min(shortest, (start + BLOCK - x if direction > 0 else start - x) / direction)
+
+
+@_loop
 def _march(
     voxels: Voxels, directions: Floats, t: Floats, voxel: float, farthest: float, inverse: _Single, color: _Single
 ) -> None:
@@ -238,6 +247,10 @@ def _march(
         d, s, before, s_before = directions[ray], _NEAREST, np.inf, 0.0
         while s < farthest:
             x, y, z = (t[0] + s * d[0]) / voxel, (t[1] + s * d[1]) / voxel, (t[2] + s * d[2]) / voxel
+            if find_block(voxels, int(np.floor(x)), int(np.floor(y)), int(np.floor(z))) < 0:
+                s += voxel * (_way_out(x, d[0], _way_out(y, d[1], _way_out(z, d[2], 2.0 * BLOCK))) + 0.01)
+                before = np.inf
+                continue
             value = _sample(voxels, x, y, z)
             if value <= 0 and 0 < before < np.inf:
                 inverse[ray] = 1 / (s_before + (s - s_before) * before / (before - value))

@@ -6,6 +6,7 @@ import scene
 from scipy.spatial.transform import Rotation
 
 import omnistereo_lib as osl
+from omnistereo_lib.calibrate.features import FeatureFinder
 from omnistereo_lib.world.fusion import View, Volume, bytes_needed, touched_blocks
 from omnistereo_lib.world.motion import SightingFinder, rig_step
 from omnistereo_lib.world.refine import mix
@@ -125,3 +126,18 @@ def test_trajectories_are_in_the_formats_of_tum_and_kitti():
     np.testing.assert_allclose(Rotation.from_quat(row[4:]).as_matrix(), T_A_B.R, atol=1e-8)
     matrix = np.array(trajectory_kitti(poses).splitlines()[1].split(), float).reshape(3, 4)
     np.testing.assert_allclose(matrix, np.column_stack([T_A_B.R, T_A_B.t]), atol=1e-8)
+
+
+def test_features_lie_where_the_image_has_them_on_average():
+    """OpenCV's default puts keypoints a quarter of a pixel to the right and below, which turns the path."""
+    camera = scene.camera(width=400, height=384)
+    rays, valid = camera.unproject(np.stack(np.meshgrid(np.arange(400), np.arange(384)), -1))
+    spots = np.random.default_rng(0).normal(size=(400, 3)) + [0, 0, 1.0]
+    spots /= np.linalg.norm(spots, axis=1, keepdims=True)
+    nearest = np.max([rays @ spot for spot in spots], axis=0)
+    image = np.where(valid, 40 + 160 * np.exp((nearest - 1) / np.radians(1.5) ** 2), 40).astype(np.uint8)
+    found = FeatureFinder(camera).find(image).rays
+    pixels, spot = camera.project(found)[0], spots[np.argmax(found @ spots.T, axis=1)]
+    close = np.einsum("ki,ki->k", found, spot) > np.cos(np.radians(0.5))
+    offset = np.median((pixels - camera.project(spot)[0])[close], axis=0)
+    assert close.sum() > 50 and np.abs(offset).max() < 0.05
