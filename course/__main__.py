@@ -105,7 +105,9 @@ def _parser() -> argparse.ArgumentParser:
     ):
         add(name, calls, text).set_defaults(out=OUT / name)
     add("rig-sizes", "experiments.rig_sizes.print_table", "how many rays are right at which distance, by size of rig")
-    world = add("world-table", "experiments.world_table.print_table", "judge what `omnistereo world` made of sunny/train")
+    world = add(
+        "world-table", "experiments.world_table.print_table", "judge what `omnistereo world` made of sunny/train"
+    )
     world.add_argument("recording", type=Path, help="folder of the recording")
     add("snapshots", "experiments.snapshots.take_snapshots", "store what SweepNet makes of one frame while it learns")
     ship = add(

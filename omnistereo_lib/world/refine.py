@@ -12,7 +12,7 @@ _Array = NDArray[Any]
 _NEAR = 8.0  # metres: up to there one frame is finer than a voxel
 _AGREE, _DISAGREE = 0.1, 0.12  # of the larger inverse depth
 _OTHER_THROUGH, _OTHER_NEARER = 10.0, 30.0  # of 255
-_WINDOW, _GROWN, _SEAM = 5, 3, 8  # pixels
+_WINDOW, _GROWN, _SEAM = 5, 2, 8  # pixels
 
 
 def mix(own: _Array, fused: _Array, seen: _Array, remembered: _Array, sphere: float) -> NDArray[np.float32]:
