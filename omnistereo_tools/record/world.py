@@ -37,8 +37,8 @@ from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.world.fusion import View, Volume
 from omnistereo_lib.world.motion import Sighting, SightingFinder, Step, rig_step
 from omnistereo_lib.world.refine import mix
-from omnistereo_tools.judge.pace import progress_bar, say
 from omnistereo_tools.output.blend import blended_panorama
+from omnistereo_tools.progress import progress_bar, say
 from omnistereo_tools.record.recordings import PICTURES, SETTINGS
 
 _FARTHEST = 1.5  # times the range: as far a surface is looked for

@@ -132,7 +132,7 @@ def test_features_lie_where_the_image_has_them_on_average():
     """OpenCV's default puts keypoints a quarter of a pixel to the right and below, which turns the path."""
     camera = scene.camera(width=400, height=384)
     rays, valid = camera.unproject(np.stack(np.meshgrid(np.arange(400), np.arange(384)), -1))
-    spots = np.random.default_rng(0).normal(size=(400, 3)) + [0, 0, 1.0]
+    spots = np.random.default_rng(0).normal((0, 0, 1), 1, (400, 3))
     spots /= np.linalg.norm(spots, axis=1, keepdims=True)
     nearest = np.max([rays @ spot for spot in spots], axis=0)
     image = np.where(valid, 40 + 160 * np.exp((nearest - 1) / np.radians(1.5) ** 2), 40).astype(np.uint8)
