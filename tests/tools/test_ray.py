@@ -1,5 +1,6 @@
 """Why a ray has its depth: each kind of sentence on images whose depth is known, and the numbers behind it."""
 
+import os
 from collections import Counter
 from dataclasses import replace
 
@@ -13,7 +14,7 @@ from course.figures import plot
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.judge import ray
 
-RAYS = 500
+RAYS = int(os.environ.get("RAYS", "80"))
 
 
 @pytest.fixture(scope="module")
