@@ -28,6 +28,7 @@ from omnistereo_tools.judge.trust import DOUBTFUL, trust
 from omnistereo_tools.output.blend import blended_panorama
 from omnistereo_tools.output.pictures import BACKGROUND, ColorScale
 from omnistereo_tools.output.summary import metres
+from omnistereo_tools.record.watching import Watching
 
 _WIDTH = 1280  # px of the picture, if the panorama is smaller
 _PATIENCE_S = 10.0  # of a camera that gives no picture, and of a browser that neither asks nor reads
@@ -173,21 +174,27 @@ def _first(source: int | str, capture: cv2.VideoCapture) -> NDArray[np.uint8]:
     return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), np.uint8)
 
 
-def live_pictures(cameras: Cameras, sweep: SphereSweep, method: str | Method) -> Iterator[LivePicture]:
-    """Return pictures until a source ends; tables and kernels are ready when the first one is asked for."""
+def live_pictures(
+    cameras: Cameras, sweep: SphereSweep, method: str | Method, watching: Watching | None = None
+) -> Iterator[LivePicture]:
+    """Return pictures until a source ends; tables and kernels are ready when the first one is asked for.
+
+    In between, the rig is looked at.
+    """
     method = Method.parse(method)
     blended_panorama(sweep_depth(sweep, cameras.first, method))
-    return _play(cameras, sweep, method)
+    return _play(cameras, sweep, method, watching)
 
 
-def _play(cameras: Cameras, sweep: SphereSweep, method: Method) -> Iterator[LivePicture]:
+def _play(cameras: Cameras, sweep: SphereSweep, method: Method, watching: Watching | None) -> Iterator[LivePicture]:
     scale = ColorScale(0.0, 0.8 / sweep.grid.min_depth)
     reader = Thread(target=cameras.read, daemon=True)
     reader.start()
     before = time.monotonic()
     try:
-        for frames in cameras.newest:
+        for number, frames in enumerate(cameras.newest):
             images = [cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) for frame in frames]
+            sweep = sweep if watching is None else watching.sweep_of(number, images)
             depth = sweep_depth(sweep, images, method)
             panorama = np.nan_to_num(blended_panorama(depth)).round().astype(np.uint8)
             now = time.monotonic()
@@ -198,6 +205,8 @@ def _play(cameras: Cameras, sweep: SphereSweep, method: Method) -> Iterator[Live
     finally:
         cameras.newest.close()
         reader.join(_PATIENCE_S)
+        if watching is not None:
+            watching.close()
 
 
 def draw_picture(

@@ -33,6 +33,7 @@ class LiveOptions(MethodOptions, GridOptions, RigOptions):
     height: int | None = 80
     spheres: int = 64
     method: str | None = option("as of omnistereo depth", unset="one that keeps pace")
+    follow: bool = option("when a camera has turned, go on with its new pose", False)
     port: int = option("of the page for the browser, 0: any", 8765, between=(0, 65535))
     open: bool = option("open the page in the browser", False)
 
@@ -46,6 +47,7 @@ def run(options: LiveOptions) -> None:
     from omnistereo_lib.stereo.sweep import SphereSweep
     from omnistereo_tools import live_view
     from omnistereo_tools.judge.coverage import Coverage
+    from omnistereo_tools.record.watching import Watching
 
     count, start, ended = 0, monotonic(), "stopped"
     try:
@@ -56,7 +58,8 @@ def run(options: LiveOptions) -> None:
         rig = mask_circles(rig, [cameras.first])
         min_depth = find_min_depth(options.min_depth, rig, cameras.first)
         sweep = SphereSweep(rig, make_grid(options, Coverage.of(rig), min_depth), device=options.device)
-        pictures = live_view.live_pictures(cameras, sweep, options.method or VIDEO_METHOD)
+        watching = Watching(rig, sweep, options.follow)
+        pictures = live_view.live_pictures(cameras, sweep, options.method or VIDEO_METHOD, watching)
         latest = live_view.Latest()
         with live_view.serve(latest, options.port) as address:
             print(f"open {address} in a browser of this machine: it begins then. Ctrl-C stops", flush=True)

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 WATCH = "watch.json"
 _FRAMES = 2  # of a look
 _SHARE = 0.05  # of the time
-_FIRST_S = 5.0  # between the frames of the first look: a rig that stands still shows the same twice
+_FIRST_S = 20.0  # until the first look begins, whose frames are half of that apart
 
 
 class Watching:
