@@ -128,7 +128,7 @@ def files(tmp_path_factory):
     return folder
 
 
-def _boards(folder, pairs=2):
+def _boards(folder, pairs=3):
     """Copy pictures of a checkerboard that two cameras see, a few for each pair of neighbours."""
     van = ROOT / "data_samples/calibration/van"
     names = [sorted(path.name for path in (van / f"cam{k}").iterdir()) for k in (1, 2, 3, 4)]

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from omnistereo_lib.dataset import Dataset, load_dataset
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.evaluate.records import checksum
-from omnistereo_lib.files import atomic_write, make_folder, read_data
+from omnistereo_lib.files import atomic_write, make_folder, read_bytes, read_data, read_text
 from omnistereo_lib.frame import Frame, read_inverse_depth, write_inverse_depth
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.sphere import SphereGrid
@@ -80,7 +80,7 @@ class RecordedFrames:
     @cached_property
     def checksum(self) -> str:
         """Changes with the frames, and with how their depth was computed."""
-        parts = [(self.folder / name).read_bytes() for name in (SETTINGS, PICTURES) if (self.folder / name).exists()]
+        parts = [read_bytes(self.folder / name) for name in (SETTINGS, PICTURES) if (self.folder / name).exists()]
         return checksum(b"".join([*parts, repr([frame.number for frame in self.data]).encode()]))[:16]
 
     @cached_property
@@ -191,7 +191,7 @@ class _StoredSteps:
     """The steps of a recording found so far, in a file that is written after each."""
 
     def __init__(self, path: Path, folder: Path) -> None:
-        self.path, self.settings = path, (folder / SETTINGS).read_text()
+        self.path, self.settings = path, read_text(folder / SETTINGS)
         self.marks, self.steps = (_read(file) for file in (folder / PICTURES, path))
 
     def _key(self, a: Frame, b: Frame) -> str:

@@ -90,12 +90,12 @@ def test_small_things_in_mid_air_of_little_trust_are_doubtful(box):
 
 def test_on_a_frame_it_was_not_fitted_on_doubtful_depths_are_worse_at_every_range():
     frame = osl.load_dataset(DATA / "sunny", split="test")[1]
-    grid = osl.SphereGrid(320, 80, num_spheres=96, min_depth=frame.rig.min_depth)
+    grid = osl.SphereGrid(640, 160, num_spheres=192, min_depth=frame.rig.min_depth)
     depth = osl.estimate_depth(frame, grid, "zncc+sgm")
     truth = frame.gt_index(grid)
     with np.errstate(invalid="ignore"):  # infinity, found and true
         off = np.abs(depth.depth / grid.index_to_depth(truth) - 1) > 0.1
     wrong, doubtful = off & (np.abs(depth.index - truth) > 2), trust(depth, "zncc+sgm") < DOUBTFUL
-    for nearest, farthest in ((30, 96), (10, 30), (1, 10)):  # spheres, numbered from infinity
+    for nearest, farthest in ((60, 192), (20, 60), (1, 20)):  # spheres, numbered from infinity
         rays = np.isfinite(truth) & (depth.index >= nearest) & (depth.index < farthest)
         assert wrong[rays & doubtful].mean() > 3 * wrong[rays & ~doubtful].mean() > 0
