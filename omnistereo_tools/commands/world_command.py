@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_tools.outputs import check_outputs, hold
+from omnistereo_tools.outputs import check_outputs, hold, save_figure
 from omnistereo_tools.parser import Options, option
 
 if TYPE_CHECKING:
@@ -108,8 +108,7 @@ def _write(
     number = list(poses)[len(poses) // 2]
     after = read_inverse_depth(refined / f"{number:05}.tiff")
     figure = draw_overview(surface, poses, frames.data.frame(number).inverse_depth, after, frames.grid)
-    with atomic_write(out / "overview.png") as temporary:
-        figure.savefig(temporary, dpi=100)
+    save_figure(out / "overview.png", figure)
     frames.link(out)
     length = sum((a.inverse() @ b).magnitude()[1] for a, b in pairwise(poses.values()))
     print(f"{len(poses)} of {len(frames.data)} frames, {length:.1f} m of path, {len(surface.faces)} triangles")

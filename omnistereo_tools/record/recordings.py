@@ -103,7 +103,7 @@ class DepthWriter:
 
     def changed(self) -> dict[int, Path]:
         """Return the frames whose pictures are not those that they were prepared with, and a picture that differs."""
-        stored = self._stored_marks()
+        stored = read_stored(self.out / PICTURES)
         pairs = [(n, stored.get(str(n), marks), marks) for n, marks in self._marks.items()]
         return {n: self._pictures(n)[_first_other(old, new)] for n, old, new in pairs if old != new}
 
@@ -116,13 +116,6 @@ class DepthWriter:
         """For each frame what tells its pictures, or videos, from others of the same names."""
         mark = cache(_mark)  # a video is the same for all frames
         return {number: list(map(mark, self._pictures(number))) for number in self.recording.frames}
-
-    def _stored_marks(self) -> dict[str, Any]:
-        """Return the marks that the frames were prepared with, as far as they can be read."""
-        with suppress(OmnistereoError):
-            if isinstance(stored := read_data(self.out / PICTURES), dict):
-                return stored
-        return {}
 
     def run(self, numbers: Sequence[int], watching: Watching | None = None) -> Iterator[int]:
         """Estimate and write the depth of some frames, in ascending order; yield the number of each.
@@ -176,7 +169,7 @@ class DepthWriter:
         save_rig(replace(rig, min_depth=self.sweep.grid.min_depth), self.out / "config.yaml")
         for number in self.changed():
             self.path(OF_RAYS[-1], number).unlink(missing_ok=True)  # so that the frame is not done
-        marks = self._stored_marks() | {str(number): marks for number, marks in self._marks.items()}
+        marks = read_stored(self.out / PICTURES) | {str(number): marks for number, marks in self._marks.items()}
         with atomic_write(self.out / PICTURES) as temporary:
             temporary.write_text(json.dumps(marks) + "\n")
 
@@ -233,6 +226,14 @@ def _link(picture: Path, folder: Path, number: int) -> None:
     except OSError:
         with atomic_write(target) as temporary:
             shutil.copyfile(picture, temporary)
+
+
+def read_stored(path: Path) -> dict[str, Any]:
+    """Return what an earlier run has stored in a JSON file; nothing if it cannot be read."""
+    with suppress(OmnistereoError):
+        if isinstance(stored := read_data(path), dict):
+            return stored
+    return {}
 
 
 def _mark(path: Path) -> str:

@@ -39,7 +39,7 @@ from omnistereo_lib.world.motion import Sighting, SightingFinder, Step, rig_step
 from omnistereo_lib.world.refine import mix
 from omnistereo_tools.output.blend import blended_panorama
 from omnistereo_tools.progress import progress_bar, say
-from omnistereo_tools.record.recordings import PICTURES, SETTINGS
+from omnistereo_tools.record.recordings import PICTURES, SETTINGS, read_stored
 
 _FARTHEST = 1.5  # times the range: as far a surface is looked for
 _LOST = 3  # frames without a sure step, after which the path begins anew
@@ -192,7 +192,7 @@ class _StoredSteps:
 
     def __init__(self, path: Path, folder: Path) -> None:
         self.path, self.settings = path, read_text(folder / SETTINGS)
-        self.marks, self.steps = (_read(file) for file in (folder / PICTURES, path))
+        self.marks, self.steps = (read_stored(file) for file in (folder / PICTURES, path))
 
     def _key(self, a: Frame, b: Frame) -> str:
         """Return what tells a step between two frames from others, of other pictures or settings, too."""
@@ -209,11 +209,3 @@ class _StoredSteps:
         self.steps[self._key(a, b)] = [step.T.as_vector().tolist(), step.inliers, step.matches, step.rival]
         with atomic_write(self.path) as temporary:
             temporary.write_text(json.dumps(self.steps) + "\n")
-
-
-def _read(path: Path) -> dict[str, Any]:
-    """Return what a JSON file holds, nothing if it cannot be read."""
-    with suppress(OmnistereoError):
-        if isinstance(stored := read_data(path), dict):
-            return stored
-    return {}
