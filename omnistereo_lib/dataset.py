@@ -5,6 +5,7 @@ folder/
   cam1/0001.jpg …  cam2/ …                                   one folder per camera, files by frame number
   omnidepth_gt_640/00001.tiff                                ground truth: inverse depth from the rig centre, 1/m
   omnidepth_gt_1200/00001.tiff                               the same frames at another panorama width
+  omnidepth_world_640/00001.tiff                             in their place: as `omnistereo world` has refined it
   train/ test/                                               or one such folder for each split
   0001/ 0002/ …                                              or one such folder for each rig
 
