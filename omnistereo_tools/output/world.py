@@ -57,9 +57,15 @@ def draw_overview(
     plan, before, after = figure.subplots(3, 1, height_ratios=[3, 1, 1])
     points = surface.vertices[:: len(surface.vertices) // _SHOWN + 1]
     path = np.array([pose.t for pose in poses.values()])
-    shown = plan.scatter(points[:, 2], -points[:, 0], c=-points[:, 1], s=0.3, cmap="viridis", rasterized=True)
-    plan.plot(path[:, 2], -path[:, 0], "r.-", lw=1)
-    plan.set(aspect="equal", xlabel="metres ahead of the first frame", ylabel="metres to its left")
+    # The longer way lies across the page; seen from above either way, not mirrored.
+    turned = bool(np.ptp(points[:, 0]) > np.ptp(points[:, 2]))
+    across, along = (-points[:, 0], points[:, 2]) if turned else (points[:, 2], -points[:, 0])
+    shown = plan.scatter(across, along, c=-points[:, 1], s=0.3, cmap="viridis", rasterized=True)
+    plan.plot(*((-path[:, 0], path[:, 2]) if turned else (path[:, 2], -path[:, 0])), "r.-", lw=1)
+    labels = ["metres ahead of the first frame", "metres to its left"]
+    plan.set(aspect="equal", xlabel=labels[turned], ylabel=labels[not turned])
+    if turned:
+        plan.invert_yaxis()
     plan.set_title(f"The path of the rig, {len(poses)} frames, on the surfaces from above")
     figure.colorbar(shown, ax=plan, label="height over the first frame in metres", shrink=0.7)
     for ax, inverse, title in ((before, own, "Depth of one frame alone"), (after, refined, "After fusing all frames")):
