@@ -8,6 +8,7 @@ from pathlib import Path
 import nbformat
 
 from course import exercises
+from course.exercises.opened import Open
 from course.figures.captions import caption_output, captions
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, read_bytes
@@ -89,7 +90,7 @@ def clean(nb: nbformat.NotebookNode) -> nbformat.NotebookNode:
     return nb
 
 
-def open_functions(nb: nbformat.NotebookNode) -> list[exercises.Open]:
+def open_functions(nb: nbformat.NotebookNode) -> list[Open]:
     """Return the functions that a notebook leaves open, from the module that its checks name."""
     named = re.search(r"\bnb(\d\db?)\.check_", "\n".join(cell.source for cell in code_cells(nb)))
     return exercises.functions(named[1]) if named else []

@@ -140,7 +140,7 @@ def judge(exercise: Exercise, seed: int, answers: dict[Any, Any], stopped: str) 
     return {"status": status, "said": printable(" ".join(said.split()))}
 
 
-def repeat(replies: Any) -> Callable:
+def repeat(replies: Any) -> Callable[..., Any]:
     """Return a function that answers as the student's did: with its value, its exception, its writing into arrays."""
     left = iter(replies)
 
@@ -218,9 +218,9 @@ def check(path: Path, out: Path = OUT, seconds: float = SECONDS, memory_gib: flo
         OmnistereoError: If a limit is not positive, there is no notebook, or if `path` is one and not of the course; in
             a folder, such a one gets a sheet without exercises, and the class goes on.
     """
-    for name, limit in (("seconds", seconds), ("memory", memory_gib)):
+    for what, limit in (("seconds", seconds), ("memory", memory_gib)):
         if not 0 < limit < math.inf:
-            raise OmnistereoError(f"{name} is {limit:g}; expected a positive number. Leave --{name} out, or raise it")
+            raise OmnistereoError(f"{what} is {limit:g}; expected a positive number. Leave --{what} out, or raise it")
     if os.name != "posix":
         raise OmnistereoError("limits need Linux or macOS. Check hand-ins in a container; book/teaching.md says how")
     is_class = path.is_dir()

@@ -10,6 +10,7 @@ import inspect
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
 from nbformat import NotebookNode
@@ -29,7 +30,7 @@ def stubs(source: str) -> Iterator[ast.FunctionDef]:
             yield node
 
 
-def solved(source: str, answers: dict[str, Callable]) -> str:
+def solved(source: str, answers: dict[str, Callable[..., Any]]) -> str:
     """Return a cell's source with the answers in the place of its stubs."""
     lines = source.splitlines()
     for stub in reversed(list(stubs(source))):  # from below, so that the line numbers above stay right
@@ -40,7 +41,7 @@ def solved(source: str, answers: dict[str, Callable]) -> str:
     return "\n".join(lines)
 
 
-def solve(nb: NotebookNode, answers: dict[str, Callable]) -> NotebookNode:
+def solve(nb: NotebookNode, answers: dict[str, Callable[..., Any]]) -> NotebookNode:
     """Return a notebook with its stubs solved, and those cells not run."""
     nb = copy.deepcopy(nb)
     for cell in nbtools.code_cells(nb):
@@ -50,7 +51,7 @@ def solve(nb: NotebookNode, answers: dict[str, Callable]) -> NotebookNode:
     return nb
 
 
-def open_answers(number: str) -> dict[str, Callable]:
+def open_answers(number: str) -> dict[str, Callable[..., Any]]:
     """Return the right answers of the functions that a notebook leaves open, by name."""
     return {function.name: function.answer for function in exercises.functions(number)}
 

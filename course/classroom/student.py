@@ -122,7 +122,7 @@ def copy_clone(copy: Path) -> None:
 
 
 def watch(
-    process: subprocess.Popen, family: Callable[[], list[psutil.Process]], seconds: float, memory_gib: float
+    process: subprocess.Popen[Any], family: Callable[[], list[psutil.Process]], seconds: float, memory_gib: float
 ) -> tuple[str, float]:
     """Wait for a process; return the limit that it and its family have broken, or nothing, and their peak in GiB."""
     deadline, peak = time.monotonic() + seconds, 0.0
@@ -150,7 +150,7 @@ def memory_of(process: psutil.Process, shared: bool = False) -> int:
     return 0  # it has ended
 
 
-def end(process: subprocess.Popen, family: Callable[[], list[psutil.Process]]) -> None:
+def end(process: subprocess.Popen[Any], family: Callable[[], list[psutil.Process]]) -> None:
     """Kill a process and its family until nobody is left."""
     if process.poll() is None:
         with suppress(ProcessLookupError, PermissionError):  # it has just ended
@@ -196,8 +196,9 @@ def main() -> None:
     with suppress(ValueError):  # the limit is lower already
         resource.setrlimit(resource.RLIMIT_FSIZE, (MAX_FILE_BYTES, MAX_FILE_BYTES))
     shell = InteractiveShell.instance(config=Config(HistoryManager={"enabled": False}))
-    shell._tee = lambda channel: nullcontext()  # it would keep all that a cell prints
-    shell.showtraceback = shell.showsyntaxerror = lambda *_, **__: None
+    # The tee would keep all that a cell prints.
+    shell._tee = lambda channel: nullcontext()  # type: ignore[assignment, method-assign, return-value]
+    shell.showtraceback = shell.showsyntaxerror = lambda *_, **__: None  # type: ignore[assignment, method-assign]
     opened = {name: resolve_name(f"course.exercises.{checker}") for name, checker in task["exercises"].items()}
     tried: dict[str, Any] = {}
     handed: dict[str, Any] = {}  # to a check, which may put the solution in its place
@@ -207,7 +208,7 @@ def main() -> None:
         handed[self.name] = function
         return check(self, function)
 
-    Open.__call__ = check_and_keep
+    Open.__call__ = check_and_keep  # type: ignore[method-assign]
 
     def write(**record: Any) -> None:
         print(json.dumps(record), file=records, flush=True)
@@ -225,7 +226,7 @@ def main() -> None:
     os._exit(0)  # without threads and functions of `atexit` that a cell has left
 
 
-def from_course(function: Callable) -> bool:
+def from_course(function: Callable[..., Any]) -> bool:
     """Tell whether a function is the course's own, such as a solution that the notebook goes on with."""
     return str(getattr(function, "__module__", "")).partition(".")[0] == "course"
 
@@ -241,7 +242,7 @@ def run_cell(shell: Any, source: str, seconds: float) -> str:
     return "" if error is None else ": ".join(described(error))
 
 
-def replies(function: Callable, open_function: Open, seed: int, seconds: float) -> list[dict[str, Any]]:
+def replies(function: Callable[..., Any], open_function: Open, seed: int, seconds: float) -> list[dict[str, Any]]:
     """Return what a function answers to each case of its checker, until it raises something."""
     found: list[dict[str, Any]] = []
     for k in range(CASES):

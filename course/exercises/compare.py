@@ -181,8 +181,8 @@ def _recognised(failures: list[Failure], answer: Answer) -> str:
         return words if found.shape == right.shape else f"{words}; expected {form(right)}, got {form(found)}"
     if len(failures) == 1 or len({failure.found.tobytes() for failure in failures}) > 1:
         of_arguments = [list(kinds.of_arguments(answer, f.inputs, f.found, numbers)) for f in failures[:3]]
-        if found := _elected(of_arguments):
-            return found
+        if words := _elected(of_arguments):
+            return words
     return _elected([list(kinds.of_part(failure.found, failure.right)) for failure in failures], by_first=False)
 
 

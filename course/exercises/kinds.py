@@ -23,7 +23,7 @@ FACTORS = {
     180 / np.pi: "that is 180/π times the right value: are there degrees in place of radians?",
     np.pi / 180: "that is π/180 times the right value: are there radians in place of degrees?",
 }
-ALIKE = {
+ALIKE: dict[str, Callable[[Any], Any]] = {
     "the right value upside down, 1 divided by it": lambda x: 1 / x,
     "1 minus the right value": lambda x: 1 - x,
     "100 minus the right value": lambda x: 100 - x,
@@ -33,7 +33,7 @@ ALIKE = {
     "the right value rounded": np.rint,
     "the right value rounded down": np.floor,
 }
-ARGUMENTS = {
+ARGUMENTS: dict[str, Callable[[Any], Any]] = {
     "had the other sign": np.negative,
     "were in radians: convert it": np.degrees,
     "were in degrees: convert it once": np.radians,
@@ -52,9 +52,17 @@ ARGUMENTS = {
 }
 
 
-def same(found: Array, value: ArrayLike) -> bool:
+REDUCED: dict[str, Callable[..., Any]] = {
+    "mean": np.nanmean,
+    "sum": np.nansum,
+    "largest": np.nanmax,
+    "smallest": np.nanmin,
+}
+
+
+def same(found: ArrayLike, value: ArrayLike) -> bool:
     """Tell whether two arrays hold the same numbers, to four digits."""
-    return found.shape == np.shape(value) and np.allclose(found, value, rtol=1e-4, atol=1e-6, equal_nan=True)
+    return np.shape(found) == np.shape(value) and np.allclose(found, value, rtol=1e-4, atol=1e-6, equal_nan=True)
 
 
 def form(values: Array) -> str:
@@ -113,7 +121,7 @@ def _of_shape(found: Array, right: Array) -> Iterator[str]:
         yield "the numbers are right, their shape is not"
     for axis in (None, *range(right.ndim)):
         over = "all" if axis is None else f"axis {axis}"
-        for name, reduce in {"mean": np.nanmean, "sum": np.nansum, "largest": np.nanmax, "smallest": np.nanmin}.items():
+        for name, reduce in REDUCED.items():
             if same(found, reduce(right, axis)):
                 yield f"that is the {name} over {over}: each keeps its own"
         if right.ndim and same(found, np.linalg.norm(right if axis is not None else right.ravel(), axis=axis)):

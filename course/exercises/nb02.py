@@ -24,7 +24,7 @@ def _a_pose(rng: Rng, size: float = 1.0) -> osl.Pose:
 
 
 def _two_cameras(rng: Rng, k: int) -> tuple:
-    half_turn, T_12 = osl.Pose(np.diag([-1.0, -1.0, 1.0]), [0.66, 0.54, 0.0]), _a_pose(rng)
+    half_turn, T_12 = osl.Pose(np.diag([-1.0, -1.0, 1.0]), np.array([0.66, 0.54, 0.0])), _a_pose(rng)
     boards = [_a_pose(rng) for _ in range(5 + k % 3)]
     other_end = rng.permutation(len(boards)) < (0, 2, 3, 7)[k % 4]  # as camera 2 has read them
     seen = [T @ half_turn if other else T for T, other in zip(boards, other_end, strict=True)]
@@ -98,8 +98,9 @@ def bundle_residuals(T_rig_cam, T_rig_board, camera, capture, found, lenses, poi
 
 
 def _some_views(rng: Rng, k: int) -> tuple:
+    poly, inverse = np.array([-200.0, 0.0, 1e-3]), np.array([314.0, 200.0])
     lenses = [
-        osl.OcamCamera([-200.0, 0.0, 1e-3], [314.0, 200.0], tuple(center), (1.0, 0.0, 0.0), (800, 768), 220.0)
+        osl.OcamCamera(poly, inverse, tuple(center), (1.0, 0.0, 0.0), (800, 768), 220.0)
         for center in rng.uniform(350, 420, (3, 2))
     ]
     T_rig_cam = [osl.Pose.identity(), _a_pose(rng, 0.3), _a_pose(rng, 0.3)]

@@ -67,7 +67,9 @@ def pixels_of_points(points, camera, T_rig_cam):
 
 
 def _a_camera(rng: Rng, k: int) -> tuple:
-    camera = OcamCamera([-200.0, 0.0, 1e-3], [314.159, 200.0], (400.0, 380.0), (1.0, 0.0, 0.0), (800, 768), 200.0)
+    camera = OcamCamera(
+        np.array([-200.0, 0.0, 1e-3]), np.array([314.159, 200.0]), (400.0, 380.0), (1.0, 0.0, 0.0), (800, 768), 200.0
+    )
     pose = Pose.from_vector([0.1, 0.9, -0.2, 0.3, -0.1, 0.5] * rng.uniform(0.7, 1.3, 6))
     points = rng.uniform(0.8, 2.5, (3, 4 + k % 3, 3))
     points[0] = pose @ (points[0] * [1, 1, -3])  # behind the camera

@@ -74,7 +74,7 @@ def _costs_and_share(rng: Rng, k: int) -> tuple:
     cost = rng.uniform(0.02, 0.98, (3, 4 + k % 2, 6 + k % 4))
     cost[0, 0, 1], cost[1, 1, 2] = 0, 1
     cost[2, 0] = np.nan
-    share = rng.uniform(0.02, 0.3, cost.shape[-1])
+    share = rng.uniform(0.02, 0.3, (cost.shape[-1],))
     return torch.from_numpy(cost), torch.from_numpy(share / share.sum()), float(rng.uniform(0.3, 1))
 
 

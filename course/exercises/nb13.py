@@ -27,8 +27,8 @@ def project(camera, points):
 
 
 def _camera() -> OcamCamera:
-    inverse = [210.0, 160.0, 15.0, -9.0]
-    return OcamCamera([-200.0, 0.0, 1e-3], inverse, (400.0, 380.0), (1.02, 0.01, -0.02), (800, 768), 200.0)
+    poly, inverse = np.array([-200.0, 0.0, 1e-3]), np.array([210.0, 160.0, 15.0, -9.0])
+    return OcamCamera(poly, inverse, (400.0, 380.0), (1.02, 0.01, -0.02), (800, 768), 200.0)
 
 
 def _in_camera(rng: Rng, k: int) -> tuple:

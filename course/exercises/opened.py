@@ -21,6 +21,7 @@ import sys
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -65,7 +66,8 @@ class Open:
         their own, or another body. What shows in the values, such as a sign, a mirror or a swapped argument, is
         recognised without: `course.exercises.kinds`.
         """
-        code, hint = [], []
+        code: list[str] = []
+        hint: list[str] = []
         for line in [*textwrap.dedent(text).strip("\n").splitlines(), "the end"]:
             before, mark, after = line.partition("# ")
             if hint and before:
@@ -126,7 +128,8 @@ class Open:
 
     def hint(self) -> str:
         """Say how the answer begins, without its docstring."""
-        first, *others = (node for node in ast.parse(self.source).body[0].body if not isinstance(node, ast.Expr))
+        tree: Any = ast.parse(self.source)
+        first, *others = (node for node in tree.body[0].body if not isinstance(node, ast.Expr))
         return f"a solution begins with `{ast.unparse(first).splitlines()[0]}`" if others else "one line is enough"
 
 

@@ -12,6 +12,7 @@ import resource
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
+from typing import Any
 
 import cv2
 import numpy as np
@@ -46,13 +47,15 @@ from omnistereo_lib.stereo.volumenet import VolumeNet
 from omnistereo_lib.stereo.zncc import ZNCC, default_window
 from omnistereo_tools.memory import keep_memory
 
+Call = Callable[[], object]
+
 _SECONDS = 3.0  # a call is repeated for so long; one that takes longer is timed once
 # Bytes of a cell that must be moved: costs are read, and sums read and written, along the rows, downwards and upwards.
 _SGM, _WINNER = 3 * 4 + 5 * 4, 4
 _WARP = 2 * 4 + 4  # for each camera, coordinates read and a value written
 
 
-def compare(name: str, ours: Callable, theirs: Callable | None = None, bytes_moved: float = 0, note: str = "") -> None:
+def compare(name: str, ours: Call, theirs: Call | None = None, bytes_moved: float = 0, note: str = "") -> None:
     """Print one line: our milliseconds, the limit's and the ratio, an alternative's and the ratio, and a note.
 
     Args:
@@ -66,7 +69,7 @@ def compare(name: str, ours: Callable, theirs: Callable | None = None, bytes_mov
     print(f"{name:76} {1e3 * a:9.1f} {' '.join(columns)}  {note}".rstrip(), flush=True)
 
 
-def seconds(call: Callable) -> float:
+def seconds(call: Call) -> float:
     """Return the median time of a call; a first one, which compiles, is not counted."""
     timer = Timer("call()", globals={"call": call}, num_threads=torch.get_num_threads())
     return timer.blocked_autorange(min_run_time=_SECONDS).median
@@ -81,7 +84,7 @@ def machine() -> tuple[float, float]:
     return 3 * 4 * len(a) / triad, 2 * len(x) ** 3 / product
 
 
-def operations(call: Callable) -> int:
+def operations(call: Call) -> int:
     """Return the multiplications and additions of a call's convolutions and matrix products."""
     with FlopCounterMode(display=False) as counter:
         call()
@@ -140,7 +143,7 @@ def bench_kernels(width: int, height: int, num: int) -> None:
     of_frame = (_zncc_bytes(cameras) + _SGM + _WINNER) * cells
     of_correlation = 4 * (2 * cameras + GROUPS + 1) * math.prod(size)
 
-    def against(name: str, bytes_moved: float, ours: Callable, definition: Callable) -> None:
+    def against(name: str, bytes_moved: float, ours: Call, definition: Call) -> None:
         compare(f"{name} {width}×{height}×{num}, against the definition", ours, definition, bytes_moved)
 
     ours = partial(sweep.warp_camera, normalized[0], 0, spheres, out)
@@ -149,8 +152,7 @@ def bench_kernels(width: int, height: int, num: int) -> None:
     definition = partial(reference.correlate, features, pixels, GROUPS)
     against("correlation", of_correlation, partial(correlate, features, pixels), definition)
     against("SGM", _SGM * cells, partial(sgm, volume, p1, p2), partial(reference.sgm, volume, p1, p2))
-    ours = partial(index_and_confidence, volume, True)
-    against("winner and confidence", _WINNER * cells, ours, winner)
+    against("winner and confidence", _WINNER * cells, partial(index_and_confidence, volume, True), winner)
     definition = partial(reference.estimate, normalized, rig, grid, pairs, window, p1, p2)
     against("ZNCC + SGM frame", of_frame, partial(sweep_depth, sweep, images, "zncc+sgm"), definition)
 
@@ -174,12 +176,12 @@ def bench_volumenet(width: int, height: int, num: int) -> None:
         correlation = network.correlation_at(sweep, images, size)
         compare(f"VolumeNet {scale}: features of one camera", lambda: network.features(visible.float(), visible))
         compare(f"VolumeNet {scale}: U-net", lambda: network(correlation[None]))
-    methods = (partial(sweep_depth, sweep, images, name) for name in ("volumenet", "zncc+sgm"))
-    compare(f"VolumeNet frame {scale}, against ZNCC + SGM", *methods)
+    ours, theirs = (partial(sweep_depth, sweep, images, name) for name in ("volumenet", "zncc+sgm"))
+    compare(f"VolumeNet frame {scale}, against ZNCC + SGM", ours, theirs)
 
 
 @cache
-def _rig_and_images(width: int, height: int, num: int) -> tuple[SphereSweep, list[NDArray]]:
+def _rig_and_images(width: int, height: int, num: int) -> tuple[SphereSweep, list[NDArray[Any]]]:
     """Return a sweep, with its lookup tables ready, and the images of a frame."""
     data = load_dataset(DATA / "sunny" / "test")
     sweep = SphereSweep(data.rig, SphereGrid(width, height, num_spheres=num, min_depth=data.rig.min_depth))
@@ -219,7 +221,7 @@ class FisheyeFit:
     matrix: NDArray[np.float64]
     distortion: NDArray[np.float64]
 
-    def rays(self, pixels: NDArray) -> NDArray[np.float64]:
+    def rays(self, pixels: NDArray[Any]) -> NDArray[np.float64]:
         """Return the unit rays (K, 3) of pixels (K, 2)."""
         flat = cv2.fisheye.undistortPoints(np.asarray(pixels, np.float64)[None], self.matrix, self.distortion)[0]
         rays = np.column_stack([flat, np.ones(len(flat))])
@@ -227,7 +229,7 @@ class FisheyeFit:
 
 
 def opencv_fisheye(
-    views: Sequence[NDArray], board: Checkerboard, image_size: tuple[int, int], start: OcamCamera | None = None
+    views: Sequence[NDArray[Any]], board: Checkerboard, image_size: tuple[int, int], start: OcamCamera | None = None
 ) -> FisheyeFit:
     """Calibrate with OpenCV on the corners (K, 2) px of complete boards within 90° of the axis, the limit of its model.
 
@@ -239,7 +241,8 @@ def opencv_fisheye(
         matrix, flags = np.array([[f, 0, u], [0, f, v], [0, 0, 1]]), flags | cv2.CALIB_USE_INTRINSIC_GUESS
     points, corners = [board.points[None]] * len(views), [view[None] for view in views]
     try:
-        return FisheyeFit(*cv2.fisheye.calibrate(points, corners, image_size, matrix, distortion, flags=flags)[:3])
+        fit: Any = cv2.fisheye.calibrate(points, corners, image_size, matrix, distortion, flags=flags)[:3]
+        return FisheyeFit(*fit)
     except cv2.error:
         return FisheyeFit(np.inf, matrix, distortion)
 

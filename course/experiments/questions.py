@@ -21,12 +21,14 @@ from functools import cache
 from inspect import CO_OPTIMIZED
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import numpy as np
 import torch
 
 import omnistereo_lib as osl
 from omnistereo_lib.files import atomic_write
+from omnistereo_lib.geometry.rig import Pair
 from omnistereo_lib.stereo import threads
 from omnistereo_lib.stereo.methods import FRAME_METHOD
 
@@ -173,7 +175,7 @@ def _added_cost() -> Callable[[], object]:
     from omnistereo_lib.stereo.methods import COSTS, CostEntry
 
     class Difference(BlockCost):
-        def __call__(self, spherical_images: torch.Tensor, pairs: Sequence, columns: object = None) -> torch.Tensor:
+        def __call__(self, spherical_images: Any, pairs: Sequence[Pair], columns: Any = None) -> torch.Tensor:
             costs = [(spherical_images[i] - spherical_images[j]).abs().clamp(max=1) for i, j in pairs]
             return torch.stack(costs).nanmean(0).permute(1, 2, 0)
 
@@ -212,7 +214,8 @@ def _sample() -> Callable[[], object]:
     from omnistereo_lib.train import RECIPES
     from omnistereo_lib.train.volumes import VolumeSamples
 
-    samples = VolumeSamples(RECIPES["volumenet"]["teaching"], [ROOT / "data_samples/sunny/train"])
+    recipe: Any = RECIPES["volumenet"]["teaching"]
+    samples = VolumeSamples(recipe, [ROOT / "data_samples/sunny/train"])
     rng = np.random.default_rng(0)
     return lambda: samples.micro_batch(samples.training_frame(0), rng, augment=True)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +57,6 @@ def take_snapshots(out: Path = SNAPSHOTS, steps: tuple[int, ...] = STEPS) -> Pat
     return out
 
 
-def _winners(network: SweepNet, sweep: osl.SphereSweep, images: list) -> NDArray[np.uint8]:
+def _winners(network: SweepNet, sweep: osl.SphereSweep, images: list[Any]) -> NDArray[np.uint8]:
     index = osl.winner_takes_all(osl.cost_volume(sweep, images, osl.LearnedCost(network))).numpy()
     return np.where(np.isfinite(index), index, UNSEEN).astype(np.uint8)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,7 +114,7 @@ def _linearize(rig: Rig, grid: SphereGrid, index: float) -> list[_Linearized]:
         M = np.stack(columns, axis=-1)
         M[~valid] = np.eye(2)
         ahead, back = (_project(rig, i, rays, grid, index + s * _INDEX_STEP)[0] for s in (1, -1))
-        inverse = np.linalg.inv(M)
+        inverse: NDArray[Any] = np.linalg.inv(M)
         cameras.append(_Linearized(u, valid, inverse, _times(inverse, (ahead - back) / (2 * _INDEX_STEP))))
     return cameras
 

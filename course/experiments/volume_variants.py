@@ -38,7 +38,7 @@ class MeanAndVariance(VolumeNet):
 
     def compare(self, features: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tensor:
         """Return means, variances and k / 4, shape (65, W, H, N); see `VolumeNet.compare`."""
-        count = total = squares = 0
+        count = total = squares = torch.zeros(1)
         for maps, uv in zip(features, coordinates, strict=True):
             size = torch.tensor(maps.shape[:0:-1])
             at = (2 * uv / (size - 1) - 1).nan_to_num(nan=-9).flatten(1, 2)  # outside: 0
@@ -63,7 +63,7 @@ class SpheresAsChannels(VolumeNet):
         self.stem = nn.Sequential(conv((GROUPS + 1) * self.spheres, first), conv(first, first))
         self.down = nn.ModuleList(nn.Sequential(conv(a, b, 2), conv(b, b)) for a, b in steps)
         self.up = nn.ModuleList(nn.ModuleList([nn.Conv2d(b, a, 1), conv(a, a)]) for a, b in steps)
-        self.head = nn.Conv2d(first, self.spheres, 3, padding=1)
+        self.head = nn.Conv2d(first, self.spheres, 3, padding=1)  # type: ignore[assignment]
 
     def forward(self, volume: Tensor) -> Tensor:
         """Return logits (B, W, H, N) of volumes (B, 9, W, H, N); see `VolumeNet.forward`."""
@@ -71,7 +71,8 @@ class SpheresAsChannels(VolumeNet):
         for down in self.down:
             levels.append(down(levels[-1]))
         x = levels.pop()
-        for project, merge in reversed(self.up):
+        steps: Any = reversed(self.up)
+        for project, merge in steps:
             x = merge(interpolate(relu(project(x)), scale_factor=2.0, mode="bilinear") + levels.pop())
         return self.head(x).float().permute(0, 2, 3, 1)
 
@@ -129,7 +130,7 @@ def _compare(variants: Variants, table: Path, settings: Sequence[str], sets: Seq
             rows = {row["variant"]: row for row in csv.DictReader(file)}
     for name, (worlds, network, samples) in variants.items():
         if name not in rows:
-            recipe = RECIPES["volumenet"]["teaching"].with_overrides([f"worlds={worlds}", *settings])
+            recipe: Any = RECIPES["volumenet"]["teaching"].with_overrides([f"worlds={worlds}", *settings])
             trained = train_variant(recipe, network, samples, name)
             parameters = sum(p.numel() for p in network().parameters())
             rows[name] = {"variant": name, "parameters": parameters, **measure(trained, sets)}
@@ -174,7 +175,7 @@ def measure(model: VolumeNet, sets: Sequence[str]) -> dict[str, Any]:
     Images have the resolution of the training: of finer ones VolumeNet looks at a second volume, which the 2-D network
     cannot take.
     """
-    metrics = {}
+    metrics: dict[str, Any] = {}
     for name in sets:
         errors = []
         for frame in osl.load_dataset(DATA / name, split="test"):

@@ -3,6 +3,7 @@
 import json
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -37,7 +38,11 @@ def print_table(recording: Path) -> None:
         length += step.magnitude()[1]
     turn, place = np.array(steps).T
     end = ((true[0].inverse() @ true[-1]).inverse() @ found[0].inverse() @ found[-1]).magnitude()[1]
-    result = {"steps": len(steps), "metres": round(length), "turn, rms, degrees": float(np.sqrt((turn**2).mean()))}
+    result: dict[str, Any] = {
+        "steps": len(steps),
+        "metres": round(length),
+        "turn, rms, degrees": float(np.sqrt((turn**2).mean())),
+    }
     result |= {"place, median, cm": 100 * float(np.median(place)), "place, largest, cm": 100 * float(place.max())}
     result["end, % of the path"] = 100 * end / length
     truth = load_dataset(DATA / "sunny" / "train", gt_width=640)

@@ -2,6 +2,7 @@
 
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -9,7 +10,7 @@ CAPTIONS = Path(__file__).resolve().parents[2] / "notebooks" / "captions.yaml"
 
 
 @cache
-def captions() -> dict[str, dict[str, str]]:
+def captions() -> dict[str, dict[str, Any]]:
     """Return caption, alternative text and kind of every figure, by name."""
     return yaml.safe_load(CAPTIONS.read_text(encoding="utf-8"))
 

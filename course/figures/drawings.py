@@ -1,15 +1,19 @@
 """Line drawings for the notebooks, to scale where scale matters."""
 
 from itertools import pairwise
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike, NDArray
+from matplotlib.patches import Arc, Circle, Polygon, Rectangle
+from numpy.typing import ArrayLike
 
 from omnistereo_lib.geometry.camera import OcamCamera
 
+# x and y of a place, as a tuple or an array: Matplotlib takes both, and its types the tuple only.
+Point = Any
 FIRST, SECOND, POINT, SPHERE = "C0", "C1", "C3", "0.75"  # cameras 1 and 2, as everywhere; the point, the spheres
 
 
@@ -21,7 +25,7 @@ def _canvas(width: float, height: float, panels: int = 1) -> tuple[Figure, list[
     return fig, list(axes[0])
 
 
-def _arrow(ax: Axes, start: tuple, end: tuple, color: str = "0.2", text: str = "", **at: object) -> None:
+def _arrow(ax: Axes, start: Point, end: Point, color: str = "0.2", text: str = "", **at: Any) -> None:
     style = {"arrowstyle": "-|>", "color": color, "lw": 1.6, "shrinkA": 0, "shrinkB": 0}
     ax.annotate("", end, start, arrowprops=style)
     if text:
@@ -29,12 +33,17 @@ def _arrow(ax: Axes, start: tuple, end: tuple, color: str = "0.2", text: str = "
         ax.annotate(text, middle, textcoords="offset points", **({"xytext": (6, 4), "color": color} | at))
 
 
-def _camera(ax: Axes, place: tuple, name: str, color: str, offset: tuple = (0, -14)) -> None:
+def _camera(ax: Axes, place: Point, name: str, color: str, offset: tuple[float, float] = (0, -14)) -> None:
     ax.plot(*place, "o", ms=10, color=color)
     ax.annotate(name, place, offset, textcoords="offset points", ha="center", va="center", color=color)
 
 
-def _line(ax: Axes, start: tuple, end: tuple, **style: object) -> None:
+def _text(ax: Axes, place: Point, text: str, **style: Any) -> None:
+    x, y = place
+    ax.text(x, y, text, **style)
+
+
+def _line(ax: Axes, start: Point, end: Point, **style: Any) -> None:
     ax.plot(*zip(start, end, strict=True), **style)
 
 
@@ -57,7 +66,7 @@ def panorama_angles(theta_deg: float, phi_deg: float) -> Figure:
     left = fig.add_subplot(1, 2, 1, projection="3d", computed_zorder=False)
     right = fig.add_subplot(1, 2, 2)
 
-    def ray(theta: ArrayLike, phi: ArrayLike) -> list[NDArray]:
+    def ray(theta: ArrayLike, phi: ArrayLike) -> list[Any]:
         """x, z and -y, so that Matplotlib's third axis, which points up, shows y pointing down."""
         theta, phi = np.broadcast_arrays(np.radians(theta), np.radians(phi))
         return [np.cos(phi) * np.sin(theta), np.cos(phi) * np.cos(theta), -np.sin(phi)]
@@ -95,7 +104,7 @@ def chain(steps: list[tuple[str, str]]) -> Figure:
     fig, (ax,) = _canvas(10, 1.5)
     for k, (name, numbers) in enumerate(steps):
         color = plt.cm.viridis(0.35 + 0.13 * k)
-        ax.add_patch(plt.Rectangle((3 * k, 0), 2.3, 1.1, facecolor=color, alpha=0.45, edgecolor="none"))
+        ax.add_patch(Rectangle((3 * k, 0), 2.3, 1.1, facecolor=color, alpha=0.45, edgecolor="none"))
         ax.text(3 * k + 1.15, 0.55, numbers, ha="center", va="center", fontsize=9)
         ax.text(3 * k + 1.15, 1.3, name, ha="center", fontsize=9, color="0.3")
         if k:
@@ -111,8 +120,8 @@ def sphere_sweep() -> Figure:
     radius = np.hypot(*car)
     for ax, tried, verdict in zip(axes, (1.55, 1.0), ("the wrong sphere", "the right sphere"), strict=True):
         for r in (0.62 * radius, radius, 1.55 * radius):
-            ax.add_patch(plt.Circle((0, 0), r, fill=False, color=SPHERE, lw=1))
-        ax.add_patch(plt.Rectangle(car - (0.5, 0), 1.0, 0.42, color="0.6", zorder=2))
+            ax.add_patch(Circle((0, 0), r, fill=False, color=SPHERE, lw=1))
+        ax.add_patch(Rectangle(tuple(car - (0.5, 0)), 1.0, 0.42, color="0.6", zorder=2))
         asked = tried * car
         _line(ax, (0, 0), 1.62 * car, color=POINT, lw=1, ls=":")
         for place, name, color in ((first, "camera 1", FIRST), (second, "camera 2", SECOND)):
@@ -139,10 +148,10 @@ def lens_section(camera: OcamCamera) -> Figure:
         ax.plot(radius, height, "o", color=color)
         _line(ax, (radius, 0), (radius, height), color=color, lw=0.8, ls=":")
         angle = np.degrees(np.arctan2(radius, height))
-        ax.text(*(445 * direction), f"θ = {angle:.0f}°", color=color, va="center")
+        _text(ax, 445 * direction, f"θ = {angle:.0f}°", color=color, va="center")
         ax.text(radius + 4, -24, f"r = {radius}", color=color, fontsize=9)
         if color == FIRST:
-            ax.text(radius + 5, height / 2, "−f(r)", color=color, fontsize=9)
+            ax.text(radius + 5, float(height / 2), "−f(r)", color=color, fontsize=9)
     _arrow(ax, (0, 0), (0, 400), "0.2", "the axis, z", xytext=(-70, 80))
     _line(ax, (-385, 0), (470, 0), color="0.6", lw=0.8)
     ax.text(478, 0, "90° from the axis", color="0.4", fontsize=9, va="center")
@@ -172,7 +181,7 @@ def line_of_sight() -> Figure:
     camera, far, near, thing_deg, arc = np.array([1.0, 0.0]), 3.4, 2.1, 62, np.radians(np.linspace(20, 110, 90))
     thing = far * np.array([np.cos(np.radians(thing_deg)), np.sin(np.radians(thing_deg))])
 
-    def meets(turn_deg: float, radius: float) -> NDArray:
+    def meets(turn_deg: float, radius: float) -> Point:
         """Where the line of sight, rotated about the camera, meets a sphere."""
         c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
         along = np.array([[c, -s], [s, c]]) @ (thing - camera) / np.hypot(*(thing - camera))
@@ -213,11 +222,12 @@ def shift_along_parallax() -> Figure:
         _arrow(ax, tuple(places[k]), tuple(places[k] + steps[k]), color)
         ax.plot(*places[k], "s", ms=12, color=color)
         ax.plot(*met[k], "s", ms=12, mfc="none", mec=color, mew=1.6)
-        ax.text(*(places[k] + side), f"image {k + 1}", color=color, ha="center")
-        ax.text(*(places[k] + 0.9 * steps[k] + side), rf"$p_{k + 1}$", color=color, fontsize=12, ha="center")
+        _text(ax, places[k] + side, f"image {k + 1}", color=color, ha="center")
+        _text(ax, places[k] + 0.9 * steps[k] + side, rf"$p_{k + 1}$", color=color, fontsize=12, ha="center")
     _arrow(ax, tuple(places[1] + 0.03 * e), tuple(places[1] + 0.97 * e), "0.5")
     ax.text(0.75, 0.35, r"$e = e_1 - e_2$", color="0.4", ha="right")
-    ax.annotate("", *met, arrowprops={"arrowstyle": "<->", "color": POINT, "lw": 1.6, "shrinkA": 7, "shrinkB": 7})
+    style = {"arrowstyle": "<->", "color": POINT, "lw": 1.6, "shrinkA": 7, "shrinkB": 7}
+    ax.annotate("", tuple(met[0]), tuple(met[1]), arrowprops=style)
     ax.text(1.9, 0.42, "what is left across:\nno sphere closes it", color=POINT, va="center")
     ax.set(xlim=(-0.9, 4.4), ylim=(-0.5, 1.4))
     return fig
@@ -228,11 +238,12 @@ def window_problems() -> Figure:
     fig, axes = _canvas(10, 2.6, 3)
     rng = np.random.default_rng(3)
     for ax in axes:
-        ax.add_patch(plt.Rectangle((0, 0), 6, 3, facecolor="0.8", edgecolor="none"))
+        ax.add_patch(Rectangle((0, 0), 6, 3, facecolor="0.8", edgecolor="none"))
         ax.set(xlim=(-0.1, 6.1), ylim=(-0.9, 3.1))
-    axes[1].add_patch(plt.Rectangle((0, 0), 6, 1.4, facecolor="0.45"))
-    axes[2].add_patch(plt.Rectangle((0, 0), 3.1, 3, facecolor="0.45"))
-    axes[2].scatter(*rng.uniform((0.1, 0.1), (3, 2.9), (60, 2)).T, s=9, color="0.2")
+    axes[1].add_patch(Rectangle((0, 0), 6, 1.4, facecolor="0.45"))
+    axes[2].add_patch(Rectangle((0, 0), 3.1, 3, facecolor="0.45"))
+    dots = rng.uniform((0.1, 0.1), (3, 2.9), (60, 2))
+    axes[2].scatter(dots[:, 0], dots[:, 1], s=9, color="0.2")
     titles = (
         "no texture: alike everywhere",
         "an edge along the search:\nalike all the way",
@@ -240,8 +251,8 @@ def window_problems() -> Figure:
     )
     for ax, places, title in zip(axes, ((0.8, 2.3, 3.8), (0.8, 2.3, 3.8), (2.4,)), titles, strict=True):
         for k, x in enumerate(places):
-            style = {"fill": False, "edgecolor": POINT, "lw": 2 if k == 0 else 1, "ls": "-" if k == 0 else ":"}
-            ax.add_patch(plt.Rectangle((x, 0.7), 1.4, 1.4, **style))
+            lw, ls = (2, "-") if k == 0 else (1, ":")
+            ax.add_patch(Rectangle((x, 0.7), 1.4, 1.4, fill=False, edgecolor=POINT, lw=lw, ls=ls))
         ax.set_title(title, fontsize=10)
     axes[2].plot(3.5, 1.4, "+", color=POINT, ms=8)
     axes[2].text(4.0, 1.4, "this ray, on the\nfar side, gets\nthe near depth", fontsize=8, color=POINT, va="center")
@@ -256,23 +267,23 @@ def volume_box() -> Figure:
     fig, (ax,) = _canvas(8, 2.9)
     w, n, h, slant = 6.0, 1.9, 1.5, np.array([0.55, 0.6])  # width, spheres (into the page), height
 
-    def at(column: float, sphere: float, row: float) -> NDArray:
+    def at(column: float, sphere: float, row: float) -> Point:
         return np.array([column, -row]) + sphere * slant
 
     corners = [(0, 0), (w, 0), (w, n), (0, n)]
     for row, style in ((0, "-"), (h, ":")):
-        ax.add_patch(plt.Polygon([at(*corner, row) for corner in corners], fill=False, edgecolor="0.4", ls=style))
+        ax.add_patch(Polygon([at(*corner, row) for corner in corners], fill=False, edgecolor="0.4", ls=style))
     for corner in corners:
         _line(ax, at(*corner, 0), at(*corner, h), color="0.4", ls=":" if corner == (0, n) else "-")
     cut = [at(*corner, h / 2) for corner in corners]
-    ax.add_patch(plt.Polygon(cut, facecolor=FIRST, alpha=0.3))
+    ax.add_patch(Polygon(cut, facecolor=FIRST, alpha=0.3))
     ray = np.array([at(3.8, sphere, h / 2) for sphere in (0, n)])
     ax.plot(*ray.T, color=POINT, lw=2.5)
     ax.annotate("one ray: a cost curve", ray.mean(0), (8, -2), textcoords="offset points", color=POINT, fontsize=9)
-    ax.text(*at(0.15, 0.1, 0.9 * h / 2), "the cut", color=FIRST, fontsize=9)
-    ax.text(*at(w / 2, 0, h + 0.35), "W columns, θ", ha="center")
-    ax.text(*at(-0.15, 0, h / 2), "H rows, φ", ha="right", va="center")
-    ax.text(*at(w + 0.25, n / 2, h), "N spheres, n", va="center")
+    _text(ax, at(0.15, 0.1, 0.9 * h / 2), "the cut", color=FIRST, fontsize=9)
+    _text(ax, at(w / 2, 0, h + 0.35), "W columns, θ", ha="center")
+    _text(ax, at(-0.15, 0, h / 2), "H rows, φ", ha="right", va="center")
+    _text(ax, at(w + 0.25, n / 2, h), "N spheres, n", va="center")
     ax.set(xlim=(-1.6, 9), ylim=(-2.0, 1.3))
     return fig
 
@@ -341,7 +352,7 @@ def patch_tower() -> Figure:
             fill = plt.cm.viridis(0.25 + 0.1 * k) if channels > 1 else "0.8"
             if k < min(channels, 5):
                 place = (x + 0.16 * k, -size / 2 + 0.16 * k)
-                ax.add_patch(plt.Rectangle(place, size, size, facecolor=fill, edgecolor="w", lw=0.8))
+                ax.add_patch(Rectangle(place, size, size, facecolor=fill, edgecolor="w", lw=0.8))
         what = f"{channels} channels" if channels > 1 else "gray values"
         ax.text(x + size / 2, -5.6, f"{size} × {size}\n{what}", ha="center", va="top", fontsize=9)
         if size > 1:
@@ -356,13 +367,13 @@ def sweepnet() -> Figure:
     fig, (ax,) = _canvas(10, 4.2)
     ax.set_aspect("auto")
     images, features = "image\n1 × H × W", "conv1 … conv18\n32 × H/2 × W/2"
-    boxes = [(0, y, images, color) for y, color in ((1, FIRST), (0, SECOND))]
+    boxes: list[tuple[float, float, str, str]] = [(0, y, images, color) for y, color in ((1, FIRST), (0, SECOND))]
     boxes += [(1.7, y, features, color) for y, color in ((1, FIRST), (0, SECOND))]
     boxes += [(3.4, 0.5, "stacked\n64 × H/2 × W/2", SPHERE), (5.1, 0.5, "conv19\n128 × H/2 × W/2", SPHERE)]
     boxes += [(6.8, 0.5, "deconv1, conv20\n128 × H × W", SPHERE), (8.5, 0.5, "fc1 … fc5, sigmoid\n1 × H × W", SPHERE)]
     boxes += [(x, -1.3, name, FIRST) for x, name in ((3.4, "conv2, ReLU"), (5.1, "conv3"))]
     for x, y, text, color in boxes:
-        ax.add_patch(plt.Rectangle((x - 0.72, y - 0.19), 1.44, 0.38, color=color, alpha=0.4, lw=0))
+        ax.add_patch(Rectangle((x - 0.72, y - 0.19), 1.44, 0.38, color=color, alpha=0.4, lw=0))
         ax.text(x, y, text, ha="center", va="center", fontsize=8)
     for y in (1, 0):
         _arrow(ax, (0.72, y), (0.98, y), "0.3")
@@ -413,7 +424,7 @@ def slabs() -> Figure:
         ax.axvline(place, color=FIRST, lw=1, ls=":")
     for place in (low[1], high[1]):
         ax.axhline(place, color=SECOND, lw=1, ls=":")
-    ax.add_patch(plt.Rectangle(low, *(high - low), facecolor="0.93", edgecolor="0.3", lw=1.5))
+    ax.add_patch(Rectangle(tuple(low), *(high - low), facecolor="0.93", edgecolor="0.3", lw=1.5))
     for ray, inside in ((np.array([0.91, 0.42]), True), (np.array([0.55, 0.835]), False)):
         ends = np.sort(np.stack([low / ray, high / ray]), axis=0)  # entry and exit of each pair
         _arrow(ax, (0, 0), 6.1 * ray if inside else 3.9 * ray, "0.4")
@@ -445,7 +456,7 @@ def depth_triangle() -> Figure:
         ax.plot(1, tan, "s", color=color, ms=6)
     ax.text(1.9, -0.22, "z", color=FIRST, fontsize=13)
     ax.text(1.75, 1.25, "distance along the ray = z / cos α", color=POINT, ha="right")
-    ax.add_patch(plt.matplotlib.patches.Arc((0, 0), 1.2, 1.2, theta1=0, theta2=np.degrees(np.arctan(0.55))))
+    ax.add_patch(Arc((0, 0), 1.2, 1.2, theta1=0, theta2=np.degrees(np.arctan(0.55))))
     ax.text(0.66, 0.14, "α")
     _camera(ax, (0, 0), "camera", "0.2", (-4, -14))
     ax.set(xlim=(-0.6, 4), ylim=(-1.6, 2.3))
@@ -466,11 +477,11 @@ def doubled_contour() -> Figure:
         _line(ax, place, pole, color=color, lw=1.4)
         ax.plot(*meets, "s", color=color, ms=9, zorder=4)
         offset, align = ((24, 10), "left") if side > 0 else ((-24, 16), "right")
-        style = {"color": color, "fontsize": 9, "ha": align, "va": "center"}
-        ax.annotate(f"here {name}\npaints the pole", meets, offset, textcoords="offset points", **style)
+        style: dict[str, Any] = {"color": color, "fontsize": 9, "ha": align, "va": "center"}
+        ax.annotate(f"here {name}\npaints the pole", tuple(meets), offset, textcoords="offset points", **style)
         _camera(ax, place, name, color)
     ax.plot(*pole, "s", color="0.3", ms=11)
-    ax.annotate("the pole", pole, (14, 6), textcoords="offset points", va="center", color="0.3")
+    ax.annotate("the pole", tuple(pole), (14, 6), textcoords="offset points", va="center", color="0.3")
     ax.set(xlim=(-2.6, 3.6), ylim=(-0.5, 3.1))
     return fig
 
@@ -497,7 +508,7 @@ def method_flow(width: int, height: int, spheres: int) -> Figure:
     between = ("4 × 768 × 800", f"4 × {spheres} × {height} × {width}", volume, volume)
     for k, name in enumerate(boxes):
         color = plt.cm.viridis(0.35 + 0.13 * k)
-        ax.add_patch(plt.Rectangle((3.2 * k, 0), 2.0, 1.1, facecolor=color, alpha=0.45, edgecolor="none"))
+        ax.add_patch(Rectangle((3.2 * k, 0), 2.0, 1.1, facecolor=color, alpha=0.45, edgecolor="none"))
         ax.text(3.2 * k + 1.0, 0.55, name, ha="center", va="center", fontsize=9)
         if k:
             _arrow(ax, (3.2 * k - 1.15, 0.55), (3.2 * k - 0.05, 0.55), "0.3")
@@ -520,7 +531,7 @@ def unet(size: tuple[int, int, int] = (160, 40, 32), widths: tuple[int, ...] = (
     ax.set(xlim=(-0.5, len(levels) - 0.5), ylim=(-last - 0.3, 0.35))
     for x, (level, count) in enumerate(zip(levels, channels, strict=True)):
         color = plt.cm.viridis(0.4 + 0.18 * level)
-        ax.add_patch(plt.Rectangle((x - 0.4, -level - 0.25), 0.8, 0.5, color=color, alpha=0.5))
+        ax.add_patch(Rectangle((x - 0.4, -level - 0.25), 0.8, 0.5, color=color, alpha=0.5))
         ax.text(x, -level, f"{count} channels\n{sides[level]}", ha="center", va="center", fontsize=7.5)
     for x, (level, after) in enumerate(pairwise(levels)):
         start = (x + 0.4, -level) if after == level else (x, -level + np.sign(level - after) * 0.25)
@@ -545,8 +556,8 @@ def board_rays() -> Figure:
     ax.text(-0.75, 1.0, "t", color=POINT, fontsize=13)
     side, last = origin + np.array([0.1, 0.25]), origin + 3.1 * along
     _arrow(ax, tuple(side), tuple(side + along), SECOND)
-    ax.text(*(side + 0.55 * along + 0.08), r"$\mathbf{r}_1$, of length 1", color=SECOND, fontsize=11)
-    ax.text(*(last + 0.1), r"a corner: $X\,\mathbf{r}_1 + Y\,\mathbf{r}_2 + \mathbf{t}$", color="0.3")
+    _text(ax, side + 0.55 * along + 0.08, r"$\mathbf{r}_1$, of length 1", color=SECOND, fontsize=11)
+    _text(ax, last + 0.1, r"a corner: $X\,\mathbf{r}_1 + Y\,\mathbf{r}_2 + \mathbf{t}$", color="0.3")
     ax.text(origin[0] - 0.1, origin[1], "the board's origin", ha="right", va="center", color="0.3", fontsize=9)
     _camera(ax, (0, 0), "camera", "0.2")
     ax.set(xlim=(-2.6, 4.4), ylim=(-0.35, 2.6))

@@ -1,5 +1,7 @@
 """Epipolar planes in space, and what a rig with a wrong pose makes of them on its sphere."""
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -7,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
-from course.figures.drawings import FIRST, POINT, SECOND, _arrow, _camera, _canvas, _line
+from course.figures.drawings import FIRST, POINT, SECOND, Point, _arrow, _camera, _canvas, _line
 from omnistereo_lib.geometry.pose import Pose
 
 
@@ -15,7 +17,7 @@ def epipolar_plane() -> Figure:
     """Draw two cameras and the plane of ray x and the baseline as a floor: ray y in it (left), and above it (right)."""
     fig, panels = _canvas(10, 2.7, panels=2)
 
-    def on_floor(right: float, back: float, up: float = 0.0) -> NDArray:
+    def on_floor(right: float, back: float, up: float = 0.0) -> Point:
         return np.array([right + 0.45 * back, 0.38 * back + up])
 
     one, two = on_floor(0, 0), on_floor(4, 0)
@@ -42,7 +44,7 @@ def epipolar_plane() -> Figure:
     return fig
 
 
-def draw_misses(ax: Axes, T_rig_a: Pose, T_rig_b: Pose, x: NDArray, y: NDArray, times: float = 10.0) -> None:
+def draw_misses(ax: Axes, T_rig_a: Pose, T_rig_b: Pose, x: NDArray[Any], y: NDArray[Any], times: float = 10.0) -> None:
     """Draw matched rays on the rig's sphere, over the epipolar great circles of the two cameras.
 
     A match is a dot where camera b sees the point, a blue line to where camera a does, and a red line from the dot
@@ -64,14 +66,14 @@ def draw_misses(ax: Axes, T_rig_a: Pose, T_rig_b: Pose, x: NDArray, y: NDArray, 
     around, along = np.radians(np.arange(0, 360, 6))[:, None, None], np.linspace(0.02, np.pi - 0.02, 400)[:, None]
     across = np.cos(around) * side + np.sin(around) * np.cross(baseline, side)
     circles = np.cos(along) * baseline + np.sin(along) * across
-    ax.add_collection(LineCollection(_angles(circles), color="0.85", lw=0.7, zorder=0))
+    ax.add_collection(LineCollection(list(_angles(circles)), color="0.85", lw=0.7, zorder=0))
     for start, end, color in ((seen_a, seen_b, "C0"), (seen_b, seen_b - normals * times * missed[:, None], "C3")):
-        ax.add_collection(LineCollection(_angles(np.stack([start, end], axis=1)), color=color, lw=1))
+        ax.add_collection(LineCollection(list(_angles(np.stack([start, end], axis=1))), color=color, lw=1))
     ax.plot(*_angles(seen_b[None])[0].T, "k.", ms=3)
     ax.set(xlabel="θ [°]", ylabel="φ [°]", aspect="equal")
 
 
-def _angles(lines: NDArray) -> NDArray:
+def _angles(lines: NDArray[Any]) -> NDArray[Any]:
     """Return θ from 0° to 360° and φ along lines of rays (K, L, 3) of any length, (K, L, 2); NaN beside θ = 0."""
     x, y, z = np.moveaxis(lines, -1, 0)
     theta, phi = np.degrees(np.arctan2(x, z)) % 360, np.degrees(np.arctan2(y, np.hypot(x, z)))

@@ -77,7 +77,7 @@ def show(fig: Figure, name: str) -> None:
     display(caption_output(caption), raw=True)
 
 
-def show_picture(fig: Figure, alt: str, kind: str = "png") -> None:
+def show_picture(fig: Figure, alt: str, kind: Literal["png", "jpeg"] = "png") -> None:
     """Show a figure with its alternative text, and close it; `kind` as in `show`."""
     import matplotlib.pyplot as plt
     from IPython import display
@@ -121,7 +121,7 @@ def interactive(draw: Callable[..., Figure], **sliders: Widget) -> None:
     display(VBox([*sliders.values(), picture]))
 
 
-def pick_ray(draw: Callable[[int, int], Figure], panorama: NDArray, row: int, column: int) -> None:
+def pick_ray(draw: Callable[..., Figure], panorama: NDArray[Any], row: int, column: int) -> None:
     """Show a panorama to click on and, below it, the figure of the ray at the cross.
 
     Two sliders move the cross as well, by keyboard and in programs that do not support clicks.
@@ -160,7 +160,7 @@ def pick_ray(draw: Callable[[int, int], Figure], panorama: NDArray, row: int, co
     interactive(draw, row=rows, column=columns)
 
 
-def _with_cross(panorama: NDArray, row: int, column: int) -> bytes:
+def _with_cross(panorama: NDArray[Any], row: int, column: int) -> bytes:
     """Encode a panorama as a JPEG, at three times its size, with an open cross around a ray."""
     import cv2
 
@@ -193,7 +193,7 @@ def explore(depth: Depth, max_depth: float, min_confidence: float = 0.0) -> None
     display(HTML(f'<iframe srcdoc="{page}" title="{stills.VIEW}" style="width: 100%; height: 800px"></iframe>'))
 
 
-def explain_ray(depth: Depth, column: int, row: int, gt_index: NDArray | None = None) -> Figure:
+def explain_ray(depth: Depth, column: int, row: int, gt_index: NDArray[Any] | None = None) -> Figure:
     """Return a figure of why a ray has its depth: the agreement of the cameras along it, their patches, their images.
 
     Args:
@@ -235,7 +235,7 @@ def explain_ray(depth: Depth, column: int, row: int, gt_index: NDArray | None = 
     return fig
 
 
-def draw_panorama(ax: Axes, picture: NDArray, grid: SphereGrid, title: str = "", **imshow: Any) -> AxesImage:
+def draw_panorama(ax: Axes, picture: NDArray[Any], grid: SphereGrid, title: str = "", **imshow: Any) -> AxesImage:
     """Draw a panorama with its angles: θ to the right, φ down, in degrees.
 
     Args:
@@ -257,7 +257,7 @@ def draw_panorama(ax: Axes, picture: NDArray, grid: SphereGrid, title: str = "",
     return image
 
 
-def draw_depth(ax: Axes, inverse_depth: NDArray, grid: SphereGrid, title: str = "") -> AxesImage:
+def draw_depth(ax: Axes, inverse_depth: NDArray[Any], grid: SphereGrid, title: str = "") -> AxesImage:
     """Draw a panorama of inverse depth (H, W) in 1/m with a colour bar in metres; unknown rays are striped."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
@@ -265,7 +265,7 @@ def draw_depth(ax: Axes, inverse_depth: NDArray, grid: SphereGrid, title: str = 
     image = draw_panorama(ax, colorize_depth(inverse_depth, grid), grid, title)
     colors = ScalarMappable(Normalize(0, 1 / grid.min_depth), DEPTH_COLORS)
     bar = ax.figure.colorbar(colors, ax=ax, fraction=0.02, pad=0.01)
-    ticks = np.array([0, 0.25, 0.5, 1]) / grid.min_depth
+    ticks = [share / grid.min_depth for share in (0, 0.25, 0.5, 1)]
     bar.set_ticks(ticks, labels=["∞" if tick == 0 else f"{1 / tick:.3g} m" for tick in ticks])
     return image
 

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +46,7 @@ def draw_mesh(path: Path, eye: tuple[float, float, float], size: tuple[int, int]
         except (subprocess.SubprocessError, OSError):
             import trimesh
 
-            mesh = trimesh.load(path, process=False)
+            mesh: Any = trimesh.load(path, process=False)
             return draw_points(mesh.vertices, mesh.visual.vertex_colors[:, :3], size, eye)
 
 
@@ -60,7 +61,7 @@ def _draw(path: str, picture: str, eye: tuple[float, ...], size: tuple[int, ...]
     import pyvista
 
     plotter = pyvista.Plotter(off_screen=True, window_size=list(size))
-    plotter.background_color = [background] * 3
+    plotter.background_color = pyvista.Color((background,) * 3)
     plotter.add_mesh(pyvista.read(path), scalars="RGBA", rgb=True, lighting=False, culling="back")
     plotter.camera_position = [eye, (0.0, 0.0, 0.0), (0.0, -1.0, 0.0)]  # y points down in the rig frame
     plotter.camera.view_angle = 2 * np.degrees(np.arctan(size[1] / 2 / (0.62 * size[0])))  # as `draw_points`

@@ -5,6 +5,7 @@ import html
 import io
 from functools import reduce
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -50,7 +51,7 @@ def for_dark_page(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return a figure (H, W, 3) with light ink on dark paper; hues, photographs and maps stay as they are."""
     low, high = (reduce(each, cv2.split(rgb)) for each in (cv2.min, cv2.max))
     inverted = rgb + cv2.merge([255 - high - low] * 3)  # invert lightness, keep hue; modulo 256
-    dark = cv2.LUT(inverted, _SHADES)
+    dark: NDArray[Any] = cv2.LUT(inverted, _SHADES)
     ink = (low < _WHITE).astype(np.uint8)
     for contour in cv2.findContours(ink, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]:
         x, y, width, height = cv2.boundingRect(contour)

@@ -6,10 +6,12 @@ import shutil
 import time
 from pathlib import Path
 from queue import Empty
+from typing import Any
 
 import nbformat
-from jupyter_client import AsyncKernelClient, AsyncKernelManager
+from jupyter_client.asynchronous.client import AsyncKernelClient
 from jupyter_client.channels import AsyncZMQSocketChannel
+from jupyter_client.manager import AsyncKernelManager
 from nbclient import NotebookClient
 from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
 
@@ -24,7 +26,7 @@ class _Channel(AsyncZMQSocketChannel):
     for the answer to a cell, for ever for its outputs.
     """
 
-    async def get_msg(self, timeout: float | None = None) -> dict:
+    async def get_msg(self, timeout: float | None = None) -> dict[str, Any]:  # type: ignore[override]
         end = math.inf if timeout is None else time.monotonic() + timeout
         while True:
             try:

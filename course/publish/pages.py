@@ -11,6 +11,7 @@ import pkgutil
 import re
 from collections.abc import Callable, Iterator
 from importlib import import_module
+from typing import Any
 
 import nbformat
 
@@ -75,7 +76,8 @@ def written() -> str:
     rows, total = ["| notebook | you write | which returns | lines |", "|---|---|---|---:|"], 0
     for path in nbtools.notebooks():
         for function in exercises.functions(nbtools.number(path)):
-            body = ast.parse(function.source).body[0].body[1:]  # without the docstring
+            tree: Any = ast.parse(function.source)
+            body = tree.body[0].body[1:]  # without the docstring
             lines = function.source.splitlines()[body[0].lineno - 1 :]
             total += len(lines)
             number = f"[{nbtools.number(path)}](../notebooks/{path.name})"

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 from matplotlib import patheffects
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 import omnistereo_lib as osl
 from course import nbtools
@@ -79,6 +79,7 @@ def renew(path: Path, picture: bytes) -> bool:
 def picture(depth: Depth) -> Figure:
     """Draw fisheye images, their panorama, its depth with a scale in metres, and its surfaces, below each other."""
     import matplotlib.pyplot as plt
+    from matplotlib.axes import Axes
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
@@ -92,15 +93,15 @@ def picture(depth: Depth) -> Figure:
         view = draw_mesh(mesh, EYE, (WIDTH_PX, 960))[60 : 60 + surfaces]  # below is the road that no camera sees
     fig = plt.figure(figsize=(WIDTH_PX / DPI, height / DPI))
 
-    def place(left: int, top: int, width: int, height_px: int) -> plt.Axes:
+    def place(left: int, top: int, width: int, height_px: int) -> Axes:
         bottom = height - top - height_px
         return fig.add_axes((left / WIDTH_PX, bottom / height, width / WIDTH_PX, height_px / height))
 
-    def draw(image: NDArray, left: int, top: int, width: int, height_px: int, label: str = "") -> None:
+    def draw(image: NDArray[Any], left: int, top: int, width: int, height_px: int, label: str = "") -> None:
         ax = place(left, top, width, height_px)
         ax.imshow(image, aspect="auto", interpolation="lanczos")
         ax.axis("off")
-        style = {"color": "white", "fontsize": 30, "weight": "bold", "va": "top"}
+        style: dict[str, Any] = {"color": "white", "fontsize": 30, "weight": "bold", "va": "top"}
         outline = [patheffects.withStroke(linewidth=6, foreground="black")]
         ax.text(14 / width, 1 - 12 / height_px, label, transform=ax.transAxes, path_effects=outline, **style)
 
@@ -123,7 +124,7 @@ def picture(depth: Depth) -> Figure:
     return fig
 
 
-def brighter(image: NDArray) -> NDArray[np.uint8]:
+def brighter(image: ArrayLike) -> NDArray[np.uint8]:
     """Return an image in [0, 255] with its shadows lifted."""
     return (255 * (np.nan_to_num(image).clip(0, 255) / 255) ** GAMMA).astype(np.uint8)
 

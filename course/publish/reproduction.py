@@ -10,7 +10,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -114,7 +114,7 @@ def _listed(names: Sequence[str], chosen: NDArray[np.bool_]) -> str:
 def table_row(method: str, light: str) -> Comparison:
     """Compare five metrics of Table II: those of ZNCC as they are, the others as ratios to ZNCC in the same light."""
 
-    def text(values: NDArray, zncc: NDArray) -> str:
+    def text(values: NDArray[Any], zncc: NDArray[Any]) -> str:
         ratios = (
             "" if method == "zncc" else "<br><sub>÷ ZNCC: " + " ".join(f"{x:.2f}" for x in values / zncc) + "</sub>"
         )
@@ -147,8 +147,8 @@ def below(*pairs: tuple[str, str], metrics: Sequence[str] = METRICS) -> Comparis
             np.array([(table[a, light] < table[b, light])[columns] for (a, b), light in places])
             for table in (PAPER, ours)
         )
-        counts = (f"{order.sum()} of {order.size}" for order in (expected, holds))
-        return Finding(*counts, *judge_order(holds, expected, names))
+        paper, found = (f"{order.sum()} of {order.size}" for order in (expected, holds))
+        return Finding(paper, found, *judge_order(holds, expected, names))
 
     return compare
 
@@ -201,9 +201,9 @@ def labels(results: Record) -> Finding:
 
 def patches(_: Record) -> Finding:
     """Compare the number of patch pairs that MC-CNN was trained on."""
-    recipe = RECIPES["mccnn"]["shipped"]
+    recipe: Any = RECIPES["mccnn"]["shipped"]
     pairs = 2 * recipe.steps * recipe.frames_per_step * recipe.rays_per_frame / 1e6
-    verdict, _ = judge_size([pairs], [40 * 14], ["pairs"], ratios=False)
+    verdict = judge_size([pairs], [40 * 14], ["pairs"], ratios=False)[0]
     return Finding("40 M × 14 epochs", f"{pairs:.1f} M in all", verdict, _TWO_CORES)
 
 
@@ -239,7 +239,7 @@ def _recipe(recipe: SweepNetRecipe) -> str:
 
 _SMALL, _TWO_CORES = "keeps the clone small", "two cores; `--preset paper` is theirs"
 _SGM = [(f"{cost}+sgm", cost) for cost in ("zncc", "mccnn", "sweepnet")]
-_RECIPES = RECIPES["sweepnet"]
+_RECIPES: dict[str, Any] = RECIPES["sweepnet"]
 
 ROWS: dict[str, Comparison] = {  # first cell → comparison
     "Section IV: SweepNet below ZNCC in every metric and light": below(("sweepnet", "zncc")),

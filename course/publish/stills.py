@@ -45,7 +45,7 @@ def record_sliders(draw: Callable[..., list[bytes]], sliders: dict[str, Widget])
     """Store stills: `draw` returns images, shown one below the other, for values of the sliders by name."""
     folder, index = _open()
     start = {name: slider.value for name, slider in sliders.items()}
-    shown = []
+    shown: list[dict[str, Any]] = []
     for name, slider in sliders.items():
         values = places(slider, _PLACES[len(sliders)])
         first = values.index(start[name])
@@ -86,20 +86,21 @@ def places(slider: Widget, count: int) -> list[float]:
     return [slider.value if x == stands else type(slider.value)(f"{v:.4g}") for x, v in zip(at, values, strict=True)]
 
 
-def _open() -> tuple[Path, list]:
+def _open() -> tuple[Path, list[Any]]:
     folder = Path(os.environ[VARIABLE])
     folder.mkdir(parents=True, exist_ok=True)
     index = folder / "index.json"
     return folder, json.loads(index.read_text(encoding="utf-8")) if index.exists() else []
 
 
-def _close(folder: Path, index: list) -> None:
+def _close(folder: Path, index: list[Any]) -> None:
     (folder / "index.json").write_text(json.dumps(index, indent=1) + "\n", encoding="utf-8")
 
 
 def _stack(pictures: list[bytes]) -> Image.Image:
     images = [Image.open(io.BytesIO(data)).convert("RGB") for data in pictures]
-    images = [image.resize((_WIDTH, round(image.height * _WIDTH / image.width)), Image.LANCZOS) for image in images]
+    sizes = [(_WIDTH, round(image.height * _WIDTH / image.width)) for image in images]
+    images = [image.resize(size, Image.Resampling.LANCZOS) for image, size in zip(images, sizes, strict=True)]
     stacked = Image.new("RGB", (_WIDTH, sum(image.height for image in images)))
     top = 0
     for image in images:
@@ -111,7 +112,7 @@ def _stack(pictures: list[bytes]) -> Image.Image:
 # --- Show ---------------------------------------------------------------------------------------------------
 
 
-def stored(stem: str) -> list[dict]:
+def stored(stem: str) -> list[dict[str, Any]]:
     """Return the entries of index.json for the live figures of a notebook, in order."""
     index = STILLS / stem / "index.json"
     return json.loads(index.read_text(encoding="utf-8")) if index.exists() else []

@@ -64,8 +64,8 @@ def assemble(source: Path, extra: Path) -> None:
         nbformat.write(nb, source / "notebooks" / path.name)
     for stage, names in stages().items():
         listing = "\n".join(f".. automodule:: {name}\n   :members:\n   :ignore-module-all:\n" for name in names)
-        page = f"# {stage}\n\n```{{eval-rst}}\n{listing}```\n"
-        (source / "reference" / f"{stage}.md").write_text(page, encoding="utf-8")
+        text = f"# {stage}\n\n```{{eval-rst}}\n{listing}```\n"
+        (source / "reference" / f"{stage}.md").write_text(text, encoding="utf-8")
 
 
 def contents(caption: str, names: str) -> str:
