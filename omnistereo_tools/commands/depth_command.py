@@ -63,12 +63,12 @@ def run(options: DepthOptions) -> None:
     # Read what there is, the ground truth, too.
     frame = read_frame(options)
     coverage = Coverage.of(frame.rig)
-    grid = make_grid(options, coverage, find_min_depth(options.min_depth, frame.rig, frame.images))
+    grid = make_grid(options, coverage, find_min_depth(options.min_depth, frame))
     gt_index = None if frame.gt_path is None else frame.gt_index(grid)
     # Check and say.
     print(coverage.left_out(grid))
     warn_of(rig_doubts(frame.rig, grid.min_depth))
-    warn_of(image_doubts(frame.rig, frame.images, grid))
+    warn_of(image_doubts(frame, grid))
     _make_folders(options, out)
     method = options.method or FRAME_METHOD
     say_frame(method, grid, options.device)

@@ -75,7 +75,7 @@ def _check_rig(options: DoctorOptions, rig_file: Path) -> int:
     coverage = Coverage.of(rig)
     min_depth = rig.min_depth if options.min_depth is None else options.min_depth
     if frame:
-        min_depth = find_min_depth(min_depth, rig, frame.images)
+        min_depth = find_min_depth(min_depth, frame)
     # The panorama that `omnistereo depth` computes by default.
     grid = coverage.propose(DepthOptions.width, DepthOptions.height, options.phi, DepthOptions.spheres, min_depth)
     print(*coverage.sentences(grid.min_depth), sep="\n")

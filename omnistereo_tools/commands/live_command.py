@@ -43,6 +43,7 @@ def run(options: LiveOptions) -> None:
     import webbrowser
     from time import monotonic
 
+    from omnistereo_lib.frame import Frame
     from omnistereo_lib.stereo.methods import VIDEO_METHOD
     from omnistereo_lib.stereo.sweep import SphereSweep
     from omnistereo_tools import live_view
@@ -56,7 +57,7 @@ def run(options: LiveOptions) -> None:
         sources = [int(source) if re.fullmatch("[0-9]{1,3}", source) else source for source in options.cameras]
         cameras = live_view.Cameras(sources, rig)
         rig = mask_circles(rig, [cameras.first])
-        min_depth = find_min_depth(options.min_depth, rig, cameras.first)
+        min_depth = find_min_depth(options.min_depth, Frame.of(rig, cameras.first))
         sweep = SphereSweep(rig, make_grid(options, Coverage.of(rig), min_depth), device=options.device)
         watching = Watching(rig, sweep, options.follow)
         pictures = live_view.live_pictures(cameras, sweep, options.method or VIDEO_METHOD, watching)

@@ -165,13 +165,13 @@ def warn_of(doubts: Iterable[str]) -> None:
         warnings.warn(doubt, stacklevel=2)
 
 
-def find_min_depth(stated: float | None, rig: Rig, images: Sequence[NDArray[np.uint8]]) -> float:
+def find_min_depth(stated: float | None, frame: Frame) -> float:
     """Return the nearest depth of the sweep in metres: as stated, else of the rig file, else a look at the images."""
-    if (known := rig.min_depth if stated is None else stated) is not None:
+    if (known := frame.rig.min_depth if stated is None else stated) is not None:
         return known
     from omnistereo_tools.input.nearest import propose_min_depth
 
-    proposed = propose_min_depth(rig, images)
+    proposed = propose_min_depth(frame)
     print(f"The rig file states no nearest depth: a coarse look at the images proposes --min-depth {proposed:g}.")
     return proposed
 

@@ -80,6 +80,7 @@ class RecordOptions(MethodOptions, GridOptions, RigOptions):
 def run(options: RecordOptions) -> None:
     """Estimate depth for all frames that are not done yet, and write the video."""
     print("reading the rig and the first frames: a few seconds", flush=True)
+    from omnistereo_lib.frame import Frame
     from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD, Method
     from omnistereo_lib.stereo.sweep import SphereSweep
     from omnistereo_tools.input.image_circle import FRAMES
@@ -97,13 +98,13 @@ def run(options: RecordOptions) -> None:
     recording = _open_recording(options, rig)
     first = list(recording.read(sorted(recording.frames)[:FRAMES], rig))
     rig = mask_circles(rig, first)
-    coverage = Coverage.of(rig)
+    frame, coverage = Frame.of(rig, first[0]), Coverage.of(rig)
     stated = stored_min_depth(out) if options.min_depth is None else options.min_depth
-    grid = make_grid(replace(options, height=options.rows), coverage, find_min_depth(stated, rig, first[0]))
+    grid = make_grid(replace(options, height=options.rows), coverage, find_min_depth(stated, frame))
     # Check and say, before anything is written.
     print(coverage.left_out(grid))
     warn_of(rig_doubts(rig, grid.min_depth))
-    warn_of(image_doubts(rig, first[0], grid))
+    warn_of(image_doubts(frame, grid))
     if options.method is None:
         print(f"method: {VIDEO_METHOD}, which keeps pace; --method {FRAME_METHOD} has lower errors and takes longer")
     sweep, method = SphereSweep(rig, grid, device=options.device), Method.parse(options.method or VIDEO_METHOD)

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
-from numpy.typing import ArrayLike
 
 from omnistereo_lib.frame import Frame
-from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.images import reduce_images
 from omnistereo_lib.stereo.methods import VIDEO_METHOD
@@ -21,25 +17,21 @@ _MARGIN = 0.55  # for what comes nearer in the next frame, and for small things 
 _PASSES = 2
 
 
-def propose_min_depth(rig: Rig, images: Sequence[ArrayLike]) -> float:
+def propose_min_depth(frame: Frame) -> float:
     """Return a nearest depth in metres, rounded: a little less than the nearest thing that a coarse sweep finds.
 
     The first pass begins where the rig can measure, see `Coverage.nearest`; what is nearer is not found. The second
     pass sweeps from what the first one found: with fewer spheres wasted in front of it, it is sharper. Both look around
     the horizon, where nothing is distorted; a floor that is nearer below is within the margin.
 
-    Args:
-        images: one array per camera, in the order of the rig
-
     Raises:
-        OmnistereoError: If the images do not fit the rig, or no two cameras see a ray.
+        OmnistereoError: If no two cameras see a ray.
     """
-    rig, images = reduce_images(rig, images, _WIDTH / 360)
-    nearest = Coverage.of(rig).nearest
+    small = Frame.of(*reduce_images(frame.rig, frame.images, _WIDTH / 360))
+    nearest = Coverage.of(small.rig).nearest
     for _ in range(_PASSES):
-        depth = estimate_depth(
-            Frame.of(rig, images), SphereGrid(_WIDTH, _HEIGHT, num_spheres=_SPHERES, min_depth=nearest), VIDEO_METHOD
-        )
+        grid = SphereGrid(_WIDTH, _HEIGHT, num_spheres=_SPHERES, min_depth=nearest)
+        depth = estimate_depth(small, grid, VIDEO_METHOD)
         sure = depth.valid & (depth.confidence >= np.nanmedian(depth.confidence))
         nearest = max(nearest, _MARGIN * float(np.quantile(depth.depth[sure], _QUANTILE)))
     return float(f"{nearest:.2g}")

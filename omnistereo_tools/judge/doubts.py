@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.images import reduce_images
@@ -46,15 +47,15 @@ def same_pictures(images: Sequence[NDArray[Any]]) -> str | None:
     return f"images {', '.join(same)} are the same picture. Check their paths" if same else None
 
 
-def image_doubts(rig: Rig, images: Sequence[NDArray[Any]], grid: SphereGrid) -> Iterator[str]:
-    """Yield what cannot be right with the images of a rig: a quick look, with one coarse cost volume if all is well."""
-    if same := same_pictures(images):
+def image_doubts(frame: Frame, grid: SphereGrid) -> Iterator[str]:
+    """Yield what cannot be right with the images of a frame: one coarse cost volume if all is well."""
+    if same := same_pictures(frame.images):
         yield same
         return
     coarse = replace(grid, width=160, height=40, num_spheres=16)
-    small, reduced = reduce_images(rig, images, coarse.width / 360)
+    small, reduced = reduce_images(frame.rig, frame.images, coarse.width / 360)
     if matching_cost(SphereSweep(small, coarse), reduced) > _MATCHES:
         from omnistereo_tools.judge.rig_check import find_mixup
 
-        if found := find_mixup(rig, images):
+        if found := find_mixup(frame):
             yield f"{found}. `omnistereo doctor` with the same rig and images says more"

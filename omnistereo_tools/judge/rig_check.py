@@ -24,7 +24,7 @@ from omnistereo_lib.calibrate.from_images import (
 from omnistereo_lib.calibrate.relative_pose import RelativePose
 from omnistereo_lib.calibrate.track_bundle import mean_baseline, pose_differences
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.frame import check_images
+from omnistereo_lib.frame import Frame, check_images
 from omnistereo_lib.geometry.pose import Floats, Pose, nearest_rotation
 from omnistereo_lib.geometry.rig import Pair, Rig
 from omnistereo_lib.progress import Progress, counted, silent
@@ -87,9 +87,9 @@ def check_rig(
     return wrong
 
 
-def find_mixup(rig: Rig, images: Sequence[NDArray[np.uint8]]) -> str | None:
+def find_mixup(frame: Frame) -> str | None:
     """Return what is mixed up, in words, or None if nothing is; a quick look, at pairs of cameras only."""
-    found = _mixup(rig, images, *_matches(rig, images))
+    found = _mixup(frame.rig, frame.images, *_matches(frame.rig, frame.images))
     return found.text if found else None
 
 

@@ -121,7 +121,7 @@ def test_swapped_images_are_named_although_their_lenses_differ():
     """Centres of lenses that are a degree apart, as in this small world, hide what was swapped from the pairs."""
     rig = scene.rig(width=200, height=192)
     images = scene.images(rig, finest=0.25)
-    found = rig_check.find_mixup(rig, [images[k] for k in (1, 0, 2, 3)])
+    found = rig_check.find_mixup(osl.Frame.of(rig, [images[k] for k in (1, 0, 2, 3)]))
     assert found.startswith("the images look swapped (give them in the order 2 1 3 4)")
 
 
@@ -180,7 +180,7 @@ def test_a_rig_is_not_called_wrong_where_the_images_show_nothing():
 
 def test_a_mirrored_image_is_named(frame):
     images = [*frame.images[:2], np.fliplr(frame.images[2]), frame.images[3]]
-    assert rig_check.find_mixup(frame.rig, images).startswith("image 3 looks mirrored")
+    assert rig_check.find_mixup(osl.Frame.of(frame.rig, images)).startswith("image 3 looks mirrored")
 
 
 def test_an_image_of_another_moment_may_be_meant():
