@@ -18,6 +18,7 @@ FACTORS = {
     -1.0: "that is the right value with the other sign",
     2.0: "that is twice the right value: look for a 2",
     0.5: "that is half the right value: look for a 2",
+    4.0: "that is four times the right value: a sum in place of a mean?",
     100.0: "that is 100 times the right value: is something in centimetres, or in percent?",
     0.01: "that is a hundredth of the right value: is something in centimetres, or in percent?",
     180 / np.pi: "that is 180/π times the right value: are there degrees in place of radians?",

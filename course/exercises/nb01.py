@@ -25,10 +25,8 @@ def _some_pixels(rng: Rng, k: int) -> tuple:
 
 
 check_unproject = Open(unproject, _some_pixels, whole=("poly", "center")).with_slips("""
-    z = - → z =  # the ray is (x, y, -f(r)): f is negative in front
     np.linalg.norm(xy, axis=-1, keepdims=True)
     → np.sum(xy**2, axis=-1, keepdims=True)  # that is r²: r is its root, the distance from the centre
-    poly[::-1] → poly  # poly runs from low to high; np.polyval wants the highest first
     return rays / np.linalg.norm(rays, axis=-1, keepdims=True) → return rays
     # divide by the length: a ray is a unit vector
     norm(rays, axis=-1, keepdims=True) → norm(rays)

@@ -34,14 +34,12 @@ def _two_cameras(rng: Rng, k: int) -> tuple:
 
 check_relative_pose = Open(relative_pose, _two_cameras).with_slips("""
     [T_1b @ T_2b.inverse(), T_1b @ half_turn @ T_2b.inverse()] → [T_1b @ T_2b.inverse()]
-    # either camera may have read a board from the other end: half_turn
+    # either camera may have read a board from the other end: half_turn, between the board's two poses
     return T_1_board[0] @ T_2_board[0].inverse()
     # that is the first capture: take the pose that most propose, within 0.02 m of each other
-    T_2b.inverse() → T_2b  # the indices must meet: from camera 2 to the board, T_2b⁻¹
     T_1b @ T_2b.inverse(), T_1b @ half_turn @ T_2b.inverse()
     → T_1b.inverse() @ T_2b, T_1b.inverse() @ half_turn @ T_2b
     # the inverse belongs to camera 2's pose: from camera 2 to the board, from there to camera 1
-    agree.sum(axis=1))] → agree.sum(axis=1))].inverse()  # that is T_21, camera 1 → camera 2: the way back
 """)
 
 
@@ -170,7 +168,6 @@ check_sphere_shift = Open(sphere_shift, _some_images).with_slips("""
     # one δ for all pairs: add up over the pairs first, then divide
     return -above / np.where(below > 0, below, np.nan) → return np.nanmean(-e / p, axis=(0, -1))
     # two equations, one unknown: do not divide number by number, but Σ p·e by Σ p·p
-    np.nansum → np.sum  # a pair that does not see the ray is NaN and spoils the others: leave it out, np.nansum
     -above / np.where(below > 0, below, np.nan) → -above / np.sqrt(np.where(below > 0, below, np.nan))
     # divide by Σ p·p, not by its root: that is a length in radians, not a number of spheres
     parallax[i] - parallax[j] → parallax[i]

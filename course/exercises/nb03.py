@@ -26,9 +26,6 @@ def _some_pixels(rng: Rng, k: int) -> tuple:
 
 
 check_rays_of_pixels = Open(rays_of_pixels, _some_pixels).with_slips("""
-    columns + 0.5 → columns
-    rows + 0.5 → rows
-    # a ray goes through a pixel's middle: add ½
     - width / 2 →  # θ = 0 is in the middle: subtract W/2
     * 2 * np.pi / width → * 360 / width  # sin and cos take radians: W columns make 2π, not 360
     * 2 * np.pi / width → * np.pi / width  # W columns make 2π, not π
@@ -51,9 +48,7 @@ def _a_sphere(rng: Rng, k: int) -> tuple:
 
 
 check_points_on_sphere = Open(points_on_sphere, _a_sphere).with_slips("""
-    max(inverse_depth, 2.0**-23) → np.float64(inverse_depth)  # sphere 0: do not divide by 0, but by 2**-23
     rays / max → rays * max  # d is an inverse depth, in 1/m: divide by it
-    (N - 1) → N  # N spheres have N - 1 steps between them
     n / (min_depth → (N - 1 - n) / (min_depth  # sphere 0 is at infinity, N - 1 the nearest
     return rays * min_depth * n / (N - 1)  # the spheres are even in inverse depth, not in depth
 """)
@@ -84,7 +79,6 @@ check_pixels_of_points = Open(pixels_of_points, _a_camera).with_slips("""
     # the rotation is not transposed: Rᵀ(p - t)
     T_rig_cam.inverse() @ points → points @ T_rig_cam.R - T_rig_cam.t
     # the inverse's translation is -Rᵀt, not -t: Rᵀ(p - t)
-    np.where(visible[..., None], pixels, np.nan) → pixels  # NaN where `visible` is False
     visible[..., None] → in_camera[..., 2:] > 0  # a fisheye sees behind itself, z < 0: ask `visible`
 """)
 
@@ -109,7 +103,6 @@ def _an_image(rng: Rng, k: int) -> tuple:
 
 
 check_look_up = Open(look_up, _an_image, whole=("image",), real=beside.between).with_slips("""
-    a, b = u - x, v - y → a, b = np.rint(u - x), np.rint(v - y)  # that is the nearest pixel: mix four
     a, b = u - x, v - y → a, b = 0 * u, 0 * v  # decimals are cut off: mix four pixels
     a, b = u - x, v - y → a, b = 1 - u + x, 1 - v + y  # the nearer pixel counts more: weights swapped
     a, b = u - x, v - y → a, b = v - y, u - x  # u mixes left and right, v above and below
@@ -138,8 +131,6 @@ def _warped(rng: Rng, k: int) -> tuple:
 
 
 check_disagreement = Open(disagreement, _warped, real=lambda: (beside.gray(),)).with_slips("""
-    return np.std(warped, axis=0)  # a camera that does not see the ray is NaN and spoils the rest: leave it out
-    return np.nanstd(warped, axis=0)  # one camera cannot disagree: NaN where fewer than two see the ray
     np.sqrt(squares / np.maximum(count, 1)) → np.sqrt(squares / np.maximum(count - 1, 1))
     # divide by their number, not by one less
     np.sqrt(squares / np.maximum(count, 1)) → np.nanmax(warped, axis=0) - np.nanmin(warped, axis=0)

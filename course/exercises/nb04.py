@@ -88,9 +88,6 @@ check_zncc_costs = Open(zncc_costs, _two_images, real=lambda: (*beside.gray()[:2
     np.maximum(window_sums(both.astype(float), radius), 1) → (2 * radius + 1) ** 2
     # 0 is a gray value, too: divide the sums by the number of pixels that both cameras see
     (1 - zncc) / 2 → zncc  # that is ZNCC; the cost is (1 - ZNCC) / 2
-    both, a, 0.0) → both, a, 0.0).astype(np.float32)
-    both, b, 0.0) → both, b, 0.0).astype(np.float32)
-    # in single precision the mean square minus the squared mean loses its digits: float64
 """)
 
 
@@ -111,11 +108,8 @@ def _costs_of_pairs(rng: Rng, k: int) -> tuple:
 
 
 check_mean_of_pairs = Open(mean_of_pairs, _costs_of_pairs).with_slips("""
-    return costs.mean(axis=0)  # a pair that does not see the ray must not spoil the others: leave NaN out
-    return np.nan_to_num(costs).mean(axis=0)  # divide by the number of pairs that see the ray, not by all
     return np.nansum(costs, axis=0)  # that is the sum; the paper takes the mean
     return np.nanmin(costs, axis=0)  # that is the best pair; the paper takes the mean
-    return np.nanmedian(costs, axis=0)  # that is the median; the paper takes the mean
 """)
 
 
@@ -135,11 +129,6 @@ def _a_volume(rng: Rng, k: int) -> tuple:
 
 
 check_winner = Open(winner, _a_volume).with_slips("""
-    return np.argmin(costs, axis=-1)  # np.argmin takes NaN for the smallest of all: put infinity for it
-    np.where(np.isnan(costs).all(axis=-1), np.nan, filled.argmin(axis=-1)) → filled.argmin(axis=-1)
-    # a ray that no pair sees has no index: NaN, and not sphere 0
-    filled.argmin(axis=-1) → costs.shape[-1] - 1 - filled[..., ::-1].argmin(axis=-1)
-    # of equal costs the first wins, as in np.argmin
     return np.fmin.reduce(costs, axis=-1)  # that is the lowest cost; return the sphere that has it
     axis=-1 → axis=0  # the wrong axis: the spheres are the last one
 """)

@@ -97,7 +97,6 @@ check_hinge = Open(hinge, _cosines).with_slips("""
     return torch.relu((margin + non_match - match).mean())
     # the hinge is of each ray: first the maximum, then the mean
     .mean() → .sum()  # that is the sum; take the mean over the rays
-    .mean() → .square().mean()  # the hinge is not squared
     return torch.relu(margin + non_match - match).mean() → x = margin + non_match - match; return x[x > 0].mean()
     # rays that cost nothing count in the mean, too
 """)

@@ -78,7 +78,6 @@ check_pair_features = Open(pair_features, _two_images).with_slips("""
     mode="circular" → mode="constant"  # zeros beyond the seam are not what is there: mode='circular'
     mode="circular" → mode="replicate"  # the panorama is a circle: mode='circular'
     x[..., halo : x.shape[-1] - halo] → x  # cut the repeated columns off again: `halo` on both sides
-    pad(x.nan_to_num() → pad(x  # a NaN spreads through every layer: 0 first
     left, right = → both = 0 * (left + right); left, right = left + both, right + both; left, right =
     # each image keeps what it sees: only its own NaN become 0
 """)
@@ -108,7 +107,6 @@ def _a_sphere(rng: Rng, k: int) -> tuple:
 
 
 check_draw_labels = Open(draw_labels, _a_sphere, keywords=("most", "per_positive", "least")).with_slips("""
-    np.rint(true_index) → np.floor(true_index)  # a ray belongs to the nearest sphere: round, do not cut off
     max(per_positive * len(positives), least) → per_positive * len(positives)
     # at least `least` negatives: a sphere without positives has them, too
     max(per_positive * len(positives) → max(per_positive * np.sum(np.rint(true_index) == n)

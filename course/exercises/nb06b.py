@@ -59,7 +59,6 @@ check_side_with_share = Open(side_with_share, _a_map, whole=("influence",)).with
     # that is a disc: a square is all within max(|row|, |column|)
     np.maximum(np.abs(rows), np.abs(columns)) → np.abs(rows) + np.abs(columns)
     # that is a square on its tip: max(|row|, |column|), no sum
-    influence.ravel() → np.ones(influence.size)  # weigh each pixel by its influence
     share * held[-1] → share  # a share of the map's sum, which need not be 1
 """)
 

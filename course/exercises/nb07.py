@@ -54,7 +54,6 @@ def _some_lines(rng: Rng, k: int) -> tuple:
 
 check_walk = Open(walk, _some_lines).with_slips("""
     lines[-1] → costs[len(lines) - 1]  # look at the path costs, not at the costs
-    lines[-1] → lines[0]  # look at the line before, not at the first
     shift, axis=0 → shift, axis=1  # roll the rays, axis 0, not the spheres
     shift, axis=0 → shift  # without an axis np.roll takes all numbers for one long row: axis=0
     np.roll(lines[-1], shift, axis=0) → np.pad(lines[-1], ((1, 1), (0, 0)), "edge")[1 - shift :][: len(cost)]
@@ -136,6 +135,4 @@ check_mean_error_of_the_rest = Open(mean_error_of_the_rest, _errors).with_slips(
     int(fraction * len(ranked)) : → : int(fraction * len(ranked))
     # those are the rays removed: return the rest's mean
     .mean() for → .sum() / len(ranked) for  # divide by the number of rays that remain
-    return np.array([np.nanmean(error[confidence >= fraction]) for fraction in fractions])
-    # remove a fraction of the rays, not all below it
 """)

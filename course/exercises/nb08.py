@@ -57,7 +57,6 @@ check_depth_regions = Open(depth_regions, _a_truth, real=beside.truth).with_slip
     fraction > 0 → fraction >= 0  # the sky, at index 0, is a region of its own
     fraction > 0 → gt_index >= 1  # only index 0 is the sky: a far house is none
     fraction >= → fraction >  # exactly a third belongs to the nearer region: >=
-    (N - 1) → N  # N spheres have N - 1 steps between them
 """)
 
 
@@ -83,8 +82,6 @@ check_pooled = Open(pooled, _some_sums).with_slips("""
     np.sqrt(squares / rays) → np.mean(np.sqrt(sums[:, 5] / sums[:, 0]))
     # a mean of roots is not the root of the mean: add up Σ e² first
     np.sqrt(squares / rays) → np.sqrt(squares) / rays  # divide under the root
-    np.sqrt(squares / rays) → np.sqrt(squares / rays - (total / rays) ** 2)
-    # that is the standard deviation: do not subtract the mean
 """)
 
 
@@ -106,8 +103,6 @@ check_interval = Open(interval, _some_draws, whole=("values",)).with_slips("""
     [2.5, 97.5] → [5, 95]  # that holds 90 % of the means; for 95 % leave out 2.5 % on either side
     [2.5, 97.5] → [0.025, 0.975]  # np.percentile takes percent: 2.5, not 0.025
     mean(axis=1) → mean(axis=0)  # a row of `draws` holds the frames of one draw: mean over axis 1
-    np.percentile(means, [2.5, 97.5], axis=0) → means.mean(0) + np.multiply.outer([-1.96, 1.96], means.std(0))
-    # that assumes a normal distribution: take percentiles of the means
 """)
 
 

@@ -34,8 +34,6 @@ check_clock_offset = Open(clock_offset, _two_cards).with_slips("""
     return times_b.mean() - times_a.mean()
     # each camera has pictures of its own: the means need not belong together
     return np.median(times_b[:, None] - times_a)  # most pairs are of two moments: take the most frequent difference
-    return np.abs(times_b[:, None] - times_a).min()
-    # the smallest difference is an accident: take the most frequent one
 """)
 
 
@@ -54,12 +52,10 @@ def _a_volume(rng: Rng, k: int) -> tuple:
 
 
 check_matching_cost = Open(matching_cost, _a_volume).with_slips("""
-    return np.median(volume.min(axis=-1))  # where no pair sees a ray its cost is NaN: leave it out
     np.where(np.isnan(volume), np.inf, volume) → np.where(np.isnan(volume), 1, volume)
     # NaN is no evidence, and no cost of 1: leave those rays out
     return np.nanmedian(volume)  # first the best sphere of each ray, then the median of the rays
     np.median( → np.mean(  # the median: a few bad rays must not count for many
-    return np.nanmedian(np.nanmean(volume, axis=-1))  # the best sphere, not the mean over all of them
 """)
 
 
@@ -138,7 +134,6 @@ check_spheres_needed = Open(spheres_needed, _a_plan).with_slips("""
     np.ceil( → round(  # rounded, a step may be too long: np.ceil
     np.ceil(parallax / pixels)) + 1 → np.ceil(parallax / pixels))
     # one is missing: there is one sphere more than there are steps, and the steps are rounded up
-    int(np.ceil(parallax / pixels)) → parallax / pixels  # there is no part of a sphere: np.ceil
     (2 * np.pi) → np.pi  # W pixels are the full circle, 2π, not π
     (2 * np.pi) → 360  # b / D is in radians: 2π of them for W pixels
 """)

@@ -59,7 +59,6 @@ check_checker = Open(checker, _some_points).with_slips("""
     np.floor(points / size).sum(axis=-1) → np.floor((points / size).sum(axis=-1))
     # floor each coordinate first, then add
     np.floor(points / size) → np.floor(points / size)[..., [0, 2]]  # all three coordinates count
-    .sum( → .prod(  # add the numbers of the cube: a product is mostly even
 """)
 
 
@@ -90,12 +89,9 @@ def _points_on_boxes(rng: Rng, k: int) -> tuple:
 
 
 check_light = Open(light, _points_on_boxes).with_slips("""
-    slope * free → slope  # a box in the way takes the sun: add shadows
     np.maximum(normals @ to_sun, 0) → normals @ to_sun  # a face turned away gets no sun, and not less: maximum
     0.4 + 0.8 * slope * free → (0.4 + 0.8 * slope) * free  # a shadow is not black: the sky stays
     points + 1e-6 * normals → points  # a face may shade itself: start a millionth of a metre above it
-    hit_box(above, to_sun → hit_box(above, normals
-    # the shadow is cast along the way to the sun, not along the normal
 """)
 
 
@@ -115,7 +111,6 @@ check_distances_from_z = Open(distances_from_z, _depths).with_slips("""
     / rays[..., 2] →  # the rays do not end at z = 1: divide by their z
     * np.linalg.norm(rays, axis=-1) →  # that many rays long it is: times the ray's length gives metres
     norm(rays, axis=-1) → norm(rays)  # one length for each ray: axis=-1
-    norm(rays, → norm(rays[..., :2],  # that is the distance from the axis: z counts as well
 """)
 
 
@@ -138,6 +133,4 @@ check_solid_angles = Open(solid_angles, _a_panorama).with_slips("""
     # that is the cosine: the height of a row in radians is missing
     np.sin( → np.cos(  # sin φ at the edges, not cos φ
     / width, width → , width  # that is the area of whole rows: divide by the columns
-    2 * np.pi * → 1 / (np.sin(high) - np.sin(low)) *
-    # those are shares of the panorama: in steradians, all the sphere is 4π
 """)

@@ -23,9 +23,6 @@ def _some_views(rng: Rng, k: int) -> tuple:
 
 check_blend = Open(blend, _some_views).with_slips("""
     half_fov - angles → angles  # the weight falls with the angle: half_fov - angle
-    return np.nanmean(images, axis=0)  # that is the plain mean: weigh each camera by half_fov - angle
-    / weights.sum(axis=0) → / np.sum(half_fov - angles, axis=0)[..., None]
-    # a camera that does not see the ray has the weight 0, below the line, too
     / weights.sum(axis=0) →  # divide by the sum of the weights
     half_fov - angles → 1.0 * (angles == np.where(seen, angles, np.inf).min(axis=0))
     # that is the nearest camera alone, which jumps where another takes over: mix all
@@ -76,9 +73,6 @@ check_pick = Open(pick, _some_methods).with_slips("""
     # for np.argmax NaN is the largest number of all: put -inf in its place
     np.take_along_axis(index, best[None], axis=0)[0] → best  # that is the method's number: look up its index there
     return np.nanmax(score, axis=0)  # that is the score: return the index that belongs to it
-    return index[np.argmax(np.nanmean(score, axis=(1, 2)))]
-    # each ray has its own best method; that takes one for all
-    return np.mean(index, axis=0)  # choose one; their mean may be a place where nothing is
 """)
 
 

@@ -27,12 +27,7 @@ def _some_cells(rng: Rng, k: int) -> tuple:
 
 
 check_correlation = Open(correlation, _some_cells).with_slips("""
-    f = f.nan_to_num() →  # a camera that does not see the cell is NaN and spoils the rest: leave it out
     - (f**2).sum(0) →  # that includes each camera with itself: subtract the sum of the squares
-    k = (~f[..., :1].isnan()).sum(0) → k = torch.full_like(f[0, ..., :1], len(f))
-    # k is the number of cameras that see the cell, not of all
-    (k * (k - 1)) → (k * (k - 1) / 2)
-    # the square of the sum holds i, j and j, i: k (k - 1) products, not half as many
     unflatten(-1, (8, 4)).mean(-1) → unflatten(-1, (4, 8)).mean(-2)
     # a group is four channels that follow each other: the first is 0, 1, 2, 3
 """)
@@ -77,8 +72,6 @@ def _some_scores(rng: Rng, k: int) -> tuple:
 
 
 check_cross_entropy = Open(cross_entropy, _some_scores).with_slips("""
-    return torch.nn.functional.cross_entropy(scores, index.round().long())
-    # that rounds the index: divide it between the two spheres next to it
     share = index - lower → share = 1 - index + lower  # the nearer sphere gets the larger share: they are swapped
     scores.log_softmax(-1) → scores.softmax(-1)  # the logarithm is missing: log_softmax
     scores.log_softmax(-1) → scores
@@ -110,7 +103,6 @@ check_read_out = Open(read_out, _some_rays).with_slips("""
     return p.argmax(-1)  # that is the best sphere: take the mean around it
     near = p * → near = 1.0 *  # that is the middle of the spheres: weight each by its probability
     / near.sum(-1) →  # the probabilities around the best do not add up to 1: divide by their sum
-    (near * n).sum(-1) / near.sum(-1) → near.sum(-1)  # that is the confidence; return the index
 """)
 
 
@@ -138,10 +130,8 @@ def _a_scene(rng: Rng, k: int) -> tuple:
 check_behind = Open(behind, _a_scene, whole=("inverse_depth",), real=beside.sight).with_slips("""
     norm(places, → norm(places - center,
     # the distance from the rig, not from the camera: the panorama holds depths from the rig
-    np.arctan2(y, → np.arctan2(-y,  # y points down, and φ grows with it: no minus
     (np.linalg.norm(places, axis=-1) * inverse_depth[row, column]).max
     → (1 / (np.linalg.norm(places, axis=-1) * inverse_depth[row, column])).max
     # the place's distance over the depth of the surface, not the other way round
     np.floor( → np.rint(  # pixel k reaches from k to k + 1: floor, not round
-    .max(axis=0) → .min(axis=0)  # one place behind a surface is enough: the largest, not the smallest
 """)

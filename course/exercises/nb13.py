@@ -68,8 +68,6 @@ check_warp = Open(warp, _a_view, whole=("image",), real=beside.view).with_slips(
     (points - pose.t) @ pose.R → points @ pose.R - pose.t  # first subtract t, then rotate: (p - t) R
     points - pose.t → points  # the translation is missing: (p - t) R
     (points - pose.t) @ pose.R → points  # the points are in the rig frame: take them to the camera's first
-    return look_up(image, project(camera, in_camera)) → return project(camera, in_camera)
-    # those are the pixels: look the image up there
 """)
 
 
@@ -95,8 +93,6 @@ def _spheres(rng: Rng, k: int) -> tuple:
 check_cost_volume = Open(cost_volume, _spheres).with_slips("""
     zip(warped, neighbours, → zip(warped[:-1], warped[1:],
     # the ring closes: the last camera and the first are a pair
-    mean_of_pairs( → (lambda costs: costs.mean(axis=0))(
-    # a pair that does not see the ray spoils the rest: leave it out
     mean_of_pairs( → (lambda costs: np.nan_to_num(costs).mean(axis=0))(
     # divide by the number of pairs that see the ray
     mean_of_pairs( → (lambda costs: np.nansum(costs, axis=0))(  # that is the sum over the pairs: take the mean

@@ -125,7 +125,6 @@ check_share_ahead = Open(share_ahead, _some_poses).with_slips("""
     (points[:, 3] > 0) → (points[:, 2] * points[:, 3] > 0)
     np.sum(from_2 * y, axis=1) > 0 → from_2[:, 2] * points[:, 3] > 0
     # a fisheye sees behind itself, z < 0: ahead means along the ray
-    return np.array(shares) → return poses[np.argmax(shares)]  # return the shares of all; the caller takes the largest
 """)
 
 
@@ -140,7 +139,6 @@ def _some_residuals(rng: Rng, k: int) -> tuple:
 
 
 check_robust_weight = Open(robust_weight, _some_residuals).with_slips("""
-    ** -2 → ** -1  # that is Cauchy's weight, a half at the scale: square it
     (residuals / scale) ** 2 → np.abs(residuals / scale)  # the ratio is squared
     (residuals / scale) ** 2 → residuals**2 / scale  # divide before you square: the scale is an angle, too
     return np.exp(-((residuals / scale) ** 2))  # that is a bell, 0.37 at the scale: 1 / (1 + (r/s)²)²
@@ -174,7 +172,6 @@ check_who_moved = Open(who_moved, _some_turns).with_slips("""
     # leave camera k out: if only it moved, the others agree among each other
     weights=sd[others] ** -2 → weights=None  # a camera that is known less well counts less: 1 / sd² in the mean
     weights=sd[others] ** -2 → weights=1 / sd[others]  # the weight of a mean is 1 / sd², not 1 / sd
-    return np.array(left) → return np.argmin(left)  # return what is left for each camera; the caller takes the least
 """)
 
 
