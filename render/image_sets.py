@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, is_whole, make_folder
 from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.world.trajectory import trajectory_tum
 from render.camera.render_rig import RenderRig, make_rig, write_config
+from render.city.drive import plan_drive
+from render.city.layout import plan_district
 
 SEED = 2019
 _STEPS = 65500  # of the first public release's 16-bit ground truth: inverse depth in units of 1 / (65500 D_min)
-_KEPT = 4  # only every fourth step is used: a hundredth of a sphere, and a third less to store
 _DELTAS = {"compression": "tiff_adobe_deflate", "tiffinfo": {317: 2}}  # of neighbours (tag Predictor): half the file
 
 
@@ -37,6 +39,7 @@ class ImageSet:
         truth_suffix: Of the two public encodings: float, or a third as large in 16-bit steps, to 0.01 of 192 spheres.
         truth_of: The set of the same drive whose ground truth is also this one's: light moves nothing.
         quality: Of the JPEG files: what is lost is less than the sensors' noise.
+        kept: Of PNG ground truth only every step `kept` is used: 4 are within 0.01 of 192 spheres, 32 within 0.05.
         rig: See `make_rig`.
         T_drive_rig: Rotation vector (radians) and position (metres, x right, y down, z forward) of the rig on the
             drive: zero on the roof of the van.
@@ -54,6 +57,7 @@ class ImageSet:
     truth_suffix: str = ".tiff"
     truth_of: str = ""
     quality: int = 85
+    kept: int = 4
     world: str = "city"
     rig: str = "van"
     T_drive_rig: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -85,6 +89,15 @@ SETS = {
         truths=((640, 160),),
         truth_suffix=".png",
         quality=80,
+    ),
+    # Frames in a row, with cars ahead of the van, behind it and towards it.
+    "drive/test": ImageSet(
+        light="sunny",
+        **_TEST | {"shipped": tuple(range(723, 732)), "size": (400, 384), "gray": True, "samples": 12},
+        truths=((640, 160),),
+        truth_suffix=".png",
+        quality=64,
+        kept=32,
     ),
     # A drone that follows the van, nose down and banking: 15° in all.
     "aerial/test": ImageSet(
@@ -152,6 +165,8 @@ def render_set(folder: Path, images: ImageSet, numbers: tuple[int, ...], seed: i
     if images.truth_of:
         layout["truth"] = f"../../{images.truth_of}"
     write_config(folder / "config.yaml", rig, images.size, layout)
+    if images.world == "city" and not images.truth_of:
+        _write_trajectory(folder / "trajectory.txt", images, tuple(sorted({*images.shipped, *numbers})), seed)
     if not missing:
         return
     empty_scene()
@@ -159,22 +174,35 @@ def render_set(folder: Path, images: ImageSet, numbers: tuple[int, ...], seed: i
     for number in missing:
         T_world_rig = place_rig(number)
         pictures, truths = _render_frame(images, rig, T_world_rig, exposure, [seed, number])
-        write_frame(frame_paths(folder, images, number), pictures, truths, images.quality, rig.min_depth)
+        write_frame(frame_paths(folder, images, number), pictures, truths, images.quality, rig.min_depth, images.kept)
         yield number
+
+
+def _poses(images: ImageSet, seed: int) -> Callable[[int], Pose]:
+    """Return a function that gives T_world_rig of a frame of a drive."""
+    drive = plan_drive(plan_district(seed), images.route, images.count)
+    return lambda number: drive.pose(number - images.first) @ Pose.from_vector(images.T_drive_rig)
+
+
+def _write_trajectory(path: Path, images: ImageSet, numbers: tuple[int, ...], seed: int) -> None:
+    """Write the true poses of frames in the axes of the first one."""
+    pose = _poses(images, seed)
+    T_first_world = pose(numbers[0]).inverse()
+    with atomic_write(path) as temporary:
+        temporary.write_text(trajectory_tum({number: T_first_world @ pose(number) for number in numbers}))
 
 
 def _city(images: ImageSet, seed: int) -> tuple[Callable[[int], Pose], float]:
     """Build the city; return a function that brings a frame's traffic and gives T_world_rig, and the exposure."""
     from render.city.district import build_city
-    from render.city.drive import plan_drive
     from render.surfaces.lights import add_light
 
-    district, traffic = build_city(seed)
+    _, traffic = build_city(seed)
     exposure = add_light(images.light).exposure
-    drive, T_drive_rig = plan_drive(district, images.route, images.count), Pose.from_vector(images.T_drive_rig)
+    pose = _poses(images, seed)
 
     def place_rig(number: int) -> Pose:
-        T_world_rig = drive.pose(number - images.first) @ T_drive_rig
+        T_world_rig = pose(number)
         traffic.show(number, T_world_rig.t[:2])
         return T_world_rig
 
@@ -215,7 +243,7 @@ def write_frame(
     truths: list[NDArray],
     quality: int,
     min_depth: float,
-    kept: int = _KEPT,
+    kept: int,
 ) -> None:
     """Write a frame's files under temporary names, then rename them; of PNG truths every step `kept` is used."""
     from PIL import Image

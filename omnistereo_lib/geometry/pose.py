@@ -115,10 +115,10 @@ def nearest_rotation(M: Floats) -> Floats:
     return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt, np.float64)
 
 
-def axis_angle_from_rotation(R: Floats) -> Floats:
-    """Return r in radians, shape (3,), with R(r) = R and |r| ≤ π, stable at 0 and at π."""
-    # Shepperd's method: each row of this symmetric matrix is the unit quaternion (x, y, z, w) times 4 × one
-    # of its components; the row with the largest diagonal entry avoids dividing by a small number.
+def quaternion_from_rotation(R: Floats) -> Floats:
+    """Return the unit quaternion (x, y, z, w) of a rotation matrix, w ≥ 0."""
+    # Shepperd's method: each row of this symmetric matrix is the quaternion times 4 × one of its components; the row
+    # with the largest diagonal entry avoids dividing by a small number.
     xx, yy, zz = np.diag(R)
     sums, differences = R + R.T, R - R.T
     x, y, z = differences[2, 1], differences[0, 2], differences[1, 0]
@@ -132,7 +132,12 @@ def axis_angle_from_rotation(R: Floats) -> Floats:
     )
     q = Q[np.argmax(np.diag(Q))]
     q = q / np.linalg.norm(q)
-    q = -q if q[3] < 0 else q
+    return -q if q[3] < 0 else q
+
+
+def axis_angle_from_rotation(R: Floats) -> Floats:
+    """Return r in radians, shape (3,), with R(r) = R and |r| ≤ π, stable at 0 and at π."""
+    q = quaternion_from_rotation(R)
     sine = np.linalg.norm(q[:3])
     if sine < 1e-12:
         return 2.0 * q[:3]

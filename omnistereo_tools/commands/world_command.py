@@ -94,7 +94,8 @@ def _write(
     from omnistereo_lib.files import atomic_write
     from omnistereo_lib.frame import read_inverse_depth
     from omnistereo_lib.world.surface import extract_surface
-    from omnistereo_tools.output.world import draw_overview, trajectory_kitti, trajectory_tum, write_surface
+    from omnistereo_lib.world.trajectory import trajectory_kitti, trajectory_tum
+    from omnistereo_tools.output.world import draw_overview, write_surface
 
     print("extracting the surface", flush=True)
     out, surface = refined.parent, extract_surface(volume)

@@ -11,7 +11,7 @@ import numpy as np
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, make_folder, to_yaml
 from omnistereo_lib.geometry.camera import OcamCamera
-from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.geometry.pose import quaternion_from_rotation
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.rig_files.camera_models import kannala_brandt
 from omnistereo_lib.rig_files.fit import AZIMUTHS, ring_rays
@@ -119,16 +119,10 @@ def colmap_rig_text(rig: Rig) -> str:
     cameras: list[dict[str, Any]] = [{"image_prefix": "cam1/", "ref_sensor": True}]
     for i, pose in enumerate(rig.T_rig_cam[1:], start=2):
         T = pose.inverse() @ rig.T_rig_cam[0]
-        rotation = {"cam_from_rig_rotation": _quaternion(T), "cam_from_rig_translation": T.t.tolist()}
+        quaternion = np.roll(quaternion_from_rotation(T.R), 1)  # w x y z
+        rotation = {"cam_from_rig_rotation": quaternion.tolist(), "cam_from_rig_translation": T.t.tolist()}
         cameras.append({"image_prefix": f"cam{i}/"} | rotation)
     return json.dumps([{"cameras": cameras}], indent=1) + "\n"
-
-
-def _quaternion(pose: Pose) -> list[float]:
-    """Return (w, x, y, z)."""
-    half = pose.as_vector()[:3] / 2
-    angle = np.linalg.norm(half)
-    return [float(np.cos(angle)), *(np.sinc(angle / np.pi) * half).tolist()]
 
 
 def write_rig(rig: Rig, out: Path) -> list[str]:

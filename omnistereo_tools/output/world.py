@@ -1,4 +1,4 @@
-"""What is written of a world: the path of the rig, its surface, and a page to look at."""
+"""What is written of a world: its surface, and a page to look at."""
 
 from __future__ import annotations
 
@@ -10,30 +10,13 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from omnistereo_lib.files import atomic_write
-from omnistereo_lib.geometry.pose import Pose, axis_angle_from_rotation
+from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.world.surface import Surface
 from omnistereo_tools.output.mesh_export import Y_UP, import_trimesh
 from omnistereo_tools.output.pictures import colorize_depth
 
 _SHOWN = 200_000  # points of the plan
-
-
-def trajectory_tum(poses: Mapping[int, Pose]) -> str:
-    """Return the path in the format of the TUM RGB-D benchmark: number, position, unit quaternion x y z w."""
-    lines = ["# frame tx ty tz qx qy qz qw: rig -> world, metres; x right, y down, z forward in the first frame"]
-    for number, pose in poses.items():
-        r = axis_angle_from_rotation(pose.R)
-        half = np.linalg.norm(r) / 2
-        quaternion = [*(r * np.sinc(half / np.pi) / 2), np.cos(half)]
-        lines.append(" ".join([str(number), *(f"{value:.9f}" for value in [*pose.t, *quaternion])]))
-    return "\n".join(lines) + "\n"
-
-
-def trajectory_kitti(poses: Mapping[int, Pose]) -> str:
-    """Return the path in the format of the KITTI odometry benchmark: each pose as the three rows of [R | t]."""
-    rows = [np.hstack([pose.R, pose.t[:, None]]).ravel() for pose in poses.values()]
-    return "\n".join(" ".join(f"{value:.9e}" for value in row) for row in rows) + "\n"
 
 
 def write_surface(folder: Path, surface: Surface) -> None:

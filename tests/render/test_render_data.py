@@ -9,6 +9,7 @@ import pytest
 from lens_oracle import directions
 
 import omnistereo_lib as osl
+from omnistereo_lib.world.trajectory import read_trajectory
 from render.camera.render_rig import make_rig, write_config
 from render.city.drive import plan_drive
 from render.city.layout import plan_district
@@ -200,7 +201,7 @@ def sky_warmth(frame):
     return (red / (blue + 1))[frame.inverse_depth == 0].mean()
 
 
-@pytest.mark.parametrize("name", ["sunny/test", "cloudy/test", "sunset/test", "sunny/train"])
+@pytest.mark.parametrize("name", ["sunny/test", "cloudy/test", "sunset/test", "sunny/train", "drive/test"])
 def test_pictures_are_neither_black_nor_burnt_out(name):
     data = osl.load_dataset(SAMPLES.parent / name)
     black, lenses = [], [camera.visible_pixels() for camera in data.rig.cameras]
@@ -225,3 +226,19 @@ def test_training_frames_are_those_of_the_drive():
         near.append(np.mean(truth > 1 / (3 * data.rig.min_depth)))
         sky.append(np.mean(truth == 0))
     assert np.mean(near) > 0.1 and 0.02 < np.mean(sky) < 0.4
+
+
+def test_the_drive_s_frames_follow_one_another_on_its_trajectory():
+    """What one frame sees lies, by the poses of the trajectory, where the next one sees it, unless it drives."""
+    data = osl.load_dataset(SAMPLES.parent / "drive", split="test")
+    poses = read_trajectory(SAMPLES.parent / "drive/test/trajectory.txt")
+    assert tuple(frame.number for frame in data) == SETS["drive/test"].shipped == tuple(poses)
+    for a, b in itertools.pairwise(data):
+        T_b_a = poses[b.number].inverse() @ poses[a.number]
+        assert 1 < np.linalg.norm(T_b_a.t) < 2
+        near = a.inverse_depth > 1 / 25
+        points = T_b_a @ (GRID.rays()[near] / a.inverse_depth[near, None])
+        pixels, inside = GRID.project(points)
+        column, row = np.rint(pixels[inside]).astype(int).T
+        seen = b.inverse_depth[row.clip(0, 159), column % 640] * np.linalg.norm(points[inside], axis=-1)
+        assert (np.abs(seen - 1) < 0.05).mean() > 0.85  # without the poses, or turned round, at most 0.75

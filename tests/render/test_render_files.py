@@ -70,7 +70,8 @@ def test_killed_and_started_again_the_set_is_the_same(renames, no_blender, tmp_p
 
     left = forget_partial(killed, TINY, numbers)
     assert len(left) == 6  # four pictures and two truths, renamed or not
-    assert contents(killed) == {**finished, Path("config.yaml"): (killed / "config.yaml").read_bytes()}
+    others = {Path(name): (killed / name).read_bytes() for name in ("config.yaml", "trajectory.txt")}
+    assert contents(killed) == finished | others
     assert list(render_set(killed, TINY, numbers, SEED)) == [731]
     list(render_set(tmp_path / "whole", TINY, numbers, SEED))
     assert contents(killed) == contents(tmp_path / "whole")

@@ -11,7 +11,7 @@ from omnistereo_lib.world.fusion import View, Volume, bytes_needed, touched_bloc
 from omnistereo_lib.world.motion import SightingFinder, rig_step
 from omnistereo_lib.world.refine import mix
 from omnistereo_lib.world.surface import extract_surface
-from omnistereo_tools.output.world import trajectory_kitti, trajectory_tum
+from omnistereo_lib.world.trajectory import read_trajectory, trajectory_kitti, trajectory_tum
 
 GRID = osl.SphereGrid(320, 160, (-90.0, 90.0), num_spheres=64, min_depth=0.5)
 RADIUS, VOXEL, REACH = 3.0, 0.1, 10.0
@@ -126,6 +126,18 @@ def test_trajectories_are_in_the_formats_of_tum_and_kitti():
     np.testing.assert_allclose(Rotation.from_quat(row[4:]).as_matrix(), T_A_B.R, atol=1e-8)
     matrix = np.array(trajectory_kitti(poses).splitlines()[1].split(), float).reshape(3, 4)
     np.testing.assert_allclose(matrix, np.column_stack([T_A_B.R, T_A_B.t]), atol=1e-8)
+
+
+def test_a_trajectory_is_read_as_it_was_written_and_a_damaged_one_refused(tmp_path):
+    path = tmp_path / "trajectory.txt"
+    path.write_text(trajectory_tum({3: osl.Pose.identity(), 8: T_A_B}))
+    poses = read_trajectory(path)
+    assert list(poses) == [3, 8]
+    np.testing.assert_allclose(poses[8].as_vector(), T_A_B.as_vector(), atol=1e-8)
+    for line in ("8 0 0 0 0 0 0", "8 0 0 0 0 0 0 2", "eight 0 0 0 0 0 0 1"):
+        path.write_text(line)
+        with pytest.raises(osl.OmnistereoError, match=r"trajectory.txt has the line .* expected frame tx ty tz"):
+            read_trajectory(path)
 
 
 def test_features_lie_where_the_image_has_them_on_average():
