@@ -290,10 +290,14 @@ def test_surfaces_have_no_hole_and_nothing_is_stretched(depth, desktop):
             return renderer.names(seen(), settings(), w / 4, h / 2 - 100, w / 2, 200).filter(k => k < 0).length
         }""")
         assert holes == 0
-    corners = desktop.evaluate("""() => { const mesh = makeMesh(k => steps[k] > 0)
-        return [...mesh.opaque, ...mesh.fringe].map(i => mesh.vertices[FLOATS * i + 5]) }""")
-    inverse = np.array(corners).reshape(-1, 3).T
-    assert inverse.shape[1] > 12_000
+    opaque, fringe = desktop.evaluate("""() => { const mesh = makeMesh(k => steps[k] > 0)
+        return [mesh.opaque, mesh.fringe].map(all => Array.from(all, i =>
+            [0, 1, 5].map(value => mesh.vertices[FLOATS * i + value]))) }""")
+    column, row, _ = np.reshape(opaque, (-1, 3, 3)).T  # of the corners of each
+    areas = ((column[1] - column[0]) * (row[2] - row[0]) - (column[2] - column[0]) * (row[1] - row[0])) / 2
+    assert areas.min() >= 0 and areas.sum() + len(fringe) / 12 == pytest.approx(160 * 40, rel=0.01)
+    assert len(areas) < 160 * 40  # flat parts have larger triangles
+    inverse = np.reshape([*opaque, *fringe], (-1, 3, 3)).T[2]
     assert is_connected(1 / inverse, GRID.inverse_depth_to_index(inverse) * 0.999).all()
 
 
@@ -341,6 +345,7 @@ def test_the_hint_goes_once_it_was_followed(open_page, written):
 
 def test_a_view_can_be_sent_as_an_address(open_page, written, desktop):
     desktop.evaluate("Object.assign(view, { yaw: 1, zoom: 2 }); $('mix').value = 40; pick(3000); drawNow()")
+    desktop.wait_for_function("location.hash.includes('rays=3000')")
     page = shown(open_page(*SIZES["desktop"]), desktop.url)
     assert page.evaluate("[view.yaw, view.zoom, +$('mix').value, ...picks]") == [1, 2, 40, 3000]
     assert page.locator("#why").is_visible() and page.inner_text("#mixWords") == "60 % picture, 40 % depth"

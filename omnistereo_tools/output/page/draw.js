@@ -5,75 +5,64 @@
 const EDGE = 1.2, STEP = 1.5;
 const sameSurface = (a, b) => Math.max(a, b) <= EDGE * Math.min(a, b) || Math.abs(a - b) <= STEP * perSphere;
 
-const SHADE = `#version 300 es
+// A program has only the parts that it needs, since a processor that draws runs both sides of every condition:
+// NAMING writes the number of the ray in place of its colour; MIXED shows depth in the picture; THIN leaves out rays
+// that are not trusted enough; WHOLE is the panorama as it is stored; RIM is the fringe of surfaces; POINTS have one
+// colour each. LAYER is 0 for the estimated depth, 1 for the exact one, 2 for the error.
+const SHADE = `
 precision highp float;
-uniform sampler2D picture, colors;
-uniform highp sampler2D rays;  // of each ray: inverse depth in 1/m, the exact one, trust; -1 is unknown
+uniform sampler2D picture, colors, trusts;
+uniform highp sampler2D rays;  // of each ray: inverse depth in 1/m, the exact one; -1 is unknown
 uniform vec2 size, range;      // columns and rows of the rays; inverse depths at the ends of the colours
 uniform vec3 paper;
 uniform float mixed, least, doubtful, perPercent, edge;
-uniform int layer;             // 0 estimate, 1 exact, 2 error
-uniform bool naming;           // write the number of the ray in place of its colour
-out vec4 color;
 
-// The four rays around a place, each with its share of it.
-struct Four { vec4 ray[4]; float share[4]; vec2 corner; };
-
-Four around(vec2 at) {
-  vec2 part = fract(at - 0.5);
-  Four four;
-  four.corner = floor(at - 0.5);
+// Of what a place shows: values of the near and of the far surface there, and how much of the near one. They come from
+// the four rays around the place. At an edge in depth a ray whose colour is that of the place counts more, so that rims
+// follow the edges of the picture.
+vec3 surfaces(vec2 at, bool byExact, vec3 here) {
+  vec2 corner = floor(at - 0.5), part = at - 0.5 - corner;
+  vec2 columns = mod(corner.x + vec2(0, 1), size.x), rows = clamp(corner.y + vec2(0, 1), 0.0, size.y - 1.0);
+  vec2 a = texelFetch(rays, ivec2(columns.x, rows.x), 0).xy, b = texelFetch(rays, ivec2(columns.y, rows.x), 0).xy;
+  vec2 c = texelFetch(rays, ivec2(columns.x, rows.y), 0).xy, d = texelFetch(rays, ivec2(columns.y, rows.y), 0).xy;
+  vec4 share = vec4(1.0 - part.x, part.x, 1.0 - part.x, part.x) * vec4(vec2(1.0 - part.y), vec2(part.y));
+  vec4 estimate = vec4(a.x, b.x, c.x, d.x), exact = vec4(a.y, b.y, c.y, d.y), inverse = byExact ? exact : estimate;
+  vec4 value = LAYER == 2 ? mix(abs(estimate - exact), vec4(-1), lessThan(exact, vec4(0))) : inverse;
+  float low = min(min(inverse.x, inverse.y), min(inverse.z, inverse.w));
+  float high = max(max(inverse.x, inverse.y), max(inverse.z, inverse.w));
+  if (high <= ${EDGE} * low || high - low <= edge) return vec3(dot(share, value), 0, 1);
+  vec4 off;
   for (int i = 0; i < 4; i++) {
-    vec2 beside = vec2(i & 1, i >> 1), ray = four.corner + beside, weight = mix(1.0 - part, part, beside);
-    four.share[i] = weight.x * weight.y;
-    four.ray[i] = texelFetch(rays, ivec2(mod(ray.x, size.x), clamp(ray.y, 0.0, size.y - 1.0)), 0);
+    vec3 other = textureLod(picture, (corner + vec2(i & 1, i >> 1) + 0.5) / size, 0.0).rgb - here;
+    off[i] = dot(other, other);
   }
-  return four;
-}
-
-// Of what a place shows: values of the near and of the far surface there, and how much of the near one. At an edge in
-// depth a ray whose colour is that of the place counts more, so that rims follow the edges of the picture.
-vec3 surfaces(Four four, int at, vec3 here) {
-  float low = 1e9, high = -1e9;
-  for (int i = 0; i < 4; i++) { low = min(low, four.ray[i][at]); high = max(high, four.ray[i][at]); }
-  bool one = high <= ${EDGE} * low || high - low <= edge;
-  vec2 near = vec2(0), far = vec2(0);
-  for (int i = 0; i < 4; i++) {
-    float value = layer == 0 ? four.ray[i].x : layer == 1 ? four.ray[i].y
-      : four.ray[i].y < 0.0 ? -1.0 : abs(four.ray[i].x - four.ray[i].y);
-    float share = four.share[i];
-    if (!one) {
-      vec3 off = textureLod(picture, (four.corner + vec2(i & 1, i >> 1) + 0.5) / size, 0.0).rgb - here;
-      share = max(share, 1e-4) * exp(-30.0 * dot(off, off));
-    }
-    if (one || four.ray[i][at] > 0.5 * (low + high)) near += share * vec2(value, 1); else far += share * vec2(value, 1);
-  }
-  float share = one ? 1.0 : near.y / (near.y + far.y);
-  return vec3(near.x / max(near.y, 1e-6), far.x / max(far.y, 1e-6), share);
+  share = max(share, 1e-4) * exp(-30.0 * off);
+  vec4 near = share * vec4(greaterThan(inverse, vec4(0.5 * (low + high)))), far = share - near;
+  vec2 sums = vec2(dot(near, vec4(1)), dot(far, vec4(1)));
+  return vec3(vec2(dot(near, value), dot(far, value)) / max(sums, 1e-6), sums.x / (sums.x + sums.y));
 }
 
 vec3 inColors(float value) {
   if (value < 0.0) return vec3(0.7);
-  float scaled = layer == 2 ? value * perPercent : (value - range.x) / (range.y - range.x);
+  float scaled = LAYER == 2 ? value * perPercent : (value - range.x) / (range.y - range.x);
   return texture(colors, vec2(clamp(scaled, 0.002, 0.998), 0.5)).rgb;
 }
 
-// The colour of a place, in rays, and how far it is there: doubtful parts fade.
-vec4 shade(vec2 at, vec2 dx, vec2 dy, bool fades) {
-  vec3 seen = textureGrad(picture, at / size, dx / size, dy / size).rgb;
-  if (!fades && mixed == 0.0 && least == 0.0) return vec4(seen, 1);
-  Four four = around(at);
-  float trust = 0.0;
-  for (int i = 0; i < 4; i++) trust += four.share[i] * four.ray[i].z;
-  float doubt = 1.0 - smoothstep(doubtful - 0.1, doubtful + 0.1, trust);
-  if (mixed > 0.0) {
-    vec3 found = surfaces(four, layer == 1 ? 1 : 0, seen);
-    vec3 depth = mix(inColors(found.y), inColors(found.x), smoothstep(0.3, 0.7, found.z));
-    seen = mix(seen, mix(depth, vec3(0.5), 0.65 * doubt), mixed);
-  }
+// The colour of a place, in rays, and how much of it is shown, given the picture there: doubtful parts fade.
+vec4 shade(vec2 at, vec3 seen, bool fades) {
+  float trust = texture(trusts, at / size).r, doubt = 1.0 - smoothstep(doubtful - 0.1, doubtful + 0.1, trust);
+#ifdef MIXED
+  vec3 found = surfaces(at, LAYER == 1, seen);
+  vec3 depth = mix(inColors(found.y), inColors(found.x), smoothstep(0.3, 0.7, found.z));
+  seen = mix(seen, mix(depth, vec3(0.5), 0.65 * doubt), mixed);
+#endif
   if (fades) seen = mix(seen, paper, 0.4 * doubt);
-  float shown = least > 0.0 ? smoothstep(least - 0.08, least + 0.01, trust) : 1.0;
+#ifdef THIN
+  float shown = smoothstep(least - 0.08, least + 0.01, trust);
   return vec4(mix(paper, seen, shown), shown);
+#else
+  return vec4(seen, 1);
+#endif
 }
 
 // A ray as a colour: 24 bits of its number.
@@ -86,36 +75,34 @@ vec4 name(vec2 at) {
 // From the rig: the direction of each pixel. Straight ahead is as large as by a lens; far to the side, a cylinder
 // through the eye keeps it from being stretched (Panini's projection, d = 1).
 const INSIDE = {
-  vertex: `#version 300 es
+  vertex: `
     void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0, 1); }`,
   fragment: SHADE + `
+    out vec4 color;
     uniform vec2 view, turn, phi;  // pixels; azimuth and tilt; first and last elevation
-    uniform float focal;           // pixels per radian
-    uniform bool whole;
+    uniform mat3 axes;
+    uniform float focal, level;    // pixels per radian; level of the picture whose pixels are as large
     void main() {
-      vec2 p = (gl_FragCoord.xy - 0.5 * view) / focal * vec2(1, -1), angles;
-      if (whole) angles = p + turn + vec2(0, 0.5 * (phi.x + phi.y));
-      else {
-        float theta = 2.0 * atan(p.x / 2.0), up = atan(p.y * (1.0 + cos(theta)) / 2.0);
-        vec3 d = vec3(cos(up) * sin(theta), sin(up), cos(up) * cos(theta));
-        d.yz = vec2(d.y * cos(turn.y) + d.z * sin(turn.y), d.z * cos(turn.y) - d.y * sin(turn.y));
-        angles = vec2(atan(d.x, d.z) + turn.x, atan(d.y, length(d.xz)));
-      }
+      vec2 p = (gl_FragCoord.xy - 0.5 * view) / focal * vec2(1, -1);
+#ifdef WHOLE
+      vec2 angles = p + turn + vec2(0, 0.5 * (phi.x + phi.y));
+#else
+      vec3 d = vec3(p, 1.0 - 0.25 * p.x * p.x) * axes;
+      vec2 angles = vec2(atan(d.x, d.z), atan(d.y, length(d.xz)));
+#endif
       vec2 at = vec2(angles.x / 6.283185307 + 0.5, (angles.y - phi.x) / (phi.y - phi.x)) * size;
-      at.x = mod(at.x, size.x);
-      vec2 dx = dFdx(at), dy = dFdy(at);
-      // Across the seam, neighbours are a whole turn apart.
-      dx.x -= size.x * round(dx.x / size.x);
-      dy.x -= size.x * round(dy.x / size.x);
       bool inside = at.y >= 0.0 && at.y <= size.y;
-      if (naming) color = inside ? name(at) : vec4(0);
-      else color = inside ? vec4(shade(at, dx, dy, false).rgb, 1) : vec4(paper, 1);
+#ifdef NAMING
+      color = inside ? name(at) : vec4(0);
+#else
+      color = vec4(inside ? shade(at, textureLod(picture, at / size, level).rgb, false).rgb : paper, 1);
+#endif
     }`,
 };
 
 // From anywhere: a vertex is a place in rays and an inverse depth, so that what is infinitely far has one, too.
 const OUTSIDE = {
-  vertex: `#version 300 es
+  vertex: SHADE + `
     layout(location = 0) in vec2 ray;        // column and row
     layout(location = 1) in vec4 direction;  // and the inverse depth along it
     layout(location = 2) in float fringe;    // 0: opaque; at an edge in depth 1 the near side, 2 the far side
@@ -124,57 +111,124 @@ const OUTSIDE = {
     uniform float focal, behind, pointSize, nearest;
     out vec2 at;
     out float rim;
+    flat out vec4 tint;
     void main() {
       at = ray;
       rim = fringe;
       vec3 d = axes * direction.xyz + vec3(0, 0, direction.w * behind);
       gl_Position = vec4(2.0 * focal / view * vec2(d.x, -d.y), d.z - 2.0 * 0.02 * behind * direction.w, d.z);
+#ifdef POINTS
       gl_PointSize = clamp(pointSize * focal / d.z, 1.0, 40.0);
-      if (pointSize > 0.0 && direction.w < nearest) gl_Position = vec4(2, 2, 2, 1);
+      tint = shade(at, textureLod(picture, at / size, 0.0).rgb, true);
+      if (direction.w < nearest || tint.a < 0.02) gl_Position = vec4(2, 2, 2, 1);
+#endif
     }`,
   fragment: SHADE + `
     in vec2 at;
     in float rim;
+    flat in vec4 tint;
+    out vec4 color;
     void main() {
-      if (naming && rim < 0.5) { color = name(at); return; }
-      vec4 shown = shade(at, dFdx(at), dFdy(at), true);
-      float alpha = shown.a;
-      if (rim > 0.5) {
-        // Each side ends within a ray; where they meet, both are whole, so that nothing shines through.
-        float share = surfaces(around(at), 0, textureLod(picture, at / size, 0.0).rgb).z;
-        alpha *= rim < 1.5 ? smoothstep(0.0, 0.5, share) : 1.0 - smoothstep(0.5, 1.0, share);
-      }
-      if (alpha < (naming ? 0.5 : 0.02)) discard;
-      color = naming ? name(at) : vec4(shown.rgb, alpha);
+#if defined(NAMING) && !defined(RIM)
+      color = name(at);
+#elif defined(POINTS)
+      color = tint;
+#else
+      vec4 shown = shade(at, texture(picture, at / size).rgb, true);
+#ifdef RIM
+      // Each side ends within a ray; where they meet, both are whole, so that nothing shines through.
+      float share = surfaces(at, false, textureLod(picture, at / size, 0.0).rgb).z;
+      shown.a *= rim < 1.5 ? smoothstep(0.0, 0.5, share) : 1.0 - smoothstep(0.5, 1.0, share);
+#endif
+#ifdef NAMING
+      if (shown.a < 0.5) discard;
+      color = name(at);
+#else
+#if defined(RIM) || defined(THIN)
+      if (shown.a < 0.02) discard;
+#endif
+      color = shown;
+#endif
+#endif
     }`,
 };
 
-// Vertices (column, row, direction, inverse depth, fringe) and triangles. Rays are at half columns and rows; the first and the last
-// row reach the rim of the panorama, and one column more closes the circle.
+// Vertices (column, row, direction, inverse depth, fringe) and triangles. Rays are at half columns and rows; the first
+// and the last row reach the rim of the panorama, and one column more closes the circle.
 function makeMesh(known) {
-  const across = D.width + 1, rows = D.height + 2, vertices = [], opaque = [], fringes = [[], []];
+  const across = D.width + 1, rows = D.height + 2, vertices = [], fringes = [[], []];
   const rayAt = (column, row) => clamp(row - 1, 0, D.height - 1) * D.width + column % D.width;
   for (let row = 0; row < rows; row++)
     for (let column = 0; column < across; column++)
       vertices.push(...vertexOf(column + 0.5, clamp(row - 0.5, 0, D.height), inverse(rayAt(column, row)) || 0, 0));
+  const depths = Float64Array.from({ length: across * rows }, (_, i) => vertices[FLOATS * i + 5]);
+  // Of each cell whether its corners are known, 1, and show one surface, 2.
+  const cells = new Uint8Array(across * rows), used = new Uint8Array(across * rows);
   for (let row = 0; row + 1 < rows; row++)
     for (let column = 0; column < D.width; column++) {
-      const places = [[0, 0], [1, 0], [0, 1], [1, 1]].map(([right, down]) => [column + right, row + down]);
-      const four = places.map(([x, y]) => rayAt(x, y));
-      if (!four.every(known)) continue;
-      const depths = four.map(k => inverse(k)), low = Math.min(...depths), high = Math.max(...depths);
-      const corners = places.map(([x, y]) => y * across + x);
-      if (sameSurface(low, high)) opaque.push(...twoTriangles(corners));
-      else {
-        // An edge in depth: both surfaces go on for a ray, one before the other.
-        const near = depths.map(depth => sameSurface(depth, high));
-        const far = depths.map((depth, i) => !near[i] && sameSurface(depth, low));
-        fringes[0].push(...twoTriangles(extended(vertices, corners, far, 2)));
-        fringes[1].push(...twoTriangles(extended(vertices, corners, near, 1)));
-      }
+      const corners = cornersOf(row * across + column, 1, across);
+      if (![[0, 0], [1, 0], [0, 1], [1, 1]].every(([x, y]) => known(rayAt(column + x, row + y)))) continue;
+      const four = corners.map(i => depths[i]), low = Math.min(...four), high = Math.max(...four);
+      cells[corners[0]] = sameSurface(low, high) ? 2 : 1;
+      if (cells[corners[0]] === 2) continue;
+      // An edge in depth: both surfaces go on for a ray, one before the other.
+      corners.forEach(i => { used[i] = 1; });
+      const near = four.map(depth => sameSurface(depth, high));
+      const far = four.map((depth, i) => !near[i] && sameSurface(depth, low));
+      fringes[0].push(...twoTriangles(extended(vertices, corners, far, 2)));
+      fringes[1].push(...twoTriangles(extended(vertices, corners, near, 1)));
     }
+  const blocks = blocksOf(cells, depths, across, rows), opaque = [];
+  for (const [corner, side] of blocks) cornersOf(corner, side, across).forEach(i => { used[i] = 1; });
+  for (const [corner, side] of blocks) opaque.push(...fan(outline(corner, side, across).filter(i => used[i])));
   return { vertices: Float32Array.from(vertices), opaque: Uint32Array.from(opaque), fringe: Uint32Array.from(fringes.flat()) };
 }
+
+const LARGEST = 8, FLAT_SPHERES = 0.5;  // cells along a block; how far a ray in it may be from its corners' surface
+
+const cornersOf = (i, side, across) => [i, i + side, i + side * across, i + side * across + side];
+
+// The cells of surfaces as squares, [first corner, side], each as large as it is flat.
+function blocksOf(cells, depths, across, rows) {
+  const found = [];
+  const isFlat = (corner, side) => {
+    const [a, b, c, d] = cornersOf(corner, side, across).map(i => depths[i]);
+    let low = Infinity, high = 0;
+    for (let y = 0; y <= side; y++)
+      for (let x = 0; x <= side; x++) {
+        const i = corner + y * across + x, p = x / side, q = y / side;
+        if (y < side && x < side && cells[i] !== 2) return false;
+        const here = (1 - q) * ((1 - p) * a + p * b) + q * ((1 - p) * c + p * d);
+        if (Math.abs(depths[i] - here) > FLAT_SPHERES * perSphere) return false;
+        low = Math.min(low, depths[i]);
+        high = Math.max(high, depths[i]);
+      }
+    return sameSurface(low, high);
+  };
+  const divide = (column, row, side) => {
+    const corner = row * across + column;
+    if (column >= D.width || row >= rows - 1) return;
+    if (side === 1 ? cells[corner] === 2 : column + side <= D.width && row + side < rows && isFlat(corner, side))
+      found.push([corner, side]);
+    else if (side > 1)
+      for (const [x, y] of [[0, 0], [1, 0], [0, 1], [1, 1]]) divide(column + x * side / 2, row + y * side / 2, side / 2);
+  };
+  for (let row = 0; row < rows; row += LARGEST)
+    for (let column = 0; column < D.width; column += LARGEST) divide(column, row, LARGEST);
+  return found;
+}
+
+// The vertices around a block, clockwise in pixels whose rows grow downwards.
+function outline(corner, side, across) {
+  const last = corner + side * across + side, steps = [...Array(side).keys()];
+  return [
+    ...steps.map(k => corner + k), ...steps.map(k => corner + side + k * across),
+    ...steps.map(k => last - k), ...steps.map(k => last - side - k * across),
+  ];
+}
+
+// Triangles between the first vertex and each two that follow.
+const fan = around => around.slice(2).flatMap((vertex, k) => [around[0], around[k + 1], vertex]);
 
 const vertexOf = (column, row, inverseDepth, fringe) => [column, row, ...directionAt(column, row), inverseDepth, fringe];
 const FLOATS = 7;
@@ -201,38 +255,52 @@ function axesOf([turn, tilt]) {
 function makeRenderer(canvas, picture, mesh) {
   const gl = canvas.getContext("webgl2", { antialias: false, alpha: false });
   if (!gl) return null;
-  const inside = program(gl, INSIDE), outside = program(gl, OUTSIDE), surface = upload(gl, mesh);
-  const textures = [pictureTexture(gl, picture), colorTexture(gl), rayTexture(gl)];
-  const target = namesTarget(gl);
+  const surface = upload(gl, mesh), target = namesTarget(gl), programs = new Map();
+  const textures = [pictureTexture(gl, picture), colorTexture(gl), rayTexture(gl), trustTexture(gl)];
   let named = null;  // the view whose names are in the target
+
+  // Begin to draw with the program of a view that has the given parts.
+  function use(view, settings, ...parts) {
+    const side = view.mode === "look" || view.mode === "flat" ? INSIDE : OUTSIDE;
+    parts.push(`LAYER ${settings.layer}`);
+    if (settings.naming) parts.push("NAMING");
+    else if (settings.mixed > 0) parts.push("MIXED");
+    if (settings.least > 0) parts.push("THIN");
+    if (view.mode === "flat") parts.push("WHOLE");
+    if (view.mode === "points") parts.push("POINTS");
+    const key = [side === INSIDE, ...parts].join();
+    if (!programs.has(key)) programs.set(key, program(gl, side, parts));
+    const used = programs.get(key);
+    gl.useProgram(used.program);
+    textures.forEach((texture, unit) => { gl.activeTexture(gl.TEXTURE0 + unit); gl.bindTexture(gl.TEXTURE_2D, texture); });
+    const values = {
+      size: [D.width, D.height], range: [D.low, D.high], phi: D.phi, doubtful: D.doubtful / 100,
+      perPercent: D.percent / 10, edge: STEP * perSphere, view: [canvas.width, canvas.height],
+      level: Math.max(0, Math.log2(picture.width / 2 / Math.PI / view.focal)), axes: axesOf(view.turn),
+      nearest: 1 / D.maxDepth, pointSize: 1.6 * 2 * Math.PI / D.width, ...settings, ...view,
+    };
+    for (const [name, value] of Object.entries(values)) used.set(name, value);
+  }
 
   function render(view, settings) {
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.clearColor(...settings.paper, 1);
     if (settings.naming) gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    const used = view.mode === "look" || view.mode === "flat" ? inside : outside;
-    gl.useProgram(used.program);
-    textures.forEach((texture, unit) => { gl.activeTexture(gl.TEXTURE0 + unit); gl.bindTexture(gl.TEXTURE_2D, texture); });
-    const values = {
-      size: [D.width, D.height], range: [D.low, D.high], phi: D.phi, doubtful: D.doubtful / 100,
-      perPercent: D.percent / 10, edge: STEP * perSphere, view: [canvas.width, canvas.height],
-      axes: axesOf(view.turn), nearest: 1 / D.maxDepth, whole: view.mode === "flat",
-      pointSize: view.mode === "points" ? 1.6 * 2 * Math.PI / D.width : 0, ...settings, ...view,
-    };
-    for (const [name, value] of Object.entries(values)) used.set(name, value);
-    if (used === inside) gl.drawArrays(gl.TRIANGLES, 0, 3);
-    else drawMesh(view.mode);
+    use(view, settings);
+    if (view.mode === "look" || view.mode === "flat") gl.drawArrays(gl.TRIANGLES, 0, 3);
+    else drawMesh(view, settings);
   }
 
-  function drawMesh(mode) {
+  function drawMesh(view, settings) {
     gl.bindVertexArray(surface);
     gl.enable(gl.DEPTH_TEST);
-    if (mode === "points") gl.drawArrays(gl.POINTS, 0, (D.width + 1) * (D.height + 2));
+    if (view.mode === "points") gl.drawArrays(gl.POINTS, 0, (D.width + 1) * (D.height + 2));
     else {
       gl.enable(gl.CULL_FACE);
       gl.frontFace(gl.CW);
       gl.drawElements(gl.TRIANGLES, mesh.opaque.length, gl.UNSIGNED_INT, 0);
+      use(view, settings, "RIM");
       gl.enable(gl.BLEND);
       gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
       gl.drawElements(gl.TRIANGLES, mesh.fringe.length, gl.UNSIGNED_INT, 4 * mesh.opaque.length);
@@ -261,19 +329,20 @@ function makeRenderer(canvas, picture, mesh) {
   return { draw: (view, settings) => render(view, { ...settings, naming: false }), names };
 }
 
-// A program, and a function that sets one of its uniforms if it has it.
-function program(gl, { vertex, fragment }) {
+// A program with some parts, and a function that sets one of its uniforms if it has it.
+function program(gl, { vertex, fragment }, parts) {
+  const begin = ["#version 300 es", ...parts.map(part => `#define ${part}`), ""].join("\n");
   const made = gl.createProgram();
   for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
     const shader = gl.createShader(kind);
-    gl.shaderSource(shader, source);
+    gl.shaderSource(shader, begin + source);
     gl.compileShader(shader);
     if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
     gl.attachShader(made, shader);
   }
   gl.linkProgram(made);
   gl.useProgram(made);
-  ["picture", "colors", "rays"].forEach((name, unit) => gl.uniform1i(gl.getUniformLocation(made, name), unit));
+  ["picture", "colors", "rays", "trusts"].forEach((name, unit) => gl.uniform1i(gl.getUniformLocation(made, name), unit));
   const kinds = Object.fromEntries(Array.from({ length: gl.getProgramParameter(made, gl.ACTIVE_UNIFORMS) }, (_, i) => {
     const { name, type } = gl.getActiveUniform(made, i);
     return [name, { at: gl.getUniformLocation(made, name), whole: type === gl.INT || type === gl.BOOL }];
@@ -328,11 +397,15 @@ function colorTexture(gl) {
 }
 
 function rayTexture(gl) {
-  const made = texture(gl, gl.REPEAT, gl.NEAREST), values = new Float32Array(4 * steps.length);
-  const orUnknown = value => Number.isNaN(value) ? -1 : value;
-  for (let k = 0; k < steps.length; k++)
-    values.set([orUnknown(inverse(k)), truth ? orUnknown(inverse(k, truth)) : -1, trust[k] / 100, 0], 4 * k);
-  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, D.width, D.height, 0, gl.RGBA, gl.FLOAT, values);
+  const made = texture(gl, gl.REPEAT, gl.NEAREST), values = new Float32Array(2 * steps.length).fill(-1);
+  [steps, truth].forEach((from, i) => from?.forEach((step, k) => { if (step) values[2 * k + i] = inverse(k, from); }));
+  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RG32F, D.width, D.height, 0, gl.RG, gl.FLOAT, values);
+  return made;
+}
+
+function trustTexture(gl) {
+  const made = texture(gl, gl.REPEAT, gl.LINEAR);
+  gl.texImage2D(gl.TEXTURE_2D, 0, gl.R8, D.width, D.height, 0, gl.RED, gl.UNSIGNED_BYTE, trust.map(percent => 2.55 * percent));
   return made;
 }
 

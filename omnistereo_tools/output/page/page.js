@@ -4,7 +4,7 @@
 const canvas = $("view");
 const dark = matchMedia("(prefers-color-scheme: dark)"), calm = matchMedia("(prefers-reduced-motion: reduce)");
 const start = { yaw: 0, pitch: 0, zoom: 1, turn: 0.3, tilt: 0.6, distance: 0 };
-const SLOW_MS = 100;  // two frames that take longer
+const SLOW_MS = 70;  // two frames that take longer
 const MAGNIFIED = 2;  // at most, at first: pixels of the page for one of the cameras
 let view = { ...start }, renderer = null, picks = [], why = null;
 
@@ -39,7 +39,7 @@ function settings() {
   };
 }
 
-let pending = false;
+let pending = false, storing = 0;
 function draw() {
   if (pending || !renderer) return;
   pending = true;
@@ -49,7 +49,8 @@ function draw() {
 function drawNow() {
   renderer.draw(seen(), settings());
   drawMarks();
-  storeState();
+  clearTimeout(storing);
+  storing = setTimeout(storeState, 200);
   document.body.dataset.drawn = mode();
 }
 
@@ -425,7 +426,8 @@ function paintScale() {
 
 const INPUTS = ["mix", "least", "layer"], ANGLES = ["yaw", "pitch", "zoom", "turn", "tilt", "distance"];
 
-// The view goes into the fragment of the address, so that it can be sent.
+// The view goes into the fragment of the address, so that it can be sent: when it rests, since browsers refuse many
+// changes at a time.
 function storeState() {
   const state = new URLSearchParams({ mode: mode() });
   for (const name of ANGLES) if (view[name] !== start[name]) state.set(name, +view[name].toFixed(4));
