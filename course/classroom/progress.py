@@ -1,5 +1,6 @@
 """The progress page, `make progress`: what the checks in the working copies said, as they were last saved.
 
+Its links open the notebooks in the JupyterLab that `make lab` has started, whose addresses reach no single cell.
 Where every function is right, it ends with a certificate: the panorama that notebook 13 computed by the student's own.
 """
 
@@ -7,6 +8,8 @@ import html
 import itertools
 import re
 from pathlib import Path
+
+from jupyter_server.serverapp import list_running_servers
 
 from course import exercises, nbtools
 from course.classroom.lab import WORKING
@@ -20,6 +23,8 @@ PAGE = """<!doctype html>
 <title>omnistereo: your progress</title>
 <style>
 :root {{ color-scheme: light dark; }}
+h1 {{ font-size: 1.6em; }}
+a {{ color: inherit; text-decoration-thickness: 1px; text-underline-offset: 0.2em; }}
 body {{ font: 18px/1.5 system-ui, sans-serif; margin: 2em auto; max-width: 46em; padding: 0 1em; }}
 progress {{ height: 1.5em; width: 100%; }}
 h2 {{ font-size: 1.1em; margin: 1.2em 0 0; }}
@@ -33,6 +38,7 @@ img {{ max-width: 100%; }}
 <main>
 <h1>{count} of {total} functions are right</h1>
 <progress value="{count}" max="{total}" aria-label="functions that are right"></progress>
+<p>{following}The links work as long as <code>make lab</code> runs.</p>
 {rows}
 {certificate}
 </main>
@@ -47,21 +53,33 @@ CERTIFICATE = """<figure>
 
 def write_progress(out: Path) -> None:
     """Write the page, and print the counts."""
-    rows, count, total = [], 0, 0
+    rows, count, total, following, lab = [], 0, 0, "", lab_address()
     for path in nbtools.notebooks():
         if not (functions := exercises.functions(nbtools.number(path))):
             continue
-        marks = read_marks(WORKING / path.name)
+        copy = WORKING / path.name
+        marks, address = read_marks(copy), f"{lab}/{WORKING.name}/{path.name}"
         found = [marks.get(function.name, "") for function in functions]
         count, total = count + found.count("✓"), total + len(found)
         title = f"{nbtools.number(path)} {nbtools.read_notebook(path).metadata['omnistereo']['title']}"
         items = "".join(_item(function.name, mark) for function, mark in zip(functions, found, strict=True))
-        rows.append(f"<h2>{html.escape(title)}: {found.count('✓')} of {len(found)}</h2>\n<ul>{items}</ul>")
+        link = f'<a href="{address}">{html.escape(title)}</a>'
+        rows.append(f"<h2>{link}: {found.count('✓')} of {len(found)}</h2>\n<ul>{items}</ul>")
+        if not following and found.count("✓") < len(found):
+            name = next(function.name for function, mark in zip(functions, found, strict=True) if mark != "✓")
+            following = f"Go on with <code>{name}</code> in {link}. "
         print(f"{title}: {found.count('✓')} of {len(found)}")
     certificate = _certificate(total) if count == total else ""
     out.parent.mkdir(parents=True, exist_ok=True)
-    nbtools.store(out, PAGE.format(count=count, total=total, rows="\n".join(rows), certificate=certificate))
+    parts = {"following": following, "rows": "\n".join(rows), "certificate": certificate}
+    nbtools.store(out, PAGE.format(count=count, total=total, **parts))
     print(f"{count} of {total} functions are right. Written: {out}. Save a notebook to have it counted.")
+
+
+def lab_address() -> str:
+    """Return where the JupyterLab of this clone shows files; where it will, if none is running."""
+    running = (server["url"] for server in list_running_servers() if Path(server["root_dir"]) == nbtools.ROOT)
+    return f"{next(running, 'http://localhost:8888/')}lab/tree"
 
 
 def read_marks(path: Path) -> dict[str, str]:

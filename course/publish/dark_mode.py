@@ -15,14 +15,14 @@ from PIL import Image
 FOLDER = "pictures"
 CSS_PX_PER_INCH = 93  # the text of figures is then as large as that of the page
 PAPER, INK = (19, 20, 22), 225  # the dark page of the theme, and what black becomes on it
-_LEAST = 0.7  # fraction of the width: on a telephone a figure scrolls before its text is too small
+LEAST = 0.7  # fraction of the width: on a telephone a figure scrolls before its text is too small
 _WHITE = 235  # a pixel at least this bright is paper
 # A shape that fills its bounding box and its inside to these fractions is a photograph or a map, not lines.
 _SOLID, _FILLED = 0.6, 0.7
 _SHADES = np.round(np.linspace(PAPER, (INK,) * 3, 256)).astype(np.uint8)[:, None]
 
 
-def picture(data: bytes, alt: str, folder: Path, up: str = "", scale: float = 0.0) -> str:
+def picture(data: bytes, alt: str, folder: Path, up: str = "", scale: float = 0.0, least: float = LEAST) -> str:
     """Write an image and its dark version into `folder`/pictures; return HTML that shows the one for the mode.
 
     Args:
@@ -30,6 +30,7 @@ def picture(data: bytes, alt: str, folder: Path, up: str = "", scale: float = 0.
         alt: Text for readers who cannot see it.
         up: Path from the page to `folder`: "../" or nothing.
         scale: CSS pixels per image pixel, at most; default: from the resolution of the file.
+        least: Fraction of the width below which it scrolls.
     """
     image = Image.open(io.BytesIO(data))
     name = hashlib.sha256(data).hexdigest()[:16]
@@ -44,7 +45,7 @@ def picture(data: bytes, alt: str, folder: Path, up: str = "", scale: float = 0.
         f'<img class="only-{mode}" src="{up}{FOLDER}/{path.name}" {size} loading="lazy">'
         for mode, path in (("light", light), ("dark", dark))
     )
-    return f'<div class="picture" style="--least: {_LEAST * width:.0f}px">{"".join(shown)}</div>'
+    return f'<div class="picture" style="--least: {least * width:.0f}px">{"".join(shown)}</div>'
 
 
 def for_dark_page(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -16,7 +16,7 @@ from sphinx.cmd.build import build_main
 
 from course import nbtools
 from course.publish import stills
-from course.publish.dark_mode import picture
+from course.publish.dark_mode import LEAST, picture
 from course.publish.pages import BOOK, README, stages
 from course.publish.readme import STREET
 
@@ -53,7 +53,10 @@ def assemble(source: Path, extra: Path) -> None:
     for path in (*BOOK.glob("*.png"), *BOOK.glob("*.jpg")):
         shutil.copy(path, source)
     for page in (README, *BOOK.glob("*.md")):
-        text = with_pictures(with_links(page.read_text(encoding="utf-8")), source, extra)
+        # The pictures of the front page are photographs, and its table is prose: on a telephone they fit.
+        least = 0.0 if page == README else LEAST
+        text = with_pictures(with_links(page.read_text(encoding="utf-8")), source, extra, least)
+        text = re.sub("(?s)<!-- notebooks -->(.*)<!-- /notebooks -->", r'<div class="stacked">\n\1\n</div>', text)
         (source / page.name).write_text(text, encoding="utf-8")
     front = (source / "README.md").rename(source / "index.md")
     with front.open("a", encoding="utf-8") as file:
@@ -100,6 +103,6 @@ def for_the_book(nb: nbformat.NotebookNode, stem: str, extra: Path) -> nbformat.
     return nb
 
 
-def with_pictures(text: str, source: Path, extra: Path) -> str:
+def with_pictures(text: str, source: Path, extra: Path, least: float) -> str:
     """Return the Markdown of a page with its images for light and dark mode."""
-    return PICTURE.sub(lambda found: picture((source / found[2]).read_bytes(), found[1], extra), text)
+    return PICTURE.sub(lambda found: picture((source / found[2]).read_bytes(), found[1], extra, least=least), text)

@@ -50,6 +50,8 @@ def test_it_counts_what_was_saved(copies, tmp_path, capsys):
     assert '<span class="right">✓</span> <code>look_up</code>' in page
     assert '<span class="wrong">✗</span> <code>disagreement</code>' in page
     assert '<span class="">·</span> <code>zncc</code>' in page
+    first = re.findall(r"Go on with <code>(\w+)</code> in <a href=.http://[^/]+/lab/tree/my_notebooks/(\d\d)_", page)
+    assert first == [(exercises.functions("00")[0].name, "00")]
     assert "03 Sphere sweep: 1 of 5\n" in capsys.readouterr().out
 
 
