@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -24,8 +24,9 @@ from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.input.sources import open_video
+from omnistereo_tools.judge.ray import explain
 from omnistereo_tools.judge.trust import DOUBTFUL, trust
-from omnistereo_tools.output.blend import blended_panorama
+from omnistereo_tools.output.blend import blended_panorama, estimate_gains
 from omnistereo_tools.output.pictures import BACKGROUND, ColorScale
 from omnistereo_tools.output.summary import metres
 from omnistereo_tools.record.watching import Watching
@@ -36,23 +37,8 @@ _CLIENTS = 16  # connections at a time; a page has three
 _HOST = re.compile(r"(localhost|127\.0\.0\.1)(:[0-9]+)?")  # a name of another site may lead here, too
 _SCALE_PX, _NOTE_PX = 44, 40  # heights of the scale and of the line below it
 _INK = (0xE8,) * 3
-_PAGE = b"""<!doctype html><html lang="en"><title>omnistereo live</title>
-<body style="margin:0;background:#202020;color:#e8e8e8;font:16px system-ui,sans-serif">
-<img id="view" src="stream" alt="panorama over depth" style="width:100%;cursor:crosshair">
-<p id="depth" role="status" style="margin:8px 12px">Point at the picture: here stands its depth.</p>
-<script>
-const view = document.getElementById("view"), line = document.getElementById("depth");
-let asking = false;
-view.onpointermove = async event => {
-  if (asking) return;
-  asking = true;
-  const box = view.getBoundingClientRect();
-  const x = (event.clientX - box.left) / box.width, y = (event.clientY - box.top) / box.height;
-  try { line.textContent = await (await fetch(`depth?${x}&${y}`)).text(); }
-  catch { line.textContent = "the live view has ended"; }
-  asking = false;
-};
-</script>"""
+_PAGE = Path(__file__).parent / "output" / "page" / "live.html"
+_EQUALISED = 16  # frames from one look at how bright the cameras are to the next
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,16 +46,26 @@ class LivePicture:
     """What the browser shows: panorama over depth, its scale and a line of text."""
 
     jpeg: bytes
-    depth: NDArray[np.float64]  #: (H, W), metres
+    depth: Depth
     rows: float  #: share of the height of the picture that the panorama takes, and the depth again
 
+    def ray_at(self, x: float, y: float) -> tuple[int, int] | None:
+        """Return row and column of the ray at a place of the picture, both coordinates from 0 to 1; None outside."""
+        grid = self.depth.grid
+        row, column = int(y % self.rows / self.rows * grid.height), int(x * grid.width)
+        return (row, column) if 0 <= y < 2 * self.rows and 0 <= column < grid.width else None
+
     def depth_at(self, x: float, y: float) -> str:
-        """Return the depth in words at a place of the picture, both coordinates from 0 to 1."""
-        row, column = int(y % self.rows / self.rows * len(self.depth)), int(x * self.depth.shape[1])
-        if not (0 <= y < 2 * self.rows and 0 <= column < self.depth.shape[1]):
+        """Return the depth in words at a place of the picture."""
+        if (ray := self.ray_at(x, y)) is None:
             return ""
-        depth = self.depth[row, column]
+        depth = self.depth.depth[ray]
         return "no depth here" if np.isnan(depth) else f"{metres(float(depth))} along the ray"
+
+    def why_at(self, x: float, y: float) -> str:
+        """Return why the ray at a place of the picture has its depth, one sentence, as the page of a frame has it."""
+        ray = self.ray_at(x, y)
+        return "" if ray is None else explain(self.depth, column=ray[1], row=ray[0]).sentence
 
 
 class Latest:
@@ -118,6 +114,7 @@ class Cameras:
     Args:
         sources: For each camera of the rig an index of OpenCV, such as 0, or a video file.
         rig: Its image sizes are asked of the cameras.
+        loop: Videos begin again when they have ended.
 
     Raises:
         OmnistereoError: If there is not one source per camera, or one cannot be opened.
@@ -126,26 +123,60 @@ class Cameras:
         first: The first picture of each, RGB: what is black, how near things are and how bright the cameras are.
     """
 
-    def __init__(self, sources: Sequence[int | str], rig: Rig) -> None:
+    def __init__(self, sources: Sequence[int | str], rig: Rig, loop: bool = False) -> None:
         if len(sources) != len(rig):
             raise OmnistereoError(
                 f"there are {len(sources)} cameras or videos for a rig of {len(rig)}. Give one for each."
             )
+        self.sources, self.loop = sources, loop
         self.captures = [_open(source, camera.image_size) for source, camera in zip(sources, rig.cameras, strict=True)]
         self.first = [_first(source, capture) for source, capture in zip(sources, self.captures, strict=True)]
         rates = [capture.get(cv2.CAP_PROP_FPS) for capture in self.captures]
         # Videos play at their own speed, cameras set it themselves.
         self.period = 1 / rates[0] if isinstance(sources[0], str) and rates[0] > 0 else 0.0
         self.newest = Latest()
+        self._going, self._single = Event(), False
+        self._going.set()
+
+    def play(self) -> None:
+        """Go on after a pause."""
+        self._going.set()
+
+    def pause(self) -> None:
+        """Keep the picture: a video waits, a camera goes on unseen."""
+        self._going.clear()
+
+    def step(self) -> None:
+        """Take one more picture, and pause."""
+        self._single = True
+        self._going.set()
+
+    def close(self) -> None:
+        """End `read`."""
+        self.newest.close()
+        self._going.set()
 
     def read(self) -> None:
-        """Read until a source ends; meant for a thread."""
-        due = time.monotonic()
+        """Read until a source ends, or `close`; meant for a thread."""
+        due, begun = time.monotonic(), False
         while not self.newest.closed:
+            if self.period and not self._going.is_set():
+                self._going.wait()
+                due = time.monotonic()
             grabbed = [capture.grab() for capture in self.captures]  # first all, then decode: they are nearer in time
+            if not all(grabbed) and begun and self.loop:
+                for source, capture in zip(self.sources, self.captures, strict=True):
+                    _begin_again(source, capture)
+                begun = False
+                continue
             if not all(grabbed):
                 break
-            self.newest.put([capture.retrieve()[1] for capture in self.captures])
+            begun = True
+            if self._going.is_set():
+                self.newest.put([capture.retrieve()[1] for capture in self.captures])
+            if self._single:
+                self._single = False
+                self._going.clear()
             due += self.period
             time.sleep(max(0.0, due - time.monotonic()))
         self.newest.close()
@@ -168,15 +199,20 @@ def _first(source: int | str, capture: cv2.VideoCapture) -> NDArray[np.uint8]:
     read, picture = capture.read()
     if not read:
         raise OmnistereoError(f"{source} gives no picture. Check the camera, or convert the video.")
+    _begin_again(source, capture)
+    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), np.uint8)
+
+
+def _begin_again(source: int | str, capture: cv2.VideoCapture) -> None:
+    """Go back to the beginning of a video."""
     if isinstance(source, str):
         capture.open(source)
         capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
-    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), np.uint8)
 
 
 def live_pictures(
     cameras: Cameras, sweep: SphereSweep, method: str | Method, watching: Watching | None = None
-) -> Iterator[LivePicture]:
+) -> Generator[LivePicture]:
     """Return pictures until a source ends; tables and kernels are ready when the first one is asked for.
 
     In between, the rig is looked at.
@@ -186,25 +222,40 @@ def live_pictures(
     return _play(cameras, sweep, method, watching)
 
 
-def _play(cameras: Cameras, sweep: SphereSweep, method: Method, watching: Watching | None) -> Iterator[LivePicture]:
-    scale = ColorScale(0.0, 0.8 / sweep.grid.min_depth)
-    reader = Thread(target=cameras.read, daemon=True)
-    reader.start()
+def _play(cameras: Cameras, sweep: SphereSweep, method: Method, watching: Watching | None) -> Generator[LivePicture]:
+    """Read, compute depth and draw at the same time, each the newest there is."""
+    scale, computed, failed = ColorScale(0.0, 0.8 / sweep.grid.min_depth), Latest(), []
+
+    def compute() -> None:
+        try:
+            for number, frames in enumerate(cameras.newest):
+                images = [cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) for frame in frames]
+                computed.put(sweep_depth(watching.sweep_of(number, images) if watching else sweep, images, method))
+        except Exception as error:
+            failed.append(error)
+        finally:
+            computed.close()
+
+    threads = [Thread(target=target, daemon=True) for target in (cameras.read, compute)]
+    for thread in threads:
+        thread.start()
     before = time.monotonic()
     try:
-        for number, frames in enumerate(cameras.newest):
-            images = [cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) for frame in frames]
-            sweep = sweep if watching is None else watching.sweep_of(number, images)
-            depth = sweep_depth(sweep, images, method)
-            panorama = np.nan_to_num(blended_panorama(depth)).round().astype(np.uint8)
+        for number, depth in enumerate(computed):
+            if number % _EQUALISED == 0:
+                gains = estimate_gains(depth)
+            panorama = np.nan_to_num(blended_panorama(depth, gains)).round().astype(np.uint8)
             now = time.monotonic()
             doubtful = trust(depth, method) < DOUBTFUL
             note = f"{method.name}: {1 / (now - before):.1f} frames/s, median {metres(np.nanmedian(depth.depth))}"
             before = now
             yield draw_picture(panorama, depth, doubtful, scale, note)
+        if failed:
+            raise failed[0]
     finally:
-        cameras.newest.close()
-        reader.join(_PATIENCE_S)
+        cameras.close()
+        for thread in threads:
+            thread.join(_PATIENCE_S)
         if watching is not None:
             watching.close()
 
@@ -221,7 +272,7 @@ def draw_picture(
     picture = np.asarray(np.vstack(parts), np.uint8)
     _write(picture, f"{note}. Faded: doubtful, striped: no depth", (12, len(picture) - 12))
     jpeg = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes()
-    return LivePicture(jpeg, depth.depth, height / len(picture))
+    return LivePicture(jpeg, depth, height / len(picture))
 
 
 def _scale_strip(scale: ColorScale, width: int) -> NDArray[np.uint8]:
@@ -274,11 +325,16 @@ def _cut(connection: socket) -> None:
 
 
 @contextmanager
-def serve(latest: Latest, port: int) -> Iterator[str]:
+def serve(latest: Latest, port: int, cameras: Cameras | None = None) -> Iterator[str]:
     """Serve live pictures to browsers of this machine as a stream of JPEG; yield the address.
+
+    Browsers may pause the cameras, if there are any.
 
     Raises an `OmnistereoError` if the port is in use.
     """
+
+    actions = (cameras.play, cameras.pause, cameras.step) if cameras else ()
+    controls = {f"/{action.__name__}": ("text/plain", action) for action in actions}
 
     class Handler(BaseHTTPRequestHandler):
         timeout = _PATIENCE_S
@@ -299,7 +355,7 @@ def serve(latest: Latest, port: int) -> Iterator[str]:
             of_other_sites = self.headers.get("Sec-Fetch-Site", "none") not in ("same-origin", "none")
             if not _HOST.fullmatch(self.headers.get("Host", "")) or (name != "/" and of_other_sites):
                 self.send_error(403)
-            elif name == "/depth" and _place(query) is None:
+            elif name in ("/depth", "/why") and _place(query) is None:
                 self.send_error(400)
             else:
                 self._answer(name, _place(query))
@@ -307,17 +363,20 @@ def serve(latest: Latest, port: int) -> Iterator[str]:
         def _answer(self, name: str, place: tuple[float, float] | None) -> None:
             content, send = {
                 "/stream": ("multipart/x-mixed-replace; boundary=x", self._stream),
-                "/depth": ("text/plain; charset=utf-8", lambda: self.wfile.write(self._depth(place).encode())),
-            }.get(name, ("text/html", lambda: self.wfile.write(_PAGE)))
+                "/depth": ("text/plain; charset=utf-8", lambda: self._tell(LivePicture.depth_at, place)),
+                "/why": ("text/plain; charset=utf-8", lambda: self._tell(LivePicture.why_at, place)),
+                **controls,
+            }.get(name, ("text/html", lambda: self.wfile.write(_PAGE.read_bytes())))
             self.send_response(200)
             self.send_header("Content-Type", content)
             self.send_header("Cross-Origin-Resource-Policy", "same-origin")  # no page of another site shows it
             self.end_headers()
             send()
 
-        def _depth(self, place: tuple[float, float] | None) -> str:
+        def _tell(self, words: Callable[..., str], place: tuple[float, float] | None) -> None:
             picture = latest.newest  # none before the first
-            return "" if picture is None or place is None else picture.depth_at(*place)
+            if picture is not None and place is not None:
+                self.wfile.write(words(picture, *place).encode())
 
         def _stream(self) -> None:
             for picture in latest:

@@ -35,6 +35,7 @@ class LiveOptions(MethodOptions, GridOptions, RigOptions):
     method: str | None = option("as of omnistereo depth", unset="one that keeps pace")
     follow: bool = option("when a camera has turned, go on with its new pose", False)
     port: int = option("of the page for the browser, 0: any", 8765, between=(0, 65535))
+    loop: bool = option("videos begin again when they have ended", False)
     open: bool = option("open the page in the browser", False)
 
 
@@ -50,19 +51,19 @@ def run(options: LiveOptions) -> None:
     from omnistereo_tools.judge.coverage import Coverage
     from omnistereo_tools.record.watching import Watching
 
-    count, start, ended = 0, monotonic(), "stopped"
+    count, start, ended, method = 0, monotonic(), "stopped", options.method or VIDEO_METHOD
     try:
         print("opening the cameras and computing tables: a few seconds", flush=True)
         rig = read_rig(options)
         sources = [int(source) if re.fullmatch("[0-9]{1,3}", source) else source for source in options.cameras]
-        cameras = live_view.Cameras(sources, rig)
+        cameras = live_view.Cameras(sources, rig, options.loop)
         rig = mask_circles(rig, [cameras.first])
         min_depth = find_min_depth(options.min_depth, Frame.of(rig, cameras.first))
         sweep = SphereSweep(rig, make_grid(options, Coverage.of(rig), min_depth), device=options.device)
         watching = Watching(rig, sweep, options.follow)
-        pictures = live_view.live_pictures(cameras, sweep, options.method or VIDEO_METHOD, watching)
+        pictures = live_view.live_pictures(cameras, sweep, method, watching)
         latest = live_view.Latest()
-        with live_view.serve(latest, options.port) as address:
+        with live_view.serve(latest, options.port, cameras) as address:
             print(f"open {address} in a browser of this machine: it begins then. Ctrl-C stops", flush=True)
             if options.open:
                 webbrowser.open(address)
@@ -74,4 +75,4 @@ def run(options: LiveOptions) -> None:
     except KeyboardInterrupt:  # SIGTERM, too: there is nothing to resume
         pass
     seconds = monotonic() - start
-    print(f"{ended}: {count} frames, {count / seconds:.1f} frames/s")
+    print(f"{ended}: {count} frames, {count / seconds:.1f} frames/s by {method}")

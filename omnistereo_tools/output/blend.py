@@ -59,11 +59,13 @@ def blended_panorama(depth: Depth, gains: NDArray[Any] | None = None) -> NDArray
     channels = gains.shape[1]
     total, weights = np.zeros((*depth.grid.shape, channels), np.float32), np.zeros((*depth.grid.shape, 1), np.float32)
     # In float32, by torch: three times as fast as `project_sphere` on a sharp panorama.
-    rays, inverse_depth = (torch.from_numpy(array).float() for array in (depth.grid.rays(), depth.inverse_depth))
+    rays = depth.sweep.keep("rays in float32", lambda: torch.from_numpy(depth.grid.rays()).float())
+    rims = depth.sweep.keep("rims", lambda: [_distance_from_rim(camera) for camera in depth.sweep.rig.cameras])
+    inverse_depth = torch.from_numpy(depth.inverse_depth).float()
     half_pixels = project_cells(depth.sweep.rig, rays, inverse_depth[..., None, None])
-    for k, (camera, image) in enumerate(zip(depth.sweep.rig.cameras, depth.images, strict=True)):
+    for k, (rim, image) in enumerate(zip(rims, depth.images, strict=True)):
         maps = (2 * half_pixels[k][:, :, 0]).nan_to_num(OUTSIDE).numpy()
-        weight = np.nan_to_num(remap(_distance_from_rim(camera), maps))[..., None] ** 2
+        weight = np.nan_to_num(remap(rim, maps))[..., None] ** 2
         sample = remap(np.asarray(image, np.float32), maps).reshape(*total.shape[:2], -1)
         total += np.nan_to_num(sample) * weight * gains[k]
         weights += weight
