@@ -332,7 +332,6 @@ def serve(latest: Latest, port: int, cameras: Cameras | None = None) -> Iterator
 
     Raises an `OmnistereoError` if the port is in use.
     """
-
     actions = (cameras.play, cameras.pause, cameras.step) if cameras else ()
     controls = {f"/{action.__name__}": ("text/plain", action) for action in actions}
 

@@ -47,7 +47,7 @@ class RecordOptions(MethodOptions, GridOptions, RigOptions):
 
     rig: Path = option("rig file or folder", MISSING)
     images: tuple[Path, ...] = option("one folder or video per camera, in the order of the rig", MISSING)
-    method: str | None = option("see above", unset="one that keeps pace")
+    method: str | None = option("see above", unset="the best within 2 s a frame")
     height: int | None = option("rows", unset="a quarter of the columns, or as --phi asks")
     start: int = option("first frame number", 0, metavar="N", between=(0, math.inf))
     stop: int | None = option("frame number to stop before", unset="the end", metavar="N")
@@ -81,14 +81,14 @@ def run(options: RecordOptions) -> None:
     """Estimate depth for all frames that are not done yet, and write the video."""
     print("reading the rig and the first frames: a few seconds", flush=True)
     from omnistereo_lib.frame import Frame
-    from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD, Method
+    from omnistereo_lib.stereo.methods import FRAME_METHOD, Method
     from omnistereo_lib.stereo.sweep import SphereSweep
     from omnistereo_tools.input.image_circle import FRAMES
     from omnistereo_tools.judge.coverage import Coverage
     from omnistereo_tools.judge.doubts import image_doubts, rig_doubts
     from omnistereo_tools.judge.pace import say_recording
     from omnistereo_tools.progress import progress_bar
-    from omnistereo_tools.record.recordings import DepthWriter, stored_min_depth, write_video
+    from omnistereo_tools.record.recordings import DepthWriter, stored_method, stored_min_depth, write_video
     from omnistereo_tools.record.watching import Watching
 
     out = options.out or default_out("record", options.rig)
@@ -105,16 +105,21 @@ def run(options: RecordOptions) -> None:
     print(coverage.left_out(grid))
     warn_of(rig_doubts(rig, grid.min_depth))
     warn_of(image_doubts(frame, grid))
-    if options.method is None:
-        print(f"method: {VIDEO_METHOD}, which keeps pace; --method {FRAME_METHOD} has lower errors and takes longer")
-    sweep, method = SphereSweep(rig, grid, device=options.device), Method.parse(options.method or VIDEO_METHOD)
-    writer = DepthWriter(out, recording, sweep, method, f".{options.depth_format}", options.video is not None)
+    sweep, method = SphereSweep(rig, grid, device=options.device), options.method or stored_method(out)
+    writer = DepthWriter(
+        out,
+        recording,
+        sweep,
+        Method.parse(method or FRAME_METHOD),
+        f".{options.depth_format}",
+        options.video is not None,
+    )
     writer.check_out()
     left, total = writer.left(), len(recording.frames)
     recording.check(left, rig)
-    _prepare(options, writer, rig)
     if options.cluster is None:
-        say_recording(sweep, first[0], len(left), method.name, [VIDEO_METHOD, FRAME_METHOD])
+        writer = replace(writer, method=Method.parse(say_recording(sweep, first[0], len(left), method)))
+    _prepare(options, writer, rig)
     # Compute and write.
     progress = progress_bar("frame")
     watching = Watching(rig, sweep, options.follow, out)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.learned import choose_precision
-from omnistereo_lib.stereo.methods import Method
+from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD, Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
 
@@ -18,6 +18,7 @@ from omnistereo_lib.stereo.sweep import SphereSweep
 _SECONDS = {"zncc": 2.3e-7, "mccnn": 1e-5, "sweepnet": 3e-5, "volumenet": 7e-8}
 _WRITING_S, _CORES = 4.0, 2
 _FEW_FRAMES = 10  # are soon done
+_PACE_S = 2.0  # of a frame; the public drives have 1000 frames, half an hour
 
 
 def say_frame(method: str, grid: SphereGrid, device: str) -> None:
@@ -32,17 +33,29 @@ def say_frame(method: str, grid: SphereGrid, device: str) -> None:
     print(f"{method} takes about {in_words(total)}{precision}", flush=True)
 
 
-def say_recording(
-    sweep: SphereSweep, images: Sequence[ArrayLike], frames: int, method: str, others: Sequence[str]
-) -> None:
-    """Say how long the frames of a recording will take, by the method chosen and by others, as its first frame does."""
-    if frames < _FEW_FRAMES:
-        return
-    print("timing the methods on one frame: a few seconds", flush=True)
-    took = {name: in_words(frames * _measure(sweep, images, name)) for name in dict.fromkeys([method, *others])}
-    print(f"{frames} frames: about {took.pop(method)} by {method}", flush=True)
-    for other, words in took.items():
-        print(f"about {words} by {other} (--method {other})", flush=True)
+def say_recording(sweep: SphereSweep, images: Sequence[ArrayLike], frames: int, method: str | None) -> str:
+    """Say how long the frames of a recording will take, as its first one does; return the method.
+
+    Args:
+        method: None: the one with the lowest errors, if frames are few or it keeps `_PACE_S` here; else the fast one.
+    """
+    chosen = method or FRAME_METHOD
+    seconds: dict[str, float] = {}
+    if frames >= _FEW_FRAMES:
+        print("timing the methods on one frame: a few seconds", flush=True)
+        names = dict.fromkeys([chosen, VIDEO_METHOD, FRAME_METHOD])
+        seconds = {name: _measure(sweep, images, name) for name in names}
+    if method is None:
+        keeps = seconds.get(FRAME_METHOD, 0.0) <= _PACE_S
+        chosen = FRAME_METHOD if keeps else VIDEO_METHOD
+        why = (
+            "the lowest errors" if keeps else f"more doubt than {FRAME_METHOD}, which takes over {_PACE_S:g} s a frame"
+        )
+        print(f"method: {chosen}, {why}", flush=True)
+    for name in sorted(seconds, key=chosen.__ne__):
+        words = f"about {in_words(frames * seconds[name])} by {name}"
+        print(f"{frames} frames: {words}" if name == chosen else f"{words} (--method {name})", flush=True)
+    return chosen
 
 
 def _measure(sweep: SphereSweep, images: Sequence[ArrayLike], method: str) -> float:

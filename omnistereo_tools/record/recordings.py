@@ -37,7 +37,7 @@ from omnistereo_lib.lazy import lazy_property
 from omnistereo_lib.rig_files import save_rig
 from omnistereo_lib.rig_files.parse import Section
 from omnistereo_lib.stereo.depth import Depth
-from omnistereo_lib.stereo.methods import Method
+from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD, Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.input.sources import Pictures, Recording
@@ -283,6 +283,12 @@ def stored_min_depth(out: Path) -> float | None:
         return Section(read_data(out / SETTINGS)).number("min_depth")
     except OmnistereoError:  # what is damaged is named when the settings are compared
         return None
+
+
+def stored_method(out: Path) -> str | None:
+    """Return the method of the recording in a folder, if it is a default; else None."""
+    found = read_stored(out / SETTINGS).get("method")
+    return found if found in (FRAME_METHOD, VIDEO_METHOD) else None
 
 
 def write_video(path: Path, writer: DepthWriter, fps: float | None = None) -> float:

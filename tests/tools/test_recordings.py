@@ -18,6 +18,7 @@ from omnistereo_lib.frame import read_inverse_depth
 from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD
 from omnistereo_tools import cli
 from omnistereo_tools.input.sources import Recording, Video
+from omnistereo_tools.judge import pace
 from omnistereo_tools.judge.rig_check import _matches
 from omnistereo_tools.judge.trust import trust
 from omnistereo_tools.live_view import Cameras
@@ -190,12 +191,21 @@ def test_bad_frames_are_named_and_left_out_if_asked(recorded, done, tmp_path, ca
     np.testing.assert_array_equal(frames[1].inverse_depth, osl.load_dataset(done)[2].inverse_depth)
 
 
-def test_by_default_it_keeps_pace_and_says_so(recorded, tmp_path, capsys):
+@pytest.mark.parametrize(("seconds", "method"), [(1.9, FRAME_METHOD), (2.1, VIDEO_METHOD)])
+def test_by_default_it_takes_the_best_method_that_keeps_pace_and_goes_on_with_it(
+    recorded, tmp_path, capsys, monkeypatch, seconds, method
+):
+    monkeypatch.setattr(pace, "_FEW_FRAMES", 2)
+    monkeypatch.setattr(pace, "_measure", lambda sweep, images, name: seconds if name == FRAME_METHOD else 0.5)
     command = record_command(recorded, tmp_path / "out")
     del command[command.index("--method") : command.index("--method") + 2]
-    assert run(*command, "--stop", 2) == 0
-    assert f"method: {VIDEO_METHOD}, which keeps pace; --method {FRAME_METHOD} has" in capsys.readouterr().out
-    assert json.loads((tmp_path / "out" / "recording.json").read_text())["method"] == VIDEO_METHOD
+    assert run(*command, "--stop", 3) == 0
+    took = pace.in_words(2 * (seconds if method == FRAME_METHOD else 0.5))
+    said = capsys.readouterr().out
+    assert f"method: {method}, " in said and f"2 frames: about {took} by {method}\n" in said
+    monkeypatch.setattr(pace, "_measure", lambda *_: 4.0 - seconds)  # the machine is busy, or no longer
+    assert run(*command) == 0
+    assert json.loads((tmp_path / "out" / "recording.json").read_text())["method"] == method
 
 
 def test_another_recording_is_not_overwritten(recorded, done, capsys):
