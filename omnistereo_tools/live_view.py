@@ -27,16 +27,13 @@ from omnistereo_tools.input.sources import open_video
 from omnistereo_tools.judge.ray import explain
 from omnistereo_tools.judge.trust import DOUBTFUL, trust
 from omnistereo_tools.output.blend import blended_panorama, estimate_gains
-from omnistereo_tools.output.pictures import BACKGROUND, ColorScale
+from omnistereo_tools.output.pictures import ColorScale, draw_frame, share_of_panorama
 from omnistereo_tools.output.summary import metres
 from omnistereo_tools.record.watching import Watching
 
-_WIDTH = 1280  # px of the picture, if the panorama is smaller
 _PATIENCE_S = 10.0  # of a camera that gives no picture, and of a browser that neither asks nor reads
 _CLIENTS = 16  # connections at a time; a page has three
 _HOST = re.compile(r"(localhost|127\.0\.0\.1)(:[0-9]+)?")  # a name of another site may lead here, too
-_SCALE_PX, _NOTE_PX = 44, 40  # heights of the scale and of the line below it
-_INK = (0xE8,) * 3
 _PAGE = Path(__file__).parent / "output" / "page" / "live.html"
 _EQUALISED = 16  # frames from one look at how bright the cameras are to the next
 
@@ -263,29 +260,10 @@ def _play(cameras: Cameras, sweep: SphereSweep, method: Method, watching: Watchi
 def draw_picture(
     panorama: NDArray[np.uint8], depth: Depth, doubtful: NDArray[np.bool_], scale: ColorScale, note: str
 ) -> LivePicture:
-    """Draw a panorama (H, W, 3), RGB, over its depth in colours, doubtful rays faded, with the scale and a note."""
-    factor = max(1, round(_WIDTH / panorama.shape[1]))
-    width, height = panorama.shape[1] * factor, panorama.shape[0] * factor
-    colors = scale.colorize(depth, doubtful)
-    parts = [cv2.resize(picture, (width, height), interpolation=cv2.INTER_LINEAR) for picture in (panorama, colors)]
-    parts += [_scale_strip(scale, width), np.full((_NOTE_PX, width, 3), BACKGROUND, np.uint8)]
-    picture = np.asarray(np.vstack(parts), np.uint8)
-    _write(picture, f"{note}. Faded: doubtful, striped: no depth", (12, len(picture) - 12))
+    """Return `draw_frame` as the browser gets it."""
+    picture = draw_frame(panorama, depth, doubtful, scale, note)
     jpeg = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes()
-    return LivePicture(jpeg, depth, height / len(picture))
-
-
-def _scale_strip(scale: ColorScale, width: int) -> NDArray[np.uint8]:
-    """Return the colours from far to near with their depths in metres below, (height, width, 3) RGB."""
-    strip = np.full((_SCALE_PX, width, 3), BACKGROUND, np.uint8)
-    strip[4:18] = cv2.resize(scale.bar(256), (width, 14), interpolation=cv2.INTER_LINEAR)
-    for at, label in scale.ticks():
-        _write(strip, label, (int(np.clip(at * width - 16, 4, width - 52)), _SCALE_PX - 6))
-    return strip
-
-
-def _write(picture: NDArray[np.uint8], text: str, place: tuple[int, int]) -> None:
-    cv2.putText(picture, text, place, _INK, cv2.FontFace("sans"), 20, 400)
+    return LivePicture(jpeg, depth, share_of_panorama(picture))
 
 
 class _Server(ThreadingHTTPServer):

@@ -57,7 +57,7 @@ class RecordOptions(MethodOptions, GridOptions, RigOptions):
     cluster: str | None = option("of a Dask scheduler, to use many machines", metavar="ADDRESS")
     out: Path | None = option("folder for the results", unset="out/record_NAME")
     depth_format: Literal["tiff", "png"] = option("float32, or 16 bits", "tiff")
-    video: Path | None = option("panorama over depth: .mp4, or browsers' .webm", suffixes=(".mp4", ".webm"))
+    video: Path | None = option("panorama over depth, 1280 columns, as browsers play it", suffixes=(".mp4", ".webm"))
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,14 +14,14 @@ from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.output.blend import blended_panorama, estimate_gains
 
-if TYPE_CHECKING:
-    pass
-
 BACKGROUND = 0x20  # colours stand out, and gaps between points do not dazzle
 _FADE, _GRAY = 0.65, 0x80  # of what is doubtful, towards
 _ANY_GRID = SphereGrid(2, 2)  # `colorize_depth` reads its nearest depth only
 _NEAREST = 0.1  # metres in front of the eye
 _LARGEST = 7  # px of a point: nearer ones would hide what is behind them
+WIDTH = 1280  # px, about, of a frame of a film
+_SCALE_PX, _NOTE_PX = 44, 40  # heights of the scale and of the line below it
+_INK = (0xE8,) * 3
 
 
 def colorize_depth(inverse_depth: ArrayLike, grid: SphereGrid) -> NDArray[np.uint8]:
@@ -99,6 +99,39 @@ def sharp_panorama(depth: Depth, width: int) -> NDArray[np.uint8]:
     fine = Depth(index, np.ones_like(index), sweep, depth.images)
     pixels = np.nan_to_num(blended_panorama(fine, estimate_gains(depth))).round().astype(np.uint8)
     return pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, -1)
+
+
+def draw_frame(
+    panorama: NDArray[np.uint8], depth: Depth, doubtful: NDArray[np.bool_], scale: ColorScale, note: str
+) -> NDArray[np.uint8]:
+    """Draw a panorama over its depth in colours, doubtful rays faded, with the scale and a note, as live and on film.
+
+    Args:
+        panorama: uint8 array, any size, RGB: the whole panorama
+
+    Returns:
+        uint8 array, about `WIDTH` columns, RGB, both sides even; `share_of_panorama` says where the parts are
+    """
+    factor = max(1, round(WIDTH / depth.grid.width))
+    width, height = (factor * side // 2 * 2 for side in (depth.grid.width, depth.grid.height))
+    colors = scale.colorize(depth, doubtful)
+    parts = [cv2.resize(picture, (width, height), interpolation=cv2.INTER_LINEAR) for picture in (panorama, colors)]
+    strip = np.full((_SCALE_PX, width, 3), BACKGROUND, np.uint8)
+    strip[4:18] = cv2.resize(scale.bar(256), (width, 14), interpolation=cv2.INTER_LINEAR)
+    for at, label in scale.ticks():
+        _write(strip, label, (int(np.clip(at * width - 16, 4, width - 52)), _SCALE_PX - 6))
+    line = np.full((_NOTE_PX, width, 3), BACKGROUND, np.uint8)
+    _write(line, f"{note}. Faded: doubtful, striped: no depth", (12, _NOTE_PX - 12))
+    return np.asarray(np.vstack([*parts, strip, line]), np.uint8)
+
+
+def share_of_panorama(frame: NDArray[np.uint8]) -> float:
+    """Return which share of the height of `draw_frame` the panorama takes, and the depth again."""
+    return (len(frame) - _SCALE_PX - _NOTE_PX) / 2 / len(frame)
+
+
+def _write(picture: NDArray[np.uint8], text: str, place: tuple[int, int]) -> None:
+    cv2.putText(picture, text, place, _INK, cv2.FontFace("sans"), 20, 400)
 
 
 def draw_points(

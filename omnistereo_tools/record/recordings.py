@@ -8,7 +8,7 @@ OUT/
   depth_estimate_640/00001.tiff     inverse depth, 1/m; written last, so that a frame is complete if it can be read
   recording.json                    how the depth was computed
   pictures.json                     for each frame, checksums of the pictures that its depth was computed from
-  video/00001.jpg                   panorama over depth, doubtful rays faded, with --video
+  video/00001.jpg                   panorama over depth with its scale, doubtful rays faded, with --video
 """
 
 from __future__ import annotations
@@ -42,8 +42,7 @@ from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.input.sources import Pictures, Recording
 from omnistereo_tools.judge.trust import DOUBTFUL, trust
-from omnistereo_tools.output.blend import blended_panorama
-from omnistereo_tools.output.pictures import ColorScale
+from omnistereo_tools.output.pictures import WIDTH, ColorScale, draw_frame, sharp_panorama
 from omnistereo_tools.output.summary import doubt_shares
 from omnistereo_tools.record.watching import Watching
 
@@ -53,7 +52,7 @@ OF_RAYS = ("confidence", "trust", "depth_estimate")  # panoramas of a frame, in 
 SETTINGS = "recording.json"
 PICTURES = "pictures.json"
 _SAMPLE = 4096  # bytes
-CODECS = {".mp4": "mp4v", ".webm": "VP90"}  # the second one plays in browsers, and takes thirty times as long
+CODECS = {".mp4": "vp09", ".webm": "VP90"}  # VP9, which browsers play; OpenCV's packages cannot write H.264
 _FPS = 10.0  # of pictures, which do not say
 
 
@@ -184,10 +183,9 @@ class DepthWriter:
                 write_image(folder / f"{number:05}.jpg", image)
         trusted = trust(depth, self.method)
         if self.with_video:
-            panorama = np.nan_to_num(blended_panorama(depth))
-            panorama = panorama if panorama.ndim == 3 else np.repeat(panorama[..., None], 3, -1)
+            panorama, note = sharp_panorama(depth, WIDTH), f"{self.out.name}, frame {number}, {self.method.name}"
             scale = ColorScale(0.0, 0.8 / self.sweep.grid.min_depth)  # the same colours in all frames
-            write_image(self.picture_path(number), np.vstack([panorama, scale.colorize(depth, trusted < DOUBTFUL)]))
+            write_image(self.picture_path(number), draw_frame(panorama, depth, trusted < DOUBTFUL, scale, note))
         self._write_panorama("confidence", number, depth.confidence)
         self._write_panorama("trust", number, trusted)
         self._write_panorama("depth_estimate", number, depth.inverse_depth)
@@ -292,7 +290,7 @@ def stored_method(out: Path) -> str | None:
 
 
 def write_video(path: Path, writer: DepthWriter, fps: float | None = None) -> float:
-    """Write the pictures of a recording, panorama over depth, as a video: .mp4 (MPEG-4) or .webm (VP9).
+    """Write the pictures of a recording, panorama over depth, as a video in VP9, .mp4 or .webm.
 
     Return how many seconds it plays.
 

@@ -22,7 +22,7 @@ from omnistereo_tools.judge import pace
 from omnistereo_tools.judge.rig_check import _matches
 from omnistereo_tools.judge.trust import trust
 from omnistereo_tools.live_view import Cameras
-from omnistereo_tools.output.pictures import colorize_depth
+from omnistereo_tools.output.pictures import colorize_depth, share_of_panorama
 
 GRID = osl.SphereGrid(96, 24, num_spheres=16, min_depth=0.6)
 SMALL = ["--width", "96", "--height", "24", "--spheres", "16", "--method", "zncc"]
@@ -98,7 +98,9 @@ def test_the_summary_says_how_many_rays_are_doubtful_also_of_the_nearest(recorde
 
 
 def test_doubtful_rays_are_faded_in_the_video(done):
-    picture = read_image(done / "video" / "00003.jpg")[24:].astype(int)
+    picture = read_image(done / "video" / "00003.jpg")
+    rows = round(share_of_panorama(picture) * len(picture))
+    picture = cv2.resize(picture[rows : 2 * rows], (96, 24), interpolation=cv2.INTER_AREA).astype(int)
     inverse, trusted = (read_inverse_depth(done / f"{kind}_96" / "00003.tiff") for kind in ("depth_estimate", "trust"))
     colors = colorize_depth(inverse, replace(GRID, min_depth=GRID.min_depth / 0.8))
     off = np.abs(picture - colors).mean(-1)
@@ -110,9 +112,10 @@ def test_the_video_has_every_frame_panorama_over_depth(done):
     frames = []
     while (read := video.read())[0]:
         frames.append(read[1])
-    assert len(frames) == FRAMES and frames[0].shape == (48, 96, 3)
-    assert frames[0][:24].std() > 20 and np.abs(frames[0].astype(int) - frames[-1]).mean() > 1
-    gray, colored = (np.ptp(part.astype(int), axis=-1).mean() for part in np.split(frames[0], 2))
+    rows = round(share_of_panorama(frames[0]) * len(frames[0]))
+    assert len(frames) == FRAMES and frames[0].shape[1] == 13 * 96 and rows == 13 * 24
+    assert frames[0][:rows].std() > 20 and np.abs(frames[0].astype(int) - frames[-1]).mean() > 1
+    gray, colored = (np.ptp(part.astype(int), axis=-1).mean() for part in np.split(frames[0][: 2 * rows], 2))
     assert gray < 10 < colored  # the scene is gray
 
 
