@@ -13,8 +13,9 @@ ROOT = Path(osl.__file__).parents[1]
 CALLS = r"safe_load|yaml\.load|json\.loads?\(|\.read_bytes\(|\.read_text\(|np\.load\(|imread\(|Image\.open|isdigit\("
 NOT_READERS = {
     "viewer.py": "(_PAGE / name).read_text(",
+    "live_view.py": "_PAGE.read_bytes(",
     "run_onnx.py": "imread(",
-}  # our own page; a script to take away
+}  # our own pages; a script to take away
 SOURCES = [
     path for package in ("omnistereo_lib", "omnistereo_tools") for path in sorted((ROOT / package).rglob("*.py"))
 ]
