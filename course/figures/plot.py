@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 import html
 import io
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from course.figures.captions import caption_output, captions
 from course.publish import stills
-from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.depth import Depth
@@ -268,28 +267,6 @@ def draw_depth(ax: Axes, inverse_depth: NDArray[Any], grid: SphereGrid, title: s
     ticks = [share / grid.min_depth for share in (0, 0.25, 0.5, 1)]
     bar.set_ticks(ticks, labels=["∞" if tick == 0 else f"{1 / tick:.3g} m" for tick in ticks])
     return image
-
-
-def contact_sheet(frames: Iterable[Frame], height: int = 120) -> NDArray[np.uint8]:
-    """Return one row for each frame: its inverse depth, then its images; shape (rows · height, width, 3), RGB.
-
-    Args:
-        frames: They may have different rigs. Inverse depth is coloured up to the `min_depth` of each rig.
-        height: Pixels of each row.
-    """
-    import cv2
-
-    rows = []
-    for frame in frames:
-        rows_px, columns_px = frame.inverse_depth.shape
-        grid = SphereGrid(columns_px, rows_px, min_depth=frame.rig.min_depth)
-        tiles = [colorize_depth(frame.inverse_depth, grid)]
-        tiles += [np.broadcast_to(image.reshape(*image.shape[:2], -1), (*image.shape[:2], 3)) for image in frame.images]
-        sizes = [(round(tile.shape[1] * height / tile.shape[0]), height) for tile in tiles]
-        scaled = [cv2.resize(tile, size, interpolation=cv2.INTER_AREA) for tile, size in zip(tiles, sizes, strict=True)]
-        rows.append(np.concatenate(scaled, axis=1))
-    width = max(row.shape[1] for row in rows)
-    return np.concatenate([np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0))) for row in rows])
 
 
 def draw_rig(ax: Axes, rig: Rig, fov_deg: float | None = None) -> None:

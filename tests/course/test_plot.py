@@ -11,7 +11,6 @@ from matplotlib import pyplot as plt
 
 import omnistereo_lib as osl
 from course.figures import plot
-from omnistereo_lib.frame import Frame
 from omnistereo_tools.output.pictures import colorize_depth
 
 matplotlib.use("agg")
@@ -128,22 +127,6 @@ def test_a_click_moves_the_cross_and_asks_that_ray(monkeypatch):
     assert before.shape == (24, 96, 3) and (before != after).any()
     column.value = 0
     assert drawn[-1] == (7, 0) and bytes(figure.value).startswith(b"\xff\xd8\xff")
-
-
-def test_contact_sheet_has_a_row_for_each_frame_whatever_its_rig():
-    def frame(cameras, value):
-        rig = scene.rig(width=40, height=32, cameras=cameras)
-        frame = Frame(osl.Rig(rig.cameras, rig.T_rig_cam, min_depth=0.5))
-        frame.__dict__["images"] = [np.full((32, 40), value + k, np.uint8) for k in range(cameras)]
-        frame.__dict__["inverse_depth"] = np.zeros((8, 20), np.float32)
-        return frame
-
-    sheet = plot.contact_sheet([frame(3, 50), frame(5, 100)], height=16)
-    assert sheet.shape == (32, 40 + 5 * 20, 3)
-    assert sheet[8, 50::20].tolist() == [[v] * 3 for v in (50, 51, 52, 0, 0)]
-    assert sheet[24, 50::20].tolist() == [[v] * 3 for v in (100, 101, 102, 103, 104)]
-    far = colorize_depth(np.zeros((1, 1)), osl.SphereGrid(20, 8, min_depth=0.5))[0, 0]
-    assert (sheet[:, :40] == far).all()
 
 
 def test_points_are_seen_from_the_eye():
