@@ -122,6 +122,12 @@ class SphereGrid:
     def _inverse_range(self) -> tuple[float, float]:
         return 1.0 / self.max_depth, 1.0 / self.min_depth
 
+    @property
+    def step(self) -> float:
+        """Difference of the inverse depths of two neighbouring spheres, 1/m."""
+        low, high = self._inverse_range
+        return (high - low) / (self.num_spheres - 1)
+
     def inverse_depths(self) -> NDArray[np.float64]:
         """Return d_n = n / (D_min (N - 1)), shape (N,), 1/m (paper, Section III-B).
 

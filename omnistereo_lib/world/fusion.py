@@ -1,9 +1,10 @@
 """Depth of many frames in one volume: truncated signed distances (Curless and Levoy 1996), and depth read back.
 
 Voxels lie in blocks of 8 × 8 × 8, and only blocks near a surface that some frame has seen are kept. A voxel holds the
-weighted mean of its signed distances to the surfaces along the rays of the frames, positive in front, at most a band of
-4 voxels. A frame that sees through a voxel counts as much as one that sees a surface there: it carves what is wrong.
-Our own, since the libraries that fuse depth take pinhole images or points, not the rays of a panorama.
+weighted mean of its signed distances to the surfaces that the frames see on its ray, taken for planes: positive in
+front, at most a band of 4 voxels. A frame that sees through a voxel counts as much as one that sees a surface there: it
+carves what is wrong. Our own, since the libraries that fuse depth take pinhole images or points, not the rays of a
+panorama.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from omnistereo_lib.stereo.threads import map_threads
 
 BLOCK = 8  # voxels a side; the block of voxel i is i >> 3, its place there i & 7
 BAND = 4.0  # voxels
+_ALONG = 8.0  # voxels, the band along a ray where the surface is seen flat
 LEAST_WEIGHT = 0.02  # of a voxel that is believed
 _FARTHEST = np.float32(1e-3)  # 1/m, in place of infinity
 _NEAREST = 1.0  # metres, where a ray of `march` begins
@@ -64,21 +66,35 @@ class View:
 # distance in metres and weight (B, 8, 8, 8), color (B, 8, 8, 8, channels)
 _Single = NDArray[np.float32]
 Voxels = tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int64], _Single, _Single, _Single]
-# Inverse depth, weight and colour of a view; columns per radian, the column of θ = 0, and the same of rows and φ.
-_Panorama = tuple[_Single, _Single, _Single, float, float, float, float]
+# Inverse depth, weight, cosine and colour of a view; columns per radian, the column of θ = 0; the same of rows and φ.
+_Panorama = tuple[_Single, _Single, _Single, _Single, float, float, float, float]
 
 
 def touched_blocks(view: View, grid: SphereGrid, voxel: float, reach: float) -> NDArray[np.int64]:
     """Return the blocks that a view needs, around the surface on each ray, as sorted keys for `Volume`."""
-    band, size = BAND * voxel, BLOCK * voxel
+    size = BLOCK * voxel
     used = (view.inverse_depth > 1 / reach) & (view.weight > 0)
     directions, depth = grid.rays()[used] @ view.T_world_rig.R.T, 1 / view.inverse_depth[used]
-    keys = []
-    for offset in np.linspace(-band, band, int(np.ceil(4 * band / size)) + 1):
-        blocks = np.floor((view.T_world_rig.t + directions * (depth + offset)[:, None]) / size).astype(np.int64)
+    half, keys = np.minimum(BAND / _cosine(view.inverse_depth, grid)[used], _ALONG) * voxel, []
+    for share in np.linspace(-1, 1, int(np.ceil(4 * half.max() / size)) + 1):
+        blocks = np.floor((view.T_world_rig.t + directions * (depth + share * half)[:, None]) / size).astype(np.int64)
         x, y, z = (blocks + (1 << _BITS - 1)).T
         keys.append(np.unique(x << 2 * _BITS | y << _BITS | z))
     return np.unique(np.concatenate(keys))
+
+
+def _cosine(inverse: NDArray[np.float32], grid: SphereGrid) -> NDArray[np.float32]:
+    """Return the cosine of the angle between each ray and the normal of the surface there, (H, W), 0.1 to 1.
+
+    On a plane the inverse depth q is linear in the ray: the cosine is q / √(q² + |∇q|²), ∇ on the sphere.
+    """
+    per_theta, _, per_phi, _ = _mapping(grid)
+    level = np.linalg.norm(grid.rays()[:, :1, ::2], axis=-1)  # cos φ
+    down = np.pad(np.diff(inverse, axis=0), ((1, 1), (0, 0)), "edge") * per_phi
+    right = np.diff(inverse, axis=1, append=inverse[:, :1]) * per_theta / level
+    # Of the slopes to both sides the smaller one: the other may lie across an edge.
+    square = np.minimum(down[:-1] ** 2, down[1:] ** 2) + np.minimum(right**2, np.roll(right, 1, axis=1) ** 2)
+    return np.maximum(inverse / np.sqrt(inverse**2 + square), 0.1).astype(np.float32)
 
 
 def bytes_needed(blocks: int, channels: int) -> int:
@@ -107,11 +123,12 @@ class Volume:
         self.voxels: Voxels = (blocks, directory, first, distance, weight, np.zeros((*shape, channels), np.float32))
 
     def integrate(self, view: View, grid: SphereGrid) -> None:
-        """Add a view: each voxel takes the distance to the surface along its ray."""
+        """Add a view, or with negative weights take it out again."""
         T, size = view.T_world_rig, BLOCK * self.voxel
         away = np.linalg.norm((self.voxels[0] + 0.5) * size - T.t, axis=1)
         near = np.flatnonzero(away < self.reach + size)
-        panorama = view.inverse_depth, view.weight, view.color, *_mapping(grid)
+        cosine = _cosine(view.inverse_depth, grid)
+        panorama = view.inverse_depth, view.weight, cosine, view.color, *_mapping(grid)
 
         def add(start: int) -> None:
             _integrate(self.voxels, panorama, T.R, T.t, near[start : start + _PART], self.voxel, self.reach)
@@ -150,7 +167,7 @@ def _integrate(
     voxels: Voxels, panorama: _Panorama, R: Floats, t: Floats, part: NDArray[np.int64], voxel: float, reach: float
 ) -> None:
     blocks, _, _, distances, weights, colors = voxels
-    inverse, confidence, pixels, per_theta, column0, per_phi, row0 = panorama
+    inverse, confidence, cosine, pixels, per_theta, column0, per_phi, row0 = panorama
     (height, width), band = inverse.shape, BAND * voxel
     for number in part:
         x0, y0, z0 = blocks[number] * BLOCK
@@ -170,13 +187,18 @@ def _integrate(
                     column = column0 + per_theta * np.arctan2(right, ahead)
                     pixel = min(max(int(np.rint(row)), 0), height - 1), int(np.rint(column)) % width
                     w = confidence[pixel]
-                    s = 1 / _interpolate(inverse, row, column, inverse[pixel]) - away
-                    if w <= 0 or s < -band:  # unknown, or hidden behind the surface
+                    along = 1 / _interpolate(inverse, row, column, inverse[pixel]) - away
+                    s = along * cosine[pixel]
+                    # Unknown, or hidden behind the surface.
+                    if w == 0 or s < -band or along < -_ALONG * voxel:
                         continue
                     at = number, i, j, k
-                    old = weights[at]
-                    weights[at] = old + w
-                    share = w / (old + w)
+                    total = weights[at] + w
+                    if w < 0 and total < LEAST_WEIGHT:  # no other frame has seen it
+                        weights[at] = 0
+                        continue
+                    weights[at] = total
+                    share = w / total
                     distances[at] += share * (min(s, band) - distances[at])
                     if s < band:
                         for n in range(colors.shape[-1]):

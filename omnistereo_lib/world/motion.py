@@ -57,7 +57,6 @@ class SightingFinder:
         """Return the features of images, one per camera, at the inverse depth (H, W) around the centre of the rig."""
         inverse_depth = np.maximum(np.nan_to_num(inverse_depth), np.float32(_FARTHEST))
         spread = cv2.dilate(inverse_depth, np.ones((3, 3))) - cv2.erode(inverse_depth, np.ones((3, 3)))
-        sphere = float(np.diff(self.grid.inverse_depths()[:2])[0])
         found, inverse, sd = [], [], []
         for finder, pose, image in zip(self.finders, self.rig.T_rig_cam, images, strict=True):
             features = finder.find(image)
@@ -66,7 +65,7 @@ class SightingFinder:
             valid = self.grid.project(points)[1]
             found.append(Features(rays, features.descriptors))
             inverse.append(1 / distance)
-            sd.append(np.where(valid, _SPHERES_SD * sphere + self._look_up(spread, points) / 2, _UNKNOWN_SD))
+            sd.append(np.where(valid, _SPHERES_SD * self.grid.step + self._look_up(spread, points) / 2, _UNKNOWN_SD))
         return Sighting(found, inverse, sd)
 
     def _distances(self, inverse_depth: NDArray[np.float32], center: Floats, rays: Floats) -> tuple[Floats, Floats]:

@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from omnistereo_lib.stereo.compiled import compiled
 from omnistereo_lib.world.fusion import BAND, BLOCK, Volume, Voxels, distance_at, find_block
 
+_LEAST_WEIGHT = 2.0  # 1/m²: only a surface that is known to 0.7 m is drawn
 _LEAST_TRIANGLES = 100  # of a piece: smaller ones are noise
 _loop = compiled(nogil=True, error_model="numpy")
 _Single = NDArray[np.float32]
@@ -28,7 +29,8 @@ class Surface:
 
 def extract_surface(volume: Volume) -> Surface:
     """Return the surface where the distances change their sign, without pieces of fewer than 100 triangles."""
-    voxels = volume.voxels
+    weight = np.where(volume.voxels[4] < _LEAST_WEIGHT, np.float32(0), volume.voxels[4])
+    voxels = (*volume.voxels[:4], weight, volume.voxels[5])
     numbers = np.full(voxels[3].shape, -1, np.int32)
     count = _place_vertices(voxels, volume.voxel, numbers, np.zeros((0, 3), np.float32), np.zeros((0, 1), np.float32))
     vertices, color = np.zeros((count, 3), np.float32), np.zeros((count, voxels[5].shape[-1]), np.float32)

@@ -42,8 +42,7 @@ def trust(depth: Depth, method: str | Method) -> NDArray[np.float32]:
     much, see `_floating`.
     """
     grid, method = depth.grid, Method.parse(method)
-    step = (1 / grid.min_depth - 1 / grid.max_depth) / (grid.num_spheres - 1)
-    spheres = depth.inverse_depth / step
+    spheres = depth.inverse_depth / grid.step
     exponent = np.sqrt(np.maximum(spheres / _SPHERES, 1)) if method.reads_out else spheres / _RATIO_SPHERES
     evidence = depth.valid & (depth.index <= grid.num_spheres - 3) & _is_lit(depth)
     found = np.where(evidence, 1 - (1 - depth.confidence.clip(0, 1)) ** exponent, 0)

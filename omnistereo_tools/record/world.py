@@ -16,7 +16,7 @@ from __future__ import annotations
 import json
 import shutil
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,7 @@ from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.world.fusion import View, Volume
 from omnistereo_lib.world.motion import Sighting, SightingFinder, Step, rig_step
-from omnistereo_lib.world.refine import mix
+from omnistereo_lib.world.refine import mix, moving_rays
 from omnistereo_tools.output.blend import blended_panorama
 from omnistereo_tools.progress import progress_bar, say
 from omnistereo_tools.record.recordings import PICTURES, SETTINGS, read_stored
@@ -93,11 +93,6 @@ class RecordedFrames:
         """Of the images."""
         return 1 if self.data[0].images[0].ndim == 2 else 3
 
-    @property
-    def sphere(self) -> float:
-        """Difference of the inverse depths of two spheres, 1/m."""
-        return float(np.diff(self.grid.inverse_depths()[:2])[0])
-
     def panorama(self, frame: Frame, inverse_depth: NDArray[Any]) -> NDArray[np.float32]:
         """Return what the images of a frame show at an inverse depth (H, W): (H, W, channels), 0 to 255."""
         index = self.grid.inverse_depth_to_index(inverse_depth).clip(0, self.grid.num_spheres - 1)
@@ -108,7 +103,7 @@ class RecordedFrames:
         """Return what a frame knows of the world."""
         inverse = frame.inverse_depth
         color = self.panorama(frame, inverse) if colored else np.zeros((*self.grid.shape, 1), np.float32)
-        return View.of(pose, inverse, read_inverse_depth(self.confidence_path(frame), 1.0), color, self.sphere)
+        return View.of(pose, inverse, read_inverse_depth(self.confidence_path(frame), 1.0), color, self.grid.step)
 
     def find_poses(self, path: Path) -> dict[int, Pose]:
         """Return the pose rig → world of each frame whose step is sure; steps that `path` holds are not repeated.
@@ -165,8 +160,9 @@ class RecordedFrames:
         progress(len(poses), len(poses), "")
 
     def refine(self, volume: Volume, poses: dict[int, Pose], out: Path) -> None:
-        """Read the depth of all frames back into each, and write it."""
+        """Read the depth of all frames back into each, and write it; then take what moves out of the volume."""
         progress, rays = progress_bar("frame"), self.grid.rays()
+        moving: dict[int, NDArray[np.bool_]] = {}
         for path in make_folder(out).glob("*.tiff"):
             path.unlink()
         for done, (number, pose) in enumerate(poses.items()):
@@ -175,7 +171,11 @@ class RecordedFrames:
             own = frame.inverse_depth
             fused, remembered = volume.march(pose, rays, _FARTHEST * volume.reach)
             seen = self.panorama(frame, np.where(np.isnan(fused), own, fused))
-            write_inverse_depth(out / f"{number:05}.tiff", mix(own, fused, seen, remembered, self.sphere))
+            moving[number] = moving_rays(own, fused, seen, remembered, self.grid.step)
+            write_inverse_depth(out / f"{number:05}.tiff", mix(own, fused, moving[number]))
+        for number, pose in poses.items():
+            view = self.view(self.data.frame(number), pose)
+            volume.integrate(replace(view, weight=np.where(moving[number], -view.weight, 0)), self.grid)
         progress(len(poses), len(poses), "")
 
     def link(self, out: Path) -> None:

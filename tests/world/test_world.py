@@ -1,5 +1,7 @@
 """A recording becomes one world: each part against a closed form."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scene
@@ -9,7 +11,7 @@ import omnistereo_lib as osl
 from omnistereo_lib.calibrate.features import FeatureFinder
 from omnistereo_lib.world.fusion import View, Volume, bytes_needed, touched_blocks
 from omnistereo_lib.world.motion import SightingFinder, rig_step
-from omnistereo_lib.world.refine import mix
+from omnistereo_lib.world.refine import mix, moving_rays
 from omnistereo_lib.world.surface import extract_surface
 from omnistereo_lib.world.trajectory import read_trajectory, trajectory_kitti, trajectory_tum
 
@@ -94,6 +96,25 @@ def test_what_other_frames_see_through_is_carved():
     np.testing.assert_allclose(1 / inverse, RADIUS, atol=VOXEL / 10)
 
 
+def test_a_view_that_is_taken_out_again_leaves_what_the_others_saw():
+    depth, place = in_sphere(np.zeros(3)), np.zeros(3)
+    car = view(place, np.where(GRID.rays()[..., 2] > 0.9, 2.0, depth))
+    volume = fused([car, view(place, depth)])
+    volume.integrate(replace(car, weight=-car.weight), GRID)
+    inverse, _ = volume.march(osl.Pose.identity(), GRID.rays(), REACH)
+    np.testing.assert_allclose(1 / inverse, RADIUS, atol=VOXEL / 10)
+
+
+def test_ground_seen_flat_has_no_holes():
+    """A plane 0.5 m below, up to 3 m away, where rays meet it at 10°."""
+    down = np.maximum(GRID.rays()[..., 1], 1e-3)
+    volume = fused([view(np.zeros(3), np.minimum(0.5 / down, 9.0))])
+    rays = GRID.rays()[(down > 0.5 / 3) & (down < 0.5)][None]
+    inverse, _ = volume.march(osl.Pose.identity(), rays, REACH)
+    assert np.isfinite(inverse).mean() > 0.99
+    np.testing.assert_allclose(1 / inverse * rays[..., 1], 0.5, atol=VOXEL / 10)
+
+
 def test_memory_is_what_the_arrays_take(sphere):
     assert bytes_needed(len(sphere.voxels[0]), 1) >= sum(array.nbytes for array in sphere.voxels[3:])
 
@@ -115,7 +136,8 @@ def test_a_ray_keeps_its_own_depth_where_something_moves_near_the_rig_and_where_
         (slice(55, 60), slice(90)),
     ):
         expected[rows, columns] = own[rows, columns]
-    np.testing.assert_allclose(mix(own, fused_depth, seen, remembered, sphere), expected, rtol=1e-6)
+    moving = moving_rays(own, fused_depth, seen, remembered, sphere)
+    np.testing.assert_allclose(mix(own, fused_depth, moving), expected, rtol=1e-6)
 
 
 def test_trajectories_are_in_the_formats_of_tum_and_kitti():
