@@ -106,9 +106,10 @@ def _parser() -> argparse.ArgumentParser:
         add(name, calls, text).set_defaults(out=OUT / name)
     add("rig-sizes", "experiments.rig_sizes.print_table", "how many rays are right at which distance, by size of rig")
     world = add(
-        "world-table", "experiments.world_table.print_table", "judge what `omnistereo world` made of sunny/train"
+        "world-table", "experiments.world_table.print_table", "judge what `omnistereo world` made of a rendered drive"
     )
     world.add_argument("recording", type=Path, help="folder of the recording")
+    world.add_argument("data", nargs="?", default="sunny/train", help="the drive, or drive/test (default: %(default)s)")
     add("snapshots", "experiments.snapshots.take_snapshots", "store what SweepNet makes of one frame while it learns")
     ship = add(
         "ship", "experiments.ship.export_weights", "bundle the weights of a finished training run, with curve and card"

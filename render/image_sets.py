@@ -178,7 +178,7 @@ def render_set(folder: Path, images: ImageSet, numbers: tuple[int, ...], seed: i
         yield number
 
 
-def _poses(images: ImageSet, seed: int) -> Callable[[int], Pose]:
+def true_poses(images: ImageSet, seed: int) -> Callable[[int], Pose]:
     """Return a function that gives T_world_rig of a frame of a drive."""
     drive = plan_drive(plan_district(seed), images.route, images.count)
     return lambda number: drive.pose(number - images.first) @ Pose.from_vector(images.T_drive_rig)
@@ -186,7 +186,7 @@ def _poses(images: ImageSet, seed: int) -> Callable[[int], Pose]:
 
 def _write_trajectory(path: Path, images: ImageSet, numbers: tuple[int, ...], seed: int) -> None:
     """Write the true poses of frames in the axes of the first one."""
-    pose = _poses(images, seed)
+    pose = true_poses(images, seed)
     T_first_world = pose(numbers[0]).inverse()
     with atomic_write(path) as temporary:
         temporary.write_text(trajectory_tum({number: T_first_world @ pose(number) for number in numbers}))
@@ -199,7 +199,7 @@ def _city(images: ImageSet, seed: int) -> tuple[Callable[[int], Pose], float]:
 
     _, traffic = build_city(seed)
     exposure = add_light(images.light).exposure
-    pose = _poses(images, seed)
+    pose = true_poses(images, seed)
 
     def place_rig(number: int) -> Pose:
         T_world_rig = pose(number)

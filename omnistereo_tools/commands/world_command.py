@@ -58,7 +58,8 @@ def run(options: WorldOptions) -> None:
     poses = frames.find_poses(out / "steps.json")
     volume = _make_volume(options, frames, poses)
     frames.integrate(volume, poses)
-    frames.refine(volume, poses, refined)
+    moving = frames.refine(volume, poses, refined)
+    frames.integrate(volume, poses, moving)
     _write(options, frames, poses, volume, refined)
     with atomic_write(out / "world.json") as temporary:
         temporary.write_text(json.dumps(asked) + "\n")

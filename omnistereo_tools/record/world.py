@@ -151,16 +151,21 @@ class RecordedFrames:
             )
         return poses
 
-    def integrate(self, volume: Volume, poses: dict[int, Pose]) -> None:
-        """Fuse the frames."""
+    def integrate(
+        self, volume: Volume, poses: dict[int, Pose], moving: dict[int, NDArray[np.bool_]] | None = None
+    ) -> None:
+        """Fuse the frames, or take the rays that move, (H, W) of each frame, out of the volume again."""
         progress = progress_bar("frame")
         for done, (number, pose) in enumerate(poses.items()):
-            progress(done, len(poses), f"fusing, frame {number}")
-            volume.integrate(self.view(self.data.frame(number), pose), self.grid)
+            progress(done, len(poses), f"{'fusing' if moving is None else 'taking out what moves'}, frame {number}")
+            view = self.view(self.data.frame(number), pose)
+            if moving is not None:
+                view = replace(view, weight=np.where(moving[number], -view.weight, 0))
+            volume.integrate(view, self.grid)
         progress(len(poses), len(poses), "")
 
-    def refine(self, volume: Volume, poses: dict[int, Pose], out: Path) -> None:
-        """Read the depth of all frames back into each, and write it; then take what moves out of the volume."""
+    def refine(self, volume: Volume, poses: dict[int, Pose], out: Path) -> dict[int, NDArray[np.bool_]]:
+        """Read the depth of all frames back into each, and write it; return the rays that move, (H, W) of each."""
         progress, rays = progress_bar("frame"), self.grid.rays()
         moving: dict[int, NDArray[np.bool_]] = {}
         for path in make_folder(out).glob("*.tiff"):
@@ -173,10 +178,8 @@ class RecordedFrames:
             seen = self.panorama(frame, np.where(np.isnan(fused), own, fused))
             moving[number] = moving_rays(own, fused, seen, remembered, self.grid.step)
             write_inverse_depth(out / f"{number:05}.tiff", mix(own, fused, moving[number]))
-        for number, pose in poses.items():
-            view = self.view(self.data.frame(number), pose)
-            volume.integrate(replace(view, weight=np.where(moving[number], -view.weight, 0)), self.grid)
         progress(len(poses), len(poses), "")
+        return moving
 
     def link(self, out: Path) -> None:
         """Put the rig and the images beside the refined depth, so that it is a data set."""

@@ -46,6 +46,11 @@ class Traffic:
                 or (not along_x and np.abs(self._district.ys - along).min() < HALF_STREET + car_length / 2)
             )
 
+    def shown(self) -> list[tuple[float, float, float, float]]:
+        """Return x, y, heading in radians, and length of the cars that are there."""
+        cars = [(item, length) for item, *_, length in self._cars if not item.hide_render]
+        return [(*item.location[:2], item.rotation_euler[2], length) for item, length in cars]
+
 
 def lane_point(along_x: bool, line: float, sign: int, along: float) -> tuple[NDArray[np.float64], float]:
     """Return the middle of the right-hand lane, shape (2,), and the heading of a street's traffic there."""
