@@ -77,25 +77,60 @@ def make_mesh(depth: Depth, limits: Limits, faces: int | None = None) -> Trimesh
     """
     trimesh = import_trimesh()
     distance = np.where(limits.keep(depth), depth.depth, np.nan)
-    points = depth.grid.rays() * distance[..., None]
     corners = _triangles(distance, depth.index)
     if len(corners) == 0:
         raise OmnistereoError("no triangle is left for the mesh. Raise --max-depth or lower --min-confidence")
     used, corners = np.unique(corners, return_inverse=True)
-    mesh = trimesh.Trimesh(points.reshape(-1, 3)[used], corners.reshape(-1, 3), process=False)
+    on, towards = np.divmod(used, distance.size)
+    rays = depth.grid.rays().reshape(-1, 3)
+    halfway = rays[on] + rays[towards]  # of a vertex at a ray, the ray itself
+    points = halfway / np.linalg.norm(halfway, axis=-1, keepdims=True) * distance.ravel()[on, None]
+    mesh = trimesh.Trimesh(points, corners.reshape(-1, 3), process=False)
     if faces is not None and faces < len(mesh.faces):
         mesh = mesh.simplify_quadric_decimation(face_count=faces)
     return _unwrap(mesh, depth)
 
 
 def _triangles(distance: NDArray[Any], index: NDArray[Any]) -> NDArray[np.int64]:
-    """Return vertex numbers (M, 3) of two triangles per cell of a grid (H, W), circular, none across a depth edge."""
-    number = np.arange(distance.size).reshape(distance.shape)
-    left, right = number, np.roll(number, -1, 1)
-    a, b, c, d = left[:-1].ravel(), right[:-1].ravel(), left[1:].ravel(), right[1:].ravel()
-    corners = np.concatenate([np.stack([a, c, b], -1), np.stack([b, c, d], -1)])  # seen from the rig counter-clockwise
-    depths, indices = distance.ravel()[corners], index.ravel()[corners]
-    return corners[is_connected(depths.T, indices.T) & np.isfinite(depths).all(-1)]
+    """Return the corners (M, 3) of the triangles between neighbouring rays, circular, seen from the rig to the left.
+
+    A corner is the number of its ray times the number of rays, plus the number of the ray towards which it lies: the
+    ray itself, or at an edge in depth a neighbour. There each surface ends halfway, at its own depth (marching
+    squares), so that nothing is stretched from one to the other, and rims have no teeth.
+    """
+    rays = np.arange(distance.size).reshape(distance.shape)
+    above, below = rays[:-1], rays[1:]
+    cells = np.stack([above, below, np.roll(below, -1, 1), np.roll(above, -1, 1)], -1).reshape(-1, 4)
+    depths, indices = distance.ravel()[cells], index.ravel()[cells]
+    whole = np.isfinite(depths).all(-1) & is_connected(depths.T, indices.T)
+    found = [cells[whole][:, corners] * (distance.size + 1) for corners in ([0, 1, 3], [3, 1, 2])]
+    cells, depths, indices = cells[~whole], depths[~whole], indices[~whole]
+    left = np.isfinite(depths)
+    for _ in range(2):  # the nearest surface of a cell, and the next one
+        first = np.where(left, depths, np.inf).argmin(-1)[:, None]
+        pairs = [
+            np.stack([values, np.broadcast_to(np.take_along_axis(values, first, 1), values.shape)])
+            for values in (depths, indices)
+        ]
+        on = left & is_connected(*pairs)
+        for pattern in range(1, 15):
+            outline = _outline(cells[on @ [1, 2, 4, 8] == pattern], pattern, distance.size)
+            found += [outline[:, [0, k, k + 1]] for k in range(1, outline.shape[1] - 1)]
+        left &= ~on
+    return np.concatenate(found)
+
+
+def _outline(cells: NDArray[np.int64], pattern: int, rays: int) -> NDArray[np.int64]:
+    """Return the outline of the part of cells (M, 4) whose corners are bits of a pattern; vertices as `_triangles`."""
+    found = []
+    for k in range(4):
+        here, following = cells[:, k], cells[:, (k + 1) % 4]
+        starts, ends = pattern >> k & 1, pattern >> (k + 1) % 4 & 1
+        if starts:
+            found.append(here * (rays + 1))
+        if starts != ends:
+            found.append(here * rays + following if starts else following * rays + here)
+    return np.stack(found, -1)
 
 
 def is_connected(depths: NDArray[Any], indices: NDArray[Any]) -> NDArray[np.bool_]:

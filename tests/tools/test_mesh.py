@@ -97,8 +97,14 @@ def test_it_is_cut_where_the_depth_jumps_and_without_the_sky(depth):
     far = np.linalg.norm(mesh.vertices, axis=-1)[mesh.faces]
     assert np.ptp(far, axis=1).max() < 0.2 * far.min(1)[np.ptp(far, axis=1).argmax()] + 1e-9
     near = np.isclose(far, GRID.index_to_depth(50), rtol=1e-3).all(1)
-    assert near.sum() == 2 * 9 * 19  # a piece of its own
-    assert len(mesh.faces) < 2 * 34 * 160 - 2 * 9 * 69
+    assert near.sum() == 2 * 9 * 19 + 2 * 2 * (9 + 19) + 4  # a piece of its own, which ends half a ray farther
+    pixels, _ = GRID.project(mesh.vertices[np.unique(mesh.faces[near])])
+    np.testing.assert_allclose([pixels.min(0), pixels.max(0)], [[49.5, 9.5], [69.5, 19.5]], atol=0.02)
+    pixels, _ = GRID.project(mesh.vertices)
+    assert pixels[:, 1].min() == pytest.approx(4.5, abs=0.02)  # below the sky
+    area = np.abs(np.linalg.det(pixels[mesh.faces][:, [1, 2]] - pixels[mesh.faces][:, :1]))
+    covered = area[np.ptp(pixels[mesh.faces][..., 0], axis=1) < 2].sum() / 2  # not across the seam
+    assert covered == pytest.approx(34.5 * 159 - 9.5 * 69, abs=1)  # no gap between the two
 
 
 def test_it_is_decimated_on_demand(depth, panorama, tmp_path):
