@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 import html
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -25,6 +25,7 @@ from omnistereo_tools.output.calibration_figures import draw_coverage as draw_co
 from omnistereo_tools.output.pictures import colorize_depth, sharp_panorama
 from omnistereo_tools.output.pictures import draw_points as draw_points
 from omnistereo_tools.output.points import Limits
+from omnistereo_tools.output.summary import metres
 from omnistereo_tools.output.viewer import page_of, viewer_data
 
 if TYPE_CHECKING:
@@ -192,13 +193,23 @@ def explore(depth: Depth, max_depth: float, min_confidence: float = 0.0) -> None
     display(HTML(f'<iframe srcdoc="{page}" title="{stills.VIEW}" style="width: 100%; height: 800px"></iframe>'))
 
 
-def explain_ray(depth: Depth, column: int, row: int, gt_index: NDArray[Any] | None = None) -> Figure:
+def explain_ray(
+    depth: Depth,
+    column: int,
+    row: int,
+    gt_index: NDArray[Any] | None = None,
+    volumes: Mapping[str, NDArray[Any]] | None = None,
+) -> Figure:
     """Return a figure of why a ray has its depth: the agreement of the cameras along it, their patches, their images.
+
+    The agreement is that of the images. What a method made of it, such as the probabilities of a network, or costs
+    before and after SGM, is drawn with it, each curve from its least value, 0, to its greatest, 1.
 
     Args:
         depth: With the images from which it was estimated.
         column, row: Of the ray.
         gt_index: Exact sphere indices (H, W), if they are known.
+        volumes: Of the method, (H, W, N), each by its name in the legend.
     """
     import matplotlib.pyplot as plt
 
@@ -213,7 +224,12 @@ def explain_ray(depth: Depth, column: int, row: int, gt_index: NDArray[Any] | No
     along, nearest = axes["along"], 0 if np.isnan(one.index) else round(one.index)
     along.plot(one.agreement, color="C1", label="agreement")
     along.plot([m.sphere for m in one.modes[:3]], [m.agreement for m in one.modes[:3]], "o", color="C1")
-    along.axvline(one.index, color="C0", label=f"estimate, {one.depth:.3g} m")
+    for k, (name, volume) in enumerate((volumes or {}).items()):
+        values = np.asarray(volume[row, column], float)
+        low, high = np.nanmin(values), np.nanmax(values)
+        label = f"{name}, {low:.2g} to {high:.2g}"
+        along.plot((values - low) / max(high - low, 1e-9), color=f"C{3 + k}", lw=1, label=label)
+    along.axvline(one.index, color="C0", label=f"estimate, {metres(one.depth)}")
     if gt_index is not None:
         along.axvline(gt_index[row, column], color="C2", ls="--", label="exact")
     along.set(xlabel="sphere, from far to near", ylim=(-0.2, 1.05))

@@ -44,10 +44,13 @@ def test_the_effect_of_a_tilt_is_the_angle_over_the_baseline():
 
 
 def test_the_figure_of_a_ray_shows_its_numbers(box):
-    one, figure = ray.explain(box, 80, 20), plot.explain_ray(box, 80, 20, box.index)
+    costs = np.random.default_rng(0).uniform(1, 3, (40, 160, 64))
+    one, figure = ray.explain(box, 80, 20), plot.explain_ray(box, 80, 20, box.index, {"cost": costs})
     assert figure.get_suptitle() == one.sentence
     along = figure.axes[0].lines[0].get_ydata()
     np.testing.assert_array_equal(along, one.agreement)
+    (drawn,) = [line.get_ydata() for line in figure.axes[0].lines if line.get_label().startswith("cost, ")]
+    assert np.ptp(drawn) == pytest.approx(1) and np.corrcoef(drawn, costs[20, 80])[0, 1] == pytest.approx(1)
     crosses = [line for ax in figure.axes for line in ax.lines if line.get_marker() == "+"]
     assert len(crosses) == one.sees.sum() > 1
     plt.close(figure)
