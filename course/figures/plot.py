@@ -216,11 +216,11 @@ def explain_ray(
     one, cameras = ray.explain(depth, column, row), len(depth.sweep.rig)
     fig, axes = plt.subplot_mosaic(
         [["along"] * cameras, [f"patch {i}" for i in range(cameras)], [f"image {i}" for i in range(cameras)]],
-        figsize=(2.4 * cameras, 7),
-        height_ratios=[1.2, 1, 1.3],
+        figsize=(1.6 * cameras, 4.0),
+        height_ratios=[1.2, 0.8, 1],
         layout="constrained",
     )
-    fig.suptitle(one.sentence)
+    fig.suptitle(one.sentence, fontsize=10)
     along, nearest = axes["along"], 0 if np.isnan(one.index) else round(one.index)
     along.plot(one.agreement, color="C1", label="agreement")
     along.plot([m.sphere for m in one.modes[:3]], [m.agreement for m in one.modes[:3]], "o", color="C1")
@@ -233,7 +233,7 @@ def explain_ray(
     if gt_index is not None:
         along.axvline(gt_index[row, column], color="C2", ls="--", label="exact")
     along.set(xlabel="sphere, from far to near", ylim=(-0.2, 1.05))
-    along.legend()
+    along.legend(fontsize=8)
     spheres = np.arange(depth.grid.num_spheres)
     for i, (camera, image) in enumerate(zip(depth.sweep.rig.cameras, depth.images, strict=True)):
         axes[f"patch {i}"].imshow(one.patches[i, nearest], cmap="gray", vmin=0, vmax=255)
