@@ -188,7 +188,7 @@ def of_arguments(answer: Callable, inputs: tuple, found: Array, numbers: Callabl
                 yield f"that would be right if `{names[k]}` {words}"
     for i, j in combinations([k for k, x in enumerate(inputs) if isinstance(x, np.ndarray) and x.ndim], 2):
         if inputs[i].shape == inputs[j].shape:
-            for (words, one), (_, other) in zip(_changes(inputs[i]), _changes(inputs[j]), strict=True):
+            for (words, one), (_, other) in zip(_changes(inputs[i]), _changes(inputs[j]), strict=False):
                 if gives({i: one, j: other}):
                     yield f"that would be right if `{names[i]}` and `{names[j]}` {words}"
 
