@@ -8,7 +8,7 @@ from course.exercises.opened import Open
 
 
 def step_residual(T_ab, start, x, distance, end, y):
-    """Angles (M,) in degrees between rays y (M, 3), frame b, and where points on rays x (M, 3), frame a, must appear."""
+    """Angles (M,) in degrees between rays y (M, 3), frame b, and directions to points on rays x (M, 3), frame a."""
     points = start + distance[:, None] * x
     toward = T_ab.inverse() @ points - end
     toward /= np.linalg.norm(toward, axis=1, keepdims=True)
@@ -71,7 +71,7 @@ def _some_voxels(rng: Rng, k: int) -> tuple:
 check_integrate = Open(integrate, _some_voxels, whole=("depth", "confidence", "grid")).with_slips("""
     depth[ray] - np.linalg.norm(seen, axis=1) → np.linalg.norm(seen, axis=1) - depth[ray]
     # positive in front of the surface: the depth minus how far away the point is
-    np.linalg.norm(seen, axis=1) → seen[:, 2]  # a ray's depth is a length, not the z of a pinhole camera: np.linalg.norm
+    np.linalg.norm(seen, axis=1) → seen[:, 2]  # depth is the length along the ray, not z: np.linalg.norm
     np.minimum(depth[ray] - np.linalg.norm(seen, axis=1), band) → depth[ray] - np.linalg.norm(seen, axis=1)
     # truncate: free space far in front of the surface counts as the band, np.minimum
     valid & (s > -band) → valid & np.isfinite(s)
