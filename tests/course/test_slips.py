@@ -115,6 +115,23 @@ robust_weight
 who_moved
     / sd[others] →  # example
     np.mean(apart**2) → np.sum(apart**2)  # example
+step_residual
+    T_ab.inverse() → T_ab  # `T_ab` were its inverse
+    np.degrees(np.arccos(np.clip(np.sum(toward * y, axis=1), -1, 1))) → np.arccos(np.sum(toward * y, axis=1))
+    # π/180 times
+    toward * y → toward * -y  # `y` had the other sign
+integrate
+    T_world_rig.inverse() → T_world_rig  # `T_world_rig` were its inverse
+    w * np.where(known, s, 0) → w * s  # NaN or infinity where a number is right
+    np.rint(pixels) → np.floor(pixels)  # example
+    total = weight + w → total = w  # example
+march
+    np.where(crossed.any(axis=-1), found, np.nan) → found  # a number where NaN is right
+    np.nan) → 0)  # 0 where NaN is right
+    radii[k] + (radii[k + 1] - radii[k]) → radii[k] - (radii[k + 1] - radii[k])  # example
+mix
+    own, fused) → fused, own)  # example
+    | moved →  # example
 two_best
     angles, axis=0)[:2] → -angles, axis=0)[:2]  # the two smallest angles
 behind
