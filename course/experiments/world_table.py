@@ -39,7 +39,8 @@ def print_table(recording: Path, data: str) -> None:
         data: The drive, such as "sunny/train".
     """
     found, true = (read_trajectory(path / "trajectory.txt") for path in (recording / "world", DATA / data))
-    true = {number: true[number] for number in found}
+    T_first_world = true[min(found)].inverse()
+    true = {number: T_first_world @ true[number] for number in found}
     truth, frames = load_dataset(DATA / data, gt_width=640), RecordedFrames.open(recording)
     result: dict[str, Any] = _path_errors(found, true)
     moving = _driving_cars(data, {n: truth.frame(n).inverse_depth for n in found}, frames.grid)
