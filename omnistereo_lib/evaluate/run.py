@@ -262,7 +262,8 @@ def _rig_files(path: Path) -> list[Path]:
     """Return the files that describe a rig: of a folder, all that may; else the one."""
     if path.is_file():
         return [path]
-    return [inside for inside in sorted(path.iterdir()) if inside.suffix in _RIG_FILES and inside.is_file()]
+    files = [inside for inside in sorted(path.iterdir()) if inside.suffix in _RIG_FILES and inside.is_file()]
+    return [inside for inside in files if inside.name != "trajectory.txt"]  # where the rig was
 
 
 def _checksums(name: str, set_folder: Path, frame: Frame) -> dict[str, str]:

@@ -249,6 +249,7 @@ def test_other_data_are_refused(own, copy):
         with pytest.raises(osl.OmnistereoError, match=OTHER):
             evaluation(own, copy)
         (copy / changed).write_bytes(content)
+    (copy / "trajectory.txt").write_text("1 0 0 0 0 0 0 1\n")  # where the rig was says nothing about depth
     assert evaluation(own, copy).missing() == []
 
 
