@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, is_whole, make_folder
 from omnistereo_lib.geometry.pose import Pose
-from omnistereo_lib.world.trajectory import trajectory_tum
+from omnistereo_lib.geometry.trajectory import trajectory_tum
 from render.camera.render_rig import RenderRig, make_rig, write_config
 from render.city.drive import plan_drive
 from render.city.layout import plan_district

@@ -121,7 +121,6 @@ def test_the_command_line_imports_what_is_slow_when_a_command_runs():
 
 def test_the_renderer_uses_geometry_and_files_only():
     used = {other for path in sources("render").values() for other in ours(path)}
-    used -= {"omnistereo_lib.world.trajectory"}  # the file of the true poses
     assert {name.split(".")[1] for name in used} <= {"geometry", "errors", "files"}
     tools = {other for path in sources("render").values() for other in imports(path) if "omnistereo_tools" in other}
     assert tools == {"omnistereo_tools.record.cluster"}

@@ -16,9 +16,9 @@ from omnistereo_lib.evaluate.run import DATA
 from omnistereo_lib.files import read_data
 from omnistereo_lib.geometry.pose import Floats, Pose, nearest_rotation
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.geometry.trajectory import read_trajectory
 from omnistereo_lib.world.fusion import View, Volume, touched_blocks
 from omnistereo_lib.world.surface import extract_surface
-from omnistereo_lib.world.trajectory import read_trajectory
 from omnistereo_tools.output.mesh_export import import_trimesh
 from omnistereo_tools.record.world import RecordedFrames
 from render.city.layout import plan_district

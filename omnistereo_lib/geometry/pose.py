@@ -115,6 +115,16 @@ def nearest_rotation(M: Floats) -> Floats:
     return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt, np.float64)
 
 
+def quaternion_pose(q: Floats, t: Floats) -> Pose:
+    """Return the pose of a unit quaternion (w, x, y, z), and a translation."""
+    from scipy.spatial.transform import Rotation
+
+    if not np.abs(q).max() < 2 or abs(np.linalg.norm(q) - 1) > 1e-3:  # the largest first: squares can overflow
+        length = np.linalg.norm(q.clip(-1e9, 1e9))
+        raise OmnistereoError(f"the quaternion {q.tolist()} (w x y z) has length {length:.4g}; expected 1")
+    return Pose(Rotation.from_quat(q[[1, 2, 3, 0]]).as_matrix(), t)
+
+
 def quaternion_from_rotation(R: Floats) -> Floats:
     """Return the unit quaternion (x, y, z, w) of a rotation matrix, w ≥ 0."""
     # Shepperd's method: each row of this symmetric matrix is the quaternion times 4 × one of its components; the row

@@ -6,8 +6,9 @@ import numpy as np
 
 from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.files import read_gray
+from omnistereo_lib.geometry.pose import quaternion_pose
 from omnistereo_lib.rig_files.fit import fit_camera
-from omnistereo_lib.rig_files.parse import RigFile, Section, parse_size, quaternion_pose
+from omnistereo_lib.rig_files.parse import RigFile, Section, parse_size
 
 _MODELS = {"pinhole-radtan8": "pinhole"}  # what basalt calls otherwise than `camera_models`
 

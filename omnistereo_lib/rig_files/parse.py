@@ -272,16 +272,6 @@ def parse_axis_angle(values: Any, name: str) -> NDArray[np.float64]:
     return r
 
 
-def quaternion_pose(q: Floats, t: Floats) -> Pose:
-    """Return the pose of a unit quaternion (w, x, y, z), and a translation."""
-    from scipy.spatial.transform import Rotation
-
-    if not np.abs(q).max() < 2 or abs(np.linalg.norm(q) - 1) > 1e-3:  # the largest first: squares can overflow
-        length = np.linalg.norm(q.clip(-1e9, 1e9))
-        raise OmnistereoError(f"the quaternion {q.tolist()} (w x y z) has length {length:.4g}; expected 1")
-    return Pose(Rotation.from_quat(q[[1, 2, 3, 0]]).as_matrix(), t)
-
-
 def metres_per_unit(unit: str | None, positions: NDArray[np.float64]) -> float:
     """Return the scale of a file that does not state its unit.
 

@@ -12,7 +12,7 @@ import numpy as np
 from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.files import path_within, read_gray, read_image
 from omnistereo_lib.geometry.camera import OcamCamera
-from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.geometry.pose import Pose, quaternion_pose
 from omnistereo_lib.rig_files.camera_models import RADTAN
 from omnistereo_lib.rig_files.fit import fit_camera
 from omnistereo_lib.rig_files.parse import (
@@ -21,7 +21,6 @@ from omnistereo_lib.rig_files.parse import (
     numbered_lines,
     parse_floats,
     parse_size,
-    quaternion_pose,
     warn_if_different,
 )
 

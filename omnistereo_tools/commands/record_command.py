@@ -106,14 +106,8 @@ def run(options: RecordOptions) -> None:
     warn_of(rig_doubts(rig, grid.min_depth))
     warn_of(image_doubts(frame, grid))
     sweep, method = SphereSweep(rig, grid, device=options.device), options.method or stored_method(out)
-    writer = DepthWriter(
-        out,
-        recording,
-        sweep,
-        Method.parse(method or FRAME_METHOD),
-        f".{options.depth_format}",
-        options.video is not None,
-    )
+    first_method, with_video = Method.parse(method or FRAME_METHOD), options.video is not None
+    writer = DepthWriter(out, recording, sweep, first_method, f".{options.depth_format}", with_video)
     writer.check_out()
     left, total = writer.left(), len(recording.frames)
     recording.check(left, rig)

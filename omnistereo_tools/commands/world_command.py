@@ -94,8 +94,8 @@ def _write(
     """Write the path, the meshes and the page, and what makes the refined depth a data set."""
     from omnistereo_lib.files import atomic_write
     from omnistereo_lib.frame import read_inverse_depth
+    from omnistereo_lib.geometry.trajectory import trajectory_kitti, trajectory_tum
     from omnistereo_lib.world.surface import extract_surface
-    from omnistereo_lib.world.trajectory import trajectory_kitti, trajectory_tum
     from omnistereo_tools.output.world import draw_overview, write_surface
 
     print("extracting the surface", flush=True)

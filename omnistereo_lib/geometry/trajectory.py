@@ -9,8 +9,7 @@ import numpy as np
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import read_text
-from omnistereo_lib.geometry.pose import Pose, quaternion_from_rotation
-from omnistereo_lib.rig_files.parse import quaternion_pose
+from omnistereo_lib.geometry.pose import Pose, quaternion_from_rotation, quaternion_pose
 
 
 def trajectory_tum(poses: Mapping[int, Pose]) -> str:
