@@ -1,57 +1,33 @@
-from .calibrate.checkerboard import Checkerboard
-from .calibrate.joint import calibrate_rig
-from .calibrate.single_camera import calibrate_camera
-from .dataset import load_dataset
-from .errors import OmnistereoError
-from .frame import Frame, load_images
-from .geometry.camera import OcamCamera, fit_inverse_polynomial
-from .geometry.pose import Pose
-from .geometry.rig import Rig, camera_pairs
-from .geometry.sphere import SphereGrid
-from .rig_files import load_camera, load_rig, save_rig
-from .stereo.depth import Depth, confidence, winner_takes_all
-from .stereo.learned import LearnedCost
-from .stereo.mccnn import MCCNN
-from .stereo.methods import Method
-from .stereo.metrics import index_error, sparsification
-from .stereo.pipeline import estimate_depth
-from .stereo.sgm import sgm
-from .stereo.sweep import SphereSweep
-from .stereo.sweepnet import SweepNet
-from .stereo.volume import cost_volume
-from .stereo.volumenet import VolumeNet
-from .stereo.zncc import ZNCC
+from .calibrate.checkerboard import Checkerboard as Checkerboard
+from .calibrate.joint import calibrate_rig as calibrate_rig
+from .calibrate.single_camera import calibrate_camera as calibrate_camera
+from .dataset import load_dataset as load_dataset
+from .errors import OmnistereoError as OmnistereoError
+from .frame import Frame as Frame
+from .frame import load_images as load_images
+from .geometry.camera import OcamCamera as OcamCamera
+from .geometry.camera import fit_inverse_polynomial as fit_inverse_polynomial
+from .geometry.pose import Pose as Pose
+from .geometry.rig import Rig as Rig
+from .geometry.rig import camera_pairs as camera_pairs
+from .geometry.sphere import SphereGrid as SphereGrid
+from .rig_files import load_camera as load_camera
+from .rig_files import load_rig as load_rig
+from .rig_files import save_rig as save_rig
+from .stereo.depth import Depth as Depth
+from .stereo.depth import confidence as confidence
+from .stereo.depth import winner_takes_all as winner_takes_all
+from .stereo.learned import LearnedCost as LearnedCost
+from .stereo.mccnn import MCCNN as MCCNN
+from .stereo.methods import Method as Method
+from .stereo.metrics import index_error as index_error
+from .stereo.metrics import sparsification as sparsification
+from .stereo.pipeline import estimate_depth as estimate_depth
+from .stereo.sgm import sgm as sgm
+from .stereo.sweep import SphereSweep as SphereSweep
+from .stereo.sweepnet import SweepNet as SweepNet
+from .stereo.volume import cost_volume as cost_volume
+from .stereo.volumenet import VolumeNet as VolumeNet
+from .stereo.zncc import ZNCC as ZNCC
 
-__all__ = [
-    "MCCNN",
-    "ZNCC",
-    "Checkerboard",
-    "Depth",
-    "Frame",
-    "LearnedCost",
-    "Method",
-    "OcamCamera",
-    "OmnistereoError",
-    "Pose",
-    "Rig",
-    "SphereGrid",
-    "SphereSweep",
-    "SweepNet",
-    "VolumeNet",
-    "calibrate_camera",
-    "calibrate_rig",
-    "camera_pairs",
-    "confidence",
-    "cost_volume",
-    "estimate_depth",
-    "fit_inverse_polynomial",
-    "index_error",
-    "load_camera",
-    "load_dataset",
-    "load_images",
-    "load_rig",
-    "save_rig",
-    "sgm",
-    "sparsification",
-    "winner_takes_all",
-]
+__all__: list[str]

@@ -1,7 +1,5 @@
 """Images of consumer cameras: two lenses back to back in one image, and panoramas, which have no depth."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

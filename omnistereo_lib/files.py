@@ -259,13 +259,13 @@ def pages_of(path: str | Path, picture: Any) -> int:
         raise _damaged_picture(path, error) from None
 
 
-def read_pixels(path: str | Path, image_size: tuple[int, int] | None = None) -> NDArray[Any]:
+def read_pixels(path: str | Path) -> NDArray[Any]:
     """Return the pixels of an image file as they are stored: (height, width) or RGB, (height, width, 3).
 
     They are uint8, or uint16 where the file has more bits. Raises an `OmnistereoError` as `check_image`, or if the
     pixels are damaged. A JPEG that is damaged in the middle is read as far as it can be, with a warning.
     """
-    return _read_pixels(path, image_size)[0]
+    return _read_pixels(path, None)[0]
 
 
 def _read_pixels(path: str | Path, image_size: tuple[int, int] | None) -> tuple[NDArray[Any], int | None]:
@@ -410,15 +410,22 @@ def find_pictures(folder: Path, suffixes: Iterable[str]) -> dict[str, Path]:
 def write_image(path: str | Path, image: NDArray[Any]) -> None:
     """Write an image, gray (height, width) or RGB (height, width, 3), in the format of the file name suffix.
 
-    Values range from 0 to 255; NaN becomes black. JPEG files have quality 95, OpenCV's default.
+    Values range from 0 to 255; NaN becomes black. uint16 is written as it is, for PNG. JPEG files have quality 95,
+    OpenCV's default.
     """
     import cv2
 
-    pixels = np.nan_to_num(image).clip(0, 255).round().astype(np.uint8)
+    pixels = image if image.dtype == np.uint16 else np.nan_to_num(image).clip(0, 255).round().astype(np.uint8)
     pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR) if pixels.ndim == 3 else pixels
     content = cv2.imencode(Path(path).suffix, pixels)[1]
     with atomic_write(path) as temporary:
         temporary.write_bytes(content.tobytes())
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text in UTF-8, atomically."""
+    with atomic_write(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 @contextmanager

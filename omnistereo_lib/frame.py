@@ -80,18 +80,13 @@ class Frame:
         """Return the inverse depth in 1/m of the ground-truth pixels nearest to rays (..., 3); NaN = unknown."""
         height, width = self.inverse_depth.shape
         highest = 180.0 * height / width
-        pixels, inside = SphereGrid(width, height, (-highest, highest), sampling=sampling).project(rays)
-        column, row = np.moveaxis(np.rint(pixels).astype(int), -1, 0)
-        return np.where(inside, self.inverse_depth[row.clip(0, height - 1), column % width], np.float32(np.nan))
+        grid = SphereGrid(width, height, (-highest, highest), sampling=sampling)
+        found, inside = grid.look_up(self.inverse_depth, rays)
+        return np.where(inside, found, np.float32(np.nan))
 
 
 def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray[Any]]:
-    """Return the images as arrays, checked against the cameras of the rig.
-
-    Raises:
-        OmnistereoError: If there is not one image per camera, or one has the wrong size, shape or type or is not
-            finite.
-    """
+    """Return the images as arrays, checked against the cameras of the rig; errors as of `Frame.of`."""
     if not isinstance(images, Sized):  # arrays and tensors are sequences, too
         raise OmnistereoError(f"images is {shortened(images)}; expected one array per camera")
     # Arrays in this machine's byte order, whatever they come as: tensors, too, without importing torch for it.

@@ -129,7 +129,7 @@ class OcamCamera:
             points (array or torch tensor, shape (..., 3)): Points in the camera frame; only their direction matters,
                 at any length between 1e-150 and 1e150.
             use_direct_poly: False: evaluate the inverse polynomial, as every released code does. True: find the root of
-                the direct polynomial, for files whose two polynomials disagree.
+                the direct polynomial, for files whose two polynomials disagree; of tensors, on the CPU only.
 
         Returns:
             uv (shape (..., 2), pixels): Meaningful where valid; finite elsewhere, so that it can be interpolated.
@@ -145,7 +145,10 @@ class OcamCamera:
         finite = xp.isfinite(n) & xp.isfinite(z) & ((n > 0) | (z != 0))
         in_view = finite & (t <= self._max_t + 1e-12)
         t = xp.where(in_view, t, self._max_t)  # the polynomial is undefined further out
-        r = self._radius_by_root(t, self._max_t) if use_direct_poly else _horner(self.inv_poly, t)
+        if use_direct_poly:
+            r = xp.asarray(self._radius_by_root(t, self._max_t), dtype=t.dtype)
+        else:
+            r = _horner(self.inv_poly, t)
         off_axis = finite & (n > 0)  # points on the axis project to the centre
         n = xp.where(off_axis, n, 1.0)
         # Divide first: r / n can overflow close to the axis.
@@ -154,35 +157,33 @@ class OcamCamera:
         uv = xp.stack([x + e * y + self.center[0], d * x + c * y + self.center[1]], -1)
         return uv, in_view & self.contains(uv)
 
-    def unproject(self, uv: Array, use_direct_poly: bool = False) -> tuple[Array, Array]:
+    def unproject(self, uv: ArrayLike, use_direct_poly: bool = False) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Return the unit rays of pixels: the inverse of `project` with the same `use_direct_poly`.
 
         Args:
-            uv: array or torch tensor, shape (..., 2), pixels
+            uv: array, shape (..., 2), pixels
             use_direct_poly: False: invert the inverse polynomial numerically. True: evaluate the direct polynomial.
 
         Returns:
             rays: shape (..., 3), unit length, camera frame
             valid (bool, shape (...)): In the image, on the mask, in the field of view; the polynomial is monotonic.
         """
-        uv, xp = _as_array(uv, 2)
-        finite = xp.isfinite(uv[..., 0]) & xp.isfinite(uv[..., 1])
-        u = xp.where(finite, uv[..., 0], xp.zeros_like(uv[..., 0])) - self.center[0]
-        v = xp.where(finite, uv[..., 1], xp.zeros_like(uv[..., 1])) - self.center[1]
+        pixels, _ = _as_array(np.asarray(uv), 2)
+        finite = np.isfinite(pixels).all(-1)
+        u, v = np.moveaxis(np.where(finite[..., None], pixels, 0.0) - self.center, -1, 0)
         (i00, i01), (i10, i11) = np.linalg.inv(self._A)
         x, y = i00 * u + i01 * v, i10 * u + i11 * v
-        r = xp.sqrt(x * x + y * y)
+        r = np.sqrt(x * x + y * y)
         if use_direct_poly:
-            t = xp.arctan2(_horner(self.poly, r), r)
+            t = np.arctan2(_horner(self.poly, r), r)
             max_radius, _ = _branch_end(self.poly, self._max_t, 3 * max(self.image_size))
         else:
             t, max_radius = self._angle_by_root(r), self.max_radius
-        sine = xp.cos(t)  # of the angle from the axis, which is t + π/2
-        safe_r = xp.where(r > 0, r, xp.ones_like(r))
-        rays = xp.stack([x / safe_r * sine, y / safe_r * sine, -xp.sin(t)], -1)
-        axis = xp.zeros_like(rays) + _like(xp, rays, [0.0, 0.0, 1.0])
-        rays = xp.where((r > 0)[..., None], rays, axis)
-        return rays, finite & self.contains(uv) & (t <= self._max_t + 1e-9) & (r <= max_radius + 1e-6)
+        sine = np.cos(t)  # of the angle from the axis, which is t + π/2
+        safe_r = np.where(r > 0, r, 1.0)
+        rays = np.stack([x / safe_r * sine, y / safe_r * sine, -np.sin(t)], -1)
+        rays = np.where((r > 0)[..., None], rays, [0.0, 0.0, 1.0])
+        return rays, finite & self.contains(pixels) & (t <= self._max_t + 1e-9) & (r <= max_radius + 1e-6)
 
     def contains(self, uv: Array) -> Array:
         """Return whether pixels (..., 2) lie inside the image and on the mask; bool, shape (...)."""
@@ -233,27 +234,25 @@ class OcamCamera:
         inside = radii <= self._reach
         return float(np.abs(self._radius_by_root(t[inside], t[inside][-1]) - radii[inside]).max())
 
-    def _radius_by_root(self, t: Array, max_t: float) -> Array:
+    def _radius_by_root(self, t: ArrayLike, max_t: float) -> NDArray[np.float64]:
         """Find the smallest positive root r of f(r) cos t = r sin t, t ≤ max_t, by Newton's method."""
         radii, angles = _monotone_branch(self.poly, max_t, 3 * max(self.image_size))
         slope = polyder(self.poly)
-        xp = _namespace(t)
-        r = _interpolate(xp, t, angles, radii)
-        cosine, sine = xp.cos(t), xp.sin(t)
+        t = np.asarray(t, np.float64)
+        r, cosine, sine = np.interp(t, angles, radii), np.cos(t), np.sin(t)
         for _ in range(_NEWTON_STEPS):
             r = r - (_horner(self.poly, r) * cosine - r * sine) / (_horner(slope, r) * cosine - sine)
         return r
 
-    def _angle_by_root(self, r: Array) -> Array:
+    def _angle_by_root(self, r: NDArray[np.float64]) -> NDArray[np.float64]:
         """Solve r(t) = r for t by Newton's method, clipped to the field of view."""
         angles = np.linspace(-np.pi / 2, self._max_t, 1024)
         radii = _horner(self.inv_poly, angles)
         slope = polyder(self.inv_poly)
-        xp = _namespace(r)
-        t = _interpolate(xp, r, np.maximum.accumulate(radii), angles)
+        t = np.interp(r, np.maximum.accumulate(radii), angles)
         for _ in range(_NEWTON_STEPS):
             step = (_horner(self.inv_poly, t) - r) / _horner(slope, t)
-            t = xp.clip(t - step, -np.pi / 2, self._max_t)
+            t = np.clip(t - step, -np.pi / 2, self._max_t)
         return t
 
 
@@ -347,17 +346,3 @@ def _as_array(a: Any, width: int) -> tuple[Array, ModuleType]:
     if a.ndim < 1 or a.shape[-1] != width:
         raise OmnistereoError(f"the array has shape {tuple(a.shape)}; expected (..., {width})")
     return a, xp
-
-
-def _like(xp: ModuleType, a: Array, values: ArrayLike) -> Array:
-    return np.asarray(values) if xp is np else xp.as_tensor(values, dtype=a.dtype, device=a.device)
-
-
-def _interpolate(xp: ModuleType, x: Array, xs: NDArray[np.float64], ys: NDArray[np.float64]) -> Array:
-    """Interpolate linearly between samples (xs, ys) with increasing xs."""
-    if xp is np:
-        return np.interp(x, xs, ys)
-    xs, ys = _like(xp, x, xs), _like(xp, x, ys)
-    i = xp.clip(xp.searchsorted(xs, x.contiguous()), 1, len(xs) - 1)
-    slope = (ys[i] - ys[i - 1]) / (xs[i] - xs[i - 1])
-    return ys[i - 1] + slope * (xp.clip(x, xs[0], xs[-1]) - xs[i - 1])

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from numbers import Real
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,9 +32,6 @@ class SphereGrid:
 
     A ray is ρ(θ, φ) = (cosφ sinθ, sinφ, cosφ cosθ): the centre of the panorama looks along +z, right is +x, down
     is +y. The paper prints (cosφ cosθ, sinφ, cosφ sinθ), which is this rotated by 90° and mirrored.
-
-    Raises:
-        OmnistereoError: If a size is not an integer, or a size, an angle or a depth is missing or out of range.
 
     >>> grid = osl.SphereGrid(640, 160, num_spheres=192, min_depth=0.55)
     >>> grid.index_to_depth([0, 1, 191]).round(2)
@@ -117,6 +114,15 @@ class SphereGrid:
         column = (column + 0.5) % self.width - 0.5
         row = (phi - low) * (self.height + extra_rows) / (high - low) - row_offset
         return np.stack([column, row], -1), (row >= -0.5) & (row <= self.height - 0.5)
+
+    def look_up(self, panorama: NDArray[Any], points: ArrayLike) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Return the pixels of a panorama (H, W, …) nearest to the directions of points (..., 3), and as `project`.
+
+        Beyond the first and the last row, where `valid` is False, they are those of that row.
+        """
+        pixels, valid = self.project(points)
+        column, row = np.moveaxis(np.rint(pixels).astype(int), -1, 0)
+        return panorama[row.clip(0, self.height - 1), column % self.width], valid
 
     @property
     def _inverse_range(self) -> tuple[float, float]:

@@ -1,7 +1,5 @@
 """The path of a rig in a file: a pose for each frame, in the formats of the TUM RGB-D and KITTI benchmarks."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 
