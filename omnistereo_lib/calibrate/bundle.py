@@ -6,8 +6,6 @@ for the corners x that camera i observes of the board points X in capture k. A s
 with one Θ_i, the identity. The unknowns: see `params`.
 """
 
-from __future__ import annotations
-
 from typing import Any, Literal
 
 import numpy as np

@@ -14,7 +14,7 @@ from omnistereo_lib.calibrate.board import Board
 from omnistereo_lib.calibrate.checkerboard import Checkerboard
 from omnistereo_lib.calibrate.marker_boards import AprilGrid, CharucoBoard
 from omnistereo_lib.errors import OmnistereoError, error_context
-from omnistereo_lib.files import atomic_write, find_pictures, read_data, read_image
+from omnistereo_lib.files import find_pictures, read_data, read_image, write_text
 from omnistereo_lib.geometry.pose import Floats
 from omnistereo_lib.rig_files.parse import Section, parse_floats, parse_size
 
@@ -98,8 +98,7 @@ def save_corners(path: str | Path, views: dict[str, Floats | None], board: Board
     for name, corners in views.items():
         lines.append(f"  {json.dumps(name)}:{' null' if corners is None else ''}")
         lines += [f"  - [{u:.4f}, {v:.4f}]".replace("nan", ".nan") for u, v in ([] if corners is None else corners)]
-    with atomic_write(path) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def load_corners(path: str | Path) -> tuple[dict[str, Floats | None], Board, tuple[int, int]]:

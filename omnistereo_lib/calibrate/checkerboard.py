@@ -5,8 +5,6 @@ corner is refined in a window of half the distance to its neighbours, a quarter 
 rim they are several times smaller than in the middle, and a window of fixed size would see the next corner.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from numbers import Real
@@ -28,6 +26,7 @@ _LARGE = 1000  # px: the longer side of an image that is not enlarged
 # window averages more noise, but where squares are slanted or bent it reaches other edges and is biased by them.
 _LEAST_WINDOW, _SMALL_WINDOW = 2, 5
 _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
+_SEARCHED = 8  # images, for a board of another size
 _SIZE_SEARCH = 3  # a wrong board size is looked for this many corners around the one given
 _MOST_LOST = 0.1  # of the corners; if more are lost, the detection is wrong
 
@@ -267,14 +266,13 @@ def _first_is_black(grid: Floats, gray: Gray) -> bool:
 
 
 def suggest_board(
-    images: Sequence[ArrayLike], board: Checkerboard, most: int = 8, only_larger: bool = False
+    images: Sequence[ArrayLike], board: Checkerboard, only_larger: bool = False
 ) -> tuple[tuple[int, int], int] | None:
     """Find the largest board of a size near the one given: ((columns, rows), number of images), or None.
 
-    Only the first images are searched, at `most` so many; with `only_larger`, only for boards of which the one given
-    could be a part.
+    Only the first images are searched; with `only_larger`, only for boards of which the one given could be a part.
     """
-    grays = [as_gray(image) for image in images[:most]]
+    grays = [as_gray(image) for image in images[:_SEARCHED]]
     columns, rows = sorted(board.corners, reverse=True)
     near = range(0 if only_larger else -_SIZE_SEARCH, _SIZE_SEARCH + 1)
     sizes = {

@@ -24,7 +24,8 @@ _VIEWS = 32  # of the whole sphere; no direction is more than 28° from the midd
 _HALF_VIEW_DEG = 34.0  # room for a descriptor beyond that
 _MOST_PER_VIEW = 250
 _MAX_PX_PER_DEG = 4.0  # of a view: more pixels cost time, and `patches` returns to the image anyway
-_RATIO = 0.85  # of the distances to the nearest and to the second nearest descriptor
+_RATIO = 0.85  # of the distances to the nearest and to the second nearest descriptor, somewhere else
+_RATIO_NEAR = 0.9  # the same among those near a predicted direction
 _SAME_DEG = 1.5  # two descriptors nearer than this are of one thing, and no rivals
 _FARTHEST_DEG = 40.0  # parallax of a match between posed cameras
 
@@ -124,7 +125,7 @@ def match_features(a: Features, b: Features, T_b_a: Pose | None = None, band_deg
     return np.stack([chosen, best[chosen]], axis=1), ratio[chosen]
 
 
-def match_near(a: Features, b: Features, predicted: Floats, gates_deg: Floats, ratio: float = 0.9) -> Ints:
+def match_near(a: Features, b: Features, predicted: Floats, gates_deg: Floats) -> Ints:
     """Return pairs of indices (M, 2) into two sets that are each other's best match near a predicted direction.
 
     Only what lies in the gates is compared, so that thousands of features take milliseconds.
@@ -132,7 +133,6 @@ def match_near(a: Features, b: Features, predicted: Floats, gates_deg: Floats, r
     Args:
         predicted: Where the features of a should be seen: unit rays (K, 3) in the frame of b.
         gates_deg: How far from there at most, (K,).
-        ratio: Of the distance to that of the second best, which is somewhere else within the gate.
     """
     if min(len(a.rays), len(b.rays)) == 0:
         return np.zeros((0, 2), np.int64)
@@ -153,7 +153,7 @@ def match_near(a: Features, b: Features, predicted: Floats, gates_deg: Floats, r
     back = np.full(len(b.rays), np.inf)
     np.minimum.at(back, j, distance)
     mutual = distance[first] <= back[j[first]]
-    chosen = first[mutual & (distance[first] < ratio * rival[i[first]])]
+    chosen = first[mutual & (distance[first] < _RATIO_NEAR * rival[i[first]])]
     return np.stack([i[chosen], j[chosen]], axis=1)
 
 

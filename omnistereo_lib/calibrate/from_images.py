@@ -3,8 +3,6 @@
 `find_pairs` needs no poses at all, `measure_rig` adjusts all cameras over all frames together.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -123,8 +121,8 @@ def relative_poses(rig: Rig) -> dict[tuple[int, int], RelativePose]:
     return found
 
 
-def chain_poses(pairs: Mapping[tuple[int, int], RelativePose], count: int, baseline: float = 1.0) -> list[Pose]:
-    """Return T_rig_cam in the frame of camera 1 from relative poses, with cameras about a baseline apart.
+def chain_poses(pairs: Mapping[tuple[int, int], RelativePose], count: int) -> list[Pose]:
+    """Return T_rig_cam in the frame of camera 1 from relative poses, with cameras about 1 apart.
 
     Rotations follow the tree of the pairs with most inliers; centres are those whose differences point as the pairs
     say, of about equal lengths where that leaves a choice.
@@ -155,7 +153,7 @@ def chain_poses(pairs: Mapping[tuple[int, int], RelativePose], count: int, basel
         row[:3, 3 * count + k] = -R[j] @ found.T_b_a.t
         row[3, 3 * count + k] = 0.1
         rows.append(row)
-        values.append(np.array([0, 0, 0, 0.1 * baseline]))
+        values.append(np.array([0, 0, 0, 0.1]))
     solved = np.linalg.lstsq(np.concatenate(rows), np.concatenate(values), rcond=None)[0]
     return [Pose(R[i], solved[3 * i : 3 * i + 3]) for i in range(count)]
 

@@ -217,7 +217,10 @@ def _relative_pose(i: int, j: int, captures: list[int], single: list[CameraRepor
             "Check that the cameras were synchronised, no image is mirrored and file names match"
         )
     chosen = [(k, int(np.argmin(_direction_errors(proposals[best], i, j, k, single, board)))) for k in agree]
-    return _mean_pose([proposals[key] for key in chosen])
+    # The rotation nearest to all of them, and the median translation.
+    poses = [proposals[key] for key in chosen]
+    nearest = nearest_rotation(np.mean([pose.R for pose in poses], axis=0))
+    return Pose(nearest, np.median([pose.t for pose in poses], axis=0))
 
 
 def _direction_errors(T_j_i: Pose, i: int, j: int, k: int, single: list[CameraReport], board: Board) -> list[float]:
@@ -229,12 +232,6 @@ def _direction_errors(T_j_i: Pose, i: int, j: int, k: int, single: list[CameraRe
 
 def _unit(points: Floats) -> Floats:
     return points / np.linalg.norm(points, axis=-1, keepdims=True)
-
-
-def _mean_pose(poses: list[Pose]) -> Pose:
-    """Return the rotation nearest to all of them and the median translation."""
-    nearest = nearest_rotation(np.mean([pose.R for pose in poses], axis=0))
-    return Pose(nearest, np.median([pose.t for pose in poses], axis=0))
 
 
 def _resolve_board_ambiguity(

@@ -3,8 +3,6 @@
 Each corner is known by its marker, so that a part of the board is enough: at the rim of a wide lens there is no more.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Least-squares matching: observations of a track to a tenth of a pixel, from patches of the images themselves."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import cv2

@@ -5,8 +5,6 @@
 The equation is linear in E and holds for rays of any direction, also behind the camera.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

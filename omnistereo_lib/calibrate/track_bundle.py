@@ -8,10 +8,8 @@ in the pixels that this angle has there, so any camera model will do.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from omnistereo_lib.calibrate.bundle import cross
@@ -259,7 +257,8 @@ class TrackBundle:
         row = np.round(np.degrees(np.arcsin(u[:, 1].clip(-1, 1))) / _CELL_DEG)
         around = np.maximum(np.round(np.cos(np.radians(row * _CELL_DEG)) * 360 / _CELL_DEG), 1)
         column = np.floor((np.arctan2(u[:, 0], u[:, 2]) / (2 * np.pi) + 0.5) * around)
-        return _numbered(self.tracks.point_frame, row, column)
+        cells = np.stack([self.tracks.point_frame, row, column], axis=1)
+        return np.unique(cells, axis=0, return_inverse=True)[1].ravel()
 
 
 def pose_differences(rig: Rig, reference: Rig) -> Floats:
@@ -302,8 +301,3 @@ def tangents(rays: Floats) -> Floats:
     first = np.cross(rays, other)
     first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-12)
     return np.stack([first, np.cross(rays, first)], axis=2)
-
-
-def _numbered(*columns: NDArray[Any]) -> Ints:
-    """Return one number for each combination of values, (N,)."""
-    return np.unique(np.stack(columns, axis=1), axis=0, return_inverse=True)[1].ravel()

@@ -4,8 +4,6 @@ The file of the rig is no reference: a real lens always contradicts it a little.
 how much they disagree with each other raises the deviations of all.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
