@@ -158,18 +158,19 @@ def hugin(
     return _to_pixels(x * scale, y * scale, 1.0, 1.0, cx, cy), (length > 0) & np.isfinite(scale)
 
 
-_PINHOLE = ("fx", "fy", "cx", "cy")
+PINHOLE = ("fx", "fy", "cx", "cy")
+FISHEYE = ("k1", "k2", "k3", "k4")
 RADTAN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # in the order of OpenCV
 _METASHAPE = ("k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
 # Each model with its parameters: those that it needs, and those that are 0 where they are not stated.
 _MODELS: dict[str, tuple[Callable[..., Projected], tuple[str, ...], tuple[str, ...]]] = {
-    "ds": (double_sphere, (*_PINHOLE, "xi", "alpha"), ()),
-    "kb4": (kannala_brandt, (*_PINHOLE, "k1", "k2", "k3", "k4"), ("skew",)),
-    "omni": (omni, (*_PINHOLE, "xi"), ("k1", "k2", "p1", "p2", "skew")),
-    "eucm": (unified, (*_PINHOLE, "alpha", "beta"), ()),
-    "ucm": (unified, (*_PINHOLE, "alpha"), ()),
-    "pinhole": (pinhole, _PINHOLE, (*RADTAN, "skew", "rpmax")),
-    "fov": (field_of_view, (*_PINHOLE, "w"), ()),
+    "ds": (double_sphere, (*PINHOLE, "xi", "alpha"), ()),
+    "kb4": (kannala_brandt, (*PINHOLE, *FISHEYE), ("skew",)),
+    "omni": (omni, (*PINHOLE, "xi"), ("k1", "k2", "p1", "p2", "skew")),
+    "eucm": (unified, (*PINHOLE, "alpha", "beta"), ()),
+    "ucm": (unified, (*PINHOLE, "alpha"), ()),
+    "pinhole": (pinhole, PINHOLE, (*RADTAN, "skew", "rpmax")),
+    "fov": (field_of_view, (*PINHOLE, "w"), ()),
 }
 for _name in RADII:
     _MODELS[f"metashape {_name}"] = partial(metashape, projection=_name), ("f", "cx", "cy"), (*_METASHAPE, "b1", "b2")
@@ -179,11 +180,7 @@ _RANGES |= {"alpha": (-1e-12, 1), "beta": (0, 1e3), "xi": (-1, 1e3), "w": (0, np
 
 
 def make_camera_model(model: str, parameters: dict[str, float]) -> Projection:
-    """Return the projection of a named model, one of `_MODELS`; `parameters` are keyword arguments of its function.
-
-    Raises:
-        OmnistereoError: If the model is unknown, or a parameter is missing, unknown or out of range.
-    """
+    """Return the projection of a named model, one of `_MODELS`; `parameters` are keyword arguments of its function."""
     if model not in _MODELS:
         raise OmnistereoError(
             f"camera model {model!r} is unknown; expected one of {[*_MODELS][:7]}. Recalibrate with it"

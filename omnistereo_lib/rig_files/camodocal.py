@@ -8,7 +8,7 @@ from pathlib import Path
 from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.files import path_within, read_data
 from omnistereo_lib.geometry.camera import OcamCamera
-from omnistereo_lib.rig_files.camera_models import RADTAN
+from omnistereo_lib.rig_files.camera_models import PINHOLE, RADTAN
 from omnistereo_lib.rig_files.fit import fit_camera
 from omnistereo_lib.rig_files.ocam import ocam_camera
 from omnistereo_lib.rig_files.parse import RigFile, Section
@@ -27,7 +27,7 @@ _MODELS: dict[str, tuple[str, dict[str, dict[str, str]]]] = {
         "kb4",
         {_PROJECTION: {"k2": "k1", "k3": "k2", "k4": "k3", "k5": "k4", "mu": "fx", "mv": "fy", "u0": "cx", "v0": "cy"}},
     ),
-    "pinhole": ("pinhole", _DISTORTION | {_PROJECTION: {key: key for key in ("fx", "fy", "cx", "cy")}}),
+    "pinhole": ("pinhole", _DISTORTION | {_PROJECTION: {key: key for key in PINHOLE}}),
 }
 
 

@@ -1,7 +1,5 @@
 """The conversion of other camera models to OCam cameras, by fitting the polynomials to sampled rays."""
 
-from __future__ import annotations
-
 import logging
 import warnings
 

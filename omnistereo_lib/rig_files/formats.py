@@ -3,8 +3,6 @@
 To add one: write a reader, a function like `kalibr.read_kalibr`, and add its row to `FORMATS`.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 import re
@@ -126,10 +124,6 @@ def load_rig(
             220°, or the mask, as far as the image and the model reach.
         keep_frame: Keep the frame of the file. False: a rig whose cameras agree that down is not +y is turned level,
             see `plausible.level`, unless it was saved after it had been loaded.
-
-    Raises:
-        OmnistereoError: If the file is missing, broken or of an unsupported format, or its unit is neither stated nor
-            given.
 
     >>> rig = osl.load_rig("data_samples/sunny/test")
     >>> len(rig), rig.cameras[0].image_size

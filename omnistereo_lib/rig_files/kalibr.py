@@ -11,21 +11,20 @@ from typing import Any
 
 from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.geometry.pose import Pose
-from omnistereo_lib.rig_files.camera_models import RADTAN
+from omnistereo_lib.rig_files.camera_models import FISHEYE, PINHOLE, RADTAN
 from omnistereo_lib.rig_files.fit import fit_camera
 from omnistereo_lib.rig_files.parse import RigFile, Section, parse_floats, parse_size, warn_if_different
 
-_PINHOLE = ("fx", "fy", "cx", "cy")
 # (camera_model, distortion_model) → our model, its parameters in file order: intrinsics, distortion_coeffs
 _MODELS: dict[tuple[str, str], tuple[str, tuple[str, ...], tuple[str, ...]]] = {
-    ("ds", "none"): ("ds", ("xi", "alpha", *_PINHOLE), ()),
-    ("eucm", "none"): ("eucm", ("alpha", "beta", *_PINHOLE), ()),
-    ("omni", "none"): ("omni", ("xi", *_PINHOLE), ()),
-    ("omni", "radtan"): ("omni", ("xi", *_PINHOLE), RADTAN[:4]),
-    ("pinhole", "equidistant"): ("kb4", _PINHOLE, ("k1", "k2", "k3", "k4")),
-    ("pinhole", "radtan"): ("pinhole", _PINHOLE, RADTAN[:4]),
-    ("pinhole", "fov"): ("fov", _PINHOLE, ("w",)),
-    ("pinhole", "none"): ("pinhole", _PINHOLE, ()),
+    ("ds", "none"): ("ds", ("xi", "alpha", *PINHOLE), ()),
+    ("eucm", "none"): ("eucm", ("alpha", "beta", *PINHOLE), ()),
+    ("omni", "none"): ("omni", ("xi", *PINHOLE), ()),
+    ("omni", "radtan"): ("omni", ("xi", *PINHOLE), RADTAN[:4]),
+    ("pinhole", "equidistant"): ("kb4", PINHOLE, FISHEYE),
+    ("pinhole", "radtan"): ("pinhole", PINHOLE, RADTAN[:4]),
+    ("pinhole", "fov"): ("fov", PINHOLE, ("w",)),
+    ("pinhole", "none"): ("pinhole", PINHOLE, ()),
 }
 _ALIASES = {"equi": "equidistant", "kb4": "equidistant", "plumb_bob": "radtan", "radial-tangential": "radtan"}
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from omnistereo_lib.consumer_images import NO_DEPTH
 from omnistereo_lib.errors import OmnistereoError, check_number
-from omnistereo_lib.rig_files.camera_models import RADII
+from omnistereo_lib.rig_files.camera_models import FISHEYE, RADII
 from omnistereo_lib.rig_files.fit import fit_camera
-from omnistereo_lib.rig_files.opencv import FISHEYE, parse_focal
+from omnistereo_lib.rig_files.opencv import parse_focal
 from omnistereo_lib.rig_files.parse import RigFile, Section
 
 _METASHAPE = {

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError, error_context
-from omnistereo_lib.files import atomic_write, read_gray
+from omnistereo_lib.files import read_gray, write_text
 from omnistereo_lib.geometry.camera import OcamCamera, fit_inverse_polynomial
 from omnistereo_lib.geometry.pose import Floats, Pose
 from omnistereo_lib.geometry.rig import Rig
@@ -59,9 +59,9 @@ def read_ocam_txt(path: str | Path, max_fov_deg: float | None = None) -> OcamCam
 def write_ocam_txt(camera: OcamCamera, path: str | Path) -> None:
     """Write a camera as an OCamCalib text file, every number in full; field of view and mask are not stored."""
     records = ocam_records(camera)
-    text = "\n".join(f"# {title}\n\n{' '.join(map(repr, records[key]))}\n" for key, title in _RECORDS.items())
-    with atomic_write(path) as temporary:
-        temporary.write_text(text)
+    write_text(
+        path, "\n".join(f"# {title}\n\n{' '.join(map(repr, records[key]))}\n" for key, title in _RECORDS.items())
+    )
 
 
 def write_ocam_folder(rig: Rig, folder: str | Path) -> None:
@@ -69,8 +69,7 @@ def write_ocam_folder(rig: Rig, folder: str | Path) -> None:
     for number, camera in enumerate(rig.cameras, 1):
         write_ocam_txt(camera, Path(folder) / f"ocam{number}.txt")
     lines = [" ".join(map(repr, pose.as_vector().tolist())) for pose in rig.T_rig_cam]
-    with atomic_write(Path(folder) / "poses.txt") as temporary:
-        temporary.write_text("\n".join(lines) + "\n")
+    write_text(Path(folder) / "poses.txt", "\n".join(lines) + "\n")
 
 
 def parse_pose(values: Any) -> Pose:

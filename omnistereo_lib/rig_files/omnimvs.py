@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from omnistereo_lib.errors import OmnistereoError, error_context
-from omnistereo_lib.files import as_path, atomic_write, path_within, to_yaml, write_image
+from omnistereo_lib.files import as_path, path_within, to_yaml, write_image, write_text
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.rig_files.ocam import ocam_camera, ocam_records, parse_pose, warn_of_polynomials
 from omnistereo_lib.rig_files.parse import RigFile, Section, check_fov
@@ -72,5 +72,4 @@ def save_rig(rig: Rig, path: str | Path) -> None:
         "dataset": {"img_fmt": "cam%d/%04d.png", "lut_fmt": "lt_(%d,%d,%d).hwd"},  # required by the public codes
         "cameras": cameras,
     }
-    with atomic_write(path) as temporary:
-        temporary.write_text(to_yaml(data))
+    write_text(path, to_yaml(data))

@@ -22,7 +22,7 @@ import numpy as np
 from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose, rotation_from_axis_angle
-from omnistereo_lib.rig_files.camera_models import RADTAN, make_camera_model
+from omnistereo_lib.rig_files.camera_models import FISHEYE, PINHOLE, RADTAN, make_camera_model
 from omnistereo_lib.rig_files.fit import field_of_view_deg, fit_camera, pixels_beyond, ring_rays
 from omnistereo_lib.rig_files.parse import SAME_DEG, RigFile, Section, parse_axis_angle, parse_floats, parse_size
 
@@ -38,7 +38,6 @@ _KEYS = {
     "model": ("distortion_model camera_model", "(camera|distortion|dist|lens|projection)(model|type)|model|projection"),
     "fisheye": ("fisheye", "(is|use|opencv)*fisheye(model)?"),
 }
-_FOCAL, FISHEYE = ("fx", "fy", "cx", "cy"), ("k1", "k2", "k3", "k4")
 _SIDES = "left|right|front|back|rear|top|bottom"
 _RATIONAL = ("pinhole", RADTAN)
 # Words for a model, in lower case without separators: ours, and its coefficients in the order of D. 0, 1: MC-Calib.
@@ -107,7 +106,7 @@ def _has_matrix(cam: Any) -> bool:
     """Return whether a value is one camera: it, or one block of it, states K, or fx, fy, cx and cy."""
 
     def states(keys: Iterable[str]) -> bool:
-        return any(_meaning(key) == "K" for key in keys) or set(_FOCAL) <= set(keys)
+        return any(_meaning(key) == "K" for key in keys) or set(PINHOLE) <= set(keys)
 
     if not isinstance(cam, dict) or "data" in cam:
         return False
@@ -119,7 +118,7 @@ def _flat(cam: dict[str, Any]) -> dict[str, Any]:
     flat: dict[str, Any] = {}
     for key, value in cam.items():
         is_block = isinstance(value, dict) and "data" not in value and key != "roi"
-        is_block = is_block and any(_meaning(inner) or inner in (*_FOCAL, *RADTAN) for inner in value)
+        is_block = is_block and any(_meaning(inner) or inner in (*PINHOLE, *RADTAN) for inner in value)
         for name, inner in value.items() if is_block else [(key, value)]:
             if flat.setdefault(str(name), inner) != inner:
                 raise OmnistereoError(f"{name} is stated twice with different values. Delete the wrong one")
@@ -209,8 +208,8 @@ def _parse_camera(cam: Section, data: Section, source: str, max_fov_deg: float |
 def parse_focal(cam: Section) -> dict[str, float]:
     """Return fx, fy, cx, cy, and the skew if a camera matrix states them."""
     key = cam.key(*_names(cam, "K"))
-    if key not in cam.values and set(_FOCAL) <= cam.values.keys():
-        return {name: cam.number(name) for name in _FOCAL}
+    if key not in cam.values and set(PINHOLE) <= cam.values.keys():
+        return {name: cam.number(name) for name in PINHOLE}
     K = cam.floats(*_names(cam, "K"), count=9)
     if not np.allclose(K[[3, 6, 7, 8]], [0, 0, 0, 1], atol=1e-9):
         raise OmnistereoError(f"{key} is {K.tolist()}; expected fx skew cx, 0 fy cy, 0 0 1")

@@ -1,7 +1,5 @@
 """What a rig file assumes without saying, checked for every format: frame, principal point, sizes, positions."""
 
-from __future__ import annotations
-
 import logging
 import warnings
 from pathlib import Path

@@ -13,7 +13,7 @@ from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.files import path_within, read_gray, read_image
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose, quaternion_pose
-from omnistereo_lib.rig_files.camera_models import RADTAN
+from omnistereo_lib.rig_files.camera_models import FISHEYE, PINHOLE, RADTAN
 from omnistereo_lib.rig_files.fit import fit_camera
 from omnistereo_lib.rig_files.parse import (
     RigFile,
@@ -24,19 +24,19 @@ from omnistereo_lib.rig_files.parse import (
     warn_if_different,
 )
 
-_PINHOLE, _SIMPLE, _FISHEYE = ("fx", "fy", "cx", "cy"), ("f", "cx", "cy"), ("k1", "k2", "k3", "k4")
+_SIMPLE = ("f", "cx", "cy")
 # camera model → ours, and its parameters in the order of COLMAP
 _MODELS = {
     "SIMPLE_PINHOLE": ("pinhole", _SIMPLE),
-    "PINHOLE": ("pinhole", _PINHOLE),
+    "PINHOLE": ("pinhole", PINHOLE),
     "SIMPLE_RADIAL": ("pinhole", (*_SIMPLE, "k1")),
     "RADIAL": ("pinhole", (*_SIMPLE, "k1", "k2")),
-    "OPENCV": ("pinhole", (*_PINHOLE, *RADTAN[:4])),
-    "FULL_OPENCV": ("pinhole", (*_PINHOLE, *RADTAN)),
+    "OPENCV": ("pinhole", (*PINHOLE, *RADTAN[:4])),
+    "FULL_OPENCV": ("pinhole", (*PINHOLE, *RADTAN)),
     "SIMPLE_RADIAL_FISHEYE": ("kb4", (*_SIMPLE, "k1")),
     "RADIAL_FISHEYE": ("kb4", (*_SIMPLE, "k1", "k2")),
-    "OPENCV_FISHEYE": ("kb4", (*_PINHOLE, *_FISHEYE)),
-    "FOV": ("fov", (*_PINHOLE, "w")),
+    "OPENCV_FISHEYE": ("kb4", (*PINHOLE, *FISHEYE)),
+    "FOV": ("fov", (*PINHOLE, "w")),
 }
 _IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
 # Keys of transforms.json: of images, of the scene, and of the focal length in another form.
@@ -151,7 +151,7 @@ def _camera(
         known = ", ".join(f"{known} ({' '.join(names)})" for known, (_, names) in _MODELS.items())
         raise OmnistereoError(f"camera model {name} with {len(values)} parameters is not read; expected one of {known}")
     model, names = _MODELS[name]
-    parameters = dict.fromkeys(_FISHEYE if model == "kb4" else (), 0.0) | dict(zip(names, values, strict=True))
+    parameters = dict.fromkeys(FISHEYE if model == "kb4" else (), 0.0) | dict(zip(names, values, strict=True))
     if "f" in parameters:
         parameters["fx"] = parameters["fy"] = parameters.pop("f")
     return fit_camera(source, model, parameters | _center(parameters), size, max_fov_deg)
@@ -198,5 +198,5 @@ def _of_frame(frame: Section, width: int) -> tuple[str, dict[str, float]]:
     parameters = {"fx": focal, "fy": frame.number("fl_y", default=focal)}
     parameters |= _center({side: frame.number(side) for side in ("cx", "cy")})
     fisheye = name == "OPENCV_FISHEYE"
-    coefficients = {key: frame.number(key, default=0.0) for key in (_FISHEYE if fisheye else RADTAN[:5])}
+    coefficients = {key: frame.number(key, default=0.0) for key in (FISHEYE if fisheye else RADTAN[:5])}
     return "kb4" if fisheye else "pinhole", parameters | coefficients
