@@ -8,7 +8,7 @@ from typing import Any
 from omnistereo_lib.errors import OmnistereoError, check_number, shortened
 from omnistereo_lib.evaluate.methods import EvaluatedMethod
 from omnistereo_lib.evaluate.regions import METRICS, REGIONS, SUMS
-from omnistereo_lib.files import atomic_write, make_folder, read_data
+from omnistereo_lib.files import make_folder, read_data, write_text
 
 Record = dict[str, Any]  # nested, as JSON holds it; its keys "figures" and "strata" are the metrics and the regions
 _INPUTS = ("config", "methods", "data", "weights")
@@ -28,9 +28,7 @@ def config_checksum(results: Record) -> str:
 def write_record(path: Path, record: Record) -> None:
     """Write a record atomically as compact JSON with sorted keys."""
     make_folder(path.parent)
-    with atomic_write(path) as temporary:
-        text = json.dumps(record, sort_keys=True, separators=(",", ":"), allow_nan=False)
-        temporary.write_text(text + "\n", encoding="utf-8")
+    write_text(path, json.dumps(record, sort_keys=True, separators=(",", ":"), allow_nan=False) + "\n")
 
 
 def rounded(errors: Any) -> Any:

@@ -90,10 +90,8 @@ def occluded_points(gt_index: NDArray[np.float64], sweep: SphereSweep) -> NDArra
     for camera, center in enumerate(sweep.rig.centers):
         for step in _SIGHT_STEPS:
             place = center + step * (points - center)
-            pixel, inside = grid.project(place)
-            column, row = np.rint(pixel).astype(int).clip(0, (grid.width - 1, grid.height - 1)).T
-            behind = np.linalg.norm(place, axis=-1) * surface[row.T, column.T] > _BEHIND
-            occluded[camera] |= inside & behind
+            nearest, inside = grid.look_up(surface, place)
+            occluded[camera] |= inside & (np.linalg.norm(place, axis=-1) * nearest > _BEHIND)
     return occluded
 
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from omnistereo_lib.evaluate.methods import EvaluatedMethod
 from omnistereo_lib.evaluate.records import Record, write_record
 from omnistereo_lib.evaluate.regions import METRICS, REGIONS, SUMS, sums_to_metrics
-from omnistereo_lib.files import atomic_write, make_folder
+from omnistereo_lib.files import make_folder, write_text
 from omnistereo_lib.stereo.methods import penalties
 from omnistereo_lib.stereo.zncc import default_window
 
@@ -75,23 +75,20 @@ class Table:
         return [cell[0] or "–" for cell in texts], ["–".join(filter(None, cell[1:])) for cell in texts]
 
 
-def bootstrap(
-    samples: ArrayLike, statistic: Callable[[NDArray[Any]], NDArray[Any]], level: float = 0.95, count: int = _RESAMPLES
-) -> NDArray[np.float64]:
-    """Return a statistic of frames with the lower and upper end of its percentile bootstrap interval, shape (C, 3).
+def bootstrap(samples: ArrayLike, statistic: Callable[[NDArray[Any]], NDArray[Any]]) -> NDArray[np.float64]:
+    """Return a statistic of frames with the ends of its percentile bootstrap interval of 95 %, shape (C, 3).
 
-    `samples` has shape (frames, K); `statistic` maps its mean over frames, (..., K), to (..., C). `level` is the
-    fraction of the `count` resamples, drawn with replacement and a fixed seed, within the interval (Efron 1979). With
-    few frames it is too narrow: the true mean of 8 normal values is in about 89 % of such intervals of 95 %. The ends
-    are NaN with fewer than two frames.
+    `samples` has shape (frames, K); `statistic` maps its mean over frames, (..., K), to (..., C). Frames are drawn with
+    replacement and a fixed seed (Efron 1979). With few frames the interval is too narrow: the true mean of 8 normal
+    values is in about 89 % of them. The ends are NaN with fewer than two frames.
     """
     samples = np.asarray(samples, np.float64)
     value, n = statistic(samples.mean(0)), len(samples)
     if n < 2:
         return np.stack([value, *np.full((2, *value.shape), np.nan)], -1)
-    times = np.random.default_rng(_SEED).multinomial(n, np.full(n, 1 / n), count)  # how often a frame is drawn
+    times = np.random.default_rng(_SEED).multinomial(n, np.full(n, 1 / n), _RESAMPLES)  # how often a frame is drawn
     drawn = statistic(times @ samples / n)
-    low, high = np.nanpercentile(drawn, [50 - 50 * level, 50 + 50 * level], axis=0)
+    low, high = np.nanpercentile(drawn, [2.5, 97.5], axis=0)
     return np.stack([value, low, high], -1)
 
 
@@ -150,8 +147,7 @@ def write_results(folder: str | Path, results: Record) -> list[str]:
     for name, table in (("errors", errors_table(results)), ("regions", regions_table(results))):
         texts |= {f"{name}.txt": table.text(), f"{name}.md": table.markdown(), f"{name}.csv": table.csv()}
     for name, text in texts.items():
-        with atomic_write(folder / name) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_text(folder / name, text)
     return ["results.json", *texts]
 
 

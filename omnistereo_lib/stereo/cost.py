@@ -1,7 +1,5 @@
 """A matching cost: one method, from sweep, images and camera pairs to the cost volume (paper, Section III-B)."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import ClassVar, Protocol

@@ -1,7 +1,5 @@
 """From a cost volume to depth, confidence, panorama and point cloud (paper, Section III-B)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -12,8 +12,6 @@ ZNCC compares patches and SweepNet whole spheres, but each sphere by itself: not
 Volumes are (batch, channels, W, H, N): with W first, PyTorch picks its fast CPU kernels even for one frame in float32.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 

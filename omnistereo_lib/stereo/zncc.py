@@ -22,16 +22,13 @@ class ZNCC(BlockCost):
     A patch holds the pixels of the window that are visible to both cameras; it continues across the ±180° seam.
     A patch without texture costs 0.5: neither match nor mismatch.
 
-    Raises:
-        OmnistereoError: If the window is not None or an odd number of at least 3.
-
     >>> import torch
     >>> image = torch.rand(16, 64, 1)  # (H, W, spheres): two cameras that see the same
     >>> float(osl.ZNCC(window=5)(torch.stack([image.permute(2, 0, 1)] * 2), [(0, 1)]).max()) < 1e-3
     True
     """
 
-    window: int | None = None  #: side of the window in pixels, odd; None: that of `default_window`
+    window: int | None = None  #: side of the window in pixels, odd, at least 3; None: that of `default_window`
     one_thread: ClassVar[bool] = True
 
     def __post_init__(self) -> None:

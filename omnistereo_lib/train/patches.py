@@ -140,10 +140,8 @@ class PatchSamples(SweptFrames):
         occluded = np.zeros(len(points), bool)
         for t in np.linspace(0.1, 0.95, _OCCLUSION_STEPS):
             between = center + t * (points - center)
-            pixel, inside = self.grid.project(between)
-            column, row = np.rint(pixel).astype(int).T
+            nearest, inside = self.grid.look_up(index, between)
             here = self.grid.depth_to_index(np.linalg.norm(between, axis=-1))
-            nearest = index[row.clip(0, self.grid.height - 1), column % self.grid.width]
             occluded |= inside & (nearest > here + 1)  # one sphere of slack for slanted surfaces
         return occluded
 

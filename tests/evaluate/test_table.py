@@ -228,7 +228,6 @@ def mean(x):
 def test_bootstrap_of_two_frames_by_hand():
     """The mean is a, (a + b)/2 or b with chances 1/4, 1/2, 1/4."""
     assert bootstrap([[3.0], [5.0]], mean).tolist() == [[4.0, 3.0, 5.0]]
-    assert bootstrap([[3.0], [5.0]], mean, level=0.4).tolist() == [[4.0, 4.0, 4.0]]
 
 
 def test_bootstrap_of_four_frames_against_all_resamples():

@@ -100,15 +100,6 @@ def _rotate(R: Any, a: Vector) -> Vector:
 
 
 @_compiled
-def _rotate_back(R: Any, a: Vector) -> Vector:
-    return (
-        R[0, 0] * a[0] + R[1, 0] * a[1] + R[2, 0] * a[2],
-        R[0, 1] * a[0] + R[1, 1] * a[1] + R[2, 1] * a[2],
-        R[0, 2] * a[0] + R[1, 2] * a[1] + R[2, 2] * a[2],
-    )
-
-
-@_compiled
 def _to_object(p: Any, o: Vector, d: Vector) -> tuple[Vector, Vector]:
     """Return a ray in the frame of a primitive; no component of its direction is 0, so that all may be divided by."""
     c = p.center
@@ -301,7 +292,7 @@ def _surface(p: Any, o: Vector, d: Vector, t: float, pixel: float) -> tuple[floa
         mirror *= pane(u, v, foot * p.scale, p.pattern)
     if facing > 0:
         normal = (-normal[0], -normal[1], -normal[2])
-    return value, mirror, _rotate_back(p.rotation, normal)
+    return value, mirror, _rotate(p.rotation.T, normal)
 
 
 @_compiled
