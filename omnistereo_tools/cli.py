@@ -32,8 +32,7 @@ from omnistereo_tools.commands import (
 )
 from omnistereo_tools.memory import check_address_space, keep_memory
 from omnistereo_tools.outputs import let_go
-from omnistereo_tools.parser import Options, add_options
-from omnistereo_tools.tiny import is_tiny, shrink
+from omnistereo_tools.parser import Options, add_options, is_tiny, shrink
 
 # Of libraries whose errors have no type in common.
 _EXHAUSTED = re.compile(r"can't start new thread|(allocate|insufficient|out of) memory|CUDA error", re.IGNORECASE)

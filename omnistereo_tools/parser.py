@@ -1,17 +1,21 @@
-"""How words become the options of a command: a frozen dataclass, the types of whose fields say how they are read."""
+"""How words become the options of a command: a frozen dataclass, the types of whose fields say how they are read.
 
-from __future__ import annotations
+`OMNISTEREO_TINY=1` caps panoramas, frames and steps of every command, so that tests can run what pages print.
+"""
 
+import os
 import shlex
 from argparse import SUPPRESS, ArgumentParser
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields, replace
 from types import NoneType, UnionType
-from typing import Any, ClassVar, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, ClassVar, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from omnistereo_lib.errors import OmnistereoError, check_number
 
 _OURS = ("unset", "positional", "between", "suffixes", "needs")  # of what `option` declares; argparse knows the rest
+_Settings = TypeVar("_Settings")
+_CAPS = {"width": 96, "spheres": 16, "num_spheres": 16, "steps": 1, "batch_frames": 1, "validation_groups": 1}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,3 +112,19 @@ def as_typed(command: str, kind: type[Options], options: Options, **changes: Any
             values = value if isinstance(value, tuple) else [value]
             words += (f"{one:.9g}" if isinstance(one, float) else str(one) for one in values)
     return shlex.join(words)
+
+
+def is_tiny() -> bool:
+    """Return whether the results are to be small and quick, and mean nothing."""
+    return os.environ.get("OMNISTEREO_TINY") == "1"
+
+
+def shrink(settings: _Settings) -> _Settings:
+    """Return a dataclass with every number at most its cap, the height by as much as the width, if `is_tiny`."""
+    known: dict[str, Any] = vars(settings)
+    if not is_tiny() or "width" not in known:
+        return settings
+    capped = {name: min(known[name], most) for name, most in _CAPS.items() if name in known}
+    if known["height"] is not None:
+        capped["height"] = max(1, round(known["height"] * capped["width"] / known["width"]))
+    return replace(settings, **capped)  # type: ignore[type-var]  # what has no fields is no settings

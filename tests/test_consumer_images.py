@@ -9,7 +9,7 @@ import scene
 
 import omnistereo_lib as osl
 from omnistereo_lib.consumer_images import is_equirectangular
-from omnistereo_tools.judge.doubts import same_pictures
+from omnistereo_tools.judge.first_look import same_pictures
 
 BACK = osl.Pose.from_vector([0, np.pi, 0, 0, 0, -0.03])
 

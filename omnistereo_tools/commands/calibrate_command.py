@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_tools.commands import calibrate_images
+from omnistereo_tools.commands.options import ImagesOptions
 from omnistereo_tools.outputs import check_outputs, hold
 from omnistereo_tools.parser import option
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CalibrateOptions(calibrate_images.ImagesOptions):
+class CalibrateOptions(ImagesOptions):
     """Options of `omnistereo calibrate`."""
 
     folder: Path | None = option("a folder of images per camera", positional=True, nargs="?", metavar="FOLDER")
@@ -61,7 +61,9 @@ class CalibrateOptions(calibrate_images.ImagesOptions):
 def run(options: CalibrateOptions) -> int:
     """Calibrate one camera or a rig and write it and its report; return 1 if images leave the given rig as it is."""
     if options.folder is None or options.board is None:
-        return calibrate_images.run(options, options.from_images or ())
+        from omnistereo_tools.commands.calibrate_images import run
+
+        return run(options, options.from_images or ())
     _calibrate_boards(options, options.folder, options.board)
     return 0
 
@@ -71,7 +73,7 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
     from omnistereo_lib.calibrate.captures import save_corners
     from omnistereo_lib.calibrate.joint import calibrate_rig
     from omnistereo_lib.calibrate.single_camera import calibrate_camera
-    from omnistereo_lib.files import atomic_write
+    from omnistereo_lib.files import write_text
     from omnistereo_lib.rig_files.formats import load_cameras
     from omnistereo_lib.rig_files.ocam import write_ocam_txt
     from omnistereo_tools.output.calibration_figures import calibration_figure
@@ -100,8 +102,7 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
         reports, text = list(joint.joint), joint.text(names)
         written = write_rig(rig, out)
     # Write what was found, and say it.
-    with atomic_write(out / "report.txt") as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
+    write_text(out / "report.txt", text + "\n")
     with_corners = options.corners is None or not out.samefile(options.corners)
     for name, one in zip(cameras, reports, strict=True):
         save_figure(out / f"report_{name}.png", calibration_figure(one), dpi=80)

@@ -1,25 +1,39 @@
 """The part of `omnistereo calibrate` that needs no board: poses from ordinary images of the rig."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
 
+import cv2
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from omnistereo_lib.calibrate.from_images import (
+    Given,
+    Images,
+    MeasuredRig,
+    find_features,
+    in_odd_sector,
+    measure_rig,
+    rig_from_pairs,
+)
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_tools.outputs import check_outputs, hold
-from omnistereo_tools.parser import Options, option
-
-if TYPE_CHECKING:
-    import numpy as np
-    from matplotlib.figure import Figure
-    from numpy.typing import NDArray
-
-    from omnistereo_lib.calibrate.from_images import Given, Images, MeasuredRig
-    from omnistereo_lib.geometry.rig import Rig
-    from omnistereo_lib.progress import Progress
-    from omnistereo_tools.input.sources import Recording
+from omnistereo_lib.files import write_text
+from omnistereo_lib.frame import load_images
+from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.progress import Progress
+from omnistereo_lib.rig_files import load_rig
+from omnistereo_lib.rig_files.formats import load_cameras
+from omnistereo_lib.stereo.images import to_gray
+from omnistereo_tools.commands.options import ImagesOptions
+from omnistereo_tools.input.masks import with_masks
+from omnistereo_tools.input.sources import Recording, of_recordings
+from omnistereo_tools.judge.first_look import matching_cost
+from omnistereo_tools.output.rig_exports import write_rig
+from omnistereo_tools.outputs import check_outputs, hold, save_figure
+from omnistereo_tools.progress import progress_bar
 
 _CANDIDATES = 24  # frames that are looked at
 _THUMBNAIL = 48  # pixels
@@ -29,41 +43,8 @@ _CHECKED = 3  # frames on which the matching cost is compared
 _AS_GOOD = 1.01  # times the cost
 
 
-@dataclass(frozen=True, kw_only=True)
-class ImagesOptions(Options):
-    """Options of a calibration from images alone."""
-
-    from_images: tuple[Path, ...] | None = option("for each camera a folder, a video or one picture")
-    rig: Path | None = option("nominal poses; with a board: cameras whose intrinsics are kept")
-    unit: Literal["mm", "cm", "m"] | None = option("unit of the poses of --rig, if it does not state it", needs="rig")
-    lenses: Path | None = option("rig file or folder of lens files: poses are not needed", needs="from_images")
-    baseline: float | None = option("metres between cameras 1 and 2", needs="lenses", between=(1e-6, 1e4))
-    radius: float | None = option("mean metres from the cameras' middle", needs="lenses", between=(1e-6, 1e4))
-    calibrated: bool = option("the poses of --rig are a calibration: they keep weight", False, needs="rig")
-    free_lenses: bool = option("adjust the lenses, too: a better fit, often a worse depth", False, needs="from_images")
-    frames: int = option("how many frames are chosen", 6, needs="from_images", between=(1, 1e4))
-    max_fov: float | None = option("field of view in degrees", unset="as far as corners reach, or of the lenses")
-    out: Path = option("folder for the results", Path("out/rig"))
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.from_images is None:
-            return
-        if (self.rig is None) == (self.lenses is None):
-            raise OmnistereoError("--from-images needs --rig with nominal poses, or --lenses and one length")
-        if self.lenses is not None and (self.baseline is None) == (self.radius is None):
-            raise OmnistereoError(
-                "--lenses needs one length, because images do not tell a metre: --baseline or --radius"
-            )
-
-
 def run(options: ImagesOptions, recorded: Sequence[Path]) -> int:
     """Measure a rig from images, write it and its report; return 1 if the given rig is better and stays."""
-    from omnistereo_lib.files import atomic_write
-    from omnistereo_tools.output.rig_exports import write_rig
-    from omnistereo_tools.outputs import save_figure
-    from omnistereo_tools.progress import progress_bar
-
     out = options.out
     names = ("config.yaml", "report.txt", "report_points.png", "poses.txt", "kalibr.yaml", "opencv.yaml")
     check_outputs(options, [out / name for name in names])
@@ -79,8 +60,7 @@ def run(options: ImagesOptions, recorded: Sequence[Path]) -> int:
         return 1
     hold(out)
     written = write_rig(measured.rig, out)
-    with atomic_write(out / "report.txt") as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
+    write_text(out / "report.txt", text + "\n")
     save_figure(out / "report_points.png", _figure(measured), dpi=80)
     print(f"written to {out}/: {', '.join([*written, 'report.txt', 'report_points.png'])}")
     return 0
@@ -88,15 +68,6 @@ def run(options: ImagesOptions, recorded: Sequence[Path]) -> int:
 
 def _read(options: ImagesOptions, recorded: Sequence[Path]) -> tuple[Images, Rig, Given]:
     """Return the frames chosen, the rig, and what its poses are."""
-    from omnistereo_lib.calibrate.from_images import find_features, rig_from_pairs
-    from omnistereo_lib.frame import load_images
-    from omnistereo_lib.geometry.pose import Pose
-    from omnistereo_lib.geometry.rig import Rig
-    from omnistereo_lib.rig_files import load_rig
-    from omnistereo_lib.rig_files.formats import load_cameras
-    from omnistereo_tools.input.masks import with_masks
-    from omnistereo_tools.input.sources import Recording, of_recordings
-
     if options.lenses is None:
         assert options.rig is not None  # `ImagesOptions` wants one of them
         rig = load_rig(options.rig, options.unit, options.max_fov, keep_frame=True)
@@ -113,17 +84,12 @@ def _read(options: ImagesOptions, recorded: Sequence[Path]) -> tuple[Images, Rig
     if options.rig is not None:
         return images, rig, "calibration" if options.calibrated else "nominal"
     print("finding the poses without any to start from", flush=True)
-    return (
-        images,
-        rig_from_pairs(rig.cameras, find_features(rig.cameras, images), options.baseline, options.radius),
-        "nothing",
-    )
+    features = find_features(rig.cameras, images)
+    return images, rig_from_pairs(rig.cameras, features, options.baseline, options.radius), "nothing"
 
 
 def _choose_frames(recording: Recording, rig: Rig, count: int) -> Images:
     """Return frames of a recording that are sharp and differ most: a still rig repeats its errors."""
-    import numpy as np
-
     numbers = sorted(recording.frames)
     candidates = [numbers[k] for k in np.unique(np.linspace(0, len(numbers) - 1, _CANDIDATES).round().astype(int))]
     frames = list(recording.read(candidates, rig))
@@ -141,19 +107,10 @@ def _choose_frames(recording: Recording, rig: Rig, count: int) -> Images:
 
 
 def _thumbnail(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    import cv2
-    import numpy as np
-
-    from omnistereo_lib.stereo.images import to_gray
-
     return np.asarray(cv2.resize(to_gray(image), (_THUMBNAIL, _THUMBNAIL), interpolation=cv2.INTER_AREA))
 
 
 def _sharpness(image: NDArray[np.uint8]) -> float:
-    import cv2
-
-    from omnistereo_lib.stereo.images import to_gray
-
     return float(cv2.Laplacian(to_gray(image), cv2.CV_32F).std())
 
 
@@ -161,10 +118,6 @@ def _measure(
     options: ImagesOptions, rig: Rig, given: Given, images: Images, progress: Progress
 ) -> tuple[MeasuredRig, bool, list[str]]:
     """Return the rig measured, whether it matches held-out parts better than the one given, and by how much."""
-    import numpy as np
-
-    from omnistereo_lib.calibrate.from_images import find_features, measure_rig
-
     features = find_features(rig.cameras, images, progress)
     measured = measure_rig(rig, images, given, features, options.free_lenses, progress=progress)
     if given == "nothing":
@@ -178,20 +131,10 @@ def _measure(
 
 def _held_out_costs(rig: Rig, images: Images) -> list[float]:
     """Return the matching cost of some frames in the sectors that "even" leaves out."""
-    from omnistereo_lib.calibrate.from_images import in_odd_sector
-    from omnistereo_lib.geometry.sphere import SphereGrid
-    from omnistereo_lib.stereo.images import reduce_images
-    from omnistereo_lib.stereo.sweep import SphereSweep
-    from omnistereo_tools.judge.matching_cost import matching_cost
-
     nearest = rig.min_depth or 2 * float(rig.baselines.max())
     grid = SphereGrid(320, 80, (-45, 45), 64, nearest)
     held_out = in_odd_sector(grid.rays())
-    costs = []
-    for row in images[:_CHECKED]:
-        small, reduced = reduce_images(rig, row, grid.width / 360)
-        costs.append(matching_cost(SphereSweep(small, grid), reduced, rays=held_out))
-    return costs
+    return [matching_cost(rig, row, grid, held_out) for row in images[:_CHECKED]]
 
 
 def _report(measured: MeasuredRig, frames: int, given: Given) -> list[str]:
@@ -219,9 +162,6 @@ def _report(measured: MeasuredRig, frames: int, given: Given) -> list[str]:
 
 def _figure(measured: MeasuredRig) -> Figure:
     """Return a figure of where the points are, and how far."""
-    import numpy as np
-    from matplotlib.figure import Figure
-
     u, depth = measured.points[:, :3], 1 / np.maximum(measured.points[:, 3], 1e-3)
     figure = Figure(figsize=(11, 5), layout="constrained")
     axes = figure.subplots()

@@ -11,8 +11,7 @@ from time import monotonic
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools.commands import live_command
-from omnistereo_tools.parser import Options, option
-from omnistereo_tools.tiny import shrink
+from omnistereo_tools.parser import Options, option, shrink
 
 DRIVE = Path(__file__).resolve().parents[2] / "data_samples" / "sunny" / "train"
 _RATE = 5  # frames/s

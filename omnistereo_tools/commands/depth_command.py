@@ -10,8 +10,6 @@ Examples:
 methods: zncc, mccnn, sweepnet or volumenet; +sgm smooths; ,pairs=all and others change settings
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -51,9 +49,8 @@ def run(options: DepthOptions) -> None:
     from omnistereo_lib.stereo.methods import FRAME_METHOD
     from omnistereo_lib.stereo.pipeline import estimate_depth
     from omnistereo_tools.judge.coverage import Coverage
-    from omnistereo_tools.judge.doubts import image_doubts, rig_doubts
+    from omnistereo_tools.judge.first_look import image_doubts, rig_doubts
     from omnistereo_tools.judge.pace import say_frame
-    from omnistereo_tools.output.exports import export_frame
     from omnistereo_tools.output.frame import FrameResult
     from omnistereo_tools.output.points import Limits
     from omnistereo_tools.progress import progress_bar
@@ -77,8 +74,8 @@ def run(options: DepthOptions) -> None:
     result = FrameResult(depth, Limits.of(depth, options.max_depth, options.min_confidence), method, gt_index)
     print("\n".join(result.sentences()), flush=True)
     written = result.write(out, progress_bar())
-    written += export_frame(
-        result, options.mesh, options.mesh_faces, options.equirectangular, options.crops, options.all_crops
+    written += result.export(
+        options.mesh, options.mesh_faces, options.equirectangular, options.crops, options.all_crops
     )
     print(f"written to {out}/: {', '.join(written)}")
 

@@ -61,7 +61,7 @@ def run(options: DoctorOptions) -> int:
 def _check_rig(options: DoctorOptions, rig_file: Path) -> int:
     """Say what a rig can see and what depth to ask for, and check it against its images; return 1 if it is wrong."""
     from omnistereo_tools.judge.coverage import Coverage
-    from omnistereo_tools.judge.doubts import rig_doubts
+    from omnistereo_tools.judge.first_look import rig_doubts
     from omnistereo_tools.outputs import save_figure
 
     check_outputs(options, [options.coverage, options.write])
@@ -96,10 +96,7 @@ def _check_rig(options: DoctorOptions, rig_file: Path) -> int:
 def _check_images(options: DoctorOptions, frame: Frame, grid: SphereGrid) -> int:
     """Check a rig against its images, whose matching cost is that on a grid; return 1 if it is wrong."""
     from omnistereo_lib.rig_files import save_rig
-    from omnistereo_lib.stereo.images import reduce_images
-    from omnistereo_lib.stereo.sweep import SphereSweep
-    from omnistereo_tools.judge.doubts import rig_doubts, same_pictures
-    from omnistereo_tools.judge.matching_cost import matching_cost
+    from omnistereo_tools.judge.first_look import matching_cost, rig_doubts, same_pictures
     from omnistereo_tools.judge.rig_check import check_rig
     from omnistereo_tools.progress import progress_bar
 
@@ -111,8 +108,7 @@ def _check_images(options: DoctorOptions, frame: Frame, grid: SphereGrid) -> int
     warn_of(rig_doubts(rig, grid.min_depth))
     print("Measuring the poses from the images takes about 15 s:", flush=True)
     check = check_rig(rig, images, stated, progress_bar())
-    small = reduce_images(rig, images, grid.width / 360)
-    print(f"Median matching cost of the rig as given: {matching_cost(SphereSweep(small[0], grid), small[1]):.3f}")
+    print(f"Median matching cost of the rig as given: {matching_cost(rig, images, grid):.3f}")
     print(f"{'OK  ' if check.fits else 'OPEN' if check.fits is None else 'FAIL'}  {check.text}")
     if options.write is not None and check.fixed is not None:
         save_rig(check.fixed, options.write)

@@ -12,8 +12,7 @@ from typing import Any, Literal
 
 from omnistereo_tools.commands.options import LensOptions, PrecisionOptions
 from omnistereo_tools.outputs import check_outputs
-from omnistereo_tools.parser import option
-from omnistereo_tools.tiny import is_tiny, shrink
+from omnistereo_tools.parser import is_tiny, option, shrink
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""Groups of options that several commands share, and the rig, images and grid that they name."""
+"""Groups of options, most of which several commands share, and the rig, images and grid that they name."""
 
 from __future__ import annotations
 
@@ -78,6 +78,34 @@ class GridOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ImagesOptions(Options):
+    """Options of a calibration from images alone."""
+
+    from_images: tuple[Path, ...] | None = option("for each camera a folder, a video or one picture")
+    rig: Path | None = option("nominal poses; with a board: cameras whose intrinsics are kept")
+    unit: Literal["mm", "cm", "m"] | None = option("unit of the poses of --rig, if it does not state it", needs="rig")
+    lenses: Path | None = option("rig file or folder of lens files: poses are not needed", needs="from_images")
+    baseline: float | None = option("metres between cameras 1 and 2", needs="lenses", between=(1e-6, 1e4))
+    radius: float | None = option("mean metres from the cameras' middle", needs="lenses", between=(1e-6, 1e4))
+    calibrated: bool = option("the poses of --rig are a calibration: they keep weight", False, needs="rig")
+    free_lenses: bool = option("adjust the lenses, too: a better fit, often a worse depth", False, needs="from_images")
+    frames: int = option("how many frames are chosen", 6, needs="from_images", between=(1, 1e4))
+    max_fov: float | None = option("field of view in degrees", unset="as far as corners reach, or of the lenses")
+    out: Path = option("folder for the results", Path("out/rig"))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.from_images is None:
+            return
+        if (self.rig is None) == (self.lenses is None):
+            raise OmnistereoError("--from-images needs --rig with nominal poses, or --lenses and one length")
+        if self.lenses is not None and (self.baseline is None) == (self.radius is None):
+            raise OmnistereoError(
+                "--lenses needs one length, because images do not tell a metre: --baseline or --radius"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
 class DeviceOptions(Options):
     """Where to compute."""
 
@@ -151,8 +179,8 @@ def read_frame(options: FrameOptions) -> Frame:
 
 
 def mask_circles(rig: Rig, images: Sequence[Sequence[NDArray[np.uint8]]]) -> Rig:
-    """Return the rig with what is black in images[frame][camera] masked, and warn of it, see `image_circle`."""
-    from omnistereo_tools.input.image_circle import with_circles
+    """Return the rig with what is black in images[frame][camera] masked, and warn of it, see `with_circles`."""
+    from omnistereo_tools.input.masks import with_circles
 
     rig, found = with_circles(rig, images)
     warn_of([found] if found else [])
@@ -169,7 +197,7 @@ def find_min_depth(stated: float | None, frame: Frame) -> float:
     """Return the nearest depth of the sweep in metres: as stated, else of the rig file, else a look at the images."""
     if (known := frame.rig.min_depth if stated is None else stated) is not None:
         return known
-    from omnistereo_tools.input.nearest import propose_min_depth
+    from omnistereo_tools.judge.first_look import propose_min_depth
 
     proposed = propose_min_depth(frame)
     print(f"The rig file states no nearest depth: a coarse look at the images proposes --min-depth {proposed:g}.")

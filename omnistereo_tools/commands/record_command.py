@@ -83,9 +83,9 @@ def run(options: RecordOptions) -> None:
     from omnistereo_lib.frame import Frame
     from omnistereo_lib.stereo.methods import FRAME_METHOD, Method
     from omnistereo_lib.stereo.sweep import SphereSweep
-    from omnistereo_tools.input.image_circle import FRAMES
+    from omnistereo_tools.input.masks import FRAMES
     from omnistereo_tools.judge.coverage import Coverage
-    from omnistereo_tools.judge.doubts import image_doubts, rig_doubts
+    from omnistereo_tools.judge.first_look import image_doubts, rig_doubts
     from omnistereo_tools.judge.pace import say_recording
     from omnistereo_tools.progress import progress_bar
     from omnistereo_tools.record.recordings import DepthWriter, stored_method, stored_min_depth, write_video

@@ -13,8 +13,7 @@ from typing import Literal
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools.commands.options import PrecisionOptions
 from omnistereo_tools.outputs import check_outputs
-from omnistereo_tools.parser import option
-from omnistereo_tools.tiny import shrink
+from omnistereo_tools.parser import option, shrink
 
 
 @dataclass(frozen=True, kw_only=True)

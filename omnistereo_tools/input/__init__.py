@@ -1,1 +1,1 @@
-"""What a command reads: recordings, masks, image circles, and the nearest depth where nobody states it."""
+"""What a command reads: recordings, and masks."""

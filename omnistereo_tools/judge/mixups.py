@@ -5,8 +5,6 @@ quaternion, …), the axes of the cameras (24 rotations) and the order of the im
 named only if the relative poses that the images show fit it, and the simplest of those that fit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -215,10 +213,6 @@ def _only_rotations(R: Floats, t: Floats) -> tuple[Floats, Floats]:
     return np.swapaxes(R, 1, 2), t
 
 
-def _only_translations(R: Floats, t: Floats) -> tuple[Floats, Floats]:
-    return R, -np.einsum("nji,nj->ni", R, t)
-
-
 _ROTATIONS = "the rotations look inverted, the translations do not"
 _CENTRES = "the translations look like those of the other direction (the position C of a camera, or T = -R C)"
 _FIRST, _LAST = (
@@ -231,7 +225,7 @@ _FORMS: dict[str, Form] = {
     "the poses look inverted (rig → camera instead of camera → rig)": _inverse,
     _ROTATIONS: _only_rotations,
     f"{_ROTATIONS} (of the poses rig → camera)": _there(_only_rotations),
-    _CENTRES: _only_translations,
+    _CENTRES: lambda R, t: (R, -np.einsum("nji,nj->ni", R, t)),
     f"{_CENTRES}, rotated by the inverse": lambda R, t: (R, -np.einsum("nij,nj->ni", R, t)),
     "the translations look negated": lambda R, t: (R, -t),
     _FIRST: _quaternion(False),

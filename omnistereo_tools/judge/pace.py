@@ -1,7 +1,5 @@
 """How long depth takes, said before it begins."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 

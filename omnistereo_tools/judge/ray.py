@@ -3,8 +3,6 @@
 `output/page/ray.js` computes the same numbers in the browser; `tests/tools/test_viewer.py` compares the two.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -147,9 +145,6 @@ def explain(depth: Depth, column: int, row: int) -> Ray:
     Args:
         depth: With the images from which it was estimated.
         column, row: Of the ray.
-
-    Raises:
-        OmnistereoError: If there is no such ray.
     """
     grid, rig = depth.grid, depth.sweep.rig
     column = int(check_number(column, "column", 0, grid.width - 1, whole=True))
@@ -252,10 +247,8 @@ def is_hidden(
         return False
     share = (np.arange(ON_THE_WAY) + 0.5)[:, None] / ON_THE_WAY
     places = (1 - share) * ray * float(grid.index_to_depth(index)) + share * center
-    pixels, inside = grid.project(places)
-    column, row = np.rint(pixels[inside]).astype(int).T
-    surface = depths[row.clip(0, grid.height - 1), column % grid.width]
-    return bool(np.any(surface < NEARER * np.linalg.norm(places[inside], axis=-1)))
+    surface, inside = grid.look_up(depths, places)
+    return bool(np.any(inside & (surface < NEARER * np.linalg.norm(places, axis=-1))))
 
 
 def tilt_shift(ray: NDArray[np.float64], inverse_depth: float, centers: NDArray[np.float64]) -> float:

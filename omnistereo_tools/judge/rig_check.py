@@ -3,8 +3,6 @@
 Nothing is named that does not fit what was measured.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -63,9 +61,6 @@ def check_rig(
         images: one array per camera, uint8
         min_depth: Depth in metres than which hardly anything is nearer; None: the unit is not checked.
         progress: Called as `progress(done, total, what)`.
-
-    Raises:
-        OmnistereoError: If the images do not fit the cameras.
     """
     if mean_baseline(rig.centers) < _TOGETHER:
         return RigCheck(False, "all cameras are at one place: they see no depth. Check their translations")
@@ -95,12 +90,9 @@ def find_mixup(frame: Frame) -> str | None:
 
 def _matches(rig: Rig, images: Sequence[NDArray[np.uint8]]) -> tuple[list[Features], dict[Pair, RelativePose]]:
     """Return the features of the images, and what pairs of them say about their poses."""
-    features = find_features(rig.cameras, [[_to_uint8(image) for image in check_images(images, rig)]])
+    as_stored = [image.round().clip(0, 255).astype(np.uint8) for image in check_images(images, rig)]
+    features = find_features(rig.cameras, [as_stored])
     return features[0], find_pairs(features)
-
-
-def _to_uint8(image: NDArray[Any]) -> NDArray[np.uint8]:
-    return image if image.dtype == np.uint8 else image.round().clip(0, 255).astype(np.uint8)
 
 
 def _mixup(

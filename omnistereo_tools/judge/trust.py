@@ -1,7 +1,5 @@
 """How far the depth of a ray is trusted: its confidence, judged at equal range, and whether cameras saw anything."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

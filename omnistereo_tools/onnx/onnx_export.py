@@ -1,7 +1,5 @@
 """VolumeNet for a rig as one ONNX file, images in and depth out, with a script that runs it without torch."""
 
-from __future__ import annotations
-
 import shutil
 import warnings
 from collections.abc import Sequence
@@ -38,22 +36,16 @@ def check_installed() -> None:
         raise OmnistereoError("an export needs onnx: in the clone, .venv/bin/pip install -e '.[onnx]'") from None
 
 
-def export_onnx(out: Path, rig: Rig, grid: SphereGrid, network: VolumeNet | None = None) -> list[str]:
+def export_onnx(out: Path, rig: Rig, grid: SphereGrid) -> list[str]:
     """Write VolumeNet for a rig and a grid into a folder; return the names of the files.
 
     depth.onnx    image1 … imageK (h, w, 3) uint8, RGB → inverse_depth (H, W) float32 in 1/m, 0 = infinitely far, NaN =
                   unknown, and confidence (H, W)
     run_onnx.py   reads images and runs it
-
-    Args:
-        network: Default: the bundled one.
-
-    Raises:
-        OmnistereoError: If the package onnx is not installed, or a file cannot be written.
     """
     check_installed()
     out = make_folder(out)
-    graph = DepthGraph(VolumeNet.pretrained() if network is None else network, rig, grid).cpu().eval()
+    graph = DepthGraph(VolumeNet.pretrained(), rig, grid).cpu().eval()
     images = tuple(torch.randint(256, (*camera.image_size[::-1], 3), dtype=torch.uint8) for camera in rig.cameras)
     with atomic_write(out / "depth.onnx") as temporary, warnings.catch_warnings(), torch.no_grad():
         warnings.simplefilter("ignore")  # tracing warns of sizes that become constants; they are those of rig and grid

@@ -1,18 +1,15 @@
 """Perspective crops of the fisheye images with depth and poses, for NeRF and Gaussian splatting programs."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omnistereo_lib.files import atomic_write, make_folder, write_image
+from omnistereo_lib.files import make_folder, write_image, write_text
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.stereo.depth import Depth
@@ -101,14 +98,14 @@ def write_crops(out: Path, depth: Depth, limits: Limits, whole: bool = False) ->
             picture, visible = crop_image(crop, lens, pose, depth.images[k])
             z = np.where(visible, crop_depth(crop, depth, limits), np.nan)
             write_image(make_folder(out / "images") / name, picture)
-            _write_millimetres(make_folder(out / "depth") / name, z)
+            steps = np.nan_to_num(z / _MILLIMETRE)
+            write_image(make_folder(out / "depth") / name, np.where(steps < 65535, steps.round(), 0).astype(np.uint16))
             frame = {"file_path": f"images/{name}", "depth_file_path": f"depth/{name}", **_intrinsics(crop)}
             if not visible.all():
                 write_image(make_folder(out / "masks") / name, 255 * visible)
                 frame["mask_path"] = f"masks/{name}"
             frames.append(frame)
-    with atomic_write(out / "transforms.json") as temporary:
-        temporary.write_text(json.dumps({"camera_model": "PINHOLE", "frames": frames}, indent=1) + "\n")
+    write_text(out / "transforms.json", json.dumps({"camera_model": "PINHOLE", "frames": frames}, indent=1) + "\n")
     return len(frames), float(np.mean(shares))
 
 
@@ -134,21 +131,14 @@ def crop_depth(crop: Crop, depth: Depth, limits: Limits) -> NDArray[np.float64]:
     along = directions @ center
     points = directions * np.median(finite)
     for _ in range(_STEPS):
-        found = _look_up(finite, depth, points)
+        found, _ = depth.grid.look_up(finite, points)
         root = np.maximum(along**2 + found**2 - center @ center, 0)  # of |center + s directions| = found
         distance = -along + np.sqrt(root)
         points = center + distance[..., None] * directions
     panorama = np.where(limits.keep(depth), depth.depth, np.nan)
-    error = np.abs(_look_up(panorama, depth, points) / np.linalg.norm(points, axis=-1) - 1)
-    _, inside = depth.grid.project(points)
+    found, inside = depth.grid.look_up(panorama, points)
+    error = np.abs(found / np.linalg.norm(points, axis=-1) - 1)
     return np.where((error < _CONVERGED) & inside & (distance > 0), distance / length, np.nan)
-
-
-def _look_up(panorama: NDArray[Any], depth: Depth, points: NDArray[Any]) -> NDArray[np.float64]:
-    """Return the value of a panorama in the direction of points (..., 3); beyond its rows that of the last one."""
-    pixels, _ = depth.grid.project(points)
-    column, row = np.moveaxis(np.rint(pixels).astype(int), -1, 0)
-    return panorama[row.clip(0, depth.grid.height - 1), column % depth.grid.width]
 
 
 def _intrinsics(crop: Crop) -> dict[str, Any]:
@@ -158,10 +148,3 @@ def _intrinsics(crop: Crop) -> dict[str, Any]:
     center = {"cx": crop.size / 2, "cy": crop.size / 2}
     focal = {"fl_x": crop.focal, "fl_y": crop.focal}
     return {"w": crop.size, "h": crop.size, **focal, **center, "transform_matrix": pose.tolist()}
-
-
-def _write_millimetres(path: Path, z: NDArray[Any]) -> None:
-    steps = np.nan_to_num(z / _MILLIMETRE)
-    pixels = np.where(steps < 65535, steps.round(), 0).astype(np.uint16)
-    with atomic_write(path) as temporary:
-        temporary.write_bytes(cv2.imencode(".png", pixels)[1].tobytes())

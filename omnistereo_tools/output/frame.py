@@ -1,6 +1,4 @@
-"""Everything that `omnistereo depth` writes for one frame: a page to look at, a viewer, and the data behind them."""
-
-from __future__ import annotations
+"""What `omnistereo depth` writes for one frame: a page to look at, a viewer, the data behind them, and exports."""
 
 import json
 from dataclasses import dataclass
@@ -11,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.files import atomic_write, make_folder, write_image
+from omnistereo_lib.files import make_folder, write_image, write_text
 from omnistereo_lib.frame import write_inverse_depth
+from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.lazy import lazy_property
 from omnistereo_lib.progress import Progress, counted, silent
 from omnistereo_lib.rig_files import save_rig
@@ -20,6 +19,8 @@ from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.metrics import index_error
 from omnistereo_tools.judge.trust import DOUBTFUL, odds, trust
 from omnistereo_tools.output.blend import blended_panorama
+from omnistereo_tools.output.crops import write_crops
+from omnistereo_tools.output.mesh_export import write_mesh
 from omnistereo_tools.output.overview import draw_overview
 from omnistereo_tools.output.pictures import ColorScale, sharp_panorama
 from omnistereo_tools.output.points import Limits, PointCloud
@@ -27,6 +28,7 @@ from omnistereo_tools.output.summary import depth_sentences, error_sentences, tu
 from omnistereo_tools.output.viewer import viewer_page
 
 _SHARP = 1800  # px, width of the panorama that is looked at
+_ALL = 0.99  # of what the cameras see
 
 _README = """\
 Panoramas have {height} rows, from {phi[0]:g}° to {phi[1]:g}° (down is positive), and {width} columns around the circle.
@@ -103,22 +105,42 @@ class FrameResult:
         step("")
         return ["overview.png", "index.html (open it in a browser)", "data/ (README.txt says what each file holds)"]
 
+    def export(
+        self,
+        mesh_file: Path | None,
+        faces: int | None,
+        equirectangular: Path | None,
+        crops: Path | None,
+        all_crops: bool = False,
+    ) -> list[str]:
+        """Write the files for other programs that are asked for, into folders that exist; return what each holds.
+
+        Args:
+            mesh_file, faces: See `write_mesh`.
+            equirectangular: See `equirectangular_depth`.
+            crops, all_crops: See `write_crops`.
+        """
+        written = []
+        if mesh_file is not None:
+            triangles, doubtful = write_mesh(mesh_file, self.depth, self.panorama, self.limits, faces, self.doubtful)
+            written.append(f"{mesh_file} ({triangles} triangles, {doubtful} of them doubtful and marked)")
+        if equirectangular is not None:
+            write_inverse_depth(equirectangular, equirectangular_depth(self.depth))
+            written.append(f"{equirectangular} (metres along the ray)")
+        if crops is not None:
+            count, share = write_crops(crops, self.depth, self.limits, all_crops)
+            more = "" if all_crops or share > _ALL else "; --all-crops covers the rest"
+            of_all = f"{100 * share:.0f} % of what the cameras see{more}"
+            written.append(f"{crops}/ ({count} crops of {of_all}; transforms.json)")
+        return written
+
     def _write_overview(self, path: Path) -> None:
         page = draw_overview(self.depth, self.panorama, self._cloud, self.trust, self.title, self.sentences())
         write_image(path, page)
 
     def _write_page(self, path: Path) -> None:
-        page = viewer_page(
-            self.depth,
-            self.panorama,
-            self.limits,
-            self.title,
-            trust=self.trust,
-            odds=odds(self.method),
-            gt_index=self.gt_index,
-        )
-        with atomic_write(path) as temporary:
-            temporary.write_text(page, encoding="utf-8")
+        of_frame = {"trust": self.trust, "odds": odds(self.method), "gt_index": self.gt_index}
+        write_text(path, viewer_page(self.depth, self.panorama, self.limits, self.title, **of_frame))
 
     def _write_data(self, data: Path) -> None:
         make_folder(data)
@@ -143,8 +165,17 @@ class FrameResult:
         if self.gt_index is not None:
             found = index_error(depth.index, self.gt_index, grid.num_spheres)
             errors = {name: value if isfinite(value) else None for name, value in found.items()}  # JSON has no NaN
-            with atomic_write(data / "errors.json") as temporary:
-                temporary.write_text(json.dumps(errors, indent=1) + "\n")
+            write_text(data / "errors.json", json.dumps(errors, indent=1) + "\n")
             text += _ERRORS
-        with atomic_write(data / "README.txt") as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_text(data / "README.txt", text)
+
+
+def equirectangular_depth(depth: Depth) -> NDArray[np.float32]:
+    """Return depth along the ray in metres as a panorama of the whole sphere, shape (W / 2, W).
+
+    Infinite where nothing is near, NaN where it is unknown, such as at the poles. Each ray takes the nearest pixel:
+    depth between two surfaces would be in neither.
+    """
+    width = depth.grid.width
+    found, inside = depth.grid.look_up(depth.depth, SphereGrid(width, width // 2, (-90.0, 90.0)).rays())
+    return np.where(inside, found, np.nan).astype(np.float32)

@@ -3,8 +3,6 @@
 Drawn by Pillow: loading Matplotlib and laying out a figure would take longer than the depth.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from importlib.metadata import distribution
 from textwrap import fill

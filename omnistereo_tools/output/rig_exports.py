@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import atomic_write, make_folder, to_yaml
+from omnistereo_lib.files import make_folder, to_yaml, write_text
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import quaternion_from_rotation
 from omnistereo_lib.geometry.rig import Rig
@@ -43,8 +43,7 @@ def export_rig(rig: Rig, folder: str | Path) -> list[float]:
         "colmap_cameras.txt": colmap_cameras_text(rig, parameters),
         "colmap_rig_config.json": colmap_rig_text(rig),
     }.items():
-        with atomic_write(folder / name) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_text(folder / name, text)
     return residuals
 
 

@@ -1,7 +1,5 @@
 """The result of one frame in plain sentences."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

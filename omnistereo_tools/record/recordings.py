@@ -11,8 +11,6 @@ OUT/
   video/00001.jpg                   panorama over depth with its scale, doubtful rays faded, with --video
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections import deque
@@ -30,7 +28,7 @@ from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.evaluate.records import checksum
-from omnistereo_lib.files import atomic_write, make_folder, read_data, read_image, read_text, write_image
+from omnistereo_lib.files import atomic_write, make_folder, read_data, read_image, read_text, write_image, write_text
 from omnistereo_lib.frame import read_inverse_depth, write_inverse_depth
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.lazy import lazy_property
@@ -121,9 +119,6 @@ class DepthWriter:
 
         Reading, computing and writing overlap; memory does not grow with the number of frames. The rig is looked at
         in between.
-
-        Raises:
-            OmnistereoError: If a frame cannot be read, does not fit the rig, or cannot be written.
         """
         images_of = self.recording.read(numbers, self.sweep.rig)
         with ThreadPoolExecutor(1) as reader, ThreadPoolExecutor(1) as pool:
@@ -169,8 +164,7 @@ class DepthWriter:
         for number in self.changed():
             self.path(OF_RAYS[-1], number).unlink(missing_ok=True)  # so that the frame is not done
         marks = read_stored(self.out / PICTURES) | {str(number): marks for number, marks in self._marks.items()}
-        with atomic_write(self.out / PICTURES) as temporary:
-            temporary.write_text(json.dumps(marks) + "\n")
+        write_text(self.out / PICTURES, json.dumps(marks) + "\n")
 
     def write(self, number: int, images: list[NDArray[np.uint8]], depth: Depth) -> None:
         """Write images, video frame and depth of one frame."""
@@ -196,8 +190,7 @@ class DepthWriter:
             write_inverse_depth(path, values)
             return
         steps = np.nan_to_num(values) * (_PNG_STEPS * self._unit(kind))
-        with atomic_write(path) as temporary:
-            temporary.write_bytes(cv2.imencode(".png", steps.round().clip(0, 65535).astype(np.uint16))[1].tobytes())
+        write_image(path, steps.round().clip(0, 65535).astype(np.uint16))
 
     def doubt_sentence(self) -> str:
         """Return how many rays of the recording are doubtful, in all and among the nearest, from the files."""
@@ -266,8 +259,7 @@ def _check_settings(path: Path, settings: dict[str, Any]) -> None:
     """Write the settings of a new recording, or compare them with those of the one that is continued."""
     text = json.dumps(settings, indent=1) + "\n"
     if not path.exists():
-        with atomic_write(path) as temporary:
-            temporary.write_text(text)
+        write_text(path, text)
     elif read_text(path) != text:
         raise OmnistereoError(
             f"{path} is of a recording with other settings: {' '.join(read_text(path).split())}; expected "
@@ -289,7 +281,7 @@ def stored_method(out: Path) -> str | None:
     return found if found in (FRAME_METHOD, VIDEO_METHOD) else None
 
 
-def write_video(path: Path, writer: DepthWriter, fps: float | None = None) -> float:
+def write_video(path: Path, writer: DepthWriter) -> float:
     """Write the pictures of a recording, panorama over depth, as a video in VP9, .mp4 or .webm.
 
     Return how many seconds it plays.
@@ -298,10 +290,9 @@ def write_video(path: Path, writer: DepthWriter, fps: float | None = None) -> fl
     """
     numbers = list(writer.recording.frames)
     height, width = writer.picture(numbers[0]).shape[:2]
-    make_folder(path.parent)
     with atomic_write(path) as temporary:
         codec = cv2.VideoWriter.fourcc(*CODECS[path.suffix.lower()])
-        rate = fps or writer.recording.fps or _FPS
+        rate = writer.recording.fps or _FPS
         video = cv2.VideoWriter(str(temporary), codec, rate, (width, height))
         if not video.isOpened():
             raise OmnistereoError(f"{path} cannot be written: this OpenCV has no encoder for it. Try .webm or .mp4.")

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import atomic_write, read_data
+from omnistereo_lib.files import read_data, write_text
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.lazy import lazy_property
 from omnistereo_lib.rig_files import save_rig
@@ -118,8 +118,7 @@ class Watching:
 
 def _store(path: Path, looks: Sequence[Look]) -> None:
     rows = [[one.frame, one.differences.tolist(), one.covariance.tolist()] for one in looks]
-    with atomic_write(path) as temporary:
-        temporary.write_text(json.dumps(rows) + "\n")
+    write_text(path, json.dumps(rows) + "\n")
 
 
 def _stored(path: Path, cameras: int) -> list[Look]:

@@ -5,7 +5,7 @@ import scene
 
 import omnistereo_lib as osl
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_tools.output.exports import equirectangular_depth
+from omnistereo_tools.output.frame import equirectangular_depth
 
 
 def test_equirectangular_depth_covers_the_sphere():

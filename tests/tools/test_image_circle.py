@@ -8,7 +8,7 @@ import scene
 
 import omnistereo_lib as osl
 from omnistereo_lib.evaluate.run import DATA
-from omnistereo_tools.input.image_circle import measure_circle, seen_fov_deg, with_circles
+from omnistereo_tools.input.masks import measure_circle, seen_fov_deg, with_circles
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 
 from omnistereo_lib.train import RECIPES
 from omnistereo_tools.commands.live_command import LiveOptions
-from omnistereo_tools.tiny import shrink
+from omnistereo_tools.parser import shrink
 
 
 @pytest.mark.parametrize("tiny", ["", "1"])
