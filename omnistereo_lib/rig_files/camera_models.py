@@ -91,16 +91,7 @@ def field_of_view(rays: Floats, fx: float, fy: float, cx: float, cy: float, w: f
 
 
 def kannala_brandt(
-    rays: Floats,
-    fx: float,
-    fy: float,
-    cx: float,
-    cy: float,
-    k1: float,
-    k2: float,
-    k3: float,
-    k4: float,
-    skew: float = 0.0,
+    rays: Floats, fx: float, fy: float, cx: float, cy: float, skew: float = 0.0, **k: float
 ) -> Projected:
     """Project with r(θ) = θ + k1 θ³ + k2 θ⁵ + k3 θ⁷ + k4 θ⁹, θ from the axis.
 
@@ -108,7 +99,7 @@ def kannala_brandt(
     OpenCV divides by z and stops at 90°; θ = atan2(hypot(x, y), z) does not. u = fx x + skew y + cx.
     """
     x, y, z, length = _components(rays)
-    r = Polynomial([0, 1, 0, k1, 0, k2, 0, k3, 0, k4])
+    r = Polynomial([0, 1, 0, k["k1"], 0, k["k2"], 0, k["k3"], 0, k["k4"]])
     theta = np.arctan2(np.hypot(x, y), z)
     scale = r(theta) / np.maximum(np.hypot(x, y), 1e-300)
     valid = (length > 0) & (theta < _first_maximum(r))

@@ -23,8 +23,7 @@ from omnistereo_lib.rig_files.basalt import read_basalt
 from omnistereo_lib.rig_files.camodocal import read_camodocal, read_vins
 from omnistereo_lib.rig_files.kalibr import is_kalibr, read_kalibr
 from omnistereo_lib.rig_files.lens_files import parse_hugin, read_gyroflow, read_hugin, read_metashape
-from omnistereo_lib.rig_files.ocam import parse_pose, read_ocam_txt, warn_of_polynomials
-from omnistereo_lib.rig_files.omnimvs import read_omnimvs
+from omnistereo_lib.rig_files.ocam import parse_pose, read_ocam_txt, read_omnimvs, warn_of_polynomials
 from omnistereo_lib.rig_files.opencv import is_opencv, read_mc_calib, read_opencv
 from omnistereo_lib.rig_files.parse import (
     METRES_PER_UNIT,

@@ -15,14 +15,7 @@ from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose, quaternion_pose
 from omnistereo_lib.rig_files.camera_models import FISHEYE, PINHOLE, RADTAN
 from omnistereo_lib.rig_files.fit import fit_camera
-from omnistereo_lib.rig_files.parse import (
-    RigFile,
-    Section,
-    numbered_lines,
-    parse_floats,
-    parse_size,
-    warn_if_different,
-)
+from omnistereo_lib.rig_files.parse import RigFile, Section, numbered_lines, parse_floats, parse_size, warn_if_different
 
 _SIMPLE = ("f", "cx", "cy")
 # camera model → ours, and its parameters in the order of COLMAP
@@ -41,16 +34,9 @@ _MODELS = {
 _IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
 # Keys of transforms.json: of images, of the scene, and of the focal length in another form.
 _NOT_OF_A_CAMERA = (
-    *(
-        "file_path",
-        "depth_file_path",
-        "colmap_im_id",
-        "sharpness",
-        "train_filenames",
-        "val_filenames",
-        "test_filenames",
-    ),
-    *("ply_file_path", "aabb_scale", "scale", "offset", "applied_transform", "applied_scale", "orientation_override"),
+    *("file_path", "depth_file_path", "colmap_im_id", "sharpness"),
+    *("train_filenames", "val_filenames", "test_filenames", "ply_file_path"),
+    *("aabb_scale", "scale", "offset", "applied_transform", "applied_scale", "orientation_override"),
     *("camera_angle_x", "camera_angle_y"),
 )
 _OPENGL = np.diag([1.0, -1.0, -1.0])  # the camera axes of OpenGL in those of OpenCV
