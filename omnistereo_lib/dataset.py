@@ -26,12 +26,7 @@ from pathlib import Path
 from typing import overload
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import (
-    as_path,
-    path_within,
-    read_data,
-    read_text,
-)
+from omnistereo_lib.files import as_path, path_within, read_data, read_text
 from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.rig import Rig, Unit
 from omnistereo_lib.rig_files import load_rig

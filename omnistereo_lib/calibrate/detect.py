@@ -29,10 +29,7 @@ def find_corners(image: ArrayLike, board: Board) -> Floats | None:
 
 
 def detect_views(
-    images: Sequence[ArrayLike | None],
-    board: Board,
-    progress: Progress = silent,
-    names: Sequence[str] | None = None,
+    images: Sequence[ArrayLike | None], board: Board, progress: Progress = silent, names: Sequence[str] | None = None
 ) -> list[Floats | None]:
     """Find the board in each image of one camera, on all cores; None where there is no image or no board.
 

@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 from omnistereo_lib.calibrate.features import FeatureFinder, Features, Tracks, join_tracks, match_features
 from omnistereo_lib.calibrate.patches import refine_tracks
 from omnistereo_lib.calibrate.relative_pose import RelativePose, relative_pose
-from omnistereo_lib.calibrate.track_bundle import TrackBundle, moved_rig, pose_differences
+from omnistereo_lib.calibrate.track_bundle import HALF_SCALE, TrackBundle, moved_rig, pose_differences
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Floats, Pose
@@ -31,7 +31,6 @@ _NOMINAL_BAND_DEG, _FILE_BAND_DEG = 6.0, 1.5  # within which matches lie of the 
 _SECTOR_DEG = 30.0
 _FEW_POINTS, _FEW_CELLS = 300, 60  # fewer give no honest uncertainty
 _FEWEST = 30  # points that poses can be found from
-_HALF_SCALE = 2.5  # of the robust cost, in deviations, as at the end of the adjustment
 _MOST_CENTRE_SHARE = 0.02  # of the radius: centres that are known less well are refused
 
 
@@ -285,7 +284,7 @@ def _covariance(bundle: TrackBundle) -> tuple[Floats, float]:
     up and down, near and far, in odd and in even sectors, of early and of late frames, is the factor; one for
     rotations and one for centres.
     """
-    noise = bundle.covariance(bundle.cells())
+    noise = bundle.covariance()
     u, inverse, frame = bundle.points[:, :3], bundle.points[:, 3], bundle.tracks.point_frame
     halves = [u[:, 1] > np.median(u[:, 1]), inverse > np.median(inverse), in_odd_sector(u), frame > frame.max() / 2]
     apart, expected = np.zeros(2), np.zeros(2)
@@ -296,9 +295,9 @@ def _covariance(bundle: TrackBundle) -> tuple[Floats, float]:
         first, second = (bundle.with_tracks(one) for one in tracks)
         for one in (first, second):
             one.sigma_px = bundle.sigma_px
-            one.solve(_HALF_SCALE, 8)
+            one.solve(HALF_SCALE, 8)
         difference = pose_differences(first.adjusted_rig(), second.adjusted_rig())
-        variance = np.diag(first.covariance(first.cells()) + second.covariance(second.cells()))
+        variance = np.diag(first.covariance() + second.covariance())
         apart += _by_kind(difference.ravel() ** 2)
         expected += _by_kind(variance)
     factor = np.sqrt(np.maximum(apart / np.maximum(expected, 1e-30), 1.0))

@@ -75,7 +75,7 @@ def depths(T_b_a: Pose, x: Floats, y: Floats) -> tuple[Floats, Floats]:
     return (cosine * along_y - along_x) / sine2, (along_y - cosine * along_x) / sine2
 
 
-def relative_pose(x: Floats, y: Floats, ratio: Floats, seed: int = 0) -> RelativePose | None:
+def relative_pose(x: Floats, y: Floats, ratio: Floats) -> RelativePose | None:
     """Find the relative pose on which most matches agree; None if there are fewer than 20 matches.
 
     Args:
@@ -86,7 +86,7 @@ def relative_pose(x: Floats, y: Floats, ratio: Floats, seed: int = 0) -> Relativ
         return None
     order = np.argsort(ratio, kind="stable")
     x, y = x[order], y[order]
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     best, most = np.eye(3), -1
     for k in range(_ROUNDS):
         # The pool grows from a quarter of the matches to all of them.

@@ -29,6 +29,7 @@ _LENS = 3  # corrections of a lens: centre u, v in pixels, share of the focal le
 _LENS_PRIOR = np.array([3.0, 3.0, 0.01])  # their standard deviations
 _STEP = 1e-4  # radians, of the numerical derivative of a lens
 _CELL_DEG = 15.0
+HALF_SCALE = 2.5  # of the robust cost, in deviations, as at the end of the adjustment
 
 
 class TrackBundle:
@@ -225,19 +226,17 @@ class TrackBundle:
         G[:, 3:6, 6] = self.t
         return G.reshape(-1, 7)
 
-    def covariance(self, cells: Ints, scale: float = 2.5) -> Floats:
+    def covariance(self) -> Floats:
         """Return the covariance (6 · cameras, 6 · cameras) of rotations (radians) and centres (metres), rig frame.
 
         It is that of `pose_differences`: without a common rotation, shift and scale. What is independent are not the
-        points, but cells of them, whose gradients are summed (sandwich; White 1982).
-
-        Args:
-            cells: the cell of each point, (N,)
+        points, but `cells` of them, whose gradients are summed (sandwich; White 1982).
         """
-        S, gradients, *_ = self._reduced(scale)
+        cells = self.cells()
+        S, gradients, *_ = self._reduced(HALF_SCALE)
         summed = np.zeros((cells.max() + 1, gradients.shape[1]))
         np.add.at(summed, cells, gradients)
-        weight = 1 / (1 + self.misfits() / scale**2)
+        weight = 1 / (1 + self.misfits() / HALF_SCALE**2)
         curvature = (weight**2 * (4 * weight - 3)).mean() / (weight**2).mean()  # of the robust cost: less than S has
         G, prior = self._gauge(), np.diag(self._prior()[0])
         Z = np.linalg.svd(G.T)[2][7:].T

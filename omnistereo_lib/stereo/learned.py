@@ -222,12 +222,7 @@ class LearnedCost(BlockCost):
         return (total / count).permute(1, 2, 0)  # 0/0 = NaN where no pair sees the ray
 
     def _add_costs(
-        self,
-        images: Tensor,
-        pairs: Sequence[Pair],
-        columns: Sequence[tuple[int, int]],
-        total: Tensor,
-        count: Tensor,
+        self, images: Tensor, pairs: Sequence[Pair], columns: Sequence[tuple[int, int]], total: Tensor, count: Tensor
     ) -> None:
         """Add the costs and the visibility of all pairs to total and count (B, H, W)."""
         network, W, device = self.network, images.shape[-1], images.device

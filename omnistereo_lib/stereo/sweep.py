@@ -44,12 +44,12 @@ class SphereSweep:
 
     The pixel coordinates of the rays depend only on the rig and the grid, so they are kept in lookup tables (LUT)
     from frame to frame: 8 bytes per ray, sphere and camera for the visible columns. At 1200 × 300 × 192 and four
-    cameras of 220° that is 1.3 GB. Tables beyond `max_lut_bytes` are recomputed for every frame.
+    cameras of 220° that is 1.3 GB. Tables beyond 2 GiB, or a quarter of the available memory, are recomputed for every
+    frame.
 
     Args:
         center (array, shape (3,)): Sweep centre in the rig frame, metres. Default: the mean of the camera centres.
         device: Device of tables and warped images: cv2.remap on "cpu", grid_sample elsewhere.
-        max_lut_bytes: Default: 2 GiB, or a quarter of the available memory if that is less.
 
     Raises:
         OmnistereoError: If the panorama is larger than OpenCV can sample, 32766 pixels a side, if memory cannot hold a
@@ -65,12 +65,7 @@ class SphereSweep:
     """
 
     def __init__(
-        self,
-        rig: Rig,
-        grid: SphereGrid,
-        center: ArrayLike | None = None,
-        device: torch.device | str = "cpu",
-        max_lut_bytes: int | None = None,
+        self, rig: Rig, grid: SphereGrid, center: ArrayLike | None = None, device: torch.device | str = "cpu"
     ) -> None:
         check_type(rig, Rig, "rig")
         check_type(grid, SphereGrid, "grid")
@@ -80,9 +75,7 @@ class SphereSweep:
         self.grid = grid
         self.device = select_device(device)
         check_memory(len(rig), grid, self.device)
-        if max_lut_bytes is None:
-            max_lut_bytes = min(_LUT_BUDGET, available_memory(self.device) // 4)
-        self.max_lut_bytes = max_lut_bytes
+        self._most_bytes = min(_LUT_BUDGET, available_memory(self.device) // 4)
         self._rays = grid.rays()
         self._luts: dict[tuple[int, int], _LookupTable] = {}
         self._spans: dict[tuple[int, int], tuple[int, int]] = {}  # (start, width) of the visible columns
@@ -254,7 +247,7 @@ class SphereSweep:
         with _LUT_LOCK:
             lut = self._compute_lut(camera, spheres)
             size = sum(maps.nbytes for _, maps in lut)
-            if self.lut_bytes + size <= self.max_lut_bytes:
+            if self.lut_bytes + size <= self._most_bytes:
                 self._luts[key] = lut
         return lut
 

@@ -141,7 +141,7 @@ def test_deviations_are_honest():
         bundle.rescale()
         bundle.solve(2.5, 8)
         assert bundle.sigma_px == pytest.approx(0.2, rel=0.15)
-        C, off = bundle.covariance(bundle.cells()), pose_differences(bundle.adjusted_rig(), RIG).ravel()
+        C, off = bundle.covariance(), pose_differences(bundle.adjusted_rig(), RIG).ravel()
         values, vectors = np.linalg.eigh(C)
         chi2.append(((vectors[:, 7:].T @ off) ** 2 / values[7:]).sum() / 17)
     assert 0.5 < np.mean(chi2) < 2
@@ -175,7 +175,7 @@ def test_far_points_do_not_show_the_centres():
 
 def test_few_points_are_refused_with_their_number():
     bundle = solved(RIG, synthetic_tracks(RIG, 200, 0.1), (2.5,))
-    covariance = bundle.covariance(bundle.cells())
+    covariance = bundle.covariance()
     measured = MeasuredRig(RIG, np.zeros((4, 6)), covariance, bundle.points, 40, bundle.sigma_px, 1.0)
     assert f"{bundle.tracks.num_points} points in 40 cells of 15° are too few" in measured.refusals()[0]
 

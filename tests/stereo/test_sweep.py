@@ -67,7 +67,8 @@ def test_a_wall_is_sharp_on_its_own_sphere(world):
 
 def test_lookup_tables_are_kept_within_their_budget_and_computed_once_per_frame_beyond(world, monkeypatch):
     rig, images = world
-    kept, streamed, computed = osl.SphereSweep(rig, GRID), osl.SphereSweep(rig, GRID, max_lut_bytes=0), []
+    kept, streamed, computed = osl.SphereSweep(rig, GRID), osl.SphereSweep(rig, GRID), []
+    streamed._most_bytes = 0
     compute = streamed._compute_lut
     monkeypatch.setattr(streamed, "_compute_lut", lambda *key: computed.append(key) or compute(*key))
     torch.testing.assert_close(
