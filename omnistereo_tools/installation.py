@@ -12,19 +12,17 @@ _MIN_MEMORY_GIB = 4
 Check = tuple[bool, str]  # whether it passed, and the line to print
 
 
-def doctor(short: bool = False) -> bool:
+def doctor() -> bool:
     """Print what the library needs and what of it is missing, with the fix; return whether nothing failed.
 
-    Args:
-        short: Only Python and the packages, in one line if nothing failed. Otherwise one line for each, and notes on
-            cores and memory, which do not count as failures.
+    Cores and memory are notes, which do not count as failures.
     """
     unchecked = (False, "packages and data of the course are not checked: in its clone, python -m course doctor does")
     checks = [*check_python(), *_required_packages()]
-    return print_checks(checks, () if short else (unchecked, *check_machine()), "Python and packages", short)
+    return print_checks(checks, (unchecked, *check_machine()), "Python and packages")
 
 
-def print_checks(checks: Iterable[Check], notes: Iterable[Check], what: str, short: bool) -> bool:
+def print_checks(checks: Iterable[Check], notes: Iterable[Check], what: str, short: bool = False) -> bool:
     """Print checks and notes, or in short only what failed; return whether no check failed."""
     checks = list(checks)
     failed = [line for passed, line in checks if not passed]

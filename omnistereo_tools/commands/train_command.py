@@ -55,14 +55,6 @@ def run(options: TrainOptions) -> None:
         if row["validation_loss"] == row["validation_loss"]:  # it is measured now and then
             say(f"step {done}: validation {row['validation_loss']:.4f} {row['validation_error']:.2%}")
 
-    train(
-        recipe,
-        out,
-        options.data,
-        options.device,
-        options.precision,
-        init_weights=options.init_weights,
-        on_step=show,
-    )
+    train(recipe, out, options.data, options.device, options.precision, init_weights=options.init_weights, on_step=show)
     if first_process:
         print(f"{recipe.steps} steps are done; in {out}/: log.csv, state.safetensors, weights.safetensors")

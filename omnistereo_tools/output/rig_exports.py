@@ -13,8 +13,10 @@ from omnistereo_lib.files import make_folder, to_yaml, write_text
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import quaternion_from_rotation
 from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.rig_files import save_rig
 from omnistereo_lib.rig_files.camera_models import kannala_brandt
 from omnistereo_lib.rig_files.fit import AZIMUTHS, ring_rays
+from omnistereo_lib.rig_files.ocam import write_ocam_folder
 
 _MAX_ERROR = 1.0  # px; beyond it a warning
 
@@ -126,9 +128,6 @@ def colmap_rig_text(rig: Rig) -> str:
 
 def write_rig(rig: Rig, out: Path) -> list[str]:
     """Write a rig into a folder in all formats, and say how well they hold it; return the names of the files."""
-    from omnistereo_lib.rig_files import save_rig
-    from omnistereo_lib.rig_files.ocam import write_ocam_folder
-
     save_rig(rig, out / "config.yaml")
     write_ocam_folder(rig, out)
     residual = max(export_rig(rig, out))

@@ -4,8 +4,7 @@ import pytest
 
 import omnistereo_lib as osl
 from omnistereo_lib.progress import counted
-from omnistereo_tools.judge import pace
-from omnistereo_tools.progress import progress_bar
+from omnistereo_tools.progress import in_words, progress_bar, say_frame
 
 
 @pytest.mark.parametrize(
@@ -13,13 +12,13 @@ from omnistereo_tools.progress import progress_bar
     [(0.2, "1 s"), (8.4, "8 s"), (43, "40 s"), (89, "90 s"), (170, "3 min"), (5000, "83 min"), (9000, "2 h")],
 )
 def test_durations_in_words(seconds, words):
-    assert pace.in_words(seconds) == words
+    assert in_words(seconds) == words
 
 
 def test_more_spheres_take_longer_and_other_devices_are_not_guessed(capsys):
     for spheres in (192, 960):
-        pace.say_frame("volumenet", osl.SphereGrid(640, 160, num_spheres=spheres), "cpu")
-    pace.say_frame("volumenet", osl.SphereGrid(640, 160), "cuda")
+        say_frame("volumenet", osl.SphereGrid(640, 160, num_spheres=spheres), "cpu")
+    say_frame("volumenet", osl.SphereGrid(640, 160), "cuda")
     first, second, third = capsys.readouterr().out.splitlines()
     assert first.startswith("volumenet takes about ") and first != second and third == "method: volumenet"
 
