@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=SEED, help=f"of the city and the rig (default: {SEED})")
     parser.add_argument("--out", type=Path, default=_ROOT / "data_samples", help="default: data_samples")
     try:
-        return render(parser.parse_args(arguments))
+        return render(**vars(parser.parse_args(arguments)))
     except OmnistereoError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
@@ -65,22 +65,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 130
 
 
-def render(options: argparse.Namespace) -> int:
+def render(sets: list[str], frames: list[int] | None, shard: str, cluster: str | None, seed: int, out: Path) -> int:
     """Render the frames that are missing, here or in Blender's environment; return the exit status.
 
     Raises:
         OmnistereoError: If a set, a frame or a shard does not exist, or Blender's environment is missing.
     """
-    names = options.sets or ["sunny/test"]
-    wanted = {name: select_shard(_numbers(name, options.frames), options.shard) for name in names}
-    if options.seed < 0:
-        raise OmnistereoError(f"a seed is a whole number from 0 up, got {options.seed}")
-    if options.cluster is None and importlib.util.find_spec("bpy") is None:
-        return _run_in_blender_environment(options)
+    wanted = {name: select_shard(_numbers(name, frames), shard) for name in sets or ["sunny/test"]}
+    if seed < 0:
+        raise OmnistereoError(f"a seed is a whole number from 0 up, got {seed}")
+    if cluster is None and importlib.util.find_spec("bpy") is None:
+        command = [_find_blender_python(), "-m", "render", *sets]
+        command += ["--frames", *map(str, frames)] if frames else []
+        command += ["--shard", shard, "--seed", str(seed), "--out", out.absolute()]
+        return subprocess.run(command, cwd=_ROOT, check=False).returncode
     for name, numbers in wanted.items():
-        _render(options.out.absolute() / name, name, numbers, options.seed, options.cluster)
-    sets = " ".join(name for name in _ALL if (options.out / name).is_dir())
-    write_manifest(options.out, options.seed, f"python -m render {sets} --seed {options.seed}")
+        _render(out.absolute() / name, name, numbers, seed, cluster)
+    there = " ".join(name for name in _ALL if (out / name).is_dir())
+    write_manifest(out, seed, f"python -m render {there} --seed {seed}")
     return 0
 
 
@@ -154,10 +156,3 @@ def _find_blender_python() -> Path:
             "python3.11 -m venv .venv-render and .venv-render/bin/pip install -r environment-render.txt"
         )
     return _BLENDER_PYTHON
-
-
-def _run_in_blender_environment(options: argparse.Namespace) -> int:
-    frames = ["--frames", *map(str, options.frames)] if options.frames else []
-    command = [_find_blender_python(), "-m", "render", *options.sets, *frames]
-    command += ["--shard", options.shard, "--seed", str(options.seed), "--out", options.out.absolute()]
-    return subprocess.run(command, cwd=_ROOT, check=False).returncode
