@@ -24,12 +24,17 @@ import torch._dynamo  # by torch's optimizers
 from render_stand_in import replace_blender
 
 import render
+from omnistereo_lib.stereo import correlation
 from omnistereo_lib.train import MCCNNRecipe, train
 from omnistereo_tools import cli
+from omnistereo_tools.tiny import is_tiny
 
 
 def run(command):
-    """Run the command line, the renderer without Blender, or a training that writes its state at every step."""
+    """Run the command line, Python, the renderer without Blender, or a training that writes its state at every step."""
+    if command[0] == "python":
+        exec(compile(command[1], "page", "exec"), {"__name__": "__main__"})
+        return 0
     if command[0] == "render":
         replace_blender(operator.setitem, setattr)
         return render.main(command[1:])
@@ -67,6 +72,8 @@ def wait(number):
 
 def main():
     numba.njit(lambda: None)()  # loads its compiler
+    if is_tiny():
+        correlation.COARSE = (32, 8)  # VolumeNet's volume, which no width makes smaller
     cv2.setNumThreads(1)
     torch.set_num_threads(1)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a terminal in which the tests are interrupted

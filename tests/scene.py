@@ -8,6 +8,7 @@ import numpy as np
 import omnistereo_lib as osl
 from omnistereo_lib.files import write_image
 from omnistereo_lib.frame import write_inverse_depth
+from omnistereo_lib.stereo.sweep import SphereSweep
 
 HALF_SIZE = np.array([2.6, 1.4, 3.1])  # metres from the box's centre to its walls
 CENTER = np.array([0.3, -0.2, 0.4])
@@ -74,6 +75,29 @@ def true_index(rig, grid):
     """The sphere index of the wall on every ray, from the mean of the camera centres."""
     center = np.mean([pose.t for pose in rig.T_rig_cam], 0)
     return grid.depth_to_index(distance(center, grid.rays()))
+
+
+def true_depth(rig, grid, pictures=()):
+    """The exact depth of the box, with full confidence."""
+    index = true_index(rig, grid).astype(np.float32)
+    return osl.Depth(index, np.ones_like(index), SphereSweep(rig, grid), pictures)
+
+
+def beyond_walls(points, rig):
+    """How far points (..., 3) around a rig's centre are from the box's middle: 1 on its walls."""
+    return (np.abs(points + rig.centers.mean(0) - CENTER) / HALF_SIZE).max(-1)
+
+
+def write_drive(folder, frames, step=0.05):
+    """A rig that moves along x through the box: `rig.yaml`, and `view1` to `view4` with numbered pictures."""
+    still = rig(width=100, height=96)
+    osl.save_rig(osl.Rig(still.cameras, still.T_rig_cam, min_depth=0.6), folder / "rig.yaml")
+    for n in range(1, frames + 1):
+        moved = still.transformed(osl.Pose.from_vector([0, 0, 0, step * n, 0, 0]))
+        for k, picture in enumerate(images(moved, finest=0.25), 1):
+            (folder / f"view{k}").mkdir(exist_ok=True)
+            write_image(folder / f"view{k}" / f"cam{k}_{n:03}.png", picture)
+    return folder
 
 
 def write_set(folder, still, grid, places, first=1):

@@ -17,23 +17,13 @@ import numpy as np
 import pytest
 import scene
 from served_commands import Server
+from train.tiny import MCCNN
 
 import omnistereo_lib as osl
 from omnistereo_lib.calibrate.captures import save_corners
 
 KILLS = int(os.environ.get("KILLS", "1"))
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
-RECIPE = {
-    "width": 96,
-    "height": 24,
-    "num_spheres": 12,
-    "steps": 6,
-    "validate_every": 2,
-    "validation_groups": 2,
-    "warmup": 2,
-    "rays_per_frame": 16,
-}
-
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="Windows has neither fork nor these signals")
 
 
@@ -88,7 +78,7 @@ def command(request, data, corners):
         "evaluate": ["evaluate", "--sets", data, "--methods", "zncc", "zncc,window=3", "zncc+sgm", "--out"],
         "render": ["render", "sunny/test", "--frames", *range(701, 741), "--out"],
     }
-    train = ["recipe", data, json.dumps(RECIPE)]
+    train = ["recipe", data, json.dumps({k: v for k, v in MCCNN.as_dict().items() if k != "network"})]
     return lambda out: [*(train if request.param == "train" else lines[request.param]), out]
 
 

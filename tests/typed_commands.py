@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import io
 import re
-import subprocess
-import sys
+from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 import nbformat
 
+import render
+from course import __main__ as course
 from omnistereo_tools import cli
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -51,10 +53,11 @@ def commands_of(page: str) -> list[Typed]:
 @cache
 def help_of(command: str) -> str:
     """Return what `--help` prints."""
-    module = command.replace("omnistereo", "python -m omnistereo_tools").split()[1:]
-    return subprocess.run(
-        [sys.executable, *module, "--help"], cwd=ROOT, text=True, capture_output=True, check=True
-    ).stdout
+    program, *words = command.removeprefix("python -m ").split()
+    run = {"omnistereo": cli.main, "course": course.main, "render": render.main}[program]
+    with redirect_stdout(io.StringIO()) as said, suppress(SystemExit):
+        run([*words, "--help"])
+    return said.getvalue()
 
 
 def _markdown(path: Path) -> list[str]:

@@ -22,7 +22,7 @@ from pages import Page, count_pictures, count_stills, foreign_or_missing, leads
 
 import omnistereo_lib as osl
 from course import nbtools
-from course.publish import rules, slides, stills
+from course.publish import slides, stills
 
 BOOK = nbtools.ROOT / "book"
 
@@ -292,15 +292,3 @@ def exists(name):
             return False
         thing = getattr(thing, part) if hasattr(thing, part) else importlib.import_module(f"{thing.__name__}.{part}")
     return True
-
-
-def test_the_notebooks_use_the_terms_that_the_glossary_says_they_teach():
-    glossary = (BOOK / "glossary.md").read_text(encoding="utf-8")
-    lacking = []  # in the prose: code does not count
-    for term, meaning in re.findall(r"^## (.*)\n\n(.*)$", glossary, re.MULTILINE):
-        words = "|".join(re.escape(word.lower().removesuffix("s").replace("-", " ")) for word in term.split(", "))
-        for name in re.findall(r"\(\.\./notebooks/(\w+\.ipynb)\)", meaning):
-            prose = " ".join(rules.prose(nbformat.read(nbtools.NOTEBOOKS / name, as_version=4)))  # code does not count
-            if not re.search(rf"\b({words})", re.sub(r"[\s-]+", " ", prose).lower()):
-                lacking.append((term, name))
-    assert lacking == []

@@ -24,54 +24,23 @@ EXERCISES = [
     for function in exercises.functions(nbtools.number(path))
 ]
 
-OPERATORS = {
-    ast.Add: [ast.Sub],
-    ast.Sub: [ast.Add],
-    ast.Mult: [ast.Div, ast.Add],
-    ast.Div: [ast.Mult, ast.FloorDiv],
-    ast.FloorDiv: [ast.Div],
-    ast.Mod: [ast.Div],
-    ast.Pow: [ast.Mult],
-    ast.MatMult: [ast.Mult],
-    ast.BitAnd: [ast.BitOr],
-    ast.BitOr: [ast.BitAnd],
-    ast.Lt: [ast.LtE, ast.Gt],
-    ast.LtE: [ast.Lt, ast.Gt],
-    ast.Gt: [ast.GtE, ast.Lt],
-    ast.GtE: [ast.Gt, ast.Lt],
-    ast.Eq: [ast.NotEq],
-    ast.NotEq: [ast.Eq],
-}
-NAMES = [
-    ("min", "max"),
-    ("minimum", "maximum"),
-    ("argmin", "argmax"),
-    ("nanmin", "nanmax"),
-    ("sum", "mean"),
-    ("nansum", "nanmean"),
-    ("nanmean", "mean"),
-    ("nansum", "sum"),
-    ("nanmin", "min"),
-    ("nanargmin", "argmin"),
-    ("floor", "rint"),
-    ("floor", "ceil"),
-    ("sin", "cos"),
-    ("hypot", "add"),
-    ("isnan", "isfinite"),
-    ("ones", "zeros"),
-    ("radians", "degrees"),
-    ("any", "all"),
-    ("cumsum", "cumprod"),
-]
+OPERATORS = """Add Sub, Sub Add, Mult Div Add, Div Mult FloorDiv, FloorDiv Div, Mod Div, Pow Mult, MatMult Mult,
+BitAnd BitOr, BitOr BitAnd, Lt LtE Gt, LtE Lt Gt, Gt GtE Lt, GtE Gt Lt, Eq NotEq, NotEq Eq"""
+OTHERS = {getattr(ast, first): [getattr(ast, op) for op in ops] for first, *ops in map(str.split, OPERATORS.split(","))}
+NAMES = """min max, minimum maximum, argmin argmax, nanmin nanmax, sum mean, nansum nanmean, nanmean mean, nansum sum,
+nanmin min, nanargmin argmin, floor rint, floor ceil, sin cos, hypot add, isnan isfinite, ones zeros, radians degrees,
+any all, cumsum cumprod"""
+PAIRS = [tuple(pair.split()) for pair in NAMES.split(",")]
+PAIRS += [pair[::-1] for pair in PAIRS]
 
 
 def changes(node):
     """Yield what could stand in the place of a node of the syntax tree."""
     if isinstance(node, ast.BinOp):
-        yield from (ast.BinOp(node.left, op(), node.right) for op in OPERATORS.get(type(node.op), []))
+        yield from (ast.BinOp(node.left, op(), node.right) for op in OTHERS.get(type(node.op), []))
         yield from (node.left, node.right, ast.BinOp(node.right, node.op, node.left))
     elif isinstance(node, ast.Compare):
-        for op in OPERATORS.get(type(node.ops[0]), []):
+        for op in OTHERS.get(type(node.ops[0]), []):
             yield ast.Compare(node.left, [op(), *node.ops[1:]], node.comparators)
     elif isinstance(node, ast.UnaryOp):
         yield node.operand
@@ -80,9 +49,7 @@ def changes(node):
     elif isinstance(node, ast.Constant) and isinstance(node.value, bool):
         yield ast.Constant(not node.value)
     elif isinstance(node, ast.Attribute):
-        for one, other in (*NAMES, *(pair[::-1] for pair in NAMES)):
-            if node.attr == one:
-                yield ast.Attribute(node.value, other, node.ctx)
+        yield from (ast.Attribute(node.value, other, node.ctx) for one, other in PAIRS if one == node.attr)
     elif isinstance(node, ast.Call):
         yield from node.args[:1]  # abs(x), np.clip(x, …), np.sqrt(x): x
         yield from (ast.Call(node.func, node.args, []) for _ in node.keywords[:1])

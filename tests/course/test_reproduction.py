@@ -1,6 +1,5 @@
 """The reproduction report: the paper's numbers are consistent, the rules give their verdicts, the page keeps up."""
 
-import inspect
 import re
 from copy import deepcopy
 from importlib import import_module
@@ -11,10 +10,9 @@ import pytest
 
 from course.nbtools import ROOT
 from course.publish.reproduction import PAGE, PAPER, RESULTS, ROWS, TOLERANCE, judge_order, judge_size, report
-from omnistereo_lib.evaluate import METHODS, errors_table
+from omnistereo_lib.evaluate import errors_table
 from omnistereo_lib.evaluate.records import read_record
 from omnistereo_lib.evaluate.regions import METRICS
-from omnistereo_lib.evaluate.table import LIGHTS
 
 TEXT = PAGE.read_text(encoding="utf-8")
 CELLS = [line.strip("| ").split(" | ") for line in TEXT.splitlines() if line.startswith("| ")]
@@ -42,21 +40,6 @@ def change(results, method, light, factors):
 
 
 # ---- the paper's table
-
-
-def test_the_papers_table_is_consistent():
-    assert list(PAPER) == [(method.name, light) for method in METHODS for light in LIGHTS]
-    for one, three, five, mae, rms in PAPER.values():
-        assert one >= three >= five > 0 and rms >= mae > 0
-        assert five * 5 / 100 <= mae  # an error above 5 counts at least 5
-
-
-def test_the_lowest_errors_are_those_that_the_paper_prints_in_bold():
-    for methods in (METHODS[:3], METHODS[3:]):
-        for light in LIGHTS:
-            best = np.argmin([PAPER[method.name, light] for method in methods], 0)
-            printed = [2, 1, 1, 2, 2] if (light, methods) == ("cloudy", METHODS[3:]) else [2] * 5  # '>3': both in bold
-            np.testing.assert_array_equal(best, printed)
 
 
 # ---- rules
@@ -152,18 +135,11 @@ def resolve(name):
     raise AssertionError(name)
 
 
-@pytest.mark.parametrize("name", sorted({*re.findall(r"`((?:\w+\.)+\w+)`", TEXT)}))
-def test_what_is_named_exists(name):
-    assert resolve(name) is not None
+def test_what_is_named_exists():
+    for name in {*re.findall(r"`((?:\w+\.)+\w+)`", TEXT)}:
+        assert resolve(name) is not None
 
 
-@pytest.mark.parametrize("path", sorted({*re.findall(r"`(tests/[^`]+)`|\(\.\./(notebooks/[^)]+)\)", TEXT)}))
-def test_tests_and_notebooks_exist(path):
-    assert (ROOT / "".join(path)).is_file()
-
-
-@pytest.mark.parametrize("cells", [c for c in CELLS if re.match(r"Eq\. \d|Table I:|Section III-[AB]\b", c[0])], ids=str)
-def test_a_search_for_a_part_of_the_paper_finds_its_code(cells):
-    part = re.match(r"Eq\. \d|Table I\b|Section III-.", cells[0])[0]
-    files = [inspect.getsource(inspect.getmodule(resolve(name))) for name in re.findall(r"`([\w.]+)`", cells[1])]
-    assert any(part in text for text in files)
+def test_tests_and_notebooks_exist():
+    paths = {"".join(path) for path in re.findall(r"`(tests/[^`]+)`|\(\.\./(notebooks/[^)]+)\)", TEXT)}
+    assert [path for path in paths if not (ROOT / path).is_file()] == []

@@ -14,7 +14,6 @@ from PIL import Image
 import omnistereo_lib as osl
 from course.figures import plot
 from course.publish import dark_mode, stills
-from omnistereo_lib.stereo.sweep import SphereSweep
 
 RNG = np.random.default_rng(0)
 
@@ -123,9 +122,8 @@ def test_a_live_figure_without_stills(recorded):
 
 def test_a_view_is_stored_and_begins_with_its_points(recorded, tmp_path, open_page):
     rig, grid = scene.rig(width=80, height=64), osl.SphereGrid(64, 16, num_spheres=16, min_depth=0.6)
-    index = scene.true_index(rig, grid).astype(np.float32)
     images = [np.full((64, 80), 200, np.uint8)] * 4
-    depth = osl.Depth(index, np.ones_like(index), SphereSweep(rig, grid), images)
+    depth = scene.true_depth(rig, grid, images)
     plot.explore(depth, max_depth=50)
     assert 'src="../views/tiny-0.html"' in stills.shown("tiny", 0, tmp_path, "../")
     page = open_page(900, 800)

@@ -15,6 +15,7 @@ from course.experiments.volume_variants import (
     SpheresAsChannels,
     train_variant,
 )
+from omnistereo_lib.stereo import correlation
 from omnistereo_lib.train import RECIPES, frames
 from omnistereo_lib.train.frames import DATA
 
@@ -59,6 +60,7 @@ def test_a_variant_is_trained_by_its_recipe(tmp_path, monkeypatch):
     (tmp_path / "rooms").mkdir()
     (tmp_path / "rooms" / "train").symlink_to(DATA / "rooms" / "test")  # fewer frames
     monkeypatch.setattr(frames, "DATA", tmp_path)
+    monkeypatch.setattr(correlation, "COARSE", (32, 8))
     small = ["worlds=rooms", "width=64", "height=16", "num_spheres=16", "steps=1", "warmup=1", "validation_groups=1"]
     recipe = RECIPES["volumenet"]["teaching"].with_overrides(small)
     _, network, samples = VARIANTS["as shipped"]

@@ -141,18 +141,9 @@ def test_the_merged_file_states_its_inputs(data, weights, expected_of_all):
     assert all(f'"{name}"' in line for name in METRICS)
     scale = {"width": 48, "height": 14, "num_spheres": 8}
     assert results["config"] == {**scale, "precision": "float32", "rig": "own"}
-    assert results["methods"]["mccnn+sgm"] == {
-        "cost": "mccnn",
-        "aggregate": "sgm",
-        "window": None,
-        "weights": "",
-        "pairs": "ring",
-        "p1": None,
-        "p2": None,
-        "wrap": True,
-        "subindex": False,
-        "num_spheres": 0,
-    }
+    named = {"cost": "mccnn", "aggregate": "sgm", "weights": "", "pairs": "ring"}
+    usual = {"window": None, "p1": None, "p2": None, "wrap": True, "subindex": False, "num_spheres": 0}
+    assert results["methods"]["mccnn+sgm"] == named | usual
     files = ["config.yaml", *(f"omnidepth_gt_96/{number:05}.tiff" for number in FRAMES)]
     files += [f"cam{k}/{number:04}.png" for k in (1, 2, 3, 4) for number in FRAMES]
     assert results["data"] == {f"box/{name}": sha(data / name) for name in files}

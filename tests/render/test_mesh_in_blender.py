@@ -9,7 +9,6 @@ import scene
 from test_render_blender import in_blender, needs_blender
 
 import omnistereo_lib as osl
-from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.output.mesh_export import write_mesh
 from omnistereo_tools.output.points import Limits
 
@@ -50,10 +49,9 @@ bpy.ops.render.render(write_still=True)
 @needs_blender
 def test_blender_opens_the_mesh_in_metres_upright_and_textured(tmp_path):
     rig = scene.rig(width=200, height=192)
-    index = scene.true_index(rig, GRID).astype(np.float32)
     row, column = np.indices((80, 320))
     panorama = np.stack([column * 255 // 319, row * 255 // 79, 0 * row], -1).astype(np.uint8)  # a colour is a direction
-    depth = osl.Depth(index, np.ones_like(index), SphereSweep(rig, GRID))
+    depth = scene.true_depth(rig, GRID)
     write_mesh(tmp_path / "a.glb", depth, panorama, Limits(100.0, 0.0))
     in_blender(OPEN, tmp_path)
 
@@ -61,9 +59,7 @@ def test_blender_opens_the_mesh_in_metres_upright_and_textured(tmp_path):
     assert about == {"metres": 1.0, "texture": [320, 80], "packed": True}
     x, y, z = np.load(tmp_path / "points.npy").T
     points = np.stack([x, -z, y], -1)  # in the axes of the rig: right, down, forward
-    center = np.mean([pose.t for pose in rig.T_rig_cam], 0)
-    on_walls = (np.abs(points + center - scene.CENTER) / scene.HALF_SIZE).max(-1)
-    np.testing.assert_allclose(on_walls, 1, atol=1e-4)
+    np.testing.assert_allclose(scene.beyond_walls(points, rig), 1, atol=1e-4)
 
     picture = cv2.cvtColor(cv2.imread(str(tmp_path / "picture.png")), cv2.COLOR_BGR2RGB).astype(float)
     right, down = (np.indices((64, 64))[::-1] + 0.5) / 32 - 1

@@ -80,16 +80,6 @@ def test_truths_of_both_sizes_agree_where_depth_is_smooth(shipped):
     assert np.median(beside) > 1e-3
 
 
-def test_shipped_truth_is_a_street(shipped):
-    for frame in shipped:
-        truth = frame.inverse_depth
-        assert truth.shape == (300, 1200) and np.isfinite(truth).all()
-        assert truth.max() <= 1 / shipped.rig.min_depth
-        sky, near = (truth == 0), (truth > 1 / (3 * shipped.rig.min_depth))
-        assert 0.02 < sky.mean() < 0.4 and near.mean() > 0.1
-        assert not sky[150:].any()  # below the horizon there is ground
-
-
 def surely_seen(center, inverse_depth, grid):
     """Where a camera sees the point of a ray: the whole line of sight lies before what the rig's centre sees."""
     with np.errstate(divide="ignore"):
@@ -168,17 +158,6 @@ def test_aerial_truth_is_the_full_sphere_of_a_tilted_rig_above_a_street():
         assert (np.abs(height[below]) < 0.2).mean() > 0.4  # carriageway and pavement; the rest stands on them
 
 
-def test_indoor_truth_is_a_room_that_leaves_place_for_the_rig():
-    data = osl.load_dataset(SAMPLES.parent / "indoor", split="test")
-    assert data.rig.min_depth == 0.55
-    for frame in data:
-        truth = frame.inverse_depth
-        assert truth.shape == (300, 1200) and truth.max() < 1 / 0.55
-        assert (truth > 1 / 6.5).mean() > 0.9 and (truth[-1] > 1 / 3).all()  # all but the window; the floor
-    first, second = (frame.inverse_depth for frame in data)
-    assert np.median(np.abs(first - second) / np.maximum(first, second)) > 0.1  # two places
-
-
 # The street in other lights, and the streets that training sees
 
 
@@ -199,33 +178,6 @@ def sky_warmth(frame):
     channels = ([image[..., k].astype(np.float32) for image in frame.images] for k in (0, 2))
     red, blue = (np.nanmean(sweep.warp(images, 0), axis=0) for images in channels)
     return (red / (blue + 1))[frame.inverse_depth == 0].mean()
-
-
-@pytest.mark.parametrize("name", ["sunny/test", "cloudy/test", "sunset/test", "sunny/train", "drive/test"])
-def test_pictures_are_neither_black_nor_burnt_out(name):
-    data = osl.load_dataset(SAMPLES.parent / name)
-    black, lenses = [], [camera.visible_pixels() for camera in data.rig.cameras]
-    pictures = (zip(frame.images, lenses, strict=True) for frame in data[:: len(data) // 2])
-    for picture, lens in itertools.chain.from_iterable(pictures):
-        seen = picture.reshape(*lens.shape, -1)[lens]
-        black.append((seen.max(-1) < 8).mean())
-        assert (seen.min(-1) >= 250).mean() < 0.05 and black[-1] < 0.25  # a street's side in the shade
-        assert 35 < seen.mean() < 160
-        assert 0 < picture[:8, :8].mean() < 12  # outside the lens circle: the sensor's noise in the dark
-    assert np.mean(black) < 0.08
-
-
-def test_training_frames_are_those_of_the_drive():
-    data, images = osl.load_dataset(SAMPLES, split="train"), SETS["sunny/train"]
-    assert tuple(frame.number for frame in data) == images.shipped and len(data) >= 120
-    near, sky = [], []
-    for frame in data[::10]:
-        assert all(image.shape == (384, 400) for image in frame.images)
-        truth = frame.inverse_depth
-        assert truth.shape == (160, 640) and np.isfinite(truth).all() and truth.max() <= 1 / data.rig.min_depth
-        near.append(np.mean(truth > 1 / (3 * data.rig.min_depth)))
-        sky.append(np.mean(truth == 0))
-    assert np.mean(near) > 0.1 and 0.02 < np.mean(sky) < 0.4
 
 
 def test_the_drive_s_frames_follow_one_another_on_its_trajectory():

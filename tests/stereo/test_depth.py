@@ -138,7 +138,7 @@ def test_agreement_needs_two_cameras_and_a_depth(estimate):
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads the memory of a process as Linux shows it")
 def test_from_volume_to_depth_in_little_memory():
-    """At 1200 × 300 × 192: the volume, its aggregated copy and a fifth of one more."""
+    """At 600 × 150 × 192: the volume, its aggregated copy and a fifth of one more."""
     peak = """
 import torch, omnistereo_lib as osl
 def depth(volume):
@@ -148,13 +148,8 @@ depth(torch.rand(20, 40, 192))  # compiles
 def memory(key):
     return 1024 * next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith(key))
 before = memory("VmRSS")
-depth(torch.rand(300, 1200, 192))
-print((memory("VmHWM") - before) / (4 * 300 * 1200 * 192))
+depth(torch.rand(150, 600, 192))
+print((memory("VmHWM") - before) / (4 * 150 * 600 * 192))
 """
     result = subprocess.run([sys.executable, "-c", peak], capture_output=True, text=True, check=True)
     assert float(result.stdout) < 2.25  # 2.2, and what the allocator keeps on a busy machine
-
-
-def test_cost_volumes_have_three_axes():
-    with pytest.raises(osl.OmnistereoError, match=r"shape \(4, 5\).*; expected \(H, W, N\) with N ≥ 2"):
-        osl.winner_takes_all(np.zeros((4, 5)))

@@ -14,7 +14,6 @@ import omnistereo_lib as osl
 from omnistereo_lib.evaluate import ABLATIONS, METHODS, SCALES, Scale, select_methods
 from omnistereo_lib.evaluate.methods import EvaluatedMethod
 from omnistereo_lib.stereo import methods
-from omnistereo_lib.stereo.cost import BlockCost
 from omnistereo_lib.stereo.methods import COSTS, CostEntry, Method, penalties
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.zncc import default_window
@@ -101,20 +100,6 @@ def test_a_name_that_says_so_does_not_refine(box, name):
     index = osl.estimate_depth(osl.Frame.of(*box), GRID, method).index
     np.testing.assert_array_equal(index, osl.estimate_depth(osl.Frame.of(*box), GRID, name, subindex=False).index)
     assert (index[np.isfinite(index)] % 1 == 0).all()
-
-
-class SecondSphere(BlockCost):
-    def __call__(self, spherical_images, pairs, columns=None):
-        _, B, H, W = spherical_images.shape
-        cost = torch.ones(H, W, B)
-        cost[..., 2] = 0
-        return cost
-
-
-def test_a_cost_of_your_own_joins_in_one_place(box, monkeypatch):
-    monkeypatch.setitem(COSTS, "second", CostEntry("Second", lambda method, path, precision: SecondSphere()))
-    assert Method.parse("second+sgm").label == "Second + SGM"
-    assert (osl.estimate_depth(osl.Frame.of(*box), GRID, "second", subindex=False).index % 16 == 2).all()
 
 
 def test_the_example_of_a_cost_of_your_own(monkeypatch):

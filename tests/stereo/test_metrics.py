@@ -30,10 +30,6 @@ def test_errors_agree_with_the_definition_ray_by_ray(index, gt, valid):
     assert found["RMS"] == pytest.approx(math.sqrt(sum(e * e for e in errors) / len(errors)))
 
 
-def test_ground_gt_is_not_rounded():
-    assert osl.index_error([[5.0]], [[5.4]], 100)["MAE"] == pytest.approx(0.4)
-
-
 def test_maps_must_agree_in_shape():
     with pytest.raises(osl.OmnistereoError, match=r"\(2, 3\).*\(3, 2\)"):
         osl.index_error(np.zeros((2, 3)), np.zeros((3, 2)), 10)

@@ -1,7 +1,6 @@
 """Wrong arguments that `bad_inputs.py` does not have: each gets the library's error, at once, and says why."""
 
 import dataclasses
-import inspect
 import multiprocessing
 from copy import deepcopy
 
@@ -58,42 +57,27 @@ def rig(pose=0.0, min_depth=None):
     ("call", "message"),
     [
         (lambda: osl.SphereGrid(96, 1_000_000_000), "height is 1000000000"),
-        (lambda: osl.SphereSweep(RIG, GRID, device=5.5), "device is 5.5"),
         (lambda: osl.SphereSweep(RIG, GRID, device="mps"), "mps.*; expected .*cuda"),
         (lambda: depth([None] * 4), "image 1 has shape"),
         (lambda: osl.cost_volume(SWEEP, IMAGES, Flat()), r"shape \(1, 48, 4\); expected .* \(12, 48, 4\)"),
         (lambda: osl.save_rig(RIG, "rig.json"), "rig.json: a rig is saved as YAML"),
-        (lambda: depth([*IMAGES[:3], np.zeros((56, 60), complex)]), "image 4 has type complex128"),
         (lambda: osl.ZNCC(window="9"), "window is '9'"),
         (lambda: rig(1e8), r"camera 1 .* 100000000.0; expected a number of 0 to 1"),
         (lambda: rig(min_depth=-1.0), "min_depth.* is -1.0"),
-        (lambda: rig(min_depth=np.nan), "min_depth.* is nan"),
         (lambda: sgm(torch.from_numpy(VOLUME + 1j)), "type torch.complex64; expected"),
         (lambda: osl.cost_volume(SWEEP, IMAGES, Silent()), r"gives None; expected .* \(12, 48, 4\)"),
-        (
-            lambda: osl.cost_volume(SWEEP, IMAGES, Whole(None)),
-            r"Whole.* returns None; expected a float tensor of shape",
-        ),
+        (lambda: osl.cost_volume(SWEEP, IMAGES, Whole(None)), "Whole.* returns None; expected a float tensor"),
         (lambda: osl.cost_volume(SWEEP, IMAGES, Whole(torch.zeros(4, 12, 48))), r"returns .* \(4, 12, 48\); expected"),
-        (lambda: osl.cost_volume(SWEEP, IMAGES, Whole(torch.zeros(12, 48, 4, dtype=int))), "returns torch.int64 of"),
         (lambda: osl.cost_volume(SWEEP, IMAGES, osl.ZNCC), "cost is <class .*; expected an object"),
         (lambda: osl.cost_volume(SWEEP, IMAGES, osl.MCCNN().half()), "the network has weights of type torch.float16"),
-        (lambda: osl.cost_volume(SWEEP, IMAGES, osl.LearnedCost(osl.MCCNN().double())), "type torch.float64; expected"),
         (lambda: osl.cost_volume(SWEEP, IMAGES, osl.MCCNN().to("meta")), "the network has no weights"),
         (lambda: depth(progress=None), "progress is None; expected Callable"),
         (lambda: sgm(1e38 * VOLUME), r"a cost is infinite, or 1e\+30 or more"),
         (lambda: sgm(VOLUME, p2=1e38), r"p2 = 1e\+38; expected"),
         (lambda: sgm(None), "holds object"),
-        (lambda: sgm(VOLUME, p1="0.1"), "p1 = '0.1'"),
-        (lambda: osl.winner_takes_all(VOLUME[..., :1]), "expected .* N ≥ 2"),
         (lambda: osl.confidence("abc"), "the cost volume holds"),
         (lambda: SweepNetRecipe(steps=2.5), "steps = 2.5; expected"),
-        (lambda: SweepNetRecipe(learning_rate="1"), "learning_rate = '1'; expected a finite number > 0"),
-        (lambda: SweepNetRecipe(learning_rate=np.inf), "learning_rate = inf"),
-        (lambda: SweepNetRecipe(momentum=np.nan), "momentum = nan; expected a fraction"),
-        (lambda: SweepNetRecipe(warmup=-5), "warmup = -5"),
         (lambda: SweepNetRecipe(seed=-1), "seed = -1"),
-        (lambda: SweepNetRecipe(spheres_per_frame=-1), "spheres_per_frame = -1"),
     ],
 )
 def test_wrong_arguments(call, message):
@@ -130,11 +114,11 @@ BOARD = osl.Checkerboard((4, 3), 0.06)
         ("board", lambda wrong: osl.calibrate_rig([[VOLUME[0]]] * 2, wrong)),
     ],
 )
-@pytest.mark.parametrize("wrong", [None, 5, 0.5, object()], ids=lambda wrong: type(wrong).__name__)
-def test_wrong_types(name, call, wrong):
-    with pytest.raises(osl.OmnistereoError, match=rf"^{name} is .*; expected ") as error:
-        call(wrong)
-    assert len(str(error.value)) < 200
+def test_wrong_types(name, call):
+    for wrong in (None, 5, object()):
+        with pytest.raises(osl.OmnistereoError, match=rf"^{name} is .*; expected ") as error:
+            call(wrong)
+        assert len(str(error.value)) < 200
 
 
 @pytest.mark.parametrize("method", ["zncc+sgm", "mccnn", "sweepnet", "volumenet"])
@@ -205,7 +189,6 @@ def test_right_types_of_every_kind(tmp_path):
     )
     for images in (np.stack(IMAGES), torch.from_numpy(np.stack(IMAGES)), tuple(IMAGES)):
         np.testing.assert_array_equal(depth(images).index, depth().index)
-    assert len(osl.calibrate_camera.__doc__) > 100 and "views" in inspect.signature(osl.calibrate_camera).parameters
 
 
 @pytest.mark.parametrize(
@@ -220,8 +203,10 @@ def test_right_types_of_every_kind(tmp_path):
     ],
 )
 def test_volumes_of_any_layout(change):
+    before = VOLUME.copy()
     torch.testing.assert_close(sgm(change(VOLUME)), sgm(VOLUME), rtol=0, atol=0)
     assert (osl.winner_takes_all(change(VOLUME)) == osl.winner_takes_all(VOLUME)).all()
+    np.testing.assert_array_equal(VOLUME, before)
 
 
 def test_images_may_be_tensors_with_gradients():

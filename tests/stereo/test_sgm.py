@@ -128,20 +128,3 @@ def test_tiles_visit_every_cell_once_and_never_meet():
                         assert all(owner.setdefault(slot, number) == number for slot in slots)
         assert (visits[False] == 1).all()
         assert (visits[True] == 1).all()
-
-
-def test_input_is_left_alone_and_may_be_any_float_array():
-    volume = noise((3, 8, 5))
-    copy = volume.copy()
-    expected = sgm(volume)
-    np.testing.assert_array_equal(volume, copy)
-    for other in (
-        torch.from_numpy(volume),
-        volume.astype(np.float64),
-        torch.from_numpy(volume).requires_grad_(),
-        np.asfortranarray(volume),
-        torch.from_numpy(volume).permute(2, 0, 1).contiguous().permute(1, 2, 0),
-    ):
-        result = sgm(other)
-        assert result.dtype == torch.float32
-        assert torch.equal(result, expected)

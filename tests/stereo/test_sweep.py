@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 import omnistereo_lib as osl
 from omnistereo_lib import reference
 from omnistereo_lib.stereo.images import blur, blur_px
-from omnistereo_lib.stereo.sweep import remap
 
 GRID = osl.SphereGrid(64, 20, (-40, 35), 20, 0.6)
 
@@ -117,14 +116,6 @@ def test_normalized_images_have_zero_mean_and_unit_variance_over_the_image_circl
         _, valid = camera.unproject(np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1))
         assert abs(normalized.numpy()[valid].mean()) < 1e-4
         assert abs(normalized.numpy()[valid].std() - 1) < 1e-4
-
-
-def test_torch_sampling_equals_opencv():
-    rng = np.random.default_rng(0)
-    image = rng.normal(size=(50, 60)).astype(np.float32)
-    maps = rng.uniform(0, 49, (8, 9, 2)).astype(np.float32)
-    sampled = reference.sample(torch.from_numpy(image)[None], torch.from_numpy(maps))[0]
-    np.testing.assert_allclose(sampled, remap(image, maps), atol=1e-4)
 
 
 # ---- without aliases

@@ -1,6 +1,5 @@
 from types import SimpleNamespace
 
-import numpy as np
 import psutil
 import pytest
 import scene
@@ -30,25 +29,6 @@ def test_volume_is_the_mean_over_the_pairs_that_see_the_ray(world):
     torch.testing.assert_close(volume, expected, atol=1e-6, rtol=0, equal_nan=True)
     assert volume.shape == (40, 160, 24)
     assert volume[~volume.isnan()].min() >= 0 and volume[~volume.isnan()].max() <= 1
-
-
-@pytest.mark.parametrize("cameras", [2, 3, 5])
-def test_the_winner_finds_the_walls_with_any_number_of_cameras(cameras):
-    rig = scene.rig(cameras=cameras)
-    images = scene.images(rig)
-    sweep = osl.SphereSweep(rig, GRID)
-    index = osl.winner_takes_all(osl.cost_volume(sweep, images), subindex=True).numpy()
-    valid = np.isfinite(index)
-    assert valid.mean() > {2: 0.05, 3: 0.8, 5: 0.95}[cameras]  # 220° each leave gaps between three
-    error = np.abs(index - scene.true_index(rig, GRID))[valid]
-    assert np.median(error) < 0.5  # of a sphere
-
-
-def test_a_rig_that_shares_no_view_is_refused():
-    away = scene.rig(cameras=2, max_fov_deg=80)
-    images = scene.images(away)
-    with pytest.raises(osl.OmnistereoError, match="no ray is visible to both cameras"):
-        osl.cost_volume(osl.SphereSweep(away, GRID), images)
 
 
 @pytest.mark.parametrize("full, other", [("cpu", "cuda"), ("cuda", "cpu")])

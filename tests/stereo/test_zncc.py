@@ -46,12 +46,6 @@ def test_invisible_columns_may_be_skipped():
     assert torch.equal(everywhere.nan_to_num(9), skipped.nan_to_num(9))
 
 
-@pytest.mark.parametrize("window", [1, 4])
-def test_windows_must_be_odd(window):
-    with pytest.raises(osl.OmnistereoError, match=f"window is {window}; expected an odd number of at least 3"):
-        osl.ZNCC(window)
-
-
 def test_windows_must_fit_the_panorama():
     with pytest.raises(osl.OmnistereoError, match="window is 15; expected at most the panorama size 17 × 13"):
         osl.ZNCC(15)(torch.from_numpy(block("textured")), [(0, 1)])

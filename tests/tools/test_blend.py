@@ -7,7 +7,6 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
-from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.output.blend import blended_panorama, estimate_gains
 
 GRID = osl.SphereGrid(320, 80, num_spheres=64, min_depth=0.6)
@@ -17,8 +16,7 @@ EXPOSURE = np.array([1.0, 0.8, 1.1, 0.9])
 @pytest.fixture(scope="module")
 def box():
     rig = scene.rig(width=400, height=384)
-    index = scene.true_index(rig, GRID).astype(np.float32)
-    return osl.Depth(index, np.ones_like(index), SphereSweep(rig, GRID), scene.images(rig, finest=0.25))
+    return scene.true_depth(rig, GRID, scene.images(rig, finest=0.25))
 
 
 def test_gains_undo_exposures_and_white_balance(box):

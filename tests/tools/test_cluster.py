@@ -12,7 +12,6 @@ import scene
 
 import omnistereo_lib as osl
 from omnistereo_lib.evaluate import SCALES
-from omnistereo_lib.files import write_image
 from omnistereo_tools import cli
 from omnistereo_tools.record.cluster import on_cluster
 
@@ -30,31 +29,21 @@ def cluster():
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("recorded")
-    still = scene.rig(width=100, height=96)
-    osl.save_rig(osl.Rig(still.cameras, still.T_rig_cam, min_depth=0.6), folder / "rig.yaml")
-    for n in range(FRAMES):
-        step = osl.Pose.from_vector([0, 0, 0, 0.03 * n, 0, 0])
-        for k, picture in enumerate(scene.images(still.transformed(step), finest=0.25), 1):
-            (folder / f"view{k}").mkdir(exist_ok=True)
-            write_image(folder / f"view{k}" / f"{n}.png", picture)
-    return folder
+    return scene.write_drive(tmp_path_factory.mktemp("recorded"), FRAMES, step=0.03)
 
 
 def run(*arguments):
     return cli.main([str(argument) for argument in arguments])
 
 
+def record(recorded, method):
+    views = [recorded / f"view{k}" for k in (1, 2, 3, 4)]
+    small = ["--width", 96, "--height", 24, "--spheres", 16, "--method", method]
+    return ["record", "--rig", recorded / "rig.yaml", "--images", *views, *small]
+
+
 def test_a_recording_with_a_worker_that_dies(cluster, recorded, tmp_path):
-    small = ["--width", 96, "--height", 24, "--spheres", 16, "--method", "zncc+sgm"]
-    command = [
-        "record",
-        "--rig",
-        recorded / "rig.yaml",
-        "--images",
-        *(recorded / f"view{k}" for k in (1, 2, 3, 4)),
-        *small,
-    ]
+    command = record(recorded, "zncc+sgm")
     assert run(*command, "--out", tmp_path / "local") == 0
     with distributed.Client(cluster.scheduler_address) as client:
         pids = list(client.run(os.getpid).values())
@@ -104,8 +93,6 @@ def test_a_scheduler_that_ends():
 
 def test_a_scheduler_that_is_not_there(recorded, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("omnistereo_tools.record.cluster._PATIENCE_S", 0.5)
-    command = ["record", "--rig", recorded / "rig.yaml", "--images", *(recorded / f"view{k}" for k in (1, 2, 3, 4))]
-    small = ["--width", 96, "--height", 24, "--spheres", 16, "--method", "zncc"]
-    assert run(*command, *small, "--out", tmp_path / "out", "--cluster", "tcp://127.0.0.1:1") == 2
+    assert run(*record(recorded, "zncc"), "--out", tmp_path / "out", "--cluster", "tcp://127.0.0.1:1") == 2
     assert "no Dask scheduler answers at tcp://127.0.0.1:1" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

@@ -8,7 +8,6 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
-from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.output.crops import covered_share, crops_of, write_crops
 from omnistereo_tools.output.points import Limits
 
@@ -21,8 +20,7 @@ def rig():
 @pytest.fixture(scope="module")
 def written(rig, tmp_path_factory):
     grid = osl.SphereGrid(320, 160, (-90, 90), num_spheres=64, min_depth=0.6)
-    index = scene.true_index(rig, grid).astype(np.float32)
-    depth = osl.Depth(index, np.ones_like(index), SphereSweep(rig, grid), scene.images(rig, finest=0.25))
+    depth = scene.true_depth(rig, grid, scene.images(rig, finest=0.25))
     folder = tmp_path_factory.mktemp("crops")
     count, share = write_crops(folder, depth, Limits(100.0, 0.0))
     assert count == 12 and 0.4 < share < 0.7

@@ -5,21 +5,19 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
-from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.output.mesh_export import make_mesh, write_mesh
 from omnistereo_tools.output.points import Limits
 
 trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed: environment.txt has it")
 
 GRID = osl.SphereGrid(160, 40, num_spheres=64, min_depth=0.6)
+RIG = scene.rig(width=200, height=192)
 ALL = Limits(100.0, 0.0)
 
 
 @pytest.fixture(scope="module")
 def depth():
-    rig = scene.rig(width=200, height=192)
-    index = scene.true_index(rig, GRID).astype(np.float32)
-    return osl.Depth(index, np.ones_like(index), SphereSweep(rig, GRID))
+    return scene.true_depth(RIG, GRID)
 
 
 @pytest.fixture(scope="module")
@@ -38,11 +36,7 @@ def test_glb_is_textured_y_up_and_on_the_walls(depth, panorama, tmp_path):
     mesh = load(tmp_path / "a.glb")
     assert len(mesh.faces) == count == 2 * 39 * 160  # closed around the circle
     points = mesh.vertices * [1, -1, -1]
-    center = np.mean([pose.t for pose in depth.sweep.rig.T_rig_cam], 0)
-    assert np.allclose(center, 0)
-    true_center = np.mean([pose.t for pose in scene.rig(width=200, height=192).T_rig_cam], 0)
-    beyond = np.abs(points + true_center - scene.CENTER) / scene.HALF_SIZE
-    np.testing.assert_allclose(beyond.max(-1), 1, atol=1e-4)
+    np.testing.assert_allclose(scene.beyond_walls(points, RIG), 1, atol=1e-4)
     texture = np.asarray(mesh.visual.material.baseColorTexture.convert("RGB"))
     np.testing.assert_array_equal(texture, panorama)
     u, v = mesh.visual.uv.T
@@ -115,9 +109,7 @@ def test_it_is_decimated_on_demand(depth, panorama, tmp_path):
     pixels, _ = GRID.project(mesh.vertices * [1, -1, -1])
     off = np.abs((mesh.visual.uv[:, 0] - (pixels[:, 0] + 0.5) / 160 + 0.5) % 1 - 0.5)
     assert off.max() < 1e-3  # the texture still fits
-    true_center = np.mean([pose.t for pose in scene.rig(width=200, height=192).T_rig_cam], 0)
-    beyond = np.abs(mesh.vertices * [1, -1, -1] + true_center - scene.CENTER) / scene.HALF_SIZE
-    assert np.abs(beyond.max(-1) - 1).max() < 0.05
+    assert np.abs(scene.beyond_walls(mesh.vertices * [1, -1, -1], RIG) - 1).max() < 0.05
 
 
 def test_what_cannot_be_a_mesh_is_told(depth, panorama, tmp_path):

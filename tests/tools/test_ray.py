@@ -11,7 +11,6 @@ import scene
 
 import omnistereo_lib as osl
 from course.figures import plot
-from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.judge import ray
 
 RAYS = int(os.environ.get("RAYS", "80"))
@@ -21,8 +20,7 @@ RAYS = int(os.environ.get("RAYS", "80"))
 def box():
     """The exact depth of a textured box, with its images."""
     rig, grid = scene.rig(width=200, height=192), osl.SphereGrid(160, 40, num_spheres=64, min_depth=0.6)
-    index = scene.true_index(rig, grid).astype(np.float32)
-    return osl.Depth(index, np.ones_like(index), SphereSweep(rig, grid), scene.images(rig, finest=0.12))
+    return scene.true_depth(rig, grid, scene.images(rig, finest=0.12))
 
 
 def test_the_agreement_is_greatest_at_the_exact_depth(box):
