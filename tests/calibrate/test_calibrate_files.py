@@ -169,7 +169,7 @@ def test_a_rig_from_corners_on_file(tmp_path, capsys):
     """And again from what the first run has left, as after its corners were edited."""
     detected, out = tmp_path / "detected", tmp_path / "out"
     detected.mkdir()
-    for i, row in enumerate(boards.captures(np.random.default_rng(2), alone=4, shared=4, noise=0.05)[:2], start=1):
+    for i, row in enumerate(boards.captures(np.random.default_rng(2), alone=3, shared=4, noise=0.05)[:2], start=1):
         save_corners(detected / f"corners_cam{i}.yaml", {f"{k:04d}": view for k, view in enumerate(row)}, BOARD, SIZE)
     board = ["--board", "12x10", "--square", "0.06", "--degree", "4"]  # quicker than to choose it
     assert cli.main(["calibrate", str(detected), "--corners", str(detected), *board, "--out", str(out)]) == 0

@@ -9,11 +9,13 @@ import torch
 
 from course.experiments import bench
 from omnistereo_lib.calibrate.single_camera import calibrate_camera
+from omnistereo_lib.stereo import correlation
 
 
 @pytest.fixture(autouse=True)
 def once(monkeypatch):
     monkeypatch.setattr(bench, "_SECONDS", 0.0)
+    monkeypatch.setattr(correlation, "COARSE", (32, 8))
 
 
 def test_a_line_has_all_times_and_their_ratios(capsys, monkeypatch):

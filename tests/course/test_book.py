@@ -160,39 +160,6 @@ BROKEN = """async () => {
     }
     return broken
 }"""
-DRAWN = "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
-
-
-def test_book_fits_and_every_picture_shows(built, served, open_page):
-    page = open_page(1280, 844)
-    wrong = {}
-    names = sorted(path.relative_to(built[0]).as_posix() for path in built[0].rglob("*.html"))
-    sources = [name for name in names if name.startswith("_modules/")]  # listings of code, one like the other
-    for name in sorted({*names} - {*sources[2:]}):
-        page.goto(f"{served}/{name}", wait_until="load")
-        page.evaluate("async () => window.MathJax?.startup?.promise")  # formulas take their room late
-        for width in (1280, 390):
-            page.set_viewport_size({"width": width, "height": 844})
-            page.evaluate(DRAWN)
-            found = [*page.evaluate(BROKEN), *page.evaluate(WIDE), *page.complaints]
-            if found:
-                wrong[f"{name} at {width}"] = found
-            page.complaints.clear()
-            if name.startswith("notebooks/"):
-                page.screenshot(path=SEEN / f"book_{width}" / Path(name).with_suffix(".png"))
-    assert not wrong, json.dumps(wrong, indent=1)
-
-
-EIGHT = [
-    "index",
-    "glossary",
-    "notation",
-    "reproduction",
-    "library",
-    "notebooks/00_quickstart",
-    "notebooks/03_sphere_sweep",
-    "search",
-]
 # What axe-core, a checker of accessibility, once found.
 UNFIT = """() => [
     ...[...document.querySelectorAll("[role=heading]:not([aria-level])")].map(e => `no level: ${e.outerHTML}`),
@@ -204,26 +171,35 @@ UNFIT = """() => [
         .filter(e => ["auto", "scroll"].includes(getComputedStyle(e).overflowX))
         .map(e => `not to be scrolled by keys: ${e.outerHTML.slice(0, 80)}`),
 ]"""
-
-
 AXE = """async () => (await axe.run()).violations
     .filter(rule => rule.impact !== "minor")
     .map(rule => `${rule.id}: ${rule.nodes.map(node => node.html.slice(0, 80))}`)"""
+DRAWN = "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
 
 
-@pytest.mark.parametrize(("width", "names"), [(1280, EIGHT[::2]), (390, EIGHT[1::2])], ids=["1280", "390"])
-def test_book_is_read_by_keyboard_and_by_ear(served, open_page, width, names):
-    """By what axe-core once found, and by axe-core itself where AXE names its file, as in CI."""
+def test_book_fits_shows_every_picture_and_is_read_by_keyboard_and_by_ear(built, served, open_page):
+    """The last by what axe-core once found, and by axe-core itself where AXE names its file, as in CI."""
     axe = os.environ.get("AXE")
-    page, found = open_page(width, 844), {}
-    for name in names:
-        page.goto(f"{served}/{name}.html")
-        page.evaluate("async () => window.MathJax?.startup?.promise")
-        found[name] = page.evaluate(UNFIT)
-        if axe:
-            page.evaluate(Path(axe).read_text(encoding="utf-8"))
-            found[name] += page.evaluate(AXE)
-    assert not any(found.values()), json.dumps(found, indent=1)
+    page, wrong = open_page(1280, 844), {}
+    names = sorted(path.relative_to(built[0]).as_posix() for path in built[0].rglob("*.html"))
+    sources = [name for name in names if name.startswith("_modules/")]  # listings of code, one like the other
+    for name in sorted({*names} - {*sources[2:]}):
+        page.goto(f"{served}/{name}", wait_until="load")
+        page.evaluate("async () => window.MathJax?.startup?.promise")  # formulas take their room late
+        for width in (1280, 390):
+            page.set_viewport_size({"width": width, "height": 844})
+            page.evaluate(DRAWN)
+            found = [line for script in (BROKEN, WIDE, UNFIT) for line in page.evaluate(script)]
+            if axe and width == 1280:
+                page.evaluate(Path(axe).read_text(encoding="utf-8"))
+                found += page.evaluate(AXE)
+            found += page.complaints
+            if found:
+                wrong[f"{name} at {width}"] = found
+            page.complaints.clear()
+            if name.startswith("notebooks/"):
+                page.screenshot(path=SEEN / f"book_{width}" / Path(name).with_suffix(".png"))
+    assert not wrong, json.dumps(wrong, indent=1)
 
 
 CUT = r"""found => found

@@ -15,7 +15,6 @@ from pathlib import Path
 
 import nbformat
 import pytest
-from jupyterlab.labapp import LabApp
 
 import omnistereo_lib as osl
 from course import nbtools
@@ -183,7 +182,7 @@ def folders(tmp_path, monkeypatch):
     """Two stored notebooks, and the folder of their working copies."""
     monkeypatch.setattr(nbtools, "NOTEBOOKS", tmp_path / "notebooks")
     monkeypatch.setattr(lab_module, "WORKING", tmp_path / "my_notebooks")
-    monkeypatch.setattr(LabApp, "launch_instance", lambda arguments: arguments)
+    monkeypatch.setattr("jupyterlab.labapp.LabApp.launch_instance", lambda arguments: arguments)
     nbtools.NOTEBOOKS.mkdir()
     for name in ("00_a", "01_b"):
         nbformat.write(nbformat.v4.new_notebook(), nbtools.NOTEBOOKS / f"{name}.ipynb")

@@ -4,7 +4,6 @@ import sys
 
 import numpy as np
 import pytest
-import trimesh
 
 from course.figures.view3d import draw_mesh
 
@@ -15,6 +14,7 @@ RED, SIZE = (200, 30, 20), (120, 80)
 def square(tmp_path):
     """A red square one metre wide, three metres in front of the eye, that faces the rig."""
     corners = np.array([[-0.5, -0.5, 2], [0.5, -0.5, 2], [-0.5, 0.5, 2], [0.5, 0.5, 2]])
+    trimesh = pytest.importorskip("trimesh")
     mesh = trimesh.Trimesh(corners, [[0, 2, 1], [1, 2, 3]], vertex_colors=[RED] * 4, process=False)
     mesh.export(tmp_path / "square.ply")
     return tmp_path / "square.ply"

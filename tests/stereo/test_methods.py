@@ -13,7 +13,7 @@ import torch
 import omnistereo_lib as osl
 from omnistereo_lib.evaluate import ABLATIONS, METHODS, SCALES, Scale, select_methods
 from omnistereo_lib.evaluate.methods import EvaluatedMethod
-from omnistereo_lib.stereo import methods
+from omnistereo_lib.stereo import correlation, methods
 from omnistereo_lib.stereo.methods import COSTS, CostEntry, Method, penalties
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.zncc import default_window
@@ -73,6 +73,11 @@ def test_penalties_follow_the_scale(box):
 # ---- from images to depth
 
 GRID = osl.SphereGrid(160, 40, (-40, 40), 24, 0.6)
+
+
+@pytest.fixture(autouse=True)
+def small_volume(monkeypatch):
+    monkeypatch.setattr(correlation, "COARSE", (32, 8))
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,7 @@ from torch.utils.data import DataLoader, Dataset
 
 import omnistereo_lib as osl
 from omnistereo_lib.lazy import lazy_property
+from omnistereo_lib.stereo import correlation
 
 METHODS = ["zncc+sgm", "mccnn", "sweepnet", "volumenet"]
 RIG = scene.rig(width=60, height=56)
@@ -87,5 +88,7 @@ def test_what_a_thread_computes_at_the_fork_does_not_block_the_child():
     assert status == 7
 
 
+if __name__ in ("__main__", "__mp_main__"):  # in processes of its own
+    correlation.COARSE = (32, 8)
 if __name__ == "__main__":
     main()

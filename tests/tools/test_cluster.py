@@ -15,13 +15,16 @@ from omnistereo_lib.evaluate import SCALES
 from omnistereo_tools import cli
 from omnistereo_tools.record.cluster import on_cluster
 
-distributed = pytest.importorskip("dask.distributed", reason="Dask is not installed: environment-dev.txt has it")
-
 FRAMES = 6
 
 
 @pytest.fixture(scope="module")
-def cluster():
+def distributed():
+    return pytest.importorskip("dask.distributed", reason="Dask is not installed: environment-dev.txt has it")
+
+
+@pytest.fixture(scope="module")
+def cluster(distributed):
     options = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
     with distributed.LocalCluster(host="127.0.0.1", **options) as cluster:
         yield cluster
@@ -42,7 +45,7 @@ def record(recorded, method):
     return ["record", "--rig", recorded / "rig.yaml", "--images", *views, *small]
 
 
-def test_a_recording_with_a_worker_that_dies(cluster, recorded, tmp_path):
+def test_a_recording_with_a_worker_that_dies(distributed, cluster, recorded, tmp_path):
     command = record(recorded, "zncc+sgm")
     assert run(*command, "--out", tmp_path / "local") == 0
     with distributed.Client(cluster.scheduler_address) as client:
@@ -83,7 +86,7 @@ def ten(number):
     return 10 * number
 
 
-def test_a_scheduler_that_ends():
+def test_a_scheduler_that_ends(distributed):
     with distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=None) as own:
         results = on_cluster(own.scheduler_address, ten, [1, 2])
         assert next(results) in (10, 20)
@@ -91,7 +94,7 @@ def test_a_scheduler_that_ends():
         list(results)
 
 
-def test_a_scheduler_that_is_not_there(recorded, tmp_path, capsys, monkeypatch):
+def test_a_scheduler_that_is_not_there(distributed, recorded, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("omnistereo_tools.record.cluster._PATIENCE_S", 0.5)
     assert run(*record(recorded, "zncc"), "--out", tmp_path / "out", "--cluster", "tcp://127.0.0.1:1") == 2
     assert "no Dask scheduler answers at tcp://127.0.0.1:1" in capsys.readouterr().err

@@ -5,6 +5,7 @@ import runpy
 import subprocess
 import sys
 from contextlib import redirect_stdout
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -12,13 +13,21 @@ import scene
 
 import omnistereo_lib as osl
 from omnistereo_lib.files import write_image
+from omnistereo_lib.stereo import correlation
 from omnistereo_lib.stereo.volumenet import local_mean
 from omnistereo_tools import cli
 
-pytest.importorskip("onnxruntime", reason="ONNX Runtime is not installed: environment-dev.txt has it")
+pytestmark = pytest.mark.skipif(find_spec("onnxruntime") is None, reason="environment-dev.txt has ONNX Runtime")
 
-FINE = ["--width", "320", "--height", "80", "--spheres", "128"]  # two volumes, equally wide: 32 and 64 spheres
-GRID = osl.SphereGrid(320, 80, num_spheres=128, min_depth=0.6)
+FINE = ["--width", "160", "--height", "40", "--spheres", "128"]  # two volumes
+GRID = osl.SphereGrid(160, 40, num_spheres=128, min_depth=0.6)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_volume():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(correlation, "COARSE", (32, 8))
+        yield
 
 
 @pytest.fixture(scope="module")
