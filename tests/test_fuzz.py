@@ -149,10 +149,6 @@ def check_corners(read):
     assert all(view is None or not np.isinf(view).any() for view in views.values())
 
 
-def check_truth(values):
-    assert values.ndim == 2 and not np.isinf(values).any() and not (values < 0).any()
-
-
 def check_image(image):
     assert np.isfinite(image).all() and image.shape[:2] != (0, 0) and 0 <= image.min() <= image.max() <= 255
 

@@ -100,12 +100,6 @@ def corners(picture):
 # --- The board --------------------------------------------------------------------------------------------
 
 
-def test_points_run_row_by_row():
-    points = Checkerboard((4, 3), 0.5).points
-    assert points.shape == (12, 3)
-    assert points[:5].tolist() == [[0, 0, 0], [0.5, 0, 0], [1, 0, 0], [1.5, 0, 0], [0, 0.5, 0]]
-
-
 @pytest.mark.parametrize(("size", "count"), [((12, 10), 2), ((9, 7), 2), ((9, 6), 1), ((6, 6), 4), ((7, 7), 2)])
 def test_readings_are_turns_that_keep_the_colours(size, count):
     board = Checkerboard(size, 0.1)
@@ -229,11 +223,6 @@ def test_what_is_no_image(image, said):
 
 
 # --- Many views -------------------------------------------------------------------------------------------
-
-
-def test_views_keep_their_order(picture, corners):
-    found = detect_views([None, picture, np.full_like(picture, 128)], BOARD)
-    assert found[0] is None is found[2] and np.array_equal(found[1], corners)
 
 
 def test_the_same_picture_twice(picture):

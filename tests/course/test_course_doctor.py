@@ -54,12 +54,6 @@ def test_without_the_pins(healthy, capsys):
     assert "FAIL  environment.txt is missing: git checkout environment.txt\n" in capsys.readouterr().out
 
 
-def test_the_short_form_is_the_same_everywhere(healthy, capsys):
-    """It is the first output of every notebook, and compared."""
-    assert check_clone(short=True) is True
-    assert capsys.readouterr().out == "OK    Python, packages and data are in place\n"
-
-
 def test_a_package_that_is_missing_or_another_version(healthy, capsys):
     (healthy / "environment.txt").write_text("no-such-package-here==1.0\nnumpy==0.1  # old\n")
     assert check_clone(short=True) is False

@@ -2,7 +2,6 @@
 
 import pytest
 
-from course import __main__
 from course.experiments import stored_results as results
 from omnistereo_lib.evaluate import SCALES, select_methods
 from omnistereo_lib.evaluate.records import read_record
@@ -23,8 +22,3 @@ def test_the_command_is_the_one_that_the_stored_result_came_from(name):
     assert (stored["config"]["rig"] == "own") == (options.rig is None)
     if options.frames:
         assert {int(number) for number in stored["frames"]["sunny"]} == set(options.frames)
-
-
-def test_options_are_passed_on():
-    options = vars(__main__._parser().parse_args(["results", "--", "--cluster", "tcp://a:1"]))
-    assert options["options"] == ["--cluster", "tcp://a:1"]

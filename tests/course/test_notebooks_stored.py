@@ -44,10 +44,6 @@ def test_exercises_are_numbered_and_the_open_one_comes_last(path):
     assert max(checkers) < min(k for k, cell in enumerate(cells) if "(open).**" in cell.source)
 
 
-def test_the_course_begins():
-    assert (nbtools.NOTEBOOKS / "00_quickstart.ipynb").is_file()
-
-
 def test_every_caption_belongs_to_one_figure():
     text = "".join(path.read_text(encoding="utf-8") for path in [*nbtools.notebooks(), TEMPLATE])
     assert sorted(re.findall(r'show\(.*, \\"([^"]*)\\"\)', text)) == sorted(captions())

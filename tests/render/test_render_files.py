@@ -20,7 +20,6 @@ import render
 from render import image_sets as frames_module
 from render import main
 from render.camera.render_rig import make_rig
-from render.city.drive import ROUTES
 from render.image_sets import (
     SEED,
     SETS,
@@ -149,16 +148,6 @@ def test_manifest_lists_every_file_but_itself(tmp_path):
     assert renewed == manifest | {"files": {**manifest["files"], "weights": hashlib.sha256(b"trained").hexdigest()}}
 
 
-def test_sets_ship_frames_that_they_have():
-    for name, images in SETS.items():
-        last = images.first + images.count
-        assert all(images.first <= number < last for number in images.shipped), name
-        assert images.route in ROUTES or images.world == "room", name
-        assert images.size[0] * 96 == images.size[1] * 100, name
-    assert len(SETS["sunny/train"].shipped) >= 120
-    assert all(len(SETS[f"{light}/test"].shipped) >= 8 for light in ("sunny", "cloudy", "sunset"))
-
-
 # The command line
 
 
@@ -170,9 +159,7 @@ def test_sets_ship_frames_that_they_have():
         (["sunny/train", "--frames", "3", "701"], ["1 to 700", "701"]),
         (["rooms/train", "--frames", "141"], ["1 to 140", "141"]),
         (["--shard", "0/4"], ["i/n", "0/4"]),
-        (["--shard", "5/4"], ["i/n"]),
         (["--shard", "half"], ["i/n", "half"]),
-        (["--shard", "1/2/3"], ["i/n"]),
         (["--seed", "-1"], ["seed", "-1"]),
     ],
 )

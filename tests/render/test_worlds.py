@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import omnistereo_lib as osl
-from omnistereo_lib.errors import OmnistereoError
 from render.camera.render_rig import random_rig, write_config
 from render.image_sets import SEED, SETS
 from render.indoor.rooms import plan_room, wall_frame
@@ -207,9 +206,3 @@ def test_worlds_and_sets_have_different_names_and_sizes_that_lenses_fit():
         assert 180 * worlds.truth[1] / worlds.truth[0] >= 55  # ±45° and room for a tilt of 10°
     for world in ("things", "rooms"):  # seeds follow from numbers: no test frame is a training frame
         assert not set(WORLDS[f"{world}/train"].shipped) & set(WORLDS[f"{world}/test"].shipped)
-
-
-def test_a_folder_that_cannot_be_written(no_blender, tmp_path):
-    (tmp_path / "file").write_text("not a folder")
-    with pytest.raises(OmnistereoError, match="cannot be made or written to"):
-        list(render_worlds(tmp_path / "file" / "train", TINY, (1,), SEED))

@@ -11,7 +11,7 @@ import scene
 import torch
 
 import omnistereo_lib as osl
-from omnistereo_lib.evaluate import ABLATIONS, METHODS, SCALES, Scale, select_methods
+from omnistereo_lib.evaluate import ABLATIONS, METHODS, select_methods
 from omnistereo_lib.evaluate.methods import EvaluatedMethod
 from omnistereo_lib.stereo import correlation, methods
 from omnistereo_lib.stereo.methods import COSTS, CostEntry, Method, penalties
@@ -42,13 +42,6 @@ def test_names_and_labels():
     ordered = [m.name for m in sorted(select_methods(ablations=["window"]), key=lambda m: m.sort_key)]
     assert ordered[:5] == ["zncc", "zncc,window=3", "zncc,window=9", "zncc,window=13", "zncc+sgm"]
     assert {"window", "weights", "pairs", "wrap", "subindex", "penalties", "spheres"} == set(ABLATIONS)
-
-
-def test_the_defaults_are_the_papers():
-    for method in METHODS:
-        assert (method.window, method.p1, method.p2, method.subindex) == (None, None, None, False)
-    assert penalties(1200, 192) == (0.1, 12.0) and default_window(1200) == 9
-    assert SCALES["paper"] == Scale(1200, 300, 192) and SCALES["training"] == Scale(600, 150, 192)
 
 
 def test_the_window_follows_the_scale(box):

@@ -126,14 +126,6 @@ def test_a_video_with_two_circles_is_two_cameras(tmp_path):
         assert np.abs(image - half.astype(float)).mean() < 3  # JPEG
 
 
-def test_a_recording_beside_its_pictures_twice_in_a_row(recorded, tmp_path, monkeypatch):
-    """As it is typed: with relative paths, and without --out."""
-    monkeypatch.chdir(shutil.copytree(recorded, tmp_path / "here"))
-    for _ in range(2):
-        assert run("record", "--rig", "rig.yaml", "--images", *(f"view{k}" for k in "1234"), *SMALL, "--stop", 2) == 0
-        assert len(osl.load_dataset("out/record_rig")) == 1
-
-
 def test_resumed_it_is_the_same_and_no_frame_is_computed_again(recorded, done, tmp_path, capsys):
     """`tests/test_kills.py` kills it at any moment; here it is seen that no frame is computed again."""
     out = tmp_path / "out"

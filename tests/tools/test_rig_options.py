@@ -74,12 +74,11 @@ def test_a_black_rim_is_told_and_masked(world, tmp_path, capsys):
     assert 155 <= fov <= 162 and after < before - 20 and 154 <= proposed <= 162
 
 
-@pytest.mark.parametrize("command", ["doctor", "depth", "record", "live", "onnx", "evaluate"])
-def test_every_command_on_a_rig_takes_a_field_of_view(world, tmp_path, capsys, command):
+def test_every_command_on_a_rig_takes_a_field_of_view(world, capsys):
     rig = ["--rig", str(world[0] / "rig.yaml"), "--max-fov", "3.84"]
-    rig += {"live": ["--cameras", "0"], "record": ["--images", "1"]}.get(command, [])
-    assert cli.main([command, *rig]) == 2
-    assert re.search(r"--max-fov is 3.84; expected .* degrees.* radians \(220.0°\)", capsys.readouterr().err)
+    for command in ("doctor", "depth", "record --images 1", "live --cameras 0", "onnx", "evaluate"):
+        assert cli.main([*command.split(), *rig]) == 2
+        assert re.search(r"--max-fov is 3.84; expected .* degrees.* radians \(220.0°\)", capsys.readouterr().err)
 
 
 def test_evaluations_of_other_fields_of_view_are_kept_apart(tmp_path):

@@ -338,13 +338,6 @@ def test_keys_and_the_wheel_zoom_and_enter_explains(desktop):
     assert desktop.locator("#why").is_visible() and desktop.evaluate("picks.length") == 1
 
 
-def test_the_hint_goes_once_it_was_followed(open_page, written):
-    page = shown(open_page(*SIZES["desktop"]), written)
-    assert page.locator("#hint").is_visible()
-    page.mouse.click(600, 400)
-    assert not page.locator("#hint").is_visible()
-
-
 def test_a_view_can_be_sent_as_an_address(open_page, written, desktop):
     desktop.evaluate("Object.assign(view, { yaw: 1, zoom: 2 }); $('mix').value = 40; pick(3000); drawNow()")
     desktop.wait_for_function("location.hash.includes('rays=3000')")
