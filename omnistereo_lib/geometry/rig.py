@@ -104,6 +104,9 @@ def camera_pairs(pairs: Pairs, rig: Rig) -> list[Pair]:
             the paper: (0, 1), (1, 2), (2, 3), (3, 0), as in the released code. "all": every unordered pair, as in the
             text of the paper.
 
+    Raises:
+        OmnistereoError: If a pair names a missing camera, or one camera twice.
+
     >>> rig = osl.load_rig("data_samples/sunny/test")
     >>> osl.camera_pairs("ring", rig)
     [(0, 1), (1, 2), (2, 3), (3, 0)]

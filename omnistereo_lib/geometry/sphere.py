@@ -33,6 +33,9 @@ class SphereGrid:
     A ray is ρ(θ, φ) = (cosφ sinθ, sinφ, cosφ cosθ): the centre of the panorama looks along +z, right is +x, down
     is +y. The paper prints (cosφ cosθ, sinφ, cosφ sinθ), which is this rotated by 90° and mirrored.
 
+    Raises:
+        OmnistereoError: If a size is not an integer, or a size, an angle or a depth is missing or out of range.
+
     >>> grid = osl.SphereGrid(640, 160, num_spheres=192, min_depth=0.55)
     >>> grid.index_to_depth([0, 1, 191]).round(2)
     array([   inf, 105.05,   0.55])

@@ -171,7 +171,11 @@ _RANGES |= {"alpha": (-1e-12, 1), "beta": (0, 1e3), "xi": (-1, 1e3), "w": (0, np
 
 
 def make_camera_model(model: str, parameters: dict[str, float]) -> Projection:
-    """Return the projection of a named model, one of `_MODELS`; `parameters` are keyword arguments of its function."""
+    """Return the projection of a named model, one of `_MODELS`; `parameters` are keyword arguments of its function.
+
+    Raises:
+        OmnistereoError: If the model is unknown, or a parameter is missing, unknown or out of range.
+    """
     if model not in _MODELS:
         raise OmnistereoError(
             f"camera model {model!r} is unknown; expected one of {[*_MODELS][:7]}. Recalibrate with it"

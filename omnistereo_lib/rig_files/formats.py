@@ -124,6 +124,10 @@ def load_rig(
         keep_frame: Keep the frame of the file. False: a rig whose cameras agree that down is not +y is turned level,
             see `plausible.level`, unless it was saved after it had been loaded.
 
+    Raises:
+        OmnistereoError: If the file is missing, broken or of an unsupported format, or its unit is neither stated nor
+            given.
+
     >>> rig = osl.load_rig("data_samples/sunny/test")
     >>> len(rig), rig.cameras[0].image_size
     (4, (800, 768))

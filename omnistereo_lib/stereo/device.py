@@ -41,7 +41,11 @@ def number_from_environment(name: str, default: int) -> int:
 
 
 def check_memory(cameras: int, grid: SphereGrid, device: torch.device) -> None:
-    """Refuse a panorama that needs more than three quarters of the available memory; the rest is for lookup tables."""
+    """Refuse a panorama that needs more than three quarters of the available memory; the rest is for lookup tables.
+
+    Raises:
+        OmnistereoError: With the size needed and the size available.
+    """
     # Bytes per ray, measured: a block of spheres in sweep and cost, then the volume and the copies that SGM makes.
     if device.type == "cpu":
         more_blocks = min(torch.get_num_threads(), math.ceil(grid.num_spheres / BLOCK)) - 1  # see `BlockCost.volume`

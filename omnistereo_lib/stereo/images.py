@@ -38,6 +38,9 @@ def reduce_images(rig: Rig, images: Sequence[ArrayLike], pixels_per_degree: floa
     Args:
         images: one array per camera, (height, width) or (height, width, 3)
         pixels_per_degree: Image width over field of view; equal sizes stay equal.
+
+    Raises:
+        OmnistereoError: If the images do not fit the rig.
     """
     cameras, reduced = [], []
     widest = max(camera.max_fov_deg for camera in rig.cameras)

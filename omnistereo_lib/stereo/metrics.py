@@ -35,6 +35,9 @@ def index_error(
         dict: ">1", ">3", ">5": percent of rays with a larger error; "MAE", "RMS": mean and root mean square of the
             error. All NaN if there is no ray to evaluate.
 
+    Raises:
+        OmnistereoError: If index, gt_index and valid differ in shape.
+
     >>> metrics = osl.index_error(index=[[10, 12]], gt_index=[[10, 10]], num_spheres=100)
     >>> metrics[">1"], metrics["MAE"]
     (50.0, 1.0)
@@ -71,6 +74,9 @@ def sparsification(
         curve (array, shape (len(fractions),)): Mean error of the remaining rays.
         auc: Area under the curve, divided by the area without sorting: 1 for a random confidence.
         oracle_auc: The same of an oracle that removes the largest errors first.
+
+    Raises:
+        OmnistereoError: If error and confidence differ in size.
 
     >>> curve, auc, oracle_auc = osl.sparsification([4.0, 3.0, 2.0, 1.0], [0.1, 0.2, 0.3, 0.4], [0, 0.5])
     >>> curve.tolist(), auc == oracle_auc  # the confidence is as good as can be

@@ -33,6 +33,10 @@ def estimate_depth(
             False: integer indices, as in the paper.
         progress: Called as `progress(done, total, what)`: parts done, parts in all, and the next part.
 
+    Raises:
+        OmnistereoError: If the inputs do not fit together, no method has that name, there is not enough memory or no
+            such device.
+
     >>> frame = osl.load_dataset("data_samples/sunny", split="test")[0]
     >>> grid = osl.SphereGrid(64, 16, num_spheres=16, min_depth=1.65)
     >>> osl.estimate_depth(frame, grid, "zncc").depth.shape  # metres along each ray

@@ -50,6 +50,10 @@ def sgm(volume: Tensor | np.ndarray, p1: float = 0.1, p2: float = 12.0, paths: i
         The CPU version uses ``torch.get_num_threads()`` threads; results do not depend on their number. It needs one
         more volume of memory, a GPU two more, or three where Triton is not installed.
 
+    Raises:
+        OmnistereoError: If the volume is not 3-D, has fewer than 2 spheres or infinite costs, or p1, p2 or paths is out
+            of range.
+
     >>> volume = np.ones((5, 8, 6), np.float32)
     >>> volume[..., 3] = 0  # every ray at sphere 3,
     >>> volume[2, 4, 3], volume[2, 4, 0] = 0.5, 0.4  # but for noise at one

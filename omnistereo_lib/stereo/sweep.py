@@ -179,6 +179,9 @@ class SphereSweep:
 
         Returns:
             list of float32 tensors, shape (height, width)
+
+        Raises:
+            OmnistereoError: If there is not one image per camera, or one has the wrong size or is not finite.
         """
 
         def normalize(image: NDArray[Any], mask: NDArray[np.uint8], blurring: _Blurring) -> Tensor:

@@ -57,6 +57,10 @@ class StoredNetwork(nn.Module):
         """Build a network with the weights of a file that training wrote, in evaluation mode.
 
         Entries that the `config` in the file must have can be given, such as variant="accurate".
+
+        Raises:
+            OmnistereoError: If the file is missing or damaged, holds another architecture or config, or values that are
+                not finite.
         """
         tensors, metadata = load_tensors(path)
         name, config = metadata.get("architecture", "a training state"), metadata.get("config", {})

@@ -22,6 +22,9 @@ class ZNCC(BlockCost):
     A patch holds the pixels of the window that are visible to both cameras; it continues across the ±180° seam.
     A patch without texture costs 0.5: neither match nor mismatch.
 
+    Raises:
+        OmnistereoError: If the window is not None or an odd number of at least 3.
+
     >>> import torch
     >>> image = torch.rand(16, 64, 1)  # (H, W, spheres): two cameras that see the same
     >>> float(osl.ZNCC(window=5)(torch.stack([image.permute(2, 0, 1)] * 2), [(0, 1)]).max()) < 1e-3

@@ -34,6 +34,9 @@ def with_masks(rig: Rig, masks: Sequence[Path] | None, images: Sequence[Path]) -
         masks: One file per camera. None: mask.png in the folder of the images of a camera, where there is one, each
             camera has a folder of its own, and the rig file has no mask of that camera.
         images: One path per camera; its folder is where mask.png is looked for.
+
+    Raises:
+        OmnistereoError: If there is not one mask per camera, or one cannot be read, has another size or hides all.
     """
     if masks is not None and len(masks) != len(rig):
         raise OmnistereoError(f"there are {len(masks)} masks for {len(rig)} cameras. Give one per camera.")

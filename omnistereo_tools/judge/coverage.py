@@ -93,6 +93,9 @@ class Coverage:
 
         One column is a pixel, and one sphere moves a match by a pixel (median over rays). Pixels are square: the
         elevations are those of `rows`, or with a height those around the horizon. The nearest depth is `nearest`.
+
+        Raises:
+            OmnistereoError: If all cameras are at one place.
         """
         if width is None:
             width = 8 * round(360 * self.pixels_per_degree / 8)

@@ -145,6 +145,9 @@ def explain(depth: Depth, column: int, row: int) -> Ray:
     Args:
         depth: With the images from which it was estimated.
         column, row: Of the ray.
+
+    Raises:
+        OmnistereoError: If there is no such ray.
     """
     grid, rig = depth.grid, depth.sweep.rig
     column = int(check_number(column, "column", 0, grid.width - 1, whole=True))

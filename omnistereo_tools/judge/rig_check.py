@@ -61,6 +61,9 @@ def check_rig(
         images: one array per camera, uint8
         min_depth: Depth in metres than which hardly anything is nearer; None: the unit is not checked.
         progress: Called as `progress(done, total, what)`.
+
+    Raises:
+        OmnistereoError: If the images do not fit the cameras.
     """
     if mean_baseline(rig.centers) < _TOGETHER:
         return RigCheck(False, "all cameras are at one place: they see no depth. Check their translations")

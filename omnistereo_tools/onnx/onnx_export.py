@@ -42,6 +42,9 @@ def export_onnx(out: Path, rig: Rig, grid: SphereGrid) -> list[str]:
     depth.onnx    image1 … imageK (h, w, 3) uint8, RGB → inverse_depth (H, W) float32 in 1/m, 0 = infinitely far, NaN =
                   unknown, and confidence (H, W)
     run_onnx.py   reads images and runs it
+
+    Raises:
+        OmnistereoError: If the package onnx is not installed, or a file cannot be written.
     """
     check_installed()
     out = make_folder(out)

@@ -119,6 +119,9 @@ class DepthWriter:
 
         Reading, computing and writing overlap; memory does not grow with the number of frames. The rig is looked at
         in between.
+
+        Raises:
+            OmnistereoError: If a frame cannot be read, does not fit the rig, or cannot be written.
         """
         images_of = self.recording.read(numbers, self.sweep.rig)
         with ThreadPoolExecutor(1) as reader, ThreadPoolExecutor(1) as pool:
