@@ -27,7 +27,7 @@ import render
 from omnistereo_lib.stereo import correlation
 from omnistereo_lib.train import MCCNNRecipe, train
 from omnistereo_tools import cli
-from omnistereo_tools.tiny import is_tiny
+from omnistereo_tools.parser import is_tiny
 
 
 def run(command):
