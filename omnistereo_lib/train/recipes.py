@@ -151,6 +151,7 @@ class MCCNNRecipe(Recipe):
 # The optimiser of both papers.
 PAPERS: dict[str, Any] = {
     "optimizer": "sgd",
+    "learning_rate": 0.003,
     "schedule": "drop",
     "warmup": 0,
     "weight_decay": 0.0,
@@ -164,6 +165,7 @@ PAPERS: dict[str, Any] = {
 # spheres one sphere is as many pixels as there. The 320 × 80 of the notebooks is the other half: there the receptive
 # field is higher than the panorama, and a network trained only on that would learn where its upper and lower edges are.
 _FINE: dict[str, Any] = {"width": 640, "height": 160, "num_spheres": 96}
+_PAPER_SCALE: dict[str, Any] = {"width": 600, "height": 150, "num_spheres": 192}
 RECIPES: dict[str, dict[str, Recipe]] = {
     "sweepnet": {
         "teaching": SweepNetRecipe(steps=150, warmup=30, validate_every=30, validation_groups=8),
@@ -181,10 +183,6 @@ RECIPES: dict[str, dict[str, Recipe]] = {
         ),
         # 350 frames × 192 spheres × 14 epochs at 16 spheres a step; the paper does not state its batch.
         "paper": SweepNetRecipe(
-            width=600,
-            height=150,
-            num_spheres=192,
-            learning_rate=0.003,
             steps=58800,
             validate_every=2000,
             frames_per_step=8,
@@ -194,6 +192,7 @@ RECIPES: dict[str, dict[str, Recipe]] = {
             max_positives=90000,
             any_sphere=0.0,
             min_negatives=0,
+            **_PAPER_SCALE,
             **PAPERS,
         ),
     },
@@ -226,12 +225,9 @@ RECIPES: dict[str, dict[str, Recipe]] = {
         "paper": MCCNNRecipe(
             variant="accurate",
             negative_high_px=18.0,
-            width=600,
-            height=150,
-            num_spheres=192,
-            learning_rate=0.003,
             steps=2187500,
             validate_every=20000,
+            **_PAPER_SCALE,
             **PAPERS,
         ),
     },

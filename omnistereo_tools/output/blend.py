@@ -1,5 +1,7 @@
 """The panorama that is looked at: cameras made equally bright and blended, so that none shows where it ends."""
 
+from __future__ import annotations
+
 from itertools import combinations
 from typing import Any
 

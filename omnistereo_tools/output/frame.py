@@ -28,7 +28,6 @@ from omnistereo_tools.output.summary import depth_sentences, error_sentences, tu
 from omnistereo_tools.output.viewer import viewer_page
 
 _SHARP = 1800  # px, width of the panorama that is looked at
-_ALL = 0.99  # of what the cameras see
 
 _README = """\
 Panoramas have {height} rows, from {phi[0]:g}° to {phi[1]:g}° (down is positive), and {width} columns around the circle.
@@ -48,6 +47,7 @@ rig.yaml             the cameras with their origin moved to the centre of the pa
                      takes coordinates of your rig file to those of the panorama and the points
 """
 _ERRORS = "errors.json          errors against the ground truth in % of the range swept, as in Table II of the paper\n"
+_ALL = 0.99  # of what the cameras see, for crops
 
 
 @dataclass(frozen=True, eq=False)
