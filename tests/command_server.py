@@ -27,6 +27,7 @@ import render
 from omnistereo_lib.stereo import correlation
 from omnistereo_lib.train import MCCNNRecipe, train
 from omnistereo_tools import cli
+from omnistereo_tools.output import frame, viewer
 from omnistereo_tools.parser import is_tiny
 
 
@@ -70,10 +71,17 @@ def wait(number):
     os.write(1, f"{number} {status}\n".encode())
 
 
+def make_small(setattr):
+    """Shrink what no width of a panorama makes smaller: VolumeNet's volume and the pictures of a page."""
+    setattr(correlation, "COARSE", (32, 8))
+    setattr(frame, "_SHARP", 192)
+    setattr(viewer, "_IMAGE_WIDTH", 100)
+
+
 def main():
     numba.njit(lambda: None)()  # loads its compiler
     if is_tiny():
-        correlation.COARSE = (32, 8)  # VolumeNet's volume, which no width makes smaller
+        make_small(setattr)
     cv2.setNumThreads(1)
     torch.set_num_threads(1)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a terminal in which the tests are interrupted

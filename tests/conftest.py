@@ -51,6 +51,14 @@ def limits():
         resource.setrlimit(kind, limit)
 
 
+@pytest.fixture
+def small(monkeypatch):
+    """Commands that draw small pictures, and a small VolumeNet."""
+    from command_server import make_small
+
+    make_small(monkeypatch.setattr)
+
+
 @pytest.fixture(scope="module")
 def chromium():
     sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is missing: environment-dev.txt has it")

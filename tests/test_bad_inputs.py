@@ -66,6 +66,7 @@ def test_a_command_is_answered_in_one_line(row, data, capsys):
     assert [path.name for path in data.parent.iterdir()] == ["data"]
 
 
+@pytest.mark.usefixtures("small")
 def test_what_computes_but_can_mean_nothing_is_doubted(data, capsys):
     row = bad_inputs.Row("swapped", bad_inputs.DEPTH + "--min-depth 0.01", "", bad_inputs.two_pictures_swapped)
     assert run(row, data)[0] == 0

@@ -19,6 +19,7 @@ from omnistereo_tools.commands import depth_command
 from omnistereo_tools.commands.options import make_grid
 from omnistereo_tools.judge.rig_check import invert_poses
 
+pytestmark = pytest.mark.usefixtures("small")
 SMALL = ["--width", "96", "--height", "24", "--spheres", "16"]
 GRID = osl.SphereGrid(96, 24, (-45, 45), 16, 0.6)
 RESULTS = "README.txt confidence.tiff inverse_depth.png inverse_depth.tiff panorama.jpg points.ply rig.yaml trust.tiff"

@@ -14,7 +14,6 @@ import warnings
 from pathlib import Path
 from urllib.parse import urlsplit
 
-import container_damage
 import numpy as np
 import psutil
 import pytest
@@ -58,7 +57,7 @@ FILES = int(os.environ.get("FUZZ", "50"))
 WORDS = ["nan", ".nan", "inf", "-.inf", "1e308", "-1e308", "1e30", "0", "-1", "2.5", "", "abc", "[]", "{}", "null",
          "true", "9" * 400, "*a", "&a", "!!python/name:os", "\t", '"', "³", "\ufeff", "a: b", "2020-99-99"]  # fmt: skip
 VALUES = [None, True, 0, -1, 1e308, -1e308, 1e30, float("nan"), float("inf"), 10**30, 2.5, "", "abc", [], {}, [[]], [1],
-          {"a": 1}, [[[[1]]]], "../x", "/dev/zero"]  # fmt: skip
+          {"a": 1}, [[[[1]]]], "../x", "/dev/zero", "I32"]  # fmt: skip
 
 
 def damage(content, rng):
@@ -115,10 +114,10 @@ def _change_bytes(content, rng):
 
 
 def damage_tensors(content, rng):
-    """As `damage`, but mostly of the header, whose length is then right, or of whole numbers among the tensors."""
+    """As `damage`, but mostly of the header, whose length is then right."""
     (length,) = struct.unpack("<Q", content[:8])
-    if rng.random() < 0.5:
-        return rng.choice((_change_bytes, container_damage.safetensors, container_damage.safetensors))(content, rng)
+    if rng.random() < 0.2:
+        return _change_bytes(content, rng)
     header = json.loads(content[8 : 8 + length])
     if rng.random() < 0.5:
         about = header["__metadata__"]["about"].encode()

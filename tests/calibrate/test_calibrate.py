@@ -189,7 +189,7 @@ def test_the_degree_is_what_held_back_views_ask_for():
         if seen.all():
             corners.append(uv + rng.normal(0, 0.05, uv.shape))
     assert osl.calibrate_camera(corners, BOARD, SIZE)[1].degree == 4
-    steep, _ = boards.views(rng, lens="equisolid 210")
+    steep, _ = boards.views(rng, 14, "equisolid 210")
     report = osl.calibrate_camera(steep, BOARD, SIZE)[1]
     assert report.degree > 4 and report.cv_error_px[4] > 1.2 * report.cv_error_px[report.degree]
 

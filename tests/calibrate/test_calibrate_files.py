@@ -165,7 +165,7 @@ def test_a_lens_that_their_model_cannot_follow_is_named(tmp_path):
 # --- The command line -------------------------------------------------------------------------------------
 
 
-def test_a_rig_from_corners_on_file(tmp_path, capsys):
+def test_a_rig_from_corners_on_file(tmp_path, capsys, monkeypatch):
     """And again from what the first run has left, as after its corners were edited."""
     detected, out = tmp_path / "detected", tmp_path / "out"
     detected.mkdir()
@@ -186,5 +186,6 @@ def test_a_rig_from_corners_on_file(tmp_path, capsys):
                 np.array_equal(found[name], ends, equal_nan=True) for ends in (corners, corners[::-1])
             )
     before = {path: path.read_bytes() for path in out.glob("corners_*")}
+    monkeypatch.setattr("omnistereo_tools.outputs.save_figure", lambda *_, **__: None)  # which takes the longest
     assert cli.main(["calibrate", str(out), "--corners", str(out), *board, "--out", str(out)]) == 0
     assert {path: path.read_bytes() for path in before} == before

@@ -16,7 +16,7 @@ from omnistereo_lib.geometry.pose import Pose
 
 GOOD_DEG, GOOD_M = 0.02, 0.5e-3  # what a rig of this size has to reach
 DEGREE = 6  # of the polynomials: their choice, which `test_calibrate` tests, takes most of the time
-ALONE, SHARED = 6, 6  # captures before each camera, and between two neighbours
+ALONE, SHARED = 4, 6  # captures before each camera, and between two neighbours
 BETWEEN = range(4 * ALONE, 4 * (ALONE + SHARED))
 
 
@@ -129,12 +129,12 @@ def test_the_uncertainty_of_a_pose_is_that_of_poses_drawn_from_the_covariance(ri
     report, rng = rigged[1], np.random.default_rng(5)
     poses = report.params.T_cam_rig[1:]
     noise = rng.multivariate_normal(
-        np.zeros(6 * len(poses)), report.covariance[-6 * len(poses) :, -6 * len(poses) :], 2000
+        np.zeros(6 * len(poses)), report.covariance[-6 * len(poses) :, -6 * len(poses) :], 600
     )
     for k, (pose, expected) in enumerate(zip(poses, report.pose_uncertainty()[1:], strict=True)):
         drawn = [Pose.from_vector(pose.as_vector() + row[6 * k : 6 * k + 6]) for row in noise]
         moved = np.array([(pose @ other.inverse()).magnitude() for other in drawn])
-        np.testing.assert_allclose(np.sqrt((moved**2).mean(0)), expected, rtol=0.06)
+        np.testing.assert_allclose(np.sqrt((moved**2).mean(0)), expected, rtol=0.08)
 
 
 def test_the_covariance_keeps_what_is_known_best(rigged, seen_by_four):

@@ -13,7 +13,7 @@ from omnistereo_lib.calibrate.watch import REFERENCE, Look, Watch, _by_turning, 
 from omnistereo_tools.record.watching import WATCH, Watching
 
 RIG = scene.rig(width=400, height=384)
-SEQUENCES, LOOKS = 40, 12
+SEQUENCES, LOOKS = 25, 12
 
 
 def seen(differences):

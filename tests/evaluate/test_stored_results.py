@@ -18,6 +18,11 @@ from omnistereo_lib.train import RECIPES
 from omnistereo_lib.train.spheres import SphereSamples
 
 STORED = {path.stem: path for path in sorted((DATA / "results").glob("*.json"))}
+PAGE = (DATA.parent / "book" / "training.md").read_text(encoding="utf-8")
+
+
+def cells(figures):
+    return [f"{x:.{1 if '>' in metric else 2}f}" for x, metric in zip(figures, METRICS, strict=True)]
 
 
 def split_of(name):
@@ -75,8 +80,7 @@ def test_penalties_are_chosen_on_frames_that_no_network_learned_from():
 
 
 def test_the_page_on_training_quotes_the_results():
-    text = (DATA.parent / "book" / "training.md").read_text(encoding="utf-8")
-    quoted = re.findall(r"^\| (Sunny|Aerial|Indoor) \| (.+?) \| (.+) \|$", text, re.MULTILINE)
+    quoted = re.findall(r"^\| (Sunny|Aerial|Indoor) \| (.+?) \| (.+) \|$", PAGE, re.MULTILINE)
     means = {}
     for name in ("paper", "paper-volumenet"):
         table = errors_table(read_record(STORED[name]))
@@ -88,13 +92,12 @@ def test_the_page_on_training_quotes_the_results():
     assert len(quoted) == 6
     for light, label, numbers in quoted:
         found = [means[label, f"{light} {metric}"] for metric in METRICS]
-        assert numbers == " | ".join(f"{x:.{1 if '>' in m else 2}f}" for x, m in zip(found, METRICS, strict=True))
+        assert numbers == " | ".join(cells(found))
 
 
 def test_the_page_on_training_quotes_the_rigs_that_no_network_has_seen():
     """Mean over the frames of the mean error over their rays that two cameras see; VolumeNet is the best in each."""
     methods = ("zncc+sgm", "sweepnet+sgm", "sweepnet+sgm,weights=sweepnet_worlds", "volumenet")
-    text = (DATA.parent / "book" / "training.md").read_text(encoding="utf-8")
     for world, frames in read_record(STORED["teaching-worlds"])["frames"].items():
         errors = np.zeros((len(frames), len(methods)))
         for row, frame in zip(errors, frames.values(), strict=True):
@@ -104,7 +107,7 @@ def test_the_page_on_training_quotes_the_rigs_that_no_network_has_seen():
                 ]
                 row[k] = sum(sums["sum"] for sums in regions) / sum(sums["rays"] for sums in regions)
         assert (errors.argmin(1) == methods.index("volumenet")).all()
-        assert f"| {world} | {' | '.join(f'{mean:.2f}' for mean in errors.mean(0))} |" in text
+        assert f"| {world} | {' | '.join(f'{mean:.2f}' for mean in errors.mean(0))} |" in PAGE
 
 
 def test_sweepnet_of_all_worlds_is_better_in_rooms_and_no_worse_in_the_streets():
@@ -119,14 +122,13 @@ def test_sweepnet_of_all_worlds_is_better_in_rooms_and_no_worse_in_the_streets()
             name = f"{method},weights={weights}" if weights else method
             figures = [frame[name]["figures"] for key in sets for frame in stored[key].values()]
             means.append(np.array([np.mean([one[metric] for one in figures]) for metric in METRICS]))
-            cells = [f"{x:.{1 if '>' in m else 2}f}" for x, m in zip(means[-1], METRICS, strict=True)]
-            rows.append(f"| {' | '.join([place, EvaluatedMethod.parse(method).label, trained_on, *cells])} |")
+            row = [place, EvaluatedMethod.parse(method).label, trained_on, *cells(means[-1])]
+            rows.append(f"| {' | '.join(row)} |")
         assert (means[1] <= (1.02 if place == "streets" else 1.0) * means[0]).all(), (place, method)
-    text = (DATA.parent / "book" / "training.md").read_text(encoding="utf-8")
-    assert [row for row in text.splitlines() if row.startswith(("| streets |", "| room |", "| room, "))] == rows
+    assert [row for row in PAGE.splitlines() if row.startswith(("| streets |", "| room |", "| room, "))] == rows
     skies = []
     for name, method in (("teaching", "sweepnet"), ("teaching-sweepnet_worlds", "sweepnet,weights=sweepnet_worlds")):
         frames = read_record(STORED[name])["frames"]["sunny"].values()
         total, rays = (sum(frame[method]["strata"]["sky"][key] for frame in frames) for key in ("sum", "rays"))
         skies.append(f"{total / rays:.1f}")
-    assert f"Sunny's sky falls from {' to '.join(skies)}" in text
+    assert f"Sunny's sky falls from {' to '.join(skies)}" in PAGE

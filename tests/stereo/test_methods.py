@@ -13,10 +13,12 @@ import torch
 import omnistereo_lib as osl
 from omnistereo_lib.evaluate import ABLATIONS, METHODS, select_methods
 from omnistereo_lib.evaluate.methods import EvaluatedMethod
-from omnistereo_lib.stereo import correlation, methods
+from omnistereo_lib.stereo import methods
 from omnistereo_lib.stereo.methods import COSTS, CostEntry, Method, penalties
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.zncc import default_window
+
+pytestmark = pytest.mark.usefixtures("small")
 
 
 @pytest.mark.parametrize("method", {m.name: m for ms in (METHODS, *ABLATIONS.values()) for m in ms}.values(), ids=str)
@@ -66,11 +68,6 @@ def test_penalties_follow_the_scale(box):
 # ---- from images to depth
 
 GRID = osl.SphereGrid(160, 40, (-40, 40), 24, 0.6)
-
-
-@pytest.fixture(autouse=True)
-def small_volume(monkeypatch):
-    monkeypatch.setattr(correlation, "COARSE", (32, 8))
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,6 @@ import scene
 import torch
 
 import omnistereo_lib as osl
-from omnistereo_lib.stereo import correlation
 from omnistereo_lib.stereo.cost import BlockCost
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sgm import sgm
@@ -87,11 +86,6 @@ def test_wrong_arguments(call, message):
     assert len(str(error.value)) < 400
 
 
-@pytest.fixture
-def small_volume(monkeypatch):
-    monkeypatch.setattr(correlation, "COARSE", (32, 8))
-
-
 SWEEP = osl.SphereSweep(RIG, GRID)
 BOARD = osl.Checkerboard((4, 3), 0.06)
 
@@ -127,7 +121,7 @@ def test_wrong_types(name, call):
         assert len(str(error.value)) < 200
 
 
-@pytest.mark.usefixtures("small_volume")
+@pytest.mark.usefixtures("small")
 @pytest.mark.parametrize("method", ["zncc+sgm", "mccnn", "sweepnet", "volumenet"])
 def test_torchs_default_type_changes_nothing(method):
     expected = depth(method=method).index
@@ -139,7 +133,7 @@ def test_torchs_default_type_changes_nothing(method):
     np.testing.assert_allclose(found, expected, atol=1e-4)
 
 
-@pytest.mark.usefixtures("small_volume")
+@pytest.mark.usefixtures("small")
 def test_images_of_either_byte_order():
     expected = depth(method="volumenet").index
     swapped = [image.astype(">f4") for image in IMAGES]

@@ -11,6 +11,7 @@ import omnistereo_lib as osl
 from omnistereo_lib.files import write_image
 from omnistereo_tools import cli
 
+pytestmark = pytest.mark.usefixtures("small")
 FLU = osl.Pose(np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]]), np.zeros(3))  # x forward, z up
 SMALL = ["--width", "96", "--height", "24", "--spheres", "16", "--method", "zncc"]
 
