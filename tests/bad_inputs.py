@@ -193,11 +193,7 @@ COMMANDS = [
         config(lambda c: c.update(config={"omnimvs_sweep_min_depth": "near"}))),
     # evaluate
     Row("evaluate: no such ablation", EVALUATE + "--ablations everything", "unknown ablation 'everything'; expected"),
-    Row("evaluate: no such set", EVALUATE + "--sets rainy", "data set 'rainy' not found"),
-    Row("evaluate: no weights", EVALUATE + "--methods sweepnet --weights none", "weights are missing: none.sweepnet"),
     Row("evaluate: no such split", EVALUATE + "--split test", "has no split 'test'"),
-    Row("evaluate: no nearest depth", EVALUATE, "does not state its nearest depth",
-        config(lambda c: c.update(config={}))),
     # train
     Row("train: no such network", "train resnet", "invalid choice: 'resnet'"),
     Row("train: no such preset", TRAIN + "--preset tiny", "sweepnet has the presets .*, not 'tiny'"),

@@ -16,7 +16,7 @@ from omnistereo_lib.geometry.pose import Pose
 
 GOOD_DEG, GOOD_M = 0.02, 0.5e-3  # what a rig of this size has to reach
 DEGREE = 6  # of the polynomials: their choice, which `test_calibrate` tests, takes most of the time
-ALONE, SHARED = 4, 6  # captures before each camera, and between two neighbours
+ALONE, SHARED = 6, 6  # captures before each camera, and between two neighbours
 BETWEEN = range(4 * ALONE, 4 * (ALONE + SHARED))
 
 

@@ -7,7 +7,6 @@ import pytest
 
 from course import nbtools
 from course.classroom import handin
-from course.publish import pages
 
 PAGE = (nbtools.ROOT / "book" / "teaching.md").read_text(encoding="utf-8")
 SECTIONS = {part.partition(" ")[0]: part for part in re.split(r"^## (?=\d)", PAGE, flags=re.MULTILINE)[1:]}
@@ -40,16 +39,3 @@ def test_the_goals_are_tested_by_all_its_exercises(number):
 def test_every_exercise_that_it_names_exists():
     known = {number for nb in NOTEBOOKS.values() for number in numbers(nb)}
     assert set(re.findall(r"\b(?:0\db?|1[0-5])\.\d\b", PAGE)) <= known
-
-
-def test_the_mistakes_are_those_of_the_checkers():
-    named = re.findall(r"^- \*\*(\S+)\*\*\n  - \S", pages.mistakes(), re.MULTILINE)
-    assert named == [exercise.number for nb in NOTEBOOKS.values() for exercise in handin.exercises_of(nb)]
-
-
-def test_what_you_write_names_every_function_and_adds_up_its_lines():
-    table = pages.written()
-    asked = [function.name for nb in NOTEBOOKS.values() for function in nbtools.open_functions(nb)]
-    assert re.findall(r"\| `(\w+)` \|", table) == asked
-    *lines, total = map(int, re.findall(r"(\d+)(?:\*\*)? \|$", table, re.MULTILINE))
-    assert sum(lines) == total and len(lines) == len(asked) and all(lines)
