@@ -26,8 +26,8 @@ from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.input.sources import open_video
 from omnistereo_tools.judge.ray import explain
 from omnistereo_tools.judge.trust import DOUBTFUL, trust
-from omnistereo_tools.output.blend import blended_panorama, estimate_gains
-from omnistereo_tools.output.pictures import ColorScale, draw_frame, share_of_panorama
+from omnistereo_tools.output.blend import estimate_gains
+from omnistereo_tools.output.pictures import WIDTH, ColorScale, draw_frame, finer_index, share_of_panorama, sharp_panorama
 from omnistereo_tools.output.summary import metres
 from omnistereo_tools.record.watching import Watching
 
@@ -215,7 +215,8 @@ def live_pictures(
     In between, the rig is looked at.
     """
     method = Method.parse(method)
-    blended_panorama(sweep_depth(sweep, cameras.first, method))
+    depth = sweep_depth(sweep, cameras.first, method)
+    sharp_panorama(depth, finer_index(depth, WIDTH))
     return _play(cameras, sweep, method, watching)
 
 
@@ -241,12 +242,11 @@ def _play(cameras: Cameras, sweep: SphereSweep, method: Method, watching: Watchi
         for number, depth in enumerate(computed):
             if number % _EQUALISED == 0:
                 gains = estimate_gains(depth)
-            panorama = np.nan_to_num(blended_panorama(depth, gains)).round().astype(np.uint8)
             now = time.monotonic()
             doubtful = trust(depth, method) < DOUBTFUL
             note = f"{method.name}: {1 / (now - before):.1f} frames/s, median {metres(np.nanmedian(depth.depth))}"
             before = now
-            yield draw_picture(panorama, depth, doubtful, scale, note)
+            yield draw_picture(depth, gains, doubtful, scale, note)
         if failed:
             raise failed[0]
     finally:
@@ -258,10 +258,10 @@ def _play(cameras: Cameras, sweep: SphereSweep, method: Method, watching: Watchi
 
 
 def draw_picture(
-    panorama: NDArray[np.uint8], depth: Depth, doubtful: NDArray[np.bool_], scale: ColorScale, note: str
+    depth: Depth, gains: NDArray[Any], doubtful: NDArray[np.bool_], scale: ColorScale, note: str
 ) -> LivePicture:
     """Return `draw_frame` as the browser gets it."""
-    picture = draw_frame(panorama, depth, doubtful, scale, note)
+    picture = draw_frame(depth, gains, doubtful, scale, note)
     jpeg = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes()
     return LivePicture(jpeg, depth, share_of_panorama(picture))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
@@ -44,34 +45,38 @@ def estimate_gains(depth: Depth) -> NDArray[np.float64]:
     return np.exp(logarithms.clip(-np.log(_LARGEST_GAIN), np.log(_LARGEST_GAIN)))
 
 
-def blended_panorama(depth: Depth, gains: NDArray[Any] | None = None) -> NDArray[np.float32]:
+def blended_panorama(
+    depth: Depth, gains: NDArray[Any] | None = None, index: NDArray[np.float32] | None = None
+) -> NDArray[np.float32]:
     """Return the images at the estimated depth, blended: `Depth.panorama` without the edges of the cameras.
 
     A camera counts the more, the farther the point is from the rim of its visible pixels.
 
     Args:
         gains: Of `estimate_gains`, None: those of its images, with values 0 to 255.
+        index: Sphere indices of a panorama of any size, (H, W), such as `finer_index` returns. None: those of `depth`.
 
     Returns:
         float32 array, shape (H, W) or (H, W, 3), 0 to 255: NaN where no camera sees the point, or there is no depth.
     """
     gains = (estimate_gains(depth) if gains is None else gains).astype(np.float32)
-    channels = gains.shape[1]
-    total, weights = np.zeros((*depth.grid.shape, channels), np.float32), np.zeros((*depth.grid.shape, 1), np.float32)
+    index, sweep = depth.index if index is None else index, depth.sweep
+    grid = replace(depth.grid, height=index.shape[0], width=index.shape[1])
+    total, weights = np.zeros((*grid.shape, gains.shape[1]), np.float32), np.zeros((*grid.shape, 1), np.float32)
     # In float32, by torch: three times as fast as `project_sphere` on a sharp panorama.
-    rays = depth.sweep.keep("rays in float32", lambda: torch.from_numpy(depth.grid.rays()).float())
-    rims = depth.sweep.keep("rims", lambda: [_distance_from_rim(camera) for camera in depth.sweep.rig.cameras])
-    inverse_depth = torch.from_numpy(depth.inverse_depth).float()
-    half_pixels = project_cells(depth.sweep.rig, rays, inverse_depth[..., None, None])
+    rays = sweep.keep(("rays in float32", grid.shape), lambda: torch.from_numpy(grid.rays()).float())
+    rims = sweep.keep("rims", lambda: [_distance_from_rim(camera) for camera in sweep.rig.cameras])
+    inverse_depth = torch.from_numpy(grid.index_to_inverse_depth(index)).float()
+    half_pixels = project_cells(sweep.rig, rays, inverse_depth[..., None, None])
     for k, (rim, image) in enumerate(zip(rims, depth.images, strict=True)):
         maps = (2 * half_pixels[k][:, :, 0]).nan_to_num(OUTSIDE).numpy()
         weight = np.nan_to_num(remap(rim, maps))[..., None] ** 2
-        sample = remap(np.asarray(image, np.float32), maps).reshape(*total.shape[:2], -1)
+        sample = remap(np.asarray(image, np.float32), maps).reshape(total.shape)
         total += np.nan_to_num(sample) * weight * gains[k]
         weights += weight
     with np.errstate(invalid="ignore"):
         blended = np.clip(total / weights, 0, 255)
-    return blended[..., 0] if channels == 1 else blended
+    return blended[..., 0] if gains.shape[1] == 1 else blended
 
 
 def _distance_from_rim(camera: OcamCamera) -> NDArray[np.float32]:

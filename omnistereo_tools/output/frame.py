@@ -22,12 +22,12 @@ from omnistereo_tools.output.blend import blended_panorama
 from omnistereo_tools.output.crops import write_crops
 from omnistereo_tools.output.mesh_export import write_mesh
 from omnistereo_tools.output.overview import draw_overview
-from omnistereo_tools.output.pictures import ColorScale, sharp_panorama
+from omnistereo_tools.output.pictures import ColorScale, finer_index, sharp_panorama
 from omnistereo_tools.output.points import Limits, PointCloud
 from omnistereo_tools.output.summary import depth_sentences, error_sentences, turn_sentence
 from omnistereo_tools.output.viewer import viewer_page
 
-_SHARP = 1800  # px, width of the panorama that is looked at
+_SHARP, _WIDEST = 1.4, 3600  # of the panorama that is looked at: columns for a pixel of the images, and in all
 
 _README = """\
 Panoramas have {height} rows, from {phi[0]:g}° to {phi[1]:g}° (down is positive), and {width} columns around the circle.
@@ -85,7 +85,8 @@ class FrameResult:
     @lazy_property
     def panorama(self) -> NDArray[np.uint8]:
         """The panorama that is looked at, sharper than the depth, RGB; it is the texture of a mesh, too."""
-        return sharp_panorama(self.depth, _SHARP)
+        held = 360 * max(camera.pixels_per_degree for camera in self.depth.sweep.rig.cameras)
+        return sharp_panorama(self.depth, finer_index(self.depth, round(min(_SHARP * held, _WIDEST))))
 
     @lazy_property
     def _colors(self) -> NDArray[np.float32]:
@@ -148,7 +149,7 @@ class FrameResult:
         write_inverse_depth(data / "inverse_depth.tiff", depth.inverse_depth)
         write_inverse_depth(data / "confidence.tiff", depth.confidence)
         write_inverse_depth(data / "trust.tiff", self.trust)
-        write_image(data / "inverse_depth.png", ColorScale.of(depth.inverse_depth).colorize(depth))
+        write_image(data / "inverse_depth.png", ColorScale.of(depth.inverse_depth).colorize(depth.inverse_depth))
         write_image(data / "panorama.jpg", self._colors)
         self._cloud.write(data / "points.ply")
         save_rig(depth.sweep.rig, data / "rig.yaml")

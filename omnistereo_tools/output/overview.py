@@ -46,7 +46,7 @@ def draw_overview(
     # Above each other: panorama, depth, and the colours of the depth.
     row = page.panorama(panorama, (_LEFT, 40), wide, phi_deg, f"{title}; {_AXES}", cv2.INTER_AREA)
     name = "Depth along the ray; faded: doubtful, striped: unknown"
-    colors = scale.colorize(depth, trust < DOUBTFUL)
+    colors = scale.colorize(depth.inverse_depth, trust < DOUBTFUL)
     row = page.panorama(colors, (_LEFT, row + 40), wide, phi_deg, name)
     page.paste(np.repeat(scale.bar(wide), 16, 0), (_LEFT, row + 10))
     for place, label in scale.ticks():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -11,12 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.depth import Depth
-from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_tools.output.blend import blended_panorama, estimate_gains
+from omnistereo_tools.output.blend import blended_panorama
+from omnistereo_tools.output.mesh_export import is_connected
 
 BACKGROUND = 0x20  # colours stand out, and gaps between points do not dazzle
 _FADE, _GRAY = 0.65, 0x80  # of what is doubtful, towards
-_ANY_GRID = SphereGrid(2, 2)  # `colorize_depth` reads its nearest depth only
 _NEAREST = 0.1  # metres in front of the eye
 _LARGEST = 7  # px of a point: nearer ones would hide what is behind them
 WIDTH = 1280  # px, about, of a frame of a film
@@ -43,9 +42,9 @@ def colorize_depth(inverse_depth: ArrayLike, grid: SphereGrid) -> NDArray[np.uin
     return np.where(np.isfinite(inverse_depth)[..., None], colors, stripes).astype(np.uint8)
 
 
-def faded(colors: NDArray[np.uint8], doubtful: NDArray[np.bool_], towards: int = BACKGROUND) -> NDArray[np.uint8]:
-    """Return colours (..., 3) of which the doubtful ones (...) are drawn towards a gray value."""
-    return np.where(doubtful[..., None], (1 - _FADE) * colors + _FADE * towards, colors).astype(np.uint8)
+def faded(colors: NDArray[np.uint8], doubtful: NDArray[Any], towards: int = BACKGROUND) -> NDArray[np.uint8]:
+    """Return colours (..., 3) of which the doubtful ones (...), from 0 to 1, are drawn towards a gray value."""
+    return (colors + (_FADE * doubtful[..., None]) * (np.float32(towards) - colors)).astype(np.uint8)
 
 
 @dataclass(frozen=True)
@@ -63,14 +62,14 @@ class ColorScale:
         low = 0.0 if low < 0.02 * high else float(low)  # the sky is part of the scale
         return cls(low, float(max(high, low + 1e-3)))
 
-    def colorize(self, depth: Depth, doubtful: NDArray[np.bool_] | None = None) -> NDArray[np.uint8]:
-        """Return the colours of inverse depth, (H, W, 3) RGB, doubtful rays faded; see `colorize_depth`."""
-        colors = colorize_depth(depth.inverse_depth - self.low, self._over(depth.grid))
+    def colorize(self, inverse_depth: NDArray[Any], doubtful: NDArray[Any] | None = None) -> NDArray[np.uint8]:
+        """Return the colours of inverse depth (H, W), (H, W, 3) RGB, doubtful rays faded; see `colorize_depth`."""
+        colors = colorize_depth(inverse_depth - self.low, self._grid)
         return colors if doubtful is None else faded(colors, doubtful, _GRAY)
 
     def bar(self, width: int) -> NDArray[np.uint8]:
         """Return the colours from `low` to `high` as a picture of one row, (1, width, 3) RGB."""
-        return colorize_depth(np.linspace(0, self.high - self.low, width)[None], self._over(_ANY_GRID))
+        return colorize_depth(np.linspace(0, self.high - self.low, width)[None], self._grid)
 
     def ticks(self) -> list[tuple[float, str]]:
         """Return positions in [0, 1] and labels in metres, far to near, at least a twentieth apart."""
@@ -82,47 +81,79 @@ class ColorScale:
                 chosen.append((float(at), "∞" if depth == np.inf else f"{depth:g} m"))
         return chosen
 
-    def _over(self, grid: SphereGrid) -> SphereGrid:
-        """Return a grid whose spheres reach as far in inverse depth as the scale."""
-        return replace(grid, min_depth=1 / (self.high - self.low), max_depth=np.inf)
+    @property
+    def _grid(self) -> SphereGrid:
+        """A grid, of which `colorize_depth` reads the nearest depth only: it reaches as far as the scale."""
+        return SphereGrid(2, 2, min_depth=1 / (self.high - self.low))
 
 
-def sharp_panorama(depth: Depth, width: int) -> NDArray[np.uint8]:
-    """Return the blended panorama with about `width` columns or more, uint8 RGB; unknown is black.
+def sharp_panorama(
+    depth: Depth, index: NDArray[np.float32], gains: NDArray[Any] | None = None
+) -> NDArray[np.uint8]:
+    """Return the blended panorama at sphere indices of `finer_index`, uint8 RGB; unknown is black.
 
-    The images hold more detail than the depth, so each ray is divided into several at its depth.
+    Args:
+        gains: Of `estimate_gains`, None: those of the images.
     """
-    factor = max(1, -(-width // depth.grid.width))
-    grid = replace(depth.grid, width=factor * depth.grid.width, height=factor * depth.grid.height)
-    index = np.repeat(np.repeat(depth.index, factor, 0), factor, 1)
-    sweep = SphereSweep(depth.sweep.rig, grid, center=np.zeros(3))  # the rig of a sweep is centred already
-    fine = Depth(index, np.ones_like(index), sweep, depth.images)
-    pixels = np.nan_to_num(blended_panorama(fine, estimate_gains(depth))).round().astype(np.uint8)
+    pixels = np.nan_to_num(blended_panorama(depth, gains, index)).round().astype(np.uint8)
     return pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, -1)
 
 
+def finer_index(depth: Depth, width: int) -> NDArray[np.float32]:
+    """Return sphere indices of a panorama of about `width` columns, since images hold more detail than the depth.
+
+    They are interpolated within a surface. At an edge in depth each place takes the surface of those of the four rays
+    around it that weigh most in bilinear interpolation, so that rims have no teeth and nothing lies between surfaces.
+    """
+    factor = max(1, round(width / depth.grid.width))
+
+    def pad(values: NDArray[Any]) -> NDArray[Any]:
+        return np.pad(np.pad(values, ((0, 0), (1, 1)), mode="wrap"), ((1, 1), (0, 0)), mode="edge")
+
+    def cells(values: NDArray[Any]) -> NDArray[Any]:  # the four rays around each
+        return np.stack([values[:-1, :-1], values[:-1, 1:], values[1:, :-1], values[1:, 1:]])
+
+    index = pad(depth.index)
+    fine = cv2.resize(index, None, fx=factor, fy=factor, interpolation=cv2.INTER_LINEAR)
+    fine = np.asarray(fine[factor:-factor, factor:-factor], np.float32)
+    # The places whose cells are an edge: the shares of the four rays, on the nearer surface, the farther, or unknown.
+    edges = ~is_connected(cells(pad(depth.depth)), cells(index))
+    rows, columns = ((np.arange(side) + 0.5) / factor + 0.5 for side in fine.shape)
+    chosen = np.nonzero(edges[rows.astype(int)][:, columns.astype(int)])
+    (q, row), (p, column) = (np.modf(places[at]) for places, at in zip((rows, columns), chosen, strict=True))
+    shares = np.stack([(1 - q) * (1 - p), (1 - q) * p, q * (1 - p), q * p])
+    values = cells(index)[:, row.astype(int), column.astype(int)]
+    low, high = np.fmin.reduce(values), np.fmax.reduce(values)
+    surfaces = shares * [values > (low + high) / 2, values <= (low + high) / 2, np.isnan(values)]
+    most = surfaces.sum(1).argmax(0)
+    weights = np.take_along_axis(surfaces, most[None, None], 0)[0]
+    fine[chosen] = np.where(most == 2, np.nan, (weights * np.nan_to_num(values)).sum(0) / weights.sum(0))
+    return fine
+
+
 def draw_frame(
-    panorama: NDArray[np.uint8], depth: Depth, doubtful: NDArray[np.bool_], scale: ColorScale, note: str
+    depth: Depth, gains: NDArray[Any] | None, doubtful: NDArray[np.bool_], scale: ColorScale, note: str
 ) -> NDArray[np.uint8]:
     """Draw a panorama over its depth in colours, doubtful rays faded, with the scale and a note, as live and on film.
 
     Args:
-        panorama: uint8 array, any size, RGB: the whole panorama
+        gains: As of `sharp_panorama`.
 
     Returns:
         uint8 array, about `WIDTH` columns, RGB, both sides even; `share_of_panorama` says where the parts are
     """
-    factor = max(1, round(WIDTH / depth.grid.width))
-    width, height = (factor * side // 2 * 2 for side in (depth.grid.width, depth.grid.height))
-    colors = scale.colorize(depth, doubtful)
-    parts = [cv2.resize(picture, (width, height), interpolation=cv2.INTER_LINEAR) for picture in (panorama, colors)]
+    index = finer_index(depth, WIDTH)
+    panorama = sharp_panorama(depth, index, gains)
+    height, width = (side // 2 * 2 for side in index.shape)
+    doubts = cv2.resize(doubtful.astype(np.float32), index.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    colors = scale.colorize(depth.grid.index_to_inverse_depth(index), doubts)
     strip = np.full((_SCALE_PX, width, 3), BACKGROUND, np.uint8)
     strip[4:18] = cv2.resize(scale.bar(256), (width, 14), interpolation=cv2.INTER_LINEAR)
     for at, label in scale.ticks():
         _write(strip, label, (int(np.clip(at * width - 16, 4, width - 52)), _SCALE_PX - 6))
     line = np.full((_NOTE_PX, width, 3), BACKGROUND, np.uint8)
     _write(line, f"{note}. Faded: doubtful, striped: no depth", (12, _NOTE_PX - 12))
-    return np.asarray(np.vstack([*parts, strip, line]), np.uint8)
+    return np.vstack([panorama[:height, :width], colors[:height, :width], strip, line])
 
 
 def share_of_panorama(frame: NDArray[np.uint8]) -> float:

@@ -40,7 +40,7 @@ from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.input.sources import Pictures, Recording
 from omnistereo_tools.judge.trust import DOUBTFUL, trust
-from omnistereo_tools.output.pictures import WIDTH, ColorScale, draw_frame, sharp_panorama
+from omnistereo_tools.output.pictures import ColorScale, draw_frame
 from omnistereo_tools.output.summary import doubt_shares
 from omnistereo_tools.record.watching import Watching
 
@@ -180,9 +180,9 @@ class DepthWriter:
                 write_image(folder / f"{number:05}.jpg", image)
         trusted = trust(depth, self.method)
         if self.with_video:
-            panorama, note = sharp_panorama(depth, WIDTH), f"{self.out.name}, frame {number}, {self.method.name}"
+            note = f"{self.out.name}, frame {number}, {self.method.name}"
             scale = ColorScale(0.0, 0.8 / self.sweep.grid.min_depth)  # the same colours in all frames
-            write_image(self.picture_path(number), draw_frame(panorama, depth, trusted < DOUBTFUL, scale, note))
+            write_image(self.picture_path(number), draw_frame(depth, None, trusted < DOUBTFUL, scale, note))
         self._write_panorama("confidence", number, depth.confidence)
         self._write_panorama("trust", number, trusted)
         self._write_panorama("depth_estimate", number, depth.inverse_depth)

@@ -8,6 +8,7 @@ import scene
 
 import omnistereo_lib as osl
 from omnistereo_tools.output.blend import blended_panorama, estimate_gains
+from omnistereo_tools.output.pictures import finer_index
 
 GRID = osl.SphereGrid(320, 80, num_spheres=64, min_depth=0.6)
 EXPOSURE = np.array([1.0, 0.8, 1.1, 0.9])
@@ -44,3 +45,20 @@ def test_the_blend_of_equal_cameras_is_the_scene(box):
     blended, mean = blended_panorama(box), box.panorama()
     assert blended.shape == mean.shape == GRID.shape and np.isfinite(blended).all()
     assert np.median(np.abs(blended - mean)) < 2
+
+
+def test_a_finer_panorama_keeps_planes_and_has_no_teeth_at_an_edge(box):
+    """Of a depth with an edge along a diagonal, between planes in index; one ray, beside the seam, is unknown."""
+    rows, columns = np.indices(GRID.shape)
+    near = columns - rows > 100
+    index = np.where(near, 40 + 0.1 * rows, 10 + 0.1 * rows).astype(np.float32)
+    index[10, -1] = np.nan
+    fine = finer_index(replace(box, index=index), 4 * GRID.width)
+    rows, columns = ((side + 0.5) / 4 - 0.5 for side in np.indices(fine.shape))
+    unknown = np.isnan(fine)
+    assert unknown.sum() >= 4 and np.hypot(rows - 10, columns - 319)[unknown].max() < 0.8
+    # The edge is halfway between the last rays of both sides.
+    inside = (rows > 0) & (rows < 79) & (columns > 1) & (columns < 318)
+    expected = np.where(columns - rows > 100.5, 40, 10) + 0.1 * rows
+    off = np.abs(fine - expected)[inside & (np.abs(columns - rows - 100.5) > 0.2)]
+    assert off.max() < 0.06
