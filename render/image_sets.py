@@ -93,7 +93,7 @@ SETS = {
     # Frames in a row, with cars ahead of the van, behind it and towards it.
     "drive/test": ImageSet(
         light="sunny",
-        **_TEST | {"shipped": tuple(range(723, 732)), "size": (400, 384), "gray": True, "samples": 12},
+        **_TEST | {"shipped": tuple(range(723, 739)), "size": (400, 384), "samples": 12},
         truths=((640, 160),),
         truth_suffix=".png",
         quality=64,
