@@ -25,9 +25,9 @@ from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.input.sources import open_video
 from omnistereo_tools.judge.ray import explain
-from omnistereo_tools.judge.trust import DOUBTFUL, trust
+from omnistereo_tools.judge.trust import trust
 from omnistereo_tools.output.blend import estimate_gains
-from omnistereo_tools.output.pictures import WIDTH, ColorScale, draw_frame, finer_index, share_of_panorama, sharp_panorama
+from omnistereo_tools.output.pictures import ColorScale, draw_frame, share_of_panorama
 from omnistereo_tools.output.summary import metres
 from omnistereo_tools.record.watching import Watching
 
@@ -216,7 +216,7 @@ def live_pictures(
     """
     method = Method.parse(method)
     depth = sweep_depth(sweep, cameras.first, method)
-    sharp_panorama(depth, finer_index(depth, WIDTH))
+    draw_frame(depth, None, depth.confidence, ColorScale.of(depth.inverse_depth), "")
     return _play(cameras, sweep, method, watching)
 
 
@@ -243,10 +243,9 @@ def _play(cameras: Cameras, sweep: SphereSweep, method: Method, watching: Watchi
             if number % _EQUALISED == 0:
                 gains = estimate_gains(depth)
             now = time.monotonic()
-            doubtful = trust(depth, method) < DOUBTFUL
             note = f"{method.name}: {1 / (now - before):.1f} frames/s, median {metres(np.nanmedian(depth.depth))}"
             before = now
-            yield draw_picture(depth, gains, doubtful, scale, note)
+            yield draw_picture(depth, gains, trust(depth, method), scale, note)
         if failed:
             raise failed[0]
     finally:
@@ -258,10 +257,10 @@ def _play(cameras: Cameras, sweep: SphereSweep, method: Method, watching: Watchi
 
 
 def draw_picture(
-    depth: Depth, gains: NDArray[Any], doubtful: NDArray[np.bool_], scale: ColorScale, note: str
+    depth: Depth, gains: NDArray[Any], trusted: NDArray[np.float32], scale: ColorScale, note: str
 ) -> LivePicture:
     """Return `draw_frame` as the browser gets it."""
-    picture = draw_frame(depth, gains, doubtful, scale, note)
+    picture = draw_frame(depth, gains, trusted, scale, note)
     jpeg = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes()
     return LivePicture(jpeg, depth, share_of_panorama(picture))
 

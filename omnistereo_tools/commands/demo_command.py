@@ -13,9 +13,9 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools.commands import live_command
 from omnistereo_tools.parser import Options, option, shrink
 
-DRIVE = Path(__file__).resolve().parents[2] / "data_samples" / "sunny" / "train"
+DRIVE = Path(__file__).resolve().parents[2] / "data_samples" / "drive" / "test"
 _RATE = 5  # frames/s
-_BEST_FIRST = (("volumenet", 640), ("zncc+sgm", 640), ("zncc+sgm", 320))  # method and columns
+_BEST_FIRST = (("volumenet", 640), ("volumenet", 320), ("zncc+sgm", 640), ("zncc+sgm", 320))  # method and columns
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +26,7 @@ class DemoOptions(Options):
 
 
 def run(options: DemoOptions) -> None:
-    """Play the drive as `omnistereo live` plays videos, by the best method that keeps its pace, again and again."""
+    """Play the drive there and back as `omnistereo live` plays videos, by the best method that keeps its pace."""
     with TemporaryDirectory() as folder:
         videos = tuple(_videos(Path(folder)))
         print("timing the methods: a few seconds", flush=True)
@@ -36,22 +36,16 @@ def run(options: DemoOptions) -> None:
         ]
         live = next((live for live in better if _rate(live) >= _RATE), plain)
         print(f"{live.width} × {live.height} rays by {live.method}, the best that keeps {_RATE} frames/s here")
-        print("The drive is gray: its frames are those that the networks were trained on, stored without colour")
         live_command.run(live)
 
 
 def _rate(live: live_command.LiveOptions) -> float:
     """Return how many pictures a second the videos get by a method, up to the 20 that are read; timed for a second."""
-    from omnistereo_lib.geometry.sphere import SphereGrid
-    from omnistereo_lib.rig_files import load_rig
-    from omnistereo_lib.stereo.sweep import SphereSweep
-    from omnistereo_tools.live_view import Cameras, live_pictures
+    from omnistereo_tools.live_view import live_pictures
 
-    rig = load_rig(live.rig)
-    grid = SphereGrid(live.width, live.height or 1, num_spheres=live.spheres, min_depth=rig.min_depth or 1.0)
-    cameras = Cameras(live.cameras, rig, loop=True)
+    cameras, sweep = live_command.open_cameras(live)
     cameras.period = 1 / (4 * _RATE)
-    pictures = live_pictures(cameras, SphereSweep(rig, grid), live.method or "")
+    pictures = live_pictures(cameras, sweep, live.method or "")
     next(pictures)
     start, seconds, count = monotonic(), 0.0, 0
     while seconds < 1.0:
@@ -62,7 +56,7 @@ def _rate(live: live_command.LiveOptions) -> float:
 
 
 def _videos(folder: Path) -> list[str]:
-    """Write the pictures of each camera as a video; return their names."""
+    """Write the pictures of each camera, there and back, as a video; return their names."""
     import cv2
 
     from omnistereo_lib.files import read_image
@@ -74,7 +68,7 @@ def _videos(folder: Path) -> list[str]:
         pictures = [read_image(path) for path in sorted(camera.iterdir())]
         names.append(str(folder / f"{camera.name}.avi"))
         video = cv2.VideoWriter(names[-1], cv2.VideoWriter.fourcc(*"MJPG"), _RATE, pictures[0].shape[1::-1])
-        for picture in pictures:
-            video.write(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR))
+        for picture in [*pictures, *pictures[-2:0:-1]]:
+            video.write(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
         video.release()
     return names

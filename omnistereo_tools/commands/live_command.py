@@ -7,9 +7,12 @@ Examples:
       videos
 """
 
+from __future__ import annotations
+
 import re
 from dataclasses import MISSING, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from omnistereo_tools.commands.options import (
     GridOptions,
@@ -21,6 +24,10 @@ from omnistereo_tools.commands.options import (
     read_rig,
 )
 from omnistereo_tools.parser import option
+
+if TYPE_CHECKING:
+    from omnistereo_lib.stereo.sweep import SphereSweep
+    from omnistereo_tools.live_view import Cameras
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,29 +46,35 @@ class LiveOptions(MethodOptions, GridOptions, RigOptions):
     open: bool = option("open the page in the browser", False)
 
 
+def open_cameras(options: LiveOptions) -> tuple[Cameras, SphereSweep]:
+    """Open the cameras or videos and return them, and the sweep of their rig, whose nearest depth they show."""
+    from omnistereo_lib.frame import Frame
+    from omnistereo_lib.stereo.sweep import SphereSweep
+    from omnistereo_tools.judge.coverage import Coverage
+    from omnistereo_tools.live_view import Cameras
+
+    rig = read_rig(options)
+    sources = [int(source) if re.fullmatch("[0-9]{1,3}", source) else source for source in options.cameras]
+    cameras = Cameras(sources, rig, options.loop)
+    rig = mask_circles(rig, [cameras.first])
+    min_depth = find_min_depth(options.min_depth, Frame.of(rig, cameras.first))
+    return cameras, SphereSweep(rig, make_grid(options, Coverage.of(rig), min_depth), device=options.device)
+
+
 def run(options: LiveOptions) -> None:
     """Show pictures as soon as somebody looks, until a video ends, Ctrl-C or SIGTERM."""
     import webbrowser
     from time import monotonic
 
-    from omnistereo_lib.frame import Frame
     from omnistereo_lib.stereo.methods import VIDEO_METHOD
-    from omnistereo_lib.stereo.sweep import SphereSweep
     from omnistereo_tools import live_view
-    from omnistereo_tools.judge.coverage import Coverage
     from omnistereo_tools.record.watching import Watching
 
     count, start, ended, method = 0, monotonic(), "stopped", options.method or VIDEO_METHOD
     try:
         print("opening the cameras and computing tables: a few seconds", flush=True)
-        rig = read_rig(options)
-        sources = [int(source) if re.fullmatch("[0-9]{1,3}", source) else source for source in options.cameras]
-        cameras = live_view.Cameras(sources, rig, options.loop)
-        rig = mask_circles(rig, [cameras.first])
-        min_depth = find_min_depth(options.min_depth, Frame.of(rig, cameras.first))
-        sweep = SphereSweep(rig, make_grid(options, Coverage.of(rig), min_depth), device=options.device)
-        watching = Watching(rig, sweep, options.follow)
-        pictures = live_view.live_pictures(cameras, sweep, method, watching)
+        cameras, sweep = open_cameras(options)
+        pictures = live_view.live_pictures(cameras, sweep, method, Watching(sweep.rig, sweep, options.follow))
         latest = live_view.Latest()
         with live_view.serve(latest, options.port, cameras) as address:
             print(f"open {address} in a browser of this machine: it begins then. Ctrl-C stops", flush=True)

@@ -11,11 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.depth import Depth
+from omnistereo_tools.judge.trust import DOUBTFUL
 from omnistereo_tools.output.blend import blended_panorama
 from omnistereo_tools.output.mesh_export import is_connected
 
 BACKGROUND = 0x20  # colours stand out, and gaps between points do not dazzle
 _FADE, _GRAY = 0.65, 0x80  # of what is doubtful, towards
+_SOFT = 0.2  # of trust, from not faded to faded
 _NEAREST = 0.1  # metres in front of the eye
 _LARGEST = 7  # px of a point: nearer ones would hide what is behind them
 WIDTH = 1280  # px, about, of a frame of a film
@@ -87,9 +89,7 @@ class ColorScale:
         return SphereGrid(2, 2, min_depth=1 / (self.high - self.low))
 
 
-def sharp_panorama(
-    depth: Depth, index: NDArray[np.float32], gains: NDArray[Any] | None = None
-) -> NDArray[np.uint8]:
+def sharp_panorama(depth: Depth, index: NDArray[np.float32], gains: NDArray[Any] | None = None) -> NDArray[np.uint8]:
     """Return the blended panorama at sphere indices of `finer_index`, uint8 RGB; unknown is black.
 
     Args:
@@ -132,12 +132,13 @@ def finer_index(depth: Depth, width: int) -> NDArray[np.float32]:
 
 
 def draw_frame(
-    depth: Depth, gains: NDArray[Any] | None, doubtful: NDArray[np.bool_], scale: ColorScale, note: str
+    depth: Depth, gains: NDArray[Any] | None, trust: NDArray[Any], scale: ColorScale, note: str
 ) -> NDArray[np.uint8]:
     """Draw a panorama over its depth in colours, doubtful rays faded, with the scale and a note, as live and on film.
 
     Args:
         gains: As of `sharp_panorama`.
+        trust: Of `trust.trust`, (H, W).
 
     Returns:
         uint8 array, about `WIDTH` columns, RGB, both sides even; `share_of_panorama` says where the parts are
@@ -145,7 +146,8 @@ def draw_frame(
     index = finer_index(depth, WIDTH)
     panorama = sharp_panorama(depth, index, gains)
     height, width = (side // 2 * 2 for side in index.shape)
-    doubts = cv2.resize(doubtful.astype(np.float32), index.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    fine_trust = cv2.resize(trust.astype(np.float32), index.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    doubts = (0.5 + (DOUBTFUL - fine_trust) / _SOFT).clip(0, 1)
     colors = scale.colorize(depth.grid.index_to_inverse_depth(index), doubts)
     strip = np.full((_SCALE_PX, width, 3), BACKGROUND, np.uint8)
     strip[4:18] = cv2.resize(scale.bar(256), (width, 14), interpolation=cv2.INTER_LINEAR)

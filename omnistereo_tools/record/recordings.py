@@ -182,7 +182,7 @@ class DepthWriter:
         if self.with_video:
             note = f"{self.out.name}, frame {number}, {self.method.name}"
             scale = ColorScale(0.0, 0.8 / self.sweep.grid.min_depth)  # the same colours in all frames
-            write_image(self.picture_path(number), draw_frame(depth, None, trusted < DOUBTFUL, scale, note))
+            write_image(self.picture_path(number), draw_frame(depth, None, trusted, scale, note))
         self._write_panorama("confidence", number, depth.confidence)
         self._write_panorama("trust", number, trusted)
         self._write_panorama("depth_estimate", number, depth.inverse_depth)
