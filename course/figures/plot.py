@@ -22,7 +22,7 @@ from omnistereo_lib.stereo.depth import Depth
 from omnistereo_tools.judge import ray
 from omnistereo_tools.output.calibration_figures import calibration_figure as calibration_figure
 from omnistereo_tools.output.calibration_figures import draw_coverage as draw_coverage
-from omnistereo_tools.output.pictures import colorize_depth, finer_index, sharp_panorama
+from omnistereo_tools.output.pictures import colorize_depth, sharp_panorama
 from omnistereo_tools.output.pictures import draw_points as draw_points
 from omnistereo_tools.output.points import Limits
 from omnistereo_tools.output.summary import metres
@@ -184,7 +184,7 @@ def explore(depth: Depth, max_depth: float, min_confidence: float = 0.0) -> None
     from IPython.display import display
     from ipywidgets import HTML
 
-    panorama = sharp_panorama(depth, finer_index(depth, SHARP_PX))
+    panorama = sharp_panorama(depth, SHARP_PX)
     limits = Limits(max_depth, min_confidence)
     data = viewer_data(depth, panorama, limits, "Drag to turn and tilt", mode="points")
     if stills.recording():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
 from typing import Any
@@ -10,11 +11,14 @@ import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from omnistereo_lib.geometry.camera import OcamCamera
+from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.stereo.correlation import project_cells
 from omnistereo_lib.stereo.depth import Depth
-from omnistereo_lib.stereo.sweep import OUTSIDE, remap
+from omnistereo_lib.stereo.sweep import OUTSIDE
+from omnistereo_tools.output.mesh_export import is_connected
 
 DARKEST, BRIGHTEST = 6, 249  # gray values; below and above, a sensor is blind
 _FEWEST = 200  # rays that two cameras share; fewer do not tell how bright they are
@@ -45,38 +49,103 @@ def estimate_gains(depth: Depth) -> NDArray[np.float64]:
     return np.exp(logarithms.clip(-np.log(_LARGEST_GAIN), np.log(_LARGEST_GAIN)))
 
 
-def blended_panorama(
-    depth: Depth, gains: NDArray[Any] | None = None, index: NDArray[np.float32] | None = None
-) -> NDArray[np.float32]:
+def blended_panorama(depth: Depth, gains: NDArray[Any] | None = None, factor: int = 1) -> NDArray[np.float32]:
     """Return the images at the estimated depth, blended: `Depth.panorama` without the edges of the cameras.
 
     A camera counts the more, the farther the point is from the rim of its visible pixels.
 
     Args:
         gains: Of `estimate_gains`, None: those of its images, with values 0 to 255.
-        index: Sphere indices of a panorama of any size, (H, W), such as `finer_index` returns. None: those of `depth`.
+        factor: By which the panorama is larger than the depth; see `finer_index`.
 
     Returns:
-        float32 array, shape (H, W) or (H, W, 3), 0 to 255: NaN where no camera sees the point, or there is no depth.
+        float32 array, shape (factor H, factor W) or (factor H, factor W, 3), 0 to 255: NaN where no camera sees the
+            point, or there is no depth.
     """
     gains = (estimate_gains(depth) if gains is None else gains).astype(np.float32)
-    index, sweep = depth.index if index is None else index, depth.sweep
-    grid = replace(depth.grid, height=index.shape[0], width=index.shape[1])
-    total, weights = np.zeros((*grid.shape, gains.shape[1]), np.float32), np.zeros((*grid.shape, 1), np.float32)
-    # In float32, by torch: three times as fast as `project_sphere` on a sharp panorama.
-    rays = sweep.keep(("rays in float32", grid.shape), lambda: torch.from_numpy(grid.rays()).float())
-    rims = sweep.keep("rims", lambda: [_distance_from_rim(camera) for camera in sweep.rig.cameras])
-    inverse_depth = torch.from_numpy(grid.index_to_inverse_depth(index)).float()
-    half_pixels = project_cells(sweep.rig, rays, inverse_depth[..., None, None])
-    for k, (rim, image) in enumerate(zip(rims, depth.images, strict=True)):
-        maps = (2 * half_pixels[k][:, :, 0]).nan_to_num(OUTSIDE).numpy()
-        weight = np.nan_to_num(remap(rim, maps))[..., None] ** 2
-        sample = remap(np.asarray(image, np.float32), maps).reshape(total.shape)
-        total += np.nan_to_num(sample) * weight * gains[k]
-        weights += weight
+    rims = depth.sweep.keep("rims", lambda: [_distance_from_rim(camera) for camera in depth.sweep.rig.cameras])
+    total, weights = np.float32(0), np.float32(0)
+    for maps, rim, image, gain in zip(_pixels(depth, factor), rims, depth.images, gains, strict=True):
+        bright = np.asarray(image, np.float32).reshape(*rim.shape, -1) * gain
+        weight = cv2.remap(rim, maps, None, cv2.INTER_LINEAR, borderValue=0)[..., None] ** 2
+        sample = cv2.remap(bright, maps, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        sample = sample.reshape(*weight.shape[:2], -1)
+        sample *= weight
+        total, weights = total + sample, weights + weight
     with np.errstate(invalid="ignore"):
-        blended = np.clip(total / weights, 0, 255)
+        total /= weights
+    blended = total.clip(0, 255, out=total)
     return blended[..., 0] if gains.shape[1] == 1 else blended
+
+
+def _pixels(depth: Depth, factor: int) -> Iterator[NDArray[np.float32]]:
+    """Yield where each camera sees the points of the rays, (factor H, factor W, 2) in pixels.
+
+    Within a surface pixels are interpolated, too, since to project all places would take as long as to find the depth.
+    """
+    rig, grid = depth.sweep.rig, depth.grid
+    # In float32, by torch: three times as fast as `project_sphere`.
+    rays = depth.sweep.keep("rays in float32", lambda: torch.from_numpy(grid.rays()).float())
+    coarse = _project(rig, rays, depth.inverse_depth)
+    if factor == 1:
+        yield from coarse
+        return
+    index, (rows, columns) = finer_index(depth, factor)
+    fine = replace(grid, width=factor * grid.width, height=factor * grid.height)
+    theta, phi = fine.thetas()[columns], fine.phis()[rows]
+    rays = np.stack([np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta)], -1)
+    inverse_depth = grid.index_to_inverse_depth(index[rows, columns])
+    at_edges = _project(rig, torch.from_numpy(rays[None]).float(), inverse_depth[None])
+    for maps, exact in zip(coarse, at_edges, strict=True):
+        enlarged = _enlarge(_pad(maps), factor)
+        enlarged[rows, columns] = exact[0]
+        yield enlarged
+
+
+def _project(rig: Rig, rays: Tensor, inverse_depth: NDArray[Any]) -> list[NDArray[np.float32]]:
+    """Return where each camera sees the points of rays (H, W, 3), (H, W, 2) in pixels."""
+    half_pixels = project_cells(rig, rays, torch.from_numpy(inverse_depth).float()[..., None, None])
+    return [(2 * places[:, :, 0]).nan_to_num(OUTSIDE).numpy() for places in half_pixels]
+
+
+def finer_index(depth: Depth, factor: int) -> tuple[NDArray[np.float32], tuple[NDArray[Any], NDArray[Any]]]:
+    """Return the sphere indices of a panorama that is larger by a factor; and rows and columns of places at edges.
+
+    They are interpolated within a surface. At an edge in depth each place takes the surface of those of the four rays
+    around it that weigh most in bilinear interpolation, so that rims have no teeth and nothing lies between surfaces.
+    """
+    index = _pad(depth.index)
+    fine, corners = _enlarge(index, factor), _cells(index)
+    edges = ~is_connected(_cells(_pad(depth.depth)), corners)
+    rows, columns = ((np.arange(side) + 0.5) / factor + 0.5 for side in fine.shape)
+    chosen = np.nonzero(edges[rows.astype(int)][:, columns.astype(int)])
+    # The shares of the four rays: those on the nearer surface, on the farther one, or unknown.
+    (q, row), (p, column) = np.modf(rows[chosen[0]]), np.modf(columns[chosen[1]])
+    shares = np.stack([(1 - q) * (1 - p), (1 - q) * p, q * (1 - p), q * p])
+    values = corners[:, row.astype(int), column.astype(int)]
+    middle = (np.fmin.reduce(values) + np.fmax.reduce(values)) / 2
+    surfaces = shares * [values > middle, values <= middle, np.isnan(values)]
+    most = surfaces.sum(1).argmax(0)
+    weights = np.take_along_axis(surfaces, most[None, None], 0)[0]
+    fine[chosen] = np.where(most == 2, np.nan, (weights * np.nan_to_num(values)).sum(0) / weights.sum(0))
+    return fine, chosen
+
+
+def _pad(values: NDArray[Any]) -> NDArray[Any]:
+    """Return a panorama (H, W) or (H, W, C) with one more ray on each side: it is circular, and ends in its rows."""
+    rows = np.concatenate([values[:1], values, values[-1:]])
+    return np.concatenate([rows[:, -1:], rows, rows[:, :1]], 1)
+
+
+def _enlarge(padded: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
+    """Return a padded panorama larger by a factor, interpolated, without its padding."""
+    fine = cv2.resize(padded, None, fx=factor, fy=factor, interpolation=cv2.INTER_LINEAR)
+    return np.asarray(fine[factor:-factor, factor:-factor], np.float32)
+
+
+def _cells(padded: NDArray[Any]) -> NDArray[Any]:
+    """Return the four rays around each place between rays, (4, H + 1, W + 1)."""
+    return np.stack([padded[:-1, :-1], padded[:-1, 1:], padded[1:, :-1], padded[1:, 1:]])
 
 
 def _distance_from_rim(camera: OcamCamera) -> NDArray[np.float32]:

@@ -22,7 +22,7 @@ from omnistereo_tools.output.blend import blended_panorama
 from omnistereo_tools.output.crops import write_crops
 from omnistereo_tools.output.mesh_export import write_mesh
 from omnistereo_tools.output.overview import draw_overview
-from omnistereo_tools.output.pictures import ColorScale, finer_index, sharp_panorama
+from omnistereo_tools.output.pictures import ColorScale, sharp_panorama
 from omnistereo_tools.output.points import Limits, PointCloud
 from omnistereo_tools.output.summary import depth_sentences, error_sentences, turn_sentence
 from omnistereo_tools.output.viewer import viewer_page
@@ -86,7 +86,7 @@ class FrameResult:
     def panorama(self) -> NDArray[np.uint8]:
         """The panorama that is looked at, sharper than the depth, RGB; it is the texture of a mesh, too."""
         held = 360 * max(camera.pixels_per_degree for camera in self.depth.sweep.rig.cameras)
-        return sharp_panorama(self.depth, finer_index(self.depth, round(min(_SHARP * held, _WIDEST))))
+        return sharp_panorama(self.depth, round(min(_SHARP * held, _WIDEST)))
 
     @lazy_property
     def _colors(self) -> NDArray[np.float32]:

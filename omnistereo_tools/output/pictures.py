@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_tools.judge.trust import DOUBTFUL
-from omnistereo_tools.output.blend import blended_panorama
-from omnistereo_tools.output.mesh_export import is_connected
+from omnistereo_tools.output.blend import blended_panorama, finer_index
 
 BACKGROUND = 0x20  # colours stand out, and gaps between points do not dazzle
 _FADE, _GRAY = 0.65, 0x80  # of what is doubtful, towards
@@ -39,9 +38,9 @@ def colorize_depth(inverse_depth: ArrayLike, grid: SphereGrid) -> NDArray[np.uin
     level = np.clip(256 * np.nan_to_num(inverse_depth) * grid.min_depth, 0, 255).astype(np.uint8)
     # The lightness of Inferno is monotonic, so it works in grey print and for colour-blind readers.
     colors = cv2.cvtColor(cv2.applyColorMap(level, cv2.COLORMAP_INFERNO), cv2.COLOR_BGR2RGB)
-    rows, columns = np.indices(inverse_depth.shape)
-    stripes = np.where((rows + columns) // 4 % 2, 170, 200)[..., None]
-    return np.where(np.isfinite(inverse_depth)[..., None], colors, stripes).astype(np.uint8)
+    rows, columns = np.nonzero(~np.isfinite(inverse_depth))
+    colors[rows, columns] = np.where((rows + columns) // 4 % 2, 170, 200)[:, None]
+    return np.asarray(colors, np.uint8)
 
 
 def faded(colors: NDArray[np.uint8], doubtful: NDArray[Any], towards: int = BACKGROUND) -> NDArray[np.uint8]:
@@ -89,46 +88,16 @@ class ColorScale:
         return SphereGrid(2, 2, min_depth=1 / (self.high - self.low))
 
 
-def sharp_panorama(depth: Depth, index: NDArray[np.float32], gains: NDArray[Any] | None = None) -> NDArray[np.uint8]:
-    """Return the blended panorama at sphere indices of `finer_index`, uint8 RGB; unknown is black.
+def sharp_panorama(depth: Depth, width: int, gains: NDArray[Any] | None = None) -> NDArray[np.uint8]:
+    """Return the blended panorama with about `width` columns, uint8 RGB; unknown is black.
+
+    The images hold more detail than the depth, so each ray is divided into several; see `finer_index`.
 
     Args:
         gains: Of `estimate_gains`, None: those of the images.
     """
-    pixels = np.nan_to_num(blended_panorama(depth, gains, index)).round().astype(np.uint8)
+    pixels = np.nan_to_num(blended_panorama(depth, gains, finer(depth, width))).round().astype(np.uint8)
     return pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, -1)
-
-
-def finer_index(depth: Depth, width: int) -> NDArray[np.float32]:
-    """Return sphere indices of a panorama of about `width` columns, since images hold more detail than the depth.
-
-    They are interpolated within a surface. At an edge in depth each place takes the surface of those of the four rays
-    around it that weigh most in bilinear interpolation, so that rims have no teeth and nothing lies between surfaces.
-    """
-    factor = max(1, round(width / depth.grid.width))
-
-    def pad(values: NDArray[Any]) -> NDArray[Any]:
-        return np.pad(np.pad(values, ((0, 0), (1, 1)), mode="wrap"), ((1, 1), (0, 0)), mode="edge")
-
-    def cells(values: NDArray[Any]) -> NDArray[Any]:  # the four rays around each
-        return np.stack([values[:-1, :-1], values[:-1, 1:], values[1:, :-1], values[1:, 1:]])
-
-    index = pad(depth.index)
-    fine = cv2.resize(index, None, fx=factor, fy=factor, interpolation=cv2.INTER_LINEAR)
-    fine = np.asarray(fine[factor:-factor, factor:-factor], np.float32)
-    # The places whose cells are an edge: the shares of the four rays, on the nearer surface, the farther, or unknown.
-    edges = ~is_connected(cells(pad(depth.depth)), cells(index))
-    rows, columns = ((np.arange(side) + 0.5) / factor + 0.5 for side in fine.shape)
-    chosen = np.nonzero(edges[rows.astype(int)][:, columns.astype(int)])
-    (q, row), (p, column) = (np.modf(places[at]) for places, at in zip((rows, columns), chosen, strict=True))
-    shares = np.stack([(1 - q) * (1 - p), (1 - q) * p, q * (1 - p), q * p])
-    values = cells(index)[:, row.astype(int), column.astype(int)]
-    low, high = np.fmin.reduce(values), np.fmax.reduce(values)
-    surfaces = shares * [values > (low + high) / 2, values <= (low + high) / 2, np.isnan(values)]
-    most = surfaces.sum(1).argmax(0)
-    weights = np.take_along_axis(surfaces, most[None, None], 0)[0]
-    fine[chosen] = np.where(most == 2, np.nan, (weights * np.nan_to_num(values)).sum(0) / weights.sum(0))
-    return fine
 
 
 def draw_frame(
@@ -143,8 +112,7 @@ def draw_frame(
     Returns:
         uint8 array, about `WIDTH` columns, RGB, both sides even; `share_of_panorama` says where the parts are
     """
-    index = finer_index(depth, WIDTH)
-    panorama = sharp_panorama(depth, index, gains)
+    panorama, (index, _) = sharp_panorama(depth, WIDTH, gains), finer_index(depth, finer(depth, WIDTH))
     height, width = (side // 2 * 2 for side in index.shape)
     fine_trust = cv2.resize(trust.astype(np.float32), index.shape[::-1], interpolation=cv2.INTER_LINEAR)
     doubts = (0.5 + (DOUBTFUL - fine_trust) / _SOFT).clip(0, 1)
@@ -156,6 +124,11 @@ def draw_frame(
     line = np.full((_NOTE_PX, width, 3), BACKGROUND, np.uint8)
     _write(line, f"{note}. Faded: doubtful, striped: no depth", (12, _NOTE_PX - 12))
     return np.vstack([panorama[:height, :width], colors[:height, :width], strip, line])
+
+
+def finer(depth: Depth, width: int) -> int:
+    """Return the factor by which the panorama of a depth is enlarged to about `width` columns."""
+    return max(1, round(width / depth.grid.width))
 
 
 def share_of_panorama(frame: NDArray[np.uint8]) -> float:

@@ -7,8 +7,8 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
-from omnistereo_tools.output.blend import blended_panorama, estimate_gains
-from omnistereo_tools.output.pictures import finer_index
+from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_tools.output.blend import blended_panorama, estimate_gains, finer_index
 
 GRID = osl.SphereGrid(320, 80, num_spheres=64, min_depth=0.6)
 EXPOSURE = np.array([1.0, 0.8, 1.1, 0.9])
@@ -53,7 +53,7 @@ def test_a_finer_panorama_keeps_planes_and_has_no_teeth_at_an_edge(box):
     near = columns - rows > 100
     index = np.where(near, 40 + 0.1 * rows, 10 + 0.1 * rows).astype(np.float32)
     index[10, -1] = np.nan
-    fine = finer_index(replace(box, index=index), 4 * GRID.width)
+    fine, _ = finer_index(replace(box, index=index), 4)
     rows, columns = ((side + 0.5) / 4 - 0.5 for side in np.indices(fine.shape))
     unknown = np.isnan(fine)
     assert unknown.sum() >= 4 and np.hypot(rows - 10, columns - 319)[unknown].max() < 0.8
