@@ -64,17 +64,17 @@ def blended_panorama(depth: Depth, gains: NDArray[Any] | None = None, factor: in
     """
     gains = (estimate_gains(depth) if gains is None else gains).astype(np.float32)
     rims = depth.sweep.keep("rims", lambda: [_distance_from_rim(camera) for camera in depth.sweep.rig.cameras])
-    total, weights = np.float32(0), np.float32(0)
+    total, weights = np.zeros(1, np.float32), np.zeros(1, np.float32)
+    no_second: Any = None  # see `remap`
     for maps, rim, image, gain in zip(_pixels(depth, factor), rims, depth.images, gains, strict=True):
         bright = np.asarray(image, np.float32).reshape(*rim.shape, -1) * gain
-        weight = cv2.remap(rim, maps, None, cv2.INTER_LINEAR, borderValue=0)[..., None] ** 2
-        sample = cv2.remap(bright, maps, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        sample = sample.reshape(*weight.shape[:2], -1)
-        sample *= weight
-        total, weights = total + sample, weights + weight
+        weight = cv2.remap(rim, maps, no_second, cv2.INTER_LINEAR, borderValue=0)[..., None] ** 2
+        sample = cv2.remap(bright, maps, no_second, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        total = total + sample.reshape(*weight.shape[:2], -1) * weight
+        weights = weights + weight
     with np.errstate(invalid="ignore"):
         total /= weights
-    blended = total.clip(0, 255, out=total)
+    blended = np.clip(total, 0, 255, out=total)
     return blended[..., 0] if gains.shape[1] == 1 else blended
 
 
@@ -93,9 +93,9 @@ def _pixels(depth: Depth, factor: int) -> Iterator[NDArray[np.float32]]:
     index, (rows, columns) = finer_index(depth, factor)
     fine = replace(grid, width=factor * grid.width, height=factor * grid.height)
     theta, phi = fine.thetas()[columns], fine.phis()[rows]
-    rays = np.stack([np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta)], -1)
+    directions = np.stack([np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta)], -1)
     inverse_depth = grid.index_to_inverse_depth(index[rows, columns])
-    at_edges = _project(rig, torch.from_numpy(rays[None]).float(), inverse_depth[None])
+    at_edges = _project(rig, torch.from_numpy(directions[None]).float(), inverse_depth[None])
     for maps, exact in zip(coarse, at_edges, strict=True):
         enlarged = _enlarge(_pad(maps), factor)
         enlarged[rows, columns] = exact[0]
@@ -108,7 +108,7 @@ def _project(rig: Rig, rays: Tensor, inverse_depth: NDArray[Any]) -> list[NDArra
     return [(2 * places[:, :, 0]).nan_to_num(OUTSIDE).numpy() for places in half_pixels]
 
 
-def finer_index(depth: Depth, factor: int) -> tuple[NDArray[np.float32], tuple[NDArray[Any], NDArray[Any]]]:
+def finer_index(depth: Depth, factor: int) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...]]:
     """Return the sphere indices of a panorama that is larger by a factor; and rows and columns of places at edges.
 
     They are interpolated within a surface. At an edge in depth each place takes the surface of those of the four rays
