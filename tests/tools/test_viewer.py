@@ -77,7 +77,7 @@ def begun(page):
     """The page as it is when it has just been opened."""
     page.evaluate("""() => {
         for (const name of INPUTS) $(name).value = $(name).dataset.first
-        clearTimeout(resting); coarse = false; resize()
+        clearTimeout(resting); detail = 1; resize()
         $("layer").onchange(); $("mix").value = 0; showWords(); $("reset").onclick(); land()
     }""")
     return in_mode(page, "look")

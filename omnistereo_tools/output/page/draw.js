@@ -255,7 +255,7 @@ function axesOf([turn, tilt]) {
 function makeRenderer(canvas, picture, mesh) {
   const gl = canvas.getContext("webgl2", { antialias: false, alpha: false });
   if (!gl) return null;
-  const surface = upload(gl, mesh), target = namesTarget(gl), programs = new Map();
+  const [surface, quarter] = upload(gl, mesh), target = namesTarget(gl), programs = new Map();
   const textures = [pictureTexture(gl, picture), colorTexture(gl), rayTexture(gl), trustTexture(gl)];
   let named = null;  // the view whose names are in the target
 
@@ -277,7 +277,7 @@ function makeRenderer(canvas, picture, mesh) {
       size: [D.width, D.height], range: [D.low, D.high], phi: D.phi, doubtful: D.doubtful / 100,
       perPercent: D.percent / 10, edge: STEP * perSphere, view: [canvas.width, canvas.height],
       level: Math.max(0, Math.log2(picture.width / 2 / Math.PI / view.focal)), axes: axesOf(view.turn),
-      nearest: 1 / D.maxDepth, pointSize: 1.6 * 2 * Math.PI / D.width, ...settings, ...view,
+      nearest: 1 / D.maxDepth, pointSize: (settings.sparse ? 3.2 : 1.6) * 2 * Math.PI / D.width, ...settings, ...view,
     };
     for (const [name, value] of Object.entries(values)) used.set(name, value);
   }
@@ -293,9 +293,10 @@ function makeRenderer(canvas, picture, mesh) {
   }
 
   function drawMesh(view, settings) {
-    gl.bindVertexArray(surface);
+    const few = view.mode === "points" && settings.sparse, count = (D.width + 1) * (D.height + 2);
+    gl.bindVertexArray(few ? quarter : surface);
     gl.enable(gl.DEPTH_TEST);
-    if (view.mode === "points") gl.drawArrays(gl.POINTS, 0, (D.width + 1) * (D.height + 2));
+    if (view.mode === "points") gl.drawArrays(gl.POINTS, 0, few ? count / 4 : count);
     else {
       gl.enable(gl.CULL_FACE);
       gl.frontFace(gl.CW);
@@ -357,15 +358,21 @@ function program(gl, { vertex, fragment }, parts) {
   } };
 }
 
+// The vertices with their triangles, and every fourth vertex: of rows with one column more, not one above the other.
 function upload(gl, { vertices, opaque, fringe }) {
-  const made = gl.createVertexArray();
-  gl.bindVertexArray(made);
-  gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+  const buffer = gl.createBuffer();
+  gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
   gl.bufferData(gl.ARRAY_BUFFER, vertices, gl.STATIC_DRAW);
-  [[2, 0], [4, 2], [1, 6]].forEach(([count, first], place) => {
-    gl.enableVertexAttribArray(place);
-    gl.vertexAttribPointer(place, count, gl.FLOAT, false, 4 * FLOATS, 4 * first);
+  const made = [1, 4].map(every => {
+    const array = gl.createVertexArray();
+    gl.bindVertexArray(array);
+    [[2, 0], [4, 2], [1, 6]].forEach(([count, first], place) => {
+      gl.enableVertexAttribArray(place);
+      gl.vertexAttribPointer(place, count, gl.FLOAT, false, 4 * FLOATS * every, 4 * first);
+    });
+    return array;
   });
+  gl.bindVertexArray(made[0]);
   gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
   gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, Uint32Array.from([...opaque, ...fringe]), gl.STATIC_DRAW);
   gl.bindVertexArray(null);

@@ -4,7 +4,7 @@
 const canvas = $("view");
 const dark = matchMedia("(prefers-color-scheme: dark)"), calm = matchMedia("(prefers-reduced-motion: reduce)");
 const start = { yaw: 0, pitch: 0, zoom: 1, turn: 0.3, tilt: 0.6, distance: 0 };
-const SLOW_MS = 70;  // two frames that take longer
+const SLOW_MS = 70, COARSEST = 0.25;  // two frames that take longer; of the pixels along a side
 const MAGNIFIED = 2;  // at most, at first: pixels of the page for one of the cameras
 let view = { ...start }, renderer = null, picks = [], why = null;
 
@@ -35,7 +35,7 @@ function settings() {
   const paper = (dark.matches ? 0x20 : outside() ? 0xb9 : 0xfa) / 255;
   return {
     paper: [paper, paper, paper], mixed: $("mix").value / 100, least: leastTrust() / 100,
-    layer: ["estimate", "truth", "error"].indexOf($("layer").value),
+    layer: ["estimate", "truth", "error"].indexOf($("layer").value), sparse: detail < 1,
   };
 }
 
@@ -54,20 +54,20 @@ function drawNow() {
   document.body.dataset.drawn = mode();
 }
 
-// On a slow machine the view is coarser while it moves.
-let coarse = false, resting = 0;
+// On a slow machine the view is coarser while it moves, in steps.
+let detail = 1, resting = 0;
 function moving() {
-  const began = performance.now();
+  const began = performance.now(), before = detail;
   clearTimeout(resting);
-  resting = setTimeout(() => { if (coarse) { coarse = false; resize(); } }, 300);
+  resting = setTimeout(() => { if (detail < 1) { detail = 1; resize(); } }, 300);
   requestAnimationFrame(() => requestAnimationFrame(() => {
-    if (!coarse && performance.now() - began > SLOW_MS) { coarse = true; resize(); }
+    if (detail === before && detail > COARSEST && performance.now() - began > SLOW_MS) { detail /= 2; resize(); }
   }));
   draw();
 }
 
 function resize() {
-  const density = coarse ? 0.5 : Math.min(devicePixelRatio, 2);
+  const density = detail * Math.min(devicePixelRatio, 2);
   canvas.width = Math.max(1, Math.round(canvas.clientWidth * density));
   canvas.height = Math.max(1, Math.round(canvas.clientHeight * density));
   draw();
