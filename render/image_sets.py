@@ -75,6 +75,13 @@ _TEST = {
 
 SETS = {
     "sunny/test": ImageSet(light="sunny", **_TEST | {"samples": 32}, truths=((640, 160), (1200, 300))),
+    # The frame that travels with the package, omnistereo_lib/sample.
+    "sample": ImageSet(
+        light="sunny",
+        **_TEST | {"shipped": (831,), "size": (1600, 1536), "samples": 12},
+        truths=((640, 160),),
+        quality=72,
+    ),
     "cloudy/test": ImageSet(light="cloudy", **_TEST, truth_of="sunny/test"),
     "sunset/test": ImageSet(light="sunset", **_TEST, truth_of="sunny/test"),
     "sunny/train": ImageSet(

@@ -41,7 +41,7 @@ def test_what_is_in_the_wheel(installed):
     }
     assert here <= set(names)
     assert {"omnistereo_lib/py.typed", "omnistereo_lib/weights/sweepnet.safetensors"} <= here
-    assert sum(path.stat().st_size for path in (ROOT / "omnistereo_lib/sample").rglob("*")) < 700_000
+    assert sum(path.stat().st_size for path in (ROOT / "omnistereo_lib/sample").rglob("*")) < 1_300_000
 
 
 PINS = dict(

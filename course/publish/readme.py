@@ -21,6 +21,7 @@ from course.figures.plot import DEPTH_COLORS
 from course.figures.view3d import draw_mesh
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_tools import cli
+from omnistereo_tools.commands.options import SAMPLE
 from omnistereo_tools.output.mesh_export import write_mesh
 from omnistereo_tools.output.pictures import colorize_depth
 from omnistereo_tools.output.points import Limits
@@ -33,7 +34,6 @@ PICTURE = nbtools.NOTEBOOKS / "omnistereo.webp"
 SWEEP = nbtools.NOTEBOOKS / "sweep.webp"
 STREET = nbtools.ROOT / "book" / "street.html"
 WIDTH_PX, DPI = 1600, 100
-FRAME = 831
 SAME = 0.2  # gray levels, mean difference: 0.03 with another number of threads, 9 with another method
 EYE = (-6.5, -1.7, 2.0)  # metres, rig frame
 GAMMA = 0.7  # the street is in shadow; less than 1 makes it brighter
@@ -42,9 +42,8 @@ STEPS, STEP_MS = 32, 130
 
 def update_pictures() -> None:
     """Update the picture, the animation and the viewer."""
-    data = osl.load_dataset(nbtools.ROOT / "data_samples" / "sunny", split="test")
-    frame = data.frame(FRAME)
-    grid = osl.SphereGrid(width=1280, height=320, phi_deg=(-45, 45), num_spheres=192, min_depth=data.rig.min_depth)
+    frame = osl.load_dataset(SAMPLE)[0]
+    grid = osl.SphereGrid(width=1280, height=320, phi_deg=(-45, 45), num_spheres=192, min_depth=frame.rig.min_depth)
     depth = osl.estimate_depth(frame, grid, method="volumenet")
     drawn = io.BytesIO()
     fig = picture(depth)

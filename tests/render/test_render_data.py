@@ -180,6 +180,22 @@ def sky_warmth(frame):
     return (red / (blue + 1))[frame.inverse_depth == 0].mean()
 
 
+def test_the_sample_is_a_frame_of_the_test_drive_with_images_twice_as_wide(shipped):
+    """Made smaller, its images are those of the drive but for noise and lossy files; a row off, they are not."""
+    (sample,) = osl.load_dataset(SAMPLES.parents[1] / "omnistereo_lib" / "sample")
+    frame = osl.load_dataset(SAMPLES, split="test", gt_width=640).frame(831)
+    assert sample.number == 831 and SETS["sample"].shipped == (831,)
+    np.testing.assert_allclose(sample.inverse_depth, frame.inverse_depth, rtol=1e-4)
+    rays = directions(100)
+    for k, (wide, image) in enumerate(zip(sample.images, frame.images, strict=True)):
+        assert wide.shape == (1536, 1600, 3)
+        fine, coarse = (rig.cameras[k].project(rays)[0] for rig in (sample.rig, frame.rig))
+        np.testing.assert_allclose((fine + 0.5) / 2 - 0.5, coarse, atol=0.02)
+        small = cv2.resize(wide, (800, 768), interpolation=cv2.INTER_AREA)
+        off, beside = (cv2.absdiff(np.roll(small, by, 0), image).mean() for by in (0, 1))
+        assert off < 0.7 * beside
+
+
 def test_the_drive_s_frames_follow_one_another_on_its_trajectory():
     """What one frame sees lies, by the poses of the trajectory, where the next one sees it, unless it drives."""
     data = osl.load_dataset(SAMPLES.parent / "drive", split="test")

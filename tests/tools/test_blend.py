@@ -7,7 +7,6 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
-from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.output.blend import blended_panorama, estimate_gains, finer_index
 
 GRID = osl.SphereGrid(320, 80, num_spheres=64, min_depth=0.6)
