@@ -98,7 +98,7 @@ def viewer_data(
         "colors": _base64(scale.bar(256)),
         "maxDepth": min(limits.max_depth, 1e9),
         "minConfidence": limits.min_confidence,
-        "picture": _webp(_narrow(panorama)[..., ::-1], 75),
+        "picture": _webp(_narrow(panorama)[..., ::-1], 85),
         "cameras": [
             _camera(camera, pose, image)
             for camera, pose, image in zip(cameras, depth.sweep.rig.T_rig_cam, images, strict=False)

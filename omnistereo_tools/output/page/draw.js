@@ -3,6 +3,7 @@
 
 // Two rays show one surface if their depths differ by less, or by at most so many spheres: as in mesh_export.py.
 const EDGE = 1.2, STEP = 1.5;
+const SHARPER = 0.5;  // levels of the picture: that of the same size, drawn between its pixels, is blurred
 const sameSurface = (a, b) => Math.max(a, b) <= EDGE * Math.min(a, b) || Math.abs(a - b) <= STEP * perSphere;
 
 // A program has only the parts that it needs, since a processor that draws runs both sides of every condition:
@@ -81,7 +82,7 @@ const INSIDE = {
     out vec4 color;
     uniform vec2 view, turn, phi;  // pixels; azimuth and tilt; first and last elevation
     uniform mat3 axes;
-    uniform float focal, level;    // pixels per radian; level of the picture whose pixels are as large
+    uniform float focal, level;    // pixels per radian; level of the picture, whose pixels are about as large
     void main() {
       vec2 p = (gl_FragCoord.xy - 0.5 * view) / focal * vec2(1, -1);
 #ifdef WHOLE
@@ -276,7 +277,7 @@ function makeRenderer(canvas, picture, mesh) {
     const values = {
       size: [D.width, D.height], range: [D.low, D.high], phi: D.phi, doubtful: D.doubtful / 100,
       perPercent: D.percent / 10, edge: STEP * perSphere, view: [canvas.width, canvas.height],
-      level: Math.max(0, Math.log2(picture.width / 2 / Math.PI / view.focal)), axes: axesOf(view.turn),
+      level: Math.max(0, Math.log2(picture.width / 2 / Math.PI / view.focal) - SHARPER), axes: axesOf(view.turn),
       nearest: 1 / D.maxDepth, pointSize: (settings.sparse ? 3.2 : 1.6) * 2 * Math.PI / D.width, ...settings, ...view,
     };
     for (const [name, value] of Object.entries(values)) used.set(name, value);
