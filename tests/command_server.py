@@ -27,8 +27,9 @@ import render
 from omnistereo_lib.stereo import correlation
 from omnistereo_lib.train import MCCNNRecipe, train
 from omnistereo_tools import cli
-from omnistereo_tools.output import frame, viewer
+from omnistereo_tools.output import frame, pictures, viewer
 from omnistereo_tools.parser import is_tiny
+from omnistereo_tools.record import recordings
 
 
 def run(command):
@@ -72,10 +73,12 @@ def wait(number):
 
 
 def make_small(setattr):
-    """Shrink what no width of a panorama makes smaller: VolumeNet's volume and the pictures of a page."""
+    """Shrink what no width of a panorama makes smaller: VolumeNet's volume, the pictures of a page, films."""
     setattr(correlation, "COARSE", (32, 8))
     setattr(frame, "_SHARP", 192)
     setattr(viewer, "_IMAGE_WIDTH", 100)
+    setattr(pictures, "WIDTH", 192)
+    setattr(recordings, "WIDTH", 192)
 
 
 def main():

@@ -13,7 +13,7 @@ import omnistereo_lib as osl
 from course.figures import plot
 from omnistereo_tools.judge import ray
 
-RAYS = int(os.environ.get("RAYS", "80"))
+RAYS = int(os.environ.get("RAYS", "40"))
 
 
 @pytest.fixture(scope="module")

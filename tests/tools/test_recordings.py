@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 import scene
+from command_server import make_small
 
 import omnistereo_lib as osl
 from omnistereo_lib.files import read_image, write_image
@@ -25,6 +26,13 @@ from omnistereo_tools.output.pictures import colorize_depth, share_of_panorama
 GRID = osl.SphereGrid(96, 24, num_spheres=16, min_depth=0.6)
 SMALL = ["--width", "96", "--height", "24", "--spheres", "16", "--method", "zncc"]
 FRAMES = 6
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_films():
+    with pytest.MonkeyPatch.context() as patch:
+        make_small(patch.setattr)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +111,7 @@ def test_the_video_has_every_frame_panorama_over_depth(done):
     while (read := video.read())[0]:
         frames.append(read[1])
     rows = round(share_of_panorama(frames[0]) * len(frames[0]))
-    assert len(frames) == FRAMES and frames[0].shape[1] == 13 * 96 and rows == 13 * 24
+    assert len(frames) == FRAMES and frames[0].shape[1] == 2 * 96 and rows == 2 * 24
     assert frames[0][:rows].std() > 20 and np.abs(frames[0].astype(int) - frames[-1]).mean() > 1
     gray, colored = (np.ptp(part.astype(int), axis=-1).mean() for part in np.split(frames[0][: 2 * rows], 2))
     assert gray < 10 < colored  # the scene is gray
