@@ -71,7 +71,7 @@ def test_depth_of_a_data_set_frame(data, tmp_path, capsys):
     assert read_image(out / "data" / "inverse_depth.png").shape == (24, 96, 3)
     assert read_image(out / "data" / "panorama.jpg").shape == (24, 96, 3)
     text = (out / "data" / "README.txt").read_text()
-    assert all(name in text for name in [*RESULTS[1:], "errors.json"])
+    assert all(name in text for name in [*RESULTS.split()[1:], "errors.json"])
     captured = capsys.readouterr()
     assert f"the mean error is {errors['MAE']:.1f} %" in captured.out and f"written to {out}/: " in captured.out
     assert "of the 2304 rays have a depth" in captured.out and "camera 1 of 4:" in captured.err  # the progress bar

@@ -67,6 +67,7 @@ def test_one_frame_with_blender(tmp_path):
     in_blender(ONE_FRAME, tmp_path)
     assert set(json.loads((tmp_path / "manifest.json").read_text())["files"]) == {
         "sunny/test/config.yaml",
+        "sunny/test/trajectory.txt",
         "sunny/test/omnidepth_gt_64/00831.tiff",
         *(f"sunny/test/cam{camera}/0831.jpg" for camera in (1, 2, 3, 4)),
     }
