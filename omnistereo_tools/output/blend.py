@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -63,18 +63,16 @@ def blended_panorama(depth: Depth, gains: NDArray[Any] | None = None, factor: in
             point, or there is no depth.
     """
     gains = (estimate_gains(depth) if gains is None else gains).astype(np.float32)
-    rims = depth.sweep.keep("rims", lambda: [_distance_from_rim(camera) for camera in depth.sweep.rig.cameras])
-    total, weights = np.zeros(1, np.float32), np.zeros(1, np.float32)
-    no_second: Any = None  # see `remap`
-    for maps, rim, image, gain in zip(_pixels(depth, factor), rims, depth.images, gains, strict=True):
-        bright = np.asarray(image, np.float32).reshape(*rim.shape, -1) * gain
-        weight = cv2.remap(rim, maps, no_second, cv2.INTER_LINEAR, borderValue=0)[..., None] ** 2
-        sample = cv2.remap(bright, maps, no_second, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        total = total + sample.reshape(*weight.shape[:2], -1) * weight
-        weights = weights + weight
+    weights = depth.sweep.keep(
+        "weights", lambda: [_distance_from_rim(c)[..., None] ** 2 for c in depth.sweep.rig.cameras]
+    )
+    total, no_second = np.zeros(1, np.float32), cast(Any, None)  # see `remap`
+    for maps, weight, image, gain in zip(_pixels(depth, factor), weights, depth.images, gains, strict=True):
+        bright = np.asarray(image, np.float32).reshape(*weight.shape[:2], -1) * gain
+        total = total + cv2.remap(np.dstack([bright * weight, weight]), maps, no_second, cv2.INTER_LINEAR)
     with np.errstate(invalid="ignore"):
-        total /= weights
-    blended = np.clip(total, 0, 255, out=total)
+        blended = total[..., :-1] / total[..., -1:]
+    np.clip(blended, 0, 255, out=blended)
     return blended[..., 0] if gains.shape[1] == 1 else blended
 
 
