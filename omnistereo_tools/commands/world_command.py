@@ -3,7 +3,7 @@
 Examples:
   omnistereo record --rig rig.yaml --images front/ right/ back/ left/ --out drive
   omnistereo world drive
-      what is written lies in drive/world; run it again to resume
+      drive/world/index.html shows it in any browser; run it again to resume
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_tools.outputs import check_outputs, hold, save_figure
+from omnistereo_tools.outputs import check_outputs, hold
 from omnistereo_tools.parser import Options, option
 
 if TYPE_CHECKING:
@@ -96,22 +96,19 @@ def _write(
     from omnistereo_lib.frame import read_inverse_depth
     from omnistereo_lib.geometry.trajectory import trajectory_kitti, trajectory_tum
     from omnistereo_lib.world.surface import extract_surface
-    from omnistereo_tools.output.world import draw_overview, write_surface
+    from omnistereo_tools.output.world import world_page, write_surface
 
     print("extracting the surface", flush=True)
     out, surface = refined.parent, extract_surface(volume)
     write_surface(out, surface)
-    texts = {"trajectory.txt": trajectory_tum(poses)} | (
-        {"trajectory_kitti.txt": trajectory_kitti(poses)} if options.kitti else {}
-    )
-    for name, text in texts.items():
-        with atomic_write(out / name) as temporary:
-            temporary.write_text(text)
     number = list(poses)[len(poses) // 2]
-    after = read_inverse_depth(refined / f"{number:05}.tiff")
-    figure = draw_overview(surface, poses, frames.data.frame(number).inverse_depth, after, frames.grid)
-    save_figure(out / "overview.png", figure)
+    before, after = frames.data.frame(number).inverse_depth, read_inverse_depth(refined / f"{number:05}.tiff")
+    page = world_page(surface, poses, number, before, after, frames.grid)
+    texts = {"trajectory.txt": trajectory_tum(poses), "index.html": page}
+    for name, text in (texts | ({"trajectory_kitti.txt": trajectory_kitti(poses)} if options.kitti else {})).items():
+        with atomic_write(out / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
     frames.link(out)
     length = sum((a.inverse() @ b).magnitude()[1] for a, b in pairwise(poses.values()))
     print(f"{len(poses)} of {len(frames.data)} frames, {length:.1f} m of path, {len(surface.faces)} triangles")
-    print(f"written to {out}/; load_dataset reads its depth")
+    print(f"written to {out}/: open index.html in a browser; load_dataset reads its depth")

@@ -22,7 +22,7 @@ from omnistereo_tools.output.pictures import ColorScale
 from omnistereo_tools.output.points import Limits
 
 _PAGE = Path(__file__).with_name("page")
-_SCRIPTS = ("numbers.js", "ray.js", "draw.js", "page.js")
+_SCRIPTS = ("data.js", "numbers.js", "ray.js", "gl.js", "draw.js", "page.js")
 _RAY_BYTES = 2_400_000  # of all rays; with the picture the page stays below 5 MB
 _WIDEST = 3600  # px of the picture
 _STEPS = 16382  # of inverse depth, a hundredth of a sphere; 0 is unknown
@@ -34,9 +34,9 @@ def viewer_page(depth: Depth, panorama: NDArray[np.uint8], limits: Limits, title
     return page_of(viewer_data(depth, panorama, limits, title, **options))
 
 
-def page_of(data: dict[str, Any]) -> str:
-    """Return the page that shows what `viewer_data` returned."""
-    page, *scripts = ((_PAGE / name).read_text(encoding="utf-8") for name in ("page.html", *_SCRIPTS))
+def page_of(data: dict[str, Any], page: str = "page.html", scripts: Sequence[str] = _SCRIPTS) -> str:
+    """Return a page in one piece: that of `viewer_data`, or another file of the folder `page`, with its scripts."""
+    page, *scripts = ((_PAGE / name).read_text(encoding="utf-8") for name in (page, *scripts))
     page = page.replace("{{SCRIPTS}}", "".join(scripts))
     return page.replace("{{DATA}}", json.dumps(data).replace("<", "\\u003c"))
 
@@ -69,13 +69,13 @@ def viewer_data(
     per_step = float(np.nanmax([inverse_depth, truth], initial=1e-6)) / _STEPS
     optional: dict[str, Any] = {}
     if trust is not None:
-        optional["trust"] = _packed(_percent(trust[::step, ::step]))
+        optional["trust"] = packed(_percent(trust[::step, ::step]))
     if odds:
         optional["odds"] = odds
     if gt_index is not None:
         per_metre = float(np.diff(grid.inverse_depth_to_index([0.0, 1.0]))[0])  # spheres per 1/m
         percent = 100 / grid.num_spheres * per_metre  # the error as in the paper's tables
-        optional |= {"truth": _packed(_in_steps(truth, per_step)), "percent": percent}
+        optional |= {"truth": packed(_in_steps(truth, per_step)), "percent": percent}
     scale = ColorScale.of(depth.inverse_depth)
     cameras, images = fisheye_images(depth)
     first, *_, last = grid.inverse_depths().tolist()
@@ -89,8 +89,8 @@ def viewer_data(
         "inverse": [first, last],
         "pixelsPerDegree": max((camera.pixels_per_degree for camera in depth.sweep.rig.cameras), default=1.0),
         "perStep": per_step,
-        "steps": _packed(_in_steps(inverse_depth, per_step)),
-        "confidence": _packed(_percent(depth.confidence[::step, ::step])),
+        "steps": packed(_in_steps(inverse_depth, per_step)),
+        "confidence": packed(_percent(depth.confidence[::step, ::step])),
         "doubtful": 100 * DOUBTFUL,
         "low": scale.low,
         "high": scale.high,
@@ -98,7 +98,7 @@ def viewer_data(
         "colors": _base64(scale.bar(256)),
         "maxDepth": min(limits.max_depth, 1e9),
         "minConfidence": limits.min_confidence,
-        "picture": _webp(_narrow(panorama)[..., ::-1], 85),
+        "picture": webp(_narrow(panorama)[..., ::-1], 85),
         "cameras": [
             _camera(camera, pose, image)
             for camera, pose, image in zip(cameras, depth.sweep.rig.T_rig_cam, images, strict=False)
@@ -146,10 +146,10 @@ def _camera(camera: OcamCamera, T_rig_cam: Pose, image: NDArray[np.uint8]) -> di
     }
 
 
-def _packed(values: NDArray[Any]) -> str:
+def packed(values: NDArray[Any]) -> str:
     """Return unsigned integers (H, W) as text: differences along the rows, low bytes before high ones, deflated."""
     differences = np.diff(values, axis=1, prepend=values.dtype.type(0))  # they wrap around
-    planes = differences.view(np.uint8).reshape(values.size, -1).T
+    planes = np.ascontiguousarray(differences).view(np.uint8).reshape(values.size, -1).T
     return _base64(zlib.compress(planes.tobytes(), 9))
 
 
@@ -165,16 +165,16 @@ def _narrow(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(small, np.uint8)
 
 
-def _webp(pixels: NDArray[np.uint8], quality: int) -> str:
+def webp(pixels: NDArray[np.uint8], quality: int) -> str:
     """Return an image in BGR or BGRA as a data URI."""
     _, encoded = cv2.imencode(".webp", pixels, [cv2.IMWRITE_WEBP_QUALITY, quality])
     return "data:image/webp;base64," + _base64(encoded)
 
 
 def _webp_of_at_most(pixels: NDArray[np.uint8], most: int) -> str:
-    """Return an image as `_webp`, in the best quality that takes at most so many bytes."""
+    """Return an image as `webp`, in the best quality that takes at most so many bytes."""
     for quality in range(90, 0, -10):
-        found = _webp(pixels, quality)
+        found = webp(pixels, quality)
         if len(found) * 3 / 4 <= most:
             break
     return found

@@ -11,6 +11,7 @@ import omnistereo_lib as osl
 from omnistereo_lib.files import write_image
 from omnistereo_lib.frame import write_inverse_depth
 from omnistereo_tools import cli
+from omnistereo_tools.record.world import RecordedFrames
 
 GRID = osl.SphereGrid(160, 40, num_spheres=32, min_depth=0.6)
 PLACES = [[0, 0, 0.15 * n] for n in range(3)]
@@ -37,17 +38,26 @@ def recording(tmp_path_factory):
     return folder
 
 
+COMMAND = ["--voxel", "0.1", "--kitti"]
+
+
+@pytest.fixture(scope="module")
+def world(recording):
+    pytest.importorskip("trimesh")
+    assert cli.main(["world", str(recording), *COMMAND]) == 0
+    return recording / "world"
+
+
 @pytest.fixture
 def copy(recording, tmp_path):
     left_out = shutil.ignore_patterns("omnidepth*", "mesh*", "world.json")
     return shutil.copytree(recording, tmp_path / "drive", ignore=left_out)
 
 
-def test_path_meshes_and_refined_depth_of_a_recording(recording, capsys):
-    trimesh = pytest.importorskip("trimesh")
-    command = ["world", str(recording), "--voxel", "0.1", "--kitti"]
-    assert cli.main(command) == 0
-    out = recording / "world"
+def test_path_meshes_and_refined_depth_of_a_recording(recording, world, capsys):
+    import trimesh
+
+    command, out = ["world", str(recording), *COMMAND], world
     path = np.loadtxt(out / "trajectory.txt")
     np.testing.assert_array_equal(path[:, 0], [1, 2, 3])
     np.testing.assert_allclose(path[:, 1:4], PLACES, atol=0.01)
@@ -65,6 +75,49 @@ def test_path_meshes_and_refined_depth_of_a_recording(recording, capsys):
     assert {file: file.stat().st_mtime_ns for file in out.iterdir()} == before
     assert cli.main(["world", str(recording), "--voxel", "0.2"]) == 0
     assert (out / "steps.json").stat().st_mtime_ns == before[out / "steps.json"]
+
+
+@pytest.mark.parametrize("size", [(900, 600), (390, 600)], ids=str)
+def test_the_page_flies_through_the_mesh(recording, world, open_page, size):
+    page = open_page(*size)
+    page.goto((world / "index.html").as_uri())
+    page.wait_for_selector("body[data-drawn]")
+    # Around two directions, what the first frame shows there, as bright as the page draws it.
+    frames = RecordedFrames.open(recording)
+    panorama = frames.panorama(frames.data[0], frames.data[0].inverse_depth)[..., 0]
+    for yaw in (0, 1.5):
+        column = 80 + round(160 * yaw / (2 * np.pi))
+        expected = 255 * (panorama[16:24, column - 4 : column + 4] / 255) ** 0.8
+        assert middle(page, yaw, degrees=9).mean() == pytest.approx(expected.mean(), abs=6)
+    at_ends = []
+    for key in ("Home", "End"):
+        page.press("#along", key)
+        page.wait_for_selector(f"body[data-drawn='{0 if key == 'Home' else 2}']")
+        at_ends.append((page.inner_text("#place"), middle(page, 0, 9).mean(), page.locator("#plan").screenshot()))
+    (first, near, plan), (last, nearer, other_plan) = at_ends
+    assert first == "frame 1, 0.0 of 0.3 m" and last == "frame 3, 0.3 of 0.3 m"
+    assert near != nearer and plan != other_plan
+    page.click("#fly")  # from the end it begins again
+    page.wait_for_function("!flight && view.at === along.at(-1)")
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth") and page.complaints == []
+
+
+def middle(page, yaw, degrees):
+    """What the page draws in a square around a direction from the rig, so far to each side; (N, N, 3)."""
+    read = page.evaluate(
+        """([yaw, degrees]) => {
+            Object.assign(view, { yaw, pitch: 0, behind: 0 })
+            draw()
+            const gl = canvas.getContext("webgl2"), [w, h] = [canvas.width, canvas.height]
+            const half = Math.round(0.7 * Math.max(w, h) * Math.tan(degrees * Math.PI / 180)), side = 2 * half
+            const [x, y] = [w, h].map(size => Math.round(size / 2) - half), read = new Uint8Array(4 * side * side)
+            gl.readPixels(x, y, side, side, gl.RGBA, gl.UNSIGNED_BYTE, read)
+            return [...read]
+        }""",
+        [yaw, degrees],
+    )
+    side = round((len(read) / 4) ** 0.5)
+    return np.array(read).reshape(side, side, 4)[..., :3]
 
 
 def fails(capsys, *arguments):

@@ -246,12 +246,6 @@ function extended(vertices, corners, on, fringe) {
   });
 }
 
-// The axes of a view, column by column: turned about the vertical, then tilted.
-function axesOf([turn, tilt]) {
-  const [s, c, t, u] = [Math.sin(turn), Math.cos(turn), Math.sin(tilt), Math.cos(tilt)];
-  return [c, -t * s, u * s, 0, u, t, -s, -t * c, u * c];
-}
-
 // A renderer on a canvas, or nothing without WebGL 2.
 function makeRenderer(canvas, picture, mesh) {
   const gl = canvas.getContext("webgl2", { antialias: false, alpha: false });
@@ -270,7 +264,7 @@ function makeRenderer(canvas, picture, mesh) {
     if (view.mode === "flat") parts.push("WHOLE");
     if (view.mode === "points") parts.push("POINTS");
     const key = [side === INSIDE, ...parts].join();
-    if (!programs.has(key)) programs.set(key, program(gl, side, parts));
+    if (!programs.has(key)) programs.set(key, program(gl, side, parts, ["picture", "colors", "rays", "trusts"]));
     const used = programs.get(key);
     gl.useProgram(used.program);
     textures.forEach((texture, unit) => { gl.activeTexture(gl.TEXTURE0 + unit); gl.bindTexture(gl.TEXTURE_2D, texture); });
@@ -329,34 +323,6 @@ function makeRenderer(canvas, picture, mesh) {
   }
 
   return { draw: (view, settings) => render(view, { ...settings, naming: false }), names };
-}
-
-// A program with some parts, and a function that sets one of its uniforms if it has it.
-function program(gl, { vertex, fragment }, parts) {
-  const begin = ["#version 300 es", ...parts.map(part => `#define ${part}`), ""].join("\n");
-  const made = gl.createProgram();
-  for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
-    const shader = gl.createShader(kind);
-    gl.shaderSource(shader, begin + source);
-    gl.compileShader(shader);
-    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
-    gl.attachShader(made, shader);
-  }
-  gl.linkProgram(made);
-  gl.useProgram(made);
-  ["picture", "colors", "rays", "trusts"].forEach((name, unit) => gl.uniform1i(gl.getUniformLocation(made, name), unit));
-  const kinds = Object.fromEntries(Array.from({ length: gl.getProgramParameter(made, gl.ACTIVE_UNIFORMS) }, (_, i) => {
-    const { name, type } = gl.getActiveUniform(made, i);
-    return [name, { at: gl.getUniformLocation(made, name), whole: type === gl.INT || type === gl.BOOL }];
-  }));
-  return { program: made, set(name, value) {
-    if (!(name in kinds)) return;
-    const { at, whole } = kinds[name];
-    if (whole) gl.uniform1i(at, value);
-    else if (name === "axes") gl.uniformMatrix3fv(at, false, value);
-    else if (Array.isArray(value)) gl[`uniform${value.length}fv`](at, value);
-    else gl.uniform1f(at, value);
-  } };
 }
 
 // The vertices with their triangles, and every fourth vertex: of rows with one column more, not one above the other.

@@ -1,30 +1,16 @@
 // The rays of the panorama: their directions, their depths, and how both are said.
 "use strict";
 
-const $ = id => document.getElementById(id);
-const D = JSON.parse($("data").textContent);
-const clamp = (x, low, high) => Math.min(Math.max(x, low), high);
 const metres = d => d > 1e6 ? "infinitely far" : d >= 10 ? d.toFixed(1) + " m" : d.toFixed(2) + " m";
 const oneDigit = d => d < 1e6 ? (d >= 0.95 ? d.toFixed(0) : Number(d.toPrecision(1))) + " m" : "any distance";
-const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0));
 
 // Of each ray: steps of inverse depth from 1, 0 is unknown; confidence and trust in percent; the exact steps.
 let steps, confidence, trust, truth;
 
-// The values of all rays: differences along the rows, low bytes before high ones, deflated.
-async function unpacked(text) {
-  const stream = new Blob([bytes(text)]).stream().pipeThrough(new DecompressionStream("deflate"));
-  const planes = new Uint8Array(await new Response(stream).arrayBuffer()), count = D.width * D.height;
-  // Sums wrap around in both types.
-  const values = new (planes.length > count ? Uint16Array : Uint8Array)(count);
-  for (let k = 0; k < count; k++)
-    values[k] = planes[k] + 256 * (planes[k + count] || 0) + (k % D.width ? values[k - 1] : 0);
-  return values;
-}
-
 async function unpackRays() {
   [steps, confidence, trust, truth] = await Promise.all(
-    [D.steps, D.confidence, D.trust, D.truth].map(text => text && unpacked(text)));
+    [[D.steps, Uint16Array], [D.confidence, Uint8Array], [D.trust, Uint8Array], [D.truth, Uint16Array]]
+      .map(([text, type]) => text && unpacked(text, D.width, type)));
   trust ??= new Uint8Array(steps.length).fill(100);
 }
 

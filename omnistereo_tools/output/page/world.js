@@ -1,0 +1,201 @@
+// A world: its surface, seen from the path of the rig, and the path on a plan.
+"use strict";
+
+const canvas = $("view"), plan = $("plan"), calm = matchMedia("(prefers-reduced-motion: reduce)");
+const METRES_A_SECOND = 4, FARTHEST = 60, NEAREST = 0.05;
+const view = { at: 0, yaw: 0, pitch: 0.15, behind: 6 };  // metres on the path; how the reader looks, relative to the rig
+const along = [0];  // metres from the first frame to each, on the path
+for (let k = 1; k < D.path.length; k++) along.push(along[k - 1] + Math.hypot(...D.path[k].place.map((x, i) => x - D.path[k - 1].place[i])));
+
+// Coordinates come as whole numbers, each axis in an array of its own.
+const SURFACE = {
+  vertex: `
+    layout(location = 0) in float x; layout(location = 1) in float y; layout(location = 2) in float z;
+    layout(location = 3) in float red; layout(location = 4) in float green; layout(location = 5) in float blue;
+    uniform vec2 view;
+    uniform vec3 low, size, place;
+    uniform mat3 axes;
+    uniform float focal, behind, nearest;
+    out vec3 tint;
+    void main() {
+      vec3 d = axes * (low + size * vec3(x, y, z) - place) + vec3(0, 0, behind);
+      gl_Position = vec4(2.0 * focal / view * vec2(d.x, -d.y), d.z - 2.0 * nearest, d.z);
+      tint = vec3(red, green, blue);
+    }`,
+  fragment: `
+    precision highp float;
+    in vec3 tint;
+    out vec4 color;
+    void main() { color = vec4(pow(tint, vec3(0.8)), 1); }`,  // shadows are dark
+};
+
+// A function that draws the surface on the canvas as it is seen from somewhere.
+async function makeDraw(gl) {
+  const [vertices, colors, planar] = await Promise.all(
+    [[D.vertices, D.count, Uint16Array], [D.colors, D.count, Uint8Array], [D.faces, D.triangles, Uint32Array]].map(each => unpacked(...each)));
+  const faces = planar.map((_, k) => planar[k % 3 * D.triangles + Math.floor(k / 3)]), used = program(gl, SURFACE);
+  for (const [first, values, type] of [[0, vertices, gl.UNSIGNED_SHORT], [3, colors, gl.UNSIGNED_BYTE]]) {
+    gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+    gl.bufferData(gl.ARRAY_BUFFER, values, gl.STATIC_DRAW);
+    for (let axis = 0; axis < 3; axis++) {
+      gl.enableVertexAttribArray(first + axis);
+      gl.vertexAttribPointer(first + axis, 1, type, true, 0, axis * D.count * values.BYTES_PER_ELEMENT);
+    }
+  }
+  gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+  gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, faces, gl.STATIC_DRAW);
+  for (const kind of [gl.DEPTH_TEST, gl.CULL_FACE]) gl.enable(kind);
+  gl.clearColor(0.125, 0.125, 0.125, 1);
+  return seen => {
+    gl.viewport(0, 0, canvas.width, canvas.height);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    const values = { low: D.low, size: D.size, view: [canvas.width, canvas.height], nearest: NEAREST, ...seen, axes: axesOf(seen.turn) };
+    for (const [name, value] of Object.entries(values)) used.set(name, value);
+    gl.drawElements(gl.TRIANGLES, 3 * D.triangles, gl.UNSIGNED_INT, 0);
+  };
+}
+
+// Place and heading on the path at some metres; between two frames, straight on.
+function poseAt(metres) {
+  let k = 0;
+  while (k < along.length - 2 && along[k + 1] < metres) k++;
+  const share = clamp((metres - along[k]) / (along[k + 1] - along[k] || 1), 0, 1), [a, b] = [D.path[k], D.path[k + 1]];
+  const turn = Math.atan2(Math.sin(b.heading - a.heading), Math.cos(b.heading - a.heading));
+  return { k: share < 0.5 ? k : k + 1, place: a.place.map((x, i) => x + share * (b.place[i] - x)), heading: a.heading + share * turn };
+}
+
+let surface, background;
+function draw() {
+  const { k, place, heading } = poseAt(view.at), focal = 0.7 * Math.max(canvas.width, canvas.height);
+  surface({ place, turn: [heading + view.yaw, view.pitch], behind: view.behind, focal });
+  $("place").textContent = `frame ${D.path[k].number}, ${view.at.toFixed(1)} of ${along.at(-1).toFixed(1)} m`;
+  drawPlan(place, heading + view.yaw);
+  document.body.dataset.drawn = k;
+}
+
+// The plan is the surface from high above; across the page lies the way from the first frame to the last.
+const [first, last] = [D.path[0].place, D.path.at(-1).place];
+const above = { turn: [Math.atan2(last[0] - first[0], last[2] - first[2]) - Math.PI / 2, 0.5 * Math.PI], behind: 1e4 };
+function onPlan(place) {
+  const [s, c] = [Math.sin(above.turn[0]), Math.cos(above.turn[0])], [x, , z] = place.map((value, i) => value - above.place[i]);
+  return [plan.width / 2 + above.scale * (c * x - s * z), plan.height / 2 - above.scale * (s * x + c * z)];
+}
+
+function makePlan() {
+  const box = [0, 1, 2].map(i => D.path.map(({ place }) => place[i])).map(xs => [Math.min(...xs), Math.max(...xs)]);
+  above.place = box.map(([low, high]) => (low + high) / 2);
+  [plan.width, plan.height] = [840, 420];
+  above.scale = 1;
+  const reach = D.path.map(({ place }) => onPlan(place)).map(([x, y]) => Math.max(Math.abs(x - 420) / 420, Math.abs(y - 210) / 210));
+  above.scale = 0.6 / Math.max(...reach, 0.02);
+  [canvas.width, canvas.height] = [plan.width, plan.height];
+  surface({ ...above, focal: above.scale * above.behind, nearest: above.behind - 50 });
+  background = Object.assign(document.createElement("canvas"), { width: plan.width, height: plan.height });
+  background.getContext("2d").drawImage(canvas, 0, 0);
+}
+
+function drawPlan(place, heading) {
+  const context = plan.getContext("2d"), [x, y] = onPlan(place), angle = heading - above.turn[0];
+  context.drawImage(background, 0, 0);
+  Object.assign(context, { lineWidth: 6, strokeStyle: "#ff5040", fillStyle: "#ff0" });
+  context.beginPath();
+  D.path.forEach(({ place }) => context.lineTo(...onPlan(place)));
+  context.stroke();
+  context.beginPath();
+  for (const [way, to] of [[28, 0], [18, 2.5], [18, -2.5]]) context.lineTo(x + way * Math.sin(angle + to), y - way * Math.cos(angle + to));
+  context.fill();
+}
+
+function moveTo(metres) {
+  view.at = clamp(metres, 0, along.at(-1));
+  $("along").value = view.at;
+}
+
+let pending = false;
+function changed() {
+  if (pending) return;
+  pending = true;
+  requestAnimationFrame(() => { pending = false; draw(); });
+}
+
+function look(dx, dy) {
+  view.yaw -= dx / 300;
+  view.pitch = clamp(view.pitch - dy / 300, -1.5, 1.5);
+  changed();
+}
+
+function approach(factor) {
+  view.behind = clamp((view.behind + 1) * factor - 1, 0, FARTHEST);
+  changed();
+}
+
+// For who wants no motion the flight is one frame further.
+let flight = 0;
+function land() {
+  cancelAnimationFrame(flight);
+  flight = 0;
+  $("fly").textContent = "fly";
+}
+
+function fly() {
+  if (flight) return land();
+  if (view.at > along.at(-1) - 0.01) moveTo(0);
+  if (calm.matches) {
+    moveTo(along[Math.min(poseAt(view.at).k + 1, along.length - 1)]);
+    return changed();
+  }
+  let before = performance.now();
+  const next = now => {
+    moveTo(view.at + METRES_A_SECOND * Math.max(now - before, 0) / 1000);
+    before = now;
+    draw();
+    if (view.at < along.at(-1)) flight = requestAnimationFrame(next); else land();
+  };
+  flight = requestAnimationFrame(next);
+  $("fly").textContent = "stop";
+}
+
+$("fly").onclick = fly;
+$("along").oninput = () => { land(); view.at = Math.min(+$("along").value, along.at(-1)); changed(); };
+
+const fingers = new Map();
+canvas.addEventListener("pointerdown", e => { canvas.setPointerCapture(e.pointerId); fingers.set(e.pointerId, e); });
+for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, e => fingers.delete(e.pointerId));
+canvas.addEventListener("pointermove", e => {
+  const before = fingers.get(e.pointerId), other = [...fingers.values()].find(finger => finger.pointerId !== e.pointerId);
+  if (!before) return;
+  const apart = ({ clientX, clientY }) => Math.max(Math.hypot(clientX - other.clientX, clientY - other.clientY), 1);
+  if (other) approach(apart(before) / apart(e)); else look(e.clientX - before.clientX, e.clientY - before.clientY);
+  fingers.set(e.pointerId, e);
+});
+canvas.addEventListener("wheel", e => { e.preventDefault(); approach(Math.exp(e.deltaY / 600)); }, { passive: false });
+canvas.addEventListener("keydown", e => {
+  const moves = { ArrowLeft: [40, 0], ArrowRight: [-40, 0], ArrowUp: [0, 40], ArrowDown: [0, -40] };
+  if (moves[e.key] || e.key === " ") e.preventDefault();
+  if (moves[e.key]) look(...moves[e.key]);
+  if (e.key === "+") approach(0.8);
+  if (e.key === "-") approach(1.25);
+  if (e.key === " ") fly();
+});
+
+(async () => {
+  $("title").textContent = D.title;
+  for (const name of ["before", "after"]) {
+    $(name).src = D[name].picture;
+    $(name).nextElementSibling.textContent = D[name].caption;
+  }
+  const gl = canvas.getContext("webgl2", { alpha: false });
+  if (!gl) {
+    $("title").textContent = "This browser has no WebGL 2, which the surface needs. mesh.glb, beside this page, opens in other programs.";
+    document.body.dataset.drawn = "without";
+    return;
+  }
+  surface = await makeDraw(gl);
+  $("along").max = along.at(-1);
+  makePlan();
+  new ResizeObserver(() => {
+    const density = Math.min(devicePixelRatio, 2);
+    [canvas.width, canvas.height] = [canvas.clientWidth, canvas.clientHeight].map(side => Math.max(1, Math.round(side * density)));
+    draw();
+  }).observe(canvas);
+})();
