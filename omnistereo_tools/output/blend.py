@@ -70,10 +70,9 @@ def blended_panorama(depth: Depth, gains: NDArray[Any] | None = None, factor: in
     for maps, weight, image, gain in zip(_pixels(depth, factor), weights, depth.images, gains, strict=True):
         bright = np.asarray(image, np.float32).reshape(*weight.shape[:2], -1) * gain
         total = total + cv2.remap(np.dstack([bright * weight, weight]), maps, no_second, cv2.INTER_LINEAR)
+    *colors, weight = cv2.split(total)  # NumPy is slow across interleaved channels
     with np.errstate(invalid="ignore"):
-        blended = total[..., :-1] / total[..., -1:]
-    np.clip(blended, 0, 255, out=blended)
-    return blended[..., 0] if gains.shape[1] == 1 else blended
+        return np.asarray(cv2.merge([(color / weight).clip(0, 255) for color in colors]), np.float32)
 
 
 def _pixels(depth: Depth, factor: int) -> Iterator[NDArray[np.float32]]:
