@@ -29,7 +29,6 @@ from omnistereo_lib.train import MCCNNRecipe, train
 from omnistereo_tools import cli
 from omnistereo_tools.output import frame, pictures, viewer
 from omnistereo_tools.parser import is_tiny
-from omnistereo_tools.record import recordings
 
 
 def run(command):
@@ -78,7 +77,6 @@ def make_small(setattr):
     setattr(frame, "_SHARP", 192)
     setattr(viewer, "_IMAGE_WIDTH", 100)
     setattr(pictures, "WIDTH", 192)
-    setattr(recordings, "WIDTH", 192)
 
 
 def main():
