@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
-from typing import Any, cast
+from typing import Any
 
 import cv2
 import numpy as np
@@ -66,7 +66,8 @@ def blended_panorama(depth: Depth, gains: NDArray[Any] | None = None, factor: in
     weights = depth.sweep.keep(
         "weights", lambda: [_distance_from_rim(c)[..., None] ** 2 for c in depth.sweep.rig.cameras]
     )
-    total, no_second = np.zeros(1, np.float32), cast(Any, None)  # see `remap`
+    total: NDArray[Any] = np.zeros(1, np.float32)
+    no_second: Any = None  # see `remap`
     for maps, weight, image, gain in zip(_pixels(depth, factor), weights, depth.images, gains, strict=True):
         bright = np.asarray(image, np.float32).reshape(*weight.shape[:2], -1) * gain
         total = total + cv2.remap(np.dstack([bright * weight, weight]), maps, no_second, cv2.INTER_LINEAR)
