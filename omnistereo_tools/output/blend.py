@@ -71,9 +71,9 @@ def blended_panorama(depth: Depth, gains: NDArray[Any] | None = None, factor: in
     for maps, weight, image, gain in zip(_pixels(depth, factor), weights, depth.images, gains, strict=True):
         bright = np.asarray(image, np.float32).reshape(*weight.shape[:2], -1) * gain
         total = total + cv2.remap(np.dstack([bright * weight, weight]), maps, no_second, cv2.INTER_LINEAR)
-    *colors, weight = cv2.split(total)  # NumPy is slow across interleaved channels
+    *colors, sums = cv2.split(total)  # NumPy is slow across interleaved channels
     with np.errstate(invalid="ignore"):
-        return np.asarray(cv2.merge([(color / weight).clip(0, 255) for color in colors]), np.float32)
+        return np.asarray(cv2.merge([(color / sums).clip(0, 255) for color in colors]), np.float32)
 
 
 def _pixels(depth: Depth, factor: int) -> Iterator[NDArray[np.float32]]:
