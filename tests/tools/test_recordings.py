@@ -19,6 +19,7 @@ from omnistereo_lib.frame import read_inverse_depth
 from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD
 from omnistereo_tools import cli, progress
 from omnistereo_tools.input.sources import Recording, Video
+from omnistereo_tools.judge.rig_check import _matches
 from omnistereo_tools.judge.trust import trust
 from omnistereo_tools.live_view import Cameras
 from omnistereo_tools.output.pictures import colorize_depth, share_of_panorama
@@ -132,6 +133,14 @@ def test_a_video_with_two_circles_is_two_cameras(tmp_path):
     assert len(data) == 2
     for image, half in zip(data[0].images, np.split(picture, 2, axis=1), strict=True):
         assert np.abs(image - half.astype(float)).mean() < 3  # JPEG
+
+
+def test_a_recording_beside_its_pictures_twice_in_a_row(recorded, tmp_path, monkeypatch):
+    """As it is typed: with relative paths, and without --out."""
+    monkeypatch.chdir(shutil.copytree(recorded, tmp_path / "here"))
+    for _ in range(2):
+        assert run("record", "--rig", "rig.yaml", "--images", *(f"view{k}" for k in "1234"), *SMALL, "--stop", 2) == 0
+        assert len(osl.load_dataset("out/record_rig")) == 1
 
 
 def test_resumed_it_is_the_same_and_no_frame_is_computed_again(recorded, done, tmp_path, capsys):
@@ -292,13 +301,15 @@ def test_frames_of_a_turned_video_are_those_that_are_stored(tmp_path):
     assert cameras.first[0].shape == cameras.captures[0].read()[1].shape == (48, 64, 3)
 
 
-def test_pictures_of_16_bits_have_the_depth_of_8(recorded):
+def test_pictures_of_16_bits_have_the_depth_and_the_doctor_of_8(recorded):
     """Which are read as floating-point numbers."""
     rig = osl.load_rig(recorded / "rig.yaml")
     pictures = [read_image(sorted(view.iterdir())[0]) for view in views(recorded)]
     deep = [np.float32(picture) for picture in pictures]
     depth, of_deep = (osl.estimate_depth(osl.Frame.of(rig, given), GRID, "zncc") for given in (pictures, deep))
     np.testing.assert_allclose(of_deep.inverse_depth, depth.inverse_depth, atol=0.01)
+    for one, other in zip(_matches(rig, pictures)[0], _matches(rig, deep)[0], strict=True):
+        np.testing.assert_array_equal(one.rays, other.rays)
 
 
 def test_videos_are_recordings_too(recorded, done, tmp_path, capsys):
