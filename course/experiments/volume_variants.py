@@ -142,7 +142,10 @@ def _compare(variants: Variants, table: Path, settings: Sequence[str], sets: Seq
 def train_variant(
     recipe: VolumeNetRecipe, network: type[VolumeNet], samples: type[VolumeSamples], name: str = ""
 ) -> VolumeNet:
-    """Return a network trained by a recipe on the worlds that it names."""
+    """Return a network trained by a recipe on the worlds that it names.
+
+    A loop of its own: `train` takes the networks of `RECIPES` only, and the stored tables are this one's.
+    """
     torch.manual_seed(recipe.seed)
     data = samples(recipe, folders_of(recipe))
     model = network().train()
