@@ -11,7 +11,7 @@ from course import exercises
 from course.exercises.opened import Open
 from course.figures.captions import caption_output, captions
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import atomic_write, read_bytes
+from omnistereo_lib.files import read_bytes, write_text
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = ROOT / "notebooks"
@@ -111,13 +111,7 @@ def text_of(nb: nbformat.NotebookNode) -> str:
     return nbformat.writes(nb).rstrip("\n") + "\n"
 
 
-def store(path: Path, text: str) -> None:
-    """Write a file whole or not at all."""
-    with atomic_write(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-
-
 def clean_stored(paths: list[Path]) -> None:
     """Clean the files of notebooks."""
     for path in paths:
-        store(path, text_of(clean(read_notebook(path))))
+        write_text(path, text_of(clean(read_notebook(path))))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import atomic_write, is_whole, make_folder
+from omnistereo_lib.files import is_whole, make_folder, write_text
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.trajectory import trajectory_tum
 from render.camera.render_rig import RenderRig, make_rig, write_config
@@ -195,8 +195,7 @@ def _write_trajectory(path: Path, images: ImageSet, numbers: tuple[int, ...], se
     """Write the true poses of frames in the axes of the first one."""
     pose = true_poses(images, seed)
     T_first_world = pose(numbers[0]).inverse()
-    with atomic_write(path) as temporary:
-        temporary.write_text(trajectory_tum({number: T_first_world @ pose(number) for number in numbers}))
+    write_text(path, trajectory_tum({number: T_first_world @ pose(number) for number in numbers}))
 
 
 def _city(images: ImageSet, seed: int) -> tuple[Callable[[int], Pose], float]:
@@ -296,8 +295,7 @@ def write_manifest(root: Path, seed: int, command: str) -> None:
         name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in names.items() if "/." not in f"/{name}"
     }
     text = json.dumps({"command": command, "seed": seed, "files": checksums}, indent=1) + "\n"
-    with atomic_write(root / "manifest.json") as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(root / "manifest.json", text)
 
 
 def renew_manifest(root: Path) -> None:

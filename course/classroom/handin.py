@@ -27,7 +27,7 @@ from course import exercises, nbtools
 from course.classroom import student
 from course.exercises.opened import NOT_WRITTEN, RIGHT, Open
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import atomic_write, make_folder, read_bytes
+from omnistereo_lib.files import atomic_write, make_folder, read_bytes, write_text
 
 OUT = nbtools.ROOT / "out" / "checked"
 SECONDS, MEMORY_GIB = 600.0, 4.0
@@ -308,8 +308,7 @@ def store_sheet(stored: Path, sheet: Sheet, environment: set[tuple[str, int]]) -
         return
     try:
         make_folder(stored.parent)
-        with atomic_write(stored) as temporary:
-            temporary.write_text(json.dumps(sheet, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        write_text(stored, json.dumps(sheet, indent=1, ensure_ascii=False) + "\n")
     except OmnistereoError as error:
         sheet["notes"].append(printable(str(error)))
 

@@ -15,6 +15,7 @@ from jupyter_server.services.contents.largefilemanager import AsyncLargeFileMana
 
 from course import nbtools
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.files import write_text
 
 WORKING = nbtools.ROOT / "my_notebooks"  # beside notebooks, so that ../data_samples is the same folder
 SETTINGS = (
@@ -34,7 +35,7 @@ def start(options: list[str]) -> None:
     WORKING.mkdir(exist_ok=True)
     for path in nbtools.notebooks():
         if not (WORKING / path.name).exists():
-            nbtools.store(WORKING / path.name, nbtools.read_text(path))
+            write_text(WORKING / path.name, nbtools.read_text(path))
     LabApp.launch_instance([*SETTINGS, *AS_ROOT, *options, str(WORKING / nbtools.notebooks()[0].name)])
 
 
@@ -49,7 +50,7 @@ def renew(name: str) -> None:
         kept = (copy.with_stem(f"{copy.stem}-{k}") for k in itertools.count(1))
         print(f"your work is kept as {copy.rename(next(path for path in kept if not path.exists())).name}")
     WORKING.mkdir(exist_ok=True)
-    nbtools.store(copy, nbtools.read_text(found[0]))
+    write_text(copy, nbtools.read_text(found[0]))
     print(f"a fresh copy is in {WORKING.name}/{copy.name}")
 
 

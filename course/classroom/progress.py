@@ -13,6 +13,7 @@ from jupyter_server.serverapp import list_running_servers
 
 from course import exercises, nbtools
 from course.classroom.lab import WORKING
+from omnistereo_lib.files import write_text
 
 PICTURE = '"13 repaired"'  # the name of the figure that the certificate shows
 SAID = re.compile(r"^\x1b\[\d+m([✓✗])\x1b\[0m (\w+): ", re.MULTILINE)  # `Open.__call__`
@@ -72,7 +73,7 @@ def write_progress(out: Path) -> None:
     certificate = _certificate(total) if count == total else ""
     out.parent.mkdir(parents=True, exist_ok=True)
     parts = {"following": following, "rows": "\n".join(rows), "certificate": certificate}
-    nbtools.store(out, PAGE.format(count=count, total=total, **parts))
+    write_text(out, PAGE.format(count=count, total=total, **parts))
     print(f"{count} of {total} functions are right. Written: {out}. Save a notebook to have it counted.")
 
 

@@ -18,6 +18,7 @@ from nbformat import NotebookNode
 from course import exercises, nbtools
 from course.publish import kernels
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.files import write_text
 
 OUT = nbtools.ROOT / "out" / "solutions"
 LOOKED_UP = ("data_samples", "omnistereo_lib")  # by the notebooks, in `../`
@@ -91,6 +92,6 @@ def main(names: list[str]) -> None:
             raise OmnistereoError(f"{path.name} with its solutions stopped: {error}") from None
         if wrong := not_right(nb):
             raise OmnistereoError(f"{path.name}: of a solution the checker says: {wrong[0]}")
-        nbtools.store(OUT / path.name, nbtools.text_of(nbtools.clean(nb)))
+        write_text(OUT / path.name, nbtools.text_of(nbtools.clean(nb)))
         print(f"{path.name}: all right, {seconds:.0f} s", flush=True)
     print(f"The notebooks with solutions: {OUT.relative_to(nbtools.ROOT)}")

@@ -27,7 +27,7 @@ import numpy as np
 import torch
 
 import omnistereo_lib as osl
-from omnistereo_lib.files import atomic_write
+from omnistereo_lib.files import write_text
 from omnistereo_lib.geometry.rig import Pair
 from omnistereo_lib.stereo import threads
 from omnistereo_lib.stereo.methods import FRAME_METHOD
@@ -149,8 +149,7 @@ def write_page() -> None:
     rows = "".join(map(row, QUESTIONS))
     print(rows)
     page = PAGE.read_text(encoding="utf-8")
-    with atomic_write(PAGE) as temporary:
-        temporary.write_text(_TABLE.sub(lambda _: rows, page, count=1), encoding="utf-8")
+    write_text(PAGE, _TABLE.sub(lambda _: rows, page, count=1))
 
 
 # ---- The calls ----

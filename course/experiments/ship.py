@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import atomic_write, make_folder, read_bytes
+from omnistereo_lib.files import make_folder, read_bytes, write_text
 from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS, load_tensors, save_tensors, signature
 from omnistereo_lib.train.loop import LOG, WEIGHTS, read_log, write_csv
 from omnistereo_lib.train.recipes import RECIPES, MCCNNRecipe, Recipe
@@ -64,8 +64,7 @@ def export_weights(run: str | Path, folder: str | Path = BUNDLED_WEIGHTS, half: 
     rows = read_log(run / LOG, recipe.steps)
     save_tensors(weights, {key: value.half() if half else value for key, value in tensors.items()}, metadata)
     write_csv(curve, ["step", "loss", "error", "validation_loss", "validation_error"], _thin(rows))
-    with atomic_write(card) as temporary:
-        temporary.write_text(_model_card(weights, recipe, metadata, rows, half), encoding="utf-8")
+    write_text(card, _model_card(weights, recipe, metadata, rows, half))
     print(f"written: {weights}, {curve.name}, {card.name}")
     return [weights, curve, card]
 

@@ -17,6 +17,7 @@ from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernel
 
 from course import nbtools
 from course.publish import rules, stills
+from omnistereo_lib.files import write_text
 
 
 class _Channel(AsyncZMQSocketChannel):
@@ -83,7 +84,7 @@ def run_one(path: Path) -> list[str]:
         return [f"took {seconds:.1f} s, its budget is {budget} s (metadata.omnistereo.budget_s)"]
     text = nbtools.text_of(nbtools.clean(nb))
     if not (found := rules.problems(text)):
-        nbtools.store(path, text)
+        write_text(path, text)
     return found
 
 

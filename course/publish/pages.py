@@ -18,6 +18,7 @@ import nbformat
 import omnistereo_lib as osl
 from course import exercises, nbtools
 from course.classroom import handin
+from omnistereo_lib.files import write_text
 
 BOOK = nbtools.ROOT / "book"
 README = nbtools.ROOT / "README.md"
@@ -30,7 +31,7 @@ def main() -> None:
     from course.publish.readme import renew, update_pictures
 
     for page in (README, *sorted(BOOK.glob("*.md"))):
-        nbtools.store(page, with_lists(page.read_text(encoding="utf-8")))
+        write_text(page, with_lists(page.read_text(encoding="utf-8")))
     for name, picture in draw_figures().items():
         renew(BOOK / name, picture)
     update_pictures()

@@ -19,6 +19,7 @@ import omnistereo_lib as osl
 from course import nbtools
 from course.figures.plot import DEPTH_COLORS
 from course.figures.view3d import draw_mesh
+from omnistereo_lib.files import write_text
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_tools import cli
 from omnistereo_tools.commands.options import SAMPLE
@@ -55,7 +56,7 @@ def update_pictures() -> None:
             page = Path(folder, "index.html").read_text(encoding="utf-8")
     else:  # the same depth on the page as it is now
         page = page_of(data_of(STREET.read_text(encoding="utf-8")))
-    nbtools.store(STREET, page)
+    write_text(STREET, page)
 
 
 def data_of(page: str) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from course.nbtools import ROOT
 from omnistereo_lib.evaluate.records import Record, config_checksum, read_record
 from omnistereo_lib.evaluate.regions import METRICS, SUMS, sums_to_metrics
 from omnistereo_lib.evaluate.table import LIGHTS
-from omnistereo_lib.files import atomic_write
+from omnistereo_lib.files import write_text
 from omnistereo_lib.stereo.methods import Method, penalties
 from omnistereo_lib.stereo.zncc import default_window
 from omnistereo_lib.train.recipes import RECIPES, SweepNetRecipe
@@ -318,5 +318,4 @@ def _counts(text: str) -> str:
 def renew_report() -> None:
     """Compute the cells of the page again from the stored results."""
     text = report(read_record(RESULTS))
-    with atomic_write(PAGE) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(PAGE, text)

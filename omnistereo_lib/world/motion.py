@@ -79,8 +79,7 @@ class SightingFinder:
 
     def _look_up(self, panorama: NDArray[np.float32], points: Floats) -> Floats:
         """Return the nearest values of a panorama in the directions of points (K, 3); of its rim beyond it."""
-        column, row = np.rint(self.grid.project(points)[0]).astype(int).T
-        return panorama[row.clip(0, self.grid.height - 1), column % self.grid.width].astype(np.float64)
+        return self.grid.look_up(panorama, points)[0].astype(np.float64)
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,7 +40,7 @@ class WorldOptions(Options):
 def run(options: WorldOptions) -> None:
     """Find the path, fuse the frames, and write what comes of them."""
     print("reading the recording: a few seconds", flush=True)
-    from omnistereo_lib.files import atomic_write, read_data
+    from omnistereo_lib.files import read_data, write_text
     from omnistereo_tools.output.mesh_export import import_trimesh
     from omnistereo_tools.record.world import RecordedFrames
 
@@ -61,8 +61,7 @@ def run(options: WorldOptions) -> None:
     moving = frames.refine(volume, poses, refined)
     frames.integrate(volume, poses, moving)
     _write(options, frames, poses, volume, refined)
-    with atomic_write(out / "world.json") as temporary:
-        temporary.write_text(json.dumps(asked) + "\n")
+    write_text(out / "world.json", json.dumps(asked) + "\n")
 
 
 def _make_volume(options: WorldOptions, frames: RecordedFrames, poses: dict[int, Pose]) -> Volume:
@@ -92,7 +91,7 @@ def _write(
     options: WorldOptions, frames: RecordedFrames, poses: dict[int, Pose], volume: Volume, refined: Path
 ) -> None:
     """Write the path, the meshes and the page, and what makes the refined depth a data set."""
-    from omnistereo_lib.files import atomic_write
+    from omnistereo_lib.files import write_text
     from omnistereo_lib.frame import read_inverse_depth
     from omnistereo_lib.geometry.trajectory import trajectory_kitti, trajectory_tum
     from omnistereo_lib.world.surface import extract_surface
@@ -106,8 +105,7 @@ def _write(
     page = world_page(surface, poses, number, before, after, frames.grid)
     texts = {"trajectory.txt": trajectory_tum(poses), "index.html": page}
     for name, text in (texts | ({"trajectory_kitti.txt": trajectory_kitti(poses)} if options.kitti else {})).items():
-        with atomic_write(out / name) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_text(out / name, text)
     frames.link(out)
     length = sum((a.inverse() @ b).magnitude()[1] for a, b in pairwise(poses.values()))
     print(f"{len(poses)} of {len(frames.data)} frames, {length:.1f} m of path, {len(surface.faces)} triangles")

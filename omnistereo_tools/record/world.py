@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from omnistereo_lib.dataset import Dataset, load_dataset
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.evaluate.records import checksum
-from omnistereo_lib.files import atomic_write, make_folder, read_bytes, read_data, read_text
+from omnistereo_lib.files import make_folder, read_bytes, read_data, read_text, write_text
 from omnistereo_lib.frame import Frame, read_inverse_depth, write_inverse_depth
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.sphere import SphereGrid
@@ -210,5 +210,4 @@ class _StoredSteps:
 
     def add(self, a: Frame, b: Frame, step: Step) -> None:
         self.steps[self._key(a, b)] = [step.T.as_vector().tolist(), step.inliers, step.matches, step.rival]
-        with atomic_write(self.path) as temporary:
-            temporary.write_text(json.dumps(self.steps) + "\n")
+        write_text(self.path, json.dumps(self.steps) + "\n")

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.files import atomic_write, is_whole, make_folder
+from omnistereo_lib.files import is_whole, make_folder, write_text
 from omnistereo_lib.geometry.pose import Pose
 from render.boards.positions import COLUMNS, ROWS, SQUARE, Capture, CaptureSet, plan_captures, true_corners
 from render.camera.render_rig import RigCamera, make_rig, write_config
@@ -52,8 +52,7 @@ def write_truth(path: Path, captures: CaptureSet, seed: int) -> None:
         entries.append(f'  {{"name": "{number:04d}", "mistake": {mistake}, "views": [\n   {views}]}}')
     board = json.dumps({"corners": [COLUMNS, ROWS], "square": SQUARE})
     text = f'{{"board": {board},\n "captures": [\n' + ",\n".join(entries) + "\n ]}\n"
-    with atomic_write(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(path, text)
 
 
 def _view(camera: RigCamera, number: int, T_rig_board: Pose, width: int) -> dict[str, object]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.files import atomic_write
+from omnistereo_lib.files import write_text
 from omnistereo_lib.geometry.pose import Pose
 from render.camera.lens import Lens, fit_ocam, random_fisheye, random_lens
 
@@ -130,8 +130,7 @@ def write_config(
     lines.append("cameras:")
     for number, camera in enumerate(rig.cameras, start=1):
         lines += _camera_lines(number, camera, size, digits)
-    with atomic_write(path) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def _camera_lines(number: int, camera: RigCamera, size: tuple[int, int], digits: int) -> list[str]:
