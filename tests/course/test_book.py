@@ -26,6 +26,8 @@ from course.publish import slides, stills
 
 BOOK = nbtools.ROOT / "book"
 
+PAGES = nbtools.ROOT / "omnistereo_tools" / "output" / "page"
+
 SEEN = nbtools.ROOT / "out" / "browser"
 
 
@@ -200,6 +202,16 @@ def test_book_fits_shows_every_picture_and_is_read_by_keyboard_and_by_ear(built,
             if name.startswith("notebooks/"):
                 page.screenshot(path=SEEN / f"book_{width}" / Path(name).with_suffix(".png"))
     assert not wrong, json.dumps(wrong, indent=1)
+
+
+@pytest.mark.skipif("AXE" not in os.environ, reason="axe-core is not there")
+@pytest.mark.parametrize("name", ["page", "world", "live"])
+def test_controls_have_names_before_the_script_has_run(name, open_page):
+    still = re.sub("<script.*?</script>", "", (PAGES / f"{name}.html").read_text(encoding="utf-8"), flags=re.S)
+    page = open_page(1280, 844)
+    page.set_content(still.replace("{{TITLE}}", "a street"))
+    page.evaluate(Path(os.environ["AXE"]).read_text(encoding="utf-8"))
+    assert page.evaluate(AXE) == []
 
 
 CUT = r"""found => found
