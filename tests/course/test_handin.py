@@ -129,7 +129,7 @@ ACCIDENTS = {
     "leaves things": (f"os.chdir(os.environ['TMPDIR'])\n{LEFT}", "tried", "left threads behind: sleeper"),
     "pipes": (PIPES, "tried", ""),
     "broken text": (BROKEN, "tried", r"code cell 3 stopped with ValueError: \ud83d\x1b[2J"),
-    "terms": ("+".join(["1"] * 100_000), "tried", "code cell 3 stopped with RecursionError"),
+    "terms": ("+".join(["1"] * 20_000), "tried", "code cell 3 stopped with RecursionError"),
     "mute": (MUTE, "tried", "code cell 3 stopped with Mute"),
     "apart 1": (APART, "tried", "code cell 3 stopped with AssertionError: no solutions here"),
     "apart 2": (APART, "tried", "code cell 3 stopped with AssertionError: no solutions here"),
