@@ -106,18 +106,19 @@ def match_features(a: Features, b: Features, T_b_a: Pose | None = None, band_deg
         too_far = (there @ b.rays.T).astype(np.float32) < np.cos(np.radians(_FARTHEST_DEG + band_deg))
         similar[off_plane | too_far] = -1.0
     # The second best among the next four: the others may be the same thing at another scale.
-    candidates = np.argpartition(-similar, 4, axis=1)[:, :5]
-    values = np.take_along_axis(similar, candidates, axis=1)
-    order = np.argsort(-values, axis=1)
-    candidates, values = np.take_along_axis(candidates, order, axis=1), np.take_along_axis(values, order, axis=1)
+    rows, back = np.arange(len(similar)), similar.argmax(axis=0)
+    candidates, values = np.zeros((len(rows), 5), np.int64), np.zeros((len(rows), 5), np.float32)
+    for k in range(5):
+        candidates[:, k] = similar.argmax(axis=1)
+        values[:, k] = similar[rows, candidates[:, k]]
+        similar[rows, candidates[:, k]] = -2.0
     best = candidates[:, 0]
     limit = np.cos(np.radians(_SAME_DEG))
     same = np.einsum("kci,ki->kc", b.rays[candidates], b.rays[best]) > limit
     second = np.where(same, -1.0, values).max(axis=1)
     distance, rival = (np.sqrt(np.maximum(2 - 2 * value, 0)) for value in (values[:, 0], np.maximum(second, 0)))
     ratio = distance / np.maximum(rival, 1e-9)
-    back = similar.argmax(axis=0)[best]
-    mutual = np.einsum("ki,ki->k", a.rays[back], a.rays) > limit
+    mutual = np.einsum("ki,ki->k", a.rays[back[best]], a.rays) > limit
     chosen = np.flatnonzero(mutual & (ratio < _RATIO) & (values[:, 0] > 0))
     # One match for each feature of b.
     chosen = chosen[np.argsort(ratio[chosen], kind="stable")]

@@ -7,8 +7,9 @@ The step T minimises the angles between where such points of one frame should be
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import cv2
 import numpy as np
@@ -20,6 +21,7 @@ from omnistereo_lib.calibrate.track_bundle import tangents
 from omnistereo_lib.geometry.pose import Floats, Pose, nearest_rotation, rotation_from_axis_angle
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.threads import map_threads
 
 _ANGLE_SD = np.radians(0.2)  # of a feature's ray: pixels of 0.5°, and a rig that is calibrated to as much
 _SPHERES_SD = 0.7  # of an inverse depth, plus half of what it varies by among its neighbours
@@ -58,8 +60,8 @@ class SightingFinder:
         inverse_depth = np.maximum(np.nan_to_num(inverse_depth), np.float32(_FARTHEST))
         spread = cv2.dilate(inverse_depth, np.ones((3, 3))) - cv2.erode(inverse_depth, np.ones((3, 3)))
         found, inverse, sd = [], [], []
-        for finder, pose, image in zip(self.finders, self.rig.T_rig_cam, images, strict=True):
-            features = finder.find(image)
+        each = map_threads(FeatureFinder.find, self.finders, images)
+        for features, pose in zip(each, self.rig.T_rig_cam, strict=True):
             rays = features.rays @ pose.R.T
             distance, points = self._distances(inverse_depth, pose.t, rays)
             valid = self.grid.project(points)[1]
@@ -148,24 +150,28 @@ def _differ(T: Pose, other: Pose) -> bool:
 
 def _match(rig: Rig, a: Sighting, b: Sighting, T: Pose | None = None, gate_deg: float = 0.0) -> _Matches:
     """Match all cameras with all, anywhere, or within a gate of where T and the depth of a put the features."""
-    ends: tuple[list[_End], list[_End]] = ([], [])
     centers = rig.centers
-    for i, found in enumerate(a.features):
-        mine = _End(np.broadcast_to(centers[i], found.rays.shape), found.rays, a.inverse[i], a.sd[i])
-        for j, other in enumerate(b.features):
-            if T is None:
-                pairs = match_features(found, other)[0]
-            else:
-                toward, by_inverse, _ = _predict(T, mine, centers[j])
-                length = np.linalg.norm(toward, axis=1, keepdims=True)
-                doubt = mine.sd * np.linalg.norm(np.cross(toward / length, by_inverse), axis=1) / length[:, 0]
-                gates = np.minimum(gate_deg + np.degrees(2 * doubt), 12.0)
-                pairs = match_near(found, other, toward / length, gates)
-            theirs = _End(np.broadcast_to(centers[j], other.rays.shape), other.rays, b.inverse[j], b.sd[j])
-            ends[0].append(mine.select(pairs[:, 0]))
-            ends[1].append(theirs.select(pairs[:, 1]))
+
+    def end(frame: Sighting, camera: int) -> _End:
+        rays = frame.features[camera].rays
+        return _End(np.broadcast_to(centers[camera], rays.shape), rays, frame.inverse[camera], frame.sd[camera])
+
+    def match(i: int, j: int) -> tuple[_End, _End]:
+        found, other, mine = a.features[i], b.features[j], end(a, i)
+        if T is None:
+            pairs = match_features(found, other)[0]
+        else:
+            toward, by_inverse, _ = _predict(T, mine, centers[j])
+            length = np.linalg.norm(toward, axis=1, keepdims=True)
+            doubt = mine.sd * np.linalg.norm(np.cross(toward / length, by_inverse), axis=1) / length[:, 0]
+            gates = np.minimum(gate_deg + np.degrees(2 * doubt), 12.0)
+            pairs = match_near(found, other, toward / length, gates)
+        return mine.select(pairs[:, 0]), end(b, j).select(pairs[:, 1])
+
+    cameras = product(range(len(rig)), repeat=2)
     first, second = (
-        _End(*(np.concatenate([getattr(end, name) for end in side]) for name in _End.__annotations__)) for side in ends
+        _End(*(np.concatenate([getattr(end, name) for end in side]) for name in _End.__annotations__))
+        for side in zip(*map_threads(lambda pair: match(*pair), cameras), strict=True)
     )
     return first, second
 
@@ -182,23 +188,42 @@ def _predict(T: Pose, a: _End, center: Floats) -> tuple[Floats, Floats, Floats]:
     return from_rig - q * center, by_inverse, by_step
 
 
-def _one_way(T: Pose, a: _End, b: _End) -> tuple[Floats, Floats]:
-    """Return residuals (M, 2) in standard deviations, and their derivatives (M, 2, 6) by the step.
-
-    The error of the depth moves the prediction along a line; it is part of the covariance of the residual.
-    """
-    toward, by_inverse, by_step = _predict(T, a, b.center)
+def _seen(toward: Floats, b: _End) -> tuple[Floats, Floats]:
+    """Return where frame b sees points, (M, 2) on the tangent planes of its rays, and the derivatives (M, 2, 3)."""
     length = np.maximum(np.linalg.norm(toward, axis=1), 1e-12)[:, None]
     seen = toward / length
-    basis = b.basis
-    d_seen = (basis - (basis @ seen[:, :, None]) * seen[:, None]) / length[:, :, None]
+    offset = (b.basis @ seen[:, :, None])[:, :, 0]
+    return offset, (b.basis - offset[:, :, None] * seen[:, None]) / length[:, :, None]
+
+
+def _residuals(T: Pose, a: _End, b: _End) -> tuple[Floats, Floats, _End]:
+    """Return residuals (M, 2) in standard deviations, what whitens them, (M, 2, 2), and a as both frames see it.
+
+    The error of the depth moves the prediction along a line; it is part of the covariance of the residual. Where on
+    this line a point most likely lies follows in closed form.
+    """
+    toward, by_inverse, _ = _predict(T, a, b.center)
+    offset, d_seen = _seen(toward, b)
     line = np.einsum("mki,mi->mk", d_seen, by_inverse) * a.sd[:, None]
     variance = (line**2).sum(axis=1)
     shrink = (1 / np.sqrt(1 + variance / _ANGLE_SD**2) - 1) / np.maximum(variance, 1e-20)
     whiten = (np.eye(2) + shrink[:, None, None] * line[:, :, None] * line[:, None]) / _ANGLE_SD
-    residuals = np.einsum("mkj,mji,mi->mk", whiten, basis, seen)
-    residuals[np.einsum("mi,mi->m", seen, b.ray) < 0.2] = 1e3  # behind, where the tangents do not tell
-    return residuals, whiten @ d_seen @ by_step
+    along = (line * offset).sum(axis=1) / (variance + _ANGLE_SD**2)
+    inverse = np.maximum(a.inverse - a.sd * along.clip(-_INLIER, _INLIER), _FARTHEST)
+    residuals = np.einsum("mkj,mj->mk", whiten, offset)
+    # Behind, where the tangents do not tell.
+    residuals[np.einsum("mi,mi->m", toward, b.ray) < 0.2 * np.linalg.norm(toward, axis=1)] = 1e3
+    return residuals, whiten, replace(a, inverse=inverse)
+
+
+def _one_way(T: Pose, a: _End, b: _End) -> tuple[Floats, Floats]:
+    """Return residuals (M, 2) in standard deviations, and their derivatives (M, 2, 6) by the step.
+
+    Derivatives are taken where the points most likely lie: at the measured depth, its errors would shorten the step.
+    """
+    residuals, whiten, fitted = _residuals(T, a, b)
+    toward, _, by_step = _predict(T, fitted, b.center)
+    return residuals, whiten @ _seen(toward, b)[1] @ by_step
 
 
 def _both_ways(T: Pose, matches: _Matches) -> tuple[Floats, Floats]:
@@ -247,7 +272,7 @@ def _search(matches: _Matches, seed: int) -> Pose:
         x, y = points[triple], other[triple]
         R = nearest_rotation((x - x.mean(axis=0)).T @ (y - y.mean(axis=0)))
         T = Pose(R, x.mean(axis=0) - R @ y.mean(axis=0))
-        squares = (_one_way(T, *judging)[0] ** 2).sum(axis=1) / 10.0**2
+        squares = (_residuals(T, *judging)[0] ** 2).sum(axis=1) / 10.0**2
         tried.append((float((squares / (1 + squares)).mean()), k, T))
     best = (_solve(T, judging, (30.0, 10.0)) for _, _, T in sorted(tried)[:_KEPT])
     return min(best, key=lambda found: found[1])[0]

@@ -65,6 +65,18 @@ def test_the_step_of_the_rig_is_found_without_a_guess_and_with_a_wrong_one(sight
         assert step.sure and angle < 0.05 and length < 0.005
 
 
+def test_errors_of_the_depth_do_not_shorten_the_step(sightings):
+    """Thousands of inverse distances are off by a tenth, each by itself; taken as exact they cost 0.06 %."""
+    rig, *both = sightings
+    rng, noisy = np.random.default_rng(0), []
+    for one in both:
+        sd = [0.1 * inverse for inverse in one.inverse]
+        inverse = [q + s * rng.normal(size=len(q)) for q, s in zip(one.inverse, sd, strict=True)]
+        noisy.append(replace(one, inverse=inverse, sd=sd))
+    step = rig_step(rig, *noisy, T_A_B)
+    assert step.T.t @ T_A_B.t / (T_A_B.t @ T_A_B.t) == pytest.approx(1, abs=3e-4)
+
+
 def test_frames_of_different_places_give_no_sure_step(sightings):
     rig, a, _ = sightings
     rng = np.random.default_rng(0)
