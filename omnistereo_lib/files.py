@@ -1,6 +1,7 @@
 """File access: one reader for each format, errors that name the file, atomic writes."""
 
 import glob
+import hashlib
 import json
 import math
 import os
@@ -59,6 +60,11 @@ def read_bytes(path: str | Path, most: int = _MAX_BYTES) -> bytes:
         raise OmnistereoError(f"{path} cannot be read: {reason}. Check the path.") from None
     found = f"has {status.st_size} bytes" if is_file else "is a folder, a pipe or a device"
     raise OmnistereoError(f"{path} {found}; expected a file of at most {most >> 10} KiB. Check the path.")
+
+
+def checksum(content: bytes) -> str:
+    """Return the SHA-256 of a file's content."""
+    return hashlib.sha256(content).hexdigest()
 
 
 def path_within(folder: Path, name: Any, source: str | Path, root: Path | None = None) -> Path:

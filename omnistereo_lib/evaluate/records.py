@@ -1,6 +1,5 @@
 """Files of results: one per frame and method with a checksum of its inputs, and `results.json` of them all."""
 
-import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -8,15 +7,10 @@ from typing import Any
 from omnistereo_lib.errors import OmnistereoError, check_number, shortened
 from omnistereo_lib.evaluate.methods import EvaluatedMethod
 from omnistereo_lib.evaluate.regions import METRICS, REGIONS, SUMS
-from omnistereo_lib.files import make_folder, read_data, write_text
+from omnistereo_lib.files import checksum, make_folder, read_data, write_text
 
 Record = dict[str, Any]  # nested, as JSON holds it; its keys "figures" and "strata" are the metrics and the regions
 _INPUTS = ("config", "methods", "data", "weights")
-
-
-def checksum(content: bytes) -> str:
-    """Return the SHA-256 of a file's content."""
-    return hashlib.sha256(content).hexdigest()
 
 
 def config_checksum(results: Record) -> str:

@@ -19,9 +19,9 @@ import torch
 from omnistereo_lib.dataset import Dataset, load_dataset
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.evaluate.methods import METHODS, EvaluatedMethod
-from omnistereo_lib.evaluate.records import Record, checksum, config_checksum, read_errors, rounded, write_record
+from omnistereo_lib.evaluate.records import Record, config_checksum, read_errors, rounded, write_record
 from omnistereo_lib.evaluate.regions import error_sums, find_regions
-from omnistereo_lib.files import make_folder, read_bytes
+from omnistereo_lib.files import checksum, make_folder, read_bytes
 from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid

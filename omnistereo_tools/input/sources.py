@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from omnistereo_lib.consumer_images import split_image
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.evaluate.records import checksum
-from omnistereo_lib.files import check_image, check_size, find_pictures, read_image, remark_turned
+from omnistereo_lib.files import check_image, check_size, checksum, find_pictures, read_image, remark_turned
 from omnistereo_lib.geometry.rig import Rig
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")

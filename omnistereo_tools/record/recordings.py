@@ -27,8 +27,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.evaluate.records import checksum
-from omnistereo_lib.files import atomic_write, make_folder, read_data, read_image, read_text, write_image, write_text
+from omnistereo_lib.files import (
+    atomic_write,
+    checksum,
+    make_folder,
+    read_data,
+    read_image,
+    read_text,
+    write_image,
+    write_text,
+)
 from omnistereo_lib.frame import read_inverse_depth, write_inverse_depth
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.lazy import lazy_property

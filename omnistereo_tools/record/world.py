@@ -26,8 +26,7 @@ from numpy.typing import NDArray
 
 from omnistereo_lib.dataset import Dataset, load_dataset
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.evaluate.records import checksum
-from omnistereo_lib.files import make_folder, read_bytes, read_data, read_text, write_text
+from omnistereo_lib.files import checksum, make_folder, read_bytes, read_data, read_text, write_text
 from omnistereo_lib.frame import Frame, read_inverse_depth, write_inverse_depth
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.sphere import SphereGrid

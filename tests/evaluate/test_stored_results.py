@@ -9,10 +9,11 @@ import pytest
 import omnistereo_lib as osl
 from omnistereo_lib.evaluate import SCALES, evaluate_frame
 from omnistereo_lib.evaluate.methods import EvaluatedMethod
-from omnistereo_lib.evaluate.records import checksum, config_checksum, read_record
+from omnistereo_lib.evaluate.records import config_checksum, read_record
 from omnistereo_lib.evaluate.regions import METRICS
 from omnistereo_lib.evaluate.run import DATA
 from omnistereo_lib.evaluate.table import errors_table
+from omnistereo_lib.files import checksum
 from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
 from omnistereo_lib.train import RECIPES
 from omnistereo_lib.train.spheres import SphereSamples
