@@ -99,9 +99,9 @@ def test_the_tools_need_the_library_only():
         assert not {other.split(".")[0] for other in imports(path)} & {"course", "render"}, name
 
 
-def test_the_command_line_imports_what_is_slow_when_a_command_runs():
+def test_the_command_line_and_its_bar_import_what_is_slow_when_it_is_needed():
     heavy = "{'torch', 'numpy', 'cv2', 'numba', 'matplotlib', 'yaml', 'scipy'}"
-    assert run(f"import sys, omnistereo_tools.cli; print({heavy} & set(sys.modules))") == "set()"
+    assert run(f"import sys, omnistereo_tools.cli, omnistereo_tools.progress; print({heavy} & set(sys.modules))") == "set()"
 
 
 def test_the_renderer_uses_geometry_and_files_only():

@@ -50,9 +50,10 @@ def run(options: DepthOptions) -> None:
     from omnistereo_lib.stereo.pipeline import estimate_depth
     from omnistereo_tools.judge.coverage import Coverage
     from omnistereo_tools.judge.first_look import image_doubts, rig_doubts
+    from omnistereo_tools.judge.pace import say_frame
     from omnistereo_tools.output.frame import FrameResult
     from omnistereo_tools.output.points import Limits
-    from omnistereo_tools.progress import progress_bar, say_frame
+    from omnistereo_tools.progress import progress_bar
 
     out = options.out or default_out("depth", options.rig)
     _check(options, out)

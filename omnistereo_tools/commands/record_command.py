@@ -86,7 +86,8 @@ def run(options: RecordOptions) -> None:
     from omnistereo_tools.input.masks import FRAMES
     from omnistereo_tools.judge.coverage import Coverage
     from omnistereo_tools.judge.first_look import image_doubts, rig_doubts
-    from omnistereo_tools.progress import progress_bar, say_recording
+    from omnistereo_tools.judge.pace import say_recording
+    from omnistereo_tools.progress import progress_bar
     from omnistereo_tools.record.recordings import DepthWriter, stored_method, stored_min_depth, write_video
     from omnistereo_tools.record.watching import Watching
 

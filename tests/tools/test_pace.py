@@ -4,7 +4,8 @@ import pytest
 
 import omnistereo_lib as osl
 from omnistereo_lib.progress import counted
-from omnistereo_tools.progress import in_words, progress_bar, say_frame
+from omnistereo_tools.judge.pace import in_words, say_frame
+from omnistereo_tools.progress import progress_bar
 
 
 @pytest.mark.parametrize(
