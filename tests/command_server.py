@@ -74,7 +74,7 @@ def wait(number):
 def make_small(setattr):
     """Shrink what no width of a panorama makes smaller: VolumeNet's volume, the pictures of a page, films."""
     setattr(correlation, "COARSE", (32, 8))
-    setattr(frame, "_SHARP", 192)
+    setattr(frame, "_WIDEST", 192)
     setattr(viewer, "_IMAGE_WIDTH", 100)
     setattr(pictures, "WIDTH", 192)
 
