@@ -58,7 +58,7 @@ def data(tmp_path_factory):
 @pytest.fixture(scope="module")
 def corners(tmp_path_factory):
     folder = tmp_path_factory.mktemp("corners")
-    rows = boards.captures(np.random.default_rng(2), alone=4, shared=4, noise=0.05)
+    rows = boards.captures(np.random.default_rng(2), alone=3, shared=3, noise=0.05)
     for i, row in enumerate(rows[:2], start=1):
         views = {f"{k:04d}": view for k, view in enumerate(row)}
         save_corners(folder / f"corners_cam{i}.yaml", views, boards.BOARD, boards.SIZE)

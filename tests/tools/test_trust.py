@@ -90,7 +90,7 @@ def test_small_things_in_mid_air_of_little_trust_are_doubtful(box):
 
 def test_on_a_frame_it_was_not_fitted_on_doubtful_depths_are_worse_at_every_range():
     frame = osl.load_dataset(DATA / "sunny", split="test")[1]
-    grid = osl.SphereGrid(640, 160, num_spheres=192, min_depth=frame.rig.min_depth)
+    grid = osl.SphereGrid(480, 120, num_spheres=192, min_depth=frame.rig.min_depth)
     depth = osl.estimate_depth(frame, grid, "zncc+sgm")
     truth = frame.gt_index(grid)
     with np.errstate(invalid="ignore"):  # infinity, found and true
