@@ -16,7 +16,8 @@ from pathlib import Path
 
 import cv2
 import matplotlib.backends.backend_agg
-import matplotlib.figure  # noqa: F401
+import matplotlib.figure
+import matplotlib.layout_engine
 import numba
 import scipy.ndimage  # noqa: F401
 import torch
@@ -72,11 +73,15 @@ def wait(number):
 
 
 def make_small(setattr):
-    """Shrink what no width of a panorama makes smaller: VolumeNet's volume, the pictures of a page, films."""
+    """Shrink what no width of a panorama makes smaller: VolumeNet's volume, the pictures of a page, films.
+
+    Figures are not laid out, which takes as long as drawing them.
+    """
     setattr(correlation, "COARSE", (32, 8))
     setattr(frame, "_WIDEST", 192)
     setattr(viewer, "_IMAGE_WIDTH", 100)
     setattr(pictures, "WIDTH", 192)
+    setattr(matplotlib.layout_engine.ConstrainedLayoutEngine, "execute", lambda *_: None)
 
 
 def main():

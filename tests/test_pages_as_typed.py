@@ -196,8 +196,8 @@ def test_page(page, run, files, clone, tmp_path):
     failed = []
     for command in ALL[page]:
         line = _to_run(command)
-        # Once for all pages, but for a block whose lines need each other.
-        alone = command.language == "inline" or command.text in MARKED or _is_of_the_clone(line or "")
+        # Once for all pages, but for a block of a page, whose lines need each other.
+        alone = command.language == "inline" or {command.text, page} & {*MARKED, *HELP} or _is_of_the_clone(line or "")
         if line is None or (line in RUN and alone):
             continue
         _choose_boards(folder, "april" if "aprilgrid.yaml" in line else "pictures")
