@@ -25,9 +25,14 @@ def distributed():
 
 @pytest.fixture(scope="module")
 def cluster(distributed):
+    """Two workers, forked by a process that has imported the library, as is the one in place of the killed one."""
+    import dask
+
     options = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
-    with distributed.LocalCluster(host="127.0.0.1", **options) as cluster:
-        yield cluster
+    with dask.config.set({"distributed.worker.multiprocessing-method": "forkserver"}):
+        distributed.utils.get_mp_context().set_forkserver_preload(["distributed", "omnistereo_lib.stereo.pipeline"])
+        with distributed.LocalCluster(host="127.0.0.1", **options) as cluster:
+            yield cluster
 
 
 @pytest.fixture(scope="module")
