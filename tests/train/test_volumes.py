@@ -1,7 +1,7 @@
 """Training of VolumeNet: ground truth turns with the grid, the loss has a closed form, runs learn and resume."""
 
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -16,6 +16,7 @@ from omnistereo_lib.stereo import correlation
 from omnistereo_lib.stereo.volumenet import local_mean
 from omnistereo_lib.stereo.weights import load_tensors
 from omnistereo_lib.train import RECIPES, VolumeNetRecipe, train
+from omnistereo_lib.train.endless import worlds
 from omnistereo_lib.train.endless.worlds import EndlessWorlds
 from omnistereo_lib.train.volumes import VolumeObjective, VolumeSample, VolumeSamples
 
@@ -98,16 +99,17 @@ def test_it_learns_a_batch_that_comes_again_and_again(data, tmp_path, same_batch
 
 def test_a_run_among_folders_and_endless_worlds_resumes_to_the_same_weights(data, tmp_path, monkeypatch):
     monkeypatch.setattr("omnistereo_lib.train.frames.EndlessWorlds", partial(EndlessWorlds, workers=0))
+    monkeypatch.setattr(worlds, "draw_frame", cache(worlds.draw_frame))  # a frame is its seed and number
 
     def interrupt(row):
         if row["step"] == 1:
             raise KeyboardInterrupt
 
-    recipe, worlds = replace(TINY, steps=3, validate_every=3), [data, "endless"]
-    whole = train(recipe, tmp_path / "whole", worlds, precision="float32")
+    recipe, both = replace(TINY, steps=3, validate_every=3), [data, "endless"]
+    whole = train(recipe, tmp_path / "whole", both, precision="float32")
     with pytest.raises(KeyboardInterrupt):
-        train(recipe, tmp_path / "parts", worlds, precision="float32", checkpoint_s=0, on_step=interrupt)
-    parts = train(recipe, tmp_path / "parts", worlds, precision="float32")
+        train(recipe, tmp_path / "parts", both, precision="float32", checkpoint_s=0, on_step=interrupt)
+    parts = train(recipe, tmp_path / "parts", both, precision="float32")
     assert whole.read_bytes() == parts.read_bytes()
     _, metadata = load_tensors(whole)
     assert metadata["architecture"] == "VolumeNet" and metadata["data"]["frames"] == 3
