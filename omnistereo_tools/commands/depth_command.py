@@ -46,6 +46,10 @@ class DepthOptions(MethodOptions, GridOptions, FrameOptions):
 def run(options: DepthOptions) -> None:
     """Estimate the depth of one frame, write everything, and say what came out."""
     print("reading the rig and the images: a few seconds", flush=True)
+    out = options.out or default_out("depth", options.rig)
+    _check(options, out)
+    # Read what there is, before what is slow to import.
+    frame = read_frame(options)
     from omnistereo_lib.stereo.methods import FRAME_METHOD
     from omnistereo_lib.stereo.pipeline import estimate_depth
     from omnistereo_tools.judge.coverage import Coverage
@@ -55,10 +59,6 @@ def run(options: DepthOptions) -> None:
     from omnistereo_tools.output.points import Limits
     from omnistereo_tools.progress import progress_bar
 
-    out = options.out or default_out("depth", options.rig)
-    _check(options, out)
-    # Read what there is, the ground truth, too.
-    frame = read_frame(options)
     coverage = Coverage.of(frame.rig)
     grid = make_grid(options, coverage, find_min_depth(options.min_depth, frame))
     gt_index = None if frame.gt_path is None else frame.gt_index(grid)

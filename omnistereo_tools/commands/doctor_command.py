@@ -60,16 +60,17 @@ def run(options: DoctorOptions) -> int:
 
 def _check_rig(options: DoctorOptions, rig_file: Path) -> int:
     """Say what a rig can see and what depth to ask for, and check it against its images; return 1 if it is wrong."""
-    from omnistereo_tools.judge.coverage import Coverage
-    from omnistereo_tools.judge.first_look import rig_doubts
-    from omnistereo_tools.outputs import save_figure
-
     check_outputs(options, [options.coverage, options.write])
     has_images = options.images is not None or _is_data_set(rig_file)
     if options.write is not None and not has_images:
         raise OmnistereoError("--write needs --images: only they show what the rig is")
+    # Read what there is, before what is slow to import.
     frame = read_frame(options) if has_images else None
     rig = frame.rig if frame else read_rig(options)
+    from omnistereo_tools.judge.coverage import Coverage
+    from omnistereo_tools.judge.first_look import rig_doubts
+    from omnistereo_tools.outputs import save_figure
+
     low, high = rig.baselines.min(), rig.baselines.max()
     print(f"{len(rig)} cameras, {low:.3g} to {high:.3g} m apart: check that this is right.")
     coverage = Coverage.of(rig)

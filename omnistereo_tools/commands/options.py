@@ -146,10 +146,12 @@ def read_rig(options: RigOptions, images: Sequence[Path] = ()) -> Rig:
     Raises an `OmnistereoError` if files are missing.
     """
     from omnistereo_lib.rig_files import load_rig
+
+    rig = load_rig(options.rig or SAMPLE, options.unit, options.max_fov, options.keep_frame)
+    # These load torch, which takes seconds: a rig that cannot be read is named before.
     from omnistereo_tools.input.masks import with_masks
     from omnistereo_tools.output.summary import turn_sentence
 
-    rig = load_rig(options.rig or SAMPLE, options.unit, options.max_fov, options.keep_frame)
     if turned := turn_sentence(rig):
         print(turned)
     return with_masks(rig, options.masks, images)
@@ -162,7 +164,6 @@ def read_frame(options: FrameOptions) -> Frame:
     """
     from omnistereo_lib.dataset import load_dataset
     from omnistereo_lib.frame import Frame, load_images
-    from omnistereo_tools.input.masks import with_masks
 
     if options.images is not None:
         rig = read_rig(options, options.images)
@@ -175,6 +176,8 @@ def read_frame(options: FrameOptions) -> Frame:
     number = options.frame or 0
     if not -len(data) <= number < len(data):
         raise OmnistereoError(f"{folder} has frames 0 to {len(data) - 1}, not {number}")
+    from omnistereo_tools.input.masks import with_masks
+
     return replace(data[number], rig=with_masks(data.rig, options.masks, data[number].image_paths))
 
 
