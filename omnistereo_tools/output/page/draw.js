@@ -250,7 +250,7 @@ function extended(vertices, corners, on, fringe) {
 function makeRenderer(canvas, picture, mesh) {
   const gl = canvas.getContext("webgl2", { antialias: false, alpha: false });
   if (!gl) return null;
-  const [surface, quarter] = upload(gl, mesh), target = namesTarget(gl), programs = new Map();
+  const [surface, fifth] = upload(gl, mesh), target = namesTarget(gl), programs = new Map();
   const textures = [pictureTexture(gl, picture), colorTexture(gl), rayTexture(gl), trustTexture(gl)];
   let named = null;  // the view whose names are in the target
 
@@ -272,7 +272,7 @@ function makeRenderer(canvas, picture, mesh) {
       size: [D.width, D.height], range: [D.low, D.high], phi: D.phi, doubtful: D.doubtful / 100,
       perPercent: D.percent / 10, edge: STEP * perSphere, view: [canvas.width, canvas.height],
       level: Math.max(0, Math.log2(picture.width / 2 / Math.PI / view.focal) - SHARPER), axes: axesOf(view.turn),
-      nearest: 1 / D.maxDepth, pointSize: (settings.sparse ? 3.2 : 1.6) * 2 * Math.PI / D.width, ...settings, ...view,
+      nearest: 1 / D.maxDepth, pointSize: (settings.sparse ? 3.6 : 1.6) * 2 * Math.PI / D.width, ...settings, ...view,
     };
     for (const [name, value] of Object.entries(values)) used.set(name, value);
   }
@@ -289,9 +289,9 @@ function makeRenderer(canvas, picture, mesh) {
 
   function drawMesh(view, settings) {
     const few = view.mode === "points" && settings.sparse, count = (D.width + 1) * (D.height + 2);
-    gl.bindVertexArray(few ? quarter : surface);
+    gl.bindVertexArray(few ? fifth : surface);
     gl.enable(gl.DEPTH_TEST);
-    if (view.mode === "points") gl.drawArrays(gl.POINTS, 0, few ? count / 4 : count);
+    if (view.mode === "points") gl.drawArrays(gl.POINTS, 0, few ? Math.floor(count / 5) : count);
     else {
       gl.enable(gl.CULL_FACE);
       gl.frontFace(gl.CW);
@@ -325,12 +325,12 @@ function makeRenderer(canvas, picture, mesh) {
   return { draw: (view, settings) => render(view, { ...settings, naming: false }), names };
 }
 
-// The vertices with their triangles, and every fourth vertex: of rows with one column more, not one above the other.
+// The vertices with their triangles, and every fifth vertex: of rows with one column more, not one above the other.
 function upload(gl, { vertices, opaque, fringe }) {
   const buffer = gl.createBuffer();
   gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
   gl.bufferData(gl.ARRAY_BUFFER, vertices, gl.STATIC_DRAW);
-  const made = [1, 4].map(every => {
+  const made = [1, 5].map(every => {
     const array = gl.createVertexArray();
     gl.bindVertexArray(array);
     [[2, 0], [4, 2], [1, 6]].forEach(([count, first], place) => {
