@@ -84,7 +84,7 @@ def _explanations(rig: Rig, pairs: Mapping[tuple[int, int], RelativePose]) -> It
     for (name, form), order in (*product(_FORMS.items(), orders), *product(angles, [same])):
         R_order, t_order = (part[list(order)] for part in form(R, t))
         for axes, turn, aim in _misfits(R_order, t_order, pairs):
-            parts = [*_names(name, axes), *([] if order == same else [_order_name(order)])]
+            parts = (*_names(name, axes), *(() if order == same else (_order_name(order),)))
             yield Explanation(" and ".join(parts), len(parts), R_order @ _turns()[axes], t_order, order, turn, aim)
     of_one = {name: form for name, form in _FORMS.items() if name != _MIRRORED and not name.startswith(_CHAIN)}
     for k, (name, form) in product(same, of_one.items()):
@@ -148,13 +148,14 @@ def _order_name(order: Sequence[int]) -> str:
     return f"the images look swapped (give them in the order {' '.join(str(k + 1) for k in np.argsort(order))})"
 
 
-def _names(form: str, axes: int, images: str = "all images look") -> list[str]:
+@cache
+def _names(form: str, axes: int, images: str = "all images look") -> tuple[str, ...]:
     """Return the names of a form and of a rotation of the camera axes, those that are none left out."""
     S = _turns()[axes]
     if form == _MIRRORED and (np.diag(S) == [-1, 1, -1]).all():
-        return [f"{images} mirrored"]
+        return (f"{images} mirrored",)
     if form == _MIRRORED and (np.diag(S) == [1, -1, -1]).all():
-        return [f"{images} mirrored and upside down"]
+        return (f"{images} mirrored and upside down",)
     sides = [_SIDES[int(np.abs(row).argmax())][int(row.sum() < 0)] for row in S]
     words = f"the camera axes look like x {sides[0]}, y {sides[1]}, z {sides[2]}"
     if S[2, 2] == 1:
@@ -162,7 +163,7 @@ def _names(form: str, axes: int, images: str = "all images look") -> list[str]:
         words = f"{images} turned by {angle}° (or {words})"
     elif np.array_equal(S, np.diag([1.0, -1.0, -1.0])):
         words += ", as in OpenGL"
-    return [part for part in (form, words if axes else "") if part]
+    return tuple(part for part in (form, words if axes else "") if part)
 
 
 Form = Callable[[Floats, Floats], tuple[Floats, Floats]]  # rotations (n, 3, 3) and centres (n, 3), undone
