@@ -152,12 +152,12 @@ def _match(rig: Rig, a: Sighting, b: Sighting, T: Pose | None = None, gate_deg: 
     """Match all cameras with all, anywhere, or within a gate of where T and the depth of a put the features."""
     centers = rig.centers
 
-    def end(frame: Sighting, camera: int) -> _End:
+    def end_of(frame: Sighting, camera: int) -> _End:
         rays = frame.features[camera].rays
         return _End(np.broadcast_to(centers[camera], rays.shape), rays, frame.inverse[camera], frame.sd[camera])
 
     def match(i: int, j: int) -> tuple[_End, _End]:
-        found, other, mine = a.features[i], b.features[j], end(a, i)
+        found, other, mine = a.features[i], b.features[j], end_of(a, i)
         if T is None:
             pairs = match_features(found, other)[0]
         else:
@@ -166,7 +166,7 @@ def _match(rig: Rig, a: Sighting, b: Sighting, T: Pose | None = None, gate_deg: 
             doubt = mine.sd * np.linalg.norm(np.cross(toward / length, by_inverse), axis=1) / length[:, 0]
             gates = np.minimum(gate_deg + np.degrees(2 * doubt), 12.0)
             pairs = match_near(found, other, toward / length, gates)
-        return mine.select(pairs[:, 0]), end(b, j).select(pairs[:, 1])
+        return mine.select(pairs[:, 0]), end_of(b, j).select(pairs[:, 1])
 
     cameras = product(range(len(rig)), repeat=2)
     first, second = (
