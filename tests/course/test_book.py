@@ -179,6 +179,20 @@ AXE = """async () => (await axe.run()).violations
 DRAWN = "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
 
 
+def heard(page, axe):
+    """What axe-core finds on a page, asked again where it does not answer: seen once, on a busy machine."""
+    from playwright.sync_api import TimeoutError as NoAnswer
+
+    for tried in range(2):
+        page.evaluate(Path(axe).read_text(encoding="utf-8"))
+        try:
+            return page.wait_for_function(AXE, timeout=60_000).json_value()
+        except NoAnswer:
+            if tried:
+                raise
+            page.reload(wait_until="load")
+
+
 def test_book_fits_shows_every_picture_and_is_read_by_keyboard_and_by_ear(built, served, open_page):
     """The last by what axe-core once found, and by axe-core itself where AXE names its file, as in CI."""
     axe = os.environ.get("AXE")
@@ -193,8 +207,7 @@ def test_book_fits_shows_every_picture_and_is_read_by_keyboard_and_by_ear(built,
             page.evaluate(DRAWN)
             found = [line for script in (BROKEN, WIDE, UNFIT) for line in page.evaluate(script)]
             if axe and width == 1280:
-                page.evaluate(Path(axe).read_text(encoding="utf-8"))
-                found += page.evaluate(AXE)
+                found += heard(page, axe)
             found += page.complaints
             if found:
                 wrong[f"{name} at {width}"] = found
@@ -210,8 +223,7 @@ def test_controls_have_names_before_the_script_has_run(name, open_page):
     still = re.sub("<script.*?</script>", "", (PAGES / f"{name}.html").read_text(encoding="utf-8"), flags=re.S)
     page = open_page(1280, 844)
     page.set_content(still.replace("{{TITLE}}", "a street"))
-    page.evaluate(Path(os.environ["AXE"]).read_text(encoding="utf-8"))
-    assert page.evaluate(AXE) == []
+    assert heard(page, os.environ["AXE"]) == []
 
 
 CUT = r"""found => found
