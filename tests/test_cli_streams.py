@@ -256,7 +256,7 @@ sys.exit(start())
     [
         ("omnistereo_tools.cli", "SIGINT", 130),
         ("omnistereo_tools.outputs", "SIGTERM", 143),
-        ("omnistereo_tools.input", "SIGINT", 130),
+        ("omnistereo_lib.rig_files", "SIGINT", 130),
     ],
 )
 def test_stopped_while_modules_load(module, name, status):
