@@ -17,8 +17,9 @@ import omnistereo_lib as osl
 from omnistereo_lib.files import read_image, write_image
 from omnistereo_lib.frame import read_inverse_depth
 from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD
-from omnistereo_tools import cli, progress
+from omnistereo_tools import cli
 from omnistereo_tools.input.sources import Recording, Video
+from omnistereo_tools.judge import pace
 from omnistereo_tools.judge.rig_check import _matches
 from omnistereo_tools.judge.trust import trust
 from omnistereo_tools.live_view import Cameras
@@ -197,15 +198,15 @@ def test_bad_frames_are_named_and_left_out_if_asked(recorded, done, tmp_path, ca
 def test_by_default_it_takes_the_best_method_that_keeps_pace_and_goes_on_with_it(
     recorded, tmp_path, capsys, monkeypatch, seconds, method
 ):
-    monkeypatch.setattr(progress, "_FEW_FRAMES", 2)
-    monkeypatch.setattr(progress, "_measure", lambda sweep, images, name: seconds if name == FRAME_METHOD else 0.5)
+    monkeypatch.setattr(pace, "_FEW_FRAMES", 2)
+    monkeypatch.setattr(pace, "_measure", lambda sweep, images, name: seconds if name == FRAME_METHOD else 0.5)
     command = record_command(recorded, tmp_path / "out")
     del command[command.index("--method") : command.index("--method") + 2]
     assert run(*command, "--stop", 3) == 0
-    took = progress.in_words(2 * (seconds if method == FRAME_METHOD else 0.5))
+    took = pace.in_words(2 * (seconds if method == FRAME_METHOD else 0.5))
     said = capsys.readouterr().out
     assert f"method: {method}, " in said and f"2 frames: about {took} by {method}\n" in said
-    monkeypatch.setattr(progress, "_measure", lambda *_: 4.0 - seconds)  # the machine is busy, or no longer
+    monkeypatch.setattr(pace, "_measure", lambda *_: 4.0 - seconds)  # the machine is busy, or no longer
     assert run(*command) == 0
     assert json.loads((tmp_path / "out" / "recording.json").read_text())["method"] == method
 
