@@ -57,7 +57,7 @@ check: $(DEV_READY)  ## the fast tier, a minute: linters, types, geometry, stere
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(SHARED) $(BIN)/python -m pytest $(WORKERS) $(NBVAL) tests/geometry tests/rig_files tests/stereo \
-	  --ignore tests/stereo/test_shipped_weights.py notebooks/03_sphere_sweep.ipynb \
+	  --ignore tests/lib/stereo/test_shipped_weights.py notebooks/03_sphere_sweep.ipynb \
 	  tests/test_pages_as_typed.py::test_every_command_is_run_or_marked \
 	  'tests/test_pages_as_typed.py::test_page[omnistereo depth]'
 
@@ -85,27 +85,27 @@ demo: $(READY)  ## a drive through the bundled streets, panorama and depth live 
 	$(BIN)/omnistereo demo
 
 render: $(RENDER_READY)  ## renders what is missing of sunny/test, or RENDER_ARGS="sunny/train --frames 500 --out more"
-	$(RENDER)/python -m render $(RENDER_ARGS)
+	$(RENDER)/python -m workshop.render $(RENDER_ARGS)
 
 bench: $(READY)  ## speed, as ratios against named alternatives
-	$(BIN)/python -m course bench $(BENCH_ARGS)
+	$(BIN)/python -m workshop bench $(BENCH_ARGS)
 
 results: $(DEV_READY)  ## the stored results and the reproduction report again: hours, but it resumes
-	$(BIN)/python -m course results -- $(RESULTS_ARGS)
+	$(BIN)/python -m workshop results -- $(RESULTS_ARGS)
 
 notebooks: $(READY)  ## runs all notebooks and stores them, with their stills and the lists on the pages
-	$(BIN)/python -m course run notebooks/*.ipynb
-	$(BIN)/python -m course stills notebooks/*.ipynb
-	$(BIN)/python -m course pages
+	$(BIN)/python -m workshop run notebooks/*.ipynb
+	$(BIN)/python -m workshop stills notebooks/*.ipynb
+	$(BIN)/python -m workshop pages
 
 solutions: $(READY)  ## the notebooks with every exercise solved, run, into out/solutions: ten minutes
 	$(BIN)/python -m course solve
 
 book: $(DEV_READY)  ## the course as a website, which works offline: out/book/index.html
-	$(BIN)/python -m course book
+	$(BIN)/python -m workshop book
 
 slides: $(DEV_READY)  ## slides of every notebook, which work offline: out/slides
-	$(BIN)/python -m course slides
+	$(BIN)/python -m workshop slides
 
 constraints: $(DEV_READY)  ## pins what came along with environment.txt
 	@{ echo "# What the packages of environment.txt and environment-dev.txt bring along, pinned. Written by: make constraints"; \

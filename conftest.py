@@ -6,17 +6,18 @@ import pytest
 
 pytest_plugins = ["notebook_comparison"]
 
-# Every test process gets its share of the cores. Numba keeps two threads at least, so that a race in a
-# parallel loop has a chance to show. Set in xdist's workers alone: they inherit what the process that starts them
-# has, and could not tell it from what somebody asked for.
+# Every test process gets its share of the cores. Numba keeps two threads at least, so that a race
+# in a parallel loop has a chance to show. Set in xdist's workers alone: they inherit what the
+# process that starts them has, and could not tell it from what somebody asked for.
 _workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "0"))
 if _workers:
     _cores = max(1, (os.cpu_count() or 1) // _workers)
     os.environ.setdefault("OMP_NUM_THREADS", str(_cores))
     os.environ.setdefault("NUMBA_NUM_THREADS", str(max(2, _cores)))
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # threads that wait leave the core to the other workers
+    # threads that wait leave the core to the other workers
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put first what takes long, so that no core idles at the end."""
-    items.sort(key=lambda item: not item.nodeid.startswith(("notebooks/", "tests/train/")))
+    items.sort(key=lambda item: not item.nodeid.startswith(("notebooks/", "tests/learn/")))

@@ -14,21 +14,31 @@ BOOK = Path(__file__).parent
 
 project = "omnistereo"
 language = "en"
-extensions = ["myst_nb", "sphinx.ext.mathjax", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
+extensions = [
+    "myst_nb",
+    "sphinx.ext.mathjax",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
+]
 
-# Pages: notebooks with their stored outputs, so that no kernel is needed and nothing differs from what was checked.
+# Pages: notebooks with their stored outputs, so that no kernel is needed and nothing differs from
+# what was checked.
 nb_execution_mode = "off"
 nb_render_markdown_format = "myst"  # captions may have links and formulas
 myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence"]
 myst_heading_anchors = 3
 
-# One script that draws formulas as SVG. It asks for no fonts, which browsers refuse to pages opened from a folder,
-# and the menu that would fetch more from elsewhere is off.
-_MATHJAX = Path(find_spec("sphinx-mathjax-offline").submodule_search_locations[0], "static/mathjax/tex-svg.js")
+# One script that draws formulas as SVG. It asks for no fonts, which browsers refuse to pages opened
+# from a folder, and the menu that would fetch more from elsewhere is off.
+_MATHJAX = Path(
+    find_spec("sphinx-mathjax-offline").submodule_search_locations[0], "static/mathjax/tex-svg.js"
+)
 mathjax_path = _MATHJAX.name
 mathjax3_config = {"options": {"enableMenu": False}}
 
-# Reference: the docstrings as they are. They say types and shapes in words, so signatures show names and defaults.
+# Reference: the docstrings as they are. They say types and shapes in words, so signatures show
+# names and defaults.
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"
 autodoc_preserve_defaults = True
@@ -41,7 +51,10 @@ viewcode_follow_imported_members = False
 
 html_theme = "furo"
 html_title = "omnistereo"
-html_static_path = [str(_MATHJAX), *(str(BOOK / name) for name in ("book.css", "book.js", "stills.js"))]
+html_static_path = [
+    str(_MATHJAX),
+    *(str(BOOK / name) for name in ("book.css", "book.js", "stills.js")),
+]
 html_css_files = ["book.css"]
 html_js_files = ["book.js", "stills.js"]
 html_copy_source = False
@@ -57,42 +70,61 @@ def setup(app: Sphinx) -> None:
     app.connect("html-page-context", say_levels, priority=900)  # after the theme
 
 
-def keep_bars(app: Sphinx, what: str, name: str, value: object, options: object, lines: list[str]) -> None:
+def keep_bars(
+    app: Sphinx, what: str, name: str, value: object, options: object, lines: list[str]
+) -> None:
     """Keep |r| an absolute value; reStructuredText would look for a substitution of that name."""
     lines[:] = [line.replace("|", r"\|") if "`" not in line else line for line in lines]
 
 
 def link_exact_types(app: Sphinx, doctree: nodes.document) -> None:
-    """Link types by their full names alone: "columns" in the prose of a type is not anybody's attribute."""
+    """Link types by their full names alone: "columns" in the prose of a type is not anybody's
+    attribute.
+    """
     for reference in doctree.findall(addnodes.pending_xref):
         reference.attributes.pop("refspecific", None)
 
 
 def link_names(app: Sphinx, doctree: nodes.document, docname: str) -> None:
-    """Link the library's names that running text has as code, such as `SphereGrid.rays` or `osl.sgm`."""
+    """Link the library's names that running text has as code, such as `SphereGrid.rays` or
+    `osl.sgm`.
+    """
     objects = app.env.domains.python_domain.objects
     for literal in list(doctree.findall(nodes.literal)):
         name = full_name(literal.astext())
-        entry = objects.get(name) or objects.get(name.rpartition(".")[0])  # a class's fields have no entry
+        # a class's fields have no entry
+        entry = objects.get(name) or objects.get(name.rpartition(".")[0])
         ours = entry is not None and (entry.objtype != "module" or name in literal.astext())
         if ours and entry.docname != docname and not is_linked(literal):
-            link = make_refnode(app.builder, docname, entry.docname, entry.node_id, literal.deepcopy())
+            link = make_refnode(
+                app.builder, docname, entry.docname, entry.node_id, literal.deepcopy()
+            )
             literal.replace_self(link)
 
 
 def is_linked(node: nodes.Node) -> bool:
     """Tell whether a node is part of a link."""
-    return node.parent is not None and (isinstance(node.parent, nodes.reference) or is_linked(node.parent))
+    return node.parent is not None and (
+        isinstance(node.parent, nodes.reference) or is_linked(node.parent)
+    )
 
 
-def say_levels(app: Sphinx, page: str, template: str, context: dict, doctree: nodes.document | None) -> None:
-    """Give the captions of the navigation, which Sphinx calls headings, the level that a heading must have."""
+def say_levels(
+    app: Sphinx, page: str, template: str, context: dict, doctree: nodes.document | None
+) -> None:
+    """Give the captions of the navigation, which Sphinx calls headings, the level that a heading
+    must have.
+    """
     tree = context["furo_navigation_tree"]
-    context["furo_navigation_tree"] = tree.replace('role="heading"', 'role="heading" aria-level="2"')
+    context["furo_navigation_tree"] = tree.replace(
+        'role="heading"', 'role="heading" aria-level="2"'
+    )
 
 
 def full_name(code: str) -> str:
-    """Return the full name that code such as `osl.sgm(volume)`, `load_rig` or `metrics.error_map` would have."""
+    """Return the full name that code such as `osl.sgm(volume)`, `load_rig` or `metrics.error_map`
+    would have.
+    """
     name = code.partition("(")[0].removeprefix("osl.").removeprefix("omnistereo_lib.")
     first = name.partition(".")[0]
     home = getattr(osl, first).__module__ if first in osl.__all__ else "omnistereo_lib"

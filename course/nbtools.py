@@ -16,20 +16,27 @@ from omnistereo_lib.files import read_bytes, write_text
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = ROOT / "notebooks"
 
-SETUP = "import omnistereo_lib as osl\nfrom course.classroom.doctor import doctor\n\ndoctor(short=True)"
+SETUP = (
+    "import omnistereo_lib as osl\nfrom course.classroom.doctor import doctor\n\ndoctor(short=True)"
+)
 # The folded solution of an open function; clean() writes the right answer's source into it.
 SOLUTION = re.compile(
-    r"(<details><summary>A solution: <code>(\w+)</code></summary>\n\n```python\n)(.*?)(?=\n```)", re.DOTALL
+    r"(<details><summary>A solution: <code>(\w+)</code></summary>\n\n```python\n)(.*?)(?=\n```)",
+    re.DOTALL,
 )
 
-AFTER = {"13": "07", "14": "09"}  # the one page as soon as all that it needs is written; 14 needs a rig of one's own
+# the one page as soon as all that it needs is written; 14 needs a rig of one's own
+AFTER = {"13": "07", "14": "09"}
 PICTURES = ("image/png", "image/jpeg")
 WIDGET = "application/vnd.jupyter.widget-view+json"
 
 
 def notebooks() -> list[Path]:
     """Return the paths of all notebooks of the course, in the order in which they are read."""
-    return sorted(NOTEBOOKS.glob("*.ipynb"), key=lambda path: (AFTER.get(number(path), number(path)), path.name))
+    return sorted(
+        NOTEBOOKS.glob("*.ipynb"),
+        key=lambda path: (AFTER.get(number(path), number(path)), path.name),
+    )
 
 
 def number(path: Path) -> str:
@@ -46,11 +53,14 @@ def read_text(path: Path) -> str:
     """Return the text of a notebook file; an `OmnistereoError` if it is not a notebook."""
     content = read_bytes(path)
     try:
-        _ = [cell.cell_type + cell.source for cell in nbformat.reads(content, as_version=4).cells]  # what tools use
+        # what tools use
+        _ = [cell.cell_type + cell.source for cell in nbformat.reads(content, as_version=4).cells]
         return content.decode()
     except Exception as error:  # JSON, its keys, a format of the future: nbformat raises many kinds
         kind = type(error).__name__
-        raise OmnistereoError(f"{path} is not a notebook ({kind}): save it again in JupyterLab") from None
+        raise OmnistereoError(
+            f"{path} is not a notebook ({kind}): save it again in JupyterLab"
+        ) from None
 
 
 def read_notebook(path: Path) -> nbformat.NotebookNode:
@@ -59,7 +69,8 @@ def read_notebook(path: Path) -> nbformat.NotebookNode:
 
 
 def clean(nb: nbformat.NotebookNode) -> nbformat.NotebookNode:
-    """Return a notebook without what depends on the machine and the program that ran it; fill in its solutions.
+    """Return a notebook without what depends on the machine and the program that ran it; fill in
+    its solutions.
 
     Code, tags, outputs and execution counts stay as they are.
     """
@@ -68,7 +79,11 @@ def clean(nb: nbformat.NotebookNode) -> nbformat.NotebookNode:
     nb.metadata = nbformat.from_dict(
         {
             "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
-            "language_info": {"name": "python", "file_extension": ".py", "mimetype": "text/x-python"},
+            "language_info": {
+                "name": "python",
+                "file_extension": ".py",
+                "mimetype": "text/x-python",
+            },
             "omnistereo": facts,
         }
     )
@@ -77,12 +92,16 @@ def clean(nb: nbformat.NotebookNode) -> nbformat.NotebookNode:
     for number, cell in enumerate(nb.cells):
         cell.id = f"cell-{number}"
         if cell.cell_type == "markdown":
-            cell.source = SOLUTION.sub(lambda fold: fold[1] + answers.get(fold[2], fold[3]), cell.source)
+            cell.source = SOLUTION.sub(
+                lambda fold: fold[1] + answers.get(fold[2], fold[3]), cell.source
+            )
         tags = cell.metadata.get("tags")
         cell.metadata = nbformat.from_dict({"tags": tags} if tags else {})
         if cell.cell_type == "code":
             # A widget without its kernel shows nothing; the figure beside it is what a reader sees.
-            cell.outputs = [output for output in cell.outputs if WIDGET not in output.get("data", {})]
+            cell.outputs = [
+                output for output in cell.outputs if WIDGET not in output.get("data", {})
+            ]
             for output in cell.outputs:
                 if output.output_type == "error":  # the frames name files of this machine
                     output.traceback = [f"{output.ename}: {output.evalue}"]
@@ -97,11 +116,17 @@ def open_functions(nb: nbformat.NotebookNode) -> list[Open]:
 
 
 def _renew_captions(cell: nbformat.NotebookNode) -> None:
-    """Write the captions and alternative texts of captions.yaml into the outputs, so that a new one needs no run."""
+    """Write the captions and alternative texts of captions.yaml into the outputs, so that a new one
+    needs no run.
+    """
     names = iter(re.findall(r'\bshow\(.*, "([^"]+)"\)', cell.source))
     for picture, below in pairwise(cell.outputs):
         mime = next((mime for mime in PICTURES if mime in picture.get("data", {})), None)
-        if mime and "text/markdown" in below.get("data", {}) and (entry := captions().get(next(names, ""))):
+        if (
+            mime
+            and "text/markdown" in below.get("data", {})
+            and (entry := captions().get(next(names, "")))
+        ):
             picture.data["text/plain"] = picture.metadata[mime]["alt"] = entry["alt"]
             below.data = nbformat.from_dict(caption_output(entry["caption"]))
 

@@ -1,4 +1,6 @@
-"""Images of consumer cameras: two lenses back to back in one image, and panoramas, which have no depth."""
+"""Images of consumer cameras: two lenses back to back in one image, and panoramas, which have no
+depth.
+"""
 
 from pathlib import Path
 
@@ -9,11 +11,12 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.rig import Rig
 
 NO_DEPTH = (
-    "It is stitched as if seen from one point, and depth needs two: pass the images of the single lenses, before "
-    "stitching, with their calibration"
+    "It is stitched as if seen from one point, and depth needs two: pass the images of the single"
+    " lenses, before stitching, with their calibration"
 )
 _STITCHED = (".360",)  # of GoPro: two halves of one cube map
-_SIDES_MEET = 0.25  # difference of the first and the last column, by that of columns half an image apart
+# difference of the first and the last column, by that of columns half an image apart
+_SIDES_MEET = 0.25
 _EVEN = 0.35  # variation along the first row, which is one point, by that of the whole image
 _APART = 0.2  # of the longer side, between the principal points of lenses that share an image
 _DARK = 8.0  # mean gray value of the first row of an image circle
@@ -26,30 +29,39 @@ def check_not_stitched(path: str | Path) -> None:
 
 
 def split_image(image: NDArray[np.uint8], rig: Rig, path: str | Path) -> list[NDArray[np.uint8]]:
-    """Return the images of all cameras of a rig out of one, which they share, or which holds one beside the other.
+    """Return the images of all cameras of a rig out of one, which they share, or which holds one
+    beside the other.
 
-    Raises an `OmnistereoError` if the image is neither, with the reason if it is an equirectangular panorama.
+    Raises an `OmnistereoError` if the image is neither, with the reason if it is an equirectangular
+    panorama.
     """
     height, width = image.shape[:2]
     sizes = [camera.image_size for camera in rig.cameras]
     widths, heights = zip(*sizes, strict=True)
     if is_equirectangular(image):
-        raise OmnistereoError(f"{path} looks like an equirectangular panorama: 2 to 1, its sides meet. {NO_DEPTH}")
+        raise OmnistereoError(
+            f"{path} looks like an equirectangular panorama: 2 to 1, its sides meet. {NO_DEPTH}"
+        )
     centers = np.array([camera.center for camera in rig.cameras])
-    if set(sizes) == {(width, height)} and np.ptp(centers, axis=0).max() > _APART * max(width, height):
+    if set(sizes) == {(width, height)} and np.ptp(centers, axis=0).max() > _APART * max(
+        width, height
+    ):
         return [image] * len(sizes)
     if (sum(widths), set(heights)) == (width, {height}):
         return np.split(image, np.cumsum(widths)[:-1], axis=1)
     if (set(widths), sum(heights)) == ({width}, height):
         return np.split(image, np.cumsum(heights)[:-1], axis=0)
     raise OmnistereoError(
-        f"{path} is one image of {width} × {height} px for {len(sizes)} cameras of {sizes}; expected one image per "
-        "camera in rig order, or all of them in one, of the size of each, side by side or above each other"
+        f"{path} is one image of {width} × {height} px for {len(sizes)} cameras of {sizes};"
+        " expected one image per camera in rig order, or all of them in one, of the size of each,"
+        " side by side or above each other"
     )
 
 
 def is_equirectangular(image: NDArray[np.uint8]) -> bool:
-    """Return whether an image is 2 to 1, its left and right side meet, and its first row is one point."""
+    """Return whether an image is 2 to 1, its left and right side meet, and its first row is one
+    point.
+    """
     height, width = image.shape[:2]
     if width != 2 * height:
         return False
@@ -57,4 +69,6 @@ def is_equirectangular(image: NDArray[np.uint8]) -> bool:
     seam = np.abs(gray[:, 0] - gray[:, -1]).mean()
     apart = np.abs(gray - np.roll(gray, width // 2, axis=1)).mean()
     top = gray[0]
-    return bool(top.mean() > _DARK and seam < _SIDES_MEET * apart and top.std() < _EVEN * gray.std())
+    return bool(
+        top.mean() > _DARK and seam < _SIDES_MEET * apart and top.std() < _EVEN * gray.std()
+    )

@@ -9,11 +9,13 @@ folder/
   train/ test/                                               or one such folder for each split
   0001/ 0002/ …                                              or one such folder for each rig
 
-The number in the name of a ground-truth folder is its panorama width in pixels: the releases have 640 × 160, our sets
-also 1200 × 300, the panorama size of the paper. Of several widths `load_dataset` reads one.
+The number in the name of a ground-truth folder is its panorama width in pixels: the releases have
+640 × 160, our sets also 1200 × 300, the panorama size of the paper. Of several widths
+`load_dataset` reads one.
 
-In our training worlds every frame has its own rig: `things/train/0001/` is a folder in this layout with one frame. They
-form one data set whose frames carry their rigs, `Frame.rig`; `Dataset.rig` is for sets in which all frames share one.
+In our training worlds every frame has its own rig: `things/train/0001/` is a folder in this layout
+with one frame. They form one data set whose frames carry their rigs, `Frame.rig`; `Dataset.rig` is
+for sets in which all frames share one.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import as_path, path_within, read_data, read_text
 from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.rig import Rig, Unit
-from omnistereo_lib.rig_files import load_rig
+from omnistereo_rigs.formats import load_rig
 
 _CAMERA = r"cam([0-9]+)"
 _RIG_FOLDER = r"([0-9]+)"
@@ -52,7 +54,9 @@ class Dataset(Sequence[Frame]):
     def rig(self) -> Rig:
         """The rig of all frames; an `OmnistereoError` if every frame has its own."""
         if self._rig is None:
-            raise OmnistereoError(f"{self.folder} has a rig for each frame; expected one rig. Use frame.rig.")
+            raise OmnistereoError(
+                f"{self.folder} has a rig for each frame; expected one rig. Use frame.rig."
+            )
         return self._rig
 
     def __len__(self) -> int:
@@ -68,7 +72,9 @@ class Dataset(Sequence[Frame]):
         return replace(self._frames[i])  # a copy, so that cached images are freed with it
 
     def frame(self, number: int) -> Frame:
-        """Return the frame of a number, as in the file names; an `OmnistereoError` lists those there are."""
+        """Return the frame of a number, as in the file names; an `OmnistereoError` lists those
+        there are.
+        """
         numbers = [frame.number for frame in self._frames]
         if number not in numbers:
             known = ", ".join(map(str, numbers[:12])) + " …" * (len(numbers) > 12)
@@ -81,7 +87,10 @@ class Dataset(Sequence[Frame]):
         if self._rig is not None:
             width, height = self.rig.cameras[0].image_size
             cameras = f"{len(self.rig)} cameras of {width} × {height}"
-        return f"Dataset({self.folder.name}: {len(self)} frames, {with_gt} with ground truth, {cameras})"
+        return (
+            f"Dataset({self.folder.name}: {len(self)} frames, {with_gt} with ground truth,"
+            f" {cameras})"
+        )
 
 
 def load_dataset(
@@ -92,18 +101,21 @@ def load_dataset(
     max_fov_deg: float | None = None,
     keep_frame: bool = False,
 ) -> Dataset:
-    """Open a data set in the public layout (see the module docstring); images are read on first use.
+    """Open a data set in the public layout (see the module docstring); images are read on first
+    use.
 
     Args:
-        split: A folder of that name inside `folder`; for the published sets the frame numbers of their releases. None:
-            every frame.
+        split: A folder of that name inside `folder`; for the published sets the frame numbers of
+            their releases. None: every frame.
         unit: Unit of the poses, for rig files that do not state it.
-        gt_width: Panorama width in pixels of the ground truth to read, where there are several; default: the widest.
-        max_fov_deg, keep_frame: As for `load_rig`; with ground truth, the frame of the file is kept.
+        gt_width: Panorama width in pixels of the ground truth to read, where there are several;
+            default: the widest.
+        max_fov_deg, keep_frame: As for `load_rig`; with ground truth, the frame of the file is
+        kept.
 
     Raises:
-        OmnistereoError: If the folder, the rig or the frames are missing, a camera lacks a frame, or two files have one
-            number.
+        OmnistereoError: If the folder, the rig or the frames are missing, a camera lacks a frame,
+            or two files have one number.
 
     >>> dataset = osl.load_dataset("data_samples/sunny", split="test")
     >>> dataset
@@ -121,13 +133,20 @@ def load_dataset(
     rigs = {} if cameras else _by_number(folders, _RIG_FOLDER)
     if rigs:
         rig = None
-        of_rigs = [load_dataset(path, None, unit, gt_width, max_fov_deg, keep_frame) for path in rigs.values()]
+        of_rigs = [
+            load_dataset(path, None, unit, gt_width, max_fov_deg, keep_frame)
+            for path in rigs.values()
+        ]
         frames = [frame for of_rig in of_rigs for frame in of_rig]
         if len({frame.number for frame in frames}) < len(frames):
-            raise OmnistereoError(f"{folder} has two frames of one number; expected different numbers. Rename one.")
+            raise OmnistereoError(
+                f"{folder} has two frames of one number; expected different numbers. Rename one."
+            )
     else:
         # Ground truth is in the frame of the file.
-        rig = load_rig(folder, unit, max_fov_deg, keep_frame or bool(_find_gt(_gt_root(folder), gt_width)))
+        rig = load_rig(
+            folder, unit, max_fov_deg, keep_frame or bool(_find_gt(_gt_root(folder), gt_width))
+        )
         frames = _read_frames(folder, rig, cameras, gt_width)
     if split is not None:
         frames = _published_split(folder, split, frames)
@@ -137,51 +156,67 @@ def load_dataset(
     return Dataset(folder, rig, frames)
 
 
-def _read_frames(folder: Path, rig: Rig, cameras: dict[int, Path], gt_width: int | None) -> list[Frame]:
+def _read_frames(
+    folder: Path, rig: Rig, cameras: dict[int, Path], gt_width: int | None
+) -> list[Frame]:
     if len(cameras) != len(rig):
         found = ", ".join(path.name for path in cameras.values()) or "none"
-        raise OmnistereoError(f"{folder} has camera folders {found}; expected cam1 to cam{len(rig)}, as its rig has")
+        raise OmnistereoError(
+            f"{folder} has camera folders {found}; expected cam1 to cam{len(rig)}, as its rig has"
+        )
     images = [_by_number(camera.iterdir(), _IMAGE) for camera in cameras.values()]
     numbers = sorted(set().union(*images))
     for camera, files in zip(cameras.values(), images, strict=True):
         if missing := [number for number in numbers if number not in files]:
-            raise OmnistereoError(f"{camera} has no image of frame {missing[0]}, other cameras have. Complete it.")
+            raise OmnistereoError(
+                f"{camera} has no image of frame {missing[0]}, other cameras have. Complete it."
+            )
     gt = _find_gt(_gt_root(folder), gt_width)
     return [Frame(rig, [files[n] for files in images], n, gt.get(n)) for n in numbers]
 
 
 def _gt_root(folder: Path) -> Path:
-    """Return the folder that holds the ground truth: this one, or the one that `dataset: truth` in config.yaml names.
+    """Return the folder that holds the ground truth: this one, or the one that `dataset: truth` in
+    config.yaml names.
 
     Our sets of one drive in several lights share the ground truth of one of them.
     """
     config = folder / "config.yaml"
-    if not config.is_file() or "truth:" not in read_text(config):  # a set with a rig for each frame has many such files
+    # a set with a rig for each frame has many such files
+    if not config.is_file() or "truth:" not in read_text(config):
         return folder
     data = read_data(config)
     settings = data.get("dataset") if isinstance(data, dict) else None
     truth = settings.get("truth") if isinstance(settings, dict) else None
     if truth is None:  # `truth:` is not under `dataset`
         return folder
-    root = path_within(folder, truth, config, folder.resolve().parent.parent)  # such as sunny/test beside cloudy/test
+    # such as sunny/test beside cloudy/test
+    root = path_within(folder, truth, config, folder.resolve().parent.parent)
     if not root.is_dir():
-        raise OmnistereoError(f"{config} names {root} as the ground-truth folder; there is no such folder")
+        raise OmnistereoError(
+            f"{config} names {root} as the ground-truth folder; there is no such folder"
+        )
     return root
 
 
 def _find_gt(folder: Path, width: int | None) -> dict[int, Path]:
     """Return the ground-truth files by frame number, of one panorama width (None: the widest).
 
-    The first release keeps one ground truth for all weathers beside their folders, split into train and test.
+    The first release keeps one ground truth for all weathers beside their folders, split into train
+    and test.
     """
     found = _gt_by_width(folder.glob("*depth_*")) or _gt_by_width(folder.parent.glob("depth_t*_*"))
     if width is not None and width not in found:
-        raise OmnistereoError(f"{folder} has no ground truth of width {width}; expected one of {sorted(found)}")
+        raise OmnistereoError(
+            f"{folder} has no ground truth of width {width}; expected one of {sorted(found)}"
+        )
     return found[width or max(found)] if found else {}
 
 
 def _gt_by_width(folders: Iterable[Path]) -> dict[int, dict[int, Path]]:
-    """Return the ground-truth files by panorama width and frame number; folders without such files do not count."""
+    """Return the ground-truth files by panorama width and frame number; folders without such files
+    do not count.
+    """
     paths: dict[int, list[Path]] = {}
     for folder in folders:
         match = re.fullmatch(_GT_FOLDER, folder.name)
@@ -191,13 +226,17 @@ def _gt_by_width(folders: Iterable[Path]) -> dict[int, dict[int, Path]]:
 
 
 def _by_number(paths: Iterable[Path], pattern: str) -> dict[int, Path]:
-    """Return the paths whose names match, by the number in them, in ascending order; 0001 and 00001 are the same."""
+    """Return the paths whose names match, by the number in them, in ascending order; 0001 and 00001
+    are the same.
+    """
     found: dict[int, Path] = {}
     for path in sorted(paths):
         if match := re.fullmatch(pattern, path.name):
             other = found.setdefault(int(match[1]), path)
             if other != path:
-                raise OmnistereoError(f"{other} and {path} have the same number; expected one of them. Remove one.")
+                raise OmnistereoError(
+                    f"{other} and {path} have the same number; expected one of them. Remove one."
+                )
     return dict(sorted(found.items()))
 
 
@@ -205,6 +244,8 @@ def _published_split(folder: Path, split: str, frames: list[Frame]) -> list[Fram
     last = _PUBLISHED_SPLITS.get(folder.name.lower())
     if last is None or split not in ("train", "test"):
         known = f"one of the published sets {', '.join(_PUBLISHED_SPLITS)} with train or test"
-        raise OmnistereoError(f"{folder} has no split {split!r}; expected a folder of that name, or {known}")
+        raise OmnistereoError(
+            f"{folder} has no split {split!r}; expected a folder of that name, or {known}"
+        )
     numbers = range(1, last[0] + 1) if split == "train" else range(last[0] + 1, last[1] + 1)
     return [frame for frame in frames if frame.number in numbers]

@@ -7,18 +7,23 @@ from numbers import Real
 from pathlib import Path
 from typing import Any
 
-EXIT_STATUS = "exit status: 0 done, 1 a check failed or the program has a defect, 2 bad input, 130 interrupted"
+EXIT_STATUS = (
+    "exit status: 0 done, 1 a check failed or the program has a defect, 2 bad input, 130"
+    " interrupted"
+)
 
 
 class OmnistereoError(ValueError):
     """Bad input, said so that a person can act on it.
 
-    The message names what was given (the file, where there is one), what was found in it, what was expected and what
-    to do. The command line prints it as one plain line; everything else that escapes is a bug.
+    The message names what was given (the file, where there is one), what was found in it, what was
+    expected and what to do. The command line prints it as one plain line; everything else that
+    escapes is a bug.
 
     >>> osl.SphereGrid(640, 160, min_depth=-1)
     Traceback (most recent call last):
-    omnistereo_lib.errors.OmnistereoError: min_depth is -1 and max_depth inf; expected metres with ...
+    omnistereo_lib.errors.OmnistereoError: min_depth is -1 and max_depth inf; expected metres with
+    ...
     """
 
     def __init__(self, message: str) -> None:
@@ -27,7 +32,8 @@ class OmnistereoError(ValueError):
 
 def one_line(text: str) -> str:
     """Return a text as one line of at most 500 characters; of a longer one the middle is left out."""
-    text = re.sub(r"\s*[\x00-\x1f\x7f-\x9f\u2028\u2029]+\s*", " ", text)  # control characters move a terminal's cursor
+    # control characters move a terminal's cursor
+    text = re.sub(r"\s*[\x00-\x1f\x7f-\x9f\u2028\u2029]+\s*", " ", text)
     return text if len(text) <= 500 else f"{text[:330]} … {text[-167:]}"
 
 
@@ -42,7 +48,9 @@ def error_context(source: str | Path) -> Iterator[None]:
 
 
 def check_number(value: Any, what: str, low: float, high: float, whole: bool = False) -> float:
-    """Return a number of low … high as float, a whole one as int; else the `OmnistereoError` says `what` it is."""
+    """Return a number of low … high as float, a whole one as int; else the `OmnistereoError` says
+    `what` it is.
+    """
     valid = _is_number(value) and low <= value <= high
     if not valid or (whole and value != int(value)):
         kind = "an integer" if whole else "a number"
@@ -55,7 +63,9 @@ def _is_number(value: object) -> bool:
 
 
 def check_type(value: object, kind: type, name: str) -> None:
-    """Raise an `OmnistereoError` if an argument is not of a class, or a class that its kind is registered for."""
+    """Raise an `OmnistereoError` if an argument is not of a class, or a class that its kind is
+    registered for.
+    """
     if not isinstance(value, kind):
         raise OmnistereoError(f"{name} is {shortened(value)}; expected {kind.__name__}")
 

@@ -1,4 +1,6 @@
-"""A rig and its images, checked once where they enter; and the files that images and exact depth come from."""
+"""A rig and its images, checked once where they enter; and the files that images and exact depth
+come from.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.consumer_images import check_not_stitched, split_image
 from omnistereo_lib.errors import OmnistereoError, check_type, shortened
-from omnistereo_lib.files import MAX_PIXELS, as_path, atomic_write, open_picture, pages_of, read_image, read_pixels
+from omnistereo_lib.files import (
+    MAX_PIXELS,
+    as_path,
+    atomic_write,
+    open_picture,
+    pages_of,
+    read_image,
+    read_pixels,
+)
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import Sampling, SphereGrid
 from omnistereo_lib.lazy import lazy_property
@@ -22,9 +32,11 @@ from omnistereo_lib.lazy import lazy_property
 class Frame:
     """A rig and what its cameras saw at one instant, with the exact depth if it is known.
 
-    `load_dataset(...)[k]` gives one whose files are read on first use; `Frame.of` makes one of any rig and images.
+    `load_dataset(...)[k]` gives one whose files are read on first use; `Frame.of` makes one of any
+    rig and images.
 
-    `number` is that of the file names; `rig` took the images, and its `min_depth` scales 16-bit PNG ground truth.
+    `number` is that of the file names; `rig` took the images, and its `min_depth` scales 16-bit PNG
+    ground truth.
 
     >>> rig = osl.load_rig("data_samples/sunny/test")
     >>> images = osl.load_images([f"data_samples/sunny/test/cam{k}/0706.jpg" for k in (1, 2, 3, 4)])
@@ -39,11 +51,12 @@ class Frame:
 
     @classmethod
     def of(cls, rig: Rig, images: Sequence[ArrayLike]) -> Frame:
-        """Return a frame of a rig and its images: one array per camera, (height, width) or (height, width, 3), RGB.
+        """Return a frame of a rig and its images: one array per camera, (height, width) or (height,
+        width, 3), RGB.
 
         Raises:
-            OmnistereoError: If there is not one image per camera, or one has the wrong size, shape or type or is not
-                finite.
+            OmnistereoError: If there is not one image per camera, or one has the wrong size, shape
+                or type or is not finite.
         """
         check_type(rig, Rig, "rig")
         frame = cls(rig)
@@ -57,7 +70,8 @@ class Frame:
 
     @lazy_property
     def inverse_depth(self) -> NDArray[np.float32]:
-        """Ground truth, 1/m from the rig centre along each ray, 0 = sky, NaN = unknown; read on first use.
+        """Ground truth, 1/m from the rig centre along each ray, 0 = sky, NaN = unknown; read on
+        first use.
 
         Raises an `OmnistereoError` if the frame has none.
         """
@@ -67,17 +81,23 @@ class Frame:
         return read_inverse_depth(self.gt_path, self.rig.min_depth)
 
     def gt_index(self, grid: SphereGrid) -> NDArray[np.float64]:
-        """Return the ground-truth sphere index n̂ on a grid, shape (H, W), not rounded; NaN = unknown.
+        """Return the ground-truth sphere index n̂ on a grid, shape (H, W), not rounded; NaN =
+        unknown.
 
-        As in all published sets, ground-truth pixels are square and the middle row is the horizon: 640 × 160 spans
-        -45° to 45°. The pixel sampling is that of the grid. Each ray takes the nearest ground-truth pixel, since
-        interpolation across a depth discontinuity gives a depth that is not in the scene.
+        As in all published sets, ground-truth pixels are square and the middle row is the horizon:
+        640 × 160 spans -45° to 45°. The pixel sampling is that of the grid. Each ray takes the
+        nearest ground-truth pixel, since interpolation across a depth discontinuity gives a depth
+        that is not in the scene.
         """
         check_type(grid, SphereGrid, "grid")
         return grid.inverse_depth_to_index(self.inverse_depth_along(grid.rays(), grid.sampling))
 
-    def inverse_depth_along(self, rays: NDArray[np.float64], sampling: Sampling = "center") -> NDArray[np.float32]:
-        """Return the inverse depth in 1/m of the ground-truth pixels nearest to rays (..., 3); NaN = unknown."""
+    def inverse_depth_along(
+        self, rays: NDArray[np.float64], sampling: Sampling = "center"
+    ) -> NDArray[np.float32]:
+        """Return the inverse depth in 1/m of the ground-truth pixels nearest to rays (..., 3); NaN
+        = unknown.
+        """
         height, width = self.inverse_depth.shape
         highest = 180.0 * height / width
         grid = SphereGrid(width, height, (-highest, highest), sampling=sampling)
@@ -89,30 +109,41 @@ def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray[Any]]:
     """Return the images as arrays, checked against the cameras of the rig; errors as of `Frame.of`."""
     if not isinstance(images, Sized):  # arrays and tensors are sequences, too
         raise OmnistereoError(f"images is {shortened(images)}; expected one array per camera")
-    # Arrays in this machine's byte order, whatever they come as: tensors, too, without importing torch for it.
-    arrays = [np.asarray(image.detach().cpu() if hasattr(image, "detach") else image) for image in images]
+    # Arrays in this machine's byte order, whatever they come as: tensors, too, without importing
+    # torch for it.
+    arrays = [
+        np.asarray(image.detach().cpu() if hasattr(image, "detach") else image) for image in images
+    ]
     arrays = [image.astype(image.dtype.newbyteorder("="), copy=False) for image in arrays]
-    for i, (image, (width, height)) in enumerate(zip(arrays, rig.image_sizes(len(arrays)), strict=True)):
+    for i, (image, (width, height)) in enumerate(
+        zip(arrays, rig.image_sizes(len(arrays)), strict=True)
+    ):
         if image.shape not in [(height, width), (height, width, 3)]:
             raise OmnistereoError(
-                f"image {i + 1} has shape {image.shape}; camera {i + 1} expects ({height}, {width}) or "
-                f"({height}, {width}, 3). Pass the image as captured: not resized, cropped or rotated."
+                f"image {i + 1} has shape {image.shape}; camera {i + 1} expects ({height}, {width})"
+                f" or ({height}, {width}, 3). Pass the image as captured: not resized, cropped or"
+                " rotated."
             )
         if image.dtype != np.uint8 and not np.issubdtype(image.dtype, np.floating):
             raise OmnistereoError(f"image {i + 1} has type {image.dtype}; expected uint8 or float")
         if image.dtype != np.uint8 and not np.isfinite(image).all():
-            raise OmnistereoError(f"image {i + 1} has NaN or infinite values; expected finite gray values")
+            raise OmnistereoError(
+                f"image {i + 1} has NaN or infinite values; expected finite gray values"
+            )
     # Gray and colour images together are all in colour.
     if len({image.ndim for image in arrays}) > 1:
-        arrays = [np.repeat(image[..., None], 3, -1) if image.ndim == 2 else image for image in arrays]
+        arrays = [
+            np.repeat(image[..., None], 3, -1) if image.ndim == 2 else image for image in arrays
+        ]
     return arrays
 
 
 def load_images(paths: Sequence[str | Path], rig: Rig | None = None) -> list[NDArray[np.uint8]]:
-    """Read one image for each camera, in the order of the rig; see `read_image` for shapes and errors.
+    """Read one image for each camera, in the order of the rig; see `read_image` for shapes and
+    errors.
 
-    With a rig, number and sizes of the images are compared with its cameras before anything is decoded. One image for
-    a rig holds all its cameras, see `consumer_images.split_image`.
+    With a rig, number and sizes of the images are compared with its cameras before anything is
+    decoded. One image for a rig holds all its cameras, see `consumer_images.split_image`.
 
     >>> images = osl.load_images([f"data_samples/sunny/test/cam{k}/0706.jpg" for k in (1, 2, 3, 4)])
     >>> images[0].shape, images[0].dtype
@@ -128,13 +159,17 @@ def load_images(paths: Sequence[str | Path], rig: Rig | None = None) -> list[NDA
 
 
 def read_inverse_depth(path: str | Path, min_depth: float | None = None) -> NDArray[np.float32]:
-    """Read a ground-truth panorama of inverse depth in 1/m, shape (H, W); 0 is infinitely far, NaN unknown.
+    """Read a ground-truth panorama of inverse depth in 1/m, shape (H, W); 0 is infinitely far, NaN
+    unknown.
 
-    Float TIFF holds inverse depth as it is; in files of the current releases a thumbnail page precedes it. 16-bit PNG
-    of the first release holds it in steps of 1/(65500 min_depth). Anything else raises an `OmnistereoError`.
+    Float TIFF holds inverse depth as it is; in files of the current releases a thumbnail page
+    precedes it. 16-bit PNG of the first release holds it in steps of 1/(65500 min_depth). Anything
+    else raises an `OmnistereoError`.
     """
     path = Path(path)
-    values = _read_png16(path, min_depth) if path.suffix.lower() == ".png" else _read_float_tiff(path)
+    values = (
+        _read_png16(path, min_depth) if path.suffix.lower() == ".png" else _read_float_tiff(path)
+    )
     with np.errstate(over="ignore"):
         values = values.astype(np.float32)
     return np.where(np.isfinite(values) & (values >= 0), values, np.float32(np.nan))
@@ -154,13 +189,21 @@ def _read_float_tiff(path: Path) -> NDArray[Any]:
     try:
         for page in range(pages_of(path, picture)):
             picture.seek(page)
-            floats += [page] if picture.mode == "F" and picture.width * picture.height <= MAX_PIXELS else []
+            floats += (
+                [page]
+                if picture.mode == "F" and picture.width * picture.height <= MAX_PIXELS
+                else []
+            )
         if len(floats) == 1:
             picture.seek(floats[0])
             return np.array(picture)
     except Exception as error:  # of many types
-        raise OmnistereoError(f"{path} is not a complete TIFF file ({error}). Copy it again.") from None
-    raise OmnistereoError(f"{path} has {len(floats)} float pages; expected one, of inverse depth in 1/m")
+        raise OmnistereoError(
+            f"{path} is not a complete TIFF file ({error}). Copy it again."
+        ) from None
+    raise OmnistereoError(
+        f"{path} has {len(floats)} float pages; expected one, of inverse depth in 1/m"
+    )
 
 
 def _read_png16(path: Path, min_depth: float | None) -> NDArray[np.float64]:
@@ -169,5 +212,7 @@ def _read_png16(path: Path, min_depth: float | None) -> NDArray[np.float64]:
         found = f"{steps.dtype} of shape {steps.shape}"
         raise OmnistereoError(f"{path} holds {found}; expected 16-bit gray steps of inverse depth")
     if min_depth is None:
-        raise OmnistereoError(f"{path} is in units of 1/min_depth. State the nearest depth in the rig file.")
+        raise OmnistereoError(
+            f"{path} is in units of 1/min_depth. State the nearest depth in the rig file."
+        )
     return steps / (65500.0 * min_depth)

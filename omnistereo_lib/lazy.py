@@ -1,4 +1,6 @@
-"""What is computed on first use and then kept, and locks, in processes that fork while other threads compute."""
+"""What is computed on first use and then kept, and locks, in processes that fork while other
+threads compute.
+"""
 
 import functools
 import os
@@ -23,4 +25,6 @@ class lazy_property(functools.cached_property[_Value]):  # noqa: N801 (used as a
 def hold_at_fork(lock: Any) -> None:
     """Let a fork wait until nobody holds a lock, so that the new process finds it free."""
     if hasattr(os, "register_at_fork"):
-        os.register_at_fork(before=lock.acquire, after_in_parent=lock.release, after_in_child=lock.release)
+        os.register_at_fork(
+            before=lock.acquire, after_in_parent=lock.release, after_in_child=lock.release
+        )

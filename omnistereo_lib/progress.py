@@ -3,7 +3,8 @@
 from collections.abc import Callable
 from itertools import count
 
-Progress = Callable[[int, int, str], object]  # parts that are done, parts in all, the part that is next; "" at the end
+# parts that are done, parts in all, the part that is next; "" at the end
+Progress = Callable[[int, int, str], object]
 
 
 def silent(done: int, total: int, what: str) -> None:
@@ -11,6 +12,8 @@ def silent(done: int, total: int, what: str) -> None:
 
 
 def counted(progress: Progress, total: int) -> Callable[[str], object]:
-    """Return what is called with the name of each part before it begins, and with "" when all are done."""
+    """Return what is called with the name of each part before it begins, and with "" when all are
+    done.
+    """
     numbers = count()
     return lambda what: progress(next(numbers), total, what)

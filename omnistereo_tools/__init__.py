@@ -1,1 +1,3 @@
-"""Applications of `omnistereo_lib`: the command line `omnistereo`, and the modules that its commands use."""
+"""Applications of `omnistereo_lib`: the command line `omnistereo`, and the modules that its
+commands use.
+"""

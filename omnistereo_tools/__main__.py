@@ -6,7 +6,9 @@ from types import FrameType
 
 
 def start() -> int:
-    """Run the command line; a process that is stopped while modules load, or after the command, ends quietly."""
+    """Run the command line; a process that is stopped while modules load, or after the command,
+    ends quietly.
+    """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _leave)
     from omnistereo_tools.cli import main
@@ -18,7 +20,9 @@ def start() -> int:
 
 
 def _leave(number: int, frame: FrameType | None) -> None:
-    """End at once: an exception would go through modules that are half loaded, and come out as another one."""
+    """End at once: an exception would go through modules that are half loaded, and come out as
+    another one.
+    """
     os.write(2, b"interrupted\n")
     os._exit(128 + number)
 

@@ -35,7 +35,9 @@ from omnistereo_tools.outputs import let_go
 from omnistereo_tools.parser import Options, add_options, is_tiny, shrink
 
 # Of libraries whose errors have no type in common.
-_EXHAUSTED = re.compile(r"can't start new thread|(allocate|insufficient|out of) memory|CUDA error", re.IGNORECASE)
+_EXHAUSTED = re.compile(
+    r"can't start new thread|(allocate|insufficient|out of) memory|CUDA error", re.IGNORECASE
+)
 _ABOUT = "Depth panoramas from a rig of fisheye cameras."
 COMMANDS = {
     "demo": demo_command,
@@ -52,7 +54,9 @@ COMMANDS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; return the exit status. Whatever goes wrong is one plain line, never a traceback."""
+    """Run one command; return the exit status. Whatever goes wrong is one plain line, never a
+    traceback.
+    """
     _open_streams()
     keep_memory()
     options = None
@@ -78,25 +82,37 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         return _interrupted(options, stop)
     except OSError as error:
-        if error.filename is None:  # it is the output; what it has not taken would fail again at exit
+        # it is the output; what it has not taken would fail again at exit
+        if error.filename is None:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if isinstance(error, BrokenPipeError):  # a reader such as `head` has seen enough
             return 141
-        return _stop(f"error: {error.filename or 'the output'} cannot be read or written: {error.strerror}", 2)
+        return _stop(
+            f"error: {error.filename or 'the output'} cannot be read or written: {error.strerror}",
+            2,
+        )
     except Exception as error:
         if not (isinstance(error, MemoryError) or _EXHAUSTED.search(str(error))):
             raise
-        return _stop(f"error: the machine has too little memory, threads or GPU left ({error}). Ask for less of it.", 2)
+        return _stop(
+            f"error: the machine has too little memory, threads or GPU left ({error}). Ask for less"
+            " of it.",
+            2,
+        )
 
 
 def _open_streams() -> None:
-    """Open the streams that the parent has closed: a file would get their numbers, and what C prints into them."""
+    """Open the streams that the parent has closed: a file would get their numbers, and what C
+    prints into them.
+    """
     for number in range(3):
         with suppress(OSError):
             os.fstat(number)
             continue
         os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
-    sys.stdout, sys.stderr = (stream or os.fdopen(k, "w") for k, stream in ((1, sys.stdout), (2, sys.stderr)))
+    sys.stdout, sys.stderr = (
+        stream or os.fdopen(k, "w") for k, stream in ((1, sys.stdout), (2, sys.stderr))
+    )
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")  # where the terminal is not UTF-8
@@ -108,7 +124,9 @@ class _Terminated(KeyboardInterrupt):
 
 @contextmanager
 def _stoppable() -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM end a command alike, at once while it loads modules; only the main thread can."""
+    """Let Ctrl-C and SIGTERM end a command alike, at once while it loads modules; only the main
+    thread can.
+    """
 
     def stop(number: int, frame: FrameType | None) -> None:
         while frame is not None:
@@ -130,20 +148,28 @@ def _stoppable() -> Iterator[None]:
 
 
 def _check_environment() -> None:
-    """Raise an `OmnistereoError` for what libraries answer with a traceback when they are loaded; draw into files."""
+    """Raise an `OmnistereoError` for what libraries answer with a traceback when they are loaded;
+    draw into files.
+    """
     os.environ |= {"MPLBACKEND": "agg", "MATPLOTLIBRC": os.devnull}
     threads = os.environ.get("NUMBA_NUM_THREADS", "1")
     if not re.fullmatch("[1-9][0-9]{0,3}", threads):
-        raise OmnistereoError(f"NUMBA_NUM_THREADS in the environment is {shortened(threads)}; expected 1 to 9999")
+        raise OmnistereoError(
+            f"NUMBA_NUM_THREADS in the environment is {shortened(threads)}; expected 1 to 9999"
+        )
     if any(name.startswith("TQDM_") for name in os.environ):
         try:
             import tqdm  # noqa: F401  # it reads them when it is imported, as torch does
         except ValueError as error:
-            raise OmnistereoError(f"{error}. Check the variables TQDM_… of the environment") from None
+            raise OmnistereoError(
+                f"{error}. Check the variables TQDM_… of the environment"
+            ) from None
     try:
         os.getcwd()
     except OSError:
-        raise OmnistereoError("the working folder is not there any more. Change to another one") from None
+        raise OmnistereoError(
+            "the working folder is not there any more. Change to another one"
+        ) from None
     if os.path.exists("matplotlibrc"):  # Matplotlib reads it before the one of the variable
         import matplotlib
 
@@ -166,9 +192,12 @@ def _stop(line: str, status: int) -> int:
     if tqdm := sys.modules.get("tqdm"):
         for bar in [*tqdm.tqdm._instances]:  # it would be drawn once more, below the line
             bar.close()
-    if (file := os.environ.get("TORCHELASTIC_ERROR_FILE")) is not None:  # torchrun ends with what it finds there
+    # torchrun ends with what it finds there
+    if (file := os.environ.get("TORCHELASTIC_ERROR_FILE")) is not None:
         when = {"timestamp": str(int(time.time()))}
-        Path(file).write_text(json.dumps({"message": {"message": one_line(line), "extraInfo": when}}))
+        Path(file).write_text(
+            json.dumps({"message": {"message": one_line(line), "extraInfo": when}})
+        )
     if os.environ.get("RANK", "0") == "0" or file is None:
         _say(line)
     return status
@@ -187,7 +216,8 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _parse(arguments: list[str]) -> tuple[ModuleType, Options]:
-    """Return the module of a command and its options; without one print the help, and for a wrong name a similar one.
+    """Return the module of a command and its options; without one print the help, and for a wrong
+    name a similar one.
 
     The options are of the class that `run` takes.
     """
@@ -208,11 +238,15 @@ def _parse(arguments: list[str]) -> tuple[ModuleType, Options]:
         parser.exit()
     if not arguments[0].startswith("-") and arguments[0] not in COMMANDS:
         similar = get_close_matches(arguments[0], COMMANDS, n=1)
-        guess = f"Did you mean {similar[0]}?" if similar else f"Expected one of {', '.join(COMMANDS)}."
+        guess = (
+            f"Did you mean {similar[0]}?" if similar else f"Expected one of {', '.join(COMMANDS)}."
+        )
         parser.exit(2, f"error: there is no command {arguments[0]!r}. {guess}\n")
     typed = vars(parser.parse_args(arguments))
     module = COMMANDS[typed.pop("command")]
-    values = {name: tuple(value) if isinstance(value, list) else value for name, value in typed.items()}
+    values = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in typed.items()
+    }
     return module, _options_of(module)(**values)
 
 

@@ -13,16 +13,25 @@ Check = tuple[bool, str]  # whether it passed, and the line to print
 
 
 def doctor() -> bool:
-    """Print what the library needs and what of it is missing, with the fix; return whether nothing failed.
+    """Print what the library needs and what of it is missing, with the fix; return whether nothing
+    failed.
 
     Cores and memory are notes, which do not count as failures.
     """
-    unchecked = (False, "packages and data of the course are not checked: in its clone, python -m course doctor does")
+    unchecked = (
+        False,
+        (
+            "packages and data of the course are not checked: in its clone, python -m course doctor"
+            " does"
+        ),
+    )
     checks = [*check_python(), *_required_packages()]
     return print_checks(checks, (unchecked, *check_machine()), "Python and packages")
 
 
-def print_checks(checks: Iterable[Check], notes: Iterable[Check], what: str, short: bool = False) -> bool:
+def print_checks(
+    checks: Iterable[Check], notes: Iterable[Check], what: str, short: bool = False
+) -> bool:
     """Print checks and notes, or in short only what failed; return whether no check failed."""
     checks = list(checks)
     failed = [line for passed, line in checks if not passed]
@@ -33,7 +42,11 @@ def print_checks(checks: Iterable[Check], notes: Iterable[Check], what: str, sho
         print(f"{'OK  ' if passed else 'FAIL'}  {line}")
     for passed, line in notes:
         print(f"{'OK  ' if passed else 'NOTE'}  {line}")
-    count = f"{len(failed)} thing{'s' * (len(failed) > 1)} to fix, marked FAIL" if failed else f"{what} are in place"
+    count = (
+        f"{len(failed)} thing{'s' * (len(failed) > 1)} to fix, marked FAIL"
+        if failed
+        else f"{what} are in place"
+    )
     print(f"\n{count}")
     return not failed
 
@@ -83,7 +96,11 @@ def check_machine() -> Iterator[Check]:
     memory = psutil.virtual_memory()
     total, free = memory.total / 2**30, memory.available / 2**30
     yield True, f"{os.cpu_count()} cores"
-    fix = "" if free >= _MIN_MEMORY_GIB else f": at least {_MIN_MEMORY_GIB} GiB are needed, close other programs"
+    fix = (
+        ""
+        if free >= _MIN_MEMORY_GIB
+        else f": at least {_MIN_MEMORY_GIB} GiB are needed, close other programs"
+    )
     yield free >= _MIN_MEMORY_GIB, f"{free:.1f} of {total:.1f} GiB memory free{fix}"
     gpu = torch.cuda.get_device_name() if torch.cuda.is_available() else None
     yield True, f"GPU: {gpu}" if gpu else "no CUDA GPU: everything runs on the CPU"

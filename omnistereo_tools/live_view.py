@@ -31,9 +31,11 @@ from omnistereo_tools.output.pictures import ColorScale, draw_frame, share_of_pa
 from omnistereo_tools.output.summary import metres
 from omnistereo_tools.record.watching import Watching
 
-_PATIENCE_S = 10.0  # of a camera that gives no picture, and of a browser that neither asks nor reads
+# of a camera that gives no picture, and of a browser that neither asks nor reads
+_PATIENCE_S = 10.0
 _CLIENTS = 16  # connections at a time; a page has three
-_HOST = re.compile(r"(localhost|127\.0\.0\.1)(:[0-9]+)?")  # a name of another site may lead here, too
+# a name of another site may lead here, too
+_HOST = re.compile(r"(localhost|127\.0\.0\.1)(:[0-9]+)?")
 _PAGE = Path(__file__).parent / "output" / "page" / "live.html"
 _EQUALISED = 16  # frames from one look at how bright the cameras are to the next
 
@@ -47,7 +49,9 @@ class LivePicture:
     rows: float  #: share of the height of the picture that the panorama takes, and the depth again
 
     def ray_at(self, x: float, y: float) -> tuple[int, int] | None:
-        """Return row and column of the ray at a place of the picture, both coordinates from 0 to 1; None outside."""
+        """Return row and column of the ray at a place of the picture, both coordinates from 0 to 1;
+        None outside.
+        """
         grid = self.depth.grid
         row, column = int(y % self.rows / self.rows * grid.height), int(x * grid.width)
         return (row, column) if 0 <= y < 2 * self.rows and 0 <= column < grid.width else None
@@ -60,13 +64,17 @@ class LivePicture:
         return "no depth here" if np.isnan(depth) else f"{metres(float(depth))} along the ray"
 
     def why_at(self, x: float, y: float) -> str:
-        """Return why the ray at a place of the picture has its depth, one sentence, as the page of a frame has it."""
+        """Return why the ray at a place of the picture has its depth, one sentence, as the page of
+        a frame has it.
+        """
         ray = self.ray_at(x, y)
         return "" if ray is None else explain(self.depth, column=ray[1], row=ray[0]).sentence
 
 
 class Latest:
-    """A value that one thread renews and others wait for; who is slow misses values, and nobody is held up."""
+    """A value that one thread renews and others wait for; who is slow misses values, and nobody is
+    held up.
+    """
 
     def __init__(self) -> None:
         self._changed = Condition()
@@ -117,17 +125,24 @@ class Cameras:
         OmnistereoError: If there is not one source per camera, or one cannot be opened.
 
     Attributes:
-        first: The first picture of each, RGB: what is black, how near things are and how bright the cameras are.
+        first: The first picture of each, RGB: what is black, how near things are and how bright the
+            cameras are.
     """
 
     def __init__(self, sources: Sequence[int | str], rig: Rig, loop: bool = False) -> None:
         if len(sources) != len(rig):
             raise OmnistereoError(
-                f"there are {len(sources)} cameras or videos for a rig of {len(rig)}. Give one for each."
+                f"there are {len(sources)} cameras or videos for a rig of {len(rig)}. Give one for"
+                " each."
             )
         self.sources, self.loop = sources, loop
-        self.captures = [_open(source, camera.image_size) for source, camera in zip(sources, rig.cameras, strict=True)]
-        self.first = [_first(source, capture) for source, capture in zip(sources, self.captures, strict=True)]
+        self.captures = [
+            _open(source, camera.image_size)
+            for source, camera in zip(sources, rig.cameras, strict=True)
+        ]
+        self.first = [
+            _first(source, capture) for source, capture in zip(sources, self.captures, strict=True)
+        ]
         rates = [capture.get(cv2.CAP_PROP_FPS) for capture in self.captures]
         # Videos play at their own speed, cameras set it themselves.
         self.period = 1 / rates[0] if isinstance(sources[0], str) and rates[0] > 0 else 0.0
@@ -160,7 +175,8 @@ class Cameras:
             if self.period and not self._going.is_set():
                 self._going.wait()
                 due = time.monotonic()
-            grabbed = [capture.grab() for capture in self.captures]  # first all, then decode: they are nearer in time
+            # first all, then decode: they are nearer in time
+            grabbed = [capture.grab() for capture in self.captures]
             if not all(grabbed) and begun and self.loop:
                 for source, capture in zip(self.sources, self.captures, strict=True):
                     _begin_again(source, capture)
@@ -185,7 +201,9 @@ def _open(source: int | str, image_size: tuple[int, int]) -> cv2.VideoCapture:
         return open_video(Path(source), image_size)
     capture = cv2.VideoCapture(source)
     if not capture.isOpened():
-        raise OmnistereoError(f"camera {source} cannot be opened. Check that it exists and is not in use.")
+        raise OmnistereoError(
+            f"camera {source} cannot be opened. Check that it exists and is not in use."
+        )
     capture.set(cv2.CAP_PROP_FRAME_WIDTH, image_size[0])
     capture.set(cv2.CAP_PROP_FRAME_HEIGHT, image_size[1])
     return capture
@@ -210,7 +228,8 @@ def _begin_again(source: int | str, capture: cv2.VideoCapture) -> None:
 def live_pictures(
     cameras: Cameras, sweep: SphereSweep, method: str | Method, watching: Watching | None = None
 ) -> Generator[LivePicture]:
-    """Return pictures until a source ends; tables and kernels are ready when the first one is asked for.
+    """Return pictures until a source ends; tables and kernels are ready when the first one is asked
+    for.
 
     In between, the rig is looked at.
     """
@@ -220,7 +239,9 @@ def live_pictures(
     return _play(cameras, sweep, method, watching)
 
 
-def _play(cameras: Cameras, sweep: SphereSweep, method: Method, watching: Watching | None) -> Generator[LivePicture]:
+def _play(
+    cameras: Cameras, sweep: SphereSweep, method: Method, watching: Watching | None
+) -> Generator[LivePicture]:
     """Read, compute depth and draw at the same time, each the newest there is."""
     scale, computed, failed = ColorScale(0.0, 0.8 / sweep.grid.min_depth), Latest(), []
 
@@ -228,7 +249,11 @@ def _play(cameras: Cameras, sweep: SphereSweep, method: Method, watching: Watchi
         try:
             for number, frames in enumerate(cameras.newest):
                 images = [cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) for frame in frames]
-                computed.put(sweep_depth(watching.sweep_of(number, images) if watching else sweep, images, method))
+                computed.put(
+                    sweep_depth(
+                        watching.sweep_of(number, images) if watching else sweep, images, method
+                    )
+                )
         except Exception as error:
             failed.append(error)
         finally:
@@ -243,7 +268,10 @@ def _play(cameras: Cameras, sweep: SphereSweep, method: Method, watching: Watchi
             if number % _EQUALISED == 0:
                 gains = estimate_gains(depth)
             now = time.monotonic()
-            note = f"{method.name}: {1 / (now - before):.1f} frames/s, median {metres(np.nanmedian(depth.depth))}"
+            note = (
+                f"{method.name}: {1 / (now - before):.1f} frames/s, median"
+                f" {metres(np.nanmedian(depth.depth))}"
+            )
             before = now
             yield draw_picture(depth, gains, trust(depth, method), scale, note)
         if failed:
@@ -328,8 +356,13 @@ def serve(latest: Latest, port: int, cameras: Cameras | None = None) -> Iterator
         def do_GET(self) -> None:
             self.deadline.cancel()
             name, _, query = self.path.partition("?")
-            of_other_sites = self.headers.get("Sec-Fetch-Site", "none") not in ("same-origin", "none")
-            if not _HOST.fullmatch(self.headers.get("Host", "")) or (name != "/" and of_other_sites):
+            of_other_sites = self.headers.get("Sec-Fetch-Site", "none") not in (
+                "same-origin",
+                "none",
+            )
+            if not _HOST.fullmatch(self.headers.get("Host", "")) or (
+                name != "/" and of_other_sites
+            ):
                 self.send_error(403)
             elif name in ("/depth", "/why") and _place(query) is None:
                 self.send_error(400)
@@ -339,13 +372,20 @@ def serve(latest: Latest, port: int, cameras: Cameras | None = None) -> Iterator
         def _answer(self, name: str, place: tuple[float, float] | None) -> None:
             content, send = {
                 "/stream": ("multipart/x-mixed-replace; boundary=x", self._stream),
-                "/depth": ("text/plain; charset=utf-8", lambda: self._tell(LivePicture.depth_at, place)),
-                "/why": ("text/plain; charset=utf-8", lambda: self._tell(LivePicture.why_at, place)),
+                "/depth": (
+                    "text/plain; charset=utf-8",
+                    lambda: self._tell(LivePicture.depth_at, place),
+                ),
+                "/why": (
+                    "text/plain; charset=utf-8",
+                    lambda: self._tell(LivePicture.why_at, place),
+                ),
                 **controls,
             }.get(name, ("text/html", lambda: self.wfile.write(_PAGE.read_bytes())))
             self.send_response(200)
             self.send_header("Content-Type", content)
-            self.send_header("Cross-Origin-Resource-Policy", "same-origin")  # no page of another site shows it
+            # no page of another site shows it
+            self.send_header("Cross-Origin-Resource-Policy", "same-origin")
             self.end_headers()
             send()
 
@@ -356,7 +396,10 @@ def serve(latest: Latest, port: int, cameras: Cameras | None = None) -> Iterator
 
         def _stream(self) -> None:
             for picture in latest:
-                head = f"--x\r\nContent-Type: image/jpeg\r\nContent-Length: {len(picture.jpeg)}\r\n\r\n"
+                head = (
+                    "--x\r\nContent-Type: image/jpeg\r\nContent-Length:"
+                    f" {len(picture.jpeg)}\r\n\r\n"
+                )
                 self.wfile.write(head.encode() + picture.jpeg + b"\r\n")
 
         def log_message(self, *_: object) -> None:
@@ -365,7 +408,9 @@ def serve(latest: Latest, port: int, cameras: Cameras | None = None) -> Iterator
     try:
         server = _Server(("127.0.0.1", port), Handler)
     except OSError:
-        raise OmnistereoError(f"port {port} is in use. Choose another --port, or 0 for any.") from None
+        raise OmnistereoError(
+            f"port {port} is in use. Choose another --port, or 0 for any."
+        ) from None
     Thread(target=server.serve_forever, daemon=True).start()
     try:
         yield f"http://127.0.0.1:{server.server_address[1]}/"

@@ -1,6 +1,7 @@
 """What a command writes: nothing that it reads, and nothing that another run is writing.
 
-Each passes what it will write to `check_outputs`, before any work, and holds its folder from when it begins to write.
+Each passes what it will write to `check_outputs`, before any work, and holds its folder from when
+it begins to write.
 """
 
 import os
@@ -27,19 +28,32 @@ _READ = {  # options that name files, or a folder of which these are read
     "corners": ["corners_*.yaml"],
     "weights": ["*.safetensors"],
     "init_weights": [],
-    "recording": ["config.yaml", "recording.json", "cam[0-9]*/*", "depth_estimate_*/*", "confidence_*/*"],
+    "recording": [
+        "config.yaml",
+        "recording.json",
+        "cam[0-9]*/*",
+        "depth_estimate_*/*",
+        "confidence_*/*",
+    ],
 }
-_SETS = ("rig", "sets", "data", "lenses")  # options that name rig files, folders of one, or data sets
+# options that name rig files, folders of one, or data sets
+_SETS = ("rig", "sets", "data", "lenses")
 _TEXTS = (".yaml", ".yml", ".json", ".txt", ".xml")
-_IMAGES_OF_SETS = [f"{depth}{folder}/*" for depth in ("", "*/", "*/*/") for folder in ("cam[0-9]*", "*depth_*")]
+_IMAGES_OF_SETS = [
+    f"{depth}{folder}/*" for depth in ("", "*/", "*/*/") for folder in ("cam[0-9]*", "*depth_*")
+]
 
 _held: list[int] = []  # descriptors of folders
 
 
 def check_outputs(
-    options: Options, files: Iterable[Path | None], folders: Iterable[Path] = (), unread: Collection[str] = ()
+    options: Options,
+    files: Iterable[Path | None],
+    folders: Iterable[Path] = (),
+    unread: Collection[str] = (),
 ) -> None:
-    """Raise an `OmnistereoError` if a command would write over a file that its options name, by whatever path.
+    """Raise an `OmnistereoError` if a command would write over a file that its options name, by
+    whatever path.
 
     Args:
         files: Files that will be written; None: not asked for.
@@ -51,18 +65,23 @@ def check_outputs(
         return
     read = [path for path in _files_read(options, unread) if path.is_file()]
     known = {_identity(path): path for path in read}
-    known |= {_identity(folder): path for path in read for folder in (path.parent, path.resolve().parent)}
+    known |= {
+        _identity(folder): path for path in read for folder in (path.parent, path.resolve().parent)
+    }
     for target in targets:
         if target.exists() and _identity(target) in known:
             found = known[_identity(target)]
-            raise OmnistereoError(f"{found} is read, and writing {target} would write over it. Choose another name.")
+            raise OmnistereoError(
+                f"{found} is read, and writing {target} would write over it. Choose another name."
+            )
 
 
 def hold(folder: Path) -> Path:
     """Make a folder, let no other run write into it until `let_go`, and return it.
 
-    The system lets go of it when the process ends, however it does. Raises an `OmnistereoError` if another run holds
-    it. Windows and some network file systems have no such locks: there nothing is held.
+    The system lets go of it when the process ends, however it does. Raises an `OmnistereoError` if
+    another run holds it. Windows and some network file systems have no such locks: there nothing is
+    held.
     """
     from omnistereo_lib.files import make_folder
 
@@ -74,7 +93,9 @@ def hold(folder: Path) -> Path:
         try:
             fcntl.flock(_held[-1], fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise OmnistereoError(f"another run is writing into {folder}. Wait for it, or choose another.") from None
+            raise OmnistereoError(
+                f"another run is writing into {folder}. Wait for it, or choose another."
+            ) from None
         except OSError:  # the file system has no locks
             pass
     return folder
@@ -102,25 +123,37 @@ def _files_read(options: Options, unread: Collection[str]) -> Iterator[Path]:
             for pattern in patterns:
                 yield from path.glob(pattern)
     for path in (path for name in _SETS for path in _paths(options, name)):
-        texts = [path] if not path.is_dir() else [file for file in path.glob("*") if file.suffix.lower() in _TEXTS]
+        texts = (
+            [path]
+            if not path.is_dir()
+            else [file for file in path.glob("*") if file.suffix.lower() in _TEXTS]
+        )
         yield from texts
         for text in texts:  # its masks
             with suppress(OmnistereoError, OSError):
                 words = re.findall(r"[^\s\"',:\[\]{}]+", read_text(text))
-                yield from (text.parent / word for word in set(words) if os.path.isfile(text.parent / word))
+                yield from (
+                    text.parent / word for word in set(words) if os.path.isfile(text.parent / word)
+                )
         for pattern in _IMAGES_OF_SETS if path.is_dir() else ():
             yield from path.glob(pattern)
 
 
 def _paths(options: Options, name: str) -> list[Path]:
     value = getattr(options, name, None)
-    return [Path(one) for one in (value if isinstance(value, tuple) else [value]) if one is not None]
+    return [
+        Path(one) for one in (value if isinstance(value, tuple) else [value]) if one is not None
+    ]
 
 
 def save_figure(path: Path, figure: "Figure", dpi: int = 100) -> None:
-    """Write a figure of Matplotlib in the format of the suffix, so that its bytes depend only on what it shows."""
+    """Write a figure of Matplotlib in the format of the suffix, so that its bytes depend only on
+    what it shows.
+    """
     from omnistereo_lib.files import atomic_write
 
     kind = path.suffix.lower()[1:]
     with atomic_write(path) as temporary:  # Matplotlib would write its version into a PNG
-        figure.savefig(temporary, format=kind, dpi=dpi, metadata={"Software": None} if kind == "png" else None)
+        figure.savefig(
+            temporary, format=kind, dpi=dpi, metadata={"Software": None} if kind == "png" else None
+        )

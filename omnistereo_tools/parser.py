@@ -1,6 +1,8 @@
-"""How words become the options of a command: a frozen dataclass, the types of whose fields say how they are read.
+"""How words become the options of a command: a frozen dataclass, the types of whose fields say how
+they are read.
 
-`OMNISTEREO_TINY=1` caps panoramas, frames and steps of every command, so that tests can run what pages print.
+`OMNISTEREO_TINY=1` caps panoramas, frames and steps of every command, so that tests can run what
+pages print.
 """
 
 import os
@@ -13,9 +15,17 @@ from typing import Any, ClassVar, Literal, TypeVar, Union, get_args, get_origin,
 
 from omnistereo_lib.errors import OmnistereoError, check_number
 
-_OURS = ("unset", "positional", "between", "suffixes", "needs")  # of what `option` declares; argparse knows the rest
+# of what `option` declares; argparse knows the rest
+_OURS = ("unset", "positional", "between", "suffixes", "needs")
 _Settings = TypeVar("_Settings")
-_CAPS = {"width": 96, "spheres": 16, "num_spheres": 16, "steps": 1, "batch_frames": 1, "validation_groups": 1}
+_CAPS = {
+    "width": 96,
+    "spheres": 16,
+    "num_spheres": 16,
+    "steps": 1,
+    "batch_frames": 1,
+    "validation_groups": 1,
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,9 +44,13 @@ class Options:
                 low, high = facts["between"]
                 check_number(value, flag(name), low, high, whole=isinstance(value, int))
             if "suffixes" in facts and value.suffix.lower() not in facts["suffixes"]:
-                raise OmnistereoError(f"{value} has the wrong suffix; expected {' or '.join(facts['suffixes'])}")
+                raise OmnistereoError(
+                    f"{value} has the wrong suffix; expected {' or '.join(facts['suffixes'])}"
+                )
             if "needs" in facts and getattr(self, facts["needs"]) is None:
-                raise OmnistereoError(f"{flag(name)} needs {flag(facts['needs'])}. Add it, or leave {flag(name)} out")
+                raise OmnistereoError(
+                    f"{flag(name)} needs {flag(facts['needs'])}. Add it, or leave {flag(name)} out"
+                )
 
     def given(self) -> list[str]:
         """Return the names of the options whose value is not the default."""
@@ -44,14 +58,16 @@ class Options:
 
 
 def option(help: str, default: Any = None, unset: str = "", **facts: Any) -> Any:
-    """Declare an option: a field whose type says how it is read; a subclass may give it another default.
+    """Declare an option: a field whose type says how it is read; a subclass may give it another
+    default.
 
     Args:
         help: What `--help` says; the default is added.
         default: `MISSING`: it must be given.
         unset: What the default None does.
-        facts: `positional`: it has no flag; `between`: the smallest and the largest number; `suffixes` of a file;
-            `needs`: another option; what else `ArgumentParser.add_argument` takes, such as `metavar`.
+        facts: `positional`: it has no flag; `between`: the smallest and the largest number;
+            `suffixes` of a file; `needs`: another option; what else `ArgumentParser.add_argument`
+            takes, such as `metavar`.
     """
     return field(default=default, metadata={"help": help, "unset": unset, **facts})
 
@@ -65,17 +81,23 @@ def add_options(parser: ArgumentParser, kind: type[Options]) -> None:
         # What `--help` says of the default, and what argparse is told.
         said = facts["unset"] if one.default in (None, ()) else one.default
         said = " ".join(said) if isinstance(said, tuple) else said
-        keywords = {name: value for name, value in facts.items() if name not in _OURS} | _read_as(hints[one.name])
+        keywords = {name: value for name, value in facts.items() if name not in _OURS} | _read_as(
+            hints[one.name]
+        )
         if said not in ("", MISSING) and said is not False:
             keywords["help"] += f" (default: {said})"
         if facts.get("positional"):
             group.add_argument(one.name, **keywords)
         else:
-            group.add_argument(flag(one.name), default=SUPPRESS, required=one.default is MISSING, **keywords)
+            group.add_argument(
+                flag(one.name), default=SUPPRESS, required=one.default is MISSING, **keywords
+            )
 
 
 def _declared(kind: type[Options], name: str) -> tuple[Mapping[str, Any], str]:
-    """Return what is declared of an option, perhaps by a base class, and the title of that class that has it first."""
+    """Return what is declared of an option, perhaps by a base class, and the title of that class
+    that has it first.
+    """
     owners = [owner for owner in kind.__mro__ if name in vars(owner).get("__annotations__", ())]
     declared = (vars(owner)["__dataclass_fields__"][name].metadata for owner in owners)
     return next(filter(None, declared)), (owners[-1].__doc__ or "").partition(".")[0]
@@ -101,7 +123,9 @@ def flag(name: str) -> str:
 
 
 def as_typed(command: str, kind: type[Options], options: Options, **changes: Any) -> str:
-    """Return the command line of another command with those options that it has, too, some of them changed."""
+    """Return the command line of another command with those options that it has, too, some of them
+    changed.
+    """
     shared = {one.name for one in fields(kind)}.intersection(options.given())
     other = kind(**{name: getattr(options, name) for name in shared} | changes)
     words = ["omnistereo", command]
@@ -120,7 +144,9 @@ def is_tiny() -> bool:
 
 
 def shrink(settings: _Settings) -> _Settings:
-    """Return a dataclass with every number at most its cap, the height by as much as the width, if `is_tiny`."""
+    """Return a dataclass with every number at most its cap, the height by as much as the width, if
+    `is_tiny`.
+    """
     known: dict[str, Any] = vars(settings)
     if not is_tiny() or "width" not in known:
         return settings

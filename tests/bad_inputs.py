@@ -1,8 +1,9 @@
-"""Bad inputs, one row each: what is wrong, the command or call, a phrase of the answer. `test_bad_inputs` reads them.
+"""Bad inputs, one row each: what is wrong, the command or call, a phrase of the answer.
+`test_bad_inputs` reads them.
 
-In a command DATA is a small data set of one frame with ground truth, RIG its config.yaml, IMAGES the four pictures,
-OUT a folder that does not exist yet, BOARDS a folder of corners, LONG a name of 300 characters.
-"""
+In a command DATA is a small data set of one frame with ground truth, RIG its config.yaml, IMAGES
+the four pictures, OUT a folder that does not exist yet, BOARDS a folder of corners, LONG a name of
+300 characters."""
 
 import json
 import shutil
@@ -20,12 +21,16 @@ import torch
 import yaml
 
 import omnistereo_lib as osl
-from omnistereo_lib.calibrate.captures import save_corners
 from omnistereo_lib.files import write_image
 from omnistereo_lib.geometry.rig import camera_pairs
+from omnistereo_rigs.boards.captures import save_corners
 
-DEPTH = "depth --rig RIG --images IMAGES --width 96 --height 24 --spheres 16 --method zncc --out OUT "
-RECORDING = DEPTH.replace("depth", "record").replace("IMAGES", "DATA/cam1 DATA/cam2 DATA/cam3 DATA/cam4")
+DEPTH = (
+    "depth --rig RIG --images IMAGES --width 96 --height 24 --spheres 16 --method zncc --out OUT "
+)
+RECORDING = DEPTH.replace("depth", "record").replace(
+    "IMAGES", "DATA/cam1 DATA/cam2 DATA/cam3 DATA/cam4"
+)
 SET = "depth --rig DATA --width 96 --height 24 --spheres 16 --method zncc --out OUT "
 LOOK = "doctor --rig RIG "
 EVALUATE = "evaluate --sets DATA --methods zncc --out OUT "
@@ -58,7 +63,9 @@ def first(data: Path, camera: int = 2) -> Path:
 
 
 def write(name: str, content: str | bytes) -> Callable[[Path], None]:
-    return lambda data: (data / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    return lambda data: (data / name).write_bytes(
+        content if isinstance(content, bytes) else content.encode()
+    )
 
 
 def picture(pixels: np.ndarray, camera: int = 2) -> Callable[[Path], None]:
@@ -106,7 +113,9 @@ def corners(old: str, new: str) -> Callable[[Path], None]:
 
     def spoil(data: Path) -> None:
         board = osl.Checkerboard((4, 3), 0.06)
-        save_corners(data / "boards" / "corners_1.yaml", {"a": 100 * board.points[:, :2]}, board, (200, 192))
+        save_corners(
+            data / "boards" / "corners_1.yaml", {"a": 100 * board.points[:, :2]}, board, (200, 192)
+        )
         text = (data / "boards" / "corners_1.yaml").read_text()
         assert old in text
         (data / "boards" / "corners_1.yaml").write_text(text.replace(old, new, 1))
@@ -252,7 +261,10 @@ def large(side: int) -> Callable[[Path], None]:
         rows = [packer.compress(bytes(1 + side)) for _ in range(1000)]
         size = struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)
         chunks = [(b"IHDR", size), (b"IDAT", b"".join(rows) + packer.flush()), (b"IEND", b"")]
-        packed = [struct.pack(">I", len(c)) + n + c + struct.pack(">I", zlib.crc32(n + c)) for n, c in chunks]
+        packed = [
+            struct.pack(">I", len(c)) + n + c + struct.pack(">I", zlib.crc32(n + c))
+            for n, c in chunks
+        ]
         first(data).write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(packed))
 
     return spoil
@@ -273,10 +285,14 @@ def long_chunk(data: Path) -> None:
 def scans(data: Path) -> None:
     """A progressive JPEG with the last of its scans 20,000 times."""
     noise = np.random.default_rng(0).integers(0, 255, (192, 200), np.uint8)
-    content = cv2.imencode(".jpg", np.tile(noise, (10, 10)), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
+    content = cv2.imencode(".jpg", np.tile(noise, (10, 10)), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[
+        1
+    ].tobytes()
     scan = content.rindex(b"\xff\xda")
     (length,) = struct.unpack_from(">H", content, scan + 2)
-    first(data).write_bytes(content[:-2] + 20_000 * content[scan : scan + 2 + length] + content[-2:])
+    first(data).write_bytes(
+        content[:-2] + 20_000 * content[scan : scan + 2 + length] + content[-2:]
+    )
 
 
 def large_ground_truth(data: Path) -> None:
@@ -324,7 +340,10 @@ def grid(**values: Any) -> osl.SphereGrid:
 
 
 def camera(**values: Any) -> osl.OcamCamera:
-    own = {name: getattr(LENS, name) for name in ("poly", "inv_poly", "center", "affine", "image_size", "max_fov_deg")}
+    own = {
+        name: getattr(LENS, name)
+        for name in ("poly", "inv_poly", "center", "affine", "image_size", "max_fov_deg")
+    }
     return osl.OcamCamera(**own | values)
 
 
@@ -334,7 +353,10 @@ def depth(images: Any = IMAGES, rig: osl.Rig = RIG, **options: Any) -> osl.Depth
 
 def narrow() -> osl.Rig:
     """Four cameras of 60° that look away from each other."""
-    poses = [osl.Pose.from_vector([0, a, 0, 0.2 * np.cos(a), 0, 0.2 * np.sin(a)]) for a in np.arange(4) * np.pi / 2]
+    poses = [
+        osl.Pose.from_vector([0, a, 0, 0.2 * np.cos(a), 0, 0.2 * np.sin(a)])
+        for a in np.arange(4) * np.pi / 2
+    ]
     return osl.Rig([scene.camera(200, 192, max_fov_deg=60)] * 4, poses)
 
 

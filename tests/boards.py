@@ -1,15 +1,17 @@
-"""Corners of a board as lenses with closed-form projections see them: the truth that calibrations are held to."""
+"""Corners of a board as lenses with closed-form projections see them: the truth that calibrations
+are held to."""
 
 import numpy as np
 
-from omnistereo_lib.calibrate.checkerboard import Checkerboard
 from omnistereo_lib.geometry.pose import Pose
+from omnistereo_rigs.boards.checkerboard import Checkerboard
 
 BOARD = Checkerboard((12, 10), 0.06)
 SIZE = (800, 768)
 CENTER = np.array([402.5, 379.0])
 
-# θ from the axis in radians -> distance from the centre in px, and how far the lens sees in degrees.
+# θ from the axis in radians -> distance from the centre in px, and how far the lens sees in
+# degrees.
 LENSES = {
     "equidistant 210": (lambda theta: 200 * theta, 105),
     "equisolid 210": (lambda theta: 2 * 225 * np.sin(theta / 2), 105),
@@ -21,20 +23,26 @@ LENSES = {
 
 
 def project(points, lens="equidistant 210", center=CENTER):
-    """Pixels (..., 2) of points (..., 3) in the camera frame, and where the lens sees them within the image."""
+    """Pixels (..., 2) of points (..., 3) in the camera frame, and where the lens sees them within
+    the image."""
     radius, reach_deg = LENSES[lens]
     theta = np.arctan2(np.hypot(points[..., 0], points[..., 1]), points[..., 2])
     n = np.maximum(np.hypot(points[..., 0], points[..., 1]), 1e-12)
-    uv = center + (radius(np.minimum(theta, np.radians(reach_deg))) / n)[..., None] * points[..., :2]
+    uv = (
+        center + (radius(np.minimum(theta, np.radians(reach_deg))) / n)[..., None] * points[..., :2]
+    )
     inside = ((uv >= 0) & (uv <= np.array(SIZE) - 1)).all(axis=-1)
     return uv, inside & (theta <= np.radians(reach_deg))
 
 
 def somewhere(rng, reach_deg, angle_deg=None, nearest=0.6):
-    """A pose of the board, its front to the camera, anywhere within the field of view, tilted every way."""
+    """A pose of the board, its front to the camera, anywhere within the field of view, tilted every
+    way."""
     angle, azimuth = np.radians(rng.uniform(0, reach_deg)), rng.uniform(0, 2 * np.pi)
     angle = angle if angle_deg is None else np.radians(angle_deg)
-    forward = np.array([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)])
+    forward = np.array(
+        [np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)]
+    )
     right = np.cross([0.0, 1.0, 0.01], forward)
     right /= np.linalg.norm(right)
     # A long lens has to stand back to see all of it.
@@ -45,12 +53,15 @@ def somewhere(rng, reach_deg, angle_deg=None, nearest=0.6):
 
 
 def views(rng, count=24, lens="equidistant 210", noise=0.05):
-    """Corners of `count` whole boards, each (K, 2), from the axis to the rim, and their poses T_cam_board."""
+    """Corners of `count` whole boards, each (K, 2), from the axis to the rim, and their poses
+    T_cam_board."""
     corners, poses = [], []
     while len(corners) < count:
         reach = LENSES[lens][1]
         # As far out as a whole board can be, in turn.
-        pose = somewhere(rng, reach, reach * np.sqrt(rng.uniform(0, 1)) * (len(corners) + 1) / count)
+        pose = somewhere(
+            rng, reach, reach * np.sqrt(rng.uniform(0, 1)) * (len(corners) + 1) / count
+        )
         uv, seen = project(pose @ BOARD.points, lens)
         if seen.all() and pose.R[:, 2] @ (pose @ BOARD.points.mean(axis=0)) > 0:
             corners.append(uv + rng.normal(0, noise, uv.shape))
@@ -59,14 +70,19 @@ def views(rng, count=24, lens="equidistant 210", noise=0.05):
 
 
 def ray_error_deg(intrinsics, lens="equidistant 210", center=CENTER, reach_deg=None):
-    """Root mean square angle between the rays of a fitted camera and the lens's own, over the field of view."""
+    """Root mean square angle between the rays of a fitted camera and the lens's own, over the field
+    of view."""
     theta, azimuth = np.meshgrid(
         np.radians(np.linspace(1, reach_deg or LENSES[lens][1], 50)), np.arange(24) * np.pi / 12
     )
-    rays = np.stack([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)], axis=-1)
+    rays = np.stack(
+        [np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)], axis=-1
+    )
     uv, seen = project(rays, lens, center)
     fitted = intrinsics.rays(uv[seen])
-    error = np.arctan2(np.linalg.norm(np.cross(fitted, rays[seen]), axis=-1), np.sum(fitted * rays[seen], axis=-1))
+    error = np.arctan2(
+        np.linalg.norm(np.cross(fitted, rays[seen]), axis=-1), np.sum(fitted * rays[seen], axis=-1)
+    )
     return float(np.degrees(np.sqrt(np.mean(error**2))))
 
 
@@ -74,13 +90,15 @@ def rig_poses():
     """Four cameras on a square of 300 mm, each looking outwards, T_rig_cam; a little crooked."""
     rng = np.random.default_rng(1)
     return [
-        Pose.from_vector([0, a, 0, 0.21 * np.sin(a), 0, 0.21 * np.cos(a)]) @ Pose.from_vector(rng.normal(0, 0.01, 6))
+        Pose.from_vector([0, a, 0, 0.21 * np.sin(a), 0, 0.21 * np.cos(a)])
+        @ Pose.from_vector(rng.normal(0, 0.01, 6))
         for a in np.arange(4) * np.pi / 2
     ]
 
 
 def captures(rng, alone=7, shared=5, noise=0.1, turn=True):
-    """views[camera][capture] of the rig: boards before each camera, then between neighbours; None where not whole."""
+    """views[camera][capture] of the rig: boards before each camera, then between neighbours; None
+    where not whole."""
     T_rig_cam = rig_poses()
     headings = [i * np.pi / 2 for i in range(4) for _ in range(alone)]
     headings += [(i + 0.5) * np.pi / 2 for i in range(4) for _ in range(shared)]

@@ -1,9 +1,10 @@
-"""Runs commands in processes of their own without importing the library for each: `python command_server.py`.
+"""Runs commands in processes of their own without importing the library for each: `python
+command_server.py`.
 
-It imports the library once, with what commands load later, and then forks. Each line on its standard input is JSON,
-[command line, log file, folder to run in]. It answers "NUMBER started", the number of the process, and "NUMBER STATUS"
-when that one has ended. So a test that runs a hundred commands does not import torch a hundred times.
-"""
+It imports the library once, with what commands load later, and then forks. Each line on its
+standard input is JSON, [command line, log file, folder to run in]. It answers "NUMBER started", the
+number of the process, and "NUMBER STATUS" when that one has ended. So a test that runs a hundred
+commands does not import torch a hundred times."""
 
 import json
 import operator
@@ -24,16 +25,17 @@ import torch
 import torch._dynamo  # by torch's optimizers
 from render_stand_in import replace_blender
 
-import render
+from omnistereo_learn import MCCNNRecipe, train
 from omnistereo_lib.stereo import correlation
-from omnistereo_lib.train import MCCNNRecipe, train
 from omnistereo_tools import cli
 from omnistereo_tools.output import frame, pictures, viewer
 from omnistereo_tools.parser import is_tiny
+from workshop import render
 
 
 def run(command):
-    """Run the command line, Python, the renderer without Blender, or a training that writes its state at every step."""
+    """Run the command line, Python, the renderer without Blender, or a training that writes its
+    state at every step."""
     if command[0] == "python":
         exec(compile(command[1], "page", "exec"), {"__name__": "__main__"})
         return 0
@@ -73,7 +75,8 @@ def wait(number):
 
 
 def make_small(setattr):
-    """Shrink what no width of a panorama makes smaller: VolumeNet's volume, the pictures of a page, films.
+    """Shrink what no width of a panorama makes smaller: VolumeNet's volume, the pictures of a page,
+    films.
 
     Figures are not laid out, which takes as long as drawing them.
     """

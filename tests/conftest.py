@@ -1,4 +1,5 @@
-"""Which examples Hypothesis draws, limits of time and memory, and a real browser for what readers open."""
+"""Which examples Hypothesis draws, limits of time and memory, and a real browser for what readers
+open."""
 
 import os
 import shutil
@@ -9,8 +10,8 @@ import hypothesis
 import psutil
 import pytest
 
-# No deadline: a busy machine is no mistake. In CI the same examples every time: a search for new ones belongs where
-# somebody can follow it up.
+# No deadline: a busy machine is no mistake. In CI the same examples every time: a search for new
+# ones belongs where somebody can follow it up.
 hypothesis.settings.register_profile("course", deadline=None)
 hypothesis.settings.register_profile("ci", deadline=None, derandomize=True)
 hypothesis.settings.load_profile("ci" if os.environ.get("CI") else "course")
@@ -29,7 +30,8 @@ PATIENCE_S = 600  # for what takes seconds on an idle machine
 
 @pytest.fixture
 def limits():
-    """Return a function that renews the limits of this process: seconds of the processor, and further memory.
+    """Return a function that renews the limits of this process: seconds of the processor, and
+    further memory.
 
     A process that takes longer ends; one that asks for more gets a MemoryError.
     """
@@ -43,7 +45,9 @@ def limits():
 
     def renew(memory, seconds=5):
         used = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
-        for kind, limit, (_, most) in zip(kinds, (int(used) + 1 + seconds, had + memory), before, strict=True):
+        for kind, limit, (_, most) in zip(
+            kinds, (int(used) + 1 + seconds, had + memory), before, strict=True
+        ):
             resource.setrlimit(kind, (limit, most))
 
     yield renew
@@ -61,14 +65,18 @@ def small(monkeypatch):
 
 @pytest.fixture(scope="module")
 def chromium():
-    sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is missing: environment-dev.txt has it")
+    sync_api = pytest.importorskip(
+        "playwright.sync_api", reason="Playwright is missing: environment-dev.txt has it"
+    )
     path = next(filter(None, map(shutil.which, BROWSERS)), None)
     if path is None:
         pytest.skip(f"no browser on the PATH: {', '.join(BROWSERS)}")
     sync_api.expect.set_options(timeout=1000 * PATIENCE_S)
     with sync_api.sync_playwright() as playwright:
         sandbox = os.geteuid() != 0  # root has none
-        browser = playwright.chromium.launch(executable_path=path, args=FLAGS, chromium_sandbox=sandbox)
+        browser = playwright.chromium.launch(
+            executable_path=path, args=FLAGS, chromium_sandbox=sandbox
+        )
         yield browser
         browser.close()
 
@@ -79,16 +87,26 @@ def open_page(chromium):
     contexts = []
 
     def open_one(width, height, **options):
-        contexts.append(chromium.new_context(viewport={"width": width, "height": height}, **options))
+        contexts.append(
+            chromium.new_context(viewport={"width": width, "height": height}, **options)
+        )
         page = contexts[-1].new_page()
         page.set_default_timeout(1000 * PATIENCE_S)
         page.complaints = []
         note = page.complaints.append
-        page.on("console", lambda message: message.type == "error" and note(f"console: {message.text}"))
+        page.on(
+            "console", lambda message: message.type == "error" and note(f"console: {message.text}")
+        )
         page.on("pageerror", lambda error: note(f"script: {error}"))
         page.on("requestfailed", lambda request: note(f"failed: {request.url}"))
-        page.on("response", lambda response: response.status >= 400 and note(f"{response.status}: {response.url}"))
-        page.on("request", lambda request: foreign(request.url) and note(f"not from this machine: {request.url}"))
+        page.on(
+            "response",
+            lambda response: response.status >= 400 and note(f"{response.status}: {response.url}"),
+        )
+        page.on(
+            "request",
+            lambda request: foreign(request.url) and note(f"not from this machine: {request.url}"),
+        )
         return page
 
     yield open_one
@@ -98,4 +116,7 @@ def open_page(chromium):
 
 def foreign(url):
     address = urlsplit(url)
-    return address.scheme in ("http", "https", "ws", "wss") and address.hostname not in ("localhost", "127.0.0.1")
+    return address.scheme in ("http", "https", "ws", "wss") and address.hostname not in (
+        "localhost",
+        "127.0.0.1",
+    )

@@ -1,9 +1,8 @@
 """How nbval compares a notebook: words exactly, decimal numbers with a tolerance.
 
-Text and integers (counts, shapes, indices) must be equal. A number with a decimal point or an exponent may differ by
-0.1 %; a tag of the cell asks for another tolerance: `rtol-1e-2` (relative), `atol-0.5` (absolute). nbval has no setting
-for that, so its objects get the two classes below.
-"""
+Text and integers (counts, shapes, indices) must be equal. A number with a decimal point or an
+exponent may differ by 0.1 %; a tag of the cell asks for another tolerance: `rtol-1e-2` (relative),
+`atol-0.5` (absolute). nbval has no setting for that, so its objects get the two classes below."""
 
 import math
 import re
@@ -15,13 +14,16 @@ from nbval.plugin import IPyNbCell, IPyNbFile
 RTOL = 1e-3
 WIDGET = "application/vnd.jupyter.widget-view+json"
 TAKEN = ("stream", "display_data", "execute_result", "clear_output")  # by an Output widget
-# What is neither text to read nor stored: warnings' paths and line numbers differ from machine to machine
-# (the guard in tests/test_notebooks_stored.py wants none stored), HTML and scripts carry random ids.
+# What is neither text to read nor stored: warnings' paths and line numbers differ from machine to
+# machine (the guard in tests/test_notebooks_stored.py wants none stored), HTML and scripts carry
+# random ids.
 NOT_COMPARED = ("stderr", "text/html", "application/javascript")
 
-# A decimal number with the blanks around it, since its width may change with its value (9.9999 -> 10.0001).
-# Not the digits of a name (float32, v1.5) or of a version (2.13.0).
-_NUMBER = re.compile(r" *(?<![\w.])([-+]?(?:\d*\.\d+(?:[eE][-+]?\d+)?|\d+[eE][-+]?\d+))(?!\d|\.\d) *")
+# A decimal number with the blanks around it, since its width may change with its value (9.9999 ->
+# 10.0001). Not the digits of a name (float32, v1.5) or of a version (2.13.0).
+_NUMBER = re.compile(
+    r" *(?<![\w.])([-+]?(?:\d*\.\d+(?:[eE][-+]?\d+)?|\d+[eE][-+]?\d+))(?!\d|\.\d) *"
+)
 
 
 def tolerance(tags: list[str]) -> tuple[float, float]:
@@ -31,7 +33,8 @@ def tolerance(tags: list[str]) -> tuple[float, float]:
 
 
 class Printed(str):
-    """A printed text that equals another one with the same words and nearly the same decimal numbers."""
+    """A printed text that equals another one with the same words and nearly the same decimal
+    numbers."""
 
     def __new__(cls, text: str, rtol: float = RTOL, atol: float = 0.0) -> "Printed":
         """Keep the tolerances beside the text."""
@@ -42,7 +45,8 @@ class Printed(str):
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, str):
             return NotImplemented
-        mine, theirs = _NUMBER.split(self), _NUMBER.split(other)  # words, number, words, number, ..., words
+        # words, number, words, number, ..., words
+        mine, theirs = _NUMBER.split(self), _NUMBER.split(other)
         return mine[::2] == theirs[::2] and all(
             math.isclose(float(a), float(b), rel_tol=self.rtol, abs_tol=self.atol)
             for a, b in zip(mine[1::2], theirs[1::2], strict=True)
@@ -71,17 +75,20 @@ class TolerantCell(IPyNbCell):
 
 
 class StoredNotebook(IPyNbFile):
-    """A notebook whose widgets run but are not compared: their output lives in a browser, not in the file."""
+    """A notebook whose widgets run but are not compared: their output lives in a browser, not in
+    the file."""
 
     inside_widget = False
 
     def get_kernel_message(self, timeout: float | None = None, stream: str = "iopub") -> dict:
-        """Next message of the kernel, without what an Output widget takes; errors in there still count."""
+        """Next message of the kernel, without what an Output widget takes; errors in there still
+        count."""
         while True:
             message = super().get_kernel_message(timeout, stream)
             kind, content = message["msg_type"], message["content"]
             state = content.get("data", {}).get("state", {}) if kind == "comm_msg" else {}
-            if "msg_id" in state:  # an Output widget says whose messages it takes; an empty text: no longer
+            # an Output widget says whose messages it takes; an empty text: no longer
+            if "msg_id" in state:
                 self.inside_widget = bool(state["msg_id"])
             elif not (self.inside_widget and kind in TAKEN):
                 return message

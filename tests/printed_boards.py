@@ -6,7 +6,7 @@ import numpy as np
 from boards import CENTER, SIZE
 
 import omnistereo_lib as osl
-from omnistereo_lib.calibrate.marker_boards import AprilGrid, CharucoBoard
+from omnistereo_rigs.boards.marker_boards import AprilGrid, CharucoBoard
 
 F = 200.0  # px, of "equidistant 210"
 APRIL_FILE = "target_type: 'aprilgrid'\ntagCols: 6\ntagRows: 5\ntagSize: 0.1\ntagSpacing: 0.3\n"
@@ -16,16 +16,21 @@ PX_PER_M = 2000
 
 
 def print_april(border):
-    """Draw the board as Kalibr prints it: tags from the bottom left, black squares where gaps cross."""
+    """Draw the board as Kalibr prints it: tags from the bottom left, black squares where gaps
+    cross."""
     columns, rows = APRIL.tags
     tag, gap = round(APRIL.size * PX_PER_M), round(APRIL.size * APRIL.spacing * PX_PER_M)
     pitch, margin = tag + gap, 2 * gap
-    page = np.full((rows * pitch - gap + 2 * margin, columns * pitch - gap + 2 * margin), 255, np.uint8)
+    page = np.full(
+        (rows * pitch - gap + 2 * margin, columns * pitch - gap + 2 * margin), 255, np.uint8
+    )
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     for number in range(columns * rows):
         row, column = rows - 1 - number // columns, number % columns
         y, x = margin + row * pitch, margin + column * pitch
-        page[y : y + tag, x : x + tag] = cv2.aruco.generateImageMarker(dictionary, number, tag, borderBits=border)
+        page[y : y + tag, x : x + tag] = cv2.aruco.generateImageMarker(
+            dictionary, number, tag, borderBits=border
+        )
     for row in range(rows + 1):
         for column in range(columns + 1):
             y, x = margin + row * pitch - gap, margin + column * pitch - gap
@@ -41,13 +46,18 @@ def print_charuco():
 
 
 def photograph(page, margin, pose, blur=0.7):
-    """Return what the equidistant lens sees of a printed page at a pose of the board, by its rays, one by one."""
+    """Return what the equidistant lens sees of a printed page at a pose of the board, by its rays,
+    one by one."""
     u, v = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
     offset = np.stack([u, v], -1) - CENTER
     r = np.linalg.norm(offset, axis=-1)
     theta = r / F
     rays = np.stack(
-        [*np.moveaxis(offset / np.maximum(r, 1e-9)[..., None] * np.sin(theta)[..., None], -1, 0), np.cos(theta)], -1
+        [
+            *np.moveaxis(offset / np.maximum(r, 1e-9)[..., None] * np.sin(theta)[..., None], -1, 0),
+            np.cos(theta),
+        ],
+        -1,
     )
     normal = pose.R[:, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -55,7 +65,9 @@ def photograph(page, margin, pose, blur=0.7):
     hit = (depth > 0) & (theta < np.radians(105))
     on_board = pose.inverse() @ np.where(hit[..., None], rays * depth[..., None], 1e6)
     at = (on_board[..., :2] * PX_PER_M + margin - 0.5).astype(np.float32)
-    image = cv2.remap(cv2.GaussianBlur(page, (0, 0), 3), at, None, cv2.INTER_LINEAR, borderValue=128)
+    image = cv2.remap(
+        cv2.GaussianBlur(page, (0, 0), 3), at, None, cv2.INTER_LINEAR, borderValue=128
+    )
     return cv2.GaussianBlur(image, (0, 0), blur)
 
 
@@ -65,5 +77,7 @@ def april_pictures(count):
     rng = np.random.default_rng(0)
     middle = osl.Pose(np.eye(3), -APRIL.points.mean(axis=0))
     for k in range(count):
-        ahead = boards.somewhere(rng, 105, 80 * (k + 1) / count) @ osl.Pose(np.eye(3), boards.BOARD.points.mean(axis=0))
+        ahead = boards.somewhere(rng, 105, 80 * (k + 1) / count) @ osl.Pose(
+            np.eye(3), boards.BOARD.points.mean(axis=0)
+        )
         yield photograph(*page, ahead @ middle)

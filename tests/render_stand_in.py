@@ -7,25 +7,28 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 
-from render import image_sets as frames
-from render.city.layout import plan_district
-from render.image_sets import SETS
+from workshop.render import image_sets as frames
+from workshop.render.city.layout import plan_district
+from workshop.render.image_sets import SETS
 
 TINY = replace(SETS["sunny/test"], size=(25, 24), samples=1, truths=((16, 4), (24, 6)))
 
 
 def replace_blender(setitem, setattr):
-    """Replace all that needs Blender; the arguments do what their names say, perhaps only for one test."""
+    """Replace all that needs Blender; the arguments do what their names say, perhaps only for one
+    test."""
     bpy = ModuleType("bpy")
     bpy.__spec__ = ModuleSpec("bpy", None)
     blender = SimpleNamespace(empty_scene=lambda: None)
-    city = SimpleNamespace(build_city=lambda seed: (plan_district(seed), SimpleNamespace(show=lambda *_: None)))
+    city = SimpleNamespace(
+        build_city=lambda seed: (plan_district(seed), SimpleNamespace(show=lambda *_: None))
+    )
     lights = SimpleNamespace(add_light=lambda name: SimpleNamespace(exposure=1.0))
     for name, module in {
         "bpy": bpy,
-        "render.blender": blender,
-        "render.city.district": city,
-        "render.surfaces.lights": lights,
+        "workshop.render.blender": blender,
+        "workshop.render.city.district": city,
+        "workshop.render.surfaces.lights": lights,
     }.items():
         setitem(sys.modules, name, module)
 

@@ -1,4 +1,5 @@
-"""Commands in processes of their own, forked by one process that has imported the library; see `command_server`."""
+"""Commands in processes of their own, forked by one process that has imported the library; see
+`command_server`."""
 
 import json
 import re
@@ -48,6 +49,7 @@ class Server:
         return self.log_path.read_text(errors="replace") if self.log_path.exists() else ""
 
     def tracebacks(self):
-        """Return what the commands did not foresee: Python itself shows a Ctrl-C that came within a destructor."""
+        """Return what the commands did not foresee: Python itself shows a Ctrl-C that came within a
+        destructor."""
         shown = r"Exception ignored in: .*\nTraceback .*\n(?: .*\n)+KeyboardInterrupt"
         return re.findall("Traceback .*", re.sub(shown, "", self.log()))

@@ -19,7 +19,9 @@ def by_wrong(rows):
 @pytest.fixture(scope="module")
 def original(tmp_path_factory):
     grid = osl.SphereGrid(96, 24, (-45, 45), 16, 0.6)
-    return scene.write_set(tmp_path_factory.mktemp("bad") / "data", bad_inputs.RIG, grid, [(0, 0, 0)])
+    return scene.write_set(
+        tmp_path_factory.mktemp("bad") / "data", bad_inputs.RIG, grid, [(0, 0, 0)]
+    )
 
 
 @pytest.fixture
@@ -43,7 +45,8 @@ def words(row, data):
 
 
 def run(row, data):
-    """Spoil the data and run the command; return the exit status and what stood in the folder before."""
+    """Spoil the data and run the command; return the exit status and what stood in the folder
+    before."""
     row.spoil(data)
     command, before = words(row, data), sorted(data.rglob("*"))
     try:
@@ -68,10 +71,14 @@ def test_a_command_is_answered_in_one_line(row, data, capsys):
 
 @pytest.mark.usefixtures("small")
 def test_what_computes_but_can_mean_nothing_is_doubted(data, capsys):
-    row = bad_inputs.Row("swapped", bad_inputs.DEPTH + "--min-depth 0.01", "", bad_inputs.two_pictures_swapped)
+    row = bad_inputs.Row(
+        "swapped", bad_inputs.DEPTH + "--min-depth 0.01", "", bad_inputs.two_pictures_swapped
+    )
     assert run(row, data)[0] == 0
     said = capsys.readouterr().err
-    assert re.search(r"warning: the cameras are .* the spheres begin at 0.01 m, inside the rig", said)
+    assert re.search(
+        r"warning: the cameras are .* the spheres begin at 0.01 m, inside the rig", said
+    )
     assert re.search(r"warning: the images look swapped \(give them in the order 2 1 3 4\)", said)
 
 

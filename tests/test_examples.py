@@ -16,6 +16,8 @@ def test_examples(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     value = getattr(osl, name)
     parser, runner = doctest.DocTestParser(), doctest.DocTestRunner(optionflags=doctest.ELLIPSIS)
-    runner.run(parser.get_doctest(value.__doc__, {"np": np, "osl": osl}, name, value.__module__, None))
+    runner.run(
+        parser.get_doctest(value.__doc__, {"np": np, "osl": osl}, name, value.__module__, None)
+    )
     assert runner.failures == 0
     assert runner.tries > 0, f"{name} has no example"

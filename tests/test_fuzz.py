@@ -1,8 +1,8 @@
-"""Damaged files, thousands of them: every reader answers with the library's error, or returns what is finite.
+"""Damaged files, thousands of them: every reader answers with the library's error, or returns what
+is finite.
 
-FUZZ=20000 python -m pytest tests/test_fuzz.py takes so many for each reader. The seed of a file is its number: the name
-of the reader and the number in a message bring it back.
-"""
+FUZZ=20000 python -m pytest tests/test_fuzz.py takes so many for each reader. The seed of a file is
+its number: the name of the reader and the number in a message bring it back."""
 
 import json
 import os
@@ -43,13 +43,13 @@ from train.tiny import MCCNN as RECIPE
 
 import omnistereo_lib as osl
 from course.classroom import handin
-from omnistereo_lib.calibrate.captures import load_corners, save_corners
-from omnistereo_lib.calibrate.checkerboard import Checkerboard
-from omnistereo_lib.evaluate.records import read_record
-from omnistereo_lib.evaluate.table import errors_table, regions_table
+from omnistereo_learn.evaluate.records import read_record
+from omnistereo_learn.evaluate.table import errors_table, regions_table
+from omnistereo_learn.loop import COLUMNS, _Run, read_log, write_csv
 from omnistereo_lib.files import read_image
-from omnistereo_lib.rig_files import load_camera
-from omnistereo_lib.train.loop import COLUMNS, _Run, read_log, write_csv
+from omnistereo_rigs.boards.captures import load_corners, save_corners
+from omnistereo_rigs.boards.checkerboard import Checkerboard
+from omnistereo_rigs.formats import load_camera
 from omnistereo_tools.live_view import Latest, LivePicture, serve
 
 MEMORY = 1 << 30
@@ -63,7 +63,9 @@ VALUES = [None, True, 0, -1, 1e308, -1e308, 1e30, float("nan"), float("inf"), 10
 def damage(content, rng):
     """Change the content of a file at random: values of JSON, words, lines or bytes."""
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
-        content = rng.choice((_change_value, _change_word, _change_word, _change_line, _change_bytes))(content, rng)
+        content = rng.choice(
+            (_change_value, _change_word, _change_word, _change_line, _change_bytes)
+        )(content, rng)
     return content
 
 
@@ -149,11 +151,17 @@ def check_corners(read):
 
 
 def check_image(image):
-    assert np.isfinite(image).all() and image.shape[:2] != (0, 0) and 0 <= image.min() <= image.max() <= 255
+    assert (
+        np.isfinite(image).all()
+        and image.shape[:2] != (0, 0)
+        and 0 <= image.min() <= image.max() <= 255
+    )
 
 
 def check_network(network):
-    assert all(tensor.isfinite().all() and tensor.dtype == torch.float32 for tensor in network.parameters())
+    assert all(
+        tensor.isfinite().all() and tensor.dtype == torch.float32 for tensor in network.parameters()
+    )
 
 
 def check_results(results):
@@ -171,7 +179,11 @@ def check_cells(cells):
 def check_answer(answer):
     status, body = answer
     assert status in (200, 400, 403, 404, 405, 408, 414, 431, 501, 505) or status is None
-    assert status != 200 or body in (b"", b"no depth here", b"2 m along the ray") or b"<!doctype html>" in body
+    assert (
+        status != 200
+        or body in (b"", b"no depth here", b"2 m along the ray")
+        or b"<!doctype html>" in body
+    )
 
 
 def check_step(step):
@@ -182,7 +194,8 @@ def check_step(step):
 
 
 def samples(folder):
-    """Return reader → (name of the file, its content, how it is read, what the result must be, how it is damaged)."""
+    """Return reader → (name of the file, its content, how it is read, what the result must be, how
+    it is damaged)."""
     opencv = {"K1": K, "D1": D4, "K2": K, "D2": D4, "R": R2, "T": T2}
     opencv = {key: value.tolist() for key, value in opencv.items()} | {"image_size": list(SIZE)}
     chain = kalibr(matrix([0, 1, 0], [1, 0, 0]))
@@ -191,33 +204,63 @@ def samples(folder):
         "omnimvs, in lines": ("config.yaml", yaml.safe_dump(omnimvs()), osl.load_rig, check_rig),
         "basalt": ("calibration.json", json.dumps(basalt()), osl.load_rig, check_rig),
         "kalibr": ("camchain.yaml", json.dumps(chain), osl.load_rig, check_rig),
-        "opencv": ("opencv.yaml", json.dumps(opencv), lambda path: osl.load_rig(path, "cm"), check_rig),
+        "opencv": (
+            "opencv.yaml",
+            json.dumps(opencv),
+            lambda path: osl.load_rig(path, "cm"),
+            check_rig,
+        ),
         "ros": ("ros.yaml", json.dumps(ros()), lambda path: osl.load_rig(path, "cm"), check_rig),
         "camodocal": ("mei.yaml", json.dumps(MEI), load_camera, check_camera),
-        "metashape": ("lens.xml", METASHAPE.format(projection="fisheye"), load_camera, check_camera),
+        "metashape": (
+            "lens.xml",
+            METASHAPE.format(projection="fisheye"),
+            load_camera,
+            check_camera,
+        ),
         "hugin": ("lens.pto", HUGIN, load_camera, check_camera),
         "ocam": ("ocam1.txt", OCAM_TXT, load_camera, check_camera),
     }
     for name in ("COLMAP rig", "nerfstudio", "MC-Calib"):
-        found[name] = (EXAMPLES[name][0], EXAMPLES[name][1], lambda path: osl.load_rig(path, "cm"), check_rig)
+        found[name] = (
+            EXAMPLES[name][0],
+            EXAMPLES[name][1],
+            lambda path: osl.load_rig(path, "cm"),
+            check_rig,
+        )
     found["Gyroflow"] = (*EXAMPLES["Gyroflow lens profile"], load_camera, check_camera)
     (folder / "cameras.txt").write_text(EXAMPLES["COLMAP model"][1])
-    found["COLMAP model"] = (*EXAMPLES["images.txt"], lambda path: osl.load_rig(path, "cm"), check_rig)
+    found["COLMAP model"] = (
+        *EXAMPLES["images.txt"],
+        lambda path: osl.load_rig(path, "cm"),
+        check_rig,
+    )
     found |= ocam_poses(folder) | corners(folder) | data_set(folder)
     found |= tensors(folder) | records() | netpbm() | hand_in()
-    return {name: sample if len(sample) == 5 else (*sample, damage) for name, sample in found.items()}
+    return {
+        name: sample if len(sample) == 5 else (*sample, damage) for name, sample in found.items()
+    }
 
 
 def ocam_poses(folder):
     (folder / "rig").mkdir()
     for i in (1, 2, 3, 4):
         (folder / "rig" / f"ocam{i}.txt").write_text(OCAM_TXT)
-    return {"poses": ("rig/poses.txt", POSES_TXT, lambda path: osl.load_rig(path.parent, "cm"), check_rig)}
+    return {
+        "poses": (
+            "rig/poses.txt",
+            POSES_TXT,
+            lambda path: osl.load_rig(path.parent, "cm"),
+            check_rig,
+        )
+    }
 
 
 def corners(folder):
     board = Checkerboard((4, 3), 0.06)
-    views = {f"{k:04}": 10.0 + 5 * k + 20 * board.points[:, :2] / 0.06 for k in range(3)} | {"0009": None}
+    views = {f"{k:04}": 10.0 + 5 * k + 20 * board.points[:, :2] / 0.06 for k in range(3)} | {
+        "0009": None
+    }
     save_corners(folder / "corners.yaml", views, board, (200, 192))
     text = (folder / "corners.yaml").read_text()
     return {"corners": ("corners.yaml", text, load_corners, check_corners)}
@@ -229,7 +272,14 @@ def data_set(folder):
         (folder / "set" / f"cam{k}").mkdir(parents=True)
         (folder / "set" / f"cam{k}" / "0001.png").write_bytes(b"")
     write = json.dumps(omnimvs(dataset={"truth": "."}))
-    return {"data set": ("set/config.yaml", write, lambda path: osl.load_dataset(path.parent).rig, check_rig)}
+    return {
+        "data set": (
+            "set/config.yaml",
+            write,
+            lambda path: osl.load_dataset(path.parent).rig,
+            check_rig,
+        )
+    }
 
 
 def tensors(folder):
@@ -237,7 +287,15 @@ def tensors(folder):
     network = osl.MCCNN()
     network.save(folder / "weights.safetensors", recipe=RECIPE.as_dict())
     content = (folder / "weights.safetensors").read_bytes()
-    found = {"weights": ("weights.safetensors", content, osl.MCCNN.from_file, check_network, damage_tensors)}
+    found = {
+        "weights": (
+            "weights.safetensors",
+            content,
+            osl.MCCNN.from_file,
+            check_network,
+            damage_tensors,
+        )
+    }
     run = _Run.__new__(_Run)  # without data
     run.recipe, run.network, run.init_sha256 = RECIPE, network, None
     run.optimizer = torch.optim.AdamW(network.parameters())
@@ -253,7 +311,10 @@ def tensors(folder):
 
 
 def hand_in():
-    cells = [{"cell_type": "markdown", "source": ["# 04 · ZNCC", "\n"]}, {"cell_type": "code", "source": "1 + 1"}]
+    cells = [
+        {"cell_type": "markdown", "source": ["# 04 · ZNCC", "\n"]},
+        {"cell_type": "code", "source": "1 + 1"},
+    ]
     text = json.dumps({"cells": cells, "nbformat": 4, "nbformat_minor": 5, "metadata": {}})
 
     def read(path):
@@ -266,7 +327,8 @@ def hand_in():
 
 
 def live_page(address):
-    """A request to the live view, and how it is answered: the status, None without one, and the content."""
+    """A request to the live view, and how it is answered: the status, None without one, and the
+    content."""
     port = urlsplit(address).port
     request = b"GET /depth?0.5&0.1 HTTP/1.1\r\nHost: localhost\r\nAccept: */*\r\n\r\n"
 
@@ -303,13 +365,22 @@ def read_as_pillow(path):
 
 
 def records():
-    from omnistereo_lib.evaluate.regions import METRICS, REGIONS, SUMS
+    from omnistereo_learn.evaluate.regions import METRICS, REGIONS, SUMS
 
-    errors = {"figures": dict.fromkeys(METRICS, 1.5), "strata": {name: dict.fromkeys(SUMS, 3.0) for name in REGIONS}}
+    errors = {
+        "figures": dict.fromkeys(METRICS, 1.5),
+        "strata": {name: dict.fromkeys(SUMS, 3.0) for name in REGIONS},
+    }
     config = {"width": 96, "height": 24, "num_spheres": 12, "rig": "own"}
     method = {"cost": "zncc", "aggregate": "sgm", "window": None}
     frames = {"sunny": {"00001": {"zncc+sgm": errors}, "00002": {"zncc+sgm": errors}}}
-    record = {"config": config, "methods": {"zncc+sgm": method}, "data": {}, "weights": {}, "frames": frames}
+    record = {
+        "config": config,
+        "methods": {"zncc+sgm": method},
+        "data": {},
+        "weights": {},
+        "frames": frames,
+    }
     return {"results": ("results.json", json.dumps(record), read_record, check_results)}
 
 
@@ -341,7 +412,9 @@ def test_damaged_files_are_refused_or_read_as_finite_numbers(valid, limits, capf
             try:
                 result = read(path)
             except osl.OmnistereoError as error:
-                assert 10 < len(str(error)) <= 500 and len(str(error).splitlines()) == 1, f"{name} {number}"
+                assert 10 < len(str(error)) <= 500 and len(str(error).splitlines()) == 1, (
+                    f"{name} {number}"
+                )
                 continue
             except Exception as error:
                 raise AssertionError(f"{name} {number}: {type(error).__name__}: {error}") from error

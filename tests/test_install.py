@@ -1,4 +1,5 @@
-"""The wheel, installed apart from the clone: complete, without the course, and it finds what it needs."""
+"""The wheel, installed apart from the clone: complete, without the course, and it finds what it
+needs."""
 
 import os
 import re
@@ -21,19 +22,34 @@ ROOT = Path(osl.__file__).resolve().parents[1]
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory):
     """The wheel and the folder that it is installed into."""
-    pytest.importorskip("hatchling", reason="hatchling is not installed: environment-dev.txt has it")
+    pytest.importorskip(
+        "hatchling", reason="hatchling is not installed: environment-dev.txt has it"
+    )
     folder = tmp_path_factory.mktemp("install")
-    subprocess.run([sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)], check=True, cwd=ROOT)
+    subprocess.run(
+        [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)],
+        check=True,
+        cwd=ROOT,
+    )
     (wheel,) = folder.glob("*.whl")
-    ZipFile(wheel).extractall(folder / "packages")  # as pip does, for a wheel without compiled files
+    # as pip does, for a wheel without compiled files
+    ZipFile(wheel).extractall(folder / "packages")
     return wheel, folder / "packages"
 
 
 def test_what_is_in_the_wheel(installed):
     names = ZipFile(installed[0]).namelist()
     tops = {name.split("/")[0] for name in names}
-    assert tops == {"omnistereo_lib", "omnistereo_tools", next(name for name in tops if name.endswith(".dist-info"))}
-    files = (path for folder in ("omnistereo_lib", "omnistereo_tools") for path in (ROOT / folder).rglob("*"))
+    assert tops == {
+        "omnistereo_lib",
+        "omnistereo_tools",
+        next(name for name in tops if name.endswith(".dist-info")),
+    }
+    files = (
+        path
+        for folder in ("omnistereo_lib", "omnistereo_tools")
+        for path in (ROOT / folder).rglob("*")
+    )
     here = {path.relative_to(ROOT).as_posix() for path in files if path.is_file()}
     here = {name for name in here if "__pycache__" not in name}
     assert {name for name in names if name.startswith("omnistereo_")} - here == {
@@ -41,13 +57,18 @@ def test_what_is_in_the_wheel(installed):
     }
     assert here <= set(names)
     assert {"omnistereo_lib/py.typed", "omnistereo_lib/weights/sweepnet.safetensors"} <= here
-    assert sum(path.stat().st_size for path in (ROOT / "omnistereo_lib/sample").rglob("*")) < 1_300_000
+    assert (
+        sum(path.stat().st_size for path in (ROOT / "omnistereo_lib/sample").rglob("*")) < 1_300_000
+    )
 
 
 PINS = dict(
     re.findall(
         r"^([\w.-]+)==(\S+)",
-        "".join((ROOT / name).read_text() for name in ("environment.txt", "environment-dev.txt", "constraints.txt")),
+        "".join(
+            (ROOT / name).read_text()
+            for name in ("environment.txt", "environment-dev.txt", "constraints.txt")
+        ),
         re.M,
     )
 )
@@ -56,11 +77,14 @@ PINS = dict(
 def test_every_pin_can_be_installed_on_the_oldest_python():
     """README promises 3.11; Debian 12 has 3.11.2."""
     needed = {name: metadata(name).get("Requires-Python", "") for name in PINS}
-    assert {name: python for name, python in needed.items() if "3.11.0" not in SpecifierSet(python)} == {}
+    assert {
+        name: python for name, python in needed.items() if "3.11.0" not in SpecifierSet(python)
+    } == {}
 
 
 def test_the_pins_are_a_lock():
-    """Pip and uv install the same versions today and in a year: no package brings one along that has no pin."""
+    """Pip and uv install the same versions today and in a year: no package brings one along that
+    has no pin."""
     pinned = {canonicalize_name(name) for name in PINS}
     left, brought = [Requirement(name) for name in PINS], {}
     while left:
@@ -88,10 +112,13 @@ print("status", cli.main(["doctor"]), cli.main(["evaluate", "--sets", "sunny"]))
 
 
 def test_without_the_clone(installed, tmp_path):
-    """The sample and the weights are found, the doctor is content, and what needs the clone says so."""
+    """The sample and the weights are found, the doctor is content, and what needs the clone says
+    so."""
     environment = {**os.environ, "PYTHONPATH": str(installed[1])}
     command = [sys.executable, "-c", SCRIPT]
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+    )
     where, images, *_ = done.stdout.split()
     assert Path(where).is_relative_to(installed[1]) and images == "4"
     assert "NOTE  packages and data of the course are not checked" in done.stdout

@@ -1,4 +1,5 @@
-"""Commands killed at random moments and given again: the same files as of a run that was left alone.
+"""Commands killed at random moments and given again: the same files as of a run that was left
+alone.
 
 KILLS=50 python -m pytest tests/test_kills.py kills each command that often, at other moments.
 """
@@ -20,11 +21,13 @@ from served_commands import Server
 from train.tiny import MCCNN
 
 import omnistereo_lib as osl
-from omnistereo_lib.calibrate.captures import save_corners
+from omnistereo_rigs.boards.captures import save_corners
 
 KILLS = int(os.environ.get("KILLS", "1"))
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
-pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="Windows has neither fork nor these signals")
+pytestmark = pytest.mark.skipif(
+    not hasattr(os, "fork"), reason="Windows has neither fork nor these signals"
+)
 
 
 class Killer(Server):
@@ -70,23 +73,50 @@ def command(request, data, corners):
     """Return the command line that writes into a folder."""
     small = ["--width", 96, "--height", 24, "--spheres", 16, "--method", "zncc+sgm"]
     views = [data / f"cam{k}" for k in (1, 2, 3, 4)]
-    calibrate = ["calibrate", corners, "--corners", corners, "--board", "12x10", "--square", 0.06, "--degree", 4]
+    calibrate = [
+        "calibrate",
+        corners,
+        "--corners",
+        corners,
+        "--board",
+        "12x10",
+        "--square",
+        0.06,
+        "--degree",
+        4,
+    ]
     lines = {
         "depth": ["depth", "--rig", data, *small, "--out"],
         "recording": ["record", "--rig", data / "config.yaml", "--images", *views, *small, "--out"],
         "calibrate": [*calibrate, "--out"],
-        "evaluate": ["evaluate", "--sets", data, "--methods", "zncc", "zncc,window=3", "zncc+sgm", "--out"],
+        "evaluate": [
+            "evaluate",
+            "--sets",
+            data,
+            "--methods",
+            "zncc",
+            "zncc,window=3",
+            "zncc+sgm",
+            "--out",
+        ],
         "render": ["render", "sunny/test", "--frames", *range(701, 741), "--out"],
     }
-    train = ["recipe", data, json.dumps({k: v for k, v in MCCNN.as_dict().items() if k != "network"})]
+    train = [
+        "recipe",
+        data,
+        json.dumps({k: v for k, v in MCCNN.as_dict().items() if k != "network"}),
+    ]
     return lambda out: [*(train if request.param == "train" else lines[request.param]), out]
 
 
 def contents(folder):
-    """Return the content of all files; of a log without the seconds, and without what a kill left half-written."""
+    """Return the content of all files; of a log without the seconds, and without what a kill left
+    half-written."""
     files = [path for path in folder.rglob("[!.]*") if path.is_file()]
     return {
-        str(path.relative_to(folder)): without_seconds(path) if path.name == "log.csv" else path.read_bytes()
+        str(path.relative_to(folder)): without_seconds(path)
+        if path.name == "log.csv"
+        else path.read_bytes()
         for path in files
     }
 
@@ -102,12 +132,15 @@ def without_seconds(path):
 
 
 def differing(found, expected):
-    return sorted(name for name in found.keys() | expected.keys() if found.get(name) != expected.get(name))
+    return sorted(
+        name for name in found.keys() | expected.keys() if found.get(name) != expected.get(name)
+    )
 
 
 @pytest.fixture(scope="module")
 def undisturbed(server, tmp_path_factory):
-    """Return a function: command line, its name → the files of an undisturbed run and the seconds that it takes."""
+    """Return a function: command line, its name → the files of an undisturbed run and the seconds
+    that it takes."""
     known = {}
 
     def once(command, name):
@@ -120,8 +153,12 @@ def undisturbed(server, tmp_path_factory):
     return once
 
 
-@pytest.mark.parametrize("command", ["depth", "recording", "calibrate", "train", "evaluate", "render"], indirect=True)
-def test_killed_and_given_again_the_files_are_the_same(server, command, undisturbed, tmp_path, request):
+@pytest.mark.parametrize(
+    "command", ["depth", "recording", "calibrate", "train", "evaluate", "render"], indirect=True
+)
+def test_killed_and_given_again_the_files_are_the_same(
+    server, command, undisturbed, tmp_path, request
+):
     expected, duration = undisturbed(command, request.node.callspec.params["command"])
     for attempt in range(KILLS):
         out = tmp_path / f"killed{attempt}"
@@ -130,7 +167,8 @@ def test_killed_and_given_again_the_files_are_the_same(server, command, undistur
             time.sleep(server.rng.uniform(0.05, 0.95) * duration)
             status = server.kill(number)
             assert status in (0, 130, 143, *(-sign for sign in SIGNALS)), server.log()[-3000:]
-            assert status < 0 or hidden(out) == [] or command(out)[0] == "render"  # else it puts away what it began
+            # else it puts away what it began
+            assert status < 0 or hidden(out) == [] or command(out)[0] == "render"
             for path in hidden(out):
                 os.utime(path, (0, 0))  # as if the kill were long ago
         found = contents(out) if out.exists() else {}
@@ -141,7 +179,9 @@ def test_killed_and_given_again_the_files_are_the_same(server, command, undistur
 
 
 @pytest.mark.parametrize("command", ["train", "evaluate"], indirect=True)
-def test_two_at_once_in_one_folder_do_not_harm_each_other(server, command, undisturbed, tmp_path, request):
+def test_two_at_once_in_one_folder_do_not_harm_each_other(
+    server, command, undisturbed, tmp_path, request
+):
     expected, _ = undisturbed(command, request.node.callspec.params["command"])
     numbers = [server.start(*command(tmp_path / "both")) for _ in range(2)]
     assert [server.wait(number) for number in numbers] == [0, 0], server.log()[-3000:]

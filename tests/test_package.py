@@ -15,7 +15,8 @@ import omnistereo_lib as osl
 
 ROOT = Path(osl.__file__).resolve().parents[1]
 
-# A file imports from its own folder and from those of the lines above. Function-level imports count.
+# A file imports from its own folder and from those of the lines above. Function-level imports
+# count.
 LAYERS = """
 errors lazy progress
 files
@@ -35,10 +36,14 @@ LAYER = {name: number for number, line in enumerate(LAYERS.split("\n")) for name
 NEVER = {"matplotlib", "pyvista", "IPython", "bpy", "ipywidgets"}  # by the library
 # Slow or large libraries that are imported when used, but for the modules that exist for them.
 EAGER = {
-    "cv2": "stereo.images stereo.sweep calibrate.checkerboard calibrate.marker_boards calibrate.features "
-    "calibrate.patches train.endless.worlds world.motion world.refine",
-    "scipy": "calibrate.bundle calibrate.joint calibrate.features calibrate.relative_pose calibrate.track_bundle "
-    "calibrate.watch calibrate.from_images world.surface",
+    "cv2": (
+        "stereo.images stereo.sweep calibrate.checkerboard calibrate.marker_boards"
+        " calibrate.features calibrate.patches train.endless.worlds world.motion world.refine"
+    ),
+    "scipy": (
+        "calibrate.bundle calibrate.joint calibrate.features calibrate.relative_pose"
+        " calibrate.track_bundle calibrate.watch calibrate.from_images world.surface"
+    ),
 }
 
 
@@ -73,11 +78,15 @@ def imports(path, inside_functions=True):
                 yield full if full in EVERYTHING else node.module
 
 
-EVERYTHING = sources("omnistereo_lib") | sources("omnistereo_tools") | sources("course") | sources("render")
+EVERYTHING = (
+    sources("omnistereo_lib") | sources("omnistereo_tools") | sources("course") | sources("render")
+)
 
 
 def ours(path, inside_functions=True):
-    return {name for name in imports(path, inside_functions) if name.split(".")[0] == "omnistereo_lib"}
+    return {
+        name for name in imports(path, inside_functions) if name.split(".")[0] == "omnistereo_lib"
+    }
 
 
 def layer(name):
@@ -108,14 +117,26 @@ def test_the_command_line_and_its_bar_import_what_is_slow_when_it_is_needed():
 def test_the_renderer_uses_geometry_and_files_only():
     used = {other for path in sources("render").values() for other in ours(path)}
     assert {name.split(".")[1] for name in used} <= {"geometry", "errors", "files"}
-    tools = {other for path in sources("render").values() for other in imports(path) if "omnistereo_tools" in other}
+    tools = {
+        other
+        for path in sources("render").values()
+        for other in imports(path)
+        if "omnistereo_tools" in other
+    }
     assert tools == {"omnistereo_tools.record.cluster"}
-    eager = {other for path in sources("render").values() for other in imports(path, inside_functions=False)}
+    eager = {
+        other
+        for path in sources("render").values()
+        for other in imports(path, inside_functions=False)
+    }
     assert not eager & tools  # Blender's environment cannot import them
 
 
 def test_there_is_no_circle():
-    graph = {name: {n for n in imports(path) if n in EVERYTHING} - {name} for name, path in EVERYTHING.items()}
+    graph = {
+        name: {n for n in imports(path) if n in EVERYTHING} - {name}
+        for name, path in EVERYTHING.items()
+    }
     TopologicalSorter(graph).prepare()
 
 
@@ -135,7 +156,9 @@ def test_large_libraries_are_imported_when_used(library):
 
 
 def run(code):
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.strip()
 
 
 def test_the_package_itself_imports_nothing_and_geometry_only_numpy():

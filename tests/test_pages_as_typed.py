@@ -1,9 +1,10 @@
-"""Every command and every block of Python on every page runs as it stands, in the order of the page.
+"""Every command and every block of Python on every page runs as it stands, in the order of the
+page.
 
-Commands run in a copy of the clone if they are of the clone (`make`, `.venv/bin/python -m course`), else in a folder
-that holds what the pages speak of. What cannot run here is marked in the page's source with the reason:
-`<!-- not run: REASON; instead: ITS SMALLEST FORM -->`, before its block or paragraph, once for all pages.
-"""
+Commands run in a copy of the clone if they are of the clone (`make`, `.venv/bin/python -m course`),
+else in a folder that holds what the pages speak of. What cannot run here is marked in the page's
+source with the reason: `<!-- not run: REASON; instead: ITS SMALLEST FORM -->`, before its block or
+paragraph, once for all pages."""
 
 import json
 import os
@@ -27,33 +28,45 @@ from typed_commands import HELP, NOTEBOOKS, PAGES, ROOT, commands_of
 import omnistereo_lib as osl
 from omnistereo_lib.files import write_image
 from omnistereo_lib.stereo.images import reduce_images
-from omnistereo_tools.output.rig_exports import export_rig
+from omnistereo_rigs.formats.write import export_rig
 
-pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="the commands run in forked processes")
+pytestmark = pytest.mark.skipif(
+    not hasattr(os, "fork"), reason="the commands run in forked processes"
+)
 SIDES = ("front", "right", "back", "left")
 FOREVER = ("omnistereo live", "omnistereo demo", "make demo")  # until Ctrl-C
 # What this machine has in place of what a page speaks of.
 REPLACED = {"--cameras 0 1 2 3": "--cameras front.mp4 right.mp4 back.mp4 left.mp4"}
-PROGRAMS = {"omnistereo", "make", "python", "torchrun"}  # others, such as pip and docker, must not run in tests
+# others, such as pip and docker, must not run in tests
+PROGRAMS = {"omnistereo", "make", "python", "torchrun"}
 SECONDS = 120  # for one command
 ALL = {page: commands_of(page) for page in [*PAGES, *NOTEBOOKS, *HELP]}
 # A mark holds for all pages; one that says what runs instead goes before one that does not.
 MARKED = {c.text: c for commands in ALL.values() for c in commands if c.reason}
 MARKED |= {c.text: c for commands in ALL.values() for c in commands if c.instead}
 BLOCKS = {c.text for commands in ALL.values() for c in commands if c.language == "python"}
-# Pictures of a checkerboard on which OpenCV finds it at once, by camera: a few for each pair of neighbours.
-BOARDS = {1: "0001 0004 0035 0036", 2: "0028 0035 0036 0040", 3: "0005 0026 0028 0040 0048", 4: "0001 0004 0048"}
+# Pictures of a checkerboard on which OpenCV finds it at once, by camera: a few for each pair of
+# neighbours.
+BOARDS = {
+    1: "0001 0004 0035 0036",
+    2: "0028 0035 0036 0040",
+    3: "0005 0026 0028 0040 0048",
+    4: "0001 0004 0048",
+}
 
 
 def test_every_command_is_run_or_marked():
-    for command in (command for commands in ALL.values() for command in commands if command.language != "python"):
+    for command in (
+        command for commands in ALL.values() for command in commands if command.language != "python"
+    ):
         program = Path((_to_run(command) or "make").split()[0]).name
         assert program in PROGRAMS, f"{command}: nobody runs {program}; mark it"
 
 
 @pytest.fixture(scope="module")
 def clone(tmp_path_factory):
-    """A copy of the clone whose environment counts as installed; the data and the compiled library are links."""
+    """A copy of the clone whose environment counts as installed; the data and the compiled library
+    are links."""
     folder, linked = (
         tmp_path_factory.mktemp("copy") / "omnistereo",
         ("data_samples", "omnistereo_lib", "omnistereo_tools"),
@@ -113,19 +126,26 @@ def files(tmp_path_factory):
             (folder / name).parent.mkdir(exist_ok=True)
             write_image(folder / name, image)
         write_image(folder / f"cam{k}.png", whole)
-        video = cv2.VideoWriter(str(folder / f"{side}.mp4"), cv2.VideoWriter_fourcc(*"mp4v"), 5, image.shape[1::-1])
+        video = cv2.VideoWriter(
+            str(folder / f"{side}.mp4"), cv2.VideoWriter_fourcc(*"mp4v"), 5, image.shape[1::-1]
+        )
         for _ in range(2):
             video.write(image)
         video.release()
     for name in ("rig.yaml", "lenses.yaml"):
         osl.save_rig(rig if name == "rig.yaml" else frame.rig, folder / name)
     export_rig(rig, folder)
-    (folder / "calibration.json").write_text(json.dumps(yaml.safe_load((folder / "kalibr.yaml").read_text())))
+    (folder / "calibration.json").write_text(
+        json.dumps(yaml.safe_load((folder / "kalibr.yaml").read_text()))
+    )
     (folder / "my_frames").symlink_to(ROOT / "data_samples/sunny/train")
     for k, names in BOARDS.items():
         (folder / "pictures" / f"cam{k}").mkdir(parents=True)
         for name in names.split():
-            shutil.copy(ROOT / f"data_samples/calibration/van/cam{k}/{name}.jpg", folder / "pictures" / f"cam{k}")
+            shutil.copy(
+                ROOT / f"data_samples/calibration/van/cam{k}/{name}.jpg",
+                folder / "pictures" / f"cam{k}",
+            )
     (folder / "aprilgrid.yaml").write_text(APRIL_FILE)
     (folder / "april" / "cam1").mkdir(parents=True)
     for k, picture in enumerate(april_pictures(8)):
@@ -135,7 +155,8 @@ def files(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def run(server, shell, clone):
-    """Return a function that runs a line in a folder and returns its exit status and what it prints."""
+    """Return a function that runs a line in a folder and returns its exit status and what it
+    prints."""
 
     def run(line, folder):
         server.log_path.write_text("")
@@ -162,7 +183,9 @@ def run(server, shell, clone):
 
 def _run_until_stopped(line, folder, shell):
     """Start what serves a page, open the page, and stop it by Ctrl-C; return as `run`."""
-    process = subprocess.Popen(["bash", "-c", f"exec {line}"], cwd=folder, env=shell, stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        ["bash", "-c", f"exec {line}"], cwd=folder, env=shell, stdout=subprocess.PIPE, text=True
+    )
     address = next(found[0] for text in process.stdout if (found := re.search(r"http://\S+", text)))
     assert b"<html" in urlopen(address, timeout=60).read()
     process.send_signal(signal.SIGINT)
@@ -183,7 +206,11 @@ def _to_run(command):
     for words, here in REPLACED.items():
         line = line.replace(words, here)
     # An `omnistereo depth` that is only named within a sentence is none that anybody types.
-    return f"{line} --help" if re.fullmatch("omnistereo [a-z]+", line) and command.language == "inline" else line
+    return (
+        f"{line} --help"
+        if re.fullmatch("omnistereo [a-z]+", line) and command.language == "inline"
+        else line
+    )
 
 
 RUN: set[str] = set()  # of all pages so far, lines and kinds of commands
@@ -197,23 +224,38 @@ def test_page(page, run, files, clone, tmp_path):
     for command in ALL[page]:
         line = _to_run(command)
         # Once for all pages, but for a block of a page, whose lines need each other.
-        alone = command.language == "inline" or {command.text, page} & {*MARKED, *HELP} or _is_of_the_clone(line or "")
+        alone = (
+            command.language == "inline"
+            or {command.text, page} & {*MARKED, *HELP}
+            or _is_of_the_clone(line or "")
+        )
         if line is None or (line in RUN and alone):
             continue
         _choose_boards(folder, "april" if "aprilgrid.yaml" in line else "pictures")
         where = clone if _is_of_the_clone(line) else folder
-        # A second run meets what the first has left: once for each command that writes; of calibrate in `test_kills`.
+        # A second run meets what the first has left: once for each command that writes; of
+        # calibrate in `test_kills`.
         kind = " ".join(re.findall("^omnistereo [a-z]+", line))
-        once = kind in RUN or not kind or line.startswith((*FOREVER, "omnistereo doctor", "omnistereo calibrate"))
+        once = (
+            kind in RUN
+            or not kind
+            or line.startswith((*FOREVER, "omnistereo doctor", "omnistereo calibrate"))
+        )
         for attempt in ("at first",) if once else ("at first", "again"):
             began = time.perf_counter()
             status, said = run(line, where)
             print(f"{time.perf_counter() - began:5.1f} s  {line!r}", flush=True)
-            failed += [f"{line}\n  exit status {status} {attempt}: {said[-2000:]}"] if status else []
+            failed += (
+                [f"{line}\n  exit status {status} {attempt}: {said[-2000:]}"] if status else []
+            )
         # What a command proposes to run, run at once.
         for advice in re.findall("^omnistereo .*$", said, re.MULTILINE):
             status, said = run(advice, where)
-            failed += [f"{advice}\n  advice of {line}: exit status {status}: {said[-2000:]}"] if status else []
+            failed += (
+                [f"{advice}\n  advice of {line}: exit status {status}: {said[-2000:]}"]
+                if status
+                else []
+            )
         RUN.update((line, kind))
     assert not failed, "\n\n".join(failed)
 
@@ -227,7 +269,13 @@ def _choose_boards(folder, name):
 @pytest.mark.parametrize(
     ("line", "advice"),
     [
-        ("omnistereo record --rig rig.yaml --images front right back left --height 160 --phi -30 30", "--phi -45 45"),
+        (
+            (
+                "omnistereo record --rig rig.yaml --images front right back left --height 160 --phi"
+                " -30 30"
+            ),
+            "--phi -45 45",
+        ),
         ("omnistereo doctor --rig opencv.yaml", "--unit m"),
         ("omnistereo onnx --rig calibration.json --out onnx", "--min-depth 1.5"),
     ],

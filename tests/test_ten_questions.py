@@ -4,10 +4,12 @@ import re
 
 import pytest
 
-from course.experiments.questions import PAGE, QUESTIONS, row
+from workshop.results.questions import PAGE, QUESTIONS, row
 
 
 @pytest.mark.parametrize("question", QUESTIONS, ids=lambda question: question.text)
 def test_the_page_says_what_is_read(question):
-    (stored,) = re.findall(rf"^\| {re.escape(question.text)} \|.*\n", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
-    assert stored == row(question), "run: python -m course questions"
+    (stored,) = re.findall(
+        rf"^\| {re.escape(question.text)} \|.*\n", PAGE.read_text(encoding="utf-8"), re.MULTILINE
+    )
+    assert stored == row(question), "run: python -m workshop questions"

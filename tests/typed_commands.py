@@ -11,19 +11,27 @@ from pathlib import Path
 
 import nbformat
 
-import render
 from course import __main__ as course
 from omnistereo_tools import cli
+from workshop import render
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = ["README.md", "CONTRIBUTING.md", *sorted(f"book/{path.name}" for path in ROOT.glob("book/*.md"))]
+PAGES = [
+    "README.md",
+    "CONTRIBUTING.md",
+    *sorted(f"book/{path.name}" for path in ROOT.glob("book/*.md")),
+]
 HELP = [*(f"omnistereo {name}" for name in cli.COMMANDS), "python -m course", "python -m render"]
 NOTEBOOKS = sorted(f"notebooks/{path.name}" for path in ROOT.glob("notebooks/*.ipynb"))
 
 # A fence, a remark that the next block is not run, or code within a line.
 _FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```$", re.DOTALL | re.MULTILINE)
-_MARK = re.compile(r"<!-- not run: (?P<reason>.*?)(?:; instead: (?P<instead>.*?))? -->\n", re.DOTALL)
-_INLINE = re.compile(r"(?<!`)`(?P<text>(?:omnistereo|make|python -m|\.venv\S*/python -m) [^`\n]+)`(?!`)")
+_MARK = re.compile(
+    r"<!-- not run: (?P<reason>.*?)(?:; instead: (?P<instead>.*?))? -->\n", re.DOTALL
+)
+_INLINE = re.compile(
+    r"(?<!`)`(?P<text>(?:omnistereo|make|python -m|\.venv\S*/python -m) [^`\n]+)`(?!`)"
+)
 
 
 @dataclass(frozen=True)
@@ -44,9 +52,17 @@ def commands_of(page: str) -> list[Typed]:
     """Return the commands of a page or of a command's help, in the order in which they stand there."""
     if page in HELP:
         examples = re.findall(r"^  ((?:omnistereo|python -m) .*)$", help_of(page), re.MULTILINE)
-        blender = ("needs the environment of Blender", f"{page} --help") if "render" in page else (None, None)
+        blender = (
+            ("needs the environment of Blender", f"{page} --help")
+            if "render" in page
+            else (None, None)
+        )
         return [Typed(f"{page} --help", example, "sh", *blender) for example in examples]
-    text = "\n\n".join(_markdown(ROOT / page)) if page.endswith(".ipynb") else (ROOT / page).read_text(encoding="utf-8")
+    text = (
+        "\n\n".join(_markdown(ROOT / page))
+        if page.endswith(".ipynb")
+        else (ROOT / page).read_text(encoding="utf-8")
+    )
     return _commands_in(page, text)
 
 
@@ -64,19 +80,25 @@ def _markdown(path: Path) -> list[str]:
     """Return the text cells of a notebook without folded solutions, which are tested as answers."""
     cells = nbformat.read(path, as_version=4).cells
     return [
-        re.sub(r"<details>.*?</details>", "", c.source, flags=re.DOTALL) for c in cells if c.cell_type == "markdown"
+        re.sub(r"<details>.*?</details>", "", c.source, flags=re.DOTALL)
+        for c in cells
+        if c.cell_type == "markdown"
     ]
 
 
 def _commands_in(page: str, text: str) -> list[Typed]:
-    """Split a text at its fences; a mark holds for the fence, or for the paragraph, that follows it."""
+    """Split a text at its fences; a mark holds for the fence, or for the paragraph, that follows
+    it."""
     found, at = [], 0
     for fence in [*_FENCE.finditer(text), None]:
         before = text[at : fence.start() if fence else len(text)]
         paragraphs = re.split(r"\n\s*\n", before)
         for paragraph in paragraphs:
             mark = _MARK.search(paragraph)
-            found += [_typed(page, m["text"], "inline", mark) for m in _INLINE.finditer(_MARK.sub("", paragraph))]
+            found += [
+                _typed(page, m["text"], "inline", mark)
+                for m in _INLINE.finditer(_MARK.sub("", paragraph))
+            ]
         if fence is None:
             break
         mark = _MARK.search(paragraphs[-1]) if paragraphs[-1].rstrip().endswith("-->") else None

@@ -1,4 +1,6 @@
-"""Check of the clone: the packages that environment.txt pins, and the data. It needs the standard library alone."""
+"""Check of the clone: the packages that environment.txt pins, and the data. It needs the standard
+library alone.
+"""
 
 import hashlib
 import json
@@ -7,7 +9,13 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from omnistereo_tools.installation import Check, check_machine, check_python, installed_version, print_checks
+from omnistereo_tools.installation import (
+    Check,
+    check_machine,
+    check_python,
+    installed_version,
+    print_checks,
+)
 
 _ROOT = Path(__file__).resolve().parents[2]
 
@@ -21,8 +29,8 @@ def check_clone(short: bool = False) -> bool:
     """Print what is installed and what is missing, with the fix; return whether nothing failed.
 
     Args:
-        short: Print one line if nothing failed. Otherwise one line for each check, and notes on cores and memory,
-            which do not count as failures.
+        short: Print one line if nothing failed. Otherwise one line for each check, and notes on
+            cores and memory, which do not count as failures.
     """
     checks = [*check_python(), *_pinned_packages(), *_data()]
     can_look = "missing" not in map(installed_version, ("psutil", "torch"))
@@ -39,7 +47,13 @@ def _pinned_packages() -> Iterator[Check]:
     pins = re.findall(r"^([\w-]+)==(\S+)", environment.read_text(encoding="utf-8"), re.MULTILINE)
     installed = {name: installed_version(name) for name, _ in pins}
     if {*installed.values()} == {"missing"}:
-        yield False, f"none of the {len(pins)} packages of environment.txt is installed for {sys.executable}: make lab"
+        yield (
+            False,
+            (
+                f"none of the {len(pins)} packages of environment.txt is installed for"
+                f" {sys.executable}: make lab"
+            ),
+        )
         return
     for name, pinned in pins:
         found = installed[name]
@@ -62,10 +76,15 @@ def _data() -> Iterator[Check]:
     except (LookupError, TypeError, ValueError, RecursionError):
         yield False, f"{manifest.name} is broken: {fix}"
         return
-    broken = [name for name, checksum in files.items() if _sha256(manifest.parent / name) != checksum]
+    broken = [
+        name for name, checksum in files.items() if _sha256(manifest.parent / name) != checksum
+    ]
     if broken:
         some = ", ".join(broken[:3]) + (" …" if len(broken) > 3 else "")
-        yield False, f"{len(broken)} of {len(files)} data files are missing or changed ({some}): {fix}"
+        yield (
+            False,
+            f"{len(broken)} of {len(files)} data files are missing or changed ({some}): {fix}",
+        )
     else:
         yield True, f"data_samples: {len(files)} files with the right checksums"
 

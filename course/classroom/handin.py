@@ -1,8 +1,9 @@
 """Check handed-in notebooks: `python -m course check my_notebook.ipynb`, or a folder of them.
 
-The notebook runs in a process of its own (`student`), which brings back what the student's functions answer; they
-are judged here, by the checkers of this clone. Each notebook gets a score sheet as JSON; a class gets one table,
-scores.csv. A sheet of the same notebook and the same checkers is kept, so that a stopped class resumes.
+The notebook runs in a process of its own (`student`), which brings back what the student's
+functions answer; they are judged here, by the checkers of this clone. Each notebook gets a score
+sheet as JSON; a class gets one table, scores.csv. A sheet of the same notebook and the same
+checkers is kept, so that a stopped class resumes.
 """
 
 import csv
@@ -36,9 +37,13 @@ MAX_BYTES = 32 * 2**20  # of a notebook
 MAX_NOTES = 50
 MAX_ARRAY_BYTES = 64 * 2**20  # of an answer
 STATUSES = ("right", "wrong", "not tried", "not judged")
-CHECKED = re.compile(r"\b(?:exercises|(nb\d\db?))\.(check_\w+)\((\w+)\)")  # module, checker, function
+# module, checker, function
+CHECKED = re.compile(r"\b(?:exercises|(nb\d\db?))\.(check_\w+)\((\w+)\)")
 NUMBER = re.compile(r"^\*\*(\d\db?\.\d+) \(", re.MULTILINE)  # **04.2 (medium).**
-ENVIRONMENT = (Path(sys.prefix), *(nbtools.ROOT / name for name in ("course", "omnistereo_lib", "omnistereo_tools")))
+ENVIRONMENT = (
+    Path(sys.prefix),
+    *(nbtools.ROOT / name for name in ("course", "omnistereo_lib", "omnistereo_tools")),
+)
 
 Sheet = dict[str, Any]
 
@@ -65,33 +70,46 @@ def exercises_of(nb: nbformat.NotebookNode) -> list[Exercise]:
             number = [number, *NUMBER.findall(cell.source)][-1]
         else:
             for module, checker, function in CHECKED.findall(cell.source):
-                found.append(Exercise(number or function, f"{module}.{checker}".lstrip("."), function))
+                found.append(
+                    Exercise(number or function, f"{module}.{checker}".lstrip("."), function)
+                )
     return found
 
 
 def read_cells(path: Path) -> list[tuple[str, str]]:
-    """Return type and source of a handed-in notebook's cells; outputs may be anything, and are not looked at."""
+    """Return type and source of a handed-in notebook's cells; outputs may be anything, and are not
+    looked at.
+    """
     content = read_bytes(path, MAX_BYTES)
     try:
-        return [(cell["cell_type"], "".join(cell["source"])) for cell in json.loads(content)["cells"]]
+        return [
+            (cell["cell_type"], "".join(cell["source"])) for cell in json.loads(content)["cells"]
+        ]
     except Exception as error:  # JSON, its nesting, its keys
         kind = type(error).__name__
-        raise OmnistereoError(f"{path} is not a notebook ({kind}): save it again in JupyterLab") from None
+        raise OmnistereoError(
+            f"{path} is not a notebook ({kind}): save it again in JupyterLab"
+        ) from None
 
 
 def original_of(cells: list[tuple[str, str]], path: Path) -> Path:
     """Return the course's notebook that a handed-in one began as, by the number in its title."""
     title = next((source for kind, source in cells if kind == "markdown"), "")
-    found = [original for original in nbtools.notebooks() if title.startswith(f"# {nbtools.number(original)} ")]
+    found = [
+        original
+        for original in nbtools.notebooks()
+        if title.startswith(f"# {nbtools.number(original)} ")
+    ]
     if not found:
         raise OmnistereoError(
-            f"{path} begins with {title[:40]!r}; expected the title of a notebook of the course, such as "
-            "'# 04 · ZNCC'. Leave its first cell as it was"
+            f"{path} begins with {title[:40]!r}; expected the title of a notebook of the course,"
+            " such as '# 04 · ZNCC'. Leave its first cell as it was"
         )
     return found[0]
 
 
-# --- One notebook -----------------------------------------------------------------------------------------
+# --- One notebook
+# -----------------------------------------------------------------------------------------
 
 
 def check_notebook(path: Path, seconds: float = SECONDS, memory_gib: float = MEMORY_GIB) -> Sheet:
@@ -103,7 +121,8 @@ def check_notebook(path: Path, seconds: float = SECONDS, memory_gib: float = MEM
         memory_gib: The memory that all its processes may use together.
 
     Raises:
-        OmnistereoError: If it is not a notebook of the course, or the limits leave no room for any cell.
+        OmnistereoError: If it is not a notebook of the course, or the limits leave no room for any
+            cell.
     """
     cells = read_cells(path)
     original = original_of(cells, path)
@@ -111,37 +130,59 @@ def check_notebook(path: Path, seconds: float = SECONDS, memory_gib: float = MEM
     code = [source for kind, source in cells if kind == "code"]
     seed = int(checksum(path)[:8], 16)  # cases that its author has not seen, the same at each check
     task = {"cells": code, "exercises": {exercise.function: exercise.checker for exercise in asked}}
-    ran = student.run(task | {"seed": seed, "cell_s": seconds / 3, "answer_s": ANSWER_S}, seconds, memory_gib)
+    ran = student.run(
+        task | {"seed": seed, "cell_s": seconds / 3, "answer_s": ANSWER_S}, seconds, memory_gib
+    )
     if ran.stopped and not ran.records:
         raise OmnistereoError(f"no cell can run: {ran.stopped}. Raise --seconds or --memory")
     said = [record.get("said") for record in ran.records if "cell" in record]
     notes = list(other_version(code, asked))
-    notes += [f"code cell {number} stopped with {text}" for number, text in enumerate(said, start=1) if text]
+    notes += [
+        f"code cell {number} stopped with {text}"
+        for number, text in enumerate(said, start=1)
+        if text
+    ]
     notes = notes[:MAX_NOTES]
-    notes += [f"left threads behind: {left}" for record in ran.records if (left := record.get("threads"))]
+    notes += [
+        f"left threads behind: {left}" for record in ran.records if (left := record.get("threads"))
+    ]
     if ran.stopped:
         where = f"in code cell {len(said) + 1}" if len(said) < len(code) else "after its last cell"
         notes.append(f"stopped {where}: {ran.stopped}")
     answers = {
-        record["function"]: record.get("replies") for record in ran.records if isinstance(record.get("function"), str)
+        record["function"]: record.get("replies")
+        for record in ran.records
+        if isinstance(record.get("function"), str)
     }
     results = {exercise.number: judge(exercise, seed, answers, ran.stopped) for exercise in asked}
     used = {"seconds": round(ran.seconds, 1), "peak_gib": round(ran.peak_gib, 2)}
-    return {"notebook": original.stem, "exercises": results, "notes": list(map(printable, notes))} | used
+    return {
+        "notebook": original.stem,
+        "exercises": results,
+        "notes": list(map(printable, notes)),
+    } | used
 
 
 def judge(exercise: Exercise, seed: int, answers: dict[Any, Any], stopped: str) -> dict[str, str]:
-    """Return the status of an exercise and what this clone's checker says of the answers of the student's function."""
+    """Return the status of an exercise and what this clone's checker says of the answers of the
+    student's function.
+    """
     if exercise.function not in answers:
         missing = f"there is no function {exercise.function}"
-        return {"status": "not judged", "said": stopped} if stopped else {"status": "not tried", "said": missing}
+        return (
+            {"status": "not judged", "said": stopped}
+            if stopped
+            else {"status": "not tried", "said": missing}
+        )
     said = exercise.open.check(repeat(answers[exercise.function]), seed)
     status = "not tried" if said.startswith(NOT_WRITTEN) else "right" if said == RIGHT else "wrong"
     return {"status": status, "said": printable(" ".join(said.split()))}
 
 
 def repeat(replies: Any) -> Callable[..., Any]:
-    """Return a function that answers as the student's did: with its value, its exception, its writing into arrays."""
+    """Return a function that answers as the student's did: with its value, its exception, its
+    writing into arrays.
+    """
     left = iter(replies)
 
     def answer(*arguments: Any) -> Any:
@@ -157,13 +198,16 @@ def repeat(replies: Any) -> Callable[..., Any]:
             import torch
 
             return torch.tensor(value, dtype=torch.float64, requires_grad=True)
-        return type(value["type"], (), {})() if isinstance(value, dict) and "type" in value else value
+        return (
+            type(value["type"], (), {})() if isinstance(value, dict) and "type" in value else value
+        )
 
     return answer
 
 
 def read_value(text: str) -> Any:
-    """Return a value in JSON; raises a `MemoryError` if, as an array, it took far more than as text.
+    """Return a value in JSON; raises a `MemoryError` if, as an array, it took far more than as
+    text.
 
     An array of texts gives each of its elements the room of the longest.
     """
@@ -188,51 +232,83 @@ def other_version(code: list[str], asked: list[Exercise]) -> Iterator[str]:
     if lacking := [number for checker, number in known.items() if checker not in has]:
         yield f"does not call the checkers of {', '.join(lacking)}"
     if foreign := sorted(has - set(known)):
-        yield f"of another version of the course: calls {', '.join(foreign)}, which the notebook here does not"
+        yield (
+            f"of another version of the course: calls {', '.join(foreign)}, which the notebook here"
+            " does not"
+        )
 
 
 def in_words(sheet: Sheet) -> str:
     """Return a score sheet as text."""
-    lines = [f"{sheet['file']}: notebook {sheet['notebook']}, {sheet['seconds']} s, {sheet['peak_gib']} GiB"]
+    lines = [
+        f"{sheet['file']}: notebook {sheet['notebook']}, {sheet['seconds']} s,"
+        f" {sheet['peak_gib']} GiB"
+    ]
     width = max(map(len, sheet["exercises"]), default=0)
     for number, result in sheet["exercises"].items():
         said = "" if result["status"] == "right" else result["said"]
-        lines.append(f"  {number:<{width}}  {result['status']:<10}  {said.removeprefix('not yet: ')}".rstrip())
+        lines.append(
+            f"  {number:<{width}}  {result['status']:<10}  {said.removeprefix('not yet: ')}".rstrip()
+        )
     lines += [f"  note: {note}" for note in sheet["notes"]]
     counts = Counter(result["status"] for result in sheet["exercises"].values())
-    return "\n".join([*lines, "  " + ", ".join(f"{counts[status]} {status}" for status in STATUSES)])
+    return "\n".join(
+        [*lines, "  " + ", ".join(f"{counts[status]} {status}" for status in STATUSES)]
+    )
 
 
 def printable(text: str) -> str:
-    """Return a text as one line of at most 500 characters that every file takes: others than printable ones escaped."""
+    """Return a text as one line of at most 500 characters that every file takes: others than
+    printable ones escaped.
+    """
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text[:500])[:500]
 
 
-# --- A class ----------------------------------------------------------------------------------------------
+# --- A class
+# ----------------------------------------------------------------------------------------------
 
 
-def check(path: Path, out: Path = OUT, seconds: float = SECONDS, memory_gib: float = MEMORY_GIB) -> list[Sheet]:
-    """Check a notebook, or all below a folder; print the sheets and write them to `out`, a class's table as well.
+def check(
+    path: Path, out: Path = OUT, seconds: float = SECONDS, memory_gib: float = MEMORY_GIB
+) -> list[Sheet]:
+    """Check a notebook, or all below a folder; print the sheets and write them to `out`, a class's
+    table as well.
 
     Raises:
-        OmnistereoError: If a limit is not positive, there is no notebook, or if `path` is one and not of the course; in
-            a folder, such a one gets a sheet without exercises, and the class goes on.
+        OmnistereoError: If a limit is not positive, there is no notebook, or if `path` is one and
+            not of the course; in a folder, such a one gets a sheet without exercises, and the class
+            goes on.
     """
     for what, limit in (("seconds", seconds), ("memory", memory_gib)):
         if not 0 < limit < math.inf:
-            raise OmnistereoError(f"{what} is {limit:g}; expected a positive number. Leave --{what} out, or raise it")
+            raise OmnistereoError(
+                f"{what} is {limit:g}; expected a positive number. Leave --{what} out, or raise it"
+            )
     if os.name != "posix":
-        raise OmnistereoError("limits need Linux or macOS. Check hand-ins in a container; book/teaching.md says how")
+        raise OmnistereoError(
+            "limits need Linux or macOS. Check hand-ins in a container; book/teaching.md says how"
+        )
     is_class = path.is_dir()
     folder = path if is_class else path.parent
-    names = [file.relative_to(path) for file in sorted(path.rglob("*.ipynb"))] if is_class else [Path(path.name)]
-    names = [name for name in names if not is_class or not any(part.startswith(".") for part in name.parts)]
+    names = (
+        [file.relative_to(path) for file in sorted(path.rglob("*.ipynb"))]
+        if is_class
+        else [Path(path.name)]
+    )
+    names = [
+        name
+        for name in names
+        if not is_class or not any(part.startswith(".") for part in name.parts)
+    ]
     if not names:
-        raise OmnistereoError(f"{path} holds no notebook: give a folder with .ipynb files, in any folders below it")
+        raise OmnistereoError(
+            f"{path} holds no notebook: give a folder with .ipynb files, in any folders below it"
+        )
     make_folder(out)
     if is_class:
         write_scores(out / "scores.csv", [])  # it is there whatever comes
-    kept = {name: stored_sheet(out / f"{name}.json", folder / name) for name in names}  # before any code can write one
+    # before any code can write one
+    kept = {name: stored_sheet(out / f"{name}.json", folder / name) for name in names}
     environment, sheets = last_changes(), []
     handed_in: dict[Path, str] = {name: content_of(folder / name) for name in names}
     spoiled: dict[Path, list[str]] = {}
@@ -243,8 +319,12 @@ def check(path: Path, out: Path = OUT, seconds: float = SECONDS, memory_gib: flo
                 sheet = {"file": printable(str(name)), **made_from(folder / name), **checked}
                 sheet["notes"] += spoiled.get(name, [])
                 for other in rewritten(folder, handed_in):
-                    sheet["notes"].append(printable(f"{other} was rewritten while this one ran. Hand both in again"))
-                    spoiled[other] = [printable(f"was rewritten while {name} ran. Hand both in again")]
+                    sheet["notes"].append(
+                        printable(f"{other} was rewritten while this one ran. Hand both in again")
+                    )
+                    spoiled[other] = [
+                        printable(f"was rewritten while {name} ran. Hand both in again")
+                    ]
                 store_sheet(out / f"{name}.json", sheet, environment)
             say(in_words(sheet))
         except Exception as error:  # whatever a notebook of a class raises becomes its sheet
@@ -284,7 +364,10 @@ def say(text: str) -> None:
 
 def made_from(path: Path) -> dict[str, str]:
     """Return the checksums of a notebook and of the checkers, on which its sheet depends."""
-    return {"sha256": checksum(path), "checkers": checksum(*sorted(Path(exercises.__file__).parent.glob("*.py")))}
+    return {
+        "sha256": checksum(path),
+        "checkers": checksum(*sorted(Path(exercises.__file__).parent.glob("*.py"))),
+    }
 
 
 def checksum(*paths: Path) -> str:
@@ -293,7 +376,9 @@ def checksum(*paths: Path) -> str:
 
 
 def stored_sheet(stored: Path, path: Path) -> Sheet | None:
-    """Return the stored sheet of a notebook if there is one, whole, of the same notebook and checkers."""
+    """Return the stored sheet of a notebook if there is one, whole, of the same notebook and
+    checkers.
+    """
     with suppress(Exception):  # it may be damaged in any way
         sheet = json.loads(read_bytes(stored))
         if in_words(sheet) and made_from(path).items() <= sheet.items():
@@ -302,9 +387,13 @@ def stored_sheet(stored: Path, path: Path) -> Sheet | None:
 
 
 def store_sheet(stored: Path, sheet: Sheet, environment: set[tuple[str, int]]) -> None:
-    """Store a sheet, unless the environment has changed since the class began; if it cannot be, the sheet says so."""
+    """Store a sheet, unless the environment has changed since the class began; if it cannot be, the
+    sheet says so.
+    """
     if changed := sorted(environment ^ last_changes()):
-        sheet["notes"].append(printable(f"the environment has changed: {changed[0][0]}. Install it again, then check"))
+        sheet["notes"].append(
+            printable(f"the environment has changed: {changed[0][0]}. Install it again, then check")
+        )
         return
     try:
         make_folder(stored.parent)
@@ -314,7 +403,9 @@ def store_sheet(stored: Path, sheet: Sheet, environment: set[tuple[str, int]]) -
 
 
 def last_changes() -> set[tuple[str, int]]:
-    """Return every file of the installed packages and of the clone's code, with the time of its last change."""
+    """Return every file of the installed packages and of the clone's code, with the time of its
+    last change.
+    """
     found, folders = set(), list(map(str, ENVIRONMENT))
     for folder in folders:  # grows
         for entry in os.scandir(folder):
@@ -335,10 +426,16 @@ def write_scores(path: Path, sheets: list[Sheet]) -> None:
             results = {number: result["status"] for number, result in sheet["exercises"].items()}
             counts = Counter(results.values())
             row = {status: counts[status] for status in STATUSES} | results
-            row |= {"file": sheet["file"], "notebook": sheet.get("notebook", ""), "notes": "; ".join(sheet["notes"])}
+            row |= {
+                "file": sheet["file"],
+                "notebook": sheet.get("notebook", ""),
+                "notes": "; ".join(sheet["notes"]),
+            }
             table.writerow({key: no_formula(value) for key, value in row.items()})
 
 
 def no_formula(cell: str | int) -> str | int:
-    """Return a cell that a spreadsheet shows as it is: one that begins like a formula gets an apostrophe."""
+    """Return a cell that a spreadsheet shows as it is: one that begins like a formula gets an
+    apostrophe.
+    """
     return f"'{cell}" if str(cell).startswith(("=", "+", "-", "@")) else cell

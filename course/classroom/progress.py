@@ -1,7 +1,9 @@
-"""The progress page, `make progress`: what the checks in the working copies said, as they were last saved.
+"""The progress page, `make progress`: what the checks in the working copies said, as they were last
+saved.
 
-Its links open the notebooks in the JupyterLab that `make lab` has started, whose addresses reach no single cell.
-Where every function is right, it ends with a certificate: the panorama that notebook 13 computed by the student's own.
+Its links open the notebooks in the JupyterLab that `make lab` has started, whose addresses reach no
+single cell. Where every function is right, it ends with a certificate: the panorama that notebook
+13 computed by the student's own.
 """
 
 import html
@@ -62,24 +64,39 @@ def write_progress(out: Path) -> None:
         marks, address = read_marks(copy), f"{lab}/{WORKING.name}/{path.name}"
         found = [marks.get(function.name, "") for function in functions]
         count, total = count + found.count("✓"), total + len(found)
-        title = f"{nbtools.number(path)} {nbtools.read_notebook(path).metadata['omnistereo']['title']}"
-        items = "".join(_item(function.name, mark) for function, mark in zip(functions, found, strict=True))
+        title = (
+            f"{nbtools.number(path)} {nbtools.read_notebook(path).metadata['omnistereo']['title']}"
+        )
+        items = "".join(
+            _item(function.name, mark) for function, mark in zip(functions, found, strict=True)
+        )
         link = f'<a href="{address}">{html.escape(title)}</a>'
         rows.append(f"<h2>{link}: {found.count('✓')} of {len(found)}</h2>\n<ul>{items}</ul>")
         if not following and found.count("✓") < len(found):
-            name = next(function.name for function, mark in zip(functions, found, strict=True) if mark != "✓")
+            name = next(
+                function.name
+                for function, mark in zip(functions, found, strict=True)
+                if mark != "✓"
+            )
             following = f"Go on with <code>{name}</code> in {link}. "
         print(f"{title}: {found.count('✓')} of {len(found)}")
     certificate = _certificate(total) if count == total else ""
     out.parent.mkdir(parents=True, exist_ok=True)
     parts = {"following": following, "rows": "\n".join(rows), "certificate": certificate}
     write_text(out, PAGE.format(count=count, total=total, **parts))
-    print(f"{count} of {total} functions are right. Written: {out}. Save a notebook to have it counted.")
+    print(
+        f"{count} of {total} functions are right. Written: {out}. Save a notebook to have it"
+        " counted."
+    )
 
 
 def lab_address() -> str:
     """Return where the JupyterLab of this clone shows files; where it will, if none is running."""
-    running = (server["url"] for server in list_running_servers() if Path(server["root_dir"]) == nbtools.ROOT)
+    running = (
+        server["url"]
+        for server in list_running_servers()
+        if Path(server["root_dir"]) == nbtools.ROOT
+    )
     return f"{next(running, 'http://localhost:8888/')}lab/tree"
 
 
@@ -87,7 +104,11 @@ def read_marks(path: Path) -> dict[str, str]:
     """Return ✓ or ✗ of the functions that a working copy has tried, by name."""
     if not path.exists():
         return {}
-    outputs = [output for cell in nbtools.code_cells(nbtools.read_notebook(path)) for output in cell.outputs]
+    outputs = [
+        output
+        for cell in nbtools.code_cells(nbtools.read_notebook(path))
+        for output in cell.outputs
+    ]
     return {name: mark for output in outputs for mark, name in SAID.findall(output.get("text", ""))}
 
 
@@ -101,6 +122,11 @@ def _certificate(total: int) -> str:
     cells = nbtools.code_cells(nbtools.read_notebook(WORKING / path.name))
     for output in itertools.chain(*(cell.outputs for cell in cells if PICTURE in cell.source)):
         for mime in set(nbtools.PICTURES) & set(output.get("data", {})):
-            picture, alt = str(output.data[mime]).replace("\n", ""), str(output.data.get("text/plain", ""))
-            return CERTIFICATE.format(total=total, mime=mime, picture=html.escape(picture), alt=html.escape(alt))
+            picture, alt = (
+                str(output.data[mime]).replace("\n", ""),
+                str(output.data.get("text/plain", "")),
+            )
+            return CERTIFICATE.format(
+                total=total, mime=mime, picture=html.escape(picture), alt=html.escape(alt)
+            )
     return ""  # it was removed

@@ -1,7 +1,8 @@
-"""Write the notebooks with their open functions solved, and run them: `python -m course solve` fills out/solutions.
+"""Write the notebooks with their open functions solved, and run them: `python -m course solve`
+fills out/solutions.
 
-A solution notebook is the stored notebook with every stub, a function that ends in `...`, replaced by the right answer
-in course/exercises.
+A solution notebook is the stored notebook with every stub, a function that ends in `...`, replaced
+by the right answer in course/exercises.
 """
 
 import ast
@@ -15,8 +16,7 @@ from typing import Any
 from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
 from nbformat import NotebookNode
 
-from course import exercises, nbtools
-from course.publish import kernels
+from course import exercises, kernels, nbtools
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import write_text
 
@@ -34,11 +34,16 @@ def stubs(source: str) -> Iterator[ast.FunctionDef]:
 def solved(source: str, answers: dict[str, Callable[..., Any]]) -> str:
     """Return a cell's source with the answers in the place of its stubs."""
     lines = source.splitlines()
-    for stub in reversed(list(stubs(source))):  # from below, so that the line numbers above stay right
+    # from below, so that the line numbers above stay right
+    for stub in reversed(list(stubs(source))):
         if stub.name not in answers:
             known = ", ".join(answers)
-            raise OmnistereoError(f"the stub {stub.name} has no answer in course/exercises; there are {known}")
-        lines[stub.lineno - 1 : stub.end_lineno] = inspect.getsource(answers[stub.name]).rstrip().splitlines()
+            raise OmnistereoError(
+                f"the stub {stub.name} has no answer in course/exercises; there are {known}"
+            )
+        lines[stub.lineno - 1 : stub.end_lineno] = (
+            inspect.getsource(answers[stub.name]).rstrip().splitlines()
+        )
     return "\n".join(lines)
 
 
@@ -59,9 +64,15 @@ def open_answers(number: str) -> dict[str, Callable[..., Any]]:
 
 def not_right(nb: NotebookNode) -> list[str]:
     """Return what the checkers said of a solved notebook's functions, where it is not "right"."""
-    cells = [cell for cell in nbtools.code_cells(nb) if re.search(r"\bnb\w+\.check_\w+\(", cell.source)]
+    cells = [
+        cell for cell in nbtools.code_cells(nb) if re.search(r"\bnb\w+\.check_\w+\(", cell.source)
+    ]
     said = ["".join(output.get("text", "") for output in cell.outputs).strip() for cell in cells]
-    return [words for words in said if not re.search(r"^.*\w+: right, .+ with yours\.$", words, re.MULTILINE)]
+    return [
+        words
+        for words in said
+        if not re.search(r"^.*\w+: right, .+ with yours\.$", words, re.MULTILINE)
+    ]
 
 
 def main(names: list[str]) -> None:
@@ -71,11 +82,14 @@ def main(names: list[str]) -> None:
         names: Numbers of the notebooks, such as "04"; all of them if empty.
 
     Raises:
-        OmnistereoError: If there is no such notebook, one stops, or a checker does not call a solution right.
+        OmnistereoError: If there is no such notebook, one stops, or a checker does not call a
+            solution right.
     """
     known = [nbtools.number(path) for path in nbtools.notebooks()]
     if unknown := [name for name in names if name not in known]:
-        raise OmnistereoError(f"there is no notebook {', '.join(unknown)}; expected one of {', '.join(known)}")
+        raise OmnistereoError(
+            f"there is no notebook {', '.join(unknown)}; expected one of {', '.join(known)}"
+        )
     OUT.mkdir(parents=True, exist_ok=True)
     for name in LOOKED_UP:
         if not (OUT.parent / name).exists():
@@ -87,7 +101,9 @@ def main(names: list[str]) -> None:
         try:
             seconds = kernels.execute(nb, OUT)
         except CellExecutionError as error:
-            raise OmnistereoError(f"{path.name} with its solutions stopped: {error.ename}: {error.evalue}") from None
+            raise OmnistereoError(
+                f"{path.name} with its solutions stopped: {error.ename}: {error.evalue}"
+            ) from None
         except (CellTimeoutError, DeadKernelError) as error:
             raise OmnistereoError(f"{path.name} with its solutions stopped: {error}") from None
         if wrong := not_right(nb):

@@ -1,12 +1,14 @@
-"""A student's notebook in a process of its own, with limits: what its functions answer comes back, and nothing else.
+"""A student's notebook in a process of its own, with limits: what its functions answer comes back,
+and nothing else.
 
-`run` starts `python -m course.classroom.student` in a copy of the clone. That process runs the cells by IPython, as
-Jupyter does, and after each cell tries the functions that are new on the inputs of their exercises. What it writes is
-JSON, a line each, into a file that is read when all its processes have ended; so nobody waits for it. Nothing in there
-is believed: `handin` compares the answers with the right ones.
+`run` starts `python -m course.classroom.student` in a copy of the clone. That process runs the
+cells by IPython, as Jupyter does, and after each cell tries the functions that are new on the
+inputs of their exercises. What it writes is JSON, a line each, into a file that is read when all
+its processes have ended; so nobody waits for it. Nothing in there is believed: `handin` compares
+the answers with the right ones.
 
-This keeps mistakes from doing harm, not malice: the code runs as the user who starts it. For strangers' notebooks
-the whole check belongs into a container; book/teaching.md says how.
+This keeps mistakes from doing harm, not malice: the code runs as the user who starts it. For
+strangers' notebooks the whole check belongs into a container; book/teaching.md says how.
 """
 
 import ctypes
@@ -35,8 +37,17 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Pose
 
 ROOT = Path(__file__).resolve().parents[2]
-COPIED = ("notebooks", "data_samples", "omnistereo_lib", "omnistereo_tools", "course", "render", "environment.txt")
-KEPT = ("PATH", "LANG", "LC_ALL", "VIRTUAL_ENV", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")  # of the environment
+COPIED = (
+    "notebooks",
+    "data_samples",
+    "omnistereo_lib",
+    "omnistereo_tools",
+    "course",
+    "render",
+    "environment.txt",
+)
+# of the environment
+KEPT = ("PATH", "LANG", "LC_ALL", "VIRTUAL_ENV", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
 GIB = 2**30
 MAX_PROCESSES = 256
 MAX_FILE_BYTES = 4 * GIB  # of each file that it writes
@@ -45,7 +56,8 @@ MAX_READ_BYTES = 64 * 2**20
 PR_SET_CHILD_SUBREAPER = 36  # <sys/prctl.h>
 
 
-# --- The judge's side ---------------------------------------------------------------------------------------
+# --- The judge's side
+# ---------------------------------------------------------------------------------------
 
 
 @dataclass
@@ -67,15 +79,25 @@ def run(task: dict[str, Any], seconds: float, memory_gib: float) -> Run:
         memory_gib: The memory that all its processes may use together.
     """
     started = time.monotonic()
-    if sys.platform == "linux":  # a process that detaches itself becomes this one's child, so that it is found
+    # a process that detaches itself becomes this one's child, so that it is found
+    if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
     others = set(psutil.Process().children(recursive=True))
 
     def family() -> list[psutil.Process]:
-        return [process for process in psutil.Process().children(recursive=True) if process not in others]
+        return [
+            process
+            for process in psutil.Process().children(recursive=True)
+            if process not in others
+        ]
 
-    with TemporaryDirectory(prefix="student-", ignore_cleanup_errors=True) as folder, TemporaryFile() as answers:
-        copy, home, temporary, told = (Path(folder, name) for name in ("clone", "home", "tmp", "task.json"))
+    with (
+        TemporaryDirectory(prefix="student-", ignore_cleanup_errors=True) as folder,
+        TemporaryFile() as answers,
+    ):
+        copy, home, temporary, told = (
+            Path(folder, name) for name in ("clone", "home", "tmp", "task.json")
+        )
         copy_clone(copy)
         home.mkdir()
         temporary.mkdir()
@@ -97,7 +119,8 @@ def run(task: dict[str, Any], seconds: float, memory_gib: float) -> Run:
             broken, peak_gib = watch(process, family, seconds, memory_gib)
         finally:
             end(process, family)
-            for command in (["chmod", "-R", "u+rwx"], ["rm", "-rf"]):  # Python's own way fails a thousand folders deep
+            # Python's own way fails a thousand folders deep
+            for command in (["chmod", "-R", "u+rwx"], ["rm", "-rf"]):
                 subprocess.run([*command, "--", folder], stderr=subprocess.DEVNULL, check=False)
         answers.seek(0)
         records = list(read_records(answers.read(MAX_READ_BYTES)))
@@ -107,11 +130,17 @@ def run(task: dict[str, Any], seconds: float, memory_gib: float) -> Run:
 
 
 def copy_clone(copy: Path) -> None:
-    """Copy what a notebook needs of the clone, without solution notebooks, hidden files, links and pipes."""
+    """Copy what a notebook needs of the clone, without solution notebooks, hidden files, links and
+    pipes.
+    """
 
     def left_out(folder: str, names: list[str]) -> list[str]:
         paths = {name: Path(folder, name) for name in names}
-        plain = {name for name, path in paths.items() if not path.is_symlink() and (path.is_file() or path.is_dir())}
+        plain = {
+            name
+            for name, path in paths.items()
+            if not path.is_symlink() and (path.is_file() or path.is_dir())
+        }
         return [*set(names) - plain, *shutil.ignore_patterns(".*", "solutions*")(folder, names)]
 
     for path in map(ROOT.joinpath, COPIED):
@@ -122,16 +151,22 @@ def copy_clone(copy: Path) -> None:
 
 
 def watch(
-    process: subprocess.Popen[Any], family: Callable[[], list[psutil.Process]], seconds: float, memory_gib: float
+    process: subprocess.Popen[Any],
+    family: Callable[[], list[psutil.Process]],
+    seconds: float,
+    memory_gib: float,
 ) -> tuple[str, float]:
-    """Wait for a process; return the limit that it and its family have broken, or nothing, and their peak in GiB."""
+    """Wait for a process; return the limit that it and its family have broken, or nothing, and
+    their peak in GiB.
+    """
     deadline, peak = time.monotonic() + seconds, 0.0
     while process.poll() is None:
         members = family()
         if len(members) > MAX_PROCESSES:
             return f"it ran more than {MAX_PROCESSES} processes", peak
         used = sum(map(memory_of, members)) / GIB
-        if used > memory_gib and len(members) > 1:  # perhaps only because what they share counts for each of them
+        # perhaps only because what they share counts for each of them
+        if used > memory_gib and len(members) > 1:
             used = sum(memory_of(member, shared=True) for member in members) / GIB
         peak = max(peak, used)
         if peak > memory_gib:
@@ -143,7 +178,9 @@ def watch(
 
 
 def memory_of(process: psutil.Process, shared: bool = False) -> int:
-    """Return the bytes that a process uses; with `shared`, which takes longer, its part of what it shares, on Linux."""
+    """Return the bytes that a process uses; with `shared`, which takes longer, its part of what it
+    shares, on Linux.
+    """
     with suppress(psutil.Error):
         memory = process.memory_full_info() if shared else process.memory_info()
         return getattr(memory, "pss", memory.rss)
@@ -154,17 +191,21 @@ def end(process: subprocess.Popen[Any], family: Callable[[], list[psutil.Process
     """Kill a process and its family until nobody is left."""
     if process.poll() is None:
         with suppress(ProcessLookupError, PermissionError):  # it has just ended
-            os.killpg(process.pid, signal.SIGKILL)  # all at once: they may start others faster than one can look
+            # all at once: they may start others faster than one can look
+            os.killpg(process.pid, signal.SIGKILL)
         process.wait()
     for _ in range(100):
         if not (members := family()):
             return
-        for kill in (psutil.Process.suspend, psutil.Process.kill):  # nobody starts another one in between
+        # nobody starts another one in between
+        for kill in (psutil.Process.suspend, psutil.Process.kill):
             for member in members:
                 with suppress(psutil.Error):
                     kill(member)
         psutil.wait_procs(members, timeout=1)
-    raise OmnistereoError(f"processes that it started cannot be ended: {[member.pid for member in members]}. End them")
+    raise OmnistereoError(
+        f"processes that it started cannot be ended: {[member.pid for member in members]}. End them"
+    )
 
 
 def read_records(content: bytes) -> Iterator[dict[str, Any]]:
@@ -175,7 +216,8 @@ def read_records(content: bytes) -> Iterator[dict[str, Any]]:
                 yield record
 
 
-# --- The student's side -------------------------------------------------------------------------------------
+# --- The student's side
+# -------------------------------------------------------------------------------------
 
 
 class OutOfTime(BaseException):
@@ -183,7 +225,9 @@ class OutOfTime(BaseException):
 
 
 def main() -> None:
-    """Run the cells of a task from stdin; write what they raise and what their functions answer to stdout."""
+    """Run the cells of a task from stdin; write what they raise and what their functions answer to
+    stdout.
+    """
     import resource  # not on Windows, where the judge may be imported
 
     from IPython.core.interactiveshell import InteractiveShell
@@ -191,15 +235,21 @@ def main() -> None:
 
     task = json.load(sys.stdin)
     records = os.fdopen(os.dup(1), "w", encoding="ascii")
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what it prints goes nowhere: it may print without end
-    sys.path[:] = [path for path in sys.path if Path(path) == ROOT or not Path(path, "course").is_dir()]
+    # what it prints goes nowhere: it may print without end
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    sys.path[:] = [
+        path for path in sys.path if Path(path) == ROOT or not Path(path, "course").is_dir()
+    ]
     with suppress(ValueError):  # the limit is lower already
         resource.setrlimit(resource.RLIMIT_FSIZE, (MAX_FILE_BYTES, MAX_FILE_BYTES))
     shell = InteractiveShell.instance(config=Config(HistoryManager={"enabled": False}))
     # The tee would keep all that a cell prints.
     shell._tee = lambda channel: nullcontext()  # type: ignore[assignment, method-assign, return-value]
     shell.showtraceback = shell.showsyntaxerror = lambda *_, **__: None  # type: ignore[assignment, method-assign]
-    opened = {name: resolve_name(f"course.exercises.{checker}") for name, checker in task["exercises"].items()}
+    opened = {
+        name: resolve_name(f"course.exercises.{checker}")
+        for name, checker in task["exercises"].items()
+    }
     tried: dict[str, Any] = {}
     handed: dict[str, Any] = {}  # to a check, which may put the solution in its place
     check = Open.__call__
@@ -220,14 +270,21 @@ def main() -> None:
             function = handed.pop(name, shell.user_ns.get(name))
             if callable(function) and function is not tried.get(name) and not from_course(function):
                 tried[name] = function  # now: a later cell may never end, or write over it
-                write(function=name, replies=replies(function, open_function, task["seed"], task["answer_s"]))
-    threads = [thread.name for thread in threading.enumerate() if thread is not threading.main_thread()]
+                write(
+                    function=name,
+                    replies=replies(function, open_function, task["seed"], task["answer_s"]),
+                )
+    threads = [
+        thread.name for thread in threading.enumerate() if thread is not threading.main_thread()
+    ]
     write(end=True, threads=", ".join(threads))
     os._exit(0)  # without threads and functions of `atexit` that a cell has left
 
 
 def from_course(function: Callable[..., Any]) -> bool:
-    """Tell whether a function is the course's own, such as a solution that the notebook goes on with."""
+    """Tell whether a function is the course's own, such as a solution that the notebook goes on
+    with.
+    """
     return str(getattr(function, "__module__", "")).partition(".")[0] == "course"
 
 
@@ -236,13 +293,18 @@ def run_cell(shell: Any, source: str, seconds: float) -> str:
     try:
         with at_most(seconds):
             result = shell.run_cell(source, silent=True)
-        error = result.error_in_exec if result.error_before_exec is None else result.error_before_exec
-    except BaseException as raised:  # what IPython does not catch: a syntax tree too deep, a timer that comes late
+        error = (
+            result.error_in_exec if result.error_before_exec is None else result.error_before_exec
+        )
+    # what IPython does not catch: a syntax tree too deep, a timer that comes late
+    except BaseException as raised:
         error = raised
     return "" if error is None else ": ".join(described(error))
 
 
-def replies(function: Callable[..., Any], open_function: Open, seed: int, seconds: float) -> list[dict[str, Any]]:
+def replies(
+    function: Callable[..., Any], open_function: Open, seed: int, seconds: float
+) -> list[dict[str, Any]]:
     """Return what a function answers to each case of its checker, until it raises something."""
     found: list[dict[str, Any]] = []
     for k in range(CASES):
@@ -286,7 +348,9 @@ def described(error: BaseException) -> tuple[str, str]:
 
 
 def in_json(value: Any) -> str:
-    """Return a value in JSON: the numbers of an array or a pose; of what JSON cannot hold, the name of its type."""
+    """Return a value in JSON: the numbers of an array or a pose; of what JSON cannot hold, the name
+    of its type.
+    """
     try:
         return json.dumps(value, default=plain)
     except Exception:  # a list in itself, an object's own error
@@ -300,7 +364,11 @@ def plain(value: Any) -> Any:
     if isinstance(value, Pose):
         return value.as_vector().tolist()
     value = value.detach() if hasattr(value, "detach") else value
-    return np.asarray(value).tolist() if hasattr(value, "__array__") else {"type": type(value).__name__}
+    return (
+        np.asarray(value).tolist()
+        if hasattr(value, "__array__")
+        else {"type": type(value).__name__}
+    )
 
 
 if __name__ == "__main__":

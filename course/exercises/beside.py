@@ -1,6 +1,7 @@
 """The student's picture beside the right one: what a mistake does to a street.
 
-The inputs below are for `Open(..., real=...)`: panoramas of the sample frame, 320 × 80, so that a check stays quick.
+The inputs below are for `Open(..., real=...)`: panoramas of the sample frame, 320 × 80, so that a
+check stays quick.
 """
 
 from __future__ import annotations
@@ -22,10 +23,11 @@ _SPHERE = 20  # of 64: the white car is in focus
 
 
 def show(function: Callable[..., Any], answer: Callable[..., Any], inputs: tuple) -> None:
-    """Show what a function and the right one make of the same inputs, on one colour scale; NaN is gray.
+    """Show what a function and the right one make of the same inputs, on one colour scale; NaN is
+    gray.
 
-    Nothing is shown of a function that stops, whose picture has another shape, or that looks right here. Of a cost
-    volume the winners are shown.
+    Nothing is shown of a function that stops, whose picture has another shape, or that looks right
+    here. Of a cost volume the winners are shown.
     """
     import matplotlib.pyplot as plt
 
@@ -38,7 +40,11 @@ def show(function: Callable[..., Any], answer: Callable[..., Any], inputs: tuple
         except (Exception, SystemExit):  # the sentence above has said it
             return
         right = np.asarray(answer(*inputs), np.float64)
-    if yours.shape != right.shape or np.allclose(yours, right, rtol=1e-2, equal_nan=True) or right.ndim < 2:
+    if (
+        yours.shape != right.shape
+        or np.allclose(yours, right, rtol=1e-2, equal_nan=True)
+        or right.ndim < 2
+    ):
         return
     if right.ndim == 3 and right.shape[-1] > 3:
         yours, right = (volume.argmin(axis=-1).astype(float) for volume in (yours, right))
@@ -54,7 +60,11 @@ def show(function: Callable[..., Any], answer: Callable[..., Any], inputs: tuple
         ax.set_xticks([])
         ax.set_yticks([])
     name = answer.__name__
-    show_picture(fig, f"Two panoramas of a street: what your {name} makes of it, and below it what the right one makes")
+    show_picture(
+        fig,
+        f"Two panoramas of a street: what your {name} makes of it, and below it what the right one"
+        " makes",
+    )
 
 
 @cache
@@ -66,7 +76,9 @@ def _street() -> tuple[Frame, osl.SphereSweep]:
 
 
 def warped() -> NDArray[np.float64]:
-    """Return the four images on one sphere, in colours, (4, H, W, 3), NaN where a camera sees nothing."""
+    """Return the four images on one sphere, in colours, (4, H, W, 3), NaN where a camera sees
+    nothing.
+    """
     frame, sweep = _street()
     return np.stack(sweep.warp(frame.images, _SPHERE)).astype(np.float64)
 
@@ -82,13 +94,17 @@ def image() -> NDArray[np.float64]:
 
 
 def between() -> tuple:
-    """Return the same image, and its pixels at the rays of the panorama on one sphere, (H, W, 2), NaN if unseen."""
+    """Return the same image, and its pixels at the rays of the panorama on one sphere, (H, W, 2),
+    NaN if unseen.
+    """
     uv, visible = _street()[1].project_sphere(0, _SPHERE)
     return image(), np.where(visible[..., None], uv, np.nan)
 
 
 def view() -> tuple:
-    """Return the first camera: its image, the camera, its pose, and the points of one sphere (H, W, 3)."""
+    """Return the first camera: its image, the camera, its pose, and the points of one sphere (H, W,
+    3).
+    """
     _, sweep = _street()
     points = sweep.grid.rays() * float(sweep.grid.index_to_depth(_SPHERE))
     return image(), sweep.rig.cameras[0], sweep.rig.T_rig_cam[0], points
@@ -101,7 +117,9 @@ def truth() -> tuple:
 
 
 def volume() -> tuple:
-    """Return ZNCC's costs of every fourth ray of the street, (20, 80, 16), float64, and two penalties."""
+    """Return ZNCC's costs of every fourth ray of the street, (20, 80, 16), float64, and two
+    penalties.
+    """
     frame, sweep = _street()
     grid = osl.SphereGrid(80, 20, (-45, 45), num_spheres=16, min_depth=sweep.grid.min_depth)
     costs = osl.cost_volume(osl.SphereSweep(sweep.rig, grid), frame.images).numpy()
@@ -109,8 +127,16 @@ def volume() -> tuple:
 
 
 def sight() -> tuple:
-    """Return the street for the line of sight of camera 1: its centre, points, 1/m, elevations, and fractions."""
+    """Return the street for the line of sight of camera 1: its centre, points, 1/m, elevations, and
+    fractions.
+    """
     frame, sweep = _street()
     inverse_depth = sweep.grid.index_to_inverse_depth(frame.gt_index(sweep.grid))
     points = sweep.grid.rays() / np.maximum(inverse_depth, 0.01)[..., None]
-    return sweep.rig.centers[0], points, inverse_depth, sweep.grid.phi_deg, 1 / np.geomspace(1.05, 60, 40)
+    return (
+        sweep.rig.centers[0],
+        points,
+        inverse_depth,
+        sweep.grid.phi_deg,
+        1 / np.geomspace(1.05, 60, 40),
+    )

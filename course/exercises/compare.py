@@ -1,4 +1,6 @@
-"""What a checker does with a function: call it on several cases, compare, and put the difference into words."""
+"""What a checker does with a function: call it on several cases, compare, and put the difference
+into words.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +59,8 @@ def diagnose(
         whole: Names of arguments of which an example shows all.
 
     Returns:
-        str: "right", or what is wrong: the slip that most failing cases or the first show, or the smallest example.
+        str: "right", or what is wrong: the slip that most failing cases or the first show, or the
+            smallest example.
     """
     if not callable(function):
         return "hand over the function itself: its name, without brackets behind it"
@@ -66,7 +69,8 @@ def diagnose(
         given = copy.deepcopy(inputs)
         try:
             value = function(*given)
-        except (Exception, SystemExit) as error:  # whatever a student's code raises is a finding; Ctrl-C is not
+        # whatever a student's code raises is a finding; Ctrl-C is not
+        except (Exception, SystemExit) as error:
             return _stopped(error, len(inputs))
         if value is None or value is Ellipsis:
             return f"{NOT_WRITTEN}: replace the ... and return your result"
@@ -79,12 +83,17 @@ def diagnose(
             failures.append(Failure(inputs, found, right))
         elif whole_numbers and np.asarray(_plain(value)).dtype.kind == "f":
             notes.append("it counts something: return whole numbers, int")
-        elif getattr(expected, "requires_grad", False) and not getattr(value, "requires_grad", False):
-            notes.append("PyTorch cannot differentiate it: stay with tensors, without .item(), .detach() and NumPy")
+        elif getattr(expected, "requires_grad", False) and not getattr(
+            value, "requires_grad", False
+        ):
+            notes.append(
+                "PyTorch cannot differentiate it: stay with tensors, without .item(), .detach() and"
+                " NumPy"
+            )
         elif (number := _overwritten(given, inputs)) is not None:
             notes.append(
-                f"your function overwrites its argument number {number}, which its caller may still need. "
-                "Write into a copy"
+                f"your function overwrites its argument number {number}, which its caller may still"
+                " need. Write into a copy"
             )
     if not failures:
         return f"not yet: the value is right, but {notes[0]}" if notes else RIGHT
@@ -102,40 +111,58 @@ def quiet() -> Iterator[None]:
 
 
 def numbers(found: Any) -> Array | None:
-    """Return what a function has returned as an array of float64, or None if it is not made of real numbers."""
+    """Return what a function has returned as an array of float64, or None if it is not made of real
+    numbers.
+    """
     try:
         values = np.asarray(_plain(found))
     except Exception:  # parts of unequal shape, an object's own error
         return None
-    return values.astype(np.float64) if values.dtype.kind in "iuf" else None  # no text, truth values, complex numbers
+    # no text, truth values, complex numbers
+    return values.astype(np.float64) if values.dtype.kind in "iuf" else None
 
 
 def _plain(found: Any) -> Any:
-    """Return a pose as a vector and a tensor without its gradient, also in a list or tuple; anything else as it is."""
+    """Return a pose as a vector and a tensor without its gradient, also in a list or tuple;
+    anything else as it is.
+    """
     if isinstance(found, list | tuple):
         return [_plain(one) for one in found]
     if isinstance(found, Pose):
         return found.as_vector()
-    return found.detach() if "torch" in sys.modules and isinstance(found, sys.modules["torch"].Tensor) else found
+    return (
+        found.detach()
+        if "torch" in sys.modules and isinstance(found, sys.modules["torch"].Tensor)
+        else found
+    )
 
 
-# --- What stands in the way of a comparison -------------------------------------------------------------------
+# --- What stands in the way of a comparison
+# -------------------------------------------------------------------
 
 
 def _stopped(error: BaseException, arguments: int) -> str:
-    if isinstance(error, TypeError) and error.__traceback__.tb_next is None:  # the call itself, nothing inside
-        return f"your function is called with {arguments} arguments: keep its first line as it was ({error})"
+    # the call itself, nothing inside
+    if isinstance(error, TypeError) and error.__traceback__.tb_next is None:
+        return (
+            f"your function is called with {arguments} arguments: keep its first line as it was"
+            f" ({error})"
+        )
     message = "".join(traceback.format_exception_only(error)).strip()
     return f"your function stopped with {message}{where(error)}"
 
 
 def where(error: BaseException) -> str:
-    """Return the line of the student's code at which it stopped: the last one in the file of the function called."""
+    """Return the line of the student's code at which it stopped: the last one in the file of the
+    function called.
+    """
     _, *frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if frame.filename == frames[0].filename]
     if not own or Path(own[0].filename).is_relative_to(Path(__file__).parents[1]):
         return ""
-    return f", in line {own[-1].lineno} of its cell" + (f": `{own[-1].line}`" if own[-1].line else "")
+    return f", in line {own[-1].lineno} of its cell" + (
+        f": `{own[-1].line}`" if own[-1].line else ""
+    )
 
 
 def _not_numbers(found: Any, right: Array) -> str:
@@ -147,7 +174,9 @@ def _not_numbers(found: Any, right: Array) -> str:
         kind = f"an array of {found.dtype}"
     elif isinstance(found, list | tuple):  # they are welcome, with numbers in them
         kind = f"a {kind} that is no array of numbers"
-    return f"not yet: expected {form(right)}, got {kind}. Return real numbers, and nothing beside them"
+    return (
+        f"not yet: expected {form(right)}, got {kind}. Return real numbers, and nothing beside them"
+    )
 
 
 def _overwritten(given: tuple, inputs: tuple) -> int | None:
@@ -158,12 +187,17 @@ def _overwritten(given: tuple, inputs: tuple) -> int | None:
     return None
 
 
-# --- The difference in words ----------------------------------------------------------------------------------
+# --- The difference in words
+# ----------------------------------------------------------------------------------
 
 
 def _named(failures: list[Failure], slips: Iterable[tuple[Answer, str]]) -> str:
-    """Return the hint of the slip that gives the most of the failing values, if it gives the first or most of them."""
-    return _elected([[hint for slip, hint in slips if _gives(slip, failure)] for failure in failures])
+    """Return the hint of the slip that gives the most of the failing values, if it gives the first
+    or most of them.
+    """
+    return _elected(
+        [[hint for slip, hint in slips if _gives(slip, failure)] for failure in failures]
+    )
 
 
 def _gives(slip: Answer, failure: Failure) -> bool:
@@ -175,15 +209,27 @@ def _gives(slip: Answer, failure: Failure) -> bool:
 
 
 def _recognised(failures: list[Failure], answer: Answer) -> str:
-    """Return the kind of slip that the values show: by what became of them, of an argument, or of a part."""
-    if words := _elected([list(kinds.of_values(failure.found, failure.right)) for failure in failures]):
+    """Return the kind of slip that the values show: by what became of them, of an argument, or of a
+    part.
+    """
+    if words := _elected(
+        [list(kinds.of_values(failure.found, failure.right)) for failure in failures]
+    ):
         _, found, right = failures[0]
-        return words if found.shape == right.shape else f"{words}; expected {form(right)}, got {form(found)}"
+        return (
+            words
+            if found.shape == right.shape
+            else f"{words}; expected {form(right)}, got {form(found)}"
+        )
     if len(failures) == 1 or len({failure.found.tobytes() for failure in failures}) > 1:
-        of_arguments = [list(kinds.of_arguments(answer, f.inputs, f.found, numbers)) for f in failures[:3]]
+        of_arguments = [
+            list(kinds.of_arguments(answer, f.inputs, f.found, numbers)) for f in failures[:3]
+        ]
         if words := _elected(of_arguments):
             return words
-    return _elected([list(kinds.of_part(failure.found, failure.right)) for failure in failures], by_first=False)
+    return _elected(
+        [list(kinds.of_part(failure.found, failure.right)) for failure in failures], by_first=False
+    )
 
 
 def _elected(words: list[list[str]], by_first: bool = True) -> str:
@@ -194,17 +240,30 @@ def _elected(words: list[list[str]], by_first: bool = True) -> str:
     return ""
 
 
-def _example(function: Answer, answer: Answer, failures: list[Failure], whole: Sequence[str]) -> str:
-    """Show the smallest input on which the two differ, what the function gave and what is right, beside each other."""
-    first = next((failure for failure in failures if failure.found.shape != failure.right.shape), None)
+def _example(
+    function: Answer, answer: Answer, failures: list[Failure], whole: Sequence[str]
+) -> str:
+    """Show the smallest input on which the two differ, what the function gave and what is right,
+    beside each other.
+    """
+    first = next(
+        (failure for failure in failures if failure.found.shape != failure.right.shape), None
+    )
     if first:
-        return f"expected {form(first.right)}, got {form(first.found)}. Look at the axes that you sum or stack over"
+        return (
+            f"expected {form(first.right)}, got {form(first.found)}. Look at the axes that you sum"
+            " or stack over"
+        )
     names = list(inspect.signature(answer).parameters)
     begin = min(failures, key=lambda failure: failure.right.size)
     inputs, found, right = smallest(function, answer, begin, [names.index(name) for name in whole])
-    given = [f"{name} = {text}" for name, x in zip(names, inputs, strict=True) if (text := _text(x))]
+    given = [
+        f"{name} = {text}" for name, x in zip(names, inputs, strict=True) if (text := _text(x))
+    ]
     if right.size > SHOWN:  # it cannot be made smaller
-        place = tuple(np.argwhere(~np.isclose(found, right, rtol=1e-4, atol=1e-6, equal_nan=True))[0])
+        place = tuple(
+            np.argwhere(~np.isclose(found, right, rtol=1e-4, atol=1e-6, equal_nan=True))[0]
+        )
         given.append(f"at {[int(k) for k in place]}")
         found, right = found[place], right[place]
     lines = ", ".join(given), f"yours: {_text(found)}", f"right: {_text(right)}"
@@ -212,30 +271,45 @@ def _example(function: Answer, answer: Answer, failures: list[Failure], whole: S
 
 
 def _text(x: Any) -> str:
-    """Return an argument in short: its numbers, or their shape if there are many; nothing of a camera."""
+    """Return an argument in short: its numbers, or their shape if there are many; nothing of a
+    camera.
+    """
     if (values := numbers(x)) is None:
         return f"those of {list(x)}" if isinstance(x, dict) else ""
     if values.size > SHOWN:
         return form(values)
-    return np.array2string(np.asarray(_plain(x)), precision=4, separator=", ", max_line_width=10_000).replace("\n", "")
+    return np.array2string(
+        np.asarray(_plain(x)), precision=4, separator=", ", max_line_width=10_000
+    ).replace("\n", "")
 
 
 def smallest(function: Answer, answer: Answer, failure: Failure, whole: Sequence[int]) -> Failure:
-    """Cut an example down as long as the function still differs: halves and single slices of its arrays and lists."""
+    """Cut an example down as long as the function still differs: halves and single slices of its
+    arrays and lists.
+    """
     until = time.monotonic() + SECONDS
     axes = [() if k in whole else _axes(x) for k, x in enumerate(failure.inputs)]
     smaller: Failure | None = failure
     while smaller:
         failure = smaller
-        tried = (_differs(function, answer, cut) for cut in _cuts(failure.inputs, axes) if time.monotonic() < until)
+        tried = (
+            _differs(function, answer, cut)
+            for cut in _cuts(failure.inputs, axes)
+            if time.monotonic() < until
+        )
         smaller = next(filter(None, islice(tried, 60)), None)
     return failure
 
 
 def _differs(function: Answer, answer: Answer, inputs: tuple) -> Failure | None:
-    """Return how the two differ on some inputs, if both can be called with them and give arrays of one shape."""
+    """Return how the two differ on some inputs, if both can be called with them and give arrays of
+    one shape.
+    """
     try:
-        found, right = numbers(function(*copy.deepcopy(inputs))), numbers(answer(*copy.deepcopy(inputs)))
+        found, right = (
+            numbers(function(*copy.deepcopy(inputs))),
+            numbers(answer(*copy.deepcopy(inputs))),
+        )
     except Exception:
         return None
     if found is None or right is None or found.shape != right.shape or same(found, right):

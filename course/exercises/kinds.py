@@ -1,4 +1,6 @@
-"""The kind of a slip, recognised from its values: a sign, a mirror, a shift, a factor, NaN as 0, swapped arguments."""
+"""The kind of a slip, recognised from its values: a sign, a mirror, a shift, a factor, NaN as 0,
+swapped arguments.
+"""
 
 from __future__ import annotations
 
@@ -63,7 +65,9 @@ REDUCED: dict[str, Callable[..., Any]] = {
 
 def same(found: ArrayLike, value: ArrayLike) -> bool:
     """Tell whether two arrays hold the same numbers, to four digits."""
-    return np.shape(found) == np.shape(value) and np.allclose(found, value, rtol=1e-4, atol=1e-6, equal_nan=True)
+    return np.shape(found) == np.shape(value) and np.allclose(
+        found, value, rtol=1e-4, atol=1e-6, equal_nan=True
+    )
 
 
 def form(values: Array) -> str:
@@ -98,7 +102,9 @@ def of_values(found: Array, right: Array) -> Iterator[str]:
 
 
 def of_part(found: Array, right: Array) -> Iterator[str]:
-    """Yield in words what is wrong in a few places only, or by a number that has no name: it proves less."""
+    """Yield in words what is wrong in a few places only, or by a number that has no name: it proves
+    less.
+    """
     if found.shape != right.shape:
         return
     yield from (words for words, _ in _of_number(found, right) if right.size > 1)
@@ -107,13 +113,19 @@ def of_part(found: Array, right: Array) -> Iterator[str]:
         which = ", ".join(map(str, wrong))
         if 0 < 2 * len(wrong) <= size + 1 < 8:
             why = next(of_values(found.take(wrong, axis), right.take(wrong, axis)), "")
-            yield f"wrong only in number {which} along axis {axis}, counted from 0" + (f": {why}" if why else "")
+            yield f"wrong only in number {which} along axis {axis}, counted from 0" + (
+                f": {why}" if why else ""
+            )
         elif size >= 7 and wrong and set(wrong) <= {0, 1, size - 2, size - 1}:
-            yield f"wrong only at {which} along axis {axis}: look at the first and the last, or at the seam"
+            yield (
+                f"wrong only at {which} along axis {axis}: look at the first and the last, or at"
+                " the seam"
+            )
 
 
 def _of_shape(found: Array, right: Array) -> Iterator[str]:
-    for order in permutations(range(right.ndim)) if right.ndim == found.ndim else ():  # not the first, as it is
+    # not the first, as it is
+    for order in permutations(range(right.ndim)) if right.ndim == found.ndim else ():
         if same(found, right.transpose(order)):
             yield "transposed: the axes are in another order"
     if right.ndim == 2 and found.ndim == 1 and same(found, np.diag(right)):
@@ -125,9 +137,13 @@ def _of_shape(found: Array, right: Array) -> Iterator[str]:
         for name, reduce in REDUCED.items():
             if same(found, reduce(right, axis)):
                 yield f"that is the {name} over {over}: each keeps its own"
-        if right.ndim and same(found, np.linalg.norm(right if axis is not None else right.ravel(), axis=axis)):
+        if right.ndim and same(
+            found, np.linalg.norm(right if axis is not None else right.ravel(), axis=axis)
+        ):
             yield f"that is the length over {over}: return the components"
-        for name, place in {"first": 0, "last": -1}.items() if axis is not None and right.shape[axis] else ():
+        for name, place in (
+            {"first": 0, "last": -1}.items() if axis is not None and right.shape[axis] else ()
+        ):
             if same(found, right.take(place, axis)) or same(found, right.take([place], axis)):
                 yield f"that is the {name} along axis {axis} alone: return all"
             if same(found, np.delete(right, place, axis)):
@@ -136,17 +152,25 @@ def _of_shape(found: Array, right: Array) -> Iterator[str]:
 
 def _of_gaps(found: Array, right: Array) -> Iterator[str]:
     """What is NaN or infinite in one of them only, if all the rest is right."""
-    lost, filled = np.isfinite(right) & ~np.isfinite(found), ~np.isfinite(right) & (found != right) & ~np.isnan(found)
+    lost, filled = (
+        np.isfinite(right) & ~np.isfinite(found),
+        ~np.isfinite(right) & (found != right) & ~np.isnan(found),
+    )
     filled |= np.isinf(right) & np.isnan(found)
     if not same(np.where(lost | filled, 0, found), np.where(lost | filled, 0, right)):
         return
     if lost.any() and not filled.any():
-        yield "NaN or infinity where a number is right: a division by zero, or NaN that is not left out"
+        yield (
+            "NaN or infinity where a number is right: a division by zero, or NaN that is not"
+            " left out"
+        )
     if filled.any() and not lost.any():
         values = np.unique(found[filled])
         gap = "infinity" if np.isinf(right[filled]).all() else "NaN"
         what = f"{values[0]:g}" if len(values) == 1 else "a number"
-        yield f"{what} where {gap} is right" + (": what is not seen, or not known, is NaN" if gap == "NaN" else "")
+        yield f"{what} where {gap} is right" + (
+            ": what is not seen, or not known, is NaN" if gap == "NaN" else ""
+        )
 
 
 def _of_number(found: Array, right: Array) -> Iterator[tuple[str, bool]]:
@@ -160,7 +184,10 @@ def _of_number(found: Array, right: Array) -> Iterator[tuple[str, bool]]:
     largest = np.argmax(np.abs(rights))
     factor, offset = values[largest] / rights[largest], values[largest] - rights[largest]
     if same(values, factor * rights):
-        words = next((words for number, words in FACTORS.items() if np.isclose(factor, number, rtol=1e-4)), "")
+        words = next(
+            (words for number, words in FACTORS.items() if np.isclose(factor, number, rtol=1e-4)),
+            "",
+        )
         yield words or f"that is {factor:.4g} times the right value everywhere", bool(words)
     if same(values, rights + offset):
         words = f"too {'large' if offset > 0 else 'small'} by {abs(offset):.4g} everywhere"
@@ -173,7 +200,8 @@ def of_arguments(answer: Callable, inputs: tuple, found: Array, numbers: Callabl
 
     def gives(changed: dict[int, Any]) -> bool:
         try:
-            with np.errstate(divide="raise", invalid="raise"):  # before LAPACK complains, for all to read
+            # before LAPACK complains, for all to read
+            with np.errstate(divide="raise", invalid="raise"):
                 value = numbers(answer(*(changed.get(k, x) for k, x in enumerate(inputs))))
         except Exception:  # not every change makes sense
             return False
@@ -186,9 +214,13 @@ def of_arguments(answer: Callable, inputs: tuple, found: Array, numbers: Callabl
         for words, change in _changes(x):
             if gives({k: change}):
                 yield f"that would be right if `{names[k]}` {words}"
-    for i, j in combinations([k for k, x in enumerate(inputs) if isinstance(x, np.ndarray) and x.ndim], 2):
+    for i, j in combinations(
+        [k for k, x in enumerate(inputs) if isinstance(x, np.ndarray) and x.ndim], 2
+    ):
         if inputs[i].shape == inputs[j].shape:
-            for (words, one), (_, other) in zip(_changes(inputs[i]), _changes(inputs[j]), strict=False):
+            for (words, one), (_, other) in zip(
+                _changes(inputs[i]), _changes(inputs[j]), strict=False
+            ):
                 if gives({i: one, j: other}):
                     yield f"that would be right if `{names[i]}` and `{names[j]}` {words}"
 
@@ -211,9 +243,18 @@ def _changes(x: Any) -> Iterator[tuple[str, Any]]:
     for axis, size in enumerate(values.shape):
         yield f"were reversed along axis {axis}", back(np.flip(values, axis).copy())
         half = size // 2
-        yield f"were rolled by half along axis {axis}: is half a turn missing?", back(np.roll(values, half, axis))
-        if values.ndim == 1 and size in (4, 6):  # such as the rotation and the translation of a pose
-            for words, used in {"first": np.arange(size) >= half, "last": np.arange(size) < half}.items():
+        yield (
+            f"were rolled by half along axis {axis}: is half a turn missing?",
+            back(np.roll(values, half, axis)),
+        )
+        # such as the rotation and the translation of a pose
+        if values.ndim == 1 and size in (4, 6):
+            for words, used in {
+                "first": np.arange(size) >= half,
+                "last": np.arange(size) < half,
+            }.items():
                 yield f"had 0 in its {words} {half}: are they used?", back(values * used)
-        for order in permutations(range(size)) if axis == values.ndim - 1 and size in (2, 3) else ():
+        for order in (
+            permutations(range(size)) if axis == values.ndim - 1 and size in (2, 3) else ()
+        ):
             yield f"had its components in the order {list(order)}", back(values.take(order, axis))

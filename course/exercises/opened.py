@@ -1,16 +1,18 @@
-"""The functions that a notebook leaves open: what the student writes, in the flow, and what checks it.
+"""The functions that a notebook leaves open: what the student writes, in the flow, and what checks
+it.
 
-A module for each notebook, `nb03.py`, holds of each function the right answer, the inputs to try it on and the usual
-slips, in `check_look_up = Open(look_up, ...).with_slips(...)`. In the notebook,
+A module for each notebook, `nb03.py`, holds of each function the right answer, the inputs to try it
+on and the usual slips, in `check_look_up = Open(look_up, ...).with_slips(...)`. In the notebook,
 
     look_up = nb03.check_look_up(look_up)
 
-says what is right or wrong, with a hint from the second failure on, and binds the name to what the notebook
-goes on with: the student's function if it is right, the answer if it is not. The notebook shows the answer's source as
-the solution.
+says what is right or wrong, with a hint from the second failure on, and binds the name to what the
+notebook goes on with: the student's function if it is right, the answer if it is not. The notebook
+shows the answer's source as the solution.
 
-For grading: `course.exercises.functions("03")` returns all that a notebook leaves open, in order; each has a `name` and
-`check(function) -> str`, which is `RIGHT`, begins with `NOT_WRITTEN`, or says what is wrong.
+For grading: `course.exercises.functions("03")` returns all that a notebook leaves open, in order;
+each has a `name` and `check(function) -> str`, which is `RIGHT`, begins with `NOT_WRITTEN`, or says
+what is wrong.
 """
 
 from __future__ import annotations
@@ -39,8 +41,9 @@ class Open:
     Args:
         answer: The right function. Its source is the solution that the notebook shows.
         draw: Draws the inputs of case number k, a tuple.
-        real: Gives the inputs with which the notebook goes on. A function is right only if it is right on them, too;
-            if the answer makes a panorama of them, a wrong function's picture is shown beside the right one.
+        real: Gives the inputs with which the notebook goes on. A function is right only if it is
+            right on them, too; if the answer makes a panorama of them, a wrong function's picture
+            is shown beside the right one.
         whole: Names of arguments that no example may cut, such as a polynomial.
         keywords: Names of arguments by which the notebook calls it.
     """
@@ -53,18 +56,25 @@ class Open:
         whole: Sequence[str] = (),
         keywords: Sequence[str] = (),
     ) -> None:
-        self.answer, self.draw, self.real, self.whole, self.keywords = answer, draw, real, whole, keywords
+        self.answer, self.draw, self.real, self.whole, self.keywords = (
+            answer,
+            draw,
+            real,
+            whole,
+            keywords,
+        )
         self.name = answer.__name__
         self.source = inspect.getsource(answer).rstrip()
         self.slips: list[tuple[str, str]] = []
         self.solved, self.failures = False, 0  # since the kernel was started
 
     def with_slips(self, text: str) -> Open:
-        """Add the usual slips, at most five: what the student writes, and behind "# " the sentence that names it.
+        """Add the usual slips, at most five: what the student writes, and behind "# " the sentence
+        that names it.
 
-        A slip is a change of the answer's source, "what stands there → what the student writes", or several on lines of
-        their own, or another body. What shows in the values, such as a sign, a mirror or a swapped argument, is
-        recognised without: `course.exercises.kinds`.
+        A slip is a change of the answer's source, "what stands there → what the student writes", or
+        several on lines of their own, or another body. What shows in the values, such as a sign, a
+        mirror or a swapped argument, is recognised without: `course.exercises.kinds`.
         """
         code: list[str] = []
         hint: list[str] = []
@@ -87,7 +97,9 @@ class Open:
         return self.draw(np.random.default_rng((k, seed)), k)
 
     def check(self, function: Answer, seed: int = 0) -> str:
-        """Try a function on all cases; return `RIGHT`, `NOT_WRITTEN` and what to do, or "not yet: " and why."""
+        """Try a function on all cases; return `RIGHT`, `NOT_WRITTEN` and what to do, or "not yet: "
+        and why.
+        """
         return self.diagnose(function, (self.inputs(k, seed) for k in range(CASES)))
 
     def diagnose(self, function: Answer, cases: Iterable[tuple]) -> str:
@@ -95,9 +107,14 @@ class Open:
         return diagnose(function, self.answer, self.mistaken, cases, self.whole)
 
     def __call__(self, function: Answer) -> Answer:
-        """Print what `check` says of the student's function; return it if it is right, and the answer if it is not."""
+        """Print what `check` says of the student's function; return it if it is right, and the
+        answer if it is not.
+        """
         if function is self.answer:  # bound by the run before
-            print(f"{self.name}: this is the solution. To check yours, run its cell again, then this one.")
+            print(
+                f"{self.name}: this is the solution. To check yours, run its cell again, then this"
+                " one."
+            )
             return function
         said = self.check(function)
         if said == RIGHT and self.real:
@@ -106,22 +123,34 @@ class Open:
             try:
                 inspect.signature(function).bind_partial(**dict.fromkeys(self.keywords))
             except TypeError:
-                said = f"not yet: later cells use the names of its arguments: keep {', '.join(self.keywords)}"
+                said = (
+                    "not yet: later cells use the names of its arguments: keep"
+                    f" {', '.join(self.keywords)}"
+                )
         if said.startswith(NOT_WRITTEN):  # as the notebooks are stored
             print(f"{self.name}: {NOT_WRITTEN}. The notebook goes on with the solution.")
             return self.answer
         if said == RIGHT:
             self.solved = True
             functions = [
-                value for value in vars(sys.modules[self.answer.__module__]).values() if isinstance(value, Open)
+                value
+                for value in vars(sys.modules[self.answer.__module__]).values()
+                if isinstance(value, Open)
             ]
-            count = f"{sum(value.solved for value in functions)} of {len(functions)} in this notebook"
-            print(f"{_GREEN}✓{_PLAIN} {self.name}: right, {count}. The notebook goes on with yours.")
+            count = (
+                f"{sum(value.solved for value in functions)} of {len(functions)} in this notebook"
+            )
+            print(
+                f"{_GREEN}✓{_PLAIN} {self.name}: right, {count}. The notebook goes on with yours."
+            )
             return function
         self.failures += 1
         hint = f" Hint: {self.hint()}." if self.failures > 1 else ""
         end = "" if said.endswith("\n") else "."
-        print(f"{_RED}✗{_PLAIN} {self.name}: {said}{end}{hint} The notebook goes on with the solution.")
+        print(
+            f"{_RED}✗{_PLAIN} {self.name}: {said}{end}{hint} The notebook goes on with the"
+            " solution."
+        )
         if self.real:
             beside.show(function, self.answer, self.real())
         return self.answer
@@ -130,7 +159,11 @@ class Open:
         """Say how the answer begins, without its docstring."""
         tree: Any = ast.parse(self.source)
         first, *others = (node for node in tree.body[0].body if not isinstance(node, ast.Expr))
-        return f"a solution begins with `{ast.unparse(first).splitlines()[0]}`" if others else "one line is enough"
+        return (
+            f"a solution begins with `{ast.unparse(first).splitlines()[0]}`"
+            if others
+            else "one line is enough"
+        )
 
 
 def changed(answer: Answer, slip: str) -> Answer:

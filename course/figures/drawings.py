@@ -14,28 +14,39 @@ from omnistereo_lib.geometry.camera import OcamCamera
 
 # x and y of a place, as a tuple or an array: Matplotlib takes both, and its types the tuple only.
 Point = Any
-FIRST, SECOND, POINT, SPHERE = "C0", "C1", "C3", "0.75"  # cameras 1 and 2, as everywhere; the point, the spheres
+# cameras 1 and 2, as everywhere; the point, the spheres
+FIRST, SECOND, POINT, SPHERE = "C0", "C1", "C3", "0.75"
 
 
 def _canvas(width: float, height: float, panels: int = 1) -> tuple[Figure, list[Axes]]:
-    fig, axes = plt.subplots(1, panels, figsize=(width, height), layout="constrained", squeeze=False)
+    fig, axes = plt.subplots(
+        1, panels, figsize=(width, height), layout="constrained", squeeze=False
+    )
     for ax in axes[0]:
         ax.set_aspect("equal")
         ax.set_axis_off()
     return fig, list(axes[0])
 
 
-def _arrow(ax: Axes, start: Point, end: Point, color: str = "0.2", text: str = "", **at: Any) -> None:
+def _arrow(
+    ax: Axes, start: Point, end: Point, color: str = "0.2", text: str = "", **at: Any
+) -> None:
     style = {"arrowstyle": "-|>", "color": color, "lw": 1.6, "shrinkA": 0, "shrinkB": 0}
     ax.annotate("", end, start, arrowprops=style)
     if text:
         middle = (np.array(start) + end) / 2
-        ax.annotate(text, middle, textcoords="offset points", **({"xytext": (6, 4), "color": color} | at))
+        ax.annotate(
+            text, middle, textcoords="offset points", **({"xytext": (6, 4), "color": color} | at)
+        )
 
 
-def _camera(ax: Axes, place: Point, name: str, color: str, offset: tuple[float, float] = (0, -14)) -> None:
+def _camera(
+    ax: Axes, place: Point, name: str, color: str, offset: tuple[float, float] = (0, -14)
+) -> None:
     ax.plot(*place, "o", ms=10, color=color)
-    ax.annotate(name, place, offset, textcoords="offset points", ha="center", va="center", color=color)
+    ax.annotate(
+        name, place, offset, textcoords="offset points", ha="center", va="center", color=color
+    )
 
 
 def _text(ax: Axes, place: Point, text: str, **style: Any) -> None:
@@ -51,7 +62,9 @@ def aliasing() -> Figure:
     """A fine wave, sampled as it is and after a blur."""
     fig, axes = plt.subplots(1, 2, figsize=(10, 2.6), layout="constrained", sharey=True)
     x, samples = np.linspace(0, 40, 2000), np.arange(0, 41, 3.6)
-    for ax, amplitude, name in zip(axes, (1.0, 0.04), ("sampled as they are", "blurred first"), strict=True):
+    for ax, amplitude, name in zip(
+        axes, (1.0, 0.04), ("sampled as they are", "blurred first"), strict=True
+    ):
         stripes, at = (amplitude * np.cos(2 * np.pi * places / 3.1) for places in (x, samples))
         ax.plot(x, stripes, color=SPHERE, lw=1)
         ax.plot(samples, at, "o-", color=POINT, lw=2, ms=6)
@@ -76,14 +89,20 @@ def panorama_angles(theta_deg: float, phi_deg: float) -> Figure:
         left.plot(*ray(around, phi), color=SPHERE, lw=1.6 if phi == 0 else 0.8)
     for theta in range(-180, 180, 45):
         left.plot(*ray(theta, np.linspace(-45, 45, 40)), color=SPHERE, lw=0.8)
-    for end, name in (((1.5, 0, 0), "x, right"), ((0, 1.5, 0), "z, forward"), ((0, 0, -1.1), "y, down")):
+    for end, name in (
+        ((1.5, 0, 0), "x, right"),
+        ((0, 1.5, 0), "z, forward"),
+        ((0, 0, -1.1), "y, down"),
+    ):
         left.plot(*zip((0, 0, 0), end, strict=True), color="0.2", lw=1.2)
         left.text(*np.multiply(1.12, end), name, color="0.2", ha="center")
     left.plot(*zip((0, 0, 0), ray(theta_deg, phi_deg), strict=True), color=POINT, lw=2.5)
     left.plot(*ray(np.linspace(0, theta_deg, 40), 0), color=FIRST, lw=2.5)
     left.plot(*ray(theta_deg, np.linspace(0, phi_deg, 20)), color=SECOND, lw=2.5)
     left.text(*np.multiply(1.25, ray(0.55 * theta_deg, 0)), "θ", color=FIRST, fontsize=13)
-    left.text(*np.multiply(1.15, ray(theta_deg + 12, 0.9 * phi_deg)), "φ", color=SECOND, fontsize=13)
+    left.text(
+        *np.multiply(1.15, ray(theta_deg + 12, 0.9 * phi_deg)), "φ", color=SECOND, fontsize=13
+    )
     left.view_init(28, -62)
     left.set_box_aspect((1, 1, 0.75), zoom=1.45)
     left.set_axis_off()
@@ -94,7 +113,9 @@ def panorama_angles(theta_deg: float, phi_deg: float) -> Figure:
     right.plot(theta_deg, phi_deg, "o", color=POINT)
     right.text(0.5 * theta_deg, -3, "θ", color=FIRST, fontsize=13, ha="center")
     right.text(theta_deg + 4, 0.5 * phi_deg, "φ", color=SECOND, fontsize=13, va="center")
-    right.set(xlim=(-180, 180), ylim=(45, -45), aspect="equal", xlabel="θ [°], columns to the right")
+    right.set(
+        xlim=(-180, 180), ylim=(45, -45), aspect="equal", xlabel="θ [°], columns to the right"
+    )
     right.set(ylabel="φ [°], rows down", xticks=range(-180, 181, 90), yticks=(-45, 0, 45))
     return fig
 
@@ -118,7 +139,9 @@ def sphere_sweep() -> Figure:
     fig, axes = _canvas(10, 3.9, 2)
     first, second, car = (-0.6, 0.0), (0.6, 0.0), np.array([1.3, 2.6])
     radius = np.hypot(*car)
-    for ax, tried, verdict in zip(axes, (1.55, 1.0), ("the wrong sphere", "the right sphere"), strict=True):
+    for ax, tried, verdict in zip(
+        axes, (1.55, 1.0), ("the wrong sphere", "the right sphere"), strict=True
+    ):
         for r in (0.62 * radius, radius, 1.55 * radius):
             ax.add_patch(Circle((0, 0), r, fill=False, color=SPHERE, lw=1))
         ax.add_patch(Rectangle(tuple(car - (0.5, 0)), 1.0, 0.42, color="0.6", zorder=2))
@@ -136,7 +159,9 @@ def sphere_sweep() -> Figure:
 
 
 def lens_section(camera: OcamCamera) -> Figure:
-    """The lens from the side, to scale: the surface (r, -f(r)) of the polynomial, and three rays through it."""
+    """The lens from the side, to scale: the surface (r, -f(r)) of the polynomial, and three rays
+    through it.
+    """
     fig, (ax,) = _canvas(8, 4.2)
     r = np.linspace(0, 372, 200)
     f = np.polynomial.polynomial.polyval(r, camera.poly)
@@ -160,25 +185,52 @@ def lens_section(camera: OcamCamera) -> Figure:
 
 
 def board_triangle() -> Figure:
-    """Two cameras and a board as three frames, with the pose of each arrow: two are known, one follows."""
+    """Two cameras and a board as three frames, with the pose of each arrow: two are known, one
+    follows.
+    """
     fig, (ax,) = _canvas(8, 3.6)
     places = {"camera 1": ((0, 0), FIRST), "camera 2": ((4, 0), SECOND), "board": ((2, 2.2), POINT)}
     for name, ((x, y), color) in places.items():
         for dx, dy, axis in ((0.55, 0, "x"), (0, 0.55, "z")):
             _arrow(ax, (x, y), (x + dx, y + dy), color)
-            ax.text(x + 1.2 * dx, y + 1.2 * dy, axis, color=color, ha="center", va="center", fontsize=9)
+            ax.text(
+                x + 1.2 * dx, y + 1.2 * dy, axis, color=color, ha="center", va="center", fontsize=9
+            )
         ax.text(x, y - 0.28, name, ha="center", color=color)
-    _arrow(ax, (1.75, 1.95), (0.25, 0.25), "0.35", r"$T_{1b}$, from picture 1", ha="right", xytext=(-8, 4))
+    _arrow(
+        ax,
+        (1.75, 1.95),
+        (0.25, 0.25),
+        "0.35",
+        r"$T_{1b}$, from picture 1",
+        ha="right",
+        xytext=(-8, 4),
+    )
     _arrow(ax, (2.25, 1.95), (3.75, 0.25), "0.35", r"$T_{2b}$, from picture 2", xytext=(8, 4))
-    _arrow(ax, (3.7, -0.05), (0.9, -0.05), "0.2", r"$T_{12} = T_{1b} \star T_{2b}^{-1}$", xytext=(-44, -18))
+    _arrow(
+        ax,
+        (3.7, -0.05),
+        (0.9, -0.05),
+        "0.2",
+        r"$T_{12} = T_{1b} \star T_{2b}^{-1}$",
+        xytext=(-44, -18),
+    )
     ax.set(xlim=(-1.6, 6), ylim=(-0.75, 3))
     return fig
 
 
 def line_of_sight() -> Figure:
-    """Where a camera's image of a thing appears on two spheres with the right pose, and on one with a wrong pose."""
+    """Where a camera's image of a thing appears on two spheres with the right pose, and on one with
+    a wrong pose.
+    """
     fig, axes = _canvas(10, 3.9, 2)
-    camera, far, near, thing_deg, arc = np.array([1.0, 0.0]), 3.4, 2.1, 62, np.radians(np.linspace(20, 110, 90))
+    camera, far, near, thing_deg, arc = (
+        np.array([1.0, 0.0]),
+        3.4,
+        2.1,
+        62,
+        np.radians(np.linspace(20, 110, 90)),
+    )
     thing = far * np.array([np.cos(np.radians(thing_deg)), np.sin(np.radians(thing_deg))])
 
     def meets(turn_deg: float, radius: float) -> Point:
@@ -203,16 +255,28 @@ def line_of_sight() -> Figure:
         between = np.radians(np.linspace(thing_deg, end_deg, 30))
         ax.plot(1.45 * np.cos(between), 1.45 * np.sin(between), color=POINT, lw=2)
         middle = np.radians((thing_deg + end_deg) / 2)
-        ax.text(1.2 * np.cos(middle), 1.2 * np.sin(middle), name, color=POINT, fontsize=14, ha="center", va="center")
+        ax.text(
+            1.2 * np.cos(middle),
+            1.2 * np.sin(middle),
+            name,
+            color=POINT,
+            fontsize=14,
+            ha="center",
+            va="center",
+        )
         _camera(ax, tuple(camera), "camera", FIRST)
         ax.plot(0, 0, "k+", ms=12)
-        ax.annotate("sweep centre", (0, 0), (0, -14), textcoords="offset points", ha="center", va="center")
+        ax.annotate(
+            "sweep centre", (0, 0), (0, -14), textcoords="offset points", ha="center", va="center"
+        )
         ax.set(xlim=(-1.9, 3.6), ylim=(-0.4, 3.8), title=title)
     return fig
 
 
 def shift_along_parallax() -> Figure:
-    """Where two images show one thing on the panorama with a wrong pose, and how far a change of sphere moves them."""
+    """Where two images show one thing on the panorama with a wrong pose, and how far a change of
+    sphere moves them.
+    """
     fig, (ax,) = _canvas(9, 3.2)
     places, steps = np.array([[[0.0, 0.0], [3.4, 0.95]], [[0.5, 0.06], [-0.6, -0.04]]])
     e, p = places[0] - places[1], steps[0] - steps[1]
@@ -223,7 +287,14 @@ def shift_along_parallax() -> Figure:
         ax.plot(*places[k], "s", ms=12, color=color)
         ax.plot(*met[k], "s", ms=12, mfc="none", mec=color, mew=1.6)
         _text(ax, places[k] + side, f"image {k + 1}", color=color, ha="center")
-        _text(ax, places[k] + 0.9 * steps[k] + side, rf"$p_{k + 1}$", color=color, fontsize=12, ha="center")
+        _text(
+            ax,
+            places[k] + 0.9 * steps[k] + side,
+            rf"$p_{k + 1}$",
+            color=color,
+            fontsize=12,
+            ha="center",
+        )
     _arrow(ax, tuple(places[1] + 0.03 * e), tuple(places[1] + 0.97 * e), "0.5")
     ax.text(0.75, 0.35, r"$e = e_1 - e_2$", color="0.4", ha="right")
     style = {"arrowstyle": "<->", "color": POINT, "lw": 1.6, "shrinkA": 7, "shrinkB": 7}
@@ -234,7 +305,9 @@ def shift_along_parallax() -> Figure:
 
 
 def window_problems() -> Figure:
-    """Three windows that match where they should not: no texture, an edge along the search, an outline."""
+    """Three windows that match where they should not: no texture, an edge along the search, an
+    outline.
+    """
     fig, axes = _canvas(10, 2.6, 3)
     rng = np.random.default_rng(3)
     for ax in axes:
@@ -249,13 +322,22 @@ def window_problems() -> Figure:
         "an edge along the search:\nalike all the way",
         "an outline: the near side decides",
     )
-    for ax, places, title in zip(axes, ((0.8, 2.3, 3.8), (0.8, 2.3, 3.8), (2.4,)), titles, strict=True):
+    for ax, places, title in zip(
+        axes, ((0.8, 2.3, 3.8), (0.8, 2.3, 3.8), (2.4,)), titles, strict=True
+    ):
         for k, x in enumerate(places):
             lw, ls = (2, "-") if k == 0 else (1, ":")
             ax.add_patch(Rectangle((x, 0.7), 1.4, 1.4, fill=False, edgecolor=POINT, lw=lw, ls=ls))
         ax.set_title(title, fontsize=10)
     axes[2].plot(3.5, 1.4, "+", color=POINT, ms=8)
-    axes[2].text(4.0, 1.4, "this ray, on the\nfar side, gets\nthe near depth", fontsize=8, color=POINT, va="center")
+    axes[2].text(
+        4.0,
+        1.4,
+        "this ray, on the\nfar side, gets\nthe near depth",
+        fontsize=8,
+        color=POINT,
+        va="center",
+    )
     for ax in axes[:2]:
         _arrow(ax, (1.5, -0.4), (4.9, -0.4), "0.2")
         ax.text(3.2, -0.75, "search", ha="center", fontsize=9)
@@ -272,14 +354,23 @@ def volume_box() -> Figure:
 
     corners = [(0, 0), (w, 0), (w, n), (0, n)]
     for row, style in ((0, "-"), (h, ":")):
-        ax.add_patch(Polygon([at(*corner, row) for corner in corners], fill=False, edgecolor="0.4", ls=style))
+        ax.add_patch(
+            Polygon([at(*corner, row) for corner in corners], fill=False, edgecolor="0.4", ls=style)
+        )
     for corner in corners:
         _line(ax, at(*corner, 0), at(*corner, h), color="0.4", ls=":" if corner == (0, n) else "-")
     cut = [at(*corner, h / 2) for corner in corners]
     ax.add_patch(Polygon(cut, facecolor=FIRST, alpha=0.3))
     ray = np.array([at(3.8, sphere, h / 2) for sphere in (0, n)])
     ax.plot(*ray.T, color=POINT, lw=2.5)
-    ax.annotate("one ray: a cost curve", ray.mean(0), (8, -2), textcoords="offset points", color=POINT, fontsize=9)
+    ax.annotate(
+        "one ray: a cost curve",
+        ray.mean(0),
+        (8, -2),
+        textcoords="offset points",
+        color=POINT,
+        fontsize=9,
+    )
     _text(ax, at(0.15, 0.1, 0.9 * h / 2), "the cut", color=FIRST, fontsize=9)
     _text(ax, at(w / 2, 0, h + 0.35), "W columns, θ", ha="center")
     _text(ax, at(-0.15, 0, h / 2), "H rows, φ", ha="right", va="center")
@@ -297,7 +388,8 @@ def sgm_paths() -> Figure:
     left.plot(0, 0, "o", color=POINT, ms=9)
     left.set(xlim=(-1.3, 1.3), ylim=(-1.3, 1.3), title="eight paths end at every ray")
     around = np.linspace(0, 2 * np.pi, 200)
-    x, depth = 2 * np.sin(around), 0.35 * np.cos(around)  # seen from slightly above; the front has depth > 0
+    # seen from slightly above; the front has depth > 0
+    x, depth = 2 * np.sin(around), 0.35 * np.cos(around)
     for y in (-0.8, 0.8):
         right.plot(x, y - depth, color="0.4", lw=1)
     for side in (-2, 2):
@@ -309,7 +401,11 @@ def sgm_paths() -> Figure:
             part = (np.cos(around) > 0) == front
             y = np.where(part, -0.15 - depth + rise * (around - np.pi), np.nan)
             right.plot(np.where(part, x, np.nan), y, color=color, lw=2, ls="-" if front else ":")
-    right.set(xlim=(-2.3, 2.3), ylim=(-1.4, 1.4), title="the panorama closes behind us: no path ends at the seam")
+    right.set(
+        xlim=(-2.3, 2.3),
+        ylim=(-1.4, 1.4),
+        title="the panorama closes behind us: no path ends at the seam",
+    )
     return fig
 
 
@@ -344,7 +440,9 @@ def slanted_window() -> Figure:
 
 
 def patch_tower() -> Figure:
-    """The fast network as squares: each 3 × 3 convolution takes the rim away, until one pixel has seen all 9 × 9."""
+    """The fast network as squares: each 3 × 3 convolution takes the rim away, until one pixel has
+    seen all 9 × 9.
+    """
     fig, (ax,) = _canvas(9, 2.9)
     x = 0.0
     for size, channels in ((9, 1), (7, 64), (5, 64), (3, 64), (1, 64)):
@@ -363,14 +461,24 @@ def patch_tower() -> Figure:
 
 
 def sweepnet() -> Figure:
-    """Table I as boxes: the features of two cameras and their comparison; below, one block with its shortcut."""
+    """Table I as boxes: the features of two cameras and their comparison; below, one block with its
+    shortcut.
+    """
     fig, (ax,) = _canvas(10, 4.2)
     ax.set_aspect("auto")
     images, features = "image\n1 × H × W", "conv1 … conv18\n32 × H/2 × W/2"
-    boxes: list[tuple[float, float, str, str]] = [(0, y, images, color) for y, color in ((1, FIRST), (0, SECOND))]
+    boxes: list[tuple[float, float, str, str]] = [
+        (0, y, images, color) for y, color in ((1, FIRST), (0, SECOND))
+    ]
     boxes += [(1.7, y, features, color) for y, color in ((1, FIRST), (0, SECOND))]
-    boxes += [(3.4, 0.5, "stacked\n64 × H/2 × W/2", SPHERE), (5.1, 0.5, "conv19\n128 × H/2 × W/2", SPHERE)]
-    boxes += [(6.8, 0.5, "deconv1, conv20\n128 × H × W", SPHERE), (8.5, 0.5, "fc1 … fc5, sigmoid\n1 × H × W", SPHERE)]
+    boxes += [
+        (3.4, 0.5, "stacked\n64 × H/2 × W/2", SPHERE),
+        (5.1, 0.5, "conv19\n128 × H/2 × W/2", SPHERE),
+    ]
+    boxes += [
+        (6.8, 0.5, "deconv1, conv20\n128 × H × W", SPHERE),
+        (8.5, 0.5, "fc1 … fc5, sigmoid\n1 × H × W", SPHERE),
+    ]
     boxes += [(x, -1.3, name, FIRST) for x, name in ((3.4, "conv2, ReLU"), (5.1, "conv3"))]
     for x, y, text, color in boxes:
         ax.add_patch(Rectangle((x - 0.72, y - 0.19), 1.44, 0.38, color=color, alpha=0.4, lw=0))
@@ -394,17 +502,24 @@ def sweepnet() -> Figure:
 
 
 def bootstrap(values: np.ndarray, ends: np.ndarray, draws: int = 3) -> Figure:
-    """The values of the frames, three resamples of them with their means, and the means of ten thousand."""
+    """The values of the frames, three resamples of them with their means, and the means of ten
+    thousand.
+    """
     rng = np.random.default_rng(0)
     fig, (left, right) = plt.subplots(1, 2, figsize=(10, 3.0), layout="constrained")
     ranks = np.argsort(np.argsort(values))
-    left.plot(values, np.where(ranks % 2, 0.15, -0.15), "o", color="0.2")  # so that equal values are two dots
+    # so that equal values are two dots
+    left.plot(values, np.where(ranks % 2, 0.15, -0.15), "o", color="0.2")
     left.text(values.max(), 0.3, "the frames", color="0.2", ha="right")
     for row in range(1, draws + 1):
         taken, counts = np.unique(rng.choice(values, len(values)), return_counts=True)
         left.scatter(taken, np.full(len(taken), -row), s=28 * counts, color="0.6")
         left.plot(np.repeat(taken, counts).mean(), -row, "|", ms=22, mew=2.5, color=POINT)
-    left.set(yticks=[], ylim=(-draws - 0.6, 0.8), title="drawn with replacement: larger dots are drawn more often")
+    left.set(
+        yticks=[],
+        ylim=(-draws - 0.6, 0.8),
+        title="drawn with replacement: larger dots are drawn more often",
+    )
     right.hist(rng.choice(values, (10_000, len(values))).mean(axis=1), 60, color="0.7")
     for end in ends:
         right.axvline(end, color=POINT, ls="--")
@@ -417,7 +532,9 @@ def bootstrap(values: np.ndarray, ends: np.ndarray, draws: int = 3) -> Figure:
 
 
 def slabs() -> Figure:
-    """Two rays and a box between two pairs of lines: one ray is between both pairs for a while, the other never."""
+    """Two rays and a box between two pairs of lines: one ray is between both pairs for a while, the
+    other never.
+    """
     fig, (ax,) = _canvas(8, 3.9)
     low, high = np.array([2.0, 0.6]), np.array([4.2, 2.2])
     for place in (low[0], high[0]):
@@ -430,7 +547,9 @@ def slabs() -> Figure:
         _arrow(ax, (0, 0), 6.1 * ray if inside else 3.9 * ray, "0.4")
         enters, leaves = ends[0].max(), ends[1].min()
         if inside:
-            _line(ax, enters * ray, leaves * ray, color=POINT, lw=5, solid_capstyle="butt", zorder=3)
+            _line(
+                ax, enters * ray, leaves * ray, color=POINT, lw=5, solid_capstyle="butt", zorder=3
+            )
         for axis, color in enumerate((FIRST, SECOND)):
             for end, face in zip(ends[:, axis], (color, "w"), strict=True):
                 ax.plot(*(end * ray), "o", mfc=face, mec=color, ms=8, mew=1.8, zorder=4)
@@ -464,13 +583,18 @@ def depth_triangle() -> Figure:
 
 
 def doubled_contour() -> Figure:
-    """Why a wrong depth doubles a contour: on the surface that is too near, each camera paints the pole elsewhere."""
+    """Why a wrong depth doubles a contour: on the surface that is too near, each camera paints the
+    pole elsewhere.
+    """
     fig, (ax,) = _canvas(8, 3.8)
     pole, radius = np.array([0.3, 2.7]), 1.6
     arc = np.radians(np.linspace(30, 150, 60))
     ax.plot(radius * np.cos(arc), radius * np.sin(arc), color=POINT, lw=2)
     ax.text(1.45, 0.75, "the estimated depth, too near", color=POINT, fontsize=9)
-    for place, name, color, side in (((-0.7, 0.0), "camera 1", FIRST, -1), ((0.7, 0.0), "camera 2", SECOND, 1)):
+    for place, name, color, side in (
+        ((-0.7, 0.0), "camera 1", FIRST, -1),
+        ((0.7, 0.0), "camera 2", SECOND, 1),
+    ):
         along = (pole - place) / np.hypot(*(pole - place))
         b = np.dot(place, along)
         meets = place + along * (-b + np.sqrt(b**2 - np.dot(place, place) + radius**2))
@@ -478,16 +602,26 @@ def doubled_contour() -> Figure:
         ax.plot(*meets, "s", color=color, ms=9, zorder=4)
         offset, align = ((24, 10), "left") if side > 0 else ((-24, 16), "right")
         style: dict[str, Any] = {"color": color, "fontsize": 9, "ha": align, "va": "center"}
-        ax.annotate(f"here {name}\npaints the pole", tuple(meets), offset, textcoords="offset points", **style)
+        ax.annotate(
+            f"here {name}\npaints the pole",
+            tuple(meets),
+            offset,
+            textcoords="offset points",
+            **style,
+        )
         _camera(ax, place, name, color)
     ax.plot(*pole, "s", color="0.3", ms=11)
-    ax.annotate("the pole", tuple(pole), (14, 6), textcoords="offset points", va="center", color="0.3")
+    ax.annotate(
+        "the pole", tuple(pole), (14, 6), textcoords="offset points", va="center", color="0.3"
+    )
     ax.set(xlim=(-2.6, 3.6), ylim=(-0.5, 3.1))
     return fig
 
 
 def near_limit() -> Figure:
-    """Two cameras and a point at one, two and five baselines: the angle between their views of it, to scale."""
+    """Two cameras and a point at one, two and five baselines: the angle between their views of it,
+    to scale.
+    """
     fig, axes = _canvas(10, 3.0, 3)
     for ax, distance in zip(axes, (1, 2, 5), strict=True):
         for x, color in ((-0.5, FIRST), (0.5, SECOND)):
@@ -508,7 +642,9 @@ def method_flow(width: int, height: int, spheres: int) -> Figure:
     between = ("4 × 768 × 800", f"4 × {spheres} × {height} × {width}", volume, volume)
     for k, name in enumerate(boxes):
         color = plt.cm.viridis(0.35 + 0.13 * k)
-        ax.add_patch(Rectangle((3.2 * k, 0), 2.0, 1.1, facecolor=color, alpha=0.45, edgecolor="none"))
+        ax.add_patch(
+            Rectangle((3.2 * k, 0), 2.0, 1.1, facecolor=color, alpha=0.45, edgecolor="none")
+        )
         ax.text(3.2 * k + 1.0, 0.55, name, ha="center", va="center", fontsize=9)
         if k:
             _arrow(ax, (3.2 * k - 1.15, 0.55), (3.2 * k - 0.05, 0.55), "0.3")
@@ -520,8 +656,12 @@ def method_flow(width: int, height: int, spheres: int) -> Figure:
     return fig
 
 
-def unet(size: tuple[int, int, int] = (160, 40, 32), widths: tuple[int, ...] = (16, 32, 48, 64)) -> Figure:
-    """VolumeNet's U-net as boxes in the shape of its letter, with channels and columns × rows × spheres."""
+def unet(
+    size: tuple[int, int, int] = (160, 40, 32), widths: tuple[int, ...] = (16, 32, 48, 64)
+) -> Figure:
+    """VolumeNet's U-net as boxes in the shape of its letter, with channels and columns × rows ×
+    spheres.
+    """
     sides = [" × ".join(str(side // 2**level) for side in size) for level in range(len(widths))]
     last = len(widths) - 1
     levels = [0, *range(last + 1), *reversed(range(last)), 0]
@@ -532,18 +672,27 @@ def unet(size: tuple[int, int, int] = (160, 40, 32), widths: tuple[int, ...] = (
     for x, (level, count) in enumerate(zip(levels, channels, strict=True)):
         color = plt.cm.viridis(0.4 + 0.18 * level)
         ax.add_patch(Rectangle((x - 0.4, -level - 0.25), 0.8, 0.5, color=color, alpha=0.5))
-        ax.text(x, -level, f"{count} channels\n{sides[level]}", ha="center", va="center", fontsize=7.5)
+        ax.text(
+            x, -level, f"{count} channels\n{sides[level]}", ha="center", va="center", fontsize=7.5
+        )
     for x, (level, after) in enumerate(pairwise(levels)):
         start = (x + 0.4, -level) if after == level else (x, -level + np.sign(level - after) * 0.25)
         ax.annotate("", (x + 0.6, -after), start, arrowprops={"arrowstyle": "->"})
     for level in range(last):
         style = {"arrowstyle": "->", "ls": ":", "color": "C3"}
-        ax.annotate("", (len(levels) - 2.4 - level, -level - 0.1), (level + 1.4, -level - 0.1), arrowprops=style)
+        ax.annotate(
+            "",
+            (len(levels) - 2.4 - level, -level - 0.1),
+            (level + 1.4, -level - 0.1),
+            arrowprops=style,
+        )
     return fig
 
 
 def board_rays() -> Figure:
-    """A board from the side: what its pose consists of, and the rays from the camera to its corners."""
+    """A board from the side: what its pose consists of, and the rays from the camera to its
+    corners.
+    """
     fig, (ax,) = _canvas(8, 3.6)
     origin, along = np.array([-0.9, 1.9]), np.array([0.95, -0.31])
     for k in range(6):
@@ -557,8 +706,18 @@ def board_rays() -> Figure:
     side, last = origin + np.array([0.1, 0.25]), origin + 3.1 * along
     _arrow(ax, tuple(side), tuple(side + along), SECOND)
     _text(ax, side + 0.55 * along + 0.08, r"$\mathbf{r}_1$, of length 1", color=SECOND, fontsize=11)
-    _text(ax, last + 0.1, r"a corner: $X\,\mathbf{r}_1 + Y\,\mathbf{r}_2 + \mathbf{t}$", color="0.3")
-    ax.text(origin[0] - 0.1, origin[1], "the board's origin", ha="right", va="center", color="0.3", fontsize=9)
+    _text(
+        ax, last + 0.1, r"a corner: $X\,\mathbf{r}_1 + Y\,\mathbf{r}_2 + \mathbf{t}$", color="0.3"
+    )
+    ax.text(
+        origin[0] - 0.1,
+        origin[1],
+        "the board's origin",
+        ha="right",
+        va="center",
+        color="0.3",
+        fontsize=9,
+    )
     _camera(ax, (0, 0), "camera", "0.2")
     ax.set(xlim=(-2.6, 4.4), ylim=(-0.35, 2.6))
     return fig

@@ -14,7 +14,9 @@ from omnistereo_lib.geometry.pose import Pose
 
 
 def epipolar_plane() -> Figure:
-    """Draw two cameras and the plane of ray x and the baseline as a floor: ray y in it (left), and above it (right)."""
+    """Draw two cameras and the plane of ray x and the baseline as a floor: ray y in it (left), and
+    above it (right).
+    """
     fig, panels = _canvas(10, 2.7, panels=2)
 
     def on_floor(right: float, back: float, up: float = 0.0) -> Point:
@@ -22,7 +24,11 @@ def epipolar_plane() -> Figure:
 
     one, two = on_floor(0, 0), on_floor(4, 0)
     for ax, up in zip(panels, (0.0, 1.0), strict=True):
-        ax.add_patch(Polygon([on_floor(*corner) for corner in ((-1, -1), (5, -1), (5, 5), (-1, 5))], color="0.92"))
+        ax.add_patch(
+            Polygon(
+                [on_floor(*corner) for corner in ((-1, -1), (5, -1), (5, 5), (-1, 5))], color="0.92"
+            )
+        )
         meet, end, tip = on_floor(2.2, 3), on_floor(2.9, 3.95), on_floor(1.6, 4, 1.33 * up)
         _line(ax, one, two, color="0.4", lw=1.2)
         _arrow(ax, one, end, FIRST)
@@ -30,25 +36,35 @@ def epipolar_plane() -> Figure:
         _arrow(ax, two, tip, SECOND)
         ax.annotate("$y$", tip, (-12, 0), textcoords="offset points", color=SECOND)
         _arrow(ax, on_floor(-0.5, 2), on_floor(-0.5, 2, 1.1), "0.35")
-        ax.annotate("$n = t \\times R\\,x$", on_floor(-0.5, 2, 1.15), ha="center", va="bottom", color="0.35")
+        ax.annotate(
+            "$n = t \\times R\\,x$", on_floor(-0.5, 2, 1.15), ha="center", va="bottom", color="0.35"
+        )
         ax.annotate("baseline $t$", on_floor(2, -0.2), ha="center", va="top", color="0.4")
         _camera(ax, tuple(one), "camera 1", FIRST)
         _camera(ax, tuple(two), "camera 2", SECOND)
         if up:
             _line(ax, two, on_floor(1.6, 4), color=SECOND, ls=":")
             _line(ax, tip, on_floor(1.6, 4), color=POINT, lw=2)
-            ax.annotate("miss", (tip + on_floor(1.6, 4)) / 2, (5, 0), textcoords="offset points", color=POINT)
+            ax.annotate(
+                "miss",
+                (tip + on_floor(1.6, 4)) / 2,
+                (5, 0),
+                textcoords="offset points",
+                color=POINT,
+            )
         else:
             ax.plot(*meet, "o", color=POINT, zorder=3)
         ax.set(xlim=(-1.6, 7.4), ylim=(-0.6, 3.1))
     return fig
 
 
-def draw_misses(ax: Axes, T_rig_a: Pose, T_rig_b: Pose, x: NDArray[Any], y: NDArray[Any], times: float = 10.0) -> None:
+def draw_misses(
+    ax: Axes, T_rig_a: Pose, T_rig_b: Pose, x: NDArray[Any], y: NDArray[Any], times: float = 10.0
+) -> None:
     """Draw matched rays on the rig's sphere, over the epipolar great circles of the two cameras.
 
-    A match is a dot where camera b sees the point, a blue line to where camera a does, and a red line from the dot
-    to the great circle of ray x, lengthened.
+    A match is a dot where camera b sees the point, a blue line to where camera a does, and a red
+    line from the dot to the great circle of ray x, lengthened.
 
     Args:
         T_rig_a, T_rig_b: Poses of the cameras.
@@ -63,18 +79,28 @@ def draw_misses(ax: Axes, T_rig_a: Pose, T_rig_b: Pose, x: NDArray[Any], y: NDAr
     missed = np.arcsin(np.sum(normals * seen_b, axis=1))
     side = np.cross(baseline, [0.0, 1.0, 0.0])
     side /= np.linalg.norm(side)
-    around, along = np.radians(np.arange(0, 360, 6))[:, None, None], np.linspace(0.02, np.pi - 0.02, 400)[:, None]
+    around, along = (
+        np.radians(np.arange(0, 360, 6))[:, None, None],
+        np.linspace(0.02, np.pi - 0.02, 400)[:, None],
+    )
     across = np.cos(around) * side + np.sin(around) * np.cross(baseline, side)
     circles = np.cos(along) * baseline + np.sin(along) * across
     ax.add_collection(LineCollection(list(_angles(circles)), color="0.85", lw=0.7, zorder=0))
-    for start, end, color in ((seen_a, seen_b, "C0"), (seen_b, seen_b - normals * times * missed[:, None], "C3")):
-        ax.add_collection(LineCollection(list(_angles(np.stack([start, end], axis=1))), color=color, lw=1))
+    for start, end, color in (
+        (seen_a, seen_b, "C0"),
+        (seen_b, seen_b - normals * times * missed[:, None], "C3"),
+    ):
+        ax.add_collection(
+            LineCollection(list(_angles(np.stack([start, end], axis=1))), color=color, lw=1)
+        )
     ax.plot(*_angles(seen_b[None])[0].T, "k.", ms=3)
     ax.set(xlabel="θ [°]", ylabel="φ [°]", aspect="equal")
 
 
 def _angles(lines: NDArray[Any]) -> NDArray[Any]:
-    """Return θ from 0° to 360° and φ along lines of rays (K, L, 3) of any length, (K, L, 2); NaN beside θ = 0."""
+    """Return θ from 0° to 360° and φ along lines of rays (K, L, 3) of any length, (K, L, 2); NaN
+    beside θ = 0.
+    """
     x, y, z = np.moveaxis(lines, -1, 0)
     theta, phi = np.degrees(np.arctan2(x, z)) % 360, np.degrees(np.arctan2(y, np.hypot(x, z)))
     jumps = np.abs(np.diff(theta, axis=1, prepend=theta[:, :1])) > 180

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from course.figures import stills
 from course.figures.captions import caption_output, captions
-from course.publish import stills
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.depth import Depth
@@ -36,7 +36,8 @@ if TYPE_CHECKING:
 
 DEPTH_COLORS = "inferno"  # the colours of `colorize_depth`
 SHARP_PX = 1280  # width of the panorama in the viewer
-DPI = {"png": 150, "jpeg": 100}  # sharp on a screen, small enough that a notebook stays below 800 KB
+# sharp on a screen, small enough that a notebook stays below 800 KB
+DPI = {"png": 150, "jpeg": 100}
 
 
 def encode(fig: Figure, kind: Literal["png", "jpeg"] = "png", tight: bool = True) -> bytes:
@@ -52,7 +53,9 @@ def encode(fig: Figure, kind: Literal["png", "jpeg"] = "png", tight: bool = True
     if kind == "png":
         image.quantize(256, dither=Image.Dither.NONE).save(encoded, "png", optimize=True)
     else:
-        image.save(encoded, "jpeg", quality=50, progressive=True, optimize=True, dpi=(DPI[kind],) * 2)
+        image.save(
+            encoded, "jpeg", quality=50, progressive=True, optimize=True, dpi=(DPI[kind],) * 2
+        )
     return encoded.getvalue()
 
 
@@ -62,9 +65,12 @@ def show(fig: Figure, name: str) -> None:
     Args:
         fig: The figure; it is closed afterwards, so that Jupyter does not show it a second time.
         name: Its entry in notebooks/captions.yaml, with
-            caption: What the reader should see in it, one or two sentences of Markdown. Appears as "*Figure:* ...".
-            alt: Text for readers who cannot see it. Stored in the two places that renderers read: the metadata of the
-            image (nbconvert's classic template) and the plain-text form of the output (MyST, terminals).
+            caption: What the reader should see in it, one or two sentences of Markdown. Appears as
+                "*Figure:* ...".
+            alt: Text for readers who cannot see it. Stored in the two places that renderers read:
+                the metadata of the
+            image (nbconvert's classic template) and the plain-text form of the output (MyST,
+            terminals).
             kind: "png" for drawings, "jpeg" for photographs and panoramas.
 
     Raises:
@@ -129,8 +135,8 @@ def pick_ray(draw: Callable[..., Figure], panorama: NDArray[Any], row: int, colu
 
     Args:
         draw: A function of the `row` and the `column` of a ray that returns a figure.
-        panorama (array, shape (H, W) or (H, W, 3)): Gray values or colours, 0 to 255; NaN becomes gray.
-        row, column: Initial position of the cross.
+        panorama (array, shape (H, W) or (H, W, 3)): Gray values or colours, 0 to 255; NaN becomes
+        gray. row, column: Initial position of the cross.
     """
     from ipyevents import Event
     from IPython.display import display
@@ -140,7 +146,10 @@ def pick_ray(draw: Callable[..., Figure], panorama: NDArray[Any], row: int, colu
     rows, columns = IntSlider(row, 0, height - 1), IntSlider(column, 0, width - 1)
     if stills.recording():
         return stills.record_sliders(
-            lambda row, column: [_with_cross(panorama, row, column), encode(draw(row=row, column=column), "jpeg")],
+            lambda row, column: [
+                _with_cross(panorama, row, column),
+                encode(draw(row=row, column=column), "jpeg"),
+            ],
             {"row": rows, "column": columns},
         )
     picture = Image(format="jpeg", layout=Layout(width="100%"))
@@ -167,9 +176,12 @@ def _with_cross(panorama: NDArray[Any], row: int, column: int) -> bytes:
     gray = np.where(np.isfinite(panorama), panorama, 185).clip(0, 255).astype(np.uint8)
     picture = np.repeat(np.repeat(gray if gray.ndim == 3 else np.stack([gray] * 3, -1), 3, 0), 3, 1)
     x, y = 3 * column + 1, 3 * row + 1
-    for color, thickness in (((0, 0, 0), 5), ((255, 255, 0), 2)):  # dark around bright is visible on any background
+    # dark around bright is visible on any background
+    for color, thickness in (((0, 0, 0), 5), ((255, 255, 0), 2)):
         for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-            cv2.line(picture, (x + 8 * dx, y + 8 * dy), (x + 22 * dx, y + 22 * dy), color, thickness)
+            cv2.line(
+                picture, (x + 8 * dx, y + 8 * dy), (x + 22 * dx, y + 22 * dy), color, thickness
+            )
     return cv2.imencode(".jpg", picture[..., ::-1])[1].tobytes()
 
 
@@ -179,7 +191,8 @@ def explore(depth: Depth, max_depth: float, min_confidence: float = 0.0) -> None
     Notebooks are stored without it: the captioned figure before it says what it shows.
 
     Args:
-        max_depth, min_confidence: Rays up to this depth in metres, and with at least this confidence, become points.
+        max_depth, min_confidence: Rays up to this depth in metres, and with at least this
+        confidence, become points.
     """
     from IPython.display import display
     from ipywidgets import HTML
@@ -190,7 +203,12 @@ def explore(depth: Depth, max_depth: float, min_confidence: float = 0.0) -> None
     if stills.recording():
         return stills.record_view(data)
     page = html.escape(page_of(data))
-    display(HTML(f'<iframe srcdoc="{page}" title="{stills.VIEW}" style="width: 100%; height: 800px"></iframe>'))
+    display(
+        HTML(
+            f'<iframe srcdoc="{page}" title="{stills.VIEW}" style="width: 100%; height:'
+            ' 800px"></iframe>'
+        )
+    )
 
 
 def explain_ray(
@@ -200,10 +218,12 @@ def explain_ray(
     gt_index: NDArray[Any] | None = None,
     volumes: Mapping[str, NDArray[Any]] | None = None,
 ) -> Figure:
-    """Return a figure of why a ray has its depth: the agreement of the cameras along it, their patches, their images.
+    """Return a figure of why a ray has its depth: the agreement of the cameras along it, their
+    patches, their images.
 
-    The agreement is that of the images. What a method made of it, such as the probabilities of a network, or costs
-    before and after SGM, is drawn with it, each curve from its least value, 0, to its greatest, 1.
+    The agreement is that of the images. What a method made of it, such as the probabilities of a
+    network, or costs before and after SGM, is drawn with it, each curve from its least value, 0, to
+    its greatest, 1.
 
     Args:
         depth: With the images from which it was estimated.
@@ -215,7 +235,11 @@ def explain_ray(
 
     one, cameras = ray.explain(depth, column, row), len(depth.sweep.rig)
     fig, axes = plt.subplot_mosaic(
-        [["along"] * cameras, [f"patch {i}" for i in range(cameras)], [f"image {i}" for i in range(cameras)]],
+        [
+            ["along"] * cameras,
+            [f"patch {i}" for i in range(cameras)],
+            [f"image {i}" for i in range(cameras)],
+        ],
         figsize=(1.6 * cameras, 4.0),
         height_ratios=[1.2, 0.8, 1],
         layout="constrained",
@@ -223,7 +247,9 @@ def explain_ray(
     fig.suptitle(one.sentence, fontsize=10)
     along, nearest = axes["along"], 0 if np.isnan(one.index) else round(one.index)
     along.plot(one.agreement, color="C1", label="agreement")
-    along.plot([m.sphere for m in one.modes[:3]], [m.agreement for m in one.modes[:3]], "o", color="C1")
+    along.plot(
+        [m.sphere for m in one.modes[:3]], [m.agreement for m in one.modes[:3]], "o", color="C1"
+    )
     for k, (name, volume) in enumerate((volumes or {}).items()):
         values = np.asarray(volume[row, column], float)
         low, high = np.nanmin(values), np.nanmax(values)
@@ -241,7 +267,9 @@ def explain_ray(
         axes[f"patch {i}"].set(title=f"camera {i + 1}", xlabel=label, xticks=[], yticks=[])
         T_cam_rig = depth.sweep.rig.T_rig_cam[i].inverse()
         points = depth.grid.rays()[row, column] @ T_cam_rig.R.T
-        uv, valid = camera.project(points + depth.grid.index_to_inverse_depth(spheres)[:, None] * T_cam_rig.t)
+        uv, valid = camera.project(
+            points + depth.grid.index_to_inverse_depth(spheres)[:, None] * T_cam_rig.t
+        )
         axes[f"image {i}"].imshow(np.asarray(image).clip(0, 255).astype(np.uint8), cmap="gray")
         axes[f"image {i}"].plot(*np.where(valid[:, None], uv, np.nan).T, color="yellow", lw=1)
         if valid[nearest]:
@@ -250,12 +278,14 @@ def explain_ray(
     return fig
 
 
-def draw_panorama(ax: Axes, picture: NDArray[Any], grid: SphereGrid, title: str = "", **imshow: Any) -> AxesImage:
+def draw_panorama(
+    ax: Axes, picture: NDArray[Any], grid: SphereGrid, title: str = "", **imshow: Any
+) -> AxesImage:
     """Draw a panorama with its angles: θ to the right, φ down, in degrees.
 
     Args:
-        picture (array, shape (H, W) or (H, W, 3)): Gray values, colours from 0 to 255, or anything `imshow` takes;
-            NaN is gray.
+        picture (array, shape (H, W) or (H, W, 3)): Gray values, colours from 0 to 255, or anything
+            `imshow` takes; NaN is gray.
         imshow: Further arguments of Matplotlib's imshow.
     """
     picture = np.asarray(picture)
@@ -263,7 +293,9 @@ def draw_panorama(ax: Axes, picture: NDArray[Any], grid: SphereGrid, title: str 
         picture = np.where(np.isfinite(picture), picture, 185).clip(0, 255).astype(np.uint8)
     low, high = grid.phi_deg
     ax.set_facecolor("0.73")
-    image = ax.imshow(picture, extent=(-180, 180, high, low), aspect="equal", **{"cmap": "gray", **imshow})
+    image = ax.imshow(
+        picture, extent=(-180, 180, high, low), aspect="equal", **{"cmap": "gray", **imshow}
+    )
     ax.set_xticks(range(-180, 181, 90))
     ax.set_yticks([low, 0, high] if low < 0 < high else [low, high])
     ax.set_xlabel("θ [°]")
@@ -272,8 +304,12 @@ def draw_panorama(ax: Axes, picture: NDArray[Any], grid: SphereGrid, title: str 
     return image
 
 
-def draw_depth(ax: Axes, inverse_depth: NDArray[Any], grid: SphereGrid, title: str = "") -> AxesImage:
-    """Draw a panorama of inverse depth (H, W) in 1/m with a colour bar in metres; unknown rays are striped."""
+def draw_depth(
+    ax: Axes, inverse_depth: NDArray[Any], grid: SphereGrid, title: str = ""
+) -> AxesImage:
+    """Draw a panorama of inverse depth (H, W) in 1/m with a colour bar in metres; unknown rays are
+    striped.
+    """
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
@@ -299,10 +335,21 @@ def draw_rig(ax: Axes, rig: Rig, fov_deg: float | None = None) -> None:
         color = f"C{i}"
         half = (fov_deg or camera.max_fov_deg) / 2
         direction = np.degrees(np.arctan2(forward_z, forward_x))
-        ax.add_patch(Wedge((x, z), reach, direction - half, direction + half, color=color, alpha=0.08))
-        ax.arrow(x, z, 0.3 * reach * forward_x, 0.3 * reach * forward_z, color=color, head_width=0.05 * reach)
+        ax.add_patch(
+            Wedge((x, z), reach, direction - half, direction + half, color=color, alpha=0.08)
+        )
+        ax.arrow(
+            x,
+            z,
+            0.3 * reach * forward_x,
+            0.3 * reach * forward_z,
+            color=color,
+            head_width=0.05 * reach,
+        )
         ax.plot(x, z, "o", color=color)
-        ax.annotate(f"camera {i + 1}", (x, z), textcoords="offset points", xytext=(8, 6), color=color)
+        ax.annotate(
+            f"camera {i + 1}", (x, z), textcoords="offset points", xytext=(8, 6), color=color
+        )
     center = rig.centers.mean(0)
     ax.plot(center[0], center[2], "k+", markersize=12)
     ax.annotate("sweep centre", (center[0], center[2]), textcoords="offset points", xytext=(6, -12))

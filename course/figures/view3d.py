@@ -1,4 +1,6 @@
-"""A mesh as an image, drawn by PyVista in a process of its own: without OpenGL VTK crashes, and takes nobody along."""
+"""A mesh as an image, drawn by PyVista in a process of its own: without OpenGL VTK crashes, and
+takes nobody along.
+"""
 
 import os
 import subprocess
@@ -15,7 +17,9 @@ from omnistereo_lib.files import read_image
 _SECONDS = 60  # a mesh takes two
 
 
-def draw_mesh(path: Path, eye: tuple[float, float, float], size: tuple[int, int]) -> NDArray[np.uint8]:
+def draw_mesh(
+    path: Path, eye: tuple[float, float, float], size: tuple[int, int]
+) -> NDArray[np.uint8]:
     """Draw a PLY mesh with coloured vertices; where PyVista cannot, its vertices as points.
 
     Args:
@@ -57,17 +61,23 @@ def _headless() -> dict[str, str]:
     return dict(os.environ)
 
 
-def _draw(path: str, picture: str, eye: tuple[float, ...], size: tuple[int, ...], background: int) -> None:
+def _draw(
+    path: str, picture: str, eye: tuple[float, ...], size: tuple[int, ...], background: int
+) -> None:
     import pyvista
 
     plotter = pyvista.Plotter(off_screen=True, window_size=list(size))
     plotter.background_color = pyvista.Color((background,) * 3)
     plotter.add_mesh(pyvista.read(path), scalars="RGBA", rgb=True, lighting=False, culling="back")
-    plotter.camera_position = [eye, (0.0, 0.0, 0.0), (0.0, -1.0, 0.0)]  # y points down in the rig frame
-    plotter.camera.view_angle = 2 * np.degrees(np.arctan(size[1] / 2 / (0.62 * size[0])))  # as `draw_points`
+    # y points down in the rig frame
+    plotter.camera_position = [eye, (0.0, 0.0, 0.0), (0.0, -1.0, 0.0)]
+    # as `draw_points`
+    plotter.camera.view_angle = 2 * np.degrees(np.arctan(size[1] / 2 / (0.62 * size[0])))
     plotter.screenshot(picture)
 
 
 if __name__ == "__main__":
     mesh, target, *numbers = sys.argv[1:]
-    _draw(mesh, target, tuple(map(float, numbers[:3])), tuple(map(int, numbers[3:5])), int(numbers[5]))
+    _draw(
+        mesh, target, tuple(map(float, numbers[:3])), tuple(map(int, numbers[3:5])), int(numbers[5])
+    )

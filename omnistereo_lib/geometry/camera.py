@@ -5,10 +5,12 @@ The direct polynomial f maps a pixel to a ray, the inverse polynomial r maps a r
     ray(x, y) ∝ (x, y, -f(r)),  r = hypot(x, y)           pixels from the centre, before the affine map A
     r(t) = b0 + b1 t + b2 t² + ...                        t = atan2(-Z, hypot(X, Y)), the angle below the xy-plane
 
-The angle from the optical axis is t + π/2. Nothing is divided by Z, so a field of view above 180° is not special.
+The angle from the optical axis is t + π/2. Nothing is divided by Z, so a field of view above 180°
+is not special.
 
-Camera frame: x right, y down, z along the optical axis. Pixels: (u right, v down), integers are pixel
-centres, (0, 0) is the centre of the top-left pixel. Files store (row, column); their reader swaps.
+Camera frame: x right, y down, z along the optical axis. Pixels: (u right, v down), integers are
+pixel centres, (0, 0) is the centre of the top-left pixel. Files store (row, column); their reader
+swaps.
 """
 
 from __future__ import annotations
@@ -38,10 +40,12 @@ _NEWTON_STEPS = 4  # starting from 1024 samples, the error falls 1e-3 → 1e-6 �
 class OcamCamera:
     """A fisheye camera with polynomial distortion.
 
-    Raises an `OmnistereoError` if a parameter is not finite, has the wrong shape or is out of range.
+    Raises an `OmnistereoError` if a parameter is not finite, has the wrong shape or is out of
+    range.
 
     >>> camera = osl.load_rig("data_samples/sunny/test").cameras[0]
-    >>> uv, valid = camera.project([[0, 0, 1], [1, 0, 0], [0, 0, -1]])  # ahead, to the right, behind
+    # ahead, to the right, behind
+    >>> uv, valid = camera.project([[0, 0, 1], [1, 0, 0], [0, 0, -1]])
     >>> uv.round(1)
     array([[400.4, 383. ],
            [702.2, 383. ],
@@ -52,12 +56,20 @@ class OcamCamera:
     True
     """
 
-    poly: NDArray[np.float64]  #: direct polynomial f, coefficients from low to high, pixels; f(0) < 0
-    inv_poly: NDArray[np.float64]  #: inverse polynomial r(t), likewise; see `fit_inverse_polynomial`
+    poly: NDArray[
+        np.float64
+    ]  #: direct polynomial f, coefficients from low to high, pixels; f(0) < 0
+    inv_poly: NDArray[
+        np.float64
+    ]  #: inverse polynomial r(t), likewise; see `fit_inverse_polynomial`
     center: tuple[float, float]  #: image of the optical axis (u, v), pixels
-    affine: tuple[float, float, float]  #: c, d, e of A as in the files: u = x + e y + u0, v = d x + c y + v0
+    affine: tuple[
+        float, float, float
+    ]  #: c, d, e of A as in the files: u = x + e y + u0, v = d x + c y + v0
     image_size: tuple[int, int]  #: width and height, pixels
-    max_fov_deg: float = 220.0  #: full field of view in (0, 360]; rays beyond half of it from the axis are invalid
+    max_fov_deg: float = (
+        220.0  #: full field of view in (0, 360]; rays beyond half of it from the axis are invalid
+    )
     #: (height, width), of any numeric type, stored as bool: non-zero where the image is valid; None: everywhere
     mask: NDArray[np.bool_] | None = None
     max_radius: float = field(init=False, repr=False)  # of the field of view, px before A
@@ -70,7 +82,8 @@ class OcamCamera:
         for array in (self.poly, self.inv_poly, self.mask):
             if array is not None:
                 array.setflags(write=False)
-        for name, number in (("center", float), ("affine", float), ("image_size", int)):  # plain, not NumPy scalars
+        # plain, not NumPy scalars
+        for name, number in (("center", float), ("affine", float), ("image_size", int)):
             object.__setattr__(self, name, tuple(map(number, getattr(self, name))))
         object.__setattr__(self, "max_fov_deg", float(self.max_fov_deg))
         object.__setattr__(self, "max_radius", float(_horner(self.inv_poly, self._max_t)))
@@ -78,28 +91,46 @@ class OcamCamera:
     def _check(self) -> None:
         for name in ("poly", "inv_poly"):
             coefficients = getattr(self, name)
-            if coefficients.ndim != 1 or not 2 <= len(coefficients) <= 64 or not np.isfinite(coefficients).all():
+            if (
+                coefficients.ndim != 1
+                or not 2 <= len(coefficients) <= 64
+                or not np.isfinite(coefficients).all()
+            ):
                 raise OmnistereoError(
-                    f"{name} is {str(coefficients.tolist())[:200]}; expected 2 to 64 finite coefficients"
+                    f"{name} is {str(coefficients.tolist())[:200]}; expected 2 to 64 finite"
+                    " coefficients"
                 )
-        width, height = (check_number(side, "image_size", 2, MAX_SIDE, whole=True) for side in _all(self.image_size, 2))
+        width, height = (
+            check_number(side, "image_size", 2, MAX_SIDE, whole=True)
+            for side in _all(self.image_size, 2)
+        )
         check_number(self.max_fov_deg, "max_fov_deg", 1, 360)
         for name, count, most in (("center", 2, 10 * MAX_SIDE), ("affine", 3, 100)):
             for number in _all(getattr(self, name), count):
                 check_number(number, name, -most, most)
         if abs(np.linalg.det(self._A)) < 1e-6:
-            raise OmnistereoError(f"the affine map c, d, e = {self.affine} is singular; expected about (1, 0, 0)")
+            raise OmnistereoError(
+                f"the affine map c, d, e = {self.affine} is singular; expected about (1, 0, 0)"
+            )
         if self.poly[0] >= 0:
-            raise OmnistereoError(f"poly starts with {self.poly[0]}; expected a0 < 0 (minus the focal length in px)")
+            raise OmnistereoError(
+                f"poly starts with {self.poly[0]}; expected a0 < 0 (minus the focal length in px)"
+            )
         if self.mask is not None and self.mask.shape != (height, width):
-            raise OmnistereoError(f"mask has shape {self.mask.shape}; expected (height, width) = {(height, width)}")
+            raise OmnistereoError(
+                f"mask has shape {self.mask.shape}; expected (height, width) = {(height, width)}"
+            )
 
         with np.errstate(all="ignore"):
             radii = _horner(self.inv_poly, np.linspace(-np.pi / 2, self._max_t, 64))
         if not (np.abs(radii) < 100 * MAX_SIDE).all():
-            raise OmnistereoError(f"inv_poly reaches {np.abs(radii).max():.3g} px; expected radii as in an image")
+            raise OmnistereoError(
+                f"inv_poly reaches {np.abs(radii).max():.3g} px; expected radii as in an image"
+            )
         if radii.min() > self._reach:
-            raise OmnistereoError(f"inv_poly starts at {radii.min():.3g} px; expected 0 on the optical axis")
+            raise OmnistereoError(
+                f"inv_poly starts at {radii.min():.3g} px; expected 0 on the optical axis"
+            )
 
     @property
     def _A(self) -> NDArray[np.float64]:
@@ -126,17 +157,20 @@ class OcamCamera:
         """Project points to pixels: A(Π(X; Φ)) (paper, Section III-A).
 
         Args:
-            points (array or torch tensor, shape (..., 3)): Points in the camera frame; only their direction matters,
-                at any length between 1e-150 and 1e150.
-            use_direct_poly: False: evaluate the inverse polynomial, as every released code does. True: find the root of
-                the direct polynomial, for files whose two polynomials disagree; of tensors, on the CPU only.
+            points (array or torch tensor, shape (..., 3)): Points in the camera frame; only their
+                direction matters, at any length between 1e-150 and 1e150.
+            use_direct_poly: False: evaluate the inverse polynomial, as every released code does.
+                True: find the root of the direct polynomial, for files whose two polynomials
+                disagree; of tensors, on the CPU only.
 
         Returns:
-            uv (shape (..., 2), pixels): Meaningful where valid; finite elsewhere, so that it can be interpolated.
-            valid (bool, shape (...)): In the field of view, in the image, on the mask; False for undefined directions.
+            uv (shape (..., 2), pixels): Meaningful where valid; finite elsewhere, so that it can be
+            interpolated. valid (bool, shape (...)): In the field of view, in the image, on the
+            mask; False for undefined directions.
 
         Raises:
-            OmnistereoError: If points has another shape, or the direct polynomial does not reach the field of view.
+            OmnistereoError: If points has another shape, or the direct polynomial does not reach
+                the field of view.
         """
         points, xp = _as_array(points, 3)
         x, y, z = points[..., 0], points[..., 1], points[..., 2]
@@ -157,16 +191,20 @@ class OcamCamera:
         uv = xp.stack([x + e * y + self.center[0], d * x + c * y + self.center[1]], -1)
         return uv, in_view & self.contains(uv)
 
-    def unproject(self, uv: ArrayLike, use_direct_poly: bool = False) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    def unproject(
+        self, uv: ArrayLike, use_direct_poly: bool = False
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Return the unit rays of pixels: the inverse of `project` with the same `use_direct_poly`.
 
         Args:
             uv: array, shape (..., 2), pixels
-            use_direct_poly: False: invert the inverse polynomial numerically. True: evaluate the direct polynomial.
+            use_direct_poly: False: invert the inverse polynomial numerically. True: evaluate the
+                direct polynomial.
 
         Returns:
             rays: shape (..., 3), unit length, camera frame
-            valid (bool, shape (...)): In the image, on the mask, in the field of view; the polynomial is monotonic.
+            valid (bool, shape (...)): In the image, on the mask, in the field of view; the
+            polynomial is monotonic.
         """
         pixels, _ = _as_array(np.asarray(uv), 2)
         finite = np.isfinite(pixels).all(-1)
@@ -183,7 +221,9 @@ class OcamCamera:
         safe_r = np.where(r > 0, r, 1.0)
         rays = np.stack([x / safe_r * sine, y / safe_r * sine, -np.sin(t)], -1)
         rays = np.where((r > 0)[..., None], rays, [0.0, 0.0, 1.0])
-        return rays, finite & self.contains(pixels) & (t <= self._max_t + 1e-9) & (r <= max_radius + 1e-6)
+        return rays, finite & self.contains(pixels) & (t <= self._max_t + 1e-9) & (
+            r <= max_radius + 1e-6
+        )
 
     def contains(self, uv: Array) -> Array:
         """Return whether pixels (..., 2) lie inside the image and on the mask; bool, shape (...)."""
@@ -205,19 +245,26 @@ class OcamCamera:
         width, height = self.image_size
         offsets = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1) - self.center
         # As in `unproject`, without the angles: they take most of its time.
-        inside = np.linalg.norm(offsets @ np.linalg.inv(self._A).T, axis=-1) <= self.max_radius + 1e-6
+        inside = (
+            np.linalg.norm(offsets @ np.linalg.inv(self._A).T, axis=-1) <= self.max_radius + 1e-6
+        )
         return inside if self.mask is None else inside & self.mask
 
     def reduced(self, factor: int) -> OcamCamera:
-        """Return the camera of images in which blocks of factor × factor pixels are averaged to one."""
+        """Return the camera of images in which blocks of factor × factor pixels are averaged to
+        one.
+        """
         width, height = (size // factor for size in self.image_size)
         mask = self.mask
         if mask is not None:
-            blocks = mask[: height * factor, : width * factor].reshape(height, factor, width, factor)
+            blocks = mask[: height * factor, : width * factor].reshape(
+                height, factor, width, factor
+            )
             mask = np.all(blocks, axis=(1, 3))
         return replace(
             self,
-            poly=self.poly * float(factor) ** np.arange(-1, len(self.poly) - 1),  # f(r) = factor f'(r / factor)
+            # f(r) = factor f'(r / factor)
+            poly=self.poly * float(factor) ** np.arange(-1, len(self.poly) - 1),
             inv_poly=self.inv_poly / factor,
             center=((self.center[0] + 0.5) / factor - 0.5, (self.center[1] + 0.5) / factor - 0.5),
             image_size=(width, height),
@@ -225,7 +272,8 @@ class OcamCamera:
         )
 
     def inverse_poly_error_px(self) -> float:
-        """Return the largest distance in pixels between `poly` and `inv_poly`, inside the image and the field of view.
+        """Return the largest distance in pixels between `poly` and `inv_poly`, inside the image and
+        the field of view.
 
         Raises an `OmnistereoError` if the direct polynomial does not reach as far.
         """
@@ -241,7 +289,9 @@ class OcamCamera:
         t = np.asarray(t, np.float64)
         r, cosine, sine = np.interp(t, angles, radii), np.cos(t), np.sin(t)
         for _ in range(_NEWTON_STEPS):
-            r = r - (_horner(self.poly, r) * cosine - r * sine) / (_horner(slope, r) * cosine - sine)
+            r = r - (_horner(self.poly, r) * cosine - r * sine) / (
+                _horner(slope, r) * cosine - sine
+            )
         return r
 
     def _angle_by_root(self, r: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -264,15 +314,16 @@ def fit_inverse_polynomial(
     Args:
         poly: Direct polynomial, low to high, pixels.
         max_fov_deg: Full field of view to cover.
-        max_radius: Upper bound of the radius in pixels, such as three times the larger side of the image.
+        max_radius: Upper bound of the radius in pixels, such as three times the larger side of the
+            image.
         tolerance: Largest error in pixels.
 
     Returns:
         array, shape (degree + 1,), low to high
 
     Raises:
-        OmnistereoError: If a0 ≥ 0, the direct polynomial is not monotonic up to the end of the field of view, or no
-            degree up to 25 fits.
+        OmnistereoError: If a0 ≥ 0, the direct polynomial is not monotonic up to the end of the
+            field of view, or no degree up to 25 fits.
 
     >>> osl.fit_inverse_polynomial([-200, 0, 1e-3], max_fov_deg=180, max_radius=500).round(1)
     array([447.2, 499.6, 275.6, 150.1,  62.3,  18.8,   2.6])
@@ -287,16 +338,20 @@ def fit_inverse_polynomial(
         if error < tolerance:
             return np.asarray(fit.convert().coef, np.float64)
     raise OmnistereoError(
-        f"poly {np.asarray(poly)}: the inverse polynomial of degree 25 has an error of {error:.3g} px; "
-        f"expected at most {tolerance} px. Lower max_fov_deg = {max_fov_deg} to the field of view of the lens."
+        f"poly {np.asarray(poly)}: the inverse polynomial of degree 25 has an error of {error:.3g}"
+        f" px; expected at most {tolerance} px. Lower max_fov_deg = {max_fov_deg} to the field of"
+        " view of the lens."
     )
 
 
 def _branch_end(poly: NDArray[np.float64], max_t: float, max_radius: float) -> tuple[float, float]:
-    """Return the radius and the angle t up to which the angle grows with the radius, or max_t is reached."""
+    """Return the radius and the angle t up to which the angle grows with the radius, or max_t is
+    reached.
+    """
     radii = np.linspace(0.0, max_radius, 4096)
     angles = np.arctan2(_horner(poly, radii), radii)
-    growing = int(np.argmin(np.append(np.diff(angles) > 0, False)))  # stops at NaN from overflow as well
+    # stops at NaN from overflow as well
+    growing = int(np.argmin(np.append(np.diff(angles) > 0, False)))
     end = min(int(np.searchsorted(angles[: growing + 1], max_t)), growing)
     return float(radii[end]), float(angles[end])
 
@@ -304,15 +359,20 @@ def _branch_end(poly: NDArray[np.float64], max_t: float, max_radius: float) -> t
 def _monotone_branch(
     poly: NDArray[np.float64], max_t: float, max_radius: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Sample radii and angles t of the direct polynomial from the axis to max_t; refuse one that ends earlier."""
+    """Sample radii and angles t of the direct polynomial from the axis to max_t; refuse one that
+    ends earlier.
+    """
     if poly[0] >= 0:
-        raise OmnistereoError(f"poly starts with {poly[0]}; expected a0 < 0 (minus the focal length in px)")
+        raise OmnistereoError(
+            f"poly starts with {poly[0]}; expected a0 < 0 (minus the focal length in px)"
+        )
     radius, angle = _branch_end(poly, max_t, max_radius)
     if angle < max_t:
         raise OmnistereoError(
-            f"the direct polynomial {poly.tolist()} is monotonic only up to {np.degrees(2 * angle) + 180:.1f}° of "
-            f"field of view (within {max_radius:.0f} px); expected {np.degrees(2 * max_t) + 180:.1f}°. "
-            f"Lower max_fov_deg or check the coefficients."
+            f"the direct polynomial {poly.tolist()} is monotonic only up to"
+            f" {np.degrees(2 * angle) + 180:.1f}° of field of view (within {max_radius:.0f} px);"
+            f" expected {np.degrees(2 * max_t) + 180:.1f}°. Lower max_fov_deg or check the"
+            " coefficients."
         )
     # Sampled again, densely: the angle is steep in r near the axis of long lenses.
     radii = np.linspace(0.0, radius, 1024)

@@ -20,7 +20,8 @@ _ROTATION_TOLERANCE = 1e-5  # files print rotations with 6 digits or more
 class Pose:
     """A rigid transform T_ab: coordinates in frame b become coordinates in frame a.
 
-    Raises an `OmnistereoError` if R or t has the wrong shape, is not finite, or R is not a rotation.
+    Raises an `OmnistereoError` if R or t has the wrong shape, is not finite, or R is not a
+    rotation.
 
     >>> T_ab = osl.Pose.from_vector([0, np.pi / 2, 0, 0.5, 0, 0])  # 90° about y, then 0.5 m along x
     >>> (T_ab @ [0, 0, 1]).round(3)
@@ -35,10 +36,13 @@ class Pose:
     def __post_init__(self) -> None:
         R, t = np.array(self.R, np.float64), np.array(self.t, np.float64)
         if R.shape != (3, 3) or t.shape != (3,):
-            raise OmnistereoError(f"R has shape {R.shape} and t {t.shape}; expected (3, 3) and (3,)")
+            raise OmnistereoError(
+                f"R has shape {R.shape} and t {t.shape}; expected (3, 3) and (3,)"
+            )
         if not (np.isfinite(R).all() and np.abs(t).max() < _FAR):  # false for NaN
             raise OmnistereoError(
-                f"the pose is R = {R.tolist()}, t = {t.tolist()}; expected finite numbers, t below {_FAR:g}"
+                f"the pose is R = {R.tolist()}, t = {t.tolist()}; expected finite numbers, t below"
+                f" {_FAR:g}"
             )
         U, _, Vt = np.linalg.svd(R)
         nearest = U @ Vt
@@ -47,8 +51,9 @@ class Pose:
             determinant = np.linalg.det(R)
         if error > _ROTATION_TOLERANCE or determinant < 0:
             raise OmnistereoError(
-                f"R is not a rotation: it differs by {error:.2g} from the nearest orthogonal matrix and has "
-                f"determinant {determinant:.4g}; expected 0 and +1. Check that R is not scaled or mirrored."
+                f"R is not a rotation: it differs by {error:.2g} from the nearest orthogonal matrix"
+                f" and has determinant {determinant:.4g}; expected 0 and +1. Check that R is not"
+                " scaled or mirrored."
             )
         # Keep exact rotations unchanged: the projection would add a rounding error.
         R = nearest if error > 1e-12 else R
@@ -63,10 +68,14 @@ class Pose:
 
     @classmethod
     def from_vector(cls, theta: ArrayLike) -> Pose:
-        """Return M(Θ) for Θ = (r, t): axis-angle in radians, then metres, 6 numbers (paper, Section III-A)."""
+        """Return M(Θ) for Θ = (r, t): axis-angle in radians, then metres, 6 numbers (paper, Section
+        III-A).
+        """
         theta = np.asarray(theta, np.float64)
         if theta.shape != (6,):
-            raise OmnistereoError(f"the pose vector has shape {theta.shape}; expected 6 numbers (rx ry rz tx ty tz)")
+            raise OmnistereoError(
+                f"the pose vector has shape {theta.shape}; expected 6 numbers (rx ry rz tx ty tz)"
+            )
         return cls(rotation_from_axis_angle(theta[:3]), theta[3:])
 
     def as_vector(self) -> Floats:
@@ -82,7 +91,9 @@ class Pose:
     @overload
     def __matmul__(self, other: ArrayLike) -> Floats: ...
     def __matmul__(self, other: Pose | ArrayLike) -> Pose | Floats:
-        """Compose poses (T_ab @ T_bc = T_ac, ⋆ of Section III-A) or transform points (..., 3) from frame b to a."""
+        """Compose poses (T_ab @ T_bc = T_ac, ⋆ of Section III-A) or transform points (..., 3) from
+        frame b to a.
+        """
         if isinstance(other, Pose):
             return Pose(self.R @ other.R, self.R @ other.t + self.t)
         points = np.asarray(other, np.float64)
@@ -101,7 +112,9 @@ class Pose:
 
 
 def rotation_from_axis_angle(r: ArrayLike) -> Floats:
-    """Return the rotation matrix R(r), shape (3, 3), by Rodrigues' formula; r in radians, shape (3,)."""
+    """Return the rotation matrix R(r), shape (3, 3), by Rodrigues' formula; r in radians, shape
+    (3,).
+    """
     r = np.asarray(r, np.float64)
     angle = np.linalg.norm(r)
     K = np.array([[0.0, -r[2], r[1]], [r[2], 0.0, -r[0]], [-r[1], r[0], 0.0]])
@@ -110,7 +123,9 @@ def rotation_from_axis_angle(r: ArrayLike) -> Floats:
 
 
 def nearest_rotation(M: Floats) -> Floats:
-    """Return the rotation nearest to a matrix (3, 3), by its singular values: of a sum of rotations, their mean."""
+    """Return the rotation nearest to a matrix (3, 3), by its singular values: of a sum of
+    rotations, their mean.
+    """
     U, _, Vt = np.linalg.svd(M)
     return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt, np.float64)
 
@@ -119,16 +134,19 @@ def quaternion_pose(q: Floats, t: Floats) -> Pose:
     """Return the pose of a unit quaternion (w, x, y, z), and a translation."""
     from scipy.spatial.transform import Rotation
 
-    if not np.abs(q).max() < 2 or abs(np.linalg.norm(q) - 1) > 1e-3:  # the largest first: squares can overflow
+    # the largest first: squares can overflow
+    if not np.abs(q).max() < 2 or abs(np.linalg.norm(q) - 1) > 1e-3:
         length = np.linalg.norm(q.clip(-1e9, 1e9))
-        raise OmnistereoError(f"the quaternion {q.tolist()} (w x y z) has length {length:.4g}; expected 1")
+        raise OmnistereoError(
+            f"the quaternion {q.tolist()} (w x y z) has length {length:.4g}; expected 1"
+        )
     return Pose(Rotation.from_quat(q[[1, 2, 3, 0]]).as_matrix(), t)
 
 
 def quaternion_from_rotation(R: Floats) -> Floats:
     """Return the unit quaternion (x, y, z, w) of a rotation matrix, w ≥ 0."""
-    # Shepperd's method: each row of this symmetric matrix is the quaternion times 4 × one of its components; the row
-    # with the largest diagonal entry avoids dividing by a small number.
+    # Shepperd's method: each row of this symmetric matrix is the quaternion times 4 × one of its
+    # components; the row with the largest diagonal entry avoids dividing by a small number.
     xx, yy, zz = np.diag(R)
     sums, differences = R + R.T, R - R.T
     x, y, z = differences[2, 1], differences[0, 2], differences[1, 0]

@@ -34,9 +34,15 @@ class Rig:
     """
 
     cameras: Sequence[OcamCamera]
-    T_rig_cam: Sequence[Pose]  #: camera → rig, metres: as in the public files, the inverse of Θ* in the paper
-    min_depth: float | None = None  #: nearest depth in metres that the rig file proposes for a sweep
-    T_rig_file: Pose | None = None  #: from the frame of the file that it was read from to the rig frame
+    T_rig_cam: Sequence[
+        Pose
+    ]  #: camera → rig, metres: as in the public files, the inverse of Θ* in the paper
+    min_depth: float | None = (
+        None  #: nearest depth in metres that the rig file proposes for a sweep
+    )
+    T_rig_file: Pose | None = (
+        None  #: from the frame of the file that it was read from to the rig frame
+    )
 
     def __post_init__(self) -> None:
         for name in ("cameras", "T_rig_cam"):
@@ -45,14 +51,26 @@ class Rig:
         if len(self.cameras) < 2 or len(self.cameras) != len(self.T_rig_cam):
             raise OmnistereoError(
                 f"the rig has {len(self.cameras)} cameras and {len(self.T_rig_cam)} poses; "
-                f"expected at least 2 cameras and one pose per camera"
+                "expected at least 2 cameras and one pose per camera"
             )
         for i, (camera, pose) in enumerate(zip(self.cameras, self.T_rig_cam, strict=True), 1):
             if not (isinstance(camera, OcamCamera) and isinstance(pose, Pose)):
-                raise OmnistereoError(f"camera {i} is {camera!r:.40}, {pose!r:.40}; expected an OcamCamera and a Pose")
-            check_number(float(np.abs(pose.t).max()), f"the distance of camera {i} from the origin, metres,", 0, 1e7)
+                raise OmnistereoError(
+                    f"camera {i} is {camera!r:.40}, {pose!r:.40}; expected an OcamCamera and a Pose"
+                )
+            check_number(
+                float(np.abs(pose.t).max()),
+                f"the distance of camera {i} from the origin, metres,",
+                0,
+                1e7,
+            )
         if self.min_depth is not None:
-            check_number(self.min_depth, "the nearest depth in metres (min_depth, omnimvs_sweep_min_depth)", 1e-6, 1e6)
+            check_number(
+                self.min_depth,
+                "the nearest depth in metres (min_depth, omnimvs_sweep_min_depth)",
+                1e-6,
+                1e6,
+            )
 
     def __len__(self) -> int:
         return len(self.cameras)
@@ -63,10 +81,13 @@ class Rig:
         return np.stack([pose.t for pose in self.T_rig_cam])
 
     def image_sizes(self, count: int) -> list[tuple[int, int]]:
-        """Return width and height of every camera; an `OmnistereoError` if `count` images are not one per camera."""
+        """Return width and height of every camera; an `OmnistereoError` if `count` images are not
+        one per camera.
+        """
         if count != len(self):
             raise OmnistereoError(
-                f"there are {count} images for {len(self)} cameras. Pass one image per camera, in rig order."
+                f"there are {count} images for {len(self)} cameras. Pass one image per camera, in"
+                " rig order."
             )
         return [camera.image_size for camera in self.cameras]
 
@@ -80,13 +101,16 @@ class Rig:
         """Return the rig in another frame: T_new_rig maps rig coordinates to the new frame."""
         check_type(T_new_rig, Pose, "T_new_rig")
         T_new_file = T_new_rig if self.T_rig_file is None else T_new_rig @ self.T_rig_file
-        return Rig(self.cameras, [T_new_rig @ pose for pose in self.T_rig_cam], self.min_depth, T_new_file)
+        return Rig(
+            self.cameras, [T_new_rig @ pose for pose in self.T_rig_cam], self.min_depth, T_new_file
+        )
 
     def recentered(self, center: ArrayLike | None = None) -> Rig:
         """Return the rig with its origin moved to the sweep centre, axes unchanged.
 
         Args:
-            center (array, shape (3,)): Sweep centre in the rig frame, metres. Default: the mean of the camera centres.
+            center (array, shape (3,)): Sweep centre in the rig frame, metres. Default: the mean of
+            the camera centres.
         """
         center = self.centers.mean(0) if center is None else np.asarray(center, np.float64)
         return self.transformed(Pose(np.eye(3), -center))
@@ -100,9 +124,9 @@ def camera_pairs(pairs: Pairs, rig: Rig) -> list[Pair]:
     """Return the camera pairs to match, as indices (paper, Section III-B).
 
     Args:
-        pairs: "ring": each camera with its neighbour to the right, by the azimuth of the optical axes. For the rig of
-            the paper: (0, 1), (1, 2), (2, 3), (3, 0), as in the released code. "all": every unordered pair, as in the
-            text of the paper.
+        pairs: "ring": each camera with its neighbour to the right, by the azimuth of the optical
+            axes. For the rig of the paper: (0, 1), (1, 2), (2, 3), (3, 0), as in the released code.
+            "all": every unordered pair, as in the text of the paper.
 
     Raises:
         OmnistereoError: If a pair names a missing camera, or one camera twice.
@@ -119,19 +143,25 @@ def camera_pairs(pairs: Pairs, rig: Rig) -> list[Pair]:
     if isinstance(pairs, str) and pairs == "all":
         return list(combinations(range(len(rig)), 2))
     if isinstance(pairs, str):
-        raise OmnistereoError(f'pairs is {pairs!r}; expected "ring", "all" or a list of camera pairs')
+        raise OmnistereoError(
+            f'pairs is {pairs!r}; expected "ring", "all" or a list of camera pairs'
+        )
     chosen: list[Any] = list(pairs) if isinstance(pairs, Sequence | np.ndarray) else [pairs]
     for pair in chosen:
         two = isinstance(pair, Sequence | np.ndarray) and len(pair) == 2 and pair[0] != pair[1]
         if not (two and all(isinstance(i, Integral) and i in range(len(rig)) for i in pair)):
-            raise OmnistereoError(f"pairs has {pair!r}; expected two different cameras of 0 to {len(rig) - 1}")
+            raise OmnistereoError(
+                f"pairs has {pair!r}; expected two different cameras of 0 to {len(rig) - 1}"
+            )
     if not chosen:
         raise OmnistereoError("pairs is empty; expected at least one camera pair")
     return [(int(i), int(j)) for i, j in chosen]
 
 
 def _neighbours(rig: Rig) -> list[Pair]:
-    """Return the ring of cameras, sorted by the azimuth θ of their optical axes, starting at camera 0."""
+    """Return the ring of cameras, sorted by the azimuth θ of their optical axes, starting at camera
+    0.
+    """
     axes = np.stack([pose.R[:, 2] for pose in rig.T_rig_cam])
     azimuth = np.arctan2(axes[:, 0], axes[:, 2])
     around = np.argsort((azimuth - azimuth[0] + 1e-6) % (2 * np.pi), kind="stable").tolist()

@@ -23,18 +23,24 @@ class _Sampling(NamedTuple):
 
 
 # The published codes differ by half a pixel, which is half a degree at W = 320.
-_SAMPLINGS = {"center": _Sampling(0.5, 0.5, 0), "sweepnet": _Sampling(1, 1, 0), "omnimvs": _Sampling(0, 0, -1)}
+_SAMPLINGS = {
+    "center": _Sampling(0.5, 0.5, 0),
+    "sweepnet": _Sampling(1, 1, 0),
+    "omnimvs": _Sampling(0, 0, -1),
+}
 
 
 @dataclass(frozen=True)
 class SphereGrid:
     """Directions θ, φ of a panorama and inverse depths d_n of N spheres (paper, Section III-B).
 
-    A ray is ρ(θ, φ) = (cosφ sinθ, sinφ, cosφ cosθ): the centre of the panorama looks along +z, right is +x, down
-    is +y. The paper prints (cosφ cosθ, sinφ, cosφ sinθ), which is this rotated by 90° and mirrored.
+    A ray is ρ(θ, φ) = (cosφ sinθ, sinφ, cosφ cosθ): the centre of the panorama looks along +z,
+    right is +x, down is +y. The paper prints (cosφ cosθ, sinφ, cosφ sinθ), which is this rotated by
+    90° and mirrored.
 
     Raises:
-        OmnistereoError: If a size is not an integer, or a size, an angle or a depth is missing or out of range.
+        OmnistereoError: If a size is not an integer, or a size, an angle or a depth is missing or
+            out of range.
 
     >>> grid = osl.SphereGrid(640, 160, num_spheres=192, min_depth=0.55)
     >>> grid.index_to_depth([0, 1, 191]).round(2)
@@ -48,7 +54,10 @@ class SphereGrid:
 
     width: int  #: panorama size W in pixels; θ spans the full circle over the columns
     height: int  #: panorama size H in pixels
-    phi_deg: tuple[float, float] = (-45.0, 45.0)  #: first and last elevation φ in degrees, down positive, within ±90
+    phi_deg: tuple[float, float] = (
+        -45.0,
+        45.0,
+    )  #: first and last elevation φ in degrees, down positive, within ±90
     num_spheres: int = 192  #: N, at least 2
     min_depth: float = 0.55  #: D_min in metres: the radius of sphere N - 1
     max_depth: float = np.inf  #: radius of sphere 0 in metres; the paper's is infinite
@@ -59,21 +68,36 @@ class SphereGrid:
 
     def __post_init__(self) -> None:
         for name in ("width", "height", "num_spheres"):
-            object.__setattr__(self, name, check_number(getattr(self, name), name, 2, _MAX_SIDE, whole=True))
+            object.__setattr__(
+                self, name, check_number(getattr(self, name), name, 2, _MAX_SIDE, whole=True)
+            )
         phi = tuple(np.atleast_1d(self.phi_deg).tolist())  # a list would make the grid unhashable
-        if not (len(phi) == 2 and all(isinstance(angle, Real) for angle in phi) and -90 <= phi[0] < phi[1] <= 90):
-            raise OmnistereoError(f"phi_deg is {self.phi_deg}; expected two angles, -90 ≤ first < last ≤ 90 (down > 0)")
+        if not (
+            len(phi) == 2
+            and all(isinstance(angle, Real) for angle in phi)
+            and -90 <= phi[0] < phi[1] <= 90
+        ):
+            raise OmnistereoError(
+                f"phi_deg is {self.phi_deg}; expected two angles, -90 ≤ first < last ≤ 90 (down"
+                " > 0)"
+            )
         object.__setattr__(self, "phi_deg", phi)
         near, far = self.min_depth, self.max_depth
         if not (
-            isinstance(near, Real) and isinstance(far, Real) and 0 < near < far and _NEAREST[0] <= near <= _NEAREST[1]
+            isinstance(near, Real)
+            and isinstance(far, Real)
+            and 0 < near < far
+            and _NEAREST[0] <= near <= _NEAREST[1]
         ):
             raise OmnistereoError(
-                f"min_depth is {near} and max_depth {far}; expected metres with 0 < min_depth < max_depth, at most "
-                f"{_NEAREST[1]:g}. Pass the nearest depth, such as min_depth=rig.min_depth where the rig file has one."
+                f"min_depth is {near} and max_depth {far}; expected metres with 0 < min_depth <"
+                f" max_depth, at most {_NEAREST[1]:g}. Pass the nearest depth, such as"
+                " min_depth=rig.min_depth where the rig file has one."
             )
         if self.sampling not in _SAMPLINGS:
-            raise OmnistereoError(f"sampling is {self.sampling!r}; expected one of {', '.join(_SAMPLINGS)}")
+            raise OmnistereoError(
+                f"sampling is {self.sampling!r}; expected one of {', '.join(_SAMPLINGS)}"
+            )
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -83,16 +107,22 @@ class SphereGrid:
     def thetas(self) -> NDArray[np.float64]:
         """Return θ of every column, shape (W,), radians, in [-π, π]."""
         offset = _SAMPLINGS[self.sampling].column_offset
-        return (np.arange(self.width, dtype=np.float64) + offset - self.width / 2) * (2 * np.pi / self.width)
+        return (np.arange(self.width, dtype=np.float64) + offset - self.width / 2) * (
+            2 * np.pi / self.width
+        )
 
     def phis(self) -> NDArray[np.float64]:
         """Return φ of every row, shape (H,), radians, down positive."""
         sampling = _SAMPLINGS[self.sampling]
         low, high = np.radians(self.phi_deg)
-        return low + (np.arange(self.height) + sampling.row_offset) * (high - low) / (self.height + sampling.extra_rows)
+        return low + (np.arange(self.height) + sampling.row_offset) * (high - low) / (
+            self.height + sampling.extra_rows
+        )
 
     def rays(self) -> NDArray[np.float64]:
-        """Return ρ(p) for every pixel, shape (H, W, 3), unit vectors in the rig frame (paper, Section III-B)."""
+        """Return ρ(p) for every pixel, shape (H, W, 3), unit vectors in the rig frame (paper,
+        Section III-B).
+        """
         theta, phi = self.thetas(), self.phis()[:, None]
         x, y, z = np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta)
         return np.stack(np.broadcast_arrays(x, y, z), -1)
@@ -101,8 +131,8 @@ class SphereGrid:
         """Project points to panorama pixels: the inverse of `rays`.
 
         Args:
-            points (array, shape (..., 3)): Points in the rig frame with its origin at the sweep centre; only their
-                direction matters.
+            points (array, shape (..., 3)): Points in the rig frame with its origin at the sweep
+                centre; only their direction matters.
 
         Returns:
             pixels (shape (..., 2)): (column, row); the column is in [-0.5, W - 0.5).
@@ -118,8 +148,11 @@ class SphereGrid:
         row = (phi - low) * (self.height + extra_rows) / (high - low) - row_offset
         return np.stack([column, row], -1), (row >= -0.5) & (row <= self.height - 0.5)
 
-    def look_up(self, panorama: NDArray[Any], points: ArrayLike) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Return the pixels of a panorama (H, W, …) nearest to the directions of points (..., 3), and as `project`.
+    def look_up(
+        self, panorama: NDArray[Any], points: ArrayLike
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Return the pixels of a panorama (H, W, …) nearest to the directions of points (..., 3),
+        and as `project`.
 
         Beyond the first and the last row, where `valid` is False, they are those of that row.
         """
@@ -150,12 +183,16 @@ class SphereGrid:
         return low + np.asarray(index, np.float64) * (high - low) / (self.num_spheres - 1)
 
     def inverse_depth_to_index(self, inverse_depth: ArrayLike) -> NDArray[np.float64]:
-        """Return the fractional index n̂ of an inverse depth in 1/m; outside [0, N - 1] beyond the swept range."""
+        """Return the fractional index n̂ of an inverse depth in 1/m; outside [0, N - 1] beyond the
+        swept range.
+        """
         low, high = self._inverse_range
         return (np.asarray(inverse_depth, np.float64) - low) * (self.num_spheres - 1) / (high - low)
 
     def index_to_depth(self, index: ArrayLike) -> NDArray[np.float64]:
-        """Return the depth along the ray in metres of a sphere index; infinite at index 0 without a max_depth."""
+        """Return the depth along the ray in metres of a sphere index; infinite at index 0 without a
+        max_depth.
+        """
         with np.errstate(divide="ignore", over="ignore"):
             return 1.0 / self.index_to_inverse_depth(index)
 

@@ -1,1 +1,3 @@
-"""The method, fast: sweep, matching costs, cost volume, SGM, depth, metrics; `reference` defines what they give."""
+"""The method, fast: sweep, matching costs, cost volume, SGM, depth, metrics; `reference` defines
+what they give.
+"""

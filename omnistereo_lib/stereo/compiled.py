@@ -14,7 +14,9 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 def compiled(**options: Any) -> Callable[[_Function], _Function]:
-    """Return `numba.njit` with a cache on disk, or without where neither the package nor the home is writable."""
+    """Return `numba.njit` with a cache on disk, or without where neither the package nor the home
+    is writable.
+    """
 
     def compile_(function: _Function) -> _Function:
         try:
@@ -26,7 +28,10 @@ def compiled(**options: Any) -> Callable[[_Function], _Function]:
 
 
 def _minimum(context: Any, a: Any, b: Any) -> Any:
-    """Return the smaller of two float32 that are not NaN. Python's min keeps Numba from vectorising a reduction."""
+    """Return the smaller of two float32 that are not NaN.
+
+    Python's min keeps Numba from vectorising a reduction.
+    """
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         flags = ("nnan", "nsz")
@@ -35,5 +40,6 @@ def _minimum(context: Any, a: Any, b: Any) -> Any:
     return numba.float32(numba.float32, numba.float32), build
 
 
-# Any: called in compiled code only, with a and b alone; without a compiler (NUMBA_DISABLE_JIT) by Python.
+# Any: called in compiled code only, with a and b alone; without a compiler (NUMBA_DISABLE_JIT) by
+# Python.
 minimum: Any = min if numba.config.DISABLE_JIT else intrinsic(_minimum)  # type: ignore[attr-defined]

@@ -1,4 +1,6 @@
-"""Correlation of the features of all cameras in every cell of a coarse sweep volume; see `volumenet`."""
+"""Correlation of the features of all cameras in every cell of a coarse sweep volume; see
+`volumenet`.
+"""
 
 import math
 from collections.abc import Sequence
@@ -19,24 +21,32 @@ FINER = 320, 48  # and of the finer volume, at most
 
 
 def volume_sizes(grid: SphereGrid, rig: Rig | None = None) -> list[tuple[int, int, int]]:
-    """Return width, height and spheres of the volumes of a grid, coarse to fine, in multiples of 8 for the U-net.
+    """Return width, height and spheres of the volumes of a grid, coarse to fine, in multiples of 8
+    for the U-net.
 
-    The U-net sees a fixed number of cells around each: the coarser they are, the more of the scene, and the finer, the
-    more detail. So there are two, whose logits are averaged: that of the training, and a finer one, at most three
-    quarters as wide as the grid and, given a rig, no wider than suits its images; see `pixels_per_degree`. One no
-    wider than the first is finer in depth alone, and left out for grids of few spheres.
+    The U-net sees a fixed number of cells around each: the coarser they are, the more of the scene,
+    and the finer, the more detail. So there are two, whose logits are averaged: that of the
+    training, and a finer one, at most three quarters as wide as the grid and, given a rig, no wider
+    than suits its images; see `pixels_per_degree`. One no wider than the first is finer in depth
+    alone, and left out for grids of few spheres.
     """
     columns = min(0.75 * grid.width, FINER[0])
     if rig is not None:
-        columns = min(columns, 360 / 4 * min(camera.image_size[0] / camera.max_fov_deg for camera in rig.cameras))
-    columns = max(80 * int(columns / 80), COARSE[0])  # in steps: one that is hardly finer does not pay
+        columns = min(
+            columns,
+            360 / 4 * min(camera.image_size[0] / camera.max_fov_deg for camera in rig.cameras),
+        )
+    # in steps: one that is hardly finer does not pay
+    columns = max(80 * int(columns / 80), COARSE[0])
     finer = columns > COARSE[0] or grid.num_spheres >= 2 * FINER[1]
     cells = [COARSE, (columns, FINER[1])] if finer else [COARSE]
     return [(w, 8 * math.ceil(w * grid.height / grid.width / 8), n) for w, n in cells]
 
 
 def pixels_per_degree(size: tuple[int, int, int]) -> float:
-    """Return the image resolution that suits a volume: features, at half of it, are twice as fine as its cells."""
+    """Return the image resolution that suits a volume: features, at half of it, are twice as fine
+    as its cells.
+    """
     return 4 * size[0] / 360
 
 
@@ -50,7 +60,8 @@ def feature_coordinates(
         size: Of the volume: (W', H', N'). See `volume_sizes`.
 
     Returns:
-        list of float32 tensors, shape (W', H', N', 2): Feature pixels, NaN where the cell is not visible to the camera.
+        list of float32 tensors, shape (W', H', N', 2): Feature pixels, NaN where the cell is not
+        visible to the camera.
     """
     rays, inverse_depth = volume_cells(grid, size)
     return project_cells(rig, rays.to(device), inverse_depth.to(device))
@@ -59,7 +70,9 @@ def feature_coordinates(
 def volume_cells(grid: SphereGrid, size: tuple[int, int, int]) -> tuple[Tensor, Tensor]:
     """Return rays (W', H', 3) and inverse depths (N', 1) in 1/m of the cells of a volume of a size."""
     width, height, spheres = size
-    rays = torch.from_numpy(replace(grid, width=width, height=height).rays()).float().transpose(0, 1)
+    rays = (
+        torch.from_numpy(replace(grid, width=width, height=height).rays()).float().transpose(0, 1)
+    )
     index = (np.arange(spheres) + 0.5) * grid.num_spheres / spheres - 0.5
     return rays, torch.from_numpy(grid.index_to_inverse_depth(index)).float()[:, None]
 
@@ -69,22 +82,27 @@ def project_cells(rig: Rig, rays: Tensor, inverse_depth: Tensor) -> list[Tensor]
     coordinates = []
     for camera, pose in zip(rig.cameras, rig.T_rig_cam, strict=True):
         T_cam_rig = pose.inverse()
-        R, t = (torch.tensor(a, dtype=torch.float32, device=rays.device) for a in (T_cam_rig.R, T_cam_rig.t))
+        R, t = (
+            torch.tensor(a, dtype=torch.float32, device=rays.device)
+            for a in (T_cam_rig.R, T_cam_rig.t)
+        )
         uv, visible = camera.project((rays @ R.T)[:, :, None] + inverse_depth * t)
-        coordinates.append(torch.where(visible[..., None], uv / 2, torch.nan))  # maps have every second pixel
+        # maps have every second pixel
+        coordinates.append(torch.where(visible[..., None], uv / 2, torch.nan))
     return coordinates
 
 
 def correlate(features: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tensor:
-    """Correlate the features of all cameras to which a cell is visible, in groups of channels; see `reference`.
+    """Correlate the features of all cameras to which a cell is visible, in groups of channels; see
+    `reference`.
 
     Args:
         features: one tensor per camera, shape (32, h, w)
         coordinates (one tensor per camera, shape (W, H, N, 2)): See `feature_coordinates`.
 
     Returns:
-        tensor, shape (9, W, H, N): Eight correlations, 0 where k < 2, and k / 4, where k is the number of cameras to
-            which the cell is visible.
+        tensor, shape (9, W, H, N): Eight correlations, 0 where k < 2, and k / 4, where k is the
+            number of cameras to which the cell is visible.
     """
     if features[0].device.type != "cpu":
         return reference.correlate(features, coordinates, GROUPS)

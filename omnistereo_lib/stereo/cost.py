@@ -1,4 +1,6 @@
-"""A matching cost: one method, from sweep, images and camera pairs to the cost volume (paper, Section III-B)."""
+"""A matching cost: one method, from sweep, images and camera pairs to the cost volume (paper,
+Section III-B).
+"""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -16,10 +18,17 @@ from omnistereo_lib.stereo.threads import map_threads
 
 
 class Cost(Protocol):
-    """A matching cost. `ZNCC`, `LearnedCost`, the networks and everything derived from `BlockCost` are costs."""
+    """A matching cost.
+
+    `ZNCC`, `LearnedCost`, the networks and everything derived from `BlockCost` are costs.
+    """
 
     def volume(
-        self, sweep: SphereSweep, images: Sequence[ArrayLike], pairs: Sequence[Pair], progress: Progress = silent
+        self,
+        sweep: SphereSweep,
+        images: Sequence[ArrayLike],
+        pairs: Sequence[Pair],
+        progress: Progress = silent,
     ) -> Tensor:
         """Return the cost volume C(p, n) of a frame.
 
@@ -29,38 +38,49 @@ class Cost(Protocol):
             progress: Called with parts done, parts in all and the next part; see `progress`.
 
         Returns:
-            float32 tensor, shape (H, W, N), on the device of the sweep: Cost in [0, 1], 0 = match; NaN where the point
-                is not visible to both cameras of any pair.
+            float32 tensor, shape (H, W, N), on the device of the sweep: Cost in [0, 1], 0 = match;
+                NaN where the point is not visible to both cameras of any pair.
         """
 
 
 class BlockCost(ABC):
-    """Base of a cost that compares images warped onto a block of spheres: a subclass has `__call__`, see `COSTS`."""
+    """Base of a cost that compares images warped onto a block of spheres: a subclass has
+    `__call__`, see `COSTS`.
+    """
 
-    one_thread: ClassVar[bool] = False  # whether `__call__` runs in one thread, so that each block can have one
+    # whether `__call__` runs in one thread, so that each block can have one
+    one_thread: ClassVar[bool] = False
 
     @abstractmethod
     def __call__(
-        self, spherical_images: Tensor, pairs: Sequence[Pair], columns: Sequence[tuple[int, int]] | None = None
+        self,
+        spherical_images: Tensor,
+        pairs: Sequence[Pair],
+        columns: Sequence[tuple[int, int]] | None = None,
     ) -> Tensor:
         """Return the mean cost over camera pairs (Eq. 2) for a block of spheres.
 
         Args:
-            spherical_images (float32 tensor, shape (cameras, B, H, W)): Images warped onto B spheres, NaN where the ray
-                is not visible to the camera.
-            columns: Visible columns (start, width) of each camera, around the seam; all others may be skipped. Default:
-                all columns.
+            spherical_images (float32 tensor, shape (cameras, B, H, W)): Images warped onto B
+                spheres, NaN where the ray is not visible to the camera.
+            columns: Visible columns (start, width) of each camera, around the seam; all others may
+                be skipped. Default: all columns.
 
         Returns:
-            float32 tensor, shape (H, W, B): Cost in [0, 1], NaN where the ray is not visible to both cameras of any
-                pair.
+            float32 tensor, shape (H, W, B): Cost in [0, 1], NaN where the ray is not visible to
+                both cameras of any pair.
         """
 
     def volume(
-        self, sweep: SphereSweep, images: Sequence[ArrayLike], pairs: Sequence[Pair], progress: Progress = silent
+        self,
+        sweep: SphereSweep,
+        images: Sequence[ArrayLike],
+        pairs: Sequence[Pair],
+        progress: Progress = silent,
     ) -> Tensor:
         """Return the cost volume, one block of spheres at a time; see `Cost`."""
-        # A block of spheres per thread, if the cost runs in one; each thread has a buffer for the warped images.
+        # A block of spheres per thread, if the cost runs in one; each thread has a buffer for the
+        # warped images.
         normalized = sweep.normalize_images(images)  # cameras × (h, w)
         (H, W), on_cpu, blocks = sweep.grid.shape, sweep.device.type == "cpu", sweep.blocks()
         volume = torch.empty(H, W, sweep.grid.num_spheres, dtype=torch.float32, device=sweep.device)
@@ -70,7 +90,8 @@ class BlockCost(ABC):
         def fill(spheres: range) -> None:
             # Warp and compare.
             buffer = buffers.pop()
-            out = buffer if len(spheres) == buffer.shape[-1] else None  # the last block may be smaller
+            # the last block may be smaller
+            out = buffer if len(spheres) == buffer.shape[-1] else None
             block = sweep.warp_block(normalized, spheres, out)  # (cameras, B, H, W); Eq. 1
             columns = [sweep.visible_columns(camera, spheres) for camera in range(len(sweep.rig))]
             costs = self(block, pairs, columns)  # (H, W, B); Eq. 2
@@ -78,10 +99,15 @@ class BlockCost(ABC):
             target = volume[:, :, spheres.start : spheres.stop]
             shape = tuple(getattr(costs, "shape", ()))
             if shape != target.shape:
-                wrong = f"{shortened(self)} gives {f'costs of shape {shape}' if shape else shortened(costs)}"
+                wrong = (
+                    f"{shortened(self)} gives"
+                    f" {f'costs of shape {shape}' if shape else shortened(costs)}"
+                )
                 raise OmnistereoError(f"{wrong}; expected (H, W, spheres) = {tuple(target.shape)}")
             costs = torch.as_tensor(costs)
-            if on_cpu:  # by NumPy: torch has threads of its own, which spin after each operation and slow these down
+            # by NumPy: torch has threads of its own, which spin after each operation and slow these
+            # down
+            if on_cpu:
                 target.numpy()[:] = costs.detach().float().numpy()
             else:
                 target.copy_(costs)

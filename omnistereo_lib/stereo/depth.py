@@ -23,11 +23,11 @@ def winner_takes_all(volume: ArrayLike | Tensor, subindex: bool = False) -> Tens
     """Return the index of the best sphere, n* = argmin_n C(p, n) (paper, Section III-B).
 
     Args:
-        volume (float tensor or array, shape (H, W, N)): Costs, N ≥ 2; NaN cells are never the best. Another shape
-            raises an `OmnistereoError`.
-        subindex: Refine n* to the vertex of the parabola through its cost and the costs of its two neighbours, by at
-            most half a sphere. The spheres are evenly spaced in inverse depth, in which the index is linear. An index
-            at either end, or next to a NaN, stays.
+        volume (float tensor or array, shape (H, W, N)): Costs, N ≥ 2; NaN cells are never the best.
+            Another shape raises an `OmnistereoError`.
+        subindex: Refine n* to the vertex of the parabola through its cost and the costs of its two
+            neighbours, by at most half a sphere. The spheres are evenly spaced in inverse depth, in
+            which the index is linear. An index at either end, or next to a NaN, stays.
 
     Returns:
         float32 tensor, shape (H, W): Sphere index; NaN where every cell is NaN.
@@ -43,14 +43,15 @@ def winner_takes_all(volume: ArrayLike | Tensor, subindex: bool = False) -> Tens
 def confidence(volume: ArrayLike | Tensor) -> Tensor:
     """Return 1 - C(n*)/C(n₂), where n₂ is the best sphere that is not n* or next to it.
 
-    This is the peak ratio (PKRN; Hu & Mordohai 2012), mapped to [0, 1]. Its value depends on the scale of the volume;
-    its order, which `sparsification` evaluates, hardly does.
+    This is the peak ratio (PKRN; Hu & Mordohai 2012), mapped to [0, 1]. Its value depends on the
+    scale of the volume; its order, which `sparsification` evaluates, hardly does.
 
     Args:
         volume: As for `winner_takes_all`; costs of at least 0, raw or aggregated.
 
     Returns:
-        float32 tensor, shape (H, W), in [0, 1]: NaN where every cell is NaN; 1 where there is no n₂.
+        float32 tensor, shape (H, W), in [0, 1]: NaN where every cell is NaN; 1 where there is no
+        n₂.
 
     >>> osl.confidence(np.array([[[0.4, 0.2, 0.1, 0.2, 0.4]]]))  # n* = 2, n₂ = 0
     tensor([[0.7500]])
@@ -58,13 +59,19 @@ def confidence(volume: ArrayLike | Tensor) -> Tensor:
     return index_and_confidence(volume)[1]
 
 
-def index_and_confidence(volume: ArrayLike | Tensor, subindex: bool = False) -> tuple[Tensor, Tensor]:
-    """Return what `winner_takes_all` and `confidence` do, in one pass over the volume, some rows at a time."""
+def index_and_confidence(
+    volume: ArrayLike | Tensor, subindex: bool = False
+) -> tuple[Tensor, Tensor]:
+    """Return what `winner_takes_all` and `confidence` do, in one pass over the volume, some rows at
+    a time.
+    """
 
     def read_out(rows: Tensor) -> Tensor:  # (h, W, N) → (2, h, W)
         if rows.device.type == "cpu":
             return winner_numba.winner_and_confidence(rows.float(), subindex)
-        return torch.stack([reference.winner(rows.float(), subindex), reference.confidence(rows.float())])
+        return torch.stack(
+            [reference.winner(rows.float(), subindex), reference.confidence(rows.float())]
+        )
 
     volume = as_volume(volume)  # (H, W, N)
     parts = map_threads(read_out, volume.split(max(1, _CELLS // volume[0].numel())))
@@ -116,11 +123,13 @@ class Depth:
         return self.grid.index_to_depth(self.index)
 
     def panorama(self) -> NDArray[np.float32]:
-        """Return the reference panorama: the images sampled at the estimated depth (paper, Fig. 1, 9).
+        """Return the reference panorama: the images sampled at the estimated depth (paper, Fig. 1,
+        9).
 
         Returns:
-            float32 array, shape (H, W) or (H, W, 3), in the range of the images: Mean over the cameras to which the
-                point is visible; NaN where there is none, or no depth. A wrong depth shows as a double contour.
+            float32 array, shape (H, W) or (H, W, 3), in the range of the images: Mean over the
+                cameras to which the point is visible; NaN where there is none, or no depth. A wrong
+                depth shows as a double contour.
         """
         samples = np.stack(self.sweep.warp(self.images, self.index))
         visible = np.isfinite(samples)
@@ -128,27 +137,34 @@ class Depth:
             return np.where(visible, samples, 0).sum(0) / visible.sum(0, dtype=np.float32)
 
     def agreement(self) -> NDArray[np.float32]:
-        """Return the photo-consistency of two cameras at the estimated depth, a check without ground truth.
+        """Return the photo-consistency of two cameras at the estimated depth, a check without
+        ground truth.
 
-        For each ray, the two cameras whose optical axes are nearest to the point are sampled at the estimated depth
-        and correlated (ZNCC) over 9 × 9 rays, so that gain and vignetting matter little.
+        For each ray, the two cameras whose optical axes are nearest to the point are sampled at the
+        estimated depth and correlated (ZNCC) over 9 × 9 rays, so that gain and vignetting matter
+        little.
 
         Returns:
-            float32 array, shape (H, W), in [-1, 1]: 1 where both show the same, 0 in windows without texture; NaN where
+            float32 array, shape (H, W), in [-1, 1]: 1 where both show the same, 0 in windows
+            without texture; NaN where
                 the point is visible to fewer than two cameras, or there is no depth.
         """
         gray = [image.cpu().numpy() for image in self.sweep.normalize_images(self.images)]
         samples = np.stack(self.sweep.warp(gray, self.index))
-        angles = np.stack([self.sweep.off_axis_angles(camera, self.index) for camera in range(len(gray))])
+        angles = np.stack(
+            [self.sweep.off_axis_angles(camera, self.index) for camera in range(len(gray))]
+        )
         best = np.argsort(np.where(np.isnan(samples), np.inf, angles), axis=0)[:2]
-        best.sort(axis=0)  # camera order, or a window would mix the two where the nearer one changes
+        # camera order, or a window would mix the two where the nearer one changes
+        best.sort(axis=0)
         two = torch.from_numpy(np.take_along_axis(samples, best, axis=0))
         return 1 - 2 * ZNCC(window=9)(two[:, None], [(0, 1)])[..., 0].numpy()
 
     def point_cloud(
         self, max_depth: float = 50.0, min_confidence: float = 0.0
     ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-        """Return the estimated points, and their colours in the `panorama`, for images with values 0 to 255.
+        """Return the estimated points, and their colours in the `panorama`, for images with values
+        0 to 255.
 
         Args:
             max_depth: Largest depth in metres; beyond it, one sphere index is many metres.
@@ -163,4 +179,6 @@ class Depth:
         colors = self.panorama()
         colors = np.repeat(colors[..., None], 3, -1) if colors.ndim == 2 else colors
         keep &= np.isfinite(colors[..., 0])
-        return self.grid.rays()[keep] * depth[keep, None], np.clip(colors[keep].round(), 0, 255).astype(np.uint8)
+        return self.grid.rays()[keep] * depth[keep, None], np.clip(
+            colors[keep].round(), 0, 255
+        ).astype(np.uint8)

@@ -26,7 +26,9 @@ def select_device(device: torch.device | str) -> torch.device:
         raise OmnistereoError(f'device is {device!r}; expected "cpu" or "cuda"') from None
     if device.type == "cuda":
         if (device.index or 0) >= (count := torch.cuda.device_count()):
-            raise OmnistereoError(f'device is "{device}"; PyTorch finds {count or "no"} CUDA GPU. Pass device="cpu".')
+            raise OmnistereoError(
+                f'device is "{device}"; PyTorch finds {count or "no"} CUDA GPU. Pass device="cpu".'
+            )
         device = torch.device("cuda", number_from_environment("LOCAL_RANK", device.index or 0))
         torch.cuda.set_device(device)
     return device
@@ -36,27 +38,34 @@ def number_from_environment(name: str, default: int) -> int:
     """Return a number that `torchrun` sets for each of its processes; the default where it has not."""
     value = os.environ.get(name, str(default))
     if not re.fullmatch("[0-9]{1,6}", value):
-        raise OmnistereoError(f"{name} in the environment is {shortened(value)}; expected a number. Unset it.")
+        raise OmnistereoError(
+            f"{name} in the environment is {shortened(value)}; expected a number. Unset it."
+        )
     return int(value)
 
 
 def check_memory(cameras: int, grid: SphereGrid, device: torch.device) -> None:
-    """Refuse a panorama that needs more than three quarters of the available memory; the rest is for lookup tables.
+    """Refuse a panorama that needs more than three quarters of the available memory; the rest is
+    for lookup tables.
 
     Raises:
         OmnistereoError: With the size needed and the size available.
     """
-    # Bytes per ray, measured: a block of spheres in sweep and cost, then the volume and the copies that SGM makes.
+    # Bytes per ray, measured: a block of spheres in sweep and cost, then the volume and the copies
+    # that SGM makes.
     if device.type == "cpu":
-        more_blocks = min(torch.get_num_threads(), math.ceil(grid.num_spheres / BLOCK)) - 1  # see `BlockCost.volume`
+        # see `BlockCost.volume`
+        more_blocks = min(torch.get_num_threads(), math.ceil(grid.num_spheres / BLOCK)) - 1
         per_ray = 400 + 225 * cameras + 9 * grid.num_spheres + more_blocks * (250 + 64 * cameras)
     else:
-        per_ray = 1800 + 128 * cameras + 18 * grid.num_spheres  # with the costs of a block for every pair of a ring
+        # with the costs of a block for every pair of a ring
+        per_ray = 1800 + 128 * cameras + 18 * grid.num_spheres
     need, free = grid.width * grid.height * per_ray, 0.75 * available_memory(device)
     if need > free:
         raise OmnistereoError(
-            f"a panorama of {grid.width} × {grid.height} with {grid.num_spheres} spheres needs {need / 2**30:.1f} GiB "
-            f"of {device} memory; {free / 2**30:.1f} GiB are available. Use fewer spheres or a smaller panorama."
+            f"a panorama of {grid.width} × {grid.height} with {grid.num_spheres} spheres needs"
+            f" {need / 2**30:.1f} GiB of {device} memory; {free / 2**30:.1f} GiB are available. Use"
+            " fewer spheres or a smaller panorama."
         )
 
 

@@ -16,13 +16,19 @@ from omnistereo_lib.geometry.rig import Rig
 def to_gray(image: NDArray[Any]) -> NDArray[np.float32]:
     """Return an image (height, width) or RGB (height, width, 3) in gray, float32 (BT.601 luma)."""
     image = np.ascontiguousarray(image, np.float32)
-    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.float32)
+    return (
+        image
+        if image.ndim == 2
+        else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.float32)
+    )
 
 
 def blur_px(spacing: float) -> float:
-    """Return σ of the Gaussian that keeps samples `spacing` pixels apart from aliasing, in pixels; 0: none is needed.
+    """Return σ of the Gaussian that keeps samples `spacing` pixels apart from aliasing, in pixels;
+    0: none is needed.
 
-    The usual choice is half the spacing. An image is about as sharp as its pixels allow, σ = 0.5, and variances add.
+    The usual choice is half the spacing. An image is about as sharp as its pixels allow, σ = 0.5,
+    and variances add.
     """
     return 0.5 * math.sqrt(spacing**2 - 1) if spacing > 1.1 else 0.0
 
@@ -32,8 +38,11 @@ def blur(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
     return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.float32) if sigma else image
 
 
-def reduce_images(rig: Rig, images: Sequence[ArrayLike], pixels_per_degree: float) -> tuple[Rig, list[NDArray[Any]]]:
-    """Return cameras and images of about a resolution, if theirs is higher: pixels are averaged in whole blocks.
+def reduce_images(
+    rig: Rig, images: Sequence[ArrayLike], pixels_per_degree: float
+) -> tuple[Rig, list[NDArray[Any]]]:
+    """Return cameras and images of about a resolution, if theirs is higher: pixels are averaged in
+    whole blocks.
 
     Args:
         images: one array per camera, (height, width) or (height, width, 3)

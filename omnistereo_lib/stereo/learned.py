@@ -1,8 +1,9 @@
-"""Learned matching costs: `PairNetwork` is a network written plainly, `LearnedCost` runs one quickly over all pairs.
+"""Learned matching costs: `PairNetwork` is a network written plainly, `LearnedCost` runs one
+quickly over all pairs.
 
-`LearnedCost` extracts the features of each camera once, however many pairs it is in, and matches two cameras only in
-the columns that both see, with a halo for what the convolutions read beyond them. Both are exact: what is left out
-cannot change a cost that is kept.
+`LearnedCost` extracts the features of each camera once, however many pairs it is in, and matches
+two cameras only in the columns that both see, with a halo for what the convolutions read beyond
+them. Both are exact: what is left out cannot change a cost that is kept.
 """
 
 from __future__ import annotations
@@ -31,17 +32,22 @@ Precision = Literal["auto", "float32", "bfloat16"]
 _LEAST_GAIN = 1.3  # in time, for which digits are given up
 
 
-def choose_precision(precision: Precision, device: torch.device | str) -> Literal["float32", "bfloat16"]:
-    """Return in which precision a device multiplies (weights, sums, the first and the last layer stay float32).
+def choose_precision(
+    precision: Precision, device: torch.device | str
+) -> Literal["float32", "bfloat16"]:
+    """Return in which precision a device multiplies (weights, sums, the first and the last layer
+    stay float32).
 
-    "auto": on a GPU bfloat16 where its hardware has it; on a CPU where, besides, it was 1.3 times as fast as float32 in
-    a trial of 20 ms, once a process.
+    "auto": on a GPU bfloat16 where its hardware has it; on a CPU where, besides, it was 1.3 times
+    as fast as float32 in a trial of 20 ms, once a process.
 
     Raises:
         OmnistereoError: If the precision is none of the three.
     """
     if precision not in ("auto", "float32", "bfloat16"):
-        raise OmnistereoError(f'precision = {precision!r}; expected "auto", "float32" or "bfloat16"')
+        raise OmnistereoError(
+            f'precision = {precision!r}; expected "auto", "float32" or "bfloat16"'
+        )
     if precision != "auto":
         return precision
     on_gpu = torch.device(device).type == "cuda"
@@ -51,7 +57,9 @@ def choose_precision(precision: Precision, device: torch.device | str) -> Litera
 
 @cache
 def _bfloat16_pays() -> bool:
-    """Return whether this CPU runs a layer enough faster in bfloat16; some that have instructions for it do not."""
+    """Return whether this CPU runs a layer enough faster in bfloat16; some that have instructions
+    for it do not.
+    """
     flags = torch.cpu.get_capabilities()
     if not (flags.get("amx_bf16") or flags.get("avx512_bf16")):
         return False  # emulated, up to hundreds of times slower: not even tried
@@ -73,33 +81,44 @@ def _layer_seconds(precision: Precision) -> float:
 
 def autocast(precision: Precision, device: torch.device) -> torch.autocast:
     """Return the context in which matrix products run in a precision; see `choose_precision`."""
-    return torch.autocast(device.type, torch.bfloat16, enabled=choose_precision(precision, device) == "bfloat16")
+    return torch.autocast(
+        device.type, torch.bfloat16, enabled=choose_precision(precision, device) == "bfloat16"
+    )
 
 
 def full_precision(x: Tensor) -> torch.autocast:
-    """Return the context in which nothing runs in bfloat16: for the first and the last layer of a network."""
+    """Return the context in which nothing runs in bfloat16: for the first and the last layer of a
+    network.
+    """
     return torch.autocast(x.device.type, enabled=False)
 
 
 class PairNetwork(StoredNetwork, ABC):
     """A network that maps two spherical images to a cost map; see `SweepNet` and `MCCNN`.
 
-    Its `forward` is composed of `extract_features`, `match_features`, `score_pixels` and `to_cost`, which know nothing
-    of the panorama around what they are given. Strips of columns can therefore run by themselves, if they carry a halo
-    that is cut off afterwards:
+    Its `forward` is composed of `extract_features`, `match_features`, `score_pixels` and `to_cost`,
+    which know nothing of the panorama around what they are given. Strips of columns can therefore
+    run by themselves, if they carry a halo that is cut off afterwards:
 
         | halo |  columns start … stop - 1  | halo |
 
     """
 
     stride: ClassVar[int] = 1  # columns of the panorama per column of features
-    padding: ClassVar[tuple[int, int]]  # px, rows (of 0) and columns that `extract_features` takes off each side
-    feature_halo: ClassVar[int] = 0  # columns of features at each side that `extract_features` gets wrong
-    match_halo: ClassVar[int] = 0  # columns of features at each side that `match_features` gets wrong
+    # px, rows (of 0) and columns that `extract_features` takes off each side
+    padding: ClassVar[tuple[int, int]]
+    # columns of features at each side that `extract_features` gets wrong
+    feature_halo: ClassVar[int] = 0
+    # columns of features at each side that `match_features` gets wrong
+    match_halo: ClassVar[int] = 0
     wrap: bool = True  # whether every layer continues around the ±180° seam
 
     def volume(
-        self, sweep: SphereSweep, images: Sequence[ArrayLike], pairs: Sequence[Pair], progress: Progress = silent
+        self,
+        sweep: SphereSweep,
+        images: Sequence[ArrayLike],
+        pairs: Sequence[Pair],
+        progress: Progress = silent,
     ) -> Tensor:
         """Return the cost volume, as `LearnedCost` computes it; see `Cost`."""
         return LearnedCost(self).volume(sweep, images, pairs, progress)
@@ -124,42 +143,66 @@ class PairNetwork(StoredNetwork, ABC):
         return torch.sigmoid(score)
 
     def pad_columns(self, images: Tensor, start: int, stop: int) -> Tensor:
-        """Cut feature columns start … stop - 1, which may lie beyond the seam, out of panoramas, with `padding`."""
+        """Cut feature columns start … stop - 1, which may lie beyond the seam, out of panoramas,
+        with `padding`.
+        """
         rows, columns = self.padding
-        index = torch.arange(self.stride * start - columns, self.stride * stop + columns, device=images.device)
+        index = torch.arange(
+            self.stride * start - columns, self.stride * stop + columns, device=images.device
+        )
         return pad(images.index_select(-1, index % images.shape[-1]), (0, 0, rows, rows))
 
     def add_halo(self, start: int, stop: int, halo: int, total: int) -> tuple[int, int]:
         """Widen a strip of feature columns: around the seam, or without `wrap` up to the seam."""
-        return (start - halo, stop + halo) if self.wrap else (max(start - halo, 0), min(stop + halo, total))
+        return (
+            (start - halo, stop + halo)
+            if self.wrap
+            else (max(start - halo, 0), min(stop + halo, total))
+        )
 
     def extract_columns(self, images: Tensor, columns: tuple[int, int]) -> Features:
-        """Extract what matching in the columns (start, width) needs from panoramas (M, H, W), NaN where unseen."""
+        """Extract what matching in the columns (start, width) needs from panoramas (M, H, W), NaN
+        where unseen.
+        """
         total = images.shape[-1] // self.stride
         start, stop = columns[0] // self.stride, -(-sum(columns) // self.stride)
         start, stop = self.add_halo(start, stop, self.match_halo, total)
         if stop - start >= total or not self.wrap:
             start, stop = 0, total
         low, high = self.add_halo(start, stop, self.feature_halo, total)
-        maps = self.extract_features(self.pad_columns(images.masked_fill(images.isnan(), 0.0), low, high))
+        maps = self.extract_features(
+            self.pad_columns(images.masked_fill(images.isnan(), 0.0), low, high)
+        )
         return Features(maps[..., start - low : stop - low], start, total)
 
     def match_columns(self, left: Features, right: Features, start: int, stop: int) -> Tensor:
         """Run `match_features` on the feature columns start … stop - 1: (B, H, pixels, K)."""
         low, high = self.add_halo(start, stop, self.match_halo, left.total)
-        pixels = self.match_features(left.wrapped_columns(low, high), right.wrapped_columns(low, high))
+        pixels = self.match_features(
+            left.wrapped_columns(low, high), right.wrapped_columns(low, high)
+        )
         return pixels[:, :, self.stride * (start - low) : self.stride * (stop - low)]
 
-    def shared_strips(self, a: tuple[int, int], b: tuple[int, int], W: int) -> Iterator[tuple[int, int]]:
-        """Yield (start, stop) of the feature columns in which two cameras see, given their columns (start, width)."""
+    def shared_strips(
+        self, a: tuple[int, int], b: tuple[int, int], W: int
+    ) -> Iterator[tuple[int, int]]:
+        """Yield (start, stop) of the feature columns in which two cameras see, given their columns
+        (start, width).
+        """
         for first, width in common_columns(a, b, W):
             start, stop = first // self.stride, -(-(first + width) // self.stride)
-            yield from [(start, stop)] if self.wrap else split_at_seam(start, stop - start, W // self.stride)
+            yield from (
+                [(start, stop)]
+                if self.wrap
+                else split_at_seam(start, stop - start, W // self.stride)
+            )
 
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """Features (B, C, h, columns) of one camera, from column `start` of `total` around the panorama."""
+    """Features (B, C, h, columns) of one camera, from column `start` of `total` around the
+    panorama.
+    """
 
     maps: Tensor
     start: int
@@ -170,16 +213,19 @@ class Features:
         index = (torch.arange(start, stop, device=self.maps.device) - self.start) % self.total
         if self.maps.stride(1) > 1:
             return self.maps.index_select(-1, index)
-        return self.maps.permute(0, 2, 3, 1).index_select(2, index).permute(0, 3, 1, 2)  # stays channels last
+        # stays channels last
+        return self.maps.permute(0, 2, 3, 1).index_select(2, index).permute(0, 3, 1, 2)
 
 
 class LearnedCost(BlockCost):
-    """A network as a matching cost, called like `ZNCC`: the same costs as from the network, many times faster.
+    """A network as a matching cost, called like `ZNCC`: the same costs as from the network, many
+    times faster.
 
     Args:
-        network: Put into channels-last memory; if it is in training mode or on another device than the sweep, a copy
-            computes.
-        precision: Of the matrix products; see `choose_precision`. Another one raises an `OmnistereoError`.
+        network: Put into channels-last memory; if it is in training mode or on another device than
+            the sweep, a copy computes.
+        precision: Of the matrix products; see `choose_precision`. Another one raises an
+            `OmnistereoError`.
 
     >>> frame = osl.load_dataset("data_samples/sunny", split="test")[0]
     >>> sweep = osl.SphereSweep(frame.rig, osl.SphereGrid(64, 16, num_spheres=4, min_depth=1.65))
@@ -195,7 +241,11 @@ class LearnedCost(BlockCost):
         self.precision = precision
 
     def volume(
-        self, sweep: SphereSweep, images: Sequence[ArrayLike], pairs: Sequence[Pair], progress: Progress = silent
+        self,
+        sweep: SphereSweep,
+        images: Sequence[ArrayLike],
+        pairs: Sequence[Pair],
+        progress: Progress = silent,
     ) -> Tensor:
         """Return the cost volume, one block of spheres at a time; see `Cost`."""
         self.network = self.network.ready(sweep.device)
@@ -203,12 +253,16 @@ class LearnedCost(BlockCost):
 
     @torch.no_grad()
     def __call__(
-        self, spherical_images: Tensor, pairs: Sequence[Pair], columns: Sequence[tuple[int, int]] | None = None
+        self,
+        spherical_images: Tensor,
+        pairs: Sequence[Pair],
+        columns: Sequence[tuple[int, int]] | None = None,
     ) -> Tensor:
-        """Return the mean cost over camera pairs (Eq. 2) for a block of spheres, (H, W, B); see `BlockCost`.
+        """Return the mean cost over camera pairs (Eq. 2) for a block of spheres, (H, W, B); see
+        `BlockCost`.
 
-        Images and network are on one device. Raises an `OmnistereoError` if the network cannot take a panorama of
-        this size.
+        Images and network are on one device. Raises an `OmnistereoError` if the network cannot take
+        a panorama of this size.
         """
         cameras, B, H, W = spherical_images.shape
         device = spherical_images.device
@@ -221,21 +275,33 @@ class LearnedCost(BlockCost):
         with autocast(self.precision, device):
             for first in range(0, B, spheres):
                 block = slice(first, first + spheres)
-                self._add_costs(spherical_images[:, block], pairs, columns, total[block], count[block])
+                self._add_costs(
+                    spherical_images[:, block], pairs, columns, total[block], count[block]
+                )
         return (total / count).permute(1, 2, 0)  # 0/0 = NaN where no pair sees the ray
 
     def _add_costs(
-        self, images: Tensor, pairs: Sequence[Pair], columns: Sequence[tuple[int, int]], total: Tensor, count: Tensor
+        self,
+        images: Tensor,
+        pairs: Sequence[Pair],
+        columns: Sequence[tuple[int, int]],
+        total: Tensor,
+        count: Tensor,
     ) -> None:
         """Add the costs and the visibility of all pairs to total and count (B, H, W)."""
         network, W, device = self.network, images.shape[-1], images.device
-        cameras = {i for pair in pairs for i in pair if columns[i][1]}  # without those that see nothing
+        # without those that see nothing
+        cameras = {i for pair in pairs for i in pair if columns[i][1]}
         features = {i: network.extract_columns(images[i], columns[i]) for i in cameras}
         chunk = 1 << 11 if device.type == "cpu" else 1 << 19  # pixels; as for the spheres
         for i, j in pairs:
             for start, stop in network.shared_strips(columns[i], columns[j], W):
-                strip = torch.arange(network.stride * start, network.stride * stop, device=device) % W
-                visible = ~(images[i].index_select(-1, strip) + images[j].index_select(-1, strip)).isnan()
+                strip = (
+                    torch.arange(network.stride * start, network.stride * stop, device=device) % W
+                )
+                visible = ~(
+                    images[i].index_select(-1, strip) + images[j].index_select(-1, strip)
+                ).isnan()
                 pixels = network.match_columns(features[i], features[j], start, stop)[visible]
                 scores = torch.cat([network.score_pixels(part) for part in pixels.split(chunk)])
                 cost = torch.zeros(visible.shape, dtype=torch.float32, device=device)

@@ -1,4 +1,6 @@
-"""MC-CNN, the learned cost of 9 × 9 patches that the paper compares with (Žbontar & LeCun, JMLR 2016)."""
+"""MC-CNN, the learned cost of 9 × 9 patches that the paper compares with (Žbontar & LeCun, JMLR
+2016).
+"""
 
 from itertools import pairwise
 from typing import Any, Literal, Self
@@ -19,10 +21,10 @@ Variant = Literal["fast", "accurate"]
 class MCCNN(PairNetwork):
     """MC-CNN: two spherical images → cost map, 0 = match, 1 = no match.
 
-    Four 3 × 3 convolutions extract the features of a patch. "fast" compares them by their cosine, cost
-    (1 - cos)/2; "accurate" by four fully connected layers of 384 and a sigmoid. Whole panoramas run at once,
-    which equals patch by patch. A patch wraps around the ±180° seam; it is 0, the mean gray value, where a camera
-    does not see and above and below the panorama.
+    Four 3 × 3 convolutions extract the features of a patch. "fast" compares them by their cosine,
+    cost (1 - cos)/2; "accurate" by four fully connected layers of 384 and a sigmoid. Whole
+    panoramas run at once, which equals patch by patch. A patch wraps around the ±180° seam; it is
+    0, the mean gray value, where a camera does not see and above and below the panorama.
 
     Args:
         variant: 111,424 and 870,449 parameters; another one raises `OmnistereoError`.
@@ -62,17 +64,25 @@ class MCCNN(PairNetwork):
     def check_size(self, H: int, W: int) -> None:
         """Refuse panoramas smaller than a patch."""
         if min(H, W) < PATCH:
-            raise OmnistereoError(f"panorama of {W} × {H} pixels; expected at least a patch of {PATCH} × {PATCH}")
+            raise OmnistereoError(
+                f"panorama of {W} × {H} pixels; expected at least a patch of {PATCH} × {PATCH}"
+            )
 
     def forward(self, left: Tensor, right: Tensor) -> Tensor:
-        """Return the cost map in [0, 1] of two spherical images, shape (B, H, W) each, 0 where unseen."""
+        """Return the cost map in [0, 1] of two spherical images, shape (B, H, W) each, 0 where
+        unseen.
+        """
         H, W = left.shape[1:]
         self.check_size(H, W)
-        left, right = (self.extract_features(self.pad_columns(image, 0, W)) for image in (left, right))
+        left, right = (
+            self.extract_features(self.pad_columns(image, 0, W)) for image in (left, right)
+        )
         return self.to_cost(self.score_pixels(self.match_features(left, right)))
 
     def extract_features(self, images: Tensor) -> Tensor:
-        """Return features, in the fast variant of unit length, of every whole patch: (B, maps, h - 8, w - 8)."""
+        """Return features, in the fast variant of unit length, of every whole patch: (B, maps, h -
+        8, w - 8).
+        """
         x = images[:, None]
         with full_precision(x):  # the texture of a patch may be faint beside its brightness
             x = relu_(self.tower[0](x))
@@ -82,13 +92,17 @@ class MCCNN(PairNetwork):
         return normalize(x.float()) if self.variant == "fast" else relu(x)
 
     def match_features(self, left: Tensor, right: Tensor) -> Tensor:
-        """Return the cosine (fast) or both features (accurate) of every pixel: (B, H, w, 1 or 2 maps)."""
+        """Return the cosine (fast) or both features (accurate) of every pixel: (B, H, w, 1 or 2
+        maps).
+        """
         if self.variant == "fast":
             return (left * right).sum(1)[..., None]
         return torch.cat([side.permute(0, 2, 3, 1) for side in (left, right)], -1)
 
     def score_pixels(self, pixels: Tensor) -> Tensor:
-        """Return the scores (…) of pixels (…, K): a cosine, match = 1 (fast), or a logit of mismatch (accurate)."""
+        """Return the scores (…) of pixels (…, K): a cosine, match = 1 (fast), or a logit of
+        mismatch (accurate).
+        """
         if self.variant == "fast":
             return pixels[..., 0]
         for layer in self.head[:-1]:
@@ -98,4 +112,6 @@ class MCCNN(PairNetwork):
 
     def to_cost(self, score: Tensor) -> Tensor:
         """Return the cost in [0, 1] of a score."""
-        return torch.sigmoid(score) if self.variant == "accurate" else (0.5 - 0.5 * score).clamp(0, 1)
+        return (
+            torch.sigmoid(score) if self.variant == "accurate" else (0.5 - 0.5 * score).clamp(0, 1)
+        )

@@ -1,7 +1,8 @@
-"""Methods by name, such as "zncc+sgm" or "sweepnet+sgm,p1=0.2": one vocabulary for code, command line and tables.
+"""Methods by name, such as "zncc+sgm" or "sweepnet+sgm,p1=0.2": one vocabulary for code, command
+line and tables.
 
-A name is a matching cost, "+sgm" where the cost volume is smoothed, and the settings that differ from their defaults.
-A new cost joins `COSTS`, and every command knows it.
+A name is a matching cost, "+sgm" where the cost volume is smoothed, and the settings that differ
+from their defaults. A new cost joins `COSTS`, and every command knows it.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ VIDEO_METHOD = "zncc+sgm"  # default for many frames, recorded or live: the fast
 class CostEntry:
     """A matching cost in the vocabulary of methods.
 
-    A cost of your own is a class with one method, from images warped onto a block of spheres to costs; see `BlockCost`.
-    With an entry in `COSTS`, every method name, command and table knows it:
+    A cost of your own is a class with one method, from images warped onto a block of spheres to
+    costs; see `BlockCost`. With an entry in `COSTS`, every method name, command and table knows it:
 
     >>> import torch
     >>> from omnistereo_lib.stereo.cost import BlockCost
@@ -49,10 +50,12 @@ class CostEntry:
     """
 
     label: str  # row of a table
-    load: Callable[[Method, Path, Precision], Cost]  # with the path of the weights file, where the cost has weights
+    # with the path of the weights file, where the cost has weights
+    load: Callable[[Method, Path, Precision], Cost]
     settings: frozenset[str] = frozenset()  # those of `Method` that change this cost
     weights: str = ""  # bundled weights file without .safetensors; "" for a cost without weights
-    # Raw volume (H, W, N) → index and confidence (H, W), in place of `winner_takes_all` and `confidence`.
+    # Raw volume (H, W, N) → index and confidence (H, W), in place of `winner_takes_all` and
+    # `confidence`.
     read_out: Callable[[Tensor], tuple[Tensor, Tensor]] | None = None
 
 
@@ -73,20 +76,27 @@ def _load_volumenet(method: Method, path: Path, precision: Precision) -> Cost:
 
 
 COSTS = {  # in the order of Table II
-    "zncc": CostEntry("ZNCC", lambda method, path, precision: ZNCC(method.window), frozenset({"window", "pairs"})),
+    "zncc": CostEntry(
+        "ZNCC", lambda method, path, precision: ZNCC(method.window), frozenset({"window", "pairs"})
+    ),
     "mccnn": CostEntry("MC-CNN", _load_mccnn, frozenset({"weights", "pairs"}), "mccnn_fast"),
-    "sweepnet": CostEntry("SweepNet", _load_sweepnet, frozenset({"weights", "pairs", "wrap"}), "sweepnet"),
-    "volumenet": CostEntry("VolumeNet", _load_volumenet, frozenset({"weights"}), "volumenet", read_out=local_mean),
+    "sweepnet": CostEntry(
+        "SweepNet", _load_sweepnet, frozenset({"weights", "pairs", "wrap"}), "sweepnet"
+    ),
+    "volumenet": CostEntry(
+        "VolumeNet", _load_volumenet, frozenset({"weights"}), "volumenet", read_out=local_mean
+    ),
 }
 
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """A way from images to sphere indices; the defaults are the paper's at its scale, except for the pairs.
+    """A way from images to sphere indices; the defaults are the paper's at its scale, except for
+    the pairs.
 
     Raises:
-        OmnistereoError: If a value is out of range, or is set although the method does not use it: a method has one
-            name.
+        OmnistereoError: If a value is out of range, or is set although the method does not use it:
+            a method has one name.
 
     >>> method = osl.Method.parse("zncc+sgm,p1=0.2")
     >>> method.cost, method.aggregate, method.p1, method.pairs
@@ -94,26 +104,44 @@ class Method:
     """
 
     cost: str  #: a key of `COSTS`
-    aggregate: Literal["none", "sgm"] = "none"  #: read depth from the raw cost volume, or after semi-global matching
-    window: int | None = None  #: side of the ZNCC window, pixels; None: that of `default_window` for the width
-    weights: str = ""  #: name of the weights file of a network, without .safetensors; "": the bundled one
+    aggregate: Literal["none", "sgm"] = (
+        "none"  #: read depth from the raw cost volume, or after semi-global matching
+    )
+    window: int | None = (
+        None  #: side of the ZNCC window, pixels; None: that of `default_window` for the width
+    )
+    weights: str = (
+        ""  #: name of the weights file of a network, without .safetensors; "": the bundled one
+    )
     pairs: Literal["ring", "all"] = "ring"  #: see `camera_pairs`
     p1: float | None = None  #: SGM penalties; None: those of `penalties` for the size of the volume
     p2: float | None = None
     wrap: bool = True  #: False: SGM stops at the ±180° seam, and so does every layer of SweepNet
-    subindex: bool | None = None  #: refine the index, see `winner_takes_all`; None: whoever reads it out decides
+    subindex: bool | None = (
+        None  #: refine the index, see `winner_takes_all`; None: whoever reads it out decides
+    )
 
     def __post_init__(self) -> None:
-        for name, choices in (("cost", tuple(COSTS)), ("aggregate", ("none", "sgm")), ("pairs", ("ring", "all"))):
+        for name, choices in (
+            ("cost", tuple(COSTS)),
+            ("aggregate", ("none", "sgm")),
+            ("pairs", ("ring", "all")),
+        ):
             if getattr(self, name) not in choices:
-                raise OmnistereoError(f"{name} must be one of {', '.join(choices)}, got {getattr(self, name)!r}")
+                raise OmnistereoError(
+                    f"{name} must be one of {', '.join(choices)}, got {getattr(self, name)!r}"
+                )
         if unused := self._changed.keys() - self._used:
-            raise OmnistereoError(f"{self.name}: {self._base} does not use {', '.join(sorted(unused))}. Leave it out")
+            raise OmnistereoError(
+                f"{self.name}: {self._base} does not use {', '.join(sorted(unused))}. Leave it out"
+            )
         p1, p2 = self.p1 or 0.0, math.inf if self.p2 is None else self.p2
         if not (0 <= p1 <= p2 and p1 < math.inf and self.p2 != math.inf):
             raise OmnistereoError(f"{self.name}: expected 0 ≤ p1 ≤ p2, got {self.p1} and {self.p2}")
         if set(self.weights) & set(",/\\"):
-            raise OmnistereoError(f"weights is a file name without folder and ending, got {self.weights!r}")
+            raise OmnistereoError(
+                f"weights is a file name without folder and ending, got {self.weights!r}"
+            )
         ZNCC(self.window)  # raises if this is not a window
 
     @classmethod
@@ -134,25 +162,33 @@ class Method:
         for setting in settings:
             key, _, value = setting.partition("=")
             if key not in types:
-                raise OmnistereoError(f"{name}: unknown setting {key!r}; expected one of {', '.join(types)}")
+                raise OmnistereoError(
+                    f"{name}: unknown setting {key!r}; expected one of {', '.join(types)}"
+                )
             kind = types[key]
             try:
                 values[key] = {"true": True, "false": False}[value] if kind is bool else kind(value)
             except (ValueError, KeyError):
-                raise OmnistereoError(f"{name}: {key} must be of type {kind.__name__}, got {value!r}") from None
+                raise OmnistereoError(
+                    f"{name}: {key} must be of type {kind.__name__}, got {value!r}"
+                ) from None
         values |= {"cost": cost, "aggregate": aggregate or "none"}
         return cls(**values)
 
     @property
     def name(self) -> str:
         """The name that `parse` reads, such as "zncc+sgm,p1=0.2"."""
-        return ",".join([self._base, *(f"{name}={_text(value)}" for name, value in self._changed.items())])
+        return ",".join(
+            [self._base, *(f"{name}={_text(value)}" for name, value in self._changed.items())]
+        )
 
     @property
     def label(self) -> str:
         """Row of a table, such as "ZNCC + SGM, p1 = 0.2"."""
         base = COSTS[self.cost].label + (" + SGM" if self.aggregate == "sgm" else "")
-        return ", ".join([base, *(f"{name} = {_text(value)}" for name, value in self._changed.items())])
+        return ", ".join(
+            [base, *(f"{name} = {_text(value)}" for name, value in self._changed.items())]
+        )
 
     @property
     def sort_key(self) -> tuple[Any, ...]:
@@ -161,9 +197,13 @@ class Method:
 
     @property
     def volume_key(self) -> Self:
-        """The method reduced to what its cost volume depends on; methods with equal keys share their volumes."""
+        """The method reduced to what its cost volume depends on; methods with equal keys share
+        their volumes.
+        """
         wrap = self.wrap or "wrap" not in COSTS[self.cost].settings
-        return replace(self, aggregate="none", p1=None, p2=None, subindex=type(self).subindex, wrap=wrap)
+        return replace(
+            self, aggregate="none", p1=None, p2=None, subindex=type(self).subindex, wrap=wrap
+        )
 
     @property
     def _base(self) -> str:
@@ -173,7 +213,11 @@ class Method:
     def _changed(self) -> dict[str, Any]:
         """Settings that differ from their defaults."""
         defaults = {field.name: field.default for field in fields(self)[2:]}
-        return {name: getattr(self, name) for name, default in defaults.items() if getattr(self, name) != default}
+        return {
+            name: getattr(self, name)
+            for name, default in defaults.items()
+            if getattr(self, name) != default
+        }
 
     @property
     def _used(self) -> frozenset[str]:
@@ -184,7 +228,9 @@ class Method:
 
     @property
     def reads_out(self) -> bool:
-        """Whether index and confidence are the cost's own, see `CostEntry.read_out`; else those of the lowest costs."""
+        """Whether index and confidence are the cost's own, see `CostEntry.read_out`; else those of
+        the lowest costs.
+        """
         return self.aggregate == "none" and COSTS[self.cost].read_out is not None
 
     @property
@@ -193,13 +239,16 @@ class Method:
         return COSTS[self.cost].weights != ""
 
     def weights_file(self, folder: Path = BUNDLED_WEIGHTS) -> Path:
-        """Return the path of the weights file in a folder; that of a cost without weights means nothing."""
+        """Return the path of the weights file in a folder; that of a cost without weights means
+        nothing.
+        """
         return folder / f"{self.weights or COSTS[self.cost].weights}.safetensors"
 
     def load_cost(self, folder: Path = BUNDLED_WEIGHTS, precision: Precision = "auto") -> Cost:
         """Return the matching cost, a network with its weights from a folder.
 
-        Raises an `OmnistereoError` if the weights file is missing, damaged, or holds another architecture.
+        Raises an `OmnistereoError` if the weights file is missing, damaged, or holds another
+        architecture.
         """
         return COSTS[self.cost].load(self, self.weights_file(folder), precision)
 
@@ -224,14 +273,18 @@ class Method:
         return sgm(volume, p1, p2, wrap=self.wrap)
 
     def read_out(self, volume: Tensor, subindex: bool = False) -> tuple[Tensor, Tensor]:
-        """Return index and confidence (H, W) of a smoothed volume; the setting of the method outranks `subindex`."""
+        """Return index and confidence (H, W) of a smoothed volume; the setting of the method
+        outranks `subindex`.
+        """
         own = COSTS[self.cost].read_out if self.reads_out else None
         refine = subindex if self.subindex is None else self.subindex
         return index_and_confidence(volume, refine) if own is None else own(volume)
 
 
 def _types_of_settings(cls: type) -> dict[str, type]:
-    """Return the types of the settings of a `Method`: of `int | None` that is int, of a choice of words str."""
+    """Return the types of the settings of a `Method`: of `int | None` that is int, of a choice of
+    words str.
+    """
     found = {}
     for name, hint in list(get_type_hints(cls).items())[2:]:
         choices = get_args(hint)
@@ -240,11 +293,13 @@ def _types_of_settings(cls: type) -> dict[str, type]:
 
 
 def penalties(width: int, num_spheres: int) -> tuple[float, float]:
-    """Return SGM's penalties for a panorama of W columns and N spheres: the paper's 0.1 and 12 at 1200 and 192.
+    """Return SGM's penalties for a panorama of W columns and N spheres: the paper's 0.1 and 12 at
+    1200 and 192.
 
-    A surface covers fewer pixels of a coarser panorama, so fewer costs speak for it against the same penalties; and
-    among more spheres its slope is more steps a pixel, each of which is paid. The powers were chosen on held-out frames
-    of the training sets; see notebook 07. Neither penalty exceeds that of the paper's scale.
+    A surface covers fewer pixels of a coarser panorama, so fewer costs speak for it against the
+    same penalties; and among more spheres its slope is more steps a pixel, each of which is paid.
+    The powers were chosen on held-out frames of the training sets; see notebook 07. Neither penalty
+    exceeds that of the paper's scale.
     """
     scale = min(width / 1200, 1.0)
     p2 = 12.0 * min(scale**2 * 192 / num_spheres, 1.0)

@@ -9,13 +9,16 @@ _FRACTIONS = tuple(np.linspace(0, 0.95, 20))
 
 
 def error_map(index: ArrayLike, gt_index: ArrayLike, num_spheres: int) -> NDArray[np.float64]:
-    """Return the error e(p) = 100/N · |n*(p) - n̂(p)| in percent of the swept range, shape of the inputs (Eq. 5).
+    """Return the error e(p) = 100/N · |n*(p) - n̂(p)| in percent of the swept range, shape of the
+    inputs (Eq. 5).
 
     The ground-truth index is not rounded; only training labels are.
     """
     index, gt_index = np.asarray(index, np.float64), np.asarray(gt_index, np.float64)
     if index.shape != gt_index.shape:
-        raise OmnistereoError(f"the estimate has shape {index.shape}, the ground truth {gt_index.shape}; expected one")
+        raise OmnistereoError(
+            f"the estimate has shape {index.shape}, the ground truth {gt_index.shape}; expected one"
+        )
     return 100.0 / num_spheres * np.abs(index - gt_index)
 
 
@@ -26,14 +29,14 @@ def index_error(
 
     Args:
         index (array, shape (H, W)): Estimated sphere index n*; NaN is an error of 100 %.
-        gt_index (array, shape (H, W)): Ground-truth index n̂, not rounded. Rays with n̂ outside [0, N) or NaN are not
-            evaluated.
+        gt_index (array, shape (H, W)): Ground-truth index n̂, not rounded. Rays with n̂ outside [0,
+            N) or NaN are not evaluated.
         num_spheres: N.
         valid (bool array, shape (H, W)): Rays to evaluate.
 
     Returns:
-        dict: ">1", ">3", ">5": percent of rays with a larger error; "MAE", "RMS": mean and root mean square of the
-            error. All NaN if there is no ray to evaluate.
+        dict: ">1", ">3", ">5": percent of rays with a larger error; "MAE", "RMS": mean and root
+            mean square of the error. All NaN if there is no ray to evaluate.
 
     Raises:
         OmnistereoError: If index, gt_index and valid differ in shape.
@@ -47,7 +50,9 @@ def index_error(
     error = np.where(np.isnan(error), 100.0, error)
     valid = np.ones(error.shape, bool) if valid is None else np.asarray(valid, bool)
     if valid.shape != error.shape:
-        raise OmnistereoError(f"valid has shape {valid.shape}; expected that of the panorama, {error.shape}")
+        raise OmnistereoError(
+            f"valid has shape {valid.shape}; expected that of the panorama, {error.shape}"
+        )
     error = error[valid & (gt_index >= 0) & (gt_index < num_spheres)]
     if error.size == 0:
         return dict.fromkeys((">1", ">3", ">5", "MAE", "RMS"), np.nan)
@@ -63,8 +68,8 @@ def sparsification(
 ) -> tuple[NDArray[np.float64], float, float]:
     """Return the sparsification curve: the mean error after removing the least confident rays.
 
-    The difference of the two areas is known as AUSE (Hu & Mordohai 2012). The areas are NaN if all errors are 0;
-    everything is NaN without a finite ray.
+    The difference of the two areas is known as AUSE (Hu & Mordohai 2012). The areas are NaN if all
+    errors are 0; everything is NaN without a finite ray.
 
     Args:
         error, confidence (arrays of the same shape): Rays where either is not finite are ignored.
@@ -82,9 +87,14 @@ def sparsification(
     >>> curve.tolist(), auc == oracle_auc  # the confidence is as good as can be
     ([2.5, 1.5], True)
     """
-    error, confidence = np.asarray(error, np.float64).ravel(), np.asarray(confidence, np.float64).ravel()
+    error, confidence = (
+        np.asarray(error, np.float64).ravel(),
+        np.asarray(confidence, np.float64).ravel(),
+    )
     if error.shape != confidence.shape:
-        raise OmnistereoError(f"there are {error.size} errors and {confidence.size} confidences; expected as many")
+        raise OmnistereoError(
+            f"there are {error.size} errors and {confidence.size} confidences; expected as many"
+        )
     # Without a finite ray, or without any error, there is no area to divide by.
     finite = np.isfinite(error) & np.isfinite(confidence)
     error, confidence = error[finite], confidence[finite]

@@ -23,19 +23,22 @@ def estimate_depth(
     device: torch.device | str = "cpu",
     progress: Progress = silent,
 ) -> Depth:
-    """Estimate the depth panorama of one frame. For many frames of one rig, make a sweep and use `sweep_depth`.
+    """Estimate the depth panorama of one frame. For many frames of one rig, make a sweep and use
+    `sweep_depth`.
 
     Args:
         frame: A rig and its images: of a data set, or `Frame.of(rig, images)`.
-        method: Such as "zncc", "volumenet" or "sweepnet+sgm,p1=0.2"; see `Method`. A cost of your own gets a name in
-            `COSTS`.
-        subindex: Refine the index between spheres, unless the name of the method says, as in "zncc,subindex=false".
+        method: Such as "zncc", "volumenet" or "sweepnet+sgm,p1=0.2"; see `Method`. A cost of your
+            own gets a name in `COSTS`.
+        subindex: Refine the index between spheres, unless the name of the method says, as in
+            "zncc,subindex=false".
             False: integer indices, as in the paper.
-        progress: Called as `progress(done, total, what)`: parts done, parts in all, and the next part.
+        progress: Called as `progress(done, total, what)`: parts done, parts in all, and the next
+            part.
 
     Raises:
-        OmnistereoError: If the inputs do not fit together, no method has that name, there is not enough memory or no
-            such device.
+        OmnistereoError: If the inputs do not fit together, no method has that name, there is not
+            enough memory or no such device.
 
     >>> frame = osl.load_dataset("data_samples/sunny", split="test")[0]
     >>> grid = osl.SphereGrid(64, 16, num_spheres=16, min_depth=1.65)
@@ -43,9 +46,13 @@ def estimate_depth(
     (16, 64)
     """
     if not isinstance(frame, Frame):
-        raise OmnistereoError(f"frame is {shortened(frame)}; expected a Frame. Make one: Frame.of(rig, images)")
+        raise OmnistereoError(
+            f"frame is {shortened(frame)}; expected a Frame. Make one: Frame.of(rig, images)"
+        )
     method = Method.parse(method)
-    return sweep_depth(SphereSweep(frame.rig, grid, device=device), frame.images, method, subindex, progress)
+    return sweep_depth(
+        SphereSweep(frame.rig, grid, device=device), frame.images, method, subindex, progress
+    )
 
 
 def sweep_depth(
@@ -55,7 +62,8 @@ def sweep_depth(
     subindex: bool = True,
     progress: Progress = silent,
 ) -> Depth:
-    """Estimate the depth panorama of one frame with a sweep that keeps its tables and networks from frame to frame.
+    """Estimate the depth panorama of one frame with a sweep that keeps its tables and networks from
+    frame to frame.
 
     Args:
         images: One array per camera, (height, width) or (height, width, 3), uint8 or float.

@@ -31,32 +31,36 @@ _LUT_BUDGET = 2 << 30  # bytes
 _LUT_LOCK = Lock()  # one build at a time: it takes all cores and much memory
 hold_at_fork(_LUT_LOCK)
 
-# Pixel coordinates of the rays of one block of spheres in one camera, as (first column, maps of shape (H,
-# columns · block, 2)): the pixels of one ray on neighbouring spheres are close together in the image, so they follow
-# each other. Only the visible columns are stored: in one part, or in two if they cross the ±180° seam.
+# Pixel coordinates of the rays of one block of spheres in one camera, as (first column, maps of
+# shape (H, columns · block, 2)): the pixels of one ray on neighbouring spheres are close together
+# in the image, so they follow each other. Only the visible columns are stored: in one part, or in
+# two if they cross the ±180° seam.
 _LookupTable = list[tuple[int, Tensor]]
-_Blurring = tuple[float, NDArray[np.float32], NDArray[np.float32]]  # σ of `blur_px`, the mask, the mask blurred
+# σ of `blur_px`, the mask, the mask blurred
+_Blurring = tuple[float, NDArray[np.float32], NDArray[np.float32]]
 _Kept = TypeVar("_Kept")
 
 
 class SphereSweep:
     """Warps the images of a rig onto the N spheres of a grid (paper, Section III-B).
 
-    The pixel coordinates of the rays depend only on the rig and the grid, so they are kept in lookup tables (LUT)
-    from frame to frame: 8 bytes per ray, sphere and camera for the visible columns. At 1200 × 300 × 192 and four
-    cameras of 220° that is 1.3 GB. Tables beyond 2 GiB, or a quarter of the available memory, are recomputed for every
-    frame.
+    The pixel coordinates of the rays depend only on the rig and the grid, so they are kept in
+    lookup tables (LUT) from frame to frame: 8 bytes per ray, sphere and camera for the visible
+    columns. At 1200 × 300 × 192 and four cameras of 220° that is 1.3 GB. Tables beyond 2 GiB, or a
+    quarter of the available memory, are recomputed for every frame.
 
     Args:
-        center (array, shape (3,)): Sweep centre in the rig frame, metres. Default: the mean of the camera centres.
+        center (array, shape (3,)): Sweep centre in the rig frame, metres. Default: the mean of the
+        camera centres.
         device: Device of tables and warped images: cv2.remap on "cpu", grid_sample elsewhere.
 
     Raises:
-        OmnistereoError: If the panorama is larger than OpenCV can sample, 32766 pixels a side, if memory cannot hold a
-            cost volume of the grid, or if there is no such device.
+        OmnistereoError: If the panorama is larger than OpenCV can sample, 32766 pixels a side, if
+            memory cannot hold a cost volume of the grid, or if there is no such device.
 
     Attributes:
-        rig: The rig with its origin at the sweep centre: its poses are the inverse of Θ* in the paper.
+        rig: The rig with its origin at the sweep centre: its poses are the inverse of Θ* in the
+            paper.
 
     >>> frame = osl.load_dataset("data_samples/sunny", split="test")[0]
     >>> sweep = osl.SphereSweep(frame.rig, osl.SphereGrid(64, 16, num_spheres=16, min_depth=1.65))
@@ -65,12 +69,18 @@ class SphereSweep:
     """
 
     def __init__(
-        self, rig: Rig, grid: SphereGrid, center: ArrayLike | None = None, device: torch.device | str = "cpu"
+        self,
+        rig: Rig,
+        grid: SphereGrid,
+        center: ArrayLike | None = None,
+        device: torch.device | str = "cpu",
     ) -> None:
         check_type(rig, Rig, "rig")
         check_type(grid, SphereGrid, "grid")
         if max(grid.shape) > _MAX_SIDE:
-            raise OmnistereoError(f"the panorama is {grid.width} × {grid.height}; expected at most {_MAX_SIDE} a side")
+            raise OmnistereoError(
+                f"the panorama is {grid.width} × {grid.height}; expected at most {_MAX_SIDE} a side"
+            )
         self.rig = rig.recentered(center)
         self.grid = grid
         self.device = select_device(device)
@@ -78,7 +88,8 @@ class SphereSweep:
         self._most_bytes = min(_LUT_BUDGET, available_memory(self.device) // 4)
         self._rays = grid.rays()
         self._luts: dict[tuple[int, int], _LookupTable] = {}
-        self._spans: dict[tuple[int, int], tuple[int, int]] = {}  # (start, width) of the visible columns
+        # (start, width) of the visible columns
+        self._spans: dict[tuple[int, int], tuple[int, int]] = {}
         self._kept: dict[Hashable, Any] = {}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -86,7 +97,9 @@ class SphereSweep:
         return self.__dict__ | {"_luts": {}, "_spans": {}, "_kept": {}}
 
     def keep(self, key: Hashable, make: Callable[[], _Kept]) -> _Kept:
-        """Return make(), called once for this sweep: what a cost keeps from frame to frame, beside the tables."""
+        """Return make(), called once for this sweep: what a cost keeps from frame to frame, beside
+        the tables.
+        """
         if key not in self._kept:
             self._kept[key] = make()
         return self._kept[key]
@@ -94,12 +107,17 @@ class SphereSweep:
     def with_poses(self, T_rig_cam: Sequence[Pose]) -> "SphereSweep":
         """Return a sweep of the same cameras with other poses, around their mean centre.
 
-        Cameras that stay where they are share their tables: to rotate one of them costs one camera's tables.
+        Cameras that stay where they are share their tables: to rotate one of them costs one
+        camera's tables.
         """
         other = copy(self)
         other.rig = self.rig.with_poses(T_rig_cam).recentered()
         poses = zip(self.rig.T_rig_cam, other.rig.T_rig_cam, strict=True)
-        kept = {i for i, (a, b) in enumerate(poses) if np.array_equal(a.R, b.R) and np.array_equal(a.t, b.t)}
+        kept = {
+            i
+            for i, (a, b) in enumerate(poses)
+            if np.array_equal(a.R, b.R) and np.array_equal(a.t, b.t)
+        }
         other._luts = {key: lut for key, lut in self._luts.items() if key[0] in kept}
         other._spans = {key: span for key, span in self._spans.items() if key[0] in kept}
         other._kept = {}
@@ -115,12 +133,14 @@ class SphereSweep:
         """For each camera 1 where its pixels are valid, else 0, shape (height, width)."""
         return [camera.visible_pixels().astype(np.uint8) for camera in self.rig.cameras]
 
-    def project_sphere(self, camera: int, index: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    def project_sphere(
+        self, camera: int, index: ArrayLike
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Project the points of one sphere into one camera: Π_i(M(Θ*_i) ρ(p)/d_n) of Eq. 1.
 
         Args:
-            index (float or array of shape (H, W)): Sphere index n, integer or fractional; as an array, one index per
-                ray, NaN unknown.
+            index (float or array of shape (H, W)): Sphere index n, integer or fractional; as an
+                array, one index per ray, NaN unknown.
 
         Returns:
             uv: array, shape (H, W, 2), pixels
@@ -129,7 +149,8 @@ class SphereSweep:
         return self.rig.cameras[camera].project(self._directions(camera, index))
 
     def off_axis_angles(self, camera: int, index: ArrayLike) -> NDArray[np.float64]:
-        """Return the angles in [0, π] between the optical axis of a camera and the points of one sphere.
+        """Return the angles in [0, π] between the optical axis of a camera and the points of one
+        sphere.
 
         Parameters as in `project_sphere`; shape (H, W), NaN where the index is unknown.
         """
@@ -137,7 +158,9 @@ class SphereSweep:
         return np.arctan2(np.hypot(x, y), z)
 
     def _directions(self, camera: int, index: ArrayLike) -> NDArray[np.float64]:
-        """Return the points ρ/d of one sphere in the camera frame, times d to stay finite at infinity."""
+        """Return the points ρ/d of one sphere in the camera frame, times d to stay finite at
+        infinity.
+        """
         inverse_depth = np.maximum(self.grid.index_to_inverse_depth(index), _D0)[..., None]
         T_cam_rig = self.rig.T_rig_cam[camera].inverse()
         return self._rays @ T_cam_rig.R.T + inverse_depth * T_cam_rig.t
@@ -150,7 +173,8 @@ class SphereSweep:
             index (float or array of shape (H, W)): As in `project_sphere`.
 
         Returns:
-            list of arrays, shape (H, W) or (H, W, 3), float32: NaN where the ray is not visible to the camera.
+            list of arrays, shape (H, W) or (H, W, 3), float32: NaN where the ray is not visible to
+            the camera.
         """
         images = check_images(images, self.rig)
         warped = []
@@ -166,22 +190,28 @@ class SphereSweep:
         spacing = 360 / self.grid.width
         sigmas = [blur_px(camera.pixels_per_degree * spacing) for camera in self.rig.cameras]
         masks = [mask.astype(np.float32) for mask in self._image_masks]
-        return [(s, mask, np.maximum(blur(mask, s), 1e-6)) for s, mask in zip(sigmas, masks, strict=True)]
+        return [
+            (s, mask, np.maximum(blur(mask, s), 1e-6))
+            for s, mask in zip(sigmas, masks, strict=True)
+        ]
 
     def normalize_images(self, images: Sequence[ArrayLike]) -> list[Tensor]:
-        """Return the images in gray, without detail finer than the panorama, normalised over the image circle.
+        """Return the images in gray, without detail finer than the panorama, normalised over the
+        image circle.
 
-        A panorama coarser than the images takes a sample from several pixels of them, so they are blurred first, or
-        it would alias; see `blur_px`. Then each gets zero mean and unit variance.
+        A panorama coarser than the images takes a sample from several pixels of them, so they are
+        blurred first, or it would alias; see `blur_px`. Then each gets zero mean and unit variance.
 
         Args:
-            images: one array per camera, (height, width) or (height, width, 3) in RGB, uint8 or float
+            images: one array per camera, (height, width) or (height, width, 3) in RGB, uint8 or
+                float
 
         Returns:
             list of float32 tensors, shape (height, width)
 
         Raises:
-            OmnistereoError: If there is not one image per camera, or one has the wrong size or is not finite.
+            OmnistereoError: If there is not one image per camera, or one has the wrong size or is
+                not finite.
         """
 
         def normalize(image: NDArray[Any], mask: NDArray[np.uint8], blurring: _Blurring) -> Tensor:
@@ -195,7 +225,9 @@ class SphereSweep:
             gray *= np.float32(1 / deviation if deviation > 0 else 1.0)
             return torch.from_numpy(gray).to(self.device)
 
-        return list(map_threads(normalize, check_images(images, self.rig), self._image_masks, self._blurs))
+        return list(
+            map_threads(normalize, check_images(images, self.rig), self._image_masks, self._blurs)
+        )
 
     def blocks(self) -> list[range]:
         """Return the sphere indices 0 to N - 1 in blocks that are warped together."""
@@ -203,17 +235,19 @@ class SphereSweep:
         block = max(1, min(BLOCK, _MAX_SIDE // self.grid.width))
         return [range(n, min(n + block, N)) for n in range(0, N, block)]
 
-    def warp_block(self, normalized: Sequence[Tensor], spheres: range, out: Tensor | None = None) -> Tensor:
+    def warp_block(
+        self, normalized: Sequence[Tensor], spheres: range, out: Tensor | None = None
+    ) -> Tensor:
         """Warp normalized images onto one of the `blocks` (Eq. 1).
 
         Args:
             normalized: one tensor per camera, from `normalize_images`
-            out (float32 tensor, shape (cameras, H, W, len(spheres))): Buffer to overwrite, so that a sweep over many
-                blocks allocates once.
+            out (float32 tensor, shape (cameras, H, W, len(spheres))): Buffer to overwrite, so that
+                a sweep over many blocks allocates once.
 
         Returns:
-            float32 tensor, shape (cameras, len(spheres), H, W): NaN where the ray is not visible to the camera; a view
-                of a tensor with the shape of `out`.
+            float32 tensor, shape (cameras, len(spheres), H, W): NaN where the ray is not visible to
+                the camera; a view of a tensor with the shape of `out`.
         """
         if out is None:
             shape = len(normalized), *self.grid.shape, len(spheres)
@@ -238,7 +272,9 @@ class SphereSweep:
             (out.numpy() if on_cpu else out)[:, first:stop] = np.nan
 
     def visible_columns(self, camera: int, spheres: range) -> tuple[int, int]:
-        """Return (start, width) of the columns, around the seam, that are visible to a camera on a block."""
+        """Return (start, width) of the columns, around the seam, that are visible to a camera on a
+        block.
+        """
         if (camera, spheres.start) not in self._spans:
             self._lookup_table(camera, spheres)
         return self._spans[camera, spheres.start]
@@ -266,7 +302,8 @@ class SphereSweep:
                 table[:, :, k] = uv
                 table[~valid, k] = OUTSIDE
 
-            with ThreadPoolExecutor(torch.get_num_threads()) as pool:  # more would wait for the interpreter lock
+            # more would wait for the interpreter lock
+            with ThreadPoolExecutor(torch.get_num_threads()) as pool:
                 list(pool.map(fill, range(len(spheres))))
         else:
             for k, n in enumerate(spheres):
@@ -290,7 +327,14 @@ class SphereSweep:
 def remap(
     image: NDArray[np.float32], maps: NDArray[np.float32], out: NDArray[np.float32] | None = None
 ) -> NDArray[Any]:
-    """Sample an image bilinearly at maps (H, W, 2), NaN outside. OpenCV 5 does not round the coordinates."""
+    """Sample an image bilinearly at maps (H, W, 2), NaN outside.
+
+    OpenCV 5 does not round the coordinates.
+    """
     nan = (np.nan,) * 4
-    no_second: Any = None  # maps holds both coordinates; OpenCV's hints do not know that the second map may be None
-    return np.asarray(cv2.remap(image, maps, no_second, cv2.INTER_LINEAR, out, cv2.BORDER_CONSTANT, nan), np.float32)
+    # maps holds both coordinates; OpenCV's hints do not know that the second map may be None
+    no_second: Any = None
+    return np.asarray(
+        cv2.remap(image, maps, no_second, cv2.INTER_LINEAR, out, cv2.BORDER_CONSTANT, nan),
+        np.float32,
+    )

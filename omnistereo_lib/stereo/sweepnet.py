@@ -16,13 +16,16 @@ from omnistereo_lib.stereo.learned import PairNetwork, full_precision
 class SweepNet(PairNetwork):
     """The network of the paper (Table I): two spherical images → cost map, 0 = match, 1 = no match.
 
-    757,729 parameters. A cost depends on the 81 × 81 pixels around it: 24° at W = 1200, 91° at W = 320.
+    757,729 parameters. A cost depends on the 81 × 81 pixels around it: 24° at W = 1200, 91° at W =
+    320.
 
     Args:
-        batch_norm: Batch normalisation after every layer except the last, for training. Table I has none, the authors'
-            released code has it. `fuse_batch_norm` removes it from a trained network.
-        wrap: True: every layer continues around the ±180° seam. False: as Table I prints, circular columns only for the
-            input and zeros in the layers behind it, which makes the seam visible.
+        batch_norm: Batch normalisation after every layer except the last, for training. Table I has
+            none, the authors' released code has it. `fuse_batch_norm` removes it from a trained
+            network.
+        wrap: True: every layer continues around the ±180° seam. False: as Table I prints, circular
+            columns only for the input and zeros in the layers behind it, which makes the seam
+            visible.
 
     >>> sum(parameter.numel() for parameter in osl.SweepNet().parameters())
     757729
@@ -42,9 +45,12 @@ class SweepNet(PairNetwork):
         for k in range(2, 19):
             self.layers[f"conv{k}"] = nn.Conv2d(32, 32, 3, padding=1)
         self.layers["conv19"] = nn.Conv2d(64, 128, 3, padding=1)
-        self.layers["deconv1"] = nn.ConvTranspose2d(128, 128, 3, stride=2, padding=1, output_padding=1)
+        self.layers["deconv1"] = nn.ConvTranspose2d(
+            128, 128, 3, stride=2, padding=1, output_padding=1
+        )
         self.layers["conv20"] = nn.Conv2d(128, 128, 3, padding=1)
-        self.layers["fc1"] = nn.Linear(128, 256)  # fc1 … fc5: 1 × 1 convolutions, as products on a list of pixels
+        # fc1 … fc5: 1 × 1 convolutions, as products on a list of pixels
+        self.layers["fc1"] = nn.Linear(128, 256)
         for k in (2, 3, 4):
             self.layers[f"fc{k}"] = nn.Linear(256, 256)
         self.layers["fc5"] = nn.Linear(256, 1)
@@ -56,7 +62,8 @@ class SweepNet(PairNetwork):
                 nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
             if batch_norm and name != "fc5":
                 kind = nn.BatchNorm1d if isinstance(layer, nn.Linear) else nn.BatchNorm2d
-                self.norms[name] = kind(layer.bias.numel(), momentum=None)  # None: plain means, see `train`
+                # None: plain means, see `train`
+                self.norms[name] = kind(layer.bias.numel(), momentum=None)
                 layer.bias = None  # the norm subtracts any bias and has its own
 
     @property
@@ -67,21 +74,26 @@ class SweepNet(PairNetwork):
     def check_size(self, H: int, W: int) -> None:
         """Refuse panoramas with an odd side: conv1 halves them."""
         if H % 2 or W % 2:
-            raise OmnistereoError(f"panorama of {W} × {H} pixels; SweepNet halves it, so both sides must be even")
+            raise OmnistereoError(
+                f"panorama of {W} × {H} pixels; SweepNet halves it, so both sides must be even"
+            )
 
     def forward(self, left: Tensor, right: Tensor) -> Tensor:
-        """Return the cost map of two spherical images: conv1 … conv18 of each, then conv19 … fc5 and a sigmoid.
+        """Return the cost map of two spherical images: conv1 … conv18 of each, then conv19 … fc5
+        and a sigmoid.
 
         Args:
-            left, right (tensors, shape (B, H, W)): Gray spherical images of zero mean and unit variance
-                (`SphereSweep.normalize_images`), 0 where unseen.
+            left, right (tensors, shape (B, H, W)): Gray spherical images of zero mean and unit
+                variance (`SphereSweep.normalize_images`), 0 where unseen.
 
         Returns:
-            tensor, shape (B, H, W): Cost in [0, 1], 0 = match; with `wrap` the panorama is circular in θ.
+            tensor, shape (B, H, W): Cost in [0, 1], 0 = match; with `wrap` the panorama is circular
+            in θ.
         """
         H, W = left.shape[1:]
         self.check_size(H, W)
-        halo = self.feature_halo + self.match_halo if self.wrap else 0  # columns repeated beyond the seam, then cut off
+        # columns repeated beyond the seam, then cut off
+        halo = self.feature_halo + self.match_halo if self.wrap else 0
         left, right = (self.pad_columns(image, -halo, W // 2 + halo) for image in (left, right))
         pixels = self.match_features(self.extract_features(left), self.extract_features(right))
         return torch.sigmoid(self.score_pixels(pixels[:, :, 2 * halo : 2 * halo + W]))
@@ -95,7 +107,9 @@ class SweepNet(PairNetwork):
         return self._run("conv18", x)
 
     def match_features(self, left: Tensor, right: Tensor) -> Tensor:
-        """Concatenate two cameras' features, run conv19, deconv1 and conv20: 128 numbers a pixel, (B, H, w, 128)."""
+        """Concatenate two cameras' features, run conv19, deconv1 and conv20: 128 numbers a pixel,
+        (B, H, w, 128).
+        """
         x = torch.cat([left, right], 1)
         for name in ("conv19", "deconv1", "conv20"):
             x = self._run(name, x)
@@ -110,7 +124,9 @@ class SweepNet(PairNetwork):
             return self.layers["fc5"](x.to(self.layers["fc5"].weight.dtype)).view(pixels.shape[:-1])
 
     def _run(self, name: str, x: Tensor, add: Tensor | None = None) -> Tensor:
-        """Run a layer, its batch norm where there is one, add the input of the block, and cut off below 0 (ReLU)."""
+        """Run a layer, its batch norm where there is one, add the input of the block, and cut off
+        below 0 (ReLU).
+        """
         x = self.layers[name](x)
         if name in self.norms:
             x = self.norms[name](x)

@@ -12,7 +12,10 @@ _Result = TypeVar("_Result")
 
 
 def map_threads(function: Callable[..., _Result], *arguments: Iterable[Any]) -> Iterator[_Result]:
-    """Yield what `map` does, computed in `torch.get_num_threads()` threads. The function must not call this itself."""
+    """Yield what `map` does, computed in `torch.get_num_threads()` threads.
+
+    The function must not call this itself.
+    """
     return _pool(torch.get_num_threads()).map(function, *arguments)
 
 
@@ -20,7 +23,9 @@ _pool = cache(ThreadPoolExecutor)
 
 
 def _after_fork() -> None:
-    """Do without the threads of the parent, which a forked process has not: torch would wait for them for ever."""
+    """Do without the threads of the parent, which a forked process has not: torch would wait for
+    them for ever.
+    """
     _pool.cache_clear()
     torch.set_num_threads(1)
 

@@ -1,4 +1,6 @@
-"""The cost volume C(p, n): matching costs of all rays on all spheres (paper, Section III-B and Eq. 2)."""
+"""The cost volume C(p, n): matching costs of all rays on all spheres (paper, Section III-B and Eq.
+2).
+"""
 
 from collections.abc import Callable, Sequence
 
@@ -26,13 +28,15 @@ def cost_volume(
 
     Args:
         images: one array per camera, (height, width) or (height, width, 3)
-        cost: A `Cost`: `ZNCC`, a network such as `SweepNet`, or your own `BlockCost`. Default: `ZNCC`.
+        cost: A `Cost`: `ZNCC`, a network such as `SweepNet`, or your own `BlockCost`. Default:
+            `ZNCC`.
         pairs: See `camera_pairs`. `VolumeNet` compares all cameras, whatever they are.
-        progress: Called as `progress(done, total, what)`: parts done, parts in all, and the next part.
+        progress: Called as `progress(done, total, what)`: parts done, parts in all, and the next
+            part.
 
     Returns:
-        float32 tensor, shape (H, W, N), on the device of the sweep: Cost in [0, 1], 0 = match; NaN where the point is
-            not visible to both cameras of any pair.
+        float32 tensor, shape (H, W, N), on the device of the sweep: Cost in [0, 1], 0 = match; NaN
+            where the point is not visible to both cameras of any pair.
 
     Raises:
         OmnistereoError: If the images do not fit the rig, or the cameras of no pair share a view.
@@ -45,18 +49,26 @@ def cost_volume(
     # Check the cost, which may be the user's own, before it runs and what it returns.
     cost = ZNCC() if cost is None else cost
     if not hasattr(cost, "volume") or isinstance(cost, type):
-        raise OmnistereoError(f"cost is {shortened(cost)}; expected an object with a method `volume`, such as ZNCC()")
+        raise OmnistereoError(
+            f"cost is {shortened(cost)}; expected an object with a method `volume`, such as ZNCC()"
+        )
     check_type(progress, Callable, "progress")  # type: ignore[arg-type]  # an abstract class
     _check_network(getattr(cost, "network", cost))
     pairs, shape = camera_pairs(pairs, sweep.rig), (*sweep.grid.shape, sweep.grid.num_spheres)
     volume = cost.volume(sweep, images, pairs, progress)
     if not (isinstance(volume, Tensor) and volume.shape == shape and volume.is_floating_point()):
-        kind = f"{volume.dtype} of shape {tuple(volume.shape)}" if isinstance(volume, Tensor) else shortened(volume)
-        raise OmnistereoError(f"the cost {shortened(cost)} returns {kind}; expected a float tensor of shape {shape}")
+        kind = (
+            f"{volume.dtype} of shape {tuple(volume.shape)}"
+            if isinstance(volume, Tensor)
+            else shortened(volume)
+        )
+        raise OmnistereoError(
+            f"the cost {shortened(cost)} returns {kind}; expected a float tensor of shape {shape}"
+        )
     if all(row.isnan().all() for row in volume):
         raise OmnistereoError(
-            f"no ray is visible to both cameras of any pair {pairs}. Check the poses (camera → rig, metres), the field "
-            f"of view, the masks and phi_deg = {sweep.grid.phi_deg}."
+            f"no ray is visible to both cameras of any pair {pairs}. Check the poses (camera → rig,"
+            f" metres), the field of view, the masks and phi_deg = {sweep.grid.phi_deg}."
         )
     return volume
 
@@ -65,12 +77,18 @@ def _check_network(cost: object) -> None:
     """Refuse a network that has no numbers, or not those that the sums are meant for."""
     for weight in cost.parameters() if isinstance(cost, nn.Module) else ():
         if weight.is_meta or weight.dtype != torch.float32:
-            kind = "no weights (device meta)" if weight.is_meta else f"weights of type {weight.dtype}"
-            raise OmnistereoError(f"the network has {kind}; expected float32. Convert it: network.float()")
+            kind = (
+                "no weights (device meta)" if weight.is_meta else f"weights of type {weight.dtype}"
+            )
+            raise OmnistereoError(
+                f"the network has {kind}; expected float32. Convert it: network.float()"
+            )
 
 
 def as_volume(volume: ArrayLike | Tensor) -> Tensor:
-    """Return a cost volume (H, W, N), N ≥ 2, as a tensor of real numbers, from an array of any memory layout."""
+    """Return a cost volume (H, W, N), N ≥ 2, as a tensor of real numbers, from an array of any
+    memory layout.
+    """
     if not isinstance(volume, Tensor):
         volume = np.asarray(volume)
         if volume.dtype.kind not in "fiub":

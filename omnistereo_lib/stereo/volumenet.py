@@ -1,7 +1,8 @@
 """VolumeNet, a network that sees the whole sweep volume at once, for rigs of any number of cameras.
 
-ZNCC compares patches and SweepNet whole spheres, but each sphere by itself: nothing tells them that a blank wall has
-*one* depth. VolumeNet takes the step that the field took after SweepNet (OmniMVS, ICCV 2019; GwcNet, CVPR 2019):
+ZNCC compares patches and SweepNet whole spheres, but each sphere by itself: nothing tells them that
+a blank wall has *one* depth. VolumeNet takes the step that the field took after SweepNet (OmniMVS,
+ICCV 2019; GwcNet, CVPR 2019):
 
     features     each fisheye image → 32 feature maps at half its size
     warp         the maps onto the cells of two volumes, a coarse and a finer one (Eq. 1); see `volume_sizes`
@@ -9,7 +10,8 @@ ZNCC compares patches and SweepNet whole spheres, but each sphere by itself: not
     3-D U-net    over θ, φ and the sphere index, circular in θ
     read-out     a probability for each sphere of a ray; the index is the mean around the most probable one
 
-Volumes are (batch, channels, W, H, N): with W first, PyTorch picks its fast CPU kernels even for one frame in float32.
+Volumes are (batch, channels, W, H, N): with W first, PyTorch picks its fast CPU kernels even for
+one frame in float32.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,21 +26,30 @@ from omnistereo_lib import reference
 from omnistereo_lib.geometry.rig import Pair
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.progress import Progress, counted, silent
-from omnistereo_lib.stereo.correlation import COARSE, correlate, feature_coordinates, pixels_per_degree, volume_sizes
+from omnistereo_lib.stereo.correlation import (
+    COARSE,
+    correlate,
+    feature_coordinates,
+    pixels_per_degree,
+    volume_sizes,
+)
 from omnistereo_lib.stereo.images import reduce_images, to_gray
 from omnistereo_lib.stereo.kernels.correlation_numba import CHANNELS, GROUPS
 from omnistereo_lib.stereo.learned import Precision, autocast, full_precision
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.weights import StoredNetwork
 
-WIDTHS = (16, 32, 48, 64)  # channels of the U-net's levels, each half as wide, high and deep as the one before
+# channels of the U-net's levels, each half as wide, high and deep as the one before
+WIDTHS = (16, 32, 48, 64)
 
 
 class ResidualBlock(nn.Sequential):
     """Two dilated 3 × 3 convolutions, whose output is added to their input."""
 
     def __init__(self, *dilations: int) -> None:
-        super().__init__(*(nn.Conv2d(CHANNELS, CHANNELS, 3, padding=d, dilation=d) for d in dilations))
+        super().__init__(
+            *(nn.Conv2d(CHANNELS, CHANNELS, 3, padding=d, dilation=d) for d in dilations)
+        )
 
     def forward(self, x: Tensor) -> Tensor:
         """Return the feature maps (B, 32, h, w) of feature maps."""
@@ -49,8 +60,8 @@ class ResidualBlock(nn.Sequential):
 class FeatureNet(nn.Module):
     """Features of fisheye images, whose length says how much texture there is.
 
-    The maps are normalised over the visible pixels of the image, not pixel by pixel: a blank wall has small features,
-    so its noise does not correlate.
+    The maps are normalised over the visible pixels of the image, not pixel by pixel: a blank wall
+    has small features, so its noise does not correlate.
     """
 
     def __init__(self) -> None:
@@ -64,11 +75,13 @@ class FeatureNet(nn.Module):
         """Return the feature maps of one image.
 
         Args:
-            image: tensor, shape (h, w), zero mean and unit variance over the visible pixels, 0 elsewhere
+            image: tensor, shape (h, w), zero mean and unit variance over the visible pixels, 0
+                elsewhere
             visible: bool tensor of the same shape
 
         Returns:
-            tensor, shape (32, ⌈h / 2⌉, ⌈w / 2⌉): Feature pixel (x, y) is centred on the image pixel (2x, 2y).
+            tensor, shape (32, ⌈h / 2⌉, ⌈w / 2⌉): Feature pixel (x, y) is centred on the image pixel
+            (2x, 2y).
         """
         x = self.blocks(relu(self.first(image[None, None]), inplace=True))  # (1, 32, h / 2, w / 2)
         maps, visible = self.last(x)[0].float(), visible[::2, ::2]
@@ -93,9 +106,13 @@ class Conv3d(nn.Module):
         if self.training:
             return relu(norm(conv(wrap(x))), inplace=True)
         assert norm.running_mean is not None and norm.running_var is not None
-        # The trained normalisation is part of the weights: the volume is read and written once less.
+        # The trained normalisation is part of the weights: the volume is read and written once
+        # less.
         scale = norm.weight / (norm.running_var + norm.eps).sqrt()
-        weight, bias = conv.weight * scale[:, None, None, None, None], norm.bias - norm.running_mean * scale
+        weight, bias = (
+            conv.weight * scale[:, None, None, None, None],
+            norm.bias - norm.running_mean * scale,
+        )
         return relu(conv3d(wrap(x), weight, bias, conv.stride, conv.padding), inplace=True)
 
 
@@ -110,13 +127,17 @@ def double(x: Tensor) -> Tensor:
 
 
 class Up(nn.ModuleList):
-    """A step up in the U-net: project to the channels of the finer level, double the size, add that level, filter."""
+    """A step up in the U-net: project to the channels of the finer level, double the size, add that
+    level, filter.
+    """
 
     def __init__(self, finer: int, coarser: int) -> None:
         super().__init__([nn.Conv3d(coarser, finer, 1), Conv3d(finer, finer)])
 
     def forward(self, x: Tensor, level: Tensor) -> Tensor:
-        """Return the finer level (B, C, W, H, N), given the coarser one and what the way down left of the finer."""
+        """Return the finer level (B, C, W, H, N), given the coarser one and what the way down left
+        of the finer.
+        """
         project, merge = self
         return merge(double(project(x)) + level)
 
@@ -141,12 +162,18 @@ class VolumeNet(StoredNetwork):
         self.features = FeatureNet()
         self.stem = nn.Sequential(Conv3d(GROUPS + 1, WIDTHS[0]), Conv3d(WIDTHS[0], WIDTHS[0]))
         steps = list(pairwise(WIDTHS))
-        self.down = nn.ModuleList(nn.Sequential(Conv3d(a, b, stride=2), Conv3d(b, b)) for a, b in steps)
+        self.down = nn.ModuleList(
+            nn.Sequential(Conv3d(a, b, stride=2), Conv3d(b, b)) for a, b in steps
+        )
         self.up = nn.ModuleList(Up(a, b) for a, b in steps)
         self.head = nn.Conv3d(WIDTHS[0], 1, 3, padding=(0, 1, 1))
 
-    def correlation(self, images: Sequence[Tensor], visible: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tensor:
-        """Return the correlation volume (9, W, H, N) of one frame; see `FeatureNet` and `correlate`."""
+    def correlation(
+        self, images: Sequence[Tensor], visible: Sequence[Tensor], coordinates: Sequence[Tensor]
+    ) -> Tensor:
+        """Return the correlation volume (9, W, H, N) of one frame; see `FeatureNet` and
+        `correlate`.
+        """
         features = [self.features(image, mask) for image, mask in zip(images, visible, strict=True)]
         return self.compare(features, coordinates)
 
@@ -155,8 +182,11 @@ class VolumeNet(StoredNetwork):
         return correlate(features, coordinates)
 
     def forward(self, volume: Tensor) -> Tensor:
-        """Run the U-net on correlation volumes (B, 9, W, H, N), sizes in multiples of 8: logits (B, W, H, N)."""
-        # Channels last, a layout that every layer keeps: twice as fast. A copy, since `[None]` leaves odd strides.
+        """Run the U-net on correlation volumes (B, 9, W, H, N), sizes in multiples of 8: logits (B,
+        W, H, N).
+        """
+        # Channels last, a layout that every layer keeps: twice as fast. A copy, since `[None]`
+        # leaves odd strides.
         levels = [self.stem(volume.clone(memory_format=torch.channels_last_3d))]
         for down in self.down:
             levels.append(down(levels[-1]))
@@ -167,9 +197,14 @@ class VolumeNet(StoredNetwork):
 
     @torch.no_grad()
     def volume(
-        self, sweep: SphereSweep, images: Sequence[ArrayLike], pairs: Sequence[Pair] = (), progress: Progress = silent
+        self,
+        sweep: SphereSweep,
+        images: Sequence[ArrayLike],
+        pairs: Sequence[Pair] = (),
+        progress: Progress = silent,
     ) -> Tensor:
-        """Return 1 - probability of every sphere, shape (H, W, N); NaN for rays that no two cameras share.
+        """Return 1 - probability of every sphere, shape (H, W, N); NaN for rays that no two cameras
+        share.
 
         See `Cost`. The pairs are not used: `correlate` compares all cameras.
         """
@@ -204,9 +239,11 @@ class VolumeNet(StoredNetwork):
         size: tuple[int, int, int],
         step: Callable[[str], object] = lambda what: None,
     ) -> Tensor:
-        """Return the correlation volume of a frame at a size; masks and coordinates are kept for the next frame.
+        """Return the correlation volume of a frame at a size; masks and coordinates are kept for
+        the next frame.
 
-        `step` is called with the name of each part before it begins: the tables, each camera, the correlation.
+        `step` is called with the name of each part before it begins: the tables, each camera, the
+        correlation.
         """
         rig, images = reduce_images(sweep.rig, images, pixels_per_degree(size))
         device = sweep.device
@@ -236,9 +273,11 @@ def normalize(image: Tensor, visible: Tensor) -> Tensor:
 
 
 def resize_logits(logits: Tensor, columns: Tensor, grid: SphereGrid) -> Tensor:
-    """Return columns of the full-size logits: (B, w, h, n) → (B, columns, H, N), interpolated, circular in θ.
+    """Return columns of the full-size logits: (B, w, h, n) → (B, columns, H, N), interpolated,
+    circular in θ.
 
-    Linear across rays, cubic along them: linear, the most probable sphere of a ray would be in the middle of a cell.
+    Linear across rays, cubic along them: linear, the most probable sphere of a ray would be in the
+    middle of a cell.
     """
     w, n = logits.shape[1], logits.shape[3]
     position = (columns + 0.5) * (w / grid.width) - 0.5
@@ -248,14 +287,18 @@ def resize_logits(logits: Tensor, columns: Tensor, grid: SphereGrid) -> Tensor:
     rays = interpolate(across, (grid.height, n), mode="bilinear", align_corners=False)
     cells = torch.eye(n, device=logits.device)[None, None]
     with full_precision(rays):
-        return rays @ interpolate(cells, (n, grid.num_spheres), mode="bicubic", align_corners=False)[0, 0]
+        return (
+            rays
+            @ interpolate(cells, (n, grid.num_spheres), mode="bicubic", align_corners=False)[0, 0]
+        )
 
 
 def local_mean(volume: Tensor) -> tuple[Tensor, Tensor]:
-    """Return sphere index and confidence of costs 1 - probability (H, W, N): two float32 tensors (H, W).
+    """Return sphere index and confidence of costs 1 - probability (H, W, N): two float32 tensors
+    (H, W).
 
-    The index is the mean sphere around the most probable one, within a cell of the coarse volume, at least one sphere,
-    on either side; see `reference.local_mean`. The confidence is the probability that these spheres have together, in
-    [0, 1]. NaN where the cost is NaN.
+    The index is the mean sphere around the most probable one, within a cell of the coarse volume,
+    at least one sphere, on either side; see `reference.local_mean`. The confidence is the
+    probability that these spheres have together, in [0, 1]. NaN where the cost is NaN.
     """
     return reference.local_mean(volume, COARSE[1])

@@ -17,10 +17,11 @@ from omnistereo_lib.stereo.kernels import zncc_numba
 
 @dataclass(frozen=True)
 class ZNCC(BlockCost):
-    """Zero-mean normalised cross-correlation of square patches as a cost (1 - ZNCC)/2 in [0, 1] (paper, Section IV).
+    """Zero-mean normalised cross-correlation of square patches as a cost (1 - ZNCC)/2 in [0, 1]
+    (paper, Section IV).
 
-    A patch holds the pixels of the window that are visible to both cameras; it continues across the ±180° seam.
-    A patch without texture costs 0.5: neither match nor mismatch.
+    A patch holds the pixels of the window that are visible to both cameras; it continues across the
+    ±180° seam. A patch without texture costs 0.5: neither match nor mismatch.
 
     Raises:
         OmnistereoError: If the window is not None or an odd number of at least 3.
@@ -31,18 +32,28 @@ class ZNCC(BlockCost):
     True
     """
 
-    window: int | None = None  #: side of the window in pixels, odd, at least 3; None: that of `default_window`
+    window: int | None = (
+        None  #: side of the window in pixels, odd, at least 3; None: that of `default_window`
+    )
     one_thread: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         window = self.window
-        if window is not None and (not isinstance(window, Integral) or window < 3 or window % 2 == 0):
-            raise OmnistereoError(f"the ZNCC window is {window!r}; expected an odd number of at least 3")
+        if window is not None and (
+            not isinstance(window, Integral) or window < 3 or window % 2 == 0
+        ):
+            raise OmnistereoError(
+                f"the ZNCC window is {window!r}; expected an odd number of at least 3"
+            )
 
     def __call__(
-        self, spherical_images: Tensor, pairs: Sequence[Pair], columns: Sequence[tuple[int, int]] | None = None
+        self,
+        spherical_images: Tensor,
+        pairs: Sequence[Pair],
+        columns: Sequence[tuple[int, int]] | None = None,
     ) -> Tensor:
-        """Return the mean cost over camera pairs (Eq. 2) for a block of spheres, (H, W, B); see `BlockCost`.
+        """Return the mean cost over camera pairs (Eq. 2) for a block of spheres, (H, W, B); see
+        `BlockCost`.
 
         Raises an `OmnistereoError` if the window is larger than the panorama.
         """
@@ -50,7 +61,8 @@ class ZNCC(BlockCost):
         window = default_window(W) if self.window is None else self.window
         if window > min(H, W):
             raise OmnistereoError(
-                f"the ZNCC window is {window}; expected at most the panorama size {W} × {H}. Use a smaller window."
+                f"the ZNCC window is {window}; expected at most the panorama size {W} × {H}. Use a"
+                " smaller window."
             )
         if spherical_images.device.type == "cpu":
             return zncc_numba.mean_costs(spherical_images, pairs, window, columns)
@@ -61,11 +73,12 @@ class ZNCC(BlockCost):
 
 
 def default_window(width: int) -> int:
-    """Return the side of ZNCC's window for a panorama of W columns: the paper's 9 at 1200, 7 at 640, 5 at 320.
+    """Return the side of ZNCC's window for a panorama of W columns: the paper's 9 at 1200, 7 at
+    640, 5 at 320.
 
-    It is the odd number nearest to 9 √(W / 1200), at least 5 and never larger than the paper's. A window of 9 would be
-    10° wide at 320 columns, and hold more than one depth. Chosen on held-out frames of the training sets; see notebook
-    07.
+    It is the odd number nearest to 9 √(W / 1200), at least 5 and never larger than the paper's. A
+    window of 9 would be 10° wide at 320 columns, and hold more than one depth. Chosen on held-out
+    frames of the training sets; see notebook 07.
     """
     side = 9 * min(width / 1200, 1.0) ** 0.5
     return max(2 * round((side - 1) / 2) + 1, 5)

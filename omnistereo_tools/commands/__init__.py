@@ -1,1 +1,3 @@
-"""The commands of `omnistereo`, one module each; what is slow to import is imported when a command runs."""
+"""The commands of `omnistereo`, one module each; what is slow to import is imported when a command
+runs.
+"""

@@ -30,19 +30,28 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-    from omnistereo_lib.calibrate.board import Board
+    from omnistereo_rigs.boards.board import Board
 
     # Names of cameras and of captures, views[camera][capture], sizes of the images.
-    _Read = tuple[Sequence[str], Sequence[str], Sequence[Sequence[ArrayLike | None]], Sequence[tuple[int, int]] | None]
+    _Read = tuple[
+        Sequence[str],
+        Sequence[str],
+        Sequence[Sequence[ArrayLike | None]],
+        Sequence[tuple[int, int]] | None,
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrateOptions(ImagesOptions):
     """Options of `omnistereo calibrate`."""
 
-    folder: Path | None = option("a folder of images per camera", positional=True, nargs="?", metavar="FOLDER")
+    folder: Path | None = option(
+        "a folder of images per camera", positional=True, nargs="?", metavar="FOLDER"
+    )
     board: str | None = option("inner corners, columns x rows, such as 12x10, or a YAML file")
-    square: float | None = option("edge of a square of a checkerboard in metres, such as 0.06", needs="board")
+    square: float | None = option(
+        "edge of a square of a checkerboard in metres, such as 0.06", needs="board"
+    )
     degree: int | None = option("polynomial degree", unset="chosen by cross-validation")
     corners: Path | None = option("folder with corners_*.yaml of an earlier run, edited or not")
 
@@ -53,13 +62,15 @@ class CalibrateOptions(ImagesOptions):
         if self.from_images is None and (self.folder is None or self.board is None):
             raise OmnistereoError("calibrate needs FOLDER and --board, or --from-images and --rig")
         if self.degree is not None or self.max_fov is not None:
-            from omnistereo_lib.calibrate.single_camera import check_settings
+            from omnistereo_rigs.boards.single_camera import check_settings
 
             check_settings(self.degree, self.max_fov)
 
 
 def run(options: CalibrateOptions) -> int:
-    """Calibrate one camera or a rig and write it and its report; return 1 if images leave the given rig as it is."""
+    """Calibrate one camera or a rig and write it and its report; return 1 if images leave the given
+    rig as it is.
+    """
     if options.folder is None or options.board is None:
         from omnistereo_tools.commands.calibrate_images import run
 
@@ -69,30 +80,38 @@ def run(options: CalibrateOptions) -> int:
 
 
 def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) -> None:
-    """Calibrate one camera or a rig from images of a board; write it, its report and its detections."""
-    from omnistereo_lib.calibrate.captures import save_corners
-    from omnistereo_lib.calibrate.joint import calibrate_rig
-    from omnistereo_lib.calibrate.single_camera import calibrate_camera
+    """Calibrate one camera or a rig from images of a board; write it, its report and its
+    detections.
+    """
     from omnistereo_lib.files import write_text
-    from omnistereo_lib.rig_files.formats import load_cameras
-    from omnistereo_lib.rig_files.ocam import write_ocam_txt
+    from omnistereo_lib.rig_file import write_ocam_txt
+    from omnistereo_rigs.boards.captures import save_corners
+    from omnistereo_rigs.boards.joint import calibrate_rig
+    from omnistereo_rigs.boards.single_camera import calibrate_camera
+    from omnistereo_rigs.formats.read import load_cameras
+    from omnistereo_rigs.formats.write import write_rig
     from omnistereo_tools.output.calibration_figures import calibration_figure
-    from omnistereo_tools.output.rig_exports import write_rig
     from omnistereo_tools.outputs import save_figure
     from omnistereo_tools.progress import progress_bar
 
     # Read the boards.
     _check_out(options, folder)
     board = _read_board(board_name, options.square)
-    read = _read_captures(folder) if options.corners is None else _read_corners(options.corners, board)
+    read = (
+        _read_captures(folder) if options.corners is None else _read_corners(options.corners, board)
+    )
     cameras, names, views, sizes = read
     if options.rig is not None and (len(views) == 1 or options.degree is not None):
-        raise OmnistereoError("--rig keeps the intrinsics of two or more cameras. Leave it, or --degree, out")
+        raise OmnistereoError(
+            "--rig keeps the intrinsics of two or more cameras. Leave it, or --degree, out"
+        )
     out = hold(options.out)
     # Compute lenses and poses.
     chosen = options.degree, options.max_fov, progress_bar(), names
     if len(views) == 1:
-        camera, single = calibrate_camera(views[0], board, None if sizes is None else sizes[0], *chosen)
+        camera, single = calibrate_camera(
+            views[0], board, None if sizes is None else sizes[0], *chosen
+        )
         reports, text = [single], single.text(names)
         write_ocam_txt(camera, out / "ocam1.txt")
         written = ["ocam1.txt"]
@@ -115,9 +134,11 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
 
 
 def _read_board(name: str, square: float | None) -> Board:
-    """Return the board of a YAML file, or the checkerboard of a size such as 12x10 and an edge in metres."""
-    from omnistereo_lib.calibrate.captures import load_board
-    from omnistereo_lib.calibrate.checkerboard import Checkerboard
+    """Return the board of a YAML file, or the checkerboard of a size such as 12x10 and an edge in
+    metres.
+    """
+    from omnistereo_rigs.boards.captures import load_board
+    from omnistereo_rigs.boards.checkerboard import Checkerboard
 
     if Path(name).suffix in (".yaml", ".yml"):
         if square is not None:
@@ -127,7 +148,8 @@ def _read_board(name: str, square: float | None) -> Board:
     if size is None or square is None:
         found = f"--board {name}" + ("" if square is None else f" --square {square:g}")
         raise OmnistereoError(
-            f"found {found}; expected columns x rows such as --board 12x10 --square 0.06, or a YAML file"
+            f"found {found}; expected columns x rows such as --board 12x10 --square 0.06, or a YAML"
+            " file"
         )
     return Checkerboard((int(size[1]), int(size[2])), square)
 
@@ -136,15 +158,19 @@ def _check_out(options: CalibrateOptions, folder: Path) -> None:
     """Raise an `OmnistereoError` if --out would write over what is read, or add a camera to FOLDER."""
     out, pictures = options.out, folder.resolve()
     if options.corners is None and pictures in (out.resolve(), out.resolve().parent):
-        raise OmnistereoError(f"--out {out} would be read as images of {folder} the next time. Choose another.")
-    files = (path for name in ("*.yaml", "*.txt", "report_*.png", "colmap_*") for path in out.glob(name))
+        raise OmnistereoError(
+            f"--out {out} would be read as images of {folder} the next time. Choose another."
+        )
+    files = (
+        path for name in ("*.yaml", "*.txt", "report_*.png", "colmap_*") for path in out.glob(name)
+    )
     unread = () if options.corners is None else ("folder",)
     check_outputs(options, (path for path in files if path.stem[:8] != "corners_"), unread=unread)
 
 
 def _read_captures(folder: Path) -> _Read:
     """Return the images, without their sizes."""
-    from omnistereo_lib.calibrate.captures import find_captures
+    from omnistereo_rigs.boards.captures import find_captures
 
     captures = find_captures(folder)
     counts = ", ".join(
@@ -157,11 +183,13 @@ def _read_captures(folder: Path) -> _Read:
 
 def _read_corners(folder: Path, board: Board) -> _Read:
     """Return corners in place of images."""
-    from omnistereo_lib.calibrate.captures import load_corners
+    from omnistereo_rigs.boards.captures import load_corners
 
     files = sorted(folder.glob("corners_*.yaml"), key=lambda path: (len(path.name), path.name))
     if not files:
-        raise OmnistereoError(f"{folder} holds no corners_*.yaml: run once without --corners, which writes them")
+        raise OmnistereoError(
+            f"{folder} holds no corners_*.yaml: run once without --corners, which writes them"
+        )
     loaded = [load_corners(path) for path in files]
     for path, (_, detected, _) in zip(files, loaded, strict=True):
         if type(detected) is not type(board) or len(detected.points) != len(board.points):

@@ -8,7 +8,18 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from omnistereo_lib.calibrate.from_images import (
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.files import write_text
+from omnistereo_lib.frame import load_images
+from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.progress import Progress
+from omnistereo_lib.stereo.images import to_gray
+from omnistereo_rigs.formats import load_rig
+from omnistereo_rigs.formats.read import load_cameras
+from omnistereo_rigs.formats.write import write_rig
+from omnistereo_rigs.images.from_images import (
     Given,
     Images,
     MeasuredRig,
@@ -17,21 +28,10 @@ from omnistereo_lib.calibrate.from_images import (
     measure_rig,
     rig_from_pairs,
 )
-from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import write_text
-from omnistereo_lib.frame import load_images
-from omnistereo_lib.geometry.pose import Pose
-from omnistereo_lib.geometry.rig import Rig
-from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.progress import Progress
-from omnistereo_lib.rig_files import load_rig
-from omnistereo_lib.rig_files.formats import load_cameras
-from omnistereo_lib.stereo.images import to_gray
 from omnistereo_tools.commands.options import ImagesOptions
 from omnistereo_tools.input.masks import with_masks
 from omnistereo_tools.input.sources import Recording, of_recordings
 from omnistereo_tools.judge.first_look import matching_cost
-from omnistereo_tools.output.rig_exports import write_rig
 from omnistereo_tools.outputs import check_outputs, hold, save_figure
 from omnistereo_tools.progress import progress_bar
 
@@ -44,19 +44,34 @@ _AS_GOOD = 1.01  # times the cost
 
 
 def run(options: ImagesOptions, recorded: Sequence[Path]) -> int:
-    """Measure a rig from images, write it and its report; return 1 if the given rig is better and stays."""
+    """Measure a rig from images, write it and its report; return 1 if the given rig is better and
+    stays.
+    """
     out = options.out
-    names = ("config.yaml", "report.txt", "report_points.png", "poses.txt", "kalibr.yaml", "opencv.yaml")
+    names = (
+        "config.yaml",
+        "report.txt",
+        "report_points.png",
+        "poses.txt",
+        "kalibr.yaml",
+        "opencv.yaml",
+    )
     check_outputs(options, [out / name for name in names])
     images, rig, given = _read(options, recorded)
-    print(f"measuring the poses from {len(images)} frames takes about {10 + 8 * len(images)} s", flush=True)
+    print(
+        f"measuring the poses from {len(images)} frames takes about {10 + 8 * len(images)} s",
+        flush=True,
+    )
     measured, better, costs = _measure(options, rig, given, images, progress_bar())
     if refusals := measured.refusals():
         raise OmnistereoError("; ".join(refusals))
     text = "\n".join([*_report(measured, len(images), given), *costs])
     print(text)
     if not better:
-        print("The held-out parts of the images do not match better: the given rig stays, nothing is written.")
+        print(
+            "The held-out parts of the images do not match better: the given rig stays, nothing is"
+            " written."
+        )
         return 1
     hold(out)
     written = write_rig(measured.rig, out)
@@ -80,34 +95,51 @@ def _read(options: ImagesOptions, recorded: Sequence[Path]) -> tuple[Images, Rig
     else:
         images = [load_images(recorded, rig)]
     if options.calibrated and len(images) == 1:
-        raise OmnistereoError("one frame does not replace a calibration. Give several, or leave out --calibrated")
+        raise OmnistereoError(
+            "one frame does not replace a calibration. Give several, or leave out --calibrated"
+        )
     if options.rig is not None:
         return images, rig, "calibration" if options.calibrated else "nominal"
     print("finding the poses without any to start from", flush=True)
     features = find_features(rig.cameras, images)
-    return images, rig_from_pairs(rig.cameras, features, options.baseline, options.radius), "nothing"
+    return (
+        images,
+        rig_from_pairs(rig.cameras, features, options.baseline, options.radius),
+        "nothing",
+    )
 
 
 def _choose_frames(recording: Recording, rig: Rig, count: int) -> Images:
     """Return frames of a recording that are sharp and differ most: a still rig repeats its errors."""
     numbers = sorted(recording.frames)
-    candidates = [numbers[k] for k in np.unique(np.linspace(0, len(numbers) - 1, _CANDIDATES).round().astype(int))]
+    candidates = [
+        numbers[k]
+        for k in np.unique(np.linspace(0, len(numbers) - 1, _CANDIDATES).round().astype(int))
+    ]
     frames = list(recording.read(candidates, rig))
     looks = np.stack([np.stack([_thumbnail(image) for image in images]) for images in frames])
     sharpness = np.array([np.median([_sharpness(image) for image in images]) for images in frames])
     left = [k for k in range(len(frames)) if sharpness[k] >= _BLURRED * np.median(sharpness)]
     chosen = [max(left, key=lambda k: sharpness[k])]
     while len(chosen) < count:
-        apart = {k: min(float(np.abs(looks[k] - looks[c]).mean()) for c in chosen) for k in left if k not in chosen}
+        apart = {
+            k: min(float(np.abs(looks[k] - looks[c]).mean()) for c in chosen)
+            for k in left
+            if k not in chosen
+        }
         if not apart or max(apart.values()) < _STILL:
             break
         chosen.append(max(apart, key=apart.__getitem__))
-    print(f"frames {', '.join(str(candidates[k]) for k in sorted(chosen))} of {len(numbers)} are used")
+    print(
+        f"frames {', '.join(str(candidates[k]) for k in sorted(chosen))} of {len(numbers)} are used"
+    )
     return [frames[k] for k in sorted(chosen)]
 
 
 def _thumbnail(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    return np.asarray(cv2.resize(to_gray(image), (_THUMBNAIL, _THUMBNAIL), interpolation=cv2.INTER_AREA))
+    return np.asarray(
+        cv2.resize(to_gray(image), (_THUMBNAIL, _THUMBNAIL), interpolation=cv2.INTER_AREA)
+    )
 
 
 def _sharpness(image: NDArray[np.uint8]) -> float:
@@ -117,7 +149,9 @@ def _sharpness(image: NDArray[np.uint8]) -> float:
 def _measure(
     options: ImagesOptions, rig: Rig, given: Given, images: Images, progress: Progress
 ) -> tuple[MeasuredRig, bool, list[str]]:
-    """Return the rig measured, whether it matches held-out parts better than the one given, and by how much."""
+    """Return the rig measured, whether it matches held-out parts better than the one given, and by
+    how much.
+    """
     features = find_features(rig.cameras, images, progress)
     measured = measure_rig(rig, images, given, features, options.free_lenses, progress=progress)
     if given == "nothing":
@@ -125,7 +159,10 @@ def _measure(
     half = measure_rig(rig, images, given, features, options.free_lenses, "even", progress)
     before, after = _held_out_costs(rig, images), _held_out_costs(half.rig, images)
     said = ", ".join(f"{a:.4f} → {b:.4f}" for a, b in zip(before, after, strict=True))
-    line = f"matching cost where images were held out, with the given rig → with one measured elsewhere: {said}"
+    line = (
+        "matching cost where images were held out, with the given rig → with one measured"
+        f" elsewhere: {said}"
+    )
     return measured, float(np.mean(after)) <= _AS_GOOD * float(np.mean(before)), [line]
 
 
@@ -145,16 +182,26 @@ def _report(measured: MeasuredRig, frames: int, given: Given) -> list[str]:
         "calibration": "the given poses are a calibration, and keep weight",
     }[given]
     lines = [
-        f"rig: {len(measured.rig)} cameras, {frames} frame{'s' if frames > 1 else ''}, {measured.num_points} points in "
-        f"{measured.num_cells} cells of 15°, noise {measured.sigma_px:.2f} px; {start}",
-        f"  half of the points are within {measured.depth_quantile(0.5):.3g} m, nine tenths beyond "
-        f"{measured.depth_quantile(0.1):.3g} m; regions of the images disagree: deviations × {measured.lens_noise:.1f}",
+        (
+            f"rig: {len(measured.rig)} cameras, {frames} frame{'s' if frames > 1 else ''},"
+            f" {measured.num_points} points in {measured.num_cells} cells of 15°, noise"
+            f" {measured.sigma_px:.2f} px; {start}"
+        ),
+        (
+            f"  half of the points are within {measured.depth_quantile(0.5):.3g} m, nine tenths"
+            f" beyond {measured.depth_quantile(0.1):.3g} m; regions of the images disagree:"
+            f" deviations × {measured.lens_noise:.1f}"
+        ),
     ]
     for k, ((turn, shift), (turn_sd, shift_sd)) in enumerate(
         zip(measured.changes, measured.deviations, strict=True), 1
     ):
         known = f"pose known to {turn_sd:.3f}° and {1000 * shift_sd:.2g} mm"
-        change = "" if given == "nothing" else f"; turned by {turn:.3f}° and moved by {1000 * shift:.2g} mm"
+        change = (
+            ""
+            if given == "nothing"
+            else f"; turned by {turn:.3f}° and moved by {1000 * shift:.2g} mm"
+        )
         lines.append(f"  camera {k}: {known}{change}")
     lines.append("  the size of the rig is the one given: images do not tell a metre")
     return lines
@@ -165,9 +212,17 @@ def _figure(measured: MeasuredRig) -> Figure:
     u, depth = measured.points[:, :3], 1 / np.maximum(measured.points[:, 3], 1e-3)
     figure = Figure(figsize=(11, 5), layout="constrained")
     axes = figure.subplots()
-    azimuth, elevation = np.degrees(np.arctan2(u[:, 0], u[:, 2])), np.degrees(np.arcsin(u[:, 1].clip(-1, 1)))
+    azimuth, elevation = (
+        np.degrees(np.arctan2(u[:, 0], u[:, 2])),
+        np.degrees(np.arcsin(u[:, 1].clip(-1, 1))),
+    )
     drawn = axes.scatter(azimuth, elevation, c=np.log10(depth), s=6, cmap="viridis_r")
     figure.colorbar(drawn, ax=axes, label="distance, log10 of metres")
-    axes.set(xlim=(-180, 180), ylim=(90, -90), xlabel="azimuth in degrees", ylabel="elevation in degrees, down > 0")
+    axes.set(
+        xlim=(-180, 180),
+        ylim=(90, -90),
+        xlabel="azimuth in degrees",
+        ylabel="elevation in degrees, down > 0",
+    )
     axes.set_title(f"{len(u)} points that cameras share: where there are none, nothing is known")
     return figure

@@ -15,7 +15,8 @@ from omnistereo_tools.parser import Options, option, shrink
 
 DRIVE = Path(__file__).resolve().parents[2] / "data_samples" / "drive" / "test"
 _RATE = 5  # frames/s
-_BEST_FIRST = (("volumenet", 640), ("volumenet", 320), ("zncc+sgm", 640), ("zncc+sgm", 320))  # method and columns
+# method and columns
+_BEST_FIRST = (("volumenet", 640), ("volumenet", 320), ("zncc+sgm", 640), ("zncc+sgm", 320))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,21 +27,31 @@ class DemoOptions(Options):
 
 
 def run(options: DemoOptions) -> None:
-    """Play the drive there and back as `omnistereo live` plays videos, by the best method that keeps its pace."""
+    """Play the drive there and back as `omnistereo live` plays videos, by the best method that
+    keeps its pace.
+    """
     with TemporaryDirectory() as folder:
         videos = tuple(_videos(Path(folder)))
         print("timing the methods: a few seconds", flush=True)
-        live = live_command.LiveOptions(rig=DRIVE, cameras=videos, port=options.port, open=True, loop=True)
+        live = live_command.LiveOptions(
+            rig=DRIVE, cameras=videos, port=options.port, open=True, loop=True
+        )
         *better, plain = [
-            shrink(replace(live, method=method, width=width, height=width // 4)) for method, width in _BEST_FIRST
+            shrink(replace(live, method=method, width=width, height=width // 4))
+            for method, width in _BEST_FIRST
         ]
         live = next((live for live in better if _rate(live) >= _RATE), plain)
-        print(f"{live.width} × {live.height} rays by {live.method}, the best that keeps {_RATE} frames/s here")
+        print(
+            f"{live.width} × {live.height} rays by {live.method}, the best that keeps {_RATE}"
+            " frames/s here"
+        )
         live_command.run(live)
 
 
 def _rate(live: live_command.LiveOptions) -> float:
-    """Return how many pictures a second the videos get by a method, up to the 20 that are read; timed for a second."""
+    """Return how many pictures a second the videos get by a method, up to the 20 that are read;
+    timed for a second.
+    """
     from omnistereo_tools.live_view import live_pictures
 
     cameras, sweep = live_command.open_cameras(live)
@@ -62,12 +73,16 @@ def _videos(folder: Path) -> list[str]:
     from omnistereo_lib.files import read_image
 
     if not (cameras := sorted(DRIVE.glob("cam*"))):
-        raise OmnistereoError(f"{DRIVE} has no pictures; the drive comes with the clone. Run the demo there.")
+        raise OmnistereoError(
+            f"{DRIVE} has no pictures; the drive comes with the clone. Run the demo there."
+        )
     names = []
     for camera in cameras:
         pictures = [read_image(path) for path in sorted(camera.iterdir())]
         names.append(str(folder / f"{camera.name}.avi"))
-        video = cv2.VideoWriter(names[-1], cv2.VideoWriter.fourcc(*"MJPG"), _RATE, pictures[0].shape[1::-1])
+        video = cv2.VideoWriter(
+            names[-1], cv2.VideoWriter.fourcc(*"MJPG"), _RATE, pictures[0].shape[1::-1]
+        )
         for picture in [*pictures, *pictures[-2:0:-1]]:
             video.write(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
         video.release()

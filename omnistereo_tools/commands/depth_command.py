@@ -1,4 +1,5 @@
-"""Estimate the depth of one frame: images and a rig in; a page to look at, a viewer for the browser and data out.
+"""Estimate the depth of one frame: images and a rig in; a page to look at, a viewer for the browser
+and data out.
 
 Examples:
   omnistereo depth
@@ -34,12 +35,22 @@ class DepthOptions(MethodOptions, GridOptions, FrameOptions):
     """What is written of one frame."""
 
     out: Path | None = option("folder for the results", unset="out; with --rig out/depth_NAME")
-    max_depth: float | None = option("of points, metres", unset="the fourth sphere from infinity", between=(1e-6, 1e9))
+    max_depth: float | None = option(
+        "of points, metres", unset="the fourth sphere from infinity", between=(1e-6, 1e9)
+    )
     min_confidence: float = option("of points; doubtful ones are marked", 0.0, between=(0, 1))
-    mesh: Path | None = option("write a mesh: .glb (textured, y up) or .ply", suffixes=(".glb", ".ply"))
-    mesh_faces: int | None = option("decimate the mesh to N triangles", metavar="N", between=(1, 10**9), needs="mesh")
-    equirectangular: Path | None = option("write depth as 2:1 TIFF, for 360° viewers", suffixes=(".tiff", ".tif"))
-    crops: Path | None = option("perspective crops with depth and transforms.json", metavar="FOLDER")
+    mesh: Path | None = option(
+        "write a mesh: .glb (textured, y up) or .ply", suffixes=(".glb", ".ply")
+    )
+    mesh_faces: int | None = option(
+        "decimate the mesh to N triangles", metavar="N", between=(1, 10**9), needs="mesh"
+    )
+    equirectangular: Path | None = option(
+        "write depth as 2:1 TIFF, for 360° viewers", suffixes=(".tiff", ".tif")
+    )
+    crops: Path | None = option(
+        "perspective crops with depth and transforms.json", metavar="FOLDER"
+    )
     all_crops: bool = option("crops up to the rim, above and below", False, needs="crops")
 
 
@@ -71,7 +82,9 @@ def run(options: DepthOptions) -> None:
     say_frame(method, grid, options.device)
     # Compute and write.
     depth = estimate_depth(frame, grid, method, device=options.device, progress=progress_bar())
-    result = FrameResult(depth, Limits.of(depth, options.max_depth, options.min_confidence), method, gt_index)
+    result = FrameResult(
+        depth, Limits.of(depth, options.max_depth, options.min_confidence), method, gt_index
+    )
     print("\n".join(result.sentences()), flush=True)
     written = result.write(out, progress_bar())
     written += result.export(
@@ -81,12 +94,16 @@ def run(options: DepthOptions) -> None:
 
 
 def _check(options: DepthOptions, out: Path) -> None:
-    """Raise an `OmnistereoError` if --images are those of a recording, or a result would replace what is read."""
+    """Raise an `OmnistereoError` if --images are those of a recording, or a result would replace
+    what is read.
+    """
     from omnistereo_tools.input.sources import of_recordings
 
     for path in of_recordings(options.images or ()):
         right = as_typed("record", RecordOptions, options)
-        raise OmnistereoError(f"{path} holds many frames; expected one picture per camera. For recordings: {right}")
+        raise OmnistereoError(
+            f"{path} holds many frames; expected one picture per camera. For recordings: {right}"
+        )
     files = [out / "overview.png", out / "index.html", options.mesh, options.equirectangular]
     folders = [out / "data"]
     if (crops := options.crops) is not None:
@@ -100,6 +117,9 @@ def _make_folders(options: DepthOptions, out: Path) -> None:
     from omnistereo_lib.files import make_folder
 
     hold(out)
-    for folder in (options.crops, *(file and file.parent for file in (options.mesh, options.equirectangular))):
+    for folder in (
+        options.crops,
+        *(file and file.parent for file in (options.mesh, options.equirectangular)),
+    ):
         if folder is not None:
             make_folder(folder)

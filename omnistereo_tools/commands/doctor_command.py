@@ -36,17 +36,25 @@ if TYPE_CHECKING:
 class DoctorOptions(GridOptions, FrameOptions):
     """Options of `omnistereo doctor`; the panorama is the one on which images are matched."""
 
-    rig: Path | None = option("rig file, folder of one, or data set", unset="check the installation instead")
+    rig: Path | None = option(
+        "rig file, folder of one, or data set", unset="check the installation instead"
+    )
     width: int = 320
     height: int | None = 80
     spheres: int = 64
-    write: Path | None = option("write there the rig as the images show it", suffixes=(".yaml", ".yml"))
-    coverage: Path | None = option("draw there how many cameras see what", suffixes=(".png", ".jpg", ".jpeg"))
+    write: Path | None = option(
+        "write there the rig as the images show it", suffixes=(".yaml", ".yml")
+    )
+    coverage: Path | None = option(
+        "draw there how many cameras see what", suffixes=(".png", ".jpg", ".jpeg")
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.rig is None and (given := set(self.given()) - {"width", "height", "spheres"}):
-            raise OmnistereoError(f"{flag(min(given))} needs --rig: the file or folder that describes the cameras")
+            raise OmnistereoError(
+                f"{flag(min(given))} needs --rig: the file or folder that describes the cameras"
+            )
 
 
 def run(options: DoctorOptions) -> int:
@@ -59,7 +67,9 @@ def run(options: DoctorOptions) -> int:
 
 
 def _check_rig(options: DoctorOptions, rig_file: Path) -> int:
-    """Say what a rig can see and what depth to ask for, and check it against its images; return 1 if it is wrong."""
+    """Say what a rig can see and what depth to ask for, and check it against its images; return 1
+    if it is wrong.
+    """
     check_outputs(options, [options.coverage, options.write])
     has_images = options.images is not None or _is_data_set(rig_file)
     if options.write is not None and not has_images:
@@ -78,27 +88,38 @@ def _check_rig(options: DoctorOptions, rig_file: Path) -> int:
     if frame:
         min_depth = find_min_depth(min_depth, frame)
     # The panorama that `omnistereo depth` computes by default.
-    grid = coverage.propose(DepthOptions.width, DepthOptions.height, options.phi, DepthOptions.spheres, min_depth)
+    grid = coverage.propose(
+        DepthOptions.width, DepthOptions.height, options.phi, DepthOptions.spheres, min_depth
+    )
     print(*coverage.sentences(grid.min_depth), sep="\n")
     if options.coverage is not None:
         save_figure(options.coverage, coverage.figure())
-    status = _check_images(options, frame, make_grid(options, coverage, grid.min_depth)) if frame else 0
+    status = (
+        _check_images(options, frame, make_grid(options, coverage, grid.min_depth)) if frame else 0
+    )
     if not frame:
         warn_of(rig_doubts(rig, grid.min_depth))
         print(coverage.left_out(grid))
         print("With --images the poses are checked, too, and the command for depth is printed.")
     elif status == 0:
-        chosen = {"width": grid.width, "height": grid.height, "phi": grid.phi_deg, "spheres": grid.num_spheres}
+        chosen = {
+            "width": grid.width,
+            "height": grid.height,
+            "phi": grid.phi_deg,
+            "spheres": grid.num_spheres,
+        }
         print(f"{coverage.left_out(grid)} Ready to run:")
         print(as_typed("depth", DepthOptions, options, **chosen, min_depth=grid.min_depth))
     return status
 
 
 def _check_images(options: DoctorOptions, frame: Frame, grid: SphereGrid) -> int:
-    """Check a rig against its images, whose matching cost is that on a grid; return 1 if it is wrong."""
-    from omnistereo_lib.rig_files import save_rig
+    """Check a rig against its images, whose matching cost is that on a grid; return 1 if it is
+    wrong.
+    """
+    from omnistereo_lib.rig_file import save_rig
+    from omnistereo_rigs.doctor.rig_check import check_rig
     from omnistereo_tools.judge.first_look import matching_cost, rig_doubts, same_pictures
-    from omnistereo_tools.judge.rig_check import check_rig
     from omnistereo_tools.progress import progress_bar
 
     rig, images = frame.rig, frame.images
@@ -113,13 +134,18 @@ def _check_images(options: DoctorOptions, frame: Frame, grid: SphereGrid) -> int
     print(f"{'OK  ' if check.fits else 'OPEN' if check.fits is None else 'FAIL'}  {check.text}")
     if options.write is not None and check.fixed is not None:
         save_rig(check.fixed, options.write)
-        print(f"written to {options.write}: the rig as the images show it, in the order of the images")
+        print(
+            f"written to {options.write}: the rig as the images show it, in the order of the images"
+        )
     elif options.write is not None:
-        print(f"{options.write} is not written: {'there is nothing to put right' if check.fits else 'see above'}")
+        print(
+            f"{options.write} is not written:"
+            f" {'there is nothing to put right' if check.fits else 'see above'}"
+        )
     if stated is None:
         print(
-            "A wrong unit does not show, since no nearest depth is stated: check the distances between the cameras "
-            "above, or pass --min-depth."
+            "A wrong unit does not show, since no nearest depth is stated: check the distances"
+            " between the cameras above, or pass --min-depth."
         )
     return 0 if check.fits else 1
 

@@ -1,4 +1,5 @@
-"""Evaluate methods on data sets, as Table II of the paper does, or resume an interrupted evaluation.
+"""Evaluate methods on data sets, as Table II of the paper does, or resume an interrupted
+evaluation.
 
 Examples:
   omnistereo evaluate --sets sunny indoor --methods zncc+sgm sweepnet+sgm --scale teaching
@@ -22,10 +23,14 @@ class EvaluateOptions(PrecisionOptions, LensOptions):
     resumes = True
 
     sets: tuple[str, ...] = option("names or data set folders", ("sunny", "cloudy", "sunset"))
-    split: Literal["train", "test"] | None = option("of the sets", unset="test of a bundled name, all of a folder")
+    split: Literal["train", "test"] | None = option(
+        "of the sets", unset="test of a bundled name, all of a folder"
+    )
     frames: tuple[int, ...] | None = option("frame numbers", unset="all with ground truth")
     methods: tuple[str, ...] = option("such as zncc sweepnet+sgm,p1=0.2", (), unset="all")
-    ablations: tuple[str, ...] = option("window weights pairs wrap subindex penalties spheres", (), metavar="NAME")
+    ablations: tuple[str, ...] = option(
+        "window weights pairs wrap subindex penalties spheres", (), metavar="NAME"
+    )
     scale: Literal["teaching", "training", "paper"] = option("size of the panoramas", "teaching")
     weights: Path | None = option("folder of weights files", unset="the bundled ones")
     cluster: str | None = option("of a Dask scheduler, to use many machines", metavar="ADDRESS")
@@ -35,12 +40,23 @@ class EvaluateOptions(PrecisionOptions, LensOptions):
 
 def run(options: EvaluateOptions) -> None:
     """Evaluate methods on data sets, merge the results and print the table."""
-    from omnistereo_lib.evaluate import SCALES, Evaluation, errors_table, find_sets, select_methods, write_results
+    from omnistereo_learn.evaluate import (
+        SCALES,
+        Evaluation,
+        errors_table,
+        find_sets,
+        select_methods,
+        write_results,
+    )
     from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
     from omnistereo_tools.progress import progress_bar
 
     out = options.out or Path("out") / f"evaluation_{options.scale}"
-    tables = (out / f"{name}.{suffix}" for name in ("errors", "regions") for suffix in ("txt", "md", "csv"))
+    tables = (
+        out / f"{name}.{suffix}"
+        for name in ("errors", "regions")
+        for suffix in ("txt", "md", "csv")
+    )
     check_outputs(options, [out / "results.json", *tables], [out / "frames"])
     arguments: dict[str, Any] = {
         "out": out,

@@ -47,18 +47,24 @@ class LiveOptions(MethodOptions, GridOptions, RigOptions):
 
 
 def open_cameras(options: LiveOptions) -> tuple[Cameras, SphereSweep]:
-    """Open the cameras or videos and return them, and the sweep of their rig, whose nearest depth they show."""
+    """Open the cameras or videos and return them, and the sweep of their rig, whose nearest depth
+    they show.
+    """
     from omnistereo_lib.frame import Frame
     from omnistereo_lib.stereo.sweep import SphereSweep
     from omnistereo_tools.judge.coverage import Coverage
     from omnistereo_tools.live_view import Cameras
 
     rig = read_rig(options)
-    sources = [int(source) if re.fullmatch("[0-9]{1,3}", source) else source for source in options.cameras]
+    sources = [
+        int(source) if re.fullmatch("[0-9]{1,3}", source) else source for source in options.cameras
+    ]
     cameras = Cameras(sources, rig, options.loop)
     rig = mask_circles(rig, [cameras.first])
     min_depth = find_min_depth(options.min_depth, Frame.of(rig, cameras.first))
-    return cameras, SphereSweep(rig, make_grid(options, Coverage.of(rig), min_depth), device=options.device)
+    return cameras, SphereSweep(
+        rig, make_grid(options, Coverage.of(rig), min_depth), device=options.device
+    )
 
 
 def run(options: LiveOptions) -> None:
@@ -74,10 +80,15 @@ def run(options: LiveOptions) -> None:
     try:
         print("opening the cameras and computing tables: a few seconds", flush=True)
         cameras, sweep = open_cameras(options)
-        pictures = live_view.live_pictures(cameras, sweep, method, Watching(sweep.rig, sweep, options.follow))
+        pictures = live_view.live_pictures(
+            cameras, sweep, method, Watching(sweep.rig, sweep, options.follow)
+        )
         latest = live_view.Latest()
         with live_view.serve(latest, options.port, cameras) as address:
-            print(f"open {address} in a browser of this machine: it begins then. Ctrl-C stops", flush=True)
+            print(
+                f"open {address} in a browser of this machine: it begins then. Ctrl-C stops",
+                flush=True,
+            )
             if options.open:
                 webbrowser.open(address)
             latest.watched.wait()

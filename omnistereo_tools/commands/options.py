@@ -1,4 +1,6 @@
-"""Groups of options, most of which several commands share, and the rig, images and grid that they name."""
+"""Groups of options, most of which several commands share, and the rig, images and grid that they
+name.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ if TYPE_CHECKING:
     from omnistereo_tools.judge.coverage import Coverage
 
 SAMPLE = Path(omnistereo_lib.__file__).parent / "sample"  # travels with the package
-_SHARED = ("config", "calibration", "kalibr", "opencv", "camchain")  # names that the files of many rigs have
+# names that the files of many rigs have
+_SHARED = ("config", "calibration", "kalibr", "opencv", "camchain")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +37,7 @@ class LensOptions(Options):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.max_fov is not None:
-            from omnistereo_lib.rig_files.parse import check_fov
+            from omnistereo_lib.parse import check_fov
 
             check_fov(self.max_fov, "--max-fov")
 
@@ -44,8 +47,12 @@ class RigOptions(LensOptions):
     """A rig of cameras."""
 
     rig: Path | None = option("rig file, folder of one, or data set", unset="the bundled sample")
-    unit: Literal["mm", "cm", "m"] | None = option("unit of the poses, if the file does not state it")
-    masks: tuple[Path, ...] | None = option("one per camera, bright = valid", unset="mask.png beside its images")
+    unit: Literal["mm", "cm", "m"] | None = option(
+        "unit of the poses, if the file does not state it"
+    )
+    masks: tuple[Path, ...] | None = option(
+        "one per camera, bright = valid", unset="mask.png beside its images"
+    )
     keep_frame: bool = option("do not turn the rig level", False)
 
 
@@ -63,7 +70,9 @@ class GridOptions(Options):
 
     width: int = option("columns", 640)
     height: int | None = option("rows", unset="all that two cameras see")
-    phi: tuple[float, float] | None = option("elevations in degrees, down is positive", unset="square pixels")
+    phi: tuple[float, float] | None = option(
+        "elevations in degrees, down is positive", unset="square pixels"
+    )
     spheres: int = option("number of spheres N", 192)
     min_depth: float | None = option("nearest depth in metres", unset="of the rig file, or found")
 
@@ -73,7 +82,11 @@ class GridOptions(Options):
         super().__post_init__()
         height = 2 if self.height is None else self.height
         SphereGrid(
-            self.width, height, self.phi or (-45, 45), self.spheres, 1.0 if self.min_depth is None else self.min_depth
+            self.width,
+            height,
+            self.phi or (-45, 45),
+            self.spheres,
+            1.0 if self.min_depth is None else self.min_depth,
         )
 
 
@@ -81,16 +94,32 @@ class GridOptions(Options):
 class ImagesOptions(Options):
     """Options of a calibration from images alone."""
 
-    from_images: tuple[Path, ...] | None = option("for each camera a folder, a video or one picture")
+    from_images: tuple[Path, ...] | None = option(
+        "for each camera a folder, a video or one picture"
+    )
     rig: Path | None = option("nominal poses; with a board: cameras whose intrinsics are kept")
-    unit: Literal["mm", "cm", "m"] | None = option("unit of the poses of --rig, if it does not state it", needs="rig")
-    lenses: Path | None = option("rig file or folder of lens files: poses are not needed", needs="from_images")
-    baseline: float | None = option("metres between cameras 1 and 2", needs="lenses", between=(1e-6, 1e4))
-    radius: float | None = option("mean metres from the cameras' middle", needs="lenses", between=(1e-6, 1e4))
-    calibrated: bool = option("the poses of --rig are a calibration: they keep weight", False, needs="rig")
-    free_lenses: bool = option("adjust the lenses, too: a better fit, often a worse depth", False, needs="from_images")
+    unit: Literal["mm", "cm", "m"] | None = option(
+        "unit of the poses of --rig, if it does not state it", needs="rig"
+    )
+    lenses: Path | None = option(
+        "rig file or folder of lens files: poses are not needed", needs="from_images"
+    )
+    baseline: float | None = option(
+        "metres between cameras 1 and 2", needs="lenses", between=(1e-6, 1e4)
+    )
+    radius: float | None = option(
+        "mean metres from the cameras' middle", needs="lenses", between=(1e-6, 1e4)
+    )
+    calibrated: bool = option(
+        "the poses of --rig are a calibration: they keep weight", False, needs="rig"
+    )
+    free_lenses: bool = option(
+        "adjust the lenses, too: a better fit, often a worse depth", False, needs="from_images"
+    )
     frames: int = option("how many frames are chosen", 6, needs="from_images", between=(1, 1e4))
-    max_fov: float | None = option("field of view in degrees", unset="as far as corners reach, or of the lenses")
+    max_fov: float | None = option(
+        "field of view in degrees", unset="as far as corners reach, or of the lenses"
+    )
     out: Path = option("folder for the results", Path("out/rig"))
 
     def __post_init__(self) -> None:
@@ -98,10 +127,13 @@ class ImagesOptions(Options):
         if self.from_images is None:
             return
         if (self.rig is None) == (self.lenses is None):
-            raise OmnistereoError("--from-images needs --rig with nominal poses, or --lenses and one length")
+            raise OmnistereoError(
+                "--from-images needs --rig with nominal poses, or --lenses and one length"
+            )
         if self.lenses is not None and (self.baseline is None) == (self.radius is None):
             raise OmnistereoError(
-                "--lenses needs one length, because images do not tell a metre: --baseline or --radius"
+                "--lenses needs one length, because images do not tell a metre: --baseline or"
+                " --radius"
             )
 
 
@@ -141,11 +173,12 @@ class PrecisionOptions(DeviceOptions):
 
 
 def read_rig(options: RigOptions, images: Sequence[Path] = ()) -> Rig:
-    """Return the rig with its masks, some perhaps beside its images, and say if it was turned level.
+    """Return the rig with its masks, some perhaps beside its images, and say if it was turned
+    level.
 
     Raises an `OmnistereoError` if files are missing.
     """
-    from omnistereo_lib.rig_files import load_rig
+    from omnistereo_rigs.formats import load_rig
 
     rig = load_rig(options.rig or SAMPLE, options.unit, options.max_fov, options.keep_frame)
     # These load torch, which takes seconds: a rig that cannot be read is named before.
@@ -158,7 +191,8 @@ def read_rig(options: RigOptions, images: Sequence[Path] = ()) -> Rig:
 
 
 def read_frame(options: FrameOptions) -> Frame:
-    """Return the images and the rig with its masks, with the ground truth of a data set that has one.
+    """Return the images and the rig with its masks, with the ground truth of a data set that has
+    one.
 
     Raises an `OmnistereoError` if files are missing or broken.
     """
@@ -171,7 +205,9 @@ def read_frame(options: FrameOptions) -> Frame:
         return Frame.of(mask_circles(rig, [images]), images)
     folder = options.rig or SAMPLE
     if not folder.is_dir():
-        raise OmnistereoError(f"{folder} is not a data set folder. Give --images, one per camera of the rig")
+        raise OmnistereoError(
+            f"{folder} is not a data set folder. Give --images, one per camera of the rig"
+        )
     data = load_dataset(folder, None, options.unit, None, options.max_fov, options.keep_frame)
     number = options.frame or 0
     if not -len(data) <= number < len(data):
@@ -182,7 +218,9 @@ def read_frame(options: FrameOptions) -> Frame:
 
 
 def mask_circles(rig: Rig, images: Sequence[Sequence[NDArray[np.uint8]]]) -> Rig:
-    """Return the rig with what is black in images[frame][camera] masked, and warn of it, see `with_circles`."""
+    """Return the rig with what is black in images[frame][camera] masked, and warn of it, see
+    `with_circles`.
+    """
     from omnistereo_tools.input.masks import with_circles
 
     rig, found = with_circles(rig, images)
@@ -197,26 +235,37 @@ def warn_of(doubts: Iterable[str]) -> None:
 
 
 def find_min_depth(stated: float | None, frame: Frame) -> float:
-    """Return the nearest depth of the sweep in metres: as stated, else of the rig file, else a look at the images."""
+    """Return the nearest depth of the sweep in metres: as stated, else of the rig file, else a look
+    at the images.
+    """
     if (known := frame.rig.min_depth if stated is None else stated) is not None:
         return known
     from omnistereo_tools.judge.first_look import propose_min_depth
 
     proposed = propose_min_depth(frame)
-    print(f"The rig file states no nearest depth: a coarse look at the images proposes --min-depth {proposed:g}.")
+    print(
+        "The rig file states no nearest depth: a coarse look at the images proposes --min-depth"
+        f" {proposed:g}."
+    )
     return proposed
 
 
 def make_grid(options: GridOptions, coverage: Coverage, min_depth: float) -> SphereGrid:
-    """Return the panorama that the options ask for; what they leave open is as `Coverage.propose` recommends."""
+    """Return the panorama that the options ask for; what they leave open is as `Coverage.propose`
+    recommends.
+    """
     return coverage.propose(options.width, options.height, options.phi, options.spheres, min_depth)
 
 
 def default_out(command: str, rig: Path | None) -> Path:
-    """Return a folder for the results of a rig, so that no rig overwrites those of another, or of the sample."""
+    """Return a folder for the results of a rig, so that no rig overwrites those of another, or of
+    the sample.
+    """
     if rig is None:
         return Path("out")
     rig = rig.resolve()
     if rig.name in ("train", "test"):
         return Path("out", f"{command}_{rig.parent.name}-{rig.name}")
-    return Path("out", f"{command}_{rig.parent.name if rig.stem in _SHARED and rig.suffix else rig.stem}")
+    return Path(
+        "out", f"{command}_{rig.parent.name if rig.stem in _SHARED and rig.suffix else rig.stem}"
+    )

@@ -1,9 +1,11 @@
-"""Estimate the depth of a recording: a folder of pictures or a video per camera in, a data set with depth out.
+"""Estimate the depth of a recording: a folder of pictures or a video per camera in, a data set with
+depth out.
 
 Examples:
   omnistereo record --rig rig.yaml --images front/ right/ back/ left/ --out walk
       every frame of folders of pictures; run it again to resume
-  omnistereo record --rig rig.yaml --images front.mp4 right.mp4 back.mp4 left.mp4 --out drive --video drive/depth.mp4
+  omnistereo record --rig rig.yaml --images front.mp4 right.mp4 back.mp4 left.mp4 --out drive
+  --video drive/depth.mp4
       videos, with a video of panorama over depth
 methods: those of omnistereo depth
 """
@@ -46,7 +48,9 @@ class RecordOptions(MethodOptions, GridOptions, RigOptions):
     resumes = True
 
     rig: Path = option("rig file or folder", MISSING)
-    images: tuple[Path, ...] = option("one folder or video per camera, in the order of the rig", MISSING)
+    images: tuple[Path, ...] = option(
+        "one folder or video per camera, in the order of the rig", MISSING
+    )
     method: str | None = option("see above", unset="the best within 2 s a frame")
     height: int | None = option("rows", unset="a quarter of the columns, or as --phi asks")
     start: int = option("first frame number", 0, metavar="N", between=(0, math.inf))
@@ -57,7 +61,9 @@ class RecordOptions(MethodOptions, GridOptions, RigOptions):
     cluster: str | None = option("of a Dask scheduler, to use many machines", metavar="ADDRESS")
     out: Path | None = option("folder for the results", unset="out/record_NAME")
     depth_format: Literal["tiff", "png"] = option("float32, or 16 bits", "tiff")
-    video: Path | None = option("panorama over depth, 1280 columns, as browsers play it", suffixes=(".mp4", ".webm"))
+    video: Path | None = option(
+        "panorama over depth, 1280 columns, as browsers play it", suffixes=(".mp4", ".webm")
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -65,13 +71,16 @@ class RecordOptions(MethodOptions, GridOptions, RigOptions):
         low, high = self.phi or (-min(highest, 90.0), min(highest, 90.0))
         if max(abs(low + highest), abs(high - highest)) > 1e-3:
             raise OmnistereoError(
-                f"--phi is {low:g} {high:g}; a recording is stored as a data set, whose pixels are square: expected "
-                f"--phi {-highest:g} {highest:g} for --width {self.width} --height {self.rows}"
+                f"--phi is {low:g} {high:g}; a recording is stored as a data set, whose pixels are"
+                f" square: expected --phi {-highest:g} {highest:g} for --width {self.width}"
+                f" --height {self.rows}"
             )
 
     @property
     def rows(self) -> int:
-        """Rows of the panorama: by default a quarter of the columns, the public layout, which keeps pace."""
+        """Rows of the panorama: by default a quarter of the columns, the public layout, which keeps
+        pace.
+        """
         if self.height is None and self.phi is not None:
             return round(self.width * (self.phi[1] - self.phi[0]) / 360)
         return self.width // 4 if self.height is None else self.height
@@ -88,7 +97,12 @@ def run(options: RecordOptions) -> None:
     from omnistereo_tools.judge.first_look import image_doubts, rig_doubts
     from omnistereo_tools.judge.pace import say_recording
     from omnistereo_tools.progress import progress_bar
-    from omnistereo_tools.record.recordings import DepthWriter, stored_method, stored_min_depth, write_video
+    from omnistereo_tools.record.recordings import (
+        DepthWriter,
+        stored_method,
+        stored_min_depth,
+        write_video,
+    )
     from omnistereo_tools.record.watching import Watching
 
     out = options.out or default_out("record", options.rig)
@@ -105,19 +119,28 @@ def run(options: RecordOptions) -> None:
     print(coverage.left_out(grid))
     warn_of(rig_doubts(rig, grid.min_depth))
     warn_of(image_doubts(frame, grid))
-    sweep, method = SphereSweep(rig, grid, device=options.device), options.method or stored_method(out)
+    sweep, method = (
+        SphereSweep(rig, grid, device=options.device),
+        options.method or stored_method(out),
+    )
     first_method, with_video = Method.parse(method or FRAME_METHOD), options.video is not None
-    writer = DepthWriter(out, recording, sweep, first_method, f".{options.depth_format}", with_video)
+    writer = DepthWriter(
+        out, recording, sweep, first_method, f".{options.depth_format}", with_video
+    )
     writer.check_out()
     left, total = writer.left(), len(recording.frames)
     recording.check(left, rig)
     if options.cluster is None:
-        writer = replace(writer, method=Method.parse(say_recording(sweep, first[0], len(left), method)))
+        writer = replace(
+            writer, method=Method.parse(say_recording(sweep, first[0], len(left), method))
+        )
     _prepare(options, writer, rig)
     # Compute and write.
     progress = progress_bar("frame")
     watching = Watching(rig, sweep, options.follow, out)
-    for done, number in enumerate(_frames_done(options, writer, left, watching), total - len(left) + 1):
+    for done, number in enumerate(
+        _frames_done(options, writer, left, watching), total - len(left) + 1
+    ):
         progress(done, total, f"frame {number}")
     watching.close()
     print(writer.doubt_sentence())
@@ -128,25 +151,37 @@ def run(options: RecordOptions) -> None:
 
 
 def _check(options: RecordOptions, out: Path) -> None:
-    """Raise an `OmnistereoError` if --images are pictures of one frame, or a result would replace what is read."""
+    """Raise an `OmnistereoError` if --images are pictures of one frame, or a result would replace
+    what is read.
+    """
     from omnistereo_tools.input.sources import of_recordings
     from omnistereo_tools.record.recordings import OF_RAYS, SETTINGS
 
     if not of_recordings(options.images):
         right = as_typed("depth", FrameOptions, options)
-        raise OmnistereoError(f"{options.images[0]} is neither a folder nor a video. For one frame: {right}")
-    filled = [out / "video", *out.glob("cam[0-9]*"), *(out / f"{kind}_{options.width}" for kind in OF_RAYS)]
+        raise OmnistereoError(
+            f"{options.images[0]} is neither a folder nor a video. For one frame: {right}"
+        )
+    filled = [
+        out / "video",
+        *out.glob("cam[0-9]*"),
+        *(out / f"{kind}_{options.width}" for kind in OF_RAYS),
+    ]
     check_outputs(options, [options.video, out / "config.yaml", out / SETTINGS], filled)
 
 
 def _open_recording(options: RecordOptions, rig: Rig) -> Recording:
-    """Return the frames chosen, and say which are left out; with --skip-bad those that cannot be read, too."""
+    """Return the frames chosen, and say which are left out; with --skip-bad those that cannot be
+    read, too.
+    """
     from omnistereo_tools.input.sources import Recording
 
     recording = Recording.open(options.images, options.start, options.stop, options.step)
     for path, names in recording.missing.items():
         some = ", ".join(map(str, names[:8])) + " …" * (len(names) > 8)
-        print(f"{path} lacks {len(names)} frames that other cameras have; they are left out: {some}")
+        print(
+            f"{path} lacks {len(names)} frames that other cameras have; they are left out: {some}"
+        )
     if not options.skip_bad:
         return recording
     print(f"reading {len(recording.frames)} frames: a few seconds for a hundred", flush=True)
@@ -175,8 +210,12 @@ def _prepare(options: RecordOptions, writer: DepthWriter, rig: Rig) -> None:
     writer.prepare(rig)
 
 
-def _frames_done(options: RecordOptions, writer: DepthWriter, left: Sequence[int], watching: Watching) -> Iterator[int]:
-    """Compute the frames that are left, here, where the rig is watched, or on the cluster; yield the number of each."""
+def _frames_done(
+    options: RecordOptions, writer: DepthWriter, left: Sequence[int], watching: Watching
+) -> Iterator[int]:
+    """Compute the frames that are left, here, where the rig is watched, or on the cluster; yield
+    the number of each.
+    """
     if options.cluster is None:
         return writer.run(left, watching)
     from omnistereo_tools.record.cluster import depth_on_cluster

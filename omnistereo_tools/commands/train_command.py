@@ -22,29 +22,38 @@ class TrainOptions(PrecisionOptions):
 
     resumes = True
 
-    network: Literal["sweepnet", "mccnn", "volumenet"] = option("what is trained", MISSING, positional=True)
+    network: Literal["sweepnet", "mccnn", "volumenet"] = option(
+        "what is trained", MISSING, positional=True
+    )
     preset: str = option("teaching, shipped, paper …", "teaching")
     set: tuple[str, ...] = option("change numbers of the preset", (), metavar="NAME=VALUE")
-    init_weights: Path | None = option("start from trained weights, not random ones", metavar="FILE")
+    init_weights: Path | None = option(
+        "start from trained weights, not random ones", metavar="FILE"
+    )
     data: tuple[Path, ...] | None = option("data sets, or endless", unset="those of the preset")
     out: Path | None = option("folder of the run", unset="out/NETWORK_PRESET_SETTINGS")
 
 
 def run(options: TrainOptions) -> None:
-    """Train a network to the end, with a progress bar; several processes under torchrun share the work."""
+    """Train a network to the end, with a progress bar; several processes under torchrun share the
+    work.
+    """
+    from omnistereo_learn import RECIPES, train
+    from omnistereo_learn.loop import LOG, STATE, WEIGHTS
     from omnistereo_lib.stereo.device import number_from_environment
-    from omnistereo_lib.train import RECIPES, train
-    from omnistereo_lib.train.loop import LOG, STATE, WEIGHTS
     from omnistereo_tools.progress import progress_bar, say
 
     presets = RECIPES[options.network]
     if options.preset not in presets:
-        raise OmnistereoError(f"{options.network} has the presets {', '.join(presets)}, not {options.preset!r}")
+        raise OmnistereoError(
+            f"{options.network} has the presets {', '.join(presets)}, not {options.preset!r}"
+        )
     recipe = shrink(presets[options.preset].with_overrides(options.set))
     named = "_".join([options.network, options.preset, *sorted(options.set)])
     out = options.out or Path("out") / re.sub(r"[^\w.,=+-]", "-", named)
     check_outputs(options, [out / name for name in (LOG, STATE, WEIGHTS)])
-    rank, _, _ = (number_from_environment(name, 0) for name in ("RANK", "LOCAL_RANK", "WORLD_SIZE"))  # of torchrun
+    # of torchrun
+    rank, _, _ = (number_from_environment(name, 0) for name in ("RANK", "LOCAL_RANK", "WORLD_SIZE"))
     first_process, progress = rank == 0, progress_bar("step")
 
     def show(row: dict[str, float]) -> None:
@@ -53,8 +62,22 @@ def run(options: TrainOptions) -> None:
         done = int(row["step"]) + 1
         progress(done, recipe.steps, f"loss {row['loss']:.3f} error {row['error']:.1%}")
         if row["validation_loss"] == row["validation_loss"]:  # it is measured now and then
-            say(f"step {done}: validation {row['validation_loss']:.4f} {row['validation_error']:.2%}")
+            say(
+                f"step {done}: validation {row['validation_loss']:.4f}"
+                f" {row['validation_error']:.2%}"
+            )
 
-    train(recipe, out, options.data, options.device, options.precision, init_weights=options.init_weights, on_step=show)
+    train(
+        recipe,
+        out,
+        options.data,
+        options.device,
+        options.precision,
+        init_weights=options.init_weights,
+        on_step=show,
+    )
     if first_process:
-        print(f"{recipe.steps} steps are done; in {out}/: log.csv, state.safetensors, weights.safetensors")
+        print(
+            f"{recipe.steps} steps are done; in {out}/: log.csv, state.safetensors,"
+            " weights.safetensors"
+        )

@@ -1,4 +1,5 @@
-"""Fuse a recording into one world: the path of the rig, one mesh, and depth that the other frames have sharpened.
+"""Fuse a recording into one world: the path of the rig, one mesh, and depth that the other frames
+have sharpened.
 
 Examples:
   omnistereo record --rig rig.yaml --images front/ right/ back/ left/ --out drive
@@ -21,8 +22,8 @@ from omnistereo_tools.parser import Options, option
 
 if TYPE_CHECKING:
     from omnistereo_lib.geometry.pose import Pose
-    from omnistereo_lib.world.fusion import Volume
-    from omnistereo_tools.record.world import RecordedFrames
+    from omnistereo_tools.world.build import RecordedFrames
+    from omnistereo_tools.world.fusion import Volume
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +34,9 @@ class WorldOptions(Options):
 
     recording: Path = option("folder that omnistereo record has written", MISSING, positional=True)
     voxel: float = option("side of a voxel in metres", 0.15, between=(0.001, 100.0))
-    range: float = option("distance in metres up to which depth is fused", 30.0, between=(0.1, 10_000.0))
+    range: float = option(
+        "distance in metres up to which depth is fused", 30.0, between=(0.1, 10_000.0)
+    )
     kitti: bool = option("write the path in KITTI's format, too", False)
 
 
@@ -42,14 +45,19 @@ def run(options: WorldOptions) -> None:
     print("reading the recording: a few seconds", flush=True)
     from omnistereo_lib.files import read_data, write_text
     from omnistereo_tools.output.mesh_export import import_trimesh
-    from omnistereo_tools.record.world import RecordedFrames
+    from omnistereo_tools.world.build import RecordedFrames
 
     import_trimesh()
     out = options.recording / "world"
     check_outputs(options, [out / "config.yaml"], out.glob("omnidepth_world_*"))
     frames = RecordedFrames.open(options.recording)
     refined = hold(out) / f"omnidepth_world_{frames.grid.width}"
-    asked = {"voxel": options.voxel, "range": options.range, "kitti": options.kitti, "recording": frames.checksum}
+    asked = {
+        "voxel": options.voxel,
+        "range": options.range,
+        "kitti": options.kitti,
+        "recording": frames.checksum,
+    }
     with suppress(OmnistereoError):
         if read_data(out / "world.json") == asked:
             print(f"the world is in {out}/ already; delete {out / 'world.json'} to fuse it again")
@@ -69,14 +77,16 @@ def _make_volume(options: WorldOptions, frames: RecordedFrames, poses: dict[int,
     import numpy as np
 
     from omnistereo_lib.stereo.device import available_memory, select_device
-    from omnistereo_lib.world.fusion import Volume, bytes_needed, touched_blocks
+    from omnistereo_tools.world.fusion import Volume, bytes_needed, touched_blocks
 
     keys = np.zeros(0, np.int64)
     for number, pose in poses.items():
         view = frames.view(frames.data.frame(number), pose, colored=False)
         keys = np.union1d(keys, touched_blocks(view, frames.grid, options.voxel, options.range))
     if len(keys) == 0:
-        raise OmnistereoError(f"no ray of {options.recording} is nearer than {options.range:g} m. Raise --range")
+        raise OmnistereoError(
+            f"no ray of {options.recording} is nearer than {options.range:g} m. Raise --range"
+        )
     need, free = bytes_needed(len(keys), frames.channels), available_memory(select_device("cpu"))
     if need > free:
         raise OmnistereoError(
@@ -88,25 +98,37 @@ def _make_volume(options: WorldOptions, frames: RecordedFrames, poses: dict[int,
 
 
 def _write(
-    options: WorldOptions, frames: RecordedFrames, poses: dict[int, Pose], volume: Volume, refined: Path
+    options: WorldOptions,
+    frames: RecordedFrames,
+    poses: dict[int, Pose],
+    volume: Volume,
+    refined: Path,
 ) -> None:
     """Write the path, the meshes and the page, and what makes the refined depth a data set."""
     from omnistereo_lib.files import write_text
     from omnistereo_lib.frame import read_inverse_depth
-    from omnistereo_lib.geometry.trajectory import trajectory_kitti, trajectory_tum
-    from omnistereo_lib.world.surface import extract_surface
-    from omnistereo_tools.output.world import world_page, write_surface
+    from omnistereo_tools.world.page import world_page, write_surface
+    from omnistereo_tools.world.surface import extract_surface
+    from omnistereo_tools.world.trajectory import trajectory_kitti, trajectory_tum
 
     print("extracting the surface", flush=True)
     out, surface = refined.parent, extract_surface(volume)
     write_surface(out, surface)
     number = list(poses)[len(poses) // 2]
-    before, after = frames.data.frame(number).inverse_depth, read_inverse_depth(refined / f"{number:05}.tiff")
+    before, after = (
+        frames.data.frame(number).inverse_depth,
+        read_inverse_depth(refined / f"{number:05}.tiff"),
+    )
     page = world_page(surface, poses, number, before, after, frames.grid)
     texts = {"trajectory.txt": trajectory_tum(poses), "index.html": page}
-    for name, text in (texts | ({"trajectory_kitti.txt": trajectory_kitti(poses)} if options.kitti else {})).items():
+    for name, text in (
+        texts | ({"trajectory_kitti.txt": trajectory_kitti(poses)} if options.kitti else {})
+    ).items():
         write_text(out / name, text)
     frames.link(out)
     length = sum((a.inverse() @ b).magnitude()[1] for a, b in pairwise(poses.values()))
-    print(f"{len(poses)} of {len(frames.data)} frames, {length:.1f} m of path, {len(surface.faces)} triangles")
+    print(
+        f"{len(poses)} of {len(frames.data)} frames, {length:.1f} m of path, {len(surface.faces)}"
+        " triangles"
+    )
     print(f"written to {out}/: open index.html in a browser; load_dataset reads its depth")

@@ -21,7 +21,8 @@ _BLACK = 24  # gray value; the corners of an image with a brighter darkest hundr
 _LIT = 0.1  # of the way from black to the median of the lit pixels; vignetting ends above it
 _RUN = 4  # px that are lit in a row: less is noise or a reflection
 _LEAST_SHARE = 0.3  # of the directions that show the edge of the circle inside the image
-_ROUND = 0.015  # of the radius, median distance of the edge from a circle; a dark floor is less round
+# of the radius, median distance of the edge from a circle; a dark floor is less round
+_ROUND = 0.015
 _OFF_CENTER = 0.2  # of the radius, from the principal point
 _INSIDE_DEG = 3.0  # from the end of the stated field of view; less is blur
 _SHRINK = 0.99  # of the radius: the edge itself is blurred
@@ -31,15 +32,19 @@ def with_masks(rig: Rig, masks: Sequence[Path] | None, images: Sequence[Path]) -
     """Return the rig with masks from files: bright where the image is valid.
 
     Args:
-        masks: One file per camera. None: mask.png in the folder of the images of a camera, where there is one, each
-            camera has a folder of its own, and the rig file has no mask of that camera.
+        masks: One file per camera. None: mask.png in the folder of the images of a camera, where
+            there is one, each camera has a folder of its own, and the rig file has no mask of that
+            camera.
         images: One path per camera; its folder is where mask.png is looked for.
 
     Raises:
-        OmnistereoError: If there is not one mask per camera, or one cannot be read, has another size or hides all.
+        OmnistereoError: If there is not one mask per camera, or one cannot be read, has another
+            size or hides all.
     """
     if masks is not None and len(masks) != len(rig):
-        raise OmnistereoError(f"there are {len(masks)} masks for {len(rig)} cameras. Give one per camera.")
+        raise OmnistereoError(
+            f"there are {len(masks)} masks for {len(rig)} cameras. Give one per camera."
+        )
     folders = [path if path.is_dir() else path.parent for path in images]
     if masks is None and (len(set(folders)) < len(rig) or len(folders) != len(rig)):
         return rig
@@ -49,7 +54,9 @@ def with_masks(rig: Rig, masks: Sequence[Path] | None, images: Sequence[Path]) -
         if masks is not None or (camera.mask is None and path.is_file()):
             camera = replace(camera, mask=read_gray(path, camera.image_size) >= 128)
             if not camera.visible_pixels().any():
-                raise OmnistereoError(f"{path} hides the whole picture; expected bright where it is valid. Invert it.")
+                raise OmnistereoError(
+                    f"{path} hides the whole picture; expected bright where it is valid. Invert it."
+                )
         cameras.append(camera)
     return replace(rig, cameras=tuple(cameras))
 
@@ -67,20 +74,31 @@ class ImageCircle:
         return np.hypot(u - self.center[0], v - self.center[1]) <= _SHRINK * self.radius
 
 
-def measure_circle(images: Sequence[NDArray[np.uint8]], center: tuple[float, float]) -> ImageCircle | None:
+def measure_circle(
+    images: Sequence[NDArray[np.uint8]], center: tuple[float, float]
+) -> ImageCircle | None:
     """Return the image circle of one camera, or None if its images do not show one.
 
     Args:
-        images: One or more of the camera, of one size; the more, the fewer dark things look like its edge.
+        images: One or more of the camera, of one size; the more, the fewer dark things look like
+            its edge.
         center: About the centre of the circle (u, v), px, such as the principal point.
     """
     lit = np.max([image if image.ndim == 2 else image.max(-1) for image in images], axis=0)
     scale = min(1.0, _SIDE / max(lit.shape))
-    lit = cv2.resize(lit, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1 else lit
+    lit = (
+        cv2.resize(lit, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        if scale < 1
+        else lit
+    )
     black = float(np.quantile(lit, 0.01))
     if black > _BLACK:
         return None
-    threshold = black + _LIT * (float(np.median(lit[lit > black + 2])) - black) if (lit > black + 2).any() else 255
+    threshold = (
+        black + _LIT * (float(np.median(lit[lit > black + 2])) - black)
+        if (lit > black + 2).any()
+        else 255
+    )
     edge = _edge_points(lit > threshold, (np.array(center) + 0.5) * scale - 0.5)
     if len(edge) < _LEAST_SHARE * 360:
         return None
@@ -93,26 +111,39 @@ def measure_circle(images: Sequence[NDArray[np.uint8]], center: tuple[float, flo
 
 
 def _edge_points(lit: NDArray[np.bool_], center: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the outermost lit pixel (u, v) in each of 360 directions in which the image ends black, shape (N, 2)."""
+    """Return the outermost lit pixel (u, v) in each of 360 directions in which the image ends
+    black, shape (N, 2).
+    """
     height, width = lit.shape
     azimuth, radii = np.radians(np.arange(360)), np.arange(float(np.hypot(height, width)))
     u = center[0] + np.cos(azimuth)[:, None] * radii
     v = center[1] + np.sin(azimuth)[:, None] * radii
     inside = (u >= 0) & (u <= width - 1) & (v >= 0) & (v <= height - 1)
-    values = inside & lit[v.round().astype(int).clip(0, height - 1), u.round().astype(int).clip(0, width - 1)]
+    values = (
+        inside
+        & lit[v.round().astype(int).clip(0, height - 1), u.round().astype(int).clip(0, width - 1)]
+    )
     run = np.all(np.lib.stride_tricks.sliding_window_view(values, _RUN, axis=1), axis=-1)
-    last = run.shape[1] - 1 - np.argmax(run[:, ::-1], axis=1) + _RUN - 1  # outermost end of a lit run
+    # outermost end of a lit run
+    last = run.shape[1] - 1 - np.argmax(run[:, ::-1], axis=1) + _RUN - 1
     found = run.any(1) & (last < inside.sum(1) - _RUN)
     return np.column_stack([u[found, last[found]], v[found, last[found]]])
 
 
 def _fit_circle(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Return centre and radius by least squares, without points that lie off by more than three median distances."""
+    """Return centre and radius by least squares, without points that lie off by more than three
+    median distances.
+    """
     kept = np.ones(len(points), bool)
     for _ in range(5):
         x, y = points[kept].T
-        solution = np.linalg.lstsq(np.column_stack([2 * x, 2 * y, np.ones(len(x))]), x * x + y * y, rcond=None)[0]
-        middle, radius = solution[:2], float(np.sqrt(max(solution[2] + solution[:2] @ solution[:2], 0.0)))
+        solution = np.linalg.lstsq(
+            np.column_stack([2 * x, 2 * y, np.ones(len(x))]), x * x + y * y, rcond=None
+        )[0]
+        middle, radius = (
+            solution[:2],
+            float(np.sqrt(max(solution[2] + solution[:2] @ solution[:2], 0.0))),
+        )
         off = np.abs(np.linalg.norm(points - middle, axis=1) - radius)
         kept = off <= 3 * np.median(off) + 0.5
     return middle, radius
@@ -121,25 +152,39 @@ def _fit_circle(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float
 def seen_fov_deg(camera: OcamCamera, circle: ImageCircle) -> float:
     """Return the full field of view inside an image circle in degrees, at most that of the camera."""
     azimuth = np.radians(np.arange(0, 360, 5))
-    edge = np.array(circle.center) + circle.radius * np.stack([np.cos(azimuth), np.sin(azimuth)], -1)
+    edge = np.array(circle.center) + circle.radius * np.stack(
+        [np.cos(azimuth), np.sin(azimuth)], -1
+    )
     width, height = camera.image_size
     inside = ((edge >= 0) & (edge <= (width - 1, height - 1))).all(-1)
     rays, valid = camera.unproject(edge)
     angle = np.degrees(np.arccos(rays[..., 2].clip(-1, 1)))
     half = camera.max_fov_deg / 2
-    return 2 * float(np.median(np.where(valid, angle, half)[inside])) if inside.any() else camera.max_fov_deg
+    return (
+        2 * float(np.median(np.where(valid, angle, half)[inside]))
+        if inside.any()
+        else camera.max_fov_deg
+    )
 
 
 def with_circles(rig: Rig, images: Sequence[Sequence[NDArray[np.uint8]]]) -> tuple[Rig, str | None]:
-    """Return the rig with the image circles as masks where there are none, and what that changes, in a sentence.
+    """Return the rig with the image circles as masks where there are none, and what that changes,
+    in a sentence.
 
     Args:
         images: images[frame][camera]
     """
     cameras, seen = list(rig.cameras), {}
     for k, camera in enumerate(rig.cameras):
-        circle = measure_circle([frame[k] for frame in images], camera.center) if camera.mask is None else None
-        if circle is not None and (fov := seen_fov_deg(camera, circle)) < camera.max_fov_deg - 2 * _INSIDE_DEG:
+        circle = (
+            measure_circle([frame[k] for frame in images], camera.center)
+            if camera.mask is None
+            else None
+        )
+        if (
+            circle is not None
+            and (fov := seen_fov_deg(camera, circle)) < camera.max_fov_deg - 2 * _INSIDE_DEG
+        ):
             seen[k] = fov
             cameras[k] = replace(camera, mask=circle.mask(camera.image_size))
     if not seen:
@@ -149,7 +194,11 @@ def with_circles(rig: Rig, images: Sequence[Sequence[NDArray[np.uint8]]]) -> tup
     numbers = ", ".join(str(k + 1) for k in seen)
     fields = f"{min(seen.values()):.0f}°"
     loss = "" if after == before else f": two cameras see {after} of the sphere, not {before}"
-    return masked, (
-        f"the images of camera {numbers} are black beyond {fields} of the {rig.cameras[min(seen)].max_fov_deg:.0f}° "
-        f"stated{loss}. The image circle is taken as mask; --max-fov {np.floor(min(seen.values())):.0f} states it"
+    return (
+        masked,
+        (
+            f"the images of camera {numbers} are black beyond {fields} of the"
+            f" {rig.cameras[min(seen)].max_fov_deg:.0f}° stated{loss}. The image circle is taken as"
+            f" mask; --max-fov {np.floor(min(seen.values())):.0f} states it"
+        ),
     )

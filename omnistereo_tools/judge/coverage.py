@@ -20,8 +20,9 @@ if TYPE_CHECKING:
 
 _COVERED = 0.95  # of the rays of a row, or of those that see far away, have depth: the rest is rims
 _COARSE = SphereGrid(60, 30, (-90, 90), 2, 1.0)
-# Cosine of 30°, the widest angle between two views of a patch that is matched (Moreels and Perona 2007: 25° to 30°). In
-# a world of boxes VolumeNet was right on 80 % of the rays up to 25° and on 45 % beyond 30°; ZNCC lasts until 50°.
+# Cosine of 30°, the widest angle between two views of a patch that is matched (Moreels and Perona
+# 2007: 25° to 30°). In a world of boxes VolumeNet was right on 80 % of the rays up to 25° and on 45
+# % beyond 30°; ZNCC lasts until 50°.
 _COS_WIDEST = np.cos(np.radians(30))
 _TOGETHER = 1e-9  # metres; a rig in millimetres that is read as metres is merely small
 _FEW = 0.1  # of the directions: the public rigs state nearest depths within 10 % of this
@@ -38,7 +39,8 @@ class Coverage:
     rig: Rig  # centred on the mean of its cameras, as the sweep is
     grid: SphereGrid
     cameras: NDArray[np.int64]  # (H, W), how many see a ray
-    baseline: NDArray[np.float64]  # (H, W), metres: the widest of those cameras across the ray; NaN below two cameras
+    # (H, W), metres: the widest of those cameras across the ray; NaN below two cameras
+    baseline: NDArray[np.float64]
     pixels_per_degree: float  # of the coarsest camera, on its axis
 
     @classmethod
@@ -53,7 +55,10 @@ class Coverage:
             baseline = np.where(seen[i] & seen[j], np.fmax(baseline, across), baseline)
         half = np.radians(0.5)
         axis = np.array([[np.sin(-half), 0, np.cos(half)], [np.sin(half), 0, np.cos(half)]])
-        resolution = min(float(np.linalg.norm(np.diff(camera.project(axis)[0], axis=0))) for camera in rig.cameras)
+        resolution = min(
+            float(np.linalg.norm(np.diff(camera.project(axis)[0], axis=0)))
+            for camera in rig.cameras
+        )
         return cls(rig, grid, seen.sum(0), baseline, resolution)
 
     def share(self, cameras: int) -> float:
@@ -62,14 +67,17 @@ class Coverage:
         return float(np.sum(weights * (self.cameras >= cameras)) / np.sum(weights))
 
     def depth_resolution(self, depth: float) -> NDArray[np.float64]:
-        """Return by how many metres a depth in metres is off, (H, W), if a match is off by one pixel: d² α / b.
+        """Return by how many metres a depth in metres is off, (H, W), if a match is off by one
+        pixel: d² α / b.
 
         α is the angle of a pixel in radians, b the baseline across the ray.
         """
         return depth**2 * np.radians(1 / self.pixels_per_degree) / self.baseline
 
     def rows(self) -> tuple[float, float] | None:
-        """Return the elevations in degrees between which two cameras see nearly all around, or None without any."""
+        """Return the elevations in degrees between which two cameras see nearly all around, or None
+        without any.
+        """
         full = np.mean(self.cameras >= 2, axis=1) >= _COVERED
         low = high = len(full) // 2
         if not full[low]:
@@ -91,8 +99,9 @@ class Coverage:
     ) -> SphereGrid:
         """Return the recommended grid: what is given stays, and what is None uses the images fully.
 
-        One column is a pixel, and one sphere moves a match by a pixel (median over rays). Pixels are square: the
-        elevations are those of `rows`, or with a height those around the horizon. The nearest depth is `nearest`.
+        One column is a pixel, and one sphere moves a match by a pixel (median over rays). Pixels
+        are square: the elevations are those of `rows`, or with a height those around the horizon.
+        The nearest depth is `nearest`.
 
         Raises:
             OmnistereoError: If all cameras are at one place.
@@ -109,7 +118,9 @@ class Coverage:
         if min_depth is None:
             min_depth = self.nearest
         if num_spheres is None:
-            num_spheres = int(np.clip(8 * np.ceil((1 + self._farthest(phi_deg) / min_depth) / 8), *_SPHERES))
+            num_spheres = int(
+                np.clip(8 * np.ceil((1 + self._farthest(phi_deg) / min_depth) / 8), *_SPHERES)
+            )
         return SphereGrid(width, height, phi_deg, num_spheres, min_depth)
 
     def _between(self, phi_deg: tuple[float, float]) -> slice:
@@ -118,22 +129,27 @@ class Coverage:
         return slice(min(first, self.grid.height - 1), max(stop, first + 1))
 
     def _farthest(self, phi_deg: tuple[float, float]) -> float:
-        """Return the depth in metres beyond which a match that is off by a pixel is infinitely far, in the median."""
+        """Return the depth in metres beyond which a match that is off by a pixel is infinitely far,
+        in the median.
+        """
         baseline = self.baseline[self._between(phi_deg)]
         return float(np.median(baseline[baseline > 0])) / np.radians(1 / self.pixels_per_degree)
 
     @cached_property
     def good_from(self) -> NDArray[np.float64]:
-        """Depth in metres from which on the points of each ray can be measured, on a coarse panorama of the sphere.
+        """Depth in metres from which on the points of each ray can be measured, on a coarse
+        panorama of the sphere.
 
-        There, two cameras see a point from directions at most 30° apart: from wider apart, a patch of a surface looks
-        too different to be matched. Infinite where no two cameras ever do.
+        There, two cameras see a point from directions at most 30° apart: from wider apart, a patch
+        of a surface looks too different to be matched. Infinite where no two cameras ever do.
 
         Raises:
             OmnistereoError: If all cameras are at one place.
         """
         if (reach := float(np.linalg.norm(self.rig.centers, axis=1).max())) < _TOGETHER:
-            raise OmnistereoError("all cameras are at one place: they see no depth. Check their translations")
+            raise OmnistereoError(
+                "all cameras are at one place: they see no depth. Check their translations"
+            )
         rays = _COARSE.rays()
         good, measured = np.full(_COARSE.shape, np.inf), np.ones(_COARSE.shape, bool)
         for depth in reach * _STEP ** np.arange(_STEPS, 0, -1):
@@ -149,51 +165,73 @@ class Coverage:
 
     @property
     def nearest(self) -> float:
-        """Nearest depth for a sweep in metres, rounded: that from which on a tenth of the directions are measured.
+        """Nearest depth for a sweep in metres, rounded: that from which on a tenth of the
+        directions are measured.
 
-        Nearer spheres would be spent on few rays, see `good_from`. Directions that no two cameras see do not count.
+        Nearer spheres would be spent on few rays, see `good_from`. Directions that no two cameras
+        see do not count.
         """
         known = np.isfinite(self.good_from)
         if not known.any():
             return 1.0  # no depth at all, as `sentences` says
         weights = (np.cos(_COARSE.phis())[:, None] * known)[known]
-        return float(f"{np.quantile(self.good_from[known], _FEW, weights=weights, method='inverted_cdf'):.2g}")
+        return float(
+            f"{np.quantile(self.good_from[known], _FEW, weights=weights, method='inverted_cdf'):.2g}"
+        )
 
     def left_out(self, grid: SphereGrid) -> str:
         """Return what a grid shows, and what it leaves out of what the cameras see, as a sentence."""
         seen = np.sum(self.cameras >= 2, axis=1) * np.cos(self.grid.phis())  # by solid angle
-        outside = 100 * (1 - seen[self._between(grid.phi_deg)].sum() / seen.sum()) if seen.any() else 0.0
+        outside = (
+            100 * (1 - seen[self._between(grid.phi_deg)].sum() / seen.sum()) if seen.any() else 0.0
+        )
         width = self.propose(phi_deg=grid.phi_deg, num_spheres=2, min_depth=grid.min_depth).width
         parts = []
         if outside >= 1:
             first, last = np.flatnonzero(seen)[[0, -1]]
             low, high = np.linspace(-90, 90, len(seen) + 1)[[first, last + 1]]
-            parts.append(f"{outside:.0f} % of the directions that two cameras see (--phi {low:g} {high:g})")
+            parts.append(
+                f"{outside:.0f} % of the directions that two cameras see (--phi {low:g} {high:g})"
+            )
         if width > grid.width:
             parts.append(f"detail (--width {width} uses the images fully)")
         return (
-            f"{grid.width} × {grid.height} rays from {grid.phi_deg[0]:g}° to {grid.phi_deg[1]:g}°, "
-            f"{grid.num_spheres} spheres from {grid.min_depth:g} m. Left out: {' and '.join(parts) or 'nothing'}."
+            f"{grid.width} × {grid.height} rays from {grid.phi_deg[0]:g}° to {grid.phi_deg[1]:g}°,"
+            f" {grid.num_spheres} spheres from {grid.min_depth:g} m. Left out:"
+            f" {' and '.join(parts) or 'nothing'}."
         )
 
     def sentences(self, min_depth: float | None = None) -> list[str]:
-        """Return what the rig can see and how exact its depth can be, in plain sentences; arguments as `propose`."""
+        """Return what the rig can see and how exact its depth can be, in plain sentences; arguments
+        as `propose`.
+        """
         rig, lines = self.rig, []
-        shares = ", ".join(f"{k} or more {100 * self.share(k):.0f} %" for k in range(1, len(rig) + 1))
+        shares = ", ".join(
+            f"{k} or more {100 * self.share(k):.0f} %" for k in range(1, len(rig) + 1)
+        )
         lines.append(f"Cameras that see a direction, as a share of the whole sphere: {shares}.")
         if not self.share(2):
             return [*lines, "No two cameras see the same direction: there is no depth."]
         for depth in (1.0, 5.0, 20.0):
             off = float(np.nanmedian(self.depth_resolution(depth)))
-            lines.append(f"At {depth:g} m, a match that is off by one pixel puts a depth off by {off:.2g} m.")
+            lines.append(
+                f"At {depth:g} m, a match that is off by one pixel puts a depth off by {off:.2g} m."
+            )
         lines.append(self._good_sentence())
         if self.rows() is None:
-            return [*lines, "No row of the panorama has depth all around: choose --phi and look at the picture."]
+            return [
+                *lines,
+                (
+                    "No row of the panorama has depth all around: choose --phi and look at the"
+                    " picture."
+                ),
+            ]
         grid = self.propose(min_depth=min_depth)
         lines.append(
-            f"The images can fill a panorama of {grid.width} × {grid.height} from {grid.phi_deg[0]:g}° to "
-            f"{grid.phi_deg[1]:g}° with {grid.num_spheres} spheres, from {grid.min_depth:g} m; beyond "
-            f"{self._farthest(grid.phi_deg):.2g} m all looks infinitely far."
+            f"The images can fill a panorama of {grid.width} × {grid.height} from"
+            f" {grid.phi_deg[0]:g}° to {grid.phi_deg[1]:g}° with {grid.num_spheres} spheres, from"
+            f" {grid.min_depth:g} m; beyond {self._farthest(grid.phi_deg):.2g} m all looks"
+            " infinitely far."
         )
         return lines
 
@@ -207,14 +245,20 @@ class Coverage:
             known = sector[np.isfinite(sector)]
             share = 100 * known.size / sector.size
             some = f" ({share:.0f} % of it)" if share < 99 else ""
-            parts.append(f"{name}{some} from {np.median(known):.2g} m on" if known.size else f"{name} nowhere")
+            parts.append(
+                f"{name}{some} from {np.median(known):.2g} m on"
+                if known.size
+                else f"{name} nowhere"
+            )
         return (
-            f"Depth can be measured {', '.join(parts)}. Nearer, only one camera sees a surface, or two do from more "
-            "than 30° apart."
+            f"Depth can be measured {', '.join(parts)}. Nearer, only one camera sees a surface, or"
+            " two do from more than 30° apart."
         )
 
     def figure(self) -> Figure:
-        """Return a figure of the whole sphere: how many cameras see each direction, and their baseline across it."""
+        """Return a figure of the whole sphere: how many cameras see each direction, and their
+        baseline across it.
+        """
         from matplotlib import colormaps
         from matplotlib.figure import Figure
 
@@ -222,7 +266,9 @@ class Coverage:
         axes = figure.subplots(2, 1, sharex=True)
         extent = (-180, 180, 90, -90)
         colors = colormaps["viridis"].resampled(most + 1)
-        count = axes[0].imshow(self.cameras, colors, extent=extent, vmin=-0.5, vmax=most + 0.5, interpolation="nearest")
+        count = axes[0].imshow(
+            self.cameras, colors, extent=extent, vmin=-0.5, vmax=most + 0.5, interpolation="nearest"
+        )
         figure.colorbar(count, ax=axes[0], label="cameras", ticks=range(most + 1), shrink=0.9)
         axes[0].set_title("Cameras that see each direction: two see depth")
         baseline = axes[1].imshow(self.baseline, extent=extent, vmin=0, interpolation="nearest")
@@ -238,4 +284,6 @@ def _visible(rig: Rig, grid: SphereGrid, depth: float) -> NDArray[np.bool_]:
     """Return which cameras see the point of each ray at a depth in metres, shape (cameras, H, W)."""
     near = SphereGrid(grid.width, grid.height, grid.phi_deg, 2, min(depth, 1e6))
     sweep = SphereSweep(rig, near, center=np.zeros(3))
-    return np.stack([sweep.project_sphere(camera, 0 if depth == np.inf else 1)[1] for camera in range(len(rig))])
+    return np.stack(
+        [sweep.project_sphere(camera, 0 if depth == np.inf else 1)[1] for camera in range(len(rig))]
+    )

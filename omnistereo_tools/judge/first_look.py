@@ -1,4 +1,5 @@
-"""A first look at a rig and its images, before anything is computed: what cannot be right, and how near things are.
+"""A first look at a rig and its images, before anything is computed: what cannot be right, and how
+near things are.
 
 Poses in a wrong unit, one image twice or swapped images compute as well, but mean nothing.
 """
@@ -28,34 +29,49 @@ from omnistereo_tools.judge.coverage import Coverage
 
 _TOGETHER = 1e-3  # m
 _FAR_APART = 100.0  # m
-_MATCHES = 0.1  # median matching cost below which nothing is looked for; a few right rigs cost up to 0.17
+# median matching cost below which nothing is looked for; a few right rigs cost up to 0.17
+_MATCHES = 0.1
 _OUTSIDE = 1.5  # times the nearest depth; rigs of the public sets and of the course stay below 0.5
 _WINDOW = 9  # px
 _FEW_CELLS = 200_000  # are soon compared, and the fast ZNCC would first be compiled, for seconds
 _NO_OVERLAP = 0.5  # cost of a patch without texture, which is no evidence for or against a match
 _QUANTILE = 0.002  # of the confident rays: fewer are mismatches
-_MARGIN = 0.55  # for what comes nearer in the next frame, and for small things that a coarse sweep misses
+# for what comes nearer in the next frame, and for small things that a coarse sweep misses
+_MARGIN = 0.55
 _PASSES = 2
 
 
 def rig_doubts(rig: Rig, min_depth: float) -> Iterator[str]:
     """Yield what cannot be right with the poses of a rig whose sweep begins at a depth in metres."""
     pairs = list(combinations(range(1, len(rig) + 1), 2))
-    together = [f"{i} and {j}" for (i, j), apart in zip(pairs, rig.baselines, strict=True) if apart < _TOGETHER]
+    together = [
+        f"{i} and {j}"
+        for (i, j), apart in zip(pairs, rig.baselines, strict=True)
+        if apart < _TOGETHER
+    ]
     if together:
-        yield f"cameras {', '.join(together)} are at one place: they see no depth. Check their translations"
+        yield (
+            f"cameras {', '.join(together)} are at one place: they see no depth. Check their"
+            " translations"
+        )
     reach = float(np.linalg.norm(rig.recentered().centers, axis=1).max())
     if rig.baselines.max() > _FAR_APART:
-        yield f"the cameras are up to {rig.baselines.max():.3g} m apart. Check the unit of the translations"
+        yield (
+            f"the cameras are up to {rig.baselines.max():.3g} m apart. Check the unit of the"
+            " translations"
+        )
     elif reach > _OUTSIDE * min_depth:
         yield (
-            f"the cameras are up to {reach:.3g} m from their centre, but the spheres begin at {min_depth:.3g} m, "
-            "inside the rig. Check the unit of the translations and the nearest depth"
+            f"the cameras are up to {reach:.3g} m from their centre, but the spheres begin at"
+            f" {min_depth:.3g} m, inside the rig. Check the unit of the translations and the"
+            " nearest depth"
         )
 
 
 def same_pictures(images: Sequence[NDArray[Any]]) -> str | None:
-    """Return which images of a rig are the same picture, if any are; one that two cameras share is no mistake."""
+    """Return which images of a rig are the same picture, if any are; one that two cameras share is
+    no mistake.
+    """
     same = [
         f"{i} and {j}"
         for (i, a), (j, b) in combinations(enumerate(images, 1), 2)
@@ -68,7 +84,10 @@ class _PlainZNCC(BlockCost):
     """ZNCC by its definition."""
 
     def __call__(
-        self, spherical_images: Tensor, pairs: Sequence[Pair], columns: Sequence[tuple[int, int]] | None = None
+        self,
+        spherical_images: Tensor,
+        pairs: Sequence[Pair],
+        columns: Sequence[tuple[int, int]] | None = None,
     ) -> Tensor:
         images = spherical_images.double()
         costs = torch.stack([reference.zncc(images[i], images[j], _WINDOW) for i, j in pairs])
@@ -78,10 +97,11 @@ class _PlainZNCC(BlockCost):
 def matching_cost(
     rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid, rays: NDArray[np.bool_] | None = None
 ) -> float:
-    """Return how well images match along the rays of a rig: the first sign of a rig that does not fit them.
+    """Return how well images match along the rays of a rig: the first sign of a rig that does not
+    fit them.
 
-    The images are reduced as suits the grid. It is the median of the best raw ZNCC cost over `rays` (H, W), or all, in
-    [0, 1]; 0.5 if no pair shares a view.
+    The images are reduced as suits the grid. It is the median of the best raw ZNCC cost over `rays`
+    (H, W), or all, in [0, 1]; 0.5 if no pair shares a view.
     """
     rig, images = reduce_images(rig, images, grid.width / 360)
     sweep = SphereSweep(rig, grid)
@@ -102,18 +122,20 @@ def image_doubts(frame: Frame, grid: SphereGrid) -> Iterator[str]:
         return
     coarse = replace(grid, width=160, height=40, num_spheres=16)
     if matching_cost(frame.rig, frame.images, coarse) > _MATCHES:
-        from omnistereo_tools.judge.rig_check import find_mixup
+        from omnistereo_rigs.doctor.rig_check import find_mixup
 
         if found := find_mixup(frame):
             yield f"{found}. `omnistereo doctor` with the same rig and images says more"
 
 
 def propose_min_depth(frame: Frame) -> float:
-    """Return a nearest depth in metres, rounded: a little less than the nearest thing that a coarse sweep finds.
+    """Return a nearest depth in metres, rounded: a little less than the nearest thing that a coarse
+    sweep finds.
 
-    The first pass begins where the rig can measure, see `Coverage.nearest`; what is nearer is not found. The second
-    pass sweeps from what the first one found: with fewer spheres wasted in front of it, it is sharper. Both look around
-    the horizon, where nothing is distorted; a floor that is nearer below is within the margin.
+    The first pass begins where the rig can measure, see `Coverage.nearest`; what is nearer is not
+    found. The second pass sweeps from what the first one found: with fewer spheres wasted in front
+    of it, it is sharper. Both look around the horizon, where nothing is distorted; a floor that is
+    nearer below is within the margin.
     """
     small = Frame.of(*reduce_images(frame.rig, frame.images, 320 / 360))
     nearest = Coverage.of(small.rig).nearest

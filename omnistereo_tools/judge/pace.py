@@ -12,7 +12,8 @@ from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD, Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
 
-# Seconds for each cell of the cost volume, rays × spheres, of a first frame with four cameras on two cores.
+# Seconds for each cell of the cost volume, rays × spheres, of a first frame with four cameras on
+# two cores.
 _SECONDS = {"zncc": 2.3e-7, "mccnn": 1e-5, "sweepnet": 3e-5, "volumenet": 7e-8}
 _WRITING_S, _CORES = 4.0, 2
 _FEW_FRAMES = 10  # are soon done
@@ -20,22 +21,29 @@ _PACE_S = 2.0  # of a frame; the public drives have 1000 frames, half an hour
 
 
 def say_frame(method: str, grid: SphereGrid, device: str) -> None:
-    """Say how long a frame will take on the processor, before it begins; elsewhere only by which method."""
+    """Say how long a frame will take on the processor, before it begins; elsewhere only by which
+    method.
+    """
     seconds = _SECONDS.get(Method.parse(method).cost)
     if seconds is None or device != "cpu":
         print(f"method: {method}", flush=True)
         return
     cells = grid.width * grid.height * grid.num_spheres
     total = _WRITING_S + cells * seconds * _CORES / torch.get_num_threads()
-    precision = f" in {choose_precision('auto', device)}" if Method.parse(method).has_weights else ""
+    precision = (
+        f" in {choose_precision('auto', device)}" if Method.parse(method).has_weights else ""
+    )
     print(f"{method} takes about {in_words(total)}{precision}", flush=True)
 
 
-def say_recording(sweep: SphereSweep, images: Sequence[ArrayLike], frames: int, method: str | None) -> str:
+def say_recording(
+    sweep: SphereSweep, images: Sequence[ArrayLike], frames: int, method: str | None
+) -> str:
     """Say how long the frames of a recording will take, as its first one does; return the method.
 
     Args:
-        method: None: the one with the lowest errors, if frames are few or it keeps `_PACE_S` here; else the fast one.
+        method: None: the one with the lowest errors, if frames are few or it keeps `_PACE_S` here;
+            else the fast one.
     """
     chosen = method or FRAME_METHOD
     seconds: dict[str, float] = {}
@@ -47,17 +55,24 @@ def say_recording(sweep: SphereSweep, images: Sequence[ArrayLike], frames: int, 
         keeps = seconds.get(FRAME_METHOD, 0.0) <= _PACE_S
         chosen = FRAME_METHOD if keeps else VIDEO_METHOD
         why = (
-            "the lowest errors" if keeps else f"more doubt than {FRAME_METHOD}, which takes over {_PACE_S:g} s a frame"
+            "the lowest errors"
+            if keeps
+            else f"more doubt than {FRAME_METHOD}, which takes over {_PACE_S:g} s a frame"
         )
         print(f"method: {chosen}, {why}", flush=True)
     for name in sorted(seconds, key=chosen.__ne__):
         words = f"about {in_words(frames * seconds[name])} by {name}"
-        print(f"{frames} frames: {words}" if name == chosen else f"{words} (--method {name})", flush=True)
+        print(
+            f"{frames} frames: {words}" if name == chosen else f"{words} (--method {name})",
+            flush=True,
+        )
     return chosen
 
 
 def _measure(sweep: SphereSweep, images: Sequence[ArrayLike], method: str) -> float:
-    """Return how many seconds a frame takes, once the tables of the sweep and the network are there."""
+    """Return how many seconds a frame takes, once the tables of the sweep and the network are
+    there.
+    """
     sweep_depth(sweep, images, method)
     start = time.perf_counter()
     sweep_depth(sweep, images, method)
@@ -67,5 +82,9 @@ def _measure(sweep: SphereSweep, images: Sequence[ArrayLike], method: str) -> fl
 def in_words(seconds: float) -> str:
     """Return a duration with one or two digits: "8 s", "40 s", "3 min", "2 h"."""
     if seconds < 90:
-        return f"{max(1, round(seconds)):.0f} s" if seconds < 10 else f"{10 * round(seconds / 10):.0f} s"
+        return (
+            f"{max(1, round(seconds)):.0f} s"
+            if seconds < 10
+            else f"{10 * round(seconds / 10):.0f} s"
+        )
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.0f} h"

@@ -1,6 +1,8 @@
-"""Why a ray has its depth: which cameras see it, at which depths their patches agree, and one sentence about it.
+"""Why a ray has its depth: which cameras see it, at which depths their patches agree, and one
+sentence about it.
 
-`output/page/ray.js` computes the same numbers in the browser; `tests/tools/test_viewer.py` compares the two.
+`output/page/ray.js` computes the same numbers in the browser; `tests/tools/test_viewer.py` compares
+the two.
 """
 
 from dataclasses import dataclass
@@ -45,10 +47,14 @@ class Ray:
     index: float  #: sphere index of the estimate, NaN unknown
     sees: NDArray[np.bool_]  #: (cameras,), whose field of view holds the estimated point
     hidden: NDArray[np.bool_]  #: (cameras,), of those, from which something nearer hides it
-    patches: NDArray[np.float64]  #: (cameras, N, side, side), gray values; a patch that leaves the view is NaN
+    patches: NDArray[
+        np.float64
+    ]  #: (cameras, N, side, side), gray values; a patch that leaves the view is NaN
     agreement: NDArray[np.float64]  #: (N,), mean ZNCC over the pairs of cameras; NaN below two
     alike: int  #: how many cameras show the same at the estimate
-    contrast: float  #: gray values, standard deviation of the patch with most texture at the estimate
+    contrast: (
+        float  #: gray values, standard deviation of the patch with most texture at the estimate
+    )
     shift: float  #: 1/m, of the inverse depth if one camera is off by `TILT_DEG`, the worst one; NaN below two
 
     @property
@@ -58,11 +64,15 @@ class Ray:
 
     @property
     def modes(self) -> list[Mode]:
-        """Depths at which the patches agree, best first: the agreement falls by `VALLEY` between any two."""
+        """Depths at which the patches agree, best first: the agreement falls by `VALLEY` between
+        any two.
+        """
         found: list[Mode] = []
         values = np.nan_to_num(self.agreement, nan=-1.0)
         for n in np.argsort(-values, kind="stable"):
-            between = (values[min(n, mode.sphere) : max(n, mode.sphere) + 1].min() for mode in found)
+            between = (
+                values[min(n, mode.sphere) : max(n, mode.sphere) + 1].min() for mode in found
+            )
             if values[n] > 0 and all(low < values[n] - VALLEY for low in between):
                 found.append(Mode(int(n), float(values[n])))
         return found
@@ -71,12 +81,19 @@ class Ray:
     def chosen(self) -> float:
         """Agreement at the estimate: the best within its `tolerance`, NaN unknown."""
         near = np.abs(np.arange(len(self.agreement)) - self.index) <= tolerance(self.index)
-        return float(np.nanmax(self.agreement[near])) if np.isfinite(self.agreement[near]).any() else np.nan
+        return (
+            float(np.nanmax(self.agreement[near]))
+            if np.isfinite(self.agreement[near]).any()
+            else np.nan
+        )
 
     @property
     def rival(self) -> Mode | None:
         """The depth other than the estimate at which the patches agree best."""
-        return next((mode for mode in self.modes if abs(mode.sphere - self.index) > tolerance(self.index)), None)
+        return next(
+            (mode for mode in self.modes if abs(mode.sphere - self.index) > tolerance(self.index)),
+            None,
+        )
 
     @property
     def kind(self) -> str:
@@ -108,13 +125,22 @@ class Ray:
 
 SENTENCES = {
     "unseen": "Fewer than two cameras see this direction: no stereo can know its depth.",
-    "hidden": "Something nearer hides this from all cameras but {open}: no stereo can know its depth.",
+    "hidden": (
+        "Something nearer hides this from all cameras but {open}: no stereo can know its depth."
+    ),
     "flat": "There is no texture here: the depth comes from the rays beside it.",
     "agrees": "{count} cameras agree at {depth}, and at no other depth.",
-    "repeats": "{count} cameras agree at {depth} ({chosen:.2f}), and nearly as well at {other} ({rival:.2f}): "
-    "the texture repeats.",
-    "elsewhere": "The cameras agree best at {other} ({rival:.2f}), but the rays beside it speak for {depth}.",
-    "unlike": "The cameras agree at no depth: they see this from too different sides, or something stands between.",
+    "repeats": (
+        "{count} cameras agree at {depth} ({chosen:.2f}), and nearly as well at {other}"
+        " ({rival:.2f}): the texture repeats."
+    ),
+    "elsewhere": (
+        "The cameras agree best at {other} ({rival:.2f}), but the rays beside it speak for {depth}."
+    ),
+    "unlike": (
+        "The cameras agree at no depth: they see this from too different sides, or something stands"
+        " between."
+    ),
 }
 
 
@@ -153,21 +179,29 @@ def explain(depth: Depth, column: int, row: int) -> Ray:
     column = int(check_number(column, "column", 0, grid.width - 1, whole=True))
     row = int(check_number(row, "row", 0, grid.height - 1, whole=True))
     ray, index = grid.rays()[row, column], float(depth.index[row, column])
-    visible = depth.sweep.keep("visible", lambda: [camera.visible_pixels() for camera in rig.cameras])
+    visible = depth.sweep.keep(
+        "visible", lambda: [camera.visible_pixels() for camera in rig.cameras]
+    )
     patches = np.stack(
         [
             patches_of(camera, mask, pose.inverse(), np.asarray(image), ray, grid.inverse_depths())
-            for camera, mask, pose, image in zip(rig.cameras, visible, rig.T_rig_cam, depth.images, strict=True)
+            for camera, mask, pose, image in zip(
+                rig.cameras, visible, rig.T_rig_cam, depth.images, strict=True
+            )
         ]
     )  # (cameras, N, side, side)
     pairs = list(combinations(range(len(rig)), 2))
     scores = np.stack([zncc(patches[i], patches[j]) for i, j in pairs])  # (pairs, N)
     nearest = 0 if np.isnan(index) else round(index)
     at = scores[:, nearest]
-    alike = {camera for pair, score in zip(pairs, at, strict=True) if score >= ALIKE for camera in pair}
+    alike = {
+        camera for pair, score in zip(pairs, at, strict=True) if score >= ALIKE for camera in pair
+    }
     spreads = np.std(patches[:, nearest], axis=(1, 2))
     sees = ~np.isnan(spreads) & np.isfinite(index)
-    hidden = sees & np.array([is_hidden(depth.depth, grid, ray, index, center) for center in rig.centers])
+    hidden = sees & np.array(
+        [is_hidden(depth.depth, grid, ray, index, center) for center in rig.centers]
+    )
     counted = np.isfinite(scores).sum(0)
     return Ray(
         grid,
@@ -190,7 +224,8 @@ def patches_of(
     ray: NDArray[np.float64],
     inverse_depths: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return what a camera sees of a square that faces the rig, at each depth along a ray, (N, side, side).
+    """Return what a camera sees of a square that faces the rig, at each depth along a ray, (N,
+    side, side).
 
     Args:
         visible: (height, width), of `OcamCamera.visible_pixels`.
@@ -199,7 +234,8 @@ def patches_of(
         inverse_depths: (N,), 1/m.
 
     Returns:
-        Gray values, sampled bilinearly: NaN for a square of which a sample touches a pixel that is not visible.
+        Gray values, sampled bilinearly: NaN for a square of which a sample touches a pixel that is
+        not visible.
     """
     square = ray + offsets(ray)  # (side, side, 3), as large as it looks from the sweep centre
     # Times the inverse depth, to stay finite.
@@ -219,7 +255,9 @@ def patches_of(
 
 
 def offsets(ray: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the samples of a patch around a unit ray, across it: to the right and down, (side, side, 3)."""
+    """Return the samples of a patch around a unit ray, across it: to the right and down, (side,
+    side, 3).
+    """
     theta = np.arctan2(ray[0], ray[2])
     right = np.array([np.cos(theta), 0.0, -np.sin(theta)])
     down = np.cross(ray, right)
@@ -228,7 +266,8 @@ def offsets(ray: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def zncc(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the zero-mean normalised cross-correlation of patches (N, side, side), in [-1, 1]; NaN if one is NaN.
+    """Return the zero-mean normalised cross-correlation of patches (N, side, side), in [-1, 1]; NaN
+    if one is NaN.
 
     0 where a patch is constant.
     """
@@ -238,9 +277,14 @@ def zncc(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def is_hidden(
-    depths: NDArray[np.float64], grid: SphereGrid, ray: NDArray[np.float64], index: float, center: NDArray[np.float64]
+    depths: NDArray[np.float64],
+    grid: SphereGrid,
+    ray: NDArray[np.float64],
+    index: float,
+    center: NDArray[np.float64],
 ) -> bool:
-    """Return whether the panorama shows something much nearer on the way from the point of a ray to a camera.
+    """Return whether the panorama shows something much nearer on the way from the point of a ray to
+    a camera.
 
     Args:
         depths: (H, W), metres.
@@ -254,12 +298,16 @@ def is_hidden(
     return bool(np.any(inside & (surface < NEARER * np.linalg.norm(places, axis=-1))))
 
 
-def tilt_shift(ray: NDArray[np.float64], inverse_depth: float, centers: NDArray[np.float64]) -> float:
-    """Return by how much an error of `TILT_DEG` of one camera moves the inverse depth of a ray, 1/m, at the worst.
+def tilt_shift(
+    ray: NDArray[np.float64], inverse_depth: float, centers: NDArray[np.float64]
+) -> float:
+    """Return by how much an error of `TILT_DEG` of one camera moves the inverse depth of a ray,
+    1/m, at the worst.
 
-    A point that moves along the ray moves in camera i by v_i radians per 1/m, a vector. If camera i is rotated by ε,
-    the inverse depth that fits all pairs by least squares moves by ε |Σ_j (v_i - v_j)| / Σ |v_i - v_j|²: of two cameras
-    with a baseline b across the ray, by ε / b. NaN below two cameras.
+    A point that moves along the ray moves in camera i by v_i radians per 1/m, a vector. If camera i
+    is rotated by ε, the inverse depth that fits all pairs by least squares moves by ε |Σ_j (v_i -
+    v_j)| / Σ |v_i - v_j|²: of two cameras with a baseline b across the ray, by ε / b. NaN below two
+    cameras.
     """
     if len(centers) < 2 or np.isnan(inverse_depth):
         return np.nan

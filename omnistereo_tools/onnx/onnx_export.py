@@ -1,4 +1,6 @@
-"""VolumeNet for a rig as one ONNX file, images in and depth out, with a script that runs it without torch."""
+"""VolumeNet for a rig as one ONNX file, images in and depth out, with a script that runs it without
+torch.
+"""
 
 import shutil
 import warnings
@@ -16,7 +18,12 @@ from omnistereo_lib.files import atomic_write, make_folder
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.reference import correlate
-from omnistereo_lib.stereo.correlation import pixels_per_degree, project_cells, volume_cells, volume_sizes
+from omnistereo_lib.stereo.correlation import (
+    pixels_per_degree,
+    project_cells,
+    volume_cells,
+    volume_sizes,
+)
 from omnistereo_lib.stereo.images import reduce_images
 from omnistereo_lib.stereo.kernels.correlation_numba import GROUPS
 from omnistereo_lib.stereo.volumenet import VolumeNet, local_mean, normalize, resize_logits
@@ -33,7 +40,9 @@ def check_installed() -> None:
     try:
         import onnx  # noqa: F401
     except ImportError:
-        raise OmnistereoError("an export needs onnx: in the clone, .venv/bin/pip install -e '.[onnx]'") from None
+        raise OmnistereoError(
+            "an export needs onnx: in the clone, .venv/bin/pip install -e '.[onnx]'"
+        ) from None
 
 
 def export_onnx(out: Path, rig: Rig, grid: SphereGrid) -> list[str]:
@@ -49,9 +58,13 @@ def export_onnx(out: Path, rig: Rig, grid: SphereGrid) -> list[str]:
     check_installed()
     out = make_folder(out)
     graph = DepthGraph(VolumeNet.pretrained(), rig, grid).cpu().eval()
-    images = tuple(torch.randint(256, (*camera.image_size[::-1], 3), dtype=torch.uint8) for camera in rig.cameras)
+    images = tuple(
+        torch.randint(256, (*camera.image_size[::-1], 3), dtype=torch.uint8)
+        for camera in rig.cameras
+    )
     with atomic_write(out / "depth.onnx") as temporary, warnings.catch_warnings(), torch.no_grad():
-        warnings.simplefilter("ignore")  # tracing warns of sizes that become constants; they are those of rig and grid
+        # tracing warns of sizes that become constants; they are those of rig and grid
+        warnings.simplefilter("ignore")
         torch.onnx.export(
             graph,
             images,
@@ -59,7 +72,8 @@ def export_onnx(out: Path, rig: Rig, grid: SphereGrid) -> list[str]:
             input_names=[f"image{k}" for k in range(1, len(rig) + 1)],
             output_names=["inverse_depth", "confidence"],
             opset_version=OPSET,
-            do_constant_folding=False,  # the coordinates of all cells would be a hundred times as large as the network
+            # the coordinates of all cells would be a hundred times as large as the network
+            do_constant_folding=False,
             dynamo=False,  # the newer exporter takes twenty times as long, for the same numbers
         )
     with atomic_write(out / _SCRIPT.name) as temporary:
@@ -80,9 +94,13 @@ class DepthGraph(nn.Module):
             self.register_buffer(f"inverse_depth{number}", inverse_depth)
 
     def forward(self, *images: Tensor) -> tuple[Tensor, Tensor]:
-        """Return inverse depth in 1/m and confidence, (H, W) each, NaN = unknown, of one image (h, w, 3) per camera."""
+        """Return inverse depth in 1/m and confidence, (H, W) each, NaN = unknown, of one image (h,
+        w, 3) per camera.
+        """
         grid, sizes = self.grid, volume_sizes(self.grid, self.rig)
-        *_, correlation = correlations = [self._correlation(images, k, size) for k, size in enumerate(sizes)]
+        *_, correlation = correlations = [
+            self._correlation(images, k, size) for k, size in enumerate(sizes)
+        ]
         logits = [self.network(one[None]) / len(sizes) for one in correlations]
         read_out = []
         for columns in torch.arange(grid.width).split(_COLUMNS):
@@ -93,9 +111,13 @@ class DepthGraph(nn.Module):
         hidden = interpolate(shared, grid.shape[::-1], mode="nearest")[0, 0].T == 0
         far, near = 1 / grid.max_depth, 1 / grid.min_depth
         inverse_depth = far + index * ((near - far) / (grid.num_spheres - 1))
-        return inverse_depth.masked_fill(hidden, torch.nan), confidence.masked_fill(hidden, torch.nan)
+        return inverse_depth.masked_fill(hidden, torch.nan), confidence.masked_fill(
+            hidden, torch.nan
+        )
 
-    def _correlation(self, images: Sequence[Tensor], number: int, size: tuple[int, int, int]) -> Tensor:
+    def _correlation(
+        self, images: Sequence[Tensor], number: int, size: tuple[int, int, int]
+    ) -> Tensor:
         """Return the correlation volume (9, W, H, N) of a number and size."""
         blank = [np.zeros(camera.image_size[::-1], np.uint8) for camera in self.rig.cameras]
         rig, _ = reduce_images(self.rig, blank, pixels_per_degree(size))
@@ -104,12 +126,17 @@ class DepthGraph(nn.Module):
             gray = _reduced_gray(image, camera.image_size[0] // reduced.image_size[0])
             visible = torch.from_numpy(reduced.visible_pixels())
             features.append(self.network.features(normalize(gray, visible), visible))
-        rays, inverse_depth = self.get_buffer(f"rays{number}"), self.get_buffer(f"inverse_depth{number}")
+        rays, inverse_depth = (
+            self.get_buffer(f"rays{number}"),
+            self.get_buffer(f"inverse_depth{number}"),
+        )
         parts = [project_cells(rig, some, inverse_depth) for some in rays.split(_COLUMNS)]
         return torch.cat([correlate(features, part, GROUPS) for part in parts], 1)
 
 
 def _reduced_gray(image: Tensor, factor: int) -> Tensor:
-    """Return an image (h, w, 3) in gray, (h / factor, w / factor), as `reduce_images` and `to_gray` give it."""
+    """Return an image (h, w, 3) in gray, (h / factor, w / factor), as `reduce_images` and `to_gray`
+    give it.
+    """
     blocks = avg_pool2d(image.permute(2, 0, 1).float()[None], factor)[0]
     return torch.einsum("chw,c->hw", (blocks + 0.5).floor(), torch.tensor(_LUMA))

@@ -1,4 +1,5 @@
-"""Depth without torch: run the exported VolumeNet by ONNX Runtime. Needs numpy, onnxruntime and opencv-python.
+"""Depth without torch: run the exported VolumeNet by ONNX Runtime. Needs numpy, onnxruntime and
+opencv-python.
 
 `omnistereo onnx` copies this file beside depth.onnx, which is made for one rig and one panorama.
 example: python run_onnx.py front.png right.png back.png left.png --out inverse_depth.npy
@@ -13,9 +14,13 @@ import onnxruntime as ort
 
 
 def read_images(paths: list[str], inputs: list[ort.NodeArg]) -> dict[str, np.ndarray]:
-    """Return the images by the names of the inputs, uint8 (height, width, 3) RGB; exit if they do not fit."""
+    """Return the images by the names of the inputs, uint8 (height, width, 3) RGB; exit if they do
+    not fit.
+    """
     if len(paths) != len(inputs):
-        raise SystemExit(f"error: there are {len(paths)} images for {len(inputs)} cameras. Give one for each.")
+        raise SystemExit(
+            f"error: there are {len(paths)} images for {len(inputs)} cameras. Give one for each."
+        )
     images = {}
     for path, wanted in zip(paths, inputs, strict=True):
         image = cv2.imread(path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
@@ -31,15 +36,24 @@ def read_images(paths: list[str], inputs: list[ort.NodeArg]) -> dict[str, np.nda
 
 def main() -> None:
     """Compute the depth of one frame."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("images", nargs="+", help="one image per camera, in the order of the rig")
-    parser.add_argument("--out", default="inverse_depth.npy", help="float32, 1/m, 0 = infinitely far, NaN = unknown")
+    parser.add_argument(
+        "--out", default="inverse_depth.npy", help="float32, 1/m, 0 = infinitely far, NaN = unknown"
+    )
     options = parser.parse_args()
     session = ort.InferenceSession(Path(__file__).with_name("depth.onnx"))
-    inverse_depth, _confidence = session.run(None, read_images(options.images, session.get_inputs()))
+    inverse_depth, _confidence = session.run(
+        None, read_images(options.images, session.get_inputs())
+    )
     np.save(options.out, inverse_depth)
     height, width = inverse_depth.shape
-    print(f"{options.out}: {width} × {height} rays, the nearest at {1 / np.nanmax(inverse_depth):.2g} m")
+    print(
+        f"{options.out}: {width} × {height} rays, the nearest at"
+        f" {1 / np.nanmax(inverse_depth):.2g} m"
+    )
 
 
 if __name__ == "__main__":

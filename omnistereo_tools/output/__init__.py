@@ -1,1 +1,3 @@
-"""What a command writes for people and other programs: the page, pictures, points, meshes, crops, rigs."""
+"""What a command writes for people and other programs: the page, pictures, points, meshes, crops,
+rigs.
+"""

@@ -1,4 +1,6 @@
-"""The panorama that is looked at: cameras made equally bright and blended, so that none shows where it ends."""
+"""The panorama that is looked at: cameras made equally bright and blended, so that none shows where
+it ends.
+"""
 
 from __future__ import annotations
 
@@ -26,18 +28,22 @@ _LARGEST_GAIN = 2.0
 
 
 def estimate_gains(depth: Depth) -> NDArray[np.float64]:
-    """Return the factor of each camera, and of each channel, that makes all equally bright where they overlap.
+    """Return the factor of each camera, and of each channel, that makes all equally bright where
+    they overlap.
 
-    Exposure and white balance differ from camera to camera. The ratio of two cameras is the median over the rays that
-    both see with values in range, so that wrong depths do not matter; the gains fit all ratios by least squares, with
-    a mean logarithm of 0.
+    Exposure and white balance differ from camera to camera. The ratio of two cameras is the median
+    over the rays that both see with values in range, so that wrong depths do not matter; the gains
+    fit all ratios by least squares, with a mean logarithm of 0.
 
     Returns:
         array, shape (cameras, channels), where gray has one channel
     """
     samples = np.stack(depth.sweep.warp(depth.images, depth.index))
     samples = samples.reshape(*samples.shape[:3], -1)  # (cameras, H, W, channels)
-    usable, one = np.all((samples >= DARKEST) & (samples <= BRIGHTEST), axis=-1), np.eye(len(samples))
+    usable, one = (
+        np.all((samples >= DARKEST) & (samples <= BRIGHTEST), axis=-1),
+        np.eye(len(samples)),
+    )
     rows, ratios = [np.ones(len(samples))], [np.zeros(samples.shape[-1])]
     for i, j in combinations(range(len(samples)), 2):
         both = usable[i] & usable[j]
@@ -49,8 +55,11 @@ def estimate_gains(depth: Depth) -> NDArray[np.float64]:
     return np.exp(logarithms.clip(-np.log(_LARGEST_GAIN), np.log(_LARGEST_GAIN)))
 
 
-def blended_panorama(depth: Depth, gains: NDArray[Any] | None = None, factor: int = 1) -> NDArray[np.float32]:
-    """Return the images at the estimated depth, blended: `Depth.panorama` without the edges of the cameras.
+def blended_panorama(
+    depth: Depth, gains: NDArray[Any] | None = None, factor: int = 1
+) -> NDArray[np.float32]:
+    """Return the images at the estimated depth, blended: `Depth.panorama` without the edges of the
+    cameras.
 
     A camera counts the more, the farther the point is from the rim of its visible pixels.
 
@@ -59,8 +68,8 @@ def blended_panorama(depth: Depth, gains: NDArray[Any] | None = None, factor: in
         factor: By which the panorama is larger than the depth; see `finer_index`.
 
     Returns:
-        float32 array, shape (factor H, factor W) or (factor H, factor W, 3), 0 to 255: NaN where no camera sees the
-            point, or there is no depth.
+        float32 array, shape (factor H, factor W) or (factor H, factor W, 3), 0 to 255: NaN where no
+            camera sees the point, or there is no depth.
     """
     gains = (estimate_gains(depth) if gains is None else gains).astype(np.float32)
     weights = depth.sweep.keep(
@@ -68,9 +77,13 @@ def blended_panorama(depth: Depth, gains: NDArray[Any] | None = None, factor: in
     )
     total: NDArray[Any] = np.zeros(1, np.float32)
     no_second: Any = None  # see `remap`
-    for maps, weight, image, gain in zip(_pixels(depth, factor), weights, depth.images, gains, strict=True):
+    for maps, weight, image, gain in zip(
+        _pixels(depth, factor), weights, depth.images, gains, strict=True
+    ):
         bright = np.asarray(image, np.float32).reshape(*weight.shape[:2], -1) * gain
-        total = total + cv2.remap(np.dstack([bright * weight, weight]), maps, no_second, cv2.INTER_LINEAR)
+        total = total + cv2.remap(
+            np.dstack([bright * weight, weight]), maps, no_second, cv2.INTER_LINEAR
+        )
     *colors, sums = cv2.split(total)  # NumPy is slow across interleaved channels
     with np.errstate(invalid="ignore"):
         return np.asarray(cv2.merge([(color / sums).clip(0, 255) for color in colors]), np.float32)
@@ -79,7 +92,8 @@ def blended_panorama(depth: Depth, gains: NDArray[Any] | None = None, factor: in
 def _pixels(depth: Depth, factor: int) -> Iterator[NDArray[np.float32]]:
     """Yield where each camera sees the points of the rays, (factor H, factor W, 2) in pixels.
 
-    Within a surface pixels are interpolated, too, since to project all places would take as long as to find the depth.
+    Within a surface pixels are interpolated, too, since to project all places would take as long as
+    to find the depth.
     """
     rig, grid = depth.sweep.rig, depth.grid
     # In float32, by torch: three times as fast as `project_sphere`.
@@ -91,7 +105,9 @@ def _pixels(depth: Depth, factor: int) -> Iterator[NDArray[np.float32]]:
     index, (rows, columns) = finer_index(depth, factor)
     fine = replace(grid, width=factor * grid.width, height=factor * grid.height)
     theta, phi = fine.thetas()[columns], fine.phis()[rows]
-    directions = np.stack([np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta)], -1)
+    directions = np.stack(
+        [np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta)], -1
+    )
     inverse_depth = grid.index_to_inverse_depth(index[rows, columns])
     at_edges = _project(rig, torch.from_numpy(directions[None]).float(), inverse_depth[None])
     for maps, exact in zip(coarse, at_edges, strict=True):
@@ -107,10 +123,12 @@ def _project(rig: Rig, rays: Tensor, inverse_depth: NDArray[Any]) -> list[NDArra
 
 
 def finer_index(depth: Depth, factor: int) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...]]:
-    """Return the sphere indices of a panorama that is larger by a factor; and rows and columns of places at edges.
+    """Return the sphere indices of a panorama that is larger by a factor; and rows and columns of
+    places at edges.
 
-    They are interpolated within a surface. At an edge in depth each place takes the surface of those of the four rays
-    around it that weigh most in bilinear interpolation, so that rims have no teeth and nothing lies between surfaces.
+    They are interpolated within a surface. At an edge in depth each place takes the surface of
+    those of the four rays around it that weigh most in bilinear interpolation, so that rims have no
+    teeth and nothing lies between surfaces.
     """
     index = _pad(depth.index)
     fine, corners = _enlarge(index, factor), _cells(index)
@@ -125,12 +143,16 @@ def finer_index(depth: Depth, factor: int) -> tuple[NDArray[np.float32], tuple[N
     surfaces = shares * [values > middle, values <= middle, np.isnan(values)]
     most = surfaces.sum(1).argmax(0)
     weights = np.take_along_axis(surfaces, most[None, None], 0)[0]
-    fine[chosen] = np.where(most == 2, np.nan, (weights * np.nan_to_num(values)).sum(0) / weights.sum(0))
+    fine[chosen] = np.where(
+        most == 2, np.nan, (weights * np.nan_to_num(values)).sum(0) / weights.sum(0)
+    )
     return fine, chosen
 
 
 def _pad(values: NDArray[Any]) -> NDArray[Any]:
-    """Return a panorama (H, W) or (H, W, C) with one more ray on each side: it is circular, and ends in its rows."""
+    """Return a panorama (H, W) or (H, W, C) with one more ray on each side: it is circular, and
+    ends in its rows.
+    """
     rows = np.concatenate([values[:1], values, values[-1:]])
     return np.concatenate([rows[:, -1:], rows, rows[:, :1]], 1)
 
@@ -147,7 +169,9 @@ def _cells(padded: NDArray[Any]) -> NDArray[Any]:
 
 
 def _distance_from_rim(camera: OcamCamera) -> NDArray[np.float32]:
-    """Return the distance of each pixel from the nearest that is not visible, shape (height, width), at most 1."""
+    """Return the distance of each pixel from the nearest that is not visible, shape (height,
+    width), at most 1.
+    """
     visible = np.pad(camera.visible_pixels().astype(np.uint8), 1)  # the image ends in a rim, too
     distance = cv2.distanceTransform(visible, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
     return distance / distance.max()

@@ -1,4 +1,6 @@
-"""Perspective crops of the fisheye images with depth and poses, for NeRF and Gaussian splatting programs."""
+"""Perspective crops of the fisheye images with depth and poses, for NeRF and Gaussian splatting
+programs.
+"""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -46,8 +48,8 @@ def crops_of(camera: int, lens: OcamCamera, pose: Pose, whole: bool = False) -> 
     """Yield crops of a camera, as fine as its image.
 
     Args:
-        whole: False: left, middle and right along the horizon, or one if the lens is narrow. True: the faces of a cube
-            that the field of view reaches, which leave nothing out.
+        whole: False: left, middle and right along the horizon, or one if the lens is narrow. True:
+            the faces of a cube that the field of view reaches, which leave nothing out.
     """
     half = lens.max_fov_deg / 2
     fov = _CUBE_DEG if whole else min(_FOV_DEG, 0.7 * lens.max_fov_deg)
@@ -81,7 +83,8 @@ def covered_share(crops: Sequence[Crop], lens: OcamCamera, pose: Pose) -> float:
 def write_crops(out: Path, depth: Depth, limits: Limits, whole: bool = False) -> tuple[int, float]:
     """Write crops, their depth and transforms.json, as nerfstudio reads them, into a folder.
 
-    Returns their number, and the share of what the cameras see that is in them. `whole`: see `crops_of`.
+    Returns their number, and the share of what the cameras see that is in them. `whole`: see
+    `crops_of`.
 
     images/0_1.png   the second crop of the first camera
     depth/0_1.png    16 bits: depth along the optical axis in millimetres; 0 where it is unknown or beyond 65 m
@@ -99,30 +102,43 @@ def write_crops(out: Path, depth: Depth, limits: Limits, whole: bool = False) ->
             z = np.where(visible, crop_depth(crop, depth, limits), np.nan)
             write_image(make_folder(out / "images") / name, picture)
             steps = np.nan_to_num(z / _MILLIMETRE)
-            write_image(make_folder(out / "depth") / name, np.where(steps < 65535, steps.round(), 0).astype(np.uint16))
-            frame = {"file_path": f"images/{name}", "depth_file_path": f"depth/{name}", **_intrinsics(crop)}
+            write_image(
+                make_folder(out / "depth") / name,
+                np.where(steps < 65535, steps.round(), 0).astype(np.uint16),
+            )
+            frame = {
+                "file_path": f"images/{name}",
+                "depth_file_path": f"depth/{name}",
+                **_intrinsics(crop),
+            }
             if not visible.all():
                 write_image(make_folder(out / "masks") / name, 255 * visible)
                 frame["mask_path"] = f"masks/{name}"
             frames.append(frame)
-    write_text(out / "transforms.json", json.dumps({"camera_model": "PINHOLE", "frames": frames}, indent=1) + "\n")
+    write_text(
+        out / "transforms.json",
+        json.dumps({"camera_model": "PINHOLE", "frames": frames}, indent=1) + "\n",
+    )
     return len(frames), float(np.mean(shares))
 
 
 def crop_image(
     crop: Crop, lens: OcamCamera, pose: Pose, image: ArrayLike
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Return the image of a crop, undistorted, 0 to 255, and where the camera sees it, (size, size)."""
+    """Return the image of a crop, undistorted, 0 to 255, and where the camera sees it, (size,
+    size).
+    """
     uv, visible = lens.project(crop.rays() @ crop.T_rig_crop.R.T @ pose.R)
     maps = np.where(visible[..., None], uv, OUTSIDE).astype(np.float32)
     return np.nan_to_num(remap(np.asarray(image, np.float32), maps)), visible
 
 
 def crop_depth(crop: Crop, depth: Depth, limits: Limits) -> NDArray[np.float64]:
-    """Return the depth of every pixel of a crop along its optical axis, metres, (size, size); NaN unknown.
+    """Return the depth of every pixel of a crop along its optical axis, metres, (size, size); NaN
+    unknown.
 
-    The crop is not where the panorama was computed: on each of its rays the point is searched whose distance from the
-    sweep centre is the depth of the panorama in its direction.
+    The crop is not where the panorama was computed: on each of its rays the point is searched whose
+    distance from the sweep centre is the depth of the panorama in its direction.
     """
     finite = np.nan_to_num(depth.depth, nan=_FARTHEST, posinf=_FARTHEST)
     rays, center = crop.rays() @ crop.T_rig_crop.R.T, crop.T_rig_crop.t
@@ -132,7 +148,8 @@ def crop_depth(crop: Crop, depth: Depth, limits: Limits) -> NDArray[np.float64]:
     points = directions * np.median(finite)
     for _ in range(_STEPS):
         found, _ = depth.grid.look_up(finite, points)
-        root = np.maximum(along**2 + found**2 - center @ center, 0)  # of |center + s directions| = found
+        # of |center + s directions| = found
+        root = np.maximum(along**2 + found**2 - center @ center, 0)
         distance = -along + np.sqrt(root)
         points = center + distance[..., None] * directions
     panorama = np.where(limits.keep(depth), depth.depth, np.nan)

@@ -1,4 +1,6 @@
-"""What `omnistereo depth` writes for one frame: a page to look at, a viewer, the data behind them, and exports."""
+"""What `omnistereo depth` writes for one frame: a page to look at, a viewer, the data behind them,
+and exports.
+"""
 
 import json
 from dataclasses import dataclass
@@ -14,7 +16,7 @@ from omnistereo_lib.frame import write_inverse_depth
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.lazy import lazy_property
 from omnistereo_lib.progress import Progress, counted, silent
-from omnistereo_lib.rig_files import save_rig
+from omnistereo_lib.rig_file import save_rig
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.metrics import index_error
 from omnistereo_tools.judge.trust import DOUBTFUL, odds, trust
@@ -27,7 +29,8 @@ from omnistereo_tools.output.points import Limits, PointCloud
 from omnistereo_tools.output.summary import depth_sentences, error_sentences, turn_sentence
 from omnistereo_tools.output.viewer import viewer_page
 
-_SHARP, _WIDEST = 1.4, 3600  # of the panorama that is looked at: columns for a pixel of the images, and in all
+# of the panorama that is looked at: columns for a pixel of the images, and in all
+_SHARP, _WIDEST = 1.4, 3600
 
 _README = """\
 Panoramas have {height} rows, from {phi[0]:g}° to {phi[1]:g}° (down is positive), and {width} columns around the circle.
@@ -46,7 +49,10 @@ trust.tiff           float32 in [0, 1]: the confidence judged at equal range, 0 
 rig.yaml             the cameras with their origin moved to the centre of the panorama; T_rig_file (axis-angle, metres)
                      takes coordinates of your rig file to those of the panorama and the points
 """
-_ERRORS = "errors.json          errors against the ground truth in % of the range swept, as in Table II of the paper\n"
+_ERRORS = (
+    "errors.json          errors against the ground truth in % of the range swept, as in Table II"
+    " of the paper\n"
+)
 _ALL = 0.99  # of what the cameras see, for crops
 
 
@@ -65,7 +71,10 @@ class FrameResult:
         grid = self.depth.grid
         rays = f"{grid.width} × {grid.height} rays"
         turned = ", rig turned level" if turn_sentence(self.depth.sweep.rig) else ""
-        return f"{self.method}: {len(self.depth.images)} cameras{turned}, {rays}, {grid.num_spheres} spheres"
+        return (
+            f"{self.method}: {len(self.depth.images)} cameras{turned}, {rays}, {grid.num_spheres}"
+            " spheres"
+        )
 
     def sentences(self) -> list[str]:
         """Return the result in plain sentences."""
@@ -84,7 +93,9 @@ class FrameResult:
 
     @lazy_property
     def panorama(self) -> NDArray[np.uint8]:
-        """The panorama that is looked at, sharper than the depth, RGB; it is the texture of a mesh, too."""
+        """The panorama that is looked at, sharper than the depth, RGB; it is the texture of a mesh,
+        too.
+        """
         held = 360 * max(camera.pixels_per_degree for camera in self.depth.sweep.rig.cameras)
         return sharp_panorama(self.depth, round(min(_SHARP * held, _WIDEST)))
 
@@ -97,14 +108,24 @@ class FrameResult:
         return PointCloud.of(self.depth, self._colors, self.limits, self.doubtful)
 
     def write(self, out: Path, progress: Progress = silent) -> list[str]:
-        """Write everything into a folder; return the names of what was written, the first to look at first."""
-        steps = {"data": self._write_data, "overview.png": self._write_overview, "index.html": self._write_page}
+        """Write everything into a folder; return the names of what was written, the first to look
+        at first.
+        """
+        steps = {
+            "data": self._write_data,
+            "overview.png": self._write_overview,
+            "index.html": self._write_page,
+        }
         step = counted(progress, len(steps))
         for name, write in steps.items():
             step(name)
             write(make_folder(out) / name)
         step("")
-        return ["overview.png", "index.html (open it in a browser)", "data/ (README.txt says what each file holds)"]
+        return [
+            "overview.png",
+            "index.html (open it in a browser)",
+            "data/ (README.txt says what each file holds)",
+        ]
 
     def export(
         self,
@@ -114,7 +135,8 @@ class FrameResult:
         crops: Path | None,
         all_crops: bool = False,
     ) -> list[str]:
-        """Write the files for other programs that are asked for, into folders that exist; return what each holds.
+        """Write the files for other programs that are asked for, into folders that exist; return
+        what each holds.
 
         Args:
             mesh_file, faces: See `write_mesh`.
@@ -123,8 +145,12 @@ class FrameResult:
         """
         written = []
         if mesh_file is not None:
-            triangles, doubtful = write_mesh(mesh_file, self.depth, self.panorama, self.limits, faces, self.doubtful)
-            written.append(f"{mesh_file} ({triangles} triangles, {doubtful} of them doubtful and marked)")
+            triangles, doubtful = write_mesh(
+                mesh_file, self.depth, self.panorama, self.limits, faces, self.doubtful
+            )
+            written.append(
+                f"{mesh_file} ({triangles} triangles, {doubtful} of them doubtful and marked)"
+            )
         if equirectangular is not None:
             write_inverse_depth(equirectangular, equirectangular_depth(self.depth))
             written.append(f"{equirectangular} (metres along the ray)")
@@ -136,12 +162,16 @@ class FrameResult:
         return written
 
     def _write_overview(self, path: Path) -> None:
-        page = draw_overview(self.depth, self.panorama, self._cloud, self.trust, self.title, self.sentences())
+        page = draw_overview(
+            self.depth, self.panorama, self._cloud, self.trust, self.title, self.sentences()
+        )
         write_image(path, page)
 
     def _write_page(self, path: Path) -> None:
         of_frame = {"trust": self.trust, "odds": odds(self.method), "gt_index": self.gt_index}
-        write_text(path, viewer_page(self.depth, self.panorama, self.limits, self.title, **of_frame))
+        write_text(
+            path, viewer_page(self.depth, self.panorama, self.limits, self.title, **of_frame)
+        )
 
     def _write_data(self, data: Path) -> None:
         make_folder(data)
@@ -149,7 +179,10 @@ class FrameResult:
         write_inverse_depth(data / "inverse_depth.tiff", depth.inverse_depth)
         write_inverse_depth(data / "confidence.tiff", depth.confidence)
         write_inverse_depth(data / "trust.tiff", self.trust)
-        write_image(data / "inverse_depth.png", ColorScale.of(depth.inverse_depth).colorize(depth.inverse_depth))
+        write_image(
+            data / "inverse_depth.png",
+            ColorScale.of(depth.inverse_depth).colorize(depth.inverse_depth),
+        )
         write_image(data / "panorama.jpg", self._colors)
         self._cloud.write(data / "points.ply")
         save_rig(depth.sweep.rig, data / "rig.yaml")
@@ -165,7 +198,8 @@ class FrameResult:
         (data / "errors.json").unlink(missing_ok=True)  # of another frame
         if self.gt_index is not None:
             found = index_error(depth.index, self.gt_index, grid.num_spheres)
-            errors = {name: value if isfinite(value) else None for name, value in found.items()}  # JSON has no NaN
+            # JSON has no NaN
+            errors = {name: value if isfinite(value) else None for name, value in found.items()}
             write_text(data / "errors.json", json.dumps(errors, indent=1) + "\n")
             text += _ERRORS
         write_text(data / "README.txt", text)
@@ -174,9 +208,11 @@ class FrameResult:
 def equirectangular_depth(depth: Depth) -> NDArray[np.float32]:
     """Return depth along the ray in metres as a panorama of the whole sphere, shape (W / 2, W).
 
-    Infinite where nothing is near, NaN where it is unknown, such as at the poles. Each ray takes the nearest pixel:
-    depth between two surfaces would be in neither.
+    Infinite where nothing is near, NaN where it is unknown, such as at the poles. Each ray takes
+    the nearest pixel: depth between two surfaces would be in neither.
     """
     width = depth.grid.width
-    found, inside = depth.grid.look_up(depth.depth, SphereGrid(width, width // 2, (-90.0, 90.0)).rays())
+    found, inside = depth.grid.look_up(
+        depth.depth, SphereGrid(width, width // 2, (-90.0, 90.0)).rays()
+    )
     return np.where(inside, found, np.nan).astype(np.float32)

@@ -31,20 +31,23 @@ def write_mesh(
     faces: int | None = None,
     doubtful: NDArray[np.bool_] | None = None,
 ) -> tuple[int, int]:
-    """Write the mesh of a depth panorama in metres; return its number of triangles, and how many are doubtful.
+    """Write the mesh of a depth panorama in metres; return its number of triangles, and how many
+    are doubtful.
 
-    A .glb file is textured and has y up, as glTF demands; its doubtful triangles are an object of their own, named so
-    and translucent. A .ply file has colours and doubts at its vertices and the axes of the rig: x right, y down, z
-    forward.
+    A .glb file is textured and has y up, as glTF demands; its doubtful triangles are an object of
+    their own, named so and translucent. A .ply file has colours and doubts at its vertices and the
+    axes of the rig: x right, y down, z forward.
 
     Args:
         panorama: uint8 array, RGB, the whole panorama at any size: the texture
         limits: Rays that become vertices; the sky is beyond its `max_depth`.
         faces: Number of triangles to decimate to. None: all.
-        doubtful: Which rays are doubtful, (H, W); so is a triangle with such a vertex. None: none is.
+        doubtful: Which rays are doubtful, (H, W); so is a triangle with such a vertex. None: none
+            is.
 
     Raises:
-        OmnistereoError: If trimesh is not installed, no triangle is left, or the file cannot be written.
+        OmnistereoError: If trimesh is not installed, no triangle is left, or the file cannot be
+            written.
     """
     mesh = make_mesh(depth, limits, faces)
     uv = mesh.metadata["uv"]
@@ -65,21 +68,26 @@ def import_trimesh() -> ModuleType:
     try:
         import trimesh
     except ImportError:
-        raise OmnistereoError("a mesh needs trimesh: in the clone, .venv/bin/pip install -e '.[tools]'") from None
+        raise OmnistereoError(
+            "a mesh needs trimesh: in the clone, .venv/bin/pip install -e '.[tools]'"
+        ) from None
     return trimesh
 
 
 def make_mesh(depth: Depth, limits: Limits, faces: int | None = None) -> Trimesh:
-    """Return the mesh in the axes of the rig, without colours; `metadata["uv"]` holds the texture coordinates (M, 2).
+    """Return the mesh in the axes of the rig, without colours; `metadata["uv"]` holds the texture
+    coordinates (M, 2).
 
-    Triangles face the rig. u grows with the columns from 0 to 1 and, in the triangles that close the circle, a little
-    beyond; v grows upwards. Arguments and errors as in `write_mesh`.
+    Triangles face the rig. u grows with the columns from 0 to 1 and, in the triangles that close
+    the circle, a little beyond; v grows upwards. Arguments and errors as in `write_mesh`.
     """
     trimesh = import_trimesh()
     distance = np.where(limits.keep(depth), depth.depth, np.nan)
     corners = _triangles(distance, depth.index)
     if len(corners) == 0:
-        raise OmnistereoError("no triangle is left for the mesh. Raise --max-depth or lower --min-confidence")
+        raise OmnistereoError(
+            "no triangle is left for the mesh. Raise --max-depth or lower --min-confidence"
+        )
     used, corners = np.unique(corners, return_inverse=True)
     on, towards = np.divmod(used, distance.size)
     rays = depth.grid.rays().reshape(-1, 3)
@@ -92,15 +100,19 @@ def make_mesh(depth: Depth, limits: Limits, faces: int | None = None) -> Trimesh
 
 
 def _triangles(distance: NDArray[Any], index: NDArray[Any]) -> NDArray[np.int64]:
-    """Return the corners (M, 3) of the triangles between neighbouring rays, circular, seen from the rig to the left.
+    """Return the corners (M, 3) of the triangles between neighbouring rays, circular, seen from the
+    rig to the left.
 
-    A corner is the number of its ray times the number of rays, plus the number of the ray towards which it lies: the
-    ray itself, or at an edge in depth a neighbour. There each surface ends halfway, at its own depth (marching
-    squares), so that nothing is stretched from one to the other, and rims have no teeth.
+    A corner is the number of its ray times the number of rays, plus the number of the ray towards
+    which it lies: the ray itself, or at an edge in depth a neighbour. There each surface ends
+    halfway, at its own depth (marching squares), so that nothing is stretched from one to the
+    other, and rims have no teeth.
     """
     rays = np.arange(distance.size).reshape(distance.shape)
     above, below = rays[:-1], rays[1:]
-    cells = np.stack([above, below, np.roll(below, -1, 1), np.roll(above, -1, 1)], -1).reshape(-1, 4)
+    cells = np.stack([above, below, np.roll(below, -1, 1), np.roll(above, -1, 1)], -1).reshape(
+        -1, 4
+    )
     depths, indices = distance.ravel()[cells], index.ravel()[cells]
     whole = np.isfinite(depths).all(-1) & is_connected(depths.T, indices.T)
     found = [cells[whole][:, corners] * (distance.size + 1) for corners in ([0, 1, 3], [3, 1, 2])]
@@ -121,7 +133,9 @@ def _triangles(distance: NDArray[Any], index: NDArray[Any]) -> NDArray[np.int64]
 
 
 def _outline(cells: NDArray[np.int64], pattern: int, rays: int) -> NDArray[np.int64]:
-    """Return the outline of the part of cells (M, 4) whose corners are bits of a pattern; vertices as `_triangles`."""
+    """Return the outline of the part of cells (M, 4) whose corners are bits of a pattern; vertices
+    as `_triangles`.
+    """
     found = []
     for k in range(4):
         here, following = cells[:, k], cells[:, (k + 1) % 4]
@@ -134,13 +148,17 @@ def _outline(cells: NDArray[np.int64], pattern: int, rays: int) -> NDArray[np.in
 
 
 def is_connected(depths: NDArray[Any], indices: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return whether neighbouring rays show one surface, (M,), given metres and sphere indices of each (rays, M)."""
+    """Return whether neighbouring rays show one surface, (M,), given metres and sphere indices of
+    each (rays, M).
+    """
     near, far = depths.min(0), depths.max(0)  # NaN if one is unknown
     return (far <= (1 + _EDGE) * near) | (np.ptp(indices, axis=0) <= _SPHERES)
 
 
 def _unwrap(mesh: Trimesh, depth: Depth) -> Trimesh:
-    """Return the mesh with texture coordinates: where a triangle crosses the ±180° seam, vertices are repeated."""
+    """Return the mesh with texture coordinates: where a triangle crosses the ±180° seam, vertices
+    are repeated.
+    """
     pixels, _ = depth.grid.project(mesh.vertices)
     u, v = (pixels[:, 0] + 0.5) / depth.grid.width, 1 - (pixels[:, 1] + 0.5) / depth.grid.height
     faces, vertices = np.array(mesh.faces), np.array(mesh.vertices)
@@ -162,8 +180,12 @@ def _coloured(mesh: Trimesh, colors: NDArray[np.uint8], doubtful: NDArray[np.boo
     return export_ply(mesh)
 
 
-def _textured(mesh: Trimesh, uv: NDArray[Any], panorama: NDArray[np.uint8], doubtful: NDArray[np.bool_]) -> bytes:
-    """Return a GLB file with the triangles of a mesh as two objects, by whether they are doubtful; none is empty."""
+def _textured(
+    mesh: Trimesh, uv: NDArray[Any], panorama: NDArray[np.uint8], doubtful: NDArray[np.bool_]
+) -> bytes:
+    """Return a GLB file with the triangles of a mesh as two objects, by whether they are doubtful;
+    none is empty.
+    """
     from PIL import Image
     from trimesh import Scene
     from trimesh.visual import TextureVisuals

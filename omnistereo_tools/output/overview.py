@@ -53,7 +53,9 @@ def draw_overview(
         page.text((_LEFT + place * wide, row + 32), label, "mt")
     # Below, left: trust and notes. Right: the points.
     below, right = row + 90, _WIDTH - 10 - half
-    page.paste(draw_points(cloud.points, faded(cloud.colors, cloud.doubtful), _VIEW), (right, below))
+    page.paste(
+        draw_points(cloud.points, faded(cloud.colors, cloud.doubtful), _VIEW), (right, below)
+    )
     page.title((right + half / 2, below), f"{len(cloud.points)} points, from above and behind")
     gray = np.repeat((255 * np.nan_to_num(trust)).astype(np.uint8)[..., None], 3, -1)
     name = f"Trust: confidence at equal range, 0 black, 1 white; below {DOUBTFUL:g} doubtful"
@@ -68,13 +70,17 @@ class _Page:
     def __init__(self) -> None:
         self._image = Image.new("RGB", (_WIDTH, 3 * _WIDTH), "white")
         self._draw = ImageDraw.Draw(self._image)
-        font = distribution("matplotlib").locate_file("matplotlib/mpl-data/fonts/ttf/DejaVuSans.ttf")
+        font = distribution("matplotlib").locate_file(
+            "matplotlib/mpl-data/fonts/ttf/DejaVuSans.ttf"
+        )
         self._text, self._title = (ImageFont.truetype(str(font), size) for size in (_TEXT, _TITLE))
 
     def paste(self, pixels: NDArray[np.uint8], corner: tuple[int, int]) -> None:
         """Paste a picture (height, width, 3), its upper left corner at a place, with a thin frame."""
         height, width = pixels.shape[:2]
-        self._draw.rectangle((corner[0] - 1, corner[1] - 1, corner[0] + width, corner[1] + height), outline="black")
+        self._draw.rectangle(
+            (corner[0] - 1, corner[1] - 1, corner[0] + width, corner[1] + height), outline="black"
+        )
         self._image.paste(Image.fromarray(pixels), corner)
 
     def panorama(
@@ -86,11 +92,15 @@ class _Page:
         title: str,
         resize: int = cv2.INTER_NEAREST,
     ) -> int:
-        """Paste a panorama, resized to a width, with a title and degrees at its edges; return the row below them."""
+        """Paste a panorama, resized to a width, with a title and degrees at its edges; return the
+        row below them.
+        """
         (left, top), (first, last) = corner, phi_deg
         scale = width / 360  # px per degree
         height = max(1, round(scale * (last - first)))
-        self.paste(cv2.resize(pixels, (width, height), interpolation=resize).astype(np.uint8), corner)
+        self.paste(
+            cv2.resize(pixels, (width, height), interpolation=resize).astype(np.uint8), corner
+        )
         self.title((left + width / 2, top), title)
         step = next((step for step in (1, 2, 5, 10, 15, 30) if scale * step >= _TICKS), 45)
         for degrees in range(step * int(np.ceil(first / step)), int(last) + 1, step):

@@ -1,4 +1,6 @@
-"""Pictures of a depth panorama: the sharp panorama, depth in colours that use the range found, points from outside."""
+"""Pictures of a depth panorama: the sharp panorama, depth in colours that use the range found,
+points from outside.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,8 @@ _INK = (0xE8,) * 3
 
 
 def colorize_depth(inverse_depth: ArrayLike, grid: SphereGrid) -> NDArray[np.uint8]:
-    """Return a colour image of inverse depth: near is bright and warm, far is dark, unknown is striped grey.
+    """Return a colour image of inverse depth: near is bright and warm, far is dark, unknown is
+    striped grey.
 
     Args:
         inverse_depth: array, shape (H, W), 1/m, NaN unknown
@@ -43,9 +46,15 @@ def colorize_depth(inverse_depth: ArrayLike, grid: SphereGrid) -> NDArray[np.uin
     return np.asarray(colors, np.uint8)
 
 
-def faded(colors: NDArray[np.uint8], doubtful: NDArray[Any], towards: int = BACKGROUND) -> NDArray[np.uint8]:
-    """Return colours (..., 3) of which the doubtful ones (...), from 0 to 1, are drawn towards a gray value."""
-    return (colors + (_FADE * doubtful[..., None]) * (np.float32(towards) - colors)).astype(np.uint8)
+def faded(
+    colors: NDArray[np.uint8], doubtful: NDArray[Any], towards: int = BACKGROUND
+) -> NDArray[np.uint8]:
+    """Return colours (..., 3) of which the doubtful ones (...), from 0 to 1, are drawn towards a
+    gray value.
+    """
+    return (colors + (_FADE * doubtful[..., None]) * (np.float32(towards) - colors)).astype(
+        np.uint8
+    )
 
 
 @dataclass(frozen=True)
@@ -63,8 +72,12 @@ class ColorScale:
         low = 0.0 if low < 0.02 * high else float(low)  # the sky is part of the scale
         return cls(low, float(max(high, low + 1e-3)))
 
-    def colorize(self, inverse_depth: NDArray[Any], doubtful: NDArray[Any] | None = None) -> NDArray[np.uint8]:
-        """Return the colours of inverse depth (H, W), (H, W, 3) RGB, doubtful rays faded; see `colorize_depth`."""
+    def colorize(
+        self, inverse_depth: NDArray[Any], doubtful: NDArray[Any] | None = None
+    ) -> NDArray[np.uint8]:
+        """Return the colours of inverse depth (H, W), (H, W, 3) RGB, doubtful rays faded; see
+        `colorize_depth`.
+        """
         colors = colorize_depth(inverse_depth - self.low, self._grid)
         return colors if doubtful is None else faded(colors, doubtful, _GRAY)
 
@@ -74,7 +87,10 @@ class ColorScale:
 
     def ticks(self) -> list[tuple[float, str]]:
         """Return positions in [0, 1] and labels in metres, far to near, at least a twentieth apart."""
-        depths = [np.inf, *(digit * 10.0**k for k in (2, 1, 0, -1, -2) for digit in (7, 5, 4, 3, 2, 1.5, 1))]
+        depths = [
+            np.inf,
+            *(digit * 10.0**k for k in (2, 1, 0, -1, -2) for digit in (7, 5, 4, 3, 2, 1.5, 1)),
+        ]
         chosen: list[tuple[float, str]] = []
         for depth in depths:
             at = (1 / depth - self.low) / (self.high - self.low)
@@ -84,37 +100,51 @@ class ColorScale:
 
     @property
     def _grid(self) -> SphereGrid:
-        """A grid, of which `colorize_depth` reads the nearest depth only: it reaches as far as the scale."""
+        """A grid, of which `colorize_depth` reads the nearest depth only: it reaches as far as the
+        scale.
+        """
         return SphereGrid(2, 2, min_depth=1 / (self.high - self.low))
 
 
-def sharp_panorama(depth: Depth, width: int, gains: NDArray[Any] | None = None) -> NDArray[np.uint8]:
+def sharp_panorama(
+    depth: Depth, width: int, gains: NDArray[Any] | None = None
+) -> NDArray[np.uint8]:
     """Return the blended panorama with about `width` columns, uint8 RGB; unknown is black.
 
-    The images hold more detail than the depth, so each ray is divided into several; see `finer_index`.
+    The images hold more detail than the depth, so each ray is divided into several; see
+    `finer_index`.
 
     Args:
         gains: Of `estimate_gains`, None: those of the images.
     """
-    pixels = np.nan_to_num(blended_panorama(depth, gains, finer(depth, width))).round().astype(np.uint8)
+    pixels = (
+        np.nan_to_num(blended_panorama(depth, gains, finer(depth, width))).round().astype(np.uint8)
+    )
     return pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, -1)
 
 
 def draw_frame(
     depth: Depth, gains: NDArray[Any] | None, trust: NDArray[Any], scale: ColorScale, note: str
 ) -> NDArray[np.uint8]:
-    """Draw a panorama over its depth in colours, doubtful rays faded, with the scale and a note, as live and on film.
+    """Draw a panorama over its depth in colours, doubtful rays faded, with the scale and a note, as
+    live and on film.
 
     Args:
         gains: As of `sharp_panorama`.
         trust: Of `trust.trust`, (H, W).
 
     Returns:
-        uint8 array, about `WIDTH` columns, RGB, both sides even; `share_of_panorama` says where the parts are
+        uint8 array, about `WIDTH` columns, RGB, both sides even; `share_of_panorama` says where the
+        parts are
     """
-    panorama, (index, _) = sharp_panorama(depth, WIDTH, gains), finer_index(depth, finer(depth, WIDTH))
+    panorama, (index, _) = (
+        sharp_panorama(depth, WIDTH, gains),
+        finer_index(depth, finer(depth, WIDTH)),
+    )
     height, width = (side // 2 * 2 for side in index.shape)
-    fine_trust = cv2.resize(trust.astype(np.float32), index.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    fine_trust = cv2.resize(
+        trust.astype(np.float32), index.shape[::-1], interpolation=cv2.INTER_LINEAR
+    )
     doubts = (0.5 + (DOUBTFUL - fine_trust) / _SOFT).clip(0, 1)
     colors = scale.colorize(depth.grid.index_to_inverse_depth(index), doubts)
     strip = np.full((_SCALE_PX, width, 3), BACKGROUND, np.uint8)
@@ -141,15 +171,18 @@ def _write(picture: NDArray[np.uint8], text: str, place: tuple[int, int]) -> Non
 
 
 def draw_points(
-    points: NDArray[Any], colors: NDArray[Any], size: tuple[int, int], eye: tuple[float, float, float] | None = None
+    points: NDArray[Any],
+    colors: NDArray[Any],
+    size: tuple[int, int],
+    eye: tuple[float, float, float] | None = None,
 ) -> NDArray[np.uint8]:
     """Draw a point cloud (M, 3) in metres, rig frame.
 
     Args:
         colors: uint8 array, shape (M, 3), RGB
         size: (width, height) in pixels
-        eye: Where it is seen from, towards the sweep centre, metres; not straight above. Default: from above and
-            behind the rig, at a distance that suits the cloud.
+        eye: Where it is seen from, towards the sweep centre, metres; not straight above. Default:
+            from above and behind the rig, at a distance that suits the cloud.
 
     Returns:
         uint8 array, shape (height, width, 3), RGB
@@ -162,8 +195,10 @@ def draw_points(
     place = np.asarray(eye, np.float64)
     if eye is None:
         typical = float(np.percentile(np.linalg.norm(points, axis=-1), 60))
-        place, target = typical * np.array([0.35, -0.9, -1.3]), typical * np.array([0.0, 0.1, 0.3])  # y points down
-        nearest = max(_NEAREST, 0.35 * typical)  # a wall between the eye and the rig would hide the scene
+        # y points down
+        place, target = typical * np.array([0.35, -0.9, -1.3]), typical * np.array([0.0, 0.1, 0.3])
+        # a wall between the eye and the rig would hide the scene
+        nearest = max(_NEAREST, 0.35 * typical)
     x, y, z = _axes(target - place) @ (points - place).T
     order = np.argsort(-z)
     order = order[z[order] > nearest]
@@ -174,8 +209,17 @@ def draw_points(
     sides = np.clip(np.ceil(focal * spacing * reach), 1, _LARGEST).astype(int)
     depth = np.full((height, width), np.inf)
     for row, column in np.ndindex(_LARGEST, _LARGEST):
-        at_u, at_v = np.floor(u + column - sides / 2).astype(int), np.floor(v + row - sides / 2).astype(int)
-        drawn = (np.maximum(row, column) < sides) & (at_u >= 0) & (at_u < width) & (at_v >= 0) & (at_v < height)
+        at_u, at_v = (
+            np.floor(u + column - sides / 2).astype(int),
+            np.floor(v + row - sides / 2).astype(int),
+        )
+        drawn = (
+            (np.maximum(row, column) < sides)
+            & (at_u >= 0)
+            & (at_u < width)
+            & (at_v >= 0)
+            & (at_v < height)
+        )
         drawn[drawn] = z[order][drawn] < depth[at_v[drawn], at_u[drawn]]
         where = at_v[drawn], at_u[drawn]  # of several points the last, and so the nearest, stays
         picture[where], depth[where] = colors[order][drawn], z[order][drawn]

@@ -1,4 +1,6 @@
-"""The point cloud: which rays are points, their colours, normals, confidence and doubts, as binary PLY."""
+"""The point cloud: which rays are points, their colours, normals, confidence and doubts, as binary
+PLY.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,8 @@ from numpy.typing import NDArray
 from omnistereo_lib.files import atomic_write
 from omnistereo_lib.stereo.depth import Depth
 
-_FAR_SPHERE = 4  # beyond it, one sphere more or less is a quarter of the depth: a spray of points, not a surface
+# beyond it, one sphere more or less is a quarter of the depth: a spray of points, not a surface
+_FAR_SPHERE = 4
 
 _PROPERTIES = dict.fromkeys(("x", "y", "z", "nx", "ny", "nz"), "<f4")
 _PROPERTIES |= {"red": "u1", "green": "u1", "blue": "u1", "confidence": "<f4", "doubtful": "u1"}
@@ -27,15 +30,25 @@ class Limits:
     min_confidence: float
 
     @classmethod
-    def of(cls, depth: Depth, max_depth: float | None = None, min_confidence: float | None = None) -> Limits:
-        """Return the limits; by default up to the fourth sphere from infinity, and with any confidence."""
+    def of(
+        cls, depth: Depth, max_depth: float | None = None, min_confidence: float | None = None
+    ) -> Limits:
+        """Return the limits; by default up to the fourth sphere from infinity, and with any
+        confidence.
+        """
         if max_depth is None:
-            max_depth = float(depth.grid.index_to_depth(min(_FAR_SPHERE, depth.grid.num_spheres - 1)))
+            max_depth = float(
+                depth.grid.index_to_depth(min(_FAR_SPHERE, depth.grid.num_spheres - 1))
+            )
         return cls(max_depth, min_confidence or 0.0)
 
     def keep(self, depth: Depth) -> NDArray[np.bool_]:
         """Return which rays are within the limits, bool, shape (H, W)."""
-        return depth.valid & (depth.depth <= self.max_depth) & (depth.confidence >= self.min_confidence)
+        return (
+            depth.valid
+            & (depth.depth <= self.max_depth)
+            & (depth.confidence >= self.min_confidence)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +62,16 @@ class PointCloud:
     doubtful: NDArray[np.bool_]  #: (M,)
 
     @classmethod
-    def of(cls, depth: Depth, panorama: NDArray[np.float32], limits: Limits, doubtful: NDArray[np.bool_]) -> PointCloud:
-        """Return the points of the rays within the limits, coloured by a panorama; gray gives gray points."""
+    def of(
+        cls,
+        depth: Depth,
+        panorama: NDArray[np.float32],
+        limits: Limits,
+        doubtful: NDArray[np.bool_],
+    ) -> PointCloud:
+        """Return the points of the rays within the limits, coloured by a panorama; gray gives gray
+        points.
+        """
         colors = np.repeat(panorama[..., None], 3, -1) if panorama.ndim == 2 else panorama
         keep = limits.keep(depth) & np.isfinite(colors[..., 0])
         points = depth.grid.rays() * np.where(keep, depth.depth, 0)[..., None]
@@ -63,12 +84,18 @@ class PointCloud:
         )
 
     def write(self, path: Path) -> None:
-        """Write the points as binary PLY, with the properties that MeshLab, CloudCompare and Open3D read."""
+        """Write the points as binary PLY, with the properties that MeshLab, CloudCompare and Open3D
+        read.
+        """
         rows = np.empty(len(self.points), list(_PROPERTIES.items()))
         columns = [*self.points.T, *self.normals.T, *self.colors.T, self.confidence, self.doubtful]
         for name, column in zip(_PROPERTIES, columns, strict=True):
             rows[name] = column
-        header = ["ply", "format binary_little_endian 1.0", "comment metres; x right, y down, z forward"]
+        header = [
+            "ply",
+            "format binary_little_endian 1.0",
+            "comment metres; x right, y down, z forward",
+        ]
         header += [f"element vertex {len(rows)}"]
         header += [f"property {_PLY_TYPES[kind]} {name}" for name, kind in _PROPERTIES.items()]
         with atomic_write(path) as temporary:
@@ -76,9 +103,11 @@ class PointCloud:
 
 
 def normals(points: NDArray[Any]) -> NDArray[np.float64]:
-    """Return unit normals of a panorama of points (H, W, 3), towards the rig: the cross product of the neighbours.
+    """Return unit normals of a panorama of points (H, W, 3), towards the rig: the cross product of
+    the neighbours.
 
-    The neighbour on either side is taken that is nearer in depth, so that a normal does not span a depth edge.
+    The neighbour on either side is taken that is nearer in depth, so that a normal does not span a
+    depth edge.
     """
     across = _nearer(np.roll(points, -1, 1) - points, points - np.roll(points, 1, 1))
     padded = np.pad(points, ((1, 1), (0, 0), (0, 0)), "reflect")

@@ -21,11 +21,17 @@ _MARGIN = 0.8  # of the nearest depth: room for what comes nearer in the next fr
 def turn_sentence(rig: Rig) -> str | None:
     """Return by how much a rig was turned from the frame of its file, or None if it was not."""
     degrees = 0.0 if rig.T_rig_file is None else rig.T_rig_file.magnitude()[0]
-    return f"The rig was turned level, by {degrees:.0f}° (--keep-frame leaves it)." if degrees > 1e-6 else None
+    return (
+        f"The rig was turned level, by {degrees:.0f}° (--keep-frame leaves it)."
+        if degrees > 1e-6
+        else None
+    )
 
 
 def depth_sentences(depth: Depth, limits: Limits, doubtful: NDArray[np.bool_]) -> list[str]:
-    """Return nearest and median depth, what is doubtful, how many rays the limits keep, whether the spheres suit."""
+    """Return nearest and median depth, what is doubtful, how many rays the limits keep, whether the
+    spheres suit.
+    """
     rays, known = depth.index.size, int(depth.valid.sum())
     keep = limits.keep(depth)
     far = int((depth.depth > limits.max_depth).sum())
@@ -34,18 +40,28 @@ def depth_sentences(depth: Depth, limits: Limits, doubtful: NDArray[np.bool_]) -
     if not (keep & ~doubtful).any():
         found = "no ray within the limits is sure" if keep.any() else "no ray is within the limits"
     unsure = known - far - int(keep.sum())
-    below = f" and {unsure} with a confidence below {limits.min_confidence:.2g} (--min-confidence)" if unsure else ""
+    below = (
+        f" and {unsure} with a confidence below {limits.min_confidence:.2g} (--min-confidence)"
+        if unsure
+        else ""
+    )
     sentences = [
-        f"{100 * known / rays:.0f} % of the {rays} rays have a depth: {found}, "
-        f"the median depth is {metres(float(np.nanmedian(depth.depth)))}.",
+        (
+            f"{100 * known / rays:.0f} % of the {rays} rays have a depth: {found}, "
+            f"the median depth is {metres(float(np.nanmedian(depth.depth)))}."
+        ),
         *_doubt_sentence(depth, doubtful, nearest_depth(depth, keep), nearest),
-        f"Point cloud and mesh use {int(keep.sum())} rays. Left out: {far} beyond {metres(limits.max_depth)} "
-        f"(--max-depth){below}.",
+        (
+            f"Point cloud and mesh use {int(keep.sum())} rays. Left out: {far} beyond"
+            f" {metres(limits.max_depth)} (--max-depth){below}."
+        ),
     ]
     grid = depth.grid
-    if _MARGIN * nearest > 1.5 * grid.min_depth:  # what `propose_min_depth` found is not contradicted at once
+    # what `propose_min_depth` found is not contradicted at once
+    if _MARGIN * nearest > 1.5 * grid.min_depth:
         sentences.append(
-            f"The spheres begin at {metres(grid.min_depth)}: --min-depth {_MARGIN * nearest:.2g} would use them better."
+            f"The spheres begin at {metres(grid.min_depth)}: --min-depth {_MARGIN * nearest:.2g}"
+            " would use them better."
         )
     elif (depth.index[keep] >= grid.num_spheres - 1.5).sum() > 10 * _FEW * keep.sum():
         sentences.append(
@@ -55,32 +71,50 @@ def depth_sentences(depth: Depth, limits: Limits, doubtful: NDArray[np.bool_]) -
     return sentences
 
 
-def _doubt_sentence(depth: Depth, doubtful: NDArray[np.bool_], nearest: float, sure: float) -> list[str]:
-    """Return how many rays are doubtful, in all and among the nearest; `nearest` counts all of them, `sure` none."""
+def _doubt_sentence(
+    depth: Depth, doubtful: NDArray[np.bool_], nearest: float, sure: float
+) -> list[str]:
+    """Return how many rays are doubtful, in all and among the nearest; `nearest` counts all of
+    them, `sure` none.
+    """
     if not (doubtful & depth.valid).any():
         return []
     share, of_near, near = doubt_shares(depth.depth, doubtful)
-    nearer = f" If they are right, the nearest thing is {metres(nearest)} away." if nearest < _NEARER * sure else ""
+    nearer = (
+        f" If they are right, the nearest thing is {metres(nearest)} away."
+        if nearest < _NEARER * sure
+        else ""
+    )
     unseen = float(may_be_nearer(depth).mean())
-    hidden = f" On {100 * unseen:.0f} % only one camera would see a nearer thing." if unseen > _UNSEEN else ""
+    hidden = (
+        f" On {100 * unseen:.0f} % only one camera would see a nearer thing."
+        if unseen > _UNSEEN
+        else ""
+    )
     return [
-        f"Doubtful are {share:.0f} % of the rays, and {of_near:.0f} % of the nearest tenth, up to {metres(near)}: they "
-        f"stay in the files, marked, and are faded in the pictures.{hidden}{nearer}"
+        f"Doubtful are {share:.0f} % of the rays, and {of_near:.0f} % of the nearest tenth, up to"
+        f" {metres(near)}: they stay in the files, marked, and are faded in the"
+        f" pictures.{hidden}{nearer}"
     ]
 
 
 def doubt_shares(depth: NDArray[Any], doubtful: NDArray[np.bool_]) -> tuple[float, float, float]:
-    """Return how many percent of the rays are doubtful, and of the nearest tenth, and up to which depth that goes.
+    """Return how many percent of the rays are doubtful, and of the nearest tenth, and up to which
+    depth that goes.
 
     The depth is in metres, (H, W), NaN where it is unknown.
     """
     near = float(np.nanquantile(depth, _NEAR, method="lower"))
-    share, of_near = (100 * float(doubtful[rays].mean()) for rays in (~np.isnan(depth), depth <= near))
+    share, of_near = (
+        100 * float(doubtful[rays].mean()) for rays in (~np.isnan(depth), depth <= near)
+    )
     return share, of_near, near
 
 
 def nearest_depth(depth: Depth, keep: NDArray[np.bool_]) -> float:
-    """Return the depth in metres than which two in a thousand of the kept rays are nearer; NaN without any."""
+    """Return the depth in metres than which two in a thousand of the kept rays are nearer; NaN
+    without any.
+    """
     return float(np.quantile(depth.depth[keep], _FEW)) if keep.any() else float("nan")
 
 
@@ -88,14 +122,25 @@ def error_sentences(depth: Depth, gt_index: NDArray[Any]) -> list[str]:
     """Return the errors against the ground truth: relative depth errors, then those of the paper."""
     errors = index_error(depth.index, gt_index, depth.grid.num_spheres)
     truth = depth.grid.index_to_depth(gt_index)
-    both = depth.valid & np.isfinite(truth) & np.isfinite(depth.depth) & (truth >= depth.grid.min_depth)
+    both = (
+        depth.valid
+        & np.isfinite(truth)
+        & np.isfinite(depth.depth)
+        & (truth >= depth.grid.min_depth)
+    )
     off = np.abs(depth.depth[both] / truth[both] - 1)
     half, most = np.quantile(off, [0.5, 0.9]) if both.any() else (np.nan, np.nan)
     return [
-        f"Against the ground truth, half of the rays are within {100 * half:.1f} % of their true depth and nine tenths "
-        f"within {100 * most:.0f} %: at 10 m that is {10 * half:.2g} m and {10 * most:.2g} m.",
-        f"In the terms of the paper, {errors['>1']:.0f} % of the rays are off by more than 1 % of the range swept and "
-        f"{errors['>3']:.0f} % by more than 3 %; the mean error is {errors['MAE']:.1f} %.",
+        (
+            f"Against the ground truth, half of the rays are within {100 * half:.1f} % of their"
+            f" true depth and nine tenths within {100 * most:.0f} %: at 10 m that is"
+            f" {10 * half:.2g} m and {10 * most:.2g} m."
+        ),
+        (
+            f"In the terms of the paper, {errors['>1']:.0f} % of the rays are off by more than 1 %"
+            f" of the range swept and {errors['>3']:.0f} % by more than 3 %; the mean error is"
+            f" {errors['MAE']:.1f} %."
+        ),
     ]
 
 

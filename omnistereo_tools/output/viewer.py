@@ -1,4 +1,6 @@
-"""`index.html`: one file for any browser, offline, to look around, to measure, and to ask why a ray has its depth."""
+"""`index.html`: one file for any browser, offline, to look around, to measure, and to ask why a ray
+has its depth.
+"""
 
 from __future__ import annotations
 
@@ -29,13 +31,19 @@ _STEPS = 16382  # of inverse depth, a hundredth of a sphere; 0 is unknown
 _IMAGE_WIDTH, _IMAGE_BYTES = 800, 40_000  # of a fisheye image, at most
 
 
-def viewer_page(depth: Depth, panorama: NDArray[np.uint8], limits: Limits, title: str, **options: Any) -> str:
+def viewer_page(
+    depth: Depth, panorama: NDArray[np.uint8], limits: Limits, title: str, **options: Any
+) -> str:
     """Return the page as HTML, with everything in it; arguments as `viewer_data`."""
     return page_of(viewer_data(depth, panorama, limits, title, **options))
 
 
-def page_of(data: dict[str, Any], page: str = "page.html", scripts: Sequence[str] = _SCRIPTS) -> str:
-    """Return a page in one piece: that of `viewer_data`, or another file of the folder `page`, with its scripts."""
+def page_of(
+    data: dict[str, Any], page: str = "page.html", scripts: Sequence[str] = _SCRIPTS
+) -> str:
+    """Return a page in one piece: that of `viewer_data`, or another file of the folder `page`, with
+    its scripts.
+    """
     page, *scripts = ((_PAGE / name).read_text(encoding="utf-8") for name in (page, *scripts))
     page = page.replace("{{SCRIPTS}}", "".join(scripts))
     return page.replace("{{DATA}}", json.dumps(data).replace("<", "\\u003c"))
@@ -51,7 +59,8 @@ def viewer_data(
     odds: Sequence[tuple[int, int]] = (),
     gt_index: NDArray[Any] | None = None,
 ) -> dict[str, Any]:
-    """Return what the page shows, as JSON: with the images of the depth, where each camera sees a ray, too.
+    """Return what the page shows, as JSON: with the images of the depth, where each camera sees a
+    ray, too.
 
     Args:
         panorama: uint8 array, any size, RGB: the whole panorama, sharper than the depth
@@ -59,13 +68,17 @@ def viewer_data(
         title: What was computed and how, one line.
         mode: How it begins: "look" around, "flat" or "points".
         trust: Of `trust.trust`, (H, W): doubtful rays are faded. None: all are trusted.
-        odds: Of `trust.odds`: a slider leaves the rays that are right so many times of ten. Empty: there is no slider.
-        gt_index: The exact sphere indices, (H, W), if they are known: the page then shows them and the error, too.
+        odds: Of `trust.odds`: a slider leaves the rays that are right so many times of ten. Empty:
+            there is no slider.
+        gt_index: The exact sphere indices, (H, W), if they are known: the page then shows them and
+            the error, too.
     """
     grid = depth.grid
     step = int(np.ceil(np.sqrt(depth.index.size * (4 if gt_index is None else 6) / _RAY_BYTES)))
     inverse_depth = depth.inverse_depth[::step, ::step]
-    truth = inverse_depth if gt_index is None else grid.index_to_inverse_depth(gt_index)[::step, ::step]
+    truth = (
+        inverse_depth if gt_index is None else grid.index_to_inverse_depth(gt_index)[::step, ::step]
+    )
     per_step = float(np.nanmax([inverse_depth, truth], initial=1e-6)) / _STEPS
     optional: dict[str, Any] = {}
     if trust is not None:
@@ -87,7 +100,9 @@ def viewer_data(
         "phi": np.radians(grid.phi_deg).tolist(),
         "spheres": grid.num_spheres,
         "inverse": [first, last],
-        "pixelsPerDegree": max((camera.pixels_per_degree for camera in depth.sweep.rig.cameras), default=1.0),
+        "pixelsPerDegree": max(
+            (camera.pixels_per_degree for camera in depth.sweep.rig.cameras), default=1.0
+        ),
         "perStep": per_step,
         "steps": packed(_in_steps(inverse_depth, per_step)),
         "confidence": packed(_percent(depth.confidence[::step, ::step])),
@@ -108,7 +123,9 @@ def viewer_data(
 
 
 def _in_steps(inverse_depth: NDArray[Any], per_step: float) -> NDArray[np.uint16]:
-    """Return inverse depths as steps from 1; 0 is unknown, and nearer than the last step is the last."""
+    """Return inverse depths as steps from 1; 0 is unknown, and nearer than the last step is the
+    last.
+    """
     steps = np.where(np.isfinite(inverse_depth), 1 + np.nan_to_num(inverse_depth) / per_step, 0)
     return steps.round().clip(0, _STEPS + 1).astype("<u2")
 
@@ -118,20 +135,28 @@ def _percent(values: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def fisheye_images(depth: Depth) -> tuple[list[OcamCamera], list[NDArray[np.uint8]]]:
-    """Return the cameras and their images, RGB, as the page has them: blocks of pixels averaged where they are wide."""
+    """Return the cameras and their images, RGB, as the page has them: blocks of pixels averaged
+    where they are wide.
+    """
     cameras, images = [], []
     for camera, image in zip(depth.sweep.rig.cameras, depth.images, strict=False):
         factor = -(-camera.image_size[0] // _IMAGE_WIDTH)
         width, height = (side // factor for side in camera.image_size)
-        pixels = np.asarray(image).clip(0, 255).astype(np.uint8)[: height * factor, : width * factor]
+        pixels = (
+            np.asarray(image).clip(0, 255).astype(np.uint8)[: height * factor, : width * factor]
+        )
         colors = pixels if pixels.ndim == 3 else cv2.cvtColor(pixels, cv2.COLOR_GRAY2RGB)
-        images.append(np.asarray(cv2.resize(colors, (width, height), interpolation=cv2.INTER_AREA), np.uint8))
+        images.append(
+            np.asarray(cv2.resize(colors, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+        )
         cameras.append(camera.reduced(factor))
     return cameras, images
 
 
 def _camera(camera: OcamCamera, T_rig_cam: Pose, image: NDArray[np.uint8]) -> dict[str, Any]:
-    """Return what projects points of the rig into a camera, and its image, transparent where it is blind."""
+    """Return what projects points of the rig into a camera, and its image, transparent where it is
+    blind.
+    """
     T_cam_rig = T_rig_cam.inverse()
     visible = np.where(camera.visible_pixels(), 255, 0).astype(np.uint8)
     return {
@@ -147,21 +172,27 @@ def _camera(camera: OcamCamera, T_rig_cam: Pose, image: NDArray[np.uint8]) -> di
 
 
 def packed(values: NDArray[Any]) -> str:
-    """Return unsigned integers (H, W) as text: differences along the rows, low bytes before high ones, deflated."""
+    """Return unsigned integers (H, W) as text: differences along the rows, low bytes before high
+    ones, deflated.
+    """
     differences = np.diff(values, axis=1, prepend=values.dtype.type(0))  # they wrap around
     planes = np.ascontiguousarray(differences).view(np.uint8).reshape(values.size, -1).T
     return _base64(zlib.compress(planes.tobytes(), 9))
 
 
 def _base64(values: NDArray[Any] | bytes) -> str:
-    return base64.b64encode(values if isinstance(values, bytes) else np.ascontiguousarray(values).tobytes()).decode()
+    return base64.b64encode(
+        values if isinstance(values, bytes) else np.ascontiguousarray(values).tobytes()
+    ).decode()
 
 
 def _narrow(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     height, width = picture.shape[:2]
     if width <= _WIDEST:
         return picture
-    small = cv2.resize(picture, (_WIDEST, round(height * _WIDEST / width)), interpolation=cv2.INTER_AREA)
+    small = cv2.resize(
+        picture, (_WIDEST, round(height * _WIDEST / width)), interpolation=cv2.INTER_AREA
+    )
     return np.asarray(small, np.uint8)
 
 

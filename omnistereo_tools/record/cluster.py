@@ -1,7 +1,8 @@
-"""Frames handed out to many machines by Dask: `--cluster ADDRESS` of a scheduler; all machines see the same files.
+"""Frames handed out to many machines by Dask: `--cluster ADDRESS` of a scheduler; all machines see
+the same files.
 
-A worker that dies costs its frame only: the scheduler gives the frame to another one. Results are files, written
-atomically, and the same as those of a local run.
+A worker that dies costs its frame only: the scheduler gives the frame to another one. Results are
+files, written atomically, and the same as those of a local run.
 """
 
 from __future__ import annotations
@@ -15,12 +16,12 @@ from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from omnistereo_learn.evaluate.run import Evaluation, Job
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.evaluate.run import Evaluation, Job
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.rig_files import load_rig
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_rigs.formats import load_rig
 from omnistereo_tools.input.sources import Pictures, Recording
 from omnistereo_tools.record.recordings import DepthWriter
 
@@ -39,21 +40,27 @@ def connect(address: str) -> Client:
     try:
         from dask.distributed import Client
     except ImportError:
-        raise OmnistereoError("--cluster needs Dask: in the clone, .venv/bin/pip install -e '.[distributed]'") from None
+        raise OmnistereoError(
+            "--cluster needs Dask: in the clone, .venv/bin/pip install -e '.[distributed]'"
+        ) from None
     try:
         logging.getLogger("distributed.client").setLevel(
             logging.CRITICAL
         )  # what it logs of errors, ours says in a line
         return Client(address, timeout=_PATIENCE_S)
     except (OSError, ValueError) as error:
-        raise OmnistereoError(f"no Dask scheduler answers at {address}: {error}. Start one: dask scheduler") from None
+        raise OmnistereoError(
+            f"no Dask scheduler answers at {address}: {error}. Start one: dask scheduler"
+        ) from None
 
 
-def on_cluster(address: str, function: Callable[[Any], Any], arguments: Sequence[Any]) -> Iterator[Any]:
+def on_cluster(
+    address: str, function: Callable[[Any], Any], arguments: Sequence[Any]
+) -> Iterator[Any]:
     """Yield function(argument) for all arguments as workers of a Dask cluster finish them.
 
-    Raises an `OmnistereoError` as `connect`, if a frame killed several workers, or if the scheduler ends; what a worker
-    raises is raised here.
+    Raises an `OmnistereoError` as `connect`, if a frame killed several workers, or if the scheduler
+    ends; what a worker raises is raised here.
     """
     with connect(address) as client:
         from dask.distributed import KilledWorker, as_completed
@@ -65,16 +72,22 @@ def on_cluster(address: str, function: Callable[[Any], Any], arguments: Sequence
             for future in as_completed(futures):
                 yield future.result()
         except KilledWorker as error:
-            raise OmnistereoError(f"several workers died on the same frame: {error}. See their logs") from None
+            raise OmnistereoError(
+                f"several workers died on the same frame: {error}. See their logs"
+            ) from None
         except (CommClosedError, FutureCancelledError):
-            raise OmnistereoError(f"the scheduler at {address} has ended. Start one; run the same to resume") from None
+            raise OmnistereoError(
+                f"the scheduler at {address} has ended. Start one; run the same to resume"
+            ) from None
         finally:
             client.cancel(futures)
 
 
 @dataclass(frozen=True)
 class RecordingTask:
-    """What a worker needs to continue a recording that was prepared: paths that every machine sees, and the grid."""
+    """What a worker needs to continue a recording that was prepared: paths that every machine sees,
+    and the grid.
+    """
 
     out: Path
     images: tuple[Path, ...]
@@ -87,14 +100,20 @@ class RecordingTask:
     def open(self) -> DepthWriter:
         """Return the writer of the recording; its rig is the one that was stored with the settings."""
         sweep = SphereSweep(load_rig(self.out / "config.yaml"), self.grid, device=self.device)
-        return DepthWriter(self.out, Recording.open(self.images), sweep, self.method, self.suffix, self.with_video)
+        return DepthWriter(
+            self.out, Recording.open(self.images), sweep, self.method, self.suffix, self.with_video
+        )
 
 
 def depth_on_cluster(address: str, writer: DepthWriter, device: str = "cpu") -> Iterator[int]:
-    """Estimate the depth of all frames of a prepared recording that are not done yet; yield their numbers."""
+    """Estimate the depth of all frames of a prepared recording that are not done yet; yield their
+    numbers.
+    """
     sources, grid = writer.recording.sources, writer.sweep.grid
     images = tuple(source.path.resolve() for source in sources)
-    task = RecordingTask(writer.out.resolve(), images, grid, writer.method, writer.suffix, writer.with_video, device)
+    task = RecordingTask(
+        writer.out.resolve(), images, grid, writer.method, writer.suffix, writer.with_video, device
+    )
     left = writer.left()
     size = 1 if all(isinstance(source, Pictures) for source in sources) else _VIDEO_BATCH
     batches = [(task, tuple(left[k : k + size])) for k in range(0, len(left), size)]
@@ -113,12 +132,18 @@ def _depth_of_batch(batch: tuple[RecordingTask, tuple[int, ...]]) -> tuple[int, 
     return numbers
 
 
-def evaluate_on_cluster(address: str, arguments: dict[str, Any], jobs: Sequence[Job]) -> Iterator[Job]:
-    """Do the jobs of an `Evaluation`, given its arguments, whose paths every machine sees; yield each job.
+def evaluate_on_cluster(
+    address: str, arguments: dict[str, Any], jobs: Sequence[Job]
+) -> Iterator[Job]:
+    """Do the jobs of an `Evaluation`, given its arguments, whose paths every machine sees; yield
+    each job.
 
     Jobs that have a result already are not done again.
     """
-    absolute = {name: value.resolve() if isinstance(value, Path) else value for name, value in arguments.items()}
+    absolute = {
+        name: value.resolve() if isinstance(value, Path) else value
+        for name, value in arguments.items()
+    }
     absolute["sets"] = {name: path.resolve() for name, path in arguments["sets"].items()}
     missing = Evaluation(**arguments).missing(jobs)
     frames = [tuple(group) for _, group in groupby(missing, attrgetter("data", "frame"))]

@@ -1,4 +1,5 @@
-"""Depth of a recording: a data set in the public layout that grows frame by frame, and can be interrupted.
+"""Depth of a recording: a data set in the public layout that grows frame by frame, and can be
+interrupted.
 
 OUT/
   config.yaml                       the rig, with the nearest depth of the sweep
@@ -40,8 +41,8 @@ from omnistereo_lib.files import (
 from omnistereo_lib.frame import read_inverse_depth, write_inverse_depth
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.lazy import lazy_property
-from omnistereo_lib.rig_files import save_rig
-from omnistereo_lib.rig_files.parse import Section
+from omnistereo_lib.parse import Section
+from omnistereo_lib.rig_file import save_rig
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD, Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
@@ -53,12 +54,14 @@ from omnistereo_tools.output.summary import doubt_shares
 from omnistereo_tools.record.watching import Watching
 
 _PENDING = 2  # frames read ahead, and frames waiting to be written: memory stays constant
-_PNG_STEPS = 65500  # of inverse depth up to 1 / D_min, as in the first release of the public sets; of trust up to 1
+# of inverse depth up to 1 / D_min, as in the first release of the public sets; of trust up to 1
+_PNG_STEPS = 65500
 OF_RAYS = ("confidence", "trust", "depth_estimate")  # panoramas of a frame, in the order of writing
 SETTINGS = "recording.json"
 PICTURES = "pictures.json"
 _SAMPLE = 4096  # bytes
-CODECS = {".mp4": "vp09", ".webm": "VP90"}  # VP9, which browsers play; OpenCV's packages cannot write H.264
+# VP9, which browsers play; OpenCV's packages cannot write H.264
+CODECS = {".mp4": "vp09", ".webm": "VP90"}
 _FPS = 10.0  # of pictures, which do not say
 
 
@@ -74,7 +77,9 @@ class DepthWriter:
     with_video: bool  #: keep a picture of every frame, panorama over depth, for `write_video`
 
     def path(self, kind: str, number: int) -> Path:
-        """Return where a panorama of a frame is stored: its "depth_estimate", "confidence" or "trust"."""
+        """Return where a panorama of a frame is stored: its "depth_estimate", "confidence" or
+        "trust".
+        """
         return self.out / f"{kind}_{self.sweep.grid.width}" / f"{number:05}{self.suffix}"
 
     def picture_path(self, number: int) -> Path:
@@ -82,7 +87,9 @@ class DepthWriter:
         return self.out / "video" / f"{number:05}.jpg"
 
     def is_done(self, number: int) -> bool:
-        """Return whether all that is stored of the rays of a frame, and its video frame, can be read."""
+        """Return whether all that is stored of the rays of a frame, and its video frame, can be
+        read.
+        """
         try:
             whole = all(self.read(kind, number).shape == self.sweep.grid.shape for kind in OF_RAYS)
             return whole and (not self.with_video or self.picture(number).size > 0)
@@ -99,15 +106,25 @@ class DepthWriter:
 
     def picture(self, number: int) -> NDArray[np.uint8]:
         """Read the video frame of a frame, BGR."""
-        return np.asarray(cv2.cvtColor(read_image(self.picture_path(number)), cv2.COLOR_RGB2BGR), np.uint8)
+        return np.asarray(
+            cv2.cvtColor(read_image(self.picture_path(number)), cv2.COLOR_RGB2BGR), np.uint8
+        )
 
     def left(self) -> list[int]:
-        """Return the numbers of the frames that are not done yet, or whose pictures have changed since."""
+        """Return the numbers of the frames that are not done yet, or whose pictures have changed
+        since.
+        """
         changed = self.changed()
-        return [number for number in self.recording.frames if number in changed or not self.is_done(number)]
+        return [
+            number
+            for number in self.recording.frames
+            if number in changed or not self.is_done(number)
+        ]
 
     def changed(self) -> dict[int, Path]:
-        """Return the frames whose pictures are not those that they were prepared with, and a picture that differs."""
+        """Return the frames whose pictures are not those that they were prepared with, and a
+        picture that differs.
+        """
         stored = read_stored(self.out / PICTURES)
         pairs = [(n, stored.get(str(n), marks), marks) for n, marks in self._marks.items()]
         return {n: self._pictures(n)[_first_other(old, new)] for n, old, new in pairs if old != new}
@@ -123,10 +140,11 @@ class DepthWriter:
         return {number: list(map(mark, self._pictures(number))) for number in self.recording.frames}
 
     def run(self, numbers: Sequence[int], watching: Watching | None = None) -> Iterator[int]:
-        """Estimate and write the depth of some frames, in ascending order; yield the number of each.
+        """Estimate and write the depth of some frames, in ascending order; yield the number of
+        each.
 
-        Reading, computing and writing overlap; memory does not grow with the number of frames. The rig is looked at
-        in between.
+        Reading, computing and writing overlap; memory does not grow with the number of frames. The
+        rig is looked at in between.
 
         Raises:
             OmnistereoError: If a frame cannot be read, does not fit the rig, or cannot be written.
@@ -149,20 +167,28 @@ class DepthWriter:
                 writing.result()
 
     def check_out(self) -> None:
-        """Raise an `OmnistereoError` if a recording would be written over a rig file that none has put there."""
+        """Raise an `OmnistereoError` if a recording would be written over a rig file that none has
+        put there.
+        """
         if (self.out / "config.yaml").exists() and not (self.out / SETTINGS).exists():
             raise OmnistereoError(
-                f"{self.out} holds a config.yaml but no {SETTINGS}; expected a new folder or that of a recording. "
-                "Choose another --out."
+                f"{self.out} holds a config.yaml but no {SETTINGS}; expected a new folder or that"
+                " of a recording. Choose another --out."
             )
 
     def prepare(self, rig: Rig) -> None:
         """Make the folder `out` or continue what is in it.
 
-        Raises an `OmnistereoError` if `out` holds a recording with other settings or cannot be written to.
+        Raises an `OmnistereoError` if `out` holds a recording with other settings or cannot be
+        written to.
         """
         grid = self.sweep.grid
-        settings = {"method": self.method.name, "width": grid.width, "height": grid.height, "spheres": grid.num_spheres}
+        settings = {
+            "method": self.method.name,
+            "width": grid.width,
+            "height": grid.height,
+            "spheres": grid.num_spheres,
+        }
         settings |= {"min_depth": grid.min_depth, "depth": self.suffix}
         settings |= {"rig": _rig_checksum(rig), "images": self.recording.checksum}
         _check_settings(make_folder(self.out) / SETTINGS, settings)
@@ -174,7 +200,9 @@ class DepthWriter:
         save_rig(replace(rig, min_depth=self.sweep.grid.min_depth), self.out / "config.yaml")
         for number in self.changed():
             self.path(OF_RAYS[-1], number).unlink(missing_ok=True)  # so that the frame is not done
-        marks = read_stored(self.out / PICTURES) | {str(number): marks for number, marks in self._marks.items()}
+        marks = read_stored(self.out / PICTURES) | {
+            str(number): marks for number, marks in self._marks.items()
+        }
         write_text(self.out / PICTURES, json.dumps(marks) + "\n")
 
     def write(self, number: int, images: list[NDArray[np.uint8]], depth: Depth) -> None:
@@ -189,7 +217,8 @@ class DepthWriter:
         trusted = trust(depth, self.method)
         if self.with_video:
             note = f"{self.out.name}, frame {number}, {self.method.name}"
-            scale = ColorScale(0.0, 0.8 / self.sweep.grid.min_depth)  # the same colours in all frames
+            # the same colours in all frames
+            scale = ColorScale(0.0, 0.8 / self.sweep.grid.min_depth)
             write_image(self.picture_path(number), draw_frame(depth, None, trusted, scale, note))
         self._write_panorama("confidence", number, depth.confidence)
         self._write_panorama("trust", number, trusted)
@@ -204,7 +233,9 @@ class DepthWriter:
         write_image(path, steps.round().clip(0, 65535).astype(np.uint16))
 
     def doubt_sentence(self) -> str:
-        """Return how many rays of the recording are doubtful, in all and among the nearest, from the files."""
+        """Return how many rays of the recording are doubtful, in all and among the nearest, from
+        the files.
+        """
         shares = []
         for number in self.recording.frames:
             with np.errstate(divide="ignore"):
@@ -212,8 +243,9 @@ class DepthWriter:
             shares.append(doubt_shares(depth, self.read("trust", number) < DOUBTFUL)[:2])
         share, of_near = np.mean(shares, axis=0)
         return (
-            f"Doubtful are {share:.0f} % of the rays, and {of_near:.0f} % of the nearest tenth of each frame: they "
-            f"stay in the files, with values below {DOUBTFUL:g} in {self.path('trust', 0).parent}/."
+            f"Doubtful are {share:.0f} % of the rays, and {of_near:.0f} % of the nearest tenth of"
+            f" each frame: they stay in the files, with values below {DOUBTFUL:g} in"
+            f" {self.path('trust', 0).parent}/."
         )
 
 
@@ -259,22 +291,33 @@ def _rig_checksum(rig: Rig) -> str:
     """Return a checksum of all that depth depends on: lenses, masks, poses and the nearest depth."""
     content = repr(rig.min_depth).encode()
     for lens, pose in zip(rig.cameras, rig.T_rig_cam, strict=True):
-        numbers = (lens.poly, lens.inv_poly, lens.center, lens.affine, lens.image_size, lens.max_fov_deg)
+        numbers = (
+            lens.poly,
+            lens.inv_poly,
+            lens.center,
+            lens.affine,
+            lens.image_size,
+            lens.max_fov_deg,
+        )
         for values in (*numbers, pose.R, pose.t):
-            content += np.asarray(values, np.float32).tobytes()  # a fit has other last digits elsewhere
+            # a fit has other last digits elsewhere
+            content += np.asarray(values, np.float32).tobytes()
         content += b"" if lens.mask is None else lens.mask.tobytes()
     return checksum(content)[:16]
 
 
 def _check_settings(path: Path, settings: dict[str, Any]) -> None:
-    """Write the settings of a new recording, or compare them with those of the one that is continued."""
+    """Write the settings of a new recording, or compare them with those of the one that is
+    continued.
+    """
     text = json.dumps(settings, indent=1) + "\n"
     if not path.exists():
         write_text(path, text)
     elif read_text(path) != text:
         raise OmnistereoError(
-            f"{path} is of a recording with other settings: {' '.join(read_text(path).split())}; expected "
-            f"{' '.join(text.split())}. Choose another --out, or the same rig, images and options as before."
+            f"{path} is of a recording with other settings: {' '.join(read_text(path).split())};"
+            f" expected {' '.join(text.split())}. Choose another --out, or the same rig, images and"
+            " options as before."
         )
 
 
@@ -306,7 +349,9 @@ def write_video(path: Path, writer: DepthWriter) -> float:
         rate = writer.recording.fps or _FPS
         video = cv2.VideoWriter(str(temporary), codec, rate, (width, height))
         if not video.isOpened():
-            raise OmnistereoError(f"{path} cannot be written: this OpenCV has no encoder for it. Try .webm or .mp4.")
+            raise OmnistereoError(
+                f"{path} cannot be written: this OpenCV has no encoder for it. Try .webm or .mp4."
+            )
         for number in numbers:
             video.write(writer.picture(number))
         video.release()
@@ -314,6 +359,7 @@ def write_video(path: Path, writer: DepthWriter) -> float:
         count = sum(1 for _ in iter(written.grab, False))
         if count < len(numbers):
             raise OmnistereoError(
-                f"{path} cannot be written: {count} of its {len(numbers)} frames can be read back. Is the disk full?"
+                f"{path} cannot be written: {count} of its {len(numbers)} frames can be read back."
+                " Is the disk full?"
             )
     return len(numbers) / rate

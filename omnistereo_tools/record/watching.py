@@ -1,4 +1,4 @@
-"""A rig looked at while its depth is computed: see `omnistereo_lib.calibrate.watch`.
+"""A rig looked at while its depth is computed: see `omnistereo_rigs.images.watch`.
 
 OUT/
   watch.json                        the rig as each look has it, to go on with
@@ -23,7 +23,7 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import read_data, write_text
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.lazy import lazy_property
-from omnistereo_lib.rig_files import save_rig
+from omnistereo_lib.rig_file import save_rig
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.outputs import save_figure
 from omnistereo_tools.progress import say
@@ -31,7 +31,7 @@ from omnistereo_tools.progress import say
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from omnistereo_lib.calibrate.watch import Look, Watch
+    from omnistereo_rigs.images.watch import Look, Watch
 
 WATCH = "watch.json"
 _FRAMES = 2  # of a look
@@ -40,7 +40,8 @@ _FIRST_S = 20.0  # until the first look begins, whose frames are half of that ap
 
 
 class Watching:
-    """Looks at a rig in a thread of its own, for a twentieth of the time, and says if a camera has turned.
+    """Looks at a rig in a thread of its own, for a twentieth of the time, and says if a camera has
+    turned.
 
     Args:
         sweep: Of the rig.
@@ -48,7 +49,9 @@ class Watching:
         folder: Where looks are kept, so that a recording can go on; None: nowhere.
     """
 
-    def __init__(self, rig: Rig, sweep: SphereSweep, follow: bool = False, folder: Path | None = None) -> None:
+    def __init__(
+        self, rig: Rig, sweep: SphereSweep, follow: bool = False, folder: Path | None = None
+    ) -> None:
         self.rig, self.sweep, self.follow, self.folder = rig, sweep, follow, folder
         self._thread = ThreadPoolExecutor(1)
         self._looking: Future[Look | None] | None = None
@@ -62,7 +65,8 @@ class Watching:
     @lazy_property
     def watch(self) -> Watch:
         """What the looks have shown so far."""
-        from omnistereo_lib.calibrate.watch import Watch  # SciPy, which a short recording does not need
+        # SciPy, which a short recording does not need
+        from omnistereo_rigs.images.watch import Watch
 
         return Watch(self.rig)
 
@@ -87,7 +91,7 @@ class Watching:
             save_figure(self.folder / "watch.png", _figure(self.watch))
 
     def _look(self, frames: Sequence[tuple[int, Sequence[NDArray[np.uint8]]]]) -> Look | None:
-        from omnistereo_lib.calibrate.watch import look_at
+        from omnistereo_rigs.images.watch import look_at
 
         start = time.monotonic()
         look = look_at(self.rig, frames[0][0], [images for _, images in frames])
@@ -123,7 +127,7 @@ def _store(path: Path, looks: Sequence[Look]) -> None:
 
 def _stored(path: Path, cameras: int) -> list[Look]:
     """Return the looks of an earlier run, as far as they can be read."""
-    from omnistereo_lib.calibrate.watch import Look
+    from omnistereo_rigs.images.watch import Look
 
     looks = []
     with suppress(OmnistereoError, TypeError, ValueError):
@@ -135,7 +139,9 @@ def _stored(path: Path, cameras: int) -> list[Look]:
 
 
 def _figure(watch: Watch) -> Figure:
-    """Return a figure of the turn of each camera against the first looks, with its deviation, over the frames."""
+    """Return a figure of the turn of each camera against the first looks, with its deviation, over
+    the frames.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9, 4), layout="constrained")
@@ -144,7 +150,15 @@ def _figure(watch: Watch) -> Figure:
     turns = np.array([watch.turns(look) for look in watch.looks])  # (looks, cameras, 2)
     for camera in range(len(watch.rig)):
         angle, deviation = turns[:, camera].T
-        axes.errorbar(frames, angle, deviation, marker=".", capsize=2, color=f"C{camera}", label=f"camera {camera + 1}")
+        axes.errorbar(
+            frames,
+            angle,
+            deviation,
+            marker=".",
+            capsize=2,
+            color=f"C{camera}",
+            label=f"camera {camera + 1}",
+        )
     axes.set(xlabel="frame", ylabel="turn in degrees, ± one standard deviation", ylim=(0, None))
     axes.set_title("How each camera has turned against the recording's first looks")
     axes.legend()

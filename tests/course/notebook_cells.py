@@ -44,8 +44,12 @@ CLOSING = """## Exercises
 
 def code(source, *tags, printed=None, count=1):
     """A code cell, stored with what it is said to have printed."""
-    outputs = [] if printed is None else [nbformat.v4.new_output("stream", name="stdout", text=printed)]
-    return new_code_cell(source, metadata={"tags": list(tags)}, outputs=outputs, execution_count=count)
+    outputs = (
+        [] if printed is None else [nbformat.v4.new_output("stream", name="stdout", text=printed)]
+    )
+    return new_code_cell(
+        source, metadata={"tags": list(tags)}, outputs=outputs, execution_count=count
+    )
 
 
 def notebook(*cells, **metadata):
@@ -66,7 +70,13 @@ def nbval(path):
     """Run nbval as `make test` does, with our comparison: for each cell, did it pass?"""
     shutil.copy(Path(notebook_comparison.__file__), path.parent / "conftest.py")
     sanitize = nbtools.ROOT / "tests" / "nbval_sanitize.cfg"
-    options = ["--nbval", "--nbval-current-env", f"--nbval-sanitize-with={sanitize}", "-rA", "--color=no"]
+    options = [
+        "--nbval",
+        "--nbval-current-env",
+        f"--nbval-sanitize-with={sanitize}",
+        "-rA",
+        "--color=no",
+    ]
     done = subprocess.run(
         [sys.executable, "-m", "pytest", *options, "-p", "no:cacheprovider", path.name],
         cwd=path.parent,

@@ -9,9 +9,10 @@ from urllib.parse import unquote, urlsplit
 import nbformat
 
 from course import nbtools
-from course.publish import stills
+from course.figures import stills
 
-LOADS = {"script": "src", "img": "src", "iframe": "src", "source": "src", "link": "href"}  # what a page fetches
+# what a page fetches
+LOADS = {"script": "src", "img": "src", "iframe": "src", "source": "src", "link": "href"}
 
 
 @dataclass
@@ -57,20 +58,30 @@ def leads(page, link, pages):
 
 
 def foreign_or_missing(page):
-    """Yield what a page fetches from other hosts or does not find; pictures within the page are in it."""
+    """Yield what a page fetches from other hosts or does not find; pictures within the page are in
+    it."""
     for address in map(urlsplit, page.fetched):
-        if address.scheme != "data" and (address.netloc or not (page.path.parent / unquote(address.path)).exists()):
+        if address.scheme != "data" and (
+            address.netloc or not (page.path.parent / unquote(address.path)).exists()
+        ):
             yield f"{page.path.name} → {address.geturl()}"
 
 
 def count_pictures(path):
     nb = nbformat.read(path, as_version=4)
-    texts = sum(len(re.findall(r"!\[[^\]]+\]\(", cell.source)) for cell in nb.cells if cell.cell_type == "markdown")
+    texts = sum(
+        len(re.findall(r"!\[[^\]]+\]\(", cell.source))
+        for cell in nb.cells
+        if cell.cell_type == "markdown"
+    )
     outputs = [output for cell in nbtools.code_cells(nb) for output in cell.outputs]
-    return texts + sum(bool(set(nbtools.PICTURES) & set(output.get("data", {}))) for output in outputs)
+    return texts + sum(
+        bool(set(nbtools.PICTURES) & set(output.get("data", {}))) for output in outputs
+    )
 
 
 def count_stills(path):
     sliders = [slider for live in stills.stored(path.stem) for slider in live.get("sliders", [])]
-    repeated = sum(len(live.get("sliders", [0])) - 1 for live in stills.stored(path.stem))  # where all stand at first
+    # where all stand at first
+    repeated = sum(len(live.get("sliders", [0])) - 1 for live in stills.stored(path.stem))
     return sum(len(slider["values"]) for slider in sliders) - repeated

@@ -1,4 +1,5 @@
-"""The students' right answers, in NumPy, are the definition: on the inputs on which the checkers try them."""
+"""The students' right answers, in NumPy, are the definition: on the inputs on which the checkers
+try them."""
 
 from importlib import import_module
 
@@ -10,19 +11,30 @@ from omnistereo_lib import reference
 
 
 def correlation(f):
-    """Features (cameras, …, 32) that are NaN where a camera does not see the cell, as maps and pixels on them."""
+    """Features (cameras, …, 32) that are NaN where a camera does not see the cell, as maps and
+    pixels on them."""
     rows, columns = torch.meshgrid(*map(torch.arange, f.shape[1:3]), indexing="ij")
-    pixels = [torch.stack([columns, rows], -1).double().where(~one[..., :1].isnan(), torch.nan) for one in f]
-    return reference.correlate([one.nan_to_num().permute(2, 0, 1) for one in f], pixels, groups=8)[:8].permute(1, 2, 0)
+    pixels = [
+        torch.stack([columns, rows], -1).double().where(~one[..., :1].isnan(), torch.nan)
+        for one in f
+    ]
+    return reference.correlate([one.nan_to_num().permute(2, 0, 1) for one in f], pixels, groups=8)[
+        :8
+    ].permute(1, 2, 0)
 
 
 def cost_volume(spheres, radius):
-    costs = [reference.zncc(a, b, 2 * radius + 1) for a, b in zip(spheres, spheres.roll(-1, 0), strict=True)]
+    costs = [
+        reference.zncc(a, b, 2 * radius + 1)
+        for a, b in zip(spheres, spheres.roll(-1, 0), strict=True)
+    ]
     return reference.mean_over_pairs(torch.stack(costs)).permute(1, 2, 0)
 
 
 DEFINITIONS = {
-    "nb03.rays_of_pixels": lambda columns, rows, W, H, phi_deg: reference.rays(W, H, phi_deg)[rows, columns],
+    "nb03.rays_of_pixels": lambda columns, rows, W, H, phi_deg: reference.rays(W, H, phi_deg)[
+        rows, columns
+    ],
     "nb03.pixels_of_points": lambda points, camera, pose: reference.project(
         torch.from_numpy(pose.inverse() @ points.numpy()), camera
     ),
@@ -49,4 +61,6 @@ def test_an_answer_is_the_definition(name, k):
     check = getattr(import_module(f"course.exercises.{module}"), f"check_{function}")
     inputs = check.draw(np.random.default_rng(k), k)
     tensors = [torch.as_tensor(one) if isinstance(one, np.ndarray) else one for one in inputs]
-    np.testing.assert_allclose(check.answer(*inputs), DEFINITIONS[name](*tensors), rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(
+        check.answer(*inputs), DEFINITIONS[name](*tensors), rtol=1e-6, atol=1e-7
+    )

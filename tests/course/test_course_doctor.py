@@ -21,7 +21,9 @@ ROOT = nbtools.ROOT
 @pytest.fixture
 def healthy(tmp_path, monkeypatch):
     """A clone with one pinned package and one data file, both correct."""
-    (tmp_path / "environment.txt").write_text(f"# pins\nnumpy=={metadata.version('numpy')}  # arrays\n")
+    (tmp_path / "environment.txt").write_text(
+        f"# pins\nnumpy=={metadata.version('numpy')}  # arrays\n"
+    )
     (tmp_path / "data_samples").mkdir()
     (tmp_path / "data_samples" / "a.txt").write_text("data")
     manifest = {"files": {"a.txt": hashlib.sha256(b"data").hexdigest()}}
@@ -34,7 +36,9 @@ def test_all_is_well(healthy, capsys):
     assert __main__.main(["doctor"]) == 0
     text = capsys.readouterr().out
     *lines, _, verdict = text.splitlines()
-    assert all(line[:6] in ("OK    ", "NOTE  ") for line in lines) and verdict.endswith("are in place")
+    assert all(line[:6] in ("OK    ", "NOTE  ") for line in lines) and verdict.endswith(
+        "are in place"
+    )
     for word in ("Python 3.", "numpy", "data_samples: 1 files", "cores"):
         assert word in text
 
@@ -51,7 +55,10 @@ def test_ctrl_c_is_one_line(monkeypatch, capsys):
 def test_without_the_pins(healthy, capsys):
     (healthy / "environment.txt").unlink()
     assert check_clone() is False
-    assert "FAIL  environment.txt is missing: git checkout environment.txt\n" in capsys.readouterr().out
+    assert (
+        "FAIL  environment.txt is missing: git checkout environment.txt\n"
+        in capsys.readouterr().out
+    )
 
 
 def test_a_package_that_is_missing_or_another_version(healthy, capsys):
@@ -87,7 +94,10 @@ def test_a_manifest_that_is_missing_or_broken(healthy, capsys):
         assert "manifest.json is broken: git checkout data_samples" in capsys.readouterr().out
     manifest.unlink()
     assert check_clone(short=True) is False
-    assert "manifest.json is missing from data_samples: git checkout data_samples" in capsys.readouterr().out
+    assert (
+        "manifest.json is missing from data_samples: git checkout data_samples"
+        in capsys.readouterr().out
+    )
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +123,10 @@ def test_it_needs_no_package(bare):
 def test_other_commands_without_packages_are_one_line_that_names_it(bare):
     done = run_bare([bare, "-m", "course", "lab"])
     assert done.returncode == 2 and done.stdout == "" and done.stderr.count("\n") == 1
-    assert done.stderr.startswith("error: No module named ") and "python -m course doctor" in done.stderr
+    assert (
+        done.stderr.startswith("error: No module named ")
+        and "python -m course doctor" in done.stderr
+    )
 
 
 @pytest.mark.skipif(shutil.which("make") is None, reason="no make on the PATH")
@@ -124,6 +137,9 @@ def test_make_doctor_installs_nothing(bare):
 
 def test_the_short_form_is_quick_to_start():
     """It does not load torch."""
-    code = "import sys; from course.classroom.doctor import doctor; doctor(True); print('torch' in sys.modules)"
+    code = (
+        "import sys; from course.classroom.doctor import doctor; doctor(True); print('torch' in"
+        " sys.modules)"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "False"

@@ -1,4 +1,5 @@
-"""Handed-in notebooks: a class, from good ones to those that attack the judge, ends with a sheet for each."""
+"""Handed-in notebooks: a class, from good ones to those that attack the judge, ends with a sheet
+for each."""
 
 import csv
 import json
@@ -19,13 +20,21 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Pose
 
 TITLE = "# 04 · ZNCC: how alike are two patches?"
-IMPORTS = "import json, os, sys, time\nfrom pathlib import Path\nimport numpy as np\nfrom course.exercises import nb04"
-ASKED = {e.function: e for e in handin.exercises_of(nbtools.read_notebook(nbtools.NOTEBOOKS / "04_zncc.ipynb"))}
+IMPORTS = (
+    "import json, os, sys, time\nfrom pathlib import Path\nimport numpy as np\nfrom"
+    " course.exercises import nb04"
+)
+ASKED = {
+    e.function: e
+    for e in handin.exercises_of(nbtools.read_notebook(nbtools.NOTEBOOKS / "04_zncc.ipynb"))
+}
 SMALL = ("omnistereo_lib", "course", "notebooks")  # of the clone: enough for these notebooks
 
 
 def student_writes(*sources, names=""):
-    return new_notebook(cells=[new_markdown_cell(TITLE), *map(new_code_cell, [IMPORTS + names, *sources])])
+    return new_notebook(
+        cells=[new_markdown_cell(TITLE), *map(new_code_cell, [IMPORTS + names, *sources])]
+    )
 
 
 def solved(name):
@@ -102,10 +111,15 @@ atexit.register(time.sleep, 99)
 threading.Thread(target=time.sleep, args=(99,), name='sleeper').start()
 while True:
     print('x' * 10**6)"""
-# What a student writes, the statuses of three functions ("tried" stands for "not tried"), and what a note says.
+# What a student writes, the statuses of three functions ("tried" stands for "not tried"), and what
+# a note says.
 JUDGED = {
     "good": ((GOOD, solved("mean_of_pairs"), solved("winner")), "right right right", ""),
-    "bad": ((WRONG, "1 / 0", STUB, SLOW), "wrong tried wrong", "3 stopped with ZeroDivisionError: division by zero"),
+    "bad": (
+        (WRONG, "1 / 0", STUB, SLOW),
+        "wrong tried wrong",
+        "3 stopped with ZeroDivisionError: division by zero",
+    ),
     "in one cell": ((f"{WRONG}\n\n\n{call('zncc')}",), "wrong tried tried", ""),
     "empty": ((), "tried tried tried", "does not call the checkers of zncc, window_sums"),
     "cheats": ((CHEAT,), "wrong tried tried", ""),
@@ -124,18 +138,33 @@ ACCIDENTS = {
     "eats": (EATEN, "judged", "stopped in code cell 3: it used more than 0.7 GiB"),
     "never ends": (DEAF, "judged", "stopped in code cell 3: it ran longer than 15 s"),
     "forks": (FORKS, "judged", "stopped in code cell 3: it ran more than 99 processes"),
-    "dies": ("os.kill(os.getpid(), 9)", "judged", "stopped in code cell 3: its process ended with status -9"),
+    "dies": (
+        "os.kill(os.getpid(), 9)",
+        "judged",
+        "stopped in code cell 3: its process ended with status -9",
+    ),
     "=1+1": (DAEMON, "tried", ""),
-    "leaves things": (f"os.chdir(os.environ['TMPDIR'])\n{LEFT}", "tried", "left threads behind: sleeper"),
+    "leaves things": (
+        f"os.chdir(os.environ['TMPDIR'])\n{LEFT}",
+        "tried",
+        "left threads behind: sleeper",
+    ),
     "pipes": (PIPES, "tried", ""),
     "broken text": (BROKEN, "tried", r"code cell 3 stopped with ValueError: \ud83d\x1b[2J"),
     "terms": ("+".join(["1"] * 20_000), "tried", "code cell 3 stopped with RecursionError"),
     "mute": (MUTE, "tried", "code cell 3 stopped with Mute"),
     "apart 1": (APART, "tried", "code cell 3 stopped with AssertionError: no solutions here"),
     "apart 2": (APART, "tried", "code cell 3 stopped with AssertionError: no solutions here"),
-    "z spoils": ("Path(ENVIRONMENT, 'numpy.py').write_text('')", "tried", "the environment has changed"),
+    "z spoils": (
+        "Path(ENVIRONMENT, 'numpy.py').write_text('')",
+        "tried",
+        "the environment has changed",
+    ),
 }
-JUDGED |= {name: ((GOOD, cell, STUB), f"right {rest} {rest}", note) for name, (cell, rest, note) in ACCIDENTS.items()}
+JUDGED |= {
+    name: ((GOOD, cell, STUB), f"right {rest} {rest}", note)
+    for name, (cell, rest, note) in ACCIDENTS.items()
+}
 UNREADABLE = {
     "@essay": (lambda path: path.write_text("Dear Sir"), "is not a notebook"),
     "+nested": (lambda path: path.write_text("[" * 100_000), "is not a notebook"),
@@ -166,7 +195,10 @@ def checked(tmp_path_factory):
         patch.setattr(student, "MAX_PROCESSES", 99)
         patch.setattr(handin, "ANSWER_S", 3)
         patch.setattr(handin, "ENVIRONMENT", [environment])
-        assert main(["check", str(folder), "--out", str(out), "--memory", "0.7", "--seconds", "15"]) == 0
+        assert (
+            main(["check", str(folder), "--out", str(out), "--memory", "0.7", "--seconds", "15"])
+            == 0
+        )
     with (out / "scores.csv").open(encoding="utf-8", newline="") as file:
         return {row["file"]: row for row in csv.DictReader(file)}, folder, out
 
@@ -180,7 +212,8 @@ def test_every_exercise_gets_its_status_and_every_accident_a_note(checked, name)
     _, statuses, note = JUDGED[name]
     row = checked[0][shown(name)]
     assert [row[ASKED[f].number] for f in ("zncc", "mean_of_pairs", "winner")] == [
-        {"tried": "not tried", "judged": "not judged"}.get(status, status) for status in statuses.split()
+        {"tried": "not tried", "judged": "not judged"}.get(status, status)
+        for status in statuses.split()
     ]
     assert note in row["notes"]
 
@@ -219,7 +252,10 @@ def test_nothing_that_a_student_has_started_is_left(checked):
 
 def test_printing_without_end_stops_a_cell_and_nothing_is_left_of_a_folder_3000_deep(checked):
     rows, _, out = checked
-    assert "code cell 3 stopped with OutOfTime: no answer in 5 s" in rows["leaves things.ipynb"]["notes"]
+    assert (
+        "code cell 3 stopped with OutOfTime: no answer in 5 s"
+        in rows["leaves things.ipynb"]["notes"]
+    )
     assert list((out / "temporary").iterdir()) == []
 
 
@@ -228,7 +264,9 @@ def test_a_class_resumes(checked, monkeypatch, capsys):
     _, folder, out = checked
     ran = []
     sheet = json.loads((out / "empty.ipynb.json").read_text(encoding="utf-8"))
-    monkeypatch.setattr(handin, "check_notebook", lambda path, *_: ran.append(path.stem) or dict(sheet))
+    monkeypatch.setattr(
+        handin, "check_notebook", lambda path, *_: ran.append(path.stem) or dict(sheet)
+    )
     monkeypatch.setattr(handin, "ENVIRONMENT", [])
     write(folder / "bad.ipynb", student_writes("# another try"))
     for name, damage in (("terms", "{"), ("dies", '{"exercises": 3}'), ("eats", "[" * 100_000)):
@@ -236,7 +274,15 @@ def test_a_class_resumes(checked, monkeypatch, capsys):
     (out / "mute.ipynb.json").unlink()
     os.mkfifo(out / "mute.ipynb.json")
     handin.check(folder, out)
-    assert set(ran) - set(UNREADABLE) == {"bad", "terms", "dies", "eats", "mute", "z spoils", "\udcff@"}
+    assert set(ran) - set(UNREADABLE) == {
+        "bad",
+        "terms",
+        "dies",
+        "eats",
+        "mute",
+        "z spoils",
+        "\udcff@",
+    }
     assert "good.ipynb: notebook 04_zncc" in capsys.readouterr().out
 
 
@@ -249,7 +295,9 @@ def test_a_class_of_unreadable_ones_has_its_table(tmp_path):
 def test_a_sheet_that_cannot_be_stored_stops_nobody(tmp_path, monkeypatch):
     """Its name is too long, or a folder is called like the table."""
     monkeypatch.setattr(handin, "ENVIRONMENT", [])
-    monkeypatch.setattr(handin, "check_notebook", lambda *_: {"notebook": "04", "exercises": {}, "notes": []} | USED)
+    monkeypatch.setattr(
+        handin, "check_notebook", lambda *_: {"notebook": "04", "exercises": {}, "notes": []} | USED
+    )
     (tmp_path / "scores.csv").mkdir()
     for name in ("scores.csv/c", "t", "u" * 245):
         (tmp_path / f"{name}.ipynb").touch()
@@ -288,14 +336,26 @@ def test_pipes_and_links_in_the_clone_are_not_copied(tmp_path, monkeypatch):
 
 
 def test_a_student_has_every_package_of_the_clone():
-    packages = {path.parent.name for path in nbtools.ROOT.glob("[!.]*/*.py")} - {"tests", "book", "out"}
+    packages = {path.parent.name for path in nbtools.ROOT.glob("[!.]*/*.py")} - {
+        "tests",
+        "book",
+        "out",
+    }
     assert {"omnistereo_lib", "course"} <= packages <= set(student.COPIED)
 
 
 def test_every_exercise_of_the_course_is_judged():
-    found = [exercise for path in nbtools.notebooks() for exercise in handin.exercises_of(nbtools.read_notebook(path))]
+    found = [
+        exercise
+        for path in nbtools.notebooks()
+        for exercise in handin.exercises_of(nbtools.read_notebook(path))
+    ]
     numbers = [nbtools.number(path) for path in nbtools.notebooks()]
-    opened = {function.name: f"nb{k}.check_{function.name}" for k in numbers for function in exercises.functions(k)}
+    opened = {
+        function.name: f"nb{k}.check_{function.name}"
+        for k in numbers
+        for function in exercises.functions(k)
+    }
     assert {exercise.checker for exercise in found} == set(opened.values())
     assert {exercise.function for exercise in found} == set(opened)
     assert len({exercise.number for exercise in found}) == len(found)
@@ -303,7 +363,9 @@ def test_every_exercise_of_the_course_is_judged():
 
 def test_a_notebook_of_nothing_in_the_course(tmp_path, capsys):
     path = tmp_path / "mine.ipynb"
-    path.write_text('{"cells": [], "nbformat": 4, "nbformat_minor": 5, "metadata": {}}', encoding="utf-8")
+    path.write_text(
+        '{"cells": [], "nbformat": 4, "nbformat_minor": 5, "metadata": {}}', encoding="utf-8"
+    )
     assert main(["check", str(path), "--out", str(tmp_path / "out")]) == 2
     assert f"{path} begins with ''" in capsys.readouterr().err
 
@@ -320,7 +382,9 @@ def test_a_limit_that_is_not_positive(tmp_path, capsys, option, value):
 def test_a_limit_in_which_nothing_can_run(tmp_path, monkeypatch):
     monkeypatch.setattr(student, "COPIED", SMALL)
     path = write(tmp_path / "mine.ipynb", student_writes())
-    with pytest.raises(OmnistereoError, match=r"no cell can run: it used more than 0\.001 GiB of memory\. Raise"):
+    with pytest.raises(
+        OmnistereoError, match=r"no cell can run: it used more than 0\.001 GiB of memory\. Raise"
+    ):
         handin.check_notebook(path, memory_gib=0.001)
 
 
@@ -329,12 +393,16 @@ def test_a_folder_without_notebooks(tmp_path):
         handin.check(tmp_path, tmp_path / "out")
 
 
-# --- What comes back from a function ----------------------------------------------------------------------
+# --- What comes back from a function
+# ----------------------------------------------------------------------
 
 
 def answered(function, *inputs):
     """What the judge gets of a function's answer, after the way there and back."""
-    reply = {"value": student.in_json(function(*inputs)), "arguments": [student.in_json(x) for x in inputs]}
+    reply = {
+        "value": student.in_json(function(*inputs)),
+        "arguments": [student.in_json(x) for x in inputs],
+    }
     return handin.repeat(json.loads(json.dumps([reply])))(*inputs)
 
 
@@ -367,7 +435,8 @@ def test_of_other_values_the_type_comes_back(value):
 
 
 @pytest.mark.parametrize(
-    ("function", "said"), [(lambda a: {}["D_min"], "KeyError: 'D_min'"), (lambda: 1, "takes 0 positional arguments")]
+    ("function", "said"),
+    [(lambda a: {}["D_min"], "KeyError: 'D_min'"), (lambda: 1, "takes 0 positional arguments")],
 )
 def test_errors_come_back_with_their_name(function, said):
     check = exercises.functions("08")[2]

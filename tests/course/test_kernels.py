@@ -5,7 +5,7 @@ from queue import Empty
 
 import pytest
 
-from course.publish import kernels
+from course import kernels
 
 
 def test_a_message_that_wakes_nobody_is_found_a_second_later(monkeypatch):

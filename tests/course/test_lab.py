@@ -1,4 +1,5 @@
-"""JupyterLab as `make lab` opens it, in a real browser: the first cells of notebook 00, and its points, which turn.
+"""JupyterLab as `make lab` opens it, in a real browser: the first cells of notebook 00, and its
+points, which turn.
 
 Screenshots of what was seen are left in out/browser, to look at.
 """
@@ -19,9 +20,11 @@ import pytest
 import omnistereo_lib as osl
 from course import nbtools
 from course.classroom import lab as lab_module
-from course.publish import stills
+from course.figures import stills
 
-sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: environment-dev.txt has it")
+sync_api = pytest.importorskip(
+    "playwright.sync_api", reason="Playwright is not installed: environment-dev.txt has it"
+)
 
 ROOT = nbtools.ROOT
 STORED = Path("notebooks") / "00_quickstart.ipynb"
@@ -86,14 +89,17 @@ def lab(clone):
 
 
 def page_to_open(server, folder, log):
-    """Wait for the file that the server hands to a browser: it leads to the notebook, with the token."""
+    """Wait for the file that the server hands to a browser: it leads to the notebook, with the
+    token."""
     deadline = time.monotonic() + PATIENCE_S
     while server.poll() is None and time.monotonic() < deadline:
         for page in folder.glob("jpserver-file-to-run-*-open.html"):
             if "token=" in page.read_text(encoding="utf-8"):
                 return page.as_uri()
         time.sleep(0.1)
-    pytest.fail(f"JupyterLab did not start:\n{log.read_text(encoding='utf-8', errors='replace')[-3000:]}")
+    pytest.fail(
+        f"JupyterLab did not start:\n{log.read_text(encoding='utf-8', errors='replace')[-3000:]}"
+    )
 
 
 def end(server):
@@ -111,7 +117,8 @@ def choose(page, menu, entry):
     page.get_by_role("menuitem", name=entry, exact=True).click()
 
 
-PICTURE = "canvas => { drawNow(); return canvas.toDataURL(); }"  # WebGL keeps no picture after the frame
+# WebGL keeps no picture after the frame
+PICTURE = "canvas => { drawNow(); return canvas.toDataURL(); }"
 
 
 def test_quickstart_opens_unchanged_runs_in_jupyterlab_and_its_points_turn(lab, clone, open_page):
@@ -133,11 +140,16 @@ def test_quickstart_opens_unchanged_runs_in_jupyterlab_and_its_points_turn(lab, 
     for n in ran:
         page.locator(".jp-CodeCell").nth(n).click()
         page.keyboard.press("Control+Enter")
-    wrong = page.locator('.jp-OutputArea-output[data-mime-type="application/vnd.jupyter.stderr"]')  # errors, warnings
-    expect(prompts.nth(points).filter(has_text=re.compile(r"^\[\d+\]:$")).or_(wrong).first).to_be_attached()
+    # errors, warnings
+    wrong = page.locator('.jp-OutputArea-output[data-mime-type="application/vnd.jupyter.stderr"]')
+    expect(
+        prompts.nth(points).filter(has_text=re.compile(r"^\[\d+\]:$")).or_(wrong).first
+    ).to_be_attached()
     page.screenshot(path=SEEN / "lab_run.png")
     assert wrong.all_text_contents() == []
-    expect(prompts).to_have_text([f"[{1 + ran.index(n)}]:" if n in ran else "[ ]:" for n in range(len(cells))])
+    expect(prompts).to_have_text(
+        [f"[{1 + ran.index(n)}]:" if n in ran else "[ ]:" for n in range(len(cells))]
+    )
 
     view = page.locator(f"iframe[title='{stills.VIEW}']")
     view.scroll_into_view_if_needed()  # what is out of sight is not drawn
@@ -145,26 +157,35 @@ def test_quickstart_opens_unchanged_runs_in_jupyterlab_and_its_points_turn(lab, 
     canvas = view.content_frame.locator("#view")
     page.screenshot(path=SEEN / "lab_points_before.png")
     before = canvas.evaluate(PICTURE)
-    canvas.drag_to(canvas, source_position={"x": 100, "y": 100}, target_position={"x": 300, "y": 150})
+    canvas.drag_to(
+        canvas, source_position={"x": 100, "y": 100}, target_position={"x": 300, "y": 150}
+    )
     assert canvas.evaluate(PICTURE) != before
     page.screenshot(path=SEEN / "lab_points_after.png")
 
-    expect(page.locator(".jp-Dialog, .Toastify__toast")).to_have_count(0)  # it asks its readers nothing
+    # it asks its readers nothing
+    expect(page.locator(".jp-Dialog, .Toastify__toast")).to_have_count(0)
     assert page.complaints == []
     page.close()
     assert (clone / STORED).read_bytes() == (clone / QUICKSTART).read_bytes() == stored
 
 
 def test_make_alone_lists_its_targets():
-    targets = re.search(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)[1].split()
+    targets = re.search(
+        r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE
+    )[1].split()
     said = subprocess.run(["make"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     assert re.findall(r"^make (\w+) +\w", said, re.MULTILINE) == targets
 
 
 @pytest.mark.parametrize("words", ["fresh NOTEBOOK=03", "grade HANDED_IN=folder"])
 def test_make_asks_for_a_name_that_it_needs(words):
-    outside = {name: value for name, value in os.environ.items() if name not in ("MAKEFLAGS", "MAKELEVEL")}
-    done = subprocess.run([*MAKE, words.split()[0]], cwd=ROOT, env=outside, capture_output=True, text=True)
+    outside = {
+        name: value for name, value in os.environ.items() if name not in ("MAKEFLAGS", "MAKELEVEL")
+    }
+    done = subprocess.run(
+        [*MAKE, words.split()[0]], cwd=ROOT, env=outside, capture_output=True, text=True
+    )
     assert done.returncode == 2 and done.stdout == ""
     assert done.stderr.count("\n") == 1 and f": make {words}." in done.stderr
 
@@ -174,7 +195,14 @@ def test_a_class_can_be_graded_in_a_container():
     words = ["make", "-n", "grade", "HANDED_IN=notebooks", "CONTAINER=podman"]
     said = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     assert ".venv" not in said and "podman build" in said
-    for limit in ("--network none", "--read-only", "--memory", "--pids-limit", "--cap-drop ALL", ":/handed-in:ro"):
+    for limit in (
+        "--network none",
+        "--read-only",
+        "--memory",
+        "--pids-limit",
+        "--cap-drop ALL",
+        ":/handed-in:ro",
+    ):
         assert limit in said.partition("podman run")[2]
 
 
@@ -201,10 +229,15 @@ def test_working_copies_are_kept_until_one_is_renewed(folders, capsys):
         assert (working / "00_a.ipynb").read_text() == mine
         lab_module.renew("00")
         assert (working / "00_a.ipynb").read_text() == original
-    assert [(working / f"00_a-{number}.ipynb").read_text() for number in (1, 2)] == ["once", "twice"]
+    assert [(working / f"00_a-{number}.ipynb").read_text() for number in (1, 2)] == [
+        "once",
+        "twice",
+    ]
     assert capsys.readouterr().out.splitlines()[-2:] == [
         "your work is kept as 00_a-2.ipynb",
         "a fresh copy is in my_notebooks/00_a.ipynb",
     ]
-    with pytest.raises(osl.OmnistereoError, match="there is no notebook '7'; expected one of 00, 01"):
+    with pytest.raises(
+        osl.OmnistereoError, match="there is no notebook '7'; expected one of 00, 01"
+    ):
         lab_module.renew("7")

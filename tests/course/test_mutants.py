@@ -1,8 +1,9 @@
-"""Solutions with one thing changed: if that changes a result on other cases, no checker may call it right.
+"""Solutions with one thing changed: if that changes a result on other cases, no checker may call it
+right.
 
-A checker tries ten cases. Here thirty more are drawn, so a change that those ten cannot tell from the solution is a
-hole in the checker. Some changes of each solution are tried, the same each time; `MUTANTS=all` tries them all.
-"""
+A checker tries ten cases. Here thirty more are drawn, so a change that those ten cannot tell from
+the solution is a hole in the checker. Some changes of each solution are tried, the same each time;
+`MUTANTS=all` tries them all."""
 
 import ast
 import copy
@@ -26,7 +27,10 @@ EXERCISES = [
 
 OPERATORS = """Add Sub, Sub Add, Mult Div Add, Div Mult FloorDiv, FloorDiv Div, Mod Div, Pow Mult, MatMult Mult,
 BitAnd BitOr, BitOr BitAnd, Lt LtE Gt, LtE Lt Gt, Gt GtE Lt, GtE Gt Lt, Eq NotEq, NotEq Eq"""
-OTHERS = {getattr(ast, first): [getattr(ast, op) for op in ops] for first, *ops in map(str.split, OPERATORS.split(","))}
+OTHERS = {
+    getattr(ast, first): [getattr(ast, op) for op in ops]
+    for first, *ops in map(str.split, OPERATORS.split(","))
+}
 NAMES = """min max, minimum maximum, argmin argmax, nanmin nanmax, sum mean, nansum nanmean, nanmean mean, nansum sum,
 nanmin min, nanargmin argmin, floor rint, floor ceil, sin cos, hypot add, isnan isfinite, ones zeros, radians degrees,
 any all, cumsum cumprod"""
@@ -45,11 +49,17 @@ def changes(node):
     elif isinstance(node, ast.UnaryOp):
         yield node.operand
     elif isinstance(node, ast.Constant) and type(node.value) in (int, float):
-        yield from (ast.Constant(value) for value in (node.value + 1, node.value - 1, 2 * node.value) if value >= 0)
+        yield from (
+            ast.Constant(value)
+            for value in (node.value + 1, node.value - 1, 2 * node.value)
+            if value >= 0
+        )
     elif isinstance(node, ast.Constant) and isinstance(node.value, bool):
         yield ast.Constant(not node.value)
     elif isinstance(node, ast.Attribute):
-        yield from (ast.Attribute(node.value, other, node.ctx) for one, other in PAIRS if one == node.attr)
+        yield from (
+            ast.Attribute(node.value, other, node.ctx) for one, other in PAIRS if one == node.attr
+        )
     elif isinstance(node, ast.Call):
         yield from node.args[:1]  # abs(x), np.clip(x, …), np.sqrt(x): x
         yield from (ast.Call(node.func, node.args, []) for _ in node.keywords[:1])

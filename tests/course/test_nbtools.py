@@ -5,11 +5,11 @@ import pytest
 from nbformat.v4 import new_markdown_cell
 from notebook_cells import FACTS, SLIDER, code, framed, nbval, notebook, write
 
-from course import __main__, nbtools
+from course import __main__, nbtools, rules
 from course.figures.captions import captions
-from course.publish import rules
 
-# --- The comparison, one nbval run over all cases -----------------------------------------------------------
+# --- The comparison, one nbval run over all cases
+# -----------------------------------------------------------
 
 CASES = {  # code, tags, what is stored, whether the two agree
     "same": ("print('rms 0.1234 px')", (), "rms 0.1234 px\n", True),
@@ -33,7 +33,12 @@ CASES = {  # code, tags, what is stored, whether the two agree
     "atol tag, within": ("print(1.1)", ("atol-0.5",), "1.5\n", True),
     "atol tag, beyond": ("print(1.1)", ("atol-0.5",), "1.7\n", False),
     "atol tag leaves integers": ("print(1)", ("atol-2",), "2\n", False),
-    "address and duration": ("print('at 0x7f0011223344 in 1.5 s')", (), "at 0x7f0055667788 in 2.5 s\n", True),
+    "address and duration": (
+        "print('at 0x7f0011223344 in 1.5 s')",
+        (),
+        "at 0x7f0055667788 in 2.5 s\n",
+        True,
+    ),
     "output lost": ("pass", (), "0.5\n", False),
     "output not stored": ("print(0.5)", (), None, False),
     "a warning now": ("import warnings\nwarnings.warn('old')", (), None, True),
@@ -55,7 +60,8 @@ def test_comparison(verdicts, case):
     assert verdicts[case] is CASES[case][-1]
 
 
-# --- Clean, check -------------------------------------------------------------------------------------------
+# --- Clean, check
+# -------------------------------------------------------------------------------------------
 
 
 def good(*more):
@@ -78,7 +84,9 @@ def stored(nb):
 def picture(alt="a line that rises from left to right", plain=None, caption="*Figure:* It rises."):
     cell = code("draw()", count=2)
     data = {"image/png": "iVBORw0KGgo=", "text/plain": alt if plain is None else plain}
-    cell.outputs = [nbformat.v4.new_output("display_data", data=data, metadata={"image/png": {"alt": alt}})]
+    cell.outputs = [
+        nbformat.v4.new_output("display_data", data=data, metadata={"image/png": {"alt": alt}})
+    ]
     if caption:
         cell.outputs.append(nbformat.v4.new_output("display_data", data={"text/markdown": caption}))
     return cell
@@ -90,7 +98,11 @@ def with_output(kind, source="f()", **content):
     return cell
 
 
-ERROR = {"ename": "ValueError", "evalue": "no", "traceback": ["File /Users/someone/x.py", "ValueError: no"]}
+ERROR = {
+    "ename": "ValueError",
+    "evalue": "no",
+    "traceback": ["File /Users/someone/x.py", "ValueError: no"],
+}
 BAD = {  # what is planted, what the guard must say
     "not run": (good(code("f()", count=None)), "not run in order"),
     "run twice": (good(code("f()", count=3)), "not run in order"),
@@ -105,10 +117,16 @@ BAD = {  # what is planted, what the guard must say
         good(with_output("execute_result", data={"text/plain": "<B at 0x7f3a5c>"})),
         "memory address",
     ),
-    "path": (good(code("f()", printed="in /Users/someone/x.py\n", count=2)), "path of this machine"),
+    "path": (
+        good(code("f()", printed="in /Users/someone/x.py\n", count=2)),
+        "path of this machine",
+    ),
     "progress": (good(code("f()", printed="1 %\r2 %\n", count=2)), "progress bar"),
     "semicolon": (good(code("f();", count=2)), "ends in ';'"),
-    "long cell": (good(code("f()", count=2), code("f()\n" * 31, count=3)), "a code cell of 31 lines"),
+    "long cell": (
+        good(code("f()", count=2), code("f()\n" * 31, count=3)),
+        "a code cell of 31 lines",
+    ),
     "long cells": (good(*(code("f()\n" * 11, count=n) for n in (2, 3))), "11 lines in the median"),
     "long": (good(*(code("f()\n" * 8, count=n) for n in range(2, 50))), "lines of code in all"),
     "size": (good(code("f()", printed="x" * 800_000, count=2)), "at most 800"),
@@ -123,7 +141,10 @@ BAD = {  # what is planted, what the guard must say
         closing("## Takeaways\n\n## Further reading", "## Further reading\n\n## Takeaways"),
         "its last sections",
     ),
-    "section too many": (closing("## Further reading", "## Further reading\n\n## More"), "its last sections"),
+    "section too many": (
+        closing("## Further reading", "## Further reading\n\n## More"),
+        "its last sections",
+    ),
     "unmarked exercise": (closing("00.2 (open)", "00.2"), "its exercises"),
     "unknown mark": (closing("(open)", "(Open)"), "its exercises"),
     "nothing open": (closing("(open)", "(hard)"), "its exercises"),
@@ -180,10 +201,14 @@ def test_clean_drops_what_depends_on_the_machine_and_keeps_the_rest():
     clean = nbtools.clean(nb)
     assert clean.metadata.omnistereo == FACTS
     assert set(clean.metadata) == {"kernelspec", "language_info", "omnistereo"}
-    assert clean.metadata.kernelspec.name == "python3" and "version" not in clean.metadata.language_info
+    assert (
+        clean.metadata.kernelspec.name == "python3"
+        and "version" not in clean.metadata.language_info
+    )
     assert [cell.id for cell in clean.cells] == ["cell-0", "cell-1"]
     assert clean.cells[0].metadata == {"tags": ["raises-exception", "rtol-1e-2"]}
-    assert clean.cells[0].execution_count == 7  # a count is what happened: only a new run changes it
+    # a count is what happened: only a new run changes it
+    assert clean.cells[0].execution_count == 7
     assert clean.cells[0].outputs[0].traceback == ["ValueError: no"]
     assert clean.cells[1].outputs == []
     assert nbtools.clean(clean) == clean
@@ -195,5 +220,9 @@ def test_a_new_caption_needs_no_run():
     stale.source = 'show(fig, "04 one ray")'
     (cell,) = nbtools.clean(notebook(stale)).cells
     entry = captions()["04 one ray"]
-    assert cell.outputs[0].data["text/plain"] == cell.outputs[0].metadata["image/png"]["alt"] == entry["alt"]
+    assert (
+        cell.outputs[0].data["text/plain"]
+        == cell.outputs[0].metadata["image/png"]["alt"]
+        == entry["alt"]
+    )
     assert cell.outputs[1].data["text/markdown"] == f"*Figure:* {entry['caption']}"

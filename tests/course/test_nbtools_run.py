@@ -6,9 +6,8 @@ import nbformat
 import pytest
 from notebook_cells import DRAWING, FACTS, SLIDER, code, framed, notebook, write
 
-from course import nbtools
+from course import kernels, nbtools, rules
 from course.figures.captions import captions
-from course.publish import kernels, rules
 
 
 @pytest.fixture
@@ -32,7 +31,10 @@ def test_run_stores_a_notebook_that_the_guard_and_a_second_run_accept(stand_in):
     cells = nbtools.code_cells(nbformat.reads(first, as_version=4))
     assert [cell.execution_count for cell in cells] == [1, 2, 3, 4]
     assert cells[1].outputs[0].metadata["image/png"]["alt"] == captions()["04 one ray"]["alt"]
-    assert cells[1].outputs[1].data["text/markdown"] == f"*Figure:* {captions()['04 one ray']['caption']}"
+    assert (
+        cells[1].outputs[1].data["text/markdown"]
+        == f"*Figure:* {captions()['04 one ray']['caption']}"
+    )
     assert sorted(file.name for file in stand_in.glob("*.ipynb*")) == ["tiny.ipynb"]
 
 
@@ -43,11 +45,15 @@ def test_run_stores_a_notebook_that_the_guard_and_a_second_run_accept(stand_in):
         ("pass", 0, "its budget is 0 s"),
     ],
 )
-def test_run_keeps_the_file_as_it_was_when_something_is_wrong(stand_in, capsys, source, budget, said):
+def test_run_keeps_the_file_as_it_was_when_something_is_wrong(
+    stand_in, capsys, source, budget, said
+):
     nb = notebook(code(nbtools.SETUP), code(source), omnistereo=FACTS | {"budget_s": budget})
     path = write(stand_in / "tiny.ipynb", nb)
     before = path.read_bytes()
     assert not kernels.run([path])
     assert said in capsys.readouterr().err
     assert path.read_bytes() == before
-    assert sorted(file.name for file in stand_in.glob("*.ipynb*") if not file.is_dir()) == ["tiny.ipynb"]
+    assert sorted(file.name for file in stand_in.glob("*.ipynb*") if not file.is_dir()) == [
+        "tiny.ipynb"
+    ]

@@ -9,9 +9,8 @@ from itertools import pairwise
 import nbformat
 import pytest
 
-from course import exercises, nbtools
+from course import exercises, nbtools, rules
 from course.figures.captions import captions
-from course.publish import rules
 
 TEMPLATE = nbtools.ROOT / "course" / "template.ipynb"
 each = pytest.mark.parametrize("path", nbtools.notebooks(), ids=lambda path: path.stem)
@@ -39,7 +38,11 @@ def test_exercises_are_numbered_and_the_open_one_comes_last(path):
     assert numbers == [f"{nbtools.number(path)}.{k}" for k in range(1, len(numbers) + 1)]
     if exercises.functions(nbtools.number(path)):
         return
-    checkers = [k for k, cell in enumerate(cells) if re.search(r"^exercises\.check_\w+\(", cell.source, re.MULTILINE)]
+    checkers = [
+        k
+        for k, cell in enumerate(cells)
+        if re.search(r"^exercises\.check_\w+\(", cell.source, re.MULTILINE)
+    ]
     assert len(checkers) >= (5 if "01" <= nbtools.number(path) <= "09" else 2)
     assert max(checkers) < min(k for k, cell in enumerate(cells) if "(open).**" in cell.source)
 

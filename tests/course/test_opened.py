@@ -1,7 +1,8 @@
-"""The functions that the notebooks leave open: right answers, known mistakes, garbage, and where they are asked for.
+"""The functions that the notebooks leave open: right answers, known mistakes, garbage, and where
+they are asked for.
 
-The notebooks themselves show that the answers agree with the library, and nbval compares what they print.
-"""
+The notebooks themselves show that the answers agree with the library, and nbval compares what they
+print."""
 
 import ast
 import base64
@@ -50,18 +51,23 @@ def test_a_check_gives_the_function_to_go_on_with(number, function, monkeypatch)
         with np.errstate(all="ignore"):
             words, used = said(function, wrong)
         assert used is function.answer and f"{function.name}: not yet: {hint}. " in words
-        assert ("Hint: " in words) is (failures == 2) and words.endswith(" The notebook goes on with the solution.\n")
+        assert ("Hint: " in words) is (failures == 2) and words.endswith(
+            " The notebook goes on with the solution.\n"
+        )
     words, used = said(function, function.answer)  # the check cell, run twice
     assert "this is the solution" in words and used is function.answer
 
 
-# --- In the notebooks ---------------------------------------------------------------------------------------
+# --- In the notebooks
+# ---------------------------------------------------------------------------------------
 
 
 def cells_of(number, function):
     """The cells of an open function: the stub, the check, and the cell after it."""
     cells = NOTEBOOKS[number].cells
-    stubs = [k for k, c in enumerate(cells) if c.cell_type == "code" and names(c) == [function.name]]
+    stubs = [
+        k for k, c in enumerate(cells) if c.cell_type == "code" and names(c) == [function.name]
+    ]
     assert len(stubs) == 1
     return cells[stubs[0] : stubs[0] + 3]
 
@@ -77,10 +83,14 @@ def test_a_function_is_asked_for_checked_and_solved_in_one_place(number, functio
     assert ast.unparse(asked.args) == ast.unparse(answer.args)
     assert ast.get_docstring(asked) == ast.get_docstring(answer)
     assert ast.unparse(asked.body[-1]) == "..." and len(asked.body) == 2
-    assert check.source.splitlines()[0] == f"{function.name} = nb{number}.check_{function.name}({function.name})"
+    assert (
+        check.source.splitlines()[0]
+        == f"{function.name} = nb{number}.check_{function.name}({function.name})"
+    )
     assert nbtools.SOLUTION.match(solution.source)[2] == function.name
     assert f"```python\n{function.source}\n```" in solution.source
-    assert len(ast.unparse(answer).splitlines()) - 2 <= MOST_LINES  # but for the signature and the docstring
+    # but for the signature and the docstring
+    assert len(ast.unparse(answer).splitlines()) - 2 <= MOST_LINES
 
 
 @pytest.mark.parametrize("number", NOTEBOOKS)
@@ -115,7 +125,11 @@ def test_answers_written_into_the_notebook_are_right_there(number):
         assert mine is not function.answer and said(function, mine)[1] is mine
 
 
-PICTURED = [pytest.param(*function.values, id=function.id) for function in FUNCTIONS if function.values[1].real]
+PICTURED = [
+    pytest.param(*function.values, id=function.id)
+    for function in FUNCTIONS
+    if function.values[1].real
+]
 
 
 @pytest.mark.parametrize(("number", "function"), PICTURED)
@@ -128,17 +142,29 @@ def test_a_wrong_picture_is_shown_above_the_right_one(number, function):
 
     with redirect_stdout(io.StringIO()), patch("IPython.display.display") as display:
         function(mirrored)
-    ((shown,), how) = display.call_args
-    assert how["metadata"]["image/png"]["alt"] == shown["text/plain"] and function.name in shown["text/plain"]
-    drawn = np.asarray(Image.open(io.BytesIO(base64.b64decode(shown["image/png"]))).convert("L"), np.float64)
-    yours, beside = (half[:, ::-1] if k == 0 else half for k, half in enumerate(np.array_split(drawn, 2)))
+    (shown,), how = display.call_args
+    assert (
+        how["metadata"]["image/png"]["alt"] == shown["text/plain"]
+        and function.name in shown["text/plain"]
+    )
+    drawn = np.asarray(
+        Image.open(io.BytesIO(base64.b64decode(shown["image/png"]))).convert("L"), np.float64
+    )
+    yours, beside = (
+        half[:, ::-1] if k == 0 else half for k, half in enumerate(np.array_split(drawn, 2))
+    )
     middle = np.s_[yours.shape[0] // 3 : -yours.shape[0] // 4, 20:-20]  # without titles and edges
     assert np.corrcoef(yours[middle].ravel(), beside[: len(yours)][middle].ravel())[0, 1] > 0.5
 
 
 def test_nothing_is_drawn_where_a_picture_says_nothing():
     function = next(check for check in exercises.functions("03") if check.real)
-    wrong = (lambda *_: 1 / 0, lambda *_: 0.0, lambda *_: None, lambda *inputs: function.answer(*inputs) + 1e-4)
+    wrong = (
+        lambda *_: 1 / 0,
+        lambda *_: 0.0,
+        lambda *_: None,
+        lambda *inputs: function.answer(*inputs) + 1e-4,
+    )
     with redirect_stdout(io.StringIO()), patch("IPython.display.display") as display:
         for mistake in wrong:
             function(mistake)
@@ -152,21 +178,28 @@ def test_a_check_counts_what_is_right_in_its_notebook_and_gives_a_hint(monkeypat
     first, second, *_ = exercises.functions("03")
     for done, function in ((1, first), (2, second), (2, second)):
         words, _ = said(function, lambda *inputs, function=function: function.answer(*inputs))
-        assert words == (
-            f"\x1b[32m✓\x1b[0m {function.name}: right, {done} of 5 in this notebook. The notebook goes on with yours.\n"
+        assert (
+            words == f"\x1b[32m✓\x1b[0m {function.name}: right, {done} of 5 in this notebook. The"
+            " notebook goes on with yours.\n"
         )
-    assert first.hint() == "a solution begins with `theta = (columns + 0.5 - width / 2) * 2 * np.pi / width`"
+    assert (
+        first.hint()
+        == "a solution begins with `theta = (columns + 0.5 - width / 2) * 2 * np.pi / width`"
+    )
     assert exercises.functions("05")[2].hint() == "one line is enough"
 
 
-# --- Garbage, once --------------------------------------------------------------------------------------------
+# --- Garbage, once
+# --------------------------------------------------------------------------------------------
 
 
 def twice(x, factor):
     return factor * x
 
 
-CHECK = Open(twice, lambda rng, k: (rng.uniform(1, 2, (2, 3 + k % 2)), 2.0)).with_slips("return x  # multiply")
+CHECK = Open(twice, lambda rng, k: (rng.uniform(1, 2, (2, 3 + k % 2)), 2.0)).with_slips(
+    "return x  # multiply"
+)
 
 
 class Hostile:
@@ -202,12 +235,21 @@ GARBAGE = {
     "ragged": (lambda x, f: [[1], [2, 3]], "a list that is no array of numbers"),
     "truth values": (lambda x, f: x > 1, "an array of bool"),
     "too much": (lambda x, f: (f * x, x.shape), "the first thing that you return is right"),
-    "wrong shape": (lambda x, f: f * x[0], "expected numbers of shape (2, 3), got numbers of shape (3,)"),
-    "infinite": (lambda x, f: np.where(x < 1.5, f * x, np.inf), "NaN or infinity where a number is right"),
+    "wrong shape": (
+        lambda x, f: f * x[0],
+        "expected numbers of shape (2, 3), got numbers of shape (3,)",
+    ),
+    "infinite": (
+        lambda x, f: np.where(x < 1.5, f * x, np.inf),
+        "NaN or infinity where a number is right",
+    ),
     "centimetres": (lambda x, f: 100 * f * x, "centimetres"),
     "no name": (lambda x, f: f * x + 0.37, "too large by 0.37 everywhere"),
     "a part": (lambda x, f: f * np.stack([x[0], x[1] ** 2]), "wrong only in number 1 along axis 0"),
-    "overwrites": (overwriting, "the value is right, but your function overwrites its argument number 1"),
+    "overwrites": (
+        overwriting,
+        "the value is right, but your function overwrites its argument number 1",
+    ),
     "empty": (lambda x, f: x[:0], "expected numbers of shape (2, 3), got numbers of shape (0, 3)"),
     "single precision": (lambda x, f: (f * x).astype(np.float32), RIGHT),
     "a list": (lambda x, f: (f * x).tolist(), RIGHT),
@@ -230,7 +272,8 @@ def test_an_error_comes_with_the_line_of_the_student():
         return factor * y[7, 7]
 
     assert re.search(
-        r"stopped with IndexError: .*, in line \d+ of its cell: `return factor \* y\[7, 7\]`$", CHECK.check(wrong)
+        r"stopped with IndexError: .*, in line \d+ of its cell: `return factor \* y\[7, 7\]`$",
+        CHECK.check(wrong),
     )
 
 
@@ -244,7 +287,9 @@ def test_the_next_cell_has_the_last_word(monkeypatch):
 def test_a_name_that_a_later_cell_uses_is_kept():
     check = Open(twice, CHECK.draw, keywords=["factor"])
     words, used = said(check, lambda x, f: f * x)
-    assert used is twice and words.startswith("\x1b[31m✗\x1b[0m twice: not yet: later cells use the names")
+    assert used is twice and words.startswith(
+        "\x1b[31m✗\x1b[0m twice: not yet: later cells use the names"
+    )
 
 
 @pytest.mark.parametrize("name", GARBAGE)

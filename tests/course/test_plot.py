@@ -33,14 +33,20 @@ def test_encode_depends_on_the_picture_alone(figure, kind, magic):
 
 def test_show_publishes_picture_description_and_caption_and_closes(figure, monkeypatch):
     shown = []
-    monkeypatch.setattr("IPython.display.display", lambda data, **options: shown.append((data, options)))
+    monkeypatch.setattr(
+        "IPython.display.display", lambda data, **options: shown.append((data, options))
+    )
     expected = plot.encode(figure, "jpeg")
     entry = {"caption": "All *noise*.", "alt": "a rectangle of coloured noise", "kind": "jpeg"}
     monkeypatch.setattr(plot, "captions", lambda: {"noise": entry})
     plot.show(figure, "noise")
     (picture, options), (caption, _) = shown
     assert base64.b64decode(picture["image/jpeg"]) == expected
-    assert picture["text/plain"] == options["metadata"]["image/jpeg"]["alt"] == "a rectangle of coloured noise"
+    assert (
+        picture["text/plain"]
+        == options["metadata"]["image/jpeg"]["alt"]
+        == "a rectangle of coloured noise"
+    )
     assert caption["text/markdown"] == "*Figure:* All *noise*."
     assert not plt.fignum_exists(figure.number)
 
@@ -109,7 +115,9 @@ def test_a_live_figure_follows_its_sliders(monkeypatch):
 def test_a_click_moves_the_cross_and_asks_that_ray(monkeypatch):
     shown, drawn, clicked = [], [], []
     monkeypatch.setattr("IPython.display.display", shown.append)
-    monkeypatch.setattr("ipyevents.Event.on_dom_event", lambda event, callback: clicked.append(callback))
+    monkeypatch.setattr(
+        "ipyevents.Event.on_dom_event", lambda event, callback: clicked.append(callback)
+    )
 
     def draw(row, column):
         drawn.append((row, column))
@@ -121,7 +129,14 @@ def test_a_click_moves_the_cross_and_asks_that_ray(monkeypatch):
     picture, below = shown
     row, column, figure = below.children
     before = cv2.imdecode(np.frombuffer(picture.value, np.uint8), cv2.IMREAD_COLOR)
-    clicked[0]({"relativeX": 300.0, "relativeY": 149.9, "boundingRectWidth": 640.0, "boundingRectHeight": 160.0})
+    clicked[0](
+        {
+            "relativeX": 300.0,
+            "relativeY": 149.9,
+            "boundingRectWidth": 640.0,
+            "boundingRectHeight": 160.0,
+        }
+    )
     after = cv2.imdecode(np.frombuffer(picture.value, np.uint8), cv2.IMREAD_COLOR)
     assert (row.value, column.value) == (7, 15) and drawn[0] == (2, 5) and drawn[-1] == (7, 15)
     assert before.shape == (24, 96, 3) and (before != after).any()
@@ -130,7 +145,8 @@ def test_a_click_moves_the_cross_and_asks_that_ray(monkeypatch):
 
 
 def test_points_are_seen_from_the_eye():
-    """Red 1 m down (+y), green 1 m to the right (+x), seen from behind; blue behind the eye is not seen."""
+    """Red 1 m down (+y), green 1 m to the right (+x), seen from behind; blue behind the eye is not
+    seen."""
     rng = np.random.default_rng(0)
     places = {(0, 1, 0): (255, 0, 0), (1, 0, 0): (0, 255, 0), (0, 0, -8): (0, 0, 255)}
     points = np.concatenate([rng.normal(place, 0.1, (300, 3)) for place in places])

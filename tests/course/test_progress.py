@@ -1,4 +1,5 @@
-"""The progress page: it counts what the checks printed into the working copies, and ends with the certificate."""
+"""The progress page: it counts what the checks printed into the working copies, and ends with the
+certificate."""
 
 import io
 import re
@@ -19,19 +20,24 @@ def copies(tmp_path, monkeypatch):
     """The folder of the working copies."""
     monkeypatch.setattr(progress, "WORKING", tmp_path / "my_notebooks")
     return shutil.copytree(
-        nbtools.NOTEBOOKS, progress.WORKING, ignore=lambda _, names: [n for n in names if not n.endswith("ipynb")]
+        nbtools.NOTEBOOKS,
+        progress.WORKING,
+        ignore=lambda _, names: [n for n in names if not n.endswith("ipynb")],
     )
 
 
 def answer(path, right):
-    """Check some functions of a copy, given whether each is right, and save what is printed, as JupyterLab does."""
+    """Check some functions of a copy, given whether each is right, and save what is printed, as
+    JupyterLab does."""
     nb = nbformat.read(path, 4)
     for function in exercises.functions(nbtools.number(path)):
         if function.name in right:
             mine = partial(function.answer) if right[function.name] else lambda *inputs: 0.5
             with redirect_stdout(io.StringIO()) as printed:
                 function(mine)
-            (cell,) = [cell for cell in nbtools.code_cells(nb) if f"check_{function.name}(" in cell.source]
+            (cell,) = [
+                cell for cell in nbtools.code_cells(nb) if f"check_{function.name}(" in cell.source
+            ]
             cell.outputs[:1] = [new_output("stream", name="stdout", text=printed.getvalue())]
     nbformat.write(nb, path)
 
@@ -50,14 +56,19 @@ def test_it_counts_what_was_saved(copies, tmp_path, capsys):
     assert '<span class="right">✓</span> <code>look_up</code>' in page
     assert '<span class="wrong">✗</span> <code>disagreement</code>' in page
     assert '<span class="">·</span> <code>zncc</code>' in page
-    first = re.findall(r"Go on with <code>(\w+)</code> in <a href=.http://[^/]+/lab/tree/my_notebooks/(\d\d)_", page)
+    first = re.findall(
+        r"Go on with <code>(\w+)</code> in <a href=.http://[^/]+/lab/tree/my_notebooks/(\d\d)_",
+        page,
+    )
     assert first == [(exercises.functions("00")[0].name, "00")]
     assert "03 Sphere sweep: 1 of 5\n" in capsys.readouterr().out
 
 
 def test_the_certificate_shows_the_panorama_of_the_own_functions_and_nothing_else(copies, tmp_path):
     for path in copies.glob("*.ipynb"):
-        answer(path, {function.name: True for function in exercises.functions(nbtools.number(path))})
+        answer(
+            path, {function.name: True for function in exercises.functions(nbtools.number(path))}
+        )
     (picture,) = re.findall(r'base64,([^"]+)"', written(tmp_path))
     nb = nbformat.read(copies / "13_one_page.ipynb", 4)
     (cell,) = [cell for cell in nb.cells if progress.PICTURE in cell.source]

@@ -1,4 +1,5 @@
-"""The solution notebooks have the right answers in the place of the stubs, and nothing else is changed."""
+"""The solution notebooks have the right answers in the place of the stubs, and nothing else is
+changed."""
 
 import re
 import runpy
@@ -26,7 +27,8 @@ def test_a_solution_notebook_differs_in_the_solved_cells_alone(path):
         assert not stubbed or not (any(solve.stubs(cell.source)) or cell.outputs)
 
 
-# --- The tool, on a notebook of its own ---------------------------------------------------------------------
+# --- The tool, on a notebook of its own
+# ---------------------------------------------------------------------
 
 
 def double(x):
@@ -45,7 +47,10 @@ STUB = "def double(x):\n    return ...\n\n\nprint(double(2))"
 def course(tmp_path):
     """The path of a notebook with one stub."""
     printed = new_output("stream", name="stdout", text="Ellipsis\n")
-    cells = [new_markdown_cell("Double it."), new_code_cell(STUB, outputs=[printed], execution_count=1)]
+    cells = [
+        new_markdown_cell("Double it."),
+        new_code_cell(STUB, outputs=[printed], execution_count=1),
+    ]
     path = tmp_path / "00_tiny.ipynb"
     nbformat.write(new_notebook(cells=cells), path)
     return path
@@ -65,7 +70,9 @@ def test_two_stubs_in_a_cell():
 
 
 def test_stub_without_an_answer_is_named(course):
-    with pytest.raises(OmnistereoError, match="the stub double has no answer in course/exercises; there are half"):
+    with pytest.raises(
+        OmnistereoError, match="the stub double has no answer in course/exercises; there are half"
+    ):
         solve.solve(nbformat.read(course, as_version=4), {"half": half})
 
 
@@ -96,7 +103,9 @@ def test_command_writes_notebooks_that_ran_and_find_the_data(tiny, monkeypatch, 
     assert (tiny / "out" / "solutions" / ".." / "data_samples").resolve() == tiny / "data_samples"
 
 
-@pytest.mark.parametrize(("source", "said"), [("return x", "not yet: twice"), ("return x / 0", "ZeroDivisionError")])
+@pytest.mark.parametrize(
+    ("source", "said"), [("return x", "not yet: twice"), ("return x / 0", "ZeroDivisionError")]
+)
 def test_command_writes_no_wrong_solution(tiny, monkeypatch, source, said):
     (tiny / "wrong.py").write_text(f"def double(x):\n    {source}\n", encoding="utf-8")
     wrong = runpy.run_path(str(tiny / "wrong.py"))["double"]

@@ -12,17 +12,18 @@ from ipywidgets import FloatLogSlider, FloatSlider, IntSlider, SelectionSlider
 from PIL import Image
 
 import omnistereo_lib as osl
-from course.figures import plot
-from course.publish import dark_mode, stills
+from course.figures import dark_mode, plot, stills
 
 RNG = np.random.default_rng(0)
 
 
-# --- Dark pages ---------------------------------------------------------------------------------------------
+# --- Dark pages
+# ---------------------------------------------------------------------------------------------
 
 
 def figure():
-    """A white page with a photograph, a line drawing in a frame and a word, and where the photograph is."""
+    """A white page with a photograph, a line drawing in a frame and a word, and where the
+    photograph is."""
     page = np.full((300, 400, 3), 255, np.uint8)
     photograph = np.s_[20:140, 20:180]
     page[photograph] = RNG.integers(0, 230, (120, 160, 3))
@@ -44,12 +45,16 @@ def test_paper_gets_dark_ink_light_and_a_photograph_stays():
 
 def test_a_line_keeps_its_hue_and_is_seen_on_dark_paper():
     dark = dark_mode.for_dark_page(np.tile(np.uint8([31, 119, 180]), (4, 4, 1)))[0, 0]
-    hue = [cv2.cvtColor(np.uint8([[color]]), cv2.COLOR_RGB2HSV)[0, 0, 0] for color in ([31, 119, 180], dark)]
+    hue = [
+        cv2.cvtColor(np.uint8([[color]]), cv2.COLOR_RGB2HSV)[0, 0, 0]
+        for color in ([31, 119, 180], dark)
+    ]
     assert abs(int(hue[0]) - int(hue[1])) <= 2
     assert dark.max() > 150
 
 
-# --- Stills -------------------------------------------------------------------------------------------------
+# --- Stills
+# -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -92,7 +97,8 @@ def test_a_live_figure_is_stored_at_its_places_and_shown(recorded, tmp_path):
 
     html = stills.shown("tiny", 0, tmp_path / "out", "../")
     assert html.count("<input") == 2 and html.count("<img") == 2 * 5 and html.count(" hidden>") == 4
-    assert len(list((tmp_path / "out" / dark_mode.FOLDER).iterdir())) == 2 * 3  # n = 5 is always the same picture
+    # n = 5 is always the same picture
+    assert len(list((tmp_path / "out" / dark_mode.FOLDER).iterdir())) == 2 * 3
 
 
 def test_a_slider_over_labels_shows_them(recorded, tmp_path):
@@ -104,24 +110,33 @@ def test_a_slider_over_labels_shows_them(recorded, tmp_path):
 
 def test_a_click_on_a_panorama_is_stored_with_its_figure(recorded):
     plot.pick_ray(lambda row, column: plt.figure(figsize=(2, 1)), np.full((8, 32), 100.0), 2, 5)
-    assert [slider["name"] for slider in json.loads((recorded / "index.json").read_text())[0]["sliders"]] == [
+    assert [
+        slider["name"] for slider in json.loads((recorded / "index.json").read_text())[0]["sliders"]
+    ] == [
         "row",
         "column",
     ]
     still = Image.open(io.BytesIO((recorded / "0-row-2.webp").read_bytes()))
-    assert still.width / still.height == pytest.approx(900 / (225 + 450), rel=0.1)  # the panorama above the figure
+    # the panorama above the figure
+    assert still.width / still.height == pytest.approx(900 / (225 + 450), rel=0.1)
 
 
 def test_a_live_figure_without_stills(recorded):
-    with pytest.raises(osl.OmnistereoError, match=r"Run: python -m course stills notebooks/tiny.ipynb"):
+    with pytest.raises(
+        osl.OmnistereoError, match=r"Run: python -m workshop stills notebooks/tiny.ipynb"
+    ):
         stills.shown("tiny", 0, recorded)
 
 
-# --- Viewer -------------------------------------------------------------------------------------------------
+# --- Viewer
+# -------------------------------------------------------------------------------------------------
 
 
 def test_a_view_is_stored_and_begins_with_its_points(recorded, tmp_path, open_page):
-    rig, grid = scene.rig(width=80, height=64), osl.SphereGrid(64, 16, num_spheres=16, min_depth=0.6)
+    rig, grid = (
+        scene.rig(width=80, height=64),
+        osl.SphereGrid(64, 16, num_spheres=16, min_depth=0.6),
+    )
     images = [np.full((64, 80), 200, np.uint8)] * 4
     depth = scene.true_depth(rig, grid, images)
     plot.explore(depth, max_depth=50)
@@ -129,6 +144,8 @@ def test_a_view_is_stored_and_begins_with_its_points(recorded, tmp_path, open_pa
     page = open_page(900, 800)
     page.goto((tmp_path / "views" / "tiny-0.html").as_uri())
     page.wait_for_selector("body[data-drawn=points]")
-    shown = page.evaluate("[...new Set(renderer.names(seen(), settings(), 0, 0, canvas.width, canvas.height))]")
+    shown = page.evaluate(
+        "[...new Set(renderer.names(seen(), settings(), 0, 0, canvas.width, canvas.height))]"
+    )
     assert len(shown) > 200 and (depth.depth.ravel()[[k for k in shown if k >= 0]] <= 50).all()
     assert page.complaints == []

@@ -9,8 +9,12 @@ from course import nbtools
 from course.classroom import handin
 
 PAGE = (nbtools.ROOT / "book" / "teaching.md").read_text(encoding="utf-8")
-SECTIONS = {part.partition(" ")[0]: part for part in re.split(r"^## (?=\d)", PAGE, flags=re.MULTILINE)[1:]}
-NOTEBOOKS = {nbtools.number(path): nbformat.read(path, as_version=4) for path in nbtools.notebooks()}
+SECTIONS = {
+    part.partition(" ")[0]: part for part in re.split(r"^## (?=\d)", PAGE, flags=re.MULTILINE)[1:]
+}
+NOTEBOOKS = {
+    nbtools.number(path): nbformat.read(path, as_version=4) for path in nbtools.notebooks()
+}
 
 
 def numbers(nb):
@@ -25,7 +29,9 @@ def test_every_notebook_has_a_section():
 
 @pytest.mark.parametrize("number", NOTEBOOKS)
 def test_a_section_grades_ten_points(number):
-    assert SECTIONS[number].startswith(f"{number} · {NOTEBOOKS[number].metadata.omnistereo.title}\n")
+    assert SECTIONS[number].startswith(
+        f"{number} · {NOTEBOOKS[number].metadata.omnistereo.title}\n"
+    )
     assert sum(map(int, re.findall(r"^\| (\d+) \|", SECTIONS[number], re.MULTILINE))) == 10
 
 

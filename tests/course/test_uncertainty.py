@@ -6,16 +6,19 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
-from course.experiments.uncertainty import index_shift, index_uncertainty
+from course.figures.uncertainty import index_shift, index_uncertainty
 from omnistereo_lib.geometry.pose import Pose
 
 
 def test_index_shift_of_a_rotated_camera_by_geometry():
-    """Two cameras side by side; one rotated by α: the parallax is off by α everywhere, and so is the inverse depth."""
+    """Two cameras side by side; one rotated by α: the parallax is off by α everywhere, and so is
+    the inverse depth."""
     camera = scene.camera()
     rig = osl.Rig([camera, camera], [Pose(np.eye(3), [-0.1, 0, 0]), Pose(np.eye(3), [0.1, 0, 0])])
     alpha = np.radians(0.1)
-    wrong = rig.with_poses([rig.T_rig_cam[0], rig.T_rig_cam[1] @ Pose.from_vector([0, alpha, 0, 0, 0, 0])])
+    wrong = rig.with_poses(
+        [rig.T_rig_cam[0], rig.T_rig_cam[1] @ Pose.from_vector([0, alpha, 0, 0, 0, 0])]
+    )
     grid = osl.SphereGrid(72, 3, (-3, 3), 192, 0.5)
     shift = index_shift(rig, wrong, grid, index=20, pairs=[(0, 1)])
     middle = shift[1, 36]  # straight ahead: the ray meets the baseline at a right angle
@@ -31,9 +34,16 @@ def test_index_shift_is_what_the_sweep_finds():
     """In the box of known depth: median over the rays that are predicted to move."""
     rig, grid = scene.rig(), osl.SphereGrid(160, 40, (-30, 30), 64, 1.0)
     images = scene.images(rig)
-    wrong = rig.with_poses([rig.T_rig_cam[0] @ Pose.from_vector([0, np.radians(0.8), 0, 0, 0, 0]), *rig.T_rig_cam[1:]])
-    before, after = (osl.estimate_depth(osl.Frame.of(which, images), grid, "zncc+sgm").index for which in (rig, wrong))
-    predicted = index_shift(rig.recentered(), wrong.recentered(rig.centers.mean(0)), grid, np.nanmedian(before))
+    wrong = rig.with_poses(
+        [rig.T_rig_cam[0] @ Pose.from_vector([0, np.radians(0.8), 0, 0, 0, 0]), *rig.T_rig_cam[1:]]
+    )
+    before, after = (
+        osl.estimate_depth(osl.Frame.of(which, images), grid, "zncc+sgm").index
+        for which in (rig, wrong)
+    )
+    predicted = index_shift(
+        rig.recentered(), wrong.recentered(rig.centers.mean(0)), grid, np.nanmedian(before)
+    )
     strong = np.abs(predicted) > 0.7 * np.nanmax(np.abs(predicted))
     moved = np.nanmedian((after - before)[strong] * np.sign(predicted[strong]))
     assert moved > 0.4 * np.median(np.abs(predicted[strong]))

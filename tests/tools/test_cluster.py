@@ -11,7 +11,7 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
-from omnistereo_lib.evaluate import SCALES
+from omnistereo_learn.evaluate import SCALES
 from omnistereo_tools import cli
 from omnistereo_tools.record.cluster import on_cluster
 
@@ -20,17 +20,27 @@ FRAMES = 6
 
 @pytest.fixture(scope="module")
 def distributed():
-    return pytest.importorskip("dask.distributed", reason="Dask is not installed: environment-dev.txt has it")
+    return pytest.importorskip(
+        "dask.distributed", reason="Dask is not installed: environment-dev.txt has it"
+    )
 
 
 @pytest.fixture(scope="module")
 def cluster(distributed):
-    """Two workers, forked by a process that has imported the library, as is the one in place of the killed one."""
+    """Two workers, forked by a process that has imported the library, as is the one in place of the
+    killed one."""
     import dask
 
-    options = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
+    options = {
+        "n_workers": 2,
+        "threads_per_worker": 1,
+        "processes": True,
+        "dashboard_address": None,
+    }
     with dask.config.set({"distributed.worker.multiprocessing-method": "forkserver"}):
-        distributed.utils.get_mp_context().set_forkserver_preload(["distributed", "omnistereo_lib.stereo.pipeline"])
+        distributed.utils.get_mp_context().set_forkserver_preload(
+            ["distributed", "omnistereo_lib.stereo.pipeline"]
+        )
         with distributed.LocalCluster(host="127.0.0.1", **options) as cluster:
             yield cluster
 
@@ -78,12 +88,16 @@ def test_a_recording_with_a_worker_that_dies(distributed, cluster, recorded, tmp
 
 def test_an_evaluation(cluster, tmp_path, monkeypatch):
     grid = osl.SphereGrid(96, 24, num_spheres=16, min_depth=0.6)
-    monkeypatch.setitem(SCALES, "teaching", replace(SCALES["teaching"], width=96, height=24, num_spheres=16))
+    monkeypatch.setitem(
+        SCALES, "teaching", replace(SCALES["teaching"], width=96, height=24, num_spheres=16)
+    )
     scene.write_set(tmp_path / "box", scene.rig(width=100, height=96), grid, np.eye(3)[:2] / 10)
     command = ["evaluate", "--sets", tmp_path / "box", "--methods", "zncc"]
     assert run(*command, "--out", tmp_path / "local") == 0
     assert run(*command, "--out", tmp_path / "cluster", "--cluster", cluster.scheduler_address) == 0
-    local, of_cluster = ((tmp_path / name / "results.json").read_bytes() for name in ("local", "cluster"))
+    local, of_cluster = (
+        (tmp_path / name / "results.json").read_bytes() for name in ("local", "cluster")
+    )
     assert local == of_cluster
 
 
@@ -101,6 +115,9 @@ def test_a_scheduler_that_ends(distributed):
 
 def test_a_scheduler_that_is_not_there(distributed, recorded, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("omnistereo_tools.record.cluster._PATIENCE_S", 0.5)
-    assert run(*record(recorded, "zncc"), "--out", tmp_path / "out", "--cluster", "tcp://127.0.0.1:1") == 2
+    assert (
+        run(*record(recorded, "zncc"), "--out", tmp_path / "out", "--cluster", "tcp://127.0.0.1:1")
+        == 2
+    )
     assert "no Dask scheduler answers at tcp://127.0.0.1:1" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

@@ -1,4 +1,5 @@
-"""Coverage of a rig against closed forms: solid angles of cones, triangulation of two rays, spheres a pixel apart."""
+"""Coverage of a rig against closed forms: solid angles of cones, triangulation of two rays, spheres
+a pixel apart."""
 
 import warnings
 from itertools import combinations
@@ -13,7 +14,9 @@ from omnistereo_tools.outputs import save_figure
 
 
 def rig_of(*poses, fov=200.0):
-    return osl.Rig([scene.camera(400, 384, fov)] * len(poses), [osl.Pose.from_vector(pose) for pose in poses])
+    return osl.Rig(
+        [scene.camera(400, 384, fov)] * len(poses), [osl.Pose.from_vector(pose) for pose in poses]
+    )
 
 
 def test_shares_of_back_to_back_cameras_are_solid_angles():
@@ -25,19 +28,25 @@ def test_shares_of_back_to_back_cameras_are_solid_angles():
 
 
 def test_baseline_across_the_ray_and_resolution_by_triangulation():
-    """A pair 0.2 m apart along x: rotate the left ray by the angle of a pixel, and see where it meets the right one."""
+    """A pair 0.2 m apart along x: rotate the left ray by the angle of a pixel, and see where it
+    meets the right one."""
     coverage = Coverage.of(rig_of([0, 0, 0, -0.1, 0, 0], [0, 0, 0, 0.1, 0, 0]))
     rays = coverage.grid.rays()
     two = coverage.cameras == 2
-    np.testing.assert_allclose(coverage.baseline[two], 0.2 * np.linalg.norm(rays[two][:, 1:], axis=1))
-    assert np.isnan(coverage.baseline[~two]).all() and two.mean() == pytest.approx(200 / 360, abs=0.1)
+    np.testing.assert_allclose(
+        coverage.baseline[two], 0.2 * np.linalg.norm(rays[two][:, 1:], axis=1)
+    )
+    assert np.isnan(coverage.baseline[~two]).all() and two.mean() == pytest.approx(
+        200 / 360, abs=0.1
+    )
     f = (384 / 2 - 2) / np.radians(100)  # px per radian of the equidistant lens
     assert coverage.pixels_per_degree == pytest.approx(np.radians(f), rel=1e-3)
     row, column = 90, 200  # 20.5° right, 0.5° down
     depth, step = 3.0, 0.01 / f  # a hundredth of a pixel, so that the first order counts
     point = depth * rays[row, column]
     left, right = point - [-0.1, 0, 0], point - [0.1, 0, 0]
-    angles = [np.arctan2(v[0], np.hypot(v[1], v[2])) for v in (left, right)]  # from the plane across the baseline
+    # from the plane across the baseline
+    angles = [np.arctan2(v[0], np.hypot(v[1], v[2])) for v in (left, right)]
     reach = 0.2 / (np.tan(angles[0] + step) - np.tan(angles[1]))
     x = -0.1 + reach * np.tan(angles[0] + step)
     off = depth - np.hypot(x, reach)
@@ -50,7 +59,10 @@ def test_the_proposed_spheres_move_a_match_by_about_a_pixel():
     grid = coverage.propose()
     assert grid.min_depth == pytest.approx(data.rig.min_depth, rel=0.2)  # which the sets state
     rays, moved = grid.rays()[::37, ::37].reshape(-1, 3), []
-    near, far = ([grid.index_to_depth(n) * rays - center for center in coverage.rig.centers] for n in (70, 69))
+    near, far = (
+        [grid.index_to_depth(n) * rays - center for center in coverage.rig.centers]
+        for n in (70, 69)
+    )
     cameras = zip(coverage.rig.cameras, coverage.rig.T_rig_cam, far, strict=True)
     seen = [camera.project(points @ pose.R)[1] for camera, pose, points in cameras]
     for i, j in combinations(range(4), 2):
@@ -80,7 +92,9 @@ def test_depth_is_good_from_where_the_views_of_a_point_are_30_degrees_apart():
 
 def test_cameras_at_one_place_are_told():
     coverage = Coverage.of(rig_of([0] * 6, [0, 1, 0, 0, 0, 0]))
-    with pytest.raises(osl.OmnistereoError, match="all cameras are at one place: they see no depth"):
+    with pytest.raises(
+        osl.OmnistereoError, match="all cameras are at one place: they see no depth"
+    ):
         coverage.propose()
 
 
@@ -96,7 +110,9 @@ def test_cameras_that_share_no_view_have_no_depth():
     assert coverage.sentences()[1:] == ["No two cameras see the same direction: there is no depth."]
 
 
-@pytest.mark.parametrize("rig", [scene.rig(cameras=3), rig_of([0] * 6, [0, np.pi, 0, 0, 0, 0], fov=120.0)])
+@pytest.mark.parametrize(
+    "rig", [scene.rig(cameras=3), rig_of([0] * 6, [0, np.pi, 0, 0, 0, 0], fov=120.0)]
+)
 def test_the_figure_shows_counts_and_metres(rig, tmp_path):
     """Also where no two cameras see the same direction."""
     coverage = Coverage.of(rig)

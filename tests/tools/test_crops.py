@@ -1,4 +1,5 @@
-"""Perspective crops: what a pinhole at the place of the camera sees of the box, its depth, its pose."""
+"""Perspective crops: what a pinhole at the place of the camera sees of the box, its depth, its
+pose."""
 
 import json
 
@@ -37,7 +38,14 @@ def test_each_crop_is_what_a_pinhole_sees(rig, written):
         assert z.shape == image.shape == (frame["h"], frame["w"])
         # The rays of an OpenGL camera: x right, y up, looking along -z.
         u, v = np.meshgrid(np.arange(frame["w"]) + 0.5, np.arange(frame["h"]) + 0.5)
-        rays = np.stack([(u - frame["cx"]) / frame["fl_x"], -(v - frame["cy"]) / frame["fl_y"], -np.ones_like(u)], -1)
+        rays = np.stack(
+            [
+                (u - frame["cx"]) / frame["fl_x"],
+                -(v - frame["cy"]) / frame["fl_y"],
+                -np.ones_like(u),
+            ],
+            -1,
+        )
         matrix = np.array(frame["transform_matrix"])
         down = np.array([1, -1, -1])  # the world of the file has y up
         origin, directions = matrix[:3, 3] * down + center, rays @ matrix[:3, :3].T * down
@@ -50,7 +58,8 @@ def test_each_crop_is_what_a_pinhole_sees(rig, written):
         assert np.min(np.linalg.norm([pose.t - origin for pose in rig.T_rig_cam], axis=-1)) < 1e-9
         expected = scene.texture(origin + unit * distance[..., None], finest=0.25)
         inner = slice(20, -20)
-        assert np.abs(image[inner, inner] - expected[inner, inner]).mean() < 2  # of 255, interpolated
+        # of 255, interpolated
+        assert np.abs(image[inner, inner] - expected[inner, inner]).mean() < 2
 
 
 def test_the_crops_are_read_as_a_rig(written):
@@ -60,9 +69,14 @@ def test_the_crops_are_read_as_a_rig(written):
     for camera, pose, frame in zip(rig.cameras, rig.T_rig_cam, frames, strict=True):
         ray = pose.R @ camera.unproject([u, v])[0]
         matrix = np.array(frame["transform_matrix"])
-        right, up = (u + 0.5 - frame["cx"]) / frame["fl_x"], -(v + 0.5 - frame["cy"]) / frame["fl_y"]
+        right, up = (
+            (u + 0.5 - frame["cx"]) / frame["fl_x"],
+            -(v + 0.5 - frame["cy"]) / frame["fl_y"],
+        )
         expected = matrix[:3, :3] @ [right, up, -1]
-        np.testing.assert_allclose(ray / np.linalg.norm(ray), expected / np.linalg.norm(expected), atol=1e-4)
+        np.testing.assert_allclose(
+            ray / np.linalg.norm(ray), expected / np.linalg.norm(expected), atol=1e-4
+        )
         np.testing.assert_allclose(pose.t, matrix[:3, 3], atol=1e-12)
 
 

@@ -34,12 +34,16 @@ def depth(rig, pictures):
     index = scene.true_index(rig, GRID).astype(np.float32)
     index[0, 0] = np.nan
     confidence = np.broadcast_to(np.linspace(0, 1, 160, dtype=np.float32), GRID.shape).copy()
-    return osl.Depth(index, np.where(np.isnan(index), np.nan, confidence), SphereSweep(rig, GRID), pictures)
+    return osl.Depth(
+        index, np.where(np.isnan(index), np.nan, confidence), SphereSweep(rig, GRID), pictures
+    )
 
 
 @pytest.fixture(scope="module")
 def pictures(rig):
-    return [np.stack([picture.astype(np.uint8)] * 3, -1) for picture in scene.images(rig, finest=0.25)]
+    return [
+        np.stack([picture.astype(np.uint8)] * 3, -1) for picture in scene.images(rig, finest=0.25)
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +56,10 @@ def written(depth, tmp_path_factory):
 def test_the_points_are_on_the_walls_and_the_normals_across_them(written, depth):
     trimesh = pytest.importorskip("trimesh")
     cloud = trimesh.load(written / "data" / "points.ply").metadata["_ply_raw"]["vertex"]["data"]
-    points, normals = (np.stack([cloud[name] for name in names], -1) for names in (("x", "y", "z"), ("nx", "ny", "nz")))
+    points, normals = (
+        np.stack([cloud[name] for name in names], -1)
+        for names in (("x", "y", "z"), ("nx", "ny", "nz"))
+    )
     center = np.mean([pose.t for pose in scene.rig(width=200, height=192).T_rig_cam], 0)
     beyond = np.abs(points + center - scene.CENTER) / scene.HALF_SIZE
     np.testing.assert_allclose(beyond.max(-1), 1, atol=1e-4)
@@ -63,37 +70,54 @@ def test_the_points_are_on_the_walls_and_the_normals_across_them(written, depth)
     assert np.median(facing) > 0.999
     assert (facing > 0.98).mean() > 0.99
     assert len(points) == depth.valid.sum() and cloud["confidence"].min() == 0  # nothing is lost,
-    assert 0 < cloud["doubtful"].mean() < 0.5 and cloud["doubtful"][cloud["confidence"] == 0].all()  # but marked
+    # but marked
+    assert 0 < cloud["doubtful"].mean() < 0.5 and cloud["doubtful"][cloud["confidence"] == 0].all()
 
 
 def test_limits_drop_what_is_far_or_unsure(depth):
-    cloud = PointCloud.of(depth, np.zeros(GRID.shape, np.float32), Limits(2.0, 0.5), depth.confidence < 0.7)
+    cloud = PointCloud.of(
+        depth, np.zeros(GRID.shape, np.float32), Limits(2.0, 0.5), depth.confidence < 0.7
+    )
     assert np.linalg.norm(cloud.points, axis=-1).max() <= 2.0 and cloud.confidence.min() >= 0.5
-    assert len(cloud.points) == (depth.valid & (depth.depth <= 2) & (depth.confidence >= 0.5)).sum() > 0
+    assert (
+        len(cloud.points)
+        == (depth.valid & (depth.depth <= 2) & (depth.confidence >= 0.5)).sum()
+        > 0
+    )
     np.testing.assert_array_equal(cloud.doubtful, cloud.confidence < 0.7)
 
 
 def test_the_sentences_say_what_was_found(depth):
     truth = depth.depth[depth.valid]
     first, second, *hints = depth_sentences(depth, Limits(1e9, 0.0), NOTHING)
-    assert re.search(rf"the nearest thing is {np.quantile(truth, 0.002):.2g} m away, the median", first)
+    assert re.search(
+        rf"the nearest thing is {np.quantile(truth, 0.002):.2g} m away, the median", first
+    )
     assert f"use {depth.valid.sum()} rays. Left out: 0 beyond" in second
     nearest = truth.min()
     assert (0.8 * nearest > 1.2 * GRID.min_depth) == bool(hints)
     exact, _ = error_sentences(depth, scene.true_index(scene.rig(width=200, height=192), GRID))
-    assert "half of the rays are within 0.0 % of their true depth and nine tenths within 0 %" in exact
+    assert (
+        "half of the rays are within 0.0 % of their true depth and nine tenths within 0 %" in exact
+    )
     off = osl.Depth(depth.index * 1.1, depth.confidence, depth.sweep)
-    assert "half of the rays are within 9.1 % of" in error_sentences(off, depth.index)[0]  # 1 - 1 / 1.1
+    # 1 - 1 / 1.1
+    assert "half of the rays are within 9.1 % of" in error_sentences(off, depth.index)[0]
     index = np.where(np.arange(160) < 9, 0, depth.index)  # the sky is infinitely far in both
     with warnings.catch_warnings(action="error"):
-        assert "within 0.0 % of" in error_sentences(osl.Depth(index, depth.confidence, depth.sweep), index)[0]
+        assert (
+            "within 0.0 % of"
+            in error_sentences(osl.Depth(index, depth.confidence, depth.sweep), index)[0]
+        )
 
 
 def test_what_is_doubtful_is_told_and_not_the_nearest_thing(depth):
     nearest, sure = np.nanquantile(depth.depth, [0.002, 0.3])
     first, second, third, *_ = depth_sentences(depth, Limits(1e9, 0.0), depth.depth <= sure)
     assert f"the nearest thing is {sure:.2g} m away" in first
-    assert second.startswith("Doubtful are 31 % of the rays, and 100 % of the nearest tenth, up to ")
+    assert second.startswith(
+        "Doubtful are 31 % of the rays, and 100 % of the nearest tenth, up to "
+    )
     assert second.endswith(f"If they are right, the nearest thing is {nearest:.2g} m away.")
     assert f"use {depth.valid.sum()} rays" in third
 
@@ -113,7 +137,8 @@ def test_nearer_spheres_are_proposed_where_nothing_is_near(rig):
     far = osl.Depth(index, np.ones_like(index), SphereSweep(rig, grid))
     nearest = np.quantile(far.depth, 0.002)
     assert (
-        f"--min-depth {0.8 * nearest:.2g} would use them better" in depth_sentences(far, Limits(1e9, 0.0), NOTHING)[-1]
+        f"--min-depth {0.8 * nearest:.2g} would use them better"
+        in depth_sentences(far, Limits(1e9, 0.0), NOTHING)[-1]
     )
 
 
@@ -121,7 +146,10 @@ def test_the_colours_span_the_depths_found():
     scale = ColorScale.of(np.array([[0.5, 1.0, 2.0, np.nan]]))
     assert 0.5 <= scale.low < 0.52 and 1.97 < scale.high <= 2.0
     labels = {label: at for at, label in scale.ticks()}
-    assert labels["1 m"] == pytest.approx((1 - scale.low) / (scale.high - scale.low)) and "∞" not in labels
+    assert (
+        labels["1 m"] == pytest.approx((1 - scale.low) / (scale.high - scale.low))
+        and "∞" not in labels
+    )
     brightness = scale.bar(256)[0].sum(-1)
     assert (np.diff(brightness.astype(int)) >= -3).all() and brightness[-1] > 600
 
@@ -150,12 +178,17 @@ def test_masks_beside_the_images_or_named(rig, tmp_path):
             write_image(path.parent / "mask.png", mask)
     found = [camera.mask for camera in with_masks(rig, None, images).cameras]
     assert found[2] is None and (found[0] == (mask > 0)).all()
-    together = [tmp_path / "cam0" / f"{k}.png" for k in range(4)]  # one folder: whose mask would it be?
+    # one folder: whose mask would it be?
+    together = [tmp_path / "cam0" / f"{k}.png" for k in range(4)]
     assert with_masks(rig, None, together) is rig
     named = [tmp_path / "cam0" / "mask.png"] * 4
-    assert all((camera.mask == (mask > 0)).all() for camera in with_masks(rig, named, together).cameras)
+    assert all(
+        (camera.mask == (mask > 0)).all() for camera in with_masks(rig, named, together).cameras
+    )
     with pytest.raises(osl.OmnistereoError, match="there are 3 masks for 4 cameras"):
         with_masks(rig, named[:3], together)
     write_image(tmp_path / "cam0" / "mask.png", mask[:50])
-    with pytest.raises(osl.OmnistereoError, match=r"mask.png is 200 × 50 px; the camera has 200 × 192 px"):
+    with pytest.raises(
+        osl.OmnistereoError, match=r"mask.png is 200 × 50 px; the camera has 200 × 192 px"
+    ):
         with_masks(rig, named, together)

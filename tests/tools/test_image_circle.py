@@ -7,7 +7,7 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
-from omnistereo_lib.evaluate.run import DATA
+from omnistereo_learn.evaluate.run import DATA
 from omnistereo_tools.input.masks import measure_circle, seen_fov_deg, with_circles
 
 
@@ -18,13 +18,16 @@ def world():
 
 
 def darkened(rig, images, fov_deg, noise=3):
-    """Return the images black beyond a field of view: of the equidistant lens, a circle around the centre."""
+    """Return the images black beyond a field of view: of the equidistant lens, a circle around the
+    centre."""
     random, dark = np.random.default_rng(0), []
     for camera, image in zip(rig.cameras, images, strict=True):
         v, u = np.indices(image.shape[:2])
         radius = np.hypot(u - camera.center[0], v - camera.center[1])
         kept = radius <= camera.max_radius * fov_deg / camera.max_fov_deg
-        dark.append(np.where(kept, image, random.integers(0, noise + 1, image.shape)).astype(np.uint8))
+        dark.append(
+            np.where(kept, image, random.integers(0, noise + 1, image.shape)).astype(np.uint8)
+        )
     return dark
 
 

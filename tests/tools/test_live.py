@@ -21,11 +21,19 @@ from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools import cli, live_view
 from omnistereo_tools.commands import demo_command
 from omnistereo_tools.judge.ray import explain
-from omnistereo_tools.live_view import Cameras, Latest, LivePicture, draw_picture, live_pictures, serve
+from omnistereo_tools.live_view import (
+    Cameras,
+    Latest,
+    LivePicture,
+    draw_picture,
+    live_pictures,
+    serve,
+)
 from omnistereo_tools.output.pictures import ColorScale
 
 FRAMES = 5
-GRID = osl.SphereGrid(96, 24, num_spheres=16, min_depth=0.8)  # nearer, one camera alone sees some rays
+# nearer, one camera alone sees some rays
+GRID = osl.SphereGrid(96, 24, num_spheres=16, min_depth=0.8)
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +44,9 @@ def recorded(tmp_path_factory):
     rig = osl.Rig(rig.cameras, rig.T_rig_cam, min_depth=GRID.min_depth)
     osl.save_rig(rig, folder / "rig.yaml")
     for k, picture in enumerate(scene.images(rig, finest=0.25)):
-        video = cv2.VideoWriter(str(folder / f"{k}.mkv"), cv2.VideoWriter_fourcc(*"FFV1"), 20, (100, 96))
+        video = cv2.VideoWriter(
+            str(folder / f"{k}.mkv"), cv2.VideoWriter_fourcc(*"FFV1"), 20, (100, 96)
+        )
         for _ in range(FRAMES):
             video.write(np.stack([picture] * 3, -1).astype(np.uint8))
         video.release()
@@ -58,7 +68,8 @@ def test_pictures_show_panorama_over_depth(recorded):
     truth = osl.estimate_depth(osl.Frame.of(rig, first), GRID, "zncc")
     small = cv2.resize(depth, (96, 24), interpolation=cv2.INTER_AREA).astype(int).sum(-1)
     assert np.corrcoef(small.ravel(), truth.inverse_depth.ravel())[0, 1] > 0.9  # near is bright
-    assert panorama.std() > 20 and np.ptp(panorama.astype(int), axis=-1).mean() < 3  # the scene is gray
+    # the scene is gray
+    assert panorama.std() > 20 and np.ptp(panorama.astype(int), axis=-1).mean() < 3
 
 
 def test_a_video_begins_to_play_when_the_first_depth_was_computed(recorded, monkeypatch):
@@ -82,7 +93,9 @@ def picture(recorded):
     rig = recorded[0]
     index = scene.true_index(rig, GRID).astype(np.float32)
     index[0, 0] = np.nan
-    depth = osl.Depth(index, np.ones_like(index), SphereSweep(rig, GRID), scene.images(rig, finest=0.25))
+    depth = osl.Depth(
+        index, np.ones_like(index), SphereSweep(rig, GRID), scene.images(rig, finest=0.25)
+    )
     trust = np.where(np.indices(index.shape)[1] < 48, 0.0, 1.0)  # doubtful in the left half
     return depth, draw_picture(depth, np.ones((4, 1)), trust, ColorScale(0.0, 1.3), "zncc")
 
@@ -140,7 +153,9 @@ def test_the_browser_gets_a_stream_and_depths(picture):
         stream = urllib.request.urlopen(address + "stream", timeout=60)
         assert latest.watched.wait(60)
         latest.put(shown)
-        told = urllib.request.urlopen(address + f"depth?{40.5 / 96}&{17.5 / 24 * shown.rows}", timeout=60).read()
+        told = urllib.request.urlopen(
+            address + f"depth?{40.5 / 96}&{17.5 / 24 * shown.rows}", timeout=60
+        ).read()
         latest.close()
         (part,) = stream.read().split(b"--x\r\n")[1:]
     assert told.decode() == f"{depth.depth[17, 40]:.2g} m along the ray"
@@ -165,9 +180,13 @@ def test_clients_that_say_nothing_keep_nobody_out_for_long(monkeypatch, capfd):
     monkeypatch.setattr(live_view, "_PATIENCE_S", 1.0)
     with serve(Latest(), 0) as address, ExitStack() as clients:
         port = urlsplit(address).port
-        silent = [clients.enter_context(socket.create_connection(("127.0.0.1", port), 60)) for _ in range(60)]
+        silent = [
+            clients.enter_context(socket.create_connection(("127.0.0.1", port), 60))
+            for _ in range(60)
+        ]
         one_too_many = silent[-1].recv(1)  # closed at once
-        assert one_too_many == b"" and all(client.recv(1) == b"" for client in silent)  # after a second
+        # after a second
+        assert one_too_many == b"" and all(client.recv(1) == b"" for client in silent)
         assert b"stream" in urllib.request.urlopen(address, timeout=60).read()
     assert capfd.readouterr().err == ""
 
@@ -177,7 +196,10 @@ def test_clients_that_speak_slowly_keep_nobody_out(monkeypatch):
     monkeypatch.setattr(live_view, "_PATIENCE_S", 1.0)
     with serve(Latest(), 0) as address, ExitStack() as clients:
         port = urlsplit(address).port
-        slow = [clients.enter_context(socket.create_connection(("127.0.0.1", port), 60)) for _ in range(16)]
+        slow = [
+            clients.enter_context(socket.create_connection(("127.0.0.1", port), 60))
+            for _ in range(16)
+        ]
         deadline, answered = time.monotonic() + 60, False
         while not answered and time.monotonic() < deadline:
             for client in slow:
@@ -195,10 +217,15 @@ def test_a_page_of_another_site_is_not_shown_the_stream(site):
             asked = urllib.request.Request(address + name, headers={"Sec-Fetch-Site": site})
             with pytest.raises(urllib.error.HTTPError, match="403"):
                 urllib.request.urlopen(asked, timeout=60)
-        assert urllib.request.urlopen(address, timeout=60).headers["Cross-Origin-Resource-Policy"] == "same-origin"
+        assert (
+            urllib.request.urlopen(address, timeout=60).headers["Cross-Origin-Resource-Policy"]
+            == "same-origin"
+        )
 
 
-@pytest.mark.parametrize("query", ["inf&0.1", "nan&0.1", "0.1", "", "0.1&0.1&0.1", "a&b", "1e309&0"])
+@pytest.mark.parametrize(
+    "query", ["inf&0.1", "nan&0.1", "0.1", "", "0.1&0.1&0.1", "a&b", "1e309&0"]
+)
 def test_a_place_that_is_none_is_refused(picture, query):
     latest = Latest()
     latest.put(picture[1])
@@ -235,7 +262,18 @@ def viewer(monkeypatch):
 
 
 def live(folder, videos):
-    small = ["--width", "96", "--height", "24", "--spheres", "16", "--method", "zncc", "--port", "0"]
+    small = [
+        "--width",
+        "96",
+        "--height",
+        "24",
+        "--spheres",
+        "16",
+        "--method",
+        "zncc",
+        "--port",
+        "0",
+    ]
     return cli.main(["live", "--rig", str(folder / "rig.yaml"), "--cameras", *videos, *small])
 
 
@@ -284,10 +322,14 @@ def test_the_demo_plays_the_drive_and_opens_the_browser(recorded, tmp_path, monk
 def test_a_black_rim_is_masked(tmp_path, capsys, viewer):
     rig = scene.rig(width=200, height=192)
     osl.save_rig(osl.Rig(rig.cameras, rig.T_rig_cam, min_depth=0.6), tmp_path / "rig.yaml")
-    for k, (camera, picture) in enumerate(zip(rig.cameras, scene.images(rig, finest=0.25), strict=True)):
+    for k, (camera, picture) in enumerate(
+        zip(rig.cameras, scene.images(rig, finest=0.25), strict=True)
+    ):
         v, u = np.indices(picture.shape)
         seen = np.hypot(u - camera.center[0], v - camera.center[1]) <= camera.max_radius * 160 / 220
-        video = cv2.VideoWriter(str(tmp_path / f"{k}.mkv"), cv2.VideoWriter_fourcc(*"FFV1"), 20, (200, 192))
+        video = cv2.VideoWriter(
+            str(tmp_path / f"{k}.mkv"), cv2.VideoWriter_fourcc(*"FFV1"), 20, (200, 192)
+        )
         video.write(np.stack([np.where(seen, picture, 0)] * 3, -1).astype(np.uint8))
         video.release()
     assert live(tmp_path, [str(tmp_path / f"{k}.mkv") for k in range(4)]) == 0
@@ -331,7 +373,10 @@ def test_the_newest_value_is_what_waits():
     "change, message",
     [
         (["--cameras", "no.mp4", "1.mkv"], "there are 2 cameras or videos for a rig of 4"),
-        (["--cameras", "no.mp4", "no.mp4", "no.mp4", "no.mp4"], "no.mp4 is not a video that OpenCV can read"),
+        (
+            ["--cameras", "no.mp4", "no.mp4", "no.mp4", "no.mp4"],
+            "no.mp4 is not a video that OpenCV can read",
+        ),
     ],
 )
 def test_what_cannot_be_shown_is_told(recorded, capsys, change, message):

@@ -22,9 +22,14 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library")
 def test_the_memory_of_a_freed_array_is_used_again():
-    env = {name: value for name, value in os.environ.items() if not name.startswith("MALLOC_")}  # `make test` sets some
+    # `make test` sets some
+    env = {name: value for name, value in os.environ.items() if not name.startswith("MALLOC_")}
     fresh, kept = (
-        int(subprocess.run([sys.executable, "-c", SCRIPT, how], env=env, capture_output=True, check=True).stdout)
+        int(
+            subprocess.run(
+                [sys.executable, "-c", SCRIPT, how], env=env, capture_output=True, check=True
+            ).stdout
+        )
         for how in ("fresh", "kept")
     )
     assert kept < fresh / 4

@@ -1,4 +1,5 @@
-"""Meshes, loaded by another program: on the walls, textured with what the ray sees, cut at depth edges, y up."""
+"""Meshes, loaded by another program: on the walls, textured with what the ray sees, cut at depth
+edges, y up."""
 
 import numpy as np
 import pytest
@@ -67,7 +68,8 @@ def test_doubtful_triangles_are_marked_and_none_is_lost(depth, panorama, tmp_pat
     count, marked = write_mesh(tmp_path / "a.glb", depth, panorama, ALL, doubtful=doubtful)
     parts = trimesh.load(tmp_path / "a.glb", process=False).geometry
     assert len(parts["surface"].faces) + len(parts["doubtful"].faces) == count == 2 * 39 * 160
-    assert len(parts["doubtful"].faces) == marked == 2 * 11 * 21 - 2  # with those that reach over, but for two corners
+    # with those that reach over, but for two corners
+    assert len(parts["doubtful"].faces) == marked == 2 * 11 * 21 - 2
     pixels, _ = GRID.project(parts["doubtful"].vertices * [1, -1, -1])
     assert pixels.min(0).round().tolist() == [49, 9] and pixels.max(0).round().tolist() == [70, 20]
     look = parts["doubtful"].visual.material
@@ -91,9 +93,12 @@ def test_it_is_cut_where_the_depth_jumps_and_without_the_sky(depth):
     far = np.linalg.norm(mesh.vertices, axis=-1)[mesh.faces]
     assert np.ptp(far, axis=1).max() < 0.2 * far.min(1)[np.ptp(far, axis=1).argmax()] + 1e-9
     near = np.isclose(far, GRID.index_to_depth(50), rtol=1e-3).all(1)
-    assert near.sum() == 2 * 9 * 19 + 2 * 2 * (9 + 19) + 4  # a piece of its own, which ends half a ray farther
+    # a piece of its own, which ends half a ray farther
+    assert near.sum() == 2 * 9 * 19 + 2 * 2 * (9 + 19) + 4
     pixels, _ = GRID.project(mesh.vertices[np.unique(mesh.faces[near])])
-    np.testing.assert_allclose([pixels.min(0), pixels.max(0)], [[49.5, 9.5], [69.5, 19.5]], atol=0.02)
+    np.testing.assert_allclose(
+        [pixels.min(0), pixels.max(0)], [[49.5, 9.5], [69.5, 19.5]], atol=0.02
+    )
     pixels, _ = GRID.project(mesh.vertices)
     assert pixels[:, 1].min() == pytest.approx(4.5, abs=0.02)  # below the sky
     area = np.abs(np.linalg.det(pixels[mesh.faces][:, [1, 2]] - pixels[mesh.faces][:, :1]))

@@ -17,7 +17,9 @@ from omnistereo_lib.stereo import correlation
 from omnistereo_lib.stereo.volumenet import local_mean
 from omnistereo_tools import cli
 
-pytestmark = pytest.mark.skipif(find_spec("onnxruntime") is None, reason="environment-dev.txt has ONNX Runtime")
+pytestmark = pytest.mark.skipif(
+    find_spec("onnxruntime") is None, reason="environment-dev.txt has ONNX Runtime"
+)
 
 FINE = ["--width", "160", "--height", "40", "--spheres", "128"]  # two volumes
 GRID = osl.SphereGrid(160, 40, num_spheres=128, min_depth=0.6)
@@ -42,15 +44,20 @@ def exported(rig, tmp_path_factory):
     folder = tmp_path_factory.mktemp("onnx")
     osl.save_rig(rig, folder / "rig.yaml")
     with redirect_stdout(io.StringIO()) as said:
-        assert cli.main(["onnx", "--rig", str(folder / "rig.yaml"), *FINE, "--out", str(folder / "my out")]) == 0
+        assert (
+            cli.main(
+                ["onnx", "--rig", str(folder / "rig.yaml"), *FINE, "--out", str(folder / "my out")]
+            )
+            == 0
+        )
     assert f"python '{folder}/my out/run_onnx.py' with" in said.getvalue()  # as a shell takes it
     return folder / "my out"
 
 
 # Runs the script where there is neither torch nor this library.
 ALONE = (
-    "import runpy, sys; sys.modules['torch'] = sys.modules['omnistereo_lib'] = None; sys.argv = sys.argv[1:]; "
-    "runpy.run_path(sys.argv[0], run_name='__main__')"
+    "import runpy, sys; sys.modules['torch'] = sys.modules['omnistereo_lib'] = None; sys.argv ="
+    " sys.argv[1:]; runpy.run_path(sys.argv[0], run_name='__main__')"
 )
 
 
@@ -60,11 +67,18 @@ def test_depth_without_torch(exported, rig, tmp_path):
         color = np.stack([picture, 0.5 * picture, 255 - picture], -1).astype(np.uint8)
         images.append(color)
         write_image(tmp_path / f"{k}.png", color)
-    words = [exported / "run_onnx.py", *(tmp_path / f"{k}.png" for k in range(4)), "--out", tmp_path / "a.npy"]
+    words = [
+        exported / "run_onnx.py",
+        *(tmp_path / f"{k}.png" for k in range(4)),
+        "--out",
+        tmp_path / "a.npy",
+    ]
     subprocess.run([sys.executable, "-c", ALONE, *words], check=True)
     network = osl.VolumeNet.pretrained()
     network.precision = "float32"
-    expected = GRID.index_to_inverse_depth(local_mean(osl.cost_volume(osl.SphereSweep(rig, GRID), images, network))[0])
+    expected = GRID.index_to_inverse_depth(
+        local_mean(osl.cost_volume(osl.SphereSweep(rig, GRID), images, network))[0]
+    )
     np.testing.assert_allclose(np.load(tmp_path / "a.npy"), expected, atol=1e-3 / 0.6)
 
 
@@ -72,14 +86,22 @@ def test_depth_without_torch(exported, rig, tmp_path):
     ("names", "said"),
     [
         (["right.png"] * 3, "there are 3 images for 4 cameras"),
-        (["right.png"] * 3 + ["small.png"], "small.png is 100 × 192 px; the camera has 200 × 192 px"),
+        (
+            ["right.png"] * 3 + ["small.png"],
+            "small.png is 100 × 192 px; the camera has 200 × 192 px",
+        ),
         (["none.png"] * 4, "none.png cannot be read as an image"),
     ],
 )
 def test_the_script_says_in_one_line_what_is_wrong(exported, tmp_path, monkeypatch, names, said):
     write_image(tmp_path / "right.png", np.zeros((192, 200)))
     write_image(tmp_path / "small.png", np.zeros((192, 100)))
-    words = [exported / "run_onnx.py", *(tmp_path / name for name in names), "--out", tmp_path / "a.npy"]
+    words = [
+        exported / "run_onnx.py",
+        *(tmp_path / name for name in names),
+        "--out",
+        tmp_path / "a.npy",
+    ]
     monkeypatch.setattr(sys, "argv", [*map(str, words)])
     with pytest.raises(SystemExit, match=f"^error: .*{said}[^\n]*$"):
         runpy.run_path(sys.argv[0], run_name="__main__")
@@ -88,5 +110,7 @@ def test_the_script_says_in_one_line_what_is_wrong(exported, tmp_path, monkeypat
 
 def test_a_rig_without_a_nearest_depth_is_told(rig, tmp_path, capsys):
     osl.save_rig(osl.Rig(rig.cameras, rig.T_rig_cam), tmp_path / "rig.yaml")
-    assert cli.main(["onnx", "--rig", str(tmp_path / "rig.yaml"), "--out", str(tmp_path / "out")]) == 2
+    assert (
+        cli.main(["onnx", "--rig", str(tmp_path / "rig.yaml"), "--out", str(tmp_path / "out")]) == 2
+    )
     assert "states no nearest depth. Pass --min-depth" in capsys.readouterr().err

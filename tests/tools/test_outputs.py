@@ -1,4 +1,5 @@
-"""Nothing that a command reads is written over, whatever its names: each option that writes is tried."""
+"""Nothing that a command reads is written over, whatever its names: each option that writes is
+tried."""
 
 import os
 from typing import get_type_hints
@@ -12,16 +13,26 @@ from omnistereo_tools.outputs import _READ, _SETS, hold, let_go
 WRITES = ("out", "mesh", "equirectangular", "crops", "video", "coverage", "write")
 FILES = {
     "rig.yaml": "cameras: [{invalid_mask: dark.png}]",
-    **dict.fromkeys(("1.ply", "1.tiff", "2.png", "3.png", "4.png", "dark.png", "overview.png", "mask.png"), "image"),
+    **dict.fromkeys(
+        ("1.ply", "1.tiff", "2.png", "3.png", "4.png", "dark.png", "overview.png", "mask.png"),
+        "image",
+    ),
     **dict.fromkeys(("data/points.png", "crops/images/1.png", "crops/transforms.json"), "image"),
-    **dict.fromkeys(("front.mp4", "back.mp4", "drive/cam1/1.png", "drive/cam2/1.png", "drive/video/1.png"), "image"),
+    **dict.fromkeys(
+        ("front.mp4", "back.mp4", "drive/cam1/1.png", "drive/cam2/1.png", "drive/video/1.png"),
+        "image",
+    ),
     "drive/config.yaml": "cameras: []",
     "drive/recording.json": "{}",
     "own/config.yaml": "cameras: []",
     "set/config.yaml": "dataset: {truth: ../truth}",
     **dict.fromkeys(("set/cam1/1.png", "set/cam2/1.png", "set/omnidepth_gt_640/1.tiff"), "image"),
-    **dict.fromkeys(("boards/cam1/1.png", "boards/cam2/1.png", "rig/config.yaml", "rig/report.txt"), "image"),
-    **dict.fromkeys(("run/weights.safetensors", "tables/results.json", "network/run_onnx.py"), "text"),
+    **dict.fromkeys(
+        ("boards/cam1/1.png", "boards/cam2/1.png", "rig/config.yaml", "rig/report.txt"), "image"
+    ),
+    **dict.fromkeys(
+        ("run/weights.safetensors", "tables/results.json", "network/run_onnx.py"), "text"
+    ),
 }
 FRAME = "depth --rig rig.yaml --images 1.tiff 2.png 3.png"
 BOARDS = "calibrate boards --square 0.1 --board 5x4"
@@ -83,7 +94,8 @@ def test_every_option_that_is_a_path_is_read_or_tried_here():
     for module in cli.COMMANDS.values():
         hints = get_type_hints(get_type_hints(module.run)["options"])
         paths |= {name for name, hint in hints.items() if "Path" in str(hint)}
-    assert paths == {*_READ, *_SETS, *WRITES} - {"cameras", "board", "sets"}  # these may be no files
+    # these may be no files
+    assert paths == {*_READ, *_SETS, *WRITES} - {"cameras", "board", "sets"}
     assert all(any(f" --{name} " in command for command in COMMANDS) for name in WRITES)
 
 

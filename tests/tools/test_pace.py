@@ -10,7 +10,15 @@ from omnistereo_tools.progress import progress_bar
 
 @pytest.mark.parametrize(
     ("seconds", "words"),
-    [(0.2, "1 s"), (8.4, "8 s"), (43, "40 s"), (89, "90 s"), (170, "3 min"), (5000, "83 min"), (9000, "2 h")],
+    [
+        (0.2, "1 s"),
+        (8.4, "8 s"),
+        (43, "40 s"),
+        (89, "90 s"),
+        (170, "3 min"),
+        (5000, "83 min"),
+        (9000, "2 h"),
+    ],
 )
 def test_durations_in_words(seconds, words):
     assert in_words(seconds) == words
@@ -21,7 +29,11 @@ def test_more_spheres_take_longer_and_other_devices_are_not_guessed(capsys):
         say_frame("volumenet", osl.SphereGrid(640, 160, num_spheres=spheres), "cpu")
     say_frame("volumenet", osl.SphereGrid(640, 160), "cuda")
     first, second, third = capsys.readouterr().out.splitlines()
-    assert first.startswith("volumenet takes about ") and first != second and third == "method: volumenet"
+    assert (
+        first.startswith("volumenet takes about ")
+        and first != second
+        and third == "method: volumenet"
+    )
 
 
 def test_a_bar_names_the_parts_that_have_names(capsys):

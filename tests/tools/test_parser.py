@@ -11,7 +11,10 @@ from omnistereo_tools.commands.depth_command import DepthOptions
 from omnistereo_tools.commands.record_command import RecordOptions
 from omnistereo_tools.parser import as_typed
 
-RECORDING = "record --rig r.yaml --images a.mp4 back --phi -22.5 22.5 --width 320 --unit mm --skip-bad --start 7"
+RECORDING = (
+    "record --rig r.yaml --images a.mp4 back --phi -22.5 22.5 --width 320 --unit mm --skip-bad"
+    " --start 7"
+)
 
 
 def test_words_become_values_of_the_types_declared():
@@ -33,16 +36,23 @@ def test_words_become_values_of_the_types_declared():
 
 def test_options_become_the_words_of_another_command():
     images = (Path("a.mp4"), Path("the back"))
-    options = DepthOptions(rig=Path("r"), images=images, keep_frame=True, min_depth=0.55, mesh=Path("a.glb"))
-    assert as_typed("record", RecordOptions, options, width=320) == (
-        "omnistereo record --rig r --keep-frame --width 320 --min-depth 0.55 --images a.mp4 'the back'"
+    options = DepthOptions(
+        rig=Path("r"), images=images, keep_frame=True, min_depth=0.55, mesh=Path("a.glb")
+    )
+    assert (
+        as_typed("record", RecordOptions, options, width=320)
+        == "omnistereo record --rig r --keep-frame --width 320 --min-depth 0.55 --images a.mp4 'the"
+        " back'"
     )
 
 
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        ({"mesh_faces": 0, "mesh": Path("a.glb")}, "--mesh-faces is 0; expected an integer of 1 to"),
+        (
+            {"mesh_faces": 0, "mesh": Path("a.glb")},
+            "--mesh-faces is 0; expected an integer of 1 to",
+        ),
         ({"all_crops": True}, "--all-crops needs --crops"),
         ({"mesh": Path("a.obj")}, "a.obj has the wrong suffix; expected .glb or .ply"),
         ({"images": (Path("1.png"),)}, "--images needs --rig"),

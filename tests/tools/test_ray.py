@@ -1,4 +1,5 @@
-"""Why a ray has its depth: each kind of sentence on images whose depth is known, and the numbers behind it."""
+"""Why a ray has its depth: each kind of sentence on images whose depth is known, and the numbers
+behind it."""
 
 import os
 from collections import Counter
@@ -19,7 +20,10 @@ RAYS = int(os.environ.get("RAYS", "40"))
 @pytest.fixture(scope="module")
 def box():
     """The exact depth of a textured box, with its images."""
-    rig, grid = scene.rig(width=200, height=192), osl.SphereGrid(160, 40, num_spheres=64, min_depth=0.6)
+    rig, grid = (
+        scene.rig(width=200, height=192),
+        osl.SphereGrid(160, 40, num_spheres=64, min_depth=0.6),
+    )
     return scene.true_depth(rig, grid, scene.images(rig, finest=0.12))
 
 
@@ -43,12 +47,19 @@ def test_the_effect_of_a_tilt_is_the_angle_over_the_baseline():
 
 def test_the_figure_of_a_ray_shows_its_numbers(box):
     costs = np.random.default_rng(0).uniform(1, 3, (40, 160, 64))
-    one, figure = ray.explain(box, 80, 20), plot.explain_ray(box, 80, 20, box.index, {"cost": costs})
+    one, figure = (
+        ray.explain(box, 80, 20),
+        plot.explain_ray(box, 80, 20, box.index, {"cost": costs}),
+    )
     assert figure.get_suptitle() == one.sentence
     along = figure.axes[0].lines[0].get_ydata()
     np.testing.assert_array_equal(along, one.agreement)
-    (drawn,) = [line.get_ydata() for line in figure.axes[0].lines if line.get_label().startswith("cost, ")]
-    assert np.ptp(drawn) == pytest.approx(1) and np.corrcoef(drawn, costs[20, 80])[0, 1] == pytest.approx(1)
+    (drawn,) = [
+        line.get_ydata() for line in figure.axes[0].lines if line.get_label().startswith("cost, ")
+    ]
+    assert np.ptp(drawn) == pytest.approx(1) and np.corrcoef(drawn, costs[20, 80])[
+        0, 1
+    ] == pytest.approx(1)
     crosses = [line for ax in figure.axes for line in ax.lines if line.get_marker() == "+"]
     assert len(crosses) == one.sees.sum() > 1
     plt.close(figure)
@@ -77,12 +88,12 @@ def test_each_kind_of_sentence_has_its_rule(box, kind):
 
 
 def test_four_of_five_sentences_are_right_on_rendered_frames(capsys):
-    """On frames with exact depth, by VolumeNet. What a sentence claims is looked up in the exact depth:
+    """On frames with exact depth, by VolumeNet. What a sentence claims is looked up in the exact
+    depth:
 
-    agrees, elsewhere: the depth is right, within `tolerance`; repeats: it or the other one is; unlike: even at the
-    exact depth the patches differ; flat: there is as little texture at the exact depth; unseen, hidden: fewer than two
-    cameras see the exact point.
-    """
+    agrees, elsewhere: the depth is right, within `tolerance`; repeats: it or the other one is;
+    unlike: even at the exact depth the patches differ; flat: there is as little texture at the
+    exact depth; unseen, hidden: fewer than two cameras see the exact point."""
     rng, kinds, right = np.random.default_rng(0), Counter(), Counter()
     for name in ("sunny", "indoor"):
         frame = osl.load_dataset(f"data_samples/{name}", split="test")[0]
@@ -95,7 +106,12 @@ def test_four_of_five_sentences_are_right_on_rendered_frames(capsys):
             kinds[one.kind] += 1
             right[one.kind] += is_right(one, truth)
     with capsys.disabled():
-        print("\n" + ", ".join(f"{kind}: {right[kind]} of {count} right" for kind, count in kinds.most_common()))
+        print(
+            "\n"
+            + ", ".join(
+                f"{kind}: {right[kind]} of {count} right" for kind, count in kinds.most_common()
+            )
+        )
     assert right.total() >= 0.8 * RAYS
 
 
@@ -107,5 +123,7 @@ def is_right(one, truth):
         return truth.contrast < 2 * ray.FLAT
     if one.kind == "unlike":
         return not truth.chosen >= ray.ALIKE
-    other = one.kind == "repeats" and abs(one.rival.sphere - truth.index) <= ray.tolerance(truth.index)
+    other = one.kind == "repeats" and abs(one.rival.sphere - truth.index) <= ray.tolerance(
+        truth.index
+    )
     return bool(off or other)

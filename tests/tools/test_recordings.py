@@ -17,10 +17,10 @@ import omnistereo_lib as osl
 from omnistereo_lib.files import read_image, write_image
 from omnistereo_lib.frame import read_inverse_depth
 from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD
+from omnistereo_rigs.doctor.rig_check import _matches
 from omnistereo_tools import cli
 from omnistereo_tools.input.sources import Recording, Video
 from omnistereo_tools.judge import pace
-from omnistereo_tools.judge.rig_check import _matches
 from omnistereo_tools.judge.trust import trust
 from omnistereo_tools.live_view import Cameras
 from omnistereo_tools.output.pictures import colorize_depth, share_of_panorama
@@ -52,7 +52,16 @@ def run(*arguments):
 
 
 def record_command(folder, out):
-    return ["record", "--rig", folder / "rig.yaml", "--images", *views(folder), *SMALL, "--out", out]
+    return [
+        "record",
+        "--rig",
+        folder / "rig.yaml",
+        "--images",
+        *views(folder),
+        *SMALL,
+        "--out",
+        out,
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -67,8 +76,12 @@ def test_the_result_is_a_data_set(recorded, done):
     data = osl.load_dataset(done)
     assert len(data) == FRAMES and [frame.number for frame in data] == list(range(1, FRAMES + 1))
     for frame in data[::3]:
-        np.testing.assert_array_equal(frame.images[1], read_image(recorded / "view2" / f"cam2_{frame.number:03}.png"))
-        alone = osl.estimate_depth(osl.Frame.of(osl.load_rig(recorded / "rig.yaml"), frame.images), GRID, "zncc")
+        np.testing.assert_array_equal(
+            frame.images[1], read_image(recorded / "view2" / f"cam2_{frame.number:03}.png")
+        )
+        alone = osl.estimate_depth(
+            osl.Frame.of(osl.load_rig(recorded / "rig.yaml"), frame.images), GRID, "zncc"
+        )
         np.testing.assert_array_equal(frame.inverse_depth, alone.inverse_depth.astype(np.float32))
 
 
@@ -76,11 +89,27 @@ def test_every_frame_has_the_confidence_and_trust_of_a_single_frame(recorded, do
     """Also in PNG of 16 bits, to a step."""
     frame = osl.Frame.of(osl.load_rig(recorded / "rig.yaml"), osl.load_dataset(done)[2].images)
     alone = osl.estimate_depth(frame, GRID, "zncc")
-    kinds = {"depth_estimate": alone.inverse_depth, "confidence": alone.confidence, "trust": trust(alone, "zncc")}
-    assert run(*record_command(recorded, tmp_path / "out"), "--depth-format", "png", "--start", 3, "--stop", 4) == 0
+    kinds = {
+        "depth_estimate": alone.inverse_depth,
+        "confidence": alone.confidence,
+        "trust": trust(alone, "zncc"),
+    }
+    assert (
+        run(
+            *record_command(recorded, tmp_path / "out"),
+            "--depth-format",
+            "png",
+            "--start",
+            3,
+            "--stop",
+            4,
+        )
+        == 0
+    )
     for folder, suffix, step in ((done, "tiff", 1e-7), (tmp_path / "out", "png", 1 / 65500)):
         for kind, expected in kinds.items():
-            min_depth = GRID.min_depth if kind == "depth_estimate" else 1.0  # what a step is counted in
+            # what a step is counted in
+            min_depth = GRID.min_depth if kind == "depth_estimate" else 1.0
             stored = read_inverse_depth(folder / f"{kind}_96" / f"00003.{suffix}", min_depth)
             expected = np.nan_to_num(expected) if suffix == "png" else expected
             np.testing.assert_allclose(stored, expected, rtol=1e-6, atol=step / min_depth)
@@ -88,10 +117,15 @@ def test_every_frame_has_the_confidence_and_trust_of_a_single_frame(recorded, do
 
 def test_the_summary_says_how_many_rays_are_doubtful_also_of_the_nearest(recorded, done, capsys):
     assert run(*record_command(recorded, done)) == 0  # all is there: it only sums up
-    said = re.search(r"Doubtful are (\d+) % of the rays, and (\d+) % of the nearest tenth", capsys.readouterr().out)
+    said = re.search(
+        r"Doubtful are (\d+) % of the rays, and (\d+) % of the nearest tenth",
+        capsys.readouterr().out,
+    )
     shares = []
     for name in [f"{n:05}.tiff" for n in range(1, FRAMES + 1)]:
-        inverse, trusted = (read_inverse_depth(done / f"{kind}_96" / name) for kind in ("depth_estimate", "trust"))
+        inverse, trusted = (
+            read_inverse_depth(done / f"{kind}_96" / name) for kind in ("depth_estimate", "trust")
+        )
         nearest = np.argsort(-inverse.ravel())[: round(inverse.size / 10)]
         shares.append([(trusted < 0.5).mean(), (trusted.ravel()[nearest] < 0.5).mean()])
     np.testing.assert_allclose([int(said[1]), int(said[2])], 100 * np.mean(shares, 0), atol=1)
@@ -100,8 +134,13 @@ def test_the_summary_says_how_many_rays_are_doubtful_also_of_the_nearest(recorde
 def test_doubtful_rays_are_faded_in_the_video(done):
     picture = read_image(done / "video" / "00003.jpg")
     rows = round(share_of_panorama(picture) * len(picture))
-    picture = cv2.resize(picture[rows : 2 * rows], (96, 24), interpolation=cv2.INTER_AREA).astype(int)
-    inverse, trusted = (read_inverse_depth(done / f"{kind}_96" / "00003.tiff") for kind in ("depth_estimate", "trust"))
+    picture = cv2.resize(picture[rows : 2 * rows], (96, 24), interpolation=cv2.INTER_AREA).astype(
+        int
+    )
+    inverse, trusted = (
+        read_inverse_depth(done / f"{kind}_96" / "00003.tiff")
+        for kind in ("depth_estimate", "trust")
+    )
     colors = colorize_depth(inverse, replace(GRID, min_depth=GRID.min_depth / 0.8))
     off = np.abs(picture - colors).mean(-1)
     assert (trusted < 0.5).sum() > 20 and off[trusted < 0.5].mean() > 3 * off[trusted >= 0.5].mean()
@@ -115,7 +154,9 @@ def test_the_video_has_every_frame_panorama_over_depth(done):
     rows = round(share_of_panorama(frames[0]) * len(frames[0]))
     assert len(frames) == FRAMES and frames[0].shape[1] == 2 * 96 and rows == 2 * 24
     assert frames[0][:rows].std() > 20 and np.abs(frames[0].astype(int) - frames[-1]).mean() > 1
-    gray, colored = (np.ptp(part.astype(int), axis=-1).mean() for part in np.split(frames[0][: 2 * rows], 2))
+    gray, colored = (
+        np.ptp(part.astype(int), axis=-1).mean() for part in np.split(frames[0][: 2 * rows], 2)
+    )
     assert gray < 10 < colored  # the scene is gray
 
 
@@ -123,8 +164,12 @@ def test_a_video_with_two_circles_is_two_cameras(tmp_path):
     back = osl.Pose.from_vector([0, np.pi, 0, 0, 0, -0.1])
     rig = osl.Rig((scene.camera(200, 192, 220),) * 2, (osl.Pose.identity(), back), min_depth=0.5)
     osl.save_rig(rig, tmp_path / "rig.yaml")
-    picture = np.hstack([np.stack([image.astype(np.uint8)] * 3, -1) for image in scene.images(rig, finest=0.25)])
-    video = cv2.VideoWriter(str(tmp_path / "dual.mkv"), cv2.VideoWriter_fourcc(*"FFV1"), 20, (400, 192))
+    picture = np.hstack(
+        [np.stack([image.astype(np.uint8)] * 3, -1) for image in scene.images(rig, finest=0.25)]
+    )
+    video = cv2.VideoWriter(
+        str(tmp_path / "dual.mkv"), cv2.VideoWriter_fourcc(*"FFV1"), 20, (400, 192)
+    )
     for _ in range(2):
         video.write(picture)
     video.release()
@@ -140,12 +185,25 @@ def test_a_recording_beside_its_pictures_twice_in_a_row(recorded, tmp_path, monk
     """As it is typed: with relative paths, and without --out."""
     monkeypatch.chdir(shutil.copytree(recorded, tmp_path / "here"))
     for _ in range(2):
-        assert run("record", "--rig", "rig.yaml", "--images", *(f"view{k}" for k in "1234"), *SMALL, "--stop", 2) == 0
+        assert (
+            run(
+                "record",
+                "--rig",
+                "rig.yaml",
+                "--images",
+                *(f"view{k}" for k in "1234"),
+                *SMALL,
+                "--stop",
+                2,
+            )
+            == 0
+        )
         assert len(osl.load_dataset("out/record_rig")) == 1
 
 
 def test_resumed_it_is_the_same_and_no_frame_is_computed_again(recorded, done, tmp_path, capsys):
-    """`tests/test_kills.py` kills it at any moment; here it is seen that no frame is computed again."""
+    """`tests/test_kills.py` kills it at any moment; here it is seen that no frame is computed
+    again."""
     out = tmp_path / "out"
     folder = out / "depth_estimate_96"
     video = ["--video", out / "depth.mp4"]
@@ -158,7 +216,8 @@ def test_resumed_it_is_the_same_and_no_frame_is_computed_again(recorded, done, t
     again = {name for name, mtime in halfway.items() if (folder / name).stat().st_mtime_ns != mtime}
     assert again == {"00001.tiff", "00002.tiff"} and len(halfway) == 3
     whole, resumed = (
-        {path.relative_to(root): path.read_bytes() for path in root.rglob("depth_*/*")} for root in (done, out)
+        {path.relative_to(root): path.read_bytes() for path in root.rglob("depth_*/*")}
+        for root in (done, out)
     )
     assert resumed == whole
 
@@ -173,14 +232,21 @@ def test_a_picture_that_has_changed_is_computed_again(recorded, done, tmp_path, 
     assert f"frame 3 is computed again: {changed} has changed" in capsys.readouterr().out
     after = {path.name: path.stat().st_mtime_ns for path in out.glob("depth_estimate_96/*")}
     assert [name for name in after if after[name] != before[name]] == ["00003.tiff"]
-    old, new = (read_inverse_depth(folder / "depth_estimate_96" / "00003.tiff") for folder in (done, out))
+    old, new = (
+        read_inverse_depth(folder / "depth_estimate_96" / "00003.tiff") for folder in (done, out)
+    )
     assert not np.array_equal(old, new, equal_nan=True)
-    assert run(*record_command(pictures, out)) == 0 and "computed again" not in capsys.readouterr().out
+    assert (
+        run(*record_command(pictures, out)) == 0 and "computed again" not in capsys.readouterr().out
+    )
 
 
 def test_bad_frames_are_named_and_left_out_if_asked(recorded, done, tmp_path, capsys):
     shutil.copytree(recorded, tmp_path / "copy")
-    torn, other = tmp_path / "copy" / "view3" / "cam3_002.png", tmp_path / "copy" / "view1" / "cam1_005.png"
+    torn, other = (
+        tmp_path / "copy" / "view3" / "cam3_002.png",
+        tmp_path / "copy" / "view1" / "cam1_005.png",
+    )
     torn.write_bytes(torn.read_bytes()[:-2000])
     write_image(other, np.zeros((9, 9), np.uint8))
     command = record_command(tmp_path / "copy", tmp_path / "out")
@@ -188,7 +254,10 @@ def test_bad_frames_are_named_and_left_out_if_asked(recorded, done, tmp_path, ca
     capsys.readouterr()
     assert run(*command, "--skip-bad") == 0
     said = capsys.readouterr().out
-    assert f"frame 2 is left out: {torn}" in said and f"frame 5 is left out: {other} is 9 × 9 px" in said
+    assert (
+        f"frame 2 is left out: {torn}" in said
+        and f"frame 5 is left out: {other} is 9 × 9 px" in said
+    )
     frames = osl.load_dataset(tmp_path / "out")
     assert [frame.number for frame in frames] == [1, 3, 4, 6]
     np.testing.assert_array_equal(frames[1].inverse_depth, osl.load_dataset(done)[2].inverse_depth)
@@ -199,14 +268,17 @@ def test_by_default_it_takes_the_best_method_that_keeps_pace_and_goes_on_with_it
     recorded, tmp_path, capsys, monkeypatch, seconds, method
 ):
     monkeypatch.setattr(pace, "_FEW_FRAMES", 2)
-    monkeypatch.setattr(pace, "_measure", lambda sweep, images, name: seconds if name == FRAME_METHOD else 0.5)
+    monkeypatch.setattr(
+        pace, "_measure", lambda sweep, images, name: seconds if name == FRAME_METHOD else 0.5
+    )
     command = record_command(recorded, tmp_path / "out")
     del command[command.index("--method") : command.index("--method") + 2]
     assert run(*command, "--stop", 3) == 0
     took = pace.in_words(2 * (seconds if method == FRAME_METHOD else 0.5))
     said = capsys.readouterr().out
     assert f"method: {method}, " in said and f"2 frames: about {took} by {method}\n" in said
-    monkeypatch.setattr(pace, "_measure", lambda *_: 4.0 - seconds)  # the machine is busy, or no longer
+    # the machine is busy, or no longer
+    monkeypatch.setattr(pace, "_measure", lambda *_: 4.0 - seconds)
     assert run(*command) == 0
     assert json.loads((tmp_path / "out" / "recording.json").read_text())["method"] == method
 
@@ -216,7 +288,9 @@ def test_another_recording_is_not_overwritten(recorded, done, capsys):
     assert "recording.json is of a recording with other settings" in capsys.readouterr().err
 
 
-def test_the_depth_of_another_rig_or_of_other_pictures_is_not_kept(recorded, done, tmp_path, capsys):
+def test_the_depth_of_another_rig_or_of_other_pictures_is_not_kept(
+    recorded, done, tmp_path, capsys
+):
     rig = osl.load_rig(recorded / "rig.yaml")
     moved = [*rig.T_rig_cam[:3], osl.Pose(rig.T_rig_cam[3].R, 1.01 * rig.T_rig_cam[3].t)]
     mask = np.ones(rig.cameras[0].image_size[::-1], bool)
@@ -246,7 +320,11 @@ def test_a_frame_that_gets_another_name_is_another_recording(tmp_path):
     shorter = Recording.open(numbered)
     for folder in numbered:
         write_image(folder / "0.png", np.zeros((4, 4)))
-    assert shorter.checksum == Recording.open(numbered).checksum != Recording.open(numbered[::-1]).checksum
+    assert (
+        shorter.checksum
+        == Recording.open(numbered).checksum
+        != Recording.open(numbered[::-1]).checksum
+    )
 
 
 def test_a_video_for_which_the_disk_is_full_is_told(recorded, done, tmp_path, capsys, monkeypatch):
@@ -269,14 +347,19 @@ def test_a_video_for_which_the_disk_is_full_is_told(recorded, done, tmp_path, ca
     monkeypatch.setattr(cv2, "VideoWriter", Full)
     before = (done / "depth.mp4").read_bytes()
     assert run(*record_command(recorded, done), "--video", done / "depth.mp4") == 2
-    assert re.search(r"depth.mp4 cannot be written: \d of its 6 frames can be read back", capsys.readouterr().err)
+    assert re.search(
+        r"depth.mp4 cannot be written: \d of its 6 frames can be read back", capsys.readouterr().err
+    )
     assert (done / "depth.mp4").read_bytes() == before
     assert run(*record_command(recorded, done), "--video", tmp_path / "depth.webm") == 2
     assert list(tmp_path.iterdir()) == []
 
 
 def write_video(path, pictures, fps=25):
-    video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), fps, pictures[0].shape[1::-1])  # lossless
+    # lossless
+    video = cv2.VideoWriter(
+        str(path), cv2.VideoWriter_fourcc(*"FFV1"), fps, pictures[0].shape[1::-1]
+    )
     for picture in pictures:
         video.write(np.stack([picture] * 3, -1))
     video.release()
@@ -295,9 +378,13 @@ def test_frames_of_a_turned_video_are_those_that_are_stored(tmp_path):
     old, new = (struct.pack(">6i", *(x << 16 for x in matrix)) for matrix in (upright, turned))
     path.write_bytes(head + mark + tail.replace(old, new, 1))
     assert cv2.VideoCapture(str(path)).read()[1].shape == (64, 48, 3)  # as players show it
-    with pytest.warns(UserWarning, match=r"a.mp4 is marked as turned by 90°; its pixels .* as they are stored") as said:
+    with pytest.warns(
+        UserWarning, match=r"a.mp4 is marked as turned by 90°; its pixels .* as they are stored"
+    ) as said:
         frames = [*Video(path).read([0, 2], (64, 48))]
-    assert len(said) == 1 and all(np.abs(frame.astype(int) - picture).max() < 20 for frame in frames)
+    assert len(said) == 1 and all(
+        np.abs(frame.astype(int) - picture).max() < 20 for frame in frames
+    )
     cameras = Cameras([str(path)] * 4, scene.rig(width=64, height=48))
     assert cameras.first[0].shape == cameras.captures[0].read()[1].shape == (48, 64, 3)
 
@@ -307,7 +394,9 @@ def test_pictures_of_16_bits_have_the_depth_and_the_doctor_of_8(recorded):
     rig = osl.load_rig(recorded / "rig.yaml")
     pictures = [read_image(sorted(view.iterdir())[0]) for view in views(recorded)]
     deep = [np.float32(picture) for picture in pictures]
-    depth, of_deep = (osl.estimate_depth(osl.Frame.of(rig, given), GRID, "zncc") for given in (pictures, deep))
+    depth, of_deep = (
+        osl.estimate_depth(osl.Frame.of(rig, given), GRID, "zncc") for given in (pictures, deep)
+    )
     np.testing.assert_allclose(of_deep.inverse_depth, depth.inverse_depth, atol=0.01)
     for one, other in zip(_matches(rig, pictures)[0], _matches(rig, deep)[0], strict=True):
         np.testing.assert_array_equal(one.rays, other.rays)
@@ -318,9 +407,21 @@ def test_videos_are_recordings_too(recorded, done, tmp_path, capsys):
         pictures = [read_image(path) for path in sorted(view.iterdir())]
         write_video(tmp_path / f"{k}.mkv", pictures[: 5 if k == 3 else None])
     videos = [tmp_path / f"{k}.mkv" for k in (1, 2, 3, 4)]
-    command = ["record", "--rig", recorded / "rig.yaml", "--images", *videos, *SMALL, "--out", tmp_path / "out"]
+    command = [
+        "record",
+        "--rig",
+        recorded / "rig.yaml",
+        "--images",
+        *videos,
+        *SMALL,
+        "--out",
+        tmp_path / "out",
+    ]
     assert run(*command, "--start", 1, "--step", 2) == 0
-    assert "3.mkv lacks 1 frames that other cameras have; they are left out: 5" in capsys.readouterr().out
+    assert (
+        "3.mkv lacks 1 frames that other cameras have; they are left out: 5"
+        in capsys.readouterr().out
+    )
     data = osl.load_dataset(tmp_path / "out")
     assert [frame.number for frame in data] == [1, 3]
     of_pictures = osl.load_dataset(done)[3]  # frame 4 of the pictures, which count from 1
@@ -330,15 +431,21 @@ def test_videos_are_recordings_too(recorded, done, tmp_path, capsys):
 
 @pytest.mark.parametrize(("rate", "apart"), [(20, 20), (30, 17), (12.5, 40)])
 def test_videos_of_unequal_rates_are_matched_by_time(tmp_path, rate, apart):
-    """The gray value of a frame is its time in hundredths of a second, which is the oracle; the first one has 25."""
+    """The gray value of a frame is its time in hundredths of a second, which is the oracle; the
+    first one has 25."""
     for name, fps in (("a.mkv", 25), ("b.avi", rate)):
         grays = [np.full((16, 16), round(100 * k / fps), np.uint8) for k in range(round(2 * fps))]
         write_video(tmp_path / name, grays, fps)
     drift = min(50, round(2 * rate)) * abs(1 / 25 - 1 / rate)
-    with pytest.warns(UserWarning, match=rf"25 a second, .* {rate} a second: .* up to {drift:.2g} s apart"):
+    with pytest.warns(
+        UserWarning, match=rf"25 a second, .* {rate} a second: .* up to {drift:.2g} s apart"
+    ):
         found = Recording.open([tmp_path / "a.mkv", tmp_path / "b.avi"])
     assert len(found.frames) == min(50, round(2 * rate))
-    times = [[int(picture[0, 0, 0]) for picture in source.read([*found.frames], None)] for source in found.sources]
+    times = [
+        [int(picture[0, 0, 0]) for picture in source.read([*found.frames], None)]
+        for source in found.sources
+    ]
     assert np.abs(np.subtract(*times)).max() <= apart / 10 / 2 + 1
 
 
@@ -355,10 +462,15 @@ def test_time_stamps_as_names_are_matched_by_nearest_time(tmp_path, unit):
     start, frame = 1403636579763555584 // unit, 50_000_000 // unit
     times = start + frame * np.arange(6)
     late = np.delete(times, 2) + np.array([0, 5184, -700_000, 3000, 24_000_000]) // unit
-    folders = [pictures(tmp_path / name, *(f"{t}.png" for t in ts)) for name, ts in (("a", times), ("b", late))]
+    folders = [
+        pictures(tmp_path / name, *(f"{t}.png" for t in ts))
+        for name, ts in (("a", times), ("b", late))
+    ]
     with pytest.warns(UserWarning, match=f"differ by up to {24_000_000 // unit}; .* {frame} apart"):
         found = Recording.open(folders)
-    assert list(found.frames) == list(np.delete(times, 2)) and found.missing == {folders[1]: [times[2]]}
+    assert list(found.frames) == list(np.delete(times, 2)) and found.missing == {
+        folders[1]: [times[2]]
+    }
     matched = [found.sources[1].files[key].stem for key in found.frames.values()]
     assert matched == [str(t) for t in late]
 
@@ -368,7 +480,8 @@ def test_a_picture_is_of_one_moment_only(tmp_path):
     slow, fast = ([1700000000.0 + k / rate for k in range(n)] for rate, n in ((10, 4), (20, 8)))
     a = pictures(tmp_path / "a", *(f"{t:.6f}".rstrip("0") + "0.png" for t in slow))
     b = pictures(tmp_path / "b", *(f"{t + 0.001:.6f}.png" for t in fast))
-    with pytest.warns(UserWarning, match="differ by up to 1000000; .* 50000000 apart"):  # of decimal seconds, ns
+    # of decimal seconds, ns
+    with pytest.warns(UserWarning, match="differ by up to 1000000; .* 50000000 apart"):
         found = Recording.open([a, b])
     matched = [found.sources[1].files[key].name for key in found.frames.values()]
     assert matched == [f"{t + 0.001:.6f}.png" for t in slow] and len(found.missing[a]) == 4
@@ -406,7 +519,10 @@ def test_frames_are_matched_by_number_or_by_name(tmp_path):
     found = Recording.open([a, b])
     assert list(found.frames) == [7, 8, 10] and found.missing == {a: [9]}
     assert list(Recording.open([a, b], start=8, step=2).frames) == [8]
-    c, d = pictures(tmp_path / "c", "x.png", "y.png"), pictures(tmp_path / "d", "y.png", "x.png", "z.png")
+    c, d = (
+        pictures(tmp_path / "c", "x.png", "y.png"),
+        pictures(tmp_path / "d", "y.png", "x.png", "z.png"),
+    )
     named = Recording.open([c, d])
     assert named.frames == {0: "x", 1: "y"} and named.missing == {c: ["z"]}
     with pytest.raises(osl.OmnistereoError, match="have no frame in common"):
@@ -431,5 +547,7 @@ def test_a_video_shorter_than_it_says_is_told(tmp_path):
     with pytest.raises(osl.OmnistereoError, match=r"a.mkv ends before frame 7. Pass --stop 7"):
         list(source.read([1, 7], (64, 48)))
     assert list(source.unreadable([1, 4, 7, 9], (64, 48))) == [7, 9]
-    with pytest.raises(osl.OmnistereoError, match=r"a.mkv is 64 × 48 px; the camera has 48 × 64 px"):
+    with pytest.raises(
+        osl.OmnistereoError, match=r"a.mkv is 64 × 48 px; the camera has 48 × 64 px"
+    ):
         next(source.read([1], (48, 64)))

@@ -33,7 +33,17 @@ def world(tmp_path_factory):
 def depth(folder, out, *options, images="{}.png"):
     pictures = [str(folder / images.format(k)) for k in (1, 2, 3, 4)]
     return cli.main(
-        ["depth", "--rig", str(folder / "rig.yaml"), "--images", *pictures, *SMALL, "--out", str(out), *options]
+        [
+            "depth",
+            "--rig",
+            str(folder / "rig.yaml"),
+            "--images",
+            *pictures,
+            *SMALL,
+            "--out",
+            str(out),
+            *options,
+        ]
     )
 
 
@@ -41,7 +51,9 @@ def test_the_turn_is_stated_and_can_be_undone(world, tmp_path, capsys):
     folder, rig = world
     assert depth(folder, tmp_path / "turned") == 0
     assert re.search(
-        r"^The rig was turned level, by 1[12][0-9]° \(--keep-frame leaves it\)\.$", capsys.readouterr().out, re.M
+        r"^The rig was turned level, by 1[12][0-9]° \(--keep-frame leaves it\)\.$",
+        capsys.readouterr().out,
+        re.M,
     )
     assert "rig turned level" in (tmp_path / "turned" / "index.html").read_text(encoding="utf-8")
     stored = yaml.safe_load((tmp_path / "turned" / "data" / "rig.yaml").read_text())
@@ -54,11 +66,15 @@ def test_the_turn_is_stated_and_can_be_undone(world, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("factor", "doubt"), [(1e-3, "are at one place: they see no depth"), (1e3, "Check the unit of the translations")]
+    ("factor", "doubt"),
+    [(1e-3, "are at one place: they see no depth"), (1e3, "Check the unit of the translations")],
 )
 def test_a_wrong_unit_is_doubted_without_images(tmp_path, capsys, factor, doubt):
     rig = scene.rig(width=200, height=192)
-    osl.save_rig(rig.with_poses([osl.Pose(pose.R, factor * pose.t) for pose in rig.T_rig_cam]), tmp_path / "rig.yaml")
+    osl.save_rig(
+        rig.with_poses([osl.Pose(pose.R, factor * pose.t) for pose in rig.T_rig_cam]),
+        tmp_path / "rig.yaml",
+    )
     assert cli.main(["doctor", "--rig", str(tmp_path / "rig.yaml")]) == 0
     assert doubt in capsys.readouterr().err
 
@@ -68,7 +84,8 @@ def test_a_black_rim_is_told_and_masked(world, tmp_path, capsys):
     assert depth(folder, tmp_path, images="dark{}.png") == 0
     said = capsys.readouterr().err
     pattern = (
-        r"black beyond (\d+)° of the 220° stated: two cameras see (\d+) % of the sphere, not (\d+) %.*--max-fov (\d+)"
+        r"black beyond (\d+)° of the 220° stated: two cameras see (\d+) % of the sphere, not (\d+)"
+        r" %.*--max-fov (\d+)"
     )
     found = re.search(f"images of camera 1, 2, 3, 4 are {pattern}", said)
     fov, after, before, proposed = map(int, found.groups())
@@ -79,11 +96,13 @@ def test_every_command_on_a_rig_takes_a_field_of_view(world, capsys):
     rig = ["--rig", str(world[0] / "rig.yaml"), "--max-fov", "3.84"]
     for command in ("doctor", "depth", "record --images 1", "live --cameras 0", "onnx", "evaluate"):
         assert cli.main([*command.split(), *rig]) == 2
-        assert re.search(r"--max-fov is 3.84; expected .* degrees.* radians \(220.0°\)", capsys.readouterr().err)
+        assert re.search(
+            r"--max-fov is 3.84; expected .* degrees.* radians \(220.0°\)", capsys.readouterr().err
+        )
 
 
 def test_evaluations_of_other_fields_of_view_are_kept_apart(tmp_path):
-    from omnistereo_lib.evaluate import Evaluation
+    from omnistereo_learn.evaluate import Evaluation
 
     grid = osl.SphereGrid(96, 24, (-45, 45), 16, 0.6)
     folder = scene.write_set(tmp_path / "set", scene.rig(width=200, height=192), grid, [(0, 0, 0)])

@@ -1,4 +1,5 @@
-"""Trust, against errors of spheres: the same confidence is worth more where a sphere is a smaller part of the depth."""
+"""Trust, against errors of spheres: the same confidence is worth more where a sphere is a smaller
+part of the depth."""
 
 from dataclasses import replace
 
@@ -7,7 +8,7 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
-from omnistereo_lib.evaluate.run import DATA
+from omnistereo_learn.evaluate.run import DATA
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.judge.trust import DOUBTFUL, may_be_nearer, trust
 
@@ -47,13 +48,16 @@ def test_where_a_nearer_thing_would_be_seen_by_one_camera_only_it_is_doubtful():
     rays, counts = grid.rays(), []
     for d in np.linspace(grid.min_depth, found, 100):
         points = [d * rays - [x, 0, 0] for x in (-0.3, 0.3)]
-        counts.append(sum(p[..., 2] / np.linalg.norm(p, axis=-1) > np.cos(np.radians(75)) for p in points))
+        counts.append(
+            sum(p[..., 2] / np.linalg.norm(p, axis=-1) > np.cos(np.radians(75)) for p in points)
+        )
     hidden = np.min(counts, axis=0) < 2
     seen = counts[-1] == 2  # at the depth found
     assert (may_be_nearer(depth) == hidden)[seen].mean() > 0.97 and 0.02 < hidden[seen].mean() < 0.5
     trusted = trust(depth, "volumenet")
     assert (
-        trusted[may_be_nearer(depth)].max() == DOUBTFUL and (trusted[seen & ~may_be_nearer(depth)] == 1).mean() > 0.95
+        trusted[may_be_nearer(depth)].max() == DOUBTFUL
+        and (trusted[seen & ~may_be_nearer(depth)] == 1).mean() > 0.95
     )
 
 
@@ -61,7 +65,8 @@ def test_black_and_white_are_no_evidence(box):
     rig, index, images = box
     depth = osl.Depth(index, np.ones_like(index), SphereSweep(rig, GRID), images)
     assert (trust(depth, "volumenet")[:, 5:-5] == 1).mean() > 0.99
-    blown = [np.where(np.indices(image.shape)[1] < 100, 255, image) for image in images]  # the left half of each
+    # the left half of each
+    blown = [np.where(np.indices(image.shape)[1] < 100, 255, image) for image in images]
     unlit = trust(replace(depth, images=blown), "volumenet") == 0
     seen = np.stack(depth.sweep.warp(blown, index))
     few = (np.isfinite(seen) & (seen < 250)).sum(0) < 2

@@ -39,12 +39,16 @@ def depth():
 @pytest.fixture(scope="module")
 def data(depth):
     rows, columns = np.indices((160, 640))
-    panorama = np.stack([columns * 255 // 640, rows * 255 // 160, np.full_like(rows, 128)], -1).astype(np.uint8)
+    panorama = np.stack(
+        [columns * 255 // 640, rows * 255 // 160, np.full_like(rows, 128)], -1
+    ).astype(np.uint8)
     trust = np.full(GRID.shape, 0.9)
     trust[:, DOUBTFUL] = 0.2
     truth = depth.index.copy()
     truth[:, WRONG] += 3.2
-    return viewer_data(depth, panorama, LIMITS, "a <box>", trust=trust, odds=odds("zncc+sgm"), gt_index=truth)
+    return viewer_data(
+        depth, panorama, LIMITS, "a <box>", trust=trust, odds=odds("zncc+sgm"), gt_index=truth
+    )
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +133,8 @@ def pixel(page, x, y):
 
 def color_of(page, depth, row, column):
     x, y = page.evaluate(
-        "point => placeOf(point).map(x => x * canvas.width / canvas.clientWidth)", point_of(depth, row, column).tolist()
+        "point => placeOf(point).map(x => x * canvas.width / canvas.clientWidth)",
+        point_of(depth, row, column).tolist(),
     )
     return pixel(page, int(x), int(y))
 
@@ -138,13 +143,17 @@ def test_it_shows_the_panorama_and_tells_the_depth(depth, page):
     np.testing.assert_allclose(color_of(page, depth, 20, 80), [128, 131, 128], atol=8)
     press(page, place_of(page, point_of(depth, 20, 80)))
     told = re.fullmatch(r"([\d.]+) m ± [\d.]+ m, exact ([\d.]+) m", page.inner_text("#readout"))
-    assert [float(number) for number in told.groups()] == pytest.approx([depth.depth[20, 80]] * 2, abs=0.02)
+    assert [float(number) for number in told.groups()] == pytest.approx(
+        [depth.depth[20, 80]] * 2, abs=0.02
+    )
     assert page.inner_text("#title") == "a <box>" and page.complaints == []
 
 
 @pytest.mark.parametrize("mode", ["look", "flat", "points", "surfaces"])
 def test_every_ray_is_found_where_it_is_shown(depth, desktop, mode):
-    in_mode(desktop, mode).evaluate("Object.assign(view, { turn: 0.2, tilt: 0, distance: 0.02 }); drawNow()")
+    in_mode(desktop, mode).evaluate(
+        "Object.assign(view, { turn: 0.2, tilt: 0, distance: 0.02 }); drawNow()"
+    )
     missed = desktop.evaluate("""() => [...steps.keys()].filter(k => k % 7 === 0).map(k => {
         const density = canvas.width / canvas.clientWidth, [x, y] = placeOf(pointOf(k)) ?? [-1, -1]
         if (!(x > 1 && y > 1 && x < canvas.clientWidth - 1 && y < canvas.clientHeight - 1)) return -1
@@ -178,9 +187,9 @@ def test_nothing_is_off_the_screen_and_nothing_lies_over_another(depth, pages, s
 
 
 def test_the_first_view_is_not_magnified_by_more_than_two(page, data):
-    assert page.evaluate("focal()") * np.pi / 180 <= 2 * data["pixelsPerDegree"] * 1.001 or page.evaluate(
-        "canvas.clientWidth / focal() > 5.6"
-    )
+    assert page.evaluate("focal()") * np.pi / 180 <= 2 * data[
+        "pixelsPerDegree"
+    ] * 1.001 or page.evaluate("canvas.clientWidth / focal() > 5.6")
 
 
 @pytest.mark.parametrize("mode", ["look", "flat"])
@@ -190,16 +199,23 @@ def test_two_picks_give_the_distance_between_their_points(depth, page, mode):
     for number, cell in enumerate(cells):
         press(page, place_of(page, point_of(depth, *cell)))
         page.evaluate("$('why').hidden = true")  # it covers some of the view
-        assert page.inner_text("#distance").endswith("to measure." if number == 0 else "between the two marks")
+        assert page.inner_text("#distance").endswith(
+            "to measure." if number == 0 else "between the two marks"
+        )
     distance = np.linalg.norm(point_of(depth, *cells[0]) - point_of(depth, *cells[1]))
     told = re.match(r"([\d.]+) m ± ([\d.]+) m", page.inner_text("#distance"))
     assert float(told[1]) == pytest.approx(distance, abs=0.08)
     # Along the line between the two: each end's standard deviation, by finite differences.
     a, b = (point_of(depth, *cell) for cell in cells)
     step = 1 / GRID.min_depth / (GRID.num_spheres - 1)
-    moved = [0.6 + 8 * 0.1] * np.array([step]) * np.array([depth.depth[cell] ** 2 for cell in cells])
+    moved = (
+        [0.6 + 8 * 0.1] * np.array([step]) * np.array([depth.depth[cell] ** 2 for cell in cells])
+    )
     ends = [a + (a / np.linalg.norm(a)) * 1e-4, b + (b / np.linalg.norm(b)) * 1e-4]
-    slopes = [(np.linalg.norm(ends[0] - b) - distance) / 1e-4, (np.linalg.norm(a - ends[1]) - distance) / 1e-4]
+    slopes = [
+        (np.linalg.norm(ends[0] - b) - distance) / 1e-4,
+        (np.linalg.norm(a - ends[1]) - distance) / 1e-4,
+    ]
     error = page.evaluate("distanceBetween(...picks)[1]")
     assert error == pytest.approx(np.hypot(*(slopes * moved)), rel=0.1)
     x, y = place_of(page, point_of(depth, 20, 80))
@@ -223,7 +239,9 @@ def test_depth_has_no_stairs_but_edges(depth, open_page, tmp_path):
     index = np.tile(np.linspace(10, 12, 160, dtype=np.float32), (40, 1))  # a slope
     index[:, 100:] += 40  # and an edge
     slope = osl.Depth(index, depth.confidence, depth.sweep)
-    (tmp_path / "index.html").write_text(viewer_page(slope, np.zeros((160, 640, 3), np.uint8), LIMITS, "slope"))
+    (tmp_path / "index.html").write_text(
+        viewer_page(slope, np.zeros((160, 640, 3), np.uint8), LIMITS, "slope")
+    )
     page = shown(open_page(1280, 400), (tmp_path / "index.html").as_uri())
     in_mode(page, "flat").evaluate("$('mix').value = 100")
     drawn = line(page, 200)[100:1100:2].sum(1)
@@ -236,25 +254,39 @@ def test_depth_has_no_stairs_but_edges(depth, open_page, tmp_path):
 
 def test_the_explanation_of_a_ray_is_that_of_python(depth, desktop, data):
     cameras = [
-        cv2.imdecode(np.frombuffer(base64.b64decode(camera["image"].partition(",")[2]), np.uint8), -1)
+        cv2.imdecode(
+            np.frombuffer(base64.b64decode(camera["image"].partition(",")[2]), np.uint8), -1
+        )
         for camera in data["cameras"]
     ]
     images = [np.ascontiguousarray(image[..., 2::-1]) for image in cameras]
-    inverse = np.array(desktop.evaluate("[...steps.keys()].map(k => inverse(k))")).reshape(GRID.shape)
+    inverse = np.array(desktop.evaluate("[...steps.keys()].map(k => inverse(k))")).reshape(
+        GRID.shape
+    )
     index = GRID.inverse_depth_to_index(inverse).astype(np.float64)
     same = replace(depth, index=index, images=images)
     kinds = set()
     for row, column in [(20, 80), (5, 10), (33, 60), (12, 130), (39, 100), (20, 0)]:
         expected = ray.explain(same, column, row)
         found = desktop.evaluate(
-            "k => { const found = explain(k); return { ...found, words: sentenceOf(found) } }", row * 160 + column
+            "k => { const found = explain(k); return { ...found, words: sentenceOf(found) } }",
+            row * 160 + column,
         )
-        values = np.array([np.nan if value is None else value for value in found["agreement"]], float)
+        values = np.array(
+            [np.nan if value is None else value for value in found["agreement"]], float
+        )
         np.testing.assert_allclose(values, expected.agreement, atol=1e-3)
-        assert (found["sees"], found["hidden"]) == (expected.sees.tolist(), expected.hidden.tolist())
+        assert (found["sees"], found["hidden"]) == (
+            expected.sees.tolist(),
+            expected.hidden.tolist(),
+        )
         for name in ("contrast", "shift", "chosen"):
-            assert found[name] == pytest.approx(getattr(expected, name), rel=1e-3, nan_ok=True), name
-        assert [mode["sphere"] for mode in found["modes"]] == [mode.sphere for mode in expected.modes]
+            assert found[name] == pytest.approx(getattr(expected, name), rel=1e-3, nan_ok=True), (
+                name
+            )
+        assert [mode["sphere"] for mode in found["modes"]] == [
+            mode.sphere for mode in expected.modes
+        ]
         assert found["words"] == expected.sentence
         kinds.add(expected.kind)
     assert len(kinds) >= 2
@@ -268,14 +300,21 @@ def test_crosses_and_patches_follow_the_depth_along_the_ray(depth, page):
         captions = page.locator("#fisheyes figcaption").all_inner_texts()
         for camera, caption in enumerate(captions):
             pixels, valid = depth.sweep.project_sphere(camera, float(round(index)))
-            place = "at {:.0f}, {:.0f}".format(*pixels[row, column]) if valid[row, column] else "does not see it"
+            place = (
+                "at {:.0f}, {:.0f}".format(*pixels[row, column])
+                if valid[row, column]
+                else "does not see it"
+            )
             assert caption == f"camera {camera + 1} {place}"
             u, v = pixels[row, column]
             around = page.evaluate(
-                "([i, u, v]) => [...fisheyes[i].canvas.getContext('2d').getImageData(u - 1, v - 1, 3, 3).data]",
+                "([i, u, v]) => [...fisheyes[i].canvas.getContext('2d').getImageData(u - 1, v - 1,"
+                " 3, 3).data]",
                 [camera, round(u - 9 if u > 100 else u + 9), round(v)],
             )
-            yellow = any(red > 150 and blue < 100 for red, _, blue in np.reshape(around, (9, 4))[:, :3])
+            yellow = any(
+                red > 150 and blue < 100 for red, _, blue in np.reshape(around, (9, 4))[:, :3]
+            )
             assert yellow or not valid[row, column]
     assert "does not see it" in " ".join(captions)
     assert page.inner_text("#alongWords").startswith(f"At {GRID.index_to_depth(40):.2f} m, ")
@@ -286,7 +325,9 @@ def test_crosses_and_patches_follow_the_depth_along_the_ray(depth, page):
 def test_surfaces_have_no_hole_and_nothing_is_stretched(depth, desktop):
     in_mode(desktop, "surfaces")
     for turn in (0, 2):  # within the box, nothing hides anything
-        desktop.evaluate(f"Object.assign(view, {{ turn: {turn}, tilt: 0, distance: 0.3 }}); drawNow()")
+        desktop.evaluate(
+            f"Object.assign(view, {{ turn: {turn}, tilt: 0, distance: 0.3 }}); drawNow()"
+        )
         holes = desktop.evaluate("""() => {
             const [w, h] = [canvas.width, canvas.height]
             return renderer.names(seen(), settings(), w / 4, h / 2 - 100, w / 2, 200).filter(k => k < 0).length
@@ -296,7 +337,9 @@ def test_surfaces_have_no_hole_and_nothing_is_stretched(depth, desktop):
         return [mesh.opaque, mesh.fringe].map(all => Array.from(all, i =>
             [0, 1, 5].map(value => mesh.vertices[FLOATS * i + value]))) }""")
     column, row, _ = np.reshape(opaque, (-1, 3, 3)).T  # of the corners of each
-    areas = ((column[1] - column[0]) * (row[2] - row[0]) - (column[2] - column[0]) * (row[1] - row[0])) / 2
+    areas = (
+        (column[1] - column[0]) * (row[2] - row[0]) - (column[2] - column[0]) * (row[1] - row[0])
+    ) / 2
     assert areas.min() >= 0 and areas.sum() + len(fringe) / 12 == pytest.approx(160 * 40, rel=0.01)
     assert len(areas) < 160 * 40  # flat parts have larger triangles
     inverse = np.reshape([*opaque, *fringe], (-1, 3, 3)).T[2]
@@ -312,10 +355,13 @@ def test_at_an_edge_in_depth_both_surfaces_end_within_a_ray(depth, open_page, tm
     (tmp_path / "index.html").write_text(viewer_page(plate, panorama, LIMITS, "plate"))
     page = in_mode(shown(open_page(800, 600), (tmp_path / "index.html").as_uri()), "surfaces")
     page.evaluate("Object.assign(view, { turn: 0, tilt: 0, distance: 1e-3 }); drawNow()")
-    holes = page.evaluate("renderer.names(seen(), settings(), 200, 200, 400, 200).filter(k => k < 0).length")
+    holes = page.evaluate(
+        "renderer.names(seen(), settings(), 200, 200, 400, 200).filter(k => k < 0).length"
+    )
     assert holes == 0
     drawn = line(page, 300)[200:600:2, 0]
-    assert set(np.unique(drawn[(drawn < 50) | (drawn > 230)])) == set()  # no background shines through the rim
+    # no background shines through the rim
+    assert set(np.unique(drawn[(drawn < 50) | (drawn > 230)])) == set()
     assert (np.abs(np.diff(drawn)) > 100).sum() <= 4
 
 
@@ -324,7 +370,12 @@ def test_arrows_turn_the_view(desktop, key):
     desktop.focus("#view")
     desktop.keyboard.press(key)
     yaw, pitch = desktop.evaluate("[view.yaw, view.pitch]")
-    assert {"ArrowLeft": yaw < 0, "ArrowRight": yaw > 0, "ArrowUp": pitch < 0, "ArrowDown": pitch > 0}[key]
+    assert {
+        "ArrowLeft": yaw < 0,
+        "ArrowRight": yaw > 0,
+        "ArrowUp": pitch < 0,
+        "ArrowDown": pitch > 0,
+    }[key]
 
 
 def test_keys_and_the_wheel_zoom_and_enter_explains(desktop):
@@ -339,11 +390,16 @@ def test_keys_and_the_wheel_zoom_and_enter_explains(desktop):
 
 
 def test_a_view_can_be_sent_as_an_address(open_page, written, desktop):
-    desktop.evaluate("Object.assign(view, { yaw: 1, zoom: 2 }); $('mix').value = 40; pick(3000); drawNow()")
+    desktop.evaluate(
+        "Object.assign(view, { yaw: 1, zoom: 2 }); $('mix').value = 40; pick(3000); drawNow()"
+    )
     desktop.wait_for_function("location.hash.includes('rays=3000')")
     page = shown(open_page(*SIZES["desktop"]), desktop.url)
     assert page.evaluate("[view.yaw, view.zoom, +$('mix').value, ...picks]") == [1, 2, 40, 3000]
-    assert page.locator("#why").is_visible() and page.inner_text("#mixWords") == "60 % picture, 40 % depth"
+    assert (
+        page.locator("#why").is_visible()
+        and page.inner_text("#mixWords") == "60 % picture, 40 % depth"
+    )
 
 
 def test_without_webgl_it_says_so_and_shows_the_panorama(open_page, written):
@@ -365,7 +421,9 @@ def test_it_flies_through_until_it_is_touched(page):
     page.wait_for_function("!flight")
     assert page.inner_text("#fly") == "fly"
     page.evaluate("flyTo(1)")  # it ends where it began
-    assert page.evaluate("Math.cos(view.turn) > 0.999 && view.tilt < 1e-6 && view.distance < start.distance / 10")
+    assert page.evaluate(
+        "Math.cos(view.turn) > 0.999 && view.tilt < 1e-6 && view.distance < start.distance / 10"
+    )
 
 
 def middle(page, selector):
@@ -374,7 +432,9 @@ def middle(page, selector):
 
 
 def test_who_wants_no_motion_flies_in_single_steps_in_the_dark(open_page, written):
-    page = shown(open_page(*SIZES["desktop"], reduced_motion="reduce", color_scheme="dark"), written)
+    page = shown(
+        open_page(*SIZES["desktop"], reduced_motion="reduce", color_scheme="dark"), written
+    )
     turns = []
     for _ in range(3):
         page.click("#fly")
@@ -400,7 +460,8 @@ def test_what_is_doubtful_is_told_and_faded_and_a_slider_hides_it(depth, desktop
     desktop.evaluate("$('least').value = 0; view.turn = 0.69; view.tilt = 0; view.distance = 0.01")
     in_mode(desktop, "surfaces")
     red = 255 * 110.5 / 160
-    assert abs(color_of(desktop, depth, *doubtful)[0] - (0.6 * red + 0.4 * 0xB9)) < 8  # towards the background
+    # towards the background
+    assert abs(color_of(desktop, depth, *doubtful)[0] - (0.6 * red + 0.4 * 0xB9)) < 8
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -410,7 +471,9 @@ def test_the_labels_of_its_scale_do_not_touch(pages, size):
         D.ticks = [[0, "∞"], [0.05, "40 m"], [0.11, "20 m"], [0.22, "10 m"], [0.31, "7 m"], [0.73, "3 m"], [1, "2 m"]]
         showScale() }""")
     labels = [label.bounding_box() for label in page.locator("#scale span:visible").all()]
-    assert len(labels) >= 3 and all(left["x"] + left["width"] < right["x"] for left, right in pairwise(labels))
+    assert len(labels) >= 3 and all(
+        left["x"] + left["width"] < right["x"] for left, right in pairwise(labels)
+    )
 
 
 def test_it_is_small_and_asks_no_network(depth):
@@ -419,7 +482,8 @@ def test_it_is_small_and_asks_no_network(depth):
     index = rng.uniform(0, 191, large.shape).astype(np.float32)
     index[:9] = np.nan
     noisy = osl.Depth(index, np.ones_like(index), SphereSweep(depth.sweep.rig, large))
-    panorama = np.clip(rng.normal(128, 20, (1024, 2048, 3)), 0, 255).astype(np.uint8)  # no photograph is worse
+    # no photograph is worse
+    panorama = np.clip(rng.normal(128, 20, (1024, 2048, 3)), 0, 255).astype(np.uint8)
     for gt_index in (None, index):
         page = viewer_page(noisy, panorama, LIMITS, "large", gt_index=gt_index)
         assert len(page.encode()) < 5_000_000

@@ -11,7 +11,7 @@ import omnistereo_lib as osl
 from omnistereo_lib.files import write_image
 from omnistereo_lib.frame import write_inverse_depth
 from omnistereo_tools import cli
-from omnistereo_tools.record.world import RecordedFrames
+from omnistereo_tools.world.build import RecordedFrames
 
 GRID = osl.SphereGrid(160, 40, num_spheres=32, min_depth=0.6)
 PLACES = [[0, 0, 0.15 * n] for n in range(3)]
@@ -61,14 +61,18 @@ def test_path_meshes_and_refined_depth_of_a_recording(recording, world, capsys):
     path = np.loadtxt(out / "trajectory.txt")
     np.testing.assert_array_equal(path[:, 0], [1, 2, 3])
     np.testing.assert_allclose(path[:, 1:4], PLACES, atol=0.01)
-    np.testing.assert_allclose(np.loadtxt(out / "trajectory_kitti.txt")[:, [3, 7, 11]], path[:, 1:4], atol=1e-6)
+    np.testing.assert_allclose(
+        np.loadtxt(out / "trajectory_kitti.txt")[:, [3, 7, 11]], path[:, 1:4], atol=1e-6
+    )
     data = osl.load_dataset(out)
     truth = scene.distance(np.array(PLACES[1]), GRID.rays())
     assert np.median(np.abs(data.frame(2).inverse_depth * truth - 1)) < 0.02
     walls = (trimesh.load(out / "mesh.ply").vertices - scene.CENTER) / scene.HALF_SIZE
     assert np.median(np.abs(np.abs(walls).max(axis=1) - 1)) < 0.02
     up = trimesh.load(out / "mesh.glb", force="mesh").vertices
-    assert up[:, 1].max() == pytest.approx(-(trimesh.load(out / "mesh.ply").vertices[:, 1].min()), abs=1e-4)
+    assert up[:, 1].max() == pytest.approx(
+        -(trimesh.load(out / "mesh.ply").vertices[:, 1].min()), abs=1e-4
+    )
     # The same command keeps what is there; another one keeps the steps.
     before = {file: file.stat().st_mtime_ns for file in out.iterdir()}
     assert cli.main(command) == 0 and "already" in capsys.readouterr().out
@@ -93,17 +97,27 @@ def test_the_page_flies_through_the_mesh(recording, world, open_page, size):
     for key in ("Home", "End"):
         page.press("#along", key)
         page.wait_for_selector(f"body[data-drawn='{0 if key == 'Home' else 2}']")
-        at_ends.append((page.inner_text("#place"), middle(page, 0, 9).mean(), page.locator("#plan").screenshot()))
+        at_ends.append(
+            (
+                page.inner_text("#place"),
+                middle(page, 0, 9).mean(),
+                page.locator("#plan").screenshot(),
+            )
+        )
     (first, near, plan), (last, nearer, other_plan) = at_ends
     assert first == "frame 1, 0.0 of 0.3 m" and last == "frame 3, 0.3 of 0.3 m"
     assert near != nearer and plan != other_plan
     page.click("#fly")  # from the end it begins again
     page.wait_for_function("!flight && view.at === along.at(-1)")
-    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth") and page.complaints == []
+    assert (
+        page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        and page.complaints == []
+    )
 
 
 def middle(page, yaw, degrees):
-    """What the page draws in a square around a direction from the rig, so far to each side; (N, N, 3)."""
+    """What the page draws in a square around a direction from the rig, so far to each side; (N, N,
+    3)."""
     read = page.evaluate(
         """([yaw, degrees]) => {
             Object.assign(view, { yaw, pitch: 0, behind: 0 })
@@ -135,7 +149,9 @@ def test_what_is_missing_is_named(copy, capsys, tmp_path):
 
 
 def test_more_memory_than_there_is_is_refused(copy, capsys, monkeypatch):
-    monkeypatch.setattr("omnistereo_lib.world.fusion.bytes_needed", lambda blocks, channels: 1 << 60)
+    monkeypatch.setattr(
+        "omnistereo_tools.world.fusion.bytes_needed", lambda blocks, channels: 1 << 60
+    )
     assert "not enough memory: needs" in fails(capsys, copy)
     assert not (copy / "world" / "mesh.ply").exists()
 

@@ -1,1 +1,3 @@
-"""Fast code for one device each: what `reference` defines, with the same numbers. Only `stereo` comes here."""
+"""Fast code for one device each: what `reference` defines, with the same numbers. Only `stereo`
+comes here.
+"""

@@ -1,4 +1,6 @@
-"""Correlation on a CPU, cell by cell: cameras that do not see a cell cost nothing, and no warped map is ever stored."""
+"""Correlation on a CPU, cell by cell: cameras that do not see a cell cost nothing, and no warped
+map is ever stored.
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,11 +14,14 @@ from omnistereo_lib.stereo.threads import map_threads
 
 CHANNELS, GROUPS = 32, 8
 _SIZE = CHANNELS // GROUPS
-_CELLS = 1 << 14  # cells correlated at a time: so few that their features stay in the cache of a core
+# cells correlated at a time: so few that their features stay in the cache of a core
+_CELLS = 1 << 14
 
 
 def correlate(features: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tensor:
-    """Return `reference.correlate` of float32 features (32, h, w), in eight groups, with its gradient."""
+    """Return `reference.correlate` of float32 features (32, h, w), in eight groups, with its
+    gradient.
+    """
     maps = [one.permute(1, 2, 0).contiguous() for one in features]
     volume = _CellCorrelation.apply(torch.stack([uv.reshape(-1, 2) for uv in coordinates]), *maps)
     return volume.view(*coordinates[0].shape[:3], -1).permute(3, 0, 1, 2)
@@ -27,15 +32,21 @@ class _CellCorrelation(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, uv: Tensor, *maps: Tensor) -> Tensor:
-        """Return the cells (cells, 9) of `correlate`, given features (h, w, 32) and places (cameras, cells, 2)."""
+        """Return the cells (cells, 9) of `correlate`, given features (h, w, 32) and places
+        (cameras, cells, 2).
+        """
         table = torch.cat([one.detach().reshape(-1, CHANNELS) for one in maps]).numpy()
         sizes = np.array([one.shape[:2] for one in maps])
         volume = torch.empty(uv.shape[1], GROUPS + 1, dtype=torch.float32)
-        totals = torch.empty(uv.shape[1] if any(ctx.needs_input_grad) else 0, CHANNELS, dtype=torch.float32)
+        totals = torch.empty(
+            uv.shape[1] if any(ctx.needs_input_grad) else 0, CHANNELS, dtype=torch.float32
+        )
 
         def correlate_part(start: int) -> None:
             cells = slice(start, start + _CELLS)
-            _correlate_cells(table, sizes, uv[:, cells].numpy(), volume[cells].numpy(), totals[cells].numpy())
+            _correlate_cells(
+                table, sizes, uv[:, cells].numpy(), volume[cells].numpy(), totals[cells].numpy()
+            )
 
         list(map_threads(correlate_part, range(0, uv.shape[1], _CELLS)))
         ctx.save_for_backward(uv, totals, volume, *maps)
@@ -43,7 +54,9 @@ class _CellCorrelation(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
-        """Return the gradients of the features: ∂/∂f_i = 2 (Σ_j f_j - f_i), scattered back by the warp."""
+        """Return the gradients of the features: ∂/∂f_i = 2 (Σ_j f_j - f_i), scattered back by the
+        warp.
+        """
         uv, totals, volume, *maps = ctx.saved_tensors
         grads = [torch.zeros(one.shape, dtype=torch.float32) for one in maps]
         k = 4 * volume[:, GROUPS:]
@@ -63,15 +76,24 @@ _loop = compiled(nogil=True, error_model="numpy", fastmath={"contract", "reassoc
 
 @_loop
 def _corner(x: float, y: float, height: int, width: int) -> tuple[int, int, Any, Any]:
-    """Return column and row of the pixel up and left of a position, and how far the position is beyond it."""
+    """Return column and row of the pixel up and left of a position, and how far the position is
+    beyond it.
+    """
     column, row = min(max(int(x), 0), width - 2), min(max(int(y), 0), height - 2)
     fx, fy = np.float32(x - column), np.float32(y - row)
-    return column, row, min(max(fx, np.float32(0)), np.float32(1)), min(max(fy, np.float32(0)), np.float32(1))
+    return (
+        column,
+        row,
+        min(max(fx, np.float32(0)), np.float32(1)),
+        min(max(fy, np.float32(0)), np.float32(1)),
+    )
 
 
 @_loop
 def _correlate_cells(table: Any, sizes: Any, uv: Any, volume: Any, totals: Any) -> None:
-    """Write cells of `correlate` (cells, 9), and Σ f_i (cells, 32) if asked for; one table holds all features."""
+    """Write cells of `correlate` (cells, 9), and Σ f_i (cells, 32) if asked for; one table holds
+    all features.
+    """
     total, square = np.zeros(CHANNELS, np.float32), np.zeros(CHANNELS, np.float32)
     for cell in range(uv.shape[1]):
         # Σ f and Σ f² over the cameras that see the cell; NaN says that one does not.
@@ -87,7 +109,12 @@ def _correlate_cells(table: Any, sizes: Any, uv: Any, volume: Any, totals: Any) 
                 r, one = first + row * width + column, np.float32(1)
                 a, b, c, d = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
                 for k in range(CHANNELS):
-                    f = a * table[r, k] + b * table[r + 1, k] + c * table[r + width, k] + d * table[r + width + 1, k]
+                    f = (
+                        a * table[r, k]
+                        + b * table[r + 1, k]
+                        + c * table[r + width, k]
+                        + d * table[r + width + 1, k]
+                    )
                     total[k] += f
                     square[k] += f * f
             first += height * width
@@ -104,7 +131,9 @@ def _correlate_cells(table: Any, sizes: Any, uv: Any, volume: Any, totals: Any) 
 
 @_loop
 def _scatter_gradient(maps: Any, uv: Any, totals: Any, grad: Any, out: Any) -> None:
-    """Add ∂/∂f_i = 2 (Σ_j f_j - f_i), times the gradient of the group means, to the pixels from which f_i was read."""
+    """Add ∂/∂f_i = 2 (Σ_j f_j - f_i), times the gradient of the group means, to the pixels from
+    which f_i was read.
+    """
     height, width, _ = maps.shape
     table, out = maps.reshape(-1, CHANNELS), out.reshape(-1, CHANNELS)
     g = np.zeros(CHANNELS, np.float32)
@@ -119,7 +148,12 @@ def _scatter_gradient(maps: Any, uv: Any, totals: Any, grad: Any, out: Any) -> N
                 for k in range(group * _SIZE, (group + 1) * _SIZE):
                     g[k] = grad[cell, group] * np.float32(2 / _SIZE)
             for k in range(CHANNELS):
-                f = a * table[r, k] + b * table[r + 1, k] + c * table[r + width, k] + d * table[r + width + 1, k]
+                f = (
+                    a * table[r, k]
+                    + b * table[r + 1, k]
+                    + c * table[r + width, k]
+                    + d * table[r + width + 1, k]
+                )
                 g[k] *= totals[cell, k] - f
             # Back to the four pixels from which f_i was interpolated.
             for k in range(CHANNELS):

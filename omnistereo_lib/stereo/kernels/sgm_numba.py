@@ -1,13 +1,16 @@
-"""The paths of SGM on a CPU, in compiled loops: all threads at once, and no L_r of a whole volume is ever stored.
+"""The paths of SGM on a CPU, in compiled loops: all threads at once, and no L_r of a whole volume
+is ever stored.
 
-Rows first, each with its two paths. Then one pass from the top follows ↓ ↘ ↙ and one from the bottom ↑ ↗ ↖. A message
-belongs to a scanline, not to a pixel: each vertical or diagonal line has its slot, (x − y) mod W for ↘, which the next
-row updates in place (6 W N floats for both passes, 5.5 MB at 1200×300×192).
+Rows first, each with its two paths. Then one pass from the top follows ↓ ↘ ↙ and one from the
+bottom ↑ ↗ ↖. A message belongs to a scanline, not to a pixel: each vertical or diagonal line has
+its slot, (x − y) mod W for ↘, which the next row updates in place (6 W N floats for both passes,
+5.5 MB at 1200×300×192).
 
-Threads never write to the same memory at the same time. The two passes start at opposite ends and run at once, one
-band of rows each. A band is cut into strips of columns. Because a path moves by at most one column per row, the part
-of a strip that narrows by one column per row on either side needs nothing from the neighbouring strips: first all
-these trapezoids run, then the triangles between them. The tiles also keep the data of a thread in its cache.
+Threads never write to the same memory at the same time. The two passes start at opposite ends and
+run at once, one band of rows each. A band is cut into strips of columns. Because a path moves by at
+most one column per row, the part of a strip that narrows by one column per row on either side needs
+nothing from the neighbouring strips: first all these trapezoids run, then the triangles between
+them. The tiles also keep the data of a thread in its cache.
 """
 
 import math
@@ -31,12 +34,17 @@ _STRIP = 128  # columns
 _Tile = tuple[bool, int, int, int, int, int]  # up, top, bottom, first, last, slope
 
 
-def sum_paths(cost: NDArray[Any], p1: float, p2: float, paths: int, wrap: bool) -> tuple[Tensor, bool]:
-    """Return Σ_r L_r of costs (H, W, N) float32, NaN where they are, and whether a cost is too large, as in `sgm`."""
+def sum_paths(
+    cost: NDArray[Any], p1: float, p2: float, paths: int, wrap: bool
+) -> tuple[Tensor, bool]:
+    """Return Σ_r L_r of costs (H, W, N) float32, NaN where they are, and whether a cost is too
+    large, as in `sgm`.
+    """
     H, W, N = cost.shape
     total = np.empty_like(cost)  # (H, W, N); NumPy asks for huge pages, torch does not
     fill = np.empty((H, W), np.float32)  # the data term of a ray's unknown cells
-    messages = np.zeros((2, 3, W, N), np.float32)  # of the passes down and up: straight on, to the right, to the left
+    # of the passes down and up: straight on, to the right, to the left
+    messages = np.zeros((2, 3, W, N), np.float32)
 
     # Along the rows, four at a time in a thread; this also fills the unknown cells.
     def rows(y: int) -> bool:
@@ -61,8 +69,16 @@ def _tiles(H: int, W: int) -> Iterator[list[_Tile]]:
     bands = 2 * math.ceil(H / depth / 2)  # even, so that the passes meet between two bands
     rows = list(pairwise(H * i // bands for i in range(bands + 1)))
     for down, up in zip(rows, reversed(rows), strict=True):
-        yield [(*band, first, last, 1) for band in ((False, *down), (True, *up)) for first, last in pairwise(columns)]
-        yield [(*band, last, last, -1) for band in ((False, *down), (True, *up)) for last in columns[1:]]
+        yield [
+            (*band, first, last, 1)
+            for band in ((False, *down), (True, *up))
+            for first, last in pairwise(columns)
+        ]
+        yield [
+            (*band, last, last, -1)
+            for band in ((False, *down), (True, *up))
+            for last in columns[1:]
+        ]
 
 
 # One pixel at a time; the compiler vectorises the loops over n.
@@ -70,7 +86,9 @@ def _tiles(H: int, W: int) -> Iterator[list[_Tile]]:
 
 @njit
 def _fill_value(cost: NDArray[Any]) -> np.float32:
-    """Return the data term of the unknown cells of a ray: the mean of its known costs, infinite if one is too large."""
+    """Return the data term of the unknown cells of a ray: the mean of its known costs, infinite if
+    one is too large.
+    """
     regular = True
     for n in range(cost.size):
         regular &= abs(cost[n]) < LARGEST  # false for NaN
@@ -87,8 +105,12 @@ def _fill_value(cost: NDArray[Any]) -> np.float32:
 
 
 @njit
-def _add_cost(cost: NDArray[Any], fill: float, message: NDArray[Any], path: NDArray[Any]) -> np.float32:
-    """Extend a path by one pixel, L = C + M; return the lowest L. path is (N + 2,), its ends stay infinite."""
+def _add_cost(
+    cost: NDArray[Any], fill: float, message: NDArray[Any], path: NDArray[Any]
+) -> np.float32:
+    """Extend a path by one pixel, L = C + M; return the lowest L. path is (N + 2,), its ends stay
+    infinite.
+    """
     lowest = INFINITY
     for n in range(cost.size):
         c = cost[n] if cost[n] == cost[n] else fill
@@ -98,7 +120,9 @@ def _add_cost(cost: NDArray[Any], fill: float, message: NDArray[Any], path: NDAr
 
 
 @njit
-def _update_message(path: NDArray[Any], lowest: float, p1: float, p2: float, message: NDArray[Any]) -> None:
+def _update_message(
+    path: NDArray[Any], lowest: float, p1: float, p2: float, message: NDArray[Any]
+) -> None:
     """Write the message M to the next pixel of the path."""
     jump = lowest + p2
     for n in range(message.size):
@@ -118,7 +142,13 @@ def _copy_if_changed(path: NDArray[Any], path_costs: NDArray[Any]) -> bool:
 
 @njit
 def _scan_row(
-    cost: NDArray[Any], fill: NDArray[Any], path_costs: NDArray[Any], leftward: bool, wrap: bool, p1: float, p2: float
+    cost: NDArray[Any],
+    fill: NDArray[Any],
+    path_costs: NDArray[Any],
+    leftward: bool,
+    wrap: bool,
+    p1: float,
+    p2: float,
 ) -> None:
     """Write the L of one path along one row to path_costs (W, N), in laps until nothing changes."""
     W, N = cost.shape
@@ -134,8 +164,12 @@ def _scan_row(
 
 
 @compiled(nogil=True)
-def _scan_rows(cost: NDArray[Any], fill: NDArray[Any], total: NDArray[Any], wrap: bool, p1: float, p2: float) -> bool:
-    """Write the sum of the two paths along rows to total, and fill; return whether a cost is too large."""
+def _scan_rows(
+    cost: NDArray[Any], fill: NDArray[Any], total: NDArray[Any], wrap: bool, p1: float, p2: float
+) -> bool:
+    """Write the sum of the two paths along rows to total, and fill; return whether a cost is too
+    large.
+    """
     H, W, N = cost.shape
     too_large = False
     leftward = np.empty((W, N), np.float32)
@@ -164,7 +198,9 @@ def _advance(
     p1: float,
     p2: float,
 ) -> None:
-    """Add the three paths of a pass to total, in the columns [first + slope j, last − slope j) of row j of a band."""
+    """Add the three paths of a pass to total, in the columns [first + slope j, last − slope j) of
+    row j of a band.
+    """
     up, top, bottom, first, last, slope = tile
     H, W, N = cost.shape
     paths = np.zeros((3, N + 2), np.float32)
@@ -176,7 +212,8 @@ def _advance(
         step = H - 1 - y if up else y
         for column in range(first + slope * j, last - slope * j):
             x = column % W
-            for k in range(3 if diagonals else 1):  # 0: straight on, 1: to the right, 2: to the left
+            # 0: straight on, 1: to the right, 2: to the left
+            for k in range(3 if diagonals else 1):
                 line = (x + (0, -step, step)[k]) % W
                 message = messages[int(up), k, line]
                 if not wrap and ((k == 1 and x == 0) or (k == 2 and x == W - 1)):

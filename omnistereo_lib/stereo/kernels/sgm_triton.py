@@ -1,7 +1,9 @@
-"""The paths of SGM on a GPU, in Triton: one program per scanline, which keeps its message in registers as it walks.
+"""The paths of SGM on a GPU, in Triton: one program per scanline, which keeps its message in
+registers as it walks.
 
-A scanline is one path over the panorama: a row, or a line that starts in the first (or last) row and moves by 0 or ±1
-column per row. Scanlines of one direction never share a pixel, so a launch per direction adds to S without atomics.
+A scanline is one path over the panorama: a row, or a line that starts in the first (or last) row
+and moves by 0 or ±1 column per row. Scanlines of one direction never share a pixel, so a launch per
+direction adds to S without atomics.
 """
 
 import torch
@@ -16,14 +18,17 @@ def _step(cost, message, sphere, p1, p2, BLOCK: tl.constexpr):
     path = cost + message  # inf beyond the last sphere
     lowest = tl.min(path, 0)
     below = tl.where(sphere > 0, tl.gather(path, tl.maximum(sphere - 1, 0), 0), float("inf"))
-    above = tl.where(sphere < BLOCK - 1, tl.gather(path, tl.minimum(sphere + 1, BLOCK - 1), 0), float("inf"))
+    above = tl.where(
+        sphere < BLOCK - 1, tl.gather(path, tl.minimum(sphere + 1, BLOCK - 1), 0), float("inf")
+    )
     following = tl.minimum(path, tl.minimum(tl.minimum(below, above) + p1, lowest + p2)) - lowest
     return path, following
 
 
 @triton.jit
 def _scan_rows(cost, total, W, N, p1, p2, laps, leftward: tl.constexpr, BLOCK: tl.constexpr):
-    """Add the L of one row to the total: laps around the panorama until the message repeats, then the lap that counts.
+    """Add the L of one row to the total: laps around the panorama until the message repeats, then
+    the lap that counts.
 
     cost, total: pointers to (H, W, N); program k scans row k.
     """
@@ -45,15 +50,29 @@ def _scan_rows(cost, total, W, N, p1, p2, laps, leftward: tl.constexpr, BLOCK: t
     for i in range(W):
         x = W - 1 - i if leftward else i
         cell = row + x * N + sphere
-        path, message = _step(tl.load(cost + cell, inside, float("inf")), message, sphere, p1, p2, BLOCK)
+        path, message = _step(
+            tl.load(cost + cell, inside, float("inf")), message, sphere, p1, p2, BLOCK
+        )
         tl.store(total + cell, tl.load(total + cell, inside) + path, inside)
 
 
 @triton.jit
 def _scan_lines(
-    cost, total, H, W, N, p1, p2, up: tl.constexpr, slope: tl.constexpr, wrap: tl.constexpr, BLOCK: tl.constexpr
+    cost,
+    total,
+    H,
+    W,
+    N,
+    p1,
+    p2,
+    up: tl.constexpr,
+    slope: tl.constexpr,
+    wrap: tl.constexpr,
+    BLOCK: tl.constexpr,
 ):
-    """Add the L of one line from the first row down (or the last row up), `slope` columns to the right per row."""
+    """Add the L of one line from the first row down (or the last row up), `slope` columns to the
+    right per row.
+    """
     sphere = tl.arange(0, BLOCK)
     inside = sphere < N
     message = tl.zeros([BLOCK], tl.float32)
@@ -61,15 +80,20 @@ def _scan_lines(
     for step in range(H):
         y = H - 1 - step if up else step
         cell = (y * W + x) * N + sphere
-        path, message = _step(tl.load(cost + cell, inside, float("inf")), message, sphere, p1, p2, BLOCK)
+        path, message = _step(
+            tl.load(cost + cell, inside, float("inf")), message, sphere, p1, p2, BLOCK
+        )
         tl.store(total + cell, tl.load(total + cell, inside) + path, inside)
         x = (x + W + slope) % W
-        if not wrap and slope != 0:  # a line that leaves the flat image enters it on the other side as a new one
+        # a line that leaves the flat image enters it on the other side as a new one
+        if not wrap and slope != 0:
             message = tl.where(x == (0 if slope > 0 else W - 1), 0.0, message)
 
 
 def sum_paths(cost: Tensor, p1: float, p2: float, paths: int, wrap: bool, max_laps: int) -> Tensor:
-    """Return Σ_r L_r of a volume (H, W, N) on a GPU whose costs are all known and finite; arguments as in `sgm`."""
+    """Return Σ_r L_r of a volume (H, W, N) on a GPU whose costs are all known and finite; arguments
+    as in `sgm`.
+    """
     total = torch.zeros_like(cost)
     H, W, N = cost.shape
     BLOCK = triton.next_power_of_2(N)

@@ -1,4 +1,6 @@
-"""The best sphere of every ray and its confidence on a CPU, in one pass: the costs of a ray stay in the cache."""
+"""The best sphere of every ray and its confidence on a CPU, in one pass: the costs of a ray stay in
+the cache.
+"""
 
 from typing import Any
 
@@ -43,7 +45,8 @@ def _read_rays(volume: NDArray[Any], subindex: bool, out: NDArray[Any]) -> None:
                 continue
             out[0, y, x] = best
             out[1, y, x] = one - first / second if second > 0 else 0
-            # The vertex of the parabola; a NaN beside the best sphere makes `bend` NaN, which is not > 0.
+            # The vertex of the parabola; a NaN beside the best sphere makes `bend` NaN, which is
+            # not > 0.
             if subindex and 0 < best < N - 1:
                 left, right = cost[best - 1], cost[best + 1]
                 bend = left - two * first + right

@@ -1,4 +1,6 @@
-"""ZNCC on a CPU: the sums over a window slide along, so that its size costs nothing, for 16 spheres side by side."""
+"""ZNCC on a CPU: the sums over a window slide along, so that its size costs nothing, for 16 spheres
+side by side.
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -20,14 +22,25 @@ _PIECE = 64  # columns at a time: the sums over their windows stay in the cache
 
 
 def mean_costs(
-    spherical_images: Tensor, pairs: Sequence[Pair], window: int, columns: Sequence[tuple[int, int]] | None
+    spherical_images: Tensor,
+    pairs: Sequence[Pair],
+    window: int,
+    columns: Sequence[tuple[int, int]] | None,
 ) -> Tensor:
-    """Return the mean cost over pairs, (H, W, B), of images (cameras, B, H, W); arguments as in `ZNCC`."""
+    """Return the mean cost over pairs, (H, W, B), of images (cameras, B, H, W); arguments as in
+    `ZNCC`.
+    """
     H, W = spherical_images.shape[-2:]
     # Only the columns that both cameras of a pair see, in pieces.
     columns = columns if columns is not None else [(0, W)] * len(spherical_images)
-    strips = [(i, j, *strip) for i, j in pairs for strip in common_columns(columns[i], columns[j], W)]
-    rows = [(i, j, s + k, min(_PIECE, width - k)) for i, j, s, width in strips for k in range(0, width, _PIECE)]
+    strips = [
+        (i, j, *strip) for i, j in pairs for strip in common_columns(columns[i], columns[j], W)
+    ]
+    rows = [
+        (i, j, s + k, min(_PIECE, width - k))
+        for i, j, s, width in strips
+        for k in range(0, width, _PIECE)
+    ]
     pieces = np.array(rows, np.int64).reshape(-1, 4)
     # 16 spheres at a time, the last of which may be empty.
     costs = []
@@ -41,16 +54,20 @@ def mean_costs(
     return costs[0] if len(costs) == 1 else torch.cat(costs, -1)
 
 
-# One row at a time; the compiler vectorises the flat loops, in which the spheres of a pixel are neighbours.
+# One row at a time; the compiler vectorises the flat loops, in which the spheres of a pixel are
+# neighbours.
 
 
 @compiled(nogil=True, error_model="numpy")
-def _mean_costs(images: NDArray[Any], pieces: NDArray[Any], radius: int, cost: NDArray[Any]) -> None:
+def _mean_costs(
+    images: NDArray[Any], pieces: NDArray[Any], radius: int, cost: NDArray[Any]
+) -> None:
     """Write the mean costs over the pairs to cost (H, W · lanes).
 
     Args:
         images: shape (cameras, H, W · lanes)
-        pieces: rows of (camera, camera, start, width), at most `_PIECE` columns each so that they fit the cache
+        pieces: rows of (camera, camera, start, width), at most `_PIECE` columns each so that they
+            fit the cache
     """
     count = np.zeros(cost.shape, np.float32)
     cost[:] = 0
@@ -63,20 +80,30 @@ def _mean_costs(images: NDArray[Any], pieces: NDArray[Any], radius: int, cost: N
 
 @numba.njit
 def _add_costs(
-    a: NDArray[Any], b: NDArray[Any], start: int, width: int, radius: int, total: NDArray[Any], count: NDArray[Any]
+    a: NDArray[Any],
+    b: NDArray[Any],
+    start: int,
+    width: int,
+    radius: int,
+    total: NDArray[Any],
+    count: NDArray[Any],
 ) -> None:
-    """Add the costs of the columns [start, start + width) of one pair to total and count (H, W · lanes).
+    """Add the costs of the columns [start, start + width) of one pair to total and count (H, W ·
+    lanes).
 
-    The sums over the rows of the window slide down the image, the sums over its columns then slide along the row. They
-    are float64: in float32 the variance of a bright, flat patch would be rounding error.
+    The sums over the rows of the window slide down the image, the sums over its columns then slide
+    along the row. They are float64: in float32 the variance of a bright, flat patch would be
+    rounding error.
     """
     W, window, padded = a.shape[1] // _LANES, 2 * radius + 1, (width + 2 * radius) * _LANES
-    ring = np.zeros((window + 1, 3, padded), np.float32)  # the rows of the window and the one before
+    # the rows of the window and the one before
+    ring = np.zeros((window + 1, 3, padded), np.float32)
     sums = np.zeros((6, padded))  # over the rows of the window: 1, a, b, a², b², ab
     box = np.empty((6, width * _LANES))
     pair = np.empty((2, width * _LANES), np.float32)  # weight and weighted cost
     first = (start - radius) % W * _LANES
-    # Row y of the costs needs the rows up to y + radius: the first windows fill before the first row is written.
+    # Row y of the costs needs the rows up to y + radius: the first windows fill before the first
+    # row is written.
     for y in range(-2 * radius, len(total)):
         # Slide down: the new row comes in, the one above the window goes out.
         row = y + radius
@@ -96,7 +123,8 @@ def _add_costs(
 
 @numba.njit
 def _common_pixels(a: NDArray[Any], b: NDArray[Any], first: int, pixels: NDArray[Any]) -> None:
-    """Copy two rows of pixels, from `first` on around the seam, to pixels (3, padded): weight, a, b.
+    """Copy two rows of pixels, from `first` on around the seam, to pixels (3, padded): weight, a,
+    b.
 
     The weight is 1 where both are visible; elsewhere all three are 0.
     """
@@ -116,11 +144,15 @@ def _common_pixels(a: NDArray[Any], b: NDArray[Any], first: int, pixels: NDArray
 
 @numba.njit
 def _slide(sums: NDArray[Any], new: NDArray[Any], old: NDArray[Any]) -> None:
-    """Add a row of pixels to the sums and remove another; a row holds weights, a and b, which are 0 or 1, 0, 0."""
+    """Add a row of pixels to the sums and remove another; a row holds weights, a and b, which are 0
+    or 1, 0, 0.
+    """
     for q, i, j in ((0, 0, 0), (1, 0, 1), (2, 0, 2), (3, 1, 1), (4, 2, 2), (5, 1, 2)):
         total, p, r, p_old, r_old = sums[q], new[i], new[j], old[i], old[j]
         for t in range(len(total)):
-            total[t] += np.float64(p[t]) * np.float64(r[t]) - np.float64(p_old[t]) * np.float64(r_old[t])
+            total[t] += np.float64(p[t]) * np.float64(r[t]) - np.float64(p_old[t]) * np.float64(
+                r_old[t]
+            )
 
 
 @numba.njit
@@ -138,7 +170,9 @@ def _add_columns(sums: NDArray[Any], window: int, box: NDArray[Any]) -> None:
 
 @numba.njit(error_model="numpy")
 def _correlate(box: NDArray[Any], weight: NDArray[Any], pair: NDArray[Any]) -> None:
-    """Compute weight and weighted cost (1 - ZNCC)/2 from box sums; 0.5 where a patch is flat (paper, Section IV)."""
+    """Compute weight and weighted cost (1 - ZNCC)/2 from box sums; 0.5 where a patch is flat
+    (paper, Section IV).
+    """
     half, one = np.float32(0.5), np.float32(1)
     for t in range(box.shape[1]):
         n = box[0, t]
@@ -148,7 +182,9 @@ def _correlate(box: NDArray[Any], weight: NDArray[Any], pair: NDArray[Any]) -> N
         zncc = np.float32(covariance) / np.sqrt(np.float32(variance_a) * np.float32(variance_b))
         textured = min(variance_a, variance_b) > FLAT_VARIANCE * n * n
         pair[0, t] = weight[t]
-        pair[1, t] = weight[t] * (half - half * min(max(zncc if textured else np.float32(0), -one), one))
+        pair[1, t] = weight[t] * (
+            half - half * min(max(zncc if textured else np.float32(0), -one), one)
+        )
 
 
 @numba.njit

@@ -1,0 +1,1 @@
+"""Training samples: what each network is shown, and what its loss compares."""

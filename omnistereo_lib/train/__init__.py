@@ -1,6 +1,0 @@
-"""Training of the learned costs: `recipes` (settings), `spheres` and `patches` (samples and losses), `loop`."""
-
-from omnistereo_lib.train.loop import train
-from omnistereo_lib.train.recipes import RECIPES, MCCNNRecipe, Recipe, SweepNetRecipe, VolumeNetRecipe
-
-__all__ = ["RECIPES", "MCCNNRecipe", "Recipe", "SweepNetRecipe", "VolumeNetRecipe", "train"]

@@ -1,0 +1,3 @@
+"""Where do the cameras stand? Lenses and poses: from boards, from images, from other programs'
+files.
+"""

@@ -1,0 +1,351 @@
+"""One camera from views of a board: initial estimate, robust fit, polynomial degree, rejected
+views, report.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omnistereo_lib.errors import OmnistereoError, check_number, check_type
+from omnistereo_lib.geometry.camera import OcamCamera
+from omnistereo_lib.geometry.pose import Floats
+from omnistereo_lib.parse import check_fov, parse_size
+from omnistereo_lib.progress import Progress, silent
+from omnistereo_rigs.boards.board import Board
+from omnistereo_rigs.boards.bundle import bundle_adjust
+from omnistereo_rigs.boards.checkerboard import Checkerboard, edge_width, suggest_board
+from omnistereo_rigs.boards.detect import detect_views
+from omnistereo_rigs.boards.init import estimate_poses, initial_estimate
+from omnistereo_rigs.boards.params import CalibrationParams, collect_observations
+from omnistereo_rigs.boards.report import CameraReport
+from omnistereo_rigs.boards.solution import OUTLIER, Solution, distances_of
+
+DEGREES = (4, 6, 8)  # odd ones add little; beyond 8 nothing was ever gained (notebook 01 shows it)
+# standard errors by which a higher degree has to lower the cross-validation error
+_SIGNIFICANT = 2.0
+_MOST = 20  # degrees beyond are a typing error
+_FOLDS = 3
+_MIN_VIEWS = 3
+_FEWEST_CORNERS = 6  # of a view: four determine the pose of a plane, more say whether it fits
+_FEW_VIEWS = 10
+_BAD_VIEW = 3.0  # times the error of the median view
+# times the edge width of the median view; sharp views of one camera differ by a tenth
+_BLURRED = 1.5
+_ONE_PLACE = 0.5  # px: no hand brings a board back as near
+_PARALLEL = np.radians(5.0)
+
+
+def calibrate_camera(
+    views: Sequence[ArrayLike | None],
+    board: Board,
+    image_size: tuple[int, int] | None = None,
+    degree: int | None = None,
+    max_fov_deg: float | None = None,
+    progress: Progress = silent,
+    names: Sequence[str] | None = None,
+) -> tuple[OcamCamera, CameraReport]:
+    """Calibrate one camera: Φ and A of the paper's Section III-A, and the pose of each view.
+
+    Args:
+        views: Images of the board, (H, W) or (H, W, 3), or corners detected in them, (K, 2) px in
+            the order of `board.points`, NaN where a corner is missing. None for a view without a
+            board.
+        image_size: Width and height, pixels; required if the views are corners.
+        degree: Degree of the polynomial f, at least 4. None: chosen by cross-validation.
+        max_fov_deg: Full field of view of the camera returned. None: as far as there are corners.
+        progress: Called as `progress(done, total, what)` during detection, with images done and in
+            all.
+        names: What messages call the views, such as file names. None: their indices.
+
+    Returns:
+        camera: Its inverse polynomial agrees with the direct one to 0.01 px.
+
+    Raises:
+        OmnistereoError: If fewer than three views show the board, all views are parallel, corners
+            do not fit the board, or the corners do not determine the camera.
+
+    >>> board = osl.Checkerboard((8, 6), square=0.05)
+    >>> true = osl.load_rig("data_samples/sunny/test").cameras[0]
+    >>> turns = [[np.sin(k) / 2, np.cos(k) / 2, 0] for k in range(8)]
+    >>> poses = [osl.Pose.from_vector([*turn, k / 10 - 0.4, -0.1, 0.3]) for k, turn in enumerate(turns)]
+    >>> views = [true.project(pose @ board.points)[0] for pose in poses]  # or images of a board
+    >>> camera, report = osl.calibrate_camera(views, board, true.image_size, degree=4)
+    >>> report.rms_px < 0.01 and bool(np.allclose(camera.center, true.center, atol=0.01))
+    True
+    """
+    check_settings(degree, max_fov_deg)
+    return calibrate_corners(
+        *read_views(views, board, image_size, progress, names), board, degree, max_fov_deg
+    )
+
+
+def calibrate_corners(
+    corners: list[Floats | None],
+    image_size: tuple[int, int],
+    images: Sequence[ArrayLike | None] | None,
+    board: Board,
+    degree: int | None = None,
+    max_fov_deg: float | None = None,
+    given: OcamCamera | None = None,
+) -> tuple[OcamCamera, CameraReport]:
+    """Calibrate one camera as `calibrate_camera` does, from detected corners; with images, reject
+    blurred views.
+
+    With a `given` camera, only the poses of the board are found.
+    """
+    if given is not None:
+        corners = [None if view is None else _corners_in_view(view, given) for view in corners]
+        max_fov_deg = given.max_fov_deg
+    taken = [k for k, view in enumerate(images or corners) if view is not None]
+    second = _second_board(corners)
+    corners = [None if k in second else view for k, view in enumerate(corners)]
+    _check_input(corners, images, len(taken), board, 1 if given else _MIN_VIEWS, second)
+    found = [k for k, view in enumerate(corners) if view is not None]
+    views = [view for view in corners if view is not None]
+    rejected = dict.fromkeys(sorted(set(taken) - set(found)), "no board found") | second
+    cv_error_px: dict[int, float] = {}
+    if given is None:
+        params = initial_estimate(views, board.points, image_size)
+        _check_tilts(params)
+        if degree is None:
+            degree, cv_error_px = choose_degree(params, views, board.points)
+        params = params.with_degree(degree)
+    else:
+        params = estimate_poses(given, views, board.points)
+    params = bundle_adjust(params, collect_observations([views], board.points), loss="soft_l1")
+    bad = _bad_views(params, views, board.points)
+    if images is not None and isinstance(board, Checkerboard):
+        bad |= _blurred_views(images, corners, board)
+    good = [k for k in range(len(found)) if k not in bad]
+    if len(good) < (1 if given else _MIN_VIEWS):
+        raise OmnistereoError(
+            f"only {len(good)} of {len(found)} views fit one camera. Check that the board is"
+            f" {board} and flat, and that all images are from one camera at the same zoom"
+        )
+    observations = collect_observations([[views[k] for k in good]], board.points)
+    solution = Solution.solve(params.with_captures(good), observations)
+    rejected |= {found[k]: why for k, why in bad.items()}
+    report = solution.camera_report(0, tuple(found[k] for k in good), rejected, cv_error_px)
+    return report.build_camera(max_fov_deg)
+
+
+def _corners_in_view(corners: Floats, camera: OcamCamera) -> Floats | None:
+    """Return the corners that a given camera sees, NaN for the others, or None if too few are left."""
+    seen = np.where(camera.unproject(corners)[1][:, None], corners, np.nan)
+    return seen if np.isfinite(seen).all(axis=1).sum() >= _FEWEST_CORNERS else None
+
+
+def read_views(
+    views: Sequence[ArrayLike | None],
+    board: Board,
+    image_size: tuple[int, int] | None,
+    progress: Progress = silent,
+    names: Sequence[str] | None = None,
+) -> tuple[list[Floats | None], tuple[int, int], list[NDArray[Any] | None] | None]:
+    """Return the corners of each view, width and height of the images, and the images if views are
+    images.
+
+    Raises an `OmnistereoError` if there are no views, or corners do not fit the board or come
+    without the image size.
+    """
+    check_type(views, Iterable, "views")
+    check_type(board, Board, "board")
+    arrays = [None if view is None else np.asarray(view) for view in views]
+    given = [array for array in arrays if array is not None]
+    if not given:
+        raise OmnistereoError(
+            "there are no views. Pass images of the board, or the corners detected in them"
+        )
+    if not all(array.ndim == 2 and array.shape[1] == 2 for array in given):
+        height, width = given[0].shape[:2]
+        return detect_views(arrays, board, progress, names), (width, height), arrays
+    if image_size is None:
+        raise OmnistereoError(
+            "views are corners, so the image size is unknown. Pass image_size=(width, height)"
+        )
+    named = zip(map(str, range(len(arrays))) if names is None else names, arrays, strict=True)
+    return (
+        [_check_corners(name, array, board) for name, array in named],
+        parse_size(image_size, "image_size"),
+        None,
+    )
+
+
+def _check_corners(name: str, corners: NDArray[Any] | None, board: Board) -> Floats | None:
+    if corners is None:
+        return None
+    if len(corners) != len(board.points):
+        raise OmnistereoError(
+            f"view {name}: {len(corners)} corners; expected {len(board.points)}, those of a board"
+            f" {board}, in the order of its points. Put NaN for missing corners"
+        )
+    corners = np.where(np.isfinite(corners), corners, np.nan).astype(np.float64)
+    return corners if np.isfinite(corners).all(axis=1).sum() >= _FEWEST_CORNERS else None
+
+
+def check_settings(degree: int | None, max_fov_deg: float | None) -> None:
+    """Raise an `OmnistereoError` for a degree or a field of view that cannot be, before any image
+    is searched.
+    """
+    if degree is not None:
+        check_number(degree, "degree", DEGREES[0], _MOST, whole=True)
+    if max_fov_deg is not None:
+        check_fov(max_fov_deg, "max_fov_deg")
+
+
+def _second_board(corners: Sequence[Floats | None]) -> dict[int, str]:
+    """Return three or more views with the board at one place, though it was elsewhere between them,
+    and the reason.
+    """
+    found = {k: view for k, view in enumerate(corners) if view is not None}
+    standing: list[int] = []
+    for here in found.values():
+        apart = {k: np.linalg.norm(view - here, axis=1) for k, view in found.items()}
+        near = [k for k, d in apart.items() if (d < _ONE_PLACE).sum() > np.isfinite(d).sum() / 2]
+        standing = near if len(near) > len(standing) else standing
+    order = [k for k in found if standing and standing[0] <= k <= standing[-1]]
+    if len(standing) < _MIN_VIEWS or standing == order:  # one after the other: it was held still
+        return {}
+    reason = (
+        "a second board, at one place in all of them, while the board moved. Cover it and take them"
+        " again"
+    )
+    return dict.fromkeys(standing, reason)
+
+
+def _check_input(
+    corners: Sequence[Floats | None],
+    images: Sequence[ArrayLike | None] | None,
+    taken: int,
+    board: Board,
+    least: int,
+    second: Mapping[int, str],
+) -> None:
+    found = sum(view is not None for view in corners)
+    # A board size given too small is found here and there as a part of the board.
+    if (
+        images is not None
+        and isinstance(board, Checkerboard)
+        and found < min(_FEW_VIEWS, taken / 2)
+    ):
+        suggestion = suggest_board(
+            [view for view in images if view is not None], board, only_larger=True
+        )
+        if suggestion is not None:
+            (columns, rows), count = suggestion
+            raise OmnistereoError(
+                f"{found} of {taken} views show a board {board}, but one of {columns} x {rows}"
+                f" inner corners is found in {count} of the first images. Check that the board size"
+                " counts all inner corners"
+            )
+    if found < least:
+        others = f"; {len(second)} show {next(iter(second.values()))}" if second else ""
+        raise OmnistereoError(
+            f"{found} of {taken} views show the board{others}; expected at least {least}. Take 15"
+            " or more, tilted every way and out to the rim"
+        )
+
+
+def _check_tilts(params: CalibrationParams) -> None:
+    """Raise if all boards are parallel: then focal length and distance are ambiguous."""
+    normals = np.stack([pose.R[:, 2] for pose in params.T_rig_board])
+    largest = np.arccos(np.clip(normals @ normals.T, -1, 1)).max()
+    if largest < _PARALLEL:
+        raise OmnistereoError(
+            f"all views are parallel to within {np.degrees(largest):.1f}°: the focal length and the"
+            " distance of the board cannot be told apart. Tilt the board by 20° to 45°,"
+            " differently in each view"
+        )
+
+
+def choose_degree(
+    params: CalibrationParams, views: Sequence[Floats], points: Floats
+) -> tuple[int, dict[int, float]]:
+    """Choose the polynomial degree by 3-fold cross-validation over the views; 4 if there are fewer
+    than 6 views.
+
+    Returns:
+        degree: The lowest that the next does not improve by twice the standard error over the
+            views.
+        cv_error_px: Degree → mean distance on held-out views, px; infinite if the polynomial is not
+            monotonic.
+    """
+    if len(views) < 2 * _FOLDS:
+        return DEGREES[0], {}
+    errors = {degree: _cv_errors(params.with_degree(degree), views, points) for degree in DEGREES}
+    best = DEGREES[0]
+    for degree in DEGREES[1:]:
+        gain = errors[best] - errors[degree]
+        if np.isfinite(gain).all() and gain.mean() > _SIGNIFICANT * gain.std(ddof=1) / np.sqrt(
+            len(gain)
+        ):
+            best = degree
+    return best, {degree: float(error.mean()) for degree, error in errors.items()}
+
+
+def _cv_errors(params: CalibrationParams, views: Sequence[Floats], points: Floats) -> Floats:
+    """Return the mean distance on each view, px, in the camera fitted without it; only its pose is
+    fitted to it.
+
+    A distance is limited to three times the median of its view: wrong corners say nothing about the
+    degree.
+    """
+    errors = np.empty(len(views))
+    for fold in range(_FOLDS):
+        held_out = np.arange(len(views)) % _FOLDS == fold
+        train, test = np.flatnonzero(~held_out).tolist(), np.flatnonzero(held_out).tolist()
+        seen, unseen = (
+            collect_observations([[views[k] for k in part]], points) for part in (train, test)
+        )
+        fitted = bundle_adjust(params.with_captures(train), seen, loss="soft_l1", tolerance=1e-6)
+        distance = distances_of(fitted, seen)
+        near = seen.pixels[distance <= OUTLIER * np.median(distance)]
+        reach = np.arccos(fitted.intrinsics[0].rays(near)[:, 2].min())
+        try:
+            fitted.intrinsics[0].camera(2 * float(np.degrees(reach)))
+        # not monotonic where no corners constrain it, such as around the axis of a mirror
+        except OmnistereoError:
+            return np.full(len(views), np.inf)
+        posed = CalibrationParams(
+            fitted.intrinsics, params.T_cam_rig, params.with_captures(test).T_rig_board
+        )
+        posed = bundle_adjust(posed, unseen, loss="soft_l1", fixed="rig", tolerance=1e-6)
+        distance = distances_of(posed, unseen)
+        for k, view in enumerate(test):
+            here = distance[unseen.capture == k]
+            errors[view] = np.minimum(here, 3 * np.median(here)).mean()
+    return errors
+
+
+def _bad_views(
+    params: CalibrationParams, views: Sequence[Floats], points: Floats
+) -> dict[int, str]:
+    """Return the views with several times the usual reprojection error, and why they are rejected."""
+    observations = collect_observations([views], points)
+    distance = distances_of(params, observations)
+    typical = np.array([np.median(distance[observations.capture == k]) for k in range(len(views))])
+    reason = "reprojection error {:.2f} px, usual {:.2f} px: blurred, moved or misdetected"
+    return _far_above_usual(typical, _BAD_VIEW, reason)
+
+
+def _blurred_views(
+    images: Sequence[ArrayLike | None], corners: Sequence[Floats | None], board: Checkerboard
+) -> dict[int, str]:
+    """Return the views with wider edges than usual: motion blur shifts corners consistently, so
+    that they may fit.
+    """
+    found = (
+        (a, b) for a, b in zip(images, corners, strict=True) if a is not None and b is not None
+    )
+    widths = np.array([edge_width(image, view, board) for image, view in found])
+    reason = "blurred: edges {:.1f} px wide, usual {:.1f} px. Check that the board was still"
+    return _far_above_usual(widths, _BLURRED, reason)
+
+
+def _far_above_usual(values: Floats, factor: float, reason: str) -> dict[int, str]:
+    usual = np.median(values)
+    return {
+        k: reason.format(value, usual) for k, value in enumerate(values) if value > factor * usual
+    }

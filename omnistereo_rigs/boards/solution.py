@@ -1,0 +1,131 @@
+"""From initial values to a solution: robust fit, inliers, covariance, and the report of each
+camera.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.geometry.pose import Floats
+from omnistereo_rigs.boards.bundle import BundleProblem, bundle_adjust, estimate_covariance
+from omnistereo_rigs.boards.params import CalibrationParams, Observations
+from omnistereo_rigs.boards.report import CameraReport
+
+# times the median distance: 6 σ, of which the median of a two-dimensional normal error is 1.177
+OUTLIER = 6.0 / 1.177
+
+
+def residuals_of(params: CalibrationParams, observations: Observations) -> Floats:
+    """Return predicted minus observed pixels, shape (M, 2)."""
+    return BundleProblem(params, observations).residuals(params.to_vector()).reshape(-1, 2)
+
+
+def distances_of(params: CalibrationParams, observations: Observations) -> Floats:
+    """Return the reprojection error of each corner, shape (M,), px."""
+    return np.linalg.norm(residuals_of(params, observations), axis=-1)
+
+
+def refine(
+    params: CalibrationParams, observations: Observations
+) -> tuple[CalibrationParams, NDArray[np.bool_]]:
+    """Minimise squares over the inliers of a robust fit: corners within six times the noise of
+    their view.
+
+    Returns:
+        inlier_mask: bool array, shape (M,)
+    """
+    _, view = np.unique(
+        np.stack([observations.camera, observations.capture]), axis=1, return_inverse=True
+    )
+    params = bundle_adjust(params, observations, loss="soft_l1")
+    for _ in range(2):  # second round: recover inliers that outliers had biased in the first fit
+        distance = distances_of(params, observations)
+        typical = np.array([np.median(distance[view == k]) for k in range(view.max() + 1)])
+        inlier_mask = distance <= OUTLIER * np.maximum(typical[view], np.median(distance))
+        params = bundle_adjust(params, observations.select(inlier_mask))
+    return params, inlier_mask
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Parameters with their uncertainty."""
+
+    params: CalibrationParams
+    observations: Observations  # all corners of the captures used
+    inlier_mask: NDArray[np.bool_]  # (M,), corners that the fit used; the others are outliers
+    sigma_px: float  # noise of the corners in u and in v
+    covariance: Floats  # of intrinsics and camera poses, (num_rig_params, num_rig_params)
+
+    @classmethod
+    def solve(cls, params: CalibrationParams, observations: Observations) -> Solution:
+        """Refine initial values and estimate their covariance.
+
+        Raises an `OmnistereoError` if the corners do not determine all unknowns.
+        """
+        params, inlier_mask = refine(params, observations)
+        inliers = observations.select(inlier_mask)
+        residuals = residuals_of(params, inliers)
+        sigma_px = float(
+            np.sqrt(
+                (residuals**2).sum() / max(residuals.size - params.num_params + params.num_fixed, 1)
+            )
+        )
+        try:
+            covariance = estimate_covariance(params, inliers, sigma_px)
+        except np.linalg.LinAlgError as error:
+            raise OmnistereoError(
+                "the corners do not determine all intrinsics and poses. Add views that differ in"
+                " tilt and position"
+            ) from error
+        return cls(params, observations, inlier_mask, sigma_px, covariance)
+
+    def camera_report(
+        self,
+        i: int,
+        captures: tuple[int, ...],
+        rejected: Mapping[int, str],
+        cv_error_px: Mapping[int, float],
+        name: str = "camera",
+    ) -> CameraReport:
+        """Return the report of camera i (from 0); `captures` are the caller's numbers of the
+        captures used.
+        """
+        mine = self.observations.camera == i
+        observed = self.observations.select(mine)
+        residuals = residuals_of(self.params, self.observations)[mine]
+        rays = self.params.intrinsics[i].rays(observed.pixels)
+        angle = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
+        table = np.full((len(captures), len(self.observations.board_points), 5), np.nan)
+        table[observed.capture, observed.corner] = np.column_stack(
+            [observed.pixels, residuals, angle]
+        )
+        views = {captures[k]: k for k in np.unique(observed.capture)}
+        distance = np.where(self.inlier_mask[mine], 0.0, np.linalg.norm(residuals, axis=1))
+        worst_first = np.argsort(-distance)[: np.count_nonzero(distance)]
+        width = len(self.params.intrinsics[i].vector)
+        own = slice(i * width, (i + 1) * width)
+        return CameraReport(
+            views_used=tuple(views),
+            rejected=rejected,
+            outliers=tuple(
+                (captures[observed.capture[m]], int(observed.corner[m]), float(distance[m]))
+                for m in worst_first
+            ),
+            corners={view: table[k, :, :2] for view, k in views.items()},
+            residuals={view: table[k, :, 2:4] for view, k in views.items()},
+            angles={view: table[k, :, 4] for view, k in views.items()},
+            T_cam_board={
+                view: self.params.T_cam_rig[i] @ self.params.T_rig_board[k]
+                for view, k in views.items()
+            },
+            cv_error_px=cv_error_px,
+            intrinsics=self.params.intrinsics[i],
+            covariance=self.covariance[own, own],
+            sigma_px=self.sigma_px,
+            name=name,
+        )

@@ -1,0 +1,243 @@
+"""The conversion of other camera models to OCam cameras, by fitting the polynomials to sampled
+rays.
+"""
+
+import logging
+import warnings
+
+import numpy as np
+from numpy.polynomial import Polynomial
+from numpy.typing import NDArray
+
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.geometry.camera import OcamCamera
+from omnistereo_lib.geometry.pose import Floats
+from omnistereo_rigs.formats.camera_models import Projection, make_camera_model
+
+_log = logging.getLogger("omnistereo_lib")
+
+# the widest common lens; in images without a mask, black corners lie beyond it
+DEFAULT_FOV_DEG = 220.0
+_ANGLE_STEP = np.radians(0.25)
+AZIMUTHS = np.arange(64) * (2 * np.pi / 64)
+_FIT_TOLERANCE = 0.01  # px, as for any inverse polynomial
+_MAX_DEGREE = 20
+MAX_ERROR = 0.1  # px; beyond it a warning
+_LOST = 0.005  # share of the pixels; beyond it a warning
+# lenses have p1, p2 of 0.001; residual where they are another model's
+_MAX_TANGENTIAL, _MISLABELLED_PX = 0.01, 10.0
+
+
+def fit_camera(
+    source: str,
+    model: str,
+    parameters: dict[str, float],
+    image_size: tuple[int, int],
+    max_fov_deg: float | None,
+    mask: NDArray[np.bool_] | None = None,
+) -> OcamCamera:
+    """Return the OCam camera of a named model in a file; parameters as `make_camera_model` and
+    `fit_ocam`.
+
+    `source`, the file and the camera, is for messages. A UserWarning reports a residual above 0.1
+    px, and pixels beyond the angle at which the model stops being one to one. An `OmnistereoError`
+    refuses a pinhole camera whose numbers are those of a fisheye: p1 and p2 too large for
+    tangential distortion, and no coefficient behind them.
+    """
+    try:
+        with np.errstate(all="ignore"):  # absurd parameters overflow before they are refused
+            project = make_camera_model(model, parameters)
+            camera, residual = fit_ocam(project, image_size, max_fov_deg, mask)
+            degrees, lost = pixels_beyond(project, image_size, mask)
+    except np.linalg.LinAlgError:
+        raise OmnistereoError(
+            f"no camera fits the {model} parameters {parameters}. Check them"
+        ) from None
+    _log.info(
+        "%s: %s fitted by OCam, %.1f° seen, worst residual %.2g px",
+        source,
+        model,
+        camera.max_fov_deg,
+        residual,
+    )
+    tangential = max(abs(parameters.get(name, 0.0)) for name in ("p1", "p2"))
+    is_mislabelled = tangential > _MAX_TANGENTIAL and not any(
+        parameters.get(f"k{n}") for n in (3, 4, 5, 6)
+    )
+    if model == "pinhole" and residual > _MISLABELLED_PX and is_mislabelled:
+        raise OmnistereoError(
+            f"p1 and p2 of a pinhole camera are {parameters['p1']:g} and {parameters['p2']:g};"
+            f" expected below {_MAX_TANGENTIAL}. k1 k2 p1 p2 look like k1 k2 k3 k4 of a fisheye"
+            " (Kannala-Brandt), which some drivers call plumb_bob (T265). If so, write"
+            " distortion_model: equidistant"
+        )
+    if residual > MAX_ERROR:
+        warnings.warn(
+            f"{source}: an OCam camera follows the {model} model in the file to {residual:.2f} px"
+            f" only{': it has no tangential distortion' if tangential else ''}. Where that is too"
+            " much, lower max_fov_deg (--max-fov)",
+            UserWarning,
+            stacklevel=2,
+        )
+    if lost > _LOST and 2 * degrees < camera.max_fov_deg + 1:
+        warnings.warn(
+            f"{source}: the {model} model is one to one within {2 * degrees:.0f}° (a pinhole is"
+            f" used within 120°): {100 * lost:.0f} % of the pixels lie beyond and are not used."
+            " Check its coefficients",
+            UserWarning,
+            stacklevel=2,
+        )
+    return camera
+
+
+def fit_ocam(
+    project: Projection,
+    image_size: tuple[int, int],
+    max_fov_deg: float | None = None,
+    mask: NDArray[np.bool_] | None = None,
+) -> tuple[OcamCamera, float]:
+    """Fit an OCam camera to the projection of another model.
+
+    Rays are sampled on rings around the axis. On each ring the first Fourier coefficients over the
+    azimuth give the centre and the 2 × 2 map of the ring; over all rings the maps are one affine
+    map times a radius (their best rank-1 approximation, the least-squares solution). The two
+    polynomials are then fitted to the radii.
+
+    Args:
+        project: Rays (..., 3) → pixels (..., 2), valid (...), such as
+            `functools.partial(double_sphere, fx=..., ...)`.
+        image_size: Width and height, pixels. OmnistereoError if the model projects nothing into the
+            image.
+        max_fov_deg: As for `field_of_view_deg`.
+        mask (bool array, shape (height, width)): True where the image is valid.
+
+    Returns:
+        residual: Largest distance in pixels, inside the image and on the mask, between the model
+            and the projection.
+    """
+    fov = field_of_view_deg(project, image_size, max_fov_deg, mask)
+    theta = np.linspace(0.0, np.radians(fov / 2), 257)[1:]
+    rays = ring_rays(theta)
+    uv = project(rays)[0]
+    center = uv.mean((0, 1))
+    harmonics = np.stack([np.cos(AZIMUTHS), np.sin(AZIMUTHS)], -1)
+    maps = np.einsum("rai,aj->rij", uv, harmonics) * (2 / len(AZIMUTHS))
+    A = np.linalg.svd(maps.reshape(-1, 4), full_matrices=False)[2][0].reshape(2, 2)
+    A /= A[0, 0]
+    radius = np.einsum("rij,ij->r", maps, A) / (A * A).sum()
+    camera = OcamCamera(
+        poly=fit_direct_polynomial(radius, theta - np.pi / 2),
+        inv_poly=_fit_inverse(radius, theta - np.pi / 2),
+        center=tuple(center.tolist()),
+        affine=(float(A[1, 1]), float(A[1, 0]), float(A[0, 1])),
+        image_size=image_size,
+        max_fov_deg=fov,
+        mask=mask,
+    )
+    errors = np.linalg.norm(camera.project(rays)[0] - uv, axis=-1)
+    return camera, float(errors[camera.contains(uv)].max(initial=0.0))
+
+
+def ring_rays(theta: Floats) -> Floats:
+    """Return unit rays (rings, azimuths, 3) at angles θ from the axis."""
+    sine, cosine = np.sin(theta)[:, None], np.cos(theta)[:, None]
+    x, y = sine * np.cos(AZIMUTHS), sine * np.sin(AZIMUTHS)
+    return np.stack(np.broadcast_arrays(x, y, cosine), -1)
+
+
+def field_of_view_deg(
+    project: Projection,
+    image_size: tuple[int, int],
+    max_fov_deg: float | None = None,
+    mask: NDArray[np.bool_] | None = None,
+) -> float:
+    """Return the full field of view of a lens in degrees, as far as the model is one to one and
+    pixels see it.
+
+    Args:
+        project, image_size, mask: As for `fit_ocam`.
+        max_fov_deg: Limit, degrees. None: none with a mask, 220° without a mask.
+    """
+    theta, uv, _ = _one_to_one(project)
+    width, height = image_size
+    with np.errstate(invalid="ignore"):
+        inside = np.asarray(((uv >= 0) & (uv <= (width - 1, height - 1))).all(-1))
+    if mask is not None:
+        column, row = np.where(inside[..., None], uv, 0).round().astype(int).transpose(2, 0, 1)
+        inside &= mask[row, column]
+    if not inside[theta > 0].any():
+        raise OmnistereoError(
+            f"the camera model projects nothing into the image of {width} × {height} px. Check its"
+            " parameters"
+        )
+    visible = theta[inside.any(1)].max() + _ANGLE_STEP
+    default = 360.0 if mask is not None else DEFAULT_FOV_DEG
+    limit = np.radians(default if max_fov_deg is None else max_fov_deg) / 2
+    return float(np.degrees(2 * min(visible, theta.max(), limit)))
+
+
+def pixels_beyond(
+    project: Projection, image_size: tuple[int, int], mask: NDArray[np.bool_] | None = None
+) -> tuple[float, float]:
+    """Return the angle from the axis, degrees, at which a model stops being one to one, and the
+    share of pixels beyond.
+
+    project, image_size, mask: As for `fit_ocam`.
+    """
+    theta, uv, radius = _one_to_one(project)
+    columns, rows = (np.linspace(0, side - 1, min(side, 256)) for side in image_size)
+    u, v = np.meshgrid(columns - uv[0, :, 0].mean(), rows - uv[0, :, 1].mean())
+    last = uv[-1] - uv[0].mean(0)
+    limit = np.interp(
+        np.arctan2(v, u), np.arctan2(last[:, 1], last[:, 0]), radius[-1], period=2 * np.pi
+    )
+    beyond = np.hypot(u, v) > limit
+    if mask is not None:
+        beyond = beyond[mask[np.ix_(rows.astype(int), columns.astype(int))]]
+    ends = theta[-1] < np.pi - 2 * _ANGLE_STEP
+    return float(np.degrees(theta[-1])), float(beyond.mean()) if ends and beyond.size else 0.0
+
+
+def _one_to_one(project: Projection) -> tuple[Floats, Floats, Floats]:
+    """Return the angles θ up to which radii grow, their pixels (rings, azimuths, 2), and radii
+    (rings, azimuths).
+    """
+    theta = np.arange(0.0, np.pi, _ANGLE_STEP)
+    uv, valid = project(ring_rays(theta))
+    uv = np.where(valid[..., None], uv, np.nan)
+    radius = np.linalg.norm(uv - uv[0].mean(0), axis=-1)
+    # NaN is not > 0
+    kept = np.append(True, (np.diff(radius, axis=0) > 0).all(1)).cumprod().astype(bool)
+    return theta[kept], uv[kept], radius[kept]
+
+
+def _fit_inverse(radius: Floats, t: Floats) -> Floats:
+    """Fit r(t), zero on the axis; coefficients low to high."""
+    limits = [-np.pi / 2, t[-1]]
+    scaled = (t - limits[0]) / (limits[1] - limits[0])
+    b = _fit_lowest_degree(scaled[:, None] ** np.arange(1, _MAX_DEGREE + 1), radius, 3)
+    return np.asarray(Polynomial([0, *b], domain=limits, window=[0, 1]).convert().coef)
+
+
+def fit_direct_polynomial(radius: Floats, t: Floats) -> Floats:
+    """Fit f(r) with f(r) cos t = r sin t and a1 = 0 to 0.01 px; radii (N,) in px, coefficients low
+    to high.
+    """
+    exponents = np.array([0, *range(2, _MAX_DEGREE + 1)])
+    to_px = np.cos(t) * np.gradient(radius, t) / radius  # of the difference of both sides
+    powers = (radius / radius[-1])[:, None] ** exponents * (np.cos(t) * to_px)[:, None]
+    a = _fit_lowest_degree(powers, radius * np.sin(t) * to_px, 4)
+    a /= radius[-1] ** exponents[: len(a)]
+    return np.array([a[0], 0.0, *a[1:]])
+
+
+def _fit_lowest_degree(powers: Floats, values: Floats, terms: int) -> Floats:
+    """Return the least-squares coefficients of the fewest columns, at least `terms`, that meet the
+    tolerance.
+    """
+    fit: Floats = np.zeros(0)
+    for count in range(terms, powers.shape[1] + 1):
+        fit = np.asarray(np.linalg.lstsq(powers[:, :count], values, rcond=None)[0], np.float64)
+        if np.abs(powers[:, :count] @ fit - values).max() < _FIT_TOLERANCE:
+            break
+    return fit

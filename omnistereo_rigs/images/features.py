@@ -1,0 +1,264 @@
+"""Features of fisheye images as rays, their matches, and tracks of one point through several
+images.
+
+SIFT runs on tangent views of the sphere, so any lens and any rotation between the cameras will do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from omnistereo_lib.geometry.camera import OcamCamera
+from omnistereo_lib.geometry.pose import Floats, Pose
+from omnistereo_rigs.boards.params import Ints
+
+_VIEWS = 32  # of the whole sphere; no direction is more than 28° from the middle of one
+_HALF_VIEW_DEG = 34.0  # room for a descriptor beyond that
+_MOST_PER_VIEW = 250
+_MAX_PX_PER_DEG = 4.0  # of a view: more pixels cost time, and `patches` returns to the image anyway
+# of the distances to the nearest and to the second nearest descriptor, somewhere else
+_RATIO = 0.85
+_RATIO_NEAR = 0.9  # the same among those near a predicted direction
+_SAME_DEG = 1.5  # two descriptors nearer than this are of one thing, and no rivals
+_FARTHEST_DEG = 40.0  # parallax of a match between posed cameras
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """What was found in one image."""
+
+    rays: Floats  # (K, 3), unit, camera frame
+    # (K, 128), unit: square roots of SIFT's (Arandjelović, Zisserman 2012)
+    descriptors: NDArray[np.float32]
+
+
+class FeatureFinder:
+    """Finds features in the images of one camera, which it looks at through tangent views.
+
+    Args:
+        camera: Its mask and field of view are kept.
+    """
+
+    def __init__(self, camera: OcamCamera) -> None:
+        self.camera = camera
+        resolution = min(1.1 * camera.pixels_per_degree, _MAX_PX_PER_DEG)
+        self.focal = np.degrees(resolution)  # pixels
+        self.middle = np.ceil(self.focal * np.tan(np.radians(_HALF_VIEW_DEG)))
+        pixels = np.stack(np.meshgrid(*[np.arange(2 * self.middle + 1)] * 2), -1)
+        axes = _sphere_directions(_VIEWS)
+        # rotation view → camera, pixels in the image, where they are valid and no view sees better
+        self.views = []
+        for axis in axes:
+            R = _rotation_to(axis)
+            rays = self._rays(pixels, R)
+            uv, valid = camera.project(rays)
+            if valid.mean() > 0.02:
+                nearest = (rays @ axis >= (rays @ axes.T).max(axis=-1) - 1e-12).astype(np.uint8)
+                # no edge of the image
+                inside = cv2.erode(valid.astype(np.uint8), np.ones((9, 9)), borderValue=0)
+                self.views.append((R, uv.astype(np.float32), inside & nearest))
+
+    def find(self, image: NDArray[np.uint8]) -> Features:
+        """Return the features of an image, (H, W) or RGB (H, W, 3) uint8; each by the view that
+        sees it best.
+        """
+        gray = (
+            image
+            if image.ndim == 2
+            else cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
+        )
+        sift: Any = cv2.SIFT_create(  # type: ignore[attr-defined]  # OpenCV's stubs lack it
+            _MOST_PER_VIEW,
+            contrastThreshold=0.008,
+            # or keypoints lie a quarter of a pixel to the right and below
+            enable_precise_upscale=True,
+        )
+        rays, descriptors = [np.zeros((0, 3))], [np.zeros((0, 128), np.float32)]
+        for R, uv, inside in self.views:
+            view = cv2.remap(np.asarray(gray, np.uint8), uv, np.empty(0), cv2.INTER_CUBIC)
+            keypoints, found = sift.detectAndCompute(view, inside)
+            if keypoints:
+                rays.append(self._rays(np.array([k.pt for k in keypoints]), R))
+                descriptors.append(np.sqrt(found / found.sum(axis=1, keepdims=True)))
+        return Features(np.concatenate(rays), np.concatenate(descriptors))
+
+    def _rays(self, pixels: Floats, R: Floats) -> Floats:
+        """Return the unit rays of pixels (..., 2) of a view."""
+        xy = (pixels - self.middle) / self.focal
+        rays = np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1) @ R.T
+        return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+
+
+def match_features(
+    a: Features, b: Features, T_b_a: Pose | None = None, band_deg: float = 1.5
+) -> tuple[Ints, Floats]:
+    """Return pairs of indices (M, 2) into two sets, and the ratio to the second best match, (M,),
+    low is sure.
+
+    Each is the other's best match, and the second best, somewhere else, is clearly worse.
+
+    Args:
+        T_b_a: If given, the poses: a match is at most `band_deg` from its epipolar plane.
+    """
+    none = np.zeros((0, 2), np.int64), np.zeros(0)
+    if min(len(a.rays), len(b.rays)) < 8:
+        return none
+    similar = a.descriptors @ b.descriptors.T
+    if T_b_a is not None:
+        there = a.rays @ T_b_a.R.T
+        normals = np.cross(there, T_b_a.t)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+        off_plane = np.abs((normals @ b.rays.T).astype(np.float32)) > np.sin(np.radians(band_deg))
+        too_far = (there @ b.rays.T).astype(np.float32) < np.cos(
+            np.radians(_FARTHEST_DEG + band_deg)
+        )
+        similar[off_plane | too_far] = -1.0
+    # The second best among the next four: the others may be the same thing at another scale.
+    rows, back = np.arange(len(similar)), similar.argmax(axis=0)
+    candidates, values = np.zeros((len(rows), 5), np.int64), np.zeros((len(rows), 5), np.float32)
+    for k in range(5):
+        candidates[:, k] = similar.argmax(axis=1)
+        values[:, k] = similar[rows, candidates[:, k]]
+        similar[rows, candidates[:, k]] = -2.0
+    best = candidates[:, 0]
+    limit = np.cos(np.radians(_SAME_DEG))
+    same = np.einsum("kci,ki->kc", b.rays[candidates], b.rays[best]) > limit
+    second = np.where(same, -1.0, values).max(axis=1)
+    distance, rival = (
+        np.sqrt(np.maximum(2 - 2 * value, 0)) for value in (values[:, 0], np.maximum(second, 0))
+    )
+    ratio = distance / np.maximum(rival, 1e-9)
+    mutual = np.einsum("ki,ki->k", a.rays[back[best]], a.rays) > limit
+    chosen = np.flatnonzero(mutual & (ratio < _RATIO) & (values[:, 0] > 0))
+    # One match for each feature of b.
+    chosen = chosen[np.argsort(ratio[chosen], kind="stable")]
+    chosen = chosen[np.unique(best[chosen], return_index=True)[1]]
+    return np.stack([chosen, best[chosen]], axis=1), ratio[chosen]
+
+
+def match_near(a: Features, b: Features, predicted: Floats, gates_deg: Floats) -> Ints:
+    """Return pairs of indices (M, 2) into two sets that are each other's best match near a
+    predicted direction.
+
+    Only what lies in the gates is compared, so that thousands of features take milliseconds.
+
+    Args:
+        predicted: Where the features of a should be seen: unit rays (K, 3) in the frame of b.
+        gates_deg: How far from there at most, (K,).
+    """
+    if min(len(a.rays), len(b.rays)) == 0:
+        return np.zeros((0, 2), np.int64)
+    chords = 2 * np.sin(np.radians(gates_deg) / 2)
+    near = cKDTree(b.rays).query_ball_point(predicted, chords)
+    i = np.repeat(np.arange(len(near)), [len(one) for one in near])
+    j = (
+        np.concatenate([np.asarray(one, np.int64) for one in near])
+        if len(i)
+        else np.zeros(0, np.int64)
+    )
+    distance = np.sqrt(
+        np.maximum(2 - 2 * np.einsum("kd,kd->k", a.descriptors[i], b.descriptors[j]), 0)
+    )
+    # The best of each feature of a, and the second best somewhere else.
+    order = np.lexsort((distance, i))
+    i, j, distance = i[order], j[order], distance[order]
+    first = np.flatnonzero(np.diff(i, prepend=-1))
+    best = np.repeat(first, np.diff(np.append(first, len(i))))
+    same = np.einsum("kd,kd->k", b.rays[j], b.rays[j[best]]) > np.cos(np.radians(_SAME_DEG))
+    rival = np.full(len(a.rays), np.sqrt(2.0))
+    np.minimum.at(rival, i[~same], distance[~same])
+    # The best of each feature of b.
+    back = np.full(len(b.rays), np.inf)
+    np.minimum.at(back, j, distance)
+    mutual = distance[first] <= back[j[first]]
+    chosen = first[mutual & (distance[first] < _RATIO_NEAR * rival[i[first]])]
+    return np.stack([i[chosen], j[chosen]], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """M observations of points, each by two cameras or more at one moment."""
+
+    camera: Ints  # (M,), as the next two: indices from 0
+    frame: Ints
+    point: Ints
+    pixels: Floats  # (M, 2)
+
+    @property
+    def num_points(self) -> int:
+        """Number of points."""
+        return int(self.point.max(initial=-1)) + 1
+
+    @property
+    def point_frame(self) -> Ints:
+        """The frame of each point, shape (points,)."""
+        frames = np.zeros(self.num_points, np.int64)
+        frames[self.point] = self.frame
+        return frames
+
+    def select(self, keep: NDArray[np.bool_]) -> Tracks:
+        """Return the observations where `keep`, shape (M,), is True, of points that still have two;
+        numbered anew.
+        """
+        counts = np.bincount(self.point[keep], minlength=self.num_points)
+        keep = keep & (counts[self.point] > 1)
+        points = np.unique(self.point[keep], return_inverse=True)[1]
+        return Tracks(self.camera[keep], self.frame[keep], points, self.pixels[keep])
+
+
+def join_tracks(
+    cameras: Sequence[OcamCamera],
+    features: Sequence[Sequence[Features]],
+    matches: Sequence[Mapping[tuple[int, int], Ints]],
+) -> Tracks:
+    """Join pairwise matches to tracks; one that has two features of one camera is dropped.
+
+    Args:
+        features: features[frame][camera]
+        matches: For each frame, (camera, camera) → pairs of indices (M, 2).
+    """
+    parts, first_point = [], 0
+    for frame, (found, pairs) in enumerate(zip(features, matches, strict=True)):
+        start = np.concatenate([[0], np.cumsum([len(one.rays) for one in found])])
+        edges = np.concatenate(
+            [np.zeros((0, 2), int), *(m + start[[i, j]] for (i, j), m in pairs.items())]
+        )
+        graph = coo_matrix((np.ones(len(edges)), edges.T), (start[-1], start[-1]))
+        label = connected_components(graph, directed=False)[1]
+        camera = np.repeat(np.arange(len(found)), np.diff(start))
+        slot, count = np.unique(label * len(found) + camera, return_counts=True)
+        twice = np.isin(label, slot[count > 1] // len(found))
+        used = (np.bincount(label)[label] > 1) & ~twice
+        pixels = np.concatenate(
+            [c.project(one.rays)[0] for c, one in zip(cameras, found, strict=True)]
+        )
+        point = np.unique(label[used], return_inverse=True)[1] + first_point
+        first_point = point.max(initial=first_point - 1) + 1
+        parts.append((camera[used], np.full(used.sum(), frame), point, pixels[used]))
+    return Tracks(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def _sphere_directions(count: int) -> Floats:
+    """Return evenly spread directions (count, 3): a Fibonacci spiral, from ahead to behind."""
+    k = np.arange(count)
+    z = 1 - (2 * k + 1) / count
+    angle = np.pi * (1 + np.sqrt(5)) * k
+    return np.stack(
+        [np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], axis=1
+    )
+
+
+def _rotation_to(axis: Floats) -> Floats:
+    """Return a rotation whose third column is a unit vector."""
+    x = np.cross([0.0, 1.0, 0.0] if abs(axis[1]) < 0.9 else [0.0, 0.0, 1.0], axis)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(axis, x), axis], axis=1)

@@ -1,0 +1,170 @@
+"""Least-squares matching: observations of a track to a tenth of a pixel, from patches of the images
+themselves.
+"""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from omnistereo_lib.geometry.pose import Floats
+from omnistereo_rigs.images.features import Tracks
+from omnistereo_rigs.images.track_bundle import TrackBundle
+
+_HALF = 6  # pixels; patches are 13 × 13
+_STEPS = 4
+_LEAST_CORRELATION = 0.88
+_MOST_SHIFT = 2.0  # pixels, from where the bundle puts the point
+_SLANTED = 0.15  # a plane seen flatter than by this sine is not tried
+
+
+def refine_tracks(bundle: TrackBundle, images: Sequence[Sequence[NDArray[np.uint8]]]) -> Tracks:
+    """Match the patch of each point anew: a small plane there, seen by one camera, must look the
+    same in the others.
+
+    The camera that sees the point nearest to its axis is the reference, whose observation becomes
+    where the bundle puts the point. In the others shift, affine map, gain and offset are adjusted.
+    Patches that do not match are dropped.
+
+    Args:
+        images: images[frame][camera]
+    """
+    matcher = _PatchMatcher(bundle, images)
+    shift, good = matcher.adjust(matcher.best_planes())
+    tracks = bundle.tracks
+    pixels = bundle.residuals() + tracks.pixels  # where the bundle puts them
+    pixels[matcher.others] += shift
+    keep = np.zeros(len(pixels), bool)
+    keep[matcher.others[good]] = keep[matcher.reference[tracks.point[matcher.others[good]]]] = True
+    return Tracks(tracks.camera, tracks.frame, tracks.point, pixels).select(keep)
+
+
+class _PatchMatcher:
+    """The patches of all observations but those of the reference cameras: P of them, 169 pixels
+    each.
+    """
+
+    def __init__(self, bundle: TrackBundle, images: Sequence[Sequence[NDArray[np.uint8]]]) -> None:
+        self.bundle, tracks = bundle, bundle.tracks
+        self.cameras = bundle.adjusted_rig().cameras
+        pictures = ((f, c, image) for f, row in enumerate(images) for c, image in enumerate(row))
+        self.layers = {(f, c): _with_slopes(image) for f, c, image in pictures}
+        off_axis = np.einsum(
+            "mi,mi->m", bundle.R[tracks.camera][:, :, 2], bundle.points[tracks.point, :3]
+        )
+        order = np.lexsort((-off_axis, tracks.point))
+        # of each point
+        self.reference = order[np.concatenate([[True], np.diff(tracks.point[order]) > 0])]
+        self.others = np.setdiff1d(np.arange(len(tracks.point)), self.reference)
+        self.frame, self.camera = tracks.frame[self.others], tracks.camera[self.others]
+        point = tracks.point[self.others]
+        self.reference_camera = tracks.camera[self.reference][point]
+        self.u, self.inverse = bundle.points[point, :3], bundle.points[point, 3]
+        self.offsets = (
+            np.stack(np.meshgrid(*[np.arange(-_HALF, _HALF + 1)] * 2), -1).reshape(-1, 2) / _HALF
+        )
+        window = np.exp(-(self.offsets**2).sum(axis=1) / 0.72)
+        self.window = window / window.sum()
+
+    def best_planes(self) -> Floats:
+        """Return the normal (P, 3) of the plane that matches best: facing the rig, level, or one of
+        two walls.
+        """
+        u, down = self.u, np.array([0.0, 1.0, 0.0])
+        flat, aside = u * [1.0, 0.0, 1.0], np.cross(down, u)
+        normals, best = u.copy(), np.full(len(u), -1.0)
+        for plane in (u, np.tile(down, (len(u), 1)), flat + 0.9 * aside, flat - 0.9 * aside):
+            slanted = np.abs(np.einsum("pi,pi->p", plane, u)) < _SLANTED
+            plane = np.where(slanted[:, None], u, plane)
+            here = self._sample(self.reference_camera, self._pixels(self.reference_camera, plane))
+            there = self._sample(self.camera, self._pixels(self.camera, plane))
+            match = self._correlation(here, there)
+            better = match > best + 0.02
+            best[better], normals[better] = match[better], plane[better]
+        return normals
+
+    def adjust(self, normals: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+        """Return the shift of each patch in pixels (P, 2), and which of them match."""
+        target = self._sample(self.reference_camera, self._pixels(self.reference_camera, normals))
+        start = self._pixels(self.camera, normals)
+        shift, affine = np.zeros((len(start), 2)), np.zeros((len(start), 2, 2))
+        gain = np.ones(len(start))
+        for _ in range(_STEPS):
+            where = start + shift[:, None] + self.offsets @ affine
+            seen, du, dv = (self._sample(self.camera, where, layer) for layer in range(3))
+            x, y = self.offsets.T
+            J = np.stack(
+                [du, dv, du * x, dv * x, du * y, dv * y, seen, np.ones_like(seen)], axis=-1
+            ).astype(float)
+            weighted = J * self.window[:, None]
+            normal = np.swapaxes(weighted, 1, 2) @ J + np.diag([1e-3, 1e-3, 3, 3, 3, 3, 1e-6, 1e-6])
+            solved = np.linalg.solve(normal, np.einsum("pmi,pm->pi", weighted, target)[..., None])[
+                ..., 0
+            ]
+            gain = solved[:, 6]
+            step = np.clip(solved[:, :6] / np.maximum(gain, 0.2)[:, None], -1, 1)
+            shift, affine = shift + step[:, :2], affine + step[:, 2:].reshape(-1, 2, 2)
+        seen = self._sample(self.camera, start + shift[:, None] + self.offsets @ affine)
+        good = (self._correlation(target, seen) > _LEAST_CORRELATION) & (gain > 0.3) & (gain < 3)
+        good &= (np.linalg.norm(shift, axis=1) < _MOST_SHIFT) & (
+            np.abs(affine).max(axis=(1, 2)) < _HALF / 2
+        )
+        return shift, good
+
+    def _pixels(self, camera: NDArray[np.int64], normals: Floats) -> Floats:
+        """Return where cameras (P,) see the patches of planes with these normals through the
+        points, (P, 169, 2).
+        """
+        bundle, u = self.bundle, self.u
+        right = np.cross([0.0, 1.0, 0.0], u)
+        right /= np.maximum(np.linalg.norm(right, axis=1, keepdims=True), 1e-9)
+        size = _HALF / np.degrees(self.cameras[0].pixels_per_degree)
+        x, y = size * self.offsets.T[:, None, :, None]
+        rays = u[:, None] + x * right[:, None] + y * np.cross(u, right)[:, None]
+        inverse = self.inverse[:, None] * np.einsum("pmi,pi->pm", rays, normals)
+        inverse /= np.einsum("pi,pi->p", u, normals)[:, None]
+        uv = np.empty((*rays.shape[:2], 2))
+        for i, lens in enumerate(self.cameras):
+            mine = camera == i
+            uv[mine] = lens.project(
+                (rays[mine] - inverse[mine][..., None] * bundle.t[i]) @ bundle.R[i]
+            )[0]
+        return uv
+
+    def _sample(self, camera: NDArray[np.int64], uv: Floats, layer: int = 0) -> NDArray[np.float32]:
+        """Return gray values (P, 169), or their slopes, where cameras (P,) of the patches' frames
+        have pixels uv.
+        """
+        values = np.zeros(uv.shape[:2], np.float32)
+        for (frame, i), layers in self.layers.items():
+            mine = (self.frame == frame) & (camera == i)
+            if mine.any():
+                at = uv[mine].astype(np.float32)
+                values[mine] = cv2.remap(
+                    layers[layer],
+                    at,
+                    np.empty(0),
+                    cv2.INTER_LANCZOS4,
+                    borderMode=cv2.BORDER_REPLICATE,
+                )
+        return values
+
+    def _correlation(self, a: NDArray[np.float32], b: NDArray[np.float32]) -> Floats:
+        """Return the zero-mean normalised cross-correlation of patches, (P,)."""
+
+        def normalised(patch: NDArray[np.float32]) -> Floats:
+            patch = patch - (patch * self.window).sum(axis=1, keepdims=True)
+            return patch / np.sqrt((patch**2 * self.window).sum(axis=1, keepdims=True) + 1e-3)
+
+        return np.asarray((normalised(a) * normalised(b) * self.window).sum(axis=1), np.float64)
+
+
+def _with_slopes(image: NDArray[np.uint8]) -> tuple[NDArray[np.float32], ...]:
+    """Return an image in gray, a little blurred, and its slopes to the right and down."""
+    gray = (
+        image if image.ndim == 2 else cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
+    )
+    smooth = cv2.GaussianBlur(gray.astype(np.float32), (0, 0), 0.8)
+    slopes = [cv2.Sobel(smooth, -1, *order, ksize=3) / 8 for order in ((1, 0), (0, 1))]
+    return np.asarray(smooth, np.float32), *(np.asarray(slope, np.float32) for slope in slopes)

@@ -1,0 +1,360 @@
+"""Bundle adjustment of a rig over tracks: camera poses, points as inverse distances, on request
+lens corrections.
+
+A point is a unit direction u and an inverse distance ρ from the middle of the rig, so that
+infinitely far points are not special. A camera sees it along Rᵀ (u - ρ t). The residual is the
+angle to the observed ray in its tangent plane, in the pixels that this angle has there, so any
+camera model will do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from omnistereo_lib.geometry.camera import OcamCamera
+from omnistereo_lib.geometry.pose import (
+    Floats,
+    Pose,
+    axis_angle_from_rotation,
+    nearest_rotation,
+    rotation_from_axis_angle,
+)
+from omnistereo_lib.geometry.rig import Rig
+from omnistereo_rigs.boards.bundle import cross
+from omnistereo_rigs.boards.params import Ints
+from omnistereo_rigs.images.features import Tracks
+
+_LENS = 3  # corrections of a lens: centre u, v in pixels, share of the focal length
+_LENS_PRIOR = np.array([3.0, 3.0, 0.01])  # their standard deviations
+_STEP = 1e-4  # radians, of the numerical derivative of a lens
+_CELL_DEG = 15.0
+HALF_SCALE = 2.5  # of the robust cost, in deviations, as at the end of the adjustment
+
+
+class TrackBundle:
+    """The least-squares problem and its solution so far.
+
+    Args:
+        rig: Initial poses; its lenses are those of the tracks.
+        centre_sd: Standard deviation in metres of the initial centres, a prior; None: they are free
+            up to scale.
+        free_lenses: Also adjust the centre and the focal length of each lens.
+    """
+
+    def __init__(
+        self, rig: Rig, tracks: Tracks, centre_sd: float | None = None, free_lenses: bool = False
+    ) -> None:
+        self.rig, self.tracks, self.centre_sd, self.free_lenses = (
+            rig,
+            tracks,
+            centre_sd,
+            free_lenses,
+        )
+        middle = rig.centers.mean(axis=0)
+        self.R = np.stack([pose.R for pose in rig.T_rig_cam])
+        self.t = self.t_prior = rig.centers - middle
+        self.lens = np.zeros((len(rig), _LENS))
+        self.size = mean_baseline(self.t)
+        self.sigma_px = 1.0
+        self.width = 6 + _LENS * free_lenses  # unknowns of a camera
+        self.dof = 2 * np.bincount(tracks.point) - 3
+        count = len(tracks.point)
+        self._by_point = csr_matrix((np.ones(count), (tracks.point, np.arange(count))))
+        self.rays, self._to_px, self._from_center = self._observed()
+        self.points = self._triangulate()  # (N, 4): u and ρ
+
+    def with_tracks(self, tracks: Tracks) -> TrackBundle:
+        """Return the bundle of other tracks, started at the poses and lenses found; priors stay
+        where they were.
+        """
+        other = TrackBundle(self.rig, tracks, self.centre_sd, self.free_lenses)
+        other.R, other.t, other.lens = self.R, self.t, self.lens
+        other.points = other._triangulate()
+        return other
+
+    def _observed(self) -> tuple[Floats, Floats, Floats]:
+        """Return the observed rays (M, 3), the matrices (M, 2, 3) ray → pixels there, and pixels
+        from the centre.
+        """
+        rays, to_px = (
+            np.zeros((len(self.tracks.point), 3)),
+            np.zeros((len(self.tracks.point), 2, 3)),
+        )
+        from_center = np.zeros_like(self.tracks.pixels)
+        for i, camera in enumerate(self.rig.cameras):
+            mine = self.tracks.camera == i
+            seen = camera.unproject(self.tracks.pixels[mine])[0]
+            basis = tangents(seen)
+            ends = [
+                camera.project(seen[:, None] + s * _STEP * np.swapaxes(basis, 1, 2))[0]
+                for s in (1, -1)
+            ]
+            to_px[mine] = np.einsum("mki,mjk->mij", (ends[0] - ends[1]) / (2 * _STEP), basis)
+            rays[mine], from_center[mine] = seen, self.tracks.pixels[mine] - camera.center
+        return rays, to_px, from_center
+
+    def _triangulate(self) -> Floats:
+        """Return u and ρ of each point at the initial poses: the linear solution, an eigenvector."""
+        camera, point = self.tracks.camera, self.tracks.point
+        d = np.einsum("mij,mj->mi", self.R[camera], self.rays)
+        across = np.eye(3) - d[:, :, None] * d[:, None, :]
+        A = np.concatenate([across, -across @ self.t[camera][:, :, None]], axis=2)
+        x = np.linalg.eigh(self._sums(np.swapaxes(A, 1, 2) @ A))[1][:, :, 0]
+        ahead = self._sums(np.einsum("mi,mi->m", d, x[point, :3]))
+        x = x * np.where(ahead < 0, -1.0, 1.0)[:, None]
+        return x / np.maximum(np.linalg.norm(x[:, :3], axis=1, keepdims=True), 1e-9)
+
+    def _sums(self, values: Floats) -> Floats:
+        """Return the sums over the observations of each point, (N, ...)."""
+        return (self._by_point @ values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])
+
+    def residuals(self) -> Floats:
+        """Return predicted minus observed pixels, shape (M, 2)."""
+        return self._residuals()[0]
+
+    def _residuals(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return the residuals, the rays in rig and camera frame, (M, 3) each, and the lengths of
+        the latter (M, 1).
+        """
+        camera, point = self.tracks.camera, self.tracks.point
+        in_rig = self.points[point, :3] - self.points[point, 3:] * self.t[camera]
+        seen = np.einsum("mji,mj->mi", self.R[camera], in_rig)
+        length = np.maximum(np.linalg.norm(seen, axis=1, keepdims=True), 1e-9)
+        seen = seen / length
+        ahead = np.einsum("mi,mi->m", seen, self.rays) > 0
+        residuals = np.einsum("mij,mj->mi", self._to_px, np.where(ahead[:, None], seen, 1.0))
+        lens = self.lens[camera]
+        return residuals + lens[:, :2] + lens[:, 2:] * self._from_center, in_rig, seen, length
+
+    def misfits(self) -> Floats:
+        """Return the squared residuals of each point over noise and degrees of freedom, (N,); 1 is
+        usual.
+        """
+        return self._sums((self.residuals() ** 2).sum(axis=1)) / self.sigma_px**2 / self.dof
+
+    def _linearised(self) -> tuple[Floats, Floats, Floats]:
+        """Return residuals (M, 2), derivatives by camera (M, 2, width) and by point (M, 2, 3)."""
+        camera, point = self.tracks.camera, self.tracks.point
+        residuals, in_rig, seen, length = self._residuals()
+        d_seen = self._to_px - (self._to_px @ seen[:, :, None]) * seen[:, None, :]
+        d_rig = d_seen / length[:, :, None] @ np.swapaxes(self.R[camera], 1, 2)
+        inverse = self.points[point, 3][:, None, None]
+        parts = [d_rig @ cross(in_rig), -inverse * d_rig]
+        if self.free_lenses:
+            parts += [np.broadcast_to(np.eye(2), (len(point), 2, 2)), self._from_center[:, :, None]]
+        self._basis = tangents(self.points[:, :3])
+        d_point = np.concatenate(
+            [d_rig @ self._basis[point], -d_rig @ self.t[camera][:, :, None]], axis=2
+        )
+        return residuals, np.concatenate(parts, axis=2), d_point
+
+    def _reduced(self, scale: float, damping: float = 0.0) -> tuple[Floats, ...]:
+        """Return the normal equations without the points (Schur complement), and what returns to
+        the points.
+
+        The weight of a track is Geman and McClure's: (1 + misfit / scale²)⁻².
+
+        Returns:
+            S: (cameras · width, cameras · width)
+            gradients: (N, cameras · width), of each point
+            inverse, coupling, point_gradients: see `_step`
+        """
+        tracks, n = self.tracks, len(self.rig)
+        residuals, d_camera, d_point = self._linearised()
+        weight = ((1 + self.misfits() / scale**2) ** -2)[tracks.point] / self.sigma_px**2
+        weighted = weight[:, None, None] * d_point
+        of_points = self._sums(np.swapaxes(weighted, 1, 2) @ d_point)
+        trace = np.trace(of_points, axis1=1, axis2=2)[:, None, None]
+        inverse = np.linalg.inv(of_points + np.eye(3) * (damping * trace / 3 + 1e-9))
+        point_gradients = self._sums(np.einsum("mki,mk->mi", weighted, residuals))
+        of_cameras = np.zeros((tracks.num_points, n, self.width, 3))
+        of_cameras[tracks.point, tracks.camera] = np.swapaxes(d_camera, 1, 2) @ weighted
+        coupling = of_cameras.reshape(tracks.num_points, n * self.width, 3)
+        gradients = np.zeros((tracks.num_points, n, self.width))
+        gradients[tracks.point, tracks.camera] = weight[:, None] * np.einsum(
+            "mki,mk->mi", d_camera, residuals
+        )
+        back = coupling @ inverse
+        S = -np.tensordot(back, coupling, ((0, 2), (0, 2)))
+        for i in range(n):
+            mine, block = tracks.camera == i, slice(i * self.width, (i + 1) * self.width)
+            S[block, block] += np.einsum(
+                "m,mki,mkj->ij", weight[mine], d_camera[mine], d_camera[mine]
+            )
+        gradients = gradients.reshape(len(gradients), -1) - np.einsum(
+            "nij,nj->ni", back, point_gradients
+        )
+        return S, gradients, inverse, coupling, point_gradients
+
+    def _prior(self) -> tuple[Floats, Floats]:
+        """Return weights and gradient of the priors, (cameras · width,) each."""
+        weights, offsets = (
+            np.zeros((len(self.rig), self.width)),
+            np.zeros((len(self.rig), self.width)),
+        )
+        if self.centre_sd is not None:
+            weights[:, 3:6], offsets[:, 3:6] = self.centre_sd**-2, self.t - self.t_prior
+        if self.free_lenses:
+            weights[:, 6:], offsets[:, 6:] = _LENS_PRIOR**-2, self.lens
+        return weights.ravel(), (weights * offsets).ravel()
+
+    def _cost(self, scale: float) -> float:
+        misfits = self.misfits()
+        weights, gradient = self._prior()
+        prior = float((gradient**2 / np.where(weights > 0, weights, 1.0)).sum())
+        return float((self.dof * misfits / (1 + misfits / scale**2)).sum()) + prior
+
+    def solve(self, scale: float, steps: int) -> None:
+        """Minimise the robust cost by Levenberg-Marquardt; the rig keeps its place, its size and
+        its mean rotation.
+        """
+        cost, damping = self._cost(scale), 1e-3
+        for _ in range(steps):
+            before = self.R, self.t, self.lens, self.points
+            self._step(scale, damping)
+            new_cost = self._cost(scale)
+            if new_cost < cost:
+                done, cost, damping = cost - new_cost < 1e-5 * cost, new_cost, damping / 5
+                if done:
+                    break
+            else:
+                self.R, self.t, self.lens, self.points = before
+                damping *= 10
+
+    def _step(self, scale: float, damping: float) -> None:
+        S, gradients, inverse, coupling, point_gradients = self._reduced(scale, damping)
+        weights, prior_gradient = self._prior()
+        G = self._gauge()
+        held = G @ G.T * np.trace(S) / len(S)
+        damped = S + np.diag(weights + damping * np.diag(S) + 1e-9) + held
+        d = -np.linalg.solve(damped, gradients.sum(axis=0) + prior_gradient)
+        back = point_gradients + np.einsum("nij,i->nj", coupling, d)
+        d_points = -np.einsum("nij,nj->ni", inverse, back)
+        d = d.reshape(len(self.rig), self.width)
+        self.R = np.stack(
+            [rotation_from_axis_angle(w) @ R for w, R in zip(d[:, :3], self.R, strict=True)]
+        )
+        self.lens = self.lens + d[:, 6:] if self.free_lenses else self.lens
+        u = self.points[:, :3] + np.einsum("nij,nj->ni", self._basis, d_points[:, :2])
+        points = np.concatenate([u, self.points[:, 3:] + d_points[:, 2:]], axis=1)
+        points /= np.linalg.norm(u, axis=1, keepdims=True)
+        t = self.t + d[:, 3:6]
+        grown = mean_baseline(t) / self.size
+        self.t = t / grown
+        self.points = points * [1.0, 1.0, 1.0, grown]
+
+    def rescale(self) -> None:
+        """Estimate the noise from the median misfit."""
+        # the median of χ² over its degrees of freedom (Wilson, Hilferty 1931)
+        usual = (1 - 2 / (9 * self.dof)) ** 3
+        self.sigma_px = max(self.sigma_px * float(np.sqrt(np.median(self.misfits() / usual))), 1e-3)
+
+    def adjusted_rig(self) -> Rig:
+        """Return the rig with the poses and lenses found, in the frame of the initial one."""
+        middle = self.rig.centers.mean(axis=0)
+        poses = [Pose(R, t + middle) for R, t in zip(self.R, self.t, strict=True)]
+        cameras = [
+            _corrected(camera, lens)
+            for camera, lens in zip(self.rig.cameras, self.lens, strict=True)
+        ]
+        return replace(self.rig, cameras=tuple(cameras), T_rig_cam=tuple(poses))
+
+    def _gauge(self) -> Floats:
+        """Return the directions (cameras · width, 7) that change no ray: rotation, shift and scale
+        of everything.
+        """
+        G = np.zeros((len(self.rig), self.width, 7))
+        G[:, :3, :3] = G[:, 3:6, 3:6] = np.eye(3)
+        G[:, 3:6, :3] = -cross(self.t)
+        G[:, 3:6, 6] = self.t
+        return G.reshape(-1, 7)
+
+    def covariance(self) -> Floats:
+        """Return the covariance (6 · cameras, 6 · cameras) of rotations (radians) and centres
+        (metres), rig frame.
+
+        It is that of `pose_differences`: without a common rotation, shift and scale. What is
+        independent are not the points, but `cells` of them, whose gradients are summed (sandwich;
+        White 1982).
+        """
+        cells = self.cells()
+        S, gradients, *_ = self._reduced(HALF_SCALE)
+        summed = np.zeros((cells.max() + 1, gradients.shape[1]))
+        np.add.at(summed, cells, gradients)
+        weight = 1 / (1 + self.misfits() / HALF_SCALE**2)
+        # of the robust cost: less than S has
+        curvature = (weight**2 * (4 * weight - 3)).mean() / (weight**2).mean()
+        G, prior = self._gauge(), np.diag(self._prior()[0])
+        Z = np.linalg.svd(G.T)[2][7:].T
+        inverse = np.linalg.inv(Z.T @ (S * max(curvature, 0.2) + prior) @ Z)
+        full = Z @ inverse @ Z.T @ (summed.T @ summed + prior) @ Z @ inverse @ Z.T
+        free = np.zeros((len(self.rig), self.width, 7))  # what `pose_differences` takes away
+        free[:, :3, :3] = free[:, 3:6, 3:6] = np.eye(3)
+        free[:, 3:6, 6] = self.t
+        L = free.reshape(-1, 7).T
+        projection = np.eye(len(full)) - G @ np.linalg.solve(L @ G, L)
+        poses = np.arange(len(full)).reshape(len(self.rig), self.width)[:, :6].ravel()
+        return (projection @ full @ projection.T)[np.ix_(poses, poses)]
+
+    def cells(self) -> Ints:
+        """Return for each point its cell of 15° of its frame, (N,)."""
+        u = self.points[:, :3]
+        row = np.round(np.degrees(np.arcsin(u[:, 1].clip(-1, 1))) / _CELL_DEG)
+        around = np.maximum(np.round(np.cos(np.radians(row * _CELL_DEG)) * 360 / _CELL_DEG), 1)
+        column = np.floor((np.arctan2(u[:, 0], u[:, 2]) / (2 * np.pi) + 0.5) * around)
+        cells = np.stack([self.tracks.point_frame, row, column], axis=1)
+        return np.unique(cells, axis=0, return_inverse=True)[1].ravel()
+
+
+def pose_differences(rig: Rig, reference: Rig) -> Floats:
+    """Return how each camera is rotated (radians) and shifted (metres) against a reference,
+    (cameras, 6), rig frame.
+
+    A rotation, a shift and a scale that are common to all cameras are taken away: images alone do
+    not show them.
+    """
+    R, R0 = (np.stack([pose.R for pose in one.T_rig_cam]) for one in (rig, reference))
+    common = nearest_rotation(np.einsum("nij,nkj->ik", R, R0)).T
+    turns = [axis_angle_from_rotation(common @ a @ b.T) for a, b in zip(R, R0, strict=True)]
+    t, t0 = (one.centers - one.centers.mean(axis=0) for one in (rig, reference))
+    scale = mean_baseline(t0) / max(mean_baseline(t), 1e-12)
+    return np.concatenate([np.stack(turns), scale * t @ common.T - t0], axis=1)
+
+
+def moved_rig(rig: Rig, differences: Floats) -> Rig:
+    """Return a rig whose `pose_differences` to this one are given, shape (cameras, 6)."""
+    moved = zip(rig.T_rig_cam, differences, strict=True)
+    return rig.with_poses(
+        [Pose(rotation_from_axis_angle(d[:3]) @ pose.R, pose.t + d[3:]) for pose, d in moved]
+    )
+
+
+def mean_baseline(centers: Floats) -> float:
+    """Return the mean distance of all pairs of centres (cameras, 3)."""
+    i, j = np.triu_indices(len(centers), 1)
+    return float(np.linalg.norm(centers[i] - centers[j], axis=1).mean())
+
+
+def _corrected(camera: OcamCamera, lens: Floats) -> OcamCamera:
+    """Return a camera with its centre and focal length corrected."""
+    if not lens.any():
+        return camera
+    grown, powers = 1 + lens[2], np.arange(len(camera.poly))
+    center = camera.center[0] + lens[0], camera.center[1] + lens[1]
+    return replace(
+        camera,
+        poly=camera.poly * grown ** (1.0 - powers),
+        inv_poly=camera.inv_poly * grown,
+        center=center,
+    )
+
+
+def tangents(rays: Floats) -> Floats:
+    """Return two unit vectors across each ray, (M, 3, 2)."""
+    other = np.where(np.abs(rays[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+    first = np.cross(rays, other)
+    first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-12)
+    return np.stack([first, np.cross(rays, first)], axis=2)

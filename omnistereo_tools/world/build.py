@@ -1,0 +1,272 @@
+"""A recording on its way to one world: its frames, the path of the rig through them, and their
+refined depth.
+
+RECORDING/world/
+  trajectory.txt                      for each frame its number, and the pose rig → world in TUM's format, metres
+  trajectory_kitti.txt                the same in KITTI's, with --kitti
+  mesh.glb, mesh.ply                  the surface: y up for viewers, and in the axes of the world
+  omnidepth_world_640/00001.tiff      refined inverse depth, 1/m, beside links to the rig and the images: a data set
+  index.html                          the surface seen from the path, a plan, and one frame before and after
+  steps.json, world.json              the steps found so far, and what the rest was computed with
+
+The world has the axes of the rig in its first frame: x right, y down, z forward.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omnistereo_lib.dataset import Dataset, load_dataset
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.files import checksum, make_folder, read_bytes, read_data, read_text, write_text
+from omnistereo_lib.frame import Frame, read_inverse_depth, write_inverse_depth
+from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.parse import Section
+from omnistereo_lib.stereo.depth import Depth
+from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_tools.output.blend import blended_panorama
+from omnistereo_tools.progress import progress_bar, say
+from omnistereo_tools.record.recordings import PICTURES, SETTINGS, read_stored
+from omnistereo_tools.world.fusion import View, Volume
+from omnistereo_tools.world.motion import Sighting, SightingFinder, Step, rig_step
+from omnistereo_tools.world.refine import mix, moving_rays
+
+_FARTHEST = 1.5  # times the range: as far a surface is looked for
+_LOST = 3  # frames without a sure step, after which the path begins anew
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedFrames:
+    """The frames of a recording that are done, with what their depth was computed with."""
+
+    folder: Path
+    data: Dataset
+    grid: SphereGrid
+
+    @classmethod
+    def open(cls, folder: Path) -> RecordedFrames:
+        """Open what `omnistereo record` has written; an `OmnistereoError` says what is missing."""
+        if not (folder / SETTINGS).is_file():
+            raise OmnistereoError(
+                f"{folder} has no {SETTINGS}; expected a recording. Make one: omnistereo record …"
+                f" --out {folder}"
+            )
+        data, settings = load_dataset(folder), Section(read_data(folder / SETTINGS))
+        width, height, spheres = (
+            int(settings.number(name)) for name in ("width", "height", "spheres")
+        )
+        highest = 180.0 * height / width
+        grid = SphereGrid(width, height, (-highest, highest), spheres, settings.number("min_depth"))
+        done = [frame for frame in data if frame.gt_path is not None]
+        if len(done) < 2:
+            raise OmnistereoError(
+                f"{folder} has {len(done)} frames with depth; a world needs two or more"
+            )
+        frames = cls(folder, Dataset(folder, data.rig, done), grid)
+        for frame in done:
+            if not (path := frames.confidence_path(frame)).is_file():
+                raise OmnistereoError(
+                    f"{path} is missing; expected the confidence of frame {frame.number}. Record it"
+                )
+        return frames
+
+    def confidence_path(self, frame: Frame) -> Path:
+        """Return where the confidence of a frame is."""
+        return self.folder / f"confidence_{self.grid.width}" / Path(frame.gt_path or "").name
+
+    @cached_property
+    def checksum(self) -> str:
+        """Changes with the frames, and with how their depth was computed."""
+        parts = [
+            read_bytes(self.folder / name)
+            for name in (SETTINGS, PICTURES)
+            if (self.folder / name).exists()
+        ]
+        return checksum(b"".join([*parts, repr([frame.number for frame in self.data]).encode()]))[
+            :16
+        ]
+
+    @cached_property
+    def sweep(self) -> SphereSweep:
+        """The sweep of the recording; its rig has the origin of the panoramas."""
+        return SphereSweep(self.data.rig, self.grid)
+
+    @cached_property
+    def channels(self) -> int:
+        """Of the images."""
+        return 1 if self.data[0].images[0].ndim == 2 else 3
+
+    def panorama(self, frame: Frame, inverse_depth: NDArray[Any]) -> NDArray[np.float32]:
+        """Return what the images of a frame show at an inverse depth (H, W): (H, W, channels), 0 to
+        255.
+        """
+        index = self.grid.inverse_depth_to_index(inverse_depth).clip(0, self.grid.num_spheres - 1)
+        depth = Depth(
+            index.astype(np.float32),
+            np.zeros(self.grid.shape, np.float32),
+            self.sweep,
+            frame.images,
+        )
+        return blended_panorama(depth).reshape(*self.grid.shape, -1)
+
+    def view(self, frame: Frame, pose: Pose, colored: bool = True) -> View:
+        """Return what a frame knows of the world."""
+        inverse = frame.inverse_depth
+        color = (
+            self.panorama(frame, inverse)
+            if colored
+            else np.zeros((*self.grid.shape, 1), np.float32)
+        )
+        return View.of(
+            pose,
+            inverse,
+            read_inverse_depth(self.confidence_path(frame), 1.0),
+            color,
+            self.grid.step,
+        )
+
+    def find_poses(self, path: Path) -> dict[int, Pose]:
+        """Return the pose rig → world of each frame whose step is sure; steps that `path` holds are
+        not repeated.
+
+        Where several frames in a row have no sure step the path is cut, and the longest part
+        returned.
+        """
+        steps, progress, total = (
+            _StoredSteps(path, self.folder),
+            progress_bar("frame"),
+            len(self.data),
+        )
+        finder = SightingFinder(self.sweep.rig, self.grid)
+        base, last, lost = self.data[0], Pose.identity(), 0
+        seen: dict[int, Sighting] = {}
+        parts = [{base.number: Pose.identity()}]
+
+        def look(frame: Frame) -> Sighting:
+            if frame.number not in seen:
+                seen[frame.number] = finder.find(frame.images, frame.inverse_depth)
+            return seen[frame.number]
+
+        for k in range(1, total):
+            frame = self.data[k]
+            progress(k, total, f"path, frame {frame.number}")
+            step = steps.get(base, frame)
+            if step is None:
+                guess = last if len(parts[-1]) > 1 else None
+                step = rig_step(self.sweep.rig, look(base), look(frame), guess)
+                steps.add(base, frame, step)
+            if step.sure:
+                parts[-1][frame.number] = parts[-1][base.number] @ step.T
+                base, last, lost = frame, step.T, 0
+            else:
+                lost += 1
+                say(
+                    f"frame {frame.number} is left out: {step.inliers} of {step.matches} matches"
+                    f" agree on a step, {step.rival} on another"
+                )
+            if lost == _LOST:
+                base, lost = frame, 0
+                parts.append({base.number: Pose.identity()})
+            seen = {
+                number: one for number, one in seen.items() if number in (base.number, frame.number)
+            }
+        progress(total, total, "")
+        poses = max(parts, key=len)
+        if len(poses) < 2:
+            raise OmnistereoError(
+                f"{self.folder}: no step between two frames is sure. Frames must share most of what"
+                " they see: record with a smaller --step, or more often."
+            )
+        return poses
+
+    def integrate(
+        self,
+        volume: Volume,
+        poses: dict[int, Pose],
+        moving: dict[int, NDArray[np.bool_]] | None = None,
+    ) -> None:
+        """Fuse the frames, or take the rays that move, (H, W) of each frame, out of the volume
+        again.
+        """
+        progress = progress_bar("frame")
+        for done, (number, pose) in enumerate(poses.items()):
+            progress(
+                done,
+                len(poses),
+                f"{'fusing' if moving is None else 'taking out what moves'}, frame {number}",
+            )
+            view = self.view(self.data.frame(number), pose)
+            if moving is not None:
+                view = replace(view, weight=np.where(moving[number], -view.weight, 0))
+            volume.integrate(view, self.grid)
+        progress(len(poses), len(poses), "")
+
+    def refine(
+        self, volume: Volume, poses: dict[int, Pose], out: Path
+    ) -> dict[int, NDArray[np.bool_]]:
+        """Read the depth of all frames back into each, and write it; return the rays that move, (H,
+        W) of each.
+        """
+        progress, rays = progress_bar("frame"), self.grid.rays()
+        moving: dict[int, NDArray[np.bool_]] = {}
+        for path in make_folder(out).glob("*.tiff"):
+            path.unlink()
+        for done, (number, pose) in enumerate(poses.items()):
+            progress(done, len(poses), f"refining, frame {number}")
+            frame = self.data.frame(number)
+            own = frame.inverse_depth
+            fused, remembered = volume.march(pose, rays, _FARTHEST * volume.reach)
+            seen = self.panorama(frame, np.where(np.isnan(fused), own, fused))
+            moving[number] = moving_rays(own, fused, seen, remembered, self.grid.step)
+            write_inverse_depth(out / f"{number:05}.tiff", mix(own, fused, moving[number]))
+        progress(len(poses), len(poses), "")
+        return moving
+
+    def link(self, out: Path) -> None:
+        """Put the rig and the images beside the refined depth, so that it is a data set."""
+        shutil.copyfile(self.folder / "config.yaml", out / "config.yaml")
+        for camera in self.folder.glob("cam[0-9]*"):
+            if not (out / camera.name).exists():
+                # where links are not allowed, the images stay where they are
+                with suppress(OSError):
+                    (out / camera.name).symlink_to(Path("..") / camera.name)
+
+
+class _StoredSteps:
+    """The steps of a recording found so far, in a file that is written after each."""
+
+    def __init__(self, path: Path, folder: Path) -> None:
+        self.path, self.settings = path, read_text(folder / SETTINGS)
+        self.marks, self.steps = (read_stored(file) for file in (folder / PICTURES, path))
+
+    def _key(self, a: Frame, b: Frame) -> str:
+        """Return what tells a step between two frames from others, of other pictures or settings,
+        too.
+        """
+        marks = [self.marks.get(str(frame.number)) for frame in (a, b)]
+        return f"{a.number} {b.number} {checksum(repr([self.settings, marks]).encode())[:16]}"
+
+    def get(self, a: Frame, b: Frame) -> Step | None:
+        with suppress(TypeError, KeyError, ValueError):
+            vector, *counts = self.steps[self._key(a, b)]
+            return Step(Pose.from_vector(vector), *map(int, counts))
+        return None
+
+    def add(self, a: Frame, b: Frame, step: Step) -> None:
+        self.steps[self._key(a, b)] = [
+            step.T.as_vector().tolist(),
+            step.inliers,
+            step.matches,
+            step.rival,
+        ]
+        write_text(self.path, json.dumps(self.steps) + "\n")

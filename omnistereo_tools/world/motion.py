@@ -1,0 +1,336 @@
+"""Visual odometry of a rig: its step from one frame to the next, in metres, from images and depth
+panoramas.
+
+A feature at unit ray r of a camera at c lies at c + r / q in the frame of the rig; q is read from
+the depth panorama. The step T minimises the angles between where such points of one frame should be
+seen in the other, and are, both ways.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from omnistereo_lib.geometry.pose import Floats, Pose, nearest_rotation, rotation_from_axis_angle
+from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.threads import map_threads
+from omnistereo_rigs.boards.bundle import cross
+from omnistereo_rigs.images.features import FeatureFinder, Features, match_features, match_near
+from omnistereo_rigs.images.track_bundle import tangents
+
+# of a feature's ray: pixels of 0.5°, and a rig that is calibrated to as much
+_ANGLE_SD = np.radians(0.2)
+_SPHERES_SD = 0.7  # of an inverse depth, plus half of what it varies by among its neighbours
+_UNKNOWN_SD = 0.15  # 1/m
+_SAMPLES, _JUDGES = 300, 300  # triples of matches tried, and matches that judge them
+_KEPT = 4  # of the triples
+_INLIER = 3.0  # standard deviations
+_LEAST_INLIERS, _LEAST_SHARE = 60, 0.25
+_AHEAD = 1.1  # times the inliers of a different step: less is a draw
+_FARTHEST = 1e-3  # 1/m, in place of infinity
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """The features of all cameras in one frame, in the axes of the rig, around its centre."""
+
+    features: Sequence[Features]  #: of each camera; rays in the axes of the rig
+    inverse: Sequence[Floats]  #: (K,) each: inverse distance from the camera along the ray, 1/m
+    sd: Sequence[Floats]  #: (K,) each: its standard deviation, 1/m
+
+
+class SightingFinder:
+    """Finds the features of the images of a rig, and how far they are.
+
+    Args:
+        rig: Its origin is the centre of the panoramas.
+        grid: Of the panoramas.
+    """
+
+    def __init__(self, rig: Rig, grid: SphereGrid) -> None:
+        self.rig, self.grid = rig, grid
+        self.finders = [FeatureFinder(camera) for camera in rig.cameras]
+
+    def find(
+        self, images: Sequence[NDArray[np.uint8]], inverse_depth: NDArray[np.float32]
+    ) -> Sighting:
+        """Return the features of images, one per camera, at the inverse depth (H, W) around the
+        centre of the rig.
+        """
+        inverse_depth = np.maximum(np.nan_to_num(inverse_depth), np.float32(_FARTHEST))
+        spread = cv2.dilate(inverse_depth, np.ones((3, 3))) - cv2.erode(
+            inverse_depth, np.ones((3, 3))
+        )
+        found, inverse, sd = [], [], []
+        each = map_threads(FeatureFinder.find, self.finders, images)
+        for features, pose in zip(each, self.rig.T_rig_cam, strict=True):
+            rays = features.rays @ pose.R.T
+            distance, points = self._distances(inverse_depth, pose.t, rays)
+            valid = self.grid.project(points)[1]
+            found.append(Features(rays, features.descriptors))
+            inverse.append(1 / distance)
+            sd.append(
+                np.where(
+                    valid,
+                    _SPHERES_SD * self.grid.step + self._look_up(spread, points) / 2,
+                    _UNKNOWN_SD,
+                )
+            )
+        return Sighting(found, inverse, sd)
+
+    def _distances(
+        self, inverse_depth: NDArray[np.float32], center: Floats, rays: Floats
+    ) -> tuple[Floats, Floats]:
+        """Return the distances (K,) from a camera to the surface along its rays, and the points
+        there, (K, 3).
+        """
+        along, distance = rays @ center, np.full(len(rays), 10.0)
+        for _ in range(6):
+            depth = 1 / self._look_up(inverse_depth, center + distance[:, None] * rays)
+            distance = np.sqrt(np.maximum(along**2 + depth**2 - center @ center, 0.01)) - along
+        distance = np.maximum(distance, 0.1)
+        return distance, center + distance[:, None] * rays
+
+    def _look_up(self, panorama: NDArray[np.float32], points: Floats) -> Floats:
+        """Return the nearest values of a panorama in the directions of points (K, 3); of its rim
+        beyond it.
+        """
+        return self.grid.look_up(panorama, points)[0].astype(np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """The motion of the rig from one frame to another."""
+
+    T: Pose  #: of the second frame in the first
+    inliers: int
+    matches: int
+    rival: int = 0  #: inliers of the best step that is another one
+
+    @property
+    def sure(self) -> bool:
+        """Whether enough matches agree, and clearly more than on any other step."""
+        enough = self.inliers >= max(_LEAST_INLIERS, _LEAST_SHARE * self.matches)
+        return enough and self.inliers > _AHEAD * self.rival
+
+
+@dataclass(frozen=True, eq=False)
+class _End:
+    """What one frame knows of M matches."""
+
+    center: Floats  # (M, 3), of the cameras
+    ray: Floats  # (M, 3)
+    inverse: Floats  # (M,)
+    sd: Floats  # (M,)
+
+    @cached_property
+    def basis(self) -> Floats:
+        """Two unit vectors across each ray, (M, 2, 3)."""
+        return np.swapaxes(tangents(self.ray), 1, 2)
+
+    def points(self) -> Floats:
+        return self.center + self.ray / np.maximum(self.inverse, _FARTHEST)[:, None]
+
+    def select(self, chosen: NDArray[np.int64]) -> _End:
+        return _End(self.center[chosen], self.ray[chosen], self.inverse[chosen], self.sd[chosen])
+
+
+_Matches = tuple[_End, _End]
+
+
+def rig_step(rig: Rig, a: Sighting, b: Sighting, last: Pose | None = None, seed: int = 0) -> Step:
+    """Return the step T_a_b of the rig from frame a to frame b.
+
+    Façades repeat, so the step has several optima. Two are compared by their inliers: that of
+    matches found anywhere, and the one near the last motion.
+
+    Args:
+        rig: Its origin is the centre of the panoramas.
+        last: The step before this one.
+    """
+    matches = _match(rig, a, b)
+    steps = [_refine(rig, a, b, _search(matches, seed), [3.0])]
+    if last is not None:
+        steps.append(_refine(rig, a, b, last, [8.0, 3.0]))
+    best = max(steps, key=lambda step: step.inliers)
+    others = [step.inliers for step in steps if _differ(step.T, best.T)]
+    return Step(best.T, best.inliers, best.matches, max(others, default=0))
+
+
+def _differ(T: Pose, other: Pose) -> bool:
+    angle, length = (other.inverse() @ T).magnitude()
+    return angle > 1.0 or length > 0.5
+
+
+def _match(
+    rig: Rig, a: Sighting, b: Sighting, T: Pose | None = None, gate_deg: float = 0.0
+) -> _Matches:
+    """Match all cameras with all, anywhere, or within a gate of where T and the depth of a put the
+    features.
+    """
+    centers = rig.centers
+
+    def end_of(frame: Sighting, camera: int) -> _End:
+        rays = frame.features[camera].rays
+        return _End(
+            np.broadcast_to(centers[camera], rays.shape),
+            rays,
+            frame.inverse[camera],
+            frame.sd[camera],
+        )
+
+    def match(i: int, j: int) -> tuple[_End, _End]:
+        found, other, mine = a.features[i], b.features[j], end_of(a, i)
+        if T is None:
+            pairs = match_features(found, other)[0]
+        else:
+            toward, by_inverse, _ = _predict(T, mine, centers[j])
+            length = np.linalg.norm(toward, axis=1, keepdims=True)
+            doubt = (
+                mine.sd
+                * np.linalg.norm(np.cross(toward / length, by_inverse), axis=1)
+                / length[:, 0]
+            )
+            gates = np.minimum(gate_deg + np.degrees(2 * doubt), 12.0)
+            pairs = match_near(found, other, toward / length, gates)
+        return mine.select(pairs[:, 0]), end_of(b, j).select(pairs[:, 1])
+
+    cameras = product(range(len(rig)), repeat=2)
+    first, second = (
+        _End(
+            *(np.concatenate([getattr(end, name) for end in side]) for name in _End.__annotations__)
+        )
+        for side in zip(*map_threads(lambda pair: match(*pair), cameras), strict=True)
+    )
+    return first, second
+
+
+def _predict(T: Pose, a: _End, center: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return where points of frame a lie as seen from `center` in frame b, times their inverse
+    distance in a, (M, 3).
+
+    Also its derivatives by the inverse distance, (M, 3), and by the step, (M, 3, 6): T becomes T
+    Exp(rotation, shift).
+    """
+    q = a.inverse[:, None]
+    from_rig = (q * (a.center - T.t) + a.ray) @ T.R
+    by_inverse = (a.center - T.t) @ T.R - center
+    by_step = np.concatenate([cross(from_rig), -q[:, :, None] * np.eye(3)], axis=2)
+    return from_rig - q * center, by_inverse, by_step
+
+
+def _seen(toward: Floats, b: _End) -> tuple[Floats, Floats]:
+    """Return where frame b sees points, (M, 2) on the tangent planes of its rays, and the
+    derivatives (M, 2, 3).
+    """
+    length = np.maximum(np.linalg.norm(toward, axis=1), 1e-12)[:, None]
+    seen = toward / length
+    offset = (b.basis @ seen[:, :, None])[:, :, 0]
+    return offset, (b.basis - offset[:, :, None] * seen[:, None]) / length[:, :, None]
+
+
+def _residuals(T: Pose, a: _End, b: _End) -> tuple[Floats, Floats, _End]:
+    """Return residuals (M, 2) in standard deviations, what whitens them, (M, 2, 2), and a as both
+    frames see it.
+
+    The error of the depth moves the prediction along a line; it is part of the covariance of the
+    residual. Where on this line a point most likely lies follows in closed form.
+    """
+    toward, by_inverse, _ = _predict(T, a, b.center)
+    offset, d_seen = _seen(toward, b)
+    line = np.einsum("mki,mi->mk", d_seen, by_inverse) * a.sd[:, None]
+    variance = (line**2).sum(axis=1)
+    shrink = (1 / np.sqrt(1 + variance / _ANGLE_SD**2) - 1) / np.maximum(variance, 1e-20)
+    whiten = (np.eye(2) + shrink[:, None, None] * line[:, :, None] * line[:, None]) / _ANGLE_SD
+    along = (line * offset).sum(axis=1) / (variance + _ANGLE_SD**2)
+    inverse = np.maximum(a.inverse - a.sd * along.clip(-_INLIER, _INLIER), _FARTHEST)
+    residuals = np.einsum("mkj,mj->mk", whiten, offset)
+    # Behind, where the tangents do not tell.
+    residuals[np.einsum("mi,mi->m", toward, b.ray) < 0.2 * np.linalg.norm(toward, axis=1)] = 1e3
+    return residuals, whiten, replace(a, inverse=inverse)
+
+
+def _one_way(T: Pose, a: _End, b: _End) -> tuple[Floats, Floats]:
+    """Return residuals (M, 2) in standard deviations, and their derivatives (M, 2, 6) by the step.
+
+    Derivatives are taken where the points most likely lie: at the measured depth, its errors would
+    shorten the step.
+    """
+    residuals, whiten, fitted = _residuals(T, a, b)
+    toward, _, by_step = _predict(T, fitted, b.center)
+    return residuals, whiten @ _seen(toward, b)[1] @ by_step
+
+
+def _both_ways(T: Pose, matches: _Matches) -> tuple[Floats, Floats]:
+    """Return residuals (2M, 2) and their derivatives (2M, 2, 6): a's points seen in b, then b's in
+    a.
+    """
+    a, b = matches
+    forth, d_forth = _one_way(T, a, b)
+    back, d_back = _one_way(T.inverse(), b, a)
+    # (T Exp(ξ))⁻¹ = T⁻¹ Exp(-Ad ξ)
+    adjoint = np.zeros((6, 6))
+    adjoint[:3, :3] = adjoint[3:, 3:] = T.R
+    adjoint[3:, :3] = cross(T.t[None])[0] @ T.R
+    return np.concatenate([forth, back]), np.concatenate([d_forth, -d_back @ adjoint])
+
+
+def _solve(T: Pose, matches: _Matches, scales: Sequence[float]) -> tuple[Pose, float]:
+    """Minimise Geman and McClure's robust cost by Gauss-Newton; return the step and the cost, at
+    most 1.
+    """
+    cost = np.inf
+    for scale in scales if len(matches[0].ray) > 2 else ():
+        for _ in range(8):
+            residuals, J = _both_ways(T, matches)
+            squares = (residuals**2).sum(axis=1) / scale**2
+            weights = (1 + squares) ** -2
+            cost = float((squares / (1 + squares)).mean())
+            H = np.einsum("mki,m,mkj->ij", J, weights, J) + 1e-6 * np.eye(6)
+            d = -np.linalg.solve(H, np.einsum("mki,m,mk->i", J, weights, residuals))
+            turn, shift = np.linalg.norm(d.reshape(2, 3), axis=1) + 1e-9
+            d *= min(1.0, float(0.5 / turn), float(4.0 / shift))
+            T = T @ Pose(rotation_from_axis_angle(d[:3]), d[3:])
+            if np.abs(d).max() < 1e-5:
+                break
+    return T, cost
+
+
+def _search(matches: _Matches, seed: int) -> Pose:
+    """Find the step without a guess: triples of matched points laid onto each other, the best ones
+    adjusted.
+    """
+    a, b = matches
+    if len(a.ray) < 3:
+        return Pose.identity()
+    rng = np.random.default_rng(seed)
+    # points whose place is known
+    near = np.minimum(a.inverse / a.sd, b.inverse / b.sd).clip(0.01, 30.0)
+    judges = rng.integers(0, len(a.ray), _JUDGES)
+    judging = a.select(judges), b.select(judges)
+    points, other = a.points(), b.points()
+    tried: list[tuple[float, int, Pose]] = []
+    for k, triple in enumerate(rng.choice(len(near), (_SAMPLES, 3), p=near / near.sum())):
+        x, y = points[triple], other[triple]
+        R = nearest_rotation((x - x.mean(axis=0)).T @ (y - y.mean(axis=0)))
+        T = Pose(R, x.mean(axis=0) - R @ y.mean(axis=0))
+        squares = (_residuals(T, *judging)[0] ** 2).sum(axis=1) / 10.0**2
+        tried.append((float((squares / (1 + squares)).mean()), k, T))
+    best = (_solve(T, judging, (30.0, 10.0)) for _, _, T in sorted(tried)[:_KEPT])
+    return min(best, key=lambda found: found[1])[0]
+
+
+def _refine(rig: Rig, a: Sighting, b: Sighting, T: Pose, gates_deg: Sequence[float]) -> Step:
+    """Match again near where a step puts the features, and adjust it, in narrowing gates."""
+    for gate_deg in gates_deg:
+        matches = _match(rig, a, b, T, gate_deg)
+        T, _ = _solve(T, matches, (5.0, 3.0))
+    inlier = (_both_ways(T, matches)[0] ** 2).sum(axis=1) < _INLIER**2
+    return Step(T, int(inlier.reshape(2, -1).all(axis=0).sum()), len(matches[0].ray))

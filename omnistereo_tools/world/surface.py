@@ -1,0 +1,159 @@
+"""The surface of a volume as triangles: surface nets (Gibson 1998), one vertex in each cell that it
+crosses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from omnistereo_lib.stereo.compiled import compiled
+from omnistereo_tools.world.fusion import BAND, BLOCK, Volume, Voxels, distance_at, find_block
+
+_LEAST_WEIGHT = 2.0  # 1/m²: only a surface that is known to 0.7 m is drawn
+_LEAST_TRIANGLES = 100  # of a piece: smaller ones are noise
+_loop = compiled(nogil=True, error_model="numpy")
+_Single = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Triangles in the axes of the world, counter-clockwise as seen by the rig."""
+
+    vertices: NDArray[np.float32]  #: (V, 3), metres
+    faces: NDArray[np.int64]  #: (F, 3)
+    color: NDArray[np.float32]  #: (V, channels)
+
+
+def extract_surface(volume: Volume) -> Surface:
+    """Return the surface where the distances change their sign, without pieces of fewer than 100
+    triangles.
+    """
+    weight = np.where(volume.voxels[4] < _LEAST_WEIGHT, np.float32(0), volume.voxels[4])
+    voxels = (*volume.voxels[:4], weight, volume.voxels[5])
+    numbers = np.full(voxels[3].shape, -1, np.int32)
+    count = _place_vertices(
+        voxels, volume.voxel, numbers, np.zeros((0, 3), np.float32), np.zeros((0, 1), np.float32)
+    )
+    vertices, color = (
+        np.zeros((count, 3), np.float32),
+        np.zeros((count, voxels[5].shape[-1]), np.float32),
+    )
+    _place_vertices(voxels, volume.voxel, numbers, vertices, color)
+    faces = np.zeros(
+        (_join(voxels, volume.voxel, numbers, np.zeros((0, 3), np.int64)), 3), np.int64
+    )
+    _join(voxels, volume.voxel, numbers, faces)
+    graph = coo_matrix((np.ones(len(faces), bool), (faces[:, 0], faces[:, 1])), (count, count))
+    graph += coo_matrix((np.ones(len(faces), bool), (faces[:, 0], faces[:, 2])), (count, count))
+    piece = connected_components(graph, directed=False)[1][faces[:, 0]]
+    faces = faces[np.bincount(piece)[piece] >= _LEAST_TRIANGLES] if len(faces) else faces
+    used, corners = np.unique(faces, return_inverse=True)
+    return Surface(vertices[used], corners.reshape(-1, 3), color[used])
+
+
+@_loop
+def _crossed(a: float, b: float, voxel: float) -> bool:
+    """Return whether a surface lies between two neighbours; a larger jump is from free space to
+    behind a surface.
+    """
+    return (a > 0) != (b > 0) and abs(a - b) < BAND * voxel
+
+
+@_loop
+def _place_vertices(
+    voxels: Voxels, voxel: float, numbers: NDArray[np.int32], vertices: _Single, color: _Single
+) -> int:
+    """Number the cells that the surface crosses, each by its first voxel; fill the mean of its
+    crossings, if given.
+    """
+    count, corners = 0, np.zeros(8)
+    for number in range(len(voxels[0])):
+        first = voxels[0][number] * BLOCK
+        for cell in range(BLOCK**3):
+            i, j, k = cell >> 6, cell >> 3 & 7, cell & 7
+            for n in range(8):
+                corners[n] = distance_at(
+                    voxels,
+                    first[0] + i + (n >> 2),
+                    first[1] + j + (n >> 1 & 1),
+                    first[2] + k + (n & 1),
+                )
+            if corners.min() > 0 or corners.max() <= 0:
+                continue
+            x, y, z, crossings, behind = 0.0, 0.0, 0.0, 0, 0
+            for n in range(8):
+                for axis in range(3):
+                    other = n | 4 >> axis
+                    if other != n and _crossed(corners[n], corners[other], voxel):
+                        on_edge = corners[n] / (corners[n] - corners[other])
+                        x += on_edge if axis == 0 else n >> 2
+                        y += on_edge if axis == 1 else n >> 1 & 1
+                        z += on_edge if axis == 2 else n & 1
+                        crossings += 1
+                        behind = n if corners[n] <= 0 else other
+            if crossings == 0:
+                continue
+            numbers[number, i, j, k] = count
+            if len(vertices) > 0:
+                i, j, k = first[0] + i, first[1] + j, first[2] + k
+                vertices[count, 0] = (i + x / crossings) * voxel
+                vertices[count, 1] = (j + y / crossings) * voxel
+                vertices[count, 2] = (k + z / crossings) * voxel
+                i, j, k = i + (behind >> 2), j + (behind >> 1 & 1), k + (behind & 1)
+                color[count] = voxels[5][find_block(voxels, i, j, k), i & 7, j & 7, k & 7]
+            count += 1
+    return count
+
+
+@_loop
+def _join(
+    voxels: Voxels, voxel: float, numbers: NDArray[np.int32], faces: NDArray[np.int64]
+) -> int:
+    """Join the vertices of the four cells around each edge that the surface crosses; fill `faces`
+    if it has room.
+    """
+    count = 0
+    for number in range(len(voxels[0])):
+        x, y, z = voxels[0][number] * BLOCK
+        for cell in range(BLOCK**3):
+            at = (x + (cell >> 6), y + (cell >> 3 & 7), z + (cell & 7))
+            here = distance_at(voxels, at[0], at[1], at[2])
+            if here == np.inf:
+                continue
+            for axis in range(3):
+                along = distance_at(
+                    voxels, at[0] + (axis == 0), at[1] + (axis == 1), at[2] + (axis == 2)
+                )
+                if not _crossed(here, along, voxel):
+                    continue
+                one, other = (axis + 1) % 3, (axis + 2) % 3
+                a = _vertex(voxels, numbers, at, -1, -1)
+                b = _vertex(voxels, numbers, at, one, -1)
+                c = _vertex(voxels, numbers, at, one, other)
+                d = _vertex(voxels, numbers, at, -1, other)
+                if min(a, b, c, d) < 0:
+                    continue
+                if len(faces) > 0:
+                    if here > 0:  # the free side is where the edge begins
+                        b, d = d, b
+                    faces[count, 0], faces[count, 1], faces[count, 2] = a, b, c
+                    faces[count + 1, 0], faces[count + 1, 1], faces[count + 1, 2] = a, c, d
+                count += 2
+    return count
+
+
+@_loop
+def _vertex(
+    voxels: Voxels, numbers: NDArray[np.int32], at: tuple[int, int, int], one: int, other: int
+) -> int:
+    """Return the vertex of the cell at a voxel, or of the one before it along one axis or two; -1
+    if it has none.
+    """
+    i, j, k = at[0] - (0 in (one, other)), at[1] - (1 in (one, other)), at[2] - (2 in (one, other))
+    number = find_block(voxels, i, j, k)
+    return -1 if number < 0 else numbers[number, i & 7, j & 7, k & 7]

@@ -1,0 +1,65 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+import omnistereo_lib as osl
+
+maps = arrays(
+    np.float32, (3, 4), elements=st.one_of(st.floats(-5, 200, width=32), st.just(math.nan))
+)
+
+
+@given(maps, maps, arrays(bool, (3, 4)))
+def test_errors_agree_with_the_definition_ray_by_ray(index, gt, valid):
+    N = 192
+    errors = []
+    for y in range(3):
+        for x in range(4):
+            if valid[y, x] and 0 <= gt[y, x] < N:
+                estimate = float(index[y, x])
+                errors.append(
+                    100.0 if math.isnan(estimate) else 100 / N * abs(estimate - float(gt[y, x]))
+                )
+    found = osl.index_error(index, gt, N, valid)
+    if not errors:
+        assert all(math.isnan(value) for value in found.values())
+        return
+    for limit in (1, 3, 5):
+        assert found[f">{limit}"] == pytest.approx(
+            100 * sum(e > limit for e in errors) / len(errors)
+        )
+    assert found["MAE"] == pytest.approx(sum(errors) / len(errors))
+    assert found["RMS"] == pytest.approx(math.sqrt(sum(e * e for e in errors) / len(errors)))
+
+
+def test_maps_must_agree_in_shape():
+    with pytest.raises(osl.OmnistereoError, match=r"\(2, 3\).*\(3, 2\)"):
+        osl.index_error(np.zeros((2, 3)), np.zeros((3, 2)), 10)
+    with pytest.raises(
+        osl.OmnistereoError,
+        match=r"valid has shape \(3,\); expected that of the panorama, \(2, 3\)",
+    ):
+        osl.index_error(np.zeros((2, 3)), np.zeros((2, 3)), 10, np.ones(3))
+
+
+def test_sparsification_of_a_perfect_and_of_a_useless_confidence():
+    error = np.random.default_rng(0).exponential(size=10_000)
+    _, auc, oracle_auc = osl.sparsification(error, -error)
+    assert auc == pytest.approx(oracle_auc)
+    _, auc, _ = osl.sparsification(error, np.random.default_rng(1).random(10_000))
+    assert auc == pytest.approx(1, abs=0.03)
+
+
+def test_sparsification_curve_by_hand():
+    curve, _, _ = osl.sparsification([4, 1, 2, 3, np.nan], [0.1, 0.9, 0.8, 0.2, 1], [0, 0.25, 0.5])
+    assert curve.tolist() == pytest.approx([2.5, 2.0, 1.5])
+
+
+@pytest.mark.parametrize("error", [[], [np.nan, np.nan]])
+def test_sparsification_of_nothing(error):
+    curve, *aucs = osl.sparsification(error, np.ones(len(error)))
+    assert np.isnan(curve).all() and np.isnan(aucs).all()

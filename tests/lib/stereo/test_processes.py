@@ -1,0 +1,97 @@
+"""Depth in other processes, after the parent has started its threads: it must end, with the
+parent's result."""
+
+import multiprocessing
+import os
+import subprocess
+import sys
+import threading
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scene
+from torch.utils.data import DataLoader, Dataset
+
+import omnistereo_lib as osl
+from omnistereo_lib.lazy import lazy_property
+from omnistereo_lib.stereo import correlation
+
+METHODS = ["zncc+sgm", "mccnn", "sweepnet", "volumenet"]
+RIG = scene.rig(width=60, height=56)
+GRID = osl.SphereGrid(48, 16, num_spheres=8, min_depth=0.6)
+IMAGES = [np.random.default_rng(k).integers(0, 255, (56, 60), np.uint8) for k in range(4)]
+
+
+def index(method):
+    return osl.estimate_depth(osl.Frame.of(RIG, IMAGES), GRID, method).index
+
+
+class Frames(Dataset):
+    """One estimate per method, as a training that prepares depth in its workers would ask for it."""
+
+    def __len__(self):
+        return len(METHODS)
+
+    def __getitem__(self, k):
+        return index(METHODS[k])
+
+
+def main():
+    """Estimate here, then in forked and spawned processes, by each of Python's and torch's ways to
+    start them."""
+    expected = [index(method) for method in METHODS]
+    results = {}
+    with multiprocessing.get_context("spawn").Pool(1) as pool:  # it imports torch again
+        results["spawn"] = pool.map(index, METHODS)
+    with ProcessPoolExecutor(2, multiprocessing.get_context("fork")) as executor:
+        results["executor"] = list(executor.map(index, METHODS))
+    loader = DataLoader(Frames(), batch_size=None, num_workers=2, multiprocessing_context="fork")
+    results["loader"] = [item.numpy() for item in loader]
+    for name, found in results.items():
+        for method, a, b in zip(METHODS, found, expected, strict=True):
+            # fewer threads, other sums in bfloat16
+            close = np.isclose(a, b, atol=0.05, equal_nan=True)
+            assert close.mean() > 0.95, (name, method, close.mean())
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+def test_depth_in_other_processes():
+    here = Path(__file__)
+    command = [sys.executable, str(here)]
+    environment = {**os.environ, "PYTHONPATH": f"{here.parents[2]}:{here.parents[1]}"}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="Windows does not fork")
+def test_what_a_thread_computes_at_the_fork_does_not_block_the_child():
+    """`functools.cached_property` of Python 3.11 would: one lock serves all objects."""
+    begun, go_on = threading.Event(), threading.Event()
+
+    class Slow:
+        @lazy_property
+        def value(self):
+            if threading.current_thread() is not threading.main_thread():
+                begun.set()
+                go_on.wait(60)
+            return 1
+
+    thread = threading.Thread(target=lambda: Slow().value)
+    thread.start()
+    begun.wait(60)
+    child = multiprocessing.get_context("fork").Process(target=lambda: sys.exit(Slow().value + 6))
+    child.start()
+    child.join(60)
+    status = child.exitcode
+    child.kill()
+    go_on.set()
+    thread.join()
+    assert status == 7
+
+
+if __name__ in ("__main__", "__mp_main__"):  # in processes of its own
+    correlation.COARSE = (32, 8)
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,206 @@
+"""Sample rig files of every format, written by hand, and the helpers of the tests that read them."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import yaml
+from scipy.spatial.transform import Rotation
+
+from omnistereo_lib import OcamCamera, fit_inverse_polynomial
+
+SIZE = (800, 760)  # width, height
+CENTER = (402.3, 377.6)
+AFFINE = (1.002, -0.003, 0.004)  # c, d, e
+F = 140.0  # px
+
+
+def stereographic(**changes):
+    """r = 2 f tan(θ/2): the direct polynomial is exactly -f + r²/(4f); the inverse one is a fit to
+    it."""
+    poly = [-F, 0.0, 1 / (4 * F)]
+    inv_poly = fit_inverse_polynomial(poly, 220.0, 3 * max(SIZE), tolerance=2e-8)
+    return OcamCamera(
+        **{
+            "poly": poly,
+            "inv_poly": inv_poly,
+            "center": CENTER,
+            "affine": AFFINE,
+            "image_size": SIZE,
+        }
+        | changes
+    )
+
+
+CAMERA = stereographic()
+POLY, INVERSE = (
+    " ".join(map(repr, CAMERA.poly.tolist())),
+    " ".join(map(repr, CAMERA.inv_poly.tolist())),
+)
+N_INVERSE = len(CAMERA.inv_poly)
+C, D, E = AFFINE
+OCAM_TXT = f"""#polynomial coefficients for the DIRECT mapping function
+
+3 {POLY}
+
+#polynomial coefficients for the inverse mapping function
+
+{N_INVERSE} {INVERSE}
+
+#center: "row" and "column", starting from 0 (C convention)
+
+{CENTER[1]} {CENTER[0]}
+
+#affine parameters "c", "d", "e"
+
+{C} {D} {E}
+
+#image size: "height" and "width"
+
+{SIZE[1]} {SIZE[0]}
+"""
+# The published rig: four cameras on a square, looking outwards, in centimetres, the first is the
+# frame.
+POSES_TXT = "0 0 0 0 0 0\n0 1.570796 0 20 0 -20\n0 3.141593 0 0 0 -40\n0 -1.570796 0 -20 0 -20\n"
+DOUBLE_SPHERE = {"fx": 225.0, "fy": 222.6, "cx": 400.0, "cy": 380.0, "xi": -0.28, "alpha": 0.57}
+RAYS = np.random.default_rng(3).normal(size=(300, 3))
+
+
+def write(path, content):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(content)
+    return path
+
+
+def ocam_folder(folder, cameras=4, poses=POSES_TXT):
+    for i in range(cameras):
+        write(folder / f"ocam{i + 1}.txt", OCAM_TXT)
+    write(folder / "poses.txt", poses)
+    return folder
+
+
+def same_camera(a, b):
+    for exact in (False, True):
+        ours, valid = a.project(RAYS, use_direct_poly=exact)
+        theirs, valid_too = b.project(RAYS, use_direct_poly=exact)
+        np.testing.assert_allclose(ours[valid], theirs[valid], atol=1e-9)
+        assert (valid == valid_too).all()
+
+
+def omnimvs(**changes):
+    """As the dialect's files look: counts that are floats, numbers that YAML takes for words."""
+    camera = {
+        "cam_id": 1,
+        "model": "ocam",
+        "poly": [3.0, *CAMERA.poly.tolist()],
+        "inv_poly": [N_INVERSE, *CAMERA.inv_poly.tolist()],
+        "center": [CENTER[1], CENTER[0]],
+        "affine": [C, D, str(E)],
+        "image_size": [SIZE[1], SIZE[0]],
+        "invalid_mask": "mask1.png",
+        "max_fov": 200.0,
+    }
+    poses = [[0, 0, 0, 0, 0, 0.6], [0, np.pi / 2, 0, 0.6, 0, 0], [0, np.pi, 0, 0, 0, -0.6]]
+    cameras = [
+        camera | {"pose": pose, "invalid_mask": f"mask{i + 1}.png"} for i, pose in enumerate(poses)
+    ]
+    return {
+        "config": {"omnimvs_sweep_min_depth": 1.65},
+        "dataset": {"start": 1},
+        "cameras": cameras,
+    } | changes
+
+
+def dump(path, data):
+    return write(path, json.dumps(data) if path.suffix == ".json" else yaml.safe_dump(data))
+
+
+def basalt(**changes):
+    poses = [[0, 0, 0], [0, np.pi, 0.1]]
+    T_imu_cam = [
+        dict(zip(("qx", "qy", "qz", "qw"), Rotation.from_rotvec(r).as_quat().tolist(), strict=True))
+        | {"px": 0.1 * i, "py": 0.0, "pz": -0.06 * i}
+        for i, r in enumerate(poses)
+    ]
+    lens = {"camera_type": "ds", "intrinsics": DOUBLE_SPHERE}
+    value = {"T_imu_cam": T_imu_cam, "intrinsics": [lens, lens], "resolution": [list(SIZE)] * 2}
+    return {"value0": value | changes}
+
+
+FOCAL = [300.0, 299.0, 400.0, 380.0]
+
+
+def kalibr(*chain, **first):
+    """A chain of double sphere cameras; `chain` holds T_cn_cnm1, `first` replaces entries of cam0."""
+    lens = {"camera_model": "ds", "intrinsics": [-0.28, 0.57, *FOCAL], "distortion_model": "none"}
+    lens |= {"distortion_coeffs": [], "resolution": list(SIZE), "rostopic": "/cam"}
+    cameras = {f"cam{n}": lens | {"T_cn_cnm1": T.tolist()} for n, T in enumerate(chain, 1)}
+    return {"cam0": lens | first} | cameras
+
+
+def matrix(rotvec, t):
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_rotvec(rotvec).as_matrix(), t
+    return T
+
+
+K = np.array([[200.0, 0, 400], [0, 199, 380], [0, 0, 1]])
+D4 = np.array([-0.011, 0.004, -0.0021, 0.0003])
+# rig -> camera, centimetres
+R2, T2 = Rotation.from_rotvec([0.1, 1.4, 0]).as_matrix(), np.array([12.0, 0.5, -3.0])
+
+
+K4 = [-0.011, 0.004, -0.0021, 0.0003]
+
+
+def ros(**changes):
+    camera = {
+        "image_width": SIZE[0],
+        "image_height": SIZE[1],
+        "camera_name": "left",
+        "camera_matrix": {"rows": 3, "cols": 3, "data": [200.0, 0, 400, 0, 199.0, 380, 0, 0, 1]},
+        "distortion_model": "equidistant",
+        "distortion_coefficients": {"rows": 1, "cols": 4, "data": K4},
+    }
+    pose = {
+        "R": {"rows": 3, "cols": 3, "data": R2.ravel().tolist()},
+        "T": {"rows": 3, "cols": 1, "data": T2.tolist()},
+    }
+    return {"left": camera | changes, "right": camera | pose | changes}
+
+
+MEI = {
+    "model_type": "MEI",
+    "camera_name": "fish",
+    "image_width": SIZE[0],
+    "image_height": SIZE[1],
+    "mirror_parameters": {"xi": 1.5},
+    "distortion_parameters": {"k1": -0.05, "k2": 0.01, "p1": 0.0, "p2": 0.0},
+    "projection_parameters": {"gamma1": 560.0, "gamma2": 558.0, "u0": 400.0, "v0": 380.0},
+}
+METASHAPE = """<?xml version="1.0" encoding="UTF-8"?>
+<calibration>
+  <projection>{projection}</projection>
+  <width>800</width>
+  <height>760</height>
+  <f>240.0</f>
+  <cx>3.5</cx>
+  <cy>-2.0</cy>
+  <b1>1.5</b1>
+  <b2>-0.5</b2>
+  <k1>-0.02</k1>
+  <k2>0.004</k2>
+  <k4>0.0001</k4>
+  <date>2026-01-01T00:00:00Z</date>
+</calibration>
+"""
+# The examples of book/own_cameras.md: name, or file of a second one → file, content.
+PAGE = (Path(__file__).parents[2] / "book" / "own_cameras.md").read_text(encoding="utf-8")
+EXAMPLES = {
+    name or file: (file, text)
+    for name, file, text in re.findall(
+        r"^(?:\*\*(.*?)\*\*|and)[^`\n]*`([\w.]+)`[^\n]*\n\n```\w+\n(.*?)```$", PAGE, re.M | re.S
+    )
+}
+HUGIN = 'i w800 h760 f3 v180 Ra0 a0.01 b-0.02 c0.005 d2.5 e-1.5 g0 t0 r0 p0 y0 n"a0.jpg"\n'

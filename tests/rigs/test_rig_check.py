@@ -1,0 +1,244 @@
+"""Rig check: every mix-up, made on purpose, is named and undone; a camera that moved is measured;
+right rigs pass."""
+
+import itertools
+import re
+
+import numpy as np
+import pytest
+import scene
+from scipy.spatial.transform import Rotation
+
+import omnistereo_lib as osl
+from omnistereo_learn.evaluate.run import DATA
+from omnistereo_rigs.doctor import rig_check
+from omnistereo_rigs.doctor.mixups import explain
+from omnistereo_rigs.doctor.rig_check import (
+    check_rig,
+    invert_poses,
+    rotate_camera,
+    scale_translations,
+)
+from omnistereo_rigs.images.from_images import relative_poses
+from omnistereo_rigs.images.track_bundle import pose_differences
+
+RIG = osl.load_rig(DATA / "sunny" / "test")
+QUARTER = Rotation.from_rotvec([0, 0, np.pi / 2]).as_matrix()
+Z, X = np.diag([1.0, 1.0, -1.0]), np.diag([-1.0, 1.0, 1.0])
+# axes of a camera in those of a body, x ahead and z up
+ROBOT = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]).T
+
+
+def quaternions_rolled(pose, by):
+    return osl.Pose(
+        Rotation.from_quat(np.roll(Rotation.from_matrix(pose.R).as_quat(), by)).as_matrix(), pose.t
+    )
+
+
+def backwards(change):
+    """The same mistake in a file of poses rig → camera."""
+    return lambda pose: change(pose.inverse()).inverse()
+
+
+def euler_angles(pose):
+    return osl.Pose.from_vector([*Rotation.from_matrix(pose.R).as_euler("xyz"), *pose.t])
+
+
+MISTAKES = {  # of each pose → what is named
+    "inverted": (lambda T: T.inverse(), "the poses look inverted"),
+    "R inverted": (lambda T: osl.Pose(T.R.T, T.t), "the rotations look inverted"),
+    "R inverted, backwards": (
+        backwards(lambda T: osl.Pose(T.R.T, T.t)),
+        "the rotations look inverted",
+    ),
+    "T is the centre": (
+        lambda T: osl.Pose(T.R, -T.R @ T.t),
+        "the translations look like those of the other direction",
+    ),
+    "t negated": (lambda T: osl.Pose(T.R, -T.t), "the translations look negated"),
+    "OpenGL": (
+        lambda T: osl.Pose(T.R @ np.diag([1.0, -1, -1]), T.t),
+        "x right, y up, z back, as in OpenGL",
+    ),
+    "axes of a robot": (
+        lambda T: osl.Pose(ROBOT.T @ T.R @ ROBOT, ROBOT.T @ T.t),
+        "the camera axes look like x ",
+    ),
+    "left-handed": (lambda T: osl.Pose(Z @ T.R @ Z, Z @ T.t), "the frame looks left-handed"),
+    "mirrored": (lambda T: osl.Pose(X @ T.R @ X, X @ T.t), "all images look mirrored"),
+    "w x y z": (
+        lambda T: quaternions_rolled(T, 1),
+        "the quaternions look like w x y z, read as x y z w",
+    ),
+    "w x y z, backwards": (
+        backwards(lambda T: quaternions_rolled(T, 1)),
+        "the quaternions look like w x y z",
+    ),
+    "x y z w": (
+        lambda T: quaternions_rolled(T, -1),
+        "the quaternions look like x y z w, read as w x y z",
+    ),
+    "Euler angles": (euler_angles, "the axis-angle numbers look like angles about x, y and z"),
+    "turned images": (
+        lambda T: osl.Pose(T.R @ QUARTER @ QUARTER, T.t),
+        "all images look turned by 180°",
+    ),
+    "inverted and OpenGL": (
+        lambda T: osl.Pose(T.R @ np.diag([1.0, -1, -1]), T.t).inverse(),
+        "the poses look inverted .* and the camera axes look like x right, y up, z back",
+    ),
+}
+
+
+def with_noise(pairs, degrees=0.1):
+    """Relative poses as images measure them, a little off."""
+    rng = np.random.default_rng(0)
+    for found in pairs.values():
+        turn = osl.Pose.from_vector([*np.radians(degrees) * rng.normal(size=3), 0, 0, 0])
+        object.__setattr__(
+            found, "T_b_a", osl.Pose(turn.R @ found.T_b_a.R, turn.R @ turn.R @ found.T_b_a.t)
+        )
+    return pairs
+
+
+PAIRS = with_noise(relative_poses(RIG))
+
+
+def named(wrong):
+    """Return what is named; undone, the relative poses are those of the true rig."""
+    _, found, clear = explain(wrong, PAIRS)
+    assert clear
+    fixed = relative_poses(found.apply(wrong))
+    for key, true in relative_poses(RIG).items():
+        np.testing.assert_allclose(fixed[key].T_b_a.R, true.T_b_a.R, atol=1e-6)
+        np.testing.assert_allclose(fixed[key].T_b_a.t, true.T_b_a.t, atol=1e-6)
+    return found.name
+
+
+def test_a_right_rig_has_no_mixup():
+    given, found, _ = explain(RIG, PAIRS)
+    assert found is given and given.name == "" and given.turn_deg < 0.3
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_each_form_is_named_and_undone(mistake):
+    change, name = MISTAKES[mistake]
+    assert re.match(f".*{name}", named(RIG.with_poses([change(pose) for pose in RIG.T_rig_cam])))
+
+
+def test_poses_in_a_chain_are_named():
+    chain = [RIG.T_rig_cam[0], *(a.inverse() @ b for a, b in itertools.pairwise(RIG.T_rig_cam))]
+    assert named(RIG.with_poses(chain)) == "each pose looks relative to the camera before"
+
+
+@pytest.mark.parametrize(
+    ("order", "give"),
+    [((1, 0, 2, 3), "2 1 3 4"), ((1, 2, 3, 0), "2 3 4 1"), ((3, 2, 1, 0), "4 3 2 1")],
+)
+def test_an_order_is_named(order, give):
+    swapped = osl.Rig([RIG.cameras[k] for k in order], [RIG.T_rig_cam[k] for k in order])
+    assert named(swapped) == f"the images look swapped (give them in the order {give})"
+
+
+def test_one_camera_is_named():
+    T = RIG.T_rig_cam
+    name = named(RIG.with_poses([T[0], osl.Pose(T[1].R.T, T[1].t), *T[2:]]))
+    assert name == "of camera 2 alone: the rotations look inverted, the translations do not"
+    name = named(rotate_camera(RIG, 2, [0, 0, -np.pi / 2]))
+    assert name.startswith("of camera 3 alone: its image looks turned by 90°")
+
+
+@pytest.mark.parametrize(
+    ("degrees", "axis"), [(12, (0, 1, 0)), (12, (0.6, 0.6, -0.5)), (40, (1, 0, 0))]
+)
+def test_a_turn_by_any_angle_is_no_mixup(degrees, axis):
+    assert explain(rotate_camera(RIG, 2, np.radians(degrees) * np.array(axis)), PAIRS)[1] is None
+
+
+def test_swapped_images_are_named_although_their_lenses_differ():
+    """Centres of lenses that are a degree apart, as in this small world, hide what was swapped from
+    the pairs."""
+    rig = scene.rig(width=200, height=192)
+    images = scene.images(rig, finest=0.25)
+    found = rig_check.find_mixup(osl.Frame.of(rig, [images[k] for k in (1, 0, 2, 3)]))
+    assert found.startswith("the images look swapped (give them in the order 2 1 3 4)")
+
+
+@pytest.fixture(scope="module")
+def frame():
+    return osl.load_dataset(DATA / "sunny", split="train")[10]
+
+
+@pytest.fixture(scope="module")
+def matches(frame):
+    return rig_check._matches(frame.rig, frame.images)
+
+
+@pytest.fixture
+def street(frame, matches, monkeypatch):
+    """A frame; what is measured without poses is measured once."""
+    monkeypatch.setattr(rig_check, "_matches", lambda rig, images: matches)
+    return frame.rig, frame.images
+
+
+def test_a_right_rig_fits_its_images(street):
+    rig, images = street
+    check = check_rig(rig, images, rig.min_depth)
+    assert check.fits and check.text.startswith(
+        "the rig fits its images: no camera is off by more than 0.0"
+    )
+
+
+@pytest.mark.parametrize("degrees", [0.4, 12.0])
+def test_one_turned_camera_is_measured(street, degrees):
+    rig, images = street
+    check = check_rig(rotate_camera(rig, 2, [0, np.radians(degrees), 0]), images)
+    assert (
+        not check.fits
+        and "camera 3 is turned by " in check.text
+        and "about its y axis" in check.text
+    )
+    assert float(check.text.split("turned by ")[1].split("°")[0]) == pytest.approx(
+        degrees, abs=0.05 + 0.02 * degrees
+    )
+    assert np.degrees(np.abs(pose_differences(check.fixed, rig)[:, :3])).max() < 0.1
+
+
+def test_inverted_poses_are_named_from_images(street):
+    rig, images = street
+    check = check_rig(invert_poses(rig), images)
+    assert not check.fits and check.text.startswith("the poses look inverted")
+    assert re.search(r"file and images agree to 0\.[0-4]° in rotation", check.text)
+    assert check_rig(check.fixed, images).fits
+
+
+def test_the_nearest_depth_tells_the_unit(street):
+    rig, images = street
+    said = check_rig(scale_translations(rig, 1e-3), images, rig.min_depth).text
+    assert said.startswith("the translations look 1000 times too short (m read as mm?)")
+
+
+def test_a_rig_is_not_called_wrong_where_the_images_show_nothing():
+    rig = scene.rig(width=200, height=192)
+    check = check_rig(rig, [np.full((192, 200), 90, np.uint8)] * 4)
+    assert check.fits is None
+    assert check.text.startswith(
+        "the images do not show whether the rig fits: too few matches connect camera 2, 3, 4"
+    )
+
+
+def test_a_mirrored_image_is_named(frame):
+    images = [*frame.images[:2], np.fliplr(frame.images[2]), frame.images[3]]
+    assert rig_check.find_mixup(osl.Frame.of(frame.rig, images)).startswith(
+        "image 3 looks mirrored"
+    )
+
+
+def test_an_image_of_another_moment_may_be_meant():
+    """The room stands still, and the rig has turned by 131° between its two frames."""
+    now, later = osl.load_dataset(DATA / "indoor" / "test")[:2]
+    check = check_rig(now.rig, [*now.images[:3], later.images[3]])
+    assert not check.fits and "or its image is of another moment" in check.text
+    assert float(re.search(r"camera 4 is turned by (\d+)°", check.text)[1]) == pytest.approx(
+        131, abs=1
+    )

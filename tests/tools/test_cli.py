@@ -1,0 +1,246 @@
+"""The command line: what it writes, and one plain line on everything that can be wrong with its
+input."""
+
+import json
+import re
+import shlex
+
+import cv2
+import numpy as np
+import pytest
+import scene
+import torch
+import yaml
+
+import omnistereo_lib as osl
+from omnistereo_lib.files import read_image, write_image
+from omnistereo_lib.frame import read_inverse_depth, write_inverse_depth
+from omnistereo_rigs.doctor.rig_check import invert_poses
+from omnistereo_tools import cli
+from omnistereo_tools.commands import depth_command
+from omnistereo_tools.commands.options import make_grid
+
+pytestmark = pytest.mark.usefixtures("small")
+SMALL = ["--width", "96", "--height", "24", "--spheres", "16"]
+GRID = osl.SphereGrid(96, 24, (-45, 45), 16, 0.6)
+RESULTS = (
+    "README.txt confidence.tiff inverse_depth.png inverse_depth.tiff panorama.jpg points.ply"
+    " rig.yaml trust.tiff"
+)
+
+
+@pytest.fixture(scope="module")
+def scene_images():
+    rig = scene.rig(width=200, height=192)
+    rig = osl.Rig(rig.cameras, rig.T_rig_cam, min_depth=0.6)
+    return rig, [picture.astype(np.uint8) for picture in scene.images(rig, finest=0.25)]
+
+
+@pytest.fixture
+def data(tmp_path, scene_images):
+    """A data set of one frame with ground truth, in colour."""
+    rig, pictures = scene_images
+    folder = tmp_path / "data"
+    folder.mkdir()
+    osl.save_rig(rig, folder / "config.yaml")
+    for k, picture in enumerate(pictures, 1):
+        (folder / f"cam{k}").mkdir()
+        write_image(folder / f"cam{k}" / "0001.png", np.stack([picture] * 3, -1))
+    (folder / "omnidepth_gt_96").mkdir()
+    truth = GRID.index_to_inverse_depth(scene.true_index(rig, GRID))
+    write_inverse_depth(folder / "omnidepth_gt_96" / "00001.tiff", truth)
+    return folder
+
+
+def run(*arguments):
+    """Run a command as its process would; return the exit status."""
+    return cli.main([str(argument) for argument in arguments])
+
+
+def with_images(data):
+    return [
+        "--rig",
+        data / "config.yaml",
+        "--images",
+        *(data / f"cam{k}" / "0001.png" for k in (1, 2, 3, 4)),
+    ]
+
+
+def test_depth_of_a_data_set_frame(data, tmp_path, capsys):
+    out = tmp_path / "deep" / "out"
+    assert run("depth", "--rig", data, *SMALL, "--out", out) == 0
+    assert sorted(path.name for path in out.iterdir()) == ["data", "index.html", "overview.png"]
+    assert sorted(path.name for path in (out / "data").iterdir()) == sorted(
+        [*RESULTS.split(), "errors.json"]
+    )
+    errors = json.loads((out / "data" / "errors.json").read_text())
+    assert list(errors) == [">1", ">3", ">5", "MAE", "RMS"]
+    assert 0 < errors["MAE"] < 5 and errors["MAE"] < errors["RMS"]  # percent of 16 spheres
+    assert 0 <= errors[">5"] <= errors[">3"] <= errors[">1"] <= 100 and errors[">5"] < 20
+    inverse_depth = read_inverse_depth(out / "data" / "inverse_depth.tiff")
+    assert inverse_depth.shape == GRID.shape and np.nanmax(inverse_depth) <= 1 / 0.6 + 1e-6
+    assert read_image(out / "data" / "inverse_depth.png").shape == (24, 96, 3)
+    assert read_image(out / "data" / "panorama.jpg").shape == (24, 96, 3)
+    text = (out / "data" / "README.txt").read_text()
+    assert all(name in text for name in [*RESULTS.split()[1:], "errors.json"])
+    captured = capsys.readouterr()
+    assert (
+        f"the mean error is {errors['MAE']:.1f} %" in captured.out
+        and f"written to {out}/: " in captured.out
+    )
+    # the progress bar
+    assert "of the 2304 rays have a depth" in captured.out and "camera 1 of 4:" in captured.err
+
+
+def test_depth_of_images(data, tmp_path, capsys):
+    out = tmp_path / "out"
+    (out / "data").mkdir(parents=True)
+    (out / "data" / "errors.json").write_text("of another frame")
+    (out / "data" / "mine.txt").write_text("kept")
+    files = ["--mesh", out / "a.ply", "--equirectangular", out / "a.tiff"]
+    method = ["--phi", -30, 60, "--method", "zncc+sgm,pairs=all"]
+    assert run("depth", *with_images(data), *SMALL, *method, "--out", out, *files) == 0
+    assert {path.name for path in out.iterdir()} == {
+        "a.ply",
+        "a.tiff",
+        "data",
+        "index.html",
+        "overview.png",
+    }
+    assert sorted(path.name for path in (out / "data").iterdir()) == sorted(
+        [*RESULTS.split(), "mine.txt"]
+    )
+    assert "ground truth" not in capsys.readouterr().out
+    sphere = cv2.imread(str(out / "a.tiff"), cv2.IMREAD_UNCHANGED)  # 2:1, from -90° to 90°
+    assert sphere.shape == (48, 96) and np.isnan(sphere[:16]).all() and np.isnan(sphere[40:]).all()
+    inverse_depth = read_inverse_depth(out / "data" / "inverse_depth.tiff")
+    np.testing.assert_allclose(sphere[16:40] * inverse_depth, 1, rtol=1e-6)
+
+
+def test_depth_of_gray_images_without_a_nearest_depth(
+    data, tmp_path, capsys, monkeypatch, scene_images
+):
+    rig, pictures = scene_images
+    osl.save_rig(osl.Rig(rig.cameras, rig.T_rig_cam), data / "config.yaml")
+    for k, picture in enumerate(pictures, 1):
+        write_image(data / f"cam{k}" / "0001.png", picture)
+    monkeypatch.chdir(tmp_path)
+    assert run("depth", *with_images(data), *SMALL) == 0
+    proposed = re.search(r"proposes --min-depth (\S+)\.\n", capsys.readouterr().out)
+    truth = GRID.index_to_depth(scene.true_index(rig, GRID)).min()
+    assert 0.4 * truth < float(proposed[1]) < truth
+    # by the rig's name, or its folder's
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["depth_data"]
+    assert read_image(tmp_path / "out" / "depth_data" / "data" / "panorama.jpg").ndim == 2
+
+
+def test_doctor_of_a_wrong_rig(data, capsys, scene_images):
+    osl.save_rig(invert_poses(scene_images[0]), data / "config.yaml")
+    assert run("doctor", "--rig", data, *SMALL) == 1
+    assert (
+        "FAIL  the poses look inverted (rig → camera instead of camera → rig)"
+        in capsys.readouterr().out
+    )
+
+
+def test_doctor_of_a_rig_without_images_says_what_it_can_see(data, tmp_path, capsys):
+    assert (
+        run("doctor", "--rig", data / "config.yaml", "--coverage", tmp_path / "coverage.png") == 0
+    )
+    said = capsys.readouterr().out
+    assert "At 5 m, a match that is off by one pixel puts a depth off by" in said
+    # without images nothing can run
+    assert "Ready to run" not in said and "omnistereo depth" not in said
+    assert cv2.imread(str(tmp_path / "coverage.png")).std() > 20
+
+
+def test_doctor_of_a_right_rig_prints_the_command_that_depth_is_by_default(
+    data, capsys, monkeypatch, scene_images
+):
+    rig, _ = scene_images
+    # without a nearest depth
+    osl.save_rig(osl.Rig(rig.cameras, rig.T_rig_cam), data / "config.yaml")
+    grids = []
+
+    def stop(*arguments):
+        grids.append(make_grid(*arguments))
+        raise osl.OmnistereoError("seen enough")
+
+    monkeypatch.setattr(depth_command, "make_grid", stop)
+    assert run("doctor", *with_images(data), *SMALL) == 0
+    out = capsys.readouterr().out
+    assert f"4 cameras, {rig.baselines.min():.3g} to {rig.baselines.max():.3g} m apart" in out
+    assert "OK    the rig fits its images" in out
+    command = shlex.split(out.splitlines()[-1])
+    assert command[0] == "omnistereo" and run(*command[1:]) == 2
+    assert run("depth", *with_images(data)) == 2
+    assert grids[0] == grids[1] and grids[0].phi_deg == (-90, 90) and grids[0].shape == (320, 640)
+
+
+def test_doctor_of_a_folder_that_holds_a_rig_alone(data, tmp_path, capsys):
+    (tmp_path / "rig").mkdir()
+    (data / "config.yaml").rename(tmp_path / "rig" / "config.yaml")
+    assert run("doctor", "--rig", tmp_path / "rig") == 0
+    assert "With --images the poses are checked, too" in capsys.readouterr().out
+
+
+def test_doctor_of_the_same_picture_twice(data, capsys):
+    (data / "cam1" / "0001.png").write_bytes((data / "cam2" / "0001.png").read_bytes())
+    assert run("doctor", *with_images(data), *SMALL) == 1
+    assert capsys.readouterr().out.endswith(
+        "FAIL  images 1 and 2 are the same picture. Check their paths\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ("depth --rig none --images a b --method bogus", "cost must be one of .*'bogus'"),
+        ("record --rig none --images none/ b --spheres 1", "num_spheres is 1"),
+        ("depth --rig none --images a b --max-fov 900", "--max-fov is 900"),
+        (
+            "record --rig none --images a.mp4 b.mp4 --phi -30 40",
+            "--phi is -30 40; .*expected --phi -34.875 34.875",
+        ),
+        ("doctor --rig none --phi 20 10", r"phi_deg is \(20.0, 10.0\)"),
+        ("live --rig none --cameras 0 1 --method zncc,window=4", "window"),
+        ("onnx --rig none --width -8", "width is -8"),
+        ("calibrate none --board 12x10 --square 0.06 --degree 99", "degree is 99"),
+        ("evaluate --sets none --methods bogus", "cost must be one of .*'bogus'"),
+        ("train volumenet --data none --set steps=0", "steps = 0"),
+    ],
+)
+def test_what_is_typed_is_checked_before_a_file_is_opened(
+    tmp_path, monkeypatch, capsys, command, said
+):
+    monkeypatch.chdir(tmp_path)
+    assert run(*command.split()) == 2
+    assert re.match(f"error: .*{said}", capsys.readouterr().err)
+
+
+@pytest.mark.parametrize(
+    "command", [[], ["--help"], *([name, "--help"] for name in cli.COMMANDS)], ids=" ".join
+)
+def test_help_is_given(command, capsys):
+    with pytest.raises(SystemExit) as stop:
+        run(*command)
+    said = capsys.readouterr().out
+    assert stop.value.code == 0 and "usage: omnistereo" in said
+    assert said.split("\n\n")[-1].startswith("exit status: 0 done")
+
+
+def test_warnings_are_plain_lines(data, tmp_path, capsys):
+    """A polynomial that is not the other's inverse is told, without a line of source code."""
+    config = yaml.safe_load((data / "config.yaml").read_text())
+    for camera in config["cameras"][:2]:
+        camera["inv_poly"][1] += 1
+    (data / "config.yaml").write_text(yaml.safe_dump(config))
+    assert run("depth", *with_images(data), *SMALL, "--out", tmp_path / "out") == 0
+    warned = [line for line in capsys.readouterr().err.splitlines() if line.startswith("warning: ")]
+    assert len(warned) == 1 and "of cameras 1, 2 disagree by up to 1.00 px" in warned[0]
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_cuda_where_there_is_none(data, tmp_path, capsys):
+    assert run("depth", *with_images(data), "--device", "cuda", "--out", tmp_path / "out") == 2
+    assert "PyTorch finds no CUDA GPU" in capsys.readouterr().err

@@ -1,0 +1,170 @@
+"""Make slides of the notebooks: `make slides`, or `python -m workshop slides FOLDER`.
+
+nbconvert writes each notebook as one page, and deal.js, beside it, deals the page out to slides in
+the browser: it begins a slide at each heading, and where the next piece does not fit. Nothing has
+to be marked in a notebook; `shown` says what the slides show of it. A cell with the tag `skip` is
+left out.
+
+reveal.js comes with the package sphinx-revealjs, MathJax with sphinx-mathjax-offline: the slides
+need no network.
+"""
+
+import html
+import itertools
+import re
+import shutil
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+
+import nbformat
+from nbconvert import SlidesExporter
+from nbformat import NotebookNode
+from nbformat.v4 import new_markdown_cell, new_notebook, new_output
+
+from course import nbtools
+from course.classroom import solve
+from course.exercises.compare import NOT_WRITTEN
+from course.figures import stills
+
+REVEAL = Path(find_spec("sphinx_revealjs").submodule_search_locations[0], "_static/revealjs")
+MATHJAX = Path(
+    find_spec("sphinx-mathjax-offline").submodule_search_locations[0], "static/mathjax/tex-svg.js"
+)
+BOOK = nbtools.ROOT / "book"
+TEMPLATE = BOOK / "slides_template"
+SCRIPTS = (MATHJAX, BOOK / "stills.js", TEMPLATE / "deal.js")
+LEFT_OUT = {"## Exercises", "## Common errors", "## Further reading"}
+BLOCK = re.compile(r"<details>.*?</details>|```.*?```|\$\$.*?\$\$|\S.*?(?=\n\s*\n|\Z)", re.DOTALL)
+SENTENCE = re.compile(r"(?<=[.!?])(?<!\bEq\.)(?<!\bFig\.)\s+(?=[A-Z*`$\[])")
+DOCSTRING = re.compile(r'^ +""".*?"""\n', re.DOTALL | re.MULTILINE)
+LINK = re.compile(r'<a href="(\d\db?_\w+)\.ipynb[^"]*">(.*?)</a>')  # to another notebook
+
+
+def make_slides(out: Path) -> None:
+    """Write a page of slides for each notebook, the page that leads to them, and the scripts that
+    show them.
+    """
+    (out / "reveal.js").mkdir(parents=True, exist_ok=True)
+    shutil.copytree(
+        REVEAL / "dist",
+        out / "reveal.js/dist",
+        ignore=shutil.ignore_patterns("*.map"),
+        dirs_exist_ok=True,
+    )
+    shutil.copy(REVEAL / "LICENSE", out / "reveal.js")
+    for script in SCRIPTS:
+        shutil.copy(script, out)
+    exporter = SlidesExporter(
+        extra_template_basedirs=[str(BOOK)],
+        template_name=TEMPLATE.name,
+        reveal_url_prefix="reveal.js",
+        reveal_theme="white",
+        exclude_anchor_links=True,
+        config={"TagRemovePreprocessor": {"enabled": True, "remove_input_tags": ["hide-input"]}},
+    )
+    entries, stems = [], [path.stem for path in nbtools.notebooks()]
+    for path in nbtools.notebooks():
+        nb = nbformat.read(path, as_version=4)
+        cells = list(shown(nb, path.stem, out))
+        page, _ = exporter.from_notebook_node(
+            new_notebook(cells=cells, metadata=nb.metadata | {"title": path.stem})
+        )
+        page = LINK.sub(
+            lambda link: (
+                f'<a href="{link[1]}.slides.html">{link[2]}</a>' if link[1] in stems else link[2]
+            ),
+            page,
+        )
+        (out / f"{path.stem}.slides.html").write_text(page, encoding="utf-8")
+        facts = nb.metadata["omnistereo"]
+        title, learn = (
+            html.escape(f"{nbtools.number(path)} {facts['title']}"),
+            html.escape(facts["learn"]),
+        )
+        entries.append(f'<li><a href="{path.stem}.slides.html">{title}</a>: {learn}</li>')
+    index = (TEMPLATE / "list.html").read_text(encoding="utf-8")
+    (out / "index.html").write_text(
+        index.replace("{entries}", "\n".join(entries)), encoding="utf-8"
+    )
+    print(f"Written: {out / 'index.html'}. Open it in a browser; it needs no network.")
+
+
+def shown(nb: NotebookNode, stem: str, out: Path) -> Iterator[NotebookNode]:
+    """Yield the cells that the slides show of a notebook: what a room needs, the notebook has the
+    rest.
+
+    Headings, formulas, lists, and of each paragraph the first sentence; on the title slide the
+    first picture. Of code the functions that are left open, each as "Your turn", with its solution
+    at the next step; else what it shows. Of a live figure its stills. Not the exercises, common
+    errors and further reading at the end.
+    """
+    live, section = 0, ""
+    solutions = {
+        fold[2]: fold[0]
+        for fold in nbtools.SOLUTION.finditer("\n".join(cell.source for cell in nb.cells))
+    }
+    for cell in nb.cells:
+        tags = cell.metadata.setdefault("tags", [])
+        if cell.cell_type == "markdown":
+            kept = []
+            for block in BLOCK.findall(cell.source):
+                section = block if re.match("##? ", block) else section
+                if section not in LEFT_OUT and not block.startswith("<details>"):
+                    kept.append(in_short(block))
+            cell.source = "\n\n".join(kept)
+            if cell is nb.cells[0]:
+                cell.source += f"\n\n{first_picture(nb)}"
+        elif section in LEFT_OUT or cell.source == nbtools.SETUP:
+            continue
+        elif stubs := [stub.name for stub in solve.stubs(cell.source)]:
+            yield new_markdown_cell("\n\n".join(f"### Your turn: `{name}`" for name in stubs))
+            yield cell
+            # the stub above has it
+            folds = (DOCSTRING.sub("", solutions[name], count=1) for name in stubs)
+            cell = new_markdown_cell("\n\n".join(f"{fold}\n```\n</details>" for fold in folds))
+        else:
+            for _ in stills.LIVE.findall(cell.source):
+                figure = stills.shown(stem, live, out).replace(
+                    '<iframe class="view" src', '<iframe class="view" data-src'
+                )
+                cell.outputs.append(new_output("display_data", {"text/html": figure}))
+                live += 1
+            # with their captions
+            pictures = [output for output in cell.outputs if "data" in output]
+            cell.outputs = pictures or [
+                output for output in cell.outputs if NOT_WRITTEN not in output.text
+            ]
+            tags.append("hide-input")
+            if not cell.outputs:
+                continue
+        if cell.source and "skip" not in tags:
+            yield cell
+
+
+def in_short(block: str) -> str:
+    """Return a block of Markdown, but of a paragraph its first sentence, unless that ends within
+    its emphasis.
+    """
+    first, *others = SENTENCE.split(block, maxsplit=1)
+    is_prose = re.match(r"[\w*_`$(\[\"“‘]", block) and not re.match(r"(\*|\d+\.) |\$\$", block)
+    return (
+        first
+        if others and is_prose and first.count("*") % 2 == first.count("$") % 2 == 0
+        else block
+    )
+
+
+def first_picture(nb: NotebookNode) -> str:
+    """Return the first picture of a notebook as HTML."""
+    for output in itertools.chain(*(cell.outputs for cell in nbtools.code_cells(nb))):
+        for mime in set(nbtools.PICTURES) & set(output.get("data", {})):
+            picture, alt = (
+                output.data[mime].replace("\n", ""),
+                html.escape(output.data["text/plain"]),
+            )
+            return (
+                f'<div class="jp-RenderedImage"><img src="data:{mime};base64,{picture}"'
+                f' alt="{alt}"></div>'
+            )
+    return ""

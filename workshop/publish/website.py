@@ -1,0 +1,130 @@
+"""Build the course as a website: `make book`, or `python -m workshop book FOLDER`.
+
+Its pages are the README, the Markdown files of `book/`, the stored notebooks, and the reference of
+the library, which is generated. They meet in a temporary folder, which Sphinx reads. A warning is
+an error.
+"""
+
+import base64
+import re
+import shutil
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import nbformat
+from nbformat.v4 import new_output
+from sphinx.cmd.build import build_main
+
+from course import nbtools
+from course.figures import stills
+from course.figures.dark_mode import LEAST, picture
+from workshop.publish.pages import BOOK, README, stages
+from workshop.publish.readme import STREET
+
+BESIDE = (
+    "what_you_write own_cameras notation glossary teaching mistakes reproduction training data"
+    " library promises elsewhere"
+)
+PICTURE = re.compile(r"!\[([^\]]+)\]\(([^)]+)\)")
+
+
+def build(out: Path) -> int:
+    """Build the website in the folder `out`, in place of an older one; return 0 if there was no
+    warning.
+    """
+    with TemporaryDirectory() as folder:
+        source, extra, html, trees = (
+            Path(folder, name) for name in ("source", "extra", "html", "trees")
+        )
+        assemble(source, extra)
+        options = ["-q", "-W", "--keep-going", "-c", str(BOOK), "-d", str(trees)]
+        options += ["-D", f"html_extra_path={extra}"]
+        if status := build_main(["-b", "html", *options, str(source), str(html)]):
+            return status
+        if (out / "searchindex.js").is_file():
+            shutil.rmtree(out)
+        shutil.copytree(
+            html, out, ignore=shutil.ignore_patterns("_sources", ".buildinfo"), dirs_exist_ok=True
+        )
+    print(f"Written: {out / 'index.html'}. Open it in a browser; it needs no network.")
+    return 0
+
+
+def assemble(source: Path, extra: Path) -> None:
+    """Write all pages into the folder `source`, and the images that they show into `extra`."""
+    paths = nbtools.notebooks()
+    (source / "reference").mkdir(parents=True)
+    extra.mkdir()
+    shutil.copy(STREET, extra)
+    shutil.copytree(nbtools.NOTEBOOKS, source / "notebooks", ignore=shutil.ignore_patterns(".*"))
+    for path in (*BOOK.glob("*.png"), *BOOK.glob("*.jpg")):
+        shutil.copy(path, source)
+    for page in (README, *BOOK.glob("*.md")):
+        # The pictures of the front page are photographs, and its table is prose: on a telephone
+        # they fit.
+        least = 0.0 if page == README else LEAST
+        text = with_pictures(with_links(page.read_text(encoding="utf-8")), source, extra, least)
+        text = re.sub(
+            "(?s)<!-- notebooks -->(.*)<!-- /notebooks -->",
+            r'<div class="stacked">\n\1\n</div>',
+            text,
+        )
+        (source / page.name).write_text(text, encoding="utf-8")
+    front = (source / "README.md").rename(source / "index.md")
+    with front.open("a", encoding="utf-8") as file:
+        file.write(contents("Notebooks", " ".join(f"notebooks/{path.stem}" for path in paths)))
+        file.write(contents("Beside them", BESIDE) + contents("Reference", "reference/*"))
+    for path in paths:
+        nb = for_the_book(nbformat.read(path, as_version=4), path.stem, extra)
+        nbformat.write(nb, source / "notebooks" / path.name)
+    for stage, names in stages().items():
+        listing = "\n".join(
+            f".. automodule:: {name}\n   :members:\n   :ignore-module-all:\n" for name in names
+        )
+        text = f"# {stage}\n\n```{{eval-rst}}\n{listing}```\n"
+        (source / "reference" / f"{stage}.md").write_text(text, encoding="utf-8")
+
+
+def contents(caption: str, names: str) -> str:
+    """Return a part of the navigation, in MyST."""
+    listed = names.replace(" ", "\n")
+    return (
+        f"\n```{{toctree}}\n:hidden:\n:titlesonly:\n:glob:\n:caption: {caption}\n\n{listed}\n```\n"
+    )
+
+
+def with_links(text: str) -> str:
+    """Return the Markdown of a page with its links, which lead through the clone, as they lead
+    through the website.
+    """
+    text = re.sub(r"\]\((\.\./|book/)", "](", text)
+    text = re.sub(r"\]\(omnistereo_lib/(\w+)(\.py)?\)", r"](reference/\1.md)", text)
+    text = re.sub(r"\[([^]]+)\]\(street\.html\)", r'<a href="street.html">\1</a>', text)
+    return re.sub(r"\[([^]]+)\]\((LICENSE|CITATION\.cff|CONTRIBUTING\.md)\)", r"\1", text)
+
+
+def for_the_book(nb: nbformat.NotebookNode, stem: str, extra: Path) -> nbformat.NotebookNode:
+    """Prepare a notebook: images for light and dark mode, stills in place of live figures."""
+    live = 0
+    for cell in nb.cells:
+        if cell.cell_type != "code":
+            continue
+        for output in cell.outputs:
+            data = output.get("data", {})
+            for mime in set(nbtools.PICTURES) & set(data):
+                shown = picture(
+                    base64.b64decode(data[mime]), output.metadata[mime]["alt"], extra, "../"
+                )
+                output.data = nbformat.from_dict({"text/html": shown})
+        for _ in stills.LIVE.findall(cell.source):
+            data = {"text/html": stills.shown(stem, live, extra, "../")}
+            cell.outputs.append(new_output("display_data", data))
+            live += 1
+    return nb
+
+
+def with_pictures(text: str, source: Path, extra: Path, least: float) -> str:
+    """Return the Markdown of a page with its images for light and dark mode."""
+    return PICTURE.sub(
+        lambda found: picture((source / found[2]).read_bytes(), found[1], extra, least=least), text
+    )

@@ -1,0 +1,385 @@
+"""Time of every stage against this machine's own limit and a named alternative, all measured in one
+run.
+
+The limit is the least time in which this machine could do it: for loops over the volume, the bytes
+that must be moved at the speed of a triad, a = b + 2c; for networks, their multiplications at the
+speed of a large matrix product. Times are medians of `torch.utils.benchmark`, all with the same
+number of threads.
+"""
+
+from __future__ import annotations
+
+import math
+import resource
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache, partial
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch.utils.benchmark import Timer
+from torch.utils.flop_counter import FlopCounterMode
+
+from omnistereo_learn.evaluate.run import DATA
+from omnistereo_lib import reference
+from omnistereo_lib.dataset import load_dataset
+from omnistereo_lib.geometry.camera import OcamCamera
+from omnistereo_lib.geometry.rig import camera_pairs
+from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.correlation import (
+    correlate,
+    feature_coordinates,
+    pixels_per_degree,
+    volume_sizes,
+)
+from omnistereo_lib.stereo.depth import index_and_confidence
+from omnistereo_lib.stereo.images import reduce_images, to_gray
+from omnistereo_lib.stereo.kernels.correlation_numba import CHANNELS, GROUPS
+from omnistereo_lib.stereo.learned import LearnedCost, autocast, choose_precision
+from omnistereo_lib.stereo.methods import penalties
+from omnistereo_lib.stereo.pipeline import sweep_depth
+from omnistereo_lib.stereo.sgm import sgm
+from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_lib.stereo.sweepnet import SweepNet
+from omnistereo_lib.stereo.volume import cost_volume
+from omnistereo_lib.stereo.volumenet import VolumeNet
+from omnistereo_lib.stereo.zncc import ZNCC, default_window
+from omnistereo_rigs.boards.captures import find_captures
+from omnistereo_rigs.boards.checkerboard import Checkerboard
+from omnistereo_rigs.boards.detect import detect_views
+from omnistereo_rigs.boards.single_camera import calibrate_camera
+from omnistereo_rigs.formats import load_rig
+from omnistereo_tools.memory import keep_memory
+
+Call = Callable[[], object]
+
+_SECONDS = 3.0  # a call is repeated for so long; one that takes longer is timed once
+# Bytes of a cell that must be moved: costs are read, and sums read and written, along the rows,
+# downwards and upwards.
+_SGM, _WINNER = 3 * 4 + 5 * 4, 4
+_WARP = 2 * 4 + 4  # for each camera, coordinates read and a value written
+
+
+def compare(
+    name: str, ours: Call, theirs: Call | None = None, bytes_moved: float = 0, note: str = ""
+) -> None:
+    """Print one line: our milliseconds, the limit's and the ratio, an alternative's and the ratio,
+    and a note.
+
+    Args:
+        theirs: The alternative, None: there is none.
+        bytes_moved: What must be read and written; 0: the limit is that of the multiplications, if
+            there are any.
+    """
+    bandwidth, speed = machine()
+    limit = bytes_moved / bandwidth or operations(ours) / speed
+    a, b = seconds(ours), theirs and seconds(theirs)
+    columns = [
+        f"{1e3 * other:10.1f} {a / other:6.2f}" if other else " " * 17 for other in (limit, b)
+    ]
+    print(f"{name:76} {1e3 * a:9.1f} {' '.join(columns)}  {note}".rstrip(), flush=True)
+
+
+def seconds(call: Call) -> float:
+    """Return the median time of a call; a first one, which compiles, is not counted."""
+    timer = Timer("call()", globals={"call": call}, num_threads=torch.get_num_threads())
+    return timer.blocked_autorange(min_run_time=_SECONDS).median
+
+
+@cache
+def machine() -> tuple[float, float]:
+    """Return this machine's bytes per second, and multiplications and additions per second as
+    networks use them.
+    """
+    a, b, c = torch.rand(3, 1 << 24)  # far beyond the caches
+    x = torch.rand(2048, 2048, dtype=getattr(torch, choose_precision("auto", "cpu")))
+    triad, product = seconds(lambda: torch.add(b, c, alpha=2, out=a)), seconds(lambda: x @ x)
+    return 3 * 4 * len(a) / triad, 2 * len(x) ** 3 / product
+
+
+def operations(call: Call) -> int:
+    """Return the multiplications and additions of a call's convolutions and matrix products."""
+    with FlopCounterMode(display=False) as counter:
+        call()
+    return counter.get_total_flops()
+
+
+def bench_sgm(width: int, height: int, num: int) -> None:
+    """Compare `sgm` (float32, 8 paths, across the seam) with OpenCV StereoSGBM in mode HH (16-bit,
+    8 paths).
+
+    Both get the same image pair and the penalties of the paper; mode HH uses only one thread. The
+    OpenCV time includes single-pixel costs and argmin, ours is the aggregation; OpenCV skips the
+    first `num` columns.
+    """
+    image = load_dataset(DATA / "sunny" / "test")[0].images[0]
+    left = cv2.resize(to_gray(image).round().astype(np.uint8), (width, height))
+    right = np.roll(left, -num // 2, axis=1)
+    shifted = [cv2.absdiff(left, np.roll(right, n, axis=1)) for n in range(num)]
+    volume = torch.from_numpy(np.stack(shifted, -1)).float() / 255
+    opencv = cv2.StereoSGBM.create(
+        numDisparities=num,
+        blockSize=1,
+        P1=round(0.1 * 255),
+        P2=12 * 255,
+        mode=cv2.StereoSGBM_MODE_HH,
+    )
+    compare(
+        f"SGM {width}×{height}×{num}, 8 paths, against StereoSGBM HH",
+        lambda: sgm(volume),
+        lambda: opencv.compute(left, right),
+        _SGM * volume.numel(),
+    )
+
+
+def bench_kernels(width: int, height: int, num: int) -> None:
+    """Compare the warp, every kernel and a ZNCC + SGM frame with their definitions in `reference`,
+    in float32.
+    """
+    sweep, images = _rig_and_images(width, height, num)
+    grid, rig, pairs, spheres = (
+        sweep.grid,
+        sweep.rig,
+        camera_pairs("ring", sweep.rig),
+        sweep.blocks()[0],
+    )
+    window, (p1, p2) = default_window(width), penalties(width, num)
+    # What each step starts from: normalised images, a block of warped ones, features and a volume.
+    normalized = sweep.normalize_images(images)
+    warped = sweep.warp_block(normalized, spheres).contiguous()
+    size = volume_sizes(grid, rig)[0]
+    reduced, _ = reduce_images(rig, images, pixels_per_degree(size))
+    shapes = [
+        (CHANNELS, -(-height // 2), -(-width // 2))
+        for width, height in reduced.image_sizes(len(rig))
+    ]
+    features, pixels = (
+        [torch.rand(shape) for shape in shapes],
+        feature_coordinates(reduced, grid, size),
+    )
+    volume = cost_volume(sweep, images)
+    cameras, cells, of_block = len(rig), volume.numel(), warped[0].numel()
+    rays, inverse_depths = (
+        reference.rays(width, height, grid.phi_deg),
+        torch.from_numpy(grid.inverse_depths()),
+    )
+
+    def warp() -> list[torch.Tensor]:
+        first = normalized[0], rig.cameras[0], rig.T_rig_cam[0], rays
+        return [reference.warp(*first, inverse_depths[n]) for n in spheres]
+
+    def costs() -> torch.Tensor:
+        return reference.mean_over_pairs(
+            torch.stack([reference.zncc(warped[i], warped[j], window) for i, j in pairs])
+        )
+
+    def winner() -> tuple[torch.Tensor, torch.Tensor]:
+        return reference.winner(volume, True), reference.confidence(volume)
+
+    out = torch.empty(height, width, len(spheres))
+    of_frame = (_zncc_bytes(cameras) + _SGM + _WINNER) * cells
+    of_correlation = 4 * (2 * cameras + GROUPS + 1) * math.prod(size)
+
+    def against(name: str, bytes_moved: float, ours: Call, definition: Call) -> None:
+        compare(
+            f"{name} {width}×{height}×{num}, against the definition", ours, definition, bytes_moved
+        )
+
+    ours = partial(sweep.warp_camera, normalized[0], 0, spheres, out)
+    against("warp, one camera, one block", _WARP * of_block, ours, warp)
+    against(
+        "ZNCC, one block", 4 * (cameras + 1) * of_block, partial(ZNCC(window), warped, pairs), costs
+    )
+    definition = partial(reference.correlate, features, pixels, GROUPS)
+    against("correlation", of_correlation, partial(correlate, features, pixels), definition)
+    against(
+        "SGM", _SGM * cells, partial(sgm, volume, p1, p2), partial(reference.sgm, volume, p1, p2)
+    )
+    against(
+        "winner and confidence",
+        _WINNER * cells,
+        partial(index_and_confidence, volume, True),
+        winner,
+    )
+    definition = partial(reference.estimate, normalized, rig, grid, pairs, window, p1, p2)
+    against(
+        "ZNCC + SGM frame", of_frame, partial(sweep_depth, sweep, images, "zncc+sgm"), definition
+    )
+
+
+def _zncc_bytes(cameras: int) -> int:
+    """Return the bytes of a cell of the ZNCC volume: warped images are written and read, costs
+    written.
+    """
+    return (_WARP + 4) * cameras + 4
+
+
+def bench_volumenet(width: int, height: int, num: int) -> None:
+    """Time the ZNCC volume, the parts of VolumeNet, and its frame against one of ZNCC + SGM; all
+    have their tables.
+    """
+    sweep, images = _rig_and_images(width, height, num)
+    scale, network = f"{width}×{height}×{num}", VolumeNet.pretrained()
+    bytes_moved = _zncc_bytes(len(sweep.rig)) * width * height * num
+    compare(f"ZNCC volume {scale}", lambda: cost_volume(sweep, images), None, bytes_moved)
+    # Features of a camera, and the U-net, of the finest volume.
+    size = volume_sizes(sweep.grid, sweep.rig)[-1]
+    camera = reduce_images(sweep.rig, images, pixels_per_degree(size))[0].cameras[0]
+    visible = torch.from_numpy(camera.visible_pixels())
+    with torch.no_grad(), autocast("auto", visible.device):
+        correlation = network.correlation_at(sweep, images, size)
+        compare(
+            f"VolumeNet {scale}: features of one camera",
+            lambda: network.features(visible.float(), visible),
+        )
+        compare(f"VolumeNet {scale}: U-net", lambda: network(correlation[None]))
+    ours, theirs = (partial(sweep_depth, sweep, images, name) for name in ("volumenet", "zncc+sgm"))
+    compare(f"VolumeNet frame {scale}, against ZNCC + SGM", ours, theirs)
+
+
+@cache
+def _rig_and_images(width: int, height: int, num: int) -> tuple[SphereSweep, list[NDArray[Any]]]:
+    """Return a sweep, with its lookup tables ready, and the images of a frame."""
+    data = load_dataset(DATA / "sunny" / "test")
+    sweep = SphereSweep(
+        data.rig, SphereGrid(width, height, num_spheres=num, min_depth=data.rig.min_depth)
+    )
+    sweep_depth(sweep, data[0].images)
+    return sweep, data[0].images
+
+
+def bench_sweepnet(width: int, height: int, num: int, spheres: range) -> None:
+    """Compare SweepNet, in each precision of the processor, with a plain implementation on some
+    spheres of a frame.
+
+    Plain: in float32, every pair separately, the whole panorama, as PyTorch runs it. Weights and
+    images are equal, the warp is not timed.
+    """
+    sweep, images = _rig_and_images(width, height, num)
+    warped = sweep.warp_block(sweep.normalize_images(images), spheres)
+    columns = [sweep.visible_columns(i, spheres) for i in range(len(sweep.rig))]
+    pairs, plain = camera_pairs("ring", sweep.rig), SweepNet.pretrained()
+    # with `wrap` it would repeat columns beyond the seam
+    plain.wrap, views = False, warped.nan_to_num()
+
+    @torch.no_grad()
+    def plainly() -> list[torch.Tensor]:
+        return [
+            plain(a[None], b[None])
+            for i, j in pairs
+            for a, b in zip(views[i], views[j], strict=True)
+        ]
+
+    for precision in (
+        ("float32", "bfloat16") if choose_precision("auto", "cpu") == "bfloat16" else ("float32",)
+    ):
+        compare(
+            f"SweepNet {width}×{height}, {len(spheres)} of {num} spheres, {precision}, against"
+            " plain float32",
+            partial(LearnedCost(SweepNet.pretrained(), precision), warped, pairs, columns),
+            plainly,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class FisheyeFit:
+    """Result of `cv2.fisheye.calibrate`: rms distance in px, infinite where it failed, matrix and
+    distortion.
+    """
+
+    rms_px: float
+    matrix: NDArray[np.float64]
+    distortion: NDArray[np.float64]
+
+    def rays(self, pixels: NDArray[Any]) -> NDArray[np.float64]:
+        """Return the unit rays (K, 3) of pixels (K, 2)."""
+        flat = cv2.fisheye.undistortPoints(
+            np.asarray(pixels, np.float64)[None], self.matrix, self.distortion
+        )[0]
+        rays = np.column_stack([flat, np.ones(len(flat))])
+        return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+
+
+def opencv_fisheye(
+    views: Sequence[NDArray[Any]],
+    board: Checkerboard,
+    image_size: tuple[int, int],
+    start: OcamCamera | None = None,
+) -> FisheyeFit:
+    """Calibrate with OpenCV on the corners (K, 2) px of complete boards within 90° of the axis, the
+    limit of its model.
+
+    `start` gives the initial focal length and centre; without it OpenCV mostly fails to converge.
+    """
+    matrix, distortion, flags = (
+        np.eye(3),
+        np.zeros(4),
+        cv2.CALIB_RECOMPUTE_EXTRINSIC if start else 0,
+    )
+    if start is not None:
+        f, (u, v) = -start.poly[0], start.center
+        matrix, flags = (
+            np.array([[f, 0, u], [0, f, v], [0, 0, 1]]),
+            flags | cv2.CALIB_USE_INTRINSIC_GUESS,
+        )
+    points, corners = [board.points[None]] * len(views), [view[None] for view in views]
+    try:
+        fit: Any = cv2.fisheye.calibrate(
+            points, corners, image_size, matrix, distortion, flags=flags
+        )[:3]
+        return FisheyeFit(*fit)
+    except cv2.error:
+        return FisheyeFit(np.inf, matrix, distortion)
+
+
+def bench_calibrate() -> None:
+    """Calibrate a camera against `cv2.fisheye.calibrate` on the same corners; detection is not
+    timed.
+
+    OpenCV's model ends at 90° from the axis, so both get boards within 80°, and OpenCV our focal
+    length to start from.
+    """
+    board, folder = Checkerboard((12, 10), 0.06), DATA / "calibration" / "handheld"
+    corners = detect_views(list(find_captures(folder).images(0)), board)
+    size = load_rig(folder).cameras[0].image_size
+    start, whole = calibrate_camera(corners, board, size)
+    near = [view for view in whole.views_used if np.nanmax(whole.angles[view]) < np.radians(80)]
+    views = [whole.corners[view] for view in near if np.isfinite(whole.corners[view]).all()]
+    ours_px = calibrate_camera(views, board, size)[1].errors.rms_distance_px
+    theirs_px = opencv_fisheye(views, board, size, start).rms_px
+    compare(
+        f"calibrate a camera, {len(views)} views, against cv2.fisheye",
+        lambda: calibrate_camera(views, board, size),
+        lambda: opencv_fisheye(views, board, size, start),
+        note=f"rms distance {ours_px:.3f} px, theirs {theirs_px:.3f}",
+    )
+
+
+def run(quick: bool = False) -> None:
+    """Print all comparisons; quick: only at teaching scale, in a minute. The scale of the paper
+    takes 10 GiB.
+    """
+    keep_memory()  # as every command does
+    cv2.setNumThreads(torch.get_num_threads())
+    bandwidth, speed = (value / 1e9 for value in machine())
+    limits = (
+        f"triad {bandwidth:.0f} GB/s, matrix product {speed:.0f} GFLOP/s in"
+        f" {choose_precision('auto', 'cpu')}"
+    )
+    print(
+        f"{torch.get_num_threads()} threads: {limits}\n{'':76}   ours/ms   limit/ms  ratio "
+        " theirs/ms  ratio"
+    )
+    bench_kernels(320, 80, 64)
+    for scale in [(320, 80, 64), (640, 160, 192)] + [(1200, 300, 192)] * (not quick):
+        for comparison in (bench_sgm, bench_volumenet):
+            comparison(*scale)
+    if not quick:
+        bench_sweepnet(320, 80, 64, range(30, 34))
+        bench_sweepnet(1200, 300, 192, range(95, 96))
+    bench_calibrate()
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    print(f"peak memory of this process, the alternatives included: {peak:.1f} GiB")
