@@ -1,5 +1,5 @@
-"""`python -m course COMMAND`: a check of the clone, and what makes the notebooks, the book and the
-stored results.
+"""`python -m course COMMAND`: for who studies or teaches; what makes data and book is in
+`workshop`.
 """
 
 from __future__ import annotations  # the doctor also answers an older Python
@@ -11,71 +11,63 @@ from pathlib import Path
 
 # The library has the same words, but the doctor must do without it.
 _EXIT_STATUS = (
-    "exit status: 0 done, 1 a check failed or the program has a defect, 2 bad input, 130"
-    " interrupted"
+    "exit status: 0 done, 1 a check failed or the program has a defect, 2 bad input,"
+    " 130 interrupted"
 )
 OUT = Path(__file__).resolve().parents[1] / "out"
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run one command; return the exit status. Bad input is one plain line, and so is a package
-    that is missing.
-    """
-    options = vars(_parser().parse_args(arguments))
-    module, function = options.pop("calls").rsplit(".", 1)  # imported only when it is used
-    try:
-        result = getattr(import_module(f"course.{module}"), function)(**options)
-    except ModuleNotFoundError as error:
-        print(
-            f"error: {error}. {sys.executable} -m course doctor says what to install",
-            file=sys.stderr,
+class Commands:
+    """Commands of a package: each calls a function of a module, with its options as arguments."""
+
+    def __init__(self, package: str, description: str | None) -> None:
+        self.package = package
+        self.parser = argparse.ArgumentParser(
+            prog=f"python -m {package}", description=description, epilog=_EXIT_STATUS
         )
-        return 2
-    except ValueError as error:
-        # needs packages, which the doctor must not
-        from omnistereo_lib.errors import OmnistereoError
+        self._commands = self.parser.add_subparsers(required=True, metavar="COMMAND")
 
-        if not isinstance(error, OmnistereoError):
-            raise
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return 130
-    if isinstance(result, bool):
-        return int(not result)
-    return result if isinstance(result, int) else 0
-
-
-def _parser() -> argparse.ArgumentParser:
-    """Return the parser; a command calls a function of a module, with its options as keyword
-    arguments.
-    """
-    parser = argparse.ArgumentParser(
-        prog="python -m course", description=__doc__, epilog=_EXIT_STATUS
-    )
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
-
-    def add(name: str, calls: str, text: str) -> argparse.ArgumentParser:
-        command = commands.add_parser(name, help=text, description=text, epilog=_EXIT_STATUS)
-        command.set_defaults(calls=calls)
+    def add(self, name: str, calls: str, text: str) -> argparse.ArgumentParser:
+        """Add a command; `calls` names module and function within the package, or with another."""
+        command = self._commands.add_parser(name, help=text, description=text, epilog=_EXIT_STATUS)
+        command.set_defaults(calls=calls if calls.startswith("course.") else self._full(calls))
         return command
 
-    for name, calls, text in (
-        ("run", "publish.kernels.run", "run notebooks from fresh kernels, clean and store them"),
-        (
-            "clean",
-            "nbtools.clean_stored",
-            "remove what should not be stored: ids, timings, widget state",
-        ),
-        ("lint", "publish.rules.lint", "check notebooks against the course's rules"),
-        (
-            "stills",
-            "publish.kernels.record_stills",
-            "run notebooks and store what their live figures show, for the website and the slides",
-        ),
-    ):
-        add(name, calls, text).add_argument("paths", nargs="+", type=Path, metavar="NOTEBOOK")
+    def _full(self, calls: str) -> str:
+        return f"{self.package}.{calls}"
+
+    def run(self, arguments: list[str] | None = None) -> int:
+        """Run one command; return the exit status. Bad input is one plain line."""
+        options = vars(self.parser.parse_args(arguments))
+        # A module is imported only when it is used.
+        module, function = options.pop("calls").rsplit(".", 1)
+        try:
+            result = getattr(import_module(module), function)(**options)
+        except ModuleNotFoundError as error:
+            print(
+                f"error: {error}. {sys.executable} -m course doctor says what to install",
+                file=sys.stderr,
+            )
+            return 2
+        except ValueError as error:
+            from omnistereo_lib.errors import OmnistereoError  # needs packages, the doctor must not
+
+            if not isinstance(error, OmnistereoError):
+                raise
+            print(f"error: {error}", file=sys.stderr)
+            return 2
+        except KeyboardInterrupt:
+            print("interrupted", file=sys.stderr)
+            return 130
+        if isinstance(result, bool):
+            return int(not result)
+        return result if isinstance(result, int) else 0
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one command of the course; return the exit status."""
+    commands = Commands("course", __doc__)
+    add = commands.add
     lab = add(
         "lab",
         "classroom.lab.start",
@@ -118,89 +110,13 @@ def _parser() -> argparse.ArgumentParser:
     solve.add_argument(
         "names", nargs="*", help="numbers of notebooks, such as 04; all unless given"
     )
-    for name, calls, text in (
-        ("book", "publish.website.build", "build the website"),
-        ("slides", "publish.slides.make_slides", "build the slides"),
-        (
-            "progress.html",
-            "classroom.progress.write_progress",
-            "write a page on what is right in the working copies",
-        ),
-    ):
-        add(name.partition(".")[0], calls, text).add_argument(
-            "out", nargs="?", type=Path, default=OUT / name
-        )
-    add(
-        "pages",
-        "publish.pages.main",
-        "update the lists and pictures of the README and the book's pages",
+    progress = add(
+        "progress",
+        "classroom.progress.write_progress",
+        "write a page on what is right in the working copies",
     )
-    add(
-        "questions",
-        "experiments.questions.write_page",
-        "trace the ten questions of CONTRIBUTING.md again, and write their table",
-    )
-    add(
-        "reproduction",
-        "publish.reproduction.renew_report",
-        "compute book/reproduction.md from the stored results",
-    )
-    results = add(
-        "results",
-        "experiments.stored_results.compute_results",
-        "compute the stored results again: hours, but it resumes",
-    )
-    results.add_argument(
-        "options", nargs="*", help="of every evaluation, after --, such as -- --cluster ADDRESS"
-    )
-    for name, calls, text in (
-        ("variants", "experiments.variants.compare_sweepnets", "train variants of SweepNet"),
-        (
-            "volume-variants",
-            "experiments.volume_variants.compare_volumenets",
-            "train variants of VolumeNet",
-        ),
-        (
-            "volume-worlds",
-            "experiments.volume_variants.compare_worlds",
-            "train VolumeNet on shipped worlds, endless ones and both",
-        ),
-    ):
-        add(name, calls, text).set_defaults(out=OUT / name)
-    add(
-        "rig-sizes",
-        "experiments.rig_sizes.print_table",
-        "how many rays are right at which distance, by size of rig",
-    )
-    world = add(
-        "world-table",
-        "experiments.world_table.print_table",
-        "judge what `omnistereo world` made of a rendered drive",
-    )
-    world.add_argument("recording", type=Path, help="folder of the recording")
-    world.add_argument(
-        "data",
-        nargs="?",
-        default="sunny/train",
-        help="the drive, or drive/test (default: %(default)s)",
-    )
-    add(
-        "snapshots",
-        "experiments.snapshots.take_snapshots",
-        "store what SweepNet makes of one frame while it learns",
-    )
-    ship = add(
-        "ship",
-        "experiments.ship.export_weights",
-        "bundle the weights of a finished training run, with curve and card",
-    )
-    ship.add_argument("run", type=Path, help="folder of the run")
-    ship.add_argument("--half", action="store_true", help="store float16: half the file")
-    bench = add(
-        "bench", "experiments.bench.run", "time the library against named alternatives, as ratios"
-    )
-    bench.add_argument("--quick", action="store_true", help="leave out the scale of the paper")
-    return parser
+    progress.add_argument("out", nargs="?", type=Path, default=OUT / "progress.html")
+    return commands.run(arguments)
 
 
 if __name__ == "__main__":

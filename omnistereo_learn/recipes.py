@@ -1,4 +1,6 @@
-"""Recipes: every number that determines a trained network, besides the data, each with its reason."""
+"""Recipes: every number that determines a trained network, besides the data, each with its
+reason.
+"""
 
 import math
 from collections.abc import Sequence

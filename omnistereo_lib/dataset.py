@@ -1,13 +1,13 @@
 """Data sets in the public layout of the Urban, OmniThings and OmniHouse releases, and ours.
 
 folder/
-  config.yaml | ocam*.txt + poses.txt | calibration.json     the rig, any format that `load_rig` reads
-  cam1/0001.jpg …  cam2/ …                                   one folder per camera, files by frame number
-  omnidepth_gt_640/00001.tiff                                ground truth: inverse depth from the rig centre, 1/m
-  omnidepth_gt_1200/00001.tiff                               the same frames at another panorama width
-  omnidepth_world_640/00001.tiff                             in their place: as `omnistereo world` has refined it
-  train/ test/                                               or one such folder for each split
-  0001/ 0002/ …                                              or one such folder for each rig
+  config.yaml | ocam*.txt + poses.txt   the rig, as `load_rig` reads it
+  cam1/0001.jpg …  cam2/ …              one folder per camera, files by frame number
+  omnidepth_gt_640/00001.tiff           ground truth: inverse depth from the rig centre, 1/m
+  omnidepth_gt_1200/00001.tiff          the same frames at another panorama width
+  omnidepth_world_640/00001.tiff        in their place: as `omnistereo world` has refined it
+  train/ test/                          or one such folder for each split
+  0001/ 0002/ …                         or one such folder for each rig
 
 The number in the name of a ground-truth folder is its panorama width in pixels: the releases have
 640 × 160, our sets also 1200 × 300, the panorama size of the paper. Of several widths
@@ -31,7 +31,7 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import as_path, path_within, read_data, read_text
 from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.rig import Rig, Unit
-from omnistereo_rigs.formats import load_rig
+from omnistereo_lib.rig_file import load_rig
 
 _CAMERA = r"cam([0-9]+)"
 _RIG_FOLDER = r"([0-9]+)"
@@ -99,7 +99,6 @@ def load_dataset(
     unit: Unit | None = None,
     gt_width: int | None = None,
     max_fov_deg: float | None = None,
-    keep_frame: bool = False,
 ) -> Dataset:
     """Open a data set in the public layout (see the module docstring); images are read on first
     use.
@@ -110,8 +109,7 @@ def load_dataset(
         unit: Unit of the poses, for rig files that do not state it.
         gt_width: Panorama width in pixels of the ground truth to read, where there are several;
             default: the widest.
-        max_fov_deg, keep_frame: As for `load_rig`; with ground truth, the frame of the file is
-        kept.
+        max_fov_deg: As for `load_rig`.
 
     Raises:
         OmnistereoError: If the folder, the rig or the frames are missing, a camera lacks a frame,
@@ -133,20 +131,14 @@ def load_dataset(
     rigs = {} if cameras else _by_number(folders, _RIG_FOLDER)
     if rigs:
         rig = None
-        of_rigs = [
-            load_dataset(path, None, unit, gt_width, max_fov_deg, keep_frame)
-            for path in rigs.values()
-        ]
+        of_rigs = [load_dataset(path, None, unit, gt_width, max_fov_deg) for path in rigs.values()]
         frames = [frame for of_rig in of_rigs for frame in of_rig]
         if len({frame.number for frame in frames}) < len(frames):
             raise OmnistereoError(
                 f"{folder} has two frames of one number; expected different numbers. Rename one."
             )
     else:
-        # Ground truth is in the frame of the file.
-        rig = load_rig(
-            folder, unit, max_fov_deg, keep_frame or bool(_find_gt(_gt_root(folder), gt_width))
-        )
+        rig = load_rig(folder, unit, max_fov_deg)
         frames = _read_frames(folder, rig, cameras, gt_width)
     if split is not None:
         frames = _published_split(folder, split, frames)

@@ -31,7 +31,9 @@ class OmnistereoError(ValueError):
 
 
 def one_line(text: str) -> str:
-    """Return a text as one line of at most 500 characters; of a longer one the middle is left out."""
+    """Return a text as one line of at most 500 characters; of a longer one the middle is left
+    out.
+    """
     # control characters move a terminal's cursor
     text = re.sub(r"\s*[\x00-\x1f\x7f-\x9f\u2028\u2029]+\s*", " ", text)
     return text if len(text) <= 500 else f"{text[:330]} … {text[-167:]}"
@@ -39,7 +41,9 @@ def one_line(text: str) -> str:
 
 @contextmanager
 def error_context(source: str | Path) -> Iterator[None]:
-    """Prefix every `OmnistereoError` raised inside with a file name, or with a camera in the file."""
+    """Prefix every `OmnistereoError` raised inside with a file name, or with a camera in the
+    file.
+    """
     try:
         yield
     except OmnistereoError as error:

@@ -106,7 +106,9 @@ class Frame:
 
 
 def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray[Any]]:
-    """Return the images as arrays, checked against the cameras of the rig; errors as of `Frame.of`."""
+    """Return the images as arrays, checked against the cameras of the rig; errors as of
+    `Frame.of`.
+    """
     if not isinstance(images, Sized):  # arrays and tensors are sequences, too
         raise OmnistereoError(f"images is {shortened(images)}; expected one array per camera")
     # Arrays in this machine's byte order, whatever they come as: tensors, too, without importing

@@ -1,4 +1,6 @@
-"""How a long call says how far it is, everywhere the same: it calls `progress(done, total, what)`."""
+"""How a long call says how far it is, everywhere the same: it calls `progress(done, total,
+what)`.
+"""
 
 from collections.abc import Callable
 from itertools import count

@@ -202,7 +202,9 @@ def message(path: Tensor, p1: float, p2: float) -> Tensor:
 
 
 def fill_unknown(volume: Tensor) -> Tensor:
-    """C(p, n) where it is known, else the mean cost of the ray, which prefers no sphere: (H, W, N)."""
+    """C(p, n) where it is known, else the mean cost of the ray, which prefers no sphere: (H, W,
+    N).
+    """
     return torch.where(volume.isnan(), volume.nanmean(-1, keepdim=True).nan_to_num(0.0), volume)
 
 

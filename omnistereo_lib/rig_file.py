@@ -1,5 +1,7 @@
-"""OCam cameras in files: OCamCalib's text with poses.txt, and the config.yaml of OmniMVS; poses are
-camera → rig.
+"""The one format of rigs: config.yaml of OmniMVS, and the releases' OCamCalib text with poses.txt.
+
+Poses are camera → rig. Other programs' files are read by `omnistereo_rigs.read_any_rig`, and turned
+into this format, once, by `omnistereo rig IN OUT`.
 
 OCam files keep (row, column) for the centre, the affine map and the image size; they are swapped to
 (u, v) and (width, height) only here, in `ocam_camera` and `ocam_records`.
@@ -17,23 +19,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError, error_context
-from omnistereo_lib.files import as_path, path_within, read_gray, to_yaml, write_image, write_text
+from omnistereo_lib.files import (
+    as_path,
+    path_within,
+    read_data,
+    read_gray,
+    to_yaml,
+    write_image,
+    write_text,
+)
 from omnistereo_lib.geometry.camera import OcamCamera, fit_inverse_polynomial
+from omnistereo_lib.geometry.field_of_view import DEFAULT_FOV_DEG, Projected, field_of_view_deg
 from omnistereo_lib.geometry.pose import Floats, Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.parse import (
+    METRES_PER_UNIT,
     RigFile,
     Section,
     check_fov,
+    metres_per_unit,
     numbered_lines,
     parse_axis_angle,
     parse_floats,
     parse_size,
 )
-from omnistereo_rigs.formats.camera_models import Projected
-from omnistereo_rigs.formats.fit import DEFAULT_FOV_DEG, MAX_ERROR, field_of_view_deg
 
 _log = logging.getLogger("omnistereo_lib")
+
+# Between direct and inverse polynomial, or a model and the polynomials fitted to it; beyond it a
+# warning.
+MAX_ERROR_PX = 0.1
+# A hundred cameras have 60,000; a megabyte of YAML takes seconds.
+MAX_BYTES = 1 << 18
 
 # The five records in file order, with the comment written above each.
 _RECORDS = {
@@ -43,6 +60,126 @@ _RECORDS = {
     "affine": "affine map: c, d, e",
     "image_size": "image size: height, width",
 }
+
+
+def load_rig(path: str | Path, unit: str | None = None, max_fov_deg: float | None = None) -> Rig:
+    """Read a rig: a config.yaml, or a folder with one, or with ocam1.txt, … and poses.txt.
+
+    Args:
+        path: File or folder. In a folder with both, config.yaml is read, because it states its
+            unit, unless a unit is given: only the text files need one.
+        unit: "mm", "cm" or "m": that of poses.txt; config.yaml is in metres.
+        max_fov_deg: Full field of view of the lenses, degrees. None: the value in the file, else up
+            to 220°, as far as the image and the polynomials reach.
+
+    Raises:
+        OmnistereoError: If the file is missing, broken or another program's, or its unit is neither
+            stated nor given.
+
+    >>> rig = osl.load_rig("data_samples/sunny/test")
+    >>> len(rig), rig.cameras[0].image_size
+    (4, (800, 768))
+    """
+    path = as_path(path)
+    if unit is not None and unit not in METRES_PER_UNIT:
+        raise OmnistereoError(f"unit is {unit!r}; expected one of {list(METRES_PER_UNIT)}")
+    if max_fov_deg is not None:
+        check_fov(max_fov_deg, "max_fov_deg")
+    if path.is_dir() and (path / "config.yaml").exists() and unit is None:
+        path = path / "config.yaml"
+    if path.is_dir():
+        found = read_ocam_folder(path, max_fov_deg)
+        scale = metres_per_unit(unit, np.stack([pose.t for pose in found.T_rig_cam]))
+    else:
+        found, scale = _read_config(path, max_fov_deg), 1.0
+        if unit not in (None, "m"):
+            raise OmnistereoError(f"{path}: config.yaml is in metres. Omit unit={unit!r}")
+    with error_context(path):
+        poses = [Pose(pose.R, scale * pose.t) for pose in found.T_rig_cam]
+        T_rig_file = found.T_rig_file or Pose.identity()
+        return Rig(tuple(found.cameras), tuple(poses), found.min_depth, T_rig_file)
+
+
+def load_camera(path: str | Path, max_fov_deg: float | None = None) -> OcamCamera:
+    r"""Read one camera: an OCamCalib text file.
+
+    Args:
+        path: The file.
+        max_fov_deg: As for `load_rig`; the file does not state it.
+
+    >>> with open("ocam1.txt", "w") as file:  # without an inverse polynomial, which is fitted
+    ...     print("3 -200 0 1e-3", "0", "240 320", "1 0 0", "480 640", sep="\n", file=file)
+    >>> osl.load_camera("ocam1.txt", max_fov_deg=180).center  # (u, v); the file has the row first
+    (320.0, 240.0)
+    """
+    path = as_path(path)
+    if max_fov_deg is not None:
+        check_fov(max_fov_deg, "max_fov_deg")
+    if path.suffix != ".txt":
+        raise _others_file(path)
+    camera = read_ocam_txt(path, max_fov_deg)
+    warn_of_polynomials([camera], path)
+    return camera
+
+
+def _others_file(path: Path) -> OmnistereoError:
+    return OmnistereoError(
+        f"{path} is no config.yaml of OmniMVS and no OCamCalib text file. Other programs' files:"
+        f" omnistereo_rigs.read_any_rig reads them, `omnistereo rig {path} rig.yaml` converts them"
+    )
+
+
+def _read_config(path: Path, max_fov_deg: float | None) -> RigFile:
+    if path.suffix not in (".yaml", ".yml", ".json"):
+        raise _others_file(path)
+    data = read_data(path, MAX_BYTES)
+    if not is_omnimvs(data):
+        raise _others_file(path)
+    with error_context(path):
+        section = Section(data)
+        found = read_omnimvs(section, path, max_fov_deg)
+        section.warn(path, False)
+    return found
+
+
+def is_omnimvs(data: Any) -> bool:
+    """Return whether the content of a file is that of a config.yaml."""
+    cameras = data.get("cameras") if isinstance(data, Mapping) else None
+    return cameras == [] or (
+        isinstance(cameras, list) and any(isinstance(c, Mapping) and "poly" in c for c in cameras)
+    )
+
+
+def read_ocam_folder(folder: Path, max_fov_deg: float | None) -> RigFile:
+    """Read `ocam1.txt`, … and `poses.txt`, a line rx ry rz tx ty tz for each camera."""
+    files = sorted(folder.glob("ocam*.txt"), key=lambda file: (len(file.name), file.name))
+    if not files:
+        raise _others_file(folder)
+    poses = read_poses(folder / "poses.txt")
+    check_count(poses, files)
+    cameras = [read_ocam_txt(file, max_fov_deg) for file in files]
+    warn_of_polynomials(cameras, folder)
+    return RigFile(cameras, poses)
+
+
+def read_poses(file: Path) -> list[Pose]:
+    """Read poses.txt: camera → rig, in its own unit."""
+    poses = []
+    with error_context(file):
+        for i, (number, words) in enumerate(numbered_lines(file), 1):
+            with error_context(f"line {number}, camera {i}"):
+                poses.append(parse_pose(words))
+    return poses
+
+
+def check_count(poses: Sequence[Pose], files: Sequence[Path]) -> None:
+    """Refuse a poses.txt without exactly one line for each camera."""
+    if len(poses) != len(files):
+        raise OmnistereoError(
+            f"{files[0].parent / 'poses.txt'}: found {len(poses)} poses and {len(files)} camera"
+            f" files ({', '.join(file.name for file in files)}); expected one line rx ry rz tx ty"
+            " tz per camera"
+        )
 
 
 def read_ocam_txt(path: str | Path, max_fov_deg: float | None = None) -> OcamCamera:
@@ -276,7 +413,7 @@ def warn_of_polynomials(cameras: Sequence[OcamCamera], source: Path | str) -> No
     errors = {
         i: error
         for i, camera in enumerate(cameras, 1)
-        if (error := _polynomial_error(camera)) > MAX_ERROR
+        if (error := _polynomial_error(camera)) > MAX_ERROR_PX
     }
     if not errors:
         return
@@ -301,7 +438,9 @@ def warn_of_polynomials(cameras: Sequence[OcamCamera], source: Path | str) -> No
 
 
 def _polynomial_error(camera: OcamCamera) -> float:
-    """Return `inverse_poly_error_px`, infinite where the direct polynomial ends inside the image."""
+    """Return `inverse_poly_error_px`, infinite where the direct polynomial ends inside the
+    image.
+    """
     try:
         with np.errstate(all="ignore"):
             return camera.inverse_poly_error_px()

@@ -60,7 +60,9 @@ def check_python() -> Iterator[Check]:
 
 
 def _required_packages() -> Iterator[Check]:
-    """Compare the installed packages with the requirements of the distribution, its extras aside."""
+    """Compare the installed packages with the requirements of the distribution, its extras
+    aside.
+    """
     try:
         requirements = metadata.requires("omnistereo-lib") or []
     except metadata.PackageNotFoundError:

@@ -1,4 +1,6 @@
-"""Live view: panorama and depth of cameras or videos, as fast as the machine goes, in the browser."""
+"""Live view: panorama and depth of cameras or videos, as fast as the machine goes, in the
+browser.
+"""
 
 from __future__ import annotations
 

@@ -23,6 +23,7 @@ import yaml
 import omnistereo_lib as osl
 from omnistereo_lib.files import write_image
 from omnistereo_lib.geometry.rig import camera_pairs
+from omnistereo_rigs import Checkerboard, calibrate_camera
 from omnistereo_rigs.boards.captures import save_corners
 
 DEPTH = (
@@ -112,7 +113,7 @@ def corners(old: str, new: str) -> Callable[[Path], None]:
     """Edit the file of corners by hand."""
 
     def spoil(data: Path) -> None:
-        board = osl.Checkerboard((4, 3), 0.06)
+        board = Checkerboard((4, 3), 0.06)
         save_corners(
             data / "boards" / "corners_1.yaml", {"a": 100 * board.points[:, :2]}, board, (200, 192)
         )
@@ -381,7 +382,7 @@ CALLS = [
     Call("a mask on its side", lambda: camera(mask=np.ones((200, 192), bool)), r"mask has shape \(200, 192\)"),
     Call("a scaled rotation", lambda: osl.Pose(2 * np.eye(3), np.zeros(3)), "not a rotation"),
     Call("a mirrored rotation", lambda: osl.Pose(np.diag([1.0, 1, -1]), np.zeros(3)), "determinant -1"),
-    Call("no views", lambda: osl.calibrate_camera([], osl.Checkerboard((4, 3), 0.06)), "there are no views"),
+    Call("no views", lambda: calibrate_camera([], Checkerboard((4, 3), 0.06)), "there are no views"),
     Call("a translation of 1e308", lambda: osl.Pose(np.eye(3), [1e308, 0, 0]), "expected finite numbers, t below"),
     Call("a 4 × 4 rotation", lambda: osl.Pose(np.eye(4), np.zeros(3)), r"expected \(3, 3\)"),
     Call("a translation of four", lambda: osl.Pose(np.eye(3), np.zeros(4)), r"and t \(4,\); expected"),
@@ -394,7 +395,7 @@ CALLS = [
     Call("a camera that is not there", lambda: camera_pairs([(0, 4)], RIG), r"\(0, 4\)"),
     Call("a camera with itself", lambda: camera_pairs([(1, 1)], RIG), r"\(1, 1\)"),
     Call("no pairs", lambda: camera_pairs([], RIG), "empty"),
-    Call("a board as a rod", lambda: osl.Checkerboard((2, 9), 0.06), "two integers of 3 to 200"),
+    Call("a board as a rod", lambda: Checkerboard((2, 9), 0.06), "two integers of 3 to 200"),
     Call("a flat volume", lambda: osl.sgm(VOLUME[0]), r"shape \(3, 4\)"),
     Call("five paths", lambda: osl.sgm(VOLUME, paths=5), "paths is 5; expected 4 or 8"),
     Call("penalties upside down", lambda: osl.sgm(VOLUME, p1=1.0, p2=0.5), "p2 = 0.5"),
@@ -411,7 +412,7 @@ CALLS = [
     Call("a cost that is a number", lambda: osl.cost_volume(osl.SphereSweep(RIG, GRID), IMAGES, 5),
          "cost is 5; expected an object with a method `volume`"),
     Call("no such data set", lambda: osl.load_dataset("none"), "none"),
-    Call("corners without a size", lambda: osl.calibrate_camera(
-        [np.zeros((12, 2))], osl.Checkerboard((4, 3), 0.06)), "the image size is unknown"),
+    Call("corners without a size", lambda: calibrate_camera(
+        [np.zeros((12, 2))], Checkerboard((4, 3), 0.06)), "the image size is unknown"),
     Call("a confidence of a flat volume", lambda: osl.confidence(torch.zeros(3, 4)), r"shape \(3, 4\) .*expected"),
 ]  # fmt: skip

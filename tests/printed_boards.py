@@ -1,4 +1,6 @@
-"""Boards of markers as they are printed, and as the equidistant lens of `boards` photographs them."""
+"""Boards of markers as they are printed, and as the equidistant lens of `boards` photographs
+them.
+"""
 
 import boards
 import cv2

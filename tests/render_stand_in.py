@@ -1,4 +1,6 @@
-"""The renderer with Blender replaced by noise that follows the pose, and frames of 25 × 24 pixels."""
+"""The renderer with Blender replaced by noise that follows the pose, and frames of 25 × 24
+pixels.
+"""
 
 import sys
 from dataclasses import replace

@@ -11,7 +11,9 @@ import omnistereo_lib as osl
 
 @pytest.mark.parametrize("name", osl.__all__)
 def test_examples(name, tmp_path, monkeypatch):
-    """An example may use `np`, `osl` and `data_samples`; what it writes goes into an empty folder."""
+    """An example may use `np`, `osl` and `data_samples`; what it writes goes into an empty
+    folder.
+    """
     (tmp_path / "data_samples").symlink_to(Path(__file__).resolve().parents[1] / "data_samples")
     monkeypatch.chdir(tmp_path)
     value = getattr(osl, name)

@@ -19,8 +19,9 @@ import psutil
 import pytest
 import torch
 import yaml
+from learn.tiny import MCCNN as RECIPE
 from PIL import Image
-from rig_files.rig_file_samples import (
+from rigs.formats.rig_file_samples import (
     D4,
     EXAMPLES,
     HUGIN,
@@ -39,7 +40,6 @@ from rig_files.rig_file_samples import (
     omnimvs,
     ros,
 )
-from train.tiny import MCCNN as RECIPE
 
 import omnistereo_lib as osl
 from course.classroom import handin
@@ -49,7 +49,7 @@ from omnistereo_learn.loop import COLUMNS, _Run, read_log, write_csv
 from omnistereo_lib.files import read_image
 from omnistereo_rigs.boards.captures import load_corners, save_corners
 from omnistereo_rigs.boards.checkerboard import Checkerboard
-from omnistereo_rigs.formats import load_camera
+from omnistereo_rigs.formats.read import read_any_camera, read_any_rig
 from omnistereo_tools.live_view import Latest, LivePicture, serve
 
 MEMORY = 1 << 30
@@ -200,39 +200,39 @@ def samples(folder):
     opencv = {key: value.tolist() for key, value in opencv.items()} | {"image_size": list(SIZE)}
     chain = kalibr(matrix([0, 1, 0], [1, 0, 0]))
     found = {
-        "omnimvs": ("config.yaml", json.dumps(omnimvs()), osl.load_rig, check_rig),
-        "omnimvs, in lines": ("config.yaml", yaml.safe_dump(omnimvs()), osl.load_rig, check_rig),
-        "basalt": ("calibration.json", json.dumps(basalt()), osl.load_rig, check_rig),
-        "kalibr": ("camchain.yaml", json.dumps(chain), osl.load_rig, check_rig),
+        "omnimvs": ("config.yaml", json.dumps(omnimvs()), read_any_rig, check_rig),
+        "omnimvs, in lines": ("config.yaml", yaml.safe_dump(omnimvs()), read_any_rig, check_rig),
+        "basalt": ("calibration.json", json.dumps(basalt()), read_any_rig, check_rig),
+        "kalibr": ("camchain.yaml", json.dumps(chain), read_any_rig, check_rig),
         "opencv": (
             "opencv.yaml",
             json.dumps(opencv),
-            lambda path: osl.load_rig(path, "cm"),
+            lambda path: read_any_rig(path, "cm"),
             check_rig,
         ),
-        "ros": ("ros.yaml", json.dumps(ros()), lambda path: osl.load_rig(path, "cm"), check_rig),
-        "camodocal": ("mei.yaml", json.dumps(MEI), load_camera, check_camera),
+        "ros": ("ros.yaml", json.dumps(ros()), lambda path: read_any_rig(path, "cm"), check_rig),
+        "camodocal": ("mei.yaml", json.dumps(MEI), read_any_camera, check_camera),
         "metashape": (
             "lens.xml",
             METASHAPE.format(projection="fisheye"),
-            load_camera,
+            read_any_camera,
             check_camera,
         ),
-        "hugin": ("lens.pto", HUGIN, load_camera, check_camera),
-        "ocam": ("ocam1.txt", OCAM_TXT, load_camera, check_camera),
+        "hugin": ("lens.pto", HUGIN, read_any_camera, check_camera),
+        "ocam": ("ocam1.txt", OCAM_TXT, read_any_camera, check_camera),
     }
     for name in ("COLMAP rig", "nerfstudio", "MC-Calib"):
         found[name] = (
             EXAMPLES[name][0],
             EXAMPLES[name][1],
-            lambda path: osl.load_rig(path, "cm"),
+            lambda path: read_any_rig(path, "cm"),
             check_rig,
         )
-    found["Gyroflow"] = (*EXAMPLES["Gyroflow lens profile"], load_camera, check_camera)
+    found["Gyroflow"] = (*EXAMPLES["Gyroflow lens profile"], read_any_camera, check_camera)
     (folder / "cameras.txt").write_text(EXAMPLES["COLMAP model"][1])
     found["COLMAP model"] = (
         *EXAMPLES["images.txt"],
-        lambda path: osl.load_rig(path, "cm"),
+        lambda path: read_any_rig(path, "cm"),
         check_rig,
     )
     found |= ocam_poses(folder) | corners(folder) | data_set(folder)
@@ -250,7 +250,7 @@ def ocam_poses(folder):
         "poses": (
             "rig/poses.txt",
             POSES_TXT,
-            lambda path: osl.load_rig(path.parent, "cm"),
+            lambda path: read_any_rig(path.parent, "cm"),
             check_rig,
         )
     }

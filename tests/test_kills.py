@@ -17,8 +17,8 @@ import boards
 import numpy as np
 import pytest
 import scene
+from learn.tiny import MCCNN
 from served_commands import Server
-from train.tiny import MCCNN
 
 import omnistereo_lib as osl
 from omnistereo_rigs.boards.captures import save_corners

@@ -15,36 +15,31 @@ import omnistereo_lib as osl
 
 ROOT = Path(osl.__file__).resolve().parents[1]
 
-# A file imports from its own folder and from those of the lines above. Function-level imports
-# count.
+# A package imports only itself and those before it; within the library a file imports from its own
+# folder and from those of the lines above. Function-level imports count.
+PACKAGES = (
+    "omnistereo_lib",
+    "omnistereo_rigs",
+    "omnistereo_learn",
+    "omnistereo_tools",
+    "course",
+    "workshop",
+)
 LAYERS = """
 errors lazy progress
 files
 geometry
-reference
-consumer_images
-rig_files
+parse reference
+consumer_images rig_file
 frame
 dataset
 stereo
-calibrate train
-world
-evaluate
 """
 LAYER = {name: number for number, line in enumerate(LAYERS.split("\n")) for name in line.split()}
 
 NEVER = {"matplotlib", "pyvista", "IPython", "bpy", "ipywidgets"}  # by the library
 # Slow or large libraries that are imported when used, but for the modules that exist for them.
-EAGER = {
-    "cv2": (
-        "stereo.images stereo.sweep calibrate.checkerboard calibrate.marker_boards"
-        " calibrate.features calibrate.patches train.endless.worlds world.motion world.refine"
-    ),
-    "scipy": (
-        "calibrate.bundle calibrate.joint calibrate.features calibrate.relative_pose"
-        " calibrate.track_bundle calibrate.watch calibrate.from_images world.surface"
-    ),
-}
+EAGER = {"cv2": "stereo.images stereo.sweep"}
 
 
 def module_name(path):
@@ -78,9 +73,7 @@ def imports(path, inside_functions=True):
                 yield full if full in EVERYTHING else node.module
 
 
-EVERYTHING = (
-    sources("omnistereo_lib") | sources("omnistereo_tools") | sources("course") | sources("render")
-)
+EVERYTHING = {name: path for package in PACKAGES for name, path in sources(package).items()}
 
 
 def ours(path, inside_functions=True):
@@ -94,18 +87,21 @@ def layer(name):
 
 
 def test_imports_go_one_way():
-    for name in sources("omnistereo_lib").keys() - {"omnistereo_lib"}:
-        for other in imports(EVERYTHING[name]):
-            top = other.split(".")[0]
-            assert top not in ("omnistereo_tools", "course", "render"), f"{name} imports {other}"
-            if top == "omnistereo_lib":
-                same_folder = other.split(".")[1] == name.split(".")[1]
+    for name, path in EVERYTHING.items():
+        package = name.split(".")[0]
+        allowed = PACKAGES[: PACKAGES.index(package) + 1]
+        for other in imports(path):
+            top, *inside = other.split(".")
+            assert top not in PACKAGES or top in allowed, f"{name} imports {other}"
+            if top == package == "omnistereo_lib" and inside and name != package:
+                same_folder = inside[0] == name.split(".")[1]
                 assert same_folder or layer(other) < layer(name), f"{name} imports {other}"
 
 
-def test_the_tools_need_the_library_only():
-    for name, path in sources("omnistereo_tools").items():
-        assert not {other.split(".")[0] for other in imports(path)} & {"course", "render"}, name
+def test_every_package_says_who_comes_there():
+    folders = {path.parent for path in EVERYTHING.values()}
+    for folder in folders:
+        assert ast.get_docstring(parse(folder / "__init__.py")), folder
 
 
 def test_the_command_line_and_its_bar_import_what_is_slow_when_it_is_needed():
@@ -115,18 +111,18 @@ def test_the_command_line_and_its_bar_import_what_is_slow_when_it_is_needed():
 
 
 def test_the_renderer_uses_geometry_and_files_only():
-    used = {other for path in sources("render").values() for other in ours(path)}
+    used = {other for path in sources("workshop/render").values() for other in ours(path)}
     assert {name.split(".")[1] for name in used} <= {"geometry", "errors", "files"}
     tools = {
         other
-        for path in sources("render").values()
+        for path in sources("workshop/render").values()
         for other in imports(path)
         if "omnistereo_tools" in other
     }
     assert tools == {"omnistereo_tools.record.cluster"}
     eager = {
         other
-        for path in sources("render").values()
+        for path in sources("workshop/render").values()
         for other in imports(path, inside_functions=False)
     }
     assert not eager & tools  # Blender's environment cannot import them

@@ -13,6 +13,7 @@ import nbformat
 
 from course import __main__ as course
 from omnistereo_tools import cli
+from workshop import __main__ as workshop
 from workshop import render
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -21,7 +22,12 @@ PAGES = [
     "CONTRIBUTING.md",
     *sorted(f"book/{path.name}" for path in ROOT.glob("book/*.md")),
 ]
-HELP = [*(f"omnistereo {name}" for name in cli.COMMANDS), "python -m course", "python -m render"]
+HELP = [
+    *(f"omnistereo {name}" for name in cli.COMMANDS),
+    "python -m course",
+    "python -m workshop",
+    "python -m workshop.render",
+]
 NOTEBOOKS = sorted(f"notebooks/{path.name}" for path in ROOT.glob("notebooks/*.ipynb"))
 
 # A fence, a remark that the next block is not run, or code within a line.
@@ -49,7 +55,9 @@ class Typed:
 
 
 def commands_of(page: str) -> list[Typed]:
-    """Return the commands of a page or of a command's help, in the order in which they stand there."""
+    """Return the commands of a page or of a command's help, in the order in which they stand
+    there.
+    """
     if page in HELP:
         examples = re.findall(r"^  ((?:omnistereo|python -m) .*)$", help_of(page), re.MULTILINE)
         blender = (
@@ -70,7 +78,12 @@ def commands_of(page: str) -> list[Typed]:
 def help_of(command: str) -> str:
     """Return what `--help` prints."""
     program, *words = command.removeprefix("python -m ").split()
-    run = {"omnistereo": cli.main, "course": course.main, "render": render.main}[program]
+    run = {
+        "omnistereo": cli.main,
+        "course": course.main,
+        "workshop": workshop.main,
+        "workshop.render": render.main,
+    }[program]
     with redirect_stdout(io.StringIO()) as said, suppress(SystemExit):
         run([*words, "--help"])
     return said.getvalue()
@@ -115,7 +128,9 @@ def _typed(page: str, text: str, language: str, mark: re.Match | None) -> Typed:
 
 
 def _lines(block: str) -> list[str]:
-    """Return the commands of a block of shell: continued lines and here-documents are one command."""
+    """Return the commands of a block of shell: continued lines and here-documents are one
+    command.
+    """
     commands, rest = [], iter(block.splitlines())
     for line in rest:
         while line.endswith("\\"):

@@ -63,7 +63,9 @@ class Exercise:
 
 
 def exercises_of(nb: nbformat.NotebookNode) -> list[Exercise]:
-    """Return the exercises of a notebook of the course: the functions that it hands to a checker."""
+    """Return the exercises of a notebook of the course: the functions that it hands to a
+    checker.
+    """
     found, number = [], ""
     for cell in nb.cells:
         if cell.cell_type == "markdown":
@@ -109,7 +111,6 @@ def original_of(cells: list[tuple[str, str]], path: Path) -> Path:
 
 
 # --- One notebook
-# -----------------------------------------------------------------------------------------
 
 
 def check_notebook(path: Path, seconds: float = SECONDS, memory_gib: float = MEMORY_GIB) -> Sheet:
@@ -248,7 +249,8 @@ def in_words(sheet: Sheet) -> str:
     for number, result in sheet["exercises"].items():
         said = "" if result["status"] == "right" else result["said"]
         lines.append(
-            f"  {number:<{width}}  {result['status']:<10}  {said.removeprefix('not yet: ')}".rstrip()
+            f"  {number:<{width}}  {result['status']:<10} "
+            f" {said.removeprefix('not yet: ')}".rstrip()
         )
     lines += [f"  note: {note}" for note in sheet["notes"]]
     counts = Counter(result["status"] for result in sheet["exercises"].values())
@@ -265,7 +267,6 @@ def printable(text: str) -> str:
 
 
 # --- A class
-# ----------------------------------------------------------------------------------------------
 
 
 def check(

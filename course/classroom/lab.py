@@ -31,7 +31,9 @@ AS_ROOT = ("--allow-root",) if hasattr(os, "geteuid") and os.geteuid() == 0 else
 
 
 def start(options: list[str]) -> None:
-    """Open JupyterLab on the copy of the first notebook, after copying those that have no copy yet."""
+    """Open JupyterLab on the copy of the first notebook, after copying those that have no copy
+    yet.
+    """
     from jupyterlab.labapp import LabApp
 
     WORKING.mkdir(exist_ok=True)

@@ -41,9 +41,11 @@ COPIED = (
     "notebooks",
     "data_samples",
     "omnistereo_lib",
+    "omnistereo_rigs",
+    "omnistereo_learn",
     "omnistereo_tools",
     "course",
-    "render",
+    "workshop",
     "environment.txt",
 )
 # of the environment
@@ -57,7 +59,6 @@ PR_SET_CHILD_SUBREAPER = 36  # <sys/prctl.h>
 
 
 # --- The judge's side
-# ---------------------------------------------------------------------------------------
 
 
 @dataclass
@@ -217,7 +218,6 @@ def read_records(content: bytes) -> Iterator[dict[str, Any]]:
 
 
 # --- The student's side
-# -------------------------------------------------------------------------------------
 
 
 class OutOfTime(BaseException):

@@ -138,7 +138,6 @@ def _plain(found: Any) -> Any:
 
 
 # --- What stands in the way of a comparison
-# -------------------------------------------------------------------
 
 
 def _stopped(error: BaseException, arguments: int) -> str:
@@ -188,7 +187,6 @@ def _overwritten(given: tuple, inputs: tuple) -> int | None:
 
 
 # --- The difference in words
-# ----------------------------------------------------------------------------------
 
 
 def _named(failures: list[Failure], slips: Iterable[tuple[Answer, str]]) -> str:
@@ -318,7 +316,9 @@ def _differs(function: Answer, answer: Answer, inputs: tuple) -> Failure | None:
 
 
 def _axes(x: Any) -> Sequence[int]:
-    """Return the axes of an argument that may be cut: not the last one of coordinates or colours."""
+    """Return the axes of an argument that may be cut: not the last one of coordinates or
+    colours.
+    """
     shape = (len(x),) if isinstance(x, list) else tuple(getattr(x, "shape", ()))
     return [axis for axis, size in enumerate(shape) if size > 3 or axis < len(shape) - 1]
 

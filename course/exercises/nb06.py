@@ -12,7 +12,9 @@ Layers = list[tuple[Tensor, Tensor]]
 
 
 def camera_features(images, layers):
-    """Feature maps (B, C, H/2, W/2) of images (B, H, W); layers: (weight, bias) of conv1 to conv18."""
+    """Feature maps (B, C, H/2, W/2) of images (B, H, W); layers: (weight, bias) of conv1 to
+    conv18.
+    """
     conv1, *blocks, conv18 = layers
     x = torch.relu(nn.functional.conv2d(images[:, None], *conv1, stride=2, padding=2))
     for one, two in zip(blocks[::2], blocks[1::2], strict=True):

@@ -158,7 +158,6 @@ check_spheres_needed = Open(spheres_needed, _a_plan).with_slips("""
 
 
 # --- What is in the envelopes
-# ---------------------------------------------------------------------------------
 
 
 def envelopes(rig: osl.Rig, images: list, later: list) -> dict[str, tuple[osl.Rig, list]]:

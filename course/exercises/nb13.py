@@ -12,7 +12,9 @@ from omnistereo_lib.geometry.pose import Pose
 
 
 def project(camera, points):
-    """Pixels (…, 2) of points (…, 3) in the camera's frame; NaN where the camera does not see them."""
+    """Pixels (…, 2) of points (…, 3) in the camera's frame; NaN where the camera does not see
+    them.
+    """
     x, y, z = np.moveaxis(points, -1, 0)
     across = np.hypot(x, y)
     t = np.arctan2(-z, across)  # the angle from the axis, less 90°

@@ -191,7 +191,6 @@ check_who_moved = Open(who_moved, _some_turns).with_slips("""
 
 
 # --- What has been knocked
-# ------------------------------------------------------------------------------------
 
 
 def before_the_knock(rig: osl.Rig) -> osl.Rig:

@@ -35,7 +35,6 @@ _PLACES = {1: 13, 2: 9, 3: 7}  # number of sliders → stills of each
 
 
 # --- Record
-# -------------------------------------------------------------------------------------------------
 
 
 def recording() -> bool:
@@ -123,7 +122,6 @@ def _stack(pictures: list[bytes]) -> Image.Image:
 
 
 # --- Show
-# ---------------------------------------------------------------------------------------------------
 
 
 def stored(stem: str) -> list[dict[str, Any]]:

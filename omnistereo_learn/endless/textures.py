@@ -105,7 +105,9 @@ def surface_coordinates(p: Vector, normal: Vector) -> tuple[float, float, int]:
 
 @_compiled
 def _bricks(u: float, v: float, foot: float, face: int, q: Any, seed: int) -> float:
-    """Bricks, tiles or planks: q is their height, the width of a joint, and how different they are."""
+    """Bricks, tiles or planks: q is their height, the width of a joint, and how different they
+    are.
+    """
     row = math.floor(v / q[0])
     u += 0.5 * (random(int(row), face, 0, seed) > 0.5)
     column = math.floor(u)

@@ -38,7 +38,7 @@ from omnistereo_lib.stereo.metrics import index_error
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.volume import cost_volume
 from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
-from omnistereo_rigs.formats import load_rig
+from omnistereo_rigs.formats.read import read_any_rig
 
 DATA = Path(__file__).resolve().parents[2] / "data_samples"
 _RIG_FILES = {".yaml", ".yml", ".json", ".txt", ".png"}  # including masks
@@ -336,7 +336,7 @@ def _read_rig(path: str | Path, data: Dataset, max_fov_deg: float | None) -> Rig
     """Read a rig and give its first camera the pose of the first camera of a data set; the spheres
     stay the same.
     """
-    own, rig = data.rig, load_rig(path, None, max_fov_deg, keep_frame=True)
+    own, rig = data.rig, read_any_rig(path, None, max_fov_deg, keep_frame=True)
     sizes = [[camera.image_size for camera in one.cameras] for one in (own, rig)]
     if sizes[0] != sizes[1]:
         raise OmnistereoError(

@@ -26,7 +26,9 @@ _OCCLUSION_STEPS = 12  # points tested between a camera and a scene point
 
 @dataclass(frozen=True)
 class PatchBatch:
-    """Patches (2 K, 9, 9) of two cameras: K pairs that match, then K of the same rays that do not."""
+    """Patches (2 K, 9, 9) of two cameras: K pairs that match, then K of the same rays that do
+    not.
+    """
 
     left: Tensor
     right: Tensor

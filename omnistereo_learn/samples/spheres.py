@@ -24,7 +24,9 @@ _TRIES = 10
 
 @dataclass(frozen=True)
 class Strip:
-    """The feature columns start … stop - 1 that cameras i and j share, and their labelled pixels."""
+    """The feature columns start … stop - 1 that cameras i and j share, and their labelled
+    pixels.
+    """
 
     i: int
     j: int

@@ -1,1 +1,3 @@
-"""Cameras, poses, rigs and the spheres that are swept: only NumPy (paper, Section III-A and III-B)."""
+"""Cameras, poses, rigs and the spheres that are swept: only NumPy (paper, Section III-A and
+III-B).
+"""

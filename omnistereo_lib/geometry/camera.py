@@ -2,8 +2,8 @@
 
 The direct polynomial f maps a pixel to a ray, the inverse polynomial r maps a ray to a pixel::
 
-    ray(x, y) ∝ (x, y, -f(r)),  r = hypot(x, y)           pixels from the centre, before the affine map A
-    r(t) = b0 + b1 t + b2 t² + ...                        t = atan2(-Z, hypot(X, Y)), the angle below the xy-plane
+    ray(x, y) ∝ (x, y, -f(r)),  r = hypot(x, y)   pixels from the centre, before the affine map A
+    r(t) = b0 + b1 t + b2 t² + ...                t = atan2(-Z, hypot(X, Y)), below the xy-plane
 
 The angle from the optical axis is t + π/2. Nothing is divided by Z, so a field of view above 180°
 is not special.
@@ -70,7 +70,8 @@ class OcamCamera:
     max_fov_deg: float = (
         220.0  #: full field of view in (0, 360]; rays beyond half of it from the axis are invalid
     )
-    #: (height, width), of any numeric type, stored as bool: non-zero where the image is valid; None: everywhere
+    #: (height, width), of any numeric type, stored as bool: non-zero where the image is valid;
+    #: None: everywhere
     mask: NDArray[np.bool_] | None = None
     max_radius: float = field(init=False, repr=False)  # of the field of view, px before A
 
@@ -226,7 +227,9 @@ class OcamCamera:
         )
 
     def contains(self, uv: Array) -> Array:
-        """Return whether pixels (..., 2) lie inside the image and on the mask; bool, shape (...)."""
+        """Return whether pixels (..., 2) lie inside the image and on the mask; bool, shape
+        (...).
+        """
         width, height = self.image_size
         u, v = uv[..., 0], uv[..., 1]
         low, right, bottom = -_EDGE, width - 1 + _EDGE, height - 1 + _EDGE
@@ -283,7 +286,9 @@ class OcamCamera:
         return float(np.abs(self._radius_by_root(t[inside], t[inside][-1]) - radii[inside]).max())
 
     def _radius_by_root(self, t: ArrayLike, max_t: float) -> NDArray[np.float64]:
-        """Find the smallest positive root r of f(r) cos t = r sin t, t ≤ max_t, by Newton's method."""
+        """Find the smallest positive root r of f(r) cos t = r sin t, t ≤ max_t, by Newton's
+        method.
+        """
         radii, angles = _monotone_branch(self.poly, max_t, 3 * max(self.image_size))
         slope = polyder(self.poly)
         t = np.asarray(t, np.float64)
@@ -325,7 +330,8 @@ def fit_inverse_polynomial(
         OmnistereoError: If a0 ≥ 0, the direct polynomial is not monotonic up to the end of the
             field of view, or no degree up to 25 fits.
 
-    >>> osl.fit_inverse_polynomial([-200, 0, 1e-3], max_fov_deg=180, max_radius=500).round(1)
+    >>> from omnistereo_lib.geometry.camera import fit_inverse_polynomial
+    >>> fit_inverse_polynomial([-200, 0, 1e-3], max_fov_deg=180, max_radius=500).round(1)
     array([447.2, 499.6, 275.6, 150.1,  62.3,  18.8,   2.6])
     """
     max_t = np.radians(max_fov_deg / 2) - np.pi / 2

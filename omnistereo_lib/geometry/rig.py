@@ -131,10 +131,11 @@ def camera_pairs(pairs: Pairs, rig: Rig) -> list[Pair]:
     Raises:
         OmnistereoError: If a pair names a missing camera, or one camera twice.
 
+    >>> from omnistereo_lib.geometry.rig import camera_pairs
     >>> rig = osl.load_rig("data_samples/sunny/test")
-    >>> osl.camera_pairs("ring", rig)
+    >>> camera_pairs("ring", rig)
     [(0, 1), (1, 2), (2, 3), (3, 0)]
-    >>> osl.camera_pairs("all", rig)
+    >>> camera_pairs("all", rig)
     [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
     """
     check_type(rig, Rig, "rig")

@@ -61,8 +61,10 @@ class SphereGrid:
     num_spheres: int = 192  #: N, at least 2
     min_depth: float = 0.55  #: D_min in metres: the radius of sphere N - 1
     max_depth: float = np.inf  #: radius of sphere 0 in metres; the paper's is infinite
-    #: Ray of a pixel. "center": the ray through the pixel centre. "sweepnet", as the released MATLAB code and its
-    #: ground truth: θ = (column + 1 - W/2) 2π/W, φ likewise. "omnimvs", as that code: θ = (column - W/2) 2π/W, φ from
+    #: Ray of a pixel. "center": the ray through the pixel centre. "sweepnet", as the released
+    #: MATLAB code and its
+    #: ground truth: θ = (column + 1 - W/2) 2π/W, φ likewise. "omnimvs", as that code: θ = (column -
+    #: W/2) 2π/W, φ from
     #: the first to the last elevation, both included.
     sampling: Sampling = "center"
 
@@ -197,6 +199,8 @@ class SphereGrid:
             return 1.0 / self.index_to_inverse_depth(index)
 
     def depth_to_index(self, depth: ArrayLike) -> NDArray[np.float64]:
-        """Return the fractional index n̂ of a depth along the ray in metres, which may be infinite."""
+        """Return the fractional index n̂ of a depth along the ray in metres, which may be
+        infinite.
+        """
         with np.errstate(divide="ignore"):
             return self.inverse_depth_to_index(1.0 / np.asarray(depth, np.float64))

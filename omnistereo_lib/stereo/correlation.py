@@ -68,7 +68,9 @@ def feature_coordinates(
 
 
 def volume_cells(grid: SphereGrid, size: tuple[int, int, int]) -> tuple[Tensor, Tensor]:
-    """Return rays (W', H', 3) and inverse depths (N', 1) in 1/m of the cells of a volume of a size."""
+    """Return rays (W', H', 3) and inverse depths (N', 1) in 1/m of the cells of a volume of a
+    size.
+    """
     width, height, spheres = size
     rays = (
         torch.from_numpy(replace(grid, width=width, height=height).rays()).float().transpose(0, 1)

@@ -90,7 +90,8 @@ class Depth:
     ((16, 64), True, True)
     """
 
-    #: Sphere index n*, (H, W), fractional with sub-sphere refinement; NaN where no pair of cameras sees the ray.
+    #: Sphere index n*, (H, W), fractional with sub-sphere refinement; NaN where no pair of cameras
+    #: sees the ray.
     index: NDArray[np.float32]
     confidence: NDArray[np.float32]  #: (H, W), in [0, 1]
     sweep: SphereSweep  #: of the cost volume, with its grid and its rig

@@ -35,7 +35,9 @@ def select_device(device: torch.device | str) -> torch.device:
 
 
 def number_from_environment(name: str, default: int) -> int:
-    """Return a number that `torchrun` sets for each of its processes; the default where it has not."""
+    """Return a number that `torchrun` sets for each of its processes; the default where it has
+    not.
+    """
     value = os.environ.get(name, str(default))
     if not re.fullmatch("[0-9]{1,6}", value):
         raise OmnistereoError(
@@ -70,7 +72,9 @@ def check_memory(cameras: int, grid: SphereGrid, device: torch.device) -> None:
 
 
 def available_memory(device: torch.device) -> int:
-    """Return the bytes that can be allocated on a device; the host memory unless it is a CUDA GPU."""
+    """Return the bytes that can be allocated on a device; the host memory unless it is a CUDA
+    GPU.
+    """
     if device.type != "cuda":
         return int(psutil.virtual_memory().available)
     cached = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)

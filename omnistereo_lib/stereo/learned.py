@@ -227,9 +227,10 @@ class LearnedCost(BlockCost):
         precision: Of the matrix products; see `choose_precision`. Another one raises an
             `OmnistereoError`.
 
+    >>> from omnistereo_lib.stereo.learned import LearnedCost
     >>> frame = osl.load_dataset("data_samples/sunny", split="test")[0]
     >>> sweep = osl.SphereSweep(frame.rig, osl.SphereGrid(64, 16, num_spheres=4, min_depth=1.65))
-    >>> osl.cost_volume(sweep, frame.images, osl.LearnedCost(osl.MCCNN.pretrained())).shape
+    >>> osl.cost_volume(sweep, frame.images, LearnedCost(osl.MCCNN.pretrained())).shape
     torch.Size([16, 64, 4])
     """
 

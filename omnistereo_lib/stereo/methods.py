@@ -42,7 +42,8 @@ class CostEntry:
     >>> from omnistereo_lib.stereo.cost import BlockCost
     >>> class Difference(BlockCost):
     ...     def __call__(self, spherical_images, pairs, columns=None):
-    ...         costs = [(spherical_images[i] - spherical_images[j]).abs().clamp(max=1) for i, j in pairs]
+    ...         images = spherical_images
+    ...         costs = [(images[i] - images[j]).abs().clamp(max=1) for i, j in pairs]
     ...         return torch.stack(costs).nanmean(0).permute(1, 2, 0)  # (B, H, W) → (H, W, B)
     >>> COSTS["difference"] = CostEntry("Difference", lambda method, path, precision: Difference())
     >>> Method.parse("difference+sgm,p1=0.2").label
@@ -98,7 +99,8 @@ class Method:
         OmnistereoError: If a value is out of range, or is set although the method does not use it:
             a method has one name.
 
-    >>> method = osl.Method.parse("zncc+sgm,p1=0.2")
+    >>> from omnistereo_lib.stereo.methods import Method
+    >>> method = Method.parse("zncc+sgm,p1=0.2")
     >>> method.cost, method.aggregate, method.p1, method.pairs
     ('zncc', 'sgm', 0.2, 'ring')
     """
@@ -264,7 +266,9 @@ class Method:
         return sweep.keep((COSTS[self.cost], self.volume_key), load)
 
     def smooth(self, volume: Tensor) -> Tensor:
-        """Return the volume (H, W, N) from which depth is read: after SGM where the method has it."""
+        """Return the volume (H, W, N) from which depth is read: after SGM where the method has
+        it.
+        """
         if self.aggregate == "none":
             return volume
         p1, p2 = penalties(*volume.shape[1:])

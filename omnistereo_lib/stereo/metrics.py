@@ -83,7 +83,9 @@ def sparsification(
     Raises:
         OmnistereoError: If error and confidence differ in size.
 
-    >>> curve, auc, oracle_auc = osl.sparsification([4.0, 3.0, 2.0, 1.0], [0.1, 0.2, 0.3, 0.4], [0, 0.5])
+    >>> from omnistereo_lib.stereo.metrics import sparsification
+    >>> confidence = [0.1, 0.2, 0.3, 0.4]
+    >>> curve, auc, oracle_auc = sparsification([4.0, 3.0, 2.0, 1.0], confidence, [0, 0.5])
     >>> curve.tolist(), auc == oracle_auc  # the confidence is as good as can be
     ([2.5, 1.5], True)
     """

@@ -1,4 +1,6 @@
-"""Sphere sweep: warp the fisheye images onto concentric spheres (paper, Section III-B and Eq. 1)."""
+"""Sphere sweep: warp the fisheye images onto concentric spheres (paper, Section III-B and Eq.
+1).
+"""
 
 from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -257,7 +259,9 @@ class SphereSweep:
         return out.permute(0, 3, 1, 2)
 
     def warp_camera(self, image: Tensor, camera: int, spheres: range, out: Tensor) -> None:
-        """Warp one normalized image onto one of the `blocks`: overwrite out (H, W, len(spheres))."""
+        """Warp one normalized image onto one of the `blocks`: overwrite out (H, W,
+        len(spheres)).
+        """
         H, W, B = out.shape
         rows = out.view(H, W * B)
         on_cpu = self.device.type == "cpu"

@@ -1,4 +1,6 @@
-"""SweepNet, the matching cost that sees whole spherical images (paper, Section III-C and Table I)."""
+"""SweepNet, the matching cost that sees whole spherical images (paper, Section III-C and Table
+I).
+"""
 
 from __future__ import annotations
 
@@ -99,7 +101,9 @@ class SweepNet(PairNetwork):
         return torch.sigmoid(self.score_pixels(pixels[:, :, 2 * halo : 2 * halo + W]))
 
     def extract_features(self, images: Tensor) -> Tensor:
-        """Run conv1 … conv18, residual blocks, on padded images (B, H, w + 4): (B, 32, H/2, w/2)."""
+        """Run conv1 … conv18, residual blocks, on padded images (B, H, w + 4): (B, 32, H/2,
+        w/2).
+        """
         with full_precision(images):  # the texture of an image may be faint beside its brightness
             x = self._run("conv1", images[:, None])
         for k in range(2, 18, 2):
@@ -134,7 +138,9 @@ class SweepNet(PairNetwork):
 
     @torch.no_grad()
     def fuse_batch_norm(self) -> SweepNet:
-        """Return a network without batch norms that computes what this one does in evaluation mode."""
+        """Return a network without batch norms that computes what this one does in evaluation
+        mode.
+        """
         plain = SweepNet(wrap=self.wrap)
         for name, layer in self.layers.items():
             weight, bias = layer.weight, layer.bias

@@ -5,10 +5,12 @@ a blank wall has *one* depth. VolumeNet takes the step that the field took after
 ICCV 2019; GwcNet, CVPR 2019):
 
     features     each fisheye image → 32 feature maps at half its size
-    warp         the maps onto the cells of two volumes, a coarse and a finer one (Eq. 1); see `volume_sizes`
+    warp         the maps onto the cells of two volumes, a coarse and a finer one (Eq. 1); see
+                 `volume_sizes`
     correlation  in groups of four channels, over all pairs of cameras to which a cell is visible
     3-D U-net    over θ, φ and the sphere index, circular in θ
-    read-out     a probability for each sphere of a ray; the index is the mean around the most probable one
+    read-out     a probability for each sphere of a ray; the index is the mean around the most
+                 probable one
 
 Volumes are (batch, channels, W, H, N): with W first, PyTorch picks its fast CPU kernels even for
 one frame in float32.

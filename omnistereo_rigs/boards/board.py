@@ -1,4 +1,6 @@
-"""What a calibration board is: corners whose places are known, and a way to find them in an image."""
+"""What a calibration board is: corners whose places are known, and a way to find them in an
+image.
+"""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -28,7 +30,9 @@ class Board(ABC):
 
     @property
     def symmetries(self) -> tuple[NDArray[np.int64], ...]:
-        """Corner permutations that leave the pattern unchanged, each of shape (K,); identity first."""
+        """Corner permutations that leave the pattern unchanged, each of shape (K,); identity
+        first.
+        """
         return (np.arange(len(self.points)),)
 
     def symmetry_pose(self, symmetry: NDArray[np.int64]) -> Pose:

@@ -29,7 +29,9 @@ _NEWTON_STEPS = 8
 
 
 class _UnpackedParams:
-    """Rotations, translations and the rotations' derivatives at x, stacked for indexing by corner."""
+    """Rotations, translations and the rotations' derivatives at x, stacked for indexing by
+    corner.
+    """
 
     def __init__(self, initial: CalibrationParams, x: Floats) -> None:
         cameras, rig = len(initial.intrinsics), initial.num_rig_params
@@ -156,7 +158,9 @@ class BundleProblem:
         py: Floats,
         r: Floats,
     ) -> tuple[Floats, Floats]:
-        """Return the derivatives of pixels by intrinsics (M, 2, 4 + degree) and by point (M, 2, 3)."""
+        """Return the derivatives of pixels by intrinsics (M, 2, 4 + degree) and by point (M, 2,
+        3).
+        """
         f, slope, powers = self._polynomial(alpha, r)
         steep = slope * n + Z  # ∂/∂r of f(r) n + r Z, whose root r is
         r_n, r_Z = -f / steep, -r / steep

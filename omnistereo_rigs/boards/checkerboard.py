@@ -43,13 +43,15 @@ class Checkerboard(Board):
         OmnistereoError: If a count is not an integer of 3 to 200, or the square is not 0.1 mm to 1
             m long.
 
-    >>> board = osl.Checkerboard((8, 6), square=0.05)
+    >>> from omnistereo_rigs import Checkerboard
+    >>> board = Checkerboard((8, 6), square=0.05)
     >>> board.points[[1, 8]]  # the second corner of the first row, the first of the second
     array([[0.05, 0.  , 0.  ],
            [0.  , 0.05, 0.  ]])
     """
 
-    #: Inner corners, columns and rows: where four squares meet. A board of 13 x 11 squares has 12 x 10.
+    #: Inner corners, columns and rows: where four squares meet. A board of 13 x 11 squares has 12 x
+    #: 10.
     corners: tuple[int, int]
     square: float  #: edge of a square, metres
 

@@ -74,17 +74,19 @@ def calibrate_rig(
             calibrated by itself, two cameras are the same, or cameras are not connected through
             shared captures.
 
-    >>> board = osl.Checkerboard((8, 6), square=0.05)
+    >>> from omnistereo_rigs import Checkerboard, calibrate_rig
+    >>> board = Checkerboard((8, 6), square=0.05)
     >>> true = osl.load_rig("data_samples/sunny/test")
     >>> true = osl.Rig(true.cameras[:2], true.T_rig_cam[:2])
     >>> turns = [[np.sin(k) / 2, np.pi / 4 + np.cos(k) / 3, 0, 0, 0, 0] for k in range(8)]
     >>> before = osl.Pose(np.eye(3), [-0.2, -0.1, 1.0])  # where both cameras look
     >>> boards = [true.T_rig_cam[0] @ osl.Pose.from_vector(turn) @ before for turn in turns]
     >>> views = [
-    ...     [camera.project(T_rig_cam.inverse() @ T_rig_board @ board.points)[0] for T_rig_board in boards]
-    ...     for camera, T_rig_cam in zip(true.cameras, true.T_rig_cam)
+    ...     [camera.project(pose.inverse() @ T @ board.points)[0] for T in boards]
+    ...     for camera, pose in zip(true.cameras, true.T_rig_cam)
     ... ]
-    >>> rig, report = osl.calibrate_rig(views, board, [camera.image_size for camera in true.cameras], degree=4)
+    >>> sizes = [camera.image_size for camera in true.cameras]
+    >>> rig, report = calibrate_rig(views, board, sizes, degree=4)
     >>> bool(abs(rig.baselines - true.baselines)[0] < 0.001)  # metres
     True
     """
@@ -169,7 +171,9 @@ def _check_given(camera: OcamCamera | None, image_size: tuple[int, int]) -> None
 
 
 def _shared_captures(corners: list[list[Floats | None]]) -> dict[tuple[int, int], list[int]]:
-    """Return the captures that both cameras of a pair (i < j) see; refuse one camera given twice."""
+    """Return the captures that both cameras of a pair (i < j) see; refuse one camera given
+    twice.
+    """
     shared = {}
     for i, j in combinations(range(len(corners)), 2):
         views = enumerate(zip(corners[i], corners[j], strict=True))

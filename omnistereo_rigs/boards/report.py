@@ -126,7 +126,9 @@ class CameraReport(_Report):
         return float(self.inlier_angles_deg().max())
 
     def errors_by_angle(self) -> list[tuple[int, int, ReprojectionErrors]]:
-        """Return the errors in rings of 10° from the axis: (lower end in degrees, corners, errors)."""
+        """Return the errors in rings of 10° from the axis: (lower end in degrees, corners,
+        errors).
+        """
         residuals, ring = self.inlier_residuals(), self.inlier_angles_deg() // _RING_DEG
         return [
             (
@@ -242,7 +244,8 @@ class RigReport(_Report):
     captures_used: tuple[int, ...]  #: captures in the joint solution
     rejected: Mapping[int, str]  #: capture → reason
     shared: Mapping[tuple[int, int], int]  #: (camera, camera) → number of captures that both see
-    params: CalibrationParams  #: all unknowns of the joint solution; captures in the order of `captures_used`
+    #: all unknowns of the joint solution; captures in the order of `captures_used`
+    params: CalibrationParams
     covariance: (
         Floats  #: of its first `num_rig_params` unknowns: intrinsics and the poses of cameras 2 …
     )

@@ -66,12 +66,14 @@ def calibrate_camera(
         OmnistereoError: If fewer than three views show the board, all views are parallel, corners
             do not fit the board, or the corners do not determine the camera.
 
-    >>> board = osl.Checkerboard((8, 6), square=0.05)
+    >>> from omnistereo_rigs import Checkerboard, calibrate_camera
+    >>> board = Checkerboard((8, 6), square=0.05)
     >>> true = osl.load_rig("data_samples/sunny/test").cameras[0]
     >>> turns = [[np.sin(k) / 2, np.cos(k) / 2, 0] for k in range(8)]
-    >>> poses = [osl.Pose.from_vector([*turn, k / 10 - 0.4, -0.1, 0.3]) for k, turn in enumerate(turns)]
+    >>> vectors = [[*turn, k / 10 - 0.4, -0.1, 0.3] for k, turn in enumerate(turns)]
+    >>> poses = [osl.Pose.from_vector(vector) for vector in vectors]
     >>> views = [true.project(pose @ board.points)[0] for pose in poses]  # or images of a board
-    >>> camera, report = osl.calibrate_camera(views, board, true.image_size, degree=4)
+    >>> camera, report = calibrate_camera(views, board, true.image_size, degree=4)
     >>> report.rms_px < 0.01 and bool(np.allclose(camera.center, true.center, atol=0.01))
     True
     """
@@ -132,7 +134,9 @@ def calibrate_corners(
 
 
 def _corners_in_view(corners: Floats, camera: OcamCamera) -> Floats | None:
-    """Return the corners that a given camera sees, NaN for the others, or None if too few are left."""
+    """Return the corners that a given camera sees, NaN for the others, or None if too few are
+    left.
+    """
     seen = np.where(camera.unproject(corners)[1][:, None], corners, np.nan)
     return seen if np.isfinite(seen).all(axis=1).sum() >= _FEWEST_CORNERS else None
 
@@ -322,7 +326,9 @@ def _cv_errors(params: CalibrationParams, views: Sequence[Floats], points: Float
 def _bad_views(
     params: CalibrationParams, views: Sequence[Floats], points: Floats
 ) -> dict[int, str]:
-    """Return the views with several times the usual reprojection error, and why they are rejected."""
+    """Return the views with several times the usual reprojection error, and why they are
+    rejected.
+    """
     observations = collect_observations([views], points)
     distance = distances_of(params, observations)
     typical = np.array([np.median(distance[observations.capture == k]) for k in range(len(views))])

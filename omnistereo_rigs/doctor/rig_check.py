@@ -286,7 +286,9 @@ def _length(metres: float) -> str:
 
 
 def _unit(measured: MeasuredRig, min_depth: float | None) -> str | None:
-    """Return what the nearest points say about the unit of the translations, if it cannot be right."""
+    """Return what the nearest points say about the unit of the translations, if it cannot be
+    right.
+    """
     if min_depth is None:
         return None
     nearest = measured.depth_quantile(0.01)

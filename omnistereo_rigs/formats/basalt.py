@@ -28,7 +28,7 @@ def read_basalt(data: Section, path: Path, max_fov_deg: float | None) -> RigFile
     ]
     if len(set(counts)) > 1:
         raise OmnistereoError(
-            "found {} T_imu_cam, {} intrinsics and {} resolution; expected one of each per camera".format(
+            "found {} T_imu_cam, {} intrinsics and {} resolution; expected one per camera".format(
                 *counts
             )
         )

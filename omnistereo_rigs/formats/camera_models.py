@@ -15,13 +15,10 @@ from typing import Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.geometry.field_of_view import Projected, Projection
 from omnistereo_lib.geometry.pose import Floats
-
-Projected = tuple[Floats, NDArray[np.bool_]]  # uv (..., 2) px, valid (...)
-Projection = Callable[[Floats], Projected]  # of rays (..., 3)
 
 # full field of view; beyond it a pixel of a pinhole camera is wider than four at its centre
 MAX_PINHOLE_DEG = 120.0

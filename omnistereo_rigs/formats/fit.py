@@ -11,18 +11,22 @@ from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.camera import OcamCamera
+from omnistereo_lib.geometry.field_of_view import (
+    ANGLE_STEP,
+    AZIMUTHS,
+    Projection,
+    field_of_view_deg,
+    one_to_one,
+    ring_rays,
+)
 from omnistereo_lib.geometry.pose import Floats
-from omnistereo_rigs.formats.camera_models import Projection, make_camera_model
+from omnistereo_lib.rig_file import MAX_ERROR_PX
+from omnistereo_rigs.formats.camera_models import make_camera_model
 
 _log = logging.getLogger("omnistereo_lib")
 
-# the widest common lens; in images without a mask, black corners lie beyond it
-DEFAULT_FOV_DEG = 220.0
-_ANGLE_STEP = np.radians(0.25)
-AZIMUTHS = np.arange(64) * (2 * np.pi / 64)
 _FIT_TOLERANCE = 0.01  # px, as for any inverse polynomial
 _MAX_DEGREE = 20
-MAX_ERROR = 0.1  # px; beyond it a warning
 _LOST = 0.005  # share of the pixels; beyond it a warning
 # lenses have p1, p2 of 0.001; residual where they are another model's
 _MAX_TANGENTIAL, _MISLABELLED_PX = 0.01, 10.0
@@ -71,7 +75,7 @@ def fit_camera(
             " (Kannala-Brandt), which some drivers call plumb_bob (T265). If so, write"
             " distortion_model: equidistant"
         )
-    if residual > MAX_ERROR:
+    if residual > MAX_ERROR_PX:
         warnings.warn(
             f"{source}: an OCam camera follows the {model} model in the file to {residual:.2f} px"
             f" only{': it has no tangential distortion' if tangential else ''}. Where that is too"
@@ -138,44 +142,6 @@ def fit_ocam(
     return camera, float(errors[camera.contains(uv)].max(initial=0.0))
 
 
-def ring_rays(theta: Floats) -> Floats:
-    """Return unit rays (rings, azimuths, 3) at angles θ from the axis."""
-    sine, cosine = np.sin(theta)[:, None], np.cos(theta)[:, None]
-    x, y = sine * np.cos(AZIMUTHS), sine * np.sin(AZIMUTHS)
-    return np.stack(np.broadcast_arrays(x, y, cosine), -1)
-
-
-def field_of_view_deg(
-    project: Projection,
-    image_size: tuple[int, int],
-    max_fov_deg: float | None = None,
-    mask: NDArray[np.bool_] | None = None,
-) -> float:
-    """Return the full field of view of a lens in degrees, as far as the model is one to one and
-    pixels see it.
-
-    Args:
-        project, image_size, mask: As for `fit_ocam`.
-        max_fov_deg: Limit, degrees. None: none with a mask, 220° without a mask.
-    """
-    theta, uv, _ = _one_to_one(project)
-    width, height = image_size
-    with np.errstate(invalid="ignore"):
-        inside = np.asarray(((uv >= 0) & (uv <= (width - 1, height - 1))).all(-1))
-    if mask is not None:
-        column, row = np.where(inside[..., None], uv, 0).round().astype(int).transpose(2, 0, 1)
-        inside &= mask[row, column]
-    if not inside[theta > 0].any():
-        raise OmnistereoError(
-            f"the camera model projects nothing into the image of {width} × {height} px. Check its"
-            " parameters"
-        )
-    visible = theta[inside.any(1)].max() + _ANGLE_STEP
-    default = 360.0 if mask is not None else DEFAULT_FOV_DEG
-    limit = np.radians(default if max_fov_deg is None else max_fov_deg) / 2
-    return float(np.degrees(2 * min(visible, theta.max(), limit)))
-
-
 def pixels_beyond(
     project: Projection, image_size: tuple[int, int], mask: NDArray[np.bool_] | None = None
 ) -> tuple[float, float]:
@@ -184,7 +150,7 @@ def pixels_beyond(
 
     project, image_size, mask: As for `fit_ocam`.
     """
-    theta, uv, radius = _one_to_one(project)
+    theta, uv, radius = one_to_one(project)
     columns, rows = (np.linspace(0, side - 1, min(side, 256)) for side in image_size)
     u, v = np.meshgrid(columns - uv[0, :, 0].mean(), rows - uv[0, :, 1].mean())
     last = uv[-1] - uv[0].mean(0)
@@ -194,21 +160,8 @@ def pixels_beyond(
     beyond = np.hypot(u, v) > limit
     if mask is not None:
         beyond = beyond[mask[np.ix_(rows.astype(int), columns.astype(int))]]
-    ends = theta[-1] < np.pi - 2 * _ANGLE_STEP
+    ends = theta[-1] < np.pi - 2 * ANGLE_STEP
     return float(np.degrees(theta[-1])), float(beyond.mean()) if ends and beyond.size else 0.0
-
-
-def _one_to_one(project: Projection) -> tuple[Floats, Floats, Floats]:
-    """Return the angles θ up to which radii grow, their pixels (rings, azimuths, 2), and radii
-    (rings, azimuths).
-    """
-    theta = np.arange(0.0, np.pi, _ANGLE_STEP)
-    uv, valid = project(ring_rays(theta))
-    uv = np.where(valid[..., None], uv, np.nan)
-    radius = np.linalg.norm(uv - uv[0].mean(0), axis=-1)
-    # NaN is not > 0
-    kept = np.append(True, (np.diff(radius, axis=0) > 0).all(1)).cumprod().astype(bool)
-    return theta[kept], uv[kept], radius[kept]
 
 
 def _fit_inverse(radius: Floats, t: Floats) -> Floats:

@@ -25,6 +25,7 @@ import numpy as np
 
 from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.geometry.camera import OcamCamera
+from omnistereo_lib.geometry.field_of_view import field_of_view_deg, ring_rays
 from omnistereo_lib.geometry.pose import Pose, rotation_from_axis_angle
 from omnistereo_lib.parse import (
     SAME_DEG,
@@ -35,7 +36,7 @@ from omnistereo_lib.parse import (
     parse_size,
 )
 from omnistereo_rigs.formats.camera_models import FISHEYE, PINHOLE, RADTAN, make_camera_model
-from omnistereo_rigs.formats.fit import field_of_view_deg, fit_camera, pixels_beyond, ring_rays
+from omnistereo_rigs.formats.fit import fit_camera, pixels_beyond
 
 # What is read: its usual keys, then a pattern for every spelling, in lower case without "_" and
 # "-".
@@ -65,9 +66,8 @@ _RATIONAL = ("pinhole", RADTAN)
 # 0, 1: MC-Calib.
 _MODELS = {
     "equi(distant)?|(opencv)?fisheye|kannalabrandt8?|kb[48]|1": ("kb4", FISHEYE),
-    "plumbbob|rational(polynomial)?|radtan|radialtangential|brown(conrady)?|opencv|pinhole|perspective|0": (
-        _RATIONAL
-    ),
+    "plumbbob|rational(polynomial)?|radtan|radialtangential|brown(conrady)?|opencv|pinhole|"
+    "perspective|0": (_RATIONAL),
     "omnidir(ectional)?|omni|mei": ("omni", RADTAN[:4]),
     "none": ("pinhole", ()),
 }
@@ -152,7 +152,9 @@ def _numbered(key: str) -> tuple[str, str] | None:
 
 
 def _has_matrix(cam: Any) -> bool:
-    """Return whether a value is one camera: it, or one block of it, states K, or fx, fy, cx and cy."""
+    """Return whether a value is one camera: it, or one block of it, states K, or fx, fy, cx and
+    cy.
+    """
 
     def states(keys: Iterable[str]) -> bool:
         return any(_meaning(key) == "K" for key in keys) or set(PINHOLE) <= set(keys)

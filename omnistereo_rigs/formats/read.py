@@ -61,7 +61,7 @@ class Format(NamedTuple):
         [Section, Path, float | None], RigFile
     ]  #: content, path, max_fov_deg; raises an `OmnistereoError`
     recognises: Callable[[dict[str, Any]], bool]  #: whether parsed content is of this format
-    unit: str = "metres"  #: of its poses; `load_rig` needs the one of `_UNSTATED`
+    unit: str = "metres"  #: of its poses; `read_any_rig` needs the one of `_UNSTATED`
     has_settings: bool = False  #: whether its top level holds settings of a program, too
 
     @property
@@ -148,7 +148,7 @@ def _supported() -> str:
     )
 
 
-def load_rig(
+def read_any_rig(
     path: str | Path,
     unit: str | None = None,
     max_fov_deg: float | None = None,
@@ -176,7 +176,7 @@ def load_rig(
         OmnistereoError: If the file is missing, broken or of an unsupported format, or its unit is
             neither stated nor given.
 
-    >>> rig = osl.load_rig("data_samples/sunny/test")
+    >>> rig = read_any_rig("data_samples/sunny/test")
     >>> len(rig), rig.cameras[0].image_size
     (4, (800, 768))
     """
@@ -203,7 +203,7 @@ def load_rig(
         if len(found.cameras) == 1:
             raise OmnistereoError(
                 f"{name} of one camera; a rig needs at least 2 cameras with their poses."
-                " `load_camera` reads it; put cam1, cam2, … and poses.txt (rx ry rz tx ty tz,"
+                " `read_any_camera` reads it; put cam1, cam2, … and poses.txt (rx ry rz tx ty tz,"
                 " camera → rig) into a folder, and pass the folder"
             )
         if in_metres and unit not in (None, "m"):
@@ -222,17 +222,17 @@ def load_rig(
         return rig if keep_frame or found.T_rig_file else plausible.level(rig, path)
 
 
-def load_camera(path: str | Path, max_fov_deg: float | None = None) -> OcamCamera:
+def read_any_camera(path: str | Path, max_fov_deg: float | None = None) -> OcamCamera:
     r"""Read one camera: an OCamCalib text file, a lens file, or any supported format that holds one
     camera.
 
     Args:
         path: The file.
-        max_fov_deg: As for `load_rig`.
+        max_fov_deg: As for `read_any_rig`.
 
     >>> with open("ocam1.txt", "w") as file:  # without an inverse polynomial, which is fitted
     ...     print("3 -200 0 1e-3", "0", "240 320", "1 0 0", "480 640", sep="\n", file=file)
-    >>> osl.load_camera("ocam1.txt", max_fov_deg=180).center  # (u, v); the file has the row first
+    >>> read_any_camera("ocam1.txt", max_fov_deg=180).center  # (u, v); the file has the row first
     (320.0, 240.0)
     """
     path = as_path(path)
@@ -245,7 +245,7 @@ def load_camera(path: str | Path, max_fov_deg: float | None = None) -> OcamCamer
         name, _, found = _read_file(path, max_fov_deg)
         if len(found.cameras) != 1:
             raise OmnistereoError(
-                f"{path}: {name} of {len(found.cameras)} cameras; expected one. Use load_rig"
+                f"{path}: {name} of {len(found.cameras)} cameras; expected one. Use read_any_rig"
             )
         camera = found.cameras[0]
     with error_context(path):
@@ -259,13 +259,13 @@ def load_cameras(path: str | Path, max_fov_deg: float | None = None) -> list[Oca
     poses.
 
     Args:
-        path, max_fov_deg: As for `load_rig`; a folder needs no poses.txt.
+        path, max_fov_deg: As for `read_any_rig`; a folder needs no poses.txt.
     """
     path = as_path(path)
     if max_fov_deg is not None:
         check_fov(max_fov_deg, "max_fov_deg")
     if (files := _lens_files(path)) and not (path / "config.yaml").exists():
-        return [load_camera(file, max_fov_deg) for file in files]
+        return [read_any_camera(file, max_fov_deg) for file in files]
     return _read_file(_find_rig_file(path) if path.is_dir() else path, max_fov_deg)[2].cameras
 
 
@@ -288,7 +288,7 @@ def _read_folder(folder: Path, max_fov_deg: float | None) -> RigFile:
                 " per camera"
             )
     if files[0].suffix != ".txt":
-        return RigFile([load_camera(file, max_fov_deg) for file in files], poses)
+        return RigFile([read_any_camera(file, max_fov_deg) for file in files], poses)
     cameras = [read_ocam_txt(file, max_fov_deg) for file in files]
     warn_of_polynomials(cameras, folder)
     return RigFile(cameras, poses)

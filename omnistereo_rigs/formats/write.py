@@ -13,11 +13,11 @@ import numpy as np
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import make_folder, to_yaml, write_text
 from omnistereo_lib.geometry.camera import OcamCamera
+from omnistereo_lib.geometry.field_of_view import AZIMUTHS, ring_rays
 from omnistereo_lib.geometry.pose import quaternion_from_rotation
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.rig_file import save_rig, write_ocam_folder
 from omnistereo_rigs.formats.camera_models import kannala_brandt
-from omnistereo_rigs.formats.fit import AZIMUTHS, ring_rays
 
 _MAX_ERROR = 1.0  # px; beyond it a warning
 

@@ -261,7 +261,9 @@ def measure_rig(
 
 
 def in_odd_sector(directions: Floats) -> NDArray[np.bool_]:
-    """Return whether directions (..., 3) lie in the odd ones of twelve sectors around the y axis."""
+    """Return whether directions (..., 3) lie in the odd ones of twelve sectors around the y
+    axis.
+    """
     return (
         np.floor(np.degrees(np.arctan2(directions[..., 0], directions[..., 2])) / _SECTOR_DEG) % 2
         == 1

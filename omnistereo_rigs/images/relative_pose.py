@@ -52,7 +52,9 @@ def epipolar_residuals(E: Floats, x: Floats, y: Floats) -> Floats:
 
 
 def eight_point(x: Floats, y: Floats) -> Floats:
-    """Return the essential matrices (..., 3, 3) of 8 or more pairs of unit rays (..., M, 3) each."""
+    """Return the essential matrices (..., 3, 3) of 8 or more pairs of unit rays (..., M, 3)
+    each.
+    """
     equations = (y[..., :, None] * x[..., None, :]).reshape(*x.shape[:-1], 9)
     E = np.linalg.svd(np.swapaxes(equations, -1, -2) @ equations)[2][..., -1, :].reshape(
         *x.shape[:-2], 3, 3

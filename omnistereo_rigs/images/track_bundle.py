@@ -97,7 +97,9 @@ class TrackBundle:
         return rays, to_px, from_center
 
     def _triangulate(self) -> Floats:
-        """Return u and ρ of each point at the initial poses: the linear solution, an eigenvector."""
+        """Return u and ρ of each point at the initial poses: the linear solution, an
+        eigenvector.
+        """
         camera, point = self.tracks.camera, self.tracks.point
         d = np.einsum("mij,mj->mi", self.R[camera], self.rays)
         across = np.eye(3) - d[:, :, None] * d[:, None, :]

@@ -152,7 +152,9 @@ class Watch:
 
 
 def who_turned(rig: Rig, change: Floats, covariance: Floats, since: int = 0) -> Turned:
-    """Return the camera whose turn explains a change (cameras, 6) best, by whitened least squares."""
+    """Return the camera whose turn explains a change (cameras, 6) best, by whitened least
+    squares.
+    """
     # numbers that tell how much the first looks disagree
     known = (REFERENCE - 1) * (change.size - _GAUGE)
     _, white = _misfit(change, covariance)

@@ -155,7 +155,9 @@ def _read_board(name: str, square: float | None) -> Board:
 
 
 def _check_out(options: CalibrateOptions, folder: Path) -> None:
-    """Raise an `OmnistereoError` if --out would write over what is read, or add a camera to FOLDER."""
+    """Raise an `OmnistereoError` if --out would write over what is read, or add a camera to
+    FOLDER.
+    """
     out, pictures = options.out, folder.resolve()
     if options.corners is None and pictures in (out.resolve(), out.resolve().parent):
         raise OmnistereoError(

@@ -16,8 +16,7 @@ from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.progress import Progress
 from omnistereo_lib.stereo.images import to_gray
-from omnistereo_rigs.formats import load_rig
-from omnistereo_rigs.formats.read import load_cameras
+from omnistereo_rigs.formats.read import load_cameras, read_any_rig
 from omnistereo_rigs.formats.write import write_rig
 from omnistereo_rigs.images.from_images import (
     Given,
@@ -85,7 +84,7 @@ def _read(options: ImagesOptions, recorded: Sequence[Path]) -> tuple[Images, Rig
     """Return the frames chosen, the rig, and what its poses are."""
     if options.lenses is None:
         assert options.rig is not None  # `ImagesOptions` wants one of them
-        rig = load_rig(options.rig, options.unit, options.max_fov, keep_frame=True)
+        rig = read_any_rig(options.rig, options.unit, options.max_fov, keep_frame=True)
     else:
         cameras = load_cameras(options.lenses, options.max_fov)
         rig = Rig(cameras, [Pose.identity()] * len(cameras))
@@ -110,7 +109,9 @@ def _read(options: ImagesOptions, recorded: Sequence[Path]) -> tuple[Images, Rig
 
 
 def _choose_frames(recording: Recording, rig: Rig, count: int) -> Images:
-    """Return frames of a recording that are sharp and differ most: a still rig repeats its errors."""
+    """Return frames of a recording that are sharp and differ most: a still rig repeats its
+    errors.
+    """
     numbers = sorted(recording.frames)
     candidates = [
         numbers[k]

@@ -178,9 +178,9 @@ def read_rig(options: RigOptions, images: Sequence[Path] = ()) -> Rig:
 
     Raises an `OmnistereoError` if files are missing.
     """
-    from omnistereo_rigs.formats import load_rig
+    from omnistereo_rigs.formats.read import read_any_rig
 
-    rig = load_rig(options.rig or SAMPLE, options.unit, options.max_fov, options.keep_frame)
+    rig = read_any_rig(options.rig or SAMPLE, options.unit, options.max_fov, options.keep_frame)
     # These load torch, which takes seconds: a rig that cannot be read is named before.
     from omnistereo_tools.input.masks import with_masks
     from omnistereo_tools.output.summary import turn_sentence
@@ -208,7 +208,7 @@ def read_frame(options: FrameOptions) -> Frame:
         raise OmnistereoError(
             f"{folder} is not a data set folder. Give --images, one per camera of the rig"
         )
-    data = load_dataset(folder, None, options.unit, None, options.max_fov, options.keep_frame)
+    data = load_dataset(folder, None, options.unit, None, options.max_fov)
     number = options.frame or 0
     if not -len(data) <= number < len(data):
         raise OmnistereoError(f"{folder} has frames 0 to {len(data) - 1}, not {number}")

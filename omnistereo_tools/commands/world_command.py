@@ -107,9 +107,9 @@ def _write(
     """Write the path, the meshes and the page, and what makes the refined depth a data set."""
     from omnistereo_lib.files import write_text
     from omnistereo_lib.frame import read_inverse_depth
+    from omnistereo_lib.geometry.trajectory import trajectory_kitti, trajectory_tum
     from omnistereo_tools.world.page import world_page, write_surface
     from omnistereo_tools.world.surface import extract_surface
-    from omnistereo_tools.world.trajectory import trajectory_kitti, trajectory_tum
 
     print("extracting the surface", flush=True)
     out, surface = refined.parent, extract_surface(volume)

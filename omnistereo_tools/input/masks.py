@@ -1,4 +1,6 @@
-"""Masks of the cameras: from files, or by the image circle, beyond which a fisheye image is black."""
+"""Masks of the cameras: from files, or by the image circle, beyond which a fisheye image is
+black.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -150,7 +152,9 @@ def _fit_circle(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float
 
 
 def seen_fov_deg(camera: OcamCamera, circle: ImageCircle) -> float:
-    """Return the full field of view inside an image circle in degrees, at most that of the camera."""
+    """Return the full field of view inside an image circle in degrees, at most that of the
+    camera.
+    """
     azimuth = np.radians(np.arange(0, 360, 5))
     edge = np.array(circle.center) + circle.radius * np.stack(
         [np.cos(azimuth), np.sin(azimuth)], -1

@@ -288,7 +288,8 @@ class Recording:
     sources: tuple[Pictures | Video, ...]
     frames: dict[int, Key]  #: number of a frame → its name in the sources
     missing: dict[Path, list[Key]]  #: source → frames that others have and it does not
-    checksum: str  #: of the paths of the sources and of the names that all frames have in them, chosen or not
+    #: of the paths of the sources and of the names that all frames have in them, chosen or not
+    checksum: str
 
     @classmethod
     def open(

@@ -1,4 +1,6 @@
-"""Coverage of a rig, without any image: cameras and baseline in every direction, depth resolution."""
+"""Coverage of a rig, without any image: cameras and baseline in every direction, depth
+resolution.
+"""
 
 from __future__ import annotations
 
@@ -175,12 +177,13 @@ class Coverage:
         if not known.any():
             return 1.0  # no depth at all, as `sentences` says
         weights = (np.cos(_COARSE.phis())[:, None] * known)[known]
-        return float(
-            f"{np.quantile(self.good_from[known], _FEW, weights=weights, method='inverted_cdf'):.2g}"
-        )
+        nearest = np.quantile(self.good_from[known], _FEW, weights=weights, method="inverted_cdf")
+        return float(f"{nearest:.2g}")
 
     def left_out(self, grid: SphereGrid) -> str:
-        """Return what a grid shows, and what it leaves out of what the cameras see, as a sentence."""
+        """Return what a grid shows, and what it leaves out of what the cameras see, as a
+        sentence.
+        """
         seen = np.sum(self.cameras >= 2, axis=1) * np.cos(self.grid.phis())  # by solid angle
         outside = (
             100 * (1 - seen[self._between(grid.phi_deg)].sum() / seen.sum()) if seen.any() else 0.0
@@ -281,7 +284,9 @@ class Coverage:
 
 
 def _visible(rig: Rig, grid: SphereGrid, depth: float) -> NDArray[np.bool_]:
-    """Return which cameras see the point of each ray at a depth in metres, shape (cameras, H, W)."""
+    """Return which cameras see the point of each ray at a depth in metres, shape (cameras, H,
+    W).
+    """
     near = SphereGrid(grid.width, grid.height, grid.phi_deg, 2, min(depth, 1e6))
     sweep = SphereSweep(rig, near, center=np.zeros(3))
     return np.stack(

@@ -42,7 +42,9 @@ _PASSES = 2
 
 
 def rig_doubts(rig: Rig, min_depth: float) -> Iterator[str]:
-    """Yield what cannot be right with the poses of a rig whose sweep begins at a depth in metres."""
+    """Yield what cannot be right with the poses of a rig whose sweep begins at a depth in
+    metres.
+    """
     pairs = list(combinations(range(1, len(rig) + 1), 2))
     together = [
         f"{i} and {j}"
@@ -116,7 +118,9 @@ def matching_cost(
 
 
 def image_doubts(frame: Frame, grid: SphereGrid) -> Iterator[str]:
-    """Yield what cannot be right with the images of a frame: one coarse cost volume if all is well."""
+    """Yield what cannot be right with the images of a frame: one coarse cost volume if all is
+    well.
+    """
     if same := same_pictures(frame.images):
         yield same
         return

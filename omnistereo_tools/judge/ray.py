@@ -55,7 +55,8 @@ class Ray:
     contrast: (
         float  #: gray values, standard deviation of the patch with most texture at the estimate
     )
-    shift: float  #: 1/m, of the inverse depth if one camera is off by `TILT_DEG`, the worst one; NaN below two
+    #: 1/m, of the inverse depth if one camera is off by `TILT_DEG`, the worst one; NaN below two
+    shift: float
 
     @property
     def depth(self) -> float:
@@ -161,7 +162,9 @@ def for_the_page() -> dict[str, Any]:
 
 
 def tolerance(index: float) -> float:
-    """Return how many spheres an index may be off and still be right: two, or a tenth of the depth."""
+    """Return how many spheres an index may be off and still be right: two, or a tenth of the
+    depth.
+    """
     return max(2.0, 0.1 * index)
 
 

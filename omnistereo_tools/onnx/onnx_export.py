@@ -48,8 +48,8 @@ def check_installed() -> None:
 def export_onnx(out: Path, rig: Rig, grid: SphereGrid) -> list[str]:
     """Write VolumeNet for a rig and a grid into a folder; return the names of the files.
 
-    depth.onnx    image1 … imageK (h, w, 3) uint8, RGB → inverse_depth (H, W) float32 in 1/m, 0 = infinitely far, NaN =
-                  unknown, and confidence (H, W)
+    depth.onnx    image1 … imageK (h, w, 3) uint8, RGB → inverse_depth (H, W) float32 in 1/m,
+                  0 = infinitely far, NaN = unknown, and confidence (H, W)
     run_onnx.py   reads images and runs it
 
     Raises:

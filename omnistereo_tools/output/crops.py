@@ -38,7 +38,9 @@ class Crop:
     focal: float  #: pixels
 
     def rays(self) -> NDArray[np.float64]:
-        """Return the viewing ray of every pixel with z = 1 in its own frame, shape (size, size, 3)."""
+        """Return the viewing ray of every pixel with z = 1 in its own frame, shape (size, size,
+        3).
+        """
         offset = (np.arange(self.size) + 0.5 - self.size / 2) / self.focal
         x, y = np.meshgrid(offset, offset)
         return np.stack([x, y, np.ones_like(x)], -1)
@@ -87,9 +89,11 @@ def write_crops(out: Path, depth: Depth, limits: Limits, whole: bool = False) ->
     `crops_of`.
 
     images/0_1.png   the second crop of the first camera
-    depth/0_1.png    16 bits: depth along the optical axis in millimetres; 0 where it is unknown or beyond 65 m
+    depth/0_1.png    16 bits: depth along the optical axis in millimetres; 0 where it is unknown or
+                     beyond 65 m
     masks/0_1.png    0 where the lens or its mask covers a pixel; only if there is such a pixel
-    transforms.json  intrinsics, and poses with y up and the view along -z; the world is the rig with y up
+    transforms.json  intrinsics, and poses with y up and the view along -z; the world is the rig
+                     with y up
     """
     rig = depth.sweep.rig
     frames, shares = [], []

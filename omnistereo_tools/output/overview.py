@@ -65,7 +65,9 @@ def draw_overview(
 
 
 class _Page:
-    """White paper to paste pictures on and write beside them; places are (column, row) in pixels."""
+    """White paper to paste pictures on and write beside them; places are (column, row) in
+    pixels.
+    """
 
     def __init__(self) -> None:
         self._image = Image.new("RGB", (_WIDTH, 3 * _WIDTH), "white")
@@ -76,7 +78,9 @@ class _Page:
         self._text, self._title = (ImageFont.truetype(str(font), size) for size in (_TEXT, _TITLE))
 
     def paste(self, pixels: NDArray[np.uint8], corner: tuple[int, int]) -> None:
-        """Paste a picture (height, width, 3), its upper left corner at a place, with a thin frame."""
+        """Paste a picture (height, width, 3), its upper left corner at a place, with a thin
+        frame.
+        """
         height, width = pixels.shape[:2]
         self._draw.rectangle(
             (corner[0] - 1, corner[1] - 1, corner[0] + width, corner[1] + height), outline="black"

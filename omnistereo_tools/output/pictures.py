@@ -86,7 +86,9 @@ class ColorScale:
         return colorize_depth(np.linspace(0, self.high - self.low, width)[None], self._grid)
 
     def ticks(self) -> list[tuple[float, str]]:
-        """Return positions in [0, 1] and labels in metres, far to near, at least a twentieth apart."""
+        """Return positions in [0, 1] and labels in metres, far to near, at least a twentieth
+        apart.
+        """
         depths = [
             np.inf,
             *(digit * 10.0**k for k in (2, 1, 0, -1, -2) for digit in (7, 5, 4, 3, 2, 1.5, 1)),

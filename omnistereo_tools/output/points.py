@@ -24,7 +24,9 @@ _PLY_TYPES = {"<f4": "float", "u1": "uchar"}
 
 @dataclass(frozen=True)
 class Limits:
-    """Rays that become points or triangles: up to `max_depth` in metres, from `min_confidence` on."""
+    """Rays that become points or triangles: up to `max_depth` in metres, from `min_confidence`
+    on.
+    """
 
     max_depth: float
     min_confidence: float

@@ -119,7 +119,9 @@ def nearest_depth(depth: Depth, keep: NDArray[np.bool_]) -> float:
 
 
 def error_sentences(depth: Depth, gt_index: NDArray[Any]) -> list[str]:
-    """Return the errors against the ground truth: relative depth errors, then those of the paper."""
+    """Return the errors against the ground truth: relative depth errors, then those of the
+    paper.
+    """
     errors = index_error(depth.index, gt_index, depth.grid.num_spheres)
     truth = depth.grid.index_to_depth(gt_index)
     both = (

@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Any
 from omnistereo_learn.evaluate.run import Evaluation, Job
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.rig_file import load_rig
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_rigs.formats import load_rig
 from omnistereo_tools.input.sources import Pictures, Recording
 from omnistereo_tools.record.recordings import DepthWriter
 
@@ -98,7 +98,9 @@ class RecordingTask:
     device: str
 
     def open(self) -> DepthWriter:
-        """Return the writer of the recording; its rig is the one that was stored with the settings."""
+        """Return the writer of the recording; its rig is the one that was stored with the
+        settings.
+        """
         sweep = SphereSweep(load_rig(self.out / "config.yaml"), self.grid, device=self.device)
         return DepthWriter(
             self.out, Recording.open(self.images), sweep, self.method, self.suffix, self.with_video

@@ -6,10 +6,13 @@ OUT/
   cam1/00001.jpg …  cam2/ …         the images: links to your pictures, or frames of your videos
   confidence_640/00001.tiff         confidence of each ray, in [0, 1], as of a single frame
   trust_640/00001.tiff              the same at equal range, in [0, 1]; below 0.5 a ray is doubtful
-  depth_estimate_640/00001.tiff     inverse depth, 1/m; written last, so that a frame is complete if it can be read
+  depth_estimate_640/00001.tiff     inverse depth, 1/m; written last, so that a frame is complete
+                                    if it can be read
   recording.json                    how the depth was computed
-  pictures.json                     for each frame, checksums of the pictures that its depth was computed from
-  video/00001.jpg                   panorama over depth with its scale, doubtful rays faded, with --video
+  pictures.json                     for each frame, checksums of the pictures that its depth was
+                                    computed from
+  video/00001.jpg                   panorama over depth with its scale, doubtful rays faded, with
+                                    --video
 """
 
 import json
@@ -73,7 +76,9 @@ class DepthWriter:
     recording: Recording
     sweep: SphereSweep
     method: Method
-    suffix: str  #: of what is stored of rays: ".tiff", float32, or ".png", 16 bits, unknown depth as infinitely far
+    #: of what is stored of rays: ".tiff", float32, or ".png", 16 bits, unknown depth as infinitely
+    #: far
+    suffix: str
     with_video: bool  #: keep a picture of every frame, panorama over depth, for `write_video`
 
     def path(self, kind: str, number: int) -> Path:
@@ -271,7 +276,9 @@ def read_stored(path: Path) -> dict[str, Any]:
 
 
 def _mark(path: Path) -> str:
-    """Return a checksum of a file's name, size and time of change, and of samples of its content."""
+    """Return a checksum of a file's name, size and time of change, and of samples of its
+    content.
+    """
     status, sample = path.stat(), b""
     if path.is_file():  # a pipe would wait for its other end
         with path.open("rb") as file:
@@ -288,7 +295,9 @@ def _first_other(old: object, new: list[str]) -> int:
 
 
 def _rig_checksum(rig: Rig) -> str:
-    """Return a checksum of all that depth depends on: lenses, masks, poses and the nearest depth."""
+    """Return a checksum of all that depth depends on: lenses, masks, poses and the nearest
+    depth.
+    """
     content = repr(rig.min_depth).encode()
     for lens, pose in zip(rig.cameras, rig.T_rig_cam, strict=True):
         numbers = (

@@ -2,11 +2,14 @@
 refined depth.
 
 RECORDING/world/
-  trajectory.txt                      for each frame its number, and the pose rig → world in TUM's format, metres
+  trajectory.txt                      for each frame its number, and the pose rig → world in TUM's
+                                      format, metres
   trajectory_kitti.txt                the same in KITTI's, with --kitti
   mesh.glb, mesh.ply                  the surface: y up for viewers, and in the axes of the world
-  omnidepth_world_640/00001.tiff      refined inverse depth, 1/m, beside links to the rig and the images: a data set
-  index.html                          the surface seen from the path, a plan, and one frame before and after
+  omnidepth_world_640/00001.tiff      refined inverse depth, 1/m, beside links to the rig and the
+                                      images: a data set
+  index.html                          the surface seen from the path, a plan, and one frame before
+                                      and after
   steps.json, world.json              the steps found so far, and what the rest was computed with
 
 The world has the axes of the rig in its first frame: x right, y down, z forward.

@@ -301,7 +301,9 @@ def _sample(voxels: Voxels, x: float, y: float, z: float) -> float:
 
 @_loop
 def _way_out(x: float, direction: float, shortest: float) -> float:
-    """Return the way in voxels to where a ray leaves its block along one axis, at most `shortest`."""
+    """Return the way in voxels to where a ray leaves its block along one axis, at most
+    `shortest`.
+    """
     if direction == 0:
         return shortest
     start = np.floor(x / BLOCK) * BLOCK

@@ -21,7 +21,9 @@ _STEPS = 65535  # of a coordinate on the page
 
 
 def write_surface(folder: Path, surface: Surface) -> None:
-    """Write mesh.glb, y up, and mesh.ply in the axes of the world, with the colours of the images."""
+    """Write mesh.glb, y up, and mesh.ply in the axes of the world, with the colours of the
+    images.
+    """
     for name, axes in (("mesh.glb", Y_UP), ("mesh.ply", np.eye(3))):
         mesh = import_trimesh().Trimesh(
             surface.vertices @ axes, surface.faces, vertex_colors=_colors(surface), process=False

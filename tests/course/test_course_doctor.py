@@ -1,4 +1,6 @@
-"""The doctor of the clone: a line for each requirement, the fix with each failure, never a crash."""
+"""The doctor of the clone: a line for each requirement, the fix with each failure, never a
+crash.
+"""
 
 import hashlib
 import json

@@ -394,7 +394,6 @@ def test_a_folder_without_notebooks(tmp_path):
 
 
 # --- What comes back from a function
-# ----------------------------------------------------------------------
 
 
 def answered(function, *inputs):
@@ -424,7 +423,9 @@ def test_values_come_back(value, expected):
 
 
 def test_what_would_be_a_large_array_is_not_made_one():
-    """Every element of an array of texts has the room of the longest: a megabyte would take 4 GiB."""
+    """Every element of an array of texts has the room of the longest: a megabyte would take 4
+    GiB.
+    """
     with pytest.raises(MemoryError, match=r"would take 229\d MiB as an array"):
         answered(lambda: ["a" * 10**6] + [""] * 600)
 

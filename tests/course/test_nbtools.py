@@ -9,7 +9,6 @@ from course import __main__, nbtools, rules
 from course.figures.captions import captions
 
 # --- The comparison, one nbval run over all cases
-# -----------------------------------------------------------
 
 CASES = {  # code, tags, what is stored, whether the two agree
     "same": ("print('rms 0.1234 px')", (), "rms 0.1234 px\n", True),
@@ -61,7 +60,6 @@ def test_comparison(verdicts, case):
 
 
 # --- Clean, check
-# -------------------------------------------------------------------------------------------
 
 
 def good(*more):

@@ -59,7 +59,6 @@ def test_a_check_gives_the_function_to_go_on_with(number, function, monkeypatch)
 
 
 # --- In the notebooks
-# ---------------------------------------------------------------------------------------
 
 
 def cells_of(number, function):
@@ -190,7 +189,6 @@ def test_a_check_counts_what_is_right_in_its_notebook_and_gives_a_hint(monkeypat
 
 
 # --- Garbage, once
-# --------------------------------------------------------------------------------------------
 
 
 def twice(x, factor):

@@ -28,7 +28,6 @@ def test_a_solution_notebook_differs_in_the_solved_cells_alone(path):
 
 
 # --- The tool, on a notebook of its own
-# ---------------------------------------------------------------------
 
 
 def double(x):

@@ -1,4 +1,6 @@
-"""What the website shows beside text: pictures for dark pages, stills of live figures, the viewer."""
+"""What the website shows beside text: pictures for dark pages, stills of live figures, the
+viewer.
+"""
 
 import io
 import json
@@ -18,7 +20,6 @@ RNG = np.random.default_rng(0)
 
 
 # --- Dark pages
-# ---------------------------------------------------------------------------------------------
 
 
 def figure():
@@ -54,7 +55,6 @@ def test_a_line_keeps_its_hue_and_is_seen_on_dark_paper():
 
 
 # --- Stills
-# -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -129,7 +129,6 @@ def test_a_live_figure_without_stills(recorded):
 
 
 # --- Viewer
-# -------------------------------------------------------------------------------------------------
 
 
 def test_a_view_is_stored_and_begins_with_its_points(recorded, tmp_path, open_page):

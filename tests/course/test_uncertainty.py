@@ -8,6 +8,7 @@ import scene
 import omnistereo_lib as osl
 from course.figures.uncertainty import index_shift, index_uncertainty
 from omnistereo_lib.geometry.pose import Pose
+from omnistereo_rigs import calibrate_rig
 
 
 def test_index_shift_of_a_rotated_camera_by_geometry():
@@ -51,6 +52,6 @@ def test_index_shift_is_what_the_sweep_finds():
 
 def test_index_uncertainty_of_a_calibrated_rig():
     rows = boards.captures(np.random.default_rng(2), alone=3, shared=4, noise=0.05)[:2]
-    _, report = osl.calibrate_rig(rows, boards.BOARD, [boards.SIZE] * 2, degree=4)
+    _, report = calibrate_rig(rows, boards.BOARD, [boards.SIZE] * 2, degree=4)
     spread = index_uncertainty(report, osl.SphereGrid(16, 4, (-30, 30), 192, 0.55), 50)
     assert np.nanmin(spread) > 1e-3 and np.nanmax(spread) < 0.3

@@ -15,6 +15,7 @@ from scipy.ndimage import map_coordinates
 
 import omnistereo_lib as osl
 from omnistereo_lib import reference
+from omnistereo_lib.geometry.rig import camera_pairs
 from omnistereo_lib.stereo.pipeline import sweep_depth
 
 GRID = osl.SphereGrid(160, 40, (-40, 35), 24, 0.6)
@@ -177,7 +178,7 @@ def test_the_whole_method_finds_the_box():
     """And `sweep_depth` finds the same spheres."""
     rig = scene.rig()
     sweep = osl.SphereSweep(rig, GRID)
-    images, pairs = scene.images(rig), osl.camera_pairs("ring", rig)
+    images, pairs = scene.images(rig), camera_pairs("ring", rig)
     normalized = [image.double() for image in sweep.normalize_images(images)]
     index = reference.estimate(normalized, rig, GRID, pairs, window=9, p1=0.1, p2=1.0).numpy()
     error = np.abs(index - scene.true_index(rig, GRID))

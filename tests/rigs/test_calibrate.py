@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from boards import BOARD, LENSES, SIZE
 
-import omnistereo_lib as osl
 from course.figures.uncertainty import ray_uncertainty_deg
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Pose
+from omnistereo_rigs import calibrate_camera, calibrate_rig
 from omnistereo_rigs.boards.bundle import BundleProblem, bundle_adjust, estimate_covariance
 from omnistereo_rigs.boards.init import solve_planar_pose
 from omnistereo_rigs.boards.params import CalibrationParams, Intrinsics, collect_observations
@@ -26,7 +26,7 @@ def views():
 
 @pytest.fixture(scope="module")
 def fitted(views):
-    return osl.calibrate_camera(views[0], BOARD, image_size=SIZE)
+    return calibrate_camera(views[0], BOARD, image_size=SIZE)
 
 
 def estimate(cameras=2, captures=3, degree=5):
@@ -47,7 +47,6 @@ def estimate(cameras=2, captures=3, degree=5):
 
 
 # --- Bundle
-# -----------------------------------------------------------------------------------------------
 
 
 def test_the_jacobian_is_the_derivative_of_the_residuals():
@@ -98,7 +97,7 @@ def test_a_point_on_the_axis_has_finite_derivatives():
 def test_all_unknowns_are_determined(views):
     """The smallest singular value of the column-scaled Jacobian is far from the 1e-8 of a free d -
     e."""
-    report = osl.calibrate_camera(views[0], BOARD, SIZE, degree=4)[1]
+    report = calibrate_camera(views[0], BOARD, SIZE, degree=4)[1]
     state = CalibrationParams(
         (report.intrinsics,), (Pose.identity(),), tuple(report.T_cam_board.values())
     )
@@ -111,7 +110,6 @@ def test_all_unknowns_are_determined(views):
 
 
 # --- Start
-# ------------------------------------------------------------------------------------------------
 
 
 def test_the_pose_of_a_plane_from_rays_behind_the_camera():
@@ -126,7 +124,6 @@ def test_the_pose_of_a_plane_from_rays_behind_the_camera():
 
 
 # --- One camera
-# -------------------------------------------------------------------------------------------
 
 
 def test_one_camera_is_recovered(fitted, views):
@@ -148,7 +145,7 @@ def test_one_camera_is_recovered(fitted, views):
 @pytest.mark.parametrize("lens", [lens for lens in LENSES if lens != "equidistant 210"])
 def test_every_kind_of_lens_is_recovered(lens):
     corners, _ = boards.views(np.random.default_rng(17), lens=lens)
-    report = osl.calibrate_camera(corners, BOARD, SIZE, degree=8)[1]
+    report = calibrate_camera(corners, BOARD, SIZE, degree=8)[1]
     reach = 0.95 * report.max_corner_angle_deg
     expected = ray_uncertainty_deg(report, np.linspace(1, reach, 10)).max()
     assert boards.ray_error_deg(report.intrinsics, lens, reach_deg=reach) < 2.5 * expected < 0.1
@@ -157,7 +154,7 @@ def test_every_kind_of_lens_is_recovered(lens):
 def test_corners_may_be_missing(views):
     rng = np.random.default_rng(6)
     holes = [np.where(rng.random((120, 1)) < 0.2, np.nan, view) for view in views[0]]
-    report = osl.calibrate_camera([*holes, None], BOARD, SIZE, degree=6)[1]
+    report = calibrate_camera([*holes, None], BOARD, SIZE, degree=6)[1]
     assert (
         boards.ray_error_deg(report.intrinsics, reach_deg=report.max_corner_angle_deg)
         < 1.5 * GOOD_DEG
@@ -175,7 +172,7 @@ def test_wrong_corners_are_named_and_change_nothing(fitted, views):
     for view, corner in wrong:
         angle = rng.uniform(0, 2 * np.pi)
         corners[view][corner] += rng.uniform(3, 20) * np.array([np.cos(angle), np.sin(angle)])
-    report = osl.calibrate_camera(corners, BOARD, SIZE, degree=fitted[1].degree)[1]
+    report = calibrate_camera(corners, BOARD, SIZE, degree=fitted[1].degree)[1]
     assert {(view, corner) for view, corner, _ in report.outliers} == wrong
     difference = report.intrinsics.vector - fitted[1].intrinsics.vector
     assert (np.abs(difference) < 2 * np.sqrt(np.diag(fitted[1].covariance))).all()
@@ -184,7 +181,7 @@ def test_wrong_corners_are_named_and_change_nothing(fitted, views):
 def test_a_wrong_corner_at_the_rim_widens_nothing(fitted, views):
     corners = [view.copy() for view in views[0]]
     corners[3][0] = 2.0  # in the black corner of the picture
-    camera, report = osl.calibrate_camera(corners, BOARD, SIZE)
+    camera, report = calibrate_camera(corners, BOARD, SIZE)
     assert [outlier[:2] for outlier in report.outliers] == [(3, 0)]
     assert camera.max_fov_deg == pytest.approx(fitted[0].max_fov_deg, abs=1.0)
     assert report.cv_error_px == pytest.approx(fitted[1].cv_error_px, rel=0.05)
@@ -193,7 +190,7 @@ def test_a_wrong_corner_at_the_rim_widens_nothing(fitted, views):
 def test_a_view_that_does_not_fit_is_named(fitted, views):
     corners = [view.copy() for view in views[0]]
     corners[4] += np.random.default_rng(8).normal(0, 2.0, corners[4].shape)  # blurred
-    report = osl.calibrate_camera(corners, BOARD, SIZE, degree=6)[1]
+    report = calibrate_camera(corners, BOARD, SIZE, degree=6)[1]
     assert set(report.rejected) == {4} and 4 not in report.views_used
     assert "reprojection error" in report.rejected[4]
     assert "view 4 rejected" in report.text() and "view 0005 rejected" in report.text(
@@ -209,7 +206,7 @@ def test_a_second_board_that_stands_still_is_left_out(views):
     corners = list(views[0])
     for k in (2, 7, 8, 15):
         corners[k] = second + rng.normal(0, 0.05, second.shape)
-    report = osl.calibrate_camera(corners, BOARD, SIZE, degree=6)[1]
+    report = calibrate_camera(corners, BOARD, SIZE, degree=6)[1]
     assert set(report.rejected) == {2, 7, 8, 15} and "a second board" in report.text()
     assert (
         boards.ray_error_deg(report.intrinsics, reach_deg=report.max_corner_angle_deg)
@@ -217,9 +214,9 @@ def test_a_second_board_that_stands_still_is_left_out(views):
     )
     # held still; a picture given twice
     for still in ([views[0][0]] * 3 + views[0], [views[0][0], *views[0]]):
-        assert osl.calibrate_camera(still, BOARD, SIZE, degree=4)[1].rejected == {}
+        assert calibrate_camera(still, BOARD, SIZE, degree=4)[1].rejected == {}
     with pytest.raises(OmnistereoError, match="2 of 5 views show the board; 3 show a second board"):
-        osl.calibrate_camera([second, views[0][0], second, views[0][1], second], BOARD, SIZE)
+        calibrate_camera([second, views[0][0], second, views[0][1], second], BOARD, SIZE)
 
 
 def test_the_degree_is_what_held_back_views_ask_for():
@@ -231,9 +228,9 @@ def test_the_degree_is_what_held_back_views_ask_for():
         uv, seen = cam.project(boards.somewhere(rng, 70) @ BOARD.points, use_direct_poly=True)
         if seen.all():
             corners.append(uv + rng.normal(0, 0.05, uv.shape))
-    assert osl.calibrate_camera(corners, BOARD, SIZE)[1].degree == 4
+    assert calibrate_camera(corners, BOARD, SIZE)[1].degree == 4
     steep, _ = boards.views(rng, 14, "equisolid 210")
-    report = osl.calibrate_camera(steep, BOARD, SIZE)[1]
+    report = calibrate_camera(steep, BOARD, SIZE)[1]
     assert report.degree > 4 and report.cv_error_px[4] > 1.2 * report.cv_error_px[report.degree]
 
 
@@ -268,9 +265,9 @@ def test_a_view_with_another_number_of_corners_is_named(views):
     with pytest.raises(
         OmnistereoError, match="view 2: 108 corners; expected 120, those of a board of 12 x 10"
     ):
-        osl.calibrate_camera([None, views[0][0], views[0][1][:-12]], BOARD, image_size=SIZE)
+        calibrate_camera([None, views[0][0], views[0][1][:-12]], BOARD, image_size=SIZE)
     with pytest.raises(OmnistereoError, match=r"camera 1: view c\.png: 108 corners"):
-        osl.calibrate_rig(
+        calibrate_rig(
             [[views[0][0], None, views[0][1][:-12]]] * 2,
             BOARD,
             [SIZE] * 2,
@@ -282,7 +279,7 @@ def test_an_image_size_that_is_not_that_of_the_corners(views):
     with pytest.raises(
         OmnistereoError, match=r"px from the middle of an image of \(64, 48\); check the image size"
     ):
-        osl.calibrate_camera(views[0], BOARD, image_size=(64, 48))
+        calibrate_camera(views[0], BOARD, image_size=(64, 48))
 
 
 def test_a_part_of_the_board_is_not_the_board(monkeypatch):
@@ -304,7 +301,7 @@ def test_parallel_boards():
     places = [Pose(np.eye(3), [*rng.uniform(-0.6, 0.2, 2), z]) for z in rng.uniform(0.6, 1.2, 8)]
     corners = [boards.project(pose @ BOARD.points)[0] for pose in places]
     with pytest.raises(OmnistereoError, match=r"parallel to within .* Tilt the board"):
-        osl.calibrate_camera(corners, BOARD, image_size=SIZE)
+        calibrate_camera(corners, BOARD, image_size=SIZE)
 
 
 def test_a_field_of_view_that_no_corner_reached(views):
@@ -314,9 +311,9 @@ def test_a_field_of_view_that_no_corner_reached(views):
         uv, seen = boards.project(boards.somewhere(rng, 45) @ BOARD.points)
         if seen.all():
             middle.append(uv + rng.normal(0, 0.1, uv.shape))
-    _, report = osl.calibrate_camera(middle, BOARD, SIZE, degree=4, max_fov_deg=180)
+    _, report = calibrate_camera(middle, BOARD, SIZE, degree=4, max_fov_deg=180)
     assert any("no corner beyond" in warning and "90°" in warning for warning in report.warnings)
-    _, report = osl.calibrate_camera(views[0][:8], BOARD, SIZE, degree=4)
+    _, report = calibrate_camera(views[0][:8], BOARD, SIZE, degree=4)
     assert any("only 8 views" in warning for warning in report.warnings)
     assert "Check the board size" not in report.text()
     accident = replace(report, rejected=dict.fromkeys(range(8, 40), "no board found"), warnings=())
@@ -325,16 +322,12 @@ def test_a_field_of_view_that_no_corner_reached(views):
 
 def test_cropped_and_stretched_pictures_are_noticed(views):
     cropped = [view - [200, 0] for view in views[0][:14] if (view[:, 0] > 200).all()]
-    assert "a crop is fine" in osl.calibrate_camera(cropped, BOARD, (600, 768), degree=4)[1].text()
+    assert "a crop is fine" in calibrate_camera(cropped, BOARD, (600, 768), degree=4)[1].text()
     stretched = [view * [1.0, 1.1] for view in views[0][:14]]
-    assert (
-        "different factors"
-        in osl.calibrate_camera(stretched, BOARD, (800, 845), degree=4)[1].text()
-    )
+    assert "different factors" in calibrate_camera(stretched, BOARD, (800, 845), degree=4)[1].text()
 
 
 # --- Report
-# -----------------------------------------------------------------------------------------------
 
 
 def test_three_definitions_of_error():

@@ -15,6 +15,7 @@ from boards import BOARD, SIZE
 import omnistereo_lib as osl
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Pose
+from omnistereo_rigs import calibrate_rig
 from omnistereo_rigs.boards.captures import find_captures, load_corners, save_corners
 from omnistereo_rigs.boards.detect import find_corners
 from omnistereo_rigs.formats.write import export_rig
@@ -24,7 +25,6 @@ SHIPPED = Path(osl.__file__).resolve().parents[1] / "data_samples" / "calibratio
 
 
 # --- Captures
-# ---------------------------------------------------------------------------------------------
 
 
 def picture(path):
@@ -94,7 +94,6 @@ def test_folders_without_pictures_or_common_names(tmp_path):
 
 
 # --- The shipped sets
-# -------------------------------------------------------------------------------------
 
 
 def truth_of(name):
@@ -164,7 +163,7 @@ def assert_is_the_true_rig(rig, report, name):
 
 def test_the_report_on_pictures_names_exactly_the_bad_ones():
     captures, truth = find_captures(SHIPPED / "mistakes"), truth_of("mistakes")
-    rig, report = osl.calibrate_rig(captures.views(), BOARD, degree=6)
+    rig, report = calibrate_rig(captures.views(), BOARD, degree=6)
     named = {mistake: set() for mistake in ("blurred", "cut", "moved")}
     named["moved"] = {(captures.names[k], None) for k in report.rejected}
     for i, camera in enumerate(report.joint):
@@ -180,7 +179,6 @@ def test_the_report_on_pictures_names_exactly_the_bad_ones():
 
 
 # --- Other programs
-# ---------------------------------------------------------------------------------------
 
 
 def test_a_lens_that_their_model_cannot_follow_is_named(tmp_path):
@@ -193,7 +191,6 @@ def test_a_lens_that_their_model_cannot_follow_is_named(tmp_path):
 
 
 # --- The command line
-# -------------------------------------------------------------------------------------
 
 
 def test_a_rig_from_corners_on_file(tmp_path, capsys, monkeypatch):

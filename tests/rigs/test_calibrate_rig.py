@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from boards import BOARD, SIZE
 
-import omnistereo_lib as osl
 from course.figures.uncertainty import standard_deviation
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.pose import Pose
+from omnistereo_rigs import calibrate_rig
 from omnistereo_rigs.boards.bundle import BundleProblem, estimate_covariance
 from omnistereo_rigs.boards.params import Intrinsics, collect_observations
 
@@ -27,7 +27,7 @@ def seen_by_four():
 
 @pytest.fixture(scope="module")
 def rigged(seen_by_four):
-    return osl.calibrate_rig(seen_by_four, BOARD, [SIZE] * 4, degree=DEGREE)
+    return calibrate_rig(seen_by_four, BOARD, [SIZE] * 4, degree=DEGREE)
 
 
 def errors_of(rig):
@@ -79,7 +79,7 @@ def test_a_capture_whose_board_moved_is_named_and_changes_nothing(
     T_cam_board = rigged[1].joint[1].T_cam_board[both] @ moved
     views = [list(row) for row in seen_by_four[:2]]
     views[1][both] = boards.project(T_cam_board @ BOARD.points)[0]
-    rig, report = osl.calibrate_rig(views, BOARD, [SIZE] * 2, degree=DEGREE)
+    rig, report = calibrate_rig(views, BOARD, [SIZE] * 2, degree=DEGREE)
     assert set(report.rejected) == {both} and "moved" in report.rejected[both]
     (angle, shift), (sigma_deg, sigma_m) = errors_of(rig)[1], report.pose_uncertainty()[1]
     assert angle < 3 * sigma_deg and shift < 3 * sigma_m
@@ -89,7 +89,7 @@ def test_cameras_that_share_no_capture(seen_by_four):
     with pytest.raises(
         OmnistereoError, match=r"cameras 1 / 2 are not connected: .* Hold it 5 times or more"
     ):
-        osl.calibrate_rig(seen_by_four[::2], BOARD, [SIZE] * 2, degree=DEGREE)
+        calibrate_rig(seen_by_four[::2], BOARD, [SIZE] * 2, degree=DEGREE)
 
 
 def test_cameras_whose_shared_captures_are_blurred(seen_by_four):
@@ -102,26 +102,26 @@ def test_cameras_whose_shared_captures_are_blurred(seen_by_four):
     with pytest.raises(
         OmnistereoError, match=f"cameras 1 and 2 / 3 are not connected: .* {reason}"
     ):
-        osl.calibrate_rig(views, BOARD, [SIZE] * 3, degree=DEGREE)
+        calibrate_rig(views, BOARD, [SIZE] * 3, degree=DEGREE)
 
 
 def test_captures_that_are_shuffled_contradict_each_other(seen_by_four):
     views = [seen_by_four[0], seen_by_four[1][::-1]]
     with pytest.raises(OmnistereoError, match=r"inconsistent relative poses|not connected"):
-        osl.calibrate_rig(views, BOARD, [SIZE] * 2, degree=DEGREE)
+        calibrate_rig(views, BOARD, [SIZE] * 2, degree=DEGREE)
 
 
 def test_what_a_rig_needs(seen_by_four):
     with pytest.raises(OmnistereoError, match="at least two cameras"):
-        osl.calibrate_rig(seen_by_four[:1], BOARD, [SIZE])
+        calibrate_rig(seen_by_four[:1], BOARD, [SIZE])
     with pytest.raises(
         OmnistereoError, match="image_sizes has 1 entries; expected one for each of 4 cameras"
     ):
-        osl.calibrate_rig(seen_by_four, BOARD, [SIZE])
+        calibrate_rig(seen_by_four, BOARD, [SIZE])
     with pytest.raises(OmnistereoError, match="equally many captures"):
-        osl.calibrate_rig([seen_by_four[0], seen_by_four[1][:-1]], BOARD, [SIZE] * 2)
+        calibrate_rig([seen_by_four[0], seen_by_four[1][:-1]], BOARD, [SIZE] * 2)
     with pytest.raises(OmnistereoError, match=r"camera 2: (0 of 0 views|there are no views)"):
-        osl.calibrate_rig(
+        calibrate_rig(
             [seen_by_four[0], [None] * len(seen_by_four[0])], BOARD, [SIZE] * 2, degree=DEGREE
         )
 
@@ -130,7 +130,7 @@ def test_one_camera_given_twice(seen_by_four):
     with pytest.raises(
         OmnistereoError, match=r"cameras 1 and 2 have the same corners in all .* captures"
     ):
-        osl.calibrate_rig([seen_by_four[0]] * 2, BOARD, [SIZE] * 2, degree=DEGREE)
+        calibrate_rig([seen_by_four[0]] * 2, BOARD, [SIZE] * 2, degree=DEGREE)
 
 
 def test_cameras_that_move_and_one_that_is_unlike_the_others(seen_by_four):
@@ -143,7 +143,7 @@ def test_cameras_that_move_and_one_that_is_unlike_the_others(seen_by_four):
         if views[2][k] is not None:
             azimuth = rng.uniform(0, 2 * np.pi)
             views[2][k] = views[2][k] + 3.0 * np.array([np.cos(azimuth), np.sin(azimuth)])
-    text = osl.calibrate_rig(views, BOARD, [SIZE] * 4, degree=DEGREE)[1].text()
+    text = calibrate_rig(views, BOARD, [SIZE] * 4, degree=DEGREE)[1].text()
     assert "taken at the same time" in text
     # Half of the distances of Gaussian noise are below 1.18 σ.
     error, times = map(

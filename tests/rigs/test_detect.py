@@ -36,7 +36,9 @@ def rays_of(uv, lens, center=CENTER):
 
 
 def draw(pose, board=BOARD, lens="equidistant 210", seed=0, blur=0.5, noise=2.0):
-    """A picture, uint8, of the board at T_cam_board before an uneven background, blurred and noisy."""
+    """A picture, uint8, of the board at T_cam_board before an uneven background, blurred and
+    noisy.
+    """
     width, height = SIZE
     u, v = np.meshgrid(np.arange(width), np.arange(height))
     picture = 110 + 30 * np.sin(u / 90 + 1) * np.cos(v / 70) + 25 * u / width
@@ -85,7 +87,9 @@ def around(board):
 
 
 def place(angle_deg, azimuth_deg=20.0, distance=0.8, board=BOARD, tilt=(0.2, -0.15, 0.1)):
-    """T_cam_board with the board's middle so far from the axis, facing the camera, but for a tilt."""
+    """T_cam_board with the board's middle so far from the axis, facing the camera, but for a
+    tilt.
+    """
     there = Pose.from_vector([0, 0, np.radians(azimuth_deg), 0, 0, 0]) @ Pose.from_vector(
         [0, np.radians(angle_deg), 0, 0, 0, 0]
     )
@@ -117,7 +121,6 @@ def corners(picture):
 
 
 # --- The board
-# --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -141,7 +144,6 @@ def test_readings_are_turns_that_keep_the_colours(size, count):
 
 
 # --- Corners
-# ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("angle_deg", [5, 45, 78])
@@ -261,7 +263,6 @@ def test_what_is_no_image(image, said):
 
 
 # --- Many views
-# -------------------------------------------------------------------------------------------
 
 
 def test_the_same_picture_twice(picture):
@@ -299,7 +300,6 @@ def test_the_size_that_would_fit_is_said(picture, corners):
 
 
 # --- Files
-# ------------------------------------------------------------------------------------------------
 
 
 def test_a_view_with_too_few_corners_is_named(tmp_path, corners):

@@ -10,6 +10,7 @@ from printed_boards import APRIL, APRIL_FILE, CHARUCO, F, photograph, print_apri
 
 import omnistereo_lib as osl
 from omnistereo_lib.geometry.camera import fit_inverse_polynomial
+from omnistereo_rigs import calibrate_camera, calibrate_rig
 from omnistereo_rigs.boards.captures import load_board, load_corners, save_corners
 from omnistereo_rigs.boards.checkerboard import Checkerboard
 from omnistereo_rigs.boards.detect import find_corners
@@ -63,7 +64,7 @@ def test_poses_of_given_cameras_are_found(seen):
     """With a few shared captures, which would not do for the intrinsics, and cameras whose affine
     maps roll them."""
     cameras, rolls = zip(*(given(roll) for roll in (0, 25, 0, -40)), strict=True)
-    rig, report = osl.calibrate_rig(seen, BOARD, [SIZE] * 4, cameras=cameras)
+    rig, report = calibrate_rig(seen, BOARD, [SIZE] * 4, cameras=cameras)
     assert rig.cameras == cameras
     truth = [pose @ roll.inverse() for pose, roll in zip(boards.rig_poses(), rolls, strict=True)]
     for pose, there in zip(rig.T_rig_cam, truth, strict=True):
@@ -76,7 +77,7 @@ def test_poses_of_given_cameras_are_found(seen):
 def test_given_cameras_must_fit(seen):
     camera, _ = given()
     with pytest.raises(osl.OmnistereoError, match="there are 1 given cameras for views of 4"):
-        osl.calibrate_rig(seen, BOARD, [SIZE] * 4, cameras=[camera])
+        calibrate_rig(seen, BOARD, [SIZE] * 4, cameras=[camera])
     half = [[None if view is None else (view + 0.5) / 2 - 0.5 for view in row] for row in seen]
     for other, views, size, message in (
         (
@@ -102,7 +103,7 @@ def test_given_cameras_must_fit(seen):
             osl.OmnistereoError,
             match=r"camera 1: the images are .* px, the given camera " + message,
         ):
-            osl.calibrate_rig(views, BOARD, [size] * 4, cameras=[other] * 4)
+            calibrate_rig(views, BOARD, [size] * 4, cameras=[other] * 4)
 
 
 AHEAD = osl.Pose.from_vector([0.2, 0.15, 0.1, -0.3, -0.25, 0.35])
@@ -229,5 +230,5 @@ def test_the_command_keeps_given_cameras(seen, tmp_path, capsys, monkeypatch):
 
 def test_corners_beyond_the_field_of_view_are_told():
     views, _ = boards.views(np.random.default_rng(2), count=12)
-    _, report = osl.calibrate_camera(views, BOARD, SIZE, degree=4, max_fov_deg=150)
+    _, report = calibrate_camera(views, BOARD, SIZE, degree=4, max_fov_deg=150)
     assert any("the rim is cut off. Pass max_fov_deg = " in warning for warning in report.warnings)

@@ -1,4 +1,6 @@
-"""Frames on a cluster of two processes, one of which is killed: the files are those of a local run."""
+"""Frames on a cluster of two processes, one of which is killed: the files are those of a local
+run.
+"""
 
 import os
 import signal

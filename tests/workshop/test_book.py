@@ -49,7 +49,6 @@ def pages(built):
 
 
 # --- The book
-# -----------------------------------------------------------------------------------------------
 
 
 def test_it_builds_without_a_warning_and_says_where_it_is(built):
@@ -133,7 +132,6 @@ def test_every_formula_can_be_drawn(pages, tmp_path, open_page):
 
 
 # --- The book in a browser
-# ----------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -293,7 +291,6 @@ def test_book_search_finds_a_word(served, open_page):
 
 
 # --- What is generated, and what it is generated from
-# ---------------------------------------------------------
 
 
 def test_notation_names_what_the_library_has():

@@ -1,1 +1,3 @@
-"""For whoever changes a notebook or the book: run, check and store them; website, slides, README."""
+"""For whoever changes a notebook or the book: run, check and store them; website, slides,
+README.
+"""

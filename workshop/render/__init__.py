@@ -45,7 +45,7 @@ Examples:
   python -m workshop.render indoor/test calibration/van --out out/render
       all frames of two sets
 """
-_ROOT = Path(__file__).resolve().parents[1]
+_ROOT = Path(__file__).resolve().parents[2]
 _BLENDER_PYTHON = (
     _ROOT / ".venv-render" / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 )
@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run `python -m workshop.render`; return the exit status. Bad input is one plain line."""
     sets = ", ".join(f"{name} ({len(_ALL[name].shipped)})" for name in _ALL)
     parser = argparse.ArgumentParser(
-        prog="python -m render",
+        prog="python -m workshop.render",
         description=_HELP,
         epilog=EXIT_STATUS,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -104,7 +104,7 @@ def render(
     if seed < 0:
         raise OmnistereoError(f"a seed is a whole number from 0 up, got {seed}")
     if cluster is None and importlib.util.find_spec("bpy") is None:
-        command = [_find_blender_python(), "-m", "render", *sets]
+        command = [_find_blender_python(), "-m", "workshop.render", *sets]
         command += ["--frames", *map(str, frames)] if frames else []
         command += ["--shard", shard, "--seed", str(seed), "--out", out.absolute()]
         return subprocess.run(command, cwd=_ROOT, check=False).returncode
@@ -173,7 +173,7 @@ def _render_in_process(frame: tuple[Path, str, int, int]) -> None:
     command = [
         _find_blender_python(),
         "-c",
-        "import render; render.run_for_worker()",
+        "from workshop import render; render.run_for_worker()",
         *map(str, frame),
     ]
     pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL

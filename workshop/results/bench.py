@@ -29,6 +29,7 @@ from omnistereo_lib.dataset import load_dataset
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.rig import camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.rig_file import load_rig
 from omnistereo_lib.stereo.correlation import (
     correlate,
     feature_coordinates,
@@ -51,7 +52,6 @@ from omnistereo_rigs.boards.captures import find_captures
 from omnistereo_rigs.boards.checkerboard import Checkerboard
 from omnistereo_rigs.boards.detect import detect_views
 from omnistereo_rigs.boards.single_camera import calibrate_camera
-from omnistereo_rigs.formats import load_rig
 from omnistereo_tools.memory import keep_memory
 
 Call = Callable[[], object]

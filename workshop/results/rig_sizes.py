@@ -1,4 +1,6 @@
-"""The share of rays with the right depth by distance, for rigs of several sizes in the same worlds."""
+"""The share of rays with the right depth by distance, for rigs of several sizes in the same
+worlds.
+"""
 
 from itertools import pairwise
 
@@ -9,8 +11,8 @@ from omnistereo_learn.endless.worlds import Scene, develop, without_obstacles
 from omnistereo_learn.evaluate.run import DATA
 from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.rig_file import load_rig
 from omnistereo_lib.stereo.pipeline import estimate_depth
-from omnistereo_rigs.formats import load_rig
 from omnistereo_tools.judge.coverage import Coverage
 
 SIZES = (0.05, 0.2, 0.6, 1.2, 4.0)  # metres between opposite cameras

@@ -17,6 +17,7 @@ from omnistereo_learn import RECIPES, train
 from omnistereo_learn.loop import WEIGHTS
 from omnistereo_learn.samples.frames import DATA
 from omnistereo_lib.files import atomic_write
+from omnistereo_lib.stereo.learned import LearnedCost
 from omnistereo_lib.stereo.sweepnet import SweepNet
 
 STEPS = 50, 100, 200, 400, 800
@@ -67,5 +68,5 @@ def take_snapshots(out: Path = SNAPSHOTS, steps: tuple[int, ...] = STEPS) -> Pat
 
 
 def _winners(network: SweepNet, sweep: osl.SphereSweep, images: list[Any]) -> NDArray[np.uint8]:
-    index = osl.winner_takes_all(osl.cost_volume(sweep, images, osl.LearnedCost(network))).numpy()
+    index = osl.winner_takes_all(osl.cost_volume(sweep, images, LearnedCost(network))).numpy()
     return np.where(np.isfinite(index), index, UNSEEN).astype(np.uint8)

@@ -13,8 +13,6 @@ from course.nbtools import ROOT
 from workshop.publish.reproduction import renew_report
 from workshop.render.image_sets import renew_manifest
 from workshop.results.snapshots import take_snapshots
-from workshop.results.variants import compare_sweepnets
-from workshop.results.volume_variants import compare_volumenets, compare_worlds
 
 STORED = ROOT / "data_samples" / "results"
 OUT = ROOT / "out"
@@ -52,21 +50,16 @@ EVALUATIONS = {  # name of the stored result → arguments of `omnistereo evalua
 
 
 def compute_results(options: Sequence[str] = ()) -> None:
-    """Evaluate, train the variants, and store what comes out; `options` are further ones of every
-    evaluation.
+    """Evaluate, and store what comes out; `options` are further ones of every evaluation.
+
+    variants.csv, volume_variants.csv and volume_worlds.csv beside them hold trainings in which one
+    choice was changed at a time; commit 34d45a7 has the code that made them.
     """
     _omnistereo(CALIBRATE)
     for name, arguments in EVALUATIONS.items():
         _omnistereo(f"evaluate {arguments} --out {OUT / name}", *options)
         shutil.copyfile(OUT / name / "results.json", STORED / f"{name}.json")
     renew_report()
-    for compare, folder in (
-        (compare_sweepnets, "variants"),
-        (compare_volumenets, "volume-variants"),
-        (compare_worlds, "volume-worlds"),
-    ):
-        table = compare(OUT / folder)
-        shutil.copyfile(table, STORED / table.name)
     take_snapshots()
     renew_manifest(ROOT / "data_samples")
 

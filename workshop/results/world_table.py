@@ -18,11 +18,11 @@ from omnistereo_lib.dataset import Dataset, load_dataset
 from omnistereo_lib.files import read_data
 from omnistereo_lib.geometry.pose import Floats, Pose, nearest_rotation
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.geometry.trajectory import read_trajectory
 from omnistereo_tools.output.mesh_export import import_trimesh
 from omnistereo_tools.world.build import RecordedFrames
 from omnistereo_tools.world.fusion import View, Volume, touched_blocks
 from omnistereo_tools.world.surface import extract_surface
-from omnistereo_tools.world.trajectory import read_trajectory
 from workshop.render.city.layout import plan_district
 from workshop.render.city.traffic import Traffic
 from workshop.render.image_sets import SEED, SETS, true_poses

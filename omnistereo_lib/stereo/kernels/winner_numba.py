@@ -13,7 +13,9 @@ from omnistereo_lib.stereo.compiled import compiled, minimum
 
 
 def winner_and_confidence(volume: Tensor, subindex: bool) -> Tensor:
-    """Return `reference.winner` and `reference.confidence` of float32 costs (H, W, N): (2, H, W)."""
+    """Return `reference.winner` and `reference.confidence` of float32 costs (H, W, N): (2, H,
+    W).
+    """
     out = np.empty((2, *volume.shape[:2]), np.float32)
     _read_rays(volume.contiguous().numpy(), subindex, out)
     return torch.from_numpy(out)

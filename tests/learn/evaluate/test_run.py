@@ -27,6 +27,7 @@ from omnistereo_learn.evaluate import (
 from omnistereo_learn.evaluate.methods import EvaluatedMethod
 from omnistereo_learn.evaluate.records import read_record
 from omnistereo_learn.evaluate.regions import METRICS, error_sums, find_regions
+from omnistereo_lib.stereo.learned import LearnedCost
 from omnistereo_lib.stereo.methods import penalties
 from omnistereo_tools import cli
 
@@ -103,7 +104,7 @@ def test_a_frame_agrees_with_the_single_steps(data, weights):
                     weights / f"{name}.safetensors"
                 )
                 network.wrap = method.wrap or method.cost != "sweepnet"
-                cost = osl.LearnedCost(network, "float32")
+                cost = LearnedCost(network, "float32")
             volumes[method.volume_key] = osl.cost_volume(
                 sweep, dataset[1].images, cost, method.pairs
             )

@@ -6,7 +6,8 @@ import torch
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from omnistereo_lib import OcamCamera, OmnistereoError, fit_inverse_polynomial
+from omnistereo_lib import OcamCamera, OmnistereoError
+from omnistereo_lib.geometry.camera import fit_inverse_polynomial
 
 SIZE = (800, 760)  # width, height
 CENTER = (402.3, 377.6)

@@ -6,6 +6,7 @@ import torch
 from torch.nn.functional import conv2d, linear
 
 import omnistereo_lib as osl
+from omnistereo_lib.stereo.learned import LearnedCost
 
 RING = [(0, 1), (1, 2), (2, 0)]
 
@@ -72,7 +73,7 @@ def test_parameters_are_the_published_ones(variant, expected):
 
 
 def test_a_camera_that_sees_nothing_changes_nothing():
-    cost, (spherical, columns) = osl.LearnedCost(network("fast"), "float32"), images()
+    cost, (spherical, columns) = LearnedCost(network("fast"), "float32"), images()
     spherical[2] = torch.nan
     found = cost(spherical, RING, [*columns[:2], (0, 0)])
     torch.testing.assert_close(found, cost(spherical[:2], [(0, 1)], columns[:2]), equal_nan=True)
@@ -83,10 +84,10 @@ def test_whole_panoramas_equal_patch_by_patch(variant):
     net, (spherical, columns) = network(variant), images()
     expected = patch_by_patch(net, spherical, RING)
     assert expected[~expected.isnan()].std() > 0.02
-    cost = osl.LearnedCost(net, "float32")
+    cost = LearnedCost(net, "float32")
     for found in (cost(spherical, RING, columns), cost(spherical, RING)):
         torch.testing.assert_close(found.double(), expected, atol=1e-5, rtol=0, equal_nan=True)
-    in_bfloat16 = osl.LearnedCost(net, "bfloat16")(spherical, RING, columns)
+    in_bfloat16 = LearnedCost(net, "bfloat16")(spherical, RING, columns)
     torch.testing.assert_close(in_bfloat16.double(), expected, atol=2e-2, rtol=0, equal_nan=True)
     pair = patch_by_patch(net, spherical, [(0, 1)]).permute(2, 0, 1)
     plain = net(*spherical[:2].nan_to_num()).double().masked_fill(pair.isnan(), torch.nan)

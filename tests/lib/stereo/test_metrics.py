@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import omnistereo_lib as osl
+from omnistereo_lib.stereo.metrics import sparsification
 
 maps = arrays(
     np.float32, (3, 4), elements=st.one_of(st.floats(-5, 200, width=32), st.just(math.nan))
@@ -48,18 +49,18 @@ def test_maps_must_agree_in_shape():
 
 def test_sparsification_of_a_perfect_and_of_a_useless_confidence():
     error = np.random.default_rng(0).exponential(size=10_000)
-    _, auc, oracle_auc = osl.sparsification(error, -error)
+    _, auc, oracle_auc = sparsification(error, -error)
     assert auc == pytest.approx(oracle_auc)
-    _, auc, _ = osl.sparsification(error, np.random.default_rng(1).random(10_000))
+    _, auc, _ = sparsification(error, np.random.default_rng(1).random(10_000))
     assert auc == pytest.approx(1, abs=0.03)
 
 
 def test_sparsification_curve_by_hand():
-    curve, _, _ = osl.sparsification([4, 1, 2, 3, np.nan], [0.1, 0.9, 0.8, 0.2, 1], [0, 0.25, 0.5])
+    curve, _, _ = sparsification([4, 1, 2, 3, np.nan], [0.1, 0.9, 0.8, 0.2, 1], [0, 0.25, 0.5])
     assert curve.tolist() == pytest.approx([2.5, 2.0, 1.5])
 
 
 @pytest.mark.parametrize("error", [[], [np.nan, np.nan]])
 def test_sparsification_of_nothing(error):
-    curve, *aucs = osl.sparsification(error, np.ones(len(error)))
+    curve, *aucs = sparsification(error, np.ones(len(error)))
     assert np.isnan(curve).all() and np.isnan(aucs).all()

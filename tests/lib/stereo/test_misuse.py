@@ -12,9 +12,13 @@ import torch
 
 import omnistereo_lib as osl
 from omnistereo_learn.recipes import SweepNetRecipe
+from omnistereo_lib.geometry.rig import camera_pairs
 from omnistereo_lib.stereo.cost import BlockCost
+from omnistereo_lib.stereo.learned import LearnedCost
+from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sgm import sgm
+from omnistereo_rigs import Checkerboard, calibrate_camera, calibrate_rig
 
 RIG = scene.rig(width=60, height=56)
 GRID = osl.SphereGrid(48, 12, num_spheres=4, min_depth=0.6)
@@ -106,7 +110,7 @@ def test_wrong_arguments(call, message):
 
 
 SWEEP = osl.SphereSweep(RIG, GRID)
-BOARD = osl.Checkerboard((4, 3), 0.06)
+BOARD = Checkerboard((4, 3), 0.06)
 
 
 @pytest.mark.parametrize(
@@ -118,7 +122,7 @@ BOARD = osl.Checkerboard((4, 3), 0.06)
         ("method", lambda wrong: osl.estimate_depth(osl.Frame.of(RIG, IMAGES), GRID, wrong)),
         ("rig", lambda wrong: osl.SphereSweep(wrong, GRID)),
         ("grid", lambda wrong: osl.SphereSweep(RIG, wrong)),
-        ("rig", lambda wrong: osl.camera_pairs("ring", wrong)),
+        ("rig", lambda wrong: camera_pairs("ring", wrong)),
         ("T_rig_cam", lambda wrong: RIG.with_poses(wrong)),
         ("T_new_rig", lambda wrong: RIG.transformed(wrong)),
         ("path", lambda wrong: osl.save_rig(RIG, wrong)),
@@ -126,11 +130,11 @@ BOARD = osl.Checkerboard((4, 3), 0.06)
         ("path", lambda wrong: osl.SweepNet.from_file(wrong)),
         ("paths", lambda wrong: osl.load_images(wrong)),
         ("folder", lambda wrong: osl.load_dataset(wrong)),
-        ("network", lambda wrong: osl.LearnedCost(wrong)),
-        ("views", lambda wrong: osl.calibrate_camera(wrong, BOARD)),
-        ("board", lambda wrong: osl.calibrate_camera([VOLUME[0]], wrong)),
-        ("views", lambda wrong: osl.calibrate_rig(wrong, BOARD)),
-        ("board", lambda wrong: osl.calibrate_rig([[VOLUME[0]]] * 2, wrong)),
+        ("network", lambda wrong: LearnedCost(wrong)),
+        ("views", lambda wrong: calibrate_camera(wrong, BOARD)),
+        ("board", lambda wrong: calibrate_camera([VOLUME[0]], wrong)),
+        ("views", lambda wrong: calibrate_rig(wrong, BOARD)),
+        ("board", lambda wrong: calibrate_rig([[VOLUME[0]]] * 2, wrong)),
     ],
 )
 def test_wrong_types(name, call):
@@ -202,16 +206,18 @@ def test_copies_do_what_the_original_does(copy):
     expected = depth(method="sweepnet")
     kept = copy(expected)
     np.testing.assert_array_equal(kept.depth, expected.depth)
-    again = sweep_depth(kept.sweep, IMAGES, copy(osl.Method.parse("sweepnet")))
+    again = sweep_depth(kept.sweep, IMAGES, copy(Method.parse("sweepnet")))
     np.testing.assert_array_equal(again.index, expected.index)
     np.testing.assert_array_equal(copy(RIG).cameras[0].poly, RIG.cameras[0].poly)
-    assert {copy(GRID), copy(osl.Method.parse("zncc")), GRID} == {GRID, osl.Method.parse("zncc")}
+    assert {copy(GRID), copy(Method.parse("zncc")), GRID} == {GRID, Method.parse("zncc")}
     assert len({copy(RIG), RIG, RIG.T_rig_cam[0]}) == 3  # by identity
     assert str(copy(osl.OmnistereoError("wrong"))) == "wrong"
 
 
 def test_right_types_of_every_kind(tmp_path):
-    """A path may be text or a path, a sequence an array; numbers of NumPy are left to the function."""
+    """A path may be text or a path, a sequence an array; numbers of NumPy are left to the
+    function.
+    """
     osl.save_rig(RIG, str(tmp_path / "rig.yaml"))
     assert (
         len(osl.load_rig(tmp_path / "rig.yaml"))

@@ -29,7 +29,9 @@ def index(method):
 
 
 class Frames(Dataset):
-    """One estimate per method, as a training that prepares depth in its workers would ask for it."""
+    """One estimate per method, as a training that prepares depth in its workers would ask for
+    it.
+    """
 
     def __len__(self):
         return len(METHODS)
@@ -60,7 +62,7 @@ def main():
 def test_depth_in_other_processes():
     here = Path(__file__)
     command = [sys.executable, str(here)]
-    environment = {**os.environ, "PYTHONPATH": f"{here.parents[2]}:{here.parents[1]}"}
+    environment = {**os.environ, "PYTHONPATH": f"{here.parents[3]}:{here.parents[2]}"}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr[-2000:]
 

@@ -27,7 +27,7 @@ def main():
 
 @pytest.mark.skipif(find_spec("triton") is None, reason="Triton comes with torch for CUDA on Linux")
 def test_the_kernel_equals_the_cpu():
-    root = str(Path(__file__).parents[2])
+    root = str(Path(__file__).parents[3])
     paths = os.pathsep.join([root, os.environ.get("PYTHONPATH", "")])
     # read when Triton is imported
     environment = {**os.environ, "PYTHONPATH": paths, "TRITON_INTERPRET": "1"}

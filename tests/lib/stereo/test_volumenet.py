@@ -11,6 +11,7 @@ from torch.profiler import ProfilerActivity, profile
 import omnistereo_lib as osl
 from omnistereo_lib import reference
 from omnistereo_lib.stereo.correlation import correlate, feature_coordinates, volume_sizes
+from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.volume import cost_volume
 from omnistereo_lib.stereo.volumenet import VolumeNet, local_mean, normalize, resize_logits
@@ -243,7 +244,7 @@ def test_weights_travel_in_a_file(network, tmp_path):
     network.save(tmp_path / "volumenet.safetensors")
     rig = scene.rig(width=120, height=112)
     images = scene.images(rig, finest=0.5)
-    method = osl.Method.parse("volumenet")
+    method = Method.parse("volumenet")
     assert method.name == "volumenet" and method.label == "VolumeNet"
     index, confidence = method.read_out(
         cost_volume(SphereSweep(rig, GRID), images, method.load_cost(tmp_path))

@@ -1,4 +1,6 @@
-"""Sample rig files of every format, written by hand, and the helpers of the tests that read them."""
+"""Sample rig files of every format, written by hand, and the helpers of the tests that read
+them.
+"""
 
 import json
 import re
@@ -8,7 +10,8 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from omnistereo_lib import OcamCamera, fit_inverse_polynomial
+from omnistereo_lib import OcamCamera
+from omnistereo_lib.geometry.camera import fit_inverse_polynomial
 
 SIZE = (800, 760)  # width, height
 CENTER = (402.3, 377.6)
@@ -132,7 +135,9 @@ FOCAL = [300.0, 299.0, 400.0, 380.0]
 
 
 def kalibr(*chain, **first):
-    """A chain of double sphere cameras; `chain` holds T_cn_cnm1, `first` replaces entries of cam0."""
+    """A chain of double sphere cameras; `chain` holds T_cn_cnm1, `first` replaces entries of
+    cam0.
+    """
     lens = {"camera_model": "ds", "intrinsics": [-0.28, 0.57, *FOCAL], "distortion_model": "none"}
     lens |= {"distortion_coeffs": [], "resolution": list(SIZE), "rostopic": "/cam"}
     cameras = {f"cam{n}": lens | {"T_cn_cnm1": T.tolist()} for n, T in enumerate(chain, 1)}
@@ -196,7 +201,7 @@ METASHAPE = """<?xml version="1.0" encoding="UTF-8"?>
 </calibration>
 """
 # The examples of book/own_cameras.md: name, or file of a second one → file, content.
-PAGE = (Path(__file__).parents[2] / "book" / "own_cameras.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[3] / "book" / "own_cameras.md").read_text(encoding="utf-8")
 EXAMPLES = {
     name or file: (file, text)
     for name, file, text in re.findall(

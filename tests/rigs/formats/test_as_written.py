@@ -26,8 +26,8 @@ from rig_file_samples import (
 )
 from test_more_formats import follows, kb4
 
-from omnistereo_lib import OmnistereoError, Pose, load_camera, load_rig
-from omnistereo_rigs.formats.read import FORMATS, formats_table
+from omnistereo_lib import OmnistereoError, Pose
+from omnistereo_rigs.formats.read import FORMATS, formats_table, read_any_camera, read_any_rig
 
 K = [[200.0, 0, 400], [0, 199.0, 380], [0, 0, 1]]
 POSE = {"R": R2.tolist(), "T": T2.tolist()}
@@ -40,7 +40,7 @@ def loaded(path, data, **options):
     """Return the rig of a file, centimetres, and what was said about it."""
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
-        rig = load_rig(dump(path, data), keep_frame=True, **{"unit": "cm"} | options)
+        rig = read_any_rig(dump(path, data), keep_frame=True, **{"unit": "cm"} | options)
     return rig, [str(each.message) for each in said]
 
 
@@ -242,9 +242,9 @@ def test_dumps_of_camera_info(tmp_path):
         + "---\n"
     )
     for name, text in {"cam1.json": json.dumps(info), "cam2.yaml": ros2}.items():
-        follows(load_camera(write(tmp_path / name, text)), kb4)
+        follows(read_any_camera(write(tmp_path / name, text)), kb4)
     write(tmp_path / "poses.txt", "0 0 0 0 0 0\n0 1 0 10 0 0\n")
-    assert load_rig(tmp_path, "cm").baselines[0] == pytest.approx(0.1)
+    assert read_any_rig(tmp_path, "cm").baselines[0] == pytest.approx(0.1)
     for more in ({}, {"T": [1, 2, 3]}):
         with pytest.raises(
             OmnistereoError, match="camera_info has no pose: R there is the rectification"
@@ -256,9 +256,9 @@ def test_text_as_people_type_it(tmp_path):
     text = yaml.safe_dump(ros(), default_flow_style=None).replace("data: [", "data:\n    [")
     text = re.sub(r"\n\s+\[", "[", text)
     assert "data:[" in text
-    follows(load_rig(write(tmp_path / "rig.yaml", text), "cm").cameras[1], kb4)
+    follows(read_any_rig(write(tmp_path / "rig.yaml", text), "cm").cameras[1], kb4)
     for comment in ("%", "//"):
-        camera = load_camera(write(tmp_path / "ocam1.txt", OCAM_TXT.replace("#", comment)), 220)
+        camera = read_any_camera(write(tmp_path / "ocam1.txt", OCAM_TXT.replace("#", comment)), 220)
         assert camera.image_size == SIZE
 
 
@@ -279,7 +279,7 @@ def test_two_sources_of_poses(tmp_path):
         ocam_folder(tmp_path, cameras=len(text), poses="\n".join(text))
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
-            load_rig(tmp_path)
+            read_any_rig(tmp_path)
         assert [bool(re.search(expected or "", str(each.message))) for each in said] == [
             True
         ] * bool(expected)
@@ -302,10 +302,10 @@ def test_each_example_is_read(tmp_path, form, recwarn):
         write(tmp_path / EXAMPLES[name][0], EXAMPLES[name][1])
     path = tmp_path / EXAMPLES[form.name][0]
     if not form.unit:
-        assert load_camera(path).image_size == (640, 480)
+        assert read_any_camera(path).image_size == (640, 480)
     else:
         assert (
-            0.19 < load_rig(path, "m" if "unit" in form.unit else None).baselines[0] < 0.21
+            0.19 < read_any_rig(path, "m" if "unit" in form.unit else None).baselines[0] < 0.21
             or form.name == "MC-Calib"
         )
     assert not [str(each.message) for each in recwarn if "poses" not in str(each.message)]
@@ -315,7 +315,7 @@ def test_each_example_of_a_folder_is_read(tmp_path):
     for name in ("Metashape lens", "a folder"):
         write(tmp_path / EXAMPLES[name][0], EXAMPLES[name][1])
     write(tmp_path / "cam2.xml", EXAMPLES["Metashape lens"][1])
-    assert load_rig(tmp_path, "m").baselines[0] == pytest.approx(0.2)
+    assert read_any_rig(tmp_path, "m").baselines[0] == pytest.approx(0.2)
     for name in ("COLMAP model", "images.txt"):
         write(tmp_path / "model" / EXAMPLES[name][0], EXAMPLES[name][1])
-    assert load_rig(tmp_path / "model", "m").baselines[0] == pytest.approx(0.2)
+    assert read_any_rig(tmp_path / "model", "m").baselines[0] == pytest.approx(0.2)

@@ -23,8 +23,9 @@ from rig_file_samples import (
 )
 from scipy.spatial.transform import Rotation
 
-from omnistereo_lib import OmnistereoError, Pose, Rig, load_camera, load_rig, save_rig
+from omnistereo_lib import OmnistereoError, Pose, Rig, save_rig
 from omnistereo_lib.geometry.camera import fit_inverse_polynomial
+from omnistereo_rigs.formats.read import read_any_camera, read_any_rig
 
 # camera axes (x right, y down, z forward) in x forward, z up
 FLU = np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]])
@@ -45,7 +46,7 @@ def ring(R=None, rolls=(0, 0, 0, 0), tilt=0.0):
 def loaded(rig, folder, **options):
     """Return what `load_rig` makes of a rig that was never loaded before."""
     save_rig(rig, folder / "rig.yaml")
-    return load_rig(folder / "rig.yaml", **options)
+    return read_any_rig(folder / "rig.yaml", **options)
 
 
 def down(rig):
@@ -121,11 +122,11 @@ def test_poses_that_are_stated_twice_are_compared(tmp_path):
     with pytest.warns(
         UserWarning, match=r"T_cn_cnm1 and T_cam_imu contradict.*camera 2.*30.0 cm and 180.0° apart"
     ):
-        load_rig(dump(tmp_path / "rig.yaml", rig))
+        read_any_rig(dump(tmp_path / "rig.yaml", rig))
     rig["cam1"]["T_cam_imu"] = chain.tolist()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        load_rig(dump(tmp_path / "rig.yaml", rig))
+        read_any_rig(dump(tmp_path / "rig.yaml", rig))
 
 
 def test_a_key_of_two_names_is_read_once(tmp_path):
@@ -137,7 +138,7 @@ def test_a_key_of_two_names_is_read_once(tmp_path):
     with pytest.raises(
         OmnistereoError, match=r"K and camera_matrix state one thing with different values"
     ):
-        load_rig(dump(tmp_path / "rig.yaml", {"cameras": [camera] * 2}), "m")
+        read_any_rig(dump(tmp_path / "rig.yaml", {"cameras": [camera] * 2}), "m")
 
 
 def test_rectifications_are_not_poses(tmp_path):
@@ -154,7 +155,7 @@ def test_rectifications_are_not_poses(tmp_path):
         "R1": R2,
         "R2": R2,
     }
-    rig = load_rig(dump(tmp_path / "stereo.yaml", data | {"image_size": list(SIZE)}), "m")
+    rig = read_any_rig(dump(tmp_path / "stereo.yaml", data | {"image_size": list(SIZE)}), "m")
     np.testing.assert_allclose(rig.T_rig_cam[1].R, np.array(R).T, atol=1e-12)
 
 
@@ -169,7 +170,7 @@ def test_a_misspelt_key_is_refused(tmp_path, key, misspelt):
     with pytest.raises(
         OmnistereoError, match=rf"2?: key '{misspelt}' has no meaning; is '{key}' meant"
     ):
-        load_rig(dump(tmp_path / "config.yaml", data))
+        read_any_rig(dump(tmp_path / "config.yaml", data))
 
 
 def test_missing_keys_show_similar_ones_first(tmp_path):
@@ -180,7 +181,7 @@ def test_missing_keys_show_similar_ones_first(tmp_path):
     with pytest.raises(
         OmnistereoError, match=r"key 'center' is missing; found \['centre_px', .* and \d+ more"
     ):
-        load_rig(dump(tmp_path / "config.yaml", data))
+        read_any_rig(dump(tmp_path / "config.yaml", data))
 
 
 @pytest.mark.parametrize(
@@ -195,9 +196,9 @@ def test_a_field_of_view_in_other_units_is_refused(tmp_path, value, guess):
     data = omnimvs()
     data["cameras"][0]["max_fov"] = float(value)
     with pytest.raises(OmnistereoError, match=rf"camera 1: max_fov is .*{guess}"):
-        load_rig(dump(tmp_path / "config.yaml", data))
+        read_any_rig(dump(tmp_path / "config.yaml", data))
     with pytest.raises(OmnistereoError, match=rf"max_fov_deg is .*{guess}"):
-        load_rig(tmp_path, max_fov_deg=float(value))
+        read_any_rig(tmp_path, max_fov_deg=float(value))
 
 
 def test_a_narrow_ocam_lens_ends_where_its_image_does(tmp_path):
@@ -215,10 +216,10 @@ def test_a_narrow_ocam_lens_ends_where_its_image_does(tmp_path):
     )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        camera = load_camera(write(tmp_path / "ocam1.txt", text))
+        camera = read_any_camera(write(tmp_path / "ocam1.txt", text))
     corner = 4 * np.degrees(np.arctan(np.hypot(*size) / 2 / (2 * f)))
     assert corner - 3 < camera.max_fov_deg <= corner  # rays are tried every 6° around the axis
-    without = load_camera(write(tmp_path / "ocam2.txt", text.replace(text.splitlines()[1], "")))
+    without = read_any_camera(write(tmp_path / "ocam2.txt", text.replace(text.splitlines()[1], "")))
     np.testing.assert_allclose(
         without.project([0.5, 0.2, 1])[0], camera.project([0.5, 0.2, 1])[0], atol=0.02
     )
@@ -243,11 +244,11 @@ def test_a_polynomial_that_is_used_nowhere_does_not_matter(tmp_path):
     )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        load_camera(write(tmp_path / "ocam1.txt", small))
+        read_any_camera(write(tmp_path / "ocam1.txt", small))
     with pytest.warns(UserWarning, match=r"disagree.*delete inv_poly from the file"):
-        load_camera(write(tmp_path / "ocam2.txt", text))
+        read_any_camera(write(tmp_path / "ocam2.txt", text))
     advised = text.replace(f"{N_INVERSE} {INVERSE}", "0")
-    fitted = load_camera(write(tmp_path / "ocam3.txt", advised), 150)
+    fitted = read_any_camera(write(tmp_path / "ocam3.txt", advised), 150)
     assert fitted.inverse_poly_error_px() < 0.01
     expected = fit_inverse_polynomial(bent, 150, 3 * max(SIZE))
     np.testing.assert_allclose(fitted.inv_poly, expected)
@@ -288,9 +289,9 @@ def test_a_file_of_one_camera_is_named_as_such(tmp_path):
         OmnistereoError,
         match=r"calibration.json: basalt JSON of one camera; a rig needs at least 2",
     ):
-        load_rig(path)
-    assert load_camera(path).image_size == SIZE
+        read_any_rig(path)
+    assert read_any_camera(path).image_size == SIZE
     with pytest.raises(
         OmnistereoError, match=r"basalt JSON of 2 cameras; expected one. Use load_rig"
     ):
-        load_camera(dump(tmp_path / "two.json", basalt()))
+        read_any_camera(dump(tmp_path / "two.json", basalt()))

@@ -22,8 +22,9 @@ from rig_file_samples import (
 )
 from scipy.spatial.transform import Rotation
 
-from omnistereo_lib import OmnistereoError, load_rig
+from omnistereo_lib import OmnistereoError
 from omnistereo_rigs.formats.camera_models import double_sphere
+from omnistereo_rigs.formats.read import read_any_rig
 
 
 def test_basalt(tmp_path, caplog):
@@ -32,7 +33,7 @@ def test_basalt(tmp_path, caplog):
     (tmp_path / "cam1").mkdir()
     cv2.imwrite(str(tmp_path / "cam1" / "mask.png"), mask)
     with caplog.at_level(logging.INFO, "omnistereo_lib"):
-        rig = load_rig(dump(tmp_path / "calibration.json", basalt()))
+        rig = read_any_rig(dump(tmp_path / "calibration.json", basalt()))
     assert "basalt JSON, 2 cameras" in caplog.text and "camera 1: ds fitted by OCam" in caplog.text
     T = rig.T_rig_cam[1]  # camera -> rig as stored: nothing is inverted
     np.testing.assert_allclose(T.R, Rotation.from_rotvec([0, np.pi, 0.1]).as_matrix(), atol=1e-12)
@@ -42,7 +43,7 @@ def test_basalt(tmp_path, caplog):
     uv, valid = rig.cameras[0].project(RAYS)
     assert valid.any()
     np.testing.assert_allclose(uv[valid], double_sphere(RAYS, **DOUBLE_SPHERE)[0][valid], atol=0.02)
-    assert load_rig(tmp_path).baselines[0] == pytest.approx(np.hypot(0.1, 0.06))
+    assert read_any_rig(tmp_path).baselines[0] == pytest.approx(np.hypot(0.1, 0.06))
 
 
 @pytest.mark.parametrize(
@@ -62,13 +63,13 @@ def test_basalt(tmp_path, caplog):
 )
 def test_broken_basalt_files(tmp_path, changes, message):
     with pytest.raises(OmnistereoError, match=f"(?s)calibration.json: .*{message}"):
-        load_rig(dump(tmp_path / "calibration.json", basalt(**changes)))
+        read_any_rig(dump(tmp_path / "calibration.json", basalt(**changes)))
 
 
 def test_kalibr_chain_is_inverted(tmp_path, caplog):
     T10, T21 = matrix([0, 1.5, 0.1], [0.1, 0, 0.2]), matrix([0.2, -1, 0], [-0.3, 0.1, 0])
     with caplog.at_level(logging.INFO, "omnistereo_lib"):
-        rig = load_rig(dump(tmp_path / "camchain.yaml", kalibr(T10, T21)))
+        rig = read_any_rig(dump(tmp_path / "camchain.yaml", kalibr(T10, T21)))
     assert "Kalibr camchain, 3 cameras" in caplog.text
     point = np.array([0.3, -0.2, 2.0, 1.0])  # in camera 0, which is the rig's frame
     for pose, T in zip(rig.T_rig_cam, (np.eye(4), T10, T21 @ T10), strict=True):
@@ -82,7 +83,7 @@ def test_what_a_polynomial_cannot_follow_is_told(tmp_path):
         UserWarning,
         match=r"camchain.yaml, cam0: .* follows the omni model .* px only: .*tangential",
     ):
-        load_rig(dump(tmp_path / "camchain.yaml", kalibr(np.eye(4), **lens)))
+        read_any_rig(dump(tmp_path / "camchain.yaml", kalibr(np.eye(4), **lens)))
 
 
 @pytest.mark.parametrize(
@@ -100,7 +101,7 @@ def test_what_a_polynomial_cannot_follow_is_told(tmp_path):
 )
 def test_broken_kalibr_files(tmp_path, data, message):
     with pytest.raises(OmnistereoError, match=f"camchain.yaml: .*{message}"):
-        load_rig(dump(tmp_path / "camchain.yaml", data))
+        read_any_rig(dump(tmp_path / "camchain.yaml", data))
 
 
 def opencv_file(path, **values):
@@ -117,7 +118,7 @@ def opencv_file(path, **values):
 def test_file_storage_in_each_of_its_formats(tmp_path, suffix, caplog):
     path = opencv_file(tmp_path / f"fisheye{suffix}")
     with caplog.at_level(logging.INFO, "omnistereo_lib"):
-        rig = load_rig(path, "cm")
+        rig = read_any_rig(path, "cm")
     assert "OpenCV, ROS in cm, 2 cameras" in caplog.text
     point = np.array([0.1, 0.2, 0.7])  # in the first camera, metres
     np.testing.assert_allclose(rig.T_rig_cam[1] @ (R2 @ point + T2 / 100), point, atol=1e-12)
@@ -135,7 +136,7 @@ def test_opencv_files_need_a_unit(tmp_path):
     with pytest.raises(
         OmnistereoError, match=rf"fisheye.yaml: .*not state its unit.*cm.*{distance / 100:.4g}"
     ):
-        load_rig(path)
+        read_any_rig(path)
 
 
 @pytest.mark.parametrize(
@@ -154,7 +155,7 @@ def test_opencv_files_need_a_unit(tmp_path):
 def test_broken_opencv_files(tmp_path, changes, message):
     path = opencv_file(tmp_path / "fisheye.yaml", **changes)
     with pytest.raises(OmnistereoError, match=f"fisheye.yaml: .*{message}"):
-        load_rig(path, "cm")
+        read_any_rig(path, "cm")
 
 
 @pytest.mark.parametrize("text", ["", "- 1\n- 2", "cam0: 3"])
@@ -164,7 +165,7 @@ def test_unknown_files_list_what_is_known(tmp_path, text):
         r" JSON.*Kalibr.*OpenCV"
     )
     with pytest.raises(OmnistereoError, match=known):
-        load_rig(write(tmp_path / "rig.yaml", text))
+        read_any_rig(write(tmp_path / "rig.yaml", text))
 
 
 def test_a_folder_without_a_rig(tmp_path):
@@ -172,4 +173,4 @@ def test_a_folder_without_a_rig(tmp_path):
     with pytest.raises(
         OmnistereoError, match=r"(?s)found \['notes.md'\]; expected ocam.*supported formats"
     ):
-        load_rig(tmp_path)
+        read_any_rig(tmp_path)

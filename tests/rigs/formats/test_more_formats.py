@@ -23,7 +23,8 @@ from rig_file_samples import (
     write,
 )
 
-from omnistereo_lib import OmnistereoError, load_camera, load_rig
+from omnistereo_lib import OmnistereoError
+from omnistereo_rigs.formats.read import read_any_camera, read_any_rig
 
 AHEAD = RAYS[RAYS[:, 2] > 0.6 * np.linalg.norm(RAYS, axis=-1)]  # within 53° from the axis
 
@@ -51,28 +52,28 @@ def kb4(x, y, z, skew=0.0):
 
 
 def test_matrices_of_ros(tmp_path):
-    rig = load_rig(dump(tmp_path / "rig.yaml", ros()), "cm")
+    rig = read_any_rig(dump(tmp_path / "rig.yaml", ros()), "cm")
     np.testing.assert_allclose(rig.T_rig_cam[1].inverse().t, T2 / 100, atol=1e-12)
     follows(rig.cameras[1], kb4)
     wrong_columns = {5: " must be 5 numbers, found 4", 1e300: " is 1e.300; expected an integer"}
     for columns, message in wrong_columns.items():
         wrong = ros(distortion_coefficients={"rows": 1, "cols": columns, "data": K4})
         with pytest.raises(OmnistereoError, match="distortion_coefficients" + message):
-            load_rig(dump(tmp_path / "rig.yaml", wrong), "cm")
+            read_any_rig(dump(tmp_path / "rig.yaml", wrong), "cm")
 
 
 def test_fisheye_with_skew(tmp_path):
     skewed = ros(camera_matrix=[200.0, 1.5, 400, 0, 199.0, 380, 0, 0, 1])
-    rig = load_rig(dump(tmp_path / "rig.yaml", skewed), "cm")
+    rig = read_any_rig(dump(tmp_path / "rig.yaml", skewed), "cm")
     follows(rig.cameras[0], lambda x, y, z: kb4(x, y, z, skew=1.5))
 
 
 def test_xml_entities_are_refused(tmp_path):
     text = '<!DOCTYPE a [<!ENTITY b "bb">]><opencv_storage>&b;</opencv_storage>'
     with pytest.raises(OmnistereoError, match=r"rig.xml: XML with a document type"):
-        load_rig(write(tmp_path / "rig.xml", text))
+        read_any_rig(write(tmp_path / "rig.xml", text))
     with pytest.raises(OmnistereoError, match=r"rig.xml: not valid XML .*complete"):
-        load_rig(write(tmp_path / "rig.xml", "<opencv_storage><K1>"))
+        read_any_rig(write(tmp_path / "rig.xml", "<opencv_storage><K1>"))
 
 
 def in_opencv(x, y, z, D):
@@ -92,7 +93,7 @@ def in_opencv(x, y, z, D):
 )
 def test_a_pinhole_camera_is_no_fisheye(tmp_path, name, D):
     K = [400.0, 0, 400, 0, 399.0, 380, 0, 0, 1]
-    rig = load_rig(
+    rig = read_any_rig(
         dump(
             tmp_path / "rig.yaml",
             ros(distortion_model=name, distortion_coefficients=D, camera_matrix=K),
@@ -106,7 +107,7 @@ def test_a_pinhole_camera_is_no_fisheye(tmp_path, name, D):
 def test_pinhole_cameras_end_at_120_degrees(tmp_path):
     K = [200.0, 0, 400, 0, 200.0, 380, 0, 0, 1]
     wide = ros(distortion_model="plumb_bob", distortion_coefficients=[0.0] * 5, camera_matrix=K)
-    camera = load_rig(dump(tmp_path / "rig.yaml", wide), "cm").cameras[0]
+    camera = read_any_rig(dump(tmp_path / "rig.yaml", wide), "cm").cameras[0]
     assert 119 < camera.max_fov_deg <= 120
     follows(camera, lambda x, y, z: (200 * x / z + 400, 200 * y / z + 380))
 
@@ -118,7 +119,7 @@ def test_other_models_are_not_taken_for_a_fisheye(tmp_path, changes):
     with pytest.raises(
         OmnistereoError, match=r"camera left: the camera model is .*; expected fisheye .equidistant"
     ):
-        load_rig(dump(tmp_path / "rig.yaml", ros(**changes)), "cm")
+        read_any_rig(dump(tmp_path / "rig.yaml", ros(**changes)), "cm")
 
 
 def mei(x, y, z, xi, f, c, k1, k2, skew=0.0):
@@ -134,7 +135,7 @@ def test_the_omnidirectional_model_of_opencv(tmp_path):
     omnidir = ros(camera_matrix=K, distortion_coefficients=[-0.1, 0.02, 0.0, 0.0], xi=1.2)
     for cam in omnidir.values():
         del cam["distortion_model"]
-    rig = load_rig(dump(tmp_path / "rig.yaml", omnidir), "cm")
+    rig = read_any_rig(dump(tmp_path / "rig.yaml", omnidir), "cm")
     follows(
         rig.cameras[0],
         lambda x, y, z: mei(x, y, z, 1.2, (500, 498), (400, 380), -0.1, 0.02, skew=1.0),
@@ -155,7 +156,7 @@ def test_rigs_of_vins_with_cameras_of_camodocal(tmp_path):
         f"body_T_cam{i}": {"rows": 4, "cols": 4, "data": T.ravel().tolist()}
         for i, T in enumerate((front, back))
     }
-    rig = load_rig(dump(tmp_path / "vins.yaml", config | poses))
+    rig = read_any_rig(dump(tmp_path / "vins.yaml", config | poses))
     # camera -> body, as it stands
     np.testing.assert_allclose(rig.T_rig_cam[1].R, back[:3, :3], atol=1e-12)
     np.testing.assert_allclose(rig.centers, [[0.1, 0, 0], [-0.1, 0.02, 0]])
@@ -170,7 +171,7 @@ def test_rigs_of_vins_with_cameras_of_camodocal(tmp_path):
         OmnistereoError,
         match=r"model_type is OTHER; expected one of MEI, KANNALA_BRANDT, PINHOLE, SCA",
     ):
-        load_camera(dump(tmp_path / "other.yaml", {"model_type": "other"}))
+        read_any_camera(dump(tmp_path / "other.yaml", {"model_type": "other"}))
 
 
 def test_scaramuzza_of_camodocal(tmp_path):
@@ -188,7 +189,9 @@ def test_scaramuzza_of_camodocal(tmp_path):
         "affine_parameters": affine,
     }
     content |= {"poly_parameters": {f"p{k}": float(a) for k, a in enumerate(direct.coef)}}
-    camera = load_camera(dump(tmp_path / "lens.yaml", content | {"inv_poly_parameters": inv_poly}))
+    camera = read_any_camera(
+        dump(tmp_path / "lens.yaml", content | {"inv_poly_parameters": inv_poly})
+    )
 
     def pixel(x, y, z):
         theta, around = angle(x, y, z)
@@ -215,7 +218,7 @@ def test_lenses_of_metashape(tmp_path, projection, radius):
         # The centre of the top-left pixel is (0.5, 0.5) there.
         return 400 + 3.5 + 241.5 * x - 0.5 * y - 0.5, 380 - 2.0 + 240 * y - 0.5
 
-    camera = load_camera(write(tmp_path / "lens.xml", METASHAPE.format(projection=projection)))
+    camera = read_any_camera(write(tmp_path / "lens.xml", METASHAPE.format(projection=projection)))
     follows(camera, pixel)
 
 
@@ -226,7 +229,7 @@ def test_decentring_of_metashape(tmp_path):
     )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        camera = load_camera(write(tmp_path / "lens.xml", text))
+        camera = read_any_camera(write(tmp_path / "lens.xml", text))
 
     def pixel(x, y, z):
         x, y = x / z, y / z
@@ -269,7 +272,7 @@ def test_lenses_of_hugin(tmp_path, suffix, kind, radius):
         r = 380 * rho * (0.01 * rho**3 - 0.02 * rho**2 + 0.005 * rho + 1.005)
         return 399.5 + 2.5 + r * cos(around), 379.5 - 1.5 + r * sin(around)
 
-    follows(load_camera(write(tmp_path / f"lens{suffix}", text)), pixel)
+    follows(read_any_camera(write(tmp_path / f"lens{suffix}", text)), pixel)
 
 
 @pytest.mark.parametrize(
@@ -306,7 +309,7 @@ def test_lenses_of_hugin(tmp_path, suffix, kind, radius):
 )
 def test_what_cannot_be_read_is_named(tmp_path, name, text, message):
     with pytest.raises(OmnistereoError, match=message):
-        load_camera(write(tmp_path / name, text))
+        read_any_camera(write(tmp_path / name, text))
 
 
 def equidistant(x, y, z):
@@ -361,7 +364,7 @@ def test_other_names_and_models_of_kalibr(tmp_path, entries, pixel):
     chain = kalibr(np.eye(4), **{"intrinsics": FOCAL} | entries)
     if "distortion_model" not in entries:
         del chain["cam0"]["distortion_model"]
-    follows(load_rig(dump(tmp_path / "chain.yaml", chain)).cameras[0], pixel)
+    follows(read_any_rig(dump(tmp_path / "chain.yaml", chain)).cameras[0], pixel)
 
 
 @pytest.mark.parametrize("key", ["T_cam_imu", "T_imu_cam"])
@@ -371,7 +374,7 @@ def test_chains_by_the_imu_alone(tmp_path, key):
     for i, T in enumerate(T_cam_imu):
         chain[f"cam{i}"].pop("T_cn_cnm1", None)
         chain[f"cam{i}"][key] = (T if key == "T_cam_imu" else np.linalg.inv(T)).tolist()
-    rig = load_rig(dump(tmp_path / "chain.yaml", chain))
+    rig = read_any_rig(dump(tmp_path / "chain.yaml", chain))
     point = np.array([0.3, -0.2, 2.0, 1.0])  # in the frame of the IMU
     np.testing.assert_allclose(
         rig.T_rig_cam[1] @ (T_cam_imu[1] @ point)[:3], (T_cam_imu[0] @ point)[:3], atol=1e-12
@@ -380,4 +383,4 @@ def test_chains_by_the_imu_alone(tmp_path, key):
     with pytest.raises(
         OmnistereoError, match=r"cam1: no pose; .*expected T_cn_cnm1, or T_cam_imu in every camera"
     ):
-        load_rig(dump(tmp_path / "chain.yaml", chain))
+        read_any_rig(dump(tmp_path / "chain.yaml", chain))

@@ -23,8 +23,9 @@ from rig_file_samples import (
     write,
 )
 
-from omnistereo_lib import OmnistereoError, Pose, Rig, load_camera, load_rig, save_rig
+from omnistereo_lib import OmnistereoError, Pose, Rig, save_rig
 from omnistereo_lib.rig_file import write_ocam_folder, write_ocam_txt
+from omnistereo_rigs.formats.read import read_any_camera, read_any_rig
 from omnistereo_rigs.formats.write import export_rig
 
 C, D, E = AFFINE
@@ -32,7 +33,7 @@ C, D, E = AFFINE
 
 def test_ocam_file_is_row_and_column_low_to_high(tmp_path):
     """The whole chain by hand, in the file's own axes."""
-    camera = load_camera(write(tmp_path / "ocam1.txt", OCAM_TXT), 220)
+    camera = read_any_camera(write(tmp_path / "ocam1.txt", OCAM_TXT), 220)
     assert camera.image_size == SIZE and camera.center == CENTER and camera.max_fov_deg == 220
     X, Y, Z = 0.5, 0.3, -0.05
     t = np.arctan2(-Z, np.hypot(X, Y))
@@ -47,7 +48,7 @@ def test_ocam_file_is_row_and_column_low_to_high(tmp_path):
 
 def test_ocam_file_round_trip_is_exact(tmp_path):
     write_ocam_txt(CAMERA, tmp_path / "camera.txt")
-    back = load_camera(tmp_path / "camera.txt", max_fov_deg=220)
+    back = read_any_camera(tmp_path / "camera.txt", max_fov_deg=220)
     np.testing.assert_array_equal(back.poly, CAMERA.poly)
     np.testing.assert_array_equal(back.inv_poly, CAMERA.inv_poly)
     assert (back.center, back.affine, back.image_size) == (
@@ -72,7 +73,7 @@ def test_ocam_file_round_trip_is_exact(tmp_path):
     ids=["trailing data", "float counts", "no blank lines", "windows", "float size"],
 )
 def test_ocam_file_variants(tmp_path, text):
-    same_camera(load_camera(write(tmp_path / "ocam.txt", text), 220), CAMERA)
+    same_camera(read_any_camera(write(tmp_path / "ocam.txt", text), 220), CAMERA)
 
 
 @pytest.mark.parametrize(
@@ -109,19 +110,19 @@ def test_ocam_file_variants(tmp_path, text):
 )
 def test_broken_ocam_files(tmp_path, text, message):
     with pytest.raises(OmnistereoError, match=rf"(?s)ocam.txt: .*{message}"):
-        load_camera(write(tmp_path / "ocam.txt", text), 220)
+        read_any_camera(write(tmp_path / "ocam.txt", text), 220)
 
 
 @pytest.mark.parametrize(("unit", "scale"), [("mm", 1e-3), ("cm", 1e-2), ("m", 1.0)])
 def test_ocam_folder(tmp_path, unit, scale, caplog):
     with caplog.at_level(logging.INFO, "omnistereo_lib"):
-        rig = load_rig(ocam_folder(tmp_path), unit)
+        rig = read_any_rig(ocam_folder(tmp_path), unit)
     assert len(rig) == 4 and f"OCamCalib text files in {unit}, 4 cameras" in caplog.text
     np.testing.assert_allclose(
         rig.centers, scale * np.array([[0, 0, 0], [20, 0, -20], [0, 0, -40], [-20, 0, -20]])
     )
     assert rig.cameras[0].max_fov_deg == 220
-    assert load_rig(tmp_path, unit, max_fov_deg=190).cameras[3].max_fov_deg == 190
+    assert read_any_rig(tmp_path, unit, max_fov_deg=190).cameras[3].max_fov_deg == 190
     # Camera -> rig: the second camera looks along the rig's +x.
     np.testing.assert_allclose(rig.T_rig_cam[1].R @ [0, 0, 1], [1, 0, 0], atol=1e-6)
 
@@ -130,19 +131,19 @@ def test_the_unit_is_not_guessed(tmp_path):
     with pytest.raises(
         OmnistereoError, match=r"(?s)not state its unit.*mm.*0.02828 to 0.04 m.*cm.*0.2828 to 0.4"
     ):
-        load_rig(ocam_folder(tmp_path))
+        read_any_rig(ocam_folder(tmp_path))
     with pytest.raises(
         OmnistereoError, match=r"unit is 'inch'; expected one of \['mm', 'cm', 'm'\]"
     ):
-        load_rig(tmp_path, "inch")
+        read_any_rig(tmp_path, "inch")
     with pytest.raises(OmnistereoError, match="max_fov_deg is 0; expected a number of 10"):
-        load_rig(tmp_path, "cm", max_fov_deg=0)
+        read_any_rig(tmp_path, "cm", max_fov_deg=0)
 
 
 def test_ten_cameras_are_in_the_order_of_their_numbers(tmp_path):
     ocam_folder(tmp_path, cameras=11, poses="".join(f"0 0 0 {i} 0 0\n" for i in range(11)))
     write(tmp_path / "ocam10.txt", OCAM_TXT.replace(f"{CENTER[1]} {CENTER[0]}", "300 300"))
-    rig = load_rig(tmp_path, "m")
+    rig = read_any_rig(tmp_path, "m")
     assert [camera.center == (300, 300) for camera in rig.cameras].index(True) == 9
 
 
@@ -160,17 +161,17 @@ def test_ten_cameras_are_in_the_order_of_their_numbers(tmp_path):
 )
 def test_broken_poses_name_the_camera(tmp_path, poses, message):
     with pytest.raises(OmnistereoError, match=message):
-        load_rig(ocam_folder(tmp_path, poses=poses), "cm")
+        read_any_rig(ocam_folder(tmp_path, poses=poses), "cm")
 
 
 def test_one_camera_is_no_rig(tmp_path):
     with pytest.raises(OmnistereoError, match="at least 2 cameras"):
-        load_rig(ocam_folder(tmp_path, cameras=1, poses="0 0 0 0 0 0"), "cm")
+        read_any_rig(ocam_folder(tmp_path, cameras=1, poses="0 0 0 0 0 0"), "cm")
     with pytest.raises(OmnistereoError, match=r"ocam1.txt: .*Pass the folder of a rig"):
-        load_rig(tmp_path / "ocam1.txt", "cm")
+        read_any_rig(tmp_path / "ocam1.txt", "cm")
     (tmp_path / "poses.txt").unlink()
     with pytest.raises(OmnistereoError, match=r"poses.txt cannot be read"):
-        load_rig(tmp_path, "cm")
+        read_any_rig(tmp_path, "cm")
 
 
 def test_omnimvs_config(tmp_path, caplog):
@@ -180,21 +181,21 @@ def test_omnimvs_config(tmp_path, caplog):
     with pytest.raises(
         OmnistereoError, match=r"the masks mask1.png, mask3.png are named, but missing"
     ):
-        load_rig(dump(tmp_path / "config.yaml", omnimvs()))
+        read_any_rig(dump(tmp_path / "config.yaml", omnimvs()))
     for name in ("mask1.png", "mask3.png"):
         cv2.imwrite(str(tmp_path / name), 0 * mask)
     with caplog.at_level(logging.INFO, "omnistereo_lib"):
-        rig = load_rig(dump(tmp_path / "config.yaml", omnimvs()))
+        rig = read_any_rig(dump(tmp_path / "config.yaml", omnimvs()))
     assert "OmniMVS config.yaml, 3 cameras" in caplog.text
     assert rig.min_depth == 1.65 and rig.cameras[0].max_fov_deg == 200
     np.testing.assert_allclose(rig.centers, [[0, 0, 0.6], [0.6, 0, 0], [0, 0, -0.6]], atol=1e-15)
     same_camera(rig.cameras[0], stereographic(max_fov_deg=200))
     assert rig.cameras[0].mask.all()
     np.testing.assert_array_equal(rig.cameras[1].mask, mask == 0)  # true is outside
-    assert load_rig(tmp_path).min_depth == 1.65
-    assert load_rig(tmp_path, unit="m", max_fov_deg=150).cameras[0].max_fov_deg == 150
+    assert read_any_rig(tmp_path).min_depth == 1.65
+    assert read_any_rig(tmp_path, unit="m", max_fov_deg=150).cameras[0].max_fov_deg == 150
     with pytest.raises(OmnistereoError, match=r"in metres by definition\. Omit unit='cm'"):
-        load_rig(tmp_path, unit="cm")
+        read_any_rig(tmp_path, unit="cm")
 
 
 def test_poses_that_no_rig_has(tmp_path):
@@ -203,14 +204,14 @@ def test_poses_that_no_rig_has(tmp_path):
     with pytest.raises(
         OmnistereoError, match=r"config.yaml: a camera stands 1001 m from the origin"
     ):
-        load_rig(dump(tmp_path / "config.yaml", rig))
+        read_any_rig(dump(tmp_path / "config.yaml", rig))
 
 
 def test_a_folder_with_both_formats(tmp_path):
     """The published folders have both, and their metric scales differ by three."""
     dump(ocam_folder(tmp_path) / "config.yaml", omnimvs())
-    assert len(load_rig(tmp_path)) == 3
-    assert len(load_rig(tmp_path, "cm")) == 4
+    assert len(read_any_rig(tmp_path)) == 3
+    assert len(read_any_rig(tmp_path, "cm")) == 4
 
 
 def test_masks_that_do_not_fit(tmp_path):
@@ -219,7 +220,7 @@ def test_masks_that_do_not_fit(tmp_path):
     with pytest.raises(
         OmnistereoError, match=r"mask1.png is 40 × 30 px; the camera has 800 × 760 px"
     ):
-        load_rig(path)
+        read_any_rig(path)
 
 
 def test_saved_rigs_come_back(tmp_path):
@@ -235,7 +236,7 @@ def test_saved_rigs_come_back(tmp_path):
         "rig_mask2.png",
         "rig_mask3.png",
     ]
-    back = load_rig(tmp_path / "rig.yaml", keep_frame=True)
+    back = read_any_rig(tmp_path / "rig.yaml", keep_frame=True)
     assert back.min_depth == rig.min_depth
     for ours, theirs, T, T_too in zip(
         back.cameras, rig.cameras, back.T_rig_cam, poses, strict=True
@@ -250,7 +251,9 @@ def test_saved_rigs_come_back(tmp_path):
     np.testing.assert_array_equal(back.cameras[1].mask, mask)
     save_rig(rig.with_poses(poses), tmp_path / "rig.yaml")  # over itself
     save_rig(Rig([CAMERA, CAMERA], poses[:2]), tmp_path / "rig.yaml")
-    assert load_rig(tmp_path / "rig.yaml").cameras[1].mask is None  # not the mask of the rig before
+    assert (
+        read_any_rig(tmp_path / "rig.yaml").cameras[1].mask is None
+    )  # not the mask of the rig before
 
 
 def test_saved_rigs_have_what_the_public_codes_read(tmp_path):
@@ -294,5 +297,5 @@ def test_numpy_numbers_are_written_as_plain_numbers(tmp_path):
 
 def test_a_copy_of_a_rig_without_masks_is_read_without_a_warning(tmp_path, recwarn):
     save_rig(Rig([CAMERA] * 2, [Pose.identity()] * 2), tmp_path / "config.yaml")
-    load_rig((tmp_path / "config.yaml").rename(tmp_path / "mine.yaml"))
+    read_any_rig((tmp_path / "config.yaml").rename(tmp_path / "mine.yaml"))
     assert [str(warning.message) for warning in recwarn] == []

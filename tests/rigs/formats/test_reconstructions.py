@@ -9,7 +9,8 @@ import pytest
 from rig_file_samples import K4, RAYS, SIZE, dump, write
 from test_more_formats import AHEAD, follows, theta_d
 
-from omnistereo_lib import OmnistereoError, Pose, load_camera, load_rig
+from omnistereo_lib import OmnistereoError, Pose
+from omnistereo_rigs.formats.read import read_any_camera, read_any_rig
 from omnistereo_rigs.formats.write import export_rig
 
 WIDTH, HEIGHT = SIZE
@@ -97,7 +98,7 @@ def test_rigs_of_colmap(tmp_path, name):
     values, pixel = MODELS[name]
     text = "".join(f"{n} {name} {WIDTH} {HEIGHT} {' '.join(map(str, values))}\n" for n in (1, 2))
     write(tmp_path / "cameras.txt", text)
-    rig = load_rig(dump(tmp_path / "rig_config.json", rig_config()), "m")
+    rig = read_any_rig(dump(tmp_path / "rig_config.json", rig_config()), "m")
     same_poses(rig)
     follows(rig.cameras[1], pixel, AHEAD, atol=0.05)
 
@@ -107,13 +108,13 @@ def test_models_in_the_rig_of_colmap(tmp_path):
     text = "".join(f"{n} {name} {WIDTH} {HEIGHT} {' '.join(map(str, values))}\n" for n in (1, 2))
     write(tmp_path / "cameras.txt", text)
     stated = rig_config(camera_model_name=name, camera_params=values)
-    same_poses(load_rig(dump(tmp_path / "rig_config.json", stated), "m"))
+    same_poses(read_any_rig(dump(tmp_path / "rig_config.json", stated), "m"))
     stated[0]["cameras"][0]["camera_params"] = [1.0, *values[1:]]
     with pytest.raises(OmnistereoError, match=r"camera 1: camera_params differ from cameras.txt"):
-        load_rig(dump(tmp_path / "rig_config.json", stated), "m")
+        read_any_rig(dump(tmp_path / "rig_config.json", stated), "m")
     (tmp_path / "cameras.txt").unlink()
     with pytest.raises(OmnistereoError, match="does not state the size of the images"):
-        load_rig(
+        read_any_rig(
             dump(
                 tmp_path / "rig_config.json",
                 rig_config(camera_model_name=name, camera_params=values),
@@ -143,11 +144,11 @@ def test_models_of_colmap(tmp_path):
     write(
         tmp_path / "images.txt", images_txt(WORLD, WORLD @ Pose.from_vector([0, 0.1, 0, 1, 0, 0]))
     )
-    rig = load_rig(tmp_path, "m")
+    rig = read_any_rig(tmp_path, "m")
     same_poses(rig)
     follows(rig.cameras[0], fisheye, RAYS)
     with pytest.raises(OmnistereoError, match="does not state its unit"):
-        load_rig(tmp_path / "images.txt")
+        read_any_rig(tmp_path / "images.txt")
     lines = images_txt(WORLD, WORLD).splitlines()
     lines[-2] = lines[-2].replace(lines[-2].split()[5], "9.0")
     write(tmp_path / "images.txt", "\n".join(lines))
@@ -155,14 +156,14 @@ def test_models_of_colmap(tmp_path):
         UserWarning,
         match=r"images.txt: 0.png and 1.png contradict .*camera 2: .* % of the size of the rig",
     ):
-        load_rig(tmp_path, "m")
+        read_any_rig(tmp_path, "m")
     for text, message in (
         ("1 1 0 0 0 0 0 0 7 a.png", r"line 1: found .*CAMERA_ID NAME"),
         ("", "no file name is that of an"),
     ):
         with pytest.raises(OmnistereoError, match=message):
             write(tmp_path / "images.txt", text)
-            load_rig(tmp_path, "m")
+            read_any_rig(tmp_path, "m")
 
 
 def transforms(**changes):
@@ -189,7 +190,7 @@ def transforms(**changes):
 
 
 def test_frames_of_nerfstudio(tmp_path, recwarn):
-    rig = load_rig(dump(tmp_path / "transforms.json", transforms()), "m")
+    rig = read_any_rig(dump(tmp_path / "transforms.json", transforms()), "m")
     same_poses(rig)
     follows(rig.cameras[1], fisheye, RAYS)
     focal = {
@@ -203,7 +204,7 @@ def test_frames_of_nerfstudio(tmp_path, recwarn):
         "p2": -1e-5,
     }
     follows(
-        load_rig(
+        read_any_rig(
             dump(tmp_path / "t.json", transforms(camera_model="OPENCV", **focal)), "m"
         ).cameras[0],
         brown,
@@ -215,13 +216,13 @@ def test_frames_of_nerfstudio(tmp_path, recwarn):
         "camera_model": "PINHOLE",
     } | {"k4": 0}
     angle |= dict.fromkeys(("k1", "k2", "k3"), 0)
-    rig = load_rig(dump(tmp_path / "t.json", transforms(**angle)), "m")
+    rig = read_any_rig(dump(tmp_path / "t.json", transforms(**angle)), "m")
     follows(rig.cameras[0], lambda x, y, z: (400 * x / z + 400, 400 * y / z + 380))
     assert not recwarn.list
     with pytest.raises(OmnistereoError, match="frame 1: camera_model EQUIRECTANGULAR is not read"):
-        load_rig(dump(tmp_path / "t.json", transforms(camera_model="EQUIRECTANGULAR")), "m")
+        read_any_rig(dump(tmp_path / "t.json", transforms(camera_model="EQUIRECTANGULAR")), "m")
     with pytest.warns(UserWarning, match="no camera_model is stated: read as OPENCV"):
-        load_rig(dump(tmp_path / "t.json", transforms(camera_model=None, **focal)), "m")
+        read_any_rig(dump(tmp_path / "t.json", transforms(camera_model=None, **focal)), "m")
 
 
 def mc_calib(pose, kind=1, D=K4):
@@ -233,7 +234,7 @@ def mc_calib(pose, kind=1, D=K4):
 
 def test_cameras_of_mc_calib(tmp_path, recwarn):
     data = {"nb_camera": 2} | {f"camera_{n}": mc_calib(pose) for n, pose in enumerate(CAMERAS)}
-    rig = load_rig(dump(tmp_path / "calibrated_cameras_data.yml", data), "cm")
+    rig = read_any_rig(dump(tmp_path / "calibrated_cameras_data.yml", data), "cm")
     same_poses(rig)
     follows(rig.cameras[1], fisheye, RAYS)
     data["camera_1"]["camera_group"] = 1
@@ -241,7 +242,7 @@ def test_cameras_of_mc_calib(tmp_path, recwarn):
     with pytest.raises(
         OmnistereoError, match="camera camera_1: camera_group is not that of the first camera"
     ):
-        load_rig(dump(tmp_path / "calibrated_cameras_data.yml", data), "cm")
+        read_any_rig(dump(tmp_path / "calibrated_cameras_data.yml", data), "cm")
 
 
 def test_profiles_of_gyroflow(tmp_path):
@@ -262,9 +263,9 @@ def test_profiles_of_gyroflow(tmp_path):
         "fisheye_params": lens | {"radial_distortion_limit": 2},
     }
     for n in (1, 2):
-        follows(load_camera(dump(tmp_path / f"cam{n}.json", profile)), fisheye, RAYS)
+        follows(read_any_camera(dump(tmp_path / f"cam{n}.json", profile)), fisheye, RAYS)
     write(tmp_path / "poses.txt", "0 0 0 0 0 0\n0 1 0 10 0 0\n")
-    assert load_rig(tmp_path, "cm").baselines[0] == pytest.approx(0.1)
+    assert read_any_rig(tmp_path, "cm").baselines[0] == pytest.approx(0.1)
     for wrong in (
         {"distortion_model": "poly5"},
         {"input_vertical_stretch": 1.33},
@@ -273,13 +274,13 @@ def test_profiles_of_gyroflow(tmp_path):
         with pytest.raises(
             OmnistereoError, match="only profiles with the distortion_model opencv_fisheye"
         ):
-            load_camera(dump(tmp_path / "lens.json", profile | wrong))
+            read_any_camera(dump(tmp_path / "lens.json", profile | wrong))
 
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
     """A rig, the folder of what it is exported to, and the largest residual of the models there."""
-    rig, folder = load_rig("data_samples/sunny/test"), tmp_path_factory.mktemp("exported")
+    rig, folder = read_any_rig("data_samples/sunny/test"), tmp_path_factory.mktemp("exported")
     return rig, folder, max(export_rig(rig, folder))
 
 
@@ -287,7 +288,7 @@ def exported(tmp_path_factory):
 def test_what_is_exported_comes_back(exported, name, recwarn):
     """COLMAP's two files in the same way as the other ones: the residual is that of the model."""
     true, folder, residual = exported
-    rig = load_rig(folder / name, None if "kalibr" in name else "m")
+    rig = read_any_rig(folder / name, None if "kalibr" in name else "m")
     for n, camera in enumerate(rig.cameras):
         error = (
             (true.T_rig_cam[0].inverse() @ true.T_rig_cam[n]).inverse()
@@ -314,4 +315,4 @@ def test_unread_programs_say_what_to_do(tmp_path):
         ([{"a": 1}], "unknown format"),
     ):
         with pytest.raises(OmnistereoError, match=message):
-            load_rig(write(tmp_path / "file.json", json.dumps(data)))
+            read_any_rig(write(tmp_path / "file.json", json.dumps(data)))

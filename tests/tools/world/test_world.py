@@ -8,12 +8,12 @@ import scene
 from scipy.spatial.transform import Rotation
 
 import omnistereo_lib as osl
+from omnistereo_lib.geometry.trajectory import read_trajectory, trajectory_kitti, trajectory_tum
 from omnistereo_rigs.images.features import FeatureFinder
 from omnistereo_tools.world.fusion import View, Volume, bytes_needed, touched_blocks
 from omnistereo_tools.world.motion import SightingFinder, rig_step
 from omnistereo_tools.world.refine import mix, moving_rays
 from omnistereo_tools.world.surface import extract_surface
-from omnistereo_tools.world.trajectory import read_trajectory, trajectory_kitti, trajectory_tum
 
 GRID = osl.SphereGrid(320, 160, (-90.0, 90.0), num_spheres=64, min_depth=0.5)
 RADIUS, VOXEL, REACH = 3.0, 0.1, 10.0

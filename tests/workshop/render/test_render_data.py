@@ -9,7 +9,7 @@ import pytest
 from lens_oracle import directions
 
 import omnistereo_lib as osl
-from omnistereo_tools.world.trajectory import read_trajectory
+from omnistereo_lib.geometry.trajectory import read_trajectory
 from workshop.render.camera.render_rig import make_rig, write_config
 from workshop.render.city.drive import plan_drive
 from workshop.render.city.layout import plan_district

@@ -151,9 +151,9 @@ def test_manifest_lists_every_file_but_itself(tmp_path):
     (tmp_path / "set" / ".0003").mkdir()
     (tmp_path / "set" / ".0003" / "0003.jpg").write_bytes(b"of half a frame")
     for _ in range(2):  # the second time there is one already
-        write_manifest(tmp_path, 5, "python -m render")
+        write_manifest(tmp_path, 5, "python -m workshop.render")
     manifest = json.loads((tmp_path / "manifest.json").read_text())
-    assert manifest["seed"] == 5 and manifest["command"] == "python -m render"
+    assert manifest["seed"] == 5 and manifest["command"] == "python -m workshop.render"
     assert manifest["files"] == {"set/cam1/0001.jpg": hashlib.sha256(b"picture").hexdigest()}
     (tmp_path / "weights").write_bytes(b"trained")
     renew_manifest(tmp_path)
@@ -217,7 +217,7 @@ def test_blender_environment_gets_the_same_job(monkeypatch, tmp_path):
     assert [str(word) for word in calls[0]] == [
         str(python),
         "-m",
-        "render",
+        "workshop.render",
         *job,
         "--out",
         str(tmp_path / "here"),
@@ -279,7 +279,7 @@ def test_a_process_of_blender_ends_with_its_worker(worker, tmp_path):
     command = [
         worker,
         "-c",
-        "import render; render.run_for_worker()",
+        "from workshop import render; render.run_for_worker()",
         tmp_path,
         "sunny/test",
         "998",

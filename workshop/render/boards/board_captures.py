@@ -159,7 +159,9 @@ def soften(light: NDArray, sigma: float) -> NDArray[np.float64]:
 
 
 def _write(path: Path, picture: NDArray[np.uint8]) -> None:
-    """Write a picture under a temporary name, which a run after a kill takes again, then rename it."""
+    """Write a picture under a temporary name, which a run after a kill takes again, then rename
+    it.
+    """
     from PIL import Image
 
     temporary = path.with_name(f".{path.name}")

@@ -94,7 +94,9 @@ class Capture:
 
 
 def board_corners() -> NDArray[np.float64]:
-    """Return the inner corners in the board's frame, shape (120, 3): row by row, columns fastest."""
+    """Return the inner corners in the board's frame, shape (120, 3): row by row, columns
+    fastest.
+    """
     rows, columns = np.mgrid[:ROWS, :COLUMNS]
     return SQUARE * np.stack([columns, rows, 0 * rows], -1).reshape(-1, 3).astype(float)
 

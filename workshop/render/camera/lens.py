@@ -58,7 +58,9 @@ class Lens:
         return r
 
     def blender_coefficients(self) -> tuple[float, ...]:
-        """Return fisheye_polynomial_k0 … k4: −θ as a polynomial of r in millimetres on the sensor."""
+        """Return fisheye_polynomial_k0 … k4: −θ as a polynomial of r in millimetres on the
+        sensor.
+        """
         px_per_mm = REFERENCE_WIDTH / SENSOR_MM
         k1, k3, k4 = self.k
         return 0.0, -k1 * px_per_mm, 0.0, -k3 * px_per_mm**3, -k4 * px_per_mm**4

@@ -1,4 +1,6 @@
-"""A district put together in Blender: streets, houses, parks, cars, people, trees, wires, skyline."""
+"""A district put together in Blender: streets, houses, parks, cars, people, trees, wires,
+skyline.
+"""
 
 from __future__ import annotations
 

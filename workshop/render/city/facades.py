@@ -197,7 +197,9 @@ def openings(
     wall: str,
     rng: np.random.Generator,
 ) -> None:
-    """Add windows: reveals, a pane with its curtain, a frame with a cross, a sill that sticks out."""
+    """Add windows: reveals, a pane with its curtain, a frame with a cross, a sill that sticks
+    out.
+    """
     n, d = len(s0), np.full(len(s0), -recess)
     corner = {c: np.stack([(s0, s1)[c & 1], d, (z0, z1)[c >> 1]], -1) for c in range(4)}
     outer = {c: p * (1, 0, 1) for c, p in corner.items()}

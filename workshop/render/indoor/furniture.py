@@ -16,7 +16,9 @@ from workshop.render.surfaces.mesh_builder import Mesh
 def cushion(
     mesh: Mesh, center: ArrayLike, size: ArrayLike, material: str, value: float = 0.5
 ) -> None:
-    """Add a soft box of a full `size`: a superellipsoid, flat in the middle and round at the edges."""
+    """Add a soft box of a full `size`: a superellipsoid, flat in the middle and round at the
+    edges.
+    """
     latitude = np.linspace(-np.pi / 2, np.pi / 2, 13)[:, None]
     angle = np.linspace(0, 2 * np.pi, 29)
     bent = (np.sign(wave) * np.abs(wave) ** 0.35 for wave in (np.cos(angle), np.sin(angle)))

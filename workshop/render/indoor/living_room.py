@@ -42,7 +42,9 @@ def room_pose(index: int) -> Pose:
 
 
 def build_room(light: str, seed: int) -> float:
-    """Fill the current Blender scene with the room and what its window shows; return the exposure."""
+    """Fill the current Blender scene with the room and what its window shows; return the
+    exposure.
+    """
     stage, rng = Stage(), np.random.default_rng([seed, 8])
     stage.add(_shell(), "shell")
     stage.add(_joinery(), "joinery")

@@ -44,7 +44,9 @@ class Opening:
 
 @dataclass(frozen=True)
 class Piece:
-    """Something in the room: a mesh, its position (3,), yaw, scale, and the box around it, (2, 3)."""
+    """Something in the room: a mesh, its position (3,), yaw, scale, and the box around it, (2,
+    3).
+    """
 
     mesh: Mesh
     at: NDArray[np.float64]

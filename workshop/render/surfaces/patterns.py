@@ -28,7 +28,9 @@ PATTERNS = (
 
 
 def random_color(rng: np.random.Generator, vivid: float = 0.8) -> tuple[float, float, float]:
-    """Draw a linear RGB colour, from near black to near white; `vivid` is the largest saturation."""
+    """Draw a linear RGB colour, from near black to near white; `vivid` is the largest
+    saturation.
+    """
     value = rng.uniform(0.03, 0.85)
     return colorsys.hsv_to_rgb(rng.random(), vivid * rng.random(), value)
 

@@ -167,7 +167,9 @@ def _add_ground(stage: Any, plan: ThingsPlan, rng: np.random.Generator) -> None:
 
 
 def _add_backdrop(stage: Any, plan: ThingsPlan, rng: np.random.Generator) -> None:
-    """Enclose the scene; light passes through the enclosure, so that the sky lights what is inside."""
+    """Enclose the scene; light passes through the enclosure, so that the sky lights what is
+    inside.
+    """
     from workshop.render.surfaces.patterns import PATTERNS, random_material
 
     mesh, walls = Mesh(), ("plain",) if rng.random() < 0.35 else PATTERNS

@@ -1,0 +1,86 @@
+"""`python -m workshop COMMAND`: what makes the notebooks, the book, the slides and the tables."""
+
+import sys
+from pathlib import Path
+
+from course.__main__ import OUT, Commands
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one command of the workshop; return the exit status."""
+    commands = Commands("workshop", __doc__)
+    add = commands.add
+    for name, calls, text in (
+        ("run", "course.kernels.run", "run notebooks from fresh kernels, clean and store them"),
+        (
+            "clean",
+            "course.nbtools.clean_stored",
+            "remove what should not be stored: ids, timings, widget state",
+        ),
+        ("lint", "course.rules.lint", "check notebooks against the course's rules"),
+        (
+            "stills",
+            "course.kernels.record_stills",
+            "run notebooks and store what their live figures show, for the website and the slides",
+        ),
+    ):
+        add(name, calls, text).add_argument("paths", nargs="+", type=Path, metavar="NOTEBOOK")
+    for name, calls, text in (
+        ("book", "publish.website.build", "build the website"),
+        ("slides", "publish.slides.make_slides", "build the slides"),
+    ):
+        add(name, calls, text).add_argument("out", nargs="?", type=Path, default=OUT / name)
+    add(
+        "pages",
+        "publish.pages.main",
+        "update the lists and pictures of the README and the book's pages",
+    )
+    add(
+        "reproduction",
+        "publish.reproduction.renew_report",
+        "compute book/reproduction.md from the stored results",
+    )
+    results = add(
+        "results",
+        "results.stored_results.compute_results",
+        "compute the stored results again: hours, but it resumes",
+    )
+    results.add_argument(
+        "options", nargs="*", help="of every evaluation, after --, such as -- --cluster ADDRESS"
+    )
+    add(
+        "rig-sizes",
+        "results.rig_sizes.print_table",
+        "how many rays are right at which distance, by size of rig",
+    )
+    world = add(
+        "world-table",
+        "results.world_table.print_table",
+        "judge what `omnistereo world` made of a rendered drive",
+    )
+    world.add_argument("recording", type=Path, help="folder of the recording")
+    world.add_argument(
+        "data",
+        nargs="?",
+        default="sunny/train",
+        help="the drive, or drive/test (default: %(default)s)",
+    )
+    add(
+        "snapshots",
+        "results.snapshots.take_snapshots",
+        "store what SweepNet makes of one frame while it learns",
+    )
+    ship = add(
+        "ship",
+        "results.ship.export_weights",
+        "bundle the weights of a finished training run, with curve and card",
+    )
+    ship.add_argument("run", type=Path, help="folder of the run")
+    ship.add_argument("--half", action="store_true", help="store float16: half the file")
+    bench = add("bench", "results.bench.run", "time the library against named alternatives")
+    bench.add_argument("--quick", action="store_true", help="leave out the scale of the paper")
+    return commands.run(arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
