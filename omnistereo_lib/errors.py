@@ -22,8 +22,7 @@ class OmnistereoError(ValueError):
 
     >>> osl.SphereGrid(640, 160, min_depth=-1)
     Traceback (most recent call last):
-    omnistereo_lib.errors.OmnistereoError: min_depth is -1 and max_depth inf; expected metres with
-    ...
+    omnistereo_lib.errors.OmnistereoError: min_depth is -1 and max_depth inf; expected metres ...
     """
 
     def __init__(self, message: str) -> None:

@@ -7,16 +7,21 @@ import numpy as np
 import pytest
 
 import omnistereo_lib as osl
+import omnistereo_rigs
+
+NAMES = [(osl, name) for name in osl.__all__]
+NAMES += [(omnistereo_rigs, name) for name in omnistereo_rigs.__all__ if "_rig" not in name]
+NAMES += [(omnistereo_rigs, name) for name in ("calibrate_rig", "read_any_rig")]
 
 
-@pytest.mark.parametrize("name", osl.__all__)
-def test_examples(name, tmp_path, monkeypatch):
+@pytest.mark.parametrize(("package", "name"), NAMES)
+def test_examples(package, name, tmp_path, monkeypatch):
     """An example may use `np`, `osl` and `data_samples`; what it writes goes into an empty
     folder.
     """
     (tmp_path / "data_samples").symlink_to(Path(__file__).resolve().parents[1] / "data_samples")
     monkeypatch.chdir(tmp_path)
-    value = getattr(osl, name)
+    value = getattr(package, name)
     parser, runner = doctest.DocTestParser(), doctest.DocTestRunner(optionflags=doctest.ELLIPSIS)
     runner.run(
         parser.get_doctest(value.__doc__, {"np": np, "osl": osl}, name, value.__module__, None)

@@ -44,7 +44,7 @@ class OcamCamera:
     range.
 
     >>> camera = osl.load_rig("data_samples/sunny/test").cameras[0]
-    # ahead, to the right, behind
+    >>> # ahead, to the right, behind
     >>> uv, valid = camera.project([[0, 0, 1], [1, 0, 0], [0, 0, -1]])
     >>> uv.round(1)
     array([[400.4, 383. ],

@@ -176,6 +176,7 @@ def read_any_rig(
         OmnistereoError: If the file is missing, broken or of an unsupported format, or its unit is
             neither stated nor given.
 
+    >>> from omnistereo_rigs import read_any_rig
     >>> rig = read_any_rig("data_samples/sunny/test")
     >>> len(rig), rig.cameras[0].image_size
     (4, (800, 768))
@@ -229,11 +230,6 @@ def read_any_camera(path: str | Path, max_fov_deg: float | None = None) -> OcamC
     Args:
         path: The file.
         max_fov_deg: As for `read_any_rig`.
-
-    >>> with open("ocam1.txt", "w") as file:  # without an inverse polynomial, which is fitted
-    ...     print("3 -200 0 1e-3", "0", "240 320", "1 0 0", "480 640", sep="\n", file=file)
-    >>> read_any_camera("ocam1.txt", max_fov_deg=180).center  # (u, v); the file has the row first
-    (320.0, 240.0)
     """
     path = as_path(path)
     if max_fov_deg is not None:

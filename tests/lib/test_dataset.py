@@ -239,13 +239,12 @@ def test_frames_that_have_their_own_rigs(tmp_path):
             part.rig
 
 
-@pytest.mark.parametrize("keep", [True, False])
-def test_the_frame_of_the_file_is_kept_for_every_rig(tmp_path, keep):
+def test_the_frame_of_the_file_is_kept_for_every_rig(tmp_path):
     tilted = scene.rig(width=40, height=32).transformed(osl.Pose.from_vector([1.0, 0, 0, 0, 0, 0]))
     tilted = osl.Rig(tilted.cameras, tilted.T_rig_cam)  # as of a file that says nothing of it
     save(tmp_path / "0001", [1], rig=tilted, cameras=4, gt=None)
-    found = osl.load_dataset(tmp_path, keep_frame=keep)[0].rig
-    assert np.allclose(found.T_rig_cam[0].R, tilted.T_rig_cam[0].R) is keep
+    found = osl.load_dataset(tmp_path)[0].rig
+    assert np.allclose(found.T_rig_cam[0].R, tilted.T_rig_cam[0].R)
 
 
 def test_frames_of_an_ordinary_set_carry_its_rig(tmp_path):
