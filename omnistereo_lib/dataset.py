@@ -9,6 +9,8 @@ folder/
   train/ test/                          or one such folder for each split
   0001/ 0002/ …                         or one such folder for each rig
 
+A folder may also lie packed, as folder.zip; see `files.unpack`.
+
 The number in the name of a ground-truth folder is its panorama width in pixels: the releases have
 640 × 160, our sets also 1200 × 300, the panorama size of the paper. Of several widths
 `load_dataset` reads one.
@@ -28,7 +30,7 @@ from pathlib import Path
 from typing import overload
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import as_path, path_within, read_data, read_text
+from omnistereo_lib.files import as_path, path_within, read_data, read_text, unpack
 from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.rig import Rig, Unit
 from omnistereo_lib.rig_file import load_rig
@@ -122,6 +124,7 @@ def load_dataset(
     (706, (300, 1200))
     """
     folder = as_path(folder, "folder")
+    unpack(folder)
     if not os.path.isdir(folder):  # False also for a name that no file can have
         raise OmnistereoError(f"{folder} cannot be read: there is no such folder. Check the path.")
     if split is not None and (folder / split).is_dir():

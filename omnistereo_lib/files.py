@@ -8,12 +8,13 @@ import os
 import re
 import stat
 import warnings
+import zipfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from io import BytesIO
 from pathlib import Path
 from secrets import token_hex
-from tempfile import TemporaryFile
+from tempfile import TemporaryDirectory, TemporaryFile
 from typing import Any
 
 import numpy as np
@@ -611,3 +612,34 @@ def is_whole(path: str | Path) -> bool:
     except OmnistereoError:
         return False
     return True
+
+
+def unpack(folder: Path) -> None:
+    """Unpack NAME.zip where a folder NAME, or one above it, is not there yet, but its archive is.
+
+    Sets of thousands of small files lie as one archive each; the folder appears when it is whole.
+    """
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    archive = next(
+        (p for path in missing if (p := path.parent / f"{path.name}.zip").exists()), None
+    )
+    if archive is None:
+        return
+    try:
+        with (
+            TemporaryDirectory(dir=archive.parent, prefix=f".{archive.stem}-") as partial,
+            zipfile.ZipFile(archive) as packed,
+        ):
+            packed.extractall(partial)
+            whole = archive.with_suffix("")
+            try:
+                os.rename(Path(partial) / whole.name, whole)
+            except OSError:
+                # Another process was first.
+                if not whole.is_dir():
+                    raise
+    except (OSError, zipfile.BadZipFile) as error:
+        raise OmnistereoError(
+            f"{archive} cannot be unpacked: {error}. Check it by `make doctor`, and that its folder"
+            " can be written"
+        ) from None

@@ -27,7 +27,7 @@ from omnistereo_learn.evaluate.records import (
 from omnistereo_learn.evaluate.regions import error_sums, find_regions
 from omnistereo_lib.dataset import Dataset, load_dataset
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import checksum, make_folder, read_bytes
+from omnistereo_lib.files import checksum, make_folder, read_bytes, unpack
 from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
@@ -82,6 +82,8 @@ def find_sets(names: Sequence[str], split: str | None = None) -> dict[str, Path]
             f"{text}-train" if split == "train" else text,
             DATA / text / (split or "test"),
         )
+        if Path(text).name == text:
+            unpack(folder)
         if Path(text).name != text or not folder.is_dir():
             folder = Path(text).resolve()
             name = (

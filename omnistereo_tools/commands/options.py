@@ -197,6 +197,7 @@ def read_frame(options: FrameOptions) -> Frame:
     Raises an `OmnistereoError` if files are missing or broken.
     """
     from omnistereo_lib.dataset import load_dataset
+    from omnistereo_lib.files import unpack
     from omnistereo_lib.frame import Frame, load_images
 
     if options.images is not None:
@@ -204,6 +205,7 @@ def read_frame(options: FrameOptions) -> Frame:
         images = load_images(options.images, rig)
         return Frame.of(mask_circles(rig, [images]), images)
     folder = options.rig or SAMPLE
+    unpack(folder)
     if not folder.is_dir():
         raise OmnistereoError(
             f"{folder} is not a data set folder. Give --images, one per camera of the rig"

@@ -1,5 +1,6 @@
 """Data sets: the public layout with its traps, both encodings of the ground truth, all errors."""
 
+import shutil
 import weakref
 
 import cv2
@@ -358,3 +359,17 @@ def test_gt_index_of_a_full_sphere_on_a_band_and_back(tmp_path):
     index = gt_index(tmp_path, gt_of(BAND), full)
     assert np.isnan(index[:8]).all() and np.isnan(index[24:]).all()
     np.testing.assert_allclose(index[8:24], expected, rtol=1e-6)
+
+
+def test_a_set_that_lies_packed_is_unpacked_when_it_is_read(tmp_path):
+    save(tmp_path / "city" / "test", [1, 2])
+    shutil.make_archive(tmp_path / "city", "zip", tmp_path, "city")
+    shutil.rmtree(tmp_path / "city")
+    assert len(osl.load_dataset(tmp_path / "city", "test")) == 2
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["city", "city.zip"]
+
+
+def test_a_damaged_archive_is_named(tmp_path):
+    (tmp_path / "city.zip").write_bytes(b"PK")
+    refuses(r"city.zip cannot be unpacked: .*make doctor", tmp_path / "city" / "test")
+    assert [path.name for path in tmp_path.iterdir()] == ["city.zip"]

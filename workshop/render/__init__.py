@@ -19,6 +19,7 @@ from pathlib import Path
 from threading import Thread
 
 from omnistereo_lib.errors import EXIT_STATUS, OmnistereoError
+from omnistereo_lib.files import unpack
 from workshop.render.boards.board_captures import is_captured, render_captures
 from workshop.render.boards.positions import CAPTURES
 from workshop.render.image_sets import (
@@ -26,6 +27,7 @@ from workshop.render.image_sets import (
     SETS,
     forget_partial,
     is_complete,
+    pack,
     render_set,
     select_shard,
     write_manifest,
@@ -109,7 +111,11 @@ def render(
         command += ["--shard", shard, "--seed", str(seed), "--out", out.absolute()]
         return subprocess.run(command, cwd=_ROOT, check=False).returncode
     for name, numbers in wanted.items():
+        unpack(out.absolute() / name)
         _render(out.absolute() / name, name, numbers, seed, cluster)
+    for archive in out.glob("*.zip"):
+        if archive.stem in {name.split("/")[0] for name in wanted}:
+            pack(archive.with_suffix(""))
     there = " ".join(name for name in _ALL if (out / name).is_dir())
     write_manifest(out, seed, f"python -m workshop.render {there} --seed {seed}")
     return 0

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -341,10 +342,13 @@ def forget_partial(folder: Path, images: ImageSet, numbers: tuple[int, ...]) -> 
 
 def write_manifest(root: Path, seed: int, command: str) -> None:
     """Write manifest.json: the checksum of every file below a folder, the seed and the command that
-    made them.
+    made them. Of a folder that lies there packed, too, only the archive counts.
     """
+    packed = [path.with_suffix("") for path in root.glob("*.zip")]
     files = sorted(
-        path for path in root.rglob("*") if path.is_file() and path.name != "manifest.json"
+        path
+        for path in root.rglob("*")
+        if path.is_file() and path.name != "manifest.json" and not {*packed} & {*path.parents}
     )
     names = {path.relative_to(root).as_posix(): path for path in files}
     checksums = {
@@ -354,6 +358,17 @@ def write_manifest(root: Path, seed: int, command: str) -> None:
     }
     text = json.dumps({"command": command, "seed": seed, "files": checksums}, indent=1) + "\n"
     write_text(root / "manifest.json", text)
+
+
+def pack(folder: Path) -> None:
+    """Write a folder as NAME.zip beside it, the same bytes each time."""
+    partial = folder.with_name(f".{folder.name}.zip")
+    with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+        for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+            entry = zipfile.ZipInfo(path.relative_to(folder.parent).as_posix())
+            entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
+            archive.writestr(entry, path.read_bytes())
+    partial.replace(folder.with_name(f"{folder.name}.zip"))
 
 
 def renew_manifest(root: Path) -> None:
