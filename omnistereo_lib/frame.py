@@ -14,18 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.consumer_images import check_not_stitched, split_image
 from omnistereo_lib.errors import OmnistereoError, check_type, shortened
-from omnistereo_lib.files import (
-    MAX_PIXELS,
-    as_path,
-    atomic_write,
-    open_picture,
-    pages_of,
-    read_image,
-    read_pixels,
-)
+from omnistereo_lib.files import as_path, atomic_write
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import Sampling, SphereGrid
 from omnistereo_lib.lazy import lazy_property
+from omnistereo_lib.pictures import MAX_PIXELS, open_picture, pages_of, read_image, read_pixels
 
 
 @dataclass(frozen=True, eq=False)

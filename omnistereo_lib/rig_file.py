@@ -19,15 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError, error_context
-from omnistereo_lib.files import (
-    as_path,
-    path_within,
-    read_data,
-    read_gray,
-    to_yaml,
-    write_image,
-    write_text,
-)
+from omnistereo_lib.files import as_path, path_within, read_data, to_yaml, write_text
 from omnistereo_lib.geometry.camera import OcamCamera, fit_inverse_polynomial
 from omnistereo_lib.geometry.field_of_view import DEFAULT_FOV_DEG, Projected, field_of_view_deg
 from omnistereo_lib.geometry.pose import Floats, Pose
@@ -43,6 +35,7 @@ from omnistereo_lib.parse import (
     parse_floats,
     parse_size,
 )
+from omnistereo_lib.pictures import read_gray, write_image
 
 _log = logging.getLogger("omnistereo_lib")
 

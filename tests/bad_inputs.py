@@ -21,8 +21,8 @@ import torch
 import yaml
 
 import omnistereo_lib as osl
-from omnistereo_lib.files import write_image
 from omnistereo_lib.geometry.rig import camera_pairs
+from omnistereo_lib.pictures import write_image
 from omnistereo_rigs import Checkerboard, calibrate_camera
 from omnistereo_rigs.boards.captures import save_corners
 

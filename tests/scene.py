@@ -7,8 +7,8 @@ poses."""
 import numpy as np
 
 import omnistereo_lib as osl
-from omnistereo_lib.files import write_image
 from omnistereo_lib.frame import write_inverse_depth
+from omnistereo_lib.pictures import write_image
 from omnistereo_lib.stereo.sweep import SphereSweep
 
 HALF_SIZE = np.array([2.6, 1.4, 3.1])  # metres from the box's centre to its walls

@@ -46,7 +46,7 @@ from course.classroom import handin
 from omnistereo_learn.evaluate.records import read_record
 from omnistereo_learn.evaluate.table import errors_table, regions_table
 from omnistereo_learn.loop import COLUMNS, _Run, read_log, write_csv
-from omnistereo_lib.files import read_image
+from omnistereo_lib.pictures import read_image
 from omnistereo_rigs.boards.captures import load_corners, save_corners
 from omnistereo_rigs.boards.checkerboard import Checkerboard
 from omnistereo_rigs.formats.read import read_any_camera, read_any_rig

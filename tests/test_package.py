@@ -28,6 +28,7 @@ PACKAGES = (
 LAYERS = """
 errors lazy progress
 files
+pictures
 geometry
 parse reference
 consumer_images rig_file
@@ -112,7 +113,7 @@ def test_the_command_line_and_its_bar_import_what_is_slow_when_it_is_needed():
 
 def test_the_renderer_uses_geometry_and_files_only():
     used = {other for path in sources("workshop/render").values() for other in ours(path)}
-    assert {name.split(".")[1] for name in used} <= {"geometry", "errors", "files"}
+    assert {name.split(".")[1] for name in used} <= {"geometry", "errors", "files", "pictures"}
     tools = {
         other
         for path in sources("workshop/render").values()

@@ -26,7 +26,7 @@ from served_commands import Server
 from typed_commands import HELP, NOTEBOOKS, PAGES, ROOT, commands_of
 
 import omnistereo_lib as osl
-from omnistereo_lib.files import write_image
+from omnistereo_lib.pictures import write_image
 from omnistereo_lib.stereo.images import reduce_images
 from omnistereo_rigs.formats.write import export_rig
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.files import read_image
+from omnistereo_lib.pictures import read_image
 
 _SECONDS = 60  # a mesh takes two
 

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError, error_context
-from omnistereo_lib.files import find_pictures, read_data, read_image, write_text
+from omnistereo_lib.files import read_data, write_text
 from omnistereo_lib.geometry.pose import Floats
 from omnistereo_lib.parse import Section, parse_floats, parse_size
+from omnistereo_lib.pictures import find_pictures, read_image
 from omnistereo_rigs.boards.board import Board
 from omnistereo_rigs.boards.checkerboard import Checkerboard
 from omnistereo_rigs.boards.marker_boards import AprilGrid, CharucoBoard

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from omnistereo_lib.errors import OmnistereoError, error_context
-from omnistereo_lib.files import read_gray
 from omnistereo_lib.geometry.pose import quaternion_pose
 from omnistereo_lib.parse import RigFile, Section, parse_size
+from omnistereo_lib.pictures import read_gray
 from omnistereo_rigs.formats.fit import fit_camera
 
 _MODELS = {"pinhole-radtan8": "pinhole"}  # what basalt calls otherwise than `camera_models`

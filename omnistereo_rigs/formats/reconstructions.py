@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from omnistereo_lib.errors import OmnistereoError, error_context
-from omnistereo_lib.files import path_within, read_gray, read_image
+from omnistereo_lib.files import path_within
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose, quaternion_pose
 from omnistereo_lib.parse import (
@@ -23,6 +23,7 @@ from omnistereo_lib.parse import (
     parse_size,
     warn_if_different,
 )
+from omnistereo_lib.pictures import read_gray, read_image
 from omnistereo_rigs.formats.camera_models import FISHEYE, PINHOLE, RADTAN
 from omnistereo_rigs.formats.fit import fit_camera
 

@@ -70,7 +70,7 @@ def _videos(folder: Path) -> list[str]:
     """Write the pictures of each camera, there and back, as a video; return their names."""
     import cv2
 
-    from omnistereo_lib.files import read_image
+    from omnistereo_lib.pictures import read_image
 
     if not (cameras := sorted(DRIVE.glob("cam*"))):
         raise OmnistereoError(

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import read_gray
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.pictures import read_gray
 from omnistereo_tools.judge.coverage import Coverage
 
 _NAME = "mask.png"  # beside the images of a camera

@@ -20,15 +20,15 @@ from numpy.typing import NDArray
 
 from omnistereo_lib.consumer_images import split_image
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import (
+from omnistereo_lib.files import checksum
+from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.pictures import (
     check_image,
     check_size,
-    checksum,
     find_pictures,
     read_image,
     remark_turned,
 )
-from omnistereo_lib.geometry.rig import Rig
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 _VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v", ".mpg", ".mpeg", ".ts", ".insv")

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omnistereo_lib.files import make_folder, write_image, write_text
+from omnistereo_lib.files import make_folder, write_text
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.pictures import write_image
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.sweep import OUTSIDE, remap
 from omnistereo_tools.output.points import Limits

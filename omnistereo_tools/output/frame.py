@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.files import make_folder, write_image, write_text
+from omnistereo_lib.files import make_folder, write_text
 from omnistereo_lib.frame import write_inverse_depth
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.lazy import lazy_property
+from omnistereo_lib.pictures import write_image
 from omnistereo_lib.progress import Progress, counted, silent
 from omnistereo_lib.rig_file import save_rig
 from omnistereo_lib.stereo.depth import Depth

@@ -36,15 +36,14 @@ from omnistereo_lib.files import (
     checksum,
     make_folder,
     read_data,
-    read_image,
     read_text,
-    write_image,
     write_text,
 )
 from omnistereo_lib.frame import read_inverse_depth, write_inverse_depth
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.lazy import lazy_property
 from omnistereo_lib.parse import Section
+from omnistereo_lib.pictures import read_image, write_image
 from omnistereo_lib.rig_file import save_rig
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD, Method

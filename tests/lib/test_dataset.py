@@ -10,8 +10,8 @@ import scene
 import tifffile
 
 import omnistereo_lib as osl
-from omnistereo_lib.files import write_image
 from omnistereo_lib.frame import Frame, read_inverse_depth, write_inverse_depth
+from omnistereo_lib.pictures import write_image
 
 RIG = scene.rig(width=40, height=32)
 GT = np.random.default_rng(0).uniform(0, 1 / 0.55, (8, 32)).astype(np.float32)  # ±45°

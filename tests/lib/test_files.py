@@ -11,15 +11,8 @@ import tifffile
 from PIL import Image
 
 from omnistereo_lib import OmnistereoError
-from omnistereo_lib.files import (
-    atomic_write,
-    is_whole,
-    make_folder,
-    read_gray,
-    read_image,
-    remove_empty_folders,
-    write_image,
-)
+from omnistereo_lib.files import atomic_write, make_folder, remove_empty_folders
+from omnistereo_lib.pictures import is_whole, read_gray, read_image, write_image
 
 SMOOTH = (
     np.stack(np.meshgrid(np.arange(30), np.arange(20)), -1).astype(np.uint8)[..., [0, 1, 1]] * 4

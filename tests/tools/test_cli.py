@@ -13,8 +13,8 @@ import torch
 import yaml
 
 import omnistereo_lib as osl
-from omnistereo_lib.files import read_image, write_image
 from omnistereo_lib.frame import read_inverse_depth, write_inverse_depth
+from omnistereo_lib.pictures import read_image, write_image
 from omnistereo_rigs.doctor.rig_check import invert_poses
 from omnistereo_tools import cli
 from omnistereo_tools.commands import depth_command

@@ -9,7 +9,7 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
-from omnistereo_lib.files import write_image
+from omnistereo_lib.pictures import write_image
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.input.masks import with_masks
 from omnistereo_tools.output.frame import FrameResult

@@ -12,7 +12,7 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
-from omnistereo_lib.files import write_image
+from omnistereo_lib.pictures import write_image
 from omnistereo_lib.stereo import correlation
 from omnistereo_lib.stereo.volumenet import local_mean
 from omnistereo_tools import cli

@@ -14,8 +14,8 @@ import scene
 from command_server import make_small
 
 import omnistereo_lib as osl
-from omnistereo_lib.files import read_image, write_image
 from omnistereo_lib.frame import read_inverse_depth
+from omnistereo_lib.pictures import read_image, write_image
 from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD
 from omnistereo_rigs.doctor.rig_check import _matches
 from omnistereo_tools import cli

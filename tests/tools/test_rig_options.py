@@ -8,7 +8,7 @@ import scene
 import yaml
 
 import omnistereo_lib as osl
-from omnistereo_lib.files import write_image
+from omnistereo_lib.pictures import write_image
 from omnistereo_tools import cli
 
 pytestmark = pytest.mark.usefixtures("small")

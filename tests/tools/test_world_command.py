@@ -8,8 +8,8 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
-from omnistereo_lib.files import write_image
 from omnistereo_lib.frame import write_inverse_depth
+from omnistereo_lib.pictures import write_image
 from omnistereo_tools import cli
 from omnistereo_tools.world.build import RecordedFrames
 

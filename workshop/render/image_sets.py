@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import is_whole, make_folder, write_text
+from omnistereo_lib.files import make_folder, write_text
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.trajectory import trajectory_tum
+from omnistereo_lib.pictures import is_whole
 from workshop.render.camera.render_rig import RenderRig, make_rig, write_config
 from workshop.render.city.drive import plan_drive
 from workshop.render.city.layout import plan_district

@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.files import is_whole, make_folder, write_text
+from omnistereo_lib.files import make_folder, write_text
 from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.pictures import is_whole
 from workshop.render.boards.positions import (
     COLUMNS,
     ROWS,

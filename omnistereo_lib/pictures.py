@@ -1,0 +1,312 @@
+"""Pictures: read with what is wrong with them said, and written."""
+
+import math
+import re
+import warnings
+from collections.abc import Iterable
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.files import atomic_write, read_bytes
+
+MAX_PIXELS = 1 << 26  # of a picture or panorama: decoding one takes less than a gigabyte
+_MAX_SIDE = 100_000
+_MAX_SCANS = 64  # of a JPEG, whose decoder goes over the whole picture for each of its scans
+_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "PPM", "WEBP")  # as Pillow calls them
+_NOT_READ = {
+    "CMYK": "CMYK colours",
+    "LAB": "CIELAB colours",
+    "YCbCr": "YCbCr colours",
+    "HSV": "HSV colours",
+}
+# modes, as Pillow calls them
+_NOT_READ |= {"F": "floating-point numbers", "I": "integers of 32 bits"}
+# width, height, largest value
+_NETPBM = re.compile(rb"P([2356])" + 3 * rb"(?:\s|#[^\n]*\n)+([0-9]{1,6})" + rb"\s")
+_ORIENTATION, _BITS, _PLANAR = 274, 258, 284  # tags of TIFF, the first of EXIF, too
+_remarked: set[tuple[Path, str]] = set()  # what has been said of the pictures of a folder
+
+
+def open_picture(path: str | Path) -> tuple[bytes, Any]:
+    """Return the content of an image file and what Pillow reads of its header, whose pixels are not
+    decoded yet.
+
+    Raises an `OmnistereoError` if the file is missing, not an image, larger than any picture, or
+    damaged where that shows without decoding it.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    content = read_bytes(path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            Image.open(BytesIO(content), formats=_FORMATS).verify()  # the checksums of a PNG
+            picture = Image.open(BytesIO(content), formats=_FORMATS)
+            orientation = Image.Image.getexif(picture).get(_ORIENTATION, 1)  # that of PNG decodes
+            if orientation != 1 and picture.format == "TIFF":
+                content = _not_turned(content)
+                picture = Image.open(BytesIO(content), formats=_FORMATS)
+    except Image.DecompressionBombError as error:
+        raise OmnistereoError(f"{path} is too large for a picture: {error}") from None
+    except UnidentifiedImageError:
+        found = f"{path} is not an image ({len(content)} bytes)"
+        raise OmnistereoError(f"{found}; expected one of {', '.join(_FORMATS)}") from None
+    except Exception as error:  # of many types
+        raise _damaged_picture(path, error) from None
+    if picture.width * picture.height > MAX_PIXELS or max(picture.size) > _MAX_SIDE:
+        raise OmnistereoError(
+            f"{path} is too large for a picture: {picture.width} × {picture.height} pixels"
+        )
+    if picture.format == "JPEG" and not (
+        b"\xff\xd9" in content[-64:] and content.count(b"\xff\xda") <= _MAX_SCANS
+    ):
+        raise _damaged_picture(path, "without the marker of its end, or of too many scans")
+    if orientation != 1:
+        remark_turned(path, f"or mirrored (orientation {orientation})")
+    return content, picture
+
+
+def check_image(path: str | Path, image_size: tuple[int, int] | None = None) -> tuple[bytes, Any]:
+    """Return what `open_picture` does of a picture of gray or RGB values and of a size (width,
+    height), if given.
+
+    Raises an `OmnistereoError` if it has others, or as `open_picture`.
+    """
+    content, picture = open_picture(path)
+    check_size(path, picture.size, image_size)
+    if (found := _NOT_READ.get(picture.mode)) and picture.format != "PPM":
+        raise OmnistereoError(
+            f"{path} holds {found}; expected gray or RGB values of 8 or 16 bits. Convert it."
+        )
+    if picture.mode in ("RGBA", "LA", "PA"):
+        _remark(path, "has transparency, which is ignored")
+    if (more := pages_of(path, picture) - 1) > 0:
+        _remark(
+            path, f"has {more} more {'page, which is' if more == 1 else 'pages, which are'} ignored"
+        )
+    return content, picture
+
+
+def pages_of(path: str | Path, picture: Any) -> int:
+    """Return how many pages a picture has; an `OmnistereoError` says that one does not lead to the
+    next.
+    """
+    try:
+        return int(getattr(picture, "n_frames", 1))
+    except Exception as error:  # of many types
+        raise _damaged_picture(path, error) from None
+
+
+def read_pixels(path: str | Path) -> NDArray[Any]:
+    """Return the pixels of an image file as they are stored: (height, width) or RGB, (height,
+    width, 3).
+
+    They are uint8, or uint16 where the file has more bits. Raises an `OmnistereoError` as
+    `check_image`, or if the pixels are damaged. A JPEG that is damaged in the middle is read as far
+    as it can be, with a warning.
+    """
+    return _read_pixels(path, None)[0]
+
+
+def _read_pixels(
+    path: str | Path, image_size: tuple[int, int] | None
+) -> tuple[NDArray[Any], int | None]:
+    """Return what `read_pixels` does, and the value that means white; None: 16 bits, which may not
+    all be used.
+    """
+    content, picture = check_image(path, image_size)
+    try:
+        if picture.format == "JPEG":
+            return _decode_jpeg(path, content, picture.mode), 255
+        if netpbm := _NETPBM.match(content):
+            return _decode_netpbm(content, netpbm), int(netpbm[4])
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            pixels = _decode(content, picture)
+        return pixels, 255 if pixels.dtype == np.uint8 else None
+    except Exception as error:  # of many types
+        raise _damaged_picture(path, error) from None
+
+
+def _decode_jpeg(path: str | Path, content: bytes, mode: str) -> NDArray[np.uint8]:
+    """Return the pixels of a JPEG; warn if it is damaged, which other decoders print or keep for
+    themselves.
+    """
+    from simplejpeg import decode_jpeg
+
+    space = "GRAY" if mode == "L" else "RGB"
+    try:
+        pixels = decode_jpeg(content, space)
+    except ValueError as error:
+        pixels = decode_jpeg(content, space, strict=False)
+        _remark(
+            path, f"is damaged, so that a part of the picture may be wrong ({error}). Copy it again"
+        )
+    return pixels[..., 0] if mode == "L" else pixels
+
+
+def _decode_netpbm(content: bytes, header: re.Match[bytes]) -> NDArray[Any]:
+    """Return the pixels of a PGM or PPM, as text or bytes; raises a `ValueError` if there are too
+    few or too large.
+    """
+    kind, width, height, most = header[1], *map(int, header.groups()[1:])
+    shape = (height, width) if kind in b"25" else (height, width, 3)
+    count = math.prod(shape)
+    if kind in b"23":
+        values = np.array(
+            re.sub(rb"#.*", b"", content[header.end() :]).split(None, count)[:count]
+        ).astype(np.uint16)
+    else:
+        values = np.frombuffer(content, ">u2" if most > 255 else np.uint8, count, header.end())
+    if values.max() > most:
+        raise ValueError(f"a value of {values.max()}, where {most} is the largest")
+    return values.astype(np.uint8 if most <= 255 else np.uint16).reshape(shape)
+
+
+def _decode(content: bytes, picture: Any) -> NDArray[Any]:
+    """Return the pixels of a picture; Pillow reads all, and only checks colours of 16 bits, which
+    it would round.
+    """
+    import cv2
+
+    tags = getattr(picture, "tag_v2", {})  # of a TIFF
+    is_deep = ";16" in str(picture.tile) or max(tags.get(_BITS, (8,))) > 8
+    if is_deep and tags.get(_PLANAR) == 2:
+        raise ValueError("colours of 16 bits that are stored apart")
+    picture.load()
+    if is_deep and not picture.mode.startswith("I"):
+        return np.asarray(cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED))[
+            ..., 2::-1
+        ]
+    if not picture.mode.startswith("I"):
+        picture = picture.convert("L" if picture.mode in ("1", "L", "LA") else "RGB")
+    pixels = np.asarray(picture)
+    return pixels.astype(pixels.dtype.newbyteorder("="))
+
+
+def _not_turned(content: bytes) -> bytes:
+    """Return a TIFF without its mark that it is turned, which decoders would follow."""
+    import tifffile
+
+    file = BytesIO(content)
+    with tifffile.TiffFile(file, mode="r+") as tiff:
+        tiff.pages.first.tags[_ORIENTATION].overwrite(1)
+    return file.getvalue()
+
+
+def _damaged_picture(path: str | Path, reason: object) -> OmnistereoError:
+    return OmnistereoError(
+        f"{path} is damaged, truncated or of an unusual form ({reason}). Copy or convert it."
+    )
+
+
+def _remark(path: str | Path, what: str) -> None:
+    """Warn of something in a picture, once for all pictures of its folder."""
+    place = (Path(path).parent, what)
+    if place not in _remarked:
+        _remarked.add(place)
+        warnings.warn(f"{path} {what}", UserWarning, stacklevel=2)
+
+
+def remark_turned(path: str | Path, how: str) -> None:
+    """Warn of a picture or video that is marked as turned, once for all in its folder."""
+    _remark(
+        path,
+        f"is marked as turned {how}; its pixels are taken as they are stored, as a calibration"
+        " means them. If yours means the turned picture, store that without the mark",
+    )
+
+
+def check_size(path: str | Path, found: tuple[int, int], expected: tuple[int, int] | None) -> None:
+    """Raise an `OmnistereoError` if an image has another size (width, height) than its camera."""
+    if expected is not None and found != tuple(expected):
+        size, camera = (f"{width} × {height} px" for width, height in (found, expected))
+        raise OmnistereoError(
+            f"{path} is {size}; the camera has {camera}. Pass images as captured: not resized,"
+            " cropped or rotated."
+        )
+
+
+def read_image(path: str | Path, image_size: tuple[int, int] | None = None) -> NDArray[Any]:
+    """Read an image: (height, width) if it is gray, else (height, width, 3) in RGB, of values from
+    0 to 255.
+
+    They are uint8, or float32 where the file has other than 8 bits. Of a file of 16 bits white is
+    its largest value of 8, 10, 12, 14 or 16 bits, as many as its pixels use; PGM and PPM state it.
+    `image_size` is the width and height that it must have, compared before it is decoded. A mark
+    that it is turned (EXIF, TIFF) is ignored: calibrations refer to the pixels of the sensor.
+    Raises as `read_pixels`.
+    """
+    pixels, white = _read_pixels(path, image_size)
+    if white == 255:
+        return pixels
+    if white is None:
+        bits = next(bits for bits in (8, 10, 12, 14, 16) if pixels.max() < 1 << bits)
+        white = (1 << bits) - 1
+        if bits < 16:
+            _remark(
+                path,
+                f"uses {bits} of its 16 bits, so that {white} is taken as white. A PGM or PPM can"
+                " state it",
+            )
+    return pixels * np.float32(255 / white)
+
+
+def read_gray(path: str | Path, image_size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Read an image of a known size, such as a mask, as gray, shape (height, width); see
+    `read_image`.
+    """
+    image = read_image(path, image_size)
+    return image if image.ndim == 2 else image.max(-1)
+
+
+def find_pictures(folder: Path, suffixes: Iterable[str]) -> dict[str, Path]:
+    """Return the pictures in a folder, sorted, by name without ending; hidden files are none.
+
+    Raises an `OmnistereoError` if two differ only in their ending.
+    """
+    found: dict[str, Path] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() in suffixes and path.name[0] != ".":
+            if path.stem in found:
+                raise OmnistereoError(
+                    f"{folder} has {found[path.stem].name} and {path.name}; expected one. Keep one"
+                )
+            found[path.stem] = path
+    return found
+
+
+def write_image(path: str | Path, image: NDArray[Any]) -> None:
+    """Write an image, gray (height, width) or RGB (height, width, 3), in the format of the file
+    name suffix.
+
+    Values range from 0 to 255; NaN becomes black. uint16 is written as it is, for PNG. JPEG files
+    have quality 95, OpenCV's default.
+    """
+    import cv2
+
+    pixels = (
+        image
+        if image.dtype == np.uint16
+        else np.nan_to_num(image).clip(0, 255).round().astype(np.uint8)
+    )
+    pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR) if pixels.ndim == 3 else pixels
+    content = cv2.imencode(Path(path).suffix, pixels)[1]
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(content.tobytes())
+
+
+def is_whole(path: str | Path) -> bool:
+    """Return whether an image file is there and complete, as far as can be seen without decoding
+    it.
+    """
+    try:
+        open_picture(path)
+    except OmnistereoError:
+        return False
+    return True
