@@ -143,9 +143,7 @@ check_draw_labels = Open(
 
 
 def balanced_loss(score, label):
-    """Eq.
-
-    4 of scores (K,) before the sigmoid; all positives (label 0) weigh one half, and so do all
+    """Eq. 4 of scores (K,) before the sigmoid; all positives (label 0) weigh one half, and so do all
     negatives.
     """
     positive, negative = label == 0, label == 1

@@ -71,10 +71,7 @@ class SphereSamples(SweptFrames):
             self._half_size = self.with_recipe(half)
 
     def micro_batch(self, frame: Frame, rng: np.random.Generator, augment: bool) -> SphereBatch:
-        """Sample spheres of one frame and label rays on them (Eq.
-
-        3); with `augment`, rotate and flip at random.
-        """
+        """Sample spheres of one frame and label rays on them (Eq. 3); `augment` turns and flips them."""
         if self._half_size is not None and rng.integers(2):
             return self._half_size.micro_batch(frame, rng, augment)
         index = self.use(frame)
@@ -186,10 +183,7 @@ class SphereSamples(SweptFrames):
 
 
 class SphereObjective(nn.Module):
-    """The binary cross-entropy of the paper (Eq.
-
-    4), positives and negatives with the same total weight.
-    """
+    """The paper's binary cross-entropy (Eq. 4); positives and negatives weigh the same in all."""
 
     def __init__(self, network: SweepNet) -> None:
         super().__init__()
