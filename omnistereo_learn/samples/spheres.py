@@ -71,7 +71,7 @@ class SphereSamples(SweptFrames):
             self._half_size = self.with_recipe(half)
 
     def micro_batch(self, frame: Frame, rng: np.random.Generator, augment: bool) -> SphereBatch:
-        """Sample spheres of one frame and label rays on them (Eq. 3); `augment` turns and flips them."""
+        """Sample spheres of one frame and label rays on them (Eq. 3); `augment` turns them."""
         if self._half_size is not None and rng.integers(2):
             return self._half_size.micro_batch(frame, rng, augment)
         index = self.use(frame)
