@@ -12,13 +12,15 @@ RENDER_READY := .venv-render/.installed
 NBVAL := --nbval --nbval-current-env --nbval-sanitize-with=tests/nbval_sanitize.cfg --nbval-cell-timeout=600
 # One worker more than cores, since some tests wait. In the order of the files: by size, the longest would come last.
 WORKERS = -n $(shell $(PYTHON) -c "import os; print(min(4, 1 + os.cpu_count()))") --dist loadscope --no-loadscope-reorder
+define LINT
+$(BIN)/ruff check .
+$(BIN)/ruff format --check .
+$(BIN)/mypy
+endef
+
 # glibc would give large arrays back to the system, which clears pages for the next ones. Threads that wait would spin,
 # and keep the cores from the other workers.
 SHARED := MALLOC_MMAP_MAX_=0 MALLOC_TRIM_THRESHOLD_=1000000000 OMP_WAIT_POLICY=passive
-
-# The longest file first; pytest would sort it in if it stood beside its folder.
-LONGEST := tests/test_pages_as_typed.py
-TESTS := $(LONGEST) notebooks $(filter-out $(LONGEST),$(wildcard tests/test_*.py tests/*/test_*.py))
 
 define CHECK_PYTHON
 import sys
@@ -28,10 +30,10 @@ endef
 export CHECK_PYTHON
 
 .DEFAULT_GOAL := help
-.PHONY: help lab fresh progress doctor test check coverage grade depth demo render bench results notebooks solutions book slides constraints clean
+.PHONY: help lab fresh progress doctor test check test-all coverage grade depth demo render bench results notebooks solutions book slides constraints clean
 
 help:  ## this list
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 lab: $(READY)  ## JupyterLab on your copies of the notebooks, in my_notebooks; LAB_ARGS: more options
 	$(BIN)/python -m course lab -- $(LAB_ARGS)
@@ -46,24 +48,21 @@ progress: $(READY)  ## which of your functions are right, across the notebooks: 
 doctor:  ## checks Python, the packages and the data, and says how to fix what is wrong
 	@$$($(BIN)/python -c pass 2>/dev/null && echo $(BIN)/python || echo $(PYTHON)) -m course doctor
 
-test: $(DEV_READY)  ## linters, types, library tests, and every notebook cell against its stored output
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
-	$(BIN)/mypy
-	$(SHARED) $(BIN)/python -m pytest $(WORKERS) $(NBVAL) $(TESTS)
+test: $(DEV_READY)  ## six minutes: linters, types, every notebook, the library, the checkers, README's commands
+	$(LINT)
+	$(SHARED) $(BIN)/python -m pytest $(WORKERS) $(NBVAL) -m "not slow and not browser and not nightly"
 
-check: $(DEV_READY)  ## the fast tier, a minute: linters, types, geometry, stereo, rig files, one notebook and the examples of depth
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
-	$(BIN)/mypy
-	$(SHARED) $(BIN)/python -m pytest $(WORKERS) $(NBVAL) tests/geometry tests/rig_files tests/stereo \
-	  --ignore tests/lib/stereo/test_shipped_weights.py notebooks/03_sphere_sweep.ipynb \
-	  tests/test_pages_as_typed.py::test_every_command_is_run_or_marked \
-	  'tests/test_pages_as_typed.py::test_page[omnistereo depth]'
+check: $(DEV_READY)  ## a minute: linters, types, the library's tests, one notebook
+	$(LINT)
+	$(SHARED) $(BIN)/python -m pytest $(WORKERS) $(NBVAL) -m "not slow" tests/lib tests/test_package.py notebooks/03_sphere_sweep.ipynb
 
-# Apart from `test`, which it would slow by a half; without the fuzzer, whose limits it breaks.
+test-all: $(DEV_READY)  ## everything: also all pages as typed, a browser, the book, fuzzing, kills; PART="-m browser": a part
+	$(LINT)
+	$(SHARED) $(BIN)/python -m pytest $(WORKERS) $(NBVAL) $(PART)
+
+# Apart from `test-all`, which it would slow by a half; without the fuzzer, whose limits it breaks.
 coverage: $(DEV_READY)  ## the lines of the library that the tests reach
-	$(SHARED) $(BIN)/python -m pytest $(WORKERS) --cov=omnistereo_lib --ignore tests/test_fuzz.py tests
+	$(SHARED) $(BIN)/python -m pytest $(WORKERS) --cov -m "not nightly" tests
 
 grade: $(if $(CONTAINER),,$(READY))  ## score sheets of handed-in notebooks, whose code it runs: make grade HANDED_IN=folder [CONTAINER=docker]
 	$(if $(HANDED_IN),,$(error Say what to check, see book/teaching.md: make grade HANDED_IN=folder))

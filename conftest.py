@@ -19,5 +19,8 @@ if _workers:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put first what takes long, so that no core idles at the end."""
+    """Mark what drives a browser; put first what takes long, so that no core idles at the end."""
+    for item in items:
+        if {"chromium", "open_page"} & {*getattr(item, "fixturenames", ())}:
+            item.add_marker("browser")
     items.sort(key=lambda item: not item.nodeid.startswith(("notebooks/", "tests/learn/")))

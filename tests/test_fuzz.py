@@ -53,6 +53,7 @@ from omnistereo_rigs.formats.read import read_any_camera, read_any_rig
 from omnistereo_tools.live_view import Latest, LivePicture, serve
 
 MEMORY = 1 << 30
+pytestmark = pytest.mark.nightly
 FILES = int(os.environ.get("FUZZ", "50"))
 WORDS = ["nan", ".nan", "inf", "-.inf", "1e308", "-1e308", "1e30", "0", "-1", "2.5", "", "abc", "[]", "{}", "null",
          "true", "9" * 400, "*a", "&a", "!!python/name:os", "\t", '"', "³", "\ufeff", "a: b", "2020-99-99"]  # fmt: skip

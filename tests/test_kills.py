@@ -25,9 +25,12 @@ from omnistereo_rigs.boards.captures import save_corners
 
 KILLS = int(os.environ.get("KILLS", "1"))
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
-pytestmark = pytest.mark.skipif(
-    not hasattr(os, "fork"), reason="Windows has neither fork nor these signals"
-)
+pytestmark = [
+    pytest.mark.nightly,
+    pytest.mark.skipif(
+        not hasattr(os, "fork"), reason="Windows has neither fork nor these signals"
+    ),
+]
 
 
 class Killer(Server):

@@ -69,7 +69,7 @@ def clone(tmp_path_factory):
     are links."""
     folder, linked = (
         tmp_path_factory.mktemp("copy") / "omnistereo",
-        ("data_samples", "omnistereo_lib", "omnistereo_tools"),
+        ("data_samples", "omnistereo_"),
     )
     tracked = subprocess.run(
         ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
@@ -81,8 +81,9 @@ def clone(tmp_path_factory):
         if not name.startswith(linked) and (ROOT / name).exists():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, folder / name)
-    for name in linked:
-        (folder / name).symlink_to(ROOT / name)
+    for path in (ROOT / "data_samples", *ROOT.glob("omnistereo_*")):
+        if path.suffix != ".egg-info":
+            (folder / path.name).symlink_to(path)
     environment = Path(sys.executable).parents[1]
     (folder / ".venv").mkdir()
     for path in environment.iterdir():
@@ -193,7 +194,10 @@ def _run_until_stopped(line, folder, shell):
 
 
 def _is_of_the_clone(line):
-    return line.startswith(("make ", ".venv", "python -m course")) or line in BLOCKS
+    return (
+        line.startswith(("make ", ".venv", "python -m course", "python -m workshop"))
+        or line in BLOCKS
+    )
 
 
 def _to_run(command):
@@ -216,7 +220,14 @@ def _to_run(command):
 RUN: set[str] = set()  # of all pages so far, lines and kinds of commands
 
 
-@pytest.mark.parametrize("page", [page for page in ALL if ALL[page]])
+@pytest.mark.parametrize(
+    "page",
+    [
+        page if page == "README.md" else pytest.param(page, marks=pytest.mark.slow)
+        for page in ALL
+        if ALL[page]
+    ],
+)
 def test_page(page, run, files, clone, tmp_path):
     folder = tmp_path / "empty"
     shutil.copytree(files, folder, symlinks=True)
