@@ -7,7 +7,7 @@ import os
 import re
 import stat
 import zipfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from secrets import token_hex
@@ -26,6 +26,17 @@ _MAX_BYTES = 1 << 30
 _MAX_TEXT = 1 << 24  # bytes; a calibration of 500 boards has 2 million
 _MAX_DEPTH = 64
 _MAX_VALUES = 1_000_000  # of a YAML file, with what its aliases repeat
+# Scalars of YAML: a pattern, what they begin with, and how they are read.
+_NUMBERS: dict[str, tuple[str, str, Callable[[str], Any]]] = {
+    "bool": ("true|True|TRUE|false|False|FALSE", "tTfF", lambda text: text.lower() == "true"),
+    "int": ("[-+]?[0-9]+", "-+0123456789", int),
+    "float": (
+        r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)"
+        r"|\.(?:nan|NaN|NAN)",
+        "-+0123456789.",
+        lambda text: float(re.sub(r"\.(?=[inIN])", "", text)),
+    ),
+}
 
 
 def as_path(path: str | Path, name: str = "path") -> Path:
@@ -160,6 +171,10 @@ def to_yaml(data: dict[str, Any]) -> str:
 
 def _damaged(source: str | Path, error: Exception, kind: str = "JSON or YAML") -> OmnistereoError:
     reason = " ".join(str(error).split())[:300] or type(error).__name__
+    if "tag:yaml.org,2002:python/" in reason:
+        return OmnistereoError(
+            f"{source} holds Python objects, such as NumPy's, not numbers. Write lists (.tolist())"
+        )
     return OmnistereoError(
         f"{source}: not valid {kind} ({reason}). Check that the file is complete"
     )
@@ -209,6 +224,17 @@ def _yaml_loader() -> type:
             )
             return super().construct_mapping(node, deep)
 
+    # Numbers are Python's: 0200 is not 128, 3:20 not 200, 0b11 and yes are words.
+    Loader.yaml_implicit_resolvers = {
+        first: [(tag, pattern) for tag, pattern in known if tag.rpartition(":")[2] not in _NUMBERS]
+        for first, known in Loader.yaml_implicit_resolvers.items()
+    }
+    for kind, (pattern, first, read) in _NUMBERS.items():
+        tag = f"tag:yaml.org,2002:{kind}"
+        Loader.add_implicit_resolver(tag, re.compile(rf"(?:{pattern})\Z"), [*first])
+        Loader.add_constructor(
+            tag, lambda loader, node, read=read: read(loader.construct_scalar(node))
+        )
     for tag in ("opencv-matrix", "opencv-nd-matrix"):
         Loader.add_constructor(
             f"tag:yaml.org,2002:{tag}",

@@ -1,82 +1,76 @@
-"""Values of rig files: what is missing, misspelt or not a number is an error that names the key in
-the file.
-"""
+"""Values of files: what is missing, misspelt or not a number is an error that names the key."""
 
 from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.errors import OmnistereoError, check_number, error_context, shortened
+from omnistereo_lib.errors import (
+    OmnistereoError,
+    check_number,
+    error_context,
+    shortened,
+)
 from omnistereo_lib.files import read_text
-from omnistereo_lib.geometry.camera import MAX_SIDE, OcamCamera
+from omnistereo_lib.geometry.camera import MAX_SIDE
 from omnistereo_lib.geometry.pose import Floats, Pose, nearest_rotation
 
 METRES_PER_UNIT = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 MIN_FOV_DEG = 10.0  # a lens as narrow sees no depth around a rig; less is radians or a tangent
-# poses that a file states twice; rounding is less, another calibration is more
+# Poses that a file states twice; rounding is less, another calibration is more.
 _SAME_M, SAME_DEG = 2e-3, 0.2
-# of a rotation printed with three decimals; with four it is 0.002° from the nearest one
-_ROUNDED = 1e-3
+MAX_CAMERAS = 64  # each is fitted: 64 different lenses take 1.5 s
+_ROUNDED = (
+    1e-3  # of a rotation printed with three decimals; with four it is 0.002° from the nearest
+)
 _EXACT = 1e-5  # of a rotation printed with five; `Pose` corrects it
-# letters; shorter keys, such as K and P, are one edit from each other without being misspelt
-_SHORT = 4
+_SHORT = 4  # letters; shorter keys, such as K and P, are one edit from each other
 _SHOWN = 8  # keys in a message
 # Keys without a meaning here, in lower case without "_", "-" and a number behind, by the reason.
 _IRRELEVANT = {
-    "names, dates and places of data": (
-        "name label id camid camname cameraname cameraid index serial serialnumber vendor brand"
-        " camerabrand lensmodel date time calibrationtime calibrationdate stamp timestamp note"
-        " notes comment author version header frameid rostopic topic imgdir dataset lutfmt imgfmt"
-        " typeid nbcamera numcameras"
-    ),
-    "how well and from what it was calibrated": (
-        "rms rmserror rmse error avgreprojectionerror reprojectionerror nframes"
-        " perviewreprojectionerrors nrofframes boardwidth boardheight squaresize aspectratio"
-        " fixaspectratio flags flagvalue extrinsicparameters imagepoints gridpoints"
-    ),
+    "names, dates and places of data": "name label id camid camname cameraname cameraid index "
+    "serial serialnumber vendor brand camerabrand lensmodel date time calibrationtime "
+    "calibrationdate stamp timestamp note notes comment author version header frameid rostopic "
+    "topic imgdir dataset lutfmt imgfmt typeid nbcamera numcameras metadata port token "
+    "description calibrated",
+    "how well and from what it was calibrated": "rms rmserror rmse error avgreprojectionerror "
+    "reprojectionerror nframes perviewreprojectionerrors nrofframes boardwidth boardheight "
+    "squaresize aspectratio fixaspectratio flags flagvalue extrinsicparameters imagepoints "
+    "gridpoints gridcount rotationcount adjusted",
     "rectification, which follows": "rectificationmatrix projectionmatrix validpixroi",
-    "time and inertial sensors": (
-        "camoverlaps timeshiftcamimu camtimeoffsetns ratehz sensortype fps calibaccelbias"
-        " calibgyrobias imuupdaterate accelnoisestd gyronoisestd accelbiasstd gyrobiasstd"
-        " timimumarker timumarker tmocapworld mocaptimeoffsetns mocaptoimuoffsetns"
-    ),
-    "brightness and noise": (
-        "vignette gamma exposure exposuregain readnoise shotnoise falloff fitresidualpx"
-    ),
+    "time and inertial sensors": "camoverlaps timeshiftcamimu camtimeoffsetns ratehz sensortype "
+    "fps calibaccelbias calibgyrobias imuupdaterate accelnoisestd gyronoisestd accelbiasstd "
+    "gyrobiasstd timimumarker timumarker tmocapworld mocaptimeoffsetns mocaptoimuoffsetns",
+    "brightness and noise": "vignette gamma exposure exposuregain readnoise shotnoise falloff "
+    "fitresidualpx",
 }
-# projections, and the matrices of two views; p1 and f are something else
-_RECTIFIED = re.compile("[PQEF][0-9]?")
+_RECTIFIED = re.compile(
+    "[PQEF][0-9]?"
+)  # projections, and matrices of two views; p1 and f are others
 _WITHOUT_MEANING = frozenset(" ".join(_IRRELEVANT.values()).split())
-
-
-class RigFile(NamedTuple):
-    """What a reader finds in a file."""
-
-    cameras: list[OcamCamera]
-    T_rig_cam: Sequence[
-        Pose
-    ] = ()  #: camera → rig, in the unit of the file; none of one camera by itself
-    min_depth: float | None = None  #: metres
-    T_rig_file: Pose | None = None  #: see `Rig`
+# What lens models have: a camera that states one which is not read is another lens than the one
+# read.
+_OF_A_LENS = re.compile(
+    "alpha|beta|xi|omega|lambda|epsilon|chi|[kps][0-9]|(linear_?)[cde]|gamma[12]|(radial|tangential)"
+    "_?(distortion|coef\\w*)|thin_?prism\\w*|(lens_?)?dist\\w*|skew",
+    re.IGNORECASE,
+)
 
 
 class Section:
-    """A mapping of a rig file that knows which of its keys were asked for, so that none is dropped
-    in silence.
-    """
+    """A mapping of a file that knows which of its keys were asked for: none is lost unsaid."""
 
     def __init__(
         self, values: Any, name: str = "", notes: dict[str, list[str]] | None = None
     ) -> None:
-        if not isinstance(values, dict):
+        if not isinstance(values, Mapping):
             raise OmnistereoError(f"found {shortened(values)}; expected keys with values")
         self.values = {str(key): value for key, value in values.items()}
         self.name = name
@@ -108,17 +102,16 @@ class Section:
         return default if value is None else value
 
     def require(self, *names: str) -> Any:
-        """Return the value of a key; an `OmnistereoError` lists the keys that there are instead,
-        similar ones first.
+        """Return the value of a key; an `OmnistereoError` lists those that there are, similar ones
+        first.
         """
         value = self.get(*names)
         if value is None:
             similar = get_close_matches(names[0], self.values, _SHOWN, 0.5)
             keys = similar + sorted(set(self.values) - set(similar))
             more = f" and {len(keys) - _SHOWN} more" if len(keys) > _SHOWN else ""
-            raise OmnistereoError(
-                f"key {' or '.join(map(repr, names))} is missing; found {keys[:_SHOWN]}{more}"
-            )
+            missing = " or ".join(map(repr, names))
+            raise OmnistereoError(f"key {missing} is missing; found {keys[:_SHOWN]}{more}")
         return value
 
     def floats(self, *names: str, count: int | None = None) -> Floats:
@@ -142,13 +135,13 @@ class Section:
     def coefficients(
         self, key: str, values: Sequence[float], names: Sequence[str], fewer: Sequence[int] = ()
     ) -> dict[str, float]:
-        """Return numbers by their names: as many as there are, or one of `fewer`; zeros behind them
-        are dropped.
+        """Return numbers by names: all, or as many as one of `fewer`; zeros behind them are
+        dropped.
         """
         if len(values) > len(names) and not any(values[len(names) :]):
             self.note(
-                f"{key} has {len(values)} numbers; the zeros after the first {len(names)} are"
-                " dropped"
+                f"{key} has {len(values)} numbers; the zeros after the first {len(names)} are "
+                "dropped"
             )
             values = values[: len(names)]
         if len(values) not in (len(names), *fewer):
@@ -159,9 +152,7 @@ class Section:
         return dict(zip(names, values, strict=False))
 
     def rotation(self, key: str, values: Floats) -> Floats:
-        """Return a rotation matrix (3, 3); one printed with few decimals is replaced by the
-        nearest, with a note.
-        """
+        """Return a rotation matrix (3, 3); of one with few decimals the nearest, with a note."""
         R = np.clip(values, -1e9, 1e9).reshape(3, 3)
         nearest = nearest_rotation(R)
         error = np.abs(nearest - R).max()
@@ -171,9 +162,9 @@ class Section:
             lengths = np.maximum(np.linalg.norm(R, axis=0), 1e-300)
             degrees = np.degrees(np.arccos(np.clip((R / lengths * nearest).sum(0), -1, 1)).max())
             raise OmnistereoError(
-                f"{key} is not a rotation: the nearest one differs by {error:.2g}, its axes by"
-                f" {degrees:.2g}°; expected at most {_ROUNDED:g}. Check that {key} is not scaled,"
-                " mirrored or cut"
+                f"{key} is not a rotation: the nearest one differs by {error:.2g}, its axes by "
+                f"{degrees:.2g}°; expected at most {_ROUNDED:g}. Check that {key} is not scaled, "
+                "mirrored or cut"
             )
         self.note(f"{key} is rounded to few decimals; the nearest rotation is used")
         return nearest
@@ -185,9 +176,8 @@ class Section:
         if matrix.size not in (12, 16):
             raise OmnistereoError(f"the 4 × 4 pose {key} must be 16 numbers, found {matrix.size}")
         if matrix.size == 16 and not np.allclose(matrix[12:], [0, 0, 0, 1], atol=1e-9):
-            raise OmnistereoError(
-                f"the last row of the pose {key} is {matrix[12:].tolist()}; expected 0 0 0 1"
-            )
+            last = matrix[12:].tolist()
+            raise OmnistereoError(f"the last row of the pose {key} is {last}; expected 0 0 0 1")
         rows = matrix[:12].reshape(3, 4)
         return Pose(self.rotation(key, rows[:, :3]), rows[:, 3])
 
@@ -199,14 +189,19 @@ class Section:
         """Return the mapping of a key."""
         return self.add(name, self.require(name))
 
+    def at(self, path: str) -> tuple[Section, str]:
+        """Return the section of a path, whose keys are separated by dots, and its last key."""
+        first, _, rest = path.partition(".")
+        return self.section(first).at(rest) if rest else (self, first)
+
     def sections(self, name: str) -> dict[str, Section]:
-        """Return the mappings of a key that holds a list, counted from 1, or names."""
+        """Return the mappings, at most 64, of a key that holds a list, counted from 1, or names."""
         value = self.require(name)
         with error_context(name):
-            items = (
-                enumerate(value, 1) if isinstance(value, list) else Section(value).values.items()
-            )
-        return {str(key): self.add(str(key), item, f"{name} {key}") for key, item in items}
+            listed = isinstance(value, list)
+            items = dict(enumerate(value, 1)) if listed else Section(value).values
+            check_count(len(items))
+        return {str(key): self.add(str(key), item, f"{name} {key}") for key, item in items.items()}
 
     def add(self, name: str, value: Any, path: str | None = None) -> Section:
         """Return a section that messages call `name`, whose keys count as those of this one."""
@@ -214,28 +209,31 @@ class Section:
             return self._inner.setdefault(path or name, Section(value, name, self.notes))
 
     def unread(self) -> Iterator[tuple[Section, str]]:
-        """Yield the keys that nobody asked for and that may mean something, those of inner sections
-        included.
+        """Yield the keys that nobody asked for and that may mean something, inner ones included.
 
-        Raises an `OmnistereoError` for one that is a letter away from a key with a meaning.
+        Raises an `OmnistereoError` for one that is a letter away from a key with a meaning, or
+        that is a parameter of a lens.
         """
+        where = f"{self.name}: " if self.name else ""
         for key, value in self.values.items():
             if key in self._asked or is_irrelevant(key, value):
                 continue
             meant = next((name for name in sorted(self._asked) if _is_misspelt(key, name)), None)
             if meant is not None:
-                where = f"{self.name}: " if self.name else ""
                 raise OmnistereoError(
                     f"{where}key {key!r} has no meaning; is {meant!r} meant? Correct or delete it"
+                )
+            if _OF_A_LENS.fullmatch(key):
+                raise OmnistereoError(
+                    f"{where}{key!r} is a parameter of a lens that is not the one stated; read: "
+                    f"{', '.join(self._asked)}. Name the lens by camera_model, or delete the key"
                 )
             yield self, key
         for inner in self._inner.values():
             yield from inner.unread()
 
-    def warn(self, source: Path, settings: bool) -> list[str]:
-        """Warn of the notes and of the keys that are not read; return those that are `settings` of
-        the top level.
-        """
+    def warn(self, source: Path, settings: bool = False) -> list[str]:
+        """Warn of notes and of keys that are not read; return those that are `settings`."""
         unread: dict[Section, list[str]] = {}
         for section, key in self.unread():
             unread.setdefault(section, []).append(key)
@@ -243,48 +241,52 @@ class Section:
         for section, keys in unread.items():
             read = dict.fromkeys([*get_close_matches(keys[0], section._asked), *section._asked])
             section.note(
-                f"not read: {', '.join(keys)}; what is read: {', '.join([*read][: 2 * _SHOWN])}."
-                " Rename what has a meaning, delete the rest"
+                f"not read: {', '.join(keys)}; what is read: {', '.join([*read][: 2 * _SHOWN])}. "
+                "Rename what has a meaning, delete the rest"
             )
         for text, names in self.notes.items():
             sections = [*dict.fromkeys(filter(None, names))]
             more = f" and {len(sections) - _SHOWN} more" if len(sections) > _SHOWN else ""
             cameras = ", ".join(sections[:_SHOWN]) + more
-            warnings.warn(
-                f"{source}{f', in {cameras}' if cameras else ''}: {text}", UserWarning, stacklevel=2
-            )
+            where = f", in {cameras}" if cameras else ""
+            warnings.warn(f"{source}{where}: {text}", UserWarning, stacklevel=2)
         return sorted(skipped)
 
 
+def check_count(cameras: int) -> None:
+    """Raise an `OmnistereoError` for more cameras than a rig has."""
+    if cameras > MAX_CAMERAS:
+        raise OmnistereoError(
+            f"found {cameras} cameras; expected at most {MAX_CAMERAS}. Split the rig, or, where "
+            "these are the moments of a recording, keep one"
+        )
+
+
 def is_irrelevant(key: str, value: Any) -> bool:
-    """Return whether a key has no meaning here, or its value states nothing: false, zero, or a list
-    of such values.
+    """Return whether a key has no meaning here, or its value states nothing: false, zero, or such a
+    list.
     """
-    inner = (
-        value.values() if isinstance(value, dict) else value if isinstance(value, list) else None
-    )
+    is_list = isinstance(value, list)
+    inner = value.values() if isinstance(value, Mapping) else value if is_list else None
     empty = not value if inner is None else all(is_irrelevant("", each) for each in inner)
-    return (
-        empty
-        or bool(_RECTIFIED.fullmatch(str(key)))
-        or re.sub(r"[\W_]|\d+$", "", str(key)).lower() in _WITHOUT_MEANING
-    )
+    letters = re.sub(r"[\W_]|\d+$", "", str(key)).lower()
+    return empty or bool(_RECTIFIED.fullmatch(str(key))) or letters in _WITHOUT_MEANING
 
 
 def _is_misspelt(key: str, name: str) -> bool:
-    """Return whether a key is one letter added, missing, changed or swapped away from a name, or
-    its case changed.
+    """Return whether a key is one letter added, missing, changed or swapped from a name, or its
+    case.
     """
     if min(len(key), len(name)) < _SHORT:
         return False
     a, b = key.lower(), name.lower()
-    start = next(
-        (k for k, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b))
-    )
+    pairs = enumerate(zip(a, b, strict=False))
+    start = next((k for k, (x, y) in pairs if x != y), min(len(a), len(b)))
     a, b = a[start:], b[start:]
     if re.fullmatch("[0-9]+", a[:1] + b[:1]):  # camera_matrix_1 and camera_matrix_2
         return False
-    return a[1:] == b[1:] or a[1:] == b or a == b[1:] or (a[1::-1] == b[:2] and a[2:] == b[2:])
+    swapped = a[1::-1] == b[:2] and a[2:] == b[2:]
+    return a[1:] == b[1:] or a[1:] == b or a == b[1:] or swapped
 
 
 def parse_floats(
@@ -292,30 +294,53 @@ def parse_floats(
 ) -> NDArray[np.float64]:
     """Return a value as a flat float64 array of `count` finite numbers.
 
-    "1e-3", which is text in YAML, is accepted, and so are the matrices of OpenCV and ROS, {rows,
-    cols, data}.
+    Numbers are Python's: "1e-3", which is text in YAML, and 0200 are accepted, true is not. So are
+    the matrices of OpenCV and ROS, {rows, cols, data}.
     """
-    if isinstance(values, dict) and "data" in values:
+    if isinstance(values, Mapping) and "data" in values:
         stated = {f"{side} of {name}": values[side] for side in ("rows", "cols") if side in values}
         sides = [
             check_number(parse_floats(n, side, 1)[0], side, 0, 1000, whole=True)
             for side, n in stated.items()
         ]
-        values, count = (
-            values["data"],
-            int(np.prod(sides)) if count is None and len(sides) == 2 else count,
-        )
+        values = values["data"]
+        count = int(np.prod(sides)) if count is None and len(sides) == 2 else count
     try:
+        if _has_truth(values):
+            raise TypeError
         array = np.asarray(values, np.float64).ravel()
     except (TypeError, ValueError, OverflowError):
         raise OmnistereoError(f"{name} must be numbers, found {shortened(values)}") from None
     if not (np.isfinite(array) | (np.isnan(array) & may_be_nan)).all():
         raise OmnistereoError(f"{name} must be finite numbers, found {shortened(values)}")
     if count is not None and len(array) != count:
-        raise OmnistereoError(
-            f"{name} must be {count} numbers, found {len(array)}: {shortened(values)}"
-        )
+        found = f"{len(array)}: {shortened(values)}"
+        raise OmnistereoError(f"{name} must be {count} numbers, found {found}")
     return array
+
+
+def _has_truth(values: Any) -> bool:
+    """Return whether a value, or one in a list, is true or false, which NumPy takes for 1 and 0."""
+    if isinstance(values, list | tuple):
+        return any(map(_has_truth, values))
+    return isinstance(values, bool)
+
+
+def parse_size(values: Any, name: str) -> tuple[int, int]:
+    """Return a value as the size of an image, two integers; 768.0 is accepted, 768.5 is not."""
+    width, height = (
+        int(check_number(side, name, 2, MAX_SIDE, whole=True))
+        for side in parse_floats(values, name, 2).tolist()
+    )
+    return width, height
+
+
+def parse_axis_angle(values: Any, name: str) -> NDArray[np.float64]:
+    """Return a rotation as an axis-angle of three numbers in radians; degrees are refused."""
+    r = parse_floats(values, name, 3)
+    if not np.abs(r).max() <= 2 * np.pi:
+        raise OmnistereoError(f"{name} {r.tolist()} exceeds 2π; expected radians")
+    return r
 
 
 def numbered_lines(path: str | Path, empty: bool = False) -> list[tuple[int, list[str]]]:
@@ -325,23 +350,6 @@ def numbered_lines(path: str | Path, empty: bool = False) -> list[tuple[int, lis
     lines = enumerate(read_text(path).splitlines(), 1)
     words = [(n, re.sub(r"(^|\s)(#|%|//).*", "", line).split(), line) for n, line in lines]
     return [(n, found) for n, found, line in words if found or (empty and not line.strip())]
-
-
-def parse_size(values: Any, name: str) -> tuple[int, int]:
-    """Return a value as the size of an image, two integers; 768.0 is accepted, 768.5 is not."""
-    first, second = (
-        int(check_number(side, name, 2, MAX_SIDE, whole=True))
-        for side in parse_floats(values, name, 2).tolist()
-    )
-    return first, second
-
-
-def parse_axis_angle(values: Any, name: str) -> NDArray[np.float64]:
-    """Return a rotation as an axis-angle of three numbers in radians; degrees are refused."""
-    r = parse_floats(values, name, 3)
-    if not np.abs(r).max() <= 2 * np.pi:
-        raise OmnistereoError(f"{name} {r.tolist()} exceeds 2π; expected radians")
-    return r
 
 
 def metres_per_unit(unit: str | None, positions: NDArray[np.float64]) -> float:
@@ -360,8 +368,8 @@ def metres_per_unit(unit: str | None, positions: NDArray[np.float64]) -> float:
         f'unit="{name}": {low * m:.4g} to {high * m:.4g} m' for name, m in METRES_PER_UNIT.items()
     )
     raise OmnistereoError(
-        "the file does not state its unit. Pass it (--unit); the distances between the cameras"
-        f" would be {meanings}"
+        "the file does not state its unit. Pass it (--unit); the distances between the cameras "
+        f"would be {meanings}"
     )
 
 
@@ -379,8 +387,8 @@ def check_fov(value: float, name: str) -> float:
             f"{what} ({fov:.1f}°)" for what, fov in guesses.items() if 60 < fov <= 300
         )
         raise OmnistereoError(
-            f"{name} is {value:g}; expected the full field of view in degrees, {MIN_FOV_DEG:g} to"
-            f" 360. It looks like {likely or 'another unit'}. Write degrees"
+            f"{name} is {value:g}; expected the full field of view in degrees, {MIN_FOV_DEG:g} to "
+            f"360. It looks like {likely or 'another unit'}. Write degrees"
         )
     return check_number(value, name, MIN_FOV_DEG, 360)
 
@@ -411,9 +419,9 @@ def warn_if_different(
             else f"{100 * metres / size:.1f} % of the size of the rig"
         )
         warnings.warn(
-            f"{source}: {used_key} and {other_key} contradict each other, most for camera"
-            f" {worst + 1}: its poses are {apart} and {degrees:.1f}° apart. {used_key} is used."
-            " Delete the wrong one; `omnistereo doctor` with images says which fits",
+            f"{source}: {used_key} and {other_key} contradict each other, most for camera "
+            f"{worst + 1}: its poses are {apart} and {degrees:.1f}° apart. {used_key} is used. "
+            "Delete the wrong one; `omnistereo doctor` with images says which fits",
             UserWarning,
             stacklevel=2,
         )

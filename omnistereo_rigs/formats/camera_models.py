@@ -6,7 +6,8 @@ single camera class.
 
 References: Usenko et al. 2018, "The double sphere camera model" (double sphere and the unified
 models); Kannala and Brandt 2006 (here with the four coefficients of OpenCV); Mei and Rives 2007
-(omni); Devernay and Faugeras 2001 (fov); the manuals of OpenCV (pinhole), Metashape and Hugin.
+(omni); Devernay and Faugeras 2001 (fov); the manuals of OpenCV (pinhole), Metashape and Hugin;
+projectaria-tools (fisheye624), NVIDIA's DriveWorks (ftheta).
 """
 
 from collections.abc import Callable
@@ -31,8 +32,9 @@ def double_sphere(
 
     Takes rays (..., 3) of any length in the camera frame, focal lengths and principal point in
     pixels, and alpha in [0, 1): the pinhole is alpha / (1 - alpha) behind the centre of the second
-    sphere. Returns uv (..., 2) in pixels and valid (...): where the projection exists and is one to
-    one; elsewhere uv is meaningless or not finite.
+    sphere. Returns uv (..., 2) in pixels
+    and valid (...): where the projection exists and is one to one; elsewhere uv is meaningless or
+    not finite.
     """
     x, y, z, length = _components(rays)
     shifted = xi * length + z
@@ -52,10 +54,9 @@ def unified(
     """
     x, y, z, _ = _components(rays)
     length = np.sqrt(beta * (x * x + y * y) + z * z)
-    return (
-        _pinhole(x, y, alpha * length + (1 - alpha) * z, fx, fy, cx, cy),
-        z > -_unified_limit(alpha) * length,
-    )
+    return _pinhole(x, y, alpha * length + (1 - alpha) * z, fx, fy, cx, cy), z > -_unified_limit(
+        alpha
+    ) * length
 
 
 def omni(
@@ -122,7 +123,7 @@ def kannala_brandt(
     = fx x + skew y + cx.
     """
     x, y, z, length = _components(rays)
-    r = Polynomial([0, 1, 0, k["k1"], 0, k["k2"], 0, k["k3"], 0, k["k4"]])
+    r = Polynomial([0, 1, *(part for name in FISHEYE for part in (0, k.get(name, 0.0)))])
     theta = np.arctan2(np.hypot(x, y), z)
     scale = r(theta) / np.maximum(np.hypot(x, y), 1e-300)
     valid = (length > 0) & (theta < _first_maximum(r))
@@ -171,40 +172,107 @@ def metashape(
 def hugin(
     rays: Floats,
     projection: str,
-    f: float,
-    cx: float,
-    cy: float,
-    a: float,
-    b: float,
-    c: float,
-    half_side: float,
+    v: float,
+    w: float,
+    h: float,
+    a: float = 0.0,
+    b: float = 0.0,
+    c: float = 0.0,
+    d: float = 0.0,
+    e: float = 0.0,
 ) -> Projected:
     """Project with the lens model of Hugin: one of `RADII` times f, then r (a ρ³ + b ρ² + c ρ + 1 -
     a - b - c).
 
-    ρ = r / half_side, half the shorter side of the image in pixels.
+    ρ = r / half the shorter side; f follows from the horizontal field of view v, degrees. The
+    centre is d, e from the middle of the image of w × h pixels, whose corner, not its first pixel,
+    is (0, 0).
+    """
+    x, y, z, length = _components(rays)
+    n, half = np.hypot(x, y), min(w, h) / 2
+    f = w / 2 / float(RADII[projection](np.radians(v / 2)))
+    rho = f / half * RADII[projection](np.arctan2(n, z))
+    scale = half * Polynomial([0, 1 - a - b - c, c, b, a])(rho) / np.maximum(n, 1e-300)
+    uv = _to_pixels(x * scale, y * scale, 1.0, 1.0, w / 2 - 0.5 + d, h / 2 - 0.5 + e)
+    return uv, (length > 0) & np.isfinite(scale)
+
+
+def fisheye624(
+    rays: Floats, fx: float, fy: float, cx: float, cy: float, **distortion: float
+) -> Projected:
+    """Project with six radial (k0 … k5), two tangential (p0, p1) and four thin prism terms (s0 …
+    s3).
+
+    The model of Project Aria, COLMAP's RAD_TAN_THIN_PRISM_FISHEYE: r = θ + k0 θ³ + … + k5 θ¹³; then
+    x += 2 x (p0 x + p1 y) + p0 r² + s0 r² + s1 r⁴, and y with p1, s2, s3.
+    """
+    k0, k1, k2, k3, k4, k5, p0, p1, s0, s1, s2, s3 = (distortion[name] for name in FISHEYE624)
+    x, y, z, length = _components(rays)
+    n = np.hypot(x, y)
+    r = Polynomial([0, 1, 0, k0, 0, k1, 0, k2, 0, k3, 0, k4, 0, k5])
+    theta = np.arctan2(n, z)
+    scale = r(theta) / np.maximum(n, 1e-300)
+    x, y = x * scale, y * scale
+    r2, dot = x * x + y * y, 2 * (p0 * x + p1 * y)
+    u = x + x * dot + r2 * (p0 + s0 + s1 * r2)
+    v = y + y * dot + r2 * (p1 + s2 + s3 * r2)
+    valid = (length > 0) & (theta < _first_maximum(r))
+    return _to_pixels(u, v, fx, fy, cx, cy), valid
+
+
+def ftheta(
+    rays: Floats,
+    cx: float,
+    cy: float,
+    to_angle: float,
+    c: float = 1.0,
+    d: float = 0.0,
+    e: float = 0.0,
+    **p: float,
+) -> Projected:
+    """Project with an f-theta polynomial p0 + p1 x + …: θ of a radius in pixels (to_angle = 1), or
+    r(θ).
+
+    u = c x + d y + cx, v = e x + y + cy; valid as far as the radius grows with the angle.
     """
     x, y, z, length = _components(rays)
     n = np.hypot(x, y)
-    rho = f / half_side * RADII[projection](np.arctan2(n, z))
-    scale = half_side * Polynomial([0, 1 - a - b - c, c, b, a])(rho) / np.maximum(n, 1e-300)
-    return _to_pixels(x * scale, y * scale, 1.0, 1.0, cx, cy), (length > 0) & np.isfinite(scale)
+    theta, poly = np.arctan2(n, z), Polynomial([p.get(f"p{k}", 0.0) for k in range(16)])
+    end = _first_maximum(poly)
+    if to_angle:
+        radii = np.linspace(0, min(end, 1e5), 1 << 14)
+        angles = poly(radii)
+        r = np.interp(theta, angles, radii, right=np.nan)
+        for _ in range(3):  # Newton; from a step of 6 px at most it doubles the digits
+            r = r - (poly(r) - theta) / poly.deriv()(r)
+    else:
+        r = np.where(theta < end, poly(theta), np.nan)
+    scale = r / np.maximum(n, 1e-300)
+    x, y = x * scale, y * scale
+    return np.stack([c * x + d * y + cx, e * x + y + cy], -1), (length > 0) & np.isfinite(r)
 
 
 PINHOLE = ("fx", "fy", "cx", "cy")
 FISHEYE = ("k1", "k2", "k3", "k4")
+FISHEYE624 = (*(f"k{n}" for n in range(6)), "p0", "p1", "s0", "s1", "s2", "s3")
 RADTAN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # in the order of OpenCV
 _METASHAPE = ("k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
 # Each model with its parameters: those that it needs, and those that are 0 where they are not
 # stated.
 _MODELS: dict[str, tuple[Callable[..., Projected], tuple[str, ...], tuple[str, ...]]] = {
     "ds": (double_sphere, (*PINHOLE, "xi", "alpha"), ()),
-    "kb4": (kannala_brandt, (*PINHOLE, *FISHEYE), ("skew",)),
+    "kb4": (kannala_brandt, PINHOLE, (*FISHEYE, "skew")),
     "omni": (omni, (*PINHOLE, "xi"), ("k1", "k2", "p1", "p2", "skew")),
     "eucm": (unified, (*PINHOLE, "alpha", "beta"), ()),
     "ucm": (unified, (*PINHOLE, "alpha"), ()),
     "pinhole": (pinhole, PINHOLE, (*RADTAN, "skew", "rpmax")),
     "fov": (field_of_view, (*PINHOLE, "w"), ()),
+    "fisheye624": (fisheye624, (*PINHOLE, *FISHEYE624), ()),
+    "ftheta": (
+        ftheta,
+        ("cx", "cy", "to_angle", "p1"),
+        ("c", "d", "e", *(f"p{k}" for k in range(16))),
+    ),
 }
 for _name in RADII:
     _MODELS[f"metashape {_name}"] = (
@@ -212,13 +280,9 @@ for _name in RADII:
         ("f", "cx", "cy"),
         (*_METASHAPE, "b1", "b2"),
     )
-    _MODELS[f"hugin {_name}"] = (
-        partial(hugin, projection=_name),
-        ("f", "cx", "cy", "a", "b", "c", "half_side"),
-        (),
-    )
+    _MODELS[f"hugin {_name}"] = partial(hugin, projection=_name), ("v", "w", "h"), tuple("abcde")
 _RANGES: dict[str, tuple[float, float]] = dict.fromkeys(("fx", "fy", "f"), (0.0, 1e6))
-_RANGES |= {"alpha": (-1e-12, 1), "beta": (0, 1e3), "xi": (-1, 1e3), "w": (0, np.pi)}
+_RANGES |= {"alpha": (-1e-12, 1), "beta": (0, 1e3), "xi": (-1, 1e3), "w": (0, 1e6), "v": (1, 360)}
 
 
 def make_camera_model(model: str, parameters: dict[str, float]) -> Projection:
@@ -227,12 +291,12 @@ def make_camera_model(model: str, parameters: dict[str, float]) -> Projection:
 
     Raises:
         OmnistereoError: If the model is unknown, or a parameter is missing, unknown or out of
-            range.
+    range.
     """
     if model not in _MODELS:
         raise OmnistereoError(
-            f"camera model {model!r} is unknown; expected one of {[*_MODELS][:7]}. Recalibrate"
-            " with it"
+            f"camera model {model!r} is unknown; expected one of {[*_MODELS][:9]}. Recalibrate "
+            "with it"
         )
     function, names, optional = _MODELS[model]
     if not set(names) <= set(parameters) <= {*names, *optional}:
@@ -241,6 +305,7 @@ def make_camera_model(model: str, parameters: dict[str, float]) -> Projection:
         )
     for name, value in parameters.items():
         low, high = _RANGES.get(name, (-1e6, 1e6))
+        high = np.pi if (model, name) == ("fov", "w") else high
         if not low < value < high:
             raise OmnistereoError(
                 f"{name} = {value} of camera model {model!r} must lie between {low:g} and {high:g}"

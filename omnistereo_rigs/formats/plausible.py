@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Floats, Pose
 from omnistereo_lib.geometry.rig import Rig
@@ -39,6 +39,13 @@ def check_rig(rig: Rig, source: Path) -> None:
         warnings.warn(f"{source}, camera {i}: {doubts[i]}{likewise}", UserWarning, stacklevel=2)
 
 
+def warn_of_camera(camera: OcamCamera, source: Path) -> None:
+    """Warn of what `camera_doubt` finds."""
+    with error_context(source):
+        if doubt := camera_doubt(camera):
+            warnings.warn(f"{source}: {doubt}", UserWarning, stacklevel=2)
+
+
 def camera_doubt(camera: OcamCamera) -> str | None:
     """Return what is wrong with a principal point far from the middle of the image, with a guess.
 
@@ -59,9 +66,9 @@ def camera_doubt(camera: OcamCamera) -> str | None:
     }
     guess, error = min(guesses.items(), key=lambda item: item[1])
     doubt = (
-        f"the principal point is ({center[0]:.1f}, {center[1]:.1f}) in an image of {size[0]} ×"
-        f" {size[1]} px; expected near its middle."
-        f" {guess if error < _CENTERED else 'Check that the image size is that of the calibration'}"
+        f"the principal point is ({center[0]:.1f}, {center[1]:.1f}) in an image of {size[0]} × "
+        f"{size[1]} px; expected near its middle. "
+        f"{guess if error < _CENTERED else 'Check that the image size is that of the calibration'}"
     )
     if off >= 0.5:
         raise OmnistereoError(doubt.replace("near its middle", "inside it, near the middle"))
@@ -95,9 +102,9 @@ def level(rig: Rig, source: Path) -> Rig:
         R = np.stack([right, down, np.cross(right, down)])
         T = Pose(R, np.zeros(3))
         _log.info(
-            "%s: the cameras agree that down is %.0f° from +y of the rig: the rig is turned level,"
-            " by %.0f° in all, its first camera to the front (--keep-frame or keep_frame=True"
-            " leave it)",
+            "%s: the cameras agree that down is %.0f° from +y of the rig: the rig is turned "
+            "level, by %.0f° in all, its first camera to the front (--keep-frame or "
+            "keep_frame=True leave it)",
             source,
             angle,
             T.magnitude()[0],
@@ -108,9 +115,9 @@ def level(rig: Rig, source: Path) -> Rig:
         _log.info("%s: the rig is level to %.1f°", source, angle)
     elif tilt is not None and tilt > _LEVEL_DEG:
         warnings.warn(
-            f"{source}: the cameras do not agree which way is down, and their centres lie in a"
-            f" plane that is {tilt:.0f}° from horizontal: the panorama may lie on its side. Its +y"
-            " should point down",
+            f"{source}: the cameras do not agree which way is down, and their centres lie in a "
+            f"plane that is {tilt:.0f}° from horizontal: the panorama may lie on its side. Its +y "
+            "should point down",
             UserWarning,
             stacklevel=2,
         )

@@ -38,8 +38,8 @@ def export_rig(rig: Rig, folder: str | Path) -> list[float]:
     large = [f"camera {i} {px:.1f} px" for i, px in enumerate(residuals, 1) if px > _MAX_ERROR]
     if large:
         warnings.warn(
-            f"the camera model of Kalibr, OpenCV and COLMAP does not follow {', '.join(large)} at"
-            f" worst: the files in {folder} have these errors. Use config.yaml where you can",
+            f"the camera model of Kalibr, OpenCV and COLMAP does not follow {', '.join(large)} at "
+            f"worst: the files in {folder} have these errors. Use config.yaml where you can",
             stacklevel=2,
         )
     for name, text in {
@@ -130,8 +130,8 @@ def colmap_cameras_text(rig: Rig, parameters: Sequence[dict[str, float]]) -> str
             *(p[f"k{n}"] for n in (1, 2, 3, 4)),
         ]
         lines.append(
-            f"{i} OPENCV_FISHEYE {camera.image_size[0]} {camera.image_size[1]}"
-            f" {' '.join(map(repr, values))}"
+            f"{i} OPENCV_FISHEYE {camera.image_size[0]} {camera.image_size[1]} "
+            f"{' '.join(map(repr, values))}"
         )
     return "\n".join(lines) + "\n"
 
@@ -158,7 +158,7 @@ def write_rig(rig: Rig, out: Path) -> list[str]:
     write_ocam_folder(rig, out)
     residual = max(export_rig(rig, out))
     print(
-        f"kalibr.yaml, opencv.yaml and colmap_*: their camera model follows ours to {residual:.2f}"
-        " px at worst"
+        f"kalibr.yaml, opencv.yaml and colmap_*: their camera model follows ours to {residual:.2f} "
+        "px at worst"
     )
     return ["config.yaml", "ocam*.txt", "poses.txt", "kalibr.yaml", "opencv.yaml", "colmap_*"]

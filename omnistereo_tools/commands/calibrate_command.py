@@ -84,7 +84,7 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
     detections.
     """
     from omnistereo_lib.files import write_text
-    from omnistereo_lib.rig_file import write_ocam_txt
+    from omnistereo_lib.ocam_text import write_ocam_txt
     from omnistereo_rigs.boards.captures import save_corners
     from omnistereo_rigs.boards.joint import calibrate_rig
     from omnistereo_rigs.boards.single_camera import calibrate_camera

@@ -286,7 +286,7 @@ def test_lenses_of_hugin(tmp_path, suffix, kind, radius):
         (
             "pano.pto",
             'i w8000 h4000 f4 v360 a0 b0 c0 n"a.jpg"\n',
-            "the projection of the lens is 4; .*depth needs two",
+            "f is 4; .*depth needs two",
         ),
         ("lens.pto", HUGIN.replace("g0", "g0.5"), r"the lens is sheared \(g, t\)"),
         ("lens.ini", "[Camera]\nw=1\n", "lens.ini: not a lens file of Hugin"),
@@ -381,6 +381,6 @@ def test_chains_by_the_imu_alone(tmp_path, key):
     )
     del chain["cam1"][key]
     with pytest.raises(
-        OmnistereoError, match=r"cam1: no pose; .*expected T_cn_cnm1, or T_cam_imu in every camera"
+        OmnistereoError, match=r"cam1: no pose; .*expected T_cn_cnm1, T_cam_imu, .* in every camera"
     ):
         read_any_rig(dump(tmp_path / "chain.yaml", chain))

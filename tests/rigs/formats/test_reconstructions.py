@@ -146,7 +146,7 @@ def test_models_of_colmap(tmp_path):
     )
     rig = read_any_rig(tmp_path, "m")
     same_poses(rig)
-    follows(rig.cameras[0], fisheye, RAYS)
+    follows(rig.cameras[0], fisheye, RAYS, least=0.49)
     with pytest.raises(OmnistereoError, match="does not state its unit"):
         read_any_rig(tmp_path / "images.txt")
     lines = images_txt(WORLD, WORLD).splitlines()
@@ -154,12 +154,12 @@ def test_models_of_colmap(tmp_path):
     write(tmp_path / "images.txt", "\n".join(lines))
     with pytest.warns(
         UserWarning,
-        match=r"images.txt: 0.png and 1.png contradict .*camera 2: .* % of the size of the rig",
+        match=r"images.txt: cam1/0.png and cam1/1.png contradict .*camera 2: .* % of the size of the rig",
     ):
         read_any_rig(tmp_path, "m")
     for text, message in (
         ("1 1 0 0 0 0 0 0 7 a.png", r"line 1: found .*CAMERA_ID NAME"),
-        ("", "no file name is that of an"),
+        ("", "there is no image"),
     ):
         with pytest.raises(OmnistereoError, match=message):
             write(tmp_path / "images.txt", text)
@@ -192,7 +192,7 @@ def transforms(**changes):
 def test_frames_of_nerfstudio(tmp_path, recwarn):
     rig = read_any_rig(dump(tmp_path / "transforms.json", transforms()), "m")
     same_poses(rig)
-    follows(rig.cameras[1], fisheye, RAYS)
+    follows(rig.cameras[1], fisheye, RAYS, least=0.49)
     focal = {
         "fl_x": 400.0,
         "fl_y": 398.0,
@@ -219,7 +219,9 @@ def test_frames_of_nerfstudio(tmp_path, recwarn):
     rig = read_any_rig(dump(tmp_path / "t.json", transforms(**angle)), "m")
     follows(rig.cameras[0], lambda x, y, z: (400 * x / z + 400, 400 * y / z + 380))
     assert not recwarn.list
-    with pytest.raises(OmnistereoError, match="frame 1: camera_model EQUIRECTANGULAR is not read"):
+    with pytest.raises(
+        OmnistereoError, match="frame 1: camera_model is equirectangular; expected one of"
+    ):
         read_any_rig(dump(tmp_path / "t.json", transforms(camera_model="EQUIRECTANGULAR")), "m")
     with pytest.warns(UserWarning, match="no camera_model is stated: read as OPENCV"):
         read_any_rig(dump(tmp_path / "t.json", transforms(camera_model=None, **focal)), "m")
@@ -236,7 +238,7 @@ def test_cameras_of_mc_calib(tmp_path, recwarn):
     data = {"nb_camera": 2} | {f"camera_{n}": mc_calib(pose) for n, pose in enumerate(CAMERAS)}
     rig = read_any_rig(dump(tmp_path / "calibrated_cameras_data.yml", data), "cm")
     same_poses(rig)
-    follows(rig.cameras[1], fisheye, RAYS)
+    follows(rig.cameras[1], fisheye, RAYS, least=0.49)
     data["camera_1"]["camera_group"] = 1
     assert not recwarn.list
     with pytest.raises(
@@ -263,7 +265,9 @@ def test_profiles_of_gyroflow(tmp_path):
         "fisheye_params": lens | {"radial_distortion_limit": 2},
     }
     for n in (1, 2):
-        follows(read_any_camera(dump(tmp_path / f"cam{n}.json", profile)), fisheye, RAYS)
+        follows(
+            read_any_camera(dump(tmp_path / f"cam{n}.json", profile)), fisheye, RAYS, least=0.49
+        )
     write(tmp_path / "poses.txt", "0 0 0 0 0 0\n0 1 0 10 0 0\n")
     assert read_any_rig(tmp_path, "cm").baselines[0] == pytest.approx(0.1)
     for wrong in (
@@ -271,9 +275,7 @@ def test_profiles_of_gyroflow(tmp_path):
         {"input_vertical_stretch": 1.33},
         {"digital_lens": "gopro_superview"},
     ):
-        with pytest.raises(
-            OmnistereoError, match="only profiles with the distortion_model opencv_fisheye"
-        ):
+        with pytest.raises(OmnistereoError, match="opencv_fisheye"):
             read_any_camera(dump(tmp_path / "lens.json", profile | wrong))
 
 
@@ -305,7 +307,7 @@ def test_unread_programs_say_what_to_do(tmp_path):
     for data, message in (
         (
             {"boardName": "OAK", "cameraData": []},
-            "DepthAI calibrations are not read: write K, D, R, T",
+            "found no camera of DepthAI",
         ),
         (
             {"Camera.type": "KannalaBrandt8", "Camera1.fx": 200.0},
