@@ -246,11 +246,11 @@ class OcamCamera:
     def visible_pixels(self) -> NDArray[np.bool_]:
         """Return which pixels lie on the image circle and the mask, shape (height, width)."""
         width, height = self.image_size
-        offsets = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1) - self.center
-        # As in `unproject`, without the angles: they take most of its time.
-        inside = (
-            np.linalg.norm(offsets @ np.linalg.inv(self._A).T, axis=-1) <= self.max_radius + 1e-6
-        )
+        u, v = np.arange(width) - self.center[0], np.arange(height)[:, None] - self.center[1]
+        # As in `unproject`, without the angles: they take most of its time. And without a product
+        # of (height, width, 2) and (2, 2), which NumPy does slowly.
+        (a, b), (c, d) = np.linalg.inv(self._A)
+        inside = np.hypot(a * u + b * v, c * u + d * v) <= self.max_radius + 1e-6
         return inside if self.mask is None else inside & self.mask
 
     def reduced(self, factor: int) -> OcamCamera:

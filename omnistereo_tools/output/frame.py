@@ -21,7 +21,7 @@ from omnistereo_lib.rig_file import save_rig
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.metrics import index_error
 from omnistereo_tools.judge.trust import DOUBTFUL, odds, trust
-from omnistereo_tools.output.blend import blended_panorama
+from omnistereo_tools.output.blend import blended_panorama, estimate_gains
 from omnistereo_tools.output.crops import write_crops
 from omnistereo_tools.output.mesh_export import write_mesh
 from omnistereo_tools.output.overview import draw_overview
@@ -98,11 +98,15 @@ class FrameResult:
         too.
         """
         held = 360 * max(camera.pixels_per_degree for camera in self.depth.sweep.rig.cameras)
-        return sharp_panorama(self.depth, round(min(_SHARP * held, _WIDEST)))
+        return sharp_panorama(self.depth, round(min(_SHARP * held, _WIDEST)), self._gains)
+
+    @lazy_property
+    def _gains(self) -> NDArray[np.float64]:
+        return estimate_gains(self.depth)
 
     @lazy_property
     def _colors(self) -> NDArray[np.float32]:
-        return blended_panorama(self.depth)
+        return blended_panorama(self.depth, self._gains)
 
     @lazy_property
     def _cloud(self) -> PointCloud:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.stereo.depth import Depth
+from omnistereo_lib.stereo.threads import map_threads
 from omnistereo_tools.judge import ray
 from omnistereo_tools.judge.trust import DOUBTFUL
 from omnistereo_tools.output.pictures import ColorScale
@@ -90,7 +91,7 @@ def viewer_data(
         percent = 100 / grid.num_spheres * per_metre  # the error as in the paper's tables
         optional |= {"truth": packed(_in_steps(truth, per_step)), "percent": percent}
     scale = ColorScale.of(depth.inverse_depth)
-    cameras, images = fisheye_images(depth)
+    (cameras, images), poses = fisheye_images(depth), depth.sweep.rig.T_rig_cam
     first, *_, last = grid.inverse_depths().tolist()
     return optional | {
         "title": title,
@@ -115,8 +116,7 @@ def viewer_data(
         "minConfidence": limits.min_confidence,
         "picture": webp(_narrow(panorama)[..., ::-1], 85),
         "cameras": [
-            _camera(camera, pose, image)
-            for camera, pose, image in zip(cameras, depth.sweep.rig.T_rig_cam, images, strict=False)
+            *map_threads(lambda k: _camera(cameras[k], poses[k], images[k]), range(len(images)))
         ],
         "ray": ray.for_the_page(),
     }
@@ -177,7 +177,7 @@ def packed(values: NDArray[Any]) -> str:
     """
     differences = np.diff(values, axis=1, prepend=values.dtype.type(0))  # they wrap around
     planes = np.ascontiguousarray(differences).view(np.uint8).reshape(values.size, -1).T
-    return _base64(zlib.compress(planes.tobytes(), 9))
+    return _base64(zlib.compress(planes.tobytes(), 6))
 
 
 def _base64(values: NDArray[Any] | bytes) -> str:
@@ -204,8 +204,13 @@ def webp(pixels: NDArray[np.uint8], quality: int) -> str:
 
 def _webp_of_at_most(pixels: NDArray[np.uint8], most: int) -> str:
     """Return an image as `webp`, in the best quality that takes at most so many bytes."""
-    for quality in range(90, 0, -10):
-        found = webp(pixels, quality)
-        if len(found) * 3 / 4 <= most:
-            break
-    return found
+    # Files grow with their quality, so half of those left are ruled out by each try.
+    found, low, high = "", 1, 9
+    while low <= high:
+        middle = (low + high + 1) // 2
+        tried = webp(pixels, 10 * middle)
+        if len(tried) * 3 / 4 <= most:
+            found, low = tried, middle + 1
+        else:
+            high = middle - 1
+    return found or webp(pixels, 10)
