@@ -8,7 +8,9 @@ from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.util.nodes import make_refnode
 
+import omnistereo_learn
 import omnistereo_lib as osl
+import omnistereo_rigs
 
 BOOK = Path(__file__).parent
 
@@ -126,6 +128,11 @@ def full_name(code: str) -> str:
     would have.
     """
     name = code.partition("(")[0].removeprefix("osl.").removeprefix("omnistereo_lib.")
+    for package in (omnistereo_rigs, omnistereo_learn):
+        name = name.removeprefix(f"{package.__name__}.")
     first = name.partition(".")[0]
-    home = getattr(osl, first).__module__ if first in osl.__all__ else "omnistereo_lib"
-    return f"{home}.{name}"
+    for package in (osl, omnistereo_rigs, omnistereo_learn):
+        if first in package.__all__:
+            home = getattr(getattr(package, first), "__module__", package.__name__)
+            return f"{home}.{name}"
+    return f"omnistereo_lib.{name}"

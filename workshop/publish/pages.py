@@ -16,13 +16,16 @@ from typing import Any
 
 import nbformat
 
+import omnistereo_learn
 import omnistereo_lib as osl
+import omnistereo_rigs
 from course import exercises, nbtools
 from course.classroom import handin
 from omnistereo_lib.files import write_text
 
 BOOK = nbtools.ROOT / "book"
 README = nbtools.ROOT / "README.md"
+FACES = {"osl.": osl, "omnistereo_rigs.": omnistereo_rigs, "omnistereo_learn.": omnistereo_learn}
 LIST = re.compile(r"(?<=<!-- )(\w+)( -->\n).*?(?=<!-- /\1 -->)", re.DOTALL)
 
 
@@ -91,8 +94,12 @@ def written() -> str:
 
 
 def names() -> str:
-    """Return the table of the names that `import omnistereo_lib` offers."""
-    rows = [f"| `osl.{name}` | {summary(getattr(osl, name))} |\n" for name in osl.__all__]
+    """Return the table of the names that the packages offer."""
+    rows = [
+        f"| `{prefix}{name}` | {_what(getattr(package, name))} |\n"
+        for prefix, package in FACES.items()
+        for name in package.__all__
+    ]
     return "| name | what it is |\n|---|---|\n" + "".join(rows)
 
 
@@ -100,20 +107,23 @@ def modules() -> str:
     """Return the table of the library's stages."""
     rows = []
     for stage, names in stages().items():
-        path = f"omnistereo_lib/{stage}" if len(names) > 1 else f"omnistereo_lib/{stage}.py"
+        path = stage.replace(".", "/") + ("" if len(names) > 1 else ".py")
         rows.append(f"| [`{stage}`](../{path}) | {summary(import_module(names[0]))} |\n")
     return "| module | what it is |\n|---|---|\n" + "".join(rows)
 
 
 def stages() -> dict[str, list[str]]:
-    """Return the names of the library's modules by stage: the first part of the name after the
-    package's.
-    """
+    """Return the names of the modules of library, rigs and learn by stage: package and next part."""
     found: dict[str, list[str]] = {}
-    for module in pkgutil.walk_packages(osl.__path__, "omnistereo_lib."):
-        if not module.name.endswith(".__main__"):
-            found.setdefault(module.name.split(".")[1], []).append(module.name)
+    for package in FACES.values():
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            found.setdefault(".".join(module.name.split(".")[:2]), []).append(module.name)
     return found
+
+
+def _what(thing: object) -> str:
+    """Return the summary of a name; of a table of recipes, what it holds."""
+    return f"Settings by name: {', '.join(thing)}." if isinstance(thing, dict) else summary(thing)
 
 
 def summary(thing: object) -> str:
