@@ -113,7 +113,7 @@ def modules() -> str:
 
 
 def stages() -> dict[str, list[str]]:
-    """Return the names of the modules of library, rigs and learn by stage: package and next part."""
+    """Return the names of modules by stage: the package, and the next part of the name."""
     found: dict[str, list[str]] = {}
     for package in FACES.values():
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
