@@ -19,6 +19,15 @@ NOTEBOOKS = ROOT / "notebooks"
 SETUP = (
     "import omnistereo_lib as osl\nfrom course.classroom.doctor import doctor\n\ndoctor(short=True)"
 )
+PACKAGES = (
+    "omnistereo_lib",
+    "omnistereo_rigs",
+    "omnistereo_learn",
+    "omnistereo_tools",
+    "course",
+    "workshop",
+)
+IMPORT = re.compile(r"^(?:from|import) (\w+)", re.MULTILINE)
 # The folded solution of an open function; clean() writes the right answer's source into it.
 SOLUTION = re.compile(
     r"(<details><summary>A solution: <code>(\w+)</code></summary>\n\n```python\n)(.*?)(?=\n```)",
@@ -47,6 +56,13 @@ def number(path: Path) -> str:
 def code_cells(nb: nbformat.NotebookNode) -> list[nbformat.NotebookNode]:
     """Return the code cells that are not empty."""
     return [cell for cell in nb.cells if cell.cell_type == "code" and cell.source.strip()]
+
+
+def setup_of(nb: nbformat.NotebookNode) -> str:
+    """Return the first code cell of a notebook: a line with the packages it needs, and `SETUP`."""
+    imported = {name for cell in code_cells(nb) for name in IMPORT.findall(cell.source)}
+    imported |= set(IMPORT.findall(SETUP))
+    return f"# needs {', '.join(name for name in PACKAGES if name in imported)}\n{SETUP}"
 
 
 def read_text(path: Path) -> str:

@@ -13,6 +13,7 @@ from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
 
 from course import nbtools
 
+SETUP = "# needs omnistereo_lib, course\n" + nbtools.SETUP
 FACTS = {"title": "Tiny", "learn": "nothing", "needs": "CPU", "minutes_to_read": 1, "budget_s": 60}
 DRAWING = """import matplotlib.pyplot as plt
 from course.figures.plot import show

@@ -1,5 +1,5 @@
-"""Notebook 02: the pose on which captures agree, the poses of a rig, the residuals of a bundle,
-covariance, shift."""
+"""Notebook 02: the pose on which captures agree, the poses of a rig, the residuals of a bundle, its
+minimum, covariance, shift."""
 
 import numpy as np
 
@@ -129,6 +129,79 @@ check_bundle_residuals = Open(bundle_residuals, _some_views).with_slips("""
     T_rig_board[k] @ →  # the points are on the board: take them to the rig first
     T_rig_cam[i].inverse() @ →  # from the rig to the camera: T_rig_cam[i].inverse()
     lenses[i] → lenses[0]  # each camera has its own lens: lenses[i]
+""")
+
+
+def jacobian(misfit, x, depends):
+    """Derivatives (m, n) of residuals misfit(x) (m,) by the unknowns x (n,), six for each pose.
+
+    depends (kinds, m): the pose of each kind, such as camera and board, on which a residual
+    depends; no other counts."""
+    h, rows = 1e-6, np.arange(depends.shape[1])
+    J = np.zeros((depends.shape[1], len(x)))
+    for poses in depends:  # all poses of a kind move at once: each residual notices only its own
+        for number in range(6):
+            step = np.zeros((len(x) // 6, 6))
+            step[poses, number] = h
+            change = misfit(x + step.ravel()) - misfit(x - step.ravel())
+            J[rows, 6 * poses + number] = change / (2 * h)
+    return J
+
+
+def _a_bundle(rng: Rng, k: int, m: int = 80) -> tuple:
+    """Residuals like those of a bundle: smooth, and each depends on one of 2 cameras and one of 2 +
+    k % 2 boards."""
+    boards = 2 + k % 2
+    depends = np.array([rng.integers(0, 2, m), 2 + rng.integers(0, boards, m)])
+    depends[:, :4] = [[0, 0, 1, 1], [2, 3, 2, 3]]
+    slopes, target = rng.normal(0, 1, (2, m, 6)), rng.normal(0, 0.3, m)
+
+    def misfit(x):
+        poses = x.reshape(-1, 6)[depends]  # (2, m, 6)
+        return np.sum(slopes * poses + 0.1 * slopes**2 * np.sin(poses), axis=(0, 2)) - target
+
+    return misfit, rng.normal(0, 0.1, 6 * (2 + boards)), depends
+
+
+check_jacobian = Open(jacobian, _a_bundle, whole=("x", "depends")).with_slips("""
+    change / (2 * h) → change / h  # the two places are 2 h apart
+    misfit(x + step.ravel()) - misfit(x - step.ravel()) → misfit(x - step.ravel()) - misfit(x + step.ravel())
+    # after minus before: the step forward comes first
+    # a residual depends on a board, too: on each row of depends
+    for poses in depends: → for poses in depends[:1]:
+    # six unknowns for each pose: 6 * poses + number
+    J[rows, 6 * poses + number] → J[rows, 6 * number + poses]
+""")
+
+
+def gauss_newton(misfit, x, depends, held, steps):
+    """Unknowns (n,) and the rms of the residuals before each step and after the last, (n + steps +
+    1,) in one array.
+
+    misfit, x, depends: as in `jacobian`. The first `held` unknowns stay as they are.
+    """
+    x, sizes = x.copy(), []
+    for _ in range(steps):
+        r = misfit(x)
+        J = jacobian(misfit, x, depends)[:, held:]
+        sizes.append(np.sqrt(np.mean(r**2)))
+        x[held:] -= np.linalg.solve(J.T @ J, J.T @ r)
+    sizes.append(np.sqrt(np.mean(misfit(x) ** 2)))
+    return np.concatenate([x, sizes])
+
+
+def _a_descent(rng: Rng, k: int) -> tuple:
+    return *_a_bundle(rng, k), 12, 1 + k % 3
+
+
+check_gauss_newton = Open(gauss_newton, _a_descent, whole=("x", "depends")).with_slips("""
+    x[held:] -= → x[held:] +=  # that goes uphill: subtract the solution
+    x[held:] -= np.linalg.solve(J.T @ J, J.T @ r) → x[held:] -= J.T @ r
+    # the gradient alone says the direction, not how far: solve (JᵀJ) ε = Jᵀ r
+    sizes.append(np.sqrt(np.mean(misfit(x) ** 2))) → sizes.append(sizes[-1])
+    # the last rms is that after the last step: compute the residuals once more
+    # the residuals change with each step: compute them again
+    r = misfit(x) → r = misfit(x) if not sizes else r
 """)
 
 

@@ -1,5 +1,5 @@
-"""Notebook 05: the tower of convolutions, the spheres of a training pair, the hinge loss, one step
-of Adam."""
+"""Notebook 05: the tower of convolutions, where a camera shows a point, pairs, the hinge loss,
+Adam, and training."""
 
 import numpy as np
 import torch
@@ -46,6 +46,45 @@ check_tower = Open(tower, _images_and_layers).with_slips("""
     dim=1 → dim=0
     # that is a norm over the columns: each pixel has its own, over the channels, axis 1
     dim=1 → dim=3
+""")
+
+
+def shown_at(center, rays, true, tried):
+    """Directions (…, 3) at which the panorama of a camera at center (3,) shows points on rays (…,
+    3), unit vectors.
+
+    true (…): inverse depths of the points; tried (…): inverse radii of the spheres onto which its
+    image is warped."""
+    sight = rays - true[..., None] * center  # from the camera to the point, in units of its depth
+    sight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
+    start = tried[..., None] * center  # the camera, in units of the radius: the sphere has radius 1
+    along = np.sum(start * sight, axis=-1, keepdims=True)
+    # |start + far · sight| = 1
+    far = np.sqrt(along**2 + 1 - np.sum(start**2, axis=-1, keepdims=True)) - along
+    return start + far * sight
+
+
+def _sights(rng: Rng, k: int) -> tuple:
+    rays = rng.normal(0, 1, (4, 5, 3) if k % 2 else (9, 3))
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    true, tried = rng.uniform(0.02, 0.6, (2, *rays.shape[:-1]))
+    tried.flat[0] = true.flat[0]  # warped onto its own sphere it is shown in its own direction
+    true.flat[1] = tried.flat[2] = 0  # in the sky; a sphere at infinity
+    return rng.normal(0, 0.4, 3), rays, true, tried
+
+
+check_shown_at = Open(shown_at, _sights).with_slips("""
+    far = np.sqrt(along**2 + 1 - np.sum(start**2, axis=-1, keepdims=True)) - along → far = 1.0
+    # the way from the camera to the sphere is not the radius: the camera is not in its middle
+    np.sum(start**2, axis=-1, keepdims=True)) - along → np.sum(start**2, axis=-1, keepdims=True)) + along
+    # of the two roots take the one in front of the camera: - along
+    sight = sight / np.linalg.norm(sight, axis=-1, keepdims=True) → sight = sight
+    # the line of sight must have length 1 before you solve for the way along it
+    start = tried[..., None] * center → start = true[..., None] * center
+    # the sphere that is met is the one that is tried: its radius is the unit
+    return start + far * sight → return sight
+    # that is the direction from the camera; the panorama shows directions from the rig's centre:
+    # start + far · sight
 """)
 
 
@@ -146,4 +185,49 @@ check_adam_step = Open(adam_step, _a_step).with_slips("""
     square_now.sqrt() → square_now  # divide by the root of the mean square
     1e-8), mean, square → 1e-8), mean_now, square_now
     # what is kept are the means as they run; the division is for this step alone
+""")
+
+
+def train(network, loss_of, batches, rates):
+    """Losses (T,) of T steps of Adam on the weights of a network, in place: loss_of(network,
+    batch), before each step."""
+    weights = list(network.parameters())
+    state = [(torch.zeros_like(weight), torch.zeros_like(weight)) for weight in weights]
+    losses = []
+    for step, (batch, rate) in enumerate(zip(batches, rates, strict=True), start=1):
+        loss = loss_of(network, batch)
+        gradients = torch.autograd.grad(loss, weights)
+        with torch.no_grad():
+            for k, (weight, gradient) in enumerate(zip(weights, gradients, strict=True)):
+                moved, *state[k] = adam_step(weight, *state[k], gradient, step, rate)
+                weight.copy_(moved)
+        losses.append(loss.item())
+    return losses
+
+
+def _squared(network: nn.Module, batch: tuple[Tensor, Tensor]) -> Tensor:
+    return (network(batch[0]) - batch[1]).square().mean()
+
+
+def _a_course(rng: Rng, k: int) -> tuple:
+    torch.manual_seed(int(rng.integers(2**31)))
+    network = (
+        nn.Sequential(nn.Linear(3, 4), nn.Tanh(), nn.Linear(4, 1)) if k % 2 else nn.Linear(3, 1)
+    )
+    batches = [(torch.randn(5, 3), torch.randn(5, 1)) for _ in range(4 + k % 4)]
+    return network, _squared, batches, rng.uniform(0.02, 0.2, len(batches)).tolist()
+
+
+check_train = Open(train, _a_course).with_slips("""
+    enumerate(zip(batches, rates, strict=True), start=1) → enumerate(zip(batches, rates, strict=True), start=5)
+    # Adam's steps are counted from 1: enumerate(…, start=1)
+    moved, *state[k] = → moved, *_ =
+    # the running means are lost after each step: keep them, one pair for each weight
+    adam_step(weight, *state[k], gradient, step, rate) → weight - rate * gradient
+    # that is plain descent: take a step of Adam, with the running means of this weight
+    weight.copy_(moved) → pass
+    # the losses of a network that does not change: write the moved weights into it,
+    # weight.copy_(moved)
+    adam_step(weight, *state[k], gradient, step, rate) → adam_step(weight, *state[k], gradient, step, rates[0])
+    # each step has a rate of its own: rates has one for each batch
 """)

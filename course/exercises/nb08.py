@@ -1,5 +1,5 @@
-"""Notebook 08: a row of Table II, regions by depth, the errors of all frames together, an interval,
-a verdict."""
+"""Notebook 08: a row of Table II, regions by depth, errors of all frames, a table by region, an
+interval, a verdict."""
 
 import numpy as np
 
@@ -92,6 +92,46 @@ check_pooled = Open(pooled, _some_sums).with_slips("""
     np.sqrt(squares / rays) → np.mean(np.sqrt(sums[:, 5] / sums[:, 0]))
     # a mean of roots is not the root of the mean: add up Σ e² first
     np.sqrt(squares / rays) → np.sqrt(squares) / rays  # divide under the root
+""")
+
+
+def region_table(indices, truths, N):
+    """Metrics (5, 5) of all rays, the sky, far, middle and near ones, over all frames; indices,
+    truths (frames, H, W)."""
+    table = []
+    for region in (None, 0, 1, 2, 3):
+        sums = []
+        for index, truth in zip(indices, truths, strict=True):
+            inside = np.isfinite(truth) if region is None else depth_regions(truth, N) == region
+            e = 100 / N * np.abs(index - truth)[inside]
+            e = np.where(np.isnan(e), 100, e)
+            sums.append(
+                [e.size, *(np.sum(e > limit) for limit in (1, 3, 5)), e.sum(), np.sum(e**2)]
+            )
+        table.append(pooled(np.array(sums)))
+    return np.array(table)
+
+
+def _some_frames(rng: Rng, k: int) -> tuple:
+    N = 1 + 3 * int(rng.integers(10, 30))
+    truths = rng.uniform(0, N - 1, (3 + k % 2, 4, 12))
+    truths[:, 0, :5] = 0
+    truths[0, 1:, :] *= 0.1  # a frame with much that is far: the means of the frames would differ
+    indices = truths + rng.normal(0.005 * N, 0.03 * N, truths.shape)
+    truths[1, 2, :3] = indices[0, 0, :2] = indices[2, 3, 2] = np.nan
+    return indices, truths, N
+
+
+check_region_table = Open(region_table, _some_frames, whole=("indices", "truths")).with_slips("""
+    table.append(pooled(np.array(sums))) → table.append(np.mean([pooled(np.array([one])) for one in sums], axis=0))
+    # that is the mean over the frames: a frame with few rays of a region counts too much. Pool the
+    # sums
+    np.where(np.isnan(e), 100, e) → e[~np.isnan(e)]
+    # a ray without an estimate is an error of 100; it is not left out
+    np.isfinite(truth) if region is None → np.isfinite(truth) & (truth > 0) if region is None
+    # "all rays" holds the sky, too
+    depth_regions(truth, N) == region → depth_regions(index, N) == region
+    # the truth decides which region a ray is in, the same for every method
 """)
 
 

@@ -145,3 +145,48 @@ check_behind = Open(behind, _a_scene, whole=("inverse_depth",), real=beside.sigh
     # the place's distance over the depth of the surface, not the other way round
     np.floor( → np.rint(  # pixel k reaches from k to k + 1: floor, not round
 """)
+
+
+def reliability(confidence, right, edges):
+    """For each bin between edges (bins + 1,): rays, mean confidence, share right, its standard
+    error, (bins, 4).
+
+    confidence: in [0, 1]; right: True or False; both of any shape. NaN where a bin has no ray.
+    """
+    table = []
+    for k, (low, high) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+        inside = (confidence >= low) & (confidence < high)
+        if k == len(edges) - 2:
+            inside |= confidence == high  # the last bin holds its end
+        n = np.sum(inside)
+        if n == 0:
+            table.append([0, np.nan, np.nan, np.nan])
+            continue
+        share = np.mean(right[inside])
+        table.append([n, np.mean(confidence[inside]), share, np.sqrt(share * (1 - share) / n)])
+    return np.array(table)
+
+
+def _some_judgements(rng: Rng, k: int) -> tuple:
+    edges = np.linspace(0, 1, 5 + k % 3)
+    confidence = rng.uniform(0, 1, (6, 20)) if k % 2 else rng.uniform(0.3, 1, 90) ** 0.5
+    confidence.flat[:4] = 1, edges[2], edges[-2], 1
+    confidence[(confidence > edges[1]) & (confidence < edges[2])] = edges[2]  # an empty bin
+    return confidence, rng.uniform(size=confidence.shape) < confidence**2, edges
+
+
+check_reliability = Open(reliability, _some_judgements, whole=("confidence", "right")).with_slips(
+    """
+    inside |= confidence == high → pass
+    # a ray of confidence 1 is in no bin: the last bin holds its end
+    inside = (confidence >= low) & (confidence < high) → inside = (confidence > low) & (confidence <= high)
+    # a confidence on an edge belongs to the bin above it
+    np.mean(confidence[inside]) → (low + high) / 2
+    # the mean confidence of the rays in the bin, not its middle
+    np.sqrt(share * (1 - share) / n) → np.sqrt(share * (1 - share))
+    # that is the deviation of one ray; the share of n rays is uncertain by the n-th part under the
+    # root
+    np.sqrt(share * (1 - share) / n) → share * (1 - share) / n
+    # that is the variance of the share: take the root
+"""
+)

@@ -76,6 +76,46 @@ check_eight_point = Open(eight_point, _some_pairs, whole=("x", "y", "weights")).
 """)
 
 
+def ransac(x, y, samples, limit):
+    """Numbers (K,) of the matches that agree: |epipolar residual| < limit degrees.
+
+    samples (S, 8): eight matches each. The best sample's agreeing matches make one more matrix,
+    which decides. Samples end early once one of eight right matches has been among them with a
+    probability of 99 %."""
+    best = np.zeros(len(x), bool)
+    for tried, eight in enumerate(samples, start=1):
+        # one of four: all have the same planes
+        T = decompositions(eight_point(x[eight], y[eight], np.ones(8)))[0]
+        agree = np.abs(epipolar_residual(x, y, T)) < limit
+        if agree.sum() > best.sum():
+            best = agree
+        all_right = np.mean(best) ** 8  # the probability that eight matches agree
+        if (1 - all_right) ** tried < 0.01:
+            break
+    T = decompositions(eight_point(x[best], y[best], np.ones(best.sum())))[0]
+    return np.flatnonzero(np.abs(epipolar_residual(x, y, T)) < limit)
+
+
+def _some_matches(rng: Rng, k: int) -> tuple:
+    x, y = _two_views(rng, 60 + k, noise=0.002)[:2]
+    wrong = rng.permutation(len(x))[: 8 + 2 * k]
+    y[wrong] = _unit(y[wrong] + rng.normal(0, 0.4, (len(wrong), 3)))
+    samples = np.array([rng.choice(len(x), 8, replace=False) for _ in range(60)])
+    samples[:2, 0] = wrong[0]  # begins with wrong ones
+    return x, y, samples, 0.3
+
+
+check_ransac = Open(ransac, _some_matches, whole=("x", "y", "samples")).with_slips("""
+    # keep the sample with which the most matches agree, not the last one
+    if agree.sum() > best.sum(): → if True:
+    return np.flatnonzero(np.abs(epipolar_residual(x, y, T)) < limit) → return np.flatnonzero(best)
+    # those agree with a matrix of eight matches: make one of all that agree, and ask again
+    if (1 - all_right) ** tried < 0.01: → if all_right > 0.01:
+    # with the probability p that a sample is right, none of n is with (1 - p)ⁿ: stop below 0.01
+    np.mean(best) ** 8 → np.mean(best)  # all eight must be right: the share to the power of 8
+""")
+
+
 def triangulate(x, y, T_21):
     """Points (M, 4) where rays x and y meet, camera 1's frame: unit direction u, to the side of x,
     and 1/distance."""

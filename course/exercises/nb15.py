@@ -2,6 +2,7 @@
 depth to believe."""
 
 import numpy as np
+from scipy.optimize import least_squares
 
 import omnistereo_lib as osl
 from course.exercises.compare import Rng
@@ -39,6 +40,62 @@ check_step_residual = Open(step_residual, _some_sights).with_slips("""
     toward /= np.linalg.norm(toward, axis=1, keepdims=True) →
     # the product of two vectors is the cosine only if both have length 1: divide by the length
 """)
+
+
+def best_step(guesses, start, x, distance, end, y):
+    """Of the steps found from each guess the one on which most matches agree: its vector (6,), and
+    two counts, (8,).
+
+    A match agrees within 0.5°. The counts: how many matches agree with that step, and with the next
+    best (0 if there is only one guess)."""
+    vectors, counts = [], []
+    for guess in guesses:
+        vector = guess.as_vector()
+        for scale in (3, 0.3):  # degrees: first far, then near
+            vector = least_squares(
+                lambda v: step_residual(osl.Pose.from_vector(v), start, x, distance, end, y),
+                vector,
+                loss="cauchy",
+                f_scale=scale,
+                x_scale="jac",
+            ).x
+        vectors.append(vector)
+        counts.append(
+            np.sum(step_residual(osl.Pose.from_vector(vector), start, x, distance, end, y) < 0.5)
+        )
+    second = sorted(counts)[-2] if len(counts) > 1 else 0
+    return np.array([*vectors[np.argmax(counts)], max(counts), second])
+
+
+def _two_optima(rng: Rng, k: int) -> tuple:
+    """Some matches of the true step, some of a shorter one, as where windows repeat."""
+    T_ab = osl.Pose.from_vector([*rng.normal(0, 0.02, 3), *rng.normal(0, 0.1, 2), 6 + 0.1 * k])
+    short = osl.Pose(T_ab.R, T_ab.t - np.array([0, 0, 5.0]))
+    start, end = np.tile(rng.normal(0, 0.5, (2, 1, 3)), (1, 30, 1))
+    x, distance = _unit(rng.normal(0, 1, start.shape) * (1, 0.3, 1)), rng.uniform(4, 12, len(start))
+    points = start + distance[:, None] * x
+    y = _unit(T_ab.inverse() @ points - end)
+    some = rng.permutation(30)[: 9 + k % 4]
+    y[some] = _unit(short.inverse() @ points[some] - end[some])
+    y = _unit(y + rng.normal(0, 0.002, y.shape))
+    guesses = [
+        osl.Pose(np.eye(3), np.array([0, 0, z]))
+        for z in ((0.0, 6.0), (6.5, 0.5), (1.0,), (0.0, 3.0, 7.0))[k % 4]
+    ]
+    return guesses, start, x, distance, end, y
+
+
+check_best_step = Open(
+    best_step, _two_optima, whole=("guesses", "start", "x", "distance", "end", "y")
+).with_slips(
+    """
+    # that is the first guess: take the step on which most matches agree
+    vectors[np.argmax(counts)] → vectors[0]
+    # once more with a scale of 0.3, from where the first one has led
+    for scale in (3, 0.3): → for scale in (3,):
+    < 0.5) → < 0.3)  # a match agrees within 0.5°
+"""
+)
 
 
 def integrate(distance, weight, points, T_world_rig, depth, confidence, grid, band):

@@ -253,9 +253,11 @@ def explain_ray(
     for k, (name, volume) in enumerate((volumes or {}).items()):
         values = np.asarray(volume[row, column], float)
         low, high = np.nanmin(values), np.nanmax(values)
-        label = f"{name}, {low:.2g} to {high:.2g}"
+        label = f"{name}, {low:.2f} to {high:.2f}"
         along.plot((values - low) / max(high - low, 1e-9), color=f"C{3 + k}", lw=1, label=label)
-    along.axvline(one.index, color="C0", label=f"estimate, {metres(one.depth)}")
+    # a fraction of a sphere is kilometres there
+    far = "beyond 100 m" if one.depth > 100 else metres(one.depth)
+    along.axvline(one.index, color="C0", label=f"estimate, {far}")
     if gt_index is not None:
         along.axvline(gt_index[row, column], color="C2", ls="--", label="exact")
     along.set(xlabel="sphere, from far to near", ylim=(-0.2, 1.05))

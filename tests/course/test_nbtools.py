@@ -3,7 +3,7 @@
 import nbformat
 import pytest
 from nbformat.v4 import new_markdown_cell
-from notebook_cells import FACTS, SLIDER, code, framed, nbval, notebook, write
+from notebook_cells import FACTS, SETUP, SLIDER, code, framed, nbval, notebook, write
 
 from course import __main__, nbtools, rules
 from course.figures.captions import captions
@@ -64,7 +64,7 @@ def test_comparison(verdicts, case):
 
 def good(*more):
     """A notebook as it should be stored, with some more cells."""
-    return framed(code(nbtools.SETUP, printed="OK\n"), *more)
+    return framed(code(SETUP, printed="OK\n"), *more)
 
 
 def closing(old, new):
@@ -104,7 +104,7 @@ ERROR = {
 BAD = {  # what is planted, what the guard must say
     "not run": (good(code("f()", count=None)), "not run in order"),
     "run twice": (good(code("f()", count=3)), "not run in order"),
-    "stripped": (framed(code(nbtools.SETUP)), "no cell has an output"),
+    "stripped": (framed(code(SETUP)), "no cell has an output"),
     "no setup": (framed(code("import os", printed="OK\n")), "first code cell"),
     "no facts": (good() | {"metadata": {}}, "metadata.omnistereo"),
     "budget": (good() | {"metadata": {"omnistereo": FACTS | {"budget_s": 600}}}, "budget_s is 600"),

@@ -4,7 +4,7 @@ import os
 
 import nbformat
 import pytest
-from notebook_cells import DRAWING, FACTS, SLIDER, code, framed, notebook, write
+from notebook_cells import DRAWING, FACTS, SETUP, SLIDER, code, framed, notebook, write
 
 from course import kernels, nbtools, rules
 from course.figures.captions import captions
@@ -21,7 +21,7 @@ def stand_in(tmp_path, monkeypatch):
 
 
 def test_run_stores_a_notebook_that_the_guard_and_a_second_run_accept(stand_in):
-    nb = framed(*map(code, [nbtools.SETUP, DRAWING, SLIDER, "2 * 0.25"]))
+    nb = framed(*map(code, [SETUP, DRAWING, SLIDER, "2 * 0.25"]))
     path = write(stand_in / "tiny.ipynb", nb)
     assert kernels.run([path])
     first = path.read_text(encoding="utf-8")
@@ -48,7 +48,7 @@ def test_run_stores_a_notebook_that_the_guard_and_a_second_run_accept(stand_in):
 def test_run_keeps_the_file_as_it_was_when_something_is_wrong(
     stand_in, capsys, source, budget, said
 ):
-    nb = notebook(code(nbtools.SETUP), code(source), omnistereo=FACTS | {"budget_s": budget})
+    nb = notebook(code(SETUP), code(source), omnistereo=FACTS | {"budget_s": budget})
     path = write(stand_in / "tiny.ipynb", nb)
     before = path.read_bytes()
     assert not kernels.run([path])

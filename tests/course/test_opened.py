@@ -27,7 +27,7 @@ FUNCTIONS = [
     for function in exercises.functions(number)
 ]
 each = pytest.mark.parametrize(("number", "function"), FUNCTIONS)
-MOST_LINES = 12
+MOST_LINES = 22
 
 
 def said(check, function):
@@ -96,7 +96,7 @@ def test_a_function_is_asked_for_checked_and_solved_in_one_place(number, functio
 def test_a_notebook_asks_for_what_its_module_holds(number):
     asked = [name for cell in nbtools.code_cells(NOTEBOOKS[number]) for name in names(cell)]
     functions = [function.name for function in exercises.functions(number)]
-    assert not functions or (asked == functions and 3 <= len(functions) <= 6)
+    assert not functions or (asked == functions and 3 <= len(functions) <= 7)
 
 
 @each

@@ -115,7 +115,7 @@ def shown(nb: NotebookNode, stem: str, out: Path) -> Iterator[NotebookNode]:
             cell.source = "\n\n".join(kept)
             if cell is nb.cells[0]:
                 cell.source += f"\n\n{first_picture(nb)}"
-        elif section in LEFT_OUT or cell.source == nbtools.SETUP:
+        elif section in LEFT_OUT or cell.source.endswith(nbtools.SETUP):
             continue
         elif stubs := [stub.name for stub in solve.stubs(cell.source)]:
             yield new_markdown_cell("\n\n".join(f"### Your turn: `{name}`" for name in stubs))
