@@ -106,13 +106,14 @@ def _some_matches(rng: Rng, k: int) -> tuple:
 
 
 check_ransac = Open(ransac, _some_matches, whole=("x", "y", "samples")).with_slips("""
-    # keep the sample with which the most matches agree, not the last one
     if agree.sum() > best.sum(): → if True:
+    # keep the sample with which the most matches agree, not the last one
     return np.flatnonzero(np.abs(epipolar_residual(x, y, T)) < limit) → return np.flatnonzero(best)
     # those agree with a matrix of eight matches: make one of all that agree, and ask again
     if (1 - all_right) ** tried < 0.01: → if all_right > 0.01:
     # with the probability p that a sample is right, none of n is with (1 - p)ⁿ: stop below 0.01
-    np.mean(best) ** 8 → np.mean(best)  # all eight must be right: the share to the power of 8
+    np.mean(best) ** 8 → np.mean(best)
+    # all eight must be right: the share to the power of 8
 """)
 
 

@@ -89,11 +89,12 @@ check_best_step = Open(
     best_step, _two_optima, whole=("guesses", "start", "x", "distance", "end", "y")
 ).with_slips(
     """
-    # that is the first guess: take the step on which most matches agree
     vectors[np.argmax(counts)] → vectors[0]
-    # once more with a scale of 0.3, from where the first one has led
+    # that is the first guess: take the step on which most matches agree
     for scale in (3, 0.3): → for scale in (3,):
-    < 0.5) → < 0.3)  # a match agrees within 0.5°
+    # once more with a scale of 0.3, from where the first one has led
+    < 0.5 → < 0.3
+    # a match agrees within 0.5°
 """
 )
 
