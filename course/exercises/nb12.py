@@ -1,6 +1,8 @@
 """Notebook 12: the correlation of all cameras, a volume doubled, its loss, the read-out, and what
 hides a point."""
 
+from itertools import pairwise
+
 import numpy as np
 import torch
 from torch.nn.functional import interpolate
@@ -154,7 +156,7 @@ def reliability(confidence, right, edges):
     confidence: in [0, 1]; right: True or False; both of any shape. NaN where a bin has no ray.
     """
     table = []
-    for k, (low, high) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+    for k, (low, high) in enumerate(pairwise(edges)):
         inside = (confidence >= low) & (confidence < high)
         if k == len(edges) - 2:
             inside |= confidence == high  # the last bin holds its end
