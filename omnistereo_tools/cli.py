@@ -27,6 +27,7 @@ from omnistereo_tools.commands import (
     live_command,
     onnx_command,
     record_command,
+    rig_command,
     train_command,
     world_command,
 )
@@ -45,6 +46,7 @@ COMMANDS = {
     "record": record_command,
     "world": world_command,
     "calibrate": calibrate_command,
+    "rig": rig_command,
     "doctor": doctor_command,
     "train": train_command,
     "evaluate": evaluate_command,

@@ -17,7 +17,7 @@ CHARUCO = CharucoBoard((9, 7), 0.06, 0.045)
 PX_PER_M = 2000
 
 
-def print_april(border):
+def print_april(border, start=0):
     """Draw the board as Kalibr prints it: tags from the bottom left, black squares where gaps
     cross."""
     columns, rows = APRIL.tags
@@ -31,7 +31,7 @@ def print_april(border):
         row, column = rows - 1 - number // columns, number % columns
         y, x = margin + row * pitch, margin + column * pitch
         page[y : y + tag, x : x + tag] = cv2.aruco.generateImageMarker(
-            dictionary, number, tag, borderBits=border
+            dictionary, start + number, tag, borderBits=border
         )
     for row in range(rows + 1):
         for column in range(columns + 1):

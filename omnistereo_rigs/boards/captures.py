@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.errors import OmnistereoError, error_context
+from omnistereo_lib.errors import OmnistereoError, check_number, error_context
 from omnistereo_lib.files import read_data, write_text
 from omnistereo_lib.geometry.pose import Floats
 from omnistereo_lib.parse import Section, parse_floats, parse_size
@@ -136,25 +136,55 @@ def load_corners(path: str | Path) -> tuple[dict[str, Floats | None], Board, tup
 
 
 def parse_board(found: Section) -> Board:
-    """Return the board of a mapping: ours, by its fields, or the target of a Kalibr file."""
+    """Return the board of a mapping: ours, by its fields, or the target of a Kalibr file.
+
+    Raises an `OmnistereoError` for a key that is not read, which would be another board.
+    """
+    board = _parse_board(found)
+    if unread := [key for _, key in found.unread()]:
+        raise OmnistereoError(
+            f"{', '.join(unread)}: no such property of a board {board} is read. Delete it, or "
+            "print a board without it"
+        )
+    return board
+
+
+def _first_tag(found: Section, key: str) -> int:
+    return int(check_number(found.number(key, default=0), key, 0, 586, whole=True))
+
+
+def _parse_board(found: Section) -> Board:
     target = found.word("target_type")
     if target == "aprilgrid":
+        family = found.word("tagFamily", default="36h11")
+        if not family.endswith("36h11"):
+            raise OmnistereoError(f"tagFamily is {family}; expected 36h11. Print such tags")
         tags = found.require("tagCols"), found.require("tagRows")
-        return AprilGrid(tags, found.number("tagSize"), found.number("tagSpacing"))
+        size, spacing = found.number("tagSize"), found.number("tagSpacing")
+        return AprilGrid(tags, size, spacing, _first_tag(found, "startId"))
     if target == "checkerboard":
         corners = found.require("targetCols"), found.require("targetRows")
-        return Checkerboard(corners, found.number("colSpacingMeters"))
+        columns = found.number("colSpacingMeters")
+        rows = found.number("rowSpacingMeters", default=columns)
+        if not np.isclose(rows, columns, rtol=1e-6):
+            raise OmnistereoError(
+                f"rowSpacingMeters is {rows:g} and colSpacingMeters {columns:g}; expected squares. "
+                "If the printer has stretched the board, print it again, or on another printer"
+            )
+        return Checkerboard(corners, columns)
     if target:
         raise OmnistereoError(
             f"target_type is {target}; expected aprilgrid or checkerboard. Print one of them"
         )
     if "tags" in found.values:
-        return AprilGrid(found.require("tags"), found.number("size"), found.number("spacing"))
+        start = _first_tag(found, "start")
+        return AprilGrid(
+            found.require("tags"), found.number("size"), found.number("spacing"), start
+        )
     if "squares" in found.values:
         dictionary = str(found.get("dictionary", default="DICT_4X4_50"))
-        return CharucoBoard(
-            found.require("squares"), found.number("square"), found.number("marker"), dictionary
-        )
+        square, marker = found.number("square"), found.number("marker")
+        return CharucoBoard(found.require("squares"), square, marker, dictionary)
     return Checkerboard(found.require("corners"), found.number("square"))
 
 

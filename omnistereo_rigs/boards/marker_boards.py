@@ -35,6 +35,7 @@ class AprilGrid(Board):
     tags: tuple[int, int]  #: columns and rows
     size: float  #: edge of a tag, metres
     spacing: float  #: gap between tags, as a fraction of their edge: tagSpacing of Kalibr
+    start: int = 0  #: number of the tag at the bottom left: startId of Kalibr
 
     def __post_init__(self) -> None:
         columns, rows = (
@@ -42,6 +43,9 @@ class AprilGrid(Board):
         )
         object.__setattr__(self, "tags", (int(columns), int(rows)))
         check_edge(self.size, "the edge of a tag in metres")
+        last = 587 - columns * rows  # 36h11 has 587 tags
+        first = check_number(self.start, "the first tag of an AprilGrid", 0, last, whole=True)
+        object.__setattr__(self, "start", int(first))
         if not 0.1 <= check_number(self.spacing, "the gap between tags", 1e-4, 1000) <= 2:
             ratio = self.spacing / self.size
             hint = f". If it is in metres, pass {ratio:.3g}" if 0.1 <= ratio <= 2 else ""
@@ -75,12 +79,14 @@ class AprilGrid(Board):
             quads, ids, _ = cv2.aruco.ArucoDetector(dictionary, _parameters(border)).detectMarkers(
                 large
             )
-            numbers = [] if ids is None else [int(number) for number in ids.ravel()]
+            numbers = [] if ids is None else [int(number) - self.start for number in ids.ravel()]
             small: list[Floats] = [
                 (quad.reshape(4, 2).astype(np.float64) + 0.5) / scale - 0.5 for quad in quads
             ]
             known = {
-                n: quad for n, quad in zip(numbers, small, strict=True) if 4 * n < len(self.points)
+                n: quad
+                for n, quad in zip(numbers, small, strict=True)
+                if 0 <= 4 * n < len(self.points)
             }
             found = known if len(known) > len(found) else found
         first = self._first_corner(found)

@@ -338,7 +338,9 @@ def _read(path: Path) -> tuple[Path, str, bool, Found]:
     is_folder = path.is_dir()
     if is_folder and (path / "mav0").is_dir():
         path = path / "mav0"
-    if path.name in _COLMAP or (is_folder and all((path / name).exists() for name in _COLMAP)):
+    # A rig_config.json beside a model states the rig itself.
+    is_model = is_folder and all((path / name).exists() for name in _COLMAP)
+    if path.name in _COLMAP or (is_model and not (path / "rig_config.json").exists()):
         return path, "COLMAP model", False, colmap.read_model(path if is_folder else path.parent)
     if is_folder and (sensors := sorted(path.glob("cam*/sensor.yaml"))):
         return path, "EuRoC folder", True, _read_sensors(path, sensors)

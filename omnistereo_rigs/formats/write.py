@@ -1,55 +1,98 @@
-"""Rigs for other programs: Kalibr, OpenCV and COLMAP, all with the Kannala-Brandt model of four
-coefficients.
+"""Rigs for other programs: Kalibr, OpenCV, COLMAP and nerfstudio, all with the Kannala-Brandt model
+of four coefficients; and a rig for images of another size.
 """
 
 import json
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.errors import OmnistereoError, check_number
 from omnistereo_lib.files import make_folder, to_yaml, write_text
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.field_of_view import AZIMUTHS, ring_rays
-from omnistereo_lib.geometry.pose import quaternion_from_rotation
+from omnistereo_lib.geometry.pose import Pose, quaternion_from_rotation
 from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.pictures import write_image
 from omnistereo_lib.rig_file import save_rig, write_ocam_folder
-from omnistereo_rigs.formats.camera_models import kannala_brandt
+from omnistereo_rigs.formats.camera_models import FISHEYE, PINHOLE, kannala_brandt
 
 _MAX_ERROR = 1.0  # px; beyond it a warning
+_STRETCHED = 0.01  # of the ratio of the sides: resizing rounds them, cropping changes them more
+# COLMAP's rays are right to 89.5°, and of another direction from 90° on.
+MASKED_DEG = 85.0
+_OPENGL = np.diag([1.0, -1.0, -1.0])  # the camera axes of OpenCV in those of OpenGL: y up, z back
+
+Parameters = Sequence[Mapping[str, float]]  # of `kannala_brandt`, for each camera
+
+
+def convert(rig: Rig, program: str, path: Path) -> list[str]:
+    """Write a rig for a program, one of `PROGRAMS`, into a file, or into a folder for COLMAP and
+    OCam.
+
+    Returns what the user must know. UserWarning if the lenses differ by more than a pixel.
+    """
+    if program not in PROGRAMS:
+        PROGRAM_FOLDERS[program](rig, path)
+        return []
+    parameters, residual = fit_lenses(rig)
+    said = [f"its camera model follows the lenses to {residual:.2f} px at worst"]
+    if program != "kalibr":
+        said += beyond_sentences(rig)
+    PROGRAMS[program](rig, parameters, path)
+    return said
+
+
+def write_rig(rig: Rig, out: Path) -> list[str]:
+    """Write a rig into a folder for all programs, and say how well their files hold it; return
+    their names.
+    """
+    save_rig(rig, out / "config.yaml")
+    write_ocam_folder(rig, out)
+    residual = max(export_rig(rig, out))
+    names = ["kalibr.yaml", "opencv.yaml", "transforms.json", "colmap"]
+    print(f"{', '.join(names)}: their camera model follows ours to {residual:.2f} px at worst")
+    print(*beyond_sentences(rig), sep="\n", end="\n" * bool(beyond_sentences(rig)))
+    return ["config.yaml", "ocam*.txt", "poses.txt", *names]
 
 
 def export_rig(rig: Rig, folder: str | Path) -> list[float]:
-    """Write a rig as kalibr.yaml, opencv.yaml, colmap_cameras.txt and colmap_rig_config.json into a
-    folder.
+    """Write a rig as kalibr.yaml, opencv.yaml, transforms.json and a folder colmap into a folder.
 
-    All four use the Kannala-Brandt model with four coefficients: pinhole-equidistant in Kalibr,
-    fisheye in OpenCV (whose functions stop at 90° from the axis), OPENCV_FISHEYE in COLMAP.
+    All use the Kannala-Brandt model with four coefficients: pinhole-equidistant in Kalibr, fisheye
+    in OpenCV, OPENCV_FISHEYE in COLMAP and nerfstudio; what lies beyond 90° from the axis is of use
+    to Kalibr only.
 
     Returns the residual of each camera in pixels, a few tenths for most lenses beyond 180°;
     UserWarning above 1 px.
     """
     folder = make_folder(folder)
+    parameters, _ = fit_lenses(rig)
+    write_kalibr(rig, parameters, folder / "kalibr.yaml")
+    write_opencv(rig, parameters, folder / "opencv.yaml")
+    write_transforms(rig, parameters, folder / "transforms.json")
+    write_colmap(rig, parameters, folder / "colmap")
+    return [fit_kannala_brandt(camera)[1] for camera in rig.cameras]
+
+
+def fit_lenses(rig: Rig) -> tuple[Parameters, float]:
+    """Return the Kannala-Brandt parameters of all lenses, and the largest residual in pixels."""
     fits = [fit_kannala_brandt(camera) for camera in rig.cameras]
-    parameters, residuals = [fit[0] for fit in fits], [fit[1] for fit in fits]
-    large = [f"camera {i} {px:.1f} px" for i, px in enumerate(residuals, 1) if px > _MAX_ERROR]
+    large = [f"camera {i} {px:.1f} px" for i, (_, px) in enumerate(fits, 1) if px > _MAX_ERROR]
     if large:
         warnings.warn(
-            f"the camera model of Kalibr, OpenCV and COLMAP does not follow {', '.join(large)} at "
-            f"worst: the files in {folder} have these errors. Use config.yaml where you can",
-            stacklevel=2,
+            "the camera model of Kalibr, OpenCV, COLMAP and nerfstudio does not follow "
+            f"{', '.join(large)} at worst: their files have these errors. Use config.yaml where "
+            "you can",
+            stacklevel=3,
         )
-    for name, text in {
-        "kalibr.yaml": kalibr_text(rig, parameters),
-        "opencv.yaml": opencv_text(rig, parameters),
-        "colmap_cameras.txt": colmap_cameras_text(rig, parameters),
-        "colmap_rig_config.json": colmap_rig_text(rig),
-    }.items():
-        write_text(folder / name, text)
-    return residuals
+    return [p for p, _ in fits], max(px for _, px in fits)
 
 
 def fit_kannala_brandt(camera: OcamCamera) -> tuple[dict[str, float], float]:
@@ -79,86 +122,163 @@ def fit_kannala_brandt(camera: OcamCamera) -> tuple[dict[str, float], float]:
     return parameters, float(np.linalg.norm(fitted - uv, axis=-1).max())
 
 
-def kalibr_text(rig: Rig, parameters: Sequence[dict[str, float]]) -> str:
-    """Return a camchain with pinhole-equidistant cameras; each pose is relative to the camera
-    before.
-    """
+def _relative(rig: Rig) -> list[Pose]:
+    """Return camera 1 → each camera."""
+    return [pose.inverse() @ rig.T_rig_cam[0] for pose in rig.T_rig_cam]
+
+
+def write_kalibr(rig: Rig, parameters: Parameters, path: Path) -> None:
+    """Write a camchain of pinhole-equidistant cameras, each pose relative to the one before."""
     chain: dict[str, dict[str, Any]] = {}
     for i, (camera, p) in enumerate(zip(rig.cameras, parameters, strict=True)):
         chain[f"cam{i}"] = {
             "camera_model": "pinhole",
-            "intrinsics": [p[name] for name in ("fx", "fy", "cx", "cy")],
+            "intrinsics": [p[name] for name in PINHOLE],
             "distortion_model": "equidistant",
-            "distortion_coeffs": [p[name] for name in ("k1", "k2", "k3", "k4")],
+            "distortion_coeffs": [p[name] for name in FISHEYE],
             "resolution": list(camera.image_size),
             "rostopic": f"/cam{i}/image_raw",
         }
         if i > 0:
             T = rig.T_rig_cam[i].inverse() @ rig.T_rig_cam[i - 1]
-            chain[f"cam{i}"]["T_cn_cnm1"] = [
-                *np.column_stack([T.R, T.t]).tolist(),
-                [0.0, 0.0, 0.0, 1.0],
-            ]
-    return to_yaml(chain)
+            chain[f"cam{i}"]["T_cn_cnm1"] = _matrix(T.R, T.t)
+    write_text(path, to_yaml(chain))
 
 
-def opencv_text(rig: Rig, parameters: Sequence[dict[str, float]]) -> str:
-    """Return one mapping per camera, the rig in the frame of camera 1, metres."""
-    cameras = {}
-    for i, (camera, p) in enumerate(zip(rig.cameras, parameters, strict=True)):
-        T = rig.T_rig_cam[i].inverse() @ rig.T_rig_cam[0]
-        cameras[f"cam{i + 1}"] = {
-            "K": [[p["fx"], 0.0, p["cx"]], [0.0, p["fy"], p["cy"]], [0.0, 0.0, 1.0]],
-            "D": [p[f"k{n}"] for n in (1, 2, 3, 4)],
-            "distortion_model": "fisheye",
-            "image_size": list(camera.image_size),
-            "R": T.R.tolist(),
-            "T": T.t.tolist(),
-        }
-    return to_yaml({"cameras": cameras})
+def _matrix(R: NDArray[np.float64], t: NDArray[np.float64]) -> list[list[float]]:
+    return [*np.column_stack([R, t]).tolist(), [0.0, 0.0, 0.0, 1.0]]
 
 
-def colmap_cameras_text(rig: Rig, parameters: Sequence[dict[str, float]]) -> str:
-    """Return cameras.txt; in COLMAP the centre of the top-left pixel is (0.5, 0.5)."""
-    lines = ["# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]"]
-    for i, (camera, p) in enumerate(zip(rig.cameras, parameters, strict=True), start=1):
-        values = [
-            p["fx"],
-            p["fy"],
-            p["cx"] + 0.5,
-            p["cy"] + 0.5,
-            *(p[f"k{n}"] for n in (1, 2, 3, 4)),
-        ]
-        lines.append(
-            f"{i} OPENCV_FISHEYE {camera.image_size[0]} {camera.image_size[1]} "
-            f"{' '.join(map(repr, values))}"
-        )
-    return "\n".join(lines) + "\n"
+def write_opencv(rig: Rig, parameters: Parameters, path: Path) -> None:
+    """Write a mapping per camera by cv2.FileStorage, the rig in the frame of camera 1, metres."""
+    if path.suffix not in (".yaml", ".yml", ".json", ".xml"):
+        raise OmnistereoError(f"{path}: OpenCV writes .yaml, .json or .xml. Give such a name")
+    mode = cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY
+    storage = cv2.FileStorage(path.suffix, mode)
+    cameras = zip(rig.cameras, parameters, _relative(rig), strict=True)
+    for i, (camera, p, T) in enumerate(cameras, 1):
+        storage.startWriteStruct(f"cam{i}", cv2.FILE_NODE_MAP)
+        width, height = camera.image_size
+        for name, value in {"image_width": width, "image_height": height}.items():
+            storage.write(name, value)
+        storage.write("distortion_model", "fisheye")
+        K = np.array([[p["fx"], 0.0, p["cx"]], [0.0, p["fy"], p["cy"]], [0.0, 0.0, 1.0]])
+        D = np.array([[p[name] for name in FISHEYE]])
+        for name, matrix in {"K": K, "D": D, "R": T.R, "T": T.t.reshape(3, 1)}.items():
+            storage.write(name, np.ascontiguousarray(matrix))
+        storage.endWriteStruct()
+    write_text(path, storage.releaseAndGetString())
 
 
-def colmap_rig_text(rig: Rig) -> str:
-    """Return rig_config.json, camera 1 the reference; poses are rig → camera."""
-    cameras: list[dict[str, Any]] = [{"image_prefix": "cam1/", "ref_sensor": True}]
-    for i, pose in enumerate(rig.T_rig_cam[1:], start=2):
-        T = pose.inverse() @ rig.T_rig_cam[0]
-        quaternion = np.roll(quaternion_from_rotation(T.R), 1)  # w x y z
-        rotation = {
-            "cam_from_rig_rotation": quaternion.tolist(),
-            "cam_from_rig_translation": T.t.tolist(),
-        }
-        cameras.append({"image_prefix": f"cam{i}/"} | rotation)
-    return json.dumps([{"cameras": cameras}], indent=1) + "\n"
+def write_transforms(rig: Rig, parameters: Parameters, path: Path) -> None:
+    """Write transforms.json of nerfstudio: a frame for each camera → rig, with axes of OpenGL."""
+    frames = []
+    cameras = zip(rig.cameras, parameters, rig.T_rig_cam, strict=True)
+    for i, (camera, p, pose) in enumerate(cameras, 1):
+        width, height = camera.image_size
+        lens = {"fl_x": p["fx"], "fl_y": p["fy"], "cx": p["cx"] + 0.5, "cy": p["cy"] + 0.5}
+        lens |= {name: p[name] for name in FISHEYE}
+        matrix = {"transform_matrix": _matrix(pose.R @ _OPENGL, pose.t)}
+        frames.append({"file_path": f"cam{i}.png", "w": width, "h": height} | lens | matrix)
+    text = json.dumps({"camera_model": "OPENCV_FISHEYE", "frames": frames}, indent=1)
+    write_text(path, text + "\n")
 
 
-def write_rig(rig: Rig, out: Path) -> list[str]:
-    """Write a rig into a folder in all formats, and say how well they hold it; return the names of
-    the files.
+def write_colmap(rig: Rig, parameters: Parameters, folder: Path) -> None:
+    """Write a folder that COLMAP opens: an empty model with the cameras, rig_config.json, and
+    masks.
+
+    The centre of the top-left pixel is (0.5, 0.5); poses are rig → camera, camera 1 the reference.
+    masks/cam1.png is black where COLMAP has no right ray, from 85° on.
     """
-    save_rig(rig, out / "config.yaml")
-    write_ocam_folder(rig, out)
-    residual = max(export_rig(rig, out))
-    print(
-        f"kalibr.yaml, opencv.yaml and colmap_*: their camera model follows ours to {residual:.2f} "
-        "px at worst"
+    folder = make_folder(folder)
+    lines, cameras = ["# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]"], []
+    for i, (camera, p, T) in enumerate(
+        zip(rig.cameras, parameters, _relative(rig), strict=True), start=1
+    ):
+        values = [p["fx"], p["fy"], p["cx"] + 0.5, p["cy"] + 0.5, *(p[name] for name in FISHEYE)]
+        width, height = camera.image_size
+        lines.append(f"{i} OPENCV_FISHEYE {width} {height} {' '.join(map(repr, values))}")
+        q = np.roll(quaternion_from_rotation(T.R), 1).tolist()  # w x y z
+        pose = {"cam_from_rig_rotation": q, "cam_from_rig_translation": T.t.tolist()}
+        model = {"camera_model_name": "OPENCV_FISHEYE", "camera_params": values}
+        cameras.append(
+            {"image_prefix": f"cam{i}/"} | model | ({"ref_sensor": True} if i == 1 else pose)
+        )
+        mask = np.where(_angles(camera) <= MASKED_DEG, 255, 0).astype(np.uint8)
+        write_image(make_folder(folder / "masks") / f"cam{i}.png", mask)
+    write_text(folder / "cameras.txt", "\n".join(lines) + "\n")
+    write_text(folder / "images.txt", "# no image yet\n")
+    write_text(folder / "points3D.txt", "# no point yet\n")
+    write_text(folder / "rig_config.json", json.dumps([{"cameras": cameras}], indent=1) + "\n")
+
+
+def _angles(camera: OcamCamera) -> NDArray[np.float64]:
+    """Return the angle from the axis of each pixel in degrees, (height, width); NaN where it sees
+    nothing.
+    """
+    width, height = camera.image_size
+    rays, valid = camera.unproject(np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1))
+    return np.where(valid, np.degrees(np.arccos(np.clip(rays[..., 2], -1, 1))), np.nan)
+
+
+def beyond_sentences(rig: Rig) -> list[str]:
+    """Return how much of the images OpenCV, COLMAP and nerfstudio cannot use, and what to do."""
+    angles = np.concatenate([_angles(camera).ravel() for camera in rig.cameras])
+    share = float((angles > 90).sum() / np.isfinite(angles).sum())
+    if share == 0:
+        return []
+    return [
+        f"{100 * share:.0f} % of the pixels lie beyond 90° from the axis: OpenCV, COLMAP and "
+        "nerfstudio "
+        "give them false rays without a word. Extract the features of cam1/ with --ImageReader."
+        "camera_mask_path colmap/masks/cam1.png, and so on"
+    ]
+
+
+def resized(rig: Rig, size: tuple[int, int]) -> Rig:
+    """Return the rig for images that were resized as a whole to `size`, width and height in pixels.
+
+    Pixel centres are at whole numbers, as cv2.resize has it: u becomes (u + ½) s - ½.
+    OmnistereoError for sides of another ratio, which are those of a cropped image.
+    """
+    width, height = (int(check_number(n, "the size", 2, 100_000, whole=True)) for n in size)
+    return replace(rig, cameras=[_resized(camera, width, height) for camera in rig.cameras])
+
+
+def _resized(camera: OcamCamera, width: int, height: int) -> OcamCamera:
+    was, (sx, sy) = camera.image_size, np.array([width, height]) / camera.image_size
+    if abs(sx / sy - 1) > _STRETCHED:
+        raise OmnistereoError(
+            f"{was[0]} × {was[1]} and {width} × {height} px have other ratios of their sides; "
+            "expected "
+            "images resized as a whole. A cropped image has another centre: calibrate it, or crop "
+            "first"
+        )
+    # Radii are scaled by sx, which rows, by sy, undo in the affine map.
+    c, d, e = camera.affine
+    mask = camera.mask
+    if mask is not None:
+        pixels = mask.astype(np.uint8)
+        mask = cv2.resize(pixels, (width, height), interpolation=cv2.INTER_NEAREST_EXACT) > 0
+    return OcamCamera(
+        poly=camera.poly * sx ** (1.0 - np.arange(len(camera.poly))),
+        inv_poly=camera.inv_poly * sx,
+        center=((camera.center[0] + 0.5) * sx - 0.5, (camera.center[1] + 0.5) * sy - 0.5),
+        affine=(c * sy / sx, d * sy / sx, e),
+        image_size=(width, height),
+        max_fov_deg=camera.max_fov_deg,
+        mask=mask,
     )
-    return ["config.yaml", "ocam*.txt", "poses.txt", "kalibr.yaml", "opencv.yaml", "colmap_*"]
+
+
+PROGRAMS: dict[str, Callable[[Rig, Parameters, Path], None]] = {
+    "kalibr": write_kalibr,
+    "opencv": write_opencv,
+    "nerfstudio": write_transforms,
+    "colmap": write_colmap,
+}
+PROGRAM_FOLDERS: dict[str, Callable[[Rig, Path], None]] = {
+    "omnimvs": save_rig,
+    "ocam": lambda rig, folder: write_ocam_folder(rig, make_folder(folder)),
+}

@@ -164,7 +164,9 @@ def _check_out(options: CalibrateOptions, folder: Path) -> None:
             f"--out {out} would be read as images of {folder} the next time. Choose another."
         )
     files = (
-        path for name in ("*.yaml", "*.txt", "report_*.png", "colmap_*") for path in out.glob(name)
+        path
+        for name in ("*.yaml", "*.json", "*.txt", "report_*.png", "colmap/*")
+        for path in out.glob(name)
     )
     unread = () if options.corners is None else ("folder",)
     check_outputs(options, (path for path in files if path.stem[:8] != "corners_"), unread=unread)

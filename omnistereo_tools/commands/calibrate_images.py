@@ -54,6 +54,8 @@ def run(options: ImagesOptions, recorded: Sequence[Path]) -> int:
         "poses.txt",
         "kalibr.yaml",
         "opencv.yaml",
+        "transforms.json",
+        "colmap/rig_config.json",
     )
     check_outputs(options, [out / name for name in names])
     images, rig, given = _read(options, recorded)

@@ -178,9 +178,15 @@ def read_rig(options: RigOptions, images: Sequence[Path] = ()) -> Rig:
 
     Raises an `OmnistereoError` if files are missing.
     """
-    from omnistereo_rigs.formats.read import read_any_rig
+    from omnistereo_rigs.formats import read as formats
 
-    rig = read_any_rig(options.rig or SAMPLE, options.unit, options.max_fov, options.keep_frame)
+    file = options.rig or SAMPLE
+    read = formats.read_rig(file, options.unit, options.max_fov, options.keep_frame)
+    if not read.is_own:
+        unit = f" --unit {options.unit}" if options.unit else ""
+        once = f"omnistereo rig {file} rig.yaml{unit}"
+        print(f"{file} ({read.dialect}) is converted; `{once}` does it once.")
+    rig = read.rig
     # These load torch, which takes seconds: a rig that cannot be read is named before.
     from omnistereo_tools.input.masks import with_masks
     from omnistereo_tools.output.summary import turn_sentence

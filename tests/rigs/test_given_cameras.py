@@ -121,6 +121,15 @@ def test_tags_are_found_where_they_are(border, turn):
     assert np.median(error) < 0.15 and np.quantile(error, 0.95) < 0.6
 
 
+def test_tags_are_counted_from_the_first_of_the_board():
+    board = replace(APRIL, start=16)
+    corners = find_corners(photograph(*print_april(2, start=16), AHEAD), board)
+    expected, inside = boards.project(AHEAD @ board.points)
+    known = np.isfinite(corners[:, 0])
+    assert known.sum() > 0.6 * inside.sum()
+    assert np.median(np.linalg.norm(corners - expected, axis=1)[known]) < 0.15
+
+
 def test_chessboard_corners_between_markers():
     corners = find_corners(photograph(*print_charuco(), AHEAD), CHARUCO)
     expected, _ = boards.project(AHEAD @ CHARUCO.points)
@@ -152,6 +161,21 @@ def test_boards_of_files(tmp_path):
         " 0.06\ncolSpacingMeters: 0.06\n"
     )
     assert load_board(target) == BOARD
+    target.write_text(APRIL_FILE + "startId: 16\ntagFamily: t36h11\n")
+    assert load_board(target) == replace(APRIL, start=16)
+    unread = {
+        "rowSpacingMeters is 0.06 and colSpacingMeters 0.0612": (
+            "target_type: checkerboard\ntargetCols: 12\ntargetRows: 10\nrowSpacingMeters: 0.06\n"
+            "colSpacingMeters: 0.0612\n"
+        ),
+        "tagFamily is 25h9; expected 36h11": APRIL_FILE + "tagFamily: 25h9\n",
+        "firstTag: no such property": APRIL_FILE + "firstTag: 3\n",
+        "startId is 16.5; expected an integer": APRIL_FILE + "startId: 16.5\n",
+    }
+    for message, text in unread.items():
+        target.write_text(text)
+        with pytest.raises(osl.OmnistereoError, match=f"april.yaml: .*{message}"):
+            load_board(target)
     target.write_text("target_type: 'circlegrid'\n")
     with pytest.raises(
         osl.OmnistereoError, match=r"april.yaml: target_type is circlegrid; expected aprilgrid"
@@ -212,7 +236,7 @@ def test_the_command_keeps_given_cameras(seen, tmp_path, capsys, monkeypatch):
         str(tmp_path / "out"),
     ]
     assert cli.main([*command, *board, "--rig", str(tmp_path / "lenses.yaml")]) == 0
-    rig = osl.load_rig(tmp_path / "out" / "config.yaml", keep_frame=True)
+    rig = osl.load_rig(tmp_path / "out" / "config.yaml")
     np.testing.assert_array_equal(rig.cameras[1].inv_poly, camera.inv_poly)
     _, shift = (rig.T_rig_cam[0].inverse() @ rig.T_rig_cam[1]).magnitude()
     truth = boards.rig_poses()

@@ -290,8 +290,9 @@ def test_numpy_numbers_are_written_as_plain_numbers(tmp_path):
     write_ocam_folder(rig, tmp_path)
     save_rig(rig, tmp_path / "config.yaml")
     export_rig(rig, tmp_path)
-    written = {path.name: path.read_text() for path in tmp_path.iterdir()}
-    assert len(written) == 8 and not [
+    files = [path for path in tmp_path.rglob("*.*") if path.suffix != ".png"]
+    written = {path.name: path.read_text() for path in files}
+    assert len(written) == 11 and not [
         name for name, text in written.items() if "np." in text or "numpy" in text
     ]
 

@@ -286,7 +286,7 @@ def exported(tmp_path_factory):
     return rig, folder, max(export_rig(rig, folder))
 
 
-@pytest.mark.parametrize("name", ["colmap_rig_config.json", "opencv.yaml", "kalibr.yaml"])
+@pytest.mark.parametrize("name", ["colmap", "transforms.json", "opencv.yaml", "kalibr.yaml"])
 def test_what_is_exported_comes_back(exported, name, recwarn):
     """COLMAP's two files in the same way as the other ones: the residual is that of the model."""
     true, folder, residual = exported
