@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write
 from omnistereo_lib.stereo.depth import Depth
-from omnistereo_tools.output.points import Limits
+from omnistereo_tools.output.points import AXES, Limits
 
 if TYPE_CHECKING:
-    from trimesh import Trimesh
+    from trimesh import Scene, Trimesh
 
 _EDGE = 0.2  # of the depth between neighbouring rays: a surface so oblique is hardly seen
 _SPHERES = 1.5  # always connected: far away, one sphere is more than `_EDGE`
+_EYE_FOV = 1.2  # radians from top to bottom, of the camera in a GLB
 _TRANSLUCENT = 90  # of 255: doubtful triangles are faded, as in the pictures
 Y_UP = np.diag([1.0, -1.0, -1.0])  # rig (y down, z forward) → glTF (y up, -z forward)
 
@@ -30,6 +31,7 @@ def write_mesh(
     limits: Limits,
     faces: int | None = None,
     doubtful: NDArray[np.bool_] | None = None,
+    up: str | None = None,
 ) -> tuple[int, int]:
     """Write the mesh of a depth panorama in metres; return its number of triangles, and how many
     are doubtful.
@@ -44,6 +46,7 @@ def write_mesh(
         faces: Number of triangles to decimate to. None: all.
         doubtful: Which rays are doubtful, (H, W); so is a triangle with such a vertex. None: none
             is.
+        up: Of a .ply file, see `AXES`.
 
     Raises:
         OmnistereoError: If trimesh is not installed, no triangle is left, or the file cannot be
@@ -57,6 +60,7 @@ def write_mesh(
         mesh.apply_transform(np.pad(Y_UP, (0, 1)) + np.diag([0, 0, 0, 1.0]))
         content = _textured(mesh, uv, panorama, triangles)
     else:
+        mesh.vertices = mesh.vertices @ AXES[up]
         content = _coloured(mesh, _look_up(uv, panorama), vertices)
     with atomic_write(path) as temporary:
         temporary.write_bytes(content)
@@ -208,7 +212,40 @@ def _textured(
         part = type(mesh)(mesh.vertices[used], corners.reshape(-1, 3), process=False)
         part.visual = TextureVisuals(uv=uv[used], material=material)
         scene.add_geometry(part, node_name=name, geom_name=name)
-    return scene.export(file_type="glb")
+    return export_glb(scene)
+
+
+def export_glb(scene: Trimesh | Scene) -> bytes:
+    """Return a GLB file that is shown as its photographs are, without light, with a camera at the
+    origin that looks ahead.
+
+    Vertex colours are those of `vertex_attributes["_COLOR_0"]`, linear, (M, 3) float32: glTF's are
+    not sRGB, which 8 bits would turn to bands in the dark, and MeshLab misreads 16.
+    """
+
+    def unlit(tree: dict[str, Any]) -> None:
+        for mesh in tree["meshes"]:
+            for primitive in mesh["primitives"]:
+                attributes = primitive["attributes"]
+                if "_COLOR_0" in attributes:
+                    attributes["COLOR_0"] = attributes.pop("_COLOR_0")
+                    primitive.setdefault("material", 0)
+        plain = {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}}
+        for material in tree.setdefault("materials", [plain | {"doubleSided": True}]):
+            material["extensions"] = {"KHR_materials_unlit": {}}
+        tree["extensionsUsed"] = [*tree.get("extensionsUsed", ()), "KHR_materials_unlit"]
+        eye = {"yfov": _EYE_FOV, "znear": 0.01}
+        tree["cameras"] = [{"name": "rig", "type": "perspective", "perspective": eye}]
+        tree["scenes"][tree["scene"]]["nodes"].append(len(tree["nodes"]))
+        tree["nodes"].append({"name": "rig", "camera": 0})
+
+    return bytes(scene.export(file_type="glb", tree_postprocessor=unlit))
+
+
+def linear(colors: NDArray[Any]) -> NDArray[np.float32]:
+    """Return the linear light, 0 to 1, of sRGB colours from 0 to 255 (IEC 61966-2-1)."""
+    share = np.asarray(colors, np.float32) / 255
+    return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
 
 
 def _look_up(uv: NDArray[Any], panorama: NDArray[Any]) -> NDArray[Any]:

@@ -18,7 +18,13 @@ from omnistereo_lib.stereo.depth import Depth
 _FAR_SPHERE = 4
 
 _PROPERTIES = dict.fromkeys(("x", "y", "z", "nx", "ny", "nz"), "<f4")
-_PROPERTIES |= {"red": "u1", "green": "u1", "blue": "u1", "confidence": "<f4", "doubtful": "u1"}
+_PROPERTIES |= dict.fromkeys(("red", "green", "blue"), "u1")
+# MeshLab knows a quality of vertices, and reads a property called confidence as garbage.
+_PROPERTIES |= {"quality": "<f4", "doubtful": "u1"}
+# What turns points, as rows, from the axes of the rig to those with another direction up; z is that
+# of ROS (REP 103): x forward, y left.
+AXES = {None: np.eye(3), "z": np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])}
+_COMMENT = {None: "x right, y down, z forward", "z": "x forward, y left, z up"}
 _PLY_TYPES = {"<f4": "float", "u1": "uchar"}
 
 
@@ -85,18 +91,19 @@ class PointCloud:
             doubtful[keep],
         )
 
-    def write(self, path: Path) -> None:
+    def write(self, path: Path, up: str | None = None) -> None:
         """Write the points as binary PLY, with the properties that MeshLab, CloudCompare and Open3D
-        read.
+        read, in the axes of the rig or with `up`; see `AXES`.
         """
         rows = np.empty(len(self.points), list(_PROPERTIES.items()))
-        columns = [*self.points.T, *self.normals.T, *self.colors.T, self.confidence, self.doubtful]
+        places = [*(self.points @ AXES[up]).T, *(self.normals @ AXES[up]).T]
+        columns = [*places, *self.colors.T, self.confidence, self.doubtful]
         for name, column in zip(_PROPERTIES, columns, strict=True):
             rows[name] = column
         header = [
             "ply",
             "format binary_little_endian 1.0",
-            "comment metres; x right, y down, z forward",
+            f"comment metres; {_COMMENT[up]}; quality is the confidence",
         ]
         header += [f"element vertex {len(rows)}"]
         header += [f"property {_PLY_TYPES[kind]} {name}" for name, kind in _PROPERTIES.items()]

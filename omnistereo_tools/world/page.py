@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from omnistereo_lib.files import atomic_write
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_tools.output.mesh_export import Y_UP, import_trimesh
+from omnistereo_tools.output.mesh_export import Y_UP, export_glb, import_trimesh, linear
 from omnistereo_tools.output.pictures import colorize_depth
+from omnistereo_tools.output.points import AXES
 from omnistereo_tools.output.viewer import packed, page_of, webp
 from omnistereo_tools.world.surface import Surface
 
@@ -20,16 +21,23 @@ _MOST_TRIANGLES = 450_000  # of the page, which stays below 5 MB
 _STEPS = 65535  # of a coordinate on the page
 
 
-def write_surface(folder: Path, surface: Surface) -> None:
-    """Write mesh.glb, y up, and mesh.ply in the axes of the world, with the colours of the
-    images.
+def write_surface(folder: Path, surface: Surface, up: str | None = None) -> None:
+    """Write mesh.glb, y up, and mesh.ply in the axes of the world or with `up`, with the colours of
+    the images.
     """
-    for name, axes in (("mesh.glb", Y_UP), ("mesh.ply", np.eye(3))):
-        mesh = import_trimesh().Trimesh(
-            surface.vertices @ axes, surface.faces, vertex_colors=_colors(surface), process=False
-        )
+    trimesh, colors = import_trimesh(), _colors(surface)
+    glb = trimesh.Trimesh(
+        surface.vertices @ Y_UP,
+        surface.faces,
+        vertex_attributes={"_COLOR_0": linear(colors)},
+        process=False,
+    )
+    ply = trimesh.Trimesh(
+        surface.vertices @ AXES[up], surface.faces, vertex_colors=colors, process=False
+    )
+    for name, content in (("mesh.glb", export_glb(glb)), ("mesh.ply", ply.export(file_type="ply"))):
         with atomic_write(folder / name) as temporary:
-            temporary.write_bytes(mesh.export(file_type=name[-3:]))
+            temporary.write_bytes(content)
 
 
 def _colors(surface: Surface) -> NDArray[np.uint8]:
