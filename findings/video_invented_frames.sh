@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# A video with a pause: imageio hands out 25 or 27 frames where 20 were recorded.
+# A video with a pause: imageio hands out 25 frames where 20 were recorded.
 set -euo pipefail
 site=$(mktemp -d)
 trap 'rm -rf "$site"' EXIT
@@ -21,5 +21,5 @@ for path in ("pause.mp4", "pause.mkv"):
         recorded = sum(1 for _ in container.decode(video=0))
     found[path] = recorded, sum(1 for _ in imageio.v3.imiter(path, plugin="FFMPEG"))
     print(path, "PyAV:", found[path][0], "frames, imageio:", found[path][1])
-assert found == {"pause.mp4": (20, 27), "pause.mkv": (20, 25)}, found
+assert found == {"pause.mp4": (20, 25), "pause.mkv": (20, 25)}, found
 PY

@@ -170,12 +170,17 @@ def read_inverse_depth(path: str | Path, min_depth: float | None = None) -> NDAr
     return np.where(np.isfinite(values) & (values >= 0), values, np.float32(np.nan))
 
 
+# The tag GDAL_NODATA, as text: programs that know it leave NaN out of masks and statistics.
+_NODATA = (42113, 2, 0, "nan", True)
+
+
 def write_inverse_depth(path: str | Path, inverse_depth: NDArray[Any]) -> None:
     """Write a panorama of inverse depth in 1/m as a deflated float32 TIFF."""
     import tifffile
 
     with atomic_write(path) as temporary:
-        tifffile.imwrite(temporary, np.asarray(inverse_depth, np.float32), compression="deflate")
+        values = np.asarray(inverse_depth, np.float32)
+        tifffile.imwrite(temporary, values, compression="deflate", extratags=[_NODATA])
 
 
 def _read_float_tiff(path: Path) -> NDArray[Any]:

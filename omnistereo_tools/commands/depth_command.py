@@ -13,6 +13,7 @@ methods: zncc, mccnn, sweepnet or volumenet; +sgm smooths; ,pairs=all and others
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools.commands.options import (
@@ -46,11 +47,13 @@ class DepthOptions(MethodOptions, GridOptions, FrameOptions):
         "decimate the mesh to N triangles", metavar="N", between=(1, 10**9), needs="mesh"
     )
     equirectangular: Path | None = option(
-        "write depth as 2:1 TIFF, for 360° viewers", suffixes=(".tiff", ".tif")
+        "depth as 2:1 TIFF for Blender, Nuke and GIS, pictures for viewers",
+        suffixes=(".tiff", ".tif"),
     )
     crops: Path | None = option(
         "perspective crops with depth and transforms.json", metavar="FOLDER"
     )
+    up: Literal["z"] | None = option("of points and .ply: x forward, y left", unset="y is down")
     all_crops: bool = option("crops up to the rim, above and below", False, needs="crops")
 
 
@@ -82,9 +85,8 @@ def run(options: DepthOptions) -> None:
     say_frame(method, grid, options.device)
     # Compute and write.
     depth = estimate_depth(frame, grid, method, device=options.device, progress=progress_bar())
-    result = FrameResult(
-        depth, Limits.of(depth, options.max_depth, options.min_confidence), method, gt_index
-    )
+    limits = Limits.of(depth, options.max_depth, options.min_confidence)
+    result = FrameResult(depth, limits, method, gt_index, options.up)
     print("\n".join(result.sentences()), flush=True)
     written = result.write(out, progress_bar())
     written += result.export(
@@ -98,6 +100,7 @@ def _check(options: DepthOptions, out: Path) -> None:
     what is read.
     """
     from omnistereo_tools.input.sources import of_recordings
+    from omnistereo_tools.output.frame import beside
 
     for path in of_recordings(options.images or ()):
         right = as_typed("record", RecordOptions, options)
@@ -105,9 +108,11 @@ def _check(options: DepthOptions, out: Path) -> None:
             f"{path} holds many frames; expected one picture per camera. For recordings: {right}"
         )
     files = [out / "overview.png", out / "index.html", options.mesh, options.equirectangular]
+    if (sphere := options.equirectangular) is not None:
+        files += beside(sphere)
     folders = [out / "data"]
     if (crops := options.crops) is not None:
-        files.append(crops / "transforms.json")
+        files += [crops / "transforms.json", crops / "points.ply"]
         folders += [crops / "images", crops / "depth", crops / "masks"]
     check_outputs(options, files, folders)
 

@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import MISSING, dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools.outputs import check_outputs, hold
@@ -38,6 +38,7 @@ class WorldOptions(Options):
         "distance in metres up to which depth is fused", 30.0, between=(0.1, 10_000.0)
     )
     kitti: bool = option("write the path in KITTI's format, too", False)
+    up: Literal["z"] | None = option("of mesh.ply: x forward, y left", unset="y is down")
 
 
 def run(options: WorldOptions) -> None:
@@ -56,6 +57,7 @@ def run(options: WorldOptions) -> None:
         "voxel": options.voxel,
         "range": options.range,
         "kitti": options.kitti,
+        "up": options.up,
         "recording": frames.checksum,
     }
     with suppress(OmnistereoError):
@@ -113,7 +115,7 @@ def _write(
 
     print("extracting the surface", flush=True)
     out, surface = refined.parent, extract_surface(volume)
-    write_surface(out, surface)
+    write_surface(out, surface, options.up)
     number = list(poses)[len(poses) // 2]
     before, after = (
         frames.data.frame(number).inverse_depth,
@@ -121,9 +123,15 @@ def _write(
     )
     page = world_page(surface, poses, number, before, after, frames.grid)
     texts = {"trajectory.txt": trajectory_tum(poses), "index.html": page}
-    for name, text in (
-        texts | ({"trajectory_kitti.txt": trajectory_kitti(poses)} if options.kitti else {})
-    ).items():
+    left_out = len(frames.data) - len(poses)
+    if options.kitti and left_out:
+        print(
+            "trajectory_kitti.txt is not written: the format has a row for each frame, without its"
+            f" number, and {left_out} are left out. trajectory.txt names the frames"
+        )
+    elif options.kitti:
+        texts["trajectory_kitti.txt"] = trajectory_kitti(poses)
+    for name, text in texts.items():
         write_text(out / name, text)
     frames.link(out)
     length = sum((a.inverse() @ b).magnitude()[1] for a, b in pairwise(poses.values()))

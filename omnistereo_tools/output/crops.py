@@ -17,7 +17,7 @@ from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.pictures import write_image
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.sweep import OUTSIDE, remap
-from omnistereo_tools.output.points import Limits
+from omnistereo_tools.output.points import Limits, PointCloud
 
 _FOV_DEG = 80.0  # of a crop; wider ones stretch their corners
 _CUBE_DEG = 91.0  # the faces share their edges
@@ -83,11 +83,19 @@ def covered_share(crops: Sequence[Crop], lens: OcamCamera, pose: Pose) -> float:
     return float(covered.mean())
 
 
-def write_crops(out: Path, depth: Depth, limits: Limits, whole: bool = False) -> tuple[int, float]:
+def write_crops(
+    out: Path,
+    depth: Depth,
+    limits: Limits,
+    whole: bool = False,
+    cloud: PointCloud | None = None,
+) -> tuple[int, float]:
     """Write crops, their depth and transforms.json, as nerfstudio reads them, into a folder.
 
     Returns their number, and the share of what the cameras see that is in them. `whole`: see
     `crops_of`.
+
+    points.ply       the cloud, from which splatting starts, in the axes of the poses; if given
 
     images/0_1.png   the second crop of the first camera
     depth/0_1.png    16 bits: depth along the optical axis in millimetres; 0 where it is unknown or
@@ -106,11 +114,7 @@ def write_crops(out: Path, depth: Depth, limits: Limits, whole: bool = False) ->
             picture, visible = crop_image(crop, lens, pose, depth.images[k])
             z = np.where(visible, crop_depth(crop, depth, limits), np.nan)
             write_image(make_folder(out / "images") / name, picture)
-            steps = np.nan_to_num(z / _MILLIMETRE)
-            write_image(
-                make_folder(out / "depth") / name,
-                np.where(steps < 65535, steps.round(), 0).astype(np.uint16),
-            )
+            write_image(make_folder(out / "depth") / name, in_millimetres(z))
             frame = {
                 "file_path": f"images/{name}",
                 "depth_file_path": f"depth/{name}",
@@ -120,11 +124,18 @@ def write_crops(out: Path, depth: Depth, limits: Limits, whole: bool = False) ->
                 write_image(make_folder(out / "masks") / name, 255 * visible)
                 frame["mask_path"] = f"masks/{name}"
             frames.append(frame)
-    write_text(
-        out / "transforms.json",
-        json.dumps({"camera_model": "PINHOLE", "frames": frames}, indent=1) + "\n",
-    )
+    scene: dict[str, Any] = {"camera_model": "PINHOLE", "depth_unit_scale_factor": _MILLIMETRE}
+    if cloud is not None:
+        cloud.write(out / "points.ply", "y")
+        scene["ply_file_path"] = "points.ply"
+    write_text(out / "transforms.json", json.dumps(scene | {"frames": frames}, indent=1) + "\n")
     return len(frames), float(np.mean(shares))
+
+
+def in_millimetres(depth: NDArray[Any]) -> NDArray[np.uint16]:
+    """Return depth in metres as whole millimetres; 0 where it is unknown or beyond 65 m."""
+    steps = np.nan_to_num(depth / _MILLIMETRE)
+    return np.where(steps < 65535, steps.round(), 0).astype(np.uint16)
 
 
 def crop_image(

@@ -6,7 +6,7 @@ import json
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +22,11 @@ from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.metrics import index_error
 from omnistereo_tools.judge.trust import DOUBTFUL, odds, trust
 from omnistereo_tools.output.blend import blended_panorama, estimate_gains
-from omnistereo_tools.output.crops import write_crops
+from omnistereo_tools.output.crops import in_millimetres, write_crops
 from omnistereo_tools.output.mesh_export import write_mesh
 from omnistereo_tools.output.overview import draw_overview
-from omnistereo_tools.output.pictures import ColorScale, sharp_panorama
-from omnistereo_tools.output.points import Limits, PointCloud
+from omnistereo_tools.output.pictures import ColorScale, sharp_panorama, write_panorama
+from omnistereo_tools.output.points import AXES_IN_WORDS, Limits, PointCloud
 from omnistereo_tools.output.summary import depth_sentences, error_sentences, turn_sentence
 from omnistereo_tools.output.viewer import viewer_page
 
@@ -38,12 +38,15 @@ Panoramas have {height} rows, from {phi[0]:g}° to {phi[1]:g}° (down is positiv
 The centre column looks along +z of the rig, those to its right towards +x. Depth is measured along the ray, from the
 mean of the camera centres.
 
+TIFF files of float32 state NaN as nodata; OpenCV reads them with cv2.IMREAD_UNCHANGED alone.
+
 inverse_depth.tiff   float32, 1/m; 0 = infinitely far, NaN = no two cameras see the ray. Depth in metres is 1 / value.
 confidence.tiff      float32 in [0, 1], of the method {method}; NaN as above
 inverse_depth.png    the same as colours: near is bright, far is dark, striped is unknown; to look at, not to measure
+depth_mm.png         16 bits: depth along the ray in whole millimetres; 0 = unknown, or beyond 65 m
 panorama.jpg         the cameras' colours at the depth of each ray, blended, one pixel per ray; black = unknown
-points.ply           {points} points, binary PLY: metres (x right, y down, z forward), normals towards the rig, colours,
-                     confidence, and 1 where doubtful; rays up to {max_depth:.3g} m with a confidence of at least
+points.ply           {points} points, binary PLY: metres ({axes}), normals towards the rig, colours,
+                     confidence as quality, and 1 where doubtful; rays up to {max_depth:.3g} m with a confidence of at least
                      {min_confidence:.3g}
 trust.tiff           float32 in [0, 1]: the confidence judged at equal range, 0 where cameras see black or white alone;
                      below 0.5 a ray is doubtful, that is, about as likely wrong as right
@@ -65,6 +68,7 @@ class FrameResult:
     limits: Limits
     method: str
     gt_index: NDArray[Any] | None = None
+    up: Literal["z"] | None = None  #: of points and meshes in PLY; None: the axes of the rig
 
     @property
     def title(self) -> str:
@@ -151,20 +155,34 @@ class FrameResult:
         written = []
         if mesh_file is not None:
             triangles, doubtful = write_mesh(
-                mesh_file, self.depth, self.panorama, self.limits, faces, self.doubtful
+                mesh_file, self.depth, self.panorama, self.limits, faces, self.doubtful, self.up
             )
             written.append(
                 f"{mesh_file} ({triangles} triangles, {doubtful} of them doubtful and marked)"
             )
         if equirectangular is not None:
-            write_inverse_depth(equirectangular, equirectangular_depth(self.depth))
-            written.append(f"{equirectangular} (metres along the ray)")
+            photo, colors = self._write_equirectangular(equirectangular)
+            written.append(f"{equirectangular} (metres along the ray), {photo}, {colors}")
         if crops is not None:
-            count, share = write_crops(crops, self.depth, self.limits, all_crops)
+            count, share = write_crops(crops, self.depth, self.limits, all_crops, self._cloud)
             more = "" if all_crops or share > _ALL else "; --all-crops covers the rest"
             of_all = f"{100 * share:.0f} % of what the cameras see{more}"
             written.append(f"{crops}/ ({count} crops of {of_all}; transforms.json)")
         return written
+
+    def _write_equirectangular(self, path: Path) -> tuple[Path, Path]:
+        """Write depth of the whole sphere, and beside it two pictures that 360° viewers open: what
+        the cameras see, and depth in colours; return the paths of the two.
+        """
+        whole = equirectangular_depth(self.depth)
+        write_inverse_depth(path, whole)
+        inverse = 1 / whole
+        rays = SphereGrid(whole.shape[1], whole.shape[0], (-90.0, 90.0)).rays()
+        photo, inside = self.depth.grid.look_up(self._colors, rays)
+        names = beside(path)
+        write_image(names[0], np.where(inside.T, photo.T, 0).T)
+        write_image(names[1], ColorScale.of(inverse).colorize(inverse))
+        return names
 
     def _write_overview(self, path: Path) -> None:
         page = draw_overview(
@@ -188,8 +206,9 @@ class FrameResult:
             data / "inverse_depth.png",
             ColorScale.of(depth.inverse_depth).colorize(depth.inverse_depth),
         )
-        write_image(data / "panorama.jpg", self._colors)
-        self._cloud.write(data / "points.ply")
+        write_panorama(data / "panorama.jpg", self._colors, grid)
+        write_image(data / "depth_mm.png", in_millimetres(depth.depth))
+        self._cloud.write(data / "points.ply", self.up)
         save_rig(depth.sweep.rig, data / "rig.yaml")
         text = _README.format(
             width=grid.width,
@@ -197,6 +216,7 @@ class FrameResult:
             phi=grid.phi_deg,
             method=self.method,
             points=len(self._cloud.points),
+            axes=AXES_IN_WORDS[self.up],
             max_depth=self.limits.max_depth,
             min_confidence=self.limits.min_confidence,
         )
@@ -208,6 +228,11 @@ class FrameResult:
             write_text(data / "errors.json", json.dumps(errors, indent=1) + "\n")
             text += _ERRORS
         write_text(data / "README.txt", text)
+
+
+def beside(path: Path) -> tuple[Path, Path]:
+    """Return the paths of the pictures beside the depth of the whole sphere: photograph, depth."""
+    return path.with_name(f"{path.stem}_photo.jpg"), path.with_name(f"{path.stem}_colors.jpg")
 
 
 def equirectangular_depth(depth: Depth) -> NDArray[np.float32]:

@@ -21,7 +21,6 @@ _EDGE = 0.2  # of the depth between neighbouring rays: a surface so oblique is h
 _SPHERES = 1.5  # always connected: far away, one sphere is more than `_EDGE`
 _EYE_FOV = 1.2  # radians from top to bottom, of the camera in a GLB
 _TRANSLUCENT = 90  # of 255: doubtful triangles are faded, as in the pictures
-Y_UP = np.diag([1.0, -1.0, -1.0])  # rig (y down, z forward) → glTF (y up, -z forward)
 
 
 def write_mesh(
@@ -57,7 +56,7 @@ def write_mesh(
     vertices = _look_up(uv, np.zeros(depth.grid.shape, bool) if doubtful is None else doubtful)
     triangles = np.any(vertices[mesh.faces], axis=-1)
     if path.suffix.lower() == ".glb":
-        mesh.apply_transform(np.pad(Y_UP, (0, 1)) + np.diag([0, 0, 0, 1.0]))
+        mesh.vertices = mesh.vertices @ AXES["y"]
         content = _textured(mesh, uv, panorama, triangles)
     else:
         mesh.vertices = mesh.vertices @ AXES[up]
@@ -239,7 +238,9 @@ def export_glb(scene: Trimesh | Scene) -> bytes:
         tree["scenes"][tree["scene"]]["nodes"].append(len(tree["nodes"]))
         tree["nodes"].append({"name": "rig", "camera": 0})
 
-    return bytes(scene.export(file_type="glb", tree_postprocessor=unlit))
+    content = scene.export(file_type="glb", tree_postprocessor=unlit)
+    assert isinstance(content, bytes)
+    return content
 
 
 def linear(colors: NDArray[Any]) -> NDArray[np.float32]:

@@ -21,10 +21,18 @@ _PROPERTIES = dict.fromkeys(("x", "y", "z", "nx", "ny", "nz"), "<f4")
 _PROPERTIES |= dict.fromkeys(("red", "green", "blue"), "u1")
 # MeshLab knows a quality of vertices, and reads a property called confidence as garbage.
 _PROPERTIES |= {"quality": "<f4", "doubtful": "u1"}
-# What turns points, as rows, from the axes of the rig to those with another direction up; z is that
-# of ROS (REP 103): x forward, y left.
-AXES = {None: np.eye(3), "z": np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])}
-_COMMENT = {None: "x right, y down, z forward", "z": "x forward, y left, z up"}
+# What turns points, as rows, from the axes of the rig to those with another direction up: y as in
+# OpenGL and glTF, z as in ROS (REP 103).
+AXES = {
+    None: np.eye(3),
+    "y": np.diag([1.0, -1, -1]),
+    "z": np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]),
+}
+AXES_IN_WORDS = {
+    None: "x right, y down, z forward",
+    "y": "x right, y up, z back",
+    "z": "x forward, y left, z up",
+}
 _PLY_TYPES = {"<f4": "float", "u1": "uchar"}
 
 
@@ -103,7 +111,7 @@ class PointCloud:
         header = [
             "ply",
             "format binary_little_endian 1.0",
-            f"comment metres; {_COMMENT[up]}; quality is the confidence",
+            f"comment metres; {AXES_IN_WORDS[up]}; quality is the confidence",
         ]
         header += [f"element vertex {len(rows)}"]
         header += [f"property {_PLY_TYPES[kind]} {name}" for name, kind in _PROPERTIES.items()]

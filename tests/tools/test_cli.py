@@ -24,7 +24,7 @@ pytestmark = pytest.mark.usefixtures("small")
 SMALL = ["--width", "96", "--height", "24", "--spheres", "16"]
 GRID = osl.SphereGrid(96, 24, (-45, 45), 16, 0.6)
 RESULTS = (
-    "README.txt confidence.tiff inverse_depth.png inverse_depth.tiff panorama.jpg points.ply"
+    "README.txt confidence.tiff depth_mm.png inverse_depth.png inverse_depth.tiff panorama.jpg points.ply"
     " rig.yaml trust.tiff"
 )
 
@@ -103,6 +103,8 @@ def test_depth_of_images(data, tmp_path, capsys):
     assert {path.name for path in out.iterdir()} == {
         "a.ply",
         "a.tiff",
+        "a_colors.jpg",
+        "a_photo.jpg",
         "data",
         "index.html",
         "overview.png",

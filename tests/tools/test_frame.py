@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scene
+import tifffile
+from PIL import Image
 
 import omnistereo_lib as osl
-from omnistereo_lib.pictures import write_image
+from omnistereo_lib.pictures import read_pixels, write_image
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.input.masks import with_masks
 from omnistereo_tools.output.frame import FrameResult
@@ -69,9 +71,9 @@ def test_the_points_are_on_the_walls_and_the_normals_across_them(written, depth)
     facing = normals[inside][np.arange(len(wall)), wall] * towards
     assert np.median(facing) > 0.999
     assert (facing > 0.98).mean() > 0.99
-    assert len(points) == depth.valid.sum() and cloud["confidence"].min() == 0  # nothing is lost,
+    assert len(points) == depth.valid.sum() and cloud["quality"].min() == 0  # nothing is lost,
     # but marked
-    assert 0 < cloud["doubtful"].mean() < 0.5 and cloud["doubtful"][cloud["confidence"] == 0].all()
+    assert 0 < cloud["doubtful"].mean() < 0.5 and cloud["doubtful"][cloud["quality"] == 0].all()
 
 
 def test_limits_drop_what_is_far_or_unsure(depth):
@@ -192,3 +194,23 @@ def test_masks_beside_the_images_or_named(rig, tmp_path):
         osl.OmnistereoError, match=r"mask.png is 200 × 50 px; the camera has 200 × 192 px"
     ):
         with_masks(rig, named, together)
+
+
+def test_files_for_other_programs(written, depth):
+    """Nodata where nothing is known, whole millimetres, the part of the sphere a panorama shows."""
+    data, grid = written / "data", depth.grid
+    for name in ("inverse_depth", "confidence", "trust"):
+        with tifffile.TiffFile(data / f"{name}.tiff") as file:
+            assert file.pages[0].tags[42113].value == "nan"
+    found = read_pixels(data / "depth_mm.png")
+    known = depth.valid & (depth.depth < 65)
+    np.testing.assert_allclose(found[known], 1000 * depth.depth[known], atol=0.51)
+    assert found.dtype == np.uint16 and not found[~depth.valid].any()
+    with Image.open(data / "panorama.jpg") as picture:
+        tags = picture.getxmp()["xmpmeta"]["RDF"]["Description"]
+    assert (tags["FullPanoWidthPixels"], tags["FullPanoHeightPixels"]) == ("160", "80")
+    low = grid.phi_deg[0]
+    top = int(tags["CroppedAreaTopPixels"])
+    assert top == round((low + 90) / 180 * 80) and tags["CroppedAreaImageHeightPixels"] == str(
+        grid.height
+    )

@@ -1,6 +1,8 @@
 """Meshes, loaded by another program: on the walls, textured with what the ray sees, cut at depth
 edges, y up."""
 
+import json
+
 import numpy as np
 import pytest
 import scene
@@ -8,6 +10,8 @@ import scene
 import omnistereo_lib as osl
 from omnistereo_tools.output.mesh_export import make_mesh, write_mesh
 from omnistereo_tools.output.points import Limits
+from omnistereo_tools.world.page import write_surface
+from omnistereo_tools.world.surface import Surface
 
 trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed: environment.txt has it")
 
@@ -121,3 +125,35 @@ def test_what_cannot_be_a_mesh_is_told(depth, panorama, tmp_path):
     with pytest.raises(osl.OmnistereoError, match="no triangle is left"):
         write_mesh(tmp_path / "a.glb", depth, panorama, Limits(0.1, 0.0))
     assert not list(tmp_path.iterdir())
+
+
+def test_glb_needs_no_light_and_has_a_camera_at_the_rig(depth, panorama, tmp_path):
+    write_mesh(tmp_path / "a.glb", depth, panorama, ALL)
+    tree = glb_tree(tmp_path / "a.glb")
+    assert all("KHR_materials_unlit" in each["extensions"] for each in tree["materials"])
+    assert tree["extensionsUsed"] == ["KHR_materials_unlit"]
+    (eye,) = (node for node in tree["nodes"] if "camera" in node)
+    assert (
+        eye == {"name": "rig", "camera": 0}
+        and tree["nodes"].index(eye) in tree["scenes"][0]["nodes"]
+    )
+
+
+def glb_tree(path):
+    content = path.read_bytes()
+    return json.loads(content[20 : 20 + int.from_bytes(content[12:16], "little")])
+
+
+def test_a_world_has_linear_colours_in_glb_and_ros_axes_on_request(tmp_path):
+    corners = np.array([[0, 0, 1], [1, 0, 1], [0, 1, 1]], np.float32)  # right, down, forward
+    surface = Surface(corners, np.array([[0, 1, 2]]), np.full((3, 3), 128, np.float32))
+    write_surface(tmp_path, surface, "z")
+    ply = trimesh.load(tmp_path / "mesh.ply", process=False)
+    np.testing.assert_array_equal(ply.vertices, [[1, 0, 0], [1, -1, 0], [1, 0, -1]])
+    assert (ply.visual.vertex_colors[:, :3] == 128).all()
+    tree = glb_tree(tmp_path / "mesh.glb")
+    colors = tree["accessors"][tree["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]]
+    # sRGB 128 is .2159 of the light of white
+    assert colors["componentType"] == 5126 and colors["max"] == pytest.approx(
+        [0.21586] * 3, abs=1e-5
+    )
