@@ -647,7 +647,6 @@ _NOT_OF_A_CAMERA = (
         "val_filenames",
         "test_filenames",
         "ply_file_path",
-        "depth_unit_scale_factor",
         "transform_matrix",
         "mask_path",
     ),

@@ -97,10 +97,10 @@ def write_crops(
 
     points.ply       the cloud, from which splatting starts, in the axes of the poses; if given
 
-    images/0_1.png   the second crop of the first camera
-    depth/0_1.png    16 bits: depth along the optical axis in millimetres; 0 where it is unknown or
+    images/1b.png    the second crop of camera 1; a number at the end would be that of a moment
+    depth/1b.png     16 bits: depth along the optical axis in millimetres; 0 where it is unknown or
                      beyond 65 m
-    masks/0_1.png    0 where the lens or its mask covers a pixel; only if there is such a pixel
+    masks/1b.png     0 where the lens or its mask covers a pixel; only if there is such a pixel
     transforms.json  intrinsics, and poses with y up and the view along -z; the world is the rig
                      with y up
     """
@@ -110,7 +110,7 @@ def write_crops(
         crops = list(crops_of(k, lens, pose, whole))
         shares.append(covered_share(crops, lens, pose))
         for number, crop in enumerate(crops):
-            name = f"{k}_{number}.png"
+            name = f"{k + 1}{'abcdef'[number]}.png"
             picture, visible = crop_image(crop, lens, pose, depth.images[k])
             z = np.where(visible, crop_depth(crop, depth, limits), np.nan)
             write_image(make_folder(out / "images") / name, picture)
