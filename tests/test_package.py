@@ -31,6 +31,7 @@ files
 pictures
 geometry
 parse reference
+ocam_text
 consumer_images rig_file
 frame
 dataset

@@ -12,11 +12,11 @@ import numpy as np
 from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.files import path_within
 from omnistereo_lib.geometry.pose import Pose, quaternion_pose
-from omnistereo_lib.parse import Section, check_count, numbered_lines, parse_floats, parse_size
+from omnistereo_lib.parse import Section, numbered_lines, parse_floats, parse_size
 from omnistereo_lib.pictures import read_image
 from omnistereo_rigs.formats.camera_models import FISHEYE, FISHEYE624, PINHOLE, RADTAN
 from omnistereo_rigs.formats.fit import OPENCV_DEG, Lens
-from omnistereo_rigs.formats.table import Found, by_moment, one_rig
+from omnistereo_rigs.formats.table import Found, find_moment
 
 _SIMPLE = ("f", "cx", "cy")
 # camera model → ours, and its parameters in the order of COLMAP
@@ -111,35 +111,23 @@ def read_model(folder: Path) -> Found:
     one.
 
     Without a rig in rigs.txt, the images of a camera lie in a folder of its own or begin alike, and
-    those of one moment have one file name or number, see `by_moment`: cameras of the rig may share
-    one of cameras.txt. The rig frame is the first camera. The poses are those of the first moment
-    that all cameras have; a UserWarning says that another one differs.
+    those of one moment have one file name or number, see `find_moment`: cameras of the rig may
+    share one of cameras.txt. The rig frame is the first camera. The poses are those of the first
+    moment that all cameras have; a UserWarning says that another one differs.
     """
     listed, file = _read_cameras(folder / "cameras.txt"), folder / "images.txt"
     if rig := _read_rigs(folder / "rigs.txt", listed):
         ids, T_rig_cam = [*rig], [*rig.values()]
     else:
         names, of_image, T_world_cam = _read_images(file, listed)
-        moments, cameras = by_moment(names)
-        if (
-            len(moments) == 1
-            and len(names) > len(listed) > 0
-            and all(name.count("/") == 0 for name in names)
-        ):
-            cameras = [*names]
-        check_count(len(cameras))
-        ids_of = [
-            {of_image[moment[k]] for moment in moments if moment[k] >= 0}
-            for k in range(len(cameras))
-        ]
-        if mixed := next(
-            (name for name, used in zip(cameras, ids_of, strict=True) if len(used) > 1), None
-        ):
-            raise OmnistereoError(
-                f"{file}: the images of {mixed} have several cameras. Put each into its own folder"
-            )
-        chosen, T_rig_cam = one_rig(moments, T_world_cam, names, file)
-        ids = [of_image[n] for n in chosen]
+        moment = find_moment(names, T_world_cam, file)
+        for camera, images in moment.of_camera.items():
+            if len({of_image[n] for n in images}) > 1:
+                raise OmnistereoError(
+                    f"{file}: the images of {camera} have several cameras. Put each into its own "
+                    "folder"
+                )
+        ids, T_rig_cam = [of_image[n] for n in moment.images], [*moment.T_rig_cam]
     return Found([_lens(f"{folder}, camera {each}", listed[each]) for each in ids], T_rig_cam)
 
 

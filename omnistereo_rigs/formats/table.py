@@ -8,7 +8,7 @@ the unit. To add a dialect, write a row, an example in book/own_cameras.md and a
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
@@ -42,6 +42,9 @@ _FLU = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # camera axes in x forwa
 _OF_A_MOMENT = re.compile(
     r"(frame|ima?ge?|pic|photo|dscn?|gopr|g[xh])[-_]*\d+|\d{3,}", re.IGNORECASE
 )
+
+# Between the rigs of two moments, the latter of its size: more than a reconstruction is wrong.
+_OTHER_DEG, _OTHER_PLACE = 5.0, 0.2
 
 Names = Sequence[str] | str  # of numbers in their order, or of one number
 Parameters = Mapping[str, Names] | Callable[[Section], Mapping[str, Any]]  # by their paths
@@ -281,71 +284,89 @@ def _chained(cams: Sequence[Section], poses: Sequence[Pose], parent: str) -> lis
     return [pose for _, pose in chained]
 
 
-def by_moment(names: Sequence[str]) -> tuple[list[list[int]], list[str]]:
-    """Return, for each moment of a recording, the image of each camera, -1 where there is none; and
-    the cameras.
+class Moment(NamedTuple):
+    """The images of one moment, one of each camera."""
+
+    images: Sequence[int]  #: their places in the list of all images
+    T_rig_cam: Sequence[Pose]  #: camera → first camera
+    of_camera: Mapping[str, Sequence[int]]  #: all images of each camera
+
+
+def find_moment(names: Sequence[str], T_world_cam: Sequence[Pose], path: Path) -> Moment:
+    """Return the first moment that all cameras have; a UserWarning says that another differs.
 
     The images of a camera lie in a folder of its own; in one folder, what stands before the number
-    at the end of the name is the camera. One image of each camera is one moment. An
-    `OmnistereoError` asks for folders where neither tells cameras from moments.
+    at the end of the name is the camera, if the rig is then the same at all moments. One image of
+    each camera is one moment. An `OmnistereoError` asks for folders where neither tells cameras
+    from moments.
     """
     if not names:
-        raise OmnistereoError("there is no image. Check that the file is complete")
+        raise OmnistereoError(f"{path}: there is no image. Check that the file is complete")
     paths = [PurePosixPath(name.replace("\\", "/")) for name in names]
-    folders = [str(path.parent) for path in paths]
-    stems = [re.fullmatch(r"(.*?)([0-9]*)", path.stem) for path in paths]
-    prefixes = [found[1] if found else path.stem for found, path in zip(stems, paths, strict=True)]
-    moments = [found[2] if found else "" for found in stems]
-    if len({*folders}) > 1:
-        cameras, moments = folders, [path.stem for path in paths]
-    elif (
-        len({*moments}) > 1
-        and len({*prefixes}) > 1
-        and len({*zip(prefixes, moments, strict=True)}) == len(names)
-    ):
-        cameras = prefixes
-    else:
-        cameras = [*names]
-        if (
-            len({*names}) == len(names)
-            and len(names) > 1
-            and all(_OF_A_MOMENT.fullmatch(path.stem) for path in paths)
-        ):
-            raise OmnistereoError(
-                f"{len(names)} images in one folder, {paths[0].name}, {paths[1].name}, …: moments "
-                "of one camera, or cameras? Put the images of each camera into a folder of its "
-                "own (cam1/0001.png)"
-            )
+    stems = [path.stem for path in paths]
+    alone = _moments([str(n) for n in range(len(names))], [""] * len(names))
     if len({*names}) < len(names):  # one name for all: each is a camera
-        cameras = [str(n) for n in range(len(names))]
-    order = [*dict.fromkeys(cameras)]
-    if len(order) == len(names):
-        return [[*range(len(names))]], order
-    table: dict[str, list[int]] = {}
-    for n, (camera, moment) in enumerate(zip(cameras, moments, strict=True)):
-        table.setdefault(moment, [-1] * len(order))[order.index(camera)] = n
-    return [*table.values()], order
-
-
-def one_rig(
-    moments: Sequence[Sequence[int]], T_world_cam: Sequence[Pose], names: Sequence[str], path: Path
-) -> tuple[list[int], list[Pose]]:
-    """Return the images of the first moment that all cameras have, and camera → first camera there.
-
-    A UserWarning says that another moment differs.
-    """
-    whole = [moment for moment in moments if -1 not in moment]
+        table = alone
+    elif len({path.parent for path in paths}) > 1:
+        table = _moments([str(path.parent) for path in paths], stems)
+    else:
+        ends = [re.search("[0-9]*$", stem) for stem in stems]
+        numbers = [end[0] if end else "" for end in ends]
+        prefixes = [stem.removesuffix(end) for stem, end in zip(stems, numbers, strict=True)]
+        table = _moments(prefixes, numbers)
+        whole = [moment for moment in table.values() if len(moment) == len({*prefixes})]
+        if len({*prefixes}) == 1 or len(whole) < 2 or _differ(whole, T_world_cam):
+            table = alone
+    count = len({camera for moment in table.values() for camera in moment})
+    in_one_folder = len({*names}) == len(names) and len({path.parent for path in paths}) == 1
+    if in_one_folder and count == len(names) > 1 and all(map(_OF_A_MOMENT.fullmatch, stems)):
+        raise OmnistereoError(
+            f"{len(names)} images in one folder, {paths[0].name}, {paths[1].name}, …: moments of "
+            "one "
+            "camera, or cameras? Put the images of each camera into a folder of its own "
+            "(cam1/0001.png)"
+        )
+    whole = [moment for moment in table.values() if len(moment) == count]
     if not whole:
-        count = len(moments[0]) if moments else 0
         raise OmnistereoError(
             f"{path}: no file name is that of an image of each of the {count} cameras"
         )
-    rigs = [[T_world_cam[moment[0]].inverse() @ T_world_cam[n] for n in moment] for moment in whole]
+    check_count(count)
+    order = [*whole[0]]
+    rigs = [_rig_at(moment, order, T_world_cam) for moment in whole]
     size = max(float(np.linalg.norm(pose.t)) for pose in rigs[0]) or 1.0  # the scale is arbitrary
+    of_first, key = names[whole[0][order[0]]], order[0]
     for moment, poses in zip(whole[1:], rigs[1:], strict=True):
-        if warn_if_different(rigs[0], poses, names[whole[0][0]], names[moment[0]], path, size):
+        if warn_if_different(rigs[0], poses, of_first, names[moment[key]], path, size):
             break
-    return list(whole[0]), rigs[0]
+    of_camera = {
+        camera: [moment[camera] for moment in table.values() if camera in moment]
+        for camera in order
+    }
+    return Moment([whole[0][camera] for camera in order], rigs[0], of_camera)
+
+
+def _moments(cameras: Sequence[str], moments: Sequence[str]) -> dict[str, dict[str, int]]:
+    """Return the image of each camera at each moment."""
+    table: dict[str, dict[str, int]] = {}
+    for n, (camera, moment) in enumerate(zip(cameras, moments, strict=True)):
+        table.setdefault(moment, {})[camera] = n
+    return table
+
+
+def _rig_at(
+    moment: Mapping[str, int], order: Iterable[str], T_world_cam: Sequence[Pose]
+) -> list[Pose]:
+    poses = [T_world_cam[moment[camera]] for camera in order]
+    return [poses[0].inverse() @ pose for pose in poses]
+
+
+def _differ(whole: Sequence[Mapping[str, int]], T_world_cam: Sequence[Pose]) -> bool:
+    """Return whether the rigs of the first two moments differ more than those of one rig."""
+    first, second = (_rig_at(moment, whole[0], T_world_cam) for moment in whole[:2])
+    size = max(float(np.linalg.norm(pose.t)) for pose in first) or 1.0
+    apart = [(a.inverse() @ b).magnitude() for a, b in zip(first, second, strict=True)]
+    return any(degrees > _OTHER_DEG or t > _OTHER_PLACE * size for degrees, t in apart)
 
 
 # Where the cameras are.
@@ -422,25 +443,27 @@ def _frames(data: Section, path: Path) -> list[Section]:
     frames = data.require("frames")
     data.ignore("frames", *shared)
     names = [str(_mapping(frame).get("file_path", "")) for frame in frames]
-    moments, order = by_moment(names)
-    check_count(len(order))
-    cams = {}
+    cams, poses = [], []
     for n, frame in enumerate(frames, 1):
         with error_context(f"frame {n}"):
-            cams[n] = Section(shared | Section(frame).values, f"frame {n}")
-    poses = []
-    if len(moments) > 1:
-        for n, cam in cams.items():
-            with error_context(f"frame {n}"):
-                poses.append(_parse_pose(cam, ["transform_matrix"], "opengl"))
-        chosen, _ = one_rig(moments, poses, names, path)
-    else:
-        chosen = moments[0]
+            cams.append(Section(shared | Section(frame).values, f"frame {n}"))
+            poses.append(_parse_pose(cams[-1], ["transform_matrix"], "opengl"))
+    moment = find_moment(names, poses, path)
+    for camera, images in moment.of_camera.items():
+        lenses = [
+            [cams[n].values.get(key) for key in ("w", "h", "fl_x", "cx", "k1")] for n in images
+        ]
+        if any(lens != lenses[0] for lens in lenses):
+            raise OmnistereoError(
+                f"the frames of {camera} have several lenses; expected one. Keep those of one "
+                "moment"
+            )
     found = []
-    for n in chosen:
-        cam = data.add(f"frame {n + 1}", shared | cams[n + 1].values)
+    for n in moment.images:
+        cam = data.add(cams[n].name, cams[n].values)
         cam.ignore(*_NOT_OF_A_CAMERA)
-        _focal_of_angle(cam)
+        with error_context(cam.name):
+            _focal_of_angle(cam)
         found.append(cam)
     return found
 

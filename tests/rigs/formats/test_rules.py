@@ -132,7 +132,9 @@ def test_ocam_has_no_linear_term(tmp_path):
 
 def test_angle_x_is_a_pinholes(tmp_path):
     data = transforms(fl_x=None, fl_y=None, camera_angle_x=2.9)
-    with pytest.raises(OmnistereoError, match=r"camera_angle_x does not state .* Write fl_x"):
+    with pytest.raises(
+        OmnistereoError, match=r"frame 1: camera_angle_x does not state .* Write fl_x"
+    ):
         read_any_rig(dump(tmp_path / "transforms.json", data), "m")
 
 
