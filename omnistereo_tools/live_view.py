@@ -25,7 +25,7 @@ from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
-from omnistereo_tools.input.sources import open_video
+from omnistereo_tools.input.sources import Recording
 from omnistereo_tools.judge.ray import explain
 from omnistereo_tools.judge.trust import trust
 from omnistereo_tools.output.blend import estimate_gains
@@ -39,6 +39,7 @@ _CLIENTS = 16  # connections at a time; a page has three
 # a name of another site may lead here, too
 _HOST = re.compile(r"(localhost|127\.0\.0\.1)(:[0-9]+)?")
 _PAGE = Path(__file__).parent / "output" / "page" / "live.html"
+_FPS = 10.0  # of pictures, which do not say
 _EQUALISED = 16  # frames from one look at how bright the cameras are to the next
 
 
@@ -119,7 +120,7 @@ class Cameras:
     """The newest images of several cameras or videos, taken together.
 
     Args:
-        sources: For each camera of the rig an index of OpenCV, such as 0, or a video file.
+        sources: For each camera of the rig an index of OpenCV, such as 0, or else a video file.
         rig: Its image sizes are asked of the cameras.
         loop: Videos begin again when they have ended.
 
@@ -137,17 +138,24 @@ class Cameras:
                 f"there are {len(sources)} cameras or videos for a rig of {len(rig)}. Give one for"
                 " each."
             )
-        self.sources, self.loop = sources, loop
-        self.captures = [
-            _open(source, camera.image_size)
-            for source, camera in zip(sources, rig.cameras, strict=True)
+        self.rig, self.loop = rig, loop
+        numbers = [source for source in sources if isinstance(source, int)]
+        paths = [Path(source) for source in sources if isinstance(source, str)]
+        if numbers and paths:
+            raise OmnistereoError(
+                "found cameras and videos; expected either. Record the cameras, or give all videos"
+            )
+        # Videos play at their own speed, moment by moment; cameras set it themselves.
+        self.recording = Recording.open(paths) if paths else None
+        self.period = 0.0 if self.recording is None else 1 / (self.recording.fps or _FPS)
+        self._devices = [
+            _open(one, camera.image_size) for one, camera in zip(numbers, rig.cameras, strict=False)
         ]
-        self.first = [
-            _first(source, capture) for source, capture in zip(sources, self.captures, strict=True)
-        ]
-        rates = [capture.get(cv2.CAP_PROP_FPS) for capture in self.captures]
-        # Videos play at their own speed, cameras set it themselves.
-        self.period = 1 / rates[0] if isinstance(sources[0], str) and rates[0] > 0 else 0.0
+        if (first := next(self._moments(), None)) is None:
+            raise OmnistereoError(
+                f"camera {' or '.join(map(str, numbers))} gives no picture. Check the cameras."
+            )
+        self.first = first
         self.newest = Latest()
         self._going, self._single = Event(), False
         self._going.set()
@@ -172,23 +180,15 @@ class Cameras:
 
     def read(self) -> None:
         """Read until a source ends, or `close`; meant for a thread."""
-        due, begun = time.monotonic(), False
-        while not self.newest.closed:
+        due = time.monotonic()
+        for images in self._moments():
             if self.period and not self._going.is_set():
                 self._going.wait()
                 due = time.monotonic()
-            # first all, then decode: they are nearer in time
-            grabbed = [capture.grab() for capture in self.captures]
-            if not all(grabbed) and begun and self.loop:
-                for source, capture in zip(self.sources, self.captures, strict=True):
-                    _begin_again(source, capture)
-                begun = False
-                continue
-            if not all(grabbed):
+            if self.newest.closed:
                 break
-            begun = True
             if self._going.is_set():
-                self.newest.put([capture.retrieve()[1] for capture in self.captures])
+                self.newest.put(images)
             if self._single:
                 self._single = False
                 self._going.clear()
@@ -196,11 +196,20 @@ class Cameras:
             time.sleep(max(0.0, due - time.monotonic()))
         self.newest.close()
 
+    def _moments(self) -> Iterator[list[NDArray[np.uint8]]]:
+        """Yield the images of all cameras, RGB, of one moment after the other."""
+        if self.recording is not None:
+            yield from self.recording.read(list(self.recording.frames), self.rig)
+            while self.loop:
+                yield from self.recording.read(list(self.recording.frames), self.rig)
+        # First grab all, then decode: they are nearer in time.
+        while self._devices and all([device.grab() for device in self._devices]):
+            pictures = [device.retrieve()[1] for device in self._devices]
+            yield [np.asarray(cv2.cvtColor(one, cv2.COLOR_BGR2RGB), np.uint8) for one in pictures]
 
-def _open(source: int | str, image_size: tuple[int, int]) -> cv2.VideoCapture:
-    """Open a video, or a camera, which is asked for the size of the images of the rig."""
-    if isinstance(source, str):
-        return open_video(Path(source), image_size)
+
+def _open(source: int, image_size: tuple[int, int]) -> cv2.VideoCapture:
+    """Open a camera, which is asked for the size of the images of the rig."""
     capture = cv2.VideoCapture(source)
     if not capture.isOpened():
         raise OmnistereoError(
@@ -209,22 +218,6 @@ def _open(source: int | str, image_size: tuple[int, int]) -> cv2.VideoCapture:
     capture.set(cv2.CAP_PROP_FRAME_WIDTH, image_size[0])
     capture.set(cv2.CAP_PROP_FRAME_HEIGHT, image_size[1])
     return capture
-
-
-def _first(source: int | str, capture: cv2.VideoCapture) -> NDArray[np.uint8]:
-    """Return the first picture of a source, RGB; a video begins again."""
-    read, picture = capture.read()
-    if not read:
-        raise OmnistereoError(f"{source} gives no picture. Check the camera, or convert the video.")
-    _begin_again(source, capture)
-    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), np.uint8)
-
-
-def _begin_again(source: int | str, capture: cv2.VideoCapture) -> None:
-    """Go back to the beginning of a video."""
-    if isinstance(source, str):
-        capture.open(source)
-        capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
 
 
 def live_pictures(
@@ -249,8 +242,7 @@ def _play(
 
     def compute() -> None:
         try:
-            for number, frames in enumerate(cameras.newest):
-                images = [cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) for frame in frames]
+            for number, images in enumerate(cameras.newest):
                 computed.put(
                     sweep_depth(
                         watching.sweep_of(number, images) if watching else sweep, images, method

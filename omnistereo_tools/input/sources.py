@@ -1,18 +1,14 @@
-"""Recordings: for each camera a folder of pictures or a video, matched frame by frame."""
+"""Recordings: for each camera a folder of pictures or a video, matched moment by moment."""
 
 from __future__ import annotations
 
 import json
 import os
-import re
 import warnings
-from bisect import bisect_left
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, replace
 from pathlib import Path
-from statistics import median
-from typing import TypeVar
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,81 +18,53 @@ from omnistereo_lib.consumer_images import split_image
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import checksum
 from omnistereo_lib.geometry.rig import Rig
-from omnistereo_lib.pictures import (
-    check_image,
-    check_size,
-    find_pictures,
-    read_image,
-    remark_turned,
+from omnistereo_lib.pictures import check_image, check_size, find_pictures, read_image
+from omnistereo_rigs.images.moments import (
+    COPY,
+    Matched,
+    Moments,
+    in_words,
+    match_moments,
+    read_names,
 )
+from omnistereo_rigs.images.videos import VIDEOS, Video, moments_of_videos, open_videos
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
-_VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v", ".mpg", ".mpeg", ".ts", ".insv")
 # Quiet: what cannot be read is told by an error.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 _NOT_FRAMES = ("mask",)  # file names without suffix
-_FIRST_TIME = 10**9  # smallest number that is a time stamp: seconds since 1970, or ms, µs or ns
-Key = int | str  # of a frame: a number, or the name of a picture
-Time = TypeVar("Time", int, float)
+_FAR = 0.1  # of the time between frames: times of one moment that differ by more are told
+Key = int | str  # of a frame: its number or time, or the name of a picture
 
 
 def of_recordings(paths: Sequence[Path]) -> list[Path]:
     """Return the paths that are folders or videos, not pictures."""
-    return [path for path in paths if path.is_dir() or path.suffix.lower() in _VIDEOS]
-
-
-def _number(name: str) -> int | None:
-    """Return the number at the end of a name, of decimal seconds since 1970 their nanoseconds; None
-    without one.
-    """
-    if seconds := re.search(r"(?<![0-9])([1-9][0-9]{9})\.([0-9]{1,9})$", name):
-        return int(seconds[1] + seconds[2].ljust(9, "0"))
-    number = re.search(r"[0-9]+$", name)
-    return int(number[0]) if number else None
+    return [path for path in paths if path.is_dir() or path.suffix.lower() in VIDEOS]
 
 
 class Pictures:
-    """The pictures of one camera in a folder, by frame: the number at the end of their names, else
-    the name.
-    """
+    """The pictures of one camera in a folder; `files` calls them as the first camera's are."""
 
     fps: float | None = None
 
-    def __init__(self, folder: Path) -> None:
-        self.path = folder
-        named = {
-            name: path
-            for name, path in find_pictures(folder, _PICTURES).items()
-            if name not in _NOT_FRAMES
-        }
-        if not named:
-            raise OmnistereoError(
-                f"{folder} holds no pictures; expected one per frame, {', '.join(_PICTURES)}"
-            )
-        self.files: dict[Key, Path] = dict(named.items())
-        self._numbers = {
-            number: named[name] for name in named if (number := _number(name)) is not None
-        }
-        self.numbered = len(self._numbers) == len(named)
-
-    def use_numbers(self) -> None:
-        """Call the frames by the numbers at the end of their names."""
-        self.files = dict(sorted(self._numbers.items()))
+    def __init__(self, folder: Path, named: dict[str, Path]) -> None:
+        self.path, self.named = folder, named
+        marks = [COPY.sub("", name) for name in named]
+        unique = len(set(marks)) == len(named)
+        self.files: dict[Key, Path] = dict(
+            zip(marks if unique else named, named.values(), strict=True)
+        )
 
     def check(self, keys: Sequence[Key], image_size: tuple[int, int] | None) -> None:
-        """Raise an `OmnistereoError` if a picture is not of the size of the camera, or damaged
-        where it shows.
-        """
+        """Raise an `OmnistereoError` if a picture is damaged, or not of the size of its camera."""
         for key in keys:
             check_image(self.files[key], image_size)
 
     def read(
         self, keys: Sequence[Key], image_size: tuple[int, int] | None
     ) -> Iterator[NDArray[np.uint8]]:
-        """Yield the pictures of some frames; width and height must be those of the camera, unless
-        they are None.
-        """
+        """Yield the pictures of some frames, of the size of the camera unless that is None."""
         for key in keys:
             yield read_image(self.files[key], image_size)
 
@@ -111,247 +79,164 @@ class Pictures:
         return bad
 
 
-def open_video(path: Path, image_size: tuple[int, int] | None = None) -> cv2.VideoCapture:
-    """Open a video file whose frames are given as they are stored, whatever rotation it states for
-    players.
+class Film:
+    """The video of one camera; `files` calls its frames as those of the first camera are."""
 
-    Raises an `OmnistereoError` if it is none, or not of the size (width, height) of its camera.
-    """
-    # a pipe would wait for its other end
-    video = cv2.VideoCapture(str(path)) if path.is_file() else None
-    if video is None or not video.isOpened():
-        raise OmnistereoError(
-            f"{path} is not a video that OpenCV can read. Check the path, or convert it."
-        )
-    video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
-    if turned := video.get(cv2.CAP_PROP_ORIENTATION_META):
-        remark_turned(path, f"by {turned:.0f}°")
-    found = int(video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(video.get(cv2.CAP_PROP_FRAME_HEIGHT))
-    check_size(path, found, image_size)
-    return video
-
-
-class Video:
-    """A video of one camera; its frames are counted from 0, or called by those of another one, see
-    `_match_videos`.
-    """
-
-    numbered = True
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        video = open_video(path)
-        self.fps = video.get(cv2.CAP_PROP_FPS) or None
-        stated, most = video.get(cv2.CAP_PROP_FRAME_COUNT), path.stat().st_size
-        if not 0 < stated <= most:
-            found = (
-                f"{path} has no frames that OpenCV can read (it states {stated:.0f} in {most}"
-                " bytes)"
-            )
-            raise OmnistereoError(f"{found}. Convert it, such as with ffmpeg.")
-        self.files: dict[Key, int] = {number: number for number in range(int(stated))}
-
-    def use_numbers(self) -> None:
-        """Call the frames by their numbers, as they are."""
-
-    def times(self) -> list[float]:
-        """Read the time stamps of all frames, milliseconds from the first; raises an
-        `OmnistereoError` without any.
-        """
-        video, times = open_video(self.path), list[float]()
-        while video.grab():
-            times.append(video.get(cv2.CAP_PROP_POS_MSEC))
-        if any(b <= a for a, b in pairwise(times)):
-            raise OmnistereoError(
-                f"{self.path} has another frame rate than the other videos, and no time stamps by"
-                " which its frames could be matched. Convert all to one rate, such as with ffmpeg"
-                " -vf fps"
-            )
-        return [time - times[0] for time in times]
+    def __init__(self, video: Video) -> None:
+        self.video, self.path, self.fps = video, video.path, video.rate
+        self.files: dict[Key, int] = {number: number for number in range(len(video.stamps))}
 
     def check(self, keys: Sequence[Key], image_size: tuple[int, int] | None) -> None:
-        """Raise an `OmnistereoError` if the frames are not of the size of the camera; how many
-        there are is stated.
-        """
-        open_video(self.path, image_size)
+        """Raise an `OmnistereoError` if the frames have another size than the camera."""
+        check_size(self.path, self.video.size, image_size)
 
     def read(
         self, keys: Sequence[Key], image_size: tuple[int, int] | None
     ) -> Iterator[NDArray[np.uint8]]:
-        """Yield some frames, in ascending order; those between are skipped, because seeking is not
-        exact.
-        """
-        video, position = open_video(self.path, image_size), 0
-        for key in keys:
-            frame = self.files.get(key, len(self.files))
-            while position < frame and video.grab():
-                position += 1
-            read, picture = video.read()
-            if not read or position < frame:
-                raise OmnistereoError(
-                    f"{self.path} ends before frame {key}. Pass --stop {key}, or copy it again."
-                )
-            position += 1
-            yield np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), np.uint8)
+        """Yield some frames, in ascending order; those between are decoded, too."""
+        return self.video.read([self.files[key] for key in keys], image_size)
 
     def unreadable(self, keys: Sequence[Key], image_size: tuple[int, int] | None) -> dict[Key, str]:
-        """Decode some frames, in ascending order; return those after its end, which may be earlier
-        than stated.
-        """
-        count = 0
-        try:
-            for _ in self.read(keys, image_size):
-                count += 1
-        except OmnistereoError as error:
-            return dict.fromkeys(keys[count:], str(error))
-        return {}
+        """Decode some frames, in ascending order; return those that cannot be read, and why."""
+        bad, left = dict[Key, str](), list(keys)
+        while left:
+            try:
+                for _ in self.read(list(left), image_size):
+                    left.pop(0)
+            except OmnistereoError as error:
+                bad[left.pop(0)] = str(error)
+        return bad
 
 
-def _match_times(times: Sequence[Sequence[Time]]) -> tuple[list[dict[Time, Time]], float, float]:
-    """Pair each frame of a camera with that of the first which is nearest in time, and the reverse.
+def open_sources(paths: Sequence[Path]) -> list[Pictures | Film]:
+    """Open a folder of pictures or a video per camera, or one file with a stream for each lens.
 
-    Returns for each camera time → time in the first, where they differ by at most half of the time
-    between frames; the largest difference; and the time between frames.
+    A folder may hold one video in place of pictures.
+
+    Raises an `OmnistereoError` if a path is neither or holds no frames.
     """
-    between = min(
-        (median(b - a for a, b in pairwise(camera)) for camera in times if len(camera) > 1),
-        default=0,
-    )
-    matched, most = [], 0.0
-    for camera in times:
-        near: list[tuple[float, Time, Time]] = []
-        for time in camera:
-            k = bisect_left(times[0], time)
-            near.append(
-                min((abs(other - time), time, other) for other in times[0][max(k - 1, 0) : k + 1])
-            )
-        # A frame of the first camera that is nearest to several goes to the nearest of them, the
-        # last one here.
-        of_first: dict[Time, tuple[float, Time]] = {
-            other: (apart, time)
-            for apart, time, other in sorted(near, reverse=True)
-            if 2 * apart <= between
-        }
-        matched.append({time: other for other, (_, time) in of_first.items()})
-        most = max([most, *(apart for apart, _ in of_first.values())])
-    return matched, most, between
+    sources: list[Pictures | Film] = []
+    for path in paths:
+        if not path.is_dir():
+            videos = open_videos(path)
+            sources += [Film(video) for video in (videos if len(paths) == 1 else videos[:1])]
+            continue
+        named = find_pictures(path, _PICTURES)
+        named = {name: file for name, file in named.items() if name not in _NOT_FRAMES}
+        films = [] if named else sorted(f for f in path.iterdir() if f.suffix.lower() in VIDEOS)
+        if films:
+            sources.append(_film_of(path, films))
+        elif named:
+            sources.append(Pictures(path, named))
+        else:
+            expected = f"expected one per frame, {', '.join(_PICTURES)}"
+            raise OmnistereoError(f"{path} holds no pictures; {expected}")
+    return sources
 
 
-def _match_names(sources: Sequence[Pictures]) -> None:
-    """Call frames whose names are time stamps by those of the first camera that are nearest."""
-    times = [[key for key in source.files if isinstance(key, int)] for source in sources]
-    if min(map(min, times)) < _FIRST_TIME:
-        return
-    matched, most, between = _match_times(times)
-    if most:
+def _film_of(folder: Path, films: Sequence[Path]) -> Film:
+    """Return the one video in a folder, with its chapters."""
+    video = open_videos(films[0])[0]
+    if len(films) > len(video.chapters):
+        names = ", ".join(film.name for film in films[:4])
+        raise OmnistereoError(f"{folder} holds {len(films)} videos: {names}. Pass one of them")
+    return Film(video)
+
+
+def match_sources(
+    sources: Sequence[Pictures | Film], late: Sequence[int] = ()
+) -> tuple[Matched | None, list[str]]:
+    """Find out which frames are of one moment; return that, and in words what it is based on.
+
+    None: by the names of the pictures, which have no numbers.
+    """
+    pictures = [source for source in sources if isinstance(source, Pictures)]
+    films = [source for source in sources if isinstance(source, Film)]
+    named = read_names([list(source.named) for source in pictures])
+    if named is None:
+        return None, []
+    filmed, said = moments_of_videos([film.video for film in films])
+    if pictures and films:
+        # The clock of names is none that videos state.
+        filmed = [replace(one, shared=False) for one in filmed]
+    of_pictures = dict(zip(pictures, named, strict=True))
+    of_films = dict(zip(films, filmed, strict=True))
+    moments: list[Moments] = []
+    for source in sources:
+        if isinstance(source, Film):
+            moments.append(of_films[source])
+            continue
+        one, names = of_pictures[source]
+        moments.append(one)
+        source.files = {n: source.named[name] for n, name in zip(one.numbers, names, strict=True)}
+        said += [f"{source.path}: {one.read}"] * bool(one.read)
+    matched = match_moments(moments, late)
+    if matched.spread > _FAR * matched.step:
         warnings.warn(
-            f"the time stamps of a frame differ by up to {most:.0f}; frames are {between:.0f}"
-            " apart",
-            stacklevel=3,
+            f"the time stamps of a frame differ by up to {in_words(matched.spread)}; frames are "
+            f"{in_words(matched.step)} apart",
+            stacklevel=4,
         )
-    for source, name, own in zip(sources, matched, times, strict=True):
-        source.files = {name.get(time, time): source.files[time] for time in own}
-
-
-def _match_videos(videos: Sequence[Video]) -> None:
-    """Call the frames of videos whose rates differ by those of the first video that are nearest in
-    time.
-
-    Time is counted from the beginning of each. Warns by how much frames of one number would be
-    apart at the end.
-    """
-    rates = [video.fps for video in videos if video.fps]
-    last = min(len(video.files) for video in videos)
-    drift = last / min(rates, default=1) - last / max(rates, default=1)
-    if len(rates) < len(videos) or 2 * drift * max(rates) <= 1:
-        return
-    print(f"reading the times of {sum(len(video.files) for video in videos)} frames", flush=True)
-    numbers = [{time: number for number, time in enumerate(video.times())} for video in videos]
-    matched, most, between = _match_times([list(times) for times in numbers])
-    found = ", ".join(
-        f"{video.path} has {len(video.files)} frames, {video.fps:.5g} a second" for video in videos
-    )
-    warnings.warn(
-        f"{found}: frames of one number would be up to {drift:.2g} s apart. They are matched by"
-        f" time instead, to {most:.0f} ms; frames are {between:.0f} ms apart. All videos must begin"
-        " at one moment",
-        stacklevel=3,
-    )
-    for video, own, pairs in zip(videos, numbers, matched, strict=True):
-        video.files = {numbers[0][other]: own[time] for time, other in pairs.items()}
+    return matched, said
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
     """The frames that all cameras have, in order."""
 
-    sources: tuple[Pictures | Video, ...]
+    sources: tuple[Pictures | Film, ...]
     frames: dict[int, Key]  #: number of a frame → its name in the sources
     missing: dict[Path, list[Key]]  #: source → frames that others have and it does not
-    #: of the paths of the sources and of the names that all frames have in them, chosen or not
-    checksum: str
+    checksum: str  #: of the paths of the sources and of the names that all frames have in them
+    said: tuple[str, ...] = ()  #: by what the frames were matched, where that is not plain
+    step: int = 0  #: the time between two frames, ns; 0 where they are only counted
+    late: tuple[int, ...] = ()  #: by how much the times of each camera are late, ns
 
     @classmethod
     def open(
-        cls, paths: Sequence[Path], start: int = 0, stop: int | None = None, step: int = 1
+        cls,
+        paths: Sequence[Path],
+        start: int = 0,
+        stop: int | None = None,
+        step: int = 1,
+        late: Sequence[int] = (),
     ) -> Recording:
-        """Match the frames of folders and videos: by number where every name ends in one, else by
-        name.
+        """Match the frames of folders and videos by the moments that they state.
 
-        Numbers that are time stamps are matched by nearest time, within half of the time between
-        frames, and so are videos whose rates differ.
+        See `read_names` and `moments_of_videos`; pictures without numbers are matched by name.
 
         Args:
             paths: One folder or video per camera, in the order of the rig.
             start, stop, step: Frame numbers from `start` up to, without, `stop`; of these every
                 `step`-th. Frames that are matched by name are counted from 0.
+            late: By how much the times of each camera are late, ns; a number counts as a second.
 
         Raises:
             OmnistereoError: If a path is neither, holds no frames, the cameras have none in common,
                 or no frame is left.
         """
-        sources = tuple(Pictures(path) if path.is_dir() else Video(path) for path in paths)
-        pictures = [source for source in sources if isinstance(source, Pictures)]
-        videos = [source for source in sources if isinstance(source, Video)]
-        by_number = all(source.numbered for source in sources)
-        if by_number:
-            for source in sources:
-                source.use_numbers()
-            if not videos:
-                _match_names(pictures)
-            if not pictures:
-                _match_videos(videos)
-        every = sorted(
-            set[Key]().union(*(source.files for source in sources)),
-            key=lambda key: (isinstance(key, str), key),
-        )
-        missing = {
-            s.path: gone for s in sources if (gone := [key for key in every if key not in s.files])
-        }
-        common = [key for key in every if all(key in source.files for source in sources)]
+        sources = open_sources(paths)
+        late = tuple(late) if len(late) == len(sources) else ()
+        matched, said = match_sources(sources, late)
+        missing = _missing_names(sources) if matched is None else _use_numbers(sources, matched)
+        common = [key for key in sources[0].files if all(key in s.files for s in sources)]
         if not common:
-            raise OmnistereoError(
-                f"{' and '.join(str(source.path) for source in sources)} have no frame in common;"
-                " expected equal numbers at the end of the names, or equal names. Rename the"
-                " files."
-            )
+            raise _nothing_in_common(sources)
+        by_number = matched is not None
         frames = {
             key if by_number and isinstance(key, int) else k: key for k, key in enumerate(common)
         }
         chosen = [n for n in frames if n >= start and (stop is None or n < stop)][::step]
         if not chosen:
-            raise OmnistereoError(
-                f"no frame is left of {min(frames)} … {max(frames)}. Change --start or --stop"
-            )
-        # a recording by number may grow, and its frames keep their numbers
+            found = f"{min(frames)} … {max(frames)}"
+            raise OmnistereoError(f"no frame is left of {found}. Change --start or --stop")
+        # A recording by number may grow, and its frames keep their numbers.
         named = {} if by_number else frames
         content = json.dumps([[str(source.path.resolve()) for source in sources], named])
-        return cls(
-            sources,
-            {number: frames[number] for number in chosen},
-            missing,
-            checksum(content.encode())[:16],
-        )
+        chosen_frames = {number: frames[number] for number in chosen}
+        identity = checksum(content.encode())[:16]
+        apart = matched.step if matched else 0
+        return cls(tuple(sources), chosen_frames, missing, identity, tuple(said), apart, late)
 
     @property
     def fps(self) -> float | None:
@@ -359,9 +244,7 @@ class Recording:
         return next((source.fps for source in self.sources if source.fps), None)
 
     def check(self, numbers: Sequence[int], rig: Rig) -> None:
-        """Raise an `OmnistereoError` if some frames cannot be read, as far as can be seen without
-        decoding them.
-        """
+        """Raise an `OmnistereoError` if frames cannot be read, as far as is seen undecoded."""
         for source, size in zip(self.sources, self._sizes(rig), strict=True):
             source.check([self.frames[number] for number in numbers], size)
 
@@ -391,3 +274,39 @@ class Recording:
         )
         for images in zip(*read, strict=True):
             yield list(images)
+
+
+def _missing_names(sources: Sequence[Pictures | Film]) -> dict[Path, list[Key]]:
+    """Sort the first source, all of whose names count; return which names a source lacks."""
+    first = sources[0]
+    if isinstance(first, Pictures):
+        first.files = dict(sorted(first.files.items(), key=lambda item: str(item[0])))
+    every: list[Key] = sorted({str(key) for source in sources for key in source.files})
+    lost = {s.path: [key for key in every if key not in s.files] for s in sources}
+    return {path: keys for path, keys in lost.items() if keys}
+
+
+def _use_numbers(sources: Sequence[Pictures | Film], matched: Matched) -> dict[Path, list[Key]]:
+    """Call the frames of all sources as those of the first; return which a source lacks."""
+    every, missing, of_others = list(sources[0].files), dict[Path, list[Key]](), list[Key]()
+    for source, pairs in zip(sources, matched.pairs, strict=True):
+        known = set(pairs.values())
+        of_others = max(of_others, [key for key in source.files if key not in known], key=len)
+        files: Any = {number: source.files[own] for number, own in pairs.items()}
+        source.files = files
+        if gone := [key for key in every if key not in files]:
+            missing[source.path] = gone
+    return ({sources[0].path: of_others} if of_others else {}) | missing
+
+
+def _nothing_in_common(sources: Sequence[Pictures | Film]) -> OmnistereoError:
+    """Return an error that says what each source has."""
+    found = []
+    for source in sources:
+        names = list(source.named) if isinstance(source, Pictures) else []
+        some = f" ({names[0]} … {names[-1]})" if names else ""
+        found.append(f"{source.path}{some}")
+    return OmnistereoError(
+        f"{' and '.join(found)} have no frame in common; expected equal numbers, equal names, or "
+        "times within half of the time between frames. Rename the files, or check the clocks."
+    )

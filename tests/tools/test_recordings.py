@@ -19,7 +19,7 @@ from omnistereo_lib.pictures import read_image, write_image
 from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD
 from omnistereo_rigs.doctor.rig_check import _matches
 from omnistereo_tools import cli
-from omnistereo_tools.input.sources import Recording, Video
+from omnistereo_tools.input.sources import Recording, open_sources
 from omnistereo_tools.judge import pace
 from omnistereo_tools.judge.trust import trust
 from omnistereo_tools.live_view import Cameras
@@ -381,12 +381,12 @@ def test_frames_of_a_turned_video_are_those_that_are_stored(tmp_path):
     with pytest.warns(
         UserWarning, match=r"a.mp4 is marked as turned by 90°; its pixels .* as they are stored"
     ) as said:
-        frames = [*Video(path).read([0, 2], (64, 48))]
+        frames = [*open_sources([path])[0].read([0, 2], (64, 48))]
     assert len(said) == 1 and all(
         np.abs(frame.astype(int) - picture).max() < 20 for frame in frames
     )
     cameras = Cameras([str(path)] * 4, scene.rig(width=64, height=48))
-    assert cameras.first[0].shape == cameras.captures[0].read()[1].shape == (48, 64, 3)
+    assert cameras.first[0].shape == (48, 64, 3)
 
 
 def test_pictures_of_16_bits_have_the_depth_and_the_doctor_of_8(recorded):
@@ -429,32 +429,21 @@ def test_videos_are_recordings_too(recorded, done, tmp_path, capsys):
     assert agree.mean() > 0.95
 
 
-@pytest.mark.parametrize(("rate", "apart"), [(20, 20), (30, 17), (12.5, 40)])
+@pytest.mark.filterwarnings("ignore:the time stamps of a frame differ")
+@pytest.mark.parametrize(("rate", "apart"), [(20, 20), (30, 16.7), (12.5, 20)])
 def test_videos_of_unequal_rates_are_matched_by_time(tmp_path, rate, apart):
     """The gray value of a frame is its time in hundredths of a second, which is the oracle; the
     first one has 25."""
     for name, fps in (("a.mkv", 25), ("b.avi", rate)):
         grays = [np.full((16, 16), round(100 * k / fps), np.uint8) for k in range(round(2 * fps))]
         write_video(tmp_path / name, grays, fps)
-    drift = min(50, round(2 * rate)) * abs(1 / 25 - 1 / rate)
-    with pytest.warns(
-        UserWarning, match=rf"25 a second, .* {rate} a second: .* up to {drift:.2g} s apart"
-    ):
-        found = Recording.open([tmp_path / "a.mkv", tmp_path / "b.avi"])
+    found = Recording.open([tmp_path / "a.mkv", tmp_path / "b.avi"])
     assert len(found.frames) == min(50, round(2 * rate))
     times = [
         [int(picture[0, 0, 0]) for picture in source.read([*found.frames], None)]
         for source in found.sources
     ]
-    assert np.abs(np.subtract(*times)).max() <= apart / 10 / 2 + 1
-
-
-def test_videos_that_drift_by_less_than_half_a_frame_are_matched_by_number(tmp_path, recwarn):
-    """20 frames at 25 and at 24.7 frames per second: 10 ms."""
-    for name, fps in (("a.mkv", 25), ("b.avi", 24.7)):
-        write_video(tmp_path / name, [np.zeros((16, 16), np.uint8)] * 20, fps)
-    found = Recording.open([tmp_path / "a.mkv", tmp_path / "b.avi"])
-    assert found.sources[1].files == {k: k for k in range(20)} and not recwarn
+    assert np.abs(np.subtract(*times)).max() <= apart / 10 + 1
 
 
 @pytest.mark.parametrize("unit", [1, 1000], ids=["ns", "µs"])
@@ -466,7 +455,7 @@ def test_time_stamps_as_names_are_matched_by_nearest_time(tmp_path, unit):
         pictures(tmp_path / name, *(f"{t}.png" for t in ts))
         for name, ts in (("a", times), ("b", late))
     ]
-    with pytest.warns(UserWarning, match=f"differ by up to {24_000_000 // unit}; .* {frame} apart"):
+    with pytest.warns(UserWarning, match="differ by up to 24 ms; .* 50 ms apart"):
         found = Recording.open(folders)
     assert list(found.frames) == list(np.delete(times, 2)) and found.missing == {
         folders[1]: [times[2]]
@@ -482,8 +471,7 @@ def test_a_picture_is_of_one_moment_only(tmp_path):
     slow, fast = ([1700000000.0 + k / rate for k in range(n)] for rate, n in ((10, 4), (20, 8)))
     a = pictures(tmp_path / "a", *(f"{t:.6f}".rstrip("0") + "0.png" for t in slow))
     b = pictures(tmp_path / "b", *(f"{t + 0.001:.6f}.png" for t in fast))
-    # of decimal seconds, ns
-    with pytest.warns(UserWarning, match="differ by up to 1000000; .* 50000000 apart"):
+    with pytest.warns(UserWarning, match="differ by up to 1 ms; .* 50 ms apart"):
         found = Recording.open([a, b])
     matched = [found.sources[1].files[key].name for key in found.frames.values()]
     assert matched == [f"{t + 0.001:.6f}.png" for t in slow] and len(found.missing[a]) == 4
@@ -543,12 +531,15 @@ def test_what_is_no_recording_is_told(tmp_path):
 
 
 def test_a_video_shorter_than_it_says_is_told(tmp_path):
-    write_video(tmp_path / "a.mkv", [np.full((48, 64), 9, np.uint8)] * 5)
+    rng = np.random.default_rng(0)
+    write_video(tmp_path / "a.mkv", list(rng.integers(0, 256, (5, 48, 64), np.uint8)))
     source = Recording.open([tmp_path / "a.mkv"]).sources[0]
+    whole = (tmp_path / "a.mkv").read_bytes()
     assert len(list(source.read([1, 4], (64, 48)))) == 2
-    with pytest.raises(osl.OmnistereoError, match=r"a.mkv ends before frame 7. Pass --stop 7"):
-        list(source.read([1, 7], (64, 48)))
-    assert list(source.unreadable([1, 4, 7, 9], (64, 48))) == [7, 9]
+    (tmp_path / "a.mkv").write_bytes(whole[: len(whole) * 3 // 5])
+    with pytest.raises(osl.OmnistereoError, match=r"a.mkv: frame 4 cannot be"):
+        list(source.read([1, 4], (64, 48)))
+    assert list(source.unreadable([1, 3, 4], (64, 48))) == [3, 4]
     with pytest.raises(
         osl.OmnistereoError, match=r"a.mkv is 64 × 48 px; the camera has 48 × 64 px"
     ):
