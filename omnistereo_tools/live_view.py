@@ -203,7 +203,7 @@ class Cameras:
             while self.loop:
                 yield from self.recording.read(list(self.recording.frames), self.rig)
         # First grab all, then decode: they are nearer in time.
-        while self._devices and all([device.grab() for device in self._devices]):
+        while self._devices and all(device.grab() for device in self._devices):
             pictures = [device.retrieve()[1] for device in self._devices]
             yield [np.asarray(cv2.cvtColor(one, cv2.COLOR_BGR2RGB), np.uint8) for one in pictures]
 
