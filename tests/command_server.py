@@ -25,7 +25,8 @@ import torch
 import torch._dynamo  # by torch's optimizers
 from render_stand_in import replace_blender
 
-from omnistereo_learn import MCCNNRecipe, train
+from omnistereo_learn import train
+from omnistereo_learn.recipes import MCCNNRecipe
 from omnistereo_lib.stereo import correlation
 from omnistereo_tools import cli
 from omnistereo_tools.output import frame, pictures, viewer
