@@ -471,8 +471,7 @@ def test_a_picture_is_of_one_moment_only(tmp_path):
     slow, fast = ([1700000000.0 + k / rate for k in range(n)] for rate, n in ((10, 4), (20, 8)))
     a = pictures(tmp_path / "a", *(f"{t:.6f}".rstrip("0") + "0.png" for t in slow))
     b = pictures(tmp_path / "b", *(f"{t + 0.001:.6f}.png" for t in fast))
-    with pytest.warns(UserWarning, match="differ by up to 1 ms; .* 50 ms apart"):
-        found = Recording.open([a, b])
+    found = Recording.open([a, b])
     matched = [found.sources[1].files[key].name for key in found.frames.values()]
     assert matched == [f"{t + 0.001:.6f}.png" for t in slow] and len(found.missing[a]) == 4
 
@@ -526,7 +525,7 @@ def test_what_is_no_recording_is_told(tmp_path):
     with pytest.raises(osl.OmnistereoError, match="empty holds no pictures"):
         Recording.open([tmp_path / "empty"])
     (tmp_path / "a.mp4").write_bytes(b"no video" * 100)
-    with pytest.raises(osl.OmnistereoError, match=r"a.mp4 is not a video that OpenCV can read"):
+    with pytest.raises(osl.OmnistereoError, match=r"a.mp4 is not a video that can be read"):
         Recording.open([tmp_path / "a.mp4"])
 
 
