@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import combinations
 
 import numpy as np
@@ -23,20 +24,22 @@ from omnistereo_rigs.images.relative_pose import depths, epipolar_residuals
 
 FRAMES, REACH = 8, 5  # in a row that are looked at, and the largest shift
 _NEAR = np.radians(0.3)  # of an epipolar plane
+_PARTS = np.arange(10) / 10  # of the way from one frame to the next
+_SAME = 0.25  # frames; cameras that differ by less are equally late, and pairs agree
 
 
 @dataclass(frozen=True)
 class Lateness:
-    """How late each camera is, in frames, and how well the images show it."""
+    """How late each camera is, and how well the images show it."""
 
-    frames: tuple[int, ...]  #: against most of the cameras
+    frames: tuple[float, ...]  #: against most of the cameras
     gain: float  #: matches near the epipolar planes, by those that there are if none is late
     clear: float  #: those of a pair of cameras by those of the next best shift, the least of all
     matches: float  #: near the epipolar planes, mean over pairs of cameras and frames
 
 
 class LateCameras:
-    """Counts matches of frames in a row, each when it is first asked for.
+    """Looks for late cameras in some frames of a recording.
 
     Args:
         rig: Its poses and lenses are believed.
@@ -44,79 +47,107 @@ class LateCameras:
     """
 
     def __init__(self, rig: Rig, images: Sequence[Sequence[NDArray[np.uint8]]]) -> None:
-        self.rig, self.images = rig, images
+        self.images, self.cameras, T = images, len(rig), rig.T_rig_cam
         self.pairs = list(combinations(range(len(rig)), 2))
         self._finders = [FeatureFinder(camera) for camera in rig.cameras]
-        self._features: dict[tuple[int, int], Features] = {}
-        self._counts: dict[tuple[int, int, int, int], int] = {}
-        T = rig.T_rig_cam
         self._T = {(i, j): T[j].inverse() @ T[i] for i, j in self.pairs}
+        # Each is asked for many times.
+        self._features = cache(self.features)
+        self._rays = cache(self.rays)
+        self._next = cache(self.next)
 
-    def find(self, reach: int = REACH) -> Lateness:
-        """Return by how many frames each camera is late."""
+    def find(self, reach: int = REACH, fine: bool = False) -> Lateness:
+        """Return by how many frames each camera is late.
+
+        Args:
+            reach: Of the shifts that are tried, frames.
+            fine: In tenths of a frame: between frames, what is seen is taken to move evenly.
+        """
         reach = min(reach, len(self.images) - 1)
-        cameras = len(self.rig)
-        score = {pair: self.scores(pair, reach) for pair in self.pairs}
-        cost, shift = np.zeros((cameras, cameras)), np.zeros((cameras, cameras), int)
-        clear = np.ones((cameras, cameras))
+        parts = _PARTS if fine else _PARTS[:1]
+        shifts = np.add.outer(np.arange(-reach, reach + 1), parts).ravel()
+        score = {pair: self._scores(pair, reach, parts) for pair in self.pairs}
+        cost, shift = np.zeros((self.cameras,) * 2), np.zeros((self.cameras,) * 2)
+        clear, weight = np.ones((self.cameras,) * 2), np.zeros((self.cameras,) * 2)
         for (i, j), found in score.items():
-            second, best = sorted(found)[-2:]
-            shift[i, j] = int(np.argmax(found)) - reach
+            best = found.max()
+            second = found[np.abs(shifts - shifts[found.argmax()]) > 0.9].max(initial=0.0)
+            top = (found > 0.9 * best) & (np.abs(shifts - shifts[found.argmax()]) < 0.5)
+            shift[i, j] = np.average(shifts[top], weights=found[top] + 1e-9)
             shift[j, i] = -shift[i, j]
             cost[i, j] = 1 / max(best - second, 1e-3)
             clear[i, j] = clear[j, i] = best / max(second, 0.5)
+            weight[i, j] = best
         tree = minimum_spanning_tree(cost)
         order, parent = breadth_first_order(tree + tree.T, 0, directed=False)
-        late = [0] * cameras
+        late = np.zeros(self.cameras)
         for camera in order[1:]:
-            late[camera] = late[parent[camera]] + int(shift[parent[camera], camera])
-        # Most cameras are on time; of equally many, the first ones.
-        usual = max(late, key=lambda value: (late.count(value), -late.index(value)))
-        late = [value - usual for value in late]
+            late[camera] = late[parent[camera]] + shift[parent[camera], camera]
+        late = self._adjusted(late, shift, weight)
+        # Most cameras are on time; of equally many, those of the first one.
+        alike = np.abs(late - late[:, None]) < _SAME
+        late = late - np.mean(late[alike[alike.sum(axis=1).argmax()]])
 
-        def total(late: Sequence[int]) -> float:
-            moved = [(score[i, j], late[j] - late[i] + reach) for i, j in self.pairs]
-            return float(np.mean([one[k] for one, k in moved if 0 <= k <= 2 * reach] or [0.0]))
+        def total(late: Floats) -> float:
+            at = [(score[i, j], late[j] - late[i]) for i, j in self.pairs]
+            seen = [one[np.abs(shifts - k).argmin()] for one, k in at if abs(k) <= reach]
+            return float(np.mean(seen or [0.0]))
 
         now, least = total(late), min(clear[parent[camera], camera] for camera in order[1:])
-        return Lateness(tuple(late), now / max(total([0] * cameras), 0.5), float(least), now)
+        gain = now / max(total(np.zeros(self.cameras)), 0.5)
+        return Lateness(tuple(late.round(2).tolist()), gain, float(least), now)
 
-    def scores(self, pair: tuple[int, int], reach: int) -> list[float]:
-        """Return the mean number of matches when the second camera's frames are moved."""
-        count = len(self.images)
-        return [
-            float(
-                np.mean(
-                    [
-                        self.count(pair, t, t + shift)
-                        for t in range(max(0, -shift), min(count, count - shift))
-                    ]
-                )
-            )
-            for shift in range(-reach, reach + 1)
-        ]
+    def _adjusted(self, late: Floats, shift: Floats, weight: Floats) -> Floats:
+        """Return the lateness on which all pairs that agree with the tree agree best."""
+        apart = late - late[:, None]
+        agree = [(i, j) for i, j in self.pairs if abs(shift[i, j] - apart[i, j]) < _SAME]
+        rows = np.array([weight[i, j] * np.eye(self.cameras)[j] for i, j in agree])
+        rows -= np.array([weight[i, j] * np.eye(self.cameras)[i] for i, j in agree])
+        values = np.array([weight[i, j] * shift[i, j] for i, j in agree])
+        return np.asarray(np.linalg.lstsq(rows, values, rcond=None)[0], np.float64)
 
-    def count(self, pair: tuple[int, int], t: int, u: int) -> int:
-        """Return how many matches of two images lie near the epipolar planes, before both."""
-        key = (*pair, t, u)
-        if key not in self._counts:
-            self._counts[key] = self._count(pair, t, u)
-        return self._counts[key]
+    def _scores(self, pair: tuple[int, int], reach: int, parts: Floats) -> Floats:
+        """Return the mean number of matches for each shift of the second camera and part of it."""
+        count, scores = len(self.images), []
+        for shift in range(-reach, reach + 1):
+            slots = range(max(0, -shift), min(count, count - shift))
+            scores.append(np.mean([self.counts(pair, t, t + shift, len(parts)) for t in slots], 0))
+        return np.concatenate(scores)
 
-    def _count(self, pair: tuple[int, int], t: int, u: int) -> int:
-        a, b = self.features(t, pair[0]), self.features(u, pair[1])
+    def counts(self, pair: tuple[int, int], t: int, u: int, parts: int) -> Floats:
+        """Return how many matches of frame t and of frame u, and on from there, are near planes."""
+        x, y, later = self._rays(pair, t, u, parts > 1)
+        counts = np.zeros(parts)
+        for k in range(parts):
+            there = y + _PARTS[k] * (later - y)
+            there = there / np.linalg.norm(there, axis=1, keepdims=True)
+            counts[k] = near_planes(self._T[pair], x, there).sum()
+        return counts
+
+    def rays(
+        self, pair: tuple[int, int], t: int, u: int, follow: bool
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return matched rays of two images, (M, 3) each, and those of the second a frame on."""
+        a, b = self._features(t, pair[0]), self._features(u, pair[1])
         matches = match_features(a, b)[0]
-        if len(matches) == 0:
-            return 0
-        x, y = a.rays[matches[:, 0]], b.rays[matches[:, 1]]
-        return int(near_planes(self._T[pair], x, y).sum())
+        later = self._next(u, pair[1]) if follow else b.rays
+        kept = matches[np.isfinite(later[matches[:, 1], 0])]
+        return a.rays[kept[:, 0]], b.rays[kept[:, 1]], later[kept[:, 1]]
+
+    def next(self, frame: int, camera: int) -> Floats:
+        """Return where the features of an image are in the next frame, NaN where not known."""
+        a = self._features(frame, camera)
+        moved = np.full_like(a.rays, np.nan)
+        if frame + 1 == len(self.images):
+            return a.rays
+        b = self._features(frame + 1, camera)
+        matches = match_features(a, b)[0]
+        moved[matches[:, 0]] = b.rays[matches[:, 1]]
+        return moved
 
     def features(self, frame: int, camera: int) -> Features:
         """Return the features of an image."""
-        key = frame, camera
-        if key not in self._features:
-            self._features[key] = self._finders[camera].find(self.images[frame][camera])
-        return self._features[key]
+        return self._finders[camera].find(self.images[frame][camera])
 
 
 def near_planes(T_b_a: Pose, x: Floats, y: Floats) -> NDArray[np.bool_]:

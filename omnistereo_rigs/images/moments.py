@@ -233,6 +233,7 @@ class Matched:
     pairs: list[dict[int, int]]  #: for each camera: number in the first camera → its own number
     spread: int = 0  #: by how much the times of one moment differ at most, ns
     step: int = 0  #: the time between pictures of the fastest camera, ns
+    shared: bool = False  #: whether all state times by one clock
 
 
 def match_moments(cameras: Sequence[Moments], late: Sequence[int] = ()) -> Matched:
@@ -264,7 +265,8 @@ def match_moments(cameras: Sequence[Moments], late: Sequence[int] = ()) -> Match
         {cameras[0].numbers[a]: one.numbers[b] for a, b in found.items()}
         for one, found in zip(cameras, near, strict=True)
     ]
-    return Matched(pairs, max((max(one) - min(one) for one in moments), default=0), step)
+    spread = max((max(one) - min(one) for one in moments), default=0)
+    return Matched(pairs, spread, step, all(one.shared for one in cameras))
 
 
 def _from_zero(one: Moments, late: int, cameras: Sequence[Moments]) -> list[int]:

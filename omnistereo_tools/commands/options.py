@@ -178,6 +178,13 @@ def read_rig(options: RigOptions, images: Sequence[Path] = ()) -> Rig:
 
     Raises an `OmnistereoError` if files are missing.
     """
+    return read_rig_and_clocks(options, images)[0]
+
+
+def read_rig_and_clocks(
+    options: RigOptions, images: Sequence[Path] = ()
+) -> tuple[Rig, tuple[float, ...] | None]:
+    """Return what `read_rig` does, and the seconds to add to each camera's times, if stated."""
     from omnistereo_rigs.formats import read as formats
 
     file = options.rig or SAMPLE
@@ -193,7 +200,7 @@ def read_rig(options: RigOptions, images: Sequence[Path] = ()) -> Rig:
 
     if turned := turn_sentence(rig):
         print(turned)
-    return with_masks(rig, options.masks, images)
+    return with_masks(rig, options.masks, images), read.clock_offsets_s
 
 
 def read_frame(options: FrameOptions) -> Frame:

@@ -28,7 +28,7 @@ from omnistereo_tools.commands.options import (
     find_min_depth,
     make_grid,
     mask_circles,
-    read_rig,
+    read_rig_and_clocks,
     warn_of,
 )
 from omnistereo_tools.outputs import check_outputs, hold
@@ -57,6 +57,7 @@ class RecordOptions(MethodOptions, GridOptions, RigOptions):
     stop: int | None = option("frame number to stop before", unset="the end", metavar="N")
     step: int = option("every N-th frame", 1, metavar="N", between=(1, math.inf))
     skip_bad: bool = option("leave out frames that cannot be read; reads all first", False)
+    sync: bool = option("measure how late each camera is from the images, and match by that", False)
     follow: bool = option("when a camera has turned, go on with its new pose", False)
     cluster: str | None = option("of a Dask scheduler, to use many machines", metavar="ADDRESS")
     out: Path | None = option("folder for the results", unset="out/record_NAME")
@@ -108,8 +109,8 @@ def run(options: RecordOptions) -> None:
     out = options.out or default_out("record", options.rig)
     _check(options, out)
     # Read: the rig, which frames there are, and the first of them.
-    rig = read_rig(options, options.images)
-    recording = _open_recording(options, rig)
+    rig, clocks = read_rig_and_clocks(options, options.images)
+    recording = _open_recording(options, rig, _late(options, out, rig, clocks))
     first = list(recording.read(sorted(recording.frames)[:FRAMES], rig))
     rig = mask_circles(rig, first)
     frame, coverage = Frame.of(rig, first[0]), Coverage.of(rig)
@@ -170,13 +171,44 @@ def _check(options: RecordOptions, out: Path) -> None:
     check_outputs(options, [options.video, out / "config.yaml", out / SETTINGS], filled)
 
 
-def _open_recording(options: RecordOptions, rig: Rig) -> Recording:
+def _late(options: RecordOptions, out: Path, rig: Rig, clocks: Sequence[float] | None) -> list[int]:
+    """Return by how much the times of each camera are late, ns, and say it.
+
+    A recording goes on with what it began with. Otherwise the rig file counts, then the images.
+    """
+    from omnistereo_rigs.images.moments import SECOND, in_words
+    from omnistereo_tools.input.sources import Recording
+    from omnistereo_tools.record.recordings import SETTINGS
+    from omnistereo_tools.record.sync import check_moments, measure_late, stored_late
+
+    if (out / SETTINGS).exists() and not (options.sync and not stored_late(out)):
+        return stored_late(out)
+    late = list[int]()
+    if clocks is not None and max(clocks) > min(clocks):
+        late = [round(SECOND * (clocks[0] - shift)) for shift in clocks]
+        told = ", ".join(in_words(-one) for one in late)
+        if Recording.open(options.images).shared:
+            print(f"the shifts of the clocks in the rig file are added to the times: {told}")
+        else:
+            print(f"the shifts of the clocks in the rig file are not used, as no times are: {told}")
+            late = []
+    if options.sync:
+        print("measuring from the images how late each camera is: a minute", flush=True)
+        return measure_late(options.images, rig, late)
+    if (doubt := check_moments(options.images, rig, late)) is not None:
+        warn_of([doubt])
+    return late
+
+
+def _open_recording(options: RecordOptions, rig: Rig, late: Sequence[int]) -> Recording:
     """Return the frames chosen, and say which are left out; with --skip-bad those that cannot be
     read, too.
     """
     from omnistereo_tools.input.sources import Recording
 
-    recording = Recording.open(options.images, options.start, options.stop, options.step)
+    recording = Recording.open(options.images, options.start, options.stop, options.step, late)
+    for said in recording.said:
+        print(said)
     for path, names in recording.missing.items():
         some = ", ".join(map(str, names[:8])) + " …" * (len(names) > 8)
         print(

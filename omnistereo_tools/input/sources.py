@@ -188,9 +188,11 @@ class Recording:
     frames: dict[int, Key]  #: number of a frame → its name in the sources
     missing: dict[Path, list[Key]]  #: source → frames that others have and it does not
     checksum: str  #: of the paths of the sources and of the names that all frames have in them
+    paths: tuple[Path, ...] = ()  #: as they were given
     said: tuple[str, ...] = ()  #: by what the frames were matched, where that is not plain
     step: int = 0  #: the time between two frames, ns; 0 where they are only counted
     late: tuple[int, ...] = ()  #: by how much the times of each camera are late, ns
+    shared: bool = False  #: whether all cameras state times by one clock
 
     @classmethod
     def open(
@@ -236,7 +238,18 @@ class Recording:
         chosen_frames = {number: frames[number] for number in chosen}
         identity = checksum(content.encode())[:16]
         apart = matched.step if matched else 0
-        return cls(tuple(sources), chosen_frames, missing, identity, tuple(said), apart, late)
+        shared = matched is not None and matched.shared
+        return cls(
+            tuple(sources),
+            chosen_frames,
+            missing,
+            identity,
+            tuple(paths),
+            tuple(said),
+            apart,
+            late,
+            shared,
+        )
 
     @property
     def fps(self) -> float | None:

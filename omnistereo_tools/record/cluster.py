@@ -96,6 +96,7 @@ class RecordingTask:
     suffix: str
     with_video: bool
     device: str
+    late: tuple[int, ...] = ()
 
     def open(self) -> DepthWriter:
         """Return the writer of the recording; its rig is the one that was stored with the
@@ -103,7 +104,12 @@ class RecordingTask:
         """
         sweep = SphereSweep(load_rig(self.out / "config.yaml"), self.grid, device=self.device)
         return DepthWriter(
-            self.out, Recording.open(self.images), sweep, self.method, self.suffix, self.with_video
+            self.out,
+            Recording.open(self.images, late=self.late),
+            sweep,
+            self.method,
+            self.suffix,
+            self.with_video,
         )
 
 
@@ -112,9 +118,15 @@ def depth_on_cluster(address: str, writer: DepthWriter, device: str = "cpu") -> 
     numbers.
     """
     sources, grid = writer.recording.sources, writer.sweep.grid
-    images = tuple(source.path.resolve() for source in sources)
     task = RecordingTask(
-        writer.out.resolve(), images, grid, writer.method, writer.suffix, writer.with_video, device
+        writer.out.resolve(),
+        tuple(path.resolve() for path in writer.recording.paths),
+        grid,
+        writer.method,
+        writer.suffix,
+        writer.with_video,
+        device,
+        writer.recording.late,
     )
     left = writer.left()
     size = 1 if all(isinstance(source, Pictures) for source in sources) else _VIDEO_BATCH

@@ -195,6 +195,8 @@ class DepthWriter:
         }
         settings |= {"min_depth": grid.min_depth, "depth": self.suffix}
         settings |= {"rig": _rig_checksum(rig), "images": self.recording.checksum}
+        if any(self.recording.late):
+            settings["late_s"] = [late / 1e9 for late in self.recording.late]
         _check_settings(make_folder(self.out) / SETTINGS, settings)
         cameras = [self.out / f"cam{k}" for k in range(1, len(rig) + 1)]
         for folder in (*cameras, *(self.path(kind, 0).parent for kind in OF_RAYS)):

@@ -375,7 +375,7 @@ def test_the_newest_value_is_what_waits():
         (["--cameras", "no.mp4", "1.mkv"], "there are 2 cameras or videos for a rig of 4"),
         (
             ["--cameras", "no.mp4", "no.mp4", "no.mp4", "no.mp4"],
-            "no.mp4 is not a video that OpenCV can read",
+            "no.mp4 is not a video file",
         ),
     ],
 )

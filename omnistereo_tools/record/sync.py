@@ -1,0 +1,165 @@
+"""Whether the cameras of a recording show one moment in each frame: measured from its images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.stereo.images import to_gray
+from omnistereo_rigs.images.late import FRAMES, LateCameras, Lateness
+from omnistereo_rigs.images.moments import SECOND, in_words, median_step
+from omnistereo_tools.input.sources import Film, Recording
+from omnistereo_tools.record.recordings import SETTINGS, read_stored
+
+_Moment = list[NDArray[np.uint8]]  # of each camera
+_QUICK = 4  # frames of a first look, one frame to either side
+_FIRST = 300  # frames of a video within which it looks: those before are decoded, too
+_PLACES = 3  # where --sync looks: cameras may lose frames on the way
+_SMALL = 48  # px, sides of the pictures that tell where most moves
+# Of eight frames of the bundled drives with planted cameras (workshop/results/late_table.py): the
+# least gain was 1.55, and the least clear pair 2.95 times as good as at its next best shift.
+_GAIN, _CLEAR = 1.2, 2.0
+_ON_TIME = 1.25  # clear by as much, cameras that come out on time are: 10 cm a frame give 1.1
+_FEW = 15.0  # matches a pair: with fewer, chance makes one shift clear
+
+
+def check_moments(paths: Sequence[Path], rig: Rig, late: Sequence[int]) -> str | None:
+    """Look at a handful of frames; return a sentence if a camera is late or nothing can be told.
+
+    Args:
+        paths, late: Of the recording, see `Recording.open`.
+    """
+    recording = Recording.open(paths, late=late)
+    start = _places(recording, 1)
+    if len(recording.sources) < 2 or not start:
+        return None
+    found = LateCameras(rig, _images(recording, rig, start[0], _QUICK)).find(reach=1)
+    if not any(found.frames) and found.clear >= _CLEAR and found.matches >= _FEW:
+        return None
+    images = _images(recording, rig, start[0], FRAMES)
+    if len(images) < FRAMES:
+        return None
+    found = LateCameras(rig, images).find()
+    if not _is_sure(found):
+        return (
+            "whether a camera is late cannot be told from the images: the rig moves too little "
+            "between frames (about 10 cm is needed), or the rig file is off"
+        )
+    if not any(found.frames):
+        return None
+    return f"{_sentence(recording, found.frames)}. Match by the images: --sync"
+
+
+def measure_late(paths: Sequence[Path], rig: Rig, late: Sequence[int]) -> list[int]:
+    """Return by how much each camera's times are late, ns, measured from the images; say it.
+
+    Args:
+        paths: Of the recording, see `Recording.open`.
+        late: What is stated already, ns.
+
+    Raises:
+        OmnistereoError: If it cannot be told, or is not the same all along.
+    """
+    recording = Recording.open(paths, late=late)
+    found = list[tuple[int, tuple[float, ...]]]()
+    for start in _places(recording, _PLACES):
+        looked = LateCameras(rig, _images(recording, rig, start, FRAMES)).find(fine=True)
+        if _is_sure(looked):
+            found.append((start, looked.frames))
+    if not found:
+        raise OmnistereoError(
+            "how late the cameras are cannot be measured: it takes four frames or more between "
+            "which the rig moves by 10 cm or more, and images with texture. Leave out --sync"
+        )
+    frames = np.array([one for _, one in found])
+    apart = np.ptp(frames, axis=0)
+    if apart.max() > 0.5:
+        camera = int(apart.argmax())
+        told = ", ".join(
+            f"{value:.1f} at frame {start}"
+            for start, value in zip((start for start, _ in found), frames[:, camera], strict=True)
+        )
+        raise OmnistereoError(
+            f"camera {camera + 1} is not late by the same all along: {told}. It has lost frames "
+            "that its time stamps do not show. Cut the recording there: --start, --stop"
+        )
+    mean = frames.mean(axis=0)
+    print(_sentence(recording, mean) if np.abs(mean).max() >= 0.1 else "no camera is late")
+    step = recording.step or _step_of_numbers(recording)
+    stated = list(late) or [0] * len(mean)
+    # Pictures that are only counted can be moved by whole numbers alone.
+    moved = mean if recording.step else mean.round()
+    return [round(known + step * value) for known, value in zip(stated, moved, strict=True)]
+
+
+def _step_of_numbers(recording: Recording) -> int:
+    return SECOND * max(median_step(sorted(recording.frames)), 1)
+
+
+def _is_sure(found: Lateness) -> bool:
+    if max(map(abs, found.frames)) < 0.5:
+        return found.clear >= _ON_TIME and found.matches >= _FEW
+    return found.clear >= _CLEAR and found.gain >= _GAIN and found.matches >= _FEW
+
+
+def _sentence(recording: Recording, frames: Sequence[float]) -> str:
+    """Return which cameras are late or early, and by how much."""
+    parts = []
+    for camera, value in enumerate(frames, 1):
+        if abs(value) < 0.1:
+            continue
+        count = f"{abs(value):.2g}"
+        count = {"1": "one frame"}.get(count, f"{count} frames")
+        time = f" ({in_words(abs(value) * recording.step)})" if recording.step else ""
+        parts.append(f"camera {camera} is {count} {'late' if value > 0 else 'early'}{time}")
+    return ", ".join(parts)
+
+
+def _places(recording: Recording, count: int) -> list[int]:
+    """Return frames after which most changes, each in its part of the recording."""
+    numbers = sorted(recording.frames)
+    if count == 1 and any(isinstance(source, Film) for source in recording.sources):
+        numbers = numbers[:_FIRST]
+    if len(numbers) < 3:
+        return []
+    found = []
+    for part in np.array_split(np.arange(max(len(numbers) - _QUICK, 1)), count):
+        if len(part) == 0:
+            continue
+        tried = np.unique(part[np.linspace(0, len(part) - 1, 4).astype(int)]).tolist()
+        looked_at = sorted({numbers[k + d] for k in tried for d in (0, 1)})
+        first = recording.sources[0].read([recording.frames[n] for n in looked_at], None)
+        small = {
+            n: cv2.resize(to_gray(image), (_SMALL, _SMALL), interpolation=cv2.INTER_AREA)
+            for n, image in zip(looked_at, first, strict=True)
+        }
+        changes = {
+            numbers[k]: float(np.abs(small[numbers[k + 1]] - small[numbers[k]]).mean())
+            for k in tried
+        }
+        found.append(max(changes, key=changes.__getitem__))
+    return found
+
+
+def _images(recording: Recording, rig: Rig, start: int, count: int) -> list[_Moment]:
+    """Read frames in a row from `start` on, or back from the end; as many as follow evenly."""
+    numbers = sorted(recording.frames)
+    first = max(0, min(numbers.index(start), len(numbers) - count))
+    row = numbers[first : first + count]
+    step = min((b - a for a, b in pairwise(row)), default=0)
+    while len(row) > 1 and row[-1] - row[0] > 1.5 * step * (len(row) - 1):
+        row.pop()
+    return list(recording.read(row, rig))
+
+
+def stored_late(out: Path) -> list[int]:
+    """Return by how much each camera of a stored recording was measured to be late, ns."""
+    found = read_stored(out / SETTINGS).get("late_s")
+    return [round(float(value) * SECOND) for value in found] if isinstance(found, list) else []
