@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 
@@ -36,7 +37,12 @@ def check_moments(paths: Sequence[Path], rig: Rig, late: Sequence[int]) -> str |
     Args:
         paths, late: Of the recording, see `Recording.open`.
     """
-    recording = Recording.open(paths, late=late)
+    with suppress(OmnistereoError):  # what cannot be read is told when its turn comes
+        return _check(Recording.open(paths, late=late), rig)
+    return None
+
+
+def _check(recording: Recording, rig: Rig) -> str | None:
     start = _places(recording, 1)
     if len(recording.sources) < 2 or not start:
         return None
