@@ -22,6 +22,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -62,8 +63,13 @@ OF_RAYS = ("confidence", "trust", "depth_estimate")  # panoramas of a frame, in 
 SETTINGS = "recording.json"
 PICTURES = "pictures.json"
 _SAMPLE = 4096  # bytes
-# VP9, which browsers play; OpenCV's packages cannot write H.264
-CODECS = {".mp4": "vp09", ".webm": "VP90"}
+# What browsers play, at a quality that cannot be told from the pictures.
+CODECS = {
+    ".mp4": ("libx264", {"crf": "18"}),
+    ".webm": ("libvpx-vp9", {"crf": "24", "b": "0", "row-mt": "1", "cpu-used": "4"}),
+}
+# FFmpeg converts RGB by the matrix of BT.601; without the tag a browser takes BT.709's.
+_BT601, _VIDEO_RANGE = 6, 1
 _FPS = 10.0  # of pictures, which do not say
 
 
@@ -346,30 +352,33 @@ def stored_method(out: Path) -> str | None:
 
 
 def write_video(path: Path, writer: DepthWriter) -> float:
-    """Write the pictures of a recording, panorama over depth, as a video in VP9, .mp4 or .webm.
+    """Write the pictures of a recording, panorama over depth, as a video: H.264 in .mp4, VP9 in
+    .webm, tagged with its matrix, its index in front, so that browsers show its colours at once.
 
     Return how many seconds it plays.
 
-    Raises an `OmnistereoError` if OpenCV cannot write it; a video that was there is kept then.
+    Raises an `OmnistereoError` if it cannot be written; a video that was there is kept then.
     """
+    import av
+
     numbers = list(writer.recording.frames)
     height, width = writer.picture(numbers[0]).shape[:2]
+    rate = Fraction(writer.recording.fps or _FPS).limit_denominator(65535)
+    codec, quality = CODECS[path.suffix.lower()]
     with atomic_write(path) as temporary:
-        codec = cv2.VideoWriter.fourcc(*CODECS[path.suffix.lower()])
-        rate = writer.recording.fps or _FPS
-        video = cv2.VideoWriter(str(temporary), codec, rate, (width, height))
-        if not video.isOpened():
-            raise OmnistereoError(
-                f"{path} cannot be written: this OpenCV has no encoder for it. Try .webm or .mp4."
-            )
-        for number in numbers:
-            video.write(writer.picture(number))
-        video.release()
-        written = cv2.VideoCapture(str(temporary))  # OpenCV does not say that the disk was full
-        count = sum(1 for _ in iter(written.grab, False))
-        if count < len(numbers):
-            raise OmnistereoError(
-                f"{path} cannot be written: {count} of its {len(numbers)} frames can be read back."
-                " Is the disk full?"
-            )
-    return len(numbers) / rate
+        try:
+            with av.open(str(temporary), "w", options={"movflags": "faststart"}) as container:
+                stream = container.add_stream(codec, rate=rate, options=quality)
+                assert isinstance(stream, av.VideoStream)
+                stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+                context = stream.codec_context
+                context.colorspace = context.color_primaries = context.color_trc = _BT601
+                context.color_range = _VIDEO_RANGE
+                for k, number in enumerate(numbers):
+                    frame = av.VideoFrame.from_ndarray(writer.picture(number), "bgr24")
+                    frame.pts, frame.time_base = k, 1 / rate
+                    container.mux(stream.encode(frame))
+                container.mux(stream.encode())
+        except (OSError, ValueError) as error:  # what av raises are both
+            raise OmnistereoError(f"{path} cannot be written: {error}") from None
+    return float(len(numbers) / rate)

@@ -1,11 +1,13 @@
 """Recordings: matched frames, a data set that `load_dataset` reads back, resumed after any end."""
 
 import json
-import os
 import re
+import resource
 import shutil
+import signal
 import struct
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -24,6 +26,7 @@ from omnistereo_tools.judge import pace
 from omnistereo_tools.judge.trust import trust
 from omnistereo_tools.live_view import Cameras
 from omnistereo_tools.output.pictures import colorize_depth, share_of_panorama
+from omnistereo_tools.record import recordings
 
 GRID = osl.SphereGrid(96, 24, num_spheres=16, min_depth=0.6)
 SMALL = ["--width", "96", "--height", "24", "--spheres", "16", "--method", "zncc"]
@@ -327,32 +330,51 @@ def test_a_frame_that_gets_another_name_is_another_recording(tmp_path):
     )
 
 
-def test_a_video_for_which_the_disk_is_full_is_told(recorded, done, tmp_path, capsys, monkeypatch):
-    class Full:
-        """A writer whose file ends early, and which does not say so."""
-
-        fourcc = cv2.VideoWriter.fourcc
-
-        def __init__(self, path, *arguments):
-            self.path, self.video = path, VideoWriter(path, *arguments)
-
-        def __getattr__(self, name):
-            return getattr(self.video, name)
-
-        def release(self):
-            self.video.release()
-            os.truncate(self.path, os.path.getsize(self.path) // 2)
-
-    VideoWriter = cv2.VideoWriter
-    monkeypatch.setattr(cv2, "VideoWriter", Full)
+def test_a_video_for_which_the_disk_is_full_is_told(recorded, done, tmp_path, capsys):
     before = (done / "depth.mp4").read_bytes()
-    assert run(*record_command(recorded, done), "--video", done / "depth.mp4") == 2
-    assert re.search(
-        r"depth.mp4 cannot be written: \d of its 6 frames can be read back", capsys.readouterr().err
-    )
-    assert (done / "depth.mp4").read_bytes() == before
-    assert run(*record_command(recorded, done), "--video", tmp_path / "depth.webm") == 2
-    assert list(tmp_path.iterdir()) == []
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    # Longer files cannot be written, as on a full disk; those that are there stay.
+    resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) // 2, limits[1]))
+    try:
+        for path in (done / "depth.mp4", tmp_path / "depth.webm"):
+            assert run(*record_command(recorded, done), "--video", path) == 2
+            assert f"{path.name} cannot be written" in capsys.readouterr().err
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert (done / "depth.mp4").read_bytes() == before and list(tmp_path.iterdir()) == []
+
+
+class Colors:
+    """Stands for a recording, whose pictures have three colours, one beside the other."""
+
+    recording = SimpleNamespace(frames=range(3), fps=29.97)
+
+    def picture(self, number):
+        return np.repeat(np.array([SATURATED], np.uint8)[..., ::-1], 40, 1).repeat(48, 0)
+
+
+SATURATED = [(230, 30, 20), (30, 200, 40), (250, 160, 10)]  # RGB
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("suffix", [".mp4", ".webm"])
+def test_a_browser_shows_the_colours_of_the_video_at_once(tmp_path, open_page, suffix):
+    path = tmp_path / f"depth{suffix}"
+    assert recordings.write_video(path, Colors()) == pytest.approx(3 / 29.97)
+    if suffix == ".mp4":
+        content = path.read_bytes()
+        assert content.index(b"moov") < content.index(b"mdat")
+    (tmp_path / "page.html").write_text(f'<video muted src="{path.name}"></video><canvas></canvas>')
+    page = open_page(400, 300)
+    page.goto((tmp_path / "page.html").as_uri())
+    page.wait_for_function("document.querySelector('video').readyState >= 2")
+    # A canvas may not be read that shows a local file; a screenshot may.
+    page.locator("video").screenshot(path=str(tmp_path / "shot.png"))
+    shot = read_image(tmp_path / "shot.png")
+    for k, color in enumerate(SATURATED):
+        assert np.abs(shot[24, 20 + 40 * k].astype(int) - color).max() <= 4, shot[24, 20 + 40 * k]
 
 
 def write_video(path, pictures, fps=25):
