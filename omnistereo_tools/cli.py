@@ -1,23 +1,21 @@
 """The command line: `omnistereo COMMAND`, one module per command."""
 
 import argparse
-import json
 import os
 import re
 import signal
 import sys
 import threading
-import time
+import traceback
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, nullcontext
 from difflib import get_close_matches
 from io import TextIOWrapper
-from pathlib import Path
 from types import FrameType, ModuleType
 from typing import NoReturn, get_type_hints
 
-from omnistereo_lib.errors import EXIT_STATUS, OmnistereoError, one_line, shortened
+from omnistereo_lib.errors import EXIT_STATUS, OmnistereoError, one_line
 from omnistereo_tools.commands import (
     calibrate_command,
     demo_command,
@@ -31,7 +29,7 @@ from omnistereo_tools.commands import (
     train_command,
     world_command,
 )
-from omnistereo_tools.memory import check_address_space, keep_memory
+from omnistereo_tools.memory import keep_memory
 from omnistereo_tools.outputs import let_go
 from omnistereo_tools.parser import Options, add_options, is_tiny, shrink
 
@@ -56,21 +54,22 @@ COMMANDS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; return the exit status. Whatever goes wrong is one plain line, never a
-    traceback.
+    """Run one command; return the exit status. Whatever goes wrong is one plain line, but for a
+    defect of the program.
     """
-    _open_streams()
     keep_memory()
+    os.environ["MPLBACKEND"] = "agg"
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")  # where the terminal is not UTF-8
     options = None
     try:
         try:
-            check_address_space()
-            _check_environment()
             module, options = _parse(list(sys.argv[1:] if arguments is None else arguments))
             if is_tiny():
                 options = shrink(options)
                 _say("OMNISTEREO_TINY is set: the results are too small to mean anything")
-            with _stoppable(), warnings.catch_warnings():
+            with _terminable(), warnings.catch_warnings():
                 warnings.showwarning = lambda message, *_: _say(f"warning: {message}")
                 return module.run(options) or 0
         finally:
@@ -78,46 +77,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(end="", flush=True)
     except OmnistereoError as error:
         return _stop(f"error: {error}", 2)
-    except (KeyboardInterrupt, SystemError) as error:  # the latter where Ctrl-C met a library in C
-        stop = error if isinstance(error, KeyboardInterrupt) else error.__cause__
-        if not isinstance(stop, KeyboardInterrupt):
-            raise
-        return _interrupted(options, stop)
+    except KeyboardInterrupt as stop:
+        resumes = "; run the same command to resume" if options and options.resumes else ""
+        return _stop(f"interrupted{resumes}", 143 if isinstance(stop, _Terminated) else 130)
     except OSError as error:
-        # it is the output; what it has not taken would fail again at exit
+        # It is the output; what it has not taken would fail again at exit.
         if error.filename is None:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        if isinstance(error, BrokenPipeError):  # a reader such as `head` has seen enough
+        # A reader such as `head` has seen enough.
+        if isinstance(error, BrokenPipeError):
             return 141
-        return _stop(
-            f"error: {error.filename or 'the output'} cannot be read or written: {error.strerror}",
-            2,
-        )
+        place = error.filename or "the output"
+        return _stop(f"error: {place} cannot be read or written: {error.strerror}", 2)
     except Exception as error:
-        if not (isinstance(error, MemoryError) or _EXHAUSTED.search(str(error))):
-            raise
-        return _stop(
-            f"error: the machine has too little memory, threads or GPU left ({error}). Ask for less"
-            " of it.",
-            2,
-        )
-
-
-def _open_streams() -> None:
-    """Open the streams that the parent has closed: a file would get their numbers, and what C
-    prints into them.
-    """
-    for number in range(3):
-        with suppress(OSError):
-            os.fstat(number)
-            continue
-        os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
-    sys.stdout, sys.stderr = (
-        stream or os.fdopen(k, "w") for k, stream in ((1, sys.stdout), (2, sys.stderr))
-    )
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(errors="replace")  # where the terminal is not UTF-8
+        if isinstance(error, MemoryError) or _EXHAUSTED.search(str(error)):
+            lack = "the machine has too little memory, threads or GPU left"
+            return _stop(f"error: {lack} ({error}). Ask for less of it.", 2)
+        traceback.print_exc()
+        return _stop("error: this is a defect of the program: please report what stands above", 1)
 
 
 class _Terminated(KeyboardInterrupt):
@@ -125,66 +102,26 @@ class _Terminated(KeyboardInterrupt):
 
 
 @contextmanager
-def _stoppable() -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM end a command alike, at once while it loads modules; only the main
-    thread can.
-    """
+def _terminable() -> Iterator[None]:
+    """Let SIGTERM end a command as Ctrl-C does; only the main thread can."""
 
     def stop(number: int, frame: FrameType | None) -> None:
-        while frame is not None:
-            if frame.f_code.co_filename.startswith("<frozen importlib"):
-                _say("interrupted")
-                os._exit(128 + number)  # an exception would go through modules that are half loaded
-            frame = frame.f_back
-        raise _Terminated if number == signal.SIGTERM else KeyboardInterrupt
+        raise _Terminated
 
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = signal.signal(signal.SIGTERM, stop)
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def _check_environment() -> None:
-    """Raise an `OmnistereoError` for what libraries answer with a traceback when they are loaded;
-    draw into files.
-    """
-    os.environ |= {"MPLBACKEND": "agg", "MATPLOTLIBRC": os.devnull}
-    threads = os.environ.get("NUMBA_NUM_THREADS", "1")
-    if not re.fullmatch("[1-9][0-9]{0,3}", threads):
-        raise OmnistereoError(
-            f"NUMBA_NUM_THREADS in the environment is {shortened(threads)}; expected 1 to 9999"
-        )
-    if any(name.startswith("TQDM_") for name in os.environ):
-        try:
-            import tqdm  # noqa: F401  # it reads them when it is imported, as torch does
-        except ValueError as error:
-            raise OmnistereoError(
-                f"{error}. Check the variables TQDM_… of the environment"
-            ) from None
-    try:
-        os.getcwd()
-    except OSError:
-        raise OmnistereoError(
-            "the working folder is not there any more. Change to another one"
-        ) from None
-    if os.path.exists("matplotlibrc"):  # Matplotlib reads it before the one of the variable
-        import matplotlib
-
-        matplotlib.rcdefaults()
+        signal.signal(signal.SIGTERM, before)
 
 
 def _say(line: str) -> None:
     bars = getattr(sys.modules.get("tqdm"), "tqdm", None)  # one may stand in the line
-    try:
-        with bars.external_write_mode(sys.stderr) if bars else nullcontext():
-            print(one_line(line), file=sys.stderr, flush=True)
-    except OSError:  # it is full or closed; what it has not taken would fail again at exit
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
+    with bars.external_write_mode(sys.stderr) if bars else nullcontext():
+        print(one_line(line), file=sys.stderr, flush=True)
 
 
 def _stop(line: str, status: int) -> int:
@@ -194,20 +131,10 @@ def _stop(line: str, status: int) -> int:
     if tqdm := sys.modules.get("tqdm"):
         for bar in [*tqdm.tqdm._instances]:  # it would be drawn once more, below the line
             bar.close()
-    # torchrun ends with what it finds there
-    if (file := os.environ.get("TORCHELASTIC_ERROR_FILE")) is not None:
-        when = {"timestamp": str(int(time.time()))}
-        Path(file).write_text(
-            json.dumps({"message": {"message": one_line(line), "extraInfo": when}})
-        )
-    if os.environ.get("RANK", "0") == "0" or file is None:
+    # Of the processes that torchrun starts, one says it.
+    if not re.fullmatch("[1-9][0-9]*", os.environ.get("RANK", "0")):
         _say(line)
     return status
-
-
-def _interrupted(options: Options | None, stop: KeyboardInterrupt) -> int:
-    resumes = "; run the same command to resume" if options and options.resumes else ""
-    return _stop(f"interrupted{resumes}", 143 if isinstance(stop, _Terminated) else 130)
 
 
 class _Parser(argparse.ArgumentParser):

@@ -1,30 +1,11 @@
-"""The process's memory: enough of it, and kept from one frame to the next."""
+"""The process's memory, kept from one frame to the next."""
 
 import ctypes
 import sys
 from contextlib import suppress
 
-from omnistereo_lib.errors import OmnistereoError
-
 _MMAP_MAX, _TRIM_THRESHOLD = -4, -1  # of mallopt(3)
 _KEPT_BYTES = 1 << 30
-_LEAST_BYTES = 3 << 30  # libraries, their threads and a small panorama
-
-
-def check_address_space() -> None:
-    """Refuse to begin where the system allows so little address space that OpenBLAS would ask for
-    more for ever.
-    """
-    if sys.platform != "linux":
-        return
-    import resource
-
-    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if 0 <= limit < _LEAST_BYTES:  # below 0: no limit
-        found = f"the address space is limited to {limit / 2**30:.2g} GiB (ulimit -v)"
-        raise OmnistereoError(
-            f"{found}; expected at least {_LEAST_BYTES >> 30} GiB. Raise the limit."
-        )
 
 
 def keep_memory() -> None:

@@ -11,9 +11,9 @@ import torch
 from tiny import SWEEPNET
 
 import omnistereo_lib as osl
-from omnistereo_learn import VolumeNetRecipe
 from omnistereo_learn.endless import worlds as endless
 from omnistereo_learn.endless.worlds import EndlessFrame, EndlessWorlds, draw_frame
+from omnistereo_learn.recipes import VolumeNetRecipe
 from omnistereo_learn.samples.spheres import SphereSamples
 from omnistereo_learn.samples.volumes import VolumeSamples
 from omnistereo_lib.stereo import correlation

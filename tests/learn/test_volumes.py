@@ -11,9 +11,10 @@ import torch
 from torch.nn.functional import interpolate
 
 import omnistereo_lib as osl
-from omnistereo_learn import RECIPES, VolumeNetRecipe, train
+from omnistereo_learn import RECIPES, train
 from omnistereo_learn.endless import worlds
 from omnistereo_learn.endless.worlds import EndlessWorlds
+from omnistereo_learn.recipes import VolumeNetRecipe
 from omnistereo_learn.samples.volumes import VolumeObjective, VolumeSample, VolumeSamples
 from omnistereo_lib.dataset import load_dataset
 from omnistereo_lib.stereo import correlation

@@ -1,6 +1,6 @@
 """Recipes that take a second."""
 
-from omnistereo_learn import MCCNNRecipe, SweepNetRecipe
+from omnistereo_learn.recipes import MCCNNRecipe, SweepNetRecipe
 
 TINY = {
     "width": 48,
