@@ -16,6 +16,7 @@ from packaging.utils import canonicalize_name
 
 import omnistereo_lib as osl
 
+PACKAGES = ("omnistereo_lib", "omnistereo_rigs", "omnistereo_learn", "omnistereo_tools")
 ROOT = Path(osl.__file__).resolve().parents[1]
 
 
@@ -40,16 +41,8 @@ def installed(tmp_path_factory):
 def test_what_is_in_the_wheel(installed):
     names = ZipFile(installed[0]).namelist()
     tops = {name.split("/")[0] for name in names}
-    assert tops == {
-        "omnistereo_lib",
-        "omnistereo_tools",
-        next(name for name in tops if name.endswith(".dist-info")),
-    }
-    files = (
-        path
-        for folder in ("omnistereo_lib", "omnistereo_tools")
-        for path in (ROOT / folder).rglob("*")
-    )
+    assert tops == {*PACKAGES, next(name for name in tops if name.endswith(".dist-info"))}
+    files = (path for folder in PACKAGES for path in (ROOT / folder).rglob("*"))
     here = {path.relative_to(ROOT).as_posix() for path in files if path.is_file()}
     here = {name for name in here if "__pycache__" not in name}
     assert {name for name in names if name.startswith("omnistereo_")} - here == {

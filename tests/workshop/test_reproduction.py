@@ -149,8 +149,8 @@ def test_every_table_figure_and_equation_of_the_paper_is_there():
 
 
 def resolve(name):
-    """Return what a dotted name below omnistereo_lib, or of render, stands for."""
-    name = name if name.startswith("render.") else f"omnistereo_lib.{name}"
+    """Return what a dotted name of a package, or below omnistereo_lib, stands for."""
+    name = name if name.startswith(("omnistereo_", "workshop.")) else f"omnistereo_lib.{name}"
     for split in range(name.count("."), 0, -1):
         parts = name.split(".")
         try:

@@ -16,7 +16,7 @@ from omnistereo_learn.evaluate.regions import METRICS
 from omnistereo_learn.evaluate.run import DATA
 from omnistereo_learn.evaluate.table import errors_table
 from omnistereo_learn.samples.spheres import SphereSamples
-from omnistereo_lib.files import checksum
+from omnistereo_lib.files import checksum, unpack
 from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
 
 STORED = {path.stem: path for path in sorted((DATA / "results").glob("*.json"))}
@@ -45,6 +45,7 @@ def test_they_come_from_what_ships(name):
     for key, digest in stored["data"].items():
         data, _, file = key.partition("/")
         split = split_of(name)
+        unpack(DATA / data)
         # lights share the depth of one drive
         own, shared = DATA / data / split / file, DATA / "sunny" / split / file
         assert checksum((own if own.is_file() else shared).read_bytes()) == digest, key

@@ -16,6 +16,7 @@ import omnistereo_lib as osl
 from omnistereo_learn import RECIPES
 from omnistereo_learn.evaluate.records import read_record
 from omnistereo_learn.evaluate.regions import METRICS
+from omnistereo_lib.files import unpack
 from omnistereo_lib.stereo.learned import LearnedCost, choose_precision
 from omnistereo_lib.stereo.mccnn import MCCNN
 from omnistereo_lib.stereo.pipeline import sweep_depth
@@ -68,6 +69,7 @@ def test_training_data_are_those_that_ship():
     @cache
     def content(world):
         folder = SUNNY.parent / world / "train"
+        unpack(folder)
         # one for each frame, beside the folders of its images
         truths = sorted(folder.rglob("omnidepth_gt_*/*.png"))
         frames = [
