@@ -1,9 +1,12 @@
-"""Files: captures as one folder per camera with equal file names, detected corners as YAML."""
+"""Files: captures as a folder of pictures or a video per camera, detected corners as YAML."""
 
 import json
 import re
 import warnings
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,28 +21,47 @@ from omnistereo_lib.pictures import find_pictures, read_image
 from omnistereo_rigs.boards.board import Board
 from omnistereo_rigs.boards.checkerboard import Checkerboard
 from omnistereo_rigs.boards.marker_boards import AprilGrid, CharucoBoard
+from omnistereo_rigs.images.moments import match_moments, match_times, read_names
+from omnistereo_rigs.images.varied import candidates, choose, look
+from omnistereo_rigs.images.videos import VIDEOS, moments_of_videos, open_videos
 
 # not TIFF: data sets keep ground truth in it
 _SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".webp"}
+
+
+_CANDIDATES, _MOST, _STILL = 160, 40, 2.0  # frames of videos, those used, gray values apart
 
 
 @dataclass(frozen=True, eq=False)
 class Captures:
     """Images of a board by one or more cameras."""
 
-    cameras: tuple[str, ...]  # names of their folders, in the order of their numbers
+    cameras: tuple[str, ...]  # names of their folders or videos, in the order of their numbers
     names: tuple[str, ...]  # of the captures, sorted
-    # paths[camera][capture], None if a camera has no image of a capture
+    # paths[camera][capture], None if a camera has no image of a capture; of the video, if it is one
     paths: tuple[tuple[Path | None, ...], ...]
+    frames: tuple[tuple[int, ...], ...] = ()  # frames[camera][capture] of videos
 
     def images(self, camera: int) -> list[NDArray[np.uint8] | None]:
-        """Read the images of one camera, which have one size; None where it has none."""
-        images: list[NDArray[np.uint8] | None] = []
-        size = None
-        for path in self.paths[camera]:
-            image = None if path is None else read_image(path, size)
-            size = size if image is None else (image.shape[1], image.shape[0])
-            images.append(image)
+        """Read the images of one camera; None where it has none.
+
+        Where sizes differ, those of the rarer ones are left out with a warning.
+        """
+        if self.frames:
+            path = self.paths[camera][0]
+            assert path is not None  # all cameras have all frames
+            return list(open_videos(path)[0].read(self.frames[camera]))
+        images = [None if path is None else read_image(path) for path in self.paths[camera]]
+        sizes = Counter(image.shape[1::-1] for image in images if image is not None)
+        for k, (path, image) in enumerate(zip(self.paths[camera], images, strict=True)):
+            if image is not None and image.shape[1::-1] != (usual := sizes.most_common(1)[0])[0]:
+                found, expected = (f"{w} × {h} px" for w, h in (image.shape[1::-1], usual[0]))
+                warnings.warn(
+                    f"{path} is left out: it is {found}, {usual[1]} of {sizes.total()} pictures of "
+                    f"this camera are {expected}",
+                    stacklevel=2,
+                )
+                images[k] = None
         return images
 
     def views(self) -> list[list[NDArray[np.uint8] | None]]:
@@ -51,8 +73,10 @@ def find_captures(folder: str | Path) -> Captures:
     """Find the images in a folder: of several cameras in subfolders, or of one camera.
 
     A view is a file that ends in .png, .jpg, .jpeg, .bmp, .pgm or .webp. Other files (ground truth
-    as TIFF, corners as YAML, notes), hidden files and hidden folders are ignored. Warns where no
-    two cameras have an image of the same name.
+    as TIFF, corners as YAML, notes), hidden files and hidden folders are ignored. Views of several
+    cameras are matched by time where their names state one, within half of the time between two;
+    else by equal names; else by the numbers in them. Where there are no views but a video for each
+    camera, sharp and varied frames of them are taken.
 
     Raises:
         OmnistereoError: If there is no image, or two images of a camera differ only in their
@@ -71,21 +95,93 @@ def find_captures(folder: str | Path) -> Captures:
     found = {name: images for name, images in found.items() if images} or {
         folder.name: find_pictures(folder, _SUFFIXES)
     }
-    cameras = sorted(found, key=_natural)
     if not any(found.values()):
-        raise OmnistereoError(
-            f"{folder} has no images ({', '.join(sorted(_SUFFIXES))}); expected cam1/0001.png, …"
-        )
-    names = sorted(set().union(*found.values()), key=_natural)
-    if len(cameras) > 1 and sum(map(len, found.values())) == len(names):
+        return _of_videos(folder)
+    cameras = sorted(found, key=_natural)
+    rows = [list(found[camera]) for camera in cameras]
+    captures = _by_moments(rows) if len(cameras) > 1 else None
+    if captures is None:
+        every = sorted(set().union(*found.values()), key=_natural)
+        captures = [[name if name in row else None for row in rows] for name in every]
+    if len(cameras) > 1 and all(len(one) - one.count(None) < 2 for one in captures):
         examples = ", ".join(f"{camera}/{min(found[camera])}" for camera in cameras)
         warnings.warn(
-            f"no two cameras have an image of the same name ({examples}). Give images of one"
-            " capture the same name in all folders",
+            f"no two cameras have an image of the same name or time ({examples}). Give images of "
+            "one capture the same name in all folders",
             stacklevel=2,
         )
-    paths = tuple(tuple(found[camera].get(name) for name in names) for camera in cameras)
-    return Captures(tuple(cameras), tuple(names), paths)
+    names = tuple(next(name for name in one if name is not None) for one in captures)
+    paths = tuple(
+        tuple(None if one[k] is None else found[camera][one[k] or ""] for one in captures)
+        for k, camera in enumerate(cameras)
+    )
+    return Captures(tuple(cameras), names, paths)
+
+
+def _by_moments(rows: Sequence[Sequence[str]]) -> list[list[str | None]] | None:
+    """Return for each capture the name of each camera's picture, by times or numbers in them.
+
+    None where names are equal, or state neither.
+    """
+    named = read_names(rows)
+    equal = set(rows[0]).intersection(*rows[1:])
+    if named is None or (equal and any(one.times is None for one, _ in named)):
+        return None
+    moments: list[tuple[int, list[str | None]]] = []
+    # Boards are not filmed at an even rate: the shortest time between two pictures counts.
+    steps = [b - a for one, _ in named for a, b in pairwise(one.times or ())]
+    period = min(steps, default=0)
+    for camera, (one, names) in enumerate(named):
+        moments.sort(key=lambda moment: moment[0])
+        times = list(one.numbers if one.times is None else one.times)
+        pairs = match_times([time for time, _ in moments], times, period / 2)
+        partners = {b: a for a, b in pairs.items()}
+        for k, (time, name) in enumerate(zip(times, names, strict=True)):
+            if k in partners:
+                moments[partners[k]][1][camera] = name
+            else:
+                moments.append((time, [None] * camera + [name] + [None] * (len(rows) - camera - 1)))
+    return [row for _, row in sorted(moments, key=lambda moment: moment[0])]
+
+
+def _of_videos(folder: Path) -> Captures:
+    """Choose sharp and varied frames of the videos in a folder, or in its subfolders."""
+    files = sorted(
+        (path for path in (*folder.glob("*"), *folder.glob("*/*")) if _is_video(path)),
+        key=lambda path: _natural(str(path.relative_to(folder))),
+    )
+    videos = [open_videos(path)[0] for path in files]
+    chapters = {chapter for video in videos for chapter, _ in video.chapters[1:]}
+    videos = [video for video in videos if video.path not in chapters]
+    if not videos:
+        raise OmnistereoError(
+            f"{folder} has no images ({', '.join(sorted(_SUFFIXES))}) and no videos; expected "
+            "cam1/0001.png, …, or cam1.mp4, …"
+        )
+    matched = match_moments(moments_of_videos(videos)[0])
+    common = sorted(set.intersection(*(set(pairs) for pairs in matched.pairs)))
+    if not common:
+        names = ", ".join(str(video.path) for video in videos)
+        raise OmnistereoError(
+            f"{names} have no moment in common. Check that all were filmed at once"
+        )
+    tried = candidates(common, _CANDIDATES)
+    read = [
+        video.read([pairs[number] for number in tried])
+        for video, pairs in zip(videos, matched.pairs, strict=True)
+    ]
+    chosen = choose([look(images) for images in zip(*read, strict=True)], _MOST, _STILL)
+    numbers = [tried[k] for k in chosen]
+    return Captures(
+        tuple(v.path.stem if v.path.parent == folder else v.path.parent.name for v in videos),
+        tuple(f"{number:05}" for number in numbers),
+        tuple((video.path,) * len(numbers) for video in videos),
+        tuple(tuple(pairs[number] for number in numbers) for pairs in matched.pairs),
+    )
+
+
+def _is_video(path: Path) -> bool:
+    return path.suffix.lower() in VIDEOS and path.name[0] != "." and path.parent.name[0] != "."
 
 
 def _natural(name: str) -> list[tuple[int, str]]:

@@ -282,7 +282,7 @@ def match_times(first: Sequence[int], other: Sequence[int], limit: float) -> dic
     Each has at most one partner, at most `limit` apart.
     """
     pairs: dict[int, tuple[int, int]] = {}
-    for b, time in enumerate(other):
+    for b, time in enumerate(other if first else ()):
         k = bisect_left(first, time)
         apart, a = min(
             (abs(first[a] - time), a) for a in range(max(k - 1, 0), min(k + 1, len(first)))

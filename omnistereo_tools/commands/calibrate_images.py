@@ -3,10 +3,8 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import write_text
@@ -15,9 +13,9 @@ from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.progress import Progress
-from omnistereo_lib.stereo.images import to_gray
 from omnistereo_rigs.formats.read import load_cameras, read_any_rig
 from omnistereo_rigs.formats.write import write_rig
+from omnistereo_rigs.images import varied
 from omnistereo_rigs.images.from_images import (
     Given,
     Images,
@@ -35,9 +33,7 @@ from omnistereo_tools.outputs import check_outputs, hold, save_figure
 from omnistereo_tools.progress import progress_bar
 
 _CANDIDATES = 24  # frames that are looked at
-_THUMBNAIL = 48  # pixels
 _STILL = 3.0  # gray values by which frames of a moving rig differ, in the mean
-_BLURRED = 0.7  # of the median sharpness
 _CHECKED = 3  # frames on which the matching cost is compared
 _AS_GOOD = 1.01  # times the cost
 
@@ -111,42 +107,13 @@ def _read(options: ImagesOptions, recorded: Sequence[Path]) -> tuple[Images, Rig
 
 
 def _choose_frames(recording: Recording, rig: Rig, count: int) -> Images:
-    """Return frames of a recording that are sharp and differ most: a still rig repeats its
-    errors.
-    """
-    numbers = sorted(recording.frames)
-    candidates = [
-        numbers[k]
-        for k in np.unique(np.linspace(0, len(numbers) - 1, _CANDIDATES).round().astype(int))
-    ]
-    frames = list(recording.read(candidates, rig))
-    looks = np.stack([np.stack([_thumbnail(image) for image in images]) for images in frames])
-    sharpness = np.array([np.median([_sharpness(image) for image in images]) for images in frames])
-    left = [k for k in range(len(frames)) if sharpness[k] >= _BLURRED * np.median(sharpness)]
-    chosen = [max(left, key=lambda k: sharpness[k])]
-    while len(chosen) < count:
-        apart = {
-            k: min(float(np.abs(looks[k] - looks[c]).mean()) for c in chosen)
-            for k in left
-            if k not in chosen
-        }
-        if not apart or max(apart.values()) < _STILL:
-            break
-        chosen.append(max(apart, key=apart.__getitem__))
-    print(
-        f"frames {', '.join(str(candidates[k]) for k in sorted(chosen))} of {len(numbers)} are used"
-    )
-    return [frames[k] for k in sorted(chosen)]
-
-
-def _thumbnail(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    return np.asarray(
-        cv2.resize(to_gray(image), (_THUMBNAIL, _THUMBNAIL), interpolation=cv2.INTER_AREA)
-    )
-
-
-def _sharpness(image: NDArray[np.uint8]) -> float:
-    return float(cv2.Laplacian(to_gray(image), cv2.CV_32F).std())
+    """Return frames of a recording that are sharp and differ most."""
+    numbers = varied.candidates(sorted(recording.frames), _CANDIDATES)
+    frames = list(recording.read(numbers, rig))
+    chosen = varied.choose([varied.look(images) for images in frames], count, _STILL)
+    used = ", ".join(str(numbers[k]) for k in chosen)
+    print(f"frames {used} of {len(recording.frames)} are used")
+    return [frames[k] for k in chosen]
 
 
 def _measure(

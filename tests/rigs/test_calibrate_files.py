@@ -85,10 +85,10 @@ def test_folders_without_pictures_or_common_names(tmp_path):
     with pytest.raises(OmnistereoError, match="is not a folder"):
         find_captures(tmp_path / "none")
     picture(tmp_path / "cam1" / "left_1.png")
-    picture(tmp_path / "cam2" / "right_1.png")
+    picture(tmp_path / "cam2" / "right_2.png")
     with pytest.warns(
         UserWarning,
-        match=r"no two cameras have an image of the same name \(cam1/left_1, cam2/right_1",
+        match=r"no two cameras have an image of the same name or time \(cam1/left_1, cam2/right_2",
     ):
         find_captures(tmp_path)
 
