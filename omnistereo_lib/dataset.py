@@ -101,6 +101,7 @@ def load_dataset(
     unit: Unit | None = None,
     gt_width: int | None = None,
     max_fov_deg: float | None = None,
+    rig: Rig | None = None,
 ) -> Dataset:
     """Open a data set in the public layout (see the module docstring); images are read on first
     use.
@@ -112,6 +113,7 @@ def load_dataset(
         gt_width: Panorama width in pixels of the ground truth to read, where there are several;
             default: the widest.
         max_fov_deg: As for `load_rig`.
+        rig: The rig, where its file in the folder is of another program.
 
     Raises:
         OmnistereoError: If the folder, the rig or the frames are missing, a camera lacks a frame,
@@ -141,7 +143,7 @@ def load_dataset(
                 f"{folder} has two frames of one number; expected different numbers. Rename one."
             )
     else:
-        rig = load_rig(folder, unit, max_fov_deg)
+        rig = load_rig(folder, unit, max_fov_deg) if rig is None else rig
         frames = _read_frames(folder, rig, cameras, gt_width)
     if split is not None:
         frames = _published_split(folder, split, frames)

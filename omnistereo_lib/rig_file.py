@@ -167,8 +167,9 @@ def read_own(path: Path, unit: str | None, max_fov_deg: float | None) -> RigFile
 def is_omnimvs(data: Any) -> bool:
     """Return whether the content of a file is a config.yaml of OmniMVS, or begins to be one."""
     cameras = data.get("cameras") if isinstance(data, dict) else None
-    stated = [isinstance(cam, dict) and "poly" in cam for cam in cameras or ()]
-    return cameras == [] or (isinstance(cameras, list) and any(stated))
+    if not isinstance(cameras, list):
+        return False
+    return cameras == [] or any(isinstance(cam, dict) and "poly" in cam for cam in cameras)
 
 
 def numbered_files(folder: Path, *patterns: str) -> list[Path]:

@@ -139,6 +139,7 @@ def files(tmp_path_factory):
     (folder / "calibration.json").write_text(
         json.dumps(yaml.safe_load((folder / "kalibr.yaml").read_text()))
     )
+    shutil.copy(folder / "kalibr.yaml", folder / "camchain.yaml")
     (folder / "my_frames").symlink_to(ROOT / "data_samples/sunny/train")
     for k, names in BOARDS.items():
         (folder / "pictures" / f"cam{k}").mkdir(parents=True)

@@ -188,8 +188,10 @@ def _list_of(meaning: str, data: dict[str, Any]) -> str | None:
         plural = letters == _LISTS.get(meaning) or (
             letters != singular and _meaning(singular) == meaning
         )
-        if plural and isinstance(value, list) and len(value) > 1 and np.ndim(value[0]) == 2:
-            return key
+        if plural and isinstance(value, list) and len(value) > 1:
+            first = value[0]
+            if isinstance(first, list) and first and isinstance(first[0], list):
+                return key
     return None
 
 

@@ -223,7 +223,9 @@ def read_frame(options: FrameOptions) -> Frame:
         raise OmnistereoError(
             f"{folder} is not a data set folder. Give --images, one per camera of the rig"
         )
-    data = load_dataset(folder, None, options.unit, None, options.max_fov)
+    own = ("config.yaml", "ocam*.txt", "[0-9]*/cam[0-9]*")
+    converted = None if any(next(folder.glob(name), None) for name in own) else read_rig(options)
+    data = load_dataset(folder, None, options.unit, None, options.max_fov, converted)
     number = options.frame or 0
     if not -len(data) <= number < len(data):
         raise OmnistereoError(f"{folder} has frames 0 to {len(data) - 1}, not {number}")

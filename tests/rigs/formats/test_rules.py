@@ -3,6 +3,7 @@
 import json
 import warnings
 from math import atan2, cos, hypot, pi, radians, sin, tan
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -12,8 +13,10 @@ from rigs.formats.test_more_formats import AHEAD, angle, follows, kb4, theta_d
 from rigs.formats.test_reconstructions import CAMERAS, WORLD, fisheye, quaternion, transforms
 from scipy.spatial.transform import Rotation
 
-from omnistereo_lib import OmnistereoError, Pose, load_camera
+from omnistereo_lib import OmnistereoError, Pose, load_camera, load_rig
 from omnistereo_rigs.formats.read import read_any_camera, read_any_rig, read_rig
+from omnistereo_rigs.formats.write import export_rig
+from omnistereo_tools.commands.options import FrameOptions, read_frame
 
 LENS = {"fx": 200.0, "fy": 199.0, "cx": 400.0, "cy": 380.0, "image_size": list(SIZE)}
 OTHER = {"R": Rotation.from_rotvec([0.1, 1.4, 0]).as_matrix().tolist(), "T": [12.0, 0.5, -3.0]}
@@ -345,6 +348,18 @@ def test_hugin_projects_of_several_lenses(tmp_path):
         else:
             with pytest.raises(OmnistereoError, match="several lenses: image 2"):
                 read_any_camera(path)
+
+
+def test_a_data_set_with_a_rig_of_another_program(tmp_path, capsys):
+    source = Path("data_samples/sunny/test")
+    export_rig(load_rig(source), tmp_path / "out")
+    (tmp_path / "set").mkdir()
+    (tmp_path / "out" / "kalibr.yaml").rename(tmp_path / "set" / "calibration.yaml")
+    for n in (1, 2, 3, 4):
+        (tmp_path / "set" / f"cam{n}").symlink_to((source / f"cam{n}").resolve())
+    frame = read_frame(FrameOptions(rig=tmp_path / "set"))
+    assert len(frame.rig) == 4 and frame.images[0].shape[:2] == (768, 800)
+    assert "`omnistereo rig " in capsys.readouterr().out
 
 
 def test_clocks_that_differ_are_said(tmp_path):
