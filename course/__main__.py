@@ -102,6 +102,19 @@ def main(arguments: list[str] | None = None) -> int:
         default=4,
         help="memory for each notebook, in GiB",
     )
+    table = add(
+        "table",
+        "classroom.table.print_table",
+        "compare the methods of a class by error and time; this runs their code",
+    )
+    table.add_argument(
+        "handed_in", type=Path, help="a folder of files such as mine/omnistereo.py, or one"
+    )
+    table.add_argument("--out", type=Path, default=OUT / "table.csv", help="the table as CSV")
+    table.add_argument("--seconds", type=float, default=300, help="time for each frame")
+    table.add_argument(
+        "--memory", dest="memory_gib", type=float, default=4, help="memory for each frame, in GiB"
+    )
     solve = add(
         "solve",
         "classroom.solve.main",

@@ -8,6 +8,7 @@ course stores its notebooks without it (`nbtools.clean`), so it is added while t
 
 import itertools
 import os
+from pathlib import Path
 from typing import Any
 
 from ipykernel.ipkernel import IPythonKernel
@@ -39,10 +40,19 @@ def start(options: list[str]) -> None:
     WORKING.mkdir(exist_ok=True)
     for path in nbtools.notebooks():
         if not (WORKING / path.name).exists():
-            write_text(WORKING / path.name, nbtools.read_text(path))
+            write_text(WORKING / path.name, copy_of(path))
     LabApp.launch_instance(
         [*SETTINGS, *AS_ROOT, *options, str(WORKING / nbtools.notebooks()[0].name)]
     )
+
+
+def copy_of(path: Path) -> str:
+    """Return a stored notebook as students get it: without the tests of its prose, which give
+    answers away.
+    """
+    nb = nbtools.read_notebook(path)
+    nb.cells = [cell for cell in nb.cells if "claims" not in cell.metadata.get("tags", ())]
+    return nbtools.text_of(nb)
 
 
 def renew(name: str) -> None:
@@ -63,7 +73,7 @@ def renew(name: str) -> None:
             f" {copy.rename(next(path for path in kept if not path.exists())).name}"
         )
     WORKING.mkdir(exist_ok=True)
-    write_text(copy, nbtools.read_text(found[0]))
+    write_text(copy, copy_of(found[0]))
     print(f"a fresh copy is in {WORKING.name}/{copy.name}")
 
 

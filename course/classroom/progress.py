@@ -2,8 +2,9 @@
 saved.
 
 Its links open the notebooks in the JupyterLab that `make lab` has started, whose addresses reach no
-single cell. Where every function is right, it ends with a certificate: the panorama that notebook
-13 computed by the student's own.
+single cell. Once the student's functions make a method, `mine/omnistereo.py`, it is run on a frame,
+and its error and time stand beside the library's. Where every function is right, it ends with a
+certificate: the panorama that notebook 13 computed by the student's own.
 """
 
 import html
@@ -14,7 +15,9 @@ from pathlib import Path
 from jupyter_server.serverapp import list_running_servers
 
 from course import exercises, nbtools
+from course.classroom import table
 from course.classroom.lab import WORKING
+from course.exercises import mine
 from omnistereo_lib.files import write_text
 
 PICTURE = '"13 repaired"'  # the name of the figure that the certificate shows
@@ -42,6 +45,7 @@ img {{ max-width: 100%; }}
 <h1>{count} of {total} functions are right</h1>
 <progress value="{count}" max="{total}" aria-label="functions that are right"></progress>
 <p>{following}The links work as long as <code>make lab</code> runs.</p>
+{method}
 {rows}
 {certificate}
 </main>
@@ -80,14 +84,46 @@ def write_progress(out: Path) -> None:
             )
             following = f"Go on with <code>{name}</code> in {link}. "
         print(f"{title}: {found.count('✓')} of {len(found)}")
+    method = _own_method()
     certificate = _certificate(total) if count == total else ""
     out.parent.mkdir(parents=True, exist_ok=True)
-    parts = {"following": following, "rows": "\n".join(rows), "certificate": certificate}
+    parts = {
+        "following": following,
+        "method": method,
+        "rows": "\n".join(rows),
+        "certificate": certificate,
+    }
     write_text(out, PAGE.format(count=count, total=total, **parts))
     print(
         f"{count} of {total} functions are right. Written: {out}. Save a notebook to have it"
         " counted."
     )
+
+
+def _own_method() -> str:
+    """Return the error and the time of the student's own method beside the library's, and print
+    them.
+    """
+    file = WORKING / "mine" / mine.WHOLE
+    if not file.is_file():
+        return ""
+    judged = {
+        f"yours, mine/{mine.WHOLE}": table.by_file(file),
+        f"the library's {table.LIBRARY}": table.by_library,
+    }
+    rows = [table.judged(name, index_of, ("sunny",)) for name, index_of in judged.items()]
+    said = [
+        (
+            f"{row.name}: {row.errors['>3']:.1f} % of the rays off by more than 3 %, mean error"
+            f" {row.errors['MAE']:.2f} %, {row.cpu_s:.1f} s of processor time"
+            if row.errors
+            else f"{row.name}: {row.said}"
+        )
+        for row in rows
+    ]
+    print("\n".join(said))
+    items = "".join(f"<li>{html.escape(line)}</li>" for line in said)
+    return f"<h2>Depth from four images, 320 × 80 rays, 64 spheres</h2>\n<ul>{items}</ul>"
 
 
 def lab_address() -> str:

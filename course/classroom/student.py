@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from pkgutil import resolve_name
 from tempfile import TemporaryDirectory, TemporaryFile
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import psutil
@@ -80,6 +80,52 @@ def run(task: dict[str, Any], seconds: float, memory_gib: float) -> Run:
         memory_gib: The memory that all its processes may use together.
     """
     started = time.monotonic()
+    with (
+        TemporaryDirectory(prefix="student-", ignore_cleanup_errors=True) as folder,
+        TemporaryFile() as answers,
+    ):
+        copy, told = Path(folder, "clone"), Path(folder, "task.json")
+        copy_clone(copy)
+        told.write_text(json.dumps(task), encoding="ascii")
+        command = [sys.executable, "-m", "course.classroom.student"]
+        with told.open("rb") as task_file:
+            files, where = (task_file, answers), copy / "notebooks"
+            ran = limited(
+                command, Path(folder), where, seconds, memory_gib, files, PYTHONPATH=str(copy)
+            )
+        answers.seek(0)
+        records = list(read_records(answers.read(MAX_READ_BYTES)))
+    if not (broken := ran.broken) and not any("end" in record for record in records):
+        broken = f"its process ended with status {ran.status}"
+    return Run(records, broken, time.monotonic() - started, ran.peak_gib)
+
+
+class Limited(NamedTuple):
+    """How a command with limits has ended."""
+
+    broken: str  #: the limit that it has broken, or nothing
+    status: int
+    peak_gib: float
+
+
+def limited(
+    command: list[str],
+    folder: Path,
+    cwd: Path,
+    seconds: float,
+    memory_gib: float,
+    files: tuple[Any, Any] = (subprocess.DEVNULL, subprocess.DEVNULL),
+    **variables: str,
+) -> Limited:
+    """Run a command with an empty home and an empty folder for temporary files, and end all that it
+    has started.
+
+    Args:
+        folder: Where these two are made; all in it is gone afterwards.
+        cwd: The folder in which it runs.
+        files: stdin and stdout.
+        variables: Further ones of its environment.
+    """
     # a process that detaches itself becomes this one's child, so that it is found
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
@@ -92,42 +138,33 @@ def run(task: dict[str, Any], seconds: float, memory_gib: float) -> Run:
             if process not in others
         ]
 
-    with (
-        TemporaryDirectory(prefix="student-", ignore_cleanup_errors=True) as folder,
-        TemporaryFile() as answers,
-    ):
-        copy, home, temporary, told = (
-            Path(folder, name) for name in ("clone", "home", "tmp", "task.json")
-        )
-        copy_clone(copy)
-        home.mkdir()
-        temporary.mkdir()
-        told.write_text(json.dumps(task), encoding="ascii")
-        env = {name: os.environ[name] for name in KEPT if name in os.environ}
-        env |= {"HOME": str(home), "TMPDIR": str(temporary), "PYTHONPATH": str(copy)}
-        env |= {"PYTHONDONTWRITEBYTECODE": "1", "MPLBACKEND": "agg"}
-        with told.open() as task_file:
-            process = subprocess.Popen(
-                [sys.executable, "-m", "course.classroom.student"],
-                stdin=task_file,
-                stdout=answers,
-                stderr=subprocess.DEVNULL,
-                cwd=copy / "notebooks",
-                env=env,
-                start_new_session=True,
-            )
-        try:
-            broken, peak_gib = watch(process, family, seconds, memory_gib)
-        finally:
-            end(process, family)
-            # Python's own way fails a thousand folders deep
-            for command in (["chmod", "-R", "u+rwx"], ["rm", "-rf"]):
-                subprocess.run([*command, "--", folder], stderr=subprocess.DEVNULL, check=False)
-        answers.seek(0)
-        records = list(read_records(answers.read(MAX_READ_BYTES)))
-    if not broken and not any("end" in record for record in records):
-        broken = f"its process ended with status {process.returncode}"
-    return Run(records, broken, time.monotonic() - started, peak_gib)
+    home, temporary = folder / "home", folder / "tmp"
+    home.mkdir()
+    temporary.mkdir()
+    env = {name: os.environ[name] for name in KEPT if name in os.environ}
+    env |= {
+        "HOME": str(home),
+        "TMPDIR": str(temporary),
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "MPLBACKEND": "agg",
+    }
+    process = subprocess.Popen(
+        command,
+        stdin=files[0],
+        stdout=files[1],
+        stderr=subprocess.DEVNULL,
+        cwd=cwd,
+        env=env | variables,
+        start_new_session=True,
+    )
+    try:
+        broken, peak_gib = watch(process, family, seconds, memory_gib)
+    finally:
+        end(process, family)
+        # Python's own way fails a thousand folders deep
+        for remove in (["chmod", "-R", "u+rwx"], ["rm", "-rf"]):
+            subprocess.run([*remove, "--", str(folder)], stderr=subprocess.DEVNULL, check=False)
+    return Limited(broken, process.returncode, peak_gib)
 
 
 def copy_clone(copy: Path) -> None:

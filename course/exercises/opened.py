@@ -21,14 +21,20 @@ import ast
 import inspect
 import sys
 import textwrap
+import time
 from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from course.exercises import beside
+from course.exercises import beside, mine
 from course.exercises.compare import CASES, NOT_WRITTEN, RIGHT, Answer, Rng, diagnose
+
+YOURS_TO_WRITE = "yours to write. Until it is right, the cells below run with the solution."
+# Loops over the pixels of the notebooks' functions take 60 to 500 times as long as the solutions,
+# other ways to write them at most 5 times; below a quarter of a second nobody waits.
+SLOW, NOTICED_S = 20, 0.25
 
 __all__ = ["NOT_WRITTEN", "RIGHT", "Open"]
 
@@ -128,22 +134,10 @@ class Open:
                     f" {', '.join(self.keywords)}"
                 )
         if said.startswith(NOT_WRITTEN):  # as the notebooks are stored
-            print(f"{self.name}: {NOT_WRITTEN}. The notebook goes on with the solution.")
+            print(f"{self.name}: {YOURS_TO_WRITE}")
             return self.answer
         if said == RIGHT:
-            self.solved = True
-            functions = [
-                value
-                for value in vars(sys.modules[self.answer.__module__]).values()
-                if isinstance(value, Open)
-            ]
-            count = (
-                f"{sum(value.solved for value in functions)} of {len(functions)} in this notebook"
-            )
-            print(
-                f"{_GREEN}✓{_PLAIN} {self.name}: right, {count}. The notebook goes on with yours."
-            )
-            return function
+            return self._accept(function)
         self.failures += 1
         hint = f" Hint: {self.hint()}." if self.failures > 1 else ""
         end = "" if said.endswith("\n") else "."
@@ -154,6 +148,49 @@ class Open:
         if self.real:
             beside.show(function, self.answer, self.real())
         return self.answer
+
+    def _accept(self, function: Answer) -> Answer:
+        """Say that it is right, keep it, and return it, or the answer if the notebook would wait
+        for it.
+        """
+        self.solved = True
+        functions = [
+            value
+            for value in vars(sys.modules[self.answer.__module__]).values()
+            if isinstance(value, Open)
+        ]
+        count = f"{sum(value.solved for value in functions)} of {len(functions)} in this notebook"
+        slow = self.times_slower(function)
+        kept = mine.keep(function, self.answer, slow)
+        words = f"right, and {slow} times slower than the solution" if slow else "right"
+        with_which = "the solution" if slow else "yours"
+        print(
+            f"{_GREEN}✓{_PLAIN} {self.name}: {words}, {count}{kept and f', {kept}'}. "
+            f"The notebook goes on with {with_which}."
+        )
+        if self.name in mine.needed() and (whole := mine.write_whole()):
+            print(f"{whole}.")
+        return self.answer if slow else function
+
+    def times_slower(self, function: Answer) -> int:
+        """Return how many times the answer's time a right function takes, or 0 if nobody would
+        notice.
+
+        Where the notebook's own inputs are known they are timed, else the ten cases together.
+        """
+        cases = [self.real()] if self.real else [self.inputs(k) for k in range(CASES)]
+
+        def seconds(tried: Answer) -> float:
+            started = time.process_time()
+            for inputs in cases:
+                tried(*inputs)
+            return time.process_time() - started
+
+        taken = seconds(function)
+        if taken < NOTICED_S:
+            return 0
+        times = taken / max(min(seconds(self.answer) for _ in range(3)), 1e-6)
+        return round(times) if times >= SLOW else 0
 
     def hint(self) -> str:
         """Say how the answer begins, without its docstring."""

@@ -8,12 +8,15 @@ Examples:
       your own images, with a method of your choice
   omnistereo depth --mesh out/scene.glb
       with a mesh that Blender and other programs open
-methods: zncc, mccnn, sweepnet or volumenet; +sgm smooths; ,pairs=all and others change settings
+methods: zncc, mccnn, sweepnet or volumenet; +sgm smooths; ,pairs=all and others change settings;
+  or a Python file with a function `depth`, such as my_notebooks/mine/omnistereo.py
 """
+
+from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools.commands.options import (
@@ -28,12 +31,20 @@ from omnistereo_tools.commands.options import (
 )
 from omnistereo_tools.commands.record_command import RecordOptions
 from omnistereo_tools.outputs import check_outputs, hold
+from omnistereo_tools.own_method import is_own
 from omnistereo_tools.parser import as_typed, option
+
+if TYPE_CHECKING:
+    from omnistereo_lib.frame import Frame
+    from omnistereo_lib.geometry.sphere import SphereGrid
+    from omnistereo_lib.stereo.depth import Depth
 
 
 @dataclass(frozen=True, kw_only=True)
 class DepthOptions(MethodOptions, GridOptions, FrameOptions):
     """What is written of one frame."""
+
+    own_methods = True
 
     out: Path | None = option("folder for the results", unset="out; with --rig out/depth_NAME")
     max_depth: float | None = option(
@@ -65,10 +76,8 @@ def run(options: DepthOptions) -> None:
     # Read what there is, before what is slow to import.
     frame = read_frame(options)
     from omnistereo_lib.stereo.methods import FRAME_METHOD
-    from omnistereo_lib.stereo.pipeline import estimate_depth
     from omnistereo_tools.judge.coverage import Coverage
     from omnistereo_tools.judge.first_look import image_doubts, rig_doubts
-    from omnistereo_tools.judge.pace import say_frame
     from omnistereo_tools.output.frame import FrameResult
     from omnistereo_tools.output.points import Limits
     from omnistereo_tools.progress import progress_bar
@@ -82,9 +91,8 @@ def run(options: DepthOptions) -> None:
     warn_of(image_doubts(frame, grid))
     _make_folders(options, out)
     method = options.method or FRAME_METHOD
-    say_frame(method, grid, options.device)
     # Compute and write.
-    depth = estimate_depth(frame, grid, method, device=options.device, progress=progress_bar())
+    depth = _compute(frame, grid, method, options.device)
     limits = Limits.of(depth, options.max_depth, options.min_confidence)
     result = FrameResult(depth, limits, method, gt_index, options.up)
     print("\n".join(result.sentences()), flush=True)
@@ -93,6 +101,26 @@ def run(options: DepthOptions) -> None:
         options.mesh, options.mesh_faces, options.equirectangular, options.crops, options.all_crops
     )
     print(f"written to {out}/: {', '.join(written)}")
+
+
+def _compute(frame: Frame, grid: SphereGrid, method: str, device: str) -> Depth:
+    """Return the depth of a frame by a method of the library, or by a file; say how long it will
+    take, or took.
+    """
+    if is_own(method):
+        from omnistereo_lib.stereo.sweep import SphereSweep
+        from omnistereo_tools.own_method import run_own
+
+        print(f"method: {method}, in a process of its own", flush=True)
+        own = run_own(Path(method), SphereSweep(frame.rig, grid, device=device), frame.images)
+        print(f"it took {own.seconds:.1f} s", flush=True)
+        return own.depth
+    from omnistereo_lib.stereo.pipeline import estimate_depth
+    from omnistereo_tools.judge.pace import say_frame
+    from omnistereo_tools.progress import progress_bar
+
+    say_frame(method, grid, device)
+    return estimate_depth(frame, grid, method, device=device, progress=progress_bar())
 
 
 def _check(options: DepthOptions, out: Path) -> None:

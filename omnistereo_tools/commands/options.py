@@ -8,10 +8,11 @@ import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import omnistereo_lib
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_tools.own_method import check_own, is_own
 from omnistereo_tools.parser import Options, option
 
 if TYPE_CHECKING:
@@ -155,11 +156,21 @@ class DeviceOptions(Options):
 class MethodOptions(DeviceOptions):
     """How depth is computed, and where."""
 
+    own_methods: ClassVar[bool] = False  #: whether a method may be a Python file
+
     method: str | None = option("see above", unset="the most exact one")
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.method is not None:
+        if self.method is None:
+            return
+        if is_own(self.method) and self.own_methods:
+            check_own(Path(self.method))
+        elif is_own(self.method):
+            raise OmnistereoError(
+                f"--method {self.method}: only `omnistereo depth` runs a file. Name a method"
+            )
+        else:
             from omnistereo_lib.stereo.methods import Method
 
             Method.parse(self.method)

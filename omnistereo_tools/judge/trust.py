@@ -13,6 +13,7 @@ from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.output.blend import BRIGHTEST, DARKEST
 from omnistereo_tools.output.mesh_export import is_connected
+from omnistereo_tools.own_method import is_own
 
 DOUBTFUL = 0.5  # trust below which a depth is about as likely wrong as right
 # from infinity on: two spheres, of which the confidence of a network speaks, are a tenth of the
@@ -45,10 +46,12 @@ def trust(depth: Depth, method: str | Method) -> NDArray[np.float32]:
     It is halved where a nearer thing could not be found, since fewer than two cameras would see it,
     and for small things in mid-air of which no part is trusted much, see `_floating`.
     """
-    grid, method = depth.grid, Method.parse(method)
+    grid = depth.grid
     spheres = depth.inverse_depth / grid.step
     exponent = (
-        np.sqrt(np.maximum(spheres / _SPHERES, 1)) if method.reads_out else spheres / _RATIO_SPHERES
+        np.sqrt(np.maximum(spheres / _SPHERES, 1))
+        if _is_network(method)
+        else spheres / _RATIO_SPHERES
     )
     evidence = depth.valid & (depth.index <= grid.num_spheres - 3) & _is_lit(depth)
     found = np.where(evidence, 1 - (1 - depth.confidence.clip(0, 1)) ** exponent, 0)
@@ -58,7 +61,14 @@ def trust(depth: Depth, method: str | Method) -> NDArray[np.float32]:
 
 def odds(method: str | Method) -> tuple[tuple[int, int], ...]:
     """Return pairs of how many times of ten a ray is right, and from which trust in percent on."""
-    return _ODDS_OF_NETWORK if Method.parse(method).reads_out else _ODDS_OF_COSTS
+    return _ODDS_OF_NETWORK if _is_network(method) else _ODDS_OF_COSTS
+
+
+def _is_network(method: str | Method) -> bool:
+    """Whether the confidence is a network's; that of a method of one's own is taken for a ratio of
+    costs.
+    """
+    return not (isinstance(method, str) and is_own(method)) and Method.parse(method).reads_out
 
 
 def may_be_nearer(depth: Depth) -> NDArray[np.bool_]:

@@ -24,7 +24,7 @@ from nbformat.v4 import new_markdown_cell, new_notebook, new_output
 
 from course import nbtools
 from course.classroom import solve
-from course.exercises.compare import NOT_WRITTEN
+from course.exercises.opened import YOURS_TO_WRITE
 from course.figures import stills
 
 REVEAL = Path(find_spec("sphinx_revealjs").submodule_search_locations[0], "_static/revealjs")
@@ -133,7 +133,7 @@ def shown(nb: NotebookNode, stem: str, out: Path) -> Iterator[NotebookNode]:
             # with their captions
             pictures = [output for output in cell.outputs if "data" in output]
             cell.outputs = pictures or [
-                output for output in cell.outputs if NOT_WRITTEN not in output.text
+                output for output in cell.outputs if YOURS_TO_WRITE not in output.text
             ]
             tags.append("hide-input")
             if not cell.outputs:
