@@ -46,7 +46,7 @@ class Row:
 
 @functools.cache
 def frame_of(name: str) -> tuple[Frame, osl.SphereSweep, Any]:
-    """Return a frame of a data set, the sweep of its rig at 320 × 80 × 64, and the exact indices."""
+    """Return a frame of a data set, the sweep of its rig, 320 × 80 × 64, and exact indices."""
     data = osl.load_dataset(nbtools.ROOT / "data_samples" / name, split="test")
     frame = data.frame(831) if name == "sunny" else data[0]
     grid = osl.SphereGrid(320, 80, (-45, 45), num_spheres=64, min_depth=data.rig.min_depth)

@@ -29,9 +29,9 @@ from omnistereo_lib.files import write_text
 
 PLACES = ("my_notebooks", "solutions")  # the folders of notebooks whose functions are kept
 WHOLE = "omnistereo.py"
-OF_NOTEBOOK = '''"""Your functions of notebook {}, as its checkers accepted them: change them there, not here."""
+OF_NOTEBOOK = '''"""Your functions of notebook {}, as its checkers accepted them."""
 '''
-OF_ALL = '''"""Depth from the images of a rig, by your own functions; the checkers of the notebooks wrote it.
+OF_ALL = '''"""Depth from the images of a rig by your own functions; the checkers wrote it.
 
 Run it: omnistereo depth --method {}
 """
@@ -241,7 +241,7 @@ def global_names(source: str) -> list[str]:
 
 
 def needed() -> dict[str, Callable[..., Any]]:
-    """Return the solutions of all functions that `one_file` calls, by name, in the course's order."""
+    """Return the solutions of all functions that `one_file` calls, by name, in their order."""
     from course.exercises import one_file
 
     found, left = dict[str, FunctionType](), [one_file.depth]
@@ -254,7 +254,7 @@ def needed() -> dict[str, Callable[..., Any]]:
 
 
 def write_whole() -> str:
-    """Write `omnistereo.py` if all that it needs is kept; return in words what came of it, or ""."""
+    """Write `omnistereo.py` if all that it needs is kept; return in words what came of it."""
     from course.exercises import one_file
 
     if (mine := folder()) is None:
