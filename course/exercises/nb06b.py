@@ -10,13 +10,10 @@ Sizes = list[tuple[int, float]]
 
 
 def receptive_field(layers):
-    """Side in pixels of the input that one output sees; layers: (kernel, stride) in order, stride
-    1/2 doubles."""
-    # what one value sees, and how far apart neighbouring values are, both in pixels of the input
-    side, pixel = 1, 1.0
+    """Side in pixels of the input that one output sees; layers: (kernel, stride) in order, stride 1/2 doubles."""
+    side, pixel = 1, 1.0  # what one value sees, and how far apart neighbouring values are, both in pixels of the input
     for kernel, stride in layers:
-        # the kernel of a layer that doubles lies on its output
-        side += (kernel - 1) * pixel * min(stride, 1)
+        side += (kernel - 1) * pixel * min(stride, 1)  # the kernel of a layer that doubles lies on its output
         pixel *= stride
     return side
 
@@ -34,15 +31,13 @@ check_receptive_field = Open(receptive_field, _some_layers).with_slips("""
     # behind a stride of 2 a value is two pixels from the next: multiply by all the strides before
     min(stride, 1) → stride  # a layer's own stride counts for the layers behind it
     * min(stride, 1) →  # the kernel of a layer that doubles lies on its finer output
-    # a stride of 1/2 halves the distance between values again
-    pixel *= stride → pixel *= max(stride, 1)
+    pixel *= stride → pixel *= max(stride, 1)  # a stride of 1/2 halves the distance between values again
     pixel *= stride → pixel = stride  # strides multiply up: the product of all that came before
 """)
 
 
 def side_with_share(influence, share):
-    """Side of the smallest square around the middle of a map (2 R + 1, 2 R + 1) that holds a share
-    of its sum."""
+    """Side of the smallest square around the middle of a map (2 R + 1, 2 R + 1) that holds a share of its sum."""
     rows, columns = np.indices(influence.shape) - len(influence) // 2
     ring = np.maximum(np.abs(rows), np.abs(columns))
     held = np.bincount(ring.ravel(), weights=influence.ravel()).cumsum()
@@ -69,10 +64,8 @@ check_side_with_share = Open(side_with_share, _a_map, whole=("influence",)).with
 
 
 def with_prior(cost, share, strength):
-    """Costs (…, N) of a balanced network, given the share (N,) of rays whose true sphere is n;
-    strength 1 is Bayes."""
-    # eps: a cost of exactly 0 or 1 would be sure whatever the prior
-    score = torch.logit(cost, eps=1e-4)
+    """Costs (…, N) of a balanced network, given the share (N,) of rays whose true sphere is n; strength 1 is Bayes."""
+    score = torch.logit(cost, eps=1e-4)  # eps: a cost of exactly 0 or 1 would be sure whatever the prior
     return torch.sigmoid(score - strength * torch.log(share / (1 - share)))
 
 

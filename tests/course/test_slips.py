@@ -1,7 +1,7 @@
 """Every function × every slip that students have made: it is refused, and in words that help.
 
-A slip is a change of the solution, as in `course.exercises`; behind it stands what the check has to
-say of it."""
+A slip is a change of the solution, as in `course.exercises`; behind it stands what the check has to say of it.
+"""
 
 import numpy as np
 import pytest
@@ -14,8 +14,7 @@ OPENED = {
     f.name: f for path in nbtools.notebooks() for f in exercises.functions(nbtools.number(path))
 }
 each = pytest.mark.parametrize("function", OPENED.values(), ids=OPENED)
-# What was met besides those that the exercises name, each kind twice; "example": the smallest one
-# is shown.
+# What was met besides those that the exercises name, each kind twice; "example": the smallest one is shown.
 SLIPS = """
 index_errors
     100 / N → 100 / (N - 1)  # `N` were smaller by 1
@@ -52,8 +51,7 @@ pixels_of_points
     T_rig_cam.inverse() → T_rig_cam  # `T_rig_cam` were its inverse
     pixels, np.nan → pixels, 0  # 0 where NaN is right
 look_up
-    # `pixels` were larger by ½
-    pixels[..., 0], pixels[..., 1] → pixels[..., 0] + 0.5, pixels[..., 1] + 0.5
+    pixels[..., 0], pixels[..., 1] → pixels[..., 0] + 0.5, pixels[..., 1] + 0.5  # `pixels` were larger by ½
 disagreement
     return np.std(np.nan_to_num(warped), axis=0)  # `warped` had 0 in the place of NaN
 zncc
@@ -70,15 +68,13 @@ tower
 hinge
     margin + non_match - match → margin + match - non_match  # `match` and `non_match` were swapped
 adam_step
-    # overwrites its argument number 2
-    mean = 0.9 * mean + 0.1 * gradient → mean.mul_(0.9).add_(0.1 * gradient)
+    mean = 0.9 * mean + 0.1 * gradient → mean.mul_(0.9).add_(0.1 * gradient)  # overwrites its argument number 2
     + 1e-8 →  # a division by zero
     weight - rate → weight + rate  # `rate` had the other sign
 balanced_loss
     score, -score → -score, score  # `score` had the other sign
 walk
-    # overwrites its argument number 1
-    return np.stack(lines) → found = np.stack(lines); costs += 1; return found
+    return np.stack(lines) → found = np.stack(lines); costs += 1; return found  # overwrites its argument number 1
 step
     lowest + p2) → lowest + p1)  # swapped
 sum_of_paths
@@ -95,8 +91,7 @@ suspect
 verdict
     return np.where(near, 2 → return np.where(near, 2.0  # whole numbers
 epipolar_residual
-    # π/180 times
-    np.degrees(np.arcsin(np.sum(normals * y, axis=1))) → np.arcsin(np.sum(normals * y, axis=1))
+    np.degrees(np.arcsin(np.sum(normals * y, axis=1))) → np.arcsin(np.sum(normals * y, axis=1))  # π/180 times
     return np.degrees → return np.abs(np.degrees(np.arcsin(np.sum(normals * y, axis=1)))); np.degrees
     # without its sign
 eight_point
