@@ -206,7 +206,9 @@ def _per_camera(data: Section) -> list[dict[str, Any]]:
         singular = singular or (
             key if _meaning(key) else re.sub("ices$", "ix", key).removesuffix("s")
         )
-        if isinstance(value, list) and len(value) == count and _meaning(singular):
+        if not (isinstance(value, list) and len(value) == count and _meaning(singular)):
+            continue
+        if _meaning(singular) != "size" or isinstance(value[0], list):  # else that of all cameras
             data.ignore(key)
             for cam, each in zip(cams, value, strict=True):
                 cam[singular] = each

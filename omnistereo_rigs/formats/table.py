@@ -23,6 +23,7 @@ from omnistereo_lib.geometry.pose import Pose, quaternion_pose, rotation_from_ax
 from omnistereo_lib.parse import (
     Section,
     check_count,
+    is_irrelevant,
     parse_axis_angle,
     parse_floats,
     parse_size,
@@ -494,6 +495,10 @@ def _focal_of_angle(cam: Section) -> None:
 def _drive_works_cameras(data: Section, path: Path) -> list[Section]:
     sensors = data.section("rig").sections("sensors").values()
     cams = [sensor for sensor in sensors if "camera" in str(sensor.get("name", default="camera"))]
+    for cam in cams:
+        given = [key for key in cam.values if key.startswith("correction")]
+        if wrong := [key for key in given if not is_irrelevant("", cam.get(key))]:
+            raise OmnistereoError(f"{wrong[0]} is not read. Add it to nominalSensor2Rig_FLU")
     data.note(
         "axes and pixel centres as DriveWorks documents them, not checked with it: sensor → rig by "
         "yaw, pitch, roll in x forward, y left, z up. `omnistereo doctor` with images checks them"
@@ -552,7 +557,7 @@ def _f_theta(sensor: Section) -> dict[str, float]:
     kind = lens.word("polynomial-type", default="pixeldistance-to-angle")
     if kind not in ("pixeldistance-to-angle", "angle-to-pixeldistance"):
         raise OmnistereoError(f"polynomial-type is {kind}; expected pixeldistance-to-angle")
-    values = parse_floats(str(lens.require("polynomial")).split(), "polynomial")
+    values = parse_floats(str(lens.require("polynomial", "bw-poly")).split(), "polynomial")
     if values[0] != 0 or not 2 <= len(values) <= 16:
         raise OmnistereoError(
             f"polynomial is {values.tolist()}; expected 0 and 1 to 15 coefficients"

@@ -72,8 +72,8 @@ def run(options: RigFileOptions) -> None:
         print(f"resized: to {width} × {height} px ({said})")
     for sentence in convert(rig, options.to, options.out):
         print(f"{options.to}: {sentence}")
-    print(f"{options.out} is written. Next: omnistereo doctor --rig {options.out}", end="")
-    print(" --unit m" if options.to in ("ocam", "opencv", "colmap", "nerfstudio") else "")
+    unit = " --unit m" if options.to in ("ocam", "opencv", "colmap", "nerfstudio") else ""
+    print(f"{options.out} is written. Next:\nomnistereo doctor --rig {options.out}{unit}")
 
 
 def _assumed(options: RigFileOptions, read: RigReading) -> list[str]:

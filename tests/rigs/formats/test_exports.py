@@ -125,7 +125,7 @@ def test_the_command_goes_both_ways(exported, program, tmp_path, capsys):
     assert re.search(r"4 cameras, 0.841 to 1.2 m apart; metres by the format", said)
     unit = [] if program == "kalibr" else ["--unit", "m"]
     assert cli.main(["rig", str(there), str(back), *unit, "--max-fov", "220"]) == 0
-    assert f"{back} is written. Next: omnistereo doctor --rig {back}\n" in capsys.readouterr().out
+    assert f"{back} is written. Next:\nomnistereo doctor --rig {back}\n" in capsys.readouterr().out
     read = read_rig(back)
     assert read.is_own
     for n, camera in enumerate(read.rig.cameras):

@@ -68,6 +68,13 @@ def fov(x, y, z, w=0.9):
         ({"Xi": -0.2, "Alpha": 0.6}, ds),
         ({"alpha": 0.6, "beta": 1.1}, eucm),
         ({"omega": 0.9, "fx": 350.0, "fy": 350.0}, fov),
+        (
+            {
+                "params_ds": {k: LENS[k] for k in ("fx", "fy", "cx", "cy")}
+                | {"alpha": 0.6, "Xi": -0.2}
+            },
+            ds,
+        ),
         ({"w": 0.9, "fx": 350.0, "fy": 350.0}, fov),
         ({"camera_model": "double_sphere", "xi": -0.2, "alpha": 0.6}, ds),
     ],
@@ -254,7 +261,9 @@ def test_lists_of_calibrate_multiview(tmp_path):
     lists |= {"Rs": [np.eye(3).tolist(), second[0]], "Ts": [[0, 0, 0], second[1]]}
     lists |= {"image_sizes": [list(SIZE)] * 2}
     np.savez(tmp_path / "rig.npz", **lists)
-    for path in (dump(tmp_path / "rig.json", lists), tmp_path / "rig.npz"):
+    shared = lists | {"image_sizes": None, "image_size": list(SIZE)}
+    files = dump(tmp_path / "rig.json", lists), dump(tmp_path / "shared.json", shared)
+    for path in (*files, tmp_path / "rig.npz"):
         rig = quiet(path, "cm")
         np.testing.assert_allclose(rig.T_rig_cam[1].inverse().t, np.array(second[1]) / 100)
         follows(rig.cameras[1], kb4)
@@ -330,6 +339,9 @@ def test_f_theta_rigs(tmp_path, kind):
         return 400.5 + r * cos(around), 380 + r * sin(around)
 
     follows(rig.cameras[0], pixel)
+    sensors[0]["correction_sensor_R_FLU"] = {"roll-pitch-yaw": [0, 0.5, 0]}
+    with pytest.raises(OmnistereoError, match="correction_sensor_R_FLU is not read"):
+        read_any_rig(dump(tmp_path / "rig.json", {"rig": {"sensors": sensors}}))
     # The second camera looks to the left of the first, stands 1 m behind it and 1 m to its left.
     there = relative(rig)[1]
     np.testing.assert_allclose(there.t, [-1, 0, -1], atol=1e-9)
