@@ -91,6 +91,7 @@ _LISTS = {
     "R": "rs",
     "T": "ts",
 }  # plurals that the pattern with an s behind does not find
+_TANGENTIAL = 0.002  # p1 and p2 of lenses are below
 _EXPECTED = (
     "expected fisheye (equidistant), plumb_bob, rational_polynomial, omnidir (with xi), "
     "double_sphere, eucm, fov or none. Recalibrate with it"
@@ -419,8 +420,9 @@ def _model_of(
     """Return the model of a camera that states none, with a note that says why.
 
     Five or eight numbers are a pinhole's. Four are a fisheye's (k1 k2 k3 k4) or a pinhole's (k1 k2
-    p1 p2), which sees 120° at most: where it does not reach the corners of the image, the camera is
-    a fisheye, as in files of cv2.fisheye. Else an `OmnistereoError` asks for the model.
+    p1 p2), which sees 120° at most: where it does not reach the corners of the image, and the last
+    two are larger than any p1 and p2, the camera is a fisheye, as in files of cv2.fisheye. Else an
+    `OmnistereoError` asks for the model.
     """
     found = f"{key} has {len(D)} numbers" if " " not in key else f"{key} are stated"
     if len(D) not in (0, 4, 5, 8, 12, 14):
@@ -438,7 +440,8 @@ def _model_of(
         for model, names in (("kb4", FISHEYE), ("pinhole", RADTAN))
     }
     fisheye, pinhole = (field_of_view_deg(model, size) for model in models.values())
-    if pixels_beyond(models["pinhole"], size)[1] == 0:
+    looks_tangential = max(map(abs, D[2:])) < _TANGENTIAL
+    if looks_tangential or pixels_beyond(models["pinhole"], size)[1] == 0:
         raise OmnistereoError(
             f"{said} a fisheye (k1 k2 k3 k4, {fisheye:.0f}°) and a pinhole (k1 k2 p1 p2, "
             f"{pinhole:.0f}°) are possible. Add distortion_model: fisheye or plumb_bob"

@@ -149,6 +149,7 @@ def test_what_is_not_read_is_named(tmp_path):
             [-0.28, 0.07, 2e-4, 2e-5],
             "camera 1: .*fisheye .* and a pinhole .* are possible. Add distortion_model",
         ),
+        (200.0, [-0.01, 0.004, -4e-4, 3e-4], "camera 1: .* are possible. Add distortion_model"),
         (
             520.0,
             [-0.28, 0.07, 2e-4, 2e-5, 0.0],
