@@ -440,7 +440,7 @@ def _model_of(
         for model, names in (("kb4", FISHEYE), ("pinhole", RADTAN))
     }
     fisheye, pinhole = (field_of_view_deg(model, size) for model in models.values())
-    looks_tangential = max(map(abs, D[2:])) < _TANGENTIAL
+    looks_tangential = 0 < max(map(abs, D[2:])) < _TANGENTIAL
     if looks_tangential or pixels_beyond(models["pinhole"], size)[1] == 0:
         raise OmnistereoError(
             f"{said} a fisheye (k1 k2 k3 k4, {fisheye:.0f}°) and a pinhole (k1 k2 p1 p2, "
