@@ -40,11 +40,7 @@ def show(function: Callable[..., Any], answer: Callable[..., Any], inputs: tuple
         except (Exception, SystemExit):  # the sentence above has said it
             return
         right = np.asarray(answer(*inputs), np.float64)
-    if (
-        yours.shape != right.shape
-        or np.allclose(yours, right, rtol=1e-2, equal_nan=True)
-        or right.ndim < 2
-    ):
+    if yours.shape != right.shape or np.allclose(yours, right, rtol=1e-2, equal_nan=True) or right.ndim < 2:
         return
     if right.ndim == 3 and right.shape[-1] > 3:
         yours, right = (volume.argmin(axis=-1).astype(float) for volume in (yours, right))
@@ -62,8 +58,7 @@ def show(function: Callable[..., Any], answer: Callable[..., Any], inputs: tuple
     name = answer.__name__
     show_picture(
         fig,
-        f"Two panoramas of a street: what your {name} makes of it, and below it what the right one"
-        " makes",
+        f"Two panoramas of a street: what your {name} makes of it, and below it what the right one makes",
     )
 
 

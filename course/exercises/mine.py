@@ -23,6 +23,7 @@ from types import FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
+
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import write_text
 

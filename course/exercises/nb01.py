@@ -1,9 +1,9 @@
 """Notebook 01: the ray of a pixel, the pixel of a ray, the pose of a plane, a residual, the polynomial of a lens."""
 
 import numpy as np
-import omnistereo_lib as osl
 from scipy.spatial.transform import Rotation
 
+import omnistereo_lib as osl
 from course.exercises.compare import Rng
 from course.exercises.opened import Open
 

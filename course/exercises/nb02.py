@@ -2,8 +2,8 @@
 minimum, covariance, shift."""
 
 import numpy as np
-import omnistereo_lib as osl
 
+import omnistereo_lib as osl
 from course.exercises.compare import Rng
 from course.exercises.opened import Open
 

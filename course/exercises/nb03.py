@@ -1,12 +1,12 @@
 """Notebook 03: the ray of a pixel, a sphere, the pixel of a point, the look-up, and how much the cameras disagree."""
 
 import numpy as np
-from omnistereo_lib.geometry.camera import OcamCamera
-from omnistereo_lib.geometry.pose import Pose
 
 from course.exercises import beside
 from course.exercises.compare import Rng
 from course.exercises.opened import Open
+from omnistereo_lib.geometry.camera import OcamCamera
+from omnistereo_lib.geometry.pose import Pose
 
 
 def rays_of_pixels(columns, rows, width, height, phi_deg):

@@ -6,11 +6,11 @@ And `envelopes`, the faults that the notebook asks for.
 from itertools import pairwise
 
 import numpy as np
-import omnistereo_lib as osl
-from omnistereo_rigs.doctor import rig_check
 
+import omnistereo_lib as osl
 from course.exercises.compare import Rng
 from course.exercises.opened import Open
+from omnistereo_rigs.doctor import rig_check
 
 
 def clock_offset(times_a, times_b):

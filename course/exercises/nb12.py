@@ -4,12 +4,12 @@ from itertools import pairwise
 
 import numpy as np
 import torch
-from omnistereo_lib.stereo.volumenet import wrap
 from torch.nn.functional import interpolate
 
 from course.exercises import beside
 from course.exercises.compare import Rng
 from course.exercises.opened import Open
+from omnistereo_lib.stereo.volumenet import wrap
 
 
 def correlation(f):

@@ -1,14 +1,14 @@
 """Notebook 13, the one page: the lens, the warp, the cost volume, and points from depth."""
 
 import numpy as np
-from omnistereo_lib.geometry.camera import OcamCamera
-from omnistereo_lib.geometry.pose import Pose
 
 from course.exercises import beside
 from course.exercises.compare import Rng
 from course.exercises.nb03 import look_up
 from course.exercises.nb04 import mean_of_pairs, zncc_costs
 from course.exercises.opened import Open
+from omnistereo_lib.geometry.camera import OcamCamera
+from omnistereo_lib.geometry.pose import Pose
 
 
 def project(camera, points):

@@ -4,12 +4,12 @@ And `before_the_knock`, the rig file of which the notebook asks what has become 
 """
 
 import numpy as np
-import omnistereo_lib as osl
-from omnistereo_rigs.doctor import rig_check
-from omnistereo_rigs.images.relative_pose import decompositions
 
+import omnistereo_lib as osl
 from course.exercises.compare import Rng
 from course.exercises.opened import Open
+from omnistereo_rigs.doctor import rig_check
+from omnistereo_rigs.images.relative_pose import decompositions
 
 
 def epipolar_residual(x, y, T_21):

@@ -1,9 +1,9 @@
 """Notebook 15: the rig's step, signed distances of one frame, the way back along a ray, and which depth to believe."""
 
 import numpy as np
-import omnistereo_lib as osl
 from scipy.optimize import least_squares
 
+import omnistereo_lib as osl
 from course.exercises.compare import Rng
 from course.exercises.opened import Open
 
