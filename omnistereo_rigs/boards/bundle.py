@@ -4,6 +4,19 @@
 
 for the corners x that camera i observes of the board points X in capture k. A single camera is the
 same problem with one Θ_i, the identity. The unknowns: see `params`.
+
+The derivatives that `BundleProblem.jacobian` puts together. For a point (X, Y, Z) in the frame of
+its camera let n = √(X² + Y²) and p = (X, Y) / n. Its radius r solves g = f(r) n + r Z = 0, with
+f(r) = s Σ α_k (r/s)^k, so whatever changes by a little, r changes by -∂g / g', g' = f'(r) n + Z:
+
+    ∂r/∂n = -f / g'        ∂r/∂Z = -r / g'        ∂r/∂α_k = -n s (r/s)^k / g'
+
+The point m = r p of the lens moves outwards as r grows, and across as p turns:
+
+    ∂m/∂(X, Y) = ∂r/∂n p pᵀ + (r/n) (I - p pᵀ)        ∂m/∂Z = ∂r/∂Z p
+
+and the pixel is A m + (u0, v0). A rotation turns y = R(ω) x by dy = -[y]ₓ J(ω) dω, where J is the
+left Jacobian of the rotation (Barfoot 2017, Section 7.1.5).
 """
 
 from typing import Any, Literal
@@ -83,16 +96,8 @@ class BundleProblem:
         py = np.where(off_axis, Y, 0.0) / np.where(off_axis, n, 1.0)
         r = self._radius(alpha, n, Z, np.stack([u0, v0], -1))
         mx, my = r * px, r * py
-        return np.stack([mx + d * my + u0, d * mx + c * my + v0], -1), (
-            c,
-            d,
-            alpha,
-            n,
-            Z,
-            px,
-            py,
-            r,
-        )
+        pixels = np.stack([mx + d * my + u0, d * mx + c * my + v0], -1)
+        return pixels, (c, d, alpha, n, Z, px, py, r)
 
     def _radius(self, alpha: Floats, n: Floats, Z: Floats, center: Floats) -> Floats:
         """Solve f(r) n + r Z = 0 by Newton's method from the observed radius: the right one of
@@ -116,17 +121,18 @@ class BundleProblem:
     def jacobian(self, x: Floats) -> csr_matrix:
         """Return the derivatives of `residuals`, shape (2 M, unknowns), sparse."""
         state, seen = _UnpackedParams(self.initial, x), self.observations
-        rotated, in_camera = self._points(state)
+        turned_board, in_camera = self._points(state)
+        turned_rig = in_camera - state.t_cam[seen.camera]
+        # By the lens, and by the point in the camera's frame.
         d_intrinsics, d_point = self._derivatives(*self._project(state, in_camera)[1])
+        # By the pose of the capture, whose rotation turns the board's point in the rig's frame.
         d_in_rig = d_point @ state.R_cam[seen.camera]
-        d_capture = np.concatenate(
-            [-d_in_rig @ cross(rotated) @ state.J_board[seen.capture], d_in_rig], -1
-        )
-        rotated = in_camera - state.t_cam[seen.camera]
-        d_camera = np.concatenate(
-            [-d_point @ cross(rotated) @ state.J_cam[seen.camera], d_point], -1
-        )
-        # (M, 2, entries of a row)
+        d_rotation = -d_in_rig @ cross(turned_board) @ state.J_board[seen.capture]
+        d_capture = np.concatenate([d_rotation, d_in_rig], -1)
+        # By the pose of the camera, whose rotation turns the rig's point.
+        d_rotation = -d_point @ cross(turned_rig) @ state.J_cam[seen.camera]
+        d_camera = np.concatenate([d_rotation, d_point], -1)
+        # All entries of a row, (M, 2, entries), of which camera 1 has no pose.
         entries = np.concatenate([d_intrinsics, d_camera, d_capture], axis=-1)
         entries = entries.reshape(-1, entries.shape[-1])[self._used]
         return csr_matrix(
@@ -162,8 +168,9 @@ class BundleProblem:
         3).
         """
         f, slope, powers = self._polynomial(alpha, r)
-        steep = slope * n + Z  # ∂/∂r of f(r) n + r Z, whose root r is
+        steep = slope * n + Z
         r_n, r_Z = -f / steep, -r / steep
+        # r / n; on the axis, where both are 0, it is -f / Z, since f n + r Z = 0.
         across = np.where(n > 1e-9, r / np.maximum(n, 1e-9), -f / np.where(Z == 0, 1.0, Z))
         mixed = (r_n - across) * px * py
         d_m = _matrices(

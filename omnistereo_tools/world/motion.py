@@ -138,6 +138,11 @@ class _End:
     def points(self) -> Floats:
         return self.center + self.ray / np.maximum(self.inverse, _FARTHEST)[:, None]
 
+    @classmethod
+    def join(cls, ends: Sequence[_End]) -> _End:
+        parts = zip(*((end.center, end.ray, end.inverse, end.sd) for end in ends), strict=True)
+        return cls(*map(np.concatenate, parts))
+
     def select(self, chosen: NDArray[np.int64]) -> _End:
         return _End(self.center[chosen], self.ray[chosen], self.inverse[chosen], self.sd[chosen])
 
@@ -175,41 +180,40 @@ def _match(
     """Match all cameras with all, anywhere, or within a gate of where T and the depth of a put the
     features.
     """
-    centers = rig.centers
+    ends_a, ends_b = _ends(rig, a), _ends(rig, b)
 
-    def end_of(frame: Sighting, camera: int) -> _End:
-        rays = frame.features[camera].rays
-        return _End(
-            np.broadcast_to(centers[camera], rays.shape),
-            rays,
-            frame.inverse[camera],
-            frame.sd[camera],
-        )
-
-    def match(i: int, j: int) -> tuple[_End, _End]:
-        found, other, mine = a.features[i], b.features[j], end_of(a, i)
+    def match(pair: tuple[int, int]) -> tuple[_End, _End]:
+        i, j = pair
         if T is None:
-            pairs = match_features(found, other)[0]
+            found = match_features(a.features[i], b.features[j])[0]
         else:
-            toward, by_inverse, _ = _predict(T, mine, centers[j])
-            length = np.linalg.norm(toward, axis=1, keepdims=True)
-            doubt = (
-                mine.sd
-                * np.linalg.norm(np.cross(toward / length, by_inverse), axis=1)
-                / length[:, 0]
-            )
-            gates = np.minimum(gate_deg + np.degrees(2 * doubt), 12.0)
-            pairs = match_near(found, other, toward / length, gates)
-        return mine.select(pairs[:, 0]), end_of(b, j).select(pairs[:, 1])
+            toward, gates = _gates(T, ends_a[i], rig.centers[j], gate_deg)
+            found = match_near(a.features[i], b.features[j], toward, gates)
+        return ends_a[i].select(found[:, 0]), ends_b[j].select(found[:, 1])
 
-    cameras = product(range(len(rig)), repeat=2)
-    first, second = (
-        _End(
-            *(np.concatenate([getattr(end, name) for end in side]) for name in _End.__annotations__)
-        )
-        for side in zip(*map_threads(lambda pair: match(*pair), cameras), strict=True)
-    )
-    return first, second
+    matched = [*map_threads(match, product(range(len(rig)), repeat=2))]
+    return _End.join([first for first, _ in matched]), _End.join([second for _, second in matched])
+
+
+def _ends(rig: Rig, frame: Sighting) -> list[_End]:
+    """Return what a frame knows of the features of each camera."""
+    seen = zip(rig.centers, frame.features, frame.inverse, frame.sd, strict=True)
+    return [
+        _End(np.broadcast_to(center, features.rays.shape), features.rays, inverse, sd)
+        for center, features, inverse, sd in seen
+    ]
+
+
+def _gates(T: Pose, a: _End, center: Floats, gate_deg: float) -> tuple[Floats, Floats]:
+    """Return the rays (M, 3) at which features of a should be seen in b, and how far off, degrees.
+
+    A gate is wider by two standard deviations of what the depth of the feature leaves open.
+    """
+    toward, by_inverse, _ = _predict(T, a, center)
+    length = np.linalg.norm(toward, axis=1)
+    rays = toward / length[:, None]
+    doubt = a.sd * np.linalg.norm(np.cross(rays, by_inverse), axis=1) / length
+    return rays, np.minimum(gate_deg + np.degrees(2 * doubt), 12.0)
 
 
 def _predict(T: Pose, a: _End, center: Floats) -> tuple[Floats, Floats, Floats]:
