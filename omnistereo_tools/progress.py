@@ -1,5 +1,7 @@
 """How far a command is, on the terminal."""
 
+import sys
+
 from tqdm import tqdm
 
 from omnistereo_lib.progress import Progress
@@ -28,5 +30,5 @@ def progress_bar(unit: str = "part") -> Progress:
 
 
 def say(line: str) -> None:
-    """Print a line above the bar."""
-    tqdm.write(line)
+    """Print what is going on above the bar, on stderr: stdout is for the result, verdict first."""
+    tqdm.write(line, file=sys.stderr)

@@ -16,14 +16,18 @@ BLOCK = 16  # spheres warped at a time: their cells fill one cache line of the (
 def select_device(device: torch.device | str) -> torch.device:
     """Return the device to compute on; under `torchrun`, each process uses its own GPU.
 
+    "auto" is the GPU where PyTorch finds one.
+
     Raises an `OmnistereoError` if PyTorch cannot use a GPU that was asked for.
     """
+    if device == "auto":
+        device = "cuda" if torch.cuda.is_available() else "cpu"
     try:
         device = torch.device(device)
         if device.type not in ("cpu", "cuda"):
             raise TypeError
     except (RuntimeError, TypeError):
-        raise OmnistereoError(f'device is {device!r}; expected "cpu" or "cuda"') from None
+        raise OmnistereoError(f'device is {device!r}; expected "auto", "cpu" or "cuda"') from None
     if device.type == "cuda":
         if (device.index or 0) >= (count := torch.cuda.device_count()):
             raise OmnistereoError(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, Self, get_args, get_type_hints
 
@@ -130,8 +131,11 @@ class Method:
             ("pairs", ("ring", "all")),
         ):
             if getattr(self, name) not in choices:
+                given = getattr(self, name)
+                similar = get_close_matches(str(given), choices, n=1)
+                guess = f". Did you mean {similar[0]}?" if similar else ""
                 raise OmnistereoError(
-                    f"{name} must be one of {', '.join(choices)}, got {getattr(self, name)!r}"
+                    f"{name} must be one of {', '.join(choices)}, got {given!r}{guess}"
                 )
         if unused := self._changed.keys() - self._used:
             raise OmnistereoError(

@@ -131,6 +131,11 @@ class Checkerboard(Board):
                 " sharp and evenly lit"
             )
         (columns, rows), count = suggestion
+        if count == 1 and len(grays) > 2:
+            return (
+                f"A board of {columns} x {rows} inner corners is found in 1 of {len(grays)} images,"
+                " perhaps by chance. Count the inner corners of the board"
+            )
         return (
             f"Pass {columns} x {rows} inner corners as board size: such a board is found in {count}"
             " of the first images"
@@ -323,25 +328,38 @@ def _first_is_black(grid: Floats, gray: Gray) -> bool:
 def suggest_board(
     images: Sequence[ArrayLike], board: Checkerboard, only_larger: bool = False
 ) -> tuple[tuple[int, int], int] | None:
-    """Find the largest board of a size near the one given: ((columns, rows), number of images), or
-    None.
+    """Find the board that the images show: ((columns, rows), number of images), or None.
 
+    Sizes near the given one are searched, and as long as one at the edge of the search fits, those
+    around that one: a part of a board looks like a smaller board. The number of images decides.
     Only the first images are searched; with `only_larger`, only for boards of which the one given
     could be a part.
     """
     grays = [as_gray(image) for image in images[:_SEARCHED]]
-    columns, rows = sorted(board.corners, reverse=True)
-    near = range(0 if only_larger else -_SIZE_SEARCH, _SIZE_SEARCH + 1)
-    sizes = {
-        (max(c, r), min(c, r))
-        for c in (columns + d for d in near)
-        for r in (rows + d for d in near)
-        if min(c, r) >= 3
-    }
-    sizes -= {(columns, rows)} if only_larger else set()
-    # Larger boards first: a part of a board looks like a smaller board.
-    for size in sorted(sizes, key=lambda size: -size[0] * size[1]):
-        fits = sum(_classic(gray, Checkerboard(size, 1.0)) is not None for gray in grays)
-        if fits:
-            return size, fits
-    return None
+    given = middle = (max(board.corners), min(board.corners))
+    best: tuple[tuple[int, int], int] | None = None
+    tried = {given} if only_larger else set[tuple[int, int]]()
+    while True:
+        near = range(-_SIZE_SEARCH, _SIZE_SEARCH + 1)
+        sizes = {
+            (max(c, r), min(c, r))
+            for c in (middle[0] + d for d in near)
+            for r in (middle[1] + d for d in near)
+            if min(c, r) >= 3
+        }
+        if only_larger:
+            sizes = {size for size in sizes if size[0] >= given[0] and size[1] >= given[1]}
+        edge = middle
+        for size in sorted(sizes - tried, key=lambda size: -size[0] * size[1]):
+            tried.add(size)
+            fits = sum(_classic(gray, Checkerboard(size, 1.0)) is not None for gray in grays)
+            if fits > (best[1] if best else 0):
+                best = size, fits
+            if fits and max(abs(a - b) for a, b in zip(size, middle, strict=True)) == _SIZE_SEARCH:
+                edge = size  # there may be a larger one outside
+                break
+            if 2 * fits >= len(grays):
+                return best
+        if edge == middle:
+            return best
+        middle = edge

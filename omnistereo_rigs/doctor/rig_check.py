@@ -1,45 +1,52 @@
-"""Rig check: measure the relative poses from images, compare them with those of the rig, and name
-what is wrong.
+"""Rig check: does a rig fit its images, and if not, what is wrong with which camera.
 
-Nothing is named that does not fit what was measured.
+What may have happened is tried as hypotheses: pictures rotated, mirrored or swapped, poses mixed
+up, one camera elsewhere, lenses with another focal length. Each is scored by the matches that it
+explains, and the simplest that explains most is named. Small errors are measured by all cameras
+together; whom to accuse is then a question of which single camera explains the change.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.stats import chi2
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.frame import Frame, check_images
-from omnistereo_lib.geometry.pose import Floats, Pose, nearest_rotation
+from omnistereo_lib.geometry.pose import Floats, Pose, nearest_rotation, rotation_from_axis_angle
 from omnistereo_lib.geometry.rig import Pair, Rig
 from omnistereo_lib.progress import Progress, counted, silent
+from omnistereo_rigs.doctor.evidence import Evidence
 from omnistereo_rigs.doctor.mixups import as_given, explain
-from omnistereo_rigs.images.features import FeatureFinder, Features
-from omnistereo_rigs.images.from_images import (
-    MeasuredRig,
-    chain_poses,
-    find_features,
-    find_pairs,
-    measure_rig,
-    relative_poses,
-)
+from omnistereo_rigs.doctor.one_camera import fitted_share, free_focal_lengths, free_poses
+from omnistereo_rigs.doctor.pictures import picture_mixups
+from omnistereo_rigs.images.from_images import MeasuredRig, chain_poses, measure_rig, relative_poses
 from omnistereo_rigs.images.relative_pose import RelativePose
-from omnistereo_rigs.images.track_bundle import mean_baseline, pose_differences
+from omnistereo_rigs.images.track_bundle import mean_baseline, moved_rig, pose_differences
 
-# deviations; of the length of a turn about three axes, passed by chance once in thousands
-_SURE = 2.5
+# Scores; measured on planted mistakes, see workshop/results/planted_mistakes.py.
+_CLEARER = 1.12  # times the matches that the rig explains as given
+_MORE = 10  # matches, at least, on top of those
+# of the score: so much better must a freed pose, or a focal length, be than a mix-up
+_FREED, _LENS = 0.08, 0.04
+_FEW = 15  # matches for each camera that agree on something; fewer show nothing
+_SHOWS_ALL = 0.45  # of the matches of each camera: nothing else is looked for
+_AS_WELL = 0.5  # times the share of the others, at least: a focal length that is right
+_ALIEN = 0.3  # times the share of the others: a camera that shows something else
+# Measured poses.
+_BY_CHANCE = 1e-4  # probability that a right camera is accused
+_PREFERRED = 2.0  # standard errors, by which the matches themselves must prefer the measured rig
 # less is not worth saying; the shift is a share of the mean baseline
 _LEAST_TURN_DEG, _LEAST_SHIFT = 0.02, 0.005
 _WRONG_PX, _WRONG_SHIFT = 0.5, 0.02  # less does no harm: of a turn in pixels, of a shift as above
-_CLEARER = 0.5  # times the misfit
 # standard deviation of a turn; images that show no more say nothing about the rig
 _UNKNOWN_DEG = 1.0
-_LARGE_TURN_DEG = 20.0  # of one camera: hardly a mount that gave way
+_LATE_SHARE = 0.3  # of the radius: a camera that is farther off may as well show another moment
 _TOGETHER = 1e-9  # metres
 _NEAR_DEG = 1.0  # of file and images: then the file is where the measurement begins
+_GAUGE = 7  # a rotation, a shift and a scale of all cameras cannot be seen
 _UNITS = {1000: "m read as mm", 100: "m read as cm", 10: "cm read as mm"}
 
 
@@ -48,11 +55,30 @@ class RigCheck:
     """Result of `check_rig`."""
 
     fits: bool | None  #: None: the images do not show it
-    text: str  #: the result in sentences
+    text: str  #: the result in sentences, the verdict first
+    cause: str  #: in a word or two: "nothing wrong", "turned", "late or displaced", …
+    cameras: tuple[int, ...] = ()  #: those that are accused, from 0
     fixed: Rig | None = (
-        None  #: if this rig is wrong, the one that the images show, in the order of the images
+        None  #: if this rig is wrong and the images show the right one: that, in their order
     )
     measured: MeasuredRig | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Hypothesis:
+    """What may be wrong, and how many matches are explained once it is undone."""
+
+    cause: str
+    score: float
+    penalty: float  # share of the score
+    rig: Rig
+    cameras: tuple[int, ...] = ()
+    text: str = ""
+    scale: float = 1.0  # of focal lengths
+
+    @property
+    def worth(self) -> float:
+        return self.score * (1 - self.penalty)
 
 
 def check_rig(
@@ -77,90 +103,179 @@ def check_rig(
     """
     if mean_baseline(rig.centers) < _TOGETHER:
         return RigCheck(
-            False, "all cameras are at one place: they see no depth. Check their translations"
+            False,
+            "all cameras are at one place: they see no depth. Check their translations",
+            "one place",
         )
     step = counted(progress, 2)
     step("matches")
-    features, pairs = _matches(rig, images)
-    wrong = _mixup(rig, images, features, pairs)
-    if wrong is None:
+    evidence = _evidence(rig, images)
+    found = _best(evidence, rig)
+    check = _mixup(evidence, rig, found)
+    if check is None:
         step("poses")
         try:
-            chained = _chained(rig, pairs)
-            start = rig if as_given(rig, pairs).turn_deg < _NEAR_DEG else chained
-            measured = measure_rig(start, [images], "nothing", [features])
-            # All cameras together are more exact than pairs, and may name what those leave open.
-            wrong = _mixup(rig, images, features, relative_poses(measured.rig)) or _compared(
-                rig, measured, min_depth
-            )
+            check = _measured(evidence, rig, found, images, min_depth)
         except OmnistereoError as error:
-            wrong = RigCheck(None, f"the images do not show whether the rig fits: {error}")
+            check = _odd(evidence, rig, found) or _open(str(error))
     step("")
-    return wrong
+    return check
 
 
 def find_mixup(frame: Frame) -> str | None:
-    """Return what is mixed up, in words, or None if nothing is; a quick look, at pairs of cameras
-    only.
+    """Return what is mixed up, in words, or None if nothing is; a quick look, without measuring
+    poses.
     """
-    found = _mixup(frame.rig, frame.images, *_matches(frame.rig, frame.images))
-    return found.text if found else None
+    evidence = _evidence(frame.rig, frame.images)
+    found = _mixup(evidence, frame.rig, _best(evidence, frame.rig))
+    return found.text if found and found.fits is False else None
 
 
-def _matches(
-    rig: Rig, images: Sequence[NDArray[np.uint8]]
-) -> tuple[list[Features], dict[Pair, RelativePose]]:
-    """Return the features of the images, and what pairs of them say about their poses."""
-    as_stored = [image.round().clip(0, 255).astype(np.uint8) for image in check_images(images, rig)]
-    features = find_features(rig.cameras, [as_stored])
-    return features[0], find_pairs(features)
-
-
-def _mixup(
-    rig: Rig,
-    images: Sequence[NDArray[Any]],
-    features: list[Features],
-    pairs: dict[Pair, RelativePose],
-) -> RigCheck | None:
-    """Return what is wrong with the images or mixed up in the poses, or None."""
-    lost = sorted(set(range(len(rig))) - {camera for pair in pairs for camera in pair})
-    if mirrored := _mirrored(rig, images, features, lost):
-        names = " and ".join(str(k + 1) for k in mirrored)
-        return RigCheck(
-            False,
-            f"image {names} looks mirrored: it matches the others once it is flipped. Flip it",
-        )
-    if lost or len(pairs) < len(rig) - 1:
-        return None
-    given, found, clear = explain(rig, pairs)
-    if found is None or not found.parts:
-        return None
-    if not clear:  # with each image seen through its own lens it must fit much better
-        right = found.apply(rig)
-        again = as_given(right, _matches(right, images)[1])
-        if again.turn_deg > _NEAR_DEG or again.misfit > _CLEARER * found.misfit:
-            return None
-        found = replace(found, turn_deg=again.turn_deg, aim_deg=again.aim_deg)
-    return RigCheck(
-        False,
-        f"{found.name}. With this undone, file and images agree to {found.turn_deg:.1f}° in"
-        f" rotation and {found.aim_deg:.0f}° in the direction of the baselines, where they differ"
-        f" by {given.turn_deg:.0f}° and {given.aim_deg:.0f}°",
-        found.apply(rig),
+def _evidence(rig: Rig, images: Sequence[ArrayLike]) -> Evidence:
+    return Evidence(
+        rig.cameras,
+        [image.round().clip(0, 255).astype(np.uint8) for image in check_images(images, rig)],
     )
 
 
-def _mirrored(
-    rig: Rig, images: Sequence[NDArray[np.uint8]], features: Sequence[Features], lost: Sequence[int]
-) -> list[int]:
-    """Return those of some cameras whose images match the others once they are mirrored."""
-    found = []
-    for k in lost:
-        again = list(features)
-        again[k] = FeatureFinder(rig.cameras[k]).find(np.fliplr(images[k]))
-        if any(k in pair for pair in find_pairs([again])):
-            found.append(k)
-    return found
+def _open(why: str) -> RigCheck:
+    return RigCheck(None, f"the images do not show whether the rig fits: {why}", "cannot tell")
+
+
+def _best(evidence: Evidence, rig: Rig) -> _Hypothesis:
+    """Return what explains most matches: the rig as given, unless another is clearly better."""
+    counts, totals = evidence.counts(rig), evidence.totals()
+    given = _Hypothesis("nothing wrong", float(counts.sum() / 2), 0.0, rig)
+    if (
+        counts.sum(axis=0) >= _SHOWS_ALL * np.maximum(totals.sum(axis=0), 1)
+    ).all() and given.score >= _FEW * len(rig):
+        return given
+    clear = [
+        one
+        for one in _hypotheses(evidence, rig)
+        if one.score >= max(_CLEARER * given.score, given.score + _MORE)
+    ]
+    return max(clear, key=lambda one: one.worth, default=given)
+
+
+def _hypotheses(evidence: Evidence, rig: Rig) -> Iterator[_Hypothesis]:
+    for one in picture_mixups(evidence, rig, mirrored=True)[:1]:
+        changed = [
+            k
+            for k, (place, flip) in enumerate(zip(one.order, one.flips, strict=True))
+            if place != k or flip.name
+        ]
+        fixed = (
+            None
+            if any(flip.name for flip in one.flips)
+            else Rig(
+                [rig.cameras[k] for k in one.order],
+                [rig.T_rig_cam[k] for k in one.order],
+                rig.min_depth,
+            )
+        )
+        yield _Hypothesis(
+            one.cause, one.score, 0.04 * one.parts, fixed or rig, tuple(changed), one.name
+        )
+    pairs = evidence.relative_poses()
+    if len(pairs) >= len(rig) - 1 and not _lost(rig, pairs):
+        given, found, _ = explain(rig, pairs)
+        if found is not None and found.parts:
+            fixed = found.apply(rig)
+            said = (
+                f"{found.name}. With this undone, file and images agree to {found.turn_deg:.1f}° in"
+                f" rotation and {found.aim_deg:.0f}° in the direction of the baselines, where they"
+                f" differ by {given.turn_deg:.0f}° and {given.aim_deg:.0f}°"
+            )
+            score = float(evidence.counts(fixed).sum() / 2)
+            yield _Hypothesis("poses mixed up", score, 0.04 * found.parts + 0.01, fixed, (), said)
+    for freed in free_poses(evidence, rig, pairs)[:1]:
+        mine, others = fitted_share(evidence, freed.rig, freed.cameras)
+        if mine < _ALIEN * others or freed.score < _FEW * len(rig):
+            continue
+        yield _Hypothesis("turned or moved", freed.score, _FREED, freed.rig, freed.cameras)
+    for freed in free_focal_lengths(evidence, rig)[:1]:
+        # The right focal length fits as well as the lenses of the others.
+        mine, others = fitted_share(evidence, freed.rig, freed.cameras)
+        if mine < _AS_WELL * others or freed.score < _FEW * len(rig):
+            continue
+        yield _Hypothesis("lens", freed.score, _LENS, freed.rig, freed.cameras, scale=freed.scale)
+
+
+def _lost(rig: Rig, pairs: dict[Pair, RelativePose]) -> set[int]:
+    return set(range(len(rig))) - {camera for pair in pairs for camera in pair}
+
+
+def _mixup(evidence: Evidence, rig: Rig, found: _Hypothesis) -> RigCheck | None:
+    """Return what a hypothesis says that needs no measurement, or None."""
+    if found.cause == "lens":
+        k, percent = found.cameras[0], 100 * (1 / found.scale - 1)
+        whose = (
+            f"the lens of camera {k + 1} does not fit its picture"
+            if len(found.cameras) == 1
+            else ("the lenses do not fit the pictures")
+        )
+        way = "long" if percent > 0 else "short"
+        text = (
+            f"{whose}: the focal length looks {abs(percent):.0f} % too {way}. Check for which"
+            " camera and size it is"
+        )
+        return RigCheck(False, text, "lens", found.cameras)
+    if found.text:
+        # Only poses and the order are put right by a rig file; a picture has to be rotated back.
+        fixed = None if found.rig is rig else found.rig
+        return RigCheck(False, found.text, found.cause, found.cameras, fixed)
+    if found.cause == "nothing wrong":
+        if (odd := _odd(evidence, rig, found)) is not None:
+            return odd
+        if found.score < _FEW * len(rig) and len(evidence.relative_poses()) < len(rig) - 1:
+            return _open(
+                f"only {found.score:.0f} matches between their cameras agree with it, or with any"
+                f" other rig; expected {_FEW * len(rig)}. Give a frame with more texture, and check"
+                " that neighbouring cameras see something in common"
+            )
+    return None
+
+
+def _odd(evidence: Evidence, rig: Rig, found: _Hypothesis) -> RigCheck | None:
+    """Return which camera shows something else than the others, which agree with each other; None
+    if none does.
+    """
+    if len(rig) < 3:
+        return None
+    shares = [fitted_share(evidence, found.rig, [k]) for k in range(len(rig))]
+    k = int(np.argmin([mine / max(others, 1e-9) for mine, others in shares]))
+    mine, others = shares[k]
+    if mine > _ALIEN * others or evidence.counts(found.rig).sum() / 2 < _FEW * (len(rig) - 1):
+        return None
+    text = (
+        f"image {k + 1} does not show what the others show: {100 * mine:.0f} % of its matches fit"
+        f" the rig, {100 * others:.0f} % of the others'. Its camera is late or displaced, or the"
+        " image is of another rig: give the images before and after"
+    )
+    return RigCheck(False, text, "late or displaced", (k,))
+
+
+def _measured(
+    evidence: Evidence,
+    rig: Rig,
+    found: _Hypothesis,
+    images: Sequence[NDArray[np.uint8]],
+    min_depth: float | None,
+) -> RigCheck:
+    """Measure the poses of all cameras together, and return how the rig differs from them."""
+    start, chained = found.rig, False
+    if found.cause == "nothing wrong":
+        pairs = evidence.relative_poses()
+        if pairs and as_given(rig, pairs).turn_deg > _NEAR_DEG:
+            start, chained = _chained(rig, pairs), True
+    measured = measure_rig(start, [images], "nothing", [evidence.features])
+    # all cameras together are more exact than pairs, and may name what those leave open
+    if chained:
+        _, mixup, clear = explain(rig, relative_poses(measured.rig))
+        if mixup is not None and mixup.parts and clear:
+            return RigCheck(False, mixup.name, "poses mixed up", (), mixup.apply(rig), measured)
+    return _compared(evidence, rig, measured, min_depth, found.cameras)
 
 
 def _chained(rig: Rig, pairs: dict[Pair, RelativePose]) -> Rig:
@@ -179,106 +294,173 @@ def _chained(rig: Rig, pairs: dict[Pair, RelativePose]) -> Rig:
     )
 
 
-def _compared(rig: Rig, measured: MeasuredRig, min_depth: float | None) -> RigCheck:
-    """Return how the poses of the rig differ from those measured, in words."""
+def _compared(
+    evidence: Evidence,
+    rig: Rig,
+    measured: MeasuredRig,
+    min_depth: float | None,
+    freed: Sequence[int],
+) -> RigCheck:
+    """Return how the poses of the rig differ from those measured, in words; `freed` are cameras
+    known to be off.
+    """
     differences = pose_differences(measured.rig, rig)
     turn_sd, shift_sd = measured.deviations.T
+    limits = [f"Not all is shown: {refusal}" for refusal in measured.refusals()]
+    if (unit := _unit(measured, min_depth)) is not None:
+        return RigCheck(False, unit, "unit", (), None, measured)
+    if not np.isfinite(turn_sd).all() or (turn_sd.max() > _UNKNOWN_DEG and not freed):
+        text = ". ".join(["the images do not show how the cameras are placed", *limits])
+        return RigCheck(None, text, "cannot tell", (), None, measured)
     turns, shifts = (
         np.degrees(np.linalg.norm(differences[:, :3], axis=1)),
         np.linalg.norm(differences[:, 3:], axis=1),
     )
-    wrong = turns > np.maximum(_SURE * turn_sd, _LEAST_TURN_DEG)
-    least_shift = _LEAST_SHIFT * mean_baseline(rig.centers)
-    moved = shifts > np.maximum(_SURE * shift_sd, least_shift)
-    limits = [f"Not all is shown: {refusal}" for refusal in measured.refusals()]
-    unit = _unit(measured, min_depth)
-    if unit is not None:
-        return RigCheck(False, unit, None, measured)
-    if turn_sd.max() > _UNKNOWN_DEG:
-        return RigCheck(
-            None,
-            f"the images do not show how the cameras stand. {'. '.join(limits)}",
-            None,
-            measured,
-        )
-    k = int(turns.argmax())
-    if not wrong.any() and not moved.any():
+    size = mean_baseline(rig.centers)
+    small = turns.max() < _LEAST_TURN_DEG and shifts.max() < _LEAST_SHIFT * size
+    accused = tuple(freed) or (() if small else _accused(rig, measured, differences))
+    if accused and not freed and evidence.preference(rig, measured.rig) < _PREFERRED:
+        accused = ()
+    if not accused:
+        k = int(turns.argmax())
         text = (
             f"the rig fits its images: no camera is off by more than {turns[k]:.2g}° ±"
-            f" {turn_sd[k]:.1g}°"
+            f" {turn_sd[k]:.1g}° and {_length(shifts.max())} ± {_length(shift_sd.max())}"
+        )
+        return RigCheck(True, ". ".join([text, *limits]), "nothing wrong", (), None, measured)
+    said, poses, harmless, late = [], list(rig.T_rig_cam), True, False
+    radius = float(np.linalg.norm(rig.centers - rig.centers.mean(axis=0), axis=1).mean())
+    for k, pose in _put_right(rig, measured.rig, accused).items():
+        turn = (rig.T_rig_cam[k].inverse() @ pose).as_vector()[:3]
+        degrees, shift = (
+            float(np.degrees(np.linalg.norm(turn))),
+            float(np.linalg.norm(pose.t - rig.T_rig_cam[k].t)),
+        )
+        poses[k] = pose
+        late |= shift > _LATE_SHARE * radius
+        harmless &= (
+            degrees < _WRONG_PX / rig.cameras[k].pixels_per_degree and shift < _WRONG_SHIFT * size
+        )
+        # By how many times its deviation, or what is worth saying, each is off.
+        turned = degrees / max(_LEAST_TURN_DEG, 3 * turn_sd[k])
+        moved = shift / max(_LEAST_SHIFT * size, 3 * shift_sd[k])
+        parts = []
+        if turned > 1 or turned >= moved:
+            parts.append(
+                f"is turned by {_degrees(degrees)} ± {turn_sd[k]:.1g}° ({_yaw_pitch_roll(turn)})"
+            )
+        if moved > 1 or moved > turned:
+            parts.append(f"is {_length(shift)} ± {_length(shift_sd[k])} from where the rig has it")
+        said.append(f"camera {k + 1} {' and '.join(parts)}")
+    text = f"{', '.join(said)}, against the other cameras"
+    if late and len(accused) == 1:
+        k = accused[0]
+        text = (
+            f"camera {k + 1} is late or displaced: it {said[0].split(' ', 2)[2]}, against the other"
+            " cameras. In one moment the two look alike: give the images before and after"
         )
         return RigCheck(
-            True,
-            ". ".join([f"{text} and {_length(shifts.max())} ± {_length(shift_sd.max())}", *limits]),
-            None,
-            measured,
+            False, ". ".join([text, *limits]), "late or displaced", accused, None, measured
         )
-    found = []
-    only = _only_camera(measured.rig, rig)
-    if wrong.any() and only is not None:
-        k, turn = only
-        degrees = float(np.degrees(np.linalg.norm(turn)))
-        said = (
-            f"camera {k + 1} is turned by {_degrees(degrees)} ± {turn_sd[k]:.1g}° about its"
-            f" {_axis_name(turn)}"
-        )
-        if degrees > _LARGE_TURN_DEG:
-            # In a scene that stands still, an image of another moment shows the place and turn of
-            # its own.
-            said += f" and off by about {shifts[k]:.1g} m, or its image is of another moment"
-            moved[:] = False
-        found.append(said)
-    elif wrong.any():
-        found += [
-            f"camera {k + 1} is turned by {_degrees(turns[k])} ± {turn_sd[k]:.1g}°"
-            for k in np.flatnonzero(wrong)
-        ]
-    found += [
-        f"the centre of camera {k + 1} is off by {_length(shifts[k])} ± {_length(shift_sd[k])}"
-        for k in np.flatnonzero(moved)
-    ]
-    text = f"against the other cameras, {', '.join(found)}"
-    wrong_deg = _WRONG_PX / min(camera.pixels_per_degree for camera in rig.cameras)
-    harmless = (
-        turns[wrong].max(initial=0) < wrong_deg
-        and shifts[moved].max(initial=0) < _WRONG_SHIFT / _LEAST_SHIFT * least_shift
-    )
     if harmless:
         text = f"the rig fits its images to {_WRONG_PX:g} pixel: {text}"
-    return RigCheck(bool(harmless), ". ".join([text, *limits]), measured.rig, measured)
+    cause = "turned" if "turned" in text else "displaced"
+    fixed = rig.with_poses(poses)
+    return RigCheck(
+        harmless,
+        ". ".join([text, *limits]),
+        cause if not harmless else "nothing wrong",
+        () if harmless else accused,
+        None if harmless else fixed,
+        measured,
+    )
 
 
-def _only_camera(measured: Rig, rig: Rig) -> tuple[int, Floats] | None:
-    """Return the one camera that is turned against all others, if there is one, and its turn about
-    its own axes.
+def _accused(rig: Rig, measured: MeasuredRig, differences: Floats) -> tuple[int, ...]:
+    """Return the cameras, as few as possible, whose poses explain how a rig differs from its
+    images; () if none need.
+
+    χ² is that of the differences without what cannot be seen. An innocent camera differs as well,
+    since a common rotation, shift and scale are taken away, but freeing the culprit leaves nothing
+    over.
     """
-    if len(rig) < 3:
-        return None
-    best: tuple[float, int, Floats] = np.inf, 0, np.zeros(3)
-    R, R0 = (np.stack([pose.R for pose in one.T_rig_cam]) for one in (measured, rig))
-    for k in range(len(rig)):
-        others = [i for i in range(len(rig)) if i != k]
-        common = nearest_rotation(np.einsum("nij,nkj->ik", R[others], R0[others]))
-        turns = [
-            Pose(R0[i].T @ common.T @ R[i], np.zeros(3)).as_vector()[:3] for i in range(len(rig))
-        ]
-        rest = max(float(np.linalg.norm(turns[i])) for i in others)
-        if rest < best[0]:
-            best = rest, k, turns[k]
-    rest, k, turn = best
-    return (k, turn) if rest < 0.3 * np.linalg.norm(turn) else None
+    values, vectors = np.linalg.eigh(measured.covariance)
+    white = (vectors[:, _GAUGE:] / np.sqrt(values[_GAUGE:])).T
+    z = white @ differences.ravel()
+    total = float(z @ z)
+    if total < chi2.isf(_BY_CHANCE, len(z)):
+        return ()
+    count = len(rig)
+    J = [white @ _by_moving(rig, k) for k in range(count)]
+    chosen: list[int] = []
+    while len(chosen) < max(1, (count - 1) // 2) or count == 2:
+        left = {}
+        for k in set(range(count)) - set(chosen):
+            A = np.concatenate([J[i] for i in (*chosen, k)], axis=1)
+            rest = z - A @ np.linalg.lstsq(A, z, rcond=None)[0]
+            left[k] = float(rest @ rest)
+        best = min(left, key=left.__getitem__)
+        chosen.append(best)
+        if count == 2 or left[best] < max(
+            chi2.isf(_BY_CHANCE, max(len(z) - 6 * len(chosen), 1)), 0.1 * total
+        ):
+            return tuple(sorted(chosen))
+    return tuple(range(count))
+
+
+def _by_moving(rig: Rig, camera: int) -> Floats:
+    """Return the derivative (6 · cameras, 6) of `pose_differences` by the turn and the shift of one
+    camera.
+    """
+    step = 1e-5
+    columns = []
+    for axis in range(6):
+        change = np.zeros((len(rig), 6))
+        change[camera, axis] = step
+        columns.append(pose_differences(moved_rig(rig, change), rig).ravel() / step)
+    return np.stack(columns, axis=1)
+
+
+def _put_right(rig: Rig, found: Rig, accused: Sequence[int]) -> dict[int, Pose]:
+    """Return the poses of the accused cameras, once all others of a rig that was found lie on those
+    given.
+    """
+    others = [k for k in range(len(rig)) if k not in accused] or list(range(len(rig)))
+    if len(rig) == 2:
+        others = [0]
+    common = nearest_rotation(
+        np.sum([rig.T_rig_cam[k].R @ found.T_rig_cam[k].R.T for k in others], axis=0)
+    )
+    over = others if len(others) > 1 else list(range(len(rig)))
+    scale = mean_baseline(rig.centers[over]) / max(mean_baseline(found.centers[over]), 1e-12)
+    offset = rig.centers[others].mean(axis=0) - scale * common @ found.centers[others].mean(axis=0)
+    return {
+        k: Pose(common @ found.T_rig_cam[k].R, scale * common @ found.centers[k] + offset)
+        for k in (accused if len(rig) > 2 else (1,))
+    }
+
+
+def _yaw_pitch_roll(turn: Floats) -> str:
+    """Return a rotation (3,) about the camera's axes, radians, in words: the parts that matter, the
+    largest first.
+    """
+    names = (
+        ("pitch", "up", "down"),
+        ("yaw", "right", "left"),
+        ("roll", "clockwise", "anticlockwise"),
+    )
+    degrees = np.degrees(turn)
+    order = [
+        k for k in np.argsort(-np.abs(degrees)) if abs(degrees[k]) > 0.2 * np.abs(degrees).max()
+    ]
+    return ", ".join(
+        f"{names[k][0]} {_degrees(abs(degrees[k]))} {names[k][1 if degrees[k] > 0 else 2]}"
+        for k in order
+    )
 
 
 def _degrees(angle: float) -> str:
     return f"{angle:.2g}°" if angle < 10 else f"{angle:.0f}°"
-
-
-def _axis_name(turn: Floats) -> str:
-    axis = turn / np.linalg.norm(turn)
-    largest = int(np.abs(axis).argmax())
-    if abs(axis[largest]) > 0.95:
-        return f"{'xyz'[largest]} axis"
-    return f"axis ({', '.join(f'{value:.2f}' for value in axis)})"
 
 
 def _length(metres: float) -> str:
@@ -318,7 +500,13 @@ def scale_translations(rig: Rig, factor: float) -> Rig:
 
 def rotate_camera(rig: Rig, camera: int, axis_angle: ArrayLike) -> Rig:
     """Return the rig with one camera rotated about its own axes; axis-angle (3,) in radians."""
-    rotation = Pose.from_vector([*np.asarray(axis_angle), 0.0, 0.0, 0.0])
     return rig.with_poses(
-        [pose @ rotation if i == camera else pose for i, pose in enumerate(rig.T_rig_cam)]
+        [
+            (
+                Pose(pose.R @ rotation_from_axis_angle(np.asarray(axis_angle, np.float64)), pose.t)
+                if i == camera
+                else pose
+            )
+            for i, pose in enumerate(rig.T_rig_cam)
+        ]
     )

@@ -3,6 +3,7 @@ of four coefficients; and a rig for images of another size.
 """
 
 import json
+import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -57,8 +58,8 @@ def write_rig(rig: Rig, out: Path) -> list[str]:
     write_ocam_folder(rig, out)
     residual = max(export_rig(rig, out))
     names = ["kalibr.yaml", "opencv.yaml", "transforms.json", "colmap"]
-    print(f"{', '.join(names)}: their camera model follows ours to {residual:.2f} px at worst")
-    print(*beyond_sentences(rig), sep="\n", end="\n" * bool(beyond_sentences(rig)))
+    said = f"{', '.join(names)}: their camera model follows ours to {residual:.2f} px at worst"
+    print(said, *beyond_sentences(rig), sep="\n", file=sys.stderr)
     return ["config.yaml", "ocam*.txt", "poses.txt", *names]
 
 

@@ -40,6 +40,8 @@ _FILE_TURN, _FILE_SHARE = np.radians(0.15), 0.01
 _NOMINAL_BAND_DEG, _FILE_BAND_DEG = 6.0, 1.5
 _SECTOR_DEG = 30.0
 _FEW_POINTS, _FEW_CELLS = 300, 60  # fewer give no honest uncertainty
+# error of a lens, at least: that of exact lenses and rendered pictures, by χ² over 44 frames
+_LENS_PX = 0.05
 _FEWEST = 30  # points that poses can be found from
 _MOST_CENTRE_SHARE = 0.02  # of the radius: centres that are known less well are refused
 
@@ -56,8 +58,7 @@ class MeasuredRig:
     points: Floats  # (N, 4): unit direction from the middle of the rig, inverse distance in 1/m
     num_cells: int  # of 15° by 15° in a frame, that have a point
     sigma_px: float  # noise of the observations
-    # factor by which the error of the lenses raises the deviations above those of noise
-    lens_noise: float
+    lens_px: float  # error of the lenses, pixels, that the covariance allows for
 
     @property
     def num_points(self) -> int:
@@ -75,6 +76,19 @@ class MeasuredRig:
         """
         blocks = np.diag(self.covariance).reshape(-1, 2, 3)
         return np.sqrt(blocks.sum(axis=2)) * [180 / np.pi, 1.0]
+
+    def more_than_a_knock(self) -> int | None:
+        """Return the camera, from 0, that has moved by more than a calibration may be off; None if
+        none has: beyond three standard deviations of what is supposed of a calibration.
+        """
+        limits = 3 * np.array([np.degrees(_FILE_TURN), _FILE_SHARE * _radius(self.rig)])
+        beyond = (self.changes / limits).max(axis=1)
+        return int(beyond.argmax()) if beyond.max() > 1 else None
+
+    def unknown_centres(self) -> bool:
+        """Return whether the centres of a calibration stay, since the images tell less than it."""
+        before = np.sqrt(3) * _FILE_SHARE * _radius(self.rig)
+        return float(self.deviations[:, 1].max()) > 0.7 * before
 
     @property
     def changes(self) -> Floats:
@@ -246,17 +260,18 @@ def measure_rig(
     tracks = find_tracks(rig, features, band)
     if sectors == "even":
         tracks = tracks.select(~in_odd_sector(TrackBundle(rig, tracks).points[:, :3])[tracks.point])
-    centre_sd = _NOMINAL_SHARE * _radius(rig) if given == "nominal" else None
+    share = {"nominal": _NOMINAL_SHARE, "calibration": _FILE_SHARE}.get(given)
+    centre_sd = None if share is None else share * _radius(rig)
     bundle = adjust_tracks(rig, tracks, images, centre_sd, free_lenses, progress)
-    covariance, lens_noise = _covariance(bundle)
+    covariance, lens_px = _covariance(bundle)
     found = bundle.adjusted_rig()
     differences = pose_differences(found, rig)
     if given == "calibration":
-        differences, covariance = _with_prior(differences, covariance, _radius(rig))
+        differences, covariance = _with_prior(differences, covariance)
     placed = replace(moved_rig(rig, differences), cameras=found.cameras)
     num_cells = int(bundle.cells().max()) + 1
     return MeasuredRig(
-        placed, differences, covariance, bundle.points, num_cells, bundle.sigma_px, lens_noise
+        placed, differences, covariance, bundle.points, num_cells, bundle.sigma_px, lens_px
     )
 
 
@@ -319,15 +334,15 @@ def _continued(bundle: TrackBundle, tracks: Tracks) -> TrackBundle:
 
 
 def _covariance(bundle: TrackBundle) -> tuple[Floats, float]:
-    """Return the covariance of the poses and by what factor the error of the lenses raises the
-    deviations.
+    """Return the covariance of the poses, and the error of the lenses in pixels that it allows for.
 
     Noise is independent from cell to cell. The error of a lens is not: it stays at its place in the
     image, and poses from one part of the image differ from those of another. By how much more than
     noise halves of the points disagree, up and down, near and far, in odd and in even sectors, of
-    early and of late frames, is the factor; one for rotations and one for centres.
+    early and of late frames, tells how large it is; what it does to the poses follows from the
+    adjustment, so that it is marginalised with the right correlations.
     """
-    noise = bundle.covariance()
+    noise, lens = bundle.covariance(), bundle.by_lenses()
     u, inverse, frame = bundle.points[:, :3], bundle.points[:, 3], bundle.tracks.point_frame
     halves = [
         u[:, 1] > np.median(u[:, 1]),
@@ -335,7 +350,7 @@ def _covariance(bundle: TrackBundle) -> tuple[Floats, float]:
         in_odd_sector(u),
         frame > frame.max() / 2,
     ]
-    apart, expected = np.zeros(2), np.zeros(2)
+    apart, by_noise, by_lens = np.zeros(2), np.zeros(2), np.zeros(2)
     for half in halves:
         tracks = [bundle.tracks.select(part[bundle.tracks.point]) for part in (half, ~half)]
         if (
@@ -348,12 +363,13 @@ def _covariance(bundle: TrackBundle) -> tuple[Floats, float]:
             one.sigma_px = bundle.sigma_px
             one.solve(HALF_SCALE, 8)
         difference = pose_differences(first.adjusted_rig(), second.adjusted_rig())
-        variance = np.diag(first.covariance() + second.covariance())
         apart += _by_kind(difference.ravel() ** 2)
-        expected += _by_kind(variance)
-    factor = np.sqrt(np.maximum(apart / np.maximum(expected, 1e-30), 1.0))
-    each = np.tile(np.repeat(factor, 3), len(bundle.rig))
-    return each[:, None] * noise * each, float(factor.max())
+        by_noise += _by_kind(np.diag(first.covariance() + second.covariance()))
+        by_lens += _by_kind(((first.by_lenses() - second.by_lenses()) ** 2).sum(axis=1))
+    error_px = float(
+        np.sqrt(np.maximum((apart - by_noise) / np.maximum(by_lens, 1e-30), _LENS_PX**2).max())
+    )
+    return noise + error_px**2 * lens @ lens.T, error_px
 
 
 def _by_kind(values: Floats) -> Floats:
@@ -361,14 +377,13 @@ def _by_kind(values: Floats) -> Floats:
     return values.reshape(-1, 2, 3).sum(axis=(0, 2))
 
 
-def _with_prior(differences: Floats, covariance: Floats, radius: float) -> tuple[Floats, Floats]:
-    """Return differences and covariance when the given rig is a calibration, whose own error is
-    about known.
+def _with_prior(differences: Floats, covariance: Floats) -> tuple[Floats, Floats]:
+    """Return differences and covariance when the rotations are those of a calibration, about known.
+
+    What the file says of the centres is in the adjustment already: where all is far away they stay.
     """
-    prior = np.tile(np.repeat([_FILE_TURN**2, (_FILE_SHARE * radius) ** 2], 3), len(differences))
-    # of the given rig in the result
-    share = np.linalg.solve(covariance + np.diag(prior), covariance).T
-    kept = np.eye(len(prior)) - share
+    known = np.tile(np.repeat([_FILE_TURN**-2, 0.0], 3), len(differences))
+    kept = np.linalg.inv(np.eye(len(known)) + covariance * known)
     return (kept @ differences.ravel()).reshape(-1, 6), kept @ covariance
 
 

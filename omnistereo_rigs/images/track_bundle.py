@@ -289,17 +289,43 @@ class TrackBundle:
         weight = 1 / (1 + self.misfits() / HALF_SCALE**2)
         # of the robust cost: less than S has
         curvature = (weight**2 * (4 * weight - 3)).mean() / (weight**2).mean()
-        G, prior = self._gauge(), np.diag(self._prior()[0])
-        Z = np.linalg.svd(G.T)[2][7:].T
-        inverse = np.linalg.inv(Z.T @ (S * max(curvature, 0.2) + prior) @ Z)
-        full = Z @ inverse @ Z.T @ (summed.T @ summed + prior) @ Z @ inverse @ Z.T
-        free = np.zeros((len(self.rig), self.width, 7))  # what `pose_differences` takes away
+        inverse = self._inverse(S * max(curvature, 0.2))
+        middle = summed.T @ summed + np.diag(self._prior()[0])
+        P, n = self._projection(), len(self.rig)
+        poses = np.arange(n * self.width).reshape(n, self.width)[:, :6].ravel()
+        return np.asarray(P @ (inverse @ middle @ inverse)[np.ix_(poses, poses)] @ P.T)
+
+    def by_lenses(self) -> Floats:
+        """Return the derivative (6 · cameras, 3 · cameras) of the poses, as in `covariance`, by the
+        errors of the lenses.
+
+        The errors are of the centre, in pixels, and of the focal length, as the pixels that it
+        moves the usual point by.
+        """
+        free = TrackBundle(self.rig, self.tracks, self.centre_sd, free_lenses=True)
+        free.R, free.t, free.points, free.sigma_px = self.R, self.t, self.points, self.sigma_px
+        count = len(self.rig)
+        S = free._reduced(HALF_SCALE)[0].reshape(count, free.width, count, free.width)
+        poses = S[:, :6, :, :6].reshape(6 * count, 6 * count)
+        usual = np.median(np.linalg.norm(self._from_center, axis=1))
+        lenses = (S[:, :6, :, 6:] * [1.0, 1.0, 1.0 / usual]).reshape(6 * count, _LENS * count)
+        return np.asarray(-self._projection() @ self._inverse(poses) @ lenses)
+
+    def _inverse(self, S: Floats) -> Floats:
+        """Return the inverse of the normal equations, priors added, within what can be seen."""
+        Z = np.linalg.svd(self._gauge().T)[2][7:].T
+        return np.asarray(Z @ np.linalg.inv(Z.T @ (S + np.diag(self._prior()[0])) @ Z) @ Z.T)
+
+    def _projection(self) -> Floats:
+        """Return the matrix that takes away what `pose_differences` takes away: a common rotation,
+        shift and scale.
+        """
+        G = self._gauge().reshape(len(self.rig), self.width, 7)[:, :6].reshape(-1, 7)
+        free = np.zeros((len(self.rig), 6, 7))
         free[:, :3, :3] = free[:, 3:6, 3:6] = np.eye(3)
         free[:, 3:6, 6] = self.t
         L = free.reshape(-1, 7).T
-        projection = np.eye(len(full)) - G @ np.linalg.solve(L @ G, L)
-        poses = np.arange(len(full)).reshape(len(self.rig), self.width)[:, :6].ravel()
-        return (projection @ full @ projection.T)[np.ix_(poses, poses)]
+        return np.asarray(np.eye(len(G)) - G @ np.linalg.solve(L @ G, L))
 
     def cells(self) -> Ints:
         """Return for each point its cell of 15° of its frame, (N,)."""

@@ -16,12 +16,13 @@ Examples:
 from __future__ import annotations
 
 import re
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_tools.commands.options import ImagesOptions
+from omnistereo_tools.commands.options import ImagesOptions, warn_of
 from omnistereo_tools.outputs import check_outputs, hold
 from omnistereo_tools.parser import option
 
@@ -83,6 +84,8 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
     """Calibrate one camera or a rig from images of a board; write it, its report and its
     detections.
     """
+    import numpy as np
+
     from omnistereo_lib.files import write_text
     from omnistereo_lib.ocam_text import write_ocam_txt
     from omnistereo_rigs.boards.captures import save_corners
@@ -112,13 +115,18 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
         camera, single = calibrate_camera(
             views[0], board, None if sizes is None else sizes[0], *chosen
         )
-        reports, text = [single], single.text(names)
+        reports, text, rms = [single], single.text(names), single.rms_px
+        known = f"corners are {rms:.2g} px off, up to {single.max_corner_angle_deg:.0f}° off axis"
+        warned = single.warnings
         write_ocam_txt(camera, out / "ocam1.txt")
         written = ["ocam1.txt"]
     else:
         given = None if options.rig is None else load_cameras(options.rig, options.max_fov)
         rig, joint = calibrate_rig(views, board, sizes, *chosen, given)
         reports, text = list(joint.joint), joint.text(names)
+        turn, shift = np.max(joint.pose_uncertainty(), axis=0)
+        known = f"poses are known to {turn:.1g}° and {1000 * shift:.1g} mm"
+        warned = (*joint.warnings, *(w for one in reports for w in one.warnings))
         written = write_rig(rig, out)
     # Write what was found, and say it.
     write_text(out / "report.txt", text + "\n")
@@ -129,8 +137,19 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
             corners = {capture: one.corners.get(k) for k, capture in enumerate(names)}
             save_corners(out / f"corners_{name}.yaml", corners, board, one.intrinsics.image_size)
     written += ["report.txt", "report_*.png", *["corners_*.yaml"] * with_corners]
-    print(text)
+    # The verdict first, the next command last; all numbers are in the report.
+    warn_of(warned)
+    print(f"{'Fair' if warned else 'Good'}: the {known}.")
+    left_out = {k: why for one in reports for k, why in one.rejected.items()}
+    if left_out:
+        first = min(left_out)
+        print(f"{len(left_out)} captures are left out, such as {names[first]}: {left_out[first]}.")
     print(f"written to {out}/: {', '.join(written)}")
+    print(
+        shlex.join(["omnistereo", "doctor", "--rig", str(out / "config.yaml")])
+        if len(views) > 1
+        else out / "report.txt"
+    )
 
 
 def _read_board(name: str, square: float | None) -> Board:
@@ -175,13 +194,14 @@ def _check_out(options: CalibrateOptions, folder: Path) -> None:
 def _read_captures(folder: Path) -> _Read:
     """Return the images, without their sizes."""
     from omnistereo_rigs.boards.captures import find_captures
+    from omnistereo_tools.progress import say
 
     captures = find_captures(folder)
     counts = ", ".join(
         f"{sum(path is not None for path in row)} of {camera}"
         for camera, row in zip(captures.cameras, captures.paths, strict=True)
     )
-    print(f"images: {counts}\nafter the boards, lenses and poses take up to a minute", flush=True)
+    say(f"images: {counts}\nafter the boards, lenses and poses take up to a minute")
     return captures.cameras, captures.names, captures.views(), None
 
 

@@ -20,9 +20,11 @@ from typing import TYPE_CHECKING, Literal
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools.commands.options import (
+    SAMPLE,
     FrameOptions,
     GridOptions,
     MethodOptions,
+    StrictOptions,
     default_out,
     find_min_depth,
     make_grid,
@@ -41,7 +43,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class DepthOptions(MethodOptions, GridOptions, FrameOptions):
+class DepthOptions(StrictOptions, MethodOptions, GridOptions, FrameOptions):
     """What is written of one frame."""
 
     own_methods = True
@@ -68,9 +70,13 @@ class DepthOptions(MethodOptions, GridOptions, FrameOptions):
     all_crops: bool = option("crops up to the rim, above and below", False, needs="crops")
 
 
-def run(options: DepthOptions) -> None:
-    """Estimate the depth of one frame, write everything, and say what came out."""
-    print("reading the rig and the images: a few seconds", flush=True)
+def run(options: DepthOptions) -> int:
+    """Estimate the depth of one frame, write everything, and say what came out, the verdict first;
+    return 1 if --strict is given and the rig and the images do not fit.
+    """
+    from omnistereo_tools.progress import progress_bar, say
+
+    say("reading the rig and the images: a few seconds")
     out = options.out or default_out("depth", options.rig)
     _check(options, out)
     # Read what there is, before what is slow to import.
@@ -80,13 +86,11 @@ def run(options: DepthOptions) -> None:
     from omnistereo_tools.judge.first_look import image_doubts, rig_doubts
     from omnistereo_tools.output.frame import FrameResult
     from omnistereo_tools.output.points import Limits
-    from omnistereo_tools.progress import progress_bar
 
     coverage = Coverage.of(frame.rig)
     grid = make_grid(options, coverage, find_min_depth(options.min_depth, frame))
     gt_index = None if frame.gt_path is None else frame.gt_index(grid)
     # Check and say.
-    print(coverage.left_out(grid))
     warn_of(rig_doubts(frame.rig, grid.min_depth))
     warn_of(image_doubts(frame, grid))
     _make_folders(options, out)
@@ -95,12 +99,21 @@ def run(options: DepthOptions) -> None:
     depth = _compute(frame, grid, method, options.device)
     limits = Limits.of(depth, options.max_depth, options.min_confidence)
     result = FrameResult(depth, limits, method, gt_index, options.up)
-    print("\n".join(result.sentences()), flush=True)
     written = result.write(out, progress_bar())
     written += result.export(
         options.mesh, options.mesh_faces, options.equirectangular, options.crops, options.all_crops
     )
+    print(*result.sentences(), coverage.left_out(grid), sep="\n")
     print(f"written to {out}/: {', '.join(written)}")
+    print(out / "index.html" if result.fits else rig_doctor(options))
+    return int(options.strict and not result.fits)
+
+
+def rig_doctor(options: FrameOptions) -> str:
+    """Return the command that says what is wrong with the rig and the images."""
+    from omnistereo_tools.commands.doctor_command import DoctorOptions
+
+    return as_typed("doctor", DoctorOptions, options, rig=options.rig or SAMPLE)
 
 
 def _compute(frame: Frame, grid: SphereGrid, method: str, device: str) -> Depth:

@@ -81,8 +81,6 @@ def _check_rig(options: DoctorOptions, rig_file: Path) -> int:
     from omnistereo_tools.judge.first_look import rig_doubts
     from omnistereo_tools.outputs import save_figure
 
-    low, high = rig.baselines.min(), rig.baselines.max()
-    print(f"{len(rig)} cameras, {low:.3g} to {high:.3g} m apart: check that this is right.")
     coverage = Coverage.of(rig)
     min_depth = rig.min_depth if options.min_depth is None else options.min_depth
     if frame:
@@ -91,63 +89,81 @@ def _check_rig(options: DoctorOptions, rig_file: Path) -> int:
     grid = coverage.propose(
         DepthOptions.width, DepthOptions.height, options.phi, DepthOptions.spheres, min_depth
     )
-    print(*coverage.sentences(grid.min_depth), sep="\n")
+    warn_of(rig_doubts(rig, grid.min_depth))
+    found = _check_images(options, frame, make_grid(options, coverage, grid.min_depth))
+    low, high = rig.baselines.min(), rig.baselines.max()
+    print(found.verdict)
+    print(f"{len(rig)} cameras, {low:.3g} to {high:.3g} m apart: check that this is right.")
+    print(*found.details, *coverage.sentences(grid.min_depth), coverage.left_out(grid), sep="\n")
     if options.coverage is not None:
         save_figure(options.coverage, coverage.figure())
-    status = (
-        _check_images(options, frame, make_grid(options, coverage, grid.min_depth)) if frame else 0
-    )
-    if not frame:
-        warn_of(rig_doubts(rig, grid.min_depth))
-        print(coverage.left_out(grid))
-        print("With --images the poses are checked, too, and the command for depth is printed.")
-    elif status == 0:
-        chosen = {
-            "width": grid.width,
-            "height": grid.height,
-            "phi": grid.phi_deg,
-            "spheres": grid.num_spheres,
-        }
-        print(f"{coverage.left_out(grid)} Ready to run:")
+        print(f"written to {options.coverage}: how many cameras see what")
+    chosen = {
+        "width": grid.width,
+        "height": grid.height,
+        "phi": grid.phi_deg,
+        "spheres": grid.num_spheres,
+    }
+    if frame and not found.status:
         print(as_typed("depth", DepthOptions, options, **chosen, min_depth=grid.min_depth))
-    return status
+    elif found.next is not None:
+        print(found.next)
+    return found.status
 
 
-def _check_images(options: DoctorOptions, frame: Frame, grid: SphereGrid) -> int:
-    """Check a rig against its images, whose matching cost is that on a grid; return 1 if it is
-    wrong.
+@dataclass(frozen=True)
+class _Found:
+    """What the images say of a rig."""
+
+    verdict: str
+    status: int  # 1 if something is wrong or open
+    details: tuple[str, ...] = ()
+    next: str | None = None  # a command, or what to do
+
+
+def _check_images(options: DoctorOptions, frame: Frame | None, grid: SphereGrid) -> _Found:
+    """Check a rig against its images, whose matching cost is that on a grid; write the rig that
+    they show, if that is asked for.
     """
+    if frame is None:
+        return _Found(
+            "OPEN  without --images nothing shows whether the poses are right",
+            0,
+            next="Pass --images, one per camera: then they are checked, and a command is printed.",
+        )
     from omnistereo_lib.rig_file import save_rig
     from omnistereo_rigs.doctor.rig_check import check_rig
-    from omnistereo_tools.judge.first_look import matching_cost, rig_doubts, same_pictures
-    from omnistereo_tools.progress import progress_bar
+    from omnistereo_tools.judge.first_look import matching_cost, same_pictures
+    from omnistereo_tools.progress import progress_bar, say
 
     rig, images = frame.rig, frame.images
     if same := same_pictures(images):
-        print(f"FAIL  {same}")
-        return 1
+        return _Found(f"FAIL  {same}", 1, next="Then run the same command again.")
     stated = rig.min_depth if options.min_depth is None else options.min_depth
-    warn_of(rig_doubts(rig, grid.min_depth))
-    print("Measuring the poses from the images takes about 15 s:", flush=True)
+    say("measuring the poses from the images takes about 15 s")
     check = check_rig(rig, images, stated, progress_bar())
-    print(f"Median matching cost of the rig as given: {matching_cost(rig, images, grid):.3f}")
-    print(f"{'OK  ' if check.fits else 'OPEN' if check.fits is None else 'FAIL'}  {check.text}")
-    if options.write is not None and check.fixed is not None:
+    word = "OK  " if check.fits else "OPEN" if check.fits is None else "FAIL"
+    cost = matching_cost(rig, images, grid)
+    details = [f"Median matching cost of the rig as given: {cost:.3f}; right rigs have up to 0.17."]
+    if stated is None:
+        details.append(
+            "A wrong unit does not show, since no nearest depth is stated: check the distances"
+            " between the cameras, or pass --min-depth."
+        )
+    go_on = None if check.fits else "Put that right, then run the same command again."
+    if check.fixed is not None and options.write is None:
+        go_on = as_typed("doctor", DoctorOptions, options, write=Path("fixed.yaml"))
+    elif check.fixed is not None and options.write is not None:
         save_rig(check.fixed, options.write)
-        print(
+        details.append(
             f"written to {options.write}: the rig as the images show it, in the order of the images"
         )
+        if options.images is not None:
+            go_on = as_typed("depth", DepthOptions, options, rig=options.write)
     elif options.write is not None:
-        print(
-            f"{options.write} is not written:"
-            f" {'there is nothing to put right' if check.fits else 'see above'}"
-        )
-    if stated is None:
-        print(
-            "A wrong unit does not show, since no nearest depth is stated: check the distances"
-            " between the cameras above, or pass --min-depth."
-        )
-    return 0 if check.fits else 1
+        why = "there is nothing to put right" if check.fits else "no rig file puts that right"
+        details.append(f"{options.write} is not written: {why}.")
+    return _Found(f"{word}  {check.text}", 0 if check.fits else 1, tuple(details), go_on)
 
 
 def _is_data_set(path: Path) -> bool:

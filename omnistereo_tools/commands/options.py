@@ -66,6 +66,13 @@ class FrameOptions(RigOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
+class StrictOptions(Options):
+    """What counts as a failure."""
+
+    strict: bool = option("exit with 1 where the rig and the images do not fit", False)
+
+
+@dataclass(frozen=True, kw_only=True)
 class GridOptions(Options):
     """A panorama and its spheres, by default those of the public data sets."""
 
@@ -142,14 +149,15 @@ class ImagesOptions(Options):
 class DeviceOptions(Options):
     """Where to compute."""
 
-    device: Literal["cpu", "cuda"] = option("where to compute", "cpu")
+    device: Literal["auto", "cpu", "cuda"] = option("where to compute; auto: a GPU if any", "auto")
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.device != "cpu":
-            from omnistereo_lib.stereo.device import select_device
+        if self.device == "cuda":
+            import torch
 
-            select_device(self.device)
+            if not torch.cuda.is_available():
+                raise OmnistereoError("--device cuda: PyTorch finds no CUDA GPU. Use --device cpu")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,7 +181,10 @@ class MethodOptions(DeviceOptions):
         else:
             from omnistereo_lib.stereo.methods import Method
 
-            Method.parse(self.method)
+            try:
+                Method.parse(self.method)
+            except OmnistereoError as error:
+                raise OmnistereoError(f"--method {self.method}: {error}") from None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -208,9 +219,10 @@ def read_rig_and_clocks(
     # These load torch, which takes seconds: a rig that cannot be read is named before.
     from omnistereo_tools.input.masks import with_masks
     from omnistereo_tools.output.summary import turn_sentence
+    from omnistereo_tools.progress import say
 
     if turned := turn_sentence(rig):
-        print(turned)
+        say(turned)
     return with_masks(rig, options.masks, images), read.clock_offsets_s
 
 
@@ -269,9 +281,10 @@ def find_min_depth(stated: float | None, frame: Frame) -> float:
     if (known := frame.rig.min_depth if stated is None else stated) is not None:
         return known
     from omnistereo_tools.judge.first_look import propose_min_depth
+    from omnistereo_tools.progress import say
 
     proposed = propose_min_depth(frame)
-    print(
+    say(
         "The rig file states no nearest depth: a coarse look at the images proposes --min-depth"
         f" {proposed:g}."
     )

@@ -13,6 +13,7 @@ methods: those of omnistereo depth
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import MISSING, dataclass, replace
 from pathlib import Path
@@ -24,6 +25,7 @@ from omnistereo_tools.commands.options import (
     GridOptions,
     MethodOptions,
     RigOptions,
+    StrictOptions,
     default_out,
     find_min_depth,
     make_grid,
@@ -42,7 +44,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecordOptions(MethodOptions, GridOptions, RigOptions):
+class RecordOptions(StrictOptions, MethodOptions, GridOptions, RigOptions):
     """A recording, and what is written of it."""
 
     resumes = True
@@ -87,9 +89,13 @@ class RecordOptions(MethodOptions, GridOptions, RigOptions):
         return self.width // 4 if self.height is None else self.height
 
 
-def run(options: RecordOptions) -> None:
-    """Estimate depth for all frames that are not done yet, and write the video."""
-    print("reading the rig and the first frames: a few seconds", flush=True)
+def run(options: RecordOptions) -> int:
+    """Estimate depth for all frames that are not done yet, and write the video; return 1 if
+    --strict is given and the rig and the images do not fit.
+    """
+    from omnistereo_tools.progress import progress_bar, say
+
+    say("reading the rig and the first frames: a few seconds")
     from omnistereo_lib.frame import Frame
     from omnistereo_lib.stereo.methods import FRAME_METHOD, Method
     from omnistereo_lib.stereo.sweep import SphereSweep
@@ -97,7 +103,8 @@ def run(options: RecordOptions) -> None:
     from omnistereo_tools.judge.coverage import Coverage
     from omnistereo_tools.judge.first_look import image_doubts, rig_doubts
     from omnistereo_tools.judge.pace import say_recording
-    from omnistereo_tools.progress import progress_bar
+    from omnistereo_tools.judge.trust import DOUBTFUL
+    from omnistereo_tools.output.summary import fits, verdict
     from omnistereo_tools.record.recordings import (
         DepthWriter,
         stored_method,
@@ -117,7 +124,6 @@ def run(options: RecordOptions) -> None:
     stated = stored_min_depth(out) if options.min_depth is None else options.min_depth
     grid = make_grid(replace(options, height=options.rows), coverage, find_min_depth(stated, frame))
     # Check and say, before anything is written.
-    print(coverage.left_out(grid))
     warn_of(rig_doubts(rig, grid.min_depth))
     warn_of(image_doubts(frame, grid))
     sweep, method = (
@@ -144,11 +150,28 @@ def run(options: RecordOptions) -> None:
     ):
         progress(done, total, f"frame {number}")
     watching.close()
-    print(writer.doubt_sentence())
+    share, of_near = writer.doubt_shares()
+    print(verdict(share, f" over {total} frames"))
+    print(
+        f"Of the nearest tenth of rays of each frame, {of_near:.0f} % are doubtful. Doubtful rays"
+        f" stay in the files, with values below {DOUBTFUL:g} in {writer.path('trust', 0).parent}/."
+    )
+    print(coverage.left_out(grid))
     print(f"{total} frames are in {out}/, which load_dataset reads")
     if options.video is not None:
         seconds = write_video(options.video, writer)
         print(f"written to {options.video}: panorama over depth, {total} frames, {seconds:.1f} s")
+    print(_next(options, out, fits(share)))
+    return int(options.strict and not fits(share))
+
+
+def _next(options: RecordOptions, out: Path, fitting: bool) -> str:
+    """Return the command to go on with: `world`, or `doctor` where something is wrong."""
+    if not fitting:
+        from omnistereo_tools.commands.doctor_command import DoctorOptions
+
+        return as_typed("doctor", DoctorOptions, options, rig=out, images=None)
+    return str(options.video or shlex.join(["omnistereo", "world", str(out)]))
 
 
 def _check(options: RecordOptions, out: Path) -> None:
@@ -205,21 +228,20 @@ def _open_recording(options: RecordOptions, rig: Rig, late: Sequence[int]) -> Re
     read, too.
     """
     from omnistereo_tools.input.sources import Recording
+    from omnistereo_tools.progress import say
 
     recording = Recording.open(options.images, options.start, options.stop, options.step, late)
     for said in recording.said:
         print(said)
     for path, names in recording.missing.items():
         some = ", ".join(map(str, names[:8])) + " …" * (len(names) > 8)
-        print(
-            f"{path} lacks {len(names)} frames that other cameras have; they are left out: {some}"
-        )
+        say(f"{path} lacks {len(names)} frames that other cameras have; left out: {some}")
     if not options.skip_bad:
         return recording
-    print(f"reading {len(recording.frames)} frames: a few seconds for a hundred", flush=True)
+    say(f"reading {len(recording.frames)} frames: a few seconds for a hundred")
     bad = recording.unreadable(rig)
     for number, why in bad.items():
-        print(f"frame {number} is left out: {why}")
+        say(f"frame {number} is left out: {why}")
     frames = {number: key for number, key in recording.frames.items() if number not in bad}
     if not frames:
         raise OmnistereoError("no frame is left: none can be read. See above why")
@@ -229,6 +251,7 @@ def _open_recording(options: RecordOptions, rig: Rig, late: Sequence[int]) -> Re
 def _prepare(options: RecordOptions, writer: DepthWriter, rig: Rig) -> None:
     """Make the folders, and say which frames are computed again; the cluster must answer before."""
     from omnistereo_lib.files import make_folder
+    from omnistereo_tools.progress import say
 
     if options.cluster is not None:
         from omnistereo_tools.record.cluster import connect
@@ -238,7 +261,7 @@ def _prepare(options: RecordOptions, writer: DepthWriter, rig: Rig) -> None:
         make_folder(options.video.parent)
     hold(writer.out)
     for number, picture in writer.changed().items():
-        print(f"frame {number} is computed again: {picture} has changed")
+        say(f"frame {number} is computed again: {picture} has changed")
     writer.prepare(rig)
 
 

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from omnistereo_tools.world.build import RecordedFrames
     from omnistereo_tools.world.fusion import Volume
 
+_USED = 0.9  # of the frames, in a world that is called good
+
 
 @dataclass(frozen=True, kw_only=True)
 class WorldOptions(Options):
@@ -43,7 +45,9 @@ class WorldOptions(Options):
 
 def run(options: WorldOptions) -> None:
     """Find the path, fuse the frames, and write what comes of them."""
-    print("reading the recording: a few seconds", flush=True)
+    from omnistereo_tools.progress import say
+
+    say("reading the recording: a few seconds")
     from omnistereo_lib.files import read_data, write_text
     from omnistereo_tools.output.mesh_export import import_trimesh
     from omnistereo_tools.world.build import RecordedFrames
@@ -62,7 +66,10 @@ def run(options: WorldOptions) -> None:
     }
     with suppress(OmnistereoError):
         if read_data(out / "world.json") == asked:
-            print(f"the world is in {out}/ already; delete {out / 'world.json'} to fuse it again")
+            print(
+                f"Done already: the world is in {out}/; delete world.json there to fuse it again."
+            )
+            print(out / "index.html")
             return
     (out / "world.json").unlink(missing_ok=True)
     poses = frames.find_poses(out / "steps.json")
@@ -79,6 +86,7 @@ def _make_volume(options: WorldOptions, frames: RecordedFrames, poses: dict[int,
     import numpy as np
 
     from omnistereo_lib.stereo.device import available_memory, select_device
+    from omnistereo_tools.progress import say
     from omnistereo_tools.world.fusion import Volume, bytes_needed, touched_blocks
 
     keys = np.zeros(0, np.int64)
@@ -95,7 +103,7 @@ def _make_volume(options: WorldOptions, frames: RecordedFrames, poses: dict[int,
             f"not enough memory: needs {need / 2**30:.1f} GiB, {free / 2**30:.1f} GiB free. "
             "Pass a larger --voxel or a smaller --range."
         )
-    print(f"fusing {len(poses)} frames: {need / 2**30:.2g} GiB of memory", flush=True)
+    say(f"fusing {len(poses)} frames: {need / 2**30:.2g} GiB of memory")
     return Volume(keys, options.voxel, options.range, frames.channels)
 
 
@@ -110,10 +118,12 @@ def _write(
     from omnistereo_lib.files import write_text
     from omnistereo_lib.frame import read_inverse_depth
     from omnistereo_lib.geometry.trajectory import trajectory_kitti, trajectory_tum
+    from omnistereo_tools.output.summary import GOOD, fits
+    from omnistereo_tools.progress import say
     from omnistereo_tools.world.page import world_page, write_surface
     from omnistereo_tools.world.surface import extract_surface
 
-    print("extracting the surface", flush=True)
+    say("extracting the surface")
     out, surface = refined.parent, extract_surface(volume)
     write_surface(out, surface, options.up)
     number = list(poses)[len(poses) // 2]
@@ -135,8 +145,13 @@ def _write(
         write_text(out / name, text)
     frames.link(out)
     length = sum((a.inverse() @ b).magnitude()[1] for a, b in pairwise(poses.values()))
+    used, doubtful = len(poses) / len(frames.data), frames.doubtful_percent(poses)
+    word = "Good" if used >= _USED and doubtful <= GOOD else "Fair" if fits(doubtful) else "Bad"
+    print(f"{word}: {len(poses)} of {len(frames.data)} frames are in one piece.")
+    print(f"{doubtful:.0f} % of the rays that went in are doubtful; they count little.")
     print(
-        f"{len(poses)} of {len(frames.data)} frames, {length:.1f} m of path, {len(surface.faces)}"
-        " triangles"
+        f"The path is {length:.1f} m long, the surface has {len(surface.faces)} triangles. How far"
+        " the path has drifted at its end does not show, unless it returns to where it began."
     )
-    print(f"written to {out}/: open index.html in a browser; load_dataset reads its depth")
+    print(f"written to {out}/, which load_dataset reads")
+    print(out / "index.html")

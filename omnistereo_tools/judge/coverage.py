@@ -230,11 +230,11 @@ class Coverage:
                 ),
             ]
         grid = self.propose(min_depth=min_depth)
+        farthest = float(f"{self._farthest(grid.phi_deg):.2g}")
         lines.append(
             f"The images can fill a panorama of {grid.width} × {grid.height} from"
             f" {grid.phi_deg[0]:g}° to {grid.phi_deg[1]:g}° with {grid.num_spheres} spheres, from"
-            f" {grid.min_depth:g} m; beyond {self._farthest(grid.phi_deg):.2g} m all looks"
-            " infinitely far."
+            f" {grid.min_depth:g} m; beyond {farthest:g} m all looks infinitely far."
         )
         return lines
 

@@ -96,25 +96,28 @@ class _PlainZNCC(BlockCost):
         return reference.mean_over_pairs(costs).float().permute(1, 2, 0)
 
 
-def matching_cost(
-    rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid, rays: NDArray[np.bool_] | None = None
-) -> float:
-    """Return how well images match along the rays of a rig: the first sign of a rig that does not
-    fit them.
+def matching_cost(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid) -> float:
+    """Return how well images match along the rays of a rig, the first sign of one that does not
+    fit: the median of `lowest_costs`; 0.5 if no pair shares a view.
+    """
+    lowest = lowest_costs(rig, images, grid)
+    return _NO_OVERLAP if np.isnan(lowest).all() else float(np.nanmedian(lowest))
 
-    The images are reduced as suits the grid. It is the median of the best raw ZNCC cost over `rays`
-    (H, W), or all, in [0, 1]; 0.5 if no pair shares a view.
+
+def lowest_costs(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid) -> NDArray[np.float32]:
+    """Return the best raw ZNCC cost of each ray, (H, W) in [0, 1], NaN where no pair sees one.
+
+    The images are reduced as suits the grid.
     """
     rig, images = reduce_images(rig, images, grid.width / 360)
     sweep = SphereSweep(rig, grid)
     valid = [sweep.project_sphere(camera, 0)[1] for camera in range(len(rig))]
     if not any((valid[i] & valid[j]).any() for i, j in camera_pairs("ring", sweep.rig)):
-        return _NO_OVERLAP
+        return np.full((grid.height, grid.width), np.nan, np.float32)
     few = grid.width * grid.height * grid.num_spheres < _FEW_CELLS
     volume = cost_volume(sweep, images, _PlainZNCC() if few else ZNCC(_WINDOW))
     lowest = torch.where(volume.isnan(), torch.inf, volume).amin(-1)
-    chosen = lowest.isfinite() if rays is None else lowest.isfinite() & torch.from_numpy(rays)
-    return float(lowest[chosen].median()) if chosen.any() else _NO_OVERLAP
+    return torch.where(lowest.isfinite(), lowest, torch.nan).numpy()
 
 
 def image_doubts(frame: Frame, grid: SphereGrid) -> Iterator[str]:

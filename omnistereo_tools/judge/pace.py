@@ -7,10 +7,12 @@ import torch
 from numpy.typing import ArrayLike
 
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.device import select_device
 from omnistereo_lib.stereo.learned import choose_precision
 from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD, Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_tools.progress import say
 
 # Seconds for each cell of the cost volume, rays × spheres, of a first frame with four cameras on
 # two cores.
@@ -24,16 +26,14 @@ def say_frame(method: str, grid: SphereGrid, device: str) -> None:
     """Say how long a frame will take on the processor, before it begins; elsewhere only by which
     method.
     """
-    seconds = _SECONDS.get(Method.parse(method).cost)
-    if seconds is None or device != "cpu":
-        print(f"method: {method}", flush=True)
+    seconds, kind = _SECONDS.get(Method.parse(method).cost), select_device(device).type
+    if seconds is None or kind != "cpu":
+        say(f"method: {method} on {kind}")
         return
     cells = grid.width * grid.height * grid.num_spheres
     total = _WRITING_S + cells * seconds * _CORES / torch.get_num_threads()
-    precision = (
-        f" in {choose_precision('auto', device)}" if Method.parse(method).has_weights else ""
-    )
-    print(f"{method} takes about {in_words(total)}{precision}", flush=True)
+    precision = f" in {choose_precision('auto', kind)}" if Method.parse(method).has_weights else ""
+    say(f"{method} takes about {in_words(total)}{precision}")
 
 
 def say_recording(
@@ -48,7 +48,7 @@ def say_recording(
     chosen = method or FRAME_METHOD
     seconds: dict[str, float] = {}
     if frames >= _FEW_FRAMES:
-        print("timing the methods on one frame: a few seconds", flush=True)
+        say("timing the methods on one frame: a few seconds")
         names = dict.fromkeys([chosen, VIDEO_METHOD, FRAME_METHOD])
         seconds = {name: _measure(sweep, images, name) for name in names}
     if method is None:
@@ -59,13 +59,10 @@ def say_recording(
             if keeps
             else f"more doubt than {FRAME_METHOD}, which takes over {_PACE_S:g} s a frame"
         )
-        print(f"method: {chosen}, {why}", flush=True)
+        say(f"method: {chosen}, {why}")
     for name in sorted(seconds, key=chosen.__ne__):
         words = f"about {in_words(frames * seconds[name])} by {name}"
-        print(
-            f"{frames} frames: {words}" if name == chosen else f"{words} (--method {name})",
-            flush=True,
-        )
+        say(f"{frames} frames: {words}" if name == chosen else f"{words} (--method {name})")
     return chosen
 
 

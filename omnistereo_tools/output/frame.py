@@ -27,7 +27,13 @@ from omnistereo_tools.output.mesh_export import write_mesh
 from omnistereo_tools.output.overview import draw_overview
 from omnistereo_tools.output.pictures import ColorScale, sharp_panorama, write_panorama
 from omnistereo_tools.output.points import AXES_IN_WORDS, Limits, PointCloud
-from omnistereo_tools.output.summary import depth_sentences, error_sentences, turn_sentence
+from omnistereo_tools.output.summary import (
+    depth_sentences,
+    doubt_shares,
+    error_sentences,
+    fits,
+    turn_sentence,
+)
 from omnistereo_tools.output.viewer import viewer_page
 
 # of the panorama that is looked at: columns for a pixel of the images, and in all
@@ -85,6 +91,11 @@ class FrameResult:
         """Return the result in plain sentences."""
         errors = [] if self.gt_index is None else error_sentences(self.depth, self.gt_index)
         return depth_sentences(self.depth, self.limits, self.doubtful) + errors
+
+    @property
+    def fits(self) -> bool:
+        """Whether the rig and the images seem to fit: at most half of the rays are doubtful."""
+        return fits(doubt_shares(self.depth.depth, self.doubtful)[0])
 
     @lazy_property
     def trust(self) -> NDArray[np.float32]:

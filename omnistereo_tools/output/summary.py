@@ -11,6 +11,7 @@ from omnistereo_lib.stereo.metrics import index_error
 from omnistereo_tools.judge.trust import may_be_nearer
 from omnistereo_tools.output.points import Limits
 
+GOOD, _MISFIT = 20.0, 50.0  # percent of rays that are doubtful, at most
 _FEW = 0.002  # of the rays: fewer are noise, not a thing
 _NEAR = 0.1  # of the rays
 _UNSEEN = 0.05  # of the rays: worth saying
@@ -28,9 +29,25 @@ def turn_sentence(rig: Rig) -> str | None:
     )
 
 
+def fits(doubtful_percent: float) -> bool:
+    """Return whether the rig and the images seem to fit, by how many percent of rays are doubtful.
+
+    With a right rig at most half are; an image upside down or of another moment makes it more.
+    """
+    return doubtful_percent <= _MISFIT
+
+
+def verdict(doubtful_percent: float, of_what: str = "") -> str:
+    """Return the verdict on a depth in words, with the number that carries it."""
+    number = f"{doubtful_percent:.0f} % of rays are doubtful{of_what}"
+    if not fits(doubtful_percent):
+        return f"Bad: {number}; the rig and the images do not fit."
+    return f"{'Good' if doubtful_percent <= GOOD else 'Fair'}: {number}."
+
+
 def depth_sentences(depth: Depth, limits: Limits, doubtful: NDArray[np.bool_]) -> list[str]:
-    """Return nearest and median depth, what is doubtful, how many rays the limits keep, whether the
-    spheres suit.
+    """Return the verdict, nearest and median depth, what is doubtful, how many rays the limits
+    keep, whether the spheres suit.
     """
     rays, known = depth.index.size, int(depth.valid.sum())
     keep = limits.keep(depth)
@@ -45,41 +62,47 @@ def depth_sentences(depth: Depth, limits: Limits, doubtful: NDArray[np.bool_]) -
         if unsure
         else ""
     )
+    share = doubt_shares(depth.depth, doubtful)[0]
     sentences = [
+        verdict(share),
         (
-            f"{100 * known / rays:.0f} % of the {rays} rays have a depth: {found}, "
+            f"{100 * known / rays:.0f} % of {rays} rays have a depth: {found}, "
             f"the median depth is {metres(float(np.nanmedian(depth.depth)))}."
         ),
         *_doubt_sentence(depth, doubtful, nearest_depth(depth, keep), nearest),
         (
-            f"Point cloud and mesh use {int(keep.sum())} rays. Left out: {far} beyond"
+            f"The point cloud and the mesh use {int(keep.sum())} rays. Left out: {far} beyond"
             f" {metres(limits.max_depth)} (--max-depth){below}."
         ),
     ]
+    # Where the rig does not fit, another nearest depth makes nothing better.
+    return sentences + (_sphere_advice(depth, keep, nearest) if fits(share) else [])
+
+
+def _sphere_advice(depth: Depth, keep: NDArray[np.bool_], nearest: float) -> list[str]:
+    """Return what another nearest depth would do, if it would do something."""
     grid = depth.grid
     # what `propose_min_depth` found is not contradicted at once
     if _MARGIN * nearest > 1.5 * grid.min_depth:
-        sentences.append(
+        return [
             f"The spheres begin at {metres(grid.min_depth)}: --min-depth {_MARGIN * nearest:.2g}"
             " would use them better."
-        )
-    elif (depth.index[keep] >= grid.num_spheres - 1.5).sum() > 10 * _FEW * keep.sum():
-        sentences.append(
+        ]
+    if (depth.index[keep] >= grid.num_spheres - 1.5).sum() > 10 * _FEW * keep.sum():
+        return [
             f"Many rays end on the nearest sphere, {metres(grid.min_depth)}: things may be nearer. "
             f"Try --min-depth {grid.min_depth / 2:.2g}."
-        )
-    return sentences
+        ]
+    return []
 
 
 def _doubt_sentence(
     depth: Depth, doubtful: NDArray[np.bool_], nearest: float, sure: float
 ) -> list[str]:
-    """Return how many rays are doubtful, in all and among the nearest; `nearest` counts all of
-    them, `sure` none.
-    """
+    """Return how many of the nearest rays are doubtful; `nearest` counts all, `sure` none."""
     if not (doubtful & depth.valid).any():
         return []
-    share, of_near, near = doubt_shares(depth.depth, doubtful)
+    _, of_near, near = doubt_shares(depth.depth, doubtful)
     nearer = (
         f" If they are right, the nearest thing is {metres(nearest)} away."
         if nearest < _NEARER * sure
@@ -92,9 +115,8 @@ def _doubt_sentence(
         else ""
     )
     return [
-        f"Doubtful are {share:.0f} % of the rays, and {of_near:.0f} % of the nearest tenth, up to"
-        f" {metres(near)}: they stay in the files, marked, and are faded in the"
-        f" pictures.{hidden}{nearer}"
+        f"Of the nearest tenth of rays, up to {metres(near)}, {of_near:.0f} % are doubtful."
+        f" Doubtful rays stay in the files, marked, and are faded in the images.{hidden}{nearer}"
     ]
 
 
@@ -139,9 +161,9 @@ def error_sentences(depth: Depth, gt_index: NDArray[Any]) -> list[str]:
             f" {10 * half:.2g} m and {10 * most:.2g} m."
         ),
         (
-            f"In the terms of the paper, {errors['>1']:.0f} % of the rays are off by more than 1 %"
-            f" of the range swept and {errors['>3']:.0f} % by more than 3 %; the mean error is"
-            f" {errors['MAE']:.1f} %."
+            f"In the terms of the paper, {errors['>1']:.0f} % of rays are off by more than 0.01 of"
+            f" the range swept and {errors['>3']:.0f} % by more than 0.03; the mean error is"
+            f" {errors['MAE'] / 100:.2g} of it."
         ),
     ]
 

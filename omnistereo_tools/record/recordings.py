@@ -244,9 +244,9 @@ class DepthWriter:
         steps = np.nan_to_num(values) * (_PNG_STEPS * self._unit(kind))
         write_image(path, steps.round().clip(0, 65535).astype(np.uint16))
 
-    def doubt_sentence(self) -> str:
-        """Return how many rays of the recording are doubtful, in all and among the nearest, from
-        the files.
+    def doubt_shares(self) -> tuple[float, float]:
+        """Return how many percent of the rays of the recording are doubtful, and of the nearest
+        tenth of each frame, from the files.
         """
         shares = []
         for number in self.recording.frames:
@@ -254,11 +254,7 @@ class DepthWriter:
                 depth = 1 / self.read("depth_estimate", number)
             shares.append(doubt_shares(depth, self.read("trust", number) < DOUBTFUL)[:2])
         share, of_near = np.mean(shares, axis=0)
-        return (
-            f"Doubtful are {share:.0f} % of the rays, and {of_near:.0f} % of the nearest tenth of"
-            f" each frame: they stay in the files, with values below {DOUBTFUL:g} in"
-            f" {self.path('trust', 0).parent}/."
-        )
+        return float(share), float(of_near)
 
 
 def _link(picture: Path, folder: Path, number: int) -> None:

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -37,6 +38,7 @@ from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.parse import Section
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.sweep import SphereSweep
+from omnistereo_tools.judge.trust import DOUBTFUL
 from omnistereo_tools.output.blend import blended_panorama
 from omnistereo_tools.progress import progress_bar, say
 from omnistereo_tools.record.recordings import PICTURES, SETTINGS, read_stored
@@ -86,6 +88,16 @@ class RecordedFrames:
     def confidence_path(self, frame: Frame) -> Path:
         """Return where the confidence of a frame is."""
         return self.folder / f"confidence_{self.grid.width}" / Path(frame.gt_path or "").name
+
+    def doubtful_percent(self, numbers: Iterable[int]) -> float:
+        """Return how many percent of the rays of some frames are doubtful; 0 where nothing says."""
+        shares = []
+        for number in numbers:
+            name = Path(self.data.frame(number).gt_path or "").name
+            trust = self.folder / f"trust_{self.grid.width}" / name
+            if trust.exists():
+                shares.append(float((read_inverse_depth(trust, 1.0) < DOUBTFUL).mean()))
+        return 100 * float(np.mean(shares or [0.0]))
 
     @cached_property
     def checksum(self) -> str:

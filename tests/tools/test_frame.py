@@ -91,7 +91,7 @@ def test_limits_drop_what_is_far_or_unsure(depth):
 
 def test_the_sentences_say_what_was_found(depth):
     truth = depth.depth[depth.valid]
-    first, second, *hints = depth_sentences(depth, Limits(1e9, 0.0), NOTHING)
+    _, first, second, *hints = depth_sentences(depth, Limits(1e9, 0.0), NOTHING)
     assert re.search(
         rf"the nearest thing is {np.quantile(truth, 0.002):.2g} m away, the median", first
     )
@@ -115,11 +115,13 @@ def test_the_sentences_say_what_was_found(depth):
 
 def test_what_is_doubtful_is_told_and_not_the_nearest_thing(depth):
     nearest, sure = np.nanquantile(depth.depth, [0.002, 0.3])
-    first, second, third, *_ = depth_sentences(depth, Limits(1e9, 0.0), depth.depth <= sure)
-    assert f"the nearest thing is {sure:.2g} m away" in first
-    assert second.startswith(
-        "Doubtful are 31 % of the rays, and 100 % of the nearest tenth, up to "
+    verdict, first, second, third, *_ = depth_sentences(
+        depth, Limits(1e9, 0.0), depth.depth <= sure
     )
+    assert verdict == "Fair: 31 % of rays are doubtful."
+    assert f"the nearest thing is {sure:.2g} m away" in first
+    assert second.startswith("Of the nearest tenth of rays, up to ")
+    assert "100 % are doubtful" in second
     assert second.endswith(f"If they are right, the nearest thing is {nearest:.2g} m away.")
     assert f"use {depth.valid.sum()} rays" in third
 
@@ -127,7 +129,7 @@ def test_what_is_doubtful_is_told_and_not_the_nearest_thing(depth):
 def test_a_frame_without_a_point_is_written_too(depth, tmp_path):
     result = FrameResult(depth, Limits(0.1, 0.0), "zncc+sgm")
     result.write(tmp_path)
-    first, *_, second = result.sentences()
+    _, first, *_, second = result.sentences()
     assert "the nearest thing is unknown away" not in first and "no ray is within" in first
     assert f"use 0 rays. Left out: {depth.valid.sum()} beyond 0.1 m" in second
     assert b"element vertex 0" in (tmp_path / "data" / "points.ply").read_bytes()

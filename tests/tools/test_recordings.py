@@ -19,7 +19,7 @@ import omnistereo_lib as osl
 from omnistereo_lib.frame import read_inverse_depth
 from omnistereo_lib.pictures import read_image, write_image
 from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD
-from omnistereo_rigs.doctor.rig_check import _matches
+from omnistereo_rigs.doctor.rig_check import _evidence
 from omnistereo_tools import cli
 from omnistereo_tools.input.sources import Recording, open_sources
 from omnistereo_tools.judge import pace
@@ -420,7 +420,8 @@ def test_pictures_of_16_bits_have_the_depth_and_the_doctor_of_8(recorded):
         osl.estimate_depth(osl.Frame.of(rig, given), GRID, "zncc") for given in (pictures, deep)
     )
     np.testing.assert_allclose(of_deep.inverse_depth, depth.inverse_depth, atol=0.01)
-    for one, other in zip(_matches(rig, pictures)[0], _matches(rig, deep)[0], strict=True):
+    found = (_evidence(rig, given).features for given in (pictures, deep))
+    for one, other in zip(*found, strict=True):
         np.testing.assert_array_equal(one.rays, other.rays)
 
 

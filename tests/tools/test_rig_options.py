@@ -54,7 +54,7 @@ def test_the_turn_is_stated_and_can_be_undone(world, tmp_path, capsys):
     assert depth(folder, tmp_path / "turned") == 0
     assert re.search(
         r"^The rig was turned level, by 1[12][0-9]° \(--keep-frame leaves it\)\.$",
-        capsys.readouterr().out,
+        capsys.readouterr().err,
         re.M,
     )
     assert "rig turned level" in (tmp_path / "turned" / "index.html").read_text(encoding="utf-8")

@@ -1,0 +1,146 @@
+"""Pictures that were rotated, mirrored or given in another order, also in combination: what
+explains most.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations, permutations, product
+
+import numpy as np
+
+from omnistereo_lib.geometry.rig import Rig
+from omnistereo_rigs.doctor.evidence import Evidence, Flip, Matches, explained, flips, unit_rays
+
+_MOST = 4  # cameras, up to which all orders are tried
+_MANY = 8  # cameras, beyond which the order is believed
+_PART = 0.04  # of the score: by so much a hypothesis with one more part must be better
+
+
+@dataclass(frozen=True)
+class PictureMixup:
+    """What may have been done to the pictures of a rig, and how many matches are explained with it
+    undone.
+    """
+
+    order: tuple[int, ...]  # picture k is of camera order[k]
+    flips: tuple[Flip, ...]  # of each picture
+    score: float  # matches explained
+
+    @property
+    def parts(self) -> int:
+        """How many things have gone wrong."""
+        done = [flip for flip in self.flips if flip != Flip()]
+        same = len(done) == len(self.flips) and len(set(done)) == 1
+        swapped = sum(k != place for k, place in enumerate(self.order))
+        return (swapped > 0) + (1 if same else len(done))
+
+    @property
+    def cause(self) -> str:
+        """The kind of mistake: "swapped", "mirrored" or "rotated", joined by "and"."""
+        done = [
+            "swapped" if self.order != tuple(range(len(self.order))) else "",
+            "mirrored" if any(flip.mirrored for flip in self.flips) else "",
+            "rotated" if any(flip.quarters for flip in self.flips) else "",
+        ]
+        return " and ".join(filter(None, done))
+
+    @property
+    def name(self) -> str:
+        """What was done, in words; "" if nothing was."""
+        said = []
+        if self.order != tuple(range(len(self.order))):
+            give = " ".join(str(k + 1) for k in np.argsort(self.order))
+            said.append(f"the images look swapped (give them in the order {give})")
+        done = [flip for flip in self.flips if flip != Flip()]
+        if len(done) == len(self.flips) and len(set(done)) == 1:
+            return " and ".join([*said, f"all images look {done[0].name}"])
+        said += [
+            f"image {k} looks {flip.name}" for k, flip in enumerate(self.flips, 1) if flip != Flip()
+        ]
+        return " and ".join(said)
+
+
+def picture_mixups(evidence: Evidence, rig: Rig, mirrored: bool) -> list[PictureMixup]:
+    """Return what may have been done to the pictures, best first, those that are simpler with a
+    start.
+
+    Args:
+        mirrored: Try mirrored pictures, too, for which features are found once more.
+    """
+    count, sizes = len(rig), [camera.image_size for camera in rig.cameras]
+    known = [[flip for flip in flips(size) if mirrored or not flip.mirrored] for size in sizes]
+    scores = _Scores(evidence, rig)
+    found = []
+    for order in orders(count):
+        if [sizes[k] for k in order] == sizes:
+            for done in _patterns(known):
+                found.append(PictureMixup(order, done, scores.total(order, done)))
+    return sorted(found, key=lambda one: -one.score * (1 - _PART * one.parts))
+
+
+def orders(count: int) -> Iterator[tuple[int, ...]]:
+    """Yield the orders of the images, the given one first: all up to four cameras, else two swapped
+    or all moved on.
+    """
+    same = tuple(range(count))
+    if count <= _MOST:
+        yield from permutations(same)
+        return
+    yield same
+    if count > _MANY:
+        return
+    for i, j in combinations(same, 2):
+        yield tuple({i: j, j: i}.get(k, k) for k in same)
+    for k in same[1:]:
+        yield same[k:] + same[:k]
+
+
+def _patterns(known: Sequence[Sequence[Flip]]) -> Iterator[tuple[Flip, ...]]:
+    """Yield what may have been done to each picture: nothing, something to one or to two, the same
+    to all.
+    """
+    none = tuple(Flip() for _ in known)
+    yield none
+    for cameras in (*combinations(range(len(known)), 1), *combinations(range(len(known)), 2)):
+        for some in product(*(known[k][1:] for k in cameras)):
+            done = dict(zip(cameras, some, strict=True))
+            yield tuple(done.get(k, Flip()) for k in range(len(known)))
+    for flip in known[0][1:]:
+        if len(known) > 2 and all(flip in one for one in known):
+            yield tuple(flip for _ in known)
+
+
+class _Scores:
+    """Matches explained by pair, order and flips, each computed once."""
+
+    def __init__(self, evidence: Evidence, rig: Rig) -> None:
+        self.evidence, self.rig = evidence, rig
+        self._known: dict[tuple[object, ...], int] = {}
+        self._rays: dict[tuple[object, ...], np.ndarray] = {}
+
+    def total(self, order: Sequence[int], done: Sequence[Flip]) -> float:
+        """Return how many matches are explained, over all pairs."""
+        return sum(
+            self._pair(i, j, order[i], order[j], done[i], done[j])
+            for i, j in combinations(range(len(order)), 2)
+        )
+
+    def _pair(self, i: int, j: int, place_i: int, place_j: int, a: Flip, b: Flip) -> int:
+        key = i, j, place_i, place_j, a, b
+        if key not in self._known:
+            odd = a.mirrored != b.mirrored
+            found = (self.evidence.mirrored if odd else self.evidence.plain)[i, j]
+            x = self._seen(found, (i, j, odd), 0, place_i, a)
+            y = self._seen(found, (i, j, odd), 1, place_j, b)
+            T = self.rig.T_rig_cam
+            self._known[key] = int(explained(T[place_i], T[place_j], x, y).sum())
+        return self._known[key]
+
+    def _seen(
+        self, found: Matches, pair: tuple[object, ...], side: int, place: int, flip: Flip
+    ) -> np.ndarray:
+        key = *pair, side, place, flip
+        if key not in self._rays:
+            camera, pixels = self.rig.cameras[place], (found.first, found.second)[side]
+            self._rays[key] = unit_rays(camera, flip.undo(pixels, camera.image_size))
+        return self._rays[key]
