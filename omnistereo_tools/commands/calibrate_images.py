@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import write_text

@@ -26,7 +26,8 @@ def say_frame(method: str, grid: SphereGrid, device: str) -> None:
     """Say how long a frame will take on the processor, before it begins; elsewhere only by which
     method.
     """
-    seconds, kind = _SECONDS.get(Method.parse(method).cost), select_device(device).type
+    seconds = _SECONDS.get(Method.parse(method).cost)
+    kind = select_device(device).type if device == "auto" else device
     if seconds is None or kind != "cpu":
         say(f"method: {method} on {kind}")
         return

@@ -28,11 +28,11 @@ def test_more_spheres_take_longer_and_other_devices_are_not_guessed(capsys):
     for spheres in (192, 960):
         say_frame("volumenet", osl.SphereGrid(640, 160, num_spheres=spheres), "cpu")
     say_frame("volumenet", osl.SphereGrid(640, 160), "cuda")
-    first, second, third = capsys.readouterr().out.splitlines()
+    first, second, third = capsys.readouterr().err.splitlines()
     assert (
         first.startswith("volumenet takes about ")
         and first != second
-        and third == "method: volumenet"
+        and third == "method: volumenet on cuda"
     )
 
 

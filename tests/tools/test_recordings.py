@@ -121,7 +121,8 @@ def test_every_frame_has_the_confidence_and_trust_of_a_single_frame(recorded, do
 def test_the_summary_says_how_many_rays_are_doubtful_also_of_the_nearest(recorded, done, capsys):
     assert run(*record_command(recorded, done)) == 0  # all is there: it only sums up
     said = re.search(
-        r"Doubtful are (\d+) % of the rays, and (\d+) % of the nearest tenth",
+        r"^\w+: (\d+) % of rays are doubtful over \d+ frames(?:; .*)?\.\nOf the nearest tenth of rays"
+        r" of each frame, (\d+) % are doubtful",
         capsys.readouterr().out,
     )
     shares = []
@@ -232,7 +233,7 @@ def test_a_picture_that_has_changed_is_computed_again(recorded, done, tmp_path, 
     write_image(changed, np.full((96, 100), 128))
     before = {path.name: path.stat().st_mtime_ns for path in out.glob("depth_estimate_96/*")}
     assert run(*record_command(pictures, out)) == 0
-    assert f"frame 3 is computed again: {changed} has changed" in capsys.readouterr().out
+    assert f"frame 3 is computed again: {changed} has changed" in capsys.readouterr().err
     after = {path.name: path.stat().st_mtime_ns for path in out.glob("depth_estimate_96/*")}
     assert [name for name in after if after[name] != before[name]] == ["00003.tiff"]
     old, new = (
@@ -256,7 +257,7 @@ def test_bad_frames_are_named_and_left_out_if_asked(recorded, done, tmp_path, ca
     assert run(*command) == 2
     capsys.readouterr()
     assert run(*command, "--skip-bad") == 0
-    said = capsys.readouterr().out
+    said = capsys.readouterr().err
     assert (
         f"frame 2 is left out: {torn}" in said
         and f"frame 5 is left out: {other} is 9 × 9 px" in said
@@ -278,7 +279,7 @@ def test_by_default_it_takes_the_best_method_that_keeps_pace_and_goes_on_with_it
     del command[command.index("--method") : command.index("--method") + 2]
     assert run(*command, "--stop", 3) == 0
     took = pace.in_words(2 * (seconds if method == FRAME_METHOD else 0.5))
-    said = capsys.readouterr().out
+    said = capsys.readouterr().err
     assert f"method: {method}, " in said and f"2 frames: about {took} by {method}\n" in said
     # the machine is busy, or no longer
     monkeypatch.setattr(pace, "_measure", lambda *_: 4.0 - seconds)
@@ -441,10 +442,7 @@ def test_videos_are_recordings_too(recorded, done, tmp_path, capsys):
         tmp_path / "out",
     ]
     assert run(*command, "--start", 1, "--step", 2) == 0
-    assert (
-        "3.mkv lacks 1 frames that other cameras have; they are left out: 5"
-        in capsys.readouterr().out
-    )
+    assert "3.mkv lacks 1 frames that other cameras have; left out: 5" in capsys.readouterr().err
     data = osl.load_dataset(tmp_path / "out")
     assert [frame.number for frame in data] == [1, 3]
     of_pictures = osl.load_dataset(done)[3]  # frame 4 of the pictures, which count from 1
