@@ -1,1 +1,1 @@
-"""Rig and camera files of other programs: one module for each family of formats, in and out."""
+"""Rig and camera files of other programs, in and out: a table of dialects, and OpenCV and COLMAP."""

@@ -10,6 +10,8 @@ from rig_file_samples import K4, RAYS, SIZE, dump, write
 from test_more_formats import AHEAD, follows, theta_d
 
 from omnistereo_lib import OmnistereoError, Pose
+from omnistereo_rigs.formats.camera_models import make_camera_model
+from omnistereo_rigs.formats.colmap import _lens as colmap_lens
 from omnistereo_rigs.formats.read import read_any_camera, read_any_rig
 from omnistereo_rigs.formats.write import export_rig
 
@@ -318,3 +320,31 @@ def test_unread_programs_say_what_to_do(tmp_path):
     ):
         with pytest.raises(OmnistereoError, match=message):
             read_any_rig(write(tmp_path / "file.json", json.dumps(data)))
+
+
+THEIRS = {
+    "SIMPLE_FISHEYE": [200.0, 400.5, 380.5],
+    "FISHEYE": [200.0, 199.0, 400.5, 380.5],
+    "OPENCV_FISHEYE": [200.0, 199.0, 400.5, 380.5, *K4],
+    "SIMPLE_RADIAL_FISHEYE": [200.0, 400.5, 380.5, -0.01],
+    "RADIAL_FISHEYE": [200.0, 400.5, 380.5, -0.01, 0.004],
+    "RAD_TAN_THIN_PRISM_FISHEYE": [
+        *(200.0, 199, 400.5, 380.5, 0.01, -0.02, 3e-3, 1e-4, 0, 1e-5),
+        *(1e-3, -2e-3, 2e-3, 1e-4, -1e-3, 3e-4),
+    ],
+    "EUCM": [220.0, 219.0, 400.5, 380.5, 0.6, 1.1],
+    "FOV": [300.0, 299.0, 400.5, 380.5, 0.9],
+    "FULL_OPENCV": [400.0, 398, 400.5, 380.5, 0.1, -0.02, 1e-3, -1e-3, 0.01, 0.02, -0.01, 1e-3],
+}
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", THEIRS)
+def test_models_against_colmap_itself(name):
+    pycolmap = pytest.importorskip("pycolmap")
+    theirs = pycolmap.Camera(model=name, width=WIDTH, height=HEIGHT, params=THEIRS[name])
+    lens = colmap_lens("", (name, THEIRS[name], SIZE))
+    uv, valid = make_camera_model(lens.model, dict(lens.parameters))(AHEAD)
+    expected = np.stack([theirs.img_from_cam(ray) for ray in AHEAD]) - 0.5
+    assert valid.all() and len(AHEAD) > 30
+    np.testing.assert_allclose(uv, expected, atol=1e-9)
