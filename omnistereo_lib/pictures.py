@@ -26,6 +26,7 @@ _NOT_READ = {
 }
 # modes, as Pillow calls them
 _NOT_READ |= {"F": "floating-point numbers", "I": "integers of 32 bits"}
+_JPEG_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]", re.DOTALL)  # but those within a scan
 # width, height, largest value
 _NETPBM = re.compile(rb"P([2356])" + 3 * rb"(?:\s|#[^\n]*\n)+([0-9]{1,6})" + rb"\s")
 _ORIENTATION, _BITS, _PLANAR = 274, 258, 284  # tags of TIFF, the first of EXIF, too
@@ -62,13 +63,28 @@ def open_picture(path: str | Path) -> tuple[bytes, Any]:
         raise OmnistereoError(
             f"{path} is too large for a picture: {picture.width} × {picture.height} pixels"
         )
-    if picture.format == "JPEG" and not (
-        b"\xff\xd9" in content[-64:] and content.count(b"\xff\xda") <= _MAX_SCANS
-    ):
-        raise _damaged_picture(path, "without the marker of its end, or of too many scans")
+    if picture.format == "JPEG":
+        # Embedded cameras pad their pictures, and telephones put a film behind them.
+        content = content[: _jpeg_end(content)]
+        if not content:
+            raise _damaged_picture(path, "without the marker of its end, or of too many scans")
     if orientation != 1:
         remark_turned(path, f"or mirrored (orientation {orientation})")
     return content, picture
+
+
+def _jpeg_end(content: bytes) -> int:
+    """Return where the picture of a JPEG ends; 0 if it is cut off or has too many scans."""
+    at, scans = 2, 0
+    while scans <= _MAX_SCANS and (found := _JPEG_MARKER.search(content, at)):
+        marker, at = found[0][1], found.end()
+        if marker == 0xD9:
+            return at
+        scans += marker == 0xDA
+        at += int.from_bytes(content[at : at + 2], "big")  # a segment begins with its length
+    # Damaged in the middle, it may still end as a picture does.
+    is_whole = b"\xff\xd9" in content[-64:] and content.count(b"\xff\xda") <= _MAX_SCANS
+    return len(content) if is_whole else 0
 
 
 def check_image(path: str | Path, image_size: tuple[int, int] | None = None) -> tuple[bytes, Any]:

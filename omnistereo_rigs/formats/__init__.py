@@ -1,1 +1,1 @@
-"""Rig and camera files of other programs, in and out: a table of dialects, and OpenCV and COLMAP."""
+"""Rig and camera files of other programs, in and out: a table of dialects, OpenCV, COLMAP."""

@@ -54,6 +54,21 @@ def test_a_jpeg_that_is_damaged_in_the_middle_is_told(tmp_path, capfd):
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.parametrize("behind", [bytes(160), b"\xff\xda\xff\xd9film" * 5000, b"\xff\xd9"])
+def test_bytes_behind_the_end_of_a_jpeg(tmp_path, behind, recwarn):
+    """As embedded cameras pad pictures, and telephones put a film behind them; cut off is another."""
+    write_image(
+        tmp_path / "a.jpg", np.random.default_rng(1).integers(0, 256, (96, 128, 3), np.uint8)
+    )
+    content, true = (tmp_path / "a.jpg").read_bytes(), read_image(tmp_path / "a.jpg")
+    (tmp_path / "b.jpg").write_bytes(content + behind)
+    np.testing.assert_array_equal(read_image(tmp_path / "b.jpg"), true)
+    assert not recwarn.list
+    (tmp_path / "c.jpg").write_bytes(content[:-300] + bytes(160))
+    with pytest.raises(OmnistereoError, match="without the marker of its end"):
+        read_image(tmp_path / "c.jpg")
+
+
 @pytest.mark.parametrize("suffix", ["jpg", "png", "webp", "tiff"])
 @pytest.mark.parametrize("orientation", [3, 6])
 def test_pixels_are_those_that_are_stored(tmp_path, suffix, orientation):
