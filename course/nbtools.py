@@ -88,7 +88,7 @@ def clean(nb: nbformat.NotebookNode) -> nbformat.NotebookNode:
     """Return a notebook without what depends on the machine and the program that ran it; fill in
     its solutions.
 
-    Code, tags, outputs and execution counts stay as they are.
+    Tags, outputs, execution counts and code stay as they are, but for the first cell.
     """
     nb = copy.deepcopy(nb)
     facts = nb.metadata.get("omnistereo", {})
@@ -105,6 +105,9 @@ def clean(nb: nbformat.NotebookNode) -> nbformat.NotebookNode:
     )
     nb.nbformat, nb.nbformat_minor = 4, 5
     answers = {function.name: function.source for function in open_functions(nb)}
+    first = next(iter(code_cells(nb)), None)
+    if first and first.source.endswith(SETUP):
+        first.source = setup_of(nb)
     for number, cell in enumerate(nb.cells):
         cell.id = f"cell-{number}"
         if cell.cell_type == "markdown":

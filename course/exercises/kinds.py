@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
 from omnistereo_lib.geometry.pose import Pose
 
 Array = NDArray[np.float64]

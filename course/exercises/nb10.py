@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from course.exercises import beside
 from course.exercises.compare import Rng
 from course.exercises.opened import Open
 
@@ -95,6 +96,51 @@ check_light = Open(light, _points_on_boxes).with_slips("""
 """)
 
 
+def look(origin, rays, boxes, to_sun, paint):
+    """Gray values (…) along rays (…, 3) from a point: paint(points) times the light; 0.9 in the sky."""
+    distances = np.stack([hit_box(origin, rays, *box) for box in boxes])
+    distance, number = distances.min(axis=0), distances.argmin(axis=0)
+    hit = np.isfinite(distance)
+    points = origin + distance[hit][:, None] * rays[hit]
+    middle, half = boxes.mean(axis=1), (boxes[:, 1] - boxes[:, 0]) / 2
+    out = (points - middle[number[hit]]) / half[number[hit]]
+    # the face is that of the axis along which the point is farthest out
+    normals = np.sign(out) * (np.arange(3) == np.abs(out).argmax(axis=-1)[..., None])
+    gray = np.full(distance.shape, 0.9)
+    gray[hit] = paint(points) * light(points, normals, to_sun, boxes)
+    return gray
+
+
+def _two_checkers(points):
+    return (checker(points, 0.7) + checker(points + 0.1, 0.31)) / 2
+
+
+def _a_view(rng: Rng, k: int) -> tuple:
+    low = rng.uniform(-4, 3, (4, 3))
+    low[np.all(np.abs(low) < 1.2, axis=1)] -= 3  # nobody stands in a box
+    boxes = np.stack([low, low + rng.uniform(0.4, 1.0, low.shape)], axis=1)
+    rays = rng.normal(0, 1, (5, 6 + k % 3, 3))
+    rays[0] = boxes.mean(axis=1)[np.arange(rays.shape[1]) % 4] + rng.normal(0, 0.1, rays[0].shape)
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    to_sun = np.array([0.48, -0.64, -0.6])
+    return np.zeros(3), rays, boxes, to_sun, _two_checkers
+
+
+check_look = Open(look, _a_view, whole=("origin", "boxes", "to_sun")).with_slips("""
+    distance, number = distances.min(axis=0), distances.argmin(axis=0)
+    → distance, number = distances[0], np.zeros(distances.shape[1:], int)
+    # that is the first box: a ray shows the nearest of all that it meets
+    np.full(distance.shape, 0.9) → np.zeros(distance.shape)
+    # where a ray meets nothing is sky, 0.9
+    paint(points) * light(points, normals, to_sun, boxes) → paint(points)
+    # the paint times the light that falls on it
+    np.sign(out) * → 1.0 *
+    # a normal points out of its box: to the side on which the point is, np.sign
+    (points - middle[number[hit]]) / half[number[hit]] → points - middle[number[hit]]
+    # boxes are not cubes: divide by their half sizes before you ask which axis is farthest out
+""")
+
+
 def distances_from_z(z, rays):
     """Distances (…) along rays (…, 3) of any length, from depths z (…) along the axis, which is the z of the rays."""
     return z * np.linalg.norm(rays, axis=-1) / rays[..., 2]
@@ -133,4 +179,35 @@ check_solid_angles = Open(solid_angles, _a_panorama).with_slips("""
     # that is the cosine: the height of a row in radians is missing
     np.sin( → np.cos(  # sin φ at the edges, not cos φ
     / width, width → , width  # that is the area of whole rows: divide by the columns
+""")
+
+
+def behind(center, points, inverse_depth, phi_deg, t):
+    """How far lines of sight get behind surfaces (…): the largest ratio of a place's distance from the rig to the depth
+    of the surface in its direction, at the fractions t (steps,) of the way from a camera (3,) to points (…, 3)."""
+    H, W = inverse_depth.shape  # of the surface, 1/m, by a panorama whose rows go from phi_deg[0] to phi_deg[1]
+    places = center + np.multiply.outer(t, points - center)  # (steps, …, 3)
+    x, y, z = np.moveaxis(places, -1, 0)
+    theta, phi = np.arctan2(x, z), np.degrees(np.arctan2(y, np.hypot(x, z)))
+    column = np.floor((theta / (2 * np.pi) + 0.5) * W).astype(int) % W
+    row = np.floor((phi - phi_deg[0]) / (phi_deg[1] - phi_deg[0]) * H).astype(int).clip(0, H - 1)
+    return (np.linalg.norm(places, axis=-1) * inverse_depth[row, column]).max(axis=0)
+
+
+def _a_scene(rng: Rng, k: int) -> tuple:
+    H, W = 8 + k % 3, 20 + 2 * (k % 5)
+    points = rng.normal(0, 3, (3, 4 + k % 3, 3))
+    points[0] = [-0.05, 0.2, -2.5] + 0.1 * rng.normal(size=points[0].shape)  # at the seam
+    points[1, :2] = [0, 4, 1], [0.3, -4, 1]  # below and above the panorama
+    t = np.sort(rng.uniform(0.1, 0.9, 6 + k % 2))
+    return rng.normal(0, 0.4, 3), points, rng.uniform(0.1, 0.8, (H, W)), (-40.0, 45.0 + k), t
+
+
+check_behind = Open(behind, _a_scene, whole=("inverse_depth",), real=beside.sight).with_slips("""
+    norm(places, → norm(places - center,
+    # the distance from the rig, not from the camera: the panorama holds depths from the rig
+    (np.linalg.norm(places, axis=-1) * inverse_depth[row, column]).max
+    → (1 / (np.linalg.norm(places, axis=-1) * inverse_depth[row, column])).max
+    # the place's distance over the depth of the surface, not the other way round
+    np.floor( → np.rint(  # pixel k reaches from k to k + 1: floor, not round
 """)

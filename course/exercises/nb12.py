@@ -1,4 +1,4 @@
-"""Notebook 12: the correlation of all cameras, a volume doubled, its loss, the read-out, and what hides a point."""
+"""Notebook 12: the correlation of all cameras, a volume doubled, its loss, the read-out, and a table of reliability."""
 
 from itertools import pairwise
 
@@ -6,7 +6,6 @@ import numpy as np
 import torch
 from torch.nn.functional import interpolate
 
-from course.exercises import beside
 from course.exercises.compare import Rng
 from course.exercises.opened import Open
 from omnistereo_lib.stereo.volumenet import wrap
@@ -105,37 +104,6 @@ check_read_out = Open(read_out, _some_rays).with_slips("""
     return p.argmax(-1)  # that is the best sphere: take the mean around it
     near = p * → near = 1.0 *  # that is the middle of the spheres: weight each by its probability
     / near.sum(-1) →  # the probabilities around the best do not add up to 1: divide by their sum
-""")
-
-
-def behind(center, points, inverse_depth, phi_deg, t):
-    """How far lines of sight get behind surfaces (…): the largest ratio of a place's distance from the rig to the depth
-    of the surface in its direction, at the fractions t (steps,) of the way from a camera (3,) to points (…, 3)."""
-    H, W = inverse_depth.shape  # of the surface, 1/m, by a panorama whose rows go from phi_deg[0] to phi_deg[1]
-    places = center + np.multiply.outer(t, points - center)  # (steps, …, 3)
-    x, y, z = np.moveaxis(places, -1, 0)
-    theta, phi = np.arctan2(x, z), np.degrees(np.arctan2(y, np.hypot(x, z)))
-    column = np.floor((theta / (2 * np.pi) + 0.5) * W).astype(int) % W
-    row = np.floor((phi - phi_deg[0]) / (phi_deg[1] - phi_deg[0]) * H).astype(int).clip(0, H - 1)
-    return (np.linalg.norm(places, axis=-1) * inverse_depth[row, column]).max(axis=0)
-
-
-def _a_scene(rng: Rng, k: int) -> tuple:
-    H, W = 8 + k % 3, 20 + 2 * (k % 5)
-    points = rng.normal(0, 3, (3, 4 + k % 3, 3))
-    points[0] = [-0.05, 0.2, -2.5] + 0.1 * rng.normal(size=points[0].shape)  # at the seam
-    points[1, :2] = [0, 4, 1], [0.3, -4, 1]  # below and above the panorama
-    t = np.sort(rng.uniform(0.1, 0.9, 6 + k % 2))
-    return rng.normal(0, 0.4, 3), points, rng.uniform(0.1, 0.8, (H, W)), (-40.0, 45.0 + k), t
-
-
-check_behind = Open(behind, _a_scene, whole=("inverse_depth",), real=beside.sight).with_slips("""
-    norm(places, → norm(places - center,
-    # the distance from the rig, not from the camera: the panorama holds depths from the rig
-    (np.linalg.norm(places, axis=-1) * inverse_depth[row, column]).max
-    → (1 / (np.linalg.norm(places, axis=-1) * inverse_depth[row, column])).max
-    # the place's distance over the depth of the surface, not the other way round
-    np.floor( → np.rint(  # pixel k reaches from k to k + 1: floor, not round
 """)
 
 

@@ -80,7 +80,8 @@ def test_a_function_is_asked_for_checked_and_solved_in_one_place(number, functio
     stub, check, solution = cells_of(number, function)
     asked, answer = (ast.parse(source).body[0] for source in (stub.source, function.source))
     assert ast.unparse(asked.args) == ast.unparse(answer.args)
-    assert ast.get_docstring(asked) == ast.get_docstring(answer)
+    # a notebook has 120 letters a line, a module 100
+    assert ast.get_docstring(asked).split() == ast.get_docstring(answer).split()
     assert ast.unparse(asked.body[-1]) == "..." and len(asked.body) == 2
     assert (
         check.source.splitlines()[0]
