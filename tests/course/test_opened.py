@@ -117,7 +117,8 @@ def test_answers_written_into_the_notebook_are_right_there(number):
     nb = solve.solve(NOTEBOOKS[number], solve.open_answers(number))
     for cell in nbtools.code_cells(nb):
         for node in ast.parse(cell.source).body:
-            if isinstance(node, ast.Import | ast.ImportFrom | ast.FunctionDef):
+            kind = isinstance(node, ast.Import | ast.ImportFrom | ast.FunctionDef)
+            if kind or "mine.use(" in ast.unparse(node):
                 with suppress(NameError):
                     exec(compile(ast.Module([node], []), "cell", "exec"), namespace)
     for function in exercises.functions(number):
