@@ -5,8 +5,9 @@ import pytest
 from nbformat.v4 import new_markdown_cell
 from notebook_cells import FACTS, SETUP, SLIDER, code, framed, nbval, notebook, write
 
-from course import __main__, nbtools, rules
+from course import nbtools, rules
 from course.figures.captions import captions
+from workshop import __main__
 
 # --- The comparison, one nbval run over all cases
 
