@@ -14,8 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import omnistereo_lib as osl
 from numpy.typing import NDArray
+
+import omnistereo_lib as osl
 from omnistereo_lib.frame import Frame
 
 _SPHERE = 20  # of 64: the white car is in focus

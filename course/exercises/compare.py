@@ -19,10 +19,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from omnistereo_lib.geometry.pose import Pose
 
 from course.exercises import kinds
 from course.exercises.kinds import form, same
+from omnistereo_lib.geometry.pose import Pose
 
 Answer = Callable[..., Any]
 Array = NDArray[np.float64]

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
 from omnistereo_lib.geometry.pose import Pose
 
 Array = NDArray[np.float64]
