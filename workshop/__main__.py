@@ -53,6 +53,11 @@ def main(arguments: list[str] | None = None) -> int:
         "results.rig_sizes.print_table",
         "how many rays are right at which distance, by size of rig",
     )
+    add(
+        "late-table",
+        "results.late_table.print_table",
+        "how often late cameras are found that are planted in the bundled drives",
+    )
     world = add(
         "world-table",
         "results.world_table.print_table",

@@ -7,7 +7,7 @@ lateness of all: any number of cameras may be late, and nothing is asked about w
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import combinations
@@ -47,12 +47,12 @@ class LateCameras:
     """
 
     def __init__(self, rig: Rig, images: Sequence[Sequence[NDArray[np.uint8]]]) -> None:
-        self.images, self.cameras, T = images, len(rig), rig.T_rig_cam
+        self.rig, self.images, self.cameras, T = rig, images, len(rig), rig.T_rig_cam
         self.pairs = list(combinations(range(len(rig)), 2))
         self._finders = [FeatureFinder(camera) for camera in rig.cameras]
         self._T = {(i, j): T[j].inverse() @ T[i] for i, j in self.pairs}
         # Each is asked for many times.
-        self._features = cache(self.features)
+        self._features: Callable[[int, int], Features] = cache(self.features)
         self._rays = cache(self.rays)
         self._next = cache(self.next)
 
@@ -96,6 +96,14 @@ class LateCameras:
         now, least = total(late), min(clear[parent[camera], camera] for camera in order[1:])
         gain = now / max(total(np.zeros(self.cameras)), 0.5)
         return Lateness(tuple(late.round(2).tolist()), gain, float(least), now)
+
+    def moved(self, late: Sequence[int]) -> LateCameras:
+        """Return the same look with each camera's frames moved by how late it is."""
+        first, last = -min(late), len(self.images) - max(late)
+        images = [[self.images[t + k][c] for c, k in enumerate(late)] for t in range(first, last)]
+        other = LateCameras(self.rig, images)
+        other._features = lambda frame, camera: self._features(frame + first + late[camera], camera)
+        return other
 
     def _adjusted(self, late: Floats, shift: Floats, weight: Floats) -> Floats:
         """Return the lateness on which all pairs that agree with the tree agree best."""

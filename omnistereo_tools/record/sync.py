@@ -74,11 +74,10 @@ def measure_late(paths: Sequence[Path], rig: Rig, late: Sequence[int]) -> list[i
         OmnistereoError: If it cannot be told, or is not the same all along.
     """
     recording = Recording.open(paths, late=late)
-    found = list[tuple[int, tuple[float, ...]]]()
+    found = list[tuple[int, Sequence[float]]]()
     for start in _places(recording, _PLACES):
-        looked = LateCameras(rig, _images(recording, rig, start, FRAMES)).find(fine=True)
-        if _is_sure(looked):
-            found.append((start, looked.frames))
+        if (late_here := _measure(rig, _images(recording, rig, start, FRAMES))) is not None:
+            found.append((start, late_here))
     if not found:
         raise OmnistereoError(
             "how late the cameras are cannot be measured: it takes four frames or more between "
@@ -103,6 +102,22 @@ def measure_late(paths: Sequence[Path], rig: Rig, late: Sequence[int]) -> list[i
     # Pictures that are only counted can be moved by whole numbers alone.
     moved = mean if recording.step else mean.round()
     return [round(known + step * value) for known, value in zip(stated, moved, strict=True)]
+
+
+def _measure(rig: Rig, images: Sequence[_Moment]) -> Sequence[float] | None:
+    """Return how late each camera is, frames, in fractions where these show, too."""
+    look = LateCameras(rig, images)
+    whole = look.find()
+    if not _is_sure(whole):
+        # Between two frames, neither of them fits.
+        fine = look.find(fine=True)
+        return fine.frames if _is_sure(fine) else None
+    late = [round(value) for value in whole.frames]
+    if max(late) - min(late) > len(images) - 2:
+        return whole.frames
+    fine = look.moved(late).find(reach=1, fine=True)
+    is_fine = fine.clear >= _ON_TIME and max(map(abs, fine.frames)) < 1
+    return [a + b for a, b in zip(late, fine.frames, strict=True)] if is_fine else whole.frames
 
 
 def _step_of_numbers(recording: Recording) -> int:
