@@ -1,6 +1,7 @@
 """Calibrate a camera or a rig: images of a board in, intrinsics and poses out.
 
-FOLDER holds one folder of images per camera; images of one capture have the same name.
+FOLDER holds one folder of images per camera; images of one capture have the same name or time.
+Or it holds one video per camera, of which sharp and varied frames are taken.
 
 Examples:
   omnistereo calibrate boards --board 12x10 --square 0.06 --max-fov 220
@@ -47,7 +48,7 @@ class CalibrateOptions(ImagesOptions):
     """Options of `omnistereo calibrate`."""
 
     folder: Path | None = option(
-        "a folder of images per camera", positional=True, nargs="?", metavar="FOLDER"
+        "a folder of images, or a video, per camera", positional=True, nargs="?", metavar="FOLDER"
     )
     board: str | None = option("inner corners, columns x rows, such as 12x10, or a YAML file")
     square: float | None = option(

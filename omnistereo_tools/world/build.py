@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -47,6 +47,7 @@ from omnistereo_tools.world.motion import Sighting, SightingFinder, Step, rig_st
 from omnistereo_tools.world.refine import mix, moving_rays
 
 _FARTHEST = 1.5  # times the range: as far a surface is looked for
+_JUMP, _BETWEEN = 2.5, 1.2  # of the median step; of a step, by way of another frame
 _LOST = 3  # frames without a sure step, after which the path begins anew
 
 
@@ -202,6 +203,12 @@ class RecordedFrames:
                 f"{self.folder}: no step between two frames is sure. Frames must share most of what"
                 " they see: record with a smaller --step, or more often."
             )
+        if len(jumps := jumps_past_others(poses)) > 1:
+            some = ", ".join(map(str, jumps[:8]))
+            say(
+                f"warning: the frames are out of order in space: at {some} the rig jumps past"
+                " places that other frames show. Check how the pictures are named"
+            )
         return poses
 
     def integrate(
@@ -285,3 +292,16 @@ class _StoredSteps:
             step.rival,
         ]
         write_text(self.path, json.dumps(self.steps) + "\n")
+
+
+def jumps_past_others(poses: Mapping[int, Pose]) -> list[int]:
+    """Return the frames before which the rig makes a long step past the place of another frame."""
+    numbers, places = list(poses), np.stack([pose.t for pose in poses.values()])
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    found = []
+    for k in np.flatnonzero(steps > _JUMP * np.median(steps)):
+        others = np.delete(places, [k, k + 1], axis=0)
+        by_way = sum(np.linalg.norm(others - end, axis=1) for end in (places[k], places[k + 1]))
+        if np.min(by_way, initial=np.inf) < _BETWEEN * steps[k]:
+            found.append(numbers[k + 1])
+    return found

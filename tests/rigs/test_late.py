@@ -39,7 +39,7 @@ def test_any_number_of_late_cameras_is_found(drive, features, late):
 @pytest.mark.slow
 def test_a_rig_that_stands_still_is_not_clear(drive, features):
     found = look(drive, features, [[2] * 4] * 4)
-    assert found.clear < 1.05 and found.gain < 1.05
+    assert found.clear < 1.05
 
 
 def laid_out(drive, folder, late, frames):

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 import omnistereo_lib as osl
 from omnistereo_lib.geometry.trajectory import read_trajectory, trajectory_kitti, trajectory_tum
 from omnistereo_rigs.images.features import FeatureFinder
+from omnistereo_tools.world.build import jumps_past_others
 from omnistereo_tools.world.fusion import View, Volume, bytes_needed, touched_blocks
 from omnistereo_tools.world.motion import SightingFinder, rig_step
 from omnistereo_tools.world.refine import mix, moving_rays
@@ -204,3 +205,13 @@ def test_features_lie_where_the_image_has_them_on_average():
     close = np.einsum("ki,ki->k", found, spot) > np.cos(np.radians(0.5))
     offset = np.median((pixels - camera.project(spot)[0])[close], axis=0)
     assert close.sum() > 50 and np.abs(offset).max() < 0.05
+
+
+def test_frames_out_of_order_in_space_are_told():
+    """As sorted by the last digits, of a drive of even steps; twice around is no fault."""
+    order = [726, 727, 728, 729, 723, 730, 724, 725]
+    poses = {k: osl.Pose(np.eye(3), np.array([1.4 * n, 0.0, 0.0])) for k, n in enumerate(order)}
+    assert jumps_past_others(poses) == [4, 5, 6]
+    angles = np.linspace(0, 4 * np.pi, 45)
+    laps = np.stack([np.sin(angles), 0 * angles, np.cos(angles)], 1)
+    assert not jumps_past_others({k: osl.Pose(np.eye(3), t) for k, t in enumerate(laps)})
