@@ -17,6 +17,7 @@ from typing import NoReturn, get_type_hints
 
 from omnistereo_lib.errors import EXIT_STATUS, OmnistereoError, one_line
 from omnistereo_tools.commands import (
+    board_command,
     calibrate_command,
     demo_command,
     depth_command,
@@ -26,6 +27,7 @@ from omnistereo_tools.commands import (
     onnx_command,
     record_command,
     rig_command,
+    start_command,
     train_command,
     world_command,
 )
@@ -40,6 +42,8 @@ _EXHAUSTED = re.compile(
 _ABOUT = "Depth panoramas from a rig of fisheye cameras."
 COMMANDS = {
     "demo": demo_command,
+    "start": start_command,
+    "board": board_command,
     "depth": depth_command,
     "record": record_command,
     "world": world_command,

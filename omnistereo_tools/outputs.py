@@ -153,7 +153,8 @@ def save_figure(path: Path, figure: "Figure", dpi: int = 100) -> None:
     from omnistereo_lib.files import atomic_write
 
     kind = path.suffix.lower()[1:]
-    with atomic_write(path) as temporary:  # Matplotlib would write its version into a PNG
-        figure.savefig(
-            temporary, format=kind, dpi=dpi, metadata={"Software": None} if kind == "png" else None
-        )
+    # Matplotlib would write its version into a PNG, and the time into the others.
+    unsaid = {"png": "Software", "svg": "Date", "pdf": "CreationDate"}
+    metadata = {unsaid[kind]: None} if kind in unsaid else None
+    with atomic_write(path) as temporary:
+        figure.savefig(temporary, format=kind, dpi=dpi, metadata=metadata)

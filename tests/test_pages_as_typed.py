@@ -148,6 +148,10 @@ def files(tmp_path_factory):
                 ROOT / f"data_samples/calibration/van/cam{k}/{name}.jpg",
                 folder / "pictures" / f"cam{k}",
             )
+    shutil.copytree(folder / "pictures", folder / "my_rig" / "boards")
+    (folder / "my_rig" / "scene").mkdir()
+    for k in range(1, 5):
+        shutil.copy(folder / f"cam{k}.png", folder / "my_rig" / "scene")
     (folder / "aprilgrid.yaml").write_text(APRIL_FILE)
     (folder / "april" / "cam1").mkdir(parents=True)
     for k, picture in enumerate(april_pictures(8)):

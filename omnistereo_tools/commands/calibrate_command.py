@@ -100,7 +100,7 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
 
     # Read the boards.
     _check_out(options, folder)
-    board = _read_board(board_name, options.square)
+    board = read_board(board_name, options.square)
     read = (
         _read_captures(folder) if options.corners is None else _read_corners(options.corners, board)
     )
@@ -153,7 +153,7 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
     )
 
 
-def _read_board(name: str, square: float | None) -> Board:
+def read_board(name: str, square: float | None) -> Board:
     """Return the board of a YAML file, or the checkerboard of a size such as 12x10 and an edge in
     metres.
     """

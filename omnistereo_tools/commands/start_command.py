@@ -1,0 +1,69 @@
+"""From your own pictures to depth: calibrate, check the rig, and compute, in one command.
+
+FOLDER/boards has one folder of pictures of a board per camera, such as cam1 to cam4; pictures taken
+at one moment share a name. FOLDER/scene has one picture of the scene per camera, named as the
+folders: cam1.jpg, … What comes out is FOLDER/rig and FOLDER/depth.
+
+Examples:
+  omnistereo start my_rig --board 12x10 --square 0.06 --max-fov 220
+"""
+
+from dataclasses import MISSING, dataclass
+from pathlib import Path
+
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_tools.commands import calibrate_command, depth_command, doctor_command
+from omnistereo_tools.commands.calibrate_command import CalibrateOptions
+from omnistereo_tools.commands.depth_command import DepthOptions
+from omnistereo_tools.commands.doctor_command import DoctorOptions
+from omnistereo_tools.commands.options import LensOptions
+from omnistereo_tools.parser import option
+
+_PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp")
+
+
+@dataclass(frozen=True, kw_only=True)
+class StartOptions(LensOptions):
+    """Options of `omnistereo start`."""
+
+    folder: Path = option("with boards/ and scene/", MISSING, positional=True, metavar="FOLDER")
+    board: str = option("inner corners, columns x rows, such as 12x10, or a YAML file", MISSING)
+    square: float | None = option("edge of a square in metres, such as 0.06", needs="board")
+
+
+def run(options: StartOptions) -> int:
+    """Calibrate, check and compute; return 1 if the rig does not fit the pictures of the scene."""
+    boards, rig = options.folder / "boards", options.folder / "rig"
+    images = _scene(options.folder / "scene", boards)
+    print("1 of 3, the rig: omnistereo calibrate", flush=True)
+    board = {"board": options.board, "square": options.square, "max_fov": options.max_fov}
+    calibrate_command.run(CalibrateOptions(folder=boards, out=rig, **board))
+    print("2 of 3, does it fit the scene? omnistereo doctor", flush=True)
+    file = rig / "config.yaml"
+    if doctor_command.run(DoctorOptions(rig=file, images=images)):
+        return 1
+    print("3 of 3, the depth: omnistereo depth", flush=True)
+    return (
+        depth_command.run(DepthOptions(rig=file, images=images, out=options.folder / "depth")) or 0
+    )
+
+
+def _scene(scene: Path, boards: Path) -> tuple[Path, ...]:
+    """Return the picture of the scene of each camera, in the order of the folders of boards."""
+    if not boards.is_dir() or not scene.is_dir():
+        missing = next(folder for folder in (boards, scene) if not folder.is_dir())
+        raise OmnistereoError(
+            f"{missing} is missing. `omnistereo start --help` says what lies in which folder"
+        )
+    from omnistereo_lib.pictures import find_pictures
+    from omnistereo_rigs.boards.captures import find_captures
+
+    pictures = find_pictures(scene, _PICTURES)
+    names = find_captures(boards).cameras
+    if missing_names := [name for name in names if name not in pictures]:
+        raise OmnistereoError(
+            f"{scene} has no picture of {', '.join(missing_names)}; found"
+            f" {', '.join(path.name for path in pictures.values()) or 'none'}. Name each as the"
+            f" folder of its camera in {boards}"
+        )
+    return tuple(pictures[name] for name in names)
