@@ -11,10 +11,14 @@ from __future__ import annotations
 
 from dataclasses import MISSING, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools.commands.calibrate_command import read_board
 from omnistereo_tools.parser import Options, option
+
+if TYPE_CHECKING:
+    from matplotlib.patches import Rectangle
 
 _INCH = 0.0254  # m
 _MARGIN = 0.011  # m of white around the squares, without which corners at the rim are not found
@@ -67,7 +71,7 @@ def run(options: BoardOptions) -> None:
     print(use)
 
 
-def _black(corner: tuple[float, float], width: float, height: float) -> object:
+def _black(corner: tuple[float, float], width: float, height: float) -> Rectangle:
     from matplotlib.patches import Rectangle
 
     return Rectangle(corner, width, height, facecolor="black", edgecolor="none", clip_on=False)

@@ -36,16 +36,22 @@ def run(options: StartOptions) -> int:
     boards, rig = options.folder / "boards", options.folder / "rig"
     images = _scene(options.folder / "scene", boards)
     print("1 of 3, the rig: omnistereo calibrate", flush=True)
-    board = {"board": options.board, "square": options.square, "max_fov": options.max_fov}
-    calibrate_command.run(CalibrateOptions(folder=boards, out=rig, **board))
+    calibrate_command.run(
+        CalibrateOptions(
+            folder=boards,
+            board=options.board,
+            square=options.square,
+            max_fov=options.max_fov,
+            out=rig,
+        )
+    )
     print("2 of 3, does it fit the scene? omnistereo doctor", flush=True)
     file = rig / "config.yaml"
     if doctor_command.run(DoctorOptions(rig=file, images=images)):
         return 1
     print("3 of 3, the depth: omnistereo depth", flush=True)
-    return (
-        depth_command.run(DepthOptions(rig=file, images=images, out=options.folder / "depth")) or 0
-    )
+    depth_command.run(DepthOptions(rig=file, images=images, out=options.folder / "depth"))
+    return 0
 
 
 def _scene(scene: Path, boards: Path) -> tuple[Path, ...]:
