@@ -88,7 +88,9 @@ def open_page(chromium):
 
     def open_one(width, height, **options):
         contexts.append(
-            chromium.new_context(viewport={"width": width, "height": height}, **options)
+            chromium.new_context(
+                viewport={"width": width, "height": height}, **{"reduced_motion": "reduce"} | options
+            )
         )
         page = contexts[-1].new_page()
         page.set_default_timeout(1000 * PATIENCE_S)

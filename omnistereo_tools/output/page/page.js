@@ -382,7 +382,23 @@ function showWords() {
   const mixed = +$("mix").value, step = D.odds?.[$("least").value - 1];
   $("mixWords").textContent = mixed === 0 ? "picture only" : mixed === 100 ? "depth only" : `${100 - mixed} % picture, ${mixed} % depth`;
   const share = step && trust.reduce((count, value) => count + (value >= step[1]), 0) / trust.length;
-  $("leastWords").textContent = step ? `rays that are right at least ${step[0]} of 10 times: ${Math.round(100 * share)} %` : "all rays";
+  $("leastWords").textContent = step ? `hide doubtful: ${Math.round(100 * share)} % left, right at least ${step[0]} of 10 times` : "hide doubtful: none";
+}
+
+// The first two seconds: from the picture to the depth and half of the way back, so that nobody takes it for a photograph.
+function sweepOnce() {
+  if (location.hash || D.mode === "points" || matchMedia("(prefers-reduced-motion: reduce)").matches) return;
+  const began = performance.now(), target = +$("mix").value;
+  let touched = false;
+  for (const kind of ["pointerdown", "keydown", "wheel"]) addEventListener(kind, () => { touched = true; }, { once: true });
+  requestAnimationFrame(function step(now) {
+    if (touched) return;
+    const t = clamp((now - began) / 2000, 0, 1);
+    $("mix").value = t < 0.6 ? 100 * t / 0.6 : 100 + (target - 100) * (t - 0.6) / 0.4;
+    showWords();
+    draw();
+    if (t < 1) requestAnimationFrame(step);
+  });
 }
 
 for (const name of ["mix", "least"]) $(name).oninput = () => { showWords(); draw(); };
@@ -483,4 +499,5 @@ function showPictureOnly() {
   new ResizeObserver(placeLabels).observe($("scale"));
   new ResizeObserver(resize).observe(canvas);
   resize();
+  sweepOnce();
 })();
