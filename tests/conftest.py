@@ -89,7 +89,8 @@ def open_page(chromium):
     def open_one(width, height, **options):
         contexts.append(
             chromium.new_context(
-                viewport={"width": width, "height": height}, **{"reduced_motion": "reduce"} | options
+                viewport={"width": width, "height": height},
+                **{"reduced_motion": "reduce"} | options,
             )
         )
         page = contexts[-1].new_page()

@@ -454,7 +454,10 @@ def test_what_is_doubtful_is_told_and_faded_and_a_slider_hides_it(depth, desktop
     press(desktop, place_of(desktop, point_of(depth, *doubtful)))
     assert desktop.inner_text("#readout").endswith(", doubtful")
     desktop.evaluate("$('why').hidden = true; $('least').value = 3; showWords()")
-    assert desktop.inner_text("#leastWords") == "hide doubtful: 88 % left, right at least 8 of 10 times"
+    assert (
+        desktop.inner_text("#leastWords")
+        == "hide doubtful: 88 % left, right at least 8 of 10 times"
+    )
     assert color_of(desktop, depth, *doubtful) == [0xFA] * 3
     assert color_of(desktop, depth, *sure) != [0xFA] * 3
     desktop.evaluate("$('least').value = 0; view.turn = 0.69; view.tilt = 0; view.distance = 0.01")
