@@ -48,6 +48,8 @@ def diagnose(
     slips: Iterable[tuple[Answer, str]],
     cases: Iterable[tuple],
     whole: Sequence[str] = (),
+    within: float = 1e-6,
+    order: Callable[[Array], Array] | None = None,
 ) -> str:
     """Call a function on all cases and put into words how its values compare.
 
@@ -57,6 +59,8 @@ def diagnose(
         slips: Functions that make a usual mistake, each with the hint that names it.
         cases: The inputs of each case.
         whole: Names of arguments of which an example shows all.
+        within: By how much a right value may differ, beside four digits: what the method allows.
+        order: Sorts what may come in any order.
 
     Returns:
         str: "right", or what is wrong: the slip that most failing cases or the first show, or the
@@ -75,13 +79,13 @@ def diagnose(
         if value is None or value is Ellipsis:
             return f"{NOT_WRITTEN}: replace the ... and return your result"
         expected = answer(*copy.deepcopy(inputs))
-        found, right = numbers(value), numbers(expected)
+        found, right = (_in_order(numbers(one), order) for one in (value, expected))
         if found is None:
             return _not_numbers(value, right)
         whole_numbers &= np.asarray(_plain(expected)).dtype.kind == "i"
-        if not same(found, right):
+        if not same(found, right, within):
             failures.append(Failure(inputs, found, right))
-        elif whole_numbers and np.asarray(_plain(value)).dtype.kind == "f":
+        elif whole_numbers and within < 0.5 and np.asarray(_plain(value)).dtype.kind == "f":
             notes.append("it counts something: return whole numbers, int")
         elif getattr(expected, "requires_grad", False) and not getattr(value, "requires_grad", False):
             notes.append("PyTorch cannot differentiate it: stay with tensors, without .item(), .detach() and NumPy")
@@ -93,8 +97,8 @@ def diagnose(
     if not failures:
         return f"not yet: the value is right, but {notes[0]}" if notes else RIGHT
     with quiet():
-        said = _named(failures, slips) or _recognised(failures, answer)
-        return f"not yet: {said or _example(function, answer, failures, whole)}"
+        said = _named(failures, slips, order) or _recognised(failures, answer)
+        return f"not yet: {said or _example(function, answer, failures, whole, within, order)}"
 
 
 @contextmanager
@@ -117,6 +121,10 @@ def numbers(found: Any) -> Array | None:
     return values.astype(np.float64) if values.dtype.kind in "iuf" else None
 
 
+def _in_order(values: Array | None, order: Callable[[Array], Array] | None) -> Array | None:
+    return values if values is None or order is None else order(values)
+
+
 def _plain(found: Any) -> Any:
     """Return a pose as a vector and a tensor without its gradient, also in a list or tuple;
     anything else as it is.
@@ -125,6 +133,8 @@ def _plain(found: Any) -> Any:
         return [_plain(one) for one in found]
     if isinstance(found, Pose):
         return found.as_vector()
+    if np.ma.isMaskedArray(found) and found.dtype.kind == "f":
+        return found.filled(np.nan)  # what is masked is unknown
     return found.detach() if "torch" in sys.modules and isinstance(found, sys.modules["torch"].Tensor) else found
 
 
@@ -173,16 +183,16 @@ def _overwritten(given: tuple, inputs: tuple) -> int | None:
 # --- The difference in words
 
 
-def _named(failures: list[Failure], slips: Iterable[tuple[Answer, str]]) -> str:
+def _named(failures: list[Failure], slips: Iterable[tuple[Answer, str]], order: Callable[[Array], Array] | None) -> str:
     """Return the hint of the slip that gives the most of the failing values, if it gives the first
     or most of them.
     """
-    return _elected([[hint for slip, hint in slips if _gives(slip, failure)] for failure in failures])
+    return _elected([[hint for slip, hint in slips if _gives(slip, failure, order)] for failure in failures])
 
 
-def _gives(slip: Answer, failure: Failure) -> bool:
+def _gives(slip: Answer, failure: Failure, order: Callable[[Array], Array] | None) -> bool:
     try:
-        value = numbers(slip(*copy.deepcopy(failure.inputs)))
+        value = _in_order(numbers(slip(*copy.deepcopy(failure.inputs))), order)
     except Exception:  # it need not know every case
         return False
     return value is not None and same(failure.found, value)
@@ -210,7 +220,14 @@ def _elected(words: list[list[str]], by_first: bool = True) -> str:
     return ""
 
 
-def _example(function: Answer, answer: Answer, failures: list[Failure], whole: Sequence[str]) -> str:
+def _example(
+    function: Answer,
+    answer: Answer,
+    failures: list[Failure],
+    whole: Sequence[str],
+    within: float,
+    order: Callable[[Array], Array] | None,
+) -> str:
     """Show the smallest input on which the two differ, what the function gave and what is right,
     beside each other.
     """
@@ -219,7 +236,7 @@ def _example(function: Answer, answer: Answer, failures: list[Failure], whole: S
         return f"expected {form(first.right)}, got {form(first.found)}. Look at the axes that you sum or stack over"
     names = list(inspect.signature(answer).parameters)
     begin = min(failures, key=lambda failure: failure.right.size)
-    inputs, found, right = smallest(function, answer, begin, [names.index(name) for name in whole])
+    inputs, found, right = smallest(function, answer, begin, [names.index(name) for name in whole], within, order)
     given = [f"{name} = {text}" for name, x in zip(names, inputs, strict=True) if (text := _text(x))]
     if right.size > SHOWN:  # it cannot be made smaller
         place = tuple(np.argwhere(~np.isclose(found, right, rtol=1e-4, atol=1e-6, equal_nan=True))[0])
@@ -240,7 +257,14 @@ def _text(x: Any) -> str:
     return np.array2string(np.asarray(_plain(x)), precision=4, separator=", ", max_line_width=10_000).replace("\n", "")
 
 
-def smallest(function: Answer, answer: Answer, failure: Failure, whole: Sequence[int]) -> Failure:
+def smallest(
+    function: Answer,
+    answer: Answer,
+    failure: Failure,
+    whole: Sequence[int],
+    within: float = 1e-6,
+    order: Callable[[Array], Array] | None = None,
+) -> Failure:
     """Cut an example down as long as the function still differs: halves and single slices of its
     arrays and lists.
     """
@@ -249,12 +273,22 @@ def smallest(function: Answer, answer: Answer, failure: Failure, whole: Sequence
     smaller: Failure | None = failure
     while smaller:
         failure = smaller
-        tried = (_differs(function, answer, cut) for cut in _cuts(failure.inputs, axes) if time.monotonic() < until)
+        tried = (
+            _differs(function, answer, cut, within, order)
+            for cut in _cuts(failure.inputs, axes)
+            if time.monotonic() < until
+        )
         smaller = next(filter(None, islice(tried, 60)), None)
     return failure
 
 
-def _differs(function: Answer, answer: Answer, inputs: tuple) -> Failure | None:
+def _differs(
+    function: Answer,
+    answer: Answer,
+    inputs: tuple,
+    within: float,
+    order: Callable[[Array], Array] | None,
+) -> Failure | None:
     """Return how the two differ on some inputs, if both can be called with them and give arrays of
     one shape.
     """
@@ -265,7 +299,7 @@ def _differs(function: Answer, answer: Answer, inputs: tuple) -> Failure | None:
         )
     except Exception:
         return None
-    if found is None or right is None or found.shape != right.shape or same(found, right):
+    if found is None or right is None or found.shape != right.shape or same(found, right, within):
         return None
     return Failure(inputs, found, right)
 

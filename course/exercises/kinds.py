@@ -40,8 +40,8 @@ ARGUMENTS: dict[str, Callable[[Any], Any]] = {
     "had the other sign": np.negative,
     "were in radians: convert it": np.degrees,
     "were in degrees: convert it once": np.radians,
-    "were larger by 1": lambda x: x + 1,
-    "were smaller by 1": lambda x: x - 1,
+    "were larger by 1: is a 1 missing, or one too many?": lambda x: x + 1,
+    "were smaller by 1: is a 1 missing, or one too many?": lambda x: x - 1,
     "were larger by ½: is a ½ missing, or one too many?": lambda x: x + 0.5,
     "were smaller by ½: is a ½ missing, or one too many?": lambda x: x - 0.5,
     "were twice as large: look for a 2": lambda x: 2 * x,
@@ -51,7 +51,6 @@ ARGUMENTS: dict[str, Callable[[Any], Any]] = {
     "were 0: is it used?": np.zeros_like,
     "had 0 in the place of NaN: leave NaN out": np.nan_to_num,
     "were rounded": np.rint,
-    "were in single precision: compute in float64": np.float32,
 }
 
 
@@ -63,9 +62,9 @@ REDUCED: dict[str, Callable[..., Any]] = {
 }
 
 
-def same(found: ArrayLike, value: ArrayLike) -> bool:
-    """Tell whether two arrays hold the same numbers, to four digits."""
-    return np.shape(found) == np.shape(value) and np.allclose(found, value, rtol=1e-4, atol=1e-6, equal_nan=True)
+def same(found: ArrayLike, value: ArrayLike, within: float = 1e-6) -> bool:
+    """Tell whether two arrays hold the same numbers, to four digits or within a tolerance."""
+    return np.shape(found) == np.shape(value) and np.allclose(found, value, rtol=1e-4, atol=within, equal_nan=True)
 
 
 def form(values: Array) -> str:
@@ -106,6 +105,10 @@ def of_part(found: Array, right: Array) -> Iterator[str]:
     if found.shape != right.shape:
         return
     yield from (words for words, _ in _of_number(found, right) if right.size > 1)
+    known = np.isfinite(found) & np.isfinite(right)
+    apart = np.abs(found - right, where=known, out=np.zeros_like(right))
+    if np.array_equal(known, np.isfinite(right)) and known.any() and apart.max() < 0.01 * np.ptp(right[known]):
+        yield f"nearly right, off by at most {apart.max():.2g}: is a small number added, or something rounded?"
     for axis, size in enumerate(right.shape):
         wrong = [k for k in range(size) if not same(found.take(k, axis), right.take(k, axis))]
         which = ", ".join(map(str, wrong))
@@ -191,6 +194,9 @@ def of_arguments(answer: Callable, inputs: tuple, found: Array, numbers: Callabl
             return False
         return value is not None and same(found, value)
 
+    floats = {k: x for k, x in enumerate(inputs) if getattr(x, "dtype", None) == np.float64}
+    if gives({k: x.astype(np.float32) for k, x in floats.items()}):
+        yield "that is what single precision gives: compute in float64"
     for i, j in combinations(range(len(inputs)), 2):
         if type(inputs[i]) is type(inputs[j]) and gives({i: inputs[j], j: inputs[i]}):
             yield f"that would be right if `{names[i]}` and `{names[j]}` were swapped"

@@ -57,7 +57,7 @@ def _some_rays(rng: Rng, k: int) -> tuple:
     return (rays[:, None] if k % 2 else rays), inv_poly, center, max_deg
 
 
-check_project_rays = Open(project_rays, _some_rays, whole=("inv_poly",)).with_slips("""
+check_project_rays = Open(project_rays, _some_rays, whole=("inv_poly",), within=1e-3).with_slips("""
     np.arctan2(-z, n) → np.degrees(np.arctan2(-z, n))  # the polynomial takes t in radians, not in degrees
     np.arctan2(-z, n) → np.arctan2(z, n)  # the sign of z: t is the angle *below* the xy-plane, atan2(-z, n)
     np.arctan2(-z, n) → np.arctan2(n, z)  # that is the angle from the axis; t is 90° less
@@ -89,7 +89,7 @@ def _a_board(rng: Rng, k: int) -> tuple:
     return rays / np.linalg.norm(rays, axis=-1, keepdims=True), points
 
 
-check_planar_pose = Open(planar_pose, _a_board).with_slips("""
+check_planar_pose = Open(planar_pose, _a_board, within=5e-4).with_slips("""
     H *= np.sign(np.sum(rays * (plane @ H.T))) →  # H and -H both solve A h = 0: take the one along the rays
     np.sign(np.sum(rays * (plane @ H.T))) → np.sign(H[2, 2])
     # the origin may lie behind this lens, t_z < 0: take the H along the rays
@@ -120,7 +120,7 @@ def _a_view(rng: Rng, k: int) -> tuple:
     return lens, pose, points, found
 
 
-check_residuals = Open(residuals, _a_view, whole=("lens", "pose")).with_slips("""
+check_residuals = Open(residuals, _a_view, whole=("lens", "pose"), within=1e-3).with_slips("""
     np.arctan2(n, z) → np.arctan(n / z)  # behind the lens arctan(n / z) is negative: use arctan2(n, z)
     [*lens[3::-1], 0] → lens[3::-1]  # k1 belongs to θ: np.polyval ends with the power 0, whose coefficient is 0
     [*lens[3::-1], 0] → [lens[3], 0, lens[2], 0, lens[1], 0, lens[0], 0]

@@ -73,7 +73,7 @@ def _a_camera(rng: Rng, k: int) -> tuple:
     return points, camera, pose
 
 
-check_pixels_of_points = Open(pixels_of_points, _a_camera).with_slips("""
+check_pixels_of_points = Open(pixels_of_points, _a_camera, within=1e-3).with_slips("""
     T_rig_cam.inverse() @ points → points  # the points are in the rig frame: take them to the camera's first
     T_rig_cam.inverse() @ points → (points - T_rig_cam.t) @ T_rig_cam.R.T
     # the rotation is not transposed: Rᵀ(p - t)
@@ -102,7 +102,7 @@ def _an_image(rng: Rng, k: int) -> tuple:
     return rng.uniform(0, 255, (H, W)).astype([np.float64, np.uint8, np.float32][k % 3]), pixels
 
 
-check_look_up = Open(look_up, _an_image, whole=("image",), real=beside.between).with_slips("""
+check_look_up = Open(look_up, _an_image, whole=("image",), real=beside.between, within=0.01).with_slips("""
     a, b = u - x, v - y → a, b = 0 * u, 0 * v  # decimals are cut off: mix four pixels
     a, b = u - x, v - y → a, b = 1 - u + x, 1 - v + y  # the nearer pixel counts more: weights swapped
     a, b = u - x, v - y → a, b = v - y, u - x  # u mixes left and right, v above and below
@@ -130,7 +130,7 @@ def _warped(rng: Rng, k: int) -> tuple:
     return (warped,)
 
 
-check_disagreement = Open(disagreement, _warped, real=lambda: (beside.gray(),)).with_slips("""
+check_disagreement = Open(disagreement, _warped, real=lambda: (beside.gray(),), within=0.01).with_slips("""
     np.sqrt(squares / np.maximum(count, 1)) → np.sqrt(squares / np.maximum(count - 1, 1))
     # divide by their number, not by one less
     np.sqrt(squares / np.maximum(count, 1)) → np.nanmax(warped, axis=0) - np.nanmin(warped, axis=0)

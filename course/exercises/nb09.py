@@ -5,6 +5,7 @@ And `envelopes`, the faults that the notebook asks for.
 
 from itertools import pairwise
 
+import cv2
 import numpy as np
 
 import omnistereo_lib as osl
@@ -25,10 +26,12 @@ def _two_cards(rng: Rng, k: int) -> tuple:
     seen = rng.uniform(0, 1, (2, len(moments))) < 0.5
     seen[:, 3:8] = True
     seen[0, 0], seen[1, 0] = k % 2, 1 - k % 2  # the first pictures do not belong together
-    return moments[seen[0]], moments[seen[1]] + rng.uniform(-300, 300)
+    jitter = rng.uniform(-0.1, 0.1, seen.shape)  # a card notes when it wrote the picture
+    times = moments + jitter
+    return times[0, seen[0]], times[1, seen[1]] + rng.uniform(-300, 300)
 
 
-check_clock_offset = Open(clock_offset, _two_cards).with_slips("""
+check_clock_offset = Open(clock_offset, _two_cards, within=0.5).with_slips("""
     return times_b[0] - times_a[0]
     # the first pictures need not be of one moment: take the difference that most pairs have
     return times_b.mean() - times_a.mean()
@@ -106,12 +109,15 @@ def shift_between(first, second):
 
 def _two_pictures(rng: Rng, k: int) -> tuple:
     H, W = 40 + 2 * k, 50 + 3 * (k % 4)
-    picture = rng.uniform(0, 60, (H + 30, W + 30)) + 6 * np.hypot(*np.indices((H + 30, W + 30)))  # lit from one side
+    picture = cv2.GaussianBlur(rng.uniform(0, 120, (H + 30, W + 30)), (0, 0), 1)
     column, row = [(4, -3), (-5, 0), (3, 6), (-2, -4)][k % 4]
-    return picture[15 : 15 + H, 15 : 15 + W], picture[15 - row : 15 - row + H, 15 - column : 15 - column + W]
+    both = picture[15 : 15 + H, 15 : 15 + W], picture[15 - row : 15 - row + H, 15 - column : 15 - column + W]
+    lamp = 6 * np.hypot(*np.indices((H, W)))  # from one side, and it does not move
+    first, second = (one + lamp + rng.normal(0, 1, (H, W)) for one in both)
+    return first, second
 
 
-check_shift_between = Open(shift_between, _two_pictures).with_slips("""
+check_shift_between = Open(shift_between, _two_pictures, within=0.5).with_slips("""
     np.array([(column + W // 2) % W - W // 2, (row + H // 2) % H - H // 2]) → np.array([column, row])
     # the spectrum goes around: a place beyond half way is a shift to the left, or up
     cross / np.maximum(np.abs(cross), 1e-12) → cross

@@ -95,7 +95,9 @@ def _a_depth(rng: Rng, k: int) -> tuple:
     return depth, 0.12 + 0.05 * (k % 2)
 
 
-check_quads = Open(quads, _a_depth).with_slips("""
+check_quads = Open(
+    quads, _a_depth, order=lambda cells: cells[np.lexsort(cells.T)] if cells.ndim == 2 else cells
+).with_slips("""
     right = np.roll(number, -1, axis=1) → number, right = number[:, :-1], number[:, 1:]
     # around the seam the last column has a neighbour, the first
     corners[at_corners.max(axis=-1) <= (1 + limit) * at_corners.min(axis=-1)] → corners.reshape(-1, 4)

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from course.exercises import beside, mine
-from course.exercises.compare import CASES, NOT_WRITTEN, RIGHT, Answer, Rng, diagnose
+from course.exercises.compare import CASES, NOT_WRITTEN, RIGHT, Answer, Array, Rng, diagnose
 
 YOURS_TO_WRITE = "yours to write. Until it is right, the cells below run with the solution."
 # Loops over the pixels of the notebooks' functions take 60 to 500 times as long as the solutions,
@@ -52,6 +52,8 @@ class Open:
             is shown beside the right one.
         whole: Names of arguments that no example may cut, such as a polynomial.
         keywords: Names of arguments by which the notebook calls it.
+        within: By how much a right value may differ, beside four digits: what the method allows.
+        order: Sorts what the task leaves in any order.
     """
 
     def __init__(
@@ -61,7 +63,10 @@ class Open:
         real: Callable[[], tuple] | None = None,
         whole: Sequence[str] = (),
         keywords: Sequence[str] = (),
+        within: float = 1e-6,
+        order: Callable[[Array], Array] | None = None,
     ) -> None:
+        self.within, self.order = within, order
         self.answer, self.draw, self.real, self.whole, self.keywords = (
             answer,
             draw,
@@ -110,7 +115,7 @@ class Open:
 
     def diagnose(self, function: Answer, cases: Iterable[tuple]) -> str:
         """Try a function on the inputs of some cases."""
-        return diagnose(function, self.answer, self.mistaken, cases, self.whole)
+        return diagnose(function, self.answer, self.mistaken, cases, self.whole, self.within, self.order)
 
     def __call__(self, function: Answer) -> Answer:
         """Print what `check` says of the student's function; return it if it is right, and the
