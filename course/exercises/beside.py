@@ -40,7 +40,10 @@ def show(function: Callable[..., Any], answer: Callable[..., Any], inputs: tuple
         except (Exception, SystemExit):  # the sentence above has said it
             return
         right = np.asarray(answer(*inputs), np.float64)
-    if yours.shape != right.shape or np.allclose(yours, right, rtol=1e-2, equal_nan=True) or right.ndim < 2:
+    if yours.shape != right.shape or np.allclose(yours, right, rtol=1e-2, equal_nan=True) or right.ndim < 1:
+        return
+    if right.ndim == 1:
+        _show_curves(yours, right, answer.__name__)
         return
     if right.ndim == 3 and right.shape[-1] > 3:
         yours, right = (volume.argmin(axis=-1).astype(float) for volume in (yours, right))
@@ -60,6 +63,22 @@ def show(function: Callable[..., Any], answer: Callable[..., Any], inputs: tuple
         fig,
         f"Two panoramas of a street: what your {name} makes of it, and below it what the right one makes",
     )
+
+
+def _show_curves(yours: NDArray[np.float64], right: NDArray[np.float64], name: str) -> None:
+    """Show two curves, one dashed over the other."""
+    import matplotlib.pyplot as plt
+
+    from course.figures.plot import show_picture
+
+    fig, ax = plt.subplots(figsize=(8, 2.6), layout="constrained")
+    ax.plot(right, color="k", lw=2, label="right")
+    ax.plot(yours, "--", color="C3", label="yours")
+    known = right[np.isfinite(right)]
+    margin = max(np.ptp(known), 1e-9)
+    ax.set(ylim=(known.min() - margin, known.max() + margin), xlabel="number of the value, from 0")
+    ax.legend(loc="upper left", bbox_to_anchor=(1, 1))
+    show_picture(fig, f"Two curves: the values of your {name}, dashed, and the right ones")
 
 
 @cache
@@ -103,6 +122,22 @@ def view() -> tuple:
     _, sweep = _street()
     points = sweep.grid.rays() * float(sweep.grid.index_to_depth(_SPHERE))
     return image(), sweep.rig.cameras[0], sweep.rig.T_rig_cam[0], points
+
+
+def costs() -> tuple:
+    """Return the path costs of every fourth ray of the street, (20, 80, 16)."""
+    from course.exercises.nb07 import sum_of_paths
+
+    return (sum_of_paths(*volume()),)
+
+
+def confidences() -> tuple:
+    """Return errors of the winners of these costs, their confidences (20, 80), and fractions."""
+    path_costs = costs()[0]
+    frame, sweep = _street()
+    wrong = np.abs(path_costs.argmin(axis=-1) - frame.gt_index(sweep.grid)[::4, ::4] / 63 * 15)
+    two = np.sort(path_costs, axis=-1)
+    return wrong, 1 - two[..., 0] / two[..., 1], np.linspace(0, 0.9, 46)
 
 
 def truth() -> tuple:

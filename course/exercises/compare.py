@@ -85,7 +85,7 @@ def diagnose(
         whole_numbers &= np.asarray(_plain(expected)).dtype.kind == "i"
         if not same(found, right, within):
             failures.append(Failure(inputs, found, right))
-        elif whole_numbers and within < 0.5 and np.asarray(_plain(value)).dtype.kind == "f":
+        elif whole_numbers and within < 0.5 and (plain := np.asarray(_plain(value))).size and plain.dtype.kind == "f":
             notes.append("it counts something: return whole numbers, int")
         elif getattr(expected, "requires_grad", False) and not getattr(value, "requires_grad", False):
             notes.append("PyTorch cannot differentiate it: stay with tensors, without .item(), .detach() and NumPy")

@@ -129,7 +129,7 @@ def _a_volume(rng: Rng, k: int) -> tuple:
     return (costs,)
 
 
-check_winner = Open(winner, _a_volume).with_slips("""
+check_winner = Open(winner, _a_volume, real=beside.costs).with_slips("""
     return np.fmin.reduce(costs, axis=-1)  # that is the lowest cost; return the sphere that has it
     axis=-1 → axis=0  # the wrong axis: the spheres are the last one
 """)

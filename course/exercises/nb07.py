@@ -103,7 +103,7 @@ def _some_costs(rng: Rng, k: int) -> tuple:
     return (costs,)
 
 
-check_refined = Open(refined, _some_costs).with_slips("""
+check_refined = Open(refined, _some_costs, real=beside.costs).with_slips("""
     n + offset, n) → n - offset, n)  # the sign: the vertex lies towards the cheaper neighbour
     / (2 * (left - 2 * middle + right)) → / (left - 2 * middle + right)  # the 2 below the line is missing
     np.where(n == inner[..., 0], n + offset, n) → n  # that is the cheapest sphere: add the offset
@@ -129,7 +129,7 @@ def _errors(rng: Rng, k: int) -> tuple:
     return error, confidence, fractions
 
 
-check_mean_error_of_the_rest = Open(mean_error_of_the_rest, _errors).with_slips("""
+check_mean_error_of_the_rest = Open(mean_error_of_the_rest, _errors, real=beside.confidences).with_slips("""
     np.argsort(confidence[known]) → np.argsort(-error[known])  # that sorts by the error, which only an oracle knows
     error[known][np.argsort(confidence[known])] → error[known]  # nothing is sorted: np.argsort(confidence)
     int(fraction * len(ranked)) : → : int(fraction * len(ranked))

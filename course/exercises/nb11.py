@@ -96,7 +96,7 @@ def _a_depth(rng: Rng, k: int) -> tuple:
 
 
 check_quads = Open(
-    quads, _a_depth, order=lambda cells: cells[np.lexsort(cells.T)] if cells.ndim == 2 else cells
+    quads, _a_depth, order=lambda cells: cells[np.lexsort(np.abs(cells).T)] if cells.ndim == 2 else cells
 ).with_slips("""
     right = np.roll(number, -1, axis=1) → number, right = number[:, :-1], number[:, 1:]
     # around the seam the last column has a neighbour, the first

@@ -179,7 +179,7 @@ def _some_residuals(rng: Rng, k: int) -> tuple:
     return scale * rng.normal(0, 2, (8, (5, 3))[k % 2]), scale
 
 
-check_robust_weight = Open(robust_weight, _some_residuals).with_slips("""
+check_robust_weight = Open(robust_weight, _some_residuals, real=lambda: (np.linspace(-3, 3, 121), 0.5)).with_slips("""
     (residuals / scale) ** 2 → np.abs(residuals / scale)  # the ratio is squared
     (residuals / scale) ** 2 → residuals**2 / scale  # divide before you square: the scale is an angle, too
     return np.exp(-((residuals / scale) ** 2))  # that is a bell, 0.37 at the scale: 1 / (1 + (r/s)²)²

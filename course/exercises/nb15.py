@@ -178,7 +178,7 @@ def mix(own, fused, other):
 
 def _two_depths(rng: Rng, k: int) -> tuple:
     own = rng.uniform(0.02, 0.4, (5, 8 + k % 4))
-    fused = own * rng.choice([0.6, 0.95, 1.05, 1.5], own.shape)
+    fused = own * rng.choice([0.6, 0.905, 0.95, 1.05, 1.105, 1.5], own.shape)
     fused[rng.uniform(0, 1, own.shape) < 0.2] = np.nan
     return own, fused, rng.uniform(0, 1, own.shape) < 0.5
 

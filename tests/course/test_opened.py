@@ -130,6 +130,7 @@ PICTURED = [
     pytest.param(*function.values, id=function.id)
     for function in FUNCTIONS
     if function.values[1].real
+    and np.ndim(function.values[1].answer(*function.values[1].real())) > 1
 ]
 
 
@@ -156,6 +157,18 @@ def test_a_wrong_picture_is_shown_above_the_right_one(number, function):
     )
     middle = np.s_[yours.shape[0] // 3 : -yours.shape[0] // 4, 20:-20]  # without titles and edges
     assert np.corrcoef(yours[middle].ravel(), beside[: len(yours)][middle].ravel())[0, 1] > 0.5
+
+
+def test_a_wrong_curve_is_shown_beside_the_right_one():
+    function = next(check for check in exercises.functions("14") if check.name == "robust_weight")
+    with redirect_stdout(io.StringIO()), patch("IPython.display.display") as display:
+        function(lambda residuals, scale: function.answer(residuals, scale) ** 2)
+    ((shown,), _) = display.call_args
+    assert "the values of your robust_weight" in shown["text/plain"]
+    drawn = Image.open(io.BytesIO(base64.b64decode(shown["image/png"]))).convert("RGB")
+    colors = np.asarray(drawn, int).reshape(-1, 3)
+    assert (colors.max(axis=1) < 30).sum() > 300  # the right one, black
+    assert ((colors[:, 0] > 180) & (colors[:, 1] < 90)).sum() > 100  # the student's, red
 
 
 def test_nothing_is_drawn_where_a_picture_says_nothing():
