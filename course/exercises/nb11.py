@@ -95,9 +95,13 @@ def _a_depth(rng: Rng, k: int) -> tuple:
     return depth, 0.12 + 0.05 * (k % 2)
 
 
-check_quads = Open(
-    quads, _a_depth, order=lambda cells: cells[np.lexsort(np.abs(cells).T)] if cells.ndim == 2 else cells
-).with_slips("""
+def _sorted_cells(cells):
+    """Sort rows of four corners, wherever each begins."""
+    rows = cells if cells.ndim == 2 and cells.shape[1] == 4 else None
+    return cells if rows is None else rows[np.lexsort(np.sort(np.abs(rows), axis=1).T)]
+
+
+check_quads = Open(quads, _a_depth, order=_sorted_cells).with_slips("""
     right = np.roll(number, -1, axis=1) → number, right = number[:, :-1], number[:, 1:]
     # around the seam the last column has a neighbour, the first
     corners[at_corners.max(axis=-1) <= (1 + limit) * at_corners.min(axis=-1)] → corners.reshape(-1, 4)
