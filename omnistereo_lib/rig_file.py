@@ -98,7 +98,7 @@ def rig_of(found: RigFile, path: Path, unit: str | None) -> Rig:
                 "ry rz tx ty tz, camera → rig) into a folder, and pass the folder"
             )
         if found.in_metres and unit not in (None, "m"):
-            stated = f"{found.name} files are in metres by definition"
+            stated = f"{found.name} files state their unit by definition"
             raise OmnistereoError(f"{stated}. Omit unit={unit!r}")
         T_rig_file = found.T_rig_file or Pose.identity()
         rig = Rig(tuple(found.cameras), tuple(found.T_rig_cam), found.min_depth, T_rig_file)

@@ -117,7 +117,8 @@ def read_model(folder: Path) -> Found:
     """
     listed, file = _read_cameras(folder / "cameras.txt"), folder / "images.txt"
     if rig := _read_rigs(folder / "rigs.txt", listed):
-        ids, T_rig_cam = [*rig], [*rig.values()]
+        ids = [each for each in listed if each in rig]
+        T_rig_cam = [rig[each] for each in ids]
     else:
         names, of_image, T_world_cam = _read_images(file, listed)
         moment = find_moment(names, T_world_cam, file)

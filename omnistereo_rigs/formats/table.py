@@ -30,7 +30,13 @@ from omnistereo_lib.parse import (
     warn_if_different,
 )
 from omnistereo_lib.pictures import read_gray
-from omnistereo_rigs.formats.camera_models import FISHEYE, FISHEYE624, PINHOLE, RADTAN
+from omnistereo_rigs.formats.camera_models import (
+    FISHEYE,
+    FISHEYE624,
+    MAX_PINHOLE_DEG,
+    PINHOLE,
+    RADTAN,
+)
 from omnistereo_rigs.formats.fit import OPENCV_DEG, Lens
 
 UNSTATED = "`--unit`"
@@ -333,7 +339,8 @@ def find_moment(names: Sequence[str], T_world_cam: Sequence[Pose], path: Path) -
             f"{path}: no file name is that of an image of each of the {count} cameras"
         )
     check_count(count)
-    order = [*whole[0]]
+    # By their numbers, where they have some: files are listed as a reconstruction found them.
+    order = sorted(whole[0], key=_number) if table is not alone else [*whole[0]]
     rigs = [_rig_at(moment, order, T_world_cam) for moment in whole]
     size = max(float(np.linalg.norm(pose.t)) for pose in rigs[0]) or 1.0  # the scale is arbitrary
     of_first, key = names[whole[0][order[0]]], order[0]
@@ -345,6 +352,11 @@ def find_moment(names: Sequence[str], T_world_cam: Sequence[Pose], path: Path) -
         for camera in order
     }
     return Moment([whole[0][camera] for camera in order], rigs[0], of_camera)
+
+
+def _number(name: str) -> int:
+    found = re.findall("[0-9]+", name)
+    return int(found[-1][:18]) if found else 0
 
 
 def _moments(cameras: Sequence[str], moments: Sequence[str]) -> dict[str, dict[str, int]]:
@@ -470,23 +482,25 @@ def _frames(data: Section, path: Path) -> list[Section]:
 
 
 def _focal_of_angle(cam: Section) -> None:
-    """Write the focal length that a field of view states, which only a pinhole's does."""
-    name = cam.word("camera_model").upper()
+    """Write the model that `is_fisheye` states, and the focal length that an angle does: a
+    pinhole's.
+    """
+    name, flag = cam.word("camera_model").upper(), cam.word("is_fisheye")
+    is_fisheye = flag in ("true", "1", "yes")
     if not name:
-        is_fisheye = cam.get("is_fisheye") is True or str(cam.get("is_fisheye")).lower() in (
-            "true",
-            "1",
-        )
         cam.values["camera_model"] = name = "OPENCV_FISHEYE" if is_fisheye else "OPENCV"
         if not is_fisheye:
             cam.note("no camera_model is stated: read as OPENCV, a pinhole")
+    if is_fisheye and "FISHEYE" not in name:
+        raise OmnistereoError(f"camera_model is {name} and is_fisheye true. Delete the wrong one")
     if cam.get("fl_x") is None and cam.get("camera_angle_x") is not None:
-        if "FISHEYE" in name:
-            raise OmnistereoError(
-                "camera_angle_x does not state the focal length of a fisheye: f = width / 2 / "
-                "tan(angle / 2) is a pinhole's. Write fl_x, for an equidistant lens width / angle"
-            )
         angle = cam.number("camera_angle_x")
+        if "FISHEYE" in name or not 0 < angle < np.radians(MAX_PINHOLE_DEG):
+            raise OmnistereoError(
+                f"camera_angle_x = {angle:g} does not state the focal length of a fisheye: f = "
+                "width / 2 "
+                "/ tan(angle / 2) is a pinhole's. Write fl_x, for an equidistant lens width / angle"
+            )
         cam.values["fl_x"] = cam.number("w") / 2 / float(np.tan(angle / 2))
     if cam.get("fl_y") is None:
         cam.values["fl_y"] = cam.values.get("fl_x")

@@ -195,7 +195,7 @@ def test_omnimvs_config(tmp_path, caplog):
     np.testing.assert_array_equal(rig.cameras[1].mask, mask == 0)  # true is outside
     assert read_any_rig(tmp_path).min_depth == 1.65
     assert read_any_rig(tmp_path, unit="m", max_fov_deg=150).cameras[0].max_fov_deg == 150
-    with pytest.raises(OmnistereoError, match=r"in metres by definition\. Omit unit='cm'"):
+    with pytest.raises(OmnistereoError, match=r"their unit by definition\. Omit unit='cm'"):
         read_any_rig(tmp_path, unit="cm")
 
 

@@ -143,8 +143,21 @@ def test_ocam_has_no_linear_term(tmp_path):
 def test_angle_x_is_a_pinholes(tmp_path):
     data = transforms(fl_x=None, fl_y=None, camera_angle_x=2.9)
     with pytest.raises(
-        OmnistereoError, match=r"frame 1: camera_angle_x does not state .* Write fl_x"
+        OmnistereoError, match=r"frame 1: camera_angle_x = 2.9 does not state .* Write fl_x"
     ):
+        read_any_rig(dump(tmp_path / "transforms.json", data), "m")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"camera_model": "PINHOLE"}, "camera_angle_x = 2.9 does not state"),
+        ({"camera_model": "OPENCV", "is_fisheye": True}, "camera_model is OPENCV and is_fisheye"),
+    ],
+)
+def test_a_pinhole_that_is_none(tmp_path, changes, message):
+    data = transforms(fl_x=None, fl_y=None, camera_angle_x=2.9, **changes)
+    with pytest.raises(OmnistereoError, match=message):
         read_any_rig(dump(tmp_path / "transforms.json", data), "m")
 
 
@@ -195,6 +208,14 @@ def test_cameras_of_colmap_are_those_of_the_images(tmp_path, names, shared):
     rig = quiet(tmp_path)
     same(rig, CAMERAS)
     follows(rig.cameras[1], fisheye, AHEAD)
+
+
+def test_cameras_are_in_the_order_of_their_numbers(tmp_path):
+    write(tmp_path / "cameras.txt", f"1 {COLMAP_LENS}")
+    text = named("cam1/a.png", "cam10/a.png", "cam1/b.png", "cam10/b.png")
+    first, second, *others = text.split("\n\n")
+    write(tmp_path / "images.txt", "\n\n".join([second, first, *others]))
+    same(quiet(tmp_path), CAMERAS)
 
 
 def test_moments_of_one_camera_are_no_rig(tmp_path):
