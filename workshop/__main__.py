@@ -58,6 +58,13 @@ def main(arguments: list[str] | None = None) -> int:
         "results.late_table.print_table",
         "how often late cameras are found that are planted in the bundled drives",
     )
+    planted = add(
+        "planted-mistakes",
+        "results.planted_mistakes.run",
+        "plant mistakes in rigs and pictures, and count what the rig check says of them",
+    )
+    planted.add_argument("seed", type=int, help="from 50 on the book gets the table")
+    planted.add_argument("--count", type=int, default=66, help="of cases (default: %(default)s)")
     world = add(
         "world-table",
         "results.world_table.print_table",

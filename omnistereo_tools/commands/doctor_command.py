@@ -9,7 +9,7 @@ Examples:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,6 +30,7 @@ from omnistereo_tools.parser import as_typed, flag, option
 if TYPE_CHECKING:
     from omnistereo_lib.frame import Frame
     from omnistereo_lib.geometry.sphere import SphereGrid
+    from omnistereo_rigs.doctor.rig_check import RigCheck
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,6 +143,8 @@ def _check_images(options: DoctorOptions, frame: Frame | None, grid: SphereGrid)
     stated = rig.min_depth if options.min_depth is None else options.min_depth
     say("measuring the poses from the images takes about 15 s")
     check = check_rig(rig, images, stated, progress_bar())
+    if check.cause == "late or displaced" and options.images is None:
+        check = _with_frames(options, check)
     word = "OK  " if check.fits else "OPEN" if check.fits is None else "FAIL"
     cost = matching_cost(rig, images, grid)
     details = [f"Median matching cost of the rig as given: {cost:.3f}; right rigs have up to 0.17."]
@@ -164,6 +167,34 @@ def _check_images(options: DoctorOptions, frame: Frame | None, grid: SphereGrid)
         why = "there is nothing to put right" if check.fits else "no rig file puts that right"
         details.append(f"{options.write} is not written: {why}.")
     return _Found(f"{word}  {check.text}", 0 if check.fits else 1, tuple(details), go_on)
+
+
+def _with_frames(options: DoctorOptions, check: RigCheck) -> RigCheck:
+    """Return the check with what the frames before and after say: whether the camera is late."""
+    from omnistereo_lib.dataset import load_dataset
+    from omnistereo_rigs.images.late import FRAMES, LateCameras
+    from omnistereo_tools.record.sync import is_sure
+
+    assert options.rig is not None  # the images are those of a data set
+    data = load_dataset(options.rig, None, options.unit, None, options.max_fov)
+    start = max(0, min((options.frame or 0) % len(data) - FRAMES // 2, len(data) - FRAMES))
+    images = [data[k].images for k in range(start, min(start + FRAMES, len(data)))]
+    late = LateCameras(data.rig, images).find() if len(images) > 1 else None
+    if late is None or not is_sure(late):
+        return check
+    cameras = tuple(k for k, by in enumerate(late.frames) if abs(by) >= 0.5)
+    seen = check.text.partition(". In one moment")[0]
+    if not cameras:
+        text = f"{seen}. Over {len(images)} frames no camera is late: it is displaced"
+        return replace(check, cause="displaced", text=text)
+    by = {k: f"{abs(late.frames[k]):.2g}".removesuffix(".0") for k in cameras}
+    said = [
+        f"camera {k + 1} is {by[k]} frame{'s' * (by[k] != '1')}"
+        f" {'late' if late.frames[k] > 0 else 'early'}"
+        for k in cameras
+    ]
+    text = f"{', '.join(said)}: {len(images)} frames show it. In this one, {seen}"
+    return replace(check, cause="late", cameras=cameras, text=text)
 
 
 def _is_data_set(path: Path) -> bool:

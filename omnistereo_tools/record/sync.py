@@ -17,6 +17,7 @@ from omnistereo_lib.stereo.images import to_gray
 from omnistereo_rigs.images.late import FRAMES, LateCameras, Lateness
 from omnistereo_rigs.images.moments import SECOND, in_words, median_step
 from omnistereo_tools.input.sources import Film, Recording
+from omnistereo_tools.progress import say
 from omnistereo_tools.record.recordings import SETTINGS, read_stored
 
 _Moment = list[NDArray[np.uint8]]  # of each camera
@@ -53,7 +54,7 @@ def _check(recording: Recording, rig: Rig) -> str | None:
     if len(images) < FRAMES:
         return None
     found = LateCameras(rig, images).find()
-    if not _is_sure(found):
+    if not is_sure(found):
         return (
             "whether a camera is late cannot be told from the images: the rig moves too little "
             "between frames (about 10 cm is needed), or the rig file is off"
@@ -96,7 +97,7 @@ def measure_late(paths: Sequence[Path], rig: Rig, late: Sequence[int]) -> list[i
             "that its time stamps do not show. Cut the recording there: --start, --stop"
         )
     mean = frames.mean(axis=0)
-    print(_sentence(recording, mean) if np.abs(mean).max() >= 0.1 else "no camera is late")
+    say(_sentence(recording, mean) if np.abs(mean).max() >= 0.1 else "no camera is late")
     step = recording.step or _step_of_numbers(recording)
     stated = list(late) or [0] * len(mean)
     # Pictures that are only counted can be moved by whole numbers alone.
@@ -124,7 +125,8 @@ def _step_of_numbers(recording: Recording) -> int:
     return SECOND * max(median_step(sorted(recording.frames)), 1)
 
 
-def _is_sure(found: Lateness) -> bool:
+def is_sure(found: Lateness) -> bool:
+    """Return whether the images show how late the cameras are, or that none is."""
     if max(map(abs, found.frames)) < 0.5:
         return found.clear >= _ON_TIME and found.matches >= _FEW
     return found.clear >= _CLEAR and found.gain >= _GAIN and found.matches >= _FEW

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from course.__main__ import OUT
 from omnistereo_learn.samples.frames import DATA
 from omnistereo_lib import Pose, Rig, load_dataset
 from omnistereo_lib.dataset import Dataset
@@ -190,11 +191,12 @@ def judge(seed: int, number: int) -> dict[str, str]:
     }  # fmt: skip
 
 
-def run(seed: int, count: int, out: Path) -> None:
+def run(seed: int, count: int, out: Path | None = None) -> None:
     """Judge cases of a seed, those not yet in the file, and print the table.
 
     The table of a seed that may be reported goes into the book.
     """
+    out = out or OUT / f"planted_mistakes_{seed}.csv"
     out.parent.mkdir(parents=True, exist_ok=True)
     rows = list(csv.DictReader(out.open())) if out.exists() else []
     for number in range(len(rows), count):
