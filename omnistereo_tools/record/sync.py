@@ -109,10 +109,10 @@ def _measure(rig: Rig, images: Sequence[_Moment]) -> Sequence[float] | None:
     """Return how late each camera is, frames, in fractions where these show, too."""
     look = LateCameras(rig, images)
     whole = look.find()
-    if not _is_sure(whole):
+    if not is_sure(whole):
         # Between two frames, neither of them fits.
         fine = look.find(fine=True)
-        return fine.frames if _is_sure(fine) else None
+        return fine.frames if is_sure(fine) else None
     late = [round(value) for value in whole.frames]
     if max(late) - min(late) > len(images) - 2:
         return whole.frames
