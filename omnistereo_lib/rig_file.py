@@ -29,6 +29,7 @@ from omnistereo_lib.ocam_text import (
 from omnistereo_lib.parse import (
     METRES_PER_UNIT,
     Section,
+    check_count,
     check_fov,
     metres_per_unit,
     numbered_lines,
@@ -200,6 +201,7 @@ def poses_beside(folder: Path, lenses: Sequence[Path]) -> list[Pose]:
         raise OmnistereoError(
             f"{folder}: poses.txt is missing beside {names}; expected {one_each}. Write it"
         )
+    check_count(len(lenses))
     poses = read_poses(file)
     if len(poses) != len(lenses):
         raise OmnistereoError(

@@ -367,6 +367,7 @@ def _read_folder(folder: Path, files: Sequence[Path]) -> Found:
 
 def _read_sensors(folder: Path, files: Sequence[Path]) -> Found:
     """Read EuRoC's folders: cam0/sensor.yaml, …, each a camera as Kalibr names it, with T_BS."""
+    check_count(len(files))
     data = Section({file.parent.name: read_data(file, MAX_BYTES) for file in files})
     row = next(row for row in DIALECTS if row.name == "Kalibr camchain")
     found = interpret(row, data, folder)

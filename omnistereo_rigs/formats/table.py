@@ -30,6 +30,7 @@ from omnistereo_lib.parse import (
     warn_if_different,
 )
 from omnistereo_lib.pictures import read_gray
+from omnistereo_lib.rig_file import MAX_BYTES
 from omnistereo_rigs.formats.camera_models import (
     FISHEYE,
     FISHEYE624,
@@ -439,11 +440,13 @@ def _basalt_cameras(data: Section, path: Path) -> list[Section]:
 
 def _vins_cameras(data: Section, path: Path) -> list[Section]:
     cams = []
-    for n in range(sum(name.startswith("body_T_cam") for name in data.values)):
+    count = sum(name.startswith("body_T_cam") for name in data.values)
+    check_count(count)
+    for n in range(count):
         file = path_within(path.parent, data.require(f"cam{n}_calib"), path)
         pose = data.require(f"body_T_cam{n}")
         with error_context(file):
-            lens = read_data(file)
+            lens = read_data(file, MAX_BYTES)
             cam = data.add(str(file), {"body_T_cam": pose} | Section(lens).values, f"cam{n}_calib")
             cam.ignore("body_T_cam")
         cams.append(cam)

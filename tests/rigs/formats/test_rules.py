@@ -452,6 +452,20 @@ def test_a_rig_has_at_most_64_cameras(tmp_path, data):
         read_any_rig(write(tmp_path / "rig.json", json.dumps(data)), "m")
 
 
+def test_what_a_folder_or_a_rig_names_is_counted_before_it_is_read(tmp_path):
+    for n in range(65):
+        write(tmp_path / "euroc" / f"cam{n}" / "sensor.yaml", "a: [")
+        write(tmp_path / "lenses" / f"cam{n}.json", "{")
+        write(tmp_path / "ocam" / f"ocam{n}.txt", "")
+    for folder in ("lenses", "ocam"):
+        write(tmp_path / folder / "poses.txt", "0 0 0 0 0 0\n" * 65)
+    vins = {f"body_T_cam{n}": np.eye(4).tolist() for n in range(65)}
+    vins |= {f"cam{n}_calib": "a.yaml" for n in range(65)}
+    for path in ("euroc", "lenses", "ocam", dump(tmp_path / "vins.yaml", vins)):
+        with pytest.raises(OmnistereoError, match="found 65 cameras; expected at most 64"):
+            read_any_rig(tmp_path / path, "m")
+
+
 def test_lists_and_objects_of_other_programs_are_named(tmp_path):
     sensors = [{"token": "t", "rotation": [1, 0, 0, 0], "camera_intrinsic": K.tolist()}] * 2
     with pytest.raises(OmnistereoError, match=r"a list of 2 items with the keys \['camera_intr"):
