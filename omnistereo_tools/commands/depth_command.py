@@ -92,13 +92,14 @@ def run(options: DepthOptions) -> int:
     gt_index = None if frame.gt_path is None else frame.gt_index(grid)
     # Check and say.
     warn_of(rig_doubts(frame.rig, grid.min_depth))
-    warn_of(image_doubts(frame, grid))
+    doubt = next(image_doubts(frame, grid), None)
+    warn_of([doubt] if doubt else [])
     _make_folders(options, out)
     method = options.method or FRAME_METHOD
     # Compute and write.
     depth = _compute(frame, grid, method, options.device)
     limits = Limits.of(depth, options.max_depth, options.min_confidence)
-    result = FrameResult(depth, limits, method, gt_index, options.up)
+    result = FrameResult(depth, limits, method, gt_index, options.up, doubt)
     written = result.write(out, progress_bar())
     written += result.export(
         options.mesh, options.mesh_faces, options.equirectangular, options.crops, options.all_crops

@@ -125,7 +125,8 @@ def run(options: RecordOptions) -> int:
     grid = make_grid(replace(options, height=options.rows), coverage, find_min_depth(stated, frame))
     # Check and say, before anything is written.
     warn_of(rig_doubts(rig, grid.min_depth))
-    warn_of(image_doubts(frame, grid))
+    doubt = next(image_doubts(frame, grid), None)
+    warn_of([doubt] if doubt else [])
     sweep, method = (
         SphereSweep(rig, grid, device=options.device),
         options.method or stored_method(out),
@@ -151,7 +152,7 @@ def run(options: RecordOptions) -> int:
         progress(done, total, f"frame {number}")
     watching.close()
     share, of_near = writer.doubt_shares()
-    print(verdict(share, f" over {total} frames"))
+    print(verdict(share, f" over {total} frames", doubt))
     print(
         f"Of the nearest tenth of rays of each frame, {of_near:.0f} % are doubtful. Doubtful rays"
         f" stay in the files, with values below {DOUBTFUL:g} in {writer.path('trust', 0).parent}/."
@@ -161,8 +162,9 @@ def run(options: RecordOptions) -> int:
     if options.video is not None:
         seconds = write_video(options.video, writer)
         print(f"written to {options.video}: panorama over depth, {total} frames, {seconds:.1f} s")
-    print(_next(options, out, fits(share)))
-    return int(options.strict and not fits(share))
+    fitting = fits(share) and not doubt
+    print(_next(options, out, fitting))
+    return int(options.strict and not fitting)
 
 
 def _next(options: RecordOptions, out: Path, fitting: bool) -> str:

@@ -132,7 +132,7 @@ def image_doubts(frame: Frame, grid: SphereGrid) -> Iterator[str]:
         from omnistereo_rigs.doctor.rig_check import find_mixup
 
         if found := find_mixup(frame):
-            yield f"{found}. `omnistereo doctor` with the same rig and images says more"
+            yield found
 
 
 def propose_min_depth(frame: Frame) -> float:

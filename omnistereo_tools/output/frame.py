@@ -75,6 +75,7 @@ class FrameResult:
     method: str
     gt_index: NDArray[Any] | None = None
     up: Literal["z"] | None = None  #: of points and meshes in PLY; None: the axes of the rig
+    doubt: str | None = None  #: why the rig and the images cannot fit
 
     @property
     def title(self) -> str:
@@ -90,12 +91,12 @@ class FrameResult:
     def sentences(self) -> list[str]:
         """Return the result in plain sentences."""
         errors = [] if self.gt_index is None else error_sentences(self.depth, self.gt_index)
-        return depth_sentences(self.depth, self.limits, self.doubtful) + errors
+        return depth_sentences(self.depth, self.limits, self.doubtful, self.doubt) + errors
 
     @property
     def fits(self) -> bool:
         """Whether the rig and the images seem to fit: at most half of the rays are doubtful."""
-        return fits(doubt_shares(self.depth.depth, self.doubtful)[0])
+        return not self.doubt and fits(doubt_shares(self.depth.depth, self.doubtful)[0])
 
     @lazy_property
     def trust(self) -> NDArray[np.float32]:

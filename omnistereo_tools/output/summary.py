@@ -37,15 +37,21 @@ def fits(doubtful_percent: float) -> bool:
     return doubtful_percent <= _MISFIT
 
 
-def verdict(doubtful_percent: float, of_what: str = "") -> str:
-    """Return the verdict on a depth in words, with the number that carries it."""
+def verdict(doubtful_percent: float, of_what: str = "", doubt: str | None = None) -> str:
+    """Return the verdict on a depth in words, with the number that carries it, or with what is
+    wrong, if that is known.
+    """
+    if doubt:
+        return f"Bad: the rig and the images do not fit: {doubt}."
     number = f"{doubtful_percent:.0f} % of rays are doubtful{of_what}"
     if not fits(doubtful_percent):
         return f"Bad: {number}; the rig and the images do not fit."
     return f"{'Good' if doubtful_percent <= GOOD else 'Fair'}: {number}."
 
 
-def depth_sentences(depth: Depth, limits: Limits, doubtful: NDArray[np.bool_]) -> list[str]:
+def depth_sentences(
+    depth: Depth, limits: Limits, doubtful: NDArray[np.bool_], doubt: str | None = None
+) -> list[str]:
     """Return the verdict, nearest and median depth, what is doubtful, how many rays the limits
     keep, whether the spheres suit.
     """
@@ -64,7 +70,7 @@ def depth_sentences(depth: Depth, limits: Limits, doubtful: NDArray[np.bool_]) -
     )
     share = doubt_shares(depth.depth, doubtful)[0]
     sentences = [
-        verdict(share),
+        verdict(share, doubt=doubt),
         (
             f"{100 * known / rays:.0f} % of {rays} rays have a depth: {found}, "
             f"the median depth is {metres(float(np.nanmedian(depth.depth)))}."
@@ -76,7 +82,7 @@ def depth_sentences(depth: Depth, limits: Limits, doubtful: NDArray[np.bool_]) -
         ),
     ]
     # Where the rig does not fit, another nearest depth makes nothing better.
-    return sentences + (_sphere_advice(depth, keep, nearest) if fits(share) else [])
+    return sentences + (_sphere_advice(depth, keep, nearest) if fits(share) and not doubt else [])
 
 
 def _sphere_advice(depth: Depth, keep: NDArray[np.bool_], nearest: float) -> list[str]:
