@@ -618,22 +618,6 @@ def doubled_contour() -> Figure:
     return fig
 
 
-def near_limit() -> Figure:
-    """Two cameras and a point at one, two and five baselines: the angle between their views of it,
-    to scale.
-    """
-    fig, axes = _canvas(10, 3.0, 3)
-    for ax, distance in zip(axes, (1, 2, 5), strict=True):
-        for x, color in ((-0.5, FIRST), (0.5, SECOND)):
-            _line(ax, (x, 0), (0, distance), color=color, lw=1.6)
-            ax.plot(x, 0, "o", ms=9, color=color)
-        ax.plot(0, distance, "o", color=POINT, ms=7)
-        angle = 2 * np.degrees(np.arctan(0.5 / distance))
-        ax.set(xlim=(-1.4, 1.4), ylim=(-0.4, 5.3), title=f"D = {distance} b: {angle:.0f}° apart")
-    axes[0].text(0, -0.35, "b", ha="center", va="center")
-    return fig
-
-
 def method_flow(width: int, height: int, spheres: int) -> Figure:
     """The five steps of the method as boxes, with the shape of what goes from one to the next."""
     fig, (ax,) = _canvas(10, 2.2)
