@@ -1,7 +1,5 @@
 """Notebook 12: the correlation of all cameras, a volume doubled, its loss, the read-out, and a table of reliability."""
 
-from itertools import pairwise
-
 import numpy as np
 import torch
 from torch.nn.functional import interpolate
@@ -113,7 +111,8 @@ def reliability(confidence, right, edges):
     confidence: in [0, 1]; right: True or False; both of any shape. NaN where a bin has no ray.
     """
     table = []
-    for k, (low, high) in enumerate(pairwise(edges)):
+    for k in range(len(edges) - 1):
+        low, high = edges[k : k + 2]
         inside = (confidence >= low) & (confidence < high)
         if k == len(edges) - 2:
             inside |= confidence == high  # the last bin holds its end
