@@ -203,6 +203,7 @@ def _late(options: RecordOptions, out: Path, rig: Rig, clocks: Sequence[float] |
     """
     from omnistereo_rigs.images.moments import SECOND, in_words
     from omnistereo_tools.input.sources import Recording
+    from omnistereo_tools.progress import say
     from omnistereo_tools.record.recordings import SETTINGS
     from omnistereo_tools.record.sync import check_moments, measure_late, stored_late
 
@@ -213,12 +214,12 @@ def _late(options: RecordOptions, out: Path, rig: Rig, clocks: Sequence[float] |
         late = [round(SECOND * (clocks[0] - shift)) for shift in clocks]
         told = ", ".join(in_words(-one) for one in late)
         if Recording.open(options.images).shared:
-            print(f"the shifts of the clocks in the rig file are added to the times: {told}")
+            say(f"the shifts of the clocks in the rig file are added to the times: {told}")
         else:
-            print(f"the shifts of the clocks in the rig file are not used, as no times are: {told}")
+            say(f"the shifts of the clocks in the rig file are not used, as no times are: {told}")
             late = []
     if options.sync:
-        print("measuring from the images how late each camera is: a minute", flush=True)
+        say("measuring from the images how late each camera is: a minute")
         return measure_late(options.images, rig, late)
     if (doubt := check_moments(options.images, rig, late)) is not None:
         warn_of([doubt])
@@ -234,7 +235,7 @@ def _open_recording(options: RecordOptions, rig: Rig, late: Sequence[int]) -> Re
 
     recording = Recording.open(options.images, options.start, options.stop, options.step, late)
     for said in recording.said:
-        print(said)
+        say(said)
     for path, names in recording.missing.items():
         some = ", ".join(map(str, names[:8])) + " …" * (len(names) > 8)
         say(f"{path} lacks {len(names)} frames that other cameras have; left out: {some}")

@@ -60,5 +60,5 @@ def test_record_names_a_late_camera_and_sync_measures_it(drive, tmp_path, capsys
     assert said == "camera 3 is one frame late (100 ms). Match by the images: --sync"
     late = np.array(measure_late(paths, drive.rig, [])) / 1e8
     np.testing.assert_allclose(late, (0, 0, 1, 0), atol=0.1)
-    assert "camera 3 is one frame late (100 ms)" in capsys.readouterr().out
+    assert "camera 3 is one frame late (100 ms)" in capsys.readouterr().err
     assert check_moments(paths, drive.rig, (1e8 * late).round().astype(int)) is None
