@@ -26,7 +26,7 @@ _FIRST = 300  # frames of a video within which it looks: those before are decode
 _PLACES = 3  # where --sync looks: cameras may lose frames on the way
 _SMALL = 48  # px, sides of the pictures that tell where most moves
 # Of eight frames of the bundled drives with planted cameras (workshop/results/late_table.py): the
-# least gain was 1.55, and the least clear pair 2.95 times as good as at its next best shift.
+# least gain was 1.54, and the least clear pair 2.8 times as good as at its next best shift.
 _GAIN, _CLEAR = 1.2, 2.0
 _ON_TIME = 1.25  # clear by as much, cameras that come out on time are: 10 cm a frame give 1.1
 _FEW = 15.0  # matches a pair: with fewer, chance makes one shift clear

@@ -26,7 +26,7 @@ from omnistereo_tools.judge import pace
 from omnistereo_tools.judge.trust import trust
 from omnistereo_tools.live_view import Cameras
 from omnistereo_tools.output.pictures import colorize_depth, share_of_panorama
-from omnistereo_tools.record import recordings
+from omnistereo_tools.record import recordings, sync
 
 GRID = osl.SphereGrid(96, 24, num_spheres=16, min_depth=0.6)
 SMALL = ["--width", "96", "--height", "24", "--spheres", "16", "--method", "zncc"]
@@ -564,3 +564,21 @@ def test_a_video_shorter_than_it_says_is_told(tmp_path):
         osl.OmnistereoError, match=r"a.mkv is 64 × 48 px; the camera has 48 × 64 px"
     ):
         next(source.read([1], (48, 64)))
+
+
+def test_what_sync_measures_is_stored_and_gone_on_with(recorded, tmp_path, capsys, monkeypatch):
+    """Camera 3 is one frame late: its pictures are those of the next number of the others."""
+    monkeypatch.setattr(sync, "_measure", lambda rig, images: (0.0, 0.02, 1.01, 0.0))
+    command = record_command(recorded, tmp_path / "out")
+    assert run(*command, "--sync", "--stop", 3) == 0
+    assert "camera 3 is one frame late" in capsys.readouterr().err
+    assert json.loads((tmp_path / "out" / "recording.json").read_text())["late_s"] == [0, 0, 1, 0]
+    assert run(*command) == 0
+    data = osl.load_dataset(tmp_path / "out")
+    assert [frame.number for frame in data] == list(range(1, FRAMES))
+    for frame in data:
+        late = recorded / "view3" / f"cam3_{frame.number + 1:03}.png"
+        np.testing.assert_array_equal(frame.images[2], read_image(late))
+    monkeypatch.setattr(sync, "_measure", lambda rig, images: None)
+    assert run(*record_command(recorded, tmp_path / "other"), "--sync") == 2
+    assert "cannot be measured" in capsys.readouterr().err
