@@ -252,42 +252,6 @@ def local_mean(volume: Tensor, cells: int) -> tuple[Tensor, Tensor]:
     return index, total
 
 
-def distribution(volume: Tensor, index: Tensor, temperature: float, radius: float) -> Tensor:
-    """How the evidence of each ray is spread over the spheres: five numbers, (5, H, W), in spheres
-    or masses.
-
-    p = 1 − C of probabilities (temperature 0), else p ∝ exp(−C / T): spread √Σ p (n − n*)² around
-    the estimate n*, mass of the window around it, spread within it, mass of the heaviest other
-    window, and the mean sphere of that one.
-    """
-    N = int(volume.shape[-1])
-    n, half = torch.arange(N, device=volume.device), int(radius)
-    p = (
-        1 - volume.nan_to_num(1.0)
-        if temperature == 0
-        else (-volume.nan_to_num(math.inf) / temperature).softmax(-1)
-    )
-    p = p / p.sum(-1, keepdim=True)
-    off = n - index[..., None]
-    share = (radius + 1 - off.abs()).clamp(0, 1)
-    mass = (p * share).sum(-1)
-    inside = ((p * share * off.square()).sum(-1) / mass).sqrt()
-    # What the window leaves, summed over windows of whole spheres.
-    rest = p.where(off.abs() > radius + 1, 0.0)
-    windows = pad(rest, (half, half)).unfold(-1, 2 * half + 1, 1)  # (H, W, N, 2 half + 1)
-    second, middle = windows.sum(-1).max(-1)
-    around = (n - middle[..., None]).abs() <= half
-    return torch.stack(
-        [
-            (p * off.square()).sum(-1).sqrt(),
-            mass,
-            inside,
-            second,
-            (rest * around * n).sum(-1) / second,
-        ]
-    )
-
-
 # ---- The whole method: Fig. 4 ----
 
 

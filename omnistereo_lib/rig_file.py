@@ -18,7 +18,7 @@ from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.files import as_path, path_within, read_data, to_yaml, write_text
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
-from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.geometry.rig import Deviation, Rig
 from omnistereo_lib.ocam_text import (
     ocam_camera,
     ocam_records,
@@ -51,6 +51,7 @@ class RigFile(NamedTuple):
     ] = ()  #: camera → rig, in the unit of the file; none of one camera by itself
     min_depth: float | None = None  #: metres
     T_rig_file: Pose | None = None  #: see `Rig`
+    deviations: Sequence[Deviation] = ()  #: of the cameras, or none
     name: str = "OmniMVS config.yaml"  #: of its format, for people
     in_metres: bool = True  #: else the file does not state its unit
     source: Path | None = None  #: the file or folder that was read
@@ -102,7 +103,9 @@ def rig_of(found: RigFile, path: Path, unit: str | None) -> Rig:
             stated = f"{found.name} files state their unit by definition"
             raise OmnistereoError(f"{stated}. Omit unit={unit!r}")
         T_rig_file = found.T_rig_file or Pose.identity()
-        rig = Rig(tuple(found.cameras), tuple(found.T_rig_cam), found.min_depth, T_rig_file)
+        rig = Rig(
+            found.cameras, found.T_rig_cam, found.min_depth, T_rig_file, found.deviations
+        )
         scale = 1.0 if found.in_metres else metres_per_unit(unit, rig.centers)
         return rig.with_poses([Pose(pose.R, scale * pose.t) for pose in rig.T_rig_cam])
 
@@ -228,7 +231,7 @@ def write_ocam_folder(rig: Rig, folder: str | Path) -> None:
 
 def read_omnimvs(data: Section, path: Path, max_fov_deg: float | None) -> RigFile:
     """Read OmniMVS config.yaml, with the masks beside it; it is also what `save_rig` writes."""
-    cameras, poses, missing = [], [], []
+    cameras, poses, deviations, missing = [], [], [], []
     for i, cam in data.sections("cameras").items():
         with error_context(f"camera {i}"):
             if cam.word("model", default="ocam") != "ocam":
@@ -246,6 +249,8 @@ def read_omnimvs(data: Section, path: Path, max_fov_deg: float | None) -> RigFil
             fov = stated if max_fov_deg is None else max_fov_deg
             cameras.append(ocam_camera(records, fov, f"{path}, camera {i}", mask_file))
             poses.append(parse_pose(cam.require("pose")))
+            if cam.get("deviation") is not None:
+                deviations.append(Deviation(*cam.floats("deviation", count=3).tolist()))
     if missing and any(camera.mask is not None for camera in cameras):
         names = ", ".join(missing)
         raise OmnistereoError(
@@ -261,7 +266,8 @@ def read_omnimvs(data: Section, path: Path, max_fov_deg: float | None) -> RigFil
     min_depth = None if config.get(key) is None else config.number(key)
     turned = config.get("T_rig_file")
     data.warn(path, settings=True)
-    return RigFile(cameras, poses, min_depth, None if turned is None else parse_pose(turned))
+    T_rig_file = None if turned is None else parse_pose(turned)
+    return RigFile(cameras, poses, min_depth, T_rig_file, deviations)
 
 
 def save_rig(rig: Rig, path: str | Path) -> None:
@@ -286,6 +292,8 @@ def save_rig(rig: Rig, path: str | Path) -> None:
         names = {"cam_id": i, "img_dir": f"cam{i}", "model": "ocam"}
         field = {"pose": pose.as_vector().tolist(), "max_fov": camera.max_fov_deg}
         field["invalid_mask"] = mask_file.name
+        if rig.deviations:  # rotation in radians, centre in metres, lens in radians
+            field["deviation"] = [float(value) for value in rig.deviations[i - 1]]
         if masked:
             valid = np.ones(camera.image_size[::-1], bool) if camera.mask is None else camera.mask
             write_image(mask_file, np.where(valid, 0, 255).astype(np.uint8))

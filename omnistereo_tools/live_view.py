@@ -26,7 +26,7 @@ from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.input.sources import Recording
-from omnistereo_tools.judge.ray import explain
+from omnistereo_tools.judge.ray import explain, told
 from omnistereo_tools.judge.trust import trust
 from omnistereo_tools.output.blend import estimate_gains
 from omnistereo_tools.output.pictures import ColorScale, draw_frame, share_of_panorama
@@ -64,7 +64,7 @@ class LivePicture:
         if (ray := self.ray_at(x, y)) is None:
             return ""
         depth = self.depth.depth[ray]
-        return "no depth here" if np.isnan(depth) else f"{metres(float(depth))} along the ray"
+        return "no depth here" if np.isnan(depth) else f"{told(float(depth))} along the ray"
 
     def why_at(self, x: float, y: float) -> str:
         """Return why the ray at a place of the picture has its depth, one sentence, as the page of
@@ -267,7 +267,7 @@ def _play(
                 f" {metres(np.nanmedian(depth.depth))}"
             )
             before = now
-            yield draw_picture(depth, gains, trust(depth, method), scale, note)
+            yield draw_picture(depth, gains, trust(depth), scale, note)
         if failed:
             raise failed[0]
     finally:

@@ -77,6 +77,13 @@ def main(arguments: list[str] | None = None) -> int:
         default="sunny/train",
         help="the drive, or drive/test (default: %(default)s)",
     )
+    bars = add(
+        "error-bars",
+        "results.error_bars.run",
+        "fit the error bars of depth on some frames and judge them on others: minutes, resumes",
+    )
+    bars.add_argument("methods", nargs="*", metavar="METHOD", help="default: all that have any")
+    bars.add_argument("--out", type=Path, default=OUT / "error_bars", help="what was measured")
     add(
         "snapshots",
         "results.snapshots.take_snapshots",

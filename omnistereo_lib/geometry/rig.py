@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from numbers import Integral
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +18,14 @@ from omnistereo_lib.geometry.pose import Pose
 Unit = Literal["mm", "cm", "m"]
 Pair = tuple[int, int]
 Pairs = Literal["ring", "all"] | Sequence[Pair]
+
+
+class Deviation(NamedTuple):
+    """Standard deviations of a camera against the others: how far its calibration may be off."""
+
+    rotation: float = 0.0  #: radians, about all axes together
+    center: float = 0.0  #: metres, along all axes together
+    lens: float = 0.0  #: radians, of the ray of a pixel, in either direction across it
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,9 +51,11 @@ class Rig:
     T_rig_file: Pose | None = (
         None  #: from the frame of the file that it was read from to the rig frame
     )
+    #: How far each camera may be off, one for each; empty: the rig does not say.
+    deviations: Sequence[Deviation] = ()
 
     def __post_init__(self) -> None:
-        for name in ("cameras", "T_rig_cam"):
+        for name in ("cameras", "T_rig_cam", "deviations"):
             check_type(getattr(self, name), Iterable, name)
             object.__setattr__(self, name, tuple(getattr(self, name)))
         if len(self.cameras) < 2 or len(self.cameras) != len(self.T_rig_cam):
@@ -71,6 +81,15 @@ class Rig:
                 1e-6,
                 1e6,
             )
+
+        if len(self.deviations) not in (0, len(self)):
+            raise OmnistereoError(
+                f"the rig has {len(self)} cameras and {len(self.deviations)} deviations; expected "
+                "one for each camera, or none"
+            )
+        for name, most in (("rotation", np.pi), ("center", 1e7), ("lens", np.pi)):
+            for i, one in enumerate(self.deviations, 1):
+                check_number(getattr(one, name), f"the {name} deviation of camera {i}", 0, most)
 
     def __len__(self) -> int:
         return len(self.cameras)
@@ -101,9 +120,8 @@ class Rig:
         """Return the rig in another frame: T_new_rig maps rig coordinates to the new frame."""
         check_type(T_new_rig, Pose, "T_new_rig")
         T_new_file = T_new_rig if self.T_rig_file is None else T_new_rig @ self.T_rig_file
-        return Rig(
-            self.cameras, [T_new_rig @ pose for pose in self.T_rig_cam], self.min_depth, T_new_file
-        )
+        poses = [T_new_rig @ pose for pose in self.T_rig_cam]
+        return replace(self, T_rig_cam=poses, T_rig_file=T_new_file)
 
     def recentered(self, center: ArrayLike | None = None) -> Rig:
         """Return the rig with its origin moved to the sweep centre, axes unchanged.
@@ -117,7 +135,7 @@ class Rig:
 
     def with_poses(self, T_rig_cam: Sequence[Pose]) -> Rig:
         """Return the same cameras with other poses."""
-        return Rig(self.cameras, T_rig_cam, self.min_depth, self.T_rig_file)
+        return replace(self, T_rig_cam=T_rig_cam)
 
 
 def camera_pairs(pairs: Pairs, rig: Rig) -> list[Pair]:

@@ -1,7 +1,7 @@
 """From a cost volume to depth, confidence, panorama and point cloud (paper, Section III-B)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -79,6 +79,10 @@ def index_and_confidence(
     return index, ratio
 
 
+def _unknown() -> NDArray[np.float32]:
+    return np.array(np.nan, np.float32)
+
+
 @dataclass(frozen=True, eq=False)
 class Depth:
     """A depth panorama around the sweep centre.
@@ -96,10 +100,18 @@ class Depth:
     confidence: NDArray[np.float32]  #: (H, W), in [0, 1]
     sweep: SphereSweep  #: of the cost volume, with its grid and its rig
     images: Sequence[ArrayLike] = ()  #: one per camera, from which the depth was estimated
+    #: Of the inverse depth, 1/m, (H, W): two thirds of the rays (68 %) are off by at most σ,
+    #: nineteen of twenty (95 %) by at most the bound. NaN without an estimate, and for a method
+    #: whose errors were not measured; see `error_bars`.
+    sigma: NDArray[np.float32] = field(default_factory=_unknown)
+    bound: NDArray[np.float32] = field(default_factory=_unknown)
+    #: Inverse depth of another surface with a tenth of the evidence, 1/m, (H, W); NaN: none.
+    second: NDArray[np.float32] = field(default_factory=_unknown)
 
     def __post_init__(self) -> None:
-        for name in ("index", "confidence"):
-            values = np.asarray(getattr(self, name)).view()
+        for name in ("index", "confidence", "sigma", "bound", "second"):
+            given = np.asarray(getattr(self, name))
+            values = np.broadcast_to(given, np.shape(self.index)).view()
             values.setflags(write=False)
             object.__setattr__(self, name, values)
 

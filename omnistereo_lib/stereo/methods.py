@@ -139,7 +139,7 @@ class Method:
                 )
         if unused := self._changed.keys() - self._used:
             raise OmnistereoError(
-                f"{self.name}: {self._base} does not use {', '.join(sorted(unused))}. Leave it out"
+                f"{self.name}: {self.base} does not use {', '.join(sorted(unused))}. Leave it out"
             )
         p1, p2 = self.p1 or 0.0, math.inf if self.p2 is None else self.p2
         if not (0 <= p1 <= p2 and p1 < math.inf and self.p2 != math.inf):
@@ -185,7 +185,7 @@ class Method:
     def name(self) -> str:
         """The name that `parse` reads, such as "zncc+sgm,p1=0.2"."""
         return ",".join(
-            [self._base, *(f"{name}={_text(value)}" for name, value in self._changed.items())]
+            [self.base, *(f"{name}={_text(value)}" for name, value in self._changed.items())]
         )
 
     @property
@@ -212,7 +212,8 @@ class Method:
         )
 
     @property
-    def _base(self) -> str:
+    def base(self) -> str:
+        """The name without settings, such as "zncc+sgm"."""
         return self.cost + ("+sgm" if self.aggregate == "sgm" else "")
 
     @property

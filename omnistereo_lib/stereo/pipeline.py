@@ -10,6 +10,7 @@ from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.progress import Progress, silent
 from omnistereo_lib.stereo.depth import Depth
+from omnistereo_lib.stereo.error_bars import error_bars
 from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD, Method
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.volume import cost_volume
@@ -71,5 +72,7 @@ def sweep_depth(
     """
     method = Method.parse(method)
     volume = cost_volume(sweep, images, method.cost_of(sweep), method.pairs, progress)  # (H, W, N)
-    index, confidence = method.read_out(method.smooth(volume), subindex)  # (H, W) each
-    return Depth(index.cpu().numpy(), confidence.cpu().numpy(), sweep, images)
+    smooth = method.smooth(volume)
+    index, confidence = method.read_out(smooth, subindex)  # (H, W) each
+    bars = error_bars(method, sweep, volume, smooth, index, confidence)
+    return Depth(index.cpu().numpy(), confidence.cpu().numpy(), sweep, images, *(bars or ()))

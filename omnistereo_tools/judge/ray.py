@@ -6,6 +6,7 @@ the two.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 from typing import Any
 
@@ -17,13 +18,17 @@ from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.depth import Depth
-from omnistereo_tools.output.summary import metres
+from omnistereo_lib.stereo.error_bars import WITHIN
+from omnistereo_lib.stereo.sensitivity import inverse_depth_shifts
+from omnistereo_tools.judge.trust import likely
 
 PATCH_DEG = 5.0  # side of a patch: as wide as ZNCC's window at 640 columns, 9 rays
 SIDE = 11  # samples along it
 TILT_DEG = 0.1  # error of one camera whose effect is told
-ALIKE = 0.6  # agreement from which two patches show the same
-RIVAL = 0.15  # agreement that a second depth may lack, and still be as likely
+SURE = 0.9  # how likely a depth is right, from its error bars, that is told without a doubt
+ALIKE = 0.5  # of the agreement of the best two cameras: others that agree, too
+CLEAR = 0.8  # of the agreement at the estimate: a second depth that is below stands no comparison
+WEAK = 0.25  # agreement that is none
 VALLEY = 0.1  # by which the agreement falls between two depths that count as two
 FLAT = 2.0  # gray values, standard deviation of a patch without texture
 NEARER = 0.8  # of a distance: what is this much nearer stands in front
@@ -45,16 +50,14 @@ class Ray:
 
     grid: SphereGrid
     index: float  #: sphere index of the estimate, NaN unknown
+    likely: float  #: how likely that is right, see `trust.likely`; NaN without error bars
     sees: NDArray[np.bool_]  #: (cameras,), whose field of view holds the estimated point
     hidden: NDArray[np.bool_]  #: (cameras,), of those, from which something nearer hides it
-    patches: NDArray[
-        np.float64
-    ]  #: (cameras, N, side, side), gray values; a patch that leaves the view is NaN
-    agreement: NDArray[np.float64]  #: (N,), mean ZNCC over the pairs of cameras; NaN below two
-    alike: int  #: how many cameras show the same at the estimate
-    contrast: (
-        float  #: gray values, standard deviation of the patch with most texture at the estimate
-    )
+    #: (cameras, N, side, side), gray values; a patch that leaves the view is NaN
+    patches: NDArray[np.float64]
+    scores: NDArray[np.float64]  #: (pairs, N), ZNCC of each pair of cameras; NaN if one is NaN
+    #: gray values, standard deviation of the patch with most texture at the estimate
+    contrast: float
     #: 1/m, of the inverse depth if one camera is off by `TILT_DEG`, the worst one; NaN below two
     shift: float
 
@@ -63,7 +66,14 @@ class Ray:
         """Estimated depth in metres."""
         return float(self.grid.index_to_depth(self.index))
 
-    @property
+    @cached_property
+    def agreement(self) -> NDArray[np.float64]:
+        """Mean of the scores over the pairs of cameras, (N,); NaN below two cameras."""
+        counted = np.isfinite(self.scores).sum(0)
+        total = np.nansum(self.scores, axis=0)
+        return np.where(counted, total / np.maximum(counted, 1), np.nan)
+
+    @cached_property
     def modes(self) -> list[Mode]:
         """Depths at which the patches agree, best first: the agreement falls by `VALLEY` between
         any two.
@@ -78,17 +88,37 @@ class Ray:
                 found.append(Mode(int(n), float(values[n])))
         return found
 
-    @property
-    def chosen(self) -> float:
-        """Agreement at the estimate: the best within its `tolerance`, NaN unknown."""
-        near = np.abs(np.arange(len(self.agreement)) - self.index) <= tolerance(self.index)
-        return (
-            float(np.nanmax(self.agreement[near]))
-            if np.isfinite(self.agreement[near]).any()
-            else np.nan
-        )
+    @cached_property
+    def peak(self) -> Mode | None:
+        """Where the patches agree best within the `tolerance` of the estimate; None: unknown."""
+        off = np.abs(np.arange(len(self.agreement)) - self.index)
+        near = np.where(off <= tolerance(self.index), self.agreement, np.nan)
+        if np.isnan(near).all():
+            return None
+        return Mode(n := int(np.nanargmax(near)), float(near[n]))
 
     @property
+    def chosen(self) -> float:
+        """Agreement at the `peak`, NaN unknown."""
+        return self.peak.agreement if self.peak else np.nan
+
+    @property
+    def alike(self) -> int:
+        """How many cameras agree at the peak: in the best pair, and in pairs nearly as good."""
+        if self.peak is None:
+            return 0
+        at, pairs = self.scores[:, self.peak.sphere], combinations(range(len(self.sees)), 2)
+        least = ALIKE * np.nanmax(at)
+        return len(
+            {
+                camera
+                for pair, score in zip(pairs, at, strict=True)
+                if score >= least
+                for camera in pair
+            }
+        )
+
+    @cached_property
     def rival(self) -> Mode | None:
         """The depth other than the estimate at which the patches agree best."""
         return next(
@@ -99,50 +129,46 @@ class Ray:
     @property
     def kind(self) -> str:
         """Which of the `SENTENCES` is true: the first whose rule holds."""
-        other = self.rival.agreement if self.rival else -1.0
+        other, sure = self.rival.agreement if self.rival else -1.0, self.likely >= SURE
         if self.sees.sum() < 2:
             return "unseen"
-        if (self.sees & ~self.hidden).sum() < 2:
-            return "hidden"
         if self.contrast < FLAT:
             return "flat"
-        if self.chosen >= ALIKE:
-            return "repeats" if other > self.chosen - RIVAL else "agrees"
-        return "elsewhere" if other >= ALIKE else "unlike"
+        if not max(self.chosen, other) >= WEAK:
+            return "unlike"
+        if self.chosen >= WEAK and other < CLEAR * self.chosen:
+            return "agrees" if sure else "weak"
+        if sure:
+            return "decided"
+        return "either" if self.chosen >= WEAK and CLEAR * other <= self.chosen else "elsewhere"
 
     @property
     def sentence(self) -> str:
         """Why the depth is what it is, and whether to believe it."""
-        other = metres(float(self.grid.index_to_depth(self.rival.sphere))) if self.rival else ""
-        return SENTENCES[self.kind].format(
-            count=self.alike,
-            open=int((self.sees & ~self.hidden).sum()),
-            depth=metres(self.depth),
-            other=other,
-            chosen=self.chosen,
-            rival=self.rival.agreement if self.rival else np.nan,
-        )
+        other = told(float(self.grid.index_to_depth(self.rival.sphere))) if self.rival else ""
+        return SENTENCES[self.kind].format(count=self.alike, depth=told(self.depth), other=other)
 
 
+# `python -m workshop ray-sentences` measures how often each is right: book/own_cameras.md.
 SENTENCES = {
     "unseen": "Fewer than two cameras see this direction: no stereo can know its depth.",
-    "hidden": (
-        "Something nearer hides this from all cameras but {open}: no stereo can know its depth."
-    ),
     "flat": "There is no texture here: the depth comes from the rays beside it.",
-    "agrees": "{count} cameras agree at {depth}, and at no other depth.",
-    "repeats": (
-        "{count} cameras agree at {depth} ({chosen:.2f}), and nearly as well at {other}"
-        " ({rival:.2f}): the texture repeats."
-    ),
+    "agrees": "{count} cameras agree at {depth}, clearly better than at any other depth.",
+    "weak": "{count} cameras agree best at {depth}, but it is not certain.",
+    "decided": ("The cameras agree at {other}, too, but all around this ray speaks for {depth}."),
+    "either": ("{count} cameras agree at {depth}, and about as well at {other}: it may be either."),
     "elsewhere": (
-        "The cameras agree best at {other} ({rival:.2f}), but the rays beside it speak for {depth}."
+        "The cameras agree better at {other}, and the rays beside it speak for {depth}: doubtful."
     ),
-    "unlike": (
-        "The cameras agree at no depth: they see this from too different sides, or something stands"
-        " between."
-    ),
+    "unlike": "The cameras hardly agree at any depth: {depth} comes from the rays beside it.",
 }
+
+
+def told(depth: float) -> str:
+    """Return a depth as everything on the page tells it, such as "5.89 m", "12.8 m"."""
+    if not depth <= 1e6:
+        return "infinitely far" if depth > 1e6 else "unknown"
+    return f"{depth:.1f} m" if depth >= 10 else f"{depth:.2f} m"
 
 
 def for_the_page() -> dict[str, Any]:
@@ -151,8 +177,11 @@ def for_the_page() -> dict[str, Any]:
         "patchDeg": PATCH_DEG,
         "side": SIDE,
         "tiltDeg": TILT_DEG,
+        "within": WITHIN,
+        "sure": SURE,
         "alike": ALIKE,
-        "rival": RIVAL,
+        "clear": CLEAR,
+        "weak": WEAK,
         "valley": VALLEY,
         "flat": FLAT,
         "nearer": NEARER,
@@ -195,27 +224,22 @@ def explain(depth: Depth, column: int, row: int) -> Ray:
     )  # (cameras, N, side, side)
     pairs = list(combinations(range(len(rig)), 2))
     scores = np.stack([zncc(patches[i], patches[j]) for i, j in pairs])  # (pairs, N)
-    nearest = 0 if np.isnan(index) else round(index)
-    at = scores[:, nearest]
-    alike = {
-        camera for pair, score in zip(pairs, at, strict=True) if score >= ALIKE for camera in pair
-    }
-    spreads = np.std(patches[:, nearest], axis=(1, 2))
+    spreads = np.std(patches[:, 0 if np.isnan(index) else round(index)], axis=(1, 2))
     sees = ~np.isnan(spreads) & np.isfinite(index)
     hidden = sees & np.array(
         [is_hidden(depth.depth, grid, ray, index, center) for center in rig.centers]
     )
-    counted = np.isfinite(scores).sum(0)
+    right = tolerance(index) * grid.step
     return Ray(
         grid,
         index,
+        float(likely(right, depth.sigma[row, column], depth.bound[row, column])),
         sees,
         hidden,
         patches,
-        np.where(counted, np.nansum(scores, axis=0) / np.maximum(counted, 1), np.nan),
-        len(alike),
+        scores,
         float(np.nanmax(spreads)) if sees.any() else 0.0,
-        tilt_shift(ray, float(grid.index_to_inverse_depth(index)), rig.centers[sees & ~hidden]),
+        tilt_shift(ray, float(grid.index_to_inverse_depth(index)), rig.centers, sees & ~hidden),
     )
 
 
@@ -302,22 +326,13 @@ def is_hidden(
 
 
 def tilt_shift(
-    ray: NDArray[np.float64], inverse_depth: float, centers: NDArray[np.float64]
+    ray: NDArray[np.float64],
+    inverse_depth: float,
+    centers: NDArray[np.float64],
+    sees: NDArray[np.bool_],
 ) -> float:
     """Return by how much an error of `TILT_DEG` of one camera moves the inverse depth of a ray,
-    1/m, at the worst.
-
-    A point that moves along the ray moves in camera i by v_i radians per 1/m, a vector. If camera i
-    is rotated by ε, the inverse depth that fits all pairs by least squares moves by ε |Σ_j (v_i -
-    v_j)| / Σ |v_i - v_j|²: of two cameras with a baseline b across the ray, by ε / b. NaN below two
-    cameras.
+    1/m, at the worst; NaN below two cameras. See `inverse_depth_shifts`.
     """
-    if len(centers) < 2 or np.isnan(inverse_depth):
-        return np.nan
-    towards = ray - inverse_depth * centers  # (cameras, 3): to the point, times its inverse depth
-    length = np.linalg.norm(towards, axis=-1, keepdims=True)
-    unit = towards / length
-    moves = (unit * (unit * centers).sum(-1, keepdims=True) - centers) / length
-    between = moves[:, None] - moves[None]  # (cameras, cameras, 3)
-    pull = np.linalg.norm(between.sum(1), axis=-1).max()
-    return float(np.radians(TILT_DEG) * pull / (np.square(between).sum() / 2))
+    shifts = inverse_depth_shifts(ray, np.array(inverse_depth), centers, sees)
+    return float(np.radians(TILT_DEG) * shifts.max())

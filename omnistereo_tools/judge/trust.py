@@ -1,74 +1,55 @@
-"""How far the depth of a ray is trusted: its confidence, judged at equal range, and whether cameras
-saw anything.
-"""
+"""How likely the depth of a ray is right: from its error bars, and whether cameras saw anything."""
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from omnistereo_lib.stereo.depth import Depth
-from omnistereo_lib.stereo.methods import Method
+from omnistereo_lib.stereo.error_bars import WITHIN
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.output.blend import BRIGHTEST, DARKEST
 from omnistereo_tools.output.mesh_export import is_connected
-from omnistereo_tools.own_method import is_own
 
 DOUBTFUL = 0.5  # trust below which a depth is about as likely wrong as right
-# from infinity on: two spheres, of which the confidence of a network speaks, are a tenth of the
-# depth
-_SPHERES = 20
 _AROUND = 5  # rays
 _LOOKED_AT = 16  # spheres, where a ray is looked up in the cameras: their views end smoothly
 _FLOATING_SIZE, _FLOATING_TRUST = 0.01, 0.7  # of all rays; mean
 _ALL_AROUND = 0.85  # of the edge of a thing, if that thing is in front
-_RATIO_SPHERES = 4  # the same for the ratio of costs, which speaks of no distance
-# Times of ten that a ray is right, off by at most two spheres or a tenth of the depth, and the
-# trust in percent from which on it is; on 9 frames with exact depth, sunny, indoor and aerial.
-_ODDS_OF_NETWORK = ((6, 78), (7, 95), (8, 98), (9, 100))
-_ODDS_OF_COSTS = ((6, 35), (7, 50), (8, 67), (9, 87))
 
 
-def trust(depth: Depth, method: str | Method) -> NDArray[np.float32]:
-    """Return how far each ray's depth is trusted, in [0, 1], shape (H, W); below `DOUBTFUL` it is
+def trust(depth: Depth) -> NDArray[np.float32]:
+    """Return how likely the depth of each ray is right, in [0, 1], (H, W); below `DOUBTFUL` it is
     doubtful.
 
-    A confidence says how sure the *sphere* is. Near the rig a sphere more or less hardly changes
-    the depth, so the same confidence means a better depth there, and what is near is seldom
-    confident: it shows in few cameras, from very different sides. Trust is 1 - (1 - confidence)^x,
-    where x grows with the number of spheres between the ray's and infinity. x is chosen so that on
-    frames with ground truth about half of what is just doubtful is off by more than two spheres and
-    a tenth of the depth, at all ranges.
+    Right is what is off by at most two spheres, or a tenth of the depth: `likely` from the error
+    bars. A depth without error bars has its confidence in their place.
 
     Trust is 0 where there is no evidence: where fewer than two cameras see anything but black or
     white, on the last two spheres, since things may be nearer still, and where there is no depth.
     It is halved where a nearer thing could not be found, since fewer than two cameras would see it,
     and for small things in mid-air of which no part is trusted much, see `_floating`.
     """
-    grid = depth.grid
-    spheres = depth.inverse_depth / grid.step
-    exponent = (
-        np.sqrt(np.maximum(spheres / _SPHERES, 1))
-        if _is_network(method)
-        else spheres / _RATIO_SPHERES
-    )
-    evidence = depth.valid & (depth.index <= grid.num_spheres - 3) & _is_lit(depth)
-    found = np.where(evidence, 1 - (1 - depth.confidence.clip(0, 1)) ** exponent, 0)
+    evidence = depth.valid & (depth.index <= depth.grid.num_spheres - 3) & _is_lit(depth)
+    right = np.maximum(2 * depth.grid.step, 0.1 * depth.inverse_depth)
+    probability = likely(right, depth.sigma, depth.bound)
+    probability = np.where(np.isnan(depth.sigma), depth.confidence.clip(0, 1), probability)
+    found = np.where(evidence, probability, 0)
     doubtful = _floating(depth, found) | may_be_nearer(depth)
     return np.where(doubtful, DOUBTFUL * found, found).astype(np.float32)
 
 
-def odds(method: str | Method) -> tuple[tuple[int, int], ...]:
-    """Return pairs of how many times of ten a ray is right, and from which trust in percent on."""
-    return _ODDS_OF_NETWORK if _is_network(method) else _ODDS_OF_COSTS
+def likely(off: ArrayLike, sigma: ArrayLike, bound: ArrayLike) -> NDArray[np.float64]:
+    """Return how likely an error is at most so large, given its error bars, all in one unit.
 
-
-def _is_network(method: str | Method) -> bool:
-    """Whether the confidence is a network's; that of a method of one's own is taken for a ratio of
-    costs.
+    P = 1 - exp(-(off / a)^b): the curve of two numbers, Weibull's, on which σ and the bound lie.
     """
-    return not (isinstance(method, str) and is_own(method)) and Method.parse(method).reads_out
+    low, high = (-np.log(1 - share) for share in WITHIN)
+    sigma = np.maximum(np.asarray(sigma, np.float64), 1e-12)
+    power = np.log(high / low) / np.log(np.maximum(bound / sigma, 1.02))
+    with np.errstate(over="ignore"):
+        return np.asarray(1 - np.exp(-low * (off / sigma) ** power))
 
 
 def may_be_nearer(depth: Depth) -> NDArray[np.bool_]:

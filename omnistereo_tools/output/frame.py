@@ -20,7 +20,7 @@ from omnistereo_lib.progress import Progress, counted, silent
 from omnistereo_lib.rig_file import save_rig
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.metrics import index_error
-from omnistereo_tools.judge.trust import DOUBTFUL, odds, trust
+from omnistereo_tools.judge.trust import DOUBTFUL, trust
 from omnistereo_tools.output.blend import blended_panorama, estimate_gains
 from omnistereo_tools.output.crops import in_millimetres, write_crops
 from omnistereo_tools.output.mesh_export import write_mesh
@@ -54,8 +54,11 @@ panorama.jpg         the cameras' colours at the depth of each ray, blended, one
 points.ply           {points} points, binary PLY: metres ({axes}), normals towards the rig, colours,
                      confidence as quality, and 1 where doubtful; rays up to {max_depth:.3g} m with a confidence of at least
                      {min_confidence:.3g}
-trust.tiff           float32 in [0, 1]: the confidence judged at equal range, 0 where cameras see black or white alone;
-                     below 0.5 a ray is doubtful, that is, about as likely wrong as right
+sigma.tiff           float32, 1/m: 68 % of the rays are off by at most this much in inverse depth; NaN as above
+bound.tiff           float32, 1/m: 95 % are. From the method's evidence, and from how far the rig file says that its
+                     cameras may be off; the truth is taken to lie within the range swept
+trust.tiff           float32 in [0, 1]: how likely the depth is right, off by at most a tenth or two spheres, by its
+                     error bars; 0 where cameras see black or white alone; below 0.5 a ray is doubtful
 rig.yaml             the cameras with their origin moved to the centre of the panorama; T_rig_file (axis-angle, metres)
                      takes coordinates of your rig file to those of the panorama and the points
 """
@@ -101,7 +104,7 @@ class FrameResult:
     @lazy_property
     def trust(self) -> NDArray[np.float32]:
         """How far the depth of each ray is trusted, (H, W), in [0, 1]; see `trust`."""
-        return trust(self.depth, self.method)
+        return trust(self.depth)
 
     @property
     def doubtful(self) -> NDArray[np.bool_]:
@@ -203,7 +206,7 @@ class FrameResult:
         write_image(path, page)
 
     def _write_page(self, path: Path) -> None:
-        of_frame = {"trust": self.trust, "odds": odds(self.method), "gt_index": self.gt_index}
+        of_frame = {"trust": self.trust, "gt_index": self.gt_index}
         write_text(
             path, viewer_page(self.depth, self.panorama, self.limits, self.title, **of_frame)
         )
@@ -214,6 +217,8 @@ class FrameResult:
         write_inverse_depth(data / "inverse_depth.tiff", depth.inverse_depth)
         write_inverse_depth(data / "confidence.tiff", depth.confidence)
         write_inverse_depth(data / "trust.tiff", self.trust)
+        write_inverse_depth(data / "sigma.tiff", depth.sigma)
+        write_inverse_depth(data / "bound.tiff", depth.bound)
         write_image(
             data / "inverse_depth.png",
             ColorScale.of(depth.inverse_depth).colorize(depth.inverse_depth),

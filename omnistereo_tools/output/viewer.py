@@ -57,7 +57,6 @@ def viewer_data(
     title: str,
     mode: str = "look",
     trust: NDArray[Any] | None = None,
-    odds: Sequence[tuple[int, int]] = (),
     gt_index: NDArray[Any] | None = None,
 ) -> dict[str, Any]:
     """Return what the page shows, as JSON: with the images of the depth, where each camera sees a
@@ -68,14 +67,13 @@ def viewer_data(
         limits: Rays that become points.
         title: What was computed and how, one line.
         mode: How it begins: "look" around, "flat" or "points".
-        trust: Of `trust.trust`, (H, W): doubtful rays are faded. None: all are trusted.
-        odds: Of `trust.odds`: a slider leaves the rays that are right so many times of ten. Empty:
-            there is no slider.
+        trust: Of `trust.trust`, (H, W): doubtful rays are faded, and a slider leaves those that are
+            right so many times of ten. None: all are trusted, and there is no slider.
         gt_index: The exact sphere indices, (H, W), if they are known: the page then shows them and
             the error, too.
     """
     grid = depth.grid
-    step = int(np.ceil(np.sqrt(depth.index.size * (4 if gt_index is None else 6) / _RAY_BYTES)))
+    step = int(np.ceil(np.sqrt(depth.index.size * (8 if gt_index is None else 10) / _RAY_BYTES)))
     inverse_depth = depth.inverse_depth[::step, ::step]
     truth = (
         inverse_depth if gt_index is None else grid.index_to_inverse_depth(gt_index)[::step, ::step]
@@ -84,8 +82,6 @@ def viewer_data(
     optional: dict[str, Any] = {}
     if trust is not None:
         optional["trust"] = packed(_percent(trust[::step, ::step]))
-    if odds:
-        optional["odds"] = odds
     if gt_index is not None:
         per_metre = float(np.diff(grid.inverse_depth_to_index([0.0, 1.0]))[0])  # spheres per 1/m
         percent = 100 / grid.num_spheres * per_metre  # the error as in the paper's tables
@@ -106,6 +102,9 @@ def viewer_data(
         ),
         "perStep": per_step,
         "steps": packed(_in_steps(inverse_depth, per_step)),
+        "sigma": packed(_octaves(depth.sigma[::step, ::step], per_step)),
+        "bound": packed(_octaves(depth.bound[::step, ::step], per_step)),
+        "second": packed(_in_steps(depth.second[::step, ::step], per_step)),
         "confidence": packed(_percent(depth.confidence[::step, ::step])),
         "doubtful": 100 * DOUBTFUL,
         "low": scale.low,
@@ -128,6 +127,13 @@ def _in_steps(inverse_depth: NDArray[Any], per_step: float) -> NDArray[np.uint16
     """
     steps = np.where(np.isfinite(inverse_depth), 1 + np.nan_to_num(inverse_depth) / per_step, 0)
     return steps.round().clip(0, _STEPS + 1).astype("<u2")
+
+
+def _octaves(widths: NDArray[Any], per_step: float) -> NDArray[np.uint8]:
+    """Return widths in 1/m as sixteenths of octaves from a step on, from 1; 0 is unknown."""
+    known = np.where(widths > 0, widths, per_step)
+    sixteenths = 1 + 16 * np.log2(known / per_step)
+    return np.where(np.isnan(widths), 0, sixteenths.round().clip(1, 255)).astype(np.uint8)
 
 
 def _percent(values: NDArray[Any]) -> NDArray[np.uint8]:

@@ -226,7 +226,7 @@ class DepthWriter:
                 _link(source.files[self.recording.frames[number]], folder, number)
             else:
                 write_image(folder / f"{number:05}.jpg", image)
-        trusted = trust(depth, self.method)
+        trusted = trust(depth)
         if self.with_video:
             note = f"{self.out.name}, frame {number}, {self.method.name}"
             # the same colours in all frames

@@ -15,7 +15,7 @@ _LEAST = 15.0  # exp(-15) of the largest is nothing: most costs after SGM are sk
 
 
 def distribution(volume: Tensor, index: Tensor, temperature: float, radius: float) -> Tensor:
-    """Return `reference.distribution` of float32 costs (H, W, N) and an index (H, W): (5, H, W)."""
+    """Return `error_bars.distribution_by_torch` of float32 costs (H, W, N): (5, H, W)."""
     out = np.empty((5, *volume.shape[:2]), np.float32)
     _read_rays(volume.contiguous().numpy(), index.numpy(), temperature, radius, out)
     return torch.from_numpy(out)
@@ -25,13 +25,13 @@ def distribution(volume: Tensor, index: Tensor, temperature: float, radius: floa
 def _read_rays(
     volume: NDArray[Any], index: NDArray[Any], temperature: float, radius: float, out: NDArray[Any]
 ) -> None:
-    """Write spread, mass, spread inside, second mass and second index of the rays to out (5, H, W)."""
+    """Write spread, mass, spread inside, second mass and second index of rays to out (5, H, W)."""
     H, W, N = volume.shape
     p, half = np.empty(N, np.float32), int(radius)
     for y in range(H):
         for x in range(W):
             cost, at = volume[y, x], index[y, x]
-            if not at == at:
+            if np.isnan(at):
                 out[:, y, x] = np.nan
                 continue
             # The probability of each sphere, and its sum.

@@ -1,15 +1,17 @@
 // The rays of the panorama: their directions, their depths, and how both are said.
 "use strict";
 
+// A depth, as in summary.py.
 const metres = d => d > 1e6 ? "infinitely far" : d >= 10 ? d.toFixed(1) + " m" : d.toFixed(2) + " m";
 const oneDigit = d => d < 1e6 ? (d >= 0.95 ? d.toFixed(0) : Number(d.toPrecision(1))) + " m" : "any distance";
 
 // Of each ray: steps of inverse depth from 1, 0 is unknown; confidence and trust in percent; the exact steps.
-let steps, confidence, trust, truth;
+let steps, confidence, trust, truth, sigmas, bounds, seconds;
 
 async function unpackRays() {
-  [steps, confidence, trust, truth] = await Promise.all(
-    [[D.steps, Uint16Array], [D.confidence, Uint8Array], [D.trust, Uint8Array], [D.truth, Uint16Array]]
+  [steps, confidence, trust, truth, sigmas, bounds, seconds] = await Promise.all(
+    [[D.steps, Uint16Array], [D.confidence, Uint8Array], [D.trust, Uint8Array], [D.truth, Uint16Array],
+      [D.sigma, Uint8Array], [D.bound, Uint8Array], [D.second, Uint16Array]]
       .map(([text, type]) => text && unpacked(text, D.width, type)));
   trust ??= new Uint8Array(steps.length).fill(100);
 }
@@ -43,15 +45,37 @@ function rayOf([x, y, z]) {
 // Where a ray ends, in metres.
 const pointOf = (k, from = steps) => directionOf(k).map(x => x / inverse(k, from));
 
-// One standard deviation of the inverse depth of a ray, in 1/m. Measured on 10 frames with exact depth: about two
-// thirds of the rays are within 0.6 + 8 (1 - trust) spheres, give or take a factor of 2, by VolumeNet and ZNCC + SGM.
-const deviation = k => (0.6 + 8 * (1 - trust[k] / 100)) * perSphere;
+// Error bars of the inverse depth of a ray, in 1/m, NaN unknown: two thirds of the rays are off by at most the sigma,
+// nineteen of twenty by at most the bound.
+const width = code => code ? D.perStep * 2 ** ((code - 1) / 16) : NaN;
+const sigma = k => width(sigmas[k]), bound = k => width(bounds[k]);
+
+// A depth with its error bar: of the depth, σ is larger to the far side.
+function withBar(k) {
+  const q = inverse(k), s = sigma(k);
+  return metres(1 / q) + (Number.isNaN(s) ? "" : ` ± ${oneDigit(s / q ** 2)}`);
+}
+
+// Another surface with a tenth of the evidence or more: nearly always at the rim of something.
+function secondWords(k) {
+  const other = inverse(k, seconds), apart = Math.abs(1 / other - 1 / inverse(k));
+  if (Number.isNaN(other)) return "";
+  return `or ${metres(1 / other)}${apart < 1e6 ? `, ${oneDigit(apart)} ${other < inverse(k) ? "behind" : "before"} it` : ""}`;
+}
+
+// Where nineteen of twenty such rays end.
+function boundWords(k) {
+  const q = inverse(k), b = bound(k);
+  if (Number.isNaN(b)) return "";
+  const near = metres(1 / (q + b)).replace(" m", "");
+  return q - b > 1e-6 ? `95 %: ${near} to ${metres(1 / (q - b))}` : `95 %: ${near} m or more`;
+}
 
 // The distance between the ends of two rays, and its standard deviation: that of depth d is d² times that of 1 / d, and
 // only the part of it along the line between the two counts.
 function distanceBetween(k, l) {
   const a = pointOf(k), b = pointOf(l), apart = a.map((x, i) => b[i] - x), length = Math.hypot(...apart);
-  const part = m => directionOf(m).reduce((sum, x, i) => sum + x * apart[i], 0) / length * deviation(m) / inverse(m) ** 2;
+  const part = m => directionOf(m).reduce((sum, x, i) => sum + x * apart[i], 0) / length * sigma(m) / inverse(m) ** 2;
   return [length, Math.hypot(part(k), part(l))];
 }
 

@@ -148,8 +148,7 @@ function distanceWords() {
 function tell(event) {
   const k = rayAt(event), exact = truth ? inverse(k, truth) : NaN;
   $("readout").textContent = k < 0 ? "" : !steps[k] ? "no depth here"
-    : `${metres(1 / inverse(k))} ± ${oneDigit(deviation(k) / inverse(k) ** 2)}`
-      + (exact >= 0 ? `, exact ${metres(1 / exact)}` : "") + (doubtful(k) ? ", doubtful" : "");
+    : withBar(k) + (exact >= 0 ? `, exact ${metres(1 / exact)}` : "") + (doubtful(k) ? ", doubtful" : "");
 }
 
 // --- Why a ray has its depth -----------------------------------------------------------------------------------------
@@ -159,25 +158,28 @@ function showWhy(k) {
   why = explain(k);
   $("why").hidden = false;
   $("sentence").textContent = sentenceOf(why);
+  $("bar").textContent = [withBar(k), boundWords(k), secondWords(k)].filter(Boolean).join("; ");
   $("tilt").textContent = tiltWords(why);
   $("along").max = D.spheres - 1;
   $("along").value = Math.round(why.index);
   $("along").oninput();
 }
 
-function tiltWords({ index, shift }) {
+function tiltWords({ k, shift }) {
   if (Number.isNaN(shift)) return "";
-  const near = inverseOf(index), far = near - shift;
-  const moved = far > 0 ? roughly(1 / far - 1 / near) : "any distance";
+  const near = inverse(k), far = near - shift;
+  const moved = far > 0 ? oneDigit(1 / far - 1 / near) : "any distance";
   return `One camera tilted by ${R.tiltDeg}° would move it by ${moved}.`;
 }
 
+// At the estimate, its own depth is shown and not that of the nearest sphere.
 function showAlong() {
-  const n = +$("along").value, depth = metres(1 / inverseOf(n)), agreement = why.agreement[n];
+  const n = +$("along").value, at = n === Math.round(why.index) ? inverse(why.k) : inverseOf(n);
+  const depth = metres(1 / at), agreement = why.agreement[n];
   const words = Number.isNaN(agreement) ? "fewer than two cameras see it" : `the cameras agree by ${agreement.toFixed(2)} of 1`;
   $("alongWords").textContent = `At ${depth}, ${words}.`;
-  drawCurve(n);
-  D.cameras.forEach((camera, i) => { drawPatch(camera, i, inverseOf(n)); drawFisheye(camera, i, inverseOf(n)); });
+  drawCurve(sphereOf(at));
+  D.cameras.forEach((camera, i) => { drawPatch(camera, i, at); drawFisheye(camera, i, at); });
 }
 
 const INK = { line: "#d07010", estimate: "#2a7fd4", exact: "#2e9e4f", cursor: "#888" };
@@ -376,13 +378,14 @@ $("reset").onclick = () => {
 };
 
 // The trust below which rays fade: of the steps of the slider, the first shows all.
-const leastTrust = () => [[0, 0], ...(D.odds ?? [])][$("least").value][1];
+const ODDS = [0, 6, 7, 8, 9];  // of ten
+const leastTrust = () => 10 * ODDS[$("least").value];
 
 function showWords() {
-  const mixed = +$("mix").value, step = D.odds?.[$("least").value - 1];
+  const mixed = +$("mix").value, odds = ODDS[$("least").value];
   $("mixWords").textContent = mixed === 0 ? "picture only" : mixed === 100 ? "depth only" : `${100 - mixed} % picture, ${mixed} % depth`;
-  const share = step && trust.reduce((count, value) => count + (value >= step[1]), 0) / trust.length;
-  $("leastWords").textContent = step ? `hide doubtful: ${Math.round(100 * share)} % left, right at least ${step[0]} of 10 times` : "hide doubtful: none";
+  const share = trust.reduce((count, value) => count + (value >= leastTrust()), 0) / trust.length;
+  $("leastWords").textContent = odds ? `hide doubtful: ${Math.round(100 * share)} % left, right at least ${odds} of 10 times` : "hide doubtful: none";
 }
 
 // The first two seconds: from the picture to the depth and half of the way back, so that nobody takes it for a photograph.
@@ -479,8 +482,8 @@ function showPictureOnly() {
 (async () => {
   $("title").textContent = D.title;
   $("layers").hidden = !D.truth;
-  $("sure").hidden = !D.odds;
-  $("least").max = D.odds?.length ?? 0;
+  $("sure").hidden = !D.trust;
+  $("least").max = ODDS.length - 1;
   await unpackRays();
   const picture = new Image();
   picture.src = D.picture;

@@ -112,41 +112,49 @@ function explain(k) {
   const sees = at.patches.map(patch => patch !== null && !Number.isNaN(index));
   const hidden = D.cameras.map((camera, i) => sees[i] && isHidden(ray, estimate, camera));
   const open = D.cameras.filter((_, i) => sees[i] && !hidden[i]);
-  const near = agreement.filter((x, n) => Math.abs(n - index) <= toleranceOf(index) && !Number.isNaN(x));
+  const near = [...agreement.keys()].filter(n => Math.abs(n - index) <= toleranceOf(index) && !Number.isNaN(agreement[n]));
+  const peak = near.length ? near.reduce((m, n) => agreement[n] > agreement[m] ? n : m) : -1;
   const modes = modesOf(agreement);
   const found = {
     k, ray, square, index, agreement, sees, hidden, modes,
-    open: open.length,
-    alike: new Set(at.found.filter(pair => pair.value >= R.alike).flatMap(({ i, j }) => [i, j])).size,
+    alike: peak < 0 ? 0 : alikeOf(along[peak].found),
+    likely: likelyRight(k, toleranceOf(index)),
     contrast: Math.max(0, ...at.patches.filter(patch => patch).map(spread)),
-    chosen: near.length ? Math.max(...near) : NaN,
+    chosen: peak < 0 ? NaN : agreement[peak],
     rival: modes.find(mode => Math.abs(mode.sphere - index) > toleranceOf(index)),
     shift: open.length < 2 ? NaN : tiltShift(ray, estimate, open.map(camera => camera.place)),
   };
   return Object.assign(found, { kind: kindOf(found) });
 }
 
-// Which sentence is true: the first whose rule holds.
-function kindOf({ sees, open, contrast, chosen, rival }) {
-  const other = rival ? rival.agreement : -1;
-  if (sees.filter(Boolean).length < 2) return "unseen";
-  if (open < 2) return "hidden";
-  if (contrast < R.flat) return "flat";
-  if (chosen >= R.alike) return other > chosen - R.rival ? "repeats" : "agrees";
-  return other >= R.alike ? "elsewhere" : "unlike";
+// How many cameras agree: those of the best pair, and of pairs nearly as good.
+function alikeOf(pairs) {
+  const least = R.alike * Math.max(...pairs.map(pair => pair.value));
+  return new Set(pairs.filter(pair => pair.value >= least).flatMap(({ i, j }) => [i, j])).size;
 }
 
-// Two digits, as `metres` in summary.py.
-function roughly(depth) {
-  if (!(depth < 1e6)) return "infinity";
-  return depth >= 9.95 ? depth.toFixed(0) + " m" : Number(depth.toPrecision(2)) + " m";
+// How likely a ray is off by at most so many spheres, from its error bars; `likely` in trust.py. NaN without bars.
+function likelyRight(k, spheres) {
+  const [low, high] = R.within.map(share => -Math.log(1 - share));
+  const power = Math.log(high / low) / Math.log(Math.max(bound(k) / sigma(k), 1.02));
+  return 1 - Math.exp(-low * (spheres * perSphere / sigma(k)) ** power);
+}
+
+// Which sentence is true: the first whose rule holds.
+function kindOf({ sees, contrast, chosen, rival, likely }) {
+  const other = rival ? rival.agreement : -1, sure = likely >= R.sure, peak = chosen >= R.weak;
+  if (sees.filter(Boolean).length < 2) return "unseen";
+  if (contrast < R.flat) return "flat";
+  if (!peak && !(other >= R.weak)) return "unlike";
+  if (peak && other < R.clear * chosen) return sure ? "agrees" : "weak";
+  if (sure) return "decided";
+  return peak && R.clear * other <= chosen ? "either" : "elsewhere";
 }
 
 function sentenceOf(found) {
   const words = {
-    count: found.alike, open: found.open, depth: roughly(1 / inverseOf(found.index)),
-    other: found.rival && roughly(1 / inverseOf(found.rival.sphere)),
-    "chosen:.2f": found.chosen.toFixed(2), "rival:.2f": found.rival?.agreement.toFixed(2),
+    count: found.alike, depth: metres(1 / inverse(found.k)),
+    other: found.rival && metres(1 / inverseOf(found.rival.sphere)),
   };
   return R.sentences[found.kind].replace(/\{([^}]+)\}/g, (_, name) => words[name]);
 }
