@@ -84,6 +84,12 @@ def main(arguments: list[str] | None = None) -> int:
     )
     bars.add_argument("methods", nargs="*", metavar="METHOD", help="default: all that have any")
     bars.add_argument("--out", type=Path, default=OUT / "error_bars", help="what was measured")
+    rays = add(
+        "ray-sentences",
+        "results.ray_sentences.run",
+        "how often the sentence about a ray is right, and the book's table of it: minutes",
+    )
+    rays.add_argument("rays", type=int, nargs="?", default=60, help="of each frame")
     add(
         "snapshots",
         "results.snapshots.take_snapshots",

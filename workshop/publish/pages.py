@@ -22,6 +22,7 @@ import omnistereo_rigs
 from course import exercises, nbtools
 from course.classroom import handin
 from omnistereo_lib.files import write_text
+from workshop.results import error_bars, ray_sentences
 
 BOOK = nbtools.ROOT / "book"
 README = nbtools.ROOT / "README.md"
@@ -138,4 +139,6 @@ LISTS: dict[str, Callable[[], str]] = {
     "written": written,
     "names": names,
     "modules": modules,
+    "error_bars": error_bars.table,
+    "ray_sentences": ray_sentences.table,
 }

@@ -55,7 +55,7 @@ JUDGED = {
     "aerial": (756, 871),
 }
 KINDS = (("sunny", "cloudy", "sunset"), ("rooms",), ("things",), ("indoor",))
-_ALWAYS = ("constant", "spread", "spread of the peak", "mass beside the peak", "second mass")
+_ALWAYS: tuple[str, ...] = ("constant", "spread", "spread of the peak", "mass beside the peak", "second mass")
 _ALWAYS += ("range of 3 x 3 rays", "range of 7 x 7 rays", "index", "confidence")
 # Temperature of costs after SGM: of .1 to 8, the truth is likeliest at 2 for ZNCC; the networks'
 # costs take the same. VolumeNet's probabilities are right as they are. The range swept halves the
@@ -218,3 +218,15 @@ def groups(rays: Rays) -> Iterator[tuple[str, NDArray[np.bool_]]]:
 def within(off: NDArray[Any], sigma: NDArray[Any], bound: NDArray[Any]) -> list[int]:
     """Return how many percent of errors are within σ and within the bound."""
     return [round(100 * float(np.mean(off <= width))) for width in (sigma, bound)]
+
+
+def table() -> str:
+    """Return the table of the book: how many errors are within the bars, on frames not fitted."""
+    results: dict[str, Any] = json.loads(RESULTS.read_text(encoding="utf-8"))
+    slices = ("all", "below 5 m", "5 to 15 m", "beyond 15 m", "edges", "away from edges")
+    rows = [f"| method | {' | '.join(slices)} | mean σ | mean bound |", "|---" * 9 + "|"]
+    for name, found in results.items():
+        shares = ["{} / {} %".format(*found["within"][key]) for key in slices]
+        widths = [f"{found[key]:.1f} %" for key in ("mean sigma", "mean bound")]
+        rows.append(f"| {name} | {' | '.join([*shares, *widths])} |")
+    return "\n".join(rows) + "\n"

@@ -1,0 +1,98 @@
+"""How often the sentence about a ray is right, by kind, on frames with exact depth.
+
+The estimate is right where it is off by at most two spheres or a tenth of the depth. A sentence is
+right where nothing that it says is contradicted by its curve or by the exact depth:
+
+- unseen: fewer than two cameras see the exact point; flat: there is little texture there, too;
+- agrees, decided: the depth is right;
+- weak, either, elsewhere, unlike: what is said of the curve is true by how it is found, so what is
+  looked up is the bound that stands below it.
+"""
+
+import json
+from collections import defaultdict
+from typing import Any
+
+import numpy as np
+
+from omnistereo_lib.dataset import load_dataset
+from omnistereo_lib.files import write_text
+from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.stereo.depth import Depth
+from omnistereo_lib.stereo.pipeline import estimate_depth
+from omnistereo_tools.judge.ray import FLAT, SENTENCES, Ray, explain, tolerance
+from workshop.results.error_bars import DATA, HEIGHT, JUDGED, SPHERES, WIDTH
+
+RESULTS = DATA / "results" / "ray_sentences.json"
+_METHOD = "volumenet"
+
+
+def run(rays: int) -> None:
+    """Judge the sentences of so many random rays of each frame, and store the shares."""
+    found: dict[str, list[list[bool]]] = defaultdict(list)
+    for of_set, numbers in JUDGED.items():
+        for number in numbers:
+            for kind, verdict in judge_frame(of_set, number, rays):
+                found[kind].append(verdict)
+            print(of_set, number, sum(map(len, found.values())), "rays", flush=True)
+    total = sum(map(len, found.values()))
+    told_none = sum(right for right, *_ in found["unlike"])
+    results = {
+        "rays": total,
+        "method": _METHOD,
+        "right depths told that the cameras hardly agree, %": round(
+            100 * told_none / sum(right for of in found.values() for right, *_ in of), 1
+        ),
+        "kinds": {
+            kind: dict(
+                zip(
+                    ("rays", "depth right, %", "sentence right, %", "within the bound, %"),
+                    (len(of), *(round(100 * float(np.mean(x))) for x in zip(*of, strict=True))),
+                    strict=True,
+                )
+            )
+            for kind, of in ((kind, found[kind]) for kind in SENTENCES)
+            if of
+        },
+    }
+    write_text(RESULTS, json.dumps(results, indent=1) + "\n")
+    print(table())
+
+
+def judge_frame(of_set: str, number: int, rays: int) -> list[tuple[str, list[bool]]]:
+    """Return the kind of each sentence, and whether depth and sentence are right, and the bound."""
+    frame = load_dataset(DATA / of_set, split="test").frame(number)
+    grid = SphereGrid(WIDTH, HEIGHT, num_spheres=SPHERES, min_depth=frame.rig.min_depth or 1.0)
+    depth, truth = estimate_depth(frame, grid, _METHOD), frame.gt_index(grid)
+    exact = Depth(truth.astype(np.float32), depth.confidence, depth.sweep, frame.images)
+    usable = np.flatnonzero(np.isfinite(truth) & (truth >= 0) & (truth < SPHERES) & depth.valid)
+    found = []
+    for cell in np.random.default_rng(number).choice(usable, rays, replace=False):
+        row, column = divmod(int(cell), grid.width)
+        one, other = explain(depth, column, row), explain(exact, column, row)
+        off = abs(one.index - other.index)
+        right = off <= max(tolerance(one.index), tolerance(other.index))
+        within = bool(off * grid.step <= depth.bound[row, column])
+        found.append((one.kind, [right, is_right(one, other, right, within), within]))
+    return found
+
+
+def is_right(one: Ray, exact: Ray, right: bool, within: bool) -> bool:
+    """Return whether a sentence is right, given what is said of the exact point of its ray."""
+    if one.kind == "unseen":
+        return bool(exact.sees.sum() < 2)
+    if one.kind == "flat":
+        return exact.contrast < 2 * FLAT
+    return right if one.kind in ("agrees", "decided") else within
+
+
+def table() -> str:
+    """Return the table of the book: each kind of sentence, and how often it is right."""
+    results: dict[str, Any] = json.loads(RESULTS.read_text(encoding="utf-8"))
+    rows = ["| sentence | rays | depth right | sentence right |", "|---|---|---|---|"]
+    for kind, of in results["kinds"].items():
+        text = SENTENCES[kind].format(count="three", depth="5.89 m", other="12.8 m")
+        count, right, sentence, _ = of.values()
+        share = 100 * count / results["rays"]
+        rows.append(f"| {text} | {share:.0f} % | {right} % | {sentence} % |")
+    return "\n".join(rows) + "\n"
