@@ -168,7 +168,7 @@ def told(depth: float) -> str:
     """Return a depth as everything on the page tells it, such as "5.89 m", "12.8 m"."""
     if not depth <= 1e6:
         return "infinitely far" if depth > 1e6 else "unknown"
-    return f"{depth:.1f} m" if depth >= 10 else f"{depth:.2f} m"
+    return f"{depth:.{0 if depth >= 100 else 1 if depth >= 10 else 2}f} m"
 
 
 def for_the_page() -> dict[str, Any]:

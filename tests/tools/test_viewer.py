@@ -49,9 +49,7 @@ def data(depth):
     trust[:, DOUBTFUL] = 0.2
     truth = depth.index.copy()
     truth[:, WRONG] += 3.2
-    return viewer_data(
-        depth, panorama, LIMITS, "a <box>", trust=trust, gt_index=truth
-    )
+    return viewer_data(depth, panorama, LIMITS, "a <box>", trust=trust, gt_index=truth)
 
 
 @pytest.fixture(scope="module")
@@ -211,9 +209,7 @@ def test_two_picks_give_the_distance_between_their_points(depth, page, mode):
     # Along the line between the two: each end's standard deviation, by finite differences.
     a, b = (point_of(depth, *cell) for cell in cells)
     step = 1 / GRID.min_depth / (GRID.num_spheres - 1)
-    moved = (
-        [0.5] * np.array([step]) * np.array([depth.depth[cell] ** 2 for cell in cells])
-    )
+    moved = [0.5] * np.array([step]) * np.array([depth.depth[cell] ** 2 for cell in cells])
     ends = [a + (a / np.linalg.norm(a)) * 1e-4, b + (b / np.linalg.norm(b)) * 1e-4]
     slopes = [
         (np.linalg.norm(ends[0] - b) - distance) / 1e-4,

@@ -55,7 +55,13 @@ JUDGED = {
     "aerial": (756, 871),
 }
 KINDS = (("sunny", "cloudy", "sunset"), ("rooms",), ("things",), ("indoor",))
-_ALWAYS: tuple[str, ...] = ("constant", "spread", "spread of the peak", "mass beside the peak", "second mass")
+_ALWAYS: tuple[str, ...] = (
+    "constant",
+    "spread",
+    "spread of the peak",
+    "mass beside the peak",
+    "second mass",
+)
 _ALWAYS += ("range of 3 x 3 rays", "range of 7 x 7 rays", "index", "confidence")
 # Temperature of costs after SGM: of .1 to 8, the truth is likeliest at 2 for ZNCC; the networks'
 # costs take the same. VolumeNet's probabilities are right as they are. The range swept halves the

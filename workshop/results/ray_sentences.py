@@ -5,8 +5,8 @@ right where nothing that it says is contradicted by its curve or by the exact de
 
 - unseen: fewer than two cameras see the exact point; flat: there is little texture there, too;
 - agrees, decided: the depth is right;
-- weak, either, elsewhere, unlike: what is said of the curve is true by how it is found, so what is
-  looked up is the bound that stands below it.
+- weak, unlike: what is said of the curve is true by how it is found, so what is looked up is the
+  bound that stands below it; either, elsewhere: that, or the other depth that is named is right.
 """
 
 import json
@@ -83,7 +83,10 @@ def is_right(one: Ray, exact: Ray, right: bool, within: bool) -> bool:
         return bool(exact.sees.sum() < 2)
     if one.kind == "flat":
         return exact.contrast < 2 * FLAT
-    return right if one.kind in ("agrees", "decided") else within
+    if one.kind in ("agrees", "decided"):
+        return right
+    named = one.kind in ("either", "elsewhere") and one.rival is not None
+    return within or (named and abs(one.rival.sphere - exact.index) <= tolerance(exact.index))
 
 
 def table() -> str:

@@ -1,8 +1,8 @@
 // The rays of the panorama: their directions, their depths, and how both are said.
 "use strict";
 
-// A depth, as in summary.py.
-const metres = d => d > 1e6 ? "infinitely far" : d >= 10 ? d.toFixed(1) + " m" : d.toFixed(2) + " m";
+// A depth, as `told` in ray.py.
+const metres = d => d > 1e6 ? "infinitely far" : d.toFixed(d >= 100 ? 0 : d >= 10 ? 1 : 2) + " m";
 const oneDigit = d => d < 1e6 ? (d >= 0.95 ? d.toFixed(0) : Number(d.toPrecision(1))) + " m" : "any distance";
 
 // Of each ray: steps of inverse depth from 1, 0 is unknown; confidence and trust in percent; the exact steps.
