@@ -103,9 +103,7 @@ def rig_of(found: RigFile, path: Path, unit: str | None) -> Rig:
             stated = f"{found.name} files state their unit by definition"
             raise OmnistereoError(f"{stated}. Omit unit={unit!r}")
         T_rig_file = found.T_rig_file or Pose.identity()
-        rig = Rig(
-            found.cameras, found.T_rig_cam, found.min_depth, T_rig_file, found.deviations
-        )
+        rig = Rig(found.cameras, found.T_rig_cam, found.min_depth, T_rig_file, found.deviations)
         scale = 1.0 if found.in_metres else metres_per_unit(unit, rig.centers)
         return rig.with_poses([Pose(pose.R, scale * pose.t) for pose in rig.T_rig_cam])
 
