@@ -13,7 +13,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -186,6 +185,8 @@ def weighted(fitted: Mapping[str, float], known: Mapping[str, NDArray[Any]]) -> 
 
 def range_around(values: NDArray[Any], side: int) -> NDArray[Any]:
     """Return the largest minus the smallest of the side × side rays around each ray."""
+    import cv2
+
     reach = side // 2
     wide, kernel = np.pad(values, ((0, 0), (reach, reach)), "wrap"), np.ones((side, side))
     return (cv2.dilate(wide, kernel) - cv2.erode(wide, kernel))[:, reach:-reach]

@@ -73,7 +73,7 @@ def test_the_points_are_on_the_walls_and_the_normals_across_them(written, depth)
     assert (facing > 0.98).mean() > 0.99
     assert len(points) == depth.valid.sum() and cloud["quality"].min() == 0  # nothing is lost,
     # but marked
-    assert 0 < cloud["doubtful"].mean() < 0.5 and cloud["doubtful"][cloud["quality"] == 0].all()
+    assert 0 < cloud["doubtful"].mean() < 0.7 and cloud["doubtful"][cloud["quality"] == 0].all()
 
 
 def test_limits_drop_what_is_far_or_unsure(depth):
