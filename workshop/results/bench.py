@@ -312,19 +312,16 @@ def opencv_fisheye(
     """Calibrate with OpenCV on the corners (K, 2) px of complete boards within 90° of the axis, the
     limit of its model.
 
-    `start` gives the initial focal length and centre; without it OpenCV mostly fails to converge.
+    `start` gives the initial focal length and centre; without it OpenCV begins from an equidistant
+    lens of 180° across the image, and may stop with an error, which is returned as infinite. Poses
+    are always found again in each step (CALIB_RECOMPUTE_EXTRINSIC): on `calibration/handheld`
+    within 80° a good start ends at 0.09 px with it, and at 3.1 px without.
     """
-    matrix, distortion, flags = (
-        np.eye(3),
-        np.zeros(4),
-        cv2.CALIB_RECOMPUTE_EXTRINSIC if start else 0,
-    )
+    matrix, distortion, flags = np.eye(3), np.zeros(4), cv2.CALIB_RECOMPUTE_EXTRINSIC
     if start is not None:
         f, (u, v) = -start.poly[0], start.center
-        matrix, flags = (
-            np.array([[f, 0, u], [0, f, v], [0, 0, 1]]),
-            flags | cv2.CALIB_USE_INTRINSIC_GUESS,
-        )
+        matrix = np.array([[f, 0, u], [0, f, v], [0, 0, 1]])
+        flags |= cv2.CALIB_USE_INTRINSIC_GUESS
     points, corners = [board.points[None]] * len(views), [view[None] for view in views]
     try:
         fit: Any = cv2.fisheye.calibrate(
