@@ -315,7 +315,7 @@ def opencv_fisheye(
     `start` gives the initial focal length and centre; without it OpenCV begins from an equidistant
     lens of 180° across the image, and may stop with an error, which is returned as infinite. Poses
     are always found again in each step (CALIB_RECOMPUTE_EXTRINSIC): on `calibration/handheld`
-    within 80° a good start ends at 0.09 px with it, and at 3.1 px without.
+    within 80° a good start ends at 0.09 px with it, and at 3.8 px without.
     """
     matrix, distortion, flags = np.eye(3), np.zeros(4), cv2.CALIB_RECOMPUTE_EXTRINSIC
     if start is not None:
