@@ -65,8 +65,8 @@ PICTURES = "pictures.json"
 _SAMPLE = 4096  # bytes
 # What browsers play, at a quality that cannot be told from the pictures.
 CODECS = {
-    ".mp4": ("libx264", {"crf": "18"}),
-    ".webm": ("libvpx-vp9", {"crf": "24", "b": "0", "row-mt": "1", "cpu-used": "4"}),
+    ".mp4": ("libx264", {"crf": "18"}, {"movflags": "faststart"}),
+    ".webm": ("libvpx-vp9", {"crf": "24", "b": "0", "row-mt": "1", "cpu-used": "4"}, {}),
 }
 # FFmpeg converts RGB by the matrix of BT.601; without the tag a browser takes BT.709's.
 _BT601, _VIDEO_RANGE = 6, 1
@@ -360,10 +360,10 @@ def write_video(path: Path, writer: DepthWriter) -> float:
     numbers = list(writer.recording.frames)
     height, width = writer.picture(numbers[0]).shape[:2]
     rate = Fraction(writer.recording.fps or _FPS).limit_denominator(65535)
-    codec, quality = CODECS[path.suffix.lower()]
+    codec, quality, front = CODECS[path.suffix.lower()]
     with atomic_write(path) as temporary:
         try:
-            with av.open(str(temporary), "w", options={"movflags": "faststart"}) as container:
+            with av.open(str(temporary), "w", options=front) as container:
                 stream = container.add_stream(codec, rate=rate, options=quality)
                 assert isinstance(stream, av.VideoStream)
                 stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"

@@ -1,0 +1,217 @@
+"""Installs each program, runs `measure.py` in it, writes book/conventions.md, says what changed."""
+
+import difflib
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.files import checksum, write_text
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "book/conventions.md"
+CACHE = ROOT / "out/peers"
+# Name → the function of measure.py, the pinned packages, and the Python that has wheels of them.
+PROGRAMS = {
+    "pycolmap": ("pycolmap", "pycolmap==4.2.1", "3.11"),
+    "opencv-4": ("opencv", "opencv-contrib-python-headless==4.14.0.94", "3.11"),
+    "opencv-5": ("opencv", "opencv-contrib-python-headless==5.0.0.93", "3.11"),
+    "gtsam": ("gtsam", "gtsam==4.3.0", "3.11"),
+    "aria": ("aria", "projectaria-tools==2.3.0", "3.11"),
+    "ds-msp": ("ds_msp", "ds-msp==0.22.2", "3.11"),
+    "mrcal": (
+        "mrcal",
+        "setuptools==84.2.1 packaging==26.4 numpy==2.4.6; "  # what numpysane is built with
+        "mrcal==2.5.2.post1 numpysane==0.45 --no-deps --no-build-isolation",
+        "3.12",
+    ),
+    "open3d": ("open3d", "open3d==0.20.0", "3.11"),
+    "meshlab": ("meshlab", "pymeshlab==2025.7.post1", "3.11"),
+    "rasterio": ("rasterio", "rasterio==1.4.4", "3.11"),
+    "evo": ("evo", "evo==1.38.1", "3.11"),
+    "pyav": ("pyav", "av==18.1.0 numpy==2.4.6", "3.11"),
+    "py360convert": ("panoramas", "py360convert==1.0.4", "3.11"),
+}
+COLORS = [(230, 30, 20), (30, 200, 40), (250, 160, 10)]  # RGB, of the video
+_HEADS = {
+    "lenses": (
+        "program | model | order of the parameters | pixel centres | ray at 110° → pixel | "
+        "that pixel → ray | largest field"
+    ),
+    "poses": "program | what | direction, unit, order",
+    "files": "file | program | what is compared | off by | allowed",
+}
+_INTRODUCTION = """\
+# Conventions, measured
+
+<!-- Written by `python -m workshop.peers`, never by hand. -->
+Pages of libraries say what they mean to do; this table says what they did, with the versions \
+named. A lens has a focal length of 200 pixels and its centre at (320, 240) where the centre of \
+the first pixel is (0, 0). An equidistant one sees a ray at 110° from its axis at u = 703.97. The \
+pixel of that ray, taken back, should be 110°: where a library has no pixel of its own, the true \
+one is taken back. *none* is an answer that says so, the name of an error an exception; any other \
+number is an answer without a warning. The largest field is the one over which rays go to pixels \
+and back to .01°, looked at every degree. Pixel centres and the order of parameters are as a \
+library states them.
+
+"""
+_PARTS = {
+    "lenses": "## Lenses",
+    "poses": "## Poses",
+    "files": (
+        "## Our files\n\nWhat these programs find in what `depth`, `world`, `record` and "
+        "`calibrate` write, against what was meant."
+    ),
+}
+
+
+def install(name: str) -> tuple[str, Path] | None:
+    """Return the Python and the folder of a program's packages, installed once; None without it."""
+    _, pins, version = PROGRAMS[name]
+    # A shim of pyenv may be there without the version behind it.
+    env = os.environ | {"PYENV_VERSION": version}
+    python = shutil.which(f"python{version}")
+    if python is None or subprocess.run([python, "-V"], env=env, capture_output=True).returncode:
+        return None
+    site = CACHE / f"{name}-{checksum(pins.encode())[:8]}"
+    env["PYTHONPATH"] = str(site)
+    if not (site / "done").exists():
+        shutil.rmtree(site, ignore_errors=True)
+        for step in pins.split(";"):
+            command = [python, "-m", "pip", "install", "--quiet", "--target", str(site)]
+            done = subprocess.run([*command, *step.split()], env=env, capture_output=True)
+            if done.returncode:
+                raise OmnistereoError(f"{name}: {done.stderr.decode(errors='replace')[-500:]}")
+        (site / "done").touch()
+    return python, site
+
+
+def measure(name: str, files: Path | None) -> dict[str, list[list[Any]]] | None:
+    """Return the rows of one program; None if there is no Python for it."""
+    if (found := install(name)) is None:
+        return None
+    python, site = found
+    env = os.environ | {"PYTHONPATH": str(site), "PYENV_VERSION": PROGRAMS[name][2]}
+    command = [python, str(Path(__file__).with_name("measure.py")), PROGRAMS[name][0]]
+    command += [] if files is None else [str(files)]
+    done = subprocess.run(command, env=env, capture_output=True, text=True)
+    if done.returncode:
+        raise OmnistereoError(f"{name}: {done.stderr[-800:]}")
+    rows: dict[str, list[list[Any]]] = json.loads(done.stdout.splitlines()[-1])
+    return rows
+
+
+def make_files(folder: Path) -> Path:
+    """Write one of each kind of file, and truth.npz with what they mean; return the folder."""
+    from omnistereo_lib import SphereGrid, estimate_depth, load_dataset
+    from omnistereo_lib.geometry.pose import Pose
+    from omnistereo_lib.geometry.trajectory import trajectory_kitti, trajectory_tum
+    from omnistereo_lib.pictures import write_image
+    from omnistereo_rigs.formats.write import export_rig
+    from omnistereo_tools.commands.options import SAMPLE
+    from omnistereo_tools.output.frame import FrameResult
+    from omnistereo_tools.output.mesh_export import linear
+    from omnistereo_tools.output.points import Limits
+    from omnistereo_tools.record.recordings import write_video
+    from omnistereo_tools.world.page import write_surface
+    from omnistereo_tools.world.surface import Surface
+
+    folder.mkdir(parents=True, exist_ok=True)
+    frame, random = load_dataset(SAMPLE)[0], np.random.default_rng(0)
+    rig = frame.rig
+    export_rig(rig, folder)
+    for n, image in enumerate(frame.images, 1):
+        picture = folder / f"images/cam{n}/0001.png"
+        picture.parent.mkdir(parents=True, exist_ok=True)
+        write_image(picture, image)
+    depth = estimate_depth(frame, SphereGrid(160, 40, (-45, 45), 32, 0.6), method="zncc+sgm")
+    result = FrameResult(depth, Limits.of(depth), "zncc+sgm")
+    result.write(folder)
+    cloud = result._cloud
+    count = 60
+    places = random.normal(size=(count, 3)).astype(np.float32)
+    surface = Surface(
+        places,
+        np.arange(count).reshape(-1, 3),
+        random.integers(0, 256, (count, 3)).astype(np.float32),
+    )
+    write_surface(folder, surface)
+    path = {n: Pose.from_vector([0, 0.1 * n, 0, 0.3 * n, 0, n]) for n in range(5)}
+    write_text(folder / "trajectory.txt", trajectory_tum(path))
+    write_text(folder / "trajectory_kitti.txt", trajectory_kitti(path))
+    shown = np.repeat(np.array([COLORS], np.uint8)[..., ::-1], 40, 1).repeat(48, 0)
+    recording: Any = SimpleNamespace(
+        recording=SimpleNamespace(frames=range(3), fps=10.0), picture=lambda number: shown
+    )
+    for suffix in (".mp4", ".webm"):
+        write_video(folder / f"a{suffix}", recording)
+    camera, second = rig.cameras[0], rig.T_rig_cam[1].inverse() @ rig.T_rig_cam[0]
+    width, height = camera.image_size
+    pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1).astype(float)
+    rays, seen = camera.unproject(pixels)
+    within = seen & (rays[..., 2] > np.cos(np.radians(85)))
+    chosen = random.choice(np.flatnonzero(within), 200, replace=False)
+    np.savez(
+        folder / "truth.npz",
+        pixels=pixels.reshape(-1, 2)[chosen],
+        rays=rays.reshape(-1, 3)[chosen],
+        mask=within,
+        pose2=np.column_stack([second.R, second.t]),
+        depth=depth.depth,
+        near=depth.valid & (depth.depth < 65),
+        inverse=depth.inverse_depth,
+        points=cloud.points,
+        quality=cloud.confidence,
+        vertices=surface.vertices,
+        colors=surface.color,
+        linear=linear(surface.color),
+        path=np.array([pose.t for pose in path.values()]),
+        colors3=np.array(COLORS),
+    )
+    return folder
+
+
+def page(rows: dict[str, list[list[Any]]]) -> str:
+    """Return the page of all rows."""
+    text = _INTRODUCTION
+    for part, head in _HEADS.items():
+        columns = head.count("|") + 1
+        text += f"{_PARTS[part]}\n\n| {head} |\n{'| --- ' * columns}|\n"
+        for row in rows[part]:
+            words = [f"{word:.2g}" if isinstance(word, float) else str(word) for word in row]
+            text += f"| {' | '.join(words)} |\n"
+        text += "\n"
+    return text.rstrip() + "\n"
+
+
+def main(names: list[str]) -> None:
+    """Measure, write the page if all were measured, and print what has changed."""
+    files = make_files(CACHE / "files")
+    rows: dict[str, list[list[Any]]] = {part: [] for part in _HEADS}
+    missing = []
+    for name in names or PROGRAMS:
+        print(f"{name} …", flush=True)
+        if (found := measure(name, files)) is None:
+            missing.append(f"{name} needs Python {PROGRAMS[name][2]}")
+            continue
+        for part, more in found.items():
+            rows[part] += more
+    stored = PAGE.read_text(encoding="utf-8") if PAGE.exists() else ""
+    new = page(rows)
+    changed = list(difflib.unified_diff(stored.splitlines(), new.splitlines(), lineterm="", n=0))
+    print("\n".join(changed[2:]) or "nothing has changed")
+    if names or missing:
+        print(f"{PAGE.name} is not written: {', '.join(missing) or 'not all were measured'}")
+        return
+    write_text(PAGE, new)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

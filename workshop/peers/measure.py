@@ -1,0 +1,462 @@
+"""What one library does: run by its own Python, without this project, as `measure.py NAME FILES`.
+
+Prints JSON: rows of lenses, of poses and of files. A lens row has the pixel of a ray at 110° from
+the axis of an equidistant lens (f 200, centre 320, 240), that pixel taken back, and the largest
+field over which both agree. FILES is a folder of what we write, with what it must hold, truth.npz.
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+
+F, CX, CY, WIDE = 200.0, 320.0, 240.0, 110
+ROWS = {"lenses": [], "poses": [], "files": []}
+
+
+def ray(degrees):
+    """The unit ray in the plane y = 0."""
+    angle = np.radians(degrees)
+    return np.array([np.sin(angle), 0.0, np.cos(angle)])
+
+
+def lens(library, model, order, centres, project, unproject, wide=None):
+    """Measure one lens model; `wide` is the true pixel of the ray at 110° where that is known."""
+
+    def attempt(function, *arguments):
+        try:
+            found = function(*arguments)
+            found = np.asarray([] if found is None else found, float).ravel()
+        except Exception as error:  # of any library
+            return None, type(error).__name__
+        if found.size == 0 or not np.isfinite(found).all() or np.abs(found).max() > 1e9:
+            return None, "none"
+        return found, ""
+
+    def back(u):
+        found, why = attempt(unproject, np.array([u, CY]))
+        if found is None:
+            return None, why
+        found = np.append(found, 1.0) if found.size == 2 else found
+        return float(np.degrees(np.arctan2(found[0], found[2]))), ""
+
+    def there(degrees):
+        found, why = attempt(project, ray(degrees))
+        return (None, why) if found is None else (float(found[0]), "")
+
+    pixel, why_pixel = there(WIDE)
+    true = wide if wide is not None else pixel
+    angle, why_angle = (None, "not tried") if true is None else back(true)
+    field = 0
+    for degrees in np.arange(0.5, 180):
+        u, _ = there(degrees)
+        found = None if u is None else back(u)[0]
+        if found is None or abs(found - degrees) > 0.01:
+            break
+        field = int(2 * degrees)
+    words = [f"{pixel:.2f}" if pixel is not None else why_pixel]
+    words += [f"{angle:.1f}°" if angle is not None else why_angle]
+    ROWS["lenses"].append([library, model, order, centres, *words, f"{field}°"])
+
+
+def pose(library, what, meaning):
+    ROWS["poses"].append([library, what, meaning])
+
+
+def file(name, tool, what, off, limit):
+    """One file in one tool: how far it is off what we meant, and how far it may be."""
+    ROWS["files"].append([name, tool, what, float(off), float(limit)])
+
+
+EQUIDISTANT = CX + F * np.radians(WIDE)
+KB = "fx fy cx cy k1 k2 k3 k4"
+
+
+def of_pycolmap(folder, truth):
+    import pycolmap
+
+    name = f"pycolmap {pycolmap.__version__}"
+    center = [CX + 0.5, CY + 0.5]
+    models = {
+        "OPENCV_FISHEYE": ([F, F, *center, 0, 0, 0, 0], EQUIDISTANT),
+        "FISHEYE": ([F, F, *center], EQUIDISTANT),
+        "SIMPLE_FISHEYE": ([F, *center], EQUIDISTANT),
+        "SIMPLE_RADIAL_FISHEYE": ([F, *center, 0], EQUIDISTANT),
+        "RADIAL_FISHEYE": ([F, *center, 0, 0], EQUIDISTANT),
+        "THIN_PRISM_FISHEYE": ([F, F, *center, *[0] * 8], EQUIDISTANT),
+        "RAD_TAN_THIN_PRISM_FISHEYE": ([F, F, *center, *[0] * 12], EQUIDISTANT),
+        "EUCM": ([F, F, *center, 0.6, 1.0], None),
+        "FOV": ([F, F, *center, 0.9], None),
+        "SIMPLE_DIVISION": ([F, *center, -0.1], None),
+        "DIVISION": ([F, F, *center, -0.1], None),
+        "OPENCV": ([F, F, *center, 0, 0, 0, 0], None),
+        "PINHOLE": ([F, F, *center], None),
+        "EQUIRECTANGULAR": ([640, 480], None),
+    }
+    for model, (parameters, wide) in models.items():
+        camera = pycolmap.Camera(model=model, width=640, height=480, params=parameters)
+        lens(
+            name,
+            model,
+            camera.params_info.replace(",", " ").replace("  ", " "),
+            "halves",
+            lambda r, camera=camera: camera.img_from_cam(r) - 0.5,
+            lambda uv, camera=camera: camera.cam_ray_from_img(uv + 0.5),
+            wide,
+        )
+    pose(
+        name, "Rigid3d(cam_from_world)", "world → camera, quaternion x y z w; in images.txt w x y z"
+    )
+    if folder is None:
+        return
+    model = pycolmap.Reconstruction(str(folder / "colmap"))
+    file("colmap/", name, "cameras", abs(len(model.cameras) - 4), 0)
+    camera = model.cameras[1]
+    rays = np.array([camera.cam_ray_from_img(uv + 0.5) for uv in truth["pixels"]])
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    cosine = (rays * truth["rays"]).sum(1).clip(-1, 1)
+    file(
+        "colmap/cameras.txt",
+        name,
+        "rays within 85°, degrees",
+        np.degrees(np.arccos(cosine)).max(),
+        0.03,
+    )
+    database = folder / "colmap.db"
+    database.unlink(missing_ok=True)
+    options = pycolmap.ImageReaderOptions()
+    options.camera_mask_path = str(folder / "colmap/masks/cam1.png")
+    pycolmap.extract_features(
+        str(database),
+        str(folder / "images"),
+        camera_mode=pycolmap.CameraMode.PER_FOLDER,
+        reader_options=options,
+        device=pycolmap.Device.cpu,
+    )
+    with pycolmap.Database.open(str(database)) as opened:
+        points = opened.read_keypoints(opened.read_image_with_name("cam1/0001.png").image_id)[:, :2]
+        at = np.floor(points).astype(int)
+        seen = truth["mask"][at[:, 1], at[:, 0]]
+        file(
+            "colmap/masks", name, "features on what is masked", (~seen).sum() + (len(seen) < 50), 0
+        )
+        rigs = pycolmap.read_rig_config(str(folder / "colmap/rig_config.json"))
+        pycolmap.apply_rig_config(rigs, opened)
+        stored = opened.read_all_cameras()
+        names = {each.model.name for each in stored}
+        file("colmap/rig_config.json", name, "lenses in a database", names != {"OPENCV_FISHEYE"}, 0)
+
+
+def of_opencv(folder, truth):
+    import cv2
+
+    name, zeros = f"opencv {cv2.__version__}", np.zeros(3)
+    K = np.array([[F, 0, CX], [0, F, CY], [0, 0, 1.0]])
+    for k1 in (0.0, 0.1):
+        D = np.array([k1, 0, 0, 0])
+        t = np.radians(WIDE)
+        lens(
+            name,
+            f"cv2.fisheye, k1 = {k1:g}",
+            "K, k1 k2 k3 k4",
+            "whole",
+            lambda r, D=D: cv2.fisheye.projectPoints(r.reshape(1, 1, 3), zeros, zeros, K, D)[0],
+            lambda uv, D=D: cv2.fisheye.undistortPoints(uv.reshape(1, 1, 2), K, D),
+            CX + F * (t + k1 * t**3),
+        )
+    if hasattr(cv2, "omnidir"):
+        xi, D = np.array([[1.0]]), np.zeros((1, 4))
+        row = zeros.reshape(1, 3)
+        lens(
+            name,
+            "cv2.omnidir, xi = 1",
+            "K, xi, k1 k2 p1 p2",
+            "whole",
+            lambda r: cv2.omnidir.projectPoints(r.reshape(1, 1, 3), row, row, K, 1.0, D)[0],
+            lambda uv: cv2.omnidir.undistortPoints(uv.reshape(1, 1, 2), K, D, xi, np.eye(3)),
+        )
+    pose(name, "R, T of stereoCalibrate", "camera 1 → camera 2, in the unit of the board")
+    if folder is None:
+        return
+    storage = cv2.FileStorage(str(folder / "opencv.yaml"), cv2.FILE_STORAGE_READ)
+    second = storage.getNode("cam2")
+    off = np.abs(
+        np.column_stack([second.getNode(key).mat() for key in "RT"]) - truth["pose2"]
+    ).max()
+    file("opencv.yaml", name, "pose of camera 2, metres", off, 1e-9)
+    depth = cv2.imread(str(folder / "data/depth_mm.png"), cv2.IMREAD_UNCHANGED) / 1000
+    file(
+        "depth_mm.png", name, "metres", np.abs(depth - truth["depth"])[truth["near"]].max(), 0.00051
+    )
+    inverse = cv2.imread(str(folder / "data/inverse_depth.tiff"), cv2.IMREAD_UNCHANGED)
+    file("inverse_depth.tiff", name, "1/m", np.nanmax(np.abs(inverse - truth["inverse"])), 0)
+    for path in ("a.mp4", "a.webm"):
+        shown = cv2.VideoCapture(str(folder / path)).read()[1][24, 20::40, ::-1].astype(int)
+        file(
+            f"--video {path[2:]}", name, "colours of 255", np.abs(shown - truth["colors3"]).max(), 4
+        )
+
+
+def of_gtsam(folder, truth):
+    import gtsam
+
+    name = f"gtsam {gtsam.__version__}" if hasattr(gtsam, "__version__") else "gtsam 4.3.0"
+    for model, calibration, wide, order in (
+        (
+            "Cal3Fisheye",
+            gtsam.Cal3Fisheye(F, F, 0, CX, CY, 0, 0, 0, 0),
+            EQUIDISTANT,
+            "fx fy s u0 v0 k1 … k4",
+        ),
+        (
+            "Cal3Unified",
+            gtsam.Cal3Unified(F, F, 0, CX, CY, 0, 0, 0, 0, 1.0),
+            None,
+            "fx fy s u0 v0 k1 k2 p1 p2 xi",
+        ),
+        ("Cal3DS2", gtsam.Cal3DS2(F, F, 0, CX, CY, 0, 0), None, "fx fy s u0 v0 k1 k2 p1 p2"),
+    ):
+        camera = getattr(gtsam, f"PinholeCamera{model}")(gtsam.Pose3(), calibration)
+        lens(
+            name,
+            model,
+            order,
+            "as given",
+            camera.project,
+            lambda uv, c=camera: c.backproject(uv, 1.0),
+            wide,
+        )
+    pose(name, "Pose3 of a camera", "camera → world, radians, tangent vectors: rotation first")
+
+
+def of_aria(folder, truth):
+    from projectaria_tools.core.calibration import CameraModelType as Type
+    from projectaria_tools.core.calibration import CameraProjection
+
+    name = "projectaria-tools 2.3.0"
+    for kind, count, wide, order in (
+        ("FISHEYE624", 12, EQUIDISTANT, "f cx cy k0 … k5 p0 p1 s0 … s3"),
+        ("FISHEYE62", 8, EQUIDISTANT, "f cx cy k0 … k5 p0 p1"),
+        ("SPHERICAL", 0, EQUIDISTANT, "fx fy cx cy"),
+        ("KANNALA_BRANDT_K3", 4, EQUIDISTANT, "fx fy cx cy k0 … k3"),
+        ("LINEAR", 0, None, "fx fy cx cy"),
+    ):
+        focal = [F] if "FISHEYE" in kind else [F, F]
+        camera = CameraProjection(getattr(Type, kind), np.array([*focal, CX, CY, *[0.0] * count]))
+        lens(name, kind, order, "whole", camera.project, camera.unproject, wide)
+    pose(name, "T_Device_Camera", "camera → device, metres")
+
+
+def of_ds_msp(folder, truth):
+    import ds_msp
+
+    name = "ds-msp 0.22.2"
+    for kind, extra, wide, order in (
+        ("KannalaBrandtModel", (), EQUIDISTANT, KB),
+        ("UCMModel", (0.5,), None, "fx fy cx cy alpha"),
+        ("EUCMModel", (0.6, 1.0), None, "fx fy cx cy alpha beta"),
+        ("DoubleSphereModel", (-0.2, 0.6), None, "fx fy cx cy xi alpha"),
+    ):
+        model = getattr(ds_msp, kind)(F, F, CX, CY, *extra)
+
+        def first(answer):
+            values, valid = answer
+            return values[0] if np.ravel(valid)[0] else []
+
+        lens(
+            name,
+            kind.removesuffix("Model"),
+            order,
+            "whole",
+            lambda r, m=model: first(m.project(r[None])),
+            lambda uv, m=model: first(m.unproject(uv[None])),
+            wide,
+        )
+
+
+def of_mrcal(folder, truth):
+    import mrcal
+
+    name = "mrcal 2.5.2.post1"
+    for kind, extra, wide, order in (
+        ("LENSMODEL_PINHOLE", (), None, "fx fy cx cy"),
+        ("LENSMODEL_STEREOGRAPHIC", (), None, "fx fy cx cy"),
+        ("LENSMODEL_LONLAT", (), EQUIDISTANT, "fx fy cx cy, pixels a radian"),
+        ("LENSMODEL_LATLON", (), None, "fx fy cx cy, pixels a radian"),
+        ("LENSMODEL_OPENCV4", (0,) * 4, None, "fx fy cx cy k1 k2 p1 p2"),
+        ("LENSMODEL_CAHVOR", (0,) * 5, None, "fx fy cx cy α β r0 r1 r2"),
+        ("LENSMODEL_CAHVORE_linearity=0.37", (0,) * 8, None, "fx fy cx cy α β r0 r1 r2 e0 e1 e2"),
+    ):
+        numbers = np.array([F, F, CX, CY, *extra], float)
+        lens(
+            name,
+            kind.removeprefix("LENSMODEL_"),
+            order,
+            "whole",
+            lambda r, k=kind, n=numbers: mrcal.project(r, k, n),
+            lambda uv, k=kind, n=numbers: mrcal.unproject(uv, k, n),
+            wide,
+        )
+    pose(
+        name,
+        "rt_cam_ref of a cameramodel",
+        "reference → camera, metres, Rodrigues; older files call it extrinsics",
+    )
+
+
+def of_open3d(folder, truth):
+    import open3d
+    from open3d.core import Tensor
+
+    name = f"open3d {open3d.__version__}"
+    matrix = Tensor(np.array([[F, 0, CX], [0, F, CY], [0, 0, 1.0]]))
+    rays = open3d.t.geometry.RaycastingScene.create_rays_pinhole(
+        matrix, Tensor(np.eye(4)), 640, 480
+    )
+    off = float(rays.numpy()[240, 320, 3] * F)
+    pose(
+        name,
+        "RaycastingScene",
+        f"world → camera; the ray of pixel (320, 240) passes {off:g} px beside the principal point",
+    )
+    if folder is None:
+        return
+    cloud = open3d.t.io.read_point_cloud(str(folder / "data/points.ply")).point
+    file(
+        "points.ply",
+        name + " (tensor)",
+        "metres",
+        np.abs(cloud.positions.numpy() - truth["points"]).max(),
+        1e-6,
+    )
+    file(
+        "points.ply",
+        name + " (tensor)",
+        "quality",
+        np.abs(cloud["quality"].numpy().ravel() - truth["quality"]).max(),
+        1e-6,
+    )
+    mesh = open3d.io.read_triangle_mesh(str(folder / "mesh.ply"))
+    file(
+        "mesh.ply",
+        name,
+        "colours of 255",
+        np.abs(255 * np.asarray(mesh.vertex_colors) - truth["colors"]).max(),
+        0.5,
+    )
+
+
+def of_meshlab(folder, truth):
+    import pymeshlab
+
+    if folder is None:
+        return
+    name = "pymeshlab 2025.7.post1"
+
+    def load(path):
+        meshes = pymeshlab.MeshSet()
+        meshes.load_new_mesh(str(folder / path))
+        return meshes.current_mesh()
+
+    file(
+        "points.ply",
+        name,
+        "quality",
+        np.abs(load("data/points.ply").vertex_scalar_array() - truth["quality"]).max(),
+        1e-6,
+    )
+    for path, limit in (("mesh.ply", 0.5), ("mesh.glb", 1.0)):
+        mesh = load(path)
+        want = truth["colors"] if path == "mesh.ply" else 255 * truth["linear"]
+        file(
+            path,
+            name,
+            "colours of 255" if path == "mesh.ply" else "linear light of 255",
+            np.abs(255 * mesh.vertex_color_matrix()[:, :3] - want).max(),
+            limit,
+        )
+        axes = np.eye(3) if path == "mesh.ply" else np.diag([1.0, -1, -1])
+        file(
+            path,
+            name,
+            "metres",
+            np.abs(mesh.vertex_matrix() - truth["vertices"] @ axes).max(),
+            1e-6,
+        )
+
+
+def of_rasterio(folder, truth):
+    import rasterio
+
+    if folder is None:
+        return
+    name = f"rasterio {rasterio.__version__}"
+    for path in ("inverse_depth", "confidence", "trust"):
+        with rasterio.open(folder / f"data/{path}.tiff") as opened:
+            band = opened.read(1, masked=True)
+        file(
+            f"{path}.tiff",
+            name,
+            "NaN pixels that are not masked",
+            np.isnan(band.filled(0)).sum(),
+            0,
+        )
+
+
+def of_evo(folder, truth):
+    from evo.tools import file_interface
+
+    name = "evo 1.38.1"
+    pose(
+        name,
+        "TUM, KITTI",
+        "camera → world, metres; quaternion x y z w in TUM's file, w x y z in Python",
+    )
+    if folder is None:
+        return
+    for path, read in (
+        ("trajectory.txt", "read_tum_trajectory_file"),
+        ("trajectory_kitti.txt", "read_kitti_poses_file"),
+    ):
+        found = getattr(file_interface, read)(str(folder / path)).positions_xyz
+        file(path, name, "metres", np.abs(found - truth["path"]).max(), 1e-6)
+
+
+def of_pyav(folder, truth):
+    import av
+
+    if folder is None:
+        return
+    for path in ("a.mp4", "a.webm"):
+        with av.open(str(folder / path)) as opened:
+            stream = opened.streams.video[0]
+            count = sum(1 for _ in opened.decode(stream))
+            matrix = int(stream.codec_context.colorspace)
+        file(f"--video {path[2:]}", f"PyAV {av.__version__}", "frames missing", abs(count - 3), 0)
+        file(
+            f"--video {path[2:]}",
+            f"PyAV {av.__version__}",
+            "matrix not BT.601's",
+            matrix not in (5, 6),
+            0,
+        )
+
+
+def of_panoramas(folder, truth):
+    import py360convert
+
+    wide = np.tile(np.arange(360.0), (180, 1))[..., None].repeat(3, -1)
+    seen = py360convert.e2p(wide, 2.0, 0, 0, (3, 3), mode="bilinear")
+    pose(
+        "py360convert 1.0.4",
+        "e2p, u, v",
+        f"degrees, u to the right, v up; 0, 0 is column {seen[1, 1, 0]:.1f} of 360",
+    )
+
+
+if __name__ == "__main__":
+    given = Path(sys.argv[2]) if len(sys.argv) > 2 else None
+    numbers = None if given is None else dict(np.load(given / "truth.npz"))
+    globals()[f"of_{sys.argv[1]}"](given, numbers)
+    print(json.dumps(ROWS))
