@@ -24,7 +24,7 @@ PROGRAMS = {
     "opencv-4": ("opencv", "opencv-contrib-python-headless==4.14.0.94", "3.11"),
     "opencv-5": ("opencv", "opencv-contrib-python-headless==5.0.0.93", "3.11"),
     "gtsam": ("gtsam", "gtsam==4.3.0", "3.11"),
-    "aria": ("aria", "projectaria-tools==2.3.0", "3.11"),
+    "aria": ("aria", "projectaria-tools==2.3.0 numpy==2.4.6 --no-deps", "3.11"),
     "ds-msp": ("ds_msp", "ds-msp==0.22.2", "3.11"),
     "mrcal": (
         "mrcal",

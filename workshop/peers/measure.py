@@ -78,6 +78,10 @@ def of_pycolmap(folder, truth):
 
     name = f"pycolmap {pycolmap.__version__}"
     center = [CX + 0.5, CY + 0.5]
+
+    def whole(uv):
+        return None if uv is None else uv - 0.5
+
     models = {
         "OPENCV_FISHEYE": ([F, F, *center, 0, 0, 0, 0], EQUIDISTANT),
         "FISHEYE": ([F, F, *center], EQUIDISTANT),
@@ -101,7 +105,7 @@ def of_pycolmap(folder, truth):
             model,
             camera.params_info.replace(",", " ").replace("  ", " "),
             "halves",
-            lambda r, camera=camera: camera.img_from_cam(r) - 0.5,
+            lambda r, camera=camera: whole(camera.img_from_cam(r)),
             lambda uv, camera=camera: camera.cam_ray_from_img(uv + 0.5),
             wide,
         )
@@ -190,7 +194,7 @@ def of_opencv(folder, truth):
         "depth_mm.png", name, "metres", np.abs(depth - truth["depth"])[truth["near"]].max(), 0.00051
     )
     inverse = cv2.imread(str(folder / "data/inverse_depth.tiff"), cv2.IMREAD_UNCHANGED)
-    file("inverse_depth.tiff", name, "1/m", np.nanmax(np.abs(inverse - truth["inverse"])), 0)
+    file("inverse_depth.tiff", name, "1/m", np.nanmax(np.abs(inverse - truth["inverse"])), 1e-7)
     for path in ("a.mp4", "a.webm"):
         shown = cv2.VideoCapture(str(folder / path)).read()[1][24, 20::40, ::-1].astype(int)
         file(
@@ -354,8 +358,9 @@ def of_meshlab(folder, truth):
         return
     name = "pymeshlab 2025.7.post1"
 
+    meshes = pymeshlab.MeshSet()  # its meshes go with it
+
     def load(path):
-        meshes = pymeshlab.MeshSet()
         meshes.load_new_mesh(str(folder / path))
         return meshes.current_mesh()
 
