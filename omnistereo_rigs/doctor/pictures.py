@@ -32,7 +32,8 @@ class PictureMixup:
         done = [flip for flip in self.flips if flip != Flip()]
         same = len(done) == len(self.flips) and len(set(done)) == 1
         swapped = sum(k != place for k, place in enumerate(self.order))
-        return (swapped > 0) + (1 if same else len(done))
+        # That all were, is rarer than one mistake in the file of the poses, which may look alike.
+        return (swapped > 0) + (2 if same else len(done))
 
     @property
     def cause(self) -> str:
