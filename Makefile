@@ -103,8 +103,8 @@ solutions: $(READY)  ## the notebooks with every exercise solved, run, into out/
 book: $(DEV_READY)  ## the course as a website, which works offline: out/book/index.html
 	$(BIN)/python -m workshop book
 
-slides: $(DEV_READY)  ## slides of every notebook, which work offline: out/slides
-	$(BIN)/python -m workshop slides
+slides: $(DEV_READY)  ## slides of every notebook, which work offline: out/slides; NOTEBOOK=03: of one, and as PDF
+	$(BIN)/python -m workshop slides $(if $(NOTEBOOK),--notebook $(NOTEBOOK) --pdf)
 
 constraints: $(DEV_READY)  ## pins what came along with environment.txt
 	@{ echo "# What the packages of environment.txt and environment-dev.txt bring along, pinned. Written by: make constraints"; \

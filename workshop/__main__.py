@@ -29,7 +29,10 @@ def main(arguments: list[str] | None = None) -> int:
         ("book", "publish.website.build", "build the website"),
         ("slides", "publish.slides.make_slides", "build the slides"),
     ):
-        add(name, calls, text).add_argument("out", nargs="?", type=Path, default=OUT / name)
+        command = add(name, calls, text)
+        command.add_argument("out", nargs="?", type=Path, default=OUT / name)
+    command.add_argument("--notebook", help="of one notebook alone, such as 03")
+    command.add_argument("--pdf", action="store_true", help="as PDF, too; needs Chromium")
     add(
         "pages",
         "publish.pages.main",

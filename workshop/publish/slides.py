@@ -26,6 +26,7 @@ from course import nbtools
 from course.classroom import solve
 from course.exercises.opened import YOURS_TO_WRITE
 from course.figures import stills
+from omnistereo_lib.errors import OmnistereoError
 
 REVEAL = Path(find_spec("sphinx_revealjs").submodule_search_locations[0], "_static/revealjs")
 MATHJAX = Path(
@@ -41,10 +42,19 @@ DOCSTRING = re.compile(r'^ +""".*?"""\n', re.DOTALL | re.MULTILINE)
 LINK = re.compile(r'<a href="(\d\db?_\w+)\.ipynb[^"]*">(.*?)</a>')  # to another notebook
 
 
-def make_slides(out: Path) -> None:
+def make_slides(out: Path, notebook: str | None = None, pdf: bool = False) -> None:
     """Write a page of slides for each notebook, the page that leads to them, and the scripts that
     show them.
+
+    Args:
+        out: The folder.
+        notebook: The number of the only one that is wanted, such as "03".
+        pdf: Print each to a PDF as well, by the Chromium that Playwright drives.
     """
+    paths = [path for path in nbtools.notebooks() if notebook in (None, nbtools.number(path))]
+    if not paths:
+        numbers = ", ".join(map(nbtools.number, nbtools.notebooks()))
+        raise OmnistereoError(f"there is no notebook {notebook!r}; expected one of {numbers}")
     (out / "reveal.js").mkdir(parents=True, exist_ok=True)
     shutil.copytree(
         REVEAL / "dist",
@@ -64,7 +74,7 @@ def make_slides(out: Path) -> None:
         config={"TagRemovePreprocessor": {"enabled": True, "remove_input_tags": ["hide-input"]}},
     )
     entries, stems = [], [path.stem for path in nbtools.notebooks()]
-    for path in nbtools.notebooks():
+    for path in paths:
         nb = nbformat.read(path, as_version=4)
         cells = list(shown(nb, path.stem, out))
         page, _ = exporter.from_notebook_node(
@@ -88,6 +98,33 @@ def make_slides(out: Path) -> None:
         index.replace("{entries}", "\n".join(entries)), encoding="utf-8"
     )
     print(f"Written: {out / 'index.html'}. Open it in a browser; it needs no network.")
+    if pdf:
+        print_slides([out / f"{path.stem}.slides.html" for path in paths])
+
+
+def print_slides(pages: list[Path]) -> None:
+    """Print pages of slides to PDF files beside them, a slide a page."""
+    from playwright.sync_api import Error, sync_playwright
+
+    with sync_playwright() as playwright:
+        try:
+            browser = playwright.chromium.launch(executable_path=shutil.which("chromium"))
+        except Error as error:
+            raise OmnistereoError(
+                f"no browser for the PDF ({error.message.splitlines()[0]}). "
+                "Install one: .venv/bin/playwright install chromium"
+            ) from None
+        for page in pages:
+            tab = browser.new_page()
+            tab.goto(f"{page.resolve().as_uri()}?print-pdf")
+            tab.wait_for_selector(".pdf-page", state="attached", timeout=120_000)
+            # The layout goes on after the first page.
+            tab.wait_for_function("Reveal.isReady()")
+            pdf = page.with_name(page.name.replace(".slides.html", ".pdf"))
+            tab.pdf(path=pdf, width="1280px", height="721px", print_background=True)
+            tab.close()
+            print(f"Written: {pdf}")
+        browser.close()
 
 
 def shown(nb: NotebookNode, stem: str, out: Path) -> Iterator[NotebookNode]:
