@@ -49,5 +49,5 @@ document.addEventListener("DOMContentLoaded", async () => {
   slides.classList.add("dealing")
   for (const least of [260, 200, 140]) if (deal(least) <= 25) break
   slides.classList.remove("dealing")
-  Reveal.initialize({ width, height, center: false, margin: 0.03, display: "flex", hash: true, slideNumber: "c/t", transition: "none", pdfSeparateFragments: false })
+  Reveal.initialize({ width, height, center: false, margin: 0.03, display: "flex", hash: true, slideNumber: "c/t", transition: "none" })
 })

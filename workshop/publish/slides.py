@@ -10,6 +10,7 @@ need no network.
 """
 
 import html
+import io
 import itertools
 import re
 import shutil
@@ -21,6 +22,7 @@ import nbformat
 from nbconvert import SlidesExporter
 from nbformat import NotebookNode
 from nbformat.v4 import new_markdown_cell, new_notebook, new_output
+from PIL import Image
 
 from course import nbtools
 from course.classroom import solve
@@ -103,7 +105,10 @@ def make_slides(out: Path, notebook: str | None = None, pdf: bool = False) -> No
 
 
 def print_slides(pages: list[Path]) -> None:
-    """Print pages of slides to PDF files beside them, a slide a page."""
+    """Write pages of slides to PDF files beside them, a picture of each slide with all its steps.
+
+    Printed by reveal.js itself, pictures would not shrink to the room that the text leaves.
+    """
     from playwright.sync_api import Error, sync_playwright
 
     with sync_playwright() as playwright:
@@ -114,16 +119,17 @@ def print_slides(pages: list[Path]) -> None:
                 f"no browser for the PDF ({error.message.splitlines()[0]}). "
                 "Install one: .venv/bin/playwright install chromium"
             ) from None
+        tab = browser.new_page(viewport={"width": 1280, "height": 720}, device_scale_factor=1.5)
         for page in pages:
-            tab = browser.new_page()
-            tab.goto(f"{page.resolve().as_uri()}?print-pdf")
-            tab.wait_for_selector(".pdf-page", state="attached", timeout=120_000)
-            # The layout goes on after the first page.
-            tab.wait_for_function("Reveal.isReady()")
+            tab.goto(page.resolve().as_uri())
+            tab.wait_for_function("window.Reveal && Reveal.isReady()", timeout=120_000)
+            shots = []
+            for place in tab.evaluate("Reveal.getSlides().map(s => Reveal.getIndices(s))"):
+                tab.evaluate("([h, v]) => Reveal.slide(h, v, 99)", [place["h"], place.get("v", 0)])
+                shots.append(Image.open(io.BytesIO(tab.screenshot())).convert("RGB"))
             pdf = page.with_name(page.name.replace(".slides.html", ".pdf"))
-            tab.pdf(path=pdf, width="1280px", height="721px", print_background=True)
-            tab.close()
-            print(f"Written: {pdf}")
+            shots[0].save(pdf, save_all=True, append_images=shots[1:], resolution=144)
+            print(f"Written: {pdf}, {len(shots)} slides")
         browser.close()
 
 
