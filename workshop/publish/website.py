@@ -22,8 +22,8 @@ from workshop.publish.pages import BOOK, README, stages
 from workshop.publish.readme import STREET
 
 BESIDE = (
-    "what_you_write ten_minutes own_cameras conventions notation glossary teaching mistakes"
-    " reproduction training data library promises elsewhere"
+    "what_you_write ten_minutes own_cameras conventions notation glossary prerequisites teaching"
+    " exam mistakes reproduction training data library promises elsewhere"
 )
 PICTURE = re.compile(r"!\[([^\]]+)\]\(([^)]+)\)")
 
