@@ -42,11 +42,6 @@ class Own:
     seconds: float  #: that passed
 
 
-def is_own(method: str | None) -> bool:
-    """Whether a method is a Python file, not a name."""
-    return method is not None and method.endswith(".py")
-
-
 def check_own(file: Path) -> None:
     """Raise an `OmnistereoError` if a file cannot be a method: it is missing, no Python, or without
     `depth`.
@@ -97,7 +92,7 @@ def _tell(folder: Path, sweep: SphereSweep, images: Sequence[NDArray[Any]]) -> N
     from omnistereo_lib.geometry.rig import camera_pairs
 
     grid, rig, cameras = sweep.grid, sweep.rig, []
-    arrays: dict[str, NDArray[Any]] = {}
+    arrays: dict[str, Any] = {}
     for k, (camera, pose, image) in enumerate(zip(rig.cameras, rig.T_rig_cam, images, strict=True)):
         arrays |= {f"image{k}": np.asarray(image), f"valid{k}": camera.visible_pixels()}
         facts = {

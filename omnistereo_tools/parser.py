@@ -138,6 +138,11 @@ def as_typed(command: str, kind: type[Options], options: Options, **changes: Any
     return shlex.join(words)
 
 
+def is_own(method: str | None) -> bool:
+    """Whether a method is a Python file, not a name."""
+    return method is not None and method.endswith(".py")
+
+
 def is_tiny() -> bool:
     """Return whether the results are to be small and quick, and mean nothing."""
     return os.environ.get("OMNISTEREO_TINY") == "1"

@@ -125,8 +125,8 @@ def _a_volume(rng: Rng, k: int) -> tuple:
     costs[0, :2], costs[1, 0] = np.nan, 0.5  # no pair sees two rays; all spheres cost the same on a third
     costs[2, :2] = rng.uniform(0.3, 1, costs[2, :2].shape)
     costs[2, 0, -1], costs[2, 1, 0] = 0.1, 0.2  # the last sphere wins, and the first
-    costs *= (1, 20, 1)[k % 3]  # path costs are no shares
-    return (costs,)
+    scale = 20 if k % 3 == 1 else 1  # path costs are no shares
+    return (np.multiply(costs, scale, dtype=costs.dtype),)
 
 
 check_winner = Open(winner, _a_volume, real=beside.costs).with_slips("""

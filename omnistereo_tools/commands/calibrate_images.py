@@ -28,8 +28,7 @@ from omnistereo_rigs.images.from_images import (
     rig_from_pairs,
 )
 from omnistereo_tools.commands.depth_command import DepthOptions
-from omnistereo_tools.commands.doctor_command import DoctorOptions
-from omnistereo_tools.commands.options import ImagesOptions
+from omnistereo_tools.commands.options import DoctorOptions, ImagesOptions
 from omnistereo_tools.commands.record_command import RecordOptions
 from omnistereo_tools.input.masks import with_masks
 from omnistereo_tools.input.sources import Pictures, Recording, of_recordings

@@ -33,8 +33,7 @@ from omnistereo_tools.commands.options import (
 )
 from omnistereo_tools.commands.record_command import RecordOptions
 from omnistereo_tools.outputs import check_outputs, hold
-from omnistereo_tools.own_method import is_own
-from omnistereo_tools.parser import as_typed, option
+from omnistereo_tools.parser import as_typed, is_own, option
 
 if TYPE_CHECKING:
     from omnistereo_lib.frame import Frame
@@ -112,7 +111,7 @@ def run(options: DepthOptions) -> int:
 
 def rig_doctor(options: FrameOptions) -> str:
     """Return the command that says what is wrong with the rig and the images."""
-    from omnistereo_tools.commands.doctor_command import DoctorOptions
+    from omnistereo_tools.commands.options import DoctorOptions
 
     return as_typed("doctor", DoctorOptions, options, rig=options.rig or SAMPLE)
 

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools.commands.depth_command import DepthOptions
 from omnistereo_tools.commands.options import (
-    FrameOptions,
-    GridOptions,
+    DoctorOptions,
     find_min_depth,
     make_grid,
     read_frame,
@@ -25,37 +24,12 @@ from omnistereo_tools.commands.options import (
     warn_of,
 )
 from omnistereo_tools.outputs import check_outputs
-from omnistereo_tools.parser import as_typed, flag, option
+from omnistereo_tools.parser import as_typed
 
 if TYPE_CHECKING:
     from omnistereo_lib.frame import Frame
     from omnistereo_lib.geometry.sphere import SphereGrid
     from omnistereo_rigs.doctor.rig_check import RigCheck
-
-
-@dataclass(frozen=True, kw_only=True)
-class DoctorOptions(GridOptions, FrameOptions):
-    """Options of `omnistereo doctor`; the panorama is the one on which images are matched."""
-
-    rig: Path | None = option(
-        "rig file, folder of one, or data set", unset="check the installation instead"
-    )
-    width: int = 320
-    height: int | None = 80
-    spheres: int = 64
-    write: Path | None = option(
-        "write there the rig as the images show it", suffixes=(".yaml", ".yml")
-    )
-    coverage: Path | None = option(
-        "draw there how many cameras see what", suffixes=(".png", ".jpg", ".jpeg")
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.rig is None and (given := set(self.given()) - {"width", "height", "spheres"}):
-            raise OmnistereoError(
-                f"{flag(min(given))} needs --rig: the file or folder that describes the cameras"
-            )
 
 
 def run(options: DoctorOptions) -> int:

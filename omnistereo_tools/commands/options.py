@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 import omnistereo_lib
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_tools.own_method import check_own, is_own
-from omnistereo_tools.parser import Options, option
+from omnistereo_tools.parser import Options, flag, is_own, option
 
 if TYPE_CHECKING:
     import numpy as np
@@ -99,6 +98,31 @@ class GridOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
+class DoctorOptions(GridOptions, FrameOptions):
+    """Options of `omnistereo doctor`; the panorama is the one on which images are matched."""
+
+    rig: Path | None = option(
+        "rig file, folder of one, or data set", unset="check the installation instead"
+    )
+    width: int = 320
+    height: int | None = 80
+    spheres: int = 64
+    write: Path | None = option(
+        "write there the rig as the images show it", suffixes=(".yaml", ".yml")
+    )
+    coverage: Path | None = option(
+        "draw there how many cameras see what", suffixes=(".png", ".jpg", ".jpeg")
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.rig is None and (given := set(self.given()) - {"width", "height", "spheres"}):
+            raise OmnistereoError(
+                f"{flag(min(given))} needs --rig: the file or folder that describes the cameras"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
 class ImagesOptions(Options):
     """Options of a calibration from images alone."""
 
@@ -173,6 +197,8 @@ class MethodOptions(DeviceOptions):
         if self.method is None:
             return
         if is_own(self.method) and self.own_methods:
+            from omnistereo_tools.own_method import check_own
+
             check_own(Path(self.method))
         elif is_own(self.method):
             raise OmnistereoError(

@@ -170,7 +170,7 @@ def run(options: RecordOptions) -> int:
 def _next(options: RecordOptions, out: Path, fitting: bool) -> str:
     """Return the command to go on with: `world`, or `doctor` where something is wrong."""
     if not fitting:
-        from omnistereo_tools.commands.doctor_command import DoctorOptions
+        from omnistereo_tools.commands.options import DoctorOptions
 
         return as_typed("doctor", DoctorOptions, options, rig=out, images=None)
     return str(options.video or shlex.join(["omnistereo", "world", str(out)]))

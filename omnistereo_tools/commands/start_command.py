@@ -15,8 +15,7 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools.commands import calibrate_command, depth_command, doctor_command
 from omnistereo_tools.commands.calibrate_command import CalibrateOptions
 from omnistereo_tools.commands.depth_command import DepthOptions
-from omnistereo_tools.commands.doctor_command import DoctorOptions
-from omnistereo_tools.commands.options import LensOptions
+from omnistereo_tools.commands.options import DoctorOptions, LensOptions
 from omnistereo_tools.parser import option
 
 _PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp")

@@ -130,7 +130,7 @@ def rays_of(name: str, frames: Mapping[str, tuple[int, ...]], out: Path) -> Rays
     return Rays(joined, *others)
 
 
-def measure(frame: Frame, method: Method) -> dict[str, NDArray[Any]]:
+def measure(frame: Frame, method: Method) -> dict[str, Any]:
     """Return properties and errors of the rays of a frame that have an estimate and a truth."""
     grid = SphereGrid(WIDTH, HEIGHT, num_spheres=SPHERES, min_depth=frame.rig.min_depth or 1.0)
     sweep = SphereSweep(frame.rig, grid)
