@@ -147,7 +147,6 @@ def _run(text: str, path: Path) -> dict[str, Any]:
 
 
 # --- The source of a function, with what it needs
-# -----------------------------------------------------------
 
 
 def _namespace(function: Callable[..., Any]) -> dict[str, Any]:
@@ -231,13 +230,16 @@ def global_names(source: str) -> list[str]:
 
 
 # --- All in one file
-# ----------------------------------------------------------------------------------------
+
+
+def _one_file() -> Any:
+    """Return the module whose functions call those of the notebooks, which this module serves."""
+    return import_module("course.exercises.one_file")
 
 
 def needed() -> dict[str, Callable[..., Any]]:
     """Return the solutions of all functions that `one_file` calls, by name, in their order."""
-    from course.exercises import one_file
-
+    one_file = _one_file()
     found, left = dict[str, FunctionType](), [one_file.depth]
     for function in left:  # grows
         names = global_names(inspect.getsource(function))
@@ -249,8 +251,7 @@ def needed() -> dict[str, Callable[..., Any]]:
 
 def write_whole() -> str:
     """Write `omnistereo.py` if all that it needs is kept; return in words what came of it."""
-    from course.exercises import one_file
-
+    one_file = _one_file()
     if (mine := folder()) is None:
         return ""
     solutions = needed()
