@@ -115,3 +115,42 @@ def sparsification(
     auc = np.trapezoid(by_confidence, fractions) / unsorted
     oracle_auc = np.trapezoid(curve(-error), fractions) / unsorted
     return by_confidence, float(auc), float(oracle_auc)
+
+
+def reliability(
+    error: ArrayLike, width: ArrayLike, share: float = 0.683, bins: int = 10
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Return the reliability diagram of error bars: what they say against what is found.
+
+    Rays are sorted by their bar and cut into bins of equal count. Bars that are right lie on the
+    diagonal, in every bin.
+
+    Args:
+        error, width: Of each ray, in one unit, such as `depth.inverse_depth - truth` and
+            `depth.sigma`; rays with a NaN do not count.
+        share: Of the errors that the bar claims to hold: 0.683 for σ, 0.954 for the bound.
+
+    Returns:
+        stated: (bins,), the mean bar of each bin.
+        found: (bins,), the width that does hold that share of the errors of the bin.
+        within: Share of all errors that are within their bar.
+
+    >>> from omnistereo_lib.stereo.metrics import reliability
+    >>> error = np.random.default_rng(0).normal(0, 2, 10_000)
+    >>> stated, found, within = reliability(error, np.full(10_000, 2.0), bins=2)
+    >>> stated.tolist(), found.round(1).tolist(), round(within, 2)
+    ([2.0, 2.0], [2.0, 2.0], 0.68)
+    """
+    off, bar = np.abs(np.ravel(error)), np.ravel(width)
+    if off.shape != bar.shape:
+        raise OmnistereoError(
+            f"there are {off.size} errors and {bar.size} error bars; expected as many"
+        )
+    known = np.isfinite(off) & np.isfinite(bar)
+    if not known.any():
+        raise OmnistereoError("no ray has an error and an error bar; expected at least one")
+    off, bar = off[known], bar[known]
+    parts = np.array_split(np.argsort(bar, kind="stable"), bins)
+    stated = np.array([bar[part].mean() for part in parts])
+    found = np.array([np.quantile(off[part], share) for part in parts])
+    return stated, found, float(np.mean(off <= bar))

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -88,6 +88,7 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
     import numpy as np
 
     from omnistereo_lib.files import write_text
+    from omnistereo_lib.geometry.rig import Deviation
     from omnistereo_lib.ocam_text import write_ocam_txt
     from omnistereo_rigs.boards.captures import save_corners
     from omnistereo_rigs.boards.joint import calibrate_rig
@@ -125,7 +126,9 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
         given = None if options.rig is None else load_cameras(options.rig, options.max_fov)
         rig, joint = calibrate_rig(views, board, sizes, *chosen, given)
         reports, text = list(joint.joint), joint.text(names)
-        turn, shift = np.max(joint.pose_uncertainty(), axis=0)
+        poses = joint.pose_uncertainty()
+        rig = replace(rig, deviations=[Deviation(np.radians(turn), shift) for turn, shift in poses])
+        turn, shift = np.max(poses, axis=0)
         known = f"poses are known to {turn:.1g}° and {1000 * shift:.1g} mm"
         warned = (*joint.warnings, *(w for one in reports for w in one.warnings))
         written = write_rig(rig, out)

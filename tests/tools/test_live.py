@@ -114,7 +114,7 @@ def test_the_depth_below_the_pointer_is_told(picture):
     row, column = 17, 40
     for part in (0, 1):  # the panorama and the depth below it
         told = shown.depth_at((column + 0.5) / 96, (part + (row + 0.5) / 24) * shown.rows)
-        assert told == f"{depth.depth[row, column]:.2g} m along the ray"
+        assert told == f"{depth.depth[row, column]:.2f} m along the ray"
     assert shown.depth_at(0.0, 0.0) == "no depth here" and shown.depth_at(0.5, 0.99) == ""
 
 
@@ -158,7 +158,7 @@ def test_the_browser_gets_a_stream_and_depths(picture):
         ).read()
         latest.close()
         (part,) = stream.read().split(b"--x\r\n")[1:]
-    assert told.decode() == f"{depth.depth[17, 40]:.2g} m along the ray"
+    assert told.decode() == f"{depth.depth[17, 40]:.2f} m along the ray"
     assert part.split(b"\r\n\r\n", 1)[1] == shown.jpeg + b"\r\n"
 
 

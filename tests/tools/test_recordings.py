@@ -95,7 +95,7 @@ def test_every_frame_has_the_confidence_and_trust_of_a_single_frame(recorded, do
     kinds = {
         "depth_estimate": alone.inverse_depth,
         "confidence": alone.confidence,
-        "trust": trust(alone, "zncc"),
+        "trust": trust(alone),
     }
     assert (
         run(
