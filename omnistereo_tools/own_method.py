@@ -20,13 +20,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import read_text
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from omnistereo_lib.stereo.depth import Depth
     from omnistereo_lib.stereo.sweep import SphereSweep
 
@@ -46,6 +45,8 @@ def check_own(file: Path) -> None:
     """Raise an `OmnistereoError` if a file cannot be a method: it is missing, no Python, or without
     `depth`.
     """
+    from omnistereo_lib.files import read_text
+
     text = read_text(file)
     try:
         names = compile(text, str(file), "exec").co_names
@@ -89,6 +90,8 @@ def run_own(
 
 def _tell(folder: Path, sweep: SphereSweep, images: Sequence[NDArray[Any]]) -> None:
     """Write what `run_own.inputs` reads."""
+    import numpy as np
+
     from omnistereo_lib.geometry.rig import camera_pairs
 
     grid, rig, cameras = sweep.grid, sweep.rig, []
@@ -113,13 +116,16 @@ def _tell(folder: Path, sweep: SphereSweep, images: Sequence[NDArray[Any]]) -> N
     (folder / "told.json").write_text(
         json.dumps({"cameras": cameras, "grid": told}), encoding="utf-8"
     )
-    np.savez(folder / "images.npz", **arrays)
+    # Its hints take the names of the arrays for options.
+    np.savez(folder / "images.npz", **arrays)  # type: ignore[arg-type]
 
 
 def _read(
     file: Path, folder: Path, status: int, sweep: SphereSweep, images: Sequence[NDArray[Any]]
 ) -> Own:
     """Return what it has answered, or raise what is wrong with it."""
+    import numpy as np
+
     from omnistereo_lib.stereo.depth import Depth
 
     try:
@@ -154,6 +160,8 @@ def _array(
     file: Path, folder: Path, name: str, shape: tuple[int, int], most: float
 ) -> NDArray[np.float64]:
     """Return one of the arrays, within its range but for rounding."""
+    import numpy as np
+
     array = np.load(folder / f"{name}.npy", allow_pickle=False)
     what = f"depth of {file} returns {name} of"
     if array.shape != shape:
