@@ -8,9 +8,11 @@ what one process computes.
 
 import csv
 import hashlib
+import json
 import math
 import platform
 import time
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
@@ -27,7 +29,23 @@ from omnistereo_learn.samples.patches import PatchSamples
 from omnistereo_learn.samples.spheres import SphereSamples
 from omnistereo_learn.samples.volumes import VolumeSamples
 from omnistereo_lib.errors import OmnistereoError, check_number, shortened
-from omnistereo_lib.files import atomic_write, make_folder, read_bytes, read_text
+from omnistereo_lib.files import (
+    as_path,
+    atomic_write,
+    checksum,
+    make_folder,
+    read_bytes,
+    read_text,
+)
+from omnistereo_lib.provenance import (
+    PROVENANCE,
+    differences,
+    kept_precision,
+    notes,
+    provenance,
+    read_facts,
+    write_facts,
+)
 from omnistereo_lib.stereo.device import number_from_environment, select_device
 from omnistereo_lib.stereo.learned import Precision, autocast, choose_precision
 from omnistereo_lib.stereo.weights import load_tensors, save_tensors
@@ -60,8 +78,8 @@ def train(
     """Train a network to the end, or resume an interrupted run in the same folder; return the file
     of weights.
 
-    The folder gets `log.csv`, `state.safetensors` (to resume) and, at every validation and at the
-    end, `weights.safetensors` (for `SweepNet.from_file`, `MCCNN.from_file`).
+    The folder gets `log.csv`, `provenance.json`, `state.safetensors` (to resume) and, at every
+    validation and at the end, `weights.safetensors` (for `SweepNet.from_file`, `MCCNN.from_file`).
 
     Args:
         out: Folder; made where it is missing.
@@ -84,15 +102,21 @@ def train(
             not finite, or the loss or its gradient is not in more than one step in a hundred. Such
             a step is skipped; its loss in the log is empty.
     """
+    out = as_path(out, "out")
+    stored = read_facts(out / PROVENANCE) if (out / STATE).exists() else {}
     run = _Run(
         recipe,
         folders_of(recipe) if data is None else data,
         select_device(device),
-        precision,
+        kept_precision(precision, stored),
         init_weights,
     )
-    out = make_folder(out)
-    first = run.resume(out / STATE)
+    make_folder(out)
+    first, row = run.resume(out / STATE)
+    for words in notes(stored, run.facts) if stored else []:
+        warnings.warn(f"{words}: the last digits of the steps that follow differ", stacklevel=2)
+    if run.rank == 0 and first == recipe.steps and not run.has_written(out / WEIGHTS):
+        run.write_weights(out / WEIGHTS, row)
     rows = read_log(out / LOG, first)
     began = last_saved = time.perf_counter()
     for step in range(first, recipe.steps):
@@ -115,8 +139,11 @@ def train(
                 ["" if math.isnan(row[name]) else f"{row[name]:.6g}" for name in COLUMNS]
                 for row in rows
             )
+            if not stored:
+                write_facts(out / PROVENANCE, run.facts)
+            stored = run.facts
             write_csv(out / LOG, COLUMNS, cells)
-            run.save_state(out / STATE, done)
+            run.save_state(out / STATE, done, row)
             last_saved = time.perf_counter()
         on_step(row)
     if run.world > 1:
@@ -135,13 +162,14 @@ class _Run:
         precision: Precision,
         init: Any = None,
     ) -> None:
-        self.recipe, self.device, self.precision = recipe, device, precision
+        self.recipe, self.device = recipe, device
+        self.precision = choose_precision(precision, device)
         self.rank, self.world = _init_distributed(recipe, device)
         with torch.random.fork_rng():
             torch.manual_seed(recipe.seed)
             self.samples = _SAMPLES[recipe.network](recipe, data, device)
         # Channels last is faster, except for the gradient of the weights in float32 on a CPU.
-        slow = device.type == "cpu" and choose_precision(precision, device) == "float32"
+        slow = device.type == "cpu" and self.precision == "float32"
         layout = torch.contiguous_format if slow else torch.channels_last
         self.network = nn.utils.convert_conv2d_weight_memory_format(
             self.samples.network.to(device), layout
@@ -257,12 +285,30 @@ class _Run:
             processes=self.world,
             processor=processor,
             threads=torch.get_num_threads(),
-            precision=choose_precision(self.precision, self.device),
+            precision=self.precision,
             torch=torch.__version__,
         )
 
-    def save_state(self, path: Path, step: int) -> None:
-        """Write all that the next step depends on into one file."""
+    def has_written(self, path: Path) -> bool:
+        """Return whether a file holds the weights of this network, whole."""
+        try:
+            tensors, about = load_tensors(path)
+        except OmnistereoError:
+            return False
+        own = self.network.fuse_batch_norm().state_dict()
+        same = tensors.keys() == own.keys() and all(tensors[k].equal(own[k].cpu()) for k in own)
+        return same and about.get("recipe") == self.recipe.as_dict()
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What the run is made from, as `provenance.json` holds it."""
+        inputs = checksum(json.dumps([self.samples.metadata, self.init_sha256]).encode())[:16]
+        threads = torch.get_num_threads()
+        made = provenance(None, inputs, self.recipe.network, self.precision, threads)
+        return {"recipe": self.recipe.as_dict(), "provenance": made}
+
+    def save_state(self, path: Path, step: int, row: Mapping[str, float]) -> None:
+        """Write all that the next step depends on into one file, and the last row of the log."""
         tensors = {f"network.{name}": tensor for name, tensor in self.network.state_dict().items()}
         for number, memory in self.optimizer.state_dict()["state"].items():
             known = {name: value for name, value in memory.items() if value is not None}
@@ -270,29 +316,26 @@ class _Run:
                 f"optimizer.{number}.{name}": torch.as_tensor(value)
                 for name, value in known.items()
             }
-        save_tensors(path, tensors, {"step": step, "recipe": self._identity})
+        last = {name: value for name, value in row.items() if name != "seconds"}
+        save_tensors(path, tensors, {"step": step, "recipe": self._identity, "row": last})
 
-    def resume(self, path: Path) -> int:
+    def resume(self, path: Path) -> tuple[int, dict[str, float]]:
         """Read the state that an earlier call with this recipe left, if any; return the step that
-        comes next.
+        comes next, and the row of the log of the one before.
         """
         if not path.exists():
-            return 0
+            return 0, {}
         tensors, metadata = load_tensors(path)
         found = metadata.get("recipe", {})
         found = found if isinstance(found, dict) else {"network": shortened(found)}
-        differing = {
-            name: value for name, value in self._identity.items() if found.get(name) != value
-        }
-        if differing:
-            there = ", ".join(f"{name} = {found.get(name)}" for name in differing)
-            here = ", ".join(f"{name} = {value}" for name, value in differing.items())
-            found = f"{path} belongs to a different run with {there}; expected {here}"
+        if other := differences(found, self._identity):
+            found = f"{path} belongs to a different run: {'; '.join(other)}"
             raise OmnistereoError(f"{found}. Use another folder, or delete this one to start over.")
         try:
             self._restore(tensors)
-            return int(check_number(metadata.get("step"), "step", 0, self.recipe.steps, whole=True))
-        except (ValueError, KeyError, IndexError, RuntimeError) as error:
+            step = check_number(metadata.get("step"), "step", 0, self.recipe.steps, whole=True)
+            return int(step), dict.fromkeys(COLUMNS, math.nan) | metadata["row"]
+        except (ValueError, TypeError, KeyError, IndexError, RuntimeError) as error:
             found = f"{path} is not the state of this training: {str(error)[:500]}"
             raise OmnistereoError(f"{found}. Delete it to start over.") from None
 
@@ -319,7 +362,9 @@ class _Run:
     @property
     def _identity(self) -> dict[str, Any]:
         """The settings in which two calls must agree to be one run."""
-        return self.recipe.as_dict() | {"init_weights": self.init_sha256}
+        data = self.samples.metadata["sha256"]
+        made = {"init_weights": self.init_sha256, "data": data, "precision": self.precision}
+        return self.recipe.as_dict() | made
 
 
 def _init_distributed(recipe: Recipe, device: torch.device) -> tuple[int, int]:

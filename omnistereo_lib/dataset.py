@@ -6,6 +6,7 @@ folder/
   omnidepth_gt_640/00001.tiff           ground truth: inverse depth from the rig centre, 1/m
   omnidepth_gt_1200/00001.tiff          the same frames at another panorama width
   omnidepth_world_640/00001.tiff        in their place: as `omnistereo world` has refined it
+  poses/00001.json                      of a frame with other poses than the rig: `write_poses`
   train/ test/                          or one such folder for each split
   0001/ 0002/ …                         or one such folder for each rig
 
@@ -17,11 +18,13 @@ The number in the name of a ground-truth folder is its panorama width in pixels:
 
 In our training worlds every frame has its own rig: `things/train/0001/` is a folder in this layout
 with one frame. They form one data set whose frames carry their rigs, `Frame.rig`; `Dataset.rig` is
-for sets in which all frames share one.
+for sets in which all frames share one. In a recording whose cameras have turned on the way,
+`Frame.rig` is as the frame's depth was computed with.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Iterable, Sequence
@@ -29,9 +32,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import overload
 
+import numpy as np
+
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import as_path, path_within, read_data, read_text, unpack
+from omnistereo_lib.files import (
+    as_path,
+    make_folder,
+    path_within,
+    read_data,
+    read_text,
+    unpack,
+    write_text,
+)
 from omnistereo_lib.frame import Frame
+from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig, Unit
 from omnistereo_lib.rig_file import load_rig
 
@@ -40,6 +54,8 @@ _RIG_FOLDER = r"([0-9]+)"
 _IMAGE = r"([0-9]+)\.(?i:png|jpe?g|bmp|tiff?)"
 _GT = r"([0-9]+)\.(?i:png|tiff?)"
 _GT_FOLDER = r"(?:omnidepth_gt|omnidepth_world|depth)_(?:.*_)?([0-9]+)"
+
+_POSES = "poses"
 
 # Last training frame and last test frame of the releases; the first frame is 1.
 _PUBLISHED_SPLITS = dict.fromkeys(("sunny", "cloudy", "sunset"), (700, 1000))
@@ -169,7 +185,48 @@ def _read_frames(
                 f"{camera} has no image of frame {missing[0]}, other cameras have. Complete it."
             )
     gt = _find_gt(_gt_root(folder), gt_width)
-    return [Frame(rig, [files[n] for files in images], n, gt.get(n)) for n in numbers]
+    return [
+        Frame(_rig_of(folder, n, rig), [files[n] for files in images], n, gt.get(n))
+        for n in numbers
+    ]
+
+
+def write_poses(folder: Path, number: int, T_rig_cam: Sequence[Pose] | None) -> None:
+    """Store the poses of a frame of a data set beside its rig, every number in full; None: it has
+    those of the rig.
+    """
+    path = _poses_path(folder, number)
+    if T_rig_cam is None:
+        path.unlink(missing_ok=True)
+        return
+    rows = [[*pose.R.ravel().tolist(), *pose.t.tolist()] for pose in T_rig_cam]
+    make_folder(path.parent)
+    write_text(path, json.dumps({"T_rig_cam": rows}) + "\n")
+
+
+def read_poses(folder: Path, number: int) -> list[Pose] | None:
+    """Return the poses of a frame that differ from those of the rig; None if there are none.
+
+    Raises an `OmnistereoError` if the file is damaged.
+    """
+    path = _poses_path(folder, number)
+    if not path.exists():
+        return None
+    try:
+        rows = np.array(read_data(path)["T_rig_cam"], np.float64).reshape(-1, 12)
+        return [Pose(row[:9].reshape(3, 3), row[9:]) for row in rows]
+    except (TypeError, LookupError, ValueError) as error:
+        raise OmnistereoError(f"{path} holds no poses ({error}). Record the frame again.") from None
+
+
+def _poses_path(folder: Path, number: int) -> Path:
+    return folder / _POSES / f"{number:05}.json"
+
+
+def _rig_of(folder: Path, number: int, rig: Rig) -> Rig:
+    """Return the rig as it was in a frame."""
+    poses = read_poses(folder, number)
+    return rig if poses is None else rig.with_poses(poses)
 
 
 def _gt_root(folder: Path) -> Path:

@@ -4,6 +4,7 @@ come from.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence, Sized
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,11 +15,23 @@ from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.consumer_images import check_not_stitched, split_image
 from omnistereo_lib.errors import OmnistereoError, check_type, shortened
-from omnistereo_lib.files import as_path, atomic_write
+from omnistereo_lib.files import as_path, atomic_write, checksum
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import Sampling, SphereGrid
 from omnistereo_lib.lazy import lazy_property
-from omnistereo_lib.pictures import MAX_PIXELS, open_picture, pages_of, read_image, read_pixels
+from omnistereo_lib.pictures import (
+    MAX_PIXELS,
+    decode_tiff,
+    open_picture,
+    pages_of,
+    read_image,
+    read_pixels,
+)
+
+_FEW, _SPANS = 1e-3, 1.0  # of a float image: pixels, and ranges of all others; see `Frame.of`
+# Of depth files: tags of TIFF, and what stands in them.
+_DESCRIPTION, _PROGRAM = 270, 305
+_SOFTWARE, _CHECKSUM = "omnistereo", "sha256 of the values"
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +59,9 @@ class Frame:
     def of(cls, rig: Rig, images: Sequence[ArrayLike]) -> Frame:
         """Return a frame of a rig and its images: one array per camera, (height, width) or (height,
         width, 3), RGB.
+
+        Of float images all but one pixel in a thousand at either end make a range. What is beyond
+        it by more than that range, such as a hot pixel of 1e12, is taken for as bright.
 
         Raises:
             OmnistereoError: If there is not one image per camera, or one has the wrong size, shape
@@ -104,12 +120,7 @@ def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray[Any]]:
     """
     if not isinstance(images, Sized):  # arrays and tensors are sequences, too
         raise OmnistereoError(f"images is {shortened(images)}; expected one array per camera")
-    # Arrays in this machine's byte order, whatever they come as: tensors, too, without importing
-    # torch for it.
-    arrays = [
-        np.asarray(image.detach().cpu() if hasattr(image, "detach") else image) for image in images
-    ]
-    arrays = [image.astype(image.dtype.newbyteorder("="), copy=False) for image in arrays]
+    arrays = [_as_array(image, f"image {i}") for i, image in enumerate(images, 1)]
     for i, (image, (width, height)) in enumerate(
         zip(arrays, rig.image_sizes(len(arrays)), strict=True)
     ):
@@ -121,16 +132,49 @@ def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray[Any]]:
             )
         if image.dtype != np.uint8 and not np.issubdtype(image.dtype, np.floating):
             raise OmnistereoError(f"image {i + 1} has type {image.dtype}; expected uint8 or float")
-        if image.dtype != np.uint8 and not np.isfinite(image).all():
-            raise OmnistereoError(
-                f"image {i + 1} has NaN or infinite values; expected finite gray values"
-            )
+        if image.dtype != np.uint8:
+            arrays[i] = _within_range(image, f"image {i + 1}")
     # Gray and colour images together are all in colour.
     if len({image.ndim for image in arrays}) > 1:
         arrays = [
             np.repeat(image[..., None], 3, -1) if image.ndim == 2 else image for image in arrays
         ]
     return arrays
+
+
+def _as_array(image: Any, name: str) -> NDArray[Any]:
+    """Return an image as an array in this machine's byte order: of tensors without importing torch.
+
+    Raises an `OmnistereoError` if NumPy has no such arrays, as of bfloat16 or sparse tensors.
+    """
+    try:
+        array = np.asarray(image.detach().cpu() if hasattr(image, "detach") else image)
+        return array.astype(array.dtype.newbyteorder("="), copy=False)
+    except (TypeError, ValueError, RuntimeError) as error:
+        kind = f"{type(image).__name__} of {getattr(image, 'dtype', 'something')}"
+        raise OmnistereoError(
+            f"{name} is a {kind}, which NumPy cannot take ({shortened(error)}); expected an array "
+            "of uint8 or float"
+        ) from None
+
+
+def _within_range(image: NDArray[Any], name: str) -> NDArray[np.float32]:
+    """Return a float image in float32, no pixel of which is far from all others; see `Frame.of`."""
+    with np.errstate(over="ignore"):
+        single = np.asarray(image, np.float32)
+    if not np.isfinite(single).all():
+        raise OmnistereoError(
+            f"{name} has NaN or infinite values, or too large for float32; expected finite gray "
+            "values"
+        )
+    # The range without the most extreme pixels, whose three colours may all be.
+    values = single[::2, ::2].ravel()
+    few = min(max(3, int(_FEW * len(values))), (len(values) - 1) // 2)
+    low, high = np.partition(values, (few, -1 - few))[[few, -1 - few]]
+    span = _SPANS * (high - low)
+    if span == 0 or (single.min() >= low - span and single.max() <= high + span):
+        return single
+    return single.clip(low - span, high + span)
 
 
 def load_images(paths: Sequence[str | Path], rig: Rig | None = None) -> list[NDArray[np.uint8]]:
@@ -175,16 +219,36 @@ _NODATA = (42113, 2, 0, "nan", True)
 
 
 def write_inverse_depth(path: str | Path, inverse_depth: NDArray[Any]) -> None:
-    """Write a panorama of inverse depth in 1/m as a deflated float32 TIFF."""
+    """Write a panorama of inverse depth in 1/m as a deflated float32 TIFF, with the SHA-256 of its
+    values inside.
+
+    The checksum stands in the description (tag 270), which other programs show or ignore: decoders
+    do not notice a hole of zeros in a deflated file.
+    """
     import tifffile
 
+    values = np.asarray(inverse_depth, np.float32)
     with atomic_write(path) as temporary:
-        values = np.asarray(inverse_depth, np.float32)
-        tifffile.imwrite(temporary, values, compression="deflate", extratags=[_NODATA])
+        tifffile.imwrite(
+            temporary,
+            values,
+            compression="deflate",
+            description=json.dumps({_CHECKSUM: _sum_of(values)}),
+            software=_SOFTWARE,
+            metadata=None,
+            extratags=[_NODATA],
+        )
+
+
+def _sum_of(values: NDArray[Any]) -> str:
+    """Return the checksum of a panorama: of its size and values, whatever the byte order of the
+    machine.
+    """
+    return checksum(repr(values.shape).encode() + values.astype("<f4").tobytes())
 
 
 def _read_float_tiff(path: Path) -> NDArray[Any]:
-    _, picture = open_picture(path)
+    content, picture = open_picture(path)
     floats = []
     try:
         for page in range(pages_of(path, picture)):
@@ -196,14 +260,27 @@ def _read_float_tiff(path: Path) -> NDArray[Any]:
             )
         if len(floats) == 1:
             picture.seek(floats[0])
-            return np.array(picture)
+            decoded = decode_tiff(content, floats[0])
+            values = np.array(picture) if decoded is None else decoded
+            about, software = (str(picture.tag_v2.get(tag, "")) for tag in (_DESCRIPTION, _PROGRAM))
     except Exception as error:  # of many types
         raise OmnistereoError(
             f"{path} is not a complete TIFF file ({error}). Copy it again."
         ) from None
-    raise OmnistereoError(
-        f"{path} has {len(floats)} float pages; expected one, of inverse depth in 1/m"
-    )
+    if len(floats) != 1:
+        raise OmnistereoError(
+            f"{path} has {len(floats)} float pages; expected one, of inverse depth in 1/m"
+        )
+    # Ours: it says so, or has lost what it said.
+    told = about.split("\0")[0]
+    lost = len(told) < len(about) and f'{{"{_CHECKSUM}'.startswith(told)
+    if (_CHECKSUM in about or software == _SOFTWARE or lost) and about != json.dumps(
+        {_CHECKSUM: _sum_of(values)}
+    ):
+        raise OmnistereoError(
+            f"{path} has changed since it was written (checksum). Copy it, or compute it again."
+        )
+    return values
 
 
 def _read_png16(path: Path, min_depth: float | None) -> NDArray[np.float64]:

@@ -1,5 +1,6 @@
 """Pictures: read with what is wrong with them said, and written."""
 
+import logging
 import math
 import re
 import warnings
@@ -29,7 +30,9 @@ _NOT_READ |= {"F": "floating-point numbers", "I": "integers of 32 bits"}
 _JPEG_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]", re.DOTALL)  # but those within a scan
 # width, height, largest value
 _NETPBM = re.compile(rb"P([2356])" + 3 * rb"(?:\s|#[^\n]*\n)+([0-9]{1,6})" + rb"\s")
-_ORIENTATION, _BITS, _PLANAR = 274, 258, 284  # tags of TIFF, the first of EXIF, too
+# tags of TIFF, the first of EXIF, too
+_ORIENTATION, _BITS, _PLANAR, _PHOTOMETRIC = 274, 258, 284, 262
+_PLAIN = (1, 8, 32946)  # compressions of TIFF: none, and deflate by both of its numbers
 _remarked: set[tuple[Path, str]] = set()  # what has been said of the pictures of a folder
 
 
@@ -191,9 +194,13 @@ def _decode(content: bytes, picture: Any) -> NDArray[Any]:
     import cv2
 
     tags = getattr(picture, "tag_v2", {})  # of a TIFF
-    is_deep = ";16" in str(picture.tile) or max(tags.get(_BITS, (8,))) > 8
+    bits = tags.get(_BITS, (8,))
+    is_deep = ";16" in str(picture.tile) or max(bits) > 8
     if is_deep and tags.get(_PLANAR) == 2:
         raise ValueError("colours of 16 bits that are stored apart")
+    simple = picture.mode in ("L", "RGB", "I;16") and tags.get(_PHOTOMETRIC) in (1, 2)
+    if simple and {*bits} <= {8, 16} and (pixels := decode_tiff(content, 0)) is not None:
+        return pixels
     picture.load()
     if is_deep and not picture.mode.startswith("I"):
         return np.asarray(cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED))[
@@ -202,6 +209,26 @@ def _decode(content: bytes, picture: Any) -> NDArray[Any]:
     if not picture.mode.startswith("I"):
         picture = picture.convert("L" if picture.mode in ("1", "L", "LA") else "RGB")
     pixels = np.asarray(picture)
+    return pixels.astype(pixels.dtype.newbyteorder("="))
+
+
+def decode_tiff(content: bytes, page: int) -> NDArray[Any] | None:
+    """Return the pixels of a page of a TIFF as they are stored; None if it is neither plain nor
+    deflated.
+
+    Raises one of several types if they are damaged: zlib compares the sum of what it unpacks, which
+    libtiff, of Pillow and OpenCV, does not. libtiff prints into the terminal, too.
+    """
+    import tifffile
+
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL)
+    with tifffile.TiffFile(BytesIO(content)) as tiff:
+        found = tiff.pages[page].aspage()
+        if found.compression not in _PLAIN or found.planarconfig != 1 or found.predictor != 1:
+            return None
+        if 0 in (*found.dataoffsets, *found.databytecounts):
+            raise ValueError("it has lost a strip")
+        pixels = found.asarray()
     return pixels.astype(pixels.dtype.newbyteorder("="))
 
 

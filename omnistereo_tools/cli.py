@@ -62,6 +62,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     defect of the program.
     """
     keep_memory()
+    # What OpenCV and its FFmpeg would print of a damaged file: our own words say it.
+    os.environ |= {"OPENCV_LOG_LEVEL": "SILENT", "OPENCV_FFMPEG_LOGLEVEL": "-8"}
     os.environ["MPLBACKEND"] = "agg"
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):

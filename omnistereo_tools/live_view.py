@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from omnistereo_lib.consumer_images import split_image
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.stereo.depth import Depth
@@ -35,6 +36,7 @@ from omnistereo_tools.record.watching import Watching
 
 # of a camera that gives no picture, and of a browser that neither asks nor reads
 _PATIENCE_S = 10.0
+_LEAVING_S = 0.5  # for each of two threads: Ctrl-C ends within two seconds
 _CLIENTS = 16  # connections at a time; a page has three
 # a name of another site may lead here, too
 _HOST = re.compile(r"(localhost|127\.0\.0\.1)(:[0-9]+)?")
@@ -120,7 +122,9 @@ class Cameras:
     """The newest images of several cameras or videos, taken together.
 
     Args:
-        sources: For each camera of the rig an index of OpenCV, such as 0, or else a video file.
+        sources: For each camera of the rig an index of OpenCV, such as 0, the path of a device,
+            such as /dev/v4l/by-id/…, the address of a stream, such as rtsp://…, or else a video
+            file. One alone gives the images of all cameras, see `split_image`.
         rig: Its image sizes are asked of the cameras.
         loop: Videos begin again when they have ended.
 
@@ -133,14 +137,14 @@ class Cameras:
     """
 
     def __init__(self, sources: Sequence[int | str], rig: Rig, loop: bool = False) -> None:
-        if len(sources) != len(rig):
+        if len(sources) not in (1, len(rig)):
             raise OmnistereoError(
                 f"there are {len(sources)} cameras or videos for a rig of {len(rig)}. Give one for"
                 " each."
             )
         self.rig, self.loop = rig, loop
-        numbers = [source for source in sources if isinstance(source, int)]
-        paths = [Path(source) for source in sources if isinstance(source, str)]
+        numbers = [source for source in sources if _is_camera(source)]
+        paths = [Path(str(source)) for source in sources if not _is_camera(source)]
         if numbers and paths:
             raise OmnistereoError(
                 "found cameras and videos; expected either. Record the cameras, or give all videos"
@@ -148,8 +152,11 @@ class Cameras:
         # Videos play at their own speed, moment by moment; cameras set it themselves.
         self.recording = Recording.open(paths) if paths else None
         self.period = 0.0 if self.recording is None else 1 / (self.recording.fps or _FPS)
+        sizes = [camera.image_size for camera in rig.cameras]
+        self._names, self._alone = numbers, len(sources) < len(rig)
         self._devices = [
-            _open(one, camera.image_size) for one, camera in zip(numbers, rig.cameras, strict=False)
+            _open(one, None if self._alone else size)
+            for one, size in zip(numbers, sizes, strict=False)
         ]
         if (first := next(self._moments(), None)) is None:
             raise OmnistereoError(
@@ -205,18 +212,30 @@ class Cameras:
         # First grab all, then decode: they are nearer in time.
         while self._devices and all(device.grab() for device in self._devices):
             pictures = [device.retrieve()[1] for device in self._devices]
-            yield [np.asarray(cv2.cvtColor(one, cv2.COLOR_BGR2RGB), np.uint8) for one in pictures]
+            images = [cv2.cvtColor(one, cv2.COLOR_BGR2RGB) for one in pictures]
+            if self._alone:
+                yield split_image(np.asarray(images[0], np.uint8), self.rig, str(self._names[0]))
+            else:
+                yield [np.asarray(image, np.uint8) for image in images]
 
 
-def _open(source: int, image_size: tuple[int, int]) -> cv2.VideoCapture:
+def _is_camera(source: int | str) -> bool:
+    """Return whether a source is a camera or a stream, and no file."""
+    return isinstance(source, int) or "://" in source or source.startswith("/dev/")
+
+
+def _open(source: int | str, image_size: tuple[int, int] | None) -> cv2.VideoCapture:
     """Open a camera, which is asked for the size of the images of the rig."""
-    capture = cv2.VideoCapture(source)
+    # OpenCV knows /dev/video0, but none of the links to it.
+    is_link = str(source).startswith("/dev/")
+    capture = cv2.VideoCapture(str(Path(str(source)).resolve()) if is_link else source)
     if not capture.isOpened():
         raise OmnistereoError(
             f"camera {source} cannot be opened. Check that it exists and is not in use."
         )
-    capture.set(cv2.CAP_PROP_FRAME_WIDTH, image_size[0])
-    capture.set(cv2.CAP_PROP_FRAME_HEIGHT, image_size[1])
+    if image_size is not None:
+        capture.set(cv2.CAP_PROP_FRAME_WIDTH, image_size[0])
+        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, image_size[1])
     return capture
 
 
@@ -272,10 +291,11 @@ def _play(
             raise failed[0]
     finally:
         cameras.close()
+        # Daemons: a frame that takes longer is left.
         for thread in threads:
-            thread.join(_PATIENCE_S)
+            thread.join(_LEAVING_S)
         if watching is not None:
-            watching.close()
+            watching.close(wait=False)
 
 
 def draw_picture(
@@ -354,9 +374,9 @@ def serve(latest: Latest, port: int, cameras: Cameras | None = None) -> Iterator
                 "same-origin",
                 "none",
             )
-            if not _HOST.fullmatch(self.headers.get("Host", "")) or (
-                name != "/" and of_other_sites
-            ):
+            host = self.headers.get("Host", "")
+            of_other_sites |= self.headers.get("Origin", f"http://{host}") != f"http://{host}"
+            if not _HOST.fullmatch(host) or (name != "/" and of_other_sites):
                 self.send_error(403)
             elif name in ("/depth", "/why") and _place(query) is None:
                 self.send_error(400)

@@ -6,8 +6,9 @@ it begins to write.
 
 import os
 import re
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
+from itertools import permutations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,6 +24,7 @@ _READ = {  # options that name files, or a folder of which these are read
     "from_images": ["*"],
     "masks": [],
     "cameras": [],
+    "source": [],
     "folder": [f"{depth}*.{suffix}" for depth in ("", "*/") for suffix in _PICTURES],
     "board": [],
     "corners": ["corners_*.yaml"],
@@ -53,7 +55,7 @@ def check_outputs(
     unread: Collection[str] = (),
 ) -> None:
     """Raise an `OmnistereoError` if a command would write over a file that its options name, by
-    whatever path.
+    whatever path, or one of its outputs over another.
 
     Args:
         files: Files that will be written; None: not asked for.
@@ -61,6 +63,7 @@ def check_outputs(
         unread: Options whose files this command will not read.
     """
     targets = [*filter(None, files), *folders]
+    _check_apart(targets)
     if not any(target.exists() for target in targets):
         return
     read = [path for path in _files_read(options, unread) if path.is_file()]
@@ -73,6 +76,17 @@ def check_outputs(
             found = known[_identity(target)]
             raise OmnistereoError(
                 f"{found} is read, and writing {target} would write over it. Choose another name."
+            )
+
+
+def _check_apart(targets: Sequence[Path]) -> None:
+    """Raise an `OmnistereoError` if one output lies where, or in what, another one is written."""
+    places = [Path(os.path.realpath(target)) for target in targets]
+    for (one, place), (other, inner) in permutations(zip(targets, places, strict=True), 2):
+        if inner == place or place in inner.parents:
+            raise OmnistereoError(
+                f"{other} and {one} would both be written by this command, one over or into the "
+                "other. Choose another name."
             )
 
 

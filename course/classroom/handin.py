@@ -147,6 +147,8 @@ def check_notebook(path: Path, seconds: float = SECONDS, memory_gib: float = MEM
     notes += [
         f"left threads behind: {left}" for record in ran.records if (left := record.get("threads"))
     ]
+    if ran.left_mib >= 1:
+        notes.append(f"left {ran.left_mib:.0f} MiB of files behind, which were removed")
     if ran.stopped:
         where = f"in code cell {len(said) + 1}" if len(said) < len(code) else "after its last cell"
         notes.append(f"stopped {where}: {ran.stopped}")

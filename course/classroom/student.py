@@ -68,7 +68,8 @@ class Run:
     records: list[dict[str, Any]]  #: as written by `main`; not to be believed
     stopped: str  #: why it did not come to its end, or nothing
     seconds: float
-    peak_gib: float  #: memory of all its processes
+    peak_gib: float  #: memory of all its processes, and of its files in /dev/shm
+    left_mib: float = 0.0  #: of files outside its copy that it has left, and that were removed
 
 
 def run(task: dict[str, Any], seconds: float, memory_gib: float) -> Run:
@@ -87,7 +88,8 @@ def run(task: dict[str, Any], seconds: float, memory_gib: float) -> Run:
         copy, told = Path(folder, "clone"), Path(folder, "task.json")
         copy_clone(copy)
         told.write_text(json.dumps(task), encoding="ascii")
-        command = [sys.executable, "-m", "course.classroom.student"]
+        own = private(Path(folder))
+        command = [*own, sys.executable, "-m", "course.classroom.student"]
         with told.open("rb") as task_file:
             files, where = (task_file, answers), copy / "notebooks"
             ran = limited(
@@ -97,7 +99,7 @@ def run(task: dict[str, Any], seconds: float, memory_gib: float) -> Run:
         records = list(read_records(answers.read(MAX_READ_BYTES)))
     if not (broken := ran.broken) and not any("end" in record for record in records):
         broken = f"its process ended with status {ran.status}"
-    return Run(records, broken, time.monotonic() - started, ran.peak_gib)
+    return Run(records, broken, time.monotonic() - started, ran.peak_gib, ran.left_mib)
 
 
 class Limited(NamedTuple):
@@ -106,6 +108,7 @@ class Limited(NamedTuple):
     broken: str  #: the limit that it has broken, or nothing
     status: int
     peak_gib: float
+    left_mib: float
 
 
 def limited(
@@ -140,7 +143,7 @@ def limited(
 
     home, temporary = folder / "home", folder / "tmp"
     home.mkdir()
-    temporary.mkdir()
+    temporary.mkdir(exist_ok=True)
     env = {name: os.environ[name] for name in KEPT if name in os.environ}
     env |= {
         "HOME": str(home),
@@ -161,10 +164,59 @@ def limited(
         broken, peak_gib = watch(process, family, seconds, memory_gib)
     finally:
         end(process, family)
+        left_mib = sum(map(bytes_in, (temporary, home))) / 2**20
         # Python's own way fails a thousand folders deep
         for remove in (["chmod", "-R", "u+rwx"], ["rm", "-rf"]):
             subprocess.run([*remove, "--", str(folder)], stderr=subprocess.DEVNULL, check=False)
-    return Limited(broken, process.returncode, peak_gib)
+    return Limited(broken, process.returncode, peak_gib, left_mib)
+
+
+_PRIVATE = """\
+mount -t tmpfs tmpfs /dev/shm || exit 125
+if [ "$2" ]; then
+    mkdir -p "$2" && mount --bind "$1" "$2" && mount --rbind "$1/tmp" /tmp || exit 125
+fi
+shift 2
+exec "$@"
+"""
+
+
+def private(folder: Path) -> list[str]:
+    """Return the command that gives another one a /tmp and a /dev/shm of its own, the former in
+    `folder`/tmp; nothing where the system does not let its users do so.
+
+    A Python that itself lies in /tmp would be hidden: it keeps that of all.
+    """
+    if shutil.which("unshare") is None:
+        return []
+    inside: Path | str = ""
+    if not any(Path(prefix).is_relative_to("/tmp") for prefix in (sys.prefix, sys.base_prefix)):
+        within = folder.relative_to("/tmp") if folder.is_relative_to("/tmp") else Path()
+        inside = folder / "tmp" / within / ("" if within.parts else ".clone")
+    command = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-c", _PRIVATE, "sh"]
+    command += [str(folder), str(inside)]
+    tried = subprocess.run([*command, "true"], capture_output=True, check=False)
+    return command if tried.returncode == 0 else []
+
+
+def bytes_in(folder: Path) -> int:
+    """Return how many bytes the files in a folder take, as far as it can be read."""
+    total = 0
+    for root, _, names in os.walk(folder):
+        for name in names:
+            with suppress(OSError):
+                total += os.lstat(os.path.join(root, name)).st_size
+    return total
+
+
+def bytes_shared(process: subprocess.Popen[Any]) -> int:
+    """Return the bytes of the files in the /dev/shm of a process that has its own."""
+    with suppress(OSError):
+        own = os.stat(f"/proc/{process.pid}/root/dev/shm")
+        if own.st_dev != os.stat("/dev/shm").st_dev:
+            status = os.statvfs(f"/proc/{process.pid}/root/dev/shm")
+            return (status.f_blocks - status.f_bfree) * status.f_frsize
+    return 0  # it has ended, or shares that of all
 
 
 def copy_clone(copy: Path) -> None:
@@ -202,10 +254,11 @@ def watch(
         members = family()
         if len(members) > MAX_PROCESSES:
             return f"it ran more than {MAX_PROCESSES} processes", peak
-        used = sum(map(memory_of, members)) / GIB
+        in_files = bytes_shared(process) / GIB
+        used = in_files + sum(map(memory_of, members)) / GIB
         # perhaps only because what they share counts for each of them
         if used > memory_gib and len(members) > 1:
-            used = sum(memory_of(member, shared=True) for member in members) / GIB
+            used = in_files + sum(memory_of(member, shared=True) for member in members) / GIB
         peak = max(peak, used)
         if peak > memory_gib:
             return f"it used more than {memory_gib:g} GiB of memory", peak

@@ -16,9 +16,11 @@ Record = dict[str, Any]
 _INPUTS = ("config", "methods", "data", "weights")
 
 
-def config_checksum(results: Record) -> str:
-    """Return the SHA-256 of the settings, as compact JSON with sorted keys."""
-    settings = {name: results[name] for name in ("config", "methods")}
+def config_checksum(results: Record, *more: str) -> str:
+    """Return the SHA-256 of the settings, and of more of the inputs, as compact JSON with sorted
+    keys.
+    """
+    settings = {name: results[name] for name in ("config", "methods", *more)}
     return checksum(json.dumps(settings, sort_keys=True, separators=(",", ":")).encode())
 
 

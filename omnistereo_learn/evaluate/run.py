@@ -31,6 +31,15 @@ from omnistereo_lib.files import checksum, make_folder, read_bytes, unpack
 from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.provenance import (
+    PROVENANCE,
+    differences,
+    kept_precision,
+    made_of,
+    provenance,
+    read_facts,
+    write_facts,
+)
 from omnistereo_lib.stereo.cost import Cost
 from omnistereo_lib.stereo.device import select_device
 from omnistereo_lib.stereo.learned import Precision, choose_precision
@@ -161,12 +170,14 @@ class Evaluation:
         max_fov_deg: float | None = None,
     ) -> None:
         methods = tuple(dict.fromkeys(methods))
-        self.scale, self.weights, self.precision, self.device = (
+        self.scale, self.weights, self.device, self.out = (
             scale,
             Path(weights),
-            precision,
             select_device(device),
+            Path(out),
         )
+        stored = read_facts(self.out / PROVENANCE)
+        self.precision = choose_precision(kept_precision(precision, stored), self.device)
         self.sets = {
             name: load_dataset(path, None if path.name == split else split, max_fov_deg=max_fov_deg)
             for name, path in sets.items()
@@ -194,8 +205,41 @@ class Evaluation:
             for name, frame in chosen
         }
         self._weights = _weights_checksums(methods, self.weights)
-        self.out = make_folder(out)
-        self.missing()  # reads all that there is
+        self._compare(stored)
+        make_folder(out)
+        # Reads all that there is.
+        self.missing()
+        facts = self.facts
+        facts["provenance"] = made_of(stored) | facts["provenance"]
+        if differences(stored, facts):
+            write_facts(self.out / PROVENANCE, facts)
+
+    @property
+    def facts(self) -> Record:
+        """What decides the numbers, as `provenance.json` holds it."""
+        inputs, network = self.inputs, bool(self._weights)
+        made = provenance(
+            self._config["rig"],
+            checksum(json.dumps([inputs["data"], inputs["weights"]], sort_keys=True).encode())[:16],
+            " ".join(inputs["methods"]),
+            self.precision if network else None,
+            torch.get_num_threads() if network else None,
+        )
+        return asdict(self.scale) | {"provenance": made}
+
+    def _compare(self, stored: Record) -> None:
+        """Refuse a folder of another scale, rig or precision, in words; more methods, sets and
+        frames may join it.
+        """
+        made = self.facts["provenance"]
+        # The precision counts once there are networks on both sides.
+        there = {name: fact for name, fact in made_of(stored).items() if name in made}
+        there |= {name: made[name] for name in ("inputs", "method")}
+        other = differences(stored | {"provenance": made | there}, self.facts)
+        if stored and other:
+            raise OmnistereoError(
+                f"{self.out} holds another evaluation: {'; '.join(other)}. Use another folder."
+            )
 
     def path(self, job: Job) -> Path:
         """Return the file of a result."""
@@ -298,7 +342,7 @@ class Evaluation:
 
     @property
     def _precision(self) -> dict[str, str]:
-        return {"precision": choose_precision(self.precision, self.device)}
+        return {"precision": self.precision}
 
 
 def _weights_checksums(methods: Sequence[EvaluatedMethod], folder: Path) -> dict[str, str]:

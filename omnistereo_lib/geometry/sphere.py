@@ -7,7 +7,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omnistereo_lib.errors import OmnistereoError, check_number
+from omnistereo_lib.errors import OmnistereoError, check_number, shortened
 
 Sampling = Literal["center", "sweepnet", "omnimvs"]
 
@@ -139,8 +139,16 @@ class SphereGrid:
         Returns:
             pixels (shape (..., 2)): (column, row); the column is in [-0.5, W - 0.5).
             valid (bool, shape (...)): The row is in [-0.5, H - 0.5].
+
+        Raises:
+            OmnistereoError: If points has another shape, or holds something else than numbers.
         """
-        points = np.asarray(points, np.float64)
+        try:
+            points = np.asarray(points, np.float64)
+        except (TypeError, ValueError):
+            raise OmnistereoError(f"points is {shortened(points)}; expected numbers") from None
+        if points.shape[-1:] != (3,):
+            raise OmnistereoError(f"points has shape {points.shape}; expected (..., 3)")
         theta = np.arctan2(points[..., 0], points[..., 2])
         phi = np.arctan2(points[..., 1], np.hypot(points[..., 0], points[..., 2]))
         column_offset, row_offset, extra_rows = _SAMPLINGS[self.sampling]

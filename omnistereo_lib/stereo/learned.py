@@ -8,17 +8,15 @@ them. Both are exact: what is left out cannot change a cost that is kept.
 
 from __future__ import annotations
 
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import ClassVar, Literal
 
 import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
-from torch.nn.functional import conv2d, pad
+from torch.nn.functional import pad
 
 from omnistereo_lib.errors import OmnistereoError, check_type
 from omnistereo_lib.geometry.rig import Pair
@@ -29,7 +27,6 @@ from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.weights import StoredNetwork
 
 Precision = Literal["auto", "float32", "bfloat16"]
-_LEAST_GAIN = 1.3  # in time, for which digits are given up
 
 
 def choose_precision(
@@ -38,8 +35,9 @@ def choose_precision(
     """Return in which precision a device multiplies (weights, sums, the first and the last layer
     stay float32).
 
-    "auto": on a GPU bfloat16 where its hardware has it; on a CPU where, besides, it was 1.3 times
-    as fast as float32 in a trial of 20 ms, once a process.
+    "auto": bfloat16 where the GPU or the CPU says that it has instructions for it. A trial would
+    give other numbers under load. (Two cores with AVX-512 BF16: VolumeNet's frame 0.81 s, in
+    float32 1.23.)
 
     Raises:
         OmnistereoError: If the precision is none of the three.
@@ -50,33 +48,10 @@ def choose_precision(
         )
     if precision != "auto":
         return precision
-    on_gpu = torch.device(device).type == "cuda"
-    pays = torch.cuda.is_bf16_supported(including_emulation=False) if on_gpu else _bfloat16_pays()
-    return "bfloat16" if pays else "float32"
-
-
-@cache
-def _bfloat16_pays() -> bool:
-    """Return whether this CPU runs a layer enough faster in bfloat16; some that have instructions
-    for it do not.
-    """
+    if torch.device(device).type == "cuda":
+        return "bfloat16" if torch.cuda.is_bf16_supported(including_emulation=False) else "float32"
     flags = torch.cpu.get_capabilities()
-    if not (flags.get("amx_bf16") or flags.get("avx512_bf16")):
-        return False  # emulated, up to hundreds of times slower: not even tried
-    return _layer_seconds("float32") >= _LEAST_GAIN * _layer_seconds("bfloat16")
-
-
-def _layer_seconds(precision: Precision) -> float:
-    """Return how long a layer of the size of VolumeNet's features takes, at best of three."""
-    maps = torch.ones(1, 32, 160, 160).contiguous(memory_format=torch.channels_last)
-    weight = torch.ones(32, 32, 3, 3).contiguous(memory_format=torch.channels_last)
-    times = []
-    with torch.no_grad(), autocast(precision, maps.device):
-        for _ in range(4):  # the first sets up
-            start = time.perf_counter()
-            conv2d(maps, weight, padding=1)
-            times.append(time.perf_counter() - start)
-    return min(times[1:])
+    return "bfloat16" if flags.get("amx_bf16") or flags.get("avx512_bf16") else "float32"
 
 
 def autocast(precision: Precision, device: torch.device) -> torch.autocast:

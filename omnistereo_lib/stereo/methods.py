@@ -259,16 +259,16 @@ class Method:
         """
         return COSTS[self.cost].load(self, self.weights_file(folder), precision)
 
-    def cost_of(self, sweep: SphereSweep) -> Cost:
+    def cost_of(self, sweep: SphereSweep, precision: Precision = "auto") -> Cost:
         """Return the matching cost, loaded once for a sweep."""
 
         def load() -> Cost:
-            cost = self.load_cost()
+            cost = self.load_cost(precision=precision)
             if isinstance(network := getattr(cost, "network", cost), nn.Module):
                 network.to(sweep.device)
             return cost
 
-        return sweep.keep((COSTS[self.cost], self.volume_key), load)
+        return sweep.keep((COSTS[self.cost], self.volume_key, precision), load)
 
     def smooth(self, volume: Tensor) -> Tensor:
         """Return the volume (H, W, N) from which depth is read: after SGM where the method has

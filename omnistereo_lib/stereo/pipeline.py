@@ -11,6 +11,7 @@ from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.progress import Progress, silent
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.error_bars import error_bars
+from omnistereo_lib.stereo.learned import Precision
 from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD, Method
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.volume import cost_volume
@@ -62,6 +63,7 @@ def sweep_depth(
     method: str | Method = VIDEO_METHOD,
     subindex: bool = True,
     progress: Progress = silent,
+    precision: Precision = "auto",
 ) -> Depth:
     """Estimate the depth panorama of one frame with a sweep that keeps its tables and networks from
     frame to frame.
@@ -69,9 +71,11 @@ def sweep_depth(
     Args:
         images: One array per camera, (height, width) or (height, width, 3), uint8 or float.
         method: Default: the fastest that is smooth. The rest is as in `estimate_depth`.
+        precision: Of networks; see `choose_precision`.
     """
     method = Method.parse(method)
-    volume = cost_volume(sweep, images, method.cost_of(sweep), method.pairs, progress)  # (H, W, N)
+    # (H, W, N)
+    volume = cost_volume(sweep, images, method.cost_of(sweep, precision), method.pairs, progress)
     smooth = method.smooth(volume)
     index, confidence = method.read_out(smooth, subindex)  # (H, W) each
     bars = error_bars(method, sweep, volume, smooth, index, confidence)

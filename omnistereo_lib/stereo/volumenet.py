@@ -150,7 +150,9 @@ class VolumeNet(StoredNetwork):
     As a matching cost it computes the whole volume at once, from all cameras.
 
     Attributes:
-        precision: Of the matrix products in `volume`; see `choose_precision`.
+        precision: Of the matrix products in `volume`; see `choose_precision`. Another number of
+            threads adds in another order: 1, 2 and 4 threads differ by 1e-5 spheres in float32,
+            in bfloat16 by 7e-4 on average, 1.7 at most (320 × 80 × 64).
 
     >>> sum(parameter.numel() for parameter in osl.VolumeNet().parameters())
     518305

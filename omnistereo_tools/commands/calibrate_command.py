@@ -90,6 +90,7 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
     from omnistereo_lib.files import write_text
     from omnistereo_lib.geometry.rig import Deviation
     from omnistereo_lib.ocam_text import write_ocam_txt
+    from omnistereo_lib.provenance import PROVENANCE, arrays_checksum, provenance, write_facts
     from omnistereo_rigs.boards.captures import save_corners
     from omnistereo_rigs.boards.joint import calibrate_rig
     from omnistereo_rigs.boards.single_camera import calibrate_camera
@@ -140,7 +141,9 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
         if with_corners:  # captures without a board as null
             corners = {capture: one.corners.get(k) for k, capture in enumerate(names)}
             save_corners(out / f"corners_{name}.yaml", corners, board, one.intrinsics.image_size)
-    written += ["report.txt", "report_*.png", *["corners_*.yaml"] * with_corners]
+    seen = arrays_checksum(points for one in reports for points in one.corners.values())
+    write_facts(out / PROVENANCE, {"provenance": provenance(None, seen, f"boards {board_name}")})
+    written += ["report.txt", "report_*.png", *["corners_*.yaml"] * with_corners, PROVENANCE]
     # The verdict first, the next command last; all numbers are in the report.
     warn_of(warned)
     print(f"{'Fair' if warned else 'Good'}: the {known}.")
@@ -186,11 +189,11 @@ def _check_out(options: CalibrateOptions, folder: Path) -> None:
         raise OmnistereoError(
             f"--out {out} would be read as images of {folder} the next time. Choose another."
         )
-    files = (
+    files = {
         path
         for name in ("*.yaml", "*.json", "*.txt", "report_*.png", "colmap/*")
         for path in out.glob(name)
-    )
+    }
     unread = () if options.corners is None else ("folder",)
     check_outputs(options, (path for path in files if path.stem[:8] != "corners_"), unread=unread)
 

@@ -14,6 +14,7 @@ from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.progress import Progress
+from omnistereo_lib.provenance import PROVENANCE, arrays_checksum, provenance, write_facts
 from omnistereo_rigs.doctor.rig_check import find_mixup
 from omnistereo_rigs.formats.read import load_cameras, read_any_rig
 from omnistereo_rigs.formats.write import write_rig
@@ -56,6 +57,7 @@ def run(options: ImagesOptions, recorded: Sequence[Path]) -> int:
         "opencv.yaml",
         "transforms.json",
         "colmap/rig_config.json",
+        PROVENANCE,
     )
     check_outputs(options, [out / name for name in names])
     images, rig, given = _read(options, recorded)
@@ -74,11 +76,15 @@ def run(options: ImagesOptions, recorded: Sequence[Path]) -> int:
     written = write_rig(measured.rig, out)
     write_text(out / "report.txt", "\n".join(report) + "\n")
     save_figure(out / "report_points.png", _figure(measured), dpi=80)
+    seen = arrays_checksum(image for frame in images for image in frame)
+    write_facts(out / PROVENANCE, {"provenance": provenance(rig, seen, f"images, {given}")})
     turn_sd, shift_sd = measured.deviations.max(axis=0)
     print(f"Good: the poses are known to {turn_sd:.2g}° and {1000 * shift_sd:.2g} mm.")
     if given == "calibration" and measured.unknown_centres():
         print("The images do not show where the centres are: they stay as given, all is far away.")
-    print(f"written to {out}/: {', '.join([*written, 'report.txt', 'report_points.png'])}")
+    print(
+        f"written to {out}/: {', '.join([*written, 'report.txt', 'report_points.png', PROVENANCE])}"
+    )
     print(_next(options, recorded, out / "config.yaml"))
     return 0
 

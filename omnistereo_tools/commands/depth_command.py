@@ -99,6 +99,8 @@ def run(options: DepthOptions) -> int:
     depth = _compute(frame, grid, method, options.device)
     limits = Limits.of(depth, options.max_depth, options.min_confidence)
     result = FrameResult(depth, limits, method, gt_index, options.up, doubt)
+    if replaced := result.replaces(out):
+        say(replaced)
     written = result.write(out, progress_bar())
     written += result.export(
         options.mesh, options.mesh_faces, options.equirectangular, options.crops, options.all_crops

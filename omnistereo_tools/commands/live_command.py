@@ -35,7 +35,7 @@ class LiveOptions(MethodOptions, GridOptions, RigOptions):
     """Options of `omnistereo live`."""
 
     rig: Path = option("rig file or folder", MISSING)
-    cameras: tuple[str, ...] = option("one camera number or video file per camera", MISSING)
+    cameras: tuple[str, ...] = option("number, device, rtsp:// or video of each", MISSING)
     width: int = 320
     height: int | None = 80
     spheres: int = 64

@@ -97,6 +97,7 @@ def run(options: RecordOptions) -> int:
 
     say("reading the rig and the first frames: a few seconds")
     from omnistereo_lib.frame import Frame
+    from omnistereo_lib.provenance import kept_precision, read_facts
     from omnistereo_lib.stereo.methods import FRAME_METHOD, Method
     from omnistereo_lib.stereo.sweep import SphereSweep
     from omnistereo_tools.input.masks import FRAMES
@@ -106,6 +107,7 @@ def run(options: RecordOptions) -> int:
     from omnistereo_tools.judge.trust import DOUBTFUL
     from omnistereo_tools.output.summary import fits, verdict
     from omnistereo_tools.record.recordings import (
+        SETTINGS,
         DepthWriter,
         stored_method,
         stored_min_depth,
@@ -132,9 +134,11 @@ def run(options: RecordOptions) -> int:
         options.method or stored_method(out),
     )
     first_method, with_video = Method.parse(method or FRAME_METHOD), options.video is not None
-    writer = DepthWriter(
-        out, recording, sweep, first_method, f".{options.depth_format}", with_video
+    suffix, precision = (
+        f".{options.depth_format}",
+        kept_precision("auto", read_facts(out / SETTINGS)),
     )
+    writer = DepthWriter(out, recording, sweep, first_method, suffix, with_video, precision)
     writer.check_out()
     left, total = writer.left(), len(recording.frames)
     recording.check(left, rig)

@@ -40,6 +40,7 @@ def run(options: TrainOptions) -> None:
     """
     from omnistereo_learn import RECIPES, train
     from omnistereo_learn.loop import LOG, STATE, WEIGHTS
+    from omnistereo_lib.provenance import PROVENANCE
     from omnistereo_lib.stereo.device import number_from_environment
     from omnistereo_tools.progress import progress_bar, say
 
@@ -51,7 +52,7 @@ def run(options: TrainOptions) -> None:
     recipe = shrink(presets[options.preset].with_overrides(options.set))
     named = "_".join([options.network, options.preset, *sorted(options.set)])
     out = options.out or Path("out") / re.sub(r"[^\w.,=+-]", "-", named)
-    check_outputs(options, [out / name for name in (LOG, STATE, WEIGHTS)])
+    check_outputs(options, [out / name for name in (LOG, STATE, WEIGHTS, PROVENANCE)])
     # of torchrun
     rank, _, _ = (number_from_environment(name, 0) for name in ("RANK", "LOCAL_RANK", "WORLD_SIZE"))
     first_process, progress = rank == 0, progress_bar("step")

@@ -10,13 +10,13 @@ Examples:
 from __future__ import annotations
 
 import json
-from contextlib import suppress
 from dataclasses import MISSING, dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_tools.commands.options import warn_of
 from omnistereo_tools.outputs import check_outputs, hold
 from omnistereo_tools.parser import Options, option
 
@@ -48,7 +48,8 @@ def run(options: WorldOptions) -> None:
     from omnistereo_tools.progress import say
 
     say("reading the recording: a few seconds")
-    from omnistereo_lib.files import read_data, write_text
+    from omnistereo_lib.files import checksum, read_bytes, write_text
+    from omnistereo_tools.judge.first_look import image_doubts
     from omnistereo_tools.output.mesh_export import import_trimesh
     from omnistereo_tools.world.build import RecordedFrames
 
@@ -57,28 +58,53 @@ def run(options: WorldOptions) -> None:
     check_outputs(options, [out / "config.yaml"], out.glob("omnidepth_world_*"))
     frames = RecordedFrames.open(options.recording)
     refined = hold(out) / f"omnidepth_world_{frames.grid.width}"
-    asked = {
-        "voxel": options.voxel,
-        "range": options.range,
-        "kitti": options.kitti,
-        "up": options.up,
-        "recording": frames.checksum,
-    }
-    with suppress(OmnistereoError):
-        if read_data(out / "world.json") == asked:
-            print(
-                f"Done already: the world is in {out}/; delete world.json there to fuse it again."
-            )
-            print(out / "index.html")
-            return
+    asked = {name: getattr(options, name) for name in ("voxel", "range", "kitti", "up")}
+    asked["provenance"] = frames.provenance
+    if _is_done(out, asked):
+        print(f"Done already: the world is in {out}/; delete world.json there to fuse it again.")
+        print(out / "index.html")
+        return
     (out / "world.json").unlink(missing_ok=True)
+    for k in sorted({0, len(frames.data) // 2, len(frames.data) - 1}):
+        frame = frames.data[k]
+        warn_of(f"frame {frame.number}: {doubt}" for doubt in image_doubts(frame, frames.grid))
     poses = frames.find_poses(out / "steps.json")
     volume = _make_volume(options, frames, poses)
     frames.integrate(volume, poses)
     moving = frames.refine(volume, poses, refined)
     frames.integrate(volume, poses, moving)
     _write(options, frames, poses, volume, refined)
-    write_text(out / "world.json", json.dumps(asked) + "\n")
+    written = {str(path.relative_to(out)): checksum(read_bytes(path)) for path in _results(out)}
+    write_text(out / "world.json", json.dumps(asked | {"outputs": written}, indent=1) + "\n")
+
+
+def _results(out: Path) -> list[Path]:
+    """Return the files of a world, without links to images and what it knows of itself."""
+    found = (path for path in out.rglob("[!.]*") if path.is_file())
+    own = ("world.json", "steps.json")
+    return sorted(
+        p for p in found if p.name not in own and p.relative_to(out).parts[0][:3] != "cam"
+    )
+
+
+def _is_done(out: Path, asked: dict[str, Any]) -> bool:
+    """Return whether every output is there, whole, and of these inputs; say what is not."""
+    from omnistereo_lib.files import checksum, read_bytes
+    from omnistereo_lib.provenance import differences, read_facts
+    from omnistereo_tools.progress import say
+
+    stored = read_facts(out / "world.json")
+    outputs = stored.pop("outputs", None)
+    if not isinstance(outputs, dict):
+        return False
+    wrong = differences(stored, asked)
+    for name, sum_of in outputs.items():
+        path = out / name
+        if not path.is_file() or checksum(read_bytes(path)) != sum_of:
+            wrong.append(f"{path} is {'not whole' if path.is_file() else 'missing'}")
+    if wrong:
+        say(f"the world in {out}/ is made again: {'; '.join(wrong[:5])}")
+    return not wrong
 
 
 def _make_volume(options: WorldOptions, frames: RecordedFrames, poses: dict[int, Pose]) -> Volume:
@@ -97,7 +123,7 @@ def _make_volume(options: WorldOptions, frames: RecordedFrames, poses: dict[int,
         raise OmnistereoError(
             f"no ray of {options.recording} is nearer than {options.range:g} m. Raise --range"
         )
-    need, free = bytes_needed(len(keys), frames.channels), available_memory(select_device("cpu"))
+    need, free = bytes_needed(keys, frames.channels), available_memory(select_device("cpu"))
     if need > free:
         raise OmnistereoError(
             f"not enough memory: needs {need / 2**30:.1f} GiB, {free / 2**30:.1f} GiB free. "
@@ -125,6 +151,10 @@ def _write(
 
     say("extracting the surface")
     out, surface = refined.parent, extract_surface(volume)
+    if len(surface.faces) == 0:
+        raise OmnistereoError(
+            f"no surface is left of {options.recording}. Pass a smaller --voxel or a larger --range"
+        )
     write_surface(out, surface, options.up)
     number = list(poses)[len(poses) // 2]
     before, after = (

@@ -9,16 +9,28 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
-from omnistereo_lib.files import make_folder, write_text
+from omnistereo_lib.files import checksum, make_folder, read_bytes, write_text
 from omnistereo_lib.frame import write_inverse_depth
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.lazy import lazy_property
 from omnistereo_lib.pictures import write_image
 from omnistereo_lib.progress import Progress, counted, silent
+from omnistereo_lib.provenance import (
+    PROVENANCE,
+    arrays_checksum,
+    differences,
+    notes,
+    provenance,
+    read_facts,
+    write_facts,
+)
 from omnistereo_lib.rig_file import save_rig
 from omnistereo_lib.stereo.depth import Depth
+from omnistereo_lib.stereo.learned import choose_precision
+from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.metrics import index_error
 from omnistereo_tools.judge.trust import DOUBTFUL, trust
 from omnistereo_tools.output.blend import blended_panorama, estimate_gains
@@ -35,6 +47,7 @@ from omnistereo_tools.output.summary import (
     turn_sentence,
 )
 from omnistereo_tools.output.viewer import viewer_page
+from omnistereo_tools.own_method import is_own
 
 # of the panorama that is looked at: columns for a pixel of the images, and in all
 _SHARP, _WIDEST = 1.4, 3600
@@ -62,6 +75,10 @@ trust.tiff           float32 in [0, 1]: how likely the depth is right, off by at
 rig.yaml             the cameras with their origin moved to the centre of the panorama; T_rig_file (axis-angle, metres)
                      takes coordinates of your rig file to those of the panorama and the points
 """
+_MADE = (
+    "provenance.json      what all this was made from: the version, checksums of rig and images,"
+    " the method\n"
+)
 _ERRORS = (
     "errors.json          errors against the ground truth in % of the range swept, as in Table II"
     " of the paper\n"
@@ -90,6 +107,37 @@ class FrameResult:
             f"{self.method}: {len(self.depth.images)} cameras{turned}, {rays}, {grid.num_spheres}"
             " spheres"
         )
+
+    @lazy_property
+    def facts(self) -> dict[str, Any]:
+        """What decides the numbers, as `provenance.json` holds it."""
+        grid, device = self.depth.grid, self.depth.sweep.device
+        if is_own(self.method):
+            name, network = f"{self.method} {checksum(read_bytes(self.method))[:16]}", False
+        else:
+            name, network = self.method, Method.parse(self.method).has_weights
+        sizes = {
+            "width": grid.width,
+            "height": grid.height,
+            "phi_deg": list(grid.phi_deg),
+            "spheres": grid.num_spheres,
+        }
+        made = provenance(
+            self.depth.sweep.rig,
+            arrays_checksum(self.depth.images),
+            name,
+            choose_precision("auto", device) if network else None,
+            torch.get_num_threads() if network else None,
+        )
+        return sizes | {"min_depth": grid.min_depth, "provenance": made}
+
+    def replaces(self, out: Path) -> str | None:
+        """Return in words what other depth a folder holds, which `write` replaces; None: none, or
+        the same.
+        """
+        stored = read_facts(out / "data" / PROVENANCE)
+        other = differences(stored, self.facts) + notes(stored, self.facts) if stored else []
+        return f"the depth that is in {out}/ is replaced: {'; '.join(other)}" if other else None
 
     def sentences(self) -> list[str]:
         """Return the result in plain sentences."""
@@ -238,12 +286,14 @@ class FrameResult:
             min_confidence=self.limits.min_confidence,
         )
         (data / "errors.json").unlink(missing_ok=True)  # of another frame
+        write_facts(data / PROVENANCE, self.facts)
         if self.gt_index is not None:
             found = index_error(depth.index, self.gt_index, grid.num_spheres)
             # JSON has no NaN
             errors = {name: value if isfinite(value) else None for name, value in found.items()}
             write_text(data / "errors.json", json.dumps(errors, indent=1) + "\n")
             text += _ERRORS
+        text += _MADE
         write_text(data / "README.txt", text)
 
 

@@ -10,20 +10,23 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from omnistereo_learn.evaluate.records import config_checksum
 from omnistereo_learn.evaluate.run import Evaluation, Job
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.files import checksum, read_bytes
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.rig_file import load_rig
+from omnistereo_lib.stereo.learned import Precision, choose_precision
 from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.input.sources import Pictures, Recording
-from omnistereo_tools.record.recordings import DepthWriter
+from omnistereo_tools.record.recordings import PICTURES, SETTINGS, DepthWriter
 
 if TYPE_CHECKING:
     from dask.distributed import Client
@@ -67,6 +70,8 @@ def on_cluster(
         from distributed.client import FutureCancelledError
         from distributed.comm.core import CommClosedError
 
+        if not client.scheduler_info()["workers"]:
+            print(f"waiting for a worker. Start one: dask worker {address}", flush=True)
         futures = client.map(function, arguments, pure=False)
         try:
             for future in as_completed(futures):
@@ -87,6 +92,8 @@ def on_cluster(
 class RecordingTask:
     """What a worker needs to continue a recording that was prepared: paths that every machine sees,
     and the grid.
+
+    `contents` tells it from another recording in the same folder.
     """
 
     out: Path
@@ -96,21 +103,27 @@ class RecordingTask:
     suffix: str
     with_video: bool
     device: str
+    precision: Precision
+    contents: str  # checksum of the rig, the settings and the marks of the pictures
     late: tuple[int, ...] = ()
 
     def open(self) -> DepthWriter:
-        """Return the writer of the recording; its rig is the one that was stored with the
-        settings.
-        """
+        """Return the writer of the recording; its rig is that stored with the settings."""
+        if _contents(self.out) != self.contents:
+            raise OmnistereoError(
+                f"{self.out} is not the same on all machines: its rig or settings differ. Share it."
+            )
         sweep = SphereSweep(load_rig(self.out / "config.yaml"), self.grid, device=self.device)
+        recording, method = Recording.open(self.images, late=self.late), self.method
         return DepthWriter(
-            self.out,
-            Recording.open(self.images, late=self.late),
-            sweep,
-            self.method,
-            self.suffix,
-            self.with_video,
+            self.out, recording, sweep, method, self.suffix, self.with_video, self.precision
         )
+
+
+def _contents(out: Path) -> str:
+    """Return a checksum of all that tells a prepared recording from others."""
+    files = sorted(path for path in out.glob("config*") if path.is_file())  # with masks
+    return checksum(b"".join(map(read_bytes, [*files, out / SETTINGS, out / PICTURES])))
 
 
 def depth_on_cluster(address: str, writer: DepthWriter, device: str = "cpu") -> Iterator[int]:
@@ -126,6 +139,8 @@ def depth_on_cluster(address: str, writer: DepthWriter, device: str = "cpu") -> 
         writer.suffix,
         writer.with_video,
         device,
+        choose_precision(writer.precision, device),
+        _contents(writer.out),
         writer.recording.late,
     )
     left = writer.left()
@@ -135,7 +150,7 @@ def depth_on_cluster(address: str, writer: DepthWriter, device: str = "cpu") -> 
         yield from numbers
 
 
-_open_once = cache(RecordingTask.open)  # once per worker
+_open_once = lru_cache(2)(RecordingTask.open)  # once per worker
 
 
 def _depth_of_batch(batch: tuple[RecordingTask, tuple[int, ...]]) -> tuple[int, ...]:
@@ -159,17 +174,33 @@ def evaluate_on_cluster(
         for name, value in arguments.items()
     }
     absolute["sets"] = {name: path.resolve() for name, path in arguments["sets"].items()}
-    missing = Evaluation(**arguments).missing(jobs)
-    frames = [tuple(group) for _, group in groupby(missing, attrgetter("data", "frame"))]
-    for done in on_cluster(address, _evaluate_frame, [(absolute, frame) for frame in frames]):
+    evaluation = Evaluation(**arguments)
+    contents, absolute["precision"] = (
+        config_checksum(evaluation.inputs, "data", "weights"),
+        evaluation.precision,
+    )
+    frames = [
+        tuple(group) for _, group in groupby(evaluation.missing(jobs), attrgetter("data", "frame"))
+    ]
+    for done in on_cluster(
+        address, _evaluate_frame, [(absolute, contents, frame) for frame in frames]
+    ):
         yield from done
 
 
-_evaluations: dict[str, Evaluation] = {}  # of this worker, by arguments
+# the last one of this worker, by arguments and contents
+_evaluations: dict[tuple[str, str], Evaluation] = {}
 
 
-def _evaluate_frame(task: tuple[dict[str, Any], tuple[Job, ...]]) -> tuple[Job, ...]:
-    arguments, jobs = task
-    if repr(arguments) not in _evaluations:
-        _evaluations[repr(arguments)] = Evaluation(**arguments)
-    return tuple(_evaluations[repr(arguments)].run(jobs))
+def _evaluate_frame(task: tuple[dict[str, Any], str, tuple[Job, ...]]) -> tuple[Job, ...]:
+    arguments, contents, jobs = task
+    key = repr(arguments), contents
+    if key not in _evaluations:
+        _evaluations.clear()
+        evaluation = Evaluation(**arguments)
+        if config_checksum(evaluation.inputs, "data", "weights") != contents:
+            raise OmnistereoError(
+                "data, weights or rig are not the same on all machines. Share them."
+            )
+        _evaluations[key] = evaluation
+    return tuple(_evaluations[key].run(jobs))

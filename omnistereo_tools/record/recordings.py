@@ -8,7 +8,9 @@ OUT/
   trust_640/00001.tiff              the same at equal range, in [0, 1]; below 0.5 a ray is doubtful
   depth_estimate_640/00001.tiff     inverse depth, 1/m; written last, so that a frame is complete
                                     if it can be read
-  recording.json                    how the depth was computed
+  poses/00001.json                  of a frame whose cameras stood otherwise, as --follow has found:
+                                    its poses
+  recording.json                    how the depth was computed, and its provenance
   pictures.json                     for each frame, checksums of the pictures that its depth was
                                     computed from
   video/00001.jpg                   panorama over depth with its scale, doubtful rays faded, with
@@ -17,10 +19,10 @@ OUT/
 
 import json
 import shutil
+import warnings
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cache
@@ -29,15 +31,16 @@ from typing import Any
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
+from omnistereo_lib.dataset import read_poses, write_poses
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import (
     atomic_write,
     checksum,
     make_folder,
     read_data,
-    read_text,
     write_text,
 )
 from omnistereo_lib.frame import read_inverse_depth, write_inverse_depth
@@ -45,8 +48,10 @@ from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.lazy import lazy_property
 from omnistereo_lib.parse import Section
 from omnistereo_lib.pictures import read_image, write_image
+from omnistereo_lib.provenance import differences, made_of, notes, provenance, read_facts
 from omnistereo_lib.rig_file import save_rig
 from omnistereo_lib.stereo.depth import Depth
+from omnistereo_lib.stereo.learned import Precision, choose_precision
 from omnistereo_lib.stereo.methods import FRAME_METHOD, VIDEO_METHOD, Method
 from omnistereo_lib.stereo.pipeline import sweep_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
@@ -85,6 +90,7 @@ class DepthWriter:
     #: far
     suffix: str
     with_video: bool  #: keep a picture of every frame, panorama over depth, for `write_video`
+    precision: Precision = "auto"  #: of networks; see `kept_precision`
 
     def path(self, kind: str, number: int) -> Path:
         """Return where a panorama of a frame is stored: its "depth_estimate", "confidence" or
@@ -102,6 +108,7 @@ class DepthWriter:
         """
         try:
             whole = all(self.read(kind, number).shape == self.sweep.grid.shape for kind in OF_RAYS)
+            read_poses(self.out, number)
             return whole and (not self.with_video or self.picture(number).size > 0)
         except OmnistereoError:
             return False
@@ -135,7 +142,7 @@ class DepthWriter:
         """Return the frames whose pictures are not those that they were prepared with, and a
         picture that differs.
         """
-        stored = read_stored(self.out / PICTURES)
+        stored = read_facts(self.out / PICTURES)
         pairs = [(n, stored.get(str(n), marks), marks) for n, marks in self._marks.items()]
         return {n: self._pictures(n)[_first_other(old, new)] for n, old, new in pairs if old != new}
 
@@ -168,7 +175,7 @@ class DepthWriter:
                 if k + _PENDING < len(numbers):
                     read.append(reader.submit(next, images_of))
                 sweep = self.sweep if watching is None else watching.sweep_of(number, images)
-                depth = sweep_depth(sweep, images, self.method)
+                depth = sweep_depth(sweep, images, self.method, precision=self.precision)
                 written.append(pool.submit(self.write, number, images, depth))
                 if len(written) > _PENDING:
                     written.popleft().result()
@@ -186,24 +193,32 @@ class DepthWriter:
                 " of a recording. Choose another --out."
             )
 
+    def settings(self, rig: Rig) -> dict[str, Any]:
+        """Return what decides the numbers of a recording, as it is stored with them."""
+        grid, network = self.sweep.grid, self.method.has_weights
+        sizes: dict[str, Any] = {
+            "width": grid.width,
+            "height": grid.height,
+            "spheres": grid.num_spheres,
+        }
+        made = provenance(
+            rig,
+            self.recording.checksum,
+            self.method.name,
+            choose_precision(self.precision, self.sweep.device) if network else None,
+            torch.get_num_threads() if network else None,
+        )
+        if any(self.recording.late):
+            sizes["late_s"] = [late / 1e9 for late in self.recording.late]
+        return sizes | {"min_depth": grid.min_depth, "depth": self.suffix, "provenance": made}
+
     def prepare(self, rig: Rig) -> None:
         """Make the folder `out` or continue what is in it.
 
         Raises an `OmnistereoError` if `out` holds a recording with other settings or cannot be
         written to.
         """
-        grid = self.sweep.grid
-        settings = {
-            "method": self.method.name,
-            "width": grid.width,
-            "height": grid.height,
-            "spheres": grid.num_spheres,
-        }
-        settings |= {"min_depth": grid.min_depth, "depth": self.suffix}
-        settings |= {"rig": _rig_checksum(rig), "images": self.recording.checksum}
-        if any(self.recording.late):
-            settings["late_s"] = [late / 1e9 for late in self.recording.late]
-        _check_settings(make_folder(self.out) / SETTINGS, settings)
+        _check_settings(make_folder(self.out) / SETTINGS, self.settings(rig))
         cameras = [self.out / f"cam{k}" for k in range(1, len(rig) + 1)]
         for folder in (*cameras, *(self.path(kind, 0).parent for kind in OF_RAYS)):
             make_folder(folder)
@@ -212,7 +227,7 @@ class DepthWriter:
         save_rig(replace(rig, min_depth=self.sweep.grid.min_depth), self.out / "config.yaml")
         for number in self.changed():
             self.path(OF_RAYS[-1], number).unlink(missing_ok=True)  # so that the frame is not done
-        marks = read_stored(self.out / PICTURES) | {
+        marks = read_facts(self.out / PICTURES) | {
             str(number): marks for number, marks in self._marks.items()
         }
         write_text(self.out / PICTURES, json.dumps(marks) + "\n")
@@ -226,6 +241,8 @@ class DepthWriter:
                 _link(source.files[self.recording.frames[number]], folder, number)
             else:
                 write_image(folder / f"{number:05}.jpg", image)
+        own = depth.sweep.rig.T_rig_cam
+        write_poses(self.out, number, None if own == self.sweep.rig.T_rig_cam else own)
         trusted = trust(depth)
         if self.with_video:
             note = f"{self.out.name}, frame {number}, {self.method.name}"
@@ -270,14 +287,6 @@ def _link(picture: Path, folder: Path, number: int) -> None:
             shutil.copyfile(picture, temporary)
 
 
-def read_stored(path: Path) -> dict[str, Any]:
-    """Return what an earlier run has stored in a JSON file; nothing if it cannot be read."""
-    with suppress(OmnistereoError):
-        if isinstance(stored := read_data(path), dict):
-            return stored
-    return {}
-
-
 def _mark(path: Path) -> str:
     """Return a checksum of a file's name, size and time of change, and of samples of its
     content.
@@ -297,39 +306,22 @@ def _first_other(old: object, new: list[str]) -> int:
     return next(k for k, (one, other) in enumerate(zip(known, new, strict=True)) if one != other)
 
 
-def _rig_checksum(rig: Rig) -> str:
-    """Return a checksum of all that depth depends on: lenses, masks, poses and the nearest
-    depth.
-    """
-    content = repr(rig.min_depth).encode()
-    for lens, pose in zip(rig.cameras, rig.T_rig_cam, strict=True):
-        numbers = (
-            lens.poly,
-            lens.inv_poly,
-            lens.center,
-            lens.affine,
-            lens.image_size,
-            lens.max_fov_deg,
-        )
-        for values in (*numbers, pose.R, pose.t):
-            # a fit has other last digits elsewhere
-            content += np.asarray(values, np.float32).tobytes()
-        content += b"" if lens.mask is None else lens.mask.tobytes()
-    return checksum(content)[:16]
-
-
 def _check_settings(path: Path, settings: dict[str, Any]) -> None:
     """Write the settings of a new recording, or compare them with those of the one that is
     continued.
     """
-    text = json.dumps(settings, indent=1) + "\n"
     if not path.exists():
-        write_text(path, text)
-    elif read_text(path) != text:
+        write_text(path, json.dumps(settings, indent=1) + "\n")
+        return
+    stored = read_facts(path)
+    if other := differences(stored, settings):
         raise OmnistereoError(
-            f"{path} is of a recording with other settings: {' '.join(read_text(path).split())};"
-            f" expected {' '.join(text.split())}. Choose another --out, or the same rig, images and"
-            " options as before."
+            f"{path} is of a recording with other settings: {'; '.join(other)}. Choose another"
+            " --out, or the same rig, images and options as there."
+        )
+    for words in notes(stored, settings):
+        warnings.warn(
+            f"{words}: the last digits of the frames that follow may differ", stacklevel=2
         )
 
 
@@ -343,7 +335,7 @@ def stored_min_depth(out: Path) -> float | None:
 
 def stored_method(out: Path) -> str | None:
     """Return the method of the recording in a folder, if it is a default; else None."""
-    found = read_stored(out / SETTINGS).get("method")
+    found = made_of(read_facts(out / SETTINGS)).get("method")
     return found if found in (FRAME_METHOD, VIDEO_METHOD) else None
 
 

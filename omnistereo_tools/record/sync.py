@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.provenance import read_facts
 from omnistereo_lib.stereo.images import to_gray
 from omnistereo_rigs.images.late import FRAMES, LateCameras, Lateness
 from omnistereo_rigs.images.moments import SECOND, in_words, median_step
 from omnistereo_tools.input.sources import Film, Recording
 from omnistereo_tools.progress import say
-from omnistereo_tools.record.recordings import SETTINGS, read_stored
+from omnistereo_tools.record.recordings import SETTINGS
 
 _Moment = list[NDArray[np.uint8]]  # of each camera
 _QUICK = 4  # frames of a first look, one frame to either side
@@ -184,5 +185,5 @@ def _images(recording: Recording, rig: Rig, start: int, count: int) -> list[_Mom
 
 def stored_late(out: Path) -> list[int]:
     """Return by how much each camera of a stored recording was measured to be late, ns."""
-    found = read_stored(out / SETTINGS).get("late_s")
+    found = read_facts(out / SETTINGS).get("late_s")
     return [round(float(value) * SECOND) for value in found] if isinstance(found, list) else []

@@ -11,9 +11,10 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
     from omnistereo_rigs.images.watch import Look, Watch
 
+_Frames = Sequence[tuple[int, Sequence[NDArray[np.uint8]]]]  # number and images of each
 WATCH = "watch.json"
 _FRAMES = 2  # of a look
 _SHARE = 0.05  # of the time
@@ -52,15 +54,15 @@ class Watching:
     def __init__(
         self, rig: Rig, sweep: SphereSweep, follow: bool = False, folder: Path | None = None
     ) -> None:
-        self.rig, self.sweep, self.follow, self.folder = rig, sweep, follow, folder
-        self._thread = ThreadPoolExecutor(1)
+        self.rig, self.follow, self.folder = rig, follow, folder
+        self._sweeps = [(0, sweep)]  # each from a frame on, in order
         self._looking: Future[Look | None] | None = None
         self._frames: list[tuple[int, Sequence[NDArray[np.uint8]]]] = []
         self._rest_s, self._next = _FIRST_S, time.monotonic()
         if folder is not None and (folder / WATCH).exists():
             for look in _stored(folder / WATCH, len(rig)):
-                self.watch.add(look)
-            self._turn_sweep()
+                if self.watch.add(look) is not None:
+                    self._turn_sweep(look.frame)
 
     @lazy_property
     def watch(self) -> Watch:
@@ -78,17 +80,29 @@ class Watching:
             self._frames.append((frame, images))
             self._next = time.monotonic() + self._rest_s / _FRAMES
         if len(self._frames) == _FRAMES:
-            self._looking = self._thread.submit(self._look, self._frames)
+            self._looking = Future()
+            # A daemon: who leaves does not wait for it.
+            Thread(target=self._fill, args=(self._looking, self._frames), daemon=True).start()
             self._frames = []
-        return self.sweep
+        return self.sweep_at(frame)
 
-    def close(self) -> None:
-        """Wait for the last look, and draw all."""
-        if self._looking is not None:
+    def sweep_at(self, frame: int) -> SphereSweep:
+        """Return the sweep of the rig as it was in a frame, as far as looks have shown by now."""
+        return next(sweep for first, sweep in reversed(self._sweeps) if frame >= first)
+
+    def close(self, wait: bool = True) -> None:
+        """Wait for the last look, unless told not to, and draw all."""
+        if self._looking is not None and (wait or self._looking.done()):
             self._say(self._looking.result())
-        self._thread.shutdown()
         if self.folder is not None and (self.folder / WATCH).exists() and self.watch.can_compare:
             save_figure(self.folder / "watch.png", _figure(self.watch))
+
+    def _fill(self, looking: Future[Look | None], frames: _Frames) -> None:
+        """Look at frames, and keep what comes of it in a future."""
+        try:
+            looking.set_result(self._look(frames))
+        except BaseException as error:
+            looking.set_exception(error)
 
     def _look(self, frames: Sequence[tuple[int, Sequence[NDArray[np.uint8]]]]) -> Look | None:
         from omnistereo_rigs.images.watch import look_at
@@ -113,11 +127,13 @@ class Watching:
             path = self.folder / f"rig_{look.frame:05}.yaml"
             save_rig(self.watch.rig_now(), path)
             say(f"written to {path}: the rig with that camera turned")
-        self._turn_sweep()
+        self._turn_sweep(look.frame)
 
-    def _turn_sweep(self) -> None:
-        if self.follow and self.watch.turned:
-            self.sweep = self.sweep.with_poses(self.watch.rig_now().T_rig_cam)
+    def _turn_sweep(self, frame: int) -> None:
+        """Follow the camera that a look has found turned, from the frame of that look on."""
+        if self.follow:
+            last = self._sweeps[-1][1]
+            self._sweeps.append((frame, last.with_poses(self.watch.rig_now().T_rig_cam)))
 
 
 def _store(path: Path, looks: Sequence[Look]) -> None:

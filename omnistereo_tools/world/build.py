@@ -18,8 +18,7 @@ The world has the axes of the rig in its first frame: x right, y down, z forward
 from __future__ import annotations
 
 import json
-import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -29,25 +28,35 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.dataset import Dataset, load_dataset
+from omnistereo_lib.dataset import Dataset, load_dataset, read_poses, write_poses
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_lib.files import checksum, make_folder, read_bytes, read_data, read_text, write_text
+from omnistereo_lib.files import checksum, make_folder, read_data, write_text
 from omnistereo_lib.frame import Frame, read_inverse_depth, write_inverse_depth
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.parse import Section
+from omnistereo_lib.pictures import check_image
+from omnistereo_lib.provenance import (
+    arrays_checksum,
+    made_of,
+    provenance,
+    read_facts,
+    rig_checksum,
+)
+from omnistereo_lib.rig_file import save_rig
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_tools.judge.trust import DOUBTFUL
 from omnistereo_tools.output.blend import blended_panorama
 from omnistereo_tools.progress import progress_bar, say
-from omnistereo_tools.record.recordings import PICTURES, SETTINGS, read_stored
+from omnistereo_tools.record.recordings import SETTINGS
 from omnistereo_tools.world.fusion import View, Volume
 from omnistereo_tools.world.motion import Sighting, SightingFinder, Step, rig_step
 from omnistereo_tools.world.refine import mix, moving_rays
 
 _FARTHEST = 1.5  # times the range: as far a surface is looked for
 _JUMP, _BETWEEN = 2.5, 1.2  # of the median step; of a step, by way of another frame
+_BLACK = 8.0  # of 255: nearly all pixels are darker
 _LOST = 3  # frames without a sure step, after which the path begins anew
 
 
@@ -58,14 +67,19 @@ class RecordedFrames:
     folder: Path
     data: Dataset
     grid: SphereGrid
+    sums: dict[int, str]  #: of each frame a checksum of its images, depth, confidence and rig
+    channels: int  #: of the images: 1, or 3 where some are in colour
 
     @classmethod
     def open(cls, folder: Path) -> RecordedFrames:
-        """Open what `omnistereo record` has written; an `OmnistereoError` says what is missing."""
+        """Open what `omnistereo record` has written, and name the frames that have nothing to fuse.
+
+        An `OmnistereoError` says what is missing.
+        """
         if not (folder / SETTINGS).is_file():
             raise OmnistereoError(
-                f"{folder} has no {SETTINGS}; expected a recording. Make one: omnistereo record …"
-                f" --out {folder}"
+                f"{folder} has no {SETTINGS}; expected a recording. Make one: omnistereo record … "
+                f"--out {folder}"
             )
         data, settings = load_dataset(folder), Section(read_data(folder / SETTINGS))
         width, height, spheres = (
@@ -73,18 +87,49 @@ class RecordedFrames:
         )
         highest = 180.0 * height / width
         grid = SphereGrid(width, height, (-highest, highest), spheres, settings.number("min_depth"))
-        done = [frame for frame in data if frame.gt_path is not None]
+        if empty := [str(frame.number) for frame in data if frame.gt_path is None]:
+            say(f"without depth, and left out: {_some(empty)}. Run omnistereo record again")
+        done, channels = list[Frame](), 1
+        found = cls(folder, data, grid, {}, 1)
+        for frame in data:
+            if frame.gt_path is None:
+                continue
+            try:
+                found.sums[frame.number], of_frame = found._check(frame)
+            except OmnistereoError as error:
+                say(f"frame {frame.number} is left out: {error}")
+                continue
+            channels = max(channels, of_frame)
+            done.append(frame)
         if len(done) < 2:
             raise OmnistereoError(
-                f"{folder} has {len(done)} frames with depth; a world needs two or more"
+                f"{folder} has {len(done)} frames with depth that can be fused; a world needs two "
+                "or more"
             )
-        frames = cls(folder, Dataset(folder, data.rig, done), grid)
-        for frame in done:
-            if not (path := frames.confidence_path(frame)).is_file():
+        return replace(found, data=Dataset(folder, data.rig, done), channels=channels)
+
+    def _check(self, frame: Frame) -> tuple[str, int]:
+        """Return a checksum of all that a frame holds, and the channels of its images.
+
+        Raises an `OmnistereoError` if a part is missing, torn, empty, or of another size.
+        """
+        paths = [Path(frame.gt_path or ""), self.confidence_path(frame)]
+        units = (self.grid.min_depth, 1.0)
+        panoramas = [read_inverse_depth(*one) for one in zip(paths, units, strict=True)]
+        for path, panorama in zip(paths, panoramas, strict=True):
+            if panorama.shape != self.grid.shape:
+                (height, width), (rows, columns) = panorama.shape, self.grid.shape
                 raise OmnistereoError(
-                    f"{path} is missing; expected the confidence of frame {frame.number}. Record it"
+                    f"{path} is {width} × {height}; expected {columns} × {rows}, as in {SETTINGS}"
                 )
-        return frames
+        if not (np.isfinite(panoramas[0]) & (panoramas[1] > 0)).any():
+            raise OmnistereoError(f"no ray of {paths[0]} has depth and confidence")
+        sums, channels = [rig_checksum(frame.rig), arrays_checksum(panoramas)], 1
+        for path, camera in zip(frame.image_paths, frame.rig.cameras, strict=True):
+            content, picture = check_image(path, camera.image_size)
+            sums.append(checksum(content))
+            channels = max(channels, 1 if picture.mode in ("1", "L", "LA", "I;16", "I;16B") else 3)
+        return checksum(" ".join(sums).encode())[:16], channels
 
     def confidence_path(self, frame: Frame) -> Path:
         """Return where the confidence of a frame is."""
@@ -100,27 +145,32 @@ class RecordedFrames:
                 shares.append(float((read_inverse_depth(trust, 1.0) < DOUBTFUL).mean()))
         return 100 * float(np.mean(shares or [0.0]))
 
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """What the world is made from."""
+        inputs = checksum(repr(sorted(self.sums.items())).encode())[:16]
+        method = made_of(read_facts(self.folder / SETTINGS)).get("method", "depth")
+        return provenance(self.data.rig, inputs, f"fusion of {method}")
+
+    def sweep_of(self, frame: Frame) -> SphereSweep:
+        """Return the sweep that a frame was recorded with, which has the origin of its panorama."""
+        if frame.rig is self.data.rig:
+            return self.sweep
+        key = rig_checksum(frame.rig)
+        if key not in self._turned:
+            self._turned.clear()
+            self._turned[key] = self.sweep.with_poses(frame.rig.T_rig_cam)
+        return self._turned[key]
+
     @cached_property
-    def checksum(self) -> str:
-        """Changes with the frames, and with how their depth was computed."""
-        parts = [
-            read_bytes(self.folder / name)
-            for name in (SETTINGS, PICTURES)
-            if (self.folder / name).exists()
-        ]
-        return checksum(b"".join([*parts, repr([frame.number for frame in self.data]).encode()]))[
-            :16
-        ]
+    def _turned(self) -> dict[str, SphereSweep]:
+        """The last sweep of a rig whose cameras have turned on the way."""
+        return {}
 
     @cached_property
     def sweep(self) -> SphereSweep:
         """The sweep of the recording; its rig has the origin of the panoramas."""
         return SphereSweep(self.data.rig, self.grid)
-
-    @cached_property
-    def channels(self) -> int:
-        """Of the images."""
-        return 1 if self.data[0].images[0].ndim == 2 else 3
 
     def panorama(self, frame: Frame, inverse_depth: NDArray[Any]) -> NDArray[np.float32]:
         """Return what the images of a frame show at an inverse depth (H, W): (H, W, channels), 0 to
@@ -130,10 +180,12 @@ class RecordedFrames:
         depth = Depth(
             index.astype(np.float32),
             np.zeros(self.grid.shape, np.float32),
-            self.sweep,
+            self.sweep_of(frame),
             frame.images,
         )
-        return blended_panorama(depth).reshape(*self.grid.shape, -1)
+        # Gray images among colour ones are colour.
+        color = blended_panorama(depth).reshape(*self.grid.shape, -1)
+        return np.broadcast_to(color, (*self.grid.shape, self.channels))
 
     def view(self, frame: Frame, pose: Pose, colored: bool = True) -> View:
         """Return what a frame knows of the world."""
@@ -159,17 +211,19 @@ class RecordedFrames:
         returned.
         """
         steps, progress, total = (
-            _StoredSteps(path, self.folder),
+            _StoredSteps(path, self.sums),
             progress_bar("frame"),
             len(self.data),
         )
-        finder = SightingFinder(self.sweep.rig, self.grid)
         base, last, lost = self.data[0], Pose.identity(), 0
         seen: dict[int, Sighting] = {}
         parts = [{base.number: Pose.identity()}]
 
         def look(frame: Frame) -> Sighting:
             if frame.number not in seen:
+                for k in _black_cameras(frame):
+                    say(f"camera {k} of frame {frame.number} is black")
+                finder = SightingFinder(self.sweep_of(frame).rig, self.grid)
                 seen[frame.number] = finder.find(frame.images, frame.inverse_depth)
             return seen[frame.number]
 
@@ -198,6 +252,12 @@ class RecordedFrames:
             }
         progress(total, total, "")
         poses = max(parts, key=len)
+        for part in parts:
+            if part is not poses:
+                numbers = _some([str(number) for number in part])
+                say(
+                    f"left out, since no sure step leads to the longest part of the path: {numbers}"
+                )
         if len(poses) < 2:
             raise OmnistereoError(
                 f"{self.folder}: no step between two frames is sure. Frames must share most of what"
@@ -256,7 +316,9 @@ class RecordedFrames:
 
     def link(self, out: Path) -> None:
         """Put the rig and the images beside the refined depth, so that it is a data set."""
-        shutil.copyfile(self.folder / "config.yaml", out / "config.yaml")
+        save_rig(self.data.rig, out / "config.yaml")
+        for frame in self.data:
+            write_poses(out, frame.number, read_poses(self.folder, frame.number))
         for camera in self.folder.glob("cam[0-9]*"):
             if not (out / camera.name).exists():
                 # where links are not allowed, the images stay where they are
@@ -264,33 +326,37 @@ class RecordedFrames:
                     (out / camera.name).symlink_to(Path("..") / camera.name)
 
 
+def _black_cameras(frame: Frame) -> list[int]:
+    """Return the numbers of the cameras, from 1, that show nothing."""
+    return [k for k, image in enumerate(frame.images, 1) if np.quantile(image, 0.99) < _BLACK]
+
+
+def _some(names: Sequence[str]) -> str:
+    """Return the first names of many."""
+    return ", ".join(names[:12]) + " …" * (len(names) > 12)
+
+
 class _StoredSteps:
     """The steps of a recording found so far, in a file that is written after each."""
 
-    def __init__(self, path: Path, folder: Path) -> None:
-        self.path, self.settings = path, read_text(folder / SETTINGS)
-        self.marks, self.steps = (read_stored(file) for file in (folder / PICTURES, path))
+    def __init__(self, path: Path, sums: dict[int, str]) -> None:
+        self.path, self.sums, self.steps = path, sums, read_facts(path)
 
     def _key(self, a: Frame, b: Frame) -> str:
-        """Return what tells a step between two frames from others, of other pictures or settings,
-        too.
-        """
-        marks = [self.marks.get(str(frame.number)) for frame in (a, b)]
-        return f"{a.number} {b.number} {checksum(repr([self.settings, marks]).encode())[:16]}"
+        """Return what tells a step between two frames from one between others of their numbers."""
+        return " ".join(f"{frame.number} {self.sums[frame.number]}" for frame in (a, b))
 
     def get(self, a: Frame, b: Frame) -> Step | None:
         with suppress(TypeError, KeyError, ValueError):
-            vector, *counts = self.steps[self._key(a, b)]
-            return Step(Pose.from_vector(vector), *map(int, counts))
+            row = self.steps[self._key(a, b)]
+            T = Pose(np.reshape(row[:9], (3, 3)), np.array(row[9:12]))
+            return Step(T, *map(int, row[12:]))
         return None
 
     def add(self, a: Frame, b: Frame, step: Step) -> None:
-        self.steps[self._key(a, b)] = [
-            step.T.as_vector().tolist(),
-            step.inliers,
-            step.matches,
-            step.rival,
-        ]
+        """Store a step, its pose in full: what is resumed is what would have been."""
+        pose = [*step.T.R.ravel().tolist(), *step.T.t.tolist()]
+        self.steps[self._key(a, b)] = [*pose, step.inliers, step.matches, step.rival]
         write_text(self.path, json.dumps(self.steps) + "\n")
 
 

@@ -10,6 +10,7 @@ libraries that fuse depth take pinhole images or points, not the rays of a panor
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -79,6 +80,8 @@ def touched_blocks(view: View, grid: SphereGrid, voxel: float, reach: float) -> 
     """
     size = BLOCK * voxel
     used = (view.inverse_depth > 1 / reach) & (view.weight > 0)
+    if not used.any():
+        return np.zeros(0, np.int64)
     directions, depth = grid.rays()[used] @ view.T_world_rig.R.T, 1 / view.inverse_depth[used]
     half, keys = np.minimum(BAND / _cosine(view.inverse_depth, grid)[used], _ALONG) * voxel, []
     for share in np.linspace(-1, 1, int(np.ceil(4 * half.max() / size)) + 1):
@@ -108,9 +111,22 @@ def _cosine(inverse: NDArray[np.float32], grid: SphereGrid) -> NDArray[np.float3
     return np.maximum(inverse / np.sqrt(inverse**2 + square), 0.1).astype(np.float32)
 
 
-def bytes_needed(blocks: int, channels: int) -> int:
-    """Return the memory that the voxels of so many blocks take."""
-    return blocks * BLOCK**3 * 4 * (2 + channels)
+def bytes_needed(keys: NDArray[np.int64], channels: int) -> int:
+    """Return the memory that a volume of the blocks `keys` takes, and its surface.
+
+    The directory has room for the box around all blocks. Of each voxel the surface needs two
+    numbers more.
+    """
+    first, last = (_blocks_of(keys).min(axis=0), _blocks_of(keys).max(axis=0))
+    box = math.prod((last - first + 1).tolist())
+    return 4 * (box + len(keys) * BLOCK**3 * (4 + channels))
+
+
+def _blocks_of(keys: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the blocks (B, 3) of keys."""
+    mask = (1 << _BITS) - 1
+    blocks = np.stack([keys >> 2 * _BITS, keys >> _BITS & mask, keys & mask], axis=1)
+    return blocks - (1 << _BITS - 1)
 
 
 class Volume:
@@ -124,10 +140,7 @@ class Volume:
     """
 
     def __init__(self, keys: NDArray[np.int64], voxel: float, reach: float, channels: int) -> None:
-        self.voxel, self.reach, mask = voxel, reach, (1 << _BITS) - 1
-        blocks = np.stack([keys >> 2 * _BITS, keys >> _BITS & mask, keys & mask], axis=1) - (
-            1 << _BITS - 1
-        )
+        self.voxel, self.reach, blocks = voxel, reach, _blocks_of(keys)
         first = blocks.min(axis=0)
         directory = np.full(blocks.max(axis=0) - first + 1, -1, np.int32)
         directory[tuple((blocks - first).T)] = np.arange(len(blocks), dtype=np.int32)

@@ -192,6 +192,8 @@ def checked(tmp_path_factory):
             patch.setenv(variable, str(out))
         patch.setattr(tempfile, "tempdir", str(out / "temporary"))
         patch.setattr(student, "COPIED", SMALL)
+        # Their own /tmp would hide the log and the environment of these tests.
+        patch.setattr(student, "private", lambda folder: [])
         patch.setattr(student, "MAX_PROCESSES", 99)
         patch.setattr(handin, "ANSWER_S", 3)
         patch.setattr(handin, "ENVIRONMENT", [environment])
@@ -257,6 +259,28 @@ def test_printing_without_end_stops_a_cell_and_nothing_is_left_of_a_folder_3000_
         in rows["leaves things.ipynb"]["notes"]
     )
     assert list((out / "temporary").iterdir()) == []
+
+
+FILES = """for name in ("/tmp/left_by_student", "/dev/shm/left_by_student"):
+    with open(name, "wb") as file:
+        file.write(bytes(3_000_000))"""
+MEMORY = """with open("/dev/shm/more_left_by_student", "wb") as file:
+    for _ in range(8):
+        file.write(bytes(100_000_000))"""
+
+
+def test_files_in_tmp_and_shared_memory_are_private_counted_and_removed(tmp_path, monkeypatch):
+    (tmp_path / "student").mkdir()
+    if not student.private(tmp_path / "student"):
+        pytest.skip("this system has no namespaces for its users")
+    monkeypatch.setattr(student, "COPIED", SMALL)
+    path = tmp_path / "a.ipynb"
+    path.write_text(json.dumps(student_writes(FILES, GOOD, MEMORY)), encoding="utf-8")
+    sheet = handin.check_notebook(path, seconds=120, memory_gib=0.7)
+    assert "left 3 MiB of files behind, which were removed" in sheet["notes"]
+    assert "stopped in code cell 4: it used more than 0.7 GiB of memory" in sheet["notes"]
+    left = [path for folder in ("/tmp", "/dev/shm") for path in Path(folder).glob("*by_student")]
+    assert left == []
 
 
 def test_a_class_resumes(checked, monkeypatch, capsys):

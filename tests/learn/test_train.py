@@ -5,6 +5,7 @@ import hashlib
 import multiprocessing
 import os
 import re
+import shutil
 import socket
 from dataclasses import replace
 
@@ -213,6 +214,32 @@ def test_a_finished_run_ships_with_its_curve_and_card(data, finished, tmp_path):
         assert halved[name].dtype == torch.float32
 
 
+@pytest.mark.parametrize("damage", ["gone", "rubbish", "of another run"])
+def test_a_finished_run_whose_weights_are_not_its_own_gets_them_back(
+    data, finished, tmp_path, damage
+):
+    run = shutil.copytree(finished[0], tmp_path / "run")
+    before = {path.name: path.read_bytes() for path in run.iterdir()}
+    if damage == "gone":
+        (run / WEIGHTS).unlink()
+    elif damage == "rubbish":
+        (run / WEIGHTS).write_bytes(bytes(100))
+    else:
+        train(replace(SWEEPNET, steps=1, seed=3), tmp_path / "other", data)
+        shutil.copyfile(tmp_path / "other" / WEIGHTS, run / WEIGHTS)
+    train(SWEEPNET, run, data)
+    assert {path.name: path.read_bytes() for path in run.iterdir()} == before
+
+
+def test_other_data_under_the_same_name_are_another_run(data, tmp_path):
+    copy = shutil.copytree(data, tmp_path / data.parent.name / data.name)
+    train(replace(SWEEPNET, steps=1), tmp_path / "run", copy)
+    picture = next(copy.glob("cam1/*"))
+    picture.write_bytes(picture.read_bytes() + b"\n")
+    with refused("belongs to a different run: data: "):
+        train(replace(SWEEPNET, steps=1), tmp_path / "run", copy)
+
+
 def test_a_run_may_begin_with_trained_weights(data, finished, tmp_path):
     recipe = replace(SWEEPNET, batch_norm=False, steps=2, warmup=0)
     start = finished[0] / WEIGHTS  # of a network with norms, which are folded into them
@@ -232,7 +259,7 @@ def test_a_run_may_begin_with_trained_weights(data, finished, tmp_path):
         "--init-weights FILE`, FILE with SHA-256"
         f" `{hashlib.sha256(start.read_bytes()).hexdigest()}`" in card
     )
-    with refused(r"a different run with init_weights = \w{64}; expected init_weights = None"):
+    with refused(r"a different run: init_weights: \w{64} there, None here"):
         losses(recipe, tmp_path / "whole", data)
     with refused(r"holds SweepNet\(batch_norm=False, .*; expected SweepNet\(batch_norm=True"):
         losses(SWEEPNET, tmp_path / "norms", data, init_weights=start)
@@ -261,9 +288,9 @@ def test_rates():
 
 
 def test_a_folder_with_another_run_is_left_alone(data, finished):
-    with refused(r"a different run with seed = 0; expected seed = 5"):
+    with refused(r"a different run: seed: 0 there, 5 here"):
         losses(replace(SWEEPNET, seed=5), finished[0], data)
-    with refused(r"a different run with network = sweepnet, .*; expected network = mccnn, "):
+    with refused(r"a different run: network: sweepnet there, mccnn here; "):
         losses(MCCNN, finished[0], data)
 
 

@@ -317,6 +317,34 @@ def test_a_tiff_truncated_anywhere_is_refused(tmp_path):
             continue
 
 
+def test_a_hole_of_zeros_in_a_depth_file_is_never_read_as_whole(tmp_path):
+    """Also where it takes the checksum away; what is read is what was written."""
+    rng, file = np.random.default_rng(0), tmp_path / "a.tiff"
+    gt = (np.cumsum(rng.normal(0, 0.01, (24, 96)), axis=1) ** 2).astype(np.float32)
+    write_inverse_depth(file, gt)
+    content, refused = file.read_bytes(), 0
+    for place in [*range(0, 420, 3), *rng.integers(0, len(content), 260)]:
+        damaged = bytearray(content)
+        damaged[place : place + rng.choice([4, 12, 64, 512, 4096])] = b""
+        damaged[place:place] = bytes(len(content) - len(damaged))
+        file.write_bytes(damaged)
+        try:
+            np.testing.assert_array_equal(read_inverse_depth(file), gt)
+        except osl.OmnistereoError:
+            refused += 1
+    assert refused > 300
+
+
+def test_depth_that_another_program_has_written_is_read(tmp_path):
+    for name, options in {
+        "plain": {},
+        "deflated": {"compression": "deflate"},
+        "described": {"description": "x"},
+    }.items():
+        tifffile.imwrite(tmp_path / f"{name}.tiff", GT, **options)
+        np.testing.assert_array_equal(read_inverse_depth(tmp_path / f"{name}.tiff"), GT)
+
+
 # ---- ground-truth index
 
 

@@ -252,3 +252,16 @@ def test_a_folder_that_is_not_writable(tmp_path):
     tmp_path.chmod(0o500)
     with pytest.raises(OmnistereoError, match="written to: Permission denied"):
         make_folder(tmp_path)
+
+
+def test_a_hole_in_a_deflated_tiff_is_damage_and_nothing_is_printed(tmp_path, capfd):
+    rng, path = np.random.default_rng(0), tmp_path / "a.tiff"
+    pixels = rng.integers(0, 40, (60, 80, 3)).astype(np.uint8)
+    tifffile.imwrite(path, pixels, compression="deflate", photometric="rgb")
+    np.testing.assert_array_equal(read_image(path), pixels)
+    content = path.read_bytes()
+    for place in rng.integers(600, len(content) - 40, 40):
+        path.write_bytes(content[:place] + bytes(32) + content[place + 32 :])
+        with pytest.raises(OmnistereoError, match="is damaged"):
+            read_image(path)
+    assert capfd.readouterr() == ("", "")

@@ -24,8 +24,8 @@ pytestmark = pytest.mark.usefixtures("small")
 SMALL = ["--width", "96", "--height", "24", "--spheres", "16"]
 GRID = osl.SphereGrid(96, 24, (-45, 45), 16, 0.6)
 RESULTS = (
-    "README.txt bound.tiff confidence.tiff depth_mm.png inverse_depth.png inverse_depth.tiff panorama.jpg points.ply"
-    " rig.yaml sigma.tiff trust.tiff"
+    "README.txt bound.tiff confidence.tiff depth_mm.png inverse_depth.png inverse_depth.tiff"
+    " panorama.jpg points.ply provenance.json rig.yaml sigma.tiff trust.tiff"
 )
 
 

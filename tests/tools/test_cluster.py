@@ -3,6 +3,7 @@ run.
 """
 
 import os
+import shutil
 import signal
 import threading
 import time
@@ -86,6 +87,27 @@ def test_a_recording_with_a_worker_that_dies(distributed, cluster, recorded, tmp
     for path in sorted((tmp_path / "local").rglob("*.tiff")):
         other = tmp_path / "cluster" / path.relative_to(tmp_path / "local")
         assert path.read_bytes() == other.read_bytes()
+
+
+def test_a_worker_does_not_keep_the_rig_of_an_earlier_recording(cluster, recorded, tmp_path):
+    """Two rigs, one after the other, in one folder, and a recording that has grown."""
+    rig, out, command = (
+        osl.load_rig(recorded / "rig.yaml"),
+        tmp_path / "out",
+        record(recorded, "zncc"),
+    )
+    turned = rig.T_rig_cam[1] @ osl.Pose.from_vector([0, 0.07, 0, 0, 0, 0])
+    osl.save_rig(
+        rig.with_poses([rig.T_rig_cam[0], turned, *rig.T_rig_cam[2:]]), tmp_path / "rig.yaml"
+    )
+    other = [*command, "--rig", tmp_path / "rig.yaml"]
+    assert run(*other, "--out", tmp_path / "local") == 0
+    for asked in (command, [*other, "--stop", 3], other):
+        if asked is not other:
+            shutil.rmtree(out, ignore_errors=True)
+        assert run(*asked, "--out", out, "--cluster", cluster.scheduler_address) == 0
+    for path in (tmp_path / "local").rglob("*.tiff"):
+        assert path.read_bytes() == (out / path.relative_to(tmp_path / "local")).read_bytes()
 
 
 def test_an_evaluation(cluster, tmp_path, monkeypatch):

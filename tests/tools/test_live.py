@@ -223,6 +223,47 @@ def test_a_page_of_another_site_is_not_shown_the_stream(site):
         )
 
 
+def test_an_origin_of_another_site_is_refused_where_a_browser_tells_no_more():
+    latest = Latest()
+    with serve(latest, 0) as address:
+        for origin, answer in (("http://evil.example", 403), (address.rstrip("/"), 400)):
+            asked = urllib.request.Request(address + "depth?", headers={"Origin": origin})
+            with pytest.raises(urllib.error.HTTPError, match=str(answer)):
+                urllib.request.urlopen(asked, timeout=60)
+
+
+class Device:
+    """A camera as OpenCV has it, which shows one picture."""
+
+    def __init__(self, source):
+        pass
+
+    def isOpened(self):
+        return True
+
+    def set(self, what, value):
+        pass
+
+    def grab(self):
+        return True
+
+    def retrieve(self):
+        return True, np.concatenate([np.full((96, 100, 3), 60 * k, np.uint8) for k in range(4)], 1)
+
+
+def test_a_camera_may_be_a_device_or_a_stream_and_send_all_lenses(recorded, monkeypatch):
+    opened = []
+
+    def capture(source):
+        return opened.append(source) or Device(source)
+
+    monkeypatch.setattr(live_view.cv2, "VideoCapture", capture)
+    for source in ("rtsp://10.0.0.1/stream", "/dev/v4l/by-id/usb-front", 0):
+        first = Cameras([source], recorded[0]).first
+        assert [image[0, 0, 0] for image in first] == [0, 60, 120, 180]
+    assert opened == ["rtsp://10.0.0.1/stream", "/dev/v4l/by-id/usb-front", 0]
+
+
 @pytest.mark.parametrize(
     "query", ["inf&0.1", "nan&0.1", "0.1", "", "0.1&0.1&0.1", "a&b", "1e309&0"]
 )

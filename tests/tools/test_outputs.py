@@ -89,6 +89,23 @@ def test_what_is_read_is_not_written_over(folder, capsys, command):
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        f"{FRAME} --out out --equirectangular out/data/inverse_depth.tiff",
+        f"{FRAME} --out out --equirectangular out/data/../data/inverse_depth.tiff",
+        f"{FRAME} --out 5.glb --mesh 5.glb",
+        f"{FRAME} --out out --crops out/data",
+        f"{FRAME} --crops c --mesh c/depth/a.ply",
+        "record --rig rig.yaml --images front.mp4 back.mp4 --out new --video new/video/a.mp4",
+    ],
+)
+def test_no_output_is_written_over_another(folder, capsys, command):
+    assert cli.main(command.split()) == 2
+    assert "would both be written by this command" in capsys.readouterr().err
+    assert not any((folder / name).exists() for name in ("out", "new", "c", "5.glb"))
+
+
 def test_every_option_that_is_a_path_is_read_or_tried_here():
     paths = set()
     for module in cli.COMMANDS.values():

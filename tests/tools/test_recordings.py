@@ -226,6 +226,63 @@ def test_resumed_it_is_the_same_and_no_frame_is_computed_again(recorded, done, t
     assert resumed == whole
 
 
+def test_a_hole_in_a_result_is_computed_again(recorded, done, tmp_path):
+    out = shutil.copytree(done, tmp_path / "out", symlinks=True)
+    for kind in ("depth_estimate", "confidence", "trust"):
+        path = out / f"{kind}_96" / "00002.tiff"
+        content = path.read_bytes()
+        path.write_bytes(content[:-300] + bytes(200) + content[-100:])
+    assert run(*record_command(recorded, out)) == 0
+    for kind in ("depth_estimate", "confidence", "trust"):
+        name = f"{kind}_96/00002.tiff"
+        assert (out / name).read_bytes() == (done / name).read_bytes()
+
+
+def test_the_rig_of_a_frame_stays_with_it(recorded, tmp_path):
+    """The second camera has turned by 1° since frame 5: a frame before it that is computed again
+    has the old pose."""
+    out, rng = tmp_path / "out", np.random.default_rng(0)
+    assert run(*record_command(recorded, out), "--follow") == 0
+    before = read_inverse_depth(out / "depth_estimate_96" / "00002.tiff")
+    looks = []
+    for frame in (1, 1, 2, 2, 5, 5, 6, 6):
+        change = rng.normal(0, 1e-5, (4, 6))
+        change[:, 1] -= np.radians(0.25) * (frame > 4)
+        change[1, 1] += np.radians(1) * (frame > 4)
+        looks.append([frame, change.tolist(), (np.eye(24) * 1e-10).tolist()])
+    (out / "watch.json").write_text(json.dumps(looks))
+    for number in (2, 6):
+        (out / "depth_estimate_96" / f"{number:05}.tiff").unlink()
+    assert run(*record_command(recorded, out), "--follow") == 0
+    np.testing.assert_array_equal(
+        read_inverse_depth(out / "depth_estimate_96" / "00002.tiff"), before
+    )
+    data = osl.load_dataset(out)
+    turns = [
+        (data.rig.T_rig_cam[1].inverse() @ frame.rig.T_rig_cam[1]).magnitude()[0] for frame in data
+    ]
+    np.testing.assert_allclose(turns, [0, 0, 0, 0, 0, 1], atol=0.05)
+    again = osl.estimate_depth(data[5], GRID, "zncc")
+    np.testing.assert_array_equal(again.inverse_depth.astype(np.float32), data[5].inverse_depth)
+    # Given again without a turn, the frame is that of the rig.
+    (out / "watch.json").unlink()
+    (out / "depth_estimate_96" / "00006.tiff").unlink()
+    assert run(*record_command(recorded, out)) == 0 and not (out / "poses" / "00006.json").exists()
+
+
+def test_the_precision_of_a_recording_is_kept(recorded, tmp_path, monkeypatch):
+    """Whatever the processor that goes on with it would choose."""
+    command = record_command(recorded, tmp_path / "out")
+    command[command.index("--method") + 1] = "mccnn"
+    monkeypatch.setattr("torch.cpu.get_capabilities", dict)
+    assert run(*command, "--stop", 2) == 0
+    monkeypatch.setattr("torch.cpu.get_capabilities", lambda: {"avx512_bf16": True})
+    first = tmp_path / "out" / "depth_estimate_96" / "00001.tiff"
+    content = first.read_bytes()
+    first.unlink()
+    assert run(*command, "--stop", 2) == 0 and first.read_bytes() == content
+
+
 def test_a_picture_that_has_changed_is_computed_again(recorded, done, tmp_path, capsys):
     pictures, out = shutil.copytree(recorded, tmp_path / "pictures"), tmp_path / "out"
     assert run(*record_command(pictures, out)) == 0
@@ -284,12 +341,19 @@ def test_by_default_it_takes_the_best_method_that_keeps_pace_and_goes_on_with_it
     # the machine is busy, or no longer
     monkeypatch.setattr(pace, "_measure", lambda *_: 4.0 - seconds)
     assert run(*command) == 0
-    assert json.loads((tmp_path / "out" / "recording.json").read_text())["method"] == method
+    assert (
+        json.loads((tmp_path / "out" / "recording.json").read_text())["provenance"]["method"]
+        == method
+    )
 
 
 def test_another_recording_is_not_overwritten(recorded, done, capsys):
-    assert run(*record_command(recorded, done), "--spheres", 32) == 2
-    assert "recording.json is of a recording with other settings" in capsys.readouterr().err
+    assert run(*record_command(recorded, done), "--spheres", 32, "--method", "zncc+sgm") == 2
+    said = capsys.readouterr().err
+    assert (
+        "recording.json is of a recording with other settings: spheres: 16 there, 32 here; method:"
+        " zncc there, " in said
+    )
 
 
 def test_the_depth_of_another_rig_or_of_other_pictures_is_not_kept(

@@ -1,7 +1,9 @@
 """`omnistereo world`: what it writes, that it resumes, and what it refuses."""
 
 import json
+import re
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -142,15 +144,69 @@ def fails(capsys, *arguments):
 def test_what_is_missing_is_named(copy, capsys, tmp_path):
     assert "recording.json" in fails(capsys, tmp_path)
     (copy / "confidence_160" / "00002.tiff").unlink()
-    assert "00002.tiff" in fails(capsys, copy)
-    for number in (2, 3):
-        (copy / "depth_estimate_160" / f"{number:05}.tiff").unlink()
+    (copy / "depth_estimate_160" / "00003.tiff").unlink()
     assert "1 frames with depth" in fails(capsys, copy)
+
+
+def lines(capsys, *arguments):
+    assert cli.main(["world", *map(str, arguments)]) == 0
+    return "".join(capsys.readouterr())
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0, "no confidence", "another height", "torn"])
+def test_a_frame_with_nothing_to_fuse_is_named_and_left_out(copy, capsys, value):
+    kind = "confidence_160" if value == "no confidence" else "depth_estimate_160"
+    path = copy / kind / "00003.tiff"
+    if value == "torn":
+        path.write_bytes(path.read_bytes()[:-60] + bytes(40) + path.read_bytes()[-20:])
+    else:
+        shape = (20, 160) if value == "another height" else GRID.shape
+        write_inverse_depth(path, np.full(shape, 0.0 if isinstance(value, str) else value))
+    said = lines(capsys, copy, *COMMAND)
+    assert re.search("frame 3 is left out: .*/00003.tiff", said)
+    assert "2 of 2 frames" in said
+
+
+def test_a_world_in_which_nothing_is_near_is_refused(copy, capsys):
+    assert "no ray of" in fails(capsys, copy, "--range", "0.5")
+    assert "no surface is left" in fails(capsys, copy, "--voxel", "5")
+
+
+@pytest.mark.parametrize("damage", ["mesh.glb", "mesh.ply", "omnidepth_world_160/00002.tiff"])
+def test_a_world_of_which_a_part_is_lost_is_made_again(recording, world, tmp_path, capsys, damage):
+    copy = shutil.copytree(recording, tmp_path / "drive", symlinks=True)
+    lines(capsys, copy, *COMMAND)
+    path = copy / "world" / damage
+    content = path.read_bytes()
+    path.write_bytes(content[:-9]) if damage == "mesh.ply" else path.unlink()
+    how = "not whole" if damage == "mesh.ply" else "missing"
+    assert f"{path} is {how}" in lines(capsys, copy, *COMMAND)
+    assert path.read_bytes() == content and "already" in lines(capsys, copy, *COMMAND)
+
+
+def test_a_world_of_other_depth_or_of_another_rig_is_made_again(recording, world, tmp_path, capsys):
+    copy = shutil.copytree(recording, tmp_path / "drive", symlinks=True)
+    lines(capsys, copy, *COMMAND)
+    depth = copy / "depth_estimate_160" / "00002.tiff"
+    shutil.copyfile(copy / "depth_estimate_160" / "00001.tiff", depth)
+    assert "is made again: other inputs" in lines(capsys, copy, *COMMAND)
+    rig = osl.load_rig(copy / "config.yaml")
+    mask = np.ones(rig.cameras[0].image_size[::-1], bool)
+    mask[:40] = False
+    masked = [replace(rig.cameras[0], mask=mask), *rig.cameras[1:]]
+    osl.save_rig(replace(rig, cameras=tuple(masked)), copy / "config.yaml")
+    assert "other rig" in lines(capsys, copy, *COMMAND)
+    assert np.array_equal(osl.load_dataset(copy / "world").rig.cameras[0].mask, mask)
+
+
+def test_a_black_camera_is_named(copy, capsys):
+    write_image(copy / "cam2" / "00002.png", np.zeros((288, 300)))
+    assert "camera 2 of frame 2 is black" in lines(capsys, copy, *COMMAND)
 
 
 def test_more_memory_than_there_is_is_refused(copy, capsys, monkeypatch):
     monkeypatch.setattr(
-        "omnistereo_tools.world.fusion.bytes_needed", lambda blocks, channels: 1 << 60
+        "omnistereo_tools.world.fusion.bytes_needed", lambda keys, channels: 1 << 60
     )
     assert "not enough memory: needs" in fails(capsys, copy)
     assert not (copy / "world" / "mesh.ply").exists()

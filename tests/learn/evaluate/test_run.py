@@ -245,7 +245,7 @@ def test_a_bent_rig_is_worse_and_kept_apart(data, tmp_path, own, expected):
         found = bent["frames"]["box"][number]["zncc+sgm"]
         assert found["figures"]["MAE"] > 1.2 * methods["zncc+sgm"]["figures"]["MAE"]
     assert "Not the sets' own rig, but " in errors_table(bent).text()
-    with pytest.raises(osl.OmnistereoError, match=r"comes from another scale, rig"):
+    with pytest.raises(osl.OmnistereoError, match="holds another evaluation: other rig"):
         evaluation(own, data, rig=tmp_path / "bent.yaml")
 
 
@@ -268,8 +268,22 @@ OTHER = (
 
 
 def test_another_scale_is_refused(own, data):
-    with pytest.raises(osl.OmnistereoError, match=OTHER):
+    with pytest.raises(
+        osl.OmnistereoError, match="holds another evaluation: num_spheres: 12 there, 24 here"
+    ):
         evaluation(own, data, scale=Scale(96, 24, 24))
+
+
+def test_the_precision_of_the_first_run_is_kept(data, weights, tmp_path, monkeypatch):
+    """Whatever the processor of the second one would choose; another one by name is refused."""
+    arguments = [tmp_path / "out", data, select_methods(["mccnn"])]
+    monkeypatch.setattr("torch.cpu.get_capabilities", dict)
+    options = {"weights": weights, "scale": TINY, "frames": [1]}
+    first = evaluate(*arguments, precision="auto", **options)
+    monkeypatch.setattr("torch.cpu.get_capabilities", lambda: {"avx512_bf16": True})
+    assert evaluate(*arguments, precision="auto", **options) == first
+    with pytest.raises(osl.OmnistereoError, match="precision: float32 there, bfloat16 here"):
+        evaluation(*arguments, precision="bfloat16", **options)
 
 
 def test_other_data_are_refused(own, copy):
@@ -293,7 +307,7 @@ def test_other_weights_are_refused(data, weights, tmp_path):
     with pytest.raises(osl.OmnistereoError, match=r"mccnn\.json comes from another"):
         evaluation(tmp_path / "out", data, methods, weights=other, scale=TINY)
     evaluation(tmp_path / "out", data, ZNCC, scale=TINY)  # has no weights
-    with pytest.raises(osl.OmnistereoError, match=r"mccnn\.json comes from another"):
+    with pytest.raises(osl.OmnistereoError, match="precision: float32 there, bfloat16 here"):
         evaluation(
             tmp_path / "out", data, methods, weights=weights, scale=TINY, precision="bfloat16"
         )
@@ -386,6 +400,7 @@ FILES = [
     "errors.md",
     "errors.txt",
     "frames",
+    "provenance.json",
     "regions.csv",
     "regions.md",
     "regions.txt",

@@ -54,6 +54,46 @@ def depth(images=IMAGES, **options):
     return osl.estimate_depth(osl.Frame.of(RIG, images), GRID, **{"method": "zncc+sgm"} | options)
 
 
+@pytest.mark.parametrize(
+    "value",
+    [
+        torch.zeros(56, 60, dtype=torch.bfloat16),
+        torch.zeros(56, 60).to_sparse(),
+        torch.zeros(56, 60, device="meta"),
+        torch.quantize_per_tensor(torch.zeros(56, 60), 1.0, 0, torch.quint8),
+        np.full((56, 60), "gray", object),
+        np.full((56, 60), None),
+        np.full((56, 60), 1e300),
+    ],
+    ids=["bfloat16", "sparse", "meta", "quantised", "words", "objects", "infinite in float32"],
+)
+def test_images_that_are_no_numbers_are_one_error(value):
+    with pytest.raises(osl.OmnistereoError, match=r"image 1 .*; expected "):
+        depth([value, *IMAGES[1:]])
+
+
+@pytest.mark.parametrize("value", [1e12, -1e6, 65504.0])
+def test_one_pixel_of_a_float_image_moves_no_ray_but_its_neighbours(value):
+    images = [image.astype(np.float64) for image in scene.images(RIG)]
+    before = depth(images, method="zncc").inverse_depth
+    images[0] = images[0].copy()
+    images[0][28, 30] = value
+    after = depth(images, method="zncc").inverse_depth
+    assert (~np.isclose(after, before, rtol=0.05, equal_nan=True)).sum() < 20
+
+
+def test_a_float_image_without_such_pixels_is_taken_as_it_is():
+    images = [image.astype(np.float32) for image in IMAGES]
+    for image, taken in zip(images, osl.Frame.of(RIG, images).images, strict=True):
+        assert taken is image
+
+
+@pytest.mark.parametrize("points", [[1.0, 2.0], np.zeros((3, 2)), 1.0, "far"])
+def test_points_of_another_shape(points):
+    with pytest.raises(osl.OmnistereoError, match="points"):
+        GRID.project(points)
+
+
 def rig(pose=0.0, min_depth=None):
     return osl.Rig(RIG.cameras, [osl.Pose(np.eye(3), [pose, 0, 0])] * 4, min_depth)
 
