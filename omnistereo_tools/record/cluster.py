@@ -139,7 +139,7 @@ def depth_on_cluster(address: str, writer: DepthWriter, device: str = "cpu") -> 
         writer.suffix,
         writer.with_video,
         device,
-        choose_precision(writer.precision, device),
+        choose_precision(writer.precision, writer.sweep.device),
         _contents(writer.out),
         writer.recording.late,
     )
