@@ -188,7 +188,7 @@ def _hypotheses(evidence: Evidence, rig: Rig) -> Iterator[_Hypothesis]:
                 f" differ by {given.turn_deg:.0f}° and {given.aim_deg:.0f}°"
             )
             score = float(evidence.counts(fixed).sum() / 2)
-            yield _Hypothesis("poses mixed up", score, 0.04 * found.parts + 0.01, fixed, (), said)
+            yield _Hypothesis("poses mixed up", score, 0.04 * found.parts + 0.03, fixed, (), said)
     for freed in free_poses(evidence, rig, pairs)[:1]:
         mine, others = fitted_share(evidence, freed.rig, freed.cameras)
         if mine < _ALIEN * others or freed.score < _FEW * len(rig):

@@ -40,7 +40,7 @@ _FILE_TURN, _FILE_SHARE = np.radians(0.15), 0.01
 _NOMINAL_BAND_DEG, _FILE_BAND_DEG = 6.0, 1.5
 _SECTOR_DEG = 30.0
 _FEW_POINTS, _FEW_CELLS = 300, 60  # fewer give no honest uncertainty
-# error of a lens, at least: that of exact lenses and rendered pictures, by χ² over 44 frames
+# error of a lens, at least: that of exact lenses and rendered pictures, by χ² over 11 frames
 _LENS_PX = 0.05
 _FEWEST = 30  # points that poses can be found from
 _MOST_CENTRE_SHARE = 0.02  # of the radius: centres that are known less well are refused
