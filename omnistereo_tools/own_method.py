@@ -95,7 +95,7 @@ def _tell(folder: Path, sweep: SphereSweep, images: Sequence[NDArray[Any]]) -> N
     from omnistereo_lib.geometry.rig import camera_pairs
 
     grid, rig, cameras = sweep.grid, sweep.rig, []
-    arrays: dict[str, Any] = {}
+    arrays: dict[str, NDArray[Any]] = {}
     for k, (camera, pose, image) in enumerate(zip(rig.cameras, rig.T_rig_cam, images, strict=True)):
         arrays |= {f"image{k}": np.asarray(image), f"valid{k}": camera.visible_pixels()}
         facts = {

@@ -47,7 +47,7 @@ from omnistereo_tools.output.summary import (
     turn_sentence,
 )
 from omnistereo_tools.output.viewer import viewer_page
-from omnistereo_tools.own_method import is_own
+from omnistereo_tools.parser import is_own
 
 # of the panorama that is looked at: columns for a pixel of the images, and in all
 _SHARP, _WIDEST = 1.4, 3600
