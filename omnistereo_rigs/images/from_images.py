@@ -340,8 +340,11 @@ def _covariance(bundle: TrackBundle) -> tuple[Floats, float]:
     image, and poses from one part of the image differ from those of another. By how much more than
     noise halves of the points disagree, up and down, near and far, in odd and in even sectors, of
     early and of late frames, tells how large it is; what it does to the poses follows from the
-    adjustment, so that it is marginalised with the right correlations.
+    adjustment, so that it is marginalised with the right correlations. Lenses that are adjusted,
+    too, are unknowns: nothing of them is left over.
     """
+    if bundle.free_lenses:
+        return bundle.covariance(), 0.0
     noise, lens = bundle.covariance(), bundle.by_lenses()
     u, inverse, frame = bundle.points[:, :3], bundle.points[:, 3], bundle.tracks.point_frame
     halves = [

@@ -145,7 +145,10 @@ def test_centre_and_focal_length_of_a_lens_are_found():
         scene.camera(400, 384, 220 * (1.0 + 0.005 * (-1) ** k), (k + 1.5, -k)) for k in range(4)
     ]
     start = osl.Rig(given, RIG.T_rig_cam)
-    found = solved(start, synthetic_tracks(RIG), free_lenses=True).adjusted_rig()
+    bundle = solved(start, synthetic_tracks(RIG), free_lenses=True)
+    covariance, lens_px = _covariance(bundle)
+    assert covariance.shape == (24, 24) and np.isfinite(covariance).all() and lens_px == 0
+    found = bundle.adjusted_rig()
     for camera, true in zip(found.cameras, RIG.cameras, strict=True):
         assert np.abs(np.subtract(camera.center, true.center)).max() < 0.3
         assert camera.inv_poly[1] == pytest.approx(true.inv_poly[1], rel=1e-3)
