@@ -16,8 +16,10 @@ from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.kernels import correlation_numba
 from omnistereo_lib.stereo.kernels.correlation_numba import GROUPS
 
-COARSE = 160, 32  # columns and spheres of the volume on which the shipped network was trained
-FINER = 320, 48  # and of the finer volume, at most
+# Columns and spheres of the volume on which the shipped network was trained.
+COARSE = 160, 32
+# Columns and spheres of the finer volume, at most.
+FINER = 320, 48
 
 
 def volume_sizes(grid: SphereGrid, rig: Rig | None = None) -> list[tuple[int, int, int]]:
@@ -30,13 +32,15 @@ def volume_sizes(grid: SphereGrid, rig: Rig | None = None) -> list[tuple[int, in
     than suits its images; see `pixels_per_degree`. One no wider than the first is finer in depth
     alone, and left out for grids of few spheres.
     """
+    # Neither finer than three quarters of the grid, nor than the images are: `pixels_per_degree`
+    # asks for 4 w / 360 of them, so w is 360 / 4 times what the coarsest camera has.
     columns = min(0.75 * grid.width, FINER[0])
     if rig is not None:
         columns = min(
             columns,
             360 / 4 * min(camera.image_size[0] / camera.max_fov_deg for camera in rig.cameras),
         )
-    # in steps: one that is hardly finer does not pay
+    # In steps of 80 columns: a volume that is hardly finer than the first does not pay.
     columns = max(80 * int(columns / 80), COARSE[0])
     finer = columns > COARSE[0] or grid.num_spheres >= 2 * FINER[1]
     cells = [COARSE, (columns, FINER[1])] if finer else [COARSE]
@@ -75,6 +79,7 @@ def volume_cells(grid: SphereGrid, size: tuple[int, int, int]) -> tuple[Tensor, 
     rays = (
         torch.from_numpy(replace(grid, width=width, height=height).rays()).float().transpose(0, 1)
     )
+    # The centres of n cells along a ray, as sphere indices of the full grid: (k + ½) N / n - ½.
     index = (np.arange(spheres) + 0.5) * grid.num_spheres / spheres - 0.5
     return rays, torch.from_numpy(grid.index_to_inverse_depth(index)).float()[:, None]
 
@@ -88,8 +93,9 @@ def project_cells(rig: Rig, rays: Tensor, inverse_depth: Tensor) -> list[Tensor]
             torch.tensor(a, dtype=torch.float32, device=rays.device)
             for a in (T_cam_rig.R, T_cam_rig.t)
         )
+        # R ρ + d t has the direction of the point ρ/d in the camera's frame, as in the sweep.
         uv, visible = camera.project((rays @ R.T)[:, :, None] + inverse_depth * t)
-        # maps have every second pixel
+        # A feature map has every second pixel of its image.
         coordinates.append(torch.where(visible[..., None], uv / 2, torch.nan))
     return coordinates
 

@@ -79,14 +79,17 @@ class PairNetwork(StoredNetwork, ABC):
 
     """
 
-    stride: ClassVar[int] = 1  # columns of the panorama per column of features
-    # px, rows (of 0) and columns that `extract_features` takes off each side
+    # So many columns of the panorama make one column of features.
+    stride: ClassVar[int] = 1
+    # `extract_features` takes so many rows (of 0) and columns off each side, in pixels.
     padding: ClassVar[tuple[int, int]]
-    # columns of features at each side that `extract_features` gets wrong
+    # So many columns of features at each side are wrong after `extract_features`, since the
+    # convolutions look for what lies beyond the strip.
     feature_halo: ClassVar[int] = 0
-    # columns of features at each side that `match_features` gets wrong
+    # The same after `match_features`.
     match_halo: ClassVar[int] = 0
-    wrap: bool = True  # whether every layer continues around the ±180° seam
+    # Whether every layer continues around the ±180° seam.
+    wrap: bool = True
 
     def volume(
         self,
@@ -121,6 +124,8 @@ class PairNetwork(StoredNetwork, ABC):
         """Cut feature columns start … stop - 1, which may lie beyond the seam, out of panoramas,
         with `padding`.
         """
+        # Columns are counted around the panorama, so a strip may begin before the seam and end
+        # behind it.
         rows, columns = self.padding
         index = torch.arange(
             self.stride * start - columns, self.stride * stop + columns, device=images.device
@@ -139,11 +144,16 @@ class PairNetwork(StoredNetwork, ABC):
         """Extract what matching in the columns (start, width) needs from panoramas (M, H, W), NaN
         where unseen.
         """
+        # From pixels to columns of features: the first is rounded down and the last one up.
         total = images.shape[-1] // self.stride
         start, stop = columns[0] // self.stride, -(-sum(columns) // self.stride)
         start, stop = self.add_halo(start, stop, self.match_halo, total)
+        # With its halo the strip goes all the way around, or the network knows nothing of the seam:
+        # then the whole panorama is one strip.
         if stop - start >= total or not self.wrap:
             start, stop = 0, total
+        # A halo goes in with the strip, the network runs, and the columns that it gets wrong are
+        # cut off.
         low, high = self.add_halo(start, stop, self.feature_halo, total)
         maps = self.extract_features(
             self.pad_columns(images.masked_fill(images.isnan(), 0.0), low, high)
@@ -152,6 +162,7 @@ class PairNetwork(StoredNetwork, ABC):
 
     def match_columns(self, left: Features, right: Features, start: int, stop: int) -> Tensor:
         """Run `match_features` on the feature columns start … stop - 1: (B, H, pixels, K)."""
+        # The same for matching; here a column of features is `stride` columns of pixels again.
         low, high = self.add_halo(start, stop, self.match_halo, left.total)
         pixels = self.match_features(
             left.wrapped_columns(low, high), right.wrapped_columns(low, high)
@@ -244,9 +255,11 @@ class LearnedCost(BlockCost):
         device = spherical_images.device
         self.network.check_size(H, W)
         columns = columns if columns is not None else [(0, W)] * cameras
+        # The mean over pairs (Eq. 2): sums of costs and of visibility, divided at the end.
         total = torch.zeros(B, H, W, dtype=torch.float32, device=device)
         count = torch.zeros_like(total)
-        # On a CPU so few that their features stay in the cache of a core; a GPU has to be filled.
+        # On a CPU so few spheres at a time that their features stay in the cache of a core; a GPU
+        # has to be filled.
         spheres = max(1, (1 << 14 if device.type == "cpu" else 1 << 22) // (H * W))
         with autocast(self.precision, device):
             for first in range(0, B, spheres):
@@ -254,7 +267,8 @@ class LearnedCost(BlockCost):
                 self._add_costs(
                     spherical_images[:, block], pairs, columns, total[block], count[block]
                 )
-        return (total / count).permute(1, 2, 0)  # 0/0 = NaN where no pair sees the ray
+        # 0/0 is NaN, where no pair sees the ray.
+        return (total / count).permute(1, 2, 0)
 
     def _add_costs(
         self,
@@ -266,12 +280,17 @@ class LearnedCost(BlockCost):
     ) -> None:
         """Add the costs and the visibility of all pairs to total and count (B, H, W)."""
         network, W, device = self.network, images.shape[-1], images.device
-        # without those that see nothing
+        # Each camera's features are computed once, however many pairs it is in; cameras that see
+        # nothing of this block are left out.
         cameras = {i for pair in pairs for i in pair if columns[i][1]}
         features = {i: network.extract_columns(images[i], columns[i]) for i in cameras}
-        chunk = 1 << 11 if device.type == "cpu" else 1 << 19  # pixels; as for the spheres
+        # Pixels are scored in chunks, of a size chosen as that of the spheres above.
+        chunk = 1 << 11 if device.type == "cpu" else 1 << 19
         for i, j in pairs:
             for start, stop in network.shared_strips(columns[i], columns[j], W):
+                # Where both cameras see: NaN in either image makes the sum NaN. Only these pixels
+                # are scored, which cannot change their costs, since the last layers look at one
+                # pixel at a time.
                 strip = (
                     torch.arange(network.stride * start, network.stride * stop, device=device) % W
                 )

@@ -26,11 +26,17 @@ from omnistereo_lib.stereo.device import BLOCK, available_memory, check_memory, 
 from omnistereo_lib.stereo.images import blur, blur_px, to_gray
 from omnistereo_lib.stereo.threads import map_threads
 
-_D0 = 2.0**-23  # 1/m, inverse depth of the sphere at infinity in the paper
-_MAX_SIDE = 32766  # largest width and height of the output of cv2.remap
-OUTSIDE = -1e5  # px, pixel coordinate of invalid rays; NaN coordinates are undefined in cv2.remap
-_LUT_BUDGET = 2 << 30  # bytes
-_LUT_LOCK = Lock()  # one build at a time: it takes all cores and much memory
+# Inverse depth in 1/m of the sphere at infinity in the paper.
+_D0 = 2.0**-23
+# The output of cv2.remap may be so wide and so high.
+_MAX_SIDE = 32766
+# Pixel coordinate of rays that are not visible. It lies far outside of any image, so that cv2.remap
+# reads its border there, NaN; a NaN coordinate is undefined in cv2.remap.
+OUTSIDE = -1e5
+# In bytes: tables beyond it are computed anew for every frame.
+_LUT_BUDGET = 2 << 30
+# One table is built at a time: it takes all cores and much memory.
+_LUT_LOCK = Lock()
 hold_at_fork(_LUT_LOCK)
 
 # Pixel coordinates of the rays of one block of spheres in one camera, as (first column, maps of
@@ -163,6 +169,8 @@ class SphereSweep:
         """Return the points ρ/d of one sphere in the camera frame, times d to stay finite at
         infinity.
         """
+        # M(Θ*) ρ/d is R ρ/d + t. Times d it is R ρ + d t: a projection needs its direction only,
+        # and at infinity, d = 0, nothing is divided by 0.
         inverse_depth = np.maximum(self.grid.index_to_inverse_depth(index), _D0)[..., None]
         T_cam_rig = self.rig.T_rig_cam[camera].inverse()
         return self._rays @ T_cam_rig.R.T + inverse_depth * T_cam_rig.t
@@ -181,6 +189,7 @@ class SphereSweep:
         images = check_images(images, self.rig)
         warped = []
         for camera, image in enumerate(images):
+            # Eq. 1: the image is read where the points of the sphere land in it.
             uv, valid = self.project_sphere(camera, index)
             maps = np.where(valid[..., None], uv, OUTSIDE).astype(np.float32)
             warped.append(remap(np.asarray(image, np.float32), maps))
@@ -219,11 +228,16 @@ class SphereSweep:
         def normalize(image: NDArray[Any], mask: NDArray[np.uint8], blurring: _Blurring) -> Tensor:
             sigma, inside, weight = blurring
             gray = to_gray(image)
-            if sigma:  # within the image circle: the black around it stays out
+            # Within the image circle: the black around it stays out. Both the gray values times the
+            # mask and the mask itself are blurred, and their quotient is a mean over visible pixels
+            # alone.
+            if sigma:
                 gray = blur(gray * inside, sigma)
                 gray /= weight
             mean, deviation = (float(moment[0, 0]) for moment in cv2.meanStdDev(gray, mask=mask))
-            gray = gray - np.float32(mean)  # not in place: it may be the caller's image
+            # Zero mean and unit variance. The subtraction is not in place: it may be the caller's
+            # image.
+            gray = gray - np.float32(mean)
             gray *= np.float32(1 / deviation if deviation > 0 else 1.0)
             return torch.from_numpy(gray).to(self.device)
 
@@ -234,6 +248,8 @@ class SphereSweep:
     def blocks(self) -> list[range]:
         """Return the sphere indices 0 to N - 1 in blocks that are warped together."""
         N = self.grid.num_spheres
+        # The spheres of a block follow each other in one row of cv2.remap's output, so W · B is
+        # limited.
         block = max(1, min(BLOCK, _MAX_SIDE // self.grid.width))
         return [range(n, min(n + block, N)) for n in range(0, N, block)]
 
@@ -265,12 +281,15 @@ class SphereSweep:
         H, W, B = out.shape
         rows = out.view(H, W * B)
         on_cpu = self.device.type == "cpu"
+        # The visible columns: one part of the panorama, or two if they cross the seam. One row of
+        # the output holds all spheres of all columns, so one call warps the whole block.
         for column, maps in self._lookup_table(camera, spheres):
             target = rows[:, column * B : column * B + maps.shape[1]]
             if on_cpu:
                 remap(image.numpy(), maps.numpy(), target.numpy())
             else:
                 target.copy_(reference.sample(image[None], maps)[0])
+        # All other columns are those that the camera does not see.
         start, width = self._spans[camera, spheres.start]
         for first, stop in split_at_seam((start + width) % W, W - width, W):
             (out.numpy() if on_cpu else out)[:, first:stop] = np.nan
@@ -287,6 +306,7 @@ class SphereSweep:
         key = (camera, spheres.start)
         if key in self._luts:
             return self._luts[key]
+        # Tables are kept as long as they fit; one that does not is used and forgotten.
         with _LUT_LOCK:
             lut = self._compute_lut(camera, spheres)
             size = sum(maps.nbytes for _, maps in lut)
@@ -306,7 +326,7 @@ class SphereSweep:
                 table[:, :, k] = uv
                 table[~valid, k] = OUTSIDE
 
-            # more would wait for the interpreter lock
+            # More threads would wait for the interpreter's lock.
             with ThreadPoolExecutor(torch.get_num_threads()) as pool:
                 list(pool.map(fill, range(len(spheres))))
         else:
@@ -314,7 +334,8 @@ class SphereSweep:
                 uv, valid = self._project_by_torch(camera, n)
                 maps[:, :, k] = uv.masked_fill_(~valid[..., None], torch.nan)
         # Keep the columns that are visible on any of them.
-        visible = (maps[..., 0] > OUTSIDE).any(2).any(0).cpu().numpy()  # not NaN, either
+        # This is false for NaN, too, which the device's tables have in place of OUTSIDE.
+        visible = (maps[..., 0] > OUTSIDE).any(2).any(0).cpu().numpy()
         start, width = circular_span(visible)
         self._spans[camera, spheres.start] = start, width
         return [(a, maps[:, a:b].reshape(H, -1, 2)) for a, b in split_at_seam(start, width, W)]

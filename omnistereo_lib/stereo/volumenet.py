@@ -41,7 +41,7 @@ from omnistereo_lib.stereo.learned import Precision, autocast, full_precision
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.weights import StoredNetwork
 
-# channels of the U-net's levels, each half as wide, high and deep as the one before
+# Channels of the U-net's levels. Each level is half as wide, high and deep as the one before.
 WIDTHS = (16, 32, 48, 64)
 
 
@@ -71,7 +71,8 @@ class FeatureNet(nn.Module):
         self.first = nn.Conv2d(1, CHANNELS, 5, stride=2, padding=2)
         self.blocks = nn.Sequential(ResidualBlock(1, 1), ResidualBlock(1, 2), ResidualBlock(4, 2))
         self.last = nn.Conv2d(CHANNELS, CHANNELS, 3, padding=1)
-        nn.utils.convert_conv2d_weight_memory_format(self, torch.channels_last)  # a quarter faster
+        # Channels last in memory: a quarter faster.
+        nn.utils.convert_conv2d_weight_memory_format(self, torch.channels_last)
 
     def forward(self, image: Tensor, visible: Tensor) -> Tensor:
         """Return the feature maps of one image.
@@ -85,9 +86,12 @@ class FeatureNet(nn.Module):
             tensor, shape (32, ⌈h / 2⌉, ⌈w / 2⌉): Feature pixel (x, y) is centred on the image pixel
             (2x, 2y).
         """
-        x = self.blocks(relu(self.first(image[None, None]), inplace=True))  # (1, 32, h / 2, w / 2)
+        # (h, w) → (1, 32, h / 2, w / 2)
+        x = self.blocks(relu(self.first(image[None, None]), inplace=True))
         maps, visible = self.last(x)[0].float(), visible[::2, ::2]
-        # Zero mean per channel and unit variance per group over the visible pixels.
+        # Over the visible pixels, each channel gets zero mean and each group of channels unit
+        # variance. So features stay small where there is little texture, and cannot correlate by
+        # their noise.
         count = visible.sum().clamp(min=1)
         maps = (maps - (maps * visible).sum((1, 2), keepdim=True) / count) * visible
         power = (maps.square().sum((1, 2)) / count).view(GROUPS, -1).mean(1)
@@ -100,7 +104,8 @@ class Conv3d(nn.Module):
     def __init__(self, inputs: int, outputs: int, stride: int = 1) -> None:
         super().__init__()
         self.conv = nn.Conv3d(inputs, outputs, 3, stride, padding=(0, 1, 1), bias=False)
-        self.norm = nn.BatchNorm3d(outputs, momentum=None)  # None: plain means, see `train`
+        # Without a momentum the statistics are plain means over the batches, see `train`.
+        self.norm = nn.BatchNorm3d(outputs, momentum=None)
 
     def forward(self, x: Tensor) -> Tensor:
         """Return the filtered volume (B, outputs, W, H, N), each side divided by the stride."""
@@ -108,8 +113,8 @@ class Conv3d(nn.Module):
         if self.training:
             return relu(norm(conv(wrap(x))), inplace=True)
         assert norm.running_mean is not None and norm.running_var is not None
-        # The trained normalisation is part of the weights: the volume is read and written once
-        # less.
+        # A trained normalisation is an affine map of each channel, γ (x - μ) / √(σ² + ε) + β, so it
+        # can be part of the weights and the bias: the volume is read and written once less.
         scale = norm.weight / (norm.running_var + norm.eps).sqrt()
         weight, bias = (
             conv.weight * scale[:, None, None, None, None],
@@ -120,11 +125,13 @@ class Conv3d(nn.Module):
 
 def wrap(x: Tensor) -> Tensor:
     """Continue a volume (B, C, W, H, N) by one column on either side of the ±180° seam."""
+    # The last column goes before the first, and the first behind the last.
     return torch.cat([x[:, :, -1:], x, x[:, :, :1]], 2)
 
 
 def double(x: Tensor) -> Tensor:
     """Double the three sides of a volume by trilinear interpolation, circular in θ."""
+    # The two columns that continue the volume are four after doubling: cut two off each side.
     return interpolate(wrap(x), scale_factor=2, mode="trilinear", align_corners=False)[:, :, 2:-2]
 
 
@@ -163,6 +170,9 @@ class VolumeNet(StoredNetwork):
 
     def __init__(self) -> None:
         super().__init__()
+        # The stem takes eight correlations and the share of cameras; each step down halves all
+        # three sides; each step up adds the level of the same size; the head leaves one logit per
+        # cell.
         self.features = FeatureNet()
         self.stem = nn.Sequential(Conv3d(GROUPS + 1, WIDTHS[0]), Conv3d(WIDTHS[0], WIDTHS[0]))
         steps = list(pairwise(WIDTHS))
@@ -192,6 +202,7 @@ class VolumeNet(StoredNetwork):
         # Channels last, a layout that every layer keeps: twice as fast. A copy, since `[None]`
         # leaves odd strides.
         levels = [self.stem(volume.clone(memory_format=torch.channels_last_3d))]
+        # Down: every level is kept for the way up. Then up from the coarsest one.
         for down in self.down:
             levels.append(down(levels[-1]))
         x = levels.pop()
@@ -225,7 +236,8 @@ class VolumeNet(StoredNetwork):
             with autocast(self.precision, device):
                 logits.append(self(correlation[None]) / len(sizes))
         # Rays that fewer than two cameras see in every cell have no cost.
-        shared = (correlation[-1] > 0.3).any(-1).float()[None, None]  # k / 4 of two cameras is 0.5
+        # The last channel is k / 4, so 0.5 for two cameras.
+        shared = (correlation[-1] > 0.3).any(-1).float()[None, None]
         hidden = interpolate(shared, grid.shape[::-1], mode="nearest")[0, 0].T == 0  # (H, W)
         # The mean logits at full size become probabilities, some columns at a time.
         volume = torch.empty(*grid.shape, grid.num_spheres, device=device)
@@ -284,11 +296,15 @@ def resize_logits(logits: Tensor, columns: Tensor, grid: SphereGrid) -> Tensor:
     middle of a cell.
     """
     w, n = logits.shape[1], logits.shape[3]
+    # The centre of column x lies at (x + ½) w / W - ½ of the coarse volume, between columns `left`
+    # and `left` + 1, counted around the seam.
     position = (columns + 0.5) * (w / grid.width) - 0.5
     left = position.floor().long()
     weight = (position - left)[:, None, None]
     across = logits[:, left % w] * (1 - weight) + logits[:, (left + 1) % w] * weight
     rays = interpolate(across, (grid.height, n), mode="bilinear", align_corners=False)
+    # Cubic interpolation along the ray is linear in the logits: interpolating the unit vectors
+    # gives its matrix (n, N), and one product resizes all rays.
     cells = torch.eye(n, device=logits.device)[None, None]
     with full_precision(rays):
         return (

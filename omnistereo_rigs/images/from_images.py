@@ -33,17 +33,22 @@ Images = Sequence[Sequence[NDArray[np.uint8]]]  # images[frame][camera]
 # what the poses are that a measurement starts from
 Given = Literal["calibration", "nominal", "nothing"]
 
-_NOMINAL_SHARE = 0.03  # of the radius: by how much nominal centres are off (one standard deviation)
-# the same for a calibration: radians, share of the radius
+# By how much nominal centres are off, as a share of the radius of the rig (one standard deviation).
+_NOMINAL_SHARE = 0.03
+# The same for a calibration: its rotations in radians, its centres as a share of the radius.
 _FILE_TURN, _FILE_SHARE = np.radians(0.15), 0.01
-# within which matches lie of the epipolar planes of the given poses
+# Matches are looked for within this many degrees of the epipolar planes of the given poses.
 _NOMINAL_BAND_DEG, _FILE_BAND_DEG = 6.0, 1.5
 _SECTOR_DEG = 30.0
-_FEW_POINTS, _FEW_CELLS = 300, 60  # fewer give no honest uncertainty
-# error of a lens, at least: that of exact lenses and rendered pictures, by χ² over 11 frames
+# Fewer points, or fewer cells with points, give no honest uncertainty.
+_FEW_POINTS, _FEW_CELLS = 300, 60
+# The error of a lens is at least this. χ² over 11 frames gave it for exact lenses and rendered
+# pictures.
 _LENS_PX = 0.05
-_FEWEST = 30  # points that poses can be found from
-_MOST_CENTRE_SHARE = 0.02  # of the radius: centres that are known less well are refused
+# Poses cannot be found from fewer points.
+_FEWEST = 30
+# Centres that are known less well than this share of the radius are refused.
+_MOST_CENTRE_SHARE = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +137,7 @@ def find_pairs(features: Sequence[Sequence[Features]]) -> dict[tuple[int, int], 
     """Return the believable relative poses of pairs of cameras, from the matches of all frames,
     without any prior.
     """
+    # All frames vote together, since the cameras do not move against each other.
     pairs = {}
     for i, j in combinations(range(len(features[0])), 2):
         rays, ratios = [], []
@@ -168,6 +174,8 @@ def chain_poses(pairs: Mapping[tuple[int, int], RelativePose], count: int) -> li
     Raises:
         OmnistereoError: If the pairs do not connect all cameras.
     """
+    # The shortest tree has the surest pairs: the more matches agree on a pose, the shorter its
+    # edge.
     weight = np.zeros((count, count))
     for pair, found in pairs.items():
         weight[pair] = 1 / found.inliers
@@ -179,11 +187,15 @@ def chain_poses(pairs: Mapping[tuple[int, int], RelativePose], count: int) -> li
             f"too few matches connect camera {lost} to camera 1. Give more frames, or frames with"
             " more texture, and check that neighbouring cameras see something in common"
         )
+    # Rotations along the tree: from camera i to its child j, R_j = R_i R_i←j.
     R = [np.eye(3)] * count
     for j in order[1:]:
         i = int(parents[j])
         R[j] = R[i] @ (pairs[i, j].T_b_a.R.T if i < j else pairs[j, i].T_b_a.R)
-    # Unknowns: the centres, then the length of each baseline. From b, the centre of a lies along t.
+    # The unknowns are all centres, then the length of each baseline. From camera j, the centre of i
+    # lies along t, so
+    #     c_i - c_j - length · R_j t = 0,   and weakly (a tenth)   length = 1
+    # The first three equations put camera 1 at the origin. Least squares solves all at once.
     rows, values = [np.eye(3, 3 * count + len(pairs))], [np.zeros(3)]
     for k, ((i, j), found) in enumerate(pairs.items()):
         row = np.zeros((4, 3 * count + len(pairs)))
@@ -209,6 +221,7 @@ def rig_from_pairs(
         baseline: Distance of cameras 1 and 2.
         radius: Mean distance of the cameras from their middle.
     """
+    # Images show everything but the size; one known length scales all centres.
     rig = Rig(cameras, chain_poses(find_pairs(features), len(cameras)))
     grown = baseline / rig.baselines[0] if baseline is not None else (radius or 1.0) / _radius(rig)
     return rig.with_poses([Pose(pose.R, grown * pose.t) for pose in rig.T_rig_cam])
@@ -260,11 +273,14 @@ def measure_rig(
     tracks = find_tracks(rig, features, band)
     if sectors == "even":
         tracks = tracks.select(~in_odd_sector(TrackBundle(rig, tracks).points[:, :3])[tracks.point])
+    # Given centres pull on the adjustment as a prior; without any, it finds them up to scale.
     share = {"nominal": _NOMINAL_SHARE, "calibration": _FILE_SHARE}.get(given)
     centre_sd = None if share is None else share * _radius(rig)
     bundle = adjust_tracks(rig, tracks, images, centre_sd, free_lenses, progress)
     covariance, lens_px = _covariance(bundle)
     found = bundle.adjusted_rig()
+    # Now place the result: what is common to all cameras stays as given, and the lenses are the
+    # adjusted.
     differences = pose_differences(found, rig)
     if given == "calibration":
         differences, covariance = _with_prior(differences, covariance)
@@ -304,12 +320,16 @@ def adjust_tracks(
         )
     step("poses")
     bundle = TrackBundle(rig, tracks, centre_sd, free_lenses)
+    # From far away most tracks misfit. A wide scale lets them all pull; narrower ones then trust
+    # those that agree, and leave out the wrong matches.
     for scale in (20.0, 10.0, 5.0, 2.5, 1.2):
         bundle.solve(scale, 6)
     bundle.rescale()
     bundle.solve(1.2, 8)
     for number in (1, 2):
         step(f"patches, pass {number} of 2")
+        # Drop what misfits by more than four deviations, then match patches anew at the better
+        # poses.
         good = bundle.misfits() < 16
         bundle = _continued(bundle, bundle.tracks.select(good[bundle.tracks.point]))
         bundle.solve(1.0, 2)
@@ -345,6 +365,8 @@ def _covariance(bundle: TrackBundle) -> tuple[Floats, float]:
     """
     if bundle.free_lenses:
         return bundle.covariance(), 0.0
+    # A covariance from the residuals knows noise only. Four ways to halve the points, in which an
+    # error of a lens shows differently, tell about the rest.
     noise, lens = bundle.covariance(), bundle.by_lenses()
     u, inverse, frame = bundle.points[:, :3], bundle.points[:, 3], bundle.tracks.point_frame
     halves = [
@@ -353,6 +375,9 @@ def _covariance(bundle: TrackBundle) -> tuple[Floats, float]:
         in_odd_sector(u),
         frame > frame.max() / 2,
     ]
+    # The two halves differ by noise and by the lens error e, in pixels:
+    #     E[difference²] = noise₁ + noise₂ + e² |∂pose₁/∂lens - ∂pose₂/∂lens|²
+    # Summed over halves and cameras, this is solved for e², for rotations and centres apart.
     apart, by_noise, by_lens = np.zeros(2), np.zeros(2), np.zeros(2)
     for half in halves:
         tracks = [bundle.tracks.select(part[bundle.tracks.point]) for part in (half, ~half)]
@@ -362,6 +387,7 @@ def _covariance(bundle: TrackBundle) -> tuple[Floats, float]:
         ):
             continue  # a camera that hardly any point is left for
         first, second = (bundle.with_tracks(one) for one in tracks)
+        # The noise is that of all points: a half is too small to estimate its own.
         for one in (first, second):
             one.sigma_px = bundle.sigma_px
             one.solve(HALF_SCALE, 8)
@@ -369,6 +395,7 @@ def _covariance(bundle: TrackBundle) -> tuple[Floats, float]:
         apart += _by_kind(difference.ravel() ** 2)
         by_noise += _by_kind(np.diag(first.covariance() + second.covariance()))
         by_lens += _by_kind(((first.by_lenses() - second.by_lenses()) ** 2).sum(axis=1))
+    # Of rotations and centres the larger error, and at least that of exact lenses.
     error_px = float(
         np.sqrt(np.maximum((apart - by_noise) / np.maximum(by_lens, 1e-30), _LENS_PX**2).max())
     )
@@ -385,6 +412,9 @@ def _with_prior(differences: Floats, covariance: Floats) -> tuple[Floats, Floats
 
     What the file says of the centres is in the adjustment already: where all is far away they stay.
     """
+    # Two measurements of one thing: 0 with information K from the file, and d with covariance C
+    # from the images. Together they have covariance (C⁻¹ + K)⁻¹ = (I + C K)⁻¹ C and mean (I + C
+    # K)⁻¹ d.
     known = np.tile(np.repeat([_FILE_TURN**-2, 0.0], 3), len(differences))
     kept = np.linalg.inv(np.eye(len(known)) + covariance * known)
     return (kept @ differences.ravel()).reshape(-1, 6), kept @ covariance

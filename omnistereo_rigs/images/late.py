@@ -22,10 +22,15 @@ from omnistereo_rigs.boards.bundle import cross
 from omnistereo_rigs.images.features import FeatureFinder, Features, match_features
 from omnistereo_rigs.images.relative_pose import depths, epipolar_residuals
 
-FRAMES, REACH = 8, 5  # in a row that are looked at, and the largest shift
-_NEAR = np.radians(0.3)  # of an epipolar plane
-_PARTS = np.arange(10) / 10  # of the way from one frame to the next
-_SAME = 0.25  # frames; cameras that differ by less are equally late, and pairs agree
+# So many frames in a row are looked at, and shifts up to this one are tried.
+FRAMES, REACH = 8, 5
+# A match this near to the epipolar plane may be of one moment.
+_NEAR = np.radians(0.3)
+# Finer than a frame, shifts are tried in tenths of the way from one frame to the next.
+_PARTS = np.arange(10) / 10
+# In frames: cameras that differ by less are equally late, and pairs whose shifts differ by less
+# agree.
+_SAME = 0.25
 
 
 @dataclass(frozen=True)
@@ -65,19 +70,27 @@ class LateCameras:
         """
         reach = min(reach, len(self.images) - 1)
         parts = _PARTS if fine else _PARTS[:1]
+        # All shifts that are tried, and for each pair of cameras the matches near the planes at
+        # each shift.
         shifts = np.add.outer(np.arange(-reach, reach + 1), parts).ravel()
         score = {pair: self._scores(pair, reach, parts) for pair in self.pairs}
         cost, shift = np.zeros((self.cameras,) * 2), np.zeros((self.cameras,) * 2)
         clear, weight = np.ones((self.cameras,) * 2), np.zeros((self.cameras,) * 2)
         for (i, j), found in score.items():
+            # The second best is looked for a frame away or farther: the neighbours of a peak are
+            # the same peak.
             best = found.max()
             second = found[np.abs(shifts - shifts[found.argmax()]) > 0.9].max(initial=0.0)
+            # The middle of the peak, where several tenths of a frame are about as good.
             top = (found > 0.9 * best) & (np.abs(shifts - shifts[found.argmax()]) < 0.5)
             shift[i, j] = np.average(shifts[top], weights=found[top] + 1e-9)
             shift[j, i] = -shift[i, j]
+            # The clearer a pair shows its shift, the sooner the tree takes it.
             cost[i, j] = 1 / max(best - second, 1e-3)
             clear[i, j] = clear[j, i] = best / max(second, 0.5)
             weight[i, j] = best
+        # Along the tree of the clearest pairs, each camera is as late as its parent plus their
+        # shift.
         tree = minimum_spanning_tree(cost)
         order, parent = breadth_first_order(tree + tree.T, 0, directed=False)
         late = np.zeros(self.cameras)
@@ -93,12 +106,15 @@ class LateCameras:
             seen = [one[np.abs(shifts - k).argmin()] for one, k in at if abs(k) <= reach]
             return float(np.mean(seen or [0.0]))
 
+        # How much is gained against taking all cameras for on time, and the least clear pair of the
+        # tree.
         now, least = total(late), min(clear[parent[camera], camera] for camera in order[1:])
         gain = now / max(total(np.zeros(self.cameras)), 0.5)
         return Lateness(tuple(late.round(2).tolist()), gain, float(least), now)
 
     def moved(self, late: Sequence[int]) -> LateCameras:
         """Return the same look with each camera's frames moved by how late it is."""
+        # Frames at the ends are lost: only those stay for which all cameras have an image.
         first, last = -min(late), len(self.images) - max(late)
         images = [[self.images[t + k][c] for c, k in enumerate(late)] for t in range(first, last)]
         other = LateCameras(self.rig, images)
@@ -107,6 +123,7 @@ class LateCameras:
 
     def _adjusted(self, late: Floats, shift: Floats, weight: Floats) -> Floats:
         """Return the lateness on which all pairs that agree with the tree agree best."""
+        # Least squares over the pairs, weighted by their matches: late_j - late_i = shift_ij.
         apart = late - late[:, None]
         agree = [(i, j) for i, j in self.pairs if abs(shift[i, j] - apart[i, j]) < _SAME]
         rows = np.array([weight[i, j] * np.eye(self.cameras)[j] for i, j in agree])
@@ -118,6 +135,7 @@ class LateCameras:
         """Return the mean number of matches for each shift of the second camera and part of it."""
         count, scores = len(self.images), []
         for shift in range(-reach, reach + 1):
+            # Only moments for which both cameras have a frame can be compared.
             slots = range(max(0, -shift), min(count, count - shift))
             scores.append(np.mean([self.counts(pair, t, t + shift, len(parts)) for t in slots], 0))
         return np.concatenate(scores)
@@ -127,6 +145,7 @@ class LateCameras:
         x, y, later = self._rays(pair, t, u, parts > 1)
         counts = np.zeros(parts)
         for k in range(parts):
+            # Between two frames a ray is taken to move straight from one to the next.
             there = y + _PARTS[k] * (later - y)
             there = there / np.linalg.norm(there, axis=1, keepdims=True)
             counts[k] = near_planes(self._T[pair], x, there).sum()
@@ -138,6 +157,8 @@ class LateCameras:
         """Return matched rays of two images, (M, 3) each, and those of the second a frame on."""
         a, b = self._features(t, pair[0]), self._features(u, pair[1])
         matches = match_features(a, b)[0]
+        # A feature that is lost in the next frame is left out at every part, so that the counts
+        # compare.
         later = self._next(u, pair[1]) if follow else b.rays
         kept = matches[np.isfinite(later[matches[:, 1], 0])]
         return a.rays[kept[:, 0]], b.rays[kept[:, 1]], later[kept[:, 1]]
@@ -160,6 +181,7 @@ class LateCameras:
 
 def near_planes(T_b_a: Pose, x: Floats, y: Floats) -> NDArray[np.bool_]:
     """Return which pairs of rays (M, 3) lie near the epipolar planes and before both cameras."""
+    # The essential matrix E = [t]ₓ R of the rig's own poses judges the matches.
     E = cross((T_b_a.t / np.linalg.norm(T_b_a.t))[None])[0] @ T_b_a.R
     along_x, along_y = depths(T_b_a, x, y)
     near = np.abs(epipolar_residuals(E, x, y)) < _NEAR

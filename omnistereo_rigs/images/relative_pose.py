@@ -13,10 +13,14 @@ from scipy.optimize import least_squares
 from omnistereo_lib.geometry.pose import Floats, Pose, rotation_from_axis_angle
 from omnistereo_rigs.boards.bundle import cross
 
-# of an inlier of RANSAC; lenses of real files are off by about as much
+# An inlier of RANSAC is this near to its epipolar plane. Lenses of real files are off by about as
+# much.
 _TOLERANCE = np.radians(0.3)
-_BATCH, _ROUNDS = 250, 24  # samples at a time
-_MIN_INLIERS, _MIN_SHARE = 40, 0.3  # of a pose that is believed
+# RANSAC draws this many samples at a time, and at most this many times.
+_BATCH, _ROUNDS = 250, 24
+# A pose is believed if at least 40 matches, and three in ten, agree on it: see `believable`.
+_MIN_INLIERS, _MIN_SHARE = 40, 0.3
+# The scale of the robust cost in `_refine`: beyond it a residual counts less and less.
 _NOISE = np.radians(0.05)
 
 
@@ -44,6 +48,9 @@ def epipolar_residuals(E: Floats, x: Floats, y: Floats) -> Floats:
     Returns:
         array, shape (..., M), with sign
     """
+    # E x is normal to the plane through both centres and x, as seen from b; Eᵀ y is that of y, from
+    # a. Divided by the length of the normal, yᵀ E x is the sine of the angle to the plane; the
+    # shorter of the two normals gives the larger sine.
     planes_b = np.einsum("...ij,mj->...mi", E, x)
     planes_a = np.einsum("...ji,mj->...mi", E, y)
     products = np.einsum("...mi,mi->...m", planes_b, y)
@@ -55,10 +62,13 @@ def eight_point(x: Floats, y: Floats) -> Floats:
     """Return the essential matrices (..., 3, 3) of 8 or more pairs of unit rays (..., M, 3)
     each.
     """
+    # Each match gives one equation Σ y_i x_j E_ij = 0. The nine numbers that solve all of them best
+    # are the last singular vector (Longuet-Higgins 1981; Hartley and Zisserman 2004, Section 11.1).
     equations = (y[..., :, None] * x[..., None, :]).reshape(*x.shape[:-1], 9)
     E = np.linalg.svd(np.swapaxes(equations, -1, -2) @ equations)[2][..., -1, :].reshape(
         *x.shape[:-2], 3, 3
     )
+    # The nearest matrix [t]ₓ R: two singular values are equal, the third is 0.
     U, _, Vt = np.linalg.svd(E)
     return U @ np.diag([1.0, 1.0, 0.0]) @ Vt
 
@@ -66,6 +76,9 @@ def eight_point(x: Floats, y: Floats) -> Floats:
 def decompositions(E: Floats) -> list[Pose]:
     """Return the four poses T_b_a, |t| = 1, that an essential matrix may be of."""
     U, _, Vt = np.linalg.svd(E)
+    # E = U diag(1, 1, 0) Vᵀ is of four poses: R = U W Vᵀ or U Wᵀ Vᵀ, and t along the last column of
+    # U or against it (Hartley and Zisserman 2004, Section 9.6.2). Both U and V are made rotations
+    # first.
     U, Vt = U * np.sign(np.linalg.det(U)), Vt * np.sign(np.linalg.det(Vt))
     W = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     return [Pose(U @ turn @ Vt, sign * U[:, 2]) for turn in (W, W.T) for sign in (1, -1)]
@@ -73,6 +86,8 @@ def decompositions(E: Floats) -> list[Pose]:
 
 def depths(T_b_a: Pose, x: Floats, y: Floats) -> tuple[Floats, Floats]:
     """Return the distances (M,) along x and y at which the rays are nearest to each other."""
+    # Minimise |α x' + t - β y|² with x' = R x and c = x' · y. Both derivatives are 0 at
+    #     α = (c (y · t) - x' · t) / (1 - c²),    β = (y · t - c (x' · t)) / (1 - c²)
     there = x @ T_b_a.R.T
     cosine = np.einsum("mi,mi->m", there, y)
     sine2 = np.maximum(1 - cosine**2, 1e-12)
@@ -89,6 +104,7 @@ def relative_pose(x: Floats, y: Floats, ratio: Floats) -> RelativePose | None:
     """
     if len(x) < 20:
         return None
+    # RANSAC over samples of eight matches, sure ones first (as PROSAC does; Chum and Matas 2005).
     order = np.argsort(ratio, kind="stable")
     x, y = x[order], y[order]
     rng = np.random.default_rng(0)
@@ -101,16 +117,20 @@ def relative_pose(x: Floats, y: Floats, ratio: Floats) -> RelativePose | None:
         counts = (np.abs(epipolar_residuals(E, x, y)) < _TOLERANCE).sum(axis=1)
         if counts.max() > most:
             best, most = E[counts.argmax()], int(counts.max())
-        # samples without an outlier, as many as this, have been drawn
+        # A sample of eight has no outlier with probability (inliers / matches)⁸. Stop once eight
+        # such samples are expected among those drawn.
         if (k + 1) * _BATCH * (most / len(x)) ** 8 > 8:
             break
+    # Too few agree on anything: return a pose that nobody believes.
     if most < 12:
         return RelativePose(Pose(np.eye(3), np.array([1.0, 0.0, 0.0])), 0, len(x))
+    # From the best sample to all of its inliers, which change a little each time.
     for _ in range(3):
         inlier = np.abs(epipolar_residuals(best, x, y)) < _TOLERANCE
         if inlier.sum() >= 12:
             best = eight_point(x[inlier], y[inlier])
     inlier = np.abs(epipolar_residuals(best, x, y)) < _TOLERANCE
+    # Of the four poses take the one that has most points in front of both cameras, then refine it.
     in_front = [
         sum((depth > 0).sum() for depth in depths(T, x[inlier], y[inlier]))
         for T in decompositions(best)
@@ -122,6 +142,7 @@ def relative_pose(x: Floats, y: Floats, ratio: Floats) -> RelativePose | None:
 
 def _refine(T: Pose, x: Floats, y: Floats) -> Pose:
     """Minimise the angles to the epipolar planes over rotation and direction, robustly."""
+    # Only the direction of t can be seen: it moves along two tangents, so there are five unknowns.
     basis = np.linalg.svd(T.t[None])[2][1:]
 
     def moved(p: Floats) -> Pose:

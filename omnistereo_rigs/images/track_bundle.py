@@ -27,11 +27,19 @@ from omnistereo_rigs.boards.bundle import cross
 from omnistereo_rigs.boards.params import Ints
 from omnistereo_rigs.images.features import Tracks
 
-_LENS = 3  # corrections of a lens: centre u, v in pixels, share of the focal length
-_LENS_PRIOR = np.array([3.0, 3.0, 0.01])  # their standard deviations
-_STEP = 1e-4  # radians, of the numerical derivative of a lens
+# A lens has three corrections: its centre (u, v) in pixels, and the share that its focal length
+# grows by.
+_LENS = 3
+# The prior of a free lens: how far off each correction is likely to be (one standard deviation).
+_LENS_PRIOR = np.array([3.0, 3.0, 0.01])
+# The step, in radians, of the central differences through a camera model.
+_STEP = 1e-4
+# Points of one cell of this size share their errors: see `covariance`.
 _CELL_DEG = 15.0
-HALF_SCALE = 2.5  # of the robust cost, in deviations, as at the end of the adjustment
+# The scale of the robust cost, in deviations: a track that misfits by so much has half of the
+# largest cost that any track can have. The adjustment ends with it, and covariances are those of
+# that cost.
+HALF_SCALE = 2.5
 
 
 class TrackBundle:
@@ -59,12 +67,17 @@ class TrackBundle:
         self.lens = np.zeros((len(rig), _LENS))
         self.size = mean_baseline(self.t)
         self.sigma_px = 1.0
-        self.width = 6 + _LENS * free_lenses  # unknowns of a camera
+        # A camera has three unknowns of rotation and three of its centre, and on request those of
+        # its lens.
+        self.width = 6 + _LENS * free_lenses
+        # Each observation brings two numbers, and a point takes three of them: two of u and ρ.
         self.dof = 2 * np.bincount(tracks.point) - 3
         count = len(tracks.point)
+        # This matrix sums over the observations of each point: (points, observations).
         self._by_point = csr_matrix((np.ones(count), (tracks.point, np.arange(count))))
         self.rays, self._to_px, self._from_center = self._observed()
-        self.points = self._triangulate()  # (N, 4): u and ρ
+        # Each point is (u, ρ), shape (N, 4).
+        self.points = self._triangulate()
 
     def with_tracks(self, tracks: Tracks) -> TrackBundle:
         """Return the bundle of other tracks, started at the poses and lenses found; priors stay
@@ -87,11 +100,17 @@ class TrackBundle:
         for i, camera in enumerate(self.rig.cameras):
             mine = self.tracks.camera == i
             seen = camera.unproject(self.tracks.pixels[mine])[0]
+            # Central differences: how the pixel moves when the ray leaves along either of its two
+            # tangents,
+            #     ∂pixel/∂tangent_k ≈ (Π(x + h e_k) - Π(x - h e_k)) / 2h
             basis = tangents(seen)
             ends = [
                 camera.project(seen[:, None] + s * _STEP * np.swapaxes(basis, 1, 2))[0]
                 for s in (1, -1)
             ]
+            # A matrix that takes a change of the ray, in the camera's axes, to pixels. It maps the
+            # observed ray itself to 0, so its product with a predicted ray is the residual, without
+            # any polynomial.
             to_px[mine] = np.einsum("mki,mjk->mij", (ends[0] - ends[1]) / (2 * _STEP), basis)
             rays[mine], from_center[mine] = seen, self.tracks.pixels[mine] - camera.center
         return rays, to_px, from_center
@@ -101,12 +120,18 @@ class TrackBundle:
         eigenvector.
         """
         camera, point = self.tracks.camera, self.tracks.point
+        # A point lies on the ray d of a camera at t if nothing of u - ρ t lies across d. So
+        # minimise
+        #     Σ |(I - d dᵀ) (u - ρ t)|²   over x = (u, ρ) with |x| = 1:
+        # the eigenvector of the smallest eigenvalue of Σ AᵀA, a 4 × 4 matrix for each point.
         d = np.einsum("mij,mj->mi", self.R[camera], self.rays)
         across = np.eye(3) - d[:, :, None] * d[:, None, :]
         A = np.concatenate([across, -across @ self.t[camera][:, :, None]], axis=2)
         x = np.linalg.eigh(self._sums(np.swapaxes(A, 1, 2) @ A))[1][:, :, 0]
+        # The eigenvector has no sign: take the one with which the point lies ahead of its cameras.
         ahead = self._sums(np.einsum("mi,mi->m", d, x[point, :3]))
         x = x * np.where(ahead < 0, -1.0, 1.0)[:, None]
+        # Scaled to |u| = 1, the last number is the inverse distance.
         return x / np.maximum(np.linalg.norm(x[:, :3], axis=1, keepdims=True), 1e-9)
 
     def _sums(self, values: Floats) -> Floats:
@@ -122,12 +147,16 @@ class TrackBundle:
         the latter (M, 1).
         """
         camera, point = self.tracks.camera, self.tracks.point
+        # The predicted ray of an observation is Rᵀ (u - ρ t), scaled to length 1.
         in_rig = self.points[point, :3] - self.points[point, 3:] * self.t[camera]
         seen = np.einsum("mji,mj->mi", self.R[camera], in_rig)
         length = np.maximum(np.linalg.norm(seen, axis=1, keepdims=True), 1e-9)
         seen = seen / length
+        # Beyond 90° the tangent plane would take a ray that points away for one that is near. A
+        # fixed vector stands in for it, so such an observation never looks right.
         ahead = np.einsum("mi,mi->m", seen, self.rays) > 0
         residuals = np.einsum("mij,mj->mi", self._to_px, np.where(ahead[:, None], seen, 1.0))
+        # A shifted centre shifts all pixels; a longer focal length moves them away from the centre.
         lens = self.lens[camera]
         return residuals + lens[:, :2] + lens[:, 2:] * self._from_center, in_rig, seen, length
 
@@ -141,12 +170,18 @@ class TrackBundle:
         """Return residuals (M, 2), derivatives by camera (M, 2, width) and by point (M, 2, 3)."""
         camera, point = self.tracks.camera, self.tracks.point
         residuals, in_rig, seen, length = self._residuals()
+        # Scaling y to length 1 takes away what lies along it: ∂(y/|y|) = (I - s sᵀ) ∂y / |y| with s
+        # = y/|y|.
         d_seen = self._to_px - (self._to_px @ seen[:, :, None]) * seen[:, None, :]
         d_rig = d_seen / length[:, :, None] @ np.swapaxes(self.R[camera], 1, 2)
+        # With R ← exp([ω]ₓ) R the ray becomes Rᵀ (x + [x]ₓ ω) for x = u - ρ t, and a shift of the
+        # centre moves x by -ρ dt. So near points tell where a camera stands, and far ones how it is
+        # turned.
         inverse = self.points[point, 3][:, None, None]
         parts = [d_rig @ cross(in_rig), -inverse * d_rig]
         if self.free_lenses:
             parts += [np.broadcast_to(np.eye(2), (len(point), 2, 2)), self._from_center[:, :, None]]
+        # A point moves along the two tangents of u, and x by -t as ρ grows.
         self._basis = tangents(self.points[:, :3])
         d_point = np.concatenate(
             [d_rig @ self._basis[point], -d_rig @ self.t[camera][:, :, None]], axis=2
@@ -164,14 +199,23 @@ class TrackBundle:
             gradients: (N, cameras · width), of each point
             inverse, coupling, point_gradients: see `_step`
         """
+        # In each point's part of the normal equations, with V of the point alone, W between cameras
+        # and point, U of the cameras alone and the gradients g,
+        #     | U   W | | dc |     | g_c |
+        #     | Wᵀ  V | | dp | = - | g_p |
+        # dp = -V⁻¹ (g_p + Wᵀ dc) can be put into the first row: what remains has cameras only
+        # (Triggs et al. 2000, "Bundle adjustment: a modern synthesis", on the Schur complement),
+        #     (U - W V⁻¹ Wᵀ) dc = -(g_c - W V⁻¹ g_p)
         tracks, n = self.tracks, len(self.rig)
         residuals, d_camera, d_point = self._linearised()
         weight = ((1 + self.misfits() / scale**2) ** -2)[tracks.point] / self.sigma_px**2
         weighted = weight[:, None, None] * d_point
+        # V of all points, (N, 3, 3), damped by a share of its mean diagonal, and its inverse.
         of_points = self._sums(np.swapaxes(weighted, 1, 2) @ d_point)
         trace = np.trace(of_points, axis1=1, axis2=2)[:, None, None]
         inverse = np.linalg.inv(of_points + np.eye(3) * (damping * trace / 3 + 1e-9))
         point_gradients = self._sums(np.einsum("mki,mk->mi", weighted, residuals))
+        # W of all points. A camera that does not see a point keeps its zeros.
         of_cameras = np.zeros((tracks.num_points, n, self.width, 3))
         of_cameras[tracks.point, tracks.camera] = np.swapaxes(d_camera, 1, 2) @ weighted
         coupling = of_cameras.reshape(tracks.num_points, n * self.width, 3)
@@ -179,6 +223,8 @@ class TrackBundle:
         gradients[tracks.point, tracks.camera] = weight[:, None] * np.einsum(
             "mki,mk->mi", d_camera, residuals
         )
+        # S = Σ U - W V⁻¹ Wᵀ. U has one block for each camera, since a residual is seen by one
+        # camera only.
         back = coupling @ inverse
         S = -np.tensordot(back, coupling, ((0, 2), (0, 2)))
         for i in range(n):
@@ -197,6 +243,8 @@ class TrackBundle:
             np.zeros((len(self.rig), self.width)),
             np.zeros((len(self.rig), self.width)),
         )
+        # A prior adds (t - t₀)² / σ² to the cost: the weight is 1/σ², the gradient weight times
+        # offset.
         if self.centre_sd is not None:
             weights[:, 3:6], offsets[:, 3:6] = self.centre_sd**-2, self.t - self.t_prior
         if self.free_lenses:
@@ -204,6 +252,8 @@ class TrackBundle:
         return weights.ravel(), (weights * offsets).ravel()
 
     def _cost(self, scale: float) -> float:
+        # dof · m / (1 + m / scale²) for a misfit m: squares where it is small, and at most dof ·
+        # scale² for a gross error. Its slope by m is dof times the weight in `_reduced`.
         misfits = self.misfits()
         weights, gradient = self._prior()
         prior = float((gradient**2 / np.where(weights > 0, weights, 1.0)).sum())
@@ -215,6 +265,8 @@ class TrackBundle:
         """
         cost, damping = self._cost(scale), 1e-3
         for _ in range(steps):
+            # Levenberg-Marquardt: a step that lowers the cost is kept, and the next one is damped
+            # less; otherwise it is taken back, and the next one is damped more.
             before = self.R, self.t, self.lens, self.points
             self._step(scale, damping)
             new_cost = self._cost(scale)
@@ -229,10 +281,14 @@ class TrackBundle:
     def _step(self, scale: float, damping: float) -> None:
         S, gradients, inverse, coupling, point_gradients = self._reduced(scale, damping)
         weights, prior_gradient = self._prior()
+        # No residual changes along the gauge, so S has seven directions without curvature.
+        # Curvature of the usual size along them makes S invertible, and keeps the step from
+        # drifting along them.
         G = self._gauge()
         held = G @ G.T * np.trace(S) / len(S)
         damped = S + np.diag(weights + damping * np.diag(S) + 1e-9) + held
         d = -np.linalg.solve(damped, gradients.sum(axis=0) + prior_gradient)
+        # Back to the points: dp = -V⁻¹ (g_p + Wᵀ dc).
         back = point_gradients + np.einsum("nij,i->nj", coupling, d)
         d_points = -np.einsum("nij,nj->ni", inverse, back)
         d = d.reshape(len(self.rig), self.width)
@@ -240,17 +296,22 @@ class TrackBundle:
             [rotation_from_axis_angle(w) @ R for w, R in zip(d[:, :3], self.R, strict=True)]
         )
         self.lens = self.lens + d[:, 6:] if self.free_lenses else self.lens
+        # The new u is a little longer than 1; (u, ρ) times any factor is the same point.
         u = self.points[:, :3] + np.einsum("nij,nj->ni", self._basis, d_points[:, :2])
         points = np.concatenate([u, self.points[:, 3:] + d_points[:, 2:]], axis=1)
         points /= np.linalg.norm(u, axis=1, keepdims=True)
         t = self.t + d[:, 3:6]
+        # Rays do not change if the rig grows and all inverse distances shrink with it: keep its
+        # size.
         grown = mean_baseline(t) / self.size
         self.t = t / grown
         self.points = points * [1.0, 1.0, 1.0, grown]
 
     def rescale(self) -> None:
         """Estimate the noise from the median misfit."""
-        # the median of χ² over its degrees of freedom (Wilson, Hilferty 1931)
+        # The median of χ² over its degrees of freedom k is about (1 - 2/(9 k))³ (Wilson, Hilferty
+        # 1931). The noise is that with which the median track is usual, so gross errors do not
+        # count.
         usual = (1 - 2 / (9 * self.dof)) ** 3
         self.sigma_px = max(self.sigma_px * float(np.sqrt(np.median(self.misfits() / usual))), 1e-3)
 
@@ -268,6 +329,8 @@ class TrackBundle:
         """Return the directions (cameras · width, 7) that change no ray: rotation, shift and scale
         of everything.
         """
+        # A common rotation ω moves the centres by ω × t = -[t]ₓ ω, a shift moves all alike, and a
+        # common scale moves each centre along t.
         G = np.zeros((len(self.rig), self.width, 7))
         G[:, :3, :3] = G[:, 3:6, 3:6] = np.eye(3)
         G[:, 3:6, :3] = -cross(self.t)
@@ -284,11 +347,15 @@ class TrackBundle:
         """
         cells = self.cells()
         S, gradients, *_ = self._reduced(HALF_SCALE)
+        # The gradient of one cell: neighbouring points may err together, those of different cells
+        # are taken to err independently.
         summed = np.zeros((cells.max() + 1, gradients.shape[1]))
         np.add.at(summed, cells, gradients)
         weight = 1 / (1 + self.misfits() / HALF_SCALE**2)
-        # of the robust cost: less than S has
+        # With w = 1 / (1 + m/s²) the slope of the robust cost is w² r and its second derivative w²
+        # (4 w - 3), less than the w² that S has: correct S for it, on average over the points.
         curvature = (weight**2 * (4 * weight - 3)).mean() / (weight**2).mean()
+        # The sandwich H⁻¹ (Σ g gᵀ) H⁻¹. The poses are the first six unknowns of each camera.
         inverse = self._inverse(S * max(curvature, 0.2))
         middle = summed.T @ summed + np.diag(self._prior()[0])
         P, n = self._projection(), len(self.rig)
@@ -302,17 +369,22 @@ class TrackBundle:
         The errors are of the centre, in pixels, and of the focal length, as the pixels that it
         moves the usual point by.
         """
+        # At the minimum the gradient by the poses stays 0 when a lens errs: S_pp dp + S_pl dl = 0,
+        # so that
+        #     dp/dl = -S_pp⁻¹ S_pl
         free = TrackBundle(self.rig, self.tracks, self.centre_sd, free_lenses=True)
         free.R, free.t, free.points, free.sigma_px = self.R, self.t, self.points, self.sigma_px
         count = len(self.rig)
         S = free._reduced(HALF_SCALE)[0].reshape(count, free.width, count, free.width)
         poses = S[:, :6, :, :6].reshape(6 * count, 6 * count)
+        # A focal length that is off by a share of 1 / usual moves the usual point by one pixel.
         usual = np.median(np.linalg.norm(self._from_center, axis=1))
         lenses = (S[:, :6, :, 6:] * [1.0, 1.0, 1.0 / usual]).reshape(6 * count, _LENS * count)
         return np.asarray(-self._projection() @ self._inverse(poses) @ lenses)
 
     def _inverse(self, S: Floats) -> Floats:
         """Return the inverse of the normal equations, priors added, within what can be seen."""
+        # The columns of Z span what is at right angles to the gauge; only there is S invertible.
         Z = np.linalg.svd(self._gauge().T)[2][7:].T
         return np.asarray(Z @ np.linalg.inv(Z.T @ (S + np.diag(self._prior()[0])) @ Z) @ Z.T)
 
@@ -321,6 +393,8 @@ class TrackBundle:
         shift and scale.
         """
         G = self._gauge().reshape(len(self.rig), self.width, 7)[:, :6].reshape(-1, 7)
+        # P = I - G (L G)⁻¹ L. The rows of L take the mean rotation, the mean shift and the growth
+        # of a change of the poses, and P moves it along the gauge until all three are 0.
         free = np.zeros((len(self.rig), 6, 7))
         free[:, :3, :3] = free[:, 3:6, 3:6] = np.eye(3)
         free[:, 3:6, 6] = self.t
@@ -330,6 +404,7 @@ class TrackBundle:
     def cells(self) -> Ints:
         """Return for each point its cell of 15° of its frame, (N,)."""
         u = self.points[:, :3]
+        # Rows of equal elevation. A row near a pole is shorter, so it has fewer cells around.
         row = np.round(np.degrees(np.arcsin(u[:, 1].clip(-1, 1))) / _CELL_DEG)
         around = np.maximum(np.round(np.cos(np.radians(row * _CELL_DEG)) * 360 / _CELL_DEG), 1)
         column = np.floor((np.arctan2(u[:, 0], u[:, 2]) / (2 * np.pi) + 0.5) * around)
@@ -345,6 +420,8 @@ def pose_differences(rig: Rig, reference: Rig) -> Floats:
     not show them.
     """
     R, R0 = (np.stack([pose.R for pose in one.T_rig_cam]) for one in (rig, reference))
+    # The common rotation is the one nearest to all R R₀ᵀ; then compare centres of equal mean
+    # baseline.
     common = nearest_rotation(np.einsum("nij,nkj->ik", R, R0)).T
     turns = [axis_angle_from_rotation(common @ a @ b.T) for a, b in zip(R, R0, strict=True)]
     t, t0 = (one.centers - one.centers.mean(axis=0) for one in (rig, reference))
@@ -370,6 +447,8 @@ def _corrected(camera: OcamCamera, lens: Floats) -> OcamCamera:
     """Return a camera with its centre and focal length corrected."""
     if not lens.any():
         return camera
+    # A picture that grows by g has r' = g r, so f' (r') = g f(r' / g): coefficient k gets g¹⁻ᵏ. The
+    # inverse polynomial, which gives r, gets g.
     grown, powers = 1 + lens[2], np.arange(len(camera.poly))
     center = camera.center[0] + lens[0], camera.center[1] + lens[1]
     return replace(
@@ -382,6 +461,8 @@ def _corrected(camera: OcamCamera, lens: Floats) -> OcamCamera:
 
 def tangents(rays: Floats) -> Floats:
     """Return two unit vectors across each ray, (M, 3, 2)."""
+    # The x axis, or for rays near it the y axis, is surely not along the ray: cross products with
+    # it are well defined.
     other = np.where(np.abs(rays[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
     first = np.cross(rays, other)
     first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-12)

@@ -14,7 +14,7 @@ from omnistereo_lib.stereo.threads import map_threads
 
 CHANNELS, GROUPS = 32, 8
 _SIZE = CHANNELS // GROUPS
-# cells correlated at a time: so few that their features stay in the cache of a core
+# Cells correlated at a time, so few that their features stay in the cache of a core.
 _CELLS = 1 << 14
 
 
@@ -22,6 +22,7 @@ def correlate(features: Sequence[Tensor], coordinates: Sequence[Tensor]) -> Tens
     """Return `reference.correlate` of float32 features (32, h, w), in eight groups, with its
     gradient.
     """
+    # Channels last: the 32 features of a pixel are read together.
     maps = [one.permute(1, 2, 0).contiguous() for one in features]
     volume = _CellCorrelation.apply(torch.stack([uv.reshape(-1, 2) for uv in coordinates]), *maps)
     return volume.view(*coordinates[0].shape[:3], -1).permute(3, 0, 1, 2)
@@ -35,6 +36,8 @@ class _CellCorrelation(torch.autograd.Function):
         """Return the cells (cells, 9) of `correlate`, given features (h, w, 32) and places
         (cameras, cells, 2).
         """
+        # All feature maps in one table, one pixel a row; Σ f_i is kept only if a gradient will be
+        # asked for.
         table = torch.cat([one.detach().reshape(-1, CHANNELS) for one in maps]).numpy()
         sizes = np.array([one.shape[:2] for one in maps])
         volume = torch.empty(uv.shape[1], GROUPS + 1, dtype=torch.float32)
@@ -59,6 +62,7 @@ class _CellCorrelation(torch.autograd.Function):
         """
         uv, totals, volume, *maps = ctx.saved_tensors
         grads = [torch.zeros(one.shape, dtype=torch.float32) for one in maps]
+        # The last number of a cell is k / 4, and the others were divided by k (k - 1).
         k = 4 * volume[:, GROUPS:]
         of_products = (grad[:, :GROUPS] / (k * (k - 1)).clamp(min=1)).contiguous()
 
@@ -79,6 +83,7 @@ def _corner(x: float, y: float, height: int, width: int) -> tuple[int, int, Any,
     """Return column and row of the pixel up and left of a position, and how far the position is
     beyond it.
     """
+    # Beyond the last pixel centres the nearest value is read: the shares are kept within 0 and 1.
     column, row = min(max(int(x), 0), width - 2), min(max(int(y), 0), height - 2)
     fx, fy = np.float32(x - column), np.float32(y - row)
     return (
@@ -107,6 +112,7 @@ def _correlate_cells(table: Any, sizes: Any, uv: Any, volume: Any, totals: Any) 
                 count += 1
                 column, row, fx, fy = _corner(x, y, height, width)
                 r, one = first + row * width + column, np.float32(1)
+                # The shares of the four pixels around, then the feature between them.
                 a, b, c, d = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
                 for k in range(CHANNELS):
                     f = (

@@ -29,9 +29,12 @@ from omnistereo_lib.stereo.compiled import compiled, minimum
 from omnistereo_lib.stereo.threads import map_threads
 
 INFINITY = np.float32(np.inf)
-LARGEST = np.float32(1e30)  # sums of costs and penalties below it are finite
-_STRIP = 128  # columns
-_Tile = tuple[bool, int, int, int, int, int]  # up, top, bottom, first, last, slope
+# Sums of costs and penalties below it are finite.
+LARGEST = np.float32(1e30)
+# The width of a strip in columns.
+_STRIP = 128
+# A tile: up, top, bottom, first, last, slope.
+_Tile = tuple[bool, int, int, int, int, int]
 
 
 def sum_paths(
@@ -41,9 +44,11 @@ def sum_paths(
     large, as in `sgm`.
     """
     H, W, N = cost.shape
-    total = np.empty_like(cost)  # (H, W, N); NumPy asks for huge pages, torch does not
-    fill = np.empty((H, W), np.float32)  # the data term of a ray's unknown cells
-    # of the passes down and up: straight on, to the right, to the left
+    # (H, W, N); NumPy asks the system for huge pages, torch does not.
+    total = np.empty_like(cost)
+    # The data term of the unknown cells of each ray.
+    fill = np.empty((H, W), np.float32)
+    # One message per scanline, of the passes down and up: straight on, to the right, to the left.
     messages = np.zeros((2, 3, W, N), np.float32)
 
     # Along the rows, four at a time in a thread; this also fills the unknown cells.
@@ -65,9 +70,13 @@ def _tiles(H: int, W: int) -> Iterator[list[_Tile]]:
     """Yield lists of tiles that can run at the same time."""
     strips = max(1, W // _STRIP)
     columns = [W * i // strips for i in range(strips + 1)]
-    depth = max(1, W // strips // 2)  # rows until a trapezoid that narrows on both sides ends
-    bands = 2 * math.ceil(H / depth / 2)  # even, so that the passes meet between two bands
+    # A trapezoid loses a column on both sides with each row: after so many rows it ends.
+    depth = max(1, W // strips // 2)
+    # An even number, so that the two passes meet between two bands and never share a row.
+    bands = 2 * math.ceil(H / depth / 2)
     rows = list(pairwise(H * i // bands for i in range(bands + 1)))
+    # First the trapezoids of both passes, all at once; then the triangles that fill the gaps
+    # between them, which open from a point at the border of two strips.
     for down, up in zip(rows, reversed(rows), strict=True):
         yield [
             (*band, first, last, 1)
@@ -91,9 +100,11 @@ def _fill_value(cost: NDArray[Any]) -> np.float32:
     """
     regular = True
     for n in range(cost.size):
-        regular &= abs(cost[n]) < LARGEST  # false for NaN
+        # The comparison is false for NaN.
+        regular &= abs(cost[n]) < LARGEST
     if regular:
-        return np.float32(0)  # not used
+        # Every cost is known, so the value is not used.
+        return np.float32(0)
     total, known = 0.0, 0
     for n in range(cost.size):
         if cost[n] == cost[n]:
@@ -113,6 +124,8 @@ def _add_cost(
     """
     lowest = INFINITY
     for n in range(cost.size):
+        # L_r(p, n) = C(p, n) + M(n), where M comes from the pixel before on the path (Hirschmüller
+        # 2008).
         c = cost[n] if cost[n] == cost[n] else fill
         path[n + 1] = c + message[n]
         lowest = minimum(lowest, path[n + 1])
@@ -124,6 +137,9 @@ def _update_message(
     path: NDArray[Any], lowest: float, p1: float, p2: float, message: NDArray[Any]
 ) -> None:
     """Write the message M to the next pixel of the path."""
+    # M(n) = min(L(n), L(n-1) + P1, L(n+1) + P1, min L + P2) - min L: the neighbouring spheres cost
+    # P1, any other P2, and subtracting the minimum keeps the sums bounded. The infinite ends of
+    # `path` stand for the spheres before the first and after the last.
     jump = lowest + p2
     for n in range(message.size):
         step = minimum(path[n], path[n + 2]) + p1
@@ -154,6 +170,9 @@ def _scan_row(
     W, N = cost.shape
     message = np.zeros(N, np.float32)
     path = np.full(N + 2, INFINITY)
+    # Around the panorama a path has no beginning. The first lap starts from nothing, each further
+    # one from the end of the one before, until a pixel's costs repeat: all after it would repeat,
+    # too.
     for lap in range(MAX_LAPS if wrap else 1):
         for i in range(W):
             x = W - 1 - i if leftward else i
@@ -182,7 +201,8 @@ def _scan_rows(
         for x in range(W):
             for n in range(N):
                 c = cost[y, x, n]
-                total[y, x, n] += leftward[x, n] + (c - c)  # NaN where C is, which stays
+                # C - C is 0, or NaN where C is NaN: an unknown cell stays unknown.
+                total[y, x, n] += leftward[x, n] + (c - c)
     return too_large
 
 
@@ -214,9 +234,12 @@ def _advance(
             x = column % W
             # 0: straight on, 1: to the right, 2: to the left
             for k in range(3 if diagonals else 1):
+                # The scanline that crosses column x in this row began at column x, x - step or x +
+                # step.
                 line = (x + (0, -step, step)[k]) % W
                 message = messages[int(up), k, line]
                 if not wrap and ((k == 1 and x == 0) or (k == 2 and x == W - 1)):
+                    # Without wrapping, a diagonal that comes in from the side starts anew.
                     message.fill(0)
                 lowest = _add_cost(cost[y, x], fill[y, x], message, paths[k])
                 _update_message(paths[k], lowest, p1, p2, message)

@@ -17,8 +17,10 @@ from omnistereo_lib.reference import FLAT_VARIANCE
 from omnistereo_lib.stereo.columns import common_columns
 from omnistereo_lib.stereo.compiled import compiled
 
-_LANES = 16  # spheres side by side, as many as in a block of the sweep
-_PIECE = 64  # columns at a time: the sums over their windows stay in the cache
+# Spheres side by side, as many as a block of the sweep has.
+_LANES = 16
+# Columns at a time: the sums over their windows stay in the cache.
+_PIECE = 64
 
 
 def mean_costs(
@@ -75,7 +77,8 @@ def _mean_costs(
         _add_costs(images[i], images[j], start, width, radius, cost, count)
     for y in range(len(cost)):
         for t in range(cost.shape[1]):
-            cost[y, t] /= count[y, t]  # 0/0 = NaN where no pair is visible
+            # 0/0 is NaN, where no pair sees the ray.
+            cost[y, t] /= count[y, t]
 
 
 @numba.njit
@@ -96,11 +99,14 @@ def _add_costs(
     rounding error.
     """
     W, window, padded = a.shape[1] // _LANES, 2 * radius + 1, (width + 2 * radius) * _LANES
-    # the rows of the window and the one before
+    # The rows of the window and the one before it, each with its weights, a and b.
     ring = np.zeros((window + 1, 3, padded), np.float32)
-    sums = np.zeros((6, padded))  # over the rows of the window: 1, a, b, a², b², ab
+    # Sums over the rows of the window, of 1, a, b, a², b² and ab; `box` has them over its columns
+    # as well.
+    sums = np.zeros((6, padded))
     box = np.empty((6, width * _LANES))
-    pair = np.empty((2, width * _LANES), np.float32)  # weight and weighted cost
+    # A row of weights and of weighted costs.
+    pair = np.empty((2, width * _LANES), np.float32)
     first = (start - radius) % W * _LANES
     # Row y of the costs needs the rows up to y + radius: the first windows fill before the first
     # row is written.
@@ -128,13 +134,15 @@ def _common_pixels(a: NDArray[Any], b: NDArray[Any], first: int, pixels: NDArray
 
     The weight is 1 where both are visible; elsewhere all three are 0.
     """
+    # Around the seam: first up to the end of the row, then on from its beginning.
     t = 0
     while t < pixels.shape[1]:
         n = min(len(a) - first, pixels.shape[1] - t)
         left, right, visible = a[first : first + n], b[first : first + n], pixels[0][t : t + n]
         for k in range(n):
             both = left[k] + right[k]
-            visible[k] = 1.0 if both == both else 0.0  # not NaN
+            # NaN is not equal to itself, and a sum with NaN is NaN: only here both cameras see.
+            visible[k] = 1.0 if both == both else 0.0
         for source, row in ((left, pixels[1]), (right, pixels[2])):
             target = row[t : t + n]
             for k in range(n):
@@ -147,6 +155,7 @@ def _slide(sums: NDArray[Any], new: NDArray[Any], old: NDArray[Any]) -> None:
     """Add a row of pixels to the sums and remove another; a row holds weights, a and b, which are 0
     or 1, 0, 0.
     """
+    # Each sum is that of a product of two of (weight, a, b): 1 = w · w, a = w · a, …, ab = a · b.
     for q, i, j in ((0, 0, 0), (1, 0, 1), (2, 0, 2), (3, 1, 1), (4, 2, 2), (5, 1, 2)):
         total, p, r, p_old, r_old = sums[q], new[i], new[j], old[i], old[j]
         for t in range(len(total)):
@@ -158,6 +167,8 @@ def _slide(sums: NDArray[Any], new: NDArray[Any], old: NDArray[Any]) -> None:
 @numba.njit
 def _add_columns(sums: NDArray[Any], window: int, box: NDArray[Any]) -> None:
     """Write the sums over the columns of the window to box."""
+    # The first window is summed in full; each further one gains the column ahead and loses the one
+    # behind.
     box[:_LANES] = 0
     for x in range(window):
         for k in range(_LANES):
@@ -176,10 +187,12 @@ def _correlate(box: NDArray[Any], weight: NDArray[Any], pair: NDArray[Any]) -> N
     half, one = np.float32(0.5), np.float32(1)
     for t in range(box.shape[1]):
         n = box[0, t]
-        variance_a = n * box[3, t] - box[1, t] * box[1, t]  # times n²
+        # Times n²: n² var a = n Σa² - (Σa)², n² cov = n Σab - Σa Σb, so nothing is divided by n.
+        variance_a = n * box[3, t] - box[1, t] * box[1, t]
         variance_b = n * box[4, t] - box[2, t] * box[2, t]
         covariance = n * box[5, t] - box[1, t] * box[2, t]
         zncc = np.float32(covariance) / np.sqrt(np.float32(variance_a) * np.float32(variance_b))
+        # Both variances were multiplied by n², so the limit is, too.
         textured = min(variance_a, variance_b) > FLAT_VARIANCE * n * n
         pair[0, t] = weight[t]
         pair[1, t] = weight[t] * (
