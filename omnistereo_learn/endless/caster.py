@@ -74,8 +74,10 @@ LIGHT = np.dtype(
 )
 Tree = tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]
 
-_NEAREST = 1e-4  # metres; hits closer to the start of a ray are its own surface
-_MARCHES = 48  # steps along a ray through a SOFT
+# In metres: hits closer to the start of a ray are its own surface.
+_NEAREST = 1e-4
+# Steps along a ray through a SOFT, at most.
+_MARCHES = 48
 _compiled = compiled(
     error_model="numpy", nogil=True, fastmath={"nnan", "nsz", "arcp", "contract", "reassoc"}
 )
@@ -125,6 +127,8 @@ def _to_object(p: Any, o: Vector, d: Vector) -> tuple[Vector, Vector]:
 @_compiled
 def _box(half: Any, o: Vector, d: Vector) -> tuple[float, float]:
     """Return where a ray enters and leaves a box; it misses where the first is larger."""
+    # The slab method (Kay and Kajiya 1986): along each axis a ray is between two planes in an
+    # interval, and it is inside the box where all three intervals overlap.
     enters, leaves = -np.inf, np.inf
     for k in range(3):
         middle, reach = -o[k] / d[k], half[k] / abs(d[k])
@@ -135,6 +139,7 @@ def _box(half: Any, o: Vector, d: Vector) -> tuple[float, float]:
 @_compiled
 def _quadratic(a: float, b: float, c: float) -> tuple[float, float]:
     """Return the roots of a t² + 2 b t + c, or an empty interval."""
+    # t = (-b ± √(b² - a c)) / a
     D = b * b - a * c
     if D < 0:
         return np.inf, -np.inf
@@ -147,12 +152,15 @@ def _depth_in_soft(p: Any, x: Vector) -> float:
     """Return how far a point is outside of a SOFT, as a fraction of its half sizes; negative
     inside.
     """
+    # A superellipsoid: (|x|ⁿ + |y|ⁿ + |z|ⁿ)^(1/n) - 1 with n = 2^roundness, by squares and square
+    # roots.
     a, b, c = (x[0] / p.half[0]) ** 2, (x[1] / p.half[1]) ** 2, (x[2] / p.half[2]) ** 2
     for _ in range(p.roundness - 1):
         a, b, c = a * a, b * b, c * c
     size = a + b + c
     for _ in range(p.roundness):
         size = math.sqrt(size)
+    # Bumps only cut into the smooth shape: outside of it, its own depth will do.
     if p.bump == 0 or size > 1.001:
         return size - 1
     k = p.ripple
@@ -169,6 +177,8 @@ def _march(p: Any, o: Vector, d: Vector, enters: float, leaves: float) -> float:
     """Return where a ray meets a SOFT from outside, or infinity: steps that its bumps allow, then
     bisection.
     """
+    # How far outside a point is, over how fast that can change along the ray, is a step that the
+    # bumps allow. The least step limits how often a ray steps.
     shortest = min(p.half[0], p.half[1], p.half[2])
     steepness = 1 + p.bump * max(p.ripple[0], p.ripple[1], p.ripple[2])
     least = (leaves - enters) / _MARCHES
@@ -176,6 +186,7 @@ def _march(p: Any, o: Vector, d: Vector, enters: float, leaves: float) -> float:
     while t < leaves:
         outside = _depth_in_soft(p, _point(o, d, t))
         if outside < 0:
+            # The surface lies between the last two points: halve twenty times.
             for _ in range(20):
                 middle = 0.5 * (before + t)
                 if _depth_in_soft(p, _point(o, d, middle)) < 0:
@@ -206,6 +217,7 @@ def _normal(p: Any, x: Vector) -> Vector:
         return _unit((a / p.half[0], 0.0, c / p.half[2]))
     if p.shape == ELLIPSOID:
         return _unit((a / p.half[0], b / p.half[1], c / p.half[2]))
+    # The gradient of the depth, by forward differences.
     e, here = 1e-4 * min(p.half[0], p.half[1], p.half[2]), _depth_in_soft(p, x)
     return _unit(
         (
@@ -221,6 +233,9 @@ def _hit(p: Any, o: Vector, d: Vector, farthest: float) -> float:
     """Return the distance along a ray to a primitive, or infinity if there is none before
     `farthest`.
     """
+    # In the frame of the primitive a box is aligned with the axes; an ellipsoid and a cylinder
+    # become round once all lengths are divided by the half sizes:
+    #     |o + t d|² = 1,   and for the cylinder the same in x and z, cut off where |y| = 1
     o, d = _to_object(p, o, d)
     h = p.half
     if p.shape == BOX or p.shape == SOFT:
@@ -238,6 +253,7 @@ def _hit(p: Any, o: Vector, d: Vector, farthest: float) -> float:
         return np.inf
     if p.shape == SOFT:
         return _march(p, o, d, max(enters, _NEAREST), min(leaves, farthest))
+    # The near side first. A hole in the cutout lets the ray through to the far side.
     for t in (enters, leaves):
         if _NEAREST < t < farthest:
             x = _point(o, d, t)
@@ -255,11 +271,15 @@ def _first(
     """
     bounds, skip, leaf = tree
     tiny = 1e-12
+    # One over the direction turns the divisions of every box into products.
     x = 1 / (d[0] if abs(d[0]) > tiny else tiny)
     y = 1 / (d[1] if abs(d[1]) > tiny else tiny)
     z = 1 / (d[2] if abs(d[2]) > tiny else tiny)
     best, number, node = farthest, -1, 0
     while node < len(skip):
+        # Where the ray misses the box of a node, or enters it behind the best hit so far,
+        # everything in it is skipped. Otherwise the next node is its first child, or the primitive
+        # of a leaf is tried.
         b = bounds[node]
         x0, x1, y0, y1 = (b[0] - o[0]) * x, (b[3] - o[0]) * x, (b[1] - o[1]) * y, (b[4] - o[1]) * y
         z0, z1 = (b[2] - o[2]) * z, (b[5] - o[2]) * z
@@ -283,6 +303,8 @@ def _sky(d: Vector, light: Any) -> float:
     up = -d[1]
     value = mix(light.horizon, light.zenith, ramp(-0.1, 0.8, up))
     if light.cloudiness > 0:
+        # A flat layer of clouds, seen in perspective: the same noise gets denser towards the
+        # horizon.
         s = 1.5 / (0.15 + abs(up))
         value = mix(
             value,
@@ -296,6 +318,9 @@ def _sky(d: Vector, light: Any) -> float:
 @_compiled
 def _lit(prims: Any, tree: Any, light: Any, x: Vector, normal: Vector) -> float:
     """Return the light that reaches a point of a surface, of ambience, sun and lamp."""
+    # Ambient light comes more from above (y is down). Sun and lamp add their light times the cosine
+    # between it and the normal (Lambert), where nothing stands in the way; the lamp fades with
+    # distance.
     total = light.ambient * (0.7 - 0.3 * normal[1])
     sun = (light.to_sun[0], light.to_sun[1], light.to_sun[2])
     slope = _dot(normal, sun)
@@ -320,6 +345,8 @@ def _surface(p: Any, o: Vector, d: Vector, t: float, pixel: float) -> tuple[floa
     x = _point(at, along, t)
     normal = _normal(p, x)
     facing = _dot(normal, along)
+    # How wide a pixel is on the surface, wider where it is seen flat: detail finer than that is
+    # left out.
     foot = t * pixel / (0.15 + abs(facing))
     value, mirror = albedo(p, x, normal, foot), p.mirror
     if p.texture == FACADE:  # panes reflect, walls do not
@@ -342,11 +369,14 @@ def _look(
         return _sky(d, light), 0.0, -1
     p = prims[number]
     value, mirror, normal = _surface(p, o, d, t, pixel)
+    # Shadow rays begin a little before the surface, or it would shade itself.
     x = _point(_point(o, d, t), normal, 1e-3 * (1 + 0.05 * t))
     gray = value * _lit(prims, tree, light, x, normal) + p.glow
     if mirror > 0:
         facing = min(max(-_dot(normal, d), 0.0), 1.0)
-        mirror += (1 - mirror) * (1 - facing) ** 5  # Schlick
+        # Schlick (1994): reflectance rises to 1 at grazing angles, R = R₀ + (1 - R₀) (1 - cos)⁵.
+        # One reflection is followed; what it meets is lit, but does not reflect again.
+        mirror += (1 - mirror) * (1 - facing) ** 5
         reflected = _point(d, normal, 2 * facing)
         far, other = _first(prims, tree, x, reflected, np.inf, False)
         if other < 0:
@@ -382,6 +412,8 @@ def look(
                 gray[y, x], inverse[y, x], number[y, x] = _look(prims, tree, light, o, d, pixel)
     for y in range(1, h - 1):
         for x in range(1, w - 1):
+            # An edge crosses a pixel if its neighbours are another primitive, or much nearer or
+            # farther.
             far = max(
                 inverse[y - 1, x],
                 inverse[y + 1, x],
@@ -413,7 +445,9 @@ def look(
             if not seen or (same and far < 1.3 * near):
                 continue
             across, down = rays[y, x + 1] - rays[y, x - 1], rays[y + 1, x] - rays[y - 1, x]
-            for step in (-1 / 6, 1 / 6):  # of the two pixels between the neighbours
+            # Two more rays, a third of a pixel before and behind along the diagonal: the neighbours
+            # are two pixels apart, of which a sixth is a third of one.
+            for step in (-1 / 6, 1 / 6):
                 d = _unit(
                     (
                         rays[y, x, 0] + step * (across[0] + down[0]),
@@ -445,6 +479,7 @@ def build_tree(prims: NDArray[Any]) -> Tree:
         skip: (nodes,), the node to go on with where a ray misses the box; otherwise the next one
         leaf: (nodes,), the primitive of a node, -1 where it has none of its own
     """
+    # The box around a rotated primitive: |Rᵀ| times its half sizes.
     reach = np.einsum("nji,nj->ni", np.abs(prims["rotation"]), prims["half"]) + 1e-9
     low, high = prims["center"] - reach, prims["center"] + reach
     bounds: list[NDArray[np.float64]] = []
@@ -457,6 +492,8 @@ def build_tree(prims: NDArray[Any]) -> Tree:
         skip.append(0)
         leaf.append(numbers[0] if len(numbers) == 1 else -1)
         if len(numbers) > 1:
+            # Sort along the axis on which the centres spread most, cut where it is cheapest, and
+            # visit the part first that is nearer to the origin, since the cameras are there.
             middle = prims["center"][numbers]
             order = numbers[np.argsort(middle[:, np.argmax(np.ptp(middle, axis=0))], kind="stable")]
             cut = _best_cut(low[order], high[order])
@@ -477,6 +514,8 @@ def _best_cut(low: NDArray[Any], high: NDArray[Any]) -> int:
     A ray meets a part with a probability in proportion to its area, and may then have to try each
     box in it.
     """
+    # The surface area heuristic (MacDonald and Booth 1990): area times number of boxes, for both
+    # parts.
     costs = np.zeros(len(low) - 1)
     for step in (1, -1):
         sides = np.maximum.accumulate(high[::step])[:-1] - np.minimum.accumulate(low[::step])[:-1]

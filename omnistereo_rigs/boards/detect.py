@@ -13,7 +13,8 @@ from omnistereo_lib.geometry.pose import Floats
 from omnistereo_lib.progress import Progress, counted, silent
 from omnistereo_rigs.boards.board import Board, Gray, as_gray
 
-_SAME = 2.0  # mean difference in gray levels below which two views are the same image
+# Two views are the same image if their gray levels differ by less than this on average.
+_SAME = 2.0
 
 
 def find_corners(image: ArrayLike, board: Board) -> Floats | None:
@@ -51,6 +52,7 @@ def detect_views(
             grays |= {} if image is None else {k: as_gray(image)}
         except OmnistereoError as error:
             raise OmnistereoError(f"view {names[k]}: {error}") from error
+    # Of each size the first view that has it, so that a message can name two views that differ.
     sizes = {gray.shape[::-1]: names[k] for k, gray in reversed(grays.items())}
     if len(sizes) > 1:
         (second, b), (first, a) = list(sizes.items())[-2:]
@@ -60,6 +62,7 @@ def detect_views(
         )
     found: dict[int, Floats | None] = {}
     step = counted(progress, len(grays))
+    # One image per thread; the results come in the order of the images.
     with ThreadPoolExecutor() as pool:
         for k, corners in zip(
             grays, pool.map(lambda gray: find_corners(gray, board), grays.values()), strict=True
@@ -83,6 +86,8 @@ def _duplicates(
 ) -> Iterator[tuple[int, int]]:
     boards = {k: corners for k, corners in found.items() if corners is not None}
     for a, b in combinations(boards, 2):
+        # Corners within half a pixel of each other are cheap to compare; only then are the images
+        # compared.
         apart = np.abs(boards[a] - boards[b])
         both = np.isfinite(apart)
         if (

@@ -27,14 +27,19 @@ from omnistereo_rigs.boards.report import CameraReport, RigReport, name_of
 from omnistereo_rigs.boards.single_camera import calibrate_corners, check_settings, read_views
 from omnistereo_rigs.boards.solution import Solution, distances_of
 
-# radians between the directions of a corner in two cameras: rough poses are nearer, gross errors
-# not
+# Radians between the directions of a corner in two cameras: rough poses are nearer than that, gross
+# errors are not.
 _AGREE = 0.05
-_BAD_CAPTURE = 2.0  # times the error of its views in each camera by itself
+# A capture is rejected if it fits the rig so many times worse than its views fit each camera alone.
+_BAD_CAPTURE = 2.0
+# A camera that shares fewer captures with any other one is named in a warning.
 _FEW_SHARED = 5
-_SHOWN = 2  # rejected views in a message
-_MOVED = 1.5  # the same over all shared captures: then the cameras do not move as one
-_UNLIKE = 5.0  # times the median error of the other cameras
+# So many of the rejected views are named in a message.
+_SHOWN = 2
+# As `_BAD_CAPTURE`, but over all shared captures: beyond it the cameras do not move as one.
+_MOVED = 1.5
+# A camera whose median error is so many times that of the others is named in a warning.
+_UNLIKE = 5.0
 
 
 def calibrate_rig(
@@ -108,6 +113,8 @@ def calibrate_rig(
         raise OmnistereoError(
             f"there are {len(given)} given cameras for views of {len(views)}. Give one for each"
         )
+    # Each camera by itself first: this gives its lens, the pose of the board in each of its views,
+    # and the views that do not fit.
     detected, single = [], []
     for i, (row, size, camera) in enumerate(zip(views, sizes, given, strict=True), start=1):
         try:
@@ -119,11 +126,13 @@ def calibrate_rig(
             raise OmnistereoError(f"camera {i}: {error}") from error
         single.append(report)
         detected.append(found)
-    # Drop views that the single-camera calibration rejected.
+    # Views that the calibration of a single camera rejected are dropped.
     corners = [
         [view if k in report.views_used else None for k, view in enumerate(row)]
         for row, report in zip(detected, single, strict=True)
     ]
+    # A first rig: poses of the cameras along a tree, then the corners of all cameras in one order,
+    # since a board that looks the same when turned may have been numbered from another corner.
     shared = _shared_captures(corners)
     _check_connected(shared, detected, single, names)
     T_cam_rig = _spanning_tree(shared, single, board)
@@ -132,6 +141,8 @@ def calibrate_rig(
         k for k, view in enumerate(zip(*corners, strict=True)) if any(c is not None for c in view)
     ]
     while True:
+        # The joint adjustment, as often as it leaves a capture that fits the rig much worse than
+        # the others: such a one is rejected, and all others are adjusted anew.
         params = _initial_params(corners, captures, T_cam_rig, single, cameras is not None)
         observations = collect_observations(
             [[row[k] for k in captures] for row in corners], board.points
@@ -155,6 +166,8 @@ def _renamed(progress: Progress, name: str) -> Progress:
 
 def _check_given(camera: OcamCamera | None, image_size: tuple[int, int]) -> None:
     if camera is not None and camera.image_size != tuple(image_size):
+        # Width and height of the images by those of the camera, and the reverse. If both are one
+        # whole number, the message can say by how much to reduce.
         larger, smaller = np.divide(
             [image_size, camera.image_size], [camera.image_size, image_size]
         )
@@ -200,6 +213,7 @@ def _check_connected(
     """Raise an `OmnistereoError` if shared captures do not connect all cameras; it names views that
     were rejected.
     """
+    # Cameras are the nodes of a graph, shared captures its edges: it has to be in one piece.
     adjacent = np.zeros((len(single), len(single)))
     for pair in shared:
         adjacent[pair] = 1
@@ -209,6 +223,7 @@ def _check_connected(
     cameras = [
         " and ".join(str(i + 1) for i in np.flatnonzero(label == group)) for group in range(groups)
     ]
+    # If not, some views that were rejected might have joined the pieces. They are worth a message.
     lost = []
     for k, views in enumerate(zip(*detected, strict=True)):
         seen = [i for i, view in enumerate(views) if view is not None]
@@ -238,6 +253,7 @@ def _spanning_tree(
     """Chain relative poses from camera 1 along the pairs that share most captures; return
     T_cam_rig.
     """
+    # The more captures a pair shares, the shorter its edge; the shortest tree takes the best pairs.
     lengths = np.zeros((len(single), len(single)))
     for pair, captures in shared.items():
         lengths[pair] = 1 / len(captures)
@@ -246,6 +262,7 @@ def _spanning_tree(
     T_cam_rig = [Pose.identity()] * len(single)
     for j in order[1:]:
         i = int(parents[j])
+        # From the parent i to its child j: T_j_rig = T_j_i T_i_rig.
         T_cam_rig[j] = (
             _relative_pose(i, int(j), shared[min(i, j), max(i, j)], single, board) @ T_cam_rig[i]
         )
@@ -258,8 +275,8 @@ def _relative_pose(
     """Return T_j_i, on which most shared captures agree: each proposes one for each symmetry of the
     board.
     """
-    # What T_j_i is if the corners of camera j in capture k are those of camera i in a symmetry of
-    # the board.
+    # In capture k both cameras see one board, so T_j_i = T_j_board (T_i_board S)⁻¹ if the corners
+    # of camera j are those of camera i in the symmetry S of the board.
     proposals = {
         (k, s): (
             single[j].T_cam_board[k]
@@ -268,10 +285,13 @@ def _relative_pose(
         for k in captures
         for s, symmetry in enumerate(board.symmetries)
     }
+    # Each proposal is tried on all captures: the angle by which it misses each, in the best
+    # symmetry.
     errors = {
         key: np.array([min(_direction_errors(T, i, j, k, single, board)) for k in captures])
         for key, T in proposals.items()
     }
+    # The one on which most captures agree; of equally many, the one with the least median error.
     best = min(
         errors, key=lambda key: (-np.count_nonzero(errors[key] < _AGREE), np.median(errors[key]))
     )
@@ -298,6 +318,7 @@ def _direction_errors(
     """Return, for each symmetry, the angle between the corners of camera j and those of camera i,
     radians.
     """
+    # The corners as camera j sees them, and where the pose of camera i puts them.
     seen = _unit(single[j].T_cam_board[k] @ board.points)
     expected = _unit(T_j_i @ (single[i].T_cam_board[k] @ board.points))
     return [
@@ -327,6 +348,9 @@ def _resolve_board_ambiguity(
         views = {i: view for i, row in enumerate(corners) if (view := row[k]) is not None}
         first, *others = views or [0]
         for j in others:
+            # The symmetry in which the corners of both cameras have about the same directions is
+            # the right one; its inverse, argsort, puts those of camera j into the order of the
+            # first camera.
             errors = _direction_errors(
                 T_cam_rig[j] @ T_cam_rig[first].inverse(), first, j, k, single, board
             )
@@ -357,6 +381,7 @@ def _bad_captures(
     for k, capture in enumerate(captures):
         cameras = tuple(int(i) for i in np.unique(observations.camera[observations.capture == k]))
         if len(cameras) > 1:
+            # Its error in the rig, against the error of the same views in each camera by itself.
             joint = float(np.median(distance[observations.capture == k]))
             usual = float(
                 np.median(np.concatenate([single[i].distances(capture) for i in cameras]))
@@ -427,6 +452,8 @@ def _build_rig(
     )
     T_rig_cam = [pose.inverse() for pose in params.T_cam_rig]
     if given:
+        # The optimiser turns each camera about its axis so that A is symmetric (see `params`).
+        # Given cameras stay as they are, so their poses are turned back.
         rolls = [Intrinsics.of_camera(camera)[1] for camera in given]
         cameras = list(given)
         T_rig_cam = [
@@ -456,6 +483,7 @@ def _rig_warnings(report: RigReport) -> Iterator[str]:
                 f"camera {i + 1} shares only {most} captures with any other. Hold the board between"
                 " two cameras more often, in different places"
             )
+        # Only captures that two cameras see can show that the cameras moved against each other.
         common = [
             k for k in camera.views_used if sum(k in other.views_used for other in report.joint) > 1
         ]

@@ -22,18 +22,26 @@ from omnistereo_rigs.boards.params import CalibrationParams, collect_observation
 from omnistereo_rigs.boards.report import CameraReport
 from omnistereo_rigs.boards.solution import OUTLIER, Solution, distances_of
 
-DEGREES = (4, 6, 8)  # odd ones add little; beyond 8 nothing was ever gained (notebook 01 shows it)
-# standard errors by which a higher degree has to lower the cross-validation error
+# The degrees that cross-validation tries. Odd ones add little, and beyond 8 nothing was ever gained
+# (notebook 01 shows it).
+DEGREES = (4, 6, 8)
+# A higher degree has to lower the cross-validation error by so many of its standard errors.
 _SIGNIFICANT = 2.0
-_MOST = 20  # degrees beyond are a typing error
+# Degrees beyond this are taken for a typing error.
+_MOST = 20
 _FOLDS = 3
 _MIN_VIEWS = 3
-_FEWEST_CORNERS = 6  # of a view: four determine the pose of a plane, more say whether it fits
+# Four corners determine the pose of a plane; with two more a view says whether the pose fits.
+_FEWEST_CORNERS = 6
+# If fewer views show the board, and less than half of them, another size of board is tried.
 _FEW_VIEWS = 10
-_BAD_VIEW = 3.0  # times the error of the median view
-# times the edge width of the median view; sharp views of one camera differ by a tenth
+# A view is rejected if its error is so many times that of the median view.
+_BAD_VIEW = 3.0
+# The same of its edge width. Sharp views of one camera differ by a tenth.
 _BLURRED = 1.5
-_ONE_PLACE = 0.5  # px: no hand brings a board back as near
+# In pixels: no hand brings a board back as near to where it was.
+_ONE_PLACE = 0.5
+# Boards that are all parallel to within this angle leave the focal length open.
 _PARALLEL = np.radians(5.0)
 
 
@@ -100,6 +108,7 @@ def calibrate_corners(
     if given is not None:
         corners = [None if view is None else _corners_in_view(view, given) for view in corners]
         max_fov_deg = given.max_fov_deg
+    # Views keep their numbers among all that were given: `taken` have an image, `found` a board.
     taken = [k for k, view in enumerate(images or corners) if view is not None]
     second = _second_board(corners)
     corners = [None if k in second else view for k, view in enumerate(corners)]
@@ -108,6 +117,8 @@ def calibrate_corners(
     views = [view for view in corners if view is not None]
     rejected = dict.fromkeys(sorted(set(taken) - set(found)), "no board found") | second
     cv_error_px: dict[int, float] = {}
+    # First a rough camera, then the degree of its polynomial, then a robust fit. A given camera
+    # needs the poses of the board only.
     if given is None:
         params = initial_estimate(views, board.points, image_size)
         _check_tilts(params)
@@ -117,6 +128,7 @@ def calibrate_corners(
     else:
         params = estimate_poses(given, views, board.points)
     params = bundle_adjust(params, collect_observations([views], board.points), loss="soft_l1")
+    # What does not fit is rejected, and what fits but is blurred, too; the rest gives the solution.
     bad = _bad_views(params, views, board.points)
     if images is not None and isinstance(board, Checkerboard):
         bad |= _blurred_views(images, corners, board)
@@ -204,13 +216,17 @@ def _second_board(corners: Sequence[Floats | None]) -> dict[int, str]:
     and the reason.
     """
     found = {k: view for k, view in enumerate(corners) if view is not None}
+    # For each view, all views in which more than half of the corners are at the same pixels. The
+    # largest such group is the candidate.
     standing: list[int] = []
     for here in found.values():
         apart = {k: np.linalg.norm(view - here, axis=1) for k, view in found.items()}
         near = [k for k, d in apart.items() if (d < _ONE_PLACE).sum() > np.isfinite(d).sum() / 2]
         standing = near if len(near) > len(standing) else standing
     order = [k for k in found if standing and standing[0] <= k <= standing[-1]]
-    if len(standing) < _MIN_VIEWS or standing == order:  # one after the other: it was held still
+    # If the group follows one after the other, the board was held still, and there is no second
+    # one.
+    if len(standing) < _MIN_VIEWS or standing == order:
         return {}
     reason = (
         "a second board, at one place in all of them, while the board moved. Cover it and take them"
@@ -254,6 +270,7 @@ def _check_input(
 
 def _check_tilts(params: CalibrationParams) -> None:
     """Raise if all boards are parallel: then focal length and distance are ambiguous."""
+    # The third column of R is the board's normal, seen from the camera.
     normals = np.stack([pose.R[:, 2] for pose in params.T_rig_board])
     largest = np.arccos(np.clip(normals @ normals.T, -1, 1)).max()
     if largest < _PARALLEL:
@@ -281,6 +298,8 @@ def choose_degree(
     errors = {degree: _cv_errors(params.with_degree(degree), views, points) for degree in DEGREES}
     best = DEGREES[0]
     for degree in DEGREES[1:]:
+        # The gain on each view that was held out. It has to be so much larger than its standard
+        # error, s / √n, that it is no chance: otherwise the simpler polynomial is kept.
         gain = errors[best] - errors[degree]
         if np.isfinite(gain).all() and gain.mean() > _SIGNIFICANT * gain.std(ddof=1) / np.sqrt(
             len(gain)
@@ -303,8 +322,10 @@ def _cv_errors(params: CalibrationParams, views: Sequence[Floats], points: Float
         seen, unseen = (
             collect_observations([[views[k] for k in part]], points) for part in (train, test)
         )
+        # The camera from two thirds of the views.
         fitted = bundle_adjust(params.with_captures(train), seen, loss="soft_l1", tolerance=1e-6)
         distance = distances_of(fitted, seen)
+        # As far out as inliers reach, the polynomial has to be monotonic, or it is no camera.
         near = seen.pixels[distance <= OUTLIER * np.median(distance)]
         reach = np.arccos(fitted.intrinsics[0].rays(near)[:, 2].min())
         try:
@@ -312,6 +333,8 @@ def _cv_errors(params: CalibrationParams, views: Sequence[Floats], points: Float
         # not monotonic where no corners constrain it, such as around the axis of a mirror
         except OmnistereoError:
             return np.full(len(views), np.inf)
+        # The other third tells how well it predicts: the camera stays, only the poses of these
+        # boards are found.
         posed = CalibrationParams(
             fitted.intrinsics, params.T_cam_rig, params.with_captures(test).T_rig_board
         )

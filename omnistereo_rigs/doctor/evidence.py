@@ -23,13 +23,16 @@ from omnistereo_rigs.images.features import FeatureFinder, Features, match_featu
 from omnistereo_rigs.images.from_images import find_features
 from omnistereo_rigs.images.relative_pose import RelativePose, relative_pose
 
+# A match is explained if it is within this sine of its epipolar plane.
 LIMIT = float(
     np.sin(np.radians(0.3))
 )  # of the angle to an epipolar plane; lenses of real files are off by about as much
-# cosine: rays that meet at more than 120° are not of one thing that both could match
+# A cosine: rays that meet at more than 120° are not of one thing that both could match.
 _NARROWEST = -0.5
-_USUAL = float(np.sin(np.radians(0.1)))  # error of a match
-_CELL = 4  # along each axis of the unit cube: matches within one are not independent
+# The usual error of a match, as a sine.
+_USUAL = float(np.sin(np.radians(0.1)))
+# The unit cube is cut into so many cells along each axis. Matches within one are not independent.
+_CELL = 4
 
 
 @dataclass(frozen=True, order=True)
@@ -53,6 +56,8 @@ class Flip:
         """Return where pixels (..., 2) of the picture lie in the one that the camera took, of the
         same size.
         """
+        # About the centre of the picture: turn back by quarters, then mirror back. This is the
+        # reverse order of the changes.
         middle = (np.array(size) - 1) / 2
         x, y = np.moveaxis(pixels - middle, -1, 0)
         for _ in range(self.quarters):
@@ -87,6 +92,8 @@ class Evidence:
 
     def __post_init__(self) -> None:
         self.features = find_features(self.cameras, [self.images])[0]
+        # Rays that were computed once are kept by camera, pair and side, since many hypotheses
+        # share them.
         self._rays: dict[tuple[int, Pair, int], tuple[OcamCamera, Floats]] = {}
         self._pixels = [
             c.project(f.rays)[0] for c, f in zip(self.cameras, self.features, strict=True)
@@ -101,6 +108,8 @@ class Evidence:
     def mirrored(self) -> dict[Pair, Matches]:
         """Matches of each pair of pictures if one of the two is mirrored."""
         found: dict[Pair, Matches] = {}
+        # The first picture of each pair is mirrored before its features are found, and their pixels
+        # are then counted in the picture as it was given.
         for i, camera in enumerate(self.cameras[:-1]):
             features = FeatureFinder(camera).find(np.ascontiguousarray(self.images[i][:, ::-1]))
             pixels = Flip(mirrored=True).undo(camera.project(features.rays)[0], camera.image_size)
@@ -119,6 +128,7 @@ class Evidence:
 
     def relative_poses(self) -> dict[Pair, RelativePose]:
         """Return the believable relative poses of pairs of cameras, without any prior."""
+        # RANSAC without any prior; pairs that agree on nothing are left out.
         found = {
             pair: relative_pose(*self.rays(self.cameras, pair), self.plain[pair].ratio)
             for pair in self._pairs
@@ -154,12 +164,16 @@ class Evidence:
         gain, cells = [], []
         for k, (i, j) in enumerate(self._pairs):
             x, y = self.rays(rig.cameras, (i, j))
+            # How well a match fits, from 1 at no error to 0: 1 / (1 + (error / usual)²), so gross
+            # errors hardly differ between the rigs.
             costs = [
                 1 / (1 + (off_plane(one.T_rig_cam[i], one.T_rig_cam[j], x, y) / _USUAL) ** 2)
                 for one in (rig, other)
             ]
             gain.append(costs[1] - costs[0])
             cells.append(np.column_stack([np.full(len(x), k), np.floor(_CELL * x)]))
+        # Sums over cells of the pair's rays. If the two rigs were equally good, the sums would be
+        # of either sign, and their total would have the standard error √Σ sum².
         of_cells = np.unique(np.concatenate(cells), axis=0, return_inverse=True)[1].ravel()
         sums = np.bincount(of_cells, np.concatenate(gain))
         return float(sums.sum() / max(float(np.sqrt((sums**2).sum())), 1e-12))
@@ -190,6 +204,9 @@ def off_plane(a: Pose, b: Pose, x: Floats, y: Floats) -> Floats:
 
     Of the two angles the larger; 1 if the rays do not meet in front of both cameras.
     """
+    # In the rig's axes, with u the unit baseline: (x × y) · u is the volume that x, y and u span.
+    # It is 0 if they lie in one plane, and divided by |u × x| it is the sine of the angle of y to
+    # the plane of u and x. The shorter of |u × x| and |u × y| gives the larger sine.
     x, y = x @ a.R.T, y @ b.R.T
     baseline = b.t - a.t
     length = max(float(np.linalg.norm(baseline)), 1e-12)

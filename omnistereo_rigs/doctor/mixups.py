@@ -19,12 +19,17 @@ from omnistereo_lib.geometry.pose import Floats, Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_rigs.images.relative_pose import RelativePose
 
-# of a mix-up that fits: rotations, directions of the baselines
+# A mix-up fits if the rotations, and the directions of the baselines, are within so many degrees.
 _MOST_TURN_DEG, _MOST_AIM_DEG = 3.0, 30.0
-_AIM_WEIGHT = 0.05  # of degrees of direction against degrees of rotation; they are known less well
-_AS_GOOD = (1.3, 0.1)  # factor and degrees within which a simpler mix-up fits as well
-_CLEAR = 0.6  # of the next best fit that is as simple
-_MOST = 4  # cameras, up to which all orders are tried
+# So much does a degree of direction count against a degree of rotation: directions are known less
+# well.
+_AIM_WEIGHT = 0.05
+# A simpler mix-up fits as well if its misfit is within this factor, and these degrees, of the best.
+_AS_GOOD = (1.3, 0.1)
+# A mix-up is clear if its misfit is below this share of the next best that is as simple.
+_CLEAR = 0.6
+# For up to so many cameras all orders are tried.
+_MOST = 4
 _MIRROR = np.diag([1.0, 1.0, -1.0])
 _SIDES = (("right", "left"), ("down", "up"), ("ahead", "back"))
 
@@ -68,6 +73,9 @@ def explain(
     In another order of the images each is seen through another lens, which blurs the difference:
     see `check_rig`.
     """
+    # The first explanation is the rig as given. Of those that fit about as well as the best, the
+    # one with the fewest parts is named (Occam's razor); a rival that is as simple has to fit
+    # clearly worse.
     everything = list(_explanations(rig, pairs))
     given = everything[0]
     fitting = [
@@ -85,16 +93,22 @@ def explain(
 
 
 def _explanations(rig: Rig, pairs: Mapping[tuple[int, int], RelativePose]) -> Iterator[Explanation]:
-    if rig.T_rig_file is not None:  # the numbers of the file are what was mixed up
+    # The numbers of the file are what was mixed up, so go back to the frame of the file.
+    if rig.T_rig_file is not None:
         rig = rig.transformed(rig.T_rig_file.inverse())
     R, t = np.stack([pose.R for pose in rig.T_rig_cam]), rig.centers
     same = tuple(range(len(rig)))
+    # Images of different sizes cannot have been swapped.
     sizes = [camera.image_size for camera in rig.cameras]
     orders = [order for order in _orders(len(rig)) if [sizes[k] for k in order] == sizes]
+    # Angles read as an axis-angle vector: for each camera the length may have wrapped around or
+    # not.
     angles = [
         (_EULER, lambda R, t, wraps=wraps: _angles(R, t, wraps))
         for wraps in product((0, 1), repeat=len(rig))
     ]
+    # Every form of the poses in every order of the images, and in each the 24 turns of the camera
+    # axes.
     for (name, form), order in (*product(_FORMS.items(), orders), *product(angles, [same])):
         R_order, t_order = (part[list(order)] for part in form(R, t))
         for axes, turn, aim in _misfits(R_order, t_order, pairs):
@@ -102,6 +116,7 @@ def _explanations(rig: Rig, pairs: Mapping[tuple[int, int], RelativePose]) -> It
             yield Explanation(
                 " and ".join(parts), len(parts), R_order @ _turns()[axes], t_order, order, turn, aim
             )
+    # The same for the pose of one camera alone; a mirror and a chain concern all cameras.
     of_one = {
         name: form
         for name, form in _FORMS.items()
@@ -126,12 +141,16 @@ def _misfits(
     """Yield number, turn and aim in degrees for each rotation of the camera axes, of all cameras or
     of one.
     """
+    # With poses R_k S of the turned cameras, the relative pose of i and j that the file means is
+    #     R_ji = S_jᵀ R_jᵀ R_i S_i,   t_ji ∝ S_jᵀ R_jᵀ (c_i - c_j)
+    # Its angle to the measured R is arccos((trace(R_jiᵀ R) - 1) / 2), for all pairs and turns at
+    # once.
     S = _turns()
     none = np.broadcast_to(np.eye(3), S.shape)
     i, j = np.array(list(pairs)).T
     measured_R = np.stack([found.T_b_a.R for found in pairs.values()])
     measured_t = np.stack([found.T_b_a.t for found in pairs.values()])
-    # (pairs, 24, 3, 3)
+    # Shapes (pairs, 24, 3, 3); if one camera is tried alone, the others are not turned.
     S_i, S_j = (np.stack([S if only in (None, k) else none for k in side]) for side in (i, j))
     back = np.swapaxes(S_j, 2, 3) @ np.swapaxes(R[j], 1, 2)[:, None]
     cosine = (np.einsum("paij,pij->pa", back @ R[i][:, None] @ S_i, measured_R) - 1) / 2
@@ -139,6 +158,7 @@ def _misfits(
     baselines = baselines / np.maximum(np.linalg.norm(baselines, axis=1, keepdims=True), 1e-12)
     aims = np.einsum("paij,pj,pi->pa", back, baselines, measured_t)
     degrees = (np.degrees(np.arccos(values.clip(-1, 1))) for values in (cosine, aims))
+    # The 0.7 quantile over pairs: three in ten may be wrong relative poses.
     turn, aim = (np.quantile(values, 0.7, axis=0, method="lower") for values in degrees)
     yield from zip(range(len(S)), turn.tolist(), aim.tolist(), strict=True)
 
@@ -146,6 +166,8 @@ def _misfits(
 @cache
 def _turns() -> Floats:
     """Return the 24 rotations that take axes to axes, the identity first, shape (24, 3, 3)."""
+    # Permutation matrices with signs, 48 in all; half of them are rotations, the other half
+    # mirrors.
     found = [
         np.eye(3)[list(order)] * np.array(signs)[:, None]
         for order in permutations(range(3))
@@ -186,6 +208,7 @@ def _names(form: str, axes: int, images: str = "all images look") -> tuple[str, 
         return (f"{images} mirrored",)
     if form == _MIRRORED and (np.diag(S) == [1, -1, -1]).all():
         return (f"{images} mirrored and upside down",)
+    # Row by row: which side of the camera its new axis points to.
     sides = [_SIDES[int(np.abs(row).argmax())][int(row.sum() < 0)] for row in S]
     words = f"the camera axes look like x {sides[0]}, y {sides[1]}, z {sides[2]}"
     if S[2, 2] == 1:
@@ -202,6 +225,7 @@ _MIRRORED = "the frame looks left-handed: z of rig and cameras is mirrored"
 
 
 def _inverse(R: Floats, t: Floats) -> tuple[Floats, Floats]:
+    # (R, t)⁻¹ = (Rᵀ, -Rᵀ t)
     back = np.swapaxes(R, 1, 2)
     return back, -np.einsum("nij,nj->ni", back, t)
 
@@ -215,6 +239,7 @@ def _quaternion(to_first: bool) -> Form:
     """Return the form that moves the real part of a quaternion to the other end."""
 
     def undo(R: Floats, t: Floats) -> tuple[Floats, Floats]:
+        # SciPy's order is x y z w. Rolling by one makes w x y z of it, and back.
         q = np.roll(Rotation.from_matrix(R).as_quat(), 1 if to_first else -1, axis=1)
         return Rotation.from_quat(q).as_matrix(), t
 
@@ -229,6 +254,7 @@ def _angles(R: Floats, t: Floats, wraps: Sequence[int]) -> tuple[Floats, Floats]
     """
     numbers = Rotation.from_matrix(R).as_rotvec()
     angle = np.maximum(np.linalg.norm(numbers, axis=1, keepdims=True), 1e-9)
+    # A vector of length a and one of length a - 2π along it are the same rotation.
     numbers = numbers * (1 - np.array(wraps)[:, None] * 2 * np.pi / angle)
     return Rotation.from_euler("xyz", numbers).as_matrix(), t
 

@@ -26,27 +26,41 @@ from omnistereo_rigs.images.from_images import MeasuredRig, chain_poses, measure
 from omnistereo_rigs.images.relative_pose import RelativePose
 from omnistereo_rigs.images.track_bundle import mean_baseline, moved_rig, pose_differences
 
-# Scores; measured on planted mistakes, see workshop/results/planted_mistakes.py.
-_CLEARER = 1.12  # times the matches that the rig explains as given
-_MORE = 10  # matches, at least, on top of those
-# of the score: so much better must a freed pose, or a focal length, be than a mix-up
+# These decide between hypotheses by their scores. They were set while looking at planted mistakes
+# of seeds below 50, see workshop/results/planted_mistakes.py; the book reports the seeds from 50
+# on.
+# Another hypothesis has to explain at least so many times the matches of the rig as given …
+_CLEARER = 1.12
+# … and at least so many more.
+_MORE = 10
+# A share of the score: so much better must a freed pose, or a focal length, be than a mix-up.
 _FREED, _LENS = 0.08, 0.04
-_FEW = 15  # matches for each camera that agree on something; fewer show nothing
-_SHOWS_ALL = 0.45  # of the matches of each camera: nothing else is looked for
-_AS_WELL = 0.5  # times the share of the others, at least: a focal length that is right
-_ALIEN = 0.3  # times the share of the others: a camera that shows something else
-# Measured poses.
-_BY_CHANCE = 1e-4  # probability that a right camera is accused
-_PREFERRED = 2.0  # standard errors, by which the matches themselves must prefer the measured rig
-# less is not worth saying; the shift is a share of the mean baseline
+# Matches for each camera that agree on something. Fewer show nothing.
+_FEW = 15
+# Of the matches of each camera: if the rig explains such a share, nothing else is looked for.
+_SHOWS_ALL = 0.45
+# A focal length that is right fits at least so many times the share of the others' matches.
+_AS_WELL = 0.5
+# A camera that shows something else fits at most so many times the share of the others' matches.
+_ALIEN = 0.3
+# From here on, numbers for the measured poses. First, how probably a right camera is accused.
+_BY_CHANCE = 1e-4
+# By so many standard errors must the matches themselves prefer the measured rig.
+_PREFERRED = 2.0
+# Less is not worth saying. The shift is a share of the mean baseline.
 _LEAST_TURN_DEG, _LEAST_SHIFT = 0.02, 0.005
-_WRONG_PX, _WRONG_SHIFT = 0.5, 0.02  # less does no harm: of a turn in pixels, of a shift as above
-# standard deviation of a turn; images that show no more say nothing about the rig
+# Less does no harm: a turn in pixels, a shift as above.
+_WRONG_PX, _WRONG_SHIFT = 0.5, 0.02
+# If a turn has a larger standard deviation, the images say nothing about the rig.
 _UNKNOWN_DEG = 1.0
-_LATE_SHARE = 0.3  # of the radius: a camera that is farther off may as well show another moment
-_TOGETHER = 1e-9  # metres
-_NEAR_DEG = 1.0  # of file and images: then the file is where the measurement begins
-_GAUGE = 7  # a rotation, a shift and a scale of all cameras cannot be seen
+# A camera that is off by more than this share of the radius may as well show another moment.
+_LATE_SHARE = 0.3
+# In metres: cameras whose mean baseline is shorter are all at one place.
+_TOGETHER = 1e-9
+# If file and images differ by less, the measurement begins at the poses of the file.
+_NEAR_DEG = 1.0
+# A rotation, a shift and a scale of all cameras cannot be seen: so many directions are left out.
+_GAUGE = 7
 _UNITS = {1000: "m read as mm", 100: "m read as cm", 10: "cm read as mm"}
 
 
@@ -144,12 +158,16 @@ def _open(why: str) -> RigCheck:
 
 def _best(evidence: Evidence, rig: Rig) -> _Hypothesis:
     """Return what explains most matches: the rig as given, unless another is clearly better."""
+    # If the rig as given explains nearly half of the matches of every camera, and enough of them,
+    # nothing else is looked for.
     counts, totals = evidence.counts(rig), evidence.totals()
     given = _Hypothesis("nothing wrong", float(counts.sum() / 2), 0.0, rig)
     if (
         counts.sum(axis=0) >= _SHOWS_ALL * np.maximum(totals.sum(axis=0), 1)
     ).all() and given.score >= _FEW * len(rig):
         return given
+    # Another hypothesis has to explain clearly more: by a factor, and by some matches at least. Of
+    # those, the one with the most matches after the penalty for its parts is taken.
     clear = [
         one
         for one in _hypotheses(evidence, rig)
@@ -159,6 +177,7 @@ def _best(evidence: Evidence, rig: Rig) -> _Hypothesis:
 
 
 def _hypotheses(evidence: Evidence, rig: Rig) -> Iterator[_Hypothesis]:
+    # Pictures first: mirrored, rotated, or in another order.
     for one in picture_mixups(evidence, rig, mirrored=True)[:1]:
         changed = [
             k
@@ -243,6 +262,8 @@ def _odd(evidence: Evidence, rig: Rig, found: _Hypothesis) -> RigCheck | None:
     """
     if len(rig) < 3:
         return None
+    # For each camera: the share of its matches that fit, and that of the matches without it. The
+    # camera whose share is the smallest against the others' may be the odd one.
     shares = [fitted_share(evidence, found.rig, [k]) for k in range(len(rig))]
     k = int(np.argmin([mine / max(others, 1e-9) for mine, others in shares]))
     mine, others = shares[k]
@@ -270,7 +291,7 @@ def _measured(
         if pairs and as_given(rig, pairs).turn_deg > _NEAR_DEG:
             start, chained = _chained(rig, pairs), True
     measured = measure_rig(start, [images], "nothing", [evidence.features])
-    # all cameras together are more exact than pairs, and may name what those leave open
+    # All cameras together are more exact than pairs, and may name what those leave open.
     if chained:
         _, mixup, clear = explain(rig, relative_poses(measured.rig))
         if mixup is not None and mixup.parts and clear:
@@ -282,6 +303,8 @@ def _chained(rig: Rig, pairs: dict[Pair, RelativePose]) -> Rig:
     """Return the rig with the poses of the images, of the size and about in the place of the given
     one.
     """
+    # The chain is in the frame of camera 1 and of any size: scale, turn and shift it onto the given
+    # rig.
     poses = chain_poses(pairs, len(rig))
     found = rig.with_poses(poses)
     scale = mean_baseline(rig.centers) / mean_baseline(found.centers)
@@ -307,11 +330,15 @@ def _compared(
     differences = pose_differences(measured.rig, rig)
     turn_sd, shift_sd = measured.deviations.T
     limits = [f"Not all is shown: {refusal}" for refusal in measured.refusals()]
+    # First what can be said without the poses: the unit, and whether the images show anything.
     if (unit := _unit(measured, min_depth)) is not None:
         return RigCheck(False, unit, "unit", (), None, measured)
     if not np.isfinite(turn_sd).all() or (turn_sd.max() > _UNKNOWN_DEG and not freed):
         text = ". ".join(["the images do not show how the cameras are placed", *limits])
         return RigCheck(None, text, "cannot tell", (), None, measured)
+    # Whom to accuse: a camera freed already, or those whose poses explain the differences. What is
+    # too small to matter accuses nobody, and the matches themselves have to prefer the measured
+    # rig.
     turns, shifts = (
         np.degrees(np.linalg.norm(differences[:, :3], axis=1)),
         np.linalg.norm(differences[:, 3:], axis=1),
@@ -328,6 +355,8 @@ def _compared(
             f" {turn_sd[k]:.1g}° and {_length(shifts.max())} ± {_length(shift_sd.max())}"
         )
         return RigCheck(True, ". ".join([text, *limits]), "nothing wrong", (), None, measured)
+    # Then, camera by camera, how far it is off, whether that does any harm, and whether it is so
+    # far that its picture may as well be of another moment.
     said, poses, harmless, late = [], list(rig.T_rig_cam), True, False
     radius = float(np.linalg.norm(rig.centers - rig.centers.mean(axis=0), axis=1).mean())
     for k, pose in _put_right(rig, measured.rig, accused).items():
@@ -384,6 +413,9 @@ def _accused(rig: Rig, measured: MeasuredRig, differences: Floats) -> tuple[int,
     since a common rotation, shift and scale are taken away, but freeing the culprit leaves nothing
     over.
     """
+    # Whitened differences z: along the eigenvectors of the covariance, each over its deviation. The
+    # covariance has seven eigenvalues of 0, the gauge, which come first and are left out. If the
+    # rig is right, z · z is χ² distributed.
     values, vectors = np.linalg.eigh(measured.covariance)
     white = (vectors[:, _GAUGE:] / np.sqrt(values[_GAUGE:])).T
     z = white @ differences.ravel()
@@ -391,6 +423,8 @@ def _accused(rig: Rig, measured: MeasuredRig, differences: Floats) -> tuple[int,
     if total < chi2.isf(_BY_CHANCE, len(z)):
         return ()
     count = len(rig)
+    # Greedily: free the camera whose free pose leaves least of χ², until chance or a tenth of it is
+    # left.
     J = [white @ _by_moving(rig, k) for k in range(count)]
     chosen: list[int] = []
     while len(chosen) < max(1, (count - 1) // 2) or count == 2:
@@ -425,6 +459,8 @@ def _put_right(rig: Rig, found: Rig, accused: Sequence[int]) -> dict[int, Pose]:
     """Return the poses of the accused cameras, once all others of a rig that was found lie on those
     given.
     """
+    # A similarity (rotation, scale, shift) brings the innocent cameras of the measured rig onto the
+    # given ones; it then tells where the accused cameras belong. Of two cameras the first stays.
     others = [k for k in range(len(rig)) if k not in accused] or list(range(len(rig)))
     if len(rig) == 2:
         others = [0]
@@ -473,6 +509,8 @@ def _unit(measured: MeasuredRig, min_depth: float | None) -> str | None:
     """
     if min_depth is None:
         return None
+    # One point in a hundred is nearer. If the rig is read in the wrong unit, all depths are wrong
+    # by it.
     nearest = measured.depth_quantile(0.01)
     for factor, unit in _UNITS.items():
         for short in (True, False):

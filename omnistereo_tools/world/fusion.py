@@ -22,16 +22,26 @@ from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.compiled import compiled
 from omnistereo_lib.stereo.threads import map_threads
 
-BLOCK = 8  # voxels a side; the block of voxel i is i >> 3, its place there i & 7
-BAND = 4.0  # voxels
-_ALONG = 8.0  # voxels, the band along a ray where the surface is seen flat
-LEAST_WEIGHT = 0.02  # of a voxel that is believed
-_FARTHEST = np.float32(1e-3)  # 1/m, in place of infinity
-_NEAREST = 1.0  # metres, where a ray of `march` begins
-_PART = 512  # blocks that a thread takes at a time
-_DEPTH_SD, _SPHERES_SD = 0.03, 0.6  # of a depth: metres, and spheres
-_ONE_SURFACE = 1.2  # ratio of neighbouring depths; beyond it there is an edge between them
-_BITS = 21  # of each coordinate of a block
+# Voxels a side; the block of voxel i is i >> 3, its place there i & 7.
+BLOCK = 8
+# In voxels: farther from a surface, distances are cut off.
+BAND = 4.0
+# In voxels: the band along a ray where the surface is seen flat.
+_ALONG = 8.0
+# A voxel of less weight is not believed.
+LEAST_WEIGHT = 0.02
+# In 1/m, in place of infinity.
+_FARTHEST = np.float32(1e-3)
+# In metres: where a ray of `march` begins.
+_NEAREST = 1.0
+# Blocks that a thread takes at a time.
+_PART = 512
+# Standard deviations of a depth: in metres, and in spheres.
+_DEPTH_SD, _SPHERES_SD = 0.03, 0.6
+# Neighbouring depths with a larger ratio have an edge between them.
+_ONE_SURFACE = 1.2
+# Bits of each coordinate of a block in its key.
+_BITS = 21
 _Array = NDArray[Any]
 _loop = compiled(nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"})
 
@@ -57,6 +67,8 @@ class View:
             sphere: Difference of the inverse depths of two spheres, 1/m.
         """
         inverse = np.maximum(np.nan_to_num(inverse_depth), _FARTHEST).astype(np.float32)
+        # A depth z = 1/q that is off by some spheres, dq, is off by dz = dq / q²: far depths are
+        # uncertain.
         variance = _DEPTH_SD**2 + (_SPHERES_SD * sphere / inverse**2) ** 2
         weight = np.where(np.isnan(inverse_depth), 0, np.nan_to_num(confidence) / variance)
         pixels = np.nan_to_num(color).reshape(*inverse.shape, -1)
@@ -83,6 +95,8 @@ def touched_blocks(view: View, grid: SphereGrid, voxel: float, reach: float) -> 
     if not used.any():
         return np.zeros(0, np.int64)
     directions, depth = grid.rays()[used] @ view.T_world_rig.R.T, 1 / view.inverse_depth[used]
+    # A band of the surface is longer along a ray that meets it flat: 1 / cosine times, up to a
+    # limit. Steps of half a block at most along it find the blocks; a key packs three coordinates.
     half, keys = np.minimum(BAND / _cosine(view.inverse_depth, grid)[used], _ALONG) * voxel, []
     for share in np.linspace(-1, 1, int(np.ceil(4 * half.max() / size)) + 1):
         blocks = np.floor(
@@ -101,6 +115,7 @@ def _cosine(inverse: NDArray[np.float32], grid: SphereGrid) -> NDArray[np.float3
     sphere.
     """
     per_theta, _, per_phi, _ = _mapping(grid)
+    # cos φ of each row: columns are so much closer together there.
     level = np.linalg.norm(grid.rays()[:, :1, ::2], axis=-1)  # cos φ
     down = np.pad(np.diff(inverse, axis=0), ((1, 1), (0, 0)), "edge") * per_phi
     right = np.diff(inverse, axis=1, append=inverse[:, :1]) * per_theta / level
@@ -158,6 +173,7 @@ class Volume:
     def integrate(self, view: View, grid: SphereGrid) -> None:
         """Add a view, or with negative weights take it out again."""
         T, size = view.T_world_rig, BLOCK * self.voxel
+        # Only blocks within reach can get anything from this view.
         away = np.linalg.norm((self.voxels[0] + 0.5) * size - T.t, axis=1)
         near = np.flatnonzero(away < self.reach + size)
         cosine = _cosine(view.inverse_depth, grid)
@@ -193,6 +209,7 @@ class Volume:
 
 def _mapping(grid: SphereGrid) -> tuple[float, float, float, float]:
     """Return columns per radian, the column of θ = 0, rows per radian and the row of φ = 0."""
+    # Columns are linear in θ and rows in φ, so two points tell both mappings.
     (column, row), (other, lower) = grid.project([[0.0, 0.0, 1.0], [0.5, 0.25, 1.0]])[0].tolist()
     return (
         (other - column) / np.arctan2(0.5, 1.0),
@@ -220,7 +237,7 @@ def _integrate(
         for i in range(BLOCK):
             for j in range(BLOCK):
                 for k in range(BLOCK):
-                    # The voxel in the axes of the rig, and its pixel.
+                    # The voxel in the axes of the rig, Rᵀ (x - t), and the pixel of its ray.
                     x, y, z = (
                         (x0 + i) * voxel - t[0],
                         (y0 + j) * voxel - t[1],
@@ -232,12 +249,14 @@ def _integrate(
                     level = np.sqrt(right * right + ahead * ahead)
                     away = np.sqrt(level * level + down * down)
                     row = row0 + per_phi * np.arctan2(down, level)
-                    # rounding at the poles
+                    # Beyond the first and last row, with some room for rounding at the poles, the
+                    # panorama has no pixel.
                     if away > reach or row < -0.501 or row > height - 0.499:
                         continue
                     column = column0 + per_theta * np.arctan2(right, ahead)
                     pixel = min(max(int(np.rint(row)), 0), height - 1), int(np.rint(column)) % width
                     w = confidence[pixel]
+                    # The distance to the surface along the ray; times the cosine, to its plane.
                     along = 1 / _interpolate(inverse, row, column, inverse[pixel]) - away
                     s = along * cosine[pixel]
                     # Unknown, or hidden behind the surface.
@@ -245,9 +264,12 @@ def _integrate(
                         continue
                     at = number, i, j, k
                     total = weights[at] + w
-                    if w < 0 and total < LEAST_WEIGHT:  # no other frame has seen it
+                    # A view is taken out, and no other frame has seen the voxel.
+                    if w < 0 and total < LEAST_WEIGHT:
                         weights[at] = 0
                         continue
+                    # The running weighted mean (Curless and Levoy 1996): D ← D + w (d - D) / (W +
+                    # w). The distance is cut off at the band, and colours are taken within it only.
                     weights[at] = total
                     share = w / total
                     distances[at] += share * (min(s, band) - distances[at])
@@ -262,6 +284,8 @@ def _interpolate(inverse: NDArray[np.float32], row: float, column: float, neares
     one surface.
     """
     height, width = inverse.shape
+    # Bilinear between four pixels: around the seam in columns, not beyond the first and the last
+    # row.
     i, j = int(np.floor(row)), int(np.floor(column))
     if i < 0 or i + 1 >= height:
         return nearest
@@ -341,6 +365,7 @@ def _march(
                 (t[1] + s * d[1]) / voxel,
                 (t[2] + s * d[2]) / voxel,
             )
+            # There is nothing in an empty block: jump to where the ray leaves it, and a little on.
             if find_block(voxels, int(np.floor(x)), int(np.floor(y)), int(np.floor(z))) < 0:
                 s += voxel * (
                     _way_out(x, d[0], _way_out(y, d[1], _way_out(z, d[2], 2.0 * BLOCK))) + 0.01
@@ -348,10 +373,15 @@ def _march(
                 before = np.inf
                 continue
             value = _sample(voxels, x, y, z)
+            # From positive to negative the ray goes through the surface from its front: by linear
+            # interpolation
+            #     s = s₀ + (s₁ - s₀) d₀ / (d₀ - d₁)
             if value <= 0 and 0 < before < np.inf:
                 inverse[ray] = 1 / (s_before + (s - s_before) * before / (before - value))
                 i, j, k = int(np.rint(x)), int(np.rint(y)), int(np.rint(z))
                 color[ray] = voxels[5][find_block(voxels, i, j, k), i & 7, j & 7, k & 7]
                 break
+            # The distance says about how far the nearest surface is: go 0.6 of it, and half a voxel
+            # at least.
             before, s_before = value, s
             s += 0.5 * voxel if value == np.inf else max(0.5 * voxel, 0.6 * value)
