@@ -14,12 +14,18 @@ NO_DEPTH = (
     "It is stitched as if seen from one point, and depth needs two: pass the images of the single"
     " lenses, before stitching, with their calibration"
 )
-_STITCHED = (".360",)  # of GoPro: two halves of one cube map
-# difference of the first and the last column, by that of columns half an image apart
+# GoPro's files hold the two halves of one cube map.
+_STITCHED = (".360",)
+# The sides of a panorama meet if its first and last column differ by less than this share of the
+# difference of columns half an image apart.
 _SIDES_MEET = 0.25
-_EVEN = 0.35  # variation along the first row, which is one point, by that of the whole image
-_APART = 0.2  # of the longer side, between the principal points of lenses that share an image
-_DARK = 8.0  # mean gray value of the first row of an image circle
+# The first row of a panorama is one point, so it varies less than this share of the whole image
+# does.
+_EVEN = 0.35
+# Lenses that share an image have principal points farther apart than this share of its longer side.
+_APART = 0.2
+# The first row of an image circle has a lower mean gray value.
+_DARK = 8.0
 
 
 def check_not_stitched(path: str | Path) -> None:

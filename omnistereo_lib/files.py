@@ -18,14 +18,18 @@ import numpy as np
 
 from omnistereo_lib.errors import OmnistereoError, shortened
 
-_made: list[Path] = []  # folders that `make_folder` has made
-# of the two parsers
+# Folders that `make_folder` has made.
+_made: list[Path] = []
+# What the two parsers raise.
 _BROKEN = (ValueError, TypeError, AttributeError, LookupError, ArithmeticError, RecursionError)
-_STALE = 3600.0  # seconds; no single file takes so long to write
+# In seconds: no single file takes so long to write.
+_STALE = 3600.0
 _MAX_BYTES = 1 << 30
-_MAX_TEXT = 1 << 24  # bytes; a calibration of 500 boards has 2 million
+# In bytes; a calibration of 500 boards has 2 million.
+_MAX_TEXT = 1 << 24
 _MAX_DEPTH = 64
-_MAX_VALUES = 1_000_000  # of a YAML file, with what its aliases repeat
+# Values of a YAML file, with what its aliases repeat.
+_MAX_VALUES = 1_000_000
 # Scalars of YAML: a pattern, what they begin with, and how they are read.
 _NUMBERS: dict[str, tuple[str, str, Callable[[str], Any]]] = {
     "bool": ("true|True|TRUE|false|False|FALSE", "tTfF", lambda text: text.lower() == "true"),

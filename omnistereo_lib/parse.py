@@ -23,16 +23,21 @@ from omnistereo_lib.geometry.camera import MAX_SIDE
 from omnistereo_lib.geometry.pose import Floats, Pose, nearest_rotation
 
 METRES_PER_UNIT = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
-MIN_FOV_DEG = 10.0  # a lens as narrow sees no depth around a rig; less is radians or a tangent
+# A lens as narrow as this sees no depth around a rig; less is radians or a tangent.
+MIN_FOV_DEG = 10.0
 # Poses that a file states twice; rounding is less, another calibration is more.
 _SAME_M, SAME_DEG = 2e-3, 0.2
-MAX_CAMERAS = 64  # each is fitted: 64 different lenses take 1.5 s
+# Each camera is fitted: 64 different lenses take 1.5 s.
+MAX_CAMERAS = 64
 _ROUNDED = (
     1e-3  # of a rotation printed with three decimals; with four it is 0.002° from the nearest
 )
-_EXACT = 1e-5  # of a rotation printed with five; `Pose` corrects it
-_SHORT = 4  # letters; shorter keys, such as K and P, are one edit from each other
-_SHOWN = 8  # keys in a message
+# Of a rotation printed with five decimals; `Pose` corrects it.
+_EXACT = 1e-5
+# In letters: shorter keys, such as K and P, are one edit from each other.
+_SHORT = 4
+# So many keys are named in a message.
+_SHOWN = 8
 # Keys without a meaning here, in lower case without "_", "-" and a number behind, by the reason.
 _IRRELEVANT = {
     "names, dates and places of data": "name label id camid camname cameraname cameraid index "

@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, read_bytes
 
-MAX_PIXELS = 1 << 26  # of a picture or panorama: decoding one takes less than a gigabyte
+# Of a picture or panorama: decoding one takes less than a gigabyte.
+MAX_PIXELS = 1 << 26
 _MAX_SIDE = 100_000
-_MAX_SCANS = 64  # of a JPEG, whose decoder goes over the whole picture for each of its scans
+# Of a JPEG, whose decoder goes over the whole picture for each of its scans.
+_MAX_SCANS = 64
 _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "PPM", "WEBP")  # as Pillow calls them
 _NOT_READ = {
     "CMYK": "CMYK colours",
@@ -32,8 +34,10 @@ _JPEG_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]", re.DOTALL)  # but those 
 _NETPBM = re.compile(rb"P([2356])" + 3 * rb"(?:\s|#[^\n]*\n)+([0-9]{1,6})" + rb"\s")
 # tags of TIFF, the first of EXIF, too
 _ORIENTATION, _BITS, _PLANAR, _PHOTOMETRIC = 274, 258, 284, 262
-_PLAIN = (1, 8, 32946)  # compressions of TIFF: none, and deflate by both of its numbers
-_remarked: set[tuple[Path, str]] = set()  # what has been said of the pictures of a folder
+# Compressions of TIFF: none, and deflate by both of its numbers.
+_PLAIN = (1, 8, 32946)
+# What has been said of the pictures of a folder.
+_remarked: set[tuple[Path, str]] = set()
 
 
 def open_picture(path: str | Path) -> tuple[bytes, Any]:

@@ -38,7 +38,8 @@ from omnistereo_lib.parse import (
 )
 from omnistereo_lib.pictures import write_image
 
-MAX_BYTES = 1 << 17  # 64 cameras have 90,000; of YAML, the parser reads as many in about 2 s
+# 64 cameras have 90,000 bytes. Of YAML, the parser reads as many in about 2 s.
+MAX_BYTES = 1 << 17
 _OWN_FILES = ("config.yaml", "rig.yaml")
 
 

@@ -31,9 +31,12 @@ from omnistereo_lib.errors import OmnistereoError, check_number
 Array = Any  # a NumPy array or a torch tensor: both have every operation used here
 
 MAX_SIDE = 100_000  # px
-_INVERSE_TOLERANCE = 0.01  # px, the tolerance of OCamCalib
-_EDGE = 1e-6  # px; keeps the corner pixels inside the image after the rounding of a round trip
-_NEWTON_STEPS = 4  # starting from 1024 samples, the error falls 1e-3 → 1e-6 → 1e-12 → rounding
+# In pixels, the tolerance of OCamCalib.
+_INVERSE_TOLERANCE = 0.01
+# In pixels; keeps the corner pixels inside the image after the rounding of a round trip.
+_EDGE = 1e-6
+# Starting from 1024 samples, the error falls 1e-3 → 1e-6 → 1e-12 → rounding.
+_NEWTON_STEPS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,16 +178,20 @@ class OcamCamera:
         """
         points, xp = _as_array(points, 3)
         x, y, z = points[..., 0], points[..., 1], points[..., 2]
-        n = xp.sqrt(x * x + y * y)  # NumPy's hypot takes as long as all the rest
+        # The angle below the xy-plane, t = atan2(-Z, n), and the radius r(t). NumPy's hypot would
+        # take as long as all the rest.
+        n = xp.sqrt(x * x + y * y)
         t = xp.arctan2(-z, n)
         finite = xp.isfinite(n) & xp.isfinite(z) & ((n > 0) | (z != 0))
         in_view = finite & (t <= self._max_t + 1e-12)
-        t = xp.where(in_view, t, self._max_t)  # the polynomial is undefined further out
+        # The polynomial is undefined further out.
+        t = xp.where(in_view, t, self._max_t)
         if use_direct_poly:
             r = xp.asarray(self._radius_by_root(t, self._max_t), dtype=t.dtype)
         else:
             r = _horner(self.inv_poly, t)
-        off_axis = finite & (n > 0)  # points on the axis project to the centre
+        # Points on the axis project to the centre.
+        off_axis = finite & (n > 0)
         n = xp.where(off_axis, n, 1.0)
         # Divide first: r / n can overflow close to the axis.
         x, y = (xp.where(off_axis, side, 0.0) / n * r for side in (x, y))
@@ -210,6 +217,7 @@ class OcamCamera:
         pixels, _ = _as_array(np.asarray(uv), 2)
         finite = np.isfinite(pixels).all(-1)
         u, v = np.moveaxis(np.where(finite[..., None], pixels, 0.0) - self.center, -1, 0)
+        # Undo A, then go from the radius to the angle t by one of the two polynomials.
         (i00, i01), (i10, i11) = np.linalg.inv(self._A)
         x, y = i00 * u + i01 * v, i10 * u + i11 * v
         r = np.sqrt(x * x + y * y)
@@ -218,7 +226,9 @@ class OcamCamera:
             max_radius, _ = _branch_end(self.poly, self._max_t, 3 * max(self.image_size))
         else:
             t, max_radius = self._angle_by_root(r), self.max_radius
-        sine = np.cos(t)  # of the angle from the axis, which is t + π/2
+        # The sine of the angle from the axis, which is t + π/2. So the ray is (x/r cos t, y/r cos
+        # t, -sin t).
+        sine = np.cos(t)
         safe_r = np.where(r > 0, r, 1.0)
         rays = np.stack([x / safe_r * sine, y / safe_r * sine, -np.sin(t)], -1)
         rays = np.where((r > 0)[..., None], rays, [0.0, 0.0, 1.0])
@@ -289,6 +299,8 @@ class OcamCamera:
         """Find the smallest positive root r of f(r) cos t = r sin t, t ≤ max_t, by Newton's
         method.
         """
+        # A ray at angle t meets f(r) where tan t = f(r) / r. Written without a quotient it has no
+        # pole, and Newton's method starts from samples of the branch.
         radii, angles = _monotone_branch(self.poly, max_t, 3 * max(self.image_size))
         slope = polyder(self.poly)
         t = np.asarray(t, np.float64)
@@ -334,6 +346,8 @@ def fit_inverse_polynomial(
     >>> fit_inverse_polynomial([-200, 0, 1e-3], max_fov_deg=180, max_radius=500).round(1)
     array([447.2, 499.6, 275.6, 150.1,  62.3,  18.8,   2.6])
     """
+    # Sample angles and radii of the direct polynomial, then fit degree after degree until one is
+    # near enough.
     max_t = np.radians(max_fov_deg / 2) - np.pi / 2
     radii, angles = _monotone_branch(np.asarray(poly, np.float64), max_t, max_radius)
     for degree in range(3, 26):

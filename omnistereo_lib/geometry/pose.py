@@ -12,8 +12,10 @@ from omnistereo_lib.errors import OmnistereoError
 
 Floats = NDArray[np.float64]
 
-_FAR = 1e9  # metres, or millimetres before a file's unit is known
-_ROTATION_TOLERANCE = 1e-5  # files print rotations with 6 digits or more
+# In metres, or in millimetres before a file's unit is known.
+_FAR = 1e9
+# Files print rotations with 6 digits or more.
+_ROTATION_TOLERANCE = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +86,7 @@ class Pose:
 
     def inverse(self) -> Pose:
         """Return the inverse transform T_ba (paper, Section III-A)."""
+        # x_a = R x_b + t gives x_b = Rᵀ x_a - Rᵀ t.
         return Pose(self.R.T, -self.R.T @ self.t)
 
     @overload
@@ -126,6 +129,8 @@ def nearest_rotation(M: Floats) -> Floats:
     """Return the rotation nearest to a matrix (3, 3), by its singular values: of a sum of
     rotations, their mean.
     """
+    # With M = U S Vᵀ it is U diag(1, 1, ±1) Vᵀ, the sign such that the determinant is 1 (Kabsch
+    # 1976).
     U, _, Vt = np.linalg.svd(M)
     return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt, np.float64)
 
@@ -166,6 +171,7 @@ def quaternion_from_rotation(R: Floats) -> Floats:
 def axis_angle_from_rotation(R: Floats) -> Floats:
     """Return r in radians, shape (3,), with R(r) = R and |r| ≤ π, stable at 0 and at π."""
     q = quaternion_from_rotation(R)
+    # q = (sin(a/2) axis, cos(a/2)). The arctangent of both is exact at either end, unlike arccos.
     sine = np.linalg.norm(q[:3])
     if sine < 1e-12:
         return 2.0 * q[:3]

@@ -181,6 +181,7 @@ def _neighbours(rig: Rig) -> list[Pair]:
     """Return the ring of cameras, sorted by the azimuth θ of their optical axes, starting at camera
     0.
     """
+    # The third column of R is the optical axis, z, in the rig frame.
     axes = np.stack([pose.R[:, 2] for pose in rig.T_rig_cam])
     azimuth = np.arctan2(axes[:, 0], axes[:, 2])
     around = np.argsort((azimuth - azimuth[0] + 1e-6) % (2 * np.pi), kind="stable").tolist()

@@ -153,6 +153,8 @@ class SphereGrid:
         phi = np.arctan2(points[..., 1], np.hypot(points[..., 0], points[..., 2]))
         column_offset, row_offset, extra_rows = _SAMPLINGS[self.sampling]
         low, high = np.radians(self.phi_deg)
+        # The inverses of `thetas` and `phis`; columns are then moved into [-0.5, W - 0.5), around
+        # the seam.
         column = theta * self.width / (2 * np.pi) + self.width / 2 - column_offset
         column = (column + 0.5) % self.width - 0.5
         row = (phi - low) * (self.height + extra_rows) / (high - low) - row_offset

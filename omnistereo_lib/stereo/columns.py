@@ -11,6 +11,7 @@ def circular_span(visible: NDArray[np.bool_]) -> tuple[int, int]:
     columns = np.flatnonzero(visible)
     if len(columns) == 0:
         return 0, 0
+    # The widest gap between two columns, around the circle, is what the span leaves out.
     gaps = np.diff(np.append(columns, columns[0] + len(visible)))
     widest = int(np.argmax(gaps))
     start = int(columns[(widest + 1) % len(columns)])
@@ -29,6 +30,7 @@ def common_columns(a: tuple[int, int], b: tuple[int, int], W: int) -> list[tuple
     common = ((column - a[0]) % W < a[1]) & ((column - b[0]) % W < b[1])
     if common.all():
         return [(0, W)]
+    # A strip starts where the column before is not common, and ends where the next one is not.
     starts = np.flatnonzero(common & ~np.roll(common, 1))
     ends = np.flatnonzero(common & ~np.roll(common, -1))
     return [(int(s), int(((ends - s) % W).min()) + 1) for s in starts]

@@ -16,7 +16,8 @@ from omnistereo_lib.stereo.threads import map_threads
 from omnistereo_lib.stereo.volume import as_volume
 from omnistereo_lib.stereo.zncc import ZNCC
 
-_CELLS = 1 << 19  # cells of the volume that a thread reads at a time: 2 MB in float32
+# Cells of the volume that a thread reads at a time: 2 MB in float32.
+_CELLS = 1 << 19
 
 
 def winner_takes_all(volume: ArrayLike | Tensor, subindex: bool = False) -> Tensor:
@@ -144,6 +145,7 @@ class Depth:
                 cameras to which the point is visible; NaN where there is none, or no depth. A wrong
                 depth shows as a double contour.
         """
+        # Each ray looks into every camera that sees its point, and takes the mean.
         samples = np.stack(self.sweep.warp(self.images, self.index))
         visible = np.isfinite(samples)
         with np.errstate(invalid="ignore"):
@@ -167,10 +169,12 @@ class Depth:
         angles = np.stack(
             [self.sweep.off_axis_angles(camera, self.index) for camera in range(len(gray))]
         )
+        # Of the cameras that see the point, the two whose axes are nearest to it.
         best = np.argsort(np.where(np.isnan(samples), np.inf, angles), axis=0)[:2]
-        # camera order, or a window would mix the two where the nearer one changes
+        # In the order of the cameras, or a window would mix the two where the nearer one changes.
         best.sort(axis=0)
         two = torch.from_numpy(np.take_along_axis(samples, best, axis=0))
+        # The cost is (1 - ZNCC) / 2, so the correlation is 1 - 2 cost.
         return 1 - 2 * ZNCC(window=9)(two[:, None], [(0, 1)])[..., 0].numpy()
 
     def point_cloud(

@@ -25,11 +25,17 @@ from omnistereo_lib.stereo.sensitivity import calibration_deviation
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.threads import map_threads
 
-WITHIN = (0.683, 0.954)  # of the rays: within σ, within the bound, as of a Gaussian and its 2 σ
-SECOND_MASS = 0.1  # of a second surface that is told: one of the two is right in nine of ten
-_SPHERES = 96  # lengths are counted in spheres of a sweep of so many
-_CELLS = 32  # windows in a sweep, as of `local_mean`
-_PART = 1 << 19  # cells of the volume that a thread reads at a time
+# Shares of the rays: within σ and within the bound, as of a Gaussian within its σ and its 2 σ.
+WITHIN = (0.683, 0.954)
+# A second surface is told if it has this share of the evidence: one of the two is right in nine of
+# ten.
+SECOND_MASS = 0.1
+# Lengths are counted in spheres of a sweep of so many.
+_SPHERES = 96
+# Windows in a sweep, as those of `local_mean`.
+_CELLS = 32
+# Cells of the volume that a thread reads at a time.
+_PART = 1 << 19
 Floats = NDArray[np.float32]
 
 
@@ -84,13 +90,16 @@ def error_bars(
     per_sphere = grid.step * grid.num_spheres / _SPHERES
     sigma, bound, at = sigma * per_sphere, bound * per_sphere, index.cpu().numpy()
     if sweep.rig.deviations:
+        # What the uncertain poses do to the depth is independent of the matching, so variances add:
+        # √(a² + b²), twice as much in the bound.
         seen = np.stack([sweep.project_sphere(k, at)[1] for k in range(len(sweep.rig))])
         inverse = grid.index_to_inverse_depth(at)
         moved = np.nan_to_num(calibration_deviation(sweep.rig, grid.rays(), inverse, seen))
         sigma, bound = np.hypot(sigma, moved), np.hypot(bound, 2 * moved)
     reach = np.maximum(at, grid.num_spheres - 1 - at) * grid.step
     second = np.where(spread[3] > SECOND_MASS, grid.index_to_inverse_depth(spread[4]), np.nan)
-    if not method.reads_out:  # of costs, a second is no better than one bar: see the measurement
+    # Of costs, a second surface is no better than one bar: see the measurement.
+    if not method.reads_out:
         second = np.full_like(second, np.nan)
     return ErrorBars(*(x.astype(np.float32) for x in (sigma, np.minimum(bound, reach), second)))
 
@@ -128,6 +137,7 @@ def distribution_by_torch(
     )
     p = p / p.sum(-1, keepdim=True)
     off = n - index[..., None]
+    # A window has soft ends: spheres count fully within the radius, then less over one sphere.
     share = (radius + 1 - off.abs()).clamp(0, 1)
     mass = (p * share).sum(-1)
     inside = ((p * share * off.square()).sum(-1) / mass).sqrt()

@@ -54,6 +54,8 @@ def reduce_images(
     cameras, reduced = [], []
     widest = max(camera.max_fov_deg for camera in rig.cameras)
     for camera, image in zip(rig.cameras, check_images(images, rig), strict=True):
+        # A whole factor, so that each new pixel is the mean of a block; what is left at the rim is
+        # cut off.
         factor = max(1, round(camera.image_size[0] / widest / pixels_per_degree))
         width, height = (size // factor for size in camera.image_size)
         cut = image[: height * factor, : width * factor]

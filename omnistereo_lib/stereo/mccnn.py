@@ -13,7 +13,8 @@ from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.stereo.learned import PairNetwork, full_precision
 from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
 
-PATCH = 9  # pixels: four 3 × 3 layers without padding leave one
+# In pixels: of a patch, four 3 × 3 layers without padding leave one.
+PATCH = 9
 _MAPS = {"fast": 64, "accurate": 112}
 Variant = Literal["fast", "accurate"]
 
@@ -49,7 +50,8 @@ class MCCNN(PairNetwork):
             nn.init.zeros_(layer.bias)
             nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
         if self.head:
-            nn.init.normal_(self.head[-1].weight, std=0.01)  # starts undecided
+            # The network starts undecided.
+            nn.init.normal_(self.head[-1].weight, std=0.01)
 
     @classmethod
     def pretrained(cls, variant: Variant = "fast") -> Self:
@@ -84,7 +86,8 @@ class MCCNN(PairNetwork):
         8, w - 8).
         """
         x = images[:, None]
-        with full_precision(x):  # the texture of a patch may be faint beside its brightness
+        # The texture of a patch may be faint beside its brightness.
+        with full_precision(x):
             x = relu_(self.tower[0](x))
         for layer in self.tower[1:-1]:
             x = relu_(layer(x))

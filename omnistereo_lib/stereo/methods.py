@@ -28,8 +28,10 @@ from omnistereo_lib.stereo.volumenet import VolumeNet, local_mean
 from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
 from omnistereo_lib.stereo.zncc import ZNCC
 
-FRAME_METHOD = "volumenet"  # default for a single frame: the lowest errors, at seconds a frame
-VIDEO_METHOD = "zncc+sgm"  # default for many frames, recorded or live: the fastest that is smooth
+# The default for a single frame: the lowest errors, at seconds a frame.
+FRAME_METHOD = "volumenet"
+# The default for many frames, recorded or live: the fastest that is smooth.
+VIDEO_METHOD = "zncc+sgm"
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +56,8 @@ class CostEntry:
     label: str  # row of a table
     # with the path of the weights file, where the cost has weights
     load: Callable[[Method, Path, Precision], Cost]
-    settings: frozenset[str] = frozenset()  # those of `Method` that change this cost
+    # Those settings of `Method` that change this cost.
+    settings: frozenset[str] = frozenset()
     weights: str = ""  # bundled weights file without .safetensors; "" for a cost without weights
     # Raw volume (H, W, N) → index and confidence (H, W), in place of `winner_takes_all` and
     # `confidence`.
@@ -77,7 +80,8 @@ def _load_volumenet(method: Method, path: Path, precision: Precision) -> Cost:
     return network
 
 
-COSTS = {  # in the order of Table II
+# In the order of Table II.
+COSTS = {
     "zncc": CostEntry(
         "ZNCC", lambda method, path, precision: ZNCC(method.window), frozenset({"window", "pairs"})
     ),
@@ -276,6 +280,7 @@ class Method:
         """
         if self.aggregate == "none":
             return volume
+        # Where only one penalty is given, the other one's default gives way, so that p1 ≤ p2.
         p1, p2 = penalties(*volume.shape[1:])
         p2 = max(p2, self.p1 or 0) if self.p2 is None else self.p2
         p1 = min(p1, p2) if self.p1 is None else self.p1
@@ -310,6 +315,7 @@ def penalties(width: int, num_spheres: int) -> tuple[float, float]:
     The powers were chosen on held-out frames of the training sets; see notebook 07. Neither penalty
     exceeds that of the paper's scale.
     """
+    # P2 = 12 (W / 1200)² 192 / N and P1 = 0.1 √(W / 1200), both at most those of the paper.
     scale = min(width / 1200, 1.0)
     p2 = 12.0 * min(scale**2 * 192 / num_spheres, 1.0)
     return min(0.1 * scale**0.5, p2), p2

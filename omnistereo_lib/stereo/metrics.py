@@ -47,6 +47,8 @@ def index_error(
     """
     gt_index = np.asarray(gt_index, np.float64)
     error = error_map(index, gt_index, num_spheres)
+    # A ray without an estimate is as wrong as can be, or a method could leave out what is
+    # difficult.
     error = np.where(np.isnan(error), 100.0, error)
     valid = np.ones(error.shape, bool) if valid is None else np.asarray(valid, bool)
     if valid.shape != error.shape:
@@ -105,6 +107,8 @@ def sparsification(
         return np.full(len(fractions), 0.0 if len(error) else np.nan), np.nan, np.nan
 
     def curve(score: NDArray[np.float64]) -> NDArray[np.float64]:
+        # The mean of the first k errors, for all k at once; then those k that remain after each
+        # fraction.
         ordered = error[np.argsort(-score, kind="stable")]
         means = np.cumsum(ordered) / np.arange(1, len(ordered) + 1)
         return means[np.maximum(np.round((1 - fractions) * len(ordered)).astype(int), 1) - 1]
@@ -150,6 +154,7 @@ def reliability(
     if not known.any():
         raise OmnistereoError("no ray has an error and an error bar; expected at least one")
     off, bar = off[known], bar[known]
+    # Bins of equal count, from short bars to long ones.
     parts = np.array_split(np.argsort(bar, kind="stable"), bins)
     stated = np.array([bar[part].mean() for part in parts])
     found = np.array([np.quantile(off[part], share) for part in parts])

@@ -31,9 +31,12 @@ def inverse_depth_shifts(
         (cameras, ...); NaN where fewer than two cameras see the point.
     """
     places = centers.reshape(len(centers), *[1] * (rays.ndim - 1), 3)
-    towards = rays - inverse_depth[..., None] * places  # to the point, times its inverse depth
+    # The way from camera i to the point, times its inverse depth q: ρ - q c_i.
+    towards = rays - inverse_depth[..., None] * places
     length = np.linalg.norm(towards, axis=-1, keepdims=True)
     unit = towards / length
+    # v_i is its derivative by q, -c_i, as far as it lies across the view, over the length: the
+    # direction in which camera i sees the point moves by so many radians per 1/m.
     moves = (unit * (unit * places).sum(-1, keepdims=True) - places) / length * seen[..., None]
     count, total = seen.sum(0), moves.sum(0)
     pull = np.linalg.norm(count[..., None] * moves - total, axis=-1)

@@ -102,7 +102,8 @@ def sgm(
 
 def sgm_gpu(volume: Tensor, p1: float, p2: float, paths: int, wrap: bool) -> Tensor:
     """Return S of a volume on a GPU without infinite costs; arguments as in `sgm`."""
-    if find_spec("triton") is None:  # it comes with torch for CUDA on Linux
+    # Triton comes with torch for CUDA on Linux; elsewhere the definition itself runs.
+    if find_spec("triton") is None:
         return reference.sgm(volume, p1, p2, paths, wrap)
     from omnistereo_lib.stereo.kernels.sgm_triton import sum_paths
 

@@ -60,13 +60,15 @@ class SweepNet(PairNetwork):
         self.norms = nn.ModuleDict()
         for name, layer in self.layers.items():
             nn.init.zeros_(layer.bias)
-            if name != "fc5":  # keeps the scale through ReLU layers; fc5 starts undecided
+            # This keeps the scale through ReLU layers; fc5 starts undecided.
+            if name != "fc5":
                 nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
             if batch_norm and name != "fc5":
                 kind = nn.BatchNorm1d if isinstance(layer, nn.Linear) else nn.BatchNorm2d
                 # None: plain means, see `train`
                 self.norms[name] = kind(layer.bias.numel(), momentum=None)
-                layer.bias = None  # the norm subtracts any bias and has its own
+                # The norm subtracts any bias and has its own.
+                layer.bias = None
 
     @property
     def config(self) -> dict[str, Any]:
@@ -94,7 +96,7 @@ class SweepNet(PairNetwork):
         """
         H, W = left.shape[1:]
         self.check_size(H, W)
-        # columns repeated beyond the seam, then cut off
+        # Columns are repeated beyond the seam, then cut off.
         halo = self.feature_halo + self.match_halo if self.wrap else 0
         left, right = (self.pad_columns(image, -halo, W // 2 + halo) for image in (left, right))
         pixels = self.match_features(self.extract_features(left), self.extract_features(right))
@@ -104,8 +106,10 @@ class SweepNet(PairNetwork):
         """Run conv1 … conv18, residual blocks, on padded images (B, H, w + 4): (B, 32, H/2,
         w/2).
         """
-        with full_precision(images):  # the texture of an image may be faint beside its brightness
+        # The texture of an image may be faint beside its brightness.
+        with full_precision(images):
             x = self._run("conv1", images[:, None])
+        # Eight residual blocks of two convolutions: the second one adds the block's input.
         for k in range(2, 18, 2):
             x = self._run(f"conv{k + 1}", self._run(f"conv{k}", x), add=x)
         return self._run("conv18", x)

@@ -17,16 +17,20 @@ from torch import Tensor, nn
 from omnistereo_lib.errors import OmnistereoError, shortened
 from omnistereo_lib.files import atomic_write, parse_json, read_bytes
 
-_TYPES = ("F16", "BF16", "F32", "F64", "I64")  # as safetensors calls them
-_MAX_SIDES = 8  # dimensions; torch computes with up to 64
-_MAX_HEADER = 1 << 20  # bytes; that of a training state has 30,000
+# Types of tensors, as safetensors calls them.
+_TYPES = ("F16", "BF16", "F32", "F64", "I64")
+# Dimensions of a tensor; torch computes with up to 64.
+_MAX_SIDES = 8
+# In bytes; the header of a training state has 30,000.
+_MAX_HEADER = 1 << 20
 BUNDLED_WEIGHTS = Path(__file__).resolve().parents[1] / "weights"
 
 
 class StoredNetwork(nn.Module):
     """A network that a file of weights describes completely."""
 
-    bundled: ClassVar[str]  # name of the file of the bundled weights, without .safetensors
+    # Name of the file of the bundled weights, without .safetensors.
+    bundled: ClassVar[str]
 
     @property
     def config(self) -> dict[str, Any]:

@@ -21,16 +21,21 @@ from omnistereo_lib.lazy import lazy_property
 from omnistereo_rigs.boards.board import Board, Gray, as_gray, check_edge
 
 _CLASSIC = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-_SMALL = 640  # px: the longer side of the copies on which thresholds are tried one by one
-_LARGE = 1000  # px: the longer side of an image that is not enlarged
-# px, half sizes of windows: the least that cornerSubPix can use, and what is enough for small
+# In pixels: the longer side of the copies on which thresholds are tried one by one.
+_SMALL = 640
+# In pixels: an image whose longer side is more is not enlarged.
+_LARGE = 1000
+# Half sizes of windows in pixels: the least that cornerSubPix can use, and what is enough for small
 # squares. A larger window averages more noise, but where squares are slanted or bent it reaches
 # other edges and is biased by them.
 _LEAST_WINDOW, _SMALL_WINDOW = 2, 5
 _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
-_SEARCHED = 8  # images, for a board of another size
-_SIZE_SEARCH = 3  # a wrong board size is looked for this many corners around the one given
-_MOST_LOST = 0.1  # of the corners; if more are lost, the detection is wrong
+# So many images are searched for a board of another size.
+_SEARCHED = 8
+# A wrong board size is looked for this many corners around the one given.
+_SIZE_SEARCH = 3
+# If a larger share of the corners is lost, the detection is wrong.
+_MOST_LOST = 0.1
 
 
 @dataclass(frozen=True)
@@ -225,6 +230,8 @@ def edge_width(image: ArrayLike, corners: Floats, board: Checkerboard) -> float:
     grid = corners.reshape(board.corners[1], board.corners[0], 2)
     widths = []
     for start, end in ((grid[:, :-1], grid[:, 1:]), (grid[:-1], grid[1:])):
+        # The edge between two squares runs from corner to corner. Look across it, every half pixel
+        # around its middle, and into the two squares beside it.
         middle, along = ((start + end) / 2).reshape(-1, 1, 2), (end - start).reshape(-1, 1, 2)
         whole = np.isfinite(along).all(axis=(1, 2))
         middle, across = middle[whole], along[whole, :, ::-1] * (-1, 1)
@@ -237,6 +244,8 @@ def edge_width(image: ArrayLike, corners: Floats, board: Checkerboard) -> float:
             _look(gray, middle + pixels),
             _look(gray, middle + np.array([[-0.35], [0.35]]) * across),
         )
+        # Profile values two samples apart are one pixel apart. Contrast over the steepest such step
+        # is a width in pixels.
         steepest = np.abs(profile[:, 2:] - profile[:, :-2]).max(axis=1)
         widths.append(np.median(np.abs(np.diff(sides, axis=1))[:, 0] / np.maximum(steepest, 1.0)))
     return float(max(widths))
@@ -252,6 +261,8 @@ def _smoothed(corners: Floats, board: Checkerboard) -> Floats:
     """Fit polynomials of column and row to the corners, robustly; return their values at all
     corners, (K, 2) px.
     """
+    # The highest degree up to 4 that leaves three corners for each of its coefficients, (d + 1)(d +
+    # 2) / 2.
     degree = max(d for d in (1, 2, 3, 4) if (d + 1) * (d + 2) / 2 <= len(corners) / 3)
     x, y = (2 * board.points[:, :2] / board.square / (np.array(board.corners) - 1) - 1).T
     i, j = np.indices((degree + 1, degree + 1)).reshape(2, -1)
@@ -260,6 +271,7 @@ def _smoothed(corners: Floats, board: Checkerboard) -> Floats:
     for _ in range(3):
         smooth = basis @ np.linalg.lstsq(basis[inliers], corners[inliers], rcond=None)[0]
         distance = np.linalg.norm(corners - smooth, axis=1)
+        # Corners far from the surface are left out of the next fit.
         inliers = distance <= max(4 * np.median(distance), 0.1)
     return smooth
 
@@ -283,6 +295,7 @@ def _spacing(corners: Floats, board: Checkerboard) -> Floats:
         ((1, 1), (1, 1), (0, 0)),
         constant_values=np.inf,
     )
+    # Beyond the edge of the board the neighbours are at infinity, so they are never the nearest.
     here = grid[1:-1, 1:-1]
     neighbors = np.stack([grid[1:-1, 2:], grid[1:-1, :-2], grid[2:, 1:-1], grid[:-2, 1:-1]])
     return np.linalg.norm(neighbors - here, axis=-1).min(axis=0).ravel()
@@ -309,6 +322,8 @@ def _in_order(corners: Floats, gray: Gray, board: Checkerboard) -> Floats:
     """
     columns, rows = board.corners
     grid = corners.reshape(rows, columns, 2)
+    # The right and the down neighbour of a corner turn clockwise in an image; otherwise each row is
+    # reversed.
     if np.median(_cross2d(np.diff(grid, axis=1)[:-1], np.diff(grid, axis=0)[:, :-1])) < 0:
         grid = grid[:, ::-1]
     rotated = [np.rot90(grid, quarter) for quarter in (range(4) if columns == rows else (0, 2))]
@@ -356,7 +371,8 @@ def suggest_board(
             if fits > (best[1] if best else 0):
                 best = size, fits
             if fits and max(abs(a - b) for a, b in zip(size, middle, strict=True)) == _SIZE_SEARCH:
-                edge = size  # there may be a larger one outside
+                # There may be a larger one outside, so the search goes on around this one.
+                edge = size
                 break
             if 2 * fits >= len(grays):
                 return best

@@ -20,10 +20,13 @@ from omnistereo_rigs.boards.solution import distances_of
 # F = smaller image side / (2 × angle at its edge): from 130° at the edge (mirrors) down to 10°
 # (telephoto).
 _CANDIDATE_EDGE_ANGLES = np.radians([130, 110, 90, 75, 60, 45, 35, 25, 17, 10])
-_WIDEST = np.radians(170)  # an equidistant camera needs corners within this angle
-_MAX_CANDIDATES = 3  # to adjust
+# An equidistant camera needs corners within this angle.
+_WIDEST = np.radians(170)
+# So many focal lengths, the best ones, are adjusted.
+_MAX_CANDIDATES = 3
 _STEPS = 30
-_GOOD_PX = 1.0  # good enough not to try the next
+# If a camera is as good as this, the next one is not tried.
+_GOOD_PX = 1.0
 
 
 def initial_estimate(
@@ -40,6 +43,7 @@ def initial_estimate(
     farthest = max(np.nanmax(np.linalg.norm(view - center, axis=-1)) for view in views)
     focals = [min(image_size) / 2 / angle for angle in _CANDIDATE_EDGE_ANGLES]
     focals = [focal for focal in focals if farthest / focal < _WIDEST]
+    # With F given every pixel is a ray, and each view a plane: see how well planes fit for each F.
     planes = [
         [solve_planar_pose(_rays(view, center, focal), points) for view in views]
         for focal in focals
@@ -56,7 +60,7 @@ def initial_estimate(
             (intrinsics,), (Pose.identity(),), tuple(pose for pose, _ in planes[i])
         )
         params = bundle_adjust(params, observations, loss="soft_l1", steps=_STEPS, tolerance=1e-4)
-        # px; wrong corners do not decide
+        # In pixels, cut off at 10 so that wrong corners do not decide.
         error = distances_of(params, observations).clip(max=10.0).mean()
         if error < least:
             best, least = params, error
@@ -88,6 +92,7 @@ def estimate_poses(
 def _init_equidistant(image_size: tuple[int, int], focal: float, farthest: float) -> Intrinsics:
     """Return r = F θ as an OCam polynomial of degree 4."""
     scale = max(image_size) / 2
+    # f(r) = -r / tan(r / F) is the polynomial of r = F θ, fitted in the powers 0, 2, 3 and 4.
     r = np.linspace(0.01, 1.0, 200) * farthest
     # In pixels: errors of f weigh with sin θ, or the end of a field near 180° would outweigh all
     # the rest.
@@ -127,6 +132,9 @@ def solve_planar_pose(rays: Floats, points: Floats) -> tuple[Pose, float]:
     plane = np.column_stack([points[finite, :2] / size, np.ones(finite.sum())])
     x, y, z = b.T[:, :, None]
     zero = np.zeros_like(plane)
+    # [b]ₓ H (X, Y, 1) = 0 for all corners: three equations each, of the nine numbers of H. The
+    # solution is the eigenvector of AᵀA for its smallest eigenvalue. Lengths are divided by the
+    # size of the board, so that all numbers are of one order.
     A = np.block(
         [
             [zero, -z * plane, y * plane],
@@ -136,11 +144,14 @@ def solve_planar_pose(rays: Floats, points: Floats) -> tuple[Pose, float]:
     )
     H = np.linalg.eigh(A.T @ A)[1][:, 0].reshape(3, 3)
     H[:, :2] /= size
+    # Both first columns have length 1 on average, and points lie along their rays, not against
+    # them.
     H *= (
         np.sign(np.sum(b * (plane * [size, size, 1] @ H.T)))
         * 2
         / np.linalg.norm(H[:, :2], axis=0).sum()
     )
+    # The nearest two columns that are orthonormal; the third column is their cross product.
     U, _, Vt = np.linalg.svd(H[:, :2], full_matrices=False)
     r1, r2 = (U @ Vt).T
     pose = Pose(np.column_stack([r1, r2, np.cross(r1, r2)]), H[:, 2])

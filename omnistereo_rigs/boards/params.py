@@ -65,6 +65,7 @@ class Intrinsics:
         frame.
         """
         u0, v0, c, d = self.vector[:NUM_AFFINE]
+        # Undo A, then the direct polynomial: the ray of (x, y) is (x, y, -f(r)).
         xy = (pixels - [u0, v0]) @ np.linalg.inv([[1.0, d], [d, c]]).T
         depth = -np.polynomial.polynomial.polyval(np.linalg.norm(xy, axis=-1), self.poly)
         rays = np.concatenate([xy, depth[..., None]], axis=-1)
@@ -79,7 +80,7 @@ class Intrinsics:
         """
         c, d, e = camera.affine
         U, singular, Vt = np.linalg.svd(np.array([[1.0, e], [d, c]]))
-        # A = symmetric × rotation, and the rotation goes into the pose
+        # By the polar decomposition A = symmetric × rotation, and the rotation goes into the pose.
         A = U @ np.diag(singular) @ U.T
         t = np.linspace(-np.pi / 2, np.radians(camera.max_fov_deg / 2) - np.pi / 2, 257)[1:]
         poly = fit_direct_polynomial(

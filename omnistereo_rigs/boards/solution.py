@@ -43,7 +43,8 @@ def refine(
         np.stack([observations.camera, observations.capture]), axis=1, return_inverse=True
     )
     params = bundle_adjust(params, observations, loss="soft_l1")
-    for _ in range(2):  # second round: recover inliers that outliers had biased in the first fit
+    # The second round recovers inliers that outliers had biased in the first fit.
+    for _ in range(2):
         distance = distances_of(params, observations)
         typical = np.array([np.median(distance[view == k]) for k in range(view.max() + 1)])
         inlier_mask = distance <= OUTLIER * np.maximum(typical[view], np.median(distance))
@@ -70,6 +71,7 @@ class Solution:
         params, inlier_mask = refine(params, observations)
         inliers = observations.select(inlier_mask)
         residuals = residuals_of(params, inliers)
+        # The noise of one coordinate: √(Σ r² / (numbers - unknowns)).
         sigma_px = float(
             np.sqrt(
                 (residuals**2).sum() / max(residuals.size - params.num_params + params.num_fixed, 1)

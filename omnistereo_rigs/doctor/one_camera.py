@@ -18,8 +18,10 @@ from omnistereo_lib.geometry.rig import Pair, Rig
 from omnistereo_rigs.doctor.evidence import Evidence
 from omnistereo_rigs.images.relative_pose import RelativePose
 
-_NOISE = 1e-3  # radians, scale of the robust cost
-_SCALES = np.exp(np.linspace(-0.35, 0.35, 71))  # of a focal length, in steps of 1 %
+# In radians, the scale of the robust cost.
+_NOISE = 1e-3
+# Factors of a focal length, in steps of 1 %.
+_SCALES = np.exp(np.linspace(-0.35, 0.35, 71))
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +70,8 @@ def scaled_lens(camera: OcamCamera, scale: float) -> OcamCamera:
 
 def _free_pose(evidence: Evidence, rig: Rig, k: int, pairs: dict[Pair, RelativePose]) -> Freed:
     """Return the rig with camera k where its matches with the others want it."""
+    # Its rays in its own axes, those of the others in the rig's: only the pose of camera k is
+    # unknown.
     others = [j for j in range(len(rig)) if j != k]
     seen = []  # rays of camera k, rays of the other in the rig frame, centre of the other
     for j in others:
@@ -80,6 +84,8 @@ def _free_pose(evidence: Evidence, rig: Rig, k: int, pairs: dict[Pair, RelativeP
     best = Freed(rig, (k,), float(evidence.counts(rig).sum() / 2))
     if len(x) < 12:
         return best
+    # From the pose as given, and from where relative poses put it; matches explained tell which is
+    # best.
     for start in [rig.T_rig_cam[k], *_starts(rig, k, pairs)]:
         pose = _fit(start, x, y, c)
         moved = rig.with_poses([pose if i == k else T for i, T in enumerate(rig.T_rig_cam)])
@@ -101,6 +107,8 @@ def _starts(rig: Rig, k: int, pairs: dict[Pair, RelativePose]) -> list[Pose]:
             R = rig.T_rig_cam[j].R
             rotations.append((found.inliers, R @ T.R))
             line = R @ T.t / max(float(np.linalg.norm(T.t)), 1e-12)
+            # The centre lies on a line through camera j. Minimise Σ w |(I - l lᵀ) (c - c_j)|² over
+            # all lines; a little weight on the given centre decides where all lines are parallel.
             across = found.inliers * (np.eye(3) - np.outer(line, line))
             A, b = A + across, b + across @ rig.T_rig_cam[j].t
     rotations.sort(key=lambda one: -one[0])
@@ -119,6 +127,7 @@ def _fit(start: Pose, x: Floats, y: Floats, c: Floats) -> Pose:
         now = pose(p)
         seen, baseline = x @ now.R.T, now.t - c
         u = baseline / np.maximum(np.linalg.norm(baseline, axis=1, keepdims=True), 1e-9)
+        # As in `off_plane`, with the baseline from each other camera to this one.
         shorter = np.minimum(
             np.linalg.norm(np.cross(u, seen), axis=1), np.linalg.norm(np.cross(u, y), axis=1)
         )

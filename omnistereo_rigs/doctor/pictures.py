@@ -11,9 +11,12 @@ import numpy as np
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_rigs.doctor.evidence import Evidence, Flip, Matches, explained, flips, unit_rays
 
-_MOST = 4  # cameras, up to which all orders are tried
-_MANY = 8  # cameras, beyond which the order is believed
-_PART = 0.04  # of the score: by so much a hypothesis with one more part must be better
+# For up to so many cameras all orders are tried …
+_MOST = 4
+# … and beyond so many the order is believed.
+_MANY = 8
+# A hypothesis with one more part must be better by this share of its score.
+_PART = 0.04
 
 
 @dataclass(frozen=True)
@@ -129,6 +132,7 @@ class _Scores:
     def _pair(self, i: int, j: int, place_i: int, place_j: int, a: Flip, b: Flip) -> int:
         key = i, j, place_i, place_j, a, b
         if key not in self._known:
+            # If one picture of the two is mirrored, their matches are those of the second set.
             odd = a.mirrored != b.mirrored
             found = (self.evidence.mirrored if odd else self.evidence.plain)[i, j]
             x = self._seen(found, (i, j, odd), 0, place_i, a)

@@ -21,15 +21,21 @@ from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Floats, Pose
 from omnistereo_rigs.boards.params import Ints
 
-_VIEWS = 32  # of the whole sphere; no direction is more than 28° from the middle of one
-_HALF_VIEW_DEG = 34.0  # room for a descriptor beyond that
+# The whole sphere is seen in so many views: no direction is more than 28° from the middle of one.
+_VIEWS = 32
+# Beyond those 28° a view has room for a descriptor.
+_HALF_VIEW_DEG = 34.0
 _MOST_PER_VIEW = 250
-_MAX_PX_PER_DEG = 4.0  # of a view: more pixels cost time, and `patches` returns to the image anyway
-# of the distances to the nearest and to the second nearest descriptor, somewhere else
+# The resolution of a view. More pixels cost time, and `patches` returns to the image anyway.
+_MAX_PX_PER_DEG = 4.0
+# The best descriptor has to be so much nearer than the second best that is somewhere else.
 _RATIO = 0.85
-_RATIO_NEAR = 0.9  # the same among those near a predicted direction
-_SAME_DEG = 1.5  # two descriptors nearer than this are of one thing, and no rivals
-_FARTHEST_DEG = 40.0  # parallax of a match between posed cameras
+# The same among those near a predicted direction.
+_RATIO_NEAR = 0.9
+# Two descriptors nearer than this are of one thing, and no rivals.
+_SAME_DEG = 1.5
+# The largest parallax of a match between cameras with poses.
+_FARTHEST_DEG = 40.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +94,8 @@ class FeatureFinder:
             keypoints, found = sift.detectAndCompute(view, inside)
             if keypoints:
                 rays.append(self._rays(np.array([k.pt for k in keypoints]), R))
+                # RootSIFT: square roots of descriptors of sum 1 have length 1, so their dot product
+                # tells their distance, |a - b|² = 2 - 2 a · b.
                 descriptors.append(np.sqrt(found / found.sum(axis=1, keepdims=True)))
         return Features(np.concatenate(rays), np.concatenate(descriptors))
 
@@ -114,6 +122,8 @@ def match_features(
         return none
     similar = a.descriptors @ b.descriptors.T
     if T_b_a is not None:
+        # The epipolar plane of a ray x holds R x and t, so its normal is R x × t. Only what is near
+        # the plane may match, and nothing that would need more parallax than there can be.
         there = a.rays @ T_b_a.R.T
         normals = np.cross(there, T_b_a.t)
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
@@ -133,10 +143,12 @@ def match_features(
     limit = np.cos(np.radians(_SAME_DEG))
     same = np.einsum("kci,ki->kc", b.rays[candidates], b.rays[best]) > limit
     second = np.where(same, -1.0, values).max(axis=1)
+    # Lowe's ratio test (2004), with the rival somewhere else.
     distance, rival = (
         np.sqrt(np.maximum(2 - 2 * value, 0)) for value in (values[:, 0], np.maximum(second, 0))
     )
     ratio = distance / np.maximum(rival, 1e-9)
+    # The best match of the best match has to be where we came from, if not the same feature.
     mutual = np.einsum("ki,ki->k", a.rays[back[best]], a.rays) > limit
     chosen = np.flatnonzero(mutual & (ratio < _RATIO) & (values[:, 0] > 0))
     # One match for each feature of b.
@@ -157,6 +169,7 @@ def match_near(a: Features, b: Features, predicted: Floats, gates_deg: Floats) -
     """
     if min(len(a.rays), len(b.rays)) == 0:
         return np.zeros((0, 2), np.int64)
+    # The tree knows straight distances: two unit vectors at angle γ are 2 sin(γ/2) apart.
     chords = 2 * np.sin(np.radians(gates_deg) / 2)
     near = cKDTree(b.rays).query_ball_point(predicted, chords)
     i = np.repeat(np.arange(len(near)), [len(one) for one in near])
@@ -228,6 +241,8 @@ def join_tracks(
     """
     parts, first_point = [], 0
     for frame, (found, pairs) in enumerate(zip(features, matches, strict=True)):
+        # All features of a frame get one numbering. Matches are the edges of a graph, and each of
+        # its connected pieces is a track.
         start = np.concatenate([[0], np.cumsum([len(one.rays) for one in found])])
         edges = np.concatenate(
             [np.zeros((0, 2), int), *(m + start[[i, j]] for (i, j), m in pairs.items())]
@@ -235,6 +250,8 @@ def join_tracks(
         graph = coo_matrix((np.ones(len(edges)), edges.T), (start[-1], start[-1]))
         label = connected_components(graph, directed=False)[1]
         camera = np.repeat(np.arange(len(found)), np.diff(start))
+        # One number per track and camera: a track that has a number twice would see a point at two
+        # places.
         slot, count = np.unique(label * len(found) + camera, return_counts=True)
         twice = np.isin(label, slot[count > 1] // len(found))
         used = (np.bincount(label)[label] > 1) & ~twice

@@ -12,11 +12,15 @@ from omnistereo_lib.geometry.pose import Floats
 from omnistereo_rigs.images.features import Tracks
 from omnistereo_rigs.images.track_bundle import TrackBundle
 
-_HALF = 6  # pixels; patches are 13 × 13
+# In pixels: patches are 13 × 13.
+_HALF = 6
 _STEPS = 4
+# A patch matches if its correlation with the reference is at least this …
 _LEAST_CORRELATION = 0.88
-_MOST_SHIFT = 2.0  # pixels, from where the bundle puts the point
-_SLANTED = 0.15  # a plane seen flatter than by this sine is not tried
+# … and it lies at most so many pixels from where the bundle puts the point.
+_MOST_SHIFT = 2.0
+# A plane that is seen flatter than by this sine is not tried.
+_SLANTED = 0.15
 
 
 def refine_tracks(bundle: TrackBundle, images: Sequence[Sequence[NDArray[np.uint8]]]) -> Tracks:
@@ -54,7 +58,8 @@ class _PatchMatcher:
             "mi,mi->m", bundle.R[tracks.camera][:, :, 2], bundle.points[tracks.point, :3]
         )
         order = np.lexsort((-off_axis, tracks.point))
-        # of each point
+        # Of each point, the observation nearest to the axis of its camera comes first: that is the
+        # reference.
         self.reference = order[np.concatenate([[True], np.diff(tracks.point[order]) > 0])]
         self.others = np.setdiff1d(np.arange(len(tracks.point)), self.reference)
         self.frame, self.camera = tracks.frame[self.others], tracks.camera[self.others]
@@ -64,6 +69,7 @@ class _PatchMatcher:
         self.offsets = (
             np.stack(np.meshgrid(*[np.arange(-_HALF, _HALF + 1)] * 2), -1).reshape(-1, 2) / _HALF
         )
+        # A Gaussian window: the middle of a patch counts most.
         window = np.exp(-(self.offsets**2).sum(axis=1) / 0.72)
         self.window = window / window.sum()
 
@@ -80,6 +86,7 @@ class _PatchMatcher:
             here = self._sample(self.reference_camera, self._pixels(self.reference_camera, plane))
             there = self._sample(self.camera, self._pixels(self.camera, plane))
             match = self._correlation(here, there)
+            # The plane that faces the rig comes first, and another has to be clearly better.
             better = match > best + 0.02
             best[better], normals[better] = match[better], plane[better]
         return normals
@@ -91,6 +98,8 @@ class _PatchMatcher:
         shift, affine = np.zeros((len(start), 2)), np.zeros((len(start), 2, 2))
         gain = np.ones(len(start))
         for _ in range(_STEPS):
+            # Gauss-Newton (Lucas and Kanade 1981; Grün 1985). The target is gain · seen(x + shift +
+            # A offset) + offset, and the slopes of the image are the derivatives by shift and A.
             where = start + shift[:, None] + self.offsets @ affine
             seen, du, dv = (self._sample(self.camera, where, layer) for layer in range(3))
             x, y = self.offsets.T
@@ -98,11 +107,14 @@ class _PatchMatcher:
                 [du, dv, du * x, dv * x, du * y, dv * y, seen, np.ones_like(seen)], axis=-1
             ).astype(float)
             weighted = J * self.window[:, None]
+            # Each step is damped, that of the affine map most: a patch without texture stays where
+            # it is.
             normal = np.swapaxes(weighted, 1, 2) @ J + np.diag([1e-3, 1e-3, 3, 3, 3, 3, 1e-6, 1e-6])
             solved = np.linalg.solve(normal, np.einsum("pmi,pm->pi", weighted, target)[..., None])[
                 ..., 0
             ]
             gain = solved[:, 6]
+            # The slopes were taken without the gain, so divide by it.
             step = np.clip(solved[:, :6] / np.maximum(gain, 0.2)[:, None], -1, 1)
             shift, affine = shift + step[:, :2], affine + step[:, 2:].reshape(-1, 2, 2)
         seen = self._sample(self.camera, start + shift[:, None] + self.offsets @ affine)
@@ -122,6 +134,8 @@ class _PatchMatcher:
         size = _HALF / np.degrees(self.cameras[0].pixels_per_degree)
         x, y = size * self.offsets.T[:, None, :, None]
         rays = u[:, None] + x * right[:, None] + y * np.cross(u, right)[:, None]
+        # On a plane the inverse distance along a ray is linear in the ray: ρ(r) = ρ(u) (r · n) / (u
+        # · n).
         inverse = self.inverse[:, None] * np.einsum("pmi,pi->pm", rays, normals)
         inverse /= np.einsum("pi,pi->p", u, normals)[:, None]
         uv = np.empty((*rays.shape[:2], 2))

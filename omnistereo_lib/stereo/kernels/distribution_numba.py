@@ -11,7 +11,8 @@ from torch import Tensor
 
 from omnistereo_lib.stereo.compiled import compiled
 
-_LEAST = 15.0  # exp(-15) of the largest is nothing: most costs after SGM are skipped
+# exp(-15) of the largest is nothing: most costs after SGM are skipped.
+_LEAST = 15.0
 
 
 def distribution(volume: Tensor, index: Tensor, temperature: float, radius: float) -> Tensor:
@@ -67,6 +68,7 @@ def _read_rays(
                 run += (p[n] if n < N else 0) - (p[n - 2 * half - 1] if n > 2 * half else 0)
                 if run > second:
                     second, middle = run, n - half
+            # The mean sphere of that window, Σ n p / Σ p.
             moment = 0.0
             for n in range(max(middle - half, 0), min(middle + half + 1, N)):
                 moment += n * p[n]

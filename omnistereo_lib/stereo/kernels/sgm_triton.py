@@ -15,8 +15,10 @@ from torch import Tensor
 @triton.jit
 def _step(cost, message, sphere, p1, p2, BLOCK: tl.constexpr):
     """Extend a path by one pixel: L = C + M and the next message (the recurrence of `sgm`)."""
-    path = cost + message  # inf beyond the last sphere
+    # Infinite beyond the last sphere, whose cost is.
+    path = cost + message
     lowest = tl.min(path, 0)
+    # L(n - 1) and L(n + 1), which are infinite beyond either end.
     below = tl.where(sphere > 0, tl.gather(path, tl.maximum(sphere - 1, 0), 0), float("inf"))
     above = tl.where(
         sphere < BLOCK - 1, tl.gather(path, tl.minimum(sphere + 1, BLOCK - 1), 0), float("inf")
@@ -97,7 +99,8 @@ def sum_paths(cost: Tensor, p1: float, p2: float, paths: int, wrap: bool, max_la
     total = torch.zeros_like(cost)
     H, W, N = cost.shape
     BLOCK = triton.next_power_of_2(N)
-    one = {"num_warps": 1}  # a reduction within a warp needs no barrier
+    # A reduction within a warp needs no barrier.
+    one = {"num_warps": 1}
     for leftward in (False, True):
         _scan_rows[(H,)](cost, total, W, N, p1, p2, max_laps if wrap else 1, leftward, BLOCK, **one)
     for up in (False, True):

@@ -50,6 +50,7 @@ def _read_rays(volume: NDArray[Any], subindex: bool, out: NDArray[Any]) -> None:
             # The vertex of the parabola; a NaN beside the best sphere makes `bend` NaN, which is
             # not > 0.
             if subindex and 0 < best < N - 1:
+                # It lies (left - right) / (2 (left - 2 first + right)) beside the best sphere.
                 left, right = cost[best - 1], cost[best + 1]
                 bend = left - two * first + right
                 if bend > 0 and bend < infinity:
