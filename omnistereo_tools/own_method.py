@@ -129,8 +129,8 @@ def _read(
     from omnistereo_lib.stereo.depth import Depth
 
     try:
-        said = json.loads((folder / "said.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        said = read_data(folder / "said.json")
+    except OmnistereoError:
         raise OmnistereoError(
             f"{file} ended its process without an answer, {_status(status)}"
         ) from None

@@ -141,7 +141,7 @@ def torn_later(data: Path) -> None:
 COMMANDS = [
     # the command itself
     Row("a misspelt command", "deph --out OUT", "there is no command 'deph'. Did you mean depth"),
-    Row("no such command", "xyz", "Expected one of demo, depth, record, "),
+    Row("no such command", "xyz", "Expected one of demo, start, board, depth, "),
     Row("no such option", DEPTH + "--no-such-option", "unrecognized arguments"),
     # pictures
     Row("a picture is missing", DEPTH, r"cam2.0001.png cannot be read: No such file", lambda d: first(d).unlink()),

@@ -24,7 +24,13 @@ def test_examples(package, name, tmp_path, monkeypatch):
     value = getattr(package, name)
     parser, runner = doctest.DocTestParser(), doctest.DocTestRunner(optionflags=doctest.ELLIPSIS)
     runner.run(
-        parser.get_doctest(value.__doc__, {"np": np, "osl": osl}, name, value.__module__, None)
+        parser.get_doctest(
+            value.__doc__,
+            {"np": np, "osl": osl, "omnistereo_rigs": omnistereo_rigs},
+            name,
+            value.__module__,
+            None,
+        )
     )
     assert runner.failures == 0
     assert runner.tries > 0, f"{name} has no example"

@@ -30,9 +30,9 @@ errors lazy progress
 files
 pictures
 geometry
-parse reference
-ocam_text
-consumer_images rig_file
+parse provenance reference
+consumer_images ocam_text
+rig_file
 frame
 dataset
 stereo

@@ -7,7 +7,6 @@ judges them on frames that it has not fitted; `error_bars.json` holds them, with
 measured.
 """
 
-import json
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -18,6 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from omnistereo_lib.files import read_data
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.kernels import distribution_numba
 from omnistereo_lib.stereo.methods import Method
@@ -50,9 +50,7 @@ class ErrorBars(NamedTuple):
 @cache
 def weights() -> dict[str, Any]:
     """Return the weights of each method that has any, with where they were measured."""
-    found: dict[str, Any] = json.loads(
-        Path(__file__).with_suffix(".json").read_text(encoding="utf-8")
-    )
+    found: dict[str, Any] = read_data(Path(__file__).with_suffix(".json"))
     return found
 
 

@@ -113,7 +113,7 @@ def _read_times(names: Sequence[str]) -> _Reading | None:
         if len(set(values)) == len(names):
             spans = tuple((match.start(), match.end()) for match in found)
             # A time that one number states keeps its unit, so that frames are called as they are.
-            whole = {len(match.group()) for match in found if match.group().isdigit()}
+            whole = {len(match.group()) for match in found if match.group().isdecimal()}
             unit = _UNITS.get(whole.pop(), 1) if read is _of_epochs and len(whole) == 1 else 1
             return _Reading([value // unit for value in values], unit, spans)
     return None

@@ -200,7 +200,7 @@ def test_a_check_counts_what_is_right_in_its_notebook_and_gives_a_hint(monkeypat
         first.hint()
         == "a solution begins with `theta = (columns + 0.5 - width / 2) * 2 * np.pi / width`"
     )
-    assert exercises.functions("05")[2].hint() == "one line is enough"
+    assert exercises.functions("05")[3].hint() == "one line is enough"
 
 
 # --- Garbage, once

@@ -412,7 +412,7 @@ def test_the_command_line(data, tmp_path, capsys):
         "step 2: validation" in captured.out + captured.err and "4 steps are done" in captured.out
     )
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(
-        [LOG, STATE, WEIGHTS]
+        [LOG, STATE, WEIGHTS, "provenance.json"]
     )
     assert cli.main(["train", "mccnn", "--set", "steps=many"]) == 2
     assert "steps=many: 'many'; expected int" in capsys.readouterr().err

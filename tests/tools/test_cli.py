@@ -87,7 +87,7 @@ def test_depth_of_a_data_set_frame(data, tmp_path, capsys):
     assert (
         f"the mean error is {errors['MAE'] / 100:.2g} of it" in captured.out
         and f"written to {out}/: " in captured.out
-        and captured.out.startswith("Good: 18 % of rays are doubtful.\n")
+        and captured.out.startswith("Fair: 24 % of rays are doubtful.\n")
         and captured.out.endswith(f"\n{out / 'index.html'}\n")
     )
     # the progress bar

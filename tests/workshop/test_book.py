@@ -20,7 +20,9 @@ import nbformat
 import pytest
 from pages import Page, count_pictures, count_stills, foreign_or_missing, leads
 
+import omnistereo_learn
 import omnistereo_lib as osl
+import omnistereo_rigs
 from course import nbtools
 from course.figures import stills
 from workshop.publish import slides
@@ -39,7 +41,7 @@ def built(tmp_path_factory):
     for path in (out / "searchindex.js", out / "notebooks" / "99_old.html"):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
-    command = [sys.executable, "-m", "course", "book", str(out)]
+    command = [sys.executable, "-m", "workshop", "book", str(out)]
     return out, subprocess.run(command, capture_output=True, text=True)
 
 
@@ -308,11 +310,11 @@ def exists(name):
     """Tell whether a name, as the book writes it, is one of the library's: `load_rig`,
     `metrics.error_map`."""
     first, *rest = name.split(".")
-    thing = (
-        getattr(osl, first)
-        if first in osl.__all__
-        else importlib.import_module(f"omnistereo_lib.{first}")
-    )
+    faces = (osl, omnistereo_rigs, omnistereo_learn)
+    if first in {face.__name__ for face in faces}:
+        first, *rest = rest
+    home = next((face for face in faces if first in face.__all__), None)
+    thing = getattr(home, first) if home else importlib.import_module(f"omnistereo_lib.{first}")
     for part in rest:
         if part in getattr(thing, "__dataclass_fields__", {}):
             return True  # a field, whose type is not known here

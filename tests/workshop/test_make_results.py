@@ -9,7 +9,9 @@ from workshop.results import stored_results as results
 
 
 def test_every_stored_result_has_its_command():
-    assert set(results.EVALUATIONS) == {path.stem for path in results.STORED.glob("*.json")}
+    stored = {path.stem for path in results.STORED.glob("*.json")}
+    # The other two have commands of their own.
+    assert set(results.EVALUATIONS) == stored - {"error_bars", "ray_sentences"}
 
 
 @pytest.mark.parametrize("name", results.EVALUATIONS)

@@ -51,7 +51,7 @@ _HEADS = {
 _INTRODUCTION = """\
 # Conventions, measured
 
-<!-- Written by the module workshop.peers, never by hand. -->
+*Written by the module `workshop.peers`, never by hand.*
 Pages of libraries say what they mean to do; this table says what they did, with the versions \
 named. A lens has a focal length of 200 pixels and its centre at (320, 240) where the centre of \
 the first pixel is (0, 0). An equidistant one sees a ray at 110° from its axis at u = 703.97. The \

@@ -19,7 +19,12 @@ from omnistereo_learn.samples.spheres import SphereSamples
 from omnistereo_lib.files import checksum, unpack
 from omnistereo_lib.stereo.weights import BUNDLED_WEIGHTS
 
-STORED = {path.stem: path for path in sorted((DATA / "results").glob("*.json"))}
+# Those of evaluations; the others are tables of scripts of their own.
+STORED = {
+    path.stem: path
+    for path in sorted((DATA / "results").glob("*.json"))
+    if path.stem not in ("error_bars", "ray_sentences")
+}
 PAGE = (DATA.parent / "book" / "training.md").read_text(encoding="utf-8")
 
 
