@@ -126,6 +126,7 @@ def _read(
     """Return what it has answered, or raise what is wrong with it."""
     import numpy as np
 
+    from omnistereo_lib.files import read_data
     from omnistereo_lib.stereo.depth import Depth
 
     try:

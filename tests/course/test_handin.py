@@ -24,6 +24,9 @@ IMPORTS = (
     "import json, os, sys, time\nfrom pathlib import Path\nimport numpy as np\nfrom"
     " course.exercises import nb04"
 )
+
+# Judging a class of accidents takes a minute.
+pytestmark = pytest.mark.slow
 ASKED = {
     e.function: e
     for e in handin.exercises_of(nbtools.read_notebook(nbtools.NOTEBOOKS / "04_zncc.ipynb"))

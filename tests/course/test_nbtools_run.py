@@ -20,6 +20,7 @@ def stand_in(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_run_stores_a_notebook_that_the_guard_and_a_second_run_accept(stand_in):
     nb = framed(*map(code, [SETUP, DRAWING, SLIDER, "2 * 0.25"]))
     path = write(stand_in / "tiny.ipynb", nb)

@@ -64,6 +64,7 @@ def test_it_counts_what_was_saved(copies, tmp_path, capsys):
     assert "03 Sphere sweep: 1 of 5\n" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_certificate_shows_the_panorama_of_the_own_functions_and_nothing_else(copies, tmp_path):
     for path in copies.glob("*.ipynb"):
         answer(

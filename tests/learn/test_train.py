@@ -123,6 +123,7 @@ def train_as(rank, port, *arguments):
     train(*arguments, precision="float32")
 
 
+@pytest.mark.slow
 def test_two_processes_compute_what_one_does(data, tmp_path):
     """By SGD: Adam divides by the gradient's size, rounding included where a gradient is nearly
     zero."""

@@ -162,6 +162,7 @@ def assert_is_the_true_rig(rig, report, name):
         assert angle < 4 * sigma_deg and shift < 4 * sigma_m
 
 
+@pytest.mark.slow
 def test_the_report_on_pictures_names_exactly_the_bad_ones():
     captures, truth = find_captures(SHIPPED / "mistakes"), truth_of("mistakes")
     rig, report = calibrate_rig(captures.views(), BOARD, degree=6)

@@ -202,6 +202,7 @@ def test_one_turned_camera_is_measured_and_no_other_is_accused(street, degrees):
         np.testing.assert_array_equal(check.fixed.T_rig_cam[k].R, rig.T_rig_cam[k].R)
 
 
+@pytest.mark.slow
 def test_a_camera_far_from_its_place_may_be_late(street):
     rig, images = street
     T = rig.T_rig_cam
@@ -212,6 +213,7 @@ def test_a_camera_far_from_its_place_may_be_late(street):
     assert "0.3 m ±" in check.text and "give the images before and after" in check.text
 
 
+@pytest.mark.slow
 def test_a_wrong_lens_is_named(street):
     rig, images = street
     cameras = [scaled_lens(c, 1.06) if k == 1 else c for k, c in enumerate(rig.cameras)]
@@ -256,6 +258,7 @@ def test_a_flip_is_undone_where_a_picture_is_square():
         np.testing.assert_array_equal(picture[y, x], given)
 
 
+@pytest.mark.slow
 def test_inverted_poses_are_named_from_images(street):
     rig, images = street
     check = check_rig(invert_poses(rig), images)

@@ -89,6 +89,7 @@ def test_a_recording_with_a_worker_that_dies(distributed, cluster, recorded, tmp
         assert path.read_bytes() == other.read_bytes()
 
 
+@pytest.mark.slow
 def test_a_worker_does_not_keep_the_rig_of_an_earlier_recording(cluster, recorded, tmp_path):
     """Two rigs, one after the other, in one folder, and a recording that has grown."""
     rig, out, command = (

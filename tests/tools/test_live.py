@@ -176,6 +176,7 @@ def test_a_page_of_another_name_gets_no_pictures(host):
                 urllib.request.urlopen(asked, timeout=60)
 
 
+@pytest.mark.slow
 def test_clients_that_say_nothing_keep_nobody_out_for_long(monkeypatch, capfd):
     monkeypatch.setattr(live_view, "_PATIENCE_S", 1.0)
     with serve(Latest(), 0) as address, ExitStack() as clients:
@@ -191,6 +192,7 @@ def test_clients_that_say_nothing_keep_nobody_out_for_long(monkeypatch, capfd):
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.slow
 def test_clients_that_speak_slowly_keep_nobody_out(monkeypatch):
     """A byte now and then is no silence; the whole request has a limit."""
     monkeypatch.setattr(live_view, "_PATIENCE_S", 1.0)

@@ -172,6 +172,7 @@ def test_a_world_in_which_nothing_is_near_is_refused(copy, capsys):
     assert "no surface is left" in fails(capsys, copy, "--voxel", "5")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", ["mesh.glb", "mesh.ply", "omnidepth_world_160/00002.tiff"])
 def test_a_world_of_which_a_part_is_lost_is_made_again(recording, world, tmp_path, capsys, damage):
     copy = shutil.copytree(recording, tmp_path / "drive", symlinks=True)
@@ -184,6 +185,7 @@ def test_a_world_of_which_a_part_is_lost_is_made_again(recording, world, tmp_pat
     assert path.read_bytes() == content and "already" in lines(capsys, copy, *COMMAND)
 
 
+@pytest.mark.slow
 def test_a_world_of_other_depth_or_of_another_rig_is_made_again(recording, world, tmp_path, capsys):
     copy = shutil.copytree(recording, tmp_path / "drive", symlinks=True)
     lines(capsys, copy, *COMMAND)
@@ -199,6 +201,7 @@ def test_a_world_of_other_depth_or_of_another_rig_is_made_again(recording, world
     assert np.array_equal(osl.load_dataset(copy / "world").rig.cameras[0].mask, mask)
 
 
+@pytest.mark.slow
 def test_a_black_camera_is_named(copy, capsys):
     write_image(copy / "cam2" / "00002.png", np.zeros((288, 300)))
     assert "camera 2 of frame 2 is black" in lines(capsys, copy, *COMMAND)
@@ -212,6 +215,7 @@ def test_more_memory_than_there_is_is_refused(copy, capsys, monkeypatch):
     assert not (copy / "world" / "mesh.ply").exists()
 
 
+@pytest.mark.slow
 def test_frames_that_have_nothing_in_common_give_no_world(copy, capsys):
     shutil.rmtree(copy / "world", ignore_errors=True)
     rng = np.random.default_rng(0)

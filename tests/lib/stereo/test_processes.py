@@ -58,6 +58,7 @@ def main():
             assert close.mean() > 0.95, (name, method, close.mean())
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
 def test_depth_in_other_processes():
     here = Path(__file__)

@@ -138,6 +138,7 @@ def test_fast_inference_is_the_plain_networks(frame):
     torch.testing.assert_close(cost.double(), expected, atol=1e-5, rtol=0, equal_nan=True)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     choose_precision("auto", "cpu") == "float32", reason="minutes, on this processor"
 )
