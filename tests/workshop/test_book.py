@@ -27,6 +27,8 @@ from course import nbtools
 from course.figures import stills
 from workshop.publish import slides
 
+pytestmark = pytest.mark.slow  # Sphinx takes a minute
+
 BOOK = nbtools.ROOT / "book"
 
 PAGES = nbtools.ROOT / "omnistereo_tools" / "output" / "page"
