@@ -313,10 +313,13 @@ def exists(name):
     `metrics.error_map`."""
     first, *rest = name.split(".")
     faces = (osl, omnistereo_rigs, omnistereo_learn)
-    if first in {face.__name__ for face in faces}:
-        first, *rest = rest
     home = next((face for face in faces if first in face.__all__), None)
-    thing = getattr(home, first) if home else importlib.import_module(f"omnistereo_lib.{first}")
+    if home is not None:
+        thing = getattr(home, first)
+    else:
+        packages = [face.__name__ for face in faces]
+        module = first if first in packages else f"omnistereo_lib.{first}"
+        thing = importlib.import_module(module)
     for part in rest:
         if part in getattr(thing, "__dataclass_fields__", {}):
             return True  # a field, whose type is not known here

@@ -98,7 +98,9 @@ def with_links(text: str) -> str:
     through the website.
     """
     text = re.sub(r"\]\((\.\./|book/)", "](", text)
-    text = re.sub(r"\]\(omnistereo_lib/(\w+)(\.py)?\)", r"](reference/\1.md)", text)
+    text = re.sub(
+        r"\]\((omnistereo_(?:lib|rigs|learn))/(\w+)(\.py)?\)", r"](reference/\1.\2.md)", text
+    )
     text = re.sub(r"\[([^]]+)\]\(street\.html\)", r'<a href="street.html">\1</a>', text)
     return re.sub(r"\[([^]]+)\]\((LICENSE|CITATION\.cff|CONTRIBUTING\.md)\)", r"\1", text)
 
@@ -108,6 +110,7 @@ def for_the_book(nb: nbformat.NotebookNode, stem: str, extra: Path) -> nbformat.
     live = 0
     for cell in nb.cells:
         if cell.cell_type != "code":
+            cell.source = cell.source.replace("](../book/", "](../")
             continue
         for output in cell.outputs:
             data = output.get("data", {})
