@@ -161,8 +161,8 @@ class Depth:
 
         Returns:
             float32 array, shape (H, W), in [-1, 1]: 1 where both show the same, 0 in windows
-            without texture; NaN where
-                the point is visible to fewer than two cameras, or there is no depth.
+            without texture; NaN where the point is visible to fewer than two cameras, or there is
+            no depth.
         """
         gray = [image.cpu().numpy() for image in self.sweep.normalize_images(self.images)]
         samples = np.stack(self.sweep.warp(gray, self.index))

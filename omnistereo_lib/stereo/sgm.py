@@ -46,8 +46,9 @@ def sgm(
 
     Args:
         volume (shape (H, W, N)): Matching cost C, lower is better; NaN is unknown. Computed in
-        float32. p1, p2: Penalties for a step of one sphere and for any larger jump, in units of the
-        cost, 0 ≤ p1 ≤ p2.
+            float32.
+        p1, p2: Penalties for a step of one sphere and for any larger jump, in units of the cost,
+            0 ≤ p1 ≤ p2.
         paths: 4 (along rows and columns) or 8 (diagonals as well).
         wrap: True: column 0 follows column W−1, for diagonals as well. A row then has no first
             pixel. It runs in laps around the panorama, starting at column 0 (leftward: W−1) with M
@@ -59,8 +60,7 @@ def sgm(
 
     Returns:
         (H, W, N) float32 tensor on the device of the volume: S, with C ≤ L_r ≤ C + P2 for each
-        path, not divided by the
-            number of paths; NaN where the volume is NaN.
+        path, not divided by the number of paths; NaN where the volume is NaN.
 
     Note:
         The CPU version uses ``torch.get_num_threads()`` threads; results do not depend on their

@@ -2,7 +2,7 @@
 
 ZNCC compares patches and SweepNet whole spheres, but each sphere by itself: nothing tells them that
 a blank wall has *one* depth. VolumeNet takes the step that the field took after SweepNet (OmniMVS,
-ICCV 2019; GwcNet, CVPR 2019):
+ICCV 2019; GwcNet, CVPR 2019)::
 
     features     each fisheye image → 32 feature maps at half its size
     warp         the maps onto the cells of two volumes, a coarse and a finer one (Eq. 1); see

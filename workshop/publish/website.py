@@ -102,7 +102,9 @@ def with_links(text: str) -> str:
         r"\]\((omnistereo_(?:lib|rigs|learn))/(\w+)(\.py)?\)", r"](reference/\1.\2.md)", text
     )
     text = re.sub(r"\[([^]]+)\]\(street\.html\)", r'<a href="street.html">\1</a>', text)
-    return re.sub(r"\[([^]]+)\]\((LICENSE|CITATION\.cff|CONTRIBUTING\.md)\)", r"\1", text)
+    # What the website has no page of: folders, and files beside the pages.
+    beside = r"LICENSE|CITATION\.cff|CONTRIBUTING\.md|(?:\w+/)*[a-z_]+/?"
+    return re.sub(rf"\[([^]]+)\]\((?:{beside})\)", r"\1", text)
 
 
 def for_the_book(nb: nbformat.NotebookNode, stem: str, extra: Path) -> nbformat.NotebookNode:
