@@ -100,12 +100,14 @@ def write_crops(
     images/1b.png    the second crop of camera 1; a number at the end would be that of a moment
     depth/1b.png     16 bits: depth along the optical axis in millimetres; 0 where it is unknown or
                      beyond 65 m
-    masks/1b.png     0 where the lens or its mask covers a pixel; only if there is such a pixel
+    masks/1b.png     0 where the lens or its mask covers a pixel; of all crops, or of none if there
+                     is no such pixel: nerfstudio refuses masks of some
     transforms.json  intrinsics, and poses with y up and the view along -z; the world is the rig
                      with y up
     """
     rig = depth.sweep.rig
-    frames, shares = [], []
+    frames, shares = list[dict[str, Any]](), list[float]()
+    masks = dict[str, NDArray[np.uint8]]()
     for k, (lens, pose) in enumerate(zip(rig.cameras, rig.T_rig_cam, strict=True)):
         crops = list(crops_of(k, lens, pose, whole))
         shares.append(covered_share(crops, lens, pose))
@@ -120,10 +122,12 @@ def write_crops(
                 "depth_file_path": f"depth/{name}",
                 **_intrinsics(crop),
             }
-            if not visible.all():
-                write_image(make_folder(out / "masks") / name, 255 * visible)
-                frame["mask_path"] = f"masks/{name}"
+            masks[name] = (255 * visible).astype(np.uint8)
             frames.append(frame)
+    if any((mask == 0).any() for mask in masks.values()):
+        for frame, (name, mask) in zip(frames, masks.items(), strict=True):
+            write_image(make_folder(out / "masks") / name, mask)
+            frame["mask_path"] = f"masks/{name}"
     scene: dict[str, Any] = {"camera_model": "PINHOLE", "depth_unit_scale_factor": _MILLIMETRE}
     if cloud is not None:
         cloud.write(out / "points.ply", "y")

@@ -81,6 +81,17 @@ def test_the_crops_are_read_as_a_rig(written):
         np.testing.assert_allclose(pose.t, matrix[:3, 3], atol=1e-12)
 
 
+def test_all_crops_have_a_mask_if_one_has(rig, tmp_path):
+    """As nerfstudio wants it; the first of each camera looks ahead and sees all of its pixels."""
+    grid = osl.SphereGrid(64, 32, (-90, 90), num_spheres=32, min_depth=0.6)
+    depth = scene.true_depth(rig, grid, scene.images(rig))
+    write_crops(tmp_path, depth, Limits(100.0, 0.0), whole=True)
+    frames = json.loads((tmp_path / "transforms.json").read_text())["frames"]
+    masks = [cv2.imread(str(tmp_path / f["mask_path"]), cv2.IMREAD_UNCHANGED) for f in frames]
+    whole = [(mask == 255).all() for mask in masks]
+    assert len(masks) == 20 and whole == [k % 5 == 0 for k in range(20)]
+
+
 @pytest.mark.parametrize(("fov_deg", "count"), [(60, 1), (190, 5), (220, 5), (300, 6)])
 def test_the_faces_of_a_cube_leave_nothing_out(fov_deg, count):
     lens, pose = scene.camera(200, 192, fov_deg), osl.Pose.from_vector([0.1, 2.0, 0.3, 0.2, 0, 0])
