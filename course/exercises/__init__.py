@@ -19,4 +19,8 @@ def functions(notebook: str) -> list[Open]:
     name = f"nb{notebook}"
     if not Path(__file__).with_name(f"{name}.py").is_file():
         return []
-    return [value for value in vars(import_module(f"{__name__}.{name}")).values() if isinstance(value, Open)]
+    return [
+        value
+        for value in vars(import_module(f"{__name__}.{name}")).values()
+        if isinstance(value, Open)
+    ]

@@ -41,7 +41,11 @@ def show(function: Callable[..., Any], answer: Callable[..., Any], inputs: tuple
         except (Exception, SystemExit):  # the sentence above has said it
             return
         right = np.asarray(answer(*inputs), np.float64)
-    if yours.shape != right.shape or np.allclose(yours, right, rtol=1e-2, equal_nan=True) or right.ndim < 1:
+    if (
+        yours.shape != right.shape
+        or np.allclose(yours, right, rtol=1e-2, equal_nan=True)
+        or right.ndim < 1
+    ):
         return
     if right.ndim == 1:
         _show_curves(yours, right, answer.__name__)
@@ -62,7 +66,8 @@ def show(function: Callable[..., Any], answer: Callable[..., Any], inputs: tuple
     name = answer.__name__
     show_picture(
         fig,
-        f"Two panoramas of a street: what your {name} makes of it, and below it what the right one makes",
+        f"Two panoramas of a street: what your {name} makes of it, and below it what the"
+        " right one makes",
     )
 
 

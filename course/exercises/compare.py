@@ -85,10 +85,20 @@ def diagnose(
         whole_numbers &= np.asarray(_plain(expected)).dtype.kind == "i"
         if not same(found, right, within):
             failures.append(Failure(inputs, found, right))
-        elif whole_numbers and within < 0.5 and (plain := np.asarray(_plain(value))).size and plain.dtype.kind == "f":
+        elif (
+            whole_numbers
+            and within < 0.5
+            and (plain := np.asarray(_plain(value))).size
+            and plain.dtype.kind == "f"
+        ):
             notes.append("it counts something: return whole numbers, int")
-        elif getattr(expected, "requires_grad", False) and not getattr(value, "requires_grad", False):
-            notes.append("PyTorch cannot differentiate it: stay with tensors, without .item(), .detach() and NumPy")
+        elif getattr(expected, "requires_grad", False) and not getattr(
+            value, "requires_grad", False
+        ):
+            notes.append(
+                "PyTorch cannot differentiate it: stay with tensors, without .item(), .detach() and"
+                " NumPy"
+            )
         elif (number := _overwritten(given, inputs)) is not None:
             notes.append(
                 f"your function overwrites its argument number {number}, which its caller may still"
@@ -135,7 +145,11 @@ def _plain(found: Any) -> Any:
         return found.as_vector()
     if np.ma.isMaskedArray(found) and found.dtype.kind == "f":
         return found.filled(np.nan)  # what is masked is unknown
-    return found.detach() if "torch" in sys.modules and isinstance(found, sys.modules["torch"].Tensor) else found
+    return (
+        found.detach()
+        if "torch" in sys.modules and isinstance(found, sys.modules["torch"].Tensor)
+        else found
+    )
 
 
 # --- What stands in the way of a comparison
@@ -144,7 +158,10 @@ def _plain(found: Any) -> Any:
 def _stopped(error: BaseException, arguments: int) -> str:
     # the call itself, nothing inside
     if isinstance(error, TypeError) and error.__traceback__.tb_next is None:
-        return f"your function is called with {arguments} arguments: keep its first line as it was ({error})"
+        return (
+            f"your function is called with {arguments} arguments: keep its first line as it was"
+            f" ({error})"
+        )
     message = "".join(traceback.format_exception_only(error)).strip()
     return f"your function stopped with {message}{where(error)}"
 
@@ -157,7 +174,9 @@ def where(error: BaseException) -> str:
     own = [frame for frame in frames if frame.filename == frames[0].filename]
     if not own or Path(own[0].filename).is_relative_to(Path(__file__).parents[1]):
         return ""
-    return f", in line {own[-1].lineno} of its cell" + (f": `{own[-1].line}`" if own[-1].line else "")
+    return f", in line {own[-1].lineno} of its cell" + (
+        f": `{own[-1].line}`" if own[-1].line else ""
+    )
 
 
 def _not_numbers(found: Any, right: Array) -> str:
@@ -169,7 +188,9 @@ def _not_numbers(found: Any, right: Array) -> str:
         kind = f"an array of {found.dtype}"
     elif isinstance(found, list | tuple):  # they are welcome, with numbers in them
         kind = f"a {kind} that is no array of numbers"
-    return f"not yet: expected {form(right)}, got {kind}. Return real numbers, and nothing beside them"
+    return (
+        f"not yet: expected {form(right)}, got {kind}. Return real numbers, and nothing beside them"
+    )
 
 
 def _overwritten(given: tuple, inputs: tuple) -> int | None:
@@ -183,11 +204,17 @@ def _overwritten(given: tuple, inputs: tuple) -> int | None:
 # --- The difference in words
 
 
-def _named(failures: list[Failure], slips: Iterable[tuple[Answer, str]], order: Callable[[Array], Array] | None) -> str:
+def _named(
+    failures: list[Failure],
+    slips: Iterable[tuple[Answer, str]],
+    order: Callable[[Array], Array] | None,
+) -> str:
     """Return the hint of the slip that gives the most of the failing values, if it gives the first
     or most of them.
     """
-    return _elected([[hint for slip, hint in slips if _gives(slip, failure, order)] for failure in failures])
+    return _elected(
+        [[hint for slip, hint in slips if _gives(slip, failure, order)] for failure in failures]
+    )
 
 
 def _gives(slip: Answer, failure: Failure, order: Callable[[Array], Array] | None) -> bool:
@@ -202,14 +229,24 @@ def _recognised(failures: list[Failure], answer: Answer) -> str:
     """Return the kind of slip that the values show: by what became of them, of an argument, or of a
     part.
     """
-    if words := _elected([list(kinds.of_values(failure.found, failure.right)) for failure in failures]):
+    if words := _elected(
+        [list(kinds.of_values(failure.found, failure.right)) for failure in failures]
+    ):
         _, found, right = failures[0]
-        return words if found.shape == right.shape else f"{words}; expected {form(right)}, got {form(found)}"
+        return (
+            words
+            if found.shape == right.shape
+            else f"{words}; expected {form(right)}, got {form(found)}"
+        )
     if len(failures) == 1 or len({failure.found.tobytes() for failure in failures}) > 1:
-        of_arguments = [list(kinds.of_arguments(answer, f.inputs, f.found, numbers)) for f in failures[:3]]
+        of_arguments = [
+            list(kinds.of_arguments(answer, f.inputs, f.found, numbers)) for f in failures[:3]
+        ]
         if words := _elected(of_arguments):
             return words
-    return _elected([list(kinds.of_part(failure.found, failure.right)) for failure in failures], by_first=False)
+    return _elected(
+        [list(kinds.of_part(failure.found, failure.right)) for failure in failures], by_first=False
+    )
 
 
 def _elected(words: list[list[str]], by_first: bool = True) -> str:
@@ -231,15 +268,26 @@ def _example(
     """Show the smallest input on which the two differ, what the function gave and what is right,
     beside each other.
     """
-    first = next((failure for failure in failures if failure.found.shape != failure.right.shape), None)
+    first = next(
+        (failure for failure in failures if failure.found.shape != failure.right.shape), None
+    )
     if first:
-        return f"expected {form(first.right)}, got {form(first.found)}. Look at the axes that you sum or stack over"
+        return (
+            f"expected {form(first.right)}, got {form(first.found)}. Look at the axes that you sum"
+            " or stack over"
+        )
     names = list(inspect.signature(answer).parameters)
     begin = min(failures, key=lambda failure: failure.right.size)
-    inputs, found, right = smallest(function, answer, begin, [names.index(name) for name in whole], within, order)
-    given = [f"{name} = {text}" for name, x in zip(names, inputs, strict=True) if (text := _text(x))]
+    inputs, found, right = smallest(
+        function, answer, begin, [names.index(name) for name in whole], within, order
+    )
+    given = [
+        f"{name} = {text}" for name, x in zip(names, inputs, strict=True) if (text := _text(x))
+    ]
     if right.size > SHOWN:  # it cannot be made smaller
-        place = tuple(np.argwhere(~np.isclose(found, right, rtol=1e-4, atol=1e-6, equal_nan=True))[0])
+        place = tuple(
+            np.argwhere(~np.isclose(found, right, rtol=1e-4, atol=1e-6, equal_nan=True))[0]
+        )
         given.append(f"at {[int(k) for k in place]}")
         found, right = found[place], right[place]
     lines = ", ".join(given), f"yours: {_text(found)}", f"right: {_text(right)}"
@@ -254,7 +302,9 @@ def _text(x: Any) -> str:
         return f"those of {list(x)}" if isinstance(x, dict) else ""
     if values.size > SHOWN:
         return form(values)
-    return np.array2string(np.asarray(_plain(x)), precision=4, separator=", ", max_line_width=10_000).replace("\n", "")
+    return np.array2string(
+        np.asarray(_plain(x)), precision=4, separator=", ", max_line_width=10_000
+    ).replace("\n", "")
 
 
 def smallest(

@@ -64,7 +64,9 @@ REDUCED: dict[str, Callable[..., Any]] = {
 
 def same(found: ArrayLike, value: ArrayLike, within: float = 1e-6) -> bool:
     """Tell whether two arrays hold the same numbers, to four digits or within a tolerance."""
-    return np.shape(found) == np.shape(value) and np.allclose(found, value, rtol=1e-4, atol=within, equal_nan=True)
+    return np.shape(found) == np.shape(value) and np.allclose(
+        found, value, rtol=1e-4, atol=within, equal_nan=True
+    )
 
 
 def form(values: Array) -> str:
@@ -107,16 +109,28 @@ def of_part(found: Array, right: Array) -> Iterator[str]:
     yield from (words for words, _ in _of_number(found, right) if right.size > 1)
     known = np.isfinite(found) & np.isfinite(right)
     apart = np.abs(found - right, where=known, out=np.zeros_like(right))
-    if np.array_equal(known, np.isfinite(right)) and known.any() and apart.max() < 0.01 * np.ptp(right[known]):
-        yield f"nearly right, off by at most {apart.max():.2g}: is a small number added, or something rounded?"
+    if (
+        np.array_equal(known, np.isfinite(right))
+        and known.any()
+        and apart.max() < 0.01 * np.ptp(right[known])
+    ):
+        yield (
+            f"nearly right, off by at most {apart.max():.2g}: is a small number added, or something"
+            " rounded?"
+        )
     for axis, size in enumerate(right.shape):
         wrong = [k for k in range(size) if not same(found.take(k, axis), right.take(k, axis))]
         which = ", ".join(map(str, wrong))
         if 0 < 2 * len(wrong) <= size + 1 < 8:
             why = next(of_values(found.take(wrong, axis), right.take(wrong, axis)), "")
-            yield f"wrong only in number {which} along axis {axis}, counted from 0" + (f": {why}" if why else "")
+            yield f"wrong only in number {which} along axis {axis}, counted from 0" + (
+                f": {why}" if why else ""
+            )
         elif size >= 7 and wrong and set(wrong) <= {0, 1, size - 2, size - 1}:
-            yield (f"wrong only at {which} along axis {axis}: look at the first and the last, or at the seam")
+            yield (
+                f"wrong only at {which} along axis {axis}: look at the first and the last, or at"
+                " the seam"
+            )
 
 
 def _of_shape(found: Array, right: Array) -> Iterator[str]:
@@ -133,9 +147,13 @@ def _of_shape(found: Array, right: Array) -> Iterator[str]:
         for name, reduce in REDUCED.items():
             if same(found, reduce(right, axis)):
                 yield f"that is the {name} over {over}: each keeps its own"
-        if right.ndim and same(found, np.linalg.norm(right if axis is not None else right.ravel(), axis=axis)):
+        if right.ndim and same(
+            found, np.linalg.norm(right if axis is not None else right.ravel(), axis=axis)
+        ):
             yield f"that is the length over {over}: return the components"
-        for name, place in {"first": 0, "last": -1}.items() if axis is not None and right.shape[axis] else ():
+        for name, place in (
+            {"first": 0, "last": -1}.items() if axis is not None and right.shape[axis] else ()
+        ):
             if same(found, right.take(place, axis)) or same(found, right.take([place], axis)):
                 yield f"that is the {name} along axis {axis} alone: return all"
             if same(found, np.delete(right, place, axis)):
@@ -152,12 +170,17 @@ def _of_gaps(found: Array, right: Array) -> Iterator[str]:
     if not same(np.where(lost | filled, 0, found), np.where(lost | filled, 0, right)):
         return
     if lost.any() and not filled.any():
-        yield ("NaN or infinity where a number is right: a division by zero, or NaN that is not left out")
+        yield (
+            "NaN or infinity where a number is right: a division by zero, or NaN that is not left"
+            " out"
+        )
     if filled.any() and not lost.any():
         values = np.unique(found[filled])
         gap = "infinity" if np.isinf(right[filled]).all() else "NaN"
         what = f"{values[0]:g}" if len(values) == 1 else "a number"
-        yield f"{what} where {gap} is right" + (": what is not seen, or not known, is NaN" if gap == "NaN" else "")
+        yield f"{what} where {gap} is right" + (
+            ": what is not seen, or not known, is NaN" if gap == "NaN" else ""
+        )
 
 
 def _of_number(found: Array, right: Array) -> Iterator[tuple[str, bool]]:
@@ -204,9 +227,13 @@ def of_arguments(answer: Callable, inputs: tuple, found: Array, numbers: Callabl
         for words, change in _changes(x):
             if gives({k: change}):
                 yield f"that would be right if `{names[k]}` {words}"
-    for i, j in combinations([k for k, x in enumerate(inputs) if isinstance(x, np.ndarray) and x.ndim], 2):
+    for i, j in combinations(
+        [k for k, x in enumerate(inputs) if isinstance(x, np.ndarray) and x.ndim], 2
+    ):
         if inputs[i].shape == inputs[j].shape:
-            for (words, one), (_, other) in zip(_changes(inputs[i]), _changes(inputs[j]), strict=False):
+            for (words, one), (_, other) in zip(
+                _changes(inputs[i]), _changes(inputs[j]), strict=False
+            ):
                 if gives({i: one, j: other}):
                     yield f"that would be right if `{names[i]}` and `{names[j]}` {words}"
 
@@ -240,5 +267,7 @@ def _changes(x: Any) -> Iterator[tuple[str, Any]]:
                 "last": np.arange(size) < half,
             }.items():
                 yield f"had 0 in its {words} {half}: are they used?", back(values * used)
-        for order in permutations(range(size)) if axis == values.ndim - 1 and size in (2, 3) else ():
+        for order in (
+            permutations(range(size)) if axis == values.ndim - 1 and size in (2, 3) else ()
+        ):
             yield f"had its components in the order {list(order)}", back(values.take(order, axis))

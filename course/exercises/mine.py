@@ -44,7 +44,9 @@ class Source:
     """Python source in pieces."""
 
     imports: dict[str, str] = field(default_factory=dict)  #: a line each, by the name that it binds
-    pieces: dict[str, str] = field(default_factory=dict)  #: constants, functions and classes, by name
+    pieces: dict[str, str] = field(
+        default_factory=dict
+    )  #: constants, functions and classes, by name
 
     @classmethod
     def of(cls, text: str) -> Source:
@@ -134,7 +136,9 @@ def _kept(number: str) -> dict[str, tuple[Callable[..., Any], bool]]:
         namespace = _run(text, path)
         pieces = Source.of(text).pieces
     except (Exception, SystemExit) as error:
-        print(f"mine/{path.name} stops with {type(error).__name__}: {error}. Run its notebook again")
+        print(
+            f"mine/{path.name} stops with {type(error).__name__}: {error}. Run its notebook again"
+        )
         return {}
     slow = re.compile(SLOW.format(r"\d+"))
     return {name: (namespace[name], bool(slow.match(piece))) for name, piece in pieces.items()}
@@ -156,7 +160,9 @@ def _namespace(function: Callable[..., Any]) -> dict[str, Any]:
     return inner.__globals__
 
 
-def add(kept: Source, name: str, value: Any, namespace: dict[str, Any], inline: bool = False) -> None:
+def add(
+    kept: Source, name: str, value: Any, namespace: dict[str, Any], inline: bool = False
+) -> None:
     """Add to a source what a name of a notebook means, and what that needs in turn.
 
     Args:
@@ -301,10 +307,16 @@ def _renamed(source: Source, old: str, new: str) -> Source:
     pieces = {}
     for name, piece in source.pieces.items():
         lines = [line.encode() for line in piece.splitlines()]
-        nodes = [node for node in ast.walk(ast.parse(piece)) if isinstance(node, ast.Name) and node.id == old]
+        nodes = [
+            node
+            for node in ast.walk(ast.parse(piece))
+            if isinstance(node, ast.Name) and node.id == old
+        ]
         for node in sorted(nodes, key=lambda node: -node.col_offset):
             row, column = node.lineno - 1, node.col_offset
-            lines[row] = lines[row][:column] + new.encode() + lines[row][column + len(old.encode()) :]
+            lines[row] = (
+                lines[row][:column] + new.encode() + lines[row][column + len(old.encode()) :]
+            )
         text = b"\n".join(lines).decode()
         text = re.sub(rf"^(def|class) {old}\b", rf"\1 {new}", text, flags=re.MULTILINE)
         pieces[new if name == old else name] = text

@@ -1,4 +1,5 @@
-"""Notebook 00: the depth of a sphere, the error of an index, the share of bad rays, a panorama from all cameras."""
+"""Notebook 00: the depth of a sphere, the error of an index, the share of bad rays, a panorama from
+all cameras."""
 
 import numpy as np
 
@@ -22,14 +23,17 @@ def _some_indices(rng: Rng, k: int) -> tuple:
     return index, N, rng.uniform(0.4, 3)
 
 
-check_depth_of_index = Open(depth_of_index, _some_indices, real=lambda: (np.arange(6, 96), 96, 0.5)).with_slips("""
+check_depth_of_index = Open(
+    depth_of_index, _some_indices, real=lambda: (np.arange(6, 96), 96, 0.5)
+).with_slips("""
     index / ( → (N - 1 - index) / (  # sphere 0 is at infinity, sphere N - 1 the nearest
     return min_depth * index / (N - 1)  # the spheres are even in inverse depth, not in depth
 """)
 
 
 def index_errors(index, gt_index, N):
-    """Errors e (H, W) in percent of the N spheres; 100 without an estimate, NaN without a ground truth."""
+    """Errors e (H, W) in percent of the N spheres; 100 without an estimate, NaN without a ground
+    truth."""
     e = 100 / N * np.abs(index - gt_index)
     e = np.where(np.isnan(index), 100, e)
     return np.where(np.isnan(gt_index), np.nan, e)
@@ -44,14 +48,16 @@ def _two_maps(rng: Rng, k: int) -> tuple:
 
 
 check_index_errors = Open(index_errors, _two_maps).with_slips("""
-    e = np.where(np.isnan(index), 100, e) →  # a ray without an estimate is NaN: count it as an error of 100
+    e = np.where(np.isnan(index), 100, e) →
+    # a ray without an estimate is NaN: count it as an error of 100
     np.abs(index - gt_index) → (index - gt_index)  # too near is as wrong as too far: np.abs
     100 / N * →  # in percent of the N spheres: times 100 / N
 """)
 
 
 def share_above(errors, limit):
-    """Percentage of the rays whose error is larger than a limit, of those with an error that is known (not NaN)."""
+    """Percentage of the rays whose error is larger than a limit, of those with an error that is
+    known (not NaN)."""
     known = errors[np.isfinite(errors)]
     return 100 * np.mean(known > limit)
 
@@ -71,7 +77,8 @@ check_share_above = Open(share_above, _some_errors).with_slips("""
 
 
 def stitched(warped):
-    """Mean panorama (H, W, 3) of the cameras that see each ray, of (cameras, H, W, 3); NaN where none does."""
+    """Mean panorama (H, W, 3) of the cameras that see each ray, of (cameras, H, W, 3); NaN where
+    none does."""
     seen = np.isfinite(warped)
     count = seen.sum(axis=0)
     total = np.where(seen, warped, 0).sum(axis=0)
@@ -87,5 +94,6 @@ def _panoramas(rng: Rng, k: int) -> tuple:
 
 
 check_stitched = Open(stitched, _panoramas, real=lambda: (beside.warped(),)).with_slips("""
-    return np.nansum(warped, axis=0)  # that is the sum: divide by the number of cameras that see the ray
+    return np.nansum(warped, axis=0)
+    # that is the sum: divide by the number of cameras that see the ray
 """)

@@ -1,4 +1,5 @@
-"""Notebook 01: the ray of a pixel, the pixel of a ray, the pose of a plane, a residual, the polynomial of a lens."""
+"""Notebook 01: the ray of a pixel, the pixel of a ray, the pose of a plane, a residual, the
+polynomial of a lens."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -26,7 +27,8 @@ def _some_pixels(rng: Rng, k: int) -> tuple:
 
 check_unproject = Open(unproject, _some_pixels, whole=("poly", "center")).with_slips("""
     np.linalg.norm(xy, axis=-1, keepdims=True)
-    → np.sum(xy**2, axis=-1, keepdims=True)  # that is r²: r is its root, the distance from the centre
+    → np.sum(xy**2, axis=-1, keepdims=True)
+    # that is r²: r is its root, the distance from the centre
     return rays / np.linalg.norm(rays, axis=-1, keepdims=True) → return rays
     # divide by the length: a ray is a unit vector
     norm(rays, axis=-1, keepdims=True) → norm(rays)
@@ -35,7 +37,8 @@ check_unproject = Open(unproject, _some_pixels, whole=("poly", "center")).with_s
 
 
 def project_rays(rays, inv_poly, center, max_deg):
-    """Pixels (…, 2) of rays (…, 3) of any length: u right, v down; NaN beyond max_deg from the axis."""
+    """Pixels (…, 2) of rays (…, 3) of any length: u right, v down; NaN beyond max_deg from the
+    axis."""
     x, y, z = np.moveaxis(rays, -1, 0)
     n = np.hypot(x, y)
     r = np.polyval(inv_poly[::-1], np.arctan2(-z, n))
@@ -46,20 +49,31 @@ def project_rays(rays, inv_poly, center, max_deg):
 
 
 def _some_rays(rng: Rng, k: int) -> tuple:
-    F, max_deg, center = rng.uniform(180, 220), rng.uniform(95, 110), tuple(rng.uniform(350, 420, 2))
+    F, max_deg, center = (
+        rng.uniform(180, 220),
+        rng.uniform(95, 110),
+        tuple(rng.uniform(350, 420, 2)),
+    )
     in_theta = np.poly1d([-0.05 * F, rng.uniform(-8, 8), F, 0])
     inv_poly = in_theta(np.poly1d([1, np.pi / 2])).coeffs[::-1]  # in t
-    theta, around = np.radians(rng.uniform(3, max_deg - 2, 9 + k % 4)), rng.uniform(-3, 3, 9 + k % 4)
+    theta, around = (
+        np.radians(rng.uniform(3, max_deg - 2, 9 + k % 4)),
+        rng.uniform(-3, 3, 9 + k % 4),
+    )
     theta[-2:] = np.radians([max_deg + 5, max_deg + 30])
     theta[0] = 0 if k else theta[0]  # on the axis
-    rays = np.stack([np.sin(theta) * np.cos(around), np.sin(theta) * np.sin(around), np.cos(theta)], axis=-1)
+    rays = np.stack(
+        [np.sin(theta) * np.cos(around), np.sin(theta) * np.sin(around), np.cos(theta)], axis=-1
+    )
     rays *= rng.uniform(0.5, 5, (len(rays), 1))
     return (rays[:, None] if k % 2 else rays), inv_poly, center, max_deg
 
 
 check_project_rays = Open(project_rays, _some_rays, whole=("inv_poly",), within=1e-3).with_slips("""
-    np.arctan2(-z, n) → np.degrees(np.arctan2(-z, n))  # the polynomial takes t in radians, not in degrees
-    np.arctan2(-z, n) → np.arctan2(z, n)  # the sign of z: t is the angle *below* the xy-plane, atan2(-z, n)
+    np.arctan2(-z, n) → np.degrees(np.arctan2(-z, n))
+    # the polynomial takes t in radians, not in degrees
+    np.arctan2(-z, n) → np.arctan2(z, n)
+    # the sign of z: t is the angle *below* the xy-plane, atan2(-z, n)
     np.arctan2(-z, n) → np.arctan2(n, z)  # that is the angle from the axis; t is 90° less
     np.degrees(np.arctan2(n, z)) → np.arctan2(n, z)
     # beyond max_deg there is no pixel: compare the angle from the axis, in degrees
@@ -69,7 +83,8 @@ check_project_rays = Open(project_rays, _some_rays, whole=("inv_poly",), within=
 
 
 def planar_pose(rays, points):
-    """T_cam_board of a flat board, from unit rays (K, 3) to its corners (K, 3), which are in metres with Z = 0."""
+    """T_cam_board of a flat board, from unit rays (K, 3) to its corners (K, 3), which are in metres
+    with Z = 0."""
     plane = np.column_stack([points[:, :2], np.ones(len(points))])  # p = (X, Y, 1)
     cross = np.cross(np.eye(3), rays[:, None])  # (K, 3, 3): times a vector, b × that vector
     A = (cross[..., None] * plane[:, None, None]).reshape(-1, 9)  # b × H p = A h
@@ -84,13 +99,16 @@ def planar_pose(rays, points):
 def _a_board(rng: Rng, k: int) -> tuple:
     points = np.zeros((20 + k, 3))
     points[:, :2] = rng.uniform(0, 1, (20 + k, 2)) * [0.7, 0.5]
-    pose = osl.Pose.from_vector([*rng.uniform(-0.6, 0.6, 3), *rng.uniform(-1, 1, 2), rng.uniform(-0.3, 0.8)])
+    pose = osl.Pose.from_vector(
+        [*rng.uniform(-0.6, 0.6, 3), *rng.uniform(-1, 1, 2), rng.uniform(-0.3, 0.8)]
+    )
     rays = pose @ points + rng.normal(0, 2e-5, points.shape)  # R is one to 1e-5, by step 3 only
     return rays / np.linalg.norm(rays, axis=-1, keepdims=True), points
 
 
 check_planar_pose = Open(planar_pose, _a_board, within=5e-4).with_slips("""
-    H *= np.sign(np.sum(rays * (plane @ H.T))) →  # H and -H both solve A h = 0: take the one along the rays
+    H *= np.sign(np.sum(rays * (plane @ H.T))) →
+    # H and -H both solve A h = 0: take the one along the rays
     np.sign(np.sum(rays * (plane @ H.T))) → np.sign(H[2, 2])
     # the origin may lie behind this lens, t_z < 0: take the H along the rays
     H *= 2 / np.linalg.norm(H[:, :2], axis=0).sum() →
@@ -102,7 +120,8 @@ check_planar_pose = Open(planar_pose, _a_board, within=5e-4).with_slips("""
 
 
 def residuals(lens, pose, points, found):
-    """Predicted minus found corners (K, 2) in px, NaN where none was found; lens: k1 … k4, u0, v0; pose: 6 numbers."""
+    """Predicted minus found corners (K, 2) in px, NaN where none was found; lens: k1 … k4, u0, v0;
+    pose: 6 numbers."""
     x, y, z = (Rotation.from_rotvec(pose[:3]).apply(points) + pose[3:]).T
     n = np.hypot(x, y)
     r = np.polyval([*lens[3::-1], 0], np.arctan2(n, z))
@@ -121,8 +140,10 @@ def _a_view(rng: Rng, k: int) -> tuple:
 
 
 check_residuals = Open(residuals, _a_view, whole=("lens", "pose"), within=1e-3).with_slips("""
-    np.arctan2(n, z) → np.arctan(n / z)  # behind the lens arctan(n / z) is negative: use arctan2(n, z)
-    [*lens[3::-1], 0] → lens[3::-1]  # k1 belongs to θ: np.polyval ends with the power 0, whose coefficient is 0
+    np.arctan2(n, z) → np.arctan(n / z)
+    # behind the lens arctan(n / z) is negative: use arctan2(n, z)
+    [*lens[3::-1], 0] → lens[3::-1]
+    # k1 belongs to θ: np.polyval ends with the power 0, whose coefficient is 0
     [*lens[3::-1], 0] → [lens[3], 0, lens[2], 0, lens[1], 0, lens[0], 0]
     # all powers from θ to θ⁴, not the odd ones alone
     x / n * r, y / n * r → x * r, y * r  # x and y give the direction only: divide them by n
@@ -131,16 +152,22 @@ check_residuals = Open(residuals, _a_view, whole=("lens", "pose"), within=1e-3).
 
 
 def ocam_polynomial(r, theta, degree):
-    """a0, 0, a2 … (degree + 1,), low to high, for which f(r) is nearest to -r / tan θ; r in px, θ in radians, (K,)."""
+    """a0, 0, a2 … (degree + 1,), low to high, for which f(r) is nearest to -r / tan θ; r in px, θ
+    in radians, (K,)."""
     powers = np.array([0, *range(2, degree + 1)])
-    far = r.max()  # powers of r / far are 1 at most; r⁶ in pixels is 10¹⁵, beside which lstsq loses the others
+    # powers of r / far are 1 at most; r⁶ in pixels is 10¹⁵, beside which lstsq loses the others
+    far = r.max()
     a = np.linalg.lstsq((r[:, None] / far) ** powers, -r / np.tan(theta), rcond=None)[0]
     return np.insert(a / far**powers, 1, 0)
 
 
 def _a_lens(rng: Rng, k: int) -> tuple:
     theta = np.radians(np.linspace(2, 105, 40 + k))
-    r = theta * rng.uniform(0.8, 1.2) + theta**2 * rng.uniform(0.05, 0.1) - theta**4 * rng.uniform(0.02, 0.04)
+    r = (
+        theta * rng.uniform(0.8, 1.2)
+        + theta**2 * rng.uniform(0.05, 0.1)
+        - theta**4 * rng.uniform(0.02, 0.04)
+    )
     return (200 * r if k % 2 else r), theta, 3 + k % 6  # in pixels, too
 
 
@@ -151,6 +178,7 @@ check_ocam_polynomial = Open(ocam_polynomial, _a_lens).with_slips("""
     -r / np.tan → -r * np.tan  # that is -r tan θ: divide by the tangent
     (r[:, None] / far) ** powers → r[:, None] ** powers
     a / far**powers → a
-    # in pixels r⁶ is 10¹⁵, and lstsq takes the rest for 0: fit powers of r / r.max(), then divide by those of
+    # in pixels r⁶ is 10¹⁵, and lstsq takes the rest for 0: fit powers of r / r.max(), then divide
+    # by those of
     # r.max()
 """)

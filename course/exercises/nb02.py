@@ -11,7 +11,8 @@ Poses = list[osl.Pose]
 
 
 def relative_pose(T_1_board, T_2_board, half_turn):
-    """T_12 (camera 2 → camera 1) on which most captures agree, from the same boards' poses in both cameras, lists."""
+    """T_12 (camera 2 → camera 1) on which most captures agree, from the same boards' poses in both
+    cameras, lists."""
     proposals = []
     for T_1b, T_2b in zip(T_1_board, T_2_board, strict=True):
         proposals += [T_1b @ T_2b.inverse(), T_1b @ half_turn @ T_2b.inverse()]
@@ -25,7 +26,10 @@ def _a_pose(rng: Rng, size: float = 1.0) -> osl.Pose:
 
 
 def _two_cameras(rng: Rng, k: int) -> tuple:
-    half_turn, T_12 = osl.Pose(np.diag([-1.0, -1.0, 1.0]), np.array([0.66, 0.54, 0.0])), _a_pose(rng)
+    half_turn, T_12 = (
+        osl.Pose(np.diag([-1.0, -1.0, 1.0]), np.array([0.66, 0.54, 0.0])),
+        _a_pose(rng),
+    )
     boards = [_a_pose(rng) for _ in range(5 + k % 3)]
     other_end = rng.permutation(len(boards)) < (0, 2, 3, 7)[k % 4]  # as camera 2 has read them
     if k % 4 == 1:  # boards that face camera 1: read from the other end, T_12 has the same z
@@ -39,7 +43,8 @@ def _two_cameras(rng: Rng, k: int) -> tuple:
 
 check_relative_pose = Open(relative_pose, _two_cameras, within=0.02).with_slips("""
     [T_1b @ T_2b.inverse(), T_1b @ half_turn @ T_2b.inverse()] → [T_1b @ T_2b.inverse()]
-    # either camera may have read a board from the other end: half_turn, between the board's two poses
+    # either camera may have read a board from the other end: half_turn, between the board's two
+    # poses
     return T_1_board[0] @ T_2_board[0].inverse()
     # that is the first capture: take the pose that most propose, within 0.02 m of each other
     T_1b @ T_2b.inverse(), T_1b @ half_turn @ T_2b.inverse()
@@ -49,7 +54,8 @@ check_relative_pose = Open(relative_pose, _two_cameras, within=0.02).with_slips(
 
 
 def poses_of_cameras(links, cameras):
-    """T_rig_cam of all cameras, a list, in camera 0's frame; links: {(i, j): T_ij}, those of most captures first."""
+    """T_rig_cam of all cameras, a list, in camera 0's frame; links: {(i, j): T_ij}, those of most
+    captures first."""
     poses = {0: osl.Pose.identity()}
     while len(poses) < cameras:
         i, j = next((i, j) for i, j in links if (i in poses) != (j in poses))
@@ -66,7 +72,11 @@ def _a_graph(rng: Rng, k: int) -> tuple:
     pairs = [(i, i + 1) if rng.uniform() < 0.5 else (i + 1, i) for i in range(cameras - 1)]
     pairs = [(2, 1), pairs[0], (2, 3), *pairs[3:]]  # the first one is not camera 0's
     links = {(i, j): poses[i].inverse() @ poses[j] for i, j in pairs}
-    return links | {(0, 2): _a_pose(rng), (cameras - 1, 0): _a_pose(rng)}, cameras  # few captures, and wrong
+    # few captures, and wrong
+    return links | {
+        (0, 2): _a_pose(rng),
+        (cameras - 1, 0): _a_pose(rng),
+    }, cameras
 
 
 check_poses_of_cameras = Open(poses_of_cameras, _a_graph).with_slips("""
@@ -78,20 +88,24 @@ check_poses_of_cameras = Open(poses_of_cameras, _a_graph).with_slips("""
             elif j in poses and i not in poses:
                 poses[i] = poses[j] @ T.inverse()
     return [poses[i] for i in range(cameras)]
-    # start again at the first link after each step: a weak one must wait while a better one leads on
+    # start again at the first link after each step: a weak one must wait while a better one leads
+    # on
     for i, j in links if (i in poses) != (j in poses)
     → for k in poses for i, j in links if k in (i, j) and not {i, j} <= set(poses)
-    # breadth first, a weak link of camera 0 comes early: take the first link of the list that leads on
+    # breadth first, a weak link of camera 0 comes early: take the first link of the list that leads
+    # on
     poses[i] @ links[i, j] → links[i, j] @ poses[i]
     poses[j] @ links[i, j].inverse() → links[i, j].inverse() @ poses[j]
     # the indices must meet: T_0i @ T_ij
-    links[i, j].inverse() → links[i, j]  # T_ij takes camera j to camera i: invert it to go the other way
+    links[i, j].inverse() → links[i, j]
+    # T_ij takes camera j to camera i: invert it to go the other way
     [poses[i] for → [poses[i].inverse() for  # those are T_cam_rig: a rig stores T_rig_cam
 """)
 
 
 def bundle_residuals(T_rig_cam, T_rig_board, camera, capture, found, lenses, points):
-    """Predicted minus found corners (V, K, 2) in px, NaN where none was found; view v: board capture[v], camera[v]."""
+    """Predicted minus found corners (V, K, 2) in px, NaN where none was found; view v: board
+    capture[v], camera[v]."""
     residuals = []
     for i, k, corners in zip(camera, capture, found, strict=True):
         in_camera = T_rig_cam[i].inverse() @ T_rig_board[k] @ points
@@ -158,7 +172,8 @@ def _a_bundle(rng: Rng, k: int, m: int = 80) -> tuple:
 
 check_jacobian = Open(jacobian, _a_bundle, whole=("x", "depends")).with_slips("""
     change / (2 * h) → change / h  # the two places are 2 h apart
-    misfit(x + step.ravel()) - misfit(x - step.ravel()) → misfit(x - step.ravel()) - misfit(x + step.ravel())
+    misfit(x + step.ravel()) - misfit(x - step.ravel())
+    → misfit(x - step.ravel()) - misfit(x + step.ravel())
     # after minus before: the step forward comes first
     # a residual depends on a board, too: on each row of depends
     for poses in depends: → for poses in depends[:1]:
@@ -201,7 +216,8 @@ check_gauss_newton = Open(gauss_newton, _a_descent, whole=("x", "depends")).with
 def covariance(J, residuals):
     """Covariance (n, n) of the unknowns at the minimum: Jacobian J (m, n), residuals (m,) in px."""
     m, n = J.shape
-    variance = residuals @ residuals / (m - n)  # of one residual: n of them are used up by the unknowns
+    # of one residual: n of them are used up by the unknowns
+    variance = residuals @ residuals / (m - n)
     return variance * np.linalg.inv(J.T @ J)
 
 
@@ -222,8 +238,8 @@ check_covariance = Open(covariance, _a_minimum, whole=("J", "residuals")).with_s
 def sphere_shift(parallax, errors, pairs):
     """Spheres δ (H, W) by which the best match moves; NaN where no pair sees the ray.
 
-    parallax, errors: how far each camera's image moves by one sphere, and by the wrong pose; (cameras, H, W, 2) in
-    radians, NaN where a camera does not see the ray.
+    parallax, errors: how far each camera's image moves by one sphere, and by the wrong pose;
+    (cameras, H, W, 2) in radians, NaN where a camera does not see the ray.
     """
     p = np.array([parallax[i] - parallax[j] for i, j in pairs])
     e = np.array([errors[i] - errors[j] for i, j in pairs])
@@ -242,11 +258,13 @@ def _some_images(rng: Rng, k: int) -> tuple:
 
 
 check_sphere_shift = Open(sphere_shift, _some_images).with_slips("""
-    return -above / np.where(below > 0, below, np.nan) → return np.nanmean(-np.sum(p * e, -1) / np.sum(p * p, -1), 0)
+    return -above / np.where(below > 0, below, np.nan)
+    → return np.nanmean(-np.sum(p * e, -1) / np.sum(p * p, -1), 0)
     # one δ for all pairs: add up over the pairs first, then divide
     return -above / np.where(below > 0, below, np.nan) → return np.nanmean(-e / p, axis=(0, -1))
     # two equations, one unknown: do not divide number by number, but Σ p·e by Σ p·p
-    -above / np.where(below > 0, below, np.nan) → -above / np.sqrt(np.where(below > 0, below, np.nan))
+    -above / np.where(below > 0, below, np.nan)
+    → -above / np.sqrt(np.where(below > 0, below, np.nan))
     # divide by Σ p·p, not by its root: that is a length in radians, not a number of spheres
     parallax[i] - parallax[j] → parallax[i]
     errors[i] - errors[j] → errors[i]

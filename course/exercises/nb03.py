@@ -1,4 +1,5 @@
-"""Notebook 03: the ray of a pixel, a sphere, the pixel of a point, the look-up, and how much the cameras disagree."""
+"""Notebook 03: the ray of a pixel, a sphere, the pixel of a point, the look-up, and how much the
+cameras disagree."""
 
 import numpy as np
 
@@ -14,7 +15,9 @@ def rays_of_pixels(columns, rows, width, height, phi_deg):
     theta = (columns + 0.5 - width / 2) * 2 * np.pi / width
     low, high = np.radians(phi_deg)
     phi = low + (rows + 0.5) * (high - low) / height
-    return np.stack([np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta)], axis=-1)
+    return np.stack(
+        [np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta)], axis=-1
+    )
 
 
 def _some_pixels(rng: Rng, k: int) -> tuple:
@@ -29,7 +32,8 @@ check_rays_of_pixels = Open(rays_of_pixels, _some_pixels).with_slips("""
     - width / 2 →  # θ = 0 is in the middle: subtract W/2
     * 2 * np.pi / width → * 360 / width  # sin and cos take radians: W columns make 2π, not 360
     * 2 * np.pi / width → * np.pi / width  # W columns make 2π, not π
-    np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta) → np.sin(theta), np.sin(phi), np.cos(theta)
+    np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta)
+    → np.sin(theta), np.sin(phi), np.cos(theta)
     # cos φ belongs to x and to z: a ray has length 1
 """)
 
@@ -55,7 +59,8 @@ check_points_on_sphere = Open(points_on_sphere, _a_sphere).with_slips("""
 
 
 def pixels_of_points(points, camera, T_rig_cam):
-    """Pixels (…, 2) at which a camera sees points (…, 3) of the rig frame: u right, v down; NaN where it sees none."""
+    """Pixels (…, 2) at which a camera sees points (…, 3) of the rig frame: u right, v down; NaN
+    where it sees none."""
     in_camera = T_rig_cam.inverse() @ points
     pixels, visible = camera.project(in_camera)
     return np.where(visible[..., None], pixels, np.nan)
@@ -63,28 +68,37 @@ def pixels_of_points(points, camera, T_rig_cam):
 
 def _a_camera(rng: Rng, k: int) -> tuple:
     camera = OcamCamera(
-        np.array([-200.0, 0.0, 1e-3]), np.array([314.159, 200.0]), (400.0, 380.0), (1.0, 0.0, 0.0), (800, 768), 200.0
+        np.array([-200.0, 0.0, 1e-3]),
+        np.array([314.159, 200.0]),
+        (400.0, 380.0),
+        (1.0, 0.0, 0.0),
+        (800, 768),
+        200.0,
     )
     pose = Pose.from_vector([0.1, 0.9, -0.2, 0.3, -0.1, 0.5] * rng.uniform(0.7, 1.3, 6))
     points = rng.uniform(0.8, 2.5, (3, 4 + k % 3, 3))
     points[0] = pose @ (points[0] * [1, 1, -3])  # behind the camera
-    points[1] = pose @ (points[1] * [1, 1, -0.02])  # behind it, and yet in its field of view of 200°
+    # behind it, and yet in its field of view of 200°
+    points[1] = pose @ (points[1] * [1, 1, -0.02])
     points = {8: points[0], 9: points[1, 0]}.get(k, points)
     return points, camera, pose
 
 
 check_pixels_of_points = Open(pixels_of_points, _a_camera, within=1e-3).with_slips("""
-    T_rig_cam.inverse() @ points → points  # the points are in the rig frame: take them to the camera's first
+    T_rig_cam.inverse() @ points → points
+    # the points are in the rig frame: take them to the camera's first
     T_rig_cam.inverse() @ points → (points - T_rig_cam.t) @ T_rig_cam.R.T
     # the rotation is not transposed: Rᵀ(p - t)
     T_rig_cam.inverse() @ points → points @ T_rig_cam.R - T_rig_cam.t
     # the inverse's translation is -Rᵀt, not -t: Rᵀ(p - t)
-    visible[..., None] → in_camera[..., 2:] > 0  # a fisheye sees behind itself, z < 0: ask `visible`
+    visible[..., None] → in_camera[..., 2:] > 0
+    # a fisheye sees behind itself, z < 0: ask `visible`
 """)
 
 
 def look_up(image, pixels):
-    """Gray values (…) of an image (H, W) at pixels (…, 2), each a mean of the four around it; NaN at NaN."""
+    """Gray values (…) of an image (H, W) at pixels (…, 2), each a mean of the four around it; NaN
+    at NaN."""
     u, v = pixels[..., 0], pixels[..., 1]
     x = np.clip(np.floor(np.nan_to_num(u)).astype(int), 0, image.shape[1] - 2)
     y = np.clip(np.floor(np.nan_to_num(v)).astype(int), 0, image.shape[0] - 2)
@@ -102,9 +116,12 @@ def _an_image(rng: Rng, k: int) -> tuple:
     return rng.uniform(0, 255, (H, W)).astype([np.float64, np.uint8, np.float32][k % 3]), pixels
 
 
-check_look_up = Open(look_up, _an_image, whole=("image",), real=beside.between, within=0.01).with_slips("""
+check_look_up = Open(
+    look_up, _an_image, whole=("image",), real=beside.between, within=0.01
+).with_slips("""
     a, b = u - x, v - y → a, b = 0 * u, 0 * v  # decimals are cut off: mix four pixels
-    a, b = u - x, v - y → a, b = 1 - u + x, 1 - v + y  # the nearer pixel counts more: weights swapped
+    a, b = u - x, v - y → a, b = 1 - u + x, 1 - v + y
+    # the nearer pixel counts more: weights swapped
     a, b = u - x, v - y → a, b = v - y, u - x  # u mixes left and right, v above and below
     image[y, x] * (1 - a) + image[y, x + 1] * a → image[y, x] + a * (image[y, x + 1] - image[y, x])
     image[y + 1, x] * (1 - a) + image[y + 1, x + 1] * a
@@ -114,7 +131,8 @@ check_look_up = Open(look_up, _an_image, whole=("image",), real=beside.between, 
 
 
 def disagreement(warped):
-    """Standard deviation (H, W) between the cameras that see a ray, of (cameras, H, W); NaN where fewer than two do."""
+    """Standard deviation (H, W) between the cameras that see a ray, of (cameras, H, W); NaN where
+    fewer than two do."""
     seen = np.isfinite(warped)
     count = seen.sum(axis=0)
     mean = np.where(seen, warped, 0).sum(axis=0) / np.maximum(count, 1)
@@ -125,12 +143,15 @@ def disagreement(warped):
 def _warped(rng: Rng, k: int) -> tuple:
     warped = rng.uniform(0, 255, (3 + k % 3, 4, 6 + k % 3))
     warped[rng.uniform(0, 1, warped.shape) < 0.3] = np.nan
-    warped[:, 0, 0] = warped[1:, 0, 1] = warped[2:, 0, 2] = np.nan  # rays that no camera, one, and two see
+    # rays that no camera, one, and two see
+    warped[:, 0, 0] = warped[1:, 0, 1] = warped[2:, 0, 2] = np.nan
     warped[0, 0, 1], warped[:2, 0, 2] = 80, (90, 120)
     return (warped,)
 
 
-check_disagreement = Open(disagreement, _warped, real=lambda: (beside.gray(),), within=0.01).with_slips("""
+check_disagreement = Open(
+    disagreement, _warped, real=lambda: (beside.gray(),), within=0.01
+).with_slips("""
     np.sqrt(squares / np.maximum(count, 1)) → np.sqrt(squares / np.maximum(count - 1, 1))
     # divide by their number, not by one less
     np.sqrt(squares / np.maximum(count, 1)) → np.nanmax(warped, axis=0) - np.nanmin(warped, axis=0)

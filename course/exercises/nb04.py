@@ -1,4 +1,5 @@
-"""Notebook 04: ZNCC of two patches, sums over windows, the costs of a pair, the mean of all pairs, the best sphere."""
+"""Notebook 04: ZNCC of two patches, sums over windows, the costs of a pair, the mean of all pairs,
+the best sphere."""
 
 import cv2
 import numpy as np
@@ -9,7 +10,8 @@ from course.exercises.opened import Open
 
 
 def zncc(a, b):
-    """Zero-mean normalised cross-correlation of two patches of equal shape, -1 to 1; 0 if one of them is flat."""
+    """Zero-mean normalised cross-correlation of two patches of equal shape, -1 to 1; 0 if one of
+    them is flat."""
     covariance = np.mean((a - a.mean()) * (b - b.mean()))
     deviations = a.std() * b.std()
     return covariance / deviations if deviations > 1e-12 else 0.0
@@ -35,7 +37,8 @@ check_zncc = Open(zncc, _two_patches).with_slips("""
 
 
 def window_sums(image, radius):
-    """Sums (H, W) over windows of 2 radius + 1 pixels a side; columns wrap around, beyond the rows there is nothing."""
+    """Sums (H, W) over windows of 2 radius + 1 pixels a side; columns wrap around, beyond the rows
+    there is nothing."""
     side = 2 * radius + 1
     wide = np.pad(image, ((0, 0), (radius, radius)), mode="wrap")
     sums = cv2.boxFilter(wide, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
@@ -43,10 +46,14 @@ def window_sums(image, radius):
 
 
 def _an_image(rng: Rng, k: int) -> tuple:
-    return rng.uniform(0.5, 1, (8 + k % 3, 11 + k % 4)).astype(np.float32 if k % 2 else np.float64), 1 + k % 3
+    return rng.uniform(0.5, 1, (8 + k % 3, 11 + k % 4)).astype(
+        np.float32 if k % 2 else np.float64
+    ), 1 + k % 3
 
 
-check_window_sums = Open(window_sums, _an_image, real=lambda: (np.nan_to_num(beside.gray()[0]), 3)).with_slips("""
+check_window_sums = Open(
+    window_sums, _an_image, real=lambda: (np.nan_to_num(beside.gray()[0]), 3)
+).with_slips("""
     mode="wrap" → mode="constant"  # the panorama is a circle: columns wrap around
     ((0, 0), (radius, radius)) → ((radius, radius), (0, 0))
     sums[:, radius:-radius] → sums[radius:-radius]
@@ -60,7 +67,8 @@ check_window_sums = Open(window_sums, _an_image, real=lambda: (np.nan_to_num(bes
 
 
 def zncc_costs(a, b, radius):
-    """Costs (1 - ZNCC) / 2 of two warped images (H, W), each over the window around it; NaN where not both see."""
+    """Costs (1 - ZNCC) / 2 of two warped images (H, W), each over the window around it; NaN where
+    not both see."""
     both = np.isfinite(a) & np.isfinite(b)
     a, b = np.where(both, a, 0.0), np.where(both, b, 0.0)
     count = np.maximum(window_sums(both.astype(float), radius), 1)
@@ -80,7 +88,9 @@ def _two_images(rng: Rng, k: int) -> tuple:
     return a, b, 1 + k % 2
 
 
-check_zncc_costs = Open(zncc_costs, _two_images, real=lambda: (*beside.gray()[:2], 4), within=1e-3).with_slips("""
+check_zncc_costs = Open(
+    zncc_costs, _two_images, real=lambda: (*beside.gray()[:2], 4), within=1e-3
+).with_slips("""
     a, b = np.where(both, a, 0.0), np.where(both, b, 0.0) →
     # one NaN spoils its whole window: put 0 for what not both see, and count the rest
     np.where(both, a, 0.0), np.where(both, b, 0.0) → np.nan_to_num(a), np.nan_to_num(b)
@@ -92,7 +102,8 @@ check_zncc_costs = Open(zncc_costs, _two_images, real=lambda: (*beside.gray()[:2
 
 
 def mean_of_pairs(costs):
-    """Mean (H, W) over camera pairs of costs (pairs, H, W), of those that see the ray; NaN where none does (Eq. 2)."""
+    """Mean (H, W) over camera pairs of costs (pairs, H, W), of those that see the ray; NaN where
+    none does (Eq. 2)."""
     seen = np.isfinite(costs)
     count = seen.sum(axis=0)
     total = np.where(seen, costs, 0).sum(axis=0)
@@ -114,7 +125,8 @@ check_mean_of_pairs = Open(mean_of_pairs, _costs_of_pairs).with_slips("""
 
 
 def winner(costs):
-    """Index (H, W) of the cheapest sphere of each ray, of costs (H, W, N); NaN where no sphere has a cost."""
+    """Index (H, W) of the cheapest sphere of each ray, of costs (H, W, N); NaN where no sphere has
+    a cost."""
     filled = np.where(np.isnan(costs), np.inf, costs)
     return np.where(np.isnan(costs).all(axis=-1), np.nan, filled.argmin(axis=-1))
 
@@ -122,7 +134,11 @@ def winner(costs):
 def _a_volume(rng: Rng, k: int) -> tuple:
     costs = rng.uniform(0, 1, (4, 5 + k % 3, 7 + k % 5)).astype(np.float32 if k % 2 else np.float64)
     costs[rng.uniform(0, 1, costs.shape) < 0.2] = np.nan
-    costs[0, :2], costs[1, 0] = np.nan, 0.5  # no pair sees two rays; all spheres cost the same on a third
+    # no pair sees two rays; all spheres cost the same on a third
+    costs[0, :2], costs[1, 0] = (
+        np.nan,
+        0.5,
+    )
     costs[2, :2] = rng.uniform(0.3, 1, costs[2, :2].shape)
     costs[2, 0, -1], costs[2, 1, 0] = 0.1, 0.2  # the last sphere wins, and the first
     scale = 20 if k % 3 == 1 else 1  # path costs are no shares

@@ -10,10 +10,16 @@ Sizes = list[tuple[int, float]]
 
 
 def receptive_field(layers):
-    """Side in pixels of the input that one output sees; layers: (kernel, stride) in order, stride 1/2 doubles."""
-    side, pixel = 1, 1.0  # what one value sees, and how far apart neighbouring values are, both in pixels of the input
+    """Side in pixels of the input that one output sees; layers: (kernel, stride) in order, stride
+    1/2 doubles."""
+    # what one value sees, and how far apart neighbouring values are, both in pixels of the input
+    side, pixel = (
+        1,
+        1.0,
+    )
     for kernel, stride in layers:
-        side += (kernel - 1) * pixel * min(stride, 1)  # the kernel of a layer that doubles lies on its output
+        # the kernel of a layer that doubles lies on its output
+        side += (kernel - 1) * pixel * min(stride, 1)
         pixel *= stride
     return side
 
@@ -31,13 +37,15 @@ check_receptive_field = Open(receptive_field, _some_layers).with_slips("""
     # behind a stride of 2 a value is two pixels from the next: multiply by all the strides before
     min(stride, 1) → stride  # a layer's own stride counts for the layers behind it
     * min(stride, 1) →  # the kernel of a layer that doubles lies on its finer output
-    pixel *= stride → pixel *= max(stride, 1)  # a stride of 1/2 halves the distance between values again
+    pixel *= stride → pixel *= max(stride, 1)
+    # a stride of 1/2 halves the distance between values again
     pixel *= stride → pixel = stride  # strides multiply up: the product of all that came before
 """)
 
 
 def side_with_share(influence, share):
-    """Side of the smallest square around the middle of a map (2 R + 1, 2 R + 1) that holds a share of its sum."""
+    """Side of the smallest square around the middle of a map (2 R + 1, 2 R + 1) that holds a share
+    of its sum."""
     rows, columns = np.indices(influence.shape) - len(influence) // 2
     ring = np.maximum(np.abs(rows), np.abs(columns))
     held = np.bincount(ring.ravel(), weights=influence.ravel()).cumsum()
@@ -64,8 +72,10 @@ check_side_with_share = Open(side_with_share, _a_map, whole=("influence",)).with
 
 
 def with_prior(cost, share, strength):
-    """Costs (…, N) of a balanced network, given the share (N,) of rays whose true sphere is n; strength 1 is Bayes."""
-    score = torch.logit(cost, eps=1e-4)  # eps: a cost of exactly 0 or 1 would be sure whatever the prior
+    """Costs (…, N) of a balanced network, given the share (N,) of rays whose true sphere is n;
+    strength 1 is Bayes."""
+    # eps: a cost of exactly 0 or 1 would be sure whatever the prior
+    score = torch.logit(cost, eps=1e-4)
     return torch.sigmoid(score - strength * torch.log(share / (1 - share)))
 
 
@@ -84,6 +94,7 @@ check_with_prior = Open(with_prior, _costs_and_share).with_slips("""
     torch.sigmoid(score - strength * torch.log(share / (1 - share)))
     → cost - strength * torch.log(share / (1 - share))
     # odds add to scores, not to costs: logit first, sigmoid last
-    score - strength * torch.log(share / (1 - share)) → strength * (score - torch.log(share / (1 - share)))
+    score - strength * torch.log(share / (1 - share))
+    → strength * (score - torch.log(share / (1 - share)))
     # the strength is that of the prior, not of the score
 """)

@@ -1,4 +1,5 @@
-"""Notebook 07: one step of SGM, a walk over lines, eight paths around the panorama, the refined winner, its trust."""
+"""Notebook 07: one step of SGM, a walk over lines, eight paths around the panorama, the refined
+winner, its trust."""
 
 import numpy as np
 
@@ -8,7 +9,8 @@ from course.exercises.opened import Open
 
 
 def step(cost, before, p1, p2):
-    """Path costs of rays (…, N), from their costs and the path costs of the rays before them, both (…, N)."""
+    """Path costs of rays (…, N), from their costs and the path costs of the rays before them, both
+    (…, N)."""
     lowest = before.min(axis=-1, keepdims=True)
     ends = np.full_like(lowest, np.inf)  # sphere 0 has no neighbour below, sphere N - 1 none above
     below = np.concatenate([ends, before[..., :-1]], axis=-1)
@@ -39,7 +41,8 @@ check_step = Open(step, _a_step).with_slips("""
 
 
 def walk(costs, shift, p1, p2):
-    """Path costs (lines, rays, N): each line looks at the one before, rolled by `shift` rays around the seam."""
+    """Path costs (lines, rays, N): each line looks at the one before, rolled by `shift` rays around
+    the seam."""
     lines = [costs[0]]
     for cost in costs[1:]:
         before = np.roll(lines[-1], shift, axis=0)
@@ -56,19 +59,22 @@ check_walk = Open(walk, _some_lines).with_slips("""
     lines[-1] → costs[len(lines) - 1]  # look at the path costs, not at the costs
     shift, axis=0 → shift, axis=1  # roll the rays, axis 0, not the spheres
     shift, axis=0 → shift  # without an axis np.roll takes all numbers for one long row: axis=0
-    np.roll(lines[-1], shift, axis=0) → np.pad(lines[-1], ((1, 1), (0, 0)), "edge")[1 - shift :][: len(cost)]
+    np.roll(lines[-1], shift, axis=0)
+    → np.pad(lines[-1], ((1, 1), (0, 0)), "edge")[1 - shift :][: len(cost)]
     # the rays go around the seam: np.roll, with nothing kept
 """)
 
 
 def sum_of_paths(volume, p1, p2):
-    """Path costs (H, W, N) summed over eight paths through a cost volume (H, W, N), around the seam."""
+    """Path costs (H, W, N) summed over eight paths through a cost volume (H, W, N), around the
+    seam."""
     total = np.zeros_like(volume)
     for shift in (-1, 0, 1):
         total += walk(volume, shift, p1, p2)  # from above
         total += walk(volume[::-1], shift, p1, p2)[::-1]  # from below
     W = volume.shape[1]
-    around = np.concatenate([volume.swapaxes(0, 1)] * 3)  # columns as lines, three times around the panorama
+    # columns as lines, three times around the panorama
+    around = np.concatenate([volume.swapaxes(0, 1)] * 3)
     total += walk(around, 0, p1, p2)[-W:].swapaxes(0, 1)  # from the left, the last time around
     total += walk(around[::-1], 0, p1, p2)[-W:][::-1].swapaxes(0, 1)  # from the right
     return total
@@ -83,29 +89,36 @@ check_sum_of_paths = Open(sum_of_paths, _a_volume, real=beside.volume).with_slip
     # from below: reverse the lines, walk, reverse back
     [-W:][::-1] → [-W:]  # from the right: reverse the columns, walk, reverse back
     [-W:] → [:W]  # the rows begin at the seam: go around more than once, and keep the last time
-    walk(around → 0 * walk(around  # the paths along the rows are missing: from the left and from the right
+    walk(around → 0 * walk(around
+    # the paths along the rows are missing: from the left and from the right
     (-1, 0, 1) → (0,)  # that is four paths: the diagonals are missing, shifts -1 and 1
 """)
 
 
 def refined(costs):
-    """Index (H, W) of the cheapest sphere of each ray (H, W, N), with the offset of a parabola; whole at the ends."""
+    """Index (H, W) of the cheapest sphere of each ray (H, W, N), with the offset of a parabola;
+    whole at the ends."""
     n = costs.argmin(axis=-1)
     inner = np.clip(n, 1, costs.shape[-1] - 2)[..., None]
-    left, middle, right = (np.take_along_axis(costs, inner + k, axis=-1)[..., 0] for k in (-1, 0, 1))
+    left, middle, right = (
+        np.take_along_axis(costs, inner + k, axis=-1)[..., 0] for k in (-1, 0, 1)
+    )
     offset = (left - right) / (2 * (left - 2 * middle + right))
     return np.where(n == inner[..., 0], n + offset, n)
 
 
 def _some_costs(rng: Rng, k: int) -> tuple:
-    costs = rng.uniform(0.2, 1, (3, 4 + k % 3, 6 + k % 5)).astype(np.float32 if k % 2 else np.float64)
+    costs = rng.uniform(0.2, 1, (3, 4 + k % 3, 6 + k % 5)).astype(
+        np.float32 if k % 2 else np.float64
+    )
     costs[0, 0, 0] = costs[0, 1, -1] = 0.1  # the first sphere wins, and the last
     return (costs,)
 
 
 check_refined = Open(refined, _some_costs, real=beside.costs).with_slips("""
     n + offset, n) → n - offset, n)  # the sign: the vertex lies towards the cheaper neighbour
-    / (2 * (left - 2 * middle + right)) → / (left - 2 * middle + right)  # the 2 below the line is missing
+    / (2 * (left - 2 * middle + right)) → / (left - 2 * middle + right)
+    # the 2 below the line is missing
     np.where(n == inner[..., 0], n + offset, n) → n  # that is the cheapest sphere: add the offset
     n + offset, n) → offset, 0)  # that is the offset: add it to the cheapest sphere
     np.where(n == inner[..., 0], n + offset, n) → inner[..., 0] + offset
@@ -114,7 +127,8 @@ check_refined = Open(refined, _some_costs, real=beside.costs).with_slips("""
 
 
 def mean_error_of_the_rest(error, confidence, fractions):
-    """Mean error after the least confident of n rays are removed, int(fraction n) of them, for each fraction."""
+    """Mean error after the least confident of n rays are removed, int(fraction n) of them, for each
+    fraction."""
     known = np.isfinite(error) & np.isfinite(confidence)
     ranked = error[known][np.argsort(confidence[known])]  # the least confident first
     return np.array([ranked[int(fraction * len(ranked)) :].mean() for fraction in fractions])
@@ -129,9 +143,13 @@ def _errors(rng: Rng, k: int) -> tuple:
     return error, confidence, fractions
 
 
-check_mean_error_of_the_rest = Open(mean_error_of_the_rest, _errors, real=beside.confidences).with_slips("""
-    np.argsort(confidence[known]) → np.argsort(-error[known])  # that sorts by the error, which only an oracle knows
-    error[known][np.argsort(confidence[known])] → error[known]  # nothing is sorted: np.argsort(confidence)
+check_mean_error_of_the_rest = Open(
+    mean_error_of_the_rest, _errors, real=beside.confidences
+).with_slips("""
+    np.argsort(confidence[known]) → np.argsort(-error[known])
+    # that sorts by the error, which only an oracle knows
+    error[known][np.argsort(confidence[known])] → error[known]
+    # nothing is sorted: np.argsort(confidence)
     int(fraction * len(ranked)) : → : int(fraction * len(ranked))
     # those are the rays removed: return the rest's mean
     .mean() for → .sum() / len(ranked) for  # divide by the number of rays that remain

@@ -9,7 +9,8 @@ from course.exercises.opened import Open
 
 
 def metrics(index, gt_index, N):
-    """Five metrics: >1, >3, >5 in percent of the rays, MAE and RMS; an error of 100 without an estimate."""
+    """Five metrics: >1, >3, >5 in percent of the rays, MAE and RMS; an error of 100 without an
+    estimate."""
     known = np.isfinite(gt_index)
     e = 100 / N * np.abs(index - gt_index)[known]
     e = np.where(np.isnan(e), 100, e)
@@ -18,7 +19,8 @@ def metrics(index, gt_index, N):
 
 
 def _two_maps(rng: Rng, k: int) -> tuple:
-    N = 100 if k % 3 == 1 else int(rng.integers(8, 30)) * 4  # in 100 spheres some errors are exactly 1, 3 and 5
+    # in 100 spheres some errors are exactly 1, 3 and 5
+    N = 100 if k % 3 == 1 else int(rng.integers(8, 30)) * 4
     gt_index = rng.uniform(0, N - 1, (4, 9 + k % 4))
     index = gt_index + rng.normal(0.005 * N, 0.035 * N, gt_index.shape)
     gt_index[1, :3], index[1, :3] = N / 2, N / 2 + np.array([1, 3, 5]) * N / 100
@@ -30,7 +32,8 @@ def _two_maps(rng: Rng, k: int) -> tuple:
 check_metrics = Open(metrics, _two_maps).with_slips("""
     np.where(np.isnan(e), 100, e) → e[~np.isnan(e)]
     # a ray without an estimate is an error of 100; it is not left out
-    np.where(np.isnan(e), 100, e) → np.nan_to_num(e)  # a ray without an estimate is an error of 100, not of 0
+    np.where(np.isnan(e), 100, e) → np.nan_to_num(e)
+    # a ray without an estimate is an error of 100, not of 0
     [known] →  # a ray without ground truth is left out; it is no error of 100
     100 / N * →  # errors in percent of the N spheres: times 100 / N
     e > limit → e >= limit  # an error of exactly the limit is not above it
@@ -38,7 +41,8 @@ check_metrics = Open(metrics, _two_maps).with_slips("""
 
 
 def depth_regions(gt_index, N):
-    """Region (H, W) of each ray: 0 sky, then the thirds of the inverse depth: 1 far, 2 middle, 3 near; NaN unknown."""
+    """Region (H, W) of each ray: 0 sky, then the thirds of the inverse depth: 1 far, 2 middle, 3
+    near; NaN unknown."""
     fraction = gt_index / (N - 1)  # of the inverse depth of the nearest sphere
     region = np.sum([fraction > 0, fraction >= 1 / 3, fraction >= 2 / 3], axis=0)
     return np.where(np.isnan(gt_index), np.nan, region)
@@ -62,7 +66,8 @@ check_depth_regions = Open(depth_regions, _a_truth, real=beside.truth).with_slip
 
 
 def pooled(sums):
-    """Metrics (5,) of all rays together, from each frame's sums (frames, 6): rays, rays >1, >3, >5, Σ e, Σ e²."""
+    """Metrics (5,) of all rays together, from each frame's sums (frames, 6): rays, rays >1, >3, >5,
+    Σ e, Σ e²."""
     rays, *above, total, squares = sums.sum(axis=0)
     return np.array([*(100 * np.array(above) / rays), total / rays, np.sqrt(squares / rays)])
 
@@ -71,13 +76,17 @@ def _some_sums(rng: Rng, k: int) -> tuple:
     frames = 3 + k % 4
     rays, means = rng.integers(200, 2500, frames), rng.uniform(1, 5, frames)
     above = np.sort(rng.uniform(0, 0.6, (frames, 3)))[:, ::-1] * rays[:, None]
-    return (np.column_stack([rays, np.rint(above), rays * means, rays * means**2 * rng.uniform(1.5, 3, frames)]),)
+    return (
+        np.column_stack(
+            [rays, np.rint(above), rays * means, rays * means**2 * rng.uniform(1.5, 3, frames)]
+        ),
+    )
 
 
 check_pooled = Open(pooled, _some_sums).with_slips("""
     rays, *above, total, squares = sums.sum(axis=0) → rays, *above, total, squares = sums.T
-    return np.array([*(100 * np.array(above) / rays), total / rays, np.sqrt(squares / rays)])
-    → return np.array([*(100 * np.array(above) / rays), total / rays, np.sqrt(squares / rays)]).mean(axis=1)
+    np.array([*(100 * np.array(above) / rays), total / rays, np.sqrt(squares / rays)])
+    → np.mean([*(100 * np.array(above) / rays), total / rays, np.sqrt(squares / rays)], axis=1)
     # that is the mean over the frames: a frame with few rays counts too much
     sums.sum(axis=0) → sums.T  # those are the metrics of each frame: add up over the frames first
     np.sqrt(squares / rays) → np.mean(np.sqrt(sums[:, 5] / sums[:, 0]))
@@ -87,7 +96,8 @@ check_pooled = Open(pooled, _some_sums).with_slips("""
 
 
 def region_table(indices, truths, N):
-    """Metrics (5, 5) of all rays, the sky, far, middle and near ones, over all frames; indices, truths (frames, H, W)."""
+    """Metrics (5, 5) of all rays, the sky, far, middle and near ones, over all frames; indices,
+    truths (frames, H, W)."""
     table = []
     for region in (None, 0, 1, 2, 3):
         sums = []
@@ -95,7 +105,9 @@ def region_table(indices, truths, N):
             inside = np.isfinite(truth) if region is None else depth_regions(truth, N) == region
             e = 100 / N * np.abs(index - truth)[inside]
             e = np.where(np.isnan(e), 100, e)
-            sums.append([e.size, *(np.sum(e > limit) for limit in (1, 3, 5)), e.sum(), np.sum(e**2)])
+            sums.append(
+                [e.size, *(np.sum(e > limit) for limit in (1, 3, 5)), e.sum(), np.sum(e**2)]
+            )
         table.append(pooled(np.array(sums)))
     return np.array(table)
 
@@ -111,7 +123,8 @@ def _some_frames(rng: Rng, k: int) -> tuple:
 
 
 check_region_table = Open(region_table, _some_frames, whole=("indices", "truths")).with_slips("""
-    table.append(pooled(np.array(sums))) → table.append(np.mean([pooled(np.array([one])) for one in sums], axis=0))
+    table.append(pooled(np.array(sums)))
+    → table.append(np.mean([pooled(np.array([one])) for one in sums], axis=0))
     # that is the mean over the frames: a frame with few rays of a region counts too much. Pool the
     # sums
     np.where(np.isnan(e), 100, e) → e[~np.isnan(e)]
@@ -124,7 +137,8 @@ check_region_table = Open(region_table, _some_frames, whole=("indices", "truths"
 
 
 def interval(values, draws):
-    """Ends (2, …) of the middle 95 % of the mean of values (frames, …) over draws (draws, frames) of frame numbers."""
+    """Ends (2, …) of the middle 95 % of the mean of values (frames, …) over draws (draws, frames)
+    of frame numbers."""
     means = values[draws].mean(axis=1)
     return np.percentile(means, [2.5, 97.5], axis=0)
 
@@ -145,7 +159,8 @@ check_interval = Open(interval, _some_draws, whole=("values",)).with_slips("""
 
 
 def verdict(ours, paper):
-    """Verdicts (…) on ratios to ZNCC, ours and the paper's: 2 within 20 %, else 1 on the same side of 1, else 0."""
+    """Verdicts (…) on ratios to ZNCC, ours and the paper's: 2 within 20 %, else 1 on the same side
+    of 1, else 0."""
     near = np.abs(ours / paper - 1) <= 0.2
     same_side = (ours < 1) == (paper < 1)
     return np.where(near, 2, np.where(same_side, 1, 0))

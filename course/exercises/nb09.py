@@ -1,4 +1,4 @@
-"""Notebook 09: two clocks, how well images match, whose pairs are bad, how far a picture is shifted, how many spheres.
+"""Notebook 09: two clocks, how well images match, whose pairs are bad, shifts, how many spheres.
 
 And `envelopes`, the faults that the notebook asks for.
 """
@@ -15,7 +15,8 @@ from omnistereo_rigs.doctor import rig_check
 
 
 def clock_offset(times_a, times_b):
-    """Seconds by which clock b is ahead of clock a: the difference of two pictures' times on which most pairs agree."""
+    """Seconds by which clock b is ahead of clock a: the difference of two pictures' times on which
+    most pairs agree."""
     differences = (times_b[:, None] - times_a).ravel()
     agree = np.abs(differences - differences[:, None]) < 0.5  # s
     return differences[np.argmax(agree.sum(axis=1))]
@@ -36,12 +37,14 @@ check_clock_offset = Open(clock_offset, _two_cards, within=0.5).with_slips("""
     # the first pictures need not be of one moment: take the difference that most pairs have
     return times_b.mean() - times_a.mean()
     # each camera has pictures of its own: the means need not belong together
-    return np.median(times_b[:, None] - times_a)  # most pairs are of two moments: take the most frequent difference
+    return np.median(times_b[:, None] - times_a)
+    # most pairs are of two moments: take the most frequent difference
 """)
 
 
 def matching_cost(volume):
-    """Median over the rays of the lowest cost on any sphere, of costs (H, W, N); NaN where no pair sees a ray."""
+    """Median over the rays of the lowest cost on any sphere, of costs (H, W, N); NaN where no pair
+    sees a ray."""
     lowest = np.where(np.isnan(volume), np.inf, volume).min(axis=-1)
     return np.median(lowest[np.isfinite(lowest)])
 
@@ -63,7 +66,8 @@ check_matching_cost = Open(matching_cost, _a_volume).with_slips("""
 
 
 def suspect(costs, usual, pairs):
-    """Number of the camera whose pairs have all become worse: costs (pairs,), and those of a good day."""
+    """Number of the camera whose pairs have all become worse: costs (pairs,), and those of a good
+    day."""
     ratio = np.asarray(costs) / usual
     cameras = sorted({camera for pair in pairs for camera in pair})
     least = [min(ratio[k] for k, pair in enumerate(pairs) if camera in pair) for camera in cameras]
@@ -92,48 +96,62 @@ check_suspect = Open(suspect, _a_ring).with_slips("""
     # a dear pair rises by more without being worse: now over usual, a ratio
     min(ratio[k] for k, pair in enumerate(pairs) if camera in pair)
     → max(ratio[k] for k, pair in enumerate(pairs) if camera in pair)
-    # one bad pair accuses two cameras, by its maximum, its mean and its product: *all* pairs of the culprit are bad
+    # one bad pair accuses two cameras, by its maximum, its mean and its product: *all* pairs of the
+    # culprit are bad
 """)
 
 
 def shift_between(first, second):
-    """Columns and rows, (2,), by which the second picture (H, W) shows the same further right and down."""
+    """Columns and rows, (2,), by which the second picture (H, W) shows the same further right and
+    down."""
     H, W = first.shape
     fade = np.outer(np.hanning(H), np.hanning(W))  # the edges of a picture match nothing
     a, b = (np.fft.fft2(fade * (picture - picture.mean())) for picture in (first, second))
     cross = np.conj(a) * b
     peak = np.fft.ifft2(cross / np.maximum(np.abs(cross), 1e-12)).real
     row, column = np.unravel_index(np.argmax(peak), peak.shape)
-    return np.array([(column + W // 2) % W - W // 2, (row + H // 2) % H - H // 2])  # beyond half way: to the left, up
+    # beyond half way: to the left, up
+    return np.array([(column + W // 2) % W - W // 2, (row + H // 2) % H - H // 2])
 
 
 def _two_pictures(rng: Rng, k: int) -> tuple:
     H, W = 40 + 2 * k, 50 + 3 * (k % 4)
     picture = cv2.GaussianBlur(rng.uniform(0, 120, (H + 30, W + 30)), (0, 0), 1)
     column, row = [(4, -3), (-5, 0), (3, 6), (-2, -4)][k % 4]
-    both = picture[15 : 15 + H, 15 : 15 + W], picture[15 - row : 15 - row + H, 15 - column : 15 - column + W]
+    both = (
+        picture[15 : 15 + H, 15 : 15 + W],
+        picture[15 - row : 15 - row + H, 15 - column : 15 - column + W],
+    )
     lamp = 6 * np.hypot(*np.indices((H, W)))  # from one side, and it does not move
     first, second = (one + lamp + rng.normal(0, 1, (H, W)) for one in both)
     return first, second
 
 
 check_shift_between = Open(shift_between, _two_pictures, within=0.5).with_slips("""
-    np.array([(column + W // 2) % W - W // 2, (row + H // 2) % H - H // 2]) → np.array([column, row])
+    np.array([(column + W // 2) % W - W // 2, (row + H // 2) % H - H // 2])
+    → np.array([column, row])
     # the spectrum goes around: a place beyond half way is a shift to the left, or up
     cross / np.maximum(np.abs(cross), 1e-12) → cross
-    # divide by the absolute value, so that each frequency counts alike: else what is broad and bright decides
+    # divide by the absolute value, so that each frequency counts alike: else what is broad and
+    # bright decides
     return np.zeros(2)  # 0 in all: a picture's own mean, or its edge, matches best. Subtract it
 """)
 
 
 def spheres_needed(baseline, nearest, width, pixels):
-    """Fewest spheres with which a match moves by at most so many panorama pixels from one to the next; an integer."""
+    """Fewest spheres with which a match moves by at most so many panorama pixels from one to the
+    next; an integer."""
     parallax = baseline / nearest * width / (2 * np.pi)  # px, from infinity to the nearest sphere
     return int(np.ceil(parallax / pixels)) + 1  # one more than there are steps
 
 
 def _a_plan(rng: Rng, k: int) -> tuple:
-    return rng.uniform(0.1, 0.9), rng.uniform(0.4, 2), int(rng.integers(300, 1300)), rng.uniform(0.2, 0.9)
+    return (
+        rng.uniform(0.1, 0.9),
+        rng.uniform(0.4, 2),
+        int(rng.integers(300, 1300)),
+        rng.uniform(0.2, 0.9),
+    )
 
 
 check_spheres_needed = Open(spheres_needed, _a_plan).with_slips("""
@@ -145,11 +163,12 @@ check_spheres_needed = Open(spheres_needed, _a_plan).with_slips("""
 """)
 
 
-# --- What is in the envelopes ---------------------------------------------------------------------------------
+# --- What is in the envelopes
 
 
 def envelopes(rig: osl.Rig, images: list, later: list) -> dict[str, tuple[osl.Rig, list]]:
-    """Return five rigs with their images, each spoiled in one way; `later` are the images of another moment."""
+    """Return five rigs with their images, each spoiled in one way; `later` are the images of
+    another moment."""
     return {
         "A": (rig_check.invert_poses(rig), images),
         "B": (rig_check.rotate_camera(rig, 2, [0, 0, np.radians(5)]), images),

@@ -1,4 +1,5 @@
-"""Notebook 10: a ray caster (a box, a checker, light and shadow), depth along a ray from z, solid angles of pixels."""
+"""Notebook 10: a ray caster (a box, a checker, light and shadow), depth along a ray from z, solid
+angles of pixels."""
 
 import numpy as np
 
@@ -8,10 +9,12 @@ from course.exercises.opened import Open
 
 
 def hit_box(origins, rays, low, high):
-    """Distances (…) along rays (…, 3) from points (…, 3) or (3,) to a box between two corners (3,); inf for a miss."""
+    """Distances (…) along rays (…, 3) from points (…, 3) or (3,) to a box between two corners (3,);
+    inf for a miss."""
     with np.errstate(divide="ignore"):  # a ray along a face never meets its plane
         to_low, to_high = (low - origins) / rays, (high - origins) / rays
-    enters = np.minimum(to_low, to_high).max(axis=-1)  # inside once it is between all three pairs of planes
+    # inside once it is between all three pairs of planes
+    enters = np.minimum(to_low, to_high).max(axis=-1)
     leaves = np.maximum(to_low, to_high).min(axis=-1)  # outside once it has left one of them
     ahead = np.where(enters > 0, enters, leaves)  # from inside, only the way out lies ahead
     return np.where((enters <= leaves) & (leaves > 0), ahead, np.inf)
@@ -36,16 +39,19 @@ check_hit_box = Open(hit_box, _rays_and_box).with_slips("""
     np.minimum(to_low, to_high) → to_low
     np.maximum(to_low, to_high) → to_high
     # a ray that runs backwards along an axis meets `high` first: sort each pair of planes
-    to_high).max(axis=-1) → to_high).min(axis=-1)  # it is inside after the last of three entries: max
+    to_high).max(axis=-1) → to_high).min(axis=-1)
+    # it is inside after the last of three entries: max
     np.maximum(to_low, to_high).min → np.maximum(to_low, to_high).max
     # it is outside after the first of three exits: min
     & (leaves > 0) →  # a box behind the origin is not seen: it must leave ahead, at more than 0
-    np.where(enters > 0, enters, leaves) → enters  # from inside, the entry lies behind: take the exit
+    np.where(enters > 0, enters, leaves) → enters
+    # from inside, the entry lies behind: take the exit
 """)
 
 
 def checker(points, size):
-    """Gray values (…), 0.8 and 0.2, at points (…, 3): space in cubes of `size` metres, neighbours of different gray."""
+    """Gray values (…), 0.8 and 0.2, at points (…, 3): space in cubes of `size` metres, neighbours
+    of different gray."""
     number = np.floor(points / size).sum(axis=-1)  # floor also rounds down below 0
     return np.where(number % 2 == 0, 0.8, 0.2)  # the cube at the origin is bright
 
@@ -55,7 +61,8 @@ def _some_points(rng: Rng, k: int) -> tuple:
 
 
 check_checker = Open(checker, _some_points).with_slips("""
-    np.floor(points / size) → (points / size).astype(int)  # int rounds towards 0, so two cubes meet there: floor
+    np.floor(points / size) → (points / size).astype(int)
+    # int rounds towards 0, so two cubes meet there: floor
     np.floor( → np.rint(  # the cubes begin at 0: floor, not round
     np.floor(points / size).sum(axis=-1) → np.floor((points / size).sum(axis=-1))
     # floor each coordinate first, then add
@@ -64,7 +71,8 @@ check_checker = Open(checker, _some_points).with_slips("""
 
 
 def light(points, normals, to_sun, boxes):
-    """Light (…), 0.4 from the sky and up to 0.8 from the sun, on points and unit normals (…, 3); boxes (n, 2, 3)."""
+    """Light (…), 0.4 from the sky and up to 0.8 from the sun, on points and unit normals (…, 3);
+    boxes (n, 2, 3)."""
     slope = np.maximum(normals @ to_sun, 0)  # Lambert: the cosine, and nothing from behind
     above = points + 1e-6 * normals  # so that a face does not shade itself
     free = np.isinf(np.min([hit_box(above, to_sun, *box) for box in boxes], axis=0))
@@ -76,13 +84,17 @@ def _points_on_boxes(rng: Rng, k: int) -> tuple:
     boxes = np.stack([low, low + rng.uniform(0.5, 2.5, (4, 3))], axis=1)
     boxes[0] = (-9, 2.5, -9), (9, 3, 9)  # the ground, y is down
     number, axis, side = rng.integers([[4], [3], [2]], size=(3, 40 + k))
-    points = boxes[number, 0] + rng.uniform(0.05, 0.95, (40 + k, 3)) * np.diff(boxes, axis=1)[number, 0]
+    points = (
+        boxes[number, 0] + rng.uniform(0.05, 0.95, (40 + k, 3)) * np.diff(boxes, axis=1)[number, 0]
+    )
     points[range(40 + k), axis] = boxes[number, side, axis]
     normals = np.eye(3)[axis] * (2 * side - 1)[:, None]
     points -= 1e-12 * normals  # where rounding may put them
     ground = np.tile([0.0, -1, 0], (12, 1))
     slanting = rng.normal(0, 1, (8, 3))  # of other shapes, in the air
-    normals = np.concatenate([normals, ground, slanting / np.linalg.norm(slanting, axis=1, keepdims=True)])
+    normals = np.concatenate(
+        [normals, ground, slanting / np.linalg.norm(slanting, axis=1, keepdims=True)]
+    )
     points = np.concatenate([points, rng.uniform(-4, 4, (20, 3)) * [1, 0, 1] + [0, 2.5, 0]])
     points[-8:, 1] = -4
     to_sun = np.array([rng.uniform(-0.7, 0.7), -1, rng.uniform(-0.7, 0.7)])
@@ -90,14 +102,17 @@ def _points_on_boxes(rng: Rng, k: int) -> tuple:
 
 
 check_light = Open(light, _points_on_boxes).with_slips("""
-    np.maximum(normals @ to_sun, 0) → normals @ to_sun  # a face turned away gets no sun, and not less: maximum
+    np.maximum(normals @ to_sun, 0) → normals @ to_sun
+    # a face turned away gets no sun, and not less: maximum
     0.4 + 0.8 * slope * free → (0.4 + 0.8 * slope) * free  # a shadow is not black: the sky stays
-    points + 1e-6 * normals → points  # a face may shade itself: start a millionth of a metre above it
+    points + 1e-6 * normals → points
+    # a face may shade itself: start a millionth of a metre above it
 """)
 
 
 def look(origin, rays, boxes, to_sun, paint):
-    """Gray values (…) along rays (…, 3) from a point: paint(points) times the light; 0.9 in the sky."""
+    """Gray values (…) along rays (…, 3) from a point: paint(points) times the light; 0.9 in the
+    sky."""
     distances = np.stack([hit_box(origin, rays, *box) for box in boxes])
     distance, number = distances.min(axis=0), distances.argmin(axis=0)
     hit = np.isfinite(distance)
@@ -142,7 +157,8 @@ check_look = Open(look, _a_view, whole=("origin", "boxes", "to_sun")).with_slips
 
 
 def distances_from_z(z, rays):
-    """Distances (…) along rays (…, 3) of any length, from depths z (…) along the axis, which is the z of the rays."""
+    """Distances (…) along rays (…, 3) of any length, from depths z (…) along the axis, which is the
+    z of the rays."""
     return z * np.linalg.norm(rays, axis=-1) / rays[..., 2]
 
 
@@ -153,15 +169,18 @@ def _depths(rng: Rng, k: int) -> tuple:
 
 
 check_distances_from_z = Open(distances_from_z, _depths).with_slips("""
-    return z / np.linalg.norm(rays, axis=-1) * rays[..., 2]  # the wrong way round: the ray is longer than its z
+    return z / np.linalg.norm(rays, axis=-1) * rays[..., 2]
+    # the wrong way round: the ray is longer than its z
     / rays[..., 2] →  # the rays do not end at z = 1: divide by their z
-    * np.linalg.norm(rays, axis=-1) →  # that many rays long it is: times the ray's length gives metres
+    * np.linalg.norm(rays, axis=-1) →
+    # that many rays long it is: times the ray's length gives metres
     norm(rays, axis=-1) → norm(rays)  # one length for each ray: axis=-1
 """)
 
 
 def solid_angles(width, height, phi_deg):
-    """Solid angles (height, width) in steradians of the pixels of a panorama with edges at elevations phi_deg."""
+    """Solid angles (height, width) in steradians of the pixels of a panorama with edges at
+    elevations phi_deg."""
     low, high = np.radians(phi_deg)
     edges = np.linspace(low, high, height + 1)  # of the rows
     bands = 2 * np.pi * np.diff(np.sin(edges))  # the area of the unit sphere between two elevations
@@ -169,7 +188,11 @@ def solid_angles(width, height, phi_deg):
 
 
 def _a_panorama(rng: Rng, k: int) -> tuple:
-    return int(rng.integers(5, 12)), int(rng.integers(3, 8)), (float(rng.uniform(-85, -20)), float(rng.uniform(10, 70)))
+    return (
+        int(rng.integers(5, 12)),
+        int(rng.integers(3, 8)),
+        (float(rng.uniform(-85, -20)), float(rng.uniform(10, 70))),
+    )
 
 
 check_solid_angles = Open(solid_angles, _a_panorama).with_slips("""
@@ -183,9 +206,11 @@ check_solid_angles = Open(solid_angles, _a_panorama).with_slips("""
 
 
 def behind(center, points, inverse_depth, phi_deg, t):
-    """How far lines of sight get behind surfaces (…): the largest ratio of a place's distance from the rig to the depth
-    of the surface in its direction, at the fractions t (steps,) of the way from a camera (3,) to points (…, 3)."""
-    H, W = inverse_depth.shape  # of the surface, 1/m, by a panorama whose rows go from phi_deg[0] to phi_deg[1]
+    """How far lines of sight get behind surfaces (…): the largest ratio of a place's distance from
+    the rig to the depth of the surface in its direction, at the fractions t (steps,) of the way
+    from a camera (3,) to points (…, 3)."""
+    # of the surface, 1/m, by a panorama whose rows go from phi_deg[0] to phi_deg[1]
+    H, W = inverse_depth.shape
     places = center + np.multiply.outer(t, points - center)  # (steps, …, 3)
     x, y, z = np.moveaxis(places, -1, 0)
     theta, phi = np.arctan2(x, z), np.degrees(np.arctan2(y, np.hypot(x, z)))

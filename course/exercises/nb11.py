@@ -1,4 +1,5 @@
-"""Notebook 11: a panorama without seams, the two best views of a ray, a choice among methods, a mesh."""
+"""Notebook 11: a panorama without seams, the two best views of a ray, a choice among methods, a
+mesh."""
 
 import numpy as np
 
@@ -7,7 +8,8 @@ from course.exercises.opened import Open
 
 
 def blend(images, angles, half_fov):
-    """Mean (H, W, 3) of images (cameras, H, W, 3), weighted by how far inside its view each camera sees the ray."""
+    """Mean (H, W, 3) of images (cameras, H, W, 3), weighted by how far inside its view each camera
+    sees the ray."""
     seen = np.isfinite(images[..., 0])
     weights = np.where(seen, half_fov - angles, 0)[..., None]
     with np.errstate(invalid="ignore"):  # nobody sees the ray: 0/0 is NaN
@@ -15,9 +17,17 @@ def blend(images, angles, half_fov):
 
 
 def _some_views(rng: Rng, k: int) -> tuple:
-    images, angles = rng.uniform(0, 255, (4, 3, 6 + k % 3, 3)), rng.uniform(0.1, 1.8, (4, 3, 6 + k % 3))
+    images, angles = (
+        rng.uniform(0, 255, (4, 3, 6 + k % 3, 3)),
+        rng.uniform(0.1, 1.8, (4, 3, 6 + k % 3)),
+    )
     images[rng.uniform(0, 1, angles.shape) < 0.3] = np.nan
-    images[:, 0, 0], images[1:, 0, 1], images[0, 0, 1] = np.nan, np.nan, 90  # rays that no camera sees, and one does
+    # rays that no camera sees, and one does
+    images[:, 0, 0], images[1:, 0, 1], images[0, 0, 1] = (
+        np.nan,
+        np.nan,
+        90,
+    )
     return images, angles, 1.9
 
 
@@ -30,7 +40,8 @@ check_blend = Open(blend, _some_views).with_slips("""
 
 
 def two_best(samples, angles):
-    """Gray values (2, H, W) of the two cameras that see a ray nearest their axes, in camera order; NaN if unseen."""
+    """Gray values (2, H, W) of the two cameras that see a ray nearest their axes, in camera order;
+    NaN if unseen."""
     angles = np.where(np.isnan(samples), np.inf, angles)
     best = np.sort(np.argsort(angles, axis=0)[:2], axis=0)
     return np.take_along_axis(samples, best, axis=0)
@@ -45,11 +56,14 @@ def _some_samples(rng: Rng, k: int) -> tuple:
 
 check_two_best = Open(two_best, _some_samples).with_slips("""
     np.sort(np.argsort(angles, axis=0)[:2], axis=0) → np.argsort(angles, axis=0)[:2]
-    # in camera order: sort their numbers, or a window mixes two cameras where the nearer one changes
+    # in camera order: sort their numbers, or a window mixes two cameras where the nearer one
+    # changes
     angles = np.where(np.isnan(samples), np.inf, angles) →
     # a camera that does not see the ray is NaN, however small its angle: leave it out
-    axis=0)[:2] → axis=0)[-2:]  # the two smallest angles are the nearest; unseen, with infinity, comes last
-    np.take_along_axis(samples, best, axis=0) → best  # those are the cameras' numbers: look their gray values up
+    axis=0)[:2] → axis=0)[-2:]
+    # the two smallest angles are the nearest; unseen, with infinity, comes last
+    np.take_along_axis(samples, best, axis=0) → best
+    # those are the cameras' numbers: look their gray values up
     return np.take_along_axis(samples, best, axis=0)
     → return np.sort(np.take_along_axis(samples, best, axis=0), axis=0)
     # sort the numbers of the cameras, not their gray values
@@ -57,13 +71,17 @@ check_two_best = Open(two_best, _some_samples).with_slips("""
 
 
 def pick(index, score):
-    """Index (H, W) of the method with the highest score at each ray, of (methods, H, W); a score of NaN never wins."""
+    """Index (H, W) of the method with the highest score at each ray, of (methods, H, W); a score of
+    NaN never wins."""
     best = np.argmax(np.where(np.isnan(score), -np.inf, score), axis=0)
     return np.take_along_axis(index, best[None], axis=0)[0]
 
 
 def _some_methods(rng: Rng, k: int) -> tuple:
-    index, score = rng.uniform(0, 95, (2 + k % 3, 4, 6 + k % 4)), rng.uniform(-1, 1, (2 + k % 3, 4, 6 + k % 4))
+    index, score = (
+        rng.uniform(0, 95, (2 + k % 3, 4, 6 + k % 4)),
+        rng.uniform(-1, 1, (2 + k % 3, 4, 6 + k % 4)),
+    )
     score[0, :2, 0], score[-1, 1, 2:4] = np.nan, np.nan
     return index, score
 
@@ -71,13 +89,15 @@ def _some_methods(rng: Rng, k: int) -> tuple:
 check_pick = Open(pick, _some_methods).with_slips("""
     np.where(np.isnan(score), -np.inf, score) → score
     # for np.argmax NaN is the largest number of all: put -inf in its place
-    np.take_along_axis(index, best[None], axis=0)[0] → best  # that is the method's number: look up its index there
+    np.take_along_axis(index, best[None], axis=0)[0] → best
+    # that is the method's number: look up its index there
     return np.nanmax(score, axis=0)  # that is the score: return the index that belongs to it
 """)
 
 
 def quads(depth, limit):
-    """Corners (M, 4) of cells, row · W + column, from the upper left down and around; depth ratio at most 1 + limit."""
+    """Corners (M, 4) of cells, row · W + column, from the upper left down and around; depth ratio
+    at most 1 + limit."""
     H, W = depth.shape
     number = np.arange(H * W).reshape(H, W)
     right = np.roll(number, -1, axis=1)  # the last column's neighbour is the first
@@ -104,11 +124,13 @@ def _sorted_cells(cells):
 check_quads = Open(quads, _a_depth, order=_sorted_cells).with_slips("""
     right = np.roll(number, -1, axis=1) → number, right = number[:, :-1], number[:, 1:]
     # around the seam the last column has a neighbour, the first
-    corners[at_corners.max(axis=-1) <= (1 + limit) * at_corners.min(axis=-1)] → corners.reshape(-1, 4)
+    corners[at_corners.max(axis=-1) <= (1 + limit) * at_corners.min(axis=-1)]
+    → corners.reshape(-1, 4)
     # cells across an edge in depth are no surface: compare the corners
     <= (1 + limit) * at_corners.min(axis=-1) → - at_corners.min(axis=-1) <= limit
     # a limit on the ratio of depths, not on their difference in metres
     number[:-1], number[1:], right[1:], right[:-1] → number[:-1], right[:-1], right[1:], number[1:]
     # anticlockwise, as seen from the rig: lower left comes after upper left
-    right[1:], right[:-1] → right[:-1], right[1:]  # around the cell, not crosswise: lower right after lower left
+    right[1:], right[:-1] → right[:-1], right[1:]
+    # around the cell, not crosswise: lower right after lower left
 """)

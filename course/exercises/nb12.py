@@ -1,4 +1,5 @@
-"""Notebook 12: the correlation of all cameras, a volume doubled, its loss, the read-out, and a table of reliability."""
+"""Notebook 12: the correlation of all cameras, a volume doubled, its loss, the read-out, and a
+table of reliability."""
 
 import numpy as np
 import torch
@@ -10,7 +11,8 @@ from omnistereo_lib.stereo.volumenet import wrap
 
 
 def correlation(f):
-    """Mean product (…, 8) over all pairs of cameras that see a cell, of features (cameras, …, 32); NaN: not seen."""
+    """Mean product (…, 8) over all pairs of cameras that see a cell, of features (cameras, …, 32);
+    NaN: not seen."""
     k = (~f[..., :1].isnan()).sum(0)  # cameras that see the cell, (…, 1)
     f = f.nan_to_num()
     products = f.sum(0) ** 2 - (f**2).sum(0)  # all pairs i ≠ j, (…, 32); 0 where k < 2
@@ -33,7 +35,8 @@ check_correlation = Open(correlation, _some_cells).with_slips("""
 
 
 def double(x):
-    """Double columns, rows and spheres of a volume (B, C, W, H, N), interpolated between cells, around the seam too."""
+    """Double columns, rows and spheres of a volume (B, C, W, H, N), interpolated between cells,
+    around the seam too."""
     wider = wrap(x)  # (B, C, W + 2, H, N)
     return interpolate(wider, scale_factor=2, mode="trilinear")[:, :, 2:-2]
 
@@ -55,7 +58,8 @@ check_double = Open(double, _a_volume).with_slips("""
 
 
 def cross_entropy(scores, index):
-    """Mean cross-entropy of scores (rays, N) with true indices (rays,), each divided between the spheres next to it."""
+    """Mean cross-entropy of scores (rays, N) with true indices (rays,), each divided between the
+    spheres next to it."""
     log_p = scores.log_softmax(-1)
     lower = index.floor().clamp(max=scores.shape[-1] - 2).long()
     share = index - lower  # of the sphere above
@@ -71,7 +75,8 @@ def _some_scores(rng: Rng, k: int) -> tuple:
 
 
 check_cross_entropy = Open(cross_entropy, _some_scores).with_slips("""
-    share = index - lower → share = 1 - index + lower  # the nearer sphere gets the larger share: they are swapped
+    share = index - lower → share = 1 - index + lower
+    # the nearer sphere gets the larger share: they are swapped
     scores.log_softmax(-1) → scores.softmax(-1)  # the logarithm is missing: log_softmax
     scores.log_softmax(-1) → scores
     # the scores are not logarithms of probabilities yet: log_softmax over the spheres
@@ -80,7 +85,8 @@ check_cross_entropy = Open(cross_entropy, _some_scores).with_slips("""
 
 
 def read_out(p, radius):
-    """Sphere index (…) of probabilities (…, N): their mean over the best sphere and `radius` on either side."""
+    """Sphere index (…) of probabilities (…, N): their mean over the best sphere and `radius` on
+    either side."""
     n = torch.arange(p.shape[-1])
     best = p.argmax(-1, keepdim=True)
     near = p * ((n - best).abs() <= radius)  # fewer at the ends
@@ -90,7 +96,9 @@ def read_out(p, radius):
 def _some_rays(rng: Rng, k: int) -> tuple:
     N = 14 + k % 5
     p = rng.uniform(0.2, 1, (2, 4 + k % 3, N))
-    for place, best in zip(np.ndindex(p.shape[:2]), [1, N - 2, *rng.integers(5, N - 5, 20)], strict=False):
+    for place, best in zip(
+        np.ndindex(p.shape[:2]), [1, N - 2, *rng.integers(5, N - 5, 20)], strict=False
+    ):
         p[place][best] = 1.5
     p /= p.sum(-1, keepdims=True)
     return torch.from_numpy(p[0, 0] if k == 9 else p), N if k == 8 else 1 + k % 3
@@ -106,7 +114,8 @@ check_read_out = Open(read_out, _some_rays).with_slips("""
 
 
 def reliability(confidence, right, edges):
-    """For each bin between edges (bins + 1,): rays, mean confidence, share right, its standard error, (bins, 4).
+    """For each bin between edges (bins + 1,): rays, mean confidence, share right, its standard
+    error, (bins, 4).
 
     confidence: in [0, 1]; right: True or False; both of any shape. NaN where a bin has no ray.
     """
@@ -137,7 +146,8 @@ check_reliability = Open(reliability, _some_judgements, whole=("confidence", "ri
     """
     inside |= confidence == high → pass
     # a ray of confidence 1 is in no bin: the last bin holds its end
-    inside = (confidence >= low) & (confidence < high) → inside = (confidence > low) & (confidence <= high)
+    inside = (confidence >= low) & (confidence < high)
+    → inside = (confidence > low) & (confidence <= high)
     # a confidence on an edge belongs to the bin above it
     np.mean(confidence[inside]) → (low + high) / 2
     # the mean confidence of the rays in the bin, not its middle

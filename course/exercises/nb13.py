@@ -38,11 +38,13 @@ def _in_camera(rng: Rng, k: int) -> tuple:
 
 
 check_project = Open(project, _in_camera).with_slips("""
-    np.arctan2(-z, across) → np.arctan2(z, across)  # t is the angle below the xy-plane: arctan2(-z, …)
+    np.arctan2(-z, across) → np.arctan2(z, across)
+    # t is the angle below the xy-plane: arctan2(-z, …)
     camera.inv_poly[::-1] → camera.inv_poly  # np.polyval wants the highest power first
     x + e * y + camera.center[0], d * x + c * y → c * x + d * y + camera.center[0], e * x + y
     # u goes with x and v with y: u = x + e y, v = d x + c y
-    camera.center[0], d * x + c * y + camera.center[1] → camera.center[1], d * x + c * y + camera.center[0]
+    camera.center[0], d * x + c * y + camera.center[1]
+    → camera.center[1], d * x + c * y + camera.center[0]
     # the centre is (u, v): its parts are swapped
     inside & (t <= np.radians(camera.max_fov_deg / 2 - 90)) → inside
     # a point outside the field of view has no pixel: t is at most half of it, less 90°
@@ -50,7 +52,8 @@ check_project = Open(project, _in_camera).with_slips("""
 
 
 def warp(image, camera, pose, points):
-    """Gray values (…) of an image at points (…, 3) of the rig frame; NaN where the camera does not see them (Eq. 1)."""
+    """Gray values (…) of an image at points (…, 3) of the rig frame; NaN where the camera does not
+    see them (Eq. 1)."""
     in_camera = (points - pose.t) @ pose.R  # the way back from p = R q + t, for points in rows
     return look_up(image, project(camera, in_camera))
 
@@ -65,19 +68,26 @@ def _a_view(rng: Rng, k: int) -> tuple:
 
 check_warp = Open(warp, _a_view, whole=("image",), real=beside.view).with_slips("""
     @ pose.R → @ pose.R.T  # the rotation is not undone: points in rows times R, not Rᵀ
-    (points - pose.t) @ pose.R → points @ pose.R - pose.t  # first subtract t, then rotate: (p - t) R
+    (points - pose.t) @ pose.R → points @ pose.R - pose.t
+    # first subtract t, then rotate: (p - t) R
     points - pose.t → points  # the translation is missing: (p - t) R
-    (points - pose.t) @ pose.R → points  # the points are in the rig frame: take them to the camera's first
+    (points - pose.t) @ pose.R → points
+    # the points are in the rig frame: take them to the camera's first
 """)
 
 
 def cost_volume(spheres, radius):
-    """Costs (H, W, N) of warped images (cameras, N, H, W): the mean over the ring of neighbouring cameras (Eq. 2)."""
+    """Costs (H, W, N) of warped images (cameras, N, H, W): the mean over the ring of neighbouring
+    cameras (Eq. 2)."""
     layers = []
     for warped in spheres.swapaxes(0, 1):
         neighbours = np.roll(warped, -1, axis=0)
         layers.append(
-            mean_of_pairs(np.stack([zncc_costs(a, b, radius) for a, b in zip(warped, neighbours, strict=True)]))
+            mean_of_pairs(
+                np.stack(
+                    [zncc_costs(a, b, radius) for a, b in zip(warped, neighbours, strict=True)]
+                )
+            )
         )
     return np.stack(layers, axis=-1)
 
@@ -95,15 +105,19 @@ check_cost_volume = Open(cost_volume, _spheres).with_slips("""
     # the ring closes: the last camera and the first are a pair
     mean_of_pairs( → (lambda costs: np.nan_to_num(costs).mean(axis=0))(
     # divide by the number of pairs that see the ray
-    mean_of_pairs( → (lambda costs: np.nansum(costs, axis=0))(  # that is the sum over the pairs: take the mean
+    mean_of_pairs( → (lambda costs: np.nansum(costs, axis=0))(
+    # that is the sum over the pairs: take the mean
     zncc_costs(a, b, radius) → zncc_costs(a, b, 4)  # the radius is an argument: do not write 4
 """)
 
 
 def points_of_depth(depth, theta, phi):
-    """Points (H, W, 3) in metres, rig frame, of a depth panorama (H, W); angles (W,) and (H,) in radians."""
+    """Points (H, W, 3) in metres, rig frame, of a depth panorama (H, W); angles (W,) and (H,) in
+    radians."""
     theta, phi = np.meshgrid(theta, phi)
-    rays = np.stack([np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta)], axis=-1)
+    rays = np.stack(
+        [np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta)], axis=-1
+    )
     return depth[..., None] * rays
 
 
@@ -113,7 +127,9 @@ def _a_depth(rng: Rng, k: int) -> tuple:
 
 
 check_points_of_depth = Open(points_of_depth, _a_depth).with_slips("""
-    np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta) → np.sin(theta), np.sin(phi), np.cos(theta)
+    np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta)
+    → np.sin(theta), np.sin(phi), np.cos(theta)
     # x and z shrink with cos φ, or the ray has not length 1
-    depth[..., None] * rays → depth[..., None] * rays / rays[..., 2:]  # depth is along the ray, not z
+    depth[..., None] * rays → depth[..., None] * rays / rays[..., 2:]
+    # depth is along the ray, not z
 """)

@@ -1,4 +1,4 @@
-"""Notebook 14: rays and epipolar planes, the eight-point method, points, which of four poses, weights, and who moved.
+"""Notebook 14: epipolar planes, eight points, RANSAC, points, which pose, weights, and who moved.
 
 And `before_the_knock`, the rig file of which the notebook asks what has become wrong.
 """
@@ -13,7 +13,8 @@ from omnistereo_rigs.images.relative_pose import decompositions
 
 
 def epipolar_residual(x, y, T_21):
-    """Angles (M,) in degrees of rays y (M, 3), camera 2, out of the epipolar planes of rays x (M, 3), camera 1."""
+    """Angles (M,) in degrees of rays y (M, 3), camera 2, out of the epipolar planes of rays x (M,
+    3), camera 1."""
     normals = np.cross(T_21.t, x @ T_21.R.T)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return np.degrees(np.arcsin(np.sum(normals * y, axis=1)))
@@ -47,7 +48,8 @@ check_epipolar_residual = Open(epipolar_residual, _some_rays).with_slips("""
 
 
 def eight_point(x, y, weights):
-    """Essential matrix (3, 3) of pairs of rays x, y (M, 3) with weights (M,); its entry largest in size is positive."""
+    """Essential matrix (3, 3) of pairs of rays x, y (M, 3) with weights (M,); its entry largest in
+    size is positive."""
     equations = (y[:, :, None] * x[:, None, :]).reshape(-1, 9)
     E = np.linalg.svd(np.sqrt(weights)[:, None] * equations)[2][-1].reshape(3, 3)
     U, _, Vt = np.linalg.svd(E)
@@ -68,7 +70,8 @@ check_eight_point = Open(eight_point, _some_pairs, whole=("x", "y", "weights")).
     np.sqrt(weights) → weights  # a row is squared in the sum: multiply it by the root of its weight
     np.linalg.svd(np.sqrt(weights)[:, None] * equations)
     → np.linalg.svd(np.sqrt(weights)[:, None] * equations, full_matrices=False)
-    # eight pairs have a ninth right singular vector, the solution, and full_matrices=False leaves it out
+    # eight pairs have a ninth right singular vector, the solution, and full_matrices=False leaves
+    # it out
 """)
 
 
@@ -114,7 +117,8 @@ check_ransac = Open(ransac, _some_matches, whole=("x", "y", "samples")).with_sli
 
 
 def triangulate(x, y, T_21):
-    """Points (M, 4) where rays x and y meet, camera 1's frame: unit direction u, to the side of x, and 1/distance."""
+    """Points (M, 4) where rays x and y meet, camera 1's frame: unit direction u, to the side of x,
+    and 1/distance."""
     T_12 = T_21.inverse()
     rows = []
     for v, c in ((x, np.zeros(3)), (y @ T_12.R.T, T_12.t)):
@@ -135,7 +139,8 @@ def _some_sights(rng: Rng, k: int) -> tuple:
 
 check_triangulate = Open(triangulate, _some_sights).with_slips("""
     [:, :, 0] → [:, 0]  # the eigenvectors are the columns: [:, :, 0]
-    [:, :, 0] → [:, :, -1]  # np.linalg.eigh sorts from small to large, and the sum of squares is to be small: the first
+    [:, :, 0] → [:, :, -1]
+    # np.linalg.eigh sorts from small to large, and the sum of squares is to be small: the first
     T_12.t → T_21.t  # in camera 1's frame camera 2 is at T_21.inverse().t
     y @ T_12.R.T → y  # y is in camera 2's frame: rotate it into camera 1's
     points *= np.sign(np.sum(points[:, :3] * x, axis=1, keepdims=True)) →
@@ -144,7 +149,8 @@ check_triangulate = Open(triangulate, _some_sights).with_slips("""
 
 
 def share_ahead(poses, x, y):
-    """Shares (poses,) of pairs of rays x, y (M, 3) that meet ahead of both cameras, for each pose T_21 of a list."""
+    """Shares (poses,) of pairs of rays x, y (M, 3) that meet ahead of both cameras, for each pose
+    T_21 of a list."""
     shares = []
     for T_21 in poses:
         points = triangulate(x, y, T_21)
@@ -161,7 +167,8 @@ def _some_poses(rng: Rng, k: int) -> tuple:
 
 
 check_share_ahead = Open(share_ahead, _some_poses).with_slips("""
-    & (np.sum(from_2 * y, axis=1) > 0) →  # ahead of camera 2, too: y against the point in camera 2's frame
+    & (np.sum(from_2 * y, axis=1) > 0) →
+    # ahead of camera 2, too: y against the point in camera 2's frame
     (points[:, 3] > 0) & →  # ahead of camera 1, too: 1/distance > 0, since u is to the side of x
     (points[:, 3] > 0) → (points[:, 2] * points[:, 3] > 0)
     np.sum(from_2 * y, axis=1) > 0 → from_2[:, 2] * points[:, 3] > 0
@@ -170,7 +177,8 @@ check_share_ahead = Open(share_ahead, _some_poses).with_slips("""
 
 
 def robust_weight(residuals, scale):
-    """Weights (…) of Geman and McClure: 1 for a residual of 0, a quarter at the scale, and soon next to nothing."""
+    """Weights (…) of Geman and McClure: 1 for a residual of 0, a quarter at the scale, and soon
+    next to nothing."""
     return (1 + (residuals / scale) ** 2) ** -2
 
 
@@ -179,16 +187,22 @@ def _some_residuals(rng: Rng, k: int) -> tuple:
     return scale * rng.normal(0, 2, (8, (5, 3))[k % 2]), scale
 
 
-check_robust_weight = Open(robust_weight, _some_residuals, real=lambda: (np.linspace(-3, 3, 121), 0.5)).with_slips("""
+check_robust_weight = Open(
+    robust_weight, _some_residuals, real=lambda: (np.linspace(-3, 3, 121), 0.5)
+).with_slips("""
     (residuals / scale) ** 2 → np.abs(residuals / scale)  # the ratio is squared
-    (residuals / scale) ** 2 → residuals**2 / scale  # divide before you square: the scale is an angle, too
-    return np.exp(-((residuals / scale) ** 2))  # that is a bell, 0.37 at the scale: 1 / (1 + (r/s)²)²
-    return np.where(np.abs(residuals) < scale, 1.0, 0.0)  # that is a threshold: the weight falls smoothly
+    (residuals / scale) ** 2 → residuals**2 / scale
+    # divide before you square: the scale is an angle, too
+    return np.exp(-((residuals / scale) ** 2))
+    # that is a bell, 0.37 at the scale: 1 / (1 + (r/s)²)²
+    return np.where(np.abs(residuals) < scale, 1.0, 0.0)
+    # that is a threshold: the weight falls smoothly
 """)
 
 
 def who_moved(turns, sd):
-    """What is left (cameras,) without that camera: rms of the others' turns (cameras, 3) about their mean, in sd."""
+    """What is left (cameras,) without that camera: rms of the others' turns (cameras, 3) about
+    their mean, in sd."""
     left = []
     for k in range(len(turns)):
         others = np.arange(len(turns)) != k
@@ -208,15 +222,17 @@ def _some_turns(rng: Rng, k: int) -> tuple:
 
 check_who_moved = Open(who_moved, _some_turns).with_slips("""
     turns[others] - common → turns[others]
-    # all others may share one turn, that of the whole rig: subtract their mean, and see what is left
+    # all others may share one turn, that of the whole rig: subtract their mean, and see what is
+    # left
     others = np.arange(len(turns)) != k → others = np.arange(len(turns)) >= 0
     # leave camera k out: if only it moved, the others agree among each other
-    weights=sd[others] ** -2 → weights=None  # a camera that is known less well counts less: 1 / sd² in the mean
+    weights=sd[others] ** -2 → weights=None
+    # a camera that is known less well counts less: 1 / sd² in the mean
     weights=sd[others] ** -2 → weights=1 / sd[others]  # the weight of a mean is 1 / sd², not 1 / sd
 """)
 
 
-# --- What has been knocked ------------------------------------------------------------------------------------
+# --- What has been knocked
 
 
 def before_the_knock(rig: osl.Rig) -> osl.Rig:

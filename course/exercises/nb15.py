@@ -1,4 +1,5 @@
-"""Notebook 15: the rig's step, signed distances of one frame, the way back along a ray, and which depth to believe."""
+"""Notebook 15: the rig's step, signed distances of one frame, the way back along a ray, and which
+depth to believe."""
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -9,7 +10,8 @@ from course.exercises.opened import Open
 
 
 def step_residual(T_ab, start, x, distance, end, y):
-    """Angles (M,) in degrees between rays y (M, 3), frame b, and directions to points on rays x (M, 3), frame a."""
+    """Angles (M,) in degrees between rays y (M, 3), frame b, and directions to points on rays x (M,
+    3), frame a."""
     points = start + distance[:, None] * x
     toward = T_ab.inverse() @ points - end
     toward /= np.linalg.norm(toward, axis=1, keepdims=True)
@@ -29,10 +31,12 @@ def _some_sights(rng: Rng, k: int) -> tuple:
 
 
 check_step_residual = Open(step_residual, _some_sights).with_slips("""
-    T_ab.inverse() @ points → (points - T_ab.t) @ T_ab.R.T  # for points in rows R⁻¹ p is p @ R, and p @ R.T is R p
+    T_ab.inverse() @ points → (points - T_ab.t) @ T_ab.R.T
+    # for points in rows R⁻¹ p is p @ R, and p @ R.T is R p
     - end →  # the ray y begins at its camera, not in the middle of the rig: subtract end
     start + →  # the ray x begins at its camera, not in the middle of the rig: add start
-    distance[:, None] * x → x / distance[:, None]  # the point is that far along its ray: distance times x
+    distance[:, None] * x → x / distance[:, None]
+    # the point is that far along its ray: distance times x
     toward /= np.linalg.norm(toward, axis=1, keepdims=True) →
     # the product of two vectors is the cosine only if both have length 1: divide by the length
 """)
@@ -56,7 +60,9 @@ def best_step(guesses, start, x, distance, end, y):
                 x_scale="jac",
             ).x
         vectors.append(vector)
-        counts.append(np.sum(step_residual(osl.Pose.from_vector(vector), start, x, distance, end, y) < 0.5))
+        counts.append(
+            np.sum(step_residual(osl.Pose.from_vector(vector), start, x, distance, end, y) < 0.5)
+        )
     second = sorted(counts)[-2] if len(counts) > 1 else 0
     return np.array([*vectors[np.argmax(counts)], max(counts), second])
 
@@ -73,12 +79,15 @@ def _two_optima(rng: Rng, k: int) -> tuple:
     y[some] = _unit(short.inverse() @ points[some] - end[some])
     y = _unit(y + rng.normal(0, 0.002, y.shape))
     guesses = [
-        osl.Pose(np.eye(3), np.array([0, 0, z])) for z in ((0.0, 6.0), (6.5, 0.5), (1.0,), (0.0, 3.0, 7.0))[k % 4]
+        osl.Pose(np.eye(3), np.array([0, 0, z]))
+        for z in ((0.0, 6.0), (6.5, 0.5), (1.0,), (0.0, 3.0, 7.0))[k % 4]
     ]
     return guesses, start, x, distance, end, y
 
 
-check_best_step = Open(best_step, _two_optima, whole=("guesses", "start", "x", "distance", "end", "y")).with_slips(
+check_best_step = Open(
+    best_step, _two_optima, whole=("guesses", "start", "x", "distance", "end", "y")
+).with_slips(
     """
     vectors[np.argmax(counts)] → vectors[0]
     # that is the first guess: take the step on which most matches agree
@@ -91,7 +100,8 @@ check_best_step = Open(best_step, _two_optima, whole=("guesses", "start", "x", "
 
 
 def integrate(distance, weight, points, T_world_rig, depth, confidence, grid, band):
-    """Mean signed distances and sums of weights, (V,) each, at points (V, 3) of the world, with one more frame."""
+    """Mean signed distances and sums of weights, (V,) each, at points (V, 3) of the world, with one
+    more frame."""
     seen = T_world_rig.inverse() @ points
     pixels, valid = grid.project(seen)
     column, row = np.rint(pixels).astype(int).T
@@ -103,7 +113,7 @@ def integrate(distance, weight, points, T_world_rig, depth, confidence, grid, ba
     return (weight * distance + w * np.where(known, s, 0)) / np.maximum(total, 1e-9), total
 
 
-def _some_voxels(rng: Rng, k: int) -> tuple:
+def _voxels(rng: Rng, k: int) -> tuple:
     grid = osl.SphereGrid(16, 4, (-45, 45), num_spheres=8, min_depth=1.0)
     T_world_rig = osl.Pose.from_vector([*rng.normal(0, 0.3, 3), *rng.normal(0, 1, 3)])
     depth, confidence = rng.uniform(3, 5, grid.shape), rng.uniform(0.2, 1, grid.shape)
@@ -121,21 +131,25 @@ def _some_voxels(rng: Rng, k: int) -> tuple:
     )
 
 
-check_integrate = Open(integrate, _some_voxels, whole=("depth", "confidence", "grid")).with_slips("""
+check_integrate = Open(integrate, _voxels, whole=("depth", "confidence", "grid")).with_slips("""
     depth[ray] - np.linalg.norm(seen, axis=1) → np.linalg.norm(seen, axis=1) - depth[ray]
     # positive in front of the surface: the depth minus how far away the point is
-    np.linalg.norm(seen, axis=1) → seen[:, 2]  # depth is the length along the ray, not z: np.linalg.norm
-    np.minimum(depth[ray] - np.linalg.norm(seen, axis=1), band) → depth[ray] - np.linalg.norm(seen, axis=1)
+    np.linalg.norm(seen, axis=1) → seen[:, 2]
+    # depth is the length along the ray, not z: np.linalg.norm
+    np.minimum(depth[ray] - np.linalg.norm(seen, axis=1), band)
+    → depth[ray] - np.linalg.norm(seen, axis=1)
     # truncate: free space far in front of the surface counts as the band, np.minimum
     valid & (s > -band) → valid & np.isfinite(s)
     # a point far behind the surface is hidden, and the frame knows nothing of it: s > -band
-    (weight * distance + w * np.where(known, s, 0)) / np.maximum(total, 1e-9) → np.where(known, s, distance)
+    (weight * distance + w * np.where(known, s, 0)) / np.maximum(total, 1e-9)
+    → np.where(known, s, distance)
     # the frames before count, too: the mean, weighted by weight and w
 """)
 
 
 def march(distance, radii):
-    """Depth (…) at which rays first meet a surface from its free side, of signed distances (…, S) at radii (S,)."""
+    """Depth (…) at which rays first meet a surface from its free side, of signed distances (…, S)
+    at radii (S,)."""
     before, after = distance[..., :-1], distance[..., 1:]
     crossed = (before > 0) & (after <= 0)
     k = np.argmax(crossed, axis=-1)
@@ -159,7 +173,8 @@ def _some_walks(rng: Rng, k: int) -> tuple:
 check_march = Open(march, _some_walks, whole=("radii",)).with_slips("""
     (before > 0) & (after <= 0) → (before > 0) != (after > 0)
     # from minus to plus the ray comes out at the back of a surface: only from plus to minus
-    (before > 0) & →  # a minus after what nobody has seen, NaN, is no surface: before it there has to be a plus
+    (before > 0) & →
+    # a minus after what nobody has seen, NaN, is no surface: before it there has to be a plus
     np.argmax(crossed, axis=-1) → crossed.shape[-1] - 1 - np.argmax(crossed[..., ::-1], axis=-1)
     # the first surface hides the others: np.argmax finds the first True
     + (radii[k + 1] - radii[k]) * a / np.maximum(a - b, 1e-9) →
@@ -169,7 +184,8 @@ check_march = Open(march, _some_walks, whole=("radii",)).with_slips("""
 
 
 def mix(own, fused, other):
-    """Inverse depth (H, W): the fused one, but the frame's own where that is better; `other` is where gray differs."""
+    """Inverse depth (H, W): the fused one, but the frame's own where that is better; `other` is
+    where gray differs."""
     apart = np.abs(own - fused)
     near = (own > 1 / 8) & (apart < 0.1 * own)
     moved = other & (apart > 0.1 * own)
@@ -186,7 +202,9 @@ def _two_depths(rng: Rng, k: int) -> tuple:
 check_mix = Open(mix, _two_depths).with_slips("""
     own > 1 / 8 → own > 8  # own is an inverse depth: nearer than 8 m is more than 1/8
     own > 1 / 8 → own < 1 / 8  # inverse depth grows towards us: nearer than 8 m is more than 1/8
-    & (apart < 0.1 * own) →  # near, but only where both agree: where they do not, the other frames know better
+    & (apart < 0.1 * own) →
+    # near, but only where both agree: where they do not, the other frames know better
     np.isnan(fused) | →  # where the world has a hole, NaN, the frame keeps its own depth
-    other & →  # a disagreement alone is an error of the depth; what has moved looks otherwise, too: other
+    other & →
+    # a disagreement alone is an error of the depth; what has moved looks otherwise, too: other
 """)

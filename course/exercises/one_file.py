@@ -25,12 +25,16 @@ def depth(images, cameras, grid):
     """
     W, H, N = grid.width, grid.height, grid.num_spheres
     rays = rays_of_pixels(*np.meshgrid(np.arange(W), np.arange(H)), W, H, grid.phi_deg)
-    smooth = [blurred(gray(image), camera, W) for image, camera in zip(images, cameras, strict=True)]
+    smooth = [
+        blurred(gray(image), camera, W) for image, camera in zip(images, cameras, strict=True)
+    ]
     radius = max(round((9 * min(W / 1200, 1) ** 0.5 - 1) / 2), 2)  # the window of notebook 07
     volume = np.empty((H, W, N), np.float32)
     for n in range(N):
         points = points_on_sphere(rays, n, N, grid.min_depth)
-        warped = [warp(image, camera, points) for image, camera in zip(smooth, cameras, strict=True)]
+        warped = [
+            warp(image, camera, points) for image, camera in zip(smooth, cameras, strict=True)
+        ]
         costs = [zncc_costs(warped[i], warped[j], radius) for i, j in grid.pairs]
         volume[:, :, n] = mean_of_pairs(np.stack(costs)).clip(0, 1)
     return read_out(volume, *penalties(W, N))
@@ -59,7 +63,9 @@ def warp(image, camera, points):
     """Gray values (H, W) of an image at points (H, W, 3) of the rig frame; NaN where the camera
     does not see them."""
     in_camera = (points - camera.t) @ camera.R
-    x, y = np.moveaxis(project_rays(in_camera, camera.inv_poly, (0, 0), camera.max_fov_deg / 2), -1, 0)
+    x, y = np.moveaxis(
+        project_rays(in_camera, camera.inv_poly, (0, 0), camera.max_fov_deg / 2), -1, 0
+    )
     c, d, e = camera.affine
     u, v = x + e * y + camera.center[0], d * x + c * y + camera.center[1]
     height, width = image.shape
@@ -89,7 +95,10 @@ def read_out(volume, p1, p2):
     # Beside a sphere that no pair sees there is no parabola.
     n = np.nan_to_num(best).astype(int)[..., None]
     N = volume.shape[-1]
-    lone = sum(np.take_along_axis(unknown, np.clip(n + k, 0, N - 1), axis=-1)[..., 0] for k in (-1, 1)) > 0
+    lone = (
+        sum(np.take_along_axis(unknown, np.clip(n + k, 0, N - 1), axis=-1)[..., 0] for k in (-1, 1))
+        > 0
+    )
     with np.errstate(invalid="ignore"):
         fine = refined(np.where(unknown, np.inf, costs))
     # How much cheaper the winner is than the best sphere that is not next to it.

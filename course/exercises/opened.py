@@ -115,14 +115,19 @@ class Open:
 
     def diagnose(self, function: Answer, cases: Iterable[tuple]) -> str:
         """Try a function on the inputs of some cases."""
-        return diagnose(function, self.answer, self.mistaken, cases, self.whole, self.within, self.order)
+        return diagnose(
+            function, self.answer, self.mistaken, cases, self.whole, self.within, self.order
+        )
 
     def __call__(self, function: Answer) -> Answer:
         """Print what `check` says of the student's function; return it if it is right, and the
         answer if it is not.
         """
         if function is self.answer:  # bound by the run before
-            print(f"{self.name}: this is the solution. To check yours, run its cell again, then this one.")
+            print(
+                f"{self.name}: this is the solution. To check yours, run its cell again, then"
+                " this one."
+            )
             return function
         said = self.check(function)
         if said == RIGHT and self.real:
@@ -141,7 +146,10 @@ class Open:
         self.failures += 1
         hint = f" Hint: {self.hint()}." if self.failures > 1 else ""
         end = "" if said.endswith("\n") else "."
-        print(f"{_RED}✗{_PLAIN} {self.name}: {said}{end}{hint} The notebook goes on with the solution.")
+        print(
+            f"{_RED}✗{_PLAIN} {self.name}: {said}{end}{hint} The notebook goes on with the"
+            " solution."
+        )
         if self.real:
             beside.show(function, self.answer, self.real())
         return self.answer
@@ -151,7 +159,11 @@ class Open:
         for it.
         """
         self.solved = True
-        functions = [value for value in vars(sys.modules[self.answer.__module__]).values() if isinstance(value, Open)]
+        functions = [
+            value
+            for value in vars(sys.modules[self.answer.__module__]).values()
+            if isinstance(value, Open)
+        ]
         count = f"{sum(value.solved for value in functions)} of {len(functions)} in this notebook"
         slow = self.times_slower(function)
         kept = mine.keep(function, self.answer, slow)
@@ -180,7 +192,10 @@ class Open:
             return time.process_time() - started
 
         # The first call may compile, and other programs take time: what seems slow is timed again.
-        if seconds(function) < NOTICED_S or (taken := min(seconds(function) for _ in range(2))) < NOTICED_S:
+        if (
+            seconds(function) < NOTICED_S
+            or (taken := min(seconds(function) for _ in range(2))) < NOTICED_S
+        ):
             return 0
         times = taken / max(min(seconds(self.answer) for _ in range(3)), 1e-6)
         return round(times) if times >= SLOW else 0
@@ -189,7 +204,11 @@ class Open:
         """Say how the answer begins, without its docstring."""
         tree: Any = ast.parse(self.source)
         first, *others = (node for node in tree.body[0].body if not isinstance(node, ast.Expr))
-        return f"a solution begins with `{ast.unparse(first).splitlines()[0]}`" if others else "one line is enough"
+        return (
+            f"a solution begins with `{ast.unparse(first).splitlines()[0]}`"
+            if others
+            else "one line is enough"
+        )
 
 
 def changed(answer: Answer, slip: str) -> Answer:

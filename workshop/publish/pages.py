@@ -89,7 +89,7 @@ def written() -> str:
             lines = function.source.splitlines()[body[0].lineno - 1 :]
             total += len(lines)
             number = f"[{nbtools.number(path)}](../notebooks/{path.name})"
-            returns = inspect.getdoc(function.answer).splitlines()[0]
+            returns = summary(function.answer)
             rows.append(f"| {number} | `{function.name}` | {returns} | {len(lines)} |")
     return "\n".join([*rows, f"| | | **all together** | **{total}** |"]) + "\n"
 
