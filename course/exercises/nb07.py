@@ -1,5 +1,4 @@
-"""Notebook 07: one step of SGM, a walk over lines, eight paths around the panorama, the refined
-winner, its trust."""
+"""Notebook 07: one step of SGM, paths around the panorama, the refined winner, its trust."""
 
 import numpy as np
 
@@ -40,58 +39,47 @@ check_step = Open(step, _a_step).with_slips("""
 """)
 
 
-def walk(costs, shift, p1, p2):
-    """Path costs (lines, rays, N): each line looks at the one before, rolled by `shift` rays around
-    the seam."""
-    lines = [costs[0]]
-    for cost in costs[1:]:
-        before = np.roll(lines[-1], shift, axis=0)
-        lines.append(step(cost, before, p1, p2))
-    return np.stack(lines)
+def sum_of_paths(volume, p1, p2, directions):
+    """Path costs (H, W, N) summed over paths through a cost volume (H, W, N), around the seam.
 
-
-def _some_lines(rng: Rng, k: int) -> tuple:
-    costs = rng.uniform(0, 1, (4 + k % 3, 5 + k % 4, 6))
-    return costs, (-1, 1, 0)[k % 3], 0.1, 0.35
-
-
-check_walk = Open(walk, _some_lines).with_slips("""
-    lines[-1] → costs[len(lines) - 1]  # look at the path costs, not at the costs
-    shift, axis=0 → shift, axis=1  # roll the rays, axis 0, not the spheres
-    shift, axis=0 → shift  # without an axis np.roll takes all numbers for one long row: axis=0
-    np.roll(lines[-1], shift, axis=0)
-    → np.pad(lines[-1], ((1, 1), (0, 0)), "edge")[1 - shift :][: len(cost)]
-    # the rays go around the seam: np.roll, with nothing kept
-""")
-
-
-def sum_of_paths(volume, p1, p2):
-    """Path costs (H, W, N) summed over eight paths through a cost volume (H, W, N), around the
-    seam."""
+    directions: the step of each path, rows down and columns to the right, such as (0, 1)."""
     total = np.zeros_like(volume)
-    for shift in (-1, 0, 1):
-        total += walk(volume, shift, p1, p2)  # from above
-        total += walk(volume[::-1], shift, p1, p2)[::-1]  # from below
-    W = volume.shape[1]
-    # columns as lines, three times around the panorama
-    around = np.concatenate([volume.swapaxes(0, 1)] * 3)
-    total += walk(around, 0, p1, p2)[-W:].swapaxes(0, 1)  # from the left, the last time around
-    total += walk(around[::-1], 0, p1, p2)[-W:][::-1].swapaxes(0, 1)  # from the right
+    for down, right in directions:
+        # lines of rays in the order of the walk; columns are lines for three laps
+        lines = volume if down else np.concatenate([volume.swapaxes(0, 1)] * 3)
+        backwards = (down or right) < 0
+        if backwards:
+            lines = lines[::-1]
+        path = [lines[0]]
+        for cost in lines[1:]:
+            before = np.roll(path[-1], right if down else 0, axis=0)
+            path.append(step(cost, before, p1, p2))
+        # the last lap, in the order of the volume
+        path = np.stack(path if down else path[-volume.shape[1] :])
+        if backwards:
+            path = path[::-1]
+        total += path if down else path.swapaxes(0, 1)
     return total
 
 
 def _a_volume(rng: Rng, k: int) -> tuple:
-    return rng.uniform(0, 1, (5 + k % 3, 24 + k % 4, 5)), 0.1, 0.3  # wide: two laps and three agree
+    directions = rng.permutation(beside.EIGHT)[: 2 if k % 4 == 3 else 8].tolist()
+    # wide: two laps and three agree
+    return rng.uniform(0, 1, (5 + k % 3, 24 + k % 4, 5)), 0.1, 0.3, directions
 
 
-check_sum_of_paths = Open(sum_of_paths, _a_volume, real=beside.volume).with_slips("""
-    walk(volume[::-1], shift, p1, p2)[::-1] → walk(volume[::-1], shift, p1, p2)
-    # from below: reverse the lines, walk, reverse back
-    [-W:][::-1] → [-W:]  # from the right: reverse the columns, walk, reverse back
-    [-W:] → [:W]  # the rows begin at the seam: go around more than once, and keep the last time
-    walk(around → 0 * walk(around
-    # the paths along the rows are missing: from the left and from the right
-    (-1, 0, 1) → (0,)  # that is four paths: the diagonals are missing, shifts -1 and 1
+check_sum_of_paths = Open(
+    sum_of_paths, _a_volume, real=lambda: (*beside.volume(), beside.EIGHT)
+).with_slips("""
+    path = path[::-1] → path = path  # up and to the left: reverse the lines, walk, reverse back
+    path[-1] → lines[len(path) - 1]  # look at the path costs, not at the costs
+    right if down else 0, axis=0 → right if down else 0
+    # without an axis np.roll takes all numbers for one long row: axis=0
+    np.roll(path[-1], right if down else 0, axis=0)
+    → np.pad(path[-1], ((1, 1), (0, 0)), "edge")[1 - (right if down else 0) :][: len(cost)]
+    # the rays go around the seam: np.roll, with nothing kept
+    path[-volume.shape[1] :] → path[: volume.shape[1]]
+    # the rows begin at the seam: go around more than once, and keep the last time
 """)
 
 

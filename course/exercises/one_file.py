@@ -11,6 +11,9 @@ from course.exercises.nb03 import look_up, points_on_sphere, rays_of_pixels
 from course.exercises.nb04 import mean_of_pairs, winner, zncc_costs
 from course.exercises.nb07 import refined, sum_of_paths
 
+# the paths of SGM: rows down and columns to the right
+EIGHT = [(y, x) for y in (-1, 0, 1) for x in (-1, 0, 1) if y or x]
+
 
 def depth(images, cameras, grid):
     """Sphere indices and confidences, (H, W) each: ZNCC on each sphere, SGM, and the cheapest
@@ -89,7 +92,9 @@ def read_out(volume, p1, p2):
     unknown = np.isnan(volume)
     count = np.maximum((~unknown).sum(axis=-1, keepdims=True), 1)
     mean = np.where(unknown, 0, volume).sum(axis=-1, keepdims=True) / count
-    costs = sum_of_paths(np.where(unknown, mean, volume), p1, p2)  # neither match nor mismatch
+    costs = sum_of_paths(
+        np.where(unknown, mean, volume), p1, p2, EIGHT
+    )  # neither match nor mismatch
     costs = np.where(unknown, np.nan, costs)
     best = winner(costs)
     # Beside a sphere that no pair sees there is no parabola.

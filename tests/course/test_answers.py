@@ -43,7 +43,7 @@ DEFINITIONS = {
     "nb04.mean_of_pairs": reference.mean_over_pairs,
     "nb04.winner": lambda costs: reference.winner(costs, subindex=False),
     "nb07.step": lambda cost, before, p1, p2: cost + reference.message(before, p1, p2),
-    "nb07.sum_of_paths": reference.sgm,
+    "nb07.sum_of_paths": lambda volume, p1, p2, directions: reference.sgm(volume, p1, p2),
     "nb07.refined": lambda costs: reference.winner(costs, subindex=True),
     "nb12.correlation": correlation,
     "nb13.project": lambda camera, points: reference.project(points, camera),

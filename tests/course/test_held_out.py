@@ -203,13 +203,23 @@ step
     return cost + np.min(ways, axis=0) - lowest
     # right
     lowest + p2) - lowest → before + p2) - lowest  # wrong
-walk
-    found = np.empty_like(costs)
-    found[0] = costs[0]
-    for k in range(1, len(costs)):
-        found[k] = step(costs[k], found[k - 1][(np.arange(costs.shape[1]) - shift) % costs.shape[1]], p1, p2)
-    return found
-    # right
+sum_of_paths
+    H, W, N = volume.shape
+    total = 0
+    for down, right in directions:
+        found, laps = volume.copy(), 1 if down else 4
+        ys = range(H)[:: down or 1]
+        xs = [x % W for x in range(laps * W)][:: right or 1]
+        if down:
+            for y in list(ys)[1:]:
+                found[y] = step(volume[y], found[y - down][(np.arange(W) - right) % W], p1, p2)
+        else:
+            for x in xs[1:]:
+                found[:, x] = step(volume[:, x], found[:, (x - right) % W], p1, p2)
+        total = total + found
+    return total
+    # right: ray by ray along the rows
+    path[-1], right if down else 0 → path[-1], -right if down else 0  # wrong: from the other side
 refined
     n = costs.argmin(axis=-1)
     found = n.astype(float)

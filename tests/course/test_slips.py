@@ -73,12 +73,11 @@ adam_step
     weight - rate → weight + rate  # `rate` had the other sign
 balanced_loss
     score, -score → -score, score  # `score` had the other sign
-walk
-    return np.stack(lines) → found = np.stack(lines); costs += 1; return found  # overwrites its argument number 1
 step
     lowest + p2) → lowest + p1)  # swapped
 sum_of_paths
-    ].swapaxes(0, 1) → ]  # stopped with ValueError
+    path if down else path.swapaxes(0, 1) → path  # stopped with ValueError
+    return total → volume += 1; return total  # overwrites its argument number 1
 refined
     n + offset, n) → n + offset, np.nan)  # NaN or infinity where a number is right
 metrics
