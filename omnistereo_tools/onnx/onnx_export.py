@@ -4,14 +4,16 @@ torch.
 
 import shutil
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import reduce
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d, interpolate
+from torch.onnx import register_custom_op_symbolic  # type: ignore[attr-defined]
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, make_folder
@@ -62,6 +64,8 @@ def export_onnx(out: Path, rig: Rig, grid: SphereGrid) -> list[str]:
         torch.randint(256, (*camera.image_size[::-1], 3), dtype=torch.uint8)
         for camera in rig.cameras
     )
+    for name, symbolic in _WRITTEN_OTHERWISE.items():
+        register_custom_op_symbolic(f"aten::{name}", symbolic, OPSET)
     with atomic_write(out / "depth.onnx") as temporary, warnings.catch_warnings(), torch.no_grad():
         # tracing warns of sizes that become constants; they are those of rig and grid
         warnings.simplefilter("ignore")
@@ -139,4 +143,44 @@ def _reduced_gray(image: Tensor, factor: int) -> Tensor:
     give it.
     """
     blocks = avg_pool2d(image.permute(2, 0, 1).float()[None], factor)[0]
-    return torch.einsum("chw,c->hw", (blocks + 0.5).floor(), torch.tensor(_LUMA))
+    return ((blocks + 0.5).floor() * torch.tensor(_LUMA)[:, None, None]).sum(0)
+
+
+def _isfinite(g: Any, x: Any) -> Any:
+    """Write the test for finite numbers without IsInf, which tract does not have."""
+    return g.op("Equal", g.op("Sub", x, x), _constant(g, 0.0))
+
+
+def _nan_to_num(g: Any, x: Any, *_: Any) -> Any:
+    """Write NaN → 0, for pixels, which are never infinite, without IsInf."""
+    return g.op("Where", g.op("IsNaN", x), _constant(g, 0.0), x)
+
+
+def _constant(g: Any, value: object) -> Any:
+    return g.op("Constant", value_t=torch.tensor(value))
+
+
+def _double(g: Any, volume: Any, *_: Any) -> Any:
+    """Write the doubling of a volume as two Resize of pictures: OpenCV 5 and tract refuse one of
+    five dimensions.
+    """
+    batch, channels, w, h, n = volume.type().sizes()
+
+    def resize(x: Any, shape: list[int], scales: list[float]) -> Any:
+        x = g.op("Reshape", x, _constant(g, shape))
+        factors = _constant(g, [1.0, 1.0, *scales])
+        how = {"mode_s": "linear", "coordinate_transformation_mode_s": "half_pixel"}
+        return g.op("Resize", x, _constant(g, []), factors, **how)
+
+    x = resize(volume, [batch, channels * w, h, n], [2.0, 2.0])
+    x = resize(x, [batch, channels, w, 4 * h * n], [2.0, 1.0])
+    shape = [batch, channels, 2 * w, 2 * h, 2 * n]
+    return g.op("Reshape", x, _constant(g, shape))
+
+
+# What OpenCV 5 and tract take in another form only.
+_WRITTEN_OTHERWISE: dict[str, Callable[..., Any]] = {
+    "isfinite": _isfinite,
+    "nan_to_num": _nan_to_num,
+    "upsample_trilinear3d": _double,
+}
