@@ -96,20 +96,24 @@ check_pooled = Open(pooled, _some_sums).with_slips("""
 
 
 def region_table(indices, truths, N):
-    """Metrics (5, 5) of all rays, the sky, far, middle and near ones, over all frames; indices,
-    truths (frames, H, W)."""
+    """Rows (5, 6) of all rays, the sky, far, middle and near ones, over all frames: the share of
+    rays in percent, five metrics. indices, truths (frames, H, W)."""
     table = []
     for region in (None, 0, 1, 2, 3):
         sums = []
         for index, truth in zip(indices, truths, strict=True):
-            inside = np.isfinite(truth) if region is None else depth_regions(truth, N) == region
+            inside = np.isfinite(truth)
+            if region is not None:
+                inside &= depth_regions(truth, N) == region
             e = 100 / N * np.abs(index - truth)[inside]
             e = np.where(np.isnan(e), 100, e)
-            sums.append(
-                [e.size, *(np.sum(e > limit) for limit in (1, 3, 5)), e.sum(), np.sum(e**2)]
-            )
-        table.append(pooled(np.array(sums)))
-    return np.array(table)
+            above = [np.sum(e > limit) for limit in (1, 3, 5)]
+            sums.append([e.size, *above, e.sum(), np.sum(e**2)])
+        sums = np.array(sums)
+        table.append([sums[:, 0].sum(), *pooled(sums)])
+    table = np.array(table)
+    table[:, 0] *= 100 / table[0, 0]
+    return table
 
 
 def _some_frames(rng: Rng, k: int) -> tuple:
@@ -123,16 +127,17 @@ def _some_frames(rng: Rng, k: int) -> tuple:
 
 
 check_region_table = Open(region_table, _some_frames, whole=("indices", "truths")).with_slips("""
-    table.append(pooled(np.array(sums)))
-    → table.append(np.mean([pooled(np.array([one])) for one in sums], axis=0))
+    *pooled(sums) → *np.mean([pooled(one[None]) for one in sums], axis=0)
     # that is the mean over the frames: a frame with few rays of a region counts too much. Pool the
     # sums
     np.where(np.isnan(e), 100, e) → e[~np.isnan(e)]
     # a ray without an estimate is an error of 100; it is not left out
-    np.isfinite(truth) if region is None → np.isfinite(truth) & (truth > 0) if region is None
+    inside = np.isfinite(truth) → inside = np.isfinite(truth) & (truth > 0 if region is None else True)
     # "all rays" holds the sky, too
     depth_regions(truth, N) == region → depth_regions(index, N) == region
     # the truth decides which region a ray is in, the same for every method
+    table[:, 0] *= 100 / table[0, 0] → table[:, 0] *= 100 / truths.size
+    # rays whose truth is unknown are in no region: the share is of those in the first row
 """)
 
 
