@@ -37,6 +37,9 @@ PROGRAMS = {
     "rasterio": ("rasterio", "rasterio==1.4.4", "3.11"),
     "evo": ("evo", "evo==1.38.1", "3.11"),
     "pyav": ("pyav", "av==18.1.0 numpy==2.4.6", "3.11"),
+    "onnxruntime": ("onnxruntime", "onnxruntime==1.32.0 numpy==2.4.6", "3.11"),
+    "openvino": ("openvino", "openvino==2026.4.1", "3.11"),
+    "tract": ("tract", "tract==0.23.9 numpy==2.4.6", "3.11"),
     "py360convert": ("panoramas", "py360convert==1.0.4", "3.11"),
 }
 COLORS = [(230, 30, 20), (30, 200, 40), (250, 160, 10)]  # RGB, of the video
@@ -110,12 +113,15 @@ def measure(name: str, files: Path | None) -> dict[str, list[list[Any]]] | None:
 
 def make_files(folder: Path) -> Path:
     """Write one of each kind of file, and truth.npz with what they mean; return the folder."""
-    from omnistereo_lib import SphereGrid, estimate_depth, load_dataset
+    from omnistereo_lib import SphereGrid, VolumeNet, cost_volume, estimate_depth, load_dataset
     from omnistereo_lib.geometry.pose import Pose
     from omnistereo_lib.geometry.trajectory import trajectory_kitti, trajectory_tum
     from omnistereo_lib.pictures import write_image
+    from omnistereo_lib.stereo.sweep import SphereSweep
+    from omnistereo_lib.stereo.volumenet import local_mean
     from omnistereo_rigs.formats.write import export_rig
     from omnistereo_tools.commands.options import SAMPLE
+    from omnistereo_tools.onnx.onnx_export import export_onnx
     from omnistereo_tools.output.frame import FrameResult
     from omnistereo_tools.output.mesh_export import linear
     from omnistereo_tools.output.points import Limits
@@ -131,7 +137,12 @@ def make_files(folder: Path) -> Path:
         picture = folder / f"images/cam{n}/0001.png"
         picture.parent.mkdir(parents=True, exist_ok=True)
         write_image(picture, image)
-    depth = estimate_depth(frame, SphereGrid(160, 40, (-45, 45), 32, 0.6), method="zncc+sgm")
+    grid = SphereGrid(160, 40, (-45, 45), 32, 0.6)
+    depth = estimate_depth(frame, grid, method="zncc+sgm")
+    export_onnx(folder, rig, grid)
+    network = VolumeNet.pretrained()
+    network.precision = "float32"
+    volume = cost_volume(SphereSweep(rig, grid), frame.images, network)
     result = FrameResult(depth, Limits.of(depth), "zncc+sgm")
     result.write(folder)
     cloud = result._cloud
@@ -174,6 +185,8 @@ def make_files(folder: Path) -> Path:
         linear=linear(surface.color),
         path=np.array([pose.t for pose in path.values()]),
         colors3=np.array(COLORS),
+        images=np.stack(frame.images),
+        spheres=local_mean(volume)[0],
     )
     return folder
 
