@@ -179,7 +179,7 @@ def _field_of_view(camera: OcamCamera, max_fov_deg: float | None) -> float:
         reach = 2 * np.degrees(angles[np.argmin(increasing)])
         raise OmnistereoError(
             f"the inverse polynomial increases only up to {reach:.1f}°; expected the field of "
-            f"view, {max_fov_deg:g}°. Lower max_fov_deg (--max-fov {int(reach)})"
+            f"view, {max_fov_deg:g}°. Lower max_fov_deg (`omnistereo rig --max-fov {int(reach)}`)"
         )
     return max_fov_deg
 

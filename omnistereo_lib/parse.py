@@ -373,8 +373,8 @@ def metres_per_unit(unit: str | None, positions: NDArray[np.float64]) -> float:
         f'unit="{name}": {low * m:.4g} to {high * m:.4g} m' for name, m in METRES_PER_UNIT.items()
     )
     raise OmnistereoError(
-        "the file does not state its unit. Pass it (--unit); the distances between the cameras "
-        f"would be {meanings}"
+        "the file does not state its unit. Pass it (`omnistereo rig --unit`); the distances "
+        f"between the cameras would be {meanings}"
     )
 
 

@@ -3,16 +3,14 @@
 import argparse
 import os
 import re
-import signal
 import sys
-import threading
 import traceback
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Sequence
+from contextlib import nullcontext
 from difflib import get_close_matches
 from io import TextIOWrapper
-from types import FrameType, ModuleType
+from types import ModuleType
 from typing import NoReturn, get_type_hints
 
 from omnistereo_lib.errors import EXIT_STATUS, OmnistereoError, one_line
@@ -31,15 +29,11 @@ from omnistereo_tools.commands import (
     train_command,
     world_command,
 )
-from omnistereo_tools.memory import keep_memory
 from omnistereo_tools.outputs import let_go
-from omnistereo_tools.parser import Options, add_options, is_tiny, shrink
+from omnistereo_tools.parser import Options, add_options, is_tiny
 
 # Of libraries whose errors have no type in common.
-_EXHAUSTED = re.compile(
-    r"can't start new thread|(allocate|insufficient|out of) memory|CUDA error", re.IGNORECASE
-)
-_ABOUT = "Depth panoramas from a rig of fisheye cameras."
+_EXHAUSTED = re.compile("(allocate|insufficient|out of) memory|CUDA error", re.IGNORECASE)
 COMMANDS = {
     "demo": demo_command,
     "start": start_command,
@@ -61,7 +55,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; return the exit status. Whatever goes wrong is one plain line, but for a
     defect of the program.
     """
-    keep_memory()
     # What OpenCV and its FFmpeg would print of a damaged file: our own words say it.
     os.environ |= {"OPENCV_LOG_LEVEL": "SILENT", "OPENCV_FFMPEG_LOGLEVEL": "-8"}
     os.environ["MPLBACKEND"] = "agg"
@@ -73,9 +66,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             module, options = _parse(list(sys.argv[1:] if arguments is None else arguments))
             if is_tiny():
-                options = shrink(options)
                 _say("OMNISTEREO_TINY is set: the results are too small to mean anything")
-            with _terminable(), warnings.catch_warnings():
+            with warnings.catch_warnings():
                 warnings.showwarning = lambda message, *_: _say(f"warning: {message}")
                 return module.run(options) or 0
         finally:
@@ -83,45 +75,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(end="", flush=True)
     except OmnistereoError as error:
         return _stop(f"error: {error}", 2)
-    except KeyboardInterrupt as stop:
+    except KeyboardInterrupt:
         resumes = "; run the same command to resume" if options and options.resumes else ""
-        return _stop(f"interrupted{resumes}", 143 if isinstance(stop, _Terminated) else 130)
+        return _stop(f"interrupted{resumes}", 130)
     except OSError as error:
-        # It is the output; what it has not taken would fail again at exit.
-        if error.filename is None:
+        if error.filename is None:  # what the output has not taken would fail again at exit
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        # A reader such as `head` has seen enough.
-        if isinstance(error, BrokenPipeError):
+        if isinstance(error, BrokenPipeError):  # a reader such as `head` has seen enough
             return 141
         place = error.filename or "the output"
         return _stop(f"error: {place} cannot be read or written: {error.strerror}", 2)
     except Exception as error:
         if isinstance(error, MemoryError) or _EXHAUSTED.search(str(error)):
-            lack = "the machine has too little memory, threads or GPU left"
+            lack = "the machine has too little memory or GPU left"
             return _stop(f"error: {lack} ({error}). Ask for less of it.", 2)
         traceback.print_exc()
         return _stop("error: this is a defect of the program: please report what stands above", 1)
-
-
-class _Terminated(KeyboardInterrupt):
-    """SIGTERM, as `kill` and batch systems send it."""
-
-
-@contextmanager
-def _terminable() -> Iterator[None]:
-    """Let SIGTERM end a command as Ctrl-C does; only the main thread can."""
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        raise _Terminated
-
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _say(line: str) -> None:
@@ -137,9 +106,7 @@ def _stop(line: str, status: int) -> int:
     if tqdm := sys.modules.get("tqdm"):
         for bar in [*tqdm.tqdm._instances]:  # it would be drawn once more, below the line
             bar.close()
-    # Of the processes that torchrun starts, one says it.
-    if not re.fullmatch("[1-9][0-9]*", os.environ.get("RANK", "0")):
-        _say(line)
+    _say(line)
     return status
 
 
@@ -156,7 +123,8 @@ def _parse(arguments: list[str]) -> tuple[ModuleType, Options]:
 
     The options are of the class that `run` takes.
     """
-    parser = _Parser(prog="omnistereo", description=_ABOUT, epilog=EXIT_STATUS)
+    about = "Depth panoramas from a rig of fisheye cameras."
+    parser = _Parser(prog="omnistereo", description=about, epilog=EXIT_STATUS)
     commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
     for name, module in COMMANDS.items():
         command = commands.add_parser(
@@ -173,9 +141,8 @@ def _parse(arguments: list[str]) -> tuple[ModuleType, Options]:
         parser.exit()
     if not arguments[0].startswith("-") and arguments[0] not in COMMANDS:
         similar = get_close_matches(arguments[0], COMMANDS, n=1)
-        guess = (
-            f"Did you mean {similar[0]}?" if similar else f"Expected one of {', '.join(COMMANDS)}."
-        )
+        names = ", ".join(COMMANDS)
+        guess = f"Did you mean {similar[0]}?" if similar else f"Expected one of {names}."
         parser.exit(2, f"error: there is no command {arguments[0]!r}. {guess}\n")
     typed = vars(parser.parse_args(arguments))
     module = COMMANDS[typed.pop("command")]

@@ -11,8 +11,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from socket import SHUT_RDWR, socket
-from threading import BoundedSemaphore, Condition, Event, Thread, Timer
+from threading import Condition, Event, Thread
 from typing import Any
 
 import cv2
@@ -34,13 +33,12 @@ from omnistereo_tools.output.pictures import ColorScale, draw_frame, share_of_pa
 from omnistereo_tools.output.summary import metres
 from omnistereo_tools.record.watching import Watching
 
-# of a camera that gives no picture, and of a browser that neither asks nor reads
-_PATIENCE_S = 10.0
+_PATIENCE_S = 10.0  # of a browser that neither asks nor reads
 _LEAVING_S = 0.5  # for each of two threads: Ctrl-C ends within two seconds
-_CLIENTS = 16  # connections at a time; a page has three
 # a name of another site may lead here, too
 _HOST = re.compile(r"(localhost|127\.0\.0\.1)(:[0-9]+)?")
 _PAGE = Path(__file__).parent / "output" / "page" / "live.html"
+_PORT = 8765  # or any free one
 _FPS = 10.0  # of pictures, which do not say
 _EQUALISED = 16  # frames from one look at how bright the cameras are to the next
 
@@ -308,23 +306,6 @@ def draw_picture(
 
 
 class _Server(ThreadingHTTPServer):
-    """A server of few clients at a time; who is one too many is turned away at once."""
-
-    daemon_threads = True
-
-    def __init__(self, *arguments: Any) -> None:
-        self._free = BoundedSemaphore(_CLIENTS)
-        super().__init__(*arguments)
-
-    def verify_request(self, *_: object) -> bool:
-        return self._free.acquire(blocking=False)
-
-    def process_request_thread(self, request: Any, client_address: Any) -> None:
-        try:
-            super().process_request_thread(request, client_address)
-        finally:
-            self._free.release()
-
     def handle_error(self, *_: object) -> None:
         """Leave a client that went away or waited too long."""
 
@@ -337,19 +318,11 @@ def _place(query: str) -> tuple[float, float] | None:
     return None
 
 
-def _cut(connection: socket) -> None:
-    """End a connection, whatever waits for it."""
-    with suppress(OSError):  # it has ended
-        connection.shutdown(SHUT_RDWR)
-
-
 @contextmanager
-def serve(latest: Latest, port: int, cameras: Cameras | None = None) -> Iterator[str]:
+def serve(latest: Latest, cameras: Cameras | None = None) -> Iterator[str]:
     """Serve live pictures to browsers of this machine as a stream of JPEG; yield the address.
 
     Browsers may pause the cameras, if there are any.
-
-    Raises an `OmnistereoError` if the port is in use.
     """
     actions = (cameras.play, cameras.pause, cameras.step) if cameras else ()
     controls = {f"/{action.__name__}": ("text/plain", action) for action in actions}
@@ -357,18 +330,7 @@ def serve(latest: Latest, port: int, cameras: Cameras | None = None) -> Iterator
     class Handler(BaseHTTPRequestHandler):
         timeout = _PATIENCE_S
 
-        def setup(self) -> None:
-            super().setup()
-            self.deadline = Timer(_PATIENCE_S, _cut, [self.connection])  # of the whole request
-            self.deadline.daemon = True
-            self.deadline.start()
-
-        def finish(self) -> None:
-            self.deadline.cancel()
-            super().finish()
-
         def do_GET(self) -> None:
-            self.deadline.cancel()
             name, _, query = self.path.partition("?")
             of_other_sites = self.headers.get("Sec-Fetch-Site", "none") not in (
                 "same-origin",
@@ -420,11 +382,9 @@ def serve(latest: Latest, port: int, cameras: Cameras | None = None) -> Iterator
             pass
 
     try:
-        server = _Server(("127.0.0.1", port), Handler)
-    except OSError:
-        raise OmnistereoError(
-            f"port {port} is in use. Choose another --port, or 0 for any."
-        ) from None
+        server = _Server(("127.0.0.1", _PORT), Handler)
+    except OSError:  # another live view has it
+        server = _Server(("127.0.0.1", 0), Handler)
     Thread(target=server.serve_forever, daemon=True).start()
     try:
         yield f"http://127.0.0.1:{server.server_address[1]}/"

@@ -18,32 +18,14 @@ from omnistereo_tools.parser import Options
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_PICTURES = ("png", "jpg", "jpeg", "bmp", "pgm", "webp")
-_READ = {  # options that name files, or a folder of which these are read
-    "images": ["*"],
-    "from_images": ["*"],
-    "masks": [],
-    "cameras": [],
-    "source": [],
-    "folder": [f"{depth}*.{suffix}" for depth in ("", "*/") for suffix in _PICTURES],
-    "board": [],
-    "corners": ["corners_*.yaml"],
-    "weights": ["*.safetensors"],
-    "init_weights": [],
-    "recording": [
-        "config.yaml",
-        "recording.json",
-        "cam[0-9]*/*",
-        "depth_estimate_*/*",
-        "confidence_*/*",
-    ],
-}
-# options that name rig files, folders of one, or data sets
-_SETS = ("rig", "sets", "data", "lenses")
+# options that name files, or folders of files, pictures and data sets
+READ = (
+    *("images", "from_images", "source", "folder", "board", "weights", "init_weights"),
+    *("recording", "rig", "sets", "data"),
+)
+# of such a folder
+_CONTENT = ("*", "cam[0-9]*/*", "*depth_*/*", "confidence_*/*", "*/cam[0-9]*/*", "*/*depth_*/*")
 _TEXTS = (".yaml", ".yml", ".json", ".txt", ".xml")
-_IMAGES_OF_SETS = [
-    f"{depth}{folder}/*" for depth in ("", "*/", "*/*/") for folder in ("cam[0-9]*", "*depth_*")
-]
 
 _held: list[int] = []  # descriptors of folders
 
@@ -129,35 +111,24 @@ def _identity(path: Path) -> tuple[int, int]:
 
 def _files_read(options: Options, unread: Collection[str]) -> Iterator[Path]:
     """Yield the files that the options name, or that lie in folders that they name."""
+    for name in READ:
+        value = None if name in unread else getattr(options, name, None)
+        for path in map(Path, value if isinstance(value, tuple) else filter(None, [value])):
+            patterns = (*_CONTENT, "*/*") if name == "folder" else _CONTENT
+            found = [path, *(file for pattern in patterns for file in path.glob(pattern))]
+            yield from found
+            if name in ("rig", "sets", "data"):
+                yield from _files_named(found)
+
+
+def _files_named(paths: Iterable[Path]) -> Iterator[Path]:
+    """Yield the files that stand in texts, such as the masks of a rig."""
     from omnistereo_lib.files import read_text
 
-    for name, patterns in _READ.items():
-        for path in () if name in unread else _paths(options, name):
-            yield path
-            for pattern in patterns:
-                yield from path.glob(pattern)
-    for path in (path for name in _SETS for path in _paths(options, name)):
-        texts = (
-            [path]
-            if not path.is_dir()
-            else [file for file in path.glob("*") if file.suffix.lower() in _TEXTS]
-        )
-        yield from texts
-        for text in texts:  # its masks
-            with suppress(OmnistereoError, OSError):
-                words = re.findall(r"[^\s\"',:\[\]{}]+", read_text(text))
-                yield from (
-                    text.parent / word for word in set(words) if os.path.isfile(text.parent / word)
-                )
-        for pattern in _IMAGES_OF_SETS if path.is_dir() else ():
-            yield from path.glob(pattern)
-
-
-def _paths(options: Options, name: str) -> list[Path]:
-    value = getattr(options, name, None)
-    return [
-        Path(one) for one in (value if isinstance(value, tuple) else [value]) if one is not None
-    ]
+    for text in (path for path in paths if path.suffix.lower() in _TEXTS):
+        with suppress(OmnistereoError, OSError):
+            words = set(re.findall(r"[^\s\"',:\[\]{}]+", read_text(text)))
+            yield from (text.parent / word for word in words if os.path.isfile(text.parent / word))
 
 
 def save_figure(path: Path, figure: "Figure", dpi: int = 100) -> None:

@@ -18,14 +18,7 @@ from omnistereo_lib.errors import OmnistereoError, check_number
 # of what `option` declares; argparse knows the rest
 _OURS = ("unset", "positional", "between", "suffixes", "needs")
 _Settings = TypeVar("_Settings")
-_CAPS = {
-    "width": 96,
-    "spheres": 16,
-    "num_spheres": 16,
-    "steps": 1,
-    "batch_frames": 1,
-    "validation_groups": 1,
-}
+_CAPS = {"width": 96, "num_spheres": 16, "steps": 1, "batch_frames": 1, "validation_groups": 1}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -26,17 +26,15 @@ from omnistereo_lib.pictures import write_image
 from omnistereo_rigs import Checkerboard, calibrate_camera
 from omnistereo_rigs.boards.captures import save_corners
 
-DEPTH = (
-    "depth --rig RIG --images IMAGES --width 96 --height 24 --spheres 16 --method zncc --out OUT "
-)
+DEPTH = "depth --rig RIG --images IMAGES --grid 96x24x16 --method zncc --out OUT "
 RECORDING = DEPTH.replace("depth", "record").replace(
     "IMAGES", "DATA/cam1 DATA/cam2 DATA/cam3 DATA/cam4"
 )
-SET = "depth --rig DATA --width 96 --height 24 --spheres 16 --method zncc --out OUT "
+SET = "depth --rig DATA --grid 96x24x16 --method zncc --out OUT "
 LOOK = "doctor --rig RIG "
 EVALUATE = "evaluate --sets DATA --methods zncc --out OUT "
 TRAIN = "train sweepnet --data DATA --out OUT "
-CALIBRATE = "calibrate BOARDS --corners BOARDS --square 0.06 --out OUT --board 4x3 "
+CALIBRATE = "calibrate BOARDS --square 0.06 --out OUT --board 4x3 "
 
 
 class Row(NamedTuple):
@@ -153,15 +151,14 @@ COMMANDS = [
     Row("a picture has a long name", "depth --rig RIG --images LONG LONG LONG LONG", "File name too long"),
     Row("a picture too few", DEPTH + "--images DATA/cam1/0001.png", "is one image of 200 × 192 px for 4 cameras"),
     Row("pictures without a rig", "depth --images IMAGES --out OUT", r"--images needs --rig"),
-    Row("doctor: coverage and no rig", "doctor --coverage OUT.png", "--coverage needs --rig"),
-    Row("doctor: no such mask", LOOK + "--masks OUT OUT OUT OUT", "out cannot be read: No such file"),
-    Row("a mask hides all", DEPTH + "--masks DATA/0.png DATA/0.png DATA/0.png DATA/0.png",
-        "0.png hides the whole picture; expected", lambda d: write_image(d / "0.png", np.zeros((192, 200)))),
+    Row("doctor: fix and no rig", "doctor --write OUT.yaml", "--write needs --rig"),
+    Row("a mask hides all", DEPTH, "mask.png hides the whole picture; expected",
+        lambda d: write_image(d / "cam2" / "mask.png", np.zeros((192, 200)))),
     # panoramas
-    Row("lower than the window", DEPTH + "--height 4", r"window is 5; expected at most .* 96 × 4"),
-    Row("more than the memory", DEPTH + "--width 30000 --height 30000 --spheres 9999", "9999 spheres needs .*GiB"),
-    Row("wider than OpenCV can", DEPTH + "--width 32767", "32767.* 32766"),
-    Row("a nearest depth beyond the Moon", DEPTH + "--min-depth 1e30", r"min_depth is 1e\+30 .*at most 1e\+09"),
+    Row("lower than the window", DEPTH + "--grid 96x4x16", r"window is 5; expected at most .* 96 × 4"),
+    Row("more than the memory", DEPTH + "--grid 30000x30000x9999", "9999 spheres needs .*GiB"),
+    Row("wider than OpenCV can", DEPTH + "--grid 32767x24x16", "32767.* 32766"),
+    Row("a nearest depth beyond the Moon", DEPTH + "--min-depth 1e30", r"--min-depth is 1e\+30; expected a number of"),
     # methods
     Row("no such method", DEPTH + "--method magic", r"one of zncc, mccnn, sweepnet, volumenet, got 'magic'"),
     Row("no such setting", DEPTH + "--method zncc,size=5", "unknown setting 'size'; expected one of window"),
@@ -180,7 +177,7 @@ COMMANDS = [
     Row("a farthest depth not a number", DEPTH + "--max-depth nan", "--max-depth is nan; expected a number of"),
     # recordings
     Row("a recording whose last picture is torn", RECORDING, r"cam2.0002.png is damaged, truncated", torn_later),
-    Row("every 0th frame", RECORDING + "--step 0", "--step is 0; expected an integer of 1"),
+    Row("every 0th frame", RECORDING + "--frames ::0", "--frames is ::0; expected START:STOP:STEP"),
     Row("pictures as a recording", DEPTH.replace("depth", "record"), r"neither a folder nor a vid.*: omnistereo depth"),
     # rig files
     Row("a rig file of a long name", DEPTH + "--rig LONG", "File name too long"),
@@ -203,7 +200,6 @@ COMMANDS = [
         config(lambda c: c.update(config={"omnimvs_sweep_min_depth": "near"}))),
     # evaluate
     Row("evaluate: no such ablation", EVALUATE + "--ablations everything", "unknown ablation 'everything'; expected"),
-    Row("evaluate: no such split", EVALUATE + "--split test", "has no split 'test'"),
     # train
     Row("train: no such network", "train resnet", "invalid choice: 'resnet'"),
     Row("train: no such preset", TRAIN + "--preset tiny", "sweepnet has the presets .*, not 'tiny'"),
@@ -216,9 +212,8 @@ COMMANDS = [
     Row("calibrate: a board of words", CALIBRATE + "--board twelve", "expected columns x rows such as --board 12x10"),
     Row("calibrate: another board", CALIBRATE + "--board 9x6", "is of a board of 4 x 3", corners("a", "a")),
     Row("calibrate: radians", CALIBRATE + "--max-fov 3.84", r"is 3.84; .* radians \(220", corners("a", "a")),
-    Row("calibrate: degree 0", CALIBRATE + "--degree 0", "degree is 0; expected an integer of 4", corners("a", "a")),
     Row("calibrate: one view", CALIBRATE, "1 of 1 views show the board; expected at least 3", corners("a", "a")),
-    Row("calibrate: no corners", CALIBRATE, "holds no corners_"),
+    Row("calibrate: no corners", CALIBRATE, "boards has no images .*expected cam1/0001.png"),
     Row("calibrate: a wild corner", CALIBRATE, r"corners_1.yaml: view a: corner .*\[-50000.0, 0.0\],? .*outside",
         corners("[0.0000, 0.0000]", "[-50000, 0]")),
     Row("calibrate: a corner of words", CALIBRATE, "corners_1.yaml: ", corners("[0.0000, 0.0000]", "[left, 0]")),

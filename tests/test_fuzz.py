@@ -389,7 +389,7 @@ def records():
 def valid(tmp_path_factory):
     folder, latest = tmp_path_factory.mktemp("fuzz"), Latest()
     latest.put(LivePicture(b"", np.full((2, 4), 2.0), 0.4))
-    with serve(latest, 0) as address:
+    with serve(latest) as address:
         yield folder, samples(folder) | live_page(address)
 
 

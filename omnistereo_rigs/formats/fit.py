@@ -92,7 +92,7 @@ def fit_lens(lens: Lens, max_fov_deg: float | None) -> tuple[OcamCamera, float]:
         reason = ": it has no tangential distortion" if tangential else ""
         warnings.warn(
             f"{source}: an OCam camera follows the {model} model in the file to {residual:.2f} px "
-            f"only{reason}. Where that is too much, lower max_fov_deg (--max-fov)",
+            f"only{reason}. Where that is too much, lower max_fov_deg (`omnistereo rig --max-fov`)",
             UserWarning,
             stacklevel=2,
         )

@@ -103,8 +103,8 @@ def level(rig: Rig, source: Path) -> Rig:
         T = Pose(R, np.zeros(3))
         _log.info(
             "%s: the cameras agree that down is %.0f° from +y of the rig: the rig is turned "
-            "level, by %.0f° in all, its first camera to the front (--keep-frame or "
-            "keep_frame=True leave it)",
+            "level, by %.0f° in all, its first camera to the front (`omnistereo rig --keep-frame` "
+            "or keep_frame=True leave it)",
             source,
             angle,
             T.magnitude()[0],

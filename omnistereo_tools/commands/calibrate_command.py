@@ -23,9 +23,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_tools.commands.options import ImagesOptions, warn_of
+from omnistereo_tools.commands.options import warn_of
 from omnistereo_tools.outputs import check_outputs, hold
-from omnistereo_tools.parser import option
+from omnistereo_tools.parser import Options, option
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,18 +44,34 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CalibrateOptions(ImagesOptions):
+class CalibrateOptions(Options):
     """Options of `omnistereo calibrate`."""
 
     folder: Path | None = option(
-        "a folder of images, or a video, per camera", positional=True, nargs="?", metavar="FOLDER"
+        "a folder of images, or a video, per camera; or an earlier --out, whose corners_*.yaml"
+        " are used, edited or not",
+        positional=True,
+        nargs="?",
+        metavar="FOLDER",
     )
     board: str | None = option("inner corners, columns x rows, such as 12x10, or a YAML file")
     square: float | None = option(
         "edge of a square of a checkerboard in metres, such as 0.06", needs="board"
     )
-    degree: int | None = option("polynomial degree", unset="chosen by cross-validation")
-    corners: Path | None = option("folder with corners_*.yaml of an earlier run, edited or not")
+    max_fov: float | None = option("field of view in degrees", unset="as far as corners reach")
+    from_images: tuple[Path, ...] | None = option(
+        "for each camera a folder, a video or one picture", needs="rig"
+    )
+    rig: Path | None = option("nominal poses; with a board: cameras whose intrinsics are kept")
+    baseline: float | None = option(
+        "metres between cameras 1 and 2: the poses of --rig are not used",
+        needs="from_images",
+        between=(1e-6, 1e4),
+    )
+    calibrated: bool = option(
+        "the poses of --rig are a calibration: they keep weight", False, needs="from_images"
+    )
+    out: Path = option("folder for the results", Path("out/rig"))
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -63,10 +79,12 @@ class CalibrateOptions(ImagesOptions):
             raise OmnistereoError("--from-images needs no board. Leave FOLDER and --board out")
         if self.from_images is None and (self.folder is None or self.board is None):
             raise OmnistereoError("calibrate needs FOLDER and --board, or --from-images and --rig")
-        if self.degree is not None or self.max_fov is not None:
+        if self.baseline is not None and self.calibrated:
+            raise OmnistereoError("--baseline does not use the poses. Leave --calibrated out")
+        if self.max_fov is not None:
             from omnistereo_rigs.boards.single_camera import check_settings
 
-            check_settings(self.degree, self.max_fov)
+            check_settings(None, self.max_fov)
 
 
 def run(options: CalibrateOptions) -> int:
@@ -76,7 +94,7 @@ def run(options: CalibrateOptions) -> int:
     if options.folder is None or options.board is None:
         from omnistereo_tools.commands.calibrate_images import run
 
-        return run(options, options.from_images or ())
+        return run(options)
     _calibrate_boards(options, options.folder, options.board)
     return 0
 
@@ -103,17 +121,14 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
     # Read the boards.
     _check_out(options, folder)
     board = read_board(board_name, options.square)
-    read = (
-        _read_captures(folder) if options.corners is None else _read_corners(options.corners, board)
-    )
+    detected = sorted(folder.glob("corners_*.yaml"), key=lambda path: (len(path.name), path.name))
+    read = _read_corners(detected, board) if detected else _read_captures(folder)
     cameras, names, views, sizes = read
-    if options.rig is not None and (len(views) == 1 or options.degree is not None):
-        raise OmnistereoError(
-            "--rig keeps the intrinsics of two or more cameras. Leave it, or --degree, out"
-        )
+    if options.rig is not None and len(views) == 1:
+        raise OmnistereoError("--rig keeps the intrinsics of two or more cameras. Leave it out")
     out = hold(options.out)
     # Compute lenses and poses.
-    chosen = options.degree, options.max_fov, progress_bar(), names
+    chosen = None, options.max_fov, progress_bar(), names
     if len(views) == 1:
         camera, single = calibrate_camera(
             views[0], board, None if sizes is None else sizes[0], *chosen
@@ -135,7 +150,7 @@ def _calibrate_boards(options: CalibrateOptions, folder: Path, board_name: str) 
         written = write_rig(rig, out)
     # Write what was found, and say it.
     write_text(out / "report.txt", text + "\n")
-    with_corners = options.corners is None or not out.samefile(options.corners)
+    with_corners = not (detected and out.samefile(folder))
     for name, one in zip(cameras, reports, strict=True):
         save_figure(out / f"report_{name}.png", calibration_figure(one), dpi=80)
         if with_corners:  # captures without a board as null
@@ -185,17 +200,14 @@ def _check_out(options: CalibrateOptions, folder: Path) -> None:
     FOLDER.
     """
     out, pictures = options.out, folder.resolve()
-    if options.corners is None and pictures in (out.resolve(), out.resolve().parent):
+    own = any(folder.glob("corners_*.yaml"))
+    if not own and pictures in (out.resolve(), out.resolve().parent):
         raise OmnistereoError(
             f"--out {out} would be read as images of {folder} the next time. Choose another."
         )
-    files = {
-        path
-        for name in ("*.yaml", "*.json", "*.txt", "report_*.png", "colmap/*")
-        for path in out.glob(name)
-    }
-    unread = () if options.corners is None else ("folder",)
-    check_outputs(options, (path for path in files if path.stem[:8] != "corners_"), unread=unread)
+    names = ("*.yaml", "*.json", "*.txt", "report_*.png", "colmap/*")
+    files = {path for name in names for path in out.glob(name) if path.stem[:8] != "corners_"}
+    check_outputs(options, files, unread=("folder",) if own else ())
 
 
 def _read_captures(folder: Path) -> _Read:
@@ -212,15 +224,10 @@ def _read_captures(folder: Path) -> _Read:
     return captures.cameras, captures.names, captures.views(), None
 
 
-def _read_corners(folder: Path, board: Board) -> _Read:
+def _read_corners(files: Sequence[Path], board: Board) -> _Read:
     """Return corners in place of images."""
     from omnistereo_rigs.boards.captures import load_corners
 
-    files = sorted(folder.glob("corners_*.yaml"), key=lambda path: (len(path.name), path.name))
-    if not files:
-        raise OmnistereoError(
-            f"{folder} holds no corners_*.yaml: run once without --corners, which writes them"
-        )
     loaded = [load_corners(path) for path in files]
     for path, (_, detected, _) in zip(files, loaded, strict=True):
         if type(detected) is not type(board) or len(detected.points) != len(board.points):

@@ -1,7 +1,10 @@
 """The part of `omnistereo calibrate` that needs no board: poses from ordinary images of the rig."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -29,7 +32,7 @@ from omnistereo_rigs.images.from_images import (
     rig_from_pairs,
 )
 from omnistereo_tools.commands.depth_command import DepthOptions
-from omnistereo_tools.commands.options import DoctorOptions, ImagesOptions
+from omnistereo_tools.commands.options import DoctorOptions
 from omnistereo_tools.commands.record_command import RecordOptions
 from omnistereo_tools.input.masks import with_masks
 from omnistereo_tools.input.sources import Pictures, Recording, of_recordings
@@ -38,16 +41,19 @@ from omnistereo_tools.outputs import check_outputs, hold, save_figure
 from omnistereo_tools.parser import Options, as_typed
 from omnistereo_tools.progress import progress_bar, say
 
-_CANDIDATES = 24  # frames that are looked at
+if TYPE_CHECKING:
+    from omnistereo_tools.commands.calibrate_command import CalibrateOptions
+
+_CANDIDATES, _FRAMES = 24, 6  # frames that are looked at, and used
 _STILL = 3.0  # gray values by which frames of a moving rig differ, in the mean
 _CHECKED = 3  # frames on which the matching cost is compared
 _AS_GOOD = 1.01  # times the cost
 _FALLS = 2.0  # standard errors by which the held-out cost of each frame must fall
 
 
-def run(options: ImagesOptions, recorded: Sequence[Path]) -> int:
+def run(options: CalibrateOptions) -> int:
     """Measure a rig from images, write it and its report; return 1 if the given rig stays."""
-    out = options.out
+    out, recorded = options.out, options.from_images or ()
     names = (
         "config.yaml",
         "report.txt",
@@ -90,7 +96,7 @@ def run(options: ImagesOptions, recorded: Sequence[Path]) -> int:
 
 
 def _stays(
-    options: ImagesOptions, recorded: Sequence[Path], why: str, report: Sequence[str]
+    options: CalibrateOptions, recorded: Sequence[Path], why: str, report: Sequence[str]
 ) -> int:
     """Say that the given rig stays and why; return 1."""
     print(f"The given rig stays, nothing is written: {why}.", *report, sep="\n")
@@ -108,60 +114,56 @@ def _first_pictures(recorded: Sequence[Path]) -> tuple[Path, ...]:
     return tuple(one.files[first] for one in folders) if len(folders) == len(recorded) else ()
 
 
-def _next(options: ImagesOptions, recorded: Sequence[Path], rig: Path) -> str:
+def _next(options: CalibrateOptions, recorded: Sequence[Path], rig: Path) -> str:
     """Return the command that computes depth with a rig."""
     kind, name = (RecordOptions, "record") if of_recordings(recorded) else (DepthOptions, "depth")
     typed: type[Options] = kind
-    return as_typed(name, typed, options, rig=rig, images=tuple(recorded), out=None, unit=None)
+    return as_typed(name, typed, options, rig=rig, images=tuple(recorded), out=None)
 
 
-def _read(options: ImagesOptions, recorded: Sequence[Path]) -> tuple[Images, Rig, Given]:
+def _read(options: CalibrateOptions, recorded: Sequence[Path]) -> tuple[Images, Rig, Given]:
     """Return the frames chosen, the rig, and what its poses are."""
-    if options.lenses is None:
-        assert options.rig is not None  # `ImagesOptions` wants one of them
-        rig = read_any_rig(options.rig, options.unit, options.max_fov, keep_frame=True)
+    assert options.rig is not None  # `CalibrateOptions` wants it
+    if options.baseline is None:
+        rig = read_any_rig(options.rig, None, options.max_fov, keep_frame=True)
     else:
-        cameras = load_cameras(options.lenses, options.max_fov)
+        cameras = load_cameras(options.rig, options.max_fov)
         rig = Rig(cameras, [Pose.identity()] * len(cameras))
-    rig = with_masks(rig, None, recorded)
+    rig = with_masks(rig, recorded)
     if of_recordings(recorded):
-        images = _choose_frames(Recording.open(recorded), rig, options.frames)
+        images = _choose_frames(Recording.open(recorded), rig)
     else:
         images = [load_images(recorded, rig)]
     if options.calibrated and len(images) == 1:
         raise OmnistereoError(
             "one frame does not replace a calibration. Give several, or leave out --calibrated"
         )
-    if options.rig is not None:
+    if options.baseline is None:
         return images, rig, "calibration" if options.calibrated else "nominal"
     say("finding the poses without any to start from")
     features = find_features(rig.cameras, images)
-    return (
-        images,
-        rig_from_pairs(rig.cameras, features, options.baseline, options.radius),
-        "nothing",
-    )
+    return images, rig_from_pairs(rig.cameras, features, options.baseline), "nothing"
 
 
-def _choose_frames(recording: Recording, rig: Rig, count: int) -> Images:
+def _choose_frames(recording: Recording, rig: Rig) -> Images:
     """Return frames of a recording that are sharp and differ most."""
     numbers = varied.candidates(sorted(recording.frames), _CANDIDATES)
     frames = list(recording.read(numbers, rig))
-    chosen = varied.choose([varied.look(images) for images in frames], count, _STILL)
+    chosen = varied.choose([varied.look(images) for images in frames], _FRAMES, _STILL)
     used = ", ".join(str(numbers[k]) for k in chosen)
     say(f"frames {used} of {len(recording.frames)} are used")
     return [frames[k] for k in chosen]
 
 
 def _measure(
-    options: ImagesOptions, rig: Rig, given: Given, images: Images, progress: Progress
+    options: CalibrateOptions, rig: Rig, given: Given, images: Images, progress: Progress
 ) -> tuple[MeasuredRig, str | None, list[str]]:
     """Return the rig measured, why it is not better than the one given, if so, and details."""
     features = find_features(rig.cameras, images, progress)
-    measured = measure_rig(rig, images, given, features, options.free_lenses, progress=progress)
+    measured = measure_rig(rig, images, given, features, progress=progress)
     if given == "nothing":
         return measured, None, []
-    half = measure_rig(rig, images, given, features, options.free_lenses, "even", progress)
+    half = measure_rig(rig, images, given, features, sectors="even", progress=progress)
     checked = images if given == "calibration" else images[:_CHECKED]
     falls = np.array([_held_out(rig, half.rig, row) for row in checked])
     said = ", ".join(f"{before:.4f} → {after:.4f}" for before, after, _ in falls)

@@ -16,11 +16,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools.commands.options import (
     SAMPLE,
+    DepthRange,
     FrameOptions,
     GridOptions,
     MethodOptions,
@@ -42,31 +43,33 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class DepthOptions(StrictOptions, MethodOptions, GridOptions, FrameOptions):
+class DepthOptions(StrictOptions, MethodOptions, DepthRange, GridOptions, FrameOptions):
     """What is written of one frame."""
 
     own_methods = True
 
+    frame: int = option("frame of a data set, counted from 0", 0)
+    phi: tuple[float, float] | None = option(
+        "elevations in degrees, down is positive", unset="square pixels"
+    )
     out: Path | None = option("folder for the results", unset="out; with --rig out/depth_NAME")
     max_depth: float | None = option(
         "of points, metres", unset="the fourth sphere from infinity", between=(1e-6, 1e9)
     )
-    min_confidence: float = option("of points; doubtful ones are marked", 0.0, between=(0, 1))
     mesh: Path | None = option(
         "write a mesh: .glb (textured, y up) or .ply", suffixes=(".glb", ".ply")
-    )
-    mesh_faces: int | None = option(
-        "decimate the mesh to N triangles", metavar="N", between=(1, 10**9), needs="mesh"
     )
     equirectangular: Path | None = option(
         "depth as 2:1 TIFF for Blender, Nuke and GIS, pictures for viewers",
         suffixes=(".tiff", ".tif"),
     )
-    crops: Path | None = option(
-        "perspective crops with depth and transforms.json", metavar="FOLDER"
-    )
-    up: Literal["z"] | None = option("of points and .ply: x forward, y left", unset="y is down")
-    all_crops: bool = option("crops up to the rim, above and below", False, needs="crops")
+
+    def __post_init__(self) -> None:
+        from omnistereo_lib.geometry.sphere import SphereGrid
+
+        super().__post_init__()
+        if self.phi is not None:
+            SphereGrid(2, 2, self.phi)
 
 
 def run(options: DepthOptions) -> int:
@@ -79,7 +82,8 @@ def run(options: DepthOptions) -> int:
     out = options.out or default_out("depth", options.rig)
     _check(options, out)
     # Read what there is, before what is slow to import.
-    frame = read_frame(options)
+    frame = read_frame(options, options.frame)
+    from omnistereo_lib.files import make_folder
     from omnistereo_lib.stereo.methods import FRAME_METHOD
     from omnistereo_tools.judge.coverage import Coverage
     from omnistereo_tools.judge.first_look import image_doubts, rig_doubts
@@ -87,24 +91,25 @@ def run(options: DepthOptions) -> int:
     from omnistereo_tools.output.points import Limits
 
     coverage = Coverage.of(frame.rig)
-    grid = make_grid(options, coverage, find_min_depth(options.min_depth, frame))
+    min_depth = find_min_depth(options.min_depth, frame)
+    grid = make_grid(options, coverage, min_depth, options.phi)
     gt_index = None if frame.gt_path is None else frame.gt_index(grid)
     # Check and say.
     warn_of(rig_doubts(frame.rig, grid.min_depth))
     doubt = next(image_doubts(frame, grid), None)
     warn_of([doubt] if doubt else [])
-    _make_folders(options, out)
+    hold(out)
+    for file in filter(None, (options.mesh, options.equirectangular)):
+        make_folder(file.parent)
     method = options.method or FRAME_METHOD
     # Compute and write.
     depth = _compute(frame, grid, method, options.device)
-    limits = Limits.of(depth, options.max_depth, options.min_confidence)
-    result = FrameResult(depth, limits, method, gt_index, options.up, doubt)
+    limits = Limits.of(depth, options.max_depth)
+    result = FrameResult(depth, limits, method, gt_index, doubt)
     if replaced := result.replaces(out):
         say(replaced)
     written = result.write(out, progress_bar())
-    written += result.export(
-        options.mesh, options.mesh_faces, options.equirectangular, options.crops, options.all_crops
-    )
+    written += result.export(options.mesh, options.equirectangular)
     print(*result.sentences(), coverage.left_out(grid), sep="\n")
     print(f"written to {out}/: {', '.join(written)}")
     print(out / "index.html" if result.fits else rig_doctor(options))
@@ -122,17 +127,18 @@ def _compute(frame: Frame, grid: SphereGrid, method: str, device: str) -> Depth:
     """Return the depth of a frame by a method of the library, or by a file; say how long it will
     take, or took.
     """
+    from omnistereo_tools.progress import progress_bar, say
+
     if is_own(method):
         from omnistereo_lib.stereo.sweep import SphereSweep
         from omnistereo_tools.own_method import run_own
 
-        print(f"method: {method}, in a process of its own", flush=True)
+        say(f"method: {method}, in a process of its own")
         own = run_own(Path(method), SphereSweep(frame.rig, grid, device=device), frame.images)
-        print(f"it took {own.seconds:.1f} s", flush=True)
+        say(f"it took {own.seconds:.1f} s")
         return own.depth
     from omnistereo_lib.stereo.pipeline import estimate_depth
     from omnistereo_tools.judge.pace import say_frame
-    from omnistereo_tools.progress import progress_bar
 
     say_frame(method, grid, device)
     return estimate_depth(frame, grid, method, device=device, progress=progress_bar())
@@ -151,23 +157,6 @@ def _check(options: DepthOptions, out: Path) -> None:
             f"{path} holds many frames; expected one picture per camera. For recordings: {right}"
         )
     files = [out / "overview.png", out / "index.html", options.mesh, options.equirectangular]
-    if (sphere := options.equirectangular) is not None:
-        files += beside(sphere)
-    folders = [out / "data"]
-    if (crops := options.crops) is not None:
-        files += [crops / "transforms.json", crops / "points.ply"]
-        folders += [crops / "images", crops / "depth", crops / "masks"]
-    check_outputs(options, files, folders)
-
-
-def _make_folders(options: DepthOptions, out: Path) -> None:
-    """Make the folders of all results, before what may take long."""
-    from omnistereo_lib.files import make_folder
-
-    hold(out)
-    for folder in (
-        options.crops,
-        *(file and file.parent for file in (options.mesh, options.equirectangular)),
-    ):
-        if folder is not None:
-            make_folder(folder)
+    if options.equirectangular is not None:
+        files += beside(options.equirectangular)
+    check_outputs(options, files, [out / "data"])

@@ -28,7 +28,6 @@ from omnistereo_tools.parser import as_typed
 
 if TYPE_CHECKING:
     from omnistereo_lib.frame import Frame
-    from omnistereo_lib.geometry.sphere import SphereGrid
     from omnistereo_rigs.doctor.rig_check import RigCheck
 
 
@@ -45,7 +44,7 @@ def _check_rig(options: DoctorOptions, rig_file: Path) -> int:
     """Say what a rig can see and what depth to ask for, and check it against its images; return 1
     if it is wrong.
     """
-    check_outputs(options, [options.coverage, options.write])
+    check_outputs(options, [options.write])
     has_images = options.images is not None or _is_data_set(rig_file)
     if options.write is not None and not has_images:
         raise OmnistereoError("--write needs --images: only they show what the rig is")
@@ -54,33 +53,23 @@ def _check_rig(options: DoctorOptions, rig_file: Path) -> int:
     rig = frame.rig if frame else read_rig(options)
     from omnistereo_tools.judge.coverage import Coverage
     from omnistereo_tools.judge.first_look import rig_doubts
-    from omnistereo_tools.outputs import save_figure
 
     coverage = Coverage.of(rig)
     min_depth = rig.min_depth if options.min_depth is None else options.min_depth
     if frame:
         min_depth = find_min_depth(min_depth, frame)
     # The panorama that `omnistereo depth` computes by default.
-    grid = coverage.propose(
-        DepthOptions.width, DepthOptions.height, options.phi, DepthOptions.spheres, min_depth
-    )
+    grid = make_grid(DepthOptions(), coverage, min_depth)
     warn_of(rig_doubts(rig, grid.min_depth))
-    found = _check_images(options, frame, make_grid(options, coverage, grid.min_depth))
+    found = _check_images(options, frame, grid.min_depth)
     low, high = rig.baselines.min(), rig.baselines.max()
     print(found.verdict)
     print(f"{len(rig)} cameras, {low:.3g} to {high:.3g} m apart: check that this is right.")
     print(*found.details, *coverage.sentences(grid.min_depth), coverage.left_out(grid), sep="\n")
-    if options.coverage is not None:
-        save_figure(options.coverage, coverage.figure())
-        print(f"written to {options.coverage}: how many cameras see what")
-    chosen = {
-        "width": grid.width,
-        "height": grid.height,
-        "phi": grid.phi_deg,
-        "spheres": grid.num_spheres,
-    }
+    chosen = f"{grid.width}x{grid.height}x{grid.num_spheres}"
     if frame and not found.status:
-        print(as_typed("depth", DepthOptions, options, **chosen, min_depth=grid.min_depth))
+        more = {"grid": chosen, "phi": grid.phi_deg, "min_depth": grid.min_depth}
+        print(as_typed("depth", DepthOptions, options, **more))
     elif found.next is not None:
         print(found.next)
     return found.status
@@ -96,16 +85,15 @@ class _Found:
     next: str | None = None  # a command, or what to do
 
 
-def _check_images(options: DoctorOptions, frame: Frame | None, grid: SphereGrid) -> _Found:
-    """Check a rig against its images, whose matching cost is that on a grid; write the rig that
-    they show, if that is asked for.
-    """
+def _check_images(options: DoctorOptions, frame: Frame | None, min_depth: float) -> _Found:
+    """Check a rig against its images; write the rig that they show, if that is asked for."""
     if frame is None:
         return _Found(
             "OPEN  without --images nothing shows whether the poses are right",
             0,
             next="Pass --images, one per camera: then they are checked, and a command is printed.",
         )
+    from omnistereo_lib.geometry.sphere import SphereGrid
     from omnistereo_lib.rig_file import save_rig
     from omnistereo_rigs.doctor.rig_check import check_rig
     from omnistereo_tools.judge.first_look import matching_cost, same_pictures
@@ -120,7 +108,7 @@ def _check_images(options: DoctorOptions, frame: Frame | None, grid: SphereGrid)
     if check.cause == "late or displaced" and options.images is None:
         check = _with_frames(options, check)
     word = "OK  " if check.fits else "OPEN" if check.fits is None else "FAIL"
-    cost = matching_cost(rig, images, grid)
+    cost = matching_cost(rig, images, SphereGrid(320, 80, num_spheres=64, min_depth=min_depth))
     details = [f"Median matching cost of the rig as given: {cost:.3f}; right rigs have up to 0.17."]
     if stated is None:
         details.append(
@@ -150,9 +138,8 @@ def _with_frames(options: DoctorOptions, check: RigCheck) -> RigCheck:
     from omnistereo_tools.record.sync import is_sure
 
     assert options.rig is not None  # the images are those of a data set
-    data = load_dataset(options.rig, None, options.unit, None, options.max_fov)
-    start = max(0, min((options.frame or 0) % len(data) - FRAMES // 2, len(data) - FRAMES))
-    images = [data[k].images for k in range(start, min(start + FRAMES, len(data)))]
+    data = load_dataset(options.rig)
+    images = [data[k].images for k in range(min(FRAMES, len(data)))]
     late = LateCameras(data.rig, images).find() if len(images) > 1 else None
     if late is None or not is_sure(late):
         return check

@@ -11,21 +11,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
-from omnistereo_tools.commands.options import LensOptions, PrecisionOptions
+from omnistereo_tools.commands.options import DeviceOptions
 from omnistereo_tools.outputs import check_outputs
 from omnistereo_tools.parser import is_tiny, option, shrink
 
 
 @dataclass(frozen=True, kw_only=True)
-class EvaluateOptions(PrecisionOptions, LensOptions):
+class EvaluateOptions(DeviceOptions):
     """Options of `omnistereo evaluate`."""
 
     resumes = True
 
     sets: tuple[str, ...] = option("names or data set folders", ("sunny", "cloudy", "sunset"))
-    split: Literal["train", "test"] | None = option(
-        "of the sets", unset="test of a bundled name, all of a folder"
-    )
     frames: tuple[int, ...] | None = option("frame numbers", unset="all with ground truth")
     methods: tuple[str, ...] = option("such as zncc sweepnet+sgm,p1=0.2", (), unset="all")
     ablations: tuple[str, ...] = option(
@@ -62,14 +59,11 @@ def run(options: EvaluateOptions) -> None:
         "out": out,
         "scale": shrink(SCALES[options.scale]),
         "methods": select_methods(options.methods, options.ablations),
-        "sets": find_sets(options.sets, options.split),
-        "split": options.split,
+        "sets": find_sets(options.sets),
         "frames": options.frames,
         "weights": options.weights or BUNDLED_WEIGHTS,
         "device": options.device,
-        "precision": options.precision,
         "rig": options.rig,
-        "max_fov_deg": options.max_fov,
     }
     evaluation = Evaluation(**arguments)
     if is_tiny():  # one frame of each set

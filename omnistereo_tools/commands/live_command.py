@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from omnistereo_tools.commands.options import (
+    DepthRange,
     GridOptions,
     MethodOptions,
     RigOptions,
@@ -31,19 +32,15 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LiveOptions(MethodOptions, GridOptions, RigOptions):
+class LiveOptions(MethodOptions, DepthRange, GridOptions, RigOptions):
     """Options of `omnistereo live`."""
 
     rig: Path = option("rig file or folder", MISSING)
     cameras: tuple[str, ...] = option("number, device, rtsp:// or video of each", MISSING)
-    width: int = 320
-    height: int | None = 80
-    spheres: int = 64
+    grid: str = "320x80x64"
     method: str | None = option("as of omnistereo depth", unset="one that keeps pace")
     follow: bool = option("when a camera has turned, go on with its new pose", False)
-    port: int = option("of the page for the browser, 0: any", 8765, between=(0, 65535))
     loop: bool = option("videos begin again when they have ended", False)
-    open: bool = option("open the page in the browser", False)
 
 
 def open_cameras(options: LiveOptions) -> tuple[Cameras, SphereSweep]:
@@ -67,36 +64,35 @@ def open_cameras(options: LiveOptions) -> tuple[Cameras, SphereSweep]:
     )
 
 
-def run(options: LiveOptions) -> None:
-    """Show pictures as soon as somebody looks, until a video ends, Ctrl-C or SIGTERM."""
+def run(options: LiveOptions, open_page: bool = False) -> None:
+    """Show pictures as soon as somebody looks, until a video ends or Ctrl-C."""
     import webbrowser
     from time import monotonic
 
-    from omnistereo_lib.stereo.methods import VIDEO_METHOD
     from omnistereo_tools import live_view
+    from omnistereo_tools.judge.pace import live_method
+    from omnistereo_tools.progress import say
     from omnistereo_tools.record.watching import Watching
 
-    count, start, ended, method = 0, monotonic(), "stopped", options.method or VIDEO_METHOD
+    count, start, ended, method = 0, monotonic(), "Stopped", options.method
     try:
-        print("opening the cameras and computing tables: a few seconds", flush=True)
+        say("opening the cameras and computing tables: a few seconds")
         cameras, sweep = open_cameras(options)
-        pictures = live_view.live_pictures(
-            cameras, sweep, method, Watching(sweep.rig, sweep, options.follow)
-        )
+        method = method or live_method(sweep, cameras.first)
+        watching = Watching(sweep.rig, sweep, options.follow)
+        pictures = live_view.live_pictures(cameras, sweep, method, watching)
         latest = live_view.Latest()
-        with live_view.serve(latest, options.port, cameras) as address:
-            print(
-                f"open {address} in a browser of this machine: it begins then. Ctrl-C stops",
-                flush=True,
-            )
-            if options.open:
+        with live_view.serve(latest, cameras) as address:
+            print("It begins when the page is open in a browser of this machine; Ctrl-C stops it.")
+            print(address, flush=True)
+            if open_page:
                 webbrowser.open(address)
             latest.watched.wait()
             start = monotonic()
             for count, picture in enumerate(pictures, 1):  # noqa: B007 (told at the end)
                 latest.put(picture)
-        ended = "the videos have ended"
-    except KeyboardInterrupt:  # SIGTERM, too: there is nothing to resume
+        ended = "The videos have ended"
+    except KeyboardInterrupt:  # there is nothing to resume
         pass
     seconds = monotonic() - start
-    print(f"{ended}: {count} frames, {count / seconds:.1f} frames/s by {method}")
+    print(f"{ended}: {count} frames, {count / seconds:.1f} frames/s by {method}.")

@@ -8,7 +8,6 @@ Examples:
 from dataclasses import dataclass
 from pathlib import Path
 
-from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools.commands.options import GridOptions, RigOptions, make_grid, read_rig
 from omnistereo_tools.outputs import check_outputs, hold
 from omnistereo_tools.parser import option
@@ -18,8 +17,7 @@ from omnistereo_tools.parser import option
 class OnnxOptions(GridOptions, RigOptions):
     """Options of `omnistereo onnx`."""
 
-    height: int | None = 160
-    min_depth: float | None = option("nearest depth in metres", unset="of the rig file")
+    grid: str = "640x160x192"
     out: Path = option("folder for the files", Path("out/onnx"))
 
 
@@ -29,15 +27,15 @@ def run(options: OnnxOptions) -> None:
 
     from omnistereo_tools.judge.coverage import Coverage
     from omnistereo_tools.onnx.onnx_export import FILES, check_installed, export_onnx
+    from omnistereo_tools.progress import say
 
     check_installed()
     check_outputs(options, [options.out / name for name in FILES])
     rig = read_rig(options)
-    min_depth = rig.min_depth if options.min_depth is None else options.min_depth
-    if min_depth is None:
-        raise OmnistereoError(f"{options.rig} states no nearest depth. Pass --min-depth, in metres")
-    print("exporting takes about 20 s", flush=True)
-    written = export_onnx(hold(options.out), rig, make_grid(options, Coverage.of(rig), min_depth))
-    print(f"written to {options.out}/: {', '.join(written)}")
-    script = shlex.quote(f"{options.out}/run_onnx.py")
-    print(f"without torch: python {script} with one image for each of the {len(rig)} cameras")
+    grid = make_grid(options, Coverage.of(rig), rig.min_depth)
+    say("exporting takes about 20 s")
+    written = export_onnx(hold(options.out), rig, grid)
+    print(f"Good: VolumeNet for {len(rig)} cameras, {grid.width} × {grid.height} rays.")
+    print(f"written to {options.out}/: {', '.join(written)}. Then, without torch:")
+    images = " ".join(f"{k}.png" for k in range(1, len(rig) + 1))
+    print(f"python {shlex.quote(f'{options.out}/run_onnx.py')} {images}")

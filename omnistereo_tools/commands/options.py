@@ -4,6 +4,7 @@ name.
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 import omnistereo_lib
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_tools.parser import Options, flag, is_own, option
+from omnistereo_tools.parser import Options, is_own, is_tiny, option
 
 if TYPE_CHECKING:
     import numpy as np
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 SAMPLE = Path(omnistereo_lib.__file__).parent / "sample"  # travels with the package
 # names that the files of many rigs have
 _SHARED = ("config", "calibration", "kalibr", "opencv", "camchain")
+_GRID = re.compile("([0-9]{1,9})(?:x([0-9]{1,9})(?:x([0-9]{1,9}))?)?")
+_TINY = 96, 16  # columns and spheres
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,25 +46,17 @@ class LensOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RigOptions(LensOptions):
+class RigOptions(Options):
     """A rig of cameras."""
 
     rig: Path | None = option("rig file, folder of one, or data set", unset="the bundled sample")
-    unit: Literal["mm", "cm", "m"] | None = option(
-        "unit of the poses, if the file does not state it"
-    )
-    masks: tuple[Path, ...] | None = option(
-        "one per camera, bright = valid", unset="mask.png beside its images"
-    )
-    keep_frame: bool = option("do not turn the rig level", False)
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrameOptions(RigOptions):
-    """The images of a rig, or the frame of a data set."""
+    """The images of a rig, or a data set."""
 
     images: tuple[Path, ...] | None = option("one per camera, in the order of the rig", needs="rig")
-    frame: int | None = option("frame of a data set, counted from 0", unset="0")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,101 +67,59 @@ class StrictOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
+class DepthRange(Options):
+    """Where the spheres begin."""
+
+    min_depth: float | None = option(
+        "nearest depth in metres", unset="of the rig file, or found", between=(1e-6, 1e9)
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class GridOptions(Options):
     """A panorama and its spheres, by default those of the public data sets."""
 
-    width: int = option("columns", 640)
-    height: int | None = option("rows", unset="all that two cameras see")
-    phi: tuple[float, float] | None = option(
-        "elevations in degrees, down is positive", unset="square pixels"
+    grid: str = option(
+        "columns, rows and spheres of the panorama, such as 640x320x192; without rows all that two"
+        " cameras see, without spheres 192",
+        "640",
+        metavar="WxHxN",
     )
-    spheres: int = option("number of spheres N", 192)
-    min_depth: float | None = option("nearest depth in metres", unset="of the rig file, or found")
 
     def __post_init__(self) -> None:
         from omnistereo_lib.geometry.sphere import SphereGrid
 
         super().__post_init__()
-        height = 2 if self.height is None else self.height
-        SphereGrid(
-            self.width,
-            height,
-            self.phi or (-45, 45),
-            self.spheres,
-            1.0 if self.min_depth is None else self.min_depth,
-        )
+        if not _GRID.fullmatch(self.grid):
+            raise OmnistereoError(
+                f"--grid is {self.grid}; expected columns x rows x spheres, such as 640x320x192"
+            )
+        width, height, spheres = self.sizes
+        SphereGrid(width, 2 if height is None else height, num_spheres=spheres)
+
+    @property
+    def sizes(self) -> tuple[int, int | None, int]:
+        """Columns, rows and spheres of the panorama; rows are None where they are left open."""
+        found = _GRID.fullmatch(self.grid)
+        assert found is not None  # `__post_init__` has looked
+        width, height, spheres = (int(text) if text else None for text in found.groups())
+        width, spheres = width or 0, 192 if spheres is None else spheres
+        if is_tiny() and width > _TINY[0]:
+            height = height and max(1, round(height * _TINY[0] / width))
+            return _TINY[0], height, min(spheres, _TINY[1])
+        return width, height, spheres
 
 
 @dataclass(frozen=True, kw_only=True)
-class DoctorOptions(GridOptions, FrameOptions):
-    """Options of `omnistereo doctor`; the panorama is the one on which images are matched."""
+class DoctorOptions(DepthRange, FrameOptions):
+    """Options of `omnistereo doctor`."""
 
     rig: Path | None = option(
         "rig file, folder of one, or data set", unset="check the installation instead"
     )
-    width: int = 320
-    height: int | None = 80
-    spheres: int = 64
     write: Path | None = option(
-        "write there the rig as the images show it", suffixes=(".yaml", ".yml")
+        "write there the rig as the images show it", suffixes=(".yaml", ".yml"), needs="rig"
     )
-    coverage: Path | None = option(
-        "draw there how many cameras see what", suffixes=(".png", ".jpg", ".jpeg")
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.rig is None and (given := set(self.given()) - {"width", "height", "spheres"}):
-            raise OmnistereoError(
-                f"{flag(min(given))} needs --rig: the file or folder that describes the cameras"
-            )
-
-
-@dataclass(frozen=True, kw_only=True)
-class ImagesOptions(Options):
-    """Options of a calibration from images alone."""
-
-    from_images: tuple[Path, ...] | None = option(
-        "for each camera a folder, a video or one picture"
-    )
-    rig: Path | None = option("nominal poses; with a board: cameras whose intrinsics are kept")
-    unit: Literal["mm", "cm", "m"] | None = option(
-        "unit of the poses of --rig, if it does not state it", needs="rig"
-    )
-    lenses: Path | None = option(
-        "rig file or folder of lens files: poses are not needed", needs="from_images"
-    )
-    baseline: float | None = option(
-        "metres between cameras 1 and 2", needs="lenses", between=(1e-6, 1e4)
-    )
-    radius: float | None = option(
-        "mean metres from the cameras' middle", needs="lenses", between=(1e-6, 1e4)
-    )
-    calibrated: bool = option(
-        "the poses of --rig are a calibration: they keep weight", False, needs="rig"
-    )
-    free_lenses: bool = option(
-        "adjust the lenses, too: a better fit, often a worse depth", False, needs="from_images"
-    )
-    frames: int = option("how many frames are chosen", 6, needs="from_images", between=(1, 1e4))
-    max_fov: float | None = option(
-        "field of view in degrees", unset="as far as corners reach, or of the lenses"
-    )
-    out: Path = option("folder for the results", Path("out/rig"))
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.from_images is None:
-            return
-        if (self.rig is None) == (self.lenses is None):
-            raise OmnistereoError(
-                "--from-images needs --rig with nominal poses, or --lenses and one length"
-            )
-        if self.lenses is not None and (self.baseline is None) == (self.radius is None):
-            raise OmnistereoError(
-                "--lenses needs one length, because images do not tell a metre: --baseline or"
-                " --radius"
-            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,13 +166,6 @@ class MethodOptions(DeviceOptions):
                 raise OmnistereoError(f"--method {self.method}: {error}") from None
 
 
-@dataclass(frozen=True, kw_only=True)
-class PrecisionOptions(DeviceOptions):
-    """Where networks are run, and in which precision."""
-
-    precision: Literal["auto", "float32", "bfloat16"] = option("of networks", "auto")
-
-
 def read_rig(options: RigOptions, images: Sequence[Path] = ()) -> Rig:
     """Return the rig with its masks, some perhaps beside its images, and say if it was turned
     level.
@@ -236,25 +182,22 @@ def read_rig_and_clocks(
     from omnistereo_rigs.formats import read as formats
 
     file = options.rig or SAMPLE
-    read = formats.read_rig(file, options.unit, options.max_fov, options.keep_frame)
-    if not read.is_own:
-        unit = f" --unit {options.unit}" if options.unit else ""
-        once = f"omnistereo rig {file} rig.yaml{unit}"
-        print(f"{file} ({read.dialect}) is converted; `{once}` does it once.")
-    rig = read.rig
+    read = formats.read_rig(file)
     # These load torch, which takes seconds: a rig that cannot be read is named before.
     from omnistereo_tools.input.masks import with_masks
     from omnistereo_tools.output.summary import turn_sentence
     from omnistereo_tools.progress import say
 
-    if turned := turn_sentence(rig):
+    if not read.is_own:
+        say(f"{file} ({read.dialect}) is converted; `omnistereo rig {file} rig.yaml` does it once.")
+    if turned := turn_sentence(read.rig):
         say(turned)
-    return with_masks(rig, options.masks, images), read.clock_offsets_s
+    return with_masks(read.rig, images), read.clock_offsets_s
 
 
-def read_frame(options: FrameOptions) -> Frame:
+def read_frame(options: FrameOptions, number: int = 0) -> Frame:
     """Return the images and the rig with its masks, with the ground truth of a data set that has
-    one.
+    one, of which a frame is counted from 0.
 
     Raises an `OmnistereoError` if files are missing or broken.
     """
@@ -274,13 +217,12 @@ def read_frame(options: FrameOptions) -> Frame:
         )
     own = ("config.yaml", "ocam*.txt", "[0-9]*/cam[0-9]*")
     converted = None if any(next(folder.glob(name), None) for name in own) else read_rig(options)
-    data = load_dataset(folder, None, options.unit, None, options.max_fov, converted)
-    number = options.frame or 0
+    data = load_dataset(folder, rig=converted)
     if not -len(data) <= number < len(data):
         raise OmnistereoError(f"{folder} has frames 0 to {len(data) - 1}, not {number}")
     from omnistereo_tools.input.masks import with_masks
 
-    return replace(data[number], rig=with_masks(data.rig, options.masks, data[number].image_paths))
+    return replace(data[number], rig=with_masks(data.rig, data[number].image_paths))
 
 
 def mask_circles(rig: Rig, images: Sequence[Sequence[NDArray[np.uint8]]]) -> Rig:
@@ -317,11 +259,17 @@ def find_min_depth(stated: float | None, frame: Frame) -> float:
     return proposed
 
 
-def make_grid(options: GridOptions, coverage: Coverage, min_depth: float) -> SphereGrid:
+def make_grid(
+    options: GridOptions,
+    coverage: Coverage,
+    min_depth: float | None,
+    phi_deg: tuple[float, float] | None = None,
+) -> SphereGrid:
     """Return the panorama that the options ask for; what they leave open is as `Coverage.propose`
     recommends.
     """
-    return coverage.propose(options.width, options.height, options.phi, options.spheres, min_depth)
+    width, height, spheres = options.sizes
+    return coverage.propose(width, height, phi_deg, spheres, min_depth)
 
 
 def default_out(command: str, rig: Path | None) -> Path:
@@ -333,6 +281,5 @@ def default_out(command: str, rig: Path | None) -> Path:
     rig = rig.resolve()
     if rig.name in ("train", "test"):
         return Path("out", f"{command}_{rig.parent.name}-{rig.name}")
-    return Path(
-        "out", f"{command}_{rig.parent.name if rig.stem in _SHARED and rig.suffix else rig.stem}"
-    )
+    name = rig.parent.name if rig.stem in _SHARED and rig.suffix else rig.stem
+    return Path("out", f"{command}_{name}")

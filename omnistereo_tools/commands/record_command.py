@@ -12,15 +12,16 @@ methods: those of omnistereo depth
 
 from __future__ import annotations
 
-import math
+import re
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import MISSING, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools.commands.options import (
+    DepthRange,
     FrameOptions,
     GridOptions,
     MethodOptions,
@@ -28,7 +29,6 @@ from omnistereo_tools.commands.options import (
     StrictOptions,
     default_out,
     find_min_depth,
-    make_grid,
     mask_circles,
     read_rig_and_clocks,
     warn_of,
@@ -42,9 +42,11 @@ if TYPE_CHECKING:
     from omnistereo_tools.record.recordings import DepthWriter
     from omnistereo_tools.record.watching import Watching
 
+_FRAMES = re.compile("([0-9]{0,9}):([0-9]{0,9})(?::([1-9][0-9]{0,8})?)?")
+
 
 @dataclass(frozen=True, kw_only=True)
-class RecordOptions(StrictOptions, MethodOptions, GridOptions, RigOptions):
+class RecordOptions(StrictOptions, MethodOptions, DepthRange, GridOptions, RigOptions):
     """A recording, and what is written of it."""
 
     resumes = True
@@ -53,40 +55,36 @@ class RecordOptions(StrictOptions, MethodOptions, GridOptions, RigOptions):
     images: tuple[Path, ...] = option(
         "one folder or video per camera, in the order of the rig", MISSING
     )
+    grid: str = option(
+        "columns, rows and spheres of the panorama; without rows a quarter of the columns", "640"
+    )
     method: str | None = option("see above", unset="the best within 2 s a frame")
-    height: int | None = option("rows", unset="a quarter of the columns, or as --phi asks")
-    start: int = option("first frame number", 0, metavar="N", between=(0, math.inf))
-    stop: int | None = option("frame number to stop before", unset="the end", metavar="N")
-    step: int = option("every N-th frame", 1, metavar="N", between=(1, math.inf))
+    frames: str | None = option(
+        "numbers from START, without STOP, every STEP-th", unset="all", metavar="START:STOP:STEP"
+    )
     skip_bad: bool = option("leave out frames that cannot be read; reads all first", False)
     sync: bool = option("measure how late each camera is from the images, and match by that", False)
     follow: bool = option("when a camera has turned, go on with its new pose", False)
     cluster: str | None = option("of a Dask scheduler, to use many machines", metavar="ADDRESS")
     out: Path | None = option("folder for the results", unset="out/record_NAME")
-    depth_format: Literal["tiff", "png"] = option("float32, or 16 bits", "tiff")
     video: Path | None = option(
         "panorama over depth, 1280 columns, as browsers play it", suffixes=(".mp4", ".webm")
     )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        highest = 180.0 * self.rows / self.width
-        low, high = self.phi or (-min(highest, 90.0), min(highest, 90.0))
-        if max(abs(low + highest), abs(high - highest)) > 1e-3:
+        if self.frames is not None and not _FRAMES.fullmatch(self.frames):
             raise OmnistereoError(
-                f"--phi is {low:g} {high:g}; a recording is stored as a data set, whose pixels are"
-                f" square: expected --phi {-highest:g} {highest:g} for --width {self.width}"
-                f" --height {self.rows}"
+                f"--frames is {self.frames}; expected START:STOP:STEP, such as 0:100, or ::5"
             )
 
     @property
-    def rows(self) -> int:
-        """Rows of the panorama: by default a quarter of the columns, the public layout, which keeps
-        pace.
-        """
-        if self.height is None and self.phi is not None:
-            return round(self.width * (self.phi[1] - self.phi[0]) / 360)
-        return self.width // 4 if self.height is None else self.height
+    def chosen(self) -> tuple[int, int | None, int]:
+        """First frame number, the one to stop before, and the step."""
+        found = _FRAMES.fullmatch(self.frames or ":")
+        assert found is not None  # `__post_init__` has looked
+        start, stop, step = found.groups()
+        return int(start or 0), int(stop) if stop else None, int(step or 1)
 
 
 def run(options: RecordOptions) -> int:
@@ -124,7 +122,10 @@ def run(options: RecordOptions) -> int:
     rig = mask_circles(rig, first)
     frame, coverage = Frame.of(rig, first[0]), Coverage.of(rig)
     stated = stored_min_depth(out) if options.min_depth is None else options.min_depth
-    grid = make_grid(replace(options, height=options.rows), coverage, find_min_depth(stated, frame))
+    width, height, spheres = options.sizes
+    # Stored as a data set, whose pixels are square, around the horizon.
+    rows, min_depth = height or width // 4, find_min_depth(stated, frame)
+    grid = coverage.propose(width, rows, num_spheres=spheres, min_depth=min_depth)
     # Check and say, before anything is written.
     warn_of(rig_doubts(rig, grid.min_depth))
     doubt = next(image_doubts(frame, grid), None)
@@ -134,11 +135,8 @@ def run(options: RecordOptions) -> int:
         options.method or stored_method(out),
     )
     first_method, with_video = Method.parse(method or FRAME_METHOD), options.video is not None
-    suffix, precision = (
-        f".{options.depth_format}",
-        kept_precision("auto", read_facts(out / SETTINGS)),
-    )
-    writer = DepthWriter(out, recording, sweep, first_method, suffix, with_video, precision)
+    precision = kept_precision("auto", read_facts(out / SETTINGS))
+    writer = DepthWriter(out, recording, sweep, first_method, ".tiff", with_video, precision)
     writer.check_out()
     left, total = writer.left(), len(recording.frames)
     recording.check(left, rig)
@@ -195,7 +193,7 @@ def _check(options: RecordOptions, out: Path) -> None:
     filled = [
         out / "video",
         *out.glob("cam[0-9]*"),
-        *(out / f"{kind}_{options.width}" for kind in OF_RAYS),
+        *(out / f"{kind}_{options.sizes[0]}" for kind in OF_RAYS),
     ]
     check_outputs(options, [options.video, out / "config.yaml", out / SETTINGS], filled)
 
@@ -237,7 +235,7 @@ def _open_recording(options: RecordOptions, rig: Rig, late: Sequence[int]) -> Re
     from omnistereo_tools.input.sources import Recording
     from omnistereo_tools.progress import say
 
-    recording = Recording.open(options.images, options.start, options.stop, options.step, late)
+    recording = Recording.open(options.images, *options.chosen, late)
     for said in recording.said:
         say(said)
     for path, names in recording.missing.items():

@@ -61,19 +61,23 @@ def run(options: RigFileOptions) -> None:
     with warnings.catch_warnings(record=True) as doubts:
         warnings.simplefilter("always")
         read = read_rig(options.source, options.unit, options.max_fov, options.keep_frame)
-    rig = read.rig
-    print(*_assumed(options, read), sep="\n")
+    rig, said = read.rig, _assumed(options, read)
     found = [str(doubt.message).removeprefix(f"{options.source}: ") for doubt in doubts]
-    print("doubts: ", "\n         ".join(found) or "none")
     if options.size is not None:
         width, height = map(int, options.size.split("x"))
         rig = resized(rig, (width, height))
-        said = "pixel centres at whole numbers, u → (u + ½) s - ½"
-        print(f"resized: to {width} × {height} px ({said})")
-    for sentence in convert(rig, options.to, options.out):
-        print(f"{options.to}: {sentence}")
-    unit = " --unit m" if options.to in ("ocam", "opencv", "colmap", "nerfstudio") else ""
-    print(f"{options.out} is written. Next:\nomnistereo doctor --rig {options.out}{unit}")
+        said.append(
+            f"resized: to {width} × {height} px (pixel centres at whole numbers, u → (u + ½) s - ½)"
+        )
+    said += [f"{options.to}: {sentence}" for sentence in convert(rig, options.to, options.out)]
+    word = "Fair" if found else "Good"
+    low, high = rig.baselines.min(), rig.baselines.max()
+    print(f"{word}: {len(rig)} cameras, {low:.3g} to {high:.3g} m apart.")
+    print(*said, sep="\n")
+    print("doubts: ", "\n         ".join(found) or "none")
+    # What our commands cannot read back, as it states no unit, is a file to open.
+    states_unit = options.to in ("omnimvs", "kalibr")
+    print(f"omnistereo doctor --rig {options.out}" if states_unit else options.out)
 
 
 def _assumed(options: RigFileOptions, read: RigReading) -> list[str]:
@@ -81,7 +85,6 @@ def _assumed(options: RigFileOptions, read: RigReading) -> list[str]:
     from omnistereo_tools.output.summary import turn_sentence
 
     rig = read.rig
-    low, high = rig.baselines.min(), rig.baselines.max()
     unit = "metres by the format" if read.in_metres else f"{options.unit} (--unit)"
     models = ", ".join(dict.fromkeys(lens.model for lens in read.lenses)) or "ocam"
     sizes = ", ".join(
@@ -93,8 +96,7 @@ def _assumed(options: RigFileOptions, read: RigReading) -> list[str]:
         numbers = ", ".join(map(str, limited))
         field += f"; camera {numbers}: no more can have been measured, --max-fov goes on"
     return [
-        f"{options.source}: {read.dialect}, {len(rig)} cameras, {low:.3g} to {high:.3g} m apart; "
-        f"{unit}",
+        f"{options.source}: {read.dialect}; {unit}",
         f"lenses:  {models}, {sizes}, followed to {max(read.residuals_px, default=0):.2f} px at "
         "worst",
         f"field:   {field}",

@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Literal
 
 from omnistereo_lib.errors import OmnistereoError
-from omnistereo_tools.commands.options import PrecisionOptions
+from omnistereo_tools.commands.options import DeviceOptions
 from omnistereo_tools.outputs import check_outputs
 from omnistereo_tools.parser import option, shrink
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainOptions(PrecisionOptions):
+class TrainOptions(DeviceOptions):
     """Options of `omnistereo train`."""
 
     resumes = True
@@ -73,7 +73,6 @@ def run(options: TrainOptions) -> None:
         out,
         options.data,
         options.device,
-        options.precision,
         init_weights=options.init_weights,
         on_step=show,
     )

@@ -13,7 +13,7 @@ import json
 from dataclasses import MISSING, dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools.commands.options import warn_of
@@ -39,8 +39,6 @@ class WorldOptions(Options):
     range: float = option(
         "distance in metres up to which depth is fused", 30.0, between=(0.1, 10_000.0)
     )
-    kitti: bool = option("write the path in KITTI's format, too", False)
-    up: Literal["z"] | None = option("of mesh.ply: x forward, y left", unset="y is down")
 
 
 def run(options: WorldOptions) -> None:
@@ -58,7 +56,7 @@ def run(options: WorldOptions) -> None:
     check_outputs(options, [out / "config.yaml"], out.glob("omnidepth_world_*"))
     frames = RecordedFrames.open(options.recording)
     refined = hold(out) / f"omnidepth_world_{frames.grid.width}"
-    asked = {name: getattr(options, name) for name in ("voxel", "range", "kitti", "up")}
+    asked = {name: getattr(options, name) for name in ("voxel", "range")}
     asked["provenance"] = frames.provenance
     if _is_done(out, asked):
         print(f"Done already: the world is in {out}/; delete world.json there to fuse it again.")
@@ -143,7 +141,7 @@ def _write(
     """Write the path, the meshes and the page, and what makes the refined depth a data set."""
     from omnistereo_lib.files import write_text
     from omnistereo_lib.frame import read_inverse_depth
-    from omnistereo_lib.geometry.trajectory import trajectory_kitti, trajectory_tum
+    from omnistereo_lib.geometry.trajectory import trajectory_tum
     from omnistereo_tools.output.summary import GOOD, fits
     from omnistereo_tools.progress import say
     from omnistereo_tools.world.page import world_page, write_surface
@@ -155,7 +153,7 @@ def _write(
         raise OmnistereoError(
             f"no surface is left of {options.recording}. Pass a smaller --voxel or a larger --range"
         )
-    write_surface(out, surface, options.up)
+    write_surface(out, surface)
     number = list(poses)[len(poses) // 2]
     before, after = (
         frames.data.frame(number).inverse_depth,
@@ -163,14 +161,6 @@ def _write(
     )
     page = world_page(surface, poses, number, before, after, frames.grid)
     texts = {"trajectory.txt": trajectory_tum(poses), "index.html": page}
-    left_out = len(frames.data) - len(poses)
-    if options.kitti and left_out:
-        print(
-            "trajectory_kitti.txt is not written: the format has a row for each frame, without its"
-            f" number, and {left_out} are left out. trajectory.txt names the frames"
-        )
-    elif options.kitti:
-        texts["trajectory_kitti.txt"] = trajectory_kitti(poses)
     for name, text in texts.items():
         write_text(out / name, text)
     frames.link(out)

@@ -30,30 +30,24 @@ _INSIDE_DEG = 3.0  # from the end of the stated field of view; less is blur
 _SHRINK = 0.99  # of the radius: the edge itself is blurred
 
 
-def with_masks(rig: Rig, masks: Sequence[Path] | None, images: Sequence[Path]) -> Rig:
-    """Return the rig with masks from files: bright where the image is valid.
+def with_masks(rig: Rig, images: Sequence[Path]) -> Rig:
+    """Return the rig with masks from files: mask.png in the folder of the images of a camera,
+    bright where the image is valid, if each camera has a folder of its own.
 
     Args:
-        masks: One file per camera. None: mask.png in the folder of the images of a camera, where
-            there is one, each camera has a folder of its own, and the rig file has no mask of that
-            camera.
+        rig: Cameras of which the rig file has a mask keep it.
         images: One path per camera; its folder is where mask.png is looked for.
 
     Raises:
-        OmnistereoError: If there is not one mask per camera, or one cannot be read, has another
-            size or hides all.
+        OmnistereoError: If a mask cannot be read, has another size or hides all.
     """
-    if masks is not None and len(masks) != len(rig):
-        raise OmnistereoError(
-            f"there are {len(masks)} masks for {len(rig)} cameras. Give one per camera."
-        )
     folders = [path if path.is_dir() else path.parent for path in images]
-    if masks is None and (len(set(folders)) < len(rig) or len(folders) != len(rig)):
+    if len(set(folders)) < len(rig) or len(folders) != len(rig):
         return rig
     cameras = []
-    for k, camera in enumerate(rig.cameras):
-        path = masks[k] if masks is not None else folders[k] / _NAME
-        if masks is not None or (camera.mask is None and path.is_file()):
+    for camera, folder in zip(rig.cameras, folders, strict=True):
+        path = folder / _NAME
+        if camera.mask is None and path.is_file():
             camera = replace(camera, mask=read_gray(path, camera.image_size) >= 128)
             if not camera.visible_pixels().any():
                 raise OmnistereoError(
@@ -203,6 +197,6 @@ def with_circles(rig: Rig, images: Sequence[Sequence[NDArray[np.uint8]]]) -> tup
         (
             f"the images of camera {numbers} are black beyond {fields} of the"
             f" {rig.cameras[min(seen)].max_fov_deg:.0f}° stated{loss}. The image circle is taken as"
-            f" mask; --max-fov {np.floor(min(seen.values())):.0f} states it"
+            f" mask; `omnistereo rig --max-fov {np.floor(min(seen.values())):.0f}` states it"
         ),
     )

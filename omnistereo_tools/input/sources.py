@@ -231,7 +231,7 @@ class Recording:
         chosen = [n for n in frames if n >= start and (stop is None or n < stop)][::step]
         if not chosen:
             found = f"{min(frames)} … {max(frames)}"
-            raise OmnistereoError(f"no frame is left of {found}. Change --start or --stop")
+            raise OmnistereoError(f"no frame is left of {found}. Change --frames")
         # A recording by number may grow, and its frames keep their numbers.
         named = {} if by_number else frames
         content = json.dumps([[str(source.path.resolve()) for source in sources], named])

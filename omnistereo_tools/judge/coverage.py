@@ -197,7 +197,7 @@ class Coverage:
                 f"{outside:.0f} % of the directions that two cameras see (--phi {low:g} {high:g})"
             )
         if width > grid.width:
-            parts.append(f"detail (--width {width} uses the images fully)")
+            parts.append(f"detail (--grid {width} uses the images fully)")
         return (
             f"{grid.width} × {grid.height} rays from {grid.phi_deg[0]:g}° to {grid.phi_deg[1]:g}°,"
             f" {grid.num_spheres} spheres from {grid.min_depth:g} m. Left out:"

@@ -19,6 +19,7 @@ from omnistereo_tools.progress import say
 _SECONDS = {"zncc": 2.3e-7, "mccnn": 1e-5, "sweepnet": 3e-5, "volumenet": 7e-8}
 _WRITING_S, _CORES = 4.0, 2
 _FEW_FRAMES = 10  # are soon done
+_LIVE_S = 1 / 1.5  # of a frame that is watched
 _PACE_S = 2.0  # of a frame; the public drives have 1000 frames, half an hour
 
 
@@ -55,16 +56,23 @@ def say_recording(
     if method is None:
         keeps = seconds.get(FRAME_METHOD, 0.0) <= _PACE_S
         chosen = FRAME_METHOD if keeps else VIDEO_METHOD
-        why = (
-            "the lowest errors"
-            if keeps
-            else f"more doubt than {FRAME_METHOD}, which takes over {_PACE_S:g} s a frame"
-        )
-        say(f"method: {chosen}, {why}")
+        say(f"method: {chosen}, {_why(keeps)}")
     for name in sorted(seconds, key=chosen.__ne__):
         words = f"about {in_words(frames * seconds[name])} by {name}"
         say(f"{frames} frames: {words}" if name == chosen else f"{words} (--method {name})")
     return chosen
+
+
+def live_method(sweep: SphereSweep, images: Sequence[ArrayLike]) -> str:
+    """Return the method with the lowest errors if it keeps `_LIVE_S` here, else the fast one."""
+    keeps = _measure(sweep, images, FRAME_METHOD) <= _LIVE_S
+    chosen = FRAME_METHOD if keeps else VIDEO_METHOD
+    say(f"method: {chosen}, {_why(keeps)} (--method chooses another)")
+    return chosen
+
+
+def _why(keeps: bool) -> str:
+    return "the lowest errors" if keeps else f"faster than {FRAME_METHOD}, but more is doubtful"
 
 
 def _measure(sweep: SphereSweep, images: Sequence[ArrayLike], method: str) -> float:

@@ -6,7 +6,7 @@ import json
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -34,11 +34,10 @@ from omnistereo_lib.stereo.methods import Method
 from omnistereo_lib.stereo.metrics import index_error
 from omnistereo_tools.judge.trust import DOUBTFUL, trust
 from omnistereo_tools.output.blend import blended_panorama, estimate_gains
-from omnistereo_tools.output.crops import in_millimetres, write_crops
 from omnistereo_tools.output.mesh_export import write_mesh
 from omnistereo_tools.output.overview import draw_overview
-from omnistereo_tools.output.pictures import ColorScale, sharp_panorama, write_panorama
-from omnistereo_tools.output.points import AXES_IN_WORDS, Limits, PointCloud
+from omnistereo_tools.output.pictures import ColorScale, sharp_panorama
+from omnistereo_tools.output.points import Limits, PointCloud
 from omnistereo_tools.output.summary import (
     depth_sentences,
     doubt_shares,
@@ -64,9 +63,8 @@ confidence.tiff      float32 in [0, 1], of the method {method}; NaN as above
 inverse_depth.png    the same as colours: near is bright, far is dark, striped is unknown; to look at, not to measure
 depth_mm.png         16 bits: depth along the ray in whole millimetres; 0 = unknown, or beyond 65 m
 panorama.jpg         the cameras' colours at the depth of each ray, blended, one pixel per ray; black = unknown
-points.ply           {points} points, binary PLY: metres ({axes}), normals towards the rig, colours,
-                     confidence as quality, and 1 where doubtful; rays up to {max_depth:.3g} m with a confidence of at least
-                     {min_confidence:.3g}
+points.ply           {points} points, binary PLY: metres (x right, y down, z forward), normals towards the rig,
+                     colours, confidence as quality, and 1 where doubtful; rays up to {max_depth:.3g} m
 sigma.tiff           float32, 1/m: 68 % of the rays are off by at most this much in inverse depth; NaN as above
 bound.tiff           float32, 1/m: 95 % are. From the method's evidence, and from how far the rig file says that its
                      cameras may be off; the truth is taken to lie within the range swept
@@ -83,7 +81,6 @@ _ERRORS = (
     "errors.json          errors against the ground truth in % of the range swept, as in Table II"
     " of the paper\n"
 )
-_ALL = 0.99  # of what the cameras see, for crops
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,19 +91,13 @@ class FrameResult:
     limits: Limits
     method: str
     gt_index: NDArray[Any] | None = None
-    up: Literal["z"] | None = None  #: of points and meshes in PLY; None: the axes of the rig
     doubt: str | None = None  #: why the rig and the images cannot fit
 
     @property
     def title(self) -> str:
         """One line for the head of pictures and pages."""
-        grid = self.depth.grid
-        rays = f"{grid.width} × {grid.height} rays"
         turned = ", rig turned level" if turn_sentence(self.depth.sweep.rig) else ""
-        return (
-            f"{self.method}: {len(self.depth.images)} cameras{turned}, {rays}, {grid.num_spheres}"
-            " spheres"
-        )
+        return f"Depth from {len(self.depth.images)} cameras by {self.method}{turned}"
 
     @lazy_property
     def facts(self) -> dict[str, Any]:
@@ -199,26 +190,14 @@ class FrameResult:
             "data/ (README.txt says what each file holds)",
         ]
 
-    def export(
-        self,
-        mesh_file: Path | None,
-        faces: int | None,
-        equirectangular: Path | None,
-        crops: Path | None,
-        all_crops: bool = False,
-    ) -> list[str]:
+    def export(self, mesh_file: Path | None, equirectangular: Path | None) -> list[str]:
         """Write the files for other programs that are asked for, into folders that exist; return
-        what each holds.
-
-        Args:
-            mesh_file, faces: See `write_mesh`.
-            equirectangular: See `equirectangular_depth`.
-            crops, all_crops: See `write_crops`.
+        what each holds. See `write_mesh` and `equirectangular_depth`.
         """
         written = []
         if mesh_file is not None:
             triangles, doubtful = write_mesh(
-                mesh_file, self.depth, self.panorama, self.limits, faces, self.doubtful, self.up
+                mesh_file, self.depth, self.panorama, self.limits, self.doubtful
             )
             written.append(
                 f"{mesh_file} ({triangles} triangles, {doubtful} of them doubtful and marked)"
@@ -226,11 +205,6 @@ class FrameResult:
         if equirectangular is not None:
             photo, colors = self._write_equirectangular(equirectangular)
             written.append(f"{equirectangular} (metres along the ray), {photo}, {colors}")
-        if crops is not None:
-            count, share = write_crops(crops, self.depth, self.limits, all_crops, self._cloud)
-            more = "" if all_crops or share > _ALL else "; --all-crops covers the rest"
-            of_all = f"{100 * share:.0f} % of what the cameras see{more}"
-            written.append(f"{crops}/ ({count} crops of {of_all}; transforms.json)")
         return written
 
     def _write_equirectangular(self, path: Path) -> tuple[Path, Path]:
@@ -271,9 +245,9 @@ class FrameResult:
             data / "inverse_depth.png",
             ColorScale.of(depth.inverse_depth).colorize(depth.inverse_depth),
         )
-        write_panorama(data / "panorama.jpg", self._colors, grid)
+        write_image(data / "panorama.jpg", self._colors)
         write_image(data / "depth_mm.png", in_millimetres(depth.depth))
-        self._cloud.write(data / "points.ply", self.up)
+        self._cloud.write(data / "points.ply")
         save_rig(depth.sweep.rig, data / "rig.yaml")
         text = _README.format(
             width=grid.width,
@@ -281,9 +255,7 @@ class FrameResult:
             phi=grid.phi_deg,
             method=self.method,
             points=len(self._cloud.points),
-            axes=AXES_IN_WORDS[self.up],
             max_depth=self.limits.max_depth,
-            min_confidence=self.limits.min_confidence,
         )
         (data / "errors.json").unlink(missing_ok=True)  # of another frame
         write_facts(data / PROVENANCE, self.facts)
@@ -295,6 +267,12 @@ class FrameResult:
             text += _ERRORS
         text += _MADE
         write_text(data / "README.txt", text)
+
+
+def in_millimetres(depth: NDArray[Any]) -> NDArray[np.uint16]:
+    """Return depth in metres as whole millimetres; 0 where it is unknown or beyond 65 m."""
+    steps = np.nan_to_num(1000 * depth)
+    return np.where(steps < 65535, steps.round(), 0).astype(np.uint16)
 
 
 def beside(path: Path) -> tuple[Path, Path]:

@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write
 from omnistereo_lib.stereo.depth import Depth
-from omnistereo_tools.output.points import AXES, Limits
+from omnistereo_tools.output.points import Limits
 
 if TYPE_CHECKING:
     from trimesh import Scene, Trimesh
 
 _EDGE = 0.2  # of the depth between neighbouring rays: a surface so oblique is hardly seen
 _SPHERES = 1.5  # always connected: far away, one sphere is more than `_EDGE`
+# Turns points, as rows, from the axes of the rig to those of glTF and OpenGL: y up, z back.
+Y_UP = np.diag([1.0, -1.0, -1.0])
 _EYE_FOV = 1.2  # radians from top to bottom, of the camera in a GLB
 _TRANSLUCENT = 90  # of 255: doubtful triangles are faded, as in the pictures
 
@@ -28,9 +30,7 @@ def write_mesh(
     depth: Depth,
     panorama: NDArray[np.uint8],
     limits: Limits,
-    faces: int | None = None,
     doubtful: NDArray[np.bool_] | None = None,
-    up: str | None = None,
 ) -> tuple[int, int]:
     """Write the mesh of a depth panorama in metres; return its number of triangles, and how many
     are doubtful.
@@ -42,24 +42,21 @@ def write_mesh(
     Args:
         panorama: uint8 array, RGB, the whole panorama at any size: the texture
         limits: Rays that become vertices; the sky is beyond its `max_depth`.
-        faces: Number of triangles to decimate to. None: all.
         doubtful: Which rays are doubtful, (H, W); so is a triangle with such a vertex. None: none
             is.
-        up: Of a .ply file, see `AXES`.
 
     Raises:
         OmnistereoError: If trimesh is not installed, no triangle is left, or the file cannot be
             written.
     """
-    mesh = make_mesh(depth, limits, faces)
+    mesh = make_mesh(depth, limits)
     uv = mesh.metadata["uv"]
     vertices = _look_up(uv, np.zeros(depth.grid.shape, bool) if doubtful is None else doubtful)
     triangles = np.any(vertices[mesh.faces], axis=-1)
     if path.suffix.lower() == ".glb":
-        mesh.vertices = mesh.vertices @ AXES["y"]
+        mesh.vertices = mesh.vertices @ Y_UP
         content = _textured(mesh, uv, panorama, triangles)
     else:
-        mesh.vertices = mesh.vertices @ AXES[up]
         content = _coloured(mesh, _look_up(uv, panorama), vertices)
     with atomic_write(path) as temporary:
         temporary.write_bytes(content)
@@ -77,7 +74,7 @@ def import_trimesh() -> ModuleType:
     return trimesh
 
 
-def make_mesh(depth: Depth, limits: Limits, faces: int | None = None) -> Trimesh:
+def make_mesh(depth: Depth, limits: Limits) -> Trimesh:
     """Return the mesh in the axes of the rig, without colours; `metadata["uv"]` holds the texture
     coordinates (M, 2).
 
@@ -88,17 +85,13 @@ def make_mesh(depth: Depth, limits: Limits, faces: int | None = None) -> Trimesh
     distance = np.where(limits.keep(depth), depth.depth, np.nan)
     corners = _triangles(distance, depth.index)
     if len(corners) == 0:
-        raise OmnistereoError(
-            "no triangle is left for the mesh. Raise --max-depth or lower --min-confidence"
-        )
+        raise OmnistereoError("no triangle is left for the mesh. Raise --max-depth")
     used, corners = np.unique(corners, return_inverse=True)
     on, towards = np.divmod(used, distance.size)
     rays = depth.grid.rays().reshape(-1, 3)
     halfway = rays[on] + rays[towards]  # of a vertex at a ray, the ray itself
     points = halfway / np.linalg.norm(halfway, axis=-1, keepdims=True) * distance.ravel()[on, None]
     mesh = trimesh.Trimesh(points, corners.reshape(-1, 3), process=False)
-    if faces is not None and faces < len(mesh.faces):
-        mesh = mesh.simplify_quadric_decimation(face_count=faces)
     return _unwrap(mesh, depth)
 
 

@@ -17,12 +17,12 @@ from omnistereo_tools.judge.trust import DOUBTFUL
 from omnistereo_tools.output.pictures import ColorScale, draw_points, faded
 from omnistereo_tools.output.points import PointCloud
 
-_WIDTH, _LEFT = 1880, 70  # px, of the page and of its margin
-_TEXT, _TITLE = 14, 17  # px, of letters
-_LETTERS = 118  # of a line of a note
-_VIEW = (900, 506)  # px, of the points
-_AXES = "azimuth from left to right, 0° is ahead; elevation, down is positive"
-_TICKS = 30  # px, at least between two elevations
+_WIDTH, _GAP = 1800, 40  # px, of the page, and between what is on it
+_LEFT, _RIGHT = 1040, 580  # px, of pictures in the two columns
+_TEXT, _NAME, _TITLE = 20, 22, 34  # px, of letters
+_DEGREES = 70  # px, of degrees beside a panorama
+_LETTERS = 56  # of a line of a note
+_BRIGHTER = 0.7  # power of the colours of points
 
 
 def draw_overview(
@@ -33,35 +33,42 @@ def draw_overview(
     title: str,
     notes: Sequence[str],
 ) -> NDArray[np.uint8]:
-    """Return the page, uint8 RGB; doubtful rays and points are faded.
+    """Return the page, uint8 RGB, in two columns; doubtful rays and points are faded. Elevations
+    are positive upwards, as a reader expects.
 
     Args:
         panorama: uint8 array, any size, RGB: the whole panorama, sharper than the depth
         trust: Of `trust.trust`, (H, W).
         title: What was computed and how, one line.
-        notes: Sentences to stand below the trust.
+        notes: The verdict, which is the heading, and sentences.
     """
     page, scale, phi_deg = _Page(), ColorScale.of(depth.inverse_depth), depth.grid.phi_deg
-    wide, half = _WIDTH - 2 * _LEFT, _VIEW[0]
-    # Above each other: panorama, depth, and the colours of the depth.
-    row = page.panorama(panorama, (_LEFT, 40), wide, phi_deg, f"{title}; {_AXES}", cv2.INTER_AREA)
-    name = "Depth along the ray; faded: doubtful, striped: unknown"
-    colors = scale.colorize(depth.inverse_depth, trust < DOUBTFUL)
-    row = page.panorama(colors, (_LEFT, row + 40), wide, phi_deg, name)
-    page.paste(np.repeat(scale.bar(wide), 16, 0), (_LEFT, row + 10))
-    for place, label in scale.ticks():
-        page.text((_LEFT + place * wide, row + 32), label, "mt")
-    # Below, left: trust and notes. Right: the points.
-    below, right = row + 90, _WIDTH - 10 - half
-    page.paste(
-        draw_points(cloud.points, faded(cloud.colors, cloud.doubtful), _VIEW), (right, below)
+    page.write((_GAP, 24), notes[0], "la", _TITLE)
+    page.write((_GAP, 70), title, "la", _NAME)
+    # Left: panorama, depth, and the colours of the depth.
+    left, row = _GAP + _DEGREES, 120
+    row = page.panorama(
+        panorama, (left, row), _LEFT, phi_deg, "What the cameras see", cv2.INTER_AREA
     )
-    page.title((right + half / 2, below), f"{len(cloud.points)} points, from above and behind")
+    colors = scale.colorize(depth.inverse_depth, trust < DOUBTFUL)
+    name = "Depth along the ray; faded: doubtful, striped: unknown"
+    row = page.panorama(colors, (left, row), _LEFT, phi_deg, name)
+    page.paste(np.repeat(scale.bar(_LEFT), 16, 0), (left, row))
+    for place, label in scale.ticks():
+        page.write((left + place * _LEFT, row + 22), label, "mt")
+    bottom = row + 60
+    # Right: the points, trust and notes.
+    right, row = _WIDTH - _GAP - _RIGHT, 120
+    page.write((right, row), f"{len(cloud.points)} points, from above and behind", "la", _NAME)
+    size = _RIGHT, round(0.62 * _RIGHT)
+    bright = (255 * (cloud.colors / 255) ** _BRIGHTER).astype(np.uint8)
+    page.paste(draw_points(cloud.points, faded(bright, cloud.doubtful), size), (right, row + 34))
+    row += 34 + size[1] + 20
     gray = np.repeat((255 * np.nan_to_num(trust)).astype(np.uint8)[..., None], 3, -1)
-    name = f"Trust: confidence at equal range, 0 black, 1 white; below {DOUBTFUL:g} doubtful"
-    row = page.panorama(gray, (_LEFT, below), right - 2 * _LEFT, phi_deg, name)
-    end = page.text((10, row + 20), "\n\n".join(fill(note, _LETTERS) for note in notes), "la")
-    return page.cut(max(end, below + _VIEW[1]) + 20)
+    name = f"How likely the depth is right; below {DOUBTFUL:g} doubtful"
+    row = page.panorama(gray, (right, row), _RIGHT, phi_deg, name, degrees=False)
+    text = "\n\n".join(fill(note, _LETTERS) for note in notes[1:])
+    return page.cut(max(bottom, page.write((right, row), text, "la") + 20))
 
 
 class _Page:
@@ -72,19 +79,17 @@ class _Page:
     def __init__(self) -> None:
         self._image = Image.new("RGB", (_WIDTH, 3 * _WIDTH), "white")
         self._draw = ImageDraw.Draw(self._image)
-        font = distribution("matplotlib").locate_file(
-            "matplotlib/mpl-data/fonts/ttf/DejaVuSans.ttf"
+        self._font = str(
+            distribution("matplotlib").locate_file("matplotlib/mpl-data/fonts/ttf/DejaVuSans.ttf")
         )
-        self._text, self._title = (ImageFont.truetype(str(font), size) for size in (_TEXT, _TITLE))
 
     def paste(self, pixels: NDArray[np.uint8], corner: tuple[int, int]) -> None:
         """Paste a picture (height, width, 3), its upper left corner at a place, with a thin
         frame.
         """
-        height, width = pixels.shape[:2]
-        self._draw.rectangle(
-            (corner[0] - 1, corner[1] - 1, corner[0] + width, corner[1] + height), outline="black"
-        )
+        (left, top), (height, width) = corner, pixels.shape[:2]
+        frame = (left - 1, top - 1, left + width, top + height)
+        self._draw.rectangle(frame, outline="black")
         self._image.paste(Image.fromarray(pixels), corner)
 
     def panorama(
@@ -93,34 +98,32 @@ class _Page:
         corner: tuple[int, int],
         width: int,
         phi_deg: tuple[float, float],
-        title: str,
+        name: str,
         resize: int = cv2.INTER_NEAREST,
+        degrees: bool = True,
     ) -> int:
-        """Paste a panorama, resized to a width, with a title and degrees at its edges; return the
-        row below them.
+        """Paste a panorama, resized to a width, below its name, with degrees at its edges; return
+        the row below them.
         """
         (left, top), (first, last) = corner, phi_deg
-        scale = width / 360  # px per degree
+        self.write((left, top), name, "la", _NAME)
+        scale, top = width / 360, top + 34  # px per degree
         height = max(1, round(scale * (last - first)))
-        self.paste(
-            cv2.resize(pixels, (width, height), interpolation=resize).astype(np.uint8), corner
-        )
-        self.title((left + width / 2, top), title)
-        step = next((step for step in (1, 2, 5, 10, 15, 30) if scale * step >= _TICKS), 45)
-        for degrees in range(step * int(np.ceil(first / step)), int(last) + 1, step):
-            self.text((left - 6, top + scale * (degrees - first)), f"{degrees}°", "rm")
-        for degrees in range(-180, 181, 45):
-            self.text((left + scale * (degrees + 180), top + height + 6), f"{degrees}°", "mt")
-        return top + height + 6 + _TEXT
+        fitted = cv2.resize(pixels, (width, height), interpolation=resize)
+        self.paste(fitted.astype(np.uint8), (left, top))
+        if not degrees:
+            return top + height + 20
+        for down in range(30 * int(np.ceil(first / 30)), int(last) + 1, 30):
+            self.write((left - 8, top + scale * (down - first)), f"{-down}°", "rm")
+        for azimuth in range(-180, 181, 45):
+            self.write((left + scale * (azimuth + 180), top + height + 6), f"{azimuth}°", "mt")
+        return top + height + 50
 
-    def title(self, place: tuple[float, float], line: str) -> None:
-        """Write a line above a place, centred."""
-        self._draw.text((place[0], place[1] - 8), line, "black", self._title, "ms")
-
-    def text(self, place: tuple[float, float], text: str, anchor: str) -> int:
+    def write(self, place: tuple[float, float], text: str, anchor: str, size: int = _TEXT) -> int:
         """Write text at a place, which is at its `anchor` (see Pillow); return the row below it."""
-        self._draw.text(place, text, "black", self._text, anchor)
-        return int(self._draw.textbbox(place, text, self._text, anchor)[3])
+        font = ImageFont.truetype(self._font, size)
+        self._draw.text(place, text, "black", font, anchor)
+        return int(self._draw.textbbox(place, text, font, anchor)[3])
 
     def cut(self, height: int) -> NDArray[np.uint8]:
         """Return the upper part of the page, (height, width, 3)."""

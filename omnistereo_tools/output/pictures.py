@@ -5,16 +5,13 @@ points from outside.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omnistereo_lib.files import atomic_write
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.pictures import write_image
 from omnistereo_lib.stereo.depth import Depth
 from omnistereo_tools.judge.trust import DOUBTFUL
 from omnistereo_tools.output.blend import blended_panorama, finer_index
@@ -159,38 +156,6 @@ def draw_frame(
     line = np.full((_NOTE_PX, width, 3), BACKGROUND, np.uint8)
     _write(line, f"{note}. Faded: doubtful, striped: no depth", (12, _NOTE_PX - 12))
     return np.vstack([panorama[:height, :width], colors[:height, :width], strip, line])
-
-
-def write_panorama(path: Path, image: NDArray[Any], grid: SphereGrid) -> None:
-    """Write a panorama as JPEG; of less than the whole sphere with the part that it shows, for 360°
-    viewers (GPano XMP), without a heading, on which viewers disagree.
-    """
-    write_image(path, image)
-    (low, high), (height, width) = grid.phi_deg, grid.shape
-    whole = round(height * 180 / (high - low))
-    if whole == height:
-        return
-    fields = {
-        "ProjectionType": "equirectangular",
-        "FullPanoWidthPixels": width,
-        "FullPanoHeightPixels": whole,
-        "CroppedAreaImageWidthPixels": width,
-        "CroppedAreaImageHeightPixels": height,
-        "CroppedAreaLeftPixels": 0,
-        "CroppedAreaTopPixels": round((low + 90) / 180 * whole),
-    }
-    tags = " ".join(f'GPano:{name}="{value}"' for name, value in fields.items())
-    text = (
-        '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-'
-        'syntax-ns#"><rdf:Description rdf:about="" xmlns:GPano="http://ns.google.com/photos/1.0/'
-        f'panorama/" {tags}/></rdf:RDF></x:xmpmeta>'
-    )
-    segment = b"http://ns.adobe.com/xap/1.0/\0" + text.encode()
-    jpeg = path.read_bytes()
-    with atomic_write(path) as temporary:
-        # behind the two bytes that begin each JPEG
-        head = jpeg[:2] + b"\xff\xe1" + (len(segment) + 2).to_bytes(2, "big")
-        temporary.write_bytes(head + segment + jpeg[2:])
 
 
 def finer(depth: Depth, width: int) -> int:

@@ -23,7 +23,7 @@ def turn_sentence(rig: Rig) -> str | None:
     """Return by how much a rig was turned from the frame of its file, or None if it was not."""
     degrees = 0.0 if rig.T_rig_file is None else rig.T_rig_file.magnitude()[0]
     return (
-        f"The rig was turned level, by {degrees:.0f}° (--keep-frame leaves it)."
+        f"The rig was turned level, by {degrees:.0f}° (`omnistereo rig --keep-frame` leaves it)."
         if degrees > 1e-6
         else None
     )
@@ -62,12 +62,6 @@ def depth_sentences(
     found = f"the nearest thing is {metres(nearest)} away"
     if not (keep & ~doubtful).any():
         found = "no ray within the limits is sure" if keep.any() else "no ray is within the limits"
-    unsure = known - far - int(keep.sum())
-    below = (
-        f" and {unsure} with a confidence below {limits.min_confidence:.2g} (--min-confidence)"
-        if unsure
-        else ""
-    )
     share = doubt_shares(depth.depth, doubtful)[0]
     sentences = [
         verdict(share, doubt=doubt),
@@ -78,7 +72,7 @@ def depth_sentences(
         *_doubt_sentence(depth, doubtful, nearest_depth(depth, keep), nearest),
         (
             f"The point cloud and the mesh use {int(keep.sum())} rays. Left out: {far} beyond"
-            f" {metres(limits.max_depth)} (--max-depth){below}."
+            f" {metres(limits.max_depth)} (--max-depth)."
         ),
     ]
     # Where the rig does not fit, another nearest depth makes nothing better.

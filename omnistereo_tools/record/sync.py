@@ -95,7 +95,7 @@ def measure_late(paths: Sequence[Path], rig: Rig, late: Sequence[int]) -> list[i
         )
         raise OmnistereoError(
             f"camera {camera + 1} is not late by the same all along: {told}. It has lost frames "
-            "that its time stamps do not show. Cut the recording there: --start, --stop"
+            "that its time stamps do not show. Cut the recording there: --frames"
         )
     mean = frames.mean(axis=0)
     say(_sentence(recording, mean) if np.abs(mean).max() >= 0.1 else "no camera is late")

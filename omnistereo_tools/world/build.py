@@ -4,7 +4,6 @@ refined depth.
 RECORDING/world/
   trajectory.txt                      for each frame its number, and the pose rig → world in TUM's
                                       format, metres
-  trajectory_kitti.txt                the same in KITTI's, with --kitti
   mesh.glb, mesh.ply                  the surface: y up for viewers, and in the axes of the world
   omnidepth_world_640/00001.tiff      refined inverse depth, 1/m, beside links to the rig and the
                                       images: a data set
@@ -261,7 +260,7 @@ class RecordedFrames:
         if len(poses) < 2:
             raise OmnistereoError(
                 f"{self.folder}: no step between two frames is sure. Frames must share most of what"
-                " they see: record with a smaller --step, or more often."
+                " they see: record with a smaller step of --frames, or more often."
             )
         if len(jumps := jumps_past_others(poses)) > 1:
             some = ", ".join(map(str, jumps[:8]))

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from omnistereo_lib.files import atomic_write
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_tools.output.mesh_export import export_glb, import_trimesh, linear
+from omnistereo_tools.output.mesh_export import Y_UP, export_glb, import_trimesh, linear
 from omnistereo_tools.output.pictures import colorize_depth
-from omnistereo_tools.output.points import AXES
 from omnistereo_tools.output.viewer import packed, page_of, webp
 from omnistereo_tools.world.surface import Surface
 
@@ -21,20 +20,16 @@ _MOST_TRIANGLES = 450_000  # of the page, which stays below 5 MB
 _STEPS = 65535  # of a coordinate on the page
 
 
-def write_surface(folder: Path, surface: Surface, up: str | None = None) -> None:
-    """Write mesh.glb, y up, and mesh.ply in the axes of the world or with `up`, with the colours of
-    the images.
-    """
+def write_surface(folder: Path, surface: Surface) -> None:
+    """Write mesh.glb, y up, and mesh.ply, axes of the world, with the colours of the images."""
     trimesh, colors = import_trimesh(), _colors(surface)
     glb = trimesh.Trimesh(
-        surface.vertices @ AXES["y"],
+        surface.vertices @ Y_UP,
         surface.faces,
         vertex_attributes={"_COLOR_0": linear(colors)},
         process=False,
     )
-    ply = trimesh.Trimesh(
-        surface.vertices @ AXES[up], surface.faces, vertex_colors=colors, process=False
-    )
+    ply = trimesh.Trimesh(surface.vertices, surface.faces, vertex_colors=colors, process=False)
     for name, content in (("mesh.glb", export_glb(glb)), ("mesh.ply", ply.export(file_type="ply"))):
         with atomic_write(folder / name) as temporary:
             temporary.write_bytes(content)

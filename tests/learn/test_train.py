@@ -105,8 +105,6 @@ def command(data, out, *settings, network="sweepnet"):
         data,
         "--out",
         out,
-        "--precision",
-        "float32",
     ]
     return [str(word) for word in [*verb, "--set", *tiny, *settings]]
 

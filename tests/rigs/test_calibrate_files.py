@@ -208,13 +208,8 @@ def test_a_rig_from_corners_on_file(tmp_path, capsys, monkeypatch):
             BOARD,
             SIZE,
         )
-    board = ["--board", "12x10", "--square", "0.06", "--degree", "4"]  # quicker than to choose it
-    assert (
-        cli.main(
-            ["calibrate", str(detected), "--corners", str(detected), *board, "--out", str(out)]
-        )
-        == 0
-    )
+    board = ["--board", "12x10", "--square", "0.06"]
+    assert cli.main(["calibrate", str(detected), *board, "--out", str(out)]) == 0
     said = capsys.readouterr().out
     assert re.match(r"(Good|Fair): the poses are known to 0\.\d+° and [\d.]+ mm\.\n", said)
     assert said.endswith(f"omnistereo doctor --rig {out / 'config.yaml'}\n")
@@ -236,5 +231,5 @@ def test_a_rig_from_corners_on_file(tmp_path, capsys, monkeypatch):
     before = {path: path.read_bytes() for path in out.glob("corners_*")}
     # which takes the longest
     monkeypatch.setattr("omnistereo_tools.outputs.save_figure", lambda *_, **__: None)
-    assert cli.main(["calibrate", str(out), "--corners", str(out), *board, "--out", str(out)]) == 0
+    assert cli.main(["calibrate", str(out), *board, "--out", str(out)]) == 0
     assert {path: path.read_bytes() for path in before} == before

@@ -21,7 +21,7 @@ from omnistereo_tools.commands import depth_command
 from omnistereo_tools.commands.options import make_grid
 
 pytestmark = pytest.mark.usefixtures("small")
-SMALL = ["--width", "96", "--height", "24", "--spheres", "16"]
+SMALL = ["--grid", "96x24x16"]
 GRID = osl.SphereGrid(96, 24, (-45, 45), 16, 0.6)
 RESULTS = (
     "README.txt bound.tiff confidence.tiff depth_mm.png inverse_depth.png inverse_depth.tiff"
@@ -140,22 +140,19 @@ def test_depth_of_gray_images_without_a_nearest_depth(
 
 def test_doctor_of_a_wrong_rig(data, capsys, scene_images):
     osl.save_rig(invert_poses(scene_images[0]), data / "config.yaml")
-    assert run("doctor", "--rig", data, *SMALL) == 1
+    assert run("doctor", "--rig", data) == 1
     assert (
         "FAIL  the poses look inverted (rig → camera instead of camera → rig)"
         in capsys.readouterr().out
     )
 
 
-def test_doctor_of_a_rig_without_images_says_what_it_can_see(data, tmp_path, capsys):
-    assert (
-        run("doctor", "--rig", data / "config.yaml", "--coverage", tmp_path / "coverage.png") == 0
-    )
+def test_doctor_of_a_rig_without_images_says_what_it_can_see(data, capsys):
+    assert run("doctor", "--rig", data / "config.yaml") == 0
     said = capsys.readouterr().out
     assert "At 5 m, a match that is off by one pixel puts a depth off by" in said
     # without images nothing can run
     assert "Ready to run" not in said and "omnistereo depth" not in said
-    assert cv2.imread(str(tmp_path / "coverage.png")).std() > 20
 
 
 def test_doctor_of_a_right_rig_prints_the_command_that_depth_is_by_default(
@@ -171,7 +168,7 @@ def test_doctor_of_a_right_rig_prints_the_command_that_depth_is_by_default(
         raise osl.OmnistereoError("seen enough")
 
     monkeypatch.setattr(depth_command, "make_grid", stop)
-    assert run("doctor", *with_images(data), *SMALL) == 0
+    assert run("doctor", *with_images(data)) == 0
     out = capsys.readouterr().out
     assert f"4 cameras, {rig.baselines.min():.3g} to {rig.baselines.max():.3g} m apart" in out
     assert "OK    the rig fits its images" in out
@@ -192,7 +189,7 @@ def test_doctor_of_a_folder_that_holds_a_rig_alone(data, tmp_path, capsys):
 
 def test_doctor_of_the_same_picture_twice(data, capsys):
     (data / "cam1" / "0001.png").write_bytes((data / "cam2" / "0001.png").read_bytes())
-    assert run("doctor", *with_images(data), *SMALL) == 1
+    assert run("doctor", *with_images(data)) == 1
     assert capsys.readouterr().out.startswith(
         "FAIL  images 1 and 2 are the same picture. Check their paths\n"
     )
@@ -202,16 +199,13 @@ def test_doctor_of_the_same_picture_twice(data, capsys):
     ("command", "said"),
     [
         ("depth --rig none --images a b --method bogus", "cost must be one of .*'bogus'"),
-        ("record --rig none --images none/ b --spheres 1", "num_spheres is 1"),
-        ("depth --rig none --images a b --max-fov 900", "--max-fov is 900"),
-        (
-            "record --rig none --images a.mp4 b.mp4 --phi -30 40",
-            "--phi is -30 40; .*expected --phi -34.875 34.875",
-        ),
-        ("doctor --rig none --phi 20 10", r"phi_deg is \(20.0, 10.0\)"),
+        ("record --rig none --images none/ b --grid 96x24x1", "num_spheres is 1"),
+        ("record --rig none --images none/ b --frames 3", "--frames is 3; .*START:STOP:STEP"),
+        ("start none --board 9x6 --square 0.1 --max-fov 900", "--max-fov is 900"),
+        ("depth --rig none --images a b --phi 20 10", r"phi_deg is \(20.0, 10.0\)"),
         ("live --rig none --cameras 0 1 --method zncc,window=4", "window"),
-        ("onnx --rig none --width -8", "width is -8"),
-        ("calibrate none --board 12x10 --square 0.06 --degree 99", "degree is 99"),
+        ("onnx --rig none --grid 8x-8", "--grid is 8x-8; expected columns x rows"),
+        ("calibrate none --board 12x10 --square 0.06 --max-fov 9", "max_fov_deg is 9"),
         ("evaluate --sets none --methods bogus", "cost must be one of .*'bogus'"),
         ("train volumenet --data none --set steps=0", "steps = 0"),
     ],

@@ -59,7 +59,7 @@ def run(*arguments):
 
 def record(recorded, method):
     views = [recorded / f"view{k}" for k in (1, 2, 3, 4)]
-    small = ["--width", 96, "--height", 24, "--spheres", 16, "--method", method]
+    small = ["--grid", "96x24x16", "--method", method]
     return ["record", "--rig", recorded / "rig.yaml", "--images", *views, *small]
 
 
@@ -103,7 +103,7 @@ def test_a_worker_does_not_keep_the_rig_of_an_earlier_recording(cluster, recorde
     )
     other = [*command, "--rig", tmp_path / "rig.yaml"]
     assert run(*other, "--out", tmp_path / "local") == 0
-    for asked in (command, [*other, "--stop", 3], other):
+    for asked in (command, [*other, "--frames", ":3"], other):
         if asked is not other:
             shutil.rmtree(out, ignore_errors=True)
         assert run(*asked, "--out", out, "--cluster", cluster.scheduler_address) == 0

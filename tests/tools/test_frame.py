@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import scene
 import tifffile
-from PIL import Image
 
 import omnistereo_lib as osl
 from omnistereo_lib.pictures import read_pixels, write_image
@@ -172,7 +171,7 @@ def test_near_points_hide_far_ones():
     assert (draw_points(points[:0], colors[:0], (4, 3)) == BACKGROUND).all()
 
 
-def test_masks_beside_the_images_or_named(rig, tmp_path):
+def test_masks_beside_the_images(rig, tmp_path):
     mask = np.zeros((192, 200), np.uint8)
     mask[:100] = 255
     images = [tmp_path / f"cam{k}" / "1.png" for k in range(4)]
@@ -180,27 +179,21 @@ def test_masks_beside_the_images_or_named(rig, tmp_path):
         path.parent.mkdir()
         if k != 2:
             write_image(path.parent / "mask.png", mask)
-    found = [camera.mask for camera in with_masks(rig, None, images).cameras]
+    found = [camera.mask for camera in with_masks(rig, images).cameras]
     assert found[2] is None and (found[0] == (mask > 0)).all()
     # one folder: whose mask would it be?
     together = [tmp_path / "cam0" / f"{k}.png" for k in range(4)]
-    assert with_masks(rig, None, together) is rig
-    named = [tmp_path / "cam0" / "mask.png"] * 4
-    assert all(
-        (camera.mask == (mask > 0)).all() for camera in with_masks(rig, named, together).cameras
-    )
-    with pytest.raises(osl.OmnistereoError, match="there are 3 masks for 4 cameras"):
-        with_masks(rig, named[:3], together)
-    write_image(tmp_path / "cam0" / "mask.png", mask[:50])
+    assert with_masks(rig, together) is rig
+    write_image(images[0].parent / "mask.png", mask[:50])
     with pytest.raises(
         osl.OmnistereoError, match=r"mask.png is 200 × 50 px; the camera has 200 × 192 px"
     ):
-        with_masks(rig, named, together)
+        with_masks(rig, images)
 
 
 def test_files_for_other_programs(written, depth):
-    """Nodata where nothing is known, whole millimetres, the part of the sphere a panorama shows."""
-    data, grid = written / "data", depth.grid
+    """Nodata where nothing is known, whole millimetres."""
+    data = written / "data"
     for name in ("inverse_depth", "confidence", "trust"):
         with tifffile.TiffFile(data / f"{name}.tiff") as file:
             assert file.pages[0].tags[42113].value == "nan"
@@ -208,11 +201,3 @@ def test_files_for_other_programs(written, depth):
     known = depth.valid & (depth.depth < 65)
     np.testing.assert_allclose(found[known], 1000 * depth.depth[known], atol=0.51)
     assert found.dtype == np.uint16 and not found[~depth.valid].any()
-    with Image.open(data / "panorama.jpg") as picture:
-        tags = picture.getxmp()["xmpmeta"]["RDF"]["Description"]
-    assert (tags["FullPanoWidthPixels"], tags["FullPanoHeightPixels"]) == ("160", "80")
-    low = grid.phi_deg[0]
-    top = int(tags["CroppedAreaTopPixels"])
-    assert top == round((low + 90) / 180 * 80) and tags["CroppedAreaImageHeightPixels"] == str(
-        grid.height
-    )

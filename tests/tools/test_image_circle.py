@@ -79,7 +79,7 @@ def test_rigs_with_a_rim_are_masked_and_told(world):
     before, after = rig.cameras[0].visible_pixels().sum(), masked.cameras[0].visible_pixels().sum()
     assert after / before == pytest.approx((170 / 220) ** 2, rel=0.05)
     assert "black beyond 1" in said and "of the 220° stated: two cameras see " in said
-    proposed = float(said.split("--max-fov ")[1].split()[0])
+    proposed = float(said.split("--max-fov ")[1].split("`")[0])
     assert 166 <= proposed <= 171
     assert masked.T_rig_cam == rig.T_rig_cam
 

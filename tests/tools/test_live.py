@@ -8,7 +8,7 @@ import time
 import urllib.error
 import urllib.request
 import webbrowser
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager
 from urllib.parse import urlsplit
 
 import cv2
@@ -147,7 +147,7 @@ def test_videos_pause_step_and_begin_again(recorded):
 def test_the_browser_gets_a_stream_and_depths(picture):
     depth, shown = picture
     latest = Latest()
-    with serve(latest, 0) as address:
+    with serve(latest) as address:
         assert 'src="stream"' in urllib.request.urlopen(address, timeout=60).read().decode()
         assert not latest.watched.is_set()  # nobody looks yet
         stream = urllib.request.urlopen(address + "stream", timeout=60)
@@ -165,7 +165,7 @@ def test_the_browser_gets_a_stream_and_depths(picture):
 @pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example:8765", "", None])
 def test_a_page_of_another_name_gets_no_pictures(host):
     """As of a site whose name its owner lets point here (DNS rebinding)."""
-    with serve(Latest(), 0) as address:
+    with serve(Latest()) as address:
         asked = urllib.request.Request(address, headers={} if host is None else {"Host": host})
         if host is None:  # urllib would add it
             with socket.create_connection(("127.0.0.1", urlsplit(address).port), 60) as client:
@@ -176,45 +176,9 @@ def test_a_page_of_another_name_gets_no_pictures(host):
                 urllib.request.urlopen(asked, timeout=60)
 
 
-@pytest.mark.slow
-def test_clients_that_say_nothing_keep_nobody_out_for_long(monkeypatch, capfd):
-    monkeypatch.setattr(live_view, "_PATIENCE_S", 1.0)
-    with serve(Latest(), 0) as address, ExitStack() as clients:
-        port = urlsplit(address).port
-        silent = [
-            clients.enter_context(socket.create_connection(("127.0.0.1", port), 60))
-            for _ in range(60)
-        ]
-        one_too_many = silent[-1].recv(1)  # closed at once
-        # after a second
-        assert one_too_many == b"" and all(client.recv(1) == b"" for client in silent)
-        assert b"stream" in urllib.request.urlopen(address, timeout=60).read()
-    assert capfd.readouterr().err == ""
-
-
-@pytest.mark.slow
-def test_clients_that_speak_slowly_keep_nobody_out(monkeypatch):
-    """A byte now and then is no silence; the whole request has a limit."""
-    monkeypatch.setattr(live_view, "_PATIENCE_S", 1.0)
-    with serve(Latest(), 0) as address, ExitStack() as clients:
-        port = urlsplit(address).port
-        slow = [
-            clients.enter_context(socket.create_connection(("127.0.0.1", port), 60))
-            for _ in range(16)
-        ]
-        deadline, answered = time.monotonic() + 60, False
-        while not answered and time.monotonic() < deadline:
-            for client in slow:
-                with suppress(OSError):
-                    client.sendall(b"G")
-            with suppress(OSError):
-                answered = b"stream" in urllib.request.urlopen(address, timeout=0.3).read()
-        assert answered
-
-
 @pytest.mark.parametrize("site", ["cross-site", "same-site"])
 def test_a_page_of_another_site_is_not_shown_the_stream(site):
-    with serve(Latest(), 0) as address:
+    with serve(Latest()) as address:
         for name in ("stream", "depth?0.5&0.5"):
             asked = urllib.request.Request(address + name, headers={"Sec-Fetch-Site": site})
             with pytest.raises(urllib.error.HTTPError, match="403"):
@@ -227,7 +191,7 @@ def test_a_page_of_another_site_is_not_shown_the_stream(site):
 
 def test_an_origin_of_another_site_is_refused_where_a_browser_tells_no_more():
     latest = Latest()
-    with serve(latest, 0) as address:
+    with serve(latest) as address:
         for origin, answer in (("http://evil.example", 403), (address.rstrip("/"), 400)):
             asked = urllib.request.Request(address + "depth?", headers={"Origin": origin})
             with pytest.raises(urllib.error.HTTPError, match=str(answer)):
@@ -272,14 +236,14 @@ def test_a_camera_may_be_a_device_or_a_stream_and_send_all_lenses(recorded, monk
 def test_a_place_that_is_none_is_refused(picture, query):
     latest = Latest()
     latest.put(picture[1])
-    with serve(latest, 0) as address, pytest.raises(urllib.error.HTTPError, match="400"):
+    with serve(latest) as address, pytest.raises(urllib.error.HTTPError, match="400"):
         urllib.request.urlopen(f"{address}depth?{query}", timeout=60)
 
 
 def test_a_client_that_does_not_read_is_left(monkeypatch, picture):
     monkeypatch.setattr(live_view, "_PATIENCE_S", 0.5)
     latest, (depth, _) = Latest(), picture
-    with serve(latest, 0) as address:
+    with serve(latest) as address:
         port = urlsplit(address).port
         with socket.create_connection(("127.0.0.1", port), 60) as client:
             client.sendall(b"GET /stream HTTP/1.0\r\nHost: localhost\r\n\r\n")
@@ -305,18 +269,7 @@ def viewer(monkeypatch):
 
 
 def live(folder, videos):
-    small = [
-        "--width",
-        "96",
-        "--height",
-        "24",
-        "--spheres",
-        "16",
-        "--method",
-        "zncc",
-        "--port",
-        "0",
-    ]
+    small = ["--grid", "96x24x16", "--method", "zncc"]
     return cli.main(["live", "--rig", str(folder / "rig.yaml"), "--cameras", *videos, *small])
 
 
@@ -324,8 +277,8 @@ def test_the_command_plays_videos_to_their_end(recorded, capsys, viewer):
     _, folder, videos = recorded
     assert live(folder, videos) == 0
     told = capsys.readouterr().out
-    page = r"open http://127.0.0.1:\d+/ in a browser of this machine: it begins then. Ctrl-C stops"
-    assert re.search(page + r"\nthe videos have ended: [1-5] frames, ", told)
+    page = r"It begins when the page is open in a browser of this machine; Ctrl-C stops it.\n"
+    assert re.search(page + r"http://127.0.0.1:\d+/\nThe videos have ended: [1-5] frames, ", told)
 
 
 def test_the_demo_plays_the_drive_and_opens_the_browser(recorded, tmp_path, monkeypatch, capsys):
@@ -355,8 +308,7 @@ def test_the_demo_plays_the_drive_and_opens_the_browser(recorded, tmp_path, monk
     monkeypatch.setattr(webbrowser, "open", browser)
     assert cli.main(["demo"]) == 0
     told = capsys.readouterr().out
-    (method,) = re.findall(r"96 × 24 rays by (\S+), the best that keeps 5 frames/s here\n", told)
-    assert re.search(rf"stopped: [4-9]\d* frames, [\d.]+ frames/s by {re.escape(method)}\n", told)
+    assert re.search(r"Stopped: [4-9]\d* frames, [\d.]+ frames/s by volumenet\.\n", told)
     browsers[0].join(60)
     monkeypatch.setattr(demo_command, "DRIVE", tmp_path / "nowhere")
     assert cli.main(["demo"]) == 2 and "the drive comes with the clone" in capsys.readouterr().err
@@ -379,26 +331,15 @@ def test_a_black_rim_is_masked(tmp_path, capsys, viewer):
     assert "are black beyond 1" in capsys.readouterr().err
 
 
-class Terminated(KeyboardInterrupt):
-    """As the command line's own, of SIGTERM."""
-
-
-@pytest.mark.parametrize("stop", [KeyboardInterrupt, Terminated])
-def test_ctrl_c_ends_it_with_its_own_words(recorded, capsys, monkeypatch, viewer, picture, stop):
+def test_ctrl_c_ends_it_with_its_own_words(recorded, capsys, monkeypatch, viewer, picture):
     def pictures(*_):
         yield picture[1]
-        raise stop
+        raise KeyboardInterrupt
 
     monkeypatch.setattr(live_view, "live_pictures", pictures)
     assert live(*recorded[1:]) == 0
     told = capsys.readouterr()
-    assert "stopped: 1 frames, " in told.out and "interrupted" not in told.err
-
-
-@pytest.mark.parametrize("port", [-1, 65536])
-def test_a_port_is_a_number_of_16_bits(capsys, port):
-    assert cli.main(["live", "--rig", "none.yaml", "--cameras", "0", "1", "--port", str(port)]) == 2
-    assert f"--port is {port}; expected an integer of 0 to 65535" in capsys.readouterr().err
+    assert "Stopped: 1 frames, " in told.out and "interrupted" not in told.err
 
 
 def test_the_newest_value_is_what_waits():
@@ -423,5 +364,5 @@ def test_the_newest_value_is_what_waits():
     ],
 )
 def test_what_cannot_be_shown_is_told(recorded, capsys, change, message):
-    assert cli.main(["live", "--rig", str(recorded[1] / "rig.yaml"), *change, "--port", "0"]) == 2
+    assert cli.main(["live", "--rig", str(recorded[1] / "rig.yaml"), *change]) == 2
     assert message in capsys.readouterr().err

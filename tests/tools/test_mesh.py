@@ -110,17 +110,6 @@ def test_it_is_cut_where_the_depth_jumps_and_without_the_sky(depth):
     assert covered == pytest.approx(34.5 * 159 - 9.5 * 69, abs=1)  # no gap between the two
 
 
-def test_it_is_decimated_on_demand(depth, panorama, tmp_path):
-    pytest.importorskip("fast_simplification")
-    count, _ = write_mesh(tmp_path / "a.glb", depth, panorama, ALL, faces=2000)
-    mesh = load(tmp_path / "a.glb")
-    assert len(mesh.faces) == count <= 2000
-    pixels, _ = GRID.project(mesh.vertices * [1, -1, -1])
-    off = np.abs((mesh.visual.uv[:, 0] - (pixels[:, 0] + 0.5) / 160 + 0.5) % 1 - 0.5)
-    assert off.max() < 1e-3  # the texture still fits
-    assert np.abs(scene.beyond_walls(mesh.vertices * [1, -1, -1], RIG) - 1).max() < 0.05
-
-
 def test_what_cannot_be_a_mesh_is_told(depth, panorama, tmp_path):
     with pytest.raises(osl.OmnistereoError, match="no triangle is left"):
         write_mesh(tmp_path / "a.glb", depth, panorama, Limits(0.1, 0.0))
@@ -144,12 +133,12 @@ def glb_tree(path):
     return json.loads(content[20 : 20 + int.from_bytes(content[12:16], "little")])
 
 
-def test_a_world_has_linear_colours_in_glb_and_ros_axes_on_request(tmp_path):
+def test_a_world_has_linear_colours_in_glb(tmp_path):
     corners = np.array([[0, 0, 1], [1, 0, 1], [0, 1, 1]], np.float32)  # right, down, forward
     surface = Surface(corners, np.array([[0, 1, 2]]), np.full((3, 3), 128, np.float32))
-    write_surface(tmp_path, surface, "z")
+    write_surface(tmp_path, surface)
     ply = trimesh.load(tmp_path / "mesh.ply", process=False)
-    np.testing.assert_array_equal(ply.vertices, [[1, 0, 0], [1, -1, 0], [1, 0, -1]])
+    np.testing.assert_array_equal(ply.vertices, corners)
     assert (ply.visual.vertex_colors[:, :3] == 128).all()
     tree = glb_tree(tmp_path / "mesh.glb")
     colors = tree["accessors"][tree["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]]

@@ -8,16 +8,16 @@ import pytest
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_tools import cli
-from omnistereo_tools.outputs import _READ, _SETS, hold, let_go
+from omnistereo_tools.outputs import READ, hold, let_go
 
-WRITES = ("out", "mesh", "equirectangular", "crops", "video", "coverage", "write")
+WRITES = ("out", "mesh", "equirectangular", "video", "write")
 FILES = {
     "rig.yaml": "cameras: [{invalid_mask: dark.png}]",
     **dict.fromkeys(
         ("1.ply", "1.tiff", "2.png", "3.png", "4.png", "dark.png", "overview.png", "mask.png"),
         "image",
     ),
-    **dict.fromkeys(("data/points.png", "crops/images/1.png", "crops/transforms.json"), "image"),
+    "data/points.png": "image",
     **dict.fromkeys(
         ("front.mp4", "back.mp4", "drive/cam1/1.png", "drive/cam2/1.png", "drive/video/1.png"),
         "image",
@@ -44,24 +44,19 @@ COMMANDS = [
     "depth --rig rig.yaml --images 1.ply 2.png --mesh 1.ply",
     "depth --rig rig.yaml --images overview.png 2.png --out .",
     "depth --rig rig.yaml --images data/points.png 2.png --out .",
-    "depth --rig rig.yaml --images crops/images/1.png 2.png --crops crops",
-    "depth --rig crops/transforms.json --images 1.tiff 2.png --crops crops",
     "depth --rig set --equirectangular set/omnidepth_gt_640/1.tiff",
     "record --rig rig.yaml --images front.mp4 back.mp4 --video front.mp4",
     "record --rig rig.yaml --images drive/cam1 drive/cam2 --out drive",
     "record --rig rig.yaml --images drive/video front.mp4 --out drive",
     "record --rig drive/config.yaml --images front.mp4 back.mp4 --out drive",
     "world own",
-    "doctor --rig rig.yaml --coverage dark.png",
-    "doctor --rig rig.yaml --images 2.png 3.png --masks mask.png 4.png --coverage mask.png",
-    "doctor --rig set --coverage set/cam1/1.png",
     "doctor --rig rig.yaml --images 2.png 3.png --write rig.yaml",
     f"{BOARDS} --out boards",
     f"{BOARDS} --out boards/cam1",
     f"{BOARDS} --out rig --rig rig/config.yaml",
     "calibrate boards --board rig/config.yaml --out rig",
     "calibrate --from-images 2.png 3.png --rig rig/config.yaml --out rig",
-    "calibrate --from-images 2.png 3.png --lenses rig/config.yaml --radius 0.3 --out rig",
+    "calibrate --from-images 2.png 3.png --rig rig/config.yaml --baseline 0.3 --out rig",
     "train volumenet --init-weights run/weights.safetensors --out run",
     "evaluate --sets set --rig tables/results.json --out tables",
     "onnx --rig network/run_onnx.py --out network",
@@ -95,8 +90,6 @@ def test_what_is_read_is_not_written_over(folder, capsys, command):
         f"{FRAME} --out out --equirectangular out/data/inverse_depth.tiff",
         f"{FRAME} --out out --equirectangular out/data/../data/inverse_depth.tiff",
         f"{FRAME} --out 5.glb --mesh 5.glb",
-        f"{FRAME} --out out --crops out/data",
-        f"{FRAME} --crops c --mesh c/depth/a.ply",
         "record --rig rig.yaml --images front.mp4 back.mp4 --out new --video new/video/a.mp4",
     ],
 )
@@ -112,7 +105,7 @@ def test_every_option_that_is_a_path_is_read_or_tried_here():
         hints = get_type_hints(get_type_hints(module.run)["options"])
         paths |= {name for name, hint in hints.items() if "Path" in str(hint)}
     # these may be no files
-    assert paths == {*_READ, *_SETS, *WRITES} - {"cameras", "board", "sets"}
+    assert paths == {*READ, *WRITES} - {"board", "sets"}
     assert all(any(f" --{name} " in command for command in COMMANDS) for name in WRITES)
 
 

@@ -12,8 +12,7 @@ from omnistereo_tools.commands.record_command import RecordOptions
 from omnistereo_tools.parser import as_typed
 
 RECORDING = (
-    "record --rig r.yaml --images a.mp4 back --phi -22.5 22.5 --width 320 --unit mm --skip-bad"
-    " --start 7"
+    "record --rig r.yaml --images a.mp4 back --grid 320x80 --min-depth 2.5 --skip-bad --frames 7::2"
 )
 
 
@@ -24,36 +23,31 @@ def test_words_become_values_of_the_types_declared():
     assert given == {
         "rig": Path("r.yaml"),
         "images": (Path("a.mp4"), Path("back")),
-        "phi": (-22.5, 22.5),
-        "width": 320,
-        "unit": "mm",
+        "grid": "320x80",
+        "min_depth": 2.5,
         "skip_bad": True,
-        "start": 7,
+        "frames": "7::2",
     }
+    assert options.sizes == (320, 80, 192) and options.chosen == (7, None, 2)
     with pytest.raises(FrozenInstanceError):
-        options.width = 9
+        options.grid = "9"
 
 
 def test_options_become_the_words_of_another_command():
     images = (Path("a.mp4"), Path("the back"))
     options = DepthOptions(
-        rig=Path("r"), images=images, keep_frame=True, min_depth=0.55, mesh=Path("a.glb")
+        rig=Path("r"), images=images, strict=True, min_depth=0.55, mesh=Path("a.glb")
     )
     assert (
-        as_typed("record", RecordOptions, options, width=320)
-        == "omnistereo record --rig r --keep-frame --width 320 --min-depth 0.55 --images a.mp4 'the"
-        " back'"
+        as_typed("record", RecordOptions, options, grid="320")
+        == "omnistereo record --rig r --grid 320 --min-depth 0.55 --strict --images a.mp4 'the back'"
     )
 
 
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        (
-            {"mesh_faces": 0, "mesh": Path("a.glb")},
-            "--mesh-faces is 0; expected an integer of 1 to",
-        ),
-        ({"all_crops": True}, "--all-crops needs --crops"),
+        ({"max_depth": -1.0}, "--max-depth is -1.0; expected a number of"),
         ({"mesh": Path("a.obj")}, "a.obj has the wrong suffix; expected .glb or .ply"),
         ({"images": (Path("1.png"),)}, "--images needs --rig"),
     ],

@@ -9,11 +9,12 @@ import yaml
 
 import omnistereo_lib as osl
 from omnistereo_lib.pictures import write_image
+from omnistereo_rigs import read_any_rig
 from omnistereo_tools import cli
 
 pytestmark = pytest.mark.usefixtures("small")
 FLU = osl.Pose(np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]]), np.zeros(3))  # x forward, z up
-SMALL = ["--width", "96", "--height", "24", "--spheres", "16", "--method", "zncc"]
+SMALL = ["--grid", "96x24x16", "--method", "zncc"]
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +54,7 @@ def test_the_turn_is_stated_and_can_be_undone(world, tmp_path, capsys):
     folder, rig = world
     assert depth(folder, tmp_path / "turned") == 0
     assert re.search(
-        r"^The rig was turned level, by 1[12][0-9]° \(--keep-frame leaves it\)\.$",
+        r"^The rig was turned level, by 1[12][0-9]° \(`omnistereo rig --keep-frame` leaves it\)\.$",
         capsys.readouterr().err,
         re.M,
     )
@@ -94,13 +95,18 @@ def test_a_black_rim_is_told_and_masked(world, tmp_path, capsys):
     assert 155 <= fov <= 162 and after < before - 20 and 154 <= proposed <= 162
 
 
-def test_every_command_on_a_rig_takes_a_field_of_view(world, capsys):
-    rig = ["--rig", str(world[0] / "rig.yaml"), "--max-fov", "3.84"]
-    for command in ("doctor", "depth", "record --images 1", "live --cameras 0", "onnx", "evaluate"):
-        assert cli.main([*command.split(), *rig]) == 2
-        assert re.search(
-            r"--max-fov is 3.84; expected .* degrees.* radians \(220.0°\)", capsys.readouterr().err
-        )
+def test_a_converted_rig_keeps_its_frame_and_field_of_view(world, tmp_path, capsys):
+    folder, rig = world
+    command = ["rig", str(folder / "rig.yaml"), str(tmp_path / "rig.yaml"), "--keep-frame"]
+    assert cli.main([*command, "--max-fov", "3.84"]) == 2
+    said = capsys.readouterr().err
+    assert re.search(r"--max-fov is 3.84; expected .* degrees.* radians \(220.0°\)", said)
+    assert cli.main([*command, "--max-fov", "180"]) == 0
+    assert capsys.readouterr().out.startswith("Good: 4 cameras, ")
+    read = read_any_rig(tmp_path / "rig.yaml")
+    assert {camera.max_fov_deg for camera in read.cameras} == {180}
+    robot = rig.transformed(FLU).T_rig_cam[1]
+    np.testing.assert_allclose(read.T_rig_cam[1].R, robot.R, atol=1e-9)
 
 
 def test_evaluations_of_other_fields_of_view_are_kept_apart(tmp_path):

@@ -40,7 +40,7 @@ def recording(tmp_path_factory):
     return folder
 
 
-COMMAND = ["--voxel", "0.1", "--kitti"]
+COMMAND = ["--voxel", "0.1"]
 
 
 @pytest.fixture(scope="module")
@@ -63,9 +63,6 @@ def test_path_meshes_and_refined_depth_of_a_recording(recording, world, capsys):
     path = np.loadtxt(out / "trajectory.txt")
     np.testing.assert_array_equal(path[:, 0], [1, 2, 3])
     np.testing.assert_allclose(path[:, 1:4], PLACES, atol=0.01)
-    np.testing.assert_allclose(
-        np.loadtxt(out / "trajectory_kitti.txt")[:, [3, 7, 11]], path[:, 1:4], atol=1e-6
-    )
     data = osl.load_dataset(out)
     truth = scene.distance(np.array(PLACES[1]), GRID.rays())
     assert np.median(np.abs(data.frame(2).inverse_depth * truth - 1)) < 0.02

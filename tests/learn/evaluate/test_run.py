@@ -410,8 +410,9 @@ FILES = [
 
 def test_the_command_line(data, weights, tmp_path, capsys, monkeypatch, expected_of_all):
     monkeypatch.setitem(SCALES, "teaching", TINY)
+    monkeypatch.setattr("omnistereo_learn.evaluate.run.choose_precision", lambda *_: "float32")
     out = tmp_path / "out"
-    arguments = ["--sets", data, "--weights", weights, "--precision", "float32", "--out", out]
+    arguments = ["--sets", data, "--weights", weights, "--out", out]
     assert command(*arguments) == 0
     assert sorted(path.name for path in out.iterdir()) == FILES
     assert (out / "results.json").read_bytes() == expected_of_all

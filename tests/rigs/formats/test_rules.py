@@ -392,7 +392,7 @@ def test_a_data_set_with_a_rig_of_another_program(tmp_path, capsys):
         (tmp_path / "set" / f"cam{n}").symlink_to((source / f"cam{n}").resolve())
     frame = read_frame(FrameOptions(rig=tmp_path / "set"))
     assert len(frame.rig) == 4 and frame.images[0].shape[:2] == (768, 800)
-    assert "`omnistereo rig " in capsys.readouterr().out
+    assert "`omnistereo rig " in capsys.readouterr().err
 
 
 def test_clocks_that_differ_are_said(tmp_path):
