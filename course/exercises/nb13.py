@@ -3,9 +3,9 @@
 import numpy as np
 
 from course.exercises import beside
-from course.exercises.compare import Rng
+from course.exercises.compare import Array, Rng
 from course.exercises.nb03 import look_up
-from course.exercises.nb04 import mean_of_pairs, zncc_costs
+from course.exercises.nb04 import mean_of_pairs
 from course.exercises.opened import Open
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
@@ -76,38 +76,58 @@ check_warp = Open(warp, _a_view, whole=("image",), real=beside.view).with_slips(
 """)
 
 
-def cost_volume(spheres, radius):
-    """Costs (H, W, N) of warped images (cameras, N, H, W): the mean over the ring of neighbouring
-    cameras (Eq. 2)."""
-    layers = []
-    for warped in spheres.swapaxes(0, 1):
-        neighbours = np.roll(warped, -1, axis=0)
-        layers.append(
-            mean_of_pairs(
-                np.stack(
-                    [zncc_costs(a, b, radius) for a, b in zip(warped, neighbours, strict=True)]
-                )
-            )
-        )
-    return np.stack(layers, axis=-1)
+def cost_volume(images, cameras, poses, theta, phi, radii, pair_cost):
+    """Costs (H, W, N) of the rays of a panorama on the spheres around the middle of the cameras,
+    radii (N,) in metres: the mean over the ring of neighbouring cameras (Eq. 2).
+
+    theta (W,), phi (H,): angles of the columns and rows, radians. pair_cost: from two warped images
+    (H, W) to costs (H, W), NaN where not both see."""
+    theta, phi = np.meshgrid(theta, phi)
+    rays = [np.cos(phi) * np.sin(theta), np.sin(phi), np.cos(phi) * np.cos(theta)]
+    rays = np.stack(rays, axis=-1)
+    center = np.mean([pose.t for pose in poses], axis=0)
+    volume = []
+    for radius in radii:
+        warped = []
+        for image, camera, pose in zip(images, cameras, poses, strict=True):
+            warped.append(warp(image, camera, pose, center + radius * rays))
+        # the last camera and the first are neighbours, too
+        neighbours = [*warped[1:], warped[0]]
+        costs = [pair_cost(a, b) for a, b in zip(warped, neighbours, strict=True)]
+        volume.append(mean_of_pairs(np.stack(costs)))
+    return np.stack(volume, axis=-1)
 
 
-def _spheres(rng: Rng, k: int) -> tuple:
-    scene = rng.normal(0, 1, (3, 10, 14 + k % 3))
-    spheres = scene + rng.normal(0, 0.5, (3 + k % 3, *scene.shape))
-    spheres[0, :, :, :4] = spheres[1, :, :, 5:8] = np.nan
-    spheres[:, 1, :2, -1] = np.nan  # cells that no pair sees
-    return spheres, 2 + k % 2
+def _a_rig(rng: Rng, k: int) -> tuple:
+    rows, columns = np.mgrid[:768, :800]
+    count = 3 + k % 2
+    images = [np.sin(rows / rng.uniform(30, 60)) + np.cos(columns / 30 + i) for i in range(count)]
+    poses = [
+        Pose.from_vector([0, 2 * np.pi * i / count, 0, *rng.normal(0, 0.4, 3)])
+        for i in range(count)
+    ]
+    theta, phi = rng.uniform(-3, 3, 7 + k % 3), np.sort(rng.uniform(-0.7, 0.7, 4))
+    radii = rng.uniform(1.5, 6, 3)
+    return images, [_camera()] * count, poses, theta, phi, radii, _apart
 
 
-check_cost_volume = Open(cost_volume, _spheres).with_slips("""
-    zip(warped, neighbours, → zip(warped[:-1], warped[1:],
+def _apart(a: Array, b: Array) -> Array:
+    return abs(a - b) / 4
+
+
+check_cost_volume = Open(
+    cost_volume, _a_rig, whole=("images", "cameras", "poses", "theta", "phi")
+).with_slips("""
+    neighbours = [*warped[1:], warped[0]] → neighbours = warped[1:]; warped = warped[:-1]
     # the ring closes: the last camera and the first are a pair
-    mean_of_pairs( → (lambda costs: np.nan_to_num(costs).mean(axis=0))(
-    # divide by the number of pairs that see the ray
-    mean_of_pairs( → (lambda costs: np.nansum(costs, axis=0))(
+    mean_of_pairs(np.stack(costs)) → np.mean(costs, axis=0)
+    # a pair that does not see the ray is NaN, and must not count: mean_of_pairs
+    mean_of_pairs(np.stack(costs)) → np.nansum(costs, axis=0)
     # that is the sum over the pairs: take the mean
-    zncc_costs(a, b, radius) → zncc_costs(a, b, 4)  # the radius is an argument: do not write 4
+    center + radius * rays → radius * rays
+    # the spheres are around the middle of the cameras: center + radius * rays
+    center + radius * rays → pose.t + radius * rays
+    # all cameras are warped onto the same sphere, around the middle of them
 """)
 
 

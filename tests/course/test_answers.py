@@ -23,12 +23,24 @@ def correlation(f):
     ].permute(1, 2, 0)
 
 
-def cost_volume(spheres, radius):
-    costs = [
-        reference.zncc(a, b, 2 * radius + 1)
-        for a, b in zip(spheres, spheres.roll(-1, 0), strict=True)
-    ]
-    return reference.mean_over_pairs(torch.stack(costs)).permute(1, 2, 0)
+def cost_volume(images, cameras, poses, theta, phi, radii, pair_cost):
+    theta, phi = torch.meshgrid(theta, phi, indexing="xy")
+    rays = torch.stack([phi.cos() * theta.sin(), phi.sin(), phi.cos() * theta.cos()], dim=-1)
+    center, layers = torch.from_numpy(np.mean([pose.t for pose in poses], axis=0)), []
+    for radius in radii:
+        warped = [
+            warp(torch.from_numpy(image), *of, center + radius * rays)
+            for image, *of in zip(images, cameras, poses, strict=True)
+        ]
+        costs = [pair_cost(warped[i - 1], warped[i]) for i in range(len(warped))]
+        layers.append(reference.mean_over_pairs(torch.stack(costs)))
+    return torch.stack(layers, dim=-1)
+
+
+def warp(image, camera, pose, points):
+    return reference.warp(
+        image, camera, pose, points, torch.ones(points.shape[:-1], dtype=torch.float64)
+    )
 
 
 DEFINITIONS = {
@@ -47,9 +59,7 @@ DEFINITIONS = {
     "nb07.refined": lambda costs: reference.winner(costs, subindex=True),
     "nb12.correlation": correlation,
     "nb13.project": lambda camera, points: reference.project(points, camera),
-    "nb13.warp": lambda image, camera, pose, points: reference.warp(
-        image, camera, pose, points, torch.ones(points.shape[:-1], dtype=torch.float64)
-    ),
+    "nb13.warp": warp,
     "nb13.cost_volume": cost_volume,
 }
 
