@@ -70,59 +70,23 @@ check_checker = Open(checker, _some_points).with_slips("""
 """)
 
 
-def light(points, normals, to_sun, boxes):
-    """Light (…), 0.4 from the sky and up to 0.8 from the sun, on points and unit normals (…, 3);
-    boxes (n, 2, 3)."""
-    slope = np.maximum(normals @ to_sun, 0)  # Lambert: the cosine, and nothing from behind
-    above = points + 1e-6 * normals  # so that a face does not shade itself
-    free = np.isinf(np.min([hit_box(above, to_sun, *box) for box in boxes], axis=0))
-    return 0.4 + 0.8 * slope * free  # the sky, and the sun
-
-
-def _points_on_boxes(rng: Rng, k: int) -> tuple:
-    low = rng.uniform(-3, 2, (4, 3)) * [1, 0.3, 1]
-    boxes = np.stack([low, low + rng.uniform(0.5, 2.5, (4, 3))], axis=1)
-    boxes[0] = (-9, 2.5, -9), (9, 3, 9)  # the ground, y is down
-    number, axis, side = rng.integers([[4], [3], [2]], size=(3, 40 + k))
-    points = (
-        boxes[number, 0] + rng.uniform(0.05, 0.95, (40 + k, 3)) * np.diff(boxes, axis=1)[number, 0]
-    )
-    points[range(40 + k), axis] = boxes[number, side, axis]
-    normals = np.eye(3)[axis] * (2 * side - 1)[:, None]
-    points -= 1e-12 * normals  # where rounding may put them
-    ground = np.tile([0.0, -1, 0], (12, 1))
-    slanting = rng.normal(0, 1, (8, 3))  # of other shapes, in the air
-    normals = np.concatenate(
-        [normals, ground, slanting / np.linalg.norm(slanting, axis=1, keepdims=True)]
-    )
-    points = np.concatenate([points, rng.uniform(-4, 4, (20, 3)) * [1, 0, 1] + [0, 2.5, 0]])
-    points[-8:, 1] = -4
-    to_sun = np.array([rng.uniform(-0.7, 0.7), -1, rng.uniform(-0.7, 0.7)])
-    return points, normals, to_sun / np.linalg.norm(to_sun), boxes
-
-
-check_light = Open(light, _points_on_boxes).with_slips("""
-    np.maximum(normals @ to_sun, 0) → normals @ to_sun
-    # a face turned away gets no sun, and not less: maximum
-    0.4 + 0.8 * slope * free → (0.4 + 0.8 * slope) * free  # a shadow is not black: the sky stays
-    points + 1e-6 * normals → points
-    # a face may shade itself: start a millionth of a metre above it
-""")
-
-
 def look(origin, rays, boxes, to_sun, paint):
-    """Gray values (…) along rays (…, 3) from a point: paint(points) times the light; 0.9 in the
-    sky."""
+    """Gray values (…) along rays (…, 3) from a point: paint(points) times the light, 0.4 from the
+    sky and up to 0.8 from the sun; 0.9 where a ray meets none of the boxes (n, 2, 3)."""
     distances = np.stack([hit_box(origin, rays, *box) for box in boxes])
     distance, number = distances.min(axis=0), distances.argmin(axis=0)
     hit = np.isfinite(distance)
     points = origin + distance[hit][:, None] * rays[hit]
+    # the face is that of the axis along which the point is farthest out
     middle, half = boxes.mean(axis=1), (boxes[:, 1] - boxes[:, 0]) / 2
     out = (points - middle[number[hit]]) / half[number[hit]]
-    # the face is that of the axis along which the point is farthest out
     normals = np.sign(out) * (np.arange(3) == np.abs(out).argmax(axis=-1)[..., None])
+    # Lambert's cosine, where no box is in the way to the sun; a face must not shade itself
+    slope = np.maximum(normals @ to_sun, 0)
+    above = points + 1e-6 * normals
+    free = np.isinf(np.min([hit_box(above, to_sun, *box) for box in boxes], axis=0))
     gray = np.full(distance.shape, 0.9)
-    gray[hit] = paint(points) * light(points, normals, to_sun, boxes)
+    gray[hit] = paint(points) * (0.4 + 0.8 * slope * free)
     return gray
 
 
@@ -131,13 +95,17 @@ def _two_checkers(points):
 
 
 def _a_view(rng: Rng, k: int) -> tuple:
-    low = rng.uniform(-4, 3, (4, 3))
+    low = rng.uniform([-4, -3, -4], [3, 1, 3], (5, 3))
     low[np.all(np.abs(low) < 1.2, axis=1)] -= 3  # nobody stands in a box
     boxes = np.stack([low, low + rng.uniform(0.4, 1.0, low.shape)], axis=1)
-    rays = rng.normal(0, 1, (5, 6 + k % 3, 3))
-    rays[0] = boxes.mean(axis=1)[np.arange(rays.shape[1]) % 4] + rng.normal(0, 0.1, rays[0].shape)
-    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    boxes[0] = (-9, 2.5, -9), (9, 3, 9)  # the ground, y is down
     to_sun = np.array([0.48, -0.64, -0.6])
+    middle = boxes.mean(axis=1)
+    shadow = middle + to_sun * ((2.5 - middle[:, 1:2]) / to_sun[1])
+    rays = rng.normal(0, 1, (5, 8 + k % 3, 3))
+    rays[0] = middle[np.arange(rays.shape[1]) % 5] + rng.normal(0, 0.1, rays[0].shape)
+    rays[1] = shadow[1 + np.arange(rays.shape[1]) % 4] + rng.normal(0, 0.1, rays[0].shape)
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     return np.zeros(3), rays, boxes, to_sun, _two_checkers
 
 
@@ -145,14 +113,13 @@ check_look = Open(look, _a_view, whole=("origin", "boxes", "to_sun")).with_slips
     distance, number = distances.min(axis=0), distances.argmin(axis=0)
     → distance, number = distances[0], np.zeros(distances.shape[1:], int)
     # that is the first box: a ray shows the nearest of all that it meets
-    np.full(distance.shape, 0.9) → np.zeros(distance.shape)
-    # where a ray meets nothing is sky, 0.9
-    paint(points) * light(points, normals, to_sun, boxes) → paint(points)
-    # the paint times the light that falls on it
     np.sign(out) * → 1.0 *
     # a normal points out of its box: to the side on which the point is, np.sign
     (points - middle[number[hit]]) / half[number[hit]] → points - middle[number[hit]]
     # boxes are not cubes: divide by their half sizes before you ask which axis is farthest out
+    (0.4 + 0.8 * slope * free) → (0.4 + 0.8 * slope) * free  # a shadow is not black: the sky stays
+    points + 1e-6 * normals → points
+    # a face may shade itself: start a millionth of a metre above it
 """)
 
 
