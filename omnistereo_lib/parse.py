@@ -64,13 +64,17 @@ _WITHOUT_MEANING = frozenset(" ".join(_IRRELEVANT.values()).split())
 # read.
 _OF_A_LENS = re.compile(
     "alpha|beta|xi|omega|lambda|epsilon|chi|[kps][0-9]|(linear_?)[cde]|gamma[12]|(radial|tangential)"
-    "_?(distortion|coef\\w*)|thin_?prism\\w*|(lens_?)?dist\\w*|skew",
+    "_?(distortion|coef\\w*)|thin_?prism\\w*|(lens_?)?dist\\w*|coef\\w*|skew",
     re.IGNORECASE,
 )
 
 
 class Section:
-    """A mapping of a file that knows which of its keys were asked for: none is lost unsaid."""
+    """A mapping of a file that knows which of its keys were asked for: none is lost unsaid.
+
+    A place is a key, or keys of inner mappings joined by dots; alternatives of the last one are
+    separated by "|".
+    """
 
     def __init__(
         self, values: Any, name: str = "", notes: dict[str, list[str]] | None = None
@@ -87,74 +91,57 @@ class Section:
         """Keep what the user must know about the way in which the section was read."""
         self.notes.setdefault(text, []).append(self.name)
 
-    def ignore(self, *names: str) -> None:
+    def ignore(self, *keys: str) -> None:
         """Count keys as read."""
-        self._asked |= dict.fromkeys(names)
+        self._asked |= dict.fromkeys(keys)
 
-    def key(self, *names: str) -> str:
-        """Return the name that a key has in the file, the first if it has none."""
-        self.ignore(*names)
-        found = [name for name in names if self.values.get(name) is not None]
-        if any(self.values[name] != self.values[found[0]] for name in found):
+    def at(self, place: str) -> tuple[Section, str]:
+        """Return the section of a place, and the name that its key has in the file, the first
+        alternative if it has none.
+        """
+        first, _, rest = place.partition(".")
+        if rest:
+            return self.section(first).at(rest)
+        keys = first.split("|")
+        self.ignore(*keys)
+        found = [key for key in keys if self.values.get(key) is not None]
+        if any(self.values[key] != self.values[found[0]] for key in found):
             raise OmnistereoError(
                 f"{' and '.join(found)} state one thing with different values. Delete the wrong one"
             )
-        return found[0] if found else names[0]
+        return self, (found or keys)[0]
 
-    def get(self, *names: str, default: Any = None) -> Any:
-        """Return the value of a key under whichever of its names the file has."""
-        value = self.values.get(self.key(*names))
+    def get(self, place: str, default: Any = None) -> Any:
+        """Return the value of a place under whichever of its names the file has."""
+        at, key = self.at(place)
+        value = at.values.get(key)
         return default if value is None else value
 
-    def require(self, *names: str) -> Any:
-        """Return the value of a key; an `OmnistereoError` lists those that there are, similar ones
-        first.
+    def require(self, place: str) -> Any:
+        """Return the value of a place; an `OmnistereoError` lists the keys that there are, similar
+        ones first.
         """
-        value = self.get(*names)
+        at, key = self.at(place)
+        value = at.values.get(key)
         if value is None:
-            similar = get_close_matches(names[0], self.values, _SHOWN, 0.5)
-            keys = similar + sorted(set(self.values) - set(similar))
+            similar = get_close_matches(key, at.values, _SHOWN, 0.5)
+            keys = similar + sorted(set(at.values) - set(similar))
             more = f" and {len(keys) - _SHOWN} more" if len(keys) > _SHOWN else ""
-            missing = " or ".join(map(repr, names))
-            raise OmnistereoError(f"key {missing} is missing; found {keys[:_SHOWN]}{more}")
+            path, _, last = place.rpartition(".")
+            inside = f"{path}: " if path else ""
+            missing = " or ".join(map(repr, last.split("|")[:_SHOWN]))
+            raise OmnistereoError(f"{inside}key {missing} is missing; found {keys[:_SHOWN]}{more}")
         return value
 
-    def floats(self, *names: str, count: int | None = None) -> Floats:
-        """Return the numbers of a key, see `parse_floats`."""
-        return parse_floats(self.require(*names), self.key(*names), count)
+    def floats(self, place: str, count: int | None = None) -> Floats:
+        """Return the numbers of a place, see `parse_floats`."""
+        return parse_floats(self.require(place), self.at(place)[1], count)
 
-    def number(self, *names: str, default: float | None = None) -> float:
-        """Return the one number of a key."""
-        if default is not None and self.get(*names) is None:
+    def number(self, place: str, default: float | None = None) -> float:
+        """Return the one number of a place."""
+        if default is not None and self.get(place) is None:
             return default
-        return float(self.floats(*names, count=1)[0])
-
-    def numbers(self) -> dict[str, float]:
-        """Return every key with its number."""
-        return {name: self.number(name) for name in self.values}
-
-    def size(self, width: str, height: str) -> tuple[int, int]:
-        """Return the size of an image, the numbers of two keys."""
-        return parse_size([self.number(width), self.number(height)], f"{width} and {height}")
-
-    def coefficients(
-        self, key: str, values: Sequence[float], names: Sequence[str], fewer: Sequence[int] = ()
-    ) -> dict[str, float]:
-        """Return numbers by names: all, or as many as one of `fewer`; zeros behind them are
-        dropped.
-        """
-        if len(values) > len(names) and not any(values[len(names) :]):
-            self.note(
-                f"{key} has {len(values)} numbers; the zeros after the first {len(names)} are "
-                "dropped"
-            )
-            values = values[: len(names)]
-        if len(values) not in (len(names), *fewer):
-            counts = ", ".join(map(str, sorted({len(names), *fewer})))
-            raise OmnistereoError(
-                f"{key} has {len(values)} numbers; expected {counts}: {' '.join(names)}"
-            )
-        return dict(zip(names, values, strict=False))
+        return float(self.floats(place, count=1)[0])
 
     def rotation(self, key: str, values: Floats) -> Floats:
         """Return a rotation matrix (3, 3); of one with few decimals the nearest, with a note."""
@@ -174,10 +161,10 @@ class Section:
         self.note(f"{key} is rounded to few decimals; the nearest rotation is used")
         return nearest
 
-    def pose(self, *names: str) -> Pose:
+    def pose(self, place: str) -> Pose:
         """Return the pose of a 4 × 4 matrix, or of its first three rows."""
-        key = self.key(*names)
-        matrix = parse_floats(self.require(*names), f"the 4 × 4 pose {key}")
+        key = self.at(place)[1]
+        matrix = parse_floats(self.require(place), f"the 4 × 4 pose {key}")
         if matrix.size not in (12, 16):
             raise OmnistereoError(f"the 4 × 4 pose {key} must be 16 numbers, found {matrix.size}")
         if matrix.size == 16 and not np.allclose(matrix[12:], [0, 0, 0, 1], atol=1e-9):
@@ -186,27 +173,24 @@ class Section:
         rows = matrix[:12].reshape(3, 4)
         return Pose(self.rotation(key, rows[:, :3]), rows[:, 3])
 
-    def word(self, *names: str, default: str = "") -> str:
-        """Return the value of a key that names something, in lower case."""
-        return str(self.get(*names, default=default)).strip().lower()
+    def word(self, place: str, default: str = "") -> str:
+        """Return the value of a place that names something, in lower case."""
+        return str(self.get(place, default)).strip().lower()
 
-    def section(self, name: str) -> Section:
+    def section(self, key: str) -> Section:
         """Return the mapping of a key."""
-        return self.add(name, self.require(name))
+        return self.add(key, self.require(key))
 
-    def at(self, path: str) -> tuple[Section, str]:
-        """Return the section of a path, whose keys are separated by dots, and its last key."""
-        first, _, rest = path.partition(".")
-        return self.section(first).at(rest) if rest else (self, first)
-
-    def sections(self, name: str) -> dict[str, Section]:
+    def sections(self, key: str) -> dict[str, Section]:
         """Return the mappings, at most 64, of a key that holds a list, counted from 1, or names."""
-        value = self.require(name)
-        with error_context(name):
+        value = self.require(key)
+        with error_context(key):
             listed = isinstance(value, list)
             items = dict(enumerate(value, 1)) if listed else Section(value).values
             check_count(len(items))
-        return {str(key): self.add(str(key), item, f"{name} {key}") for key, item in items.items()}
+        return {
+            str(name): self.add(str(name), item, f"{key} {name}") for name, item in items.items()
+        }
 
     def add(self, name: str, value: Any, path: str | None = None) -> Section:
         """Return a section that messages call `name`, whose keys count as those of this one."""
@@ -230,8 +214,8 @@ class Section:
                 )
             if _OF_A_LENS.fullmatch(key):
                 raise OmnistereoError(
-                    f"{where}{key!r} is a parameter of a lens that is not the one stated; read: "
-                    f"{', '.join(self._asked)}. Name the lens by camera_model, or delete the key"
+                    f"{where}{key!r} is a parameter of a lens that is not the one stated. Name the "
+                    "lens by its model, rename the key, or delete it"
                 )
             yield self, key
         for inner in self._inner.values():
@@ -244,11 +228,7 @@ class Section:
             unread.setdefault(section, []).append(key)
         skipped = unread.pop(self, []) if settings else []
         for section, keys in unread.items():
-            read = dict.fromkeys([*get_close_matches(keys[0], section._asked), *section._asked])
-            section.note(
-                f"not read: {', '.join(keys)}; what is read: {', '.join([*read][: 2 * _SHOWN])}. "
-                "Rename what has a meaning, delete the rest"
-            )
+            section.note(f"not read: {', '.join(keys)}. Rename what has a meaning, delete the rest")
         for text, names in self.notes.items():
             sections = [*dict.fromkeys(filter(None, names))]
             more = f" and {len(sections) - _SHOWN} more" if len(sections) > _SHOWN else ""
@@ -379,21 +359,13 @@ def metres_per_unit(unit: str | None, positions: NDArray[np.float64]) -> float:
 
 
 def check_fov(value: float, name: str) -> float:
-    """Return a full field of view in degrees; what can only be radians or a tangent is refused with
-    that guess.
+    """Return a full field of view in degrees; what can only be radians is refused with that
+    guess.
     """
     if 0 < value < MIN_FOV_DEG:
-        guesses = {
-            "radians": np.degrees(value),
-            "the tangent of half of it": 2 * np.degrees(np.arctan(value)),
-            "the radians beyond 90° from the axis": 180 + 2 * np.degrees(value),
-        }
-        likely = " or ".join(
-            f"{what} ({fov:.1f}°)" for what, fov in guesses.items() if 60 < fov <= 300
-        )
         raise OmnistereoError(
             f"{name} is {value:g}; expected the full field of view in degrees, {MIN_FOV_DEG:g} to "
-            f"360. It looks like {likely or 'another unit'}. Write degrees"
+            f"360. {value:g} radians are {np.degrees(value):.1f}°. Write degrees"
         )
     return check_number(value, name, MIN_FOV_DEG, 360)
 

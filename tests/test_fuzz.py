@@ -24,7 +24,6 @@ from PIL import Image
 from rigs.formats.rig_file_samples import (
     D4,
     EXAMPLES,
-    HUGIN,
     MEI,
     METASHAPE,
     OCAM_TXT,
@@ -198,7 +197,8 @@ def samples(folder):
     """Return reader → (name of the file, its content, how it is read, what the result must be, how
     it is damaged)."""
     opencv = {"K1": K, "D1": D4, "K2": K, "D2": D4, "R": R2, "T": T2}
-    opencv = {key: value.tolist() for key, value in opencv.items()} | {"image_size": list(SIZE)}
+    opencv = {key: value.tolist() for key, value in opencv.items()}
+    opencv |= {"image_size": list(SIZE), "fisheye": 1}
     chain = kalibr(matrix([0, 1, 0], [1, 0, 0]))
     found = {
         "omnimvs": ("config.yaml", json.dumps(omnimvs()), read_any_rig, check_rig),
@@ -219,7 +219,6 @@ def samples(folder):
             read_any_camera,
             check_camera,
         ),
-        "hugin": ("lens.pto", HUGIN, read_any_camera, check_camera),
         "ocam": ("ocam1.txt", OCAM_TXT, read_any_camera, check_camera),
     }
     for name in ("COLMAP rig", "nerfstudio", "MC-Calib"):

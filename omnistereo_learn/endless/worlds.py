@@ -13,7 +13,6 @@ import weakref
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 from multiprocessing import get_context, parent_process
 from threading import Thread
 from typing import Any, ClassVar
@@ -31,7 +30,7 @@ from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import Sampling, SphereGrid
 from omnistereo_lib.lazy import lazy_property
-from omnistereo_rigs.formats.camera_models import kannala_brandt
+from omnistereo_rigs.formats.camera_models import make_camera_model
 from omnistereo_rigs.formats.fit import fit_ocam
 
 _AHEAD = 6  # frames for each worker to draw while training steps run
@@ -240,8 +239,8 @@ def _draw_camera(rng: Generator, width: int, fov_deg: float, bend: float) -> Oca
     focal = 0.5 * width * rng.uniform(0.94, 1.06) / (half * (1 + k1 * half**2 + k2 * half**4))
     cx, cy = width / 2 - 0.5 + rng.normal(0, 2), height / 2 - 0.5 + rng.normal(0, 2)
     stretched = focal * rng.uniform(0.995, 1.005)
-    lens = partial(
-        kannala_brandt, fx=focal, fy=stretched, cx=cx, cy=cy, k1=k1, k2=k2, k3=0.0, k4=0.0
+    lens = make_camera_model(
+        "kb4", {"fx": focal, "fy": stretched, "cx": cx, "cy": cy, "k1": k1, "k2": k2}
     )
     return fit_ocam(lens, (width, height), fov_deg)[0]
 

@@ -1,53 +1,65 @@
-"""Rigs of COLMAP: rig_config.json, and text models, with rigs.txt or with cameras that moments
-share.
+"""The cameras of reconstructions: COLMAP's rig_config.json and text models, and one moment of many.
 
 The centre of the top-left pixel is (0.5, 0.5). Quaternions are w x y z, poses rig → camera or world
 → camera.
 """
 
-from pathlib import Path
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePosixPath
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.files import path_within
-from omnistereo_lib.geometry.pose import Pose, quaternion_pose
-from omnistereo_lib.parse import Section, numbered_lines, parse_floats, parse_size
+from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.parse import Section, check_count, numbered_lines, warn_if_different
 from omnistereo_lib.pictures import read_image
 from omnistereo_rigs.formats.camera_models import FISHEYE, FISHEYE624, PINHOLE, RADTAN
-from omnistereo_rigs.formats.fit import OPENCV_DEG, Lens
-from omnistereo_rigs.formats.table import Found, find_moment
+from omnistereo_rigs.formats.table import Parameters, Way, parse_pose
 
 _SIMPLE = ("f", "cx", "cy")
-# camera model → ours, and its parameters in the order of COLMAP
-MODELS = {
-    "SIMPLE_PINHOLE": ("pinhole", _SIMPLE),
-    "PINHOLE": ("pinhole", PINHOLE),
-    "SIMPLE_RADIAL": ("pinhole", (*_SIMPLE, "k1")),
-    "RADIAL": ("pinhole", (*_SIMPLE, "k1", "k2")),
-    "OPENCV": ("pinhole", (*PINHOLE, *RADTAN[:4])),
-    "FULL_OPENCV": ("pinhole", (*PINHOLE, *RADTAN)),
-    "SIMPLE_FISHEYE": ("kb4", _SIMPLE),
-    "FISHEYE": ("kb4", PINHOLE),
-    "SIMPLE_RADIAL_FISHEYE": ("kb4", (*_SIMPLE, "k1")),
-    "RADIAL_FISHEYE": ("kb4", (*_SIMPLE, "k1", "k2")),
-    "OPENCV_FISHEYE": ("kb4", (*PINHOLE, *FISHEYE)),
-    "RAD_TAN_THIN_PRISM_FISHEYE": ("fisheye624", (*PINHOLE, *FISHEYE624)),
-    "EUCM": ("eucm", (*PINHOLE, "alpha", "beta")),
-    "FOV": ("fov", (*PINHOLE, "w")),
+_MODELS = {
+    "simple_pinhole": ("pinhole", _SIMPLE),
+    "pinhole": ("pinhole", PINHOLE),
+    "simple_radial": ("pinhole", (*_SIMPLE, "k1")),
+    "radial": ("pinhole", (*_SIMPLE, "k1", "k2")),
+    "opencv": ("pinhole", (*PINHOLE, *RADTAN[:4])),
+    "full_opencv": ("pinhole", (*PINHOLE, *RADTAN)),
+    "simple_fisheye": ("kb4", _SIMPLE),
+    "fisheye": ("kb4", PINHOLE),
+    "simple_radial_fisheye": ("kb4", (*_SIMPLE, "k1")),
+    "radial_fisheye": ("kb4", (*_SIMPLE, "k1", "k2")),
+    "opencv_fisheye": ("kb4", (*PINHOLE, *FISHEYE)),
+    "rad_tan_thin_prism_fisheye": ("fisheye624", (*PINHOLE, *FISHEYE624)),
+    "eucm": ("eucm", (*PINHOLE, "alpha", "beta")),
+    "fov": ("fov", (*PINHOLE, "w")),
 }
+#: camera model → ours, and its parameters in the order of COLMAP
+MODELS: Mapping[str, tuple[str, Parameters]] = {
+    name: (model, {"camera_params": names}) for name, (model, names) in _MODELS.items()
+}
+_KEYS = "cam_from_rig_rotation cam_from_rig_translation"
+_POSE = Way(_KEYS, rotation="w x y z", to_camera=True)
+#: rig → camera, or world → camera
+POSES = (_POSE,)
+_IDENTITY = {"cam_from_rig_rotation": [1, 0, 0, 0], "cam_from_rig_translation": [0, 0, 0]}
 _IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
-Camera = tuple[str, list[float], tuple[int, int]]  # model, parameters, size
+# Names of cameras, where all images lie in one folder: three digits are a moment.
+_CAMERA = re.compile(r"(cam(era)?[-_]?)?[0-9]{1,2}", re.IGNORECASE)
+
+Camera = dict[str, Any]  # camera_model_name, camera_params, width, height
 
 
-def read_rig_config(data: Section, path: Path) -> Found:
-    """Read COLMAP rig: rig_config.json with the models of its cameras, or with cameras.txt beside
-    it.
+def config_cameras(data: Section, path: Path) -> list[Section]:
+    """Return the cameras of a rig_config.json, whose lenses are stated there, or in a cameras.txt
+    beside it.
 
     Without a cameras.txt, sizes are those of the images below image_prefix, in the folder or in its
     folder images.
     """
-    lenses, T_rig_cam, cams = [], [], [*data.sections("cameras").values()]
+    cams = [*data.sections("cameras").values()]
     file = path.with_name(path.name.replace("rig_config.json", "cameras.txt"))
     listed = [*_read_cameras(file).values()] if file.suffix == ".txt" and file.exists() else []
     if listed and len(listed) != len(cams):
@@ -57,131 +69,100 @@ def read_rig_config(data: Section, path: Path) -> Found:
     for n, cam in enumerate(cams):
         with error_context(f"camera {cam.name}"):
             prefix = str(cam.require("image_prefix"))
-            if listed:
-                name, values, size = listed[n]
-                stated = (
-                    cam.floats("camera_params")
-                    if cam.get("camera_params") is not None
-                    else np.array(values)
+            lens = listed[n] if listed else _size_of_images(path, prefix)
+            if any(cam.get(key, default=value) != value for key, value in lens.items()):
+                raise OmnistereoError(
+                    f"camera_params differ from {file.name}. Delete the wrong ones"
                 )
-                if cam.get("camera_model_name", default=name) != name or not np.array_equal(
-                    stated, values
-                ):
-                    raise OmnistereoError(
-                        f"camera_params differ from {file.name}. Delete the wrong ones"
-                    )
-            else:
-                name, values = (
-                    str(cam.require("camera_model_name")),
-                    cam.floats("camera_params").tolist(),
-                )
-                size = _size_of_images(path, prefix)
-            lenses.append(_lens(f"{path}, camera {cam.name}", (name, values, size)))
-            pose = Pose.identity()
-            if not cam.get("ref_sensor"):
-                q, t = (
-                    cam.floats("cam_from_rig_rotation", count=4),
-                    cam.floats("cam_from_rig_translation", count=3),
-                )
-                pose = quaternion_pose(q, t)
-            T_rig_cam.append(pose.inverse())
-    return Found(lenses, T_rig_cam)
+            cam.values |= lens | (_IDENTITY if cam.get("ref_sensor") else {})
+    return cams
 
 
-def _size_of_images(path: Path, prefix: str) -> tuple[int, int]:
+def _size_of_images(path: Path, prefix: str) -> Camera:
     folders = [path_within(path.parent, each, path) for each in (prefix, f"images/{prefix}")]
-    images = [
-        file
-        for folder in folders
-        for file in sorted(folder.glob("*"))
-        if file.suffix.lower() in _IMAGES
-    ]
-    if not images:
+    files = (file for folder in folders for file in sorted(folder.glob("*")))
+    image = next((file for file in files if file.suffix.lower() in _IMAGES), None)
+    if image is None:
         raise OmnistereoError(
             "a rig_config.json of COLMAP does not state the size of the images, and there are "
             f"none in {prefix}. Put the images, or cameras.txt (`colmap model_converter` writes "
             "it), beside the file"
         )
-    height, width = read_image(images[0]).shape[:2]
-    return width, height
+    height, width = read_image(image).shape[:2]
+    return {"width": width, "height": height}
 
 
-def read_model(folder: Path) -> Found:
-    """Read COLMAP model: a folder with `cameras.txt` and `images.txt`; `rigs.txt` where there is
-    one.
+def model_cameras(data: Section, folder: Path) -> list[Section]:
+    """Return the cameras of a folder with cameras.txt and images.txt; rigs.txt where there is one.
 
-    Without a rig in rigs.txt, the images of a camera lie in a folder of its own or begin alike, and
-    those of one moment have one file name or number, see `find_moment`: cameras of the rig may
-    share one of cameras.txt. The rig frame is the first camera. The poses are those of the first
-    moment that all cameras have; a UserWarning says that another one differs.
+    Without a rig in rigs.txt, they are those of `find_moment`, and may share their intrinsics.
     """
     listed, file = _read_cameras(folder / "cameras.txt"), folder / "images.txt"
-    if rig := _read_rigs(folder / "rigs.txt", listed):
-        ids = [each for each in listed if each in rig]
-        T_rig_cam = [rig[each] for each in ids]
-    else:
-        names, of_image, T_world_cam = _read_images(file, listed)
+    rig = _read_rigs(folder / "rigs.txt", listed)
+    if not rig:
+        names, ids, poses = _read_images(file, listed)
+        T_world_cam = [parse_pose(Section(pose), _POSE).inverse() for pose in poses]
         moment = find_moment(names, T_world_cam, file)
         for camera, images in moment.of_camera.items():
-            if len({of_image[n] for n in images}) > 1:
+            if len({ids[n] for n in images}) > 1:
                 raise OmnistereoError(
                     f"{file}: the images of {camera} have several cameras. Put each into its own "
                     "folder"
                 )
-        ids, T_rig_cam = [of_image[n] for n in moment.images], [*moment.T_rig_cam]
-    return Found([_lens(f"{folder}, camera {each}", listed[each]) for each in ids], T_rig_cam)
+        return [
+            data.add(names[n], listed[ids[n]] | poses[n], f"camera {names[n]}")
+            for n in moment.images
+        ]
+    return [data.add(f"camera {each}", listed[each] | rig[each]) for each in listed if each in rig]
 
 
-def _read_images(file: Path, listed: dict[str, Camera]) -> tuple[list[str], list[str], list[Pose]]:
-    """Return name, camera and camera → world of each image."""
-    names, of_image, poses = [], [], []
+def _read_images(
+    file: Path, listed: Mapping[str, Camera]
+) -> tuple[list[str], list[str], list[Camera]]:
+    """Return name, camera and pose, world → camera, of each image."""
+    names, ids, poses = [], [], []
     lines = iter(numbered_lines(file, empty=True))
     for number, words in lines:
         if words:
             next(lines, None)  # its points
-            with error_context(f"{file}: line {number}"):
-                if len(words) < 10 or words[8] not in listed:
-                    raise OmnistereoError(
-                        f"found {words[:10]}; expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
-                    )
-                pose = parse_floats(words[1:8], "QW QX QY QZ TX TY TZ", 7)
-                names.append(" ".join(words[9:]))
-                of_image.append(words[8])
-                poses.append(quaternion_pose(pose[:4], pose[4:]).inverse())
-    return names, of_image, poses
+            if len(words) < 10 or words[8] not in listed:
+                raise OmnistereoError(
+                    f"{file}: line {number}: found {words[:10]}; expected IMAGE_ID QW QX QY QZ TX "
+                    "TY TZ CAMERA_ID NAME"
+                )
+            names.append(" ".join(words[9:]))
+            ids.append(words[8])
+            poses.append(_pose(words[1:8]))
+    return names, ids, poses
 
 
-def _read_rigs(file: Path, listed: dict[str, Camera]) -> dict[str, Pose]:
-    """Return camera → rig of each camera of the one rig in rigs.txt; nothing where each camera is a
-    rig of its own.
+def _pose(words: Sequence[str]) -> Camera:
+    return dict(zip(_IDENTITY, (words[:4], words[4:]), strict=True))
+
+
+def _read_rigs(file: Path, listed: Mapping[str, Camera]) -> dict[str, Camera]:
+    """Return the pose, rig → camera, of each camera of the one rig in rigs.txt; nothing where each
+    camera is a rig of its own.
 
     A line is RIG_ID NUM_SENSORS REF_TYPE REF_ID, then for each other sensor TYPE ID HAS_POSE QW QX
     QY QZ TX TY TZ.
     """
     rigs = []
     for number, words in numbered_lines(file) if file.exists() else []:
-        with error_context(f"{file}: line {number}"):
-            if len(words) < 4 or words[2] != "CAMERA":
-                raise OmnistereoError(
-                    f"found {words[:4]}; expected RIG_ID NUM_SENSORS CAMERA REF_SENSOR_ID"
-                )
-            rig, rest = {words[3]: Pose.identity()}, words[4:]
-            while rest:
-                kind, sensor, has_pose = (*rest[:3], "", "")[:3]
-                count = 10 if has_pose == "1" else 3
-                if kind == "CAMERA":
-                    if count == 3:
-                        raise OmnistereoError(
-                            f"camera {sensor} has no pose in the rig. Calibrate the rig in COLMAP"
-                        )
-                    pose = parse_floats(rest[3:10], "QW QX QY QZ TX TY TZ", 7)
-                    rig[sensor] = quaternion_pose(pose[:4], pose[4:]).inverse()
-                rest = rest[count:]
-            if unknown := next((sensor for sensor in rig if sensor not in listed), None):
-                raise OmnistereoError(
-                    f"camera {unknown} is not in cameras.txt. Export the model again"
-                )
-            rigs.append(rig)
+        has_reference, rest = words[2:3] == ["CAMERA"] and len(words) > 3, words[4:]
+        rig: dict[str, Camera] = {words[3]: _IDENTITY} if has_reference else {}
+        while rest:
+            count = 10 if rest[2:3] == ["1"] else 3
+            if rest[0] == "CAMERA":
+                rig[" ".join(rest[1:2])] = _pose(rest[3:10]) if count == 10 else {}
+            rest = rest[count:]
+        wrong = [each for each in rig if each not in listed or not rig[each]]
+        if wrong or not rig:
+            raise OmnistereoError(
+                f"{file}: line {number}: camera {wrong} is not in cameras.txt, or has no pose in "
+                "the rig. Calibrate the rig in COLMAP, and export the model again"
+            )
+        rigs.append(rig)
     whole = [rig for rig in rigs if len(rig) > 1]
     if len(whole) > 1:
         raise OmnistereoError(
@@ -193,34 +174,75 @@ def _read_rigs(file: Path, listed: dict[str, Camera]) -> dict[str, Pose]:
 def _read_cameras(file: Path) -> dict[str, Camera]:
     found = {}
     for number, words in numbered_lines(file):
-        with error_context(f"{file}: line {number}"):
-            if len(words) < 5:
-                raise OmnistereoError(
-                    f"found {words}; expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"
-                )
-            found[words[0]] = (
-                words[1],
-                parse_floats(words[4:], "PARAMS").tolist(),
-                parse_size(words[2:4], "the size"),
+        if len(words) < 5:
+            raise OmnistereoError(
+                f"{file}: line {number}: found {words}; expected CAMERA_ID MODEL WIDTH HEIGHT "
+                "PARAMS[]"
             )
+        with error_context(f"{file}: line {number}"):
+            lens = Section({"width": words[2], "height": words[3], "camera_params": words[4:]})
+            found[words[0]] = {
+                "camera_model_name": words[1],
+                "camera_params": lens.floats("camera_params").tolist(),
+                "width": lens.number("width"),
+                "height": lens.number("height"),
+            }
     return found
 
 
-def _lens(source: str, camera: Camera) -> Lens:
-    name, values, size = camera
-    if name not in MODELS or len(values) != len(MODELS[name][1]):
-        known = ", ".join(f"{known} ({' '.join(names)})" for known, (_, names) in MODELS.items())
+class Moment(NamedTuple):
+    """The images of one moment, one of each camera."""
+
+    images: Sequence[int]  #: their places in the list of all images
+    of_camera: Mapping[str, Sequence[int]]  #: all images of each camera
+
+
+def find_moment(names: Sequence[str], T_world_cam: Sequence[Pose], path: Path) -> Moment:
+    """Return the first moment that all cameras have; a UserWarning says that another differs.
+
+    The images of a camera lie in a folder of its own, those of a moment have one name. In one
+    folder each image is a camera: an `OmnistereoError` asks for folders where their names end in
+    numbers that may be moments.
+    """
+    if not names:
+        raise OmnistereoError(f"{path}: there is no image. Check that the file is complete")
+    paths = [PurePosixPath(name.replace("\\", "/")) for name in names]
+    if len({each.parent for each in paths}) > 1:
+        keys = [(str(each.parent), each.stem) for each in paths]
+    else:
+        keys = [(each.stem, "") for each in paths]
+        starts = {each.stem.rstrip("0123456789") for each in paths}
+        if len(starts) < len(names) and not all(_CAMERA.fullmatch(each.stem) for each in paths):
+            raise OmnistereoError(
+                f"{len(names)} images in one folder, {paths[0].name}, {paths[-1].name}, …: moments "
+                "of one camera, or cameras? Put the images of each camera into a folder of its own "
+                "(cam1/0001.png)"
+            )
+    table: dict[str, dict[str, int]] = {}
+    for n, (camera, moment) in enumerate(keys):
+        table.setdefault(moment, {})[camera] = n
+    # By their numbers, where they have some: files are listed as a reconstruction found them.
+    cameras = sorted(dict.fromkeys(camera for camera, _ in keys), key=_number)
+    check_count(len(cameras))
+    whole = [moment for moment in table.values() if len(moment) == len(cameras)]
+    if not whole:
         raise OmnistereoError(
-            f"camera model {name} with {len(values)} parameters is not read; expected one of "
-            f"{known}"
+            f"{path}: no file name is that of an image of each of the {len(cameras)} cameras"
         )
-    model, names = MODELS[name]
-    parameters = dict.fromkeys(FISHEYE if model == "kb4" else (), 0.0) | dict(
-        zip(names, values, strict=True)
-    )
-    if "f" in parameters:
-        parameters["fx"] = parameters["fy"] = parameters.pop("f")
-    for side in ("cx", "cy"):
-        parameters[side] -= 0.5
-    # COLMAP drops what lies beyond 90° from the axis, whatever the model.
-    return Lens(source, model, parameters, size, None, OPENCV_DEG)
+    first, *others = ([T_world_cam[moment[camera]] for camera in cameras] for moment in whole)
+    relative = [first[0].inverse() @ pose for pose in first]
+    size = max(float(np.linalg.norm(pose.t)) for pose in relative) or 1.0  # the scale is arbitrary
+    of_first = names[whole[0][cameras[0]]]
+    for images, poses in zip(whole[1:], others, strict=True):
+        then = [poses[0].inverse() @ pose for pose in poses]
+        if warn_if_different(relative, then, of_first, names[images[cameras[0]]], path, size):
+            break
+    of_camera = {
+        name: [n for n, (camera, _) in enumerate(keys) if camera == name] for name in cameras
+    }
+    return Moment([whole[0][camera] for camera in cameras], of_camera)
+
+
+def _number(name: str) -> tuple[int, ...]:
+    found = re.findall("[0-9]+", name)
+    return (int(found[-1][:18]),) if found else ()

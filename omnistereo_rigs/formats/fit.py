@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
@@ -22,33 +23,29 @@ from omnistereo_lib.geometry.field_of_view import (
     ring_rays,
 )
 from omnistereo_lib.geometry.pose import Floats
-from omnistereo_lib.ocam_text import ocam_camera
 from omnistereo_rigs.formats.camera_models import make_camera_model
 
 _log = logging.getLogger("omnistereo_lib")
 
-OPENCV_DEG = 180.0  # beyond it OpenCV's and COLMAP's fisheye mirrors or drops points: see `Lens`
 _FIT_TOLERANCE = 0.01  # px, as for any inverse polynomial
 _MAX_DEGREE = 20
-MAX_ERROR = 0.1  # px; beyond it a warning
+# px; beyond them a warning, and an error: a lens of another model than the one that is stated
+_MAX_ERROR, _ANOTHER_LENS = 0.1, 10.0
 _LOST = 0.005  # share of the pixels; beyond it a warning
-# Lenses have p1, p2 of 0.001; the residual, px, where they are of another model.
-_MAX_TANGENTIAL, _MISLABELLED_PX = 0.01, 10.0
 
 
 class Lens(NamedTuple):
     """A camera as a file states it, before it is fitted."""
 
     source: str  #: the file and the camera, for messages
-    model: str  #: of `camera_models`, or "ocam", whose parameters are records of `ocam_text`
+    model: str  #: of `camera_models`
     parameters: Mapping[str, Any]
     size: tuple[int, int]  #: width and height, pixels
     mask: NDArray[np.bool_] | None = None  #: (height, width), True where the image is valid
     #: Full field of view in degrees within which the program that wrote the file can have measured
-    #: the lens. OpenCV's
-    #: fisheye divides by z: it mirrors what lies beyond 90° from the axis, COLMAP drops it. A lens
-    #: of 220° fitted
-    #: within 84° was off by .6 px at 95° and by 7 px, 2°, at 110°.
+    #: the lens: fisheyes of OpenCV, Kalibr and others divide by z, and mirror or drop what lies
+    #: beyond 90° from the axis. A lens of 220° fitted within 84° was off by 0.6 px at 95° and by
+    #: 7 px, 2°, at 110°.
     measured_deg: float | None = None
 
 
@@ -57,18 +54,15 @@ def fit_lens(lens: Lens, max_fov_deg: float | None) -> tuple[OcamCamera, float]:
     fit in pixels.
 
     A UserWarning reports a residual above 0.1 px, and pixels beyond the angle at which the model
-    stops being one to one. An `OmnistereoError` refuses a pinhole camera whose numbers are those of
-    a fisheye: p1 and p2 too large for tangential distortion, and no coefficient behind them.
+    stops being one to one; an `OmnistereoError` refuses one above 10 px.
     """
     source, model, parameters, size, mask, measured = lens
-    if model == "ocam":
-        return ocam_camera(parameters, max_fov_deg, source), 0.0
     limit = measured if max_fov_deg is None else max_fov_deg
     try:
         with np.errstate(all="ignore"):  # absurd parameters overflow before they are refused
-            project = make_camera_model(model, dict(parameters))
+            project = make_camera_model(model, parameters)
             camera, residual = fit_ocam(project, size, limit, mask)
-            degrees, lost = pixels_beyond(project, size, mask)
+            degrees, lost = _pixels_beyond(project, size, mask)
     except np.linalg.LinAlgError:
         raise OmnistereoError(
             f"no camera fits the {model} parameters {parameters}. Check them"
@@ -77,22 +71,16 @@ def fit_lens(lens: Lens, max_fov_deg: float | None) -> tuple[OcamCamera, float]:
     _log.info(
         "%s: %s fitted by OCam, %.1f° seen, worst residual %.2g px", source, model, fov, residual
     )
-    tangential = max(abs(parameters.get(name, 0.0)) for name in ("p1", "p2"))
-    is_mislabelled = tangential > _MAX_TANGENTIAL and not any(
-        parameters.get(f"k{n}") for n in (3, 4, 5, 6)
-    )
-    if model == "pinhole" and residual > _MISLABELLED_PX and is_mislabelled:
+    follows = f"{source}: an OCam camera follows the {model} model in the file to {residual:.2f} px"
+    if not residual < _ANOTHER_LENS:
         raise OmnistereoError(
-            f"p1 and p2 of a pinhole camera are {parameters['p1']:g} and {parameters['p2']:g}; "
-            f"expected below {_MAX_TANGENTIAL}. k1 k2 p1 p2 look like k1 k2 k3 k4 of a fisheye "
-            "(Kannala-Brandt), which some drivers call plumb_bob (T265). If so, write "
-            "distortion_model: equidistant"
+            f"{follows} only: no lens is like that. Check the model; k1 k2 k3 k4 of a fisheye "
+            "are called plumb_bob by some drivers (T265): then write distortion_model: fisheye"
         )
-    if residual > MAX_ERROR:
-        reason = ": it has no tangential distortion" if tangential else ""
+    if residual > _MAX_ERROR:
         warnings.warn(
-            f"{source}: an OCam camera follows the {model} model in the file to {residual:.2f} px "
-            f"only{reason}. Where that is too much, lower max_fov_deg (`omnistereo rig --max-fov`)",
+            f"{follows} only: it has no tangential distortion. Where that is too much, lower "
+            "max_fov_deg (`omnistereo rig --max-fov`)",
             UserWarning,
             stacklevel=2,
         )
@@ -155,26 +143,20 @@ def fit_ocam(
     return camera, float(errors[camera.contains(uv)].max(initial=0.0))
 
 
-def pixels_beyond(
-    project: Projection, image_size: tuple[int, int], mask: NDArray[np.bool_] | None = None
+def _pixels_beyond(
+    project: Projection, image_size: tuple[int, int], mask: NDArray[np.bool_] | None
 ) -> tuple[float, float]:
     """Return the angle from the axis, degrees, at which a model stops being one to one, and the
     share of pixels beyond.
-
-    project, image_size, mask: As for `fit_ocam`.
     """
-    theta, uv, radius = one_to_one(project)
-    columns, rows = (np.linspace(0, side - 1, min(side, 256)) for side in image_size)
-    u, v = np.meshgrid(columns - uv[0, :, 0].mean(), rows - uv[0, :, 1].mean())
-    last = uv[-1] - uv[0].mean(0)
-    limit = np.interp(
-        np.arctan2(v, u), np.arctan2(last[:, 1], last[:, 0]), radius[-1], period=2 * np.pi
-    )
-    beyond = np.hypot(u, v) > limit
-    if mask is not None:
-        beyond = beyond[mask[np.ix_(rows.astype(int), columns.astype(int))]]
+    theta, uv, _ = one_to_one(project)
+    width, height = image_size
+    within = np.zeros((height, width), np.uint8)
+    ring = np.clip(uv[-1], -1e4, 1e5).round().astype(np.int32)
+    cv2.fillPoly(within, [ring], 1)
+    seen = within if mask is None else within[mask]
     ends = theta[-1] < np.pi - 2 * ANGLE_STEP
-    return float(np.degrees(theta[-1])), float(beyond.mean()) if ends and beyond.size else 0.0
+    return float(np.degrees(theta[-1])), 1 - float(seen.mean()) if ends and seen.size else 0.0
 
 
 def _fit_inverse(radius: Floats, t: Floats) -> Floats:

@@ -22,15 +22,15 @@ from omnistereo_lib.geometry.pose import Pose, quaternion_from_rotation
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.pictures import write_image
 from omnistereo_lib.rig_file import save_rig, write_ocam_folder
-from omnistereo_rigs.formats.camera_models import FISHEYE, PINHOLE, kannala_brandt
+from omnistereo_rigs.formats.camera_models import FISHEYE, PINHOLE, make_camera_model
+from omnistereo_rigs.formats.table import OPENGL
 
 _MAX_ERROR = 1.0  # px; beyond it a warning
 _STRETCHED = 0.01  # of the ratio of the sides: resizing rounds them, cropping changes them more
 # COLMAP's rays are right to 89.5°, and of another direction from 90° on.
 MASKED_DEG = 85.0
-_OPENGL = np.diag([1.0, -1.0, -1.0])  # the camera axes of OpenCV in those of OpenGL: y up, z back
 
-Parameters = Sequence[Mapping[str, float]]  # of `kannala_brandt`, for each camera
+Parameters = Sequence[Mapping[str, float]]  # of the model "kb4", for each camera
 
 
 def convert(rig: Rig, program: str, path: Path) -> list[str]:
@@ -42,12 +42,12 @@ def convert(rig: Rig, program: str, path: Path) -> list[str]:
     if program not in PROGRAMS:
         PROGRAM_FOLDERS[program](rig, path)
         return []
-    parameters, residual = fit_lenses(rig)
-    said = [f"its camera model follows the lenses to {residual:.2f} px at worst"]
-    if program != "kalibr":
-        said += beyond_sentences(rig)
+    parameters, residuals = fit_lenses(rig)
     PROGRAMS[program](rig, parameters, path)
-    return said
+    return [
+        f"its camera model follows the lenses to {max(residuals):.2f} px at worst",
+        *beyond_sentences(rig),
+    ]
 
 
 def write_rig(rig: Rig, out: Path) -> list[str]:
@@ -57,34 +57,31 @@ def write_rig(rig: Rig, out: Path) -> list[str]:
     save_rig(rig, out / "config.yaml")
     write_ocam_folder(rig, out)
     residual = max(export_rig(rig, out))
-    names = ["kalibr.yaml", "opencv.yaml", "transforms.json", "colmap"]
-    said = f"{', '.join(names)}: their camera model follows ours to {residual:.2f} px at worst"
+    said = f"{', '.join(_FILES)}: their camera model follows ours to {residual:.2f} px at worst"
     print(said, *beyond_sentences(rig), sep="\n", file=sys.stderr)
-    return ["config.yaml", "ocam*.txt", "poses.txt", *names]
+    return ["config.yaml", "ocam*.txt", "poses.txt", *_FILES]
 
 
 def export_rig(rig: Rig, folder: str | Path) -> list[float]:
     """Write a rig as kalibr.yaml, opencv.yaml, transforms.json and a folder colmap into a folder.
 
     All use the Kannala-Brandt model with four coefficients: pinhole-equidistant in Kalibr, fisheye
-    in OpenCV, OPENCV_FISHEYE in COLMAP and nerfstudio; what lies beyond 90° from the axis is of use
-    to Kalibr only.
+    in OpenCV, OPENCV_FISHEYE in COLMAP and nerfstudio; none of them can use what lies beyond 90°
+    from the axis.
 
     Returns the residual of each camera in pixels, a few tenths for most lenses beyond 180°;
     UserWarning above 1 px.
     """
     folder = make_folder(folder)
-    parameters, _ = fit_lenses(rig)
-    write_kalibr(rig, parameters, folder / "kalibr.yaml")
-    write_opencv(rig, parameters, folder / "opencv.yaml")
-    write_transforms(rig, parameters, folder / "transforms.json")
-    write_colmap(rig, parameters, folder / "colmap")
-    return [fit_kannala_brandt(camera)[1] for camera in rig.cameras]
+    parameters, residuals = fit_lenses(rig)
+    for name, write in _FILES.items():
+        write(rig, parameters, folder / name)
+    return residuals
 
 
-def fit_lenses(rig: Rig) -> tuple[Parameters, float]:
-    """Return the Kannala-Brandt parameters of all lenses, and the largest residual in pixels."""
-    fits = [fit_kannala_brandt(camera) for camera in rig.cameras]
+def fit_lenses(rig: Rig) -> tuple[Parameters, list[float]]:
+    """Return the Kannala-Brandt parameters of all lenses, and their residuals in pixels."""
+    fits = [_fit_kannala_brandt(camera) for camera in rig.cameras]
     large = [f"camera {i} {px:.1f} px" for i, (_, px) in enumerate(fits, 1) if px > _MAX_ERROR]
     if large:
         warnings.warn(
@@ -93,16 +90,16 @@ def fit_lenses(rig: Rig) -> tuple[Parameters, float]:
             "you can",
             stacklevel=3,
         )
-    return [p for p, _ in fits], max(px for _, px in fits)
+    return [p for p, _ in fits], [px for _, px in fits]
 
 
-def fit_kannala_brandt(camera: OcamCamera) -> tuple[dict[str, float], float]:
+def _fit_kannala_brandt(camera: OcamCamera) -> tuple[dict[str, float], float]:
     """Fit the Kannala-Brandt model, which has no d and e of the affine map, to an OCam camera:
     linear least squares.
 
-    Returns the keyword arguments of `kannala_brandt`, and the largest distance in pixels between
-    the two models over the field of view. OmnistereoError if that is too wide for four
-    coefficients.
+    Returns its parameters, and the largest distance in pixels between the two models over the
+    field of view, infinite where the fit is not one to one. OmnistereoError if the field is too
+    wide for four coefficients.
     """
     theta = np.radians(np.linspace(0.25, camera.max_fov_deg / 2, 180))
     rays = ring_rays(theta)
@@ -119,8 +116,9 @@ def fit_kannala_brandt(camera: OcamCamera) -> tuple[dict[str, float], float]:
         )
     k = {f"k{i}": value / f for i, value in enumerate(rest, start=1)}
     parameters = {"fx": f, "fy": f * c, "cx": camera.center[0], "cy": camera.center[1], **k}
-    fitted, _ = kannala_brandt(rays, **parameters)
-    return parameters, float(np.linalg.norm(fitted - uv, axis=-1).max())
+    fitted, valid = make_camera_model("kb4", parameters)(rays)
+    apart = np.where(valid, np.linalg.norm(fitted - uv, axis=-1), np.inf)
+    return parameters, float(apart.max())
 
 
 def _relative(rig: Rig) -> list[Pose]:
@@ -179,7 +177,7 @@ def write_transforms(rig: Rig, parameters: Parameters, path: Path) -> None:
         width, height = camera.image_size
         lens = {"fl_x": p["fx"], "fl_y": p["fy"], "cx": p["cx"] + 0.5, "cy": p["cy"] + 0.5}
         lens |= {name: p[name] for name in FISHEYE}
-        matrix = {"transform_matrix": _matrix(pose.R @ _OPENGL, pose.t)}
+        matrix = {"transform_matrix": _matrix(pose.R @ OPENGL, pose.t)}
         frames.append({"file_path": f"cam{i}.png", "w": width, "h": height} | lens | matrix)
     text = json.dumps({"camera_model": "OPENCV_FISHEYE", "frames": frames}, indent=1)
     write_text(path, text + "\n")
@@ -244,31 +242,29 @@ def resized(rig: Rig, size: tuple[int, int]) -> Rig:
     OmnistereoError for sides of another ratio, which are those of a cropped image.
     """
     width, height = (int(check_number(n, "the size", 2, 100_000, whole=True)) for n in size)
-    return replace(rig, cameras=[_resized(camera, width, height) for camera in rig.cameras])
+    return replace(rig, cameras=[_resized(camera, (width, height)) for camera in rig.cameras])
 
 
-def _resized(camera: OcamCamera, width: int, height: int) -> OcamCamera:
-    was, (sx, sy) = camera.image_size, np.array([width, height]) / camera.image_size
+def _resized(camera: OcamCamera, size: tuple[int, int]) -> OcamCamera:
+    was, (sx, sy) = camera.image_size, np.array(size) / camera.image_size
     if abs(sx / sy - 1) > _STRETCHED:
         raise OmnistereoError(
-            f"{was[0]} × {was[1]} and {width} × {height} px have other ratios of their sides; "
-            "expected "
-            "images resized as a whole. A cropped image has another centre: calibrate it, or crop "
-            "first"
+            f"{was[0]} × {was[1]} and {size[0]} × {size[1]} px have other ratios of their sides; "
+            "expected images resized as a whole. A cropped image has another centre: calibrate it, "
+            "or crop first"
         )
-    # Radii are scaled by sx, which rows, by sy, undo in the affine map.
     c, d, e = camera.affine
     mask = camera.mask
     if mask is not None:
-        pixels = mask.astype(np.uint8)
-        mask = cv2.resize(pixels, (width, height), interpolation=cv2.INTER_NEAREST_EXACT) > 0
-    return OcamCamera(
+        mask = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST_EXACT) > 0
+    # Radii are scaled by sx, which rows, by sy, undo in the affine map.
+    return replace(
+        camera,
         poly=camera.poly * sx ** (1.0 - np.arange(len(camera.poly))),
         inv_poly=camera.inv_poly * sx,
         center=((camera.center[0] + 0.5) * sx - 0.5, (camera.center[1] + 0.5) * sy - 0.5),
         affine=(c * sy / sx, d * sy / sx, e),
-        image_size=(width, height),
-        max_fov_deg=camera.max_fov_deg,
+        image_size=size,
         mask=mask,
     )
 
@@ -279,6 +275,9 @@ PROGRAMS: dict[str, Callable[[Rig, Parameters, Path], None]] = {
     "nerfstudio": write_transforms,
     "colmap": write_colmap,
 }
+_FILES = dict(
+    zip(("kalibr.yaml", "opencv.yaml", "transforms.json", "colmap"), PROGRAMS.values(), strict=True)
+)
 PROGRAM_FOLDERS: dict[str, Callable[[Rig, Path], None]] = {
     "omnimvs": save_rig,
     "ocam": lambda rig, folder: write_ocam_folder(rig, make_folder(folder)),

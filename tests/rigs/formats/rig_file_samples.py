@@ -4,14 +4,17 @@ them.
 
 import json
 import re
+import warnings
+from math import atan, atan2, cos, hypot, sin, tan
 from pathlib import Path
 
 import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from omnistereo_lib import OcamCamera
+from omnistereo_lib import OcamCamera, Pose
 from omnistereo_lib.geometry.camera import fit_inverse_polynomial
+from omnistereo_rigs.formats.read import read_any_rig
 
 SIZE = (800, 760)  # width, height
 CENTER = (402.3, 377.6)
@@ -151,12 +154,10 @@ def matrix(rotvec, t):
 
 
 K = np.array([[200.0, 0, 400], [0, 199, 380], [0, 0, 1]])
-D4 = np.array([-0.011, 0.004, -0.0021, 0.0003])
+K4 = [-0.011, 0.004, -0.0021, 0.0003]
+D4 = np.array(K4)
 # rig -> camera, centimetres
 R2, T2 = Rotation.from_rotvec([0.1, 1.4, 0]).as_matrix(), np.array([12.0, 0.5, -3.0])
-
-
-K4 = [-0.011, 0.004, -0.0021, 0.0003]
 
 
 def ros(**changes):
@@ -208,4 +209,111 @@ EXAMPLES = {
         r"^(?:\*\*(.*?)\*\*|and)[^`\n]*`([\w.]+)`[^\n]*\n\n```\w+\n(.*?)```$", PAGE, re.M | re.S
     )
 }
-HUGIN = 'i w800 h760 f3 v180 Ra0 a0.01 b-0.02 c0.005 d2.5 e-1.5 g0 t0 r0 p0 y0 n"a0.jpg"\n'
+AHEAD = RAYS[RAYS[:, 2] > 0.6 * np.linalg.norm(RAYS, axis=-1)]  # within 53° from the axis
+WORLD = Pose.from_vector([0.3, -0.4, 0.2, 5.0, -2.0, 1.0])  # rig → world
+POSES = [Pose.identity(), Pose.from_vector([0.1, 1.4, -0.2, 0.3, 0.05, -0.2])]  # camera → rig
+
+
+def wxyz(R):
+    """Return the quaternion w x y z of a rotation by less than 120°, by the textbook formula."""
+    w = np.sqrt(1 + np.trace(R)) / 2
+    xyz = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / (4 * w)
+    return [float(w), *xyz.tolist()]
+
+
+def four_by_four(pose, axes=(1, 1, 1), scale=1):
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = pose.R * axes, scale * pose.t
+    return T.tolist()
+
+
+def transforms(**changes):
+    """OpenGL: the third column points back, the second up."""
+    frames = [
+        {"file_path": f"{n}.png", "transform_matrix": four_by_four(WORLD @ pose, (1, -1, -1))}
+        for n, pose in enumerate(POSES, 1)
+    ]
+    shared = {"w": SIZE[0], "h": SIZE[1], "fl_x": 200.0, "fl_y": 199.0, "cx": 400.5, "cy": 380.5}
+    shared |= {"aabb_scale": 16, "camera_model": "OPENCV_FISHEYE"}
+    shared |= dict(zip(("k1", "k2", "k3", "k4"), K4, strict=True))
+    return shared | changes | {"frames": frames}
+
+
+# Projections of one ray, written out.
+
+
+def angle(x, y, z):
+    """Return the angle from the axis, and the direction around it."""
+    return atan2(hypot(x, y), z), atan2(y, x)
+
+
+def theta_d(theta, k):
+    return theta * (1 + k[0] * theta**2 + k[1] * theta**4 + k[2] * theta**6 + k[3] * theta**8)
+
+
+def kb4(x, y, z, k=K4, f=(200.0, 199.0), c=(400.0, 380.0), skew=0.0):
+    theta, around = angle(x, y, z)
+    x, y = theta_d(theta, k) * cos(around), theta_d(theta, k) * sin(around)
+    return f[0] * x + skew * y + c[0], f[1] * y + c[1]
+
+
+def brown(x, y, z, f=(400.0, 398.0), c=(400.0, 380.0), k=(-0.1, 0.01), p=(1e-5, -1e-5)):
+    x, y = x / z, y / z
+    r2 = x * x + y * y
+    radial = 1 + k[0] * r2 + k[1] * r2 * r2
+    return (
+        f[0] * (x * radial + 2 * p[0] * x * y + p[1] * (r2 + 2 * x * x)) + c[0],
+        f[1] * (y * radial + p[0] * (r2 + 2 * y * y) + 2 * p[1] * x * y) + c[1],
+    )
+
+
+def mei(x, y, z, xi=1.5, f=(560, 558), c=(400, 380), k1=-0.05, k2=0.01, skew=0.0):
+    """The unit sphere, seen from xi behind its centre, then radial distortion."""
+    length = hypot(x, y, z)
+    mx, my = x / (z + xi * length), y / (z + xi * length)
+    radial = 1 + k1 * (mx**2 + my**2) + k2 * (mx**2 + my**2) ** 2
+    return f[0] * mx * radial + skew * my * radial + c[0], f[1] * my * radial + c[1]
+
+
+def ds(x, y, z, xi=-0.28, alpha=0.57, f=FOCAL[:2], c=FOCAL[2:]):
+    length = hypot(x, y, z)
+    z += xi * length
+    depth = alpha * hypot(x, y, z) + (1 - alpha) * z
+    return f[0] * x / depth + c[0], f[1] * y / depth + c[1]
+
+
+def eucm(x, y, z, alpha=0.6, beta=1.1, f=(200, 199), c=(400, 380)):
+    depth = alpha * (beta * (x * x + y * y) + z * z) ** 0.5 + (1 - alpha) * z
+    return f[0] * x / depth + c[0], f[1] * y / depth + c[1]
+
+
+def fov(x, y, z, w=0.9, f=FOCAL[:2], c=(400, 380)):
+    theta, around = angle(x, y, z)
+    r = atan(2 * tan(theta) * tan(w / 2)) / w
+    return f[0] * r * cos(around) + c[0], f[1] * r * sin(around) + c[1]
+
+
+def follows(camera, pixel, rays=AHEAD, atol=0.02, least=0.6):
+    """Check that a camera projects rays as `pixel(x, y, z)`, a formula for one ray, does."""
+    uv, valid = camera.project(rays)
+    assert valid.mean() > least
+    np.testing.assert_allclose(uv[valid], np.array([pixel(*ray) for ray in rays])[valid], atol=atol)
+
+
+def same(rig, poses=None):
+    """Check camera → first camera."""
+    poses = POSES if poses is None else poses
+    for ours, true in zip(rig.T_rig_cam, poses, strict=True):
+        ours, true = rig.T_rig_cam[0].inverse() @ ours, poses[0].inverse() @ true
+        np.testing.assert_allclose(ours.R, true.R, atol=1e-9)
+        np.testing.assert_allclose(ours.t, true.t, atol=1e-9)
+
+
+def read(path, data=None, unit=None, **options):
+    """Return the rig of a file, in its own frame, and what was said about it."""
+    if data is not None:
+        write(path, data) if isinstance(data, str) else dump(path, data)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        rig = read_any_rig(path, unit, **{"keep_frame": True} | options)
+    return rig, [str(each.message) for each in said]

@@ -6,18 +6,16 @@ import warnings
 
 import numpy as np
 import pytest
-from rig_file_samples import (
+from rigs.formats.rig_file_samples import (
     CAMERA,
     CENTER,
     INVERSE,
     N_INVERSE,
     OCAM_TXT,
     SIZE,
-    basalt,
     dump,
     kalibr,
     matrix,
-    omnimvs,
     stereographic,
     write,
 )
@@ -108,9 +106,7 @@ def test_a_level_rig_is_left_alone(tmp_path, tilt):
 
 def test_cameras_that_do_not_agree_are_said(tmp_path):
     sideways = ring(Rotation.from_rotvec([0, 0, np.pi / 2]).as_matrix(), rolls=(90, 90, 90, 90))
-    with pytest.warns(
-        UserWarning, match=r"do not agree which way is down.* a plane that is 90° from horizontal"
-    ):
+    with pytest.warns(UserWarning, match=r"do not agree which way is down, .* no horizontal plane"):
         loaded(sideways, tmp_path)
 
 
@@ -127,78 +123,6 @@ def test_poses_that_are_stated_twice_are_compared(tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         read_any_rig(dump(tmp_path / "rig.yaml", rig))
-
-
-def test_a_key_of_two_names_is_read_once(tmp_path):
-    camera = {
-        "K": np.eye(3).tolist(),
-        "camera_matrix": (2 * np.eye(3)).tolist(),
-        "image_size": list(SIZE),
-    }
-    with pytest.raises(
-        OmnistereoError, match=r"K and camera_matrix state one thing with different values"
-    ):
-        read_any_rig(dump(tmp_path / "rig.yaml", {"cameras": [camera] * 2}), "m")
-
-
-def test_rectifications_are_not_poses(tmp_path):
-    """R1 and R2 of cv2.stereoRectify beside the R of cv2.fisheye.stereoCalibrate."""
-    K = [[200.0, 0, 400], [0, 200, 380], [0, 0, 1]]
-    R, R2 = (Rotation.from_rotvec(r).as_matrix().tolist() for r in ([0, 0.5, 0], [0, 0.1, 0]))
-    data = {
-        "K1": K,
-        "D1": [0.0] * 4,
-        "K2": K,
-        "D2": [0.0] * 4,
-        "R": R,
-        "T": [-0.1, 0, 0],
-        "R1": R2,
-        "R2": R2,
-    }
-    rig = read_any_rig(dump(tmp_path / "stereo.yaml", data | {"image_size": list(SIZE)}), "m")
-    np.testing.assert_allclose(rig.T_rig_cam[1].R, np.array(R).T, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("key", "misspelt"),
-    [("max_fov", "max_fow"), ("invalid_mask", "invalidmask"), ("inv_poly", "Inv_poly")],
-)
-def test_a_misspelt_key_is_refused(tmp_path, key, misspelt):
-    data = omnimvs()
-    for camera in data["cameras"]:
-        camera[misspelt] = camera.pop(key)
-    with pytest.raises(
-        OmnistereoError, match=rf"2?: key '{misspelt}' has no meaning; is '{key}' meant"
-    ):
-        read_any_rig(dump(tmp_path / "config.yaml", data))
-
-
-def test_missing_keys_show_similar_ones_first(tmp_path):
-    data = omnimvs()
-    for camera in data["cameras"]:
-        camera |= dict.fromkeys("abcdefghijkl", 0)
-        camera["centre_px"] = camera.pop("center")
-    with pytest.raises(
-        OmnistereoError, match=r"key 'center' is missing; found \['centre_px', .* and \d+ more"
-    ):
-        read_any_rig(dump(tmp_path / "config.yaml", data))
-
-
-@pytest.mark.parametrize(
-    ("value", "guess"),
-    [
-        (np.radians(220), r"radians \(220.0°\)"),
-        (np.tan(np.radians(80)), r"the tangent of half of it \(160.0°\)"),
-        (0.4, r"the radians beyond 90° from the axis \(225.8°\)"),  # of the SweepNet release
-    ],
-)
-def test_a_field_of_view_in_other_units_is_refused(tmp_path, value, guess):
-    data = omnimvs()
-    data["cameras"][0]["max_fov"] = float(value)
-    with pytest.raises(OmnistereoError, match=rf"camera 1: max_fov is .*{guess}"):
-        read_any_rig(dump(tmp_path / "config.yaml", data))
-    with pytest.raises(OmnistereoError, match=rf"max_fov_deg is .*{guess}"):
-        read_any_rig(tmp_path, max_fov_deg=float(value))
 
 
 def test_a_narrow_ocam_lens_ends_where_its_image_does(tmp_path):
@@ -255,21 +179,16 @@ def test_a_polynomial_that_is_used_nowhere_does_not_matter(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("changes", "guess"),
+    "changes",
     [
-        (
-            {"center": (379.5, 639.5), "image_size": (1280, 760)},
-            "width and height, or row and column, look swapped",
-        ),
-        ({"center": (199.5, 189.5), "image_size": (800, 760)}, "calibrated at half the size"),
-        ({"center": (250.0, 400.0)}, "[Cc]heck that the image size is that of the calibration"),
+        {"center": (379.5, 639.5), "image_size": (1280, 760)},
+        {"center": (199.5, 189.5), "image_size": (800, 760)},
+        {"center": (250.0, 400.0)},
     ],
 )
-def test_an_implausible_principal_point_is_said(tmp_path, changes, guess):
-    with pytest.warns(
-        UserWarning,
-        match=rf"(?i)camera 1: the principal point is .*{guess}.*Likewise camera 2, 3, 4",
-    ):
+def test_an_implausible_principal_point_is_said(tmp_path, changes):
+    said = r"camera 1: the principal point is .*height, row and column are not swapped, and that "
+    with pytest.warns(UserWarning, match=rf"{said}the image size is .*Likewise camera 2, 3, 4"):
         loaded(Rig((stereographic(**changes),) * 4, ring().T_rig_cam), tmp_path)
 
 
@@ -279,17 +198,3 @@ def test_a_principal_point_outside_is_refused(tmp_path):
         OmnistereoError, match=r"rig.yaml: the principal point is \(379.5, 639.5\).*expected inside"
     ):
         loaded(Rig((swapped,) * 4, ring().T_rig_cam), tmp_path)
-
-
-def test_a_file_of_one_camera_is_named_as_such(tmp_path):
-    value = basalt()["value0"]
-    one = {"value0": {key: entry[:1] for key, entry in value.items()}}
-    path = dump(tmp_path / "calibration.json", one)
-    with pytest.raises(
-        OmnistereoError,
-        match=r"calibration.json: basalt JSON of one camera; a rig needs at least 2",
-    ):
-        read_any_rig(path)
-    assert read_any_camera(path).image_size == SIZE
-    with pytest.raises(OmnistereoError, match=r"2 cameras; expected one. Use read_any_rig"):
-        read_any_camera(dump(tmp_path / "two.json", basalt()))

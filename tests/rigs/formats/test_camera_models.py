@@ -9,21 +9,20 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rigs.formats.rig_file_samples import AHEAD, brown, ds, eucm, fov, kb4, mei
 
 from omnistereo_lib import OmnistereoError
-from omnistereo_rigs.formats.camera_models import (
-    double_sphere,
-    kannala_brandt,
-    make_camera_model,
-    omni,
-    unified,
-)
+from omnistereo_rigs.formats.camera_models import FISHEYE, make_camera_model
+from omnistereo_rigs.formats.colmap import MODELS
 from omnistereo_rigs.formats.fit import fit_ocam
 
 SIZE = (1216, 1200)
 PINHOLE = {"fx": 225.0, "fy": 222.5, "cx": 610.8, "cy": 600.2}
-KB4 = PINHOLE | {"fx": 320.0, "fy": 321.0, "k1": -0.011, "k2": 0.004, "k3": -0.0021, "k4": 0.0003}
+OMNI = PINHOLE | {"fx": 560.0, "fy": 556.0, "xi": 1.5}
+K4 = (-0.011, 0.004, -0.0021, 0.0003)
+KB4 = PINHOLE | {"fx": 320.0, "fy": 321.0} | dict(zip(FISHEYE, K4, strict=True))
 DOUBLE_SPHERE = PINHOLE | {"xi": -0.28, "alpha": 0.57}
+AT = {"f": (225.0, 222.5), "c": (610.8, 600.2)}
 
 
 def rays(theta_deg, azimuths=16):
@@ -38,23 +37,26 @@ def rays(theta_deg, azimuths=16):
 points = st.tuples(st.floats(-3, 3), st.floats(-3, 3), st.floats(-1, 3)).filter(
     lambda p: hypot(*p) > 0.1
 )
+BY_HAND = [
+    ("ds", DOUBLE_SPHERE, partial(ds, xi=-0.28, alpha=0.57, **AT)),
+    ("eucm", PINHOLE | {"alpha": 0.6, "beta": 1.1}, partial(eucm, alpha=0.6, beta=1.1, **AT)),
+    ("kb4", KB4, partial(kb4, k=K4, f=(320, 321), c=AT["c"])),
+    ("kb4", KB4 | {"skew": 1.5}, partial(kb4, k=K4, f=(320, 321), c=AT["c"], skew=1.5)),
+    ("omni", OMNI | {"k1": -0.05, "k2": 0.01}, partial(mei, f=(560, 556), c=AT["c"])),
+    # Mei's sphere with xi = alpha / (1 - alpha) is the unified model, with other focal lengths.
+    ("ucm", OMNI | {"alpha": 0.6}, partial(mei, f=(560 * 2.5, 556 * 2.5), c=AT["c"], k1=0, k2=0)),
+    ("fov", PINHOLE | {"w": 0.9}, partial(fov, w=0.9, **AT)),
+    ("pinhole", PINHOLE | {"k1": -0.1, "k2": 0.01}, partial(brown, p=(0, 0), **AT)),
+]
 
 
+@pytest.mark.parametrize(("model", "parameters", "by_hand"), BY_HAND)
 @given(points)
-def test_unified_models_by_hand(point):
-    x, y, z = point
-    uv, valid = unified(np.array(point), **PINHOLE, alpha=0.6, beta=1.1)
+def test_models_by_hand(model, parameters, by_hand, point):
+    parameters = {k: v for k, v in parameters.items() if not (model == "ucm" and k == "xi")}
+    uv, valid = make_camera_model(model, parameters)(np.array(point))
     if valid:
-        depth = 0.6 * sqrt(1.1 * (x * x + y * y) + z * z) + 0.4 * z
-        np.testing.assert_allclose(uv, [225.0 * x / depth + 610.8, 222.5 * y / depth + 600.2])
-    # Mei's sphere with xi = alpha / (1 - alpha) is the unified model with focal lengths divided by
-    # 1 - alpha.
-    mei = PINHOLE | {"fx": 225.0 / 0.4, "fy": 222.5 / 0.4}
-    uv, valid = unified(np.array(point), **PINHOLE, alpha=0.6)
-    other, valid_too = omni(np.array(point), **mei, xi=1.5)
-    assert valid == valid_too
-    if valid:
-        np.testing.assert_allclose(other, uv, atol=1e-8)
+        np.testing.assert_allclose(uv, by_hand(*point), atol=1e-6)
 
 
 def test_omni_distortion_is_opencvs():
@@ -62,7 +64,7 @@ def test_omni_distortion_is_opencvs():
     on."""
     at = rays(np.arange(1, 60, 7))
     distortion = {"k1": 0.01, "k2": -0.002, "p1": 0.003, "p2": -0.001}
-    ours, valid = omni(at, **PINHOLE, xi=1.5, **distortion)
+    ours, valid = make_camera_model("omni", PINHOLE | {"xi": 1.5} | distortion)(at)
     moved = at.reshape(-1, 3) + np.array([0, 0, 1.5])
     K = np.array([[225.0, 0, 610.8], [0, 222.5, 600.2], [0, 0, 1]])
     theirs, _ = cv2.projectPoints(
@@ -72,31 +74,34 @@ def test_omni_distortion_is_opencvs():
     np.testing.assert_allclose(ours.reshape(-1, 2), theirs.reshape(-1, 2), atol=1e-6)
 
 
-def test_each_model_says_where_it_ends():
-    w1 = (1 - 0.57) / 0.57
-    w2 = (w1 - 0.28) / sqrt(1 - 2 * w1 * 0.28 + 0.28**2)
-    ends = {
-        90 + degrees(asin(w2)): partial(double_sphere, **DOUBLE_SPHERE),
-        90 + degrees(asin(0.4 / 0.6)): partial(unified, **PINHOLE, alpha=0.6),
-        degrees(acos(-0.8)): partial(omni, **PINHOLE, xi=0.8),
-        # r' = 1 - θ²
-        degrees(1.0): partial(kannala_brandt, **PINHOLE, k1=-1 / 3, k2=0, k3=0, k4=0),
-    }
-    for end, project in ends.items():
-        assert project(rays([end - 0.01]))[1].all() and not project(rays([end + 0.01]))[1].any()
-    assert not kannala_brandt(np.zeros(3), **KB4)[1]
+W1 = (1 - 0.57) / 0.57
+ENDS = [
+    (90 + degrees(asin((W1 - 0.28) / sqrt(1 - 2 * W1 * 0.28 + 0.28**2))), "ds", DOUBLE_SPHERE),
+    (90 + degrees(asin(0.4 / 0.6)), "ucm", PINHOLE | {"alpha": 0.6}),
+    (degrees(acos(-0.8)), "omni", PINHOLE | {"xi": 0.8}),
+    (degrees(1.0), "kb4", PINHOLE | {"k1": -1 / 3}),  # r' = 1 - θ²
+    (60, "pinhole", PINHOLE),
+]
 
 
-@pytest.mark.parametrize(
-    "project",
-    [
-        partial(double_sphere, **DOUBLE_SPHERE),
-        partial(kannala_brandt, **KB4),
-        partial(unified, **PINHOLE, alpha=0.6, beta=1.05),
-        partial(omni, **(PINHOLE | {"fx": 560.0, "fy": 556.0}), xi=1.5, k1=-0.01, k2=0.002),
-    ],
-)
-def test_radial_models_become_ocam_cameras(project):
+@pytest.mark.parametrize(("end", "model", "parameters"), ENDS)
+def test_each_model_says_where_it_ends(end, model, parameters):
+    project = make_camera_model(model, parameters)
+    assert project(rays([end - 0.01]))[1].all() and not project(rays([end + 0.01]))[1].any()
+    assert not project(np.zeros(3))[1]
+
+
+RADIAL = [
+    ("ds", DOUBLE_SPHERE),
+    ("kb4", KB4),
+    ("eucm", PINHOLE | {"alpha": 0.6, "beta": 1.05}),
+    ("omni", OMNI | {"k1": -0.01, "k2": 0.002}),
+]
+
+
+@pytest.mark.parametrize(("model", "parameters"), RADIAL)
+def test_radial_models_become_ocam_cameras(model, parameters):
+    project = make_camera_model(model, parameters)
     camera, residual = fit_ocam(project, SIZE)
     assert residual < 0.02 and camera.max_fov_deg > 200
     # not where it was fitted
@@ -106,30 +111,27 @@ def test_radial_models_become_ocam_cameras(project):
         ours, valid = camera.project(at, use_direct_poly=exact)
         assert valid.mean() > 0.9
         assert np.abs(ours - theirs).max() < 0.02
-    assert camera.affine[0] == pytest.approx(
-        project.keywords["fy"] / project.keywords["fx"], abs=1e-9
-    )
+    assert camera.affine[0] == pytest.approx(parameters["fy"] / parameters["fx"], abs=1e-9)
     np.testing.assert_allclose(camera.center, (610.8, 600.2), atol=1e-6)
     assert camera.inverse_poly_error_px() < 0.05
 
 
 def test_tangential_distortion_shows_in_the_residual():
-    lens = PINHOLE | {"fx": 560.0, "fy": 556.0}
-    residuals = [
-        fit_ocam(partial(omni, **lens, xi=1.5, p1=p1), SIZE)[1] for p1 in (0.0, 1e-4, 1e-3)
-    ]
+    def fitted(p1):
+        project = make_camera_model("omni", OMNI | {"p1": p1})
+        return project, *fit_ocam(project, SIZE)
+
+    residuals = [fitted(p1)[2] for p1 in (0.0, 1e-4, 1e-3)]
     assert residuals[0] < 0.02 < residuals[1] < residuals[2]
-    camera, residual = fit_ocam(partial(omni, **lens, xi=1.5, p1=1e-3), SIZE)
+    project, camera, residual = fitted(1e-3)
     at = rays(np.linspace(0.1, camera.max_fov_deg / 2, 200))
-    worst = np.linalg.norm(
-        camera.project(at)[0] - omni(at, **lens, xi=1.5, p1=1e-3)[0], axis=-1
-    ).max()
+    worst = np.linalg.norm(camera.project(at)[0] - project(at)[0], axis=-1).max()
     assert residual > 0.1 and worst == pytest.approx(residual, rel=0.02)
 
 
 def test_the_field_of_view_is_what_pixels_can_see():
-    f, equidistant = 200.0, {"k1": 0, "k2": 0, "k3": 0, "k4": 0}
-    lens = partial(kannala_brandt, fx=f, fy=f, cx=500, cy=500, **equidistant)
+    f = 200.0
+    lens = make_camera_model("kb4", {"fx": f, "fy": f, "cx": 500, "cy": 500})
     corner = degrees(hypot(500, 500) / f)
     # the corners are further out
     assert fit_ocam(lens, (1001, 1001))[0].max_fov_deg == pytest.approx(220)
@@ -150,13 +152,40 @@ def test_the_field_of_view_is_what_pixels_can_see():
         ("ds", DOUBLE_SPHERE | {"fx": -2.0}, "fx = -2.0"),
         ("kb4", KB4 | {"fy": 0.0}, "fy = 0.0"),
         ("ds", DOUBLE_SPHERE | {"xi": -1.5}, "xi = -1.5"),
+        ("ds", DOUBLE_SPHERE | {"cx": 1e5}, "projects nothing into the image of 1216 × 1200"),
     ],
 )
 def test_impossible_parameters_are_refused(model, parameters, message):
     with pytest.raises(OmnistereoError, match=message):
-        make_camera_model(model, parameters)
+        fit_ocam(make_camera_model(model, parameters), SIZE)
 
 
-def test_a_model_that_misses_the_image_is_refused():
-    with pytest.raises(OmnistereoError, match="projects nothing into the image of 1216 × 1200"):
-        fit_ocam(partial(double_sphere, **DOUBLE_SPHERE | {"cx": 1e6}), SIZE)
+THEIRS = {
+    "SIMPLE_FISHEYE": [200.0, 400.5, 380.5],
+    "FISHEYE": [200.0, 199.0, 400.5, 380.5],
+    "OPENCV_FISHEYE": [200.0, 199.0, 400.5, 380.5, *K4],
+    "SIMPLE_RADIAL_FISHEYE": [200.0, 400.5, 380.5, -0.01],
+    "RADIAL_FISHEYE": [200.0, 400.5, 380.5, -0.01, 0.004],
+    "RAD_TAN_THIN_PRISM_FISHEYE": [
+        *(200.0, 199, 400.5, 380.5, 0.01, -0.02, 3e-3, 1e-4, 0, 1e-5),
+        *(1e-3, -2e-3, 2e-3, 1e-4, -1e-3, 3e-4),
+    ],
+    "EUCM": [220.0, 219.0, 400.5, 380.5, 0.6, 1.1],
+    "FOV": [300.0, 299.0, 400.5, 380.5, 0.9],
+    "FULL_OPENCV": [400.0, 398, 400.5, 380.5, 0.1, -0.02, 1e-3, -1e-3, 0.01, 0.02, -0.01, 1e-3],
+}
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", THEIRS)
+def test_models_against_colmap_itself(name):
+    pycolmap = pytest.importorskip("pycolmap")
+    theirs = pycolmap.Camera(model=name, width=800, height=760, params=THEIRS[name])
+    model, names = MODELS[name.lower()][0], MODELS[name.lower()][1]["camera_params"]
+    stated = dict(zip(names, THEIRS[name], strict=True))
+    if "f" in stated:
+        stated["fx"] = stated["fy"] = stated.pop("f")
+    uv, valid = make_camera_model(model, stated)(AHEAD)
+    expected = np.stack([theirs.img_from_cam(ray) for ray in AHEAD])
+    assert valid.all() and len(AHEAD) > 30
+    np.testing.assert_allclose(uv, expected, atol=1e-9)

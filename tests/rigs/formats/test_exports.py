@@ -2,6 +2,8 @@
 
 import json
 import re
+import shutil
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -13,6 +15,7 @@ from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_rigs.formats.read import read_rig
 from omnistereo_rigs.formats.write import beyond_sentences, export_rig, resized
 from omnistereo_tools import cli
+from omnistereo_tools.commands.options import FrameOptions, read_frame
 from omnistereo_tools.output.frame import equirectangular_depth
 
 RAYS = np.random.default_rng(1).normal(size=(400, 3))
@@ -172,3 +175,14 @@ def test_the_library_names_the_converter(exported):
     _, folder, _ = exported
     with pytest.raises(osl.OmnistereoError, match=r"omnistereo rig .*kalibr.yaml.*read_any_rig"):
         osl.load_rig(folder / "kalibr.yaml")
+
+
+def test_a_data_set_with_a_rig_of_another_program(exported, tmp_path, capsys):
+    _, folder, _ = exported
+    shutil.copy(folder / "kalibr.yaml", tmp_path / "calibration.yaml")
+    for n in (1, 2, 3, 4):
+        source = Path("data_samples/sunny/test") / f"cam{n}"
+        (tmp_path / f"cam{n}").symlink_to(source.resolve())
+    frame = read_frame(FrameOptions(rig=tmp_path))
+    assert len(frame.rig) == 4 and frame.images[0].shape[:2] == (768, 800)
+    assert "`omnistereo rig " in capsys.readouterr().err

@@ -6,13 +6,15 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from rig_file_samples import (
+from numpy.polynomial import Polynomial
+from rigs.formats.rig_file_samples import (
     AFFINE,
     CAMERA,
     CENTER,
     INVERSE,
     N_INVERSE,
     OCAM_TXT,
+    POLY,
     POSES_TXT,
     SIZE,
     dump,
@@ -77,6 +79,12 @@ def test_ocam_file_variants(tmp_path, text):
     same_camera(read_any_camera(write(tmp_path / "ocam.txt", text), 220), CAMERA)
 
 
+def inverse_of(turn, step=1):
+    """Return the file with its inverse polynomial in another convention."""
+    b = Polynomial(CAMERA.inv_poly)(turn(Polynomial([0, 1]))).coef[::step]
+    return OCAM_TXT.replace(f"{N_INVERSE} {INVERSE}", f"{len(b)} {' '.join(map(repr, b.tolist()))}")
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -105,6 +113,19 @@ def test_ocam_file_variants(tmp_path, text):
         (
             OCAM_TXT.replace(f"{N_INVERSE} {INVERSE}", "3 400 -20 -3"),
             "inv_poly. is not the inverse of poly",
+        ),
+        *[
+            (inverse_of(turn), r"\(inv_poly\) is not the inverse of poly.*leave inv_poly out")
+            for turn in (
+                lambda t: t - np.pi / 2,  # from the axis
+                lambda t: -t,
+                lambda t: t * (np.pi / 180),  # degrees
+            )
+        ],
+        (inverse_of(lambda t: t, step=-1), "inv_poly. is not the inverse of poly"),
+        (
+            OCAM_TXT.replace(f"\n3 {POLY}", "\n4 -205 1.9e-3 -1.1e-6 2.3e-9"),
+            "a0 a2 a3 a4, put the missing 0",
         ),
         ("\x00\xff\x89PNG\n" * 9, "must be numbers"),
     ],

@@ -1,0 +1,520 @@
+"""The table of dialects, a row each; `table` says what a row means and interprets it."""
+
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omnistereo_lib.errors import OmnistereoError, error_context
+from omnistereo_lib.files import path_within, read_data
+from omnistereo_lib.parse import Section, check_count, parse_floats
+from omnistereo_lib.pictures import read_gray
+from omnistereo_lib.rig_file import MAX_BYTES
+from omnistereo_rigs.formats import colmap, opencv
+from omnistereo_rigs.formats.camera_models import (
+    FISHEYE,
+    FISHEYE624,
+    MAX_PINHOLE_DEG,
+    METASHAPE,
+    PINHOLE,
+    RADTAN,
+)
+from omnistereo_rigs.formats.table import (
+    ALL,
+    FLU,
+    K9,
+    OPENGL,
+    Dialect,
+    Parameters,
+    Value,
+    Way,
+    numbers,
+    parse_pose,
+)
+
+# Where the cameras are.
+
+
+def _one(data: Section, path: Path) -> list[Section]:
+    return [data]
+
+
+def _listed(key: str) -> Callable[[Section, Path], list[Section]]:
+    return lambda data, path: [*data.sections(key).values()]
+
+
+def _having(key: str) -> Callable[[Section, Path], list[Section]]:
+    return lambda data, path: [
+        data.section(name) for name, value in data.values.items() if key in _mapping(value)
+    ]
+
+
+def _chain(data: Section, path: Path) -> list[Section]:
+    """Return the cameras in the order of their numbers, from 0 or 1, else in that of the file; or
+    the one.
+    """
+    if "camera_model" in data.values:
+        return [data]
+    found = {name: value for name, value in data.values.items() if isinstance(value, Mapping)}
+    names = [name for name, value in found.items() if "camera_model" in value or "cam" in name]
+    check_count(len(names))
+    if names and all(re.fullmatch("cam[0-9]{1,4}", name) for name in names):
+        first = min(1, *(int(name[3:]) for name in names), 1)
+        # A gap in the chain is an error.
+        names = [f"cam{n}" for n in range(first, first + len(names))]
+    return [data.section(name) for name in names]
+
+
+def _basalt(data: Section, path: Path) -> list[Section]:
+    value = data.section("value0")
+    keys = ("T_imu_cam", "intrinsics", "resolution")
+    lists = [value.require(key) for key in keys]
+    for key, each in zip(keys, lists, strict=True):
+        if not isinstance(each, list) or len(each) != len(lists[0]):
+            raise OmnistereoError(
+                f"{key}: found {str(each)[:80]}; expected a list with one entry per camera"
+            )
+    cams = []
+    for n, (pose, lens, size) in enumerate(zip(*lists, strict=True)):
+        with error_context(f"intrinsics {n + 1}"):
+            found = {"T_imu_cam": pose, "resolution": size} | Section(lens).values
+        cams.append(value.add(f"camera {n}", found))
+    return cams
+
+
+def _vins(data: Section, path: Path) -> list[Section]:
+    cams = []
+    count = sum(name.startswith("body_T_cam") for name in data.values)
+    check_count(count)
+    for n in range(count):
+        file = path_within(path.parent, data.require(f"cam{n}_calib"), path)
+        pose = data.require(f"body_T_cam{n}")
+        with error_context(file):
+            lens = {"body_T_cam": pose} | Section(read_data(file, MAX_BYTES)).values
+            cams.append(data.add(str(file), lens, f"cam{n}_calib"))
+    return cams
+
+
+def _frames(data: Section, path: Path) -> list[Section]:
+    """Return one frame for each camera of transforms.json, all of one moment."""
+    shared = {key: value for key, value in data.values.items() if key != "frames"}
+    frames = data.require("frames")
+    data.ignore("frames", *shared)
+    cams = []
+    for n, frame in enumerate(frames, 1):
+        with error_context(f"frame {n}"):
+            cams.append(Section(shared | Section(frame).values, f"frame {n}"))
+    poses = [parse_pose(cam, _TRANSFORM) for cam in cams]
+    moment = colmap.find_moment([str(cam.get("file_path")) for cam in cams], poses, path)
+    for camera, images in moment.of_camera.items():
+        lenses = [[cams[n].values.get(key) for key in (*_FL, "w", "h", "k1")] for n in images]
+        if any(lens != lenses[0] for lens in lenses):
+            raise OmnistereoError(
+                f"the frames of {camera} have several lenses; expected one. Keep those of one "
+                "moment"
+            )
+    found = [data.add(cams[n].name, cams[n].values) for n in moment.images]
+    for cam in found:
+        cam.ignore(*_NOT_OF_A_CAMERA.split())
+        with error_context(cam.name):
+            _focal_of_angle(cam)
+    return found
+
+
+def _focal_of_angle(cam: Section) -> None:
+    """Write the focal length that an angle states, which is a pinhole's."""
+    name, is_fisheye = cam.word("camera_model"), cam.word("is_fisheye") in ("true", "1", "yes")
+    if is_fisheye and "fisheye" not in name:
+        raise OmnistereoError(
+            f"camera_model is {name or 'not stated'} and is_fisheye true. Write camera_model: "
+            "OPENCV_FISHEYE, or delete is_fisheye"
+        )
+    if cam.get("fl_x") is None and cam.get("camera_angle_x") is not None:
+        angle = cam.number("camera_angle_x")
+        if "fisheye" in name or not 0 < angle < np.radians(MAX_PINHOLE_DEG):
+            raise OmnistereoError(
+                f"camera_angle_x = {angle:g} does not state the focal length of a fisheye: f = "
+                "width / 2 / tan(angle / 2) is a pinhole's. Write fl_x, for an equidistant lens "
+                "width / angle"
+            )
+        cam.values["fl_x"] = cam.number("w") / 2 / float(np.tan(angle / 2))
+    if cam.get("fl_y") is None:
+        cam.values["fl_y"] = cam.values.get("fl_x")
+
+
+def _sensors(data: Section, path: Path) -> list[Section]:
+    data.note(
+        "axes and pixel centres as DriveWorks documents them, not checked with it: sensor → rig by "
+        "yaw, pitch, roll in x forward, y left, z up. `omnistereo doctor` with images checks them"
+    )
+    sensors = data.section("rig").sections("sensors").values()
+    return [each for each in sensors if "camera" in str(each.get("name", default="camera"))]
+
+
+def _sockets(data: Section, path: Path) -> list[Section]:
+    cams = []
+    for item in data.require("cameraData"):
+        if not (isinstance(item, list) and len(item) == 2):
+            raise OmnistereoError("cameraData: expected pairs of a socket and a camera")
+        cam = data.add(f"socket {item[0]}", {"socket": item[0]} | Section(item[1]).values)
+        cam.ignore("lensPosition", "specHfovDeg", "socket")
+        if "extrinsics" in cam.values:
+            cam.section("extrinsics").ignore("specTranslation")
+        cams.append(cam)
+    return cams
+
+
+# Parameters that are more than numbers in their order.
+
+
+def _f_theta(sensor: Section) -> dict[str, float]:
+    kind = sensor.word("properties.polynomial-type", "pixeldistance-to-angle")
+    if kind not in ("pixeldistance-to-angle", "angle-to-pixeldistance"):
+        raise OmnistereoError(f"polynomial-type is {kind}; expected pixeldistance-to-angle")
+    text = str(sensor.require("properties.polynomial|bw-poly"))
+    values = parse_floats(text.split(), "polynomial").tolist()
+    if values[:1] != [0] or not 2 <= len(values) <= 16:
+        raise OmnistereoError(f"polynomial is {values}; expected 0 and 1 to 15 coefficients")
+    affine = {"linear-c": "fx", "linear-d": "skew", "linear-e": "shear", "cx": "cx", "cy": "cy"}
+    optional = {f"properties.{key}?": name for key, name in affine.items()}
+    found = {"fx": 1.0, "fy": 1.0} | numbers(sensor, optional)
+    to_angle = {"to_angle": float(kind.startswith("pixel"))}
+    return found | to_angle | {f"p{k}": value for k, value in enumerate(values)}
+
+
+def _metashape(lens: Section) -> dict[str, float]:
+    """Return its numbers; u = (f + b1) x + b2 y + cx, v = f y + cy."""
+    found = numbers(lens, {"f": "f"} | {f"{key}?": key for key in ("cx", "cy", *METASHAPE)})
+    b1, b2 = (lens.number(key, 0) for key in ("b1", "b2"))
+    return found | {"fx": found["fx"] + b1, "skew": b2}
+
+
+# Masks, bright where the image is valid.
+
+
+def _mask_beside(
+    cam: Section, path: Path, n: int, size: tuple[int, int]
+) -> NDArray[np.bool_] | None:
+    file = path.parent / f"cam{n}" / "mask.png"
+    return read_gray(file, size) >= 128 if file.exists() else None
+
+
+def _mask_named(
+    cam: Section, path: Path, n: int, size: tuple[int, int]
+) -> NDArray[np.bool_] | None:
+    name = cam.get("mask_path")
+    return None if name is None else read_gray(path_within(path.parent, name, path), size) >= 128
+
+
+# What recognises a file.
+
+
+def _mapping(value: Any) -> Mapping[str, Any]:
+    return value if isinstance(value, Mapping) else {}
+
+
+def _has(key: str) -> Callable[[dict[str, Any]], bool]:
+    return lambda data: key in data
+
+
+def _inside(*keys: str) -> Callable[[dict[str, Any]], bool]:
+    """Return whether a file, or a mapping in it, has all keys."""
+    return lambda data: any({*keys} <= _mapping(each).keys() for each in (data, *data.values()))
+
+
+def _items(name: str, key: str) -> Callable[[dict[str, Any]], bool]:
+    """Return whether a list, or one in `rig`, holds mappings one of which has the key."""
+
+    def recognises(data: dict[str, Any]) -> bool:
+        values = data.get(name, _mapping(data.get("rig")).get(name))
+        return isinstance(values, list) and any(key in _mapping(value) for value in values)
+
+    return recognises
+
+
+_TRANSFORM = Way("transform_matrix", OPENGL)
+_NONE = "distortion_coeffs|distortion_coefficients"
+_BY_NAME = {"intrinsics": ALL}
+_RADTAN_BLOCK = {f"distortion_parameters.{key}": key for key in RADTAN[:4]}
+_MU = dict(zip(("mu", "mv", "u0", "v0", "k2", "k3", "k4", "k5"), (*PINHOLE, *FISHEYE), strict=True))
+_GAMMA = dict(zip(("gamma1", "gamma2", "u0", "v0"), PINHOLE, strict=True))
+
+
+def _block(names: Mapping[str, str]) -> dict[str, str]:
+    return {f"projection_parameters.{key}": name for key, name in names.items()}
+
+
+_CAMODOCAL: dict[str, tuple[str, Parameters]] = {
+    "mei": ("omni", {"mirror_parameters.xi": "xi"} | _RADTAN_BLOCK | _block(_GAMMA)),
+    "kannala_brandt": ("kb4", _block(_MU)),
+    "pinhole": ("pinhole", _RADTAN_BLOCK | _block({key: key for key in PINHOLE})),
+}
+_FL = {"fl_x": "fx", "fl_y": "fy", "cx": "cx", "cy": "cy"}
+_FL_RADTAN: dict[str, str] = _FL | {f"{key}?": key for key in RADTAN[:5]}
+# Keys of transforms.json: of images, of the scene, and of the focal length in another form.
+_NOT_OF_A_CAMERA = """file_path depth_file_path colmap_im_id sharpness depth_unit_scale_factor
+is_fisheye train_filenames val_filenames test_filenames ply_file_path mask_path aabb_scale scale
+offset applied_transform applied_scale orientation_override camera_angle_x camera_angle_y"""
+_FISHEYES = {"fisheye": "equidistant", "equidistant_fisheye": "equidistant"}
+_FISHEYES |= {"frame": "rectilinear", "equisolid_fisheye": "equisolid"}
+# These programs project a fisheye by x / z and y / z: no point beyond 90° can have been used.
+_AHEAD = 180.0
+_DIVIDES = {"kb4": _AHEAD}
+_RECALIBRATE = "Recalibrate without"
+
+# In the order in which they are tried.
+DIALECTS = (
+    Dialect(
+        name="basalt JSON",
+        what="ds, eucm, ucm, kb4, pinhole, pinhole-radtan8 and fov. Masks camN/mask.png beside the "
+        "file are read, too: N from 0, bright = valid",
+        recognises=_has("value0"),
+        cameras=_basalt,
+        model="camera_type",
+        models={name: (name, _BY_NAME) for name in ("ds", "eucm", "ucm", "kb4", "pinhole", "fov")}
+        | {"pinhole-radtan8": ("pinhole", _BY_NAME)},
+        poses=(Way("T_imu_cam"),),
+        unit="metres",
+        mask=_mask_beside,
+    ),
+    Dialect(
+        name="Kalibr camchain",
+        what="ds, eucm, omni, or pinhole with equidistant, radtan or fov; also one camera, and "
+        "EuRoC's folders camN with sensor.yaml",
+        recognises=_inside("camera_model", "intrinsics"),
+        cameras=_chain,
+        model="camera_model distortion_model=none",
+        aliases={"equi": "equidistant", "plumb_bob": "radtan", "radial-tangential": "radtan"},
+        models={
+            "ds + none": ("ds", {"intrinsics": ("xi", "alpha", *PINHOLE), _NONE: ()}),
+            "eucm + none": ("eucm", {"intrinsics": ("alpha", "beta", *PINHOLE), _NONE: ()}),
+            "omni + none": ("omni", {"intrinsics": ("xi", *PINHOLE), _NONE: ()}),
+            "omni + radtan": ("omni", {"intrinsics": ("xi", *PINHOLE), _NONE: RADTAN[:4]}),
+            "pinhole + equidistant": ("kb4", {"intrinsics": PINHOLE, _NONE: FISHEYE}),
+            "pinhole + radtan": ("pinhole", {"intrinsics": PINHOLE, _NONE: RADTAN[:4]}),
+            "pinhole + fov": ("fov", {"intrinsics": PINHOLE, _NONE: ("w",)}),
+            "pinhole + none": ("pinhole", {"intrinsics": PINHOLE, _NONE: ()}),
+        },
+        poses=(
+            Way("T_cn_cnm1", to_camera=True, parent="previous"),
+            Way("T_cam_imu", to_camera=True),
+            Way("T_imu_cam"),
+            Way("T_BS"),
+        ),
+        unit="metres",
+        measured_deg=_DIVIDES,
+        first_is_rig=True,
+    ),
+    Dialect(
+        name="VINS configuration",
+        what="with `body_T_cam0`, …, and the camodocal files that `cam0_calib`, … name",
+        recognises=_has("body_T_cam0"),
+        cameras=_vins,
+        model="model_type",
+        models=_CAMODOCAL,
+        size="image_width image_height",
+        poses=(Way("body_T_cam"),),
+        unit="metres",
+        settings=True,
+    ),
+    Dialect(
+        name="camodocal camera",
+        what="MEI, KANNALA_BRANDT or PINHOLE",
+        recognises=_has("model_type"),
+        cameras=_one,
+        model="model_type",
+        models=_CAMODOCAL,
+        size="image_width image_height",
+        unit="",
+    ),
+    Dialect(
+        name="nerfstudio",
+        what="transforms.json, each frame a camera, or folders of frames: OPENCV, OPENCV_FISHEYE "
+        "or PINHOLE, and masks",
+        recognises=_items("frames", "transform_matrix"),
+        cameras=_frames,
+        model="camera_model",
+        models=dict.fromkeys(("opencv", "pinhole", "simple_pinhole"), ("pinhole", _FL_RADTAN))
+        | {"opencv_fisheye": ("kb4", _FL | {f"{key}?": key for key in FISHEYE})},
+        size="w h",
+        poses=(_TRANSFORM,),
+        measured_deg=_DIVIDES,
+        origin=0.5,
+        mask=_mask_named,
+    ),
+    Dialect(
+        name="Gyroflow lens profile",
+        what="of one camera, opencv_fisheye, not stretched",
+        recognises=_has("fisheye_params"),
+        cameras=_one,
+        model="distortion_model=opencv_fisheye",
+        models={
+            "opencv_fisheye": (
+                "kb4",
+                {"fisheye_params.camera_matrix": K9, "fisheye_params.distortion_coeffs": FISHEYE},
+            )
+        },
+        size="calib_dimension.w calib_dimension.h",
+        unit="",
+        measured_deg=_DIVIDES,
+        values=dict.fromkeys(
+            ("input_horizontal_stretch", "input_vertical_stretch"), Value((1,), _RECALIBRATE)
+        )
+        | {"digital_lens": Value((), _RECALIBRATE)},
+        settings=True,
+    ),
+    Dialect(
+        name="Anipose, Caliscope",
+        what="calibration.toml, fisheye or not; rig → camera",
+        recognises=_inside("matrix", "distortions", "size"),
+        cameras=_having("matrix"),
+        model="fisheye=false",
+        aliases={"0": "false", "1": "true"},
+        models={
+            "true": ("kb4", {"matrix": K9, "distortions": FISHEYE}),
+            "false": ("pinhole", {"matrix": K9, "distortions": RADTAN[:5]}),
+        },
+        size="size",
+        poses=(Way("rotation translation", to_camera=True),),
+        values={"ignore": Value((), "Delete the camera from the file")},
+        measured_deg=_DIVIDES,
+    ),
+    Dialect(
+        name="DepthAI",
+        what="the calibration of a device: fisheye, perspective",
+        recognises=_has("cameraData"),
+        cameras=_sockets,
+        model="cameraType",
+        aliases={"0": "perspective", "1": "fisheye"},
+        models={
+            "fisheye": ("kb4", {"intrinsicMatrix": K9, "distortionCoeff": FISHEYE}),
+            "perspective": ("pinhole", {"intrinsicMatrix": K9, "distortionCoeff": RADTAN}),
+        },
+        size="width height",
+        poses=(
+            Way(
+                "extrinsics.rotationMatrix extrinsics.translation",
+                parent="extrinsics.toCameraSocket",
+            ),
+        ),
+        unit="centimetres",
+        measured_deg=_DIVIDES,
+        settings=True,
+    ),
+    Dialect(
+        name="Project Aria",
+        what="CameraCalibrations with FisheyeRadTanThinPrism and their image size; device ← camera",
+        recognises=_items("CameraCalibrations", "Projection"),
+        cameras=_listed("CameraCalibrations"),
+        model="Projection.Name",
+        models={
+            "fisheyeradtanthinprism": (
+                "fisheye624",
+                {"Projection.Params": ("f", "cx", "cy", *FISHEYE624)},
+            ),
+            "kannalabrandtk3": ("kb4", {"Projection.Params": (*PINHOLE, *FISHEYE)}),
+        },
+        size="ImageSize|image_size|ImageSizes|resolution",
+        poses=(
+            Way("T_Device_Camera.UnitQuaternion T_Device_Camera.Translation", rotation="w x y z"),
+        ),
+        unit="metres",
+        measured_deg={"fisheye624": _AHEAD},
+        settings=True,
+    ),
+    Dialect(
+        name="DriveWorks rig",
+        what="cameras with an f-theta polynomial and nominalSensor2Rig_FLU",
+        recognises=_items("sensors", "properties"),
+        cameras=_sensors,
+        model="properties.Model",
+        models={"ftheta": ("ftheta", _f_theta)},
+        size="properties.width properties.height",
+        poses=(
+            Way(
+                "nominalSensor2Rig_FLU.roll-pitch-yaw nominalSensor2Rig_FLU.t",
+                FLU,
+                rotation="roll pitch yaw",
+            ),
+        ),
+        values=dict.fromkeys(
+            ("correction_sensor_R_FLU", "correction_rig_T"),
+            Value((), "Add it to nominalSensor2Rig_FLU"),
+        ),
+        unit="metres",
+        settings=True,
+    ),
+    Dialect(
+        name="Metashape lens",
+        what="XML of one camera",
+        recognises=_has("calibration"),
+        cameras=lambda data, path: [data.add("", data.require("calibration"), "calibration")],
+        model="projection=frame",
+        models={word: (f"metashape {ours}", _metashape) for word, ours in _FISHEYES.items()},
+        size="width height",
+        unit="",
+        measured_deg={f"metashape {ours}": _AHEAD for ours in _FISHEYES.values()},
+        origin=None,
+    ),
+    Dialect(
+        name="COLMAP rig",
+        what="rig_config.json with the models of its cameras, or with cameras.txt beside it",
+        recognises=_items("cameras", "image_prefix"),
+        cameras=colmap.config_cameras,
+        model="camera_model_name",
+        models=colmap.MODELS,
+        size="width height",
+        poses=colmap.POSES,
+        measured_deg={model: _AHEAD for model, _ in colmap.MODELS.values()},
+        origin=0.5,
+    ),
+    Dialect(
+        name="COLMAP model",
+        what="a folder with `cameras.txt` and `images.txt`, and `rigs.txt` where there is one",
+        recognises=lambda data: False,
+        cameras=colmap.model_cameras,
+        model="camera_model_name",
+        models=colmap.MODELS,
+        size="width height",
+        poses=colmap.POSES,
+        measured_deg={model: _AHEAD for model, _ in colmap.MODELS.values()},
+        origin=0.5,
+        first_is_rig=True,
+    ),
+    Dialect(
+        name="MC-Calib",
+        what="calibrated_cameras_data.yml, pinhole and fisheye",
+        recognises=_inside("camera_matrix", "camera_pose_matrix"),
+        cameras=_having("camera_pose_matrix"),
+        model="distortion_type",
+        models={
+            "0": ("pinhole", {"camera_matrix": K9, "distortion_vector": RADTAN[:5]}),
+            "1": ("kb4", {"camera_matrix": K9, "distortion_vector": FISHEYE}),
+        },
+        size="img_width img_height",
+        poses=(Way("camera_pose_matrix"),),
+        measured_deg=_DIVIDES,
+        values={"camera_group": Value((), "No pose connects it to the cameras of another group")},
+    ),
+    # Last: its keys are in other dialects, too.
+    Dialect(
+        name="OpenCV, ROS",
+        what="K, D, R, T and the size of each camera, or lists of each: fisheye, omnidirectional "
+        "(`xi`), plumb_bob or rational; double_sphere, eucm, fov by their parameters; also XML, "
+        "TOML, npz",
+        recognises=opencv.is_opencv,
+        cameras=opencv.cameras,
+        model="model",
+        models=opencv.MODELS,
+        aliases=opencv.ALIASES,
+        size=opencv.SIZE,
+        poses=(Way(opencv.POSE, to_camera=True, first_may_lack=True),),
+        measured_deg=_DIVIDES,
+        values=dict.fromkeys(
+            ("binning_x", "binning_y"), Value((1,), "Calibrate the images at their own size")
+        ),
+    ),
+)

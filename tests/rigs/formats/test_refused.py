@@ -1,0 +1,183 @@
+"""What is refused, in words that name the file, the camera and what to do."""
+
+import json
+
+import numpy as np
+import pytest
+from rigs.formats.rig_file_samples import (
+    DOUBLE_SPHERE,
+    K4,
+    MEI,
+    METASHAPE,
+    SIZE,
+    K,
+    basalt,
+    dump,
+    kalibr,
+    omnimvs,
+    read,
+    transforms,
+    write,
+)
+from rigs.formats.test_dialects import GYROFLOW, KANNALA, aria, sockets
+
+from omnistereo_lib import OmnistereoError
+from omnistereo_rigs.formats.read import read_any_camera, read_any_rig
+
+
+def each(data, *without, **changes):
+    """Return a config.yaml with keys of all cameras changed."""
+    for camera in data["cameras"]:
+        camera |= changes
+        for key in without:
+            del camera[key]
+    return data
+
+
+def changed(data, *path, value=None):
+    """Return a copy with one value inside set, or, without a value, deleted."""
+    copy = json.loads(json.dumps(data))
+    *outer, last = path
+    inner = copy
+    for key in outer:
+        inner = inner[key]
+    if value is None:
+        del inner[last]
+    else:
+        inner[last] = value
+    return copy
+
+
+DS = {"camera_type": "ds", "intrinsics": DOUBLE_SPHERE | {"xi": "a"}}
+NO_ROTATION = dict.fromkeys(("px", "py", "pz", "qx", "qy", "qz", "qw"), 0)
+IMU = kalibr(np.eye(4), T_cam_imu=np.eye(4).tolist())
+KNOWN = r"unknown format, found the keys .*supported formats.*basalt JSON.*Kalibr.*OpenCV"
+NUMPY = "cam1: {D: !!python/object/apply:numpy.core.multiarray._reconstruct {args: []}}\n"
+ENTITY = '<!DOCTYPE a [<!ENTITY b "bb">]><opencv_storage>&b;</opencv_storage>'
+RIGS = [
+    ("a.json", basalt(intrinsics=[DS, DS]), "camera 0: .*xi must be numbers"),
+    ("a.json", basalt(resolution=[list(SIZE)]), "resolution: found .*a list with one entry per camera"),
+    ("a.json", basalt(T_imu_cam=[NO_ROTATION] * 2), "length 0; expected 1"),
+    ("a.json", basalt(T_imu_cam=7), "T_imu_cam: found 7; expected a list"),
+    ("a.json", basalt(T_imu_cam=[], intrinsics=[], resolution=[]), "found no camera of basalt JSON"),
+    ("a.json", {"value0": {k: v[:1] for k, v in basalt()["value0"].items()}}, "basalt JSON of one camera; a rig needs"),
+    ("a.yaml", kalibr(np.eye(4), distortion_model="radtan"), r"cam0: camera_model \+ distortion_model is ds \+ radtan; exp"),
+    ("a.yaml", kalibr(np.eye(4), distortion_coeffs=[0.1]), "cam0: distortion_coeffs has 1 numbers; expected 0"),
+    ("a.yaml", kalibr(np.eye(4), alpha=0.5), "cam0: 'alpha' is a parameter of a lens that is not"),
+    ("a.yaml", kalibr(2 * np.eye(4)), "cam1: the last row of the pose"),
+    ("a.yaml", kalibr(np.diag([2.0, 2, 2, 1])), "cam1: T_cn_cnm1 is not a rotation"),
+    ("a.yaml", kalibr(np.eye(3)), "cam1: the 4 × 4 pose T_cn_cnm1 must be 16 numbers, found 9"),
+    ("a.yaml", {**kalibr(), "cam2": kalibr()["cam0"]}, "key 'cam1' is missing"),
+    ("a.yaml", changed(IMU, "cam1", "T_cn_cnm1"), "cam1: no pose; .*expected T_cn_cnm1, T_cam_imu, .* in every"),
+    ("a.json", changed(aria(), "CameraCalibrations", 0, "ImageSize"), "'ImageSize' or .* is missing"),
+    ("a.json", {"cameraData": []}, "found no camera of DepthAI"),
+    ("a.json", {"cameraData": [1]}, "cameraData: expected pairs"),
+    ("a.json", changed(sockets(1, -1), "cameraData", 0, 1, "distortionCoeff", 9, value=0.1), "has 14 numbers; expected 4"),
+    ("config.yaml", each(omnimvs(), "max_fov", max_fow=220), r"key 'max_fow' has no meaning; is 'max_fov' meant"),
+    ("config.yaml", each(omnimvs(), "invalid_mask", invalidmask="a.png"), "is 'invalid_mask' meant"),
+    ("config.yaml", each(omnimvs(), "inv_poly", Inv_poly=[2, 1, 1]), "is 'inv_poly' meant"),
+    ("config.yaml", each(omnimvs(), "center", centre_px=1, **dict.fromkeys("abcdefghijkl", 0)), r"key 'center' is missing; found \['centre_px', .* and \d+ more"),
+    ("config.yaml", each(omnimvs(), max_fov=3.84), r"camera 1: max_fov is 3.84; .*radians are 220.0°"),
+    ("config.yaml", each(omnimvs(), "invalid_mask", pose=[0, 0, 0, 1001, 0, 0]), "a camera stands 1001 m from the origin"),
+    ("a.json", [{"a": 1}], "unknown format"),
+    ("a.json", [{"token": "t", "camera_intrinsic": K.tolist()}] * 2, r"unknown .*in them \['camera_intrinsic', 'token'\]"),
+    ("a.json", {"a": {"intrinsics": K4, "extrinsics": 1}}, r"unknown .*\['a'\], and in them \['extrinsics', 'intrinsics'\]"),
+    ("a.yaml", "", KNOWN),
+    ("a.yaml", "- 1\n- 2", KNOWN),
+    ("a.yaml", "cam0: 3", KNOWN),
+    ("a.pto", "i w800 h760 f3 v180\n", KNOWN),
+    ("a.yaml", NUMPY, r"holds Python objects.*\.tolist"),
+    ("a.toml", "[cam_0\n", "not valid TOML"),
+    ("a.npz", "PK", "not an npz file of arrays"),
+    ("a.xml", ENTITY, "XML with a document type"),
+    ("a.xml", "<opencv_storage><K1>", "not valid XML .*complete"),
+    ("ocam1.txt", "", "Pass the folder of a rig"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "data", "message"), RIGS)
+def test_rigs_that_are_refused(tmp_path, name, data, message):
+    with pytest.raises(OmnistereoError, match=f"(?s){name}: .*{message}|{name} {message}"):
+        read(tmp_path / name, data)
+
+
+LENSES = [
+    ("a.xml", METASHAPE.format(projection="spherical"), "projection is spherical; .*no depth"),
+    ("a.xml", "<document><chunk/></document>", "unknown format"),
+    ("a.yaml", {"model_type": "other"}, "model_type is other; expected one of mei, kannala_brandt, pinhole"),
+    ("a.yaml", changed(KANNALA, "projection_parameters", "mv"), "projection_parameters: key 'mv' is missing"),
+    ("a.yaml", changed(MEI, "mirror_parameters", "xi", value=-1.5), "xi = -1.5 of camera model 'omni'"),
+    ("a.json", GYROFLOW | {"distortion_model": "poly5"}, "distortion_model is poly5; expected one of opencv_fisheye"),
+    ("a.json", GYROFLOW | {"input_vertical_stretch": 1.33}, "input_vertical_stretch is 1.33; expected 1. Recalibrate"),
+    ("a.json", GYROFLOW | {"digital_lens": "gopro"}, "digital_lens is gopro; expected nothing. Recalibrate"),
+    ("a.json", basalt(), "2 cameras; expected one. Use read_any_rig"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "data", "message"), LENSES)
+def test_lenses_that_are_refused(tmp_path, name, data, message):
+    path = tmp_path / name
+    write(path, data) if isinstance(data, str) else dump(path, data)
+    with pytest.raises(OmnistereoError, match=f"{name}: .*{message}"):
+        read_any_camera(path)
+
+
+def test_a_folder_without_a_rig(tmp_path):
+    write(tmp_path / "notes.md", "")
+    with pytest.raises(
+        OmnistereoError, match=r"(?s)found \['notes.md'\]; expected ocam.*supported formats"
+    ):
+        read_any_rig(tmp_path)
+
+
+FRAMES = [transforms()["frames"][0] | {"file_path": f"cam{n}/a.png"} for n in range(65)]
+OPENCV = {"K": K.tolist(), "D": K4, "distortion_model": "fisheye", "image_size": list(SIZE)}
+OWN = {"poly": [3, -140, 0, 1e-3], "center": [380, 400], "affine": [1, 0, 0]}
+OWN |= {"image_size": [760, 800], "pose": [0] * 6}
+MANY = {
+    "kalibr": {f"cam{n}": kalibr()["cam0"] for n in range(65)},
+    "opencv": {"cameras": [OPENCV] * 65},
+    "opencv by name": {f"c{n}": OPENCV for n in range(65)},
+    "numbered": {f"K{n}": K.tolist() for n in range(65)},
+    "lists": {"Ks": [K.tolist()] * 65},
+    "nerfstudio": transforms() | {"frames": FRAMES},
+    "own": {"cameras": [OWN] * 65},
+    "depthai": sockets(*[-1] * 65),
+}
+
+
+@pytest.mark.parametrize("data", MANY.values(), ids=MANY)
+def test_a_rig_has_at_most_64_cameras(tmp_path, data):
+    with pytest.raises(OmnistereoError, match="found 65 cameras; expected at most 64"):
+        read_any_rig(write(tmp_path / "rig.json", json.dumps(data)), "m")
+
+
+def test_what_a_folder_or_a_rig_names_is_counted_before_it_is_read(tmp_path):
+    for n in range(65):
+        write(tmp_path / "euroc" / f"cam{n}" / "sensor.yaml", "a: [")
+        write(tmp_path / "lenses" / f"cam{n}.json", "{")
+        write(tmp_path / "ocam" / f"ocam{n}.txt", "")
+    for folder in ("lenses", "ocam"):
+        write(tmp_path / folder / "poses.txt", "0 0 0 0 0 0\n" * 65)
+    vins = {f"body_T_cam{n}": np.eye(4).tolist() for n in range(65)}
+    vins |= {f"cam{n}_calib": "a.yaml" for n in range(65)}
+    for path in ("euroc", "lenses", "ocam", dump(tmp_path / "vins.yaml", vins)):
+        with pytest.raises(OmnistereoError, match="found 65 cameras; expected at most 64"):
+            read_any_rig(tmp_path / path, "m")
+
+
+def test_a_large_file_is_refused_at_once(tmp_path, limits):
+    """150 KB of lenses, each of which would be fitted, and of text that no parser finishes."""
+    limits(1 << 30, seconds=5)
+    lens = {k: v for k, v in OPENCV.items() if k != "D"} | {"D": [-0.01 + 1e-9, 0.004, 0, 0]}
+    cameras = json.dumps({"cameras": [lens] * 1000})
+    assert len(cameras) > 150_000
+    for name, text in {
+        "a.json": cameras,
+        "b.yaml": cameras,
+        "c.yaml": "a: [" * 40_000,
+        "d.toml": "a = [" + "[" * 150_000,
+        "e.yaml": "cameras:\n- &c " + json.dumps(lens) + "\n- *c" * 30_000,
+    }.items():
+        with pytest.raises(OmnistereoError):
+            read_any_rig(write(tmp_path / name, text), "m")
