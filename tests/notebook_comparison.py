@@ -6,9 +6,11 @@ exponent may differ by 0.1 %; a tag of the cell asks for another tolerance: `rto
 
 import math
 import re
+from queue import Empty
 from typing import Any
 
 import pytest
+from nbval.kernel import RunningKernel
 from nbval.plugin import IPyNbCell, IPyNbFile
 
 RTOL = 1e-3
@@ -74,11 +76,30 @@ class TolerantCell(IPyNbCell):
         return super().compare_outputs(shown, ref, skip_compare)
 
 
+class WatchedKernel(RunningKernel):
+    """A kernel that is not waited for when it has died: nbval waits twice a cell's time limit."""
+
+    def await_reply(self, msg_id: str, timeout: float | None = None) -> dict:
+        """Wait in pieces of a second for as long as the kernel lives."""
+        for _ in range(math.ceil(timeout or 0)):
+            try:
+                return super().await_reply(msg_id, 1)
+            except Empty:
+                if not self.is_alive():
+                    raise RuntimeError("the kernel has died, in this cell or before") from None
+        raise Empty
+
+
 class StoredNotebook(IPyNbFile):
     """A notebook whose widgets run but are not compared: their output lives in a browser, not in
     the file."""
 
     inside_widget = False
+
+    def setup(self) -> None:
+        """Start the kernel, and watch it."""
+        super().setup()
+        self.kernel.__class__ = WatchedKernel
 
     def get_kernel_message(self, timeout: float | None = None, stream: str = "iopub") -> dict:
         """Next message of the kernel, without what an Output widget takes; errors in there still

@@ -9,6 +9,12 @@ from course import nbtools, rules
 from course.figures.captions import captions
 from workshop import __main__
 
+
+def test_a_kernel_that_has_died_is_not_waited_for(tmp_path):
+    path = write(tmp_path / "dies.ipynb", notebook(code("import os; os._exit(1)"), code("1")))
+    assert nbval(path) == [False, False]
+
+
 # --- The comparison, one nbval run over all cases
 
 CASES = {  # code, tags, what is stored, whether the two agree
