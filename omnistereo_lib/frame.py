@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence, Sized
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -56,9 +56,9 @@ class Frame:
     gt_path: Path | None = None
 
     @classmethod
-    def of(cls, rig: Rig, images: Sequence[ArrayLike]) -> Frame:
+    def of(cls, rig: Rig, images: Frame | Sequence[ArrayLike]) -> Frame:
         """Return a frame of a rig and its images: one array per camera, (height, width) or (height,
-        width, 3), RGB.
+        width, 3), RGB; or a frame, which is returned as it is if its cameras are those of the rig.
 
         Of float images all but one pixel in a thousand at either end make a range. What is beyond
         it by more than that range, such as a hot pixel of 1e12, is taken for as bright.
@@ -68,6 +68,10 @@ class Frame:
                 or type or is not finite.
         """
         check_type(rig, Rig, "rig")
+        if isinstance(images, Frame):
+            if rig.cameras == images.rig.cameras:
+                return images
+            images = images.images
         frame = cls(rig)
         frame.__dict__["images"] = check_images(images, rig)  # where the cached property keeps them
         return frame
@@ -76,6 +80,38 @@ class Frame:
     def images(self) -> list[NDArray[Any]]:
         """One array per camera, (height, width) or (height, width, 3) in RGB; read on first use."""
         return load_images(self.image_paths, self.rig)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out what is kept of the images: a copy in another process makes its own."""
+        kept = ("gray", "_reduced")
+        return {name: value for name, value in self.__dict__.items() if name not in kept}
+
+    @lazy_property
+    def gray(self) -> list[NDArray[np.float32]]:
+        """The images in gray, (height, width); see `to_gray`."""
+        return [to_gray(image) for image in self.images]
+
+    def reduced(self, pixels_per_degree: float) -> Frame:
+        """Return the frame with about a resolution of the images, if theirs is higher.
+
+        Pixels are averaged in whole blocks; what is left at the rim is cut off. Equal sizes stay
+        equal. The resolution is image width over field of view. The frame keeps what it returns.
+        """
+        widest = max(camera.max_fov_deg for camera in self.rig.cameras)
+        sizes = [camera.image_size for camera in self.rig.cameras]
+        factors = tuple(max(1, round(size[0] / widest / pixels_per_degree)) for size in sizes)
+        if set(factors) == {1}:
+            return self
+        if factors not in self._reduced:
+            cameras = [c.reduced(k) for c, k in zip(self.rig.cameras, factors, strict=True)]
+            frame = replace(self, rig=replace(self.rig, cameras=cameras))
+            frame.__dict__["images"] = [*map(_blocks_averaged, self.images, factors)]
+            self._reduced[factors] = frame
+        return self._reduced[factors]
+
+    @lazy_property
+    def _reduced(self) -> dict[tuple[int, ...], Frame]:
+        return {}
 
     @lazy_property
     def inverse_depth(self) -> NDArray[np.float32]:
@@ -112,6 +148,22 @@ class Frame:
         grid = SphereGrid(width, height, (-highest, highest), sampling=sampling)
         found, inside = grid.look_up(self.inverse_depth, rays)
         return np.where(inside, found, np.float32(np.nan))
+
+
+def to_gray(image: NDArray[Any]) -> NDArray[np.float32]:
+    """Return an image (height, width) or RGB (height, width, 3) in gray, float32 (BT.601 luma)."""
+    import cv2
+
+    image = np.ascontiguousarray(image, np.float32)
+    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
+
+
+def _blocks_averaged(image: NDArray[Any], factor: int) -> NDArray[Any]:
+    import cv2
+
+    height, width = (side // factor for side in image.shape[:2])
+    cut = image[: height * factor, : width * factor]
+    return cv2.resize(cut, (width, height), interpolation=cv2.INTER_AREA)
 
 
 def check_images(images: Sequence[ArrayLike], rig: Rig) -> list[NDArray[Any]]:

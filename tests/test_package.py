@@ -41,7 +41,7 @@ LAYER = {name: number for number, line in enumerate(LAYERS.split("\n")) for name
 
 NEVER = {"matplotlib", "pyvista", "IPython", "bpy", "ipywidgets"}  # by the library
 # Slow or large libraries that are imported when used, but for the modules that exist for them.
-EAGER = {"cv2": "stereo.images stereo.sweep"}
+EAGER = {"cv2": "stereo.sweep"}
 
 
 def module_name(path):

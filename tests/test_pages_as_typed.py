@@ -27,7 +27,6 @@ from typed_commands import HELP, NOTEBOOKS, PAGES, ROOT, commands_of
 
 import omnistereo_lib as osl
 from omnistereo_lib.pictures import write_image
-from omnistereo_lib.stereo.images import reduce_images
 from omnistereo_rigs.formats.write import export_rig
 
 pytestmark = pytest.mark.skipif(
@@ -121,7 +120,8 @@ def files(tmp_path_factory):
     """The files that pages speak of, by the names that they use."""
     folder = tmp_path_factory.mktemp("files")
     frame = osl.load_dataset(ROOT / "data_samples/sunny", split="test").frame(831)
-    rig, images = reduce_images(frame.rig, frame.images, 2.0)
+    small = frame.reduced(2.0)
+    rig, images = small.rig, small.images
     for k, (side, image, whole) in enumerate(zip(SIDES, images, frame.images, strict=True), 1):
         for name in (f"{side}.png", f"{k}.png", f"{side}/0001.png", f"{side}/0002.png"):
             (folder / name).parent.mkdir(exist_ok=True)

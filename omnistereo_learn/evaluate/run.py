@@ -128,7 +128,7 @@ def evaluate_frame(
     gt_index, N = frame.gt_index(sweep.grid), sweep.grid.num_spheres
     regions = find_regions(gt_index, sweep)
     for key in dict.fromkeys(method.volume_key for method in methods):
-        volume = cost_volume(sweep, frame.images, load_cost(key), key.pairs)
+        volume = cost_volume(sweep, frame, load_cost(key), key.pairs)
         for method in (method for method in methods if method.volume_key == key):
             index = method.read_out(method.smooth(volume))[0].cpu().numpy()
             metrics = index_error(index, gt_index, N)

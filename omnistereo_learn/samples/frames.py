@@ -16,10 +16,9 @@ from omnistereo_learn.recipes import ENDLESS, Recipe
 from omnistereo_lib.dataset import load_dataset
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import read_bytes
-from omnistereo_lib.frame import Frame
+from omnistereo_lib.frame import Frame, to_gray
 from omnistereo_lib.geometry.rig import Rig, camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.stereo.images import to_gray
 from omnistereo_lib.stereo.sweep import SphereSweep
 
 DATA = Path(__file__).resolve().parents[2] / "data_samples"

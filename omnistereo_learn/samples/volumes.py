@@ -17,7 +17,7 @@ from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.correlation import feature_coordinates, pixels_per_degree, volume_sizes
-from omnistereo_lib.stereo.images import blur, reduce_images, to_gray
+from omnistereo_lib.stereo.sweep import blur
 from omnistereo_lib.stereo.volumenet import VolumeNet, local_mean, normalize, resize_logits
 
 
@@ -87,12 +87,11 @@ class VolumeSamples(TrainingFrames):
         assert frame.rig.min_depth is not None  # `TrainingFrames` refuses others
         grid = self.grid_of(scale * frame.rig.min_depth)
         size = volume_sizes(grid)[0]
-        rig, images = reduce_images(frame.rig.recentered(), frame.images, pixels_per_degree(size))
-        masks = [to_device(camera.visible_pixels(), self.device) for camera in rig.cameras]
-        gray = [_other_look(to_gray(image), rng, self.device) for image in images]
-        coordinates = feature_coordinates(
-            rig.transformed(Pose(rotation, np.zeros(3))), grid, size, self.device
-        )
+        whole = Frame.of(frame.rig.recentered(), frame.images)
+        small, pose = whole.reduced(pixels_per_degree(size)), Pose(rotation, np.zeros(3))
+        masks = [to_device(camera.visible_pixels(), self.device) for camera in small.rig.cameras]
+        gray = [_other_look(image, rng, self.device) for image in small.gray]
+        coordinates = feature_coordinates(small.rig.transformed(pose), grid, size, self.device)
         gt_index = grid.inverse_depth_to_index(frame.inverse_depth_along(self._rays @ rotation))
         # (W, H)
         known = np.where(gt_index <= grid.num_spheres - 1, gt_index, np.nan).astype(np.float32).T

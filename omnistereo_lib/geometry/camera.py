@@ -18,7 +18,7 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from types import ModuleType
 from typing import Any
 
@@ -27,6 +27,7 @@ from numpy.polynomial.polynomial import polyder
 from numpy.typing import ArrayLike, NDArray
 
 from omnistereo_lib.errors import OmnistereoError, check_number
+from omnistereo_lib.lazy import lazy_property
 
 Array = Any  # a NumPy array or a torch tensor: both have every operation used here
 
@@ -91,6 +92,10 @@ class OcamCamera:
             object.__setattr__(self, name, tuple(map(number, getattr(self, name))))
         object.__setattr__(self, "max_fov_deg", float(self.max_fov_deg))
         object.__setattr__(self, "max_radius", float(_horner(self.inv_poly, self._max_t)))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out what is kept: a copy in another process makes its own."""
+        return {one.name: getattr(self, one.name) for one in fields(self)}
 
     def _check(self) -> None:
         for name in ("poly", "inv_poly"):
@@ -199,6 +204,25 @@ class OcamCamera:
         uv = xp.stack([x + e * y + self.center[0], d * x + c * y + self.center[1]], -1)
         return uv, in_view & self.contains(uv)
 
+    def sees(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return `valid` of `project`; quickly where the whole field of view is in the image."""
+        if not self._whole_view:
+            return self.project(points)[1]
+        x, y, z = points[..., 0], points[..., 1], points[..., 2]
+        n = np.sqrt(x * x + y * y)
+        finite = np.isfinite(n) & np.isfinite(z) & ((n > 0) | (z != 0))
+        return finite & (np.arctan2(-z, n) <= self._max_t + 1e-12)
+
+    @lazy_property
+    def _whole_view(self) -> bool:
+        """Whether every ray of the field of view meets the image, a hundredth of a pixel inside."""
+        r = float(np.abs(_horner(self.inv_poly, np.linspace(-np.pi / 2, self._max_t, 1024))).max())
+        reach = (r + 0.01) * np.linalg.norm(self._A, axis=1)  # (2,): of a circle through A
+        low, high = self.center - reach, self.center + reach
+        return self.mask is None and bool(
+            (low >= 0).all() and (high <= np.subtract(self.image_size, 1)).all()
+        )
+
     def unproject(
         self, uv: ArrayLike, use_direct_poly: bool = False
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
@@ -255,6 +279,10 @@ class OcamCamera:
 
     def visible_pixels(self) -> NDArray[np.bool_]:
         """Return which pixels lie on the image circle and the mask, shape (height, width)."""
+        return self._visible_pixels.copy()
+
+    @lazy_property
+    def _visible_pixels(self) -> NDArray[np.bool_]:
         width, height = self.image_size
         u, v = np.arange(width) - self.center[0], np.arange(height)[:, None] - self.center[1]
         # As in `unproject`, without the angles: they take most of its time. And without a product
@@ -267,6 +295,17 @@ class OcamCamera:
         """Return the camera of images in which blocks of factor × factor pixels are averaged to
         one.
         """
+        if factor == 1:
+            return self
+        if factor not in self._reduced:
+            self._reduced[factor] = self._of_blocks(factor)
+        return self._reduced[factor]
+
+    @lazy_property
+    def _reduced(self) -> dict[int, OcamCamera]:
+        return {}
+
+    def _of_blocks(self, factor: int) -> OcamCamera:
         width, height = (size // factor for size in self.image_size)
         mask = self.mask
         if mask is not None:

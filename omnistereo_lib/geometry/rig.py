@@ -17,6 +17,8 @@ from omnistereo_lib.geometry.pose import Pose
 
 Unit = Literal["mm", "cm", "m"]
 Pair = tuple[int, int]
+# Inverse depth in 1/m of the sphere at infinity in the paper.
+D0 = 2.0**-23
 Pairs = Literal["ring", "all"] | Sequence[Pair]
 
 
@@ -109,6 +111,22 @@ class Rig:
                 " rig order."
             )
         return [camera.image_size for camera in self.cameras]
+
+    def towards(
+        self, camera: int, rays: NDArray[np.float64], inverse_depth: ArrayLike = 0.0
+    ) -> NDArray[np.float64]:
+        """Return the points ρ/d of rays (..., 3) in the frame of a camera, times d (..., 3).
+
+        M(Θ*) ρ/d is R ρ/d + t. Times d it is R ρ + d t: a projection needs only its direction, and
+        nothing is divided by 0 at infinity, where d is 2⁻²³ as in the paper's code.
+        """
+        T_cam_rig = self.T_rig_cam[camera].inverse()
+        return rays @ T_cam_rig.R.T + np.maximum(inverse_depth, D0)[..., None] * T_cam_rig.t
+
+    def sees(self, rays: NDArray[np.float64], inverse_depth: ArrayLike = 0.0) -> NDArray[np.bool_]:
+        """Return which cameras see the points of rays at inverse depths in 1/m: (cameras, ...)."""
+        cameras = enumerate(self.cameras)
+        return np.stack([c.sees(self.towards(i, rays, inverse_depth)) for i, c in cameras])
 
     @property
     def baselines(self) -> NDArray[np.float64]:

@@ -20,6 +20,8 @@ from omnistereo_lib.stereo.kernels.correlation_numba import GROUPS
 COARSE = 160, 32
 # Columns and spheres of the finer volume, at most.
 FINER = 320, 48
+# Columns that are projected at a time.
+_COLUMNS = 16
 
 
 def volume_sizes(grid: SphereGrid, rig: Rig | None = None) -> list[tuple[int, int, int]]:
@@ -68,7 +70,10 @@ def feature_coordinates(
         visible to the camera.
     """
     rays, inverse_depth = volume_cells(grid, size)
-    return project_cells(rig, rays.to(device), inverse_depth.to(device))
+    # Some columns at a time: what projecting them takes is four times as large as the result.
+    strips = rays.to(device).split(_COLUMNS)
+    parts = [project_cells(rig, strip, inverse_depth.to(device)) for strip in strips]
+    return [torch.cat(of_camera) for of_camera in zip(*parts, strict=True)]
 
 
 def volume_cells(grid: SphereGrid, size: tuple[int, int, int]) -> tuple[Tensor, Tensor]:

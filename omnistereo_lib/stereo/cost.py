@@ -1,4 +1,4 @@
-"""A matching cost: one method, from sweep, images and camera pairs to the cost volume (paper,
+"""A matching cost: one method, from sweep, frame and camera pairs to the cost volume (paper,
 Section III-B).
 """
 
@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from typing import ClassVar, Protocol
 
 import torch
-from numpy.typing import ArrayLike
 from torch import Tensor
 
 from omnistereo_lib.errors import OmnistereoError, shortened
+from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.rig import Pair
 from omnistereo_lib.progress import Progress, counted, silent
 from omnistereo_lib.stereo.sweep import SphereSweep
@@ -26,14 +26,14 @@ class Cost(Protocol):
     def volume(
         self,
         sweep: SphereSweep,
-        images: Sequence[ArrayLike],
+        frame: Frame,
         pairs: Sequence[Pair],
         progress: Progress = silent,
     ) -> Tensor:
         """Return the cost volume C(p, n) of a frame.
 
         Args:
-            images: one array per camera, (height, width) or (height, width, 3)
+            frame: Of the cameras of the sweep.
             pairs: The camera pairs to compare.
             progress: Called with parts done, parts in all and the next part; see `progress`.
 
@@ -74,14 +74,14 @@ class BlockCost(ABC):
     def volume(
         self,
         sweep: SphereSweep,
-        images: Sequence[ArrayLike],
+        frame: Frame,
         pairs: Sequence[Pair],
         progress: Progress = silent,
     ) -> Tensor:
         """Return the cost volume, one block of spheres at a time; see `Cost`."""
         # A block of spheres per thread, if the cost runs in one; each thread has a buffer for the
         # warped images.
-        normalized = sweep.normalize_images(images)  # cameras × (h, w)
+        normalized = sweep.normalize_images(frame)  # cameras × (h, w)
         (H, W), on_cpu, blocks = sweep.grid.shape, sweep.device.type == "cpu", sweep.blocks()
         volume = torch.empty(H, W, sweep.grid.num_spheres, dtype=torch.float32, device=sweep.device)
         threads = min(torch.get_num_threads(), len(blocks)) if on_cpu and self.one_thread else 1

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import torch
@@ -9,7 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from omnistereo_lib import reference
+from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.sphere import SphereGrid
+from omnistereo_lib.lazy import lazy_property
 from omnistereo_lib.stereo.kernels import winner_numba
 from omnistereo_lib.stereo.sweep import SphereSweep
 from omnistereo_lib.stereo.threads import map_threads
@@ -100,7 +103,8 @@ class Depth:
     index: NDArray[np.float32]
     confidence: NDArray[np.float32]  #: (H, W), in [0, 1]
     sweep: SphereSweep  #: of the cost volume, with its grid and its rig
-    images: Sequence[ArrayLike] = ()  #: one per camera, from which the depth was estimated
+    #: from which the depth was estimated: a frame, or one image per camera; empty: unknown
+    frame: Frame | Sequence[ArrayLike] = ()
     #: Of the inverse depth, 1/m, (H, W): two thirds of the rays (68 %) are off by at most σ,
     #: nineteen of twenty (95 %) by at most the bound. NaN without an estimate, and for a method
     #: whose errors were not measured; see `error_bars`.
@@ -115,6 +119,18 @@ class Depth:
             values = np.broadcast_to(given, np.shape(self.index)).view()
             values.setflags(write=False)
             object.__setattr__(self, name, values)
+        if isinstance(self.frame, Frame) or len(self.frame) > 0:
+            object.__setattr__(self, "frame", Frame.of(self.sweep.rig, self.frame))
+
+    @property
+    def images(self) -> Sequence[NDArray[Any]]:
+        """The images of the frame, one array per camera."""
+        return self.frame.images if isinstance(self.frame, Frame) else ()
+
+    @lazy_property
+    def samples(self) -> NDArray[np.float32]:
+        """The images at the estimated depth, (cameras, H, W) or (cameras, H, W, 3), NaN unseen."""
+        return np.stack(self.sweep.warp(self.frame, self.index))
 
     @property
     def grid(self) -> SphereGrid:
@@ -146,10 +162,9 @@ class Depth:
                 depth shows as a double contour.
         """
         # Each ray looks into every camera that sees its point, and takes the mean.
-        samples = np.stack(self.sweep.warp(self.images, self.index))
-        visible = np.isfinite(samples)
+        visible = np.isfinite(self.samples)
         with np.errstate(invalid="ignore"):
-            return np.where(visible, samples, 0).sum(0) / visible.sum(0, dtype=np.float32)
+            return np.where(visible, self.samples, 0).sum(0) / visible.sum(0, dtype=np.float32)
 
     def agreement(self) -> NDArray[np.float32]:
         """Return the photo-consistency of two cameras at the estimated depth, a check without
@@ -164,7 +179,7 @@ class Depth:
             without texture; NaN where the point is visible to fewer than two cameras, or there is
             no depth.
         """
-        gray = [image.cpu().numpy() for image in self.sweep.normalize_images(self.images)]
+        gray = [image.cpu().numpy() for image in self.sweep.normalize_images(self.frame)]
         samples = np.stack(self.sweep.warp(gray, self.index))
         angles = np.stack(
             [self.sweep.off_axis_angles(camera, self.index) for camera in range(len(gray))]

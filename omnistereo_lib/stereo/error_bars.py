@@ -90,9 +90,9 @@ def error_bars(
     if sweep.rig.deviations:
         # What the uncertain poses do to the depth is independent of the matching, so variances add:
         # √(a² + b²), twice as much in the bound.
-        seen = np.stack([sweep.project_sphere(k, at)[1] for k in range(len(sweep.rig))])
-        inverse = grid.index_to_inverse_depth(at)
-        moved = np.nan_to_num(calibration_deviation(sweep.rig, grid.rays(), inverse, seen))
+        rays, inverse = grid.rays(), grid.index_to_inverse_depth(at)
+        seen = sweep.rig.sees(rays, inverse)
+        moved = np.nan_to_num(calibration_deviation(sweep.rig, rays, inverse, seen))
         sigma, bound = np.hypot(sigma, moved), np.hypot(bound, 2 * moved)
     reach = np.maximum(at, grid.num_spheres - 1 - at) * grid.step
     second = np.where(spread[3] > SECOND_MASS, grid.index_to_inverse_depth(spread[4]), np.nan)

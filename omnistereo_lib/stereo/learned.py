@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import torch
-from numpy.typing import ArrayLike
 from torch import Tensor
 from torch.nn.functional import pad
 
 from omnistereo_lib.errors import OmnistereoError, check_type
+from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.rig import Pair
 from omnistereo_lib.progress import Progress, silent
 from omnistereo_lib.stereo.columns import common_columns, split_at_seam
@@ -94,12 +94,12 @@ class PairNetwork(StoredNetwork, ABC):
     def volume(
         self,
         sweep: SphereSweep,
-        images: Sequence[ArrayLike],
+        frame: Frame,
         pairs: Sequence[Pair],
         progress: Progress = silent,
     ) -> Tensor:
         """Return the cost volume, as `LearnedCost` computes it; see `Cost`."""
-        return LearnedCost(self).volume(sweep, images, pairs, progress)
+        return LearnedCost(self).volume(sweep, frame, pairs, progress)
 
     def check_size(self, H: int, W: int) -> None:
         """Refuse panoramas that the network cannot take."""
@@ -230,13 +230,13 @@ class LearnedCost(BlockCost):
     def volume(
         self,
         sweep: SphereSweep,
-        images: Sequence[ArrayLike],
+        frame: Frame,
         pairs: Sequence[Pair],
         progress: Progress = silent,
     ) -> Tensor:
         """Return the cost volume, one block of spheres at a time; see `Cost`."""
         self.network = self.network.ready(sweep.device)
-        return super().volume(sweep, images, pairs, progress)
+        return super().volume(sweep, frame, pairs, progress)
 
     @torch.no_grad()
     def __call__(

@@ -53,13 +53,13 @@ def estimate_depth(
         )
     method = Method.parse(method)
     return sweep_depth(
-        SphereSweep(frame.rig, grid, device=device), frame.images, method, subindex, progress
+        SphereSweep(frame.rig, grid, device=device), frame, method, subindex, progress
     )
 
 
 def sweep_depth(
     sweep: SphereSweep,
-    images: Sequence[ArrayLike],
+    images: Frame | Sequence[ArrayLike],
     method: str | Method = VIDEO_METHOD,
     subindex: bool = True,
     progress: Progress = silent,
@@ -69,14 +69,14 @@ def sweep_depth(
     frame to frame.
 
     Args:
-        images: One array per camera, (height, width) or (height, width, 3), uint8 or float.
+        images: A frame, or one array per camera, (height, width) or (height, width, 3).
         method: Default: the fastest that is smooth. The rest is as in `estimate_depth`.
         precision: Of networks; see `choose_precision`.
     """
-    method = Method.parse(method)
+    method, frame = Method.parse(method), Frame.of(sweep.rig, images)
     # (H, W, N)
-    volume = cost_volume(sweep, images, method.cost_of(sweep, precision), method.pairs, progress)
+    volume = cost_volume(sweep, frame, method.cost_of(sweep, precision), method.pairs, progress)
     smooth = method.smooth(volume)
     index, confidence = method.read_out(smooth, subindex)  # (H, W) each
     bars = error_bars(method, sweep, volume, smooth, index, confidence)
-    return Depth(index.cpu().numpy(), confidence.cpu().numpy(), sweep, images, *(bars or ()))
+    return Depth(index.cpu().numpy(), confidence.cpu().numpy(), sweep, frame, *(bars or ()))

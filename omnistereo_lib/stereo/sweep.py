@@ -2,6 +2,7 @@
 1).
 """
 
+import math
 from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
@@ -16,18 +17,15 @@ from torch import Tensor
 
 from omnistereo_lib import reference
 from omnistereo_lib.errors import OmnistereoError, check_type
-from omnistereo_lib.frame import check_images
+from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.pose import Pose
-from omnistereo_lib.geometry.rig import Rig
+from omnistereo_lib.geometry.rig import D0, Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.lazy import hold_at_fork, lazy_property
 from omnistereo_lib.stereo.columns import circular_span, split_at_seam
 from omnistereo_lib.stereo.device import BLOCK, available_memory, check_memory, select_device
-from omnistereo_lib.stereo.images import blur, blur_px, to_gray
 from omnistereo_lib.stereo.threads import map_threads
 
-# Inverse depth in 1/m of the sphere at infinity in the paper.
-_D0 = 2.0**-23
 # The output of cv2.remap may be so wide and so high.
 _MAX_SIDE = 32766
 # Pixel coordinate of rays that are not visible. It lies far outside of any image, so that cv2.remap
@@ -169,26 +167,23 @@ class SphereSweep:
         """Return the points ρ/d of one sphere in the camera frame, times d to stay finite at
         infinity.
         """
-        # M(Θ*) ρ/d is R ρ/d + t. Times d it is R ρ + d t: a projection needs its direction only,
-        # and at infinity, d = 0, nothing is divided by 0.
-        inverse_depth = np.maximum(self.grid.index_to_inverse_depth(index), _D0)[..., None]
-        T_cam_rig = self.rig.T_rig_cam[camera].inverse()
-        return self._rays @ T_cam_rig.R.T + inverse_depth * T_cam_rig.t
+        return self.rig.towards(camera, self._rays, self.grid.index_to_inverse_depth(index))
 
-    def warp(self, images: Sequence[ArrayLike], index: ArrayLike) -> list[NDArray[np.float32]]:
+    def warp(
+        self, images: Frame | Sequence[ArrayLike], index: ArrayLike
+    ) -> list[NDArray[np.float32]]:
         """Return the spherical images S_{i,n} of one sphere, one per camera (Eq. 1).
 
         Args:
-            images: one array per camera, (height, width) or (height, width, 3)
+            images: A frame, or one array per camera, (height, width) or (height, width, 3).
             index (float or array of shape (H, W)): As in `project_sphere`.
 
         Returns:
             list of arrays, shape (H, W) or (H, W, 3), float32: NaN where the ray is not visible to
             the camera.
         """
-        images = check_images(images, self.rig)
         warped = []
-        for camera, image in enumerate(images):
+        for camera, image in enumerate(Frame.of(self.rig, images).images):
             # Eq. 1: the image is read where the points of the sphere land in it.
             uv, valid = self.project_sphere(camera, index)
             maps = np.where(valid[..., None], uv, OUTSIDE).astype(np.float32)
@@ -206,7 +201,7 @@ class SphereSweep:
             for s, mask in zip(sigmas, masks, strict=True)
         ]
 
-    def normalize_images(self, images: Sequence[ArrayLike]) -> list[Tensor]:
+    def normalize_images(self, images: Frame | Sequence[ArrayLike]) -> list[Tensor]:
         """Return the images in gray, without detail finer than the panorama, normalised over the
         image circle.
 
@@ -214,8 +209,7 @@ class SphereSweep:
         blurred first, or it would alias; see `blur_px`. Then each gets zero mean and unit variance.
 
         Args:
-            images: one array per camera, (height, width) or (height, width, 3) in RGB, uint8 or
-                float
+            images: A frame, or one array per camera, (height, width) or (height, width, 3).
 
         Returns:
             list of float32 tensors, shape (height, width)
@@ -225,9 +219,8 @@ class SphereSweep:
                 not finite.
         """
 
-        def normalize(image: NDArray[Any], mask: NDArray[np.uint8], blurring: _Blurring) -> Tensor:
+        def normalize(gray: NDArray[Any], mask: NDArray[np.uint8], blurring: _Blurring) -> Tensor:
             sigma, inside, weight = blurring
-            gray = to_gray(image)
             # Within the image circle: the black around it stays out. Both the gray values times the
             # mask and the mask itself are blurred, and their quotient is a mean over visible pixels
             # alone.
@@ -242,7 +235,7 @@ class SphereSweep:
             return torch.from_numpy(gray).to(self.device)
 
         return list(
-            map_threads(normalize, check_images(images, self.rig), self._image_masks, self._blurs)
+            map_threads(normalize, Frame.of(self.rig, images).gray, self._image_masks, self._blurs)
         )
 
     def blocks(self) -> list[range]:
@@ -345,8 +338,22 @@ class SphereSweep:
         rays = self.keep("rays", lambda: torch.from_numpy(self._rays).to(self.device))
         T_cam_rig = self.rig.T_rig_cam[camera].inverse()
         R, t = (torch.tensor(values, device=self.device) for values in (T_cam_rig.R, T_cam_rig.t))
-        inverse_depth = max(float(self.grid.index_to_inverse_depth(n)), _D0)
+        inverse_depth = max(float(self.grid.index_to_inverse_depth(n)), D0)
         return self.rig.cameras[camera].project(rays @ R.T + inverse_depth * t)
+
+
+def blur_px(spacing: float) -> float:
+    """Return σ in pixels of the Gaussian that keeps samples `spacing` pixels apart from aliasing.
+
+    The usual choice is half the spacing. An image is about as sharp as its pixels allow, σ = 0.5,
+    and variances add. 0: none is needed.
+    """
+    return 0.5 * math.sqrt(spacing**2 - 1) if spacing > 1.1 else 0.0
+
+
+def blur(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+    """Blur an image by a Gaussian; σ = 0 returns it as it is."""
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.float32) if sigma else image
 
 
 def remap(

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
 from omnistereo_lib.errors import OmnistereoError, check_type, shortened
+from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.rig import Pairs, camera_pairs
 from omnistereo_lib.progress import Progress, silent
 from omnistereo_lib.stereo.cost import Cost
@@ -19,7 +20,7 @@ from omnistereo_lib.stereo.zncc import ZNCC
 
 def cost_volume(
     sweep: SphereSweep,
-    images: Sequence[ArrayLike],
+    images: Frame | Sequence[ArrayLike],
     cost: Cost | None = None,
     pairs: Pairs = "ring",
     progress: Progress = silent,
@@ -27,7 +28,7 @@ def cost_volume(
     """Compute the cost volume C(p, n), the mean cost over camera pairs (Eq. 2).
 
     Args:
-        images: one array per camera, (height, width) or (height, width, 3)
+        images: A frame, or one array per camera, (height, width) or (height, width, 3).
         cost: A `Cost`: `ZNCC`, a network such as `SweepNet`, or your own `BlockCost`. Default:
             `ZNCC`.
         pairs: See `camera_pairs`. `VolumeNet` compares all cameras, whatever they are.
@@ -55,7 +56,7 @@ def cost_volume(
     check_type(progress, Callable, "progress")  # type: ignore[arg-type]  # an abstract class
     _check_network(getattr(cost, "network", cost))
     pairs, shape = camera_pairs(pairs, sweep.rig), (*sweep.grid.shape, sweep.grid.num_spheres)
-    volume = cost.volume(sweep, images, pairs, progress)
+    volume = cost.volume(sweep, Frame.of(sweep.rig, images), pairs, progress)
     if not (isinstance(volume, Tensor) and volume.shape == shape and volume.is_floating_point()):
         kind = (
             f"{volume.dtype} of shape {tuple(volume.shape)}"

@@ -17,14 +17,15 @@ one frame in float32.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import torch
-from numpy.typing import ArrayLike
 from torch import Tensor, nn
 from torch.nn.functional import conv3d, interpolate, relu
 
 from omnistereo_lib import reference
+from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.rig import Pair
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.progress import Progress, counted, silent
@@ -35,7 +36,6 @@ from omnistereo_lib.stereo.correlation import (
     pixels_per_degree,
     volume_sizes,
 )
-from omnistereo_lib.stereo.images import reduce_images, to_gray
 from omnistereo_lib.stereo.kernels.correlation_numba import CHANNELS, GROUPS
 from omnistereo_lib.stereo.learned import Precision, autocast, full_precision
 from omnistereo_lib.stereo.sweep import SphereSweep
@@ -214,7 +214,7 @@ class VolumeNet(StoredNetwork):
     def volume(
         self,
         sweep: SphereSweep,
-        images: Sequence[ArrayLike],
+        frame: Frame,
         pairs: Sequence[Pair] = (),
         progress: Progress = silent,
     ) -> Tensor:
@@ -224,14 +224,14 @@ class VolumeNet(StoredNetwork):
         See `Cost`. The pairs are not used: `correlate` compares all cameras.
         """
         if (network := self.ready(sweep.device)) is not self:
-            return network.volume(sweep, images, pairs, progress)
+            return network.volume(sweep, frame, pairs, progress)
         grid, device, sizes = sweep.grid, sweep.device, volume_sizes(sweep.grid, sweep.rig)
         blocks = torch.arange(grid.width, device=device).split(64)
         step = counted(progress, len(sizes) * (len(sweep.rig) + 3) + len(blocks))
         # The logits of every cell, from a coarse volume and a finer one.
         logits = []  # (1, w, h, n) each
         for size in sizes:
-            correlation = self.correlation_at(sweep, images, size, step)  # (9, w, h, n)
+            correlation = self.correlation_at(sweep, frame, size, step)  # (9, w, h, n)
             step("U-net")
             with autocast(self.precision, device):
                 logits.append(self(correlation[None]) / len(sizes))
@@ -251,7 +251,7 @@ class VolumeNet(StoredNetwork):
     def correlation_at(
         self,
         sweep: SphereSweep,
-        images: Sequence[ArrayLike],
+        frame: Frame,
         size: tuple[int, int, int],
         step: Callable[[str], object] = lambda what: None,
     ) -> Tensor:
@@ -261,8 +261,8 @@ class VolumeNet(StoredNetwork):
         `step` is called with the name of each part before it begins: the tables, each camera, the
         correlation.
         """
-        rig, images = reduce_images(sweep.rig, images, pixels_per_degree(size))
-        device = sweep.device
+        small, device = frame.reduced(pixels_per_degree(size)), sweep.device
+        rig = replace(sweep.rig, cameras=small.rig.cameras)
 
         def project() -> tuple[list[Tensor], list[Tensor]]:
             masks = [torch.from_numpy(camera.visible_pixels()).to(device) for camera in rig.cameras]
@@ -274,9 +274,9 @@ class VolumeNet(StoredNetwork):
         # What depends on the images.
         features = []
         with autocast(self.precision, device):
-            for k, (image, mask) in enumerate(zip(images, masks, strict=True), 1):
+            for k, (image, mask) in enumerate(zip(small.gray, masks, strict=True), 1):
                 step(f"camera {k} of {len(rig)}")
-                normalized = normalize(torch.from_numpy(to_gray(image)).to(device), mask)
+                normalized = normalize(torch.from_numpy(image).to(device), mask)
                 features.append(self.features(normalized, mask))
             step("correlation")
             return self.compare(features, coordinates)

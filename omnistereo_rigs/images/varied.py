@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from omnistereo_lib.stereo.images import to_gray
+from omnistereo_lib.frame import to_gray
 
 _THUMBNAIL = 48  # pixels
 _BLURRED = 0.7  # of the median sharpness

@@ -197,7 +197,7 @@ def _held_out(rig: Rig, other: Rig, images: Sequence[NDArray[np.uint8]]) -> tupl
     """
     nearest = rig.min_depth or 2 * float(rig.baselines.max())
     grid = SphereGrid(320, 80, (-45, 45), 64, nearest)
-    before, after = (lowest_costs(one, images, grid) for one in (rig, other))
+    before, after = (lowest_costs(Frame.of(one, images), grid) for one in (rig, other))
     rays = grid.rays()
     both = in_odd_sector(rays) & np.isfinite(before) & np.isfinite(after)
     if not both.any():

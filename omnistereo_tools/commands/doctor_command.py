@@ -108,7 +108,7 @@ def _check_images(options: DoctorOptions, frame: Frame | None, min_depth: float)
     if check.cause == "late or displaced" and options.images is None:
         check = _with_frames(options, check)
     word = "OK  " if check.fits else "OPEN" if check.fits is None else "FAIL"
-    cost = matching_cost(rig, images, SphereGrid(320, 80, num_spheres=64, min_depth=min_depth))
+    cost = matching_cost(frame, SphereGrid(320, 80, num_spheres=64, min_depth=min_depth))
     details = [f"Median matching cost of the rig as given: {cost:.3f}; right rigs have up to 0.17."]
     if stated is None:
         details.append(

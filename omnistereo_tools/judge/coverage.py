@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
-from omnistereo_lib.stereo.sweep import SphereSweep
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -287,8 +286,4 @@ def _visible(rig: Rig, grid: SphereGrid, depth: float) -> NDArray[np.bool_]:
     """Return which cameras see the point of each ray at a depth in metres, shape (cameras, H,
     W).
     """
-    near = SphereGrid(grid.width, grid.height, grid.phi_deg, 2, min(depth, 1e6))
-    sweep = SphereSweep(rig, near, center=np.zeros(3))
-    return np.stack(
-        [sweep.project_sphere(camera, 0 if depth == np.inf else 1)[1] for camera in range(len(rig))]
-    )
+    return rig.sees(grid.rays(), 1 / depth)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from torch import Tensor
 
 from omnistereo_lib import reference
@@ -19,7 +19,6 @@ from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.rig import Pair, Rig, camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.stereo.cost import BlockCost
-from omnistereo_lib.stereo.images import reduce_images
 from omnistereo_lib.stereo.methods import VIDEO_METHOD
 from omnistereo_lib.stereo.pipeline import estimate_depth
 from omnistereo_lib.stereo.sweep import SphereSweep
@@ -96,26 +95,26 @@ class _PlainZNCC(BlockCost):
         return reference.mean_over_pairs(costs).float().permute(1, 2, 0)
 
 
-def matching_cost(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid) -> float:
+def matching_cost(frame: Frame, grid: SphereGrid) -> float:
     """Return how well images match along the rays of a rig, the first sign of one that does not
     fit: the median of `lowest_costs`; 0.5 if no pair shares a view.
     """
-    lowest = lowest_costs(rig, images, grid)
+    lowest = lowest_costs(frame, grid)
     return _NO_OVERLAP if np.isnan(lowest).all() else float(np.nanmedian(lowest))
 
 
-def lowest_costs(rig: Rig, images: Sequence[ArrayLike], grid: SphereGrid) -> NDArray[np.float32]:
+def lowest_costs(frame: Frame, grid: SphereGrid) -> NDArray[np.float32]:
     """Return the best raw ZNCC cost of each ray, (H, W) in [0, 1], NaN where no pair sees one.
 
     The images are reduced as suits the grid.
     """
-    rig, images = reduce_images(rig, images, grid.width / 360)
-    sweep = SphereSweep(rig, grid)
-    valid = [sweep.project_sphere(camera, 0)[1] for camera in range(len(rig))]
+    small = frame.reduced(grid.width / 360)
+    sweep = SphereSweep(small.rig, grid)
+    valid = sweep.rig.sees(grid.rays(), 1 / grid.max_depth)
     if not any((valid[i] & valid[j]).any() for i, j in camera_pairs("ring", sweep.rig)):
         return np.full((grid.height, grid.width), np.nan, np.float32)
     few = grid.width * grid.height * grid.num_spheres < _FEW_CELLS
-    volume = cost_volume(sweep, images, _PlainZNCC() if few else ZNCC(_WINDOW))
+    volume = cost_volume(sweep, small, _PlainZNCC() if few else ZNCC(_WINDOW))
     lowest = torch.where(volume.isnan(), torch.inf, volume).amin(-1)
     return torch.where(lowest.isfinite(), lowest, torch.nan).numpy()
 
@@ -128,7 +127,7 @@ def image_doubts(frame: Frame, grid: SphereGrid) -> Iterator[str]:
         yield same
         return
     coarse = replace(grid, width=160, height=40, num_spheres=16)
-    if matching_cost(frame.rig, frame.images, coarse) > _MATCHES:
+    if matching_cost(frame, coarse) > _MATCHES:
         from omnistereo_rigs.doctor.rig_check import find_mixup
 
         if found := find_mixup(frame):
@@ -144,7 +143,7 @@ def propose_min_depth(frame: Frame) -> float:
     of it, it is sharper. Both look around the horizon, where nothing is distorted; a floor that is
     nearer below is within the margin.
     """
-    small = Frame.of(*reduce_images(frame.rig, frame.images, 320 / 360))
+    small = frame.reduced(320 / 360)
     nearest = Coverage.of(small.rig).nearest
     for _ in range(_PASSES):
         grid = SphereGrid(320, 80, num_spheres=64, min_depth=nearest)

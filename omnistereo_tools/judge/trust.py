@@ -64,11 +64,9 @@ def _nearest_unseen(sweep: SphereSweep) -> NDArray[np.float64]:
     """Return the number of the nearest sphere on which fewer than two cameras see a ray, -1 without
     any, (H, W).
     """
-    nearest = np.full(sweep.grid.shape, -1.0)
+    rays, nearest = sweep.grid.rays(), np.full(sweep.grid.shape, -1.0)
     for n in np.linspace(0, sweep.grid.num_spheres - 1, _LOOKED_AT):
-        seen = sum(
-            sweep.project_sphere(camera, n)[1].astype(int) for camera in range(len(sweep.rig))
-        )
+        seen = sweep.rig.sees(rays, sweep.grid.index_to_inverse_depth(n)).sum(0)
         nearest = np.where(seen < 2, n, nearest)
     return nearest
 
@@ -111,8 +109,7 @@ def _is_lit(depth: Depth) -> NDArray[np.bool_]:
     """Return where two cameras see neither black nor saturated pixels, for most rays around a ray,
     shape (H, W).
     """
-    samples = np.stack(depth.sweep.warp(depth.images, depth.index))
-    samples = samples.reshape(*samples.shape[:3], -1)  # (cameras, H, W, channels)
+    samples = depth.samples.reshape(*depth.samples.shape[:3], -1)  # (cameras, H, W, channels)
     # False where NaN
     lit = ((samples.max(-1) >= DARKEST) & (samples.min(-1) <= BRIGHTEST)).sum(0) >= 2
     return cv2.medianBlur(lit.astype(np.uint8), _AROUND) > 0

@@ -17,6 +17,7 @@ from torch.onnx import register_custom_op_symbolic  # type: ignore[attr-defined]
 
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import atomic_write, make_folder
+from omnistereo_lib.frame import Frame
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_lib.reference import correlate
@@ -26,7 +27,6 @@ from omnistereo_lib.stereo.correlation import (
     volume_cells,
     volume_sizes,
 )
-from omnistereo_lib.stereo.images import reduce_images
 from omnistereo_lib.stereo.kernels.correlation_numba import GROUPS
 from omnistereo_lib.stereo.volumenet import VolumeNet, local_mean, normalize, resize_logits
 
@@ -124,7 +124,7 @@ class DepthGraph(nn.Module):
     ) -> Tensor:
         """Return the correlation volume (9, W, H, N) of a number and size."""
         blank = [np.zeros(camera.image_size[::-1], np.uint8) for camera in self.rig.cameras]
-        rig, _ = reduce_images(self.rig, blank, pixels_per_degree(size))
+        rig = Frame.of(self.rig, blank).reduced(pixels_per_degree(size)).rig
         features = []
         for image, camera, reduced in zip(images, self.rig.cameras, rig.cameras, strict=True):
             gray = _reduced_gray(image, camera.image_size[0] // reduced.image_size[0])
@@ -139,7 +139,7 @@ class DepthGraph(nn.Module):
 
 
 def _reduced_gray(image: Tensor, factor: int) -> Tensor:
-    """Return an image (h, w, 3) in gray, (h / factor, w / factor), as `reduce_images` and `to_gray`
+    """Return an image (h, w, 3) in gray, (h / factor, w / factor), as `Frame.reduced` and `to_gray`
     give it.
     """
     blocks = avg_pool2d(image.permute(2, 0, 1).float()[None], factor)[0]

@@ -38,8 +38,7 @@ def estimate_gains(depth: Depth) -> NDArray[np.float64]:
     Returns:
         array, shape (cameras, channels), where gray has one channel
     """
-    samples = np.stack(depth.sweep.warp(depth.images, depth.index))
-    samples = samples.reshape(*samples.shape[:3], -1)  # (cameras, H, W, channels)
+    samples = depth.samples.reshape(*depth.samples.shape[:3], -1)  # (cameras, H, W, channels)
     usable, one = (
         np.all((samples >= DARKEST) & (samples <= BRIGHTEST), axis=-1),
         np.eye(len(samples)),

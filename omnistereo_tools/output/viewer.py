@@ -8,12 +8,14 @@ import base64
 import json
 import zlib
 from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.pose import Pose
@@ -113,7 +115,7 @@ def viewer_data(
         "colors": _base64(scale.bar(256)),
         "maxDepth": min(limits.max_depth, 1e9),
         "minConfidence": limits.min_confidence,
-        "picture": webp(_narrow(panorama)[..., ::-1], 85),
+        "picture": webp(_narrow(panorama), 85),
         "cameras": [
             *map_threads(lambda k: _camera(cameras[k], poses[k], images[k]), range(len(images)))
         ],
@@ -173,7 +175,7 @@ def _camera(camera: OcamCamera, T_rig_cam: Pose, image: NDArray[np.uint8]) -> di
         "affine": list(camera.affine),
         "center": list(camera.center),
         "maxAngle": np.radians(camera.max_fov_deg / 2) - np.pi / 2,
-        "image": _webp_of_at_most(np.dstack([image[..., ::-1], visible]), _IMAGE_BYTES),
+        "image": _webp_of_at_most(np.dstack([image, visible]), _IMAGE_BYTES),
     }
 
 
@@ -203,9 +205,10 @@ def _narrow(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def webp(pixels: NDArray[np.uint8], quality: int) -> str:
-    """Return an image in BGR or BGRA as a data URI."""
-    _, encoded = cv2.imencode(".webp", pixels, [cv2.IMWRITE_WEBP_QUALITY, quality])
-    return "data:image/webp;base64," + _base64(encoded)
+    """Return an image in RGB or RGBA as a data URI."""
+    # OpenCV cannot ask for method 2, which takes half the time of its 4 for 3 % more bytes.
+    Image.fromarray(pixels).save(encoded := BytesIO(), "WEBP", quality=quality, method=2)
+    return "data:image/webp;base64," + _base64(encoded.getvalue())
 
 
 def _webp_of_at_most(pixels: NDArray[np.uint8], most: int) -> str:

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError
+from omnistereo_lib.frame import to_gray
 from omnistereo_lib.geometry.rig import Rig
 from omnistereo_lib.provenance import read_facts
-from omnistereo_lib.stereo.images import to_gray
 from omnistereo_rigs.images.late import FRAMES, LateCameras, Lateness
 from omnistereo_rigs.images.moments import SECOND, in_words, median_step
 from omnistereo_tools.input.sources import Film, Recording

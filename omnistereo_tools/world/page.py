@@ -82,7 +82,7 @@ def world_page(
         ("before", own, "by itself"),
         ("after", refined, "after fusing all frames"),
     ):
-        picture = webp(colorize_depth(inverse, grid)[..., ::-1], 80)
+        picture = webp(colorize_depth(inverse, grid), 80)
         data[name] = {
             "picture": picture,
             "caption": f"Depth of frame {number} {words}; near is bright.",

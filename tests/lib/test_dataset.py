@@ -1,7 +1,9 @@
 """Data sets: the public layout with its traps, both encodings of the ground truth, all errors."""
 
+import pickle
 import shutil
 import weakref
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -401,3 +403,19 @@ def test_a_damaged_archive_is_named(tmp_path):
     (tmp_path / "city.zip").write_bytes(b"PK")
     refuses(r"city.zip cannot be unpacked: .*make doctor", tmp_path / "city" / "test")
     assert [path.name for path in tmp_path.iterdir()] == ["city.zip"]
+
+
+def test_a_frame_keeps_what_follows_from_its_images():
+    rig = scene.rig()
+    images = [np.round(np.stack([i, 0.9 * i, i], -1)).astype(np.uint8) for i in scene.images(rig)]
+    frame = osl.Frame.of(rig, images)
+    assert osl.Frame.of(rig.recentered(), frame) is frame and frame.gray is frame.gray
+    other = osl.Frame.of(replace(rig, cameras=[replace(c) for c in rig.cameras]), frame)
+    assert other is not frame and other.rig is not rig  # its cameras may be others
+    small = frame.reduced(frame.images[0].shape[1] / rig.cameras[0].max_fov_deg / 3.2)
+    assert frame.reduced(1e3) is frame and small.rig.cameras[0] is rig.cameras[0].reduced(3)
+    height, width = (side // 3 for side in images[0].shape[:2])
+    blocks = images[0][: 3 * height, : 3 * width].reshape(height, 3, width, 3, 3).mean((1, 3))
+    np.testing.assert_allclose(small.images[0], blocks, atol=0.51)
+    copied = pickle.loads(pickle.dumps(frame))
+    assert "gray" not in copied.__dict__ and np.array_equal(copied.images[0], images[0])

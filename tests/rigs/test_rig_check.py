@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 
 import omnistereo_lib as osl
 from omnistereo_learn.evaluate.run import DATA
-from omnistereo_lib.stereo.images import reduce_images
 from omnistereo_rigs.doctor import rig_check
 from omnistereo_rigs.doctor.evidence import Flip, flips
 from omnistereo_rigs.doctor.mixups import explain
@@ -176,8 +175,8 @@ def frame():
 @pytest.fixture(scope="module")
 def street(frame):
     """A rig and the images of a frame, halved: nobody waits for features of 600,000 pixels."""
-    rig, images = reduce_images(frame.rig, frame.images, 1.8)
-    return rig, [image.round().clip(0, 255).astype(np.uint8) for image in images]
+    small = frame.reduced(1.8)
+    return small.rig, [image.round().clip(0, 255).astype(np.uint8) for image in small.images]
 
 
 def test_a_right_rig_fits_its_images(street):
@@ -283,6 +282,6 @@ def test_a_rig_is_not_called_wrong_where_the_images_show_nothing():
 def test_an_image_of_another_moment_may_be_meant():
     """The room stands still, and the rig has turned by 131° between its two frames."""
     now, later = osl.load_dataset(DATA / "indoor" / "test")[:2]
-    rig, images = reduce_images(now.rig, [*now.images[:3], later.images[3]], 1.8)
-    check = check_rig(rig, images)
+    mixed = osl.Frame.of(now.rig, [*now.images[:3], later.images[3]]).reduced(1.8)
+    check = check_rig(mixed.rig, mixed.images)
     assert check.cause == "late or displaced" and check.cameras == (3,)

@@ -21,11 +21,11 @@ def box():
 
 def test_gains_undo_exposures_and_white_balance(box):
     dark = [image * k for image, k in zip(box.images, EXPOSURE, strict=True)]
-    gains = estimate_gains(replace(box, images=dark))
+    gains = estimate_gains(replace(box, frame=dark))
     np.testing.assert_allclose(gains[:, 0] * EXPOSURE, np.exp(np.log(EXPOSURE).mean()), rtol=0.01)
     balance = np.stack([EXPOSURE, np.ones(4), EXPOSURE[::-1]], -1)
     colored = [image[..., None] * k for image, k in zip(box.images, balance, strict=True)]
-    gains = estimate_gains(replace(box, images=colored))
+    gains = estimate_gains(replace(box, frame=colored))
     np.testing.assert_allclose(
         gains * balance, np.exp(np.log(balance).mean(0))[None].repeat(4, 0), rtol=0.01
     )
@@ -38,7 +38,7 @@ def test_no_edge_shows_where_a_camera_ends(box):
     v, u = np.indices(box.images[0].shape)
     falloff = 1 - 0.4 * (np.hypot(u - center[0], v - center[1]) / 190).clip(0, 1) ** 2
     flat = [np.full(image.shape, 150.0) * falloff for image in box.images]
-    flat = replace(box, images=flat)
+    flat = replace(box, frame=flat)
     steps = [
         np.abs(np.diff(picture, axis=1)).max()
         for picture in (flat.panorama(), blended_panorama(flat))

@@ -77,11 +77,11 @@ def test_black_and_white_are_no_evidence(box):
     assert (trust(depth)[:, 5:-5] == 1).mean() > 0.99
     # the left half of each
     blown = [np.where(np.indices(image.shape)[1] < 100, 255, image) for image in images]
-    unlit = trust(replace(depth, images=blown)) == 0
+    unlit = trust(replace(depth, frame=blown)) == 0
     seen = np.stack(depth.sweep.warp(blown, index))
     few = (np.isfinite(seen) & (seen < 250)).sum(0) < 2
     assert few.mean() > 0.2 and (unlit == few).mean() > 0.97  # but for the median at their borders
-    dark = replace(depth, images=[np.zeros_like(image) for image in images])
+    dark = replace(depth, frame=[np.zeros_like(image) for image in images])
     assert not trust(dark).any()
 
 

@@ -263,7 +263,7 @@ def test_the_explanation_of_a_ray_is_that_of_python(depth, desktop, data):
         GRID.shape
     )
     index = GRID.inverse_depth_to_index(inverse).astype(np.float64)
-    same = replace(depth, index=index, images=images)
+    same = replace(depth, index=index, frame=images)
     kinds = set()
     for row, column in [(20, 80), (5, 10), (33, 60), (12, 130), (39, 100), (20, 0)]:
         expected = ray.explain(same, column, row)

@@ -26,6 +26,7 @@ from torch.utils.flop_counter import FlopCounterMode
 from omnistereo_learn.evaluate.run import DATA
 from omnistereo_lib import reference
 from omnistereo_lib.dataset import load_dataset
+from omnistereo_lib.frame import Frame, to_gray
 from omnistereo_lib.geometry.camera import OcamCamera
 from omnistereo_lib.geometry.rig import camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
@@ -37,7 +38,6 @@ from omnistereo_lib.stereo.correlation import (
     volume_sizes,
 )
 from omnistereo_lib.stereo.depth import index_and_confidence
-from omnistereo_lib.stereo.images import reduce_images, to_gray
 from omnistereo_lib.stereo.kernels.correlation_numba import CHANNELS, GROUPS
 from omnistereo_lib.stereo.learned import LearnedCost, autocast, choose_precision
 from omnistereo_lib.stereo.methods import penalties
@@ -151,7 +151,8 @@ def bench_kernels(width: int, height: int, num: int) -> None:
     normalized = sweep.normalize_images(images)
     warped = sweep.warp_block(normalized, spheres).contiguous()
     size = volume_sizes(grid, rig)[0]
-    reduced, _ = reduce_images(rig, images, pixels_per_degree(size))
+    frame = Frame.of(rig, images)
+    reduced = frame.reduced(pixels_per_degree(size)).rig
     shapes = [
         (CHANNELS, -(-height // 2), -(-width // 2))
         for width, height in reduced.image_sizes(len(rig))
@@ -227,10 +228,11 @@ def bench_volumenet(width: int, height: int, num: int) -> None:
     compare(f"ZNCC volume {scale}", lambda: cost_volume(sweep, images), None, bytes_moved)
     # Features of a camera, and the U-net, of the finest volume.
     size = volume_sizes(sweep.grid, sweep.rig)[-1]
-    camera = reduce_images(sweep.rig, images, pixels_per_degree(size))[0].cameras[0]
+    frame = Frame.of(sweep.rig, images)
+    camera = frame.reduced(pixels_per_degree(size)).rig.cameras[0]
     visible = torch.from_numpy(camera.visible_pixels())
     with torch.no_grad(), autocast("auto", visible.device):
-        correlation = network.correlation_at(sweep, images, size)
+        correlation = network.correlation_at(sweep, frame, size)
         compare(
             f"VolumeNet {scale}: features of one camera",
             lambda: network.features(visible.float(), visible),

@@ -23,7 +23,6 @@ from omnistereo_lib import Pose, Rig, load_dataset
 from omnistereo_lib.dataset import Dataset
 from omnistereo_lib.errors import OmnistereoError
 from omnistereo_lib.files import write_text
-from omnistereo_lib.stereo.images import reduce_images
 from omnistereo_rigs.doctor.one_camera import scaled_lens
 from omnistereo_rigs.doctor.rig_check import check_rig, rotate_camera, scale_translations
 
@@ -87,7 +86,7 @@ def _late(rng: np.random.Generator, data: Dataset, number: int) -> Case:
     number = int(rng.integers(2, len(data) - 2))
     rig, images, k = _start(rng, data, number)
     later = number + int(rng.choice([-2, -1, 1, 2]))
-    images[k] = reduce_images(data[later].rig, data[later].images, _PX_PER_DEG)[1][k]
+    images[k] = data[later].reduced(_PX_PER_DEG).images[k]
     return Case(rig, images, ("late or displaced",), (k,))
 
 
@@ -144,8 +143,8 @@ def _start(
 ) -> tuple[Rig, list[NDArray[Any]], int]:
     """Return rig and pictures of a frame, halved, and a camera."""
     frame = data[number]
-    rig, images = reduce_images(frame.rig, frame.images, _PX_PER_DEG)
-    return rig, list(images), int(rng.integers(len(rig)))
+    small = frame.reduced(_PX_PER_DEG)
+    return small.rig, list(small.images), int(rng.integers(len(small.rig)))
 
 
 def _direction(rng: np.random.Generator) -> NDArray[np.float64]:

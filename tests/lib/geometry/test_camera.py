@@ -142,6 +142,22 @@ def test_visible_pixels_are_those_that_unproject_accepts():
         assert 0 < expected.mean() < 1
 
 
+def test_sees_is_what_project_calls_valid():
+    """Where the whole field of view is in the image, first and last, and where it is not."""
+    points = np.random.default_rng(1).normal(size=(20_000, 3))
+    points[:4] = [[0, 0, 0], [np.nan, 0, 1], [0, np.inf, 0], [0, 0, -1]]
+    mask = np.random.default_rng(0).random(SIZE[::-1]) < 0.9
+    whole = [
+        stereographic(f=90.0),
+        stereographic(f=90.0, mask=mask),
+        stereographic(),
+        equidistant(),
+    ]
+    assert [camera._whole_view for camera in whole] == [True, False, False, True]
+    for camera in whole:
+        np.testing.assert_array_equal(camera.sees(points), camera.project(points)[1])
+
+
 def test_useless_points_are_invalid_and_finite():
     uv, valid = equidistant().project([[0, 0, 0], [np.nan, 0, 1], [0, np.inf, 0], [0, 0, -np.inf]])
     assert not valid.any() and np.isfinite(uv).all()

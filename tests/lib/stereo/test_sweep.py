@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import omnistereo_lib as osl
 from omnistereo_lib import reference
-from omnistereo_lib.stereo.images import blur, blur_px
+from omnistereo_lib.stereo.sweep import blur, blur_px
 
 GRID = osl.SphereGrid(64, 20, (-40, 35), 20, 0.6)
 
