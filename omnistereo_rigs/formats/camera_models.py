@@ -6,7 +6,7 @@ camera, so that the rest of the library uses a single camera class.
 References: Usenko et al. 2018, "The double sphere camera model" (double sphere and the unified
 models); Kannala and Brandt 2006 (here with the four coefficients of OpenCV); Mei and Rives 2007
 (omni); Devernay and Faugeras 2001 (fov); the manuals of OpenCV (pinhole) and Metashape;
-projectaria-tools (fisheye624), NVIDIA's DriveWorks (ftheta).
+projectaria-tools (fisheye624).
 """
 
 from collections.abc import Callable, Mapping
@@ -122,31 +122,12 @@ def _fisheye624(rays: Floats, p0: float, p1: float, **more: float) -> Plane:
     return x * dot + r2 * (p0 + s0 + s1 * r2), y * dot + r2 * (p1 + s2 + s3 * r2), valid
 
 
-def _ftheta(rays: Floats, to_angle: float, **p: float) -> Plane:
-    """A polynomial p0 + p1 x + …: θ of a radius in pixels (to_angle = 1), or r(θ).
-
-    Valid as far as the radius grows with the angle.
-    """
-    poly = Polynomial([p.get(f"p{k}", 0.0) for k in range(_TERMS)])
-
-    def inverse(theta: Floats) -> Floats:
-        radii = np.linspace(0, min(_first_maximum(poly), 1e5), 1 << 14)
-        r = np.interp(theta, poly(radii), radii, right=np.nan)
-        for _ in range(3):  # Newton; from a step of 6 px at most it doubles the digits
-            r = r - (poly(r) - theta) / poly.deriv()(r)
-        return r
-
-    return _radial(rays, inverse if to_angle else _increasing(poly))
-
-
 class _Model(NamedTuple):
     plane: Callable[..., Plane]
     needed: tuple[str, ...]
     optional: tuple[str, ...] = ()  #: 0 where they are not stated
 
 
-_TERMS = 16  # of an f-theta polynomial
-_F_THETA = ("to_angle", "p1"), tuple(f"p{k}" for k in range(_TERMS) if k != 1)
 _MODELS = {
     "ds": _Model(_double_sphere, ("xi", "alpha")),
     "kb4": _Model(_kannala_brandt, (), FISHEYE),
@@ -156,7 +137,6 @@ _MODELS = {
     "pinhole": _Model(_pinhole, (), (*RADTAN, "rpmax")),
     "fov": _Model(_field_of_view, ("w",)),
     "fisheye624": _Model(_fisheye624, FISHEYE624),
-    "ftheta": _Model(_ftheta, *_F_THETA),
 }
 for _name in RADII:
     _MODELS[f"metashape {_name}"] = _Model(partial(_metashape, projection=_name), (), METASHAPE)
@@ -167,8 +147,8 @@ _RANGES |= {"alpha": (-1e-12, 1), "beta": (0, 1e3), "xi": (-1, 1e3), "w": (0, np
 def make_camera_model(model: str, parameters: Mapping[str, Any]) -> Projection:
     """Return the projection of a named model: rays (..., 3) → pixels (..., 2), valid (...).
 
-    `parameters` are fx, fy, cx, cy in pixels, those of the model, and the entries `skew` and
-    `shear` of the affine map u = fx x + skew y + cx, v = shear x + fy y + cy.
+    `parameters` are fx, fy, cx, cy in pixels, those of the model, and `skew` of the affine map
+    u = fx x + skew y + cx, v = fy y + cy.
 
     Raises:
         OmnistereoError: If the model is unknown, or a parameter is missing, unknown or out of
@@ -181,7 +161,7 @@ def make_camera_model(model: str, parameters: Mapping[str, Any]) -> Projection:
         )
     plane, needed, optional = _MODELS[model]
     needed = (*PINHOLE, *needed)
-    if not set(needed) <= set(parameters) <= {*needed, *optional, "skew", "shear"}:
+    if not set(needed) <= set(parameters) <= {*needed, *optional, "skew"}:
         raise OmnistereoError(
             f"camera model {model!r} needs the parameters {list(needed)}, found {list(parameters)}"
         )
@@ -202,12 +182,11 @@ def _project(
     cx: float,
     cy: float,
     skew: float = 0.0,
-    shear: float = 0.0,
     **own: float,
 ) -> Projected:
     with np.errstate(all="ignore"):  # where it is not valid
         x, y, valid = plane(np.asarray(rays, np.float64), **own)
-        return np.stack([fx * x + skew * y + cx, shear * x + fy * y + cy], -1), valid
+        return np.stack([fx * x + skew * y + cx, fy * y + cy], -1), valid
 
 
 def _components(rays: Floats) -> tuple[Floats, Floats, Floats, Floats]:
@@ -223,20 +202,11 @@ def _radial(rays: Floats, radius: Callable[[Floats], Floats]) -> Plane:
 
 
 def _odd(k: list[float]) -> Callable[[Floats], Floats]:
-    """Return θ + k[0] θ³ + k[1] θ⁵ + … as far as it increases."""
-    return _increasing(Polynomial([0, 1, *(term for each in k for term in (0, each))]))
-
-
-def _increasing(r: Polynomial) -> Callable[[Floats], Floats]:
-    """Return a polynomial of θ as far as it increases, NaN beyond."""
-    end = _first_maximum(r)
-    return lambda theta: np.where(theta < end, r(theta), np.nan)
-
-
-def _first_maximum(r: Polynomial) -> float:
-    """Return the smallest positive argument at which a polynomial stops increasing, or infinity."""
+    """Return θ + k[0] θ³ + k[1] θ⁵ + … as far as it increases, NaN beyond."""
+    r = Polynomial([0, 1, *(term for each in k for term in (0, each))])
     roots = r.deriv().roots()
-    return float(roots[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)].real.min(initial=np.inf))
+    end = roots[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)].real.min(initial=np.inf)
+    return lambda theta: np.where(theta < end, r(theta), np.nan)
 
 
 def _radtan(x: Floats, y: Floats, coefficients: Mapping[str, float]) -> tuple[Floats, Floats]:

@@ -12,10 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from omnistereo_lib.errors import OmnistereoError, error_context
-from omnistereo_lib.files import path_within
 from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.parse import Section, check_count, numbered_lines, warn_if_different
-from omnistereo_lib.pictures import read_image
 from omnistereo_rigs.formats.camera_models import FISHEYE, FISHEYE624, PINHOLE, RADTAN
 from omnistereo_rigs.formats.table import Parameters, Way, parse_pose
 
@@ -41,11 +39,8 @@ MODELS: Mapping[str, tuple[str, Parameters]] = {
     name: (model, {"camera_params": names}) for name, (model, names) in _MODELS.items()
 }
 _KEYS = "cam_from_rig_rotation cam_from_rig_translation"
-_POSE = Way(_KEYS, rotation="w x y z", to_camera=True)
-#: rig → camera, or world → camera
-POSES = (_POSE,)
+POSE = Way(_KEYS, is_quaternion=True, to_camera=True)
 _IDENTITY = {"cam_from_rig_rotation": [1, 0, 0, 0], "cam_from_rig_translation": [0, 0, 0]}
-_IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
 # Names of cameras, where all images lie in one folder: three digits are a moment.
 _CAMERA = re.compile(r"(cam(era)?[-_]?)?[0-9]{1,2}", re.IGNORECASE)
 
@@ -53,43 +48,27 @@ Camera = dict[str, Any]  # camera_model_name, camera_params, width, height
 
 
 def config_cameras(data: Section, path: Path) -> list[Section]:
-    """Return the cameras of a rig_config.json, whose lenses are stated there, or in a cameras.txt
-    beside it.
-
-    Without a cameras.txt, sizes are those of the images below image_prefix, in the folder or in its
-    folder images.
-    """
+    """Return the cameras of a rig_config.json, whose lenses are in the cameras.txt beside it."""
     cams = [*data.sections("cameras").values()]
-    file = path.with_name(path.name.replace("rig_config.json", "cameras.txt"))
-    listed = [*_read_cameras(file).values()] if file.suffix == ".txt" and file.exists() else []
-    if listed and len(listed) != len(cams):
+    file = path.with_name("cameras.txt")
+    if not file.exists():
+        raise OmnistereoError(
+            f"{file} is missing; expected it beside the rig, which states no size of images. "
+            "`colmap model_converter` writes it"
+        )
+    listed = [*_read_cameras(file).values()]
+    if len(listed) != len(cams):
         raise OmnistereoError(
             f"{file.name} has {len(listed)} cameras, the rig has {len(cams)}. Delete the wrong one"
         )
-    for n, cam in enumerate(cams):
-        with error_context(f"camera {cam.name}"):
-            prefix = str(cam.require("image_prefix"))
-            lens = listed[n] if listed else _size_of_images(path, prefix)
-            if any(cam.get(key, default=value) != value for key, value in lens.items()):
-                raise OmnistereoError(
-                    f"camera_params differ from {file.name}. Delete the wrong ones"
-                )
-            cam.values |= lens | (_IDENTITY if cam.get("ref_sensor") else {})
+    for cam, lens in zip(cams, listed, strict=True):
+        cam.ignore("image_prefix", "ref_sensor")
+        if any(cam.get(key, value) != value for key, value in lens.items()):
+            raise OmnistereoError(
+                f"camera {cam.name}: camera_params differ from {file.name}. Delete the wrong ones"
+            )
+        cam.values |= lens | (_IDENTITY if cam.get("ref_sensor") else {})
     return cams
-
-
-def _size_of_images(path: Path, prefix: str) -> Camera:
-    folders = [path_within(path.parent, each, path) for each in (prefix, f"images/{prefix}")]
-    files = (file for folder in folders for file in sorted(folder.glob("*")))
-    image = next((file for file in files if file.suffix.lower() in _IMAGES), None)
-    if image is None:
-        raise OmnistereoError(
-            "a rig_config.json of COLMAP does not state the size of the images, and there are "
-            f"none in {prefix}. Put the images, or cameras.txt (`colmap model_converter` writes "
-            "it), beside the file"
-        )
-    height, width = read_image(image).shape[:2]
-    return {"width": width, "height": height}
 
 
 def model_cameras(data: Section, folder: Path) -> list[Section]:
@@ -101,7 +80,7 @@ def model_cameras(data: Section, folder: Path) -> list[Section]:
     rig = _read_rigs(folder / "rigs.txt", listed)
     if not rig:
         names, ids, poses = _read_images(file, listed)
-        T_world_cam = [parse_pose(Section(pose), _POSE).inverse() for pose in poses]
+        T_world_cam = [parse_pose(Section(pose), POSE).inverse() for pose in poses]
         moment = find_moment(names, T_world_cam, file)
         for camera, images in moment.of_camera.items():
             if len({ids[n] for n in images}) > 1:

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,21 +11,19 @@ from numpy.typing import NDArray
 
 from omnistereo_lib.errors import OmnistereoError, error_context
 from omnistereo_lib.files import path_within, read_data
-from omnistereo_lib.parse import Section, check_count, parse_floats
+from omnistereo_lib.parse import Section, check_count
 from omnistereo_lib.pictures import read_gray
 from omnistereo_lib.rig_file import MAX_BYTES
 from omnistereo_rigs.formats import colmap, opencv
 from omnistereo_rigs.formats.camera_models import (
     FISHEYE,
     FISHEYE624,
-    MAX_PINHOLE_DEG,
     METASHAPE,
     PINHOLE,
     RADTAN,
 )
 from omnistereo_rigs.formats.table import (
     ALL,
-    FLU,
     K9,
     OPENGL,
     Dialect,
@@ -72,16 +71,13 @@ def _basalt(data: Section, path: Path) -> list[Section]:
     value = data.section("value0")
     keys = ("T_imu_cam", "intrinsics", "resolution")
     lists = [value.require(key) for key in keys]
-    for key, each in zip(keys, lists, strict=True):
-        if not isinstance(each, list) or len(each) != len(lists[0]):
-            raise OmnistereoError(
-                f"{key}: found {str(each)[:80]}; expected a list with one entry per camera"
-            )
+    if any(not isinstance(each, list) or len(each) != len(lists[0]) for each in lists):
+        raise OmnistereoError(f"expected lists of one {', '.join(keys)} each per camera")
     cams = []
     for n, (pose, lens, size) in enumerate(zip(*lists, strict=True)):
-        with error_context(f"intrinsics {n + 1}"):
-            found = {"T_imu_cam": pose, "resolution": size} | Section(lens).values
-        cams.append(value.add(f"camera {n}", found))
+        cam = value.add(f"camera {n}", lens)
+        cam.values |= {"T_imu_cam": pose, "resolution": size}
+        cams.append(cam)
     return cams
 
 
@@ -119,39 +115,7 @@ def _frames(data: Section, path: Path) -> list[Section]:
     found = [data.add(cams[n].name, cams[n].values) for n in moment.images]
     for cam in found:
         cam.ignore(*_NOT_OF_A_CAMERA.split())
-        with error_context(cam.name):
-            _focal_of_angle(cam)
     return found
-
-
-def _focal_of_angle(cam: Section) -> None:
-    """Write the focal length that an angle states, which is a pinhole's."""
-    name, is_fisheye = cam.word("camera_model"), cam.word("is_fisheye") in ("true", "1", "yes")
-    if is_fisheye and "fisheye" not in name:
-        raise OmnistereoError(
-            f"camera_model is {name or 'not stated'} and is_fisheye true. Write camera_model: "
-            "OPENCV_FISHEYE, or delete is_fisheye"
-        )
-    if cam.get("fl_x") is None and cam.get("camera_angle_x") is not None:
-        angle = cam.number("camera_angle_x")
-        if "fisheye" in name or not 0 < angle < np.radians(MAX_PINHOLE_DEG):
-            raise OmnistereoError(
-                f"camera_angle_x = {angle:g} does not state the focal length of a fisheye: f = "
-                "width / 2 / tan(angle / 2) is a pinhole's. Write fl_x, for an equidistant lens "
-                "width / angle"
-            )
-        cam.values["fl_x"] = cam.number("w") / 2 / float(np.tan(angle / 2))
-    if cam.get("fl_y") is None:
-        cam.values["fl_y"] = cam.values.get("fl_x")
-
-
-def _sensors(data: Section, path: Path) -> list[Section]:
-    data.note(
-        "axes and pixel centres as DriveWorks documents them, not checked with it: sensor → rig by "
-        "yaw, pitch, roll in x forward, y left, z up. `omnistereo doctor` with images checks them"
-    )
-    sensors = data.section("rig").sections("sensors").values()
-    return [each for each in sensors if "camera" in str(each.get("name", default="camera"))]
 
 
 def _sockets(data: Section, path: Path) -> list[Section]:
@@ -168,21 +132,6 @@ def _sockets(data: Section, path: Path) -> list[Section]:
 
 
 # Parameters that are more than numbers in their order.
-
-
-def _f_theta(sensor: Section) -> dict[str, float]:
-    kind = sensor.word("properties.polynomial-type", "pixeldistance-to-angle")
-    if kind not in ("pixeldistance-to-angle", "angle-to-pixeldistance"):
-        raise OmnistereoError(f"polynomial-type is {kind}; expected pixeldistance-to-angle")
-    text = str(sensor.require("properties.polynomial|bw-poly"))
-    values = parse_floats(text.split(), "polynomial").tolist()
-    if values[:1] != [0] or not 2 <= len(values) <= 16:
-        raise OmnistereoError(f"polynomial is {values}; expected 0 and 1 to 15 coefficients")
-    affine = {"linear-c": "fx", "linear-d": "skew", "linear-e": "shear", "cx": "cx", "cy": "cy"}
-    optional = {f"properties.{key}?": name for key, name in affine.items()}
-    found = {"fx": 1.0, "fy": 1.0} | numbers(sensor, optional)
-    to_angle = {"to_angle": float(kind.startswith("pixel"))}
-    return found | to_angle | {f"p{k}": value for k, value in enumerate(values)}
 
 
 def _metashape(lens: Section) -> dict[str, float]:
@@ -226,10 +175,10 @@ def _inside(*keys: str) -> Callable[[dict[str, Any]], bool]:
 
 
 def _items(name: str, key: str) -> Callable[[dict[str, Any]], bool]:
-    """Return whether a list, or one in `rig`, holds mappings one of which has the key."""
+    """Return whether a list holds mappings one of which has the key."""
 
     def recognises(data: dict[str, Any]) -> bool:
-        values = data.get(name, _mapping(data.get("rig")).get(name))
+        values = data.get(name)
         return isinstance(values, list) and any(key in _mapping(value) for value in values)
 
     return recognises
@@ -256,7 +205,7 @@ _FL = {"fl_x": "fx", "fl_y": "fy", "cx": "cx", "cy": "cy"}
 _FL_RADTAN: dict[str, str] = _FL | {f"{key}?": key for key in RADTAN[:5]}
 # Keys of transforms.json: of images, of the scene, and of the focal length in another form.
 _NOT_OF_A_CAMERA = """file_path depth_file_path colmap_im_id sharpness depth_unit_scale_factor
-is_fisheye train_filenames val_filenames test_filenames ply_file_path mask_path aabb_scale scale
+train_filenames val_filenames test_filenames ply_file_path mask_path aabb_scale scale
 offset applied_transform applied_scale orientation_override camera_angle_x camera_angle_y"""
 _FISHEYES = {"fisheye": "equidistant", "equidistant_fisheye": "equidistant"}
 _FISHEYES |= {"frame": "rectilinear", "equisolid_fisheye": "equisolid"}
@@ -264,6 +213,19 @@ _FISHEYES |= {"frame": "rectilinear", "equisolid_fisheye": "equisolid"}
 _AHEAD = 180.0
 _DIVIDES = {"kb4": _AHEAD}
 _RECALIBRATE = "Recalibrate without"
+
+_COLMAP = Dialect(
+    name="COLMAP rig",
+    what="rig_config.json with cameras.txt beside it",
+    recognises=_items("cameras", "image_prefix"),
+    cameras=colmap.config_cameras,
+    model="camera_model_name",
+    models=colmap.MODELS,
+    size="width height",
+    poses=(colmap.POSE,),
+    measured_deg={model: _AHEAD for model, _ in colmap.MODELS.values()},
+    origin=0.5,
+)
 
 # In the order in which they are tried.
 DIALECTS = (
@@ -342,6 +304,7 @@ DIALECTS = (
         size="w h",
         poses=(_TRANSFORM,),
         measured_deg=_DIVIDES,
+        values={"is_fisheye": Value((), "Write camera_model: OPENCV_FISHEYE in its place")},
         origin=0.5,
         mask=_mask_named,
     ),
@@ -419,32 +382,10 @@ DIALECTS = (
         },
         size="ImageSize|image_size|ImageSizes|resolution",
         poses=(
-            Way("T_Device_Camera.UnitQuaternion T_Device_Camera.Translation", rotation="w x y z"),
+            Way("T_Device_Camera.UnitQuaternion T_Device_Camera.Translation", is_quaternion=True),
         ),
         unit="metres",
         measured_deg={"fisheye624": _AHEAD},
-        settings=True,
-    ),
-    Dialect(
-        name="DriveWorks rig",
-        what="cameras with an f-theta polynomial and nominalSensor2Rig_FLU",
-        recognises=_items("sensors", "properties"),
-        cameras=_sensors,
-        model="properties.Model",
-        models={"ftheta": ("ftheta", _f_theta)},
-        size="properties.width properties.height",
-        poses=(
-            Way(
-                "nominalSensor2Rig_FLU.roll-pitch-yaw nominalSensor2Rig_FLU.t",
-                FLU,
-                rotation="roll pitch yaw",
-            ),
-        ),
-        values=dict.fromkeys(
-            ("correction_sensor_R_FLU", "correction_rig_T"),
-            Value((), "Add it to nominalSensor2Rig_FLU"),
-        ),
-        unit="metres",
         settings=True,
     ),
     Dialect(
@@ -459,29 +400,13 @@ DIALECTS = (
         measured_deg={f"metashape {ours}": _AHEAD for ours in _FISHEYES.values()},
         origin=None,
     ),
-    Dialect(
-        name="COLMAP rig",
-        what="rig_config.json with the models of its cameras, or with cameras.txt beside it",
-        recognises=_items("cameras", "image_prefix"),
-        cameras=colmap.config_cameras,
-        model="camera_model_name",
-        models=colmap.MODELS,
-        size="width height",
-        poses=colmap.POSES,
-        measured_deg={model: _AHEAD for model, _ in colmap.MODELS.values()},
-        origin=0.5,
-    ),
-    Dialect(
+    _COLMAP,
+    replace(
+        _COLMAP,
         name="COLMAP model",
         what="a folder with `cameras.txt` and `images.txt`, and `rigs.txt` where there is one",
         recognises=lambda data: False,
         cameras=colmap.model_cameras,
-        model="camera_model_name",
-        models=colmap.MODELS,
-        size="width height",
-        poses=colmap.POSES,
-        measured_deg={model: _AHEAD for model, _ in colmap.MODELS.values()},
-        origin=0.5,
         first_is_rig=True,
     ),
     Dialect(

@@ -332,7 +332,8 @@ def _read_file(path: Path) -> tuple[Dialect, Found]:
     inner = sorted({str(key) for item in listed if isinstance(item, dict) for key in item})[:8]
     raise OmnistereoError(
         f"{path}: unknown format, found the keys {keys}, and in them {inner}. Write K, D, R, T and "
-        f"the size of each camera as OpenCV names them; {_supported()}"
+        "the size of each camera as OpenCV names them, or polynomials of the radius (f-theta) as "
+        f"ocam1.txt, …; {_supported()}"
     )
 
 
@@ -355,12 +356,19 @@ def _content(path: Path) -> Any:
 
 def _arrays(content: bytes) -> dict[str, Any]:
     """Return the arrays of an npz file as lists."""
-    broken = (ValueError, OSError, zipfile.BadZipFile, EOFError, KeyError, NotImplementedError)
+    broken = (
+        ValueError,
+        OSError,
+        zipfile.BadZipFile,
+        EOFError,
+        KeyError,
+        TypeError,
+        NotImplementedError,
+    )
     try:
-        with zipfile.ZipFile(BytesIO(content)) as archive:
-            if sum(part.file_size for part in archive.infolist()) > MAX_BYTES:
-                raise OmnistereoError("the arrays are larger than those of any rig")
         with np.load(BytesIO(content), allow_pickle=False) as arrays:
+            if sum(part.file_size for part in arrays.zip.infolist()) > MAX_BYTES:
+                raise OmnistereoError("the arrays are larger than those of any rig")
             return {name: arrays[name].tolist() for name in arrays.files}
     except broken as error:
         reason = "it holds Python objects" if "pickle" in str(error) else str(error)

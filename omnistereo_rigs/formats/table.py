@@ -32,7 +32,6 @@ METRES = {"metres": 1.0, "centimetres": 0.01}  # of the unit of a row; 1 where i
 K9 = ("fx", "skew", "cx", "0", "fy", "cy", "0", "0", "1")  # a camera matrix, row by row
 ALL = ("*",)  # every number of a mapping, by its name
 OPENGL = np.diag([1.0, -1.0, -1.0])  # the camera axes of OpenGL (y up, z back) in those of OpenCV
-FLU = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # camera axes in x forward, y left, z up
 
 Names = Sequence[str] | str  # of numbers in their order, or of one number
 Parameters = Mapping[str, Names] | Callable[[Section], Mapping[str, Any]]  # by their paths
@@ -47,7 +46,7 @@ class Way(NamedTuple):
 
     keys: str
     axes: Floats | None = None  #: of the camera in the file, where they are not ours
-    rotation: str = ""  #: or "w x y z", or "roll pitch yaw" in degrees
+    is_quaternion: bool = False  #: the rotation is w x y z
     to_camera: bool = False  #: from rig, or parent, to camera
     parent: str = ""  #: "previous" camera, or the key of its number, to which the pose leads
     first_may_lack: bool = False  #: the first camera is then the rig frame
@@ -236,19 +235,18 @@ def parse_pose(cam: Section, way: Way) -> Pose:
     else:
         t, key = cam.require(rest[0]), cam.at(rest[0])[1]
         t = [t.get(axis) for axis in "xyz"] if isinstance(t, Mapping) and "x" in t else t
-        pose = Pose(_rotation(cam, cam.at(place)[1], value, way.rotation), parse_floats(t, key, 3))
+        pose = Pose(
+            _rotation(cam, cam.at(place)[1], value, way.is_quaternion), parse_floats(t, key, 3)
+        )
     return pose if way.axes is None else Pose(pose.R @ way.axes, pose.t)
 
 
-def _rotation(cam: Section, key: str, value: Any, form: str) -> Floats:
+def _rotation(cam: Section, key: str, value: Any, is_quaternion: bool) -> Floats:
     match value:
         case [float() | int() as w, [x, y, z]]:
             value = [w, x, y, z]
-    if form == "w x y z":
+    if is_quaternion:
         return quaternion_pose(parse_floats(value, key, 4), np.zeros(3)).R
-    if form == "roll pitch yaw":  # R = Rz Ry Rx
-        x, y, z = map(rotation_from_axis_angle, np.diag(np.radians(parse_floats(value, key, 3))))
-        return z @ y @ x
     r = parse_floats(value, key)
     if r.size not in (3, 9):
         raise OmnistereoError(

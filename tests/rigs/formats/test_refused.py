@@ -56,9 +56,9 @@ NUMPY = "cam1: {D: !!python/object/apply:numpy.core.multiarray._reconstruct {arg
 ENTITY = '<!DOCTYPE a [<!ENTITY b "bb">]><opencv_storage>&b;</opencv_storage>'
 RIGS = [
     ("a.json", basalt(intrinsics=[DS, DS]), "camera 0: .*xi must be numbers"),
-    ("a.json", basalt(resolution=[list(SIZE)]), "resolution: found .*a list with one entry per camera"),
+    ("a.json", basalt(resolution=[list(SIZE)]), "expected lists of one T_imu_cam, intrinsics"),
     ("a.json", basalt(T_imu_cam=[NO_ROTATION] * 2), "length 0; expected 1"),
-    ("a.json", basalt(T_imu_cam=7), "T_imu_cam: found 7; expected a list"),
+    ("a.json", basalt(T_imu_cam=7), "expected lists of one T_imu_cam, intrinsics, resolution each per camera"),
     ("a.json", basalt(T_imu_cam=[], intrinsics=[], resolution=[]), "found no camera of basalt JSON"),
     ("a.json", {"value0": {k: v[:1] for k, v in basalt()["value0"].items()}}, "basalt JSON of one camera; a rig needs"),
     ("a.yaml", kalibr(np.eye(4), distortion_model="radtan"), r"cam0: camera_model \+ distortion_model is ds \+ radtan; exp"),
