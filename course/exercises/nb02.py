@@ -6,6 +6,7 @@ import numpy as np
 import omnistereo_lib as osl
 from course.exercises.compare import Rng
 from course.exercises.opened import Open
+from course.figures.uncertainty import shown_beside
 
 Poses = list[osl.Pose]
 
@@ -31,10 +32,13 @@ def _two_cameras(rng: Rng, k: int) -> tuple:
         _a_pose(rng),
     )
     boards = [_a_pose(rng) for _ in range(5 + k % 3)]
-    other_end = rng.permutation(len(boards)) < (0, 2, 3, 7)[k % 4]  # as camera 2 has read them
-    if k % 4 == 1:  # boards that face camera 1: read from the other end, T_12 has the same z
-        boards = [osl.Pose.from_vector([0, 0, *rng.uniform(-1, 1, 4)]) for _ in boards]
-        other_end = np.arange(len(boards)) < 2
+    if k % 4:
+        # boards that face along an axis of camera 1: read from the other end, T_12 has the same z, x or y
+        turn = osl.Pose(np.roll(np.eye(3), k % 4 - 1, axis=0), np.zeros(3))
+        facing = [osl.Pose.from_vector([0, 0, *rng.uniform(-1, 1, 4)]) for _ in boards]
+        boards = [turn @ T for T in facing]
+    # as camera 2 has read them
+    other_end = rng.permutation(len(boards)) < (0, 2, 3, 7)[(k + k // 4) % 4]
     seen = [T @ half_turn if other else T for T, other in zip(boards, other_end, strict=True)]
     boards[0] = _a_pose(rng)  # moved between the two exposures
     shaken = [T @ osl.Pose.from_vector(rng.normal(0, 1e-3, 6)) for T in seen]  # corners have noise
@@ -235,38 +239,52 @@ check_covariance = Open(covariance, _a_minimum, whole=("J", "residuals")).with_s
 """)
 
 
-def sphere_shift(parallax, errors, pairs):
-    """Spheres δ (H, W) by which the best match moves; NaN where no pair sees the ray.
-
-    parallax, errors: how far each camera's image moves by one sphere, and by the wrong pose;
-    (cameras, H, W, 2) in radians, NaN where a camera does not see the ray.
-    """
-    p = np.array([parallax[i] - parallax[j] for i, j in pairs])
-    e = np.array([errors[i] - errors[j] for i, j in pairs])
-    above, below = np.nansum(p * e, axis=(0, -1)), np.nansum(p * p, axis=(0, -1))
+def sphere_shift(rig, wrong_rig, grid, index, pairs):
+    """Spheres δ (H, W) by which the best match of things on sphere index (H, W) moves, if wrong_rig
+    is taken for rig; NaN where no pair of cameras sees the ray."""
+    depth = grid.index_to_depth(index)
+    next_depth = grid.index_to_depth(index + 1)
+    points = grid.rays() * depth[..., None]
+    p, e = [], []
+    for camera, T, wrong in zip(rig.cameras, rig.T_rig_cam, wrong_rig.T_rig_cam, strict=True):
+        p.append(shown_beside(camera, T, T, points, next_depth))
+        e.append(shown_beside(camera, T, wrong, points, depth))
+    # of the pairs; NaN, what a camera does not see, drops out of the sums
+    p = np.array([p[i] - p[j] for i, j in pairs])
+    e = np.array([e[i] - e[j] for i, j in pairs])
+    above = np.nansum(p * e, axis=(0, -1))
+    below = np.nansum(p * p, axis=(0, -1))
     return -above / np.where(below > 0, below, np.nan)
 
 
-def _some_images(rng: Rng, k: int) -> tuple:
-    pairs, shape = [(0, 1), (1, 2), (2, 3), (3, 0)], (4, 3, 4 + k % 3, 2)
-    parallax, errors = rng.normal(0, 0.01, shape), rng.normal(0, 0.02, shape)
-    unseen = rng.uniform(0, 1, shape[:3]) < 0.2
-    unseen[:3, 0, 0] = unseen[::2, 0, 1] = True  # no pair is left
-    unseen[:, 1, 0] = False
-    parallax[unseen] = errors[unseen] = np.nan
-    return parallax, errors, pairs
+def _two_rigs(rng: Rng, k: int) -> tuple:
+    poly, inverse = np.array([-200.0, 0.0, 1e-3]), np.array([314.0, 200.0])
+    # with the narrow ones no pair sees some rays
+    fov = (220.0, 150.0)[k % 2]
+    lens = osl.OcamCamera(poly, inverse, (400.0, 384.0), (1.0, 0.0, 0.0), (800, 768), fov)
+    poses = [
+        osl.Pose.from_vector([0, i * np.pi / 2, 0, 0.4 * np.sin(i), rng.normal(0, 0.1), np.cos(i)])
+        for i in range(4)
+    ]
+    rig = osl.Rig([lens] * 4, poses)
+    wrong = rig.with_poses([T @ osl.Pose.from_vector(rng.normal(0, 0.01, 6)) for T in poses])
+    grid = osl.SphereGrid(9 + k % 3, 4, (-45, 45), 32, 1.6)
+    return rig, wrong, grid, rng.uniform(1, 20, grid.shape), [(0, 1), (1, 2), (2, 3), (3, 0)]
 
 
-check_sphere_shift = Open(sphere_shift, _some_images).with_slips("""
+check_sphere_shift = Open(
+    sphere_shift, _two_rigs, whole=("rig", "wrong_rig", "grid", "index")
+).with_slips("""
     return -above / np.where(below > 0, below, np.nan)
     → return np.nanmean(-np.sum(p * e, -1) / np.sum(p * p, -1), 0)
     # one δ for all pairs: add up over the pairs first, then divide
     return -above / np.where(below > 0, below, np.nan) → return np.nanmean(-e / p, axis=(0, -1))
     # two equations, one unknown: do not divide number by number, but Σ p·e by Σ p·p
-    -above / np.where(below > 0, below, np.nan)
-    → -above / np.sqrt(np.where(below > 0, below, np.nan))
-    # divide by Σ p·p, not by its root: that is a length in radians, not a number of spheres
-    parallax[i] - parallax[j] → parallax[i]
-    errors[i] - errors[j] → errors[i]
+    camera, T, wrong, points, depth → camera, T, wrong, points, next_depth
+    # e is on the sphere on which the thing really is: depth, not next_depth
+    camera, T, wrong → camera, wrong, T
+    # the camera is where rig has it; what is wrong is the pose that is used
+    p[i] - p[j] → p[i]
+    e[i] - e[j] → e[i]
     # one image alone has nothing to meet: take the differences of pairs
 """)

@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from omnistereo_lib.geometry.camera import OcamCamera
+from omnistereo_lib.geometry.pose import Pose
 from omnistereo_lib.geometry.rig import Pairs, Rig, camera_pairs
 from omnistereo_lib.geometry.sphere import SphereGrid
 from omnistereo_rigs.boards.params import CalibrationParams, Intrinsics
@@ -66,6 +68,35 @@ def index_shift(
             with the texture.
     """
     return _shift(_linearize(rig, grid, index), wrong, grid, index, camera_pairs(pairs, rig))
+
+
+def shown_beside(
+    camera: OcamCamera, T_rig_cam: Pose, T_used: Pose, points: Floats, radius: Floats
+) -> Floats:
+    """Return how far beside their own rays points appear in the image of a camera, warped onto
+    spheres with a pose that may be wrong.
+
+    Args:
+        camera, T_rig_cam: The camera, and where it is.
+        T_used: Where it is taken to be.
+        points: (…, 3) m, rig frame.
+        radius: Of the sphere of each point, (…) m.
+
+    Returns:
+        array, shape (…, 2), radians: To the right and down; NaN where the camera does not see them.
+    """
+    in_camera = T_rig_cam.inverse() @ points
+    sight = in_camera / np.linalg.norm(in_camera, axis=-1, keepdims=True) @ T_used.R.T
+    # where the line t + s · sight leaves the sphere
+    along = sight @ T_used.t
+    s = -along + np.sqrt(along**2 + radius**2 - T_used.t @ T_used.t)
+    shown = (T_used.t + s[..., None] * sight) / radius[..., None]
+    rays = points / np.linalg.norm(points, axis=-1, keepdims=True)
+    right = np.cross([0, 1, 0], rays)
+    right /= np.linalg.norm(right, axis=-1, keepdims=True)
+    axes = right, np.cross(rays, right)
+    beside = np.stack([np.sum((shown - rays) * axis, axis=-1) for axis in axes], axis=-1)
+    return np.where(camera.project(in_camera)[1][..., None], beside, np.nan)
 
 
 def index_uncertainty(

@@ -81,6 +81,8 @@ ocam_polynomial
 relative_pose
     < 0.02 → < 1e-6  # wrong: no two measured poses agree so well
     np.linalg.norm(t - t[:, None], axis=-1) → np.abs(t - t[:, None])[..., 2]  # wrong: z alone
+    np.linalg.norm(t - t[:, None], axis=-1) → np.abs(t - t[:, None])[..., 0]  # wrong: x alone
+    np.linalg.norm(t - t[:, None], axis=-1) → np.abs(t - t[:, None])[..., 1]  # wrong: y alone
     proposals[np.argmax(agree.sum(axis=1))] → proposals[np.flatnonzero(agree.sum(axis=1) == agree.sum(axis=1).max())[-1]]
     # right: another one of those that agree
     < 0.02 → < 0.03  # right
@@ -108,12 +110,17 @@ covariance
     residuals @ residuals / (m - n) → np.var(residuals, ddof=n)  # wrong: the mean is subtracted
     np.linalg.inv(J.T @ J) → np.linalg.pinv(J.T @ J)  # right
 sphere_shift
-    p = np.stack([parallax[i] - parallax[j] for i, j in pairs])
-    e = np.stack([errors[i] - errors[j] for i, j in pairs])
-    dot = np.nansum((p * e).sum(-1), 0)
-    length = np.nansum((p * p).sum(-1), 0)
+    at = [grid.rays() * grid.index_to_depth(index)[..., None], grid.index_to_depth(index), grid.index_to_depth(index + 1)]
+    dot = length = 0
+    for i, j in pairs:
+        p, e = (
+            np.subtract(*(shown_beside(rig.cameras[k], rig.T_rig_cam[k], used.T_rig_cam[k], at[0], radius) for k in (i, j)))
+            for used, radius in ((rig, at[2]), (wrong_rig, at[1]))
+        )
+        dot = dot + np.nan_to_num((p * e).sum(-1))
+        length = length + np.nan_to_num((p * p).sum(-1))
     return np.where(length == 0, np.nan, -dot / length)
-    # right
+    # right: pair by pair
 rays_of_pixels
     theta, low, high = (columns + 0.5) / width * 2 * np.pi - np.pi, *np.radians(phi_deg)
     phi = low + (np.asarray(rows) + 0.5) / height * (high - low)

@@ -43,7 +43,6 @@ ocam_polynomial
 relative_pose
     < 0.02 → < 20  # within 0.02 m
 sphere_shift
-    np.nansum(p * p → np.nansum(e * e  # `parallax` and `errors` were swapped
     return -above → return above  # other sign
 rays_of_pixels
     np.radians(phi_deg) → phi_deg  # `phi_deg` were in radians

@@ -6,8 +6,10 @@ import pytest
 import scene
 
 import omnistereo_lib as osl
+from course.exercises.nb02 import sphere_shift
 from course.figures.uncertainty import index_shift, index_uncertainty
 from omnistereo_lib.geometry.pose import Pose
+from omnistereo_lib.geometry.rig import camera_pairs
 from omnistereo_rigs import calibrate_rig
 
 
@@ -48,6 +50,17 @@ def test_index_shift_is_what_the_sweep_finds():
     strong = np.abs(predicted) > 0.7 * np.nanmax(np.abs(predicted))
     moved = np.nanmedian((after - before)[strong] * np.sign(predicted[strong]))
     assert moved > 0.4 * np.median(np.abs(predicted[strong]))
+
+
+def test_a_students_shift_is_that_of_the_derivatives():
+    rig, grid = scene.rig().recentered(), osl.SphereGrid(40, 10, (-30, 30), 64, 1.0)
+    error = Pose.from_vector([0, 1e-4, 5e-5, 1e-4, 0, 1e-4])
+    wrong = rig.with_poses([rig.T_rig_cam[0] @ error, *rig.T_rig_cam[1:]])
+    pairs = camera_pairs("ring", rig)
+    mine = sphere_shift(rig, wrong, grid, np.full(grid.shape, 20.0), pairs)
+    theirs = index_shift(rig, wrong, grid, 20)
+    assert np.array_equal(np.isnan(mine), np.isnan(theirs))
+    assert np.nanmax(np.abs(mine - theirs)) < 0.1 * np.nanmax(np.abs(theirs))
 
 
 def test_index_uncertainty_of_a_calibrated_rig():
